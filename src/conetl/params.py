@@ -1,0 +1,111 @@
+"""Parameters of every step: frozen, closed, units in the names; their hash goes into the changeset.
+
+Data, function and parameters are three separate things: a step is `step(records, params)`. Nothing here is read from the
+environment (see `settings.py`); the defaults were chosen on the sample drives and on one real street (docs/decisions.md).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Positive = Annotated[float, Field(gt=0)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+
+
+class Params(BaseModel):
+    """Base of all parameter groups."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class DetectionParams(Params):
+    score_threshold: Fraction = 0.3
+    """Low on purpose: one weak box costs little, because a track needs several that agree in space."""
+    nms_iou: Fraction = 0.5
+    min_height_px: Positive = 8.0
+
+
+class MatchParams(Params):
+    epipolar_tolerance_px: Positive = 3.0
+    """Allowed row difference of a stereo match, added to `epipolar_tolerance_relative` times the box height."""
+    epipolar_tolerance_relative: Positive = 0.12
+    min_range_m: Positive = 1.5
+    max_range_m: Positive = 40.0
+    """Bounds of the disparity search."""
+    max_size_ratio: Positive = 1.6
+    """Larger over smaller box height (and width, squared tolerance) of a match."""
+    max_score_difference: Positive = 0.7
+    refine: bool = True
+    """Refine the left-right correspondence by area-based matching where the images allow it."""
+
+
+class PositionParams(Params):
+    convergence_m2: Positive = 1e-10
+    """Stop when the sum of squares of the correction falls below this (the paper's criterion)."""
+    max_iterations: int = Field(default=20, ge=1)
+    min_ray_angle_rad: Positive = 0.008
+    """Smaller angles between the two rays are refused: 0.008 rad is 67 m at a baseline of 0.54 m."""
+    max_range_m: Positive = 35.0
+    max_residual_px: Positive = 6.0
+
+
+class TrackParams(Params):
+    gate_chi2: Positive = 16.0
+    """Gate on the squared Mahalanobis distance of (u, v, disparity) against the prediction."""
+    max_gap_frames: int = Field(default=12, ge=1)
+    """A track not seen for longer is closed; it may still be joined by `join_gate_m`."""
+    motion_sigma_relative: Positive = 0.12
+    """Error of the relative motion between frames as a share of the way driven: GNSS without a fix slides by 10 %."""
+    motion_sigma_m: Positive = 0.05
+    join_gate_m: Positive = 0.6
+    """Two tracks never seen in one picture and nearer than this (plus drift) are one cone."""
+    min_observations: int = Field(default=3, ge=1)
+    min_existence_probability: Fraction = 0.8
+    min_cone_height_m: Positive = 0.25
+    max_cone_height_m: Positive = 1.15
+    max_ground_distance_m: Positive = 0.45
+    """Of the foot from the road surface under the rig, at `ground_reference_range_m`; grows with range."""
+    max_range_m: Positive = 20.0
+    """A cone must have been seen nearer than this at least once to become a feature."""
+
+
+class ReconcileParams(Params):
+    gate_chi2: Positive = 16.0
+    """Gate on the squared Mahalanobis distance between track and feature, after the drive's common offset."""
+    min_gate_m: Positive = 0.5
+    """Nearer than this is always the same place: road crews do not set cones closer than that."""
+    max_offset_m: Positive = 2.0
+    """Largest common offset of a drive against the map that is estimated and taken out (GNSS without a fix)."""
+    moved_max_m: Positive = 3.0
+    """A vanished feature and a new track of like height, at most this far apart, are one cone that was moved."""
+    moved_height_tolerance_m: Positive = 0.15
+    removal_min_frames: int = Field(default=5, ge=1)
+    """Frames in which the spot must have been in plain view without a detection before a feature is removed."""
+    visible_min_height_px: Positive = 18.0
+    """A cone counts as visible when it would appear at least this tall ..."""
+    visible_border_px: Positive = 12.0
+    """... and at least this far inside both pictures."""
+
+
+class IngestParams(Params):
+    """All parameters of one ingest."""
+
+    detection: DetectionParams = DetectionParams()
+    match: MatchParams = MatchParams()
+    position: PositionParams = PositionParams()
+    track: TrackParams = TrackParams()
+    reconcile: ReconcileParams = ReconcileParams()
+    chunk_pairs: int = Field(default=128, ge=1)
+    """Frame pairs per detection task: Prefect's cost per task is about 21 ms."""
+    max_rejected_fraction: Fraction = 0.10
+    """More frame pairs refused than this, and the command ends with exit code 1."""
+
+
+def params_sha256(params: Params) -> str:
+    """Hash of a parameter group: equal values give equal hashes, whatever the order they were written in."""
+    text = json.dumps(params.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -1,0 +1,286 @@
+"""The nouns of conetl as frozen, validated records, in the order in which data flows.
+
+Every record checks itself when it is made (pydantic; unknown fields, NaN and infinity are refused), so whatever passes a
+border between two steps is known to be sound. Lengths are metres, image points pixels of the original (rectified)
+image with the origin at the centre of the top-left pixel, angles radians, times UTC nanoseconds since 1970.
+Map coordinates are easting, northing (of the map CRS) and ellipsoidal height. See docs/coordinates.md.
+"""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+from enum import StrEnum
+from typing import Annotated, Literal
+from uuid import UUID
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+Side = Literal["left", "right"]
+Vec2 = tuple[float, float]
+Vec3 = tuple[float, float, float]
+Matrix3 = tuple[Vec3, Vec3, Vec3]
+Matrix4Row = tuple[float, float, float, float]
+Matrix4 = tuple[Matrix4Row, Matrix4Row, Matrix4Row, Matrix4Row]
+#: Symmetric 3x3 matrix as its upper triangle xx, xy, xz, yy, yz, zz (m^2).
+Cov3 = tuple[float, float, float, float, float, float]
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Probability = Annotated[float, Field(ge=0, le=1)]
+
+
+class Record(BaseModel):
+    """Base of all records: immutable, closed, finite."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+# --------------------------------------------------------------------------- drive
+
+
+class Camera(Record):
+    """Interior orientation of one rectified camera: a pinhole without distortion, in pixels."""
+
+    width_px: int = Field(gt=0)
+    height_px: int = Field(gt=0)
+    fx_px: Positive
+    fy_px: Positive
+    cx_px: float
+    cy_px: float
+
+
+class Rig(Record):
+    """Two rectified cameras and where they sit on the body (the INS unit, or the left camera where there is none).
+
+    `body_SE3_left`/`body_SE3_right` map camera points (x right, y down, z forward) to body points; their translation is the
+    lever arm, their rotation the boresight.
+    """
+
+    rig_id: str = Field(min_length=1)
+    left: Camera
+    right: Camera
+    body_SE3_left: Matrix4
+    body_SE3_right: Matrix4
+    sigma_px: Positive = 0.5
+    """Default image sigma of an observation, used where a detection brings none of its own."""
+
+    @property
+    def baseline_m(self) -> float:
+        a, b = self.body_SE3_left, self.body_SE3_right
+        return float(sum((a[i][3] - b[i][3]) ** 2 for i in range(3)) ** 0.5)
+
+
+class Pose(Record):
+    """Exterior orientation of the body at exposure: `map_p = R @ body_p + t`, with its standard deviations."""
+
+    map_R_body: Matrix3
+    map_t_body_m: Vec3
+    sigma_enu_m: tuple[NonNegative, NonNegative, NonNegative]
+    """Of the body's position, absolute (GNSS/INS); strongly correlated from frame to frame of one drive."""
+    sigma_rpy_rad: tuple[NonNegative, NonNegative, NonNegative]
+    """Of roll, pitch, yaw."""
+
+
+class FramePair(Record):
+    """The left and right image of one trigger, with the pose at that instant."""
+
+    frame_index: int = Field(ge=0)
+    """The number in the file name; it links images, poses and time stamps."""
+    left_path: str
+    right_path: str
+    captured_at_ns: int
+    """UTC, nanoseconds since 1970-01-01, of the left image."""
+    pose: Pose
+
+    @property
+    def captured_at(self) -> datetime:
+        return utc_from_ns(self.captured_at_ns)
+
+
+class Drive(Record):
+    """One recording by one rig, as far as it could be read; the bad pairs were rejected by the reader."""
+
+    drive_id: str = Field(min_length=1, max_length=200)
+    source_path: str
+    rig: Rig
+    map_srid: int
+    content_sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
+    """Hash over names and bytes of every file that was read, images included."""
+    frame_pairs: tuple[FramePair, ...] = Field(min_length=1)
+    expected_frame_count: int = Field(gt=0)
+    """Number of frame pairs that the folder announces, the rejected ones included."""
+
+    @model_validator(mode="after")
+    def _frames_in_order(self) -> Drive:
+        indices = [pair.frame_index for pair in self.frame_pairs]
+        if any(b <= a for a, b in zip(indices, indices[1:], strict=False)):
+            raise ValueError("frame pairs must have strictly increasing frame_index")
+        return self
+
+    @property
+    def captured_from(self) -> datetime:
+        return utc_from_ns(min(pair.captured_at_ns for pair in self.frame_pairs))
+
+    @property
+    def captured_to(self) -> datetime:
+        return utc_from_ns(max(pair.captured_at_ns for pair in self.frame_pairs))
+
+
+# --------------------------------------------------------------------------- image space
+
+
+class Detection(Record):
+    """A box from the network, in pixels of the original image; x_px, y_px is the top-left corner."""
+
+    frame_index: int = Field(ge=0)
+    side: Side
+    detection_index: int = Field(ge=0)
+    """Number within its image, by falling score."""
+    category: str = "traffic_cone"
+    x_px: float
+    y_px: float
+    w_px: Positive
+    h_px: Positive
+    score: Probability
+
+
+class StereoMatch(Record):
+    """Left and right detection of one object, with the image points that geometry uses.
+
+    `foot`: centre of the base where it meets the ground; `centre`: centre of the box (the paper's point); `tip`: top of the cone.
+    """
+
+    frame_index: int = Field(ge=0)
+    match_index: int = Field(ge=0)
+    left: Detection
+    right: Detection
+    foot_left_uv_px: Vec2
+    foot_right_uv_px: Vec2
+    centre_left_uv_px: Vec2
+    centre_right_uv_px: Vec2
+    tip_left_uv_px: Vec2
+    tip_right_uv_px: Vec2
+    sigma_u_px: Positive
+    """Of each image point along the rows; what disparity, hence range, lives on."""
+    sigma_v_px: Positive
+    refined: bool
+    """True where the correspondence was refined by area-based matching, False where the box edges alone were used."""
+    cost: NonNegative
+
+
+# --------------------------------------------------------------------------- object space
+
+
+class Position(Record):
+    """Foot and box centre of one cone in the map frame, from one frame pair, by forward intersection."""
+
+    frame_index: int = Field(ge=0)
+    match_index: int = Field(ge=0)
+    xyz_m: Vec3
+    """Foot centre on the ground; what the map calls `geom`."""
+    cov_m2: Cov3
+    centre_xyz_m: Vec3
+    """Box centre, the paper's point."""
+    cone_height_m: float
+    camera_xyz_m: Vec3
+    """The foot in the left camera's frame (x right, y down, z forward): free of GNSS error."""
+    camera_cov_m2: Cov3
+    range_m: Positive
+    """Ground distance from the left camera to the foot."""
+    ray_angle_rad: Positive
+    residual_rms_px: NonNegative
+    iterations: int = Field(ge=1)
+    score: Probability
+
+
+class Track(Record):
+    """All positions of one physical cone in one drive, as one joint fit."""
+
+    track_index: int = Field(ge=0)
+    category: str = "traffic_cone"
+    xyz_m: Vec3
+    """Foot centre in the map frame."""
+    cov_m2: Cov3
+    centre_xyz_m: Vec3
+    cone_height_m: Positive
+    cone_height_sigma_m: Positive
+    existence_probability: Probability
+    observation_count: int = Field(ge=1)
+    first_seen_ns: int
+    last_seen_ns: int
+    residual_rms_px: NonNegative
+    nearest_range_m: Positive
+    members: tuple[tuple[int, int], ...] = Field(min_length=1)
+    """(frame_index, match_index) of every position in it."""
+
+
+# --------------------------------------------------------------------------- map
+
+
+class MapFeature(Record):
+    """The current version of one feature of the map."""
+
+    feature_id: UUID
+    version: int = Field(ge=1)
+    category: str
+    xyz_m: Vec3
+    cov_m2: Cov3
+    centre_xyz_m: Vec3
+    cone_height_m: Positive
+    cone_height_sigma_m: Positive
+    existence_probability: Probability
+    observation_count: int = Field(ge=1)
+    first_seen_ns: int
+    last_seen_ns: int
+
+
+class DeltaKind(StrEnum):
+    """What one drive did to one feature. Stored in the database; never rename one."""
+
+    ADDED = "added"
+    CONFIRMED = "confirmed"
+    MOVED = "moved"
+    REMOVED = "removed"
+
+
+class Delta(Record):
+    """Old -> new of one feature. `new` is the feature after the drive; None where it was removed."""
+
+    kind: DeltaKind
+    feature_id: UUID
+    old: MapFeature | None
+    new: MapFeature | None
+    track_index: int | None
+    changed_at_ns: int
+    """When this became true on the road, as far as the drive can tell."""
+    shift_m: NonNegative | None
+    """Horizontal distance between old and new place; None for added and removed."""
+
+    @model_validator(mode="after")
+    def _sides_fit_kind(self) -> Delta:
+        wanted = {
+            DeltaKind.ADDED: (False, True),
+            DeltaKind.CONFIRMED: (True, True),
+            DeltaKind.MOVED: (True, True),
+            DeltaKind.REMOVED: (True, False),
+        }[self.kind]
+        if (self.old is not None, self.new is not None) != wanted:
+            raise ValueError(f"a delta of kind {self.kind} has old/new = {wanted}")
+        return self
+
+
+class Changeset(Record):
+    """The atomic set of deltas of one drive, with everything needed to make it again."""
+
+    changeset_id: UUID
+    drive_id: str
+    idempotency_key: str = Field(pattern=r"^[0-9a-f]{64}$")
+    """Hash over the drive's content, the params, the model and the map's CRS."""
+    params_sha256: str
+    model_sha256: str
+    code_version: str
+    deltas: tuple[Delta, ...]
+
+
+def utc_from_ns(nanoseconds: int) -> datetime:
+    """UTC datetime of nanoseconds since 1970, truncated to microseconds (what datetime can hold)."""
+    return datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=nanoseconds // 1000)

@@ -1,0 +1,66 @@
+"""What became of a record that was refused: an enum reason, a sentence, and the record itself."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict
+
+
+class RejectionReason(StrEnum):
+    """Why a record was refused. The values are stored in the database; never rename one."""
+
+    # frame pairs
+    IMAGE_MISSING = "image_missing"
+    IMAGE_UNREADABLE = "image_unreadable"
+    IMAGE_TRUNCATED = "image_truncated"
+    IMAGE_WRONG_SIZE = "image_wrong_size"
+    TIMESTAMP_MISSING = "timestamp_missing"
+    TIMESTAMP_INVALID = "timestamp_invalid"
+    POSE_MISSING = "pose_missing"
+    POSE_INVALID = "pose_invalid"
+    # detections and matches
+    DETECTION_INVALID = "detection_invalid"
+    # positions
+    RAY_ANGLE_TOO_SMALL = "ray_angle_too_small"
+    BEHIND_CAMERA = "behind_camera"
+    NOT_CONVERGED = "not_converged"
+    RANGE_OUT_OF_BOUNDS = "range_out_of_bounds"
+    RESIDUAL_TOO_LARGE = "residual_too_large"
+    POSITION_INVALID = "position_invalid"
+    # tracks
+    HEIGHT_IMPLAUSIBLE = "height_implausible"
+    NOT_ON_GROUND = "not_on_ground"
+    TOO_FEW_OBSERVATIONS = "too_few_observations"
+
+
+#: Reasons that concern what was delivered (files, poses); only these count against the exit-code threshold.
+INPUT_REASONS = frozenset(
+    {
+        RejectionReason.IMAGE_MISSING,
+        RejectionReason.IMAGE_UNREADABLE,
+        RejectionReason.IMAGE_TRUNCATED,
+        RejectionReason.IMAGE_WRONG_SIZE,
+        RejectionReason.TIMESTAMP_MISSING,
+        RejectionReason.TIMESTAMP_INVALID,
+        RejectionReason.POSE_MISSING,
+        RejectionReason.POSE_INVALID,
+    }
+)
+
+
+class Rejection(BaseModel):
+    """One refused record, kept in quarantine."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    step: str
+    """The step that refused it: frames, detections, matches, positions, tracks."""
+    reason: RejectionReason
+    record: str
+    """Which record, in words that a user can find again, e.g. 'frame pair 44' or 'image_03/data/0000000044.png'."""
+    detail: str
+    """What was found, what was expected, and what to do."""
+    payload: dict[str, Any]
+    """The record as far as it could be read; JSON-serialisable."""
