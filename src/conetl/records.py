@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
 from enum import StrEnum
+from itertools import pairwise
 from typing import Annotated, Literal
 from uuid import UUID
 
@@ -112,7 +113,7 @@ class Drive(Record):
     @model_validator(mode="after")
     def _frames_in_order(self) -> Drive:
         indices = [pair.frame_index for pair in self.frame_pairs]
-        if any(b <= a for a, b in zip(indices, indices[1:], strict=False)):
+        if any(b <= a for a, b in pairwise(indices)):
             raise ValueError("frame pairs must have strictly increasing frame_index")
         return self
 
@@ -160,8 +161,11 @@ class StereoMatch(Record):
     tip_left_uv_px: Vec2
     tip_right_uv_px: Vec2
     sigma_u_px: Positive
-    """Of each image point along the rows; what disparity, hence range, lives on."""
+    """Of each image point along the rows, independent in the two images: sigma of disparity over sqrt(2)."""
     sigma_v_px: Positive
+    """Of each image point across the rows."""
+    sigma_pointing_px: NonNegative
+    """Along the rows, common to both images: where the cone's axis was put in the picture. Moves the bearing, not the range."""
     refined: bool
     """True where the correspondence was refined by area-based matching, False where the box edges alone were used."""
     cost: NonNegative
@@ -200,6 +204,9 @@ class Track(Record):
     xyz_m: Vec3
     """Foot centre in the map frame."""
     cov_m2: Cov3
+    """Absolute: with the part of the pose error that all frames of the drive share."""
+    relative_cov_m2: Cov3
+    """Without that part: what distances between cones of this drive live on."""
     centre_xyz_m: Vec3
     cone_height_m: Positive
     cone_height_sigma_m: Positive

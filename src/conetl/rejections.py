@@ -22,6 +22,7 @@ class RejectionReason(StrEnum):
     POSE_INVALID = "pose_invalid"
     # detections and matches
     DETECTION_INVALID = "detection_invalid"
+    BOX_CUT_BY_BORDER = "box_cut_by_border"
     # positions
     RAY_ANGLE_TOO_SMALL = "ray_angle_too_small"
     BEHIND_CAMERA = "behind_camera"
@@ -33,6 +34,8 @@ class RejectionReason(StrEnum):
     HEIGHT_IMPLAUSIBLE = "height_implausible"
     NOT_ON_GROUND = "not_on_ground"
     TOO_FEW_OBSERVATIONS = "too_few_observations"
+    NEVER_NEAR = "never_near"
+    EXISTENCE_UNLIKELY = "existence_unlikely"
 
 
 #: Reasons that concern what was delivered (files, poses); only these count against the exit-code threshold.

@@ -1,0 +1,32 @@
+# conetl: `make demo` shows the main job, `make test` runs the tests. Both set up what they need.
+.DEFAULT_GOAL := help
+SHELL := /bin/bash
+PYTHON ?= python3
+BIN := .venv/bin
+export PYTHON
+export PREFECT_SERVER_ANALYTICS_ENABLED := false
+export DO_NOT_TRACK := 1
+
+.PHONY: help setup demo test check lock
+
+help:           ## this list
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
+
+setup:          ## virtual environment with locked dependencies, PostGIS from the system's packages
+	@scripts/setup.sh
+
+demo: setup     ## the main job: three sample drives become a versioned cone map
+	@$(BIN)/conetl demo
+
+test: setup     ## all tests
+	@$(BIN)/python -m pytest -n 2 --dist loadgroup
+
+check: setup    ## lint, types, layer contracts and the fast tests
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/python -m pytest -q tests/unit
+
+lock:           ## renew requirements.txt from pyproject.toml (needs uv)
+	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --no-annotate -o requirements.txt

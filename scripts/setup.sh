@@ -1,0 +1,42 @@
+#!/usr/bin/env bash
+# Sets up everything that `make demo` and `make test` need: a virtual environment with the locked dependencies, and PostGIS
+# from the system's packages. Does nothing when it is all there already.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+say() { printf '\033[1m%s\033[0m\n' "$*"; }
+fail() { printf 'conetl setup: %s\n' "$*" >&2; exit 2; }
+
+can_install() { command -v apt-get >/dev/null && { [ "$(id -u)" = 0 ] || sudo -n true 2>/dev/null; }; }
+install_packages() {
+  local sudo=(); [ "$(id -u)" = 0 ] || sudo=(sudo -n)
+  say "Installing $* from the system's packages"
+  "${sudo[@]}" apt-get update -qq
+  "${sudo[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$@" >/dev/null
+}
+
+# --- Python
+python=${PYTHON:-python3}
+command -v "$python" >/dev/null || fail "no $python on this machine: install Python 3.11 or newer, or name it: make PYTHON=/path/to/python3.12 ..."
+"$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
+  fail "$("$python" --version) is too old: conetl needs Python 3.11 or newer; name one: make PYTHON=/path/to/python3.12 ..."
+if ! "$python" -c 'import ensurepip, venv' 2>/dev/null; then
+  can_install || fail "Python's venv module is missing: install the package python3-venv, then run this again"
+  install_packages python3-venv
+fi
+
+lock=$(sha256sum requirements.txt pyproject.toml | sha256sum | cut -d' ' -f1)
+if [ "$(cat .venv/.conetl-lock 2>/dev/null)" != "$lock" ]; then
+  say "Setting up the Python environment in .venv (a minute or two)"
+  [ -x .venv/bin/python ] || "$python" -m venv .venv
+  .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-compile --require-hashes -r requirements.txt
+  .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+  echo "$lock" > .venv/.conetl-lock
+fi
+
+# --- PostGIS
+[ -n "${CONETL_DATABASE_URL:-}" ] && exit 0
+have_postgis() { compgen -G '/usr/share/postgresql/*/extension/postgis.control' >/dev/null || { command -v pg_config >/dev/null && [ -f "$(pg_config --sharedir)/extension/postgis.control" ]; }; }
+have_postgis && exit 0
+can_install && install_packages postgresql postgresql-postgis && have_postgis && exit 0
+fail "PostGIS is not installed and this user may not install it: have the packages 'postgresql postgresql-postgis' installed, or set CONETL_DATABASE_URL to a PostGIS database."

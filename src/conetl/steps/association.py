@@ -1,0 +1,156 @@
+"""Positions of single frame pairs -> chains, one per physical cone, by following each cone from picture to picture.
+
+Absolute coordinates will not do: where GNSS has no fix they slide by more than a metre while the cones stand still, and any
+fixed radius then doubles or merges cones. So a chain lives in the left camera's frame. From one frame pair to the next it is
+carried by the *relative* motion, whose error grows only with the way driven in between, and the next position must fit it in
+three dimensions with its own covariance (narrow in bearing, long in range). One-to-one, cheapest in total (Kalman filter with
+global nearest neighbour, e.g. Bar-Shalom, Willett & Tian 2011, ch. 6).
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from conetl.params import TrackParams
+from conetl.records import Cov3, Position
+
+Floats = NDArray[np.float64]
+#: Cost of an impossible pairing in the assignment; far above any gate.
+_FORBIDDEN = 1e6
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Positions of one cone so far; `mean` (3,) and `cov` (3, 3) place it in the left camera's frame of the last of them."""
+
+    members: tuple[Position, ...]
+    mean: Floats
+    cov: Floats
+
+
+def chain_positions(
+    positions: Sequence[Position], map_SE3_left: Mapping[int, Floats], params: TrackParams
+) -> list[tuple[Position, ...]]:
+    """Group the positions of one drive by physical cone.
+
+    map_SE3_left: (4, 4) left camera -> map, by frame index. Returns the groups, each by rising frame index and with at most one
+    position per frame; every position is in exactly one group.
+    """
+    by_frame: dict[int, list[Position]] = defaultdict(list)
+    for position in positions:
+        by_frame[position.frame_index].append(position)
+    open_chains: list[Chain] = []
+    closed: list[Chain] = []
+    for frame_index in sorted(by_frame):
+        still_open = [c for c in open_chains if frame_index - c.members[-1].frame_index <= params.max_gap_frames]
+        closed += [c for c in open_chains if frame_index - c.members[-1].frame_index > params.max_gap_frames]
+        open_chains = _extend(still_open, by_frame[frame_index], frame_index, map_SE3_left, params)
+    return join_fragments([c.members for c in closed + open_chains], map_SE3_left, params)
+
+
+def cov_matrix(cov: Cov3) -> Floats:
+    """Upper triangle xx, xy, xz, yy, yz, zz -> (3, 3)."""
+    xx, xy, xz, yy, yz, zz = cov
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def carry(
+    mean: Floats, cov: Floats, start: int, end: int, map_SE3_left: Mapping[int, Floats], params: TrackParams
+) -> tuple[Floats, Floats]:
+    """A point (3,) with covariance (3, 3) of the left camera's frame at `start`, in that of `end`."""
+    end_SE3_start = np.linalg.inv(map_SE3_left[end]) @ map_SE3_left[start]
+    rotation, translation = end_SE3_start[:3, :3], end_SE3_start[:3, 3]
+    driven_m = float(np.linalg.norm(translation))
+    sigma_m = np.hypot(params.motion_sigma_m, params.motion_sigma_relative * driven_m)
+    return rotation @ mean + translation, rotation @ cov @ rotation.T + sigma_m**2 * np.eye(3)
+
+
+def _extend(
+    chains: list[Chain],
+    found: Sequence[Position],
+    frame_index: int,
+    map_SE3_left: Mapping[int, Floats],
+    params: TrackParams,
+) -> list[Chain]:
+    """The open chains after one more frame: each position extends the chain it fits, or starts one."""
+    carried = [carry(c.mean, c.cov, c.members[-1].frame_index, frame_index, map_SE3_left, params) for c in chains]
+    costs = np.full((len(chains), len(found)), _FORBIDDEN)
+    for i, (mean, cov) in enumerate(carried):
+        for j, position in enumerate(found):
+            innovation = np.array(position.camera_xyz_m) - mean
+            spread = cov + cov_matrix(position.camera_cov_m2)
+            distance2 = float(innovation @ np.linalg.solve(spread, innovation))
+            if distance2 <= params.gate_chi2:
+                # The log-determinant keeps a vague chain from stealing what a sharp one explains as well.
+                costs[i, j] = distance2 + float(np.linalg.slogdet(spread)[1])
+    extended = {int(i): int(j) for i, j in zip(*linear_sum_assignment(costs), strict=True) if costs[i, j] < _FORBIDDEN}
+    result = [
+        _updated(chain, *carried[i], found[extended[i]]) if i in extended else chain for i, chain in enumerate(chains)
+    ]
+    taken = set(extended.values())
+    result += [
+        Chain((position,), np.array(position.camera_xyz_m), cov_matrix(position.camera_cov_m2))
+        for j, position in enumerate(found)
+        if j not in taken
+    ]
+    return result
+
+
+def _updated(chain: Chain, mean: Floats, cov: Floats, position: Position) -> Chain:
+    gain = cov @ np.linalg.inv(cov + cov_matrix(position.camera_cov_m2))
+    new_cov = (np.eye(3) - gain) @ cov
+    new_mean = mean + gain @ (np.array(position.camera_xyz_m) - mean)
+    return Chain((*chain.members, position), new_mean, (new_cov + new_cov.T) / 2)
+
+
+def join_fragments(
+    groups: Sequence[tuple[Position, ...]], map_SE3_left: Mapping[int, Floats], params: TrackParams
+) -> list[tuple[Position, ...]]:
+    """Join groups that are one cone seen again after a longer gap (hidden by a post, or missed by the detector).
+
+    Two groups with a common frame are two cones, however near. Otherwise the nearest pair of positions in time is compared,
+    one carried into the frame of the other; the best fitting groups are joined first.
+    """
+    joined: list[tuple[Position, ...]] = sorted(groups, key=lambda g: g[0].frame_index)
+    while True:
+        best: tuple[float, int, int] | None = None
+        for i in range(len(joined)):
+            for j in range(i + 1, len(joined)):
+                misfit = _misfit(joined[i], joined[j], map_SE3_left, params)
+                if misfit is not None and (best is None or misfit < best[0]):
+                    best = (misfit, i, j)
+        if best is None:
+            return joined
+        _, i, j = best
+        merged = tuple(sorted((*joined[i], *joined[j]), key=lambda p: p.frame_index))
+        joined = [g for k, g in enumerate(joined) if k not in (i, j)] + [merged]
+
+
+def _misfit(
+    a: tuple[Position, ...], b: tuple[Position, ...], map_SE3_left: Mapping[int, Floats], params: TrackParams
+) -> float | None:
+    """Squared Mahalanobis distance of two groups, or None where they cannot be one cone."""
+    frames_a, frames_b = {p.frame_index for p in a}, {p.frame_index for p in b}
+    if frames_a & frames_b:
+        return None
+    one, other = min(((p, q) for p in a for q in b), key=lambda pair: abs(pair[0].frame_index - pair[1].frame_index))
+    mean, cov = carry(
+        np.array(one.camera_xyz_m),
+        cov_matrix(one.camera_cov_m2),
+        one.frame_index,
+        other.frame_index,
+        map_SE3_left,
+        params,
+    )
+    difference = np.array(other.camera_xyz_m) - mean
+    spread = cov + cov_matrix(other.camera_cov_m2)
+    distance2 = float(difference @ np.linalg.solve(spread, difference))
+    # The covariance alone would join far, vague points over any distance along the line of sight.
+    reach_m = params.join_gate_m + 3 * float(np.sqrt(np.trace(cov) / 3))
+    return distance2 if distance2 <= params.gate_chi2 and np.linalg.norm(difference) <= reach_m else None

@@ -1,0 +1,179 @@
+"""Detections of a frame pair -> stereo matches with image points.
+
+In rectified images the two boxes of one cone lie in the same rows. Candidates are gated by rows, disparity, size and by the
+height that the cone would have; the assignment that costs least over the whole picture is taken (one-to-one).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from conetl.params import MatchParams
+from conetl.records import Camera, Detection, Rig, StereoMatch, Vec2
+from conetl.rejections import Rejection, RejectionReason
+from conetl.steps.area_matching import AreaMatch, match_area
+
+Image = NDArray[np.uint8]
+#: Height of anything that may be a traffic cone, wide: the boxes are loose. Keeps a cone from being matched with its neighbour.
+_HEIGHT_BOUNDS_M = (0.15, 1.8)
+_BORDER_PX = 2.0
+#: Measured spread of the shipped detector's box edges on the sample drives: a floor plus a share of the box.
+_EDGE_SIGMA_PX = 0.6
+_EDGE_SIGMA_SHARE = 0.025
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    cost: float
+    area: AreaMatch | None
+
+
+def match_pair(
+    left: Sequence[Detection],
+    right: Sequence[Detection],
+    rig: Rig,
+    params: MatchParams,
+    *,
+    up_left: NDArray[np.float64],
+    images: tuple[Image, Image] | None = None,
+) -> tuple[list[StereoMatch], list[Rejection]]:
+    """Match the detections of one frame pair.
+
+    up_left: unit vector (3,) pointing up, in the left camera's frame; (0, -1, 0) for a level camera. images: the two rectified
+    pictures, (H, W, 3) uint8; with them the correspondence is refined by area-based matching (`params.refine`).
+    A detection without a partner is no error and simply yields no match; a box cut by the picture's border has no foot or no
+    tip and is rejected.
+    """
+    rejections: list[Rejection] = []
+    left_whole = [d for d in left if _is_whole(d, rig.left, rejections)]
+    right_whole = [d for d in right if _is_whole(d, rig.right, rejections)]
+    if not left_whole or not right_whole:
+        return [], rejections
+    candidates: dict[tuple[int, int], _Candidate] = {}
+    costs = np.full((len(left_whole), len(right_whole)), np.inf)
+    for i, a in enumerate(left_whole):
+        for j, b in enumerate(right_whole):
+            candidate = _candidate(a, b, rig, params, images if params.refine else None)
+            if candidate is not None:
+                candidates[i, j] = candidate
+                costs[i, j] = candidate.cost
+    # A pair that fails the gate must never be forced: it costs more than leaving both alone.
+    rows, columns = linear_sum_assignment(np.where(np.isfinite(costs), costs, 1e6))
+    matches = [
+        _stereo_match(len_before, left_whole[i], right_whole[j], candidates[i, j], rig, up_left)
+        for len_before, (i, j) in enumerate(
+            (i, j) for i, j in zip(rows.tolist(), columns.tolist(), strict=True) if (i, j) in candidates
+        )
+    ]
+    return matches, rejections
+
+
+def foot_image_point(box_bottom: Vec2, box_width_px: float, camera: Camera, up: NDArray[np.float64]) -> Vec2:
+    """Image point of the centre of the foot, from the middle of the box's lower edge.
+
+    The lower edge shows the near rim of the base plate, which is nearer to the camera than the centre by half the plate's
+    apparent width, whatever its shape or heading; so the ray to the near rim is moved on along the ground by that share of
+    its depth. up: unit vector (3,) in the camera's frame.
+    """
+    u, v = box_bottom
+    ray = np.array([(u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px, 1.0])
+    along_ground = ray - (ray @ up) * up
+    along_ground /= np.linalg.norm(along_ground)
+    centre = ray + box_width_px / (2 * camera.fx_px) * along_ground
+    return (
+        float(camera.cx_px + camera.fx_px * centre[0] / centre[2]),
+        float(camera.cy_px + camera.fy_px * centre[1] / centre[2]),
+    )
+
+
+def _is_whole(detection: Detection, camera: Camera, rejections: list[Rejection]) -> bool:
+    right_edge, bottom_edge = detection.x_px + detection.w_px, detection.y_px + detection.h_px
+    if (
+        detection.x_px > _BORDER_PX
+        and detection.y_px > _BORDER_PX
+        and right_edge < camera.width_px - _BORDER_PX
+        and bottom_edge < camera.height_px - _BORDER_PX
+    ):
+        return True
+    rejections.append(
+        Rejection(
+            step="matches",
+            reason=RejectionReason.BOX_CUT_BY_BORDER,
+            record=f"{detection.side} detection {detection.detection_index} of frame pair {detection.frame_index}",
+            detail=f"box at the border of the {camera.width_px}x{camera.height_px} picture: its foot, tip or axis is unseen",
+            payload=detection.model_dump(mode="json"),
+        )
+    )
+    return False
+
+
+def _candidate(
+    a: Detection, b: Detection, rig: Rig, params: MatchParams, images: tuple[Image, Image] | None
+) -> _Candidate | None:
+    """Cost of calling two detections one object, None where that cannot be."""
+    tallest = max(a.h_px, b.h_px)
+    row_tolerance = params.epipolar_tolerance_px + params.epipolar_tolerance_relative * tallest
+    row_offset_px = rig.right.cy_px - rig.left.cy_px
+    row_difference = abs((a.y_px + a.h_px / 2) - (b.y_px + b.h_px / 2) + row_offset_px)
+    if row_difference > row_tolerance:
+        return None
+    height_ratio = tallest / min(a.h_px, b.h_px)
+    width_ratio = max(a.w_px, b.w_px) / min(a.w_px, b.w_px)
+    if height_ratio > params.max_size_ratio or width_ratio > params.max_size_ratio**2:
+        return None
+    score_difference = abs(a.score - b.score)
+    if score_difference > params.max_score_difference:
+        return None
+    # Disparity of a point at infinity is the difference of the principal points.
+    at_infinity = rig.left.cx_px - rig.right.cx_px
+    disparity = (a.x_px + a.w_px / 2) - (b.x_px + b.w_px / 2) - at_infinity
+    focal_base = rig.left.fx_px * rig.baseline_m
+    slack = 1.0 + 0.1 * (a.w_px + b.w_px) / 2
+    if not focal_base / params.max_range_m - slack <= disparity <= focal_base / params.min_range_m + slack:
+        return None
+    height_m = (a.h_px + b.h_px) / 2 * rig.baseline_m / max(disparity, 0.5)
+    if not _HEIGHT_BOUNDS_M[0] <= height_m <= _HEIGHT_BOUNDS_M[1]:
+        return None
+    area = None
+    if images is not None:
+        box = (a.x_px, a.y_px, a.w_px, a.h_px)
+        area = match_area(images[0], images[1], box, disparity + at_infinity, max(3.0, 0.3 * a.w_px))
+    cost = row_difference / row_tolerance + np.log(height_ratio) * 2 + np.log(width_ratio) + score_difference
+    if images is not None:
+        cost += 1.0 - (area.correlation if area else 0.0)
+    return _Candidate(float(cost), area)
+
+
+def _stereo_match(
+    index: int, a: Detection, b: Detection, candidate: _Candidate, rig: Rig, up: NDArray[np.float64]
+) -> StereoMatch:
+    axis_left, axis_right = a.x_px + a.w_px / 2, b.x_px + b.w_px / 2
+    edge_sigma = _EDGE_SIGMA_PX + _EDGE_SIGMA_SHARE * (a.w_px + b.w_px) / 2
+    sigma_u = edge_sigma
+    if candidate.area is not None:
+        # Both boxes say where the axis is; the matched disparity says how the two statements relate.
+        axis_left = (axis_left + axis_right + candidate.area.disparity_px) / 2
+        axis_right = axis_left - candidate.area.disparity_px
+        sigma_u = candidate.area.sigma_px / 2**0.5
+    return StereoMatch(
+        frame_index=a.frame_index,
+        match_index=index,
+        left=a,
+        right=b,
+        foot_left_uv_px=foot_image_point((axis_left, a.y_px + a.h_px), a.w_px, rig.left, up),
+        foot_right_uv_px=foot_image_point((axis_right, b.y_px + b.h_px), b.w_px, rig.right, up),
+        centre_left_uv_px=(axis_left, a.y_px + a.h_px / 2),
+        centre_right_uv_px=(axis_right, b.y_px + b.h_px / 2),
+        tip_left_uv_px=(axis_left, a.y_px),
+        tip_right_uv_px=(axis_right, b.y_px),
+        sigma_u_px=sigma_u,
+        sigma_v_px=_EDGE_SIGMA_PX + _EDGE_SIGMA_SHARE * (a.h_px + b.h_px) / 2,
+        sigma_pointing_px=edge_sigma / 2**0.5,
+        refined=candidate.area is not None,
+        cost=candidate.cost,
+    )

@@ -1,0 +1,256 @@
+"""Positions of one drive -> tracks: one joint adjustment per physical cone, and the belief that it is a cone at all."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.geometry.joint_fit import JointFit, fit_point
+from conetl.params import IngestParams, TrackParams
+from conetl.records import Cov3, Detection, FramePair, Position, Rig, StereoMatch, Track, Vec3
+from conetl.rejections import Rejection, RejectionReason
+from conetl.steps.association import chain_positions
+from conetl.steps.visibility import frames_in_plain_view
+
+Floats = NDArray[np.float64]
+#: Frames follow each other at 10 Hz and fail together: one in this many counts as independent evidence.
+_FRAMES_PER_INDEPENDENT_LOOK = 3.0
+#: A score of this size speaks neither for nor against a cone; measured on street furniture (data/models/README.md).
+_NEUTRAL_SCORE = 0.45
+_MISS_LOGIT = -1.2
+_PRIOR_LOGIT = -1.0
+
+
+def fuse_tracks(
+    positions: Sequence[Position],
+    matches: Mapping[tuple[int, int], StereoMatch],
+    detections: Mapping[int, Sequence[Detection]],
+    frame_pairs: Mapping[int, FramePair],
+    rig: Rig,
+    map_SE3_left: Mapping[int, Floats],
+    map_SE3_right: Mapping[int, Floats],
+    params: IngestParams,
+) -> tuple[list[Track], list[Rejection]]:
+    """Fuse the positions of one drive into tracks.
+
+    matches: by (frame_index, match_index). detections: those of both images by frame index. map_SE3_left, map_SE3_right:
+    (4, 4) camera -> map by frame index. A group that is too short, never near, off the road surface, of impossible height or
+    unlikely to be a cone is rejected with the reason.
+    """
+    tracks: list[Track] = []
+    rejections: list[Rejection] = []
+    groups = chain_positions(positions, map_SE3_left, params.track)
+    for group in sorted(groups, key=lambda g: (g[0].frame_index, g[0].match_index)):
+        result = _fuse_group(
+            len(tracks), group, matches, detections, frame_pairs, rig, map_SE3_left, map_SE3_right, params
+        )
+        if isinstance(result, Track):
+            tracks.append(result)
+        else:
+            rejections.append(result)
+    return _check_ground(tracks, rejections, map_SE3_left, params.track)
+
+
+def _fuse_group(
+    index: int,
+    group: tuple[Position, ...],
+    matches: Mapping[tuple[int, int], StereoMatch],
+    detections: Mapping[int, Sequence[Detection]],
+    frame_pairs: Mapping[int, FramePair],
+    rig: Rig,
+    map_SE3_left: Mapping[int, Floats],
+    map_SE3_right: Mapping[int, Floats],
+    params: IngestParams,
+) -> Track | Rejection:
+    limits = params.track
+    if len(group) < limits.min_observations:
+        wanted = f"expected at least {limits.min_observations}; one or two boxes may be anything"
+        return _reject(RejectionReason.TOO_FEW_OBSERVATIONS, group, f"{len(group)} positions, {wanted}")
+    nearest_m = min(p.range_m for p in group)
+    if nearest_m > limits.max_range_m:
+        return _reject(
+            RejectionReason.NEVER_NEAR,
+            group,
+            f"never nearer than {nearest_m:.1f} m, expected {limits.max_range_m} m",
+        )
+    pairs = [matches[p.frame_index, p.match_index] for p in group]
+    foot, centre, tip = (
+        _fit(
+            kind,
+            group,
+            pairs,
+            frame_pairs,
+            rig,
+            map_SE3_left,
+            map_SE3_right,
+            limits,
+            params.position.convergence_m2,
+        )
+        for kind in ("foot", "centre", "tip")
+    )
+    if foot is None or centre is None or tip is None:
+        return _reject(RejectionReason.NOT_CONVERGED, group, "the joint adjustment of all rays found no point")
+    height_m = float(tip.xyz_m[2] - foot.xyz_m[2])
+    # The pose errors shift foot and tip alike: only the spread of the box edges makes the height uncertain.
+    height_sigma_m = float(
+        np.sqrt(2 / sum((rig.left.fy_px / p.range_m / m.sigma_v_px) ** 2 for p, m in zip(group, pairs, strict=True)))
+    )
+    if not limits.min_cone_height_m <= height_m <= limits.max_cone_height_m:
+        bounds = f"{limits.min_cone_height_m} to {limits.max_cone_height_m} m"
+        return _reject(RejectionReason.HEIGHT_IMPLAUSIBLE, group, f"{height_m:.2f} m tall, expected {bounds}")
+    existence = _existence_probability(
+        group, foot.xyz_m, height_m, rig, map_SE3_left, map_SE3_right, detections, params
+    )
+    if existence < limits.min_existence_probability:
+        return _reject(
+            RejectionReason.EXISTENCE_UNLIKELY,
+            group,
+            f"existence probability {existence:.2f}, expected at least {limits.min_existence_probability}",
+        )
+    first, last = (frame_pairs[p.frame_index].captured_at_ns for p in (group[0], group[-1]))
+    return Track(
+        track_index=index,
+        xyz_m=_vec3(foot.xyz_m),
+        cov_m2=_cov3(foot.cov_m2 + _common_pose_cov(group, frame_pairs)),
+        relative_cov_m2=_cov3(foot.cov_m2),
+        centre_xyz_m=_vec3(centre.xyz_m),
+        cone_height_m=height_m,
+        cone_height_sigma_m=height_sigma_m,
+        existence_probability=existence,
+        observation_count=len(group),
+        first_seen_ns=first,
+        last_seen_ns=last,
+        residual_rms_px=float(np.sqrt(np.mean(foot.residuals_px**2))),
+        nearest_range_m=nearest_m,
+        members=tuple((p.frame_index, p.match_index) for p in group),
+    )
+
+
+def _fit(
+    kind: str,
+    group: tuple[Position, ...],
+    pairs: Sequence[StereoMatch],
+    frame_pairs: Mapping[int, FramePair],
+    rig: Rig,
+    map_SE3_left: Mapping[int, Floats],
+    map_SE3_right: Mapping[int, Floats],
+    limits: TrackParams,
+    convergence_m2: float,
+) -> JointFit | None:
+    """Joint adjustment of one of the cone's three points over all its stereo pairs."""
+    left = np.stack([map_SE3_left[p.frame_index] for p in group])
+    right = np.stack([map_SE3_right[p.frame_index] for p in group])
+    nearest = min(group, key=lambda p: p.range_m)
+    driven_m = np.linalg.norm(left[:, :3, 3] - map_SE3_left[nearest.frame_index][:3, 3], axis=1)
+    # Relative error of two poses: it grows with the way between them, and never beyond what GNSS leaves open.
+    gnss_m = np.array([np.linalg.norm(frame_pairs[p.frame_index].pose.sigma_enu_m) for p in group])
+    attitude_m = np.array([max(frame_pairs[p.frame_index].pose.sigma_rpy_rad) * p.range_m for p in group])
+    observed = np.array(
+        [(*getattr(m, f"{kind}_left_uv_px"), *getattr(m, f"{kind}_right_uv_px")) for m in pairs],
+        dtype=np.float64,
+    )
+    return fit_point(
+        observed,
+        np.array(nearest.centre_xyz_m if kind == "centre" else nearest.xyz_m),
+        left,
+        right,
+        np.array([rig.left.fx_px, rig.left.fy_px, rig.right.fx_px, rig.right.fy_px]),
+        np.array([rig.left.cx_px, rig.left.cy_px, rig.right.cx_px, rig.right.cy_px]),
+        sigma_u_px=np.array([m.sigma_u_px for m in pairs]),
+        sigma_v_px=np.array([m.sigma_v_px for m in pairs]),
+        sigma_pointing_px=np.array([m.sigma_pointing_px for m in pairs]),
+        sigma_motion_m=np.hypot(np.minimum(limits.motion_sigma_relative * driven_m, gnss_m), attitude_m),
+        convergence_m2=convergence_m2,
+    )
+
+
+def _common_pose_cov(group: tuple[Position, ...], frame_pairs: Mapping[int, FramePair]) -> Floats:
+    """GNSS/INS errors vary over many seconds: the frames of one cone share them, so they are not averaged away."""
+    poses = [frame_pairs[p.frame_index].pose for p in group]
+    position_m2 = np.diag(np.mean([np.square(pose.sigma_enu_m) for pose in poses], axis=0))
+    lever_m = [p.range_m for p in group]
+    attitude_m2 = np.mean([(max(pose.sigma_rpy_rad) * r) ** 2 for pose, r in zip(poses, lever_m, strict=True)])
+    return np.asarray(position_m2 + attitude_m2 * np.eye(3))
+
+
+def _existence_probability(
+    group: tuple[Position, ...],
+    foot_m: Floats,
+    height_m: float,
+    rig: Rig,
+    map_SE3_left: Mapping[int, Floats],
+    map_SE3_right: Mapping[int, Floats],
+    detections: Mapping[int, Sequence[Detection]],
+    params: IngestParams,
+) -> float:
+    """Belief that a cone stands there: log-odds of the scores where it was seen, less the looks that showed nothing."""
+    visible = set(
+        frames_in_plain_view(foot_m, height_m, rig, map_SE3_left, map_SE3_right, detections, params.reconcile)
+    )
+    missed = len(visible - {p.frame_index for p in group})
+    scores = np.clip([p.score for p in group], 0.02, 0.98)
+    evidence = float(np.sum(_logit(scores) - _logit(np.array(_NEUTRAL_SCORE)))) + missed * _MISS_LOGIT
+    logit = _PRIOR_LOGIT + evidence / _FRAMES_PER_INDEPENDENT_LOOK
+    return float(1 / (1 + np.exp(-np.clip(logit, -30, 30))))
+
+
+def _logit(p: Floats) -> Floats:
+    return np.asarray(np.log(p / (1 - p)))
+
+
+def _check_ground(
+    tracks: list[Track], rejections: list[Rejection], map_SE3_left: Mapping[int, Floats], limits: TrackParams
+) -> tuple[list[Track], list[Rejection]]:
+    """Cones stand on the road: refuse tracks whose foot is off the surface on which the others stand.
+
+    The height of a camera above the road is not part of a calibration, so the drive's own cones tell it: the median drop from
+    the path (at the point of the path nearest to the cone) to the foot. One track alone has nothing to be compared with.
+    """
+    if len(tracks) < 3:
+        return tracks, rejections
+    path = np.stack([pose[:3, 3] for pose in map_SE3_left.values()])
+    feet = np.array([t.xyz_m for t in tracks])
+    abeam = np.linalg.norm(path[None, :, :2] - feet[:, None, :2], axis=2).argmin(axis=1)
+    drops = path[abeam, 2] - feet[:, 2]
+    usual = float(np.median(drops))
+    kept: list[Track] = []
+    for track, drop in zip(tracks, drops.tolist(), strict=True):
+        if abs(drop - usual) <= limits.max_ground_distance_m:
+            kept.append(track.model_copy(update={"track_index": len(kept)}))
+        else:
+            rejections.append(
+                Rejection(
+                    step="tracks",
+                    reason=RejectionReason.NOT_ON_GROUND,
+                    record=f"track first seen in frame pair {track.members[0][0]}",
+                    detail=f"foot {drop:.2f} m below the camera's path, the drive's cones stand {usual:.2f} m below it",
+                    payload=track.model_dump(mode="json"),
+                )
+            )
+    return kept, rejections
+
+
+def _reject(reason: RejectionReason, group: tuple[Position, ...], detail: str) -> Rejection:
+    return Rejection(
+        step="tracks",
+        reason=reason,
+        record=f"track of frame pairs {group[0].frame_index} to {group[-1].frame_index}",
+        detail=detail,
+        payload={
+            "members": [[p.frame_index, p.match_index] for p in group],
+            "xyz_m": list(group[len(group) // 2].xyz_m),
+            "scores": [round(p.score, 3) for p in group],
+        },
+    )
+
+
+def _vec3(values: Floats) -> Vec3:
+    x, y, z = values.tolist()
+    return x, y, z
+
+
+def _cov3(matrix: Floats) -> Cov3:
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = matrix.tolist()
+    return xx, xy, xz, yy, yz, zz
