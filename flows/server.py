@@ -1,0 +1,93 @@
+"""A Prefect server for the time of one command, where none is configured.
+
+Prefect's own temporary server loses events when it stops and outlives a killed client. This one is a real server with its
+state under `<home>/prefect`, so past runs can be looked at later; the kernel ends it when this process dies.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+
+from conetl.errors import ServiceError
+
+_START_TIMEOUT_S = 90
+_PR_SET_PDEATHSIG = 1
+
+
+@contextlib.contextmanager
+def prefect_server(home: Path) -> Iterator[str]:
+    """Address of a Prefect API: the configured one (PREFECT_API_URL), or one started here and stopped at the end."""
+    configured = os.environ.get("PREFECT_API_URL")
+    if configured:
+        if not _is_healthy(configured):
+            raise ServiceError(
+                f"PREFECT_API_URL names {configured}, but no Prefect server answers there. Start it, or unset "
+                "PREFECT_API_URL to let conetl start one for this command. Nothing was written."
+            )
+        yield configured
+        return
+    state = home / "prefect"
+    state.mkdir(parents=True, exist_ok=True)
+    port = _free_port()
+    url = f"http://127.0.0.1:{port}/api"
+    with (state / "server.log").open("ab") as log:
+        command = [sys.executable, "-m", "uvicorn", "--factory", "prefect.server.api.server:create_app"]
+        process = subprocess.Popen(
+            [*command, "--host", "127.0.0.1", "--port", str(port), "--log-level", "warning"],
+            stdout=log,
+            stderr=log,
+            stdin=subprocess.DEVNULL,
+            preexec_fn=_die_with_parent if sys.platform == "linux" else None,
+            env={**os.environ, "PREFECT_SERVER_UI_API_URL": url},
+        )
+    try:
+        _wait_until_healthy(url, process, state / "server.log")
+        os.environ["PREFECT_API_URL"] = url
+        yield url
+    finally:
+        os.environ.pop("PREFECT_API_URL", None)
+        process.terminate()
+        try:
+            process.wait(timeout=10)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def _die_with_parent() -> None:
+    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def _is_healthy(url: str) -> bool:
+    try:
+        return httpx.get(f"{url}/health", timeout=5, trust_env=False).status_code == httpx.codes.OK
+    except httpx.HTTPError:
+        return False
+
+
+def _wait_until_healthy(url: str, process: subprocess.Popen[bytes], log: Path) -> None:
+    deadline = time.monotonic() + _START_TIMEOUT_S
+    while time.monotonic() < deadline:
+        if process.poll() is not None:
+            raise ServiceError(f"the Prefect server stopped while starting; see {log}. Nothing was written.")
+        if _is_healthy(url):
+            return
+        time.sleep(0.1)
+    raise ServiceError(f"the Prefect server did not answer within {_START_TIMEOUT_S} s; see {log}. Nothing was written.")

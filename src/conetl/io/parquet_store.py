@@ -1,0 +1,80 @@
+"""Intermediate results as Parquet files, named by the hash of everything they were computed from.
+
+Equal inputs give an equal name, so a finished chunk is never computed twice: not after a crash, not when the drive is ingested
+again with other parameters further down the line. Files appear whole (written aside, then renamed) or not at all.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TypeVar
+from uuid import uuid4
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+from pydantic import TypeAdapter
+
+from conetl.records import Record
+from conetl.rejections import Rejection
+
+R = TypeVar("R", bound=Record)
+
+
+def result_key(*parts: str) -> str:
+    """Content key: SHA-256 over the given hashes and names, in order."""
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a file's bytes; of nothing where the file is missing, which is a state of the input like any other."""
+    if not path.is_file():
+        return hashlib.sha256().hexdigest()
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def has_result(folder: Path, key: str) -> bool:
+    """Whether the chunk `key` was finished earlier."""
+    return _path(folder, key).is_file()
+
+
+def save_result(folder: Path, key: str, records: Sequence[R], rejections: Sequence[Rejection]) -> Path:
+    """Write the records and rejections of one finished chunk; the Parquet file is the last to appear."""
+    folder.mkdir(parents=True, exist_ok=True)
+    refused = TypeAdapter(list[Rejection]).dump_json(list(rejections)).decode()
+    table = pa.Table.from_pylist([record.model_dump(mode="json") for record in records])
+    table = table.replace_schema_metadata({"conetl.rejections": refused})
+    path = _path(folder, key)
+    aside = path.with_suffix(f".{uuid4().hex}.tmp")
+    try:
+        pq.write_table(table, aside, compression="zstd")
+        os.replace(aside, path)  # noqa: PTH105 - atomic on every platform, unlike Path.rename
+    finally:
+        aside.unlink(missing_ok=True)
+    return path
+
+
+def load_result(path: Path, record_type: type[R]) -> tuple[list[R], list[Rejection]]:
+    """Records and rejections of one chunk, validated again: a file is a border."""
+    table = pq.read_table(path)
+    metadata = table.schema.metadata or {}
+    rejections = TypeAdapter(list[Rejection]).validate_json(metadata[b"conetl.rejections"])
+    return TypeAdapter(list[record_type]).validate_python(table.to_pylist()), rejections  # type: ignore[valid-type]
+
+
+def load_results(paths: Iterable[Path], record_type: type[R]) -> tuple[list[R], list[Rejection]]:
+    """All chunks of a drive, in order."""
+    records: list[R] = []
+    rejections: list[Rejection] = []
+    for path in paths:
+        more, refused = load_result(path, record_type)
+        records += more
+        rejections += refused
+    return records, rejections
+
+
+def _path(folder: Path, key: str) -> Path:
+    return folder / f"{key}.parquet"

@@ -1,0 +1,49 @@
+"""Where things are on this machine. The only reader of environment variables (`CONETL_*`)."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from pydantic import Field
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+
+class Settings(BaseSettings):
+    """Settings of one run; every field may be set by an environment variable, for example CONETL_DATABASE_URL."""
+
+    model_config = SettingsConfigDict(env_prefix="CONETL_", frozen=True, extra="forbid")
+
+    database_url: str | None = None
+    """A PostGIS database; without it conetl runs its own private cluster under `home`."""
+    home: Path = Path(".conetl")
+    """Private database cluster, intermediate results, exports, Prefect's own state."""
+    map_name: str = Field(default="default", pattern=r"^[a-z0-9_-]{1,40}$")
+    model_path: Path | None = None
+    """ONNX file of the detector; without it the one that is shipped."""
+    workers: int = Field(default=os.cpu_count() or 1, ge=1)
+    """Detection tasks at the same time, one core each."""
+
+    @property
+    def results_folder(self) -> Path:
+        return self.home / "results"
+
+    @property
+    def exports_folder(self) -> Path:
+        return self.home / "exports"
+
+
+def prefect_environment(home: Path) -> dict[str, str]:
+    """Defaults for Prefect, as environment variables that the caller sets unless they are set already.
+
+    Prefect's own state lies under `home`; nothing is sent to anybody; only warnings reach the terminal.
+    """
+    defaults = {
+        "PREFECT_HOME": str((home / "prefect").resolve()),
+        "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
+        "DO_NOT_TRACK": "1",
+        "PREFECT_LOGGING_LEVEL": "WARNING",
+        "PREFECT_SERVER_LOGGING_LEVEL": "ERROR",
+        "PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS": "60",
+    }
+    return {name: value for name, value in defaults.items() if name not in os.environ}
