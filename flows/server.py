@@ -48,7 +48,8 @@ def prefect_server(home: Path) -> Iterator[str]:
             stdout=log,
             stderr=log,
             stdin=subprocess.DEVNULL,
-            preexec_fn=_die_with_parent if sys.platform == "linux" else None,
+            # Before any thread of ours runs; nothing else ties a child to a parent that is killed with -9.
+            preexec_fn=_die_with_parent if sys.platform == "linux" else None,  # noqa: PLW1509
             env={**os.environ, "PREFECT_SERVER_UI_API_URL": url},
         )
     try:
@@ -90,4 +91,6 @@ def _wait_until_healthy(url: str, process: subprocess.Popen[bytes], log: Path) -
         if _is_healthy(url):
             return
         time.sleep(0.1)
-    raise ServiceError(f"the Prefect server did not answer within {_START_TIMEOUT_S} s; see {log}. Nothing was written.")
+    raise ServiceError(
+        f"the Prefect server did not answer within {_START_TIMEOUT_S} s; see {log}. Nothing was written."
+    )

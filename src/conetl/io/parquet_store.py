@@ -38,7 +38,7 @@ def file_sha256(path: Path) -> str:
 
 def has_result(folder: Path, key: str) -> bool:
     """Whether the chunk `key` was finished earlier."""
-    return _path(folder, key).is_file()
+    return result_path(folder, key).is_file()
 
 
 def save_result(folder: Path, key: str, records: Sequence[R], rejections: Sequence[Rejection]) -> Path:
@@ -47,7 +47,7 @@ def save_result(folder: Path, key: str, records: Sequence[R], rejections: Sequen
     refused = TypeAdapter(list[Rejection]).dump_json(list(rejections)).decode()
     table = pa.Table.from_pylist([record.model_dump(mode="json") for record in records])
     table = table.replace_schema_metadata({"conetl.rejections": refused})
-    path = _path(folder, key)
+    path = result_path(folder, key)
     aside = path.with_suffix(f".{uuid4().hex}.tmp")
     try:
         pq.write_table(table, aside, compression="zstd")
@@ -76,5 +76,6 @@ def load_results(paths: Iterable[Path], record_type: type[R]) -> tuple[list[R], 
     return records, rejections
 
 
-def _path(folder: Path, key: str) -> Path:
+def result_path(folder: Path, key: str) -> Path:
+    """Where the result of a key lies, whether it exists or not."""
     return folder / f"{key}.parquet"

@@ -9,7 +9,6 @@ removed one. Features out of view are left alone.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from uuid import UUID, uuid5
 
 import numpy as np
@@ -20,20 +19,13 @@ from conetl.errors import InputError
 from conetl.params import ReconcileParams
 from conetl.records import Cov3, Delta, DeltaKind, MapFeature, Track, utc_from_ns
 from conetl.steps.association import cov_matrix
+from conetl.steps.visibility import Look
 
 Floats = NDArray[np.float64]
 _NAMESPACE = UUID("6a3f2f0e-5a0f-4b55-8f0f-3d6a3f0c7e11")
 _FORBIDDEN = 1e6
 #: Belief in a feature never becomes certainty: the next drive must be able to change it.
 _MAX_LOGIT = 7.0
-
-
-@dataclass(frozen=True)
-class Look:
-    """What a drive saw of a feature's spot: frames in plain view, and the time of the first of them."""
-
-    frames: int
-    first_ns: int
 
 
 def reconcile(

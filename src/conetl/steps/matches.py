@@ -152,7 +152,8 @@ def _candidate(
 def _stereo_match(
     index: int, a: Detection, b: Detection, candidate: _Candidate, rig: Rig, up: NDArray[np.float64]
 ) -> StereoMatch:
-    axis_left, axis_right = a.x_px + a.w_px / 2, b.x_px + b.w_px / 2
+    axis_left, tip_left, bottom_left = _axis_tip_bottom(a)
+    axis_right, tip_right, bottom_right = _axis_tip_bottom(b)
     edge_sigma = _EDGE_SIGMA_PX + _EDGE_SIGMA_SHARE * (a.w_px + b.w_px) / 2
     sigma_u = edge_sigma
     if candidate.area is not None:
@@ -165,15 +166,20 @@ def _stereo_match(
         match_index=index,
         left=a,
         right=b,
-        foot_left_uv_px=foot_image_point((axis_left, a.y_px + a.h_px), a.w_px, rig.left, up),
-        foot_right_uv_px=foot_image_point((axis_right, b.y_px + b.h_px), b.w_px, rig.right, up),
-        centre_left_uv_px=(axis_left, a.y_px + a.h_px / 2),
-        centre_right_uv_px=(axis_right, b.y_px + b.h_px / 2),
-        tip_left_uv_px=(axis_left, a.y_px),
-        tip_right_uv_px=(axis_right, b.y_px),
+        foot_left_uv_px=foot_image_point((axis_left, bottom_left), a.w_px, rig.left, up),
+        foot_right_uv_px=foot_image_point((axis_right, bottom_right), b.w_px, rig.right, up),
+        centre_left_uv_px=(axis_left, (tip_left + bottom_left) / 2),
+        centre_right_uv_px=(axis_right, (tip_right + bottom_right) / 2),
+        tip_left_uv_px=(axis_left, tip_left),
+        tip_right_uv_px=(axis_right, tip_right),
         sigma_u_px=sigma_u,
         sigma_v_px=_EDGE_SIGMA_PX + _EDGE_SIGMA_SHARE * (a.h_px + b.h_px) / 2,
         sigma_pointing_px=edge_sigma / 2**0.5,
         refined=candidate.area is not None,
         cost=candidate.cost,
     )
+
+
+def _axis_tip_bottom(box: Detection) -> tuple[float, float, float]:
+    """Column of the axis, rows of tip and lower edge: from box edges (0 = the picture's edge) to pixel centres (0 = a pixel)."""
+    return box.x_px + box.w_px / 2 - 0.5, box.y_px - 0.5, box.y_px + box.h_px - 0.5

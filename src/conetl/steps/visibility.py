@@ -7,18 +7,57 @@ enough, wholly inside both pictures and not hidden behind something nearer that 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from conetl.params import ReconcileParams
-from conetl.records import Camera, Detection, Rig
+from conetl.records import Camera, Detection, MapFeature, Position, Rig
 
 Floats = NDArray[np.float64]
 #: Width of a cone's base plate over its height; between the 0.5 and 0.6 of common road cones.
 _WIDTH_OVER_HEIGHT = 0.55
 #: A spot with more than this share of its box behind a nearer box counts as hidden.
 _HIDDEN_SHARE = 0.25
+
+
+@dataclass(frozen=True)
+class Look:
+    """What a drive saw of a feature's spot when it saw no cone there."""
+
+    frames: int
+    """Frame pairs in which the spot was in plain view and empty."""
+    first_ns: int
+    """Time of the first of them (UTC, ns since 1970)."""
+
+
+def look_at_spot(
+    feature: MapFeature,
+    offset_m: Floats,
+    rig: Rig,
+    map_SE3_left: Mapping[int, Floats],
+    map_SE3_right: Mapping[int, Floats],
+    captured_at_ns: Mapping[int, int],
+    detections: Mapping[int, Sequence[Detection]],
+    positions: Sequence[Position],
+    params: ReconcileParams,
+) -> Look | None:
+    """What the drive saw of a feature's spot, or None where it was never in plain view, or a cone was seen there as often as not.
+
+    offset_m (3,): add it to map coordinates to get the drive's. Mappings are by frame index.
+    """
+    spot = np.array(feature.xyz_m) + offset_m
+    visible = set(
+        frames_in_plain_view(spot, feature.cone_height_m, rig, map_SE3_left, map_SE3_right, detections, params)
+    )
+    occupied = {
+        p.frame_index for p in positions if float(np.linalg.norm((np.array(p.xyz_m) - spot)[:2])) <= params.min_gate_m
+    }
+    empty = visible - occupied
+    if not empty or len(visible & occupied) >= len(empty):
+        return None
+    return Look(len(empty), min(captured_at_ns[frame] for frame in empty))
 
 
 def frames_in_plain_view(

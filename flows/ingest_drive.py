@@ -1,0 +1,114 @@
+"""The main flow: one drive folder becomes one changeset of the map. One line per arrow."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from prefect import flow
+from prefect.artifacts import create_progress_artifact, update_progress_artifact
+from prefect.futures import PrefectFuture
+from prefect.task_runners import ThreadPoolTaskRunner
+
+from conetl.io.parquet_store import load_results
+from conetl.params import IngestParams
+from conetl.records import Detection, Position, StereoMatch
+from conetl.rejections import INPUT_REASONS
+from conetl.reports import IngestReport, TooManyRejectionsError
+from conetl.settings import Settings
+from flows.merge import already_committed, identify, merge_task
+from flows.progress import expect, ignore, listen
+from flows.tasks import (
+    Chunk,
+    detect_task,
+    fuse_task,
+    locate_task,
+    lost_frame_pairs,
+    match_task,
+    publish_task,
+    read_drive_task,
+)
+
+
+@flow(name="ingest-drive", flow_run_name="ingest {folder}", validate_parameters=False)
+def ingest_drive(
+    folder: Path, settings: Settings, params: IngestParams, *, map_srid: int | None = None
+) -> IngestReport:
+    """Read -> detect -> match -> locate -> fuse -> merge -> publish.
+
+    folder: a drive folder. map_srid: CRS of the map where it is not the UTM zone of the drive. Raises ConetlError (bad input,
+    service missing: nothing was written) and TooManyRejectionsError (written, but look at the rejections).
+    """
+    started = time.monotonic()
+    drive, rejections = read_drive_task(folder, map_srid)
+    identity = identify(drive, params, settings)
+    if (known := already_committed(identity, settings)) is not None:
+        return known
+    chunks = [
+        Chunk(
+            drive_id=drive.drive_id,
+            rig=drive.rig,
+            frame_pairs=drive.frame_pairs[first : first + params.chunk_pairs],
+            results_folder=settings.results_folder.resolve(),
+            model_path=settings.model_path,
+            model_sha256=identity.model_sha256,
+            params=params,
+        )
+        for first in range(0, len(drive.frame_pairs), params.chunk_pairs)
+    ]
+    detection_paths, match_paths, position_paths = _run_chunks(drive.drive_id, chunks)
+    detections, refused_detections = load_results(detection_paths, Detection)
+    matches, refused_matches = load_results(match_paths, StereoMatch)
+    positions, refused_positions = load_results(position_paths, Position)
+    tracks, refused_tracks = fuse_task(drive, detections, matches, positions, params)
+    rejections = [*rejections, *refused_detections, *refused_matches, *refused_positions, *refused_tracks]
+    merged = merge_task(drive, identity, detections, matches, positions, tracks, rejections, settings, params)
+    report = merged.report.model_copy(update={"seconds": time.monotonic() - started})
+    if report.status == "committed":
+        publish_task(
+            drive, merged.changeset, merged.untouched, report, settings.exports_folder / f"{drive.drive_id}.png"
+        )
+    lost = len(lost_frame_pairs(rejections, INPUT_REASONS))
+    if lost > params.max_rejected_fraction * drive.expected_frame_count:
+        raise TooManyRejectionsError(report, params.max_rejected_fraction)
+    return report
+
+
+def _run_chunks(drive_id: str, chunks: list[Chunk]) -> tuple[list[Path], list[Path], list[Path]]:
+    """Detect, match and locate all chunks; a chunk's matching starts when its two sides are there.
+
+    Tasks wait for their inputs in their own thread. Submitting each step one chunk behind the step before keeps such waiting
+    threads from holding back detections that could run.
+    """
+    images = 2 * sum(len(chunk.frame_pairs) for chunk in chunks)
+    progress = create_progress_artifact(0.0, key="progress", description=f"Images of drive {drive_id}")
+    shown = 0
+
+    def show(listened_drive_id: str, done: int, total: int) -> None:
+        nonlocal shown
+        if listened_drive_id == drive_id and done * 10 // total > shown:  # a request to the server every tenth
+            shown = done * 10 // total
+            update_progress_artifact(progress, 100.0 * done / total)
+
+    expect(drive_id, images)
+    listen(show)
+    try:
+        detected: list[PrefectFuture[Path]] = []
+        matched: list[PrefectFuture[Path]] = []
+        located: list[PrefectFuture[Path]] = []
+        for step in range(len(chunks) + 2):
+            if step < len(chunks):
+                detected += [detect_task.submit(chunks[step], "left"), detect_task.submit(chunks[step], "right")]
+            if 0 <= step - 1 < len(chunks):
+                left, right = detected[2 * (step - 1) : 2 * step]
+                matched.append(match_task.submit(chunks[step - 1], left, right))
+            if 0 <= step - 2 < len(chunks):
+                located.append(locate_task.submit(chunks[step - 2], matched[step - 2]))
+        return [f.result() for f in detected], [f.result() for f in matched], [f.result() for f in located]
+    finally:
+        ignore(show)
+
+
+def with_workers(workers: int) -> ThreadPoolTaskRunner:
+    """Task runner that lets `workers` detections run at the same time, and the cheap steps beside them."""
+    return ThreadPoolTaskRunner(max_workers=workers + 1)

@@ -1,0 +1,258 @@
+"""Thin Prefect tasks: read, call a step, write. Chunks travel between tasks as paths of Parquet files."""
+
+from __future__ import annotations
+
+import base64
+import threading
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from prefect import task
+from prefect.artifacts import create_image_artifact, create_table_artifact
+from prefect.cache_policies import NO_CACHE
+
+from conetl.errors import InputError
+from conetl.geometry.rig import map_SE3_left, map_SE3_right
+from conetl.io import detector as detector_io
+from conetl.io.drive_folder import read_drive
+from conetl.io.exports.plan_view import draw_plan_view
+from conetl.io.images import ImageFileError, read_image
+from conetl.io.parquet_store import (
+    file_sha256,
+    has_result,
+    load_result,
+    result_key,
+    result_path,
+    save_result,
+)
+from conetl.params import IngestParams, params_sha256
+from conetl.records import (
+    Changeset,
+    Detection,
+    Drive,
+    FramePair,
+    MapFeature,
+    Position,
+    Record,
+    Rig,
+    Side,
+    StereoMatch,
+    Track,
+)
+from conetl.rejections import Rejection, RejectionReason
+from conetl.reports import IngestReport
+from conetl.steps.detections import check_boxes
+from conetl.steps.matches import match_pair
+from conetl.steps.positions import locate_positions
+from conetl.steps.tracks import fuse_tracks
+from flows.progress import tell_progress
+
+#: Part of every result key: raise it when a step computes something else from the same inputs.
+RESULTS_VERSION = "1"
+_per_thread = threading.local()
+
+
+class Chunk(Record):
+    """Some consecutive frame pairs of a drive, and where their results go."""
+
+    drive_id: str
+    rig: Rig
+    frame_pairs: tuple[FramePair, ...]
+    results_folder: Path
+    model_path: Path | None
+    model_sha256: str
+    params: IngestParams
+
+
+def _not_an_input_error(_task: Any, _run: Any, state: Any) -> bool:
+    """Retry what may pass (disk, network, database); bad input stays bad."""
+    try:
+        state.result()
+    except InputError:
+        return False
+    except Exception:
+        return True
+    return False
+
+
+_RETRY: dict[str, Any] = {
+    "retries": 2,
+    "retry_delay_seconds": [1, 5],
+    "retry_condition_fn": _not_an_input_error,
+    "cache_policy": NO_CACHE,  # results are kept by content in the Parquet store, see io/parquet_store.py
+}
+
+
+@task(name="read drive", task_run_name="read {folder}", **_RETRY)
+def read_drive_task(folder: Path, map_srid: int | None) -> tuple[Drive, list[Rejection]]:
+    """Understand a drive folder; see `io/drive_folder`."""
+    return read_drive(folder, map_srid=map_srid)
+
+
+@task(name="detect", task_run_name="detect {side} {chunk.frame_pairs[0].frame_index}", tags=["detect"], **_RETRY)
+def detect_task(chunk: Chunk, side: Side) -> Path:
+    """Detections of one side of a chunk; returns the Parquet file."""
+    paths = [Path(pair.left_path if side == "left" else pair.right_path) for pair in chunk.frame_pairs]
+    hashes = [file_sha256(path) for path in paths]
+    params = chunk.params.detection
+    key = result_key(
+        RESULTS_VERSION, "detect", side, chunk.model_sha256, params_sha256(params), str(_indices(chunk)), *hashes
+    )
+    if has_result(chunk.results_folder, key):
+        tell_progress(chunk.drive_id, len(paths))
+        return result_path(chunk.results_folder, key)
+    camera = chunk.rig.left if side == "left" else chunk.rig.right
+    detections: list[Detection] = []
+    rejections: list[Rejection] = []
+    for pair, path in zip(chunk.frame_pairs, paths, strict=True):
+        try:
+            image = read_image(path, (camera.width_px, camera.height_px))
+        except ImageFileError as error:
+            rejections.append(
+                Rejection(
+                    step="detections",
+                    reason=error.reason,
+                    record=f"frame pair {pair.frame_index}",
+                    detail=str(error),
+                    payload={"frame_index": pair.frame_index, "side": side, "path": str(path)},
+                )
+            )
+        else:
+            boxes = detector_io.detect_image(
+                _detector(chunk), image, score_threshold=params.score_threshold, nms_iou=params.nms_iou
+            )
+            found, refused = check_boxes(boxes, frame_index=pair.frame_index, side=side, params=params)
+            detections += found
+            rejections += refused
+        tell_progress(chunk.drive_id, 1)
+    return save_result(chunk.results_folder, key, detections, rejections)
+
+
+@task(name="match", task_run_name="match {chunk.frame_pairs[0].frame_index}", **_RETRY)
+def match_task(chunk: Chunk, left: Path, right: Path) -> Path:
+    """Stereo matches of a chunk from the detections of both sides; returns the Parquet file."""
+    key = result_key(
+        RESULTS_VERSION, "match", left.stem, right.stem, params_sha256(chunk.params.match), _rig_and_poses(chunk)
+    )
+    if has_result(chunk.results_folder, key):
+        return result_path(chunk.results_folder, key)
+    by_side = {"left": defaultdict[int, list[Detection]](list), "right": defaultdict[int, list[Detection]](list)}
+    for path in (left, right):
+        for detection in load_result(path, Detection)[0]:
+            by_side[detection.side][detection.frame_index].append(detection)
+    matches: list[StereoMatch] = []
+    rejections: list[Rejection] = []
+    for pair in chunk.frame_pairs:
+        ours, theirs = by_side["left"][pair.frame_index], by_side["right"][pair.frame_index]
+        images = None
+        if ours and theirs and chunk.params.match.refine:
+            size_left = (chunk.rig.left.width_px, chunk.rig.left.height_px)
+            size_right = (chunk.rig.right.width_px, chunk.rig.right.height_px)
+            images = read_image(Path(pair.left_path), size_left), read_image(Path(pair.right_path), size_right)
+        # Up of the map, as the left camera sees it at this instant.
+        up = map_SE3_left(pair.pose, chunk.rig)[2, :3]
+        found, refused = match_pair(ours, theirs, chunk.rig, chunk.params.match, up_left=up, images=images)
+        matches += found
+        rejections += refused
+    return save_result(chunk.results_folder, key, matches, rejections)
+
+
+@task(name="locate", task_run_name="locate {chunk.frame_pairs[0].frame_index}", **_RETRY)
+def locate_task(chunk: Chunk, matches: Path) -> Path:
+    """Positions of a chunk by forward intersection; returns the Parquet file."""
+    key = result_key(
+        RESULTS_VERSION, "locate", matches.stem, params_sha256(chunk.params.position), _rig_and_poses(chunk)
+    )
+    if has_result(chunk.results_folder, key):
+        return result_path(chunk.results_folder, key)
+    pairs = {pair.frame_index: pair for pair in chunk.frame_pairs}
+    positions, rejections = locate_positions(
+        load_result(matches, StereoMatch)[0], pairs, chunk.rig, chunk.params.position
+    )
+    return save_result(chunk.results_folder, key, positions, rejections)
+
+
+@task(name="fuse", **_RETRY)
+def fuse_task(
+    drive: Drive,
+    detections: list[Detection],
+    matches: list[StereoMatch],
+    positions: list[Position],
+    params: IngestParams,
+) -> tuple[list[Track], list[Rejection]]:
+    """Tracks of the whole drive."""
+    by_frame: dict[int, list[Detection]] = defaultdict(list)
+    for detection in detections:
+        by_frame[detection.frame_index].append(detection)
+    return fuse_tracks(
+        positions,
+        {(m.frame_index, m.match_index): m for m in matches},
+        by_frame,
+        {pair.frame_index: pair for pair in drive.frame_pairs},
+        drive.rig,
+        {pair.frame_index: map_SE3_left(pair.pose, drive.rig) for pair in drive.frame_pairs},
+        {pair.frame_index: map_SE3_right(pair.pose, drive.rig) for pair in drive.frame_pairs},
+        params,
+    )
+
+
+def _indices(chunk: Chunk) -> list[int]:
+    return [pair.frame_index for pair in chunk.frame_pairs]
+
+
+def _rig_and_poses(chunk: Chunk) -> str:
+    """Hash of all geometry that a chunk's matches and positions depend on."""
+    return result_key(chunk.rig.model_dump_json(), *(pair.model_dump_json() for pair in chunk.frame_pairs))
+
+
+def _detector(chunk: Chunk) -> detector_io.Detector:
+    """One single-threaded session per thread: two of them beat one session with two threads."""
+    loaded: tuple[str, detector_io.Detector] | None = getattr(_per_thread, "detector", None)
+    if loaded is None or loaded[0] != chunk.model_sha256:
+        loaded = (chunk.model_sha256, detector_io.load_detector(chunk.model_path, threads=1))
+        _per_thread.detector = loaded
+    return loaded[1]
+
+
+@task(name="publish", **_RETRY)
+def publish_task(
+    drive: Drive, changeset: Changeset, untouched: list[MapFeature], report: IngestReport, picture: Path
+) -> Path:
+    """Plan view as a PNG and as an image artifact, and the summary as a table artifact."""
+    path = np.array([map_SE3_left(pair.pose, drive.rig)[:2, 3] for pair in drive.frame_pairs])
+    draw_plan_view(
+        picture,
+        title=f"Drive {drive.drive_id}, {drive.captured_from:%Y-%m-%d %H:%M} UTC",
+        trajectory_m=path,
+        deltas=changeset.deltas,
+        untouched=untouched,
+    )
+    encoded = base64.b64encode(picture.read_bytes()).decode()
+    create_image_artifact(
+        f"data:image/png;base64,{encoded}", key="plan-view", description=f"Plan view of drive {drive.drive_id}"
+    )
+    create_table_artifact(summary_rows(report), key="summary", description=f"Drive {drive.drive_id}: {report.status}")
+    if report.changes:
+        create_table_artifact(
+            [line.model_dump(mode="json") for line in report.changes],
+            key="changes",
+            description=f"Changes by drive {drive.drive_id}",
+        )
+    return picture
+
+
+def summary_rows(report: IngestReport) -> list[dict[str, Any]]:
+    """The figures of one ingest, a row each."""
+    rows: list[dict[str, Any]] = [
+        {"what": name.replace("_", " "), "count": getattr(report, name)}
+        for name in ("frame_pairs", "frame_pairs_rejected", "detections", "matches", "positions", "tracks")
+    ]
+    rows += [{"what": f"rejected: {reason}", "count": count} for reason, count in report.rejections.items()]
+    return rows
+
+
+def lost_frame_pairs(rejections: list[Rejection], reasons: frozenset[RejectionReason]) -> set[str]:
+    """Frame pairs that were refused for what was delivered (files, poses)."""
+    return {rejection.record for rejection in rejections if rejection.reason in reasons}

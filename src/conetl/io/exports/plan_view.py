@@ -1,0 +1,86 @@
+"""The plan view of one drive: trajectory, cones of the map and what the drive changed, as a PNG."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from uuid import uuid4
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from conetl.records import Delta, DeltaKind, MapFeature
+
+#: Colour-blind safe (Okabe & Ito) and told apart by shape as well.
+_STYLE = {
+    DeltaKind.CONFIRMED: ("^", "#009e73", "confirmed"),
+    DeltaKind.ADDED: ("P", "#0072b2", "added"),
+    DeltaKind.MOVED: ("D", "#e69f00", "moved"),
+    DeltaKind.REMOVED: ("X", "#d55e00", "removed"),
+}
+_MARGIN_M = 4.0
+
+
+def draw_plan_view(
+    path: Path,
+    *,
+    title: str,
+    trajectory_m: NDArray[np.float64],
+    deltas: Sequence[Delta],
+    untouched: Sequence[MapFeature],
+) -> Path:
+    """Write the picture to `path` (PNG) and return it.
+
+    trajectory_m: (F, 2) easting, northing of the left camera in order of time. untouched: features that the drive did not judge.
+    """
+    points = [trajectory_m, *(_places(d) for d in deltas), *(np.array([f.xyz_m[:2]]) for f in untouched)]
+    everything = np.concatenate(points)
+    origin = np.floor(everything.min(axis=0))
+    low, high = everything.min(axis=0) - origin - _MARGIN_M, everything.max(axis=0) - origin + _MARGIN_M
+    width, height = high - low
+    figure = Figure(figsize=(10, float(np.clip(10 * height / width + 1.6, 3.2, 10))), dpi=110, layout="constrained")
+    axes = figure.add_subplot()
+    way = trajectory_m - origin
+    axes.plot(way[:, 0], way[:, 1], color="#777777", linewidth=1.5, label="path of the left camera", zorder=1)
+    if len(way) > 1:
+        axes.annotate("", xy=way[-1], xytext=way[-2], arrowprops={"arrowstyle": "-|>", "color": "#777777"})
+    if untouched:
+        rest = np.array([f.xyz_m[:2] for f in untouched]) - origin
+        axes.scatter(rest[:, 0], rest[:, 1], marker="o", s=22, color="#bbbbbb", label=f"not in view ({len(rest)})")
+    for kind in DeltaKind:
+        _draw_kind(axes, kind, [d for d in deltas if d.kind == kind], origin)
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
+    axes.set_aspect("equal")
+    axes.grid(color="#eeeeee")
+    axes.set_xlabel(f"easting - {origin[0]:.0f} (m)")
+    axes.set_ylabel(f"northing - {origin[1]:.0f} (m)")
+    axes.set_title(title)
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8, frameon=False)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    aside = path.with_suffix(f".{uuid4().hex}.tmp")
+    figure.savefig(aside, format="png")
+    os.replace(aside, path)  # noqa: PTH105 - atomic on every platform, unlike Path.rename
+    return path
+
+
+def _draw_kind(axes: Axes, kind: DeltaKind, deltas: Sequence[Delta], origin: NDArray[np.float64]) -> None:
+    if not deltas:
+        return
+    marker, colour, word = _STYLE[kind]
+    places = np.concatenate([_places(d)[-1:] for d in deltas]) - origin
+    axes.scatter(
+        places[:, 0], places[:, 1], marker=marker, s=60, color=colour, label=f"{word} ({len(deltas)})", zorder=3
+    )
+    if kind == DeltaKind.MOVED:
+        for delta in deltas:
+            old, new = _places(delta) - origin
+            axes.annotate("", xy=new, xytext=old, arrowprops={"arrowstyle": "->", "color": colour})
+
+
+def _places(delta: Delta) -> NDArray[np.float64]:
+    """(1 or 2, 2): where it stood and where it stands."""
+    return np.array([feature.xyz_m[:2] for feature in (delta.old, delta.new) if feature is not None])

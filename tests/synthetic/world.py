@@ -1,0 +1,168 @@
+"""A road with cones, a rig that drives along it, and perfect or noisy observations: truth for the tests of the steps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.records import Camera, Detection, FramePair, Pose, Position, Rig, Side, StereoMatch
+
+Floats = NDArray[np.float64]
+WIDTH_PX, HEIGHT_PX, FOCAL_PX = 1242, 375, 721.5
+BASELINE_M, CAMERA_HEIGHT_M = 0.54, 1.65
+ORIGIN_M = np.array([456_000.0, 5_428_000.0, 115.0])
+START_NS = 1_772_445_600_000_000_000
+
+
+@dataclass(frozen=True)
+class Cone:
+    """Foot relative to ORIGIN_M (m, east north up) and size."""
+
+    foot_m: tuple[float, float, float]
+    height_m: float = 0.7
+    base_m: float = 0.38
+
+
+def make_rig() -> Rig:
+    camera = Camera(width_px=WIDTH_PX, height_px=HEIGHT_PX, fx_px=FOCAL_PX, fy_px=FOCAL_PX, cx_px=609.6, cy_px=172.9)
+
+    def mount(y_m: float) -> tuple[tuple[float, float, float, float], ...]:
+        # Camera x right, y down, z forward on a body with x forward, y left, z up.
+        return ((0.0, 0.0, 1.0, 0.8), (-1.0, 0.0, 0.0, y_m), (0.0, -1.0, 0.0, CAMERA_HEIGHT_M), (0.0, 0.0, 0.0, 1.0))
+
+    return Rig.model_validate(
+        {
+            "rig_id": "synthetic",
+            "left": camera,
+            "right": camera,
+            "body_SE3_left": mount(BASELINE_M / 2),
+            "body_SE3_right": mount(-BASELINE_M / 2),
+        }
+    )
+
+
+def make_path(
+    frames: int,
+    step_m: float = 1.0,
+    *,
+    east: bool = True,
+    start_m: float = 0.0,
+    sigma_m: float = 0.03,
+    first_ns: int = START_NS,
+) -> list[FramePair]:
+    """A straight drive along the east axis (or back, `east=False`), 10 Hz."""
+    sign = 1.0 if east else -1.0
+    rotation = ((sign, 0.0, 0.0), (0.0, sign, 0.0), (0.0, 0.0, 1.0))
+    return [
+        FramePair(
+            frame_index=k,
+            left_path=f"{k}.jpg",
+            right_path=f"{k}.jpg",
+            captured_at_ns=first_ns + k * 100_000_000,
+            pose=Pose(
+                map_R_body=rotation,
+                map_t_body_m=(ORIGIN_M[0] + start_m + sign * step_m * k, ORIGIN_M[1], ORIGIN_M[2]),
+                sigma_enu_m=(sigma_m, sigma_m, 1.5 * sigma_m),
+                sigma_rpy_rad=(0.0005, 0.0005, 0.0005),
+            ),
+        )
+        for k in range(frames)
+    ]
+
+
+def shifted(pair: FramePair, shift_m: Sequence[float]) -> FramePair:
+    """The pair with another logged position (GNSS error)."""
+    x, y, z = (float(a + b) for a, b in zip(pair.pose.map_t_body_m, shift_m, strict=True))
+    return pair.model_copy(update={"pose": pair.pose.model_copy(update={"map_t_body_m": (x, y, z)})})
+
+
+def camera_pose(pair: FramePair, rig: Rig, side: Side) -> Floats:
+    map_SE3_body = np.eye(4)
+    map_SE3_body[:3, :3] = pair.pose.map_R_body
+    map_SE3_body[:3, 3] = pair.pose.map_t_body_m
+    return np.asarray(map_SE3_body @ np.array(rig.body_SE3_left if side == "left" else rig.body_SE3_right))
+
+
+def camera_poses(pairs: Sequence[FramePair], rig: Rig, side: Side) -> dict[int, Floats]:
+    return {pair.frame_index: camera_pose(pair, rig, side) for pair in pairs}
+
+
+def apparent_box(cone: Cone, pair: FramePair, rig: Rig, side: Side) -> tuple[float, float, float, float] | None:
+    """x, y, w, h (box edges, px) of the cone's outline: round base of `base_m`, pointed tip. None where not wholly in view."""
+    camera = rig.left if side == "left" else rig.right
+    pose = camera_pose(pair, rig, side)
+    angles = np.linspace(0, 2 * np.pi, 73)
+    rim = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=1) * cone.base_m / 2
+    points = np.vstack([rim, [[0.0, 0.0, cone.height_m]]]) + np.array(cone.foot_m) + ORIGIN_M
+    local = (points - pose[:3, 3]) @ pose[:3, :3]
+    if local[:, 2].min() < 2.0 or local[:, 2].max() > 30.0:
+        return None
+    u = camera.cx_px + camera.fx_px * local[:, 0] / local[:, 2] + 0.5
+    v = camera.cy_px + camera.fy_px * local[:, 1] / local[:, 2] + 0.5
+    if u.min() < 3 or v.min() < 3 or u.max() > camera.width_px - 3 or v.max() > camera.height_px - 3:
+        return None
+    return float(u.min()), float(v.min()), float(np.ptp(u)), float(np.ptp(v))
+
+
+def detect(
+    cones: Sequence[Cone],
+    pairs: Sequence[FramePair],
+    rig: Rig,
+    *,
+    noise_px: float = 0.0,
+    score: float = 0.9,
+    rng: np.random.Generator | None = None,
+) -> dict[tuple[int, Side], list[Detection]]:
+    """Detections by frame index and side; `noise_px` is the sigma of each box edge."""
+    rng = rng or np.random.default_rng(0)
+    found: dict[tuple[int, Side], list[Detection]] = {}
+    for pair in pairs:
+        for side in ("left", "right"):
+            boxes = [box for cone in cones if (box := apparent_box(cone, pair, rig, side)) is not None]
+            detections = []
+            for index, (x, y, w, h) in enumerate(boxes):
+                left, top, right, bottom = np.array([x, y, x + w, y + h]) + rng.normal(0, noise_px, 4)
+                detections.append(
+                    Detection(
+                        frame_index=pair.frame_index,
+                        side=side,
+                        detection_index=index,
+                        x_px=left,
+                        y_px=top,
+                        w_px=right - left,
+                        h_px=bottom - top,
+                        score=score,
+                    )
+                )
+            found[pair.frame_index, side] = detections
+    return found
+
+
+def observe(
+    cones: Sequence[Cone],
+    pairs: Sequence[FramePair],
+    rig: Rig,
+    **noise: object,
+) -> tuple[list[Detection], list[StereoMatch], list[Position]]:
+    """The whole chain from boxes to positions, through the real steps; the pairs' poses are taken as true."""
+    return locate(detect(cones, pairs, rig, **noise), pairs, rig)  # type: ignore[arg-type]
+
+
+def locate(
+    detections: dict[tuple[int, Side], list[Detection]], pairs: Sequence[FramePair], rig: Rig
+) -> tuple[list[Detection], list[StereoMatch], list[Position]]:
+    """Match and intersect given detections with the poses of `pairs` (which may be wrong on purpose)."""
+    from conetl.params import MatchParams, PositionParams
+    from conetl.steps.matches import match_pair
+    from conetl.steps.positions import locate_positions
+
+    matches: list[StereoMatch] = []
+    for pair in pairs:
+        left, right = detections[pair.frame_index, "left"], detections[pair.frame_index, "right"]
+        up = camera_pose(pair, rig, "left")[2, :3]
+        matches += match_pair(left, right, rig, MatchParams(), up_left=up)[0]
+    positions, _ = locate_positions(matches, {p.frame_index: p for p in pairs}, rig, PositionParams())
+    return [d for ds in detections.values() for d in ds], matches, positions

@@ -1,0 +1,87 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from conetl.geometry.joint_fit import JointFit, fit_point, pair_jacobian
+from tests.synthetic.world import ORIGIN_M, camera_poses, make_path, make_rig
+
+RIG = make_rig()
+FOCAL = np.array([RIG.left.fx_px, RIG.left.fy_px, RIG.right.fx_px, RIG.right.fy_px])
+PRINCIPAL = np.array([RIG.left.cx_px, RIG.left.cy_px, RIG.right.cx_px, RIG.right.cy_px])
+POINT = ORIGIN_M + np.array([20.0, 2.0, 0.1])
+FRAMES = 12
+
+
+def poses() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    path = make_path(FRAMES)
+    left, right = camera_poses(path, RIG, "left"), camera_poses(path, RIG, "right")
+    return np.stack(list(left.values())), np.stack(list(right.values()))
+
+
+def fit(observed: NDArray[np.float64], motion_m: float = 0.01) -> JointFit:
+    left, right = poses()
+    ones = np.ones(len(observed))
+    result = fit_point(
+        observed,
+        POINT + np.array([0.8, -0.4, 0.3]),
+        left,
+        right,
+        FOCAL,
+        PRINCIPAL,
+        sigma_u_px=0.15 * ones,
+        sigma_v_px=0.8 * ones,
+        sigma_pointing_px=0.6 * ones,
+        sigma_motion_m=motion_m * ones,
+    )
+    assert result is not None
+    return result
+
+
+def perfect() -> NDArray[np.float64]:
+    return pair_jacobian(POINT, *poses(), FOCAL, PRINCIPAL)[0]
+
+
+def test_perfect_observations_give_the_point_to_a_micrometre() -> None:
+    result = fit(perfect())
+    assert np.linalg.norm(result.xyz_m - POINT) < 1e-6
+    assert np.abs(result.residuals_px).max() < 1e-5
+
+
+def test_the_covariance_is_that_of_the_errors() -> None:
+    """Monte Carlo with the very noise that the fit assumes: the mean normalised squared error of a 3D point is 3."""
+    rng = np.random.default_rng(4)
+    left, right = poses()
+    nees = []
+    for _ in range(300):
+        observed = perfect()
+        for k in range(FRAMES):
+            offset = rng.normal(0, 0.01, 3)
+            moved_left, moved_right = left[k : k + 1].copy(), right[k : k + 1].copy()
+            moved_left[0, :3, 3] += offset
+            moved_right[0, :3, 3] += offset
+            observed[k] = pair_jacobian(POINT, moved_left, moved_right, FOCAL, PRINCIPAL)[0][0]
+            pointing = rng.normal(0, 0.6)
+            observed[k] += rng.normal(0, [0.15, 0.8, 0.15, 0.8]) + np.array([pointing, 0, pointing, 0])
+        result = fit(observed)
+        error = result.xyz_m - POINT
+        nees.append(error @ np.linalg.solve(result.cov_m2, error))
+    assert 2.6 < np.mean(nees) < 3.5
+
+
+def test_one_wrong_box_hardly_moves_the_point() -> None:
+    observed = perfect()
+    observed[3] += np.array([25.0, -10.0, 8.0, 12.0])
+    result = fit(observed)
+    assert np.linalg.norm(result.xyz_m - POINT) < 0.03
+    assert result.weights[3] < 0.2
+    assert np.delete(result.weights, 3).min() == pytest.approx(1.0)
+
+
+def test_a_point_behind_the_cameras_is_no_result() -> None:
+    left, right = poses()
+    ones = np.ones(FRAMES)
+    sigmas = {"sigma_u_px": ones, "sigma_v_px": ones, "sigma_pointing_px": ones, "sigma_motion_m": ones}
+    behind = ORIGIN_M - np.array([50.0, 0.0, 0.0])
+    assert fit_point(perfect(), behind, left, right, FOCAL, PRINCIPAL, **sigmas) is None

@@ -1,0 +1,151 @@
+from __future__ import annotations
+
+from collections.abc import Sequence
+from uuid import UUID
+
+import numpy as np
+import pytest
+
+from conetl.errors import InputError
+from conetl.params import ReconcileParams
+from conetl.records import Delta, DeltaKind, MapFeature, Track
+from conetl.steps.changes import common_offset, reconcile
+from conetl.steps.visibility import Look
+from tests.synthetic.world import ORIGIN_M, START_NS
+
+DAY_NS = 86_400_000_000_000
+PARAMS = ReconcileParams()
+RTK, NO_FIX = 0.03, 0.45
+
+
+def cov(sigma_m: float) -> tuple[float, float, float, float, float, float]:
+    return (sigma_m**2, 0.0, 0.0, sigma_m**2, 0.0, sigma_m**2)
+
+
+def track(index: int, east: float, north: float, *, sigma_m: float = RTK, height_m: float = 0.7, day: int = 1) -> Track:
+    x, y, z = (ORIGIN_M + np.array([east, north, 0.0])).tolist()
+    return Track(
+        track_index=index,
+        xyz_m=(x, y, z),
+        cov_m2=cov(sigma_m),
+        relative_cov_m2=cov(0.02),
+        centre_xyz_m=(x, y, z + height_m / 2),
+        cone_height_m=height_m,
+        cone_height_sigma_m=0.02,
+        existence_probability=0.97,
+        observation_count=12,
+        first_seen_ns=START_NS + day * DAY_NS,
+        last_seen_ns=START_NS + day * DAY_NS + 10**9,
+        residual_rms_px=0.5,
+        nearest_range_m=6.0,
+        members=((10 * index, 0),),
+    )
+
+
+def feature(number: int, east: float, north: float, *, sigma_m: float = RTK, height_m: float = 0.7) -> MapFeature:
+    x, y, z = (ORIGIN_M + np.array([east, north, 0.0])).tolist()
+    return MapFeature(
+        feature_id=UUID(int=number),
+        version=1,
+        category="traffic_cone",
+        xyz_m=(x, y, z),
+        cov_m2=cov(sigma_m),
+        centre_xyz_m=(x, y, z + height_m / 2),
+        cone_height_m=height_m,
+        cone_height_sigma_m=0.02,
+        existence_probability=0.97,
+        observation_count=12,
+        first_seen_ns=START_NS,
+        last_seen_ns=START_NS + 10**9,
+    )
+
+
+def changes(
+    tracks: Sequence[Track], features: Sequence[MapFeature], *, frames_empty: int = 20, hidden: Sequence[int] = ()
+) -> dict[DeltaKind, list[Delta]]:
+    def look(seen: MapFeature, _offset: object) -> Look | None:
+        return None if seen.feature_id.int in hidden else Look(frames_empty, START_NS + DAY_NS)
+
+    deltas = reconcile(tracks, features, look, PARAMS, drive_id="d", drive_from_ns=START_NS + DAY_NS)
+    return {kind: [d for d in deltas if d.kind == kind] for kind in DeltaKind}
+
+
+ROW = [(0.0, 3.0), (5.0, 2.6), (10.0, 2.2), (15.0, 1.8), (20.0, 1.4)]
+
+
+def test_an_empty_map_gets_every_track() -> None:
+    found = changes([track(i, *at) for i, at in enumerate(ROW)], [])
+    assert [len(found[kind]) for kind in DeltaKind] == [5, 0, 0, 0]
+    assert len({d.feature_id for d in found[DeltaKind.ADDED]}) == 5
+
+
+def test_one_moved_one_removed_two_added_are_told_apart() -> None:
+    features = [feature(i, *at) for i, at in enumerate(ROW)]
+    places = [ROW[0], (5.0, 4.1), ROW[2], ROW[4], (25.0, 1.0), (30.0, 0.6)]
+    found = changes([track(i, *at) for i, at in enumerate(places)], features)
+    assert {d.feature_id.int for d in found[DeltaKind.CONFIRMED]} == {0, 2, 4}
+    (moved,) = found[DeltaKind.MOVED]
+    assert moved.feature_id.int == 1
+    assert moved.shift_m == pytest.approx(1.5, abs=0.05)
+    assert [d.feature_id.int for d in found[DeltaKind.REMOVED]] == [3]
+    assert len(found[DeltaKind.ADDED]) == 2
+
+
+def test_a_cone_out_of_view_stays() -> None:
+    found = changes([track(0, *ROW[0])], [feature(i, *at) for i, at in enumerate(ROW)], hidden=[1, 2, 3, 4])
+    assert not found[DeltaKind.REMOVED]
+    assert len(found[DeltaKind.CONFIRMED]) == 1
+
+
+def test_a_short_look_removes_nothing() -> None:
+    found = changes([], [feature(0, *ROW[0])], frames_empty=PARAMS.removal_min_frames - 1)
+    assert not any(found.values())
+
+
+@pytest.mark.parametrize("offset", [(0.4, -0.3), (-0.7, 0.5), (0.0, 0.9)])
+def test_a_drive_without_a_fix_is_laid_onto_the_map_as_a_whole(offset: tuple[float, float]) -> None:
+    features = [feature(i, *at, sigma_m=NO_FIX) for i, at in enumerate(ROW)]
+    tracks = [track(i, x + offset[0], y + offset[1], sigma_m=NO_FIX) for i, (x, y) in enumerate(ROW)]
+    estimated, weight = common_offset(tracks, features, PARAMS)
+    assert estimated[:2] == pytest.approx(offset, abs=1e-6)
+    assert weight == pytest.approx(0.5)
+    found = changes(tracks, features)
+    assert len(found[DeltaKind.CONFIRMED]) == 5
+    assert not found[DeltaKind.ADDED]
+    assert not found[DeltaKind.MOVED]
+
+
+def test_one_moved_cone_does_not_drag_a_good_drive_along() -> None:
+    tracks, features = [track(0, 1.2, 3.0), track(1, 6.2, 2.6)], [feature(0, 0.0, 3.0), feature(1, 5.0, 2.6)]
+    offset, weight = common_offset(tracks, features, PARAMS)
+    assert (offset.tolist(), weight) == ([0.0, 0.0, 0.0], 0.0)
+    assert len(changes(tracks, features)[DeltaKind.MOVED]) == 2
+
+
+def test_confirmation_sharpens_the_position_and_keeps_the_count() -> None:
+    (delta,) = changes([track(0, 0.04, 3.0)], [feature(0, 0.0, 3.0)])[DeltaKind.CONFIRMED]
+    assert delta.old is not None
+    assert delta.new is not None
+    assert delta.new.xyz_m[0] - ORIGIN_M[0] == pytest.approx(0.02, abs=1e-3)
+    assert delta.new.cov_m2[0] < delta.old.cov_m2[0]
+    assert delta.new.observation_count == 24
+    assert delta.new.version == 2
+
+
+def test_a_drive_older_than_the_map_is_refused_as_a_whole() -> None:
+    old = track(0, *ROW[0], day=0)
+    newer = feature(0, *ROW[0])
+    with pytest.raises(InputError, match="in the order in which they were recorded"):
+        reconcile([old], [newer], lambda *_: None, PARAMS, drive_id="d", drive_from_ns=START_NS)
+
+
+def test_the_order_of_tracks_and_features_does_not_matter() -> None:
+    features = [feature(i, *at) for i, at in enumerate(ROW)]
+    tracks = [track(i, x + 0.05, y) for i, (x, y) in enumerate(ROW[1:])]
+
+    def look(_feature: MapFeature, _offset: object) -> Look:
+        return Look(20, START_NS + DAY_NS)
+
+    one = reconcile(tracks, features, look, PARAMS, drive_id="d", drive_from_ns=START_NS + DAY_NS)
+    other = reconcile(tracks[::-1], features[::-1], look, PARAMS, drive_id="d", drive_from_ns=START_NS + DAY_NS)
+    assert one == other

@@ -1,0 +1,73 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from conetl.params import MatchParams
+from conetl.rejections import RejectionReason
+from conetl.steps.matches import foot_image_point, match_pair
+from tests.synthetic.world import Cone, camera_pose, detect, make_path, make_rig
+
+UP = np.array([0.0, -1.0, 0.0])
+
+
+def test_every_cone_is_matched_with_itself_also_in_a_dense_row() -> None:
+    rig, (pair,) = make_rig(), make_path(1)
+    cones = [Cone((9.0 + 1.5 * k, -3.0 + 0.4 * k, 0.0)) for k in range(10)]
+    found = detect(cones, [pair], rig, noise_px=0.5)
+    # detection k shows the same cone in both pictures: all ten are in view
+    assert len(found[0, "left"]) == len(found[0, "right"]) == 10
+    matches, rejections = match_pair(found[0, "left"], found[0, "right"], rig, MatchParams(), up_left=UP)
+    assert not rejections
+    assert [(m.left.detection_index, m.right.detection_index) for m in matches] == [(k, k) for k in range(10)]
+
+
+def test_the_order_of_the_boxes_does_not_matter() -> None:
+    rig, (pair,) = make_rig(), make_path(1)
+    cones = [Cone((7.0 + 2 * k, -2.0 + k, 0.0)) for k in range(5)]
+    found = detect(cones, [pair], rig)
+    left, right = found[0, "left"], found[0, "right"][::-1]
+    matches, _ = match_pair(left, right, rig, MatchParams(), up_left=UP)
+    assert {(m.left.detection_index, m.right.detection_index) for m in matches} == {(k, k) for k in range(5)}
+
+
+def test_different_rows_are_never_matched() -> None:
+    rig, (pair,) = make_rig(), make_path(1)
+    found = detect([Cone((10.0, 0.0, 0.0))], [pair], rig)
+    (left,), (right,) = found[0, "left"], found[0, "right"]
+    lower = right.model_copy(update={"y_px": right.y_px + 25})
+    assert match_pair([left], [lower], rig, MatchParams(), up_left=UP)[0] == []
+
+
+def test_an_object_behind_infinity_is_never_matched() -> None:
+    rig, (pair,) = make_rig(), make_path(1)
+    found = detect([Cone((10.0, 0.0, 0.0))], [pair], rig)
+    (left,), (right,) = found[0, "left"], found[0, "right"]
+    swapped = right.model_copy(update={"x_px": left.x_px + 10})
+    assert match_pair([left], [swapped], rig, MatchParams(), up_left=UP)[0] == []
+
+
+def test_a_box_cut_by_the_border_is_rejected_with_the_reason() -> None:
+    rig, (pair,) = make_rig(), make_path(1)
+    found = detect([Cone((10.0, 0.0, 0.0))], [pair], rig)
+    (left,), right = found[0, "left"], found[0, "right"]
+    cut = left.model_copy(update={"x_px": 0.5})
+    matches, (rejection,) = match_pair([cut], right, rig, MatchParams(), up_left=UP)
+    assert matches == []
+    assert rejection.reason == RejectionReason.BOX_CUT_BY_BORDER
+    assert rejection.payload["frame_index"] == 0
+
+
+@pytest.mark.parametrize("range_m", [6.5, 9.0, 15.0])
+@pytest.mark.parametrize("aside_m", [-2.0, 0.0, 1.5])
+def test_the_foot_is_the_centre_of_the_base_not_its_near_rim(range_m: float, aside_m: float) -> None:
+    rig, (pair,) = make_rig(), make_path(1)
+    cone = Cone((0.8 + range_m, aside_m, 0.0))
+    (box,) = detect([cone], [pair], rig)[0, "left"]
+    pose = camera_pose(pair, rig, "left")
+    local = pose[:3, :3].T @ (np.array(cone.foot_m) + np.array([456_000.0, 5_428_000.0, 115.0]) - pose[:3, 3])
+    true_v = rig.left.cy_px + rig.left.fy_px * local[1] / local[2]
+    axis, bottom = box.x_px + box.w_px / 2 - 0.5, box.y_px + box.h_px - 0.5
+    _, v = foot_image_point((axis, bottom), box.w_px, rig.left, UP)
+    assert v == pytest.approx(true_v, abs=0.4)
+    assert bottom - true_v > 0.5, "without the correction the foot would be too near"
