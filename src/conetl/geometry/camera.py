@@ -1,0 +1,57 @@
+"""One rectified pinhole camera: x right, y down, z forward; pixel (0, 0) is the centre of the top-left pixel."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from conetl.records import Camera
+
+Array = NDArray[np.float64]
+
+
+def intrinsics(camera: Camera) -> Array:
+    """(4,) array fx, fy, cx, cy in pixels: the form that `intersection.intersect` takes."""
+    return np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px])
+
+
+def matrix_k(camera: Camera) -> Array:
+    """(3, 3) calibration matrix K."""
+    return np.array([[camera.fx_px, 0.0, camera.cx_px], [0.0, camera.fy_px, camera.cy_px], [0.0, 0.0, 1.0]])
+
+
+def project(camera: Camera, points_cam_m: ArrayLike) -> Array:
+    """Image points (..., 2) in pixels of camera-frame points (..., 3).
+
+    Raises ValueError where a point does not lie in front of the camera: it has no image.
+    """
+    p = np.asarray(points_cam_m, dtype=np.float64)
+    z = p[..., 2]
+    if not np.all(z > 0):
+        raise ValueError("project: every point must lie in front of the camera (z > 0)")
+    return np.stack([camera.fx_px * p[..., 0] / z + camera.cx_px, camera.fy_px * p[..., 1] / z + camera.cy_px], axis=-1)
+
+
+def rays(camera: Camera, uv_px: ArrayLike) -> Array:
+    """Directions (..., 3) in the camera frame with z = 1 through image points (..., 2)."""
+    uv = np.asarray(uv_px, dtype=np.float64)
+    x = (uv[..., 0] - camera.cx_px) / camera.fx_px
+    y = (uv[..., 1] - camera.cy_px) / camera.fy_px
+    return np.stack([x, y, np.ones_like(x)], axis=-1)
+
+
+def up_in_camera(map_R_cam: ArrayLike) -> Array:
+    """Unit vector(s) (..., 3) that point up (map +z) in the camera frame, of rotations (..., 3, 3)."""
+    return np.array(np.asarray(map_R_cam, dtype=np.float64)[..., 2, :])
+
+
+def horizon_row_px(camera: Camera, map_R_cam: ArrayLike, u_px: float | None = None) -> float:
+    """Row at which level rays cross column `u_px` (default: the principal point's column), for one rotation (3, 3).
+
+    Raises ValueError where the camera looks straight up or down or lies on its side: it has no horizon row.
+    """
+    up = up_in_camera(map_R_cam)
+    x = 0.0 if u_px is None else (u_px - camera.cx_px) / camera.fx_px
+    if abs(up[1]) < 1e-6:
+        raise ValueError("horizon_row_px: the camera looks straight up or down or lies on its side")
+    return float(camera.cy_px - camera.fy_px * (up[2] + up[0] * x) / up[1])

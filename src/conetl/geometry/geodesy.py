@@ -1,0 +1,114 @@
+"""From latitude, longitude and ellipsoidal height to the map's coordinate reference system (CRS); true and grid directions.
+
+Easting and northing come from pyproj; heights stay ellipsoidal (WGS 84), whatever the map CRS says about heights.
+GNSS/INS headings count from true north or east, the map's axes are grid north and grid east; the angle between them is the
+meridian (grid) convergence, up to 3 degrees in a UTM zone: 1.5 degrees are 26 cm at 10 m.
+
+The CRS also stretches lengths, by 0.9996 to about 1.001 in UTM. Poses stay rigid motions and local vectors (camera to cone) are
+**not** stretched: that leaves at most 4 mm at 10 m, below every other error, and keeps cone heights and distances true.
+`grid_scale` gives the factor where somebody needs it.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pyproj import CRS, Proj, Transformer
+from pyproj.exceptions import CRSError
+
+Array = NDArray[np.float64]
+
+#: CRSs that stretch lengths by more than this are refused as map CRS (Web Mercator stretches by 1.5 in Karlsruhe).
+MAX_SCALE_ERROR = 0.01
+
+
+def utm_srid(lat_deg: float, lon_deg: float) -> int:
+    """EPSG code of the WGS 84 UTM zone of a place: 326xx north, 327xx south of the equator.
+
+    Plain 6 degree zones (without the exceptions of Norway and Svalbard). Raises ValueError beyond 84 N / 80 S.
+    """
+    if not (-80.0 <= lat_deg <= 84.0 and -180.0 <= lon_deg <= 180.0):
+        raise ValueError(f"latitude {lat_deg}, longitude {lon_deg} lies outside UTM (80 S to 84 N): set map_srid")
+    zone = min(int((lon_deg + 180.0) // 6.0) + 1, 60)
+    return (32600 if lat_deg >= 0 else 32700) + zone
+
+
+def check_map_srid(srid: int) -> None:
+    """Raise ValueError, with the reason, unless EPSG:srid is a projected CRS in metres."""
+    _crs(srid)
+
+
+def to_map(srid: int, lat_deg: ArrayLike, lon_deg: ArrayLike, height_m: ArrayLike) -> Array:
+    """Easting, northing, ellipsoidal height (..., 3) in metres of WGS 84 places.
+
+    Raises ValueError for a CRS that cannot be a map CRS, or places that it cannot express.
+    """
+    lat, lon, height = np.broadcast_arrays(*(np.asarray(a, dtype=np.float64) for a in (lat_deg, lon_deg, height_m)))
+    east, north = _transformer(srid).transform(lon, lat)
+    xyz = np.stack([np.asarray(east), np.asarray(north), height], axis=-1)
+    if not np.isfinite(xyz).all():
+        raise ValueError(f"EPSG:{srid} cannot express all of the places: is it the CRS of this area?")
+    return xyz
+
+
+def to_geodetic(srid: int, xyz_m: ArrayLike) -> Array:
+    """Latitude, longitude (degrees, WGS 84) and ellipsoidal height (..., 3) of map points (..., 3)."""
+    xyz = np.asarray(xyz_m, dtype=np.float64)
+    lon, lat = _transformer(srid).transform(xyz[..., 0], xyz[..., 1], direction="INVERSE")
+    return np.stack([np.asarray(lat), np.asarray(lon), xyz[..., 2]], axis=-1)
+
+
+def grid_convergence_rad(srid: int, lat_deg: ArrayLike, lon_deg: ArrayLike) -> Array:
+    """Meridian convergence: angle from true north to grid north, clockwise positive, in radians.
+
+    North of the equator and east of the central meridian it is positive. A heading counted counter-clockwise from true east
+    becomes one from grid east by adding it; a clockwise azimuth from true north by subtracting it.
+    """
+    factors = _projection(srid).get_factors(
+        np.asarray(lon_deg, dtype=np.float64), np.asarray(lat_deg, dtype=np.float64)
+    )
+    return np.radians(np.asarray(factors.meridian_convergence, dtype=np.float64))
+
+
+def grid_scale(srid: int, lat_deg: ArrayLike, lon_deg: ArrayLike) -> Array:
+    """Length in the map over length on the ellipsoid, along the meridian."""
+    factors = _projection(srid).get_factors(
+        np.asarray(lon_deg, dtype=np.float64), np.asarray(lat_deg, dtype=np.float64)
+    )
+    return np.asarray(factors.meridional_scale, dtype=np.float64)
+
+
+def check_scale(srid: int, lat_deg: float, lon_deg: float) -> None:
+    """Raise ValueError where the map CRS stretches lengths too much at a place to measure in it."""
+    scale = float(grid_scale(srid, lat_deg, lon_deg))
+    if not abs(scale - 1.0) <= MAX_SCALE_ERROR:
+        raise ValueError(
+            f"EPSG:{srid} stretches lengths by {scale:.4f} at latitude {lat_deg:.4f}, longitude {lon_deg:.4f}: "
+            f"choose a map CRS made for this area, for example EPSG:{utm_srid(lat_deg, lon_deg)}"
+        )
+
+
+@lru_cache(maxsize=16)
+def _crs(srid: int) -> CRS:
+    try:
+        crs = CRS.from_epsg(srid)
+    except CRSError as error:
+        raise ValueError(f"EPSG:{srid} is not a known coordinate reference system") from error
+    axes = {axis.direction for axis in crs.axis_info}
+    if not crs.is_projected or any(abs(axis.unit_conversion_factor - 1.0) > 1e-12 for axis in crs.axis_info):
+        raise ValueError(f"EPSG:{srid} ({crs.name}) is not a projected CRS in metres; a UTM zone (EPSG:326xx) is one")
+    if axes != {"east", "north"}:
+        raise ValueError(f"EPSG:{srid} ({crs.name}) does not have the axes east and north")
+    return crs
+
+
+@lru_cache(maxsize=16)
+def _transformer(srid: int) -> Transformer:
+    return Transformer.from_crs(CRS.from_epsg(4326), _crs(srid), always_xy=True)
+
+
+@lru_cache(maxsize=16)
+def _projection(srid: int) -> Proj:
+    return Proj(_crs(srid))

@@ -1,0 +1,392 @@
+"""Forward intersection of image rays: the collinearity equations for any number of views, by iterated least squares.
+
+This is Equation 1 of Lagahit & Tseng ("A preliminary study on updating a detected traffic cone's coordinates obtained from
+a stereo camera on a pseudo high definition map database"), written for V views and solved for P points at once:
+
+    u = cx + fx * x/z,  v = cy + fy * y/z,  (x, y, z) = map_R_cam.T @ (X - C)
+
+Each iteration linearises both equations of every view at the present X, weights them with the image sigmas and solves the
+3x3 normal equations; it stops when the sum of squares of the correction falls below 1e-10 m^2 (the paper's criterion).
+The start is the linear solution of the same equations multiplied by the depth. Coordinates are taken relative to a camera
+of each point, so that map coordinates of millions of metres cost no digits. Degenerate points get a status, never a number.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+#: Points per chunk with two views: small enough for the working arrays to stay in the processor's cache.
+CHUNK_POINTS = 4096
+_UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+
+
+class IntersectionStatus(IntEnum):
+    """What became of one point; anything but OK means that its rows in the result are NaN."""
+
+    OK = 0
+    INVALID_INPUT = 1
+    """A used image point, sigma, camera or start is not finite, or a sigma is not positive."""
+    TOO_FEW_VIEWS = 2
+    RAY_ANGLE_TOO_SMALL = 3
+    BEHIND_CAMERA = 4
+    NOT_CONVERGED = 5
+
+
+@dataclass(frozen=True)
+class IntersectionResult:
+    """P points from V views. Rows of points whose status is not OK are NaN, except `ray_angle_rad` and `iterations`."""
+
+    status: NDArray[np.int8]
+    """(P,) values of IntersectionStatus."""
+    xyz_m: Array
+    """(P, 3) in the frame of the camera poses."""
+    cov_m2: Array
+    """(P, 3, 3) from the image sigmas alone."""
+    residuals_px: Array
+    """(P, V, 2) observed minus computed; NaN for views that were not used."""
+    depth_m: Array
+    """(P, V) along the optical axis of each view; NaN for views that were not used."""
+    ray_angle_rad: Array
+    """(P,) largest angle between any two used rays; NaN where it cannot be told."""
+    iterations: NDArray[np.int64]
+    """(P,) solutions of the normal equations."""
+
+    @property
+    def ok(self) -> Bools:
+        """(P,) True where the point is good."""
+        return np.asarray(self.status == IntersectionStatus.OK)
+
+
+class _Views(NamedTuple):
+    """Views of the points at work, component first: every array is (V, n) or, where all points share a view, (V, 1)."""
+
+    u: Array
+    v: Array
+    fx: Array
+    fy: Array
+    weight_u: Array
+    """fx / sigma_u, or 0 for a view that is not used: what x/z is multiplied with."""
+    weight_v: Array
+    rot: list[list[Array]]
+    """rot[i][j]: component of cam_R_map."""
+    centre: list[Array]
+    """relative to the point's origin"""
+
+    def take(self, keep: Bools) -> _Views:
+        """Only the points of a mask (n,)."""
+
+        def part(a: Array) -> Array:
+            return a if a.shape[1] == 1 else a[:, keep]
+
+        return _Views(
+            u=part(self.u), v=part(self.v), fx=part(self.fx), fy=part(self.fy),
+            weight_u=part(self.weight_u), weight_v=part(self.weight_v),
+            rot=[[part(a) for a in row] for row in self.rot], centre=[part(a) for a in self.centre],
+        )  # fmt: skip
+
+
+def intersect(
+    uv_px: ArrayLike,
+    valid: ArrayLike | None,
+    k_px: ArrayLike,
+    map_R_cam: ArrayLike,
+    centre_m: ArrayLike,
+    sigma_uv_px: ArrayLike,
+    *,
+    start_m: ArrayLike | None = None,
+    convergence_m2: float = 1e-10,
+    max_iterations: int = 20,
+    min_ray_angle_rad: float = 0.008,
+    chunk_points: int = CHUNK_POINTS,
+) -> IntersectionResult:
+    """Intersect the rays of P points in up to V views each.
+
+    uv_px (P, V, 2): image points in pixels. valid (P, V) bool: which of them exist (None: all). k_px (V, 4) or (P, V, 4):
+    fx, fy, cx, cy. map_R_cam (V, 3, 3) or (P, V, 3, 3) and centre_m (V, 3) or (P, V, 3): exterior orientation of the views
+    in any common frame. sigma_uv_px: anything that broadcasts to (P, V, 2). start_m (P, 3): optional approximate points.
+    Points with fewer views are padded and masked by `valid`; padding may hold NaN. Giving cameras as (V, ...) where all
+    points share them is faster. Raises ValueError on arrays whose shapes do not fit; bad values only give a status.
+    """
+    uv = np.asarray(uv_px, dtype=np.float64)
+    if uv.ndim != 3 or uv.shape[2] != 2:
+        raise ValueError(f"uv_px must be (P, V, 2), found {uv.shape}")
+    p, v = uv.shape[:2]
+    mask = np.ones((p, v), dtype=bool) if valid is None else np.asarray(valid, dtype=bool)
+    k = _camera_array(k_px, (v, 4), p, "k_px")
+    rot = _camera_array(map_R_cam, (v, 3, 3), p, "map_R_cam")
+    centre = _camera_array(centre_m, (v, 3), p, "centre_m")
+    if mask.shape != (p, v):
+        raise ValueError(f"valid must be ({p}, {v}), found {mask.shape}")
+    sigma = np.broadcast_to(np.asarray(sigma_uv_px, dtype=np.float64), (p, v, 2))
+    start = None if start_m is None else np.asarray(start_m, dtype=np.float64)
+    if start is not None and start.shape != (p, 3):
+        raise ValueError(f"start_m must be ({p}, 3), found {start.shape}")
+    result = _empty(p, v)
+    step = max(1, min(chunk_points, chunk_points * 8 // (v * v))) if v > 2 else chunk_points
+    for begin in range(0, p, step):
+        part = slice(begin, min(begin + step, p))
+
+        def cut(a: Array, shared_ndim: int, part: slice = part) -> Array:
+            return a if a.ndim == shared_ndim else a[part]
+
+        _intersect_chunk(
+            result, part, uv[part], mask[part], cut(k, 2), cut(rot, 3), cut(centre, 2), sigma[part],
+            None if start is None else start[part], convergence_m2, max_iterations, min_ray_angle_rad,
+        )  # fmt: skip
+    return result
+
+
+def add_pose_covariance(
+    cov_m2: ArrayLike,
+    xyz_m: ArrayLike,
+    map_R_body: ArrayLike,
+    map_t_body_m: ArrayLike,
+    sigma_enu_m: ArrayLike,
+    sigma_rpy_rad: ArrayLike,
+) -> Array:
+    """Covariance (P, 3, 3) of map points with the error of the body's pose added to that of the image points.
+
+    cov_m2 (P, 3, 3) in the map frame; xyz_m (P, 3); the poses (3, 3) / (3,) or one per point; sigmas (3,) or (P, 3).
+    The error of the position is common to all views of a drive (GNSS drifts slowly), so it is added as it is and must not be
+    averaged away over frames. Roll, pitch and yaw turn the lever from body to point about their own axes, to first order.
+    """
+    xyz = np.asarray(xyz_m, dtype=np.float64)
+    rot = np.asarray(map_R_body, dtype=np.float64)
+    lever = xyz - np.asarray(map_t_body_m, dtype=np.float64)
+    roll_axis = rot[..., :, 0]
+    level = np.hypot(roll_axis[..., 0], roll_axis[..., 1])
+    zero = np.zeros_like(level)
+    if np.any(level < 1e-9):
+        raise ValueError("add_pose_covariance: the body stands on its nose, roll and yaw cannot be told apart")
+    pitch_axis = np.stack([-roll_axis[..., 1] / level, roll_axis[..., 0] / level, zero], axis=-1)
+    yaw_axis = np.broadcast_to(np.array([0.0, 0.0, 1.0]), roll_axis.shape)
+    sigma_rpy = np.asarray(sigma_rpy_rad, dtype=np.float64)
+    total = np.array(cov_m2, dtype=np.float64)
+    enu = np.asarray(sigma_enu_m, dtype=np.float64)
+    total = total + enu[..., :, None] ** 2 * np.eye(3)
+    for i, axis in enumerate((roll_axis, pitch_axis, yaw_axis)):
+        shift = np.cross(axis, lever) * sigma_rpy[..., i, None]
+        total = total + shift[..., :, None] * shift[..., None, :]
+    return total
+
+
+def _camera_array(value: ArrayLike, shape: tuple[int, ...], points: int, name: str) -> Array:
+    """Check a per-view array that may also be given per point."""
+    a = np.asarray(value, dtype=np.float64)
+    if a.shape not in (shape, (points, *shape)):
+        raise ValueError(f"{name} must be {shape} or {(points, *shape)}, found {a.shape}")
+    return a
+
+
+def _empty(p: int, v: int) -> IntersectionResult:
+    def nan(*shape: int) -> Array:
+        return np.full(shape, np.nan)
+
+    status = np.zeros(p, dtype=np.int8)
+    return IntersectionResult(
+        status, nan(p, 3), nan(p, 3, 3), nan(p, v, 2), nan(p, v), nan(p), np.zeros(p, dtype=np.int64)
+    )
+
+
+def _intersect_chunk(
+    result: IntersectionResult, part: slice, uv: Array, mask: Bools, k: Array, rot: Array, centre: Array,
+    sigma: Array, start: Array | None, convergence_m2: float, max_iterations: int, min_ray_angle_rad: float,
+) -> None:  # fmt: skip
+    """Fill the rows `part` of the result."""
+    n = uv.shape[0]
+    status = np.zeros(n, dtype=np.int8)
+    sound = _sound(uv, k, rot, centre, sigma)
+    status[np.any(mask & ~sound, axis=1)] = IntersectionStatus.INVALID_INPUT
+    if start is not None:
+        status[~np.isfinite(start).all(axis=1)] = IntersectionStatus.INVALID_INPUT
+    status[(status == 0) & (mask.sum(axis=1) < 2)] = IntersectionStatus.TOO_FEW_VIEWS
+    origin = _origin(mask, centre)
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        angle = _ray_angle(uv, mask & sound, k, rot)
+        status[(status == 0) & ~(angle >= min_ray_angle_rad)] = IntersectionStatus.RAY_ANGLE_TOO_SMALL
+        good = status == 0
+        result.ray_angle_rad[part] = angle
+        if good.any():
+            rows = np.flatnonzero(good)
+            views = _views(uv, mask, k, rot, centre, sigma, origin)
+            if not good.all():
+                views = views.take(good)
+            first = _linear_start(views) if start is None else np.ascontiguousarray((start - origin)[rows].T)
+            x, iterations, converged = _iterate(views, first, convergence_m2, max_iterations)
+            _store(result, part.start + rows, views, x, iterations, converged, origin[rows], status, rows, mask[rows])
+    result.status[part] = status
+
+
+def _sound(uv: Array, k: Array, rot: Array, centre: Array, sigma: Array) -> Bools:
+    """(n, V) True where image point, sigma and camera can be used."""
+    per_view = np.isfinite(k).all(axis=-1) & (k[..., :2] > 0).all(axis=-1)
+    per_view = per_view & np.isfinite(rot).all(axis=(-2, -1)) & np.isfinite(centre).all(axis=-1)
+    s0, s1 = sigma[..., 0], sigma[..., 1]
+    image = np.isfinite(uv[..., 0] + uv[..., 1]) & (s0 > 0) & (s1 > 0) & np.isfinite(s0 + s1)
+    return np.asarray(image & per_view)
+
+
+def _origin(mask: Bools, centre: Array) -> Array:
+    """(n, 3) centre of each point's first used view."""
+    first = np.argmax(mask, axis=1)
+    chosen: Array = centre[first] if centre.ndim == 2 else centre[np.arange(len(first)), first]
+    return chosen
+
+
+def _ray_angle(uv: Array, used: Bools, k: Array, rot: Array) -> Array:
+    """(n,) largest angle between two used rays, from the chord of the unit vectors; NaN with fewer than two."""
+    x = (uv[..., 0] - k[..., 2]) / k[..., 0]
+    y = (uv[..., 1] - k[..., 3]) / k[..., 1]
+    length = np.sqrt(x * x + y * y + 1.0)
+    d = [(rot[..., i, 0] * x + rot[..., i, 1] * y + rot[..., i, 2]) / length for i in range(3)]
+    views = uv.shape[1]
+    largest = np.full(uv.shape[0], -1.0)
+    for shift in range(1, views // 2 + 1):
+        both = used & np.roll(used, -shift, axis=1)
+        chord2 = sum((c - np.roll(c, -shift, axis=1)) ** 2 for c in d)
+        largest = np.maximum(largest, np.where(both, chord2, -1.0).max(axis=1))
+    return np.where(largest >= 0, 2.0 * np.arcsin(np.minimum(np.sqrt(np.abs(largest)) / 2.0, 1.0)), np.nan)
+
+
+def _views(uv: Array, mask: Bools, k: Array, rot: Array, centre: Array, sigma: Array, origin: Array) -> _Views:
+    """Bring the inputs into component-first order; unused views get weight 0 and harmless numbers."""
+
+    def comp(a: Array) -> Array:
+        return np.ascontiguousarray(a.T) if a.ndim == 2 else a[:, None]
+
+    used = np.ascontiguousarray(mask.T)
+    all_used = bool(used.all())
+
+    def clean(a: Array, neutral: float) -> Array:
+        return a if all_used else np.where(used, a, neutral)
+
+    fx, fy = clean(comp(k[..., 0]), 1.0), clean(comp(k[..., 1]), 1.0)
+    inverse = (1.0 / comp(sigma[..., 0]), 1.0 / comp(sigma[..., 1]))
+    local = [clean(comp(centre[..., i]) - origin[:, i], 0.0) for i in range(3)]
+    cam_R_map = [[clean(comp(rot[..., j, i]), float(i == j)) for j in range(3)] for i in range(3)]
+    return _Views(
+        u=clean((comp(uv[..., 0]) - comp(k[..., 2])) / fx, 0.0), v=clean((comp(uv[..., 1]) - comp(k[..., 3])) / fy, 0.0),
+        fx=fx, fy=fy, weight_u=clean(fx * inverse[0], 0.0), weight_v=clean(fy * inverse[1], 0.0),
+        rot=cam_R_map, centre=local,
+    )  # fmt: skip
+
+
+def _normal_equations(a: list[Array], b: list[Array], ra: Array, rb: Array) -> tuple[list[Array], list[Array]]:
+    """Upper triangle (6 arrays (n,)) and right side (3 arrays (n,)) of the normal equations of rows a, b."""
+    n = [np.einsum("vn,vn->n", a[i], a[j]) + np.einsum("vn,vn->n", b[i], b[j]) for i, j in _UPPER]
+    g = [np.einsum("vn,vn->n", a[i], ra) + np.einsum("vn,vn->n", b[i], rb) for i in range(3)]
+    return n, g
+
+
+def _inverse(n: list[Array]) -> list[Array]:
+    """Upper triangle of the inverse of symmetric 3x3 matrices, in closed form; not finite where singular."""
+    xx, xy, xz, yy, yz, zz = n
+    c0, c1, c2 = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    scale = 1.0 / (xx * c0 + xy * c1 + xz * c2)
+    return [
+        c0 * scale, c1 * scale, c2 * scale,
+        (xx * zz - xz * xz) * scale, (xy * xz - xx * yz) * scale, (xx * yy - xy * xy) * scale,
+    ]  # fmt: skip
+
+
+def _times(inverse: list[Array], g: list[Array]) -> Array:
+    """(3, n) product of symmetric matrices with vectors."""
+    xx, xy, xz, yy, yz, zz = inverse
+    return np.stack(
+        [xx * g[0] + xy * g[1] + xz * g[2], xy * g[0] + yy * g[1] + yz * g[2], xz * g[0] + yz * g[1] + zz * g[2]]
+    )
+
+
+def _linear_start(views: _Views) -> Array:
+    """(3, n) solution of the collinearity equations multiplied by the depth, which are linear in the point."""
+    used_u, used_v = (views.weight_u > 0) * 1.0, (views.weight_v > 0) * 1.0
+    a = [(views.rot[0][j] - views.u * views.rot[2][j]) * used_u for j in range(3)]
+    b = [(views.rot[1][j] - views.v * views.rot[2][j]) * used_v for j in range(3)]
+    c = views.centre
+    n, g = _normal_equations(a, b, a[0] * c[0] + a[1] * c[1] + a[2] * c[2], b[0] * c[0] + b[1] * c[1] + b[2] * c[2])
+    return _times(_inverse(n), g)
+
+
+def _camera_point(views: _Views, x: Array) -> list[Array]:
+    """x, y, z (V, n) of points (3, n) in every view's camera frame."""
+    d = [x[i] - views.centre[i] for i in range(3)]
+    return [r[0] * d[0] + r[1] * d[1] + r[2] * d[2] for r in views.rot]
+
+
+def _linearise(views: _Views, x: Array) -> tuple[list[Array], list[Array], Array, Array]:
+    """Weighted rows of the linearised collinearity equations and weighted residuals, each (V, n)."""
+    cx, cy, cz = _camera_point(views, x)
+    inverse = 1.0 / cz
+    xn, yn = cx * inverse, cy * inverse
+    wu, wv = views.weight_u * inverse, views.weight_v * inverse
+    a = [wu * (views.rot[0][j] - xn * views.rot[2][j]) for j in range(3)]
+    b = [wv * (views.rot[1][j] - yn * views.rot[2][j]) for j in range(3)]
+    return a, b, views.weight_u * (views.u - xn), views.weight_v * (views.v - yn)
+
+
+def _iterate(
+    views: _Views, start: Array, convergence_m2: float, max_iterations: int
+) -> tuple[Array, NDArray[np.int64], Bools]:
+    """Gauss-Newton; points that are done leave the active set. Returns (3, n), (n,), (n,)."""
+    n = start.shape[1]
+    solution = start.copy()
+    iterations = np.zeros(n, dtype=np.int64)
+    converged = np.zeros(n, dtype=bool)
+    active = np.arange(n)
+    x, work = start, views
+    for _ in range(max_iterations):
+        normal, g = _normal_equations(*_linearise(work, x))
+        dx = _times(_inverse(normal), g)
+        x = x + dx
+        square = dx[0] * dx[0] + dx[1] * dx[1] + dx[2] * dx[2]
+        iterations[active] += 1
+        solution[:, active] = x
+        done = square < convergence_m2
+        converged[active[done]] = True
+        going = ~done & np.isfinite(square)
+        if not going.any():
+            break
+        if not going.all():
+            active, x, work = active[going], x[:, going], work.take(going)
+    return solution, iterations, converged
+
+
+def _store(
+    result: IntersectionResult, index: NDArray[np.int64], views: _Views, x: Array, iterations: NDArray[np.int64],
+    converged: Bools, origin: Array, status: NDArray[np.int8], rows: NDArray[np.int64], used: Bools,
+) -> None:  # fmt: skip
+    """Covariance, residuals and depths at the solution; statuses of the points that have none."""
+    a, b, ru, rv = _linearise(views, x)
+    normal, _ = _normal_equations(a, b, ru, rv)
+    upper = _inverse(normal)
+    depth = np.broadcast_to(_camera_point(views, x)[2], used.T.shape).T
+    behind = np.any(used & ~(depth > 0), axis=1) & np.isfinite(x).all(axis=0)
+    finite = np.isfinite(x).all(axis=0) & np.isfinite(sum(upper))
+    outcome = np.where(converged & finite, IntersectionStatus.OK, IntersectionStatus.NOT_CONVERGED)
+    outcome = np.where(behind, IntersectionStatus.BEHIND_CAMERA, outcome)
+    status[rows] = outcome
+    result.iterations[index] = iterations
+    ok = outcome == IntersectionStatus.OK
+    keep = index[ok]
+    result.xyz_m[keep] = (x.T + origin)[ok]
+    for value, (i, j) in zip(upper, _UPPER, strict=True):
+        result.cov_m2[keep, i, j] = value[ok]
+        result.cov_m2[keep, j, i] = value[ok]
+    shape = used.T.shape
+    residuals = np.stack(
+        [
+            np.broadcast_to(ru * views.fx / views.weight_u, shape).T,
+            np.broadcast_to(rv * views.fy / views.weight_v, shape).T,
+        ],
+        axis=-1,
+    )
+    result.residuals_px[keep] = np.where(used[..., None], residuals, np.nan)[ok]
+    result.depth_m[keep] = np.where(used, depth, np.nan)[ok]

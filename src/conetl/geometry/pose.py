@@ -1,0 +1,133 @@
+"""Rigid motions as 4x4 matrices, named `dst_SE3_src`: `p_dst = dst_SE3_src @ p_src`.
+
+All functions work on stacks: `(..., 4, 4)` poses, `(..., 3, 3)` rotations, `(..., 3)` points. Lengths are metres, angles
+radians. The body frame is x forward, y left, z up; roll, pitch and yaw follow KITTI's OXTS convention
+`R = Rz(yaw) @ Ry(pitch) @ Rx(roll)`, with yaw counted from east (grid east in the map frame) counter-clockwise,
+pitch positive with the front down and roll positive with the left side up (Geiger et al., IJRR 2013).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from conetl.records import Matrix3, Matrix4, Pose
+
+Array = NDArray[np.float64]
+
+#: Largest deviation of R @ R.T from the identity that still counts as a rotation written with few digits.
+ROTATION_TOLERANCE = 1e-3
+
+
+def se3(rotation: ArrayLike, translation_m: ArrayLike) -> Array:
+    """Pose (..., 4, 4) from rotations (..., 3, 3) and translations (..., 3)."""
+    r = np.asarray(rotation, dtype=np.float64)
+    t = np.asarray(translation_m, dtype=np.float64)
+    lead = np.broadcast_shapes(r.shape[:-2], t.shape[:-1])
+    pose = np.zeros((*lead, 4, 4))
+    pose[..., :3, :3] = r
+    pose[..., :3, 3] = t
+    pose[..., 3, 3] = 1.0
+    return pose
+
+
+def compose(a_SE3_b: ArrayLike, b_SE3_c: ArrayLike) -> Array:
+    """`a_SE3_c` (..., 4, 4) of two (stacks of) poses."""
+    product: Array = np.matmul(np.asarray(a_SE3_b, dtype=np.float64), np.asarray(b_SE3_c, dtype=np.float64))
+    return product
+
+
+def invert(dst_SE3_src: ArrayLike) -> Array:
+    """`src_SE3_dst` (..., 4, 4), exact for rigid motions."""
+    pose = np.asarray(dst_SE3_src, dtype=np.float64)
+    back = np.swapaxes(pose[..., :3, :3], -1, -2)
+    return se3(back, -np.einsum("...ij,...j->...i", back, pose[..., :3, 3]))
+
+
+def apply(dst_SE3_src: ArrayLike, points_src_m: ArrayLike) -> Array:
+    """Points (..., 3) of the source frame in the destination frame; leading dimensions broadcast."""
+    pose = np.asarray(dst_SE3_src, dtype=np.float64)
+    points = np.asarray(points_src_m, dtype=np.float64)
+    moved: Array = np.einsum("...ij,...j->...i", pose[..., :3, :3], points) + pose[..., :3, 3]
+    return moved
+
+
+def rotation_from_rpy(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> Array:
+    """Rotations (..., 3, 3) `Rz(yaw) @ Ry(pitch) @ Rx(roll)`, body to level frame."""
+    roll, pitch, yaw = np.broadcast_arrays(
+        np.asarray(roll_rad, dtype=np.float64),
+        np.asarray(pitch_rad, dtype=np.float64),
+        np.asarray(yaw_rad, dtype=np.float64),
+    )
+    cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (np.cos, np.sin))
+    rows = [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def rpy_from_rotation(rotation: ArrayLike) -> Array:
+    """Roll, pitch, yaw (..., 3) of `Rz(yaw) @ Ry(pitch) @ Rx(roll)`; pitch in [-pi/2, pi/2]."""
+    r = np.asarray(rotation, dtype=np.float64)
+    pitch = np.arctan2(-r[..., 2, 0], np.hypot(r[..., 0, 0], r[..., 1, 0]))
+    roll = np.arctan2(r[..., 2, 1], r[..., 2, 2])
+    yaw = np.arctan2(r[..., 1, 0], r[..., 0, 0])
+    return np.stack([roll, pitch, yaw], axis=-1)
+
+
+def is_rotation(rotation: ArrayLike, tolerance: float = ROTATION_TOLERANCE) -> bool:
+    """True where a 3x3 matrix is orthonormal within `tolerance` and right-handed."""
+    r = np.asarray(rotation, dtype=np.float64)
+    if r.shape != (3, 3) or not np.all(np.isfinite(r)):
+        return False
+    return bool(np.abs(r @ r.T - np.eye(3)).max() <= tolerance and np.linalg.det(r) > 0)
+
+
+def nearest_rotation(matrix: ArrayLike) -> Array:
+    """The rotation nearest to a (3, 3) matrix in the Frobenius norm; takes out the rounding of a text file.
+
+    Raises ValueError where the matrix is not a rotation within `ROTATION_TOLERANCE`.
+    """
+    m = np.asarray(matrix, dtype=np.float64)
+    if not is_rotation(m):
+        raise ValueError("the matrix is not a rotation: rows must be orthonormal and the determinant +1")
+    u, _, vt = np.linalg.svd(m)
+    rotation: Array = u @ vt
+    return rotation
+
+
+def interpolate(a: ArrayLike, b: ArrayLike, weight: float) -> Array:
+    """Pose (4, 4) between two poses of one frame: straight line for the place, shortest turn (slerp) for the rotation.
+
+    `weight` 0 gives `a`, 1 gives `b`.
+    """
+    pa, pb = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
+    turn = Rotation.from_matrix(pa[:3, :3].T @ pb[:3, :3]).as_rotvec()
+    rotation = pa[:3, :3] @ Rotation.from_rotvec(weight * turn).as_matrix()
+    return se3(rotation, (1.0 - weight) * pa[:3, 3] + weight * pb[:3, 3])
+
+
+def to_matrix3(rotation: ArrayLike) -> Matrix3:
+    """Nested tuple of a (3, 3) array, as the records want it."""
+    r = np.asarray(rotation, dtype=np.float64)
+    if r.shape != (3, 3):
+        raise ValueError(f"expected a (3, 3) array, found shape {r.shape}")
+    a, b, c = ((float(row[0]), float(row[1]), float(row[2])) for row in r)
+    return (a, b, c)
+
+
+def to_matrix4(pose: ArrayLike) -> Matrix4:
+    """Nested tuple of a (4, 4) array, as the records want it."""
+    p = np.asarray(pose, dtype=np.float64)
+    if p.shape != (4, 4):
+        raise ValueError(f"expected a (4, 4) array, found shape {p.shape}")
+    a, b, c, d = ((float(row[0]), float(row[1]), float(row[2]), float(row[3])) for row in p)
+    return (a, b, c, d)
+
+
+def map_SE3_body(pose: Pose) -> Array:
+    """(4, 4) array of a pose record."""
+    return se3(np.array(pose.map_R_body), np.array(pose.map_t_body_m))

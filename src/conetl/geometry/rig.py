@@ -1,0 +1,63 @@
+"""Where the two cameras of a rig are for a pose of the body. Frames as in docs/coordinates.md."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.geometry import pose as se3
+from conetl.records import Camera, Pose, Rig, Side
+
+Array = NDArray[np.float64]
+
+
+def camera_of(rig: Rig, side: Side) -> Camera:
+    """The camera of one side."""
+    return rig.left if side == "left" else rig.right
+
+
+def body_SE3_camera(rig: Rig, side: Side) -> Array:
+    """(4, 4) pose of one camera on the body: lever arm and boresight."""
+    return np.array(rig.body_SE3_left if side == "left" else rig.body_SE3_right)
+
+
+def map_SE3_camera(pose: Pose, rig: Rig, side: Side) -> Array:
+    """(4, 4) exterior orientation of one camera."""
+    return se3.compose(se3.map_SE3_body(pose), body_SE3_camera(rig, side))
+
+
+def map_SE3_left(pose: Pose, rig: Rig) -> Array:
+    """(4, 4) exterior orientation of the left camera."""
+    return map_SE3_camera(pose, rig, "left")
+
+
+def map_SE3_right(pose: Pose, rig: Rig) -> Array:
+    """(4, 4) exterior orientation of the right camera."""
+    return map_SE3_camera(pose, rig, "right")
+
+
+def camera_centre_m(pose: Pose, rig: Rig, side: Side) -> Array:
+    """(3,) projection centre in the map frame."""
+    centre: Array = map_SE3_camera(pose, rig, side)[:3, 3]
+    return centre
+
+
+def left_SE3_right(rig: Rig) -> Array:
+    """(4, 4) relative orientation of the rig; its translation is the baseline vector in the left camera's frame."""
+    return se3.compose(se3.invert(body_SE3_camera(rig, "left")), body_SE3_camera(rig, "right"))
+
+
+def body_is_left_camera(rig: Rig) -> bool:
+    """True where the rig has no body of its own (no INS): its body frame then is the left camera's."""
+    return bool(np.allclose(body_SE3_camera(rig, "left"), np.eye(4), rtol=0.0, atol=1e-12))
+
+
+def up_in_left_camera(rig: Rig) -> Array:
+    """(3,) unit vector in the left camera's frame that is up when the body stands level.
+
+    The body's +z where the rig has a body of its own, else minus the camera's y axis (a camera held level).
+    """
+    if body_is_left_camera(rig):
+        return np.array([0.0, -1.0, 0.0])
+    up: Array = body_SE3_camera(rig, "left")[2, :3].copy()
+    return up
