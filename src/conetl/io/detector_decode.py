@@ -1,0 +1,87 @@
+"""From a network's raw maps to boxes: numpy only.
+
+Pixel convention: a box is [x, y, w, h] with x, y its top-left corner; the centre of the top-left pixel is (0.5, 0.5) in
+these box coordinates, that is, an image W wide spans x = 0 .. W. `docs/coordinates.md` says how observations use this.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+def decode_map(raw: NDArray[np.float32], stride_px: int, bins: int, score_threshold: float) -> Floats:
+    """One raw map (4*bins + 1, h, w) -> candidates (N, 5) [x0, y0, x1, y1, score] in pixels of the network's input.
+
+    Each side (left, top, right, bottom) is a distribution over `bins` distances in strides from the cell's centre; its
+    expectation is the distance (distribution focal loss, Li et al. 2020). Only cells above the threshold are decoded.
+    """
+    if raw.ndim != 3 or raw.shape[0] != 4 * bins + 1:
+        raise ValueError(f"raw map has shape {raw.shape}, expected ({4 * bins + 1}, h, w)")
+    if score_threshold <= 0.0:
+        least_logit = -np.inf
+    elif score_threshold >= 1.0:
+        least_logit = np.inf
+    else:
+        least_logit = float(np.log(score_threshold / (1.0 - score_threshold)))
+    rows, columns = np.nonzero(raw[-1] >= least_logit)
+    if rows.size == 0:
+        return np.zeros((0, 5))
+    cells = raw[:, rows, columns].astype(np.float64)
+    logits = cells[:-1].reshape(4, bins, -1)
+    weights = np.exp(logits - logits.max(axis=1, keepdims=True))
+    distance_px = (weights * np.arange(bins)[None, :, None]).sum(axis=1) / weights.sum(axis=1) * stride_px
+    x_px, y_px = (columns + 0.5) * stride_px, (rows + 0.5) * stride_px
+    scores = 1.0 / (1.0 + np.exp(-cells[-1]))
+    return np.stack(
+        (x_px - distance_px[0], y_px - distance_px[1], x_px + distance_px[2], y_px + distance_px[3], scores), axis=1
+    )
+
+
+def intersection_over_union(box: Floats, boxes: Floats) -> Floats:
+    """IoU of one box (4,) with boxes (N, 4), all [x0, y0, x1, y1]; boxes without area have IoU 0."""
+    low = np.maximum(box[:2], boxes[:, :2])
+    high = np.minimum(box[2:], boxes[:, 2:])
+    shared = np.prod(np.clip(high - low, 0.0, None), axis=1)
+    area = np.prod(np.clip(boxes[:, 2:] - boxes[:, :2], 0.0, None), axis=1)
+    union = area + np.prod(np.clip(box[2:] - box[:2], 0.0, None)) - shared
+    iou: Floats = np.divide(shared, union, out=np.zeros_like(shared), where=union > 0.0)
+    return iou
+
+
+def suppress_overlaps(candidates: Floats, nms_iou: float) -> Floats:
+    """Greedy non-maximum suppression of candidates (N, 5) [x0, y0, x1, y1, score]; survivors by falling score.
+
+    No two survivors overlap by more than `nms_iou`; equal scores keep their order (the sort is stable).
+    """
+    waiting = candidates[np.argsort(-candidates[:, 4], kind="stable")]
+    kept = []
+    while len(waiting):
+        kept.append(waiting[0])
+        waiting = waiting[1:][intersection_over_union(waiting[0, :4], waiting[1:, :4]) <= nms_iou]
+    return np.array(kept).reshape(-1, 5)
+
+
+def decode_maps(
+    maps: Sequence[NDArray[np.float32]], strides_px: Sequence[int], bins: int, score_threshold: float, nms_iou: float
+) -> Floats:
+    """All raw maps of one picture -> boxes (N, 5) [x0, y0, x1, y1, score] after suppression, by falling score."""
+    parts = [decode_map(raw, s, bins, score_threshold) for raw, s in zip(maps, strides_px, strict=True)]
+    return suppress_overlaps(np.concatenate(parts), nms_iou)
+
+
+def boxes_in_image(boxes: Floats, scale_x: float, scale_y: float, width_px: int, height_px: int) -> Floats:
+    """Boxes (N, 5) [x0, y0, x1, y1, score] of the network's input -> (N, 5) [x, y, w, h, score] of the image.
+
+    The network's input is the image times (scale_x, scale_y), padded at the right and bottom: so coordinates are only
+    divided. Boxes are cut at the image's edge; those that lie in the padding alone are dropped.
+    """
+    corners = boxes[:, :4] / (scale_x, scale_y, scale_x, scale_y)
+    corners = np.clip(corners, 0.0, (width_px, height_px, width_px, height_px))
+    size = corners[:, 2:] - corners[:, :2]
+    inside = (size > 0.0).all(axis=1)
+    return np.concatenate((corners[:, :2], size, boxes[:, 4:]), axis=1)[inside]

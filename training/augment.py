@@ -1,0 +1,289 @@
+"""Training samples: scale, stretch, paste, hide, blur and relight pictures; boxes always follow the geometry."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from dataset import Picture
+
+MIN_CONE_PX = 7.0  # below this a labelled cone is neither taught nor forbidden
+# How far the sides of a source's boxes are believed; renders and cut-outs are exact, hand-drawn boxes leave a margin.
+SIDE_TRUST = {"renders": 1.0, "rf_traffic_cones": 0.5, "fs_onboard": 0.4, "css_safety_cone": 0.4}
+Sample = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+def pyramid(image: np.ndarray) -> list[np.ndarray]:
+    """Full, half and quarter size, so that shrinking by a warp does not alias."""
+    half = cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    return [image, half, cv2.resize(half, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)]
+
+
+def choose_scale(picture: Picture, rng: np.random.Generator, stretch: float) -> tuple[float, int]:
+    """Scale that brings one randomly chosen cone to a height drawn log-uniformly, most of them small; and its index."""
+    if len(picture.boxes) == 0:
+        return float(np.exp(rng.uniform(np.log(0.35), np.log(1.3)))), -1
+    if picture.source == "renders":
+        return float(rng.choice((1.0, rng.uniform(0.7, 1.4)))), int(rng.integers(len(picture.boxes)))
+    index = int(rng.integers(len(picture.boxes)))
+    height = picture.boxes[index, 3] - picture.boxes[index, 1]
+    low, high = (11.0, 64.0) if rng.random() < 0.62 else (50.0, 330.0)
+    target = float(np.exp(rng.uniform(np.log(low), np.log(high))))
+    return float(np.clip(target / height, 0.05, 2.2)), index
+
+
+def warp_into(
+    canvas: np.ndarray,
+    picture: Picture,
+    levels: list[np.ndarray],
+    area: tuple[int, int, int, int],
+    rng: np.random.Generator,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Draw a picture, scaled, stretched, mirrored, slightly turned, into `area` of the canvas; boxes and fades there."""
+    left, top, right, bottom = area
+    stretch = 1.0
+    if picture.source == "rf_traffic_cones":
+        stretch = float(rng.uniform(0.55, 1.3))
+    elif picture.source != "renders":
+        stretch = float(rng.uniform(0.85, 1.15))
+    scale, index = choose_scale(picture, rng, stretch)
+    turn = np.deg2rad(rng.normal(0.0, 1.5)) if rng.random() < 0.5 else 0.0
+    mirror = -1.0 if rng.random() < 0.5 else 1.0
+    height, width = levels[0].shape[:2]
+    if index >= 0:
+        x0, y0, x1, y1 = picture.boxes[index]
+        cx, cy = (x0 + x1) / 2, (y0 + y1) / 2
+    else:
+        cx, cy = rng.uniform(0.2, 0.8) * width, rng.uniform(0.3, 0.8) * height
+    # Where the chosen point lands: anywhere in the area, but rather fill the area with picture than with nothing.
+    to_x, to_y = rng.uniform(left, right), rng.uniform(top, bottom)
+    half_w, half_h = scale * stretch * width / 2, scale * height / 2
+    mid_x = to_x + mirror * scale * stretch * (width / 2 - cx)
+    mid_y = to_y + scale * (height / 2 - cy)
+    mid_x = np.clip(mid_x, *sorted((right - half_w, left + half_w)))
+    mid_y = np.clip(mid_y, *sorted((bottom - half_h, top + half_h)))
+    c, s = np.cos(turn), np.sin(turn)
+    linear = np.array([[c, -s], [s, c]]) @ np.diag([mirror * scale * stretch, scale])
+    offset = np.array([mid_x, mid_y]) - linear @ (width / 2, height / 2)
+    level = 0 if scale > 0.7 else (1 if scale > 0.35 else 2)
+    shrink = 2**level
+    # Boxes live on pixel edges, warpAffine on pixel centres: pixel u of a level has its centre at (u + 0.5) * shrink.
+    local = np.column_stack((linear * shrink, offset + linear @ np.full(2, 0.5 * shrink) - 0.5 - (left, top)))
+    size = (right - left, bottom - top)
+    drawn = cv2.warpAffine(levels[level], local, size, flags=cv2.INTER_LINEAR)
+    cover = cv2.warpAffine(np.full(levels[level].shape[:2], 255, np.uint8), local, size, flags=cv2.INTER_NEAREST)
+    canvas[top:bottom, left:right][cover > 0] = drawn[cover > 0]
+
+    def follow(boxes: np.ndarray, cone: bool) -> np.ndarray:
+        if len(boxes) == 0:
+            return np.zeros((0, 4))
+        x0, y0, x1, y1 = boxes.T
+        inset = 0.38 * (x1 - x0) if cone else 0.0  # a cone fills its box at the foot only, not at the top corners
+        points = np.stack(
+            [
+                np.stack((x0, y1), 1),
+                np.stack((x1, y1), 1),
+                np.stack((x0 + inset, y0), 1),
+                np.stack((x1 - inset, y0), 1),
+            ],
+            1,
+        )
+        moved = points @ linear.T + offset
+        return np.concatenate((moved.min(1), moved.max(1)), 1)
+
+    return follow(picture.boxes, True), follow(picture.fade, False)
+
+
+def clip_boxes(boxes: np.ndarray, area: tuple[int, int, int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Boxes cut at the area's edge; those of which too little is left go to the second array (to fade)."""
+    if len(boxes) == 0:
+        return np.zeros((0, 4)), np.zeros((0, 4))
+    left, top, right, bottom = area
+    cut = np.clip(boxes, (left, top, left, top), (right, bottom, right, bottom))
+    size, full = cut[:, 2:] - cut[:, :2], boxes[:, 2:] - boxes[:, :2]
+    inside = (size > 1).all(1)
+    share = size.prod(1) / full.prod(1)
+    keep = inside & (share > 0.3) & (size[:, 1] >= MIN_CONE_PX) & (size[:, 0] >= 2.5)
+    return cut[keep], cut[inside & ~keep]
+
+
+def paste_cutout(canvas: np.ndarray, cutout: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Paste one cone cut-out somewhere, with a shadow at its foot; returns its exact box (4,)."""
+    height_px = float(np.exp(rng.uniform(np.log(12), np.log(150))))
+    scale = height_px / cutout.shape[0]
+    width = max(round(cutout.shape[1] * scale * rng.uniform(0.6, 1.15)), 4)
+    height = max(round(height_px), 8)
+    patch = cv2.resize(cutout, (width, height), interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
+    if rng.random() < 0.5:
+        patch = patch[:, ::-1]
+    colour = patch[..., :3].astype(np.float32) * rng.uniform(0.55, 1.25) * rng.uniform(0.9, 1.1, 3)
+    x = int(rng.integers(0, max(canvas.shape[1] - width, 1)))
+    y = int(rng.integers(int(0.2 * canvas.shape[0]), max(canvas.shape[0] - height, int(0.2 * canvas.shape[0]) + 1)))
+    y = min(y, canvas.shape[0] - height)
+    if rng.random() < 0.6:
+        shadow = canvas.copy()
+        cv2.ellipse(
+            shadow,
+            (x + width // 2 + int(rng.normal(0, width / 3)), y + height - 1),
+            (max(int(width * 0.7), 2), max(int(width * 0.16), 1)),
+            0,
+            0,
+            360,
+            (25, 25, 28),
+            -1,
+        )
+        cv2.addWeighted(shadow, 0.5, canvas, 0.5, 0, canvas)
+    alpha = patch[..., 3:].astype(np.float32) / 255
+    region = canvas[y : y + height, x : x + width]
+    region[:] = np.clip(alpha * colour + (1 - alpha) * region, 0, 255).astype(np.uint8)
+    return np.array([x, y, x + width, y + height], float)
+
+
+def draw_post(canvas: np.ndarray, x: float, foot: float, height: float, rng: np.random.Generator) -> None:
+    """A bollard or post with bands (red-white, orange-white, black-yellow, plain), shaded like a cylinder."""
+    width = max(height * rng.uniform(0.05, 0.22), 2.0)
+    palettes = (
+        ((40, 40, 190), (225, 225, 228)),
+        ((30, 30, 150), (210, 212, 215)),
+        ((40, 110, 235), (230, 230, 230)),
+        ((30, 200, 235), (30, 30, 30)),
+        ((90, 90, 95), (90, 90, 95)),
+        ((35, 35, 165), (35, 35, 165)),
+    )
+    first, second = palettes[int(rng.choice(6, p=(0.36, 0.22, 0.14, 0.08, 0.1, 0.1)))]
+    bands = int(rng.integers(2, 9))
+    light = rng.uniform(0.35, 1.1)
+    over = np.zeros((max(round(height), 3), max(round(width), 2), 3), np.float32)
+    for band in range(bands):
+        over[band * over.shape[0] // bands : (band + 1) * over.shape[0] // bands] = first if band % 2 == 0 else second
+    if rng.random() < 0.4:  # diagonal stripes
+        u, v = np.meshgrid(np.arange(over.shape[1]), np.arange(over.shape[0]))
+        stripe = ((v + rng.choice((-1, 1)) * u) // max(height / bands, 2)).astype(int) % 2
+        over = np.where(stripe[..., None] == 0, np.float32(first), np.float32(second)).astype(np.float32)
+    shade = 1 - rng.uniform(0.1, 0.6) * np.abs(np.linspace(-1, 1, over.shape[1]) + rng.uniform(-0.6, 0.6))
+    over *= light * shade[None, :, None]
+    y0, x0 = int(foot - over.shape[0]), int(x)
+    y1, x1 = min(y0 + over.shape[0], canvas.shape[0]), min(x0 + over.shape[1], canvas.shape[1])
+    cut_y, cut_x = max(y0, 0), max(x0, 0)
+    if y1 > cut_y and x1 > cut_x:
+        canvas[cut_y:y1, cut_x:x1] = np.clip(over[cut_y - y0 : y1 - y0, cut_x - x0 : x1 - x0], 0, 255)
+
+
+def draw_furniture(canvas: np.ndarray, rng: np.random.Generator) -> None:
+    """Things that are no cones though red, orange or white: posts, panels, lamps, vests, vans, signs, drums."""
+    height, width = canvas.shape[:2]
+    for _ in range(int(rng.integers(1, 5))):
+        kind = int(rng.integers(6))
+        x, foot = rng.uniform(0, width), rng.uniform(0.3, 1.0) * height
+        size = float(np.exp(rng.uniform(np.log(8), np.log(110))))
+        warm = (int(rng.integers(0, 70)), int(rng.integers(20, 140)), int(rng.integers(150, 256)))
+        point = (int(x), int(foot))
+        if kind <= 1:
+            gap = size * rng.uniform(0.2, 0.8)
+            for k in range(int(rng.integers(1, 5))):
+                draw_post(canvas, x + k * gap, foot, size, rng)
+        elif kind == 2:  # lamp or headlight
+            shade = (255, 255, 255) if rng.random() < 0.6 else warm
+            cv2.ellipse(canvas, point, (max(int(size * 0.2), 2), max(int(size * 0.25), 2)), 0, 0, 360, shade, -1)
+        elif kind == 3:  # panel of one warm colour: van side, vest, sign board
+            w, h = size * rng.uniform(0.3, 2.5), size * rng.uniform(0.4, 1.5)
+            cv2.rectangle(canvas, point, (int(x + w), int(foot - h)), warm, -1)
+            if rng.random() < 0.6:
+                band = int(foot - h * rng.uniform(0.3, 0.8))
+                cv2.rectangle(canvas, (int(x), band), (int(x + w), int(band - h * 0.15)), (220, 225, 225), -1)
+        elif kind == 4:  # sign: disc or diamond
+            r = max(size * 0.3, 2)
+            if rng.random() < 0.5:
+                cv2.circle(canvas, point, int(r), warm, -1 if rng.random() < 0.6 else max(int(r / 4), 1))
+            else:
+                corners = np.array([(x, foot - r), (x + r, foot), (x, foot + r), (x - r, foot)], int)
+                cv2.fillPoly(canvas, [corners], warm)
+        else:  # triangle on its tip or lying down: cones point upwards
+            r = max(size * 0.4, 3)
+            shape = [(-r / 2, -r), (r / 2, -r), (0, 0)] if rng.random() < 0.5 else [(-r, -r / 2), (-r, r / 2), (r, 0)]
+            cv2.fillPoly(canvas, [(np.array(shape) + point).astype(int)], warm)
+
+
+def hide_cones(canvas: np.ndarray, boxes: np.ndarray, rng: np.random.Generator) -> None:
+    """Put a post or a block in front of some cones, so that up to half of each is hidden; boxes stay whole."""
+    for x0, y0, x1, y1 in boxes:
+        if rng.random() > 0.25 or y1 - y0 < 14:
+            continue
+        if rng.random() < 0.7:
+            draw_post(
+                canvas,
+                rng.uniform(x0 - 0.1 * (x1 - x0), x1 - 0.2 * (x1 - x0)),
+                y1 + rng.uniform(0, 0.3) * (y1 - y0),
+                (y1 - y0) * rng.uniform(1.0, 1.6),
+                rng,
+            )
+        else:
+            left = x0 + (x1 - x0) * rng.choice((-0.3, 0.6))
+            grey = int(rng.integers(20, 200))
+            cv2.rectangle(canvas, (int(left), int(y0)), (int(left + 0.7 * (x1 - x0)), int(y1)), (grey, grey, grey), -1)
+
+
+def relight(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Exposure, gamma, white balance, saturation, haze, blur, noise, JPEG: what cameras and days do to a picture."""
+    if rng.random() < 0.8:
+        gain = np.exp(rng.normal(-0.05, 0.2)) * np.exp(rng.normal(0, 0.05, 3))
+        gamma = np.exp(rng.normal(0, 0.2))
+        ramp = (np.arange(256)[:, None] / 255.0) ** gamma * gain
+        if rng.random() < 0.25:
+            ramp = ramp * (1 - (veil := rng.uniform(0.05, 0.4))) + veil
+        table = np.clip(ramp * 255, 0, 255).astype(np.uint8)
+        image = cv2.LUT(image, table[None])
+    if rng.random() < 0.4:
+        grey = cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)
+        keep = rng.uniform(0.25, 1.4)
+        image = cv2.addWeighted(image, keep, grey, 1 - keep, 0)
+    if rng.random() < 0.25:
+        image = cv2.GaussianBlur(image, (0, 0), rng.uniform(0.4, 1.3))
+    elif rng.random() < 0.1:
+        length = int(rng.integers(3, 8))
+        image = cv2.blur(image, (length, 1))
+    if rng.random() < 0.4:
+        noise = rng.integers(-127, 128, (image.shape[0] // 2, image.shape[1], 3), dtype=np.int8)
+        noise = np.concatenate((noise, noise[::-1]))[: image.shape[0]].astype(np.float32) * rng.uniform(0.01, 0.14)
+        image = np.clip(image[: noise.shape[0]] + noise, 0, 255).astype(np.uint8)
+    if rng.random() < 0.4:
+        image = cv2.imdecode(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(35, 95))])[1], 1)
+    return image
+
+
+def make_sample(
+    pick,
+    backgrounds: list[tuple[Picture, list[np.ndarray]]],
+    cutouts: list[np.ndarray],
+    size: int,
+    rng: np.random.Generator,
+) -> Sample:
+    """One training sample: image (size, size, 3) BGR uint8, boxes (N, 4), trust (N,) of their sides, fades (M, 4)."""
+    canvas = np.zeros((size, size, 3), np.uint8)
+    warp_into(canvas, *backgrounds[int(rng.integers(len(backgrounds)))], (0, 0, size, size), rng)
+    all_boxes, all_trust, all_fades = [], [], []
+    draw = rng.random()
+    if draw < 0.42:
+        areas = [(0, 0, size, size)]
+    elif draw < 0.74:
+        x, y = (int(v) for v in rng.integers(int(0.3 * size), int(0.7 * size), 2))
+        areas = [(0, 0, x, y), (x, 0, size, y), (0, y, x, size), (x, y, size, size)]
+    else:
+        areas = []  # background with cut-outs only
+    for area in areas:
+        picture, levels = pick(rng)
+        boxes, fades = warp_into(canvas, picture, levels, area, rng)
+        kept, faded = clip_boxes(boxes, area)
+        all_boxes.append(kept)
+        all_trust.append(np.full(len(kept), SIDE_TRUST[picture.source] if picture.tight else 0.15))
+        all_fades += [faded, clip_boxes(fades, area)[0]]
+    if rng.random() < 0.45:
+        draw_furniture(canvas, rng)
+    if cutouts and (not areas or rng.random() < 0.15):
+        for _ in range(int(rng.integers(1, 6))):
+            box = paste_cutout(canvas, cutouts[int(rng.integers(len(cutouts)))], rng)
+            all_boxes.append(box[None])
+            all_trust.append(np.ones(1))
+    boxes = np.concatenate(all_boxes or [np.zeros((0, 4))])
+    hide_cones(canvas, boxes, rng)
+    fades = np.concatenate([fade.reshape(-1, 4) for fade in all_fades] or [np.zeros((0, 4))])
+    return relight(canvas, rng), boxes, np.concatenate(all_trust or [np.zeros(0)]), fades

@@ -1,0 +1,189 @@
+"""The training pictures: where they come from and how their labels are cleaned.
+
+A `Picture` is one image with its boxes (N, 4) [x0, y0, x1, y1] in pixels, `fade` = regions where an unlabelled cone
+is likely, so that "background" is not taught there, and `tight` = whether its boxes can be trusted to the pixel.
+"""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+# Stretches of the clips (name, first and last second, top and bottom as a share of the height) in which a person looked and
+# saw no traffic cone: drums, vertical panels, signs, lorries, houses, sky. They serve as background only.
+CLIP_NEGATIVES = (
+    ("phoenix", 2.0, 12.0, 0.0, 0.93),
+    ("columbus", 9.0, 18.0, 0.0, 0.96),
+    ("boston", 0.0, 15.0, 0.0, 0.50),
+    ("charlotte", 0.0, 17.0, 0.0, 0.50),
+)
+
+
+@dataclass
+class Picture:
+    name: str
+    source: str
+    image: np.ndarray
+    boxes: np.ndarray
+    fade: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
+    tight: bool = True
+
+
+def read_labels(path: Path, width: int, height: int) -> np.ndarray:
+    """YOLO text file -> boxes (N, 4) [x0, y0, x1, y1] in pixels. An absent file means no cone."""
+    if not path.exists() or not path.read_text().strip():
+        return np.zeros((0, 4))
+    rows = np.loadtxt(path, ndmin=2)[:, 1:5] * (width, height, width, height)
+    return np.concatenate((rows[:, :2] - rows[:, 2:] / 2, rows[:, :2] + rows[:, 2:] / 2), 1)
+
+
+def black_corner_angle(image: np.ndarray) -> float:
+    """Angle in degrees by which a square picture was turned about its centre, read from its black corners; 0 if none.
+
+    Tries angles from -16 to 16 degrees and keeps the one whose predicted black corners agree best (intersection over
+    union) with the black pixels that are there.
+    """
+    small = cv2.resize(image, (160, 160), interpolation=cv2.INTER_AREA).max(2)
+    seed = np.zeros((162, 162), np.uint8)
+    flags = 4 | cv2.FLOODFILL_MASK_ONLY | cv2.FLOODFILL_FIXED_RANGE | (1 << 8)
+    for x, y in ((1, 1), (158, 1), (1, 158), (158, 158)):
+        if small[y, x] < 70:  # brightened copies have dark grey corners
+            cv2.floodFill(small, seed, (x, y), 1, 12, 12, flags=flags)
+    found = seed[1:-1, 1:-1] > 0
+    if found.sum() < 60:
+        return 0.0
+    y, x = np.mgrid[0:160, 0:160] - 79.5
+    best, best_angle = 0.0, 0.0
+    for angle in np.arange(-16.0, 16.01, 0.25):
+        c, s = np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))
+        predicted = (np.abs(c * x + s * y) > 80) | (np.abs(-s * x + c * y) > 80)
+        overlap = (predicted & found).sum() / max((predicted | found).sum(), 1)
+        if overlap > best:
+            best, best_angle = float(overlap), float(angle)
+    return best_angle if best > 0.6 else 0.0
+
+
+def turn_upright(picture: Picture) -> Picture:
+    """Undo the turn of a turned training copy and shrink its boxes to what they were before the turn.
+
+    A box of w x h turned by t has the upright hull W = w cos t + h sin t, H = w sin t + h cos t; solved for w and h.
+    Boxes cut by the picture's edge lost that information: they keep the turned hull and the picture is marked loose there.
+    """
+    height, width = picture.image.shape[:2]
+    angle = black_corner_angle(picture.image) if width == height else 0.0
+    if angle == 0.0:
+        corners = picture.image[[2, 2, -3, -3], [2, -3, 2, -3]].max(1)
+        picture.tight = not bool((corners < 70).all())  # turned, but by how much was not found
+        return picture
+    c, s = np.cos(np.deg2rad(abs(angle))), np.sin(np.deg2rad(abs(angle)))
+    matrix = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), angle, 1.0)
+    image = cv2.warpAffine(picture.image, matrix, (width, height), flags=cv2.INTER_CUBIC)
+    boxes, fade = [], []
+    for x0, y0, x1, y1 in picture.boxes:
+        hull_w, hull_h = x1 - x0, y1 - y0
+        w, h = (hull_w * c - hull_h * s) / (c * c - s * s), (hull_h * c - hull_w * s) / (c * c - s * s)
+        cx, cy = matrix @ ((x0 + x1) / 2, (y0 + y1) / 2, 1.0)
+        cut = x0 < 3 or y0 < 3 or x1 > width - 3 or y1 > height - 3
+        if cut or w < 0.2 * hull_w or h < 0.4 * hull_h:
+            fade.append((cx - hull_w / 2, cy - hull_h / 2, cx + hull_w / 2, cy + hull_h / 2))
+        else:
+            boxes.append((cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2))
+    return Picture(picture.name, picture.source, image, np.array(boxes).reshape(-1, 4), np.array(fade).reshape(-1, 4))
+
+
+def far_band(boxes: np.ndarray, width: int, height: int) -> np.ndarray:
+    """The band of the road where far cones of an onboard picture stand, labelled or not, as one fade region."""
+    if len(boxes) == 0:
+        return np.array([[0.0, 0.3 * height, width, 0.55 * height]])
+    top = boxes[:, 1].min() - 0.02 * height
+    bottom = np.percentile(boxes[:, 3], 30) + 0.01 * height
+    return np.array([[0.0, top, width, max(bottom, top + 0.06 * height)]])
+
+
+def read_cones(root: Path, split: str) -> list[Picture]:
+    """All pictures of one split of the labelled cone data, labels cleaned for training, untouched for validation."""
+    pictures = []
+    with (root / "manifest.csv").open() as lines:
+        rows = [row for row in csv.DictReader(lines) if row["split"] == split]
+    for row in rows:
+        image = cv2.imread(str(root / split / "images" / row["file"]))
+        if image is None:
+            raise SystemExit(f"unreadable training picture {row['file']}")
+        height, width = image.shape[:2]
+        boxes = read_labels((root / split / "labels" / row["file"]).with_suffix(".txt"), width, height)
+        picture = Picture(row["file"], row["source"], image, boxes)
+        if split == "train" and row["source"] == "rf_traffic_cones":
+            picture = turn_upright(picture)
+        if split == "train" and row["source"] == "fs_onboard":
+            picture.fade = far_band(boxes, width, height)
+        pictures.append(picture)
+    return pictures
+
+
+def read_clip_negatives(root: Path, every_s: float = 0.5) -> list[Picture]:
+    """Cone-free cuts of the work-zone clips (see CLIP_NEGATIVES)."""
+    pictures = []
+    for name, start_s, end_s, top, bottom in CLIP_NEGATIVES:
+        clip = cv2.VideoCapture(str(root / f"{name}.mp4"))
+        rate = clip.get(cv2.CAP_PROP_FPS)
+        for index in range(int(clip.get(cv2.CAP_PROP_FRAME_COUNT))):
+            ok, image = clip.read()
+            if not ok:
+                break
+            if start_s <= index / rate <= end_s and index % max(round(rate * every_s), 1) == 0:
+                height = image.shape[0]
+                cut = image[round(top * height) : round(bottom * height)]
+                pictures.append(Picture(f"{name}_{index}", "roadwork_clips", cut, np.zeros((0, 4))))
+    return pictures
+
+
+def read_renders(root: Path, known: set[str], limit: int = 40) -> list[Picture]:
+    """Rendered pictures that are not in `known` yet: images/*.{jpg,png} with labels/*.txt beside them."""
+    pictures: list[Picture] = []
+    for path in sorted((root / "images").glob("*")):
+        label = root / "labels" / f"{path.stem}.txt"
+        if path.stem in known or not label.exists() or path.suffix not in (".jpg", ".png"):
+            continue
+        image = cv2.imread(str(path))
+        if image is None:
+            continue  # still being written; the next look will find it
+        pictures.append(Picture(path.stem, "renders", image, read_labels(label, image.shape[1], image.shape[0])))
+        if len(pictures) >= limit:
+            break
+    return pictures
+
+
+def cut_out_cones(pictures: list[Picture]) -> list[np.ndarray]:
+    """GrabCut cut-outs (h, w, 4) BGRA of whole upright cones, trimmed to the cone's own outline: exact boxes for pasting."""
+    cutouts = []
+    for picture in pictures:
+        height, width = picture.image.shape[:2]
+        for x0, y0, x1, y1 in picture.boxes:
+            w, h = x1 - x0, y1 - y0
+            if h < 70 or h < 0.9 * w or x0 < 4 or y0 < 4 or x1 > width - 4 or y1 > height - 4:
+                continue
+            left, top = int(max(x0 - 0.15 * w, 0)), int(max(y0 - 0.15 * h, 0))
+            right, bottom = int(min(x1 + 0.15 * w, width)), int(min(y1 + 0.15 * h, height))
+            patch = picture.image[top:bottom, left:right]
+            scale = min(1.0, 200 / patch.shape[0])
+            patch = cv2.resize(patch, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+            frame = [round(v * scale) for v in (x0 - left, y0 - top, w, h)]
+            mask = np.zeros(patch.shape[:2], np.uint8)
+            cv2.grabCut(patch, mask, frame, np.zeros((1, 65)), np.zeros((1, 65)), 3, cv2.GC_INIT_WITH_RECT)
+            solid = ((mask == cv2.GC_FGD) | (mask == cv2.GC_PR_FGD)).astype(np.uint8)
+            solid = cv2.morphologyEx(solid, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
+            count, labels, stats, _ = cv2.connectedComponentsWithStats(solid)
+            if count < 2:
+                continue
+            largest = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
+            bx, by, bw, bh, area = stats[largest]
+            # A good outline fills its box like a cone does and covers most of the label.
+            if not (0.28 < area / (bw * bh) < 0.72 and bh > 0.8 * frame[3] and 1.1 < bh / bw < 3.5):
+                continue
+            alpha = cv2.GaussianBlur((labels == largest).astype(np.uint8) * 255, (3, 3), 0)
+            cutouts.append(np.dstack((patch, alpha))[by : by + bh, bx : bx + bw])
+    return cutouts

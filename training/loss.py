@@ -1,0 +1,123 @@
+"""Which cell answers for which cone (task-aligned assignment, Feng et al. 2021) and the three losses.
+
+Boxes are [x0, y0, x1, y1] in pixels. `points` (A, 2) are the cells' centres in pixels, `strides` (A,).
+"""
+
+from __future__ import annotations
+
+import torch
+from network import BINS, STRIDES
+from torch import Tensor
+from torch.nn import functional
+
+CANDIDATES = 9
+
+
+def flatten_maps(maps: list[Tensor]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Raw maps -> side logits (B, A, 4, BINS), score logits (B, A), points (A, 2) px, strides (A,)."""
+    sides, scores, points, strides = [], [], [], []
+    for stride, raw in zip(STRIDES, maps, strict=True):
+        batch, _, height, width = raw.shape
+        flat = raw.float().permute(0, 2, 3, 1).reshape(batch, height * width, -1)
+        sides.append(flat[..., : 4 * BINS].reshape(batch, -1, 4, BINS))
+        scores.append(flat[..., 4 * BINS])
+        y, x = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
+        points.append(torch.stack((x.reshape(-1), y.reshape(-1)), 1).to(raw.device).float().add(0.5).mul(stride))
+        strides.append(torch.full((height * width,), float(stride), device=raw.device))
+    return torch.cat(sides, 1), torch.cat(scores, 1), torch.cat(points), torch.cat(strides)
+
+
+def boxes_from_sides(side_logits: Tensor, points: Tensor, strides: Tensor) -> Tensor:
+    """Expected distance of each side -> boxes (..., 4) px."""
+    bins = torch.arange(BINS, device=side_logits.device, dtype=side_logits.dtype)
+    distance = side_logits.softmax(-1) @ bins * strides[:, None]
+    return torch.cat((points - distance[..., :2], points + distance[..., 2:]), -1)
+
+
+def overlap(a: Tensor, b: Tensor, complete: bool = False) -> Tensor:
+    """IoU, or CIoU (Zheng et al. 2020), of boxes that broadcast."""
+    low, high = torch.maximum(a[..., :2], b[..., :2]), torch.minimum(a[..., 2:], b[..., 2:])
+    inner = (high - low).clamp(min=0).prod(-1)
+    size_a, size_b = a[..., 2:] - a[..., :2], b[..., 2:] - b[..., :2]
+    iou = inner / (size_a.clamp(min=0).prod(-1) + size_b.clamp(min=0).prod(-1) - inner + 1e-7)
+    if not complete:
+        return iou
+    hull = torch.maximum(a[..., 2:], b[..., 2:]) - torch.minimum(a[..., :2], b[..., :2])
+    gap = (a[..., :2] + a[..., 2:] - b[..., :2] - b[..., 2:]).square().sum(-1) / 4
+    aspect = (
+        4
+        / torch.pi**2
+        * (
+            torch.atan(size_b[..., 0] / (size_b[..., 1] + 1e-7)) - torch.atan(size_a[..., 0] / (size_a[..., 1] + 1e-7))
+        ).square()
+    )
+    with torch.no_grad():
+        weight = aspect / (1 - iou + aspect + 1e-7)
+    return iou - gap / (hull.square().sum(-1) + 1e-7) - weight * aspect
+
+
+@torch.no_grad()
+def assign(
+    scores: Tensor, boxes: Tensor, points: Tensor, strides: Tensor, truth: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """One picture: scores (A,), boxes (A, 4), truth (G, 4) -> cells (P,), their truth index (P,), target score (P,)."""
+    iou = overlap(truth[:, None], boxes[None])
+    # A small cone may hold no cell centre: let it grow to two strides for the question "inside?".
+    centre, half = (truth[:, :2] + truth[:, 2:]) / 2, (truth[:, 2:] - truth[:, :2]) / 2
+    half = torch.maximum(half[:, None], strides[None, :, None] * 0.75)
+    inside = ((points[None] - centre[:, None]).abs() < half).all(-1)
+    reachable = (truth[:, 2:] - truth[:, :2]).amax(1)[:, None] < strides[None] * (BINS - 1) * 1.3
+    align = scores.sigmoid()[None].sqrt() * iou.clamp(min=0) ** 6 * (inside & reachable)
+    # Ties of nothing (early in training all IoUs are near 0): prefer cells near the centre.
+    near = 1e-9 / (1 + (points[None] - centre[:, None]).norm(dim=-1) / strides[None])
+    align = align + near * (inside & reachable)
+    top = align.topk(min(CANDIDATES, align.shape[1]), 1)
+    chosen = torch.zeros_like(align).scatter_(1, top.indices, (top.values > 0).float())
+    owner_align = align * chosen
+    best, owner = owner_align.max(0)
+    cells = torch.nonzero(best > 0).squeeze(1)
+    owner = owner[cells]
+    peak_align, peak_iou = owner_align.amax(1), (iou * chosen).amax(1)
+    target = align[owner, cells] / (peak_align[owner] + 1e-12) * peak_iou[owner]
+    return cells, owner, target
+
+
+def detection_loss(
+    maps: list[Tensor], truths: list[Tensor], trusts: list[Tensor], fades: list[Tensor]
+) -> tuple[Tensor, dict[str, float]]:
+    """Sum of score (BCE against IoU-scaled targets), box (CIoU) and side-distribution (DFL) losses for a batch."""
+    side_logits, score_logits, points, strides = flatten_maps(maps)
+    boxes = boxes_from_sides(side_logits, points, strides)
+    targets, weights = torch.zeros_like(score_logits), torch.ones_like(score_logits)
+    box_loss = side_loss = score_logits.sum() * 0
+    for index, (truth, trust, fade) in enumerate(zip(truths, trusts, fades, strict=True)):
+        if len(fade):
+            low, high = points[:, None] >= fade[None, :, :2], points[:, None] <= fade[None, :, 2:]
+            # Only fine cells fade: a far cone is small, and large boxes over the band stay forbidden.
+            weights[index][(low & high).all(-1).any(1) & (strides <= 16)] = 0.0
+        if len(truth) == 0:
+            continue
+        cells, owner, target = assign(score_logits[index].detach(), boxes[index].detach(), points, strides, truth)
+        targets[index, cells] = target
+        weights[index, cells] = 1.0
+        amount = target * trust[owner]
+        box_loss = box_loss + ((1 - overlap(boxes[index, cells], truth[owner], complete=True)) * amount).sum()
+        wanted = (
+            torch.cat((points[cells] - truth[owner, :2], truth[owner, 2:] - points[cells]), 1) / strides[cells, None]
+        )
+        wanted = wanted.clamp(0, BINS - 1.01)
+        lower = wanted.long()
+        share = wanted - lower
+        logits = side_logits[index, cells]
+        log = functional.log_softmax(logits, -1)
+        cost = -(
+            log.gather(-1, lower[..., None]).squeeze(-1) * (1 - share)
+            + log.gather(-1, (lower + 1)[..., None]).squeeze(-1) * share
+        )
+        side_loss = side_loss + (cost.mean(1) * amount).sum()
+    total = targets.sum().clamp(min=4.0)
+    raw = functional.binary_cross_entropy_with_logits(score_logits, targets, reduction="none")
+    score_loss = (raw * weights).sum() / total
+    box_loss, side_loss = box_loss / total, side_loss / total
+    parts = {"score": float(score_loss.detach()), "box": float(box_loss.detach()), "side": float(side_loss.detach())}
+    return 0.7 * score_loss + 7.5 * box_loss + 1.5 * side_loss, parts

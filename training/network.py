@@ -1,0 +1,122 @@
+"""The cone detector's network: a small anchor-free YOLO with outputs at strides 4, 8, 16 and 32.
+
+Backbone of C2f blocks (split, bottlenecks, concatenate), a top-down feature pyramid, one decoupled pair of 1x1
+output layers per level after one shared 3x3. Each side of a box is a distribution over 16 bins (distribution focal loss,
+Li et al. 2020), which gives tighter sides than one number. Channels are multiples of 16 for the runtime's kernels.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+STRIDES = (4, 8, 16, 32)
+BINS = 16
+
+
+def conv(channels_in: int, channels_out: int, size: int = 3, stride: int = 1) -> nn.Sequential:
+    """Convolution, batch norm, ReLU (it costs nothing on a CPU)."""
+    return nn.Sequential(
+        nn.Conv2d(channels_in, channels_out, size, stride, size // 2, bias=False),
+        nn.BatchNorm2d(channels_out, eps=1e-3, momentum=0.03),
+        nn.ReLU(inplace=True),
+    )
+
+
+class Bottleneck(nn.Module):
+    """Two 3x3 convolutions with a shortcut."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.first = conv(channels, channels)
+        self.second = conv(channels, channels)
+
+    def forward(self, features: Tensor) -> Tensor:
+        return features + self.second(self.first(features))
+
+
+class SplitBlock(nn.Module):
+    """C2f: half of the channels pass by, the other half goes through `depth` bottlenecks, all are joined."""
+
+    def __init__(self, channels: int, depth: int) -> None:
+        super().__init__()
+        half = channels // 2
+        self.enter = conv(channels, channels, 1)
+        self.steps = nn.ModuleList(Bottleneck(half) for _ in range(depth))
+        self.leave = conv(channels + depth * half, channels, 1)
+
+    def forward(self, features: Tensor) -> Tensor:
+        parts = list(self.enter(features).chunk(2, 1))
+        for step in self.steps:
+            parts.append(step(parts[-1]))
+        return self.leave(torch.cat(parts, 1))
+
+
+class PoolPyramid(nn.Module):
+    """SPPF: three chained 5x5 max pools, for context beyond the receptive field."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.enter = conv(channels, channels // 2, 1)
+        self.leave = conv(channels * 2, channels, 1)
+
+    def forward(self, features: Tensor) -> Tensor:
+        parts = [self.enter(features)]
+        for _ in range(3):
+            parts.append(functional.max_pool2d(parts[-1], 5, 1, 2))
+        return self.leave(torch.cat(parts, 1))
+
+
+class ConeNet(nn.Module):
+    """Picture (B, 3, H, W) float in 0..1, RGB, H and W multiples of 32 -> one raw map (B, 4*BINS + 1, H/s, W/s) a stride.
+
+    Channels: BINS logits for each of left, top, right, bottom distance in strides from the cell's centre, then the
+    logit of "a traffic cone".
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stem = conv(3, 16, 3, 2)
+        self.stage4 = nn.Sequential(conv(16, 32, 3, 2), SplitBlock(32, 1))
+        self.stage8 = nn.Sequential(conv(32, 64, 3, 2), SplitBlock(64, 1))
+        self.stage16 = nn.Sequential(conv(64, 128, 3, 2), SplitBlock(128, 2))
+        self.stage32 = nn.Sequential(conv(128, 192, 3, 2), SplitBlock(192, 1), PoolPyramid(192))
+        widths = (32, 64, 64, 96)
+        self.down32 = conv(192, 96, 1)
+        self.side16, self.top16 = conv(128, 64, 1), conv(96, 64, 1)
+        self.side8, self.mix8 = conv(64, 64, 1), SplitBlock(64, 1)
+        self.side4, self.top4 = conv(32, 32, 1), conv(64, 32, 1)
+        self.mix16 = SplitBlock(64, 1)
+        self.heads = nn.ModuleList(conv(width, width) for width in widths)
+        self.sides = nn.ModuleList(nn.Conv2d(width, 4 * BINS, 1) for width in widths)
+        self.score = nn.ModuleList(nn.Conv2d(width, 1, 1) for width in widths)
+        for stride, score, side in zip(STRIDES, self.score, self.sides, strict=True):
+            assert score.bias is not None and side.bias is not None
+            nn.init.constant_(score.bias, math.log(5 / (640 / stride) ** 2))
+            nn.init.constant_(side.bias, 1.0)
+
+    def forward(self, picture: Tensor) -> list[Tensor]:
+        c4 = self.stage4(self.stem(picture))
+        c8 = self.stage8(c4)
+        c16 = self.stage16(c8)
+        p32 = self.down32(self.stage32(c16))
+        p16 = self.mix16(self.side16(c16) + functional.interpolate(self.top16(p32), scale_factor=2.0))
+        p8 = self.mix8(self.side8(c8) + functional.interpolate(p16, scale_factor=2.0))
+        p4 = self.side4(c4) + functional.interpolate(self.top4(p8), scale_factor=2.0)
+        maps = []
+        for features, head, sides, score in zip((p4, p8, p16, p32), self.heads, self.sides, self.score, strict=True):
+            shared = head(features)
+            maps.append(torch.cat((sides(shared), score(shared)), 1))
+        return maps
+
+
+def fuse_batch_norms(network: nn.Module) -> None:
+    """Fold every batch norm into the convolution before it, in place (for export)."""
+    for child in network.children():
+        if isinstance(child, nn.Sequential) and len(child) == 3 and isinstance(child[1], nn.BatchNorm2d):
+            child[0] = torch.nn.utils.fuse_conv_bn_eval(child[0], child[1])
+            child[1] = nn.Identity()
+        fuse_batch_norms(child)

@@ -1,0 +1,175 @@
+"""Train the cone detector for a given number of minutes, whatever the machine.
+
+    python training/train.py --cones DIR --clips DIR --renders DIR --minutes 75 --out RUN
+
+Writes RUN/last.pt every two minutes (weights, their moving average, optimiser, step) and RUN/log.txt. `--resume RUN/last.pt`
+goes on from there. Renders that appear in DIR while it trains are taken in as they come.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import math
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from augment import make_sample, pyramid
+from dataset import cut_out_cones, read_clip_negatives, read_cones, read_renders
+from loss import detection_loss
+from network import ConeNet
+from torch.utils.data import DataLoader, IterableDataset
+
+SHARES = {"rf_traffic_cones": 0.30, "fs_onboard": 0.16, "css_safety_cone": 0.20, "renders": 0.34}
+
+
+class Samples(IterableDataset):
+    """An endless stream of augmented samples; each loader process has its own random numbers."""
+
+    def __init__(self, args: argparse.Namespace) -> None:
+        self.args = args
+        pictures = read_cones(Path(args.cones), "train")
+        self.cutouts = cut_out_cones([p for p in pictures if p.source == "rf_traffic_cones"])
+        backgrounds = [p for p in pictures if len(p.boxes) == 0 and p.source == "css_safety_cone"]
+        if args.clips:
+            backgrounds += read_clip_negatives(Path(args.clips)) * 2
+        self.backgrounds = [(p, pyramid(p.image)) for p in backgrounds]
+        self.by_source = {name: [(p, pyramid(p.image)) for p in pictures if p.source == name] for name in SHARES}
+        print(
+            f"{len(pictures)} pictures, {len(self.cutouts)} cut-outs, {len(self.backgrounds)} backgrounds", flush=True
+        )
+
+    def look_for_renders(self) -> None:
+        if self.args.renders:
+            known = {p.name for p, _ in self.by_source["renders"]}
+            new = read_renders(Path(self.args.renders), known)
+            self.by_source["renders"] += [(p, pyramid(p.image)) for p in new]
+
+    def __iter__(self):
+        cv2.setNumThreads(0)
+        info = torch.utils.data.get_worker_info()
+        rng = np.random.default_rng((self.args.seed, info.id if info else 0, self.args.start_step))
+
+        def pick(rng: np.random.Generator):
+            names = [name for name in SHARES if self.by_source[name]]
+            shares = np.array([SHARES[name] for name in names])
+            if "renders" in names:  # a handful of renders is not repeated as often as a thousand
+                shares[names.index("renders")] *= min(1.0, len(self.by_source["renders"]) / 120)
+            name = names[int(rng.choice(len(names), p=shares / shares.sum()))]
+            return self.by_source[name][int(rng.integers(len(self.by_source[name])))]
+
+        for count in range(10**9):
+            if count % 200 == 0:
+                self.look_for_renders()
+            yield make_sample(pick, self.backgrounds, self.cutouts, self.args.size, rng)
+
+
+def collate(batch):
+    images = np.stack([sample[0][..., ::-1].transpose(2, 0, 1) for sample in batch])
+    as_tensors = [[torch.from_numpy(sample[k]).float() for sample in batch] for k in (1, 2, 3)]
+    return torch.from_numpy(np.ascontiguousarray(images)), *as_tensors
+
+
+def read_arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cones", required=True)
+    parser.add_argument("--clips", default="")
+    parser.add_argument("--renders", default="")
+    parser.add_argument("--out", required=True)
+    parser.add_argument("--minutes", type=float, default=75)
+    parser.add_argument("--size", type=int, default=352)
+    parser.add_argument("--batch", type=int, default=8)
+    parser.add_argument("--rate", type=float, default=2e-3)
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--resume", default="")
+    return parser.parse_args()
+
+
+def make_optimiser(network: ConeNet, rate: float) -> torch.optim.Optimizer:
+    """AdamW; biases and norms are not decayed."""
+    decayed = [p for p in network.parameters() if p.ndim > 1]
+    plain = [p for p in network.parameters() if p.ndim <= 1]
+    groups = [{"params": decayed, "weight_decay": 0.02}, {"params": plain, "weight_decay": 0.0}]
+    return torch.optim.AdamW(groups, lr=rate, betas=(0.9, 0.99))
+
+
+def follow_average(average: ConeNet, network: ConeNet, decay: float) -> None:
+    """Exponential moving average of weights and norm statistics: what is exported."""
+    with torch.no_grad():
+        for kept, value in zip(average.state_dict().values(), network.state_dict().values(), strict=True):
+            if kept.dtype.is_floating_point:
+                kept.lerp_(value, 1 - decay)
+
+
+def main() -> None:
+    args = read_arguments()
+    out = Path(args.out)
+    out.mkdir(parents=True, exist_ok=True)
+    torch.manual_seed(args.seed)
+    torch.set_num_threads(args.threads)
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    network = ConeNet().to(device, memory_format=torch.channels_last)
+    average = copy.deepcopy(network).eval()
+    optimiser = make_optimiser(network, args.rate)
+    args.start_step = 0
+    if args.resume:
+        kept = torch.load(args.resume, map_location=device, weights_only=True)
+        network.load_state_dict(kept["network"])
+        average.load_state_dict(kept["average"])
+        optimiser.load_state_dict(kept["optimiser"])
+        args.start_step = kept["step"]
+    loader = iter(
+        DataLoader(Samples(args), batch_size=args.batch, num_workers=1, collate_fn=collate, prefetch_factor=6)
+    )
+
+    started = saved = time.monotonic()
+    step, sums = args.start_step, {"score": 0.0, "box": 0.0, "side": 0.0}
+    while (share := (time.monotonic() - started) / (60 * args.minutes)) < 1:
+        warm = min(1.0, (step - args.start_step + 1) / 300)
+        for group in optimiser.param_groups:
+            group["lr"] = args.rate * warm * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * share)))
+        images, boxes, trusts, fades = next(loader)
+        images = images.to(device, memory_format=torch.channels_last).float() / 255
+        network.train()
+        maps = network(images)
+        loss, parts = detection_loss(maps, *([t.to(device) for t in group] for group in (boxes, trusts, fades)))
+        optimiser.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(network.parameters(), 10.0)
+        optimiser.step()
+        step += 1
+        follow_average(average, network, 0.998 * (1 - math.exp(-step / 600)))
+        sums = {name: sums[name] + parts[name] for name in sums}
+        if step % 100 == 0:
+            means = " ".join(f"{name} {value / 100:.3f}" for name, value in sums.items())
+            line = f"{step} {(time.monotonic() - started) / 60:.1f} min {means}"
+            print(line, flush=True)
+            with (out / "log.txt").open("a") as log:
+                log.write(line + "\n")
+            sums = dict.fromkeys(sums, 0.0)
+        if time.monotonic() - saved > 120:
+            saved = time.monotonic()
+            save(out, network, average, optimiser, step)
+    save(out, network, average, optimiser, step)
+
+
+def save(out: Path, network: ConeNet, average: ConeNet, optimiser: torch.optim.Optimizer, step: int) -> None:
+    part = out / "last.pt.part"
+    torch.save(
+        {
+            "network": network.state_dict(),
+            "average": average.state_dict(),
+            "optimiser": optimiser.state_dict(),
+            "step": step,
+        },
+        part,
+    )
+    part.rename(out / "last.pt")
+
+
+if __name__ == "__main__":
+    main()
