@@ -1,0 +1,23 @@
+"""Hash over everything that was read of a drive folder: equal content gives the equal hash, wherever the folder lies."""
+
+from __future__ import annotations
+
+import hashlib
+
+
+class ContentHash:
+    """Collects files by name relative to the drive folder, in any order."""
+
+    def __init__(self) -> None:
+        self._files: dict[str, bytes] = {}
+
+    def add(self, name: str, data: bytes) -> None:
+        """One file that was read; names are posix paths relative to the drive folder."""
+        self._files[name] = hashlib.sha256(data).digest()
+
+    def hexdigest(self) -> str:
+        """SHA-256 over sorted names and the hashes of their bytes."""
+        total = hashlib.sha256()
+        for name in sorted(self._files):
+            total.update(name.encode() + b"\0" + self._files[name])
+        return total.hexdigest()

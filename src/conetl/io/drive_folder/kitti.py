@@ -1,0 +1,289 @@
+"""Drive folders in the KITTI raw layout (synced and rectified; Geiger et al., IJRR 2013), as a `Drive` with its rejections.
+
+    drive/image_02/data/0000000000.{png,jpg}   left images        drive/image_02/timestamps.txt
+    drive/image_03/data/0000000000.{png,jpg}   right images
+    drive/oxts/data/0000000000.txt             GNSS/INS           drive/oxts/timestamps.txt
+    calib_cam_to_cam.txt, calib_velo_to_cam.txt, calib_imu_to_velo.txt in the drive folder or its parent
+    drive/drive.yaml                           optional, see drive_yaml.py
+
+The number in a file's name links images, poses and time stamps (line n, from 0, is frame n). A pair with anything missing or
+broken costs one rejection; without a calibration, a trajectory or one usable pair there is no drive.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from conetl.errors import CalibrationError, DriveFolderError
+from conetl.geometry import geodesy
+from conetl.io.calibration_file import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, read_kitti_rig
+from conetl.io.drive_folder import oxts
+from conetl.io.drive_folder.content import ContentHash
+from conetl.io.drive_folder.drive_yaml import DRIVE_YAML, DriveYaml, inside, read_drive_yaml
+from conetl.io.drive_folder.timestamps import out_of_order, parse_timestamps
+from conetl.io.images import ImageFileError, check_image_bytes, read_bytes
+from conetl.records import Drive, FramePair, Rig
+from conetl.rejections import Rejection, RejectionReason
+
+IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
+MAX_CLOCK_DIFFERENCE_NS = 500_000_000
+"""Image and OXTS record of one number that are farther apart in time do not belong together."""
+
+
+class _PairError(Exception):
+    """Why one frame pair cannot be used."""
+
+    def __init__(self, reason: RejectionReason, detail: str, **payload: Any) -> None:
+        super().__init__(detail)
+        self.reason, self.payload = reason, payload
+
+
+def is_kitti_folder(folder: Path) -> bool:
+    """True where a folder looks like a KITTI drive, whole or not."""
+    return any((folder / name).is_dir() for name in ("image_02", "image_03", "oxts")) or (folder / DRIVE_YAML).is_file()
+
+
+def read_kitti_drive(folder: Path, *, map_srid: int | None = None) -> tuple[Drive, list[Rejection]]:
+    """Everything about a drive but its pixels; pictures are checked by header and end marker, not decoded.
+
+    map_srid: EPSG code of the map; wins over drive.yaml, and both over the UTM zone of the first pose. Raises DriveFolderError
+    or CalibrationError where there is no drive to speak of.
+    """
+    root = folder.resolve()
+    content = ContentHash()
+    settings = read_drive_yaml(root)
+    rig = _read_rig(root, folder.absolute().parent, settings, content)
+    rejections: list[Rejection] = []
+    left = _numbered_images(_camera_folder(root, settings.cameras.left, settings), folder, rejections)
+    right = _numbered_images(_camera_folder(root, settings.cameras.right, settings), folder, rejections)
+    numbers = sorted(left.keys() | right.keys())
+    if not numbers:
+        raise DriveFolderError(f"{folder}: there are no pictures (*.png, *.jpg) in {settings.cameras.left}/data")
+    zone = settings.timestamps_timezone
+    stamps = parse_timestamps(_text(root, f"{settings.cameras.left}/timestamps.txt", content, required=True), zone)
+    oxts_stamps = parse_timestamps(_text(root, "oxts/timestamps.txt", content, required=False), zone)
+    records, bad_records = _read_oxts(root, folder, settings, content)
+    if not records:
+        first = next(iter(bad_records.items()), None)
+        shown = f", for example {first[0]:010d}.txt: {first[1]}" if first else ""
+        raise DriveFolderError(f"{folder}: not one usable pose in oxts/data{shown}")
+    srid = map_srid or settings.map_srid
+    try:
+        start = records[min(records)]
+        srid = srid or geodesy.utm_srid(start.lat_deg, start.lon_deg)
+        geodesy.check_map_srid(srid)
+        geodesy.check_scale(srid, start.lat_deg, start.lon_deg)
+        times = {number: stamp for number, stamp in oxts_stamps.items() if isinstance(stamp, int)}
+        track = oxts.trajectory(records, times, srid, settings.sigmas)
+        wild = oxts.jumps(track)
+        if wild:
+            bad_records |= wild
+            kept = {number: record for number, record in records.items() if number not in wild}
+            track = oxts.trajectory(kept, times, srid, settings.sigmas)
+    except ValueError as error:
+        raise DriveFolderError(f"{folder}: {error}") from error
+
+    pairs: list[FramePair] = []
+    rising = {n: t for n in numbers if isinstance(t := stamps.get(n), int)}
+    disordered = out_of_order(rising)
+    for number in numbers:
+        try:
+            left_path, right_path = _check_images(number, left, right, rig, content, root)
+            captured = _captured_at(number, stamps, disordered, settings)
+            _check_pose(number, captured, bad_records, track, root)
+        except _PairError as error:
+            rejections.append(
+                Rejection(
+                    step="frames", reason=error.reason, record=f"frame pair {number}", detail=str(error),
+                    payload={"frame_index": number, **error.payload},
+                )
+            )  # fmt: skip
+        else:
+            pairs.append(
+                FramePair(
+                    frame_index=number, left_path=str(left_path), right_path=str(right_path), captured_at_ns=captured,
+                    pose=oxts.pose_at(track, number, captured, settings.sigmas),
+                )
+            )  # fmt: skip
+    if not pairs:
+        raise DriveFolderError(
+            f"{folder}: not one of {len(numbers)} frame pairs can be used; the first: {rejections[0].record}: "
+            f"{rejections[0].detail}"
+        )
+    drive = Drive(
+        drive_id=settings.drive_id or root.name[:200], source_path=str(root), rig=rig, map_srid=srid,
+        content_sha256=content.hexdigest(), frame_pairs=tuple(pairs), expected_frame_count=len(numbers),
+    )  # fmt: skip
+    return drive, rejections
+
+
+def _read_rig(root: Path, parent: Path, settings: DriveYaml, content: ContentHash) -> Rig:
+    """The rig, with the chain from the IMU; its files go into the content hash."""
+    if settings.calibration is not None:
+        path = inside(root, settings.calibration, DRIVE_YAML)
+        if not path.is_file():
+            raise CalibrationError(
+                f"{root / DRIVE_YAML}: 'calibration' names {settings.calibration}, which does not exist"
+            )
+    else:
+        # The folder's parent as the user wrote it comes first: the drive folder itself may be a symbolic link.
+        places = [root / CAM_TO_CAM, parent / CAM_TO_CAM, root.parent / CAM_TO_CAM]
+        path = next((place for place in places if place.is_file()), places[0])
+        if not path.is_file():
+            raise CalibrationError(
+                f"{root}: {CAM_TO_CAM} is neither in the drive folder nor in its parent; KITTI delivers it with "
+                f"{VELO_TO_CAM} and {IMU_TO_VELO} as the calibration of the recording day"
+            )
+    numbers = int(settings.cameras.left[-1]), int(settings.cameras.right[-1])
+    rig = read_kitti_rig(
+        path, left=numbers[0], right=numbers[1], body_required=True,
+        rig_id=settings.rig_id, sigma_px=settings.sigmas.image_px,
+    )  # fmt: skip
+    for name in (path.name, VELO_TO_CAM, IMU_TO_VELO):
+        content.add(f"calibration/{name}", (path.parent / name).read_bytes())
+    if (root / DRIVE_YAML).is_file():
+        content.add(DRIVE_YAML, (root / DRIVE_YAML).read_bytes())
+    return rig
+
+
+def _camera_folder(root: Path, name: str, settings: DriveYaml) -> Path:
+    """Folder of one camera's pictures. Where drive.yaml names it, it must lie inside the drive folder."""
+    return (inside(root, name, DRIVE_YAML) if "cameras" in settings.model_fields_set else root / name) / "data"
+
+
+def _numbered_images(data: Path, folder: Path, rejections: list[Rejection]) -> dict[int, list[Path]]:
+    """Pictures by the number that is their name; pictures without a number are rejected, hidden files do not count."""
+    if not data.is_dir():
+        raise DriveFolderError(
+            f"{folder}: the folder {data.parent.name}/data is missing; expected KITTI's layout with left images in "
+            "image_02/data and right images in image_03/data"
+        )
+    paths = [p for p in sorted(data.iterdir()) if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".")]
+    for path in paths:
+        if not _is_number(path.stem):
+            name = f"{data.parent.name}/data/{path.name}"
+            detail = (
+                f"{name}: the name is no frame number, so it has neither a partner nor a pose; expected 0000000044.png"
+            )
+            rejections.append(
+                Rejection(
+                    step="frames", reason=RejectionReason.IMAGE_UNREADABLE, record=name, detail=detail, payload={}
+                )
+            )
+    return _numbered(paths)
+
+
+def _is_number(stem: str) -> bool:
+    return stem.isascii() and stem.isdigit()
+
+
+def _numbered(paths: Iterable[Path]) -> dict[int, list[Path]]:
+    """Files by the number that is their name; others are left out."""
+    found: dict[int, list[Path]] = {}
+    for path in sorted(paths):
+        if _is_number(path.stem):
+            found.setdefault(int(path.stem), []).append(path)
+    return found
+
+
+def _text(root: Path, name: str, content: ContentHash, *, required: bool) -> str:
+    """A small text file of the drive, "" where it is missing and not required."""
+    path = root / name
+    if not path.is_file():
+        if required:
+            raise DriveFolderError(
+                f"{root}: {name} is missing; it holds one line with a time stamp for each frame number"
+            )
+        return ""
+    data = path.read_bytes()
+    content.add(name, data)
+    return data.decode("utf-8", errors="replace")
+
+
+def _read_oxts(
+    root: Path, folder: Path, settings: DriveYaml, content: ContentHash
+) -> tuple[dict[int, oxts.OxtsRecord], dict[int, str]]:
+    """Valid OXTS records and, for the others, what is wrong with them, by frame number."""
+    data = root / "oxts" / "data"
+    files = _numbered(data.glob("*.txt")) if data.is_dir() else {}
+    if not files:
+        raise DriveFolderError(
+            f"{folder}: there are no poses in oxts/data (one file of 30 numbers per frame); without a trajectory use "
+            "'conetl locate' on single pairs"
+        )
+    records: dict[int, oxts.OxtsRecord] = {}
+    bad: dict[int, str] = {}
+    for number, paths in files.items():
+        text = _text(root, f"oxts/data/{paths[0].name}", content, required=True)
+        try:
+            if len(paths) > 1:
+                raise ValueError(f"{len(paths)} files have this number: {', '.join(path.name for path in paths)}")
+            records[number] = oxts.parse_oxts(text, accuracy_required=settings.sigmas.horizontal_m is None)
+        except ValueError as error:
+            bad[number] = str(error)
+    return records, bad
+
+
+def _check_images(
+    number: int, left: Mapping[int, list[Path]], right: Mapping[int, list[Path]], rig: Rig, content: ContentHash, root: Path
+) -> tuple[Path, Path]:  # fmt: skip
+    """Paths of both images; both are read (for the hash) before either is judged. Raises _PairError."""
+    problem: _PairError | None = None
+    good: list[Path] = []
+    for side, files, camera in (("left", left, rig.left), ("right", right, rig.right)):
+        paths = files.get(number, [])
+        if len(paths) != 1:
+            names = ", ".join(path.name for path in paths)
+            reason = RejectionReason.IMAGE_UNREADABLE if paths else RejectionReason.IMAGE_MISSING
+            detail = f"two {side} images have this number: {names}; keep one" if paths else f"there is no {side} image"
+            problem = problem or _PairError(reason, detail, side=side)
+            continue
+        name = paths[0].relative_to(root).as_posix()
+        try:
+            data = read_bytes(paths[0])
+            content.add(name, data)
+            check_image_bytes(data, name, (camera.width_px, camera.height_px))
+        except ImageFileError as error:
+            problem = problem or _PairError(error.reason, str(error), side=side, path=name)
+        good.append(paths[0])
+    if problem is not None:
+        raise problem
+    return good[0], good[1]
+
+
+def _captured_at(number: int, stamps: Mapping[int, int | str], disordered: set[int], settings: DriveYaml) -> int:
+    """Time of the left image, UTC nanoseconds. Raises _PairError."""
+    name = f"{settings.cameras.left}/timestamps.txt"
+    stamp = stamps.get(number)
+    if stamp is None:
+        raise _PairError(
+            RejectionReason.TIMESTAMP_MISSING,
+            f"{name} has {len(stamps)} lines, line {number + 1} is needed for this frame",
+        )
+    if isinstance(stamp, str):
+        raise _PairError(RejectionReason.TIMESTAMP_INVALID, f"{name}, line {number + 1}: {stamp}")
+    if number in disordered:
+        raise _PairError(
+            RejectionReason.TIMESTAMP_INVALID,
+            f"{name}, line {number + 1}: the time does not rise with the frame numbers",
+        )
+    return stamp
+
+
+def _check_pose(number: int, captured: int, bad: Mapping[int, str], track: oxts.Trajectory, root: Path) -> None:
+    """Raise _PairError unless there is a pose of this number, of about the image's time."""
+    name = f"oxts/data/{number:010d}.txt"
+    if number in bad:
+        path = root / name
+        text = path.read_text(encoding="utf-8", errors="replace")[:1000] if path.is_file() else None
+        raise _PairError(RejectionReason.POSE_INVALID, f"{name}: {bad[number]}", path=name, text=text)
+    if number not in track.numbers:
+        raise _PairError(RejectionReason.POSE_MISSING, f"{name}: there is no such file", path=name)
+    apart = abs(captured - track.times_ns.get(number, captured))
+    if apart > MAX_CLOCK_DIFFERENCE_NS:
+        raise _PairError(
+            RejectionReason.TIMESTAMP_INVALID,
+            f"image and pose are {apart * 1e-9:.3f} s apart by their time stamps, allowed 0.5 s: another clock or zone",
+        )

@@ -1,0 +1,58 @@
+"""Time stamps of KITTI: one line a frame, `2011-09-26 13:04:32.345808896`, the line number being the frame's number from 0."""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_left
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from zoneinfo import ZoneInfo
+
+_STAMP = re.compile(r"^\s*(\d{4})-(\d\d)-(\d\d)[ T](\d\d):(\d\d):(\d\d)(?:\.(\d{1,9}))?\s*$")
+
+
+def parse_timestamp(line: str, zone: str = "UTC") -> int:
+    """UTC nanoseconds since 1970 of one line written in a time zone. Raises ValueError.
+
+    A time that a clock change makes ambiguous is taken as the earlier one.
+    """
+    match = _STAMP.match(line)
+    if match is None:
+        raise ValueError(f"expected a time stamp like 2011-09-26 13:04:32.345808896, found {line.strip()[:60]!r}")
+    year, month, day, hour, minute, second = (int(part) for part in match.groups()[:6])
+    local = datetime(year, month, day, hour, minute, second, tzinfo=ZoneInfo(zone))
+    seconds = int((local.astimezone(UTC) - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds())
+    return seconds * 1_000_000_000 + int((match.group(7) or "0").ljust(9, "0"))
+
+
+def parse_timestamps(text: str, zone: str = "UTC") -> dict[int, int | str]:
+    """Line number -> UTC nanoseconds, or the sentence that says what is wrong with that line. Blank last lines do not count."""
+    stamps: dict[int, int | str] = {}
+    for number, line in enumerate(text.rstrip().splitlines()):
+        try:
+            stamps[number] = parse_timestamp(line, zone)
+        except ValueError as error:
+            stamps[number] = str(error)
+    return stamps
+
+
+def out_of_order(stamps_ns: Mapping[int, int]) -> set[int]:
+    """Frame numbers whose time does not fit the order of the numbers: the fewest that must go for the rest to rise strictly.
+
+    A longest strictly increasing subsequence, so that one wild stamp costs its own frame and not all that follow.
+    """
+    numbers = sorted(stamps_ns)
+    tails: list[int] = []
+    tail_at: list[int] = []
+    before: dict[int, int | None] = {}
+    for number in numbers:
+        place = bisect_left(tails, stamps_ns[number])
+        before[number] = tail_at[place - 1] if place else None
+        tails[place : place + 1] = [stamps_ns[number]]
+        tail_at[place : place + 1] = [number]
+    keep: set[int] = set()
+    at = tail_at[-1] if tail_at else None
+    while at is not None:
+        keep.add(at)
+        at = before[at]
+    return set(numbers) - keep

@@ -1,0 +1,95 @@
+"""Picture files -> arrays. Whatever is wrong with a file becomes an `ImageFileError` that callers turn into a rejection."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.io.image_headers import ImageFormatError, ImageHeader, ImageTruncatedError, inspect_image
+from conetl.rejections import RejectionReason
+
+#: Larger files are not read at all.
+MAX_FILE_BYTES = 256 * 2**20
+#: Larger pictures are not decoded where no size is expected (a 100-megapixel camera still fits).
+MAX_PIXELS = 2**27
+
+
+class ImageFileError(Exception):
+    """One picture cannot be used; `reason` says which kind of rejection it is."""
+
+    def __init__(self, reason: RejectionReason, message: str) -> None:
+        super().__init__(message)
+        self.reason = reason
+
+
+def read_checked_bytes(path: Path, expected_size: tuple[int, int] | None) -> bytes:
+    """The bytes of a picture file whose header, size and end marker are as they should be; nothing is decoded.
+
+    expected_size: width and height in pixels, or None for any up to `MAX_PIXELS`. Raises ImageFileError.
+    """
+    data = read_bytes(path)
+    check_image_bytes(data, path.name, expected_size)
+    return data
+
+
+def check_image_bytes(data: bytes, name: str, expected_size: tuple[int, int] | None) -> ImageHeader:
+    """Check header, size and end marker of a picture's bytes. Raises ImageFileError naming `name`."""
+    try:
+        header = inspect_image(data)
+    except ImageTruncatedError as error:
+        raise ImageFileError(RejectionReason.IMAGE_TRUNCATED, f"{name}: {error}; copy it again") from error
+    except ImageFormatError as error:
+        raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, f"{name}: {error}; copy it again") from error
+    found = (header.width_px, header.height_px)
+    if expected_size is not None and found != tuple(expected_size):
+        raise ImageFileError(
+            RejectionReason.IMAGE_WRONG_SIZE,
+            f"{name}: {found[0]} x {found[1]} pixels, but the calibration is for {expected_size[0]} x {expected_size[1]}; "
+            "use the calibration of these (rectified) pictures",
+        )
+    if expected_size is None and found[0] * found[1] > MAX_PIXELS:
+        raise ImageFileError(RejectionReason.IMAGE_WRONG_SIZE, f"{name}: {found[0]} x {found[1]} pixels are too many")
+    return header
+
+
+def read_image(path: Path, expected_size: tuple[int, int] | None = None) -> NDArray[np.uint8]:
+    """Picture as (height, width, 3) uint8 in blue, green, red order; grey and 16-bit pictures are converted.
+
+    expected_size: (width, height) in pixels that the calibration is for. Header and end marker are checked before the decoder
+    sees the file, so that a truncated file never yields pixels. Orientation tags (EXIF) are not applied: calibrations are for
+    the pixels as stored. Raises ImageFileError.
+    """
+    data = read_checked_bytes(path, expected_size)
+    flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+    try:
+        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
+    except cv2.error as error:
+        raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, f"{path.name}: the decoder failed: {error}") from error
+    if image is None:
+        raise ImageFileError(
+            RejectionReason.IMAGE_UNREADABLE, f"{path.name}: the picture cannot be decoded; copy it again"
+        )
+    if expected_size is not None and image.shape[:2] != (expected_size[1], expected_size[0]):
+        raise ImageFileError(
+            RejectionReason.IMAGE_UNREADABLE, f"{path.name}: header and decoded picture differ in size"
+        )
+    return np.asarray(image, dtype=np.uint8)
+
+
+def read_bytes(path: Path) -> bytes:
+    """All bytes of a picture file, unchecked. Raises ImageFileError where there is no such file or it is not readable."""
+    try:
+        if not path.is_file():
+            raise ImageFileError(RejectionReason.IMAGE_MISSING, f"{path.name}: there is no such file")
+        size = path.stat().st_size
+        if size > MAX_FILE_BYTES:
+            raise ImageFileError(
+                RejectionReason.IMAGE_UNREADABLE,
+                f"{path.name}: {size} bytes are more than {MAX_FILE_BYTES} and not read",
+            )
+        return path.read_bytes()
+    except OSError as error:
+        raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, f"{path.name}: {error.strerror or error}") from error
