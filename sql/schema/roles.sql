@@ -1,0 +1,29 @@
+-- Purpose: the two group roles and what they may do; grant one of them to a login. Run again after every migration.
+-- conetl_reader may only SELECT. conetl_writer may add rows and close system periods; it may neither change nor delete history.
+-- Needs the right to create roles (superuser or CREATEROLE).
+do $$
+declare
+    role_name text;
+begin
+    foreach role_name in array array['conetl_reader', 'conetl_writer'] loop
+        begin
+            if not exists (select from pg_roles where rolname = role_name) then
+                execute format('create role %I nologin', role_name);
+            end if;
+        exception when duplicate_object or unique_violation then
+            null;  -- made by another database of this server at the same moment
+        end;
+    end loop;
+end
+$$;
+revoke all on all tables in schema conetl from conetl_reader, conetl_writer;
+grant usage on schema conetl to conetl_reader, conetl_writer;
+grant select on all tables in schema conetl to conetl_reader, conetl_writer;
+grant insert on all tables in schema conetl to conetl_writer;
+grant update (system_period) on conetl.feature_version to conetl_writer;
+revoke insert on conetl.schema_migration from conetl_writer;
+do $$
+begin
+    execute format('grant temporary on database %I to conetl_writer', current_database());
+end
+$$;

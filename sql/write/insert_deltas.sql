@@ -1,0 +1,10 @@
+-- Purpose: the deltas themselves. Parameters: changeset_id.
+insert into conetl.delta (
+    changeset_id, feature_id, kind, old_version, new_version, track_index, changed_at_ns, changed_at, shift_m
+)
+select
+    %(changeset_id)s, s.feature_id, s.kind, s.old_version,
+    case when s.is_change then coalesce(o.version, 0) + 1 else s.old_version end,
+    s.track_index, s.changed_at_ns, s.changed_at, s.shift_m
+from delta_stage s
+left join open_version o using (feature_id);

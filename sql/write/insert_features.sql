@@ -1,0 +1,6 @@
+-- Purpose: found the features that are new. Parameters: map_id, srid, changeset_id.
+insert into conetl.feature (feature_id, map_id, srid, founded_by)
+select s.feature_id, %(map_id)s, %(srid)s, %(changeset_id)s
+from delta_stage s
+where s.kind = 'added'
+on conflict (feature_id) do nothing;

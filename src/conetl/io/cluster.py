@@ -1,0 +1,292 @@
+"""conetl's private PostGIS cluster: one per home folder, reachable through a unix socket only.
+
+Where things lie. An ordinary user's cluster is `HOME/postgres/`. PostgreSQL refuses to run as root, so for root it runs as the
+user `postgres` (else `nobody`); where that user cannot reach `HOME/postgres` (a parent folder with mode 0700) the cluster
+lies in `/var/lib/conetl/<hash of HOME>/`, and the pointer file `HOME/postgres.location` says so.
+
+Who may connect. No TCP port; the socket's folder and the socket have mode 0700, and the server asks the kernel who is at
+the other end (`peer`): only root, the server's user and the user who made the cluster are let in.
+
+What survives. fsync is on, so a killed server or machine loses nothing that was committed; `cluster_up` clears a stale
+`postmaster.pid`, may be called again at any time, and by several processes at once.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+from urllib.parse import quote
+
+from conetl.errors import DatabaseError
+from conetl.io.cluster_place import (
+    ClusterPlace,
+    Done,
+    cluster_lock,
+    find_place,
+    forget_place,
+    make_place,
+    make_socket_directory,
+    run_as,
+)
+from conetl.io.postgres_install import OWN_DATABASE_HINT, PostgresInstall, choose_install, find_installs
+
+DATABASE = "conetl"
+SUPERUSER = "conetl"
+PORT = 5432  # only names the socket file; nothing listens on TCP
+KEPT_LOG_FILES = 5
+START_TIMEOUT_S = 60
+
+#: Small on purpose: the cluster shares the machine with the detector. Nothing here trades safety for speed.
+SERVER_SETTINGS = {
+    "listen_addresses": "",
+    "unix_socket_permissions": "0700",
+    "max_connections": "60",
+    "shared_buffers": "64MB",
+    "work_mem": "16MB",
+    "maintenance_work_mem": "64MB",
+    "max_wal_size": "1GB",
+    "wal_level": "minimal",
+    "max_wal_senders": "0",
+    "fsync": "on",
+    "synchronous_commit": "on",
+    # Parallel plans need /dev/shm, of which a container has little, and gain nothing on two cores.
+    "max_parallel_workers_per_gather": "0",
+    "max_parallel_maintenance_workers": "0",
+    "jit": "off",
+    "timezone": "UTC",
+    "log_timezone": "UTC",
+    # A client that was killed must not keep the map's lock until its statement ends.
+    "client_connection_check_interval": "5s",
+    "logging_collector": "on",
+    "log_filename": "server-%Y%m%d-%H%M%S.log",
+    "log_rotation_size": "5MB",
+    "log_rotation_age": "0",
+}
+
+
+@dataclass(frozen=True)
+class ClusterStatus:
+    """What there is of a private cluster."""
+
+    state: Literal["absent", "stopped", "running"]
+    url: str | None
+    """libpq URL; None unless running."""
+    directory: Path | None
+    """Holds the data, the log and, where its path is short enough, the socket; None where absent."""
+    socket_directory: Path | None
+    log_directory: Path | None
+    server_user: str | None
+    postgres_major: int | None
+    pid: int | None
+
+
+def cluster_up(home: Path) -> str:
+    """Start the private cluster of `home`, making it first where there is none; the libpq URL of its database.
+
+    Idempotent and safe against a second call at the same time. Raises `DatabaseError` where PostGIS is not installed, the
+    cluster belongs to another user, or the server does not start (with the end of its log).
+    """
+    with cluster_lock(home):
+        place = find_place(home) or make_place(home)
+        if not _is_answering(place):
+            install = choose_install(find_installs(), data_major=place.data_major)
+            if place.data_major is None:
+                _initialise(place, install)
+            _start(place, install)
+        return _url(place)
+
+
+def cluster_down(home: Path) -> bool:
+    """Stop the private cluster of `home`; True where it was running. Data stay. Raises `DatabaseError` where it does not stop."""
+    if not home.is_dir():
+        return False
+    with cluster_lock(home):
+        place = find_place(home)
+        if place is None or _running_pid(place) is None:
+            return False
+        _stop(place)
+        return True
+
+
+def cluster_status(home: Path) -> ClusterStatus:
+    """What there is; changes nothing and needs no PostgreSQL."""
+    place = find_place(home) if home.is_dir() else None
+    if place is None or place.data_major is None:
+        return ClusterStatus("absent", None, None, None, None, None, None, None)
+    pid = _running_pid(place)
+    return ClusterStatus(
+        state="running" if pid else "stopped",
+        url=_url(place) if pid else None,
+        directory=place.directory,
+        socket_directory=place.socket_directory,
+        log_directory=place.directory / "log",
+        server_user=place.user.name,
+        postgres_major=place.data_major,
+        pid=pid,
+    )
+
+
+def cluster_remove(home: Path) -> bool:
+    """Stop the private cluster of `home` and DELETE its data; True where there was one."""
+    if not home.is_dir():
+        return False
+    with cluster_lock(home):
+        place = find_place(home)
+        if place is None:
+            return False
+        if _running_pid(place) is not None:
+            _stop(place)
+        shutil.rmtree(place.socket_directory, ignore_errors=True)
+        shutil.rmtree(place.directory)
+        forget_place(home)
+        return True
+
+
+def _url(place: ClusterPlace) -> str:
+    return f"postgresql://{SUPERUSER}@/{DATABASE}?host={quote(str(place.socket_directory), safe='')}&port={PORT}"
+
+
+def _initialise(place: ClusterPlace, install: PostgresInstall) -> None:
+    """Make the data folder under another name first: a kill in between leaves nothing that looks like a cluster."""
+    shutil.rmtree(place.directory / "data.new", ignore_errors=True)
+    initdb = [install.program("initdb"), "-D", "data.new", "-U", SUPERUSER, "-A", "peer", "-E", "UTF8", "--locale=C"]
+    _must(run_as(place, initdb, timeout_s=120), "PostgreSQL could not make a new cluster", place)
+    allowed = dict.fromkeys([place.user.name, place.caller_name, "root"])
+    _write_as(place, "data.new/pg_hba.conf", f"local all all peer map={SUPERUSER}\n")
+    _write_as(place, "data.new/pg_ident.conf", "".join(f'{SUPERUSER} "{n}" {SUPERUSER}\n' for n in allowed if n))
+    single = [install.program("postgres"), "--single", "-D", "data.new", "postgres"]
+    made = run_as(place, single, stdin=f"create database {DATABASE}\n", timeout_s=120)
+    if any(word in made.output for word in ("ERROR:", "FATAL:", "PANIC:")):
+        raise DatabaseError(
+            f"PostgreSQL could not make the database {DATABASE} in {place.directory}: {made.output.strip()}"
+        )
+    _must(made, f"PostgreSQL could not make the database {DATABASE}", place)
+    _must(run_as(place, ["mkdir", "-p", "log"], timeout_s=10), "the log folder could not be made", place)
+    _must(run_as(place, ["mv", "data.new", "data"], timeout_s=10), "the new cluster could not be put in place", place)
+
+
+def _start(place: ClusterPlace, install: PostgresInstall) -> None:
+    pid = _running_pid(place)
+    if pid is not None:
+        # Alive but not answering: still starting or recovering, or its socket was swept away from /tmp.
+        if _wait_until_answering(place, START_TIMEOUT_S if _socket_file(place).exists() else 2):
+            return
+        _stop(place)
+    make_socket_directory(place)
+    _remove_stale_pid_file(place)
+    _prune_logs(place)
+    settings = SERVER_SETTINGS | {
+        "unix_socket_directories": '"' + str(place.socket_directory).replace('"', '""') + '"',
+        "port": str(PORT),
+        "log_directory": "../log",
+    }
+    options = " ".join(f"-c {shlex.quote(f'{name}={value}')}" for name, value in settings.items())
+    # Relative paths: pg_ctl puts them into a shell command unquoted for `$`.
+    command = [install.program("pg_ctl"), "start", "-D", "data", "-l", "log/start.log", "-w"]
+    command += ["-t", str(START_TIMEOUT_S), "-o", options]
+    deadline = time.monotonic() + 15
+    while True:
+        started = run_as(place, command, timeout_s=START_TIMEOUT_S + 30)
+        if started.code == 0 and _wait_until_answering(place, 5):
+            return
+        # Workers of a server that was killed take a moment to notice, and hold its shared memory until then.
+        if "shared memory block" not in _log_tail(place) or time.monotonic() > deadline:
+            raise DatabaseError(
+                f"The private PostGIS cluster in {place.directory} does not start: {started.output.strip()}\n"
+                f"{_log_tail(place)}\nFree the cause, {OWN_DATABASE_HINT}."
+            )
+        time.sleep(0.5)
+
+
+def _stop(place: ClusterPlace) -> None:
+    install = choose_install(find_installs(), data_major=place.data_major)
+    for mode, timeout_s in (("fast", 60), ("immediate", 20)):
+        stop = [install.program("pg_ctl"), "stop", "-D", "data", "-m", mode, "-w", "-t", str(timeout_s)]
+        stopped = run_as(place, stop, timeout_s=timeout_s + 10)
+        if stopped.code == 0 or _running_pid(place) is None:
+            return
+    raise DatabaseError(f"The private PostGIS cluster in {place.directory} does not stop: {stopped.output.strip()}")
+
+
+def _running_pid(place: ClusterPlace) -> int | None:
+    """Process id of the server of these data, None where the pid file is missing or was left over by a dead one.
+
+    A number alone proves nothing (after a restart it may be anybody's): the server's working folder is its data folder.
+    """
+    try:
+        pid = int((place.data / "postmaster.pid").read_text().split("\n", 1)[0])
+        os.kill(pid, 0)
+    except PermissionError:
+        pass
+    except (OSError, ValueError):
+        return None
+    try:
+        same = Path(f"/proc/{pid}/cwd").samefile(place.data)
+    except PermissionError:
+        return pid  # cannot be looked into: assume that it is what the file says
+    except OSError:
+        return None if Path("/proc/self").exists() else pid
+    return pid if same else None
+
+
+def _remove_stale_pid_file(place: ClusterPlace) -> None:
+    if _running_pid(place) is None:
+        (place.data / "postmaster.pid").unlink(missing_ok=True)
+
+
+def _socket_file(place: ClusterPlace) -> Path:
+    return place.socket_directory / f".s.PGSQL.{PORT}"
+
+
+def _is_answering(place: ClusterPlace) -> bool:
+    if place.data_major is None or _running_pid(place) is None or not _socket_file(place).exists():
+        return False
+    # Any install's pg_isready will do; it only says whether the server accepts sessions.
+    for install in find_installs()[:1]:
+        ready = [install.program("pg_isready"), "-q", "-h", str(place.socket_directory), "-p", str(PORT)]
+        return run_as(place, ready, timeout_s=10).code == 0
+    return False
+
+
+def _wait_until_answering(place: ClusterPlace, timeout_s: float) -> bool:
+    deadline = time.monotonic() + timeout_s
+    while not _is_answering(place):
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.1)
+    return True
+
+
+def _write_as(place: ClusterPlace, relative_path: str, text: str) -> None:
+    done = run_as(place, ["sh", "-c", 'cat > "$0"', relative_path], stdin=text, timeout_s=10)
+    _must(done, f"{relative_path} could not be written", place)
+
+
+def _must(done: Done, what: str, place: ClusterPlace) -> None:
+    if done.code != 0:
+        raise DatabaseError(f"{what} in {place.directory} (as user {place.user.name}): {done.output.strip()}")
+
+
+def _log_files(place: ClusterPlace) -> list[Path]:
+    return sorted((place.directory / "log").glob("server-*.log"))
+
+
+def _prune_logs(place: ClusterPlace) -> None:
+    for old in _log_files(place)[: -KEPT_LOG_FILES + 1]:
+        old.unlink(missing_ok=True)
+    start_log = place.directory / "log" / "start.log"
+    if start_log.exists() and start_log.stat().st_size > 1_000_000:
+        start_log.unlink()
+
+
+def _log_tail(place: ClusterPlace) -> str:
+    lines: list[str] = []
+    for path in [place.directory / "log" / "start.log", *_log_files(place)[-1:]]:
+        if path.exists():
+            lines += path.read_text(errors="replace").splitlines()[-10:]
+    return "\n".join(lines)

@@ -1,0 +1,194 @@
+"""Encode columns of numpy arrays for PostgreSQL's COPY ... FORMAT BINARY: about ten times faster than row-wise INSERT.
+
+Format: https://www.postgresql.org/docs/current/sql-copy.html (signature, then per row a field count and per field a length
+and big-endian bytes). Rows whose fields have the same lengths share one numpy structured type, so whole blocks are filled
+column by column; columns with NULLs or text make a few such blocks.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+from uuid import UUID
+
+import numpy as np
+from numpy.typing import NDArray
+
+SIGNATURE = b"PGCOPY\n\xff\r\n\0" + bytes(8)
+TRAILER = b"\xff\xff"
+NULL_LENGTH = -1
+#: PostgreSQL counts microseconds from 2000-01-01.
+_POSTGRES_EPOCH_US = 946_684_800_000_000
+_EWKB_POINT_Z_SRID = 0x80000000 | 0x20000000 | 1
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column, n rows: `values` are the wire bytes, `lengths` (n,) their lengths (-1: NULL)."""
+
+    values: NDArray[Any]
+    lengths: NDArray[np.int32]
+
+
+def fixed(values: Any, dtype: str, *, missing: NDArray[np.bool_] | None = None) -> Column:
+    """Numbers as `dtype` (big-endian: '>i4' integer, '>i8' bigint, '>f8' float8, '?' boolean); `missing` (n,) marks NULLs."""
+    array = np.asarray(values, dtype=dtype)
+    lengths = np.full(len(array), array.dtype.itemsize, np.int32)
+    if missing is not None:
+        lengths[missing] = NULL_LENGTH
+    return Column(array, lengths)
+
+
+def integers(values: Any) -> Column:
+    """integer; None becomes NULL."""
+    return _with_nulls(values, ">i4")
+
+
+def bigints(values: Any) -> Column:
+    """bigint."""
+    return fixed(values, ">i8")
+
+
+def doubles(values: Any) -> Column:
+    """float8; None becomes NULL."""
+    return _with_nulls(values, ">f8")
+
+
+def booleans(values: Any) -> Column:
+    """boolean."""
+    return fixed(values, "?")
+
+
+def timestamps_from_ns(nanoseconds: Any) -> Column:
+    """timestamptz from UTC nanoseconds since 1970 (n,), cut to microseconds."""
+    return fixed(np.asarray(nanoseconds, np.int64) // 1000 - _POSTGRES_EPOCH_US, ">i8")
+
+
+def uuids(values: Sequence[UUID]) -> Column:
+    """uuid."""
+    return _blocks([value.bytes for value in values], 16)
+
+
+def constant_uuid(value: UUID, count: int) -> Column:
+    """The same uuid in every row."""
+    return _blocks([value.bytes] * count, 16)
+
+
+def points(xyz_m: Any, srid: int) -> Column:
+    """geometry(PointZ, srid) from (n, 3) metres, as extended well-known binary (33 bytes)."""
+    xyz = np.asarray(xyz_m, np.float64).reshape(-1, 3)
+    ewkb = np.empty(len(xyz), [("order", "u1"), ("type", "<u4"), ("srid", "<u4"), ("xyz", "<f8", 3)])
+    ewkb["order"], ewkb["type"], ewkb["srid"], ewkb["xyz"] = 1, _EWKB_POINT_Z_SRID, srid, xyz
+    return Column(ewkb.view("V33"), np.full(len(xyz), 33, np.int32))
+
+
+def double_arrays(values: Any) -> Column:
+    """float8[] from (n, k)."""
+    array = np.asarray(values, np.float64)
+    count, width = array.shape
+    header = [("dimensions", ">i4"), ("nulls", ">i4"), ("oid", ">i4"), ("size", ">i4"), ("start", ">i4")]
+    wire = np.empty(count, [*header, ("items", [("length", ">i4"), ("value", ">f8")], width)])
+    wire["dimensions"], wire["nulls"], wire["oid"], wire["size"], wire["start"] = 1, 0, 701, width, 1
+    wire["items"]["length"], wire["items"]["value"] = 8, array
+    return Column(wire.view(f"V{wire.dtype.itemsize}"), np.full(count, wire.dtype.itemsize, np.int32))
+
+
+def texts(values: Sequence[str | None]) -> Column:
+    """text; None becomes NULL. What PostgreSQL cannot hold (NUL, half surrogate pairs of broken file names) becomes U+FFFD."""
+    return _variable([None if value is None else clean_text(value).encode() for value in values])
+
+
+def jsons(values: Sequence[Mapping[str, Any]]) -> Column:
+    """jsonb; NaN and infinity, which JSON lacks, become the strings "nan", "inf", "-inf"."""
+    return _variable([b"\x01" + json_text(value).encode() for value in values])
+
+
+def clean_text(text: str) -> str:
+    """Text that PostgreSQL accepts."""
+    return text.replace("\x00", "\ufffd").encode("utf-8", "surrogatepass").decode("utf-8", "replace")
+
+
+def json_text(value: Any) -> str:
+    """JSON that jsonb accepts, whatever a broken record holds."""
+    return json.dumps(_json_safe(value), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+
+
+def copy_statement(table: str, columns: Mapping[str, Column]) -> str:
+    """The COPY statement that takes `encode(columns)`."""
+    return f"copy {table} ({', '.join(columns)}) from stdin (format binary)"
+
+
+def encode(columns: Mapping[str, Column]) -> io.BytesIO:
+    """All rows in COPY's binary format; rows may come out in another order."""
+    stream = io.BytesIO()
+    stream.write(SIGNATURE)
+    for block in _encoded_blocks(columns):
+        stream.write(block)
+    stream.write(TRAILER)
+    stream.seek(0)
+    return stream
+
+
+def _encoded_blocks(columns: Mapping[str, Column]) -> Iterator[bytes]:
+    parts = list(columns.values())
+    lengths = np.stack([part.lengths for part in parts], axis=1)
+    if not len(lengths):
+        return
+    constant = (lengths == lengths[0]).all()
+    shapes = lengths[:1] if constant else np.unique(lengths, axis=0)
+    for shape in shapes:
+        rows: Any = slice(None) if constant else np.flatnonzero((lengths == shape).all(axis=1))
+        fields: list[tuple[str, Any]] = [("count", ">i2")]
+        for i, length in enumerate(shape):
+            fields.append((f"length{i}", ">i4"))
+            if length > 0:
+                dtype = parts[i].values.dtype
+                fields.append((f"value{i}", f"V{length}" if dtype.hasobject else dtype))
+        block = np.empty(len(lengths) if constant else len(rows), fields)
+        block["count"] = len(parts)
+        for i, length in enumerate(shape):
+            block[f"length{i}"] = length
+            if length > 0:
+                values = parts[i].values[rows]
+                if values.dtype.hasobject:
+                    values = np.frombuffer(b"".join(values.tolist()), f"V{length}")
+                block[f"value{i}"] = values
+        yield block.tobytes()
+
+
+def _with_nulls(values: Any, dtype: str) -> Column:
+    if isinstance(values, np.ndarray):
+        return fixed(values, dtype)
+    missing = np.array([value is None for value in values], bool)
+    return fixed([0 if value is None else value for value in values], dtype, missing=missing)
+
+
+def _blocks(items: list[bytes], length: int) -> Column:
+    return Column(np.frombuffer(b"".join(items), f"V{length}"), np.full(len(items), length, np.int32))
+
+
+def _variable(items: list[bytes | None]) -> Column:
+    values = np.empty(len(items), object)
+    values[:] = items
+    return Column(values, np.array([NULL_LENGTH if item is None else len(item) for item in items], np.int32))
+
+
+def _json_safe(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {clean_text(str(key)): _json_safe(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return _json_safe(value.tolist())
+    if isinstance(value, np.generic):
+        return _json_safe(value.item())
+    if isinstance(value, list | tuple | set | frozenset):
+        return [_json_safe(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else str(value)
+    if value is None or isinstance(value, bool | int):
+        return value
+    return clean_text(value.isoformat() if isinstance(value, datetime) else str(value))

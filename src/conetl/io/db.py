@@ -1,0 +1,243 @@
+"""Connections, migrations and the .sql files: how conetl talks to PostGIS."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import psycopg2
+import psycopg2.extensions
+import psycopg2.extras
+
+from conetl.errors import DatabaseError
+from conetl.io.copy_binary import Column, copy_statement, encode
+
+Connection: TypeAlias = psycopg2.extensions.connection
+
+CONNECT_TIMEOUT_S = 10
+#: Advisory locks of one database: (namespace, key).
+MIGRATION_LOCK = 0x636F6E65
+ROLES = ("conetl_reader", "conetl_writer")
+
+
+@dataclass(frozen=True)
+class DatabaseStatus:
+    """What a database holds and whether this conetl can work with it."""
+
+    database: str
+    user: str
+    postgres_version: str
+    postgis_version: str | None
+    applied_migrations: tuple[str, ...]
+    pending_migrations: tuple[str, ...]
+    missing_roles: tuple[str, ...]
+    """Of conetl_reader and conetl_writer; `may_create_roles` says whether `migrate` could make them."""
+    may_create_roles: bool
+    size_bytes: int
+    maps: tuple[tuple[str, int], ...]
+    """Name and SRID."""
+
+    @property
+    def ready(self) -> bool:
+        return bool(self.applied_migrations) and not self.pending_migrations
+
+
+def connect(url: str) -> Connection:
+    """Open a connection (times in UTC, no autocommit). Raises `DatabaseError` with the reason and what to do."""
+    try:
+        conn = psycopg2.connect(
+            url, connect_timeout=CONNECT_TIMEOUT_S, application_name="conetl", options="-c timezone=UTC"
+        )
+    except (psycopg2.Error, UnicodeError) as error:
+        raise DatabaseError(
+            f"The database {_without_password(url)} cannot be reached: {_first_line(error)}. Start it (`conetl db up` for the "
+            "private one) or correct CONETL_DATABASE_URL."
+        ) from error
+    psycopg2.extras.register_uuid(conn_or_curs=conn)
+    with database_errors("The connection could not be prepared"):
+        conn.autocommit = True
+        execute(conn, load_sql("schema/search_path"))
+        conn.autocommit = False
+    return conn
+
+
+@contextmanager
+def database_errors(what: str) -> Iterator[None]:
+    """Turn psycopg2's errors into one `DatabaseError` that says `what` went wrong."""
+    try:
+        yield
+    except psycopg2.Error as error:
+        raise DatabaseError(f"{what}: {_first_line(error)}") from error
+
+
+@contextmanager
+def transaction(conn: Connection, what: str) -> Iterator[None]:
+    """All or nothing: commit at the end, roll back on any error."""
+    with database_errors(what):
+        try:
+            yield
+            conn.commit()
+        except BaseException:
+            if not conn.closed:
+                conn.rollback()
+            raise
+
+
+def execute(conn: Connection, sql: str, parameters: Mapping[str, Any] | None = None) -> list[dict[str, Any]]:
+    """Run one statement; its rows as dictionaries, [] where it returns none."""
+    with conn.cursor(cursor_factory=psycopg2.extras.RealDictCursor) as cursor:
+        cursor.execute(sql, parameters)
+        return [dict(row) for row in cursor.fetchall()] if cursor.description else []
+
+
+def execute_count(conn: Connection, sql: str, parameters: Mapping[str, Any] | None = None) -> int:
+    """Run one statement; the number of rows it touched."""
+    with conn.cursor() as cursor:
+        cursor.execute(sql, parameters)
+        return int(cursor.rowcount)
+
+
+def stream(
+    conn: Connection, sql: str, parameters: Mapping[str, Any], *, batch: int = 10_000
+) -> Iterator[tuple[Any, ...]]:
+    """Rows of one statement as tuples, `batch` at a time in memory (server-side cursor inside the open transaction)."""
+    with conn.cursor(name="conetl_stream") as cursor:
+        cursor.itersize = batch
+        cursor.execute(sql, parameters)
+        yield from cursor
+
+
+def copy_columns(conn: Connection, table: str, columns: Mapping[str, Column]) -> None:
+    """Load columns into a table by COPY BINARY."""
+    with conn.cursor() as cursor:
+        cursor.copy_expert(copy_statement(table, columns), encode(columns))
+
+
+@cache
+def sql_directory() -> Path:
+    """The folder of .sql files: `conetl/sql` in an installed wheel, `sql/` at the top of a clone."""
+    package = Path(__file__).resolve().parents[1]
+    for directory in (package / "sql", package.parents[1] / "sql"):
+        if (directory / "migrations").is_dir():
+            return directory
+    raise DatabaseError(f"conetl's .sql files are missing beside {package}: install it again.")
+
+
+@cache
+def load_sql(name: str) -> str:
+    """Text of `sql/<name>.sql`, for example load_sql("map/current_features")."""
+    path = sql_directory() / f"{name}.sql"
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise DatabaseError(f"{path} cannot be read ({error.strerror}): install conetl again.") from error
+
+
+def sql_names(folder: str) -> list[str]:
+    """Names of all files of one folder, in order, as `load_sql` takes them."""
+    return sorted(f"{folder}/{path.stem}" for path in (sql_directory() / folder).glob("*.sql"))
+
+
+def migrate(conn: Connection, *, directory: Path | None = None) -> list[str]:
+    """Bring the schema up to date, all or nothing; the names of the migrations that were applied now.
+
+    Migrations only go forwards. Raises `DatabaseError` where an applied one was changed afterwards, the database is newer than
+    this conetl, PostGIS is missing or may not be created. Two calls at once wait for each other.
+    """
+    wanted = _migration_files(directory or sql_directory() / "migrations")
+    done: list[str] = []
+    with transaction(conn, "The database could not be migrated, and is as it was before"):
+        with conn.cursor() as cursor:
+            cursor.execute("select pg_advisory_xact_lock(%s)", (MIGRATION_LOCK,))
+        execute(conn, load_sql("schema/schema_migration"))
+        applied = _applied(conn)
+        _check_history(applied, wanted)
+        for name, text in wanted.items():
+            if name not in applied:
+                _create_extensions_first(conn, name)
+                with conn.cursor() as cursor:
+                    cursor.execute(text)
+                    cursor.execute(load_sql("write/insert_migration"), {"name": name, "sha256": _sha256(text)})
+                done.append(name)
+        if _may_create_roles(conn):
+            execute(conn, load_sql("schema/roles"))
+    return done
+
+
+def database_status(conn: Connection) -> DatabaseStatus:
+    """What the database holds; changes nothing."""
+    with transaction(conn, "The state of the database cannot be read"):
+        facts = execute(conn, load_sql("schema/status"))[0]
+        applied = _applied(conn) if facts["has_schema"] else {}
+        roles = {row["rolname"] for row in execute(conn, load_sql("schema/existing_roles"), {"names": list(ROLES)})}
+        maps = execute(conn, load_sql("map/maps")) if facts["has_map"] else []
+        wanted = _migration_files(sql_directory() / "migrations")
+        return DatabaseStatus(
+            database=facts["database"],
+            user=facts["username"],
+            postgres_version=facts["postgres_version"],
+            postgis_version=facts["postgis_version"],
+            applied_migrations=tuple(sorted(applied)),
+            pending_migrations=tuple(name for name in wanted if name not in applied),
+            missing_roles=tuple(name for name in ROLES if name not in roles),
+            may_create_roles=_may_create_roles(conn),
+            size_bytes=facts["size_bytes"],
+            maps=tuple((row["map_name"], row["srid"]) for row in maps),
+        )
+
+
+def _migration_files(directory: Path) -> dict[str, str]:
+    files = {path.stem: path.read_text(encoding="utf-8") for path in sorted(directory.glob("*.sql"))}
+    for number, name in enumerate(files, start=1):
+        if not re.fullmatch(rf"{number:04d}_[a-z0-9_]+", name):
+            raise DatabaseError(f"migration {name}.sql in {directory} should be named {number:04d}_<what it does>.sql")
+    return files
+
+
+def _applied(conn: Connection) -> dict[str, str]:
+    return {row["name"]: row["sha256"] for row in execute(conn, load_sql("map/applied_migrations"))}
+
+
+def _check_history(applied: Mapping[str, str], wanted: Mapping[str, str]) -> None:
+    unknown = [name for name in applied if name not in wanted]
+    if unknown:
+        raise DatabaseError(f"The database was migrated by a newer conetl ({', '.join(unknown)}): install that one.")
+    for name, sha256 in applied.items():
+        if _sha256(wanted[name]) != sha256:
+            raise DatabaseError(
+                f"sql/migrations/{name}.sql was changed after it was applied to this database: restore the file and put the "
+                "change into a new migration."
+            )
+
+
+def _create_extensions_first(conn: Connection, migration: str) -> None:
+    """Say which extension is missing in words, where PostgreSQL would only name a control file."""
+    missing: Sequence[str] = [row["name"] for row in execute(conn, load_sql("schema/missing_extensions"))]
+    if missing:
+        raise DatabaseError(
+            f"migration {migration} needs the extension(s) {', '.join(missing)}, which this server does not offer: install "
+            "PostGIS on the server (Debian: postgresql-<version>-postgis-3) or set CONETL_DATABASE_URL to another one."
+        )
+
+
+def _may_create_roles(conn: Connection) -> bool:
+    return bool(execute(conn, load_sql("schema/may_create_roles"))[0]["may_create_roles"])
+
+
+def _sha256(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _first_line(error: Exception) -> str:
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return lines[0].rstrip(".") if lines else type(error).__name__
+
+
+def _without_password(url: str) -> str:
+    return re.sub(r"(://[^:/@]*):[^@]*@", r"\1:***@", re.sub(r"password=('[^']*'|\S+)", "password=***", url))

@@ -1,0 +1,195 @@
+"""Records as columns of the database's tables (see sql/migrations), ready for COPY."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from uuid import UUID
+
+import numpy as np
+
+from conetl.io.copy_binary import (
+    Column,
+    bigints,
+    booleans,
+    constant_uuid,
+    double_arrays,
+    doubles,
+    integers,
+    jsons,
+    points,
+    texts,
+    timestamps_from_ns,
+    uuids,
+)
+from conetl.records import Delta, DeltaKind, Detection, FramePair, MapFeature, Position, StereoMatch, Track
+from conetl.rejections import Rejection
+
+Columns = dict[str, Column]
+_COV_NAMES = ("xx", "xy", "xz", "yy", "yz", "zz")
+
+
+def frame_pair_columns(drive_uuid: UUID, srid: int, pairs: Sequence[FramePair]) -> Columns:
+    """Table frame_pair."""
+    return {
+        "drive_uuid": constant_uuid(drive_uuid, len(pairs)),
+        "frame_index": integers([p.frame_index for p in pairs]),
+        "left_path": texts([p.left_path for p in pairs]),
+        "right_path": texts([p.right_path for p in pairs]),
+        "captured_at_ns": bigints([p.captured_at_ns for p in pairs]),
+        "geom": points([p.pose.map_t_body_m for p in pairs], srid),
+        "map_r_body": double_arrays(np.reshape([p.pose.map_R_body for p in pairs], (-1, 9))),
+        "sigma_enu_m": double_arrays(np.reshape([p.pose.sigma_enu_m for p in pairs], (-1, 3))),
+        "sigma_rpy_rad": double_arrays(np.reshape([p.pose.sigma_rpy_rad for p in pairs], (-1, 3))),
+    }
+
+
+def detection_columns(drive_uuid: UUID, detections: Sequence[Detection]) -> Columns:
+    """Table detection."""
+    return {
+        "drive_uuid": constant_uuid(drive_uuid, len(detections)),
+        "frame_index": integers([d.frame_index for d in detections]),
+        "side": texts([d.side for d in detections]),
+        "detection_index": integers([d.detection_index for d in detections]),
+        "category": texts([d.category for d in detections]),
+        "x_px": doubles([d.x_px for d in detections]),
+        "y_px": doubles([d.y_px for d in detections]),
+        "w_px": doubles([d.w_px for d in detections]),
+        "h_px": doubles([d.h_px for d in detections]),
+        "score": doubles([d.score for d in detections]),
+    }
+
+
+def match_columns(drive_uuid: UUID, matches: Sequence[StereoMatch]) -> Columns:
+    """Table stereo_match."""
+    columns = {
+        "drive_uuid": constant_uuid(drive_uuid, len(matches)),
+        "frame_index": integers([m.frame_index for m in matches]),
+        "match_index": integers([m.match_index for m in matches]),
+        "left_detection_index": integers([m.left.detection_index for m in matches]),
+        "right_detection_index": integers([m.right.detection_index for m in matches]),
+    }
+    for point in ("foot", "centre", "tip"):
+        for side in ("left", "right"):
+            uv_px = np.reshape([getattr(m, f"{point}_{side}_uv_px") for m in matches], (-1, 2))
+            columns[f"{point}_{side}_u_px"] = doubles(uv_px[:, 0])
+            columns[f"{point}_{side}_v_px"] = doubles(uv_px[:, 1])
+    return columns | {
+        "sigma_u_px": doubles([m.sigma_u_px for m in matches]),
+        "sigma_v_px": doubles([m.sigma_v_px for m in matches]),
+        "sigma_pointing_px": doubles([m.sigma_pointing_px for m in matches]),
+        "refined": booleans([m.refined for m in matches]),
+        "cost": doubles([m.cost for m in matches]),
+    }
+
+
+def position_columns(drive_uuid: UUID, srid: int, positions: Sequence[Position]) -> Columns:
+    """Table position."""
+    camera = np.reshape([p.camera_xyz_m for p in positions], (-1, 3))
+    return {
+        "drive_uuid": constant_uuid(drive_uuid, len(positions)),
+        "frame_index": integers([p.frame_index for p in positions]),
+        "match_index": integers([p.match_index for p in positions]),
+        "geom": points([p.xyz_m for p in positions], srid),
+        **_covariance("cov", [p.cov_m2 for p in positions]),
+        "centre_geom": points([p.centre_xyz_m for p in positions], srid),
+        "cone_height_m": doubles([p.cone_height_m for p in positions]),
+        "camera_x_m": doubles(camera[:, 0]),
+        "camera_y_m": doubles(camera[:, 1]),
+        "camera_z_m": doubles(camera[:, 2]),
+        **_covariance("camera_cov", [p.camera_cov_m2 for p in positions]),
+        "range_m": doubles([p.range_m for p in positions]),
+        "ray_angle_rad": doubles([p.ray_angle_rad for p in positions]),
+        "residual_rms_px": doubles([p.residual_rms_px for p in positions]),
+        "iterations": integers([p.iterations for p in positions]),
+        "score": doubles([p.score for p in positions]),
+    }
+
+
+def track_columns(drive_uuid: UUID, srid: int, tracks: Sequence[Track]) -> Columns:
+    """Table track."""
+    return {
+        "drive_uuid": constant_uuid(drive_uuid, len(tracks)),
+        "track_index": integers([t.track_index for t in tracks]),
+        **_cone_columns(srid, tracks),
+        **_covariance("relative_cov", [t.relative_cov_m2 for t in tracks]),
+        "residual_rms_px": doubles([t.residual_rms_px for t in tracks]),
+        "nearest_range_m": doubles([t.nearest_range_m for t in tracks]),
+    }
+
+
+def track_member_columns(drive_uuid: UUID, tracks: Sequence[Track]) -> Columns:
+    """Table track_member: which positions a track is made of."""
+    members = np.reshape([(t.track_index, *member) for t in tracks for member in t.members], (-1, 3))
+    return {
+        "drive_uuid": constant_uuid(drive_uuid, len(members)),
+        "track_index": integers(members[:, 0]),
+        "frame_index": integers(members[:, 1]),
+        "match_index": integers(members[:, 2]),
+    }
+
+
+def delta_columns(srid: int, deltas: Sequence[Delta]) -> Columns:
+    """Temporary table delta_stage: one row per delta, with the state of the feature that follows from it.
+
+    A removed feature keeps its last state, marked as not present.
+    """
+    states = [state_after(delta) for delta in deltas]
+    return {
+        "feature_id": uuids([d.feature_id for d in deltas]),
+        "kind": texts([d.kind.value for d in deltas]),
+        "old_version": integers([d.old.version if d.old else None for d in deltas]),
+        "is_change": booleans([is_change(d) for d in deltas]),
+        "track_index": integers([d.track_index for d in deltas]),
+        "changed_at_ns": bigints([d.changed_at_ns for d in deltas]),
+        "changed_at": timestamps_from_ns([d.changed_at_ns for d in deltas]),
+        "shift_m": doubles([d.shift_m for d in deltas]),
+        "present": booleans([d.new is not None for d in deltas]),
+        **_cone_columns(srid, states),
+    }
+
+
+def rejection_columns(changeset_id: UUID, rejections: Sequence[Rejection]) -> Columns:
+    """Table quarantine."""
+    return {
+        "changeset_id": constant_uuid(changeset_id, len(rejections)),
+        "step": texts([r.step for r in rejections]),
+        "reason": texts([r.reason.value for r in rejections]),
+        "record": texts([r.record for r in rejections]),
+        "detail": texts([r.detail for r in rejections]),
+        "payload": jsons([r.payload for r in rejections]),
+    }
+
+
+def state_after(delta: Delta) -> MapFeature:
+    """The feature after the delta; the last state of one that was removed."""
+    state = delta.new or delta.old
+    if state is None:
+        raise ValueError(f"the delta of feature {delta.feature_id} has neither old nor new")
+    return state
+
+
+def is_change(delta: Delta) -> bool:
+    """False for a confirmation that leaves every stored value as it was: it is recorded, but makes no version."""
+    if delta.kind is not DeltaKind.CONFIRMED or delta.old is None or delta.new is None:
+        return True
+    return delta.new.model_copy(update={"version": delta.old.version}) != delta.old
+
+
+def _cone_columns(srid: int, cones: Sequence[Track] | Sequence[MapFeature]) -> Columns:
+    return {
+        "category": texts([c.category for c in cones]),
+        "geom": points([c.xyz_m for c in cones], srid),
+        **_covariance("cov", [c.cov_m2 for c in cones]),
+        "centre_geom": points([c.centre_xyz_m for c in cones], srid),
+        "cone_height_m": doubles([c.cone_height_m for c in cones]),
+        "cone_height_sigma_m": doubles([c.cone_height_sigma_m for c in cones]),
+        "existence_probability": doubles([c.existence_probability for c in cones]),
+        "observation_count": integers([c.observation_count for c in cones]),
+        "first_seen_ns": bigints([c.first_seen_ns for c in cones]),
+        "last_seen_ns": bigints([c.last_seen_ns for c in cones]),
+    }
+
+
+def _covariance(prefix: str, covariances: Sequence[tuple[float, ...]]) -> Columns:
+    values = np.reshape(covariances, (-1, 6))
+    return {f"{prefix}_{name}": doubles(values[:, i]) for i, name in enumerate(_COV_NAMES)}

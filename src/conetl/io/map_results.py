@@ -1,0 +1,122 @@
+"""What the map store answers with: frozen values, times in UTC, lengths in metres of the map's CRS."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+from uuid import UUID
+
+from conetl.records import DeltaKind, MapFeature
+
+
+@dataclass(frozen=True)
+class MapInfo:
+    """One map; its SRID never changes."""
+
+    map_id: int
+    map_name: str
+    srid: int
+    last_committed_at: datetime | None
+
+
+@dataclass(frozen=True)
+class RunInfo:
+    """The run that made a changeset, with its parameters in full."""
+
+    run_id: UUID
+    started_at: datetime
+    params: Mapping[str, Any]
+    flow_run_id: str | None = None
+
+
+@dataclass(frozen=True)
+class CommittedChangeset:
+    """One changeset as the database holds it."""
+
+    changeset_no: int
+    changeset_id: UUID
+    drive_id: str
+    drive_uuid: UUID
+    idempotency_key: str
+    params_sha256: str
+    model_sha256: str
+    code_version: str
+    committed_at: datetime
+    added_count: int
+    confirmed_count: int
+    moved_count: int
+    removed_count: int
+    frame_pair_count: int
+    detection_count: int
+    match_count: int
+    position_count: int
+    track_count: int
+    rejection_count: int
+    captured_from_ns: int
+    captured_to_ns: int
+
+
+@dataclass(frozen=True)
+class CommitResult:
+    """What `commit_changeset` did."""
+
+    committed: bool
+    """False where this idempotency key was committed before: nothing was written."""
+    changeset: CommittedChangeset
+    versions_written: int
+    """New feature versions; a confirmation that changes nothing makes none."""
+
+
+@dataclass(frozen=True)
+class FeatureVersion:
+    """A feature as it stood at an instant, and since when and until when it stood so."""
+
+    feature: MapFeature
+    valid_from: datetime
+    valid_to: datetime | None
+    """None while open."""
+    changeset_id: UUID
+
+
+@dataclass(frozen=True)
+class FeatureLogEntry:
+    """One delta of one feature; the values are those after it (of a removed feature, the last ones)."""
+
+    changeset_no: int
+    changeset_id: UUID
+    drive_id: str
+    map_name: str
+    kind: DeltaKind
+    changed_at: datetime
+    committed_at: datetime
+    old_version: int | None
+    new_version: int
+    track_index: int | None
+    shift_m: float | None
+    category: str
+    easting_m: float
+    northing_m: float
+    height_m: float
+    cone_height_m: float
+    existence_probability: float
+    observation_count: int
+
+
+@dataclass(frozen=True)
+class MapSummary:
+    """One map in figures."""
+
+    map_name: str
+    srid: int
+    feature_count: int
+    removed_count: int
+    version_count: int
+    changeset_count: int
+    last_committed_at: datetime | None
+    last_captured_to_ns: int | None
+    west_m: float | None
+    south_m: float | None
+    east_m: float | None
+    north_m: float | None

@@ -1,0 +1,383 @@
+"""The map in PostGIS: read its features, commit changesets, tell what happened.
+
+One drive is one atomic changeset. The caller holds the map's lock from reading the features to the commit:
+
+    with map_transaction(conn, map_name):
+        if find_changeset(conn, key, map_name=map_name) is None:
+            features = read_current_features(conn, map_name=map_name)
+            ...                                       # reconcile in Python
+            commit_changeset(conn, drive, detections, matches, positions, tracks, rejections, changeset, map_name=map_name)
+
+Everything is committed at the end of the block, or nothing.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from typing import Any
+from uuid import NAMESPACE_URL, UUID, uuid5
+
+from conetl.errors import MapMismatchError
+from conetl.io import map_columns
+from conetl.io.copy_binary import clean_text, json_text
+from conetl.io.db import (
+    Connection,
+    copy_columns,
+    database_errors,
+    execute,
+    execute_count,
+    load_sql,
+    stream,
+    transaction,
+)
+from conetl.io.map_results import (
+    CommitResult,
+    CommittedChangeset,
+    FeatureLogEntry,
+    FeatureVersion,
+    MapInfo,
+    MapSummary,
+    RunInfo,
+)
+from conetl.io.quarantine_store import insert_rejections
+from conetl.records import (
+    Changeset,
+    DeltaKind,
+    Detection,
+    Drive,
+    MapFeature,
+    Position,
+    StereoMatch,
+    Track,
+    utc_from_ns,
+)
+from conetl.rejections import Rejection
+
+Bbox = tuple[float, float, float, float]
+"""west, south, east, north in metres of the map's CRS."""
+LOCK_TIMEOUT_S = 600.0
+_NAMESPACE = uuid5(NAMESPACE_URL, "https://conetl.example/drive")
+
+
+# --------------------------------------------------------------------------- reading
+
+
+@contextmanager
+def map_transaction(
+    conn: Connection, map_name: str = "default", *, lock_timeout_s: float = LOCK_TIMEOUT_S
+) -> Iterator[None]:
+    """One transaction under the map's lock: committed at the end of the block, rolled back on any error.
+
+    Raises `DatabaseError` where the database is lost on the way, or another ingest holds the map longer than
+    `lock_timeout_s`; nothing was written then (a commit whose answer was lost is found by its idempotency key).
+    """
+    with transaction(conn, f"The map {map_name} could not be changed, and is as it was before"):
+        execute(conn, load_sql("write/set_lock_timeout"), {"timeout": f"{lock_timeout_s * 1000:.0f}ms"})
+        map_lock(conn, map_name)
+        yield
+
+
+def map_lock(conn: Connection, map_name: str = "default") -> None:
+    """Take the map's lock until the end of the open transaction; other ingests into the same map wait."""
+    execute(conn, load_sql("write/lock_map"), {"map_name": map_name})
+
+
+def find_map(conn: Connection, map_name: str = "default") -> MapInfo | None:
+    """The map, None where no drive was ever committed to it."""
+    with database_errors(f"The map {map_name} cannot be read"):
+        rows = execute(conn, load_sql("map/find_map"), {"map_name": map_name})
+    return MapInfo(**rows[0]) if rows else None
+
+
+def read_current_features(
+    conn: Connection, *, map_name: str = "default", within: Bbox | None = None
+) -> list[MapFeature]:
+    """The features that stand on the map now, by feature id; `within` in the map's CRS. [] where there is no such map."""
+    parameters = _box(conn, map_name, within)
+    with database_errors(f"The features of map {map_name} cannot be read"):
+        return [_feature(row) for row in stream(conn, load_sql("map/current_features"), parameters)]
+
+
+def read_features_as_of(
+    conn: Connection,
+    valid_at: datetime | None = None,
+    *,
+    known_at: datetime | None = None,
+    map_name: str = "default",
+    within: Bbox | None = None,
+) -> Iterator[FeatureVersion]:
+    """The features that stood on the road at `valid_at` (None: latest), as the database knew it at `known_at` (None: now).
+
+    By feature id, read as they are consumed; both instants need a time zone (ValueError without).
+    """
+    for instant in (valid_at, known_at):
+        if instant is not None and instant.tzinfo is None:
+            raise ValueError(f"{instant} has no time zone: UTC or another one must be stated")
+    parameters = _box(conn, map_name, within) | {
+        "valid_at": valid_at.isoformat() if valid_at else "infinity",
+        "known_at": known_at.isoformat() if known_at else "infinity",
+    }
+    with database_errors(f"The features of map {map_name} cannot be read"):
+        for row in stream(conn, load_sql("map/features_as_of"), parameters):
+            yield FeatureVersion(_feature(row), valid_from=row[21], valid_to=row[22], changeset_id=row[23])
+
+
+def find_changeset(conn: Connection, idempotency_key: str, *, map_name: str = "default") -> CommittedChangeset | None:
+    """The changeset that the same drive with the same parameters, model and CRS made before; None where it is new."""
+    rows = _changesets(conn, map_name, idempotency_key, 1)
+    return rows[0] if rows else None
+
+
+def list_changesets(
+    conn: Connection, *, map_name: str = "default", limit: int | None = None
+) -> list[CommittedChangeset]:
+    """Changesets of a map, newest first."""
+    return _changesets(conn, map_name, None, limit)
+
+
+def feature_log(conn: Connection, feature_id: UUID) -> list[FeatureLogEntry]:
+    """Everything that happened to a feature, oldest first; [] where there is no such feature."""
+    with database_errors(f"The history of feature {feature_id} cannot be read"):
+        rows = execute(conn, load_sql("map/feature_log"), {"feature_id": feature_id})
+    return [FeatureLogEntry(**row | {"kind": DeltaKind(row["kind"])}) for row in rows]
+
+
+def map_summary(conn: Connection, map_name: str = "default") -> MapSummary | None:
+    """The map in figures, None where there is no such map."""
+    with database_errors(f"The map {map_name} cannot be read"):
+        rows = execute(conn, load_sql("map/summary"), {"map_name": map_name})
+    return MapSummary(**rows[0]) if rows else None
+
+
+# --------------------------------------------------------------------------- committing
+
+
+def commit_changeset(
+    conn: Connection,
+    drive: Drive,
+    detections: Sequence[Detection],
+    matches: Sequence[StereoMatch],
+    positions: Sequence[Position],
+    tracks: Sequence[Track],
+    rejections: Sequence[Rejection],
+    changeset: Changeset,
+    *,
+    map_name: str = "default",
+    now: datetime | None = None,
+    run: RunInfo | None = None,
+) -> CommitResult:
+    """Write a drive, everything made from it, and its changeset, inside the caller's `map_transaction`.
+
+    The map is made by its first changeset and takes the drive's SRID. `now` is the system time of the changeset (None: the
+    server's clock); it is pushed past the map's last one where it is not later. Versions are numbered here: the open one's
+    plus one. Raises MapMismatchError where the drive is in another CRS, the records do not fit together, or a delta's `old`
+    is not what the map holds now; DatabaseError from the surrounding `map_transaction`.
+    """
+    map_lock(conn, map_name)
+    known = find_changeset(conn, changeset.idempotency_key, map_name=map_name)
+    if known is not None:
+        return CommitResult(committed=False, changeset=known, versions_written=0)
+    _require_consistent(drive, detections, matches, positions, tracks, changeset)
+    info = _map_for(conn, map_name, drive, now)
+    clock = {"now": now, "last_committed_at": info.last_committed_at}
+    committed_at: datetime = execute(conn, load_sql("write/system_time"), clock)[0]["committed_at"]
+    drive_uuid = uuid5(_NAMESPACE, f"{map_name}/{changeset.idempotency_key}")
+    _insert_drive(conn, info, drive, drive_uuid)
+    if run is not None:
+        _insert_run(conn, run, committed_at)
+    kinds = Counter(delta.kind for delta in changeset.deltas)
+    execute(
+        conn,
+        load_sql("write/insert_changeset"),
+        {
+            "changeset_id": changeset.changeset_id,
+            "map_id": info.map_id,
+            "drive_uuid": drive_uuid,
+            "run_id": run.run_id if run else None,
+            "idempotency_key": changeset.idempotency_key,
+            "params_sha256": changeset.params_sha256,
+            "model_sha256": changeset.model_sha256,
+            "code_version": changeset.code_version,
+            "committed_at": committed_at,
+            **{f"{kind.value}_count": kinds[kind] for kind in DeltaKind},
+            "frame_pair_count": len(drive.frame_pairs),
+            "detection_count": len(detections),
+            "match_count": len(matches),
+            "position_count": len(positions),
+            "track_count": len(tracks),
+            "rejection_count": len(rejections),
+        },
+    )
+    srid = info.srid
+    copy_columns(conn, "conetl.frame_pair", map_columns.frame_pair_columns(drive_uuid, srid, drive.frame_pairs))
+    copy_columns(conn, "conetl.detection", map_columns.detection_columns(drive_uuid, detections))
+    copy_columns(conn, "conetl.stereo_match", map_columns.match_columns(drive_uuid, matches))
+    copy_columns(conn, "conetl.position", map_columns.position_columns(drive_uuid, srid, positions))
+    copy_columns(conn, "conetl.track", map_columns.track_columns(drive_uuid, srid, tracks))
+    copy_columns(conn, "conetl.track_member", map_columns.track_member_columns(drive_uuid, tracks))
+    insert_rejections(conn, changeset.changeset_id, rejections)
+    versions_written = _merge_deltas(conn, info, changeset, committed_at)
+    written = find_changeset(conn, changeset.idempotency_key, map_name=map_name)
+    if written is None:
+        raise MapMismatchError(f"changeset {changeset.changeset_id} was written but cannot be found again")
+    return CommitResult(committed=True, changeset=written, versions_written=versions_written)
+
+
+def _merge_deltas(conn: Connection, info: MapInfo, changeset: Changeset, committed_at: datetime) -> int:
+    """Set-based: stage all deltas, check them against the map, close what they replace, write what they bring."""
+    execute(conn, load_sql("write/create_delta_stage"))
+    copy_columns(conn, "delta_stage", map_columns.delta_columns(info.srid, changeset.deltas))
+    execute(conn, "analyze delta_stage")
+    execute(conn, load_sql("write/create_open_version"))
+    execute(conn, "analyze open_version")
+    conflicts = execute(conn, load_sql("map/delta_conflicts"), {"map_id": info.map_id})
+    if conflicts:
+        raise MapMismatchError(_conflict_text(info.map_name, conflicts))
+    parameters = {
+        "map_id": info.map_id,
+        "srid": info.srid,
+        "changeset_id": changeset.changeset_id,
+        "committed_at": committed_at,
+    }
+    execute(conn, load_sql("write/insert_features"), parameters)
+    execute(conn, load_sql("write/close_versions"), parameters)
+    execute(conn, load_sql("write/insert_ended_versions"), parameters)
+    versions = execute_count(conn, load_sql("write/insert_versions"), parameters)
+    execute(conn, load_sql("write/insert_deltas"), parameters)
+    execute(conn, "drop table delta_stage, open_version")
+    return versions
+
+
+def _conflict_text(map_name: str, conflicts: Sequence[Mapping[str, Any]]) -> str:
+    first = conflicts[0]
+    found = "nothing" if first["version"] is None else f"version {first['version']}"
+    state = "" if first["present"] is None else (" (standing)" if first["present"] else " (removed)")
+    return (
+        f"The map {map_name} is not the one that this drive was compared with: feature {first['feature_id']} should be "
+        f"{first['kind']} from version {first['old_version']}, but the map holds {found}{state}. Nothing was written; ingest "
+        "the drive again."
+    )
+
+
+def _map_for(conn: Connection, map_name: str, drive: Drive, now: datetime | None) -> MapInfo:
+    info = find_map(conn, map_name)
+    if info is None:
+        created = {"map_name": map_name, "srid": drive.map_srid, "created_at": now or datetime.now(UTC)}
+        execute(conn, load_sql("write/insert_map"), created)
+        info = find_map(conn, map_name)
+    if info is None or info.srid != drive.map_srid:
+        raise MapMismatchError(
+            f"drive {drive.drive_id} is in EPSG:{drive.map_srid}, the map {map_name} in EPSG:{info.srid if info else '?'}: set "
+            "the drive's map CRS in its drive.yaml to the map's, or ingest it into a map of its own."
+        )
+    return info
+
+
+def _insert_drive(conn: Connection, info: MapInfo, drive: Drive, drive_uuid: UUID) -> None:
+    times_ns = [pair.captured_at_ns for pair in drive.frame_pairs]
+    parameters = {
+        "drive_uuid": drive_uuid,
+        "map_id": info.map_id,
+        "srid": info.srid,
+        "drive_id": clean_text(drive.drive_id),
+        "source_path": clean_text(drive.source_path),
+        "content_sha256": drive.content_sha256,
+        "rig": json_text(drive.rig.model_dump(mode="json")),
+        "captured_from_ns": min(times_ns),
+        "captured_to_ns": max(times_ns),
+        "captured_from": utc_from_ns(min(times_ns)),
+        "captured_to": utc_from_ns(max(times_ns)),
+        "expected_frame_count": drive.expected_frame_count,
+    }
+    execute(conn, load_sql("write/insert_drive"), parameters)
+
+
+def _insert_run(conn: Connection, run: RunInfo, finished_at: datetime) -> None:
+    parameters = {
+        "run_id": run.run_id,
+        "started_at": run.started_at,
+        "finished_at": finished_at,
+        "params": json_text(dict(run.params)),
+        "flow_run_id": run.flow_run_id,
+    }
+    execute(conn, load_sql("write/insert_run"), parameters)
+
+
+def _require_consistent(
+    drive: Drive,
+    detections: Sequence[Detection],
+    matches: Sequence[StereoMatch],
+    positions: Sequence[Position],
+    tracks: Sequence[Track],
+    changeset: Changeset,
+) -> None:
+    """Checks that foreign keys would make row by row, at a tenth of their cost."""
+    frames = {pair.frame_index for pair in drive.frame_pairs}
+    boxes = {(d.frame_index, d.side, d.detection_index) for d in detections}
+    positioned = {(p.frame_index, p.match_index) for p in positions}
+    matched = {(m.frame_index, m.match_index) for m in matches}
+    numbered = {track.track_index for track in tracks}
+    problems = [
+        *(f"detection of frame {f}, which the drive lacks" for f in {d.frame_index for d in detections} - frames),
+        *(f"position of frame {f}, which the drive lacks" for f in {p.frame_index for p in positions} - frames),
+        *(
+            f"stereo match {m.match_index} of frame {m.frame_index} without its detections"
+            for m in matches
+            if not {(m.frame_index, b.side, b.detection_index) for b in (m.left, m.right)} <= boxes
+        ),
+        *(f"position {p} without its stereo match" for p in (positioned - matched if matches else ())),
+        *(
+            f"track {track.track_index} with the unknown position {member}"
+            for track in tracks
+            for member in track.members
+            if member not in positioned
+        ),
+        *(
+            f"delta of feature {d.feature_id} with the unknown track {d.track_index}"
+            for d in changeset.deltas
+            if d.track_index is not None and d.track_index not in numbered
+        ),
+        *(
+            f"{count} deltas of feature {feature_id}, where one is allowed"
+            for feature_id, count in Counter(d.feature_id for d in changeset.deltas).items()
+            if count > 1
+        ),
+    ]
+    if changeset.drive_id != drive.drive_id:
+        problems.insert(0, f"a changeset of drive {changeset.drive_id}")
+    if problems:
+        more = f" and {len(problems) - 1} more problems" if len(problems) > 1 else ""
+        raise MapMismatchError(f"drive {drive.drive_id} comes with {problems[0]}{more}: nothing was written.")
+
+
+def _changesets(conn: Connection, map_name: str, key: str | None, limit: int | None) -> list[CommittedChangeset]:
+    parameters = {"map_name": map_name, "idempotency_key": key, "max_rows": limit}
+    with database_errors(f"The changesets of map {map_name} cannot be read"):
+        return [CommittedChangeset(**row) for row in execute(conn, load_sql("map/changesets"), parameters)]
+
+
+def _box(conn: Connection, map_name: str, within: Bbox | None) -> dict[str, Any]:
+    west_m, south_m, east_m, north_m = within or (None, None, None, None)
+    info = find_map(conn, map_name) if within else None
+    parameters = {"map_name": map_name, "srid": info.srid if info else 0}
+    return parameters | {"west_m": west_m, "south_m": south_m, "east_m": east_m, "north_m": north_m}
+
+
+def _feature(row: tuple[Any, ...]) -> MapFeature:
+    return MapFeature(
+        feature_id=row[0],
+        version=row[1],
+        category=row[2],
+        xyz_m=row[3:6],
+        cov_m2=row[6:12],
+        centre_xyz_m=row[12:15],
+        cone_height_m=row[15],
+        cone_height_sigma_m=row[16],
+        existence_probability=row[17],
+        observation_count=row[18],
+        first_seen_ns=row[19],
+        last_seen_ns=row[20],
+    )
