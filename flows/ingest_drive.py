@@ -17,13 +17,14 @@ from conetl.rejections import INPUT_REASONS
 from conetl.reports import IngestReport, TooManyRejectionsError
 from conetl.settings import Settings
 from flows.merge import already_committed, identify, merge_task
+from flows.merge import map_srid as srid_of_map
 from flows.progress import expect, ignore, listen
+from flows.retries import lost_frame_pairs
 from flows.tasks import (
     Chunk,
     detect_task,
     fuse_task,
     locate_task,
-    lost_frame_pairs,
     match_task,
     publish_task,
     read_drive_task,
@@ -40,9 +41,9 @@ def ingest_drive(
     service missing: nothing was written) and TooManyRejectionsError (written, but look at the rejections).
     """
     started = time.monotonic()
-    drive, rejections = read_drive_task(folder, map_srid)
+    drive, rejections = read_drive_task(folder, map_srid or srid_of_map(settings))
     identity = identify(drive, params, settings)
-    if (known := already_committed(identity, settings)) is not None:
+    if (known := already_committed(drive, identity, settings)) is not None:
         return known
     chunks = [
         Chunk(

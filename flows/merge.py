@@ -3,18 +3,30 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from datetime import UTC, datetime
 from importlib.metadata import version
-from typing import Any
 from uuid import UUID, uuid5
 
 import numpy as np
 from prefect import task
+from prefect.context import get_run_context
+from prefect.runtime import flow_run
 
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
-from conetl.io import detector as detector_io
-from conetl.io.cluster import database_url
-from conetl.io.db import connect, migrate
-from conetl.io.map_store import commit_changeset, find_changeset, map_transaction, read_current_features
+from conetl.io.cluster import cluster_up
+from conetl.io.db import Connection, connect, migrate
+from conetl.io.detector import read_model_card, shipped_model_path
+from conetl.io.map_store import (
+    CommittedChangeset,
+    RunInfo,
+    commit_changeset,
+    find_changeset,
+    find_map,
+    map_transaction,
+    read_current_features,
+)
 from conetl.io.parquet_store import result_key
 from conetl.params import IngestParams, params_sha256
 from conetl.records import (
@@ -34,4 +46,216 @@ from conetl.reports import ChangeLine, IngestReport
 from conetl.settings import Settings
 from conetl.steps.changes import reconcile
 from conetl.steps.visibility import Look, look_at_spot
-from flows.tasks import _RETRY, lost_frame_pairs
+from flows.retries import RETRY, lost_frame_pairs
+
+_NAMESPACE = UUID("0b9b3a5e-9c1f-4d0e-8b55-2f7d9a1c6e42")
+#: Features this far around the path may be seen by the drive: the farthest position plus the largest offset.
+_MARGIN_M = 60.0
+
+
+class Identity(Record):
+    """What makes an ingest the same as an earlier one."""
+
+    idempotency_key: str
+    params_sha256: str
+    model_sha256: str
+
+
+class Merged(Record):
+    """What `merge_task` hands on."""
+
+    changeset: Changeset
+    untouched: tuple[MapFeature, ...]
+    """Features around the path that the drive did not judge."""
+    report: IngestReport
+
+
+def identify(drive: Drive, params: IngestParams, settings: Settings) -> Identity:
+    """Hashes of content, parameters and model; the same three on the same map are the same changeset."""
+    model_sha256 = read_model_card(settings.model_path or shipped_model_path()).sha256
+    parameters = params_sha256(params)
+    key = result_key("changeset", drive.content_sha256, parameters, model_sha256, str(drive.map_srid))
+    return Identity(idempotency_key=key, params_sha256=parameters, model_sha256=model_sha256)
+
+
+@contextmanager
+def open_map(settings: Settings) -> Iterator[Connection]:
+    """A connection to the map's database, started and migrated where needed."""
+    with closing(connect(settings.database_url or cluster_up(settings.home))) as conn:
+        migrate(conn)
+        yield conn
+
+
+def map_srid(settings: Settings) -> int | None:
+    """CRS of the map as it is, None where it does not exist yet: later drives are placed in the map's own CRS."""
+    with open_map(settings) as conn:
+        info = find_map(conn, settings.map_name)
+    return info.srid if info else None
+
+
+def already_committed(drive: Drive, identity: Identity, settings: Settings) -> IngestReport | None:
+    """The report 'no changes' where this very drive is on the map already."""
+    with open_map(settings) as conn:
+        known = find_changeset(conn, identity.idempotency_key, map_name=settings.map_name)
+    return _no_changes(drive, identity, known, settings) if known else None
+
+
+@task(name="merge", **RETRY)
+def merge_task(
+    drive: Drive,
+    identity: Identity,
+    detections: list[Detection],
+    matches: list[StereoMatch],
+    positions: list[Position],
+    tracks: list[Track],
+    rejections: list[Rejection],
+    settings: Settings,
+    params: IngestParams,
+) -> Merged:
+    """Compare the tracks with the map and commit the differences: all of them, or none."""
+    run = RunInfo(
+        run_id=UUID(str(get_run_context().task_run.id)),  # type: ignore[union-attr]
+        started_at=datetime.now(UTC),
+        params=params.model_dump(mode="json"),
+        flow_run_id=flow_run.get_id(),
+    )
+    with open_map(settings) as conn, map_transaction(conn, settings.map_name):
+        known = find_changeset(conn, identity.idempotency_key, map_name=settings.map_name)
+        if known is not None:  # another ingest of the same drive was faster
+            changeset = _changeset(drive, identity, ())
+            return Merged(changeset=changeset, untouched=(), report=_no_changes(drive, identity, known, settings))
+        features = _features_around(conn, drive, settings.map_name)
+        deltas = _reconcile(drive, features, detections, positions, tracks, params)
+        changeset = _changeset(drive, identity, tuple(deltas))
+        commit_changeset(
+            conn,
+            drive,
+            detections,
+            matches,
+            positions,
+            tracks,
+            rejections,
+            changeset,
+            map_name=settings.map_name,
+            run=run,
+        )
+    judged = {delta.feature_id for delta in deltas}
+    return Merged(
+        changeset=changeset,
+        untouched=tuple(feature for feature in features if feature.feature_id not in judged),
+        report=IngestReport(
+            drive_id=drive.drive_id,
+            status="committed",
+            changeset_id=changeset.changeset_id,
+            captured_from=drive.captured_from,
+            captured_to=drive.captured_to,
+            map_name=settings.map_name,
+            map_srid=drive.map_srid,
+            frame_pairs=len(drive.frame_pairs),
+            frame_pairs_rejected=len(lost_frame_pairs(rejections, INPUT_REASONS)),
+            detections=len(detections),
+            matches=len(matches),
+            positions=len(positions),
+            tracks=len(tracks),
+            counts={kind: sum(d.kind == kind for d in deltas) for kind in DeltaKind},
+            changes=tuple(_line(delta) for delta in deltas),
+            rejections=dict(sorted(Counter(r.reason for r in rejections).items())),
+            params_sha256=identity.params_sha256,
+            model_sha256=identity.model_sha256,
+            seconds=0.0,
+            committed_at=None,
+        ),
+    )
+
+
+def _features_around(conn: Connection, drive: Drive, map_name: str) -> list[MapFeature]:
+    path = np.array([pair.pose.map_t_body_m[:2] for pair in drive.frame_pairs])
+    west, south = (path.min(axis=0) - _MARGIN_M).tolist()
+    east, north = (path.max(axis=0) + _MARGIN_M).tolist()
+    return read_current_features(conn, map_name=map_name, within=(west, south, east, north))
+
+
+def _reconcile(
+    drive: Drive,
+    features: list[MapFeature],
+    detections: list[Detection],
+    positions: list[Position],
+    tracks: list[Track],
+    params: IngestParams,
+) -> list[Delta]:
+    left = {pair.frame_index: map_SE3_left(pair.pose, drive.rig) for pair in drive.frame_pairs}
+    right = {pair.frame_index: map_SE3_right(pair.pose, drive.rig) for pair in drive.frame_pairs}
+    times_ns = {pair.frame_index: pair.captured_at_ns for pair in drive.frame_pairs}
+    by_frame: dict[int, list[Detection]] = defaultdict(list)
+    for detection in detections:
+        by_frame[detection.frame_index].append(detection)
+
+    def look_at(feature: MapFeature, offset_m: np.ndarray) -> Look | None:  # type: ignore[type-arg]
+        return look_at_spot(feature, offset_m, drive.rig, left, right, times_ns, by_frame, positions, params.reconcile)
+
+    return reconcile(
+        tracks,
+        features,
+        look_at,
+        params.reconcile,
+        drive_id=drive.drive_id,
+        drive_from_ns=min(times_ns.values()),
+    )
+
+
+def _changeset(drive: Drive, identity: Identity, deltas: tuple[Delta, ...]) -> Changeset:
+    return Changeset(
+        changeset_id=uuid5(_NAMESPACE, identity.idempotency_key),
+        drive_id=drive.drive_id,
+        idempotency_key=identity.idempotency_key,
+        params_sha256=identity.params_sha256,
+        model_sha256=identity.model_sha256,
+        code_version=version("conetl"),
+        deltas=deltas,
+    )
+
+
+def _line(delta: Delta) -> ChangeLine:
+    feature = delta.new or delta.old
+    if feature is None:
+        raise ValueError("a delta has an old or a new side")
+    return ChangeLine(
+        kind=delta.kind,
+        feature_id=delta.feature_id,
+        xyz_m=feature.xyz_m,
+        cone_height_m=feature.cone_height_m,
+        sigma_horizontal_m=((feature.cov_m2[0] + feature.cov_m2[3]) / 2) ** 0.5,
+        existence_probability=feature.existence_probability,
+        observation_count=feature.observation_count,
+        shift_m=delta.shift_m,
+    )
+
+
+def _no_changes(drive: Drive, identity: Identity, known: CommittedChangeset, settings: Settings) -> IngestReport:
+    return IngestReport(
+        drive_id=drive.drive_id,
+        status="no changes",
+        changeset_id=known.changeset_id,
+        captured_from=drive.captured_from,
+        captured_to=drive.captured_to,
+        map_name=settings.map_name,
+        map_srid=drive.map_srid,
+        frame_pairs=known.frame_pair_count,
+        frame_pairs_rejected=drive.expected_frame_count - known.frame_pair_count,
+        detections=known.detection_count,
+        matches=known.match_count,
+        positions=known.position_count,
+        tracks=known.track_count,
+        counts={
+            DeltaKind.ADDED: known.added_count,
+            DeltaKind.CONFIRMED: known.confirmed_count,
+            DeltaKind.MOVED: known.moved_count,
+            DeltaKind.REMOVED: known.removed_count,
+        },
+        changes=(),
+        rejections={},
+        params_sha256=identity.params_sha256,
+        model_sha256=identity.model_sha256,
+        seconds=0.0,
+        committed_at=known.committed_at,
+    )

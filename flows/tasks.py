@@ -11,14 +11,12 @@ from typing import Any
 import numpy as np
 from prefect import task
 from prefect.artifacts import create_image_artifact, create_table_artifact
-from prefect.cache_policies import NO_CACHE
 
-from conetl.errors import InputError
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
 from conetl.io import detector as detector_io
 from conetl.io.drive_folder import read_drive
 from conetl.io.exports.plan_view import draw_plan_view
-from conetl.io.images import ImageFileError, read_image
+from conetl.io.images import ImageReadError, read_image
 from conetl.io.parquet_store import (
     file_sha256,
     has_result,
@@ -41,13 +39,14 @@ from conetl.records import (
     StereoMatch,
     Track,
 )
-from conetl.rejections import Rejection, RejectionReason
+from conetl.rejections import Rejection
 from conetl.reports import IngestReport
 from conetl.steps.detections import check_boxes
 from conetl.steps.matches import match_pair
 from conetl.steps.positions import locate_positions
 from conetl.steps.tracks import fuse_tracks
 from flows.progress import tell_progress
+from flows.retries import RETRY
 
 #: Part of every result key: raise it when a step computes something else from the same inputs.
 RESULTS_VERSION = "1"
@@ -66,32 +65,13 @@ class Chunk(Record):
     params: IngestParams
 
 
-def _not_an_input_error(_task: Any, _run: Any, state: Any) -> bool:
-    """Retry what may pass (disk, network, database); bad input stays bad."""
-    try:
-        state.result()
-    except InputError:
-        return False
-    except Exception:
-        return True
-    return False
-
-
-_RETRY: dict[str, Any] = {
-    "retries": 2,
-    "retry_delay_seconds": [1, 5],
-    "retry_condition_fn": _not_an_input_error,
-    "cache_policy": NO_CACHE,  # results are kept by content in the Parquet store, see io/parquet_store.py
-}
-
-
-@task(name="read drive", task_run_name="read {folder}", **_RETRY)
+@task(name="read drive", task_run_name="read {folder}", **RETRY)
 def read_drive_task(folder: Path, map_srid: int | None) -> tuple[Drive, list[Rejection]]:
     """Understand a drive folder; see `io/drive_folder`."""
     return read_drive(folder, map_srid=map_srid)
 
 
-@task(name="detect", task_run_name="detect {side} {chunk.frame_pairs[0].frame_index}", tags=["detect"], **_RETRY)
+@task(name="detect", task_run_name="detect {side} {chunk.frame_pairs[0].frame_index}", tags=["detect"], **RETRY)
 def detect_task(chunk: Chunk, side: Side) -> Path:
     """Detections of one side of a chunk; returns the Parquet file."""
     paths = [Path(pair.left_path if side == "left" else pair.right_path) for pair in chunk.frame_pairs]
@@ -109,7 +89,7 @@ def detect_task(chunk: Chunk, side: Side) -> Path:
     for pair, path in zip(chunk.frame_pairs, paths, strict=True):
         try:
             image = read_image(path, (camera.width_px, camera.height_px))
-        except ImageFileError as error:
+        except ImageReadError as error:
             rejections.append(
                 Rejection(
                     step="detections",
@@ -130,7 +110,7 @@ def detect_task(chunk: Chunk, side: Side) -> Path:
     return save_result(chunk.results_folder, key, detections, rejections)
 
 
-@task(name="match", task_run_name="match {chunk.frame_pairs[0].frame_index}", **_RETRY)
+@task(name="match", task_run_name="match {chunk.frame_pairs[0].frame_index}", **RETRY)
 def match_task(chunk: Chunk, left: Path, right: Path) -> Path:
     """Stereo matches of a chunk from the detections of both sides; returns the Parquet file."""
     key = result_key(
@@ -159,7 +139,7 @@ def match_task(chunk: Chunk, left: Path, right: Path) -> Path:
     return save_result(chunk.results_folder, key, matches, rejections)
 
 
-@task(name="locate", task_run_name="locate {chunk.frame_pairs[0].frame_index}", **_RETRY)
+@task(name="locate", task_run_name="locate {chunk.frame_pairs[0].frame_index}", **RETRY)
 def locate_task(chunk: Chunk, matches: Path) -> Path:
     """Positions of a chunk by forward intersection; returns the Parquet file."""
     key = result_key(
@@ -174,7 +154,7 @@ def locate_task(chunk: Chunk, matches: Path) -> Path:
     return save_result(chunk.results_folder, key, positions, rejections)
 
 
-@task(name="fuse", **_RETRY)
+@task(name="fuse", **RETRY)
 def fuse_task(
     drive: Drive,
     detections: list[Detection],
@@ -216,7 +196,7 @@ def _detector(chunk: Chunk) -> detector_io.Detector:
     return loaded[1]
 
 
-@task(name="publish", **_RETRY)
+@task(name="publish", **RETRY)
 def publish_task(
     drive: Drive, changeset: Changeset, untouched: list[MapFeature], report: IngestReport, picture: Path
 ) -> Path:
@@ -251,8 +231,3 @@ def summary_rows(report: IngestReport) -> list[dict[str, Any]]:
     ]
     rows += [{"what": f"rejected: {reason}", "count": count} for reason, count in report.rejections.items()]
     return rows
-
-
-def lost_frame_pairs(rejections: list[Rejection], reasons: frozenset[RejectionReason]) -> set[str]:
-    """Frame pairs that were refused for what was delivered (files, poses)."""
-    return {rejection.record for rejection in rejections if rejection.reason in reasons}

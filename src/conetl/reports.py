@@ -41,15 +41,16 @@ class IngestReport(Record):
     matches: int
     positions: int
     tracks: int
+    counts: dict[DeltaKind, int]
+    """Changes by kind; of a known drive, those that it made when it was committed."""
     changes: tuple[ChangeLine, ...]
+    """What this run changed; empty for a known drive."""
     rejections: dict[RejectionReason, int]
     params_sha256: str
     model_sha256: str
     seconds: float
-    exports: tuple[str, ...]
-
-    def count(self, kind: DeltaKind) -> int:
-        return sum(line.kind == kind for line in self.changes)
+    committed_at: datetime | None
+    """When a known drive was committed; None for one that this run committed."""
 
 
 class TooManyRejectionsError(ConetlError):

@@ -1,0 +1,35 @@
+"""What all tasks share: when to try again, and which frame pairs were lost."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from prefect.cache_policies import NO_CACHE
+
+from conetl.errors import InputError
+from conetl.rejections import Rejection, RejectionReason
+
+
+def _may_pass(_task: Any, _run: Any, state: Any) -> bool:
+    """Disk, network and database may be better in a second; bad input stays bad."""
+    try:
+        state.result()
+    except InputError:
+        return False
+    except Exception:
+        return True
+    return False
+
+
+RETRY: dict[str, Any] = {
+    "retries": 2,
+    "retry_delay_seconds": [1, 5],
+    "retry_condition_fn": _may_pass,
+    "cache_policy": NO_CACHE,  # results are kept by content in the Parquet store, see io/parquet_store.py
+}
+
+
+def lost_frame_pairs(rejections: Iterable[Rejection], reasons: frozenset[RejectionReason]) -> set[str]:
+    """Frame pairs that were refused for one of the reasons, each once even where both its images are bad."""
+    return {rejection.record for rejection in rejections if rejection.reason in reasons}

@@ -1,0 +1,64 @@
+"""What the commands share: printing tables, JSON and complaints."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from conetl.errors import ConetlError
+
+JsonOption = Annotated[
+    bool, typer.Option("--json", help="Print the result as JSON on standard output, and nothing else there.")
+]
+
+out = Console(highlight=False)
+#: Progress and complaints go to standard error: standard output is for results.
+err = Console(stderr=True, highlight=False)
+
+
+def print_json(value: Any) -> None:
+    """One JSON document on standard output."""
+    json.dump(value, sys.stdout, indent=2, default=str)
+    sys.stdout.write("\n")
+
+
+def complain(error: ConetlError) -> None:
+    """One complaint on standard error."""
+    err.print(f"[bold red]conetl:[/] {_plain(str(error))}", soft_wrap=True)
+
+
+def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], *, numbers_from: int = 1) -> None:
+    """A table on standard output; columns from `numbers_from` on are aligned right."""
+    table = Table(title=title, title_justify="left", title_style="bold", header_style="bold", box=None, pad_edge=False)
+    for index, column in enumerate(columns):
+        table.add_column(column, justify="right" if index >= numbers_from else "left", no_wrap=True)
+    for row in rows:
+        table.add_row(*(_plain(str(cell)) for cell in row))
+    # On a terminal the table fits its width; in a file or a pipe nothing is cut off.
+    Console(highlight=False, width=None if out.is_terminal else 200).print(table)
+
+
+@contextmanager
+def progress_bar() -> Iterator[Progress]:
+    """A progress bar on standard error, silent where that is not a terminal."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=err, disable=not err.is_terminal, transient=True) as progress:
+        yield progress
+
+
+def _plain(text: str) -> str:
+    return text.replace("[", "\\[")

@@ -1,0 +1,155 @@
+"""`conetl ingest`: drives into the map."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+import yaml
+from pydantic import ValidationError
+
+from conetl.cli.console import JsonOption, complain, err, out, print_json, print_table, progress_bar
+from conetl.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_TOO_MANY_REJECTIONS, ConetlError, InputError, ServiceError
+from conetl.params import IngestParams
+from conetl.records import DeltaKind
+from conetl.reports import IngestReport, TooManyRejectionsError
+from conetl.settings import Settings, prefect_environment
+
+
+def ingest(
+    drives: Annotated[list[Path], typer.Argument(help="Drive folders, in the order in which they were recorded.")],
+    params: Annotated[Path | None, typer.Option(help="YAML file of parameters; see `src/conetl/params.py`.")] = None,
+    map_srid: Annotated[
+        int | None, typer.Option(help="EPSG code of the map; the drive's UTM zone unless given.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Find the cones of stereo drives and merge them into the map; each drive is one changeset.
+
+    The same drive again changes nothing and says so. A drive that cannot be used is named, and the others go on.
+    """
+    reports, exit_code = ingest_drives(
+        drives, Settings(), read_params(params), map_srid=map_srid, show=(lambda _: None) if as_json else print_report
+    )
+    if as_json:
+        print_json([report.model_dump(mode="json") for report in reports])
+    raise typer.Exit(exit_code)
+
+
+def ingest_drives(
+    drives: Sequence[Path],
+    settings: Settings,
+    params: IngestParams,
+    *,
+    map_srid: int | None,
+    show: Callable[[IngestReport], None],
+) -> tuple[list[IngestReport], int]:
+    """Ingest drives one after the other; the reports and the exit code of the worst of them."""
+    missing = [str(drive) for drive in drives if not drive.is_dir()]
+    if len(missing) == len(drives):  # before any service is started
+        raise InputError(f"no such drive folder: {', '.join(missing)}")
+    os.environ.update(prefect_environment(settings.home))
+    with err.status("Starting Prefect") if err.is_terminal else out.capture():
+        from flows import progress
+        from flows.ingest_drive import ingest_drive, with_workers
+        from flows.server import prefect_server
+    reports: list[IngestReport] = []
+    exit_code = EXIT_DONE
+    with prefect_server(settings.home), progress_bar() as bars:
+        bar = bars.add_task("", total=None)
+        listener = lambda drive_id, done, total: bars.update(bar, description=drive_id, completed=done, total=total)  # noqa: E731
+        progress.listen(listener)
+        try:
+            run = ingest_drive.with_options(task_runner=with_workers(settings.workers))
+            for drive in drives:
+                try:
+                    report = run(drive, settings, params, map_srid=map_srid)
+                except TooManyRejectionsError as error:
+                    reports.append(error.report)
+                    show(error.report)
+                    complain(error)
+                    exit_code = max(exit_code, EXIT_TOO_MANY_REJECTIONS)
+                except ServiceError:
+                    raise
+                except ConetlError as error:
+                    complain(error)
+                    exit_code = EXIT_BAD_INPUT
+                else:
+                    reports.append(report)
+                    show(report)
+        finally:
+            progress.ignore(listener)
+    return reports, exit_code
+
+
+def read_params(path: Path | None) -> IngestParams:
+    """Parameters from a YAML file; the defaults without one. Raises InputError naming what is wrong."""
+    if path is None:
+        return IngestParams()
+    try:
+        return IngestParams.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")) or {})
+    except OSError as error:
+        raise InputError(f"parameters {path}: cannot be read ({error.strerror})") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise InputError(f"parameters {path}: not a YAML file ({error})") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"]) or "the file"
+        raise InputError(f"parameters {path}: {where}: {first['msg']}") from error
+
+
+def print_report(report: IngestReport) -> None:
+    """What one drive changed, for a person."""
+    counts = ", ".join(f"{report.counts[kind]} {kind}" for kind in DeltaKind)
+    when = f"{report.captured_from:%Y-%m-%d %H:%M} UTC"
+    if report.status == "no changes":
+        out.print(
+            f"[bold]{report.drive_id}[/] ({when}): no changes. It is on the map since {report.committed_at:%Y-%m-%d %H:%M} UTC "
+            f"({counts})."
+        )
+        return
+    out.print(
+        f"[bold]{report.drive_id}[/] ({when}): {counts}. {report.frame_pairs} frame pairs in {report.seconds:.1f} s, "
+        f"{report.detections} detections, {report.matches} stereo matches, {report.tracks} cones."
+    )
+    print_changes(report)
+    if report.rejections:
+        rows = [(str(reason).replace("_", " "), count) for reason, count in report.rejections.items()]
+        print_table("Quarantined", ("reason", "records"), rows)
+    out.print()
+
+
+def print_changes(report: IngestReport) -> None:
+    """The table of changes of one drive."""
+    rows = [
+        (
+            line.kind,
+            str(line.feature_id)[:8],
+            f"{line.xyz_m[0]:.3f}",
+            f"{line.xyz_m[1]:.3f}",
+            f"{line.xyz_m[2]:.3f}",
+            f"{line.cone_height_m:.2f}",
+            f"{line.sigma_horizontal_m:.3f}",
+            f"{line.existence_probability:.3f}",
+            line.observation_count,
+            "" if line.shift_m is None else f"{line.shift_m:.3f}",
+        )
+        for line in report.changes
+    ]
+    if rows:
+        columns = (
+            "change",
+            "feature",
+            "easting m",
+            "northing m",
+            "height m",
+            "cone m",
+            "sigma m",
+            "exists",
+            "seen",
+            "shift m",
+        )
+        print_table("", columns, rows, numbers_from=2)

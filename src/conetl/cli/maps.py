@@ -1,0 +1,192 @@
+"""`conetl map`: look at the map and take it elsewhere."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from dataclasses import asdict
+from datetime import UTC, datetime
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+from uuid import UUID
+
+import typer
+
+from conetl.cli.console import JsonOption, out, print_json, print_table
+from conetl.cli.database import open_database
+from conetl.errors import InputError
+from conetl.io.db import Connection, migrate
+from conetl.io.exports.csv_table import export_csv
+from conetl.io.exports.geojson import export_geojson
+from conetl.io.map_store import feature_log, list_changesets, map_summary, read_features_as_of
+from conetl.settings import Settings
+
+app = typer.Typer(help="Look at the map and take it elsewhere.", no_args_is_help=True)
+
+
+class Format(StrEnum):
+    """File formats of `map export`."""
+
+    GEOJSON = "geojson"
+    CSV = "csv"
+
+
+AsOf = Annotated[
+    str | None,
+    typer.Option(
+        "--as-of", help="The map as it stood on the road at this time, e.g. 2026-03-02 or 2026-03-02T10:00+01:00."
+    ),
+]
+
+
+def open_map(settings: Settings) -> Connection:
+    """Connection with the schema up to date."""
+    conn = open_database(settings)
+    migrate(conn)
+    return conn
+
+
+@app.command()
+def show(as_of: AsOf = None, as_json: JsonOption = False) -> None:
+    """The cones on the map."""
+    settings = Settings()
+    with closing(open_map(settings)) as conn:
+        summary = map_summary(conn, settings.map_name)
+        versions = list(read_features_as_of(conn, parse_time(as_of), map_name=settings.map_name))
+    if as_json:
+        print_json(
+            {"map": summary and asdict(summary), "features": [v.feature.model_dump(mode="json") for v in versions]}
+        )
+        return
+    if summary is None:
+        out.print(f"The map {settings.map_name} is empty: fill it with `conetl ingest DRIVE`.", markup=False)
+        return
+    when = f" as of {as_of}" if as_of else ""
+    out.print(
+        f"Map {summary.map_name}, EPSG:{summary.srid}: {len(versions)} cones{when}, {summary.changeset_count} changesets."
+    )
+    rows = [
+        (
+            str(v.feature.feature_id),
+            v.feature.version,
+            *(f"{value:.3f}" for value in v.feature.xyz_m),
+            f"{v.feature.cone_height_m:.2f}",
+            f"{((v.feature.cov_m2[0] + v.feature.cov_m2[3]) / 2) ** 0.5:.3f}",
+            f"{v.feature.existence_probability:.3f}",
+            v.feature.observation_count,
+            f"{v.valid_from:%Y-%m-%d %H:%M:%S}",
+        )
+        for v in versions
+    ]
+    if rows:
+        columns = (
+            "feature",
+            "version",
+            "easting m",
+            "northing m",
+            "height m",
+            "cone m",
+            "sigma m",
+            "exists",
+            "seen",
+            "since (UTC)",
+        )
+        print_table("", columns, rows)
+
+
+@app.command()
+def log(
+    feature: Annotated[str | None, typer.Argument(help="A feature's id; without it the changesets of the map.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """What happened: to one feature, or to the whole map."""
+    settings = Settings()
+    with closing(open_map(settings)) as conn:
+        if feature is None:
+            changesets = list_changesets(conn, map_name=settings.map_name)
+            if as_json:
+                print_json([asdict(c) for c in changesets])
+                return
+            rows = [
+                (
+                    c.changeset_no,
+                    c.drive_id,
+                    f"{c.committed_at:%Y-%m-%d %H:%M:%S}",
+                    c.added_count,
+                    c.confirmed_count,
+                    c.moved_count,
+                    c.removed_count,
+                    c.rejection_count,
+                )
+                for c in changesets
+            ]
+            columns = ("no", "drive", "committed (UTC)", "added", "confirmed", "moved", "removed", "quarantined")
+            print_table("", columns, rows, numbers_from=3)
+            return
+        try:
+            feature_id = UUID(feature)
+        except ValueError:
+            raise InputError(f"{feature!r} is no feature id: `conetl map show` lists them") from None
+        entries = feature_log(conn, feature_id)
+    if not entries:
+        raise InputError(f"the map knows no feature {feature_id}: `conetl map show` lists them")
+    if as_json:
+        print_json([asdict(e) for e in entries])
+        return
+    rows = [
+        (
+            e.kind,
+            e.drive_id,
+            f"{e.changed_at:%Y-%m-%d %H:%M:%S}",
+            f"{e.easting_m:.3f}",
+            f"{e.northing_m:.3f}",
+            f"{e.height_m:.3f}",
+            f"{e.existence_probability:.3f}",
+            e.observation_count,
+            "" if e.shift_m is None else f"{e.shift_m:.3f}",
+        )
+        for e in entries
+    ]
+    columns = (
+        "change",
+        "drive",
+        "on the road since (UTC)",
+        "easting m",
+        "northing m",
+        "height m",
+        "exists",
+        "seen",
+        "shift m",
+    )
+    print_table("", columns, rows, numbers_from=3)
+
+
+@app.command()
+def export(
+    output: Annotated[Path, typer.Option("--out", help="File to write.")],
+    file_format: Annotated[
+        Format, typer.Option("--format", help="GeoJSON (RFC 7946, longitude/latitude) or CSV.")
+    ] = Format.GEOJSON,
+    as_of: AsOf = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Write the map, as it is or as it stood, to a file."""
+    settings = Settings()
+    with closing(open_map(settings)) as conn:
+        write = export_geojson if file_format is Format.GEOJSON else export_csv
+        count = write(conn, output, as_of=parse_time(as_of), map_name=settings.map_name)
+    if as_json:
+        print_json({"written": str(output), "features": count})
+    else:
+        out.print(f"{count} cones -> {output}", markup=False)
+
+
+def parse_time(text: str | None) -> datetime | None:
+    """ISO 8601 date or time; UTC where it names no zone. Raises InputError."""
+    if text is None:
+        return None
+    try:
+        time = datetime.fromisoformat(text)
+    except ValueError:
+        raise InputError(f"{text!r} is no time: write it like 2026-03-02 or 2026-03-02T10:00:00+01:00") from None
+    return time if time.tzinfo else time.replace(tzinfo=UTC)

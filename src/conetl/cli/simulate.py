@@ -1,0 +1,40 @@
+"""`conetl simulate`: a drive with known truth, rendered."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from conetl.cli.console import JsonOption, out, print_json, progress_bar
+from conetl.simulation.simulate import simulate_drive
+
+
+def simulate(
+    folder: Annotated[Path, typer.Argument(help="Where to write the drive; must not exist or be empty.")],
+    pass_number: Annotated[
+        int, typer.Option("--pass", min=1, max=3, help="1 first survey, 2 next day, 3 opposite direction.")
+    ] = 1,
+    seed: Annotated[int, typer.Option(help="Noise of cameras and GNSS; equal seeds give equal drives.")] = 20260302,
+    width: Annotated[int, typer.Option(min=64, help="Picture width in pixels.")] = 960,
+    height: Annotated[int, typer.Option(min=32, help="Picture height in pixels.")] = 320,
+    samples: Annotated[int, typer.Option(min=1, help="Light paths per pixel.")] = 16,
+    as_json: JsonOption = False,
+) -> None:
+    """Render a stereo drive along a lane-closure taper, with trajectory, calibration and truth.csv (needs conetl[simulate])."""
+    with progress_bar() as bars:
+        bar = bars.add_task("render", total=None)
+        written = simulate_drive(
+            folder,
+            pass_number=pass_number,
+            seed=seed,
+            width_px=width,
+            height_px=height,
+            samples_per_pixel=samples,
+            progress=lambda done, total: bars.update(bar, completed=done, total=total),
+        )
+    if as_json:
+        print_json({"drive": str(written)})
+    else:
+        out.print(f"{written}: try `conetl ingest {written}`", markup=False)
