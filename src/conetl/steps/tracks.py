@@ -19,7 +19,8 @@ Floats = NDArray[np.float64]
 _FRAMES_PER_INDEPENDENT_LOOK = 3.0
 #: A score of this size speaks neither for nor against a cone; measured on street furniture (data/models/README.md).
 _NEUTRAL_SCORE = 0.45
-_MISS_LOGIT = -1.2
+#: A cone in plain view is missed in about every second frame pair where posts hide half of it: ln(0.5 / 0.98).
+_MISS_LOGIT = -0.7
 _PRIOR_LOGIT = -1.0
 
 
