@@ -125,7 +125,9 @@ def intersect(
     centre = _camera_array(centre_m, (v, 3), p, "centre_m")
     if mask.shape != (p, v):
         raise ValueError(f"valid must be ({p}, {v}), found {mask.shape}")
-    sigma = np.broadcast_to(np.asarray(sigma_uv_px, dtype=np.float64), (p, v, 2))
+    sigma = np.asarray(sigma_uv_px, dtype=np.float64)
+    per_point = sigma.ndim == 3 and sigma.shape[0] != 1
+    sigma = np.broadcast_to(sigma, (p, v, 2)) if per_point else np.broadcast_to(sigma, (1, v, 2))[0]
     start = None if start_m is None else np.asarray(start_m, dtype=np.float64)
     if start is not None and start.shape != (p, 3):
         raise ValueError(f"start_m must be ({p}, 3), found {start.shape}")
@@ -138,7 +140,7 @@ def intersect(
             return a if a.ndim == shared_ndim else a[part]
 
         _intersect_chunk(
-            result, part, uv[part], mask[part], cut(k, 2), cut(rot, 3), cut(centre, 2), sigma[part],
+            result, part, uv[part], mask[part], cut(k, 2), cut(rot, 3), cut(centre, 2), cut(sigma, 2),
             None if start is None else start[part], convergence_m2, max_iterations, min_ray_angle_rad,
         )  # fmt: skip
     return result
@@ -227,6 +229,8 @@ def _intersect_chunk(
 
 def _sound(uv: Array, k: Array, rot: Array, centre: Array, sigma: Array) -> Bools:
     """(n, V) True where image point, sigma and camera can be used."""
+    if np.isfinite(sum(float(a.sum()) for a in (uv, k, rot, centre, sigma))) and min(sigma.min(), k[..., :2].min()) > 0:
+        return np.ones(uv.shape[:2], dtype=bool)  # one infinity or NaN anywhere would show in the sum
     per_view = np.isfinite(k).all(axis=-1) & (k[..., :2] > 0).all(axis=-1)
     per_view = per_view & np.isfinite(rot).all(axis=(-2, -1)) & np.isfinite(centre).all(axis=-1)
     s0, s1 = sigma[..., 0], sigma[..., 1]
@@ -279,11 +283,19 @@ def _views(uv: Array, mask: Bools, k: Array, rot: Array, centre: Array, sigma: A
     )  # fmt: skip
 
 
-def _normal_equations(a: list[Array], b: list[Array], ra: Array, rb: Array) -> tuple[list[Array], list[Array]]:
-    """Upper triangle (6 arrays (n,)) and right side (3 arrays (n,)) of the normal equations of rows a, b."""
-    n = [np.einsum("vn,vn->n", a[i], a[j]) + np.einsum("vn,vn->n", b[i], b[j]) for i, j in _UPPER]
-    g = [np.einsum("vn,vn->n", a[i], ra) + np.einsum("vn,vn->n", b[i], rb) for i in range(3)]
-    return n, g
+def _over_views(a: Array) -> Array:
+    """(n,) sum of (V, n) over the views; two rows are added faster than they are reduced."""
+    return a[0] + a[1] if a.shape[0] == 2 else np.asarray(a.sum(axis=0))
+
+
+def _normal_matrix(a: list[Array], b: list[Array]) -> list[Array]:
+    """Upper triangle (6 arrays (n,)) of the normal matrix of rows a, b."""
+    return [_over_views(a[i] * a[j] + b[i] * b[j]) for i, j in _UPPER]
+
+
+def _normal_side(a: list[Array], b: list[Array], ra: Array, rb: Array) -> list[Array]:
+    """Right side (3 arrays (n,)) of the normal equations of rows a, b with residuals ra, rb."""
+    return [_over_views(a[i] * ra + b[i] * rb) for i in range(3)]
 
 
 def _inverse(n: list[Array]) -> list[Array]:
@@ -307,12 +319,12 @@ def _times(inverse: list[Array], g: list[Array]) -> Array:
 
 def _linear_start(views: _Views) -> Array:
     """(3, n) solution of the collinearity equations multiplied by the depth, which are linear in the point."""
-    used_u, used_v = (views.weight_u > 0) * 1.0, (views.weight_v > 0) * 1.0
-    a = [(views.rot[0][j] - views.u * views.rot[2][j]) * used_u for j in range(3)]
-    b = [(views.rot[1][j] - views.v * views.rot[2][j]) * used_v for j in range(3)]
+    used = (views.weight_u > 0) * 1.0
+    a = [(views.rot[0][j] - views.u * views.rot[2][j]) * used for j in range(3)]
+    b = [(views.rot[1][j] - views.v * views.rot[2][j]) * used for j in range(3)]
     c = views.centre
-    n, g = _normal_equations(a, b, a[0] * c[0] + a[1] * c[1] + a[2] * c[2], b[0] * c[0] + b[1] * c[1] + b[2] * c[2])
-    return _times(_inverse(n), g)
+    ra, rb = (row[0] * c[0] + row[1] * c[1] + row[2] * c[2] for row in (a, b))
+    return _times(_inverse(_normal_matrix(a, b)), _normal_side(a, b, ra, rb))
 
 
 def _camera_point(views: _Views, x: Array) -> list[Array]:
@@ -340,22 +352,24 @@ def _iterate(
     solution = start.copy()
     iterations = np.zeros(n, dtype=np.int64)
     converged = np.zeros(n, dtype=bool)
-    active = np.arange(n)
-    x, work = start, views
+    active, x, work = np.arange(n), start, views
+    going = np.ones(n, dtype=bool)
     for _ in range(max_iterations):
-        normal, g = _normal_equations(*_linearise(work, x))
-        dx = _times(_inverse(normal), g)
+        a, b, ra, rb = _linearise(work, x)
+        # Points that are done stand still, so that no result depends on which other points share the chunk.
+        dx = _times(_inverse(_normal_matrix(a, b)), _normal_side(a, b, ra, rb)) * going
         x = x + dx
         square = dx[0] * dx[0] + dx[1] * dx[1] + dx[2] * dx[2]
-        iterations[active] += 1
-        solution[:, active] = x
-        done = square < convergence_m2
-        converged[active[done]] = True
-        going = ~done & np.isfinite(square)
-        if not going.any():
+        iterations[active] += going
+        converged[active] |= going & (square < convergence_m2)
+        going = going & (square >= convergence_m2)
+        left = int(np.count_nonzero(going))
+        if left == 0:
             break
-        if not going.all():
-            active, x, work = active[going], x[:, going], work.take(going)
+        if 2 * left < going.size:  # smaller arrays pay for their making
+            solution[:, active] = x
+            active, x, work, going = active[going], x[:, going], work.take(going), going[going]
+    solution[:, active] = x
     return solution, iterations, converged
 
 
@@ -364,29 +378,27 @@ def _store(
     converged: Bools, origin: Array, status: NDArray[np.int8], rows: NDArray[np.int64], used: Bools,
 ) -> None:  # fmt: skip
     """Covariance, residuals and depths at the solution; statuses of the points that have none."""
-    a, b, ru, rv = _linearise(views, x)
-    normal, _ = _normal_equations(a, b, ru, rv)
-    upper = _inverse(normal)
-    depth = np.broadcast_to(_camera_point(views, x)[2], used.T.shape).T
-    behind = np.any(used & ~(depth > 0), axis=1) & np.isfinite(x).all(axis=0)
-    finite = np.isfinite(x).all(axis=0) & np.isfinite(sum(upper))
+    a, b, _, _ = _linearise(views, x)
+    upper = _inverse(_normal_matrix(a, b))
+    cx, cy, cz = _camera_point(views, x)
+    real = np.isfinite(x[0] + x[1] + x[2])
+    behind = np.any(used & ~(cz.T > 0), axis=1) & real
+    finite = real & np.isfinite(sum(upper))
     outcome = np.where(converged & finite, IntersectionStatus.OK, IntersectionStatus.NOT_CONVERGED)
     outcome = np.where(behind, IntersectionStatus.BEHIND_CAMERA, outcome)
     status[rows] = outcome
     result.iterations[index] = iterations
     ok = outcome == IntersectionStatus.OK
-    keep = index[ok]
-    result.xyz_m[keep] = (x.T + origin)[ok]
+    keep: slice | NDArray[np.int64] = index[ok]
+    chosen: slice | Bools = ok
+    if ok.all() and int(index[-1]) - int(index[0]) + 1 == index.size:  # the common case, without copies
+        keep, chosen = slice(int(index[0]), int(index[-1]) + 1), slice(None)
+    for axis in range(3):
+        result.xyz_m[keep, axis] = x[axis][chosen] + origin[chosen, axis]
     for value, (i, j) in zip(upper, _UPPER, strict=True):
-        result.cov_m2[keep, i, j] = value[ok]
-        result.cov_m2[keep, j, i] = value[ok]
-    shape = used.T.shape
-    residuals = np.stack(
-        [
-            np.broadcast_to(ru * views.fx / views.weight_u, shape).T,
-            np.broadcast_to(rv * views.fy / views.weight_v, shape).T,
-        ],
-        axis=-1,
-    )
-    result.residuals_px[keep] = np.where(used[..., None], residuals, np.nan)[ok]
-    result.depth_m[keep] = np.where(used, depth, np.nan)[ok]
+        result.cov_m2[keep, i, j] = value[chosen]
+        if i != j:
+            result.cov_m2[keep, j, i] = value[chosen]
+    result.residuals_px[keep, :, 0] = np.where(used, ((views.u - cx / cz) * views.fx).T, np.nan)[chosen]
+    result.residuals_px[keep, :, 1] = np.where(used, ((views.v - cy / cz) * views.fy).T, np.nan)[chosen]
+    result.depth_m[keep] = np.where(used, cz.T, np.nan)[chosen]

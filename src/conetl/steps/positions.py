@@ -94,7 +94,8 @@ def locate_positions(
     if not poses:
         return [], [_no_pose(match) for match in matches]
     order = sorted(poses)
-    slot = np.array([order.index(m.frame_index) if m.frame_index in poses else 0 for m in matches])
+    rank = {frame_index: i for i, frame_index in enumerate(order)}
+    slot = np.array([rank.get(m.frame_index, 0) for m in matches])  # matches without a pose are refused below
     body = np.stack([se3.map_SE3_body(poses[i]) for i in order])[slot]
     left = se3.compose(body, rigs.body_SE3_camera(rig, "left"))
     xyz = se3.apply(left, located.xyz)

@@ -1,0 +1,88 @@
+"""Projection, rays, horizon and the places of the cameras."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from conetl.geometry import camera as cam
+from conetl.geometry import pose as se3
+from conetl.geometry import rig as rigs
+from conetl.records import Camera, Pose, Rig
+
+CAMERA = Camera(width_px=1242, height_px=375, fx_px=721.5, fy_px=720.0, cx_px=609.6, cy_px=172.9)
+#: A camera that looks along the body's x axis.
+BODY_R_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+
+def make_rig(pitch_down_rad: float = 0.0) -> Rig:
+    tilt = se3.rotation_from_rpy(0, pitch_down_rad, 0) @ BODY_R_CAM
+    left = se3.se3(tilt, [1.0, 0.25, 0.7])
+    return Rig(
+        rig_id="test", left=CAMERA, right=CAMERA, body_SE3_left=se3.to_matrix4(left),
+        body_SE3_right=se3.to_matrix4(se3.compose(left, se3.se3(np.eye(3), [0.5, 0, 0]))),
+    )  # fmt: skip
+
+
+def make_pose(yaw_rad: float = 0.0) -> Pose:
+    return Pose(
+        map_R_body=se3.to_matrix3(se3.rotation_from_rpy(0, 0, yaw_rad)), map_t_body_m=(4.5e5, 5.4e6, 100.0),
+        sigma_enu_m=(0.3, 0.3, 0.5), sigma_rpy_rad=(0.001, 0.001, 0.002),
+    )  # fmt: skip
+
+
+@given(st.floats(-20, 20), st.floats(-5, 5), st.floats(0.1, 100))
+def test_the_ray_through_an_image_point_passes_through_its_point(x: float, y: float, z: float) -> None:
+    ray = cam.rays(CAMERA, cam.project(CAMERA, np.array([x, y, z])))
+    np.testing.assert_allclose(ray * z, [x, y, z], rtol=1e-9, atol=1e-9)
+
+
+def test_projection_is_that_of_the_calibration_matrix() -> None:
+    point = np.array([1.0, 2.0, 10.0])
+    homogeneous = cam.matrix_k(CAMERA) @ point
+    np.testing.assert_allclose(cam.project(CAMERA, point), homogeneous[:2] / homogeneous[2])
+
+
+def test_a_point_behind_the_camera_has_no_image() -> None:
+    with pytest.raises(ValueError, match="in front"):
+        cam.project(CAMERA, np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]))
+
+
+def test_far_points_at_camera_height_lie_on_the_horizon_row() -> None:
+    rig = make_rig(pitch_down_rad=math.radians(3))
+    map_SE3_left = rigs.map_SE3_left(make_pose(0.4), rig)
+    forward = map_SE3_left[:3, 2] * [1, 1, 0]
+    far = map_SE3_left[:3, 3] + 1e4 * forward / np.linalg.norm(forward)
+    u, v = cam.project(CAMERA, se3.apply(se3.invert(map_SE3_left), far))
+    assert abs(cam.horizon_row_px(CAMERA, map_SE3_left[:3, :3], float(u)) - v) < 1e-6
+    assert v < CAMERA.cy_px - 30, "a camera that looks down sees the horizon above its principal point"
+    np.testing.assert_allclose(cam.up_in_camera(map_SE3_left[:3, :3]), map_SE3_left[:3, :3].T @ [0, 0, 1])
+
+
+def test_a_camera_that_looks_straight_down_has_no_horizon() -> None:
+    with pytest.raises(ValueError, match="straight"):
+        cam.horizon_row_px(CAMERA, np.diag([1.0, -1.0, -1.0]))
+
+
+def test_camera_centres_follow_the_body() -> None:
+    rig = make_rig()
+    north = make_pose(math.pi / 2)
+    left, right = (rigs.camera_centre_m(north, rig, side) for side in ("left", "right"))
+    # Driving north: forward is +N, left is -E.
+    np.testing.assert_allclose(left - np.array(north.map_t_body_m), [-0.25, 1.0, 0.7], atol=1e-9)
+    np.testing.assert_allclose(right - left, [0.5, 0, 0], atol=1e-9)
+    assert rig.baseline_m == pytest.approx(0.5)
+    np.testing.assert_allclose(rigs.left_SE3_right(rig), se3.se3(np.eye(3), [0.5, 0, 0]), atol=1e-12)
+
+
+def test_up_is_the_bodys_or_the_cameras() -> None:
+    np.testing.assert_allclose(rigs.up_in_left_camera(make_rig()), [0, -1, 0], atol=1e-12)
+    tilted = rigs.up_in_left_camera(make_rig(math.radians(10)))
+    assert tilted[2] < 0, "looking down, up leans towards the viewer"
+    bare = make_rig().model_copy(update={"body_SE3_left": se3.to_matrix4(np.eye(4))})
+    assert rigs.body_is_left_camera(bare)
+    np.testing.assert_allclose(rigs.up_in_left_camera(bare), [0, -1, 0])

@@ -1,0 +1,86 @@
+"""Map projection and grid convergence, checked against points 10 m apart along true north."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pyproj import Geod
+
+from conetl.geometry import geodesy
+
+PLACES = {
+    "Karlsruhe, west of the central meridian": (49.011, 8.423),
+    "Regensburg, east of it": (49.01, 11.9),
+    "Cape Town, east of it, southern": (-33.9, 18.4 + 4.5),
+    "Perth, west of it, southern": (-31.95, 115.86),
+}
+
+
+@pytest.mark.parametrize(("lat", "lon"), PLACES.values(), ids=PLACES.keys())
+def test_convergence_turns_true_north_into_grid_directions(lat: float, lon: float) -> None:
+    srid = geodesy.utm_srid(lat, lon)
+    lon_north, lat_north, _ = Geod(ellps="WGS84").fwd(lon, lat, 0.0, 10.0)
+    step = geodesy.to_map(srid, lat_north, lon_north, 0.0) - geodesy.to_map(srid, lat, lon, 0.0)
+    convergence = float(geodesy.grid_convergence_rad(srid, lat, lon))
+    assert abs(convergence) > math.radians(0.3), "the place must be far enough from the central meridian to tell"
+    # True yaw of north is 90 degrees; in the grid it is that plus the convergence.
+    assert math.atan2(step[1], step[0]) == pytest.approx(math.pi / 2 + convergence, abs=1e-5)
+    assert np.linalg.norm(step) / 10.0 == pytest.approx(float(geodesy.grid_scale(srid, lat, lon)), abs=1e-6)
+
+
+def test_wrong_sign_of_the_convergence_would_be_seen() -> None:
+    assert float(geodesy.grid_convergence_rad(32632, 49.0, 11.9)) > 0
+    assert float(geodesy.grid_convergence_rad(32632, 49.0, 8.4)) < 0
+    assert float(geodesy.grid_convergence_rad(32750, -31.95, 115.86)) > 0
+
+
+@given(st.floats(-79, 83), st.floats(-179.9, 179.9), st.floats(-100, 5000))
+def test_places_survive_the_round_trip_in_their_utm_zone(lat: float, lon: float, height: float) -> None:
+    srid = geodesy.utm_srid(lat, lon)
+    assert (srid // 100 == 326) == (lat >= 0)
+    back = geodesy.to_geodetic(srid, geodesy.to_map(srid, lat, lon, height))
+    assert back[0] == pytest.approx(lat, abs=1e-9)
+    assert back[1] == pytest.approx(lon, abs=1e-9)
+    assert back[2] == height, "heights stay ellipsoidal"
+
+
+def test_known_place_in_both_hemispheres() -> None:
+    assert geodesy.utm_srid(49.011, 8.423) == 32632
+    assert geodesy.utm_srid(-33.86, 151.21) == 32756
+    assert geodesy.utm_srid(0.0, 180.0) == 32660
+    # The central meridian has easting 500 km; the equator northing 0.
+    np.testing.assert_allclose(geodesy.to_map(32632, 0.0, 9.0, 12.5), [500_000.0, 0.0, 12.5], atol=1e-3)
+
+
+def test_other_national_grids_work_too() -> None:
+    etrs89 = geodesy.to_map(25832, 49.011, 8.423, 0.0)
+    np.testing.assert_allclose(etrs89, geodesy.to_map(32632, 49.011, 8.423, 0.0), atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("srid", "message"),
+    [(4326, "not a projected CRS in metres"), (2263, "not a projected CRS in metres"), (999999, "not a known")],
+)
+def test_what_cannot_be_a_map_crs_is_refused(srid: int, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        geodesy.check_map_srid(srid)
+
+
+def test_web_mercator_is_refused_by_its_scale() -> None:
+    with pytest.raises(ValueError, match="EPSG:32632"):
+        geodesy.check_scale(3857, 49.011, 8.423)
+    geodesy.check_scale(32632, 49.011, 8.423)
+
+
+def test_the_poles_have_no_utm_zone() -> None:
+    with pytest.raises(ValueError, match="outside UTM"):
+        geodesy.utm_srid(85.0, 0.0)
+
+
+def test_a_place_that_the_crs_cannot_express_is_refused() -> None:
+    with pytest.raises(ValueError, match="cannot express"):
+        geodesy.to_map(32632, math.inf, 8.4, 0.0)

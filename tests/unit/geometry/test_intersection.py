@@ -1,0 +1,287 @@
+"""Equation 1: against the truth, against other people's code, against Monte Carlo, and where it must refuse."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from conetl.geometry import pose as se3
+from conetl.geometry.intersection import IntersectionResult, IntersectionStatus, add_pose_covariance, intersect
+
+Array = NDArray[np.float64]
+K = np.array([721.5, 720.0, 609.6, 172.9])
+BASE = np.array([[0.0, 0.0, 0.0], [0.54, 0.0, 0.0]])
+STEREO = {"k_px": np.stack([K, K]), "map_R_cam": np.stack([np.eye(3)] * 2), "centre_m": BASE}
+ORIGIN = np.array([457_808.0, 5_428_849.0, 112.0])
+
+
+def project(points: Array, rot: Array, centre: Array, k: Array = K) -> Array:
+    """Image points (P, V, 2) of points (P, 3) in cameras (V, 3, 3), (V, 3); written apart from the code under test."""
+    local = np.einsum("vij,pvi->pvj", rot, points[:, None] - centre[None])
+    return k[:2] * local[..., :2] / local[..., 2:] + k[2:]
+
+
+def ring_of_cameras(rng: np.random.Generator, views: int, spread_m: float = 3.0) -> tuple[Array, Array]:
+    """Cameras near the origin that look roughly along +z."""
+    rot = se3.rotation_from_rpy(*rng.uniform(-0.15, 0.15, (3, views)))
+    centre = rng.uniform(-1, 1, (views, 3)) * [spread_m, 0.5, 1.0]
+    return rot, centre
+
+
+def points_ahead(rng: np.random.Generator, count: int) -> Array:
+    return rng.uniform([-4, -1, 5], [4, 2, 25], (count, 3))
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(0, 2**32 - 1), st.integers(2, 7), st.integers(1, 9))
+def test_projection_then_intersection_returns_the_point(seed: int, views: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    rot, centre = ring_of_cameras(rng, views)
+    truth = points_ahead(rng, count)
+    result = intersect(
+        project(truth, rot, centre), None, np.tile(K, (views, 1)), rot, centre, 0.5, min_ray_angle_rad=1e-3
+    )
+    angle_known = result.status != IntersectionStatus.RAY_ANGLE_TOO_SMALL
+    assert result.ok[angle_known].all()
+    np.testing.assert_allclose(result.xyz_m[angle_known], truth[angle_known], atol=1e-6)
+    assert np.nanmax(np.abs(result.residuals_px), initial=0) < 1e-6
+
+
+def test_map_coordinates_cost_no_digits() -> None:
+    truth = points_ahead(np.random.default_rng(2), 50)
+    uv = project(truth, STEREO["map_R_cam"], BASE)
+    near = intersect(uv, None, **STEREO, sigma_uv_px=0.5)
+    far = intersect(uv, None, STEREO["k_px"], STEREO["map_R_cam"], BASE + ORIGIN, 0.5)
+    np.testing.assert_allclose(far.xyz_m - ORIGIN, near.xyz_m, atol=2e-7)
+    np.testing.assert_allclose(far.cov_m2, near.cov_m2, rtol=1e-6)
+
+
+def noisy_case(views: int) -> tuple[Array, Array, Array, Array, Array]:
+    rng = np.random.default_rng(7)
+    rot, centre = ring_of_cameras(rng, views)
+    truth = points_ahead(rng, 30)
+    sigma = rng.uniform(0.2, 2.0, (30, views, 2))
+    return project(truth, rot, centre) + sigma * rng.normal(size=sigma.shape), sigma, rot, centre, truth
+
+
+@pytest.mark.parametrize("views", [2, 5])
+def test_it_finds_the_optimum_that_scipy_finds(views: int) -> None:
+    uv, sigma, rot, centre, truth = noisy_case(views)
+    result = intersect(uv, None, np.tile(K, (views, 1)), rot, centre, sigma)
+    assert result.ok.all()
+    for i, start in enumerate(truth):
+        best = least_squares(
+            lambda x, i=i: ((project(x[None], rot, centre)[0] - uv[i]) / sigma[i]).ravel(),
+            start,
+            xtol=1e-15,
+            ftol=1e-15,
+            gtol=1e-15,
+        )
+        np.testing.assert_allclose(result.xyz_m[i], best.x, atol=1e-4 * math.sqrt(np.trace(result.cov_m2[i])) + 1e-7)
+        np.testing.assert_allclose(result.cov_m2[i], np.linalg.inv(best.jac.T @ best.jac), rtol=2e-3, atol=1e-9)
+        np.testing.assert_allclose(result.residuals_px[i].ravel(), -(best.fun * sigma[i].ravel()), atol=1e-4)
+
+
+def test_it_agrees_with_opencv() -> None:
+    rng = np.random.default_rng(3)
+    truth = points_ahead(rng, 200)
+    uv = project(truth, STEREO["map_R_cam"], BASE)
+    noisy = uv + rng.normal(scale=0.2, size=uv.shape)
+    k = np.array([[K[0], 0, K[2]], [0, K[1], K[3]], [0, 0, 1]])
+    cameras = [k @ np.hstack([np.eye(3), -c[:, None]]) for c in BASE]
+    for observed, tolerance_m in ((uv, 1e-6), (noisy, 0.02)):
+        other = cv2.triangulatePoints(*cameras, observed[:, 0].T.copy(), observed[:, 1].T.copy())
+        np.testing.assert_allclose(
+            intersect(observed, None, **STEREO, sigma_uv_px=0.2).xyz_m, (other[:3] / other[3]).T, atol=tolerance_m
+        )
+
+
+@pytest.mark.parametrize("views", [2, 6])
+def test_the_covariance_is_what_monte_carlo_finds(views: int) -> None:
+    rng = np.random.default_rng(11)
+    if views == 2:
+        rot, centre = STEREO["map_R_cam"], BASE
+    else:
+        rot, centre = ring_of_cameras(rng, views)
+    truth = np.array([[1.0, 1.5, 9.0]])
+    sigma = rng.uniform(0.15, 0.45, (views, 2))
+    draws = 20_000
+    uv = project(truth, rot, centre) + sigma * rng.normal(size=(draws, views, 2))
+    result = intersect(uv, None, np.tile(K, (views, 1)), rot, centre, sigma)
+    assert result.ok.all()
+    predicted = intersect(project(truth, rot, centre), None, np.tile(K, (views, 1)), rot, centre, sigma).cov_m2[0]
+    whitened = np.linalg.solve(np.linalg.cholesky(predicted), (result.xyz_m - truth).T)
+    # Variances of 20,000 draws scatter by 1 %; doubled or halved sigmas would give 4 or 0.25.
+    np.testing.assert_allclose(np.cov(whitened), np.eye(3), atol=0.06)
+    nees = np.einsum("pi,pij,pj->p", result.xyz_m - truth, np.linalg.inv(result.cov_m2), result.xyz_m - truth)
+    assert 2.9 < nees.mean() < 3.1
+
+
+def test_pose_errors_widen_the_covariance_as_monte_carlo_says() -> None:
+    rng = np.random.default_rng(5)
+    rpy = np.array([0.05, -0.1, 2.0])
+    sigma_enu, sigma_rpy = np.array([0.3, 0.2, 0.5]), np.array([0.004, 0.006, 0.01])
+    body_point, place = np.array([12.0, -3.0, -1.0]), ORIGIN
+    draws = 20_000
+    noisy = rpy + sigma_rpy * rng.normal(size=(draws, 3))
+    shifted = place + sigma_enu * rng.normal(size=(draws, 3))
+    points = np.einsum("pij,j->pi", se3.rotation_from_rpy(*noisy.T), body_point) + shifted
+    rot = se3.rotation_from_rpy(*rpy)
+    predicted = add_pose_covariance(
+        np.zeros((1, 3, 3)), (rot @ body_point + place)[None], rot, place, sigma_enu, sigma_rpy
+    )[0]
+    whitened = np.linalg.solve(np.linalg.cholesky(predicted), (points - points.mean(axis=0)).T)
+    np.testing.assert_allclose(np.cov(whitened), np.eye(3), atol=0.06)
+
+
+def test_pose_covariance_is_added_to_that_of_the_image() -> None:
+    image = np.diag([0.01, 0.04, 0.02])[None]
+    total = add_pose_covariance(image, np.ones((1, 3)), np.eye(3), np.zeros(3), np.array([0.3, 0.3, 0.5]), np.zeros(3))
+    np.testing.assert_allclose(total[0], image[0] + np.diag([0.09, 0.09, 0.25]))
+    with pytest.raises(ValueError, match="nose"):
+        add_pose_covariance(
+            image, np.ones((1, 3)), se3.rotation_from_rpy(0, math.pi / 2, 0), np.zeros(3), np.ones(3), np.ones(3)
+        )
+
+
+def test_points_with_fewer_views_are_padded() -> None:
+    rng = np.random.default_rng(9)
+    rot, centre = ring_of_cameras(rng, 6)
+    truth = points_ahead(rng, 40)
+    uv = project(truth, rot, centre) + rng.normal(scale=0.3, size=(40, 6, 2))
+    valid = rng.random((40, 6)) < 0.6
+    valid[0] = [True, False, False, False, False, False]
+    uv[~valid] = np.nan
+    result = intersect(uv, valid, np.tile(K, (6, 1)), rot, centre, 0.3, min_ray_angle_rad=1e-3)
+    assert result.status[0] == IntersectionStatus.TOO_FEW_VIEWS
+    good = np.flatnonzero(result.ok)
+    assert good.size > 30
+    for i in good:
+        alone = intersect(
+            uv[i, valid[i]][None],
+            None,
+            np.tile(K, (valid[i].sum(), 1)),
+            rot[valid[i]],
+            centre[valid[i]],
+            0.3,
+            min_ray_angle_rad=1e-3,
+        )
+        np.testing.assert_allclose(result.xyz_m[i], alone.xyz_m[0], atol=1e-9)
+        np.testing.assert_allclose(result.cov_m2[i], alone.cov_m2[0], rtol=1e-9)
+        np.testing.assert_allclose(result.residuals_px[i, valid[i]], alone.residuals_px[0], atol=1e-6)
+        assert np.isnan(result.residuals_px[i, ~valid[i]]).all()
+        assert result.ray_angle_rad[i] == pytest.approx(alone.ray_angle_rad[0])
+
+
+def test_cameras_per_point_give_what_shared_cameras_give() -> None:
+    rng = np.random.default_rng(4)
+    truth = points_ahead(rng, 9000)
+    uv = project(truth, STEREO["map_R_cam"], BASE) + rng.normal(scale=0.3, size=(9000, 2, 2))
+    shared = intersect(uv, None, **STEREO, sigma_uv_px=0.3)
+    each = intersect(
+        uv, None, np.broadcast_to(STEREO["k_px"], (9000, 2, 4)), np.broadcast_to(np.eye(3), (9000, 2, 3, 3)),
+        np.broadcast_to(BASE, (9000, 2, 3)), np.full((9000, 2, 2), 0.3), chunk_points=1000,
+    )  # fmt: skip
+    np.testing.assert_array_equal(shared.status, each.status)
+    np.testing.assert_allclose(shared.xyz_m, each.xyz_m, atol=1e-9, equal_nan=True)
+    np.testing.assert_allclose(shared.cov_m2, each.cov_m2, rtol=1e-9, equal_nan=True)
+
+
+def test_a_result_does_not_depend_on_its_neighbours_in_the_batch() -> None:
+    rng = np.random.default_rng(8)
+    truth = points_ahead(rng, 500)
+    uv = project(truth, STEREO["map_R_cam"], BASE) + rng.normal(scale=0.5, size=(500, 2, 2))
+    together = intersect(uv, None, **STEREO, sigma_uv_px=0.5)
+    assert len(set(together.iterations.tolist())) > 1
+    for i in range(0, 500, 50):
+        alone = intersect(uv[i : i + 1], None, **STEREO, sigma_uv_px=0.5)
+        np.testing.assert_array_equal(together.xyz_m[i], alone.xyz_m[0])
+        assert together.iterations[i] == alone.iterations[0]
+
+
+def test_a_given_start_leads_to_the_same_point() -> None:
+    uv, sigma, rot, centre, truth = noisy_case(5)
+    k = np.tile(K, (5, 1))
+    linear = intersect(uv, None, k, rot, centre, sigma)
+    given_start = intersect(uv, None, k, rot, centre, sigma, start_m=truth + 0.3)
+    np.testing.assert_allclose(given_start.xyz_m, linear.xyz_m, atol=1e-6)
+
+
+def status_of(uv: Array, **changes: object) -> IntersectionResult:
+    return intersect(uv[None], None, **(STEREO | {"sigma_uv_px": 0.5} | changes))  # type: ignore[arg-type]
+
+
+def assert_refused(result: IntersectionResult, status: IntersectionStatus) -> None:
+    assert result.status[0] == status
+    assert not result.ok[0]
+    for rows in (result.xyz_m, result.cov_m2, result.residuals_px, result.depth_m):
+        assert np.isnan(rows[0]).all(), "a refused point has no numbers"
+
+
+def test_nearly_parallel_rays_are_refused() -> None:
+    uv = project(np.array([[0.0, 1.0, 80.0]]), STEREO["map_R_cam"], BASE)[0]
+    result = status_of(uv)
+    assert_refused(result, IntersectionStatus.RAY_ANGLE_TOO_SMALL)
+    assert result.ray_angle_rad[0] == pytest.approx(0.54 / 80, rel=1e-3)
+    assert status_of(uv, min_ray_angle_rad=0.006).ok[0]
+
+
+def test_parallel_rays_are_refused() -> None:
+    assert_refused(status_of(np.array([[600.0, 200.0], [600.0, 200.0]])), IntersectionStatus.RAY_ANGLE_TOO_SMALL)
+
+
+def test_one_camera_twice_is_refused() -> None:
+    uv = np.array([[600.0, 200.0], [600.3, 200.0]])
+    assert_refused(status_of(uv, centre_m=np.zeros((2, 3))), IntersectionStatus.RAY_ANGLE_TOO_SMALL)
+
+
+def test_diverging_rays_meet_behind_the_cameras_and_are_refused() -> None:
+    assert_refused(status_of(np.array([[600.0, 200.0], [650.0, 200.0]])), IntersectionStatus.BEHIND_CAMERA)
+
+
+def test_too_few_iterations_are_no_convergence() -> None:
+    uv = project(np.array([[3.0, 1.0, 7.0]]), STEREO["map_R_cam"], BASE)[0] + [[0.0, 20.0], [0.0, -20.0]]
+    assert_refused(status_of(uv, max_iterations=1), IntersectionStatus.NOT_CONVERGED)
+    assert status_of(uv).iterations[0] > 1
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"sigma_uv_px": 0.0},
+        {"sigma_uv_px": np.nan},
+        {"centre_m": np.array([[0.0, 0.0, 0.0], [np.inf, 0.0, 0.0]])},
+        {"k_px": np.stack([K, K * [-1, 1, 1, 1]])},
+        {"start_m": np.full((1, 3), np.nan)},
+    ],
+)
+def test_numbers_that_are_none_are_refused(changes: dict[str, object]) -> None:
+    uv = project(np.array([[0.0, 1.0, 10.0]]), STEREO["map_R_cam"], BASE)[0]
+    assert_refused(status_of(uv, **changes), IntersectionStatus.INVALID_INPUT)
+
+
+def test_one_bad_point_costs_only_itself() -> None:
+    truth = points_ahead(np.random.default_rng(1), 6)
+    uv = project(truth, STEREO["map_R_cam"], BASE)
+    uv[2, 1, 0] = np.nan
+    uv[4] = [[600.0, 200.0], [650.0, 200.0]]
+    result = intersect(uv, None, **STEREO, sigma_uv_px=0.5)
+    assert result.ok.tolist() == [True, True, False, True, False, True]
+    np.testing.assert_allclose(result.xyz_m[result.ok], truth[result.ok], atol=1e-7)
+
+
+def test_shapes_are_checked_at_the_border() -> None:
+    with pytest.raises(ValueError, match="uv_px"):
+        intersect(np.zeros((3, 2)), None, **STEREO, sigma_uv_px=1)
+    with pytest.raises(ValueError, match="centre_m"):
+        intersect(np.zeros((3, 2, 2)), None, STEREO["k_px"], STEREO["map_R_cam"], np.zeros((3, 3)), 1)
+    with pytest.raises(ValueError, match="valid"):
+        intersect(np.zeros((3, 2, 2)), np.ones((2, 3), dtype=bool), **STEREO, sigma_uv_px=1)
+    assert intersect(np.zeros((0, 2, 2)), None, **STEREO, sigma_uv_px=1).xyz_m.shape == (0, 3)
