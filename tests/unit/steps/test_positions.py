@@ -61,10 +61,14 @@ def match_of(
     )  # fmt: skip
 
 
+def up(height_m: float) -> Array:
+    return np.array([0.0, 0.0, height_m])
+
+
 def see(foot_map: Array, height_m: float = 0.7) -> dict[str, tuple[Array, Array]]:
     """Image points of a cone that stands upright in the map."""
     cameras = [se3.invert(rigs.map_SE3_camera(PAIR.pose, RIG, side)) for side in ("left", "right")]
-    points = {"foot": foot_map, "centre": foot_map + [0, 0, height_m / 2], "tip": foot_map + [0, 0, height_m]}
+    points = {"foot": foot_map, "centre": foot_map + up(height_m / 2), "tip": foot_map + up(height_m)}
     return {
         name: tuple(cam.project(CAMERA, se3.apply(camera, p)) for camera in cameras)  # type: ignore[misc]
         for name, p in points.items()
@@ -82,7 +86,7 @@ def test_a_cone_is_found_where_it_stands() -> None:
     assert not rejections
     (position,) = positions
     np.testing.assert_allclose(position.xyz_m, foot, atol=1e-6)
-    np.testing.assert_allclose(position.centre_xyz_m, foot + [0, 0, 0.35], atol=1e-6)
+    np.testing.assert_allclose(position.centre_xyz_m, foot + up(0.35), atol=1e-6)
     assert position.cone_height_m == pytest.approx(0.7, abs=1e-6)
     left = rigs.map_SE3_left(PAIR.pose, RIG)
     np.testing.assert_allclose(se3.apply(left, np.array(position.camera_xyz_m)), foot, atol=1e-6)
@@ -129,9 +133,9 @@ def test_both_covariances_are_what_monte_carlo_finds() -> None:
 
 def test_without_a_trajectory_ground_distance_and_height_are_given() -> None:
     rig = make_rig(body=False)
-    foot, up = np.array([1.0, 1.6, 8.0]), np.array([0.0, -1.0, 0.0])
+    foot = np.array([1.0, 1.6, 8.0])
     points = {
-        name: tuple(cam.project(CAMERA, foot + h * up - [b, 0, 0]) for b in (0.0, 0.53))
+        name: tuple(cam.project(CAMERA, foot - np.array([b, h, 0])) for b in (0.0, 0.53))
         for name, h in (("foot", 0.0), ("centre", 0.35), ("tip", 0.7))
     }
     (position,), rejections = locate_in_camera([match_of(points)], rig, PARAMS)  # type: ignore[arg-type]
@@ -158,7 +162,7 @@ def test_a_tilted_rig_measures_along_the_bodys_up() -> None:
     foot = np.array([9.0, 1.0, -0.9])  # body frame
     points = {
         name: tuple(
-            cam.project(CAMERA, se3.apply(se3.invert(rigs.body_SE3_camera(rig, side)), foot + [0, 0, h]))
+            cam.project(CAMERA, se3.apply(se3.invert(rigs.body_SE3_camera(rig, side)), foot + up(h)))
             for side in ("left", "right")
         )
         for name, h in (("foot", 0.0), ("centre", 0.35), ("tip", 0.7))
@@ -172,7 +176,7 @@ def test_a_tilted_rig_measures_along_the_bodys_up() -> None:
 def shifted(
     points: dict[str, tuple[Array, Array]], u_px: float = 0.0, v_px: float = 0.0
 ) -> dict[str, tuple[Array, Array]]:
-    return {name: (left, right + [u_px, v_px]) for name, (left, right) in points.items()}
+    return {name: (left, right + np.array([u_px, v_px])) for name, (left, right) in points.items()}
 
 
 BAD = {
@@ -231,7 +235,7 @@ def test_a_position_that_its_record_refuses_is_a_rejection_and_no_exception() ->
     )  # fmt: skip
     disparity = 721.5 * 0.53 / 5.0
     left, right = np.array([609.6, 172.9]), np.array([609.6 - disparity, 172.9])
-    points = {name: (left, right) for name in ("foot", "centre", "tip")}
+    points = dict.fromkeys(("foot", "centre", "tip"), (left, right))
     pair = PAIR.model_copy(update={"pose": level})
     positions, (rejection,) = locate_positions([match_of(points)], {7: pair}, rig, PARAMS)
     assert not positions
