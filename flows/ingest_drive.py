@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from prefect import flow
+from prefect import Flow, flow
 from prefect.artifacts import create_progress_artifact, update_progress_artifact
 from prefect.futures import PrefectFuture
 from prefect.task_runners import ThreadPoolTaskRunner
@@ -110,6 +110,6 @@ def _run_chunks(drive_id: str, chunks: list[Chunk]) -> tuple[list[Path], list[Pa
         ignore(show)
 
 
-def with_workers(workers: int) -> ThreadPoolTaskRunner:
-    """Task runner that lets `workers` detections run at the same time, and the cheap steps beside them."""
-    return ThreadPoolTaskRunner(max_workers=workers + 1)
+def with_workers(run: Flow[..., IngestReport], workers: int) -> Flow[..., IngestReport]:
+    """The flow with room for `workers` detections at the same time, and the cheap steps beside them."""
+    return run.with_options(task_runner=ThreadPoolTaskRunner(max_workers=workers + 1))

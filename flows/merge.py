@@ -18,9 +18,8 @@ from conetl.geometry.rig import map_SE3_left, map_SE3_right
 from conetl.io.cluster import cluster_up
 from conetl.io.db import Connection, connect, migrate
 from conetl.io.detector import read_model_card, shipped_model_path
+from conetl.io.map_results import CommittedChangeset, RunInfo
 from conetl.io.map_store import (
-    CommittedChangeset,
-    RunInfo,
     commit_changeset,
     find_changeset,
     find_map,
@@ -190,7 +189,7 @@ def _reconcile(
     for detection in detections:
         by_frame[detection.frame_index].append(detection)
 
-    def look_at(feature: MapFeature, offset_m: np.ndarray) -> Look | None:  # type: ignore[type-arg]
+    def look_at(feature: MapFeature, offset_m: np.ndarray) -> Look | None:
         return look_at_spot(feature, offset_m, drive.rig, left, right, times_ns, by_frame, positions, params.reconcile)
 
     return reconcile(

@@ -16,7 +16,7 @@ from conetl.geometry.rig import map_SE3_left, map_SE3_right
 from conetl.io import detector as detector_io
 from conetl.io.drive_folder import read_drive
 from conetl.io.exports.plan_view import draw_plan_view
-from conetl.io.images import ImageReadError, read_image
+from conetl.io.images import ImageFileError, read_image
 from conetl.io.parquet_store import (
     file_sha256,
     has_result,
@@ -89,7 +89,7 @@ def detect_task(chunk: Chunk, side: Side) -> Path:
     for pair, path in zip(chunk.frame_pairs, paths, strict=True):
         try:
             image = read_image(path, (camera.width_px, camera.height_px))
-        except ImageReadError as error:
+        except ImageFileError as error:
             rejections.append(
                 Rejection(
                     step="detections",

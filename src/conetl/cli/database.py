@@ -30,7 +30,7 @@ def open_database(settings: Settings, *, start: bool = True) -> Connection:
     """A connection to the configured database, or to the private cluster (started if `start`). Raises DatabaseError."""
     if settings.database_url:
         return connect(settings.database_url)
-    if not start and not cluster_status(settings.home).running:
+    if not start and cluster_status(settings.home).state != "running":
         raise DatabaseError("the private database cluster is not running: start it with `conetl db up`")
     return connect(cluster_up(settings.home))
 
@@ -67,7 +67,7 @@ def status(as_json: JsonOption = False) -> None:
     settings = Settings()
     cluster = None if settings.database_url else cluster_status(settings.home)
     database = None
-    if cluster is None or cluster.running:
+    if cluster is None or cluster.state == "running":
         with closing(open_database(settings, start=False)) as conn:
             database = database_status(conn)
     if as_json:
@@ -97,7 +97,7 @@ def audit(as_json: JsonOption = False) -> None:
     if as_json:
         print_json([asdict(result) for result in results])
     else:
-        rows = [(result.name, "passed" if not result.rows else f"{len(result.rows)} rows") for result in results]
+        rows = [(result.name, "passed" if not result.rows else f"{result.row_count} rows") for result in results]
         print_table("", ("audit", "result"), rows)
         for result in results:
             for row in result.rows[:10]:

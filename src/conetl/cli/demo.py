@@ -99,7 +99,7 @@ def demo(
 
 def _print_table_3(lines: list[TruthLine]) -> None:
     """Truth, computed and difference of position, range and height, per cone (the paper's Table 3)."""
-    rows = []
+    rows: list[tuple[object, ...]] = []
     for line in lines:
         truth, feature = line.truth, line.feature
         if feature is None or line.difference_m is None or line.range_m is None:

@@ -14,7 +14,7 @@ from conetl.errors import EXIT_TOO_MANY_REJECTIONS, InputError
 from conetl.geometry.rig import up_in_left_camera
 from conetl.io.calibration_file import read_rig
 from conetl.io.detector import detect_image, load_detector
-from conetl.io.images import ImageReadError, read_image
+from conetl.io.images import ImageFileError, read_image
 from conetl.params import IngestParams
 from conetl.settings import Settings
 from conetl.steps.detections import check_boxes
@@ -40,7 +40,7 @@ def locate(
     for path, side, camera in ((left, "left", rig.left), (right, "right", rig.right)):
         try:
             image = read_image(path, (camera.width_px, camera.height_px))
-        except ImageReadError as error:
+        except ImageFileError as error:
             raise InputError(str(error)) from error
         boxes = detect_image(
             detector, image, score_threshold=params.detection.score_threshold, nms_iou=params.detection.nms_iou
@@ -101,7 +101,7 @@ def detect(
         for path in bars.track(paths, description="detect"):
             try:
                 image = read_image(path, None)
-            except ImageReadError as error:
+            except ImageFileError as error:
                 refused.append(str(path))
                 complain(InputError(str(error)))
                 continue

@@ -63,7 +63,7 @@ def ingest_drives(
         listener = lambda drive_id, done, total: bars.update(bar, description=drive_id, completed=done, total=total)  # noqa: E731
         progress.listen(listener)
         try:
-            run = ingest_drive.with_options(task_runner=with_workers(settings.workers))
+            run = with_workers(ingest_drive, settings.workers)
             for drive in drives:
                 try:
                     report = run(drive, settings, params, map_srid=map_srid)

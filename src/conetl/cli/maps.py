@@ -65,7 +65,7 @@ def show(as_of: AsOf = None, as_json: JsonOption = False) -> None:
     out.print(
         f"Map {summary.map_name}, EPSG:{summary.srid}: {len(versions)} cones{when}, {summary.changeset_count} changesets."
     )
-    rows = [
+    rows: list[tuple[object, ...]] = [
         (
             str(v.feature.feature_id),
             v.feature.version,
@@ -107,7 +107,7 @@ def log(
             if as_json:
                 print_json([asdict(c) for c in changesets])
                 return
-            rows = [
+            rows: list[tuple[object, ...]] = [
                 (
                     c.changeset_no,
                     c.drive_id,
@@ -133,7 +133,7 @@ def log(
     if as_json:
         print_json([asdict(e) for e in entries])
         return
-    rows = [
+    history: list[tuple[object, ...]] = [
         (
             e.kind,
             e.drive_id,
@@ -147,7 +147,7 @@ def log(
         )
         for e in entries
     ]
-    columns = (
+    history_columns = (
         "change",
         "drive",
         "on the road since (UTC)",
@@ -158,7 +158,7 @@ def log(
         "seen",
         "shift m",
     )
-    print_table("", columns, rows, numbers_from=3)
+    print_table("", history_columns, history, numbers_from=3)
 
 
 @app.command()

@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 
 from conetl.cli.console import JsonOption, out, print_json, progress_bar
-from conetl.simulation.simulate import simulate_drive
 
 
 def simulate(
@@ -22,7 +21,9 @@ def simulate(
     samples: Annotated[int, typer.Option(min=1, help="Light paths per pixel.")] = 16,
     as_json: JsonOption = False,
 ) -> None:
-    """Render a stereo drive along a lane-closure taper, with trajectory, calibration and truth.csv (needs conetl[simulate])."""
+    """Render a stereo drive along a lane-closure taper, with trajectory, calibration and truth.csv (needs the extra `simulate`)."""
+    from conetl.simulation.simulate import simulate_drive
+
     with progress_bar() as bars:
         bar = bars.add_task("render", total=None)
         written = simulate_drive(

@@ -65,7 +65,8 @@ def compare_with_truth(
             distance = float(np.linalg.norm(np.subtract(feature.xyz_m, cone.xyz_m)))
             if distance <= gate_m:
                 costs[i, j] = distance
-    pairs = {i: j for i, j in zip(*linear_sum_assignment(costs), strict=True) if costs[i, j] < 1e6}
+    rows, columns = linear_sum_assignment(costs)
+    pairs = {i: j for i, j in zip(rows.tolist(), columns.tolist(), strict=True) if costs[i, j] < 1e6}
     lines = []
     for i, cone in enumerate(everything):
         if cone not in asked:
@@ -76,7 +77,7 @@ def compare_with_truth(
                 cone, feature, _range(cone.xyz_m, path_m), None if feature is None else _range(feature.xyz_m, path_m)
             )
         )
-    false = [feature for j, feature in enumerate(features) if j not in pairs.values()]
+    false = [features[j] for j in range(len(features)) if j not in pairs.values()]
     return sorted(lines, key=lambda line: line.truth.cone_id), false
 
 

@@ -1,0 +1,340 @@
+"""The main job end to end, through the command line, on the sample drives: a real PostGIS and a real Prefect server."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from conetl.io.db import connect, execute
+
+ROOT = Path(__file__).resolve().parents[2]
+DRIVES = sorted((ROOT / "data" / "drives").iterdir())
+SHARED = Path(os.environ.get("CONETL_SHARED_DATA", ROOT.parent / "shared" / "data"))
+KITTI = SHARED / "kitti_2011_09_26_drive_0005_sync"
+#: One worker runs all of them: they share a Prefect server and the results of detection.
+pytestmark = pytest.mark.xdist_group("ingest")
+
+#: Everything that a drive leaves on the map, but for what a clock or a sequence says.
+FINAL_TABLES = {
+    "drive": "to_jsonb(t) - 'source_path'",
+    "frame_pair": "to_jsonb(t) - 'left_path' - 'right_path'",
+    "detection": "to_jsonb(t)",
+    "stereo_match": "to_jsonb(t)",
+    "position": "to_jsonb(t)",
+    "track": "to_jsonb(t)",
+    "track_member": "to_jsonb(t)",
+    "changeset": "to_jsonb(t) - 'changeset_no' - 'run_id' - 'committed_at'",
+    "quarantine": "to_jsonb(t) - 'quarantine_id'",
+    "feature": "to_jsonb(t)",
+    "feature_version": "to_jsonb(t) - 'version_row_id' - 'system_period'",
+    "delta": "to_jsonb(t)",
+}
+
+
+@dataclass(frozen=True)
+class Result:
+    code: int
+    out: str
+    err: str
+
+    @property
+    def json(self) -> Any:
+        return json.loads(self.out)
+
+
+@dataclass(frozen=True)
+class Desk:
+    """A user's environment: home folder, Prefect server, database."""
+
+    environment: dict[str, str]
+
+    def command(self, *arguments: object) -> list[str]:
+        return [sys.executable, "-c", "from conetl.cli import main; main()", *map(str, arguments)]
+
+    def run(self, *arguments: object) -> Result:
+        done = subprocess.run(
+            self.command(*arguments), env=self.environment, cwd=ROOT, capture_output=True, text=True, timeout=300
+        )
+        return Result(done.returncode, done.stdout, done.stderr)
+
+    def with_database(self, url: str) -> Desk:
+        return Desk({**self.environment, "CONETL_DATABASE_URL": url})
+
+    def final_tables(self) -> dict[str, list[str]]:
+        with closing(connect(self.environment["CONETL_DATABASE_URL"])) as conn:
+            return {
+                table: [
+                    row["line"]
+                    for row in execute(conn, f"select ({content})::text as line from conetl.{table} t order by 1")
+                ]
+                for table, content in FINAL_TABLES.items()
+            }
+
+
+@pytest.fixture(scope="session")
+def office(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Desk]:
+    """Home folder and Prefect server that all tests here share; detections are computed once."""
+    home = tmp_path_factory.mktemp("home")
+    environment = {
+        **os.environ,
+        "CONETL_HOME": str(home),
+        "PREFECT_HOME": str(home / "prefect"),
+        "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
+        "DO_NOT_TRACK": "1",
+    }
+    script = (
+        "import sys; from pathlib import Path; from flows.server import prefect_server\n"
+        "with prefect_server(Path(sys.argv[1])) as url:\n    print(url, flush=True); sys.stdin.read()"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", script, str(home)],
+        env=environment,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as server:
+        assert server.stdout is not None
+        url = server.stdout.readline().strip()
+        assert url.startswith("http://127.0.0.1:"), "the Prefect server did not start"
+        yield Desk({**environment, "PREFECT_API_URL": url})
+        assert server.stdin is not None
+        server.stdin.close()
+
+
+@pytest.fixture
+def desk(office: Desk, database_url: str) -> Desk:
+    return office.with_database(database_url)
+
+
+def part_of(drive: Path, folder: Path, frames: int, *, skip: int = 0) -> Path:
+    """A drive of a few frame pairs of another one; the numbers of the files link them, so they are kept."""
+    shutil.copytree(drive, folder, ignore=shutil.ignore_patterns("truth.csv"))
+    for image in sorted(folder.glob("image_0?/data/*.jpg")):
+        if not skip <= int(image.stem) < skip + frames:
+            image.unlink()
+    for oxts in sorted(folder.glob("oxts/data/*.txt")):
+        if not skip <= int(oxts.stem) < skip + frames:
+            oxts.unlink()
+    return folder
+
+
+@pytest.fixture
+def small_drive(tmp_path: Path) -> Path:
+    return part_of(DRIVES[0], tmp_path / "small", 16, skip=4)
+
+
+def truth_changes(drive: Path) -> dict[str, int]:
+    import csv
+
+    kinds = dict.fromkeys(("added", "confirmed", "moved", "removed"), 0)
+    with (drive / "truth.csv").open(newline="") as file:
+        for row in csv.DictReader(file):
+            kinds[row["change"]] += 1
+    return kinds
+
+
+def test_the_sample_drives_become_the_true_map(desk: Desk) -> None:
+    result = desk.run("demo", DRIVES[0].parent, "--json")
+    assert result.code == 0, result.err
+    outcome = result.json
+    for drive, report in zip(DRIVES, outcome["reports"], strict=True):
+        assert report["counts"] == truth_changes(drive), drive.name
+        assert report["frame_pairs_rejected"] == 0
+    assert outcome["false_features"] == []
+    assert all(cone["feature_id"] for cone in outcome["cones"])
+    assert outcome["median_error_3d_m"] <= 0.05
+
+    before = desk.final_tables()
+    again = desk.run("demo", DRIVES[0].parent, "--json")
+    assert again.code == 0
+    assert [report["status"] for report in again.json["reports"]] == ["no changes"] * 3
+    assert desk.final_tables() == before
+    assert desk.run("db", "audit").code == 0
+
+    # the drives come in the order of time: the first again under other parameters is older than the map
+    desk_demo = Desk({**desk.environment, "CONETL_MAP_NAME": "demo"})
+    params = Path(desk.environment["CONETL_HOME"]) / "params.yaml"
+    params.write_text("track: {min_observations: 4}\n")
+    late = desk_demo.run("ingest", DRIVES[0], "--params", params)
+    assert late.code == 2
+    assert "in the order in which they were recorded" in late.err
+    assert desk.final_tables() == before
+
+    export = params.with_name("map.geojson")
+    assert desk_demo.run("map", "export", "--out", export).code == 0
+    collection = json.loads(export.read_text())
+    assert len(collection["features"]) == len(outcome["cones"])
+    as_of = desk_demo.run("map", "show", "--as-of", "2026-03-02T23:00", "--json")
+    assert len(as_of.json["features"]) == truth_changes(DRIVES[0])["added"]
+
+
+def test_bad_pairs_cost_those_pairs_only(desk: Desk, small_drive: Path) -> None:
+    numbers = sorted(int(path.stem) for path in (small_drive / "image_02" / "data").iterdir())
+    truncated = small_drive / "image_02" / "data" / f"{numbers[2]:010d}.jpg"
+    truncated.write_bytes(truncated.read_bytes()[:-4000])
+    (small_drive / "image_03" / "data" / f"{numbers[5]:010d}.jpg").unlink()
+    oxts = small_drive / "oxts" / "data" / f"{numbers[9]:010d}.txt"
+    values = oxts.read_text().split()
+    oxts.write_text(" ".join(["nan", *values[1:]]))
+
+    result = desk.run("ingest", small_drive, "--json")
+    (report,) = result.json
+    assert result.code == 1, "3 of 16 pairs are more than a tenth"
+    assert "3 of 16 frame pairs" in result.err
+    assert report["frame_pairs"] == 13
+    assert report["frame_pairs_rejected"] == 3
+    reasons = report["rejections"]
+    assert (reasons["image_truncated"], reasons["image_missing"], reasons["pose_invalid"]) == (1, 1, 1)
+    assert report["counts"]["added"] > 0
+    lenient = small_drive.parent / "params.yaml"
+    lenient.write_text("max_rejected_fraction: 0.5\n")
+    assert desk.run("ingest", small_drive, "--params", lenient).code in (0, 2)
+    quarantine = desk.final_tables()["quarantine"]
+    assert sum('"pose_invalid"' in line for line in quarantine) == 1
+
+
+def remove_key(drive: Path) -> None:
+    file = drive / "calib_cam_to_cam.txt"
+    lines = [line for line in file.read_text().splitlines() if not line.startswith("P_rect_03")]
+    file.write_text("\n".join(lines) + "\n")
+
+
+def empty(drive: Path) -> None:
+    shutil.rmtree(drive)
+    drive.mkdir()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [(remove_key, "P_rect_03"), (empty, "small"), (shutil.rmtree, "no such drive folder")],
+    ids=["calibration without a key", "empty folder", "no such path"],
+)
+def test_bad_input_is_named_and_writes_nothing(
+    desk: Desk, small_drive: Path, spoil: Callable[[Path], None], message: str
+) -> None:
+    spoil(small_drive)
+    result = desk.run("ingest", small_drive)
+    assert result.code == 2
+    assert message in result.err
+    assert "Traceback" not in result.err
+    assert not any(desk.final_tables().values())
+
+
+def test_a_bad_drive_does_not_hold_up_the_others(desk: Desk, small_drive: Path, tmp_path: Path) -> None:
+    bad = tmp_path / "bad"
+    bad.mkdir()
+    result = desk.run("ingest", bad, small_drive, "--json")
+    assert result.code == 2
+    assert [report["drive_id"] for report in result.json] == ["small"]
+
+
+@pytest.mark.parametrize("point", ["start", "detection", "matching", "merge"])
+def test_kill_9_and_again_gives_the_tables_of_one_clean_run(
+    office: Desk, database_url: str, tmp_path: Path, small_drive: Path, point: str
+) -> None:
+    clean = office.with_database(database_url)
+    assert clean.run("ingest", small_drive).code == 0
+    expected = clean.final_tables()
+    with closing(connect(database_url)) as conn:
+        execute(conn, "truncate conetl.map, conetl.run, conetl.drive, conetl.frame_pair, conetl.detection, "
+                      "conetl.stereo_match, conetl.position, conetl.track_member, conetl.feature_version cascade")  # fmt: skip
+        execute(conn, "alter table conetl.map alter map_id restart")
+        conn.commit()
+
+    home = tmp_path / "home"
+    victim = Desk({**clean.environment, "CONETL_HOME": str(home)})
+    with subprocess.Popen(
+        victim.command("ingest", small_drive), env=victim.environment, cwd=ROOT, stderr=subprocess.DEVNULL
+    ) as process:
+        wait_for(point, home, database_url, process)
+        process.send_signal(signal.SIGKILL)
+    assert process.returncode == -signal.SIGKILL, "it was over before it was killed"
+    half = victim.final_tables()
+    assert not any(half.values()), "half-written"
+    assert victim.run("ingest", small_drive).code == 0
+    assert victim.final_tables() == expected
+    assert victim.run("ingest", small_drive, "--json").json[0]["status"] == "no changes"
+
+
+def wait_for(point: str, home: Path, database_url: str, process: subprocess.Popen[bytes]) -> None:
+    """Return as soon as the ingest has come to `point`; for the merge, hold the map's lock so that it stays there."""
+    deadline = time.monotonic() + 120
+
+    def until(reached: Callable[[], bool]) -> None:
+        while not reached():
+            assert process.poll() is None, f"the ingest ended before {point}"
+            assert time.monotonic() < deadline, f"the ingest never came to {point}"
+            time.sleep(0.01)
+
+    results = home / "results"
+    if point == "start":
+        until(home.is_dir)
+    elif point == "detection":
+        until(lambda: len(list(results.glob("*.parquet"))) >= 1)
+    elif point == "matching":
+        until(lambda: len(list(results.glob("*.parquet"))) >= 2)
+    else:
+        with closing(connect(database_url)) as holder, closing(connect(database_url)) as watcher:
+            from conetl.io.map_store import map_lock
+
+            map_lock(holder, "default")
+
+            def waiting() -> bool:
+                rows = execute(watcher, "select 1 from pg_locks where locktype = 'advisory' and not granted")
+                watcher.rollback()
+                return bool(rows)
+
+            until(waiting)
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+
+
+def test_without_services_nothing_is_written(office: Desk, small_drive: Path) -> None:
+    nowhere = office.with_database("postgresql://conetl@127.0.0.1:9/nowhere")
+    result = nowhere.run("ingest", small_drive)
+    assert result.code == 3
+    assert "CONETL_DATABASE_URL" in result.err
+    no_prefect = Desk({**office.environment, "PREFECT_API_URL": "http://127.0.0.1:9/api"})
+    result = no_prefect.run("ingest", small_drive)
+    assert result.code == 3
+    assert "PREFECT_API_URL" in result.err
+
+
+def test_locate_and_detect_need_no_services(office: Desk, tmp_path: Path) -> None:
+    pair = [DRIVES[0] / side / "data" / "0000000010.jpg" for side in ("image_02", "image_03")]
+    result = office.run("locate", *pair, "--calibration", DRIVES[0], "--json")
+    assert result.code == 0, result.err
+    cones = result.json["cones"]
+    assert cones
+    assert all(1 < cone["ground_distance_m"] < 40 for cone in cones)
+    assert all(0.3 < cone["height_m"] < 1.0 for cone in cones)
+    written = tmp_path / "detections.json"
+    assert office.run("detect", *pair, "--out", written).code == 0
+    boxes = json.loads(written.read_text())
+    assert set(boxes[0]) == {"file_name", "category", "bbox", "score"}
+    assert office.run("detect", tmp_path / "nothing").code == 2
+
+
+@pytest.mark.skipif(
+    not KITTI.is_dir(), reason=f"{KITTI} is not there: the real street is tested where the shared data lie"
+)
+def test_a_real_street_gives_its_four_cones(desk: Desk) -> None:
+    result = desk.run("ingest", KITTI, "--json")
+    assert result.code == 0, result.err
+    (report,) = result.json
+    assert 4 <= report["counts"]["added"] <= 5
+    again = desk.run("ingest", KITTI, "--json")
+    assert again.code == 0
+    assert again.json[0]["status"] == "no changes"
