@@ -71,7 +71,7 @@ def warp_into(
     size = (right - left, bottom - top)
     drawn = cv2.warpAffine(levels[level], local, size, flags=cv2.INTER_LINEAR)
     cover = cv2.warpAffine(np.full(levels[level].shape[:2], 255, np.uint8), local, size, flags=cv2.INTER_NEAREST)
-    canvas[top:bottom, left:right][cover > 0] = drawn[cover > 0]
+    canvas[top:bottom, left:right] = cv2.copyTo(drawn, cover, canvas[top:bottom, left:right].copy())
 
     def follow(boxes: np.ndarray, cone: bool) -> np.ndarray:
         if len(boxes) == 0:
@@ -106,9 +106,12 @@ def clip_boxes(boxes: np.ndarray, area: tuple[int, int, int, int]) -> tuple[np.n
     return cut[keep], cut[inside & ~keep]
 
 
-def paste_cutout(canvas: np.ndarray, cutout: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Paste one cone cut-out somewhere, with a shadow at its foot; returns its exact box (4,)."""
-    height_px = float(np.exp(rng.uniform(np.log(12), np.log(150))))
+def paste_cutout(canvas: np.ndarray, cutout: np.ndarray, taken: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Paste one cut-out where it hides little of the boxes `taken` (N, 4), with a shadow at its foot.
+
+    Returns its exact box (1, 4), or (0, 4) when the place was taken.
+    """
+    height_px = float(np.exp(rng.uniform(np.log(10), np.log(200))))
     scale = height_px / cutout.shape[0]
     width = max(round(cutout.shape[1] * scale * rng.uniform(0.6, 1.15)), 4)
     height = max(round(height_px), 8)
@@ -119,6 +122,10 @@ def paste_cutout(canvas: np.ndarray, cutout: np.ndarray, rng: np.random.Generato
     x = int(rng.integers(0, max(canvas.shape[1] - width, 1)))
     y = int(rng.integers(int(0.2 * canvas.shape[0]), max(canvas.shape[0] - height, int(0.2 * canvas.shape[0]) + 1)))
     y = min(y, canvas.shape[0] - height)
+    low, high = np.maximum(taken[:, :2], (x, y)), np.minimum(taken[:, 2:], (x + width, y + height))
+    hidden = np.clip(high - low, 0, None).prod(1) / np.maximum((taken[:, 2:] - taken[:, :2]).prod(1), 1.0)
+    if (hidden > 0.35).any():
+        return np.zeros((0, 4))
     if rng.random() < 0.6:
         shadow = canvas.copy()
         cv2.ellipse(
@@ -135,7 +142,7 @@ def paste_cutout(canvas: np.ndarray, cutout: np.ndarray, rng: np.random.Generato
     alpha = patch[..., 3:].astype(np.float32) / 255
     region = canvas[y : y + height, x : x + width]
     region[:] = np.clip(alpha * colour + (1 - alpha) * region, 0, 255).astype(np.uint8)
-    return np.array([x, y, x + width, y + height], float)
+    return np.array([[x, y, x + width, y + height]], float)
 
 
 def draw_post(canvas: np.ndarray, x: float, foot: float, height: float, rng: np.random.Generator) -> None:
@@ -159,6 +166,12 @@ def draw_post(canvas: np.ndarray, x: float, foot: float, height: float, rng: np.
         u, v = np.meshgrid(np.arange(over.shape[1]), np.arange(over.shape[0]))
         stripe = ((v + rng.choice((-1, 1)) * u) // max(height / bands, 2)).astype(int) % 2
         over = np.where(stripe[..., None] == 0, np.float32(first), np.float32(second)).astype(np.float32)
+    if rng.random() < 0.5:  # a dark or grey post that has its bands near the top only
+        top = rng.uniform(0.0, 0.12) * height
+        start, end = int(top), int(top + height * rng.uniform(0.12, 0.45))
+        plain = np.full_like(over, rng.choice((25.0, 45.0, 90.0, 150.0)))
+        plain[start:end] = cv2.resize(over, (over.shape[1], max(end - start, 1)))[: end - start]
+        over = plain
     shade = 1 - rng.uniform(0.1, 0.6) * np.abs(np.linspace(-1, 1, over.shape[1]) + rng.uniform(-0.6, 0.6))
     over *= light * shade[None, :, None]
     y0, x0 = int(foot - over.shape[0]), int(x)
@@ -228,7 +241,11 @@ def relight(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         gain = np.exp(rng.normal(-0.05, 0.2)) * np.exp(rng.normal(0, 0.05, 3))
         gamma = np.exp(rng.normal(0, 0.2))
         ramp = (np.arange(256)[:, None] / 255.0) ** gamma * gain
-        if rng.random() < 0.25:
+        if rng.random() < 0.3:  # hard sunlight: white road, black shadows
+            middle = rng.uniform(0.3, 0.6)
+            ramp = np.clip(ramp, 0, 1.3)
+            ramp = (ramp - middle) * rng.uniform(1.1, 1.9) + middle
+        elif rng.random() < 0.25:
             ramp = ramp * (1 - (veil := rng.uniform(0.05, 0.4))) + veil
         table = np.clip(ramp * 255, 0, 255).astype(np.uint8)
         image = cv2.LUT(image, table[None])
@@ -258,13 +275,14 @@ def make_sample(
     rng: np.random.Generator,
 ) -> Sample:
     """One training sample: image (size, size, 3) BGR uint8, boxes (N, 4), trust (N,) of their sides, fades (M, 4)."""
-    canvas = np.zeros((size, size, 3), np.uint8)
-    warp_into(canvas, *backgrounds[int(rng.integers(len(backgrounds)))], (0, 0, size, size), rng)
+    background, levels = backgrounds[int(rng.integers(len(backgrounds)))]
+    canvas = cv2.resize(levels[2], (size, size), interpolation=cv2.INTER_LINEAR)  # no black where the warp leaves a gap
+    warp_into(canvas, background, levels, (0, 0, size, size), rng)
     all_boxes, all_trust, all_fades = [], [], []
     draw = rng.random()
-    if draw < 0.42:
+    if draw < 0.38:
         areas = [(0, 0, size, size)]
-    elif draw < 0.74:
+    elif draw < 0.68:
         x, y = (int(v) for v in rng.integers(int(0.3 * size), int(0.7 * size), 2))
         areas = [(0, 0, x, y), (x, 0, size, y), (0, y, x, size), (x, y, size, size)]
     else:
@@ -278,11 +296,12 @@ def make_sample(
         all_fades += [faded, clip_boxes(fades, area)[0]]
     if rng.random() < 0.45:
         draw_furniture(canvas, rng)
-    if cutouts and (not areas or rng.random() < 0.15):
+    if cutouts and (not areas or rng.random() < 0.3):
         for _ in range(int(rng.integers(1, 6))):
-            box = paste_cutout(canvas, cutouts[int(rng.integers(len(cutouts)))], rng)
-            all_boxes.append(box[None])
-            all_trust.append(np.ones(1))
+            taken = np.concatenate(all_boxes or [np.zeros((0, 4))])
+            box = paste_cutout(canvas, cutouts[int(rng.integers(len(cutouts)))], taken, rng)
+            all_boxes.append(box)
+            all_trust.append(np.ones(len(box)))
     boxes = np.concatenate(all_boxes or [np.zeros((0, 4))])
     hide_cones(canvas, boxes, rng)
     fades = np.concatenate([fade.reshape(-1, 4) for fade in all_fades] or [np.zeros((0, 4))])

@@ -59,7 +59,7 @@ def main() -> None:
         "pad_multiple_px": max(STRIDES),
         "class_names": ["traffic_cone"],
         "score_scale": "sigmoid 0..1, trained towards the IoU with the true box; not calibrated as a probability",
-        "licence": "same as conetl; trained on CC BY 4.0 pictures, see README.md beside this file",
+        "licence": "as conetl itself; trained on CC BY 4.0 and ODC-By 1.0 pictures, attribution in README.md beside this file",
     }
     args.out.with_name(args.out.name + ".json").write_text(json.dumps(card, indent=2) + "\n")
     print(f"{args.out}: {args.out.stat().st_size / 1e6:.2f} MB, largest difference {worst:.1e}")

@@ -87,7 +87,8 @@ def detection_loss(
 ) -> tuple[Tensor, dict[str, float]]:
     """Sum of score (BCE against IoU-scaled targets), box (CIoU) and side-distribution (DFL) losses for a batch."""
     side_logits, score_logits, points, strides = flatten_maps(maps)
-    boxes = boxes_from_sides(side_logits, points, strides)
+    with torch.no_grad():  # only the assigned cells' boxes are differentiated, below
+        boxes = boxes_from_sides(side_logits, points, strides)
     targets, weights = torch.zeros_like(score_logits), torch.ones_like(score_logits)
     box_loss = side_loss = score_logits.sum() * 0
     for index, (truth, trust, fade) in enumerate(zip(truths, trusts, fades, strict=True)):
@@ -97,18 +98,19 @@ def detection_loss(
             weights[index][(low & high).all(-1).any(1) & (strides <= 16)] = 0.0
         if len(truth) == 0:
             continue
-        cells, owner, target = assign(score_logits[index].detach(), boxes[index].detach(), points, strides, truth)
+        cells, owner, target = assign(score_logits[index].detach(), boxes[index], points, strides, truth)
         targets[index, cells] = target
         weights[index, cells] = 1.0
         amount = target * trust[owner]
-        box_loss = box_loss + ((1 - overlap(boxes[index, cells], truth[owner], complete=True)) * amount).sum()
+        logits = side_logits[index, cells]
+        given = boxes_from_sides(logits, points[cells], strides[cells])
+        box_loss = box_loss + ((1 - overlap(given, truth[owner], complete=True)) * amount).sum()
         wanted = (
             torch.cat((points[cells] - truth[owner, :2], truth[owner, 2:] - points[cells]), 1) / strides[cells, None]
         )
         wanted = wanted.clamp(0, BINS - 1.01)
         lower = wanted.long()
         share = wanted - lower
-        logits = side_logits[index, cells]
         log = functional.log_softmax(logits, -1)
         cost = -(
             log.gather(-1, lower[..., None]).squeeze(-1) * (1 - share)

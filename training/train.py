@@ -19,6 +19,7 @@ import numpy as np
 import torch
 from augment import make_sample, pyramid
 from dataset import cut_out_cones, read_clip_negatives, read_cones, read_renders
+from drawn_cones import draw_cone
 from loss import detection_loss
 from network import ConeNet
 from torch.utils.data import DataLoader, IterableDataset
@@ -33,6 +34,8 @@ class Samples(IterableDataset):
         self.args = args
         pictures = read_cones(Path(args.cones), "train")
         self.cutouts = cut_out_cones([p for p in pictures if p.source == "rf_traffic_cones"])
+        drawn = np.random.default_rng(args.seed)
+        self.cutouts += [draw_cone(drawn) for _ in range(500)]
         backgrounds = [p for p in pictures if len(p.boxes) == 0 and p.source == "css_safety_cone"]
         if args.clips:
             backgrounds += read_clip_negatives(Path(args.clips)) * 2
@@ -129,7 +132,7 @@ def main() -> None:
     started = saved = time.monotonic()
     step, sums = args.start_step, {"score": 0.0, "box": 0.0, "side": 0.0}
     while (share := (time.monotonic() - started) / (60 * args.minutes)) < 1:
-        warm = min(1.0, (step - args.start_step + 1) / 300)
+        warm = min(1.0, (step - args.start_step + 1) / (50 if args.resume else 300))
         for group in optimiser.param_groups:
             group["lr"] = args.rate * warm * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * share)))
         images, boxes, trusts, fades = next(loader)

@@ -14,7 +14,6 @@ select
     max(ST_X(v.geom)) filter (where v.present and upper_inf(v.valid_period)) as east_m,
     max(ST_Y(v.geom)) filter (where v.present and upper_inf(v.valid_period)) as north_m
 from conetl.map m
-left join conetl.feature f on f.map_id = m.map_id
-left join conetl.feature_version v on v.feature_id = f.feature_id and upper_inf(v.system_period)
+left join conetl.feature_version v on v.map_id = m.map_id and upper_inf(v.system_period)
 where m.map_name = %(map_name)s
 group by m.map_id;

@@ -208,20 +208,22 @@ create table conetl.feature (
     feature_id       uuid primary key,
     map_id           integer not null,
     srid             integer not null,
-    founded_by       uuid not null references conetl.changeset,
+    founded_by       uuid not null,  -- changeset; no foreign key, see below
     foreign key (map_id, srid) references conetl.map (map_id, srid),
-    unique (feature_id, srid)
+    unique (feature_id, map_id, srid)
 );
 create index feature_by_map on conetl.feature (map_id);
 
 -- Bitemporal and append-only: the one change a row may ever see is that its system period is closed. A feature that is gone
--- has a version with present = false. Periods are half-open.
+-- has a version with present = false. Periods are half-open. That changeset_id exists is checked by an audit: the one statement
+-- that writes it has just made that changeset, and a foreign key per row would cost a fifth of the whole merge.
 create table conetl.feature_version (
     version_row_id        bigint generated always as identity primary key,
     feature_id            uuid not null,
     version               integer not null check (version >= 1),
+    map_id                integer not null,
     srid                  integer not null,
-    changeset_id          uuid not null references conetl.changeset,
+    changeset_id          uuid not null,
     present               boolean not null,
     category              text not null,
     geom                  geometry(PointZ) not null,  -- foot centre on the ground
@@ -241,7 +243,7 @@ create table conetl.feature_version (
     valid_from_ns         bigint not null,            -- of this version, exact
     valid_period          tstzrange not null,         -- when it was so on the road
     system_period         tstzrange not null,         -- when the database held it for true
-    foreign key (feature_id, srid) references conetl.feature (feature_id, srid),
+    foreign key (feature_id, map_id, srid) references conetl.feature (feature_id, map_id, srid),
     check (ST_SRID(geom) = srid and ST_SRID(centre_geom) = srid),
     check (cov_xx > 0 and cov_yy > 0 and cov_zz > 0),
     check (first_seen_ns <= last_seen_ns),
@@ -254,7 +256,7 @@ create index feature_version_by_place on conetl.feature_version using gist (geom
 create index feature_version_by_changeset on conetl.feature_version (changeset_id);
 
 create table conetl.delta (
-    changeset_id  uuid not null references conetl.changeset,
+    changeset_id  uuid not null,
     feature_id    uuid not null references conetl.feature,
     kind          text not null check (kind in ('added', 'confirmed', 'moved', 'removed')),
     old_version   integer,
@@ -268,9 +270,8 @@ create table conetl.delta (
 create index delta_by_feature on conetl.delta (feature_id);
 
 create view conetl.current_feature as
-select m.map_id, m.map_name, v.*
+select m.map_name, v.*
 from conetl.feature_version v
-join conetl.feature f using (feature_id)
 join conetl.map m using (map_id)
 where upper_inf(v.system_period) and upper_inf(v.valid_period) and v.present;
 comment on view conetl.current_feature is 'The map as it is now, as the database knows it now; one row per standing cone.';
@@ -279,9 +280,8 @@ create function conetl.map_as_of(map_name text, valid_at timestamptz, known_at t
 returns setof conetl.current_feature
 language sql stable
 as $$
-    select m.map_id, m.map_name, v.*
+    select m.map_name, v.*
     from conetl.feature_version v
-    join conetl.feature f using (feature_id)
     join conetl.map m using (map_id)
     where m.map_name = $1 and v.present and v.valid_period @> $2 and v.system_period @> $3
 $$;

@@ -2,12 +2,12 @@
 -- began no earlier than its successor is left out: the successor takes its whole place.
 -- Parameters: committed_at (timestamptz).
 insert into conetl.feature_version (
-    feature_id, version, srid, changeset_id, present, category, geom, cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz,
+    feature_id, version, map_id, srid, changeset_id, present, category, geom, cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz,
     centre_geom, cone_height_m, cone_height_sigma_m, existence_probability, observation_count,
     first_seen_ns, last_seen_ns, valid_from_ns, valid_period, system_period
 )
 select
-    v.feature_id, v.version, v.srid, v.changeset_id, v.present, v.category, v.geom,
+    v.feature_id, v.version, v.map_id, v.srid, v.changeset_id, v.present, v.category, v.geom,
     v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz,
     v.centre_geom, v.cone_height_m, v.cone_height_sigma_m, v.existence_probability, v.observation_count,
     v.first_seen_ns, v.last_seen_ns, v.valid_from_ns,

@@ -1,11 +1,11 @@
--- Purpose: the new versions, open in both periods. Parameters: srid, changeset_id, committed_at (timestamptz).
+-- Purpose: the new versions, open in both periods. Parameters: map_id, srid, changeset_id, committed_at (timestamptz).
 insert into conetl.feature_version (
-    feature_id, version, srid, changeset_id, present, category, geom, cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz,
+    feature_id, version, map_id, srid, changeset_id, present, category, geom, cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz,
     centre_geom, cone_height_m, cone_height_sigma_m, existence_probability, observation_count,
     first_seen_ns, last_seen_ns, valid_from_ns, valid_period, system_period
 )
 select
-    s.feature_id, coalesce(o.version, 0) + 1, %(srid)s, %(changeset_id)s, s.present, s.category, s.geom,
+    s.feature_id, coalesce(o.version, 0) + 1, %(map_id)s, %(srid)s, %(changeset_id)s, s.present, s.category, s.geom,
     s.cov_xx, s.cov_xy, s.cov_xz, s.cov_yy, s.cov_yz, s.cov_zz,
     s.centre_geom, s.cone_height_m, s.cone_height_sigma_m, s.existence_probability, s.observation_count,
     s.first_seen_ns, s.last_seen_ns, greatest(s.changed_at_ns, o.valid_from_ns),

@@ -1,11 +1,57 @@
-"""The map store on a real PostGIS: commits, versions, history, conflicts."""
+"""The map store on a real PostGIS: commits, versions, history, conflicts, kills."""
 
 from __future__ import annotations
 
-from conetl.io.map_store import feature_log, find_changeset, list_changesets, map_summary, read_current_features
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from uuid import uuid4
+
+import pytest
+
+from conetl.errors import DatabaseError, MapMismatchError
+from conetl.io.audits import run_audits
+from conetl.io.db import connect, execute
+from conetl.io.map_results import RunInfo
+from conetl.io.map_store import (
+    commit_changeset,
+    feature_log,
+    find_changeset,
+    find_map,
+    list_changesets,
+    map_summary,
+    map_transaction,
+    read_current_features,
+    read_features_as_of,
+)
+from conetl.io.quarantine_store import count_rejections, read_rejections
+from conetl.records import utc_from_ns
+from conetl.rejections import Rejection, RejectionReason
+
+DAY = timedelta(days=1)
+
+
+@pytest.fixture(autouse=True)
+def audited(conn):
+    """Whatever a test does, the map must pass its audits afterwards."""
+    yield
+    assert [result for result in run_audits(conn) if not result.passed] == []
+
+
+def standing(conn, **options):
+    return [(v.feature.version, v.valid_from, v.valid_to) for v in read_features_as_of(conn, **options)]
 
 
 def test_first_drive_makes_the_map(conn, samples):
+    assert find_map(conn) is None
+    assert map_summary(conn) is None
+    assert read_current_features(conn) == []
     feature = samples.feature()
     result = samples.commit(conn, samples.added(feature), key="1")
     assert result.committed
@@ -18,3 +64,336 @@ def test_first_drive_makes_the_map(conn, samples):
     assert list_changesets(conn) == [result.changeset]
     [entry] = feature_log(conn, feature.feature_id)
     assert (entry.kind, entry.new_version, entry.height_m) == ("added", 1, 114.5)
+
+
+def test_the_same_drive_again_changes_nothing(conn, samples):
+    first = samples.commit(conn, samples.added(samples.feature()), key="1")
+    again = samples.commit(conn, samples.added(samples.feature("another")), key="1")
+    assert not again.committed
+    assert again.changeset == first.changeset
+    assert again.versions_written == 0
+    assert len(read_current_features(conn)) == 1
+
+
+def test_raw_records_come_back_as_they_were(conn, samples):
+    samples.commit(conn, samples.added(samples.feature()), key="1")
+    [pair] = execute(conn, "select *, ST_AsEWKT(geom) as place from frame_pair where frame_index = 1")
+    assert pair["captured_at_ns"] == samples.START_NS + 100_000_007
+    assert pair["left_path"] == "image_02/data/0000000001.png"
+    assert pair["place"] == "SRID=32632;POINT(458000.5 5428000.25 115.125)"
+    assert (pair["map_r_body"], pair["sigma_enu_m"]) == ([1, 0, 0, 0, 1, 0, 0, 0, 1], [0.3, 0.3, 0.5])
+    assert len(execute(conn, "select from detection where side = 'right' and w_px = 20 and h_px = 30")) == 3
+    [match] = execute(conn, "select * from stereo_match where frame_index = 2")
+    assert (match["foot_right_u_px"], match["tip_left_v_px"], match["refined"]) == (580, 180, True)
+    [position] = execute(conn, "select *, ST_Z(centre_geom) as centre_z from position where frame_index = 0")
+    assert (position["cov_yy"], position["camera_z_m"], position["centre_z"]) == (0.02, 12, 114.85)
+    [track] = execute(conn, "select * from track")
+    assert (track["relative_cov_zz"], track["last_seen_ns"]) == (0.04, samples.START_NS + 200_000_007)
+    assert len(execute(conn, "select from track_member where track_index = 0")) == 3
+
+
+def test_confirmed_moved_removed_and_the_map_of_every_day(conn, samples):
+    start, day = utc_from_ns(samples.START_NS), samples.DAY_NS
+    v1 = samples.feature()
+    samples.commit(conn, samples.added(v1), key="1", now=start + DAY / 2)
+    confirmed = samples.changed("confirmed", v1, samples.START_NS + day, xyz_m=(458_001.02, 5_428_010.01, 114.5))
+    samples.commit(conn, confirmed, key="2", now=start + DAY * 1.5)
+    moved = samples.changed("moved", confirmed.new, samples.START_NS + 2 * day, xyz_m=(458_002.5, 5_428_010.0, 114.5))
+    samples.commit(conn, moved, key="3", now=start + DAY * 2.5)
+    assert read_current_features(conn) == [moved.new]
+    samples.commit(conn, samples.removed(moved.new, samples.START_NS + 3 * day), key="4", now=start + DAY * 3.5)
+    assert read_current_features(conn) == []
+
+    assert standing(conn, valid_at=start - DAY) == []
+    assert standing(conn, valid_at=start) == [(1, start, start + DAY)]
+    assert standing(conn, valid_at=start + DAY) == [(2, start + DAY, start + 2 * DAY)]
+    assert standing(conn, valid_at=start + 2.9 * DAY) == [(3, start + 2 * DAY, start + 3 * DAY)]
+    assert standing(conn, valid_at=start + 3 * DAY) == []
+    assert standing(conn) == []
+    # what was believed on day 1 about day 2: the cone still stands where it was first seen
+    assert standing(conn, valid_at=start + 2 * DAY, known_at=start + DAY) == [(1, start, None)]
+    assert standing(conn, known_at=start) == []
+
+    log = feature_log(conn, v1.feature_id)
+    assert [(e.kind, e.old_version, e.new_version) for e in log] == [
+        ("added", None, 1),
+        ("confirmed", 1, 2),
+        ("moved", 2, 3),
+        ("removed", 3, 4),
+    ]
+    assert log[2].shift_m == pytest.approx(1.48, abs=0.001)
+    assert map_summary(conn).removed_count == 1
+
+
+def test_a_confirmation_that_changes_nothing_makes_no_version(conn, samples):
+    feature = samples.feature()
+    samples.commit(conn, samples.added(feature), key="1")
+    result = samples.commit(conn, samples.changed("confirmed", feature, samples.START_NS + samples.DAY_NS), key="2")
+    assert (result.versions_written, result.changeset.confirmed_count) == (0, 1)
+    assert read_current_features(conn) == [feature]
+    assert [(e.kind, e.new_version) for e in feature_log(conn, feature.feature_id)] == [("added", 1), ("confirmed", 1)]
+    assert execute(conn, "select count(*) as n from feature_version") == [{"n": 1}]
+
+
+def test_a_cone_that_comes_back_goes_on_counting(conn, samples):
+    feature, day = samples.feature(), samples.DAY_NS
+    samples.commit(conn, samples.added(feature), key="1")
+    samples.commit(conn, samples.removed(feature, samples.START_NS + day), key="2")
+    back = samples.feature(seen_ns=samples.START_NS + 2 * day)
+    samples.commit(conn, samples.added(back), key="3")
+    assert read_current_features(conn) == [back.model_copy(update={"version": 3})]
+    assert [len(standing(conn, valid_at=utc_from_ns(samples.START_NS) + n * DAY)) for n in (0, 1, 2)] == [1, 0, 1]
+
+
+def test_a_change_dated_before_the_open_version_takes_its_place(conn, samples):
+    """A late drive: what it says begins where the version begins that it replaces, and the earlier belief is kept."""
+    feature = samples.feature()
+    samples.commit(conn, samples.added(feature), key="1")
+    known = datetime.now(UTC)
+    late = samples.changed("confirmed", feature, samples.START_NS - samples.DAY_NS, observation_count=6)
+    samples.commit(conn, late, key="2")
+    start = utc_from_ns(samples.START_NS)
+    assert standing(conn) == [(2, start, None)]
+    assert standing(conn, known_at=known) == [(1, start, None)]
+
+
+def test_system_time_never_runs_backwards(conn, samples):
+    now = datetime(2026, 5, 1, tzinfo=UTC)
+    a, b = samples.feature("a"), samples.feature("b")
+    first = samples.commit(conn, samples.added(a), key="1", now=now)
+    second = samples.commit(
+        conn, samples.added(b), samples.changed("confirmed", a, samples.START_NS + 1, category="x"), key="2", now=now
+    )
+    third = samples.commit(conn, samples.removed(b, samples.START_NS + samples.DAY_NS), key="3", now=now - DAY)
+    times = [result.changeset.committed_at for result in (first, second, third)]
+    assert times == [now + timedelta(microseconds=n) for n in range(3)]
+    assert [c.changeset_no for c in list_changesets(conn, limit=2)] == [3, 2]
+
+
+def test_features_within_a_box(conn, samples):
+    places = {"a": (0.0, 0.0, 1.0), "b": (10.0, 0.0, 1.0), "c": (0.0, 10.0, 1.0)}
+    deltas = [samples.added(samples.feature(name, xyz_m=xyz)) for name, xyz in places.items()]
+    samples.commit(conn, *deltas, key="1")
+    found = read_current_features(conn, within=(-1, -1, 1, 20))
+    assert {f.xyz_m for f in found} == {places["a"], places["c"]}
+    assert len(list(read_features_as_of(conn, within=(-1, -1, 1, 1)))) == 1
+
+
+def test_maps_do_not_see_each_other(conn, samples):
+    samples.commit(conn, samples.added(samples.feature("a")), key="1")
+    drive = samples.drive("elsewhere", srid=32633)
+    changeset = samples.changeset(samples.added(samples.feature("b")), drive_id="elsewhere", key="2")
+    with map_transaction(conn, "berlin"):
+        commit_changeset(
+            conn,
+            drive,
+            samples.detections(),
+            [],
+            samples.positions(),
+            [samples.track()],
+            [],
+            changeset,
+            map_name="berlin",
+        )
+    assert len(read_current_features(conn)) == len(read_current_features(conn, map_name="berlin")) == 1
+    assert (find_map(conn).srid, find_map(conn, "berlin").srid) == (32632, 32633)
+    assert find_changeset(conn, "1" * 64, map_name="berlin") is None
+    # a feature of one map cannot be changed through another
+    with pytest.raises(MapMismatchError):
+        samples.commit(conn, samples.removed(samples.feature("b"), samples.START_NS + 1), key="3")
+
+
+def test_another_crs_is_refused(conn, samples):
+    samples.commit(conn, samples.added(samples.feature()), key="1")
+    with pytest.raises(MapMismatchError, match=r"EPSG:32633.*EPSG:32632.*drive\.yaml"), map_transaction(conn):
+        commit_changeset(
+            conn, samples.drive("b", srid=32633), [], [], [], [], [], samples.changeset(drive_id="b", key="2")
+        )
+    assert len(list_changesets(conn)) == 1
+
+
+def test_a_stale_reading_of_the_map_is_refused(conn, samples):
+    feature = samples.feature()
+    samples.commit(conn, samples.added(feature), key="1")
+    newer = samples.changed("confirmed", feature, samples.START_NS + 1, observation_count=9)
+    samples.commit(conn, newer, key="2")
+    for deltas in (
+        [samples.removed(feature, samples.START_NS + samples.DAY_NS)],
+        [samples.added(samples.feature(observation_count=1))],
+        [samples.changed("moved", samples.feature("unknown"), samples.START_NS + 1)],
+    ):
+        with pytest.raises(MapMismatchError, match="Nothing was written"):
+            samples.commit(conn, *deltas, key="3")
+    assert read_current_features(conn) == [newer.new]
+    assert len(list_changesets(conn)) == 2
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"detections": lambda s: s.detections(frames=4)}, "detection of frame 3"),
+        ({"positions": lambda s: s.positions(frames=2)}, r"track 0 with the unknown position \(2, 0\)"),
+        ({"matches": lambda s: s.matches(frames=2)}, r"position \(2, 0\) without its stereo match"),
+        ({"detections": lambda s: s.detections()[:-1]}, "stereo match 0 of frame 2 without its detections"),
+        ({"tracks": lambda s: [s.track(track_index=5)]}, "with the unknown track 0"),
+        ({"changeset": lambda s: s.changeset(drive_id="other")}, "a changeset of drive other"),
+        ({"changeset": lambda s: s.changeset(*[s.added(s.feature())] * 2)}, "2 deltas of feature"),
+    ],
+)
+def test_records_that_do_not_fit_together_are_refused(conn, samples, changes, words):
+    values = {
+        "drive": samples.drive(),
+        "detections": samples.detections(),
+        "matches": samples.matches(),
+        "positions": samples.positions(),
+        "tracks": [samples.track()],
+        "rejections": [],
+        "changeset": samples.changeset(samples.added(samples.feature())),
+    }
+    values |= {name: make(samples) for name, make in changes.items()}
+    with pytest.raises(MapMismatchError, match=words), map_transaction(conn):
+        commit_changeset(conn, **values)
+    assert find_map(conn) is None
+
+
+def test_rejections_come_back_whatever_they_hold(conn, samples):
+    payload = {
+        "yaw": float("nan"),
+        "up": float("inf"),
+        "name": "a\x00b\udc80",
+        "path": Path("x"),
+        "rows": ((1, 2), None),
+    }
+    rejections = [
+        Rejection(
+            step="frames", reason=RejectionReason.POSE_INVALID, record="frame pair 4\x00", detail="näh", payload=payload
+        ),
+        Rejection(step="frames", reason=RejectionReason.POSE_INVALID, record="frame pair 5", detail="", payload={}),
+        Rejection(step="tracks", reason=RejectionReason.NOT_ON_GROUND, record="track 1", detail="d", payload={"n": 1}),
+    ]
+    changeset = samples.changeset()
+    with map_transaction(conn):
+        commit_changeset(conn, samples.drive(), [], [], [], [], rejections, changeset)
+    read = {r.record: r for r in read_rejections(conn, changeset.changeset_id)}
+    assert set(read) == {"frame pair 4\ufffd", "frame pair 5", "track 1"}
+    assert read["frame pair 4\ufffd"].detail == "näh"
+    assert read["frame pair 4\ufffd"].payload == {
+        "yaw": "nan",
+        "up": "inf",
+        "name": "a\ufffdb\ufffd",
+        "path": "x",
+        "rows": [[1, 2], None],
+    }
+    counts = [(c.step, c.reason, c.count) for c in count_rejections(conn, changeset.changeset_id)]
+    assert counts == [("frames", RejectionReason.POSE_INVALID, 2), ("tracks", RejectionReason.NOT_ON_GROUND, 1)]
+    assert len(read_rejections(conn, changeset.changeset_id, limit=1)) == 1
+
+
+def test_the_run_is_kept_with_its_parameters(conn, samples):
+    run = RunInfo(uuid4(), datetime.now(UTC), {"track": {"gate_chi2": 16.0}}, flow_run_id="brave-newt")
+    samples.commit(conn, key="1", run=run)
+    [kept] = execute(conn, "select r.* from run r join changeset using (run_id)")
+    assert (kept["run_id"], kept["params"], kept["flow_run_id"]) == (run.run_id, dict(run.params), "brave-newt")
+    assert kept["started_at"] <= kept["finished_at"]
+
+
+def test_an_error_inside_the_transaction_leaves_nothing(conn, samples):
+    with pytest.raises(RuntimeError), map_transaction(conn):
+        commit_changeset(
+            conn,
+            samples.drive(),
+            [],
+            [],
+            [],
+            [],
+            [],
+            samples.changeset(samples.added(samples.feature(), track_index=None)),
+        )
+        raise RuntimeError
+    assert find_map(conn) is None
+
+
+def test_two_ingests_wait_for_each_other(conn, database_url, samples):
+    order = []
+
+    def other():
+        second = connect(database_url)
+        with map_transaction(second):
+            order.append(("second", len(read_current_features(second))))
+        second.close()
+
+    with map_transaction(conn):
+        thread = threading.Thread(target=other)
+        thread.start()
+        time.sleep(0.3)
+        assert order == []
+        commit_changeset(
+            conn,
+            samples.drive(),
+            [],
+            [],
+            [],
+            [],
+            [],
+            samples.changeset(samples.added(samples.feature(), track_index=None)),
+        )
+    thread.join(timeout=10)
+    assert order == [("second", 1)]
+
+
+def test_a_map_that_stays_locked_is_reported(conn, database_url):
+    second = connect(database_url)
+    with map_transaction(conn):
+        with pytest.raises(DatabaseError, match="lock timeout"), map_transaction(second, lock_timeout_s=0.2):
+            pass
+        with map_transaction(second, "another_map", lock_timeout_s=0.2):
+            pass
+    second.close()
+
+
+def test_a_lost_connection_is_one_clear_error(conn, database_url, samples):
+    second = connect(database_url)
+    with pytest.raises(DatabaseError, match="as it was before"), map_transaction(second):
+        pid = second.info.backend_pid
+        execute(conn, "select pg_terminate_backend(%(pid)s)", {"pid": pid})
+        conn.commit()
+        commit_changeset(second, samples.drive(), [], [], [], [], [], samples.changeset())
+    assert find_map(conn) is None
+
+
+INGEST = """
+import importlib.util, sys, time
+spec = importlib.util.spec_from_file_location("made_up", sys.argv[1])
+made_up = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(made_up)
+from conetl.io.db import connect
+deltas = [made_up.added(made_up.sample_feature(str(i), xyz_m=(i, 0.0, 0.0))) for i in range(3000)]
+conn = connect(sys.argv[2])
+print("ready", flush=True)
+print(made_up.commit_deltas(conn, *deltas, key="1").committed, flush=True)
+"""
+
+
+def test_kill_nine_at_any_instant_leaves_all_or_nothing(conn, database_url, samples):
+    samples.commit(conn, samples.added(samples.feature("before")), key="2")
+    command = [sys.executable, "-c", INGEST, str(Path(__file__).parents[1] / "conftest.py"), database_url]
+    chance = random.Random(7)
+    for _ in range(6):
+        child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        assert child.stdout.readline() == "ready\n"
+        time.sleep(chance.uniform(0.0, 0.5))
+        os.kill(child.pid, signal.SIGKILL)
+        child.wait()
+        child.stdout.close()
+        with map_transaction(conn, lock_timeout_s=30):
+            count = len(read_current_features(conn))
+            assert count == (3001 if find_changeset(conn, "1" * 64) else 1)
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[1] in ("True", "False")
+    assert len(read_current_features(conn)) == 3001
+    assert len(list_changesets(conn)) == 2
+
+
+def test_an_instant_without_a_zone_is_refused(conn):
+    with pytest.raises(ValueError, match="no time zone"):
+        list(read_features_as_of(conn, datetime(2026, 1, 1)))  # noqa: DTZ001

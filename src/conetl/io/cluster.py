@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 from urllib.parse import quote
+from uuid import uuid4
 
 from conetl.errors import DatabaseError
 from conetl.io.cluster_place import (
@@ -32,6 +33,7 @@ from conetl.io.cluster_place import (
     make_place,
     make_socket_directory,
     run_as,
+    working_folder,
 )
 from conetl.io.postgres_install import OWN_DATABASE_HINT, PostgresInstall, choose_install, find_installs
 
@@ -39,6 +41,7 @@ DATABASE = "conetl"
 SUPERUSER = "conetl"
 PORT = 5432  # only names the socket file; nothing listens on TCP
 KEPT_LOG_FILES = 5
+NEW_DATA_PREFIX = "data.new."
 START_TIMEOUT_S = 60
 
 #: Small on purpose: the cluster shares the machine with the detector. Nothing here trades safety for speed.
@@ -152,14 +155,17 @@ def _url(place: ClusterPlace) -> str:
 
 
 def _initialise(place: ClusterPlace, install: PostgresInstall) -> None:
-    """Make the data folder under another name first: a kill in between leaves nothing that looks like a cluster."""
-    shutil.rmtree(place.directory / "data.new", ignore_errors=True)
-    initdb = [install.program("initdb"), "-D", "data.new", "-U", SUPERUSER, "-A", "peer", "-E", "UTF8", "--locale=C"]
+    """Make the data folder under another name first: a kill in between leaves nothing that looks like a cluster.
+
+    The name is new each time, because initdb outlives a caller that was killed and would go on writing into it.
+    """
+    new = f"{NEW_DATA_PREFIX}{uuid4().hex}"
+    initdb = [install.program("initdb"), "-D", new, "-U", SUPERUSER, "-A", "peer", "-E", "UTF8", "--locale=C"]
     _must(run_as(place, initdb, timeout_s=120), "PostgreSQL could not make a new cluster", place)
     allowed = dict.fromkeys([place.user.name, place.caller_name, "root"])
-    _write_as(place, "data.new/pg_hba.conf", f"local all all peer map={SUPERUSER}\n")
-    _write_as(place, "data.new/pg_ident.conf", "".join(f'{SUPERUSER} "{n}" {SUPERUSER}\n' for n in allowed if n))
-    single = [install.program("postgres"), "--single", "-D", "data.new", "postgres"]
+    _write_as(place, f"{new}/pg_hba.conf", f"local all all peer map={SUPERUSER}\n")
+    _write_as(place, f"{new}/pg_ident.conf", "".join(f'{SUPERUSER} "{n}" {SUPERUSER}\n' for n in allowed if n))
+    single = [install.program("postgres"), "--single", "-D", new, "postgres"]
     made = run_as(place, single, stdin=f"create database {DATABASE}\n", timeout_s=120)
     if any(word in made.output for word in ("ERROR:", "FATAL:", "PANIC:")):
         raise DatabaseError(
@@ -167,7 +173,7 @@ def _initialise(place: ClusterPlace, install: PostgresInstall) -> None:
         )
     _must(made, f"PostgreSQL could not make the database {DATABASE}", place)
     _must(run_as(place, ["mkdir", "-p", "log"], timeout_s=10), "the log folder could not be made", place)
-    _must(run_as(place, ["mv", "data.new", "data"], timeout_s=10), "the new cluster could not be put in place", place)
+    _must(run_as(place, ["mv", "-T", new, "data"], timeout_s=10), "the new cluster could not be put in place", place)
 
 
 def _start(place: ClusterPlace, install: PostgresInstall) -> None:
@@ -178,8 +184,8 @@ def _start(place: ClusterPlace, install: PostgresInstall) -> None:
             return
         _stop(place)
     make_socket_directory(place)
-    _remove_stale_pid_file(place)
-    _prune_logs(place)
+    _remove_stale_files(place)
+    _sweep(place)
     settings = SERVER_SETTINGS | {
         "unix_socket_directories": '"' + str(place.socket_directory).replace('"', '""') + '"',
         "port": str(PORT),
@@ -216,27 +222,21 @@ def _stop(place: ClusterPlace) -> None:
 def _running_pid(place: ClusterPlace) -> int | None:
     """Process id of the server of these data, None where the pid file is missing or was left over by a dead one.
 
-    A number alone proves nothing (after a restart it may be anybody's): the server's working folder is its data folder.
+    A number alone proves nothing: after a restart it may be anybody's, and in a container without an init process a killed
+    server stays as a zombie. A living server's working folder is its data folder.
     """
     try:
         pid = int((place.data / "postmaster.pid").read_text().split("\n", 1)[0])
-        os.kill(pid, 0)
-    except PermissionError:
-        pass
     except (OSError, ValueError):
         return None
-    try:
-        same = Path(f"/proc/{pid}/cwd").samefile(place.data)
-    except PermissionError:
-        return pid  # cannot be looked into: assume that it is what the file says
-    except OSError:
-        return None if Path("/proc/self").exists() else pid
-    return pid if same else None
+    return pid if working_folder(place, pid) == os.path.realpath(place.data) else None
 
 
-def _remove_stale_pid_file(place: ClusterPlace) -> None:
+def _remove_stale_files(place: ClusterPlace) -> None:
+    """PostgreSQL trusts the numbers in these files when any process has them; here it is known better."""
     if _running_pid(place) is None:
         (place.data / "postmaster.pid").unlink(missing_ok=True)
+        _socket_file(place).with_name(f"{_socket_file(place).name}.lock").unlink(missing_ok=True)
 
 
 def _socket_file(place: ClusterPlace) -> Path:
@@ -276,7 +276,10 @@ def _log_files(place: ClusterPlace) -> list[Path]:
     return sorted((place.directory / "log").glob("server-*.log"))
 
 
-def _prune_logs(place: ClusterPlace) -> None:
+def _sweep(place: ClusterPlace) -> None:
+    """Remove old logs and what interrupted first starts left."""
+    for unfinished in place.directory.glob(f"{NEW_DATA_PREFIX}*"):
+        shutil.rmtree(unfinished, ignore_errors=True)
     for old in _log_files(place)[: -KEPT_LOG_FILES + 1]:
         old.unlink(missing_ok=True)
     start_log = place.directory / "log" / "start.log"

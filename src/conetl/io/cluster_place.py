@@ -187,6 +187,21 @@ def run_as(place: ClusterPlace, command: list[str], *, timeout_s: float, stdin: 
     return Done(done.returncode, done.stdout)
 
 
+def working_folder(place: ClusterPlace, pid: int) -> str | None:
+    """Working folder of a process of the cluster's user; None where it is dead, a zombie, or another user's.
+
+    Looked up as that user: root in a container may lack the right to look into other users' processes.
+    """
+    link = f"/proc/{pid}/cwd"
+    if os.geteuid() == place.user.uid:
+        try:
+            return os.readlink(link)  # noqa: PTH115 -- Path would not tell a dead process from a strange path
+        except OSError:
+            return None
+    looked = run_as(place, ["readlink", "-n", link], timeout_s=10)
+    return looked.output if looked.code == 0 else None
+
+
 def _place(directory: Path, user: ServerUser) -> ClusterPlace:
     socket_directory = directory / "socket"
     if len(os.fsencode(socket_directory / ".s.PGSQL.00000")) > MAX_SOCKET_PATH_BYTES:

@@ -21,6 +21,8 @@ from conetl.io.copy_binary import Column, copy_statement, encode
 Connection: TypeAlias = psycopg2.extensions.connection
 
 CONNECT_TIMEOUT_S = 10
+#: Times in UTC; streamed queries are planned to be read to their end.
+SESSION_OPTIONS = "-c timezone=UTC -c cursor_tuple_fraction=1"
 #: Advisory locks of one database: (namespace, key).
 MIGRATION_LOCK = 0x636F6E65
 ROLES = ("conetl_reader", "conetl_writer")
@@ -78,8 +80,9 @@ def database_errors(what: str) -> Iterator[None]:
 
 @contextmanager
 def transaction(conn: Connection, what: str) -> Iterator[None]:
-    """All or nothing: commit at the end, roll back on any error."""
+    """All or nothing: commit at the end, roll back on any error. A transaction that earlier reads left open is ended first."""
     with database_errors(what):
+        conn.rollback()
         try:
             yield
             conn.commit()

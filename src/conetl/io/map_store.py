@@ -59,6 +59,8 @@ from conetl.rejections import Rejection
 Bbox = tuple[float, float, float, float]
 """west, south, east, north in metres of the map's CRS."""
 LOCK_TIMEOUT_S = 600.0
+#: After so many new versions the planner's picture of the tables is renewed at once, not when autovacuum comes round.
+ANALYSE_FROM_VERSIONS = 10_000
 _NAMESPACE = uuid5(NAMESPACE_URL, "https://conetl.example/drive")
 
 
@@ -248,6 +250,8 @@ def _merge_deltas(conn: Connection, info: MapInfo, changeset: Changeset, committ
     versions = execute_count(conn, load_sql("write/insert_versions"), parameters)
     execute(conn, load_sql("write/insert_deltas"), parameters)
     execute(conn, "drop table delta_stage, open_version")
+    if versions >= ANALYSE_FROM_VERSIONS:
+        execute(conn, "analyze conetl.feature, conetl.feature_version")
     return versions
 
 

@@ -61,8 +61,8 @@ def compare_with_truth(
     everything = list(truth)
     costs = np.full((len(everything), len(features)), 1e6)
     for i, cone in enumerate(everything):
-        for j, feature in enumerate(features):
-            distance = float(np.linalg.norm(np.subtract(feature.xyz_m, cone.xyz_m)))
+        for j, candidate in enumerate(features):
+            distance = float(np.linalg.norm(np.subtract(candidate.xyz_m, cone.xyz_m)))
             if distance <= gate_m:
                 costs[i, j] = distance
     rows, columns = linear_sum_assignment(costs)

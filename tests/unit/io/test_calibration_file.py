@@ -47,8 +47,8 @@ def test_kitti_rig_has_its_cameras_where_the_files_say(folder: Path) -> None:
     assert rig.baseline_m == pytest.approx(np.linalg.norm(t2 - t3))
     # The chain by hand: imu -> velo adds T, velo -> cam swaps axes, cam0 -> rect is the identity here.
     imu_point = np.array([10.0, 1.0, -0.5])
-    x, y, z = imu_point + [-0.81, 0.32, -0.80]
-    cam0 = np.array([-y, -z, x]) + [0.0, -0.08, -0.27]
+    x, y, z = imu_point + np.array([-0.81, 0.32, -0.80])
+    cam0 = np.array([-y, -z, x]) + np.array([0.0, -0.08, -0.27])
     np.testing.assert_allclose(
         se3.apply(se3.invert(rigs.body_SE3_camera(rig, "left")), imu_point), cam0 + t2, atol=1e-12
     )

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
 
 from conetl.errors import CalibrationError, DriveFolderError
 from conetl.geometry import geodesy
@@ -22,22 +21,13 @@ from conetl.io.calibration_file import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, rea
 from conetl.io.drive_folder import oxts
 from conetl.io.drive_folder.content import ContentHash
 from conetl.io.drive_folder.drive_yaml import DRIVE_YAML, DriveYaml, inside, read_drive_yaml
+from conetl.io.drive_folder.pairs import IMAGE_SUFFIXES, PairError, check_images, require_pairs
 from conetl.io.drive_folder.timestamps import out_of_order, parse_timestamps
-from conetl.io.images import ImageFileError, check_image_bytes, read_bytes
 from conetl.records import Drive, FramePair, Rig
 from conetl.rejections import Rejection, RejectionReason
 
-IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
 MAX_CLOCK_DIFFERENCE_NS = 500_000_000
 """Image and OXTS record of one number that are farther apart in time do not belong together."""
-
-
-class _PairError(Exception):
-    """Why one frame pair cannot be used."""
-
-    def __init__(self, reason: RejectionReason, detail: str, **payload: Any) -> None:
-        super().__init__(detail)
-        self.reason, self.payload = reason, payload
 
 
 def is_kitti_folder(folder: Path) -> bool:
@@ -90,28 +80,22 @@ def read_kitti_drive(folder: Path, *, map_srid: int | None = None) -> tuple[Driv
     disordered = out_of_order(rising)
     for number in numbers:
         try:
-            left_path, right_path = _check_images(number, left, right, rig, content, root)
+            left_path, right_path = check_images(left.get(number, []), right.get(number, []), rig, content, root)
             captured = _captured_at(number, stamps, disordered, settings)
             _check_pose(number, captured, bad_records, track, root)
-        except _PairError as error:
-            rejections.append(
-                Rejection(
-                    step="frames", reason=error.reason, record=f"frame pair {number}", detail=str(error),
-                    payload={"frame_index": number, **error.payload},
-                )
-            )  # fmt: skip
+        except PairError as error:
+            rejections.append(error.rejection(f"frame pair {number}", number))
         else:
             pairs.append(
                 FramePair(
-                    frame_index=number, left_path=str(left_path), right_path=str(right_path), captured_at_ns=captured,
+                    frame_index=number,
+                    left_path=str(left_path),
+                    right_path=str(right_path),
+                    captured_at_ns=captured,
                     pose=oxts.pose_at(track, number, captured, settings.sigmas),
                 )
-            )  # fmt: skip
-    if not pairs:
-        raise DriveFolderError(
-            f"{folder}: not one of {len(numbers)} frame pairs can be used; the first: {rejections[0].record}: "
-            f"{rejections[0].detail}"
-        )
+            )
+    require_pairs(pairs, rejections, len(numbers), folder)
     drive = Drive(
         drive_id=settings.drive_id or root.name[:200], source_path=str(root), rig=rig, map_srid=srid,
         content_sha256=content.hexdigest(), frame_pairs=tuple(pairs), expected_frame_count=len(numbers),
@@ -226,46 +210,19 @@ def _read_oxts(
     return records, bad
 
 
-def _check_images(
-    number: int, left: Mapping[int, list[Path]], right: Mapping[int, list[Path]], rig: Rig, content: ContentHash, root: Path
-) -> tuple[Path, Path]:  # fmt: skip
-    """Paths of both images; both are read (for the hash) before either is judged. Raises _PairError."""
-    problem: _PairError | None = None
-    good: list[Path] = []
-    for side, files, camera in (("left", left, rig.left), ("right", right, rig.right)):
-        paths = files.get(number, [])
-        if len(paths) != 1:
-            names = ", ".join(path.name for path in paths)
-            reason = RejectionReason.IMAGE_UNREADABLE if paths else RejectionReason.IMAGE_MISSING
-            detail = f"two {side} images have this number: {names}; keep one" if paths else f"there is no {side} image"
-            problem = problem or _PairError(reason, detail, side=side)
-            continue
-        name = paths[0].relative_to(root).as_posix()
-        try:
-            data = read_bytes(paths[0])
-            content.add(name, data)
-            check_image_bytes(data, name, (camera.width_px, camera.height_px))
-        except ImageFileError as error:
-            problem = problem or _PairError(error.reason, str(error), side=side, path=name)
-        good.append(paths[0])
-    if problem is not None:
-        raise problem
-    return good[0], good[1]
-
-
 def _captured_at(number: int, stamps: Mapping[int, int | str], disordered: set[int], settings: DriveYaml) -> int:
-    """Time of the left image, UTC nanoseconds. Raises _PairError."""
+    """Time of the left image, UTC nanoseconds. Raises PairError."""
     name = f"{settings.cameras.left}/timestamps.txt"
     stamp = stamps.get(number)
     if stamp is None:
-        raise _PairError(
+        raise PairError(
             RejectionReason.TIMESTAMP_MISSING,
             f"{name} has {len(stamps)} lines, line {number + 1} is needed for this frame",
         )
     if isinstance(stamp, str):
-        raise _PairError(RejectionReason.TIMESTAMP_INVALID, f"{name}, line {number + 1}: {stamp}")
+        raise PairError(RejectionReason.TIMESTAMP_INVALID, f"{name}, line {number + 1}: {stamp}")
     if number in disordered:
-        raise _PairError(
+        raise PairError(
             RejectionReason.TIMESTAMP_INVALID,
             f"{name}, line {number + 1}: the time does not rise with the frame numbers",
         )
@@ -273,17 +230,17 @@ def _captured_at(number: int, stamps: Mapping[int, int | str], disordered: set[i
 
 
 def _check_pose(number: int, captured: int, bad: Mapping[int, str], track: oxts.Trajectory, root: Path) -> None:
-    """Raise _PairError unless there is a pose of this number, of about the image's time."""
+    """Raise PairError unless there is a pose of this number, of about the image's time."""
     name = f"oxts/data/{number:010d}.txt"
     if number in bad:
         path = root / name
         text = path.read_text(encoding="utf-8", errors="replace")[:1000] if path.is_file() else None
-        raise _PairError(RejectionReason.POSE_INVALID, f"{name}: {bad[number]}", path=name, text=text)
+        raise PairError(RejectionReason.POSE_INVALID, f"{name}: {bad[number]}", path=name, text=text)
     if number not in track.numbers:
-        raise _PairError(RejectionReason.POSE_MISSING, f"{name}: there is no such file", path=name)
+        raise PairError(RejectionReason.POSE_MISSING, f"{name}: there is no such file", path=name)
     apart = abs(captured - track.times_ns.get(number, captured))
     if apart > MAX_CLOCK_DIFFERENCE_NS:
-        raise _PairError(
+        raise PairError(
             RejectionReason.TIMESTAMP_INVALID,
             f"image and pose are {apart * 1e-9:.3f} s apart by their time stamps, allowed 0.5 s: another clock or zone",
         )

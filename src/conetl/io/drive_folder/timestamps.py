@@ -8,11 +8,11 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from zoneinfo import ZoneInfo
 
-_STAMP = re.compile(r"^\s*(\d{4})-(\d\d)-(\d\d)[ T](\d\d):(\d\d):(\d\d)(?:\.(\d{1,9}))?\s*$")
+_STAMP = re.compile(r"^\s*(\d{4})-(\d\d)-(\d\d)[ T](\d\d):(\d\d):(\d\d)(?:\.(\d{1,9}))?\s*(Z|[+-]\d\d:?\d\d)?\s*$")
 
 
 def parse_timestamp(line: str, zone: str = "UTC") -> int:
-    """UTC nanoseconds since 1970 of one line written in a time zone. Raises ValueError.
+    """UTC nanoseconds since 1970 of one line written in a time zone, or with its own offset (Z, +01:00). Raises ValueError.
 
     A time that a clock change makes ambiguous is taken as the earlier one.
     """
@@ -20,7 +20,9 @@ def parse_timestamp(line: str, zone: str = "UTC") -> int:
     if match is None:
         raise ValueError(f"expected a time stamp like 2011-09-26 13:04:32.345808896, found {line.strip()[:60]!r}")
     year, month, day, hour, minute, second = (int(part) for part in match.groups()[:6])
-    local = datetime(year, month, day, hour, minute, second, tzinfo=ZoneInfo(zone))
+    offset = match.group(8)
+    tz = datetime.strptime(offset, "%z").tzinfo if offset else ZoneInfo(zone)
+    local = datetime(year, month, day, hour, minute, second, tzinfo=tz)
     seconds = int((local.astimezone(UTC) - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds())
     return seconds * 1_000_000_000 + int((match.group(7) or "0").ljust(9, "0"))
 
