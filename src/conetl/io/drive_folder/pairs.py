@@ -1,0 +1,69 @@
+"""What all drive readers do with one frame pair: judge its pictures, and make a rejection of what is wrong with it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from conetl.errors import DriveFolderError
+from conetl.io.drive_folder.content import ContentHash
+from conetl.io.images import ImageFileError, check_image_bytes, read_bytes
+from conetl.records import FramePair, Rig
+from conetl.rejections import Rejection, RejectionReason
+
+IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
+
+
+class PairError(Exception):
+    """Why one frame pair cannot be used."""
+
+    def __init__(self, reason: RejectionReason, detail: str, **payload: Any) -> None:
+        super().__init__(detail)
+        self.reason, self.payload = reason, payload
+
+    def rejection(self, record: str, frame_index: int) -> Rejection:
+        """The rejection of the pair."""
+        return Rejection(
+            step="frames", reason=self.reason, record=record, detail=str(self),
+            payload={"frame_index": frame_index, **self.payload},
+        )  # fmt: skip
+
+
+def check_images(
+    left: Sequence[Path], right: Sequence[Path], rig: Rig, content: ContentHash, root: Path
+) -> tuple[Path, Path]:
+    """Paths of both images of a pair, given all files that claim to be them.
+
+    Header, size and end marker are checked, nothing is decoded. Both are read (for the content hash) before either is judged.
+    Raises PairError.
+    """
+    problem: PairError | None = None
+    good: list[Path] = []
+    for side, paths, camera in (("left", left, rig.left), ("right", right, rig.right)):
+        if len(paths) != 1:
+            names = ", ".join(path.name for path in paths)
+            reason = RejectionReason.IMAGE_UNREADABLE if paths else RejectionReason.IMAGE_MISSING
+            detail = (
+                f"several {side} images claim this pair: {names}; keep one" if paths else f"there is no {side} image"
+            )
+            problem = problem or PairError(reason, detail, side=side)
+            continue
+        name = paths[0].relative_to(root).as_posix()
+        try:
+            data = read_bytes(paths[0])
+            content.add(name, data)
+            check_image_bytes(data, name, (camera.width_px, camera.height_px))
+        except ImageFileError as error:
+            problem = problem or PairError(error.reason, str(error), side=side, path=name)
+        good.append(paths[0])
+    if problem is not None:
+        raise problem
+    return good[0], good[1]
+
+
+def require_pairs(pairs: Sequence[FramePair], rejections: Sequence[Rejection], expected: int, folder: Path) -> None:
+    """Raise DriveFolderError where not one pair is left."""
+    if not pairs:
+        first = f"; the first: {rejections[0].record}: {rejections[0].detail}" if rejections else ""
+        raise DriveFolderError(f"{folder}: not one of {expected} frame pairs can be used{first}")
