@@ -1,0 +1,240 @@
+"""The cone detector: decode and suppression by their laws, model files that must be refused, and real pictures."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from conetl.errors import ModelFileError
+from conetl.io.detector import Detector, detect_image, load_detector, network_input, shipped_model_path
+from conetl.io.detector_decode import (
+    boxes_in_image,
+    decode_map,
+    decode_maps,
+    intersection_over_union,
+    suppress_overlaps,
+)
+
+REPOSITORY = Path(__file__).resolve().parents[3]
+SHARED_DATA = Path(os.environ.get("CONETL_SHARED_DATA", REPOSITORY.parent / "shared" / "data"))
+KITTI_LEFT = SHARED_DATA / "kitti_2011_09_26_drive_0005_sync" / "image_02" / "data"
+
+
+@pytest.fixture(scope="module")
+def detector() -> Detector:
+    return load_detector()
+
+
+def raw_map(bins: int, rows: int, columns: int) -> np.ndarray:
+    """A map in which no cell has seen anything."""
+    raw = np.zeros((4 * bins + 1, rows, columns), np.float32)
+    raw[-1] = -20.0
+    return raw
+
+
+def test_decode_reads_one_cell_exactly() -> None:
+    bins, raw = 4, raw_map(4, 3, 5)
+    raw[-1, 1, 2] = np.log(0.8 / 0.2)
+    for side, distance in enumerate((1, 2, 3, 0)):  # left, top, right, bottom in strides
+        raw[side * bins + distance, 1, 2] = 60.0
+    found = decode_map(raw, 8, bins, 0.5)
+    # The cell's centre is x = 2.5 * 8 = 20, y = 1.5 * 8 = 12.
+    np.testing.assert_allclose(found, [[12.0, -4.0, 44.0, 12.0, 0.8]], atol=1e-5)
+
+
+def test_decode_takes_the_mean_between_two_bins() -> None:
+    raw = raw_map(4, 1, 1)
+    raw[-1, 0, 0] = 3.0
+    raw[:-1] = -60.0
+    raw[[1, 2, 4 + 1, 8 + 1, 12 + 1], 0, 0] = 0.0  # left: halfway between 1 and 2 strides; other sides: 1
+    np.testing.assert_allclose(decode_map(raw, 4, 4, 0.5)[0, :4], [2 - 6, 2 - 4, 2 + 4, 2 + 4], atol=1e-6)
+
+
+def test_decode_joins_levels_and_drops_scores_below_the_threshold() -> None:
+    fine, coarse = raw_map(4, 4, 4), raw_map(4, 2, 2)
+    fine[-1, 0, 0], fine[-1, 3, 3], coarse[-1, 1, 1] = 2.0, -1.0, 1.0
+    found = decode_maps([fine, coarse], (4, 8), 4, score_threshold=0.5, nms_iou=0.5)
+    np.testing.assert_allclose(found[:, 4], [1 / (1 + np.exp(-2.0)), 1 / (1 + np.exp(-1.0))], atol=1e-6)
+    assert len(decode_maps([fine, coarse], (4, 8), 4, score_threshold=0.99, nms_iou=0.5)) == 0
+
+
+def test_decode_refuses_a_map_of_another_head() -> None:
+    with pytest.raises(ValueError, match="expected"):
+        decode_map(np.zeros((6, 2, 2), np.float32), 8, 16, 0.5)
+
+
+coordinate = st.floats(0.0, 200.0, allow_nan=False)
+candidate = st.tuples(coordinate, coordinate, st.floats(0.5, 90.0), st.floats(0.5, 90.0), st.floats(0.0, 1.0))
+
+
+@given(st.lists(candidate, max_size=25), st.floats(0.1, 0.9))
+def test_suppression_laws(rows: list[tuple[float, ...]], nms_iou: float) -> None:
+    values = np.array(rows, float).reshape(-1, 5)
+    candidates = np.column_stack((values[:, :2], values[:, :2] + values[:, 2:4], values[:, 4]))
+    kept = suppress_overlaps(candidates, nms_iou)
+    assert {tuple(row) for row in kept} <= {tuple(row) for row in candidates}
+    assert np.all(np.diff(kept[:, 4]) <= 0)
+    for index, box in enumerate(kept):  # survivors do not overlap
+        assert np.all(intersection_over_union(box[:4], kept[index + 1 :, :4]) <= nms_iou)
+    for box in candidates:  # whatever went, went for a survivor at least as good
+        rivals = kept[kept[:, 4] >= box[4]]
+        same = (kept == box).all(axis=1).any()
+        assert same or np.any(intersection_over_union(box[:4], rivals[:, :4]) > nms_iou)
+    np.testing.assert_array_equal(suppress_overlaps(kept, nms_iou), kept)
+
+
+@given(st.integers(8, 300), st.integers(8, 300), st.integers(40, 200))
+def test_boxes_map_back_through_padding_and_scaling(width: int, height: int, max_side: int) -> None:
+    image = np.zeros((height, width, 3), np.uint8)
+    blob, scale_x, scale_y = network_input(image, 32, max_side)
+    assert blob.shape[2] % 32 == 0 and blob.shape[3] % 32 == 0
+    assert max(blob.shape[2] - 31, blob.shape[3] - 31) <= max_side
+    if max(width, height) <= max_side:
+        assert scale_x == scale_y == 1.0
+    true = np.array([[0.25 * width, 0.1 * height, 0.75 * width, 0.9 * height, 0.7]])
+    in_network = true * (scale_x, scale_y, scale_x, scale_y, 1.0)
+    back = boxes_in_image(in_network, scale_x, scale_y, width, height)
+    np.testing.assert_allclose(back, [[0.25 * width, 0.1 * height, 0.5 * width, 0.8 * height, 0.7]], rtol=1e-12)
+
+
+def test_boxes_in_the_padding_are_dropped_and_others_are_cut() -> None:
+    boxes = np.array([[90.0, 10.0, 130.0, 40.0, 0.9], [105.0, 10.0, 120.0, 40.0, 0.8]])
+    np.testing.assert_allclose(boxes_in_image(boxes, 1.0, 1.0, 100, 50), [[90.0, 10.0, 10.0, 30.0, 0.9]])
+
+
+def test_channels_are_rgb_between_zero_and_one() -> None:
+    image = np.zeros((32, 32, 3), np.uint8)
+    image[..., 2] = 255  # red in BGR
+    blob, _, _ = network_input(image, 32, 1600)
+    assert blob.dtype == np.float32
+    np.testing.assert_array_equal(blob[0, :, 0, 0], [1.0, 0.0, 0.0])
+
+
+def copy_model(folder: Path) -> Path:
+    source = shipped_model_path()
+    shutil.copy(source.with_name(source.name + ".json"), folder)
+    return Path(shutil.copy(source, folder))
+
+
+def test_missing_model_and_missing_sidecar_are_named(tmp_path: Path) -> None:
+    with pytest.raises(ModelFileError, match=r"none\.onnx"):
+        load_detector(tmp_path / "none.onnx")
+    model = copy_model(tmp_path)
+    sidecar = model.with_name(model.name + ".json")
+    sidecar.unlink()
+    with pytest.raises(ModelFileError, match="sidecar"):
+        load_detector(model)
+
+
+def test_one_changed_byte_is_refused(tmp_path: Path) -> None:
+    model = copy_model(tmp_path)
+    content = bytearray(model.read_bytes())
+    content[len(content) // 2] ^= 1
+    model.write_bytes(content)
+    with pytest.raises(ModelFileError, match="SHA-256"):
+        load_detector(model)
+
+
+def test_a_file_that_is_no_network_is_refused_even_with_a_matching_hash(tmp_path: Path) -> None:
+    import hashlib
+
+    model = copy_model(tmp_path)
+    model.write_bytes(b"not a network")
+    sidecar = model.with_name(model.name + ".json")
+    card = json.loads(sidecar.read_text())
+    card["sha256"] = hashlib.sha256(b"not a network").hexdigest()
+    sidecar.write_text(json.dumps(card))
+    with pytest.raises(ModelFileError, match="cannot load"):
+        load_detector(model)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("side_bins", 8, "channels"),
+        ("strides_px", [8, 16], "outputs"),
+        ("head", "yolov3", "head"),
+        ("extra", 1, "extra"),
+    ],
+)
+def test_a_sidecar_that_does_not_fit_is_refused(tmp_path: Path, key: str, value: object, words: str) -> None:
+    model = copy_model(tmp_path)
+    sidecar = model.with_name(model.name + ".json")
+    card = json.loads(sidecar.read_text())
+    card[key] = value
+    sidecar.write_text(json.dumps(card))
+    with pytest.raises(ModelFileError, match=words):
+        load_detector(model)
+
+
+def test_images_of_another_kind_are_refused(detector: Detector) -> None:
+    with pytest.raises(ValueError, match="BGR"):
+        detect_image(detector, np.zeros((64, 64), np.uint8), score_threshold=0.5)
+
+
+def draw_cone(image: np.ndarray, x: float, foot: float, height: float) -> None:
+    """An orange cone with two white bands, anti-aliased by drawing four times larger."""
+    big = cv2.resize(image, None, fx=4, fy=4, interpolation=cv2.INTER_NEAREST)
+    half = 0.26 * height
+
+    def slab(low: float, high: float, colour: tuple[int, int, int]) -> None:
+        corners = [
+            (x - half * (1 - 0.85 * low), foot - low * height),
+            (x + half * (1 - 0.85 * low), foot - low * height),
+            (x + half * (1 - 0.85 * high), foot - high * height),
+            (x - half * (1 - 0.85 * high), foot - high * height),
+        ]
+        cv2.fillPoly(big, [np.round(np.array(corners) * 4).astype(np.int32)], colour)
+
+    slab(0.06, 1.0, (30, 85, 235))
+    slab(0.35, 0.52, (235, 235, 235))
+    slab(0.65, 0.80, (235, 235, 235))
+    base = [(x - 1.35 * half, foot - 0.06 * height), (x + 1.35 * half, foot)]
+    (x0, y0), (x1, y1) = np.round(np.array(base) * 4).astype(int)
+    cv2.rectangle(big, (int(x0), int(y0)), (int(x1), int(y1)), (25, 70, 200), -1)
+    image[:] = cv2.resize(big, (image.shape[1], image.shape[0]), interpolation=cv2.INTER_AREA)
+
+
+def test_a_drawn_cone_is_found_where_it_stands(detector: Detector) -> None:
+    image = np.full((240, 400, 3), (110, 115, 118), np.uint8)
+    image[:100] = (200, 180, 160)
+    draw_cone(image, 150.0, 180.0, 60.0)
+    found = detect_image(detector, image, score_threshold=0.3)
+    assert len(found) >= 1
+    x, y, w, h, _ = found[0]
+    assert x + w / 2 == pytest.approx(150.0, abs=3.0)
+    assert y + h == pytest.approx(180.0, abs=4.0)
+    assert h == pytest.approx(60.0, abs=8.0)
+
+
+def test_an_empty_road_holds_no_cone(detector: Detector) -> None:
+    image = np.full((240, 400, 3), (110, 115, 118), np.uint8)
+    image[:100] = (200, 180, 160)
+    found = detect_image(detector, image, score_threshold=0.3)
+    assert found.shape == (0, 5)
+
+
+@pytest.mark.skipif(not KITTI_LEFT.is_dir(), reason=f"real drive not at {KITTI_LEFT}")
+@pytest.mark.parametrize("frame", [75, 80, 85])
+def test_real_cones_are_found(detector: Detector, frame: int) -> None:
+    image = cv2.imread(str(KITTI_LEFT / f"{frame:010d}.jpg"))
+    found = detect_image(detector, image, score_threshold=0.3)
+    assert len(found) >= 2
+    assert np.all(np.diff(found[:, 4]) <= 0)
+    assert np.all(found[:, :2] >= 0) and np.all(found[:, 0] + found[:, 2] <= image.shape[1])
+
+
+@pytest.mark.skipif(not KITTI_LEFT.is_dir(), reason=f"real drive not at {KITTI_LEFT}")
+def test_cone_free_real_frames_are_nearly_empty(detector: Detector) -> None:
+    frames = range(0, 40, 8)
+    images = [cv2.imread(str(KITTI_LEFT / f"{frame:010d}.jpg")) for frame in frames]
+    count = sum(len(detect_image(detector, image, score_threshold=0.5)) for image in images)
+    assert count <= len(images)  # at most one false box a picture
