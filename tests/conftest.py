@@ -83,7 +83,7 @@ def template_database(cluster_url: str, pytestconfig: pytest.Config) -> str:
         fcntl.flock(lock, fcntl.LOCK_EX)
         conn = connect(cluster_url)
         conn.autocommit = True
-        if not execute(conn, "select from pg_database where datname = %(name)s", {"name": TEMPLATE}):
+        if not execute(conn, "select 1 from pg_database where datname = %(name)s", {"name": TEMPLATE}):
             execute(conn, "create database conetl_unfinished")
             unfinished = connect(cluster_url.replace("@/conetl?", "@/conetl_unfinished?"))
             migrate(unfinished)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import json
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -24,6 +25,7 @@ TRAILER = b"\xff\xff"
 NULL_LENGTH = -1
 #: PostgreSQL counts microseconds from 2000-01-01.
 _POSTGRES_EPOCH_US = 946_684_800_000_000
+_UNSTORABLE = re.compile("[\x00\ud800-\udfff]")
 _EWKB_POINT_Z_SRID = 0x80000000 | 0x20000000 | 1
 
 
@@ -110,7 +112,7 @@ def jsons(values: Sequence[Mapping[str, Any]]) -> Column:
 
 def clean_text(text: str) -> str:
     """Text that PostgreSQL accepts."""
-    return text.replace("\x00", "\ufffd").encode("utf-8", "surrogatepass").decode("utf-8", "replace")
+    return _UNSTORABLE.sub("\ufffd", text)
 
 
 def json_text(value: Any) -> str:

@@ -1,0 +1,29 @@
+-- Purpose: every changeset holds as many deltas and records as it says.
+-- Columns: changeset_id, what, stated, found, problem.
+with delta_counts as (
+    select
+        changeset_id,
+        count(*) filter (where kind = 'added') as added,
+        count(*) filter (where kind = 'confirmed') as confirmed,
+        count(*) filter (where kind = 'moved') as moved,
+        count(*) filter (where kind = 'removed') as removed
+    from conetl.delta
+    group by changeset_id
+)
+select c.changeset_id, counted.what, counted.stated, counted.found, 'the numbers differ' as problem
+from conetl.changeset c
+left join delta_counts x on x.changeset_id = c.changeset_id
+cross join lateral (
+    values
+        ('added', c.added_count, coalesce(x.added, 0)),
+        ('confirmed', c.confirmed_count, coalesce(x.confirmed, 0)),
+        ('moved', c.moved_count, coalesce(x.moved, 0)),
+        ('removed', c.removed_count, coalesce(x.removed, 0)),
+        ('frame pairs', c.frame_pair_count, (select count(*) from conetl.frame_pair r where r.drive_uuid = c.drive_uuid)),
+        ('detections', c.detection_count, (select count(*) from conetl.detection r where r.drive_uuid = c.drive_uuid)),
+        ('stereo matches', c.match_count, (select count(*) from conetl.stereo_match r where r.drive_uuid = c.drive_uuid)),
+        ('positions', c.position_count, (select count(*) from conetl.position r where r.drive_uuid = c.drive_uuid)),
+        ('tracks', c.track_count, (select count(*) from conetl.track r where r.drive_uuid = c.drive_uuid)),
+        ('rejections', c.rejection_count, (select count(*) from conetl.quarantine r where r.changeset_id = c.changeset_id))
+) counted (what, stated, found)
+where counted.stated <> counted.found;

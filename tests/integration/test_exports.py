@@ -1,0 +1,125 @@
+"""Exports: what outsiders read."""
+
+from __future__ import annotations
+
+import csv
+import json
+from datetime import timedelta
+
+import pytest
+from pyproj import Transformer
+
+from conetl.errors import InputError
+from conetl.io.exports.atomic import atomic_text_file
+from conetl.io.exports.csv_table import export_csv
+from conetl.io.exports.geojson import export_geojson
+from conetl.records import utc_from_ns
+
+CONTRACT = [
+    "feature_id",
+    "version",
+    "category",
+    "existence_probability",
+    "height_m",
+    "sigma_e_m",
+    "sigma_n_m",
+    "sigma_u_m",
+    "first_seen_at",
+    "last_seen_at",
+    "observation_count",
+    "valid_from",
+    "valid_to",
+    "changeset_id",
+]
+
+
+@pytest.fixture
+def moved_cone(conn, samples):
+    feature = samples.feature(cov_m2=(0.0009, 0.0, 0.0, 0.0016, 0.0, 0.0025))
+    samples.commit(conn, samples.added(feature), key="1")
+    moved = samples.changed(
+        "moved", feature, samples.START_NS + samples.DAY_NS, xyz_m=(458_003.1234, 5_428_010.4321, 114.5)
+    )
+    samples.commit(conn, moved, key="2")
+    return moved
+
+
+def read(path):
+    return json.loads(path.read_text())["features"]
+
+
+def test_geojson_keeps_the_contract(conn, samples, moved_cone, tmp_path):
+    path = tmp_path / "new folder" / "map.geojson"
+    assert export_geojson(conn, path) == 1
+    [feature] = read(path)
+    assert list(feature["properties"]) == CONTRACT
+    properties = feature["properties"]
+    assert properties["feature_id"] == feature["id"] == str(moved_cone.feature_id)
+    assert (properties["version"], properties["category"], properties["height_m"]) == (2, "traffic_cone", 0.7)
+    assert [properties[f"sigma_{axis}_m"] for axis in "enu"] == [0.03, 0.04, 0.05]
+    assert properties["first_seen_at"] == "2026-03-01T08:00:00.000000Z"
+    assert properties["valid_from"] == "2026-03-02T08:00:00.000000Z"
+    assert properties["valid_to"] is None
+    lon, lat, height = feature["geometry"]["coordinates"]
+    to_map = Transformer.from_crs("EPSG:4326", f"EPSG:{samples.SRID}", always_xy=True)
+    assert to_map.transform(lon, lat) == pytest.approx(moved_cone.new.xyz_m[:2], abs=0.001)
+    assert height == 114.5
+    assert [p.name for p in path.parent.iterdir()] == ["map.geojson"]
+
+
+def test_as_of_is_the_road_at_that_instant(conn, samples, moved_cone, tmp_path):
+    start = utc_from_ns(samples.START_NS)
+    path = tmp_path / "map.geojson"
+    assert export_geojson(conn, path, as_of=start - timedelta(seconds=1)) == 0
+    assert json.loads(path.read_text()) == {"type": "FeatureCollection", "features": []}
+    assert export_geojson(conn, path, as_of=start + timedelta(hours=1)) == 1
+    [feature] = read(path)
+    assert feature["properties"]["version"] == 1
+    assert feature["properties"]["valid_to"] == "2026-03-02T08:00:00.000000Z"
+
+
+def test_the_same_map_gives_the_same_bytes(conn, samples, tmp_path):
+    samples.commit(conn, *[samples.added(samples.feature(str(i), xyz_m=(i, i, 0.0))) for i in range(50)], key="1")
+    for export, name in ((export_geojson, "map.geojson"), (export_csv, "map.csv")):
+        export(conn, tmp_path / name)
+        first = (tmp_path / name).read_bytes()
+        export(conn, tmp_path / name)
+        assert (tmp_path / name).read_bytes() == first
+
+
+def test_csv_holds_the_same_values(conn, moved_cone, tmp_path):
+    assert export_csv(conn, tmp_path / "map.csv") == 1
+    export_geojson(conn, tmp_path / "map.geojson")
+    with (tmp_path / "map.csv").open(newline="") as file:
+        [row] = csv.DictReader(file)
+    [feature] = read(tmp_path / "map.geojson")
+    assert list(row)[: len(CONTRACT)] == CONTRACT
+    assert {name: row[name] for name in CONTRACT} == {
+        name: "" if value is None else str(value) for name, value in feature["properties"].items()
+    }
+    assert [float(row[n]) for n in ("lon_deg", "lat_deg")] == feature["geometry"]["coordinates"][:2]
+    assert (row["easting_m"], row["northing_m"]) == ("458003.1234", "5428010.4321")
+
+
+def test_a_map_that_is_not_there_writes_nothing(conn, tmp_path):
+    with pytest.raises(InputError, match="no map named nowhere"):
+        export_geojson(conn, tmp_path / "map.geojson", map_name="nowhere")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_failing_export_leaves_the_old_file(tmp_path):
+    path = tmp_path / "map.csv"
+    path.write_text("old")
+    with pytest.raises(RuntimeError), atomic_text_file(path) as file:
+        file.write("half of the new")
+        raise RuntimeError
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_place_that_cannot_be_written_is_an_input_error(conn, moved_cone, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be written"):
+        export_csv(conn, tmp_path / "file" / "map.csv")
+    with pytest.raises(InputError, match="cannot be written"):
+        export_csv(conn, tmp_path)

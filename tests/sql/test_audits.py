@@ -1,0 +1,132 @@
+"""Every audit passes on a good map and finds the bad row that is planted for it."""
+
+from __future__ import annotations
+
+import pytest
+
+from conetl.io.audits import run_audits
+from conetl.io.db import execute, sql_names
+
+#: audit -> statements that plant one fault, past the constraints that would refuse it.
+DROP_EXCLUDE = "alter table feature_version drop constraint no_overlap"
+DROP_BELIEVED = "drop index feature_version_believed"
+DROP_FEATURE_KEY = "alter table feature_version drop constraint feature_version_feature_id_map_id_srid_fkey"
+DROP_CHECKS = """
+do $$
+declare name text;
+begin
+    for name in select conname from pg_constraint where conrelid = 'conetl.feature_version'::regclass and contype = 'c' loop
+        execute format('alter table conetl.feature_version drop constraint %I', name);
+    end loop;
+end $$"""
+FAULTS = {
+    "overlapping_periods": [
+        (
+            DROP_EXCLUDE,
+            "update feature_version set valid_period = tstzrange('2020-01-01', upper(valid_period)) where version = 2",
+        ),
+    ],
+    "gaps_in_valid_periods": [
+        (
+            "update feature_version set valid_period = tstzrange(lower(valid_period) + interval '1 hour', null) "
+            "where upper_inf(system_period) and upper_inf(valid_period) and version > 1",
+        ),
+    ],
+    "open_versions": [
+        (
+            DROP_EXCLUDE,
+            DROP_BELIEVED,
+            "update feature_version set valid_period = tstzrange(lower(valid_period), null), version = 99 "
+            "where upper_inf(system_period) and not upper_inf(valid_period)",
+        ),
+        ("update feature_version set system_period = tstzrange(lower(system_period), '2100-01-01') where version = 2",),
+    ],
+    "orphan_versions": [
+        (DROP_FEATURE_KEY, "update feature_version set feature_id = gen_random_uuid() where version = 2"),
+        ("update feature_version set changeset_id = gen_random_uuid() where version = 2",),
+        (
+            "insert into map (map_name, srid, created_at) values ('other', 32632, now())",
+            DROP_FEATURE_KEY,
+            "update feature_version set map_id = (select map_id from map where map_name = 'other') where version = 2",
+        ),
+    ],
+    "orphan_records": [
+        ("delete from frame_pair where frame_index = 0",),
+        ("delete from detection where frame_index = 1 and side = 'right'",),
+        ("delete from position where frame_index = 1",),
+        ("update track_member set track_index = 7",),
+        ("update frame_pair set drive_uuid = gen_random_uuid()",),
+        ("delete from changeset",),
+    ],
+    "orphan_deltas": [
+        ("update delta set changeset_id = gen_random_uuid() where kind = 'moved'",),
+        ("alter table delta drop constraint delta_feature_id_fkey", "update delta set feature_id = gen_random_uuid()"),
+        ("update delta set new_version = 7 where kind = 'moved'",),
+        ("update delta set old_version = 7 where kind = 'moved'",),
+        ("update delta set track_index = 7 where kind = 'moved'",),
+    ],
+    "changeset_counts": [
+        ("update changeset set added_count = added_count + 1",),
+        ("update changeset set removed_count = removed_count + 1",),
+        ("update changeset set rejection_count = 5",),
+        ("delete from detection where frame_index = 1",),
+        ("delete from delta where kind = 'moved'",),
+    ],
+    "invalid_geometry": [
+        (DROP_CHECKS, "update feature_version set geom = ST_SetSRID(geom, 32633) where version = 2"),
+        (DROP_CHECKS, "update feature_version set centre_geom = ST_SetSRID(ST_MakePoint(1, 'nan', 3), 32632)"),
+        ("update position set geom = ST_SetSRID(ST_MakePoint(1, 2, 'infinity'), 32632) where frame_index = 0",),
+        ("update track set geom = ST_SetSRID(geom, 4326)",),
+        ("update frame_pair set geom = ST_GeomFromText('POINT Z EMPTY', 32632)",),
+    ],
+    "invalid_covariance": [
+        (DROP_CHECKS, "update feature_version set cov_yy = 0 where version = 2"),
+        ("update track set cov_xy = sqrt(cov_xx * cov_yy)",),
+        ("update position set cov_zz = 'nan' where frame_index = 0",),
+        # every correlation possible by itself, but not the three together
+        ("update track set cov_xx = 1, cov_yy = 1, cov_zz = 1, cov_xy = 0.9, cov_xz = 0.9, cov_yz = -0.9",),
+        ("update position set cov_yz = 'nan' where frame_index = 0",),
+    ],
+    "replay": [
+        ("delete from delta where kind = 'moved'",),
+        ("update feature_version set present = false where version = 2",),
+        ("update delta set old_version = 2 where kind = 'moved'",),
+        ("update delta set kind = 'removed' where kind = 'moved'",),
+    ],
+}
+
+
+@pytest.fixture
+def good_map(conn, samples):
+    a, b, day = samples.feature("a"), samples.feature("b"), samples.DAY_NS
+    samples.commit(conn, samples.added(a), samples.added(b), key="1")
+    moved = samples.changed("moved", a, samples.START_NS + day, xyz_m=(458_003.0, 5_428_010.0, 114.5))
+    samples.commit(conn, moved, samples.changed("confirmed", b, samples.START_NS + day, observation_count=6), key="2")
+    return conn
+
+
+def test_every_audit_passes_on_a_good_map(good_map):
+    results = run_audits(good_map)
+    assert [result for result in results if not result.passed] == []
+    assert all(result.purpose.endswith(".") and len(result.purpose) > 30 for result in results)
+
+
+def test_every_audit_has_faults_to_find():
+    assert {name.removeprefix("audit/") for name in sql_names("audit")} == set(FAULTS)
+
+
+@pytest.mark.parametrize(
+    ("audit", "number"), [(audit, number) for audit, faults in FAULTS.items() for number in range(len(faults))]
+)
+def test_an_audit_finds_its_planted_fault(good_map, audit, number):
+    for statement in FAULTS[audit][number]:
+        execute(
+            good_map, "set session_replication_role = replica" if "delete from changeset" in statement else "select 1"
+        )
+        execute(good_map, statement)
+    good_map.commit()
+    failed = {result.name: result for result in run_audits(good_map) if not result.passed}
+    assert audit in failed
+    result = failed[audit]
+    assert result.row_count >= len(result.rows) >= 1
+    assert all(row["problem"] for row in result.rows)

@@ -1,0 +1,203 @@
+"""Migrations, roles and the .sql files themselves."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from concurrent.futures import ThreadPoolExecutor
+from uuid import uuid4
+
+import psycopg2
+import pytest
+
+from conetl.errors import DatabaseError
+from conetl.io.db import connect, database_status, execute, load_sql, migrate, sql_directory, sql_names
+
+
+@pytest.fixture
+def empty_url(cluster_url):
+    """A database without conetl's schema."""
+    name = f"empty_{uuid4().hex}"
+    conn = connect(cluster_url)
+    conn.autocommit = True
+    execute(conn, f"create database {name}")
+    yield cluster_url.replace("@/conetl?", f"@/{name}?")
+    execute(conn, f"drop database {name} with (force)")
+    conn.close()
+
+
+def test_an_empty_database_becomes_ready(empty_url):
+    conn = connect(empty_url)
+    before = database_status(conn)
+    assert (before.ready, before.postgis_version, before.applied_migrations) == (False, None, ())
+    assert before.pending_migrations[0] == "0001_schema"
+    assert migrate(conn) == list(before.pending_migrations)
+    after = database_status(conn)
+    assert after.ready
+    assert after.pending_migrations == after.missing_roles == after.maps == ()
+    assert after.postgis_version.startswith("3.")
+    assert migrate(conn) == []
+    conn.close()
+
+
+def test_migrations_at_the_same_time_wait_for_each_other(empty_url):
+    def one(_):
+        conn = connect(empty_url)
+        try:
+            return migrate(conn)
+        finally:
+            conn.close()
+
+    with ThreadPoolExecutor(4) as pool:
+        results = list(pool.map(one, range(4)))
+    assert sorted(map(len, results))[:3] == [0, 0, 0]
+    assert max(map(len, results)) >= 1
+
+
+def test_a_changed_old_migration_is_an_error(empty_url, tmp_path):
+    folder = tmp_path / "migrations"
+    shutil.copytree(sql_directory() / "migrations", folder)
+    conn = connect(empty_url)
+    migrate(conn, directory=folder)
+    file = folder / "0001_schema.sql"
+    file.write_text(file.read_text() + "-- changed\n")
+    with pytest.raises(DatabaseError, match=r"0001_schema\.sql was changed"):
+        migrate(conn, directory=folder)
+    conn.close()
+
+
+def test_a_failing_migration_leaves_the_database_as_it_was(empty_url, tmp_path):
+    folder = tmp_path / "migrations"
+    shutil.copytree(sql_directory() / "migrations", folder)
+    number = len(list(folder.iterdir())) + 1
+    (folder / f"{number:04d}_broken.sql").write_text("create table conetl.half (n integer); select 1 / 0;")
+    conn = connect(empty_url)
+    with pytest.raises(DatabaseError, match=r"division by zero"):
+        migrate(conn, directory=folder)
+    assert database_status(conn).applied_migrations == ()
+    assert execute(conn, "select to_regclass('conetl.half') as half") == [{"half": None}]
+    conn.close()
+
+
+def test_a_database_of_a_newer_conetl_is_refused(conn):
+    execute(conn, "insert into schema_migration values ('9999_future', 'x')")
+    conn.commit()
+    with pytest.raises(DatabaseError, match=r"newer conetl.*9999_future"):
+        migrate(conn)
+
+
+def test_a_misnamed_migration_is_refused(conn, tmp_path):
+    (tmp_path / "0002_second.sql").write_text("select 1")
+    with pytest.raises(DatabaseError, match="0001_"):
+        migrate(conn, directory=tmp_path)
+
+
+def test_an_unreachable_database_is_one_clear_error(tmp_path):
+    with pytest.raises(DatabaseError, match=r"cannot be reached.*conetl db up") as caught:
+        connect(f"postgresql://someone:secret@/conetl?host={tmp_path}")
+    assert "secret" not in str(caught.value)
+
+
+def test_an_ordinary_database_user_is_told_what_is_missing(empty_url):
+    name = f"plain_{uuid4().hex}"
+    conn = connect(empty_url)
+    execute(conn, f"create role {name} nologin")
+    execute(conn, f"grant create on database {conn.info.dbname} to {name}")
+    conn.commit()
+    execute(conn, f"set role {name}")
+    conn.commit()
+    status = database_status(conn)
+    assert (status.user, status.may_create_roles) == (name, False)
+    with pytest.raises(DatabaseError, match=r"extension .*permission|permission denied"):
+        migrate(conn)
+    execute(conn, "reset role")
+    execute(conn, f"drop owned by {name}")
+    execute(conn, f"drop role {name}")
+    conn.commit()
+    conn.close()
+
+
+def test_the_reader_may_only_read(conn, samples):
+    samples.commit(conn, samples.added(samples.feature()), key="1")
+    execute(conn, "set role conetl_reader")
+    assert len(execute(conn, "select * from current_feature")) == 1
+    assert len(execute(conn, "select * from map_as_of('default', 'infinity')")) == 1
+    for statement in (
+        "insert into run values (gen_random_uuid(), now(), now(), '{}', null)",
+        "update feature_version set system_period = system_period",
+        "delete from delta",
+        "truncate delta",
+        "drop table delta",
+    ):
+        execute(conn, "savepoint s")
+        with pytest.raises(psycopg2.errors.InsufficientPrivilege):
+            execute(conn, statement)
+        execute(conn, "rollback to s")
+
+
+def test_the_writer_may_commit_but_not_rewrite_history(conn, samples):
+    samples.commit(conn, samples.added(samples.feature()), key="1")
+    execute(conn, "set session authorization conetl_writer")
+    conn.commit()
+    moved = samples.changed("moved", samples.feature(), samples.START_NS + 5, observation_count=9)
+    samples.commit(conn, samples.added(samples.feature("b")), moved, key="2")
+    for statement in (
+        "update feature_version set version = 7",
+        "delete from feature_version",
+        "delete from changeset",
+        "update delta set shift_m = 0",
+        "insert into schema_migration values ('x', 'y')",
+    ):
+        execute(conn, "savepoint s")
+        with pytest.raises(psycopg2.errors.InsufficientPrivilege):
+            execute(conn, statement)
+        execute(conn, "rollback to s")
+
+
+@pytest.mark.parametrize(
+    ("change", "error"),
+    [
+        ("geom = ST_SetSRID(geom, 32633)", psycopg2.errors.CheckViolation),
+        ("cov_xx = -1", psycopg2.errors.CheckViolation),
+        ("cone_height_m = 'nan'", psycopg2.errors.CheckViolation),
+        ("valid_period = '[2020-01-01, 2021-01-01]'", psycopg2.errors.CheckViolation),
+        ("valid_period = 'empty'", psycopg2.errors.CheckViolation),
+        ("srid = 32633", psycopg2.errors.ForeignKeyViolation),
+        ("feature_id = gen_random_uuid()", psycopg2.errors.ForeignKeyViolation),
+    ],
+)
+def test_the_schema_itself_refuses_nonsense(conn, samples, change, error):
+    samples.commit(conn, samples.added(samples.feature()), key="1")
+    if change == "srid = 32633":
+        execute(conn, "alter table feature_version drop constraint feature_version_check")
+    with pytest.raises(error):
+        execute(conn, f"update feature_version set {change}")
+
+
+def test_the_schema_refuses_two_versions_at_once(conn, samples):
+    samples.commit(conn, samples.added(samples.feature()), key="1")
+    execute(conn, "create temp table copy as select * from feature_version")
+    execute(conn, "update copy set version = 2, version_row_id = version_row_id + 1000")
+    with pytest.raises(psycopg2.errors.ExclusionViolation):
+        execute(conn, "insert into feature_version overriding system value select * from copy")
+
+
+FILES = [name for folder in ("map", "write", "audit", "schema") for name in sql_names(folder)]
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_every_file_says_its_purpose_and_names_its_parameters(name):
+    text = load_sql(name)
+    header = re.match(r"(--.*\n)+", text)
+    assert text.startswith("-- Purpose: ")
+    for parameter in set(re.findall(r"%\((\w+)\)s", text[header.end() :])) - {"srid"}:
+        if not name.endswith("insert_drive") and not name.endswith("insert_changeset"):
+            assert parameter in header[0], f"{name}.sql does not explain {parameter}"
+    if name.startswith(("map/", "write/", "audit/")):
+        body = re.sub(r"'[^']*'|--.*", "", text[header.end() :])
+        assert body.count(";") == 1, f"{name}.sql should hold one statement"
+
+
+def test_a_file_that_is_not_there_is_reported():
+    with pytest.raises(DatabaseError, match=r"no_such\.sql cannot be read"):
+        load_sql("map/no_such")
