@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from typing import Annotated
 
@@ -51,14 +52,24 @@ def ingest_drives(
     missing = [str(drive) for drive in drives if not drive.is_dir()]
     if len(missing) == len(drives):  # before any service is started
         raise InputError(f"no such drive folder: {', '.join(missing)}")
+    try:
+        (settings.home / "prefect").mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{settings.home}: cannot be written to ({error.strerror}); set CONETL_HOME to a folder of yours"
+        ) from error
     os.environ.update(prefect_environment(settings.home))
-    with err.status("Starting Prefect") if err.is_terminal else out.capture():
-        from flows import progress
-        from flows.ingest_drive import ingest_drive, with_workers
-        from flows.server import prefect_server
     reports: list[IngestReport] = []
     exit_code = EXIT_DONE
-    with prefect_server(settings.home), progress_bar() as bars:
+    with ExitStack() as running:
+        with err.status("Starting Prefect") if err.is_terminal else nullcontext():
+            # Prefect reads its environment when it is imported, and takes two seconds for it: not at the top of the file.
+            from flows import progress
+            from flows.ingest_drive import ingest_drive, with_workers
+            from flows.server import prefect_server
+
+            running.enter_context(prefect_server(settings.home))
+        bars = running.enter_context(progress_bar())
         bar = bars.add_task("", total=None)
         listener = lambda drive_id, done, total: bars.update(bar, description=drive_id, completed=done, total=total)  # noqa: E731
         progress.listen(listener)
@@ -72,8 +83,9 @@ def ingest_drives(
                     show(error.report)
                     complain(error)
                     exit_code = max(exit_code, EXIT_TOO_MANY_REJECTIONS)
-                except ServiceError:
-                    raise
+                except ServiceError as error:
+                    complain(error)
+                    return reports, error.exit_code
                 except ConetlError as error:
                     complain(error)
                     exit_code = EXIT_BAD_INPUT

@@ -21,7 +21,7 @@ def simulate(
     samples: Annotated[int, typer.Option(min=1, help="Light paths per pixel.")] = 16,
     as_json: JsonOption = False,
 ) -> None:
-    """Render a stereo drive along a lane-closure taper, with trajectory, calibration and truth.csv (needs the extra `simulate`)."""
+    """Render a stereo drive along a lane-closure taper, with its truth.csv (needs the extra `simulate`)."""
     from conetl.simulation.simulate import simulate_drive
 
     with progress_bar() as bars:
