@@ -146,40 +146,6 @@ def intersect(
     return result
 
 
-def add_pose_covariance(
-    cov_m2: ArrayLike,
-    xyz_m: ArrayLike,
-    map_R_body: ArrayLike,
-    map_t_body_m: ArrayLike,
-    sigma_enu_m: ArrayLike,
-    sigma_rpy_rad: ArrayLike,
-) -> Array:
-    """Covariance (P, 3, 3) of map points with the error of the body's pose added to that of the image points.
-
-    cov_m2 (P, 3, 3) in the map frame; xyz_m (P, 3); the poses (3, 3) / (3,) or one per point; sigmas (3,) or (P, 3).
-    The error of the position is common to all views of a drive (GNSS drifts slowly), so it is added as it is and must not be
-    averaged away over frames. Roll, pitch and yaw turn the lever from body to point about their own axes, to first order.
-    """
-    xyz = np.asarray(xyz_m, dtype=np.float64)
-    rot = np.asarray(map_R_body, dtype=np.float64)
-    lever = xyz - np.asarray(map_t_body_m, dtype=np.float64)
-    roll_axis = rot[..., :, 0]
-    level = np.hypot(roll_axis[..., 0], roll_axis[..., 1])
-    zero = np.zeros_like(level)
-    if np.any(level < 1e-9):
-        raise ValueError("add_pose_covariance: the body stands on its nose, roll and yaw cannot be told apart")
-    pitch_axis = np.stack([-roll_axis[..., 1] / level, roll_axis[..., 0] / level, zero], axis=-1)
-    yaw_axis = np.broadcast_to(np.array([0.0, 0.0, 1.0]), roll_axis.shape)
-    sigma_rpy = np.asarray(sigma_rpy_rad, dtype=np.float64)
-    total = np.array(cov_m2, dtype=np.float64)
-    enu = np.asarray(sigma_enu_m, dtype=np.float64)
-    total = total + enu[..., :, None] ** 2 * np.eye(3)
-    for i, axis in enumerate((roll_axis, pitch_axis, yaw_axis)):
-        shift = np.cross(axis, lever) * sigma_rpy[..., i, None]
-        total = total + shift[..., :, None] * shift[..., None, :]
-    return total
-
-
 def _camera_array(value: ArrayLike, shape: tuple[int, ...], points: int, name: str) -> Array:
     """Check a per-view array that may also be given per point."""
     a = np.asarray(value, dtype=np.float64)
@@ -210,20 +176,20 @@ def _intersect_chunk(
     if start is not None:
         status[~np.isfinite(start).all(axis=1)] = IntersectionStatus.INVALID_INPUT
     status[(status == 0) & (mask.sum(axis=1) < 2)] = IntersectionStatus.TOO_FEW_VIEWS
-    origin = _origin(mask, centre)
+    used = mask & sound
+    origin = _origin(used, centre)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        angle = _ray_angle(uv, mask & sound, k, rot)
-        status[(status == 0) & ~(angle >= min_ray_angle_rad)] = IntersectionStatus.RAY_ANGLE_TOO_SMALL
-        good = status == 0
+        views = _views(uv, used, k, rot, centre, sigma, origin)
+        angle = _ray_angle(views, used)
         result.ray_angle_rad[part] = angle
-        if good.any():
-            rows = np.flatnonzero(good)
-            views = _views(uv, mask, k, rot, centre, sigma, origin)
-            if not good.all():
-                views = views.take(good)
-            first = _linear_start(views) if start is None else np.ascontiguousarray((start - origin)[rows].T)
+        status[(status == 0) & ~(angle >= min_ray_angle_rad)] = IntersectionStatus.RAY_ANGLE_TOO_SMALL
+        rows = np.flatnonzero(status == 0)
+        if rows.size:
+            if rows.size < n:
+                views, origin, used = views.take(status == 0), origin[rows], used[rows]
+            first = _linear_start(views) if start is None else np.ascontiguousarray((start[rows] - origin).T)
             x, iterations, converged = _iterate(views, first, convergence_m2, max_iterations)
-            _store(result, part.start + rows, views, x, iterations, converged, origin[rows], status, rows, mask[rows])
+            _store(result, part.start + rows, views, x, iterations, converged, origin, status, rows, used)
     result.status[part] = status
 
 
@@ -245,18 +211,17 @@ def _origin(mask: Bools, centre: Array) -> Array:
     return chosen
 
 
-def _ray_angle(uv: Array, used: Bools, k: Array, rot: Array) -> Array:
+def _ray_angle(views: _Views, used: Bools) -> Array:
     """(n,) largest angle between two used rays, from the chord of the unit vectors; NaN with fewer than two."""
-    x = (uv[..., 0] - k[..., 2]) / k[..., 0]
-    y = (uv[..., 1] - k[..., 3]) / k[..., 1]
-    length = np.sqrt(x * x + y * y + 1.0)
-    d = [(rot[..., i, 0] * x + rot[..., i, 1] * y + rot[..., i, 2]) / length for i in range(3)]
-    views = uv.shape[1]
-    largest = np.full(uv.shape[0], -1.0)
-    for shift in range(1, views // 2 + 1):
-        both = used & np.roll(used, -shift, axis=1)
-        chord2 = sum((c - np.roll(c, -shift, axis=1)) ** 2 for c in d)
-        largest = np.maximum(largest, np.where(both, chord2, -1.0).max(axis=1))
+    u, v, rot = views.u, views.v, views.rot
+    scale = 1.0 / np.sqrt(u * u + v * v + 1.0)
+    d = [(rot[0][i] * u + rot[1][i] * v + rot[2][i]) * scale for i in range(3)]
+    count = used.shape[1]
+    largest = np.full(used.shape[0], -1.0)
+    for i in range(count - 1):
+        both = (used[:, i : i + 1] & used[:, i + 1 :]).T
+        chord2 = (d[0][i] - d[0][i + 1 :]) ** 2 + (d[1][i] - d[1][i + 1 :]) ** 2 + (d[2][i] - d[2][i + 1 :]) ** 2
+        largest = np.maximum(largest, np.where(both, chord2, -1.0).max(axis=0))
     return np.where(largest >= 0, 2.0 * np.arcsin(np.minimum(np.sqrt(np.abs(largest)) / 2.0, 1.0)), np.nan)
 
 

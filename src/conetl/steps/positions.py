@@ -16,7 +16,8 @@ from pydantic import ValidationError
 from conetl.geometry import camera as cam
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
-from conetl.geometry.intersection import IntersectionStatus, add_pose_covariance, intersect
+from conetl.geometry.intersection import IntersectionStatus, intersect
+from conetl.geometry.pose_covariance import add_pose_covariance
 from conetl.params import PositionParams
 from conetl.records import Cov3, FramePair, NonNegative, Position, Positive, Probability, Record, Rig, StereoMatch, Vec3
 from conetl.rejections import Rejection, RejectionReason
