@@ -19,6 +19,7 @@ from conetl.settings import Settings
 from flows.merge import already_committed, identify, merge_task
 from flows.merge import map_srid as srid_of_map
 from flows.progress import expect, ignore, listen
+from flows.publish import publish_task
 from flows.retries import lost_frame_pairs
 from flows.tasks import (
     Chunk,
@@ -26,7 +27,6 @@ from flows.tasks import (
     fuse_task,
     locate_task,
     match_task,
-    publish_task,
     read_drive_task,
 )
 

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import base64
 import threading
 from collections import defaultdict
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 from prefect import task
-from prefect.artifacts import create_image_artifact, create_table_artifact
 
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
 from conetl.io import detector as detector_io
 from conetl.io.drive_folder import read_drive
-from conetl.io.exports.plan_view import draw_plan_view
 from conetl.io.images import ImageFileError, read_image
 from conetl.io.parquet_store import (
     file_sha256,
@@ -27,11 +22,9 @@ from conetl.io.parquet_store import (
 )
 from conetl.params import IngestParams, params_sha256
 from conetl.records import (
-    Changeset,
     Detection,
     Drive,
     FramePair,
-    MapFeature,
     Position,
     Record,
     Rig,
@@ -40,7 +33,6 @@ from conetl.records import (
     Track,
 )
 from conetl.rejections import Rejection
-from conetl.reports import IngestReport
 from conetl.steps.detections import check_boxes
 from conetl.steps.matches import match_pair
 from conetl.steps.positions import locate_positions
@@ -194,40 +186,3 @@ def _detector(chunk: Chunk) -> detector_io.Detector:
         loaded = (chunk.model_sha256, detector_io.load_detector(chunk.model_path, threads=1))
         _per_thread.detector = loaded
     return loaded[1]
-
-
-@task(name="publish", **RETRY)
-def publish_task(
-    drive: Drive, changeset: Changeset, untouched: list[MapFeature], report: IngestReport, picture: Path
-) -> Path:
-    """Plan view as a PNG and as an image artifact, and the summary as a table artifact."""
-    path = np.array([map_SE3_left(pair.pose, drive.rig)[:2, 3] for pair in drive.frame_pairs])
-    draw_plan_view(
-        picture,
-        title=f"Drive {drive.drive_id}, {drive.captured_from:%Y-%m-%d %H:%M} UTC",
-        trajectory_m=path,
-        deltas=changeset.deltas,
-        untouched=untouched,
-    )
-    encoded = base64.b64encode(picture.read_bytes()).decode()
-    create_image_artifact(
-        f"data:image/png;base64,{encoded}", key="plan-view", description=f"Plan view of drive {drive.drive_id}"
-    )
-    create_table_artifact(summary_rows(report), key="summary", description=f"Drive {drive.drive_id}: {report.status}")
-    if report.changes:
-        create_table_artifact(
-            [line.model_dump(mode="json") for line in report.changes],
-            key="changes",
-            description=f"Changes by drive {drive.drive_id}",
-        )
-    return picture
-
-
-def summary_rows(report: IngestReport) -> list[dict[str, Any]]:
-    """The figures of one ingest, a row each."""
-    rows: list[dict[str, Any]] = [
-        {"what": name.replace("_", " "), "count": getattr(report, name)}
-        for name in ("frame_pairs", "frame_pairs_rejected", "detections", "matches", "positions", "tracks")
-    ]
-    rows += [{"what": f"rejected: {reason}", "count": count} for reason, count in report.rejections.items()]
-    return rows

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import typer
 
-from conetl.cli import database, demo, images, ingest, maps, simulate
+from conetl.cli.database import app as database
+from conetl.cli.demo import demo
+from conetl.cli.images import detect, locate
+from conetl.cli.ingest import ingest
+from conetl.cli.maps import app as maps
+from conetl.cli.simulate import simulate
 
 app = typer.Typer(
     name="conetl",
@@ -15,10 +20,7 @@ app = typer.Typer(
     epilog="Exit codes: 0 done; 1 done, but too many records were quarantined; 2 bad usage or input, nothing written; "
     "3 a service (database, Prefect) is not to be had, nothing written.",
 )
-app.command("ingest")(ingest.ingest)
-app.command("locate")(images.locate)
-app.command("detect")(images.detect)
-app.command("simulate")(simulate.simulate)
-app.command("demo")(demo.demo)
-app.add_typer(maps.app, name="map")
-app.add_typer(database.app, name="db")
+for command in (ingest, locate, detect, simulate, demo):
+    app.command()(command)
+app.add_typer(maps, name="map")
+app.add_typer(database, name="db")

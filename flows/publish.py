@@ -1,0 +1,68 @@
+"""After the commit: the map as files, and what the drive changed as artifacts in Prefect."""
+
+from __future__ import annotations
+
+import base64
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from prefect import task
+from prefect.artifacts import create_image_artifact, create_table_artifact
+
+from conetl.geometry.rig import map_SE3_left
+from conetl.io.exports.geojson import export_geojson
+from conetl.io.exports.plan_view import draw_plan_view
+from conetl.records import Changeset, Drive, MapFeature
+from conetl.reports import IngestReport
+from conetl.settings import Settings
+from flows.merge import open_map
+from flows.retries import RETRY
+
+
+@task(name="publish", **RETRY)
+def publish_task(
+    drive: Drive, changeset: Changeset, untouched: list[MapFeature], report: IngestReport, settings: Settings
+) -> list[Path]:
+    """Write the map as GeoJSON and the plan view as a PNG; show the view, the summary and the changes as artifacts."""
+    exports = settings.exports_folder
+    exports.mkdir(parents=True, exist_ok=True)
+    geojson = exports / f"{settings.map_name}.geojson"
+    with open_map(settings) as conn:
+        export_geojson(conn, geojson, map_name=settings.map_name)
+    picture = exports / f"{_file_name(drive.drive_id)}.png"
+    path = np.array([map_SE3_left(pair.pose, drive.rig)[:2, 3] for pair in drive.frame_pairs])
+    draw_plan_view(
+        picture,
+        title=f"Drive {drive.drive_id}, {drive.captured_from:%Y-%m-%d %H:%M} UTC",
+        trajectory_m=path,
+        deltas=changeset.deltas,
+        untouched=untouched,
+    )
+    encoded = base64.b64encode(picture.read_bytes()).decode()
+    create_image_artifact(
+        f"data:image/png;base64,{encoded}", key="plan-view", description=f"Plan view of drive {drive.drive_id}"
+    )
+    create_table_artifact(summary_rows(report), key="summary", description=f"Drive {drive.drive_id}: {report.status}")
+    if report.changes:
+        create_table_artifact(
+            [line.model_dump(mode="json") for line in report.changes],
+            key="changes",
+            description=f"Changes by drive {drive.drive_id}",
+        )
+    return [geojson, picture]
+
+
+def _file_name(drive_id: str) -> str:
+    """A drive's id as part of a file name: an id may hold anything, a file name not."""
+    return "".join(c if c.isalnum() or c in "-_." else "_" for c in drive_id).lstrip(".") or "drive"
+
+
+def summary_rows(report: IngestReport) -> list[dict[str, Any]]:
+    """The figures of one ingest, a row each."""
+    rows: list[dict[str, Any]] = [
+        {"what": name.replace("_", " "), "count": getattr(report, name)}
+        for name in ("frame_pairs", "frame_pairs_rejected", "detections", "matches", "positions", "tracks")
+    ]
+    rows += [{"what": f"rejected: {reason}", "count": count} for reason, count in report.rejections.items()]
+    return rows
