@@ -65,7 +65,13 @@ class Desk:
 
     def run(self, *arguments: object) -> Result:
         done = subprocess.run(
-            self.command(*arguments), env=self.environment, cwd=ROOT, capture_output=True, text=True, timeout=300
+            self.command(*arguments),
+            env=self.environment,
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            timeout=300,
+            check=False,
         )
         return Result(done.returncode, done.stdout, done.stderr)
 

@@ -12,6 +12,7 @@ import pytest
 
 from conetl.errors import DatabaseError
 from conetl.io.db import connect, database_status, execute, load_sql, migrate, sql_directory, sql_names
+from conetl.io.map_store import read_current_features
 
 
 @pytest.fixture
@@ -37,6 +38,13 @@ def test_an_empty_database_becomes_ready(empty_url):
     assert after.pending_migrations == after.missing_roles == after.maps == ()
     assert after.postgis_version.startswith("3.")
     assert migrate(conn) == []
+    conn.close()
+
+
+def test_an_unmigrated_database_says_what_to_run(empty_url):
+    conn = connect(empty_url)
+    with pytest.raises(DatabaseError, match=r"run `conetl db migrate`"):
+        read_current_features(conn)
     conn.close()
 
 
