@@ -36,7 +36,7 @@ def read_drive(path: Path, *, map_srid: int | None = None) -> tuple[Drive, list[
     if drives:
         raise DriveFolderError(
             f"{path}: this folder holds {len(drives)} drives ({', '.join(drives[:3])}{', ...' if len(drives) > 3 else ''}); "
-            "name the drive itself, or ingest all of them with 'conetl backfill'"
+            f"name the drives themselves: conetl ingest {path}/*"
         )
     raise DriveFolderError(
         f"{path}: this is not a drive in KITTI's raw layout (image_02/data, image_03/data, oxts/data, calib_*.txt) nor a "
