@@ -12,18 +12,20 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import psycopg2
+import psycopg2.errors
 import psycopg2.extensions
 import psycopg2.extras
 
 from conetl.errors import DatabaseError
-from conetl.io.copy_binary import Column, copy_statement, encode
+from conetl.io.copy_binary import Column, copy_statement, encode, row_count, sliced
 
 Connection: TypeAlias = psycopg2.extensions.connection
 
 CONNECT_TIMEOUT_S = 10
 #: Times in UTC; streamed queries are planned to be read to their end.
 SESSION_OPTIONS = "-c timezone=UTC -c cursor_tuple_fraction=1"
-#: Advisory locks of one database: (namespace, key).
+COPY_BATCH_ROWS = 200_000
+#: Key of the advisory lock that keeps two migrations apart.
 MIGRATION_LOCK = 0x636F6E65
 ROLES = ("conetl_reader", "conetl_writer")
 
@@ -74,6 +76,14 @@ def database_errors(what: str) -> Iterator[None]:
     """Turn psycopg2's errors into one `DatabaseError` that says `what` went wrong."""
     try:
         yield
+    except (
+        psycopg2.errors.UndefinedTable,
+        psycopg2.errors.InvalidSchemaName,
+        psycopg2.errors.UndefinedColumn,
+    ) as error:
+        raise DatabaseError(
+            f"{what}: {_first_line(error)}. The database lacks conetl's present schema: run `conetl db migrate`."
+        ) from error
     except psycopg2.Error as error:
         raise DatabaseError(f"{what}: {_first_line(error)}") from error
 
@@ -117,9 +127,11 @@ def stream(
 
 
 def copy_columns(conn: Connection, table: str, columns: Mapping[str, Column]) -> None:
-    """Load columns into a table by COPY BINARY."""
+    """Load columns into a table by COPY BINARY, so many rows at a time that the encoded bytes stay below some 100 MB."""
     with conn.cursor() as cursor:
-        cursor.copy_expert(copy_statement(table, columns), encode(columns))
+        for start in range(0, row_count(columns), COPY_BATCH_ROWS):
+            batch = sliced(columns, start, start + COPY_BATCH_ROWS)
+            cursor.copy_expert(copy_statement(table, batch), encode(batch))
 
 
 @cache
