@@ -80,7 +80,8 @@ def identify(drive: Drive, params: IngestParams, settings: Settings) -> Identity
 @contextmanager
 def open_map(settings: Settings) -> Iterator[Connection]:
     """A connection to the map's database, started and migrated where needed."""
-    with closing(connect(settings.database_url or cluster_up(settings.home))) as conn:
+    url = settings.database_url.get_secret_value() if settings.database_url else cluster_up(settings.home)
+    with closing(connect(url)) as conn:
         migrate(conn)
         yield conn
 

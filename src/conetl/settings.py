@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from pydantic import Field
+from pydantic import Field, SecretStr
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 
@@ -14,8 +14,8 @@ class Settings(BaseSettings):
 
     model_config = SettingsConfigDict(env_prefix="CONETL_", frozen=True, extra="forbid")
 
-    database_url: str | None = None
-    """A PostGIS database; without it conetl runs its own private cluster under `home`."""
+    database_url: SecretStr | None = None
+    """A PostGIS database; without it conetl runs its own private cluster under `home`. Secret, because Prefect keeps parameters."""
     home: Path = Path(".conetl")
     """Private database cluster, intermediate results, exports, Prefect's own state."""
     map_name: str = Field(default="default", pattern=r"^[a-z0-9_-]{1,40}$")
