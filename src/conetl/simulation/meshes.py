@@ -1,0 +1,100 @@
+"""Triangle meshes as numpy arrays, and their PLY files. Lengths in metres."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+class Mesh(NamedTuple):
+    """vertices (N, 3), normals (N, 3), uv (N, 2), triangles (M, 3)."""
+
+    vertices: Array
+    normals: Array
+    uv: Array
+    triangles: NDArray[np.int32]
+
+
+def lathe(radii_m: ArrayLike, heights_m: ArrayLike, sides: int = 40) -> Mesh:
+    """A profile turned about z; u runs around, v from 0 at the last ring to 1 at the first (rows of a picture, top first)."""
+    radius, height = np.asarray(radii_m, dtype=float), np.asarray(heights_m, dtype=float)
+    turn = np.linspace(0.0, 2.0 * np.pi, sides + 1)
+    slope = np.stack([np.gradient(height), -np.gradient(radius)], axis=1)
+    slope *= np.sign(height[-1] - height[0]) or 1.0
+    slope /= np.linalg.norm(slope, axis=1, keepdims=True) + 1e-12
+    cos, sin = np.cos(turn), np.sin(turn)
+    vertices = np.stack(np.broadcast_arrays(radius[:, None] * cos, radius[:, None] * sin, height[:, None]), axis=-1)
+    normals = np.stack(np.broadcast_arrays(slope[:, :1] * cos, slope[:, :1] * sin, slope[:, 1:]), axis=-1)
+    v = (height - height.min()) / (np.ptp(height) or 1.0)
+    uv = np.stack(np.broadcast_arrays(turn / (2 * np.pi), v[:, None]), axis=-1)
+    index = np.arange(len(radius) * (sides + 1)).reshape(len(radius), sides + 1)
+    a, b, c, d = index[:-1, :-1].ravel(), index[:-1, 1:].ravel(), index[1:, 1:].ravel(), index[1:, :-1].ravel()
+    triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    return Mesh(vertices.reshape(-1, 3), normals.reshape(-1, 3), uv.reshape(-1, 2), triangles.astype(np.int32))
+
+
+def box(size_m: ArrayLike, base_m: float = 0.0) -> Mesh:
+    """A box on z = base_m, centred on the z axis; each face has the whole texture."""
+    sx, sy, sz = np.asarray(size_m, dtype=float)
+    faces = []
+    for axis in range(3):
+        for sign in (-1.0, 1.0):
+            normal = np.zeros(3)
+            normal[axis] = sign
+            up = np.array([0.0, 0.0, 1.0]) if axis != 2 else np.array([0.0, 1.0, 0.0])
+            across = np.cross(up, normal)
+            faces.append((normal, across, up))
+    vertices, normals, uv, triangles = [], [], [], []
+    corner = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+    for number, (normal, across, up) in enumerate(faces):
+        for a, b in corner:
+            unit = normal + a * across + b * up
+            vertices.append(unit * [sx / 2, sy / 2, sz / 2] + [0.0, 0.0, base_m + sz / 2])
+            normals.append(normal)
+            uv.append([(a + 1) / 2, (b + 1) / 2])
+        k = 4 * number
+        triangles += [[k, k + 1, k + 2], [k, k + 2, k + 3]]
+    return Mesh(np.array(vertices), np.array(normals), np.array(uv), np.array(triangles, dtype=np.int32))
+
+
+def prism(outline_m: ArrayLike, thickness_m: float) -> Mesh:
+    """A convex outline (K, 2) in the y-z plane, extruded along x; its faces carry the texture over the bounding box."""
+    outline = np.asarray(outline_m, dtype=float)
+    count = len(outline)
+    uv = (outline - outline.min(axis=0)) / np.ptp(outline, axis=0)
+    parts_v, parts_n, parts_uv, triangles = [], [], [], []
+    fan = np.array([[0, k, k + 1] for k in range(1, count - 1)])
+    for number, x in enumerate((-thickness_m / 2, thickness_m / 2)):
+        parts_v.append(np.column_stack([np.full(count, x), outline]))
+        parts_n.append(np.tile([np.sign(x), 0.0, 0.0], (count, 1)))
+        parts_uv.append(uv if number else uv * [-1.0, 1.0] + [1.0, 0.0])
+        triangles.append(fan + number * count)
+    return Mesh(
+        np.concatenate(parts_v), np.concatenate(parts_n), np.concatenate(parts_uv), np.concatenate(triangles).astype(np.int32)
+    )
+
+
+def placed(mesh: Mesh, matrix: Array) -> Mesh:
+    """The mesh moved by a rigid (4, 4) motion."""
+    return mesh._replace(
+        vertices=mesh.vertices @ matrix[:3, :3].T + matrix[:3, 3], normals=mesh.normals @ matrix[:3, :3].T
+    )
+
+
+def write_ply(mesh: Mesh, path: Path) -> None:
+    """Binary little-endian PLY with normals and texture coordinates."""
+    header = (
+        "ply\nformat binary_little_endian 1.0\n"
+        f"element vertex {len(mesh.vertices)}\n"
+        + "".join(f"property float {name}\n" for name in ("x", "y", "z", "nx", "ny", "nz", "u", "v"))
+        + f"element face {len(mesh.triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    vertices = np.hstack([mesh.vertices, mesh.normals, mesh.uv]).astype("<f4")
+    faces = np.zeros(len(mesh.triangles), dtype=[("n", "u1"), ("v", "<i4", 3)])
+    faces["n"], faces["v"] = 3, mesh.triangles
+    path.write_bytes(header.encode() + vertices.tobytes() + faces.tobytes())

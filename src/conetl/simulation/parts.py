@@ -1,0 +1,233 @@
+"""Cones and road objects as coloured meshes in the road frame. Sizes follow the usual articles of German road works."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.simulation import meshes, textures
+from conetl.simulation.meshes import Mesh
+from conetl.simulation.textures import Image
+from conetl.simulation.world import Colour, Cone, RoadObject
+
+Array = NDArray[np.float64]
+
+
+class Part(NamedTuple):
+    """One mesh in the road frame with its surface."""
+
+    mesh: Mesh
+    surface: Colour | Image
+    roughness: float | None = None
+    """None for a matt surface, else that of a plastic coat."""
+
+
+def motion(x_m: float, y_m: float, z_m: float = 0.0, yaw_rad: float = 0.0) -> Array:
+    """(4, 4) turn about the vertical, then shift."""
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    return np.array([[c, -s, 0.0, x_m], [s, c, 0.0, y_m], [0.0, 0.0, 1.0, z_m], [0.0, 0.0, 0.0, 1.0]])
+
+
+def _lean(angle_rad: float, azimuth_rad: float, height_m: float = 0.0) -> Array:
+    """(4, 4) lean towards an azimuth, about a horizontal axis at a height."""
+    axis = np.array([-math.sin(azimuth_rad), math.cos(azimuth_rad), 0.0])
+    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    matrix = np.eye(4)
+    matrix[:3, :3] += math.sin(angle_rad) * cross + (1.0 - math.cos(angle_rad)) * cross @ cross
+    pivot = np.array([0.0, 0.0, height_m])
+    matrix[:3, 3] = pivot - matrix[:3, :3] @ pivot
+    return matrix
+
+
+def plate_side_m(height_m: float) -> float:
+    """Edge of the square base plate: 38 cm under a 70 cm cone, 28 cm under a 50 cm one."""
+    return 0.03 + 0.5 * height_m
+
+
+def cone_parts(cone: Cone, seed: int) -> list[Part]:
+    """Base plate and body; the whole is `height_m` high above the ground."""
+    side, h = plate_side_m(cone.height_m), cone.height_m
+    thick = 0.04 * math.sqrt(h / 0.7)
+    bottom, top = 0.37 * side, 0.035 * math.sqrt(h / 0.7)
+    plate = meshes.box([side, side, thick])
+    heights = [thick, thick + 0.02 * h, thick + 0.05 * h, *np.linspace(thick + 0.1 * h, 0.985 * h, 6), h, h]
+    reach = (np.array(heights) - thick) / (h - thick)
+    radii = bottom + (top - bottom) * reach
+    radii[0] *= 1.16
+    radii[-1] = 0.0
+    body = meshes.lathe(radii, heights)
+    body = meshes.placed(body, _lean(cone.tilt_rad, cone.tilt_azimuth_rad, thick))
+    stand = motion(cone.x_m, cone.y_m, 0.0, cone.yaw_rad)
+    if cone.fallen:  # lies on the plate's edge and the tip
+        lie = math.pi / 2 - math.asin((side / 2 - top) / (h - thick))
+        lean = _lean(math.pi - (math.pi / 2 - lie) - math.pi / 2, 0.0)
+        stand = stand @ motion(-h / 2, 0.0) @ lean
+        low = min((stand @ np.vstack([m.vertices.T, np.ones(len(m.vertices))]))[2].min() for m in (plate, body))
+        stand = motion(0.0, 0.0, -low) @ stand
+    plate_skin = textures.mottled(seed + 11, cone.plate_colour, 0.18, size=64)
+    return [
+        Part(meshes.placed(plate, stand), plate_skin),
+        Part(meshes.placed(body, stand), textures.cone_skin(cone, seed)),
+    ]
+
+
+def _at(item: RoadObject, mesh: Mesh, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Mesh:
+    return meshes.placed(mesh, motion(item.x_m, item.y_m, 0.0, item.yaw_rad) @ motion(x, y, z))
+
+
+def _bollard(item: RoadObject, seed: int) -> list[Part]:
+    red, white = (0.78, 0.08, 0.07), (0.9, 0.9, 0.88)
+    h = item.height_m
+    body = meshes.lathe([0.055, 0.055, 0.0], [0.0, h, h + 0.01], 24)
+    foot = meshes.lathe([0.17, 0.14, 0.0], [0.0, 0.05, 0.06], 24)
+    return [
+        Part(_at(item, body), textures.striped((red, white, red, white, red), seed)),
+        Part(_at(item, foot), (0.1, 0.1, 0.1)),
+    ]
+
+
+def _barrier_post(item: RoadObject, seed: int) -> list[Part]:
+    """A red-and-white guide board on a rubber foot, as beside German road works."""
+    red, white = (0.8, 0.08, 0.07), (0.92, 0.92, 0.9)
+    board = meshes.box([0.03, 0.25, item.height_m - 0.15], 0.15)
+    foot = meshes.box([0.8, 0.4, 0.12])
+    return [
+        Part(_at(item, board), textures.striped((red, white) * 3, seed)),
+        Part(_at(item, foot), textures.mottled(seed, (0.16, 0.16, 0.16), 0.2, size=64)),
+    ]
+
+
+def _post(item: RoadObject, seed: int) -> list[Part]:
+    return [Part(_at(item, meshes.lathe([0.038, 0.038, 0.0], [0.0, item.height_m, item.height_m], 20)), item.colour, 0.3)]
+
+
+def _round_sign(item: RoadObject, seed: int) -> list[Part]:
+    turn = np.linspace(0, 2 * np.pi, 36, endpoint=False)
+    disc = meshes.prism(np.column_stack([0.3 * np.cos(turn), item.height_m - 0.3 + 0.3 * np.sin(turn)]), 0.02)
+    return [*_post(item, seed), Part(_at(item, disc, x=-0.05), textures.round_sign(seed))]
+
+
+def _triangle_sign(item: RoadObject, seed: int) -> list[Part]:
+    parts = _post(item, seed)
+    for scale, colour, x in ((1.0, (0.8, 0.07, 0.08), -0.05), (0.66, (0.93, 0.93, 0.9), -0.065)):
+        outline = np.array([[0.45, -0.26], [0.0, 0.52], [-0.45, -0.26]]) * scale
+        parts.append(Part(_at(item, meshes.prism(outline + [0.0, item.height_m - 0.5], 0.015), x=x), colour))
+    bar = meshes.box([0.012, 0.06, 0.26], item.height_m - 0.62)
+    return [*parts, Part(_at(item, bar, x=-0.08), (0.05, 0.05, 0.05))]
+
+
+def _bin(item: RoadObject, seed: int) -> list[Part]:
+    body, lid = meshes.box([0.5, 0.52, item.height_m - 0.12], 0.06), meshes.box([0.56, 0.58, 0.07], item.height_m - 0.07)
+    dark = tuple(0.7 * c for c in item.colour)
+    return [
+        Part(_at(item, body), textures.mottled(seed, item.colour, 0.1, size=128)),
+        Part(_at(item, lid), (dark[0], dark[1], dark[2])),
+    ]
+
+
+def _hydrant(item: RoadObject, seed: int) -> list[Part]:
+    h = item.height_m
+    body = meshes.lathe([0.13, 0.13, 0.09, 0.09, 0.13, 0.12, 0.05, 0.0], np.array([0, 0.06, 0.1, 0.7, 0.72, 0.84, 0.98, 1]) * h)
+    arm = meshes.placed(meshes.box([0.09, 0.34, 0.09]), motion(0.0, 0.0, 0.55 * h))
+    return [Part(_at(item, body), item.colour, 0.3), Part(_at(item, arm), item.colour, 0.3)]
+
+
+def _van(item: RoadObject, seed: int) -> list[Part]:
+    """A panel van, front towards +x of its own frame."""
+    length, width, h = item.length_m, 1.95, item.height_m
+    glass, black = (0.07, 0.09, 0.11), (0.04, 0.04, 0.04)
+    nose = length / 2
+    outline = np.array([[-nose, 0.35], [nose, 0.35], [nose, 1.05], [nose - 0.55, 1.2], [nose - 1.35, h], [-nose, h]])
+    turn = np.array([[0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+    side = meshes.placed(meshes.prism(outline @ np.array([[-1.0, 0.0], [0.0, 1.0]]), width), turn)
+    skin = textures.mottled(seed, item.colour, 0.03, size=256)
+    # The hull between the two sides: one thin box per edge of the outline.
+    parts = [Part(_at(item, meshes.placed(side, motion(0, 0, 0, math.pi))), skin, 0.15)]
+    for (x0, z0), (x1, z1) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
+        run = math.hypot(x1 - x0, z1 - z0)
+        lean = math.atan2(z1 - z0, x1 - x0)
+        c, s = math.cos(lean), math.sin(lean)
+        place = np.array([[c, 0, -s, (x0 + x1) / 2], [0, 1, 0, 0], [s, 0, c, (z0 + z1) / 2], [0, 0, 0, 1.0]])
+        windscreen = x0 == nose - 0.55
+        parts.append(
+            Part(
+                _at(item, meshes.placed(meshes.box([run, width + 0.004, 0.03], -0.015), place)),
+                glass if windscreen else skin, 0.1 if windscreen else 0.15,
+            )
+        )  # fmt: skip
+    for y in (-width / 2 - 0.012, width / 2 + 0.012):
+        parts.append(Part(_at(item, meshes.box([0.8, 0.02, 0.5], 1.2), x=nose - 1.55, y=y), glass, 0.1))
+        parts.append(Part(_at(item, meshes.box([length - 0.2, 0.015, 0.12], 0.75), y=y), (0.85, 0.85, 0.85)))
+        wheel = meshes.lathe([0.0, 0.2, 0.33, 0.33, 0.2, 0.0], [0.0, 0.0, 0.02, 0.2, 0.22, 0.22], 28)
+        lying = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0.33], [0, 0, 0, 1.0]])
+        for x in (-0.31 * length, 0.31 * length):
+            parts.append(Part(_at(item, meshes.placed(wheel, lying), x=x, y=y - 0.11 - math.copysign(0.06, y)), black))
+    for y in (-0.48, 0.48):
+        parts.append(Part(_at(item, meshes.box([0.02, 0.7, 0.55], 1.25), x=-nose - 0.03, y=y), glass, 0.1))
+        parts.append(Part(_at(item, meshes.box([0.03, 0.14, 0.35], 0.75), x=-nose - 0.03, y=1.8 * y), (0.6, 0.04, 0.03)))
+        parts.append(Part(_at(item, meshes.box([0.03, 0.3, 0.18], 0.75), x=nose + 0.02, y=1.4 * y), (0.9, 0.9, 0.85)))
+    parts.append(Part(_at(item, meshes.box([0.02, 0.52, 0.11], 0.55), x=-nose - 0.03), (0.9, 0.9, 0.88)))
+    return parts
+
+
+def _worker(item: RoadObject, seed: int) -> list[Part]:
+    """A standing figure in hi-vis clothes, made of boxes."""
+    k = item.height_m / 1.8
+    legs = (0.12, 0.14, 0.25) if seed % 2 else item.colour
+    silver = (0.82, 0.82, 0.82)
+    pieces: list[tuple[list[float], float, float, Colour]] = [
+        ([0.2, 0.17, 0.85], 0.0, -0.11, legs), ([0.2, 0.17, 0.85], 0.0, 0.11, legs),
+        ([0.26, 0.46, 0.62], 0.83, 0.0, item.colour), ([0.27, 0.47, 0.06], 1.0, 0.0, silver),
+        ([0.27, 0.47, 0.06], 1.2, 0.0, silver), ([0.13, 0.12, 0.6], 0.82, -0.3, item.colour),
+        ([0.13, 0.12, 0.6], 0.82, 0.3, item.colour), ([0.2, 0.17, 0.24], 1.47, 0.0, (0.75, 0.55, 0.45)),
+    ]  # fmt: skip
+    parts = [
+        Part(_at(item, meshes.box(np.array(size) * k, base * k), y=y * k), colour) for size, base, y, colour in pieces
+    ]
+    helmet = meshes.lathe(np.array([0.14, 0.14, 0.1, 0.0]) * k, np.array([1.66, 1.7, 1.78, 1.81]) * k, 20)
+    return [*parts, Part(_at(item, helmet), (0.9, 0.75, 0.1) if seed % 3 else (0.92, 0.92, 0.9), 0.2)]
+
+
+def _house(item: RoadObject, seed: int) -> list[Part]:
+    wall = textures.facade(seed, item.colour, columns=max(2, round(item.length_m / 2.6)))
+    front = meshes.box([item.length_m, 6.0, item.height_m])
+    roof = meshes.box([item.length_m + 0.6, 6.8, 0.35], item.height_m)
+    return [Part(_at(item, front), wall), Part(_at(item, roof), textures.mottled(seed, (0.45, 0.25, 0.2), 0.15, size=256))]
+
+
+def _hedge(item: RoadObject, seed: int) -> list[Part]:
+    """Overlapping textured boxes, so that the outline is uneven."""
+    rng = np.random.default_rng([seed, 8])
+    skin = textures.mottled(seed, item.colour, 0.45, size=512, grain_px=2.0)
+    count = max(2, round(item.length_m / 2.0))
+    parts = []
+    for x in np.linspace(-item.length_m / 2, item.length_m / 2, count):
+        size = [2.6, rng.uniform(0.8, 1.1), item.height_m * rng.uniform(0.88, 1.08)]
+        parts.append(Part(_at(item, meshes.placed(meshes.box(size), motion(0, 0, 0, rng.uniform(-0.12, 0.12))), x=x), skin))
+    return parts
+
+
+def _tree(item: RoadObject, seed: int) -> list[Part]:
+    rng = np.random.default_rng([seed, 9])
+    h = item.height_m
+    trunk = meshes.lathe([0.22, 0.14, 0.1], [0.0, 0.5 * h, 0.7 * h], 16)
+    leaves = textures.mottled(seed, item.colour, 0.45, size=256, grain_px=2.0)
+    parts = [Part(_at(item, trunk), textures.mottled(seed, (0.32, 0.25, 0.18), 0.3, size=128))]
+    angle = np.linspace(0.0, np.pi, 9)
+    for _ in range(7):
+        r = 0.2 * h * rng.uniform(0.7, 1.1)
+        ball = meshes.lathe(r * np.sin(angle), -r * np.cos(angle), 14)
+        x, y = rng.normal(0.0, 0.13 * h, 2)
+        parts.append(Part(_at(item, ball, x=x, y=y, z=h * rng.uniform(0.58, 0.88)), leaves))
+    return parts
+
+
+BUILDERS: dict[str, Callable[[RoadObject, int], list[Part]]] = {
+    "bollard": _bollard, "barrier_post": _barrier_post, "post": _post, "round_sign": _round_sign,
+    "triangle_sign": _triangle_sign, "bin": _bin, "hydrant": _hydrant, "van": _van, "worker": _worker,
+    "house": _house, "hedge": _hedge, "tree": _tree,
+}  # fmt: skip

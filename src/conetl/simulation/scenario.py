@@ -1,0 +1,141 @@
+"""The sample scenario: three passes over one lane-closure taper, on three days, with changes between them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+
+import numpy as np
+
+from conetl.errors import InputError
+from conetl.simulation.world import Cone, RoadObject, World
+
+PASS_NUMBERS = (1, 2, 3)
+_SCENE_SEED = 20260302
+"""Looks of the cones (dirt, lean, shade); not the noise of cameras and GNSS, which has the drive's own seed."""
+
+
+@dataclass(frozen=True)
+class ScenarioPass:
+    """One drive past the taper."""
+
+    drive_id: str
+    start_utc: datetime
+    world: World
+    changes: dict[str, str]
+    """cone_id -> added, confirmed, moved or removed, against the pass before."""
+    removed: tuple[Cone, ...]
+    """Cones of the pass before that are gone."""
+    exposure: float
+    """Brightness relative to a plain exposure."""
+    start_x_m: float
+    end_x_m: float
+    """x of the left camera in the first and last frame."""
+    path_y_m: tuple[float, float]
+    """y of the vehicle at the smaller and the greater x of the taper."""
+    frame_count: int
+
+
+def scenario_pass(pass_number: int) -> ScenarioPass:
+    """Pass 1, 2 or 3. Raises InputError for another number."""
+    if pass_number not in PASS_NUMBERS:
+        raise InputError(f"the scenario has passes 1, 2 and 3, not {pass_number}")
+    first = _first_cones()
+    second, second_changes = _changed(first)
+    if pass_number == 1:
+        return ScenarioPass(
+            drive_id="2026-03-02_taper_pass1", start_utc=datetime(2026, 3, 2, 9, 41, 7, 250_000, UTC),
+            world=_world(first, elevation=34.0, azimuth=118.0, turbidity=2.6),
+            changes={cone.cone_id: "added" for cone in first}, removed=(), exposure=1.0,
+            start_x_m=-17.0, end_x_m=33.7, path_y_m=(-1.3, 0.0), frame_count=39,
+        )  # fmt: skip
+    if pass_number == 2:
+        gone = tuple(c for c in first if second_changes.get(c.cone_id) == "removed")
+        return ScenarioPass(
+            drive_id="2026-03-03_taper_pass2", start_utc=datetime(2026, 3, 3, 13, 5, 44, 610_000, UTC),
+            world=_world(second, elevation=47.0, azimuth=-35.0, turbidity=4.5),
+            changes=second_changes, removed=gone, exposure=0.85,
+            start_x_m=-17.4, end_x_m=33.3, path_y_m=(-1.1, 0.1), frame_count=39,
+        )  # fmt: skip
+    return ScenarioPass(
+        drive_id="2026-03-04_taper_pass3", start_utc=datetime(2026, 3, 4, 15, 22, 31, 80_000, UTC),
+        world=_world(second, elevation=27.0, azimuth=-72.0, turbidity=3.2),
+        changes={cone.cone_id: "confirmed" for cone in second}, removed=(), exposure=1.1,
+        start_x_m=60.6, end_x_m=9.9, path_y_m=(0.5, 1.1), frame_count=39,
+    )  # fmt: skip
+
+
+def _first_cones() -> tuple[Cone, ...]:
+    """Nine cones from the kerb into the lane, 70 cm and 50 cm high."""
+    rng = np.random.default_rng(_SCENE_SEED)
+    heights = (0.70, 0.70, 0.50, 0.70, 0.50, 0.70, 0.70, 0.50, 0.70)
+    return tuple(
+        _looks(Cone(f"C{n:02d}", 4.6 * n + rng.uniform(-0.3, 0.3), -4.7 + 0.27 * n + rng.uniform(-0.08, 0.08), height), rng)
+        for n, height in enumerate(heights, 1)
+    )
+
+
+def _looks(cone: Cone, rng: np.random.Generator) -> Cone:
+    r, g, b = np.array(cone.colour) + rng.normal(0.0, (0.02, 0.03, 0.015))
+    return replace(
+        cone,
+        yaw_rad=rng.uniform(-0.5, 0.5), tilt_rad=abs(rng.normal(0.0, math.radians(0.8))),
+        tilt_azimuth_rad=rng.uniform(-math.pi, math.pi), colour=(min(float(r), 1.0), float(g), max(float(b), 0.0)),
+        band_count=2 if cone.height_m > 0.6 else 1, dirt=rng.uniform(0.05, 0.35),
+    )  # fmt: skip
+
+
+def _changed(first: tuple[Cone, ...]) -> tuple[tuple[Cone, ...], dict[str, str]]:
+    """Overnight: C04 moved by 1.5 m, C07 taken away, C10 and C11 put down."""
+    rng = np.random.default_rng(_SCENE_SEED + 1)
+    changes = {cone.cone_id: "confirmed" for cone in first} | {"C04": "moved", "C07": "removed"}
+    turn = math.radians(38.0)
+    kept = [
+        replace(c, x_m=c.x_m + 1.5 * math.cos(turn), y_m=c.y_m + 1.5 * math.sin(turn)) if c.cone_id == "C04" else c
+        for c in first
+        if c.cone_id != "C07"
+    ]
+    added = [_looks(Cone("C10", 11.3, -3.1, 0.50), rng), _looks(Cone("C11", 36.9, -4.0, 0.70), rng)]
+    changes |= {cone.cone_id: "added" for cone in added}
+    return (*kept, *added), changes
+
+
+def _world(cones: tuple[Cone, ...], *, elevation: float, azimuth: float, turbidity: float) -> World:
+    return World(
+        cones=cones, objects=_surroundings(), sun_elevation_deg=elevation, sun_azimuth_deg=azimuth,
+        turbidity=turbidity, texture_seed=17,
+    )  # fmt: skip
+
+
+def _surroundings() -> tuple[RoadObject, ...]:
+    """What is there on all three days: red-and-white and orange things that are no cones among it."""
+    grey, green, plaster = (0.55, 0.56, 0.57), (0.17, 0.27, 0.12), (0.78, 0.72, 0.60)
+    behind = math.pi
+    return (
+        *(RoadObject("bollard", x, -6.1, height_m=0.95) for x in (6.0, 12.5, 19.0, 25.5)),
+        *(RoadObject("bollard", x, 4.1, height_m=0.95) for x in (-2.0, 10.0, 22.0)),
+        RoadObject("van", 50.5, -4.35, yaw_rad=0.03, height_m=2.25, length_m=5.1, colour=(0.93, 0.42, 0.08)),
+        RoadObject("round_sign", 2.5, -6.4, height_m=2.6, colour=grey),
+        RoadObject("triangle_sign", -4.5, -6.2, height_m=2.5, colour=grey),
+        RoadObject("round_sign", 31.0, 4.5, yaw_rad=behind, height_m=2.6, colour=grey),
+        RoadObject("triangle_sign", 40.5, 4.4, yaw_rad=behind, height_m=2.5, colour=grey),
+        RoadObject("barrier_post", 45.6, -3.2, height_m=1.1),
+        RoadObject("barrier_post", 45.9, -4.6, height_m=1.1),
+        RoadObject("bin", 15.5, -7.3, yaw_rad=0.2, height_m=1.05, colour=(0.20, 0.24, 0.26)),
+        RoadObject("bin", 16.2, -7.35, yaw_rad=-0.1, height_m=1.05, colour=(0.65, 0.30, 0.10)),
+        RoadObject("hydrant", 28.5, -6.5, height_m=0.75, colour=(0.70, 0.10, 0.08)),
+        RoadObject("worker", 47.2, -6.6, yaw_rad=0.8, height_m=1.8, colour=(0.95, 0.40, 0.06)),
+        RoadObject("house", 8.0, -14.5, height_m=6.2, length_m=22.0, colour=plaster),
+        RoadObject("house", 40.0, -15.5, height_m=5.6, length_m=18.0, colour=(0.62, 0.45, 0.38)),
+        RoadObject("house", -22.0, -15.0, height_m=6.4, length_m=20.0, colour=(0.72, 0.73, 0.72)),
+        RoadObject("house", 76.0, -14.0, height_m=6.0, length_m=26.0, colour=(0.80, 0.77, 0.70)),
+        RoadObject("hedge", 14.0, 7.0, height_m=1.9, length_m=46.0, colour=green),
+        RoadObject("hedge", 66.0, 7.6, height_m=2.4, length_m=50.0, colour=(0.20, 0.28, 0.11)),
+        RoadObject("hedge", -34.0, 7.2, height_m=2.1, length_m=40.0, colour=(0.15, 0.24, 0.10)),
+        RoadObject("house", 24.0, 19.0, yaw_rad=behind, height_m=7.0, length_m=28.0, colour=(0.70, 0.62, 0.52)),
+        *(RoadObject("tree", x, 10.5, height_m=h, colour=green) for x, h in ((-12.0, 7.0), (1.0, 8.0), (47.0, 7.5), (74.0, 9.0))),
+        *(RoadObject("tree", x, -9.8, height_m=h, colour=(0.24, 0.32, 0.12)) for x, h in ((24.0, 6.5), (58.0, 7.5), (-9.0, 6.0))),
+        RoadObject("hedge", 118.0, 0.0, yaw_rad=math.pi / 2, height_m=7.0, length_m=60.0, colour=(0.16, 0.23, 0.12)),
+        RoadObject("hedge", -62.0, 0.0, yaw_rad=math.pi / 2, height_m=7.0, length_m=60.0, colour=(0.16, 0.23, 0.12)),
+    )  # fmt: skip

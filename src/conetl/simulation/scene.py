@@ -1,0 +1,180 @@
+"""A `World` as a Mitsuba scene, and pictures of it. Mitsuba's world frame is the road frame.
+
+Pixel convention of the cameras: KITTI's and OpenCV's, an integer coordinate is the centre of a pixel.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.errors import InputError
+from conetl.simulation import meshes, textures
+from conetl.simulation.parts import BUILDERS, Part, cone_parts, motion
+from conetl.simulation.world import World
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PinholeCamera:
+    """Interior orientation and size of a picture, in pixels."""
+
+    width_px: int
+    height_px: int
+    f_px: float
+    cx_px: float
+    cy_px: float
+
+
+def load_mitsuba() -> Any:
+    """The mitsuba module, set to its portable variant. Raises InputError where it is not installed."""
+    try:
+        import mitsuba as mi
+    except ImportError as error:
+        raise InputError(
+            "rendering needs Mitsuba 3, which is not installed: pip install 'conetl[simulate]', then run this again"
+        ) from error
+    if mi.variant() is None:
+        mi.set_variant("scalar_rgb")
+    return mi
+
+
+def build_scene(world: World) -> Any:
+    """The Mitsuba scene of a world, without cameras. Equal worlds give equal scenes."""
+    mi = load_mitsuba()
+    scene: dict[str, Any] = {"type": "scene", "sky": _sky(mi, world)}
+    with tempfile.TemporaryDirectory(prefix="conetl-scene-") as name:
+        for number, part in enumerate(_world_parts(world)):
+            scene[f"part{number:04d}"] = _shape(mi, part, Path(name) / f"{number:04d}.ply")
+        return mi.load_dict(scene)
+
+
+def render(
+    scene: Any, camera: PinholeCamera, road_SE3_camera: Array, *, samples_per_pixel: int, seed: int
+) -> NDArray[np.float32]:
+    """Linear radiance (H, W, 3), direct light of sun and sky. road_SE3_camera: (4, 4), camera axes x right, y down, z forward."""
+    mi = load_mitsuba()
+    picture = mi.render(
+        scene,
+        sensor=sensor(camera, road_SE3_camera, samples_per_pixel),
+        integrator=mi.load_dict({"type": "path", "max_depth": 2}),
+        spp=samples_per_pixel,
+        seed=seed,
+    )
+    return np.array(picture, dtype=np.float32)[..., :3]
+
+
+def sensor(camera: PinholeCamera, road_SE3_camera: Array, samples_per_pixel: int = 16) -> Any:
+    """Mitsuba's perspective camera of an exterior and interior orientation.
+
+    Mitsuba counts from the edge of the film, so the centre of pixel 0 is at 0.5 there; its camera has x to the left and y up,
+    and its principal point offset moves the picture, not the axis.
+    """
+    mi = load_mitsuba()
+    to_world = np.asarray(road_SE3_camera, dtype=float) @ np.diag([-1.0, -1.0, 1.0, 1.0])
+    return mi.load_dict(
+        {
+            "type": "perspective",
+            "to_world": mi.ScalarTransform4f(to_world.tolist()),
+            "fov": math.degrees(2.0 * math.atan(camera.width_px / 2.0 / camera.f_px)),
+            "fov_axis": "x",
+            "near_clip": 0.05,
+            "far_clip": 1000.0,
+            "principal_point_offset_x": 0.5 - (camera.cx_px + 0.5) / camera.width_px,
+            "principal_point_offset_y": 0.5 - (camera.cy_px + 0.5) / camera.height_px,
+            "film": {
+                "type": "hdrfilm", "width": camera.width_px, "height": camera.height_px,
+                "pixel_format": "rgb", "component_format": "float32", "rfilter": {"type": "box"},
+            },
+            "sampler": {"type": "multijitter", "sample_count": samples_per_pixel},
+        }
+    )  # fmt: skip
+
+
+def _sky(mi: Any, world: World) -> dict[str, Any]:
+    elevation, azimuth = math.radians(world.sun_elevation_deg), math.radians(world.sun_azimuth_deg)
+    direction = [
+        math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation)
+    ]  # fmt: skip
+    return {
+        "type": "sunsky",
+        "sun_direction": direction,
+        "turbidity": world.turbidity,
+        "sun_scale": world.sun_scale,
+        "albedo": {"type": "rgb", "value": 0.2},
+    }
+
+
+def _world_parts(world: World) -> list[Part]:
+    parts: list[Part] = []
+    for number, cone in enumerate(world.cones):
+        parts += cone_parts(cone, 1000 * world.texture_seed + number)
+    for number, item in enumerate(world.objects):
+        parts += BUILDERS[item.kind](item, 1000 * world.texture_seed + 500 + number)
+    return parts + _ground(world)
+
+
+def _flat(x0: float, x1: float, y0: float, y1: float, z: float, tile_m: float) -> meshes.Mesh:
+    """A horizontal rectangle whose texture repeats every tile_m."""
+    corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+    return meshes.Mesh(
+        np.column_stack([corners, np.full(4, z)]), np.tile([0.0, 0.0, 1.0], (4, 1)), corners / tile_m,
+        np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32),
+    )  # fmt: skip
+
+
+def _ground(world: World) -> list[Part]:
+    """Asphalt, markings, kerbs, pavement on the right, grass on both sides."""
+    road, seed = world.road, world.texture_seed
+    x0, x1 = road.start_m, road.end_m
+    paint = textures.mottled(seed + 1, (0.84, 0.84, 0.81), 0.10, size=256)
+    stone = textures.mottled(seed + 2, (0.58, 0.57, 0.54), 0.10, size=256)
+    grass = textures.mottled(seed + 3, road.verge, 0.30, size=1024)
+    parts = [Part(_flat(x0, x1, road.right_m, road.left_m, 0.0, 12.0), textures.asphalt(seed, road.asphalt))]
+    for y in road.edge_lines:
+        parts.append(Part(_flat(x0, x1, y - 0.06, y + 0.06, 0.003, 2.0), paint))
+    if road.centre_line:
+        for x in np.arange(x0, x1, 6.0):
+            parts.append(Part(_flat(x, x + 3.0, -0.06, 0.06, 0.003, 2.0), paint))
+    for y, outwards in ((road.right_m, -1.0), (road.left_m, 1.0)):
+        kerb = meshes.box([x1 - x0, 0.14, 0.12])
+        kerb = kerb._replace(uv=kerb.uv * [(x1 - x0) / 1.0, 0.3])
+        parts.append(Part(meshes.placed(kerb, motion((x0 + x1) / 2, y + outwards * 0.07)), stone))
+    parts.append(Part(_flat(-900.0, 900.0, -900.0, 900.0, -0.05, 25.0), grass))  # up to the horizon
+    pavement_edge = road.right_m - 0.14 - road.pavement_width_m
+    if road.pavement_width_m > 0:
+        slabs = textures.slabs(seed + 4, (0.60, 0.59, 0.56))
+        parts.append(Part(_flat(x0, x1, pavement_edge, road.right_m - 0.14, 0.10, 1.8), slabs))
+    parts.append(Part(_flat(x0, x1, pavement_edge - 90.0, pavement_edge, 0.08, 7.0), grass))
+    parts.append(Part(_flat(x0, x1, road.left_m + 0.14, road.left_m + 90.0, 0.08, 7.0), grass))
+    return parts
+
+
+def _shape(mi: Any, part: Part, path: Path) -> dict[str, Any]:
+    meshes.write_ply(part.mesh, path)
+    if isinstance(part.surface, tuple):
+        reflectance: dict[str, Any] = {"type": "rgb", "value": [_linear(c) for c in part.surface]}
+    else:
+        reflectance = {
+            "type": "bitmap",
+            "bitmap": mi.Bitmap(np.ascontiguousarray(part.surface)),
+            "raw": False,
+            "wrap_mode": "repeat",
+        }
+    if part.roughness is None:
+        bsdf: dict[str, Any] = {"type": "diffuse", "reflectance": reflectance}
+    else:
+        bsdf = {"type": "roughplastic", "diffuse_reflectance": reflectance, "alpha": max(part.roughness, 0.05)}
+    return {"type": "ply", "filename": str(path), "bsdf": {"type": "twosided", "inner": bsdf}}
+
+
+def _linear(srgb: float) -> float:
+    """Inverse of the sRGB transfer curve (IEC 61966-2-1)."""
+    return srgb / 12.92 if srgb <= 0.04045 else ((srgb + 0.055) / 1.055) ** 2.4

@@ -1,0 +1,122 @@
+"""Procedural colour textures as uint8 sRGB arrays (H, W, 3): everything a stereo matcher needs to hold on to."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from conetl.simulation.world import Colour, Cone
+
+Image = NDArray[np.uint8]
+Array = NDArray[np.float64]
+
+
+def _noise(rng: np.random.Generator, shape: tuple[int, int], sigma_px: float) -> Array:
+    """Smooth noise of mean 0 and standard deviation 1; tileable up to the resampling of coarse noise."""
+    coarser = 1 << max(0, int(np.log2(max(sigma_px, 1.0) / 2.0)))
+    field = rng.standard_normal((max(shape[0] // coarser, 4), max(shape[1] // coarser, 4)), dtype=np.float32)
+    field = gaussian_filter(field, sigma_px / coarser, mode="wrap")
+    if coarser > 1:
+        field = cv2.resize(field, shape[::-1], interpolation=cv2.INTER_LINEAR)
+    return np.asarray((field - field.mean()) / field.std())
+
+
+def _to_bytes(srgb: Array) -> Image:
+    return np.asarray(np.clip(srgb, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+
+
+def asphalt(seed: int, mean: float, size: int = 1536) -> Image:
+    """Grains, stains, patches and cracks-like streaks; one tile is meant for about 12 m."""
+    rng = np.random.default_rng([seed, 1])
+    grey = mean + 0.055 * _noise(rng, (size, size), 0.7) + 0.035 * _noise(rng, (size, size), 4.0)
+    grey += 0.022 * _noise(rng, (size, size), 30.0) + 0.012 * _noise(rng, (size, size), 120.0)
+    spots = _noise(rng, (size, size), 2.5) > 3.0
+    grey[spots] -= 0.12
+    tint = np.array([1.0, 0.99, 0.96])
+    return _to_bytes(grey[..., None] * tint)
+
+
+def mottled(seed: int, colour: Colour, contrast: float, size: int = 768, grain_px: float = 1.5) -> Image:
+    """A colour with fine and coarse mottling: grass, hedge, gravel, concrete."""
+    rng = np.random.default_rng([seed, 2])
+    fine, coarse = _noise(rng, (size, size), grain_px), _noise(rng, (size, size), 14 * grain_px)
+    hue = _noise(rng, (size, size), 6 * grain_px)
+    light = 1.0 + contrast * (0.7 * fine + 0.35 * coarse)
+    shift = 1.0 + 0.12 * contrast * hue[..., None] * np.array([1.0, 0.2, -0.6])
+    return _to_bytes(np.array(colour) * light[..., None] * shift)
+
+
+def slabs(seed: int, colour: Colour, size: int = 512, count: int = 6) -> Image:
+    """Paving slabs with joints."""
+    picture = mottled(seed, colour, 0.10, size=size).astype(np.float64) / 255.0
+    step = size // count
+    rng = np.random.default_rng([seed, 3])
+    for row in range(count):
+        for column in range(count):
+            picture[row * step : (row + 1) * step, column * step : (column + 1) * step] *= rng.uniform(0.88, 1.08)
+    for k in range(count):
+        picture[k * step : k * step + 3] *= 0.6
+        picture[:, k * step : k * step + 3] *= 0.6
+    return _to_bytes(picture)
+
+
+def facade(seed: int, wall: Colour, columns: int, rows: int = 2) -> Image:
+    """A house front with windows; image rows run from the roof down."""
+    rng = np.random.default_rng([seed, 4])
+    cell = 96
+    picture = mottled(seed, wall, 0.07, size=1024)[: rows * cell, :].astype(np.float64) / 255.0
+    repeats = -(-columns * cell // picture.shape[1])
+    picture = np.tile(picture, (1, repeats, 1))[:, : columns * cell].copy()
+    frame, glass = np.array([0.85, 0.84, 0.8]), np.array([0.16, 0.19, 0.23])
+    for row in range(rows):
+        for column in range(columns):
+            top, left = row * cell + 22, column * cell + 26 + int(rng.integers(-3, 4))
+            picture[top : top + 52, left : left + 42] = frame
+            picture[top + 4 : top + 48, left + 4 : left + 19] = glass * rng.uniform(0.6, 1.8)
+            picture[top + 4 : top + 48, left + 23 : left + 38] = glass * rng.uniform(0.6, 1.8)
+            if rng.random() < 0.4:
+                picture[top + 4 : top + 24, left + 4 : left + 38] = np.array([0.7, 0.68, 0.62])
+    return _to_bytes(picture)
+
+
+def cone_skin(cone: Cone, seed: int) -> Image:
+    """Colour of a cone's body: rows from the tip (first) to the plate (last), columns around it."""
+    rng = np.random.default_rng([seed, 5])
+    rows, columns = 192, 96
+    skin = np.broadcast_to(np.array(cone.colour), (rows, columns, 3)).copy()
+    bands = {0: (), 1: ((0.30, 0.52),), 2: ((0.16, 0.34), (0.50, 0.66))}[cone.band_count]
+    for top, bottom in bands:
+        skin[int(top * rows) : int(bottom * rows)] = (0.90, 0.90, 0.88)
+    rough = 1.0 + 0.05 * _noise(rng, (rows, columns), 1.0) + 0.05 * _noise(rng, (rows, columns), 8.0)
+    skin *= rough[..., None]
+    height = np.linspace(0.0, 1.0, rows)[:, None]
+    blotches = _noise(rng, (rows, columns), 5.0) + 0.6 * _noise(rng, (rows, columns), 1.5) + 1.2 * height - 0.6
+    cover = np.clip(cone.dirt * (0.45 + 0.5 * blotches), 0.0, 0.9)[..., None]
+    return _to_bytes(skin * (1.0 - cover) + np.array([0.20, 0.17, 0.13]) * cover)
+
+
+def striped(colours: tuple[Colour, ...], seed: int, rows: int = 120) -> Image:
+    """Rings of colour from top to bottom, for bollards and barriers."""
+    rng = np.random.default_rng([seed, 6])
+    picture = np.zeros((rows, 32, 3))
+    edges = np.linspace(0, rows, len(colours) + 1).astype(int)
+    for colour, top, bottom in zip(colours, edges, edges[1:], strict=False):
+        picture[top:bottom] = colour
+    return _to_bytes(picture * (1.0 + 0.05 * _noise(rng, (rows, 32), 1.5))[..., None])
+
+
+def round_sign(seed: int) -> Image:
+    """A red ring on white with two dark digits-like bars."""
+    rng = np.random.default_rng([seed, 7])
+    axis = np.linspace(-1.0, 1.0, 128)
+    xx, yy = np.meshgrid(axis, axis)
+    radius = np.hypot(xx, yy)
+    picture = np.full((128, 128, 3), 0.92)
+    picture[radius > 0.72] = (0.80, 0.06, 0.08)
+    for centre in (-0.25, 0.25):
+        bar = (np.abs(xx - centre) < 0.14) & (np.abs(yy) < 0.36)
+        hole = (np.abs(xx - centre) < 0.05) & (np.abs(yy) < rng.uniform(0.1, 0.26))
+        picture[bar & ~hole] = 0.05
+    return _to_bytes(picture)

@@ -1,0 +1,147 @@
+"""Where the vehicle truly was, and what its GNSS/INS wrote down: OXTS records with drift and noise.
+
+Map frame: easting, northing, ellipsoidal height of EPSG:32632, taken as one rigid Cartesian frame around the site.
+OXTS yaw counts from TRUE east; the map's axes are grid axes, so yaw_true = yaw_grid - convergence (clockwise positive).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pyproj import Proj, Transformer
+from scipy.spatial.transform import Rotation
+
+from conetl.simulation.scenario import ScenarioPass
+
+Array = NDArray[np.float64]
+
+MAP_SRID = 32632
+SITE_MAP_M = (458_312.40, 5_427_846.75, 115.32)
+"""Origin of the road frame, near 49.0 N, 8.43 E."""
+SITE_GRID_YAW_RAD = math.radians(32.4)
+SITE_SLOPE_RAD = -0.006
+"""The road climbs by 6 mm a metre."""
+FRAME_PERIOD_S = 0.1
+POS_ACCURACY_M = 0.02
+GRAVITY_M_S2 = 9.81
+
+
+class DriftModel(NamedTuple):
+    """First-order Gauss-Markov drift and white noise, one sigma."""
+
+    drift: float
+    correlation_s: float
+    white: float
+
+
+HORIZONTAL_M = DriftModel(0.015, 20.0, 0.003)
+VERTICAL_M = DriftModel(0.020, 20.0, 0.003)
+ATTITUDE_RAD = DriftModel(math.radians(0.02), 20.0, math.radians(0.002))
+
+
+def map_SE3_road() -> Array:
+    """(4, 4) where the road frame lies in the map."""
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_euler("ZY", [SITE_GRID_YAW_RAD, SITE_SLOPE_RAD]).as_matrix()
+    pose[:3, 3] = SITE_MAP_M
+    return pose
+
+
+def true_poses(scenario: ScenarioPass, times_s: Array, camera_ahead_m: float, imu_height_m: float) -> Array:
+    """(N, 4, 4) map_SE3_body at times from the start of the drive, of a vehicle that sways a little."""
+    duration_s = (scenario.frame_count - 1) * FRAME_PERIOD_S
+    poses = np.zeros((len(times_s), 4, 4))
+    direction = math.copysign(1.0, scenario.end_x_m - scenario.start_x_m)
+    for n, t in enumerate(times_s):
+        share = t / duration_s
+        share += 0.012 * math.sin(2 * math.pi * share)  # not quite constant speed
+        x = scenario.start_x_m + (scenario.end_x_m - scenario.start_x_m) * share - direction * camera_ahead_m
+        y, slope = _path(scenario, x)
+        heading = math.atan2(direction * slope, direction) + math.radians(0.25) * math.sin(1.7 * t + 0.4)
+        pitch = math.radians(0.22) * math.sin(5.3 * t + 1.0)
+        roll = math.radians(0.30) * math.sin(3.1 * t + 2.0)
+        z = imu_height_m + 0.008 * math.sin(6.1 * t)
+        poses[n] = np.eye(4)
+        poses[n, :3, :3] = Rotation.from_euler("ZYX", [heading, pitch, roll]).as_matrix()
+        poses[n, :3, 3] = (x, y, z)
+    return map_SE3_road() @ poses
+
+
+def _path(scenario: ScenarioPass, x_m: float) -> tuple[float, float]:
+    """y of the vehicle's path and its slope dy/dx: a smooth change of lane position along the taper."""
+    y0, y1 = scenario.path_y_m
+    start, end = -5.0, 35.0
+    s = min(max((x_m - start) / (end - start), 0.0), 1.0)
+    return y0 + (y1 - y0) * s * s * (3 - 2 * s), (y1 - y0) * 6 * s * (1 - s) / (end - start)
+
+
+def measured_poses(poses: Array, times_s: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """(N, 3) places in the map and (N, 3) roll, pitch, grid yaw, as a GNSS/INS would give them."""
+    errors = np.stack([gauss_markov(m, times_s, rng) for m in (HORIZONTAL_M, HORIZONTAL_M, VERTICAL_M)], axis=1)
+    turns = np.stack([gauss_markov(ATTITUDE_RAD, times_s, rng) for _ in range(3)], axis=1)
+    ypr = Rotation.from_matrix(poses[:, :3, :3]).as_euler("ZYX")
+    return poses[:, :3, 3] + errors, ypr[:, ::-1] + turns
+
+
+def gauss_markov(model: DriftModel, times_s: Array, rng: np.random.Generator) -> Array:
+    """(N,) exponentially correlated noise (Maybeck, Stochastic Models, 1979, 4.11) plus white noise."""
+    drift = np.zeros(len(times_s))
+    drift[0] = rng.normal(0.0, model.drift)
+    for n in range(1, len(times_s)):
+        keep = math.exp(-(times_s[n] - times_s[n - 1]) / model.correlation_s)
+        drift[n] = keep * drift[n - 1] + rng.normal(0.0, model.drift * math.sqrt(1.0 - keep * keep))
+    return drift + rng.normal(0.0, model.white, len(times_s))
+
+
+def oxts_records(places_m: Array, rpy_grid_rad: Array, times_s: Array) -> list[list[float]]:
+    """KITTI's 30 numbers per pose; lat/lon in degrees, yaw from true east, velocities and rates by differences."""
+    lon, lat = _to_geodetic(places_m[:, 0], places_m[:, 1])
+    convergence = convergence_rad(lat, lon)
+    rpy = rpy_grid_rad.copy()
+    rpy[:, 2] = _wrap(rpy[:, 2] - convergence)
+    smooth = np.column_stack([_smooth(column, times_s) for column in places_m.T])
+    velocity = np.gradient(smooth, times_s, axis=0)
+    cos, sin = np.cos(convergence), np.sin(convergence)  # grid to true: turn by minus the convergence
+    east, north = cos * velocity[:, 0] + sin * velocity[:, 1], cos * velocity[:, 1] - sin * velocity[:, 0]
+    turns = Rotation.from_euler("ZYX", rpy[:, ::-1])
+    enu = np.column_stack([east, north, velocity[:, 2]])
+    body_velocity = turns.inv().apply(enu)
+    force = np.gradient(enu, times_s, axis=0) + [0.0, 0.0, GRAVITY_M_S2]
+    body_force = turns.inv().apply(force)
+    unwrapped = np.unwrap(rpy, axis=0)
+    rates = np.gradient(np.column_stack([_smooth(column, times_s) for column in unwrapped.T]), times_s, axis=0)
+    records = []
+    for n in range(len(places_m)):
+        fwd, left, up = body_force[n]
+        wx, wy, wz = rates[n]
+        records.append(
+            [
+                lat[n], lon[n], places_m[n, 2], *rpy[n], north[n], east[n], body_velocity[n, 0], body_velocity[n, 1],
+                velocity[n, 2], fwd, left, up, fwd, left, up, wx, wy, wz, wx, wy, wz, POS_ACCURACY_M, 0.03, 4, 14, 6, 6, 6,
+            ]
+        )  # fmt: skip
+    return [[float(value) for value in record] for record in records]
+
+
+def convergence_rad(lat_deg: Array, lon_deg: Array) -> Array:
+    """Meridian convergence of the map's projection: from true to grid north, clockwise positive."""
+    return np.radians(np.asarray(Proj(f"EPSG:{MAP_SRID}").get_factors(lon_deg, lat_deg).meridian_convergence))
+
+
+def _to_geodetic(easting_m: Array, northing_m: Array) -> tuple[Array, Array]:
+    lon, lat = Transformer.from_crs(MAP_SRID, 4326, always_xy=True).transform(easting_m, northing_m)
+    return np.asarray(lon), np.asarray(lat)
+
+
+def _smooth(values: Array, times_s: Array) -> Array:
+    """A polynomial through noisy values, so that differences of them mean something."""
+    centred = times_s - times_s.mean()
+    degree = min(6, len(values) - 1)
+    return np.asarray(np.polynomial.Polynomial.fit(centred, values, degree)(centred))
+
+
+def _wrap(angle_rad: Array) -> Array:
+    return np.asarray((angle_rad + np.pi) % (2 * np.pi) - np.pi)

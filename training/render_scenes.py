@@ -1,0 +1,229 @@
+"""Labelled training pictures from conetl's renderer: random road scenes with exact, occlusion-aware boxes.
+
+    python training/render_scenes.py OUT --count 400 --seed 1
+
+writes OUT/images/*.jpg and OUT/labels/*.txt (YOLO: `0 cx cy w h`, shares of width and height). Equal seeds give equal pictures;
+pictures that are there already are kept. The layouts are random: the scene of the sample drives is not among them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from pathlib import Path
+
+import numpy as np
+
+from conetl.simulation import camera_noise
+from conetl.simulation.parts import cone_parts
+from conetl.simulation.scene import PinholeCamera, build_scene, load_mitsuba, render
+from conetl.simulation.world import Colour, Cone, Road, RoadObject, World
+
+VIEWS_PER_SCENE = 3
+MIN_HEIGHT_PX = 7.0
+MIN_VISIBLE_SHARE = 0.25
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--count", type=int, default=400, help="number of pictures")
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
+    for name in ("images", "labels"):
+        (options.out / name).mkdir(parents=True, exist_ok=True)
+    started, boxes = time.monotonic(), 0
+    for scene_number in range(-(-options.count // VIEWS_PER_SCENE)):
+        boxes += render_scene_views(options.out, options.seed, scene_number)
+        seconds = time.monotonic() - started
+        print(f"{(scene_number + 1) * VIEWS_PER_SCENE} pictures, {boxes} new boxes, {seconds:.0f} s", flush=True)
+
+
+def render_scene_views(out: Path, seed: int, scene_number: int) -> int:
+    """All pictures of one random scene; returns how many boxes were written."""
+    names = [f"render_{seed:03d}_{scene_number:05d}_{view}" for view in range(VIEWS_PER_SCENE)]
+    if all((out / "images" / f"{name}.jpg").exists() for name in names):
+        return 0
+    rng = np.random.default_rng([seed, scene_number])
+    world = random_world(rng)
+    scene = build_scene(world)
+    written = 0
+    for view, name in enumerate(names):
+        view_rng = np.random.default_rng([seed, scene_number, view])
+        camera, pose = random_camera(view_rng)
+        radiance = render(
+            scene, camera, pose, samples_per_pixel=int(view_rng.choice([6, 9, 12])), seed=int(view_rng.integers(1 << 30))
+        )
+        grey = radiance[radiance.shape[0] // 3 :].mean(axis=(0, 1))
+        radiance *= (grey.mean() / grey) ** np.float32(view_rng.uniform(0.2, 1.0))  # white balance, more or less
+        gain = camera_noise.exposure_gain(radiance, float(np.exp(view_rng.normal(0.1, 0.35))))
+        picture = camera_noise.develop(radiance, gain, view_rng, blur_sigma_px=float(view_rng.uniform(0.3, 0.9)))
+        boxes = cone_boxes(scene, world, camera, pose)
+        written += len(boxes)
+        shares = (np.array(boxes).reshape(-1, 2) / [camera.width_px, camera.height_px]).reshape(-1, 4)
+        lines = "".join(f"0 {(a + c) / 2:.6f} {(b + d) / 2:.6f} {c - a:.6f} {d - b:.6f}\n" for a, b, c, d in shares)
+        (out / "labels" / f"{name}.txt").write_text(lines)
+        partial = out / "images" / f".{name}.part"  # the label is there before its picture appears
+        partial.write_bytes(camera_noise.encode_jpeg(picture, int(view_rng.integers(60, 96))))
+        partial.rename(out / "images" / f"{name}.jpg")
+    return written
+
+
+def cone_boxes(
+    scene: object, world: World, camera: PinholeCamera, road_SE3_camera: np.ndarray
+) -> list[tuple[float, float, float, float]]:
+    """Boxes [x0, y0, x1, y1] from the edge of the picture, in pixels, of the visible part of each cone.
+
+    A vertex is hidden where the ray to it meets something that is not the cone itself.
+    """
+    mi = load_mitsuba()
+    eye = road_SE3_camera[:3, 3]
+    boxes = []
+    for number, cone in enumerate(world.cones):
+        plate, body = cone_parts(cone, 1000 * world.texture_seed + number)
+        points = np.vstack([plate.mesh.vertices, body.mesh.vertices[::3]])
+        local = (points - eye) @ road_SE3_camera[:3, :3]
+        if (local[:, 2] < 0.5).any():
+            continue
+        pixels = local[:, :2] / local[:, 2:] * camera.f_px + [camera.cx_px + 0.5, camera.cy_px + 0.5]
+        inside = ((pixels >= 0) & (pixels <= [camera.width_px, camera.height_px])).all(axis=1)
+        if not inside.any():
+            continue
+        centre = points.mean(axis=0)
+        reach = np.linalg.norm(points - centre, axis=1).max() * 1.02
+        seen = inside.copy()
+        for k in np.flatnonzero(inside):
+            step = points[k] - eye
+            far = float(np.linalg.norm(step))
+            hit = scene.ray_intersect(mi.Ray3f(eye.tolist(), (step / far).tolist()))
+            if hit.is_valid() and float(hit.t) < far - 0.01:
+                place = eye + step / far * float(hit.t)
+                seen[k] = np.linalg.norm(place - centre) < reach
+        if seen.mean() < MIN_VISIBLE_SHARE:
+            continue
+        low, high = pixels[seen].min(axis=0), pixels[seen].max(axis=0)
+        if high[1] - low[1] >= MIN_HEIGHT_PX:
+            boxes.append((float(low[0]), float(low[1]), float(high[0]), float(high[1])))
+    return boxes
+
+
+def random_camera(rng: np.random.Generator) -> tuple[PinholeCamera, np.ndarray]:
+    """A camera somewhere on the first metres of the road, looking along it."""
+    width = int(rng.choice([640, 736, 960], p=[0.55, 0.25, 0.2]))
+    camera = PinholeCamera(
+        width, 320, float(width * rng.uniform(0.6, 1.05)), width / 2 + rng.uniform(-15, 15), 160 + rng.uniform(-25, 10)
+    )
+    yaw, pitch, roll = rng.normal(0.0, 0.10), rng.uniform(-0.02, 0.13), rng.normal(0.0, 0.015)
+    forward = np.array([math.cos(yaw) * math.cos(pitch), math.sin(yaw) * math.cos(pitch), -math.sin(pitch)])
+    right = np.array([math.sin(yaw), -math.cos(yaw), 0.0])
+    down = np.cross(forward, right)
+    turned = math.cos(roll) * right + math.sin(roll) * down, math.cos(roll) * down - math.sin(roll) * right
+    pose = np.eye(4)
+    pose[:3, :3] = np.column_stack([*turned, forward])
+    pose[:3, 3] = (rng.uniform(-6.0, 2.0), rng.uniform(-3.0, 1.5), rng.uniform(1.1, 2.2))
+    return camera, pose
+
+
+def random_world(rng: np.random.Generator) -> World:
+    """0 to 10 cones up to 40 m ahead, and things that are no cones in most scenes."""
+    road = Road(
+        right_m=rng.uniform(-6.5, -4.0), left_m=rng.uniform(2.5, 5.5), start_m=-30.0, end_m=110.0,
+        centre_line=bool(rng.random() < 0.8),
+        edge_lines=tuple(y for y in (rng.uniform(-3.9, -2.9), rng.uniform(2.2, 3.4)) if rng.random() < 0.7),
+        pavement_width_m=float(rng.choice([0.0, rng.uniform(1.2, 3.5)])),
+        verge=_near(rng, ((0.30, 0.37, 0.16), (0.45, 0.42, 0.28), (0.38, 0.30, 0.22), (0.5, 0.5, 0.48))[rng.integers(4)]),
+        asphalt=rng.uniform(0.28, 0.62),
+    )  # fmt: skip
+    cones = _random_cones(rng)
+    overcast = rng.random() < 0.3
+    return World(
+        cones=tuple(cones), objects=tuple(_random_objects(rng, road)), sun_elevation_deg=rng.uniform(8, 70),
+        sun_azimuth_deg=rng.uniform(-180, 180), turbidity=rng.uniform(2.0, 8.0), sun_scale=0.0 if overcast else 1.0, road=road,
+        texture_seed=int(rng.integers(1000, 1 << 20)),
+    )  # fmt: skip
+
+
+def _near(rng: np.random.Generator, colour: Colour, spread: float = 0.06) -> Colour:
+    r, g, b = np.clip(np.array(colour) + rng.normal(0.0, spread, 3), 0.01, 0.98)
+    return float(r), float(g), float(b)
+
+
+def _random_cones(rng: np.random.Generator) -> list[Cone]:
+    count = int(rng.choice(11, p=np.array([2, 1, 1, 2, 2, 2, 2, 2, 2, 1, 1]) / 18))
+    in_row = rng.random() < 0.6
+    start, slope, gap = (rng.uniform(1, 10), rng.uniform(-4.5, 3.0)), rng.uniform(-0.12, 0.12), rng.uniform(2.0, 6.0)
+    height, colour = float(rng.choice([0.3, 0.5, 0.7, 0.75, 1.0])), ((0.95, 0.36, 0.08), (0.88, 0.20, 0.07))[rng.integers(2)]
+    plate = ((0.13, 0.13, 0.13), (0.13, 0.13, 0.13), (0.75, 0.25, 0.08))[rng.integers(3)]
+    cones: list[Cone] = []
+    for k in range(count):
+        if in_row:
+            x, y = start[0] + gap * k, start[1] + slope * gap * k + rng.normal(0.0, 0.15)
+        else:
+            x, y = rng.uniform(1.0, 36.0) * rng.uniform(0.3, 1.0), rng.uniform(-6.0, 4.5)
+        if any(math.hypot(x - c.x_m, y - c.y_m) < 0.8 for c in cones) or x > 38.0:
+            continue
+        cone_height = height if rng.random() < 0.8 else float(rng.uniform(0.3, 1.0))
+        cones.append(
+            Cone(
+                f"R{k}", x, y, cone_height, yaw_rad=rng.uniform(-math.pi, math.pi), tilt_rad=abs(rng.normal(0.0, 0.04)),
+                tilt_azimuth_rad=rng.uniform(-math.pi, math.pi), colour=_near(rng, colour, 0.035),
+                band_count=int(rng.choice([0, 1, 2], p=[0.15, 0.35, 0.5])), dirt=float(rng.beta(1.2, 2.5)),
+                fallen=bool(rng.random() < 0.06), plate_colour=_near(rng, plate, 0.03),
+            )
+        )  # fmt: skip
+    return cones
+
+
+def _random_objects(rng: np.random.Generator, road: Road) -> list[RoadObject]:
+    objects: list[RoadObject] = []
+    orange, red, white = (0.93, 0.42, 0.08), (0.75, 0.10, 0.08), (0.85, 0.85, 0.85)
+
+    def beside(outer_m: float) -> float:
+        return road.right_m - rng.uniform(0.3, outer_m) if rng.random() < 0.6 else road.left_m + rng.uniform(0.3, outer_m)
+
+    def add(kind: str, share: float, most: int, heights: tuple[float, float], colours: tuple[Colour, ...], on_road: bool) -> None:
+        if rng.random() > share:
+            return
+        for _ in range(int(rng.integers(1, most + 1))):
+            colour = _near(rng, colours[rng.integers(len(colours))])
+            y = rng.uniform(road.right_m, road.left_m) if on_road and rng.random() < 0.5 else beside(3.0)
+            yaw = rng.uniform(-0.3, 0.3) + (math.pi if rng.random() < 0.4 else 0.0)
+            objects.append(RoadObject(kind, rng.uniform(5.0, 45.0), y, yaw, rng.uniform(*heights), colour))
+
+    grey = (0.55, 0.56, 0.57)
+    add("bollard", 0.5, 6, (0.7, 1.1), (red,), True)
+    add("barrier_post", 0.4, 5, (0.9, 1.3), (red,), True)
+    add("round_sign", 0.5, 3, (1.8, 2.8), (grey,), False)
+    add("triangle_sign", 0.4, 2, (1.6, 2.7), (grey,), False)
+    add("post", 0.5, 6, (0.5, 4.0), (grey, red, white, orange), False)
+    add("bin", 0.4, 3, (0.6, 1.2), (grey, orange, (0.15, 0.2, 0.15), red), False)
+    add("hydrant", 0.3, 2, (0.6, 0.9), (red, orange, (0.8, 0.7, 0.1)), False)
+    add("worker", 0.4, 3, (1.6, 1.95), (orange, (0.8, 0.85, 0.1), red), True)
+    for _ in range(int(rng.choice([0, 1, 2], p=[0.5, 0.35, 0.15]))):
+        side = rng.choice([road.right_m + 1.3, road.left_m - 1.2])
+        objects.append(
+            RoadObject("van", rng.uniform(14, 45), side, rng.uniform(-0.1, 0.1) + math.pi * rng.integers(2), rng.uniform(1.9, 2.6),
+                       _near(rng, (orange, white, red, grey)[rng.integers(4)]), rng.uniform(4.4, 5.8))
+        )  # fmt: skip
+    for side, edge in ((-1.0, road.right_m), (1.0, road.left_m)):
+        x = rng.uniform(-10, 10)
+        while x < 95.0 and rng.random() < 0.85:
+            length, far = rng.uniform(12, 30), rng.uniform(9, 16)
+            wall = _near(rng, ((0.78, 0.72, 0.6), (0.62, 0.45, 0.38), (0.7, 0.7, 0.7), (0.75, 0.4, 0.25))[rng.integers(4)])
+            x += length / 2
+            objects.append(RoadObject("house", x, edge + side * far, 0.0, rng.uniform(3.5, 8.0), wall, length))
+            x += length / 2 + rng.uniform(2, 12)
+        green = _near(rng, (0.18, 0.28, 0.12), 0.03)
+        if rng.random() < 0.6:
+            objects.append(
+                RoadObject("hedge", rng.uniform(10, 40), edge + side * rng.uniform(3.5, 5), 0.0, rng.uniform(0.8, 2.4), green, 50.0)
+            )
+        for _ in range(int(rng.integers(0, 4))):
+            y = edge + side * rng.uniform(3.4, 7)
+            objects.append(RoadObject("tree", rng.uniform(3, 80), y, 0.0, rng.uniform(4.5, 9), green))
+    return objects
+
+
+if __name__ == "__main__":
+    main()
