@@ -7,6 +7,7 @@ import itertools
 import os
 import shutil
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -93,18 +94,32 @@ def template_database(cluster_url: str, pytestconfig: pytest.Config) -> str:
     return TEMPLATE
 
 
-@pytest.fixture
-def database_url(cluster_url: str, template_database: str) -> Iterator[str]:
-    """libpq URL of a migrated, empty database of this test's own."""
+@contextmanager
+def cloned_database(cluster_url: str, template: str) -> Iterator[str]:
+    """libpq URL of a new database, dropped at the end."""
     from conetl.io.db import connect, execute
 
     name = f"t_{os.getpid()}_{next(_numbers)}"
     conn = connect(cluster_url)
     conn.autocommit = True
-    execute(conn, f"create database {name} template {template_database}")
+    execute(conn, f"create database {name} template {template}")
     yield cluster_url.replace("@/conetl?", f"@/{name}?")
     execute(conn, f"drop database {name} with (force)")
     conn.close()
+
+
+@pytest.fixture
+def database_url(cluster_url: str, template_database: str) -> Iterator[str]:
+    """libpq URL of a migrated, empty database of this test's own."""
+    with cloned_database(cluster_url, template_database) as url:
+        yield url
+
+
+@pytest.fixture(scope="module")
+def module_database_url(cluster_url: str, template_database: str) -> Iterator[str]:
+    """libpq URL of a migrated, empty database that the tests of one file share: they must leave it as they found it."""
+    with cloned_database(cluster_url, template_database) as url:
+        yield url
 
 
 @pytest.fixture

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from conetl.io.audits import run_audits
-from conetl.io.db import execute, sql_names
+from conetl.io.audits import audits_of_open_transaction, run_audits
+from conetl.io.db import connect, execute, sql_names
 
 #: audit -> statements that plant one fault, past the constraints that would refuse it.
 DROP_EXCLUDE = "alter table feature_version drop constraint no_overlap"
@@ -56,7 +56,7 @@ FAULTS = {
         ("delete from position where frame_index = 1",),
         ("update track_member set track_index = 7",),
         ("update frame_pair set drive_uuid = gen_random_uuid()",),
-        ("delete from changeset",),
+        ("set local session_replication_role = replica", "delete from changeset"),
     ],
     "orphan_deltas": [
         ("update delta set changeset_id = gen_random_uuid() where kind = 'moved'",),
@@ -96,13 +96,16 @@ FAULTS = {
 }
 
 
-@pytest.fixture
-def good_map(conn, samples):
+@pytest.fixture(scope="module")
+def good_map(module_database_url, samples):
+    """A map with history; each test rolls back what it does to it."""
+    conn = connect(module_database_url)
     a, b, day = samples.feature("a"), samples.feature("b"), samples.DAY_NS
     samples.commit(conn, samples.added(a), samples.added(b), key="1")
     moved = samples.changed("moved", a, samples.START_NS + day, xyz_m=(458_003.0, 5_428_010.0, 114.5))
     samples.commit(conn, moved, samples.changed("confirmed", b, samples.START_NS + day, observation_count=6), key="2")
-    return conn
+    yield conn
+    conn.close()
 
 
 def test_every_audit_passes_on_a_good_map(good_map):
@@ -119,13 +122,12 @@ def test_every_audit_has_faults_to_find():
     ("audit", "number"), [(audit, number) for audit, faults in FAULTS.items() for number in range(len(faults))]
 )
 def test_an_audit_finds_its_planted_fault(good_map, audit, number):
-    for statement in FAULTS[audit][number]:
-        execute(
-            good_map, "set session_replication_role = replica" if "delete from changeset" in statement else "select 1"
-        )
-        execute(good_map, statement)
-    good_map.commit()
-    failed = {result.name: result for result in run_audits(good_map) if not result.passed}
+    try:
+        for statement in FAULTS[audit][number]:
+            execute(good_map, statement)
+        failed = {result.name: result for result in audits_of_open_transaction(good_map) if not result.passed}
+    finally:
+        good_map.rollback()
     assert audit in failed
     result = failed[audit]
     assert result.row_count >= len(result.rows) >= 1

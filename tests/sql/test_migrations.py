@@ -125,6 +125,23 @@ def test_an_ordinary_database_user_is_told_what_is_missing(empty_url):
     conn.close()
 
 
+def test_missing_roles_are_made_by_whoever_may(empty_url, cluster_url):
+    conn = connect(empty_url)
+    migrate(conn)
+    execute(conn, "revoke usage on schema conetl from conetl_reader")
+    conn.commit()
+    assert database_status(conn).missing_roles == ("conetl_reader",)
+    execute(conn, "set session authorization conetl_writer")
+    conn.commit()
+    assert migrate(conn) == []
+    assert database_status(conn).missing_roles == ("conetl_reader",)
+    execute(conn, "reset session authorization")
+    conn.commit()
+    migrate(conn)
+    assert database_status(conn).missing_roles == ()
+    conn.close()
+
+
 def test_the_reader_may_only_read(conn, samples):
     samples.commit(conn, samples.added(samples.feature()), key="1")
     execute(conn, "set role conetl_reader")
@@ -147,6 +164,7 @@ def test_the_writer_may_commit_but_not_rewrite_history(conn, samples):
     samples.commit(conn, samples.added(samples.feature()), key="1")
     execute(conn, "set session authorization conetl_writer")
     conn.commit()
+    assert migrate(conn) == []
     moved = samples.changed("moved", samples.feature(), samples.START_NS + 5, observation_count=9)
     samples.commit(conn, samples.added(samples.feature("b")), moved, key="2")
     for statement in (
@@ -162,6 +180,15 @@ def test_the_writer_may_commit_but_not_rewrite_history(conn, samples):
         execute(conn, "rollback to s")
 
 
+@pytest.fixture(scope="module")
+def map_of_one(module_database_url, samples):
+    """One feature; each test rolls back what it does to it."""
+    conn = connect(module_database_url)
+    samples.commit(conn, samples.added(samples.feature()), key="1")
+    yield conn
+    conn.close()
+
+
 @pytest.mark.parametrize(
     ("change", "error"),
     [
@@ -174,12 +201,13 @@ def test_the_writer_may_commit_but_not_rewrite_history(conn, samples):
         ("feature_id = gen_random_uuid()", psycopg2.errors.ForeignKeyViolation),
     ],
 )
-def test_the_schema_itself_refuses_nonsense(conn, samples, change, error):
-    samples.commit(conn, samples.added(samples.feature()), key="1")
+def test_the_schema_itself_refuses_nonsense(map_of_one, change, error):
+    conn = map_of_one
     if change == "srid = 32633":
         execute(conn, "alter table feature_version drop constraint feature_version_check")
     with pytest.raises(error):
         execute(conn, f"update feature_version set {change}")
+    conn.rollback()
 
 
 def test_the_schema_refuses_two_versions_at_once(conn, samples):

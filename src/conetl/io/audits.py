@@ -31,7 +31,12 @@ def run_audits(conn: Connection) -> list[AuditResult]:
     """Run all audits over all maps of the database, on one snapshot; changes nothing."""
     with transaction(conn, "The audits could not be run"):
         execute(conn, "set transaction isolation level repeatable read, read only")
-        return [_run(conn, name) for name in sql_names("audit")]
+        return audits_of_open_transaction(conn)
+
+
+def audits_of_open_transaction(conn: Connection) -> list[AuditResult]:
+    """Run all audits on what the caller's open transaction sees, its own uncommitted changes included."""
+    return [_run(conn, name) for name in sql_names("audit")]
 
 
 def _run(conn: Connection, name: str) -> AuditResult:

@@ -41,8 +41,9 @@ class DatabaseStatus:
     applied_migrations: tuple[str, ...]
     pending_migrations: tuple[str, ...]
     missing_roles: tuple[str, ...]
-    """Of conetl_reader and conetl_writer; `may_create_roles` says whether `migrate` could make them."""
+    """Of conetl_reader and conetl_writer those that do not exist or have no rights here; `migrate` makes them where ..."""
     may_create_roles: bool
+    """... the connected user may create roles; otherwise a superuser has to run `migrate` once."""
     size_bytes: int
     maps: tuple[tuple[str, int], ...]
     """Name and SRID."""
@@ -163,10 +164,17 @@ def migrate(conn: Connection, *, directory: Path | None = None) -> list[str]:
     """Bring the schema up to date, all or nothing; the names of the migrations that were applied now.
 
     Migrations only go forwards. Raises `DatabaseError` where an applied one was changed afterwards, the database is newer than
-    this conetl, PostGIS is missing or may not be created. Two calls at once wait for each other.
+    this conetl, PostGIS is missing or may not be created. Two calls at once wait for each other; where nothing is to be done
+    nothing is locked or written, so that it may be called before every use, and by users who may not change the schema.
     """
     wanted = _migration_files(directory or sql_directory() / "migrations")
     done: list[str] = []
+    with transaction(conn, "The state of the database cannot be read"):
+        if _has_schema(conn):
+            applied = _applied(conn)
+            _check_history(applied, wanted)
+            if not wanted.keys() - applied.keys() and (not _missing_roles(conn) or not _may_create_roles(conn)):
+                return done
     with transaction(conn, "The database could not be migrated, and is as it was before"):
         with conn.cursor() as cursor:
             cursor.execute("select pg_advisory_xact_lock(%s)", (MIGRATION_LOCK,))
@@ -190,7 +198,6 @@ def database_status(conn: Connection) -> DatabaseStatus:
     with transaction(conn, "The state of the database cannot be read"):
         facts = execute(conn, load_sql("schema/status"))[0]
         applied = _applied(conn) if facts["has_schema"] else {}
-        roles = {row["rolname"] for row in execute(conn, load_sql("schema/existing_roles"), {"names": list(ROLES)})}
         maps = execute(conn, load_sql("map/maps")) if facts["has_map"] else []
         wanted = _migration_files(sql_directory() / "migrations")
         return DatabaseStatus(
@@ -200,7 +207,7 @@ def database_status(conn: Connection) -> DatabaseStatus:
             postgis_version=facts["postgis_version"],
             applied_migrations=tuple(sorted(applied)),
             pending_migrations=tuple(name for name in wanted if name not in applied),
-            missing_roles=tuple(name for name in ROLES if name not in roles),
+            missing_roles=_missing_roles(conn) if facts["has_map"] else ROLES,
             may_create_roles=_may_create_roles(conn),
             size_bytes=facts["size_bytes"],
             maps=tuple((row["map_name"], row["srid"]) for row in maps),
@@ -239,6 +246,15 @@ def _create_extensions_first(conn: Connection, migration: str) -> None:
             f"migration {migration} needs the extension(s) {', '.join(missing)}, which this server does not offer: install "
             "PostGIS on the server (Debian: postgresql-<version>-postgis-3) or set CONETL_DATABASE_URL to another one."
         )
+
+
+def _has_schema(conn: Connection) -> bool:
+    return bool(execute(conn, load_sql("schema/status"))[0]["has_schema"])
+
+
+def _missing_roles(conn: Connection) -> tuple[str, ...]:
+    ready = {row["rolname"] for row in execute(conn, load_sql("schema/ready_roles"), {"names": list(ROLES)})}
+    return tuple(name for name in ROLES if name not in ready)
 
 
 def _may_create_roles(conn: Connection) -> bool:
