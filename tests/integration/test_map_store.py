@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from uuid import uuid4
@@ -339,6 +340,19 @@ def test_two_ingests_wait_for_each_other(conn, database_url, samples):
         )
     thread.join(timeout=10)
     assert order == [("second", 1)]
+
+
+def test_the_same_drive_by_several_at_once_is_one_changeset(conn, database_url, samples):
+    def ingest(_):
+        own = connect(database_url)
+        try:
+            return samples.commit(own, samples.added(samples.feature()), key="1").committed
+        finally:
+            own.close()
+
+    with ThreadPoolExecutor(4) as pool:
+        assert sorted(pool.map(ingest, range(4))) == [False, False, False, True]
+    assert len(list_changesets(conn)) == len(read_current_features(conn)) == 1
 
 
 def test_a_map_that_stays_locked_is_reported(conn, database_url):
