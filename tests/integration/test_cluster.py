@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -23,14 +24,32 @@ from conetl.io.postgres_install import find_installs
 AS_ROOT = os.geteuid() == 0
 
 
-@pytest.fixture
-def home(request):
+#: One worker of pytest-xdist for all: they are few, and share a cluster.
+pytestmark = pytest.mark.xdist_group("cluster")
+
+
+@contextmanager
+def new_home(name: str):
     """A home folder that the server's user can reach, with a space, a dollar and a quote in its name."""
-    path = Path(f"/tmp/conetl-test-home-{os.getpid()}-{request.node.name[:40]} $HOME 'x'")
+    path = Path(f"/tmp/conetl-test-home-{os.getpid()}-{name} $HOME 'x'")
     path.mkdir()
     yield path
     cluster_remove(path)
     shutil.rmtree(path)
+
+
+@pytest.fixture
+def home(request):
+    """A home without a cluster."""
+    with new_home(request.node.name[:40]) as path:
+        yield path
+
+
+@pytest.fixture(scope="module")
+def used_home():
+    """A home whose cluster the tests of this file share; each begins with `cluster_up`."""
+    with new_home("shared") as path:
+        yield path
 
 
 def count_notes(url: str) -> int:
@@ -49,7 +68,9 @@ def write_note(url: str) -> None:
     conn.close()
 
 
-def test_life_of_a_cluster(home):
+def test_life_of_a_cluster(used_home):
+    home = used_home
+    cluster_remove(home)
     assert cluster_status(home).state == "absent"
     assert not cluster_down(home)
 
@@ -88,9 +109,6 @@ def test_life_of_a_cluster(home):
     (place.socket_directory / ".s.PGSQL.5432").unlink()
     assert count_notes(cluster_up(home)) == 1
 
-    assert cluster_remove(home)
-    assert cluster_status(home).state == "absent"
-
 
 def test_settings_are_safe(cluster_url):
     conn = connect(cluster_url)
@@ -100,7 +118,8 @@ def test_settings_are_safe(cluster_url):
     assert {row["name"]: row["setting"] for row in rows} == wanted
 
 
-def test_only_the_owner_and_root_are_let_in(home):
+def test_only_the_owner_and_root_are_let_in(used_home):
+    home = used_home
     url = cluster_up(home)
     place = find_place(home)
     for path in (place.directory, place.socket_directory):
@@ -122,6 +141,7 @@ def test_only_the_owner_and_root_are_let_in(home):
     refused = subprocess.run(psql, user=stranger.pw_uid, capture_output=True, text=True, check=False, cwd="/")
     for path in opened[1:]:
         path.chmod(0o700)
+    (place.socket_directory / ".s.PGSQL.5432").chmod(0o700)
     assert "eer authentication failed" in refused.stderr
 
 
@@ -151,23 +171,18 @@ def test_two_homes_and_a_home_too_deep_for_a_socket(home, cluster_url):
         conn = connect(cluster_url)
         assert execute(conn, "select to_regclass('note') as note") == [{"note": None}]
         conn.close()
+        # a socket's folder that somebody else prepared is refused
+        cluster_down(deep)
+        shutil.rmtree(place.socket_directory)
+        place.socket_directory.mkdir()
+        place.socket_directory.chmod(0o777)
+        with pytest.raises(DatabaseError, match="mode 0700"):
+            cluster_up(deep)
     finally:
         cluster_remove(deep)
     assert not place.socket_directory.exists()
-
-
-def test_a_socket_folder_prepared_by_somebody_else_is_refused(home):
-    deep = home / "/".join(["a_rather_long_folder_name"] * 5)
-    cluster_up(deep)
-    place = find_place(deep)
-    cluster_down(deep)
-    shutil.rmtree(place.socket_directory)
-    place.socket_directory.mkdir(mode=0o777)
-    place.socket_directory.chmod(0o777)
-    with pytest.raises(DatabaseError, match="mode 0700"):
-        cluster_up(deep)
-    place.socket_directory.rmdir()
-    cluster_remove(deep)
+    assert cluster_status(deep).state == "absent"
+    assert not cluster_remove(deep)
 
 
 @pytest.mark.skipif(not AS_ROOT, reason="the cluster of an ordinary user always lies in the home folder")
@@ -194,13 +209,17 @@ def test_root_with_a_private_home(home, tmp_path):
     assert not place.directory.exists()
 
 
-def test_a_server_that_cannot_start_says_why(home):
+def test_a_server_that_cannot_start_says_why(used_home):
+    home = used_home
     cluster_up(home)
     cluster_down(home)
     place = find_place(home)
-    (place.data / "global" / "pg_control").rename(place.directory / "pg_control.away")
+    control, away = place.data / "global" / "pg_control", place.directory / "pg_control.away"
+    control.rename(away)
     with pytest.raises(DatabaseError, match=r"does not start[\s\S]*pg_control[\s\S]*CONETL_DATABASE_URL"):
         cluster_up(home)
+    away.rename(control)
+    cluster_up(home)
 
 
 def test_an_interrupted_first_start_is_made_good(home):

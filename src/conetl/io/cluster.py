@@ -143,7 +143,7 @@ def cluster_remove(home: Path) -> bool:
         if place is None:
             return False
         if _running_pid(place) is not None:
-            _stop(place)
+            _stop(place, data_are_needed=False)
         shutil.rmtree(place.socket_directory, ignore_errors=True)
         shutil.rmtree(place.directory)
         forget_place(home)
@@ -160,7 +160,7 @@ def _initialise(place: ClusterPlace, install: PostgresInstall) -> None:
     The name is new each time, because initdb outlives a caller that was killed and would go on writing into it.
     """
     new = f"{NEW_DATA_PREFIX}{uuid4().hex}"
-    initdb = [install.program("initdb"), "-D", new, "-U", SUPERUSER, "-A", "peer", "-E", "UTF8", "--locale=C"]
+    initdb = [install.program("initdb"), "-D", new, "-U", SUPERUSER, "-A", "peer", "-E", "UTF8", "--locale=C", "-k"]
     _must(run_as(place, initdb, timeout_s=120), "PostgreSQL could not make a new cluster", place)
     allowed = dict.fromkeys([place.user.name, place.caller_name, "root"])
     _write_as(place, f"{new}/pg_hba.conf", f"local all all peer map={SUPERUSER}\n")
@@ -209,9 +209,9 @@ def _start(place: ClusterPlace, install: PostgresInstall) -> None:
         time.sleep(0.5)
 
 
-def _stop(place: ClusterPlace) -> None:
+def _stop(place: ClusterPlace, *, data_are_needed: bool = True) -> None:
     install = choose_install(find_installs(), data_major=place.data_major)
-    for mode, timeout_s in (("fast", 60), ("immediate", 20)):
+    for mode, timeout_s in (("fast", 60), ("immediate", 20)) if data_are_needed else (("immediate", 20),):
         stop = [install.program("pg_ctl"), "stop", "-D", "data", "-m", mode, "-w", "-t", str(timeout_s)]
         stopped = run_as(place, stop, timeout_s=timeout_s + 10)
         if stopped.code == 0 or _running_pid(place) is None:
