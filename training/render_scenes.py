@@ -53,7 +53,8 @@ def render_scene_views(out: Path, seed: int, scene_number: int) -> int:
         view_rng = np.random.default_rng([seed, scene_number, view])
         camera, pose = random_camera(view_rng)
         radiance = render(
-            scene, camera, pose, samples_per_pixel=int(view_rng.choice([6, 9, 12])), seed=int(view_rng.integers(1 << 30))
+            scene, camera, pose, samples_per_pixel=int(view_rng.choice([6, 9, 12])), seed=int(view_rng.integers(1 << 30)),
+            fast=True,
         )
         grey = radiance[radiance.shape[0] // 3 :].mean(axis=(0, 1))
         radiance *= (grey.mean() / grey) ** np.float32(view_rng.uniform(0.2, 1.0))  # white balance, more or less

@@ -96,7 +96,7 @@ def _changed(first: tuple[Cone, ...]) -> tuple[tuple[Cone, ...], dict[str, str]]
         for c in first
         if c.cone_id != "C07"
     ]
-    added = [_looks(Cone("C10", 11.3, -3.1, 0.50), rng), _looks(Cone("C11", 36.9, -4.0, 0.70), rng)]
+    added = [_looks(Cone("C10", 11.3, -3.1, 0.50), rng), _looks(Cone("C11", 38.6, -4.3, 0.70), rng)]
     changes |= {cone.cone_id: "added" for cone in added}
     return (*kept, *added), changes
 

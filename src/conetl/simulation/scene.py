@@ -57,14 +57,18 @@ def build_scene(world: World) -> Any:
 
 
 def render(
-    scene: Any, camera: PinholeCamera, road_SE3_camera: Array, *, samples_per_pixel: int, seed: int
+    scene: Any, camera: PinholeCamera, road_SE3_camera: Array, *, samples_per_pixel: int, seed: int, fast: bool = False
 ) -> NDArray[np.float32]:
-    """Linear radiance (H, W, 3), direct light of sun and sky. road_SE3_camera: (4, 4), camera axes x right, y down, z forward."""
+    """Linear radiance (H, W, 3), direct light of sun and sky. road_SE3_camera: (4, 4), camera axes x right, y down, z forward.
+
+    fast: half the time and more noise, as shiny surfaces are not sampled by themselves.
+    """
     mi = load_mitsuba()
+    method = {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0} if fast else {"type": "path", "max_depth": 2}
     picture = mi.render(
         scene,
         sensor=sensor(camera, road_SE3_camera, samples_per_pixel),
-        integrator=mi.load_dict({"type": "path", "max_depth": 2}),
+        integrator=mi.load_dict(method),
         spp=samples_per_pixel,
         seed=seed,
     )

@@ -14,7 +14,7 @@ from conetl.simulation.rig import simulated_rig
 from conetl.simulation.scenario import scenario_pass
 from conetl.simulation.scene import build_scene, load_mitsuba, render
 
-JPEG_QUALITY = 78
+JPEG_QUALITY = 74
 CAMERAS = (2, 3)
 
 
