@@ -122,11 +122,11 @@ def merge_task(
     with open_map(settings) as conn, map_transaction(conn, settings.map_name):
         known = find_changeset(conn, identity.idempotency_key, map_name=settings.map_name)
         if known is not None:  # another ingest of the same drive was faster
-            changeset = _changeset(drive, identity, ())
+            changeset = _changeset(drive, settings.map_name, identity, ())
             return Merged(changeset=changeset, untouched=(), report=_no_changes(drive, identity, known, settings))
         features = _features_around(conn, drive, settings.map_name)
-        deltas = _reconcile(drive, features, detections, positions, tracks, params)
-        changeset = _changeset(drive, identity, tuple(deltas))
+        deltas = _reconcile(drive, settings.map_name, features, detections, positions, tracks, params)
+        changeset = _changeset(drive, settings.map_name, identity, tuple(deltas))
         commit_changeset(
             conn,
             drive,
@@ -177,6 +177,7 @@ def _features_around(conn: Connection, drive: Drive, map_name: str) -> list[MapF
 
 def _reconcile(
     drive: Drive,
+    map_name: str,
     features: list[MapFeature],
     detections: list[Detection],
     positions: list[Position],
@@ -199,13 +200,14 @@ def _reconcile(
         look_at,
         params.reconcile,
         drive_id=drive.drive_id,
+        founding_key=f"{map_name}/{drive.content_sha256}",
         drive_from_ns=min(times_ns.values()),
     )
 
 
-def _changeset(drive: Drive, identity: Identity, deltas: tuple[Delta, ...]) -> Changeset:
+def _changeset(drive: Drive, map_name: str, identity: Identity, deltas: tuple[Delta, ...]) -> Changeset:
     return Changeset(
-        changeset_id=uuid5(_NAMESPACE, identity.idempotency_key),
+        changeset_id=uuid5(_NAMESPACE, f"{map_name}/{identity.idempotency_key}"),
         drive_id=drive.drive_id,
         idempotency_key=identity.idempotency_key,
         params_sha256=identity.params_sha256,

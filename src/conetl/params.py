@@ -85,7 +85,7 @@ class ReconcileParams(Params):
     moved_height_tolerance_m: Positive = 0.15
     removal_min_frames: int = Field(default=5, ge=1)
     """Frames in which the spot must have been in plain view without a detection before a feature is removed."""
-    visible_min_height_px: Positive = 18.0
+    visible_min_height_px: Positive = 22.0
     """A cone counts as visible when it would appear at least this tall ..."""
     visible_border_px: Positive = 12.0
     """... and at least this far inside both pictures."""

@@ -132,8 +132,8 @@ class Drive(Record):
 class Detection(Record):
     """A box from the network, in pixels of the original image; x_px, y_px is the top-left corner.
 
-    Box edges count from the picture's edge, so that a box over the first pixel is x 0, width 1 (COCO); the centre of that pixel is
-    0.5 in box edges and 0 as an image point. `steps/matches.py` is where one becomes the other.
+    Box edges count from the picture's edge, so that a box over the first pixel is x 0, width 1 (COCO); the centre of that
+    pixel is 0.5 in box edges and 0 as an image point. `steps/matches.py` is where one becomes the other.
     """
 
     frame_index: int = Field(ge=0)

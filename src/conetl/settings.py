@@ -15,7 +15,7 @@ class Settings(BaseSettings):
     model_config = SettingsConfigDict(env_prefix="CONETL_", frozen=True, extra="forbid")
 
     database_url: SecretStr | None = None
-    """A PostGIS database; without it conetl runs its own private cluster under `home`. Secret, because Prefect keeps parameters."""
+    """A PostGIS database; without it conetl runs its own private cluster under `home`. Secret: Prefect keeps parameters."""
     home: Path = Path(".conetl")
     """Private database cluster, intermediate results, exports, Prefect's own state."""
     map_name: str = Field(default="default", pattern=r"^[a-z0-9_-]{1,40}$")

@@ -35,14 +35,15 @@ def reconcile(
     params: ReconcileParams,
     *,
     drive_id: str,
+    founding_key: str,
     drive_from_ns: int,
 ) -> list[Delta]:
     """Deltas that bring the map from before the drive to after it.
 
     look_at(feature, offset_m): what the drive saw of that feature's spot, None where it was never in plain view; offset_m (3,)
-    is where the drive's map frame lies against the map's (add it to map coordinates to get the drive's). drive_id
-    founds the ids of new features. Raises InputError when the map already holds later knowledge of a feature that this
-    drive looked at: a map is built forwards.
+    is where the drive's map frame lies against the map's (add it to map coordinates to get the drive's). founding_key (the
+    map and the drive's content) founds the ids of new features. Raises InputError when the map already holds later
+    knowledge of a feature that this drive looked at: a map is built forwards.
     """
     offset_m, weight = common_offset(tracks, features, params)
     placed = np.array([t.xyz_m for t in tracks]).reshape(-1, 3) - weight * offset_m
@@ -76,7 +77,7 @@ def reconcile(
             )
         )
     for i in free_tracks:
-        deltas.append(_added(tracks[i], placed[i], weight * offset_m, drive_id))
+        deltas.append(_added(tracks[i], placed[i], weight * offset_m, founding_key))
     return sorted(deltas, key=lambda d: (d.changed_at_ns, str(d.feature_id)))
 
 
@@ -176,13 +177,14 @@ def _require_forward(feature: MapFeature, drive_id: str, drive_from_ns: int) -> 
         raise InputError(
             f"drive {drive_id} was recorded from {utc_from_ns(drive_from_ns).isoformat()}, but the map already knows feature "
             f"{feature.feature_id} from {utc_from_ns(feature.last_seen_ns).isoformat()}: drives over the same road must be "
-            "ingested in the order in which they were recorded. Nothing was written."
+            "ingested in the order in which they were recorded (the same drive with other parameters comes too late, too). "
+            "Nothing was written."
         )
 
 
-def _added(track: Track, placed: Floats, shift: Floats, drive_id: str) -> Delta:
+def _added(track: Track, placed: Floats, shift: Floats, founding_key: str) -> Delta:
     frame_index, match_index = track.members[0]
-    feature_id = uuid5(_NAMESPACE, f"{drive_id}/{frame_index}/{match_index}")
+    feature_id = uuid5(_NAMESPACE, f"{founding_key}/{frame_index}/{match_index}")
     new = _feature_from_track(track, placed, shift, feature_id, 1)
     return Delta(
         kind=DeltaKind.ADDED,

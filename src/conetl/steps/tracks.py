@@ -12,16 +12,9 @@ from conetl.params import IngestParams, TrackParams
 from conetl.records import Cov3, Detection, FramePair, Position, Rig, StereoMatch, Track, Vec3
 from conetl.rejections import Rejection, RejectionReason
 from conetl.steps.association import chain_positions
-from conetl.steps.visibility import frames_in_plain_view
+from conetl.steps.existence import existence_probability
 
 Floats = NDArray[np.float64]
-#: Frames follow each other at 10 Hz and fail together: one in this many counts as independent evidence.
-_FRAMES_PER_INDEPENDENT_LOOK = 3.0
-#: A score of this size speaks neither for nor against a cone; measured on street furniture (data/models/README.md).
-_NEUTRAL_SCORE = 0.45
-#: A cone in plain view is missed in about every second frame pair where posts hide half of it: ln(0.5 / 0.98).
-_MISS_LOGIT = -0.7
-_PRIOR_LOGIT = -1.0
 
 
 def fuse_tracks(
@@ -101,9 +94,7 @@ def _fuse_group(
     if not limits.min_cone_height_m <= height_m <= limits.max_cone_height_m:
         bounds = f"{limits.min_cone_height_m} to {limits.max_cone_height_m} m"
         return _reject(RejectionReason.HEIGHT_IMPLAUSIBLE, group, f"{height_m:.2f} m tall, expected {bounds}")
-    existence = _existence_probability(
-        group, foot.xyz_m, height_m, rig, map_SE3_left, map_SE3_right, detections, params
-    )
+    existence = existence_probability(group, height_m, rig, map_SE3_left, detections, params)
     if existence < limits.min_existence_probability:
         return _reject(
             RejectionReason.EXISTENCE_UNLIKELY,
@@ -174,31 +165,6 @@ def _common_pose_cov(group: tuple[Position, ...], frame_pairs: Mapping[int, Fram
     lever_m = [p.range_m for p in group]
     attitude_m2 = np.mean([(max(pose.sigma_rpy_rad) * r) ** 2 for pose, r in zip(poses, lever_m, strict=True)])
     return np.asarray(position_m2 + attitude_m2 * np.eye(3))
-
-
-def _existence_probability(
-    group: tuple[Position, ...],
-    foot_m: Floats,
-    height_m: float,
-    rig: Rig,
-    map_SE3_left: Mapping[int, Floats],
-    map_SE3_right: Mapping[int, Floats],
-    detections: Mapping[int, Sequence[Detection]],
-    params: IngestParams,
-) -> float:
-    """Belief that a cone stands there: log-odds of the scores where it was seen, less the looks that showed nothing."""
-    visible = set(
-        frames_in_plain_view(foot_m, height_m, rig, map_SE3_left, map_SE3_right, detections, params.reconcile)
-    )
-    missed = len(visible - {p.frame_index for p in group})
-    scores = np.clip([p.score for p in group], 0.02, 0.98)
-    evidence = float(np.sum(_logit(scores) - _logit(np.array(_NEUTRAL_SCORE)))) + missed * _MISS_LOGIT
-    logit = _PRIOR_LOGIT + evidence / _FRAMES_PER_INDEPENDENT_LOOK
-    return float(1 / (1 + np.exp(-np.clip(logit, -30, 30))))
-
-
-def _logit(p: Floats) -> Floats:
-    return np.asarray(np.log(p / (1 - p)))
 
 
 def _check_ground(

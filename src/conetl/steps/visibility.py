@@ -20,6 +20,9 @@ Floats = NDArray[np.float64]
 _WIDTH_OVER_HEIGHT = 0.55
 #: A spot with more than this share of its box behind a nearer box counts as hidden.
 _HIDDEN_SHARE = 0.25
+_NEAREST_M = 0.5
+Box = tuple[float, float, float, float]
+"""x0, y0, x1, y1 in pixels"""
 
 
 @dataclass(frozen=True)
@@ -73,46 +76,58 @@ def frames_in_plain_view(
 
     map_SE3_left, map_SE3_right: (4, 4) camera -> map by frame index; detections: those of both images by frame index.
     """
-    tip_m = foot_m + np.array([0.0, 0.0, cone_height_m])
     seen = []
     for frame_index, left_pose in map_SE3_left.items():
         boxes = {
-            "left": _apparent_box(foot_m, tip_m, left_pose, rig.left, params),
-            "right": _apparent_box(foot_m, tip_m, map_SE3_right[frame_index], rig.right, params),
+            "left": _box_in_view(foot_m, cone_height_m, left_pose, rig.left, params),
+            "right": _box_in_view(foot_m, cone_height_m, map_SE3_right[frame_index], rig.right, params),
         }
         if any(box is None for box in boxes.values()):
             continue
-        if not any(_is_hidden(boxes[d.side], d) for d in detections.get(frame_index, ())):
+        if not any(is_hidden(box, d) for d in detections.get(frame_index, ()) if (box := boxes[d.side]) is not None):
             seen.append(frame_index)
     return seen
 
 
-def _apparent_box(
-    foot_m: Floats, tip_m: Floats, map_SE3_camera: Floats, camera: Camera, params: ReconcileParams
-) -> tuple[float, float, float, float] | None:
-    """x0, y0, x1, y1 (px) that the cone would fill, None where it is too small, cut by the border or behind the camera."""
-    rotation, centre = map_SE3_camera[:3, :3], map_SE3_camera[:3, 3]
-    foot, tip = rotation.T @ (foot_m - centre), rotation.T @ (tip_m - centre)
-    if min(foot[2], tip[2]) < 0.5:
+def apparent_box(foot_m: Floats, tip_m: Floats, camera: Camera) -> Box | None:
+    """Box (px) that a cone would fill, its foot and tip (3,) given in the camera's frame; None where it is behind the camera."""
+    if min(foot_m[2], tip_m[2]) < _NEAREST_M:
         return None
-    y1 = camera.cy_px + camera.fy_px * foot[1] / foot[2]
-    y0 = camera.cy_px + camera.fy_px * tip[1] / tip[2]
+    y1 = camera.cy_px + camera.fy_px * foot_m[1] / foot_m[2]
+    y0 = camera.cy_px + camera.fy_px * tip_m[1] / tip_m[2]
     half = (y1 - y0) * _WIDTH_OVER_HEIGHT / 2
-    u = camera.cx_px + camera.fx_px * foot[0] / foot[2]
+    u = camera.cx_px + camera.fx_px * foot_m[0] / foot_m[2]
+    return float(u - half), float(y0), float(u + half), float(y1)
+
+
+def is_in_view(box: Box, camera: Camera, params: ReconcileParams) -> bool:
+    """Whether a box is tall enough to be found and wholly inside the picture."""
+    x0, y0, x1, y1 = box
     border = params.visible_border_px
-    inside = (
-        u - half >= border and y0 >= border and u + half <= camera.width_px - border and y1 <= camera.height_px - border
-    )
-    return (u - half, y0, u + half, y1) if inside and y1 - y0 >= params.visible_min_height_px else None
+    inside = x0 >= border and y0 >= border and x1 <= camera.width_px - border and y1 <= camera.height_px - border
+    return inside and y1 - y0 >= params.visible_min_height_px
 
 
-def _is_hidden(box: tuple[float, float, float, float] | None, detection: Detection) -> bool:
+def is_hidden(box: Box, detection: Detection) -> bool:
     """Whether a detected box that stands nearer (its foot is lower in the picture) covers a good part of `box`."""
-    if box is None:
-        return False
     x0, y0, x1, y1 = box
     if detection.y_px + detection.h_px <= y1 + 0.1 * (y1 - y0):
         return False
+    return overlap_px2(box, detection) > _HIDDEN_SHARE * (x1 - x0) * (y1 - y0)
+
+
+def overlap_px2(box: Box, detection: Detection) -> float:
+    """Area that a box and a detection share."""
+    x0, y0, x1, y1 = box
     width = min(x1, detection.x_px + detection.w_px) - max(x0, detection.x_px)
     height = min(y1, detection.y_px + detection.h_px) - max(y0, detection.y_px)
-    return width > 0 and height > 0 and width * height > _HIDDEN_SHARE * (x1 - x0) * (y1 - y0)
+    return max(width, 0.0) * max(height, 0.0)
+
+
+def _box_in_view(
+    foot_m: Floats, cone_height_m: float, map_SE3_camera: Floats, camera: Camera, params: ReconcileParams
+) -> Box | None:
+    to_camera, centre = map_SE3_camera[:3, :3].T, map_SE3_camera[:3, 3]
+    tip_m = foot_m + np.array([0.0, 0.0, cone_height_m])
+    box = apparent_box(to_camera @ (foot_m - centre), to_camera @ (tip_m - centre), camera)
+    return box if box is not None and is_in_view(box, camera, params) else None

@@ -66,7 +66,7 @@ def changes(
     def look(seen: MapFeature, _offset: object) -> Look | None:
         return None if seen.feature_id.int in hidden else Look(frames_empty, START_NS + DAY_NS)
 
-    deltas = reconcile(tracks, features, look, PARAMS, drive_id="d", drive_from_ns=START_NS + DAY_NS)
+    deltas = reconcile(tracks, features, look, PARAMS, drive_id="d", founding_key="d", drive_from_ns=START_NS + DAY_NS)
     return {kind: [d for d in deltas if d.kind == kind] for kind in DeltaKind}
 
 
@@ -136,7 +136,7 @@ def test_a_drive_older_than_the_map_is_refused_as_a_whole() -> None:
     old = track(0, *ROW[0], day=0)
     newer = feature(0, *ROW[0])
     with pytest.raises(InputError, match="in the order in which they were recorded"):
-        reconcile([old], [newer], lambda *_: None, PARAMS, drive_id="d", drive_from_ns=START_NS)
+        reconcile([old], [newer], lambda *_: None, PARAMS, drive_id="d", founding_key="d", drive_from_ns=START_NS)
 
 
 def test_the_order_of_tracks_and_features_does_not_matter() -> None:
@@ -146,6 +146,8 @@ def test_the_order_of_tracks_and_features_does_not_matter() -> None:
     def look(_feature: MapFeature, _offset: object) -> Look:
         return Look(20, START_NS + DAY_NS)
 
-    one = reconcile(tracks, features, look, PARAMS, drive_id="d", drive_from_ns=START_NS + DAY_NS)
-    other = reconcile(tracks[::-1], features[::-1], look, PARAMS, drive_id="d", drive_from_ns=START_NS + DAY_NS)
+    one = reconcile(tracks, features, look, PARAMS, drive_id="d", founding_key="d", drive_from_ns=START_NS + DAY_NS)
+    other = reconcile(
+        tracks[::-1], features[::-1], look, PARAMS, drive_id="d", founding_key="d", drive_from_ns=START_NS + DAY_NS
+    )
     assert one == other
