@@ -53,7 +53,11 @@ def render_scene_views(out: Path, seed: int, scene_number: int) -> int:
         view_rng = np.random.default_rng([seed, scene_number, view])
         camera, pose = random_camera(view_rng)
         radiance = render(
-            scene, camera, pose, samples_per_pixel=int(view_rng.choice([6, 9, 12])), seed=int(view_rng.integers(1 << 30)),
+            scene,
+            camera,
+            pose,
+            samples_per_pixel=int(view_rng.choice([6, 9, 12])),
+            seed=int(view_rng.integers(1 << 30)),
             fast=True,
         )
         grey = radiance[radiance.shape[0] // 3 :].mean(axis=(0, 1))
@@ -154,7 +158,10 @@ def _random_cones(rng: np.random.Generator) -> list[Cone]:
     count = int(rng.choice(11, p=np.array([2, 1, 1, 2, 2, 2, 2, 2, 2, 1, 1]) / 18))
     in_row = rng.random() < 0.6
     start, slope, gap = (rng.uniform(1, 10), rng.uniform(-4.5, 3.0)), rng.uniform(-0.12, 0.12), rng.uniform(2.0, 6.0)
-    height, colour = float(rng.choice([0.3, 0.5, 0.7, 0.75, 1.0])), ((0.95, 0.36, 0.08), (0.88, 0.20, 0.07))[rng.integers(2)]
+    height, colour = (
+        float(rng.choice([0.3, 0.5, 0.7, 0.75, 1.0])),
+        ((0.95, 0.36, 0.08), (0.88, 0.20, 0.07))[rng.integers(2)],
+    )
     plate = ((0.13, 0.13, 0.13), (0.13, 0.13, 0.13), (0.75, 0.25, 0.08))[rng.integers(3)]
     cones: list[Cone] = []
     for k in range(count):
@@ -181,9 +188,13 @@ def _random_objects(rng: np.random.Generator, road: Road) -> list[RoadObject]:
     orange, red, white = (0.93, 0.42, 0.08), (0.75, 0.10, 0.08), (0.85, 0.85, 0.85)
 
     def beside(outer_m: float) -> float:
-        return road.right_m - rng.uniform(0.3, outer_m) if rng.random() < 0.6 else road.left_m + rng.uniform(0.3, outer_m)
+        return (
+            road.right_m - rng.uniform(0.3, outer_m) if rng.random() < 0.6 else road.left_m + rng.uniform(0.3, outer_m)
+        )
 
-    def add(kind: str, share: float, most: int, heights: tuple[float, float], colours: tuple[Colour, ...], on_road: bool) -> None:
+    def add(
+        kind: str, share: float, most: int, heights: tuple[float, float], colours: tuple[Colour, ...], on_road: bool
+    ) -> None:
         if rng.random() > share:
             return
         for _ in range(int(rng.integers(1, most + 1))):
@@ -204,22 +215,25 @@ def _random_objects(rng: np.random.Generator, road: Road) -> list[RoadObject]:
     for _ in range(int(rng.choice([0, 1, 2], p=[0.5, 0.35, 0.15]))):
         side = rng.choice([road.right_m + 1.3, road.left_m - 1.2])
         objects.append(
-            RoadObject("van", rng.uniform(14, 45), side, rng.uniform(-0.1, 0.1) + math.pi * rng.integers(2), rng.uniform(1.9, 2.6),
-                       _near(rng, (orange, white, red, grey)[rng.integers(4)]), rng.uniform(4.4, 5.8))
+            RoadObject(
+                "van", rng.uniform(14, 45), side, rng.uniform(-0.1, 0.1) + math.pi * rng.integers(2), rng.uniform(1.9, 2.6),
+                _near(rng, (orange, white, red, grey)[rng.integers(4)]), rng.uniform(4.4, 5.8),
+            )
         )  # fmt: skip
     for side, edge in ((-1.0, road.right_m), (1.0, road.left_m)):
         x = rng.uniform(-10, 10)
         while x < 95.0 and rng.random() < 0.85:
             length, far = rng.uniform(12, 30), rng.uniform(9, 16)
-            wall = _near(rng, ((0.78, 0.72, 0.6), (0.62, 0.45, 0.38), (0.7, 0.7, 0.7), (0.75, 0.4, 0.25))[rng.integers(4)])
+            wall = _near(
+                rng, ((0.78, 0.72, 0.6), (0.62, 0.45, 0.38), (0.7, 0.7, 0.7), (0.75, 0.4, 0.25))[rng.integers(4)]
+            )
             x += length / 2
             objects.append(RoadObject("house", x, edge + side * far, 0.0, rng.uniform(3.5, 8.0), wall, length))
             x += length / 2 + rng.uniform(2, 12)
         green = _near(rng, (0.18, 0.28, 0.12), 0.03)
         if rng.random() < 0.6:
-            objects.append(
-                RoadObject("hedge", rng.uniform(10, 40), edge + side * rng.uniform(3.5, 5), 0.0, rng.uniform(0.8, 2.4), green, 50.0)
-            )
+            x, y = rng.uniform(10, 40), edge + side * rng.uniform(3.5, 5)
+            objects.append(RoadObject("hedge", x, y, 0.0, rng.uniform(0.8, 2.4), green, 50.0))
         for _ in range(int(rng.integers(0, 4))):
             y = edge + side * rng.uniform(3.4, 7)
             objects.append(RoadObject("tree", rng.uniform(3, 80), y, 0.0, rng.uniform(4.5, 9), green))

@@ -21,13 +21,13 @@ def exposure_gain(radiance: NDArray[np.float32], brightness: float = 1.0) -> flo
 def develop(
     radiance: NDArray[np.float32], gain: float, rng: np.random.Generator, *, blur_sigma_px: float = BLUR_SIGMA_PX
 ) -> NDArray[np.uint8]:
-    """8-bit BGR picture (H, W, 3) of linear RGB radiance: blur, exposure, shot and read noise, sRGB curve with a soft shoulder."""
+    """8-bit BGR picture (H, W, 3) of linear RGB radiance: blur, exposure, shot and read noise, soft shoulder, sRGB curve."""
     light = cv2.GaussianBlur(np.maximum(radiance, 0.0) * np.float32(gain), (0, 0), blur_sigma_px).astype(np.float64)
     light = np.where(light < 0.6, light, 0.6 + 0.4 * (1.0 - np.exp(-(light - 0.6) / 0.4)))
     variance = light / FULL_WELL_ELECTRONS + (READ_NOISE_ELECTRONS / FULL_WELL_ELECTRONS) ** 2
     light = np.clip(light + rng.normal(size=light.shape) * np.sqrt(variance), 0.0, 1.0)
     srgb = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
-    return np.asarray((srgb[..., ::-1] * 255.0 + 0.5)).astype(np.uint8)
+    return np.asarray(srgb[..., ::-1] * 255.0 + 0.5).astype(np.uint8)
 
 
 def encode_jpeg(picture: NDArray[np.uint8], quality: int) -> bytes:

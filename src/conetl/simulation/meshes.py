@@ -75,7 +75,10 @@ def prism(outline_m: ArrayLike, thickness_m: float) -> Mesh:
         parts_uv.append(uv if number else uv * [-1.0, 1.0] + [1.0, 0.0])
         triangles.append(fan + number * count)
     return Mesh(
-        np.concatenate(parts_v), np.concatenate(parts_n), np.concatenate(parts_uv), np.concatenate(triangles).astype(np.int32)
+        np.concatenate(parts_v),
+        np.concatenate(parts_n),
+        np.concatenate(parts_uv),
+        np.concatenate(triangles).astype(np.int32),
     )
 
 

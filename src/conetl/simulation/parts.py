@@ -102,7 +102,9 @@ def _barrier_post(item: RoadObject, seed: int) -> list[Part]:
 
 
 def _post(item: RoadObject, seed: int) -> list[Part]:
-    return [Part(_at(item, meshes.lathe([0.038, 0.038, 0.0], [0.0, item.height_m, item.height_m], 20)), item.colour, 0.3)]
+    return [
+        Part(_at(item, meshes.lathe([0.038, 0.038, 0.0], [0.0, item.height_m, item.height_m], 20)), item.colour, 0.3)
+    ]
 
 
 def _round_sign(item: RoadObject, seed: int) -> list[Part]:
@@ -115,13 +117,16 @@ def _triangle_sign(item: RoadObject, seed: int) -> list[Part]:
     parts = _post(item, seed)
     for scale, colour, x in ((1.0, (0.8, 0.07, 0.08), -0.05), (0.66, (0.93, 0.93, 0.9), -0.065)):
         outline = np.array([[0.45, -0.26], [0.0, 0.52], [-0.45, -0.26]]) * scale
-        parts.append(Part(_at(item, meshes.prism(outline + [0.0, item.height_m - 0.5], 0.015), x=x), colour))
+        parts.append(Part(_at(item, meshes.prism(outline + np.array([0.0, item.height_m - 0.5]), 0.015), x=x), colour))
     bar = meshes.box([0.012, 0.06, 0.26], item.height_m - 0.62)
     return [*parts, Part(_at(item, bar, x=-0.08), (0.05, 0.05, 0.05))]
 
 
 def _bin(item: RoadObject, seed: int) -> list[Part]:
-    body, lid = meshes.box([0.5, 0.52, item.height_m - 0.12], 0.06), meshes.box([0.56, 0.58, 0.07], item.height_m - 0.07)
+    body, lid = (
+        meshes.box([0.5, 0.52, item.height_m - 0.12], 0.06),
+        meshes.box([0.56, 0.58, 0.07], item.height_m - 0.07),
+    )
     dark = tuple(0.7 * c for c in item.colour)
     return [
         Part(_at(item, body), textures.mottled(seed, item.colour, 0.1, size=128)),
@@ -131,7 +136,9 @@ def _bin(item: RoadObject, seed: int) -> list[Part]:
 
 def _hydrant(item: RoadObject, seed: int) -> list[Part]:
     h = item.height_m
-    body = meshes.lathe([0.13, 0.13, 0.09, 0.09, 0.13, 0.12, 0.05, 0.0], np.array([0, 0.06, 0.1, 0.7, 0.72, 0.84, 0.98, 1]) * h)
+    body = meshes.lathe(
+        [0.13, 0.13, 0.09, 0.09, 0.13, 0.12, 0.05, 0.0], np.array([0, 0.06, 0.1, 0.7, 0.72, 0.84, 0.98, 1]) * h
+    )
     arm = meshes.placed(meshes.box([0.09, 0.34, 0.09]), motion(0.0, 0.0, 0.55 * h))
     return [Part(_at(item, body), item.colour, 0.3), Part(_at(item, arm), item.colour, 0.3)]
 
@@ -168,7 +175,9 @@ def _van(item: RoadObject, seed: int) -> list[Part]:
             parts.append(Part(_at(item, meshes.placed(wheel, lying), x=x, y=y - 0.11 - math.copysign(0.06, y)), black))
     for y in (-0.48, 0.48):
         parts.append(Part(_at(item, meshes.box([0.02, 0.7, 0.55], 1.25), x=-nose - 0.03, y=y), glass, 0.1))
-        parts.append(Part(_at(item, meshes.box([0.03, 0.14, 0.35], 0.75), x=-nose - 0.03, y=1.8 * y), (0.6, 0.04, 0.03)))
+        parts.append(
+            Part(_at(item, meshes.box([0.03, 0.14, 0.35], 0.75), x=-nose - 0.03, y=1.8 * y), (0.6, 0.04, 0.03))
+        )
         parts.append(Part(_at(item, meshes.box([0.03, 0.3, 0.18], 0.75), x=nose + 0.02, y=1.4 * y), (0.9, 0.9, 0.85)))
     parts.append(Part(_at(item, meshes.box([0.02, 0.52, 0.11], 0.55), x=-nose - 0.03), (0.9, 0.9, 0.88)))
     return parts
@@ -196,7 +205,10 @@ def _house(item: RoadObject, seed: int) -> list[Part]:
     wall = textures.facade(seed, item.colour, columns=max(2, round(item.length_m / 2.6)))
     front = meshes.box([item.length_m, 6.0, item.height_m])
     roof = meshes.box([item.length_m + 0.6, 6.8, 0.35], item.height_m)
-    return [Part(_at(item, front), wall), Part(_at(item, roof), textures.mottled(seed, (0.45, 0.25, 0.2), 0.15, size=256))]
+    return [
+        Part(_at(item, front), wall),
+        Part(_at(item, roof), textures.mottled(seed, (0.45, 0.25, 0.2), 0.15, size=256)),
+    ]
 
 
 def _hedge(item: RoadObject, seed: int) -> list[Part]:
@@ -207,7 +219,9 @@ def _hedge(item: RoadObject, seed: int) -> list[Part]:
     parts = []
     for x in np.linspace(-item.length_m / 2, item.length_m / 2, count):
         size = [2.6, rng.uniform(0.8, 1.1), item.height_m * rng.uniform(0.88, 1.08)]
-        parts.append(Part(_at(item, meshes.placed(meshes.box(size), motion(0, 0, 0, rng.uniform(-0.12, 0.12))), x=x), skin))
+        parts.append(
+            Part(_at(item, meshes.placed(meshes.box(size), motion(0, 0, 0, rng.uniform(-0.12, 0.12))), x=x), skin)
+        )
     return parts
 
 

@@ -41,7 +41,9 @@ class SimulatedRig:
         cami_SE3_rect, rect_SE3_cam0 = np.eye(4), np.eye(4)
         cami_SE3_rect[:3, 3] = self.t_rect_m[number]
         rect_SE3_cam0[:3, :3] = self.rect_R_cam0
-        return np.linalg.inv(cami_SE3_rect @ rect_SE3_cam0 @ self.cam0_SE3_velo @ self.velo_SE3_imu)
+        return np.asarray(
+            np.linalg.inv(cami_SE3_rect @ rect_SE3_cam0 @ self.cam0_SE3_velo @ self.velo_SE3_imu), dtype=np.float64
+        )
 
     @property
     def imu_height_m(self) -> float:

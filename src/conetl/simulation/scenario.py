@@ -71,7 +71,9 @@ def _first_cones() -> tuple[Cone, ...]:
     rng = np.random.default_rng(_SCENE_SEED)
     heights = (0.70, 0.70, 0.50, 0.70, 0.50, 0.70, 0.70, 0.50, 0.70)
     return tuple(
-        _looks(Cone(f"C{n:02d}", 4.6 * n + rng.uniform(-0.3, 0.3), -4.7 + 0.27 * n + rng.uniform(-0.08, 0.08), height), rng)
+        _looks(
+            Cone(f"C{n:02d}", 4.6 * n + rng.uniform(-0.3, 0.3), -4.7 + 0.27 * n + rng.uniform(-0.08, 0.08), height), rng
+        )
         for n, height in enumerate(heights, 1)
     )
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from conetl.errors import InputError
 from conetl.simulation import camera_noise, kitti_writer, trajectory
@@ -44,7 +45,7 @@ def simulate_drive(
     if out_dir.exists() and (not out_dir.is_dir() or any(out_dir.iterdir())):
         raise InputError(f"{out_dir}: is there already and not empty; name a new folder")
     rig = simulated_rig(width_px, height_px)
-    times_s = np.arange(scenario.frame_count) * trajectory.FRAME_PERIOD_S
+    times_s: NDArray[np.float64] = np.arange(scenario.frame_count) * np.float64(trajectory.FRAME_PERIOD_S)
     ahead_m = float(rig.body_SE3_camera(2)[0, 3])
     poses = trajectory.true_poses(scenario, times_s, ahead_m, rig.imu_height_m)
     places, rpy = trajectory.measured_poses(poses, times_s, np.random.default_rng([seed, pass_number, 0]))

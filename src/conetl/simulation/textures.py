@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +18,11 @@ Array = NDArray[np.float64]
 def _noise(rng: np.random.Generator, shape: tuple[int, int], sigma_px: float) -> Array:
     """Smooth noise of mean 0 and standard deviation 1; tileable up to the resampling of coarse noise."""
     coarser = 1 << max(0, int(np.log2(max(sigma_px, 1.0) / 2.0)))
-    field = rng.standard_normal((max(shape[0] // coarser, 4), max(shape[1] // coarser, 4)), dtype=np.float32)
+    small = max(shape[0] // coarser, 4), max(shape[1] // coarser, 4)
+    field: NDArray[Any] = rng.standard_normal(small, dtype=np.float32)
     field = gaussian_filter(field, sigma_px / coarser, mode="wrap")
     if coarser > 1:
-        field = cv2.resize(field, shape[::-1], interpolation=cv2.INTER_LINEAR)
+        field = np.asarray(cv2.resize(field, shape[::-1], interpolation=cv2.INTER_LINEAR))
     return np.asarray((field - field.mean()) / field.std())
 
 

@@ -67,7 +67,8 @@ def true_poses(scenario: ScenarioPass, times_s: Array, camera_ahead_m: float, im
         poses[n] = np.eye(4)
         poses[n, :3, :3] = Rotation.from_euler("ZYX", [heading, pitch, roll]).as_matrix()
         poses[n, :3, 3] = (x, y, z)
-    return map_SE3_road() @ poses
+    placed: Array = map_SE3_road() @ poses
+    return placed
 
 
 def _path(scenario: ScenarioPass, x_m: float) -> tuple[float, float]:
@@ -109,7 +110,7 @@ def oxts_records(places_m: Array, rpy_grid_rad: Array, times_s: Array) -> list[l
     turns = Rotation.from_euler("ZYX", rpy[:, ::-1])
     enu = np.column_stack([east, north, velocity[:, 2]])
     body_velocity = turns.inv().apply(enu)
-    force = np.gradient(enu, times_s, axis=0) + [0.0, 0.0, GRAVITY_M_S2]
+    force = np.gradient(enu, times_s, axis=0) + np.array([0.0, 0.0, GRAVITY_M_S2])
     body_force = turns.inv().apply(force)
     unwrapped = np.unwrap(rpy, axis=0)
     rates = np.gradient(np.column_stack([_smooth(column, times_s) for column in unwrapped.T]), times_s, axis=0)
@@ -128,7 +129,8 @@ def oxts_records(places_m: Array, rpy_grid_rad: Array, times_s: Array) -> list[l
 
 def convergence_rad(lat_deg: Array, lon_deg: Array) -> Array:
     """Meridian convergence of the map's projection: from true to grid north, clockwise positive."""
-    return np.radians(np.asarray(Proj(f"EPSG:{MAP_SRID}").get_factors(lon_deg, lat_deg).meridian_convergence))
+    factors = Proj(f"EPSG:{MAP_SRID}").get_factors(lon_deg, lat_deg)
+    return np.asarray(np.radians(factors.meridian_convergence), dtype=np.float64)
 
 
 def _to_geodetic(easting_m: Array, northing_m: Array) -> tuple[Array, Array]:

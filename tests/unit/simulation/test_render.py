@@ -1,0 +1,155 @@
+"""The renderer: where things land in its pictures, and whole tiny drives. Needs the extra `conetl[simulate]`."""
+
+from __future__ import annotations
+
+import hashlib
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from conetl.errors import InputError
+from conetl.geometry.camera import project
+from conetl.geometry.rig import body_SE3_camera, map_SE3_camera
+from conetl.io.drive_folder import read_drive
+from conetl.io.truth_file import read_truth
+from conetl.simulation import camera_noise, trajectory
+from conetl.simulation.rig import simulated_rig
+from conetl.simulation.scenario import scenario_pass
+from conetl.simulation.scene import PinholeCamera, build_scene, render
+from conetl.simulation.simulate import simulate_drive
+from conetl.simulation.world import Cone, World
+
+pytest.importorskip("mitsuba", reason="Mitsuba is not installed: pip install 'conetl[simulate]'")
+
+RIG = PinholeCamera(width_px=96, height_px=64, f_px=150.3, cx_px=44.7, cy_px=29.4)
+"""The principal point is off the middle, so that its sign counts."""
+
+
+def _looking_along_x(height_m: float, pitch_rad: float) -> np.ndarray:
+    pose = np.eye(4)
+    forward = np.array([np.cos(pitch_rad), 0.0, -np.sin(pitch_rad)])
+    right = np.array([0.0, -1.0, 0.0])
+    pose[:3, :3] = np.column_stack([right, np.cross(forward, right), forward])
+    pose[:3, 3] = (0.0, 0.0, height_m)
+    return pose
+
+
+@pytest.mark.parametrize(("x_m", "y_m"), [(7.0, -0.9), (9.0, 1.4)])
+def test_cone_is_rendered_where_its_place_projects(x_m: float, y_m: float) -> None:
+    """Its orange pixels have their centre of gravity where the upright solid of revolution projects, to 0.3 px across."""
+    cone = Cone("C01", x_m, y_m, 0.7, band_count=0, dirt=0.0)
+    pictures = [
+        render(
+            build_scene(World(cones=cones, objects=(), sun_elevation_deg=60.0, sun_azimuth_deg=180.0, sun_scale=0.0)),
+            RIG, _looking_along_x(1.5, 0.1), samples_per_pixel=64, seed=4,
+        )
+        for cones in ((cone,), ())
+    ]  # fmt: skip
+    orange = [p[..., 0] / p.sum(axis=-1) for p in pictures]
+    inside = (orange[0] - orange[1]) > 0.15
+    assert inside.sum() > 30
+    rows, columns = np.nonzero(inside)
+    view = np.linalg.inv(_looking_along_x(1.5, 0.1))
+    ends = [view @ [x_m, y_m, z, 1.0] for z in (0.04, 0.7)]
+    (u0, v0), (u1, v1) = [(RIG.f_px * p[0] / p[2] + RIG.cx_px, RIG.f_px * p[1] / p[2] + RIG.cy_px) for p in ends]
+    assert columns.mean() == pytest.approx((u0 + u1) / 2, abs=0.3)
+    assert rows.min() - 0.5 == pytest.approx(v1, abs=1.0)
+    assert rows.max() + 0.5 == pytest.approx(v0, abs=2.5)  # the near side of the ring lies below its centre
+
+
+@pytest.fixture(scope="module")
+def tiny_drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Pass 2 in 48 x 16 pixels."""
+    folder = tmp_path_factory.mktemp("simulated") / "drive"
+    return simulate_drive(folder, pass_number=2, seed=11, width_px=48, height_px=16, samples_per_pixel=1)
+
+
+def test_truth_foot_projects_by_the_written_files_to_where_the_renderer_has_it(tiny_drive: Path) -> None:
+    drive, rejections = read_drive(tiny_drive)
+    assert rejections == []
+    assert drive.map_srid == trajectory.MAP_SRID
+    rig, scenario = simulated_rig(48, 16), scenario_pass(2)
+    assert len(drive.frame_pairs) == scenario.frame_count
+    times = np.arange(scenario.frame_count) * trajectory.FRAME_PERIOD_S
+    poses = trajectory.true_poses(scenario, times, float(rig.body_SE3_camera(2)[0, 3]), rig.imu_height_m)
+    by_id = {cone.cone_id: cone for cone in (*scenario.world.cones, *scenario.removed)}
+    checked = 0
+    for row in read_truth(tiny_drive / "truth.csv"):
+        cone, truth = by_id[row.cone_id], (row.easting_m, row.northing_m, row.height_ellipsoidal_m)
+        in_road = np.array([cone.x_m, cone.y_m, 0.0, 1.0])
+        for pair, true_pose in zip(drive.frame_pairs, poses, strict=True):
+            for side, number, camera in (("left", 2, drive.rig.left), ("right", 3, drive.rig.right)):
+                road_SE3_camera = np.linalg.inv(trajectory.map_SE3_road()) @ true_pose @ rig.body_SE3_camera(number)
+                x, y, z = (np.linalg.inv(road_SE3_camera) @ in_road)[:3]
+                if z < 4.0:
+                    continue
+                rendered = rig.camera.f_px * np.array([x, y]) / z + [rig.camera.cx_px, rig.camera.cy_px]
+                true_camera = true_pose @ body_SE3_camera(drive.rig, side)
+                by_truth = project(camera, (np.linalg.inv(true_camera) @ [*truth, 1.0])[:3])
+                assert np.abs(by_truth - rendered).max() < 2e-3
+                # The trajectory of the files is off by its noise only: 5 sigma of place and attitude.
+                by_files = project(
+                    camera, (np.linalg.inv(map_SE3_camera(pair.pose, drive.rig, side)) @ [*truth, 1.0])[:3]
+                )
+                assert np.abs(by_files - rendered).max() < rig.camera.f_px * (0.12 / z + 0.003)
+                checked += 1
+    assert checked > 200
+
+
+def test_tiny_drive_is_whole_and_equal_seeds_give_equal_files(tiny_drive: Path, tmp_path: Path) -> None:
+    seen: list[tuple[int, int]] = []
+    again = simulate_drive(
+        tmp_path / "again", pass_number=2, seed=11, width_px=48, height_px=16, samples_per_pixel=1,
+        progress=lambda done, total: seen.append((done, total)),
+    )  # fmt: skip
+    digests = [
+        {p.relative_to(f).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest() for p in f.rglob("*") if p.is_file()}
+        for f in (tiny_drive, again)
+    ]
+    assert digests[0] == digests[1]
+    frames = scenario_pass(2).frame_count
+    assert seen == [(n, 2 * frames) for n in range(1, 2 * frames + 1)]
+    assert len(digests[0]) == 2 * frames + frames + 3 + 3 + 1  # pictures, poses, time stamps, calibration, truth
+    rows = read_truth(again / "truth.csv")
+    assert [row.change for row in rows].count("removed") == 1
+    assert all(row.present != (row.change == "removed") for row in rows)
+
+
+def test_road_picture_is_well_exposed_and_has_an_orange_cone() -> None:
+    scenario, rig = scenario_pass(1), simulated_rig(96, 64)
+    poses = trajectory.true_poses(scenario, np.array([1.2]), float(rig.body_SE3_camera(2)[0, 3]), rig.imu_height_m)
+    view = np.linalg.inv(trajectory.map_SE3_road()) @ poses[0] @ rig.body_SE3_camera(2)
+    radiance = render(build_scene(scenario.world), rig.camera, view, samples_per_pixel=4, seed=1)
+    assert radiance.shape == (64, 96, 3)
+    picture = camera_noise.develop(radiance, camera_noise.exposure_gain(radiance), np.random.default_rng(0))
+    assert 60 < np.median(picture) < 200
+    assert (picture == 255).mean() < 0.05
+    hue, saturation, value = cv2.split(cv2.cvtColor(picture, cv2.COLOR_BGR2HSV))
+    assert ((hue > 4) & (hue < 16) & (saturation > 170) & (value > 110)).sum() >= 3
+
+
+def test_folder_with_files_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").write_text("keep")
+    with pytest.raises(InputError, match="not empty"):
+        simulate_drive(tmp_path, pass_number=1, seed=1)
+    assert [p.name for p in tmp_path.iterdir()] == ["mine.txt"]
+
+
+def test_without_mitsuba_the_extra_is_named(tmp_path: Path) -> None:
+    """In a fresh interpreter in which Mitsuba cannot be imported."""
+    code = (
+        "import sys; sys.modules['mitsuba'] = None\n"
+        "from pathlib import Path\n"
+        "from conetl.errors import InputError\n"
+        "from conetl.simulation.simulate import simulate_drive\n"
+        "try:\n    simulate_drive(Path(sys.argv[1]), pass_number=1, seed=1)\n"
+        "except InputError as error:\n    print(error)\n"
+    )
+    target = tmp_path / "drive"
+    done = subprocess.run([sys.executable, "-c", code, str(target)], capture_output=True, text=True, check=True)
+    assert "pip install 'conetl[simulate]'" in done.stdout
+    assert not target.exists()

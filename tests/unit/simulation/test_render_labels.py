@@ -1,0 +1,76 @@
+"""Boxes of the labelled training renders: tight, occlusion-aware, none for what cannot be seen."""
+
+from __future__ import annotations
+
+import importlib.util
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from conetl.simulation.scene import PinholeCamera, build_scene, render
+from conetl.simulation.world import Cone, RoadObject, World
+
+pytest.importorskip("mitsuba", reason="Mitsuba is not installed: pip install 'conetl[simulate]'")
+
+CAMERA = PinholeCamera(160, 96, 200.0, 79.5, 40.0)
+CONE = Cone("R1", 7.0, 0.0, 0.7, dirt=0.0)
+WORLD = World(cones=(CONE,), objects=(), sun_elevation_deg=50.0, sun_azimuth_deg=100.0, sun_scale=0.0)
+
+
+@pytest.fixture(scope="module")
+def script() -> ModuleType:
+    path = Path(__file__).parents[3] / "training" / "render_scenes.py"
+    spec = importlib.util.spec_from_file_location("render_scenes", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def _pose() -> np.ndarray:
+    pose = np.eye(4)
+    pose[:3, :3] = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    pose[:3, 3] = (0.0, 0.0, 1.4)
+    return pose
+
+
+def _boxes(script: ModuleType, world: World) -> list[tuple[float, float, float, float]]:
+    return script.cone_boxes(build_scene(world), world, CAMERA, _pose())  # type: ignore[no-any-return]
+
+
+def test_box_holds_exactly_the_pixels_that_the_cone_changes(script: ModuleType) -> None:
+    (box,) = _boxes(script, WORLD)
+    pictures = [
+        render(build_scene(w), CAMERA, _pose(), samples_per_pixel=32, seed=2) for w in (WORLD, replace(WORLD, cones=()))
+    ]
+    change = np.abs(pictures[0] - pictures[1]).sum(axis=-1) / pictures[1].sum(axis=-1)
+    rows, columns = np.nonzero(change > 0.55)  # the cone itself, not its faint shadow under an overcast sky
+    assert box[0] == pytest.approx(columns.min(), abs=1.5)
+    assert box[1] == pytest.approx(rows.min(), abs=1.5)
+    assert box[2] == pytest.approx(columns.max() + 1, abs=1.5)
+    assert box[3] == pytest.approx(rows.max() + 1, abs=1.5)
+
+
+def test_cone_behind_a_bin_has_no_box_and_one_half_hidden_a_smaller_one(script: ModuleType) -> None:
+    (whole,) = _boxes(script, WORLD)
+    hidden = replace(WORLD, objects=(RoadObject("bin", 5.0, 0.0, height_m=1.2),))
+    assert _boxes(script, hidden) == []
+    half = replace(WORLD, objects=(RoadObject("bin", 5.0, 0.31, height_m=1.2),))  # covers the left side
+    (part,) = _boxes(script, half)
+    assert part[0] > whole[0] + 2.0
+    assert part[2] == pytest.approx(whole[2], abs=0.5)
+
+
+def test_cones_behind_the_camera_or_too_small_have_no_box(script: ModuleType) -> None:
+    far = replace(WORLD, cones=(replace(CONE, x_m=-5.0), replace(CONE, x_m=60.0), replace(CONE, y_m=30.0)))
+    assert _boxes(script, far) == []
+
+
+def test_equal_seeds_give_equal_worlds_and_other_seeds_others(script: ModuleType) -> None:
+    a, b, c = (script.random_world(np.random.default_rng([1, n])) for n in (5, 5, 6))
+    assert a == b
+    assert a != c

@@ -1,0 +1,103 @@
+"""The simulated GNSS/INS against pyproj and against conetl's own reader of OXTS records."""
+
+from __future__ import annotations
+
+import math
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pyproj import Geod, Transformer
+
+from conetl.geometry import pose as se3
+from conetl.geometry.rig import body_SE3_camera
+from conetl.io.calibration_file import read_rig
+from conetl.io.drive_folder import oxts
+from conetl.io.drive_folder.drive_yaml import Sigmas
+from conetl.io.drive_folder.timestamps import parse_timestamp
+from conetl.simulation import kitti_writer, trajectory
+from conetl.simulation.rig import CAMERA_HEIGHT_M, simulated_rig
+from conetl.simulation.scenario import scenario_pass
+
+
+def _drive(pass_number: int) -> tuple[np.ndarray, np.ndarray]:
+    scenario, rig = scenario_pass(pass_number), simulated_rig()
+    times = np.arange(scenario.frame_count) * trajectory.FRAME_PERIOD_S
+    return times, trajectory.true_poses(scenario, times, float(rig.body_SE3_camera(2)[0, 3]), rig.imu_height_m)
+
+
+def _exact(poses: np.ndarray, times: np.ndarray) -> list[list[float]]:
+    return trajectory.oxts_records(poses[:, :3, 3], se3.rpy_from_rotation(poses[:, :3, :3]), times)
+
+
+@pytest.mark.parametrize("pass_number", [1, 2, 3])
+def test_reader_gets_the_true_poses_back_from_noiseless_records(pass_number: int, tmp_path: Path) -> None:
+    times, poses = _drive(pass_number)
+    kitti_writer.write_oxts(tmp_path, _exact(poses, times), ["stamp"] * len(times))
+    files = sorted((tmp_path / "oxts" / "data").glob("*.txt"))
+    records = {int(path.stem): oxts.parse_oxts(path.read_text()) for path in files}
+    read = oxts.trajectory(records, {}, trajectory.MAP_SRID, Sigmas())
+    np.testing.assert_allclose(read.map_SE3_body[:, :3, 3], poses[:, :3, 3], atol=1e-5)
+    np.testing.assert_allclose(read.map_SE3_body[:, :3, :3], poses[:, :3, :3], atol=1e-8)
+
+
+def test_yaw_counts_from_true_east() -> None:
+    """Against the azimuth of a geodesic along the body's x axis: no use of a convergence on this side."""
+    times, poses = _drive(1)
+    yaw = _exact(poses, times)[10][5]
+    ahead = poses[10, :3, 3] + 50.0 * poses[10, :3, 0]
+    to_lonlat = Transformer.from_crs(trajectory.MAP_SRID, 4326, always_xy=True)
+    azimuth, _, _ = Geod(ellps="WGS84").inv(
+        *to_lonlat.transform(*poses[10, :2, 3]), *to_lonlat.transform(ahead[0], ahead[1])
+    )
+    assert yaw == pytest.approx(math.radians(90.0 - azimuth), abs=2e-5)
+    grid_yaw = se3.rpy_from_rotation(poses[10, :3, :3])[2]
+    assert abs(yaw - grid_yaw) > math.radians(0.3)  # the site is far enough from the central meridian to tell
+
+
+def test_velocities_belong_to_the_path() -> None:
+    times, poses = _drive(1)
+    record = _exact(poses, times)[20]
+    lon_lat = Transformer.from_crs(trajectory.MAP_SRID, 4326, always_xy=True)
+    before, after = (lon_lat.transform(*poses[n, :2, 3]) for n in (19, 21))
+    azimuth, _, metres = Geod(ellps="WGS84").inv(*before, *after)
+    speed = metres / 0.2
+    assert record[6] == pytest.approx(speed * math.cos(math.radians(azimuth)), abs=0.05)  # north
+    assert record[7] == pytest.approx(speed * math.sin(math.radians(azimuth)), abs=0.05)  # east
+    assert record[8] == pytest.approx(speed, abs=0.05)  # forward
+
+
+def test_measured_poses_differ_as_the_noise_model_says() -> None:
+    times, poses = _drive(1)
+    errors = []
+    for seed in range(200):
+        places, _ = trajectory.measured_poses(poses, times, np.random.default_rng(seed))
+        errors.append(places - poses[:, :3, 3])
+    sigma = np.std(errors, axis=(0, 1))
+    expected = [math.hypot(m.drift, m.white) for m in (trajectory.HORIZONTAL_M,) * 2 + (trajectory.VERTICAL_M,)]
+    np.testing.assert_allclose(sigma, expected, rtol=0.25)
+    steps = np.std(np.diff(errors, axis=1))
+    assert steps < 0.4 * sigma.mean()  # slow drift, not white noise
+
+
+def test_written_calibration_is_the_chain_of_the_renderer(tmp_path: Path) -> None:
+    rig = simulated_rig()
+    kitti_writer.write_calibration(tmp_path, rig, datetime(2026, 3, 2, tzinfo=UTC))
+    read = read_rig(tmp_path)
+    np.testing.assert_allclose(body_SE3_camera(read, "left"), rig.body_SE3_camera(2), atol=1e-9)
+    np.testing.assert_allclose(body_SE3_camera(read, "right"), rig.body_SE3_camera(3), atol=1e-9)
+    assert (read.left.fx_px, read.left.cx_px, read.left.cy_px) == pytest.approx(
+        (rig.camera.f_px, rig.camera.cx_px, rig.camera.cy_px)
+    )
+    left = rig.body_SE3_camera(2)
+    assert left[2, 3] + rig.imu_height_m == pytest.approx(CAMERA_HEIGHT_M)
+    assert np.linalg.norm(rig.body_SE3_camera(3)[:3, 3] - left[:3, 3]) == pytest.approx(0.54, abs=0.01)
+
+
+def test_timestamps_are_read_back() -> None:
+    start = datetime(2026, 3, 2, 9, 59, 59, 950_000, UTC)
+    written = kitti_writer.timestamp(start, 0.1)
+    assert written == "2026-03-02 10:00:00.050000000"
+    ten = int(datetime(2026, 3, 2, 10, tzinfo=UTC).timestamp())
+    assert parse_timestamp(written) == ten * 10**9 + 50_000_000
