@@ -102,41 +102,21 @@ def _print_table_3(lines: list[TruthLine]) -> None:
     rows: list[tuple[object, ...]] = []
     for line in lines:
         truth, feature = line.truth, line.feature
-        if feature is None or line.difference_m is None or line.range_m is None:
-            rows.append((truth.cone_id, "not on the map"))
+        known = (*truth.xyz_m, line.truth_range_m, truth.cone_height_m)
+        rows.append((truth.cone_id, "truth", *(f"{value:.3f}" for value in known), ""))
+        if feature is None or line.range_m is None:
+            rows.append(("", "not on the map", *[""] * 6))
             continue
-        dx, dy, dz = line.difference_m
-        rows.append(
-            (
-                truth.cone_id,
-                f"{truth.xyz_m[0]:.3f}",
-                f"{feature.xyz_m[0]:.3f}",
-                f"{dx:+.3f}",
-                f"{truth.xyz_m[1]:.3f}",
-                f"{feature.xyz_m[1]:.3f}",
-                f"{dy:+.3f}",
-                f"{truth.xyz_m[2]:.3f}",
-                f"{feature.xyz_m[2]:.3f}",
-                f"{dz:+.3f}",
-                f"{line.truth_range_m:.2f}",
-                f"{line.range_m:.2f}",
-                f"{line.range_m - line.truth_range_m:+.3f}",
-                f"{truth.cone_height_m:.2f}",
-                f"{feature.cone_height_m:.2f}",
-                f"{feature.cone_height_m - truth.cone_height_m:+.3f}",
-                f"{line.error_3d_m:.3f}",
-            )
-        )
-    three = ("truth", "computed", "diff")
-    columns = (
-        ["cone"]
-        + [f"{what} {kind}" for what in ("E", "N", "H", "range", "cone height") for kind in three]
-        + ["3D error"]
-    )
+        computed = (*feature.xyz_m, line.range_m, feature.cone_height_m)
+        differences = [b - a for a, b in zip(known, computed, strict=True)]
+        rows.append(("", "computed", *(f"{value:.3f}" for value in computed), ""))
+        rows.append(("", "difference", *(f"{value:+.3f}" for value in differences), f"{line.error_3d_m:.3f}"))
+    columns = ("cone", "", "easting", "northing", "height", "range", "cone height", "3D error")
     print_table(
-        "Cones against truth (m): easting, northing, height of the foot, range from the path, cone height",
+        "Cones against truth, in metres (foot on the ground; range from the nearest point of the path)",
         columns,
         rows,
+        numbers_from=2,
     )
 
 
