@@ -18,6 +18,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import httpx
+from prefect.settings import PREFECT_API_URL, temporary_settings
 
 from conetl.errors import ServiceError
 
@@ -54,10 +55,10 @@ def prefect_server(home: Path) -> Iterator[str]:
         )
     try:
         _wait_until_healthy(url, process, state / "server.log")
-        os.environ["PREFECT_API_URL"] = url
-        yield url
+        # Prefect read its environment when it was imported: setting a variable now would come too late.
+        with temporary_settings(updates={PREFECT_API_URL: url}):
+            yield url
     finally:
-        os.environ.pop("PREFECT_API_URL", None)
         process.terminate()
         try:
             process.wait(timeout=10)
