@@ -21,7 +21,10 @@ from conetl.steps.area_matching import AreaMatch, match_area
 Image = NDArray[np.uint8]
 #: Height of anything that may be a traffic cone, wide: the boxes are loose. Keeps a cone from being matched with its neighbour.
 _HEIGHT_BOUNDS_M = (0.15, 1.8)
+#: A box that ends this near to the picture's border (px, or share of the box) may go on behind it: the network seldom draws it
+#: right up to the edge.
 _BORDER_PX = 2.0
+_BORDER_SHARE = 0.15
 #: Measured spread of the shipped detector's box edges on the sample drives: a floor plus a share of the box.
 _EDGE_SIGMA_PX = 0.6
 _EDGE_SIGMA_SHARE = 0.025
@@ -96,13 +99,11 @@ def foot_image_point(box_bottom: Vec2, box_width_px: float, camera: Camera, up: 
 
 
 def _is_whole(detection: Detection, camera: Camera, rejections: list[Rejection]) -> bool:
-    right_edge, bottom_edge = detection.x_px + detection.w_px, detection.y_px + detection.h_px
-    if (
-        detection.x_px > _BORDER_PX
-        and detection.y_px > _BORDER_PX
-        and right_edge < camera.width_px - _BORDER_PX
-        and bottom_edge < camera.height_px - _BORDER_PX
-    ):
+    right_gap = camera.width_px - (detection.x_px + detection.w_px)
+    bottom_gap = camera.height_px - (detection.y_px + detection.h_px)
+    across = max(_BORDER_PX, _BORDER_SHARE * detection.w_px)
+    down = max(_BORDER_PX, _BORDER_SHARE * detection.h_px)
+    if min(detection.x_px, right_gap) > across and min(detection.y_px, bottom_gap) > down:
         return True
     rejections.append(
         Rejection(

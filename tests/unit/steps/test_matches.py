@@ -24,7 +24,7 @@ def test_every_cone_is_matched_with_itself_also_in_a_dense_row() -> None:
 
 def test_the_order_of_the_boxes_does_not_matter() -> None:
     rig, (pair,) = make_rig(), make_path(1)
-    cones = [Cone((7.0 + 2 * k, -2.0 + k, 0.0)) for k in range(5)]
+    cones = [Cone((9.0 + 2 * k, -2.0 + k, 0.0)) for k in range(5)]
     found = detect(cones, [pair], rig)
     left, right = found[0, "left"], found[0, "right"][::-1]
     matches, _ = match_pair(left, right, rig, MatchParams(), up_left=UP)
