@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import Any
+from uuid import UUID
 
 from prefect import Flow, flow
 from prefect.artifacts import create_progress_artifact, update_progress_artifact
@@ -66,9 +68,7 @@ def ingest_drive(
     merged = merge_task(drive, identity, detections, matches, positions, tracks, rejections, settings, params)
     report = merged.report.model_copy(update={"seconds": time.monotonic() - started})
     if report.status == "committed":
-        publish_task(
-            drive, merged.changeset, merged.untouched, report, settings.exports_folder / f"{drive.drive_id}.png"
-        )
+        publish_task(drive, merged.changeset, list(merged.untouched), report, settings)
     lost = len(lost_frame_pairs(rejections, INPUT_REASONS))
     if lost > params.max_rejected_fraction * drive.expected_frame_count:
         raise TooManyRejectionsError(report, params.max_rejected_fraction)
@@ -83,6 +83,7 @@ def _run_chunks(drive_id: str, chunks: list[Chunk]) -> tuple[list[Path], list[Pa
     """
     images = 2 * sum(len(chunk.frame_pairs) for chunk in chunks)
     progress = create_progress_artifact(0.0, key="progress", description=f"Images of drive {drive_id}")
+    assert isinstance(progress, UUID)  # a coroutine only where an event loop runs
     shown = 0
 
     def show(listened_drive_id: str, done: int, total: int) -> None:
@@ -112,4 +113,5 @@ def _run_chunks(drive_id: str, chunks: list[Chunk]) -> tuple[list[Path], list[Pa
 
 def with_workers(run: Flow[..., IngestReport], workers: int) -> Flow[..., IngestReport]:
     """The flow with room for `workers` detections at the same time, and the cheap steps beside them."""
-    return run.with_options(task_runner=ThreadPoolTaskRunner(max_workers=workers + 1))
+    runner: ThreadPoolTaskRunner[Any] = ThreadPoolTaskRunner(max_workers=workers + 1)
+    return run.with_options(task_runner=runner)  # type: ignore[arg-type]  # invariant in the kind of future

@@ -18,11 +18,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import httpx
+from prefect.events.worker import EventsWorker
+from prefect.logging.handlers import APILogWorker
 from prefect.settings import PREFECT_API_URL, temporary_settings
 
 from conetl.errors import ServiceError
 
 _START_TIMEOUT_S = 90
+_DRAIN_TIMEOUT_S = 5
 _PR_SET_PDEATHSIG = 1
 
 
@@ -57,7 +60,11 @@ def prefect_server(home: Path) -> Iterator[str]:
         _wait_until_healthy(url, process, state / "server.log")
         # Prefect read its environment when it was imported: setting a variable now would come too late.
         with temporary_settings(updates={PREFECT_API_URL: url}):
-            yield url
+            try:
+                yield url
+            finally:  # the last log lines and events are still on their way
+                APILogWorker.drain_all(timeout=_DRAIN_TIMEOUT_S)
+                EventsWorker.drain_all(timeout=_DRAIN_TIMEOUT_S)
     finally:
         process.terminate()
         try:

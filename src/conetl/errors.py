@@ -9,6 +9,8 @@ EXIT_DONE = 0
 EXIT_TOO_MANY_REJECTIONS = 1
 EXIT_BAD_INPUT = 2
 EXIT_SERVICE_MISSING = 3
+#: An error that nobody foresaw (EX_SOFTWARE); Python's own 1 would read as "done, but".
+EXIT_BUG = 70
 
 
 class ConetlError(Exception):

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import sys
+import traceback
 
 from conetl.cli.app import app
-from conetl.cli.console import complain
-from conetl.errors import ConetlError
+from conetl.cli.console import complain, err
+from conetl.errors import EXIT_BUG, ConetlError
 
 __all__ = ["main"]
 
@@ -18,3 +19,7 @@ def main() -> None:
     except ConetlError as error:
         complain(error)
         sys.exit(error.exit_code)
+    except Exception:
+        traceback.print_exc()
+        err.print("conetl: this is a mistake of conetl, not yours; please report it with the lines above.")
+        sys.exit(EXIT_BUG)

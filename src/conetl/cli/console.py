@@ -19,7 +19,7 @@ JsonOption = Annotated[
     bool, typer.Option("--json", help="Print the result as JSON on standard output, and nothing else there.")
 ]
 
-out = Console(highlight=False)
+out = Console(highlight=False, soft_wrap=True)
 #: Progress and complaints go to standard error: standard output is for results.
 err = Console(stderr=True, highlight=False)
 
