@@ -58,8 +58,12 @@ class TrackParams(Params):
     """Gate on the squared Mahalanobis distance of (u, v, disparity) against the prediction."""
     max_gap_frames: int = Field(default=12, ge=1)
     """A track not seen for longer is closed; it may still be joined by `join_gate_m`."""
+    max_innovation_m: Positive = 2.0
+    """Cap on the distance to the prediction: far boxes are vague along the line of sight, where another cone may stand."""
     motion_sigma_relative: Positive = 0.12
-    """Error of the relative motion between frames as a share of the way driven: GNSS without a fix slides by 10 %."""
+    """Error of the relative motion along the way, as a share of it: GNSS without a fix slides by 10 %."""
+    motion_sigma_aside: Positive = 0.04
+    """The same across the way (sideways and up), where the INS alone is good."""
     motion_sigma_m: Positive = 0.05
     join_gate_m: Positive = 0.6
     """Two tracks never seen in one picture and nearer than this (plus drift) are one cone."""

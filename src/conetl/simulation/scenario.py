@@ -61,7 +61,7 @@ def scenario_pass(pass_number: int) -> ScenarioPass:
     return ScenarioPass(
         drive_id="2026-03-04_taper_pass3", start_utc=datetime(2026, 3, 4, 15, 22, 31, 80_000, UTC),
         world=_world(second, elevation=27.0, azimuth=-72.0, turbidity=3.2),
-        changes={cone.cone_id: "confirmed" for cone in second}, removed=(), exposure=1.1,
+        changes={cone.cone_id: "confirmed" for cone in second}, removed=(), exposure=0.72,
         start_x_m=60.6, end_x_m=9.9, path_y_m=(0.5, 1.1), frame_count=39,
     )  # fmt: skip
 

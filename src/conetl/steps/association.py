@@ -66,9 +66,14 @@ def carry(
     """A point (3,) with covariance (3, 3) of the left camera's frame at `start`, in that of `end`."""
     end_SE3_start = np.linalg.inv(map_SE3_left[end]) @ map_SE3_left[start]
     rotation, translation = end_SE3_start[:3, :3], end_SE3_start[:3, 3]
-    driven_m = float(np.linalg.norm(translation))
-    sigma_m = np.hypot(params.motion_sigma_m, params.motion_sigma_relative * driven_m)
-    return rotation @ mean + translation, rotation @ cov @ rotation.T + sigma_m**2 * np.eye(3)
+    along = np.outer(translation, translation)  # (way driven)^2 in its direction, nothing across it
+    across = float(translation @ translation) * np.eye(3) - along
+    error = (
+        params.motion_sigma_m**2 * np.eye(3)
+        + params.motion_sigma_relative**2 * along
+        + params.motion_sigma_aside**2 * across
+    )
+    return rotation @ mean + translation, rotation @ cov @ rotation.T + error
 
 
 def _extend(
@@ -86,7 +91,7 @@ def _extend(
             innovation = np.array(position.camera_xyz_m) - mean
             spread = cov + cov_matrix(position.camera_cov_m2)
             distance2 = float(innovation @ np.linalg.solve(spread, innovation))
-            if distance2 <= params.gate_chi2:
+            if distance2 <= params.gate_chi2 and np.linalg.norm(innovation) <= params.max_innovation_m:
                 # The log-determinant keeps a vague chain from stealing what a sharp one explains as well.
                 costs[i, j] = distance2 + float(np.linalg.slogdet(spread)[1])
     extended = {int(i): int(j) for i, j in zip(*linear_sum_assignment(costs), strict=True) if costs[i, j] < _FORBIDDEN}
