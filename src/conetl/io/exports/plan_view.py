@@ -56,13 +56,14 @@ def draw_plan_view(
     axes.set_ylim(low[1], high[1])
     axes.set_aspect("equal")
     axes.grid(color="#eeeeee")
+    axes.set_axisbelow(True)
     axes.set_xlabel(f"easting - {origin[0]:.0f} (m)")
     axes.set_ylabel(f"northing - {origin[1]:.0f} (m)")
     axes.set_title(title)
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8, frameon=False)
     path.parent.mkdir(parents=True, exist_ok=True)
     aside = path.with_suffix(f".{uuid4().hex}.tmp")
-    figure.savefig(aside, format="png")
+    figure.savefig(aside, format="png", bbox_inches="tight")
     os.replace(aside, path)  # noqa: PTH105 - atomic on every platform, unlike Path.rename
     return path
 
@@ -79,6 +80,7 @@ def _draw_kind(axes: Axes, kind: DeltaKind, deltas: Sequence[Delta], origin: NDA
         for delta in deltas:
             old, new = _places(delta) - origin
             axes.annotate("", xy=new, xytext=old, arrowprops={"arrowstyle": "->", "color": colour})
+            axes.annotate(f"{delta.shift_m:.2f} m", xy=new, xytext=(8, 4), textcoords="offset points", fontsize=8)
 
 
 def _places(delta: Delta) -> NDArray[np.float64]:
