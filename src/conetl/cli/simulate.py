@@ -18,7 +18,7 @@ def simulate(
     seed: Annotated[int, typer.Option(help="Noise of cameras and GNSS; equal seeds give equal drives.")] = 20260302,
     width: Annotated[int, typer.Option(min=64, help="Picture width in pixels.")] = 960,
     height: Annotated[int, typer.Option(min=32, help="Picture height in pixels.")] = 320,
-    samples: Annotated[int, typer.Option(min=1, help="Light paths per pixel.")] = 16,
+    samples: Annotated[int, typer.Option(min=1, help="Light paths per pixel.")] = 9,
     as_json: JsonOption = False,
 ) -> None:
     """Render a stereo drive along a lane-closure taper, with its truth.csv (needs the extra `simulate`)."""
