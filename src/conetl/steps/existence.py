@@ -20,6 +20,8 @@ _PICTURES_PER_INDEPENDENT_LOOK = 6.0
 _NEUTRAL_SCORE = 0.45
 #: A cone in plain view is missed in about every second picture where posts hide half of it: ln(0.5 / 0.98).
 _MISS_LOGIT = -0.7
+#: Misses in a row have one cause (a parked van that is no detection): only so many of them count.
+_LONGEST_MISS = 6
 _PRIOR_LOGIT = -1.0
 _SAME_IOU = 0.3
 
@@ -38,13 +40,19 @@ def existence_probability(
     one. Where it should be is carried over from the nearest frame of the group by the relative motion, so that a sliding
     trajectory does not turn hits into misses. map_SE3_left: (4, 4) by frame index; detections: of both images.
     """
-    evidence = [
-        logit
-        for frame_index in map_SE3_left
-        for side, box in _boxes(frame_index, group, cone_height_m, rig, map_SE3_left, params).items()
-        for logit in _evidence(box, [d for d in detections.get(frame_index, ()) if d.side == side])
-    ]
-    logit = _PRIOR_LOGIT + float(np.sum(evidence)) / _PICTURES_PER_INDEPENDENT_LOOK
+    evidence = 0.0
+    misses: dict[Side, int] = {"left": 0, "right": 0}
+    for frame_index in map_SE3_left:
+        for side, box in _boxes(frame_index, group, cone_height_m, rig, map_SE3_left, params).items():
+            found = [d for d in detections.get(frame_index, ()) if d.side == side]
+            scores = [d.score for d in found if _iou(box, d) >= _SAME_IOU]
+            if scores:  # a weak box is never worse than none
+                evidence += max(_logit(max(scores)) - _logit(_NEUTRAL_SCORE), _MISS_LOGIT)
+                misses[side] = 0
+            elif not any(is_hidden(box, d) for d in found):
+                misses[side] += 1
+                evidence += _MISS_LOGIT if misses[side] <= _LONGEST_MISS else 0.0
+    logit = _PRIOR_LOGIT + evidence / _PICTURES_PER_INDEPENDENT_LOOK
     return float(1 / (1 + np.exp(-np.clip(logit, -30, 30))))
 
 
@@ -77,15 +85,6 @@ def _boxes(
     if right is not None and is_in_view(right, rig.right, params.reconcile):
         boxes["right"] = right
     return boxes
-
-
-def _evidence(box: Box, found: Sequence[Detection]) -> list[float]:
-    """Log-likelihood ratio of one picture; none where something nearer hides the place."""
-    scores = [d.score for d in found if _iou(box, d) >= _SAME_IOU]
-    if scores:
-        # A weak box is never worse than none.
-        return [max(_logit(max(scores)) - _logit(_NEUTRAL_SCORE), _MISS_LOGIT)]
-    return [] if any(is_hidden(box, d) for d in found) else [_MISS_LOGIT]
 
 
 def _iou(box: Box, detection: Detection) -> float:
