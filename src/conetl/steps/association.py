@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from conetl.geometry.packing import cov_matrix
 from conetl.params import TrackParams
-from conetl.records import Cov3, Position
+from conetl.records import Position
 
 Floats = NDArray[np.float64]
 #: Cost of an impossible pairing in the assignment; far above any gate.
@@ -52,12 +53,6 @@ def chain_positions(
         closed += [c for c in open_chains if frame_index - c.members[-1].frame_index > params.max_gap_frames]
         open_chains = _extend(still_open, by_frame[frame_index], frame_index, map_SE3_left, params)
     return join_fragments([c.members for c in closed + open_chains], map_SE3_left, params)
-
-
-def cov_matrix(cov: Cov3) -> Floats:
-    """Upper triangle xx, xy, xz, yy, yz, zz -> (3, 3)."""
-    xx, xy, xz, yy, yz, zz = cov
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def carry(

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from conetl.errors import InputError
+from conetl.geometry.packing import cov3, cov_matrix, vec3
 from conetl.params import ReconcileParams
-from conetl.records import Cov3, Delta, DeltaKind, MapFeature, Track, utc_from_ns
-from conetl.steps.association import cov_matrix
+from conetl.records import Delta, DeltaKind, MapFeature, Track, utc_from_ns
 from conetl.steps.visibility import Look
 
 Floats = NDArray[np.float64]
@@ -231,9 +231,9 @@ def _confirmed(feature: MapFeature, track: Track, placed: Floats, shift: Floats)
         feature_id=feature.feature_id,
         version=feature.version + 1,
         category=feature.category,
-        xyz_m=_vec3(fused),
-        cov_m2=_cov3((cov + cov.T) / 2),
-        centre_xyz_m=_vec3(fused_centre),
+        xyz_m=vec3(fused),
+        cov_m2=cov3((cov + cov.T) / 2),
+        centre_xyz_m=vec3(fused_centre),
         cone_height_m=height,
         cone_height_sigma_m=(old_weight + new_weight) ** -0.5,
         existence_probability=float(1 / (1 + np.exp(-min(logit, _MAX_LOGIT)))),
@@ -257,9 +257,9 @@ def _feature_from_track(track: Track, placed: Floats, shift: Floats, feature_id:
         feature_id=feature_id,
         version=version,
         category=track.category,
-        xyz_m=_vec3(placed),
+        xyz_m=vec3(placed),
         cov_m2=track.cov_m2,
-        centre_xyz_m=_vec3(np.array(track.centre_xyz_m) - shift),
+        centre_xyz_m=vec3(np.array(track.centre_xyz_m) - shift),
         cone_height_m=track.cone_height_m,
         cone_height_sigma_m=track.cone_height_sigma_m,
         existence_probability=min(track.existence_probability, float(1 / (1 + np.exp(-_MAX_LOGIT)))),
@@ -272,13 +272,3 @@ def _feature_from_track(track: Track, placed: Floats, shift: Floats, feature_id:
 def _logit(probability: float) -> float:
     p = float(np.clip(probability, 1e-6, 1 - 1e-6))
     return float(np.log(p / (1 - p)))
-
-
-def _vec3(values: Floats) -> tuple[float, float, float]:
-    x, y, z = values.tolist()
-    return x, y, z
-
-
-def _cov3(matrix: Floats) -> Cov3:
-    (xx, xy, xz), (_, yy, yz), (_, _, zz) = matrix.tolist()
-    return xx, xy, xz, yy, yz, zz

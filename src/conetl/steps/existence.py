@@ -7,10 +7,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.geometry.packing import cov_matrix
 from conetl.geometry.rig import left_SE3_right
 from conetl.params import IngestParams
 from conetl.records import Detection, Position, Rig, Side
-from conetl.steps.association import carry, cov_matrix
+from conetl.steps.association import carry
 from conetl.steps.visibility import Box, apparent_box, is_hidden, is_in_view, overlap_px2
 
 Floats = NDArray[np.float64]

@@ -17,6 +17,7 @@ from conetl.geometry import camera as cam
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.intersection import IntersectionStatus, intersect
+from conetl.geometry.packing import cov3, vec3
 from conetl.geometry.pose_covariance import add_pose_covariance
 from conetl.params import PositionParams
 from conetl.records import Cov3, FramePair, NonNegative, Position, Positive, Probability, Record, Rig, StereoMatch, Vec3
@@ -115,12 +116,12 @@ def locate_positions(
                     Position(
                         frame_index=match.frame_index,
                         match_index=match.match_index,
-                        xyz_m=_vec(xyz[0, i]),
-                        cov_m2=_upper(cov[i]),
-                        centre_xyz_m=_vec(xyz[1, i]),
+                        xyz_m=vec3(xyz[0, i]),
+                        cov_m2=cov3(cov[i]),
+                        centre_xyz_m=vec3(xyz[1, i]),
                         cone_height_m=float(xyz[2, i, 2] - xyz[0, i, 2]),
-                        camera_xyz_m=_vec(located.xyz[0, i]),
-                        camera_cov_m2=_upper(located.foot_cov[i]),
+                        camera_xyz_m=vec3(located.xyz[0, i]),
+                        camera_cov_m2=cov3(located.foot_cov[i]),
                         range_m=float(ground[i]),
                         ray_angle_rad=float(located.ray_angle[i]),
                         residual_rms_px=float(located.residual_rms[i]),
@@ -157,9 +158,9 @@ def locate_in_camera(
                     CameraPosition(
                         frame_index=match.frame_index,
                         match_index=match.match_index,
-                        xyz_m=_vec(located.xyz[0, i]),
-                        cov_m2=_upper(located.foot_cov[i]),
-                        centre_xyz_m=_vec(located.xyz[1, i]),
+                        xyz_m=vec3(located.xyz[0, i]),
+                        cov_m2=cov3(located.foot_cov[i]),
+                        centre_xyz_m=vec3(located.xyz[1, i]),
                         ground_distance_m=float(ground[i]),
                         ground_distance_sigma_m=float(np.sqrt(along @ located.foot_cov[i] @ along)),
                         cone_height_m=float(height[2, i] - height[0, i]),
@@ -261,11 +262,3 @@ def _reject(match: StereoMatch, reason: RejectionReason, detail: str) -> Rejecti
 def _sentence(error: ValidationError) -> str:
     first = error.errors()[0]
     return f"{'.'.join(str(part) for part in first['loc'])}: {first['msg']}"
-
-
-def _vec(a: Array) -> Vec3:
-    return (float(a[0]), float(a[1]), float(a[2]))
-
-
-def _upper(c: Array) -> Cov3:
-    return (float(c[0, 0]), float(c[0, 1]), float(c[0, 2]), float(c[1, 1]), float(c[1, 2]), float(c[2, 2]))

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry.joint_fit import JointFit, fit_point
+from conetl.geometry.packing import cov3, vec3
 from conetl.params import IngestParams, TrackParams
-from conetl.records import Cov3, Detection, FramePair, Position, Rig, StereoMatch, Track, Vec3
+from conetl.records import Detection, FramePair, Position, Rig, StereoMatch, Track
 from conetl.rejections import Rejection, RejectionReason
 from conetl.steps.association import chain_positions
 from conetl.steps.existence import existence_probability
@@ -104,10 +105,10 @@ def _fuse_group(
     first, last = (frame_pairs[p.frame_index].captured_at_ns for p in (group[0], group[-1]))
     return Track(
         track_index=index,
-        xyz_m=_vec3(foot.xyz_m),
-        cov_m2=_cov3(foot.cov_m2 + _common_pose_cov(group, frame_pairs)),
-        relative_cov_m2=_cov3(foot.cov_m2),
-        centre_xyz_m=_vec3(centre.xyz_m),
+        xyz_m=vec3(foot.xyz_m),
+        cov_m2=cov3(foot.cov_m2 + _common_pose_cov(group, frame_pairs)),
+        relative_cov_m2=cov3(foot.cov_m2),
+        centre_xyz_m=vec3(centre.xyz_m),
         cone_height_m=height_m,
         cone_height_sigma_m=height_sigma_m,
         existence_probability=existence,
@@ -211,13 +212,3 @@ def _reject(reason: RejectionReason, group: tuple[Position, ...], detail: str) -
             "scores": [round(p.score, 3) for p in group],
         },
     )
-
-
-def _vec3(values: Floats) -> Vec3:
-    x, y, z = values.tolist()
-    return x, y, z
-
-
-def _cov3(matrix: Floats) -> Cov3:
-    (xx, xy, xz), (_, yy, yz), (_, _, zz) = matrix.tolist()
-    return xx, xy, xz, yy, yz, zz

@@ -1,0 +1,28 @@
+"""Arrays into the tuples of records and back."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.records import Cov3, Vec3
+
+Array = NDArray[np.float64]
+
+
+def vec3(values: Array) -> Vec3:
+    """(3,) -> tuple."""
+    x, y, z = values.tolist()
+    return x, y, z
+
+
+def cov3(matrix: Array) -> Cov3:
+    """Symmetric (3, 3) -> upper triangle xx, xy, xz, yy, yz, zz."""
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = matrix.tolist()
+    return xx, xy, xz, yy, yz, zz
+
+
+def cov_matrix(cov: Cov3) -> Array:
+    """Upper triangle xx, xy, xz, yy, yz, zz -> symmetric (3, 3)."""
+    xx, xy, xz, yy, yz, zz = cov
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
