@@ -90,11 +90,12 @@ def demo(
     out.print("\n[bold]How to look further[/]")
     out.print("  export CONETL_MAP_NAME=demo PATH=$PWD/.venv/bin:$PATH", markup=False)
     out.print("  conetl map show                         the cones, with sigma and existence probability", markup=False)
-    out.print("  conetl map show --as-of 2026-03-02T23:00  the map before the second drive", markup=False)
+    out.print("  conetl map show --as-of 2026-03-02T23:00 the map before the second drive", markup=False)
     out.print(
         "  conetl map log                          the changesets; conetl map log FEATURE for one cone", markup=False
     )
     out.print("  conetl ingest YOUR_DRIVE                your own stereo drive; see README.md", markup=False)
+    out.print("  conetl db down                          stop the database that this started", markup=False)
 
 
 def _print_table_3(lines: list[TruthLine]) -> None:
