@@ -24,6 +24,8 @@ from conetl.steps.visibility import Look
 Floats = NDArray[np.float64]
 _NAMESPACE = UUID("6a3f2f0e-5a0f-4b55-8f0f-3d6a3f0c7e11")
 _FORBIDDEN = 1e6
+#: Offsets that are tried; every shared cone proposes nearly the same one, so a few hundred are plenty for any drive.
+_MAX_PROPOSALS = 200
 #: Belief in a feature never becomes certainty: the next drive must be able to change it.
 _MAX_LOGIT = 7.0
 
@@ -102,7 +104,7 @@ def common_offset(
     proposals = differences.reshape(-1, 3)
     lengths = np.linalg.norm(proposals[:, :2], axis=1)
     best: tuple[int, float, Floats] = (1, 0.0, zero)
-    for k in np.argsort(lengths, kind="stable"):
+    for k in np.argsort(lengths, kind="stable")[:_MAX_PROPOSALS]:
         if lengths[k] > allowed_m:
             break
         misfits = np.linalg.norm((differences - proposals[k])[:, :, :2], axis=2)
