@@ -17,11 +17,13 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from conetl.errors import ModelFileError
-from conetl.io.detector_decode import boxes_in_image, decode_maps
+from conetl.io.detector_decode import boxes_in_image, decode_maps, suppress_overlaps, without_parts
 
 DEFAULT_MODEL = "conetl-cone-1.onnx"
 MAX_SIDE_PX = 1600
 LEAST_SIDE_PX = 8
+SECOND_LOOK_FROM_PX = 480
+LARGE_CONE_PX = 48.0
 
 
 class ModelCard(BaseModel):
@@ -163,8 +165,24 @@ def detect_image(
         raise ValueError(f"expected a BGR image (H, W, 3) of uint8, got {image_bgr.shape} of {image_bgr.dtype}")
     if min(image_bgr.shape[:2]) < LEAST_SIDE_PX:
         return np.zeros((0, 5))
+    longest, shortest = max(image_bgr.shape[:2]), min(image_bgr.shape[:2])
+    side_px = min(longest, max_side_px)
+    boxes = look(detector, image_bgr, side_px, score_threshold, nms_iou)
+    # Very tall cones outgrow the network at full size: tall pictures get two more looks, each half as large.
+    if shortest * side_px / longest >= SECOND_LOOK_FROM_PX:
+        for smaller_px in (side_px // 2, side_px // 4):
+            again = look(detector, image_bgr, smaller_px, score_threshold, nms_iou)
+            large = again[(again[:, 3] - again[:, 1]) * smaller_px / longest > LARGE_CONE_PX]
+            boxes = suppress_overlaps(np.concatenate((without_parts(boxes, large), large)), nms_iou)
+    return boxes_in_image(boxes, image_bgr.shape[1], image_bgr.shape[0])
+
+
+def look(
+    detector: Detector, image_bgr: NDArray[np.uint8], max_side_px: int, score_threshold: float, nms_iou: float
+) -> NDArray[np.float64]:
+    """One run of the network: boxes (N, 5) [x0, y0, x1, y1, score] in pixels of the image, not yet cut at its edges."""
     blob, scale_x, scale_y = network_input(image_bgr, detector.card.pad_multiple_px, max_side_px)
     outputs = detector.session.run(None, {detector.input_name: blob})
     maps = [np.asarray(output)[0] for output in outputs]
     boxes = decode_maps(maps, detector.card.strides_px, detector.card.side_bins, score_threshold, nms_iou)
-    return boxes_in_image(boxes, scale_x, scale_y, image_bgr.shape[1], image_bgr.shape[0])
+    return boxes / (scale_x, scale_y, scale_x, scale_y, 1.0)

@@ -66,6 +66,22 @@ def suppress_overlaps(candidates: Floats, nms_iou: float) -> Floats:
     return np.array(kept).reshape(-1, 5)
 
 
+def without_parts(candidates: Floats, larger: Floats, inside_share: float = 0.8) -> Floats:
+    """Candidates (N, 5) without those that are but a part of a better box of `larger` (M, 5).
+
+    A part lies by `inside_share` of its area inside a box that is at least twice as large and scores at least as well: the
+    band of a cone that fills the picture, taken for a cone of its own.
+    """
+    area = np.prod(candidates[:, 2:4] - candidates[:, :2], axis=1)
+    part = np.zeros(len(candidates), dtype=bool)
+    for box in larger:
+        low, high = np.maximum(box[:2], candidates[:, :2]), np.minimum(box[2:4], candidates[:, 2:4])
+        shared = np.prod(np.clip(high - low, 0.0, None), axis=1)
+        better = (box[4] >= candidates[:, 4]) & (np.prod(box[2:4] - box[:2]) >= 2.0 * area)
+        part |= better & (shared >= inside_share * area)
+    return candidates[~part]
+
+
 def decode_maps(
     maps: Sequence[NDArray[np.float32]], strides_px: Sequence[int], bins: int, score_threshold: float, nms_iou: float
 ) -> Floats:
@@ -74,14 +90,12 @@ def decode_maps(
     return suppress_overlaps(np.concatenate(parts), nms_iou)
 
 
-def boxes_in_image(boxes: Floats, scale_x: float, scale_y: float, width_px: int, height_px: int) -> Floats:
-    """Boxes (N, 5) [x0, y0, x1, y1, score] of the network's input -> (N, 5) [x, y, w, h, score] of the image.
+def boxes_in_image(boxes: Floats, width_px: int, height_px: int) -> Floats:
+    """Corner boxes (N, 5) [x0, y0, x1, y1, score] in pixels of the image -> (N, 5) [x, y, w, h, score].
 
-    The network's input is the image times (scale_x, scale_y), padded at the right and bottom: so coordinates are only
-    divided. Boxes are cut at the image's edge; those that lie in the padding alone are dropped.
+    Boxes are cut at the image's edge; those that lie beyond it, in the padding, are dropped.
     """
-    corners = boxes[:, :4] / (scale_x, scale_y, scale_x, scale_y)
-    corners = np.clip(corners, 0.0, (width_px, height_px, width_px, height_px))
+    corners = np.clip(boxes[:, :4], 0.0, (width_px, height_px, width_px, height_px))
     size = corners[:, 2:] - corners[:, :2]
     inside = (size > 0.0).all(axis=1)
     return np.concatenate((corners[:, :2], size, boxes[:, 4:]), axis=1)[inside]

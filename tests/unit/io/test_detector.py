@@ -21,6 +21,7 @@ from conetl.io.detector_decode import (
     decode_maps,
     intersection_over_union,
     suppress_overlaps,
+    without_parts,
 )
 
 REPOSITORY = Path(__file__).resolve().parents[3]
@@ -71,6 +72,17 @@ def test_decode_refuses_a_map_of_another_head() -> None:
         decode_map(np.zeros((6, 2, 2), np.float32), 8, 16, 0.5)
 
 
+def test_a_part_of_a_better_and_larger_box_is_dropped() -> None:
+    large = np.array([[0.0, 0.0, 100.0, 200.0, 0.8]])
+    inside, better, beside = (
+        [10.0, 50.0, 90.0, 110.0, 0.5],
+        [10.0, 50.0, 90.0, 110.0, 0.9],
+        [90.0, 50.0, 170.0, 110.0, 0.5],
+    )
+    np.testing.assert_array_equal(without_parts(np.array([inside, better, beside]), large), [better, beside])
+    assert len(without_parts(np.zeros((0, 5)), large)) == 0
+
+
 coordinate = st.floats(0.0, 200.0, allow_nan=False)
 candidate = st.tuples(coordinate, coordinate, st.floats(0.5, 90.0), st.floats(0.5, 90.0), st.floats(0.0, 1.0))
 
@@ -99,15 +111,16 @@ def test_boxes_map_back_through_padding_and_scaling(width: int, height: int, max
     assert max(blob.shape[2] - 31, blob.shape[3] - 31) <= max_side
     if max(width, height) <= max_side:
         assert scale_x == scale_y == 1.0
-    true = np.array([[0.25 * width, 0.1 * height, 0.75 * width, 0.9 * height, 0.7]])
-    in_network = true * (scale_x, scale_y, scale_x, scale_y, 1.0)
-    back = boxes_in_image(in_network, scale_x, scale_y, width, height)
-    np.testing.assert_allclose(back, [[0.25 * width, 0.1 * height, 0.5 * width, 0.8 * height, 0.7]], rtol=1e-12)
+    # A vertical edge at the middle of the image lies at its scaled place in the network's input.
+    image[:, : width // 2] = 255
+    blob, scale_x, scale_y = network_input(image, 32, max_side)
+    bright = float(blob[0, 0, 0, : round(width * scale_x)].sum())
+    assert bright / scale_x == pytest.approx(width // 2, abs=1e-3 + (0.0 if scale_x == 1.0 else 1.0 / scale_x))
 
 
 def test_boxes_in_the_padding_are_dropped_and_others_are_cut() -> None:
     boxes = np.array([[90.0, 10.0, 130.0, 40.0, 0.9], [105.0, 10.0, 120.0, 40.0, 0.8]])
-    np.testing.assert_allclose(boxes_in_image(boxes, 1.0, 1.0, 100, 50), [[90.0, 10.0, 10.0, 30.0, 0.9]])
+    np.testing.assert_allclose(boxes_in_image(boxes, 100, 50), [[90.0, 10.0, 10.0, 30.0, 0.9]])
 
 
 def test_channels_are_rgb_between_zero_and_one() -> None:
@@ -220,6 +233,31 @@ def test_an_empty_road_holds_no_cone(detector: Detector) -> None:
     image[:100] = (200, 180, 160)
     found = detect_image(detector, image, score_threshold=0.3)
     assert found.shape == (0, 5)
+
+
+def test_padding_and_scale_do_not_move_a_cone(detector: Detector) -> None:
+    image = np.full((256, 384, 3), (110, 115, 118), np.uint8)
+    image[:100] = (200, 180, 160)
+    draw_cone(image, 150.0, 180.0, 60.0)
+    whole = detect_image(detector, image, score_threshold=0.3)[0]
+    cut = detect_image(detector, image[:243, :371], score_threshold=0.3)[0]  # needs padding
+    np.testing.assert_allclose(cut[:4], whole[:4], atol=1.0)
+    double = cv2.resize(image, None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR)
+    shrunk = detect_image(detector, double, score_threshold=0.3, max_side_px=384)[0]
+    np.testing.assert_allclose(shrunk[:4], 2 * whole[:4], atol=3.0)
+
+
+@pytest.mark.parametrize("height_px", [220.0, 300.0, 360.0])
+def test_a_cone_that_fills_a_tall_picture_is_one_cone(detector: Detector, height_px: float) -> None:
+    image = np.full((640, 640, 3), (110, 115, 118), np.uint8)
+    image[:200] = (200, 180, 160)
+    draw_cone(image, 320.0, 600.0, height_px)
+    found = detect_image(detector, image, score_threshold=0.4)
+    assert len(found) == 1
+    x, y, w, h, _ = found[0]
+    assert x + w / 2 == pytest.approx(320.0, abs=0.05 * height_px)
+    assert y + h == pytest.approx(600.0, abs=0.1 * height_px)
+    assert h == pytest.approx(height_px, rel=0.15)
 
 
 @pytest.mark.skipif(not KITTI_LEFT.is_dir(), reason=f"real drive not at {KITTI_LEFT}")
