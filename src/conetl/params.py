@@ -68,7 +68,7 @@ class TrackParams(Params):
     join_gate_m: Positive = 0.6
     """Two tracks never seen in one picture and nearer than this (plus drift) are one cone."""
     min_observations: int = Field(default=3, ge=1)
-    min_existence_probability: Fraction = 0.7
+    min_existence_probability: Fraction = 0.6
     min_cone_height_m: Positive = 0.25
     max_cone_height_m: Positive = 1.15
     max_ground_distance_m: Positive = 0.45
