@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from pydantic import Field, SecretStr
+from pydantic import Field, SecretStr, ValidationError
 from pydantic_settings import BaseSettings, SettingsConfigDict
+
+from conetl.errors import InputError
 
 
 class Settings(BaseSettings):
@@ -31,6 +33,18 @@ class Settings(BaseSettings):
     @property
     def exports_folder(self) -> Path:
         return self.home / "exports"
+
+
+def read_settings() -> Settings:
+    """Settings from the environment. Raises InputError naming the variable that cannot be used."""
+    try:
+        return Settings()
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = f"CONETL_{'_'.join(str(part) for part in first['loc']).upper()}"
+        raise InputError(
+            f"the environment variable {name} cannot be used: {first['msg']} (it is {first['input']!r})"
+        ) from error
 
 
 def prefect_environment(home: Path) -> dict[str, str]:

@@ -19,6 +19,7 @@ JsonOption = Annotated[
     bool, typer.Option("--json", help="Print the result as JSON on standard output, and nothing else there.")
 ]
 
+_TABLE_WIDTH = 240
 out = Console(highlight=False, soft_wrap=True)
 #: Progress and complaints go to standard error: standard output is for results.
 err = Console(stderr=True, highlight=False)
@@ -42,8 +43,8 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[obje
         table.add_column(column, justify="right" if index >= numbers_from else "left", no_wrap=True)
     for row in rows:
         table.add_row(*(_plain(str(cell)) for cell in row))
-    # On a terminal the table fits its width; in a file or a pipe nothing is cut off.
-    Console(highlight=False, width=None if out.is_terminal else 200).print(table)
+    # Wider than any terminal: a line may wrap there, but no number is ever cut off.
+    Console(highlight=False, width=_TABLE_WIDTH).print(table)
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from conetl.io.audits import run_audits
 from conetl.io.cluster import cluster_down, cluster_status, cluster_up
 from conetl.io.db import Connection, connect, database_status
 from conetl.io.db import migrate as apply_migrations
-from conetl.settings import Settings
+from conetl.settings import Settings, read_settings
 
 app = typer.Typer(
     help="The database that holds the map: CONETL_DATABASE_URL, or a private cluster.", no_args_is_help=True
@@ -38,7 +38,7 @@ def open_database(settings: Settings, *, start: bool = True) -> Connection:
 @app.command()
 def up(as_json: JsonOption = False) -> None:
     """Start the private PostGIS cluster, make it first where there is none, and bring its schema up to date."""
-    settings = Settings()
+    settings = read_settings()
     if settings.database_url:
         out.print("CONETL_DATABASE_URL is set: conetl uses that database and runs none of its own.")
         raise typer.Exit(0)
@@ -54,7 +54,7 @@ def up(as_json: JsonOption = False) -> None:
 @app.command()
 def down(as_json: JsonOption = False) -> None:
     """Stop the private cluster; the data stay."""
-    stopped = cluster_down(Settings().home)
+    stopped = cluster_down(read_settings().home)
     if as_json:
         print_json({"stopped": stopped})
     else:
@@ -64,7 +64,7 @@ def down(as_json: JsonOption = False) -> None:
 @app.command()
 def status(as_json: JsonOption = False) -> None:
     """What there is: cluster, schema, roles, maps."""
-    settings = Settings()
+    settings = read_settings()
     cluster = None if settings.database_url else cluster_status(settings.home)
     database = None
     if cluster is None or cluster.state == "running":
@@ -75,13 +75,24 @@ def status(as_json: JsonOption = False) -> None:
         return
     rows = [(f"cluster {name}", value) for name, value in asdict(cluster).items()] if cluster else []
     rows += [(name, value) for name, value in asdict(database).items()] if database else []
-    print_table("", ("what", "value"), [(str(name).replace("_", " "), value) for name, value in rows], numbers_from=9)
+    print_table(
+        "", ("what", "value"), [(name.replace("_", " "), _words(value)) for name, value in rows], numbers_from=9
+    )
+
+
+def _words(value: object) -> str:
+    """A value as a person writes it."""
+    if isinstance(value, tuple):
+        return ", ".join(" EPSG:".join(map(str, v)) if isinstance(v, tuple) else str(v) for v in value) or "none"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return "none" if value is None else str(value)
 
 
 @app.command()
 def migrate(as_json: JsonOption = False) -> None:
     """Bring the schema up to date (forwards only)."""
-    with closing(open_database(Settings())) as conn:
+    with closing(open_database(read_settings())) as conn:
         applied = apply_migrations(conn)
     if as_json:
         print_json({"migrations_applied": list(applied)})
@@ -92,7 +103,7 @@ def migrate(as_json: JsonOption = False) -> None:
 @app.command()
 def audit(as_json: JsonOption = False) -> None:
     """Check the map against its own rules; every query must find nothing. Exit code 1 where one finds something."""
-    with closing(open_database(Settings())) as conn:
+    with closing(open_database(read_settings())) as conn:
         results = run_audits(conn)
     if as_json:
         print_json([asdict(result) for result in results])

@@ -20,7 +20,7 @@ from conetl.io.exports.geojson import export_geojson
 from conetl.io.map_store import read_current_features
 from conetl.io.truth_file import read_truth
 from conetl.params import IngestParams
-from conetl.settings import Settings
+from conetl.settings import read_settings
 from conetl.steps.evaluation import TruthCone, TruthLine, compare_with_truth
 
 _SAMPLES = Path("data/drives")
@@ -35,7 +35,7 @@ def demo(
     drives = sorted(path for path in samples.iterdir() if path.is_dir()) if samples.is_dir() else []
     if not drives:
         raise InputError(f"no sample drives in {samples}: run this in a clone of conetl, or name the folder")
-    settings = Settings().model_copy(update={"map_name": "demo"})
+    settings = read_settings().model_copy(update={"map_name": "demo"})
     if not as_json:
         out.print(f"Ingesting {len(drives)} sample drives, one after the other.\n")
     reports, exit_code = ingest_drives(
@@ -73,6 +73,7 @@ def demo(
             }
         )
         return
+    out.print("[bold]Cones against truth[/], in metres: foot on the ground; range from the nearest point of the path")
     _print_table_3(lines)
     found = [line for line in lines if line.feature is not None]
     out.print(
@@ -112,13 +113,8 @@ def _print_table_3(lines: list[TruthLine]) -> None:
         differences = [b - a for a, b in zip(known, computed, strict=True)]
         rows.append(("", "computed", *(f"{value:.3f}" for value in computed), ""))
         rows.append(("", "difference", *(f"{value:+.3f}" for value in differences), f"{line.error_3d_m:.3f}"))
-    columns = ("cone", "", "easting", "northing", "height", "range", "cone height", "3D error")
-    print_table(
-        "Cones against truth, in metres (foot on the ground; range from the nearest point of the path)",
-        columns,
-        rows,
-        numbers_from=2,
-    )
+    columns = ("cone", "", "easting", "northing", "height", "range", "cone", "3D error")
+    print_table("", columns, rows, numbers_from=2)
 
 
 def _median_error(lines: list[TruthLine]) -> float | None:

@@ -16,7 +16,7 @@ from conetl.io.calibration_file import read_rig
 from conetl.io.detector import detect_image, load_detector
 from conetl.io.images import ImageFileError, read_image
 from conetl.params import IngestParams
-from conetl.settings import Settings
+from conetl.settings import read_settings
 from conetl.steps.detections import check_boxes
 from conetl.steps.matches import match_pair
 from conetl.steps.positions import locate_in_camera
@@ -35,7 +35,7 @@ def locate(
     """Ground distance and height of each cone in one stereo pair: no trajectory, no map."""
     rig = read_rig(calibration)
     params = IngestParams()
-    detector = load_detector(Settings().model_path)
+    detector = load_detector(read_settings().model_path)
     images, detections = [], []
     for path, side, camera in ((left, "left", rig.left), (right, "right", rig.right)):
         try:
@@ -54,7 +54,7 @@ def locate(
         detections[0], detections[1], rig, params.match, up_left=up_in_left_camera(rig), images=(images[0], images[1])
     )
     cones, more = locate_in_camera(matches, rig, params.position)
-    rows = [
+    rows: list[dict[str, Any]] = [
         {
             "ground_distance_m": cone.ground_distance_m,
             "height_m": cone.cone_height_m,
@@ -67,14 +67,29 @@ def locate(
         }
         for cone in cones
     ]
+    rows.sort(key=lambda row: row["ground_distance_m"])
+    alone = [
+        len(found) - len(matches) - sum(r.payload.get("side") == side for r in refused)
+        for found, side in zip(detections, ("left", "right"), strict=True)
+    ]
     if as_json:
-        print_json({"cones": rows, "rejections": [r.model_dump(mode="json") for r in (*refused, *more)]})
+        print_json(
+            {
+                "cones": rows,
+                "without_partner": dict(zip(("left", "right"), alone, strict=True)),
+                "rejections": [r.model_dump(mode="json") for r in (*refused, *more)],
+            }
+        )
         return
     out.print(f"{len(detections[0])} cones detected left, {len(detections[1])} right, {len(rows)} located.")
+    if any(alone):
+        out.print(f"{alone[0]} boxes left and {alone[1]} right have no partner in the other image.")
+        if not matches:
+            out.print("Are the two images swapped, or not rectified, or is the calibration another rig's?")
     columns = ("cone", "ground distance m", "sigma m", "height m", "right m", "down m", "ahead m", "score")
     print_table("", columns, [_cells(number, row) for number, row in enumerate(rows, 1)])
     for rejection in (*refused, *more):
-        out.print(f"not used: {rejection.record}: {rejection.detail}", markup=False)
+        out.print(f"not used: {rejection.record.removesuffix(' of frame pair 0')}: {rejection.detail}", markup=False)
 
 
 def _cells(number: int, row: dict[str, Any]) -> tuple[object, ...]:
@@ -94,7 +109,7 @@ def detect(
     One entry per box: file_name, category, bbox [x, y, w, h] in pixels of the original image, score.
     """
     paths = _image_files(images)
-    detector = load_detector(Settings().model_path)
+    detector = load_detector(read_settings().model_path)
     found: list[dict[str, Any]] = []
     refused: list[str] = []
     with progress_bar() as bars:

@@ -17,7 +17,7 @@ from conetl.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_TOO_MANY_REJECTIONS, C
 from conetl.params import IngestParams
 from conetl.records import DeltaKind
 from conetl.reports import IngestReport, TooManyRejectionsError
-from conetl.settings import Settings, prefect_environment
+from conetl.settings import Settings, prefect_environment, read_settings
 
 
 def ingest(
@@ -33,7 +33,11 @@ def ingest(
     The same drive again changes nothing and says so. A drive that cannot be used is named, and the others go on.
     """
     reports, exit_code = ingest_drives(
-        drives, Settings(), read_params(params), map_srid=map_srid, show=(lambda _: None) if as_json else print_report
+        drives,
+        read_settings(),
+        read_params(params),
+        map_srid=map_srid,
+        show=(lambda _: None) if as_json else print_report,
     )
     if as_json:
         print_json([report.model_dump(mode="json") for report in reports])
@@ -119,8 +123,8 @@ def print_report(report: IngestReport) -> None:
     when = f"{report.captured_from:%Y-%m-%d %H:%M} UTC"
     if report.status == "no changes":
         out.print(
-            f"[bold]{report.drive_id}[/] ({when}): no changes. It is on the map since {report.committed_at:%Y-%m-%d %H:%M} UTC "
-            f"({counts})."
+            f"[bold]{report.drive_id}[/] ({when}): no changes. "
+            f"It has been on the map since {report.committed_at:%Y-%m-%d %H:%M} UTC ({counts})."
         )
         return
     out.print(
@@ -145,7 +149,7 @@ def print_changes(report: IngestReport) -> None:
             f"{line.xyz_m[2]:.3f}",
             f"{line.cone_height_m:.2f}",
             f"{line.sigma_horizontal_m:.3f}",
-            f"{line.existence_probability:.3f}",
+            "" if line.kind is DeltaKind.REMOVED else f"{line.existence_probability:.3f}",
             line.observation_count,
             "" if line.shift_m is None else f"{line.shift_m:.3f}",
         )

@@ -8,7 +8,6 @@ from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
-from uuid import UUID
 
 import typer
 
@@ -18,8 +17,9 @@ from conetl.errors import InputError
 from conetl.io.db import Connection, migrate
 from conetl.io.exports.csv_table import export_csv
 from conetl.io.exports.geojson import export_geojson
-from conetl.io.map_store import feature_log, list_changesets, map_summary, read_features_as_of
-from conetl.settings import Settings
+from conetl.io.map_store import feature_log, find_features, list_changesets, map_summary, read_features_as_of
+from conetl.records import utc_from_ns
+from conetl.settings import Settings, read_settings
 
 app = typer.Typer(help="Look at the map and take it elsewhere.", no_args_is_help=True)
 
@@ -49,7 +49,7 @@ def open_map(settings: Settings) -> Connection:
 @app.command()
 def show(as_of: AsOf = None, as_json: JsonOption = False) -> None:
     """The cones on the map."""
-    settings = Settings()
+    settings = read_settings()
     with closing(open_map(settings)) as conn:
         summary = map_summary(conn, settings.map_name)
         versions = list(read_features_as_of(conn, parse_time(as_of), map_name=settings.map_name))
@@ -67,14 +67,14 @@ def show(as_of: AsOf = None, as_json: JsonOption = False) -> None:
     )
     rows: list[tuple[object, ...]] = [
         (
-            str(v.feature.feature_id),
+            str(v.feature.feature_id)[:8],
             v.feature.version,
             *(f"{value:.3f}" for value in v.feature.xyz_m),
             f"{v.feature.cone_height_m:.2f}",
             f"{((v.feature.cov_m2[0] + v.feature.cov_m2[3]) / 2) ** 0.5:.3f}",
             f"{v.feature.existence_probability:.3f}",
             v.feature.observation_count,
-            f"{v.valid_from:%Y-%m-%d %H:%M:%S}",
+            f"{utc_from_ns(v.feature.first_seen_ns):%Y-%m-%d %H:%M}",
         )
         for v in versions
     ]
@@ -89,18 +89,20 @@ def show(as_of: AsOf = None, as_json: JsonOption = False) -> None:
             "sigma m",
             "exists",
             "seen",
-            "since (UTC)",
+            "first seen (UTC)",
         )
         print_table("", columns, rows)
 
 
 @app.command()
 def log(
-    feature: Annotated[str | None, typer.Argument(help="A feature's id; without it the changesets of the map.")] = None,
+    feature: Annotated[
+        str | None, typer.Argument(help="A feature's id, or how it begins; without it the changesets.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """What happened: to one feature, or to the whole map."""
-    settings = Settings()
+    settings = read_settings()
     with closing(open_map(settings)) as conn:
         if feature is None:
             changesets = list_changesets(conn, map_name=settings.map_name)
@@ -123,13 +125,12 @@ def log(
             columns = ("no", "drive", "committed (UTC)", "added", "confirmed", "moved", "removed", "quarantined")
             print_table("", columns, rows, numbers_from=3)
             return
-        try:
-            feature_id = UUID(feature)
-        except ValueError:
-            raise InputError(f"{feature!r} is no feature id: `conetl map show` lists them") from None
-        entries = feature_log(conn, feature_id)
-    if not entries:
-        raise InputError(f"the map knows no feature {feature_id}: `conetl map show` lists them")
+        found = find_features(conn, feature, map_name=settings.map_name)
+        entries = feature_log(conn, found[0]) if len(found) == 1 else []
+    if not found:
+        raise InputError(f"the map {settings.map_name} knows no feature {feature}: `conetl map show` lists them")
+    if len(found) > 1:
+        raise InputError(f"{feature} is the beginning of several features' ids: write more of it")
     if as_json:
         print_json([asdict(e) for e in entries])
         return
@@ -171,7 +172,7 @@ def export(
     as_json: JsonOption = False,
 ) -> None:
     """Write the map, as it is or as it stood, to a file."""
-    settings = Settings()
+    settings = read_settings()
     with closing(open_map(settings)) as conn:
         write = export_geojson if file_format is Format.GEOJSON else export_csv
         count = write(conn, output, as_of=parse_time(as_of), map_name=settings.map_name)

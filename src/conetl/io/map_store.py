@@ -147,6 +147,13 @@ def feature_log(conn: Connection, feature_id: UUID) -> list[FeatureLogEntry]:
     return [FeatureLogEntry(**row | {"kind": DeltaKind(row["kind"])}) for row in rows]
 
 
+def find_features(conn: Connection, beginning: str, *, map_name: str = "default") -> list[UUID]:
+    """Ids that begin with `beginning`, of standing and removed features; at most two."""
+    parameters = {"map_name": map_name, "beginning": clean_text(beginning).lower()}
+    with database_errors(f"The map {map_name} cannot be read"):
+        return [row["feature_id"] for row in execute(conn, load_sql("map/find_features"), parameters)]
+
+
 def map_summary(conn: Connection, map_name: str = "default") -> MapSummary | None:
     """The map in figures, None where there is no such map."""
     with database_errors(f"The map {map_name} cannot be read"):
