@@ -14,7 +14,7 @@ from conetl.geometry.rig import map_SE3_left
 from conetl.io.exports.geojson import export_geojson
 from conetl.io.exports.plan_view import draw_plan_view
 from conetl.records import Changeset, Drive, MapFeature
-from conetl.reports import IngestReport
+from conetl.reports import ChangeLine, IngestReport
 from conetl.settings import Settings
 from flows.merge import open_map
 from flows.retries import RETRY
@@ -34,7 +34,7 @@ def publish_task(
     path = np.array([map_SE3_left(pair.pose, drive.rig)[:2, 3] for pair in drive.frame_pairs])
     draw_plan_view(
         picture,
-        title=f"Drive {drive.drive_id}, {drive.captured_from:%Y-%m-%d %H:%M} UTC",
+        title=f"Drive {drive.drive_id}, {drive.captured_from:%Y-%m-%d %H:%M} UTC (EPSG:{drive.map_srid})",
         trajectory_m=path,
         deltas=changeset.deltas,
         untouched=untouched,
@@ -46,7 +46,7 @@ def publish_task(
     create_table_artifact(summary_rows(report), key="summary", description=f"Drive {drive.drive_id}: {report.status}")
     if report.changes:
         create_table_artifact(
-            [line.model_dump(mode="json") for line in report.changes],
+            [_change_row(line) for line in report.changes],
             key="changes",
             description=f"Changes by drive {drive.drive_id}",
         )
@@ -56,6 +56,23 @@ def publish_task(
 def _file_name(drive_id: str) -> str:
     """A drive's id as part of a file name: an id may hold anything, a file name not."""
     return "".join(c if c.isalnum() or c in "-_." else "_" for c in drive_id).lstrip(".") or "drive"
+
+
+def _change_row(line: ChangeLine) -> dict[str, Any]:
+    """One change, rounded to what is meant."""
+    east_m, north_m, height_m = line.xyz_m
+    return {
+        "change": str(line.kind),
+        "feature": str(line.feature_id),
+        "easting_m": round(east_m, 3),
+        "northing_m": round(north_m, 3),
+        "height_m": round(height_m, 3),
+        "cone_height_m": round(line.cone_height_m, 2),
+        "sigma_m": round(line.sigma_horizontal_m, 3),
+        "existence_probability": round(line.existence_probability, 3),
+        "observations": line.observation_count,
+        "shift_m": None if line.shift_m is None else round(line.shift_m, 3),
+    }
 
 
 def summary_rows(report: IngestReport) -> list[dict[str, Any]]:
