@@ -21,6 +21,7 @@ from conetl.records import Record
 from conetl.rejections import Rejection
 
 R = TypeVar("R", bound=Record)
+_REJECTIONS = b"conetl.rejections"
 
 
 def result_key(*parts: str) -> str:
@@ -37,8 +38,12 @@ def file_sha256(path: Path) -> str:
 
 
 def has_result(folder: Path, key: str) -> bool:
-    """Whether the chunk `key` was finished earlier."""
-    return result_path(folder, key).is_file()
+    """Whether the chunk `key` was finished earlier and its file is whole; a damaged one is computed again."""
+    try:
+        table = pq.read_table(result_path(folder, key), page_checksum_verification=True)
+    except (OSError, pa.ArrowException):
+        return False
+    return _REJECTIONS in (table.schema.metadata or {})
 
 
 def save_result(folder: Path, key: str, records: Sequence[R], rejections: Sequence[Rejection]) -> Path:
@@ -46,11 +51,11 @@ def save_result(folder: Path, key: str, records: Sequence[R], rejections: Sequen
     folder.mkdir(parents=True, exist_ok=True)
     refused = TypeAdapter(list[Rejection]).dump_json(list(rejections)).decode()
     table = pa.Table.from_pylist([record.model_dump(mode="json") for record in records])
-    table = table.replace_schema_metadata({"conetl.rejections": refused})
+    table = table.replace_schema_metadata({_REJECTIONS: refused})
     path = result_path(folder, key)
     aside = path.with_suffix(f".{uuid4().hex}.tmp")
     try:
-        pq.write_table(table, aside, compression="zstd")
+        pq.write_table(table, aside, compression="zstd", write_page_checksum=True)
         os.replace(aside, path)  # noqa: PTH105 - atomic on every platform, unlike Path.rename
     finally:
         aside.unlink(missing_ok=True)
@@ -61,7 +66,7 @@ def load_result(path: Path, record_type: type[R]) -> tuple[list[R], list[Rejecti
     """Records and rejections of one chunk, validated again: a file is a border."""
     table = pq.read_table(path)
     metadata = table.schema.metadata or {}
-    rejections = TypeAdapter(list[Rejection]).validate_json(metadata[b"conetl.rejections"])
+    rejections = TypeAdapter(list[Rejection]).validate_json(metadata[_REJECTIONS])
     return TypeAdapter(list[record_type]).validate_python(table.to_pylist()), rejections  # type: ignore[valid-type]
 
 

@@ -1,7 +1,10 @@
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from pydantic import ValidationError
 
@@ -61,3 +64,20 @@ def test_a_missing_file_has_a_hash_of_its_own(tmp_path: Path) -> None:
     there = tmp_path / "there"
     there.write_bytes(b"x")
     assert file_sha256(there) != file_sha256(tmp_path / "missing")
+
+
+@pytest.mark.parametrize(
+    "damage", [lambda b: b[:100], lambda b: b"", lambda b: b"not parquet", lambda b: b[:60] + b"\0" * 40 + b[100:]]
+)
+def test_a_damaged_file_is_no_result_and_is_computed_again(tmp_path: Path, damage: Callable[[bytes], bytes]) -> None:
+    key = result_key("x")
+    path = save_result(tmp_path, key, [detection(0), detection(1)], [])
+    path.write_bytes(damage(path.read_bytes()))
+    assert not has_result(tmp_path, key)
+    assert load_result(save_result(tmp_path, key, [detection(0)], []), Detection)[0] == [detection(0)]
+
+
+def test_a_foreign_parquet_file_is_no_result(tmp_path: Path) -> None:
+    key = result_key("x")
+    pq.write_table(pa.table({"a": [1]}), tmp_path / f"{key}.parquet")
+    assert not has_result(tmp_path, key)
