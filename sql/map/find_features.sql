@@ -7,4 +7,4 @@ from conetl.feature f
 join conetl.map m using (map_id)
 where m.map_name = %(map_name)s and starts_with(f.feature_id::text, %(beginning)s)
 order by f.feature_id
-limit 2
+limit 2;
