@@ -8,7 +8,9 @@ from dataset import Picture
 
 MIN_CONE_PX = 7.0  # below this a labelled cone is neither taught nor forbidden
 # How far the sides of a source's boxes are believed; renders and cut-outs are exact, hand-drawn boxes leave a margin.
-SIDE_TRUST = {"renders": 1.0, "rf_traffic_cones": 0.5, "fs_onboard": 0.4, "css_safety_cone": 0.4}
+SIDE_TRUST = {"renders": 1.0, "rf_traffic_cones": 0.8, "fs_onboard": 0.9, "css_safety_cone": 0.5}
+CutOut = tuple[np.ndarray, np.ndarray]
+"""A cone to paste (h, w, 4) BGRA with its foot and tip (4,) in its own pixels, NaN where not known."""
 Sample = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
@@ -25,6 +27,8 @@ def choose_scale(picture: Picture, rng: np.random.Generator, stretch: float) -> 
     if picture.source == "renders":
         return float(rng.choice((1.0, rng.uniform(0.7, 1.4)))), int(rng.integers(len(picture.boxes)))
     index = int(rng.integers(len(picture.boxes)))
+    if picture.source == "fs_onboard" and rng.random() < 0.5:  # as a camera saw them: most far cones are small already
+        return float(rng.uniform(0.85, 1.25)), index
     height = picture.boxes[index, 3] - picture.boxes[index, 1]
     low, high = (11.0, 64.0) if rng.random() < 0.62 else (50.0, 330.0)
     target = float(np.exp(rng.uniform(np.log(low), np.log(high))))
@@ -50,7 +54,7 @@ def warp_into(
     mirror = -1.0 if rng.random() < 0.5 else 1.0
     height, width = levels[0].shape[:2]
     if index >= 0:
-        x0, y0, x1, y1 = picture.boxes[index]
+        x0, y0, x1, y1 = picture.boxes[index, :4]
         cx, cy = (x0 + x1) / 2, (y0 + y1) / 2
     else:
         cx, cy = rng.uniform(0.2, 0.8) * width, rng.uniform(0.3, 0.8) * height
@@ -75,8 +79,8 @@ def warp_into(
 
     def follow(boxes: np.ndarray, cone: bool) -> np.ndarray:
         if len(boxes) == 0:
-            return np.zeros((0, 4))
-        x0, y0, x1, y1 = boxes.T
+            return boxes
+        x0, y0, x1, y1 = boxes[:, :4].T
         inset = 0.38 * (x1 - x0) if cone else 0.0  # a cone fills its box at the foot only, not at the top corners
         points = np.stack(
             [
@@ -88,44 +92,49 @@ def warp_into(
             1,
         )
         moved = points @ linear.T + offset
-        return np.concatenate((moved.min(1), moved.max(1)), 1)
+        ends = boxes[:, 4:].reshape(len(boxes), -1, 2) @ linear.T + offset
+        return np.concatenate((moved.min(1), moved.max(1), ends.reshape(len(boxes), -1)), 1)
 
     return follow(picture.boxes, True), follow(picture.fade, False)
 
 
 def clip_boxes(boxes: np.ndarray, area: tuple[int, int, int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Boxes cut at the area's edge; those of which too little is left go to the second array (to fade)."""
+    """Cones (N, 4 or 8) cut at the area's edge; the boxes of those of which too little is left go to the second (to fade)."""
     if len(boxes) == 0:
-        return np.zeros((0, 4)), np.zeros((0, 4))
+        return boxes, np.zeros((0, 4))
     left, top, right, bottom = area
-    cut = np.clip(boxes, (left, top, left, top), (right, bottom, right, bottom))
-    size, full = cut[:, 2:] - cut[:, :2], boxes[:, 2:] - boxes[:, :2]
+    cut = boxes.copy()
+    cut[:, :4] = np.clip(boxes[:, :4], (left, top, left, top), (right, bottom, right, bottom))
+    size, full = cut[:, 2:4] - cut[:, :2], boxes[:, 2:4] - boxes[:, :2]
     inside = (size > 1).all(1)
     share = size.prod(1) / full.prod(1)
     keep = inside & (share > 0.3) & (size[:, 1] >= MIN_CONE_PX) & (size[:, 0] >= 2.5)
-    return cut[keep], cut[inside & ~keep]
+    return cut[keep], cut[inside & ~keep, :4]
 
 
-def paste_cutout(canvas: np.ndarray, cutout: np.ndarray, taken: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Paste one cut-out where it hides little of the boxes `taken` (N, 4), with a shadow at its foot.
+def paste_cutout(canvas: np.ndarray, cutout_and_ends: CutOut, taken: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Paste one cut-out where it hides little of the cones `taken` (N, 8), with a shadow at its foot.
 
-    Returns its exact box (1, 4), or (0, 4) when the place was taken.
+    Returns it as a cone (1, 8) with an exact box, or (0, 8) when the place was taken.
     """
+    cutout, ends = cutout_and_ends
     height_px = float(np.exp(rng.uniform(np.log(10), np.log(200))))
     scale = height_px / cutout.shape[0]
     width = max(round(cutout.shape[1] * scale * rng.uniform(0.6, 1.15)), 4)
     height = max(round(height_px), 8)
     patch = cv2.resize(cutout, (width, height), interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
+    ends = ends * np.tile((width / cutout.shape[1], height / cutout.shape[0]), 2)
     if rng.random() < 0.5:
         patch = patch[:, ::-1]
+        ends[[0, 2]] = width - ends[[0, 2]]
     colour = patch[..., :3].astype(np.float32) * rng.uniform(0.55, 1.25) * rng.uniform(0.9, 1.1, 3)
     x = int(rng.integers(0, max(canvas.shape[1] - width, 1)))
     y = int(rng.integers(int(0.2 * canvas.shape[0]), max(canvas.shape[0] - height, int(0.2 * canvas.shape[0]) + 1)))
     y = min(y, canvas.shape[0] - height)
-    low, high = np.maximum(taken[:, :2], (x, y)), np.minimum(taken[:, 2:], (x + width, y + height))
-    hidden = np.clip(high - low, 0, None).prod(1) / np.maximum((taken[:, 2:] - taken[:, :2]).prod(1), 1.0)
+    low, high = np.maximum(taken[:, :2], (x, y)), np.minimum(taken[:, 2:4], (x + width, y + height))
+    hidden = np.clip(high - low, 0, None).prod(1) / np.maximum((taken[:, 2:4] - taken[:, :2]).prod(1), 1.0)
     if (hidden > 0.35).any():
-        return np.zeros((0, 4))
+        return np.zeros((0, 8))
     if rng.random() < 0.6:
         shadow = canvas.copy()
         cv2.ellipse(
@@ -142,7 +151,7 @@ def paste_cutout(canvas: np.ndarray, cutout: np.ndarray, taken: np.ndarray, rng:
     alpha = patch[..., 3:].astype(np.float32) / 255
     region = canvas[y : y + height, x : x + width]
     region[:] = np.clip(alpha * colour + (1 - alpha) * region, 0, 255).astype(np.uint8)
-    return np.array([[x, y, x + width, y + height]], float)
+    return np.array([[x, y, x + width, y + height, *(ends + (x, y, x, y))]])
 
 
 def draw_post(canvas: np.ndarray, x: float, foot: float, height: float, rng: np.random.Generator) -> None:
@@ -218,7 +227,7 @@ def draw_furniture(canvas: np.ndarray, rng: np.random.Generator) -> None:
 
 def hide_cones(canvas: np.ndarray, boxes: np.ndarray, rng: np.random.Generator) -> None:
     """Put a post or a block in front of some cones, so that up to half of each is hidden; boxes stay whole."""
-    for x0, y0, x1, y1 in boxes:
+    for x0, y0, x1, y1 in boxes[:, :4]:
         if rng.random() > 0.25 or y1 - y0 < 14:
             continue
         if rng.random() < 0.7:
@@ -270,11 +279,11 @@ def relight(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 def make_sample(
     pick,
     backgrounds: list[tuple[Picture, list[np.ndarray]]],
-    cutouts: list[np.ndarray],
+    cutouts: list[CutOut],
     size: int,
     rng: np.random.Generator,
 ) -> Sample:
-    """One training sample: image (size, size, 3) BGR uint8, boxes (N, 4), trust (N,) of their sides, fades (M, 4)."""
+    """One training sample: image (size, size, 3) BGR uint8, cones (N, 8), trust (N,) of their sides, fades (M, 4)."""
     background, levels = backgrounds[int(rng.integers(len(backgrounds)))]
     canvas = cv2.resize(levels[2], (size, size), interpolation=cv2.INTER_LINEAR)  # no black where the warp leaves a gap
     warp_into(canvas, background, levels, (0, 0, size, size), rng)
@@ -298,11 +307,11 @@ def make_sample(
         draw_furniture(canvas, rng)
     if cutouts and (not areas or rng.random() < 0.3):
         for _ in range(int(rng.integers(1, 6))):
-            taken = np.concatenate(all_boxes or [np.zeros((0, 4))])
+            taken = np.concatenate(all_boxes or [np.zeros((0, 8))])
             box = paste_cutout(canvas, cutouts[int(rng.integers(len(cutouts)))], taken, rng)
             all_boxes.append(box)
             all_trust.append(np.ones(len(box)))
-    boxes = np.concatenate(all_boxes or [np.zeros((0, 4))])
+    boxes = np.concatenate(all_boxes or [np.zeros((0, 8))])
     hide_cones(canvas, boxes, rng)
     fades = np.concatenate([fade.reshape(-1, 4) for fade in all_fades] or [np.zeros((0, 4))])
     return relight(canvas, rng), boxes, np.concatenate(all_trust or [np.zeros(0)]), fades

@@ -1,6 +1,7 @@
 """The training pictures: where they come from and how their labels are cleaned.
 
-A `Picture` is one image with its boxes (N, 4) [x0, y0, x1, y1] in pixels, `fade` = regions where an unlabelled cone
+A `Picture` is one image with its cones (N, 8) [x0, y0, x1, y1, foot x, foot y, tip x, tip y] in pixels, the last four NaN
+where they are not known (only renders and drawn cones know them), `fade` = regions where an unlabelled cone
 is likely, so that "background" is not taught there, and `tight` = whether its boxes can be trusted to the pixel.
 """
 
@@ -34,11 +35,13 @@ class Picture:
 
 
 def read_labels(path: Path, width: int, height: int) -> np.ndarray:
-    """YOLO text file -> boxes (N, 4) [x0, y0, x1, y1] in pixels. An absent file means no cone."""
+    """YOLO text file, with foot and tip behind the box or without -> cones (N, 8). An absent file means no cone."""
     if not path.exists() or not path.read_text().strip():
-        return np.zeros((0, 4))
-    rows = np.loadtxt(path, ndmin=2)[:, 1:5] * (width, height, width, height)
-    return np.concatenate((rows[:, :2] - rows[:, 2:] / 2, rows[:, :2] + rows[:, 2:] / 2), 1)
+        return np.zeros((0, 8))
+    rows = np.loadtxt(path, ndmin=2)[:, 1:]
+    ends = rows[:, 4:8] if rows.shape[1] >= 8 else np.full((len(rows), 4), np.nan)
+    rows = np.concatenate((rows[:, :2] - rows[:, 2:4] / 2, rows[:, :2] + rows[:, 2:4] / 2, ends), 1)
+    return rows * np.tile((width, height), 4)
 
 
 def black_corner_angle(image: np.ndarray) -> float:
@@ -83,7 +86,7 @@ def turn_upright(picture: Picture) -> Picture:
     matrix = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), angle, 1.0)
     image = cv2.warpAffine(picture.image, matrix, (width, height), flags=cv2.INTER_CUBIC)
     boxes, fade = [], []
-    for x0, y0, x1, y1 in picture.boxes:
+    for x0, y0, x1, y1 in picture.boxes[:, :4]:
         hull_w, hull_h = x1 - x0, y1 - y0
         w, h = (hull_w * c - hull_h * s) / (c * c - s * s), (hull_h * c - hull_w * s) / (c * c - s * s)
         cx, cy = matrix @ ((x0 + x1) / 2, (y0 + y1) / 2, 1.0)
@@ -92,7 +95,9 @@ def turn_upright(picture: Picture) -> Picture:
             fade.append((cx - hull_w / 2, cy - hull_h / 2, cx + hull_w / 2, cy + hull_h / 2))
         else:
             boxes.append((cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2))
-    return Picture(picture.name, picture.source, image, np.array(boxes).reshape(-1, 4), np.array(fade).reshape(-1, 4))
+    cones = np.full((len(boxes), 8), np.nan)
+    cones[:, :4] = np.array(boxes).reshape(-1, 4)
+    return Picture(picture.name, picture.source, image, cones, np.array(fade).reshape(-1, 4))
 
 
 def far_band(boxes: np.ndarray, width: int, height: int) -> np.ndarray:
@@ -137,11 +142,11 @@ def read_clip_negatives(root: Path, every_s: float = 0.5) -> list[Picture]:
             if start_s <= index / rate <= end_s and index % max(round(rate * every_s), 1) == 0:
                 height = image.shape[0]
                 cut = image[round(top * height) : round(bottom * height)]
-                pictures.append(Picture(f"{name}_{index}", "roadwork_clips", cut, np.zeros((0, 4))))
+                pictures.append(Picture(f"{name}_{index}", "roadwork_clips", cut, np.zeros((0, 8))))
     return pictures
 
 
-def read_renders(root: Path, known: set[str], limit: int = 40) -> list[Picture]:
+def read_renders(root: Path, known: set[str], limit: int = 4000) -> list[Picture]:
     """Rendered pictures that are not in `known` yet: images/*.{jpg,png} with labels/*.txt beside them."""
     pictures: list[Picture] = []
     for path in sorted((root / "images").glob("*")):
@@ -157,12 +162,15 @@ def read_renders(root: Path, known: set[str], limit: int = 40) -> list[Picture]:
     return pictures
 
 
-def cut_out_cones(pictures: list[Picture]) -> list[np.ndarray]:
-    """GrabCut cut-outs (h, w, 4) BGRA of whole upright cones, trimmed to the cone's own outline: exact boxes for pasting."""
+def cut_out_cones(pictures: list[Picture]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """GrabCut cut-outs (h, w, 4) BGRA of whole upright cones, trimmed to the cone's own outline: exact boxes for pasting.
+
+    Each comes with its foot and tip (4,), here NaN: nobody marked them.
+    """
     cutouts = []
     for picture in pictures:
         height, width = picture.image.shape[:2]
-        for x0, y0, x1, y1 in picture.boxes:
+        for x0, y0, x1, y1 in picture.boxes[:, :4]:
             w, h = x1 - x0, y1 - y0
             if h < 70 or h < 0.9 * w or x0 < 4 or y0 < 4 or x1 > width - 4 or y1 > height - 4:
                 continue
@@ -185,5 +193,5 @@ def cut_out_cones(pictures: list[Picture]) -> list[np.ndarray]:
             if not (0.28 < area / (bw * bh) < 0.72 and bh > 0.8 * frame[3] and 1.1 < bh / bw < 3.5):
                 continue
             alpha = cv2.GaussianBlur((labels == largest).astype(np.uint8) * 255, (3, 3), 0)
-            cutouts.append(np.dstack((patch, alpha))[by : by + bh, bx : bx + bw])
+            cutouts.append((np.dstack((patch, alpha))[by : by + bh, bx : bx + bw], np.full(4, np.nan)))
     return cutouts

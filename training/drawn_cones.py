@@ -9,8 +9,8 @@ BODY_COLOURS = ((20, 80, 235), (25, 60, 220), (40, 45, 200), (30, 100, 245), (35
 TALL_PX = 240
 
 
-def draw_cone(rng: np.random.Generator) -> np.ndarray:
-    """One random traffic cone as a trimmed cut-out (h, w, 4) BGRA uint8, about TALL_PX high."""
+def draw_cone(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """One random traffic cone as a trimmed cut-out (h, w, 4) BGRA uint8, about TALL_PX high, and its foot and tip (4,) px."""
     foot_radius = rng.uniform(0.16, 0.30)  # all lengths in cone heights
     tip_radius = rng.uniform(0.025, 0.06)
     look_down = rng.uniform(0.0, 0.32)  # sine of the camera's elevation over the cone
@@ -57,4 +57,6 @@ def draw_cone(rng: np.random.Generator) -> np.ndarray:
     picture[body, 3] = 255
     solid = np.clip(picture, 0, 255).astype(np.uint8)
     ys, xs = np.nonzero(solid[..., 3])
-    return solid[ys.min() : ys.max() + 1, xs.min() : xs.max() + 1]
+    middle, ground = columns / 2, rows * 0.8
+    ends = np.array([middle, ground + thick * TALL_PX, middle + lean * TALL_PX, ground - TALL_PX])
+    return solid[ys.min() : ys.max() + 1, xs.min() : xs.max() + 1], ends - np.tile((xs.min(), ys.min()), 2)

@@ -13,18 +13,37 @@ from torch.nn import functional
 CANDIDATES = 9
 
 
-def flatten_maps(maps: list[Tensor]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Raw maps -> side logits (B, A, 4, BINS), score logits (B, A), points (A, 2) px, strides (A,)."""
-    sides, scores, points, strides = [], [], [], []
+def flatten_maps(maps: list[Tensor]) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Raw maps -> side logits (B, A, 4, BINS), ends (B, A, 4), score logits (B, A), points (A, 2) px, strides (A,)."""
+    sides, ends, scores, points, strides = [], [], [], [], []
     for stride, raw in zip(STRIDES, maps, strict=True):
         batch, _, height, width = raw.shape
         flat = raw.float().permute(0, 2, 3, 1).reshape(batch, height * width, -1)
         sides.append(flat[..., : 4 * BINS].reshape(batch, -1, 4, BINS))
-        scores.append(flat[..., 4 * BINS])
+        ends.append(flat[..., 4 * BINS : 4 * BINS + 4])
+        scores.append(flat[..., -1])
         y, x = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
         points.append(torch.stack((x.reshape(-1), y.reshape(-1)), 1).to(raw.device).float().add(0.5).mul(stride))
         strides.append(torch.full((height * width,), float(stride), device=raw.device))
-    return torch.cat(sides, 1), torch.cat(scores, 1), torch.cat(points), torch.cat(strides)
+    return torch.cat(sides, 1), torch.cat(ends, 1), torch.cat(scores, 1), torch.cat(points), torch.cat(strides)
+
+
+def offsets_of(ends: Tensor, boxes: Tensor) -> Tensor:
+    """Foot and tip (..., 4) [foot x, foot y, tip x, tip y] px in boxes (..., 4) -> offsets (..., 4) in shares of the box.
+
+    The foot counts from the middle of the lower side upwards, the tip from the middle of the upper side downwards.
+    """
+    width, height = (boxes[..., 2] - boxes[..., 0]).clamp(min=1.0), (boxes[..., 3] - boxes[..., 1]).clamp(min=1.0)
+    middle = (boxes[..., 0] + boxes[..., 2]) / 2
+    return torch.stack(
+        (
+            (ends[..., 0] - middle) / width,
+            (boxes[..., 3] - ends[..., 1]) / height,
+            (ends[..., 2] - middle) / width,
+            (ends[..., 3] - boxes[..., 1]) / height,
+        ),
+        -1,
+    )
 
 
 def boxes_from_sides(side_logits: Tensor, points: Tensor, strides: Tensor) -> Tensor:
@@ -85,12 +104,15 @@ def assign(
 def detection_loss(
     maps: list[Tensor], truths: list[Tensor], trusts: list[Tensor], fades: list[Tensor]
 ) -> tuple[Tensor, dict[str, float]]:
-    """Sum of score (BCE against IoU-scaled targets), box (CIoU) and side-distribution (DFL) losses for a batch."""
-    side_logits, score_logits, points, strides = flatten_maps(maps)
+    """Sum of score (BCE against IoU-scaled targets), box (CIoU), side (DFL) and end (smooth L1) losses for a batch.
+
+    truths: (G, 8) box, foot and tip a picture; NaN where foot and tip are not known.
+    """
+    side_logits, end_offsets, score_logits, points, strides = flatten_maps(maps)
     with torch.no_grad():  # only the assigned cells' boxes are differentiated, below
         boxes = boxes_from_sides(side_logits, points, strides)
     targets, weights = torch.zeros_like(score_logits), torch.ones_like(score_logits)
-    box_loss = side_loss = score_logits.sum() * 0
+    box_loss = side_loss = end_loss = score_logits.sum() * 0
     for index, (truth, trust, fade) in enumerate(zip(truths, trusts, fades, strict=True)):
         if len(fade):
             low, high = points[:, None] >= fade[None, :, :2], points[:, None] <= fade[None, :, 2:]
@@ -98,6 +120,7 @@ def detection_loss(
             weights[index][(low & high).all(-1).any(1) & (strides <= 16)] = 0.0
         if len(truth) == 0:
             continue
+        truth, ends = truth[:, :4], truth[:, 4:]
         cells, owner, target = assign(score_logits[index].detach(), boxes[index], points, strides, truth)
         targets[index, cells] = target
         weights[index, cells] = 1.0
@@ -117,9 +140,16 @@ def detection_loss(
             + log.gather(-1, (lower + 1)[..., None]).squeeze(-1) * share
         )
         side_loss = side_loss + (cost.mean(1) * amount).sum()
+        wanted = offsets_of(ends, truth)[owner]
+        known = torch.isfinite(wanted).all(1)
+        if known.any():
+            wanted = wanted[known].clamp(-0.6, 0.9)  # a cone cut by the picture's edge has its ends far outside its box
+            apart = functional.smooth_l1_loss(end_offsets[index, cells][known], wanted, reduction="none", beta=0.03)
+            end_loss = end_loss + (apart.mean(1) * target[known]).sum()
     total = targets.sum().clamp(min=4.0)
     raw = functional.binary_cross_entropy_with_logits(score_logits, targets, reduction="none")
     score_loss = (raw * weights).sum() / total
-    box_loss, side_loss = box_loss / total, side_loss / total
-    parts = {"score": float(score_loss.detach()), "box": float(box_loss.detach()), "side": float(side_loss.detach())}
-    return 0.7 * score_loss + 7.5 * box_loss + 1.5 * side_loss, parts
+    box_loss, side_loss, end_loss = box_loss / total, side_loss / total, end_loss / total
+    losses = {"score": score_loss, "box": box_loss, "side": side_loss, "end": end_loss}
+    total_loss = 0.7 * score_loss + 7.5 * box_loss + 1.5 * side_loss + 6.0 * end_loss
+    return total_loss, {name: float(loss.detach()) for name, loss in losses.items()}

@@ -1,8 +1,9 @@
 """The cone detector's network: a small anchor-free YOLO with outputs at strides 4, 8, 16 and 32.
 
 Backbone of C2f blocks (split, bottlenecks, concatenate), a top-down feature pyramid, one decoupled pair of 1x1
-output layers per level after one shared 3x3. Each side of a box is a distribution over 16 bins (distribution focal loss,
-Li et al. 2020), which gives tighter sides than one number. Channels are multiples of 16 for the runtime's kernels.
+output layer per level after a depthwise 3x3. Each side of a box is a distribution over 16 bins (distribution focal loss,
+Li et al. 2020), which gives tighter sides than one number; the cone's foot and tip are offsets within that box.
+Channels are multiples of 16 for the runtime's kernels.
 """
 
 from __future__ import annotations
@@ -23,6 +24,18 @@ def conv(channels_in: int, channels_out: int, size: int = 3, stride: int = 1) ->
         nn.Conv2d(channels_in, channels_out, size, stride, size // 2, bias=False),
         nn.BatchNorm2d(channels_out, eps=1e-3, momentum=0.03),
         nn.ReLU(inplace=True),
+    )
+
+
+def depthwise(channels: int) -> nn.Sequential:
+    """3x3 per channel, then 1x1 (MobileNet): a tenth of a full 3x3, which the fine levels cannot afford."""
+    return nn.Sequential(
+        nn.Sequential(
+            nn.Conv2d(channels, channels, 3, 1, 1, groups=channels, bias=False),
+            nn.BatchNorm2d(channels, eps=1e-3, momentum=0.03),
+            nn.Identity(),
+        ),
+        conv(channels, channels, 1),
     )
 
 
@@ -71,10 +84,11 @@ class PoolPyramid(nn.Module):
 
 
 class ConeNet(nn.Module):
-    """Picture (B, 3, H, W) float in 0..1, RGB, H and W multiples of 32 -> one raw map (B, 4*BINS + 1, H/s, W/s) a stride.
+    """Picture (B, 3, H, W) float in 0..1, RGB, H and W multiples of 32 -> one raw map (B, 4*BINS + 5, H/s, W/s) a stride.
 
-    Channels: BINS logits for each of left, top, right, bottom distance in strides from the cell's centre, then the
-    logit of "a traffic cone".
+    Channels: BINS logits for each of left, top, right, bottom distance in strides from the cell's centre; the offsets of
+    foot x, foot y, tip x, tip y in shares of the box's size from the middle of its lower and upper side (`loss.ends_of`);
+    the logit of "a traffic cone".
     """
 
     def __init__(self) -> None:
@@ -90,13 +104,16 @@ class ConeNet(nn.Module):
         self.side8, self.mix8 = conv(64, 64, 1), SplitBlock(64, 1)
         self.side4, self.top4 = conv(32, 32, 1), conv(64, 32, 1)
         self.mix16 = SplitBlock(64, 1)
-        self.heads = nn.ModuleList(conv(width, width) for width in widths)
+        self.heads = nn.ModuleList(depthwise(width) for width in widths)
         self.sides = nn.ModuleList(nn.Conv2d(width, 4 * BINS, 1) for width in widths)
+        self.ends = nn.ModuleList(nn.Conv2d(width, 4, 1) for width in widths)
         self.score = nn.ModuleList(nn.Conv2d(width, 1, 1) for width in widths)
         for stride, score, side in zip(STRIDES, self.score, self.sides, strict=True):
             assert score.bias is not None and side.bias is not None
             nn.init.constant_(score.bias, math.log(5 / (640 / stride) ** 2))
             nn.init.constant_(side.bias, 1.0)
+        for ends in self.ends:
+            nn.init.zeros_(ends.weight)
 
     def forward(self, picture: Tensor) -> list[Tensor]:
         c4 = self.stage4(self.stem(picture))
@@ -107,9 +124,10 @@ class ConeNet(nn.Module):
         p8 = self.mix8(self.side8(c8) + functional.interpolate(p16, scale_factor=2.0))
         p4 = self.side4(c4) + functional.interpolate(self.top4(p8), scale_factor=2.0)
         maps = []
-        for features, head, sides, score in zip((p4, p8, p16, p32), self.heads, self.sides, self.score, strict=True):
+        layers = zip((p4, p8, p16, p32), self.heads, self.sides, self.ends, self.score, strict=True)
+        for features, head, sides, ends, score in layers:
             shared = head(features)
-            maps.append(torch.cat((sides(shared), score(shared)), 1))
+            maps.append(torch.cat((sides(shared), ends(shared), score(shared)), 1))
         return maps
 
 

@@ -2,7 +2,8 @@
 
     python training/render_scenes.py OUT --count 400 --seed 1
 
-writes OUT/images/*.jpg and OUT/labels/*.txt (YOLO: `0 cx cy w h`, shares of width and height). Equal seeds give equal pictures;
+writes OUT/images/*.jpg and OUT/labels/*.txt: `0 cx cy w h foot_x foot_y tip_x tip_y`, shares of width and height; the foot is the
+centre of the base plate on the ground, the tip the top of the body, both also where something hides them. Equal seeds give equal pictures;
 pictures that are there already are kept. The layouts are random: the scene of the sample drives is not among them.
 """
 
@@ -66,8 +67,11 @@ def render_scene_views(out: Path, seed: int, scene_number: int) -> int:
         picture = camera_noise.develop(radiance, gain, view_rng, blur_sigma_px=float(view_rng.uniform(0.3, 0.9)))
         boxes = cone_boxes(scene, world, camera, pose)
         written += len(boxes)
-        shares = (np.array(boxes).reshape(-1, 2) / [camera.width_px, camera.height_px]).reshape(-1, 4)
-        lines = "".join(f"0 {(a + c) / 2:.6f} {(b + d) / 2:.6f} {c - a:.6f} {d - b:.6f}\n" for a, b, c, d in shares)
+        shares = (np.array(boxes).reshape(-1, 2) / [camera.width_px, camera.height_px]).reshape(-1, 8)
+        lines = "".join(
+            f"0 {(a + c) / 2:.6f} {(b + d) / 2:.6f} {c - a:.6f} {d - b:.6f} " + " ".join(f"{p:.6f}" for p in points) + "\n"
+            for a, b, c, d, *points in shares
+        )
         (out / "labels" / f"{name}.txt").write_text(lines)
         partial = out / "images" / f".{name}.part"  # the label is there before its picture appears
         partial.write_bytes(camera_noise.encode_jpeg(picture, int(view_rng.integers(60, 96))))
@@ -77,14 +81,16 @@ def render_scene_views(out: Path, seed: int, scene_number: int) -> int:
 
 def cone_boxes(
     scene: object, world: World, camera: PinholeCamera, road_SE3_camera: np.ndarray
-) -> list[tuple[float, float, float, float]]:
-    """Boxes [x0, y0, x1, y1] from the edge of the picture, in pixels, of the visible part of each cone.
+) -> list[tuple[float, ...]]:
+    """[x0, y0, x1, y1, foot x, foot y, tip x, tip y] from the edge of the picture, in pixels, a cone.
+
+    The box holds the visible part of the cone.
 
     A vertex is hidden where the ray to it meets something that is not the cone itself.
     """
     mi = load_mitsuba()
     eye = road_SE3_camera[:3, 3]
-    boxes = []
+    boxes: list[tuple[float, ...]] = []
     for number, cone in enumerate(world.cones):
         plate, body = cone_parts(cone, 1000 * world.texture_seed + number)
         points = np.vstack([plate.mesh.vertices, body.mesh.vertices[::3]])
@@ -109,7 +115,10 @@ def cone_boxes(
             continue
         low, high = pixels[seen].min(axis=0), pixels[seen].max(axis=0)
         if high[1] - low[1] >= MIN_HEIGHT_PX:
-            boxes.append((float(low[0]), float(low[1]), float(high[0]), float(high[1])))
+            foot = plate.mesh.vertices.mean(axis=0) if cone.fallen else np.array([cone.x_m, cone.y_m, 0.0])
+            local = (np.array([foot, body.mesh.vertices[-1]]) - eye) @ road_SE3_camera[:3, :3]
+            ends = local[:, :2] / local[:, 2:] * camera.f_px + [camera.cx_px + 0.5, camera.cy_px + 0.5]
+            boxes.append((*low.tolist(), *high.tolist(), *ends.reshape(-1).tolist()))
     return boxes
 
 
@@ -143,7 +152,7 @@ def random_world(rng: np.random.Generator) -> World:
     cones = _random_cones(rng)
     overcast = rng.random() < 0.3
     return World(
-        cones=tuple(cones), objects=tuple(_random_objects(rng, road)), sun_elevation_deg=rng.uniform(8, 70),
+        cones=tuple(cones), objects=(*_random_objects(rng, road), *_things_before(cones, rng)), sun_elevation_deg=rng.uniform(8, 70),
         sun_azimuth_deg=rng.uniform(-180, 180), turbidity=rng.uniform(2.0, 8.0), sun_scale=0.0 if overcast else 1.0, road=road,
         texture_seed=int(rng.integers(1000, 1 << 20)),
     )  # fmt: skip
@@ -183,6 +192,24 @@ def _random_cones(rng: np.random.Generator) -> list[Cone]:
     return cones
 
 
+def _things_before(cones: list[Cone], rng: np.random.Generator) -> list[RoadObject]:
+    """Posts, bollards and boards between the camera and some of the cones, so that they hide a part of them."""
+    objects = []
+    for cone in cones:
+        if rng.random() > 0.3 or cone.x_m < 5.0:
+            continue
+        kind = str(rng.choice(("bollard", "post", "barrier_post", "hydrant", "drum"), p=(0.4, 0.3, 0.15, 0.05, 0.1)))
+        before, beside = rng.uniform(0.3, 1.6), rng.normal(0.0, 0.22)
+        away = math.atan2(cone.y_m, cone.x_m + 3.0)  # the camera stands somewhere about (-3, 0)
+        x = cone.x_m - before * math.cos(away) - beside * math.sin(away)
+        y = cone.y_m - before * math.sin(away) + beside * math.cos(away)
+        shade = float(rng.uniform(0.1, 0.7))
+        height = rng.uniform(0.5, 1.0) if kind == "hydrant" else rng.uniform(0.7, 1.3)
+        colour = (0.75, 0.12, 0.08) if rng.random() < 0.4 else (shade, shade, shade)
+        objects.append(RoadObject(kind, x, y, rng.uniform(-0.4, 0.4), height, colour))
+    return objects
+
+
 def _random_objects(rng: np.random.Generator, road: Road) -> list[RoadObject]:
     objects: list[RoadObject] = []
     orange, red, white = (0.93, 0.42, 0.08), (0.75, 0.10, 0.08), (0.85, 0.85, 0.85)
@@ -212,6 +239,8 @@ def _random_objects(rng: np.random.Generator, road: Road) -> list[RoadObject]:
     add("bin", 0.4, 3, (0.6, 1.2), (grey, orange, (0.15, 0.2, 0.15), red), False)
     add("hydrant", 0.3, 2, (0.6, 0.9), (red, orange, (0.8, 0.7, 0.1)), False)
     add("worker", 0.4, 3, (1.6, 1.95), (orange, (0.8, 0.85, 0.1), red), True)
+    add("drum", 0.3, 4, (0.8, 1.1), (orange, red), True)
+    add("barricade", 0.2, 2, (0.9, 1.5), (orange, red), True)
     for _ in range(int(rng.choice([0, 1, 2], p=[0.5, 0.35, 0.15]))):
         side = rng.choice([road.right_m + 1.3, road.left_m - 1.2])
         objects.append(

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import copy
+import json
 import math
 import time
 from pathlib import Path
@@ -24,7 +25,7 @@ from loss import detection_loss
 from network import ConeNet
 from torch.utils.data import DataLoader, IterableDataset
 
-SHARES = {"rf_traffic_cones": 0.30, "fs_onboard": 0.16, "css_safety_cone": 0.20, "renders": 0.34}
+SHARES = {"rf_traffic_cones": 0.25, "fs_onboard": 0.27, "css_safety_cone": 0.14, "renders": 0.34}
 
 
 class Samples(IterableDataset):
@@ -33,6 +34,11 @@ class Samples(IterableDataset):
     def __init__(self, args: argparse.Namespace) -> None:
         self.args = args
         pictures = read_cones(Path(args.cones), "train")
+        if args.unlabelled:
+            places = json.loads(Path(args.unlabelled).read_text())["places"]
+            for picture in pictures:
+                fade = np.array(places[picture.name]).reshape(-1, 4)
+                picture.fade = fade if picture.source == "fs_onboard" else np.concatenate((picture.fade, fade))
         self.cutouts = cut_out_cones([p for p in pictures if p.source == "rf_traffic_cones"])
         drawn = np.random.default_rng(args.seed)
         self.cutouts += [draw_cone(drawn) for _ in range(500)]
@@ -81,6 +87,8 @@ def read_arguments() -> argparse.Namespace:
     parser.add_argument("--cones", required=True)
     parser.add_argument("--clips", default="")
     parser.add_argument("--renders", default="")
+    parser.add_argument("--unlabelled", default="", help="what find_unlabelled.py wrote")
+    parser.add_argument("--start", default="", help="checkpoint whose weights are taken where their shapes agree")
     parser.add_argument("--out", required=True)
     parser.add_argument("--minutes", type=float, default=75)
     parser.add_argument("--size", type=int, default=352)
@@ -90,6 +98,14 @@ def read_arguments() -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--resume", default="")
     return parser.parse_args()
+
+
+def take_weights(network: ConeNet, checkpoint: Path) -> None:
+    """Start from an earlier network: every weight of the same name and shape is taken, the others keep their random start."""
+    own, earlier = network.state_dict(), torch.load(checkpoint, map_location="cpu", weights_only=True)["average"]
+    taken = {name: value for name, value in earlier.items() if name in own and own[name].shape == value.shape}
+    network.load_state_dict(own | taken)
+    print(f"{len(taken)} of {len(own)} tensors taken from {checkpoint.name}", flush=True)
 
 
 def make_optimiser(network: ConeNet, rate: float) -> torch.optim.Optimizer:
@@ -116,6 +132,8 @@ def main() -> None:
     torch.set_num_threads(args.threads)
     device = "cuda" if torch.cuda.is_available() else "cpu"
     network = ConeNet().to(device, memory_format=torch.channels_last)
+    if args.start:
+        take_weights(network, Path(args.start))
     average = copy.deepcopy(network).eval()
     optimiser = make_optimiser(network, args.rate)
     args.start_step = 0
@@ -130,7 +148,7 @@ def main() -> None:
     )
 
     started = saved = time.monotonic()
-    step, sums = args.start_step, {"score": 0.0, "box": 0.0, "side": 0.0}
+    step, sums = args.start_step, dict.fromkeys(("score", "box", "side", "end"), 0.0)
     while (share := (time.monotonic() - started) / (60 * args.minutes)) < 1:
         warm = min(1.0, (step - args.start_step + 1) / (50 if args.resume else 300))
         for group in optimiser.param_groups:
@@ -145,7 +163,7 @@ def main() -> None:
         torch.nn.utils.clip_grad_norm_(network.parameters(), 10.0)
         optimiser.step()
         step += 1
-        follow_average(average, network, 0.998 * (1 - math.exp(-step / 600)))
+        follow_average(average, network, 0.9988 * (1 - math.exp(-step / 500)))
         sums = {name: sums[name] + parts[name] for name in sums}
         if step % 100 == 0:
             means = " ".join(f"{name} {value / 100:.3f}" for name, value in sums.items())

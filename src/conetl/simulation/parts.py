@@ -101,6 +101,32 @@ def _barrier_post(item: RoadObject, seed: int) -> list[Part]:
     ]
 
 
+def _drum(item: RoadObject, seed: int) -> list[Part]:
+    """A plastic channelising drum with reflective bands on a rubber ring, as beside American road works."""
+    h = item.height_m
+    white = (0.92, 0.92, 0.9)
+    body = meshes.lathe([0.29 * h, 0.24 * h, 0.22 * h, 0.08 * h, 0.0], [0.04, 0.85 * h, 0.97 * h, h, h], 28)
+    ring = meshes.lathe([0.38 * h, 0.36 * h, 0.0], [0.0, 0.06, 0.07], 24)
+    bands = (item.colour, white, item.colour, white, item.colour)
+    return [Part(_at(item, body), textures.striped(bands, seed)), Part(_at(item, ring), (0.1, 0.1, 0.1))]
+
+
+def _barricade(item: RoadObject, seed: int) -> list[Part]:
+    """Two striped boards across two feet."""
+    white = (0.92, 0.92, 0.9)
+    parts = [
+        Part(
+            _at(item, meshes.box([0.04, 1.5, 0.2], item.height_m * share)),
+            textures.striped((item.colour, white) * 2, seed),
+        )
+        for share in (0.45, 0.8)
+    ]
+    for y in (-0.6, 0.6):
+        parts.append(Part(_at(item, meshes.box([0.06, 0.06, item.height_m]), x=0.05, y=y), (0.8, 0.8, 0.78)))
+        parts.append(Part(_at(item, meshes.box([0.7, 0.08, 0.06]), y=y), (0.2, 0.2, 0.2)))
+    return parts
+
+
 def _post(item: RoadObject, seed: int) -> list[Part]:
     return [
         Part(_at(item, meshes.lathe([0.038, 0.038, 0.0], [0.0, item.height_m, item.height_m], 20)), item.colour, 0.3)
@@ -243,5 +269,5 @@ def _tree(item: RoadObject, seed: int) -> list[Part]:
 BUILDERS: dict[str, Callable[[RoadObject, int], list[Part]]] = {
     "bollard": _bollard, "barrier_post": _barrier_post, "post": _post, "round_sign": _round_sign,
     "triangle_sign": _triangle_sign, "bin": _bin, "hydrant": _hydrant, "van": _van, "worker": _worker,
-    "house": _house, "hedge": _hedge, "tree": _tree,
+    "drum": _drum, "barricade": _barricade, "house": _house, "hedge": _hedge, "tree": _tree,
 }  # fmt: skip
