@@ -8,6 +8,7 @@ from pathlib import Path
 
 from prefect import task
 
+from conetl.geometry.camera import first_road_row
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
 from conetl.io import detector as detector_io
 from conetl.io.drive_folder import read_drive
@@ -41,7 +42,7 @@ from flows.progress import tell_progress
 from flows.retries import RETRY
 
 #: Part of every result key: raise it when a step computes something else from the same inputs.
-RESULTS_VERSION = "1"
+RESULTS_VERSION = "2"
 _per_thread = threading.local()
 
 
@@ -70,12 +71,15 @@ def detect_task(chunk: Chunk, side: Side) -> Path:
     hashes = [file_sha256(path) for path in paths]
     params = chunk.params.detection
     key = result_key(
-        RESULTS_VERSION, "detect", side, chunk.model_sha256, params_sha256(params), str(_indices(chunk)), *hashes
+        RESULTS_VERSION, "detect", side, chunk.model_sha256, params_sha256(params), _rig_and_poses(chunk), *hashes
     )
     if has_result(chunk.results_folder, key):
         tell_progress(chunk.drive_id, len(paths))
         return result_path(chunk.results_folder, key)
     camera = chunk.rig.left if side == "left" else chunk.rig.right
+    pose_of = map_SE3_left if side == "left" else map_SE3_right
+    rotations = [pose_of(pair.pose, chunk.rig)[:3, :3] for pair in chunk.frame_pairs]
+    first_row = first_road_row(camera, rotations, params.horizon_margin_rad)
     detections: list[Detection] = []
     rejections: list[Rejection] = []
     for pair, path in zip(chunk.frame_pairs, paths, strict=True):
@@ -93,8 +97,9 @@ def detect_task(chunk: Chunk, side: Side) -> Path:
             )
         else:
             boxes = detector_io.detect_image(
-                _detector(chunk), image, score_threshold=params.score_threshold, nms_iou=params.nms_iou
-            )
+                _detector(chunk), image,
+                score_threshold=params.score_threshold, nms_iou=params.nms_iou, first_row=first_row,
+            )  # fmt: skip
             found, refused = check_boxes(boxes, frame_index=pair.frame_index, side=side, params=params)
             detections += found
             rejections += refused
@@ -168,10 +173,6 @@ def fuse_task(
         {pair.frame_index: map_SE3_right(pair.pose, drive.rig) for pair in drive.frame_pairs},
         params,
     )
-
-
-def _indices(chunk: Chunk) -> list[int]:
-    return [pair.frame_index for pair in chunk.frame_pairs]
 
 
 def _rig_and_poses(chunk: Chunk) -> str:

@@ -112,7 +112,9 @@ def clip_boxes(boxes: np.ndarray, area: tuple[int, int, int, int]) -> tuple[np.n
     return cut[keep], cut[inside & ~keep, :4]
 
 
-def paste_cutout(canvas: np.ndarray, cutout_and_ends: CutOut, taken: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def paste_cutout(
+    canvas: np.ndarray, cutout_and_ends: CutOut, taken: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
     """Paste one cut-out where it hides little of the cones `taken` (N, 8), with a shadow at its foot.
 
     Returns it as a cone (1, 8) with an exact box, or (0, 8) when the place was taken.
@@ -151,7 +153,7 @@ def paste_cutout(canvas: np.ndarray, cutout_and_ends: CutOut, taken: np.ndarray,
     alpha = patch[..., 3:].astype(np.float32) / 255
     region = canvas[y : y + height, x : x + width]
     region[:] = np.clip(alpha * colour + (1 - alpha) * region, 0, 255).astype(np.uint8)
-    return np.array([[x, y, x + width, y + height, *(ends + (x, y, x, y))]])
+    return np.array([[x, y, x + width, y + height, *(ends + np.array((x, y, x, y)))]])
 
 
 def draw_post(canvas: np.ndarray, x: float, foot: float, height: float, rng: np.random.Generator) -> None:

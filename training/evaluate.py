@@ -83,7 +83,7 @@ def main() -> None:
             row: dict[str, object] = {"source": source, "least_px": least_px}
             for iou in (0.5, 0.75):
                 ap, count = average_precision(
-                    [found[k] for k in chosen], [pictures[k].boxes for k in chosen], iou, least_px
+                    [found[k] for k in chosen], [pictures[k].boxes[:, :4] for k in chosen], iou, least_px
                 )
                 row[f"ap{round(100 * iou)}"], row["cones"] = round(ap, 3), count
             table.append(row)

@@ -55,6 +55,7 @@ def main() -> None:
         "input_layout": "RGB float32 NCHW 0..1",
         "head": "side-distributions",
         "side_bins": BINS,
+        "foot_and_tip": True,
         "strides_px": list(STRIDES),
         "pad_multiple_px": max(STRIDES),
         "class_names": ["traffic_cone"],

@@ -34,7 +34,7 @@ def main() -> None:
     places: dict[str, list[list[float]]] = {}
     for picture in read_cones(args.cones, "train"):
         found = []
-        for x, y, width, height, _score in detect_image(detector, picture.image, score_threshold=args.score):
+        for x, y, width, height, _score in detect_image(detector, picture.image, score_threshold=args.score)[:, :5]:
             box = np.array([x, y, x + width, y + height])
             if len(picture.boxes) and intersection_over_union(box, picture.boxes[:, :4]).max() > 0.1:
                 continue

@@ -113,14 +113,14 @@ def detection_loss(
         boxes = boxes_from_sides(side_logits, points, strides)
     targets, weights = torch.zeros_like(score_logits), torch.ones_like(score_logits)
     box_loss = side_loss = end_loss = score_logits.sum() * 0
-    for index, (truth, trust, fade) in enumerate(zip(truths, trusts, fades, strict=True)):
+    for index, (cones, trust, fade) in enumerate(zip(truths, trusts, fades, strict=True)):
         if len(fade):
             low, high = points[:, None] >= fade[None, :, :2], points[:, None] <= fade[None, :, 2:]
             # Only fine cells fade: a far cone is small, and large boxes over the band stay forbidden.
             weights[index][(low & high).all(-1).any(1) & (strides <= 16)] = 0.0
-        if len(truth) == 0:
+        if len(cones) == 0:
             continue
-        truth, ends = truth[:, :4], truth[:, 4:]
+        truth, ends = cones[:, :4], cones[:, 4:]
         cells, owner, target = assign(score_logits[index].detach(), boxes[index], points, strides, truth)
         targets[index, cells] = target
         weights[index, cells] = 1.0

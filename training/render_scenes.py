@@ -3,7 +3,8 @@
     python training/render_scenes.py OUT --count 400 --seed 1
 
 writes OUT/images/*.jpg and OUT/labels/*.txt: `0 cx cy w h foot_x foot_y tip_x tip_y`, shares of width and height; the foot is the
-centre of the base plate on the ground, the tip the top of the body, both also where something hides them. Equal seeds give equal pictures;
+centre of the base plate on the ground, the tip the top of the body, both also where something hides
+them. Equal seeds give equal pictures;
 pictures that are there already are kept. The layouts are random: the scene of the sample drives is not among them.
 """
 
@@ -69,7 +70,9 @@ def render_scene_views(out: Path, seed: int, scene_number: int) -> int:
         written += len(boxes)
         shares = (np.array(boxes).reshape(-1, 2) / [camera.width_px, camera.height_px]).reshape(-1, 8)
         lines = "".join(
-            f"0 {(a + c) / 2:.6f} {(b + d) / 2:.6f} {c - a:.6f} {d - b:.6f} " + " ".join(f"{p:.6f}" for p in points) + "\n"
+            f"0 {(a + c) / 2:.6f} {(b + d) / 2:.6f} {c - a:.6f} {d - b:.6f} "
+            + " ".join(f"{p:.6f}" for p in points)
+            + "\n"
             for a, b, c, d, *points in shares
         )
         (out / "labels" / f"{name}.txt").write_text(lines)
@@ -152,7 +155,8 @@ def random_world(rng: np.random.Generator) -> World:
     cones = _random_cones(rng)
     overcast = rng.random() < 0.3
     return World(
-        cones=tuple(cones), objects=(*_random_objects(rng, road), *_things_before(cones, rng)), sun_elevation_deg=rng.uniform(8, 70),
+        cones=tuple(cones), objects=(*_random_objects(rng, road), *_things_before(cones, rng)),
+        sun_elevation_deg=rng.uniform(8, 70),
         sun_azimuth_deg=rng.uniform(-180, 180), turbidity=rng.uniform(2.0, 8.0), sun_scale=0.0 if overcast else 1.0, road=road,
         texture_seed=int(rng.integers(1000, 1 << 20)),
     )  # fmt: skip

@@ -27,6 +27,8 @@ class DetectionParams(Params):
     """Low on purpose: one weak box costs little, because a track needs several that agree in space."""
     nms_iou: Fraction = 0.5
     min_height_px: Positive = 8.0
+    horizon_margin_rad: Annotated[float, Field(ge=0, lt=1.57)] = 0.1
+    """Rows farther than this above the horizon are not looked at: cones stand on the road. 0.1 rad is a slope of 10 %."""
 
 
 class MatchParams(Params):

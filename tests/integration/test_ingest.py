@@ -327,9 +327,10 @@ def test_locate_and_detect_need_no_services(office: Desk, tmp_path: Path) -> Non
     assert all(1 < cone["ground_distance_m"] < 40 for cone in cones)
     assert all(0.3 < cone["height_m"] < 1.0 for cone in cones)
     written = tmp_path / "detections.json"
-    assert office.run("detect", *pair, "--out", written).code == 0
+    assert office.run("detect", *pair, "--out", written, "--draw", tmp_path / "drawn").code == 0
+    assert len(list((tmp_path / "drawn").glob("*.jpg"))) == len(pair)  # of equal name, from two folders
     boxes = json.loads(written.read_text())
-    assert set(boxes[0]) == {"file_name", "category", "bbox", "score"}
+    assert set(boxes[0]) == {"file_name", "category", "bbox", "score", "foot", "tip"}
     assert office.run("detect", tmp_path / "nothing").code == 2
 
 

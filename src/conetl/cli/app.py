@@ -6,8 +6,9 @@ import typer
 
 from conetl.cli.database import app as database
 from conetl.cli.demo import demo
-from conetl.cli.images import detect, locate
+from conetl.cli.detect import detect
 from conetl.cli.ingest import ingest
+from conetl.cli.locate import locate
 from conetl.cli.maps import app as maps
 from conetl.cli.simulate import simulate
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -55,3 +57,18 @@ def horizon_row_px(camera: Camera, map_R_cam: ArrayLike, u_px: float | None = No
     if abs(up[1]) < 1e-6:
         raise ValueError("horizon_row_px: the camera looks straight up or down or lies on its side")
     return float(camera.cy_px - camera.fy_px * (up[2] + up[0] * x) / up[1])
+
+
+def first_road_row(camera: Camera, map_R_cams: Iterable[ArrayLike], margin_rad: float) -> int:
+    """First row of a camera's pictures that lies at most `margin_rad` above the highest horizon of rotations (3, 3).
+
+    What stands on the road, and is no taller than the rig, shows at or below it; the margin is for slopes. 0 where a camera
+    has no horizon row.
+    """
+    corners = (0.0, camera.width_px - 1.0)
+    try:
+        highest = min(horizon_row_px(camera, rotation, u_px) for rotation in map_R_cams for u_px in corners)
+    except ValueError:
+        return 0
+    row = highest - camera.fy_px * float(np.tan(margin_rad))
+    return int(np.clip(np.floor(row), 0, camera.height_px - 1))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from conetl.errors import ModelFileError
-from conetl.io.detector_decode import boxes_in_image, decode_maps, suppress_overlaps, without_parts
+from conetl.io.detector_decode import COLUMNS, boxes_in_image, decode_maps, suppress_overlaps, without_parts
 
 DEFAULT_MODEL = "conetl-cone-1.onnx"
 MAX_SIDE_PX = 1600
@@ -37,6 +37,11 @@ class ModelCard(BaseModel):
     input_layout: Literal["RGB float32 NCHW 0..1"]
     head: Literal["side-distributions"]
     side_bins: int = Field(ge=2)
+    foot_and_tip: bool = False
+    """Whether the head gives the cone's foot and tip besides its box."""
+    score_logit_scale: float = Field(default=1.0, gt=0)
+    score_logit_offset: float = 0.0
+    """Calibration of the score: probability = sigmoid(scale * logit + offset)."""
     strides_px: tuple[int, ...] = Field(min_length=1)
     pad_multiple_px: int = Field(ge=1)
     class_names: tuple[str, ...] = Field(min_length=1, max_length=1)
@@ -119,7 +124,7 @@ def load_detector(model_path: Path | None = None, *, threads: int = 1) -> Detect
             f"{path}: has {len(inputs)} inputs and {len(outputs)} outputs, the sidecar expects 1 and {len(card.strides_px)}"
         )
     channels = [output.shape[1] if len(output.shape) == 4 else None for output in outputs]
-    expected = 4 * card.side_bins + 1
+    expected = 4 * card.side_bins + (5 if card.foot_and_tip else 1)
     if any(isinstance(count, int) and count != expected for count in channels) or None in channels:
         raise ModelFileError(f"{path}: its outputs have {channels} channels, the sidecar expects {expected} each")
     return Detector(session=session, path=path, card=card, input_name=inputs[0].name)
@@ -155,16 +160,21 @@ def detect_image(
     score_threshold: float,
     nms_iou: float = 0.5,
     max_side_px: int = MAX_SIDE_PX,
+    first_row: int = 0,
 ) -> NDArray[np.float64]:
     """Find the cones of one image (H, W, 3) uint8 BGR.
 
-    Returns (N, 5) [x, y, w, h, score] by falling score: x, y is the top-left corner, in pixels of the given image, whose
-    left and top edges are x = 0 and y = 0 (the centre of the first pixel is 0.5).
+    Returns (N, 9) [x, y, w, h, score, foot x, foot y, tip x, tip y] by falling score: x, y is the top-left corner, in pixels of
+    the given image, whose left and top edges are x = 0 and y = 0 (the centre of the first pixel is 0.5). Foot and tip are NaN
+    where the network does not give them. first_row: rows above it are not looked at (see `geometry.horizon`).
     """
     if image_bgr.dtype != np.uint8 or image_bgr.ndim != 3 or image_bgr.shape[2] != 3:
         raise ValueError(f"expected a BGR image (H, W, 3) of uint8, got {image_bgr.shape} of {image_bgr.dtype}")
+    whole = image_bgr
+    first_row = min(max(first_row, 0), max(whole.shape[0] - SECOND_LOOK_FROM_PX // 4, 0))
+    image_bgr = whole[first_row:]
     if min(image_bgr.shape[:2]) < LEAST_SIDE_PX:
-        return np.zeros((0, 5))
+        return np.zeros((0, COLUMNS))
     longest, shortest = max(image_bgr.shape[:2]), min(image_bgr.shape[:2])
     side_px = min(longest, max_side_px)
     boxes = look(detector, image_bgr, side_px, score_threshold, nms_iou)
@@ -174,15 +184,20 @@ def detect_image(
             again = look(detector, image_bgr, smaller_px, score_threshold, nms_iou)
             large = again[(again[:, 3] - again[:, 1]) * smaller_px / longest > LARGE_CONE_PX]
             boxes = suppress_overlaps(np.concatenate((without_parts(boxes, large), large)), nms_iou)
-    return boxes_in_image(boxes, image_bgr.shape[1], image_bgr.shape[0])
+    boxes[:, [1, 3, 6, 8]] += first_row
+    return boxes_in_image(boxes, whole.shape[1], whole.shape[0])
 
 
 def look(
     detector: Detector, image_bgr: NDArray[np.uint8], max_side_px: int, score_threshold: float, nms_iou: float
 ) -> NDArray[np.float64]:
-    """One run of the network: boxes (N, 5) [x0, y0, x1, y1, score] in pixels of the image, not yet cut at its edges."""
+    """One run of the network: candidates (N, 9) of `decode_map` in pixels of the image, not yet cut at its edges."""
     blob, scale_x, scale_y = network_input(image_bgr, detector.card.pad_multiple_px, max_side_px)
     outputs = detector.session.run(None, {detector.input_name: blob})
     maps = [np.asarray(output)[0] for output in outputs]
-    boxes = decode_maps(maps, detector.card.strides_px, detector.card.side_bins, score_threshold, nms_iou)
-    return boxes / (scale_x, scale_y, scale_x, scale_y, 1.0)
+    card = detector.card
+    boxes = decode_maps(
+        maps, card.strides_px, card.side_bins, score_threshold, nms_iou,
+        foot_and_tip=card.foot_and_tip, calibration=(card.score_logit_scale, card.score_logit_offset),
+    )  # fmt: skip
+    return boxes / (scale_x, scale_y, scale_x, scale_y, 1.0, scale_x, scale_y, scale_x, scale_y)

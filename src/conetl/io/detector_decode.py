@@ -14,32 +14,52 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 
-def decode_map(raw: NDArray[np.float32], stride_px: int, bins: int, score_threshold: float) -> Floats:
-    """One raw map (4*bins + 1, h, w) -> candidates (N, 5) [x0, y0, x1, y1, score] in pixels of the network's input.
+#: x0, y0, x1, y1, score, foot x, foot y, tip x, tip y
+COLUMNS = 9
 
-    Each side (left, top, right, bottom) is a distribution over `bins` distances in strides from the cell's centre; its
-    expectation is the distance (distribution focal loss, Li et al. 2020). Only cells above the threshold are decoded.
+
+def decode_map(
+    raw: NDArray[np.float32],
+    stride_px: int,
+    bins: int,
+    score_threshold: float,
+    *,
+    foot_and_tip: bool = False,
+    calibration: tuple[float, float] = (1.0, 0.0),
+) -> Floats:
+    """One raw map -> candidates (N, 9) [x0, y0, x1, y1, score, foot x, foot y, tip x, tip y] in pixels of the network's input.
+
+    raw: (4*bins + 1, h, w), or (4*bins + 5, h, w) with `foot_and_tip`; without it the last four columns are NaN. Each side (left,
+    top, right, bottom) is a distribution over `bins` distances in strides from the cell's centre; its expectation is the distance
+    (distribution focal loss, Li et al. 2020). Foot and tip are offsets in shares of the box from the middle of its lower and
+    upper side. calibration: scale and offset of the score's logit (Platt 1999). Only cells above the threshold are decoded.
     """
-    if raw.ndim != 3 or raw.shape[0] != 4 * bins + 1:
-        raise ValueError(f"raw map has shape {raw.shape}, expected ({4 * bins + 1}, h, w)")
+    channels = 4 * bins + (5 if foot_and_tip else 1)
+    if raw.ndim != 3 or raw.shape[0] != channels:
+        raise ValueError(f"raw map has shape {raw.shape}, expected ({channels}, h, w)")
+    scale, offset = calibration
     if score_threshold <= 0.0:
         least_logit = -np.inf
     elif score_threshold >= 1.0:
         least_logit = np.inf
     else:
-        least_logit = float(np.log(score_threshold / (1.0 - score_threshold)))
+        least_logit = (float(np.log(score_threshold / (1.0 - score_threshold))) - offset) / scale
     rows, columns = np.nonzero(raw[-1] >= least_logit)
     if rows.size == 0:
-        return np.zeros((0, 5))
+        return np.zeros((0, COLUMNS))
     cells = raw[:, rows, columns].astype(np.float64)
-    logits = cells[:-1].reshape(4, bins, -1)
+    logits = cells[: 4 * bins].reshape(4, bins, -1)
     weights = np.exp(logits - logits.max(axis=1, keepdims=True))
-    distance_px = (weights * np.arange(bins)[None, :, None]).sum(axis=1) / weights.sum(axis=1) * stride_px
+    left, top, right, bottom = (weights * np.arange(bins)[None, :, None]).sum(1) / weights.sum(1) * stride_px
     x_px, y_px = (columns + 0.5) * stride_px, (rows + 0.5) * stride_px
-    scores = 1.0 / (1.0 + np.exp(-cells[-1]))
-    return np.stack(
-        (x_px - distance_px[0], y_px - distance_px[1], x_px + distance_px[2], y_px + distance_px[3], scores), axis=1
-    )
+    x0, y0, x1, y1 = x_px - left, y_px - top, x_px + right, y_px + bottom
+    scores = 1.0 / (1.0 + np.exp(-(scale * cells[-1] + offset)))
+    ends = np.full((4, rows.size), np.nan)
+    if foot_and_tip:
+        shares, middle = cells[4 * bins : 4 * bins + 4], (x0 + x1) / 2
+        ends[0], ends[1] = middle + shares[0] * (x1 - x0), y1 - shares[1] * (y1 - y0)
+        ends[2], ends[3] = middle + shares[2] * (x1 - x0), y0 + shares[3] * (y1 - y0)
+    return np.stack((x0, y0, x1, y1, scores, *ends), axis=1)
 
 
 def intersection_over_union(box: Floats, boxes: Floats) -> Floats:
@@ -54,7 +74,7 @@ def intersection_over_union(box: Floats, boxes: Floats) -> Floats:
 
 
 def suppress_overlaps(candidates: Floats, nms_iou: float) -> Floats:
-    """Greedy non-maximum suppression of candidates (N, 5) [x0, y0, x1, y1, score]; survivors by falling score.
+    """Greedy non-maximum suppression of candidates (N, 5 or more) [x0, y0, x1, y1, score, ...]; survivors by falling score.
 
     No two survivors overlap by more than `nms_iou`; equal scores keep their order (the sort is stable).
     """
@@ -63,7 +83,7 @@ def suppress_overlaps(candidates: Floats, nms_iou: float) -> Floats:
     while len(waiting):
         kept.append(waiting[0])
         waiting = waiting[1:][intersection_over_union(waiting[0, :4], waiting[1:, :4]) <= nms_iou]
-    return np.array(kept).reshape(-1, 5)
+    return np.array(kept).reshape(-1, candidates.shape[1])
 
 
 def without_parts(candidates: Floats, larger: Floats, inside_share: float = 0.8) -> Floats:
@@ -83,17 +103,27 @@ def without_parts(candidates: Floats, larger: Floats, inside_share: float = 0.8)
 
 
 def decode_maps(
-    maps: Sequence[NDArray[np.float32]], strides_px: Sequence[int], bins: int, score_threshold: float, nms_iou: float
+    maps: Sequence[NDArray[np.float32]],
+    strides_px: Sequence[int],
+    bins: int,
+    score_threshold: float,
+    nms_iou: float,
+    *,
+    foot_and_tip: bool = False,
+    calibration: tuple[float, float] = (1.0, 0.0),
 ) -> Floats:
-    """All raw maps of one picture -> boxes (N, 5) [x0, y0, x1, y1, score] after suppression, by falling score."""
-    parts = [decode_map(raw, s, bins, score_threshold) for raw, s in zip(maps, strides_px, strict=True)]
+    """All raw maps of one picture -> candidates (N, 9) of `decode_map` after suppression, by falling score."""
+    parts = [
+        decode_map(raw, stride, bins, score_threshold, foot_and_tip=foot_and_tip, calibration=calibration)
+        for raw, stride in zip(maps, strides_px, strict=True)
+    ]
     return suppress_overlaps(np.concatenate(parts), nms_iou)
 
 
 def boxes_in_image(boxes: Floats, width_px: int, height_px: int) -> Floats:
-    """Corner boxes (N, 5) [x0, y0, x1, y1, score] in pixels of the image -> (N, 5) [x, y, w, h, score].
+    """Candidates (N, 5 or more) [x0, y0, x1, y1, score, ...] in pixels of the image -> [x, y, w, h, score, ...].
 
-    Boxes are cut at the image's edge; those that lie beyond it, in the padding, are dropped.
+    Boxes are cut at the image's edge; those that lie beyond it, in the padding, are dropped. Further columns stay as they are.
     """
     corners = np.clip(boxes[:, :4], 0.0, (width_px, height_px, width_px, height_px))
     size = corners[:, 2:] - corners[:, :2]

@@ -16,12 +16,12 @@ def check_boxes(
 ) -> tuple[list[Detection], list[Rejection]]:
     """Turn one image's boxes into detections, by falling score.
 
-    boxes: (N, 5) x, y, width, height in pixels of the original image (x, y top-left) and score. Boxes lower than the
+    boxes: (N, 5 or more) x, y, width, height in pixels of the original image (x, y top-left) and score. Boxes lower than the
     threshold or smaller than `min_height_px` are not detections at all; a box that is no box (NaN, negative size) is rejected.
     """
     detections: list[Detection] = []
     rejections: list[Rejection] = []
-    for x, y, width, height, score in boxes[np.argsort(-boxes[:, 4], kind="stable")].tolist():
+    for x, y, width, height, score in boxes[np.argsort(-boxes[:, 4], kind="stable"), :5].tolist():
         if score < params.score_threshold or height < params.min_height_px:
             continue
         try:

@@ -48,7 +48,34 @@ def test_decode_reads_one_cell_exactly() -> None:
         raw[side * bins + distance, 1, 2] = 60.0
     found = decode_map(raw, 8, bins, 0.5)
     # The cell's centre is x = 2.5 * 8 = 20, y = 1.5 * 8 = 12.
-    np.testing.assert_allclose(found, [[12.0, -4.0, 44.0, 12.0, 0.8]], atol=1e-5)
+    np.testing.assert_allclose(found[:, :5], [[12.0, -4.0, 44.0, 12.0, 0.8]], atol=1e-5)
+    assert np.isnan(found[:, 5:]).all()
+
+
+def test_decode_reads_foot_tip_and_calibrated_score() -> None:
+    bins = 4
+    raw = np.zeros((4 * bins + 5, 2, 2), np.float32)
+    raw[-1] = -20.0
+    raw[-1, 0, 1] = 1.0
+    for side in range(4):
+        raw[side * bins + 2, 0, 1] = 60.0  # two strides to each side: the box is 16 px wide around (12, 4) at stride 4
+    raw[4 * bins : 4 * bins + 4, 0, 1] = (0.25, 0.125, -0.25, 0.0625)
+    (found,) = decode_map(raw, 4, bins, 0.5, foot_and_tip=True, calibration=(2.0, -1.0))
+    # box x 6 +- 8, y 2 +- 8: lower side at y = 10, upper at y = -6
+    np.testing.assert_allclose(found[:4], [-2.0, -6.0, 14.0, 10.0], atol=1e-5)
+    np.testing.assert_allclose(found[4], 1 / (1 + np.exp(-1.0)), atol=1e-6)
+    np.testing.assert_allclose(found[5:], [6 + 4, 10 - 2, 6 - 4, -6 + 1], atol=1e-5)
+    assert len(decode_map(raw, 4, bins, 0.74, foot_and_tip=True, calibration=(2.0, -1.0))) == 0
+
+
+def test_rows_above_the_road_can_be_left_out(detector: Detector) -> None:
+    image = np.full((376, 400, 3), (110, 115, 118), np.uint8)
+    image[:200] = (200, 180, 160)
+    draw_cone(image, 150.0, 310.0, 60.0)
+    whole = detect_image(detector, image, score_threshold=0.3)
+    cropped = detect_image(detector, image, score_threshold=0.3, first_row=96)
+    assert len(whole) == len(cropped) == 1
+    np.testing.assert_allclose(cropped[0, :4], whole[0, :4], atol=1.5)
 
 
 def test_decode_takes_the_mean_between_two_bins() -> None:
@@ -222,7 +249,7 @@ def test_a_drawn_cone_is_found_where_it_stands(detector: Detector) -> None:
     draw_cone(image, 150.0, 180.0, 60.0)
     found = detect_image(detector, image, score_threshold=0.3)
     assert len(found) >= 1
-    x, y, w, h, _ = found[0]
+    x, y, w, h = found[0, :4]
     assert x + w / 2 == pytest.approx(150.0, abs=3.0)
     assert y + h == pytest.approx(180.0, abs=4.0)
     assert h == pytest.approx(60.0, abs=8.0)
@@ -232,7 +259,7 @@ def test_an_empty_road_holds_no_cone(detector: Detector) -> None:
     image = np.full((240, 400, 3), (110, 115, 118), np.uint8)
     image[:100] = (200, 180, 160)
     found = detect_image(detector, image, score_threshold=0.3)
-    assert found.shape == (0, 5)
+    assert found.shape == (0, 9)
 
 
 def test_padding_and_scale_do_not_move_a_cone(detector: Detector) -> None:
@@ -254,7 +281,7 @@ def test_a_cone_that_fills_a_tall_picture_is_one_cone(detector: Detector, height
     draw_cone(image, 320.0, 600.0, height_px)
     found = detect_image(detector, image, score_threshold=0.4)
     assert len(found) == 1
-    x, y, w, h, _ = found[0]
+    x, y, w, h = found[0, :4]
     assert x + w / 2 == pytest.approx(320.0, abs=0.05 * height_px)
     assert y + h == pytest.approx(600.0, abs=0.1 * height_px)
     assert h == pytest.approx(height_px, rel=0.15)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import cv2
@@ -9,10 +10,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from PIL import Image
 
 from conetl.io import images
 from conetl.io.image_headers import ImageFormatError, ImageTruncatedError, inspect_image
-from conetl.io.images import ImageFileError, read_image
+from conetl.io.images import ImageFileError, read_image, read_upright_image
 from conetl.rejections import RejectionReason
 
 SIZE = (64, 48)
@@ -128,3 +130,39 @@ def test_orientation_tags_do_not_turn_the_picture(tmp_path: Path) -> None:
     flat = cv2.imdecode(np.frombuffer(turned, np.uint8), cv2.IMREAD_COLOR)
     assert flat.shape[:2] == (64, 48), "OpenCV would turn it"
     assert read_image(written(tmp_path, turned), SIZE).shape[:2] == (48, 64)
+
+
+def _encoded(picture: Image.Image, kind: str, **options: object) -> bytes:
+    buffer = io.BytesIO()
+    picture.save(buffer, kind, **options)
+    return buffer.getvalue()
+
+
+def test_any_picture_is_read_as_a_person_sees_it(tmp_path: Path) -> None:
+    """Orange left half, black right half, in each way that a file can store it."""
+    rgb = np.zeros((40, 60, 3), np.uint8)
+    rgb[:, :30] = (230, 80, 20)
+    plain = Image.fromarray(rgb)
+    turned = Image.Exif()
+    turned[0x112] = 3  # stored upside down
+    clear = np.dstack((rgb, np.full((40, 60), 255, np.uint8)))
+    clear[:, 30:, 3] = 0
+    files = {
+        "plain.png": _encoded(plain, "PNG"),
+        "cmyk.jpg": _encoded(plain.convert("CMYK"), "JPEG", quality=95),
+        "turned.jpg": _encoded(plain.rotate(180), "JPEG", exif=turned, quality=95),
+        "clear.png": _encoded(Image.fromarray(clear, "RGBA"), "PNG"),
+    }
+    for name, data in files.items():
+        (tmp_path / name).write_bytes(data)
+        found = read_upright_image(tmp_path / name)
+        assert found.shape == (40, 60, 3) and found.dtype == np.uint8, name
+        np.testing.assert_allclose(found[20, 10], (20, 80, 230), atol=6, err_msg=name)
+        np.testing.assert_allclose(found[20, 50], 128 if name == "clear.png" else 0, atol=6, err_msg=name)
+
+
+def test_a_16_bit_picture_that_uses_12_bits_is_not_black(tmp_path: Path) -> None:
+    ramp = np.tile(np.linspace(0, 4095, 256).astype(np.uint16), (40, 1))
+    (tmp_path / "deep.png").write_bytes(cv2.imencode(".png", ramp)[1].tobytes())
+    found = read_upright_image(tmp_path / "deep.png")
+    np.testing.assert_allclose(found[0, :, 1], np.arange(256), atol=3)

@@ -1,16 +1,14 @@
-"""`conetl locate` and `conetl detect`: pictures without a trajectory."""
+"""`conetl locate`: one stereo pair without a trajectory."""
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 
-from conetl.cli.console import JsonOption, complain, out, print_json, print_table, progress_bar
-from conetl.errors import EXIT_TOO_MANY_REJECTIONS, InputError
+from conetl.cli.console import JsonOption, out, print_json, print_table
+from conetl.errors import InputError
 from conetl.geometry.rig import up_in_left_camera
 from conetl.io.calibration_file import read_rig
 from conetl.io.detector import detect_image, load_detector
@@ -20,8 +18,6 @@ from conetl.settings import read_settings
 from conetl.steps.detections import check_boxes
 from conetl.steps.matches import match_pair
 from conetl.steps.positions import locate_in_camera
-
-_SUFFIXES = {".jpg", ".jpeg", ".png"}
 
 
 def locate(
@@ -96,60 +92,3 @@ def _cells(number: int, row: dict[str, Any]) -> tuple[object, ...]:
     x, y, z = row["xyz_m"]
     numbers = (row["ground_distance_m"], row["ground_distance_sigma_m"], row["height_m"], x, y, z)
     return (number, *(f"{value:.3f}" for value in numbers), f"{row['score']:.2f}")
-
-
-def detect(
-    images: Annotated[list[Path], typer.Argument(help="Images, or folders of images (.jpg, .jpeg, .png).")],
-    output: Annotated[Path, typer.Option("--out", help="Where to write the detections.")] = Path("detections.json"),
-    score: Annotated[float, typer.Option(min=0.0, max=1.0, help="Lowest score that is written.")] = 0.3,
-    as_json: JsonOption = False,
-) -> None:
-    """Find cones in images and write their boxes as JSON.
-
-    One entry per box: file_name, category, bbox [x, y, w, h] in pixels of the original image, score.
-    """
-    paths = _image_files(images)
-    detector = load_detector(read_settings().model_path)
-    found: list[dict[str, Any]] = []
-    refused: list[str] = []
-    with progress_bar() as bars:
-        for path in bars.track(paths, description="detect"):
-            try:
-                image = read_image(path, None)
-            except ImageFileError as error:
-                refused.append(str(path))
-                complain(InputError(str(error)))
-                continue
-            boxes = detect_image(detector, image, score_threshold=score)
-            found += [
-                {
-                    "file_name": str(path),
-                    "category": "traffic_cone",
-                    "bbox": [round(value, 2) for value in box[:4].tolist()],
-                    "score": round(float(box[4]), 4),
-                }
-                for box in np.asarray(boxes)
-            ]
-    if len(refused) == len(paths):
-        raise InputError("none of the images could be read; nothing was written")
-    output.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-    if as_json:
-        print_json({"images": len(paths), "refused": refused, "detections": len(found), "written": str(output)})
-    else:
-        out.print(f"{len(found)} cones in {len(paths) - len(refused)} images -> {output}", markup=False)
-    if refused:
-        raise typer.Exit(EXIT_TOO_MANY_REJECTIONS)
-
-
-def _image_files(arguments: list[Path]) -> list[Path]:
-    paths: list[Path] = []
-    for argument in arguments:
-        if argument.is_dir():
-            paths += sorted(p for p in argument.rglob("*") if p.suffix.lower() in _SUFFIXES)
-        elif argument.is_file():
-            paths.append(argument)
-        else:
-            raise InputError(f"{argument}: no such file or folder")
-    if not paths:
-        raise InputError(f"no images (.jpg, .jpeg, .png) in {', '.join(str(a) for a in arguments)}")
-    return paths
