@@ -192,11 +192,35 @@ def draw_post(canvas: np.ndarray, x: float, foot: float, height: float, rng: np.
         canvas[cut_y:y1, cut_x:x1] = np.clip(over[cut_y - y0 : y1 - y0, cut_x - x0 : x1 - x0], 0, 255)
 
 
+def draw_tail_lamp(canvas: np.ndarray, x: float, foot: float, height: float, rng: np.random.Generator) -> None:
+    """A car's rear lamp: a tall red lens with a white or amber part, not narrower at its top, on a dark or painted body."""
+    wide, body = height * rng.uniform(0.3, 0.6), height * rng.uniform(0.6, 2.5)
+    paint = rng.choice((12.0, 30.0, 60.0, 130.0, 190.0)) * rng.uniform(0.7, 1.2, 3)
+    corner = (int(x - body * rng.uniform(0.1, 0.9)), int(foot + height * rng.uniform(0.1, 0.8)))
+    cv2.rectangle(canvas, corner, (int(corner[0] + body), int(foot - 1.3 * height)), paint.tolist(), -1)
+    low = rng.uniform(0.3, 1.0)
+    top, lean = low * rng.uniform(0.9, 1.8), rng.normal(0.0, 0.25)  # never narrow at the top: that would be a cone
+    outline = np.array([(-low, 0.0), (low, 0.0), (top + lean, -1.0), (-top + lean, -1.0)]) * (wide / 2, height) + (
+        x,
+        foot,
+    )
+    red = (int(rng.integers(10, 60)), int(rng.integers(10, 50)), int(rng.integers(90, 230)))
+    cv2.fillPoly(canvas, [outline.astype(np.int32)], red, cv2.LINE_AA)
+    share = np.sort(rng.uniform(0.1, 0.9, 2))  # the reversing lamp or indicator between two heights of the lens
+    left, right = (
+        outline[0] + (outline[3] - outline[0]) * share[:, None],
+        outline[1] + (outline[2] - outline[1]) * share[:, None],
+    )
+    pale = (200, 205, 215) if rng.random() < 0.7 else (40, 130, 230)
+    band = np.array([left[0], right[0], right[1], left[1]])
+    cv2.fillPoly(canvas, [band.astype(np.int32)], (np.array(pale) * rng.uniform(0.5, 1.1)).tolist(), cv2.LINE_AA)
+
+
 def draw_furniture(canvas: np.ndarray, rng: np.random.Generator) -> None:
     """Things that are no cones though red, orange or white: posts, panels, lamps, vests, vans, signs, drums."""
     height, width = canvas.shape[:2]
     for _ in range(int(rng.integers(1, 5))):
-        kind = int(rng.integers(6))
+        kind = int(rng.integers(7))
         x, foot = rng.uniform(0, width), rng.uniform(0.3, 1.0) * height
         size = float(np.exp(rng.uniform(np.log(8), np.log(110))))
         warm = (int(rng.integers(0, 70)), int(rng.integers(20, 140)), int(rng.integers(150, 256)))
@@ -205,6 +229,8 @@ def draw_furniture(canvas: np.ndarray, rng: np.random.Generator) -> None:
             gap = size * rng.uniform(0.2, 0.8)
             for k in range(int(rng.integers(1, 5))):
                 draw_post(canvas, x + k * gap, foot, size, rng)
+        elif kind == 6:
+            draw_tail_lamp(canvas, x, foot, size, rng)
         elif kind == 2:  # lamp or headlight
             shade = (255, 255, 255) if rng.random() < 0.6 else warm
             cv2.ellipse(canvas, point, (max(int(size * 0.2), 2), max(int(size * 0.25), 2)), 0, 0, 360, shade, -1)
@@ -305,7 +331,7 @@ def make_sample(
         all_boxes.append(kept)
         all_trust.append(np.full(len(kept), SIDE_TRUST[picture.source] if picture.tight else 0.15))
         all_fades += [faded, clip_boxes(fades, area)[0]]
-    if rng.random() < 0.45:
+    if rng.random() < 0.5:
         draw_furniture(canvas, rng)
     if cutouts and (not areas or rng.random() < 0.3):
         for _ in range(int(rng.integers(1, 6))):

@@ -1,4 +1,4 @@
-"""Average precision of an exported model on labelled pictures, by source and by cone height, through conetl's own detector.
+"""Average precision of a model on labelled pictures (pycocotools), by source and by cone height, through conetl's own detector.
 
     python training/evaluate.py MODEL.onnx --cones DIR [--labelled DIR] [--json OUT.json]
 
@@ -8,51 +8,73 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import io
 import json
 import sys
 from pathlib import Path
 
 import cv2
 import numpy as np
+from pycocotools.coco import COCO
+from pycocotools.cocoeval import COCOeval
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src"))
 
 from dataset import Picture, read_cones, read_labels
 
 from conetl.io.detector import detect_image, load_detector
-from conetl.io.detector_decode import intersection_over_union
+
+HEIGHTS_PX = {
+    "all": (0.0, 1e5),
+    ">=20 px": (20.0, 1e5),
+    "<20 px": (0.0, 20.0),
+    "20-60 px": (20.0, 60.0),
+    ">=60 px": (60.0, 1e5),
+}
 
 
-def average_precision(
-    found: list[np.ndarray], truths: list[np.ndarray], iou: float, least_px: float
-) -> tuple[float, int]:
-    """Area under the precision envelope (all points) and number of true cones of `least_px` and more.
-
-    True cones and unmatched detections below `least_px` in height are left out of the count, as COCO does by area.
-    """
-    rows, total = [], 0
-    for boxes, truth in zip(found, truths, strict=True):
-        small = (truth[:, 3] - truth[:, 1]) < least_px
-        total += int((~small).sum())
-        used = np.zeros(len(truth), bool)
-        for box in boxes:
-            corners = np.array([box[0], box[1], box[0] + box[2], box[1] + box[3]])
-            overlaps = intersection_over_union(corners, truth) * ~used if len(truth) else np.zeros(0)
-            order = np.where(overlaps >= iou, overlaps + ~small, -1.0) if len(truth) else np.zeros(0)
-            best = int(order.argmax()) if len(truth) and order.max() > 0 else -1
-            if best >= 0:
-                used[best] = True
-                if not small[best]:
-                    rows.append((box[4], 1))
-            elif box[3] >= least_px:
-                rows.append((box[4], 0))
-    if not rows or total == 0:
-        return 0.0, total
-    hits = np.array([hit for _, hit in sorted(rows, key=lambda row: -row[0])])
-    recall = np.cumsum(hits) / total
-    precision = np.cumsum(hits) / np.arange(1, len(hits) + 1)
-    precision = np.maximum.accumulate(precision[::-1])[::-1]
-    return float(np.sum(np.diff(recall, prepend=0.0) * precision)), total
+def coco_tables(pictures: list[Picture], found: list[np.ndarray]) -> dict[str, dict[str, float]]:
+    """AP50, AP75, AP50:95 by range of heights: COCO's areas are replaced by squared heights."""
+    truth = COCO()
+    annotations = []
+    for image_id, picture in enumerate(pictures):
+        for x0, y0, x1, y1 in picture.boxes[:, :4].tolist():
+            box = {"bbox": [x0, y0, x1 - x0, y1 - y0], "area": (y1 - y0) ** 2, "iscrowd": 0}
+            annotations.append({"id": len(annotations) + 1, "image_id": image_id, "category_id": 1, **box})
+    images = [{"id": k} for k in range(len(pictures))]
+    truth.dataset = {
+        "info": {},
+        "images": images,
+        "annotations": annotations,
+        "categories": [{"id": 1, "name": "cone"}],
+    }
+    rows = [
+        {"image_id": k, "category_id": 1, "bbox": box[:4].tolist(), "score": float(box[4])}
+        for k, boxes in enumerate(found)
+        for box in boxes
+    ]
+    with contextlib.redirect_stdout(io.StringIO()):
+        truth.createIndex()
+        given = truth.loadRes(rows)
+        for annotation in given.dataset["annotations"]:
+            annotation["area"] = annotation["bbox"][3] ** 2
+        run = COCOeval(truth, given, "bbox")
+        run.params.areaRng = [[low**2, high**2] for low, high in HEIGHTS_PX.values()]
+        run.params.areaRngLbl = list(HEIGHTS_PX)
+        run.evaluate()
+        run.accumulate()
+    precision = run.eval["precision"][:, :, 0, :, -1]  # (IoU, recall, height)
+    recall = run.eval["recall"][0, 0, :, -1]
+    tables = {}
+    for k, (label, (low, high)) in enumerate(HEIGHTS_PX.items()):
+        cones = sum(low**2 <= a["area"] <= high**2 for a in annotations)
+        if cones == 0:
+            continue
+        values = {"ap50": precision[0, :, k], "ap75": precision[5, :, k], "ap50_95": precision[:, :, k]}
+        tables[label] = {name: round(float(value.mean()), 3) for name, value in values.items()}
+        tables[label] |= {"recall50": round(float(recall[k]), 3), "cones": cones}
+    return tables
 
 
 def read_labelled(root: Path) -> list[Picture]:
@@ -76,20 +98,20 @@ def main() -> None:
     if args.labelled:
         pictures += read_labelled(args.labelled)
     found = [detect_image(detector, picture.image, score_threshold=0.01) for picture in pictures]
-    table = []
-    for source in ["all", *sorted({picture.source for picture in pictures})]:
-        chosen = [k for k, picture in enumerate(pictures) if source in ("all", picture.source)]
-        for least_px in (0.0, 20.0):
-            row: dict[str, object] = {"source": source, "least_px": least_px}
-            for iou in (0.5, 0.75):
-                ap, count = average_precision(
-                    [found[k] for k in chosen], [pictures[k].boxes[:, :4] for k in chosen], iou, least_px
-                )
-                row[f"ap{round(100 * iou)}"], row["cones"] = round(ap, 3), count
-            table.append(row)
-            print(" ".join(f"{key}={value}" for key, value in row.items()))
+    groups = {
+        source: [k for k, p in enumerate(pictures) if p.source == source] for source in {p.source for p in pictures}
+    }
+    if args.cones:
+        groups["validation split"] = [k for k, p in enumerate(pictures) if p.source != "renders"]
+    tables = {}
+    for group, chosen in sorted(groups.items()):
+        tables[group] = coco_tables([pictures[k] for k in chosen], [found[k] for k in chosen])
+        for label, row in tables[group].items():
+            print(f"{group:18s} {label:9s} " + " ".join(f"{name} {value}" for name, value in row.items()))
     if args.json:
-        args.json.write_text(json.dumps({"model": detector.name, "sha256": detector.sha256, "table": table}, indent=2))
+        args.json.write_text(
+            json.dumps({"model": detector.name, "sha256": detector.sha256, "tables": tables}, indent=2) + "\n"
+        )
 
 
 if __name__ == "__main__":

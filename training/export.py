@@ -1,6 +1,6 @@
 """Export a checkpoint to ONNX with its sidecar, and check that the runtime gives what PyTorch gave.
 
-python training/export.py RUN/last.pt --out data/models/conetl-cone-1.onnx --version 1.0
+python training/export.py RUN/last.pt --out data/models/conetl-cone-2.onnx --version 1.0
 """
 
 from __future__ import annotations

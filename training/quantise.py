@@ -35,7 +35,9 @@ class Pictures(CalibrationDataReader):
             return None
         height, width = image.shape[:2]
         scale = max(640 / width, 384 / height)
-        image = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
+        image = cv2.resize(
+            image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
+        )
         y = int(self.rng.integers(image.shape[0] - 384 + 1))
         x = int(self.rng.integers(image.shape[1] - 640 + 1))
         return {"picture": cv2.dnn.blobFromImage(image[y : y + 384, x : x + 640], 1 / 255.0, swapRB=True)}

@@ -25,7 +25,7 @@ from loss import detection_loss
 from network import ConeNet
 from torch.utils.data import DataLoader, IterableDataset
 
-SHARES = {"rf_traffic_cones": 0.25, "fs_onboard": 0.27, "css_safety_cone": 0.14, "renders": 0.34}
+SHARES = {"rf_traffic_cones": 0.22, "fs_onboard": 0.38, "css_safety_cone": 0.12, "renders": 0.28}
 
 
 class Samples(IterableDataset):

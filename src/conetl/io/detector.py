@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from conetl.errors import ModelFileError
 from conetl.io.detector_decode import COLUMNS, boxes_in_image, decode_maps, suppress_overlaps, without_parts
 
-DEFAULT_MODEL = "conetl-cone-1.onnx"
+DEFAULT_MODEL = "conetl-cone-2.onnx"
 MAX_SIDE_PX = 1600
 LEAST_SIDE_PX = 8
 SECOND_LOOK_FROM_PX = 480
