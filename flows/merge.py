@@ -17,7 +17,7 @@ from prefect.runtime import flow_run
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
 from conetl.io.cluster import cluster_up
 from conetl.io.db import Connection, connect, migrate
-from conetl.io.detector import read_model_card, shipped_model_path
+from conetl.io.detector import shipped_model_path
 from conetl.io.map_results import CommittedChangeset, RunInfo
 from conetl.io.map_store import (
     commit_changeset,
@@ -26,6 +26,7 @@ from conetl.io.map_store import (
     map_transaction,
     read_current_features,
 )
+from conetl.io.model_card import read_model_card
 from conetl.io.parquet_store import result_key
 from conetl.params import IngestParams, params_sha256
 from conetl.records import (

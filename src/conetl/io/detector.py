@@ -1,6 +1,7 @@
-"""The cone detector: reads the shipped ONNX network and finds cones in one image. The only importer of onnxruntime.
+"""The cone detector: reads an ONNX network and finds cones in one image. The only importer of onnxruntime.
 
-A model is two files: `NAME.onnx` and `NAME.onnx.json` beside it, which says what the network is and what its bytes hash to.
+A model is two files: `NAME.onnx` and `NAME.onnx.json` beside it, which says what the network is (`model_card.py`). Any network of
+the YOLO family will do (`detector_heads.py`); the shipped one has a head of its own (`detector_decode.py`).
 """
 
 from __future__ import annotations
@@ -8,45 +9,22 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import cv2
 import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from conetl.errors import ModelFileError
 from conetl.io.detector_decode import COLUMNS, boxes_in_image, decode_maps, suppress_overlaps, without_parts
+from conetl.io.detector_heads import EndToEndHead, check_outputs, decode_head
+from conetl.io.model_card import ModelCard, SideDistributionHead, check_own_outputs, read_model_card
 
 DEFAULT_MODEL = "conetl-cone-2.onnx"
 MAX_SIDE_PX = 1600
 LEAST_SIDE_PX = 8
 SECOND_LOOK_FROM_PX = 480
 LARGE_CONE_PX = 48.0
-
-
-class ModelCard(BaseModel):
-    """The sidecar of a model file: what the network eats and gives. Unknown keys are refused."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    name: str
-    version: str
-    sha256: str = Field(pattern="^[0-9a-f]{64}$")
-    input_layout: Literal["RGB float32 NCHW 0..1"]
-    head: Literal["side-distributions"]
-    side_bins: int = Field(ge=2)
-    foot_and_tip: bool = False
-    """Whether the head gives the cone's foot and tip besides its box."""
-    score_logit_scale: float = Field(default=1.0, gt=0)
-    score_logit_offset: float = 0.0
-    """Calibration of the score: probability = sigmoid(scale * logit + offset)."""
-    strides_px: tuple[int, ...] = Field(min_length=1)
-    pad_multiple_px: int = Field(ge=1)
-    class_names: tuple[str, ...] = Field(min_length=1, max_length=1)
-    score_scale: str
-    licence: str
 
 
 @dataclass(frozen=True)
@@ -57,6 +35,8 @@ class Detector:
     path: Path
     card: ModelCard
     input_name: str
+    fixed_size: tuple[int, int] | None = None
+    """Height and width in pixels where the network takes one size only; pictures are then scaled to fit in."""
 
     @property
     def name(self) -> str:
@@ -77,23 +57,6 @@ def shipped_model_path() -> Path:
     in_wheel = package / "data" / "models" / DEFAULT_MODEL
     in_checkout = package.parents[1] / "data" / "models" / DEFAULT_MODEL
     return in_wheel if in_wheel.exists() else in_checkout
-
-
-def read_model_card(model_path: Path) -> ModelCard:
-    """Read and check the sidecar `<model>.json`. Raises ModelFileError."""
-    card_path = model_path.with_name(model_path.name + ".json")
-    try:
-        text = card_path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ModelFileError(
-            f"{card_path}: cannot read the model's sidecar ({error}); every model needs one beside it"
-        ) from error
-    try:
-        return ModelCard.model_validate_json(text)
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"]) or "file"
-        raise ModelFileError(f"{card_path}: not a valid model sidecar: {place}: {first['msg']}") from error
 
 
 def load_detector(model_path: Path | None = None, *, threads: int = 1) -> Detector:
@@ -119,37 +82,60 @@ def load_detector(model_path: Path | None = None, *, threads: int = 1) -> Detect
     except Exception as error:  # onnxruntime raises a dozen unrelated kinds for a file that is no network
         raise ModelFileError(f"{path}: onnxruntime cannot load it as a network: {error}") from error
     inputs, outputs = session.get_inputs(), session.get_outputs()
-    if len(inputs) != 1 or len(outputs) != len(card.strides_px):
+    if len(inputs) != 1 or len(inputs[0].shape) != 4:
         raise ModelFileError(
-            f"{path}: has {len(inputs)} inputs and {len(outputs)} outputs, the sidecar expects 1 and {len(card.strides_px)}"
+            f"{path}: expected a network with one input of four dimensions, found {len(inputs)} inputs"
         )
-    channels = [output.shape[1] if len(output.shape) == 4 else None for output in outputs]
-    expected = 4 * card.side_bins + (5 if card.foot_and_tip else 1)
-    if any(isinstance(count, int) and count != expected for count in channels) or None in channels:
-        raise ModelFileError(f"{path}: its outputs have {channels} channels, the sidecar expects {expected} each")
-    return Detector(session=session, path=path, card=card, input_name=inputs[0].name)
+    shapes = [output.shape for output in outputs]
+    try:
+        if isinstance(card.head, SideDistributionHead):
+            check_own_outputs(card.head, shapes)
+        else:
+            check_outputs(card.head, shapes)
+    except ModelFileError as error:
+        raise ModelFileError(f"{path}: {error}") from error
+    size = inputs[0].shape[1:3] if "NHWC" in card.input_layout else inputs[0].shape[2:4]
+    fixed = (size[0], size[1]) if all(isinstance(side, int) for side in size) else None
+    return Detector(session=session, path=path, card=card, input_name=inputs[0].name, fixed_size=fixed)
 
 
 def network_input(
-    image_bgr: NDArray[np.uint8], pad_multiple_px: int, max_side_px: int
+    image_bgr: NDArray[np.uint8],
+    pad_multiple_px: int,
+    max_side_px: int,
+    *,
+    layout: str = "RGB float32 NCHW 0..1",
+    fixed_size: tuple[int, int] | None = None,
 ) -> tuple[NDArray[np.float32], float, float]:
-    """Image (H, W, 3) -> network input (1, 3, H', W') and the scales (x, y) that were applied to the image.
+    """Image (H, W, 3) -> network input (1, 3, H', W'), or (1, H', W', 3), and the scales (x, y) that were applied to the image.
 
-    Native resolution unless a side exceeds `max_side_px`. The padding is at the right and bottom and repeats the edge, so
-    that no false edge appears there.
+    Native resolution unless a side exceeds `max_side_px` or the network takes one size only. The padding is at the right and
+    bottom and repeats the edge, so that no false edge appears there.
     """
     height, width = image_bgr.shape[:2]
-    scale = min(1.0, max_side_px / max(height, width))
-    if scale < 1.0:
-        size = (max(round(width * scale), 1), max(round(height * scale), 1))
-        scaled = cv2.resize(image_bgr, size, interpolation=cv2.INTER_AREA)
+    if fixed_size is None:
+        scale = min(1.0, max_side_px / max(height, width))
     else:
+        scale = min(fixed_size[0] / height, fixed_size[1] / width)
+    if scale == 1.0:
         scaled = image_bgr
+    else:
+        size = (max(round(width * scale), 1), max(round(height * scale), 1))
+        method = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR
+        scaled = np.asarray(cv2.resize(image_bgr, size, interpolation=method), dtype=np.uint8)
     rows, columns = scaled.shape[:2]
-    padded = cv2.copyMakeBorder(scaled, 0, -rows % pad_multiple_px, 0, -columns % pad_multiple_px, cv2.BORDER_REPLICATE)
-    blob: NDArray[np.float32] = np.asarray(
-        cv2.dnn.blobFromImage(padded, 1.0 / 255.0, swapRB=True, crop=False), dtype=np.float32
+    below, beside = (
+        (-rows % pad_multiple_px, -columns % pad_multiple_px)
+        if fixed_size is None
+        else (fixed_size[0] - rows, fixed_size[1] - columns)
     )
+    padded = cv2.copyMakeBorder(scaled, 0, below, 0, beside, cv2.BORDER_REPLICATE)
+    factor = 1.0 / 255.0 if layout.endswith("0..1") else 1.0
+    blob: NDArray[np.float32] = np.asarray(
+        cv2.dnn.blobFromImage(padded, factor, swapRB=layout.startswith("RGB"), crop=False), dtype=np.float32
+    )
+    if "NHWC" in layout:
+        blob = np.ascontiguousarray(blob.transpose(0, 2, 3, 1))
     return blob, columns / width, rows / height
 
 
@@ -179,7 +165,7 @@ def detect_image(
     side_px = min(longest, max_side_px)
     boxes = look(detector, image_bgr, side_px, score_threshold, nms_iou)
     # Very tall cones outgrow the network at full size: tall pictures get two more looks, each half as large.
-    if shortest * side_px / longest >= SECOND_LOOK_FROM_PX:
+    if detector.fixed_size is None and shortest * side_px / longest >= SECOND_LOOK_FROM_PX:
         for smaller_px in (side_px // 2, side_px // 4):
             again = look(detector, image_bgr, smaller_px, score_threshold, nms_iou)
             large = again[(again[:, 3] - again[:, 1]) * smaller_px / longest > LARGE_CONE_PX]
@@ -192,12 +178,24 @@ def look(
     detector: Detector, image_bgr: NDArray[np.uint8], max_side_px: int, score_threshold: float, nms_iou: float
 ) -> NDArray[np.float64]:
     """One run of the network: candidates (N, 9) of `decode_map` in pixels of the image, not yet cut at its edges."""
-    blob, scale_x, scale_y = network_input(image_bgr, detector.card.pad_multiple_px, max_side_px)
-    outputs = detector.session.run(None, {detector.input_name: blob})
-    maps = [np.asarray(output)[0] for output in outputs]
     card = detector.card
-    boxes = decode_maps(
-        maps, card.strides_px, card.side_bins, score_threshold, nms_iou,
-        foot_and_tip=card.foot_and_tip, calibration=(card.score_logit_scale, card.score_logit_offset),
-    )  # fmt: skip
+    blob, scale_x, scale_y = network_input(
+        image_bgr, card.pad_multiple_px, max_side_px, layout=card.input_layout, fixed_size=detector.fixed_size
+    )
+    outputs = [np.asarray(output) for output in detector.session.run(None, {detector.input_name: blob})]
+    if isinstance(card.head, SideDistributionHead):
+        head = card.head
+        boxes = decode_maps(
+            [output[0] for output in outputs], head.strides_px, head.side_bins, score_threshold, nms_iou,
+            foot_and_tip=head.foot_and_tip, calibration=(head.score_logit_scale, head.score_logit_offset),
+        )  # fmt: skip
+    else:
+        rows, columns = blob.shape[1:3] if "NHWC" in card.input_layout else blob.shape[2:4]
+        found = decode_head(card.head, outputs, rows, columns, score_threshold)
+        unknown = np.full((len(found), COLUMNS - found.shape[1]), np.nan)
+        boxes = np.concatenate((found, unknown), axis=1)
+        if isinstance(card.head, EndToEndHead):  # the network has suppressed overlaps already
+            boxes = boxes[np.argsort(-boxes[:, 4], kind="stable")]
+        else:
+            boxes = suppress_overlaps(boxes, nms_iou)
     return boxes / (scale_x, scale_y, scale_x, scale_y, 1.0, scale_x, scale_y, scale_x, scale_y)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from onnx import TensorProto, helper, numpy_helper
 
 from conetl.errors import ModelFileError
 from conetl.io.detector import Detector, detect_image, load_detector, network_input, shipped_model_path
@@ -184,8 +186,6 @@ def test_one_changed_byte_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_file_that_is_no_network_is_refused_even_with_a_matching_hash(tmp_path: Path) -> None:
-    import hashlib
-
     model = copy_model(tmp_path)
     model.write_bytes(b"not a network")
     sidecar = model.with_name(model.name + ".json")
@@ -199,9 +199,10 @@ def test_a_file_that_is_no_network_is_refused_even_with_a_matching_hash(tmp_path
 @pytest.mark.parametrize(
     ("key", "value", "words"),
     [
-        ("side_bins", 8, "channels"),
-        ("strides_px", [8, 16], "outputs"),
-        ("head", "yolov3", "head"),
+        ("head", {"side_bins": 8, "strides_px": [4, 8, 16, 32]}, "channels"),
+        ("head", {"side_bins": 16, "strides_px": [8, 16], "foot_and_tip": True}, "outputs"),
+        ("head", {"kind": "yolov8", "class_count": 1, "cone_class": 0}, "yolov8"),
+        ("head", {"kind": "yolov99"}, "head"),
         ("extra", 1, "extra"),
     ],
 )
@@ -209,10 +210,41 @@ def test_a_sidecar_that_does_not_fit_is_refused(tmp_path: Path, key: str, value:
     model = copy_model(tmp_path)
     sidecar = model.with_name(model.name + ".json")
     card = json.loads(sidecar.read_text())
-    card[key] = value
+    card[key] = {"kind": "side-distributions"} | value if isinstance(value, dict) else value
     sidecar.write_text(json.dumps(card))
     with pytest.raises(ModelFileError, match=words):
         load_detector(model)
+
+
+@pytest.mark.parametrize("fixed", [True, False])
+def test_a_network_of_another_family_runs_by_its_sidecar_alone(tmp_path: Path, fixed: bool) -> None:
+    """A YOLOv8 export of two classes that always gives one box, centred at (100, 60), 20 x 40, in its own input."""
+    boxes = np.array([[[100], [60], [20], [40], [0.1], [0.9]]], np.float32)
+    size = (160, 320) if fixed else ("h", "w")
+    shapes = [
+        helper.make_tensor_value_info("images", TensorProto.FLOAT, [1, *size, 3]),
+        helper.make_tensor_value_info("output0", TensorProto.FLOAT, [1, 6, 1]),
+    ]
+    nodes = [
+        helper.make_node("ReduceMax", ["images"], ["most"], keepdims=0),
+        helper.make_node("Mul", ["most", "nothing"], ["zero"]),
+        helper.make_node("Add", ["boxes", "zero"], ["output0"]),
+    ]
+    constants = [numpy_helper.from_array(boxes, "boxes"), numpy_helper.from_array(np.float32(0), "nothing")]
+    graph = helper.make_graph(nodes, "tiny", [shapes[0]], [shapes[1]], constants)
+    content = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8).SerializeToString()
+    (tmp_path / "tiny.onnx").write_bytes(content)
+    card = {
+        "name": "tiny", "version": "1", "sha256": hashlib.sha256(content).hexdigest(), "input_layout": "BGR float32 NHWC 0..255",
+        "head": {"kind": "yolov8", "class_count": 2, "cone_class": 1}, "pad_multiple_px": 32, "class_names": ["car", "cone"],
+        "score_scale": "probability", "licence": "none",
+    }  # fmt: skip
+    (tmp_path / "tiny.onnx.json").write_text(json.dumps(card))
+    detector = load_detector(tmp_path / "tiny.onnx")
+    found = detect_image(detector, np.zeros((320, 640, 3), np.uint8), score_threshold=0.5)
+    scale = 2.0 if fixed else 1.0  # the fixed network sees the picture at half its size
+    np.testing.assert_allclose(found[:, :5], [[90 * scale, 40 * scale, 20 * scale, 40 * scale, 0.9]], rtol=1e-6)
+    assert np.isnan(found[:, 5:]).all()
 
 
 def test_images_of_another_kind_are_refused(detector: Detector) -> None:

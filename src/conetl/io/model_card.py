@@ -1,0 +1,78 @@
+"""The sidecar `NAME.onnx.json` of a model file: what the network eats, what it gives, and what its bytes hash to."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError
+
+from conetl.errors import ModelFileError
+from conetl.io.detector_heads import Shape, YoloHead
+
+
+class SideDistributionHead(BaseModel):
+    """The shipped network's own head, one raw map per stride; see `detector_decode.decode_map`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    kind: Literal["side-distributions"] = "side-distributions"
+    side_bins: int = Field(ge=2)
+    strides_px: tuple[PositiveInt, ...] = Field(min_length=1)
+    """In the order of the outputs."""
+    foot_and_tip: bool = False
+    """Whether the head gives the cone's foot and tip besides its box."""
+    score_logit_scale: float = Field(default=1.0, gt=0)
+    score_logit_offset: float = 0.0
+    """Calibration of the score: probability = sigmoid(scale * logit + offset)."""
+
+    @property
+    def channels(self) -> int:
+        return 4 * self.side_bins + (5 if self.foot_and_tip else 1)
+
+
+class ModelCard(BaseModel):
+    """A model's sidecar. Unknown keys are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str
+    version: str
+    sha256: str = Field(pattern="^[0-9a-f]{64}$")
+    input_layout: str = Field(pattern=r"^(RGB|BGR) float32 (NCHW|NHWC) 0\.\.(1|255)$")
+    """For instance "RGB float32 NCHW 0..1"."""
+    head: Annotated[
+        SideDistributionHead | YoloHead,
+        Field(discriminator="kind"),
+    ]
+    pad_multiple_px: int = Field(ge=1)
+    """Both sides of the input are padded to a multiple of it; of no account where the network's input has a fixed size."""
+    class_names: tuple[str, ...] = Field(min_length=1)
+    score_scale: str
+    licence: str
+
+
+def read_model_card(model_path: Path) -> ModelCard:
+    """Read and check the sidecar `<model>.json`. Raises ModelFileError."""
+    card_path = model_path.with_name(model_path.name + ".json")
+    try:
+        text = card_path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ModelFileError(
+            f"{card_path}: cannot read the model's sidecar ({error}); every model needs one beside it"
+        ) from error
+    try:
+        return ModelCard.model_validate_json(text)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"]) or "file"
+        raise ModelFileError(f"{card_path}: not a valid model sidecar: {place}: {first['msg']}") from error
+
+
+def check_own_outputs(head: SideDistributionHead, shapes: list[Shape]) -> None:
+    """Check that a network's outputs are one map of the head's channels per stride. Raises ModelFileError."""
+    if len(shapes) != len(head.strides_px):
+        raise ModelFileError(f"the network has {len(shapes)} outputs, the sidecar expects {len(head.strides_px)}")
+    for shape in shapes:
+        if len(shape) != 4 or (isinstance(shape[1], int) and shape[1] != head.channels):
+            raise ModelFileError(f"an output has the shape {list(shape)}, the sidecar expects {head.channels} channels")
