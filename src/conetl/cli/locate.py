@@ -49,7 +49,11 @@ def locate(
     matches, refused = match_pair(
         detections[0], detections[1], rig, params.match, up_left=up_in_left_camera(rig), images=(images[0], images[1])
     )
-    cones, more = locate_in_camera(matches, rig, params.position)
+    located, more = locate_in_camera(matches, rig, params.position)
+    # One pair has no second look to tell a cone from a sign; its height at least must be a cone's, as in a drive.
+    lowest_m, highest_m = params.track.min_cone_height_m, params.track.max_cone_height_m
+    cones = [cone for cone in located if lowest_m <= cone.cone_height_m <= highest_m]
+    misfits = [cone for cone in located if cone not in cones]
     rows: list[dict[str, Any]] = [
         {
             "ground_distance_m": cone.ground_distance_m,
@@ -73,6 +77,9 @@ def locate(
             {
                 "cones": rows,
                 "without_partner": dict(zip(("left", "right"), alone, strict=True)),
+                "no_cones_by_height": [
+                    {"ground_distance_m": cone.ground_distance_m, "height_m": cone.cone_height_m} for cone in misfits
+                ],
                 "rejections": [r.model_dump(mode="json") for r in (*refused, *more)],
             }
         )
@@ -84,6 +91,12 @@ def locate(
             out.print("Are the two images swapped, or not rectified, or is the calibration another rig's?")
     columns = ("cone", "ground distance m", "sigma m", "height m", "right m", "down m", "ahead m", "score")
     print_table("", columns, [_cells(number, row) for number, row in enumerate(rows, 1)])
+    for cone in misfits:
+        out.print(
+            f"not used: something {cone.cone_height_m:.2f} m high at {cone.ground_distance_m:.1f} m: "
+            f"cones are {lowest_m} to {highest_m} m high",
+            markup=False,
+        )
     for rejection in (*refused, *more):
         out.print(f"not used: {rejection.record.removesuffix(' of frame pair 0')}: {rejection.detail}", markup=False)
 
