@@ -56,13 +56,14 @@ class SplitBlock(nn.Module):
 
     def __init__(self, channels: int, depth: int) -> None:
         super().__init__()
-        half = channels // 2
+        self.half = half = channels // 2
         self.enter = conv(channels, channels, 1)
         self.steps = nn.ModuleList(Bottleneck(half) for _ in range(depth))
         self.leave = conv(channels + depth * half, channels, 1)
 
     def forward(self, features: Tensor) -> Tensor:
-        parts = list(self.enter(features).chunk(2, 1))
+        entered = self.enter(features)
+        parts = [entered[:, : self.half], entered[:, self.half :]]  # as constants: chunk would be computed at run time
         for step in self.steps:
             parts.append(step(parts[-1]))
         return self.leave(torch.cat(parts, 1))
