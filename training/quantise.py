@@ -20,7 +20,8 @@ from dataset import read_cones, read_renders
 from onnxruntime.quantization import CalibrationDataReader, CalibrationMethod, QuantFormat, QuantType, quantize_static
 from onnxruntime.quantization.shape_inference import quant_pre_process
 
-LEFT_IN_FP32 = ("/stem/", "/sides.", "/ends.", "/score.", "/Concat")  # one scale for logits and offsets would ruin these
+# The joined outputs too: one 8-bit scale for logits and offsets would round the offsets to nothing.
+LEFT_IN_FP32 = ("/stem/", "/sides.", "/ends.", "/score.", "/Concat")
 
 
 class Pictures(CalibrationDataReader):
