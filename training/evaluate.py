@@ -14,14 +14,13 @@ import json
 import sys
 from pathlib import Path
 
-import cv2
 import numpy as np
 from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src"))
 
-from dataset import Picture, read_cones, read_labels
+from dataset import Picture, read_cones, read_renders
 
 from conetl.io.detector import detect_image, load_detector
 
@@ -77,15 +76,6 @@ def coco_tables(pictures: list[Picture], found: list[np.ndarray]) -> dict[str, d
     return tables
 
 
-def read_labelled(root: Path) -> list[Picture]:
-    pictures = []
-    for path in sorted((root / "images").glob("*")):
-        image = cv2.imread(str(path))
-        boxes = read_labels(root / "labels" / f"{path.stem}.txt", image.shape[1], image.shape[0])
-        pictures.append(Picture(path.stem, "renders", image, boxes))
-    return pictures
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("model", type=Path)
@@ -96,7 +86,7 @@ def main() -> None:
     detector = load_detector(args.model)
     pictures = read_cones(args.cones, "val") if args.cones else []
     if args.labelled:
-        pictures += read_labelled(args.labelled)
+        pictures += read_renders(args.labelled, set())
     found = [detect_image(detector, picture.image, score_threshold=0.01) for picture in pictures]
     groups = {
         source: [k for k, p in enumerate(pictures) if p.source == source] for source in {p.source for p in pictures}

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import onnx
 from dataset import read_cones, read_renders
 from onnxruntime.quantization import CalibrationDataReader, CalibrationMethod, QuantFormat, QuantType, quantize_static
 from onnxruntime.quantization.shape_inference import quant_pre_process
@@ -59,8 +60,6 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         prepared = Path(folder) / "prepared.onnx"
         quant_pre_process(str(args.model), str(prepared), skip_symbolic_shape=True)
-        import onnx
-
         nodes = [node.name for node in onnx.load(str(prepared)).graph.node if node.name.startswith(LEFT_IN_FP32)]
         quantize_static(
             str(prepared),

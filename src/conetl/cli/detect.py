@@ -79,13 +79,13 @@ def _entry(path: Path, box: NDArray[np.float64]) -> dict[str, Any]:
 
 def _drawn_names(paths: list[Path]) -> list[str]:
     """A name for each annotated copy; pictures of equal name from several folders are told apart by a number."""
-    names: list[str] = []
+    names: dict[str, None] = {}
     for path in paths:
         name, count = f"{path.stem}.jpg", 2
         while name in names:
             name, count = f"{path.stem}_{count}.jpg", count + 1
-        names.append(name)
-    return names
+        names[name] = None
+    return list(names)
 
 
 def _image_files(arguments: list[Path]) -> list[Path]:

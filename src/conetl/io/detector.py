@@ -23,6 +23,8 @@ from conetl.io.model_card import ModelCard, SideDistributionHead, check_own_outp
 DEFAULT_MODEL = "conetl-cone-2.onnx"
 MAX_SIDE_PX = 1600
 LEAST_SIDE_PX = 8
+#: However high a caller says the road begins, this much of the picture is looked at.
+LEAST_ROWS_PX = 120
 SECOND_LOOK_FROM_PX = 480
 LARGE_CONE_PX = 48.0
 
@@ -152,12 +154,12 @@ def detect_image(
 
     Returns (N, 9) [x, y, w, h, score, foot x, foot y, tip x, tip y] by falling score: x, y is the top-left corner, in pixels of
     the given image, whose left and top edges are x = 0 and y = 0 (the centre of the first pixel is 0.5). Foot and tip are NaN
-    where the network does not give them. first_row: rows above it are not looked at (see `geometry.horizon`).
+    where the network does not give them. first_row: rows above it are not looked at (`geometry.camera.first_road_row`).
     """
     if image_bgr.dtype != np.uint8 or image_bgr.ndim != 3 or image_bgr.shape[2] != 3:
         raise ValueError(f"expected a BGR image (H, W, 3) of uint8, got {image_bgr.shape} of {image_bgr.dtype}")
     whole = image_bgr
-    first_row = min(max(first_row, 0), max(whole.shape[0] - SECOND_LOOK_FROM_PX // 4, 0))
+    first_row = min(max(first_row, 0), max(whole.shape[0] - LEAST_ROWS_PX, 0))
     image_bgr = whole[first_row:]
     if min(image_bgr.shape[:2]) < LEAST_SIDE_PX:
         return np.zeros((0, COLUMNS))
