@@ -38,8 +38,31 @@ class Record(BaseModel):
 # --------------------------------------------------------------------------- drive
 
 
+LensModel = Literal["none", "radial", "brown", "rational", "fisheye"]
+#: Number of coefficients of each lens model, in OpenCV's order.
+LENS_COEFFICIENTS: dict[LensModel, int] = {"none": 0, "radial": 2, "brown": 5, "rational": 8, "fisheye": 4}
+
+
+class Lens(Record):
+    """Distortion of one camera's lens, acting on normalised image coordinates x/z, y/z.
+
+    radial: k1, k2; brown: k1, k2, p1, p2, k3 (Brown 1971); rational: k1, k2, p1, p2, k3, k4, k5, k6; fisheye: k1, k2, k3, k4
+    of the equidistant model (Kannala & Brandt 2006).
+    """
+
+    model: LensModel = "none"
+    coefficients: tuple[float, ...] = ()
+
+    @model_validator(mode="after")
+    def _as_many_as_the_model_has(self) -> Lens:
+        if len(self.coefficients) != LENS_COEFFICIENTS[self.model]:
+            wanted = LENS_COEFFICIENTS[self.model]
+            raise ValueError(f"lens model '{self.model}' has {wanted} coefficients, found {len(self.coefficients)}")
+        return self
+
+
 class Camera(Record):
-    """Interior orientation of one rectified camera: a pinhole without distortion, in pixels."""
+    """Interior orientation of one camera in pixels; a rectified camera is one without a lens (model "none")."""
 
     width_px: int = Field(gt=0)
     height_px: int = Field(gt=0)
@@ -47,10 +70,43 @@ class Camera(Record):
     fy_px: Positive
     cx_px: float
     cy_px: float
+    lens: Lens = Lens()
+
+
+class CalibrationCovariance(Record):
+    """Covariance of a rig's calibration: errors that all pictures of the rig have in common.
+
+    `names` are fields of the rig: left.fx_px, left.fy_px, left.cx_px, left.cy_px, left.lens.0, left.lens.1 ... (in the order of
+    `Lens.coefficients`), right.* likewise, relative.rx_rad, relative.ry_rad, relative.rz_rad, relative.tx_m, relative.ty_m,
+    relative.tz_m. The relative ones perturb left_SE3_right = (R, t) as (R exp(r), t + dt), r a rotation vector in the right
+    camera's frame, dt in the left camera's. What is not named is taken as exact. Units are those of the names.
+    """
+
+    names: tuple[str, ...] = Field(min_length=1)
+    matrix: tuple[tuple[float, ...], ...]
+
+    @model_validator(mode="after")
+    def _square_and_symmetric(self) -> CalibrationCovariance:
+        size = len(self.names)
+        if len(set(self.names)) != size:
+            raise ValueError("each calibration parameter may be named once")
+        if len(self.matrix) != size or any(len(row) != size for row in self.matrix):
+            raise ValueError(f"expected a {size} x {size} matrix, one row and column a name")
+        for i in range(size):
+            if self.matrix[i][i] < 0:
+                raise ValueError(f"the variance of {self.names[i]} is negative")
+            for j in range(i):
+                bound = 1e-6 * (self.matrix[i][i] * self.matrix[j][j]) ** 0.5 + 1e-30
+                if abs(self.matrix[i][j] - self.matrix[j][i]) > bound:
+                    raise ValueError(f"the matrix is not symmetric at {self.names[i]}, {self.names[j]}")
+        return self
 
 
 class Rig(Record):
-    """Two rectified cameras and where they sit on the body (the INS unit, or the left camera where there is none).
+    """Two cameras and where they sit on the body (the INS unit, or the left camera where there is none).
+
+    The rig of a `Drive` is rectified: no lens distortion, equal rows. Where the pictures as stored are not, `rectified_from`
+    is the rig that took them, and every picture is resampled from that one to this one when it is read.
 
     `body_SE3_left`/`body_SE3_right` map camera points (x right, y down, z forward) to body points; their translation is the
     lever arm, their rotation the boresight.
@@ -63,6 +119,9 @@ class Rig(Record):
     body_SE3_right: Matrix4
     sigma_px: Positive = 0.5
     """Default image sigma of an observation, used where a detection brings none of its own."""
+    calibration_covariance: CalibrationCovariance | None = None
+    """Of this rig's own parameters; None where the calibration did not tell. A rectified rig leaves it to `rectified_from`."""
+    rectified_from: Rig | None = None
 
     @property
     def baseline_m(self) -> float:
@@ -146,6 +205,10 @@ class Detection(Record):
     w_px: Positive
     h_px: Positive
     score: Probability
+    foot_px: Vec2 | None = None
+    """Centre of the cone's foot on the ground, in box edges like x_px; None where the network does not tell."""
+    tip_px: Vec2 | None = None
+    """Top of the cone's axis, likewise."""
 
 
 class StereoMatch(Record):
