@@ -14,6 +14,7 @@ from conetl.cli.console import JsonOption, complain, out, print_json, progress_b
 from conetl.errors import EXIT_TOO_MANY_REJECTIONS, InputError
 from conetl.io.annotated_image import write_annotated_image
 from conetl.io.detector import detect_image, load_detector
+from conetl.io.exports.atomic import atomic_text_file
 from conetl.io.images import ImageFileError, read_upright_image
 from conetl.settings import read_settings
 
@@ -39,7 +40,8 @@ def detect(
     detector = load_detector(read_settings().model_path)
     found: list[dict[str, Any]] = []
     refused: list[str] = []
-    with progress_bar() as bars:
+    # Opened first: a place where nothing can be written should cost no hour of detection.
+    with atomic_text_file(output) as file, progress_bar() as bars:
         for number, path in enumerate(bars.track(paths, description="detect")):
             try:
                 image = read_upright_image(path)
@@ -51,9 +53,9 @@ def detect(
             found += [_entry(path, box) for box in boxes]
             if draw is not None:
                 write_annotated_image(draw / drawn_names[number], image, boxes)
-    if len(refused) == len(paths):
-        raise InputError("none of the images could be read; nothing was written")
-    output.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+        if len(refused) == len(paths):
+            raise InputError("none of the images could be read; nothing was written")
+        file.write(json.dumps(found, indent=1) + "\n")
     if as_json:
         print_json({"images": len(paths), "refused": refused, "detections": len(found), "written": str(output)})
     else:

@@ -8,6 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.errors import InputError
+
 #: Blue, green, red.
 _BOX, _FOOT, _TIP = (0, 230, 255), (60, 220, 60), (255, 140, 40)
 
@@ -15,7 +17,7 @@ _BOX, _FOOT, _TIP = (0, 230, 255), (60, 220, 60), (255, 140, 40)
 def write_annotated_image(path: Path, image_bgr: NDArray[np.uint8], boxes: NDArray[np.float64]) -> None:
     """Write a JPEG of an image (H, W, 3) with boxes (N, 9) as `detect_image` gives them; makes the folder.
 
-    Raises OSError where the file cannot be written.
+    Raises InputError where the file cannot be written.
     """
     picture = image_bgr.copy()
     width = max(1, round(max(picture.shape[:2]) / 900))
@@ -34,8 +36,9 @@ def write_annotated_image(path: Path, image_bgr: NDArray[np.uint8], boxes: NDArr
         if np.isfinite(ends).all():
             for (u, v), colour in ((ends[:2], _FOOT), (ends[2:], _TIP)):
                 cv2.circle(picture, (round(u), round(v)), 2 * width, colour, -1, cv2.LINE_AA)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    encoded, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 92])
-    if not encoded:
-        raise OSError(f"{path}: the picture could not be encoded as JPEG")
-    path.write_bytes(data.tobytes())
+    _, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 92])
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data.tobytes())
+    except OSError as error:
+        raise InputError(f"{path} cannot be written ({error.strerror}): choose another folder.") from error

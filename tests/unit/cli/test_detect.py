@@ -1,0 +1,69 @@
+"""`conetl detect` on pictures as people have them, and on places where nothing can be written."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[3]
+PICTURE = next((ROOT / "data" / "drives").glob("*/image_02/data/*"))
+
+
+def run(*arguments: object, folder: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", "from conetl.cli import main; main()", "detect", *map(str, arguments)]
+    return subprocess.run(command, cwd=folder, env=dict(os.environ), capture_output=True, text=True, check=False)
+
+
+@pytest.fixture
+def small_picture(tmp_path: Path) -> Path:
+    path = tmp_path / "in" / "small.png"
+    path.parent.mkdir()
+    cv2.imwrite(str(path), np.full((64, 96, 3), 120, np.uint8))
+    return path
+
+
+def test_boxes_and_annotated_copies_are_written_into_new_folders(tmp_path: Path) -> None:
+    done = run(
+        PICTURE, "--out", tmp_path / "new" / "found.json", "--draw", tmp_path / "drawn" / "deep", folder=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    found = json.loads((tmp_path / "new" / "found.json").read_text())
+    assert found
+    assert {"file_name", "category", "bbox", "score", "foot", "tip"} <= set(found[0])
+    drawn = cv2.imread(str(tmp_path / "drawn" / "deep" / f"{PICTURE.stem}.jpg"))
+    assert drawn is not None
+    assert drawn.shape == cv2.imread(str(PICTURE)).shape
+
+
+@pytest.mark.parametrize("option", ["--out", "--draw"])
+def test_a_place_that_cannot_be_written_is_bad_input(tmp_path: Path, small_picture: Path, option: str) -> None:
+    (tmp_path / "file").write_text("taken")
+    done = run(small_picture, option, tmp_path / "file" / "below", folder=tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert "cannot be written" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "detections.json").exists()
+
+
+def test_one_unreadable_picture_costs_only_itself(tmp_path: Path, small_picture: Path) -> None:
+    (small_picture.parent / "broken.jpg").write_bytes(b"\xff\xd8\xff\xe0 no picture")
+    done = run(small_picture.parent, "--json", folder=tmp_path)
+    assert done.returncode == 1
+    assert "broken.jpg" in done.stderr
+    result = json.loads(done.stdout)
+    assert result["images"] == 2
+    assert [Path(name).name for name in result["refused"]] == ["broken.jpg"]
+
+
+def test_nothing_is_written_where_no_picture_can_be_read(tmp_path: Path) -> None:
+    (tmp_path / "broken.png").write_bytes(b"\x89PNG no picture")
+    done = run(tmp_path / "broken.png", "--out", tmp_path / "found.json", folder=tmp_path)
+    assert done.returncode == 2
+    assert not (tmp_path / "found.json").exists()
