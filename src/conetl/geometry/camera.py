@@ -1,4 +1,7 @@
-"""One rectified pinhole camera: x right, y down, z forward; pixel (0, 0) is the centre of the top-left pixel."""
+"""One camera, with or without a lens: x right, y down, z forward; pixel (0, 0) is the centre of the top-left pixel.
+
+The horizon is that of a camera without a lens: a straight row.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from conetl.geometry import lens as lenses
 from conetl.records import Camera
 
 Array = NDArray[np.float64]
@@ -23,23 +27,35 @@ def matrix_k(camera: Camera) -> Array:
 
 
 def project(camera: Camera, points_cam_m: ArrayLike) -> Array:
-    """Image points (..., 2) in pixels of camera-frame points (..., 3).
+    """Image points (..., 2) in pixels of camera-frame points (..., 3), the camera's lens included.
 
-    Raises ValueError where a point does not lie in front of the camera: it has no image.
+    Raises ValueError where a point does not lie in front of the camera: it has no image. A point beyond the lens's
+    `field_radius` gets the number that the model gives there, as everywhere in OpenCV; ask `lens.field_radius` where that matters.
     """
     p = np.asarray(points_cam_m, dtype=np.float64)
     z = p[..., 2]
     if not np.all(z > 0):
         raise ValueError("project: every point must lie in front of the camera (z > 0)")
-    return np.stack([camera.fx_px * p[..., 0] / z + camera.cx_px, camera.fy_px * p[..., 1] / z + camera.cy_px], axis=-1)
+    if camera.lens.model == "none":
+        uv = [camera.fx_px * p[..., 0] / z + camera.cx_px, camera.fy_px * p[..., 1] / z + camera.cy_px]
+    else:
+        xy = lenses.distort(camera.lens, p[..., :2] / z[..., None])
+        uv = [camera.fx_px * xy[..., 0] + camera.cx_px, camera.fy_px * xy[..., 1] + camera.cy_px]
+    return np.stack(uv, axis=-1)
 
 
 def rays(camera: Camera, uv_px: ArrayLike) -> Array:
-    """Directions (..., 3) in the camera frame with z = 1 through image points (..., 2)."""
+    """Directions (..., 3) in the camera frame with z = 1 through image points (..., 2), the camera's lens taken out.
+
+    NaN where the lens has no such image point (see `lens.undistort`); a camera without a lens has them all.
+    """
     uv = np.asarray(uv_px, dtype=np.float64)
     x = (uv[..., 0] - camera.cx_px) / camera.fx_px
     y = (uv[..., 1] - camera.cy_px) / camera.fy_px
-    return np.stack([x, y, np.ones_like(x)], axis=-1)
+    if camera.lens.model != "none":
+        xy = lenses.undistort(camera.lens, np.stack([x, y], axis=-1))
+        x, y = xy[..., 0], xy[..., 1]
+    return np.stack([x, y, np.where(np.isnan(x), np.nan, 1.0)], axis=-1)
 
 
 def up_in_camera(map_R_cam: ArrayLike) -> Array:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from conetl.geometry import camera as cam
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
-from conetl.records import Camera, Pose, Rig
+from conetl.records import Camera, Lens, Pose, Rig
 
 CAMERA = Camera(width_px=1242, height_px=375, fx_px=721.5, fy_px=720.0, cx_px=609.6, cy_px=172.9)
 #: A camera that looks along the body's x axis.
@@ -39,6 +39,22 @@ def make_pose(yaw_rad: float = 0.0) -> Pose:
 def test_the_ray_through_an_image_point_passes_through_its_point(x: float, y: float, z: float) -> None:
     ray = cam.rays(CAMERA, cam.project(CAMERA, np.array([x, y, z])))
     np.testing.assert_allclose(ray * z, [x, y, z], rtol=1e-9, atol=1e-9)
+
+
+@given(st.floats(-0.7, 0.7), st.floats(-0.4, 0.4), st.floats(0.1, 100))
+def test_rays_and_projection_honour_the_lens(x: float, y: float, z: float) -> None:
+    barrel = Lens(model="brown", coefficients=(-0.35, 0.15, 1e-3, -8e-4, -0.03))
+    camera = CAMERA.model_copy(update={"lens": barrel})
+    uv = cam.project(camera, np.array([x, y, 1.0]) * z)
+    np.testing.assert_allclose(cam.rays(camera, uv), [x, y, 1.0], atol=1e-9)
+    if math.hypot(x, y) > 0.2:
+        assert np.linalg.norm(uv - cam.project(CAMERA, np.array([x, y, 1.0]))) > 1.0, "a lens that does nothing"
+
+
+def test_an_image_point_that_the_lens_cannot_make_has_no_ray() -> None:
+    camera = CAMERA.model_copy(update={"lens": Lens(model="radial", coefficients=(-0.3, 0.0))})
+    inside, outside = cam.rays(camera, [[610.0, 173.0], [610.0 + 0.8 * 721.5, 173.0]])
+    assert np.isfinite(inside).all() and np.isnan(outside).all()
 
 
 def test_projection_is_that_of_the_calibration_matrix() -> None:
