@@ -97,6 +97,45 @@ class ReconcileParams(Params):
     """... and at least this far inside both pictures."""
 
 
+class TrajectoryParams(Params):
+    refine: bool = True
+    """Refine the logged poses by visual odometry; False takes them as they are."""
+    max_width_px: int = Field(default=1280, ge=64)
+    """Wider pictures are reduced for following points."""
+    cell_px: int = Field(default=40, ge=8)
+    corners_per_cell: int = Field(default=3, ge=1)
+    min_disparity_px: Positive = 2.0
+    """Points with less are too far to tell how far the car drove; sky has none."""
+    min_points: int = Field(default=30, ge=6)
+    sigma_px: Positive = 0.3
+    """Of a followed point; only relative weights and thresholds depend on it, the covariance comes from the residuals."""
+    circle_tolerance_px: Positive = 0.7
+    epipolar_tolerance_px: Positive = 1.0
+    inlier_px: Positive = 1.5
+    min_inlier_share: Fraction = 0.2
+    gate_m: Positive = 0.5
+    """Motions farther than this from the logged one, frame pair to frame pair, are those of a lorry, not of the car."""
+    gate_rad: Positive = 0.02
+    floor_relative: Positive = 0.003
+    """Error of visual odometry that its residuals do not show, as a share of the way between two frame pairs ..."""
+    floor_m: Positive = 0.002
+    floor_rad: Positive = 0.0001
+    scale_sigma: Positive = 0.003
+    """... and in common to the whole drive: an error of the baseline or the focal length makes all ways too long alike."""
+    robust_sigmas: Positive = 3.0
+    """Huber's bound for an interval in the adjustment of the trajectory."""
+    gnss_correlation_s: Positive = 20.0
+    """Over this time the error of GNSS/INS changes (first-order Gauss-Markov process) ..."""
+    gnss_white_share: Fraction = 0.1
+    """... except this share of its sigma, which is new in every record."""
+    attitude_correlation_s: Positive = 60.0
+    attitude_white_share: Fraction = 0.05
+    cone_landmarks: bool = True
+    """Let the drive's own cones, which stand still, take part in the adjustment."""
+    max_shift_chi2: Positive = 25.0
+    """Squared shift of a pose in its stated sigmas above which the refinement is not believed (5 sigma)."""
+
+
 class IngestParams(Params):
     """All parameters of one ingest."""
 
@@ -105,6 +144,7 @@ class IngestParams(Params):
     position: PositionParams = PositionParams()
     track: TrackParams = TrackParams()
     reconcile: ReconcileParams = ReconcileParams()
+    trajectory: TrajectoryParams = TrajectoryParams()
     chunk_pairs: int = Field(default=128, ge=1)
     """Frame pairs per detection task: Prefect's cost per task is about 21 ms."""
     max_rejected_fraction: Fraction = 0.10
