@@ -30,7 +30,7 @@ def project(camera: Camera, points_cam_m: ArrayLike) -> Array:
     """Image points (..., 2) in pixels of camera-frame points (..., 3), the camera's lens included.
 
     Raises ValueError where a point does not lie in front of the camera: it has no image. A point beyond the lens's
-    `field_radius` gets the number that the model gives there, as everywhere in OpenCV; ask `lens.field_radius` where that matters.
+    `field_radius` gets the number that the model gives there, as in OpenCV; ask `lens.field_radius` where that matters.
     """
     p = np.asarray(points_cam_m, dtype=np.float64)
     z = p[..., 2]
@@ -47,7 +47,7 @@ def project(camera: Camera, points_cam_m: ArrayLike) -> Array:
 def rays(camera: Camera, uv_px: ArrayLike) -> Array:
     """Directions (..., 3) in the camera frame with z = 1 through image points (..., 2), the camera's lens taken out.
 
-    NaN where the lens has no such image point (see `lens.undistort`); a camera without a lens has them all.
+    x and y are NaN where the lens has no such image point (see `lens.undistort`); a camera without a lens has them all.
     """
     uv = np.asarray(uv_px, dtype=np.float64)
     x = (uv[..., 0] - camera.cx_px) / camera.fx_px
@@ -55,7 +55,7 @@ def rays(camera: Camera, uv_px: ArrayLike) -> Array:
     if camera.lens.model != "none":
         xy = lenses.undistort(camera.lens, np.stack([x, y], axis=-1))
         x, y = xy[..., 0], xy[..., 1]
-    return np.stack([x, y, np.where(np.isnan(x), np.nan, 1.0)], axis=-1)
+    return np.stack([x, y, np.ones_like(x)], axis=-1)
 
 
 def up_in_camera(map_R_cam: ArrayLike) -> Array:
