@@ -1,0 +1,131 @@
+"""Do errors fit the covariances that were stated for them? NEES, chi-square bands, CE90 and LE90.
+
+The normalised estimation error squared (NEES, e.g. Bar-Shalom, Li & Kirubarajan 2001, ch. 5.4) of N points is only chi-square
+with 3N degrees of freedom where their errors are independent. Points of one drive are not: GNSS/INS and calibration errors
+are common to all of them. `consistency` therefore splits the squared error exactly into a part that common errors cannot
+explain (relative) and the common part, each with degrees of freedom of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import stats
+
+Array = NDArray[np.float64]
+#: A common error below this share of the points' own sigmas cannot be seen in them and takes no degree of freedom.
+_INVISIBLE = 1e-6
+
+
+@dataclass(frozen=True)
+class Nees:
+    """A sum of squared normalised errors and the degrees of freedom that it has if the covariance is right."""
+
+    value: float
+    dof: int
+
+    @property
+    def per_dof(self) -> float:
+        """1 on average if the covariance is right; 4 where the sigmas are half, 1/4 where they are double of what they should be."""
+        if self.dof == 0:
+            raise ValueError("a NEES without degrees of freedom says nothing")
+        return self.value / self.dof
+
+    def band(self, probability: float = 0.95) -> tuple[float, float]:
+        """Two-sided chi-square interval of `value`."""
+        return chi2_band(self.dof, probability)
+
+    def holds(self, probability: float = 0.95) -> bool:
+        """Whether `value` lies in its band."""
+        low, high = self.band(probability)
+        return low <= self.value <= high
+
+    def __add__(self, other: Nees) -> Nees:
+        return Nees(self.value + other.value, self.dof + other.dof)
+
+
+@dataclass(frozen=True)
+class Consistency:
+    """NEES of the points of one drive; `absolute` is the sum of the other two."""
+
+    absolute: Nees
+    """Against the whole covariance, common errors as correlations between the points."""
+    relative: Nees
+    """What is left when the best fitting common errors are taken out: what distances between points live on."""
+    common: Nees
+    """The common errors themselves, one degree of freedom each."""
+
+
+def chi2_band(dof: int, probability: float = 0.95) -> tuple[float, float]:
+    """Two-sided interval that a chi-square variable with `dof` degrees of freedom falls into with that probability."""
+    tail = (1.0 - probability) / 2.0
+    return float(stats.chi2.ppf(tail, dof)), float(stats.chi2.ppf(1.0 - tail, dof))
+
+
+def point_nees(difference_m: ArrayLike, cov_m2: ArrayLike) -> Array:
+    """(N,) squared Mahalanobis length of each difference (N, 3) under its own covariance (N, 3, 3)."""
+    difference = np.asarray(difference_m, dtype=np.float64)
+    solved = np.linalg.solve(np.asarray(cov_m2, dtype=np.float64), difference[..., None])[..., 0]
+    return np.asarray(np.einsum("...i,...i->...", difference, solved))
+
+
+def consistency(
+    difference_m: ArrayLike, own_cov_m2: ArrayLike, common_jacobian: ArrayLike, common_cov: ArrayLike
+) -> Consistency:
+    """Split the NEES of N points into relative and common part.
+
+    difference_m (N, 3): estimate minus truth. own_cov_m2 (N, 3, 3): of the errors that each point has for itself.
+    common_jacobian (N, 3, K), common_cov (K, K): how K common errors move each point, and their covariance (positive
+    semi-definite). With e = G x + n whitened by the points' own covariance and G L = U S V' (L L' the common covariance), the
+    whitened error has covariance I + U S^2 U': inside the columns of U is the common part, outside it the relative one.
+    """
+    e = np.asarray(difference_m, dtype=np.float64)
+    g = np.asarray(common_jacobian, dtype=np.float64)
+    if e.ndim != 2 or e.shape[1] != 3 or g.shape[:2] != e.shape:
+        raise ValueError(f"expected differences (N, 3) and a Jacobian (N, 3, K), found {e.shape} and {g.shape}")
+    lower = np.linalg.cholesky(np.asarray(own_cov_m2, dtype=np.float64))
+    white_e = np.linalg.solve(lower, e[..., None])[..., 0].ravel()
+    white_g = np.linalg.solve(lower, g).reshape(e.size, -1)
+    values, vectors = np.linalg.eigh(np.asarray(common_cov, dtype=np.float64))
+    if values.min(initial=0.0) < -1e-9 * max(values.max(initial=0.0), 1e-30):
+        raise ValueError("consistency: the common covariance is not positive semi-definite")
+    u, s, _ = np.linalg.svd(white_g @ (vectors * np.sqrt(np.maximum(values, 0.0))), full_matrices=False)
+    seen = s > _INVISIBLE
+    inside = u[:, seen].T @ white_e
+    common = Nees(float(np.sum(inside**2 / (1.0 + s[seen] ** 2))), int(seen.sum()))
+    relative = Nees(float(max(white_e @ white_e - inside @ inside, 0.0)), e.size - int(seen.sum()))
+    return Consistency(common + relative, relative, common)
+
+
+def pose_jacobian(xyz_m: ArrayLike, map_R_body: ArrayLike, map_t_body_m: ArrayLike) -> Array:
+    """(N, 3, 6): how map points move with errors of the body's easting, northing, height, roll, pitch and yaw.
+
+    xyz_m (N, 3); the poses (N, 3, 3) and (N, 3). The axes are those of `add_pose_covariance`: roll about the body's x axis,
+    pitch about the level axis across it, yaw about the vertical.
+    """
+    rotation = np.asarray(map_R_body, dtype=np.float64)
+    lever = np.asarray(xyz_m, dtype=np.float64) - np.asarray(map_t_body_m, dtype=np.float64)
+    ahead = rotation[:, :, 0]
+    level = np.hypot(ahead[:, 0], ahead[:, 1])
+    if np.any(level < 1e-9):
+        raise ValueError("pose_jacobian: the body stands on its nose, roll and yaw cannot be told apart")
+    across = np.stack([-ahead[:, 1] / level, ahead[:, 0] / level, np.zeros_like(level)], axis=1)
+    vertical = np.broadcast_to([0.0, 0.0, 1.0], ahead.shape)
+    jacobian = np.zeros((len(lever), 3, 6))
+    jacobian[:, :, :3] = np.eye(3)
+    for column, axis in enumerate((ahead, across, vertical), 3):
+        jacobian[:, :, column] = np.cross(axis, lever)
+    return jacobian
+
+
+def ce90_m(difference_m: ArrayLike) -> float:
+    """Circular error: 90 % of the horizontal errors of (N, 3) differences are not larger."""
+    e = np.asarray(difference_m, dtype=np.float64)
+    return float(np.quantile(np.hypot(e[:, 0], e[:, 1]), 0.9))
+
+
+def le90_m(difference_m: ArrayLike) -> float:
+    """Linear error: 90 % of the vertical errors of (N, 3) differences are not larger."""
+    return float(np.quantile(np.abs(np.asarray(difference_m, dtype=np.float64)[:, 2]), 0.9))
