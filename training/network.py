@@ -116,7 +116,8 @@ class ConeNet(nn.Module):
         for ends in self.ends:
             nn.init.zeros_(ends.weight)
 
-    def forward(self, picture: Tensor) -> list[Tensor]:
+    def features(self, picture: Tensor) -> list[Tensor]:
+        """Input of the output layers: (B, C, H/s, W/s) a stride."""
         c4 = self.stage4(self.stem(picture))
         c8 = self.stage8(c4)
         c16 = self.stage16(c8)
@@ -124,12 +125,11 @@ class ConeNet(nn.Module):
         p16 = self.mix16(self.side16(c16) + functional.interpolate(self.top16(p32), scale_factor=2.0))
         p8 = self.mix8(self.side8(c8) + functional.interpolate(p16, scale_factor=2.0))
         p4 = self.side4(c4) + functional.interpolate(self.top4(p8), scale_factor=2.0)
-        maps = []
-        layers = zip((p4, p8, p16, p32), self.heads, self.sides, self.ends, self.score, strict=True)
-        for features, head, sides, ends, score in layers:
-            shared = head(features)
-            maps.append(torch.cat((sides(shared), ends(shared), score(shared)), 1))
-        return maps
+        return [head(features) for head, features in zip(self.heads, (p4, p8, p16, p32), strict=True)]
+
+    def forward(self, picture: Tensor) -> list[Tensor]:
+        layers = zip(self.features(picture), self.sides, self.ends, self.score, strict=True)
+        return [torch.cat((sides(shared), ends(shared), score(shared)), 1) for shared, sides, ends, score in layers]
 
 
 def fuse_batch_norms(network: nn.Module) -> None:

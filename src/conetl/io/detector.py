@@ -16,7 +16,7 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from conetl.errors import ModelFileError
-from conetl.io.detector_decode import COLUMNS, boxes_in_image, decode_maps, suppress_overlaps, without_parts
+from conetl.io.detector_decode import COLUMNS, boxes_in_image, decode_cells, suppress_overlaps, without_parts
 from conetl.io.detector_heads import EndToEndHead, check_outputs, decode_head
 from conetl.io.model_card import ModelCard, SideDistributionHead, check_own_outputs, read_model_card
 
@@ -179,20 +179,24 @@ def detect_image(
 def look(
     detector: Detector, image_bgr: NDArray[np.uint8], max_side_px: int, score_threshold: float, nms_iou: float
 ) -> NDArray[np.float64]:
-    """One run of the network: candidates (N, 9) of `decode_map` in pixels of the image, not yet cut at its edges."""
+    """One run of the network: candidates (N, 9) of `decode_cells` in pixels of the image, not yet cut at its edges."""
     card = detector.card
     blob, scale_x, scale_y = network_input(
         image_bgr, card.pad_multiple_px, max_side_px, layout=card.input_layout, fixed_size=detector.fixed_size
     )
     outputs = [np.asarray(output) for output in detector.session.run(None, {detector.input_name: blob})]
+    rows, columns = blob.shape[1:3] if "NHWC" in card.input_layout else blob.shape[2:4]
     if isinstance(card.head, SideDistributionHead):
         head = card.head
-        boxes = decode_maps(
-            [output[0] for output in outputs], head.strides_px, head.side_bins, score_threshold, nms_iou,
-            foot_and_tip=head.foot_and_tip, calibration=(head.score_logit_scale, head.score_logit_offset),
-        )  # fmt: skip
+        parts = [
+            decode_cells(
+                values, cells, columns // stride_px, stride_px, head.side_bins, score_threshold,
+                foot_and_tip=head.foot_and_tip, calibration=(head.score_logit_scale, head.score_logit_offset),
+            )
+            for values, cells, stride_px in zip(outputs[::2], outputs[1::2], head.strides_px, strict=True)
+        ]  # fmt: skip
+        boxes = suppress_overlaps(np.concatenate(parts), nms_iou)
     else:
-        rows, columns = blob.shape[1:3] if "NHWC" in card.input_layout else blob.shape[2:4]
         found = decode_head(card.head, outputs, rows, columns, score_threshold)
         unknown = np.full((len(found), COLUMNS - found.shape[1]), np.nan)
         boxes = np.concatenate((found, unknown), axis=1)

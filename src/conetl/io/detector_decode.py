@@ -1,12 +1,10 @@
-"""From a network's raw maps to boxes: numpy only.
+"""From the output of the shipped network to boxes: numpy only.
 
 Pixel convention: a box is [x, y, w, h] with x, y its top-left corner; the centre of the top-left pixel is (0.5, 0.5) in
 these box coordinates, that is, an image W wide spans x = 0 .. W. `docs/coordinates.md` says how observations use this.
 """
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +16,10 @@ Floats = NDArray[np.float64]
 COLUMNS = 9
 
 
-def decode_map(
-    raw: NDArray[np.float32],
+def decode_cells(
+    values: NDArray[np.float32],
+    cells: NDArray[np.int64],
+    cells_per_row: int,
     stride_px: int,
     bins: int,
     score_threshold: float,
@@ -27,36 +27,33 @@ def decode_map(
     foot_and_tip: bool = False,
     calibration: tuple[float, float] = (1.0, 0.0),
 ) -> Floats:
-    """One raw map -> candidates (N, 9) [x0, y0, x1, y1, score, foot x, foot y, tip x, tip y] in pixels of the network's input.
+    """Cells of one stride -> candidates (N, 9) in pixels of the network's input.
 
-    raw: (4*bins + 1, h, w), or (4*bins + 5, h, w) with `foot_and_tip`; without it the last four columns are NaN. Each side (left,
-    top, right, bottom) is a distribution over `bins` distances in strides from the cell's centre; its expectation is the distance
-    (distribution focal loss, Li et al. 2020). Foot and tip are offsets in shares of the box from the middle of its lower and
-    upper side. calibration: scale and offset of the score's logit (Platt 1999). Only cells above the threshold are decoded.
+    Columns: x0, y0, x1, y1, score, foot x, foot y, tip x, tip y. values: (K, 4*bins + 1), or (K, 4*bins + 5) with
+    `foot_and_tip`; without it the last four columns are NaN. cells: (K,) where they lie in the row-major map. Each side (left,
+    top, right, bottom) is a distribution over `bins` distances in strides from the cell's centre; its expectation is the
+    distance (distribution focal loss, Li et al. 2020). Foot and tip are offsets in shares of the box from the middle of its
+    lower and upper side; the last value is the score's logit. calibration: scale and offset of that logit (Platt 1999). Cells
+    below the threshold are left out. Raises ValueError on arrays of another head.
     """
     channels = 4 * bins + (5 if foot_and_tip else 1)
-    if raw.ndim != 3 or raw.shape[0] != channels:
-        raise ValueError(f"raw map has shape {raw.shape}, expected ({channels}, h, w)")
+    if values.ndim != 2 or values.shape[1] != channels or cells.shape != values.shape[:1]:
+        raise ValueError(f"cells have shapes {values.shape} and {cells.shape}, expected (K, {channels}) and (K,)")
     scale, offset = calibration
-    if score_threshold <= 0.0:
-        least_logit = -np.inf
-    elif score_threshold >= 1.0:
-        least_logit = np.inf
-    else:
-        least_logit = (float(np.log(score_threshold / (1.0 - score_threshold))) - offset) / scale
-    rows, columns = np.nonzero(raw[-1] >= least_logit)
-    if rows.size == 0:
+    scores = 1.0 / (1.0 + np.exp(-(scale * values[:, -1].astype(np.float64) + offset)))
+    kept = scores >= score_threshold
+    if not kept.any():
         return np.zeros((0, COLUMNS))
-    cells = raw[:, rows, columns].astype(np.float64)
-    logits = cells[: 4 * bins].reshape(4, bins, -1)
+    scores, numbers = scores[kept], values[kept].astype(np.float64).T
+    rows, columns = np.divmod(cells[kept], cells_per_row)
+    logits = numbers[: 4 * bins].reshape(4, bins, -1)
     weights = np.exp(logits - logits.max(axis=1, keepdims=True))
     left, top, right, bottom = (weights * np.arange(bins)[None, :, None]).sum(1) / weights.sum(1) * stride_px
     x_px, y_px = (columns + 0.5) * stride_px, (rows + 0.5) * stride_px
     x0, y0, x1, y1 = x_px - left, y_px - top, x_px + right, y_px + bottom
-    scores = 1.0 / (1.0 + np.exp(-(scale * cells[-1] + offset)))
-    ends = np.full((4, rows.size), np.nan)
+    ends = np.full((4, len(scores)), np.nan)
     if foot_and_tip:
-        shares, middle = cells[4 * bins : 4 * bins + 4], (x0 + x1) / 2
+        shares, middle = numbers[4 * bins : 4 * bins + 4], (x0 + x1) / 2
         ends[0], ends[1] = middle + shares[0] * (x1 - x0), y1 - shares[1] * (y1 - y0)
         ends[2], ends[3] = middle + shares[2] * (x1 - x0), y0 + shares[3] * (y1 - y0)
     return np.stack((x0, y0, x1, y1, scores, *ends), axis=1)
@@ -100,24 +97,6 @@ def without_parts(candidates: Floats, larger: Floats, inside_share: float = 0.8)
         better = (box[4] >= candidates[:, 4]) & (np.prod(box[2:4] - box[:2]) >= 2.0 * area)
         part |= better & (shared >= inside_share * area)
     return candidates[~part]
-
-
-def decode_maps(
-    maps: Sequence[NDArray[np.float32]],
-    strides_px: Sequence[int],
-    bins: int,
-    score_threshold: float,
-    nms_iou: float,
-    *,
-    foot_and_tip: bool = False,
-    calibration: tuple[float, float] = (1.0, 0.0),
-) -> Floats:
-    """All raw maps of one picture -> candidates (N, 9) of `decode_map` after suppression, by falling score."""
-    parts = [
-        decode_map(raw, stride, bins, score_threshold, foot_and_tip=foot_and_tip, calibration=calibration)
-        for raw, stride in zip(maps, strides_px, strict=True)
-    ]
-    return suppress_overlaps(np.concatenate(parts), nms_iou)
 
 
 def boxes_in_image(boxes: Floats, width_px: int, height_px: int) -> Floats:

@@ -12,7 +12,7 @@ from conetl.io.detector_heads import Shape, YoloHead
 
 
 class SideDistributionHead(BaseModel):
-    """The shipped network's own head, one raw map per stride; see `detector_decode.decode_map`."""
+    """The shipped network's own head: values and places of the best cells of each stride; see `detector_decode.decode_cells`."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -70,9 +70,13 @@ def read_model_card(model_path: Path) -> ModelCard:
 
 
 def check_own_outputs(head: SideDistributionHead, shapes: list[Shape]) -> None:
-    """Check that a network's outputs are one map of the head's channels per stride. Raises ModelFileError."""
-    if len(shapes) != len(head.strides_px):
-        raise ModelFileError(f"the network has {len(shapes)} outputs, the sidecar expects {len(head.strides_px)}")
-    for shape in shapes:
-        if len(shape) != 4 or (isinstance(shape[1], int) and shape[1] != head.channels):
-            raise ModelFileError(f"an output has the shape {list(shape)}, the sidecar expects {head.channels} channels")
+    """Check that a network's outputs are values (K, channels) and places (K,) of cells per stride. Raises ModelFileError."""
+    if len(shapes) != 2 * len(head.strides_px):
+        raise ModelFileError(
+            f"the network has {len(shapes)} outputs, the sidecar expects two for each of {len(head.strides_px)} strides"
+        )
+    for values, cells in zip(shapes[::2], shapes[1::2], strict=True):
+        if len(values) != 2 or len(cells) != 1 or (isinstance(values[1], int) and values[1] != head.channels):
+            raise ModelFileError(
+                f"two outputs have the shapes {list(values)} and {list(cells)}, the sidecar expects (K, {head.channels}) and (K,)"
+            )

@@ -19,8 +19,7 @@ from conetl.errors import ModelFileError
 from conetl.io.detector import Detector, detect_image, load_detector, network_input, shipped_model_path
 from conetl.io.detector_decode import (
     boxes_in_image,
-    decode_map,
-    decode_maps,
+    decode_cells,
     intersection_over_union,
     suppress_overlaps,
     without_parts,
@@ -36,38 +35,53 @@ def detector() -> Detector:
     return load_detector()
 
 
-def raw_map(bins: int, rows: int, columns: int) -> np.ndarray:
-    """A map in which no cell has seen anything."""
-    raw = np.zeros((4 * bins + 1, rows, columns), np.float32)
-    raw[-1] = -20.0
-    return raw
-
-
 def test_decode_reads_one_cell_exactly() -> None:
-    bins, raw = 4, raw_map(4, 3, 5)
-    raw[-1, 1, 2] = np.log(0.8 / 0.2)
+    values = np.zeros((1, 4 * 4 + 1), np.float32)
+    values[0, -1] = np.log(0.8 / 0.2)
     for side, distance in enumerate((1, 2, 3, 0)):  # left, top, right, bottom in strides
-        raw[side * bins + distance, 1, 2] = 60.0
-    found = decode_map(raw, 8, bins, 0.5)
+        values[0, side * 4 + distance] = 60.0
+    found = decode_cells(values, np.array([1 * 5 + 2]), 5, 8, 4, 0.5)  # second row, third of five columns
     # The cell's centre is x = 2.5 * 8 = 20, y = 1.5 * 8 = 12.
     np.testing.assert_allclose(found[:, :5], [[12.0, -4.0, 44.0, 12.0, 0.8]], atol=1e-5)
     assert np.isnan(found[:, 5:]).all()
 
 
 def test_decode_reads_foot_tip_and_calibrated_score() -> None:
-    bins = 4
-    raw = np.zeros((4 * bins + 5, 2, 2), np.float32)
-    raw[-1] = -20.0
-    raw[-1, 0, 1] = 1.0
+    values = np.zeros((1, 4 * 4 + 5), np.float32)
+    values[0, -1] = 1.0
     for side in range(4):
-        raw[side * bins + 2, 0, 1] = 60.0  # two strides to each side: the box is 16 px wide around (12, 4) at stride 4
-    raw[4 * bins : 4 * bins + 4, 0, 1] = (0.25, 0.125, -0.25, 0.0625)
-    (found,) = decode_map(raw, 4, bins, 0.5, foot_and_tip=True, calibration=(2.0, -1.0))
+        values[0, side * 4 + 2] = 60.0  # two strides to each side: the box is 16 px wide around (6, 2) at stride 4
+    values[0, 16:20] = (0.25, 0.125, -0.25, 0.0625)
+    (found,) = decode_cells(values, np.array([1]), 2, 4, 4, 0.5, foot_and_tip=True, calibration=(2.0, -1.0))
     # box x 6 +- 8, y 2 +- 8: lower side at y = 10, upper at y = -6
     np.testing.assert_allclose(found[:4], [-2.0, -6.0, 14.0, 10.0], atol=1e-5)
     np.testing.assert_allclose(found[4], 1 / (1 + np.exp(-1.0)), atol=1e-6)
     np.testing.assert_allclose(found[5:], [6 + 4, 10 - 2, 6 - 4, -6 + 1], atol=1e-5)
-    assert len(decode_map(raw, 4, bins, 0.74, foot_and_tip=True, calibration=(2.0, -1.0))) == 0
+    above = decode_cells(values, np.array([1]), 2, 4, 4, 0.74, foot_and_tip=True, calibration=(2.0, -1.0))
+    assert len(above) == 0
+
+
+def test_decode_takes_the_mean_between_two_bins() -> None:
+    values = np.full((1, 17), -60.0, np.float32)
+    values[0, -1] = 3.0
+    values[0, [1, 2, 4 + 1, 8 + 1, 12 + 1]] = 0.0  # left: halfway between 1 and 2 strides; other sides: 1
+    found = decode_cells(values, np.array([0]), 1, 4, 4, 0.5)
+    np.testing.assert_allclose(found[0, :4], [2 - 6, 2 - 4, 2 + 4, 2 + 4], atol=1e-6)
+
+
+def test_decode_drops_scores_below_the_threshold_and_keeps_the_order_of_cells() -> None:
+    values = np.zeros((3, 17), np.float32)
+    values[:, -1] = (2.0, -1.0, 1.0)
+    found = decode_cells(values, np.array([0, 15, 5]), 4, 4, 4, 0.5)
+    np.testing.assert_allclose(found[:, 4], [1 / (1 + np.exp(-2.0)), 1 / (1 + np.exp(-1.0))], atol=1e-6)
+    np.testing.assert_allclose(found[:, :2].mean(axis=0), [4 - 6, 4 - 6], atol=1e-6)  # sides of 1.5 strides each
+    assert decode_cells(values, np.array([0, 15, 5]), 4, 4, 4, 1.0).shape == (0, 9)
+
+
+@pytest.mark.parametrize(("values", "cells"), [((6, 2), 6), ((3, 17), 2)])
+def test_decode_refuses_cells_of_another_head(values: tuple[int, int], cells: int) -> None:
+    with pytest.raises(ValueError, match="expected"):
+        decode_cells(np.zeros(values, np.float32), np.zeros(cells, np.int64), 4, 8, 4, 0.5)
 
 
 def test_rows_above_the_road_can_be_left_out(detector: Detector) -> None:
@@ -78,27 +92,6 @@ def test_rows_above_the_road_can_be_left_out(detector: Detector) -> None:
     cropped = detect_image(detector, image, score_threshold=0.3, first_row=96)
     assert len(whole) == len(cropped) == 1
     np.testing.assert_allclose(cropped[0, :4], whole[0, :4], atol=1.5)
-
-
-def test_decode_takes_the_mean_between_two_bins() -> None:
-    raw = raw_map(4, 1, 1)
-    raw[-1, 0, 0] = 3.0
-    raw[:-1] = -60.0
-    raw[[1, 2, 4 + 1, 8 + 1, 12 + 1], 0, 0] = 0.0  # left: halfway between 1 and 2 strides; other sides: 1
-    np.testing.assert_allclose(decode_map(raw, 4, 4, 0.5)[0, :4], [2 - 6, 2 - 4, 2 + 4, 2 + 4], atol=1e-6)
-
-
-def test_decode_joins_levels_and_drops_scores_below_the_threshold() -> None:
-    fine, coarse = raw_map(4, 4, 4), raw_map(4, 2, 2)
-    fine[-1, 0, 0], fine[-1, 3, 3], coarse[-1, 1, 1] = 2.0, -1.0, 1.0
-    found = decode_maps([fine, coarse], (4, 8), 4, score_threshold=0.5, nms_iou=0.5)
-    np.testing.assert_allclose(found[:, 4], [1 / (1 + np.exp(-2.0)), 1 / (1 + np.exp(-1.0))], atol=1e-6)
-    assert len(decode_maps([fine, coarse], (4, 8), 4, score_threshold=0.99, nms_iou=0.5)) == 0
-
-
-def test_decode_refuses_a_map_of_another_head() -> None:
-    with pytest.raises(ValueError, match="expected"):
-        decode_map(np.zeros((6, 2, 2), np.float32), 8, 16, 0.5)
 
 
 def test_a_part_of_a_better_and_larger_box_is_dropped() -> None:
@@ -199,7 +192,7 @@ def test_a_file_that_is_no_network_is_refused_even_with_a_matching_hash(tmp_path
 @pytest.mark.parametrize(
     ("key", "value", "words"),
     [
-        ("head", {"side_bins": 8, "strides_px": [4, 8, 16, 32]}, "channels"),
+        ("head", {"side_bins": 8, "strides_px": [4, 8, 16, 32]}, "expects"),
         ("head", {"side_bins": 16, "strides_px": [8, 16], "foot_and_tip": True}, "outputs"),
         ("head", {"kind": "yolov8", "class_count": 1, "cone_class": 0}, "yolov8"),
         ("head", {"kind": "yolov99"}, "head"),
