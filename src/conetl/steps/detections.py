@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from conetl.params import DetectionParams
-from conetl.records import Detection, Side
+from conetl.records import Detection, Side, Vec2
 from conetl.rejections import Rejection, RejectionReason
 
 
@@ -16,12 +16,14 @@ def check_boxes(
 ) -> tuple[list[Detection], list[Rejection]]:
     """Turn one image's boxes into detections, by falling score.
 
-    boxes: (N, 5 or more) x, y, width, height in pixels of the original image (x, y top-left) and score. Boxes lower than the
-    threshold or smaller than `min_height_px` are not detections at all; a box that is no box (NaN, negative size) is rejected.
+    boxes: (N, 5) x, y, width, height in pixels of the original image (x, y top-left) and score, or (N, 9) with foot x, y and
+    tip x, y in box edges besides; NaN there where the network does not tell. Boxes lower than the threshold or smaller than
+    `min_height_px` are not detections at all; a box that is no box (NaN, negative size) is rejected.
     """
     detections: list[Detection] = []
     rejections: list[Rejection] = []
-    for x, y, width, height, score in boxes[np.argsort(-boxes[:, 4], kind="stable"), :5].tolist():
+    for row in boxes[np.argsort(-boxes[:, 4], kind="stable")].tolist():
+        x, y, width, height, score = row[:5]
         if score < params.score_threshold or height < params.min_height_px:
             continue
         try:
@@ -35,6 +37,8 @@ def check_boxes(
                     w_px=width,
                     h_px=height,
                     score=score,
+                    foot_px=_point(row[5:7]),
+                    tip_px=_point(row[7:9]),
                 )
             )
         except ValidationError as error:
@@ -48,3 +52,8 @@ def check_boxes(
                 )
             )
     return detections, rejections
+
+
+def _point(xy: list[float]) -> Vec2 | None:
+    """An image point, None where there is none or it is not two finite numbers."""
+    return (xy[0], xy[1]) if len(xy) == 2 and np.isfinite(xy).all() else None
