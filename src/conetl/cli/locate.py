@@ -10,7 +10,7 @@ import typer
 from conetl.cli.console import JsonOption, out, print_json, print_table
 from conetl.errors import InputError
 from conetl.geometry.rig import up_in_left_camera
-from conetl.io.calibration_file import read_rig
+from conetl.io.calibration_files import read_rig
 from conetl.io.detector import detect_image, load_detector
 from conetl.io.images import ImageFileError, read_image
 from conetl.params import IngestParams

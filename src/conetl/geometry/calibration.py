@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry import pose as se3
-from conetl.records import Camera, Rig
+from conetl.geometry.rectification import check_stereo_baseline
+from conetl.records import Camera, Lens, Rig
 
 Array = NDArray[np.float64]
 
@@ -65,6 +66,56 @@ def kitti_rig(
         rig_id=rig_id, left=cameras[0], right=cameras[1], sigma_px=sigma_px,
         body_SE3_left=se3.to_matrix4(se3.compose(body_SE3_rect, rect_SE3_camera[0])),
         body_SE3_right=se3.to_matrix4(se3.compose(body_SE3_rect, rect_SE3_camera[1])),
+    )  # fmt: skip
+
+
+def kitti_raw_rig(
+    cam_to_cam: Mapping[str, Array],
+    *,
+    velo_to_cam: Mapping[str, Array] | None = None,
+    imu_to_velo: Mapping[str, Array] | None = None,
+    left: int = 2,
+    right: int = 3,
+    rig_id: str,
+    sigma_px: float = 0.5,
+) -> Rig:
+    """Rig of the two KITTI cameras that took the pictures ("synced only"), with their lenses; flat arrays as in the files.
+
+    cam_to_cam needs `S_0i` (2), `K_0i` (9), `D_0i` (5), `R_0i` (9), `T_0i` (3) of both cameras: `x_cam_i = R_0i x_cam0 + T_0i`.
+    The body is as with `kitti_rig`. Raises ValueError, naming the key.
+    """
+    cameras, cam0_SE3_camera = [], []
+    for number in (left, right):
+        k = np.asarray(cam_to_cam[f"K_{number:02d}"], dtype=np.float64).reshape(3, 3)
+        key = f"K_{number:02d}"
+        if not (np.allclose(k[2], [0.0, 0.0, 1.0]) and abs(k[0, 1]) < 1e-6 and abs(k[1, 0]) < 1e-6):
+            raise ValueError(f"{key}: must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
+        if k[0, 0] <= 0 or k[1, 1] <= 0:
+            raise ValueError(f"{key}: focal lengths must be positive, found {k[0, 0]:g} and {k[1, 1]:g}")
+        size = np.asarray(cam_to_cam[f"S_{number:02d}"], dtype=np.float64)
+        if not np.all((size >= 1) & (size == np.round(size))):
+            raise ValueError(f"S_{number:02d}: width and height must be whole numbers of pixels, found {size}")
+        d = [float(c) for c in cam_to_cam[f"D_{number:02d}"]]
+        lens = Lens(model="brown", coefficients=tuple(d)) if any(d) else Lens()
+        fx, fy, cx, cy = (float(k[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2)))
+        cameras.append(
+            Camera(width_px=int(size[0]), height_px=int(size[1]), fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy, lens=lens)
+        )
+        camera_R_cam0 = _rotation(cam_to_cam[f"R_{number:02d}"], f"R_{number:02d}")
+        cam0_SE3_camera.append(se3.invert(se3.se3(camera_R_cam0, cam_to_cam[f"T_{number:02d}"])))
+    try:
+        check_stereo_baseline(se3.compose(se3.invert(cam0_SE3_camera[0]), cam0_SE3_camera[1]))
+    except ValueError as error:
+        raise ValueError(f"T_{left:02d}, T_{right:02d}: {error}") from error
+    if velo_to_cam is None or imu_to_velo is None:
+        body_SE3_cam0 = se3.invert(cam0_SE3_camera[0])
+    else:
+        cam0_SE3_velo = _rigid(velo_to_cam, "calib_velo_to_cam")
+        body_SE3_cam0 = se3.invert(se3.compose(cam0_SE3_velo, _rigid(imu_to_velo, "calib_imu_to_velo")))
+    return Rig(
+        rig_id=rig_id, left=cameras[0], right=cameras[1], sigma_px=sigma_px,
+        body_SE3_left=se3.to_matrix4(se3.compose(body_SE3_cam0, cam0_SE3_camera[0])),
+        body_SE3_right=se3.to_matrix4(se3.compose(body_SE3_cam0, cam0_SE3_camera[1])),
     )  # fmt: skip
 
 

@@ -35,6 +35,9 @@ ROW_TOLERANCE_PX = 0.25
 MAX_HALF_ANGLE_RAD = np.radians(60.0)
 #: ... and are at most this many times as wide and as high as the raw ones.
 MAX_GROWTH = 2.0
+#: A baseline that leaves the left camera's rows by more than this share is no stereo rig that could be rectified well.
+MAX_SLOPE = 0.5
+MIN_BASELINE_M = 0.01
 _BORDER_SAMPLES = 101
 
 
@@ -78,6 +81,18 @@ def rectify(rig: Rig) -> Rig:
         rig_id=rig.rig_id, left=rectified[0], right=rectified[1], sigma_px=rig.sigma_px, rectified_from=rig,
         body_SE3_left=se3.to_matrix4(body[0]), body_SE3_right=se3.to_matrix4(body[1]),
     )  # fmt: skip
+
+
+def check_stereo_baseline(left_SE3_right: ArrayLike) -> None:
+    """Raise ValueError unless the right camera sits to the right of the left one, roughly along its rows."""
+    x, y, z = (float(c) for c in np.asarray(left_SE3_right, dtype=np.float64)[:3, 3])
+    if not x > MIN_BASELINE_M:
+        raise ValueError(
+            f"the right camera must sit to the right of the left one, found {x:.4f} m along the image rows: "
+            "are left and right swapped?"
+        )
+    if np.hypot(y, z) > MAX_SLOPE * x:
+        raise ValueError(f"the baseline ({x:.3f}, {y:.3f}, {z:.3f}) m does not follow the image rows")
 
 
 def common_rotation(left_SE3_right: ArrayLike) -> tuple[Array, Array]:

@@ -11,7 +11,7 @@ import pytest
 from conetl.errors import CalibrationError
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
-from conetl.io.calibration_file import read_kitti_rig, read_rig
+from conetl.io.calibration_files import read_kitti_rig, read_rig
 
 #: Numbers of the size of KITTI's own: camera 2 sits 6 cm left of camera 0, camera 3 47 cm right of it.
 P2 = "7.2e+02 0 6.1e+02 4.5e+01 0 7.2e+02 1.7e+02 2.0e-01 0 0 1 2.7e-03"
@@ -130,12 +130,14 @@ def test_a_broken_kitti_file_is_told_in_one_sentence(folder: Path, name: str, ol
     [
         (lambda p: p / "nowhere.yaml", "no such file"),
         (lambda p: p, "expected one of rig.yaml and calib_cam_to_cam.txt"),
-        (lambda p: p / "rig.json", "not '.json'"),
+        (lambda p: p / "rig.json", "neither MATLAB's stereoParameters"),
+        (lambda p: p / "rig.toml", "not a '.toml' file"),
         (lambda p: p / "binary.txt", "not a text file"),
     ],
 )
 def test_what_is_no_calibration(tmp_path: Path, make, message: str) -> None:  # type: ignore[no-untyped-def]
     (tmp_path / "rig.json").write_text("{}")
+    (tmp_path / "rig.toml").write_text("a = 1")
     (tmp_path / "binary.txt").write_bytes(b"\xff\xfe\x00\x81")
     with pytest.raises(CalibrationError, match=message):
         read_rig(make(tmp_path))

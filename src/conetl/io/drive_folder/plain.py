@@ -2,7 +2,7 @@
 
     drive/left/*.{jpg,png}, drive/right/*.{jpg,png}   rectified images, the same stem for both images of a pair
     drive/trajectory.csv                              one row a pair, the pose of the body at the exposure, see `Row`
-    drive/rig.yaml                                    the rig, with body_SE3_left, see calibration_file.py
+    drive/rig.yaml                                    the rig, with body_SE3_left, see calibration_files/rig_yaml.py
     drive/drive.yaml                                  optional, see drive_yaml.py (cameras and calibration do not apply)
 
 The row number in trajectory.csv, from 0, is the pair's frame_index. Angles are those of OXTS: body x forward, y left, z up, yaw
@@ -25,7 +25,7 @@ from conetl.errors import CalibrationError, DriveFolderError
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
-from conetl.io.calibration_file import RIG_YAML, read_rig_yaml
+from conetl.io.calibration_files import RIG_YAML, read_rig_yaml
 from conetl.io.drive_folder.content import ContentHash
 from conetl.io.drive_folder.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml
 from conetl.io.drive_folder.pairs import IMAGE_SUFFIXES, PairError, check_images, require_pairs
