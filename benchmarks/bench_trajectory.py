@@ -1,0 +1,149 @@
+"""Refined against logged trajectory: how still the cones of a drive stand, and what the refinement costs.
+
+Each cone's frames are cut into four parts by time, and each part alone gives a place (mean weighted by the covariance of the
+single positions). The distance of two cones is then taken for all 4 x 4 pairs of parts: where the trajectory holds, all are
+equal.
+
+    python benchmarks/bench_trajectory.py DRIVE [--cache FILE]
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import pickle
+import sys
+import time
+from collections import defaultdict
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from conetl.geometry.packing import cov_matrix
+from conetl.geometry.rig import map_SE3_left, map_SE3_right
+from conetl.io.detector import detect_image, load_detector
+from conetl.io.drive_folder import read_drive
+from conetl.io.images import read_image
+from conetl.io.visual_odometry import measure_motions
+from conetl.params import IngestParams, TrajectoryParams
+from conetl.records import Drive, FramePair, Position, StereoMatch
+from conetl.steps.association import chain_positions
+from conetl.steps.detections import check_boxes
+from conetl.steps.matches import match_pair
+from conetl.steps.positions import locate_positions
+from conetl.steps.tracks import fuse_tracks
+from conetl.steps.trajectory import refine_trajectory
+
+PARTS = 4
+
+
+def read_side(pair: FramePair, side: str) -> np.ndarray:
+    return read_image(Path(pair.left_path if side == "left" else pair.right_path))
+
+
+def find_cones(drive: Drive, params: IngestParams) -> tuple[dict[int, list], list[StereoMatch]]:
+    """Detections by frame index and stereo matches of a whole drive."""
+    detector = load_detector(None, threads=1)
+    detections, matches = defaultdict(list), []
+    for pair in drive.frame_pairs:
+        images = read_side(pair, "left"), read_side(pair, "right")
+        sides = []
+        for side, image in zip(("left", "right"), images, strict=True):
+            boxes = detect_image(
+                detector, image, score_threshold=params.detection.score_threshold, nms_iou=params.detection.nms_iou
+            )
+            sides.append(check_boxes(boxes, frame_index=pair.frame_index, side=side, params=params.detection)[0])
+        up = map_SE3_left(pair.pose, drive.rig)[2, :3]
+        detections[pair.frame_index] += sides[0] + sides[1]
+        matches += match_pair(*sides, drive.rig, params.match, up_left=up, images=images)[0]
+    return dict(detections), matches
+
+
+def places(pairs: list[FramePair], drive: Drive, matches: list[StereoMatch], params: IngestParams) -> list[Position]:
+    return locate_positions(matches, {p.frame_index: p for p in pairs}, drive.rig, params.position)[0]
+
+
+def part_places(group: list[Position], left: dict[int, np.ndarray]) -> np.ndarray:
+    """(PARTS, 3) place of one cone from each part of its frames."""
+    result = []
+    for part in np.array_split(np.arange(len(group)), PARTS):
+        weights, total = np.zeros((3, 3)), np.zeros(3)
+        for p in (group[i] for i in part):
+            pose = left[p.frame_index]
+            # Floor of 2 cm: boxes of one cone share errors that their covariance does not show.
+            information = np.linalg.inv(
+                pose[:3, :3] @ (cov_matrix(p.camera_cov_m2) + 4e-4 * np.eye(3)) @ pose[:3, :3].T
+            )
+            weights += information
+            total += information @ np.array(p.xyz_m)
+        result.append(np.linalg.solve(weights, total))
+    return np.array(result)
+
+
+def report(name: str, pairs: list[FramePair], drive: Drive, groups: list, matches: list, params: IngestParams) -> None:
+    positions = {(p.frame_index, p.match_index): p for p in places(pairs, drive, matches, params)}
+    left = {p.frame_index: map_SE3_left(p.pose, drive.rig) for p in pairs}
+    feet = [part_places([positions[m] for m in members if m in positions], left) for members in groups]
+    slides = [float(np.linalg.norm(f[:, None, :2] - f[None, :, :2], axis=2).max()) for f in feet]
+    rows = []
+    for a, b in itertools.combinations(range(len(feet)), 2):
+        d = np.linalg.norm(feet[a][:, None, :2] - feet[b][None, :, :2], axis=2).ravel()
+        rows.append((float(d.std(ddof=1)), float(np.ptp(d) / 2)))
+    table = np.array(rows)
+    print(f"{name:28s} cone moves between parts by up to {max(slides):.3f} m; distance of two cones: "
+          f"std median {np.median(table[:, 0]):.3f}, worst {table[:, 0].max():.3f} m; "
+          f"half range median {np.median(table[:, 1]):.3f}, worst {table[:, 1].max():.3f} m")  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("drive", type=Path)
+    parser.add_argument("--cache", type=Path, help="keep detections here between runs (pickle)")
+    args = parser.parse_args()
+    cv2.setNumThreads(1)
+    params = IngestParams()
+    drive, _ = read_drive(args.drive)
+    if args.cache and args.cache.is_file():
+        detections, matches = pickle.loads(args.cache.read_bytes())
+    else:
+        detections, matches = find_cones(drive, params)
+        if args.cache:
+            args.cache.write_bytes(pickle.dumps((detections, matches)))
+    logged = list(drive.frame_pairs)
+    wall, cpu = time.perf_counter(), time.process_time()
+    motions = list(measure_motions(logged, drive.rig, read_side, params.trajectory))
+    done_wall, done_cpu = time.perf_counter(), time.process_time()
+    by_motion = refine_trajectory(logged, drive.rig, motions, params.trajectory)
+    print(f"{len(logged)} frame pairs: visual odometry {done_wall - wall:.1f} s wall, {done_cpu - cpu:.1f} s CPU (one thread); "
+          f"adjustment {time.perf_counter() - done_wall:.2f} s")  # fmt: skip
+    print(f"{by_motion.outcome}: {by_motion.detail}")
+    refined = list(by_motion.frame_pairs)
+    left = {p.frame_index: map_SE3_left(p.pose, drive.rig) for p in refined}
+    positions = places(refined, drive, matches, params)
+    chains = chain_positions(positions, left, params.track)
+    with_cones = refine_trajectory(logged, drive.rig, motions, params.trajectory, chains)
+    last = list(with_cones.frame_pairs)
+    tracks, _ = fuse_tracks(
+        places(last, drive, matches, params),
+        {(m.frame_index, m.match_index): m for m in matches},
+        detections,
+        {p.frame_index: p for p in last},
+        drive.rig,
+        {p.frame_index: map_SE3_left(p.pose, drive.rig) for p in last},
+        {p.frame_index: map_SE3_right(p.pose, drive.rig) for p in last},
+        params,
+    )
+    groups = [track.members for track in tracks]
+    print(f"{len(tracks)} cones, seen in {[len(g) for g in groups]} frame pairs; {with_cones.detail}")
+    report("as logged", logged, drive, groups, matches, params)
+    report("visual odometry", refined, drive, groups, matches, params)
+    report("visual odometry and cones", last, drive, groups, matches, params)
+    off = refine_trajectory(logged, drive.rig, motions, TrajectoryParams(refine=False))
+    report("refine: false", list(off.frame_pairs), drive, groups, matches, params)
+
+
+if __name__ == "__main__":
+    main()

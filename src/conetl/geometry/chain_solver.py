@@ -1,0 +1,111 @@
+"""Least squares over a chain of states, each tied to the next, with a few unknowns that all of them share.
+
+The normal matrix is block tridiagonal with a border ("arrow"). Blocks are eliminated one after the other (Golub & Van Loan
+2013, 4.5.1), the border by its Schur complement: exact, and linear in the number of states. The covariance of any two states
+follows from the same elimination (Rauch, Tung & Striebel 1965 in information form) without ever forming the full inverse.
+LAPACK's banded Cholesky does the same sums, but its threads cost up to three seconds a call on a busy machine.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ChainNormal:
+    """Normal equations: K states of n unknowns, m shared ones."""
+
+    diagonal: Floats
+    """(K, n, n)"""
+    upper: Floats
+    """(K - 1, n, n): block of state k and state k + 1."""
+    border: Floats
+    """(K, n, m): block of state k and the shared unknowns."""
+    corner: Floats
+    """(m, m)"""
+    right: Floats
+    """(K, n)"""
+    right_shared: Floats
+    """(m,)"""
+
+
+@dataclass(frozen=True)
+class ChainCovariance:
+    """Covariance of all states: `cov[k]`, and by `cross_covariance` of any two."""
+
+    cov: Floats
+    """(K, n, n), the shared unknowns' part included."""
+    gain: Floats
+    """(K - 1, n, n): regression of state k on state k + 1, shared unknowns held."""
+    chain: Floats
+    """(K, n, n): covariance with the shared unknowns held."""
+    reach: Floats
+    """(K, n, m): how far a state moves with the shared unknowns."""
+    shared: Floats
+    """(m, m): covariance of the shared unknowns."""
+
+
+def solve(normal: ChainNormal) -> tuple[Floats, Floats]:
+    """The solution: (K, n) of the states and (m,) of the shared unknowns. Raises LinAlgError where it is not unique."""
+    inverse, gain = _eliminate(normal)
+    alone, reach = _chain_solutions(normal, inverse, gain)
+    if not len(normal.right_shared):
+        return alone, np.zeros(0)
+    common = np.linalg.solve(*_shared_normal(normal, alone, reach))
+    return alone - reach @ common, np.asarray(common)
+
+
+def covariance(normal: ChainNormal) -> ChainCovariance:
+    """Covariances of the solution (inverse of the normal matrix), in time and memory linear in K."""
+    inverse, gain = _eliminate(normal)
+    chain = inverse.copy()
+    for k in range(len(gain) - 1, -1, -1):
+        block = chain[k] + gain[k] @ chain[k + 1] @ gain[k].T
+        chain[k] = (block + block.T) / 2
+    alone, reach = _chain_solutions(normal, inverse, gain)
+    shared: Floats = np.zeros((0, 0))
+    if len(normal.right_shared):
+        shared = np.asarray(np.linalg.inv(_shared_normal(normal, alone, reach)[0]), dtype=np.float64)
+        shared = (shared + shared.T) / 2
+    return ChainCovariance(chain + reach @ shared @ np.swapaxes(reach, 1, 2), gain, chain, -reach, shared)
+
+
+def cross_covariance(result: ChainCovariance, first: int, second: int) -> Floats:
+    """(n, n) covariance of state `first` with state `second`; first <= second."""
+    block = result.chain[second]
+    for k in range(second - 1, first - 1, -1):
+        block = result.gain[k] @ block
+    return np.asarray(block + result.reach[first] @ result.shared @ result.reach[second].T)
+
+
+def _eliminate(normal: ChainNormal) -> tuple[Floats, Floats]:
+    """Inverse (K, n, n) of each diagonal block after the states before it are gone, and (K - 1, n, n) what the next one says."""
+    inverse, gain = np.empty_like(normal.diagonal), np.empty_like(normal.upper)
+    inverse[0] = np.linalg.inv(normal.diagonal[0])
+    for k in range(len(gain)):
+        gain[k] = -inverse[k] @ normal.upper[k]
+        reduced = normal.diagonal[k + 1] + normal.upper[k].T @ gain[k]
+        inverse[k + 1] = np.linalg.inv((reduced + reduced.T) / 2)
+    return inverse, gain
+
+
+def _chain_solutions(normal: ChainNormal, inverse: Floats, gain: Floats) -> tuple[Floats, Floats]:
+    """Chain solved for the right side (K, n) and for the columns of the border (K, n, m)."""
+    columns = np.concatenate([normal.right[:, :, None], normal.border], axis=2)
+    for k in range(len(gain)):
+        columns[k + 1] += gain[k].T @ columns[k]
+    columns[-1] = inverse[-1] @ columns[-1]
+    for k in range(len(gain) - 1, -1, -1):
+        columns[k] = inverse[k] @ columns[k] + gain[k] @ columns[k + 1]
+    return columns[:, :, 0], columns[:, :, 1:]
+
+
+def _shared_normal(normal: ChainNormal, alone: Floats, reach: Floats) -> tuple[Floats, Floats]:
+    """Schur complement (m, m) and right side (m,) of the shared unknowns."""
+    matrix = normal.corner - np.einsum("kni,knj->ij", normal.border, reach)
+    return matrix, normal.right_shared - np.einsum("kni,kn->i", normal.border, alone)

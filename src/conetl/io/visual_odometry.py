@@ -1,0 +1,261 @@
+"""Image points that stand still in the world, followed through the four pictures of two consecutive frame pairs.
+
+Corners spread over the left picture get a disparity by block matching at reduced size and are then followed by pyramidal
+Lucas-Kanade (Bouguet 2001) round a circle: left -> right, left -> next left -> next right, and right -> next right must end at
+the same point, and the way back from the next left must lead home. Points without disparity (sky, clouds, far scenery) are
+left out. Which of the points belong to moving objects is found later (`geometry/stereo_motion.py`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import pairwise
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.geometry import pose as se3
+from conetl.geometry.camera import intrinsics
+from conetl.geometry.rig import left_SE3_right, map_SE3_left
+from conetl.geometry.stereo_motion import (
+    MotionLimits,
+    MotionStatus,
+    RelativeMotion,
+    StereoCameras,
+    estimate_motion,
+    project,
+    triangulate,
+)
+from conetl.io.images import ImageFileError
+from conetl.params import TrajectoryParams
+from conetl.records import FramePair, Rig, Side
+
+Floats = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+Points = NDArray[np.float32]
+#: Reads one rectified picture of a frame pair, grey or in blue, green, red order; raises ImageFileError.
+PictureReader = Callable[[FramePair, Side], Bytes]
+
+_WINDOW = (15, 15)
+_STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01)
+#: Least eigenvalue of a corner's structure matrix as a share of a strong corner's: weaker ones are followed badly.
+_WEAK_SHARE = 0.004
+#: Grey values of a picture must spread at least this much for anything to be followed.
+_LEAST_CONTRAST = 3.0
+
+
+class NoMeasurement(StrEnum):
+    """Why there are no points between two frame pairs."""
+
+    PICTURE_UNREADABLE = "picture_unreadable"
+    PICTURE_BLANK = "picture_blank"
+    PICTURE_FROZEN = "picture_frozen"
+    TOO_FEW_POINTS = "too_few_points"
+
+
+@dataclass(frozen=True)
+class StereoTracks:
+    """Points between two frame pairs, in pixels of the rectified pictures; empty with the reason where there are none."""
+
+    first_px: Floats
+    """(N, 3): u_left, v_left, u_right in the first frame pair."""
+    second_px: Floats
+    """(N, 3): likewise in the second."""
+    sigma_px: Floats
+    """(N,) of each coordinate."""
+    missing: NoMeasurement | None
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """Both pictures of one frame pair, grey, at working size."""
+
+    left: Bytes
+    right: Bytes
+
+
+def measure_motions(
+    frame_pairs: Sequence[FramePair], rig: Rig, read: PictureReader, params: TrajectoryParams
+) -> Iterator[RelativeMotion]:
+    """Motion between each frame pair and the next: len(frame_pairs) - 1 results, in order, each as soon as it is known.
+
+    Equal inputs give equal results. An interval without a measurement says so in `reason`.
+    """
+    if any(camera.lens.model != "none" for camera in (rig.left, rig.right)):
+        raise ValueError("measure_motions: the rig must be rectified")
+    cameras = StereoCameras(intrinsics(rig.left), intrinsics(rig.right), se3.invert(left_SE3_right(rig)))
+    limits = MotionLimits(
+        inlier_px=params.inlier_px,
+        min_inliers=params.min_points,
+        min_inlier_share=params.min_inlier_share,
+        gate_m=params.gate_m,
+        gate_rad=params.gate_rad,
+    )
+    poses = [map_SE3_left(pair.pose, rig) for pair in frame_pairs]
+    expected = [se3.compose(se3.invert(second), first) for first, second in pairwise(poses)]
+    for k, points in enumerate(follow_points(frame_pairs, cameras, expected, read, params)):
+        first, second = frame_pairs[k].frame_index, frame_pairs[k + 1].frame_index
+        reason, pose, cov, inliers = str(points.missing), None, (), 0
+        if points.missing is None:
+            motion = estimate_motion(
+                cameras, points.first_px, points.second_px, points.sigma_px, expected[k], limits, seed=first
+            )
+            reason, inliers = str(motion.status), int(motion.inliers.sum())
+            if motion.status is MotionStatus.OK:
+                pose, cov = se3.to_matrix4(motion.next_SE3_first), tuple(motion.cov[np.triu_indices(6)].tolist())
+        yield RelativeMotion(
+            first_frame_index=first, second_frame_index=second, second_SE3_first=pose, cov=cov, inlier_count=inliers,
+            point_count=len(points.first_px), reason=reason,
+        )  # fmt: skip
+
+
+def follow_points(
+    frame_pairs: Sequence[FramePair],
+    cameras: StereoCameras,
+    expected: Sequence[Floats],
+    read: PictureReader,
+    params: TrajectoryParams,
+) -> Iterator[StereoTracks]:
+    """Points between each frame pair and the next: len(frame_pairs) - 1 results, in order.
+
+    expected[k] (4, 4): guessed motion of the left camera next_SE3_first from pair k to k + 1, where following starts. Dark,
+    blank, frozen, missing or broken pictures give a result with `missing` set, never an exception.
+    """
+    previous: tuple[_Frame | NoMeasurement, float] | None = None
+    for k, pair in enumerate(frame_pairs):
+        frame = _prepare(pair, read, params)
+        if previous is not None:
+            yield _between(previous[0], frame[0], frame[1], cameras, expected[k - 1], params)
+        previous = frame
+
+
+def _prepare(pair: FramePair, read: PictureReader, params: TrajectoryParams) -> tuple[_Frame | NoMeasurement, float]:
+    """One frame pair at working size, and the scale from stored to working pixels."""
+    grey: list[Bytes] = []
+    scale = 1.0
+    for side in ("left", "right"):
+        try:
+            picture = read(pair, side)
+        except ImageFileError:
+            return NoMeasurement.PICTURE_UNREADABLE, scale
+        scale = min(1.0, params.max_width_px / picture.shape[1])
+        if picture.ndim == 3:
+            picture = np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+        if scale < 1.0:
+            size = (round(picture.shape[1] * scale), round(picture.shape[0] * scale))
+            picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        if float(cv2.meanStdDev(picture)[1][0, 0]) < _LEAST_CONTRAST:
+            return NoMeasurement.PICTURE_BLANK, scale
+        grey.append(picture)
+    return _Frame(grey[0], grey[1]), scale
+
+
+def _between(
+    first: _Frame | NoMeasurement,
+    second: _Frame | NoMeasurement,
+    scale: float,
+    cameras: StereoCameras,
+    expected: Floats,
+    params: TrajectoryParams,
+) -> StereoTracks:
+    if isinstance(first, NoMeasurement):
+        return _nothing(first)
+    if isinstance(second, NoMeasurement):
+        return _nothing(second)
+    if first.left.shape != second.left.shape:
+        return _nothing(NoMeasurement.PICTURE_UNREADABLE)
+    if np.array_equal(first.left, second.left) or np.array_equal(first.right, second.right):
+        return _nothing(NoMeasurement.PICTURE_FROZEN)  # not even noise differs: a stuck camera, no standing car
+    corners = _corners(first.left, params)
+    disparity = _disparity(first, corners)
+    known = np.isfinite(disparity) & (disparity >= params.min_disparity_px * scale)
+    left = corners[known]
+    if len(left) < params.min_points:
+        return _nothing(NoMeasurement.TOO_FEW_POINTS)
+    right, good = _flow(first.left, first.right, left, left - _along_rows(disparity[known]), 1)
+    good &= np.abs(right[:, 1] - left[:, 1]) <= params.epipolar_tolerance_px
+    left, right = left[good], right[good]
+    # Where the points should be in the next pair, if INS is right and they stand still.
+    points, _, placed = triangulate(cameras, _joined(left, right) / scale)
+    image, _, ahead = project(cameras, points @ expected[:3, :3].T + expected[:3, 3])
+    height, width = first.left.shape
+    guess = (image * scale).astype(np.float32)
+    inside = placed & ahead & (guess[:, 0] > 0) & (guess[:, 0] < width) & (guess[:, 1] > 0) & (guess[:, 1] < height)
+    left, right, guess = left[inside], right[inside], guess[inside]
+    if len(left) < params.min_points:
+        return _nothing(NoMeasurement.TOO_FEW_POINTS)
+    next_left, good = _flow(first.left, second.left, left, guess[:, :2], 2)
+    home, back = _flow(second.left, first.left, next_left, left, 1)
+    good &= back & (np.linalg.norm(home - left, axis=1) <= params.circle_tolerance_px)
+    across = next_left - _along_rows(guess[:, 0] - guess[:, 2])
+    next_right, found = _flow(second.left, second.right, next_left, across, 1)
+    other_way, met = _flow(first.right, second.right, right, next_right, 1)
+    good &= found & met & (np.linalg.norm(other_way - next_right, axis=1) <= params.circle_tolerance_px)
+    good &= np.abs(next_right[:, 1] - next_left[:, 1]) <= params.epipolar_tolerance_px
+    good &= next_left[:, 0] - next_right[:, 0] >= params.min_disparity_px * scale / 2
+    if int(good.sum()) < params.min_points:
+        return _nothing(NoMeasurement.TOO_FEW_POINTS)
+    sigma = np.full(int(good.sum()), params.sigma_px / scale)
+    first_px = _joined(left[good], right[good]) / scale
+    return StereoTracks(first_px, _joined(next_left[good], next_right[good]) / scale, sigma, None)
+
+
+def _corners(picture: Bytes, params: TrajectoryParams) -> Points:
+    """Corners (N, 2) of a picture, the best few of each cell of a grid, so that no textured wall takes them all."""
+    response = cv2.cornerMinEigenVal(picture, 5)
+    peak = cv2.dilate(response, np.ones((7, 7), np.uint8)) == response
+    strong = float(np.quantile(response[::4, ::4], 0.99))
+    border = 12
+    peak[:border], peak[-border:], peak[:, :border], peak[:, -border:] = False, False, False, False
+    rows, columns = np.nonzero(peak & (response > max(_WEAK_SHARE * strong, 1e-9)))
+    strength = response[rows, columns]
+    cell = rows // params.cell_px * 10_000 + columns // params.cell_px
+    order = np.lexsort((-strength, cell))
+    start = np.r_[0, np.flatnonzero(np.diff(cell[order])) + 1] if len(order) else np.zeros(0, dtype=np.intp)
+    rank = np.arange(len(order)) - np.repeat(start, np.diff(np.r_[start, len(order)]))
+    chosen = order[rank < params.corners_per_cell]
+    return np.stack([columns[chosen], rows[chosen]], axis=1).astype(np.float32)
+
+
+def _disparity(frame: _Frame, corners: Points) -> Floats:
+    """Rough disparity (N,) px of corners by block matching at half size; NaN where there is none."""
+    height, width = frame.left.shape
+    half = (width // 2, height // 2)
+    left = cv2.resize(frame.left, half, interpolation=cv2.INTER_AREA)
+    right = cv2.resize(frame.right, half, interpolation=cv2.INTER_AREA)
+    steps = max(int(np.ceil(width / 2 * 0.12 / 16)) * 16, 16)
+    matcher = cv2.StereoBM.create(numDisparities=steps, blockSize=11)
+    matcher.setUniquenessRatio(8)
+    table = matcher.compute(left, right)
+    at = np.clip((corners / 2).round().astype(int), 0, [half[0] - 1, half[1] - 1])
+    raw = table[at[:, 1], at[:, 0]].astype(np.float64)
+    return np.where(raw > 0, raw / 16 * 2, np.nan)
+
+
+def _flow(
+    source: Bytes, target: Bytes, points: Points, guess: NDArray[np.floating], levels: int
+) -> tuple[Points, NDArray[np.bool_]]:
+    """Where points (N, 2) of one picture are in another, beginning at a guess on the `levels`-th pyramid level."""
+    if not len(points):
+        return points, np.zeros(0, dtype=bool)
+    start = np.ascontiguousarray(guess, dtype=np.float32)
+    found, status, _ = cv2.calcOpticalFlowPyrLK(
+        source, target, np.ascontiguousarray(points), start.copy(), winSize=_WINDOW, maxLevel=levels, criteria=_STOP,
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+    )  # fmt: skip
+    return np.asarray(found, dtype=np.float32), status.reshape(-1).astype(bool) & np.isfinite(found).all(axis=1)
+
+
+def _along_rows(disparity: NDArray[np.floating]) -> Points:
+    return np.stack([disparity, np.zeros_like(disparity)], axis=1).astype(np.float32)
+
+
+def _joined(left: Points, right: Points) -> Floats:
+    return np.column_stack([left, right[:, 0]]).astype(np.float64)
+
+
+def _nothing(reason: NoMeasurement) -> StereoTracks:
+    return StereoTracks(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), reason)
