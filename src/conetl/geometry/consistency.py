@@ -28,7 +28,7 @@ class Nees:
 
     @property
     def per_dof(self) -> float:
-        """1 on average if the covariance is right; 4 where the sigmas are half, 1/4 where they are double of what they should be."""
+        """1 on average if the covariance is right; 4 where the sigmas are half of what they should be, 1/4 where double."""
         if self.dof == 0:
             raise ValueError("a NEES without degrees of freedom says nothing")
         return self.value / self.dof

@@ -1,17 +1,21 @@
-"""Cones of the map against surveyed truth: the paper's Table 3."""
+"""Cones of a map or a drive against surveyed truth: the paper's Table 3."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from conetl.records import MapFeature, Positive, Record, Vec3
+from conetl.records import MapFeature, Positive, Record, Track, Vec3
 
 Floats = NDArray[np.float64]
+#: What is compared with the truth: features of the map, or tracks of one drive.
+Found = TypeVar("Found", bound=MapFeature | Track)
+_FORBIDDEN = 1e6
 
 
 class TruthCone(Record):
@@ -23,11 +27,11 @@ class TruthCone(Record):
 
 
 @dataclass(frozen=True)
-class TruthLine:
-    """One line of the table: a cone of the truth and the feature that stands for it, None where the map misses it."""
+class TruthLine(Generic[Found]):
+    """One line of the table: a cone of the truth and what was found for it, None where it was missed."""
 
     truth: TruthCone
-    feature: MapFeature | None
+    feature: Found | None
     truth_range_m: float
     """Ground distance from the nearest point of the path."""
     range_m: float | None
@@ -46,27 +50,27 @@ class TruthLine:
 
 def compare_with_truth(
     truth: Sequence[TruthCone],
-    features: Sequence[MapFeature],
+    features: Sequence[Found],
     path_m: Floats,
     *,
     gate_m: float = 0.75,
     within_m: float = 20.0,
-) -> tuple[list[TruthLine], list[MapFeature]]:
-    """The table, by cone id, and the features that stand for no cone (false ones).
+) -> tuple[list[TruthLine[Found]], list[Found]]:
+    """The table, by cone id, and what stands for no cone (false ones).
 
-    path_m: (F, 2 or 3) path of the left camera. A feature stands for a cone when the two are paired one-to-one at the
+    path_m: (F, 2 or 3) path of the left camera. A feature or track stands for a cone when the two are paired one-to-one at the
     least total distance and lie within gate_m. Cones farther than within_m from the path are not asked for.
     """
     asked = [cone for cone in truth if _range(cone.xyz_m, path_m) <= within_m]
     everything = list(truth)
-    costs = np.full((len(everything), len(features)), 1e6)
+    costs = np.full((len(everything), len(features)), _FORBIDDEN)
     for i, cone in enumerate(everything):
         for j, candidate in enumerate(features):
             distance = float(np.linalg.norm(np.subtract(candidate.xyz_m, cone.xyz_m)))
             if distance <= gate_m:
                 costs[i, j] = distance
     rows, columns = linear_sum_assignment(costs)
-    pairs = {i: j for i, j in zip(rows.tolist(), columns.tolist(), strict=True) if costs[i, j] < 1e6}
+    pairs = {i: j for i, j in zip(rows.tolist(), columns.tolist(), strict=True) if costs[i, j] < _FORBIDDEN}
     lines = []
     for i, cone in enumerate(everything):
         if cone not in asked:

@@ -1,0 +1,85 @@
+"""One drive through the steps of the flow without Prefect's server and without the map."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from conetl.cli.console import progress_bar
+from conetl.errors import InputError
+from conetl.io.detector import shipped_model_path
+from conetl.io.model_card import read_model_card
+from conetl.io.parquet_store import load_results
+from conetl.params import IngestParams
+from conetl.records import Detection, Drive, Position, Side, StereoMatch, Track
+from conetl.rejections import Rejection
+from conetl.settings import Settings, prefect_environment
+
+_SIDES: tuple[Side, Side] = ("left", "right")
+
+
+@dataclass(frozen=True)
+class DriveResults:
+    """What the steps made of one drive."""
+
+    drive: Drive
+    detections: list[Detection]
+    matches: list[StereoMatch]
+    positions: list[Position]
+    tracks: list[Track]
+    rejections: list[Rejection]
+
+
+def run_steps(folder: Path, settings: Settings, params: IngestParams, *, map_srid: int | None) -> DriveResults:
+    """Read, detect, match, locate and fuse one drive by the very functions of the flow, results cached as in an ingest.
+
+    Prefect's tasks are called as the plain functions that they wrap: no server, no database, nothing is put on the map.
+    Raises ConetlError where the drive cannot be used.
+    """
+    if not folder.is_dir():
+        raise InputError(f"no such drive folder: {folder}")
+    try:
+        (settings.home / "prefect").mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{settings.home}: cannot be written to ({error.strerror}); set CONETL_HOME to a folder of yours"
+        ) from error
+    os.environ.update(prefect_environment(settings.home))
+    # Prefect reads its environment when it is imported, and takes two seconds for it: not at the top of the file.
+    from flows import progress
+    from flows.tasks import Chunk, detect_task, fuse_task, locate_task, match_task, read_drive_task
+
+    drive, rejections = read_drive_task.fn(folder, map_srid)
+    model_sha256 = read_model_card(settings.model_path or shipped_model_path()).sha256
+    chunks = [
+        Chunk(
+            drive_id=drive.drive_id,
+            rig=drive.rig,
+            frame_pairs=drive.frame_pairs[first : first + params.chunk_pairs],
+            results_folder=settings.results_folder.resolve(),
+            model_path=settings.model_path,
+            model_sha256=model_sha256,
+            params=params,
+        )
+        for first in range(0, len(drive.frame_pairs), params.chunk_pairs)
+    ]
+    with progress_bar() as bars, ThreadPoolExecutor(settings.workers) as pool:
+        bar = bars.add_task(drive.drive_id, total=None)
+        listener = lambda _, done, total: bars.update(bar, completed=done, total=total)  # noqa: E731
+        progress.listen(listener)
+        try:
+            progress.expect(drive.drive_id, 2 * len(drive.frame_pairs))
+            running = [[pool.submit(detect_task.fn, chunk, side) for side in _SIDES] for chunk in chunks]
+            detected = [[future.result() for future in sides] for sides in running]
+        finally:
+            progress.ignore(listener)
+    matched = [match_task.fn(chunk, left, right) for chunk, (left, right) in zip(chunks, detected, strict=True)]
+    located = [locate_task.fn(chunk, path) for chunk, path in zip(chunks, matched, strict=True)]
+    detections, refused_detections = load_results([path for sides in detected for path in sides], Detection)
+    matches, refused_matches = load_results(matched, StereoMatch)
+    positions, refused_positions = load_results(located, Position)
+    tracks, refused_tracks = fuse_task.fn(drive, detections, matches, positions, params)
+    refused = [*rejections, *refused_detections, *refused_matches, *refused_positions, *refused_tracks]
+    return DriveResults(drive, detections, matches, positions, tracks, refused)

@@ -1,0 +1,99 @@
+"""`conetl evaluate` on a piece of a sample drive: no database, no server; what it prints, writes and refuses."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from conetl.cli.evaluate import evaluate
+from conetl.errors import InputError
+
+SAMPLE = Path(__file__).resolve().parents[2] / "data" / "drives" / "2026-03-02_taper_pass1"
+FRAMES = range(8, 22)
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """14 frame pairs past the first cones."""
+    folder = tmp_path_factory.mktemp("drives") / "piece"
+    folder.mkdir()
+    for file in SAMPLE.glob("*.txt"):
+        shutil.copy(file, folder)
+    for part, suffix in (("image_02", "jpg"), ("image_03", "jpg"), ("oxts", "txt")):
+        (folder / part / "data").mkdir(parents=True)
+        stamps = (SAMPLE / part / "timestamps.txt").read_text().splitlines()
+        (folder / part / "timestamps.txt").write_text("".join(f"{stamps[k]}\n" for k in FRAMES))
+        for new, old in enumerate(FRAMES):
+            shutil.copy(
+                SAMPLE / part / "data" / f"{old:010d}.{suffix}", folder / part / "data" / f"{new:010d}.{suffix}"
+            )
+    return folder
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("home")
+
+
+def run(drive: Path, truth: Path, home: Path, *options: str) -> typer.testing.Result:
+    app = typer.Typer(pretty_exceptions_enable=False)
+    app.command()(evaluate)
+    arguments = [str(drive), "--truth", str(truth), *options]
+    return CliRunner().invoke(app, arguments, env={"CONETL_HOME": str(home)})
+
+
+def test_figures_plots_and_page(drive: Path, home: Path, tmp_path: Path) -> None:
+    done = run(drive, SAMPLE / "truth.csv", home, "--out", str(tmp_path / "out"), "--within-m", "8", "--json")
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)
+    truth = {line.split(",")[0]: line.split(",") for line in (SAMPLE / "truth.csv").read_text().splitlines()[1:]}
+    seen = [cone for cone in found["cones"] if cone["xyz_m"] is not None]
+    assert len(seen) >= 3
+    for cone in seen:
+        place = np.array([float(word) for word in truth[cone["cone_id"]][1:4]])
+        assert np.linalg.norm(np.array(cone["xyz_m"]) - place) == pytest.approx(cone["error_3d_m"], abs=1e-9)
+        assert cone["error_3d_m"] < 0.15
+    assert sorted(found["missed"]) == sorted(c["cone_id"] for c in found["cones"] if c["xyz_m"] is None)
+    assert found["errors"]["single positions"]["count"] >= 3 * len(seen)
+    assert sum(band["errors"]["count"] for band in found["by_range"]) == found["errors"]["single positions"]["count"]
+    assert found["nees"]["tracks"]["relative"]["dof"] == 3 * len(seen) - 3
+    for name in ("errors_over_range.png", "plan.png", "nees.png"):
+        data = (tmp_path / "out" / name).read_bytes()
+        assert data.startswith(b"\x89PNG")
+        assert len(data) > 10_000
+    page = (tmp_path / "out" / "index.html").read_text()
+    assert page.count("src='data:image/png;base64,") == 3
+    assert "http" not in page
+    assert not (home / "postgres").exists()
+    assert not list(home.glob("**/*.pid"))
+
+
+def test_the_table_for_a_person(drive: Path, home: Path, tmp_path: Path) -> None:
+    """Cached results: the second run needs no network, and says the same in words."""
+    done = run(drive, SAMPLE / "truth.csv", home, "--out", str(tmp_path), "--within-m", "8")
+    assert done.exit_code == 0, done.output
+    for words in ("difference", "single positions, relative", "CE90", "index.html"):
+        assert words in done.output
+
+
+def test_truth_of_another_place_is_refused(drive: Path, home: Path, tmp_path: Path) -> None:
+    rows = (SAMPLE / "truth.csv").read_text().replace(",4583", ",4683")
+    (tmp_path / "truth.csv").write_text(rows)
+    done = run(drive, tmp_path / "truth.csv", home)
+    assert isinstance(done.exception, InputError)
+    assert "another drive" in str(done.exception)
+
+
+def test_truth_without_cones_or_with_two_systems_is_refused(drive: Path, home: Path, tmp_path: Path) -> None:
+    rows = (SAMPLE / "truth.csv").read_text().splitlines()
+    (tmp_path / "truth.csv").write_text(rows[0] + "\n")
+    assert "no cone is there" in str(run(drive, tmp_path / "truth.csv", home).exception)
+    (tmp_path / "truth.csv").write_text("\n".join([*rows[:2], rows[2].replace("32632", "32633")]) + "\n")
+    assert "32632, 32633" in str(run(drive, tmp_path / "truth.csv", home).exception)
+    assert "no such drive folder" in str(run(tmp_path / "none", SAMPLE / "truth.csv", home).exception)
