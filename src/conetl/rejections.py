@@ -36,6 +36,12 @@ class RejectionReason(StrEnum):
     TOO_FEW_OBSERVATIONS = "too_few_observations"
     NEVER_NEAR = "never_near"
     EXISTENCE_UNLIKELY = "existence_unlikely"
+    # pictures of a calibration board
+    PARTNER_MISSING = "partner_missing"
+    BOARD_NOT_FOUND = "board_not_found"
+    BOARD_CUT = "board_cut"
+    IMAGE_BLURRED = "image_blurred"
+    BOARD_MISFIT = "board_misfit"
 
 
 #: Reasons that concern what was delivered (files, poses); only these count against the exit-code threshold.
