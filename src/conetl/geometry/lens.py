@@ -151,7 +151,12 @@ def _undistort_polynomial(lens: Lens, wanted: Array, tolerance: float) -> Array:
             shrink[worse] *= 0.5
             trial[worse] = _inside(at[worse] - shrink[worse, None] * step[worse], limit)
             trial_error[worse] = distort(lens, trial[worse]) - target[worse]
-        at, error = trial, trial_error
+        # Where no step helps the iteration ends: at the rounding of doubles it has found the point, else there is none.
+        stuck = ~(np.hypot(trial_error[:, 0], trial_error[:, 1]) < size)
+        close = stuck & (size <= 100.0 * accept)
+        found[index[close]] = at[close]
+        index, accept, target = index[~stuck], accept[~stuck], target[~stuck]
+        at, error = trial[~stuck], trial_error[~stuck]
     by_xy, _ = _polynomial_jacobian(lens, found)
     determinant = by_xy[:, 0, 0] * by_xy[:, 1, 1] - by_xy[:, 0, 1] * by_xy[:, 1, 0]
     found[~((np.hypot(found[:, 0], found[:, 1]) <= limit) & (determinant > 0.0))] = np.nan

@@ -77,7 +77,7 @@ def read_storage(path: Path) -> dict[str, Any]:
 def _plain(node: Any) -> Any:
     if node.isMap():
         keys = node.keys()
-        if {"rows", "cols", "data"} <= set(keys):
+        if {"dt", "data"} <= set(keys):  # opencv-matrix, and opencv-nd-matrix of OpenCV 5
             return node.mat()
         return {key: _plain(node.getNode(key)) for key in keys}
     if node.isSeq():
