@@ -28,6 +28,7 @@ from conetl.steps.accuracy import (
     by_range,
     consistency_report,
     drive_consistency,
+    members_of,
     position_errors,
     single_nees,
     statistics,
@@ -119,7 +120,7 @@ def _evaluate(
     path_m: np.ndarray[Any, np.dtype[np.float64]],
 ) -> _Evaluation:
     tracks = track_errors(lines, path_m)
-    singles = position_errors(lines, results.positions, results.drive)
+    singles = position_errors(members_of(lines), results.positions, results.drive)
     figures = {
         name: figure
         for name, errors in (("tracks", tracks), ("single positions", singles))

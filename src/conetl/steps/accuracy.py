@@ -123,15 +123,21 @@ def track_errors(lines: Sequence[TruthLine[Track]], path_m: Floats) -> PointErro
     )
 
 
-def position_errors(lines: Sequence[TruthLine[Track]], positions: Sequence[Position], drive: Drive) -> PointErrors:
-    """Errors of the single positions of the tracks that were found.
+def members_of(lines: Sequence[TruthLine[Track]]) -> dict[tuple[int, int], TruthCone]:
+    """The cone of each single position, by (frame_index, match_index), as the tracks that were found have it.
 
     A position belongs to the cone of its track, however far off it is: a gate on the error would flatter the statistics.
+    """
+    return {member: line.truth for line in lines if line.feature is not None for member in line.feature.members}
+
+
+def position_errors(
+    cone_of: Mapping[tuple[int, int], TruthCone], positions: Sequence[Position], drive: Drive
+) -> PointErrors:
+    """Errors of the single positions whose cone is known; see `members_of`.
+
     In common they have place and attitude of the body; of its own each position has the error of its image points.
     """
-    cone_of: Mapping[tuple[int, int], TruthCone] = {
-        member: line.truth for line in lines if line.feature is not None for member in line.feature.members
-    }
     pose_of = {pair.frame_index: pair.pose for pair in drive.frame_pairs}
     chosen = [p for p in positions if (p.frame_index, p.match_index) in cone_of]
     cones = [cone_of[p.frame_index, p.match_index] for p in chosen]

@@ -11,6 +11,7 @@ from conetl.steps.accuracy import (
     by_range,
     consistency_report,
     drive_consistency,
+    members_of,
     position_errors,
     select,
     single_nees,
@@ -67,7 +68,7 @@ def test_errors_are_told_by_axis() -> None:
     positions = [
         make_position(f, k, np.add(cone.xyz_m, (0.2, 0.0, 0.05))) for k, cone in enumerate(cones) for f in range(8)
     ]
-    singles = position_errors(lines, positions, DRIVE)
+    singles = position_errors(members_of(lines), positions, DRIVE)
     figures = statistics(singles)
     assert figures is not None
     assert figures.count == 24
@@ -118,7 +119,7 @@ def test_nees_of_single_positions_with_common_pose_errors(scale: float, holds: b
                 turned = yaw * np.array([-lever[1], lever[0], 0.0])
                 noise = rng.normal(0, scale * np.array([0.05, 0.01, 0.02]))
                 positions.append(make_position(f, k, np.array(cone.xyz_m) + shift + turned + noise))
-        errors = position_errors(lines, positions, DRIVE)
+        errors = position_errors(members_of(lines), positions, DRIVE)
         result = drive_consistency(errors)
         assert result is not None
         relative, degrees = relative + result.relative.value, degrees + result.relative.dof
@@ -130,7 +131,7 @@ def test_nees_of_single_positions_with_common_pose_errors(scale: float, holds: b
 
 def test_nothing_found_is_no_figure() -> None:
     lines: list[TruthLine[Track]] = [TruthLine(truth_cones(1)[0], None, 3.0, None)]
-    tracks, singles = track_errors(lines, PATH), position_errors(lines, [], DRIVE)
+    tracks, singles = track_errors(lines, PATH), position_errors(members_of(lines), [], DRIVE)
     for errors in (tracks, singles):
         assert isinstance(errors, PointErrors)
         assert statistics(errors) is None

@@ -1,0 +1,166 @@
+"""The rig of Lagahit & Tseng as records and as rendered pictures: the case that every figure of theirs is compared with.
+
+Known of it: focal lengths 15.9004 and 15.8703 mm, a base of 274.5 mm, Sony a6000 sensors of 23.5 x 15.6 mm with 6000 x 4000
+pixels, a cone at 8.53 m ground distance, and that the angle phi between the cameras was known to 0.084 degrees. Of the other
+sigmas of its Tables 1 and 2 nothing is known here; `SIGMAS` assumes what a MATLAB calibration of such a rig usually states.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from conetl.records import CalibrationCovariance, Camera, Matrix4, Rig
+from conetl.simulation.scene import PinholeCamera, build_scene, render
+from conetl.simulation.world import Cone, World
+
+Array = NDArray[np.float64]
+
+SENSOR_MM = (23.5, 15.6)
+SIZE_PX = (6000, 4000)
+FOCAL_MM = (15.9004, 15.8703)
+BASELINE_M = 0.2745
+GROUND_DISTANCE_M = 8.53
+CAMERA_HEIGHT_M = 1.35
+"""Assumed: a tripod."""
+CONE_HEIGHT_M = 0.70
+"""Assumed."""
+_INTERIOR = ("fx_px", "fy_px", "cx_px", "cy_px")
+_PARAMETERS = (
+    *(f"{side}.{field}" for side in ("left", "right") for field in _INTERIOR),
+    *(f"relative.r{axis}_rad" for axis in "xyz"),
+    *(f"relative.t{axis}_m" for axis in "xyz"),
+)
+_PX_PER_MM = (SIZE_PX[0] / SENSOR_MM[0], SIZE_PX[1] / SENSOR_MM[1])
+#: One sigma of each calibration parameter. phi is the paper's; all others are assumed: 0.01 mm for focal lengths and principal
+#: points (about 2.6 px), half of phi for omega and kappa (a chessboard settles phi worst), 0.3 mm for the base.
+SIGMAS: dict[str, float] = {
+    **{f"{side}.fx_px": 0.010 * _PX_PER_MM[0] for side in ("left", "right")},
+    **{f"{side}.fy_px": 0.010 * _PX_PER_MM[1] for side in ("left", "right")},
+    **{f"{side}.cx_px": 0.010 * _PX_PER_MM[0] for side in ("left", "right")},
+    **{f"{side}.cy_px": 0.010 * _PX_PER_MM[1] for side in ("left", "right")},
+    "relative.rx_rad": math.radians(0.042),
+    "relative.ry_rad": math.radians(0.084),
+    "relative.rz_rad": math.radians(0.042),
+    "relative.tx_m": 0.0003,
+    "relative.ty_m": 0.0003,
+    "relative.tz_m": 0.0003,
+}
+
+
+@dataclass(frozen=True)
+class RenderedPair:
+    """Linear radiance (H, W, 3) of both cameras, cut out of the full pictures, and the rig of the cut-outs."""
+
+    left: NDArray[np.float32]
+    right: NDArray[np.float32]
+    rig: Rig
+    foot_m: Array
+    """(3,) truth, left camera frame."""
+    cone_height_m: float
+
+
+def paper_rig(*, baseline_m: float = BASELINE_M, sigmas: dict[str, float] | None = None) -> Rig:
+    """The rig, level, without a body; `sigmas` (default: `SIGMAS`) become its calibration covariance, uncorrelated."""
+    stated = SIGMAS if sigmas is None else sigmas
+    camera = Camera(
+        width_px=SIZE_PX[0], height_px=SIZE_PX[1], fx_px=FOCAL_MM[0] * _PX_PER_MM[0], fy_px=FOCAL_MM[1] * _PX_PER_MM[1],
+        cx_px=(SIZE_PX[0] - 1) / 2, cy_px=(SIZE_PX[1] - 1) / 2,
+    )  # fmt: skip
+    matrix = np.diag(np.square(list(stated.values()))).tolist()
+    return Rig(
+        rig_id="a6000-pair", left=camera, right=camera, body_SE3_left=_shift(0.0), body_SE3_right=_shift(baseline_m),
+        calibration_covariance=CalibrationCovariance(names=tuple(stated), matrix=tuple(tuple(row) for row in matrix)),
+    )  # fmt: skip
+
+
+def drawn_views(rig: Rig, rng: np.random.Generator, count: int) -> tuple[Array, Array, Array]:
+    """`count` rigs that the calibration of `rig` could have meant, its parameters drawn from their covariance.
+
+    Returns what `geometry.intersection.intersect` takes, frame: left camera: k_px (count, 2, 4), left_R_camera (count, 2, 3, 3)
+    and centre_m (count, 2, 3). Relative orientation as (R exp(r), t + dt), see `records.CalibrationCovariance`. Raises
+    ValueError without a covariance, or where it names a parameter that is none of a rectified rig.
+    """
+    if rig.calibration_covariance is None:
+        raise ValueError("drawn_views: the rig has no calibration covariance")
+    names = rig.calibration_covariance.names
+    unknown = [name for name in names if name not in _PARAMETERS]
+    if unknown:
+        raise ValueError(f"drawn_views: no parameters of a rectified rig: {', '.join(unknown)}")
+    values, vectors = np.linalg.eigh(np.array(rig.calibration_covariance.matrix))
+    drawn = rng.normal(size=(count, len(names))) * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
+    draw = dict.fromkeys(_PARAMETERS, np.zeros(count)) | {name: drawn[:, i] for i, name in enumerate(names)}
+    k = np.zeros((count, 2, 4))
+    for side, camera in enumerate((rig.left, rig.right)):
+        for i, field in enumerate(_INTERIOR):
+            k[:, side, i] = getattr(camera, field) + draw[f"{('left', 'right')[side]}.{field}"]
+    relative = np.linalg.inv(np.array(rig.body_SE3_left)) @ np.array(rig.body_SE3_right)
+    rotation, centre = np.tile(np.eye(3), (count, 2, 1, 1)), np.zeros((count, 2, 3))
+    turn = np.column_stack([draw[f"relative.r{axis}_rad"] for axis in "xyz"])
+    rotation[:, 1] = relative[:3, :3] @ Rotation.from_rotvec(turn).as_matrix()
+    centre[:, 1] = relative[:3, 3] + np.column_stack([draw[f"relative.t{axis}_m"] for axis in "xyz"])
+    return k, rotation, centre
+
+
+def render_pair(
+    *,
+    ground_distance_m: float = GROUND_DISTANCE_M,
+    side_m: float = 0.2,
+    baseline_m: float = BASELINE_M,
+    cone_yaw_rad: float = 0.3,
+    sun_azimuth_deg: float = 118.0,
+    margin_px: int = 60,
+    samples_per_pixel: int = 16,
+    seed: int = 0,
+) -> RenderedPair:
+    """One cone on the road at a ground distance from the left camera, side_m to the right of its axis; both pictures cut to it.
+
+    The window holds the cone in both pictures with `margin_px` around it. Raises InputError where Mitsuba is missing.
+    """
+    full = paper_rig(baseline_m=baseline_m)
+    ahead = math.sqrt(ground_distance_m**2 - side_m**2)
+    foot = np.array([side_m, CAMERA_HEIGHT_M, ahead])
+    fx, fy, cx, cy = full.left.fx_px, full.left.fy_px, full.left.cx_px, full.left.cy_px
+    half = 0.75 * (0.03 + 0.5 * CONE_HEIGHT_M)  # half the plate's diagonal and a little
+    u0 = math.floor(cx + fx * (side_m - half - baseline_m) / (ahead - half)) - margin_px
+    u1 = math.ceil(cx + fx * (side_m + half) / (ahead - half)) + margin_px
+    v0 = math.floor(cy + fy * (CAMERA_HEIGHT_M - CONE_HEIGHT_M) / (ahead + half)) - margin_px
+    v1 = math.ceil(cy + fy * CAMERA_HEIGHT_M / (ahead - half)) + margin_px
+    width, height = u1 - u0, v1 - v0
+    cut = full.left.model_copy(update={"width_px": width, "height_px": height, "cx_px": cx - u0, "cy_px": cy - v0})
+    # The renderer has square pixels; rows are resampled to the rig's, which are 0.2 % taller.
+    spare = math.ceil(0.003 * SIZE_PX[1]) + 2
+    square = PinholeCamera(width, height + 2 * spare, fx, cx - u0, (cy - v0) + spare)
+    scale = fx / fy
+    rows = np.array([[1.0, 0.0, 0.0], [0.0, scale, square.cy_px - scale * cut.cy_px]])
+    world = World(
+        cones=(Cone("T", ahead, -side_m, CONE_HEIGHT_M, yaw_rad=cone_yaw_rad),), objects=(), sun_elevation_deg=34.0,
+        sun_azimuth_deg=sun_azimuth_deg, turbidity=2.6, texture_seed=17,
+    )  # fmt: skip
+    scene = build_scene(world)
+    pictures = []
+    for number, base in enumerate((0.0, baseline_m)):
+        road_SE3_camera = np.eye(4)
+        road_SE3_camera[:3, :3] = [
+            [0, 0, 1],
+            [-1, 0, 0],
+            [0, -1, 0],
+        ]  # x right, y down, z ahead on x ahead, y left, z up
+        road_SE3_camera[:3, 3] = (0.0, -base, CAMERA_HEIGHT_M)
+        radiance = render(scene, square, road_SE3_camera, samples_per_pixel=samples_per_pixel, seed=2 * seed + number)
+        pictures.append(
+            cv2.warpAffine(radiance, rows, (width, height), flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP).astype(
+                np.float32
+            )
+        )
+    rig = full.model_copy(update={"left": cut, "right": cut})
+    return RenderedPair(pictures[0], pictures[1], rig, foot, CONE_HEIGHT_M)
+
+
+def _shift(x_m: float) -> Matrix4:
+    return ((1.0, 0.0, 0.0, x_m), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))

@@ -1,0 +1,180 @@
+"""Drives without pictures: image points with exactly the noise that they state, poses with stated errors, truth known.
+
+Where `world.py` draws boxes and lets the matching make of them what it will, here every stated sigma is true by construction,
+so that positions and tracks must come out with covariances that hold, to a few per cent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from conetl.params import IngestParams, PositionParams
+from conetl.records import Detection, Drive, FramePair, Matrix3, Position, Rig, Side, StereoMatch, Track
+from conetl.steps.evaluation import TruthCone
+from conetl.steps.positions import locate_positions
+from conetl.steps.tracks import fuse_tracks
+from tests.synthetic.world import ORIGIN_M, Cone, apparent_box, camera_pose, camera_poses, make_path
+
+SIGMA_U_PX, SIGMA_V_PX, SIGMA_POINTING_PX = 0.3, 0.8, 0.5
+
+
+@dataclass(frozen=True)
+class PoseErrors:
+    """How the log of a drive differs from the truth; each is one sigma, drawn once a drive or once a frame."""
+
+    common_m: float = 0.03
+    """East and north; up is 1.5 times that."""
+    common_rad: float = 0.0005
+    per_frame_m: float = 0.0
+    per_frame_rad: float = 0.0
+
+
+@dataclass(frozen=True)
+class NoisyDrive:
+    """One drawn drive: what the steps made of it, and the truth."""
+
+    drive: Drive
+    truth: list[TruthCone]
+    positions: list[Position]
+    tracks: list[Track]
+
+
+def draw_positions(
+    rng: np.random.Generator,
+    rig: Rig,
+    cones: Sequence[Cone],
+    errors: PoseErrors,
+    *,
+    frames: int = 32,
+    noise: float = 1.0,
+    stated_share: float = 1.0,
+) -> NoisyDrive:
+    """One drive up to its single positions; match_index is the number of the cone.
+
+    noise: what the stated image sigmas are multiplied with to get the true ones. stated_share: of the pose errors.
+    """
+    return _draw(rng, rig, cones, errors, frames, noise, stated_share)[0]
+
+
+def draw_drive(
+    rng: np.random.Generator,
+    rig: Rig,
+    cones: Sequence[Cone],
+    errors: PoseErrors,
+    *,
+    frames: int = 32,
+    noise: float = 1.0,
+) -> NoisyDrive:
+    """One drive through positions and tracks."""
+    drawn, matches = _draw(rng, rig, cones, errors, frames, noise, 1.0)
+    boxes: dict[int, list[Detection]] = {pair.frame_index: [] for pair in drawn.drive.frame_pairs}
+    for match in matches:
+        boxes[match.frame_index] += [match.left, match.right]
+    pairs = drawn.drive.frame_pairs
+    tracks, _ = fuse_tracks(
+        drawn.positions,
+        {(m.frame_index, m.match_index): m for m in matches},
+        boxes,
+        {pair.frame_index: pair for pair in pairs},
+        rig,
+        camera_poses(pairs, rig, "left"),
+        camera_poses(pairs, rig, "right"),
+        IngestParams(),
+    )
+    return replace(drawn, tracks=tracks)
+
+
+def _draw(
+    rng: np.random.Generator,
+    rig: Rig,
+    cones: Sequence[Cone],
+    errors: PoseErrors,
+    frames: int,
+    noise: float,
+    stated_share: float,
+) -> tuple[NoisyDrive, list[StereoMatch]]:
+    true_pairs = make_path(frames)
+    logged = _logged(rng, true_pairs, errors, stated_share)
+    matches = [
+        match
+        for pair in true_pairs
+        for number, cone in enumerate(cones)
+        if (match := _match(rng, cone, number, pair, rig, noise)) is not None
+    ]
+    positions, _ = locate_positions(matches, {pair.frame_index: pair for pair in logged}, rig, PositionParams())
+    drive = Drive(
+        drive_id="drawn", source_path="drawn", rig=rig, map_srid=32632, content_sha256="0" * 64, frame_pairs=tuple(logged),
+        expected_frame_count=frames,
+    )  # fmt: skip
+    return NoisyDrive(drive, [_truth(number, cone) for number, cone in enumerate(cones)], positions, []), matches
+
+
+def _truth(number: int, cone: Cone) -> TruthCone:
+    x, y, z = np.add(ORIGIN_M, cone.foot_m).tolist()
+    return TruthCone(cone_id=f"C{number}", xyz_m=(x, y, z), cone_height_m=cone.height_m)
+
+
+def _logged(
+    rng: np.random.Generator, pairs: Sequence[FramePair], errors: PoseErrors, stated_share: float
+) -> list[FramePair]:
+    """The log: common and per-frame errors of place and attitude, with the sigmas of both stated as one."""
+    up = np.array([1.0, 1.0, 1.5])
+    shift, turn = rng.normal(0, errors.common_m * up), rng.normal(0, errors.common_rad, 3)
+    sigma_m = stated_share * np.hypot(errors.common_m, errors.per_frame_m) * up
+    sigma_rad = stated_share * float(np.hypot(errors.common_rad, errors.per_frame_rad))
+    logged = []
+    for pair in pairs:
+        place = pair.pose.map_t_body_m + shift + rng.normal(0, errors.per_frame_m * up)
+        angles = turn + rng.normal(0, errors.per_frame_rad, 3)
+        true = Rotation.from_matrix(pair.pose.map_R_body).as_euler("ZYX")
+        matrix = Rotation.from_euler("ZYX", true + angles[::-1]).as_matrix().tolist()
+        rotation: Matrix3 = tuple(tuple(row) for row in matrix)
+        x, y, z = place.tolist()
+        a, b, c = sigma_m.tolist()
+        pose = pair.pose.model_copy(
+            update={
+                "map_R_body": rotation, "map_t_body_m": (x, y, z), "sigma_enu_m": (a, b, c),
+                "sigma_rpy_rad": (sigma_rad, sigma_rad, sigma_rad),
+            }
+        )  # fmt: skip
+        logged.append(pair.model_copy(update={"pose": pose}))
+    return logged
+
+
+def _match(
+    rng: np.random.Generator, cone: Cone, number: int, pair: FramePair, rig: Rig, noise: float
+) -> StereoMatch | None:
+    """Foot, centre and tip in both pictures, drawn; None where the cone is not wholly in view of both."""
+    boxes = {side: apparent_box(cone, pair, rig, side) for side in ("left", "right")}
+    if boxes["left"] is None or boxes["right"] is None:
+        return None
+    points = np.outer([0.0, 0.5, 1.0], [0.0, 0.0, cone.height_m]) + np.add(cone.foot_m, ORIGIN_M)
+    uv: dict[str, list[tuple[float, float]]] = {}
+    pointing = rng.normal(0, noise * SIGMA_POINTING_PX)
+    for side in ("left", "right"):
+        camera, pose = (rig.left if side == "left" else rig.right), camera_pose(pair, rig, side)
+        local = (points - pose[:3, 3]) @ pose[:3, :3]
+        u = camera.cx_px + camera.fx_px * local[:, 0] / local[:, 2] + pointing + rng.normal(0, noise * SIGMA_U_PX)
+        v = camera.cy_px + camera.fy_px * local[:, 1] / local[:, 2] + rng.normal(0, noise * SIGMA_V_PX, 3)
+        uv[side] = list(zip(u.tolist(), v.tolist(), strict=True))
+    named = {
+        f"{point}_{side}_uv_px": uv[side][k]
+        for k, point in enumerate(("foot", "centre", "tip"))
+        for side in ("left", "right")
+    }
+    return StereoMatch(
+        frame_index=pair.frame_index, match_index=number, left=_detection(pair, "left", number, boxes["left"]),
+        right=_detection(pair, "right", number, boxes["right"]), sigma_u_px=SIGMA_U_PX, sigma_v_px=SIGMA_V_PX,
+        sigma_pointing_px=SIGMA_POINTING_PX, refined=True, cost=0.1, **named,
+    )  # fmt: skip
+
+
+def _detection(pair: FramePair, side: Side, number: int, box: tuple[float, float, float, float]) -> Detection:
+    x, y, w, h = box
+    return Detection(
+        frame_index=pair.frame_index, side=side, detection_index=number, x_px=x, y_px=y, w_px=w, h_px=h, score=0.9
+    )

@@ -1,0 +1,108 @@
+"""The covariances of whole drives hold: NEES of simulated drives against the chi-square band, which wrong sigmas must leave.
+
+`noise` multiplies the true image noise while the stated sigmas stay: 2 is sigmas stated half as large as they are, 0.5 double.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+
+from conetl.geometry.consistency import Consistency, Nees
+from conetl.geometry.joint_fit import fit_point, pair_jacobian
+from conetl.geometry.rig import map_SE3_left
+from conetl.steps.accuracy import drive_consistency, position_errors, track_errors
+from conetl.steps.evaluation import compare_with_truth
+from tests.synthetic.noisy_drive import NoisyDrive, PoseErrors, draw_drive, draw_positions
+from tests.synthetic.world import Cone, camera_poses, make_path, make_rig
+
+RIG = make_rig()
+CONES = [Cone((14.0 + 4.0 * k, 3.6 - 0.5 * k, 0.0)) for k in range(5)]
+#: A common error as large as an RTK drive's, in place and attitude.
+RTK = PoseErrors(common_m=0.03, common_rad=0.0005)
+
+
+def summed(results: Iterable[Consistency | None]) -> Consistency:
+    total = Consistency(Nees(0.0, 0), Nees(0.0, 0), Nees(0.0, 0))
+    for one in results:
+        assert one is not None
+        total = Consistency(total.absolute + one.absolute, total.relative + one.relative, total.common + one.common)
+    return total
+
+
+def of_positions(drive: NoisyDrive) -> Consistency | None:
+    cone_of = {(p.frame_index, p.match_index): drive.truth[p.match_index] for p in drive.positions}
+    return drive_consistency(position_errors(cone_of, drive.positions, drive.drive))
+
+
+def of_tracks(drive: NoisyDrive) -> Consistency | None:
+    path = np.array([map_SE3_left(pair.pose, RIG)[:3, 3] for pair in drive.drive.frame_pairs])
+    lines, false = compare_with_truth(drive.truth, drive.tracks, path)
+    assert not false
+    assert all(line.feature is not None for line in lines)
+    return drive_consistency(track_errors(lines, path))
+
+
+@pytest.mark.parametrize(("noise", "drives", "holds"), [(0.5, 30, False), (1.0, 200, True), (2.0, 30, False)])
+def test_single_positions_of_200_drives(noise: float, drives: int, holds: bool) -> None:
+    """Relative to each other, and absolutely with the pose error that a drive has in common."""
+    total = summed(
+        of_positions(draw_positions(np.random.default_rng(seed), RIG, CONES, RTK, frames=10, noise=noise))
+        for seed in range(drives)
+    )
+    assert total.relative.holds() is holds
+    assert total.absolute.holds() is holds
+    assert total.common.holds(0.999) or not holds
+
+
+def test_doubled_pose_errors_are_noticed_in_the_common_part_alone() -> None:
+    """Poses twice as wrong as they state: the distances between cones do not suffer, their places do."""
+    drives = [
+        draw_positions(np.random.default_rng(seed), RIG, CONES, RTK, frames=6, stated_share=0.5) for seed in range(60)
+    ]
+    total = summed(of_positions(drive) for drive in drives)
+    assert total.relative.per_dof == pytest.approx(1.0, abs=0.05)
+    assert not total.common.holds(0.9999)
+
+
+@pytest.mark.parametrize(("noise", "holds"), [(0.5, False), (1.0, True), (2.0, False)])
+def test_the_joint_adjustment_holds_for_the_errors_that_it_knows(noise: float, holds: bool) -> None:
+    """Image points, pointing and the place of each frame, drawn as stated: NEES of 200 adjustments of 12 pairs."""
+    rng = np.random.default_rng(5)
+    pairs = make_path(12, step_m=1.0)
+    left, right = (np.stack(list(camera_poses(pairs, RIG, side).values())) for side in ("left", "right"))
+    focal, principal = np.full(4, RIG.left.fx_px), np.array([RIG.left.cx_px, RIG.left.cy_px] * 2)
+    truth = np.array(pairs[0].pose.map_t_body_m) + np.array([18.0, 3.0, 0.0])
+    stated = {
+        "sigma_u_px": np.full(12, 0.3), "sigma_v_px": np.full(12, 0.8), "sigma_pointing_px": np.full(12, 0.5),
+        "sigma_motion_m": np.linspace(0.03, 0.0, 12),
+    }  # fmt: skip
+    total = Nees(0.0, 0)
+    for _ in range(200):
+        exact = np.empty((12, 4))
+        for f in range(12):  # the frame stands elsewhere than its pose says
+            shifted = truth + noise * rng.normal(0, stated["sigma_motion_m"][f], 3)
+            exact[f] = pair_jacobian(shifted, left[f : f + 1], right[f : f + 1], focal, principal)[0][0]
+        pointing = rng.normal(0, stated["sigma_pointing_px"])
+        error = rng.normal(0, [0.3, 0.8, 0.3, 0.8], (12, 4)) + np.outer(pointing, [1.0, 0.0, 1.0, 0.0])
+        fit = fit_point(exact + noise * error, truth, left, right, focal, principal, **stated)
+        assert fit is not None
+        off = fit.xyz_m - truth
+        total += Nees(float(off @ np.linalg.solve(fit.cov_m2, off)), 3)
+    assert total.holds(0.99) is holds
+
+
+def test_tracks_of_drives_with_a_common_pose_error() -> None:
+    """Never too proud, and not modest beyond reason: the frames' motion is taken as less certain than it is here.
+
+    The bounds are wider than chi-square's, because the log of these drives has no error from frame to frame, which the
+    tracks' covariance allows for; sigmas twice or half as large still leave them.
+    """
+    total = summed(of_tracks(draw_drive(np.random.default_rng(seed), RIG, CONES, RTK, frames=24)) for seed in range(20))
+    low, high = 0.35, 1.15
+    for part in (total.relative, total.absolute):
+        assert low < part.per_dof < high
+        assert not low < part.per_dof * 4 < high
+        assert not low < part.per_dof / 4 < high
