@@ -14,6 +14,7 @@ from prefect import task
 from prefect.context import get_run_context
 from prefect.runtime import flow_run
 
+from conetl.detector_evidence import DetectorEvidence, evidence_sha256
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
 from conetl.io.cluster import cluster_up
 from conetl.io.db import Connection, connect, migrate
@@ -59,6 +60,8 @@ class Identity(Record):
     idempotency_key: str
     params_sha256: str
     model_sha256: str
+    evidence: DetectorEvidence | None
+    """What the model's sidecar says of its boxes."""
 
 
 class Merged(Record):
@@ -71,11 +74,11 @@ class Merged(Record):
 
 
 def identify(drive: Drive, params: IngestParams, settings: Settings) -> Identity:
-    """Hashes of content, parameters and model; the same three on the same map are the same changeset."""
-    model_sha256 = read_model_card(settings.model_path or shipped_model_path()).sha256
-    parameters = params_sha256(params)
-    key = result_key("changeset", drive.content_sha256, parameters, model_sha256, str(drive.map_srid))
-    return Identity(idempotency_key=key, params_sha256=parameters, model_sha256=model_sha256)
+    """Hashes of content, parameters and model with its evidence; the same on the same map are the same changeset."""
+    card = read_model_card(settings.model_path or shipped_model_path())
+    parameters, measured = params_sha256(params), evidence_sha256(card.evidence)
+    key = result_key("changeset", drive.content_sha256, parameters, card.sha256, measured, str(drive.map_srid))
+    return Identity(idempotency_key=key, params_sha256=parameters, model_sha256=card.sha256, evidence=card.evidence)
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from prefect import task
 
+from conetl.detector_evidence import UNMEASURED, DetectorEvidence
 from conetl.geometry.camera import first_road_row
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
 from conetl.io import detector as detector_io
@@ -38,6 +39,7 @@ from conetl.steps.detections import check_boxes
 from conetl.steps.matches import match_pair
 from conetl.steps.positions import locate_positions
 from conetl.steps.tracks import fuse_tracks
+from conetl.steps.trajectory import RefinedTrajectory, motion_error
 from flows.progress import tell_progress
 from flows.retries import RETRY
 
@@ -158,8 +160,13 @@ def fuse_task(
     matches: list[StereoMatch],
     positions: list[Position],
     params: IngestParams,
+    evidence: DetectorEvidence | None,
+    trajectory: RefinedTrajectory | None = None,
 ) -> tuple[list[Track], list[Rejection]]:
-    """Tracks of the whole drive."""
+    """Tracks of the whole drive. evidence: what the model's sidecar says of its boxes; None where nothing was measured.
+
+    trajectory: the refined one, whose poses `drive` has; without it relative motion errs by fixed shares of the way.
+    """
     by_frame: dict[int, list[Detection]] = defaultdict(list)
     for detection in detections:
         by_frame[detection.frame_index].append(detection)
@@ -172,6 +179,8 @@ def fuse_task(
         {pair.frame_index: map_SE3_left(pair.pose, drive.rig) for pair in drive.frame_pairs},
         {pair.frame_index: map_SE3_right(pair.pose, drive.rig) for pair in drive.frame_pairs},
         params,
+        evidence or UNMEASURED,
+        None if trajectory is None else motion_error(trajectory),
     )
 
 

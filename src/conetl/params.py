@@ -71,6 +71,13 @@ class TrackParams(Params):
     """Two tracks never seen in one picture and nearer than this (plus drift) are one cone."""
     min_observations: int = Field(default=3, ge=1)
     min_existence_probability: Fraction = 0.6
+    expected_cones_per_picture: Positive = 0.05
+    """Before anything was seen: against the detector's false boxes per picture it gives the odds that a group of boxes is a cone.
+    One picture in twenty suits an ordinary street; a road with works holds more."""
+    score_doubt: Annotated[float, Field(gt=0, lt=0.5)] = 0.02
+    """No score is surer than this in favour of a cone or against it: no set of pictures holds all that stands on roads."""
+    hidden_run_probability: Annotated[float, Field(gt=0, lt=1)] = 0.1
+    """That a cone is missed several times running because of something in front that is no detection (a parked van)."""
     min_cone_height_m: Positive = 0.25
     max_cone_height_m: Positive = 1.15
     max_ground_distance_m: Positive = 0.45

@@ -14,6 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from conetl.errors import ConetlError
+from conetl.io.model_card import NOT_MEASURED, ModelCard
 
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print the result as JSON on standard output, and nothing else there.")
@@ -34,6 +35,12 @@ def print_json(value: Any) -> None:
 def complain(error: ConetlError) -> None:
     """One complaint on standard error."""
     err.print(f"[bold red]conetl:[/] {_plain(str(error))}", soft_wrap=True)
+
+
+def note_unmeasured(card: ModelCard) -> None:
+    """One line on standard error where nobody measured what the model's scores mean."""
+    if card.evidence is None:
+        err.print(f"[yellow]conetl: note:[/] {card.name}: {NOT_MEASURED}", soft_wrap=True)
 
 
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], *, numbers_from: int = 1) -> None:

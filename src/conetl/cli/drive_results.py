@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from conetl.cli.console import progress_bar
+from conetl.cli.console import note_unmeasured, progress_bar
 from conetl.errors import InputError
 from conetl.io.detector import shipped_model_path
 from conetl.io.model_card import read_model_card
@@ -52,7 +52,8 @@ def run_steps(folder: Path, settings: Settings, params: IngestParams, *, map_sri
     from flows.tasks import Chunk, detect_task, fuse_task, locate_task, match_task, read_drive_task
 
     drive, rejections = read_drive_task.fn(folder, map_srid)
-    model_sha256 = read_model_card(settings.model_path or shipped_model_path()).sha256
+    card = read_model_card(settings.model_path or shipped_model_path())
+    note_unmeasured(card)
     chunks = [
         Chunk(
             drive_id=drive.drive_id,
@@ -60,7 +61,7 @@ def run_steps(folder: Path, settings: Settings, params: IngestParams, *, map_sri
             frame_pairs=drive.frame_pairs[first : first + params.chunk_pairs],
             results_folder=settings.results_folder.resolve(),
             model_path=settings.model_path,
-            model_sha256=model_sha256,
+            model_sha256=card.sha256,
             params=params,
         )
         for first in range(0, len(drive.frame_pairs), params.chunk_pairs)
@@ -80,6 +81,6 @@ def run_steps(folder: Path, settings: Settings, params: IngestParams, *, map_sri
     detections, refused_detections = load_results([path for sides in detected for path in sides], Detection)
     matches, refused_matches = load_results(matched, StereoMatch)
     positions, refused_positions = load_results(located, Position)
-    tracks, refused_tracks = fuse_task.fn(drive, detections, matches, positions, params)
+    tracks, refused_tracks = fuse_task.fn(drive, detections, matches, positions, params, card.evidence)
     refused = [*rejections, *refused_detections, *refused_matches, *refused_positions, *refused_tracks]
     return DriveResults(drive, detections, matches, positions, tracks, refused)

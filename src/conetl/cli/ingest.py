@@ -12,8 +12,10 @@ import typer
 import yaml
 from pydantic import ValidationError
 
-from conetl.cli.console import JsonOption, complain, err, out, print_json, print_table, progress_bar
+from conetl.cli.console import JsonOption, complain, err, note_unmeasured, out, print_json, print_table, progress_bar
 from conetl.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_TOO_MANY_REJECTIONS, ConetlError, InputError, ServiceError
+from conetl.io.detector import shipped_model_path
+from conetl.io.model_card import read_model_card
 from conetl.params import IngestParams
 from conetl.records import DeltaKind
 from conetl.reports import IngestReport, TooManyRejectionsError
@@ -26,6 +28,9 @@ def ingest(
     map_srid: Annotated[
         int | None, typer.Option(help="EPSG code of the map; the drive's UTM zone unless given.")
     ] = None,
+    refine: Annotated[
+        bool, typer.Option(help="Refine the logged poses by visual odometry, where the pictures allow it.")
+    ] = True,
     as_json: JsonOption = False,
 ) -> None:
     """Find the cones of stereo drives and merge them into the map; each drive is one changeset.
@@ -35,7 +40,7 @@ def ingest(
     reports, exit_code = ingest_drives(
         drives,
         read_settings(),
-        read_params(params),
+        _with_refinement(read_params(params), refine),
         map_srid=map_srid,
         show=(lambda _: None) if as_json else print_report,
     )
@@ -62,6 +67,7 @@ def ingest_drives(
         raise InputError(
             f"{settings.home}: cannot be written to ({error.strerror}); set CONETL_HOME to a folder of yours"
         ) from error
+    note_unmeasured(read_model_card(settings.model_path or shipped_model_path()))
     os.environ.update(prefect_environment(settings.home))
     reports: list[IngestReport] = []
     exit_code = EXIT_DONE
@@ -117,6 +123,13 @@ def read_params(path: Path | None) -> IngestParams:
         raise InputError(f"parameters {path}: {where}: {first['msg']}") from error
 
 
+def _with_refinement(params: IngestParams, refine: bool) -> IngestParams:
+    """The parameters as they are, or with the refinement switched off."""
+    if refine:
+        return params
+    return params.model_copy(update={"trajectory": params.trajectory.model_copy(update={"refine": False})})
+
+
 def print_report(report: IngestReport) -> None:
     """What one drive changed, for a person."""
     counts = ", ".join(f"{report.counts[kind]} {kind}" for kind in DeltaKind)
@@ -131,6 +144,8 @@ def print_report(report: IngestReport) -> None:
         f"[bold]{report.drive_id}[/] ({when}): {counts}. {report.frame_pairs} frame pairs in {report.seconds:.1f} s, "
         f"{report.detections} detections, {report.matches} stereo matches, {report.tracks} cones."
     )
+    if report.trajectory:
+        out.print(f"Trajectory: {report.trajectory}.")
     print_changes(report)
     if report.rejections:
         rows = [(str(reason).replace("_", " "), count) for reason, count in report.rejections.items()]

@@ -1,14 +1,21 @@
-"""The sidecar `NAME.onnx.json` of a model file: what the network eats, what it gives, and what its bytes hash to."""
+"""The sidecar `NAME.onnx.json` of a model file: what the network eats and gives, what its bytes hash to, what its scores mean."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError, model_validator
 
+from conetl.detector_evidence import DetectorEvidence
 from conetl.errors import ModelFileError
 from conetl.io.detector_heads import Shape, YoloHead
+
+#: What users are told of a model without `evidence` in its sidecar.
+NOT_MEASURED = (
+    "the model's sidecar does not say what its scores mean (key `evidence`): existence probabilities rest on a general guess; "
+    "training/calibrate_scores.py measures it (docs/models.md)"
+)
 
 
 class SideDistributionHead(BaseModel):
@@ -50,6 +57,17 @@ class ModelCard(BaseModel):
     class_names: tuple[str, ...] = Field(min_length=1)
     score_scale: str
     licence: str
+    evidence: DetectorEvidence | None = None
+    """What scores, boxes and misses of this very file mean, as `training/calibrate_scores.py` measured it; None: not measured."""
+
+    @model_validator(mode="after")
+    def _measured_on_this_file(self) -> Self:
+        if self.evidence is not None and self.evidence.model_sha256 != self.sha256:
+            raise ValueError(
+                f"evidence was measured on a model file with SHA-256 {self.evidence.model_sha256[:12]}..., this one has "
+                f"{self.sha256[:12]}...: run training/calibrate_scores.py on this file, or leave the key `evidence` out"
+            )
+        return self
 
 
 def read_model_card(model_path: Path) -> ModelCard:

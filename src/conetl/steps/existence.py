@@ -1,30 +1,51 @@
-"""How sure a drive is that something it saw is a cone: log-odds over all pictures in which it should show."""
+"""How sure a drive is that something it saw is a cone: log-likelihood ratios of all pictures in which it should show.
+
+Two explanations compete for the boxes of a group: a cone, and a lookalike, a thing that is no cone but gets boxes now and then.
+What each of them does was measured for the detector in use (`detector_evidence.py`, in the model's sidecar):
+
+- before any look, the odds are expected cones to false boxes, a picture;
+- a box where the cone should be: p(box with this score | cone, apparent height, hidden share) over the same for a lookalike;
+- no box there: (1 - P(detect | height, hidden)) over (1 - P(found again)) of a lookalike. Misses of one camera running may have
+  one cause, something in front that is no detection: with a small probability the whole run says nothing;
+- looks at one thing fail together. n of them with correlation rho count as n / (1 + (n - 1) rho) (Kish 1965, Survey
+  Sampling, section 5.4, "design effect"), so that no number of pictures makes up for what they have in common.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.detector_evidence import (
+    UNMEASURED,
+    DetectorEvidence,
+    box_log_ratio,
+    false_boxes_per_picture,
+    miss_log_ratio,
+)
 from conetl.geometry.packing import cov_matrix
 from conetl.geometry.rig import left_SE3_right
 from conetl.params import IngestParams
 from conetl.records import Detection, Position, Rig, Side
 from conetl.steps.association import carry
-from conetl.steps.visibility import Box, apparent_box, is_hidden, is_in_view, overlap_px2
+from conetl.steps.visibility import Box, apparent_box, hidden_share, is_in_view, overlap_px2
 
 Floats = NDArray[np.float64]
-#: Pictures follow each other at 10 Hz and come in pairs; they fail together: one in this many counts as independent evidence.
-_PICTURES_PER_INDEPENDENT_LOOK = 6.0
-#: A score of this size speaks neither for nor against a cone: street furniture reaches it, cones exceed it.
-_NEUTRAL_SCORE = 0.45
-#: A cone in plain view is missed in about every second picture where posts hide half of it: ln(0.5 / 0.98).
-_MISS_LOGIT = -0.7
-#: Misses in a row have one cause (a parked van that is no detection): only so many of them count.
-_LONGEST_MISS = 6
-_PRIOR_LOGIT = -1.0
-_SAME_IOU = 0.3
+
+
+@dataclass(frozen=True)
+class Look:
+    """One picture in which the cone should show."""
+
+    height_px: float
+    """Apparent height that the cone should have."""
+    hidden: float
+    """Share of its box behind nearer detections."""
+    score: float | None
+    """Of the best box in its place; None where there is none."""
 
 
 def existence_probability(
@@ -34,27 +55,67 @@ def existence_probability(
     map_SE3_left: Mapping[int, Floats],
     detections: Mapping[int, Sequence[Detection]],
     params: IngestParams,
+    evidence: DetectorEvidence = UNMEASURED,
 ) -> float:
     """Belief (0 to 1) that the positions of `group` are a cone.
 
-    Every picture in which it should be in plain view speaks: by the score of the box where it should be, or by the lack of
-    one. Where it should be is carried over from the nearest frame of the group by the relative motion, so that a sliding
-    trajectory does not turn hits into misses. map_SE3_left: (4, 4) by frame index; detections: of both images.
+    Every picture in which it should be in plain view speaks. Where it should be is carried over from the nearest frame of the
+    group by the relative motion, so that a sliding trajectory does not turn hits into misses. map_SE3_left: (4, 4) by frame
+    index; detections: of both images; evidence: the detector's figures.
     """
-    evidence = 0.0
-    misses: dict[Side, int] = {"left": 0, "right": 0}
-    for frame_index in map_SE3_left:
+    looks: dict[Side, list[Look]] = {"left": [], "right": []}
+    for frame_index in sorted(map_SE3_left):
         for side, box in _boxes(frame_index, group, cone_height_m, rig, map_SE3_left, params).items():
             found = [d for d in detections.get(frame_index, ()) if d.side == side]
-            scores = [d.score for d in found if _iou(box, d) >= _SAME_IOU]
-            if scores:  # a weak box is never worse than none
-                evidence += max(_logit(max(scores)) - _logit(_NEUTRAL_SCORE), _MISS_LOGIT)
-                misses[side] = 0
-            elif not any(is_hidden(box, d) for d in found):
-                misses[side] += 1
-                evidence += _MISS_LOGIT if misses[side] <= _LONGEST_MISS else 0.0
-    logit = _PRIOR_LOGIT + evidence / _PICTURES_PER_INDEPENDENT_LOOK
-    return float(1 / (1 + np.exp(-np.clip(logit, -30, 30))))
+            own = [d for d in found if _iou(box, d) >= evidence.match_iou]
+            hidden = hidden_share(box, [d for d in found if d not in own])
+            score = max((d.score for d in own), default=None)
+            looks[side].append(Look(height_px=box[3] - box[1], hidden=hidden, score=score))
+    return probability_from_looks(looks.values(), params, evidence)
+
+
+def probability_from_looks(looks: Iterable[Sequence[Look]], params: IngestParams, evidence: DetectorEvidence) -> float:
+    """Belief (0 to 1) in a cone from the looks of each camera, in the order in which they were taken."""
+    threshold, limits = params.detection.score_threshold, params.track
+    lookalikes = false_boxes_per_picture(evidence, params.reconcile.visible_min_height_px, threshold)
+    prior = float(np.log(limits.expected_cones_per_picture / lookalikes))
+    parts = [part for side in looks for part in _ratios(side, params, evidence)]
+    count = sum(weight for _, weight in parts)
+    independent = 1 / (1 + max(count - 1, 0.0) * evidence.look_correlation)
+    log_odds = prior + independent * sum(ratio for ratio, _ in parts)
+    return float(1 / (1 + np.exp(-np.clip(log_odds, -30, 30))))
+
+
+def _ratios(looks: Sequence[Look], params: IngestParams, evidence: DetectorEvidence) -> list[tuple[float, float]]:
+    """(log-likelihood ratio, number of looks it stands for) of every box and of every run of misses of one camera."""
+    threshold, limits = params.detection.score_threshold, params.track
+    parts: list[tuple[float, float]] = []
+    run: list[float] = []
+    for look in looks:
+        if look.hidden > evidence.hidden_most and look.score is None:
+            continue  # it could not have been seen: neither evidence nor the end of a run
+        missed = miss_log_ratio(evidence, look.height_px, look.hidden, threshold)
+        if look.score is None:
+            run.append(missed)
+            continue
+        ratio = box_log_ratio(evidence, look.score, look.height_px, look.hidden, limits.score_doubt)
+        parts += [*_run_of_misses(run, limits.hidden_run_probability), (max(ratio, missed), 1.0)]
+        run = []
+    # A weak box is never worse than none (max): half a cone behind a post gets weak boxes, which the scores of whole ones miss.
+    return [*parts, *_run_of_misses(run, limits.hidden_run_probability)]
+
+
+def _run_of_misses(ratios: Sequence[float], hidden_probability: float) -> list[tuple[float, float]]:
+    """Misses running as one part: hidden all the time, when they say nothing, or in plain view, when they add up.
+
+    It stands for as many looks as are likely to have been in plain view, and for one at least.
+    """
+    if not ratios:
+        return []
+    total = sum(ratios)
+    either = float(np.logaddexp(np.log(hidden_probability), np.log1p(-hidden_probability) + total))
+    in_view = float(np.exp(np.log1p(-hidden_probability) + total - either))
+    return [(either, max(in_view * len(ratios), 1.0))]
 
 
 def _boxes(
@@ -92,8 +153,3 @@ def _iou(box: Box, detection: Detection) -> float:
     shared = overlap_px2(box, detection)
     x0, y0, x1, y1 = box
     return shared / ((x1 - x0) * (y1 - y0) + detection.w_px * detection.h_px - shared)
-
-
-def _logit(probability: float) -> float:
-    p = float(np.clip(probability, 0.02, 0.98))
-    return float(np.log(p / (1 - p)))

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.detector_evidence import UNMEASURED, DetectorEvidence
 from conetl.geometry.joint_fit import JointFit, fit_point
 from conetl.geometry.packing import cov3, vec3
 from conetl.params import IngestParams, TrackParams
@@ -27,19 +28,20 @@ def fuse_tracks(
     map_SE3_left: Mapping[int, Floats],
     map_SE3_right: Mapping[int, Floats],
     params: IngestParams,
+    evidence: DetectorEvidence = UNMEASURED,
 ) -> tuple[list[Track], list[Rejection]]:
     """Fuse the positions of one drive into tracks.
 
     matches: by (frame_index, match_index). detections: those of both images by frame index. map_SE3_left, map_SE3_right:
-    (4, 4) camera -> map by frame index. A group that is too short, never near, off the road surface, of impossible height or
-    unlikely to be a cone is rejected with the reason.
+    (4, 4) camera -> map by frame index. evidence: what the detector's boxes mean. A group that is too short, never near, off the
+    road surface, of impossible height or unlikely to be a cone is rejected with the reason.
     """
     tracks: list[Track] = []
     rejections: list[Rejection] = []
     groups = chain_positions(positions, map_SE3_left, params.track)
     for group in sorted(groups, key=lambda g: (g[0].frame_index, g[0].match_index)):
         result = _fuse_group(
-            len(tracks), group, matches, detections, frame_pairs, rig, map_SE3_left, map_SE3_right, params
+            len(tracks), group, matches, detections, frame_pairs, rig, map_SE3_left, map_SE3_right, params, evidence
         )
         if isinstance(result, Track):
             tracks.append(result)
@@ -58,6 +60,7 @@ def _fuse_group(
     map_SE3_left: Mapping[int, Floats],
     map_SE3_right: Mapping[int, Floats],
     params: IngestParams,
+    evidence: DetectorEvidence,
 ) -> Track | Rejection:
     limits = params.track
     if len(group) < limits.min_observations:
@@ -95,7 +98,7 @@ def _fuse_group(
     if not limits.min_cone_height_m <= height_m <= limits.max_cone_height_m:
         bounds = f"{limits.min_cone_height_m} to {limits.max_cone_height_m} m"
         return _reject(RejectionReason.HEIGHT_IMPLAUSIBLE, group, f"{height_m:.2f} m tall, expected {bounds}")
-    existence = existence_probability(group, height_m, rig, map_SE3_left, detections, params)
+    existence = existence_probability(group, height_m, rig, map_SE3_left, detections, params, evidence)
     if existence < limits.min_existence_probability:
         return _reject(
             RejectionReason.EXISTENCE_UNLIKELY,

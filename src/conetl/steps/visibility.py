@@ -21,6 +21,8 @@ _WIDTH_OVER_HEIGHT = 0.55
 #: A spot with more than this share of its box behind a nearer box counts as hidden.
 _HIDDEN_SHARE = 0.25
 _NEAREST_M = 0.5
+#: Middles of the cells into which a box is cut to see what of it is hidden, in shares of its side.
+_GRID = (np.arange(24) + 0.5) / 24
 Box = tuple[float, float, float, float]
 """x0, y0, x1, y1 in pixels"""
 
@@ -109,11 +111,26 @@ def is_in_view(box: Box, camera: Camera, params: ReconcileParams) -> bool:
 
 
 def is_hidden(box: Box, detection: Detection) -> bool:
-    """Whether a detected box that stands nearer (its foot is lower in the picture) covers a good part of `box`."""
+    """Whether a detected box that stands nearer covers a good part of `box`."""
+    return hidden_share(box, [detection]) > _HIDDEN_SHARE
+
+
+def hidden_share(box: Box, detections: Sequence[Detection]) -> float:
+    """Share (0 to 1) of `box` behind detected boxes that stand nearer (their foot is lower in the picture).
+
+    Boxes that overlap each other are counted once, on a grid of 24 x 24 points, as `training/looks.py` counts them.
+    """
     x0, y0, x1, y1 = box
-    if detection.y_px + detection.h_px <= y1 + 0.1 * (y1 - y0):
-        return False
-    return overlap_px2(box, detection) > _HIDDEN_SHARE * (x1 - x0) * (y1 - y0)
+    nearer = [d for d in detections if d.y_px + d.h_px > y1 + 0.1 * (y1 - y0) and overlap_px2(box, d) > 0]
+    if not nearer:
+        return 0.0
+    u = x0 + _GRID * (x1 - x0)
+    v = y0 + _GRID * (y1 - y0)
+    covered = np.zeros((len(_GRID), len(_GRID)), dtype=bool)
+    for d in nearer:
+        rows = (v >= d.y_px) & (v <= d.y_px + d.h_px)
+        covered |= rows[:, None] & ((u >= d.x_px) & (u <= d.x_px + d.w_px))[None, :]
+    return float(covered.mean())
 
 
 def overlap_px2(box: Box, detection: Detection) -> float:

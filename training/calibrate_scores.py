@@ -1,0 +1,322 @@
+"""What the scores of a model mean: calibration, P(detect | height, hidden), false boxes; into its sidecar.
+
+    python training/calibrate_scores.py MODEL.onnx --cones DIR [--labelled DIR] [--cone-free DIR] [--json OUT] [--write]
+
+Run it after `quantise.py`, on pictures that took no part in training. `--labelled` names renders (images/, labels/) with exact
+labels, `--cone-free` a folder of pictures without any cone. With `--write` the figures go into `MODEL.onnx.json` and the
+reliability curve beside the model, `MODEL.reliability.png`; the text for the model card is printed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+from scipy.optimize import isotonic_regression, minimize
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src"))
+
+from dataset import Picture, read_cones, read_renders
+from looks import LEAST_SCORE, MATCH_IOU, SCALES, Looks, look_at_pictures
+from reliability import expected_calibration_error, write_reliability_figure
+
+from conetl.detector_evidence import (
+    DetectorEvidence,
+    ScoreCalibration,
+    box_log_ratio,
+    calibrated_probability,
+    miss_log_ratio,
+)
+from conetl.io.detector import detect_image, load_detector
+from conetl.io.model_card import read_model_card
+from conetl.params import IngestParams
+
+THRESHOLDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
+REFERENCE = 0.3
+HEIGHTS_PX = (8.0, 12.0, 16.0, 20.0, 30.0, 60.0)
+HIDDEN = (0.0, 0.125, 0.375)
+HIDDEN_MOST = 0.625
+FOLDS = 5
+#: A cell of the detection table begins with this many looks of the smooth fit's opinion.
+PRIOR_LOOKS = 8.0
+#: Isotonic regression must be better than a straight line by this share of the log loss; it has many more parameters.
+WORTHWHILE = 0.01
+
+
+def logit(p: np.ndarray | float) -> np.ndarray:
+    p = np.clip(p, 1e-4, 1 - 1e-4)
+    return np.asarray(np.log(p / (1 - p)))
+
+
+def fit_logistic(features: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Weights (K,) of a logistic regression of truth (N,) on features (N, K), with a ridge of 0.01 that keeps them finite."""
+
+    def loss(weights: np.ndarray) -> tuple[float, np.ndarray]:
+        z = features @ weights
+        slope = features.T @ (1 / (1 + np.exp(-z)) - truth) + 0.01 * weights
+        return float(np.logaddexp(0, z).sum() - z @ truth + 0.005 * weights @ weights), slope
+
+    return np.asarray(minimize(loss, np.zeros(features.shape[1]), jac=True, method="BFGS").x)
+
+
+def fit_platt(scores: np.ndarray, truth: np.ndarray) -> ScoreCalibration:
+    """Straight line on log-odds; targets softened as Platt (1999) does, so that no probability becomes 0 or 1."""
+    yes, no = truth.sum(), (~truth).sum()
+    soft = np.where(truth, (yes + 1) / (yes + 2), 1 / (no + 2))
+    offset, scale = fit_logistic(np.stack((np.ones(len(scores)), logit(scores)), axis=1), soft)
+    # A straight line ends where its probability leaves what a number in the sidecar can hold.
+    ends = np.clip(sorted((np.array([-8.5, 8.5]) - offset) / scale), logit(0.001), logit(0.999))
+    return _calibration("platt", ends, offset + scale * ends)
+
+
+def fit_isotonic(scores: np.ndarray, truth: np.ndarray) -> ScoreCalibration:
+    """Isotonic regression; each step's share is (k + 1/2) / (n + 1), so that none is 0 or 1, its knot at the mean log-odds."""
+    order = np.argsort(scores, kind="stable")
+    steps = isotonic_regression(truth[order].astype(float)).x
+    groups = np.split(order, np.flatnonzero(np.diff(steps)) + 1)
+    knots = np.array([logit(scores[group]).mean() for group in groups])
+    shares = np.array([(truth[group].sum() + 0.5) / (len(group) + 1) for group in groups])
+    apart = np.concatenate(([True], np.diff(knots) > 1e-3))
+    return _calibration("isotonic", knots[apart], logit(np.maximum.accumulate(shares)[apart]))
+
+
+def _calibration(method: str, score_logits: np.ndarray, probability_logits: np.ndarray) -> ScoreCalibration:
+    scores, probabilities = (1 / (1 + np.exp(-v)) for v in (score_logits, probability_logits))
+    return ScoreCalibration.model_validate(
+        {"method": method, "scores": scores.round(6).tolist(), "probabilities": probabilities.round(6).tolist()}
+    )
+
+
+def apply(calibration: ScoreCalibration, scores: np.ndarray) -> np.ndarray:
+    return np.array([calibrated_probability(calibration, float(s)) for s in scores])
+
+
+def folds_of(pictures: list[Picture]) -> np.ndarray:
+    """Fold (N,) of each picture: neighbours by name, which may be frames of one film or views of one scene, stay together."""
+    folds = np.zeros(len(pictures), dtype=int)
+    for source in sorted({p.source for p in pictures}):
+        ours = sorted((k for k, p in enumerate(pictures) if p.source == source), key=lambda k: pictures[k].name)
+        for fold, part in enumerate(np.array_split(ours, FOLDS)):
+            folds[part] = fold
+    return folds
+
+
+def log_loss(probabilities: np.ndarray, truth: np.ndarray) -> float:
+    p = np.clip(probabilities, 1e-6, 1 - 1e-6)
+    return float(-np.where(truth, np.log(p), np.log1p(-p)).mean())
+
+
+def compare_calibrations(looks: Looks, folds: np.ndarray) -> tuple[ScoreCalibration, dict[str, np.ndarray], dict]:
+    """The better kind fitted on all boxes, the held-out probabilities of each kind, and their figures."""
+    picture, _, scores, truth = (np.array(column) for column in zip(*looks.boxes, strict=True))
+    fits = {"platt": fit_platt, "isotonic": fit_isotonic}
+    held_out = {"score": scores} | {name: np.zeros(len(scores)) for name in fits}
+    for fold in range(FOLDS):
+        test = folds[picture] == fold
+        for name, fit in fits.items():
+            held_out[name][test] = apply(fit(scores[~test], truth[~test]), scores[test])
+    figures: dict = {}
+    for least in (LEAST_SCORE, REFERENCE):
+        chosen = scores >= least
+        figures[f"boxes from score {least}"] = {"boxes": int(chosen.sum()), "on a cone": int(truth[chosen].sum())} | {
+            name: {
+                "ece": round(expected_calibration_error(p[chosen], truth[chosen]), 4),
+                "brier": round(float(np.mean((p[chosen] - truth[chosen]) ** 2)), 4),
+                "log_loss": round(log_loss(p[chosen], truth[chosen]), 4),
+            }
+            for name, p in held_out.items()
+        }
+    losses = {name: log_loss(held_out[name], truth) for name in fits}
+    best = "isotonic" if losses["isotonic"] < (1 - WORTHWHILE) * losses["platt"] else "platt"
+    return fits[best](scores, truth), held_out, figures
+
+
+def detection_tables(looks: Looks) -> tuple[list, list]:
+    """Cones looked at, by height and hidden band, and P(box >= threshold) by threshold, height and hidden band.
+
+    Beta prior of PRIOR_LOOKS looks around a logistic regression on log height and hidden share: cells with few looks lean on
+    their neighbours.
+    """
+    rows = np.array([row for row in looks.cones if row[3] >= HEIGHTS_PX[0] and row[4] <= HIDDEN_MOST])
+    height, hidden, best = rows[:, 3], rows[:, 4], rows[:, 5]
+    i = np.searchsorted(HEIGHTS_PX, height, side="right") - 1
+    j = np.searchsorted(HIDDEN, hidden, side="right") - 1
+    octaves = np.log2(height / 30)
+    features = np.stack((np.ones(len(rows)), octaves, np.minimum(octaves, 0), hidden), axis=1)
+    counts = np.array([[((i == a) & (j == b)).sum() for b in range(len(HIDDEN))] for a in range(len(HEIGHTS_PX))])
+    centres = np.log2(np.sqrt(np.multiply(HEIGHTS_PX, (*HEIGHTS_PX[1:], 200.0))) / 30)
+    middles = np.array([0.0, 0.25, 0.5])
+    tables = []
+    for threshold in THRESHOLDS:
+        found = best >= threshold
+        weights = fit_logistic(features, found)
+        z = weights[0] + weights[1] * centres + weights[2] * np.minimum(centres, 0)
+        expected = 1 / (1 + np.exp(-(z[:, None] + weights[3] * middles[None, :])))
+        hits = np.array(
+            [[found[(i == a) & (j == b)].sum() for b in range(len(HIDDEN))] for a in range(len(HEIGHTS_PX))]
+        )
+        tables.append((hits + PRIOR_LOOKS * expected) / (counts + PRIOR_LOOKS))
+    falling = np.minimum.accumulate(np.array(tables), axis=0)  # a higher threshold finds no more
+    return counts.tolist(), np.clip(falling, 0.001, 0.999).round(4).tolist()
+
+
+def found_again(looks: Looks) -> tuple[int, list[float]]:
+    """Lookalikes that reach REFERENCE in some look, and P(box >= threshold in another look | that one), by threshold."""
+    by_thing = _scores_by_thing(looks.lookalikes)
+    by_thing = [scores for scores in by_thing if (scores >= REFERENCE).any()]
+    others = sum((s >= REFERENCE).sum() * (len(s) - 1) for s in by_thing)
+    rates = []
+    for threshold in THRESHOLDS:
+        again = sum((np.delete(s, k) >= threshold).sum() for s in by_thing for k in np.flatnonzero(s >= REFERENCE))
+        rates.append(round(float((again + 0.5) / (others + 1)), 4))
+    return len(by_thing), rates
+
+
+def false_box_rates(looks: Looks) -> tuple[list[int], list[list[float]]]:
+    """Pictures, and boxes on no cone per picture by threshold and height (Gamma prior of half a box)."""
+    exact = np.array(looks.exact)
+    pictures = [int(exact.sum()) if low < 20 else len(exact) for low in HEIGHTS_PX]
+    rows = np.array(looks.false_boxes).reshape(-1, 2)
+    ends = (*HEIGHTS_PX[1:], np.inf)
+    return pictures, [
+        [
+            round(float((((rows[:, 0] >= a) & (rows[:, 0] < b) & (rows[:, 1] >= t)).sum() + 0.5) / max(n, 1)), 5)
+            for a, b, n in zip(HEIGHTS_PX, ends, pictures, strict=True)
+        ]
+        for t in THRESHOLDS
+    ]
+
+
+def _scores_by_thing(rows: list[tuple]) -> list[np.ndarray]:
+    table = np.array(rows).reshape(-1, 5)
+    return [table[table[:, 1] == thing, 4] for thing in np.unique(table[:, 1])]
+
+
+def intraclass_correlation(groups: list[np.ndarray]) -> tuple[float, float]:
+    """Variance between and within groups of equal or like size (one-way analysis of variance)."""
+    sizes = np.array([len(g) for g in groups])
+    within = float(sum(((g - g.mean()) ** 2).sum() for g in groups) / (sizes.sum() - len(groups)))
+    between = float(np.var([g.mean() for g in groups], ddof=1)) - within / float(np.mean(sizes))
+    return max(between, 0.0), within
+
+
+def look_ratios(looks: Looks, evidence: DetectorEvidence) -> dict[str, list[np.ndarray]]:
+    """Log-likelihood ratios of the looks at each cone in plain view and at each lookalike, as `steps/existence.py` takes them."""
+    params = IngestParams()
+    least, threshold = params.reconcile.visible_min_height_px, params.detection.score_threshold
+    tables = {
+        "cones": np.array([(r[1], r[3], r[5]) for r in looks.cones if r[2] < len(SCALES) and r[4] < HIDDEN[1]]),
+        "lookalikes": np.array([(r[1], r[3], r[4]) for r in looks.lookalikes]).reshape(-1, 3),
+    }
+    ratios: dict[str, list[np.ndarray]] = {}
+    for kind, table in tables.items():
+        ratios[kind] = []
+        for thing in np.unique(table[:, 0]):
+            rows = table[(table[:, 0] == thing) & (table[:, 1] >= least)]
+            # What never got a box never becomes a track: it is no part of the question.
+            if len(rows) >= 3 and (rows[:, 2] >= threshold).any():
+                ratios[kind].append(
+                    np.array([
+                        box_log_ratio(evidence, s, h, 0.0, params.track.score_doubt)
+                        if s >= threshold else miss_log_ratio(evidence, h, 0.0, threshold)
+                        for _, h, s in rows.tolist()
+                    ])
+                )  # fmt: skip
+    return ratios
+
+
+def measure(looks: Looks, folds: np.ndarray, sha256: str) -> tuple[DetectorEvidence, dict[str, np.ndarray], dict]:
+    calibration, held_out, figures = compare_calibrations(looks, folds)
+    counts, detected = detection_tables(looks)
+    lookalikes, again = found_again(looks)
+    pictures, rates = false_box_rates(looks)
+    above = [truth for _, _, score, truth in looks.boxes if score >= REFERENCE]
+    values = {
+        "model_sha256": sha256, "match_iou": MATCH_IOU, "calibration": calibration, "reference_score": REFERENCE,
+        "true_boxes": sum(above), "false_boxes": max(len(above) - sum(above), 1), "score_thresholds": THRESHOLDS,
+        "height_bands_px": HEIGHTS_PX, "hidden_bands": HIDDEN, "hidden_most": HIDDEN_MOST, "looks": counts,
+        "detected": detected, "lookalikes": lookalikes, "found_again": again, "false_box_pictures": pictures,
+        "false_boxes_per_picture": rates, "look_correlation": 1.0,
+    }  # fmt: skip
+    ratios = look_ratios(looks, DetectorEvidence.model_validate(values))
+    variances = {kind: intraclass_correlation(groups) for kind, groups in ratios.items()}
+    between = sum(v[0] for v in variances.values())
+    values["look_correlation"] = round(between / (between + sum(v[1] for v in variances.values())), 4)
+    for kind, groups in ratios.items():
+        means = [float(g.mean()) for g in groups]
+        quantiles = {f"{q} %": round(float(np.percentile(means, q)), 2) for q in (5, 25, 50, 75, 95)}
+        figures[f"mean log-likelihood ratio of a look, {kind}"] = (
+            {"things": len(means)}
+            | quantiles
+            | {"correlation of two looks": round(variances[kind][0] / sum(variances[kind]), 3)}
+        )
+    return DetectorEvidence.model_validate(values), held_out, figures
+
+
+def sidecar_text(card: dict) -> str:
+    """JSON with one line for each innermost list."""
+    text = json.dumps(card, indent=2)
+    return re.sub(r"\[\s+([^\[\]{}]*?)\s+\]", lambda m: "[" + re.sub(r",\s+", ", ", m[1]) + "]", text) + "\n"
+
+
+def model_card_text(evidence: DetectorEvidence, figures: dict) -> str:
+    """The tables for the model card, in Markdown."""
+    lines = ["| apparent height px | " + " | ".join(f"hidden {h}" for h in ("0-12 %", "12-37 %", "37-62 %")) + " |"]
+    lines.append("|---" * 4 + "|")
+    k = evidence.score_thresholds.index(REFERENCE)
+    ends = [f"{high:g}" for high in evidence.height_bands_px[1:]] + [""]
+    for i, (low, high) in enumerate(zip(evidence.height_bands_px, ends, strict=True)):
+        cells = [
+            f"{evidence.detected[k][i][j]:.2f} ({evidence.looks[i][j]})" for j in range(len(evidence.hidden_bands))
+        ]
+        lines.append(f"| {low:g}-{high} | " + " | ".join(cells) + " |")
+    return "\n".join((f"P(detect at {REFERENCE}) (looks)", *lines, json.dumps(figures, indent=1)))
+
+
+def read_cone_free(folder: Path) -> list[Picture]:
+    images = ((path, cv2.imread(str(path))) for path in sorted(folder.iterdir()) if path.suffix in (".jpg", ".png"))
+    return [Picture(path.stem, "cone-free", image, np.zeros((0, 8))) for path, image in images if image is not None]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("model", type=Path)
+    parser.add_argument("--cones", type=Path, required=True)
+    parser.add_argument("--labelled", type=Path)
+    parser.add_argument("--cone-free", type=Path)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--write", action="store_true")
+    args = parser.parse_args()
+    sidecar = args.model.with_name(args.model.name + ".json")
+    card = json.loads(sidecar.read_text())
+    if card.pop("evidence", None) is not None and args.write:
+        sidecar.write_text(sidecar_text(card))  # that of an earlier file would keep this one from loading
+    detector = load_detector(args.model)
+    pictures = read_cones(args.cones, "val")
+    pictures += read_renders(args.labelled, set()) if args.labelled else []
+    pictures += read_cone_free(args.cone_free) if args.cone_free else []
+    looks = look_at_pictures(
+        pictures,
+        lambda picture: picture.source in ("renders", "cone-free"),
+        lambda image: detect_image(detector, image, score_threshold=LEAST_SCORE),
+    )
+    evidence, held_out, figures = measure(looks, folds_of(pictures), detector.sha256)
+    print(model_card_text(evidence, figures))
+    if args.json:
+        args.json.write_text(json.dumps({"figures": figures, "evidence": evidence.model_dump()}, indent=2) + "\n")
+    if args.write:
+        sidecar.write_text(sidecar_text(card | {"evidence": evidence.model_dump(mode="json")}))
+        read_model_card(args.model)
+        truth = np.array([row[3] for row in looks.boxes])
+        curve = args.model.with_suffix(".reliability.png")
+        write_reliability_figure(curve, held_out["score"], held_out[evidence.calibration.method], truth, detector.name)
+        print(f"{sidecar}, {curve}: written")
+
+
+if __name__ == "__main__":
+    main()
