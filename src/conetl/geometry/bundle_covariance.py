@@ -62,7 +62,9 @@ def rig_covariance(reduced: Reduced, rig_parameters: int, variance_factor: float
         leverage, axes = np.linalg.eigh(half.T @ share @ half)
         corrected = axes @ ((axes.T @ (half.T @ gradient)) / np.sqrt(1.0 - np.clip(leverage, 0.0, _LARGEST_LEVERAGE)))
         influences.append(back @ corrected)
-    whitened = np.linalg.solve(root, (np.array(influences) / sizes).T).T  # (p, k): sums to the identity if independent
+    whitened: Array = np.linalg.solve(
+        root, (np.array(influences) / sizes).T
+    ).T  # (p, k): sums to the identity if independent
     shape, effect, shrinkage = _shrunk(whitened)
     spread = sizes[:, None] * root
     full = spread @ shape @ spread.T + known

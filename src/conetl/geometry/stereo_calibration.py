@@ -242,6 +242,7 @@ def _refitted(camera: Camera, model: LensModel) -> Lens:
     bent = _grid(camera, 25)
     ideal = undistort(camera.lens, bent)
     good = np.isfinite(ideal).all(axis=1)
+    fitted: Array
     if family == "none" or good.sum() < 25:
         fitted = np.zeros(LENS_COEFFICIENTS[family])
     else:
