@@ -13,7 +13,7 @@ from conetl.geometry.camera import first_road_row
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
 from conetl.io import detector as detector_io
 from conetl.io.drive_folder import read_drive
-from conetl.io.images import ImageFileError, read_image
+from conetl.io.images import ImageFileError
 from conetl.io.parquet_store import (
     file_sha256,
     has_result,
@@ -22,6 +22,7 @@ from conetl.io.parquet_store import (
     result_path,
     save_result,
 )
+from conetl.io.rectified_image import read_rig_image
 from conetl.params import IngestParams, params_sha256
 from conetl.records import (
     Detection,
@@ -86,7 +87,7 @@ def detect_task(chunk: Chunk, side: Side) -> Path:
     rejections: list[Rejection] = []
     for pair, path in zip(chunk.frame_pairs, paths, strict=True):
         try:
-            image = read_image(path, (camera.width_px, camera.height_px))
+            image = read_rig_image(path, chunk.rig, side)
         except ImageFileError as error:
             rejections.append(
                 Rejection(
@@ -127,9 +128,10 @@ def match_task(chunk: Chunk, left: Path, right: Path) -> Path:
         ours, theirs = by_side["left"][pair.frame_index], by_side["right"][pair.frame_index]
         images = None
         if ours and theirs and chunk.params.match.refine:
-            size_left = (chunk.rig.left.width_px, chunk.rig.left.height_px)
-            size_right = (chunk.rig.right.width_px, chunk.rig.right.height_px)
-            images = read_image(Path(pair.left_path), size_left), read_image(Path(pair.right_path), size_right)
+            images = (
+                read_rig_image(Path(pair.left_path), chunk.rig, "left"),
+                read_rig_image(Path(pair.right_path), chunk.rig, "right"),
+            )
         # Up of the map, as the left camera sees it at this instant.
         up = map_SE3_left(pair.pose, chunk.rig)[2, :3]
         found, refused = match_pair(ours, theirs, chunk.rig, chunk.params.match, up_left=up, images=images)

@@ -10,10 +10,13 @@ import typer
 from conetl.cli.console import JsonOption, out, print_json, print_table
 from conetl.errors import InputError
 from conetl.geometry.rig import up_in_left_camera
-from conetl.io.calibration_files import read_rig
+from conetl.io.calibration_files import read_rig_for_pictures
 from conetl.io.detector import detect_image, load_detector
-from conetl.io.images import ImageFileError, read_image
+from conetl.io.drive_folder.pairs import first_size
+from conetl.io.images import ImageFileError
+from conetl.io.rectified_image import read_rig_image
 from conetl.params import IngestParams
+from conetl.records import Side
 from conetl.settings import read_settings
 from conetl.steps.detections import check_boxes
 from conetl.steps.matches import match_pair
@@ -21,29 +24,29 @@ from conetl.steps.positions import locate_in_camera
 
 
 def locate(
-    left: Annotated[Path, typer.Argument(help="Left image, rectified.")],
-    right: Annotated[Path, typer.Argument(help="Right image, rectified.")],
+    left: Annotated[Path, typer.Argument(help="Left image, as the calibration describes it.")],
+    right: Annotated[Path, typer.Argument(help="Right image.")],
     calibration: Annotated[
-        Path, typer.Option(help="rig.yaml, a KITTI calib_cam_to_cam.txt, or a folder that holds one.")
+        Path,
+        typer.Option(help="rig.yaml, or a calibration of KITTI, OpenCV, Kalibr, ROS or MATLAB, or a folder with one."),
     ],
     as_json: JsonOption = False,
 ) -> None:
     """Ground distance and height of each cone in one stereo pair: no trajectory, no map."""
-    rig = read_rig(calibration)
+    rig = read_rig_for_pictures(calibration, first_size([left]))
     params = IngestParams()
     detector = load_detector(read_settings().model_path)
     images, detections = [], []
-    for path, side, camera in ((left, "left", rig.left), (right, "right", rig.right)):
+    sides: tuple[tuple[Path, Side], ...] = ((left, "left"), (right, "right"))
+    for path, side in sides:
         try:
-            image = read_image(path, (camera.width_px, camera.height_px))
+            image = read_rig_image(path, rig, side)
         except ImageFileError as error:
             raise InputError(str(error)) from error
         boxes = detect_image(
             detector, image, score_threshold=params.detection.score_threshold, nms_iou=params.detection.nms_iou
         )
-        found, _ = check_boxes(
-            boxes, frame_index=0, side="left" if side == "left" else "right", params=params.detection
-        )
+        found, _ = check_boxes(boxes, frame_index=0, side=side, params=params.detection)
         images.append(image)
         detections.append(found)
     matches, refused = match_pair(
@@ -88,7 +91,7 @@ def locate(
     if any(alone):
         out.print(f"{alone[0]} boxes left and {alone[1]} right have no partner in the other image.")
         if not matches:
-            out.print("Are the two images swapped, or not rectified, or is the calibration another rig's?")
+            out.print("Are the two images swapped, or rectified already, or is the calibration another rig's?")
     columns = ("cone", "ground distance m", "sigma m", "height m", "right m", "down m", "ahead m", "score")
     print_table("", columns, [_cells(number, row) for number, row in enumerate(rows, 1)])
     for cone in misfits:

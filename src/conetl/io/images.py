@@ -48,7 +48,7 @@ def check_image_bytes(data: bytes, name: str, expected_size: tuple[int, int] | N
         raise ImageFileError(
             RejectionReason.IMAGE_WRONG_SIZE,
             f"{name}: {found[0]} x {found[1]} pixels, but the calibration is for {expected_size[0]} x {expected_size[1]}; "
-            "use the calibration of these (rectified) pictures",
+            "use the calibration of these pictures",
         )
     if expected_size is None and found[0] * found[1] > MAX_PIXELS:
         raise ImageFileError(RejectionReason.IMAGE_WRONG_SIZE, f"{name}: {found[0]} x {found[1]} pixels are too many")

@@ -13,9 +13,15 @@ from pathlib import Path
 from typing import Any, Literal
 
 from conetl.errors import CalibrationError
-from conetl.io.calibration_files.common import Size, read_text, read_yaml
+from conetl.io.calibration_files.common import Size, read_text, read_yaml, rectified_rig
 from conetl.io.calibration_files.kalibr import looks_like_kalibr, read_kalibr_rig, write_kalibr_rig
-from conetl.io.calibration_files.kitti import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, kitti_raw_size, read_kitti_rig
+from conetl.io.calibration_files.kitti import (
+    CAM_TO_CAM,
+    IMU_TO_VELO,
+    VELO_TO_CAM,
+    kitti_rig_for_pictures,
+    read_kitti_rig,
+)
 from conetl.io.calibration_files.matlab import looks_like_matlab, read_matlab_rig, write_matlab_rig
 from conetl.io.calibration_files.opencv import looks_like_opencv, read_opencv_rig, write_opencv_rig
 from conetl.io.calibration_files.rig_yaml import RIG_YAML, read_rig_yaml, write_rig_yaml
@@ -23,9 +29,10 @@ from conetl.io.calibration_files.ros import looks_like_ros, read_ros_rig, write_
 from conetl.records import Rig
 
 __all__ = [
-    "CAM_TO_CAM", "IMU_TO_VELO", "RIG_YAML", "VELO_TO_CAM", "WRITERS", "Format", "kitti_raw_size", "read_kalibr_rig",
-    "read_kitti_rig", "read_matlab_rig", "read_opencv_rig", "read_rig", "read_rig_and_format", "read_rig_yaml", "read_ros_rig",
-    "recognise", "write_kalibr_rig", "write_matlab_rig", "write_opencv_rig", "write_rig_yaml", "write_ros_rig",
+    "CAM_TO_CAM", "FORMAT_NAMES", "IMU_TO_VELO", "RIG_YAML", "VELO_TO_CAM", "WRITERS", "Format", "kitti_rig_for_pictures",
+    "read_kalibr_rig", "read_kitti_rig", "read_matlab_rig", "read_opencv_rig", "read_rig", "read_rig_and_format",
+    "read_rig_for_pictures", "read_rig_yaml", "read_ros_rig", "recognise", "write_kalibr_rig", "write_matlab_rig",
+    "write_opencv_rig", "write_rig_yaml", "write_ros_rig",
 ]  # fmt: skip
 
 Format = Literal["rig", "kitti", "opencv", "kalibr", "ros", "matlab"]
@@ -77,6 +84,17 @@ def read_rig_and_format(
             return read_ros_rig(path), found
         case "rig":
             return read_rig_yaml(path), found
+
+
+def read_rig_for_pictures(path: Path, size: Size | None) -> Rig:
+    """The rectified rig for pictures of this width and height (None: not known), of a calibration file of any known format.
+
+    Where they are raw, `rectified_from` is the rig that took them. Raises CalibrationError.
+    """
+    path, found = recognise(path)
+    if found == "kitti":
+        return kitti_rig_for_pictures(path, size, body_required=False)
+    return rectified_rig(read_rig(path), path)
 
 
 def recognise(path: Path) -> tuple[Path, Format]:

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 
 from conetl.errors import CalibrationError
 from conetl.geometry import pose as se3
-from conetl.geometry.rectification import check_stereo_baseline
+from conetl.geometry.rectification import check_stereo_baseline, rectify
 from conetl.records import Camera, Lens, Rig
 
 Array = NDArray[np.float64]
@@ -159,8 +159,8 @@ def stereo_rig(
         raise bad(path, key, f"cannot be used: {error}") from error
     if np.linalg.norm(right_t_left_m) > MAX_BASELINE_M:
         raise bad(
-            path, key, f"gives a baseline of {np.linalg.norm(right_t_left_m):.1f} m; is the file in another unit (mm)? "
-            "Then say so (--unit mm)",
+            path, key, f"gives a baseline of {np.linalg.norm(right_t_left_m):.1f} m; is the file in another unit? "
+            "conetl calibration convert makes a rig.yaml of it with --unit mm",
         )  # fmt: skip
     return rig_of(tool, left, right, left_SE3_right)
 
@@ -183,6 +183,14 @@ def rig_of(
         rig_id=rig_id or f"{tool}-{digest}", left=left, right=right, sigma_px=sigma_px,
         body_SE3_left=matrices[0], body_SE3_right=matrices[1],
     )  # fmt: skip
+
+
+def rectified_rig(rig: Rig, path: Path) -> Rig:
+    """The rig that pictures are resampled to (`rectify`). Raises CalibrationError naming the file where there is none."""
+    try:
+        return rectify(rig)
+    except ValueError as error:
+        raise CalibrationError(f"{path}: {error}") from error
 
 
 def first_message(error: ValueError) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from conetl.errors import CalibrationError
 from conetl.geometry.calibration import kitti_raw_rig, kitti_rig
-from conetl.io.calibration_files.common import Array, Size, first_message, read_text
+from conetl.io.calibration_files.common import Array, Size, first_message, read_text, rectified_rig
 from conetl.records import Rig
 
 CAM_TO_CAM = "calib_cam_to_cam.txt"
@@ -63,6 +63,38 @@ def read_kitti_rig(
         )
     except ValueError as error:
         raise CalibrationError(f"{cam_to_cam}: {first_message(error)}") from error
+
+
+def kitti_rig_for_pictures(
+    cam_to_cam: Path,
+    size: Size | None,
+    *,
+    left: int = 2,
+    right: int = 3,
+    body_required: bool,
+    rig_id: str | None = None,
+    sigma_px: float = 0.5,
+) -> Rig:
+    """Rectified rig for left pictures of this width and height, which tell whether they are KITTI's rectified or its raw ones.
+
+    Raw pictures ("synced only") are those of the size S_0i; their rig has `rectified_from`. Where both sizes are equal, or the
+    size is neither or not known, the pictures are taken for rectified. Raises CalibrationError.
+    """
+    own = read_kitti_rig(
+        cam_to_cam, left=left, right=right, body_required=body_required, rig_id=rig_id, sigma_px=sigma_px
+    )
+    if size in (None, (own.left.width_px, own.left.height_px)) or size != kitti_raw_size(cam_to_cam, left):
+        return own
+    raw = read_kitti_rig(
+        cam_to_cam,
+        left=left,
+        right=right,
+        body_required=body_required,
+        pictures="raw",
+        rig_id=rig_id,
+        sigma_px=sigma_px,
+    )
+    return rectified_rig(raw, cam_to_cam)
 
 
 def kitti_raw_size(cam_to_cam: Path, number: int) -> Size | None:

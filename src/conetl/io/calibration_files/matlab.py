@@ -61,7 +61,11 @@ def read_matlab_rig(path: Path, *, image_size: Size | None = None, length_unit: 
     right = _camera(path, entry(path, found, "CameraParameters2"), "CameraParameters2.", image_size)
     unit = (length_unit or _unit(found)).lower()
     if unit not in LENGTH_UNITS:
-        raise bad(path, "WorldUnits", f"'{unit}' is not a known unit; known: {', '.join(LENGTH_UNITS)}. Say --unit mm")
+        raise bad(
+            path,
+            "WorldUnits",
+            f"'{unit}' is not a known unit; known: {', '.join(LENGTH_UNITS)}. Say it with conetl calibration convert --unit mm",
+        )
     key, right_R_left, t = _relative(path, found)
     return stereo_rig(path, key, "matlab", left, right, right_R_left, t * LENGTH_UNITS[unit])
 
@@ -102,7 +106,11 @@ def _camera(path: Path, camera: Any, where: str, image_size: Size | None) -> Cam
     lens = opencv_lens(path, f"{where}RadialDistortion", [*radial[:2], *tangential, k3])
     if image_size is None:
         if not _given(camera, "ImageSize"):
-            raise bad(path, f"{where}ImageSize", "is missing or empty; say --image-size 6000x4000")
+            raise bad(
+                path,
+                f"{where}ImageSize",
+                "is missing or empty; make a rig.yaml of it: conetl calibration convert with --image-size 6000x4000",
+            )
         rows_columns = picture_size(path, f"{where}ImageSize", camera["ImageSize"])
         image_size = rows_columns[1], rows_columns[0]
     return camera_from_matrix(path, key, k, image_size, lens)

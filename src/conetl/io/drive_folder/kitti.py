@@ -1,4 +1,6 @@
-"""Drive folders in the KITTI raw layout (synced and rectified; Geiger et al., IJRR 2013), as a `Drive` with its rejections.
+"""Drive folders in the KITTI raw layout (Geiger et al., IJRR 2013), as a `Drive` with its rejections.
+
+Pictures may be "synced and rectified" or "synced only": their size says which. Those of the latter are rectified when read.
 
     drive/image_02/data/0000000000.{png,jpg}   left images        drive/image_02/timestamps.txt
     drive/image_03/data/0000000000.{png,jpg}   right images
@@ -17,11 +19,11 @@ from pathlib import Path
 
 from conetl.errors import CalibrationError, DriveFolderError
 from conetl.geometry import geodesy
-from conetl.io.calibration_files import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, read_kitti_rig
+from conetl.io.calibration_files import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, kitti_rig_for_pictures
 from conetl.io.drive_folder import oxts
 from conetl.io.drive_folder.content import ContentHash
 from conetl.io.drive_folder.drive_yaml import DRIVE_YAML, DriveYaml, inside, read_drive_yaml
-from conetl.io.drive_folder.pairs import IMAGE_SUFFIXES, PairError, check_images, require_pairs
+from conetl.io.drive_folder.pairs import IMAGE_SUFFIXES, PairError, check_images, first_size, require_pairs
 from conetl.io.drive_folder.timestamps import out_of_order, parse_timestamps
 from conetl.records import Drive, FramePair, Rig
 from conetl.rejections import Rejection, RejectionReason
@@ -44,13 +46,15 @@ def read_kitti_drive(folder: Path, *, map_srid: int | None = None) -> tuple[Driv
     root = folder.resolve()
     content = ContentHash()
     settings = read_drive_yaml(root)
-    rig = _read_rig(root, folder.absolute().parent, settings, content)
+    calibration = _calibration_path(root, folder.absolute().parent, settings)
     rejections: list[Rejection] = []
     left = _numbered_images(_camera_folder(root, settings.cameras.left, settings), folder, rejections)
     right = _numbered_images(_camera_folder(root, settings.cameras.right, settings), folder, rejections)
     numbers = sorted(left.keys() | right.keys())
     if not numbers:
         raise DriveFolderError(f"{folder}: there are no pictures (*.png, *.jpg) in {settings.cameras.left}/data")
+    size = first_size(paths[0] for _, paths in sorted(left.items()))
+    rig = _read_rig(root, calibration, size, settings, content)
     zone = settings.timestamps_timezone
     stamps = parse_timestamps(_text(root, f"{settings.cameras.left}/timestamps.txt", content, required=True), zone)
     oxts_stamps = parse_timestamps(_text(root, "oxts/timestamps.txt", content, required=False), zone)
@@ -103,8 +107,8 @@ def read_kitti_drive(folder: Path, *, map_srid: int | None = None) -> tuple[Driv
     return drive, rejections
 
 
-def _read_rig(root: Path, parent: Path, settings: DriveYaml, content: ContentHash) -> Rig:
-    """The rig, with the chain from the IMU; its files go into the content hash."""
+def _calibration_path(root: Path, parent: Path, settings: DriveYaml) -> Path:
+    """Where calib_cam_to_cam.txt is. Raises CalibrationError."""
     if settings.calibration is not None:
         path = inside(root, settings.calibration, DRIVE_YAML)
         if not path.is_file():
@@ -120,9 +124,14 @@ def _read_rig(root: Path, parent: Path, settings: DriveYaml, content: ContentHas
                 f"{root}: {CAM_TO_CAM} is neither in the drive folder nor in its parent; KITTI delivers it with "
                 f"{VELO_TO_CAM} and {IMU_TO_VELO} as the calibration of the recording day"
             )
+    return path
+
+
+def _read_rig(root: Path, path: Path, size: tuple[int, int] | None, settings: DriveYaml, content: ContentHash) -> Rig:
+    """The rig for left pictures of this size, with the chain from the IMU; its files go into the content hash."""
     numbers = int(settings.cameras.left[-1]), int(settings.cameras.right[-1])
-    rig = read_kitti_rig(
-        path, left=numbers[0], right=numbers[1], body_required=True,
+    rig = kitti_rig_for_pictures(
+        path, size, left=numbers[0], right=numbers[1], body_required=True,
         rig_id=settings.rig_id, sigma_px=settings.sigmas.image_px,
     )  # fmt: skip
     for name in (path.name, VELO_TO_CAM, IMU_TO_VELO):

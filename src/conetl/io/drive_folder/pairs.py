@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from conetl.errors import DriveFolderError
+from conetl.geometry.rectification import stored_camera
 from conetl.io.drive_folder.content import ContentHash
+from conetl.io.image_headers import inspect_image
 from conetl.io.images import ImageFileError, check_image_bytes, read_bytes
-from conetl.records import FramePair, Rig
+from conetl.records import FramePair, Rig, Side
 from conetl.rejections import Rejection, RejectionReason
 
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
@@ -35,12 +37,15 @@ def check_images(
 ) -> tuple[Path, Path]:
     """Paths of both images of a pair, given all files that claim to be them.
 
-    Header, size and end marker are checked, nothing is decoded. Both are read (for the content hash) before either is judged.
+    Header, size (of the pictures as stored: raw, where the rig was rectified) and end marker are checked, nothing is decoded.
+    Both are read (for the content hash) before either is judged.
     Raises PairError.
     """
     problem: PairError | None = None
     good: list[Path] = []
-    for side, paths, camera in (("left", left, rig.left), ("right", right, rig.right)):
+    sides: tuple[tuple[Side, Sequence[Path]], ...] = (("left", left), ("right", right))
+    for side, paths in sides:
+        camera = stored_camera(rig, side)
         if len(paths) != 1:
             names = ", ".join(path.name for path in paths)
             reason = RejectionReason.IMAGE_UNREADABLE if paths else RejectionReason.IMAGE_MISSING
@@ -60,6 +65,17 @@ def check_images(
     if problem is not None:
         raise problem
     return good[0], good[1]
+
+
+def first_size(paths: Iterable[Path]) -> tuple[int, int] | None:
+    """Width and height of the first picture whose header can be read; None where there is none."""
+    for path in paths:
+        try:
+            header = inspect_image(read_bytes(path))
+        except (ImageFileError, ValueError):
+            continue
+        return header.width_px, header.height_px
+    return None
 
 
 def require_pairs(pairs: Sequence[FramePair], rejections: Sequence[Rejection], expected: int, folder: Path) -> None:

@@ -1,6 +1,6 @@
 """Plain drive folders: the least that a two-camera rig with a trajectory can deliver.
 
-    drive/left/*.{jpg,png}, drive/right/*.{jpg,png}   rectified images, the same stem for both images of a pair
+    drive/left/*.{jpg,png}, drive/right/*.{jpg,png}   images as rig.yaml describes them, the same stem for both of a pair
     drive/trajectory.csv                              one row a pair, the pose of the body at the exposure, see `Row`
     drive/rig.yaml                                    the rig, with body_SE3_left, see calibration_files/rig_yaml.py
     drive/drive.yaml                                  optional, see drive_yaml.py (cameras and calibration do not apply)
@@ -26,6 +26,7 @@ from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.io.calibration_files import RIG_YAML, read_rig_yaml
+from conetl.io.calibration_files.common import rectified_rig
 from conetl.io.drive_folder.content import ContentHash
 from conetl.io.drive_folder.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml
 from conetl.io.drive_folder.pairs import IMAGE_SUFFIXES, PairError, check_images, require_pairs
@@ -120,7 +121,10 @@ def read_plain_drive(folder: Path, *, map_srid: int | None = None) -> tuple[Driv
 
 
 def _read_rig(root: Path, settings: DriveYaml, content: ContentHash) -> Rig:
-    """The rig, which must tell how the left camera sits on the body; its file goes into the content hash."""
+    """The rectified rig, which must tell how the left camera sits on the body; its file goes into the content hash.
+
+    A rig.yaml with lenses or turned cameras describes raw pictures: they are resampled when they are read.
+    """
     path = root / RIG_YAML
     if not path.is_file():
         raise CalibrationError(
@@ -136,7 +140,8 @@ def _read_rig(root: Path, settings: DriveYaml, content: ContentHash) -> Rig:
         if (root / name).is_file():
             content.add(name, (root / name).read_bytes())
     changes = {"sigma_px": settings.sigmas.image_px} if "image_px" in settings.sigmas.model_fields_set else {}
-    return rig.model_copy(update=changes | ({"rig_id": settings.rig_id} if settings.rig_id else {}))
+    rig = rig.model_copy(update=changes | ({"rig_id": settings.rig_id} if settings.rig_id else {}))
+    return rectified_rig(rig, path)
 
 
 def _poses(rows: Sequence[Row], srid: int | None, folder: Path) -> tuple[int, dict[str, Pose]]:
