@@ -62,9 +62,8 @@ def rig_covariance(reduced: Reduced, rig_parameters: int, variance_factor: float
         leverage, axes = np.linalg.eigh(half.T @ share @ half)
         corrected = axes @ ((axes.T @ (half.T @ gradient)) / np.sqrt(1.0 - np.clip(leverage, 0.0, _LARGEST_LEVERAGE)))
         influences.append(back @ corrected)
-    whitened: Array = np.linalg.solve(
-        root, (np.array(influences) / sizes).T
-    ).T  # (p, k): sums to the identity if independent
+    # (p, k): the outer products sum to the identity where errors are independent
+    whitened = np.asarray(np.linalg.solve(root, (np.array(influences) / sizes).T).T, dtype=np.float64)
     shape, effect, shrinkage = _shrunk(whitened)
     spread = sizes[:, None] * root
     full = spread @ shape @ spread.T + known

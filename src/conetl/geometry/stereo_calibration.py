@@ -248,7 +248,7 @@ def _refitted(camera: Camera, model: LensModel) -> Lens:
     else:
         _, by_k = distort_jacobian(blank, ideal[good])  # these models are linear in their coefficients
         wanted = (bent[good] - distort(blank, ideal[good])).ravel()
-        fitted = np.linalg.lstsq(by_k.reshape(-1, by_k.shape[2]), wanted)[0]
+        fitted = np.asarray(np.linalg.lstsq(by_k.reshape(-1, by_k.shape[2]), wanted)[0], dtype=np.float64)
     padded = (*(float(k) for k in fitted), *(0.0,) * (LENS_COEFFICIENTS[model] - len(fitted)))
     return Lens(model=model, coefficients=padded)
 

@@ -55,16 +55,17 @@ def _one_camera(
             if good.all():
                 break
             chosen = [v for v, g in zip(chosen, good, strict=True) if g]
-        poses = {v.pair_index: _pose(points_m, v, k, lens) for v in views}
+        matrix, coefficients = (np.asarray(a, dtype=np.float64) for a in (k, lens))
+        poses = {v.pair_index: _pose(points_m, v, matrix, coefficients) for v in views}
     except cv2.error as error:
         raise CalibrationError(
             f"OpenCV finds no calibration of the {side} camera: {str(error).strip()}. Are the pictures all alike? Tilt the "
             "board, and bring it near and far"
         ) from error
-    k1, k2 = (float(c) for c in lens.ravel()[:2])
+    k1, k2 = (float(c) for c in coefficients.ravel()[:2])
     camera = Camera(
-        width_px=size[0], height_px=size[1], fx_px=float(k[0, 0]), fy_px=float(k[1, 1]), cx_px=float(k[0, 2]),
-        cy_px=float(k[1, 2]), lens=Lens(model="radial", coefficients=(k1, k2)),
+        width_px=size[0], height_px=size[1], fx_px=float(matrix[0, 0]), fy_px=float(matrix[1, 1]), cx_px=float(matrix[0, 2]),
+        cy_px=float(matrix[1, 2]), lens=Lens(model="radial", coefficients=(k1, k2)),
     )  # fmt: skip
     return camera, poses
 
