@@ -1,7 +1,7 @@
 """Refined against logged trajectory: how still the cones of a drive stand, and what the refinement costs.
 
-Each cone's frames are cut into four parts by time, and each part alone gives a place (mean weighted by the covariance of the
-single positions). The distance of two cones is then taken for all 4 x 4 pairs of parts: where the trajectory holds, all are
+Each cone's frames are cut into four parts by time, and each part alone gives a place (joint
+adjustment of its rays). The distance of two cones is then taken for all 4 x 4 pairs of parts: where the trajectory holds, all are
 equal.
 
     python benchmarks/bench_trajectory.py DRIVE [--cache FILE]
@@ -22,7 +22,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from conetl.geometry.packing import cov_matrix
+from conetl.geometry.joint_fit import fit_point
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
 from conetl.io.detector import detect_image, load_detector
 from conetl.io.drive_folder import read_drive
@@ -66,27 +66,37 @@ def places(pairs: list[FramePair], drive: Drive, matches: list[StereoMatch], par
     return locate_positions(matches, {p.frame_index: p for p in pairs}, drive.rig, params.position)[0]
 
 
-def part_places(group: list[Position], left: dict[int, np.ndarray]) -> np.ndarray:
-    """(PARTS, 3) place of one cone from each part of its frames."""
-    result = []
+def part_places(
+    group: list[Position], found: dict[tuple[int, int], StereoMatch], drive: Drive, poses: dict[int, FramePair]
+) -> np.ndarray:
+    """(PARTS, 3) place of one cone from each part of its frames, by the product's own joint adjustment."""
+    rig, result = drive.rig, []
     for part in np.array_split(np.arange(len(group)), PARTS):
-        weights, total = np.zeros((3, 3)), np.zeros(3)
-        for p in (group[i] for i in part):
-            pose = left[p.frame_index]
-            # Floor of 2 cm: boxes of one cone share errors that their covariance does not show.
-            information = np.linalg.inv(
-                pose[:3, :3] @ (cov_matrix(p.camera_cov_m2) + 4e-4 * np.eye(3)) @ pose[:3, :3].T
-            )
-            weights += information
-            total += information @ np.array(p.xyz_m)
-        result.append(np.linalg.solve(weights, total))
+        some = [group[i] for i in part]
+        pairs = [found[p.frame_index, p.match_index] for p in some]
+        body = [poses[p.frame_index].pose for p in some]
+        fit = fit_point(
+            np.array([(*m.foot_left_uv_px, *m.foot_right_uv_px) for m in pairs]),
+            np.array(min(some, key=lambda p: p.range_m).xyz_m),
+            np.stack([map_SE3_left(pose, rig) for pose in body]),
+            np.stack([map_SE3_right(pose, rig) for pose in body]),
+            np.array([rig.left.fx_px, rig.left.fy_px, rig.right.fx_px, rig.right.fy_px]),
+            np.array([rig.left.cx_px, rig.left.cy_px, rig.right.cx_px, rig.right.cy_px]),
+            sigma_u_px=np.array([m.sigma_u_px for m in pairs]),
+            sigma_v_px=np.array([m.sigma_v_px for m in pairs]),
+            sigma_pointing_px=np.array([m.sigma_pointing_px for m in pairs]),
+            sigma_motion_m=np.full(len(pairs), 0.02),
+        )
+        if fit is None:
+            raise SystemExit(f"no place from frame pairs {[p.frame_index for p in some]}")
+        result.append(fit.xyz_m)
     return np.array(result)
 
 
 def report(name: str, pairs: list[FramePair], drive: Drive, groups: list, matches: list, params: IngestParams) -> None:
     positions = {(p.frame_index, p.match_index): p for p in places(pairs, drive, matches, params)}
-    left = {p.frame_index: map_SE3_left(p.pose, drive.rig) for p in pairs}
-    feet = [part_places([positions[m] for m in members if m in positions], left) for members in groups]
+    poses, found = {p.frame_index: p for p in pairs}, {(m.frame_index, m.match_index): m for m in matches}
+    feet = [part_places([positions[m] for m in members if m in positions], found, drive, poses) for members in groups]
     slides = [float(np.linalg.norm(f[:, None, :2] - f[None, :, :2], axis=2).max()) for f in feet]
     rows = []
     for a, b in itertools.combinations(range(len(feet)), 2):
@@ -124,7 +134,9 @@ def main() -> None:
     left = {p.frame_index: map_SE3_left(p.pose, drive.rig) for p in refined}
     positions = places(refined, drive, matches, params)
     chains = chain_positions(positions, left, params.track)
-    with_cones = refine_trajectory(logged, drive.rig, motions, params.trajectory, chains)
+    with_cones = refine_trajectory(
+        logged, drive.rig, motions, params.trajectory.model_copy(update={"max_shift_chi2": 1e3}), chains
+    )
     last = list(with_cones.frame_pairs)
     tracks, _ = fuse_tracks(
         places(last, drive, matches, params),

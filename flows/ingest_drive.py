@@ -23,6 +23,7 @@ from flows.merge import already_committed, identify, merge_task
 from flows.merge import map_srid as srid_of_map
 from flows.progress import expect, ignore, listen
 from flows.publish import publish_task
+from flows.refinement import moved, odometry_chunks, odometry_task, refine_task
 from flows.retries import lost_frame_pairs
 from flows.tasks import (
     Chunk,
@@ -38,7 +39,7 @@ from flows.tasks import (
 def ingest_drive(
     folder: Path, settings: Settings, params: IngestParams, *, map_srid: int | None = None
 ) -> IngestReport:
-    """Read -> detect -> match -> locate -> fuse -> merge -> publish.
+    """Read -> detect and odometry -> match -> refine -> locate -> fuse -> merge -> publish.
 
     folder: a drive folder. map_srid: CRS of the map where it is not the UTM zone of the drive. Raises ConetlError (bad input,
     service missing: nothing was written) and TooManyRejectionsError (written, but look at the rejections).
@@ -62,14 +63,17 @@ def ingest_drive(
         )
         for first in range(0, len(drive.frame_pairs), params.chunk_pairs)
     ]
-    detection_paths, match_paths, position_paths = _run_chunks(drive.drive_id, chunks)
+    detection_paths, match_paths, motion_paths = _run_chunks(drive.drive_id, chunks)
+    trajectory = refine_task(drive, motion_paths, match_paths, params)
+    drive = drive.model_copy(update={"frame_pairs": trajectory.frame_pairs})
+    position_paths = [locate_task(c, m) for c, m in zip(moved(chunks, trajectory), match_paths, strict=True)]
     detections, refused_detections = load_results(detection_paths, Detection)
     matches, refused_matches = load_results(match_paths, StereoMatch)
     positions, refused_positions = load_results(position_paths, Position)
-    tracks, refused_tracks = fuse_task(drive, detections, matches, positions, params, identity.evidence)
+    tracks, refused_tracks = fuse_task(drive, detections, matches, positions, params, identity.evidence, trajectory)
     rejections = [*rejections, *refused_detections, *refused_matches, *refused_positions, *refused_tracks]
     merged = merge_task(drive, identity, detections, matches, positions, tracks, rejections, settings, params)
-    report = merged.report.model_copy(update={"seconds": time.monotonic() - started})
+    report = merged.report.model_copy(update={"seconds": time.monotonic() - started, "trajectory": trajectory.detail})
     if report.status == "committed":
         publish_task(drive, merged.changeset, list(merged.untouched), report, settings)
     lost = len(lost_frame_pairs(rejections, INPUT_REASONS))
@@ -79,13 +83,14 @@ def ingest_drive(
 
 
 def _run_chunks(drive_id: str, chunks: list[Chunk]) -> tuple[list[Path], list[Path], list[Path]]:
-    """Detect, match and locate all chunks; a chunk's matching starts when its two sides are there.
+    """Detect and match all chunks, with visual odometry beside it; matching starts when a chunk's two sides are there.
 
     Tasks wait for their inputs in their own thread. Submitting each step one chunk behind the step before keeps such waiting
     threads from holding back detections that could run.
     """
-    images = 2 * sum(len(chunk.frame_pairs) for chunk in chunks)
-    progress = create_progress_artifact(0.0, key="progress", description=f"Images of drive {drive_id}")
+    overlapping = list(odometry_chunks(chunks)) if chunks[0].params.trajectory.refine else []
+    steps = 2 * sum(len(chunk.frame_pairs) for chunk in chunks) + sum(len(o.frame_pairs) - 1 for o in overlapping)
+    progress = create_progress_artifact(0.0, key="progress", description=f"Images and motions of drive {drive_id}")
     assert isinstance(progress, UUID)  # a coroutine only where an event loop runs
     shown = 0
 
@@ -95,21 +100,21 @@ def _run_chunks(drive_id: str, chunks: list[Chunk]) -> tuple[list[Path], list[Pa
             shown = done * 10 // total
             update_progress_artifact(progress, 100.0 * done / total)
 
-    expect(drive_id, images)
+    expect(drive_id, steps)
     listen(show)
     try:
         detected: list[PrefectFuture[Path]] = []
         matched: list[PrefectFuture[Path]] = []
-        located: list[PrefectFuture[Path]] = []
-        for step in range(len(chunks) + 2):
+        followed: list[PrefectFuture[Path]] = []
+        for step in range(len(chunks) + 1):
             if step < len(chunks):
                 detected += [detect_task.submit(chunks[step], "left"), detect_task.submit(chunks[step], "right")]
             if 0 <= step - 1 < len(chunks):
                 left, right = detected[2 * (step - 1) : 2 * step]
                 matched.append(match_task.submit(chunks[step - 1], left, right))
-            if 0 <= step - 2 < len(chunks):
-                located.append(locate_task.submit(chunks[step - 2], matched[step - 2]))
-        return [f.result() for f in detected], [f.result() for f in matched], [f.result() for f in located]
+            if step < len(overlapping):
+                followed.append(odometry_task.submit(overlapping[step]))
+        return [f.result() for f in detected], [f.result() for f in matched], [f.result() for f in followed]
     finally:
         ignore(show)
 

@@ -49,6 +49,8 @@ class IngestReport(Record):
     params_sha256: str
     model_sha256: str
     seconds: float
+    trajectory: str | None = None
+    """What became of the logged poses, in a sentence; None of a known drive."""
     committed_at: datetime | None
     """When a known drive was committed; None for one that this run committed."""
 

@@ -47,12 +47,15 @@ class LoggedPoses:
 
 
 @dataclass(frozen=True)
-class MeasuredMotion:
-    """One measured interval: from frame `start` to the next."""
+class MeasuredMotions:
+    """M measured intervals: each from frame `start` to the next."""
 
-    start: int
+    start: NDArray[np.intp]
+    """(M,), each once."""
     next_SE3_first: Floats
+    """(M, 4, 4) of the left camera."""
     cov: Floats
+    """(M, 6, 6) of (rotation rad, translation m) in the second frame."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +70,7 @@ class Sighting:
 
 def adjust(
     log: LoggedPoses,
-    motions: Sequence[MeasuredMotion],
+    motions: MeasuredMotions,
     sightings: Sequence[Sighting],
     robust_sigmas: float,
     scale_sigma: float,
@@ -101,7 +104,7 @@ def _normal_equations(
     places: Floats,
     bias: Floats,
     shared: Floats,
-    motions: Sequence[MeasuredMotion],
+    motions: MeasuredMotions,
     sightings: Sequence[Sighting],
     robust_sigmas: float,
     scale_sigma: float,
@@ -146,26 +149,29 @@ def _add_motions(
     rotations: Floats,
     places: Floats,
     scale: float,
-    motions: Sequence[MeasuredMotion],
+    motions: MeasuredMotions,
     robust_sigmas: float,
 ) -> None:
     """Add visual odometry to the normal equations; the scale is the first of the shared unknowns."""
-    for motion in motions:
-        k = motion.start
-        residual, from_first, from_second = motion_residual(log, rotations, places, motion, scale)
-        information = np.linalg.inv(motion.cov)
-        information *= _huber(float(residual @ information @ residual) / 6, robust_sigmas)
-        from_scale = np.concatenate([np.zeros(3), motion.next_SE3_first[:3, 3] - residual[3:]])[:, None]
-        wide_first, wide_second = information @ from_first, information @ from_second
-        normal.diagonal[k, :POSE, :POSE] += from_first.T @ wide_first
-        normal.diagonal[k + 1, :POSE, :POSE] += from_second.T @ wide_second
-        normal.upper[k, :POSE, :POSE] += from_first.T @ wide_second
-        normal.border[k, :POSE, :1] += wide_first.T @ from_scale
-        normal.border[k + 1, :POSE, :1] += wide_second.T @ from_scale
-        normal.corner[:1, :1] += from_scale.T @ information @ from_scale
-        normal.right[k, :POSE] += wide_first.T @ residual
-        normal.right[k + 1, :POSE] += wide_second.T @ residual
-        normal.right_shared[:1] += from_scale.T @ information @ residual
+    residual, from_first, from_second = motion_residuals(log, rotations, places, motions, scale)
+    information = np.linalg.inv(motions.cov)
+    misfit2 = np.einsum("mi,mij,mj->m", residual, information, residual) / 6
+    information *= _huber(misfit2, robust_sigmas)[:, None, None]
+    from_scale = np.zeros((len(residual), 6, 1))
+    from_scale[:, 3:, 0] = motions.next_SE3_first[:, :3, 3] - residual[:, 3:]
+    wide_first = np.swapaxes(from_first, 1, 2) @ information
+    wide_second = np.swapaxes(from_second, 1, 2) @ information
+    wide_scale = np.swapaxes(from_scale, 1, 2) @ information
+    k = motions.start
+    normal.diagonal[k, :POSE, :POSE] += wide_first @ from_first
+    normal.diagonal[k + 1, :POSE, :POSE] += wide_second @ from_second
+    normal.upper[k, :POSE, :POSE] += wide_first @ from_second
+    normal.border[k, :POSE, :1] += wide_first @ from_scale
+    normal.border[k + 1, :POSE, :1] += wide_second @ from_scale
+    normal.corner[:1, :1] += (wide_scale @ from_scale).sum(axis=0)
+    normal.right[k, :POSE] += (wide_first @ residual[:, :, None])[:, :, 0]
+    normal.right[k + 1, :POSE] += (wide_second @ residual[:, :, None])[:, :, 0]
+    normal.right_shared[:1] += (wide_scale @ residual[:, :, None]).sum(axis=0)[:, 0]
 
 
 def _add_sightings(
@@ -185,7 +191,7 @@ def _add_sightings(
         centre = places[s.frame] + rotations[s.frame] @ lever
         local = camera_R_map @ (shared[at] - centre)
         residual = s.xyz - local
-        information = s.information * _huber(float(residual @ s.information @ residual) / 3, robust_sigmas)
+        information = s.information * _huber(np.asarray(residual @ s.information @ residual / 3), robust_sigmas)
         by_pose = np.hstack(
             [-camera_R_map, camera_R_map @ rotations[s.frame] @ skew(lever) + skew(local) @ body_R_left.T]
         )
@@ -196,32 +202,33 @@ def _add_sightings(
         normal.right_shared[at] += camera_R_map.T @ information @ residual
 
 
-def motion_residual(
-    log: LoggedPoses, rotations: Floats, places: Floats, motion: MeasuredMotion, scale: float
+def motion_residuals(
+    log: LoggedPoses, rotations: Floats, places: Floats, motions: MeasuredMotions, scale: float
 ) -> tuple[Floats, Floats, Floats]:
-    """Measured minus computed motion (6,), and the derivatives (6, 6) of the computed one by the two poses' errors."""
-    k = motion.start
-    first = se3.compose(se3.se3(rotations[k], places[k]), log.body_SE3_left)
-    second = se3.compose(se3.se3(rotations[k + 1], places[k + 1]), log.body_SE3_left)
+    """Measured minus computed motions (M, 6), and the derivatives (M, 6, 6) of the computed ones by the two poses' errors."""
+    left = se3.compose(se3.se3(rotations, places), log.body_SE3_left)
+    first, second = left[motions.start], left[motions.start + 1]
     computed = se3.compose(se3.invert(second), first)
-    turn = Rotation.from_matrix(motion.next_SE3_first[:3, :3] @ computed[:3, :3].T).as_rotvec()
-    residual = np.concatenate([turn, motion.next_SE3_first[:3, 3] - (1 + scale) * computed[:3, 3]])
+    measured = motions.next_SE3_first
+    turn = Rotation.from_matrix(measured[:, :3, :3] @ np.swapaxes(computed[:, :3, :3], 1, 2)).as_rotvec()
+    residual = np.hstack([turn, measured[:, :3, 3] - (1 + scale) * computed[:, :3, 3]])
     from_first, from_second = motion_jacobians(first, second, log.body_SE3_left)
     return residual, from_first, from_second
 
 
 def motion_jacobians(map_SE3_first: Floats, map_SE3_second: Floats, body_SE3_left: Floats) -> tuple[Floats, Floats]:
-    """Derivatives (6, 6) of second_SE3_first, error (rotation, translation) in the second camera, by both body poses' (p, a)."""
-    second_R_map = map_SE3_second[:3, :3].T
+    """Derivatives (..., 6, 6) of second_SE3_first (rotation, translation in the second camera) by both bodies' (p, a)."""
+    second_R_map = np.swapaxes(map_SE3_second[..., :3, :3], -1, -2)
     motion = se3.compose(se3.invert(map_SE3_second), map_SE3_first)
-    left_R_body, lever = body_SE3_left[:3, :3].T, body_SE3_left[:3, 3]
-    by_first, by_second = np.zeros((6, 6)), np.zeros((6, 6))
-    by_first[:3, 3:] = motion[:3, :3] @ left_R_body
-    by_second[:3, 3:] = -left_R_body
-    by_first[3:, :3], by_second[3:, :3] = second_R_map, -second_R_map
+    left_R_body, lever = body_SE3_left[:3, :3].T, skew(body_SE3_left[:3, 3])
+    by_first = np.zeros((*motion.shape[:-2], 6, 6))
+    by_second = np.zeros_like(by_first)
+    by_first[..., :3, 3:] = motion[..., :3, :3] @ left_R_body
+    by_second[..., :3, 3:] = -left_R_body
+    by_first[..., 3:, :3], by_second[..., 3:, :3] = second_R_map, -second_R_map
     # The camera sits at a lever from the body: turning the body moves it.
-    by_first[3:, 3:] = -second_R_map @ map_SE3_first[:3, :3] @ left_R_body @ skew(lever)
-    by_second[3:, 3:] = left_R_body @ skew(lever) + skew(motion[:3, 3]) @ left_R_body
+    by_first[..., 3:, 3:] = -motion[..., :3, :3] @ left_R_body @ lever
+    by_second[..., 3:, 3:] = left_R_body @ lever + skew(motion[..., :3, 3]) @ left_R_body
     return by_first, by_second
 
 
@@ -230,11 +237,14 @@ def _to_map(log: LoggedPoses, rotations: Floats, places: Floats, sighting: Sight
     return np.asarray(rotations[sighting.frame] @ body + places[sighting.frame])
 
 
-def _huber(misfit2: float, bound: float) -> float:
-    """Weight of a measurement whose mean squared misfit is `misfit2` (1 where it fits)."""
-    return 1.0 if misfit2 <= bound**2 else bound / misfit2**0.5
+def _huber(misfit2: Floats, bound: float) -> Floats:
+    """Weights of measurements whose mean squared misfits are `misfit2` (1 where they fit)."""
+    return np.minimum(1.0, bound / np.sqrt(np.maximum(misfit2, 1e-12)))
 
 
 def skew(vector: Floats) -> Floats:
-    x, y, z = vector.tolist()
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    """(..., 3, 3) matrices of the cross product with vectors (..., 3)."""
+    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
+    zero = np.zeros_like(x)
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)

@@ -10,7 +10,7 @@ global nearest neighbour, e.g. Bar-Shalom, Willett & Tian 2011, ch. 6).
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +22,8 @@ from conetl.params import TrackParams
 from conetl.records import Position
 
 Floats = NDArray[np.float64]
+#: (start frame, end frame, point (3,) m in the left camera at start) -> (3, 3) m^2 that the motion adds to its covariance.
+MotionError = Callable[[int, int, Floats], Floats]
 #: Cost of an impossible pairing in the assignment; far above any gate.
 _FORBIDDEN = 1e6
 
@@ -36,11 +38,15 @@ class Chain:
 
 
 def chain_positions(
-    positions: Sequence[Position], map_SE3_left: Mapping[int, Floats], params: TrackParams
+    positions: Sequence[Position],
+    map_SE3_left: Mapping[int, Floats],
+    params: TrackParams,
+    motion: MotionError | None = None,
 ) -> list[tuple[Position, ...]]:
     """Group the positions of one drive by physical cone.
 
-    map_SE3_left: (4, 4) left camera -> map, by frame index. Returns the groups, each by rising frame index and with at most one
+    map_SE3_left: (4, 4) left camera -> map, by frame index. motion: error of the relative motion where it is known; without it
+    the shares in `params` hold. Returns the groups, each by rising frame index and with at most one
     position per frame; every position is in exactly one group.
     """
     by_frame: dict[int, list[Position]] = defaultdict(list)
@@ -51,16 +57,25 @@ def chain_positions(
     for frame_index in sorted(by_frame):
         still_open = [c for c in open_chains if frame_index - c.members[-1].frame_index <= params.max_gap_frames]
         closed += [c for c in open_chains if frame_index - c.members[-1].frame_index > params.max_gap_frames]
-        open_chains = _extend(still_open, by_frame[frame_index], frame_index, map_SE3_left, params)
-    return join_fragments([c.members for c in closed + open_chains], map_SE3_left, params)
+        open_chains = _extend(still_open, by_frame[frame_index], frame_index, map_SE3_left, params, motion)
+    return join_fragments([c.members for c in closed + open_chains], map_SE3_left, params, motion)
 
 
 def carry(
-    mean: Floats, cov: Floats, start: int, end: int, map_SE3_left: Mapping[int, Floats], params: TrackParams
+    mean: Floats,
+    cov: Floats,
+    start: int,
+    end: int,
+    map_SE3_left: Mapping[int, Floats],
+    params: TrackParams,
+    motion: MotionError | None = None,
 ) -> tuple[Floats, Floats]:
     """A point (3,) with covariance (3, 3) of the left camera's frame at `start`, in that of `end`."""
     end_SE3_start = np.linalg.inv(map_SE3_left[end]) @ map_SE3_left[start]
     rotation, translation = end_SE3_start[:3, :3], end_SE3_start[:3, 3]
+    if motion is not None:
+        error = motion(start, end, mean) + params.motion_sigma_m**2 * np.eye(3)
+        return rotation @ mean + translation, rotation @ cov @ rotation.T + error
     along = np.outer(translation, translation)  # (way driven)^2 in its direction, nothing across it
     across = float(translation @ translation) * np.eye(3) - along
     error = (
@@ -77,9 +92,12 @@ def _extend(
     frame_index: int,
     map_SE3_left: Mapping[int, Floats],
     params: TrackParams,
+    motion: MotionError | None,
 ) -> list[Chain]:
     """The open chains after one more frame: each position extends the chain it fits, or starts one."""
-    carried = [carry(c.mean, c.cov, c.members[-1].frame_index, frame_index, map_SE3_left, params) for c in chains]
+    carried = [
+        carry(c.mean, c.cov, c.members[-1].frame_index, frame_index, map_SE3_left, params, motion) for c in chains
+    ]
     costs = np.full((len(chains), len(found)), _FORBIDDEN)
     for i, (mean, cov) in enumerate(carried):
         for j, position in enumerate(found):
@@ -110,7 +128,10 @@ def _updated(chain: Chain, mean: Floats, cov: Floats, position: Position) -> Cha
 
 
 def join_fragments(
-    groups: Sequence[tuple[Position, ...]], map_SE3_left: Mapping[int, Floats], params: TrackParams
+    groups: Sequence[tuple[Position, ...]],
+    map_SE3_left: Mapping[int, Floats],
+    params: TrackParams,
+    motion: MotionError | None = None,
 ) -> list[tuple[Position, ...]]:
     """Join groups that are one cone seen again after a longer gap (hidden by a post, or missed by the detector).
 
@@ -122,7 +143,7 @@ def join_fragments(
         best: tuple[float, int, int] | None = None
         for i in range(len(joined)):
             for j in range(i + 1, len(joined)):
-                misfit = _misfit(joined[i], joined[j], map_SE3_left, params)
+                misfit = _misfit(joined[i], joined[j], map_SE3_left, params, motion)
                 if misfit is not None and (best is None or misfit < best[0]):
                     best = (misfit, i, j)
         if best is None:
@@ -133,7 +154,11 @@ def join_fragments(
 
 
 def _misfit(
-    a: tuple[Position, ...], b: tuple[Position, ...], map_SE3_left: Mapping[int, Floats], params: TrackParams
+    a: tuple[Position, ...],
+    b: tuple[Position, ...],
+    map_SE3_left: Mapping[int, Floats],
+    params: TrackParams,
+    motion: MotionError | None,
 ) -> float | None:
     """Squared Mahalanobis distance of two groups, or None where they cannot be one cone."""
     frames_a, frames_b = {p.frame_index for p in a}, {p.frame_index for p in b}
@@ -147,6 +172,7 @@ def _misfit(
         other.frame_index,
         map_SE3_left,
         params,
+        motion,
     )
     difference = np.array(other.camera_xyz_m) - mean
     spread = cov + cov_matrix(other.camera_cov_m2)

@@ -13,7 +13,7 @@ from conetl.geometry.packing import cov3, vec3
 from conetl.params import IngestParams, TrackParams
 from conetl.records import Detection, FramePair, Position, Rig, StereoMatch, Track
 from conetl.rejections import Rejection, RejectionReason
-from conetl.steps.association import chain_positions
+from conetl.steps.association import MotionError, chain_positions
 from conetl.steps.existence import existence_probability
 
 Floats = NDArray[np.float64]
@@ -29,19 +29,31 @@ def fuse_tracks(
     map_SE3_right: Mapping[int, Floats],
     params: IngestParams,
     evidence: DetectorEvidence = UNMEASURED,
+    motion: MotionError | None = None,
 ) -> tuple[list[Track], list[Rejection]]:
     """Fuse the positions of one drive into tracks.
 
     matches: by (frame_index, match_index). detections: those of both images by frame index. map_SE3_left, map_SE3_right:
-    (4, 4) camera -> map by frame index. evidence: what the detector's boxes mean. A group that is too short, never near, off the
+    (4, 4) camera -> map by frame index. evidence: what the detector's boxes mean. motion: error of the relative
+    motion of a refined trajectory; without it the shares in `params.track` hold. A group that is too short, never near, off the
     road surface, of impossible height or unlikely to be a cone is rejected with the reason.
     """
     tracks: list[Track] = []
     rejections: list[Rejection] = []
-    groups = chain_positions(positions, map_SE3_left, params.track)
+    groups = chain_positions(positions, map_SE3_left, params.track, motion)
     for group in sorted(groups, key=lambda g: (g[0].frame_index, g[0].match_index)):
         result = _fuse_group(
-            len(tracks), group, matches, detections, frame_pairs, rig, map_SE3_left, map_SE3_right, params, evidence
+            len(tracks),
+            group,
+            matches,
+            detections,
+            frame_pairs,
+            rig,
+            map_SE3_left,
+            map_SE3_right,
+            params,
+            evidence,
+            motion,
         )
         if isinstance(result, Track):
             tracks.append(result)
@@ -61,6 +73,7 @@ def _fuse_group(
     map_SE3_right: Mapping[int, Floats],
     params: IngestParams,
     evidence: DetectorEvidence,
+    motion: MotionError | None,
 ) -> Track | Rejection:
     limits = params.track
     if len(group) < limits.min_observations:
@@ -85,6 +98,7 @@ def _fuse_group(
             map_SE3_right,
             limits,
             params.position.convergence_m2,
+            motion,
         )
         for kind in ("foot", "centre", "tip")
     )
@@ -134,15 +148,12 @@ def _fit(
     map_SE3_right: Mapping[int, Floats],
     limits: TrackParams,
     convergence_m2: float,
+    motion: MotionError | None,
 ) -> JointFit | None:
     """Joint adjustment of one of the cone's three points over all its stereo pairs."""
     left = np.stack([map_SE3_left[p.frame_index] for p in group])
     right = np.stack([map_SE3_right[p.frame_index] for p in group])
     nearest = min(group, key=lambda p: p.range_m)
-    driven_m = np.linalg.norm(left[:, :3, 3] - map_SE3_left[nearest.frame_index][:3, 3], axis=1)
-    # Relative error of two poses: it grows with the way between them, and never beyond what GNSS leaves open.
-    gnss_m = np.array([np.linalg.norm(frame_pairs[p.frame_index].pose.sigma_enu_m) for p in group])
-    attitude_m = np.array([max(frame_pairs[p.frame_index].pose.sigma_rpy_rad) * p.range_m for p in group])
     observed = np.array(
         [(*getattr(m, f"{kind}_left_uv_px"), *getattr(m, f"{kind}_right_uv_px")) for m in pairs],
         dtype=np.float64,
@@ -157,9 +168,29 @@ def _fit(
         sigma_u_px=np.array([m.sigma_u_px for m in pairs]),
         sigma_v_px=np.array([m.sigma_v_px for m in pairs]),
         sigma_pointing_px=np.array([m.sigma_pointing_px for m in pairs]),
-        sigma_motion_m=np.hypot(np.minimum(limits.motion_sigma_relative * driven_m, gnss_m), attitude_m),
+        sigma_motion_m=_motion_sigmas(group, nearest, frame_pairs, left, map_SE3_left, limits, motion),
         convergence_m2=convergence_m2,
     )
+
+
+def _motion_sigmas(
+    group: tuple[Position, ...],
+    nearest: Position,
+    frame_pairs: Mapping[int, FramePair],
+    left: Floats,
+    map_SE3_left: Mapping[int, Floats],
+    limits: TrackParams,
+    motion: MotionError | None,
+) -> Floats:
+    """Sigma (F,) m of where each frame of a group puts the cone, relative to the frame nearest to it."""
+    if motion is not None:
+        added = [motion(p.frame_index, nearest.frame_index, np.array(p.camera_xyz_m)) for p in group]
+        return np.asarray(np.sqrt(np.trace(np.stack(added), axis1=1, axis2=2) / 3))
+    driven_m = np.linalg.norm(left[:, :3, 3] - map_SE3_left[nearest.frame_index][:3, 3], axis=1)
+    # Relative error of two poses: it grows with the way between them, and never beyond what GNSS leaves open.
+    gnss_m = np.array([np.linalg.norm(frame_pairs[p.frame_index].pose.sigma_enu_m) for p in group])
+    attitude_m = np.array([max(frame_pairs[p.frame_index].pose.sigma_rpy_rad) * p.range_m for p in group])
+    return np.asarray(np.hypot(np.minimum(limits.motion_sigma_relative * driven_m, gnss_m), attitude_m))
 
 
 def _common_pose_cov(group: tuple[Position, ...], frame_pairs: Mapping[int, FramePair]) -> Floats:

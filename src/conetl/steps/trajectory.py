@@ -22,16 +22,17 @@ from conetl.geometry.packing import cov_matrix, vec3
 from conetl.geometry.pose_graph import (
     POSE,
     LoggedPoses,
-    MeasuredMotion,
+    MeasuredMotions,
     Sighting,
     adjust,
     motion_jacobians,
-    motion_residual,
+    motion_residuals,
     skew,
 )
 from conetl.geometry.stereo_motion import RelativeMotion
 from conetl.params import TrajectoryParams
 from conetl.records import FramePair, Pose, Position, Rig
+from conetl.steps.association import MotionError
 
 Floats = NDArray[np.float64]
 #: Poses stated to be better than this are taken to be this good: zero would have no weight to compare with.
@@ -39,7 +40,7 @@ _LEAST_SIGMA_M, _LEAST_SIGMA_RAD, _LEAST_STEP_S = 1e-4, 1e-6, 1e-3
 #: Chi-square of 6 degrees of freedom at 1e-6: an interval beyond it contradicts GNSS/INS outright.
 _GATE_CHI2 = 38.3
 _NEIGHBOURS = 4
-_LONE_SIGMAS = 6.0
+_LONE_SIGMAS = 4.5
 
 
 class RefinementOutcome(StrEnum):
@@ -89,16 +90,17 @@ def refine_trajectory(
         return _as_logged(frame_pairs, rig, RefinementOutcome.SWITCHED_OFF, "refinement is switched off")
     log = _read_log(frame_pairs, rig, params)
     measured = _measured(frame_pairs, motions, params)
-    if not measured:
+    if not len(measured.start):
         return _as_logged(
             frame_pairs, rig, RefinementOutcome.NO_MEASUREMENT, "no two consecutive frame pairs could be compared"
         )
-    kept, refused = _check_intervals(log, measured)
-    refused_frames = tuple(frame_pairs[m.start].frame_index for m in refused)
-    if not kept:
-        detail = f"all {len(measured)} measured motions contradict GNSS/INS or each other"
+    good = _believable(log, measured)
+    refused_frames = tuple(frame_pairs[k].frame_index for k in measured.start[~good])
+    if not good.any():
+        detail = f"all {len(good)} measured motions contradict GNSS/INS or each other"
         return _as_logged(frame_pairs, rig, RefinementOutcome.NO_MEASUREMENT, detail, refused_frames)
     sightings = _sightings(frame_pairs, cones)
+    kept = MeasuredMotions(measured.start[good], measured.next_SE3_first[good], measured.cov[good])
     solved = adjust(log, kept, sightings, params.robust_sigmas, params.scale_sigma)
     if solved is None:
         detail = "the adjustment did not settle"
@@ -130,12 +132,12 @@ def refine_trajectory(
     )
     largest = float(np.linalg.norm(shift, axis=1).max())
     detail = (
-        f"{len(kept)} of {len(frame_pairs) - 1} intervals measured, {len(refused)} refused; poses moved by up to {largest:.2f} m "
-        f"and {np.degrees(np.abs(turn).max()):.2f} degrees"
+        f"{len(good)} of {len(frame_pairs) - 1} intervals measured, {len(refused_frames)} refused; "
+        f"poses moved by up to {largest:.2f} m and {np.degrees(np.abs(turn).max()):.2f} degrees"
     )
     return RefinedTrajectory(
         pairs, RefinementOutcome.REFINED, detail, se3.compose(se3.se3(rotations, places), log.body_SE3_left),
-        log.body_SE3_left, cov, len(kept), refused_frames, largest,
+        log.body_SE3_left, cov, int(good.sum()), refused_frames, largest,
     )  # fmt: skip
 
 
@@ -147,6 +149,8 @@ def relative_cov(trajectory: RefinedTrajectory, start: int, end: int) -> Floats 
     """
     if trajectory.covariance is None:
         return None
+    if start == end:
+        return np.zeros((6, 6))
     joint = trajectory.covariance
     first, second = min(start, end), max(start, end)
     cross = chain_solver.cross_covariance(joint, first, second)[:POSE, :POSE]
@@ -164,20 +168,25 @@ def relative_cov(trajectory: RefinedTrajectory, start: int, end: int) -> Floats 
     return np.asarray((cov + cov.T) / 2)
 
 
-def carried_cov_m2(trajectory: RefinedTrajectory, start: int, end: int, point_m: Floats) -> Floats | None:
-    """(3, 3) covariance that the motion adds to a point (3,) of the left camera's frame at `start`, seen in that at `end`.
+def motion_error(trajectory: RefinedTrajectory) -> MotionError | None:
+    """How vague a point gets when it is carried from frame to frame; None where the trajectory was not refined.
 
-    start, end: frame indices. None where the trajectory was not refined or does not hold both.
+    The function returned takes frame indices `start` and `end` and a point (3,) m of the left camera's frame at `start`, and
+    gives the (3, 3) covariance in m^2 that the motion adds to it in the left camera's frame at `end`.
     """
+    if trajectory.covariance is None:
+        return None
     rank = {pair.frame_index: k for k, pair in enumerate(trajectory.frame_pairs)}
-    if start not in rank or end not in rank:
-        return None
-    cov = relative_cov(trajectory, rank[start], rank[end])
-    if cov is None:
-        return None
-    end_SE3_start = se3.compose(se3.invert(trajectory.map_SE3_left[rank[end]]), trajectory.map_SE3_left[rank[start]])
-    by_motion = np.hstack([-skew(end_SE3_start[:3, :3] @ point_m), np.eye(3)])
-    return np.asarray(by_motion @ cov @ by_motion.T)
+
+    def carried_cov_m2(start: int, end: int, point_m: Floats) -> Floats:
+        cov = relative_cov(trajectory, rank[start], rank[end])
+        assert cov is not None  # the trajectory was refined
+        first, second = trajectory.map_SE3_left[rank[start]], trajectory.map_SE3_left[rank[end]]
+        turned = second[:3, :3].T @ first[:3, :3] @ point_m
+        by_motion = np.hstack([-skew(turned), np.eye(3)])
+        return np.asarray(by_motion @ cov @ by_motion.T)
+
+    return carried_cov_m2
 
 
 def _read_log(frame_pairs: Sequence[FramePair], rig: Rig, params: TrajectoryParams) -> LoggedPoses:
@@ -197,10 +206,10 @@ def _read_log(frame_pairs: Sequence[FramePair], rig: Rig, params: TrajectoryPara
 
 def _measured(
     frame_pairs: Sequence[FramePair], motions: Sequence[RelativeMotion], params: TrajectoryParams
-) -> list[MeasuredMotion]:
+) -> MeasuredMotions:
     """Measured intervals with what their residuals do not show added to their covariance."""
     rank = {pair.frame_index: k for k, pair in enumerate(frame_pairs)}
-    found: dict[int, MeasuredMotion] = {}
+    found: dict[int, tuple[Floats, Floats]] = {}
     for motion in motions:
         start, end = rank.get(motion.first_frame_index), rank.get(motion.second_frame_index)
         if motion.second_SE3_first is None or start is None or end != start + 1:
@@ -209,48 +218,40 @@ def _measured(
         way_m = float(np.linalg.norm(pose[:3, 3]))
         cov[:3, :3] += params.floor_rad**2 * np.eye(3)
         cov[3:, 3:] += (params.floor_m**2 + (params.floor_relative * way_m) ** 2) * np.eye(3)
-        found[start] = MeasuredMotion(start, pose, cov)
-    return [found[k] for k in sorted(found)]
+        found[start] = pose, cov
+    starts = sorted(found)
+    return MeasuredMotions(
+        np.array(starts, dtype=np.intp),
+        np.array([found[k][0] for k in starts]).reshape(-1, 4, 4),
+        np.array([found[k][1] for k in starts]).reshape(-1, 6, 6),
+    )
 
 
-def _check_intervals(
-    log: LoggedPoses, motions: Sequence[MeasuredMotion]
-) -> tuple[list[MeasuredMotion], list[MeasuredMotion]]:
-    """Measured intervals that may be true, and those that are not.
+def _believable(log: LoggedPoses, motions: MeasuredMotions) -> NDArray[np.bool_]:
+    """(M,): which measured intervals may be true.
 
     An interval is refused where it contradicts GNSS/INS beyond what their errors allow, or where it alone departs from its
     neighbours while GNSS/INS runs on smoothly: errors of GNSS/INS do not come and go within one interval.
     """
-    departures, measured_way, logged_way, refused = [], [], [], []
-    for motion in motions:
-        k = motion.start
-        residual, from_first, _ = motion_residual(log, log.rotations, log.places, motion, 0.0)
-        change = log.slow[k] ** 2 * 2 * (1 - log.keep[k]) + log.white[k] ** 2 + log.white[k + 1] ** 2
-        spread = motion.cov + from_first @ np.diag(change) @ from_first.T
-        refused.append(float(residual @ np.linalg.solve(spread, residual)) > _GATE_CHI2)
-        departures.append(np.concatenate([residual, np.sqrt(np.diag(motion.cov))]))
-        measured_way.append(motion.next_SE3_first[:3, 3])
-        logged_way.append(motion.next_SE3_first[:3, 3] - residual[3:])
-    table = np.array(departures)
-    seen, told = np.array(measured_way), np.array(logged_way)
-    for i, motion in enumerate(motions):
-        near = [
-            j
-            for j in range(max(0, i - _NEIGHBOURS), min(len(motions), i + _NEIGHBOURS + 1))
-            if j != i and abs(motions[j].start - motion.start) <= _NEIGHBOURS
-        ]
+    k = motions.start
+    residual, from_first, _ = motion_residuals(log, log.rotations, log.places, motions, 0.0)
+    change = log.slow[k] ** 2 * 2 * (1 - log.keep[k]) + log.white[k] ** 2 + log.white[k + 1] ** 2
+    spread = motions.cov + from_first * change[:, None, :] @ np.swapaxes(from_first, 1, 2)
+    chi2 = np.einsum("mi,mi->m", residual, np.linalg.solve(spread, residual[:, :, None])[:, :, 0])
+    inside = chi2 <= _GATE_CHI2
+    good = inside.copy()
+    sigma = np.sqrt(np.diagonal(spread, axis1=1, axis2=2))
+    seen = motions.next_SE3_first[:, :3, 3]
+    told = seen - residual[:, 3:]
+    for i, start in enumerate(k):
+        near = np.flatnonzero(np.abs(k - start) <= _NEIGHBOURS)
+        near = near[(near != i) & inside[near]]
         if len(near) < _NEIGHBOURS:
             continue
-        centre = np.median(table[near, :6], axis=0)
-        scatter = 1.4826 * np.median(np.abs(table[near, :6] - centre), axis=0)
-        lone = np.abs(table[i, :6] - centre) > _LONE_SIGMAS * np.hypot(scatter, table[i, 6:])
+        lone = np.abs(residual[i] - np.median(residual[near], axis=0)) > _LONE_SIGMAS * sigma[i]
         rougher = np.abs(seen[i] - np.median(seen[near], axis=0)) > np.abs(told[i] - np.median(told[near], axis=0))
-        if lone[:3].any() or (lone[3:] & rougher).any():
-            refused[i] = True
-    return (
-        [m for m, bad in zip(motions, refused, strict=True) if not bad],
-        [m for m, bad in zip(motions, refused, strict=True) if bad],
-    )
+        good[i] &= not (lone[:3].any() or (lone[3:] & rougher).any())
+    return np.asarray(good)
 
 
 def _sightings(frame_pairs: Sequence[FramePair], cones: Sequence[Sequence[Position]]) -> list[Sighting]:

@@ -1,0 +1,206 @@
+"""Refined trajectories against a known truth: honest covariance, no harm, and what wrong measurements may not do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from conetl.geometry import pose as se3
+from conetl.geometry.stereo_motion import RelativeMotion
+from conetl.params import TrajectoryParams
+from conetl.records import FramePair, Position
+from conetl.steps.trajectory import RefinementOutcome, motion_error, refine_trajectory, relative_cov
+from tests.synthetic.odometry import log_of, motions_of, pose_errors, true_poses
+from tests.synthetic.world import make_rig
+
+RIG = make_rig()
+PARAMS = TrajectoryParams()
+FRAMES = 60
+
+
+def drive(seed: int, sigma_m: float = 0.4) -> tuple[np.ndarray, list[FramePair], list[RelativeMotion]]:
+    rng = np.random.default_rng(seed)
+    truth = true_poses(FRAMES)
+    return truth, log_of(truth, rng, sigma_m, 0.0009, PARAMS), motions_of(truth, RIG, rng, PARAMS)
+
+
+def slide(error: np.ndarray) -> float:
+    """How far the error of the place changes over a drive, m."""
+    return float(np.linalg.norm(np.ptp(error[:, :3], axis=0)))
+
+
+def shifted(motion: RelativeMotion, shift_m: float) -> RelativeMotion:
+    """The measured motion, longer by so much along the road."""
+    pose = np.array(motion.second_SE3_first)
+    pose[2, 3] -= shift_m
+    return motion.model_copy(update={"second_SE3_first": se3.to_matrix4(pose)})
+
+
+def test_absolute_and_relative_covariance_are_honest() -> None:
+    """NEES of poses and of motions over 30 frames: both sides of the band, so that doubled or halved sigmas fail."""
+    runs, absolute, relative = 40, [], []
+    for seed in range(runs):
+        truth, log, motions = drive(seed)
+        result = refine_trajectory(log, RIG, motions, PARAMS)
+        assert result.outcome is RefinementOutcome.REFINED, result.detail
+        error = pose_errors(result.frame_pairs, truth)[30]
+        assert result.covariance is not None
+        absolute.append(error @ np.linalg.solve(result.covariance.cov[30][:6, :6], error))
+        left = se3.compose(truth, np.array(RIG.body_SE3_left))
+        true_motion = se3.compose(se3.invert(left[45]), left[15])
+        found = se3.compose(se3.invert(result.map_SE3_left[45]), result.map_SE3_left[15])
+        wrong = found[:3, :3] @ true_motion[:3, :3].T
+        turn = np.array([wrong[2, 1] - wrong[1, 2], wrong[0, 2] - wrong[2, 0], wrong[1, 0] - wrong[0, 1]]) / 2
+        off = np.concatenate([turn, found[:3, 3] - true_motion[:3, 3]])
+        cov = relative_cov(result, 15, 45)
+        assert cov is not None
+        relative.append(off @ np.linalg.solve(cov, off))
+    low, high = chi2.ppf([0.005, 0.995], 6 * runs) / runs
+    assert low < np.mean(absolute) < high
+    assert low < np.mean(relative) < high
+    assert high < 4 * low  # half or double sigmas (factor 4) cannot stay inside
+
+
+def test_refinement_takes_the_slide_out() -> None:
+    before, after = [], []
+    for seed in range(8):
+        truth, log, motions = drive(seed)
+        before.append(slide(pose_errors(log, truth)))
+        after.append(slide(pose_errors(refine_trajectory(log, RIG, motions, PARAMS).frame_pairs, truth)))
+    assert np.median(after) < 0.35 * np.median(before)
+
+
+def test_rtk_grade_poses_are_not_harmed() -> None:
+    before, after = [], []
+    for seed in range(8):
+        truth, log, motions = drive(seed, sigma_m=0.02)
+        before.append(np.sqrt(np.mean(pose_errors(log, truth)[:, :3] ** 2)))
+        result = refine_trajectory(log, RIG, motions, PARAMS)
+        after.append(np.sqrt(np.mean(pose_errors(result.frame_pairs, truth)[:, :3] ** 2)))
+        assert result.largest_shift_m < 0.05
+    assert np.mean(after) <= 1.02 * np.mean(before)
+
+
+def test_without_measurements_the_poses_are_those_of_the_log() -> None:
+    _, log, motions = drive(1)
+    dark = [m.model_copy(update={"second_SE3_first": None, "cov": (), "reason": "picture_blank"}) for m in motions]
+    for nothing in ([], dark):
+        result = refine_trajectory(log, RIG, nothing, PARAMS)
+        assert result.outcome is RefinementOutcome.NO_MEASUREMENT
+        assert result.frame_pairs == tuple(log)
+        assert motion_error(result) is None
+
+
+def test_switched_off() -> None:
+    _, log, motions = drive(1)
+    result = refine_trajectory(log, RIG, motions, TrajectoryParams(refine=False))
+    assert result.outcome is RefinementOutcome.SWITCHED_OFF
+    assert result.frame_pairs == tuple(log)
+
+
+def test_a_gap_in_the_measurements_is_bridged() -> None:
+    _, log, motions = drive(2)
+    result = refine_trajectory(log, RIG, motions[:20] + motions[30:], PARAMS)
+    whole = refine_trajectory(log, RIG, motions, PARAMS)
+    assert result.outcome is RefinementOutcome.REFINED
+    error, whole_error = motion_error(result), motion_error(whole)
+    assert error is not None and whole_error is not None
+    point = np.array([0.0, 1.0, 10.0])
+    assert np.trace(error(18, 32, point)) > 2 * np.trace(whole_error(18, 32, point))
+    assert np.trace(error(2, 16, point)) < 1.5 * np.trace(whole_error(2, 16, point))
+
+
+@pytest.mark.parametrize("wild_m", [0.5, 1.0, 5.0])
+def test_one_wild_motion_is_refused_and_named(wild_m: float) -> None:
+    truth, log, motions = drive(3)
+    wild = [*motions[:25], shifted(motions[25], wild_m), *motions[26:]]
+    result = refine_trajectory(log, RIG, wild, PARAMS)
+    assert result.refused_intervals == (25,)
+    clean = refine_trajectory(log, RIG, motions, PARAMS)
+    assert slide(pose_errors(result.frame_pairs, truth)) < slide(pose_errors(clean.frame_pairs, truth)) + 0.15
+
+
+def test_a_jump_of_the_log_is_not_blamed_on_the_pictures() -> None:
+    _, log, motions = drive(4)
+    jumped = [
+        pair
+        if pair.frame_index < 30
+        else pair.model_copy(
+            update={
+                "pose": pair.pose.model_copy(
+                    update={"map_t_body_m": (pair.pose.map_t_body_m[0] + 0.25, *pair.pose.map_t_body_m[1:])}
+                )
+            }
+        )
+        for pair in log
+    ]
+    result = refine_trajectory(jumped, RIG, motions, PARAMS)
+    assert result.refused_intervals == ()
+
+
+def test_a_lorry_that_fills_the_pictures_is_not_followed() -> None:
+    """For 20 frames all that is seen drives along at 6 m/s beside us: the motion measured is that against the lorry."""
+    truth, log, motions = drive(5)
+    beside = [shifted(m, -0.6) if 20 <= k < 40 else m for k, m in enumerate(motions)]
+    result = refine_trajectory(log, RIG, beside, PARAMS)
+    assert set(result.refused_intervals) == set(range(20, 40))
+    assert np.abs(pose_errors(result.frame_pairs, truth)[:, :3]).max() < 3 * 0.4 * 1.5
+
+
+def test_measurements_beyond_the_stated_sigmas_leave_the_log_alone() -> None:
+    """A log that claims centimetres and slides by metres: keep it and say so."""
+    _, log, motions = drive(6, sigma_m=0.02)
+    long = [shifted(m, 0.01) for m in motions]
+    result = refine_trajectory(log, RIG, long, PARAMS.model_copy(update={"max_shift_chi2": 0.01}))
+    assert result.outcome is RefinementOutcome.AGAINST_STATED_SIGMAS
+    assert result.frame_pairs == tuple(log)
+    assert "stated" in result.detail
+
+
+def test_a_standing_car_stays_where_it_is() -> None:
+    rng = np.random.default_rng(7)
+    truth = np.broadcast_to(true_poses(1), (FRAMES, 4, 4)).copy()
+    result = refine_trajectory(
+        log_of(truth, rng, 0.4, 0.0009, PARAMS), RIG, motions_of(truth, RIG, rng, PARAMS), PARAMS
+    )
+    assert result.outcome is RefinementOutcome.REFINED
+    assert slide(pose_errors(result.frame_pairs, truth)) < 0.25
+
+
+def test_cones_as_landmarks_bridge_what_pictures_do_not_tell() -> None:
+    """Twelve frames without visual odometry, but three cones in view: they hold the trajectory together."""
+    before, after = [], []
+    for seed in range(6):
+        truth, log, motions = drive(seed)
+        kept = motions[:24] + motions[36:]
+        rng = np.random.default_rng(100 + seed)
+        left = se3.compose(truth, np.array(RIG.body_SE3_left))
+        feet = se3.apply(left[40], np.array([[-3.0, 1.6, 8.0], [3.0, 1.6, 12.0], [0.5, 1.6, 16.0]]))
+        cones = [
+            [seen(k, c, se3.apply(se3.invert(left[k]), foot) + rng.normal(0, 0.03, 3)) for k in range(20, 41)]
+            for c, foot in enumerate(feet)
+        ]
+        for groups, errors in (((), before), (cones, after)):
+            result = refine_trajectory(log, RIG, kept, PARAMS, groups)
+            assert result.outcome is RefinementOutcome.REFINED
+            errors.append(slide(pose_errors(result.frame_pairs, truth)[20:41]))
+    assert np.mean(after) < 0.5 * np.mean(before)
+
+
+def seen(frame: int, cone: int, xyz: np.ndarray) -> Position:
+    return Position(
+        frame_index=frame,
+        match_index=cone,
+        xyz_m=tuple(xyz.tolist()),
+        cov_m2=(0.0009, 0, 0, 0.0009, 0, 0.0009),
+        centre_xyz_m=tuple(xyz.tolist()),
+        cone_height_m=0.7,
+        camera_xyz_m=tuple(xyz.tolist()),
+        camera_cov_m2=(0.0009, 0, 0, 0.0009, 0, 0.0009),
+        range_m=float(np.linalg.norm(xyz)),
+        ray_angle_rad=0.05,
+        residual_rms_px=0.3,
+        iterations=2,
+        score=0.9,
+    )
