@@ -31,6 +31,8 @@ _MAX_ITERATIONS = 20
 _CHOOSING_ITERATIONS = 4
 _CAUCHY_SIGMAS = 2.385  # 95 % efficiency on normal errors (Rey 1983)
 _NEAREST_M = 0.3
+#: Points whose depth has a sigma above this share of it take no part.
+_VAGUE_SHARE = 0.25
 #: Largest step, squared and in sigmas, that ends the iteration.
 _CONVERGED = 1e-3
 
@@ -171,6 +173,8 @@ def estimate_motion(
     count = len(first_px)
     points, d_points, usable = triangulate(cameras, first_px)
     usable &= np.isfinite(first_px).all(axis=1) & np.isfinite(second_px).all(axis=1)
+    # A depth that is hardly known is biased as well: noise makes far points look near.
+    usable &= sigma_px * np.linalg.norm(d_points[:, 2, :], axis=1) <= _VAGUE_SHARE * points[:, 2]
     nobody = np.zeros(count, dtype=bool)
     if int(usable.sum()) < limits.min_inliers:
         return StereoMotion(MotionStatus.TOO_FEW_POINTS, expected, np.zeros((6, 6)), nobody, 0.0)

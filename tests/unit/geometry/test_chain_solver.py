@@ -1,0 +1,64 @@
+"""The chain solver against the dense solution of the same normal equations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from conetl.geometry.chain_solver import ChainNormal, covariance, cross_covariance, solve
+
+
+def random_normal(seed: int, count: int, size: int, shared: int) -> tuple[ChainNormal, np.ndarray, np.ndarray]:
+    """Normal equations of random measurements, and the same as one dense matrix and right side."""
+    rng = np.random.default_rng(seed)
+    total = count * size + shared
+    rows = []
+    for k in range(count):
+        design = np.zeros((2 * size + shared, total))
+        design[:, k * size : min(k + 2, count) * size] = rng.normal(
+            size=(2 * size + shared, size * (min(k + 2, count) - k))
+        )
+        design[:, count * size :] = rng.normal(size=(2 * size + shared, shared))
+        rows.append(design)
+    design = np.vstack(rows)
+    dense, right = design.T @ design, design.T @ rng.normal(size=len(design))
+    blocks = dense[: count * size, : count * size].reshape(count, size, count, size)
+    index = np.arange(count)
+    return (
+        ChainNormal(
+            blocks[index, :, index].copy(),
+            blocks[index[:-1], :, index[1:]].copy(),
+            dense[: count * size, count * size :].reshape(count, size, shared).copy(),
+            dense[count * size :, count * size :].copy(),
+            right[: count * size].reshape(count, size).copy(),
+            right[count * size :].copy(),
+        ),
+        dense,
+        right,
+    )
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 1000), st.integers(1, 7), st.integers(1, 4), st.integers(0, 3))
+def test_equals_the_dense_solution(seed: int, count: int, size: int, shared: int) -> None:
+    normal, dense, right = random_normal(seed, count, size, shared)
+    states, common = solve(normal)
+    expected = np.linalg.solve(dense, right)
+    assert np.allclose(np.concatenate([states.ravel(), common]), expected, rtol=1e-6, atol=1e-8)
+    inverse = np.linalg.inv(dense)
+    result = covariance(normal)
+    chain = inverse[: count * size, : count * size].reshape(count, size, count, size)
+    for first in range(count):
+        assert np.allclose(result.cov[first], chain[first, :, first], rtol=1e-6, atol=1e-9)
+        for second in range(first, count):
+            assert np.allclose(cross_covariance(result, first, second), chain[first, :, second], rtol=1e-6, atol=1e-9)
+    assert np.allclose(result.shared, inverse[count * size :, count * size :], rtol=1e-6, atol=1e-9)
+
+
+def test_a_singular_chain_is_an_error() -> None:
+    normal, _, _ = random_normal(0, 3, 2, 0)
+    normal.diagonal[0] = 0.0
+    with pytest.raises(np.linalg.LinAlgError):
+        solve(normal)
