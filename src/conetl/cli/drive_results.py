@@ -25,6 +25,9 @@ class DriveResults:
     """What the steps made of one drive."""
 
     drive: Drive
+    """With the refined poses, where the trajectory was refined."""
+    trajectory: str
+    """What became of the trajectory, in one sentence."""
     detections: list[Detection]
     matches: list[StereoMatch]
     positions: list[Position]
@@ -48,7 +51,10 @@ def run_steps(folder: Path, settings: Settings, params: IngestParams, *, map_sri
         ) from error
     os.environ.update(prefect_environment(settings.home))
     # Prefect reads its environment when it is imported, and takes two seconds for it: not at the top of the file.
+    from prefect.logging import disable_run_logger
+
     from flows import progress
+    from flows.refinement import moved, odometry_chunks, odometry_task, refine_task
     from flows.tasks import Chunk, detect_task, fuse_task, locate_task, match_task, read_drive_task
 
     drive, rejections = read_drive_task.fn(folder, map_srid)
@@ -66,21 +72,28 @@ def run_steps(folder: Path, settings: Settings, params: IngestParams, *, map_sri
         )
         for first in range(0, len(drive.frame_pairs), params.chunk_pairs)
     ]
+    following = list(odometry_chunks(chunks)) if params.trajectory.refine else []
+    steps = 2 * len(drive.frame_pairs) + sum(len(chunk.frame_pairs) - 1 for chunk in following)
     with progress_bar() as bars, ThreadPoolExecutor(settings.workers) as pool:
         bar = bars.add_task(drive.drive_id, total=None)
         listener = lambda _, done, total: bars.update(bar, completed=done, total=total)  # noqa: E731
         progress.listen(listener)
         try:
-            progress.expect(drive.drive_id, 2 * len(drive.frame_pairs))
+            progress.expect(drive.drive_id, steps)
             running = [[pool.submit(detect_task.fn, chunk, side) for side in _SIDES] for chunk in chunks]
+            driven = [pool.submit(odometry_task.fn, chunk) for chunk in following]
             detected = [[future.result() for future in sides] for sides in running]
+            motions = [future.result() for future in driven]
         finally:
             progress.ignore(listener)
     matched = [match_task.fn(chunk, left, right) for chunk, (left, right) in zip(chunks, detected, strict=True)]
-    located = [locate_task.fn(chunk, path) for chunk, path in zip(chunks, matched, strict=True)]
+    with disable_run_logger():  # outside a run Prefect has no logger to give
+        trajectory = refine_task.fn(drive, motions, matched, params)
+    drive = drive.model_copy(update={"frame_pairs": trajectory.frame_pairs})
+    located = [locate_task.fn(chunk, path) for chunk, path in zip(moved(chunks, trajectory), matched, strict=True)]
     detections, refused_detections = load_results([path for sides in detected for path in sides], Detection)
     matches, refused_matches = load_results(matched, StereoMatch)
     positions, refused_positions = load_results(located, Position)
-    tracks, refused_tracks = fuse_task.fn(drive, detections, matches, positions, params, card.evidence)
+    tracks, refused_tracks = fuse_task.fn(drive, detections, matches, positions, params, card.evidence, trajectory)
     refused = [*rejections, *refused_detections, *refused_matches, *refused_positions, *refused_tracks]
-    return DriveResults(drive, detections, matches, positions, tracks, refused)
+    return DriveResults(drive, trajectory.detail, detections, matches, positions, tracks, refused)

@@ -194,6 +194,7 @@ def _summary(results: DriveResults, evaluation: _Evaluation, within_m: float) ->
         f"{len(evaluation.false)} false ones.",
         f"{len(results.drive.frame_pairs)} frame pairs, {len(results.positions)} positions, "
         f"{len(results.rejections)} rejections.",
+        results.trajectory,
     ]
     if missed:
         words.append(f"Missed: {', '.join(missed)}.")
@@ -243,6 +244,7 @@ def _as_dict(results: DriveResults, evaluation: _Evaluation, files: Sequence[Pat
         "drive_id": results.drive.drive_id,
         "map_srid": results.drive.map_srid,
         "frame_pairs": len(results.drive.frame_pairs),
+        "trajectory": results.trajectory,
         "cones": [
             {"track_index": line.feature.track_index if line.feature else None, **line_as_dict(line)}
             for line in evaluation.lines

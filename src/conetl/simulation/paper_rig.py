@@ -8,6 +8,7 @@ sigmas of its Tables 1 and 2 nothing is known here; `SIGMAS` assumes what a MATL
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -82,28 +83,37 @@ def paper_rig(*, baseline_m: float = BASELINE_M, sigmas: dict[str, float] | None
 def drawn_views(rig: Rig, rng: np.random.Generator, count: int) -> tuple[Array, Array, Array]:
     """`count` rigs that the calibration of `rig` could have meant, its parameters drawn from their covariance.
 
-    Returns what `geometry.intersection.intersect` takes, frame: left camera: k_px (count, 2, 4), left_R_camera (count, 2, 3, 3)
-    and centre_m (count, 2, 3). Relative orientation as (R exp(r), t + dt), see `records.CalibrationCovariance`. Raises
-    ValueError without a covariance, or where it names a parameter that is none of a rectified rig.
+    Returns what `changed_views` returns. Raises ValueError without a covariance.
     """
     if rig.calibration_covariance is None:
         raise ValueError("drawn_views: the rig has no calibration covariance")
+    values, vectors = np.linalg.eigh(np.array(rig.calibration_covariance.matrix))
     names = rig.calibration_covariance.names
+    changes = rng.normal(size=(count, len(names))) * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
+    return changed_views(rig, names, changes)
+
+
+def changed_views(rig: Rig, names: Sequence[str], changes: Array) -> tuple[Array, Array, Array]:
+    """The rig with parameters of its calibration changed, as `geometry.intersection.intersect` takes views; left camera's frame.
+
+    changes (N, K), of the K named parameters. Returns k_px (N, 2, 4), left_R_camera (N, 2, 3, 3), centre_m (N, 2, 3). The
+    relative orientation becomes (R exp(r), t + dt), see `records.CalibrationCovariance`. Raises ValueError for a name that is
+    no parameter of a rectified rig.
+    """
     unknown = [name for name in names if name not in _PARAMETERS]
     if unknown:
-        raise ValueError(f"drawn_views: no parameters of a rectified rig: {', '.join(unknown)}")
-    values, vectors = np.linalg.eigh(np.array(rig.calibration_covariance.matrix))
-    drawn = rng.normal(size=(count, len(names))) * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
-    draw = dict.fromkeys(_PARAMETERS, np.zeros(count)) | {name: drawn[:, i] for i, name in enumerate(names)}
+        raise ValueError(f"changed_views: no parameters of a rectified rig: {', '.join(unknown)}")
+    count = len(changes)
+    change = dict.fromkeys(_PARAMETERS, np.zeros(count)) | {name: changes[:, i] for i, name in enumerate(names)}
     k = np.zeros((count, 2, 4))
     for side, camera in enumerate((rig.left, rig.right)):
         for i, field in enumerate(_INTERIOR):
-            k[:, side, i] = getattr(camera, field) + draw[f"{('left', 'right')[side]}.{field}"]
+            k[:, side, i] = getattr(camera, field) + change[f"{('left', 'right')[side]}.{field}"]
     relative = np.linalg.inv(np.array(rig.body_SE3_left)) @ np.array(rig.body_SE3_right)
     rotation, centre = np.tile(np.eye(3), (count, 2, 1, 1)), np.zeros((count, 2, 3))
-    turn = np.column_stack([draw[f"relative.r{axis}_rad"] for axis in "xyz"])
+    turn = np.column_stack([change[f"relative.r{axis}_rad"] for axis in "xyz"])
     rotation[:, 1] = relative[:3, :3] @ Rotation.from_rotvec(turn).as_matrix()
-    centre[:, 1] = relative[:3, 3] + np.column_stack([draw[f"relative.t{axis}_m"] for axis in "xyz"])
+    centre[:, 1] = relative[:3, 3] + np.column_stack([change[f"relative.t{axis}_m"] for axis in "xyz"])
     return k, rotation, centre
 
 
