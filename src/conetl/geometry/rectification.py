@@ -39,6 +39,8 @@ MAX_GROWTH = 2.0
 MAX_SLOPE = 0.5
 MIN_BASELINE_M = 0.01
 _BORDER_SAMPLES = 101
+#: A curved border lies this much further in between two samples of it at most (60 px apart in a 24-megapixel picture).
+_INSET_PX = 0.1
 
 
 def is_rectified(rig: Rig) -> bool:
@@ -200,6 +202,7 @@ def _seen_box(raw: Camera, raw_R_rect: Array, focal_px: float) -> Box:
         if low < 0.1:
             raise ValueError("hardly anything is left of a picture after rectification: check lens and rotation")
         half = low * half
+    half -= _INSET_PX / focal_px
     return (
         float(middle[0] - half[0]), float(middle[1] - half[1]), float(middle[0] + half[0]), float(middle[1] + half[1])
     )  # fmt: skip

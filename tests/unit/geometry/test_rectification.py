@@ -54,7 +54,7 @@ def in_camera(points_body: np.ndarray, r: Rig, side: str) -> np.ndarray:
 angle = st.floats(-0.08, 0.08)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(turn=st.tuples(angle, angle, st.floats(-0.03, 0.03)), ty=st.floats(-0.05, 0.05), tz=st.floats(-0.05, 0.05))
 def test_every_rig_ends_with_equal_rows_and_the_same_points(turn: tuple[float, ...], ty: float, tz: float) -> None:
     raw = rig(turn, (0.5, ty, tz))
@@ -84,7 +84,7 @@ def test_every_rectified_pixel_was_seen_and_no_detail_is_lost(lens: Lens) -> Non
     for side in ("left", "right"):
         own = rigs.camera_of(flat, side)
         assert own.fx_px == own.fy_px == 960.0
-        grid = np.stack(np.meshgrid(np.linspace(0, own.width_px - 1, 60), np.linspace(0, own.height_px - 1, 40)), -1)
+        grid = np.stack(np.meshgrid(np.arange(own.width_px), np.arange(own.height_px)), -1)
         assert np.isfinite(raw_from_rectified(flat, side, grid)).all()
         outside = raw_from_rectified(flat, side, [[-3 * own.width_px, 10.0], [4 * own.width_px, 10.0]])
         assert np.isnan(outside).all()

@@ -1,0 +1,147 @@
+"""A rendered drive as a raw rig (lenses, turned cameras) would have taken it: cones come out where the rectified one has them."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from conetl.geometry import camera as cam
+from conetl.geometry import pose as se3
+from conetl.geometry import rig as rigs
+from conetl.geometry.rig import map_SE3_left
+from conetl.io.calibration_files import read_kitti_rig
+from conetl.io.detector import detect_image, load_detector
+from conetl.io.drive_folder import read_drive
+from conetl.io.rectified_image import read_rig_image
+from conetl.params import IngestParams
+from conetl.records import Camera, Drive, Lens, Position, Rig
+from conetl.steps.detections import check_boxes
+from conetl.steps.matches import match_pair
+from conetl.steps.positions import locate_positions
+
+DRIVE = Path(__file__).parents[2] / "data" / "drives" / "2026-03-02_taper_pass1"
+FRAMES = (18, 22, 29, 33)
+NEAR_M = 10.5
+TURNS = {"left": (0.006, 0.012, -0.007), "right": (-0.008, -0.017, 0.011)}
+LENS = {
+    "left": Lens(model="brown", coefficients=(-0.28, 0.09, 8e-4, -6e-4, -0.01)),
+    "right": Lens(model="brown", coefficients=(-0.26, 0.08, -5e-4, 4e-4, -0.01)),
+}
+NUMBER = {"left": "02", "right": "03"}
+
+
+def raw_rig(rectified: Rig) -> Rig:
+    """Larger pictures than the rendered ones, so that these fit into them; the same projection centres."""
+    cameras, body = {}, {}
+    for side, f in (("left", 690.0), ("right", 684.0)):
+        cameras[side] = Camera(
+            width_px=1060, height_px=420, fx_px=f, fy_px=f + 2, cx_px=533.0, cy_px=203.0, lens=LENS[side]
+        )
+        turn = se3.se3(Rotation.from_rotvec(TURNS[side]).as_matrix(), np.zeros(3))
+        body[side] = se3.to_matrix4(se3.compose(rigs.body_SE3_camera(rectified, side), turn))  # type: ignore[arg-type]
+    return rectified.model_copy(update={
+        **cameras, "body_SE3_left": body["left"], "body_SE3_right": body["right"],
+    })  # fmt: skip
+
+
+def take_raw(picture: np.ndarray, rectified: Rig, raw: Rig, side: str) -> np.ndarray:
+    """The raw camera's view of a rectified picture: for each raw pixel its ray, and where the rectified camera sees that."""
+    own, theirs = rigs.camera_of(raw, side), rigs.camera_of(rectified, side)  # type: ignore[arg-type]
+    u, v = np.meshgrid(np.arange(own.width_px), np.arange(own.height_px))
+    rays = cam.rays(own, np.stack([u, v], axis=-1)) @ np.array(Rotation.from_rotvec(TURNS[side]).as_matrix()).T
+    assert np.isfinite(rays).all()
+    uv = cam.project(theirs, rays).astype(np.float32)
+    return cv2.remap(picture, uv[..., 0], uv[..., 1], cv2.INTER_LANCZOS4, borderValue=(90, 90, 90))
+
+
+@pytest.fixture(scope="module")
+def raw_drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The sample drive in KITTI's "synced only" form: raw pictures, and the lines of the raw cameras in the calibration."""
+    root = tmp_path_factory.mktemp("raw") / "drive"
+    for name in ("calib_velo_to_cam.txt", "calib_imu_to_velo.txt"):
+        root.mkdir(exist_ok=True)
+        shutil.copy(DRIVE / name, root)
+    shutil.copytree(DRIVE / "oxts", root / "oxts")
+    rectified = read_kitti_rig(DRIVE / "calib_cam_to_cam.txt", body_required=True)
+    raw = raw_rig(rectified)
+    lines = dict(line.split(": ", 1) for line in (DRIVE / "calib_cam_to_cam.txt").read_text().splitlines())
+    ideal = read_kitti_rig(DRIVE / "calib_cam_to_cam.txt", body_required=True, pictures="raw")
+    camera_SE3_cam0 = se3.se3(
+        *(np.array(lines[k].split(), dtype=float).reshape(s) for k, s in (("R_02", (3, 3)), ("T_02", 3)))
+    )
+    body_SE3_cam0 = se3.compose(rigs.body_SE3_camera(ideal, "left"), camera_SE3_cam0)
+    for side, number in NUMBER.items():
+        camera = rigs.camera_of(raw, side)  # type: ignore[arg-type]
+        pose = se3.compose(se3.invert(rigs.body_SE3_camera(raw, side)), body_SE3_cam0)  # type: ignore[arg-type]
+        for key, values in (
+            ("S", [camera.width_px, camera.height_px]), ("K", cam.matrix_k(camera)), ("D", camera.lens.coefficients),
+            ("R", pose[:3, :3]), ("T", pose[:3, 3]),
+        ):  # fmt: skip
+            lines[f"{key}_{number}"] = " ".join(f"{v:.12e}" for v in np.ravel(values))
+        folder = root / f"image_{number}"
+        (folder / "data").mkdir(parents=True)
+        shutil.copy(DRIVE / f"image_{number}" / "timestamps.txt", folder)
+        for frame in FRAMES:
+            picture = cv2.imread(str(DRIVE / f"image_{number}" / "data" / f"{frame:010d}.jpg"))
+            cv2.imwrite(str(folder / "data" / f"{frame:010d}.png"), take_raw(picture, rectified, raw, side))
+    (root / "calib_cam_to_cam.txt").write_text("".join(f"{key}: {value}\n" for key, value in lines.items()))
+    return root
+
+
+def positions(drive: Drive) -> list[Position]:
+    """Positions of the chosen frames, by detector, matcher and intersection, as `conetl ingest` does it."""
+    params, detector = IngestParams(), load_detector(None, threads=1)
+    pairs = {pair.frame_index: pair for pair in drive.frame_pairs if pair.frame_index in FRAMES}
+    matches = []
+    for frame, pair in pairs.items():
+        found, images = {}, {}
+        for side, path in (("left", pair.left_path), ("right", pair.right_path)):
+            images[side] = read_rig_image(Path(path), drive.rig, side)  # type: ignore[arg-type]
+            boxes = detect_image(
+                detector, images[side],
+                score_threshold=params.detection.score_threshold, nms_iou=params.detection.nms_iou,
+            )  # fmt: skip
+            found[side], _ = check_boxes(boxes, frame_index=frame, side=side, params=params.detection)  # type: ignore[arg-type]
+        up = map_SE3_left(pair.pose, drive.rig)[2, :3]
+        pair_images = images["left"], images["right"]
+        matches += match_pair(
+            found["left"], found["right"], drive.rig, params.match, up_left=up, images=pair_images
+        )[0]  # fmt: skip
+    return locate_positions(matches, pairs, drive.rig, params.position)[0]
+
+
+def test_near_cones_stand_where_the_rectified_drive_puts_them(raw_drive: Path) -> None:
+    taken, original = read_drive(raw_drive)[0], read_drive(DRIVE)[0]
+    assert taken.rig.rectified_from is not None and original.rig.rectified_from is None
+    assert [pair.frame_index for pair in taken.frame_pairs] == list(FRAMES)
+    near = [p for p in positions(original) if p.range_m < NEAR_M]
+    assert len(near) >= 3, "the sample drive shows a near cone in each of these frames"
+    found = positions(taken)
+    for position in near:
+        same_frame = [p for p in found if p.frame_index == position.frame_index]
+        offsets = [np.linalg.norm(np.subtract(p.xyz_m, position.xyz_m)) for p in same_frame]
+        print(f"frame {position.frame_index}, {position.range_m:.2f} m: {100 * min(offsets):.2f} cm apart")
+        assert min(offsets) < 0.02
+
+
+def test_the_same_pictures_taken_for_rectified_put_cones_elsewhere(raw_drive: Path) -> None:
+    """The test above can fail: without the lenses and the turn of the cameras no cone comes out where it stands."""
+    drive = read_drive(raw_drive)[0]
+    raw = drive.rig.rectified_from
+    assert raw is not None
+    blind = raw.model_copy(
+        update={side: rigs.camera_of(raw, side).model_copy(update={"lens": Lens()}) for side in NUMBER}
+    )  # type: ignore[arg-type]
+    near = [p for p in positions(read_drive(DRIVE)[0]) if p.range_m < NEAR_M]
+    found = positions(drive.model_copy(update={"rig": blind}))
+    for position in near:
+        offsets = [
+            np.linalg.norm(np.subtract(p.xyz_m, position.xyz_m))
+            for p in found if p.frame_index == position.frame_index
+        ]  # fmt: skip
+        assert not offsets or min(offsets) > 0.05

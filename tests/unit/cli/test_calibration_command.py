@@ -1,0 +1,92 @@
+"""`conetl calibration`: tables for people, JSON for programs, files for other tools."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+from conetl.cli.calibration import app
+from conetl.errors import CalibrationError, InputError
+from conetl.io.calibration_files import read_rig
+
+RIG = """
+rig_id: a6000-pair
+left: {width_px: 6000, height_px: 4000, focal_mm: [15.9004, 15.8703], sensor_width_mm: 23.5, sensor_height_mm: 15.6}
+right: {width_px: 6000, height_px: 4000, focal_mm: 15.9,
+        principal_mm: [11.75, 7.8], sensor_width_mm: 23.5, sensor_height_mm: 15.6,
+        lens: {model: radial, coefficients: [-0.05, 0.01]}}
+left_SE3_right: {t_m: [0.2745, 0, 0]}
+body_SE3_left: {R: [[0, 0, 1], [-1, 0, 0], [0, -1, 0]], t_m: [1.0, 0.2, 0.7]}
+sigmas: {left.fx_mm: 0.01, relative.ry_deg: 0.084, relative.tx_mm: 0.3, right.lens.1: 0.002}
+"""
+
+
+@pytest.fixture
+def rig_yaml(tmp_path: Path) -> Path:
+    path = tmp_path / "rig.yaml"
+    path.write_text(RIG)
+    return path
+
+
+def run(*words: object) -> str:
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+def test_show_prints_interior_and_exterior_with_sigmas(rig_yaml: Path) -> None:
+    text = run("show", rig_yaml)
+    assert "conetl rig.yaml, rig a6000-pair" in text
+    assert "4059.677 ± 2.553" in text, "fx and its sigma of 0.01 mm in pixels"
+    assert "0.27450 ± 0.00030 m" in text
+    assert "± 0.0840 deg" in text
+    assert "0.010000 ± 0.002000" in text
+    assert "raw; they are rectified when read" in text
+
+
+def test_show_as_json(rig_yaml: Path) -> None:
+    shown = json.loads(run("show", rig_yaml, "--json"))
+    assert (shown["format"], shown["rectified"], shown["baseline_m"]) == ("rig", False, 0.2745)
+    assert shown["rig"]["right"]["lens"]["model"] == "radial"
+
+
+def test_convert_to_opencv_and_say_what_is_lost(rig_yaml: Path, tmp_path: Path) -> None:
+    text = run("convert", rig_yaml, tmp_path / "stereo.xml", "--to", "opencv")
+    assert "no place for" in text and "body_SE3_left" in text and "covariance" in text
+    storage = cv2.FileStorage(str(tmp_path / "stereo.xml"), cv2.FILE_STORAGE_READ)
+    assert storage.getNode("M1").mat()[0, 0] == pytest.approx(15.9004 / 23.5 * 6000)
+    np.testing.assert_allclose(storage.getNode("T").mat().ravel(), [-0.2745, 0, 0])
+
+
+def test_convert_to_a_rig_yaml_keeps_everything(rig_yaml: Path, tmp_path: Path) -> None:
+    assert "no place for" not in run("convert", rig_yaml, tmp_path / "again.yaml", "--to", "rig")
+    assert read_rig(tmp_path / "again.yaml") == read_rig(rig_yaml)
+
+
+def test_size_and_unit_of_a_file_that_has_none(tmp_path: Path) -> None:
+    k = [[900.0, 0, 640], [0, 900, 360], [0, 0, 1]]
+    values = {"K1": k, "D1": [0.0] * 5, "K2": k, "D2": [0.0] * 5, "R": np.eye(3).tolist(), "T": [-270.0, 0, 0]}
+    (tmp_path / "stereo.yaml").write_text(yaml.safe_dump(values))
+    words = ("convert", tmp_path / "stereo.yaml", tmp_path / "rig.yaml", "--to", "rig", "--image-size", "1280x720")
+    with pytest.raises(CalibrationError, match="another unit"):
+        run(*words)
+    assert json.loads(run(*words, "--unit", "mm", "--json"))["read_as"] == "opencv"
+    assert read_rig(tmp_path / "rig.yaml").baseline_m == pytest.approx(0.27)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [(("--to", "colmap"), "--to colmap: known formats"), (("--to", "rig", "--image-size", "big"), "--image-size big")],
+)
+def test_bad_options_are_told(rig_yaml: Path, tmp_path: Path, words: tuple[str, ...], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        run("convert", rig_yaml, tmp_path / "x.yaml", *words)
+    assert not (tmp_path / "x.yaml").exists()
