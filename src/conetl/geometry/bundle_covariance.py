@@ -2,10 +2,11 @@
 
 Least squares takes all corner errors as independent. They are not: motion blur, light, a bent board and the detector move the
 corners of one picture together, and the covariance scaled by the variance factor alone comes out too small. Here each pair
-is one cluster: its influence on the result is compared with what independent errors would have done (cluster-robust
-"sandwich" covariance, Liang & Zeger 1986, with the leverage correction CR2 of Bell & McCaffrey 2002). A few dozen pairs
-determine a matrix of 20 and more unknowns only roughly; it is therefore shrunk towards the least-squares covariance by the
-share that its own scatter calls for (Ledoit & Wolf 2004).
+is one cluster: the pull of its residuals on the result is compared with the pull that independent errors of the same variance
+would have had, its own leverage taken off (the idea of the cluster-robust "sandwich" covariance, Liang & Zeger 1986, and of its
+correction by Bell & McCaffrey 2002). A few dozen pairs cannot determine a whole matrix of 20 and more unknowns, but they do
+determine its size: the least-squares covariance is multiplied by the ratio of the two sums over all pairs and directions, the
+design effect (Kish 1965). Where it differs from 1 by no more than chance it is drawn towards 1.
 """
 
 from __future__ import annotations
@@ -19,21 +20,17 @@ from conetl.geometry.stereo_bundle import BundleError, Reduced
 
 Array = NDArray[np.float64]
 
-_LARGEST_LEVERAGE = 1.0 - 1e-6
-
 
 @dataclass(frozen=True)
 class RigCovariance:
     """matrix (k, k) of the rig's unknowns. least_squares (k, k): as if all corner errors were independent.
 
-    design_effect: mean ratio of the two variances, 1 for independent errors. shrinkage: share of the least-squares shape in
-    `matrix`, from 0 to 1.
+    design_effect: mean ratio of the two variances, 1 for independent errors.
     """
 
     matrix: Array
     least_squares: Array
     design_effect: float
-    shrinkage: float
 
 
 def rig_covariance(reduced: Reduced, rig_parameters: int, variance_factor: float) -> RigCovariance:
@@ -57,26 +54,18 @@ def rig_covariance(reduced: Reduced, rig_parameters: int, variance_factor: float
     known = variance_factor * back @ (half.T @ reduced.prior @ half) @ back.T
     sizes = np.sqrt(np.diag(least_squares))
     root = np.linalg.cholesky((least_squares - known) / sizes[:, None] / sizes)
-    influences = []
+    white = np.linalg.solve(
+        root, back / sizes[:, None]
+    )  # from whitened unknowns to those of the rig, themselves whitened
+    found = expected = scatter = 0.0
     for share, gradient in zip(reduced.normals, reduced.gradients, strict=True):
-        leverage, axes = np.linalg.eigh(half.T @ share @ half)
-        corrected = axes @ ((axes.T @ (half.T @ gradient)) / np.sqrt(1.0 - np.clip(leverage, 0.0, _LARGEST_LEVERAGE)))
-        influences.append(back @ corrected)
-    # (p, k): the outer products sum to the identity where errors are independent
-    whitened = np.asarray(np.linalg.solve(root, (np.array(influences) / sizes).T).T, dtype=np.float64)
-    shape, effect, shrinkage = _shrunk(whitened)
-    spread = sizes[:, None] * root
-    full = spread @ shape @ spread.T + known
-    return RigCovariance((full + full.T) / 2, least_squares, effect, shrinkage)
-
-
-def _shrunk(samples: Array) -> tuple[Array, float, float]:
-    """Ledoit & Wolf's estimate of the sum of outer products of (p, k) samples: matrix, its mean variance, share of the target."""
-    count, size = samples.shape
-    x = samples * np.sqrt(count)
-    c = x.T @ x / count
-    mean = float(np.trace(c)) / size
-    distance = float(((c - mean * np.eye(size)) ** 2).sum()) / size
-    scatter = float(np.mean([((np.outer(row, row) - c) ** 2).sum() for row in x])) / size / count
-    share = 1.0 if distance <= 0 else min(1.0, scatter / distance)
-    return share * mean * np.eye(size) + (1.0 - share) * c, mean, share
+        leverage = half.T @ share @ half
+        pull = variance_factor * white @ (leverage - leverage @ leverage) @ white.T  # its covariance if independent
+        found += float(((white @ (half.T @ gradient)) ** 2).sum())
+        expected += float(np.trace(pull))
+        scatter += 2.0 * float((pull**2).sum())  # variance of a sum of squares of normal variables
+    if not expected > 0:
+        raise BundleError("there are too few pairs to tell how far they agree")
+    excess = found / expected - 1.0
+    effect = 1.0 + excess * excess**2 / (excess**2 + scatter / expected**2)
+    return RigCovariance(effect * (least_squares - known) + known, least_squares, effect)

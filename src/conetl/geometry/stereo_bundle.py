@@ -31,6 +31,7 @@ _INTERIOR = 4
 _RELATIVE = 6
 #: A step that changes the sum of squares by less than this share ends the iteration.
 _CONVERGENCE = 1e-9
+_LIGHT = 1e-3
 
 
 class BundleError(ValueError):
@@ -139,9 +140,15 @@ def adjust(
             damping *= 10.0
             if damping > 1e10:
                 return bundle  # no direction leads down: this is the minimum within rounding
-        gain = (best - cost) / max(best, 1e-300)
+        gain = best - cost
+        if gain < _CONVERGENCE * best and damping > _LIGHT:
+            # a heavily damped step is short anywhere: it is the minimum only if the full step finds no more either
+            full = _stepped(bundle, systems, prior, 0.0)
+            gain = max(gain, best - _cost_or_inf(full, prior, by_pair))
+            damping = _LIGHT
+        done = gain < _CONVERGENCE * best
         bundle, best, damping = trial, cost, max(damping * 0.1, 1e-12)
-        if gain < _CONVERGENCE and damping < 1e-3:
+        if done:
             return bundle
     raise BundleError(f"the adjustment did not converge in {max_iterations} iterations")
 

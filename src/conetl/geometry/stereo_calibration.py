@@ -283,13 +283,14 @@ def _robust(
         misses = [np.hypot(*residuals_px(bundle, v).T) for v in kept]
         sigma = _robust_sigma(misses)
         good = [m <= CORNER_LIMIT * sigma for m in misses]
-        rms = np.array([np.sqrt((m**2).mean()) for m in misses])
+        rms = np.array([np.sqrt((m[g] ** 2).mean()) if g.any() else np.inf for m, g in zip(misses, good, strict=True)])
         typical = float(np.median(rms))
         bad = [n for n, g in enumerate(good) if rms[n] > VIEW_LIMIT * typical or g.sum() < max(len(g) / 2, MIN_CORNERS)]
         rejected += [
             ViewRejection(
                 kept[n].pair_index, kept[n].side,
-                f"the corners do not fit: RMS {rms[n]:.2f} px, the median picture has {typical:.2f} px",
+                f"the corners do not fit: RMS {np.sqrt((misses[n] ** 2).mean()):.2f} px, the median picture has "
+                f"{typical:.2f} px",
             )
             for n in bad
         ]  # fmt: skip
