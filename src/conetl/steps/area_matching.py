@@ -1,27 +1,50 @@
-"""Area-based least-squares matching of one cone between the left and the right rectified image.
+"""Area-based least-squares matching of one cone between the left and the right rectified picture.
 
 A box from a network is loose by a pixel or more; range lives on the difference of two such boxes. Matching the grey values
-themselves fixes the disparity to a tenth of a pixel. First a normalised cross-correlation over whole pixels, then least-squares
-matching (Ackermann 1984; Gruen 1985) with a shift along the row, a gain and an offset. Only pixels inside the cone's
-silhouette count, so that a far cone is not pulled by what stands behind it.
+themselves fixes the disparity to a twentieth of a pixel. First a normalised cross-correlation over whole pixels, then
+least-squares matching (Ackermann 1984; Gruen 1985) by Gauss-Newton, with a gain and an offset for each colour.
+
+A cone is no plane: its outline lies at the depth of the axis, the surface between lies nearer by up to its radius. The left
+picture is therefore matched along a disparity *surface*, that of a body of revolution with the outline of `cone_outline.py`
+standing upright, and the one unknown is the disparity of its axis at the foot. Only pixels of the body and its very edge take
+part, not what stands behind; a pixel that does not fit (something in front, a reflection) loses its weight (Huber 1964).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import spline_filter1d
+
+from conetl.steps.cone_outline import Outline
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
 
 _MIN_PIXELS = 24
-_MIN_CORRELATION = 0.6
-_MAX_ITERATIONS = 12
-_CONVERGED_PX = 1e-3
-#: Least-squares matching knows only noise, not slant, reflections or the other cheek of the cone; figures below this are
-#: not to be believed (residuals of the sample drives, see docs/accuracy.md).
-_SIGMA_FLOOR_PX = 0.10
+_MAX_PIXELS = 1600
+_MIN_CORRELATION = 0.75
+_MAX_ITERATIONS = 15
+_CONVERGED_PX = 5e-3
+#: How far the disparity may run from the best whole-pixel place.
+_MAX_WAY_PX = 2.0
+_MAX_ROW_OFFSET_PX = 1.5
+_MIN_INLIER_SHARE = 0.6
+_HUBER = 2.0
+#: Rows of the body that take part, as shares of the way from tip to foot; the base plate lies on the ground, not at the axis.
+_ROWS = (0.02, 0.90)
+#: Pixels outside of the outline that still show its edge, blurred by lens and sensor.
+_EDGE_PX = 1.0
+#: Variance of grey values that even equal pictures have, by rounding to 8 bits in both.
+_QUANTISATION = 0.17
+#: Sigma: of the residuals times a factor (they see less than all errors: measured on the sample drives, docs/accuracy.md), with
+#: what the disparity surface may be wrong, as a share of its depth, and what no cone will show.
+_SIGMA_FACTOR = 1.35
+_CHEEK_SIGMA_SHARE = 0.07
+_SIGMA_FLOOR_PX = 0.03
 
 
 @dataclass(frozen=True)
@@ -29,124 +52,246 @@ class AreaMatch:
     """Result of `match_area`."""
 
     disparity_px: float
+    """Of the cone's axis at its foot: left column minus right column."""
     sigma_px: float
     """Standard deviation of the disparity."""
     correlation: float
+    row_offset_px: float
+    """How much lower the cone is in the right picture; 0 in a perfectly rectified pair with equal principal points."""
 
 
-def silhouette_mask(height_px: int, width_px: int) -> NDArray[np.bool_]:
-    """Pixels (height, width) of a box that a standing cone covers: a plate at the foot, above it a taper to a blunt tip."""
-    rows = (np.arange(height_px) + 0.5) / height_px
-    half_width = np.where(rows > 0.9, 0.5, 0.09 + 0.27 * rows)
-    columns = np.abs((np.arange(width_px) + 0.5) / width_px - 0.5)
-    return np.asarray(columns[None, :] <= half_width[:, None])
+class _Pixels(NamedTuple):
+    """The pixels of the left picture that take part; n of them."""
+
+    rows: Ints
+    """(n,) rows in the picture"""
+    columns: Ints
+    values: Floats
+    """(n, channels) grey values"""
+    stretch: Floats
+    """(n,) disparity as a multiple of that of the axis at the foot"""
+    group: Ints
+    """(n,) number of the piece of outline that a pixel belongs to: two rows, left or right of the axis"""
 
 
 def match_area(
     left: NDArray[np.uint8],
     right: NDArray[np.uint8],
-    box: tuple[float, float, float, float],
+    outline: Outline,
     disparity_px: float,
     search_px: float,
+    *,
+    focal_px: float,
+    at_infinity_px: float = 0.0,
+    row_offset_px: float = 0.0,
+    lean: float = 0.0,
 ) -> AreaMatch | None:
-    """Disparity of the cone in `box` of the left image, or None where the pictures do not settle it.
+    """Disparity of the cone with `outline` in the left picture, or None where the pictures do not settle it.
 
-    left, right: rectified images, (H, W, 3) or (H, W), uint8. box: x, y, width, height in the left image (px).
-    disparity_px: first guess (left column minus right column). search_px: half width of the search.
+    left, right: rectified pictures, (H, W, 3) or (H, W), uint8. disparity_px: first guess; search_px: half width of the search.
+    focal_px: of the left camera. at_infinity_px: disparity of a point at infinity. row_offset_px: how much lower all things are
+    in the right picture by calibration. lean: z component of the unit vector up over minus its y component (camera frame): how
+    much farther a point of the axis lies than the foot, for each metre that it lies higher.
     """
-    x0, y0 = int(np.floor(box[0])), int(np.floor(box[1]))
-    width, height = int(np.ceil(box[2])), int(np.ceil(box[3]))
-    image_height, image_width = left.shape[:2]
-    x1, y1 = min(x0 + width, image_width), min(y0 + height, image_height)
-    x0, y0 = max(x0, 0), max(y0, 0)
-    if x1 - x0 < 4 or y1 - y0 < 6:
+    if left.ndim == 2:
+        left, right = left[:, :, None], right[:, :, None]
+    pixels = _pixels_of(left, outline, focal_px, lean)
+    if pixels is None:
         return None
-    mask = silhouette_mask(y1 - y0, x1 - x0)
-    if int(mask.sum()) < _MIN_PIXELS:
+    coarse = _whole_pixel_disparity(pixels, right, disparity_px, search_px, at_infinity_px, round(row_offset_px))
+    if coarse is None:
         return None
-    reach = int(np.ceil(search_px)) + 2
-    shift0 = round(disparity_px)
-    strip_x0, strip_x1 = x0 - shift0 - reach, x1 - shift0 + reach
-    if strip_x0 < 0 or strip_x1 > image_width:
-        return None
-    patch = _grey(left[y0:y1, x0:x1])
-    strip = _grey(right[y0:y1, strip_x0:strip_x1])
-    best = _whole_pixel_shift(patch, strip, mask, reach)
-    if best is None:
-        return None
-    column, _ = best
-    fine = _least_squares_shift(patch, strip, mask, float(column))
-    if fine is None:
-        return None
-    column_fine, sigma, correlation = fine
-    if abs(column_fine - column) > 1.0:
-        return None
-    return AreaMatch(shift0 + reach - column_fine, max(sigma, _SIGMA_FLOOR_PX), correlation)
+    return _least_squares(pixels, right, float(coarse), at_infinity_px, row_offset_px)
 
 
-def _grey(pixels: NDArray[np.uint8]) -> Floats:
-    values = pixels.astype(np.float64)
-    return np.asarray(values.mean(axis=2)) if values.ndim == 3 else values
+def _pixels_of(left: NDArray[np.uint8], outline: Outline, focal_px: float, lean: float) -> _Pixels | None:
+    """The pixels inside the outline, with the disparity surface over them."""
+    height = outline.foot_row - outline.tip_row
+    first = max(int(np.ceil(outline.tip_row + _ROWS[0] * height)), 0)
+    last = min(int(np.floor(outline.tip_row + _ROWS[1] * height)), left.shape[0] - 1)
+    if last - first < 4:
+        return None
+    v = np.arange(first, last + 1)
+    axis, radius = outline.axis(v.astype(np.float64)), outline.radius(v.astype(np.float64))
+    low = max(int(np.floor((axis - radius).min() - _EDGE_PX)), 0)
+    high = min(int(np.ceil((axis + radius).max() + _EDGE_PX)), left.shape[1] - 1)
+    u = np.arange(low, high + 1)
+    aside = u[None, :] - axis[:, None]
+    inside = np.abs(aside) <= radius[:, None] + _EDGE_PX
+    every = int(np.ceil(inside.sum() / _MAX_PIXELS))
+    inside[np.arange(len(v)) % every != 0] = False  # the rows of a near cone say the same thing many times
+    i, j = np.nonzero(inside)
+    if len(i) < _MIN_PIXELS:
+        return None
+    # Where the surface is nearer than the axis by `cheek` (px at the axis's depth), disparity grows by cheek / focal length.
+    # At the very edge it is the outline that shows, blurred over about a pixel, not the surface.
+    inner = radius[i] - np.abs(aside[i, j]) > _EDGE_PX
+    cheek = np.sqrt(np.maximum(radius[i] ** 2 - aside[i, j] ** 2, 0.0)) * inner
+    stretch = (1 + cheek / focal_px) / (1 + lean * (outline.foot_row - v[i]) / focal_px)
+    values = left[v[i], u[j]].astype(np.float64)
+    group = 2 * (i // (2 * every)) + (aside[i, j] > 0)
+    return _Pixels(v[i], u[j], values, stretch, group)
 
 
-def _whole_pixel_shift(patch: Floats, strip: Floats, mask: NDArray[np.bool_], reach: int) -> tuple[int, float] | None:
-    """Column of the strip at which the patch fits best, and the correlation there; None on the border or below the bar."""
-    width = patch.shape[1]
-    windows = np.lib.stride_tricks.sliding_window_view(strip, width, axis=1)  # (h, n, w)
-    candidates = windows.transpose(1, 0, 2)[:, mask]  # (n, pixels)
-    template = patch[mask] - patch[mask].mean()
-    centred = candidates - candidates.mean(axis=1, keepdims=True)
-    norms = np.linalg.norm(centred, axis=1) * np.linalg.norm(template)
+def _whole_pixel_disparity(
+    pixels: _Pixels, right: NDArray[np.uint8], guess: float, search_px: float, at_infinity_px: float, row_offset: int
+) -> int | None:
+    """Disparity at which the pixels fit best; None at the search's end, below the bar, or where it leaves the picture."""
+    reach = int(np.ceil(search_px)) + 1
+    candidates = round(guess) + np.arange(-reach, reach + 1)
+    shape = at_infinity_px + (candidates[:, None] - at_infinity_px) * pixels.stretch
+    columns = np.round(pixels.columns - shape).astype(np.intp)  # (candidates, n)
+    if columns.min() < 2 or columns.max() > right.shape[1] - 3:
+        return None
+    rows = np.clip(pixels.rows + row_offset, 0, right.shape[0] - 1)
+    samples = right[rows, columns].astype(np.float64)
+    template = pixels.values - pixels.values.mean(axis=0)
+    centred = samples - samples.mean(axis=1, keepdims=True)
+    norms = np.sqrt((centred**2).sum(axis=(1, 2)) * (template**2).sum())
     with np.errstate(divide="ignore", invalid="ignore"):
-        scores = np.where(norms > 0, centred @ template / norms, -1.0)
+        scores = np.where(norms > 0, np.einsum("knc,nc->k", centred, template) / norms, -1.0)
     best = int(np.argmax(scores))
-    if best in (0, 2 * reach) or scores[best] < _MIN_CORRELATION:
+    if best in (0, 2 * reach) or scores[best] < 0.65 * _MIN_CORRELATION:
         return None
-    return best, float(scores[best])
+    return int(candidates[best])
 
 
-def _least_squares_shift(
-    patch: Floats, strip: Floats, mask: NDArray[np.bool_], column: float
-) -> tuple[float, float, float] | None:
-    """Sub-pixel column, its sigma and the final correlation, by Gauss-Newton on shift, gain and offset."""
-    rows, columns = np.nonzero(mask)
-    template = patch[rows, columns]
-    gradient_strip = np.gradient(strip, axis=1)
-    for _ in range(_MAX_ITERATIONS):
-        sample = _interpolate(strip, rows, columns.astype(np.float64) + column)
-        slope = _interpolate(gradient_strip, rows, columns.astype(np.float64) + column)
-        if sample is None or slope is None:
-            return None
-        # template = gain * strip(x + shift) + offset, linear in gain and offset, linearised in shift
-        design = np.column_stack([sample, np.ones_like(sample)])
-        (gain, offset), *_ = np.linalg.lstsq(design, template, rcond=None)
-        if gain <= 0.2:
-            return None
-        jacobian = np.column_stack([gain * slope, sample, np.ones_like(sample)])
-        residual = template - (gain * sample + offset)
-        normal = jacobian.T @ jacobian
-        try:
-            inverse = np.linalg.inv(normal)
-        except np.linalg.LinAlgError:
-            return None
-        step = float((inverse @ (jacobian.T @ residual))[0])
-        column += float(np.clip(step, -0.7, 0.7))
-        if abs(step) < _CONVERGED_PX:
-            freedom = max(len(residual) - 3, 1)
-            # Grey values of neighbours are correlated by optics and demosaicing: about one in four is independent.
-            sigma = 2.0 * float(np.sqrt(residual @ residual / freedom * inverse[0, 0]))
-            spread = float(np.std(template) * np.std(sample))
-            if spread == 0:
-                return None
-            correlation = float(np.mean((template - template.mean()) * (sample - sample.mean())) / spread)
-            return (column, sigma, correlation) if correlation >= _MIN_CORRELATION else None
-    return None
-
-
-def _interpolate(image: Floats, rows: NDArray[np.intp], columns: Floats) -> Floats | None:
-    """Linear interpolation along rows; None when a sample falls outside."""
-    base = np.floor(columns).astype(np.intp)
-    if base.min() < 0 or base.max() + 1 >= image.shape[1]:
+def _least_squares(
+    pixels: _Pixels, right: NDArray[np.uint8], start: float, at_infinity_px: float, row_offset_px: float
+) -> AreaMatch | None:
+    """Gauss-Newton on disparity and row offset; gain and offset of each colour are taken out in every step."""
+    patch = _Patch.around(pixels, right, start, at_infinity_px, row_offset_px)
+    if patch is None:
         return None
-    part = columns - base
-    return np.asarray((1 - part) * image[rows, base] + part * image[rows, base + 1])
+    disparity, down = start, row_offset_px
+    weights = np.ones(len(pixels.rows))
+    for iteration in range(_MAX_ITERATIONS):
+        if abs(disparity - start) > _MAX_WAY_PX or abs(down - row_offset_px) > _MAX_ROW_OFFSET_PX:
+            return None
+        columns = pixels.columns - (at_infinity_px + (disparity - at_infinity_px) * pixels.stretch)
+        step_of = _linearise(pixels, patch.at(pixels.rows, columns, down), weights)
+        if step_of is None:
+            return None
+        move = np.clip(step_of.inverse @ step_of.pull, -0.7, 0.7)
+        disparity, down = disparity + float(move[0]), down + float(move[1])
+        size = np.sqrt((step_of.residual**2 / step_of.noise).mean(axis=1))
+        weights = 1.0 / np.maximum(size / (_HUBER * 1.2 * max(float(np.median(size)), 1e-6)), 1.0)
+        if iteration >= 2 and np.abs(move).max() < _CONVERGED_PX:
+            break
+    else:
+        return None
+    if step_of.correlation < _MIN_CORRELATION or np.mean(weights > 0.5) < _MIN_INLIER_SHARE:
+        return None
+    sigma = _SIGMA_FACTOR * _sigma(step_of, weights, pixels.group)
+    nearest = _CHEEK_SIGMA_SHARE * (disparity - at_infinity_px) * float(np.ptp(pixels.stretch))
+    return AreaMatch(disparity, float(np.sqrt(sigma**2 + nearest**2 + _SIGMA_FLOOR_PX**2)), step_of.correlation, down)
+
+
+class _Linearised(NamedTuple):
+    """The matching problem at one point; gain and offset of each colour eliminated."""
+
+    jacobian: Floats
+    """(n, channels, 2) of the modelled grey values"""
+    residual: Floats
+    """(n, channels)"""
+    noise: Floats
+    """(channels,) variance of the residuals"""
+    inverse: Floats
+    """(2, 2) covariance of disparity and row offset if the residuals were white"""
+    pull: Floats
+    """(2,)"""
+    correlation: float
+
+
+def _linearise(pixels: _Pixels, sampled: tuple[Floats, Floats, Floats], weights: Floats) -> _Linearised | None:
+    """None where the right picture has nothing to hold on to, or is the negative of the left one."""
+    sample, slope_u, slope_v = sampled
+    total = weights.sum()
+    every = np.stack([pixels.values, sample, slope_u * -pixels.stretch[:, None], slope_v])  # (4, n, channels)
+    every = every - (weights @ every / total)[:, None, :]
+    # Of each colour the 4x4 inner products of template, sample and the two slopes: all that least squares needs.
+    by_colour = every.transpose(2, 0, 1)
+    gram = (by_colour * weights) @ by_colour.transpose(0, 2, 1)
+    tt, ts, ss = gram[:, 0, 0], gram[:, 0, 1], gram[:, 1, 1]
+    if (ss <= 1e-6 * total).any() or (tt <= 1e-6 * total).any():
+        return None
+    gain = ts / ss
+    if (gain <= 0).all():
+        return None
+    noise = np.maximum((tt - gain * ts) / total, _QUANTISATION)
+    along = gram[:, 2:, 1] / ss[:, None]  # (channels, 2)
+    square = gram[:, 2:, 2:] - along[:, :, None] * gram[:, None, 2:, 1]
+    normal = ((gain**2 / noise)[:, None, None] * square).sum(axis=0)
+    pull = ((gain / noise)[:, None] * (gram[:, 2:, 0] - along * ts[:, None])).sum(axis=0)
+    determinant = normal[0, 0] * normal[1, 1] - normal[0, 1] ** 2
+    if not determinant > 1e-9 * normal[0, 0] * normal[1, 1]:
+        return None
+    inverse = np.array([[normal[1, 1], -normal[0, 1]], [-normal[0, 1], normal[0, 0]]]) / determinant
+    jacobian = (every[2:] - along.T[:, None, :] * every[1]) * gain  # (2, n, channels)
+    correlation = float((ts / noise).sum() / np.sqrt((tt / noise).sum() * (ss / noise).sum()))
+    return _Linearised(jacobian.transpose(1, 2, 0), every[0] - gain * every[1], noise, inverse, pull, correlation)
+
+
+def _sigma(at: _Linearised, weights: Floats, group: Ints) -> float:
+    """Standard deviation of the disparity, from how much the pieces of the cone disagree.
+
+    Neighbouring pixels err together (optics, colour filter, compression) and no model of a cone is perfect, so the residuals
+    are not white. The estimate that allows for it is the cluster-robust one (Liang & Zeger 1986): the pull of each piece of
+    outline, left and right of the axis apart, counts as one observation.
+    """
+    pulls = np.einsum("ncp,nc->pn", at.jacobian, at.residual / at.noise) * weights
+    pieces = np.stack([np.bincount(group, pull) for pull in pulls])
+    count = max(len(np.unique(group)), 3)
+    robust = (at.inverse @ (pieces @ pieces.T) @ at.inverse)[0, 0] * count / (count - 2)
+    return float(np.sqrt(max(robust, at.inverse[0, 0])))
+
+
+class _Patch(NamedTuple):
+    """Cubic B-spline coefficients of a part of the right picture (Unser 1999)."""
+
+    coefficients: Floats
+    """(rows, columns, channels)"""
+    row0: int
+    column0: int
+
+    @staticmethod
+    def around(
+        pixels: _Pixels, right: NDArray[np.uint8], disparity_px: float, at_infinity_px: float, row_offset_px: float
+    ) -> _Patch | None:
+        """The part that `pixels` can reach; None where it would leave the picture at the sides."""
+        columns = pixels.columns - (at_infinity_px + (disparity_px - at_infinity_px) * pixels.stretch)
+        margin = int(_MAX_WAY_PX) + 4
+        column0, column1 = int(columns.min()) - margin, int(columns.max()) + margin + 1
+        if column0 < 0 or column1 > right.shape[1]:
+            return None
+        row0 = int(np.floor(pixels.rows.min() + row_offset_px)) - 4
+        row1 = int(np.ceil(pixels.rows.max() + row_offset_px)) + 5
+        rows = np.clip(np.arange(row0, row1), 0, right.shape[0] - 1)
+        part = right[rows, column0:column1].astype(np.float64)
+        coefficients = spline_filter1d(spline_filter1d(part, 3, axis=0, mode="mirror"), 3, axis=1, mode="mirror")
+        return _Patch(coefficients, row0, column0)
+
+    def at(self, rows: Ints, columns: Floats, down_px: float) -> tuple[Floats, Floats, Floats]:
+        """Grey values and their slopes along columns and rows, each (n, channels), at rows + down_px and columns."""
+        height, width, channels = self.coefficients.shape
+        whole = int(np.floor(down_px))
+        value_v, slope_v = _weights(np.array(down_px - whole))
+        # All pixels have the same part of a row to go: blend whole rows first, then only four columns are left for each pixel.
+        windows = np.stack([self.coefficients[k : height - 3 + k] for k in range(4)], axis=-1)
+        blend = (windows @ np.stack([value_v, slope_v], axis=1)).reshape((height - 3) * width, 2 * channels)
+        base = np.floor(columns).astype(np.intp)
+        value_u, slope_u = _weights(columns - base)
+        top = np.clip(rows + whole - 1 - self.row0, 0, height - 4)
+        first = top * width + np.clip(base - 1 - self.column0, 0, width - 4)
+        picked = blend[first[:, None] + np.arange(4)]  # (n, 4, 2 * channels): value and slope down, colour by colour
+        both = np.einsum("kn,nkc->nc", value_u, picked)
+        along = np.einsum("kn,nkc->nc", slope_u, picked[:, :, 0::2])
+        return both[:, 0::2], along, both[:, 1::2]
+
+
+def _weights(part: Floats) -> tuple[Floats, Floats]:
+    """Cubic B-spline weights (4, ...) of the four neighbours of a point, and their derivatives; part: 0..1 past the second."""
+    t = part
+    value = np.stack([(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3]) / 6
+    slope = np.stack([-((1 - t) ** 2), 3 * t**2 - 4 * t, -3 * t**2 + 2 * t + 1, t**2]) / 2
+    return value, slope

@@ -17,6 +17,7 @@ from conetl.params import MatchParams
 from conetl.records import Camera, Detection, Rig, StereoMatch, Vec2
 from conetl.rejections import Rejection, RejectionReason
 from conetl.steps.area_matching import AreaMatch, match_area
+from conetl.steps.cone_outline import find_outline
 
 Image = NDArray[np.uint8]
 #: Height of anything that may be a traffic cone, wide: the boxes are loose. Keeps a cone from being matched with its neighbour.
@@ -28,10 +29,6 @@ _BORDER_SHARE = 0.15
 #: Measured spread of the shipped detector's box edges on the sample drives: a floor plus a share of the box.
 _EDGE_SIGMA_PX = 0.6
 _EDGE_SIGMA_SHARE = 0.025
-#: Area-based matching sees the cone's near cheek, not its axis. Averaged over the picture of a cone the surface lies pi/4 of
-#: its mean radius, 0.18 of the base plate's width, in front of the axis; its outline, which takes part in the match, lies
-#: beside the axis. Measured on rendered cones of both sizes: 0.12 of the width.
-_CHEEK_SHARE = 0.12
 
 
 @dataclass(frozen=True)
@@ -65,7 +62,7 @@ def match_pair(
     costs = np.full((len(left_whole), len(right_whole)), np.inf)
     for i, a in enumerate(left_whole):
         for j, b in enumerate(right_whole):
-            candidate = _candidate(a, b, rig, params, images if params.refine else None)
+            candidate = _candidate(a, b, rig, params, images if params.refine else None, up_left)
             if candidate is not None:
                 candidates[i, j] = candidate
                 costs[i, j] = candidate.cost
@@ -118,7 +115,12 @@ def _is_whole(detection: Detection, camera: Camera, rejections: list[Rejection])
 
 
 def _candidate(
-    a: Detection, b: Detection, rig: Rig, params: MatchParams, images: tuple[Image, Image] | None
+    a: Detection,
+    b: Detection,
+    rig: Rig,
+    params: MatchParams,
+    images: tuple[Image, Image] | None,
+    up: NDArray[np.float64],
 ) -> _Candidate | None:
     """Cost of calling two detections one object, None where that cannot be."""
     tallest = max(a.h_px, b.h_px)
@@ -146,8 +148,10 @@ def _candidate(
         return None
     area = None
     if images is not None:
-        box = (a.x_px, a.y_px, a.w_px, a.h_px)
-        area = match_area(images[0], images[1], box, disparity + at_infinity, max(3.0, 0.3 * a.w_px))
+        area = match_area(
+            images[0], images[1], find_outline(images[0], a), disparity + at_infinity, max(3.0, 0.3 * a.w_px),
+            focal_px=rig.left.fx_px, at_infinity_px=at_infinity, row_offset_px=row_offset_px, lean=float(-up[2] / up[1]),
+        )  # fmt: skip
     cost = row_difference / row_tolerance + np.log(height_ratio) * 2 + np.log(width_ratio) + score_difference
     if images is not None:
         cost += 1.0 - (area.correlation if area else 0.0)
@@ -162,9 +166,7 @@ def _stereo_match(
     edge_sigma = _EDGE_SIGMA_PX + _EDGE_SIGMA_SHARE * (a.w_px + b.w_px) / 2
     sigma_u = edge_sigma
     if candidate.area is not None:
-        at_infinity = rig.left.cx_px - rig.right.cx_px
-        cheek = candidate.area.disparity_px - at_infinity
-        disparity = at_infinity + cheek / (1 + _CHEEK_SHARE * a.w_px / rig.left.fx_px)
+        disparity = candidate.area.disparity_px
         # Both boxes say where the axis is; the matched disparity says how the two statements relate.
         axis_left = (axis_left + axis_right + disparity) / 2
         axis_right = axis_left - disparity

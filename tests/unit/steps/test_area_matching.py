@@ -1,76 +1,96 @@
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from conetl.steps.area_matching import match_area, silhouette_mask
-
-BOX = (60.0, 30.0, 30.0, 52.0)
-
-
-def textured_pair(disparity_px: float, seed: int, noise: float = 2.0) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """A smooth random picture and the same shifted left by a part of a pixel, each with its own noise."""
-    rng = np.random.default_rng(seed)
-    fine = cv2.GaussianBlur(rng.uniform(0, 255, (120 * 4, 200 * 4)), (0, 0), 9)
-    fine = (fine - fine.min()) / np.ptp(fine) * 200 + 25
-
-    def view(shift_px: float) -> NDArray[np.uint8]:
-        move = np.array([[1.0, 0.0, -4 * shift_px], [0.0, 1.0, 0.0]])
-        moved = cv2.warpAffine(fine, move, (800, 480), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
-        small = cv2.resize(moved, (200, 120), interpolation=cv2.INTER_AREA)
-        return np.clip(small + rng.normal(0, noise, small.shape), 0, 255).astype(np.uint8)
-
-    return view(0.0), view(disparity_px)
+from conetl.steps.area_matching import AreaMatch, match_area
+from conetl.steps.cone_outline import find_outline
+from tests.synthetic.cone_pictures import F_PX, ConePair, cone_pair
 
 
-@pytest.mark.parametrize("disparity_px", [12.0, 12.3, 12.5, 12.81])
-def test_sub_pixel_disparity_is_found_from_a_rough_start(disparity_px: float) -> None:
+def match(pair: ConePair, guess_off_px: float = 1.2, right: NDArray[np.uint8] | None = None) -> AreaMatch | None:
+    return match_area(
+        pair.left, pair.right if right is None else right, find_outline(pair.left, pair.detection),
+        pair.disparity_px + guess_off_px, 4.0, focal_px=F_PX,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("range_m", "bias_px", "std_px"), [(6.0, 0.04, 0.04), (9.0, 0.04, 0.04), (15.0, 0.03, 0.05)])
+def test_the_disparity_is_that_of_the_axis_not_of_the_near_cheek(range_m: float, bias_px: float, std_px: float) -> None:
     errors = []
-    for seed in range(8):
-        left, right = textured_pair(disparity_px, seed)
-        match = match_area(left, right, BOX, disparity_px=10.0, search_px=4.0)
-        assert match is not None
-        errors.append(match.disparity_px - disparity_px)
-    assert abs(np.mean(errors)) < 0.06
-    assert np.std(errors) < 0.08
+    for seed in range(10):
+        pair = cone_pair(range_m, seed)
+        found = match(pair, guess_off_px=1.2 if seed % 2 else -1.2)
+        assert found is not None
+        errors.append(found.disparity_px - pair.disparity_px)
+    # the surface alone would be off by up to disparity * radius / range: 1 px at 6 m
+    assert abs(np.mean(errors)) < bias_px
+    assert np.std(errors) < std_px
+
+
+def test_sigma_is_that_of_the_errors() -> None:
+    ratios = []
+    for seed in range(24):
+        pair = cone_pair(11.0, 100 + seed, noise=4.0)
+        found = match(pair)
+        assert found is not None
+        ratios.append((found.disparity_px - pair.disparity_px) / found.sigma_px)
+    # these pictures know neither JPEG nor leaning cones, for which sigma allows
+    assert 0.4 < np.std(ratios) < 1.3
+
+
+def test_noise_makes_sigma_larger() -> None:
+    quiet, loud = (match(cone_pair(18.0, 3, noise=noise)) for noise in (1.0, 25.0))
+    assert quiet is not None
+    assert loud is not None
+    assert loud.sigma_px > 1.3 * quiet.sigma_px
 
 
 def test_brightness_and_contrast_do_not_matter() -> None:
-    left, right = textured_pair(9.4, 3)
-    darker = np.clip(right * 0.7 + 15, 0, 255).astype(np.uint8)
-    plain = match_area(left, right, BOX, 9.0, 4.0)
-    other = match_area(left, darker, BOX, 9.0, 4.0)
+    pair = cone_pair(9.0, 3)
+    darker = np.clip(pair.right * 0.7 + 15, 0, 255).astype(np.uint8)
+    plain, other = match(pair), match(pair, right=darker)
     assert plain is not None
     assert other is not None
-    assert other.disparity_px == pytest.approx(plain.disparity_px, abs=0.05)
+    assert other.disparity_px == pytest.approx(plain.disparity_px, abs=0.03)
 
 
-def test_what_stands_behind_the_cone_does_not_pull_it() -> None:
-    near_left, near_right = textured_pair(20.0, 5)
-    far_left, far_right = textured_pair(6.0, 6)
-    x, y, w, h = (int(value) for value in BOX)
-    mask = silhouette_mask(h, w)
-    far_left[y : y + h, x : x + w][mask] = near_left[y : y + h, x : x + w][mask]
-    far_right[y : y + h, x - 20 : x - 20 + w][mask] = near_right[y : y + h, x - 20 : x - 20 + w][mask]
-    match = match_area(far_left, far_right, BOX, 18.5, 4.0)
-    assert match is not None
-    assert match.disparity_px == pytest.approx(20.0, abs=0.15)
+def test_a_row_offset_is_found_and_does_not_matter() -> None:
+    pair = cone_pair(9.0, 4)
+    lower = np.roll(pair.right, 1, axis=0)
+    plain, other = match(pair), match(pair, right=lower)
+    assert plain is not None
+    assert other is not None
+    assert other.row_offset_px - plain.row_offset_px == pytest.approx(1.0, abs=0.02)
+    assert other.disparity_px == pytest.approx(plain.disparity_px, abs=0.02)
+
+
+def test_a_cone_half_behind_a_post_is_refused() -> None:
+    # the post stands 1.5 m in front and hides another half in the other picture: any match would be off by pixels
+    assert [match(cone_pair(10.0, seed, post=True)) for seed in range(6)] == [None] * 6
 
 
 def test_no_texture_gives_no_match() -> None:
-    flat = np.full((120, 200, 3), 90, np.uint8)
-    assert match_area(flat, flat, BOX, 10.0, 4.0) is None
+    assert match(cone_pair(9.0, 1, flat=True)) is None
 
 
 def test_another_picture_gives_no_match() -> None:
-    left, _ = textured_pair(10.0, 1)
-    _, right = textured_pair(10.0, 2)
-    match = match_area(left, right, (60.0, 20.0, 50.0, 80.0), 10.0, 4.0)
-    assert match is None or match.correlation < 0.8
+    pair = cone_pair(9.0, 1)
+    rng = np.random.default_rng(0)
+    other = rng.integers(0, 255, pair.right.shape).astype(np.uint8)
+    assert match(pair, right=other) is None
 
 
 def test_a_search_beyond_the_picture_gives_no_match() -> None:
-    left, right = textured_pair(10.0, 1)
-    assert match_area(left, right, (2.0, 30.0, 30.0, 50.0), 10.0, 4.0) is None
+    pair = cone_pair(9.0, 1)
+    assert match(pair, guess_off_px=120.0) is None
+
+
+def test_the_outline_lies_on_the_edges_of_the_body() -> None:
+    for seed in range(6):
+        pair = cone_pair(8.0, seed)
+        outline = find_outline(pair.left, pair.detection)
+        rows = np.array([outline.tip_row + share * (outline.foot_row - outline.tip_row) for share in (0.3, 0.7)])
+        radius = F_PX / 8.0 * (0.035 + (0.14 - 0.035) * np.array([0.3, 0.7]))
+        assert outline.radius(rows) == pytest.approx(radius, abs=0.4)

@@ -1,0 +1,121 @@
+"""Where the body of a standing cone is in one picture: its axis, and how wide it is in each row.
+
+A box says how wide the base plate is, not the body, and boxes are loose. What range needs is the body: its outline lies at
+the depth of the axis, the surface between lies nearer. Both edges of the body are straight lines; each is looked for by itself
+as the line along which the grey values change most across the rows, near to where box, foot and tip say that it should be.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.records import Detection
+
+Floats = NDArray[np.float64]
+
+#: Half width of a cone's body as a share of its box's width, at the tip and at the foot: what cones of the sample drives and
+#: of one real street have, between and around.
+_PRIOR_TOP, _PRIOR_FOOT = 0.10, 0.31
+_REACH_TOP, _REACH_FOOT = 0.08, 0.12
+#: Rows that show the body alone, as shares of the way from tip to foot: not the blunt tip, not the base plate.
+BODY_ROWS = (0.08, 0.84)
+_COARSE_TOP, _COARSE_FOOT, _FINE = np.linspace(-1, 1, 7), np.linspace(-1, 1, 11), np.linspace(-1, 1, 7)
+
+
+@dataclass(frozen=True)
+class Outline:
+    """Both edges of a cone's body as straight lines; image points (0 = the centre of the first pixel)."""
+
+    tip_row: float
+    foot_row: float
+    left_top: float
+    """Column of the left edge in the tip's row ..."""
+    left_foot: float
+    """... and in the foot's, as if the body went on into the base plate."""
+    right_top: float
+    right_foot: float
+
+    def share(self, rows: Floats) -> Floats:
+        """0 in the tip's row, 1 in the foot's."""
+        return (rows - self.tip_row) / (self.foot_row - self.tip_row)
+
+    def axis(self, rows: Floats) -> Floats:
+        """Columns of the axis (px) in rows (px)."""
+        top, foot = (self.left_top + self.right_top) / 2, (self.left_foot + self.right_foot) / 2
+        return top + (foot - top) * self.share(rows)
+
+    def radius(self, rows: Floats) -> Floats:
+        """Half width of the body (px) in rows (px)."""
+        top, foot = (self.right_top - self.left_top) / 2, (self.right_foot - self.left_foot) / 2
+        return top + (foot - top) * self.share(rows)
+
+
+def expected_outline(detection: Detection) -> Outline:
+    """The outline that box, foot and tip alone suggest."""
+    width = detection.w_px
+    middle = detection.x_px + width / 2
+    tip_x, tip_y = detection.tip_px or (middle, detection.y_px)
+    foot_x, foot_y = detection.foot_px or (middle, detection.y_px + detection.h_px)
+    if foot_y - tip_y < 0.5 * detection.h_px:
+        tip_x, tip_y, foot_x, foot_y = middle, detection.y_px, middle, detection.y_px + detection.h_px
+    return Outline(
+        tip_row=tip_y - 0.5, foot_row=foot_y - 0.5,
+        left_top=tip_x - 0.5 - _PRIOR_TOP * width, right_top=tip_x - 0.5 + _PRIOR_TOP * width,
+        left_foot=foot_x - 0.5 - _PRIOR_FOOT * width, right_foot=foot_x - 0.5 + _PRIOR_FOOT * width,
+    )  # fmt: skip
+
+
+def find_outline(image: NDArray[np.uint8], detection: Detection) -> Outline:
+    """The outline of a detection's cone in its picture (H, W, 3), uint8."""
+    expected = expected_outline(detection)
+    width = detection.w_px
+    first = int(np.ceil(expected.tip_row + BODY_ROWS[0] * (expected.foot_row - expected.tip_row)))
+    last = int(np.floor(expected.tip_row + BODY_ROWS[1] * (expected.foot_row - expected.tip_row)))
+    first, last = max(first, 0), min(last, image.shape[0] - 1)
+    margin = int(0.35 * width) + 3
+    column0 = max(int(detection.x_px) - margin, 0)
+    column1 = min(int(detection.x_px + width) + margin, image.shape[1])
+    if last - first < 4 or column1 - column0 < 6:
+        return expected
+    patch = image[first : last + 1, column0:column1].astype(np.float64)
+    steps = np.zeros(patch.shape[:2])
+    steps[:, 1:-1] = np.sqrt((((patch[:, 2:] - patch[:, :-2]) / 2) ** 2).sum(axis=2))
+    rows = np.arange(first, last + 1, dtype=np.float64)
+    share = expected.share(rows)
+    left = _edge(steps, share, expected.left_top - column0, expected.left_foot - column0, width)
+    right = _edge(steps, share, expected.right_top - column0, expected.right_foot - column0, width)
+    found = Outline(
+        tip_row=expected.tip_row, foot_row=expected.foot_row,
+        left_top=left[0] + column0, left_foot=left[1] + column0,
+        right_top=right[0] + column0, right_foot=right[1] + column0,
+    )  # fmt: skip
+    radii = found.radius(rows[[0, -1]])
+    return found if radii[0] > 0 and radii[1] > radii[0] else expected
+
+
+def _edge(steps: Floats, share: Floats, top: float, foot: float, width_px: float) -> tuple[float, float]:
+    """Columns at tip and foot of the line along which the grey values change most, near to the expected ones."""
+    reach_top, reach_foot = max(_REACH_TOP * width_px, 1.0), max(_REACH_FOOT * width_px, 1.5)
+    tops, feet = top + reach_top * _COARSE_TOP, foot + reach_foot * _COARSE_FOOT
+    # The square root: an edge seen in all rows counts more than one bright thing behind a few of them.
+    score = _along(np.sqrt(steps), share, tops, feet)
+    # Slightly rather near to the expected line: decides where nothing else does.
+    score -= 0.1 * score.max() * (_COARSE_TOP[:, None] ** 2 + _COARSE_FOOT[None, :] ** 2)
+    i, j = np.unravel_index(int(np.argmax(score)), score.shape)
+    tops, feet = tops[i] + max(0.5, reach_top / 4) * _FINE, feet[j] + max(0.5, reach_foot / 6) * _FINE
+    i, j = np.unravel_index(int(np.argmax(_along(steps, share, tops, feet))), (len(_FINE), len(_FINE)))
+    return float(tops[i]), float(feet[j])
+
+
+def _along(steps: Floats, share: Floats, tops: Floats, feet: Floats) -> Floats:
+    """Mean change of grey values (tops, feet) along the straight lines between columns at the tip and at the foot."""
+    lines = tops[:, None, None] * (1 - share) + feet[None, :, None] * share  # (tops, feet, rows)
+    lines = np.clip(lines, 0.0, steps.shape[1] - 1.001)
+    base = lines.astype(np.intp)
+    part = lines - base
+    flat = base + np.arange(len(share)) * steps.shape[1]
+    values = steps.ravel()
+    return np.asarray(((1 - part) * values[flat] + part * values[flat + 1]).mean(axis=2))
