@@ -34,6 +34,10 @@ T_03: -4.731050e-01 5.551470e-03 -5.250882e-03
 S_rect_03: 1242 375
 P_rect_03: 721.5377 0 609.5593 -339.5242 0 721.5377 172.854 2.199936 0 0 1 0.002729905
 """
+R_RECT_02 = (9.998817e-01, 1.511453e-02, -2.841595e-03, -1.511724e-02, 9.998853e-01, -9.338510e-04, 2.827154e-03, 9.766976e-04,
+             9.999955e-01)  # fmt: skip
+R_RECT_03 = (9.998321e-01, -7.193136e-03, 1.685599e-02, 7.232804e-03, 9.999712e-01, -2.293585e-03, -1.683901e-02, 2.415116e-03,
+             9.998553e-01)  # fmt: skip
 SAMPLE = Path(__file__).parents[3] / "data" / "drives" / "2026-03-02_taper_pass1"
 PIXELS = "width_px: 96, height_px: 32, fx_px: 70, fy_px: 70, cx_px: 47.5, cy_px: 15.5"
 BODY = "body_SE3_left: {R: [[0, 0, 1], [-1, 0, 0], [0, -1, 0]], t_m: [1.0, 0.2, 0.7]}"
@@ -65,12 +69,19 @@ def test_kittis_raw_cameras_see_what_its_rectified_ones_see(kitti: Path) -> None
     own = read_kitti_rig(path, body_required=True)
     assert raw.left.lens.model == "brown" and raw.baseline_m == pytest.approx(own.baseline_m, abs=1e-4)
     point = np.array([9.0, 1.0, -0.8])
+    numbers = {
+        line.split(": ")[0]: np.array(line.split(": ")[1].split(), dtype=float) for line in CAM_TO_CAM.splitlines()
+    }
+    numbers |= {"R_rect_02": np.array(R_RECT_02), "R_rect_03": np.array(R_RECT_03)}
     for side in ("left", "right"):
         centre = [rigs.body_SE3_camera(r, side)[:3, 3] for r in (raw, own)]  # type: ignore[arg-type]
         np.testing.assert_allclose(centre[0], centre[1], atol=2e-3)
         in_raw = se3.apply(se3.invert(rigs.body_SE3_camera(raw, side)), point)  # type: ignore[arg-type]
         uv = cam.project(rigs.camera_of(raw, side), in_raw)  # type: ignore[arg-type]
-        np.testing.assert_allclose(cam.rays(rigs.camera_of(raw, side), uv) * in_raw[2], in_raw, atol=1e-9)  # type: ignore[arg-type]
+        # The other way round: through KITTI's rectified camera, back by its R_rect_0i into the raw one.
+        in_own = se3.apply(se3.invert(rigs.body_SE3_camera(own, side)), point)  # type: ignore[arg-type]
+        back = numbers["R_rect_02" if side == "left" else "R_rect_03"].reshape(3, 3).T @ in_own
+        np.testing.assert_allclose(cam.project(rigs.camera_of(raw, side), back), uv, atol=0.25)  # type: ignore[arg-type]
     flat = rectify(raw)
     assert is_rectified(flat) and flat.left.fx_px == pytest.approx(959.791)
     assert flat.left.width_px >= 1392, "straightening a barrel at full resolution widens the picture"
