@@ -39,10 +39,9 @@ def find_april_grid(image: Grey, cols: int, rows: int, spacing: float) -> tuple[
     Tags are numbered row by row from the lower left; corner 4 t + k is the lower left, lower right, upper right, upper left one
     of tag t. Which corner of a tag a detector calls first differs between libraries: the turn that makes one flat grid is taken.
     """
-    parameters = cv2.aruco.DetectorParameters()
-    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_APRILTAG
     words = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
-    quads, ids, _ = cv2.aruco.ArucoDetector(words, parameters).detectMarkers(image)
+    # By outline, not by OpenCV's AprilTag detector: that one loses tags whose corners touch the black squares between them.
+    quads, ids, _ = cv2.aruco.ArucoDetector(words, cv2.aruco.DetectorParameters()).detectMarkers(image)
     none: tuple[Ints, Array] = (np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
     if ids is None:
         return none
