@@ -271,7 +271,7 @@ class Track(Record):
     xyz_m: Vec3
     """Foot centre in the map frame."""
     cov_m2: Cov3
-    """Absolute: with the part of the pose error that all frames of the drive share."""
+    """Absolute: with the errors of pose and calibration that all sightings share."""
     relative_cov_m2: Cov3
     """Without that part: what distances between cones of this drive live on."""
     centre_xyz_m: Vec3

@@ -99,27 +99,6 @@ def consistency(
     return Consistency(common + relative, relative, common)
 
 
-def pose_jacobian(xyz_m: ArrayLike, map_R_body: ArrayLike, map_t_body_m: ArrayLike) -> Array:
-    """(N, 3, 6): how map points move with errors of the body's easting, northing, height, roll, pitch and yaw.
-
-    xyz_m (N, 3); the poses (N, 3, 3) and (N, 3). The axes are those of `add_pose_covariance`: roll about the body's x axis,
-    pitch about the level axis across it, yaw about the vertical.
-    """
-    rotation = np.asarray(map_R_body, dtype=np.float64)
-    lever = np.asarray(xyz_m, dtype=np.float64) - np.asarray(map_t_body_m, dtype=np.float64)
-    ahead = rotation[:, :, 0]
-    level = np.hypot(ahead[:, 0], ahead[:, 1])
-    if np.any(level < 1e-9):
-        raise ValueError("pose_jacobian: the body stands on its nose, roll and yaw cannot be told apart")
-    across = np.stack([-ahead[:, 1] / level, ahead[:, 0] / level, np.zeros_like(level)], axis=1)
-    vertical = np.broadcast_to([0.0, 0.0, 1.0], ahead.shape)
-    jacobian = np.zeros((len(lever), 3, 6))
-    jacobian[:, :, :3] = np.eye(3)
-    for column, axis in enumerate((ahead, across, vertical), 3):
-        jacobian[:, :, column] = np.cross(axis, lever)
-    return jacobian
-
-
 def ce90_m(difference_m: ArrayLike) -> float:
     """Circular error: 90 % of the horizontal errors of (N, 3) differences are not larger."""
     e = np.asarray(difference_m, dtype=np.float64)

@@ -28,6 +28,8 @@ class JointFit:
     """(F, 4): observed minus computed u_left, v_left, u_right, v_right."""
     weights: Floats
     """(F,): Huber weight of each pair; 1 where it fits."""
+    shares: Floats
+    """(F, 3, 3): how the point moves with each pair's own point; their sum is the identity."""
     iterations: int
 
 
@@ -96,7 +98,8 @@ def fit_point(
         misfit = np.sqrt(np.einsum("fi,fij,fj->f", residual, information, residual) / 4)
         huber = np.minimum(1.0, _HUBER_SIGMAS / np.maximum(misfit, 1e-9))
         weighted = np.swapaxes(jacobian, 1, 2) @ information * huber[:, None, None]
-        normal = np.einsum("fij,fjk->ik", weighted, jacobian)
+        normals = weighted @ jacobian
+        normal = normals.sum(axis=0)
         try:
             cov = np.linalg.inv(normal)
         except np.linalg.LinAlgError:
@@ -104,5 +107,5 @@ def fit_point(
         step = cov @ np.einsum("fij,fj->i", weighted, residual)
         point = point + step
         if float(step @ step) < convergence_m2:
-            return JointFit(point + shift, (cov + cov.T) / 2, residual, huber, iteration)
+            return JointFit(point + shift, (cov + cov.T) / 2, residual, huber, cov @ normals, iteration)
     return None

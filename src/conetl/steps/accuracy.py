@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.geometry.consistency import Consistency, Nees, ce90_m, consistency, le90_m, point_nees, pose_jacobian
+from conetl.geometry.consistency import Consistency, Nees, ce90_m, consistency, le90_m, point_nees
 from conetl.geometry.packing import cov_matrix, vec3
+from conetl.geometry.pose_covariance import pose_jacobian
 from conetl.geometry.rig import map_SE3_left
 from conetl.records import Drive, Position, Record, Track, Vec3
 from conetl.steps.evaluation import TruthCone, TruthLine

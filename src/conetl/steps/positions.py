@@ -16,6 +16,7 @@ from pydantic import ValidationError
 from conetl.geometry import camera as cam
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
+from conetl.geometry.calibration_covariance import calibration_cov
 from conetl.geometry.intersection import IntersectionStatus, intersect
 from conetl.geometry.packing import cov3, vec3
 from conetl.geometry.pose_covariance import add_pose_covariance
@@ -86,7 +87,7 @@ def locate_positions(
     """Positions of stereo matches in the map frame, all in one batch.
 
     `drive_pairs` maps frame_index to its frame pair. Every match ends up in exactly one of the two lists, in the order given.
-    `xyz_m` is the foot; `cov_m2` holds image and pose sigmas, `camera_cov_m2` the image sigmas alone.
+    `xyz_m` is the foot; `cov_m2` holds image, calibration and pose sigmas, `camera_cov_m2` the image sigmas alone.
     """
     if not matches:
         return [], []
@@ -101,7 +102,9 @@ def locate_positions(
     body = np.stack([se3.map_SE3_body(poses[i]) for i in order])[slot]
     left = se3.compose(body, rigs.body_SE3_camera(rig, "left"))
     xyz = se3.apply(left, located.xyz)
-    turned = left[:, :3, :3] @ located.foot_cov @ np.swapaxes(left[:, :3, :3], 1, 2)
+    # Positions of one rig are compared in its camera frame without the error of its calibration: they all have the same one.
+    in_camera = located.foot_cov + calibration_cov(located.xyz[0], rig)
+    turned = left[:, :3, :3] @ in_camera @ np.swapaxes(left[:, :3, :3], 1, 2)
     sigma_enu = np.array([poses[i].sigma_enu_m for i in order])[slot]
     sigma_rpy = np.array([poses[i].sigma_rpy_rad for i in order])[slot]
     cov = add_pose_covariance(turned, xyz[0], body[:, :3, :3], body[:, :3, 3], sigma_enu, sigma_rpy)
@@ -143,6 +146,7 @@ def locate_in_camera(
     if not matches:
         return [], []
     located = _locate(matches, rig, params)
+    foot_cov = located.foot_cov + calibration_cov(located.xyz[0], rig)
     up = rigs.up_in_left_camera(rig)
     height = located.xyz @ up
     level = located.xyz[0] - height[0][:, None] * up
@@ -159,10 +163,10 @@ def locate_in_camera(
                         frame_index=match.frame_index,
                         match_index=match.match_index,
                         xyz_m=vec3(located.xyz[0, i]),
-                        cov_m2=cov3(located.foot_cov[i]),
+                        cov_m2=cov3(foot_cov[i]),
                         centre_xyz_m=vec3(located.xyz[1, i]),
                         ground_distance_m=float(ground[i]),
-                        ground_distance_sigma_m=float(np.sqrt(along @ located.foot_cov[i] @ along)),
+                        ground_distance_sigma_m=float(np.sqrt(along @ foot_cov[i] @ along)),
                         cone_height_m=float(height[2, i] - height[0, i]),
                         foot_height_m=float(height[0, i]),
                         centre_height_m=float(height[1, i]),

@@ -14,6 +14,7 @@ from conetl.params import IngestParams, TrackParams
 from conetl.records import Detection, FramePair, Position, Rig, StereoMatch, Track
 from conetl.rejections import Rejection, RejectionReason
 from conetl.steps.association import MotionError, chain_positions
+from conetl.steps.common_errors import common_cov
 from conetl.steps.existence import existence_probability
 
 Floats = NDArray[np.float64]
@@ -123,7 +124,7 @@ def _fuse_group(
     return Track(
         track_index=index,
         xyz_m=vec3(foot.xyz_m),
-        cov_m2=cov3(foot.cov_m2 + _common_pose_cov(group, frame_pairs)),
+        cov_m2=cov3(foot.cov_m2 + common_cov(group, foot.shares, frame_pairs, rig, map_SE3_left)),
         relative_cov_m2=cov3(foot.cov_m2),
         centre_xyz_m=vec3(centre.xyz_m),
         cone_height_m=height_m,
@@ -191,15 +192,6 @@ def _motion_sigmas(
     gnss_m = np.array([np.linalg.norm(frame_pairs[p.frame_index].pose.sigma_enu_m) for p in group])
     attitude_m = np.array([max(frame_pairs[p.frame_index].pose.sigma_rpy_rad) * p.range_m for p in group])
     return np.asarray(np.hypot(np.minimum(limits.motion_sigma_relative * driven_m, gnss_m), attitude_m))
-
-
-def _common_pose_cov(group: tuple[Position, ...], frame_pairs: Mapping[int, FramePair]) -> Floats:
-    """GNSS/INS errors vary over many seconds: the frames of one cone share them, so they are not averaged away."""
-    poses = [frame_pairs[p.frame_index].pose for p in group]
-    position_m2 = np.diag(np.mean([np.square(pose.sigma_enu_m) for pose in poses], axis=0))
-    lever_m = [p.range_m for p in group]
-    attitude_m2 = np.mean([(max(pose.sigma_rpy_rad) * r) ** 2 for pose, r in zip(poses, lever_m, strict=True)])
-    return np.asarray(position_m2 + attitude_m2 * np.eye(3))
 
 
 def _check_ground(
