@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from conetl.geometry import calibration_covariance
 from conetl.geometry.camera import intrinsics
 from conetl.geometry.intersection import IntersectionResult, intersect
 from conetl.geometry.joint_fit import fit_point
@@ -102,14 +103,14 @@ def exact_stations(
     return spread(result.xyz_m - point_m, result.cov_m2, point_m, solve(exact[None], views, sigma_px).cov_m2[0])
 
 
-def calibration_jacobian(rig: Rig, points_m: Array, poses: Sequence[Array] = (np.eye(4),)) -> Array:
+def jacobian_by_differences(rig: Rig, points_m: Array, poses: Sequence[Array] = (np.eye(4),)) -> Array:
     """(P, 3, K) how points (P, 3) seen from S stations move with each calibration parameter when their image points stay.
 
     By central differences of the intersection itself: owes nothing to the formulas that the pipeline uses.
     """
     covariance = rig.calibration_covariance
     if covariance is None:
-        raise ValueError("calibration_jacobian: the rig has no calibration covariance")
+        raise ValueError("jacobian_by_differences: the rig has no calibration covariance")
     steps = 0.1 * np.sqrt(np.diag(covariance.matrix))
     changes = np.vstack([np.diag(steps), -np.diag(steps)])
     changed = stations(changed_views(rig, covariance.names, changes), poses)
@@ -138,7 +139,14 @@ def calibration_and_noise(
     matrix = np.array(rig.calibration_covariance.matrix) if rig.calibration_covariance else np.zeros((0, 0))
 
     # Each draw states the covariance at its own estimate, as the pipeline would: it does not know the truth.
-    jacobian = calibration_jacobian(rig, np.vstack([result.xyz_m, point_m]), poses)
+    points = np.vstack([result.xyz_m, point_m])
+    # The pipeline's own derivatives hold for one frame pair; several stations at once are the study's.
+    one_pair = len(poses) == 1
+    jacobian = (
+        calibration_covariance.calibration_jacobian(points, rig)
+        if one_pair
+        else jacobian_by_differences(rig, points, poses)
+    )
     common = jacobian @ matrix @ np.swapaxes(jacobian, 1, 2)
     stated = result.cov_m2 + common[:-1]
     expected = solve(project(views, point_m)[None], views, sigma_px).cov_m2[0] + common[-1]

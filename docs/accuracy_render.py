@@ -23,6 +23,7 @@ from conetl.steps.positions import CameraPosition, locate_in_camera
 Array = NDArray[np.float64]
 DRAWS = 100
 SAMPLES = 16
+SHOWN_CM = 5.0
 #: Cone heading and sun, degrees: the cone from eight sides.
 SIDES = tuple((heading, sun) for sun in (118.0, -60.0) for heading in (0.0, 17.0, 45.0, 70.0))
 
@@ -84,9 +85,9 @@ def study(figure_path: Path) -> str:
         )
         by_side.append(locate_draws(pair, detector, range(10)))
         rows.append(_row(f"plate turned by {heading:.0f}°, sun at {sun:.0f}°, 10 draws", by_side[-1]))
-    figure, (picture, scatter) = plt.subplots(1, 2, figsize=(9.0, 3.6), width_ratios=(0.8, 1), layout="constrained")
-    picture.imshow(develop(paper.left, exposure_gain(paper.left), np.random.default_rng(0))[..., ::-1])
-    picture.set_title("the cone at 8.53 m, cut from 6000 x 4000 pixels", fontsize=9)
+    figure, (picture, scatter) = plt.subplots(1, 2, figsize=(8.4, 3.4), width_ratios=(0.6, 1), layout="constrained")
+    picture.imshow(develop(paper.left, exposure_gain(paper.left), np.random.default_rng(0))[::2, ::2, ::-1])
+    picture.set_title("the cone at 8.53 m,\ncut from 6000 x 4000 pixels", fontsize=9)
     picture.axis("off")
     for number, side in enumerate(by_side):
         scatter.plot(
@@ -101,9 +102,13 @@ def study(figure_path: Path) -> str:
     turn = np.linspace(0, 2 * np.pi, 100)
     scatter.plot(np.cos(turn), np.sin(turn), color="black", lw=0.8, label="1 cm")
     scatter.set(xlabel="error to the right (cm)", ylabel="error in depth (cm)")
-    scatter.axis("equal")
+    scatter.set(xlim=(-SHOWN_CM, SHOWN_CM), ylim=(-SHOWN_CM, SHOWN_CM), aspect="equal")
+    everything = np.vstack([errors.errors_m, *(side.errors_m for side in by_side)])
+    beyond = int(np.sum(np.abs(100 * everything[:, [0, 2]]).max(axis=1) > SHOWN_CM))
+    if beyond:
+        scatter.set_title(f"{beyond} of {len(everything)} draws lie beyond the picture", fontsize=9)
     scatter.grid(color="#eeeeee")
-    scatter.legend(fontsize=8)
+    scatter.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
     figure.savefig(figure_path, dpi=80)
     plt.close(figure)
     head = ["", "found", "median 3D, cm", "mean right", "down", "depth", "scatter right", "down", "depth", "stated right", "down",

@@ -1,6 +1,7 @@
 """Makes the figures of docs/accuracy.md and the tables between its markers. Run: python docs/accuracy_study.py
 
-Needs Mitsuba (pip install 'conetl[simulate]') for the rendered cone; --without-render leaves that part of the page as it is.
+Needs Mitsuba (pip install 'conetl[simulate]') for the rendered cone. Names of parts (range, calibration, frames, sides, render) make
+only those and leave the rest of the page as it is.
 """
 
 from __future__ import annotations
@@ -16,9 +17,11 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse
 from scipy import stats
 
+from conetl.geometry.calibration_covariance import calibration_jacobian
 from conetl.simulation.paper_rig import BASELINE_M, SIGMAS, paper_rig
 from docs import accuracy_cases as cases
 from docs import accuracy_render as rendered
@@ -86,7 +89,9 @@ def over_range() -> str:
         ax.set_yticks([0.001, 0.01, 0.1, 1.0, 10.0], labels=["1 mm", "1 cm", "10 cm", "1 m", "10 m"])
         ax.minorticks_off()
         ax.grid(color="#e5e5e5")
-        ax.legend(fontsize=8)
+        ax.set_axisbelow(True)
+    left.legend(fontsize=8, loc="lower right")
+    right.legend(fontsize=8, loc="upper left")
     left.set_ylabel("sigma along the sight, one pair\n(lines: covariance, dots: Monte Carlo)")
     _save(figure, "accuracy_range.png")
     return _table(["sigma along the sight, cm: covariance / Monte Carlo", *(f"{r:g} m" for r in DOTS_M)], rows)
@@ -95,7 +100,7 @@ def over_range() -> str:
 def calibration() -> str:
     """What each calibration parameter costs at 8.53 m, and whether the stated intervals hold."""
     rig, point = paper_rig(), cases.paper_point()
-    jacobian = cases.calibration_jacobian(rig, point[None])[0]
+    jacobian = calibration_jacobian(point[None], rig)[0]
     parts = dict(zip(SIGMAS, np.abs(jacobian.T @ [0.0, 0.0, 1.0]) * list(SIGMAS.values()), strict=True))
     figure, (bars, hist) = plt.subplots(1, 2, figsize=(9.5, 3.2), width_ratios=(1.25, 1), layout="constrained")
     image = cases.image_noise(rig, point, USUAL_PX, _rng()).analytic_m[0]
@@ -187,7 +192,7 @@ def frames() -> str:
 def sides() -> str:
     """The cone from several stations around it, and off the axis."""
     rig = paper_rig()
-    figure, axes = plt.subplots(1, 4, figsize=(9.5, 2.9), layout="constrained")
+    figure, axes = plt.subplots(1, 4, figsize=(9.5, 3.0), layout="constrained")
     rows = []
     for ax, (name, angles) in zip(axes, AROUND.items(), strict=True):
         poses = cases.around(8.53, np.radians(angles).tolist())
@@ -200,6 +205,7 @@ def sides() -> str:
         ax.set_title(name, fontsize=10)
         ax.tick_params(labelsize=7)
         ax.grid(color="#eeeeee")
+        ax.set_axisbelow(True)
         rows.append([name, *(_cm(float(np.linalg.norm(s))) for s in
                              (exact.analytic_m, exact.monte_carlo_m, full.analytic_m, full.monte_carlo_m))])  # fmt: skip
     for bearing in (15, 30):
@@ -211,9 +217,11 @@ def sides() -> str:
     axes[0].set_ylabel("ahead (cm)", fontsize=8)
     for ax in axes:
         ax.set_xlabel("to the right (cm)", fontsize=8)
-    axes[0].plot([], [], color=COLOURS[0], label="image points")
-    axes[0].plot([], [], color=COLOURS[1], label="and calibration")
-    axes[0].legend(fontsize=7, loc="upper right")
+    handles = [
+        Line2D([], [], color=COLOURS[0], label="image points"),
+        Line2D([], [], color=COLOURS[1], label="and calibration"),
+    ]
+    figure.legend(handles=handles, fontsize=8, loc="outside upper center", ncols=2)
     _save(figure, "accuracy_sides.png")
     head = [
         "stations at 8.53 m",
@@ -223,6 +231,11 @@ def sides() -> str:
         "Monte Carlo",
     ]
     return _table(head, rows)
+
+
+def rendered_cone() -> str:
+    """The paper's case through detector, matching and intersection."""
+    return rendered.study(HERE / "accuracy_render.png")
 
 
 def _curve(ax: Axes, rig: cases.Rig, noise: float, colour: str, label: str) -> None:
@@ -267,17 +280,15 @@ def fill(page: str, name: str, text: str) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--without-render", action="store_true")
-    arguments = parser.parse_args()
-    page = (HERE / "accuracy.md").read_text(encoding="utf-8")
-    parts = {"range": over_range, "calibration": calibration, "frames": frames, "sides": sides}
-    if not arguments.without_render:
-        parts["render"] = lambda: rendered.study(HERE / "accuracy_render.png")
-    for name, make in parts.items():
+    parts = {"range": over_range, "calibration": calibration, "frames": frames, "sides": sides, "render": rendered_cone}
+    parser.add_argument("parts", nargs="*", choices=[*parts, []], help="parts of the page; all of them unless given")
+    wanted = parser.parse_args().parts or list(parts)
+    page = HERE / "accuracy.md"
+    for name in wanted:
         started = time.monotonic()
-        page = fill(page, name, make())
-        print(f"{name}: {time.monotonic() - started:.1f} s")
-    (HERE / "accuracy.md").write_text(page, encoding="utf-8")
+        text = parts[name]()
+        page.write_text(fill(page.read_text(encoding="utf-8"), name, text), encoding="utf-8")
+        print(f"{name}: {time.monotonic() - started:.1f} s", flush=True)
 
 
 if __name__ == "__main__":

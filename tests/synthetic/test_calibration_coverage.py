@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from conetl.geometry.calibration_covariance import calibration_cov, calibration_jacobian
 from conetl.simulation.paper_rig import SIGMAS, changed_views, drawn_views, paper_rig, render_pair
 from docs import accuracy_cases as cases
 
@@ -34,9 +35,7 @@ def test_sigmas_half_or_double_as_large_are_noticed(factor: float) -> None:
     point = cases.paper_point()
     uv = cases.project(drawn_views(truly, rng(), DRAWS), point)
     result = cases.solve(uv, cases.views_of(stated), 0.3)
-    assert stated.calibration_covariance is not None
-    jacobian = cases.calibration_jacobian(stated, result.xyz_m)
-    common = jacobian @ np.array(stated.calibration_covariance.matrix) @ np.swapaxes(jacobian, 1, 2)
+    common = calibration_cov(result.xyz_m, stated)
     spread = cases.spread(result.xyz_m - point, result.cov_m2 + common, point, np.eye(3))
     assert not 0.93 < spread.inside_95[0] < 0.97
 
@@ -51,9 +50,20 @@ def test_without_the_calibrations_share_the_intervals_are_a_delusion() -> None:
 def test_phi_alone_costs_what_the_formula_says() -> None:
     """sigma_Z = Z^2 / (f b) * f sigma_phi * (1 + (x/z)^2): a turn of the right camera shifts its columns."""
     rig = paper_rig(sigmas={"relative.ry_rad": SIGMAS["relative.ry_rad"]})
-    jacobian = cases.calibration_jacobian(rig, cases.paper_point()[None])[0]
+    jacobian = calibration_jacobian(cases.paper_point()[None], rig)[0]
     z, base = cases.paper_point()[2], 0.2745
     assert abs(jacobian[2, 0]) == pytest.approx(z * z / base * (1 + (base / z) ** 2), rel=1e-3)
+
+
+def test_the_pipelines_derivatives_are_those_of_the_intersection() -> None:
+    """The implicit-function formula against differences of the intersection itself, over range and bearing."""
+    rig = paper_rig()
+    points = np.stack([cases.foot_at(r, b) for r in (3.0, 8.53, 30.0) for b in (-0.4, 0.0, 0.3)])
+    by_differences = cases.jacobian_by_differences(rig, points)
+    scaled = np.abs(by_differences) * list(SIGMAS.values())
+    error = np.abs(calibration_jacobian(points, rig) - by_differences) * list(SIGMAS.values())
+    assert np.all(error < 1e-2 * scaled.max(axis=(1, 2), keepdims=True))
+    assert np.median(error) < 1e-4 * np.median(scaled.max(axis=(1, 2)))
 
 
 def test_views_drawn_have_the_covariance_of_the_calibration() -> None:

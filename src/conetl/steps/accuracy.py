@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.geometry.calibration_covariance import calibration_jacobian, known_covariance
 from conetl.geometry.consistency import Consistency, Nees, ce90_m, consistency, le90_m, point_nees
 from conetl.geometry.packing import cov_matrix, vec3
 from conetl.geometry.pose_covariance import pose_jacobian
@@ -137,7 +138,8 @@ def position_errors(
 ) -> PointErrors:
     """Errors of the single positions whose cone is known; see `members_of`.
 
-    In common they have place and attitude of the body; of its own each position has the error of its image points.
+    In common they have place and attitude of the body and the rig's calibration; of its own each position has the error of its
+    image points.
     """
     pose_of = {pair.frame_index: pair.pose for pair in drive.frame_pairs}
     chosen = [p for p in positions if (p.frame_index, p.match_index) in cone_of]
@@ -148,6 +150,14 @@ def position_errors(
     turn = left[:, :3, :3]
     camera_cov = _stack([cov_matrix(p.camera_cov_m2) for p in chosen])
     truth = np.array([cone.xyz_m for cone in cones]).reshape(-1, 3)
+    by_pose = pose_jacobian(
+        xyz,
+        np.array([pose.map_R_body for pose in poses]).reshape(-1, 3, 3),
+        np.array([pose.map_t_body_m for pose in poses]).reshape(-1, 3),
+    )
+    by_calibration = turn @ calibration_jacobian(np.array([p.camera_xyz_m for p in chosen]).reshape(-1, 3), drive.rig)
+    known = known_covariance(drive.rig)
+    calibration = np.array(known.matrix) if known else np.zeros((0, 0))
     sigmas = np.array([(*pose.sigma_enu_m, *pose.sigma_rpy_rad) for pose in poses]).reshape(-1, 6)
     return PointErrors(
         cone_ids=tuple(cone.cone_id for cone in cones),
@@ -157,12 +167,8 @@ def position_errors(
         own_cov_m2=turn @ camera_cov @ np.swapaxes(turn, 1, 2),
         range_m=np.array([p.range_m for p in chosen]),
         sight=_unit(xyz[:, :2] - left[:, :2, 3]),
-        common_jacobian=pose_jacobian(
-            xyz,
-            np.array([pose.map_R_body for pose in poses]).reshape(-1, 3, 3),
-            np.array([pose.map_t_body_m for pose in poses]).reshape(-1, 3),
-        ),
-        common_cov=np.diag(np.mean(sigmas**2, axis=0)) if poses else np.zeros((6, 6)),
+        common_jacobian=np.concatenate([by_pose, by_calibration], axis=2),
+        common_cov=_blocks(np.diag(np.mean(sigmas**2, axis=0)) if poses else np.zeros((6, 6)), calibration),
     )
 
 
@@ -266,6 +272,13 @@ def _unit(level: Floats) -> Floats:
     """(N, 2) level vectors as (N, 3) unit vectors."""
     unit = level / np.linalg.norm(level, axis=1, keepdims=True)
     return np.column_stack([unit, np.zeros(len(unit))])
+
+
+def _blocks(a: Floats, b: Floats) -> Floats:
+    """Block-diagonal matrix of two."""
+    joined = np.zeros((len(a) + len(b), len(a) + len(b)))
+    joined[: len(a), : len(a)], joined[len(a) :, len(a) :] = a, b
+    return joined
 
 
 def _stack(matrices: Sequence[Floats]) -> Floats:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from conetl.records import Drive, Position, Track
+from conetl.geometry.calibration_covariance import calibration_jacobian
+from conetl.records import CalibrationCovariance, Drive, Position, Track
 from conetl.steps.accuracy import (
     PointErrors,
     by_range,
@@ -127,6 +128,32 @@ def test_nees_of_single_positions_with_common_pose_errors(scale: float, holds: b
         assert single_nees(errors).shape == (40,)
     assert (0.93 < relative / degrees < 1.07) is holds
     assert (0.93 < absolute / degrees_absolute < 1.07) is holds
+
+
+def test_an_error_of_the_calibration_is_common_to_all_positions() -> None:
+    """A right camera that is turned by one stated sigma shifts every range, the far ones most: no relative error at all."""
+    covariance = CalibrationCovariance(names=("relative.ry_rad",), matrix=((1e-6,),))
+    rig = RIG.model_copy(update={"calibration_covariance": covariance})
+    cones = truth_cones(5)
+    cone_of, positions = {}, []
+    for k, cone in enumerate(cones):
+        for f in range(8):
+            ahead, aside = np.subtract(cone.xyz_m, PATH[f])[:2]
+            in_camera = np.array([[-aside, 1.65, ahead]])
+            moved = calibration_jacobian(in_camera, rig)[0, :, 0] * 1e-3
+            shift = np.array([moved[2], -moved[0], -moved[1]])
+            x, y, z = in_camera[0].tolist()
+            place = make_position(f, k, np.add(cone.xyz_m, shift))
+            positions.append(place.model_copy(update={"camera_xyz_m": (x, y, z)}))
+            cone_of[f, k] = cone
+    calibrated = drive_consistency(position_errors(cone_of, positions, DRIVE.model_copy(update={"rig": rig})))
+    uncalibrated = drive_consistency(position_errors(cone_of, positions, DRIVE))
+    assert calibrated is not None
+    assert uncalibrated is not None
+    assert calibrated.common.dof == 7
+    assert calibrated.relative.value < 0.05 * calibrated.relative.dof
+    assert calibrated.common.value == pytest.approx(1.0, abs=0.1)
+    assert uncalibrated.relative.value > 20 * max(calibrated.relative.value, 1e-3)
 
 
 def test_nothing_found_is_no_figure() -> None:
