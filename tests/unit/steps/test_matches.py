@@ -3,9 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from conetl.geometry.pose import to_matrix4
 from conetl.params import MatchParams
+from conetl.records import Camera
 from conetl.rejections import RejectionReason
 from conetl.steps.matches import foot_image_point, match_pair
+from tests.synthetic.cone_pictures import BASE_M, F_PX, SIZE, cone_pair
 from tests.synthetic.world import Cone, camera_pose, detect, make_path, make_rig
 
 UP = np.array([0.0, -1.0, 0.0])
@@ -71,3 +74,44 @@ def test_the_foot_is_the_centre_of_the_base_not_its_near_rim(range_m: float, asi
     _, v = foot_image_point((axis, bottom), box.w_px, rig.left, UP)
     assert v == pytest.approx(true_v, abs=0.4)
     assert bottom - true_v > 0.5, "without the correction the foot would be too near"
+
+
+def test_foot_and_tip_of_the_network_take_part() -> None:
+    rig, (pair,) = make_rig(), make_path(1)
+    found = detect([Cone((10.0, 0.0, 0.0))], [pair], rig)
+    (left,), (right,) = found[0, "left"], found[0, "right"]
+    (plain,), _ = match_pair([left], [right], rig, MatchParams(), up_left=UP)
+    u, v = plain.foot_left_uv_px
+    told = [
+        box.model_copy(update={"foot_px": (x + 0.5, y + 0.5 - 2.0), "tip_px": (x + 0.5, box.y_px + 1.0)})
+        for box, (x, y) in ((left, plain.foot_left_uv_px), (right, plain.foot_right_uv_px))
+    ]
+    (match,), _ = match_pair([told[0]], [told[1]], rig, MatchParams(), up_left=UP)
+    assert match.foot_left_uv_px == pytest.approx((u, v - 1.0)), "the mean of box and network"
+    assert match.tip_left_uv_px[1] == pytest.approx(left.y_px + 0.5)
+    assert match.centre_left_uv_px[1] == pytest.approx(left.y_px + left.h_px / 2 - 0.5), "of the box, as in the paper"
+
+
+def test_pictures_fix_the_disparity_and_its_sigma() -> None:
+    pair = cone_pair(9.0, 2)
+    camera = Camera(width_px=SIZE[1], height_px=SIZE[0], fx_px=F_PX, fy_px=F_PX, cx_px=90.0, cy_px=30.0)
+    right_pose = [[1.0, 0.0, 0.0, BASE_M], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+    rig = make_rig().model_copy(
+        update={
+            "left": camera, "right": camera,
+            "body_SE3_left": to_matrix4(np.eye(4)), "body_SE3_right": to_matrix4(np.array(right_pose)),
+        }
+    )  # fmt: skip
+    left = pair.detection
+    off = pair.disparity_px - 1.3  # the boxes do not agree by 1.3 px
+    right = left.model_copy(update={"side": "right", "x_px": left.x_px - off, "foot_px": None})
+    (match,), _ = match_pair([left], [right], rig, MatchParams(), up_left=UP, images=(pair.left, pair.right))
+    assert match.refined
+    disparity = match.foot_left_uv_px[0] - match.foot_right_uv_px[0]
+    assert disparity == pytest.approx(pair.disparity_px, abs=0.1)
+    assert match.sigma_u_px < 0.1
+    (rough,), _ = match_pair(
+        [left], [right], rig, MatchParams(refine=False), up_left=UP, images=(pair.left, pair.right)
+    )
+    assert not rough.refined
+    assert rough.sigma_u_px > 0.5
