@@ -7,7 +7,7 @@ export PYTHON
 export PREFECT_SERVER_ANALYTICS_ENABLED := false
 export DO_NOT_TRACK := 1
 
-.PHONY: help setup demo test check bench-detect lock
+.PHONY: help setup demo test check bench-detect bench-intersection bench-trajectory bench-rectification lock
 
 help:           ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -30,6 +30,15 @@ check: setup    ## lint, types, layer contracts and the fast tests
 
 bench-detect: setup  ## speed of the detector beside YOLOv3 and a network of YOLO11n's size
 	@$(BIN)/python benchmarks/bench_detect.py
+
+bench-intersection: setup  ## speed of forward intersection beside OpenCV and, where installed, numba
+	@$(BIN)/python benchmarks/bench_intersection.py
+
+bench-trajectory: setup  ## refinement of a drive's poses: time, and how far cones slide with and without (DRIVE=folder)
+	@$(BIN)/python benchmarks/bench_trajectory.py $(DRIVE)
+
+bench-rectification: setup  ## cost of resampling raw pictures
+	@$(BIN)/python benchmarks/bench_rectification.py
 
 lock:           ## renew requirements.txt from pyproject.toml (needs uv)
 	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --no-annotate -o requirements.txt

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import typer
 
+from conetl.cli.calibrate import calibrate
 from conetl.cli.database import app as database
 from conetl.cli.demo import demo
 from conetl.cli.detect import detect
+from conetl.cli.evaluate import evaluate
 from conetl.cli.ingest import ingest
 from conetl.cli.locate import locate
 from conetl.cli.maps import app as maps
+from conetl.cli.rig import app as rig
 from conetl.cli.simulate import simulate
 
 app = typer.Typer(
@@ -21,7 +24,8 @@ app = typer.Typer(
     epilog="Exit codes: 0 done; 1 done, but too many records were quarantined; 2 bad usage or input, nothing written; "
     "3 a service (database, Prefect) is not to be had, nothing written.",
 )
-for command in (ingest, locate, detect, simulate, demo):
+for command in (ingest, calibrate, locate, detect, evaluate, simulate, demo):
     app.command()(command)
 app.add_typer(maps, name="map")
 app.add_typer(database, name="db")
+app.add_typer(rig, name="rig")

@@ -11,6 +11,7 @@ import typer
 from numpy.typing import NDArray
 
 from conetl.cli.console import JsonOption, complain, out, print_json, progress_bar
+from conetl.detector_evidence import DetectorEvidence, calibrated_probability
 from conetl.errors import EXIT_TOO_MANY_REJECTIONS, InputError
 from conetl.io.annotated_image import write_annotated_image
 from conetl.io.detector import detect_image, load_detector
@@ -32,8 +33,9 @@ def detect(
 ) -> None:
     """Find cones in images and write their boxes as JSON.
 
-    One entry per box: file_name, category, bbox [x, y, w, h], score, foot and tip [x, y], all in pixels of the picture as it is
-    shown (orientation tags are applied). Exit code 1 where some pictures could not be read; the others are written all the same.
+    One entry per box: file_name, category, bbox [x, y, w, h], score (the network's own), probability (that the box holds a cone,
+    where the model was calibrated), foot and tip [x, y], all in pixels of the picture as it is shown (orientation tags are
+    applied). Exit code 1 where some pictures could not be read; the others are written all the same.
     """
     paths = _image_files(images)
     drawn_names = _drawn_names(paths) if draw is not None else []
@@ -50,7 +52,7 @@ def detect(
                 complain(InputError(str(error)))
                 continue
             boxes = detect_image(detector, image, score_threshold=score)
-            found += [_entry(path, box) for box in boxes]
+            found += [_entry(path, box, detector.card.evidence) for box in boxes]
             if draw is not None:
                 write_annotated_image(draw / drawn_names[number], image, boxes)
         if len(refused) == len(paths):
@@ -66,13 +68,15 @@ def detect(
         raise typer.Exit(EXIT_TOO_MANY_REJECTIONS)
 
 
-def _entry(path: Path, box: NDArray[np.float64]) -> dict[str, Any]:
+def _entry(path: Path, box: NDArray[np.float64], evidence: DetectorEvidence | None) -> dict[str, Any]:
     entry: dict[str, Any] = {
         "file_name": str(path),
         "category": "traffic_cone",
         "bbox": [round(value, 2) for value in box[:4].tolist()],
         "score": round(float(box[4]), 4),
     }
+    if evidence is not None:
+        entry["probability"] = round(calibrated_probability(evidence.calibration, float(box[4])), 4)
     if np.isfinite(box[5:9]).all():  # a network without these outputs gives none
         entry["foot"] = [round(value, 2) for value in box[5:7].tolist()]
         entry["tip"] = [round(value, 2) for value in box[7:9].tolist()]

@@ -160,7 +160,7 @@ def stereo_rig(
     if np.linalg.norm(right_t_left_m) > MAX_BASELINE_M:
         raise bad(
             path, key, f"gives a baseline of {np.linalg.norm(right_t_left_m):.1f} m; is the file in another unit? "
-            "conetl calibration convert makes a rig.yaml of it with --unit mm",
+            "conetl rig convert makes a rig.yaml of it with --unit mm",
         )  # fmt: skip
     return rig_of(tool, left, right, left_SE3_right)
 

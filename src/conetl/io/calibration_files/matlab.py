@@ -64,7 +64,7 @@ def read_matlab_rig(path: Path, *, image_size: Size | None = None, length_unit: 
         raise bad(
             path,
             "WorldUnits",
-            f"'{unit}' is not a known unit; known: {', '.join(LENGTH_UNITS)}. Say it with conetl calibration convert --unit mm",
+            f"'{unit}' is not a known unit; known: {', '.join(LENGTH_UNITS)}. Say it with conetl rig convert --unit mm",
         )
     key, right_R_left, t = _relative(path, found)
     return stereo_rig(path, key, "matlab", left, right, right_R_left, t * LENGTH_UNITS[unit])
@@ -109,7 +109,7 @@ def _camera(path: Path, camera: Any, where: str, image_size: Size | None) -> Cam
             raise bad(
                 path,
                 f"{where}ImageSize",
-                "is missing or empty; make a rig.yaml of it: conetl calibration convert with --image-size 6000x4000",
+                "is missing or empty; make a rig.yaml of it: conetl rig convert with --image-size 6000x4000",
             )
         rows_columns = picture_size(path, f"{where}ImageSize", camera["ImageSize"])
         image_size = rows_columns[1], rows_columns[0]

@@ -199,7 +199,7 @@ def _size(path: Path, content: Mapping[str, Any], side: Side) -> Size:
         return picture_size(path, whole[0], whole[1])
     raise bad(
         path, "image_width, image_height", "are missing: OpenCV's stereo files do not always tell the size of the pictures. "
-        "Add both keys to the file, or make a rig.yaml of it: conetl calibration convert with --image-size 1242x375",
+        "Add both keys to the file, or make a rig.yaml of it: conetl rig convert with --image-size 1242x375",
     )  # fmt: skip
 
 

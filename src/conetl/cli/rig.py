@@ -1,4 +1,4 @@
-"""`conetl calibration`: look at a rig's calibration file, and take it from one tool to another."""
+"""`conetl rig`: look at a rig's calibration file, and take it from one tool to another."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`conetl calibration`: tables for people, JSON for programs, files for other tools."""
+"""`conetl rig`: tables for people, JSON for programs, files for other tools."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from conetl.cli.calibration import app
+from conetl.cli.rig import app
 from conetl.errors import CalibrationError, InputError
 from conetl.io.calibration_files import read_rig
 
