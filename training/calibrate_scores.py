@@ -13,11 +13,12 @@ import argparse
 import json
 import re
 import sys
+import tempfile
 from pathlib import Path
 
 import cv2
 import numpy as np
-from scipy.optimize import isotonic_regression, minimize
+from scipy.optimize import isotonic_regression, least_squares, minimize, minimize_scalar
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src"))
 
@@ -26,10 +27,13 @@ from looks import LEAST_SCORE, MATCH_IOU, SCALES, Looks, look_at_pictures
 from reliability import expected_calibration_error, write_reliability_figure
 
 from conetl.detector_evidence import (
+    UNMEASURED,
     DetectorEvidence,
+    LookCorrelation,
     ScoreCalibration,
     box_log_ratio,
     calibrated_probability,
+    joint_log_ratio,
     miss_log_ratio,
 )
 from conetl.io.detector import detect_image, load_detector
@@ -166,15 +170,16 @@ def detection_tables(looks: Looks) -> tuple[list, list]:
 
 
 def found_again(looks: Looks) -> tuple[int, list[float]]:
-    """Lookalikes that reach REFERENCE in some look, and P(box >= threshold in another look | that one), by threshold."""
-    by_thing = _scores_by_thing(looks.lookalikes)
-    by_thing = [scores for scores in by_thing if (scores >= REFERENCE).any()]
-    others = sum((s >= REFERENCE).sum() * (len(s) - 1) for s in by_thing)
-    rates = []
-    for threshold in THRESHOLDS:
-        again = sum((np.delete(s, k) >= threshold).sum() for s in by_thing for k in np.flatnonzero(s >= REFERENCE))
-        rates.append(round(float((again + 0.5) / (others + 1)), 4))
-    return len(by_thing), rates
+    """Lookalikes that could become a track, and P(box >= threshold in a look | REFERENCE reached in two other looks).
+
+    A track has three positions at least: only lookalikes that come again are there to be told from cones.
+    """
+    table = np.array(looks.lookalikes).reshape(-1, 5)
+    by_thing = [table[table[:, 1] == thing, 4] for thing in np.unique(table[:, 1])]
+    by_thing = [scores for scores in by_thing if (scores >= REFERENCE).sum() >= 2]
+    judged = [s[k] for s in by_thing for k in range(len(s)) if (np.delete(s, k) >= REFERENCE).sum() >= 2]
+    best = np.array(judged)
+    return len(by_thing), [round(float(((best >= t).sum() + 0.5) / (len(best) + 1)), 4) for t in THRESHOLDS]
 
 
 def false_box_rates(looks: Looks) -> tuple[list[int], list[list[float]]]:
@@ -192,27 +197,21 @@ def false_box_rates(looks: Looks) -> tuple[list[int], list[list[float]]]:
     ]
 
 
-def _scores_by_thing(rows: list[tuple]) -> list[np.ndarray]:
-    table = np.array(rows).reshape(-1, 5)
-    return [table[table[:, 1] == thing, 4] for thing in np.unique(table[:, 1])]
-
-
-def intraclass_correlation(groups: list[np.ndarray]) -> tuple[float, float]:
-    """Variance between and within groups of equal or like size (one-way analysis of variance)."""
-    sizes = np.array([len(g) for g in groups])
-    within = float(sum(((g - g.mean()) ** 2).sum() for g in groups) / (sizes.sum() - len(groups)))
-    between = float(np.var([g.mean() for g in groups], ddof=1)) - within / float(np.mean(sizes))
-    return max(between, 0.0), within
-
-
 def look_ratios(looks: Looks, evidence: DetectorEvidence) -> dict[str, list[np.ndarray]]:
-    """Log-likelihood ratios of the looks at each cone in plain view and at each lookalike, as `steps/existence.py` takes them."""
+    """Per cone in plain view and per lookalike: (N, 2) log-likelihood ratio of each look, as `steps/existence.py` takes it, and
+    the logarithm to base 2 of the apparent height."""
     params = IngestParams()
     least, threshold = params.reconcile.visible_min_height_px, params.detection.score_threshold
     tables = {
         "cones": np.array([(r[1], r[3], r[5]) for r in looks.cones if r[2] < len(SCALES) and r[4] < HIDDEN[1]]),
         "lookalikes": np.array([(r[1], r[3], r[4]) for r in looks.lookalikes]).reshape(-1, 3),
     }
+
+    def ratio(height_px: float, score: float) -> float:
+        if score < threshold:
+            return miss_log_ratio(evidence, height_px, 0.0, threshold)
+        return box_log_ratio(evidence, score, height_px, 0.0, params.track.score_doubt)
+
     ratios: dict[str, list[np.ndarray]] = {}
     for kind, table in tables.items():
         ratios[kind] = []
@@ -220,14 +219,56 @@ def look_ratios(looks: Looks, evidence: DetectorEvidence) -> dict[str, list[np.n
             rows = table[(table[:, 0] == thing) & (table[:, 1] >= least)]
             # What never got a box never becomes a track: it is no part of the question.
             if len(rows) >= 3 and (rows[:, 2] >= threshold).any():
-                ratios[kind].append(
-                    np.array([
-                        box_log_ratio(evidence, s, h, 0.0, params.track.score_doubt)
-                        if s >= threshold else miss_log_ratio(evidence, h, 0.0, threshold)
-                        for _, h, s in rows.tolist()
-                    ])
-                )  # fmt: skip
+                ratios[kind].append(np.array([(ratio(h, s), np.log2(h)) for _, h, s in rows.tolist()]))
     return ratios
+
+
+def fit_correlation(ratios: dict[str, list[np.ndarray]]) -> tuple[LookCorrelation, dict[str, list[float]]]:
+    """Correlation of two looks at one object over the octaves between them, cones and lookalikes weighing alike.
+
+    Least squares on the products of all pairs of looks, each over its kind's variance; and the mean products by kind in steps
+    of half an octave.
+    """
+    octaves, products, weights, steps = [], [], [], {}
+    for kind, things in ratios.items():
+        everything = np.concatenate(things)[:, 0]
+        mean, variance = everything.mean(), everything.var()
+        pairs = np.array([
+            (abs(a[1] - b[1]), (a[0] - mean) * (b[0] - mean) / variance)
+            for thing in things for k, a in enumerate(thing) for b in thing[:k]
+        ])  # fmt: skip
+        octaves.append(pairs[:, 0])
+        products.append(pairs[:, 1])
+        weights.append(np.full(len(pairs), 1 / np.sqrt(len(pairs))))
+        parts = [pairs[(pairs[:, 0] >= low) & (pairs[:, 0] < low + 0.5), 1] for low in (0.0, 0.5, 1.0)]
+        steps[kind] = [round(float(part.mean()), 2) for part in parts if len(part)]
+    x, y, w = (np.concatenate(parts) for parts in (octaves, products, weights))
+    near, share, decay = least_squares(
+        lambda p: w * (p[0] * (p[1] + (1 - p[1]) * np.exp(-x / p[2])) - y),
+        (0.8, 0.5, 0.5),
+        bounds=((0.05, 0.0, 0.1), (0.98, 1.0, 3.0)),
+    ).x
+    return LookCorrelation(
+        near=round(float(near), 3), far=round(float(near * share), 3), decay_octaves=round(float(decay), 3)
+    ), steps
+
+
+def fit_joint_scale(ratios: dict[str, list[np.ndarray]], evidence: DetectorEvidence) -> float:
+    """The factor on the joint ratio of a thing's looks that tells cones from lookalikes with the least log loss.
+
+    Both kinds weigh alike: the odds before any look are not its business. Without it looks that are bounded, or far from
+    Gaussian, would be believed too little or too much when they are put together.
+    """
+    joint = {
+        kind: np.array([joint_log_ratio(evidence, thing[:, 0], 2 ** thing[:, 1]) for thing in things])
+        for kind, things in ratios.items()
+    }
+
+    def loss(scale: float) -> float:
+        wrong = np.logaddexp(0, -scale * joint["cones"]).mean() + np.logaddexp(0, scale * joint["lookalikes"]).mean()
+        return float(wrong)
+
+    return round(float(minimize_scalar(loss, bounds=(0.2, 4.0), method="bounded").x), 3)
 
 
 def measure(looks: Looks, folds: np.ndarray, sha256: str) -> tuple[DetectorEvidence, dict[str, np.ndarray], dict]:
@@ -241,20 +282,18 @@ def measure(looks: Looks, folds: np.ndarray, sha256: str) -> tuple[DetectorEvide
         "true_boxes": sum(above), "false_boxes": max(len(above) - sum(above), 1), "score_thresholds": THRESHOLDS,
         "height_bands_px": HEIGHTS_PX, "hidden_bands": HIDDEN, "hidden_most": HIDDEN_MOST, "looks": counts,
         "detected": detected, "lookalikes": lookalikes, "found_again": again, "false_box_pictures": pictures,
-        "false_boxes_per_picture": rates, "look_correlation": 1.0,
+        "false_boxes_per_picture": rates, "look_correlation": UNMEASURED.look_correlation, "joint_scale": 1.0,
     }  # fmt: skip
     ratios = look_ratios(looks, DetectorEvidence.model_validate(values))
-    variances = {kind: intraclass_correlation(groups) for kind, groups in ratios.items()}
-    between = sum(v[0] for v in variances.values())
-    values["look_correlation"] = round(between / (between + sum(v[1] for v in variances.values())), 4)
-    for kind, groups in ratios.items():
-        means = [float(g.mean()) for g in groups]
-        quantiles = {f"{q} %": round(float(np.percentile(means, q)), 2) for q in (5, 25, 50, 75, 95)}
-        figures[f"mean log-likelihood ratio of a look, {kind}"] = (
-            {"things": len(means)}
-            | quantiles
-            | {"correlation of two looks": round(variances[kind][0] / sum(variances[kind]), 3)}
-        )
+    values["look_correlation"], steps = fit_correlation(ratios)
+    values["joint_scale"] = fit_joint_scale(ratios, DetectorEvidence.model_validate(values))
+    for kind, things in ratios.items():
+        means = [float(thing[:, 0].mean()) for thing in things]
+        figures[f"mean log-likelihood ratio of a look, {kind}"] = {
+            "things": len(means),
+            **{f"{q} %": round(float(np.percentile(means, q)), 2) for q in (5, 25, 50, 75, 95)},
+            "correlation of two looks, by half octaves between them": steps[kind],
+        }
     return DetectorEvidence.model_validate(values), held_out, figures
 
 
@@ -294,9 +333,12 @@ def main() -> None:
     args = parser.parse_args()
     sidecar = args.model.with_name(args.model.name + ".json")
     card = json.loads(sidecar.read_text())
-    if card.pop("evidence", None) is not None and args.write:
-        sidecar.write_text(sidecar_text(card))  # that of an earlier file would keep this one from loading
-    detector = load_detector(args.model)
+    card.pop("evidence", None)  # that of an earlier file would keep this one from loading
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / args.model.name
+        copy.write_bytes(args.model.read_bytes())
+        copy.with_name(copy.name + ".json").write_text(json.dumps(card))
+        detector = load_detector(copy)
     pictures = read_cones(args.cones, "val")
     pictures += read_renders(args.labelled, set()) if args.labelled else []
     pictures += read_cone_free(args.cone_free) if args.cone_free else []

@@ -27,7 +27,7 @@ UNLABELLED = Path(__file__).with_name("val_unlabelled.csv")
 NEAR_IOU = 0.1
 #: Below this height the real pictures leave cones without a label (training/README.md): a box there counts neither way.
 LABELLED_FROM_PX = 20.0
-SCALES = (1.0, 0.5, 0.7, 0.85, 1.2)
+SCALES = (1.0, 0.5, 0.7, 0.85, 1.2, 0.99)
 HIDDEN = (0.25, 0.5)
 EDGE_PX = 2.0
 Detect = Callable[[np.ndarray], np.ndarray]

@@ -15,6 +15,7 @@ from itertools import pairwise
 from typing import Annotated, Literal, Self
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 Share = Annotated[float, Field(gt=0, lt=1)]
@@ -39,6 +40,25 @@ class ScoreCalibration(BaseModel):
             raise ValueError(f"{len(self.scores)} scores, but {len(self.probabilities)} probabilities")
         if any(b <= a for a, b in pairwise(self.scores)) or any(b < a for a, b in pairwise(self.probabilities)):
             raise ValueError("scores must rise and probabilities must not fall")
+        return self
+
+
+class LookCorrelation(BaseModel):
+    """How much two looks at one object fail together: correlation of their log-likelihood ratios over the ratio of the object's
+    apparent heights, far + (near - far) exp(-|octaves| / decay)."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    near: Annotated[float, Field(gt=0, lt=1)]
+    """Of looks in which the object appears equally tall."""
+    far: Annotated[float, Field(ge=0, lt=1)]
+    """Of looks from very different distances."""
+    decay_octaves: Annotated[float, Field(gt=0)]
+
+    @model_validator(mode="after")
+    def _falls(self) -> Self:
+        if self.far > self.near:
+            raise ValueError(f"far ({self.far}) is above near ({self.near})")
         return self
 
 
@@ -74,13 +94,15 @@ class DetectorEvidence(BaseModel):
     """P(box at or above the threshold | cone), by threshold, height and hidden band."""
     lookalikes: Count
     found_again: tuple[Share, ...]
-    """P(box at or above the threshold | lookalike), by threshold."""
+    """P(box at or above the threshold | lookalike that had boxes in two other looks at least), by threshold."""
     false_box_pictures: tuple[Count, ...]
     """On how many pictures false boxes were counted, by height band."""
     false_boxes_per_picture: tuple[tuple[Annotated[float, Field(gt=0)], ...], ...]
     """Boxes on no cone, at or above the threshold, by threshold and height band."""
-    look_correlation: Annotated[float, Field(gt=0, le=1)]
-    """Correlation of the log-likelihood ratios of two looks at one object: how much they fail together."""
+    look_correlation: LookCorrelation
+    joint_scale: Annotated[float, Field(gt=0)]
+    """What the looks at one thing, put together with that correlation, are multiplied with to tell cones from lookalikes at
+    true odds; fitted on things with several looks."""
 
     @model_validator(mode="after")
     def _tables_fit_their_axes(self) -> Self:
@@ -115,7 +137,7 @@ def detect_probability(evidence: DetectorEvidence, height_px: float, hidden: flo
 
 
 def found_again_probability(evidence: DetectorEvidence, threshold: float) -> float:
-    """P(a box at or above the threshold | something that is no cone and had a box in another look)."""
+    """P(a box at or above the threshold | something that is no cone and had boxes in two other looks at least)."""
     return _at_threshold(evidence, threshold, evidence.found_again)
 
 
@@ -143,6 +165,23 @@ def miss_log_ratio(evidence: DetectorEvidence, height_px: float, hidden: float, 
     """ln P(no box at or above the threshold | cone) / P(no such box | lookalike)."""
     missed = 1 - detect_probability(evidence, height_px, hidden, threshold)
     return float(np.log(missed / (1 - found_again_probability(evidence, threshold))))
+
+
+def joint_log_ratio(evidence: DetectorEvidence, ratios: NDArray[np.float64], heights_px: NDArray[np.float64]) -> float:
+    """Log-likelihood ratio of all looks (N,) together, from that of each (N,) and the object's apparent heights (N,).
+
+    Their sum over the design effect (Kish 1965, Survey Sampling, section 5.4): 1 + (N - 1) r with one correlation r for all, here
+    the mean row sum of their correlations. So many like looks from one distance count little more than one of them. All looks
+    weigh alike: weights by the inverse of the correlations would lean on the first and the last look, and on the model of the
+    correlations. Then `joint_scale`.
+    """
+    if len(ratios) == 0:
+        return 0.0
+    correlation = evidence.look_correlation
+    octaves = np.abs(np.subtract.outer(np.log2(heights_px), np.log2(heights_px)))
+    matrix = correlation.far + (correlation.near - correlation.far) * np.exp(-octaves / correlation.decay_octaves)
+    np.fill_diagonal(matrix, 1.0)
+    return evidence.joint_scale * float(ratios.sum() * len(ratios) / matrix.sum())
 
 
 def evidence_sha256(evidence: DetectorEvidence | None) -> str:
@@ -198,5 +237,6 @@ UNMEASURED = DetectorEvidence(
     found_again=(0.8,),
     false_box_pictures=(0,),
     false_boxes_per_picture=((0.3,),),
-    look_correlation=1 / 6,
+    look_correlation=LookCorrelation(near=1 / 6, far=1 / 6, decay_octaves=1.0),
+    joint_scale=1.0,
 )

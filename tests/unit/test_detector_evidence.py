@@ -11,6 +11,7 @@ from pydantic import ValidationError
 from conetl.detector_evidence import (
     UNMEASURED,
     DetectorEvidence,
+    LookCorrelation,
     ScoreCalibration,
     box_log_ratio,
     calibrated_probability,
@@ -18,6 +19,7 @@ from conetl.detector_evidence import (
     evidence_sha256,
     false_boxes_per_picture,
     found_again_probability,
+    joint_log_ratio,
     miss_log_ratio,
 )
 
@@ -38,7 +40,8 @@ VALUES: dict[str, Any] = {
     "found_again": [0.4, 0.2],
     "false_box_pictures": [50, 100],
     "false_boxes_per_picture": [[0.2, 0.1], [0.1, 0.04]],
-    "look_correlation": 0.5,
+    "look_correlation": {"near": 0.8, "far": 0.4, "decay_octaves": 0.5},
+    "joint_scale": 1.0,
 }
 EVIDENCE = DetectorEvidence.model_validate(VALUES)
 
@@ -76,6 +79,16 @@ def test_the_ratio_of_a_box_is_bayes_rule() -> None:
     assert ratio == pytest.approx(np.log(0.9 / 0.4) + np.log(p / (1 - p)) - np.log(300 / 100))
 
 
+def test_joint_ratio_is_kishs_for_one_correlation_and_near_looks_count_less_than_far_ones() -> None:
+    one_for_all = LookCorrelation(near=0.5, far=0.5, decay_octaves=1.0)
+    even = EVIDENCE.model_copy(update={"look_correlation": one_for_all, "joint_scale": 1.5})
+    ratios, heights = np.array([1.0, 2.0, 3.0]), np.array([20.0, 40.0, 80.0])
+    assert joint_log_ratio(even, ratios, heights) == pytest.approx(1.5 * 6.0 / (1 + 2 * 0.5))
+    assert joint_log_ratio(EVIDENCE, ratios, np.full(3, 40.0)) < joint_log_ratio(EVIDENCE, ratios, heights)
+    assert joint_log_ratio(EVIDENCE, ratios[:1], heights[:1]) == pytest.approx(1.0)
+    assert joint_log_ratio(EVIDENCE, np.zeros(0), np.zeros(0)) == 0.0
+
+
 def test_doubt_bounds_what_one_score_can_say() -> None:
     came = np.log(0.9 / 0.4)
     assert box_log_ratio(EVIDENCE, 0.999, 30.0, 0.0, 0.2) == pytest.approx(came + np.log(4))
@@ -101,7 +114,7 @@ def test_a_miss_of_a_hidden_cone_says_less() -> None:
         ("score_thresholds", [0.5, 0.3], "score_thresholds must rise"),
         ("hidden_bands", [0.1, 0.25], "begin at 0"),
         ("reference_score", 0.35, "reference_score"),
-        ("look_correlation", 0.0, "look_correlation"),
+        ("look_correlation", {"near": 0.4, "far": 0.5, "decay_octaves": 0.5}, "is above near"),
         ("calibration", {"method": "platt", "scores": [0.1, 0.9], "probabilities": [0.5, 0.4]}, "must not fall"),
         ("calibration", {"method": "platt", "scores": [0.1, 0.9], "probabilities": [0.2, 0.5, 0.7]}, "2 scores, but 3"),
     ],
@@ -118,7 +131,7 @@ def test_an_unmeasured_detector_is_read_as_the_first_one_was() -> None:
 
 
 def test_the_hash_tells_tables_apart() -> None:
-    other = EVIDENCE.model_copy(update={"look_correlation": 0.4})
+    other = EVIDENCE.model_copy(update={"true_boxes": 301})
     assert len({evidence_sha256(e) for e in (None, EVIDENCE, other)}) == 3
     assert evidence_sha256(EVIDENCE) == evidence_sha256(
         DetectorEvidence.model_validate_json(EVIDENCE.model_dump_json())

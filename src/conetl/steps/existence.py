@@ -7,8 +7,8 @@ What each of them does was measured for the detector in use (`detector_evidence.
 - a box where the cone should be: p(box with this score | cone, apparent height, hidden share) over the same for a lookalike;
 - no box there: (1 - P(detect | height, hidden)) over (1 - P(found again)) of a lookalike. Misses of one camera running may have
   one cause, something in front that is no detection: with a small probability the whole run says nothing;
-- looks at one thing fail together. n of them with correlation rho count as n / (1 + (n - 1) rho) (Kish 1965, Survey
-  Sampling, section 5.4, "design effect"), so that no number of pictures makes up for what they have in common.
+- looks at one thing fail together, most where it appears equally tall (`detector_evidence.joint_log_ratio`), so that no number
+  of pictures makes up for what they have in common.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from conetl.detector_evidence import (
     DetectorEvidence,
     box_log_ratio,
     false_boxes_per_picture,
+    joint_log_ratio,
     miss_log_ratio,
 )
 from conetl.geometry.packing import cov_matrix
@@ -80,42 +81,37 @@ def probability_from_looks(looks: Iterable[Sequence[Look]], params: IngestParams
     lookalikes = false_boxes_per_picture(evidence, params.reconcile.visible_min_height_px, threshold)
     prior = float(np.log(limits.expected_cones_per_picture / lookalikes))
     parts = [part for side in looks for part in _ratios(side, params, evidence)]
-    count = sum(weight for _, weight in parts)
-    independent = 1 / (1 + max(count - 1, 0.0) * evidence.look_correlation)
-    log_odds = prior + independent * sum(ratio for ratio, _ in parts)
+    ratios, heights_px = np.array(parts, dtype=np.float64).reshape(-1, 2).T
+    log_odds = prior + joint_log_ratio(evidence, ratios, heights_px)
     return float(1 / (1 + np.exp(-np.clip(log_odds, -30, 30))))
 
 
 def _ratios(looks: Sequence[Look], params: IngestParams, evidence: DetectorEvidence) -> list[tuple[float, float]]:
-    """(log-likelihood ratio, number of looks it stands for) of every box and of every run of misses of one camera."""
+    """(log-likelihood ratio, apparent height in px) of every box and of every run of misses of one camera."""
     threshold, limits = params.detection.score_threshold, params.track
     parts: list[tuple[float, float]] = []
-    run: list[float] = []
+    run: list[tuple[float, float]] = []
     for look in looks:
         if look.hidden > evidence.hidden_most and look.score is None:
             continue  # it could not have been seen: neither evidence nor the end of a run
         missed = miss_log_ratio(evidence, look.height_px, look.hidden, threshold)
         if look.score is None:
-            run.append(missed)
+            run.append((missed, look.height_px))
             continue
         ratio = box_log_ratio(evidence, look.score, look.height_px, look.hidden, limits.score_doubt)
-        parts += [*_run_of_misses(run, limits.hidden_run_probability), (max(ratio, missed), 1.0)]
+        parts += [*_run_of_misses(run, limits.hidden_run_probability), (max(ratio, missed), look.height_px)]
         run = []
     # A weak box is never worse than none (max): half a cone behind a post gets weak boxes, which the scores of whole ones miss.
     return [*parts, *_run_of_misses(run, limits.hidden_run_probability)]
 
 
-def _run_of_misses(ratios: Sequence[float], hidden_probability: float) -> list[tuple[float, float]]:
-    """Misses running as one part: hidden all the time, when they say nothing, or in plain view, when they add up.
-
-    It stands for as many looks as are likely to have been in plain view, and for one at least.
-    """
-    if not ratios:
+def _run_of_misses(run: Sequence[tuple[float, float]], hidden_probability: float) -> list[tuple[float, float]]:
+    """Misses running as one look: hidden all the time, when they say nothing, or in plain view, when they add up."""
+    if not run:
         return []
-    total = sum(ratios)
+    total = sum(ratio for ratio, _ in run)
     either = float(np.logaddexp(np.log(hidden_probability), np.log1p(-hidden_probability) + total))
-    in_view = float(np.exp(np.log1p(-hidden_probability) + total - either))
-    return [(either, max(in_view * len(ratios), 1.0))]
+    return [(either, float(np.median([height_px for _, height_px in run])))]
 
 
 def _boxes(

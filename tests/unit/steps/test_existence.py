@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -30,13 +31,19 @@ def looks(*scores: float | None, height_px: float = 40.0, hidden: float = 0.0) -
     return [Look(height_px=height_px, hidden=hidden, score=score) for score in scores]
 
 
+def approach(*scores: float | None) -> list[Look]:
+    """Looks from 22 to 80 px, as from a car that drives up to the cone."""
+    heights = np.geomspace(22.0, 80.0, len(scores)).tolist()
+    return [Look(height_px=height, hidden=0.0, score=score) for height, score in zip(heights, scores, strict=True)]
+
+
 def belief(left: list[Look], right: list[Look] | None = None, evidence: DetectorEvidence | None = None) -> float:
     return probability_from_looks([left, right or []], PARAMS, evidence or shipped())
 
 
 def test_good_boxes_make_a_cone_and_weak_ones_with_misses_make_none() -> None:
-    assert belief(looks(*[0.75] * 20), looks(*[0.75] * 20)) > 0.97
-    assert belief(looks(*[0.34, None] * 10), looks(*[None, 0.32] * 10)) < 0.1
+    assert belief(approach(*[0.75] * 20), approach(*[0.75] * 20)) > 0.95
+    assert belief(approach(*[0.34, None] * 10), approach(*[None, 0.32] * 10)) < 0.1
 
 
 def test_without_any_look_the_odds_are_cones_to_false_boxes() -> None:
@@ -47,23 +54,22 @@ def test_without_any_look_the_odds_are_cones_to_false_boxes() -> None:
 
 
 def test_looks_at_one_thing_fail_together() -> None:
-    """More of the same looks move the belief less and less: the whole stays below 1 / correlation looks."""
-    few, many, more = (belief(looks(*[0.5] * n)) for n in (2, 20, 200))
-    assert few < many < more
-    assert more - many < 0.2 * (many - few)
+    """Many looks from one distance are little more than one of them; from several distances they are more."""
+    prior, one, many = belief([]), belief(looks(0.55)), belief(looks(*[0.55] * 50))
+    assert 0 < many - one < 0.5 * (one - prior)
+    assert belief(approach(*[0.55] * 50)) > many + 0.01
 
 
 def test_a_long_run_of_misses_counts_only_so_far() -> None:
-    """A parked van hides the cone for a long while; seen before and after it stays a cone."""
-    seen = [0.8] * 8
-    assert belief(looks(*seen, *[None] * 30, *seen)) > 0.8
-    assert belief(looks(*seen, *[None] * 30, *seen)) == pytest.approx(
-        belief(looks(*seen, *[None] * 60, *seen)), abs=0.02
-    )
+    """A parked van hides the cone for a long while; seen after it, it is a cone, however long it was hidden."""
+    seen = approach(*[0.8] * 12)
+    hidden = [looks(*[None] * n, height_px=22.0) for n in (30, 60)]
+    assert belief([*hidden[0], *seen]) > 0.8
+    assert belief([*hidden[0], *seen]) == pytest.approx(belief([*hidden[1], *seen]), abs=0.01)
 
 
 def test_misses_between_boxes_count_more_than_one_run_of_them() -> None:
-    assert belief(looks(*[0.6, None] * 8)) < belief(looks(*[0.6] * 8, *[None] * 8))
+    assert belief(approach(*[0.6, None] * 8)) < belief(approach(*[None] * 8, *[0.6] * 8))
 
 
 def test_a_look_that_could_not_show_the_cone_says_nothing() -> None:
