@@ -85,7 +85,7 @@ def study(figure_path: Path) -> str:
         )
         by_side.append(locate_draws(pair, detector, range(10)))
         rows.append(_row(f"plate turned by {heading:.0f}°, sun at {sun:.0f}°, 10 draws", by_side[-1]))
-    figure, (picture, scatter) = plt.subplots(1, 2, figsize=(8.4, 3.4), width_ratios=(0.6, 1), layout="constrained")
+    figure, (picture, scatter) = plt.subplots(1, 2, figsize=(8.4, 3.6), width_ratios=(0.6, 1), layout="constrained")
     picture.imshow(develop(paper.left, exposure_gain(paper.left), np.random.default_rng(0))[::2, ::2, ::-1])
     picture.set_title("the cone at 8.53 m,\ncut from 6000 x 4000 pixels", fontsize=9)
     picture.axis("off")

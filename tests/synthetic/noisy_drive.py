@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from conetl.params import IngestParams, PositionParams
@@ -69,7 +70,7 @@ def draw_drive(
     frames: int = 32,
     noise: float = 1.0,
 ) -> NoisyDrive:
-    """One drive through positions and tracks."""
+    """One drive through positions and tracks, which know that the log has no error from frame to frame but what is common."""
     drawn, matches = _draw(rng, rig, cones, errors, frames, noise, 1.0)
     boxes: dict[int, list[Detection]] = {pair.frame_index: [] for pair in drawn.drive.frame_pairs}
     for match in matches:
@@ -84,8 +85,14 @@ def draw_drive(
         camera_poses(pairs, rig, "left"),
         camera_poses(pairs, rig, "right"),
         IngestParams(),
+        motion=_exact_motion,
     )
     return replace(drawn, tracks=tracks)
+
+
+def _exact_motion(_start: int, _end: int, _point_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A `MotionError` of a trajectory whose errors are all common."""
+    return np.zeros((3, 3))
 
 
 def _draw(

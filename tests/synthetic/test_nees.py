@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import pytest
@@ -13,8 +13,9 @@ import pytest
 from conetl.geometry.consistency import Consistency, Nees
 from conetl.geometry.joint_fit import fit_point, pair_jacobian
 from conetl.geometry.rig import map_SE3_left
+from conetl.records import Track
 from conetl.steps.accuracy import drive_consistency, position_errors, track_errors
-from conetl.steps.evaluation import compare_with_truth
+from conetl.steps.evaluation import TruthCone, compare_with_truth
 from tests.synthetic.noisy_drive import NoisyDrive, PoseErrors, draw_drive, draw_positions
 from tests.synthetic.world import Cone, camera_poses, make_path, make_rig
 
@@ -39,10 +40,17 @@ def of_positions(drive: NoisyDrive) -> Consistency | None:
 
 def of_tracks(drive: NoisyDrive) -> Consistency | None:
     path = np.array([map_SE3_left(pair.pose, RIG)[:3, 3] for pair in drive.drive.frame_pairs])
-    lines, false = compare_with_truth(drive.truth, drive.tracks, path)
-    assert not false
-    assert all(line.feature is not None for line in lines)
-    return drive_consistency(track_errors(lines, path))
+    # One innovation in a thousand lies beyond the association's gate: now and then a cone has two tracks, the longer is its own.
+    longest = [
+        max(near, key=lambda t: t.observation_count) for cone in drive.truth if (near := _near(cone, drive.tracks))
+    ]
+    lines, _ = compare_with_truth(drive.truth, longest, path)
+    assert sum(line.feature is not None for line in lines) == len(drive.truth)
+    return drive_consistency(track_errors(lines, drive.drive))
+
+
+def _near(cone: TruthCone, tracks: Sequence[Track]) -> list[Track]:
+    return [track for track in tracks if np.linalg.norm(np.subtract(track.xyz_m, cone.xyz_m)) < 0.7]
 
 
 @pytest.mark.parametrize(("noise", "drives", "holds"), [(0.5, 30, False), (1.0, 200, True), (2.0, 30, False)])
@@ -94,15 +102,12 @@ def test_the_joint_adjustment_holds_for_the_errors_that_it_knows(noise: float, h
     assert total.holds(0.99) is holds
 
 
-def test_tracks_of_drives_with_a_common_pose_error() -> None:
-    """Never too proud, and not modest beyond reason: the frames' motion is taken as less certain than it is here.
-
-    The bounds are wider than chi-square's, because the log of these drives has no error from frame to frame, which the
-    tracks' covariance allows for; sigmas twice or half as large still leave them.
-    """
-    total = summed(of_tracks(draw_drive(np.random.default_rng(seed), RIG, CONES, RTK, frames=24)) for seed in range(20))
-    low, high = 0.35, 1.15
-    for part in (total.relative, total.absolute):
-        assert low < part.per_dof < high
-        assert not low < part.per_dof * 4 < high
-        assert not low < part.per_dof / 4 < high
+@pytest.mark.parametrize(("noise", "drives", "holds"), [(0.5, 10, False), (1.0, 40, True), (2.0, 10, False)])
+def test_tracks_of_drives_with_a_common_pose_error(noise: float, drives: int, holds: bool) -> None:
+    """Relative and absolute: the joint adjustment of each cone, and what pose errors add to it."""
+    total = summed(
+        of_tracks(draw_drive(np.random.default_rng(seed), RIG, CONES, RTK, frames=24, noise=noise))
+        for seed in range(drives)
+    )
+    assert total.relative.holds() is holds
+    assert total.absolute.holds() is holds

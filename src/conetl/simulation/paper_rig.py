@@ -56,7 +56,7 @@ SIGMAS: dict[str, float] = {
 
 @dataclass(frozen=True)
 class RenderedPair:
-    """Linear radiance (H, W, 3) of both cameras, cut out of the full pictures, and the rig of the cut-outs."""
+    """Linear radiance (H, W, 3) of both cameras, cut out of the full pictures; the rig of the cut-outs is exact."""
 
     left: NDArray[np.float32]
     right: NDArray[np.float32]
@@ -168,7 +168,7 @@ def render_pair(
                 np.float32
             )
         )
-    rig = full.model_copy(update={"left": cut, "right": cut})
+    rig = full.model_copy(update={"left": cut, "right": cut, "calibration_covariance": None})
     return RenderedPair(pictures[0], pictures[1], rig, foot, CONE_HEIGHT_M)
 
 

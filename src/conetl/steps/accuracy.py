@@ -13,7 +13,7 @@ from conetl.geometry.consistency import Consistency, Nees, ce90_m, consistency, 
 from conetl.geometry.packing import cov_matrix, vec3
 from conetl.geometry.pose_covariance import pose_jacobian
 from conetl.geometry.rig import map_SE3_left
-from conetl.records import Drive, Position, Record, Track, Vec3
+from conetl.records import Drive, Pose, Position, Record, Rig, Track, Vec3
 from conetl.steps.evaluation import TruthCone, TruthLine
 
 Floats = NDArray[np.float64]
@@ -99,29 +99,39 @@ class ConsistencyReport(Record):
     common: NeesReport | None
 
 
-def track_errors(lines: Sequence[TruthLine[Track]], path_m: Floats) -> PointErrors:
-    """Errors of the tracks that were found. path_m (F, 3): the left camera's places.
+def track_errors(lines: Sequence[TruthLine[Track]], drive: Drive) -> PointErrors:
+    """Errors of the tracks that were found.
 
-    What a track's absolute covariance has beyond the relative one is the error that the drive has in common, here one shift.
+    In common they have what the positions of the drive have (`position_errors`), each by its own lever: an error of the
+    heading is no mere shift of all cones. The levers of a track's sightings are averaged with the weight that sightings have
+    in an adjustment, about one over the square of the range.
     """
     found = [(line, line.feature) for line in lines if line.feature is not None]
+    path_m = np.array([map_SE3_left(pair.pose, drive.rig)[:3, 3] for pair in drive.frame_pairs])
     xyz = np.array([track.xyz_m for _, track in found]).reshape(-1, 3)
     offset = xyz[:, None, :2] - path_m[None, :, :2]
-    nearest = np.linalg.norm(offset, axis=2).argmin(axis=1) if found else np.zeros(0, dtype=int)
-    level = np.array([offset[i, j] for i, j in enumerate(nearest)]).reshape(-1, 2)
+    nearest = np.linalg.norm(offset, axis=2).argmin(axis=1)
+    level = offset[np.arange(len(found)), nearest]
     truth = np.array([line.truth.xyz_m for line, _ in found]).reshape(-1, 3)
-    cov = _stack([cov_matrix(track.cov_m2) for _, track in found])
-    own = _stack([cov_matrix(track.relative_cov_m2) for _, track in found])
+    pose_of = {pair.frame_index: pair.pose for pair in drive.frame_pairs}
+    jacobians, variances = [np.zeros((0, 3, 6 + len(_calibration(drive.rig))))], []
+    for place, (_, track) in zip(xyz, found, strict=True):
+        poses = [pose_of[frame_index] for frame_index, _ in track.members]
+        lever, sigmas = _common_errors(np.tile(place, (len(poses), 1)), poses, drive.rig)
+        left = np.array([map_SE3_left(pose, drive.rig)[:2, 3] for pose in poses])
+        weight = 1.0 / np.sum((place[:2] - left) ** 2, axis=1)
+        jacobians.append(np.einsum("f,fij->ij", weight / weight.sum(), lever)[None])
+        variances.append(np.mean(sigmas**2, axis=0))
     return PointErrors(
         cone_ids=tuple(line.truth.cone_id for line, _ in found),
         truth_m=truth,
         difference_m=xyz - truth,
-        cov_m2=cov,
-        own_cov_m2=own,
+        cov_m2=_stack([cov_matrix(track.cov_m2) for _, track in found]),
+        own_cov_m2=_stack([cov_matrix(track.relative_cov_m2) for _, track in found]),
         range_m=np.linalg.norm(level, axis=1),
         sight=_unit(level),
-        common_jacobian=np.tile(np.eye(3), (len(found), 1, 1)),
-        common_cov=(cov - own).mean(axis=0) if found else np.zeros((3, 3)),
+        common_jacobian=np.concatenate(jacobians),
+        common_cov=_blocks(np.diag(np.mean(variances, axis=0)) if found else np.zeros((6, 6)), _calibration(drive.rig)),
     )
 
 
@@ -150,15 +160,7 @@ def position_errors(
     turn = left[:, :3, :3]
     camera_cov = _stack([cov_matrix(p.camera_cov_m2) for p in chosen])
     truth = np.array([cone.xyz_m for cone in cones]).reshape(-1, 3)
-    by_pose = pose_jacobian(
-        xyz,
-        np.array([pose.map_R_body for pose in poses]).reshape(-1, 3, 3),
-        np.array([pose.map_t_body_m for pose in poses]).reshape(-1, 3),
-    )
-    by_calibration = turn @ calibration_jacobian(np.array([p.camera_xyz_m for p in chosen]).reshape(-1, 3), drive.rig)
-    known = known_covariance(drive.rig)
-    calibration = np.array(known.matrix) if known else np.zeros((0, 0))
-    sigmas = np.array([(*pose.sigma_enu_m, *pose.sigma_rpy_rad) for pose in poses]).reshape(-1, 6)
+    jacobian, sigmas = _common_errors(xyz, poses, drive.rig)
     return PointErrors(
         cone_ids=tuple(cone.cone_id for cone in cones),
         truth_m=truth,
@@ -167,8 +169,8 @@ def position_errors(
         own_cov_m2=turn @ camera_cov @ np.swapaxes(turn, 1, 2),
         range_m=np.array([p.range_m for p in chosen]),
         sight=_unit(xyz[:, :2] - left[:, :2, 3]),
-        common_jacobian=np.concatenate([by_pose, by_calibration], axis=2),
-        common_cov=_blocks(np.diag(np.mean(sigmas**2, axis=0)) if poses else np.zeros((6, 6)), calibration),
+        common_jacobian=jacobian,
+        common_cov=_blocks(np.diag(np.mean(sigmas**2, axis=0)) if poses else np.zeros((6, 6)), _calibration(drive.rig)),
     )
 
 
@@ -272,6 +274,26 @@ def _unit(level: Floats) -> Floats:
     """(N, 2) level vectors as (N, 3) unit vectors."""
     unit = level / np.linalg.norm(level, axis=1, keepdims=True)
     return np.column_stack([unit, np.zeros(len(unit))])
+
+
+def _common_errors(xyz_m: Floats, poses: Sequence[Pose], rig: Rig) -> tuple[Floats, Floats]:
+    """(N, 3, 6 + K) how points (N, 3) move with the errors of pose and calibration, (N, 6) sigmas of the poses."""
+    by_pose = pose_jacobian(
+        xyz_m,
+        np.array([pose.map_R_body for pose in poses]).reshape(-1, 3, 3),
+        np.array([pose.map_t_body_m for pose in poses]).reshape(-1, 3),
+    )
+    left = np.array([map_SE3_left(pose, rig) for pose in poses]).reshape(-1, 4, 4)
+    in_camera = np.einsum("nji,nj->ni", left[:, :3, :3], xyz_m - left[:, :3, 3])
+    by_calibration = left[:, :3, :3] @ calibration_jacobian(in_camera, rig)
+    sigmas = np.array([(*pose.sigma_enu_m, *pose.sigma_rpy_rad) for pose in poses]).reshape(-1, 6)
+    return np.concatenate([by_pose, by_calibration], axis=2), sigmas
+
+
+def _calibration(rig: Rig) -> Floats:
+    """(K, K) covariance of the calibration, (0, 0) where none is known."""
+    known = known_covariance(rig)
+    return np.array(known.matrix) if known else np.zeros((0, 0))
 
 
 def _blocks(a: Floats, b: Floats) -> Floats:
