@@ -86,4 +86,4 @@ def _render(
         near = range_m - 1.5
         before = np.abs(x * near - (x0 + 0.09)) < 0.07
         picture[before] = 30.0
-    return picture
+    return np.asarray(picture)

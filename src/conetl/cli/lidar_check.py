@@ -187,7 +187,7 @@ def lidar_check(
     if check.scene is not None:
         out.print(
             f"The scene without cones ({check.scene.sample_count} windows): things lie {check.scene.range_offset_m:+.3f} m "
-            f"farther than LiDAR says, and disparities are {float(check.scene.coefficients[0]):+.2f} px off in the picture's middle."
+            f"farther than LiDAR says, and disparities are {float(check.scene.coefficients[0]):+.2f} px off in the centre."
         )
         print_table("Without what the scene says of calibration", columns, [_cells(band) for band in corrected])
     for problem in check.problems:

@@ -25,10 +25,10 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
 _MIN_PIXELS = 24
-_MAX_PIXELS = 1600
+_MAX_PIXELS = 700
 _MIN_CORRELATION = 0.75
 _MAX_ITERATIONS = 15
-_CONVERGED_PX = 5e-3
+_CONVERGED_PX = 2e-2
 #: How far the disparity may run from the best whole-pixel place.
 _MAX_WAY_PX = 2.0
 _MAX_ROW_OFFSET_PX = 1.5
@@ -277,8 +277,12 @@ class _Patch(NamedTuple):
         whole = int(np.floor(down_px))
         value_v, slope_v = _weights(np.array(down_px - whole))
         # All pixels have the same part of a row to go: blend whole rows first, then only four columns are left for each pixel.
-        windows = np.stack([self.coefficients[k : height - 3 + k] for k in range(4)], axis=-1)
-        blend = (windows @ np.stack([value_v, slope_v], axis=1)).reshape((height - 3) * width, 2 * channels)
+        blend = np.zeros((height - 3, width, channels, 2))
+        for k in range(4):
+            part = self.coefficients[k : height - 3 + k]
+            blend[..., 0] += value_v[k] * part
+            blend[..., 1] += slope_v[k] * part
+        blend = blend.reshape(-1, 2 * channels)
         base = np.floor(columns).astype(np.intp)
         value_u, slope_u = _weights(columns - base)
         top = np.clip(rows + whole - 1 - self.row0, 0, height - 4)
@@ -291,7 +295,13 @@ class _Patch(NamedTuple):
 
 def _weights(part: Floats) -> tuple[Floats, Floats]:
     """Cubic B-spline weights (4, ...) of the four neighbours of a point, and their derivatives; part: 0..1 past the second."""
-    t = part
-    value = np.stack([(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3]) / 6
-    slope = np.stack([-((1 - t) ** 2), 3 * t**2 - 4 * t, -3 * t**2 + 2 * t + 1, t**2]) / 2
+    t, rest = part, 1 - part
+    t2, rest2 = t * t, rest * rest
+    value, slope = np.empty((4, *part.shape)), np.empty((4, *part.shape))
+    value[0], value[3] = rest2 * rest / 6, t2 * t / 6
+    value[1] = 2 / 3 - t2 + t2 * t / 2
+    value[2] = 1 - value[0] - value[1] - value[3]
+    slope[0], slope[3] = -rest2 / 2, t2 / 2
+    slope[1] = 1.5 * t2 - 2 * t
+    slope[2] = -slope[0] - slope[1] - slope[3]
     return value, slope
