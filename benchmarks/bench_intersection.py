@@ -2,9 +2,10 @@
 
     python benchmarks/bench_intersection.py [--points 1000000] [--rounds 7] [--json]
 
-Everything runs on one thread, in turn; processor time counts, of the best round. `cv2.triangulatePoints` solves the linear equations by SVD:
-no iteration, no image weights, no covariance, no status. The numba rival does the same iterations as conetl in compiled
-code, point by point: what there is to gain from leaving numpy. It is left out, and that is said, where numba is missing.
+Everything runs on one thread, in turn; processor time counts, of the best round. `cv2.triangulatePoints` solves the linear
+equations by SVD: no iteration, no image weights, no covariance, no status. The numba rival does the same iterations as
+conetl in compiled code, point by point: what there is to gain from leaving numpy. It is left out, and that is said, where
+numba is missing.
 """
 
 from __future__ import annotations
