@@ -178,12 +178,23 @@ def test_one_changed_byte_is_refused(tmp_path: Path) -> None:
         load_detector(model)
 
 
+def test_evidence_of_another_model_file_is_refused(tmp_path: Path) -> None:
+    model = copy_model(tmp_path)
+    sidecar = model.with_name(model.name + ".json")
+    card = json.loads(sidecar.read_text())
+    card["evidence"]["model_sha256"] = "0" * 64
+    sidecar.write_text(json.dumps(card))
+    with pytest.raises(ModelFileError, match="calibrate_scores"):
+        load_detector(model)
+
+
 def test_a_file_that_is_no_network_is_refused_even_with_a_matching_hash(tmp_path: Path) -> None:
     model = copy_model(tmp_path)
     model.write_bytes(b"not a network")
     sidecar = model.with_name(model.name + ".json")
     card = json.loads(sidecar.read_text())
     card["sha256"] = hashlib.sha256(b"not a network").hexdigest()
+    card.pop("evidence")  # of the file that was there
     sidecar.write_text(json.dumps(card))
     with pytest.raises(ModelFileError, match="cannot load"):
         load_detector(model)
