@@ -42,6 +42,8 @@ def test_foot_and_tip_are_kept_where_the_network_tells_them() -> None:
 
 
 def test_boxes_alone_have_neither_foot_nor_tip() -> None:
-    (found,), _ = check_boxes(np.array([[1.0, 1.0, 8.0, 20.0, 0.7]]), frame_index=0, side="left", params=DetectionParams())
+    (found,), _ = check_boxes(
+        np.array([[1.0, 1.0, 8.0, 20.0, 0.7]]), frame_index=0, side="left", params=DetectionParams()
+    )
     assert found.foot_px is None
     assert found.tip_px is None
