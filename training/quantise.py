@@ -75,6 +75,7 @@ def main() -> None:
         )
     card = json.loads(args.model.with_name(args.model.name + ".json").read_text())
     card["name"] = args.out.stem
+    card.pop("evidence", None)  # measured on another file: calibrate_scores.py measures it anew
     card["sha256"] = hashlib.sha256(args.out.read_bytes()).hexdigest()
     args.out.with_name(args.out.name + ".json").write_text(json.dumps(card, indent=2) + "\n")
     print(f"{args.out}: {args.out.stat().st_size / 1e6:.2f} MB, ranges from {len(pictures)} pictures")

@@ -191,7 +191,7 @@ def look(
         parts = [
             decode_cells(
                 values, cells, columns // stride_px, stride_px, head.side_bins, score_threshold,
-                foot_and_tip=head.foot_and_tip, calibration=(head.score_logit_scale, head.score_logit_offset),
+                foot_and_tip=head.foot_and_tip,
             )
             for values, cells, stride_px in zip(outputs[::2], outputs[1::2], head.strides_px, strict=True)
         ]  # fmt: skip

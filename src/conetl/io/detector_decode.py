@@ -25,7 +25,6 @@ def decode_cells(
     score_threshold: float,
     *,
     foot_and_tip: bool = False,
-    calibration: tuple[float, float] = (1.0, 0.0),
 ) -> Floats:
     """Cells of one stride -> candidates (N, 9) in pixels of the network's input.
 
@@ -33,14 +32,13 @@ def decode_cells(
     `foot_and_tip`; without it the last four columns are NaN. cells: (K,) where they lie in the row-major map. Each side (left,
     top, right, bottom) is a distribution over `bins` distances in strides from the cell's centre; its expectation is the
     distance (distribution focal loss, Li et al. 2020). Foot and tip are offsets in shares of the box from the middle of its
-    lower and upper side; the last value is the score's logit. calibration: scale and offset of that logit (Platt 1999). Cells
-    below the threshold are left out. Raises ValueError on arrays of another head.
+    lower and upper side; the last value is the score's logit. Cells below the threshold are left out.
+    Raises ValueError on arrays of another head.
     """
     channels = 4 * bins + (5 if foot_and_tip else 1)
     if values.ndim != 2 or values.shape[1] != channels or cells.shape != values.shape[:1]:
         raise ValueError(f"cells have shapes {values.shape} and {cells.shape}, expected (K, {channels}) and (K,)")
-    scale, offset = calibration
-    scores = 1.0 / (1.0 + np.exp(-(scale * values[:, -1].astype(np.float64) + offset)))
+    scores = 1.0 / (1.0 + np.exp(-values[:, -1].astype(np.float64)))
     kept = scores >= score_threshold
     if not kept.any():
         return np.zeros((0, COLUMNS))

@@ -29,9 +29,6 @@ class SideDistributionHead(BaseModel):
     """In the order of the outputs."""
     foot_and_tip: bool = False
     """Whether the head gives the cone's foot and tip besides its box."""
-    score_logit_scale: float = Field(default=1.0, gt=0)
-    score_logit_offset: float = 0.0
-    """Calibration of the score: probability = sigmoid(scale * logit + offset)."""
 
     @property
     def channels(self) -> int:

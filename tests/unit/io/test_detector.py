@@ -46,19 +46,18 @@ def test_decode_reads_one_cell_exactly() -> None:
     assert np.isnan(found[:, 5:]).all()
 
 
-def test_decode_reads_foot_tip_and_calibrated_score() -> None:
+def test_decode_reads_foot_and_tip() -> None:
     values = np.zeros((1, 4 * 4 + 5), np.float32)
     values[0, -1] = 1.0
     for side in range(4):
         values[0, side * 4 + 2] = 60.0  # two strides to each side: the box is 16 px wide around (6, 2) at stride 4
     values[0, 16:20] = (0.25, 0.125, -0.25, 0.0625)
-    (found,) = decode_cells(values, np.array([1]), 2, 4, 4, 0.5, foot_and_tip=True, calibration=(2.0, -1.0))
+    (found,) = decode_cells(values, np.array([1]), 2, 4, 4, 0.5, foot_and_tip=True)
     # box x 6 +- 8, y 2 +- 8: lower side at y = 10, upper at y = -6
     np.testing.assert_allclose(found[:4], [-2.0, -6.0, 14.0, 10.0], atol=1e-5)
     np.testing.assert_allclose(found[4], 1 / (1 + np.exp(-1.0)), atol=1e-6)
     np.testing.assert_allclose(found[5:], [6 + 4, 10 - 2, 6 - 4, -6 + 1], atol=1e-5)
-    above = decode_cells(values, np.array([1]), 2, 4, 4, 0.74, foot_and_tip=True, calibration=(2.0, -1.0))
-    assert len(above) == 0
+    assert len(decode_cells(values, np.array([1]), 2, 4, 4, 0.74, foot_and_tip=True)) == 0
 
 
 def test_decode_takes_the_mean_between_two_bins() -> None:
