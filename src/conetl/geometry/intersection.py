@@ -9,23 +9,39 @@ Each iteration linearises both equations of every view at the present X, weights
 3x3 normal equations; it stops when the sum of squares of the correction falls below 1e-10 m^2 (the paper's criterion).
 The start is the linear solution of the same equations multiplied by the depth. Coordinates are taken relative to a camera
 of each point, so that map coordinates of millions of metres cost no digits. Degenerate points get a status, never a number.
+With a lens, x/z and y/z are distorted before they are scaled, and the adjustment is made in the distorted picture, where the
+image sigmas hold: taking the distortion out first would weight the image points wrongly.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from conetl.geometry.collinearity import (
+    UPPER,
+    Solution,
+    Views,
+    camera_point,
+    directions,
+    gauss_newton,
+    image_point,
+    inside_field,
+    linear_start,
+    make_views,
+    normalise,
+)
+from conetl.records import Lens
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 #: Points per chunk with two views: small enough for the working arrays to stay in the processor's cache.
 CHUNK_POINTS = 4096
-_UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
 class IntersectionStatus(IntEnum):
@@ -33,11 +49,14 @@ class IntersectionStatus(IntEnum):
 
     OK = 0
     INVALID_INPUT = 1
-    """A used image point, sigma, camera or start is not finite, or a sigma is not positive."""
+    """A used image point, sigma, camera or start is not finite, a sigma not positive, or the lens has no ray for the point."""
     TOO_FEW_VIEWS = 2
     RAY_ANGLE_TOO_SMALL = 3
     BEHIND_CAMERA = 4
     NOT_CONVERGED = 5
+    """Or converged beyond the field that a lens maps one to one."""
+    BLUNDER_NOT_LOCATED = 6
+    """Rays contradict each other and it cannot be told which are wrong (`robust_intersection` only)."""
 
 
 @dataclass(frozen=True)
@@ -49,9 +68,9 @@ class IntersectionResult:
     xyz_m: Array
     """(P, 3) in the frame of the camera poses."""
     cov_m2: Array
-    """(P, 3, 3) from the image sigmas alone."""
+    """(P, 3, 3) from the image sigmas alone, at the last linearisation."""
     residuals_px: Array
-    """(P, V, 2) observed minus computed; NaN for views that were not used."""
+    """(P, V, 2) observed minus computed, in the picture as given; NaN for views that were not used."""
     depth_m: Array
     """(P, V) along the optical axis of each view; NaN for views that were not used."""
     ray_angle_rad: Array
@@ -65,34 +84,6 @@ class IntersectionResult:
         return np.asarray(self.status == IntersectionStatus.OK)
 
 
-class _Views(NamedTuple):
-    """Views of the points at work, component first: every array is (V, n) or, where all points share a view, (V, 1)."""
-
-    u: Array
-    v: Array
-    fx: Array
-    fy: Array
-    weight_u: Array
-    """fx / sigma_u, or 0 for a view that is not used: what x/z is multiplied with."""
-    weight_v: Array
-    rot: list[list[Array]]
-    """rot[i][j]: component of cam_R_map."""
-    centre: list[Array]
-    """relative to the point's origin"""
-
-    def take(self, keep: Bools) -> _Views:
-        """Only the points of a mask (n,)."""
-
-        def part(a: Array) -> Array:
-            return a if a.shape[1] == 1 else a[:, keep]
-
-        return _Views(
-            u=part(self.u), v=part(self.v), fx=part(self.fx), fy=part(self.fy),
-            weight_u=part(self.weight_u), weight_v=part(self.weight_v),
-            rot=[[part(a) for a in row] for row in self.rot], centre=[part(a) for a in self.centre],
-        )  # fmt: skip
-
-
 def intersect(
     uv_px: ArrayLike,
     valid: ArrayLike | None,
@@ -101,6 +92,7 @@ def intersect(
     centre_m: ArrayLike,
     sigma_uv_px: ArrayLike,
     *,
+    lenses: Sequence[Lens] | None = None,
     start_m: ArrayLike | None = None,
     convergence_m2: float = 1e-10,
     max_iterations: int = 20,
@@ -111,7 +103,8 @@ def intersect(
 
     uv_px (P, V, 2): image points in pixels. valid (P, V) bool: which of them exist (None: all). k_px (V, 4) or (P, V, 4):
     fx, fy, cx, cy. map_R_cam (V, 3, 3) or (P, V, 3, 3) and centre_m (V, 3) or (P, V, 3): exterior orientation of the views
-    in any common frame. sigma_uv_px: anything that broadcasts to (P, V, 2). start_m (P, 3): optional approximate points.
+    in any common frame. sigma_uv_px: anything that broadcasts to (P, V, 2). lenses: one for each of the V views, where the image
+    points still have their distortion. start_m (P, 3): optional approximate points.
     Points with fewer views are padded and masked by `valid`; padding may hold NaN. Giving cameras as (V, ...) where all
     points share them is faster. Raises ValueError on arrays whose shapes do not fit; bad values only give a status.
     """
@@ -131,6 +124,9 @@ def intersect(
     start = None if start_m is None else np.asarray(start_m, dtype=np.float64)
     if start is not None and start.shape != (p, 3):
         raise ValueError(f"start_m must be ({p}, 3), found {start.shape}")
+    if lenses is not None and len(lenses) != v:
+        raise ValueError(f"lenses must be one for each of the {v} views, found {len(lenses)}")
+    bent = None if lenses is None or all(lens.model == "none" for lens in lenses) else tuple(lenses)
     result = _empty(p, v)
     step = max(1, min(chunk_points, chunk_points * 8 // (v * v))) if v > 2 else chunk_points
     for begin in range(0, p, step):
@@ -141,7 +137,7 @@ def intersect(
 
         _intersect_chunk(
             result, part, uv[part], mask[part], cut(k, 2), cut(rot, 3), cut(centre, 2), cut(sigma, 2),
-            None if start is None else start[part], convergence_m2, max_iterations, min_ray_angle_rad,
+            bent, None if start is None else start[part], convergence_m2, max_iterations, min_ray_angle_rad,
         )  # fmt: skip
     return result
 
@@ -166,12 +162,16 @@ def _empty(p: int, v: int) -> IntersectionResult:
 
 def _intersect_chunk(
     result: IntersectionResult, part: slice, uv: Array, mask: Bools, k: Array, rot: Array, centre: Array,
-    sigma: Array, start: Array | None, convergence_m2: float, max_iterations: int, min_ray_angle_rad: float,
+    sigma: Array, lenses: tuple[Lens, ...] | None, start: Array | None, convergence_m2: float, max_iterations: int,
+    min_ray_angle_rad: float,
 ) -> None:  # fmt: skip
     """Fill the rows `part` of the result."""
     n = uv.shape[0]
     status = np.zeros(n, dtype=np.int8)
     sound = _sound(uv, k, rot, centre, sigma)
+    normalised, ideal = normalise(uv, k, lenses)
+    if lenses is not None:
+        sound &= np.isfinite(ideal).all(axis=2)
     status[np.any(mask & ~sound, axis=1)] = IntersectionStatus.INVALID_INPUT
     if start is not None:
         status[~np.isfinite(start).all(axis=1)] = IntersectionStatus.INVALID_INPUT
@@ -179,7 +179,7 @@ def _intersect_chunk(
     used = mask & sound
     origin = _origin(used, centre)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        views = _views(uv, used, k, rot, centre, sigma, origin)
+        views = make_views(normalised, ideal, used, k, rot, centre, sigma, origin, lenses)
         angle = _ray_angle(views, used)
         result.ray_angle_rad[part] = angle
         status[(status == 0) & ~(angle >= min_ray_angle_rad)] = IntersectionStatus.RAY_ANGLE_TOO_SMALL
@@ -187,9 +187,9 @@ def _intersect_chunk(
         if rows.size:
             if rows.size < n:
                 views, origin, used = views.take(status == 0), origin[rows], used[rows]
-            first = _linear_start(views) if start is None else np.ascontiguousarray((start[rows] - origin).T)
-            x, iterations, converged = _iterate(views, first, convergence_m2, max_iterations)
-            _store(result, part.start + rows, views, x, iterations, converged, origin, status, rows, used)
+            first = linear_start(views) if start is None else list(np.ascontiguousarray((start[rows] - origin).T))
+            solution = gauss_newton(views, first, convergence_m2, max_iterations)
+            status[rows] = _store(result, part.start + rows, views, solution, origin, used)
     result.status[part] = status
 
 
@@ -211,11 +211,9 @@ def _origin(mask: Bools, centre: Array) -> Array:
     return chosen
 
 
-def _ray_angle(views: _Views, used: Bools) -> Array:
+def _ray_angle(views: Views, used: Bools) -> Array:
     """(n,) largest angle between two used rays, from the chord of the unit vectors; NaN with fewer than two."""
-    u, v, rot = views.u, views.v, views.rot
-    scale = 1.0 / np.sqrt(u * u + v * v + 1.0)
-    d = [(rot[0][i] * u + rot[1][i] * v + rot[2][i]) * scale for i in range(3)]
+    d = directions(views)
     count = used.shape[1]
     largest = np.full(used.shape[0], -1.0)
     for i in range(count - 1):
@@ -225,134 +223,21 @@ def _ray_angle(views: _Views, used: Bools) -> Array:
     return np.where(largest >= 0, 2.0 * np.arcsin(np.minimum(np.sqrt(np.abs(largest)) / 2.0, 1.0)), np.nan)
 
 
-def _views(uv: Array, mask: Bools, k: Array, rot: Array, centre: Array, sigma: Array, origin: Array) -> _Views:
-    """Bring the inputs into component-first order; unused views get weight 0 and harmless numbers."""
-
-    def comp(a: Array) -> Array:
-        return np.ascontiguousarray(a.T) if a.ndim == 2 else a[:, None]
-
-    used = np.ascontiguousarray(mask.T)
-    all_used = bool(used.all())
-
-    def clean(a: Array, neutral: float) -> Array:
-        return a if all_used else np.where(used, a, neutral)
-
-    fx, fy = clean(comp(k[..., 0]), 1.0), clean(comp(k[..., 1]), 1.0)
-    inverse = (1.0 / comp(sigma[..., 0]), 1.0 / comp(sigma[..., 1]))
-    local = [clean(comp(centre[..., i]) - origin[:, i], 0.0) for i in range(3)]
-    cam_R_map = [[clean(comp(rot[..., j, i]), float(i == j)) for j in range(3)] for i in range(3)]
-    return _Views(
-        u=clean((comp(uv[..., 0]) - comp(k[..., 2])) / fx, 0.0), v=clean((comp(uv[..., 1]) - comp(k[..., 3])) / fy, 0.0),
-        fx=fx, fy=fy, weight_u=clean(fx * inverse[0], 0.0), weight_v=clean(fy * inverse[1], 0.0),
-        rot=cam_R_map, centre=local,
-    )  # fmt: skip
-
-
-def _over_views(a: Array) -> Array:
-    """(n,) sum of (V, n) over the views; two rows are added faster than they are reduced."""
-    return a[0] + a[1] if a.shape[0] == 2 else np.asarray(a.sum(axis=0))
-
-
-def _normal_matrix(a: list[Array], b: list[Array]) -> list[Array]:
-    """Upper triangle (6 arrays (n,)) of the normal matrix of rows a, b."""
-    return [_over_views(a[i] * a[j] + b[i] * b[j]) for i, j in _UPPER]
-
-
-def _normal_side(a: list[Array], b: list[Array], ra: Array, rb: Array) -> list[Array]:
-    """Right side (3 arrays (n,)) of the normal equations of rows a, b with residuals ra, rb."""
-    return [_over_views(a[i] * ra + b[i] * rb) for i in range(3)]
-
-
-def _inverse(n: list[Array]) -> list[Array]:
-    """Upper triangle of the inverse of symmetric 3x3 matrices, in closed form; not finite where singular."""
-    xx, xy, xz, yy, yz, zz = n
-    c0, c1, c2 = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
-    scale = 1.0 / (xx * c0 + xy * c1 + xz * c2)
-    return [
-        c0 * scale, c1 * scale, c2 * scale,
-        (xx * zz - xz * xz) * scale, (xy * xz - xx * yz) * scale, (xx * yy - xy * xy) * scale,
-    ]  # fmt: skip
-
-
-def _times(inverse: list[Array], g: list[Array]) -> Array:
-    """(3, n) product of symmetric matrices with vectors."""
-    xx, xy, xz, yy, yz, zz = inverse
-    return np.stack(
-        [xx * g[0] + xy * g[1] + xz * g[2], xy * g[0] + yy * g[1] + yz * g[2], xz * g[0] + yz * g[1] + zz * g[2]]
-    )
-
-
-def _linear_start(views: _Views) -> Array:
-    """(3, n) solution of the collinearity equations multiplied by the depth, which are linear in the point."""
-    used = (views.weight_u > 0) * 1.0
-    a = [(views.rot[0][j] - views.u * views.rot[2][j]) * used for j in range(3)]
-    b = [(views.rot[1][j] - views.v * views.rot[2][j]) * used for j in range(3)]
-    c = views.centre
-    ra, rb = (row[0] * c[0] + row[1] * c[1] + row[2] * c[2] for row in (a, b))
-    return _times(_inverse(_normal_matrix(a, b)), _normal_side(a, b, ra, rb))
-
-
-def _camera_point(views: _Views, x: Array) -> list[Array]:
-    """x, y, z (V, n) of points (3, n) in every view's camera frame."""
-    d = [x[i] - views.centre[i] for i in range(3)]
-    return [r[0] * d[0] + r[1] * d[1] + r[2] * d[2] for r in views.rot]
-
-
-def _linearise(views: _Views, x: Array) -> tuple[list[Array], list[Array], Array, Array]:
-    """Weighted rows of the linearised collinearity equations and weighted residuals, each (V, n)."""
-    cx, cy, cz = _camera_point(views, x)
-    inverse = 1.0 / cz
-    xn, yn = cx * inverse, cy * inverse
-    wu, wv = views.weight_u * inverse, views.weight_v * inverse
-    a = [wu * (views.rot[0][j] - xn * views.rot[2][j]) for j in range(3)]
-    b = [wv * (views.rot[1][j] - yn * views.rot[2][j]) for j in range(3)]
-    return a, b, views.weight_u * (views.u - xn), views.weight_v * (views.v - yn)
-
-
-def _iterate(
-    views: _Views, start: Array, convergence_m2: float, max_iterations: int
-) -> tuple[Array, NDArray[np.int64], Bools]:
-    """Gauss-Newton; points that are done leave the active set. Returns (3, n), (n,), (n,)."""
-    n = start.shape[1]
-    solution = start.copy()
-    iterations = np.zeros(n, dtype=np.int64)
-    converged = np.zeros(n, dtype=bool)
-    active, x, work = np.arange(n), start, views
-    going = np.ones(n, dtype=bool)
-    for _ in range(max_iterations):
-        a, b, ra, rb = _linearise(work, x)
-        # Points that are done stand still, so that no result depends on which other points share the chunk.
-        dx = _times(_inverse(_normal_matrix(a, b)), _normal_side(a, b, ra, rb)) * going
-        x = x + dx
-        square = dx[0] * dx[0] + dx[1] * dx[1] + dx[2] * dx[2]
-        iterations[active] += going
-        converged[active] |= going & (square < convergence_m2)
-        going = going & (square >= convergence_m2)
-        left = int(np.count_nonzero(going))
-        if left == 0:
-            break
-        if 2 * left < going.size:  # smaller arrays pay for their making
-            solution[:, active] = x
-            active, x, work, going = active[going], x[:, going], work.take(going), going[going]
-    solution[:, active] = x
-    return solution, iterations, converged
-
-
 def _store(
-    result: IntersectionResult, index: NDArray[np.int64], views: _Views, x: Array, iterations: NDArray[np.int64],
-    converged: Bools, origin: Array, status: NDArray[np.int8], rows: NDArray[np.int64], used: Bools,
-) -> None:  # fmt: skip
-    """Covariance, residuals and depths at the solution; statuses of the points that have none."""
-    a, b, _, _ = _linearise(views, x)
-    upper = _inverse(_normal_matrix(a, b))
-    cx, cy, cz = _camera_point(views, x)
+    result: IntersectionResult, index: NDArray[np.int64], views: Views, solution: Solution, origin: Array, used: Bools
+) -> NDArray[np.int8]:
+    """Write the good points to the rows `index` of the result; returns the statuses of all."""
+    x, upper = solution.x, solution.cov
+    cx, cy, cz = camera_point(views, x)
+    xn, yn = cx / cz, cy / cz
     real = np.isfinite(x[0] + x[1] + x[2])
-    behind = np.any(used & ~(cz.T > 0), axis=1) & real
-    finite = real & np.isfinite(sum(upper))
-    outcome = np.where(converged & finite, IntersectionStatus.OK, IntersectionStatus.NOT_CONVERGED)
-    outcome = np.where(behind, IntersectionStatus.BEHIND_CAMERA, outcome)
-    status[rows] = outcome
-    result.iterations[index] = iterations
+    behind = np.any(used.T & ~(cz > 0), axis=0) & real
+    good = solution.converged & real & np.isfinite(sum(upper))
+    if views.lenses is not None:
+        good &= (inside_field(views, xn, yn) | ~used.T).all(axis=0)
+    outcome = np.where(good, IntersectionStatus.OK, IntersectionStatus.NOT_CONVERGED)
+    outcome = np.where(behind, IntersectionStatus.BEHIND_CAMERA, outcome).astype(np.int8)
+    result.iterations[index] = solution.iterations
     ok = outcome == IntersectionStatus.OK
     keep: slice | NDArray[np.int64] = index[ok]
     chosen: slice | Bools = ok
@@ -360,10 +245,15 @@ def _store(
         keep, chosen = slice(int(index[0]), int(index[-1]) + 1), slice(None)
     for axis in range(3):
         result.xyz_m[keep, axis] = x[axis][chosen] + origin[chosen, axis]
-    for value, (i, j) in zip(upper, _UPPER, strict=True):
+    for value, (i, j) in zip(upper, UPPER, strict=True):
         result.cov_m2[keep, i, j] = value[chosen]
         if i != j:
             result.cov_m2[keep, j, i] = value[chosen]
-    result.residuals_px[keep, :, 0] = np.where(used, ((views.u - cx / cz) * views.fx).T, np.nan)[chosen]
-    result.residuals_px[keep, :, 1] = np.where(used, ((views.v - cy / cz) * views.fy).T, np.nan)[chosen]
-    result.depth_m[keep] = np.where(used, cz.T, np.nan)[chosen]
+    bent_x, bent_y = image_point(views, xn, yn)
+    found = ((views.u - bent_x) * views.fx, (views.v - bent_y) * views.fy, cz)
+    if not used.all():
+        found = (np.where(used.T, found[0], np.nan), np.where(used.T, found[1], np.nan), np.where(used.T, cz, np.nan))
+    result.residuals_px[keep, :, 0] = found[0].T[chosen]
+    result.residuals_px[keep, :, 1] = found[1].T[chosen]
+    result.depth_m[keep] = found[2].T[chosen]
+    return outcome
