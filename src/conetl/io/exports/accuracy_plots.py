@@ -66,7 +66,7 @@ def errors_over_range(
     )
     axes[0].set_ylabel(f"{_AXES[0]} (m)\nlogarithmic beyond 0.1")
     axes[0].set_title(title, loc="left")
-    axes[0].legend(fontsize=8, loc="upper left", ncols=3)
+    figure.legend(*axes[0].get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=3)
     axes[2].set_xlabel("ground distance from the left camera (m); of tracks the nearest")
     return png(figure)
 
