@@ -26,8 +26,8 @@ _HEIGHT_BOUNDS_M = (0.15, 1.8)
 #: right up to the edge.
 _BORDER_PX = 2.0
 _BORDER_SHARE = 0.15
-#: Spread of foot and axis, a floor plus a share of the box: generous. Single pairs of the sample drives show half of it across the
-#: rows; with less, boxes with edges off by 0.9 px (sigma) give tracks that are too sure (tests/synthetic/test_drive.py).
+#: Spread of foot and axis, a floor plus a share of the box: generous. Single pairs of the sample drives show half of it across
+#: the rows; with less, boxes with edges off by 0.9 px (sigma) give tracks that are too sure (tests/synthetic/test_drive.py).
 _EDGE_SIGMA_PX = 0.6
 _EDGE_SIGMA_SHARE = 0.025
 
