@@ -1,7 +1,7 @@
 """Makes the figures of docs/accuracy.md and the tables between its markers. Run: python docs/accuracy_study.py
 
-Needs Mitsuba (pip install 'conetl[simulate]') for the rendered cone. Names of parts (range, calibration, frames, sides, render) make
-only those and leave the rest of the page as it is.
+Needs Mitsuba (pip install 'conetl[simulate]') for the rendered cone. Names of parts (range, calibration, frames, sides, render)
+make only those and leave the rest of the page as it is.
 """
 
 from __future__ import annotations
