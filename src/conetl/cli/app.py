@@ -10,6 +10,7 @@ from conetl.cli.demo import demo
 from conetl.cli.detect import detect
 from conetl.cli.evaluate import evaluate
 from conetl.cli.ingest import ingest
+from conetl.cli.lidar_check import lidar_check
 from conetl.cli.locate import locate
 from conetl.cli.maps import app as maps
 from conetl.cli.rig import app as rig
@@ -24,7 +25,7 @@ app = typer.Typer(
     epilog="Exit codes: 0 done; 1 done, but too many records were quarantined; 2 bad usage or input, nothing written; "
     "3 a service (database, Prefect) is not to be had, nothing written.",
 )
-for command in (ingest, calibrate, locate, detect, evaluate, simulate, demo):
+for command in (ingest, calibrate, locate, detect, evaluate, lidar_check, simulate, demo):
     app.command()(command)
 app.add_typer(maps, name="map")
 app.add_typer(database, name="db")
