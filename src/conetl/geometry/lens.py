@@ -36,7 +36,8 @@ def distort(lens: Lens, xy: ArrayLike) -> Array:
     s = x * x + y * y
     g = 1.0 + s * (k1 + s * (k2 + s * k3))
     if lens.model == "rational":
-        g = g / (1.0 + s * (k4 + s * (k5 + s * k6)))
+        with np.errstate(divide="ignore"):  # infinity at a pole of the model, which is what it says there
+            g = g / (1.0 + s * (k4 + s * (k5 + s * k6)))
     if lens.model == "radial":
         return p * g[..., None]
     xy2 = 2.0 * x * y
