@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 _HUBER_SIGMAS = 2.5
-_MAX_ITERATIONS = 50
+#: Huber weights converge linearly where much does not fit.
+_MAX_ITERATIONS = 200
 
 
 @dataclass(frozen=True)

@@ -124,7 +124,12 @@ def _fuse_group(
     return Track(
         track_index=index,
         xyz_m=vec3(foot.xyz_m),
-        cov_m2=cov3(foot.cov_m2 + common_cov(group, foot.shares, frame_pairs, rig, map_SE3_left)),
+        cov_m2=cov3(
+            foot.cov_m2
+            + common_cov(
+                group, foot.shares, frame_pairs, rig, map_SE3_left, params.trajectory if motion is None else None
+            )
+        ),
         relative_cov_m2=cov3(foot.cov_m2),
         centre_xyz_m=vec3(centre.xyz_m),
         cone_height_m=height_m,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -11,6 +12,7 @@ from conetl.geometry import rig as rigs
 from conetl.geometry.consistency import Nees
 from conetl.geometry.joint_fit import fit_point, pair_jacobian
 from conetl.geometry.packing import cov_matrix
+from conetl.params import TrajectoryParams
 from conetl.records import CalibrationCovariance, FramePair, Position, Rig
 from conetl.steps.common_errors import common_cov
 from tests.synthetic.noisy_drive import PoseErrors, draw_positions
@@ -80,6 +82,94 @@ def test_many_sightings_with_a_wrong_calibration_stay_inside_what_they_state() -
         proud += Nees(float(off @ np.linalg.solve(fit.cov_m2, off)), 3)
     assert honest.holds(0.99)
     assert proud.per_dof > 2
+
+
+def poses_with(sigma_m: float, sigma_rad: float) -> list[FramePair]:
+    """Three seconds towards the cone at 10 Hz and 5 m/s."""
+    sigmas = {"sigma_enu_m": (sigma_m,) * 3, "sigma_rpy_rad": (sigma_rad,) * 3}
+    pairs = make_path(30, step_m=0.5)
+    return [pair.model_copy(update={"pose": pair.pose.model_copy(update=sigmas)}) for pair in pairs]
+
+
+def nees_of_logs(
+    pairs: list[FramePair],
+    correlation_s: float,
+    believed: TrajectoryParams | None,
+    draws: int,
+    truth_scale: float = 1.0,
+) -> Nees:
+    """Joint fits over a log whose errors are Gauss-Markov processes of one correlation time, as `believed` has it."""
+    rng = np.random.default_rng(11)
+    frames, truth = len(pairs), np.add(ORIGIN_M, CONE.foot_m)
+    exact_rig = make_rig()
+    sigmas = np.array([*pairs[0].pose.sigma_enu_m, *pairs[0].pose.sigma_rpy_rad])
+    by_index = {pair.frame_index: pair for pair in pairs}
+    left = camera_poses(pairs, exact_rig, "left")
+    body = np.stack([se3.map_SE3_body(pair.pose) for pair in pairs])
+    sides = [rigs.body_SE3_camera(exact_rig, side) for side in ("left", "right")]
+    exact, _ = pair_jacobian(truth, *(se3.compose(body, side) for side in sides), *constants(exact_rig))
+    group = [position_at(pair, left[pair.frame_index], truth) for pair in pairs]
+    seconds = 0.1 * np.arange(frames)
+    rho = np.exp(-np.abs(seconds[:, None] - seconds) / correlation_s)
+    nearest = int(np.argmin([p.range_m for p in group]))
+    apart_m = np.sqrt(2 * (1 - rho[nearest])) * np.hypot(sigmas[0], sigmas[3] * np.array([p.range_m for p in group]))
+    stated = {
+        "sigma_u_px": np.full(frames, 0.3), "sigma_v_px": np.full(frames, 0.8), "sigma_pointing_px": np.zeros(frames),
+        "sigma_motion_m": apart_m,
+    }  # fmt: skip
+    root = np.linalg.cholesky(rho + 1e-12 * np.eye(frames))
+    total = Nees(0.0, 0)
+    for _ in range(draws):
+        error = truth_scale * (root @ rng.normal(size=(frames, 6))) * sigmas
+        logged = body.copy()
+        logged[:, :3, :3] = body[:, :3, :3] @ se3.rotation_from_rpy(*error[:, 3:].T)
+        logged[:, :3, 3] += error[:, :3]
+        observed = exact + rng.normal(0, [0.3, 0.8, 0.3, 0.8], exact.shape)
+        fit = fit_point(observed, truth, *(se3.compose(logged, s) for s in sides), *constants(exact_rig), **stated)
+        assert fit is not None
+        cov = fit.cov_m2 + common_cov(group, fit.shares, by_index, exact_rig, left, believed)
+        off = fit.xyz_m - truth
+        total += Nees(float(off @ np.linalg.solve(cov, off)), 3)
+    return total
+
+
+def model(correlation_s: float) -> TrajectoryParams:
+    return TrajectoryParams(
+        gnss_correlation_s=correlation_s,
+        attitude_correlation_s=correlation_s,
+        gnss_white_share=0.0,
+        attitude_white_share=0.0,
+    )
+
+
+@pytest.mark.parametrize("sigma_m", [0.03, 0.3])
+@pytest.mark.parametrize("correlation_s", [1.0, 10.0, 100.0])
+def test_logs_whose_errors_change_slowly_or_fast(correlation_s: float, sigma_m: float) -> None:
+    """The nearest frames weigh most, so correlation times of 1 s to 100 s make little difference; the band is kept in all."""
+    pairs = poses_with(sigma_m, 0.0007)
+    assert nees_of_logs(pairs, correlation_s, model(correlation_s), 300).holds(0.99)
+    assert 0.7 < nees_of_logs(pairs, correlation_s, TrajectoryParams(), 60).per_dof < 1.3, (
+        "not knowing the time costs little"
+    )
+
+
+@pytest.mark.parametrize("scale", [0.5, 2.0])
+def test_logs_twice_or_half_as_wrong_as_stated_are_noticed(scale: float) -> None:
+    assert not nees_of_logs(poses_with(0.3, 0.0007), 10.0, model(10.0), 120, scale).holds(0.999)
+
+
+def test_correlation_of_one_is_one_error_and_none_is_an_average() -> None:
+    pairs = poses_with(0.1, 0.0)
+    by_index, left = {pair.frame_index: pair for pair in pairs}, camera_poses(pairs, make_rig(), "left")
+    group = [position_at(pair, left[pair.frame_index], np.add(ORIGIN_M, CONE.foot_m)) for pair in pairs]
+    equal = np.tile(np.eye(3) / 30, (30, 1, 1))
+
+    def cov(correlation_s: float) -> Array:
+        return common_cov(group, equal, by_index, make_rig(), left, model(correlation_s))
+
+    np.testing.assert_allclose(common_cov(group, equal, by_index, make_rig(), left), 0.01 * np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(cov(1e9), 0.01 * np.eye(3), rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(cov(1e-4), 0.01 / 30 * np.eye(3), rtol=1e-6, atol=1e-12)
 
 
 def position_at(pair: FramePair, map_SE3_left: Array, xyz_m: Array) -> Position:
