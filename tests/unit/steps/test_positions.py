@@ -12,7 +12,7 @@ from conetl.geometry import camera as cam
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.params import PositionParams
-from conetl.records import Camera, Detection, FramePair, Pose, Rig, Side, StereoMatch
+from conetl.records import CalibrationCovariance, Camera, Detection, FramePair, Pose, Rig, Side, StereoMatch
 from conetl.rejections import RejectionReason
 from conetl.steps.positions import locate_in_camera, locate_positions
 
@@ -148,6 +148,35 @@ def test_without_a_trajectory_ground_distance_and_height_are_given() -> None:
     # Z^2 sigma_disparity / (f B), nearly along the viewing direction.
     expected = 8.0**2 * 0.2 * math.sqrt(2) / (721.5 * 0.53)
     assert position.ground_distance_sigma_m == pytest.approx(expected, rel=0.03)
+
+
+SIGMA_PHI = math.radians(0.02)
+PHI = CalibrationCovariance(names=("relative.ry_rad",), matrix=((SIGMA_PHI**2,),))
+
+
+def test_an_uncertain_calibration_widens_what_is_stated_in_the_map_and_not_what_is_compared_in_the_camera() -> None:
+    rig = RIG.model_copy(update={"calibration_covariance": PHI})
+    matches = [match_of(see(ahead(10.0))), *BAD.values()]
+    exact, refused = locate_positions(matches, {7: PAIR}, RIG, PARAMS)
+    positions, still_refused = locate_positions(matches, {7: PAIR}, rig, PARAMS)
+    assert [r.reason for r in still_refused] == [r.reason for r in refused]
+    assert positions[0].xyz_m == exact[0].xyz_m
+    assert positions[0].camera_cov_m2 == exact[0].camera_cov_m2, "pictures of one rig share the error"
+    added = as_matrix(positions[0].cov_m2) - as_matrix(exact[0].cov_m2)
+    values, vectors = np.linalg.eigh(added)
+    depth = positions[0].camera_xyz_m[2]
+    assert math.sqrt(values[2]) == pytest.approx(depth**2 / 0.53 * SIGMA_PHI, rel=0.03)
+    sight = np.subtract(positions[0].xyz_m, rigs.map_SE3_left(PAIR.pose, RIG)[:3, 3])
+    assert abs(vectors[:, 2] @ sight) / np.linalg.norm(sight) > 0.999, "it moves the cone along the line of sight"
+
+
+def test_one_pair_states_its_distance_with_the_calibration() -> None:
+    exact = locate_in_camera([match_of(see(ahead(10.0)))], RIG, PARAMS)[0][0]
+    rig = RIG.model_copy(update={"calibration_covariance": PHI})
+    (position,), _ = locate_in_camera([match_of(see(ahead(10.0)))], rig, PARAMS)
+    added = math.sqrt(position.ground_distance_sigma_m**2 - exact.ground_distance_sigma_m**2)
+    assert added == pytest.approx(exact.xyz_m[2] ** 2 / 0.53 * SIGMA_PHI, rel=0.05)
+    assert position.cov_m2[5] > exact.cov_m2[5]
 
 
 def test_a_tilted_rig_measures_along_the_bodys_up() -> None:
