@@ -39,7 +39,6 @@ from conetl.io.calibration_images import (
 )  # fmt: skip
 from conetl.io.calibration_start import start_values
 from conetl.io.exports.atomic import atomic_text_file
-from conetl.io.exports.coverage_picture import draw_coverage
 from conetl.records import LensModel, Rig
 from conetl.rejections import Rejection, RejectionReason
 
@@ -130,6 +129,8 @@ def calibrate(
     content["written"] = [str(output)]
     if report is not None:
         title = f"{name}: {len(result.stereo_pairs)} pairs, RMS {content['rms_px']['stereo']:.3f} px"
+        from conetl.io.exports.coverage_picture import draw_coverage  # here: matplotlib takes half a second to load
+
         picture = draw_coverage(report / "coverage.png", result.bundle, result.views, title)
         content["written"] += [str(picture), str(report / "report.json")]
         with atomic_text_file(report / "report.json") as file:

@@ -16,7 +16,6 @@ from conetl.cli.ingest import read_params
 from conetl.cli.truth_table import line_as_dict, median_error, print_table_3, read_truth_cones, table_3_rows
 from conetl.errors import InputError
 from conetl.geometry.rig import map_SE3_left
-from conetl.io.exports import accuracy_plots
 from conetl.io.exports.accuracy_page import Section, write_accuracy_page
 from conetl.records import Track
 from conetl.settings import read_settings
@@ -135,6 +134,8 @@ def _evaluate(
 
 def _write(folder: Path, results: DriveResults, evaluation: _Evaluation, within_m: float) -> list[Path]:
     """The plots and, last, the page. Raises InputError where the folder cannot be written."""
+    from conetl.io.exports import accuracy_plots  # here: matplotlib takes half a second to load
+
     name, tracks, singles = results.drive.drive_id, evaluation.tracks, evaluation.singles
     pictures = {
         "errors_over_range.png": accuracy_plots.errors_over_range(

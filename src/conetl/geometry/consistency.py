@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats
+from scipy.special import chdtri
 
 Array = NDArray[np.float64]
 #: A common error below this share of the points' own sigmas cannot be seen in them and takes no degree of freedom.
@@ -61,7 +61,7 @@ class Consistency:
 def chi2_band(dof: int, probability: float = 0.95) -> tuple[float, float]:
     """Two-sided interval that a chi-square variable with `dof` degrees of freedom falls into with that probability."""
     tail = (1.0 - probability) / 2.0
-    return float(stats.chi2.ppf(tail, dof)), float(stats.chi2.ppf(1.0 - tail, dof))
+    return float(chdtri(dof, 1.0 - tail)), float(chdtri(dof, tail))  # chdtri takes the upper tail
 
 
 def point_nees(difference_m: ArrayLike, cov_m2: ArrayLike) -> Array:

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).resolve().parents[3]
+ROOT = Path(__file__).resolve().parents[2]
 PICTURE = next((ROOT / "data" / "drives").glob("*/image_02/data/*"))
 
 
