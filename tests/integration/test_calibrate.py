@@ -14,7 +14,7 @@ from conetl.cli.calibrate import calibrate
 from conetl.errors import CalibrationError, InputError
 from conetl.io.calibration_files import read_rig
 
-SHARED = Path(os.environ.get("CONETL_SHARED_DATA", Path(__file__).parents[4] / "shared" / "data"))
+SHARED = Path(os.environ.get("CONETL_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data"))
 PICTURES = SHARED / "feb_stereo_chessboard" / "pairs"
 BOARD = "chessboard:9x6:37.8mm"
 real = pytest.mark.skipif(not PICTURES.is_dir(), reason=f"no chessboard pictures at {PICTURES}")
