@@ -59,21 +59,21 @@ class Views(NamedTuple):
         )  # fmt: skip
 
 
-def normalise(uv: Array, k: Array, lenses: tuple[Lens, ...] | None) -> tuple[Array, Array]:
-    """Observed x/z, y/z (n, V, 2) of image points (n, V, 2), as they are and without distortion; NaN where a lens has none."""
-    observed = (uv - k[..., 2:]) / k[..., :2]
+def ideal_points(uv: Array, k: Array, lenses: tuple[Lens, ...] | None) -> Array | None:
+    """x/z, y/z (n, V, 2) without distortion of image points (n, V, 2), NaN where a lens has none; None without lenses."""
     if lenses is None:
-        return observed, observed
-    return observed, np.stack([undistort(lens, observed[:, i]) for i, lens in enumerate(lenses)], axis=1)
+        return None
+    observed = (uv - k[..., 2:]) / k[..., :2]
+    return np.stack([undistort(lens, observed[:, i]) for i, lens in enumerate(lenses)], axis=1)
 
 
 def make_views(
-    normalised: Array, ideal: Array, used: Bools, k: Array, rot: Array, centre: Array, sigma: Array, origin: Array,
+    uv: Array, ideal: Array | None, used: Bools, k: Array, rot: Array, centre: Array, sigma: Array, origin: Array,
     lenses: tuple[Lens, ...] | None,
 ) -> Views:  # fmt: skip
     """Component-first views of n points.
 
-    normalised, ideal (n, V, 2): observed x/z, y/z with and without distortion. used (n, V). origin (n, 3). The cameras are
+    uv (n, V, 2): image points; ideal: theirs by `ideal_points`. used (n, V). origin (n, 3). The cameras are
     (V, ...) where all points share them, else (n, V, ...): k (4,), rot (3, 3) map_R_cam, centre (3,), sigma (2,) px.
     """
 
@@ -93,8 +93,9 @@ def make_views(
         return _ONE if a.shape[1] == 1 and (a == 1.0).all() else clean(a, float(i == j))
 
     fx, fy = clean(comp(k[..., 0]), 1.0), clean(comp(k[..., 1]), 1.0)
-    u, v = clean(comp(normalised[..., 0]), 0.0), clean(comp(normalised[..., 1]), 0.0)
-    ray = (u, v) if lenses is None else (clean(comp(ideal[..., 0]), 0.0), clean(comp(ideal[..., 1]), 0.0))
+    u = clean((comp(uv[..., 0]) - comp(k[..., 2])) / fx, 0.0)
+    v = clean((comp(uv[..., 1]) - comp(k[..., 3])) / fy, 0.0)
+    ray = (u, v) if ideal is None else (clean(comp(ideal[..., 0]), 0.0), clean(comp(ideal[..., 1]), 0.0))
     return Views(
         u=u, v=v, ray=ray, fx=fx, fy=fy,
         weight_u=clean(fx * (1.0 / comp(sigma[..., 0])), 0.0), weight_v=clean(fy * (1.0 / comp(sigma[..., 1])), 0.0),

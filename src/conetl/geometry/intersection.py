@@ -29,19 +29,19 @@ from conetl.geometry.collinearity import (
     camera_point,
     directions,
     gauss_newton,
+    ideal_points,
     image_point,
     inside_field,
     linear_start,
     make_views,
-    normalise,
 )
 from conetl.records import Lens
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-#: Points per chunk with two views: small enough for the working arrays to stay in the processor's cache.
-CHUNK_POINTS = 4096
+#: Points per chunk with two views: enough that calls of numpy cost little, few enough to stay near the processor.
+CHUNK_POINTS = 8192
 
 
 class IntersectionStatus(IntEnum):
@@ -169,8 +169,8 @@ def _intersect_chunk(
     n = uv.shape[0]
     status = np.zeros(n, dtype=np.int8)
     sound = _sound(uv, k, rot, centre, sigma)
-    normalised, ideal = normalise(uv, k, lenses)
-    if lenses is not None:
+    ideal = ideal_points(uv, k, lenses)
+    if ideal is not None:
         sound &= np.isfinite(ideal).all(axis=2)
     status[np.any(mask & ~sound, axis=1)] = IntersectionStatus.INVALID_INPUT
     if start is not None:
@@ -179,7 +179,7 @@ def _intersect_chunk(
     used = mask & sound
     origin = _origin(used, centre)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        views = make_views(normalised, ideal, used, k, rot, centre, sigma, origin, lenses)
+        views = make_views(uv, ideal, used, k, rot, centre, sigma, origin, lenses)
         angle = _ray_angle(views, used)
         result.ray_angle_rad[part] = angle
         status[(status == 0) & ~(angle >= min_ray_angle_rad)] = IntersectionStatus.RAY_ANGLE_TOO_SMALL

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import norm
 
-from conetl.geometry.collinearity import linearise, make_views, normalise
+from conetl.geometry.collinearity import ideal_points, linearise, make_views
 from conetl.geometry.intersection import IntersectionResult, IntersectionStatus, intersect
 from conetl.records import Lens
 
@@ -145,9 +145,9 @@ def _normalised(problem: _Problem, result: IntersectionResult, used: Bools) -> t
     """
     xyz = np.where(result.ok[:, None], result.xyz_m, 0.0)
     with np.errstate(all="ignore"):  # points without a result and views without an image point give NaN
-        normalised, ideal = normalise(problem.uv, problem.k, problem.lenses)
+        ideal = ideal_points(problem.uv, problem.k, problem.lenses)
         views = make_views(
-            normalised, ideal, problem.valid, problem.k, problem.rot, problem.centre, problem.sigma, xyz, problem.lenses
+            problem.uv, ideal, problem.valid, problem.k, problem.rot, problem.centre, problem.sigma, xyz, problem.lenses
         )
         rows_u, rows_v, *residuals = linearise(views, [np.zeros(len(xyz))] * 3)
     good = result.ok[:, None] & problem.valid
