@@ -330,7 +330,7 @@ def test_locate_and_detect_need_no_services(office: Desk, tmp_path: Path) -> Non
     assert office.run("detect", *pair, "--out", written, "--draw", tmp_path / "drawn").code == 0
     assert len(list((tmp_path / "drawn").glob("*.jpg"))) == len(pair)  # of equal name, from two folders
     boxes = json.loads(written.read_text())
-    assert set(boxes[0]) == {"file_name", "category", "bbox", "score", "foot", "tip"}
+    assert set(boxes[0]) == {"file_name", "category", "bbox", "score", "probability", "foot", "tip"}
     assert office.run("detect", tmp_path / "nothing").code == 2
 
 
