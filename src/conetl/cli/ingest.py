@@ -21,7 +21,7 @@ from conetl.settings import Settings, prefect_environment, read_settings
 
 
 def ingest(
-    drives: Annotated[list[Path], typer.Argument(help="Drive folders, in the order in which they were recorded.")],
+    drives: Annotated[list[Path], typer.Argument(help="Drive folders, in any order.")],
     params: Annotated[Path | None, typer.Option(help="YAML file of parameters; see `src/conetl/params.py`.")] = None,
     map_srid: Annotated[
         int | None, typer.Option(help="EPSG code of the map; the drive's UTM zone unless given.")
@@ -131,6 +131,11 @@ def print_report(report: IngestReport) -> None:
         f"[bold]{report.drive_id}[/] ({when}): {counts}. {report.frame_pairs} frame pairs in {report.seconds:.1f} s, "
         f"{report.detections} detections, {report.matches} stereo matches, {report.tracks} cones."
     )
+    if report.replayed_drives:
+        out.print(
+            f"It is older than {report.replayed_drives} drive{'s' if report.replayed_drives > 1 else ''} over the same roads, "
+            "which were compared with the map again."
+        )
     print_changes(report)
     if report.rejections:
         rows = [(str(reason).replace("_", " "), count) for reason, count in report.rejections.items()]
