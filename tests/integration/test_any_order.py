@@ -1,0 +1,154 @@
+"""Drives in any order, any number of times, on a real PostGIS: one map, and every earlier belief kept."""
+
+from __future__ import annotations
+
+from itertools import permutations
+
+import pytest
+
+from conetl.io.audits import run_audits
+from conetl.io.db import connect, execute
+from conetl.io.decision_store import read_decisions
+from conetl.io.map_store import find_map, list_changesets, map_transaction, read_current_features, system_time
+from conetl.io.replay_store import affected_drives, write_replay
+from conetl.params import IngestParams, ReconcileParams
+from conetl.records import DeltaKind
+from flows.replay import replay_of
+from tests.conftest import cloned_database
+from tests.integration.drives_of_days import DAY_NS, DAYS, known_maps, merge, survey, valid_time_map
+
+
+def failed_audits(conn):
+    return [result for result in run_audits(conn) if not result.passed]
+
+
+@pytest.fixture(scope="module")
+def in_order(cluster_url, template_database):
+    """The map of the first three days, ingested in order: each drive extends the fold by one, nothing is replayed."""
+    with cloned_database(cluster_url, template_database) as url:
+        conn = connect(url)
+        merged = [merge(conn, survey(day)) for day in range(3)]
+        assert [m.replayed for m in merged] == [0, 0, 0]
+        kinds = [sorted({delta.kind for delta in m.changeset.deltas}) for m in merged]
+        assert kinds == [
+            [DeltaKind.ADDED],
+            [DeltaKind.CONFIRMED, DeltaKind.MOVED, DeltaKind.REMOVED],
+            [DeltaKind.ADDED, DeltaKind.CONFIRMED, DeltaKind.MOVED],
+        ]
+        assert failed_audits(conn) == []
+        assert len(read_current_features(conn)) == len(DAYS[2])
+        conn.rollback()
+        yield valid_time_map(conn)
+        conn.close()
+
+
+@pytest.mark.parametrize("order", list(permutations(range(3))), ids=lambda order: "".join(map(str, order)))
+def test_all_orders_of_three_drives_give_the_same_map(conn, in_order, order):
+    believed = {}
+    for day in order:
+        assert merge(conn, survey(day)) is not None
+        assert failed_audits(conn) == []
+        for earlier in order[: order.index(day) + 1]:  # again: nothing happens
+            assert merge(conn, survey(earlier)) is None
+        now = known_maps(conn)
+        assert {moment: now[moment] for moment in believed} == believed, "an earlier belief was changed"
+        believed = now
+    assert valid_time_map(conn) == in_order
+    assert len(list_changesets(conn)) == 3
+
+
+def test_history_is_only_ever_closed(conn):
+    """No row is changed but for its system period; what comes out as it was is not written again."""
+    for day in (2, 1):
+        merge(conn, survey(day))
+    columns = "to_jsonb(t) - 'system_period'"
+    tables = ("feature_version", "delta", "feature", "changeset", "drive", "track", "position", "detection")
+    before = {
+        table: {row["line"] for row in execute(conn, f"select ({columns})::text as line from conetl.{table} t")}
+        for table in tables
+    }
+    merge(conn, survey(0))
+    for table in tables:
+        after = {row["line"] for row in execute(conn, f"select ({columns})::text as line from conetl.{table} t")}
+        assert before[table] <= after
+    open_before = "select count(*) as n from conetl.feature_version where lower(system_period) > upper(system_period)"
+    assert execute(conn, open_before) == [{"n": 0}]
+
+
+def test_playing_everything_again_writes_nothing(conn):
+    for day in (1, 3, 0, 2):
+        merge(conn, survey(day))
+    with map_transaction(conn):
+        drives = [row["drive_uuid"] for row in execute(conn, "select drive_uuid from conetl.drive")]
+        again = affected_drives(conn, drives)
+        assert len(again) == 4
+        _, replay = replay_of(conn, drives, again, read_decisions(conn))
+        info = find_map(conn)
+        assert write_replay(conn, info, replay, system_time(conn, info)) == 0
+        closed = execute(conn, "select max(upper(system_period)) as t from conetl.feature_version")[0]["t"]
+        assert closed <= info.last_committed_at
+
+
+def test_a_drive_elsewhere_comes_late_and_nobody_minds(conn):
+    for day in (1, 2):
+        merge(conn, survey(day))
+    before = valid_time_map(conn)
+    far = survey(0, start_m=-900.0)
+    assert merge(conn, far).replayed == 0
+    after = valid_time_map(conn)
+    assert set(before["versions"]) <= set(after["versions"])
+    assert set(before["deltas"]) <= set(after["deltas"])
+
+
+def test_drives_that_overlap_in_time_or_start_together(conn, cluster_url, template_database):
+    surveys = [survey(0), survey(1, name="a"), survey(1, after_ns=1_000_000_000), survey(1, frames=39)]
+    assert surveys[1].drive.captured_from == surveys[3].drive.captured_from
+    for one in surveys:
+        merge(conn, one)
+    assert failed_audits(conn) == []
+    expected = valid_time_map(conn)
+    with cloned_database(cluster_url, template_database) as url:
+        other = connect(url)
+        for number in (3, 2, 0, 1):
+            merge(other, surveys[number])
+        assert failed_audits(other) == []
+        assert valid_time_map(other) == expected
+        other.close()
+
+
+def test_two_maps_in_one_database_do_not_touch_each_other(conn, in_order):
+    for day in (2, 0):
+        merge(conn, survey(day))
+    merge(conn, survey(1), map_name="other")
+    other = valid_time_map(conn, "other")
+    merge(conn, survey(1))
+    assert valid_time_map(conn) == in_order
+    assert valid_time_map(conn, "other") == other
+    ids = [{f.feature_id for f in read_current_features(conn, map_name=name)} for name in ("default", "other")]
+    assert not ids[0] & ids[1]
+
+
+def test_the_same_recording_analysed_again_takes_the_place_of_the_first_analysis(conn, cluster_url, template_database):
+    """One recording is one piece of evidence: it is not counted twice because it was analysed twice."""
+    strict = IngestParams(reconcile=ReconcileParams(removal_min_frames=30))
+    for day in range(3):
+        merge(conn, survey(day))
+    again = merge(conn, survey(1), params=strict)
+    assert again.replayed == 1
+    assert failed_audits(conn) == []
+    with cloned_database(cluster_url, template_database) as url:
+        other = connect(url)
+        for day in (1, 2, 0):
+            merge(other, survey(day), params=strict if day == 1 else None)
+        assert valid_time_map(other) == valid_time_map(conn)
+        other.close()
+    assert merge(conn, survey(1)) is None  # the first analysis is known, and superseded
+
+
+def test_a_drive_of_a_later_day_does_not_replay_the_earlier_ones(conn):
+    for day in (1, 0):
+        merge(conn, survey(day))
+    assert merge(conn, survey(3)).replayed == 0
+    merged = merge(conn, survey(2))
+    assert merged.replayed == 1
+    assert merged.changeset.deltas[0].changed_at_ns >= 2 * DAY_NS
