@@ -138,7 +138,7 @@ def merge_task(
         report=IngestReport(
             drive_id=drive.drive_id,
             status="committed",
-            changeset_id=changeset.changeset_id,
+            changeset_id=merged.changeset.changeset_id,
             captured_from=drive.captured_from,
             captured_to=drive.captured_to,
             map_name=settings.map_name,

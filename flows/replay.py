@@ -20,8 +20,9 @@ from conetl.io.map_results import CommitResult, DriveRef, Replay, RunInfo
 from conetl.io.map_store import INFLUENCE_M, commit_changeset, place_drive
 from conetl.io.replay_store import (
     affected_drives,
-    read_belief,
+    read_deltas,
     read_standing_around,
+    read_versions,
     superseded_drives,
 )
 from conetl.params import IngestParams, ReconcileParams
@@ -113,20 +114,22 @@ def merge_drive(
 
 def replay_of(
     conn: Connection,
-    drive_uuids: Sequence[UUID],
+    aside: Sequence[UUID],
     again: Sequence[DriveRef],
     decisions: Decisions,
     *,
     own: Sequence[Evidence] = (),
+    around: Sequence[UUID] = (),
 ) -> tuple[Folded, Replay]:
-    """The neighbourhood of some drives, computed anew.
+    """A neighbourhood of the map, computed anew.
 
-    drive_uuids: the drives whose part in the map is put aside; again: those of them that are compared again, from what is stored;
-    own: drives that are compared for the first time. What all other drives around them left stays as it is.
+    aside: the drives whose part in the map is put aside; again: those of them that are compared again, from what is stored; own:
+    drives that are compared for the first time. What all other drives left of the features around `aside` and `around` stays,
+    but for their suppression.
     """
-    versions, deltas = read_belief(conn, drive_uuids)
-    aside = set(drive_uuids)
-    given = [(stored.key, stored.version) for stored in versions if stored.drive_uuid not in aside]
+    versions = read_versions(conn, [*aside, *around])
+    deltas = read_deltas(conn, aside)
+    given = [(stored.key, stored.version) for stored in versions if stored.drive_uuid not in set(aside)]
     folded = fold([*own, *stored_evidence(conn, again)], decisions, given=given)
     replay = Replay(
         versions_before=versions,

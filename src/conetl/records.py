@@ -357,6 +357,17 @@ class Delta(Record):
         return self.new.model_copy(update={"version": self.old.version}) != self.old
 
 
+class FeatureChange(Record):
+    """What differs of one feature between two states of a map; `confirmed`: the same place, known otherwise."""
+
+    kind: DeltaKind
+    feature_id: UUID
+    old: MapFeature | None
+    new: MapFeature | None
+    shift_m: NonNegative | None
+    """Horizontal distance between old and new place; None for added and removed."""
+
+
 class BelievedVersion(Record):
     """One version of one feature in valid time, as it is believed: what follows from a drive until the next drive changed it."""
 

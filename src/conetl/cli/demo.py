@@ -11,8 +11,8 @@ import numpy as np
 import typer
 
 from conetl.cli.console import JsonOption, out, print_json, print_table
+from conetl.cli.database import open_map
 from conetl.cli.ingest import ingest_drives, print_report
-from conetl.cli.maps import open_map
 from conetl.errors import InputError
 from conetl.geometry.rig import map_SE3_left
 from conetl.io.drive_folder import read_drive

@@ -7,7 +7,7 @@ from uuid import UUID, uuid4
 
 from conetl.io.copy_binary import clean_text
 from conetl.io.db import Connection, database_errors, execute, load_sql
-from conetl.io.map_results import MapInfo, StoredDecision
+from conetl.io.map_results import Decidable, MapInfo, StoredDecision
 from conetl.records import Decisions, Place
 
 
@@ -27,6 +27,13 @@ def read_decisions(conn: Connection, *, map_name: str = "default") -> Decisions:
             place = Place(xy_m=(decision.easting_m, decision.northing_m), radius_m=decision.radius_m)
             places[decision.kind].append(place)
     return Decisions(suppressed=tuple(places["suppress"]), pinned=tuple(places["pin"]))
+
+
+def find_decisions(conn: Connection, beginning: str, *, map_name: str = "default") -> list[Decidable]:
+    """Changesets and decisions whose id begins so, or the changeset of that number; at most two."""
+    parameters = {"map_name": map_name, "beginning": clean_text(beginning).lower()}
+    with database_errors(f"The map {map_name} cannot be read"):
+        return [Decidable(**row) for row in execute(conn, load_sql("map/find_decisions"), parameters)]
 
 
 def insert_decision(

@@ -167,6 +167,20 @@ class StoredDecision:
 
 
 @dataclass(frozen=True)
+class Decidable:
+    """A changeset, which can be reverted, or a decision, which can be withdrawn."""
+
+    id: UUID
+    kind: str
+    """changeset, or the decision's kind."""
+    drive_uuid: UUID | None
+    """Of a changeset, and of the one that a decision reverts."""
+    changeset_id: UUID | None
+    active: bool
+    """False for a decision that was withdrawn."""
+
+
+@dataclass(frozen=True)
 class MapSummary:
     """One map in figures."""
 

@@ -44,16 +44,20 @@ def drives_at(conn: Connection, map_name: str, xy_m: tuple[float, float]) -> lis
     return [row["drive_uuid"] for row in execute(conn, load_sql("map/drives_at"), parameters)]
 
 
-def read_belief(conn: Connection, drive_uuids: Sequence[UUID]) -> tuple[list[StoredVersion], list[StoredDelta]]:
-    """All that is believed about the features around the drives, and the drives' own deltas."""
-    parameters = {"drive_uuids": list(drive_uuids)}
+def read_versions(conn: Connection, drive_uuids: Sequence[UUID]) -> list[StoredVersion]:
+    """All that is believed about the features that ever stood around the drives."""
     with database_errors("What is believed about the neighbourhood cannot be read"):
-        versions = [
+        return [
             StoredVersion(version_row_id=row[26], drive_uuid=row[27], key=row[28:31], version=version_of(row))
-            for row in stream(conn, load_sql("map/belief_around"), parameters)
+            for row in stream(conn, load_sql("map/belief_around"), {"drive_uuids": list(drive_uuids)})
         ]
-        deltas = [StoredDelta(row[0], row[1:]) for row in stream(conn, load_sql("map/believed_deltas"), parameters)]
-    return versions, deltas
+
+
+def read_deltas(conn: Connection, drive_uuids: Sequence[UUID]) -> list[StoredDelta]:
+    """What the drives did, as it is believed now."""
+    with database_errors("What the drives did cannot be read"):
+        rows = stream(conn, load_sql("map/believed_deltas"), {"drive_uuids": list(drive_uuids)})
+        return [StoredDelta(row[0], row[1:]) for row in rows]
 
 
 def write_replay(conn: Connection, info: MapInfo, replay: Replay, committed_at: datetime) -> int:
@@ -94,3 +98,11 @@ def _delta_values(changeset_id: UUID, delta: Delta) -> tuple[Any, ...]:
         delta.changed_at_ns,
         delta.shift_m,
     )
+
+
+def read_believed_feature(conn: Connection, map_name: str, feature_id: UUID) -> BelievedVersion | None:
+    """The open version of one feature, standing, suppressed or removed; None where it is not believed in."""
+    with database_errors(f"Feature {feature_id} cannot be read"):
+        parameters = {"map_name": map_name, "feature_id": feature_id}
+        rows = list(stream(conn, load_sql("map/believed_feature"), parameters))
+    return version_of(rows[0]) if rows else None
