@@ -216,4 +216,5 @@ def _no_changes(drive: Drive, identity: Identity, known: CommittedChangeset, set
         model_sha256=identity.model_sha256,
         seconds=0.0,
         committed_at=known.committed_at,
+        counts_on_map=known.counts,
     )

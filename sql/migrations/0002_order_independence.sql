@@ -60,7 +60,6 @@ alter table conetl.delta add check (
     not isempty(system_period) and lower_inc(system_period) and not upper_inc(system_period)
 );
 create unique index delta_believed on conetl.delta (changeset_id, feature_id) where upper_inf(system_period);
-create index delta_by_changeset on conetl.delta (changeset_id);
 comment on column conetl.delta.system_period is
     'When the database held this for what the drive did; an earlier drive that comes later ends it and writes another.';
 

@@ -51,6 +51,8 @@ class IngestReport(Record):
     seconds: float
     committed_at: datetime | None
     """When a known drive was committed; None for one that this run committed."""
+    counts_on_map: bool = True
+    """False for a known drive that was reverted, or whose recording was analysed again since."""
     replayed_drives: int = 0
     """Drives recorded later, already on the map, that were compared with it again because this one came late."""
 

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import hashlib
+import io
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
 from itertools import permutations
+from pathlib import Path
 
 import pytest
 
 from conetl.io.audits import run_audits
-from conetl.io.db import connect, execute
+from conetl.io.db import connect, execute, load_sql, migrate, sql_directory
 from conetl.io.decision_store import read_decisions
 from conetl.io.map_store import find_map, list_changesets, map_transaction, read_current_features, system_time
 from conetl.io.replay_store import affected_drives, write_replay
@@ -16,6 +25,9 @@ from conetl.records import DeltaKind
 from flows.replay import replay_of
 from tests.conftest import cloned_database
 from tests.integration.drives_of_days import DAY_NS, DAYS, known_maps, merge, survey, valid_time_map
+
+ROOT = Path(__file__).resolve().parents[2]
+ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT / "src"), str(ROOT)])}
 
 
 def failed_audits(conn):
@@ -152,3 +164,88 @@ def test_a_drive_of_a_later_day_does_not_replay_the_earlier_ones(conn):
     merged = merge(conn, survey(2))
     assert merged.replayed == 1
     assert merged.changeset.deltas[0].changed_at_ns >= 2 * DAY_NS
+
+
+OLD_TABLES = (
+    "map",
+    "run",
+    "drive",
+    "frame_pair",
+    "detection",
+    "stereo_match",
+    "position",
+    "track",
+    "track_member",
+    "changeset",
+    "quarantine",
+    "feature",
+    "feature_version",
+    "delta",
+)
+
+
+def test_a_map_of_the_first_schema_is_brought_up_to_date_and_takes_late_drives(conn, cluster_url, in_order):
+    """The rows of a map made in order, in the tables of migration 1; then all migrations, and the drive that was missing."""
+    for day in (0, 2):
+        merge(conn, survey(day))
+    with cloned_database(cluster_url, "template0") as url:
+        old = connect(url)
+        first = (sql_directory() / "migrations" / "0001_schema.sql").read_text()
+        execute(old, load_sql("schema/schema_migration"))
+        execute(old, first)
+        applied = {"name": "0001_schema", "sha256": hashlib.sha256(first.encode()).hexdigest()}
+        execute(old, load_sql("write/insert_migration"), applied)
+        for table in OLD_TABLES:
+            sql = "select string_agg(quote_ident(attname), ', ' order by attnum) as names from pg_attribute where attrelid = "
+            sql += f"'conetl.{table}'::regclass and attnum > 0 and not attisdropped"
+            names = execute(old, sql)[0]["names"]
+            rows = io.BytesIO()
+            with conn.cursor() as source, old.cursor() as target:
+                source.copy_expert(f"copy (select {names} from conetl.{table}) to stdout (format binary)", rows)
+                rows.seek(0)
+                target.copy_expert(f"copy conetl.{table} ({names}) from stdin (format binary)", rows)
+        for table, column in (
+            ("map", "map_id"),
+            ("changeset", "changeset_no"),
+            ("feature_version", "version_row_id"),
+        ):
+            sequence = f"pg_get_serial_sequence('conetl.{table}', '{column}')"
+            execute(old, f"select setval({sequence}, (select max({column}) from conetl.{table}))")
+        old.commit()
+        assert migrate(old) == ["0002_order_independence"]
+        assert failed_audits(old) == []
+        assert merge(old, survey(1)).replayed == 1
+        assert failed_audits(old) == []
+        assert valid_time_map(old) == in_order
+        old.close()
+
+
+LATE = """
+import sys
+from conetl.io.db import connect
+from tests.integration.drives_of_days import merge, survey
+late, conn = survey(0), connect(sys.argv[1])
+print("ready", flush=True)
+merge(conn, late)
+"""
+
+
+def test_kill_nine_while_a_late_drive_is_replayed_leaves_all_or_nothing(conn, database_url, in_order):
+    for day in (2, 1):
+        merge(conn, survey(day))
+    before = valid_time_map(conn)
+    command = [sys.executable, "-c", LATE, database_url]
+    chance = random.Random(5)
+    for _ in range(4):
+        child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT, env=ENVIRONMENT)
+        assert child.stdout.readline() == "ready\n"
+        time.sleep(chance.uniform(0.0, 0.4))
+        child.send_signal(signal.SIGKILL)
+        child.wait()
+        child.stdout.close()
+        with map_transaction(conn, lock_timeout_s=30):
+            pass
+        assert valid_time_map(conn) in (before, in_order)
+    subprocess.run(command, check=True, capture_output=True, cwd=ROOT, env=ENVIRONMENT)
+    assert valid_time_map(conn) == in_order
+    assert failed_audits(conn) == []

@@ -110,7 +110,7 @@ def test_a_reverted_drive_might_never_have_come_and_comes_back_as_it_was(conn, c
 
 
 def test_decisions_and_drives_in_any_order_give_one_map(cluster_url, template_database, conn):
-    """Day 0 first, so that there is something to decide about; then two drives, a pin, a suppression and a revert in any order."""
+    """Day 0 first, so that there is something to decide about; then two drives and three decisions in any order."""
     merge(conn, survey(0))
     [pinned], [suppressed] = near(conn, 34.0, 2.0), near(conn, 14.0, 3.6)
     expected = None

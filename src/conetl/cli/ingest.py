@@ -125,6 +125,9 @@ def print_report(report: IngestReport) -> None:
         out.print(
             f"[bold]{report.drive_id}[/] ({when}): no changes. "
             f"It has been on the map since {report.committed_at:%Y-%m-%d %H:%M} UTC ({counts})."
+            if report.counts_on_map
+            else f"[bold]{report.drive_id}[/] ({when}): no changes. It is known since {report.committed_at:%Y-%m-%d %H:%M} UTC, "
+            "but does not count: it was reverted (see `conetl map decisions`), or analysed again since."
         )
         return
     out.print(

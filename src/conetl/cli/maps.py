@@ -113,10 +113,11 @@ def log(
                     c.moved_count,
                     c.removed_count,
                     c.rejection_count,
+                    "" if c.counts else "does not count",
                 )
                 for c in changesets
             ]
-            columns = ("no", "drive", "committed (UTC)", "added", "confirmed", "moved", "removed", "quarantined")
+            columns = ("no", "drive", "committed (UTC)", "added", "confirmed", "moved", "removed", "quarantined", "")
             print_table("", columns, rows, numbers_from=3)
             return
         found = find_features(conn, feature, map_name=settings.map_name)

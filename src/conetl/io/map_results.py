@@ -56,6 +56,8 @@ class CommittedChangeset:
     rejection_count: int
     captured_from_ns: int
     captured_to_ns: int
+    counts: bool
+    """False where the drive was reverted, or another analysis of the same recording took its place."""
 
 
 @dataclass(frozen=True)
