@@ -249,3 +249,13 @@ def test_kill_nine_while_a_late_drive_is_replayed_leaves_all_or_nothing(conn, da
     subprocess.run(command, check=True, capture_output=True, cwd=ROOT, env=ENVIRONMENT)
     assert valid_time_map(conn) == in_order
     assert failed_audits(conn) == []
+
+
+def test_a_late_drive_replays_what_it_touches_directly_or_through_others_and_nothing_else(conn):
+    """Areas reach some 68 m beyond the path: drives 120 m apart meet, drives 240 m apart do not."""
+    for day, start_m in ((1, 120.0), (2, 240.0), (3, 900.0)):
+        assert merge(conn, survey(day, frames=10, start_m=start_m)).replayed == 0
+    assert merge(conn, survey(0, frames=10, start_m=0.0)).replayed == 2  # the second through the first
+    # Influence goes forwards in time only: what the drive of day 1 at 120 m left does not reach one recorded before it.
+    assert merge(conn, survey(1, frames=10, start_m=360.0, after_ns=-3_600_000_000_000)).replayed == 1
+    assert failed_audits(conn) == []
