@@ -2,30 +2,26 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from datetime import UTC, datetime
 from importlib.metadata import version
 from uuid import UUID, uuid5
 
-import numpy as np
 from prefect import task
 from prefect.context import get_run_context
 from prefect.runtime import flow_run
 
 from conetl.detector_evidence import DetectorEvidence, evidence_sha256
-from conetl.geometry.rig import map_SE3_left, map_SE3_right
 from conetl.io.cluster import cluster_up
 from conetl.io.db import Connection, connect, migrate
 from conetl.io.detector import shipped_model_path
 from conetl.io.map_results import CommittedChangeset, RunInfo
 from conetl.io.map_store import (
-    commit_changeset,
     find_changeset,
     find_map,
     map_transaction,
-    read_current_features,
 )
 from conetl.io.model_card import read_model_card
 from conetl.io.parquet_store import result_key
@@ -45,13 +41,10 @@ from conetl.records import (
 from conetl.rejections import INPUT_REASONS, Rejection
 from conetl.reports import ChangeLine, IngestReport
 from conetl.settings import Settings
-from conetl.steps.changes import reconcile
-from conetl.steps.visibility import Look, look_at_spot
+from flows.replay import merge_drive
 from flows.retries import RETRY, lost_frame_pairs
 
 _NAMESPACE = UUID("0b9b3a5e-9c1f-4d0e-8b55-2f7d9a1c6e42")
-#: Features this far around the path may be seen by the drive: the farthest position plus the largest offset.
-_MARGIN_M = 60.0
 
 
 class Identity(Record):
@@ -128,10 +121,7 @@ def merge_task(
         if known is not None:  # another ingest of the same drive was faster
             changeset = _changeset(drive, settings.map_name, identity, ())
             return Merged(changeset=changeset, untouched=(), report=_no_changes(drive, identity, known, settings))
-        features = _features_around(conn, drive, settings.map_name)
-        deltas = _reconcile(drive, settings.map_name, features, detections, positions, tracks, params)
-        changeset = _changeset(drive, settings.map_name, identity, tuple(deltas))
-        commit_changeset(
+        merged = merge_drive(
             conn,
             drive,
             detections,
@@ -139,18 +129,19 @@ def merge_task(
             positions,
             tracks,
             rejections,
-            changeset,
+            _changeset(drive, settings.map_name, identity, ()),
+            params,
             map_name=settings.map_name,
             run=run,
         )
-    judged = {delta.feature_id for delta in deltas}
+    deltas = merged.changeset.deltas
     return Merged(
-        changeset=changeset,
-        untouched=tuple(feature for feature in features if feature.feature_id not in judged),
+        changeset=merged.changeset,
+        untouched=tuple(merged.extension.untouched),
         report=IngestReport(
             drive_id=drive.drive_id,
             status="committed",
-            changeset_id=changeset.changeset_id,
+            changeset_id=merged.changeset.changeset_id,
             captured_from=drive.captured_from,
             captured_to=drive.captured_to,
             map_name=settings.map_name,
@@ -168,44 +159,8 @@ def merge_task(
             model_sha256=identity.model_sha256,
             seconds=0.0,
             committed_at=None,
+            replayed_drives=merged.replayed,
         ),
-    )
-
-
-def _features_around(conn: Connection, drive: Drive, map_name: str) -> list[MapFeature]:
-    path = np.array([pair.pose.map_t_body_m[:2] for pair in drive.frame_pairs])
-    west, south = (path.min(axis=0) - _MARGIN_M).tolist()
-    east, north = (path.max(axis=0) + _MARGIN_M).tolist()
-    return read_current_features(conn, map_name=map_name, within=(west, south, east, north))
-
-
-def _reconcile(
-    drive: Drive,
-    map_name: str,
-    features: list[MapFeature],
-    detections: list[Detection],
-    positions: list[Position],
-    tracks: list[Track],
-    params: IngestParams,
-) -> list[Delta]:
-    left = {pair.frame_index: map_SE3_left(pair.pose, drive.rig) for pair in drive.frame_pairs}
-    right = {pair.frame_index: map_SE3_right(pair.pose, drive.rig) for pair in drive.frame_pairs}
-    times_ns = {pair.frame_index: pair.captured_at_ns for pair in drive.frame_pairs}
-    by_frame: dict[int, list[Detection]] = defaultdict(list)
-    for detection in detections:
-        by_frame[detection.frame_index].append(detection)
-
-    def look_at(feature: MapFeature, offset_m: np.ndarray) -> Look | None:
-        return look_at_spot(feature, offset_m, drive.rig, left, right, times_ns, by_frame, positions, params.reconcile)
-
-    return reconcile(
-        tracks,
-        features,
-        look_at,
-        params.reconcile,
-        drive_id=drive.drive_id,
-        founding_key=f"{map_name}/{drive.content_sha256}",
-        drive_from_ns=min(times_ns.values()),
     )
 
 
@@ -264,4 +219,5 @@ def _no_changes(drive: Drive, identity: Identity, known: CommittedChangeset, set
         model_sha256=identity.model_sha256,
         seconds=0.0,
         committed_at=known.committed_at,
+        counts_on_map=known.counts,
     )

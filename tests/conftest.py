@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import hashlib
 import itertools
 import os
 import shutil
@@ -143,7 +144,14 @@ _COV = (0.01, 0.001, 0.0, 0.02, 0.0, 0.04)
 _NAMESPACE = UUID("00000000-0000-4000-8000-000000000000")
 
 
-def sample_drive(drive_id: str = "drive_a", *, start_ns: int = START_NS, frames: int = 3, srid: int = SRID) -> Drive:
+def sample_drive(
+    drive_id: str = "drive_a",
+    *,
+    start_ns: int = START_NS,
+    frames: int = 3,
+    srid: int = SRID,
+    content_sha256: str | None = None,
+) -> Drive:
     camera = Camera(width_px=1242, height_px=375, fx_px=721.5, fy_px=721.5, cx_px=609.6, cy_px=172.9)
     right = ((1.0, 0.0, 0.0, 0.532), *_IDENTITY4[1:])
     pose = Pose(
@@ -157,7 +165,7 @@ def sample_drive(drive_id: str = "drive_a", *, start_ns: int = START_NS, frames:
         source_path=f"drives/{drive_id}",
         rig=Rig(rig_id="rig", left=camera, right=camera, body_SE3_left=_IDENTITY4, body_SE3_right=right),
         map_srid=srid,
-        content_sha256="ab" * 32,
+        content_sha256=content_sha256 or hashlib.sha256(drive_id.encode()).hexdigest(),
         frame_pairs=tuple(
             FramePair(
                 frame_index=i,
@@ -311,7 +319,8 @@ def commit_deltas(
     """Commit a small drive with these deltas; `key` is one or more hex digits, different for every drive."""
     from conetl.io.map_store import commit_changeset, map_transaction
 
-    drive = sample_drive(f"drive_{key}", start_ns=start_ns)
+    # Recorded at the same instant; the content puts them into the order of their keys.
+    drive = sample_drive(f"drive_{key}", start_ns=start_ns, content_sha256=f"{int(key, 16):064x}")
     with map_transaction(conn, map_name):
         return commit_changeset(
             conn,

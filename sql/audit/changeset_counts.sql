@@ -1,14 +1,15 @@
--- Purpose: every changeset holds as many deltas and records as it says.
+-- Purpose: every changeset holds as many deltas and records as it says (deltas as it was committed, not as played again since).
 -- Columns: changeset_id, what, stated, found, problem.
 with delta_counts as (
     select
-        changeset_id,
-        count(*) filter (where kind = 'added') as added,
-        count(*) filter (where kind = 'confirmed') as confirmed,
-        count(*) filter (where kind = 'moved') as moved,
-        count(*) filter (where kind = 'removed') as removed
-    from conetl.delta
-    group by changeset_id
+        x.changeset_id,
+        count(*) filter (where x.kind = 'added') as added,
+        count(*) filter (where x.kind = 'confirmed') as confirmed,
+        count(*) filter (where x.kind = 'moved') as moved,
+        count(*) filter (where x.kind = 'removed') as removed
+    from conetl.delta x
+    join conetl.changeset c on c.changeset_id = x.changeset_id and c.committed_at = lower(x.system_period)
+    group by x.changeset_id
 )
 select c.changeset_id, counted.what, counted.stated, counted.found, 'the numbers differ' as problem
 from conetl.changeset c

@@ -11,9 +11,11 @@ cross join lateral (
         when f.map_id <> c.map_id then 'its feature and its changeset are of different maps'
         when not exists (
             select from conetl.feature_version v where v.feature_id = x.feature_id and v.version = x.new_version
+            and (v.system_period && x.system_period)
         ) then 'its new version does not exist'
         when x.old_version is not null and not exists (
             select from conetl.feature_version v where v.feature_id = x.feature_id and v.version = x.old_version
+            and (v.system_period && x.system_period)
         ) then 'its old version does not exist'
         when x.track_index is not null and not exists (
             select from conetl.track t where t.drive_uuid = c.drive_uuid and t.track_index = x.track_index

@@ -4,7 +4,7 @@
 select
     m.map_name, m.srid,
     count(v.*) filter (where v.present and upper_inf(v.valid_period)) as feature_count,
-    count(v.*) filter (where not v.present and upper_inf(v.valid_period)) as removed_count,
+    count(v.*) filter (where not v.present and not v.suppressed and upper_inf(v.valid_period)) as removed_count,
     count(v.*) as version_count,
     (select count(*) from conetl.changeset c where c.map_id = m.map_id) as changeset_count,
     (select max(c.committed_at) from conetl.changeset c where c.map_id = m.map_id) as last_committed_at,

@@ -1,5 +1,5 @@
 -- Purpose: where the deltas of one changeset are loaded, each with the state of the feature that follows from it (units as in
--- feature_version). is_change: false where a confirmation leaves everything as it was.
+-- feature_version). is_change: false where a confirmation leaves everything as it was. present: not removed and not suppressed.
 create temporary table delta_stage (
     feature_id            uuid not null primary key,
     kind                  text not null,
@@ -10,6 +10,7 @@ create temporary table delta_stage (
     changed_at            timestamptz not null,
     shift_m               float8,
     present               boolean not null,
+    suppressed            boolean not null,
     category              text not null,
     geom                  geometry not null,
     cov_xx                float8 not null,

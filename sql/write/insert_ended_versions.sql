@@ -1,18 +1,19 @@
--- Purpose: write each replaced version down again as it is believed from now on: valid only until its successor begins. One that
--- began no earlier than its successor is left out: the successor takes its whole place.
+-- Purpose: write each replaced version down again as it is believed from now on: valid only until its successor begins, which is
+-- at least a microsecond later, so that no state is ever lost.
 -- Parameters: committed_at (timestamptz).
 insert into conetl.feature_version (
     feature_id, version, map_id, srid, changeset_id, present, category, geom, cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz,
     centre_geom, cone_height_m, cone_height_sigma_m, existence_probability, observation_count,
-    first_seen_ns, last_seen_ns, valid_from_ns, valid_period, system_period
+    first_seen_ns, last_seen_ns, valid_from_ns, valid_period, system_period, suppressed
 )
 select
     v.feature_id, v.version, v.map_id, v.srid, v.changeset_id, v.present, v.category, v.geom,
     v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz,
     v.centre_geom, v.cone_height_m, v.cone_height_sigma_m, v.existence_probability, v.observation_count,
     v.first_seen_ns, v.last_seen_ns, v.valid_from_ns,
-    tstzrange(o.valid_from, s.changed_at), tstzrange(%(committed_at)s, null)
+    tstzrange(o.valid_from, greatest(s.changed_at, o.valid_from + interval '1 microsecond')),
+    tstzrange(%(committed_at)s, null), v.suppressed
 from open_version o
 join delta_stage s using (feature_id)
 join conetl.feature_version v using (version_row_id)
-where s.is_change and s.changed_at > o.valid_from;
+where s.is_change;

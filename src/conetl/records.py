@@ -341,6 +341,68 @@ class Delta(Record):
             raise ValueError(f"a delta of kind {self.kind} has old/new = {wanted}")
         return self
 
+    @property
+    def state_after(self) -> MapFeature:
+        """The feature after the delta; the last state of one that was removed."""
+        state = self.new or self.old
+        if state is None:
+            raise ValueError(f"the delta of feature {self.feature_id} has neither old nor new")
+        return state
+
+    @property
+    def is_change(self) -> bool:
+        """False for a confirmation that leaves every stored value as it was: it is recorded, but makes no version."""
+        if self.kind is not DeltaKind.CONFIRMED or self.old is None or self.new is None:
+            return True
+        return self.new.model_copy(update={"version": self.old.version}) != self.old
+
+
+class FeatureChange(Record):
+    """What differs of one feature between two states of a map; `confirmed`: the same place, known otherwise."""
+
+    kind: DeltaKind
+    feature_id: UUID
+    old: MapFeature | None
+    new: MapFeature | None
+    shift_m: NonNegative | None
+    """Horizontal distance between old and new place; None for added and removed."""
+
+
+class BelievedVersion(Record):
+    """One version of one feature in valid time, as it is believed: what follows from a drive until the next drive changed it."""
+
+    feature: MapFeature
+    """Of a removed feature, its last state."""
+    changeset_id: UUID
+    """Of the drive that it follows from."""
+    standing: bool
+    """False where that drive removed it."""
+    suppressed: bool
+    """A person said that nothing stands at this place: it is on no map, but drives are still compared with it."""
+    valid_from_ns: int
+    valid_to_ns: int | None
+    """None while open."""
+
+
+#: Order in which drives are compared with the map: start of the recording (ns), hash of its content, idempotency key.
+FoldKey = tuple[int, str, str]
+
+
+class Place(Record):
+    """A spot that a person decided about."""
+
+    xy_m: Vec2
+    radius_m: Positive
+
+
+class Decisions(Record):
+    """What people decided about places; it holds for all drives, whenever they come."""
+
+    suppressed: tuple[Place, ...] = ()
+    """Nothing stands there, whatever drives see."""
+    pinned: tuple[Place, ...] = ()
+    """A cone there is neither removed nor moved by drives."""
+
 
 class Changeset(Record):
     """The atomic set of deltas of one drive, with everything needed to make it again."""

@@ -53,6 +53,10 @@ class IngestReport(Record):
     """What became of the logged poses, in a sentence; None of a known drive."""
     committed_at: datetime | None
     """When a known drive was committed; None for one that this run committed."""
+    counts_on_map: bool = True
+    """False for a known drive that was reverted, or whose recording was analysed again since."""
+    replayed_drives: int = 0
+    """Drives recorded later, already on the map, that were compared with it again because this one came late."""
 
 
 class TooManyRejectionsError(ConetlError):

@@ -146,15 +146,16 @@ def test_a_cone_that_comes_back_goes_on_counting(conn, samples):
     assert [len(standing(conn, valid_at=utc_from_ns(samples.START_NS) + n * DAY)) for n in (0, 1, 2)] == [1, 0, 1]
 
 
-def test_a_change_dated_before_the_open_version_takes_its_place(conn, samples):
-    """A late drive: what it says begins where the version begins that it replaces, and the earlier belief is kept."""
+def test_a_change_dated_before_the_open_version_begins_just_after_it(conn, samples):
+    """Drives that overlap in time: no state is lost, and the earlier belief is kept."""
     feature = samples.feature()
     samples.commit(conn, samples.added(feature), key="1")
     known = datetime.now(UTC)
     late = samples.changed("confirmed", feature, samples.START_NS - samples.DAY_NS, observation_count=6)
     samples.commit(conn, late, key="2")
-    start = utc_from_ns(samples.START_NS)
-    assert standing(conn) == [(2, start, None)]
+    start, instant = utc_from_ns(samples.START_NS), timedelta(microseconds=1)
+    assert standing(conn) == [(2, start + instant, None)]
+    assert standing(conn, valid_at=start) == [(1, start, start + instant)]
     assert standing(conn, known_at=known) == [(1, start, None)]
 
 

@@ -39,7 +39,11 @@ FAULTS = {
             "update feature_version set valid_period = tstzrange(lower(valid_period), null), version = 99 "
             "where upper_inf(system_period) and not upper_inf(valid_period)",
         ),
-        ("update feature_version set system_period = tstzrange(lower(system_period), '2100-01-01') where version = 2",),
+        (
+            "update feature_version set system_period = tstzrange(lower(system_period), '2100-01-01') "
+            "where version = 2 and upper_inf(valid_period)",
+        ),
+        ("delete from feature_version",),
     ],
     "orphan_versions": [
         (DROP_FEATURE_KEY, "update feature_version set feature_id = gen_random_uuid() where version = 2"),
@@ -92,6 +96,11 @@ FAULTS = {
         ("update feature_version set present = false where version = 2",),
         ("update delta set old_version = 2 where kind = 'moved'",),
         ("update delta set kind = 'removed' where kind = 'moved'",),
+        ("update delta set system_period = tstzrange(lower(system_period), '2100-01-01') where kind = 'moved'",),
+        (
+            "insert into decision (decision_id, map_id, srid, kind, changeset_id, note, decided_at) "
+            "select gen_random_uuid(), map_id, 32632, 'revert', changeset_id, '', now() from changeset where moved_count = 1",
+        ),
     ],
 }
 

@@ -6,6 +6,7 @@ import json
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from typing import Annotated, Any
 
 import typer
@@ -13,7 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from conetl.errors import ConetlError
+from conetl.errors import ConetlError, InputError
 from conetl.io.model_card import NOT_MEASURED, ModelCard
 
 JsonOption = Annotated[
@@ -70,3 +71,14 @@ def progress_bar() -> Iterator[Progress]:
 
 def _plain(text: str) -> str:
     return text.replace("[", "\\[")
+
+
+def parse_time(text: str | None) -> datetime | None:
+    """ISO 8601 date or time; UTC where it names no zone. Raises InputError."""
+    if text is None:
+        return None
+    try:
+        time = datetime.fromisoformat(text)
+    except ValueError:
+        raise InputError(f"{text!r} is no time: write it like 2026-03-02 or 2026-03-02T10:00:00+01:00") from None
+    return time if time.tzinfo else time.replace(tzinfo=UTC)

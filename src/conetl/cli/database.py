@@ -35,6 +35,13 @@ def open_database(settings: Settings, *, start: bool = True) -> Connection:
     return connect(cluster_up(settings.home))
 
 
+def open_map(settings: Settings) -> Connection:
+    """Connection with the schema up to date."""
+    conn = open_database(settings)
+    apply_migrations(conn)
+    return conn
+
+
 @app.command()
 def up(as_json: JsonOption = False) -> None:
     """Start the private PostGIS cluster, make it first where there is none, and bring its schema up to date."""

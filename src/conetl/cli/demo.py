@@ -11,8 +11,8 @@ import numpy as np
 import typer
 
 from conetl.cli.console import JsonOption, out, print_json
+from conetl.cli.database import open_map
 from conetl.cli.ingest import ingest_drives, print_report
-from conetl.cli.maps import open_map
 from conetl.cli.truth_table import line_as_dict, median_error, print_table_3, read_truth_cones
 from conetl.errors import InputError
 from conetl.geometry.rig import map_SE3_left

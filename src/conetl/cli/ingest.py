@@ -23,7 +23,7 @@ from conetl.settings import Settings, prefect_environment, read_settings
 
 
 def ingest(
-    drives: Annotated[list[Path], typer.Argument(help="Drive folders, in the order in which they were recorded.")],
+    drives: Annotated[list[Path], typer.Argument(help="Drive folders, in any order.")],
     params: Annotated[Path | None, typer.Option(help="YAML file of parameters; see `src/conetl/params.py`.")] = None,
     map_srid: Annotated[
         int | None, typer.Option(help="EPSG code of the map; the drive's UTM zone unless given.")
@@ -138,6 +138,9 @@ def print_report(report: IngestReport) -> None:
         out.print(
             f"[bold]{report.drive_id}[/] ({when}): no changes. "
             f"It has been on the map since {report.committed_at:%Y-%m-%d %H:%M} UTC ({counts})."
+            if report.counts_on_map
+            else f"[bold]{report.drive_id}[/] ({when}): no changes. It is known since {report.committed_at:%Y-%m-%d %H:%M} UTC, "
+            "but does not count: it was reverted (see `conetl map decisions`), or analysed again since."
         )
         return
     out.print(
@@ -146,6 +149,11 @@ def print_report(report: IngestReport) -> None:
     )
     if report.trajectory:
         out.print(f"Trajectory: {report.trajectory}.")
+    if report.replayed_drives:
+        out.print(
+            f"It is older than {report.replayed_drives} drive{'s' if report.replayed_drives > 1 else ''} over the same roads, "
+            "which were compared with the map again."
+        )
     print_changes(report)
     if report.rejections:
         rows = [(str(reason).replace("_", " "), count) for reason, count in report.rejections.items()]

@@ -1,27 +1,28 @@
-"""`conetl map`: look at the map and take it elsewhere."""
+"""`conetl map`: look at the map and take it elsewhere; decisions are in `decisions.py`."""
 
 from __future__ import annotations
 
 from contextlib import closing
 from dataclasses import asdict
-from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from conetl.cli.console import JsonOption, out, print_json, print_table
-from conetl.cli.database import open_database
+from conetl.cli import decisions
+from conetl.cli.console import JsonOption, out, parse_time, print_json, print_table
+from conetl.cli.database import open_map
 from conetl.errors import InputError
-from conetl.io.db import Connection, migrate
 from conetl.io.exports.csv_table import export_csv
 from conetl.io.exports.geojson import export_geojson
 from conetl.io.map_store import feature_log, find_features, list_changesets, map_summary, read_features_as_of
 from conetl.records import utc_from_ns
-from conetl.settings import Settings, read_settings
+from conetl.settings import read_settings
 
-app = typer.Typer(help="Look at the map and take it elsewhere.", no_args_is_help=True)
+app = typer.Typer(help="Look at the map, decide about it and take it elsewhere.", no_args_is_help=True)
+for decide in (decisions.suppress, decisions.pin, decisions.revert, decisions.decisions, decisions.diff):
+    app.command()(decide)
 
 
 class Format(StrEnum):
@@ -37,13 +38,6 @@ AsOf = Annotated[
         "--as-of", help="The map as it stood on the road at this time, e.g. 2026-03-02 or 2026-03-02T10:00+01:00."
     ),
 ]
-
-
-def open_map(settings: Settings) -> Connection:
-    """Connection with the schema up to date."""
-    conn = open_database(settings)
-    migrate(conn)
-    return conn
 
 
 @app.command()
@@ -119,10 +113,11 @@ def log(
                     c.moved_count,
                     c.removed_count,
                     c.rejection_count,
+                    "" if c.counts else "does not count",
                 )
                 for c in changesets
             ]
-            columns = ("no", "drive", "committed (UTC)", "added", "confirmed", "moved", "removed", "quarantined")
+            columns = ("no", "drive", "committed (UTC)", "added", "confirmed", "moved", "removed", "quarantined", "")
             print_table("", columns, rows, numbers_from=3)
             return
         found = find_features(conn, feature, map_name=settings.map_name)
@@ -145,6 +140,8 @@ def log(
             f"{e.existence_probability:.3f}",
             e.observation_count,
             "" if e.shift_m is None else f"{e.shift_m:.3f}",
+            "suppressed" if e.suppressed else "",
+            "" if e.believed_until is None else f"{e.believed_until:%Y-%m-%d %H:%M:%S}",
         )
         for e in entries
     ]
@@ -158,6 +155,8 @@ def log(
         "exists",
         "seen",
         "shift m",
+        "",
+        "believed until (UTC)",
     )
     print_table("", history_columns, history, numbers_from=3)
 
@@ -180,14 +179,3 @@ def export(
         print_json({"written": str(output), "features": count})
     else:
         out.print(f"{count} cones -> {output}", markup=False)
-
-
-def parse_time(text: str | None) -> datetime | None:
-    """ISO 8601 date or time; UTC where it names no zone. Raises InputError."""
-    if text is None:
-        return None
-    try:
-        time = datetime.fromisoformat(text)
-    except ValueError:
-        raise InputError(f"{text!r} is no time: write it like 2026-03-02 or 2026-03-02T10:00:00+01:00") from None
-    return time if time.tzinfo else time.replace(tzinfo=UTC)

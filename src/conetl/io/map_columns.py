@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from uuid import UUID
 
 import numpy as np
@@ -21,7 +21,7 @@ from conetl.io.copy_binary import (
     timestamps_from_ns,
     uuids,
 )
-from conetl.records import Delta, DeltaKind, Detection, FramePair, MapFeature, Position, StereoMatch, Track
+from conetl.records import BelievedVersion, Delta, Detection, FramePair, MapFeature, Position, StereoMatch, Track
 from conetl.rejections import Rejection
 
 Columns = dict[str, Column]
@@ -128,24 +128,65 @@ def track_member_columns(drive_uuid: UUID, tracks: Sequence[Track]) -> Columns:
     }
 
 
-def delta_columns(srid: int, deltas: Sequence[Delta]) -> Columns:
+def delta_columns(srid: int, deltas: Sequence[Delta], suppressed: Collection[UUID] = ()) -> Columns:
     """Temporary table delta_stage: one row per delta, with the state of the feature that follows from it.
 
-    A removed feature keeps its last state, marked as not present.
+    A removed feature keeps its last state, marked as not present. suppressed: features that end up where a person said that
+    nothing stands.
     """
-    states = [state_after(delta) for delta in deltas]
+    states = [delta.state_after for delta in deltas]
     return {
         "feature_id": uuids([d.feature_id for d in deltas]),
         "kind": texts([d.kind.value for d in deltas]),
         "old_version": integers([d.old.version if d.old else None for d in deltas]),
-        "is_change": booleans([is_change(d) for d in deltas]),
+        "is_change": booleans([d.is_change for d in deltas]),
         "track_index": integers([d.track_index for d in deltas]),
         "changed_at_ns": bigints([d.changed_at_ns for d in deltas]),
         "changed_at": timestamps_from_ns([d.changed_at_ns for d in deltas]),
         "shift_m": doubles([d.shift_m for d in deltas]),
-        "present": booleans([d.new is not None for d in deltas]),
+        "present": booleans([d.new is not None and d.feature_id not in suppressed for d in deltas]),
+        "suppressed": booleans([d.new is not None and d.feature_id in suppressed for d in deltas]),
         **_cone_columns(srid, states),
     }
+
+
+def version_columns(srid: int, versions: Sequence[BelievedVersion]) -> Columns:
+    """Temporary table version_stage: whole versions, as they are believed from now on."""
+    return {
+        "feature_id": uuids([v.feature.feature_id for v in versions]),
+        "version": integers([v.feature.version for v in versions]),
+        "changeset_id": uuids([v.changeset_id for v in versions]),
+        "present": booleans([v.standing and not v.suppressed for v in versions]),
+        "suppressed": booleans([v.suppressed for v in versions]),
+        **_cone_columns(srid, [v.feature for v in versions]),
+        "valid_from_ns": bigints([v.valid_from_ns for v in versions]),
+        "valid_from": timestamps_from_ns([v.valid_from_ns for v in versions]),
+        "valid_to": timestamps_from_ns([0 if v.valid_to_ns is None else v.valid_to_ns for v in versions]),
+        "is_open": booleans([v.valid_to_ns is None for v in versions]),
+    }
+
+
+def replayed_delta_columns(changes: Sequence[tuple[UUID, Delta]]) -> Columns:
+    """Temporary table replayed_delta_stage: (changeset, delta) as they are believed from now on."""
+    deltas = [delta for _, delta in changes]
+    return {
+        "changeset_id": uuids([changeset_id for changeset_id, _ in changes]),
+        "feature_id": uuids([d.feature_id for d in deltas]),
+        "kind": texts([d.kind.value for d in deltas]),
+        "old_version": integers([d.old.version if d.old else None for d in deltas]),
+        "new_version": integers([version_after(d) for d in deltas]),
+        "track_index": integers([d.track_index for d in deltas]),
+        "changed_at_ns": bigints([d.changed_at_ns for d in deltas]),
+        "changed_at": timestamps_from_ns([d.changed_at_ns for d in deltas]),
+        "shift_m": doubles([d.shift_m for d in deltas]),
+    }
+
+
+def version_after(delta: Delta) -> int:
+    """Number of the version that follows from a delta: the old one's where a confirmation changed nothing."""
+    if delta.old is None:
+        return delta.state_after.version
+    return delta.old.version + 1 if delta.is_change else delta.old.version
 
 
 def rejection_columns(changeset_id: UUID, rejections: Sequence[Rejection]) -> Columns:
@@ -158,21 +199,6 @@ def rejection_columns(changeset_id: UUID, rejections: Sequence[Rejection]) -> Co
         "detail": texts([r.detail for r in rejections]),
         "payload": jsons([r.payload for r in rejections]),
     }
-
-
-def state_after(delta: Delta) -> MapFeature:
-    """The feature after the delta; the last state of one that was removed."""
-    state = delta.new or delta.old
-    if state is None:
-        raise ValueError(f"the delta of feature {delta.feature_id} has neither old nor new")
-    return state
-
-
-def is_change(delta: Delta) -> bool:
-    """False for a confirmation that leaves every stored value as it was: it is recorded, but makes no version."""
-    if delta.kind is not DeltaKind.CONFIRMED or delta.old is None or delta.new is None:
-        return True
-    return delta.new.model_copy(update={"version": delta.old.version}) != delta.old
 
 
 def _cone_columns(srid: int, cones: Sequence[Track] | Sequence[MapFeature]) -> Columns:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 from uuid import UUID
 
-from conetl.records import DeltaKind, MapFeature
+from conetl.records import BelievedVersion, Delta, DeltaKind, FoldKey, MapFeature
 
 
 @dataclass(frozen=True)
@@ -56,6 +56,8 @@ class CommittedChangeset:
     rejection_count: int
     captured_from_ns: int
     captured_to_ns: int
+    counts: bool
+    """False where the drive was reverted, or another analysis of the same recording took its place."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,11 @@ class FeatureVersion:
 
 @dataclass(frozen=True)
 class FeatureLogEntry:
-    """One delta of one feature; the values are those after it (of a removed feature, the last ones)."""
+    """One delta of one feature; the values are those after it (of a removed feature, the last ones).
+
+    What one drive did to a feature may stand here several times: what is believed now, and what was believed before a drive came
+    late or was taken back.
+    """
 
     changeset_no: int
     changeset_id: UUID
@@ -91,6 +97,9 @@ class FeatureLogEntry:
     kind: DeltaKind
     changed_at: datetime
     committed_at: datetime
+    """Since when it was believed (system time)."""
+    believed_until: datetime | None
+    """None where it is believed now."""
     old_version: int | None
     new_version: int
     track_index: int | None
@@ -102,6 +111,75 @@ class FeatureLogEntry:
     cone_height_m: float
     existence_probability: float
     observation_count: int
+    suppressed: bool
+
+
+@dataclass(frozen=True)
+class DriveRef:
+    """A drive that counts, and its place in the fold."""
+
+    drive_uuid: UUID
+    changeset_id: UUID
+    idempotency_key: str
+
+
+@dataclass(frozen=True)
+class StoredVersion:
+    """A version that is believed now."""
+
+    version_row_id: int
+    drive_uuid: UUID
+    key: FoldKey
+    version: BelievedVersion
+
+
+@dataclass(frozen=True)
+class StoredDelta:
+    """A delta that is believed now, as the values of its columns from changeset_id to shift_m."""
+
+    delta_row_id: int
+    values: tuple[Any, ...]
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What is believed about a neighbourhood, and what is to be believed from now on; features by id, deltas with changeset."""
+
+    versions_before: Sequence[StoredVersion]
+    deltas_before: Sequence[StoredDelta]
+    versions: Sequence[BelievedVersion]
+    deltas: Sequence[tuple[UUID, Delta]]
+
+
+@dataclass(frozen=True)
+class StoredDecision:
+    """What a person decided about a map."""
+
+    decision_id: UUID
+    decision_no: int
+    kind: str
+    """suppress, pin or revert."""
+    easting_m: float | None
+    northing_m: float | None
+    radius_m: float | None
+    feature_id: UUID | None
+    changeset_id: UUID | None
+    note: str
+    decided_at: datetime
+
+
+@dataclass(frozen=True)
+class Decidable:
+    """A changeset, which can be reverted, or a decision, which can be withdrawn."""
+
+    id: UUID
+    kind: str
+    """changeset, or the decision's kind."""
+    drive_uuid: UUID | None
+    """Of a changeset, and of the one that a decision reverts."""
+    changeset_id: UUID | None
+    active: bool
+    """False for a decision that was withdrawn."""
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,8 @@ One drive is one atomic changeset. The caller holds the map's lock from reading 
 
     with map_transaction(conn, map_name):
         if find_changeset(conn, key, map_name=map_name) is None:
-            features = read_current_features(conn, map_name=map_name)
-            ...                                       # reconcile in Python
+            drive_uuid = place_drive(conn, drive, key, ...)
+            ...                                       # compare in Python: in flows/replay.py
             commit_changeset(conn, drive, detections, matches, positions, tracks, rejections, changeset, map_name=map_name)
 
 Everything is committed at the end of the block, or nothing.
@@ -14,7 +14,7 @@ Everything is committed at the end of the block, or nothing.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from typing import Any
@@ -22,6 +22,7 @@ from uuid import NAMESPACE_URL, UUID, uuid5
 
 from conetl.errors import MapMismatchError
 from conetl.io import map_columns
+from conetl.io.commit_checks import require_consistent
 from conetl.io.copy_binary import clean_text, json_text
 from conetl.io.db import (
     Connection,
@@ -40,9 +41,13 @@ from conetl.io.map_results import (
     FeatureVersion,
     MapInfo,
     MapSummary,
+    Replay,
     RunInfo,
 )
+from conetl.io.map_rows import feature_of
 from conetl.io.quarantine_store import insert_rejections
+from conetl.io.replay_store import write_replay
+from conetl.params import ReconcileParams
 from conetl.records import (
     Changeset,
     DeltaKind,
@@ -61,6 +66,10 @@ Bbox = tuple[float, float, float, float]
 LOCK_TIMEOUT_S = 600.0
 #: After so many new versions the planner's picture of the tables is renewed at once, not when autovacuum comes round.
 ANALYSE_FROM_VERSIONS = 10_000
+#: Features this far around the path may be seen by a drive: the farthest position plus the largest offset and move.
+INFLUENCE_M = 60.0
+#: `write/insert_drive` makes the area larger by more than this.
+_PATH_STEP_M = 3.0
 _NAMESPACE = uuid5(NAMESPACE_URL, "https://conetl.example/drive")
 
 
@@ -100,7 +109,7 @@ def read_current_features(
     """The features that stand on the map now, by feature id; `within` in the map's CRS. [] where there is no such map."""
     parameters = _box(conn, map_name, within)
     with database_errors(f"The features of map {map_name} cannot be read"):
-        return [_feature(row) for row in stream(conn, load_sql("map/current_features"), parameters)]
+        return [feature_of(row) for row in stream(conn, load_sql("map/current_features"), parameters)]
 
 
 def read_features_as_of(
@@ -124,7 +133,7 @@ def read_features_as_of(
     }
     with database_errors(f"The features of map {map_name} cannot be read"):
         for row in stream(conn, load_sql("map/features_as_of"), parameters):
-            yield FeatureVersion(_feature(row), valid_from=row[21], valid_to=row[22], changeset_id=row[23])
+            yield FeatureVersion(feature_of(row), valid_from=row[21], valid_to=row[22], changeset_id=row[23])
 
 
 def find_changeset(conn: Connection, idempotency_key: str, *, map_name: str = "default") -> CommittedChangeset | None:
@@ -177,24 +186,26 @@ def commit_changeset(
     map_name: str = "default",
     now: datetime | None = None,
     run: RunInfo | None = None,
+    suppressed: Collection[UUID] = (),
+    replay: Replay | None = None,
 ) -> CommitResult:
     """Write a drive, everything made from it, and its changeset, inside the caller's `map_transaction`.
 
     The map is made by its first changeset and takes the drive's SRID. `now` is the system time of the changeset (None: the
     server's clock); it is pushed past the map's last one where it is not later. Versions are numbered here: the open one's
-    plus one. Raises MapMismatchError where the drive is in another CRS, the records do not fit together, or a delta's `old`
-    is not what the map holds now; DatabaseError from the surrounding `map_transaction`.
+    plus one. suppressed: features that end up where a person said that nothing stands. replay: for a drive that is older than
+    others around it, the whole neighbourhood as it is to be believed, the changeset's own deltas included. Raises
+    MapMismatchError where the drive is in another CRS, the records do not fit together, or a delta's `old` is not what the map
+    holds now; DatabaseError from the surrounding `map_transaction`.
     """
     map_lock(conn, map_name)
     known = find_changeset(conn, changeset.idempotency_key, map_name=map_name)
     if known is not None:
         return CommitResult(committed=False, changeset=known, versions_written=0)
-    _require_consistent(drive, detections, matches, positions, tracks, changeset)
+    require_consistent(drive, detections, matches, positions, tracks, changeset)
+    drive_uuid = place_drive(conn, drive, changeset.idempotency_key, map_name=map_name, now=now)
     info = _map_for(conn, map_name, drive, now)
-    clock = {"now": now, "last_committed_at": info.last_committed_at}
-    committed_at: datetime = execute(conn, load_sql("write/system_time"), clock)[0]["committed_at"]
-    drive_uuid = uuid5(_NAMESPACE, f"{map_name}/{changeset.idempotency_key}")
-    _insert_drive(conn, info, drive, drive_uuid)
+    committed_at = system_time(conn, info, now)
     if run is not None:
         _insert_run(conn, run, committed_at)
     kinds = Counter(delta.kind for delta in changeset.deltas)
@@ -228,17 +239,79 @@ def commit_changeset(
     copy_columns(conn, "conetl.track", map_columns.track_columns(drive_uuid, srid, tracks))
     copy_columns(conn, "conetl.track_member", map_columns.track_member_columns(drive_uuid, tracks))
     insert_rejections(conn, changeset.changeset_id, rejections)
-    versions_written = _merge_deltas(conn, info, changeset, committed_at)
+    if replay is None:
+        versions_written = _merge_deltas(conn, info, changeset, committed_at, suppressed)
+    else:
+        versions_written = write_replay(conn, info, replay, committed_at)
     written = find_changeset(conn, changeset.idempotency_key, map_name=map_name)
     if written is None:
         raise MapMismatchError(f"changeset {changeset.changeset_id} was written but cannot be found again")
     return CommitResult(committed=True, changeset=written, versions_written=versions_written)
 
 
-def _merge_deltas(conn: Connection, info: MapInfo, changeset: Changeset, committed_at: datetime) -> int:
+def place_drive(
+    conn: Connection,
+    drive: Drive,
+    idempotency_key: str,
+    *,
+    map_name: str = "default",
+    now: datetime | None = None,
+    reconcile: ReconcileParams | None = None,
+    influence_m: float = INFLUENCE_M,
+) -> UUID:
+    """Make the drive known to the map unless it is, so that it can be asked what is around it; does not commit.
+
+    It counts only once its changeset is there. reconcile (default: the defaults) and influence_m are kept, so that the drive can
+    be compared with the map again. Raises MapMismatchError where the map is in another CRS.
+    """
+    info = _map_for(conn, map_name, drive, now)
+    drive_uuid = uuid5(_NAMESPACE, f"{map_name}/{idempotency_key}")
+    times_ns = [pair.captured_at_ns for pair in drive.frame_pairs]
+    parameters = {
+        "drive_uuid": drive_uuid,
+        "map_id": info.map_id,
+        "srid": info.srid,
+        "drive_id": clean_text(drive.drive_id),
+        "source_path": clean_text(drive.source_path),
+        "content_sha256": drive.content_sha256,
+        "rig": json_text(drive.rig.model_dump(mode="json")),
+        "captured_from_ns": min(times_ns),
+        "captured_to_ns": max(times_ns),
+        "captured_from": utc_from_ns(min(times_ns)),
+        "captured_to": utc_from_ns(max(times_ns)),
+        "expected_frame_count": drive.expected_frame_count,
+        "reconcile": json_text((reconcile or ReconcileParams()).model_dump(mode="json")),
+        "influence_m": influence_m,
+        "path_wkt": _path_wkt(drive),
+    }
+    execute(conn, load_sql("write/insert_drive"), parameters)
+    return drive_uuid
+
+
+def system_time(conn: Connection, info: MapInfo, now: datetime | None = None) -> datetime:
+    """The instant of a new changeset or decision: now (None: the server's clock), but later than the map's last one."""
+    clock = {"now": now, "last_committed_at": info.last_committed_at}
+    instant: datetime = execute(conn, load_sql("write/system_time"), clock)[0]["committed_at"]
+    return instant
+
+
+def _path_wkt(drive: Drive) -> str:
+    """The drive's path as a line, without points nearer than `_PATH_STEP_M` to the one before."""
+    points = [drive.frame_pairs[0].pose.map_t_body_m]
+    for pair in drive.frame_pairs:
+        at = pair.pose.map_t_body_m
+        if max(abs(at[0] - points[-1][0]), abs(at[1] - points[-1][1])) >= _PATH_STEP_M:
+            points.append(at)
+    points.append((points[-1][0] + 0.1, *points[-1][1:]))  # a line needs two points
+    return "LINESTRING(" + ", ".join(f"{x!r} {y!r}" for x, y, _ in points) + ")"
+
+
+def _merge_deltas(
+    conn: Connection, info: MapInfo, changeset: Changeset, committed_at: datetime, suppressed: Collection[UUID]
+) -> int:
     """Set-based: stage all deltas, check them against the map, close what they replace, write what they bring."""
     execute(conn, load_sql("write/create_delta_stage"))
-    copy_columns(conn, "delta_stage", map_columns.delta_columns(info.srid, changeset.deltas))
+    copy_columns(conn, "delta_stage", map_columns.delta_columns(info.srid, changeset.deltas, suppressed))
     execute(conn, "analyze delta_stage")
     execute(conn, load_sql("write/create_open_version"))
     execute(conn, "analyze open_version")
@@ -287,25 +360,6 @@ def _map_for(conn: Connection, map_name: str, drive: Drive, now: datetime | None
     return info
 
 
-def _insert_drive(conn: Connection, info: MapInfo, drive: Drive, drive_uuid: UUID) -> None:
-    times_ns = [pair.captured_at_ns for pair in drive.frame_pairs]
-    parameters = {
-        "drive_uuid": drive_uuid,
-        "map_id": info.map_id,
-        "srid": info.srid,
-        "drive_id": clean_text(drive.drive_id),
-        "source_path": clean_text(drive.source_path),
-        "content_sha256": drive.content_sha256,
-        "rig": json_text(drive.rig.model_dump(mode="json")),
-        "captured_from_ns": min(times_ns),
-        "captured_to_ns": max(times_ns),
-        "captured_from": utc_from_ns(min(times_ns)),
-        "captured_to": utc_from_ns(max(times_ns)),
-        "expected_frame_count": drive.expected_frame_count,
-    }
-    execute(conn, load_sql("write/insert_drive"), parameters)
-
-
 def _insert_run(conn: Connection, run: RunInfo, finished_at: datetime) -> None:
     parameters = {
         "run_id": run.run_id,
@@ -315,53 +369,6 @@ def _insert_run(conn: Connection, run: RunInfo, finished_at: datetime) -> None:
         "flow_run_id": run.flow_run_id,
     }
     execute(conn, load_sql("write/insert_run"), parameters)
-
-
-def _require_consistent(
-    drive: Drive,
-    detections: Sequence[Detection],
-    matches: Sequence[StereoMatch],
-    positions: Sequence[Position],
-    tracks: Sequence[Track],
-    changeset: Changeset,
-) -> None:
-    """Checks that foreign keys would make row by row, at a tenth of their cost."""
-    frames = {pair.frame_index for pair in drive.frame_pairs}
-    boxes = {(d.frame_index, d.side, d.detection_index) for d in detections}
-    positioned = {(p.frame_index, p.match_index) for p in positions}
-    matched = {(m.frame_index, m.match_index) for m in matches}
-    numbered = {track.track_index for track in tracks}
-    problems = [
-        *(f"detection of frame {f}, which the drive lacks" for f in {d.frame_index for d in detections} - frames),
-        *(f"position of frame {f}, which the drive lacks" for f in {p.frame_index for p in positions} - frames),
-        *(
-            f"stereo match {m.match_index} of frame {m.frame_index} without its detections"
-            for m in matches
-            if not {(m.frame_index, b.side, b.detection_index) for b in (m.left, m.right)} <= boxes
-        ),
-        *(f"position {p} without its stereo match" for p in (positioned - matched if matches else ())),
-        *(
-            f"track {track.track_index} with the unknown position {member}"
-            for track in tracks
-            for member in track.members
-            if member not in positioned
-        ),
-        *(
-            f"delta of feature {d.feature_id} with the unknown track {d.track_index}"
-            for d in changeset.deltas
-            if d.track_index is not None and d.track_index not in numbered
-        ),
-        *(
-            f"{count} deltas of feature {feature_id}, where one is allowed"
-            for feature_id, count in Counter(d.feature_id for d in changeset.deltas).items()
-            if count > 1
-        ),
-    ]
-    if changeset.drive_id != drive.drive_id:
-        problems.insert(0, f"a changeset of drive {changeset.drive_id}")
-    if problems:
-        more = f" and {len(problems) - 1} more problems" if len(problems) > 1 else ""
-        raise MapMismatchError(f"drive {drive.drive_id} comes with {problems[0]}{more}: nothing was written.")
 
 
 def _changesets(conn: Connection, map_name: str, key: str | None, limit: int | None) -> list[CommittedChangeset]:
@@ -375,20 +382,3 @@ def _box(conn: Connection, map_name: str, within: Bbox | None) -> dict[str, Any]
     info = find_map(conn, map_name) if within else None
     parameters = {"map_name": map_name, "srid": info.srid if info else 0}
     return parameters | {"west_m": west_m, "south_m": south_m, "east_m": east_m, "north_m": north_m}
-
-
-def _feature(row: tuple[Any, ...]) -> MapFeature:
-    return MapFeature(
-        feature_id=row[0],
-        version=row[1],
-        category=row[2],
-        xyz_m=row[3:6],
-        cov_m2=row[6:12],
-        centre_xyz_m=row[12:15],
-        cone_height_m=row[15],
-        cone_height_sigma_m=row[16],
-        existence_probability=row[17],
-        observation_count=row[18],
-        first_seen_ns=row[19],
-        last_seen_ns=row[20],
-    )

@@ -8,17 +8,16 @@ removed one. Features out of view are left alone.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from uuid import UUID, uuid5
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from conetl.errors import InputError
 from conetl.geometry.packing import cov3, cov_matrix, vec3
 from conetl.params import ReconcileParams
-from conetl.records import Delta, DeltaKind, MapFeature, Track, utc_from_ns
+from conetl.records import Cov3, Delta, DeltaKind, MapFeature, Track
 from conetl.steps.visibility import Look
 
 Floats = NDArray[np.float64]
@@ -36,27 +35,29 @@ def reconcile(
     look_at: Callable[[MapFeature, Floats], Look | None],
     params: ReconcileParams,
     *,
-    drive_id: str,
     founding_key: str,
-    drive_from_ns: int,
+    pinned: Collection[UUID] = (),
 ) -> list[Delta]:
     """Deltas that bring the map from before the drive to after it.
 
     look_at(feature, offset_m): what the drive saw of that feature's spot, None where it was never in plain view; offset_m (3,)
     is where the drive's map frame lies against the map's (add it to map coordinates to get the drive's). founding_key (the
-    map and the drive's content) founds the ids of new features. Raises InputError when the map already holds later
-    knowledge of a feature that this drive looked at: a map is built forwards.
+    map and the drive's content) founds the ids of new features. pinned: features that a person holds in place. `features` is the
+    map as the drives recorded before this one left it (`steps/fold.py`); the order of both lists does not matter.
     """
+    tracks = sorted(tracks, key=lambda track: track.members[0])
+    features = sorted(features, key=lambda feature: feature.feature_id)
     offset_m, weight = common_offset(tracks, features, params)
     placed = np.array([t.xyz_m for t in tracks]).reshape(-1, 3) - weight * offset_m
     pairs = _pair(placed, tracks, features, offset_m, weight, params)
     deltas: list[Delta] = []
-    free_tracks = [i for i in range(len(tracks)) if i not in pairs.values()]
+    paired = set(pairs.values())
+    free_tracks = [i for i in range(len(tracks)) if i not in paired]
     vanished: list[tuple[int, Look]] = []
     for j, feature in enumerate(features):
-        look = None if j in pairs else look_at(feature, weight * offset_m)
-        if j in pairs or look is not None:
-            _require_forward(feature, drive_id, drive_from_ns)
+        if j in pairs or feature.feature_id in pinned:
+            continue
+        look = look_at(feature, weight * offset_m)
         if look is not None and look.frames >= params.removal_min_frames:
             vanished.append((j, look))
     for j, i in pairs.items():
@@ -130,22 +131,25 @@ def _pair(
     """Feature index -> track index of those that are the same cone in the same place."""
     if not tracks or not features:
         return {}
-    rest = (1 - weight) * offset_m
-    costs = np.full((len(features), len(tracks)), _FORBIDDEN)
-    for j, feature in enumerate(features):
-        for i, track in enumerate(tracks):
-            difference = (placed[i] - rest - np.array(feature.xyz_m))[:2]
-            # With the offset known only what is not common to the drive is uncertain; without it, everything is.
-            known = weight > 0
-            cov = cov_matrix(track.relative_cov_m2 if known else track.cov_m2)[:2, :2]
-            if not known:
-                cov = cov + cov_matrix(feature.cov_m2)[:2, :2]
-            distance = float(np.linalg.norm(difference))
-            distance2 = float(difference @ np.linalg.solve(cov, difference))
-            if distance <= params.min_gate_m or (distance2 <= params.gate_chi2 and distance <= params.max_offset_m):
-                costs[j, i] = distance
+    # With the offset known only what is not common to the drive is uncertain; without it, everything is.
+    known = weight > 0
+    cov = _horizontal([track.relative_cov_m2 if known else track.cov_m2 for track in tracks])[None]
+    if not known:
+        cov = cov + _horizontal([feature.cov_m2 for feature in features])[:, None]
+    places = np.array([feature.xyz_m for feature in features])
+    x, y = np.moveaxis((placed - (1 - weight) * offset_m)[None, :, :2] - places[:, None, :2], 2, 0)
+    xx, xy, yy = np.moveaxis(cov, 2, 0)
+    distance2 = (yy * x * x - 2 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
+    distance = np.hypot(x, y)
+    near = (distance <= params.min_gate_m) | ((distance2 <= params.gate_chi2) & (distance <= params.max_offset_m))
+    costs = np.where(near, distance, _FORBIDDEN)
     rows, columns = linear_sum_assignment(costs)
     return {int(j): int(i) for j, i in zip(rows, columns, strict=True) if costs[j, i] < _FORBIDDEN}
+
+
+def _horizontal(covariances: Sequence[Cov3]) -> Floats:
+    """(N, 3): xx, xy, yy of each covariance."""
+    return np.array(covariances)[:, [0, 1, 3]]
 
 
 def _moves(
@@ -172,16 +176,6 @@ def _moves(
         for r, c in zip(rows.tolist(), columns.tolist(), strict=True)
         if costs[r, c] < _FORBIDDEN
     }
-
-
-def _require_forward(feature: MapFeature, drive_id: str, drive_from_ns: int) -> None:
-    if feature.last_seen_ns >= drive_from_ns:
-        raise InputError(
-            f"drive {drive_id} was recorded from {utc_from_ns(drive_from_ns).isoformat()}, but the map already knows feature "
-            f"{feature.feature_id} from {utc_from_ns(feature.last_seen_ns).isoformat()}: drives over the same road must be "
-            "ingested in the order in which they were recorded (the same drive with other parameters comes too late, too). "
-            "Nothing was written."
-        )
 
 
 def _added(track: Track, placed: Floats, shift: Floats, founding_key: str) -> Delta:

@@ -6,14 +6,16 @@ enough, wholly inside both pictures and not hidden behind something nearer that 
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.geometry.rig import map_SE3_left, map_SE3_right
 from conetl.params import ReconcileParams
-from conetl.records import Camera, Detection, MapFeature, Position, Rig
+from conetl.records import Camera, Detection, FramePair, MapFeature, Rig, Vec3
 
 Floats = NDArray[np.float64]
 #: Width of a cone's base plate over its height; between the 0.5 and 0.6 of common road cones.
@@ -37,32 +39,61 @@ class Look:
     """Time of the first of them (UTC, ns since 1970)."""
 
 
-def look_at_spot(
-    feature: MapFeature,
-    offset_m: Floats,
-    rig: Rig,
-    map_SE3_left: Mapping[int, Floats],
-    map_SE3_right: Mapping[int, Floats],
-    captured_at_ns: Mapping[int, int],
-    detections: Mapping[int, Sequence[Detection]],
-    positions: Sequence[Position],
-    params: ReconcileParams,
-) -> Look | None:
+@dataclass(frozen=True)
+class View:
+    """Where a drive looked and what it saw there, by frame index."""
+
+    rig: Rig
+    map_SE3_left: Mapping[int, Floats]
+    """(4, 4) camera -> map."""
+    map_SE3_right: Mapping[int, Floats]
+    captured_at_ns: Mapping[int, int]
+    detections: Mapping[int, Sequence[Detection]]
+    """Of both images."""
+    places_m: Mapping[int, Floats]
+    """(N, 3) in the drive's map frame: where it saw cones."""
+
+
+def view_of_drive(
+    rig: Rig, frame_pairs: Sequence[FramePair], detections: Sequence[Detection], spots: Sequence[tuple[int, Vec3]]
+) -> View:
+    """spots: frame index and place in the map frame of every position."""
+    by_frame: dict[int, list[Detection]] = defaultdict(list)
+    for detection in detections:
+        by_frame[detection.frame_index].append(detection)
+    places: dict[int, list[Vec3]] = defaultdict(list)
+    for frame_index, xyz_m in spots:
+        places[frame_index].append(xyz_m)
+    return View(
+        rig=rig,
+        map_SE3_left={pair.frame_index: map_SE3_left(pair.pose, rig) for pair in frame_pairs},
+        map_SE3_right={pair.frame_index: map_SE3_right(pair.pose, rig) for pair in frame_pairs},
+        captured_at_ns={pair.frame_index: pair.captured_at_ns for pair in frame_pairs},
+        detections=by_frame,
+        places_m={frame_index: np.array(xyz_m) for frame_index, xyz_m in places.items()},
+    )
+
+
+def look_at_spot(feature: MapFeature, offset_m: Floats, view: View, params: ReconcileParams) -> Look | None:
     """What the drive saw of a feature's spot, or None where it was never in plain view, or a cone was seen there as often as not.
 
-    offset_m (3,): add it to map coordinates to get the drive's. Mappings are by frame index.
+    offset_m (3,): add it to map coordinates to get the drive's. Frames from before the feature was last seen (drives may overlap
+    in time) say nothing about whether it is gone.
     """
     spot = np.array(feature.xyz_m) + offset_m
-    visible = set(
-        frames_in_plain_view(spot, feature.cone_height_m, rig, map_SE3_left, map_SE3_right, detections, params)
-    )
+    times_ns = view.captured_at_ns
+    after = {frame: pose for frame, pose in view.map_SE3_left.items() if times_ns[frame] > feature.last_seen_ns}
+    height_m = feature.cone_height_m
+    visible = set(frames_in_plain_view(spot, height_m, view.rig, after, view.map_SE3_right, view.detections, params))
     occupied = {
-        p.frame_index for p in positions if float(np.linalg.norm((np.array(p.xyz_m) - spot)[:2])) <= params.min_gate_m
+        frame
+        for frame in visible & view.places_m.keys()
+        if np.hypot(*(view.places_m[frame] - spot)[:, :2].T).min() <= params.min_gate_m
     }
     empty = visible - occupied
-    if not empty or len(visible & occupied) >= len(empty):
+    if not empty or len(occupied) >= len(empty):
         return None
-    return Look(len(empty), min(captured_at_ns[frame] for frame in empty))
+    return Look(len(empty), min(times_ns[frame] for frame in empty))
 
 
 def frames_in_plain_view(

@@ -6,7 +6,6 @@ from uuid import UUID
 import numpy as np
 import pytest
 
-from conetl.errors import InputError
 from conetl.params import ReconcileParams
 from conetl.records import Delta, DeltaKind, MapFeature, Track
 from conetl.steps.changes import common_offset, reconcile
@@ -66,7 +65,7 @@ def changes(
     def look(seen: MapFeature, _offset: object) -> Look | None:
         return None if seen.feature_id.int in hidden else Look(frames_empty, START_NS + DAY_NS)
 
-    deltas = reconcile(tracks, features, look, PARAMS, drive_id="d", founding_key="d", drive_from_ns=START_NS + DAY_NS)
+    deltas = reconcile(tracks, features, look, PARAMS, founding_key="d")
     return {kind: [d for d in deltas if d.kind == kind] for kind in DeltaKind}
 
 
@@ -132,11 +131,17 @@ def test_confirmation_sharpens_the_position_and_keeps_the_count() -> None:
     assert delta.new.version == 2
 
 
-def test_a_drive_older_than_the_map_is_refused_as_a_whole() -> None:
-    old = track(0, *ROW[0], day=0)
-    newer = feature(0, *ROW[0])
-    with pytest.raises(InputError, match="in the order in which they were recorded"):
-        reconcile([old], [newer], lambda *_: None, PARAMS, drive_id="d", founding_key="d", drive_from_ns=START_NS)
+def test_a_pinned_cone_is_neither_removed_nor_moved() -> None:
+    features = [feature(0, *ROW[0]), feature(1, *ROW[1])]
+    tracks = [track(0, ROW[1][0], ROW[1][1] + 1.5)]
+
+    def look(_feature: MapFeature, _offset: object) -> Look:
+        return Look(20, START_NS + DAY_NS)
+
+    free = reconcile(tracks, features, look, PARAMS, founding_key="d")
+    pinned = reconcile(tracks, features, look, PARAMS, founding_key="d", pinned={UUID(int=0), UUID(int=1)})
+    assert {d.kind for d in free} == {DeltaKind.REMOVED, DeltaKind.MOVED}
+    assert {d.kind for d in pinned} == {DeltaKind.ADDED}
 
 
 def test_the_order_of_tracks_and_features_does_not_matter() -> None:
@@ -146,8 +151,6 @@ def test_the_order_of_tracks_and_features_does_not_matter() -> None:
     def look(_feature: MapFeature, _offset: object) -> Look:
         return Look(20, START_NS + DAY_NS)
 
-    one = reconcile(tracks, features, look, PARAMS, drive_id="d", founding_key="d", drive_from_ns=START_NS + DAY_NS)
-    other = reconcile(
-        tracks[::-1], features[::-1], look, PARAMS, drive_id="d", founding_key="d", drive_from_ns=START_NS + DAY_NS
-    )
+    one = reconcile(tracks, features, look, PARAMS, founding_key="d")
+    other = reconcile(tracks[::-1], features[::-1], look, PARAMS, founding_key="d")
     assert one == other

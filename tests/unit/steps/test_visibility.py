@@ -6,7 +6,7 @@ import numpy as np
 
 from conetl.params import ReconcileParams
 from conetl.records import Detection, MapFeature, Position, Side
-from conetl.steps.visibility import frames_in_plain_view, look_at_spot
+from conetl.steps.visibility import View, frames_in_plain_view, look_at_spot, view_of_drive
 from tests.synthetic.world import ORIGIN_M, Cone, camera_poses, detect, make_path, make_rig, observe
 
 RIG = make_rig()
@@ -68,8 +68,12 @@ def test_a_nearer_cone_hides_a_spot_and_a_farther_one_does_not() -> None:
     assert in_view(SPOT, [Cone((30.0, 2.1, 0.0))]) == in_view(SPOT)
 
 
+def view(positions: list[Position]) -> View:
+    return view_of_drive(RIG, PAIRS, [], [(p.frame_index, p.xyz_m) for p in positions])
+
+
 def look(positions: list[Position], offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> int:
-    found = look_at_spot(feature(SPOT), np.array(offset_m), RIG, LEFT, RIGHT, TIMES, boxes([]), positions, PARAMS)
+    found = look_at_spot(feature(SPOT), np.array(offset_m), view(positions), PARAMS)
     return 0 if found is None else found.frames
 
 
@@ -87,6 +91,15 @@ def test_the_offset_of_the_drive_moves_the_spot() -> None:
 
 
 def test_the_time_of_the_look_is_that_of_the_first_empty_frame() -> None:
-    found = look_at_spot(feature(SPOT), np.zeros(3), RIG, LEFT, RIGHT, TIMES, boxes([]), [], PARAMS)
+    found = look_at_spot(feature(SPOT), np.zeros(3), view([]), PARAMS)
     assert found is not None
     assert found.first_ns == TIMES[in_view(SPOT)[0]]
+
+
+def test_frames_from_before_the_cone_was_last_seen_say_nothing() -> None:
+    """Another drive, which began earlier and overlaps this one, saw the cone in the midst of it."""
+    frames = in_view(SPOT)
+    seen = feature(SPOT).model_copy(update={"last_seen_ns": TIMES[frames[3]]})
+    found = look_at_spot(seen, np.zeros(3), view([]), PARAMS)
+    assert found is not None
+    assert (found.frames, found.first_ns) == (len(frames) - 4, TIMES[frames[4]])

@@ -1,0 +1,162 @@
+"""`conetl map suppress|pin|revert|decisions|diff`: what people decide about the map, and what differs between two maps."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from dataclasses import asdict
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from conetl.cli.console import JsonOption, out, parse_time, print_json, print_table
+from conetl.cli.database import open_map
+from conetl.errors import InputError
+from conetl.io.db import Connection
+from conetl.io.decision_store import list_decisions
+from conetl.io.exports.diff_geojson import export_diff_geojson
+from conetl.io.map_store import find_map, list_changesets, read_features_as_of
+from conetl.records import FeatureChange, MapFeature
+from conetl.settings import Settings, read_settings
+from conetl.steps.map_diff import diff as diff_of
+
+if TYPE_CHECKING:
+    from flows.decide import Decided
+
+Feature = Annotated[str, typer.Argument(help="A feature's id, or how it begins.")]
+Radius = Annotated[float, typer.Option("--radius", help="Radius of the place in metres, at most 20.")]
+Note = Annotated[str, typer.Option("--note", help="Why; kept with the decision.")]
+
+
+def suppress(feature: Feature, radius: Radius = 1.0, note: Note = "", as_json: JsonOption = False) -> None:
+    """Nothing stands where this feature is, whatever drives see: a false positive."""
+    _decide_place("suppress", feature, radius, note, as_json)
+
+
+def pin(feature: Feature, radius: Radius = 1.0, note: Note = "", as_json: JsonOption = False) -> None:
+    """This cone stands: drives may confirm it, but neither remove nor move it."""
+    _decide_place("pin", feature, radius, note, as_json)
+
+
+def revert(
+    what: Annotated[str, typer.Argument(help="A changeset's number or id, or a decision's id; ids may be cut short.")],
+    note: Note = "",
+    as_json: JsonOption = False,
+) -> None:
+    """Take back a changeset (its drive does not count any more) or a decision. Nothing is lost: revert the revert to restore."""
+    from flows.decide import revert as take_back
+
+    settings = read_settings()
+    with closing(open_map(settings)) as conn:
+        _print(take_back(conn, what, map_name=settings.map_name, note=note), as_json)
+
+
+def decisions(as_json: JsonOption = False) -> None:
+    """The decisions that hold."""
+    settings = read_settings()
+    with closing(open_map(settings)) as conn:
+        found = list_decisions(conn, map_name=settings.map_name)
+    if as_json:
+        print_json([asdict(decision) for decision in found])
+        return
+    rows = [
+        (
+            str(d.decision_id)[:8],
+            d.kind,
+            str(d.feature_id or d.changeset_id)[:8],
+            f"{d.decided_at:%Y-%m-%d %H:%M:%S}",
+            "" if d.easting_m is None else f"{d.easting_m:.3f}",
+            "" if d.northing_m is None else f"{d.northing_m:.3f}",
+            "" if d.radius_m is None else f"{d.radius_m:g}",
+            d.note,
+        )
+        for d in found
+    ]
+    if rows:
+        columns = ("decision", "kind", "about", "decided (UTC)", "easting m", "northing m", "radius m", "note")
+        print_table("", columns, rows, numbers_from=4)
+    else:
+        out.print("No decisions.")
+
+
+def diff(
+    before: Annotated[
+        str, typer.Argument(help="A changeset's number (the map right after it), or a time on the road.")
+    ],
+    after: Annotated[str, typer.Argument(help="Likewise.")],
+    output: Annotated[Path | None, typer.Option("--out", help="GeoJSON file to write.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """What differs between two states of the map."""
+    settings = read_settings()
+    with closing(open_map(settings)) as conn:
+        info = find_map(conn, settings.map_name)
+        if info is None:
+            raise InputError(f"there is no map named {settings.map_name} in this database: ingest a drive first.")
+        changes = diff_of(_state(conn, settings, before), _state(conn, settings, after))
+    if output is not None:
+        export_diff_geojson(changes, output, srid=info.srid)
+    if as_json:
+        print_json([change.model_dump(mode="json") for change in changes])
+        return
+    counts = {kind: sum(change.kind == kind for change in changes) for kind in {change.kind for change in changes}}
+    out.print(", ".join(f"{count} {kind}" for kind, count in sorted(counts.items())) or "No difference.")
+    if changes:
+        columns = ("change", "feature", "easting m", "northing m", "height m", "shift m", "old", "new")
+        print_table("", columns, [_change_row(change) for change in changes], numbers_from=2)
+    if output is not None:
+        out.print(f"{len(changes)} changes -> {output}", markup=False)
+
+
+def _change_row(change: FeatureChange) -> tuple[object, ...]:
+    place = (change.new or change.old or _nothing()).xyz_m
+    return (
+        change.kind,
+        str(change.feature_id)[:8],
+        *(f"{value:.3f}" for value in place),
+        "" if change.shift_m is None else f"{change.shift_m:.3f}",
+        change.old.version if change.old else "",
+        change.new.version if change.new else "",
+    )
+
+
+def _nothing() -> MapFeature:
+    raise ValueError("a change has an old or a new side")
+
+
+def _state(conn: Connection, settings: Settings, name: str) -> list[MapFeature]:
+    """The map that `name` stands for: as known right after a changeset, or at a time on the road as known now."""
+    valid_at: datetime | None = None
+    known_at: datetime | None = None
+    if name.isdigit() and len(name) < 8:
+        changesets = [c for c in list_changesets(conn, map_name=settings.map_name) if c.changeset_no == int(name)]
+        if not changesets:
+            raise InputError(f"the map {settings.map_name} has no changeset {name}: `conetl map log` lists them")
+        known_at = changesets[0].committed_at
+    else:
+        valid_at = parse_time(name)
+    versions = read_features_as_of(conn, valid_at, known_at=known_at, map_name=settings.map_name)
+    return [version.feature for version in versions]
+
+
+def _decide_place(kind: str, feature: str, radius: float, note: str, as_json: bool) -> None:
+    from flows.decide import decide_place
+
+    settings = read_settings()
+    with closing(open_map(settings)) as conn:
+        decided = decide_place(conn, kind, feature, map_name=settings.map_name, radius_m=radius, note=note)
+    _print(decided, as_json)
+
+
+def _print(decided: Decided, as_json: bool) -> None:
+    if as_json:
+        print_json(decided._asdict())
+        return
+    out.print(
+        f"Decision {str(decided.decision_id)[:8]} ({decided.kind}): {decided.versions_written} feature versions written, "
+        f"{decided.replayed} drives compared with the map again."
+    )
+    if decided.also_changed:
+        names = ", ".join(str(feature_id)[:8] for feature_id in decided.also_changed)
+        out.print(f"Later drives changed these features too; what they saw is kept: {names}")

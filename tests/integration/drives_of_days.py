@@ -1,0 +1,158 @@
+"""Drives over one made-up road on several days, through the real steps, ready to be merged; and the map as lines to compare."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+from uuid import NAMESPACE_URL, uuid5
+
+import numpy as np
+
+from conetl.io.db import Connection, execute
+from conetl.io.map_store import find_changeset, map_transaction
+from conetl.params import IngestParams
+from conetl.records import Changeset, Detection, Drive, Position, StereoMatch, Track
+from conetl.steps.tracks import fuse_tracks
+from flows.replay import Merged, merge_drive
+from tests.synthetic.world import START_NS, Cone, camera_poses, detect, locate, make_path, make_rig, shifted
+
+DAY_NS = 86_400_000_000_000
+RIG = make_rig()
+ROW = [Cone((14.0 + 5.0 * k, 3.6 - 0.4 * k, 0.0), height_m=0.7 if k % 2 else 0.5) for k in range(7)]
+#: What stands on the road on each day: one is moved and one taken away, one is set up; then one is moved back, one comes again.
+DAYS = [
+    ROW,
+    [*ROW[:1], Cone((19.5, 4.6, 0.0), height_m=0.7), *ROW[2:4], *ROW[5:]],
+    [*ROW[:4], *ROW[5:], Cone((26.0, -4.0, 0.0), height_m=0.7)],
+    [*ROW[:2], *ROW[3:], Cone((26.0, -4.0, 0.0), height_m=0.7)],
+]
+
+
+@dataclass(frozen=True)
+class Survey:
+    """One drive and what was made of it."""
+
+    drive: Drive
+    detections: list[Detection]
+    matches: list[StereoMatch]
+    positions: list[Position]
+    tracks: list[Track]
+
+
+@cache
+def survey(
+    day: int, *, frames: int = 40, start_m: float = 0.0, after_ns: int = 0, name: str = "", content: str = ""
+) -> Survey:
+    """The drive of one day, with noise and a GNSS offset of its own; `after_ns` later than the day's hour."""
+    name = name or f"day_{day}_{frames}_{start_m}_{after_ns}"
+    rng = np.random.default_rng(abs(hash((day, frames, start_m, after_ns))) % 2**32)
+    true = make_path(frames, start_m=start_m, first_ns=START_NS + day * DAY_NS + after_ns, sigma_m=0.3)
+    logged = [shifted(pair, (*rng.normal(0, 0.2, 2), 0.0)[:3]) for pair in true[:1]]
+    offset = np.array(logged[0].pose.map_t_body_m) - np.array(true[0].pose.map_t_body_m)
+    logged = [shifted(pair, offset) for pair in true]
+    found, matches, positions = locate(detect(DAYS[day], true, RIG, noise_px=0.5, rng=rng), logged, RIG)
+    by_frame: dict[int, list[Detection]] = {}
+    for detection in found:
+        by_frame.setdefault(detection.frame_index, []).append(detection)
+    tracks, _ = fuse_tracks(
+        positions,
+        {(m.frame_index, m.match_index): m for m in matches},
+        by_frame,
+        {pair.frame_index: pair for pair in logged},
+        RIG,
+        camera_poses(logged, RIG, "left"),
+        camera_poses(logged, RIG, "right"),
+        IngestParams(),
+    )
+    drive = Drive(
+        drive_id=name,
+        source_path=name,
+        rig=RIG,
+        map_srid=32632,
+        content_sha256=content or hashlib.sha256(name.encode()).hexdigest(),
+        frame_pairs=tuple(logged),
+        expected_frame_count=frames,
+    )
+    return Survey(drive, found, matches, positions, tracks)
+
+
+def key_of(survey: Survey, params: IngestParams) -> str:
+    return hashlib.sha256(f"{survey.drive.content_sha256} {params.model_dump_json()}".encode()).hexdigest()
+
+
+def merge(
+    conn: Connection, survey: Survey, *, map_name: str = "default", params: IngestParams | None = None
+) -> Merged | None:
+    """What the flow's last task does: None where the drive is on the map already."""
+    params = params or IngestParams()
+    key = key_of(survey, params)
+    changeset = Changeset(
+        changeset_id=uuid5(NAMESPACE_URL, f"{map_name} {key}"),
+        drive_id=survey.drive.drive_id,
+        idempotency_key=key,
+        params_sha256="cd" * 32,
+        model_sha256="ef" * 32,
+        code_version="0",
+        deltas=(),
+    )
+    with map_transaction(conn, map_name):
+        if find_changeset(conn, key, map_name=map_name) is not None:
+            return None
+        return merge_drive(
+            conn,
+            survey.drive,
+            survey.detections,
+            survey.matches,
+            survey.positions,
+            survey.tracks,
+            [],
+            changeset,
+            params,
+            map_name=map_name,
+        )
+
+
+def valid_time_map(conn: Connection, map_name: str = "default") -> dict[str, list[str]]:
+    """All that is believed now: versions with their periods and sources, and what each drive did."""
+    lines = {
+        "versions": "select (to_jsonb(v) - 'version_row_id' - 'system_period' - 'map_id')::text as line "
+        "from conetl.feature_version v join conetl.map m using (map_id) "
+        "where upper_inf(v.system_period) and m.map_name = %(map_name)s order by 1",
+        "deltas": "select (to_jsonb(x) - 'delta_row_id' - 'system_period')::text as line "
+        "from conetl.delta x join conetl.changeset c using (changeset_id) join conetl.map m using (map_id) "
+        "where upper_inf(x.system_period) and m.map_name = %(map_name)s order by 1",
+    }
+    found = {name: [row["line"] for row in execute(conn, sql, {"map_name": map_name})] for name, sql in lines.items()}
+    conn.rollback()
+    return found
+
+
+def known_maps(conn: Connection, map_name: str = "default", days: Sequence[int] = range(len(DAYS))) -> dict[Any, Any]:
+    """For every system time at which anything was written, the map of every day as it was known then."""
+    times = execute(
+        conn,
+        "select distinct lower(system_period) as t from conetl.feature_version v join conetl.map m using (map_id) "
+        "where m.map_name = %(map_name)s order by 1",
+        {"map_name": map_name},
+    )
+    sql = (
+        "select (to_jsonb(f) - 'version_row_id' - 'system_period' - 'valid_period')::text as line "
+        "from conetl.map_as_of(%(map_name)s, to_timestamp(%(at)s), %(known)s) f order by 1"
+    )
+    found = {
+        (row["t"], day): [
+            line["line"]
+            for line in execute(
+                conn,
+                sql,
+                {"map_name": map_name, "at": (START_NS + day * DAY_NS) / 1e9 + 3600, "known": row["t"]},
+            )
+        ]
+        for row in times
+        for day in days
+    }
+    conn.rollback()
+    return found

@@ -1,0 +1,261 @@
+"""Drives in any order, any number of times, on a real PostGIS: one map, and every earlier belief kept."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from itertools import permutations
+from pathlib import Path
+
+import pytest
+
+from conetl.io.audits import run_audits
+from conetl.io.db import connect, execute, load_sql, migrate, sql_directory
+from conetl.io.decision_store import read_decisions
+from conetl.io.map_store import find_map, list_changesets, map_transaction, read_current_features, system_time
+from conetl.io.replay_store import affected_drives, write_replay
+from conetl.params import IngestParams, ReconcileParams
+from conetl.records import DeltaKind
+from flows.replay import replay_of
+from tests.conftest import cloned_database
+from tests.integration.drives_of_days import DAY_NS, DAYS, known_maps, merge, survey, valid_time_map
+
+ROOT = Path(__file__).resolve().parents[2]
+ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT / "src"), str(ROOT)])}
+
+
+def failed_audits(conn):
+    return [result for result in run_audits(conn) if not result.passed]
+
+
+@pytest.fixture(scope="module")
+def in_order(cluster_url, template_database):
+    """The map of the first three days, ingested in order: each drive extends the fold by one, nothing is replayed."""
+    with cloned_database(cluster_url, template_database) as url:
+        conn = connect(url)
+        merged = [merge(conn, survey(day)) for day in range(3)]
+        assert [m.replayed for m in merged] == [0, 0, 0]
+        kinds = [sorted({delta.kind for delta in m.changeset.deltas}) for m in merged]
+        assert kinds == [
+            [DeltaKind.ADDED],
+            [DeltaKind.CONFIRMED, DeltaKind.MOVED, DeltaKind.REMOVED],
+            [DeltaKind.ADDED, DeltaKind.CONFIRMED, DeltaKind.MOVED],
+        ]
+        assert failed_audits(conn) == []
+        assert len(read_current_features(conn)) == len(DAYS[2])
+        conn.rollback()
+        yield valid_time_map(conn)
+        conn.close()
+
+
+@pytest.mark.parametrize("order", list(permutations(range(3))), ids=lambda order: "".join(map(str, order)))
+def test_all_orders_of_three_drives_give_the_same_map(conn, in_order, order):
+    believed = {}
+    for day in order:
+        assert merge(conn, survey(day)) is not None
+        assert failed_audits(conn) == []
+        for earlier in order[: order.index(day) + 1]:  # again: nothing happens
+            assert merge(conn, survey(earlier)) is None
+        now = known_maps(conn)
+        assert {moment: now[moment] for moment in believed} == believed, "an earlier belief was changed"
+        believed = now
+    assert valid_time_map(conn) == in_order
+    assert len(list_changesets(conn)) == 3
+
+
+def test_history_is_only_ever_closed(conn):
+    """No row is changed but for its system period; what comes out as it was is not written again."""
+    for day in (2, 1):
+        merge(conn, survey(day))
+    columns = "to_jsonb(t) - 'system_period'"
+    tables = ("feature_version", "delta", "feature", "changeset", "drive", "track", "position", "detection")
+    before = {
+        table: {row["line"] for row in execute(conn, f"select ({columns})::text as line from conetl.{table} t")}
+        for table in tables
+    }
+    merge(conn, survey(0))
+    for table in tables:
+        after = {row["line"] for row in execute(conn, f"select ({columns})::text as line from conetl.{table} t")}
+        assert before[table] <= after
+    open_before = "select count(*) as n from conetl.feature_version where lower(system_period) > upper(system_period)"
+    assert execute(conn, open_before) == [{"n": 0}]
+
+
+def test_playing_everything_again_writes_nothing(conn):
+    for day in (1, 3, 0, 2):
+        merge(conn, survey(day))
+    with map_transaction(conn):
+        drives = [row["drive_uuid"] for row in execute(conn, "select drive_uuid from conetl.drive")]
+        again = affected_drives(conn, drives)
+        assert len(again) == 4
+        _, replay = replay_of(conn, drives, again, read_decisions(conn))
+        info = find_map(conn)
+        assert write_replay(conn, info, replay, system_time(conn, info)) == 0
+        closed = execute(conn, "select max(upper(system_period)) as t from conetl.feature_version")[0]["t"]
+        assert closed <= info.last_committed_at
+
+
+def test_a_drive_elsewhere_comes_late_and_nobody_minds(conn):
+    for day in (1, 2):
+        merge(conn, survey(day))
+    before = valid_time_map(conn)
+    far = survey(0, start_m=-900.0)
+    assert merge(conn, far).replayed == 0
+    after = valid_time_map(conn)
+    assert set(before["versions"]) <= set(after["versions"])
+    assert set(before["deltas"]) <= set(after["deltas"])
+
+
+def test_drives_that_overlap_in_time_or_start_together(conn, cluster_url, template_database):
+    surveys = [survey(0), survey(1, name="a"), survey(1, after_ns=1_000_000_000), survey(1, frames=39)]
+    assert surveys[1].drive.captured_from == surveys[3].drive.captured_from
+    for one in surveys:
+        merge(conn, one)
+    assert failed_audits(conn) == []
+    expected = valid_time_map(conn)
+    with cloned_database(cluster_url, template_database) as url:
+        other = connect(url)
+        for number in (3, 2, 0, 1):
+            merge(other, surveys[number])
+        assert failed_audits(other) == []
+        assert valid_time_map(other) == expected
+        other.close()
+
+
+def test_two_maps_in_one_database_do_not_touch_each_other(conn, in_order):
+    for day in (2, 0):
+        merge(conn, survey(day))
+    merge(conn, survey(1), map_name="other")
+    other = valid_time_map(conn, "other")
+    merge(conn, survey(1))
+    assert valid_time_map(conn) == in_order
+    assert valid_time_map(conn, "other") == other
+    ids = [{f.feature_id for f in read_current_features(conn, map_name=name)} for name in ("default", "other")]
+    assert not ids[0] & ids[1]
+
+
+def test_the_same_recording_analysed_again_takes_the_place_of_the_first_analysis(conn, cluster_url, template_database):
+    """One recording is one piece of evidence: it is not counted twice because it was analysed twice."""
+    strict = IngestParams(reconcile=ReconcileParams(removal_min_frames=30))
+    for day in range(3):
+        merge(conn, survey(day))
+    again = merge(conn, survey(1), params=strict)
+    assert again.replayed == 1
+    assert failed_audits(conn) == []
+    with cloned_database(cluster_url, template_database) as url:
+        other = connect(url)
+        for day in (1, 2, 0):
+            merge(other, survey(day), params=strict if day == 1 else None)
+        assert valid_time_map(other) == valid_time_map(conn)
+        other.close()
+    assert merge(conn, survey(1)) is None  # the first analysis is known, and superseded
+
+
+def test_a_drive_of_a_later_day_does_not_replay_the_earlier_ones(conn):
+    for day in (1, 0):
+        merge(conn, survey(day))
+    assert merge(conn, survey(3)).replayed == 0
+    merged = merge(conn, survey(2))
+    assert merged.replayed == 1
+    assert merged.changeset.deltas[0].changed_at_ns >= 2 * DAY_NS
+
+
+OLD_TABLES = (
+    "map",
+    "run",
+    "drive",
+    "frame_pair",
+    "detection",
+    "stereo_match",
+    "position",
+    "track",
+    "track_member",
+    "changeset",
+    "quarantine",
+    "feature",
+    "feature_version",
+    "delta",
+)
+
+
+def test_a_map_of_the_first_schema_is_brought_up_to_date_and_takes_late_drives(conn, cluster_url, in_order):
+    """The rows of a map made in order, in the tables of migration 1; then all migrations, and the drive that was missing."""
+    for day in (0, 2):
+        merge(conn, survey(day))
+    with cloned_database(cluster_url, "template0") as url:
+        old = connect(url)
+        first = (sql_directory() / "migrations" / "0001_schema.sql").read_text()
+        execute(old, load_sql("schema/schema_migration"))
+        execute(old, first)
+        applied = {"name": "0001_schema", "sha256": hashlib.sha256(first.encode()).hexdigest()}
+        execute(old, load_sql("write/insert_migration"), applied)
+        for table in OLD_TABLES:
+            sql = "select string_agg(quote_ident(attname), ', ' order by attnum) as names from pg_attribute where attrelid = "
+            sql += f"'conetl.{table}'::regclass and attnum > 0 and not attisdropped"
+            names = execute(old, sql)[0]["names"]
+            rows = io.BytesIO()
+            with conn.cursor() as source, old.cursor() as target:
+                source.copy_expert(f"copy (select {names} from conetl.{table}) to stdout (format binary)", rows)
+                rows.seek(0)
+                target.copy_expert(f"copy conetl.{table} ({names}) from stdin (format binary)", rows)
+        for table, column in (
+            ("map", "map_id"),
+            ("changeset", "changeset_no"),
+            ("feature_version", "version_row_id"),
+        ):
+            sequence = f"pg_get_serial_sequence('conetl.{table}', '{column}')"
+            execute(old, f"select setval({sequence}, (select max({column}) from conetl.{table}))")
+        old.commit()
+        assert migrate(old) == ["0002_order_independence"]
+        assert failed_audits(old) == []
+        assert merge(old, survey(1)).replayed == 1
+        assert failed_audits(old) == []
+        assert valid_time_map(old) == in_order
+        old.close()
+
+
+LATE = """
+import sys
+from conetl.io.db import connect
+from tests.integration.drives_of_days import merge, survey
+late, conn = survey(0), connect(sys.argv[1])
+print("ready", flush=True)
+merge(conn, late)
+"""
+
+
+def test_kill_nine_while_a_late_drive_is_replayed_leaves_all_or_nothing(conn, database_url, in_order):
+    for day in (2, 1):
+        merge(conn, survey(day))
+    before = valid_time_map(conn)
+    command = [sys.executable, "-c", LATE, database_url]
+    chance = random.Random(5)
+    for _ in range(4):
+        child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT, env=ENVIRONMENT)
+        assert child.stdout.readline() == "ready\n"
+        time.sleep(chance.uniform(0.0, 0.4))
+        child.send_signal(signal.SIGKILL)
+        child.wait()
+        child.stdout.close()
+        with map_transaction(conn, lock_timeout_s=30):
+            pass
+        assert valid_time_map(conn) in (before, in_order)
+    subprocess.run(command, check=True, capture_output=True, cwd=ROOT, env=ENVIRONMENT)
+    assert valid_time_map(conn) == in_order
+    assert failed_audits(conn) == []
+
+
+def test_a_late_drive_replays_what_it_touches_directly_or_through_others_and_nothing_else(conn):
+    """Areas reach some 68 m beyond the path: drives 120 m apart meet, drives 240 m apart do not."""
+    for day, start_m in ((1, 120.0), (2, 240.0), (3, 900.0)):
+        assert merge(conn, survey(day, frames=10, start_m=start_m)).replayed == 0
+    assert merge(conn, survey(0, frames=10, start_m=0.0)).replayed == 2  # the second through the first
+    # Influence goes forwards in time only: what the drive of day 1 at 120 m left does not reach one recorded before it.
+    assert merge(conn, survey(1, frames=10, start_m=360.0, after_ns=-3_600_000_000_000)).replayed == 1
+    assert failed_audits(conn) == []

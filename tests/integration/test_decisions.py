@@ -1,0 +1,178 @@
+"""What people decide lasts: suppressed, pinned, reverted, in any order with drives, and taken back without loss."""
+
+from __future__ import annotations
+
+from itertools import permutations
+
+import pytest
+
+from conetl.errors import InputError
+from conetl.io.audits import run_audits
+from conetl.io.db import connect
+from conetl.io.decision_store import list_decisions
+from conetl.io.map_store import feature_log, list_changesets, read_current_features, read_features_as_of
+from conetl.records import DeltaKind
+from flows.decide import PIN, SUPPRESS, decide_place, revert
+from tests.conftest import cloned_database
+from tests.integration.drives_of_days import merge, survey, valid_time_map
+from tests.synthetic.world import ORIGIN_M
+
+
+@pytest.fixture(autouse=True)
+def audited(conn):
+    yield
+    assert [result for result in run_audits(conn) if not result.passed] == []
+
+
+def near(conn, east, north, radius=0.8):
+    conn.rollback()
+    return [
+        feature
+        for feature in read_current_features(conn)
+        if (feature.xyz_m[0] - ORIGIN_M[0] - east) ** 2 + (feature.xyz_m[1] - ORIGIN_M[1] - north) ** 2 < radius**2
+    ]
+
+
+def test_a_suppressed_place_stays_suppressed_whatever_comes(conn):
+    merge(conn, survey(0))
+    [feature] = near(conn, 14.0, 3.6)
+    known = list_changesets(conn)[0].committed_at
+    conn.rollback()
+    decided = decide_place(conn, SUPPRESS, str(feature.feature_id), map_name="default", note="a bollard")
+    assert decided.versions_written == 1
+    assert near(conn, 14.0, 3.6) == []
+    for day in (2, 1):
+        merge(conn, survey(day))
+        assert near(conn, 14.0, 3.6) == []
+    assert feature in [v.feature for v in read_features_as_of(conn, known_at=known)]
+    assert [d.note for d in list_decisions(conn)] == ["a bollard"]
+    [log] = {entry.suppressed for entry in feature_log(conn, feature.feature_id) if entry.believed_until is None}
+    assert log is True
+    conn.rollback()
+    with pytest.raises(InputError, match="already"):
+        decide_place(conn, SUPPRESS, str(feature.feature_id), map_name="default")
+    revert(conn, str(decided.decision_id)[:8], map_name="default")
+    [back] = near(conn, 14.0, 3.6)
+    assert back.observation_count > feature.observation_count, "drives went on counting it"
+    assert list_decisions(conn) == []
+
+
+def test_a_pinned_cone_is_kept_where_drives_would_remove_it(conn):
+    merge(conn, survey(0))
+    [feature] = near(conn, 34.0, 2.0)  # taken away before the second day
+    decide_place(conn, PIN, str(feature.feature_id), map_name="default")
+    merged = merge(conn, survey(1))
+    assert feature.feature_id not in {d.feature_id for d in merged.changeset.deltas if d.kind is DeltaKind.REMOVED}
+    assert near(conn, 34.0, 2.0) == [feature]
+
+
+def test_a_pin_that_comes_after_the_removal_brings_the_cone_back(conn):
+    for day in (0, 1):
+        merge(conn, survey(day))
+        if day == 0:
+            [feature] = near(conn, 34.0, 2.0)
+    assert near(conn, 34.0, 2.0) == []
+    conn.rollback()
+    before = valid_time_map(conn)
+    decided = decide_place(conn, PIN, str(feature.feature_id), map_name="default")
+    assert decided.replayed == 2
+    assert near(conn, 34.0, 2.0) == [feature]
+    revert(conn, str(decided.decision_id), map_name="default")
+    assert valid_time_map(conn) == before
+
+
+@pytest.mark.parametrize("day", range(3))
+def test_a_reverted_drive_might_never_have_come_and_comes_back_as_it_was(conn, cluster_url, template_database, day):
+    for one in range(3):
+        merge(conn, survey(one))
+    everything = valid_time_map(conn)
+    changesets = {changeset.drive_id: changeset for changeset in list_changesets(conn)}
+    conn.rollback()
+    target = changesets[survey(day).drive.drive_id]
+    reverted = revert(conn, str(target.changeset_no), map_name="default", note="bad GNSS")
+    assert reverted.replayed == 2 - day
+    assert bool(reverted.also_changed) == (day < 2), "features that later drives saw too are named"
+    with cloned_database(cluster_url, template_database) as url:
+        other = connect(url)
+        for one in range(3):
+            if one != day:
+                merge(other, survey(one))
+        assert valid_time_map(other) == valid_time_map(conn)
+        other.close()
+    assert merge(conn, survey(day)) is None, "ingested again, it stays reverted"
+    with pytest.raises(InputError, match="already"):
+        revert(conn, str(target.changeset_id), map_name="default")
+    restored = revert(conn, str(reverted.decision_id), map_name="default")
+    assert restored.kind == "withdraw"
+    assert valid_time_map(conn) == everything
+    with pytest.raises(InputError, match="does not hold"):
+        revert(conn, str(reverted.decision_id), map_name="default")
+
+
+def test_decisions_and_drives_in_any_order_give_one_map(cluster_url, template_database, conn):
+    """Day 0 first, so that there is something to decide about; then two drives and three decisions in any order."""
+    merge(conn, survey(0))
+    [pinned], [suppressed] = near(conn, 34.0, 2.0), near(conn, 14.0, 3.6)
+    expected = None
+    orders = list(permutations(("1", "2", "pin", "suppress", "revert")))
+    for order in orders[::17]:
+        with cloned_database(cluster_url, template_database) as url:
+            other = connect(url)
+            merge(other, survey(0))
+            merge(other, survey(3))
+            for step in order:
+                if step.isdigit():
+                    merge(other, survey(int(step)))
+                elif step == "revert":
+                    revert(other, "2", map_name="default")  # the drive of day 3
+                else:
+                    about = pinned if step == "pin" else suppressed
+                    place_of_first_day(other, step, about, order)
+            found = valid_time_map(other)
+            assert [result for result in run_audits(other) if not result.passed] == []
+            expected = expected or found
+            assert found == expected
+            other.close()
+
+
+def place_of_first_day(conn, kind, feature, order):
+    """The same decision in every order: about the place where the first drive saw the cone."""
+    from conetl.io.decision_store import insert_decision
+    from conetl.io.map_store import find_map, map_transaction, system_time
+    from conetl.records import Place
+    from flows.decide import _judge_place
+
+    with map_transaction(conn):
+        info = find_map(conn)
+        at = system_time(conn, info)
+        place = Place(xy_m=feature.xyz_m[:2], radius_m=1.0)
+        insert_decision(conn, info, kind, decided_at=at, note=" ".join(order), place=place)
+        _judge_place(conn, info, kind, place.xy_m, at)
+
+
+def test_the_earlier_analysis_counts_again_when_the_later_one_is_reverted(conn):
+    from conetl.params import IngestParams, ReconcileParams
+
+    merge(conn, survey(0))
+    merge(conn, survey(1))
+    before = valid_time_map(conn)
+    merge(conn, survey(1), params=IngestParams(reconcile=ReconcileParams(removal_min_frames=30)))
+    assert valid_time_map(conn) != before
+    revert(conn, "3", map_name="default")
+    assert valid_time_map(conn) == before
+
+
+def test_what_is_not_there_cannot_be_decided_about(conn):
+    for call in (
+        lambda: decide_place(conn, SUPPRESS, "abc", map_name="default"),
+        lambda: revert(conn, "7", map_name="default"),
+    ):
+        with pytest.raises(InputError, match="no map"):
+            call()
+    merge(conn, survey(0))
+    with pytest.raises(InputError, match="no feature"):
+        decide_place(conn, SUPPRESS, "zzz", map_name="default")
+    with pytest.raises(InputError, match="no changeset"):
+        revert(conn, "7", map_name="default")
+    with pytest.raises(InputError, match="radius"):
+        decide_place(conn, SUPPRESS, "0", map_name="default", radius_m=50.0)

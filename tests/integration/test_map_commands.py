@@ -1,0 +1,75 @@
+"""`conetl map ...` on a map of three drives: decisions, differences, history."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.integration.drives_of_days import merge, survey
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture
+def conetl(conn, database_url, tmp_path):
+    for day in (0, 2, 1):
+        merge(conn, survey(day))
+    environment = {**os.environ, "CONETL_DATABASE_URL": database_url, "CONETL_HOME": str(tmp_path / "home")}
+
+    def run(*arguments, code=0):
+        script = "from conetl.cli import main; main()"
+        command = [sys.executable, "-c", script, *map(str, arguments)]
+        done = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True, check=False)
+        assert done.returncode == code, done.stderr
+        return done.stderr if code else done.stdout
+
+    return run
+
+
+def test_differences_between_changesets_and_times(conetl, tmp_path):
+    # Changeset 3 is the late drive of day 1: after 2 the map was that of days 0 and 2.
+    late = json.loads(conetl("map", "diff", 2, 3, "--json"))
+    assert late
+    back = json.loads(conetl("map", "diff", 3, 2, "--json"))
+    assert [(c["feature_id"], c["old"], c["new"]) for c in late] == [
+        (c["feature_id"], c["new"], c["old"]) for c in back
+    ]
+    assert conetl("map", "diff", 3, 3).strip() == "No difference."
+    written = tmp_path / "diff.geojson"
+    table = conetl("map", "diff", "2026-03-02T23:00", "2026-03-03T23:00", "--out", written)
+    collection = json.loads(written.read_text())
+    changes = [feature["properties"]["change"] for feature in collection["features"]]
+    assert {"moved", "removed"} <= set(changes)
+    assert all(change in table for change in changes)
+    lines = [f for f in collection["features"] if f["geometry"]["type"] == "LineString"]
+    assert len(lines) == changes.count("moved")
+    assert all(5 < lon < 12 and 48 < lat < 50 for f in lines for lon, lat, _ in f["geometry"]["coordinates"])
+    assert "has no changeset 9" in conetl("map", "diff", 9, 3, code=2)
+
+
+def test_decisions_through_the_command_line(conetl):
+    features = json.loads(conetl("map", "show", "--json"))["features"]
+    first = features[0]["feature_id"]
+    decided = json.loads(conetl("map", "suppress", first[:8], "--note", "a bollard", "--json"))
+    assert decided["kind"] == "suppress"
+    standing = [f["feature_id"] for f in json.loads(conetl("map", "show", "--json"))["features"]]
+    assert first not in standing
+    assert len(standing) == len(features) - 1
+    assert "a bollard" in conetl("map", "decisions")
+    assert "suppressed" in conetl("map", "log", first)
+    assert "pin" in conetl("map", "pin", standing[0])
+    assert "already" in conetl("map", "pin", standing[0], code=2)
+    conetl("map", "revert", decided["decision_id"])
+    assert len(json.loads(conetl("map", "show", "--json"))["features"]) == len(features)
+
+    reverted = conetl("map", "revert", 3, "--note", "wrong GNSS")
+    assert "what they saw is kept" in reverted
+    assert "does not count" in conetl("map", "log")
+    assert "already" in conetl("map", "revert", 3, code=2)
+    assert "no changeset" in conetl("map", "revert", 99, code=2)
+    conetl("db", "audit")

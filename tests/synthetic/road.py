@@ -1,0 +1,130 @@
+"""A made-up road over days: cones that are set, moved and taken away, and the evidence of drives that see or miss them."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from uuid import NAMESPACE_URL, uuid5
+
+import numpy as np
+
+from conetl.params import ReconcileParams
+from conetl.records import MapFeature, Track
+from conetl.steps.fold import Evidence
+from conetl.steps.visibility import Look
+from tests.synthetic.world import ORIGIN_M, START_NS
+
+HOUR_NS = 3_600_000_000_000
+SECOND_NS = 1_000_000_000
+SPEED_M_S = 10.0
+SIDE_M = 8.0
+"""Cones nearer to the path than this are seen or missed."""
+Floats = np.ndarray
+
+
+@dataclass
+class Cone:
+    """Where a cone stands from when on, (from_ns, xy or None where it is gone), in the order of time."""
+
+    height_m: float
+    states: list[tuple[int, tuple[float, float] | None]]
+
+    def at(self, time_ns: int) -> tuple[float, float] | None:
+        place = None
+        for since_ns, state in self.states:
+            if since_ns <= time_ns:
+                place = state
+        return place
+
+
+def random_world(rng: np.random.Generator, length_m: float, days: int) -> list[Cone]:
+    """Cones along both sides of a straight road, 0.8 m apart and more, each with its own fate."""
+    cones = []
+    at = 0.0
+    while at < length_m:
+        at += float(rng.choice([rng.uniform(0.8, 2.0), rng.uniform(5.0, 40.0)]))
+        place = (at, float(rng.choice([-3.0, 3.0]) + rng.normal(0, 0.2)))
+        since = int(rng.integers(0, days * 24)) * HOUR_NS * int(rng.random() < 0.4)
+        states: list[tuple[int, tuple[float, float] | None]] = [(START_NS - HOUR_NS + since, place)]
+        if rng.random() < 0.5:
+            later = since + int(rng.integers(1, days * 24)) * HOUR_NS
+            moved = (place[0] + float(rng.uniform(-2.5, 2.5)), place[1] + float(rng.uniform(-1.0, 1.0)))
+            states.append((START_NS + later, moved if rng.random() < 0.5 else None))
+        cones.append(Cone(float(rng.choice([0.5, 0.7])), states))
+    return cones
+
+
+def random_drive(
+    rng: np.random.Generator,
+    world: list[Cone],
+    number: int,
+    *,
+    start_ns: int,
+    span_m: tuple[float, float],
+    sigma_m: float = 0.3,
+    map_name: str = "default",
+    params: ReconcileParams | None = None,
+) -> Evidence:
+    """One drive along a part of the road: a common offset, noise, cones that it misses, and where it looked."""
+    params = params or ReconcileParams()
+    content = hashlib.sha256(f"{map_name} drive {number} {rng.integers(1 << 60)}".encode()).hexdigest()
+    offset = rng.normal(0, sigma_m, 2)
+    west, east = span_m
+    path = np.arange(west, east + 1, 2.0)
+    tracks = []
+    for i, cone in enumerate(world):
+        seen_ns = start_ns + int((cone.states[0][1][0] - west) / SPEED_M_S * SECOND_NS)  # type: ignore[index]
+        place = cone.at(seen_ns)
+        if place is None or not west <= place[0] <= east or rng.random() < 0.15:
+            continue
+        x, y = np.array(place) + offset + rng.normal(0, 0.03, 2)
+        xyz = (float(ORIGIN_M[0] + x), float(ORIGIN_M[1] + y), float(ORIGIN_M[2] + rng.normal(0, 0.02)))
+        tracks.append(
+            Track(
+                track_index=len(tracks),
+                xyz_m=xyz,
+                cov_m2=(sigma_m**2, 0.0, 0.0, sigma_m**2, 0.0, 0.1),
+                relative_cov_m2=(1e-3, 0.0, 0.0, 1e-3, 0.0, 1e-3),
+                centre_xyz_m=(xyz[0], xyz[1], xyz[2] + cone.height_m / 2),
+                cone_height_m=cone.height_m + float(rng.normal(0, 0.01)),
+                cone_height_sigma_m=0.02,
+                existence_probability=float(rng.uniform(0.7, 0.99)),
+                observation_count=int(rng.integers(3, 20)),
+                first_seen_ns=seen_ns,
+                last_seen_ns=seen_ns + SECOND_NS,
+                residual_rms_px=0.3,
+                nearest_range_m=5.0,
+                members=((i, 0),),
+            )
+        )
+    return Evidence(
+        key=(start_ns, content, content),
+        changeset_id=uuid5(NAMESPACE_URL, content),
+        founding_key=f"{map_name}/{content}",
+        tracks=tracks,
+        path_m=np.column_stack([ORIGIN_M[0] + path, np.full(len(path), ORIGIN_M[1])]),
+        influence_m=60.0,
+        look_at=_look(np.array([t.xyz_m for t in tracks]).reshape(-1, 3), start_ns, span_m, rng.random()),
+        params=params,
+    )
+
+
+def _look(
+    seen: Floats, start_ns: int, span_m: tuple[float, float], blind_share: float
+) -> Callable[[MapFeature, Floats], Look | None]:
+    """Every spot beside the path was in plain view, but for a stretch behind a lorry, unless a cone was seen there."""
+    west, east = span_m
+    blind = (west + blind_share * (east - west), west + blind_share * (east - west) + 25.0)
+
+    def look_at(feature: MapFeature, offset_m: Floats) -> Look | None:
+        spot = np.array(feature.xyz_m) + offset_m
+        along, aside = spot[:2] - ORIGIN_M[:2]
+        if not west <= along <= east or abs(aside) > SIDE_M or blind[0] <= along <= blind[1]:
+            return None
+        if len(seen) and np.hypot(*(seen - spot)[:, :2].T).min() <= 0.5:
+            return None
+        first_ns = start_ns + int((along - west) / SPEED_M_S * SECOND_NS)
+        return Look(10, first_ns) if first_ns > feature.last_seen_ns else None
+
+    return look_at

@@ -1,0 +1,54 @@
+"""The laws of differences between maps."""
+
+from __future__ import annotations
+
+from uuid import UUID
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from conetl.records import DeltaKind, MapFeature
+from conetl.steps.map_diff import compose, diff, invert
+
+
+def cone(number: int, east_m: float) -> MapFeature:
+    return MapFeature(
+        feature_id=UUID(int=number),
+        version=1,
+        category="traffic_cone",
+        xyz_m=(east_m, 0.0, 0.0),
+        cov_m2=(1.0, 0.0, 0.0, 1.0, 0.0, 1.0),
+        centre_xyz_m=(east_m, 0.0, 0.3),
+        cone_height_m=0.7,
+        cone_height_sigma_m=0.02,
+        existence_probability=0.9,
+        observation_count=3,
+        first_seen_ns=1,
+        last_seen_ns=2,
+    )
+
+
+MAPS = st.dictionaries(st.integers(0, 6), st.sampled_from([0.0, 0.1, 0.4, 2.0]), max_size=6).map(
+    lambda places: [cone(number, east_m) for number, east_m in places.items()]
+)
+
+
+def test_kinds() -> None:
+    before, after = [cone(1, 0), cone(2, 0), cone(3, 0), cone(4, 0)], [cone(1, 0), cone(2, 0.1), cone(3, 2), cone(5, 0)]
+    found = [(change.feature_id.int, change.kind) for change in diff(before, after)]
+    assert found == [(2, DeltaKind.CONFIRMED), (3, DeltaKind.MOVED), (4, DeltaKind.REMOVED), (5, DeltaKind.ADDED)]
+
+
+@given(a=MAPS, b=MAPS, c=MAPS)
+def test_differences_compose_and_invert(a: list[MapFeature], b: list[MapFeature], c: list[MapFeature]) -> None:
+    assert diff(a, a) == []
+    assert invert(diff(a, b)) == diff(b, a)
+    assert invert(invert(diff(a, b))) == diff(a, b)
+    assert compose(diff(a, b), diff(b, c)) == diff(a, c)
+    assert compose(diff(a, b), diff(b, a)) == []
+
+
+def test_differences_that_do_not_follow_each_other_are_refused() -> None:
+    with pytest.raises(ValueError, match="does not start where the first ends"):
+        compose(diff([], [cone(1, 0)]), diff([cone(1, 2)], []))
