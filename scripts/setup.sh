@@ -29,7 +29,8 @@ lock=$(sha256sum requirements.txt pyproject.toml | sha256sum | cut -d' ' -f1)
 if [ "$(cat .venv/.conetl-lock 2>/dev/null)" != "$lock" ]; then
   say "Setting up the Python environment in .venv (a minute or two)"
   [ -x .venv/bin/python ] || "$python" -m venv .venv
-  .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-compile --require-hashes -r requirements.txt
+  # The lock names every package there is: nothing to resolve, and nothing that a release of tomorrow could change.
+  .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-compile --no-deps --require-hashes -r requirements.txt
   .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
   echo "$lock" > .venv/.conetl-lock
 fi
