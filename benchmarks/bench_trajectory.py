@@ -4,7 +4,7 @@ Each cone's frames are cut into four parts by time, and each part alone gives a 
 adjustment of its rays). The distance of two cones is then taken for all 4 x 4 pairs of parts: where the trajectory holds, all are
 equal.
 
-    python benchmarks/bench_trajectory.py DRIVE [--cache FILE]
+    python benchmarks/bench_trajectory.py DRIVE [--cache FILE] [--self-calibrate]
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import itertools
 import pickle
 import sys
 import time
-from collections import defaultdict
 from pathlib import Path
 
 import cv2
@@ -24,16 +23,18 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from conetl.geometry.joint_fit import fit_point
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
+from conetl.geometry.stereo_tracks import StereoTracks, motions_of
 from conetl.io.detector import detect_image, load_detector
 from conetl.io.drive_folder import read_drive
 from conetl.io.images import read_image
-from conetl.io.visual_odometry import measure_motions
+from conetl.io.visual_odometry import follow_drive, follow_span
 from conetl.params import IngestParams, TrajectoryParams
 from conetl.records import Drive, FramePair, Position, StereoMatch
 from conetl.steps.association import chain_positions
 from conetl.steps.detections import check_boxes
 from conetl.steps.matches import match_pair
 from conetl.steps.positions import locate_positions
+from conetl.steps.self_calibration import choose_spans, self_calibrate, self_calibrated_rig
 from conetl.steps.tracks import fuse_tracks
 from conetl.steps.trajectory import refine_trajectory
 
@@ -44,10 +45,10 @@ def read_side(pair: FramePair, side: str) -> np.ndarray:
     return read_image(Path(pair.left_path if side == "left" else pair.right_path))
 
 
-def find_cones(drive: Drive, params: IngestParams) -> tuple[dict[int, list], list[StereoMatch]]:
-    """Detections by frame index and stereo matches of a whole drive."""
+def find_boxes(drive: Drive, params: IngestParams) -> dict[int, tuple[list, list]]:
+    """Detections of a whole drive by frame index, left and right."""
     detector = load_detector(None, threads=1)
-    detections, matches = defaultdict(list), []
+    detections = {}
     for pair in drive.frame_pairs:
         images = read_side(pair, "left"), read_side(pair, "right")
         sides = []
@@ -56,10 +57,30 @@ def find_cones(drive: Drive, params: IngestParams) -> tuple[dict[int, list], lis
                 detector, image, score_threshold=params.detection.score_threshold, nms_iou=params.detection.nms_iou
             )
             sides.append(check_boxes(boxes, frame_index=pair.frame_index, side=side, params=params.detection)[0])
-        up = map_SE3_left(pair.pose, drive.rig)[2, :3]
-        detections[pair.frame_index] += sides[0] + sides[1]
-        matches += match_pair(*sides, drive.rig, params.match, up_left=up, images=images)[0]
-    return dict(detections), matches
+        detections[pair.frame_index] = (sides[0], sides[1])
+    return detections
+
+
+def match_boxes(drive: Drive, boxes: dict[int, tuple[list, list]], params: IngestParams) -> list[StereoMatch]:
+    matches = []
+    for pair in drive.frame_pairs:
+        left, right = boxes[pair.frame_index]
+        if left and right:
+            images = read_side(pair, "left"), read_side(pair, "right")
+            up = map_SE3_left(pair.pose, drive.rig)[2, :3]
+            matches += match_pair(left, right, drive.rig, params.match, up_left=up, images=images)[0]
+    return matches
+
+
+def calibrate(drive: Drive, tracks: list[StereoTracks], params: TrajectoryParams) -> Drive:
+    """The drive with the rig that its own pictures ask for."""
+    wide = params.model_copy(update={"epipolar_tolerance_px": params.self_calibration_row_tolerance_px})
+    pairs, wall = drive.frame_pairs, time.perf_counter()
+    spans = choose_spans(list(motions_of(tracks, pairs, drive.rig, params)), params.self_calibration_span_m)
+    points = [follow_span(pairs[s.first], pairs[s.last], s.last_SE3_first, drive.rig, read_side, wide) for s in spans]
+    found = self_calibrate(drive.rig, spans, points, params)
+    print(f"self-calibration {time.perf_counter() - wall:.1f} s wall: {found.detail}")
+    return drive.model_copy(update={"rig": self_calibrated_rig(drive.rig, found, params)})
 
 
 def places(pairs: list[FramePair], drive: Drive, matches: list[StereoMatch], params: IngestParams) -> list[Position]:
@@ -112,23 +133,31 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("drive", type=Path)
     parser.add_argument("--cache", type=Path, help="keep detections here between runs (pickle)")
+    parser.add_argument("--self-calibrate", action="store_true", help="turn the right camera as the drive asks for")
     args = parser.parse_args()
     cv2.setNumThreads(1)
     params = IngestParams()
     drive, _ = read_drive(args.drive)
     if args.cache and args.cache.is_file():
-        detections, matches = pickle.loads(args.cache.read_bytes())
+        boxes = pickle.loads(args.cache.read_bytes())
     else:
-        detections, matches = find_cones(drive, params)
+        boxes = find_boxes(drive, params)
         if args.cache:
-            args.cache.write_bytes(pickle.dumps((detections, matches)))
+            args.cache.write_bytes(pickle.dumps(boxes))
     logged = list(drive.frame_pairs)
     wall, cpu = time.perf_counter(), time.process_time()
-    motions = list(measure_motions(logged, drive.rig, read_side, params.trajectory))
+    tracks = list(follow_drive(logged, drive.rig, read_side, params.trajectory))
+    motions = list(motions_of(tracks, logged, drive.rig, params.trajectory))
     done_wall, done_cpu = time.perf_counter(), time.process_time()
+    if args.self_calibrate:
+        drive = calibrate(drive, tracks, params.trajectory)
+        motions = list(motions_of(tracks, logged, drive.rig, params.trajectory))
+    matches = match_boxes(drive, boxes, params)
+    detections = {index: [*left, *right] for index, (left, right) in boxes.items()}
+    wall_before = time.perf_counter()
     by_motion = refine_trajectory(logged, drive.rig, motions, params.trajectory)
     print(f"{len(logged)} frame pairs: visual odometry {done_wall - wall:.1f} s wall, {done_cpu - cpu:.1f} s CPU (one thread); "
-          f"adjustment {time.perf_counter() - done_wall:.2f} s")  # fmt: skip
+          f"adjustment {time.perf_counter() - wall_before:.2f} s")  # fmt: skip
     print(f"{by_motion.outcome}: {by_motion.detail}")
     refined = list(by_motion.frame_pairs)
     left = {p.frame_index: map_SE3_left(p.pose, drive.rig) for p in refined}
@@ -138,7 +167,7 @@ def main() -> None:
         logged, drive.rig, motions, params.trajectory.model_copy(update={"max_shift_chi2": 1e3}), chains
     )
     last = list(with_cones.frame_pairs)
-    tracks, _ = fuse_tracks(
+    cones, _ = fuse_tracks(
         places(last, drive, matches, params),
         {(m.frame_index, m.match_index): m for m in matches},
         detections,
@@ -148,8 +177,8 @@ def main() -> None:
         {p.frame_index: map_SE3_right(p.pose, drive.rig) for p in last},
         params,
     )
-    groups = [track.members for track in tracks]
-    print(f"{len(tracks)} cones, seen in {[len(g) for g in groups]} frame pairs; {with_cones.detail}")
+    groups = [cone.members for cone in cones]
+    print(f"{len(cones)} cones, seen in {[len(g) for g in groups]} frame pairs; {with_cones.detail}")
     report("as logged", logged, drive, groups, matches, params)
     report("visual odometry", refined, drive, groups, matches, params)
     report("visual odometry and cones", last, drive, groups, matches, params)

@@ -15,15 +15,24 @@ from prefect.task_runners import ThreadPoolTaskRunner
 from conetl.io.model_card import NOT_MEASURED
 from conetl.io.parquet_store import load_results
 from conetl.params import IngestParams
-from conetl.records import Detection, Position, StereoMatch
+from conetl.records import Detection, Drive, Position, StereoMatch
 from conetl.rejections import INPUT_REASONS
 from conetl.reports import IngestReport, TooManyRejectionsError
 from conetl.settings import Settings
+from conetl.steps.self_calibration import SWITCHED_OFF, SelfCalibration, self_calibrated_rig
 from flows.merge import already_committed, identify, merge_task
 from flows.merge import map_srid as srid_of_map
 from flows.progress import expect, ignore, listen
 from flows.publish import publish_task
-from flows.refinement import moved, odometry_chunks, odometry_task, refine_task
+from flows.refinement import (
+    motions_task,
+    moved,
+    odometry_chunks,
+    odometry_task,
+    refine_task,
+    self_calibrate_task,
+    with_rig,
+)
 from flows.retries import lost_frame_pairs
 from flows.tasks import (
     Chunk,
@@ -39,7 +48,7 @@ from flows.tasks import (
 def ingest_drive(
     folder: Path, settings: Settings, params: IngestParams, *, map_srid: int | None = None
 ) -> IngestReport:
-    """Read -> detect and odometry -> match -> refine -> locate -> fuse -> merge -> publish.
+    """Read -> detect and odometry -> self-calibrate -> match -> refine -> locate -> fuse -> merge -> publish.
 
     folder: a drive folder. map_srid: CRS of the map where it is not the UTM zone of the drive. Raises ConetlError (bad input,
     service missing: nothing was written) and TooManyRejectionsError (written, but look at the rejections).
@@ -63,7 +72,9 @@ def ingest_drive(
         )
         for first in range(0, len(drive.frame_pairs), params.chunk_pairs)
     ]
-    detection_paths, match_paths, motion_paths = _run_chunks(drive.drive_id, chunks)
+    detection_paths, match_paths, motion_paths, calibration = _run_chunks(drive, chunks)
+    drive = drive.model_copy(update={"rig": self_calibrated_rig(drive.rig, calibration, params.trajectory)})
+    chunks = with_rig(chunks, drive.rig)
     trajectory = refine_task(drive, motion_paths, match_paths, params)
     drive = drive.model_copy(update={"frame_pairs": trajectory.frame_pairs})
     position_paths = [locate_task(c, m) for c, m in zip(moved(chunks, trajectory), match_paths, strict=True)]
@@ -73,7 +84,8 @@ def ingest_drive(
     tracks, refused_tracks = fuse_task(drive, detections, matches, positions, params, identity.evidence, trajectory)
     rejections = [*rejections, *refused_detections, *refused_matches, *refused_positions, *refused_tracks]
     merged = merge_task(drive, identity, detections, matches, positions, tracks, rejections, settings, params)
-    report = merged.report.model_copy(update={"seconds": time.monotonic() - started, "trajectory": trajectory.detail})
+    told = {"trajectory": trajectory.detail, "calibration": calibration.detail}
+    report = merged.report.model_copy(update={"seconds": time.monotonic() - started, **told})
     if report.status == "committed":
         publish_task(drive, merged.changeset, list(merged.untouched), report, settings)
     lost = len(lost_frame_pairs(rejections, INPUT_REASONS))
@@ -82,13 +94,13 @@ def ingest_drive(
     return report
 
 
-def _run_chunks(drive_id: str, chunks: list[Chunk]) -> tuple[list[Path], list[Path], list[Path]]:
-    """Detect and match all chunks, with visual odometry beside it; matching starts when a chunk's two sides are there.
+def _run_chunks(drive: Drive, chunks: list[Chunk]) -> tuple[list[Path], list[Path], list[Path], SelfCalibration]:
+    """Detections, matches and motions of all chunks, and what the drive says of its calibration, which matching waits for.
 
-    Tasks wait for their inputs in their own thread. Submitting each step one chunk behind the step before keeps such waiting
-    threads from holding back detections that could run.
+    Visual odometry runs beside the detection; motions and self-calibration run in the flow's own thread, also beside it.
     """
-    overlapping = list(odometry_chunks(chunks)) if chunks[0].params.trajectory.refine else []
+    drive_id, params = drive.drive_id, chunks[0].params.trajectory
+    overlapping = list(odometry_chunks(chunks)) if params.refine else []
     steps = 2 * sum(len(chunk.frame_pairs) for chunk in chunks) + sum(len(o.frame_pairs) - 1 for o in overlapping)
     progress = create_progress_artifact(0.0, key="progress", description=f"Images and motions of drive {drive_id}")
     assert isinstance(progress, UUID)  # a coroutine only where an event loop runs
@@ -103,18 +115,21 @@ def _run_chunks(drive_id: str, chunks: list[Chunk]) -> tuple[list[Path], list[Pa
     expect(drive_id, steps)
     listen(show)
     try:
-        detected: list[PrefectFuture[Path]] = []
-        matched: list[PrefectFuture[Path]] = []
+        detected: list[tuple[PrefectFuture[Path], PrefectFuture[Path]]] = []
         followed: list[PrefectFuture[Path]] = []
-        for step in range(len(chunks) + 1):
-            if step < len(chunks):
-                detected += [detect_task.submit(chunks[step], "left"), detect_task.submit(chunks[step], "right")]
-            if 0 <= step - 1 < len(chunks):
-                left, right = detected[2 * (step - 1) : 2 * step]
-                matched.append(match_task.submit(chunks[step - 1], left, right))
-            if step < len(overlapping):
-                followed.append(odometry_task.submit(overlapping[step]))
-        return [f.result() for f in detected], [f.result() for f in matched], [f.result() for f in followed]
+        for k, chunk in enumerate(chunks):
+            detected.append((detect_task.submit(chunk, "left"), detect_task.submit(chunk, "right")))
+            if k < len(overlapping):
+                followed.append(odometry_task.submit(overlapping[k]))
+        tracks = [f.result() for f in followed]
+        motions = [motions_task(o, t) for o, t in zip(overlapping, tracks, strict=True)]
+        calibration = self_calibrate_task(drive, tracks, motions, chunks[0]) if params.self_calibrate else SWITCHED_OFF
+        rig = self_calibrated_rig(drive.rig, calibration, params)
+        if rig != drive.rig:
+            motions = [motions_task(o, t) for o, t in zip(with_rig(overlapping, rig), tracks, strict=True)]
+        turned = with_rig(chunks, rig)
+        matched = [match_task.submit(c, left, right) for c, (left, right) in zip(turned, detected, strict=True)]
+        return [f.result() for sides in detected for f in sides], [f.result() for f in matched], motions, calibration
     finally:
         ignore(show)
 

@@ -11,13 +11,23 @@ from prefect import get_run_logger, task
 
 from conetl.geometry.rig import map_SE3_left
 from conetl.geometry.stereo_motion import RelativeMotion
-from conetl.io.parquet_store import file_sha256, has_result, load_results, result_key, result_path, save_result
+from conetl.geometry.stereo_tracks import StereoTracks, motions_of
+from conetl.io.parquet_store import (
+    file_sha256,
+    has_result,
+    load_result,
+    load_results,
+    result_key,
+    result_path,
+    save_result,
+)
 from conetl.io.rectified_image import read_rig_image
-from conetl.io.visual_odometry import measure_motions
+from conetl.io.visual_odometry import PictureReader, follow_drive, follow_span
 from conetl.params import IngestParams, params_sha256
-from conetl.records import Drive, FramePair, Side, StereoMatch
+from conetl.records import Drive, FramePair, Rig, Side, StereoMatch
 from conetl.steps.association import chain_positions
 from conetl.steps.positions import locate_positions
+from conetl.steps.self_calibration import SelfCalibration, choose_spans, self_calibrate
 from conetl.steps.trajectory import RefinedTrajectory, RefinementOutcome, motion_error, refine_trajectory
 from flows.progress import tell_progress
 from flows.retries import RETRY
@@ -41,25 +51,56 @@ def moved(chunks: Sequence[Chunk], trajectory: RefinedTrajectory) -> list[Chunk]
     ]
 
 
+def with_rig(chunks: Sequence[Chunk], rig: Rig) -> list[Chunk]:
+    """The chunks of a drive with another rig."""
+    return [chunk.model_copy(update={"rig": rig}) for chunk in chunks]
+
+
 @task(name="odometry", task_run_name="odometry {chunk.frame_pairs[0].frame_index}", tags=["odometry"], **RETRY)
 def odometry_task(chunk: Chunk) -> Path:
-    """Motion between the frame pairs of a chunk, from the pictures; returns the Parquet file."""
-    params, pairs = chunk.params.trajectory, chunk.frame_pairs
-    hashes = [file_sha256(Path(path)) for pair in pairs for path in (pair.left_path, pair.right_path)]
-    geometry = result_key(chunk.rig.model_dump_json(), *(pair.model_dump_json() for pair in pairs))
-    key = result_key(RESULTS_VERSION, "odometry", params_sha256(params), geometry, *hashes)
+    """Points followed between the frame pairs of a chunk; returns the Parquet file."""
+    key = _tracks_key(chunk)
+    intervals = len(chunk.frame_pairs) - 1
     if has_result(chunk.results_folder, key):
-        tell_progress(chunk.drive_id, len(pairs) - 1)
+        tell_progress(chunk.drive_id, intervals)
         return result_path(chunk.results_folder, key)
-
-    def read(pair: FramePair, side: Side) -> NDArray[np.uint8]:
-        return read_rig_image(Path(pair.left_path if side == "left" else pair.right_path), chunk.rig, side)
-
-    motions: list[RelativeMotion] = []
-    for motion in measure_motions(pairs, chunk.rig, read, params):
-        motions.append(motion)
+    tracks: list[StereoTracks] = []
+    for found in follow_drive(chunk.frame_pairs, chunk.rig, _reader(chunk.rig), chunk.params.trajectory):
+        tracks.append(found)
         tell_progress(chunk.drive_id, 1)
-    return save_result(chunk.results_folder, key, motions, [])
+    return save_result(chunk.results_folder, key, tracks, [])
+
+
+@task(name="motions", task_run_name="motions {chunk.frame_pairs[0].frame_index}", **RETRY)
+def motions_task(chunk: Chunk, tracks: Path) -> Path:
+    """Motions between the frame pairs of a chunk from the points followed; returns the Parquet file."""
+    params, pairs = chunk.params.trajectory, chunk.frame_pairs
+    geometry = result_key(chunk.rig.model_dump_json(), *(pair.model_dump_json() for pair in pairs))
+    key = result_key(RESULTS_VERSION, "motions", tracks.stem, params_sha256(params), geometry)
+    if not has_result(chunk.results_folder, key):
+        followed, _ = load_result(tracks, StereoTracks)
+        save_result(chunk.results_folder, key, list(motions_of(followed, pairs, chunk.rig, params)), [])
+    return result_path(chunk.results_folder, key)
+
+
+@task(name="self-calibrate", **RETRY)
+def self_calibrate_task(drive: Drive, tracks: list[Path], motions: list[Path], chunk: Chunk) -> SelfCalibration:
+    """What the whole drive says of its rig's calibration; chunk: any of the drive's, for parameters and results folder."""
+    params = chunk.params.trajectory
+    key = result_key(RESULTS_VERSION, "self-calibrate", *(path.stem for path in (*tracks, *motions)))
+    if has_result(chunk.results_folder, key):
+        return load_result(result_path(chunk.results_folder, key), SelfCalibration)[0][0]
+    measured, _ = load_results(motions, RelativeMotion)
+    pairs, read = drive.frame_pairs, _reader(drive.rig)
+    wide = params.model_copy(update={"epipolar_tolerance_px": params.self_calibration_row_tolerance_px})
+    spans = choose_spans(measured, params.self_calibration_span_m)
+    if len(spans) < params.self_calibration_min_spans:
+        spans = []  # no picture needs to be read again
+    followed = [follow_span(pairs[s.first], pairs[s.last], s.last_SE3_first, drive.rig, read, wide) for s in spans]
+    found = self_calibrate(drive.rig, spans, followed, params)
+    save_result(chunk.results_folder, key, [found], [])
+    get_run_logger().info("Self-calibration: %s", found.detail)
+    return found
 
 
 @task(name="refine", **RETRY)
@@ -78,3 +119,16 @@ def refine_task(drive: Drive, motions: list[Path], matches: list[Path], params: 
         result = with_cones if with_cones.outcome is RefinementOutcome.REFINED else result
     get_run_logger().info("Trajectory %s: %s", result.outcome.replace("_", " "), result.detail)
     return result
+
+
+def _tracks_key(chunk: Chunk) -> str:
+    hashes = [file_sha256(Path(path)) for pair in chunk.frame_pairs for path in (pair.left_path, pair.right_path)]
+    geometry = result_key(chunk.rig.model_dump_json(), *(pair.model_dump_json() for pair in chunk.frame_pairs))
+    return result_key(RESULTS_VERSION, "tracks", params_sha256(chunk.params.trajectory), geometry, *hashes)
+
+
+def _reader(rig: Rig) -> PictureReader:
+    def read(pair: FramePair, side: Side) -> NDArray[np.uint8]:
+        return read_rig_image(Path(pair.left_path if side == "left" else pair.right_path), rig, side)
+
+    return read

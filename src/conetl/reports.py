@@ -51,6 +51,8 @@ class IngestReport(Record):
     seconds: float
     trajectory: str | None = None
     """What became of the logged poses, in a sentence; None of a known drive."""
+    calibration: str | None = None
+    """What the drive itself says of the rig's calibration, in a sentence; None of a known drive."""
     committed_at: datetime | None
     """When a known drive was committed; None for one that this run committed."""
     counts_on_map: bool = True

@@ -16,6 +16,7 @@ from conetl.params import IngestParams
 from conetl.records import Detection, Drive, Position, Side, StereoMatch, Track
 from conetl.rejections import Rejection
 from conetl.settings import Settings, prefect_environment
+from conetl.steps.self_calibration import SWITCHED_OFF, self_calibrated_rig
 
 _SIDES: tuple[Side, Side] = ("left", "right")
 
@@ -25,9 +26,11 @@ class DriveResults:
     """What the steps made of one drive."""
 
     drive: Drive
-    """With the refined poses, where the trajectory was refined."""
+    """With the refined poses and the turned right camera, where trajectory and calibration were refined."""
     trajectory: str
     """What became of the trajectory, in one sentence."""
+    calibration: str
+    """What the drive itself says of the rig's calibration, in one sentence."""
     detections: list[Detection]
     matches: list[StereoMatch]
     positions: list[Position]
@@ -54,7 +57,15 @@ def run_steps(folder: Path, settings: Settings, params: IngestParams, *, map_sri
     from prefect.logging import disable_run_logger
 
     from flows import progress
-    from flows.refinement import moved, odometry_chunks, odometry_task, refine_task
+    from flows.refinement import (
+        motions_task,
+        moved,
+        odometry_chunks,
+        odometry_task,
+        refine_task,
+        self_calibrate_task,
+        with_rig,
+    )
     from flows.tasks import Chunk, detect_task, fuse_task, locate_task, match_task, read_drive_task
 
     drive, rejections = read_drive_task.fn(folder, map_srid)
@@ -82,12 +93,21 @@ def run_steps(folder: Path, settings: Settings, params: IngestParams, *, map_sri
             progress.expect(drive.drive_id, steps)
             running = [[pool.submit(detect_task.fn, chunk, side) for side in _SIDES] for chunk in chunks]
             driven = [pool.submit(odometry_task.fn, chunk) for chunk in following]
+            followed = [future.result() for future in driven]
+            motions = [motions_task.fn(chunk, path) for chunk, path in zip(following, followed, strict=True)]
+            calibration = SWITCHED_OFF
+            if params.trajectory.self_calibrate:
+                with disable_run_logger():  # outside a run Prefect has no logger to give
+                    calibration = self_calibrate_task.fn(drive, followed, motions, chunks[0])
+            rig = self_calibrated_rig(drive.rig, calibration, params.trajectory)
+            if rig != drive.rig:
+                motions = [motions_task.fn(c, path) for c, path in zip(with_rig(following, rig), followed, strict=True)]
             detected = [[future.result() for future in sides] for sides in running]
-            motions = [future.result() for future in driven]
         finally:
             progress.ignore(listener)
+    drive, chunks = drive.model_copy(update={"rig": rig}), with_rig(chunks, rig)
     matched = [match_task.fn(chunk, left, right) for chunk, (left, right) in zip(chunks, detected, strict=True)]
-    with disable_run_logger():  # outside a run Prefect has no logger to give
+    with disable_run_logger():
         trajectory = refine_task.fn(drive, motions, matched, params)
     drive = drive.model_copy(update={"frame_pairs": trajectory.frame_pairs})
     located = [locate_task.fn(chunk, path) for chunk, path in zip(moved(chunks, trajectory), matched, strict=True)]
@@ -96,4 +116,4 @@ def run_steps(folder: Path, settings: Settings, params: IngestParams, *, map_sri
     positions, refused_positions = load_results(located, Position)
     tracks, refused_tracks = fuse_task.fn(drive, detections, matches, positions, params, card.evidence, trajectory)
     refused = [*rejections, *refused_detections, *refused_matches, *refused_positions, *refused_tracks]
-    return DriveResults(drive, trajectory.detail, detections, matches, positions, tracks, refused)
+    return DriveResults(drive, trajectory.detail, calibration.detail, detections, matches, positions, tracks, refused)

@@ -31,6 +31,12 @@ def ingest(
     refine: Annotated[
         bool, typer.Option(help="Refine the logged poses by visual odometry, where the pictures allow it.")
     ] = True,
+    self_calibrate: Annotated[
+        bool,
+        typer.Option(
+            help="Correct the rig's calibration where the drive's own pictures contradict it; needs --refine."
+        ),
+    ] = True,
     as_json: JsonOption = False,
 ) -> None:
     """Find the cones of stereo drives and merge them into the map; each drive is one changeset.
@@ -40,7 +46,7 @@ def ingest(
     reports, exit_code = ingest_drives(
         drives,
         read_settings(),
-        _with_refinement(read_params(params), refine),
+        _with_refinement(read_params(params), refine=refine, self_calibrate=self_calibrate),
         map_srid=map_srid,
         show=(lambda _: None) if as_json else print_report,
     )
@@ -123,11 +129,11 @@ def read_params(path: Path | None) -> IngestParams:
         raise InputError(f"parameters {path}: {where}: {first['msg']}") from error
 
 
-def _with_refinement(params: IngestParams, refine: bool) -> IngestParams:
-    """The parameters as they are, or with the refinement switched off."""
-    if refine:
-        return params
-    return params.model_copy(update={"trajectory": params.trajectory.model_copy(update={"refine": False})})
+def _with_refinement(params: IngestParams, *, refine: bool, self_calibrate: bool) -> IngestParams:
+    """The parameters as they are, or with refinement or self-calibration switched off."""
+    chosen = {"refine": refine, "self_calibrate": self_calibrate}
+    off = {name: False for name, wanted in chosen.items() if not wanted}
+    return params.model_copy(update={"trajectory": params.trajectory.model_copy(update=off)}) if off else params
 
 
 def print_report(report: IngestReport) -> None:
@@ -149,6 +155,8 @@ def print_report(report: IngestReport) -> None:
     )
     if report.trajectory:
         out.print(f"Trajectory: {report.trajectory}.")
+    if report.calibration:
+        out.print(f"Calibration: {report.calibration}.")
     if report.replayed_drives:
         out.print(
             f"It is older than {report.replayed_drives} drive{'s' if report.replayed_drives > 1 else ''} over the same roads, "

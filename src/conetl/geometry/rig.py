@@ -47,6 +47,27 @@ def left_SE3_right(rig: Rig) -> Array:
     return se3.compose(se3.invert(body_SE3_camera(rig, "left")), body_SE3_camera(rig, "right"))
 
 
+def infinity_shift_px(rig: Rig, left_uv_px: Array) -> Array:
+    """(..., 2) image point in the left less that in the right picture of what is infinitely far, at points (..., 2) of the left.
+
+    The difference of the principal points where the axes of a rectified rig are parallel; where the right camera is turned a
+    little, as after self-calibration, it depends on the place. Cameras without a lens.
+    """
+    uv = np.asarray(left_uv_px, dtype=np.float64)
+    x = (uv[..., 0] - rig.left.cx_px) / rig.left.fx_px
+    y = (uv[..., 1] - rig.left.cy_px) / rig.left.fy_px
+    d = np.stack([x, y, np.ones_like(x)], axis=-1) @ left_SE3_right(rig)[:3, :3]
+    right = np.stack(
+        [
+            rig.right.fx_px * d[..., 0] / d[..., 2] + rig.right.cx_px,
+            rig.right.fy_px * d[..., 1] / d[..., 2] + rig.right.cy_px,
+        ],
+        axis=-1,
+    )
+    shift: Array = uv - right
+    return shift
+
+
 def body_is_left_camera(rig: Rig) -> bool:
     """True where the rig has no body of its own (no INS): its body frame then is the left camera's."""
     return bool(np.allclose(body_SE3_camera(rig, "left"), np.eye(4), rtol=0.0, atol=1e-12))

@@ -10,25 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
-from itertools import pairwise
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.geometry import pose as se3
-from conetl.geometry.camera import intrinsics
-from conetl.geometry.rig import left_SE3_right, map_SE3_left
-from conetl.geometry.stereo_motion import (
-    MotionLimits,
-    MotionStatus,
-    RelativeMotion,
-    StereoCameras,
-    estimate_motion,
-    project,
-    triangulate,
-)
+from conetl.geometry.stereo_motion import RelativeMotion, StereoCameras, project, triangulate
+from conetl.geometry.stereo_tracks import NoMeasurement, StereoTracks, cameras_of, expected_motions, motions_of
 from conetl.io.images import ImageFileError
 from conetl.params import TrajectoryParams
 from conetl.records import FramePair, Rig, Side
@@ -38,6 +26,7 @@ Bytes = NDArray[np.uint8]
 Points = NDArray[np.float32]
 #: Reads one rectified picture of a frame pair, grey or in blue, green, red order; raises ImageFileError.
 PictureReader = Callable[[FramePair, Side], Bytes]
+_Found = tuple[Floats, Floats, float, NoMeasurement | None]
 
 _WINDOW = (15, 15)
 _STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01)
@@ -45,28 +34,6 @@ _STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01)
 _WEAK_SHARE = 0.004
 #: Grey values of a picture must spread at least this much for anything to be followed.
 _LEAST_CONTRAST = 3.0
-
-
-class NoMeasurement(StrEnum):
-    """Why there are no points between two frame pairs."""
-
-    PICTURE_UNREADABLE = "picture_unreadable"
-    PICTURE_BLANK = "picture_blank"
-    PICTURE_FROZEN = "picture_frozen"
-    TOO_FEW_POINTS = "too_few_points"
-
-
-@dataclass(frozen=True)
-class StereoTracks:
-    """Points between two frame pairs, in pixels of the rectified pictures; empty with the reason where there are none."""
-
-    first_px: Floats
-    """(N, 3): u_left, v_left, u_right in the first frame pair."""
-    second_px: Floats
-    """(N, 3): likewise in the second."""
-    sigma_px: Floats
-    """(N,) of each coordinate."""
-    missing: NoMeasurement | None
 
 
 @dataclass(frozen=True)
@@ -84,52 +51,35 @@ def measure_motions(
 
     Equal inputs give equal results. An interval without a measurement says so in `reason`.
     """
-    if any(camera.lens.model != "none" for camera in (rig.left, rig.right)):
-        raise ValueError("measure_motions: the rig must be rectified")
-    cameras = StereoCameras(intrinsics(rig.left), intrinsics(rig.right), se3.invert(left_SE3_right(rig)))
-    limits = MotionLimits(
-        inlier_px=params.inlier_px,
-        min_inliers=params.min_points,
-        min_inlier_share=params.min_inlier_share,
-        gate_m=params.gate_m,
-        gate_rad=params.gate_rad,
-    )
-    poses = [map_SE3_left(pair.pose, rig) for pair in frame_pairs]
-    expected = [se3.compose(se3.invert(second), first) for first, second in pairwise(poses)]
-    for k, points in enumerate(follow_points(frame_pairs, cameras, expected, read, params)):
-        first, second = frame_pairs[k].frame_index, frame_pairs[k + 1].frame_index
-        reason, pose, cov, inliers = str(points.missing), None, (), 0
-        if points.missing is None:
-            motion = estimate_motion(
-                cameras, points.first_px, points.second_px, points.sigma_px, expected[k], limits, seed=first
-            )
-            reason, inliers = str(motion.status), int(motion.inliers.sum())
-            if motion.status is MotionStatus.OK:
-                pose, cov = se3.to_matrix4(motion.next_SE3_first), tuple(motion.cov[np.triu_indices(6)].tolist())
-        yield RelativeMotion(
-            first_frame_index=first, second_frame_index=second, second_SE3_first=pose, cov=cov, inlier_count=inliers,
-            point_count=len(points.first_px), reason=reason,
-        )  # fmt: skip
+    yield from motions_of(follow_drive(frame_pairs, rig, read, params), frame_pairs, rig, params)
 
 
-def follow_points(
-    frame_pairs: Sequence[FramePair],
-    cameras: StereoCameras,
-    expected: Sequence[Floats],
-    read: PictureReader,
-    params: TrajectoryParams,
+def follow_drive(
+    frame_pairs: Sequence[FramePair], rig: Rig, read: PictureReader, params: TrajectoryParams
 ) -> Iterator[StereoTracks]:
     """Points between each frame pair and the next: len(frame_pairs) - 1 results, in order.
 
-    expected[k] (4, 4): guessed motion of the left camera next_SE3_first from pair k to k + 1, where following starts. Dark,
-    blank, frozen, missing or broken pictures give a result with `missing` set, never an exception.
+    Dark, blank, frozen, missing or broken pictures give a result with `missing` set, never an exception.
     """
-    previous: tuple[_Frame | NoMeasurement, float] | None = None
+    cameras, previous = cameras_of(rig), None
+    guesses = expected_motions(frame_pairs, rig)
     for k, pair in enumerate(frame_pairs):
         frame = _prepare(pair, read, params)
         if previous is not None:
-            yield _between(previous[0], frame[0], frame[1], cameras, expected[k - 1], params)
+            found = _between(previous[0], frame[0], frame[1], cameras, guesses[k - 1], params)
+            yield _tracks(frame_pairs[k - 1], pair, *found)
         previous = frame
+
+
+def follow_span(
+    first: FramePair, last: FramePair, guess: Floats, rig: Rig, read: PictureReader, params: TrajectoryParams
+) -> StereoTracks:
+    """Points between two frame pairs that need not be neighbours; guess (4, 4): last_SE3_first of the left camera.
+
+    What is searched reaches a little farther than between neighbours (pyramid), the guess must be good to some pixels.
+    """
+    (start, _), (end, scale) = _prepare(first, read, params), _prepare(last, read, params)
+    return _tracks(first, last, *_between(start, end, scale, cameras_of(rig), guess, params))
 
 
 def _prepare(pair: FramePair, read: PictureReader, params: TrajectoryParams) -> tuple[_Frame | NoMeasurement, float]:
@@ -160,7 +110,8 @@ def _between(
     cameras: StereoCameras,
     expected: Floats,
     params: TrajectoryParams,
-) -> StereoTracks:
+) -> _Found:
+    """Points (N, 4) in stored pixels (u and v left, u and v right) of the first and second pair, their sigma, what is missing."""
     if isinstance(first, NoMeasurement):
         return _nothing(first)
     if isinstance(second, NoMeasurement):
@@ -176,10 +127,11 @@ def _between(
     if len(left) < params.min_points:
         return _nothing(NoMeasurement.TOO_FEW_POINTS)
     right, good = _flow(first.left, first.right, left, left - _along_rows(disparity[known]), 1)
-    good &= np.abs(right[:, 1] - left[:, 1]) <= params.epipolar_tolerance_px
+    rows = (cameras.right_px[3] - cameras.left_px[3]) * scale
+    good &= np.abs(right[:, 1] - left[:, 1] - rows) <= params.epipolar_tolerance_px
     left, right = left[good], right[good]
     # Where the points should be in the next pair, if INS is right and they stand still.
-    points, _, placed = triangulate(cameras, _joined(left, right) / scale)
+    points, _, placed = triangulate(cameras, _joined(left, right)[:, :3] / scale)
     image, _, ahead = project(cameras, points @ expected[:3, :3].T + expected[:3, 3])
     height, width = first.left.shape
     guess = (image * scale).astype(np.float32)
@@ -194,13 +146,13 @@ def _between(
     next_right, found = _flow(second.left, second.right, next_left, across, 1)
     other_way, met = _flow(first.right, second.right, right, next_right, 1)
     good &= found & met & (np.linalg.norm(other_way - next_right, axis=1) <= params.circle_tolerance_px)
-    good &= np.abs(next_right[:, 1] - next_left[:, 1]) <= params.epipolar_tolerance_px
+    good &= np.abs(next_right[:, 1] - next_left[:, 1] - rows) <= params.epipolar_tolerance_px
     good &= next_left[:, 0] - next_right[:, 0] >= params.min_disparity_px * scale / 2
     if int(good.sum()) < params.min_points:
         return _nothing(NoMeasurement.TOO_FEW_POINTS)
-    sigma = np.full(int(good.sum()), params.sigma_px / scale)
+    sigma = params.sigma_px / scale
     first_px = _joined(left[good], right[good]) / scale
-    return StereoTracks(first_px, _joined(next_left[good], next_right[good]) / scale, sigma, None)
+    return first_px, _joined(next_left[good], next_right[good]) / scale, sigma, None
 
 
 def _corners(picture: Bytes, params: TrajectoryParams) -> Points:
@@ -254,8 +206,23 @@ def _along_rows(disparity: NDArray[np.floating]) -> Points:
 
 
 def _joined(left: Points, right: Points) -> Floats:
-    return np.column_stack([left, right[:, 0]]).astype(np.float64)
+    return np.column_stack([left, right]).astype(np.float64)
 
 
-def _nothing(reason: NoMeasurement) -> StereoTracks:
-    return StereoTracks(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), reason)
+def _nothing(reason: NoMeasurement) -> _Found:
+    return np.zeros((0, 4)), np.zeros((0, 4)), 1.0, reason
+
+
+def _tracks(
+    first: FramePair,
+    second: FramePair,
+    first_px: Floats,
+    second_px: Floats,
+    sigma_px: float,
+    missing: NoMeasurement | None,
+) -> StereoTracks:
+    return StereoTracks(
+        first_frame_index=first.frame_index, second_frame_index=second.frame_index,
+        first_px=tuple(first_px.ravel().tolist()), second_px=tuple(second_px.ravel().tolist()), sigma_px=sigma_px,
+        missing=missing,
+    )  # fmt: skip

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.geometry.rig import infinity_shift_px
 from conetl.records import Camera, Rig, StereoMatch
 from conetl.steps.cone_outline import Outline
 from conetl.steps.lidar_scene import SceneBias
@@ -142,7 +143,7 @@ def without_scene_bias(found: LidarResidual, match: StereoMatch, rig: Rig, bias:
     """The residual as it would be with the calibration that the scene asks for: what is left is the match's own."""
     foot = np.array(match.foot_left_uv_px)
     xy = (foot - [rig.left.cx_px, rig.left.cy_px]) / [rig.left.fx_px, rig.left.fy_px]
-    disparity = match.foot_left_uv_px[0] - match.foot_right_uv_px[0] - (rig.left.cx_px - rig.right.cx_px)
+    disparity = match.foot_left_uv_px[0] - match.foot_right_uv_px[0] - float(infinity_shift_px(rig, foot)[0])
     stretch = disparity / (disparity - float(bias.disparity_error_px(xy)))
     # The offset is along the optical axis, the range level and aside of it.
     offset = bias.range_offset_m / float(np.hypot(1.0, xy[0]))

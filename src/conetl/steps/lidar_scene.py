@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.geometry.rig import infinity_shift_px
 from conetl.records import Detection, Rig
 
 Floats = NDArray[np.float64]
@@ -64,7 +65,8 @@ def scene_samples(
     x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
     u, v = camera.cx_px + camera.fx_px * x, camera.cy_px + camera.fy_px * y
     disparity = focal_base / points[:, 2]
-    shift = disparity + rig.left.cx_px - rig.right.cx_px
+    at_infinity = infinity_shift_px(rig, np.stack([u, v], axis=1))
+    shift = disparity + at_infinity[:, 0]
     edge = _HALF_PX + _REACH_PX + 2
     height, width = left.shape[:2]
     good = (u > edge) & (u < width - edge) & (v > edge) & (v < height - edge)

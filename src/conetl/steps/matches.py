@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from conetl.geometry.rig import infinity_shift_px
 from conetl.params import MatchParams
 from conetl.records import Camera, Detection, Rig, StereoMatch, Vec2
 from conetl.rejections import Rejection, RejectionReason
@@ -126,7 +127,10 @@ def _candidate(
     """Cost of calling two detections one object, None where that cannot be."""
     tallest = max(a.h_px, b.h_px)
     row_tolerance = params.epipolar_tolerance_px + params.epipolar_tolerance_relative * tallest
-    row_offset_px = rig.right.cy_px - rig.left.cy_px
+    at_infinity, rows_up = infinity_shift_px(
+        rig, np.array([a.x_px + a.w_px / 2 - 0.5, a.y_px + a.h_px / 2 - 0.5])
+    ).tolist()
+    row_offset_px = -rows_up
     row_difference = abs((a.y_px + a.h_px / 2) - (b.y_px + b.h_px / 2) + row_offset_px)
     if row_difference > row_tolerance:
         return None
@@ -137,8 +141,6 @@ def _candidate(
     score_difference = abs(a.score - b.score)
     if score_difference > params.max_score_difference:
         return None
-    # Disparity of a point at infinity is the difference of the principal points.
-    at_infinity = rig.left.cx_px - rig.right.cx_px
     disparity = (a.x_px + a.w_px / 2) - (b.x_px + b.w_px / 2) - at_infinity
     focal_base = rig.left.fx_px * rig.baseline_m
     slack = 1.0 + 0.1 * (a.w_px + b.w_px) / 2

@@ -1,0 +1,199 @@
+"""How far the right camera of a rig is turned against its calibration, from points that stand still while the rig drives.
+
+A small bundle adjustment with additional parameters (e.g. Luhmann et al. 2013, "Close-range photogrammetry", ch. 4.4): over
+spans of a few metres, points seen by both cameras at both ends must fit one rigid motion. Unknown are the points, one motion a
+span and one rotation of the right camera, common to the drive. Turned to the side (ry) the camera shifts all disparities,
+which points at many depths show once the rig has moved; turned up or down (rx) and about its axis (rz) it shifts and tilts rows.
+Points and motions are eliminated (Schur complement); what errors of one span have in common is taken from the scatter between
+spans (covariance of M-estimates with clusters: Huber 1981, ch. 6; Liang & Zeger 1986; neighbours: Newey & West 1987).
+
+The rotation r = (rx, ry, rz) in radians perturbs left_SE3_right = (R, t) as (R exp([r]x), t), as in `CalibrationCovariance`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from conetl.geometry.projection import cross_matrix
+from conetl.geometry.stereo_motion import MotionLimits, MotionStatus, StereoCameras, estimate_motion, triangulate
+
+Floats = NDArray[np.float64]
+
+_OUTER, _INNER = 2, 4
+_CAUCHY_SIGMAS = 2.385  # 95 % efficiency on normal errors (Rey 1983)
+_HUBER_SIGMAS = 2.0
+#: Each point has 8 image coordinates and 3 unknowns of its own; median of chi-square(5) / 5.
+_FREEDOM, _MEDIAN_CHI2 = 5, 0.8703
+_NEAREST_M = 0.3
+#: The last step, squared and in sigmas, must be smaller than this.
+_CONVERGED = 0.1
+#: Neighbouring spans see much of the same scenery: their errors go together over this many spans (Newey & West 1987).
+_LAGS = 3
+
+
+@dataclass(frozen=True)
+class SpanPoints:
+    """Points seen in all four pictures at the two ends of a span, in pixels of the rectified pictures."""
+
+    first_px: Floats
+    """(N, 4): u_left, v_left, u_right, v_right at the beginning."""
+    last_px: Floats
+    """(N, 4): likewise at the end."""
+    sigma_px: Floats
+    """(N,) of each coordinate."""
+    last_SE3_first: Floats
+    """(4, 4) about how the left camera moved, as in `estimate_motion`."""
+
+
+@dataclass(frozen=True)
+class RightCameraTurn:
+    """What the spans say, without any prior."""
+
+    rotation_rad: Floats
+    """(3,) rx, ry, rz."""
+    cov: Floats
+    """(3, 3) rad^2, from the scatter between spans."""
+    per_span_rad: Floats
+    """(S, 3): what each span alone says, to first order; NaN where it cannot tell."""
+    point_count: int
+
+
+def turned(cameras: StereoCameras, rotation_rad: Floats) -> StereoCameras:
+    """The rig with its right camera turned by a rotation vector (3,) of its own frame."""
+    back = np.eye(4)
+    back[:3, :3] = Rotation.from_rotvec(-np.asarray(rotation_rad)).as_matrix()
+    return replace(cameras, right_SE3_left=back @ cameras.right_SE3_left)
+
+
+def estimate_turn(
+    cameras: StereoCameras, spans: Sequence[SpanPoints], limits: MotionLimits, min_spans: int
+) -> RightCameraTurn | None:
+    """The rotation of the right camera that makes the points of all spans stand still; None where the spans cannot tell.
+
+    min_spans: with fewer usable spans there is no scatter to speak of. Points on moving objects are outvoted within each span.
+    """
+    rotation = np.zeros(3)
+    for _ in range(_OUTER):
+        own = turned(cameras, rotation)
+        chosen = [_still(own, span, limits, seed) for seed, span in enumerate(spans)]
+        used = [c for c in chosen if c is not None]
+        if len(used) < min_spans:
+            return None
+        for _ in range(_INNER):
+            reduced = []
+            for k, (span, *state) in enumerate(used):
+                parts, pose, points = _step_span(turned(cameras, rotation), span, *state)
+                used[k] = (span, pose, points)
+                reduced.append(parts)
+            normals, scores = np.array([p[0] for p in reduced]), np.array([p[1] for p in reduced])
+            solved = _combine(normals, scores)
+            if solved is None:
+                return None
+            step, cov, each = solved
+            rotation = rotation + step
+        if step @ np.linalg.solve(cov, step) > _CONVERGED:
+            return None
+    count = sum(len(span.first_px) for span, _, _ in used)
+    return RightCameraTurn(rotation, cov, rotation - step + each, count)
+
+
+def _still(
+    cameras: StereoCameras, span: SpanPoints, limits: MotionLimits, seed: int
+) -> tuple[SpanPoints, Floats, Floats] | None:
+    """The points of a span that one motion explains, that motion, and where they are; None where there are too few."""
+    motion = estimate_motion(
+        cameras, span.first_px[:, :3], span.last_px[:, :3], span.sigma_px, span.last_SE3_first, limits, seed
+    )
+    if motion.status is not MotionStatus.OK:
+        return None
+    keep = motion.inliers
+    kept = SpanPoints(span.first_px[keep], span.last_px[keep], span.sigma_px[keep], motion.next_SE3_first)
+    return kept, motion.next_SE3_first, triangulate(cameras, kept.first_px[:, :3])[0]
+
+
+def _step_span(
+    cameras: StereoCameras, span: SpanPoints, pose: Floats, points: Floats
+) -> tuple[tuple[Floats, Floats], Floats, Floats]:
+    """One Gauss-Newton step of a span with the rotation held: its reduced normal (3, 3) and score (3,), new motion and points."""
+    first, d_first, r_first = _image(cameras, points)
+    moved = points @ pose[:3, :3].T
+    last, d_last, r_last = _image(cameras, moved + pose[:3, 3])
+    residual = np.hstack([span.first_px - first, span.last_px - last]) / span.sigma_px[:, None]
+    by_point = np.concatenate([d_first, d_last @ pose[:3, :3]], axis=1)
+    shared = np.zeros((len(points), 8, 9))
+    shared[:, 4:, :3] = -(d_last @ cross_matrix(moved))
+    shared[:, 4:, 3:6] = d_last
+    shared[:, :4, 6:], shared[:, 4:, 6:] = r_first, r_last
+    by_point, shared = by_point / span.sigma_px[:, None, None], shared / span.sigma_px[:, None, None]
+    own = np.linalg.inv(np.swapaxes(by_point, 1, 2) @ by_point) @ np.swapaxes(by_point, 1, 2)  # (N, 3, 8)
+    rest = residual - np.einsum("nij,njk,nk->ni", by_point, own, residual)
+    design = shared - by_point @ (own @ shared)
+    misfit = np.einsum("ni,ni->n", rest, rest) / _FREEDOM
+    factor = max(float(np.median(misfit)) / _MEDIAN_CHI2, 1e-6)
+    weight = 1 / (1 + misfit / factor / _CAUCHY_SIGMAS**2) / factor
+    normal = np.einsum("nki,n,nkj->ij", design, weight, design)
+    score = np.einsum("nki,n,nk->i", design, weight, rest)
+    inverse = np.linalg.pinv(normal[:6, :6], hermitian=True)
+    gain = normal[6:, :6] @ inverse
+    motion_step = inverse @ score[:6]
+    point_step = np.einsum("nij,nj->ni", own, residual - shared[:, :, :6] @ motion_step)
+    new_pose = pose.copy()
+    new_pose[:3, :3] = Rotation.from_rotvec(motion_step[:3]).as_matrix() @ pose[:3, :3]
+    new_pose[:3, 3] += motion_step[3:]
+    new_points = points + point_step
+    new_points[:, 2] = np.maximum(new_points[:, 2], 2 * _NEAREST_M)  # a point may not pass through the camera
+    return (normal[6:, 6:] - gain @ normal[:6, 6:], score[6:] - gain @ score[:6]), new_pose, new_points
+
+
+def _image(cameras: StereoCameras, points: Floats) -> tuple[Floats, Floats, Floats]:
+    """Image points (N, 4) of points (N, 3), with derivatives (N, 4, 3) by the point and (N, 4, 3) by the right camera's turn."""
+    turn = cameras.right_SE3_left[:3, :3]
+    right = points @ turn.T + cameras.right_SE3_left[:3, 3]
+    left_uv, left_d = _pinhole(cameras.left_px, points)
+    right_uv, right_d = _pinhole(cameras.right_px, right)
+    by_turn = np.zeros((len(points), 4, 3))
+    by_turn[:, 2:] = right_d @ cross_matrix(right)  # exp(-[r]x) q = q + q x r
+    return np.hstack([left_uv, right_uv]), np.concatenate([left_d, right_d @ turn], axis=1), by_turn
+
+
+def _pinhole(intrinsics: Floats, points: Floats) -> tuple[Floats, Floats]:
+    fx, fy, cx, cy = intrinsics
+    z = np.maximum(points[:, 2], _NEAREST_M)
+    x, y = points[:, 0] / z, points[:, 1] / z
+    d = np.zeros((len(points), 2, 3))
+    d[:, 0, 0], d[:, 0, 2], d[:, 1, 1], d[:, 1, 2] = fx / z, -fx * x / z, fy / z, -fy * y / z
+    return np.stack([fx * x + cx, fy * y + cy], axis=1), d
+
+
+def _combine(normals: Floats, scores: Floats) -> tuple[Floats, Floats, Floats] | None:
+    """Robust step (3,), its covariance (3, 3) and each span's own step (S, 3), from reduced normals and scores of the spans."""
+    weight = np.ones(len(normals))
+    for _ in range(10):
+        normal = np.einsum("s,sij->ij", weight, normals)
+        if np.linalg.cond(normal / np.sqrt(np.outer(np.diag(normal), np.diag(normal)) + 1e-300)) > 1e8:
+            return None
+        inverse = np.linalg.inv(normal)
+        step = inverse @ np.einsum("s,si->i", weight, scores)
+        rest = scores - normals @ step
+        # A span's score is as uncertain as its information says, times what spans scatter more than that.
+        score2 = np.einsum("si,sij,sj->s", rest, np.linalg.pinv(normals, hermitian=True), rest) / 3
+        spread = max(float(np.median(score2)) / 0.7887, 1e-12)  # median of chi-square(3) / 3
+        weight = np.minimum(1.0, _HUBER_SIGMAS / np.sqrt(score2 / spread + 1e-300))
+    weighted = weight[:, None] * rest
+    count = len(normals)
+    middle = weighted.T @ weighted
+    for lag in range(1, min(_LAGS, count - 1) + 1):
+        along = weighted[lag:].T @ weighted[:-lag]
+        middle += (1 - lag / (_LAGS + 1)) * (along + along.T)
+    # Few spans make this a vague estimate, never a small one: at least what spans would say that know nothing of each other.
+    values, vectors = np.linalg.eigh(inverse @ middle @ inverse * count / max(count - 3, 1))
+    alone = inverse @ (weighted.T @ weighted) @ inverse * count / max(count - 3, 1)
+    least = np.einsum("ij,ik,kj->j", vectors, alone, vectors)
+    cov = (vectors * np.maximum(values, least)) @ vectors.T
+    each = np.einsum("sij,sj->si", np.linalg.pinv(normals, hermitian=True), scores)
+    return step, (cov + cov.T) / 2, each
