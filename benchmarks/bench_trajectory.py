@@ -21,20 +21,21 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from conetl.cli.calibrated_drive import calibrate_drive
 from conetl.geometry.joint_fit import fit_point
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
-from conetl.geometry.stereo_tracks import StereoTracks, motions_of
+from conetl.geometry.stereo_tracks import motions_of
 from conetl.io.detector import detect_image, load_detector
 from conetl.io.drive_folder import read_drive
 from conetl.io.images import read_image
-from conetl.io.visual_odometry import follow_drive, follow_span
+from conetl.io.visual_odometry import follow_drive
 from conetl.params import IngestParams, TrajectoryParams
 from conetl.records import Drive, FramePair, Position, StereoMatch
 from conetl.steps.association import chain_positions
 from conetl.steps.detections import check_boxes
 from conetl.steps.matches import match_pair
 from conetl.steps.positions import locate_positions
-from conetl.steps.self_calibration import choose_spans, self_calibrate, self_calibrated_rig
+from conetl.steps.self_calibration import self_calibrated_rig
 from conetl.steps.tracks import fuse_tracks
 from conetl.steps.trajectory import refine_trajectory
 
@@ -70,17 +71,6 @@ def match_boxes(drive: Drive, boxes: dict[int, tuple[list, list]], params: Inges
             up = map_SE3_left(pair.pose, drive.rig)[2, :3]
             matches += match_pair(left, right, drive.rig, params.match, up_left=up, images=images)[0]
     return matches
-
-
-def calibrate(drive: Drive, tracks: list[StereoTracks], params: TrajectoryParams) -> Drive:
-    """The drive with the rig that its own pictures ask for."""
-    wide = params.model_copy(update={"epipolar_tolerance_px": params.self_calibration_row_tolerance_px})
-    pairs, wall = drive.frame_pairs, time.perf_counter()
-    spans = choose_spans(list(motions_of(tracks, pairs, drive.rig, params)), params.self_calibration_span_m)
-    points = [follow_span(pairs[s.first], pairs[s.last], s.last_SE3_first, drive.rig, read_side, wide) for s in spans]
-    found = self_calibrate(drive.rig, spans, points, params)
-    print(f"self-calibration {time.perf_counter() - wall:.1f} s wall: {found.detail}")
-    return drive.model_copy(update={"rig": self_calibrated_rig(drive.rig, found, params)})
 
 
 def places(pairs: list[FramePair], drive: Drive, matches: list[StereoMatch], params: IngestParams) -> list[Position]:
@@ -150,7 +140,10 @@ def main() -> None:
     motions = list(motions_of(tracks, logged, drive.rig, params.trajectory))
     done_wall, done_cpu = time.perf_counter(), time.process_time()
     if args.self_calibrate:
-        drive = calibrate(drive, tracks, params.trajectory)
+        started = time.perf_counter()
+        found = calibrate_drive(drive, params.trajectory, tracks)
+        print(f"self-calibration {time.perf_counter() - started:.1f} s wall: {found.detail}")
+        drive = drive.model_copy(update={"rig": self_calibrated_rig(drive.rig, found, params.trajectory)})
         motions = list(motions_of(tracks, logged, drive.rig, params.trajectory))
     matches = match_boxes(drive, boxes, params)
     detections = {index: [*left, *right] for index, (left, right) in boxes.items()}

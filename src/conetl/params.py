@@ -107,7 +107,7 @@ class ReconcileParams(Params):
 class TrajectoryParams(Params):
     refine: bool = True
     """Refine the logged poses by visual odometry; False takes them as they are."""
-    self_calibrate: bool = False
+    self_calibrate: bool = True
     """Turn the right camera where the drive's own pictures contradict the calibration; needs `refine`."""
     self_calibration_span_m: Positive = 2.0
     """Points are compared over this way: longer ones tell depth better, but fewer points survive."""

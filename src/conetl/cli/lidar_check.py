@@ -10,6 +10,7 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
+from conetl.cli.calibrated_drive import calibrate_drive
 from conetl.cli.console import JsonOption, out, print_json, print_table, progress_bar
 from conetl.errors import InputError
 from conetl.geometry import pose as se3
@@ -20,9 +21,10 @@ from conetl.io.calibration_files import IMU_TO_VELO
 from conetl.io.detector import Detector, detect_image, load_detector
 from conetl.io.drive_folder import read_drive
 from conetl.io.drive_folder.velodyne import ScanFileError, left_SE3_velo, list_scans, read_scan, scan_period_s
-from conetl.io.images import ImageFileError, read_image
-from conetl.params import IngestParams
-from conetl.records import FramePair, Rig, Side, StereoMatch
+from conetl.io.images import ImageFileError
+from conetl.io.rectified_image import read_rig_image
+from conetl.params import IngestParams, TrajectoryParams
+from conetl.records import Drive, FramePair, Rig, Side, StereoMatch
 from conetl.settings import read_settings
 from conetl.steps import lidar_check as steps
 from conetl.steps.cone_outline import find_outline
@@ -30,6 +32,7 @@ from conetl.steps.detections import check_boxes
 from conetl.steps.lidar_scene import SceneBias, fit_scene_bias, scene_samples
 from conetl.steps.matches import match_pair
 from conetl.steps.positions import locate_positions
+from conetl.steps.self_calibration import SWITCHED_OFF, SelfCalibration, self_calibrated_rig
 
 Array = NDArray[np.float64]
 
@@ -43,6 +46,8 @@ class LidarCheck(NamedTuple):
     """The same without what the scene says about calibration; empty where the scene says nothing."""
     scene: SceneBias | None
     scan_count: int
+    calibration: str
+    """What the drive itself says of the rig's calibration, in one sentence."""
     problems: list[str]
     """Scans and pictures that could not be used, one sentence each."""
 
@@ -52,11 +57,13 @@ def lidar_residuals(
     *,
     model_path: Path | None = None,
     params: IngestParams | None = None,
+    calibrate: Callable[[Drive, TrajectoryParams], SelfCalibration] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> LidarCheck:
     """Stereo less LiDAR for the cones of a drive, one frame pair at a time.
 
-    progress: called with (scans done, scans in all). Raises InputError where the drive has no LiDAR, no calibration of it, or
+    calibrate: asked what the drive says of its own rig; without it the calibration is taken as delivered. LiDAR has no part in
+    it. progress: called with (scans done, scans in all). Raises InputError where the drive has no LiDAR, no calibration of it, or
     cannot be read.
     """
     params = params or IngestParams()
@@ -67,6 +74,8 @@ def lidar_residuals(
     folders = [f for f in (drive_folder, drive_folder.resolve().parent) if (f / IMU_TO_VELO).is_file()]
     if not folders:
         raise InputError(f"{drive_folder}: {IMU_TO_VELO} is neither in the drive folder nor in its parent")
+    calibration = calibrate(drive, params.trajectory) if calibrate else SWITCHED_OFF
+    drive = drive.model_copy(update={"rig": self_calibrated_rig(drive.rig, calibration, params.trajectory)})
     velo = left_SE3_velo(drive.rig, folders[0])
     period_s = scan_period_s(drive_folder)
     pairs = {pair.frame_index: pair for pair in drive.frame_pairs}
@@ -95,7 +104,7 @@ def lidar_residuals(
         if scene
         else []
     )
-    return LidarCheck(residuals, corrected, scene, len(scans), problems)
+    return LidarCheck(residuals, corrected, scene, len(scans), calibration.detail, problems)
 
 
 def _points(
@@ -123,9 +132,7 @@ def _check_pair(
     for side in sides:
         camera = rig.left if side == "left" else rig.right
         pose = (map_SE3_left if side == "left" else map_SE3_right)(pair.pose, rig)
-        image = read_image(
-            Path(pair.left_path if side == "left" else pair.right_path), (camera.width_px, camera.height_px)
-        )
+        image = read_rig_image(Path(pair.left_path if side == "left" else pair.right_path), rig, side)
         boxes = detect_image(
             detector, image, score_threshold=params.detection.score_threshold, nms_iou=params.detection.nms_iou,
             first_row=first_road_row(camera, [pose[:3, :3]], params.detection.horizon_margin_rad),
@@ -153,13 +160,16 @@ def _check_pair(
 
 def lidar_check(
     drive: Annotated[Path, typer.Argument(help="Drive folder in KITTI's layout with velodyne_points.")],
+    self_calibrate: Annotated[
+        bool, typer.Option(help="Correct the rig's calibration first where the drive's own pictures contradict it.")
+    ] = True,
     as_json: JsonOption = False,
 ) -> None:
     """Stereo ranges of cones against the drive's own LiDAR, by range, with and without what the scene says of calibration."""
     with progress_bar() as bar:
         task = bar.add_task("LiDAR check", total=None)
         check = lidar_residuals(
-            drive, model_path=read_settings().model_path,
+            drive, model_path=read_settings().model_path, calibrate=calibrate_drive if self_calibrate else None,
             progress=lambda done, total: bar.update(task, completed=done, total=total),
         )  # fmt: skip
     bands, corrected = steps.summarise(check.residuals), steps.summarise(check.corrected)
@@ -168,6 +178,7 @@ def lidar_check(
         print_json(
             {
                 "scan_count": check.scan_count,
+                "calibration": check.calibration,
                 "bands": [band._asdict() for band in bands],
                 "bands_without_scene_bias": [band._asdict() for band in corrected] if scene else None,
                 "scene": None
@@ -182,6 +193,7 @@ def lidar_check(
         )  # fmt: skip
         return
     out.print(f"{check.scan_count} scans, {len(check.residuals)} refined matches that LiDAR says something about.")
+    out.print(f"Calibration: {check.calibration}.")
     columns = ("range m", "matches", "median m", "median |m|", "robust std m", "std of residual / sigma")
     print_table("Stereo less LiDAR", columns, [_cells(band) for band in bands])
     if check.scene is not None:

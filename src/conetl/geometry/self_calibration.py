@@ -4,6 +4,9 @@ A small bundle adjustment with additional parameters (e.g. Luhmann et al. 2013, 
 spans of a few metres, points seen by both cameras at both ends must fit one rigid motion. Unknown are the points, one motion a
 span and one rotation of the right camera, common to the drive. Turned to the side (ry) the camera shifts all disparities,
 which points at many depths show once the rig has moved; turned up or down (rx) and about its axis (rz) it shifts and tilts rows.
+Rows would tell ry too, by their shift in the corners (as x y), much more sharply than motion does, but only if nothing else,
+such as what a lens model left over, shifted them: a fourth parameter, of rows alone, takes that part away. Where disparities
+are off by another field than that of a turn, `model_gap_rad` shows it.
 Points and motions are eliminated (Schur complement); what errors of one span have in common is taken from the scatter between
 spans (covariance of M-estimates with clusters: Huber 1981, ch. 6; Liang & Zeger 1986; neighbours: Newey & West 1987).
 
@@ -24,14 +27,16 @@ from conetl.geometry.stereo_motion import MotionLimits, MotionStatus, StereoCame
 
 Floats = NDArray[np.float64]
 
-_OUTER, _INNER = 2, 4
+_OUTER, _INNER = 2, 10
+#: rx, ry, rz and the skew of rows; and, tried only, a bend of disparities across the picture.
+_SHARED, _TRIED = 4, 5
 _CAUCHY_SIGMAS = 2.385  # 95 % efficiency on normal errors (Rey 1983)
 _HUBER_SIGMAS = 2.0
 #: Each point has 8 image coordinates and 3 unknowns of its own; median of chi-square(5) / 5.
 _FREEDOM, _MEDIAN_CHI2 = 5, 0.8703
 _NEAREST_M = 0.3
 #: The last step, squared and in sigmas, must be smaller than this.
-_CONVERGED = 0.1
+_CONVERGED = 0.01
 #: Neighbouring spans see much of the same scenery: their errors go together over this many spans (Newey & West 1987).
 _LAGS = 3
 
@@ -58,6 +63,8 @@ class RightCameraTurn:
     """(3,) rx, ry, rz."""
     cov: Floats
     """(3, 3) rad^2, from the scatter between spans."""
+    model_gap_rad: Floats
+    """(3,): by how much it would be another turn if disparities might also bend across the picture (as x squared)."""
     per_span_rad: Floats
     """(S, 3): what each span alone says, to first order; NaN where it cannot tell."""
     point_count: int
@@ -77,29 +84,32 @@ def estimate_turn(
 
     min_spans: with fewer usable spans there is no scatter to speak of. Points on moving objects are outvoted within each span.
     """
-    rotation = np.zeros(3)
+    state = np.zeros(_SHARED)
     for _ in range(_OUTER):
-        own = turned(cameras, rotation)
+        own = turned(cameras, state[:3])
         chosen = [_still(own, span, limits, seed) for seed, span in enumerate(spans)]
         used = [c for c in chosen if c is not None]
         if len(used) < min_spans:
             return None
         for _ in range(_INNER):
             reduced = []
-            for k, (span, *state) in enumerate(used):
-                parts, pose, points = _step_span(turned(cameras, rotation), span, *state)
+            own = turned(cameras, state[:3])
+            for k, (span, *held) in enumerate(used):
+                parts, pose, points = _step_span(own, state[3], span, *held)
                 used[k] = (span, pose, points)
                 reduced.append(parts)
             normals, scores = np.array([p[0] for p in reduced]), np.array([p[1] for p in reduced])
             solved = _combine(normals, scores)
             if solved is None:
                 return None
-            step, cov, each = solved
-            rotation = rotation + step
-        if step @ np.linalg.solve(cov, step) > _CONVERGED:
+            step, cov, gap, each = solved
+            state = state + step
+            if step @ np.linalg.solve(cov, step) < _CONVERGED:
+                break
+        else:
             return None
     count = sum(len(span.first_px) for span, _, _ in used)
-    return RightCameraTurn(rotation, cov, rotation - step + each, count)
+    return RightCameraTurn(state[:3], cov[:3, :3], gap, (state - step + each)[:, :3], count)
 
 
 def _still(
@@ -117,15 +127,15 @@ def _still(
 
 
 def _step_span(
-    cameras: StereoCameras, span: SpanPoints, pose: Floats, points: Floats
+    cameras: StereoCameras, skew: float, span: SpanPoints, pose: Floats, points: Floats
 ) -> tuple[tuple[Floats, Floats], Floats, Floats]:
-    """One Gauss-Newton step of a span with the rotation held: its reduced normal (3, 3) and score (3,), new motion and points."""
-    first, d_first, r_first = _image(cameras, points)
+    """One Gauss-Newton step of a span, shared unknowns held: their reduced normal (5, 5) and score (5,), motion and points."""
+    first, d_first, r_first = _image(cameras, skew, points)
     moved = points @ pose[:3, :3].T
-    last, d_last, r_last = _image(cameras, moved + pose[:3, 3])
+    last, d_last, r_last = _image(cameras, skew, moved + pose[:3, 3])
     residual = np.hstack([span.first_px - first, span.last_px - last]) / span.sigma_px[:, None]
     by_point = np.concatenate([d_first, d_last @ pose[:3, :3]], axis=1)
-    shared = np.zeros((len(points), 8, 9))
+    shared = np.zeros((len(points), 8, 6 + _TRIED))
     shared[:, 4:, :3] = -(d_last @ cross_matrix(moved))
     shared[:, 4:, 3:6] = d_last
     shared[:, :4, 6:], shared[:, 4:, 6:] = r_first, r_last
@@ -150,15 +160,19 @@ def _step_span(
     return (normal[6:, 6:] - gain @ normal[:6, 6:], score[6:] - gain @ score[:6]), new_pose, new_points
 
 
-def _image(cameras: StereoCameras, points: Floats) -> tuple[Floats, Floats, Floats]:
-    """Image points (N, 4) of points (N, 3), with derivatives (N, 4, 3) by the point and (N, 4, 3) by the right camera's turn."""
+def _image(cameras: StereoCameras, skew: float, points: Floats) -> tuple[Floats, Floats, Floats]:
+    """Image points (N, 4) of points (N, 3), derivatives (N, 4, 3) by the point and (N, 4, 5) by turn, skew and bend."""
     turn = cameras.right_SE3_left[:3, :3]
     right = points @ turn.T + cameras.right_SE3_left[:3, 3]
     left_uv, left_d = _pinhole(cameras.left_px, points)
     right_uv, right_d = _pinhole(cameras.right_px, right)
-    by_turn = np.zeros((len(points), 4, 3))
-    by_turn[:, 2:] = right_d @ cross_matrix(right)  # exp(-[r]x) q = q + q x r
-    return np.hstack([left_uv, right_uv]), np.concatenate([left_d, right_d @ turn], axis=1), by_turn
+    by_shared = np.zeros((len(points), 4, _TRIED))
+    by_shared[:, 2:, :3] = right_d @ cross_matrix(right)  # exp(-[r]x) q = q + q x r
+    corner = (right_uv - cameras.right_px[2:]) / cameras.right_px[:2]
+    by_shared[:, 3, 3] = cameras.right_px[1] * corner[:, 0] * corner[:, 1]
+    by_shared[:, 2, 4] = cameras.right_px[0] * corner[:, 0] ** 2
+    right_uv[:, 1] += skew * by_shared[:, 3, 3]
+    return np.hstack([left_uv, right_uv]), np.concatenate([left_d, right_d @ turn], axis=1), by_shared
 
 
 def _pinhole(intrinsics: Floats, points: Floats) -> tuple[Floats, Floats]:
@@ -170,8 +184,9 @@ def _pinhole(intrinsics: Floats, points: Floats) -> tuple[Floats, Floats]:
     return np.stack([fx * x + cx, fy * y + cy], axis=1), d
 
 
-def _combine(normals: Floats, scores: Floats) -> tuple[Floats, Floats, Floats] | None:
-    """Robust step (3,), its covariance (3, 3) and each span's own step (S, 3), from reduced normals and scores of the spans."""
+def _combine(all_normals: Floats, all_scores: Floats) -> tuple[Floats, Floats, Floats, Floats] | None:
+    """Robust step (4,), its covariance (4, 4), the model's gap (3,), and the step that each span alone would take (S, 4)."""
+    normals, scores = all_normals[:, :_SHARED, :_SHARED], all_scores[:, :_SHARED]
     weight = np.ones(len(normals))
     for _ in range(10):
         normal = np.einsum("s,sij->ij", weight, normals)
@@ -181,8 +196,8 @@ def _combine(normals: Floats, scores: Floats) -> tuple[Floats, Floats, Floats] |
         step = inverse @ np.einsum("s,si->i", weight, scores)
         rest = scores - normals @ step
         # A span's score is as uncertain as its information says, times what spans scatter more than that.
-        score2 = np.einsum("si,sij,sj->s", rest, np.linalg.pinv(normals, hermitian=True), rest) / 3
-        spread = max(float(np.median(score2)) / 0.7887, 1e-12)  # median of chi-square(3) / 3
+        score2 = np.einsum("si,sij,sj->s", rest, np.linalg.pinv(normals, hermitian=True), rest) / _SHARED
+        spread = max(float(np.median(score2)) / 0.8392, 1e-12)  # median of chi-square(4) / 4
         weight = np.minimum(1.0, _HUBER_SIGMAS / np.sqrt(score2 / spread + 1e-300))
     weighted = weight[:, None] * rest
     count = len(normals)
@@ -191,9 +206,11 @@ def _combine(normals: Floats, scores: Floats) -> tuple[Floats, Floats, Floats] |
         along = weighted[lag:].T @ weighted[:-lag]
         middle += (1 - lag / (_LAGS + 1)) * (along + along.T)
     # Few spans make this a vague estimate, never a small one: at least what spans would say that know nothing of each other.
-    values, vectors = np.linalg.eigh(inverse @ middle @ inverse * count / max(count - 3, 1))
-    alone = inverse @ (weighted.T @ weighted) @ inverse * count / max(count - 3, 1)
+    values, vectors = np.linalg.eigh(inverse @ middle @ inverse * count / max(count - _SHARED, 1))
+    alone = inverse @ (weighted.T @ weighted) @ inverse * count / max(count - _SHARED, 1)
     least = np.einsum("ij,ik,kj->j", vectors, alone, vectors)
     cov = (vectors * np.maximum(values, least)) @ vectors.T
     each = np.einsum("sij,sj->si", np.linalg.pinv(normals, hermitian=True), scores)
-    return step, (cov + cov.T) / 2, each
+    tried = np.linalg.pinv(np.einsum("s,sij->ij", weight, all_normals), hermitian=True)
+    gap = tried @ np.einsum("s,si->i", weight, all_scores)
+    return step, (cov + cov.T) / 2, gap[:3] - step[:3], each

@@ -114,7 +114,8 @@ def self_calibrate(
     cov = said.cov + np.diag((params.self_calibration_sigma_floor_px / unit_px) ** 2)
     _, prior, by_parameter = _prior(rig, params)
     turn_prior = by_parameter @ prior @ by_parameter.T
-    spread = turn_prior + cov
+    # Whether the calibration is contradicted, the scatter decides; how well the turn then describes it, the model's gap too.
+    spread = turn_prior + cov + np.outer(said.model_gap_rad, said.model_gap_rad)
     prior_chi2 = float(said.rotation_rad @ np.linalg.solve(spread, said.rotation_rad))
     gain = turn_prior @ np.linalg.inv(spread)
     rotation, posterior = gain @ said.rotation_rad, _symmetric(turn_prior - gain @ turn_prior)
@@ -128,7 +129,8 @@ def self_calibrate(
     )
     outcome = SelfCalibrationOutcome.APPLIED
     turn_text = f"{rotation[1] * 1e3:+.2f} mrad to the side and {rotation[0] * 1e3:+.2f} mrad up or down"
-    detail = f"right camera turned by {turn_text} ({figures})"
+    left_px = float(np.sqrt(posterior[1, 1]) * unit_px[1])
+    detail = f"right camera turned by {turn_text}, disparities are good to {left_px:.2f} px after it ({figures})"
     if not worth.any():
         outcome = SelfCalibrationOutcome.INSIGNIFICANT
         detail = f"calibration left as it is, the drive does not contradict it ({figures})"
