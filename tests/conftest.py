@@ -15,6 +15,7 @@ from typing import Any
 from uuid import UUID, uuid5
 
 import pytest
+from hypothesis import settings
 
 from conetl.records import (
     Camera,
@@ -31,6 +32,10 @@ from conetl.records import (
     StereoMatch,
     Track,
 )
+
+# A busy machine is no defect of the code: tests do not assert times.
+settings.register_profile("untimed", deadline=None)
+settings.load_profile("untimed")
 
 HOMES = Path("/tmp")
 TEMPLATE = "conetl_template"
