@@ -46,7 +46,7 @@ export function createCones(stage: Stage): ConeLayer {
       return at ? [{ at, height: c.height_m, colour: STYLES[c.kind].colour }] : [];
     });
     add(gone, ghost);
-    for (const c of cones) if (c.kind === "moved" && c.old) group.add(arrow(c.old, c.xyz, STYLES.moved.colour));
+    for (const c of cones) if (c.kind === "moved" && c.old) group.add(arrow(c.old, c.xyz, 0.32 * c.height_m, STYLES.moved.colour));
     markers.set(cones);
     stage.draw();
   }
@@ -112,10 +112,11 @@ function coneGeometry(): BufferGeometry {
   return mergeGeometries(parts.map(([geometry]) => geometry));
 }
 
-function arrow(from: Vec3, to: Vec3, colour: string): Group {
+/** From the old place to the rim of the cone at the new one, `short_m` before its centre. */
+function arrow(from: Vec3, to: Vec3, short_m: number, colour: string): Group {
   const [a, b] = [new Vector3(...from), new Vector3(...to)];
   const way = b.clone().sub(a);
-  const length = way.length();
+  const length = Math.max(way.length() - short_m, 0.05);
   const head = Math.min(0.35, length * 0.35);
   const material = new MeshLambertMaterial({ color: colour });
   const shaft = new Mesh(new CylinderGeometry(0.035, 0.035, Math.max(length - head, 0.01), 8), material);

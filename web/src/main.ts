@@ -1,5 +1,5 @@
 // Ties everything together: state -> what to fetch -> what to draw.
-import { api, ApiError, type Change, type Feature, type HistoryItem, type Instant, type MapItem, type Timeline, type TimelineItem, type Trajectory, type Vec3 } from "./api";
+import { api, type Change, type Feature, type HistoryItem, type Instant, type MapItem, type Timeline, type TimelineItem, type Trajectory, type Vec3 } from "./api";
 import { createCones } from "./cones";
 import { el, fill, plural } from "./dom";
 import { kindOf, type Cone } from "./kinds";
@@ -126,7 +126,7 @@ async function openMap(): Promise<void> {
     if (!state.map) state.map = maps.some((m) => m.map_name === answer.chosen) || !maps[0] ? answer.chosen : maps[0].map_name;
     sidebar.showMaps(maps, state.map);
     document.title = `${state.map} · conetl`;
-    await readTimeline();
+    if (maps.some((m) => m.map_name === state.map && m.changeset_count > 0)) await readTimeline();
     if (state.camera) stage.place(state.camera);
     await refresh();
     if (state.feature) await select(state.feature);
@@ -137,12 +137,7 @@ async function openMap(): Promise<void> {
 }
 
 async function readTimeline(): Promise<void> {
-  try {
-    timeline = await api.timeline(state.map);
-  } catch (error) {
-    if (!(error instanceof ApiError && error.status === 404)) throw error;
-    timeline = null;
-  }
+  timeline = await api.timeline(state.map);
 }
 
 async function newChangeset(no: number): Promise<void> {
@@ -166,7 +161,7 @@ async function newChangeset(no: number): Promise<void> {
 async function refresh(): Promise<void> {
   const mine = ++look;
   if (!timeline || !timeline.changesets.length) {
-    layout.card(`The map “${state.map}” is empty`, "Fill it and it appears here by itself:", { code: "conetl ingest path/to/drive" });
+    layout.card(`The map “${state.map}” is empty`, "Fill it and it appears here by itself:", { code: `${state.map === "default" ? "" : `CONETL_MAP_NAME=${state.map} `}conetl ingest path/to/drive` });
     layout.empty(true);
     show([], []);
     return;
@@ -288,7 +283,7 @@ function draw(): void {
 function fit(): void {
   const way = [...ways.values()].at(-1)?.xyz_m ?? [];
   const points: Vec3[] = all.flatMap((c) => [c.xyz, ...(c.old ? [c.old] : [])]);
-  const near = way.filter((p) => points.some((q) => Math.hypot(p[0] - q[0], p[1] - q[1]) < 30));
+  const near = way.filter((p) => points.some((q) => Math.hypot(p[0] - q[0], p[1] - q[1]) < 7));
   const [a, b] = [way[0], way.at(-1)];
   if (a && b && state.camera === null) {
     const heading = Math.atan2(b[1] - a[1], b[0] - a[0]);
@@ -333,10 +328,7 @@ async function select(id: string | null, centre = false): Promise<void> {
     if (centre) centreChosen();
     const { sightings, truncated } = await api.sightings(map, id);
     if (mine !== selecting || !chosen) return;
-    // Without a wish the nearest one: that shows most.
-    const nearest = sightings.reduce((best, s, i) => (s.range_m < (sightings[best]?.range_m ?? Infinity) ? i : best), 0);
-    const sightingIndex = Math.max(0, Math.min(state.sighting ?? nearest, sightings.length - 1));
-    chosen = { ...chosen, sightings, truncated, sightingIndex };
+    chosen = { ...chosen, sightings, truncated };
     drawChosen();
   } catch (error) {
     if (mine === selecting) panel.failed(id, error);
@@ -346,7 +338,6 @@ async function select(id: string | null, centre = false): Promise<void> {
 function showSighting(index: number): void {
   if (!chosen?.sightings) return;
   const sightingIndex = Math.max(0, Math.min(index, chosen.sightings.length - 1));
-  chosen = { ...chosen, sightingIndex };
   state.sighting = sightingIndex;
   writeAddress();
   drawChosen();
@@ -361,6 +352,7 @@ function drawChosen(): void {
     return;
   }
   chosen = { ...chosen, upTo: upTo() };
+  chosen.sightingIndex = sightingToShow(chosen);
   const now: HistoryItem | undefined = stateAt(chosen.history, chosen.upTo);
   if (now) {
     const ellipse = ellipse95(now.cov_m2);
@@ -368,6 +360,18 @@ function drawChosen(): void {
   }
   overlays.showFrustum(chosen.sightings?.[chosen.sightingIndex] ?? null);
   panel.show(chosen);
+}
+
+/** The one that was asked for, else the nearest one of the drive that is looked at: that shows most. */
+function sightingToShow({ sightings, history, upTo }: Chosen): number {
+  if (!sightings?.length) return 0;
+  if (state.sighting !== null) return Math.min(state.sighting, sightings.length - 1);
+  const no = history.filter((h) => h.changeset_no <= upTo && h.sighting_count > 0).at(-1)?.changeset_no;
+  let best = -1;
+  sightings.forEach((s, i) => {
+    if ((s.changeset_no === no || no === undefined) && (best < 0 || s.range_m < (sightings[best]?.range_m ?? 0))) best = i;
+  });
+  return Math.max(best, 0);
 }
 
 function centreChosen(): void {

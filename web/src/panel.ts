@@ -102,7 +102,7 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
       gone && el("p", { class: "notice", textContent: `Removed: ${now.drive_id} looked and did not see it any more. These are its last values.` }),
       el(
         "dl", {},
-        ...row("Place", el("span", { class: "mono", textContent: `${easting} E  ${northing} N` }), el("small", { textContent: `EPSG:${chosen.srid}, foot centre` })),
+        ...row("Place", el("span", { class: "mono", textContent: `${easting} E` }), el("span", { class: "mono", textContent: `${northing} N` }), el("small", { textContent: `EPSG:${chosen.srid}, foot centre` })),
         ...row("Height", el("span", { class: "mono", textContent: `${height} m` }), el("small", { textContent: "ellipsoidal" })),
         ...row("Sigma E, N, up", el("span", { class: "mono", textContent: `${cm(now.cov_m2[0])}, ${cm(now.cov_m2[3])}, ${cm(now.cov_m2[5])}` })),
         ...row("95 % ellipse", el("span", { class: "mono", textContent: `${(e.major_m * 100).toFixed(1)} × ${(e.minor_m * 100).toFixed(1)} cm half axes` }),

@@ -11,6 +11,7 @@ import type { CameraPlace } from "./state";
 const BACKGROUND = "#eef1f4";
 const FIELD_DEG = 42;
 const GRID_LINES = 60;
+const PIECE_CELLS = 5;
 /** z is up in the map; three's spherical angles want y up. */
 const toYUp = (v: Vector3) => v.set(v.x, v.z, -v.y);
 const toZUp = (v: Vector3) => v.set(v.x, -v.z, v.y);
@@ -64,8 +65,8 @@ export function createStage(host: HTMLElement): Stage {
   controls.maxPolarAngle = Math.PI / 2 - 0.01;
   controls.mouseButtons = { LEFT: MOUSE.ROTATE, MIDDLE: MOUSE.DOLLY, RIGHT: MOUSE.PAN };
 
-  const minor = gridLines("#dbe0e6");
-  const major = gridLines("#c2cad3");
+  const minor = gridLines("#dde2e8");
+  const major = gridLines("#c3cbd4");
   scene.add(minor, major);
   let ground = 0;
   let gridKey = "";
@@ -131,27 +132,21 @@ export function createStage(host: HTMLElement): Stage {
 
   function fit(points: Vec3[]): void {
     if (!points.length) return;
-    const low = new Vector3(Infinity, Infinity, Infinity);
-    const high = low.clone().negate();
-    for (const [x, y, z] of points) {
-      low.min(new Vector3(x, y, z));
-      high.max(new Vector3(x, y, z));
-    }
-    const middle = low.clone().add(high).multiplyScalar(0.5);
     const [, , , theta, phi] = current();
-    // The corners of the ground box, seen from the present direction, must fit into the picture.
+    // In the axes of the present view: across, up and towards the camera.
     const view = toZUp(new Vector3().setFromSphericalCoords(1, phi, theta));
     const side = new Vector3(0, 0, 1).cross(view).normalize();
-    const up = view.clone().cross(side);
-    let radius = 4;
-    const tanV = Math.tan((FIELD_DEG * Math.PI) / 360) * 0.86;
+    const axes = [side, view.clone().cross(side), view];
+    const seen = points.map((p) => axes.map((axis) => new Vector3(...p).dot(axis)));
+    const middle = axes.map((_, i) => (least(seen.map((s) => s[i] ?? 0)) + most(seen.map((s) => s[i] ?? 0))) / 2);
+    const tanV = Math.tan((FIELD_DEG * Math.PI) / 360) * 0.8;
     const tanH = tanV * camera.aspect;
-    for (const p of points) {
-      const d = new Vector3(...p).sub(middle);
-      const along = d.dot(view);
-      radius = Math.max(radius, along + Math.abs(d.dot(side)) / tanH, along + Math.abs(d.dot(up)) / tanV);
-    }
-    place([middle.x, middle.y, middle.z, theta, phi, radius * 1.03]);
+    const [across = 0, up = 0, towards = 0] = middle;
+    const wish = ([a = 0, b = 0, c = 0]: number[]) =>
+      c - towards + Math.max(Math.abs(a - across) / tanH, Math.abs(b - up) / tanV);
+    const radius = Math.max(4, most(seen.map(wish)));
+    const centre = axes.reduce((sum, axis, i) => sum.addScaledVector(axis, middle[i] ?? 0), new Vector3());
+    place([centre.x, centre.y, centre.z, theta, phi, radius]);
   }
 
   function pixelsPerMetre(point: Vec3): number {
@@ -216,6 +211,9 @@ export function createStage(host: HTMLElement): Stage {
   return stage;
 }
 
+const least = (values: number[]) => values.reduce((a, b) => Math.min(a, b), Infinity);
+const most = (values: number[]) => values.reduce((a, b) => Math.max(a, b), -Infinity);
+
 function niceStep(wish: number): number {
   const power = 10 ** Math.floor(Math.log10(Math.max(wish, 1e-3)));
   const rest = wish / power;
@@ -231,15 +229,22 @@ function gridLines(colour: string): LineSegments {
   return lines;
 }
 
-/** Lines at whole multiples of `step` in map coordinates (the origin is a multiple of 100 m); every tenth is a major one. */
+/** Lines at whole multiples of `step` in map coordinates (the origin is a multiple of 100 m); every tenth is a major one.
+ * They are made of short pieces: some drivers drop a line that begins far behind the camera. */
 function setGrid(minor: LineSegments, major: LineSegments, at: [number, number], step: number, z: number): void {
   const points: [number[], number[]] = [[], []];
   const half = GRID_LINES * step;
+  const piece = PIECE_CELLS * step;
   for (let i = -GRID_LINES; i <= GRID_LINES; i++) {
     const into = points[i % 10 === 0 ? 1 : 0];
-    into.push(at[0] + i * step, at[1] - half, z, at[0] + i * step, at[1] + half, z);
-    into.push(at[0] - half, at[1] + i * step, z, at[0] + half, at[1] + i * step, z);
+    const [x, y] = [at[0] + i * step, at[1] + i * step];
+    for (let from = -half; from < half; from += piece) {
+      into.push(x, at[1] + from, z, x, at[1] + from + piece, z);
+      into.push(at[0] + from, y, z, at[0] + from + piece, y, z);
+    }
   }
-  minor.geometry.setAttribute("position", new Float32BufferAttribute(points[0], 3));
-  major.geometry.setAttribute("position", new Float32BufferAttribute(points[1], 3));
+  for (const [lines, values] of [[minor, points[0]], [major, points[1]]] as const) {
+    lines.geometry.dispose();
+    lines.geometry = new BufferGeometry().setAttribute("position", new Float32BufferAttribute(values, 3));
+  }
 }

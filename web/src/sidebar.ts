@@ -62,7 +62,7 @@ export function createSidebar(host: HTMLElement, actions: SidebarActions) {
     el("section", {}, el("h2", { textContent: "Cones shown" }), legend),
     el(
       "section", {},
-      el("label", { htmlFor: "probability" }, "Existence probability at least ", probabilityText),
+      el("label", { htmlFor: "probability" }, "Existence probability ≥ ", probabilityText),
       probability,
     ),
     el("section", {}, el("label", { class: "check" }, way, el("i", { class: "swatch way" }), "Way of the left camera"), fitButton),

@@ -180,7 +180,7 @@ function compareView(actions: TimelineActions) {
 function instantView(actions: TimelineActions) {
   const slider = el("input", { type: "range", class: "instant-slider", min: "0", max: "1000", step: "1", aria: { label: "Time on the road" } });
   const ticks = el("div", { class: "ticks" });
-  const input = el("input", { type: "datetime-local", step: "1" });
+  const input = el("input", { type: "text", size: 19, placeholder: "2026-03-02 09:41:07", spellcheck: false, autocomplete: "off" });
   const latest = el("button", { type: "button", textContent: "Latest", onclick: () => actions.setValid(null) });
   const known = knownSelect(actions);
   let [start, end] = [0, 1];
@@ -189,8 +189,10 @@ function instantView(actions: TimelineActions) {
     actions.setValid(t >= 1000 ? null : new Date(start + ((end - start) * t) / 1000).toISOString());
   });
   input.addEventListener("change", () => {
-    const time = Date.parse(`${input.value}Z`);
-    if (!Number.isNaN(time)) actions.setValid(new Date(time).toISOString());
+    const text = input.value.trim().replace(" ", "T");
+    const time = Date.parse(text.includes("T") ? `${text}Z` : text);
+    input.setCustomValidity(Number.isNaN(time) ? "Write it like 2026-03-02 or 2026-03-02 09:41:07 (UTC)" : "");
+    if (input.reportValidity()) actions.setValid(new Date(time).toISOString());
   });
   const node = el(
     "div", { class: "instant-view" },
@@ -209,7 +211,7 @@ function instantView(actions: TimelineActions) {
       [start, end] = [least - margin, most + margin];
       const at = state.valid === null ? end : Date.parse(state.valid);
       if (document.activeElement !== slider) slider.value = String(Math.round(((at - start) / (end - start)) * 1000));
-      if (document.activeElement !== input) input.value = new Date(at).toISOString().slice(0, 19);
+      if (input.validity.valid) input.value = utc(new Date(at).toISOString());
       latest.disabled = state.valid === null;
       fill(ticks, ...items.map((t) => {
         const tick = el("button", { type: "button", tabIndex: -1, title: `${t.drive_id} · ${utc(t.captured_to)} UTC`, onclick: () => actions.setValid(new Date(Date.parse(t.valid_at) + 1).toISOString()) });

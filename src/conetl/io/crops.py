@@ -45,7 +45,7 @@ def picture_file(source_path: str, picture_path: str) -> Path:
 
 
 def crop_jpeg(path: Path, rig: Rig, side: Side, box: Box, *, context: float) -> bytes:
-    """JPEG of the box's surroundings, `context` times as tall and wide as the box (clipped at the border), box drawn.
+    """JPEG of the box's surroundings, `context` times as tall and wide as the box (pushed inside at the border), box drawn.
 
     Small crops are enlarged to 300 pixels. Raises ImageFileError where the picture cannot be decoded.
     """
@@ -66,14 +66,17 @@ def crop_jpeg(path: Path, rig: Rig, side: Side, box: Box, *, context: float) -> 
 
 
 def _window(box: Box, size_px: tuple[int, int], context: float) -> tuple[int, int, int, int]:
-    """Left, top, right, bottom of the part of a picture of `size_px` (width, height) that is shown; never empty."""
+    """Left, top, right, bottom of the part of a picture of `size_px` (width, height) that is shown; never empty.
+
+    A square around the box, pushed into the picture where it stands over the border, cut where the picture is too small.
+    """
     x, y, w, h = box
-    half = max(w * context, h * context, _MIN_CROP_PX) / 2
-    centre_x, centre_y = x + w / 2, y + h / 2
-    left, right = (int(np.clip(round(v), 0, size_px[0])) for v in (centre_x - half, centre_x + half))
-    top, bottom = (int(np.clip(round(v), 0, size_px[1])) for v in (centre_y - half, centre_y + half))
-    if right - left < 1 or bottom - top < 1:  # a box outside of its picture: show the picture
-        return 0, 0, size_px[0], size_px[1]
+    side = round(max(w * context, h * context, _MIN_CROP_PX))
+    edges: list[tuple[int, int]] = []
+    for centre, length in ((x + w / 2, size_px[0]), (y + h / 2, size_px[1])):
+        start = int(np.clip(round(centre - side / 2), 0, max(length - side, 0)))
+        edges.append((start, min(start + side, length)))
+    (left, right), (top, bottom) = edges
     return left, top, right, bottom
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from fastapi import FastAPI, Request
 from fastapi.responses import JSONResponse
 from fastapi.staticfiles import StaticFiles
+from starlette.middleware.gzip import GZipMiddleware
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 from conetl.errors import DatabaseError
@@ -47,6 +48,7 @@ def create_app(database_url: str, map_name: str, *, closing: Callable[[], bool] 
     app.add_exception_handler(PictureMissingError, _refusal(404))
     app.add_exception_handler(ImageFileError, _refusal(404))
     app.mount("/", StaticFiles(directory=STATIC, html=True), name="front end")
+    app.add_middleware(GZipMiddleware, minimum_size=1024, compresslevel=5)
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=LOOPBACK_NAMES, www_redirect=False)
     app.add_middleware(SecurityHeaders)
     return app
