@@ -15,10 +15,7 @@ from conetl.io.serve_store import read_heads
 POLL_S = 0.4
 PING_S = 15.0
 MAX_STREAMS = 64
-
-
-class TooManyStreamsError(Exception):
-    """All streams are taken."""
+TOO_MANY = f"{MAX_STREAMS} pages listen already: close some, or reload by hand."
 
 
 class HeadWatcher:
@@ -32,15 +29,17 @@ class HeadWatcher:
         self._round = asyncio.Condition()
         self._poller: asyncio.Task[None] | None = None
 
-    def enter(self) -> None:
-        """Take a place. Raises TooManyStreamsError. Whoever took one iterates over `events`, which gives it back."""
-        if self._streams >= MAX_STREAMS:
-            raise TooManyStreamsError
-        self._streams += 1
+    def full(self) -> bool:
+        """True where no further stream may be opened."""
+        return self._streams >= MAX_STREAMS
 
     async def events(self, map_name: str) -> AsyncIterator[str]:
         """Server-sent events: `changeset` with the number of the map's newest one (0: none), at once and after every commit;
         `trouble` with what is wrong, while the database cannot be asked."""
+        if self.full():  # many came at the same moment
+            yield _event("trouble", TOO_MANY)
+            return
+        self._streams += 1
         sent: tuple[int | None, str | None] | None = None
         idle_s = 0.0
         try:

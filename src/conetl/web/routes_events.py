@@ -5,7 +5,7 @@ from __future__ import annotations
 from fastapi import APIRouter, HTTPException, Request
 from fastapi.responses import StreamingResponse
 
-from conetl.web.live import MAX_STREAMS, HeadWatcher, TooManyStreamsError
+from conetl.web.live import TOO_MANY, HeadWatcher
 from conetl.web.parameters import MapName
 
 router = APIRouter(tags=["events"])
@@ -15,11 +15,7 @@ router = APIRouter(tags=["events"])
 async def events(map_name: MapName, request: Request) -> StreamingResponse:
     """Server-sent events: `changeset` with the newest number, at once and after every commit; `trouble` in words."""
     watcher: HeadWatcher = request.app.state.watcher
-    try:
-        watcher.enter()
-    except TooManyStreamsError:
-        raise HTTPException(
-            503, f"{MAX_STREAMS} pages listen already: close some, or reload by hand.", headers={"Retry-After": "30"}
-        ) from None
+    if watcher.full():
+        raise HTTPException(503, TOO_MANY, headers={"Retry-After": "30"})
     headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
     return StreamingResponse(watcher.events(map_name), media_type="text/event-stream", headers=headers)
