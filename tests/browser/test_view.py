@@ -221,6 +221,8 @@ def test_a_link_restores_the_picture(page, address, features, browser):
     click_cone(page, features["comes"])
     page.wait_for_selector("figure img >> nth=1")
     settle(page)
+    page.mouse.move(5, 5)  # no tooltip, no focus ring
+    page.evaluate("document.activeElement.blur()")
     page.wait_for_timeout(300)
     link = page.url
     assert re.search(r"feature=[0-9a-f-]{36}.*cam=", link)

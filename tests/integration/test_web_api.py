@@ -106,7 +106,9 @@ def test_changes_between_two_instants_and_back(client, features, samples):
     assert there == {"stays": "confirmed", "goes": "removed", "wanders": "moved", "comes": "added"}
     back = kinds(client, features, f"{MAP}/changes", from_valid_at=late, to_valid_at=early)
     assert back == {"stays": "confirmed", "goes": "added", "wanders": "moved", "comes": "removed"}
-    assert set(kinds(client, features, f"{MAP}/changes", from_valid_at=late, to_valid_at=late).values()) == {"unchanged"}
+    assert set(kinds(client, features, f"{MAP}/changes", from_valid_at=late, to_valid_at=late).values()) == {
+        "unchanged"
+    }
     far = kinds(client, features, f"{MAP}/changes", from_valid_at=early, to_valid_at=late, moved_from_m=1.6)
     assert far["wanders"] == "confirmed"
     [moved] = [c for c in get(client, f"{MAP}/changes", from_valid_at=early)["changes"] if c["kind"] == "moved"]
@@ -173,7 +175,9 @@ def test_only_pictures_inside_the_drive_are_served(client, features, module_data
     link.unlink(missing_ok=True)
     link.symlink_to(pictures / "secret.png")
     path = picture_path(client, features)
-    where = "where left_path like '%%' and drive_uuid = (select drive_uuid from conetl.drive where drive_id = 'drive_2')"
+    where = (
+        "where left_path like '%%' and drive_uuid = (select drive_uuid from conetl.drive where drive_id = 'drive_2')"
+    )
     conn = connect(module_database_url)
     try:
         [old, *_] = execute(conn, f"select left_path from conetl.frame_pair {where} and frame_index = 0")

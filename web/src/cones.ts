@@ -9,6 +9,8 @@ import { STYLES, type Cone } from "./kinds";
 import type { Stage } from "./scene";
 
 const PICK_PX = 18;
+/** Lower cones are drawn as their marker alone. */
+const MIN_BODY_PX = 4;
 /** Marker's height above the tip. */
 const MARKER_LIFT_PX = 13;
 
@@ -29,39 +31,29 @@ export function createCones(stage: Stage): ConeLayer {
   stage.scene.add(markers.points);
   let cones: Cone[] = [];
 
-  function clear(): void {
-    for (const child of [...group.children]) {
-      group.remove(child);
-      if (child instanceof InstancedMesh) child.dispose();
-    }
-  }
+  const standing = bodies(body, solid);
+  const gone = bodies(body, ghost);
+  const arrows = new Group();
+  group.add(standing.mesh, gone.mesh, arrows);
+  stage.beforeDraw(() => {
+    standing.cull(stage);
+    gone.cull(stage);
+  });
 
   function show(next: Cone[]): void {
     cones = next;
-    clear();
-    const standing = cones.filter((c) => c.kind !== "removed");
-    add(standing.map((c) => ({ at: c.xyz, height: c.height_m, colour: STYLES[c.kind].colour })), solid);
-    const gone = cones.flatMap((c) => {
-      const at = c.kind === "removed" ? c.xyz : c.kind === "moved" ? c.old : null;
-      return at ? [{ at, height: c.height_m, colour: STYLES[c.kind].colour }] : [];
-    });
-    add(gone, ghost);
-    for (const c of cones) if (c.kind === "moved" && c.old) group.add(arrow(c.old, c.xyz, 0.32 * c.height_m, STYLES.moved.colour));
+    const colour = (c: Cone) => STYLES[c.kind].colour;
+    standing.set(cones.filter((c) => c.kind !== "removed").map((c) => ({ at: c.xyz, height: c.height_m, colour: colour(c) })));
+    gone.set(
+      cones.flatMap((c) => {
+        const at = c.kind === "removed" ? c.xyz : c.kind === "moved" ? c.old : null;
+        return at ? [{ at, height: c.height_m, colour: colour(c) }] : [];
+      }),
+    );
+    arrows.clear();
+    for (const c of cones) if (c.kind === "moved" && c.old) arrows.add(arrow(c.old, c.xyz, 0.32 * c.height_m, colour(c)));
     markers.set(cones);
     stage.draw();
-  }
-
-  function add(items: { at: Vec3; height: number; colour: string }[], material: MeshLambertMaterial): void {
-    if (!items.length) return;
-    const mesh = new InstancedMesh(body, material, items.length);
-    mesh.frustumCulled = false;
-    const matrix = new Matrix4();
-    const colour = new Color();
-    items.forEach(({ at, height, colour: css }, i) => {
-      mesh.setMatrixAt(i, matrix.makeScale(height, height, height).setPosition(...at));
-      mesh.setColorAt(i, colour.set(css));
-    });
-    group.add(mesh);
   }
 
   function pick(x: number, y: number): Cone | null {
@@ -85,6 +77,52 @@ export function createCones(stage: Stage): ConeLayer {
   }
 
   return { show, pick, shown: () => cones };
+}
+
+interface Body {
+  at: Vec3;
+  height: number;
+  colour: string;
+}
+
+/** Cones of one material. Those that would be smaller than a few pixels are left out: their marker stands for them. */
+function bodies(geometry: BufferGeometry, material: MeshLambertMaterial) {
+  let items: Body[] = [];
+  let mesh = make(1);
+  const holder = new Group().add(mesh);
+  const matrix = new Matrix4();
+  const colour = new Color();
+
+  function make(capacity: number): InstancedMesh {
+    const made = new InstancedMesh(geometry, material, capacity);
+    made.frustumCulled = false;
+    made.count = 0;
+    return made;
+  }
+
+  return {
+    mesh: holder,
+    set(next: Body[]): void {
+      items = next;
+      holder.remove(mesh);
+      mesh.dispose();
+      mesh = make(Math.max(items.length, 1));
+      holder.add(mesh);
+    },
+    cull(stage: Stage): void {
+      let count = 0;
+      for (const { at, height, colour: css } of items) {
+        if (!stage.sees(at, height, MIN_BODY_PX)) continue;
+        mesh.setMatrixAt(count, matrix.makeScale(height, height, height).setPosition(...at));
+        mesh.setColorAt(count, colour.set(css));
+        count += 1;
+      }
+      mesh.count = count;
+      mesh.visible = count > 0;
+      mesh.instanceMatrix.needsUpdate = true;
+      if (mesh.instanceColor) mesh.instanceColor.needsUpdate = true;
+    },
+  };
 }
 
 function distanceToSegment(p: [number, number], a: [number, number], b: [number, number]): number {

@@ -168,6 +168,7 @@ async function refresh(): Promise<void> {
   }
   layout.empty(false);
   layout.busy(true);
+  showTimeline(state, timeline.changesets); // the controls answer at once, the picture when it is there
   try {
     const [next, truncated] = await readCones();
     const drives = await readWays(drivesShown());

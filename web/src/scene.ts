@@ -33,7 +33,8 @@ export interface Stage {
   /** Pixels from the canvas's top left; null behind the camera. */
   project(point: Vec3): [number, number] | null;
   key(event: KeyboardEvent): boolean;
-  pixelsPerMetre(point: Vec3): number;
+  /** True where something of this height at this place is in the picture and at least so many pixels tall. */
+  sees(point: Vec3, height_m: number, least_px: number): boolean;
 }
 
 export function createStage(host: HTMLElement): Stage {
@@ -154,6 +155,17 @@ export function createStage(host: HTMLElement): Stage {
     return canvas.clientHeight / (2 * Math.tan((FIELD_DEG * Math.PI) / 360) * Math.max(depth, 0.01));
   }
 
+  const seenAt = new Vector3();
+  function sees([x, y, z]: Vec3, height_m: number, least_px: number): boolean {
+    seenAt.set(x, y, z + height_m / 2).applyMatrix4(camera.matrixWorldInverse);
+    const depth = -seenAt.z;
+    if (depth < -height_m) return false;
+    const pixels = canvas.clientHeight / (2 * Math.tan((FIELD_DEG * Math.PI) / 360) * Math.max(depth, 0.05));
+    if (height_m * pixels < least_px) return false;
+    const reach = 2 * height_m;
+    return Math.abs(seenAt.x) * pixels < canvas.clientWidth / 2 + reach * pixels && Math.abs(seenAt.y) * pixels < canvas.clientHeight / 2 + reach * pixels;
+  }
+
   function key(event: KeyboardEvent): boolean {
     const [x, y, z, theta, phi, radius] = current();
     const turn = event.shiftKey;
@@ -186,7 +198,7 @@ export function createStage(host: HTMLElement): Stage {
   resize();
 
   const stage: Stage = {
-    scene, camera, canvas, draw, fit, place, key, pixelsPerMetre,
+    scene, camera, canvas, draw, fit, place, key, sees,
     beforeDraw: (callback) => void befores.push(callback),
     onCamera: (callback) => void cameraCallbacks.push(callback),
     topView: () => {
