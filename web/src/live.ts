@@ -24,7 +24,7 @@ export function listen(map: string, on: LiveHandlers): () => void {
     });
     source.addEventListener("trouble", (event: MessageEvent<string>) => on.status("trouble", event.data));
     source.addEventListener("error", () => {
-      on.status("waiting", "The server does not answer: new drives do not appear until it does. Trying again …");
+      on.status("waiting", "No connection for news: new drives do not appear until there is one. Trying again …");
       if (source?.readyState === EventSource.CLOSED && !ended) timer = window.setTimeout(open, RETRY_MS);
     });
   }

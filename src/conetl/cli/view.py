@@ -39,7 +39,7 @@ def view(
             url, map_name or settings.map_name, closing=lambda: server is not None and server.should_exit
         )  # fmt: skip
         config = uvicorn.Config(
-            app, log_level="warning", access_log=False, limit_concurrency=_MAX_CONNECTIONS, timeout_graceful_shutdown=3,
+            app, log_level="error", access_log=False, limit_concurrency=_MAX_CONNECTIONS, timeout_graceful_shutdown=3,
             server_header=False,
         )  # fmt: skip
         server = uvicorn.Server(config)
