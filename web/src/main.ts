@@ -1,10 +1,11 @@
 // Ties everything together: state -> what to fetch -> what to draw.
-import { api, type Change, type Feature, type HistoryItem, type Instant, type MapItem, type Timeline, type TimelineItem, type Trajectory, type Vec3 } from "./api";
+import { api, type HistoryItem, type MapItem, type Timeline, type TimelineItem, type Trajectory, type Vec3 } from "./api";
 import { createCones } from "./cones";
 import { el, fill, plural } from "./dom";
-import { kindOf, type Cone } from "./kinds";
+import type { Cone } from "./kinds";
 import { createLayout } from "./layout";
 import { listen } from "./live";
+import { changesetOf, drivesShown, readCones } from "./look";
 import { createOverlays, ellipse95, niceFactor } from "./overlays";
 import { createPanel, stateAt, type Chosen } from "./panel";
 import { createStage, type Stage } from "./scene";
@@ -104,10 +105,7 @@ window.addEventListener("hashchange", () => {
   }
 });
 
-function changeset(no: number | null): TimelineItem | undefined {
-  const items = timeline?.changesets ?? [];
-  return no === null ? items.at(-1) : items.find((t) => t.changeset_no === no) ?? items.at(-1);
-}
+const changeset = (no: number | null) => changesetOf(timeline?.changesets ?? [], no);
 
 // --- reading
 
@@ -170,8 +168,8 @@ async function refresh(): Promise<void> {
   layout.busy(true);
   showTimeline(state, timeline.changesets); // the controls answer at once, the picture when it is there
   try {
-    const [next, truncated] = await readCones();
-    const drives = await readWays(drivesShown());
+    const [next, truncated] = await readCones(state, timeline.changesets);
+    const drives = await readWays(drivesShown(state, timeline.changesets));
     if (mine !== look) return;
     layout.card(null);
     layout.notice(truncated ? `Only the first ${plural(next.length, "cone")} are shown: this map is larger than one picture holds.` : null);
@@ -181,64 +179,6 @@ async function refresh(): Promise<void> {
   } finally {
     if (mine === look) layout.busy(false);
   }
-}
-
-const standing = (f: Feature): Cone => ({
-  id: f.feature_id, kind: "standing", xyz: f.xyz_m, old: null, shift_m: null, height_m: f.cone_height_m,
-  probability: f.existence_probability, observations: f.observation_count,
-});
-
-const changed = (c: Change): Cone => ({
-  id: c.feature_id, kind: kindOf(c.kind), xyz: c.xyz_m, old: c.kind === "moved" ? c.old_xyz_m : null, shift_m: c.shift_m,
-  height_m: c.cone_height_m, probability: c.existence_probability, observations: c.observation_count,
-});
-
-async function readCones(): Promise<[Cone[], boolean]> {
-  const { map } = state;
-  const known = state.known === null ? null : changeset(state.known)?.committed_at ?? null;
-  if (state.mode === "instant") {
-    const answer = await api.features(map, { valid: state.valid, known });
-    return [answer.features.map(standing), answer.truncated];
-  }
-  if (state.mode === "compare") {
-    const answer = await api.between(map, instantAfter(state.from, known), instantAfter(state.to, known));
-    return [answer.changes.map(changed), answer.truncated];
-  }
-  const item = changeset(state.changeset);
-  if (!item) return [[], false];
-  // Before and after are two beliefs about the same instant on the road, the end of the drive: this shows what a drive changed
-  // also where it was committed after younger ones.
-  if (state.side === "before") {
-    const answer = await api.features(map, { valid: item.valid_at, known: item.known_before });
-    return [answer.features.map(standing), answer.truncated];
-  }
-  const [features, changes] = await Promise.all([
-    api.features(map, { valid: item.valid_at, known: item.committed_at }),
-    api.changes(map, item.changeset_no),
-  ]);
-  const judged = new Map(changes.changes.map((c) => [c.feature_id, changed(c)]));
-  const rest = features.features.filter((f) => !judged.has(f.feature_id)).map((f): Cone => ({ ...standing(f), kind: "unchanged" }));
-  const shown = [...judged.values()].flatMap((c): Cone[] => {
-    if (state.side === "changes") return [c];
-    return c.kind === "removed" ? [] : [{ ...c, old: null, shift_m: null }];
-  });
-  return [[...shown, ...rest], features.truncated];
-}
-
-function instantAfter(no: number | null, known: string | null): Instant {
-  const first = timeline?.changesets[0];
-  if (no === 0 && first) return { valid: new Date(Date.parse(first.captured_from) - 1000).toISOString(), known };
-  return { valid: changeset(no)?.valid_at ?? null, known };
-}
-
-function drivesShown(): TimelineItem[] {
-  if (!state.trajectory) return [];
-  const items = timeline?.changesets ?? [];
-  const pick = (...list: (TimelineItem | undefined)[]) => list.filter((t): t is TimelineItem => t !== undefined);
-  if (state.mode === "drive") return pick(changeset(state.changeset));
-  if (state.mode === "compare") return pick(state.from === 0 ? undefined : changeset(state.from), changeset(state.to));
-  const until = state.valid === null ? Infinity : Date.parse(state.valid);
-  return items.filter((t) => Date.parse(t.captured_from) <= until).slice(-10);
 }
 
 async function readWays(drives: TimelineItem[]): Promise<Trajectory[]> {
