@@ -7,7 +7,7 @@ export PYTHON
 export PREFECT_SERVER_ANALYTICS_ENABLED := false
 export DO_NOT_TRACK := 1
 
-.PHONY: help setup demo test check bench-detect bench-intersection bench-trajectory bench-rectification lock
+.PHONY: help setup demo test check web bench-detect bench-intersection bench-trajectory bench-rectification lock
 
 help:           ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -27,6 +27,9 @@ check: setup    ## lint, types, layer contracts and the fast tests
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python -m pytest -q tests/unit
+
+web:            ## build the front end of `conetl view` into src/conetl/web/static (needs Node 20.19 or newer)
+	@cd web && npm ci --no-audit --no-fund && npm run build
 
 bench-detect: setup  ## speed of the detector beside YOLOv3 and a network of YOLO11n's size
 	@$(BIN)/python benchmarks/bench_detect.py

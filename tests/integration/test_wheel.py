@@ -55,3 +55,11 @@ def test_the_model_and_the_sql_come_from_the_wheel(installed: Path, tmp_path: Pa
 def test_the_flow_runs_from_the_wheel(installed: Path, tmp_path: Path) -> None:
     code = "from flows.ingest_drive import ingest_drive; print(ingest_drive.name)"
     assert run(installed, code, tmp_path) == "ingest-drive"
+
+
+def test_the_front_end_comes_from_the_wheel(installed: Path, tmp_path: Path) -> None:
+    code = "from conetl.web.app import STATIC; print(STATIC); print(len(list(STATIC.rglob('*.js'))))"
+    folder, scripts = run(installed, code, tmp_path).splitlines()
+    assert Path(folder).is_relative_to(installed)
+    assert (Path(folder) / "index.html").is_file()
+    assert int(scripts) >= 1

@@ -15,6 +15,7 @@ from conetl.cli.locate import locate
 from conetl.cli.maps import app as maps
 from conetl.cli.rig import app as rig
 from conetl.cli.simulate import simulate
+from conetl.cli.view import view
 
 app = typer.Typer(
     name="conetl",
@@ -25,7 +26,7 @@ app = typer.Typer(
     epilog="Exit codes: 0 done; 1 done, but too many records were quarantined; 2 bad usage or input, nothing written; "
     "3 a service (database, Prefect) is not to be had, nothing written.",
 )
-for command in (ingest, calibrate, locate, detect, evaluate, lidar_check, simulate, demo):
+for command in (ingest, view, calibrate, locate, detect, evaluate, lidar_check, simulate, demo):
     app.command()(command)
 app.add_typer(maps, name="map")
 app.add_typer(database, name="db")

@@ -1,0 +1,26 @@
+-- Purpose: what one changeset did to each feature it judged. Parameters: map_name; changeset_no.
+-- Columns: feature_id, kind, changed_at, shift_m, old_easting_m, old_northing_m, old_height_m (null for added); easting_m,
+-- northing_m, height_m (after it; of a removed feature the last place), cov_xx, cov_xy, cov_yy (m^2), cone_height_m,
+-- existence_probability, observation_count, version.
+select
+    x.feature_id, x.kind, x.changed_at, x.shift_m,
+    ST_X(o.geom) as old_easting_m, ST_Y(o.geom) as old_northing_m, ST_Z(o.geom) as old_height_m,
+    ST_X(n.geom) as easting_m, ST_Y(n.geom) as northing_m, ST_Z(n.geom) as height_m,
+    n.cov_xx, n.cov_xy, n.cov_yy, n.cone_height_m, n.existence_probability, n.observation_count, n.version
+from conetl.delta x
+join conetl.changeset c using (changeset_id)
+join conetl.map m using (map_id)
+join lateral (
+    select v.* from conetl.feature_version v
+    where v.feature_id = x.feature_id and v.version = x.new_version
+    order by upper_inf(v.system_period) desc, v.version_row_id desc  -- what is believed now
+    limit 1
+) n on true
+left join lateral (
+    select v.geom from conetl.feature_version v
+    where v.feature_id = x.feature_id and v.version = x.old_version
+    order by upper_inf(v.system_period) desc, v.version_row_id desc  -- what is believed now
+    limit 1
+) o on true
+where m.map_name = %(map_name)s and c.changeset_no = %(changeset_no)s and upper_inf(x.system_period)
+order by x.feature_id;

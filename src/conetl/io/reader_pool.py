@@ -1,0 +1,54 @@
+"""Connections that can only read, lent to one request at a time."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+from conetl.errors import DatabaseError
+from conetl.io.db import Connection, connect, database_errors, execute, load_sql
+
+#: Queries of the web view that take longer are ended by the server.
+STATEMENT_TIMEOUT = "10s"
+WAIT_S = 5.0
+
+
+class ReaderPool:
+    """At most `size` read-only connections, opened when first needed and opened anew where the database went away."""
+
+    def __init__(self, url: str, size: int = 6) -> None:
+        self._url = url
+        self._free: list[Connection] = []
+        self._slots = threading.BoundedSemaphore(size)
+
+    @contextmanager
+    def reading(self) -> Iterator[Connection]:
+        """One read-only transaction. Raises DatabaseError where none is to be had within some seconds."""
+        if not self._slots.acquire(timeout=WAIT_S):
+            raise DatabaseError("The database is busy: all connections of the view are in use. Try again.")
+        try:
+            conn = self._free.pop() if self._free else open_reader(self._url)
+            try:
+                yield conn
+            finally:
+                with suppress(Exception):  # a broken connection is not lent again
+                    conn.rollback()
+                    self._free.append(conn)
+        finally:
+            self._slots.release()
+
+    def close(self) -> None:
+        """Close what is not lent."""
+        while self._free:
+            self._free.pop().close()
+
+
+def open_reader(url: str) -> Connection:
+    """A connection whose transactions only read, as role conetl_reader where the user may take it. Raises DatabaseError."""
+    conn = connect(url)
+    with database_errors("The connection could not be made read-only"):
+        conn.autocommit = True
+        execute(conn, load_sql("serve/session"), {"timeout": STATEMENT_TIMEOUT})
+        conn.autocommit = False
+    return conn

@@ -1,0 +1,61 @@
+"""The server of `conetl view`: an API that only reads and the built front end. No other host is ever asked for anything."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+from fastapi import FastAPI, Request
+from fastapi.responses import JSONResponse
+from fastapi.staticfiles import StaticFiles
+from starlette.middleware.gzip import GZipMiddleware
+from starlette.middleware.trustedhost import TrustedHostMiddleware
+
+from conetl.errors import DatabaseError
+from conetl.io.crops import PictureMissingError
+from conetl.io.images import ImageFileError
+from conetl.io.reader_pool import ReaderPool
+from conetl.web import routes_events, routes_features, routes_maps, routes_pictures
+from conetl.web.headers import SecurityHeaders
+from conetl.web.live import HeadWatcher
+from conetl.web.models import Problem
+
+STATIC = Path(__file__).parent / "static"
+#: Names under which a browser on this machine may call; any other is a page elsewhere that rebound its name to this machine.
+LOOPBACK_NAMES = ["127.0.0.1", "localhost", "[::1]"]
+
+
+def create_app(database_url: str, map_name: str, *, closing: Callable[[], bool] = lambda: False) -> FastAPI:
+    """The application over one database. `closing` tells whether the server stops: open streams end then."""
+    pool = ReaderPool(database_url)
+
+    @asynccontextmanager
+    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
+        yield
+        pool.close()
+
+    app = FastAPI(
+        title="conetl", docs_url=None, redoc_url=None, openapi_url="/api/openapi.json", lifespan=lifespan,
+        responses={404: {"model": Problem}, 503: {"model": Problem}},
+    )  # fmt: skip
+    app.state.pool = pool
+    app.state.map_name = map_name
+    app.state.watcher = HeadWatcher(pool, closing=closing)
+    for router in (routes_maps.router, routes_features.router, routes_pictures.router, routes_events.router):
+        app.include_router(router, prefix="/api")
+    app.add_exception_handler(DatabaseError, _refusal(503))
+    app.add_exception_handler(PictureMissingError, _refusal(404))
+    app.add_exception_handler(ImageFileError, _refusal(404))
+    app.mount("/", StaticFiles(directory=STATIC, html=True), name="front end")
+    app.add_middleware(GZipMiddleware, minimum_size=1024, compresslevel=5)
+    app.add_middleware(TrustedHostMiddleware, allowed_hosts=LOOPBACK_NAMES, www_redirect=False)
+    app.add_middleware(SecurityHeaders)
+    return app
+
+
+def _refusal(status: int) -> Callable[[Request, Exception], JSONResponse]:
+    def answer(_: Request, error: Exception) -> JSONResponse:
+        return JSONResponse({"detail": str(error)}, status_code=status)
+
+    return answer

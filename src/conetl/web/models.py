@@ -1,0 +1,201 @@
+"""What the server answers: lengths in metres, places as offsets from the map's `origin_m`, times in UTC, covariances in m^2."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Literal
+from uuid import UUID
+
+from pydantic import BaseModel, ConfigDict
+
+from conetl.records import Matrix3, Vec3
+
+Cov2 = tuple[float, float, float]
+"""xx, xy, yy on the ground."""
+
+
+class Answer(BaseModel):
+    """Base of all answers."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class MapItem(Answer):
+    map_name: str
+    srid: int
+    changeset_count: int
+    feature_count: int
+    last_committed_at: datetime | None
+
+
+class Maps(Answer):
+    maps: list[MapItem]
+    chosen: str
+    """The map that `conetl view` was started for."""
+
+
+class TimelineItem(Answer):
+    """One changeset: one drive."""
+
+    changeset_no: int
+    changeset_id: UUID
+    drive_id: str
+    drive_uuid: UUID
+    captured_from: datetime
+    captured_to: datetime
+    valid_at: datetime
+    """An instant just after the drive: the map of this instant shows all that the drive saw."""
+    committed_at: datetime
+    known_before: datetime
+    """The last instant at which the database did not know of this changeset."""
+    added_count: int
+    confirmed_count: int
+    moved_count: int
+    removed_count: int
+    frame_pair_count: int
+    detection_count: int
+    track_count: int
+    rejection_count: int
+    code_version: str
+
+
+class Timeline(Answer):
+    map_name: str
+    srid: int
+    origin_m: Vec3
+    changesets: list[TimelineItem]
+    """Oldest first."""
+
+
+class Feature(Answer):
+    feature_id: UUID
+    version: int
+    category: str
+    xyz_m: Vec3
+    cov_m2: tuple[float, float, float, float, float, float]
+    cone_height_m: float
+    cone_height_sigma_m: float
+    existence_probability: float
+    observation_count: int
+    first_seen_at: datetime
+    last_seen_at: datetime
+    valid_from: datetime
+    valid_to: datetime | None
+
+
+class Features(Answer):
+    origin_m: Vec3
+    features: list[Feature]
+    truncated: bool
+    """True where the map holds more features than one answer may."""
+
+
+class Change(Answer):
+    feature_id: UUID
+    kind: Literal["added", "confirmed", "moved", "removed", "unchanged"]
+    changed_at: datetime | None
+    shift_m: float | None
+    old_xyz_m: Vec3 | None
+    xyz_m: Vec3
+    cov_m2: Cov2
+    cone_height_m: float
+    existence_probability: float
+    observation_count: int
+    version: int
+
+
+class Changes(Answer):
+    origin_m: Vec3
+    changes: list[Change]
+    truncated: bool
+
+
+class HistoryItem(Answer):
+    changeset_no: int
+    drive_id: str
+    drive_uuid: UUID
+    kind: Literal["added", "confirmed", "moved", "removed"]
+    changed_at: datetime
+    committed_at: datetime
+    version: int
+    shift_m: float | None
+    category: str
+    xyz_m: Vec3
+    map_xyz_m: Vec3
+    """Easting, northing, ellipsoidal height."""
+    cov_m2: tuple[float, float, float, float, float, float]
+    cone_height_m: float
+    cone_height_sigma_m: float
+    existence_probability: float
+    observation_count: int
+    first_seen_at: datetime
+    last_seen_at: datetime
+    sighting_count: int
+
+
+class FeatureHistory(Answer):
+    feature_id: UUID
+    origin_m: Vec3
+    history: list[HistoryItem]
+    """Oldest first."""
+
+
+class Box(Answer):
+    x_px: float
+    y_px: float
+    w_px: float
+    h_px: float
+    score: float
+
+
+class Sighting(Answer):
+    changeset_no: int
+    drive_id: str
+    drive_uuid: UUID
+    frame_index: int
+    match_index: int
+    captured_at: datetime
+    xyz_m: Vec3
+    """Where this one frame pair places the cone."""
+    cov_m2: Cov2
+    range_m: float
+    residual_rms_px: float
+    score: float
+    camera_xyz_m: Vec3
+    map_R_camera: Matrix3
+    """Rows of the rotation from the left camera's axes (right, down, forward) to the map's."""
+    corners: tuple[Vec3, Vec3, Vec3, Vec3]
+    """Directions of the left picture's corners in the camera's frame at unit depth, clockwise from the top left."""
+    left: Box
+    right: Box
+
+
+class Sightings(Answer):
+    feature_id: UUID
+    origin_m: Vec3
+    sightings: list[Sighting]
+    """Oldest first."""
+    truncated: bool
+
+
+class Trajectory(Answer):
+    """The way of the left camera."""
+
+    drive_id: str
+    drive_uuid: UUID
+    origin_m: Vec3
+    frame_index: list[int]
+    captured_at: list[datetime]
+    xyz_m: list[Vec3]
+    truncated: bool
+
+
+class FoundFeatures(Answer):
+    feature_ids: list[UUID]
+    truncated: bool
+
+
+class Problem(Answer):
+    """Every refusal."""
+
+    detail: str

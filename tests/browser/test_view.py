@@ -1,0 +1,278 @@
+"""`conetl view` in a real Chromium: what a person sees and does. Skipped, with the reason, where there is no browser."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from conetl.io.db import connect
+from conetl.records import utc_from_ns
+from tests.view_map import commit, cone, two_drives
+
+playwright_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed (extra `dev`)")
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+pytestmark = [
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine (Debian: apt install chromium)"),
+    pytest.mark.xdist_group("browser"),
+]
+
+ROOT = Path(__file__).resolve().parents[2]
+FLAGS = [
+    "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update",
+    "--disable-sync", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+]  # fmt: skip
+#: As in web/src/kinds.ts; red, green, blue.
+ADDED, MOVED = (0x00, 0x68, 0xB4), (0xA8, 0x32, 0x7F)
+FIRST_PICTURE_S = 5.0
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def _wait_until_up(url: str, server: subprocess.Popen[bytes]) -> None:
+    for _ in range(150):
+        assert server.poll() is None, "conetl view ended by itself"
+        try:
+            urllib.request.urlopen(url, timeout=1).close()
+            return
+        except OSError:
+            time.sleep(0.2)
+    raise AssertionError("conetl view did not come up within 30 s")
+
+
+@pytest.fixture(scope="module")
+def conn(module_database_url: str) -> Iterator[Any]:
+    connection = connect(module_database_url)
+    yield connection
+    connection.close()
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("pictures")
+
+
+@pytest.fixture(scope="module")
+def features(conn: Any, samples: Any, pictures: Path) -> dict[str, str]:
+    return {name: str(f.feature_id) for name, f in two_drives(conn, samples, pictures).items()}
+
+
+@pytest.fixture(scope="module")
+def address(module_database_url: str, features: dict[str, str]) -> Iterator[str]:
+    port = _free_port()
+    command = [sys.executable, "-c", "from conetl.cli import main; main()", "view", "--port", str(port)]
+    environment = {**os.environ, "CONETL_DATABASE_URL": module_database_url, "PYTHONPATH": f"{ROOT / 'src'}:{ROOT}"}
+    with subprocess.Popen(command, env=environment, cwd=ROOT, stdout=subprocess.DEVNULL) as server:
+        try:
+            url = f"http://127.0.0.1:{port}/"
+            _wait_until_up(url, server)
+            yield url
+        finally:
+            server.send_signal(signal.SIGINT)
+            assert server.wait(15) in (0, -signal.SIGINT, 130)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with playwright_api.sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def page(browser: Any, address: str) -> Iterator[Any]:
+    """A page that must leave no error on its console and ask nobody but the server."""
+    tab = browser.new_page(viewport={"width": 1280, "height": 800})
+    problems: list[str] = []
+    own = (address, f"blob:{address}", "data:")
+    tab.on("console", lambda m: problems.append(m.text) if m.type == "error" else None)
+    tab.on("pageerror", lambda e: problems.append(str(e)))
+    tab.on("request", lambda r: None if r.url.startswith(own) else problems.append(f"asked {r.url}"))
+    yield tab
+    tab.close()
+    assert problems == []
+
+
+def open_view(page: Any, address: str, hash_: str = "", cones: int = 4) -> None:
+    page.goto(address + hash_)
+    page.wait_for_selector(f'html[data-cones="{cones}"]', state="attached")
+    page.wait_for_selector("canvas[data-frames]")
+    settle(page)
+
+
+def settle(page: Any) -> None:
+    """Wait until nothing is drawn any more."""
+    before = None
+    while before != (now := page.get_attribute("canvas", "data-frames")):
+        before = now
+        page.wait_for_timeout(250)
+
+
+def picture(page: Any) -> np.ndarray:
+    """(H, W, 3) red, green, blue of the scene alone, without labels."""
+    page.wait_for_timeout(100)
+    data = page.locator("main.view").screenshot()
+    return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)[:, :, ::-1].astype(int)
+
+
+def pixels_of(image: np.ndarray, colour: tuple[int, int, int]) -> int:
+    return int((np.abs(image - colour).max(axis=2) <= 6).sum())
+
+
+def click_cone(page: Any, feature_id: str) -> None:
+    x, y = page.evaluate("id => window.conetlProject(id)", feature_id)
+    page.click("canvas", position={"x": float(x), "y": float(y)})
+
+
+def test_first_picture_comes_soon_and_shows_each_kind(page, address):
+    started = time.monotonic()
+    page.goto(address)
+    page.wait_for_selector('html[data-cones="4"]', state="attached")
+    page.wait_for_selector("canvas[data-frames]")
+    assert time.monotonic() - started < FIRST_PICTURE_S
+    settle(page)
+    image = picture(page)
+    assert pixels_of(image, ADDED) > 40
+    assert pixels_of(image, MOVED) > 40
+    legend = page.locator(".legend label")
+    assert legend.all_inner_texts() == ["new\n1", "moved\n1", "removed\n1", "confirmed\n1"]
+    assert page.locator(".label").inner_text() == "1.50 m"
+
+
+def test_the_slider_changes_the_picture(page, address):
+    open_view(page, address)
+    second = picture(page)
+    page.locator(".changeset-slider").press("ArrowLeft")
+    page.wait_for_selector('html[data-cones="3"]', state="attached")
+    settle(page)
+    first = picture(page)
+    assert "drive_1" in page.locator(".drive-text").inner_text()
+    assert pixels_of(first, MOVED) == 0 < pixels_of(second, MOVED)
+    assert pixels_of(first, ADDED) > 2 * pixels_of(second, ADDED)  # all three are new in the first drive
+
+
+def test_before_changes_after(page, address):
+    open_view(page, address)
+    page.click("text=Before")
+    page.wait_for_selector("text=standing")
+    settle(page)
+    assert (pixels_of(picture(page), ADDED), pixels_of(picture(page), MOVED)) == (0, 0)
+    page.click("button:text-is('After')")
+    page.wait_for_selector(".legend >> text=new")
+    settle(page)
+    assert page.locator(".legend label").all_inner_texts() == ["new\n1", "moved\n1", "confirmed\n1"]
+    assert pixels_of(picture(page), ADDED) > 40
+
+
+def test_compare_and_any_time(page, address, samples):
+    open_view(page, address)
+    page.click("text=Compare two")
+    page.wait_for_selector(".form-line select")
+    settle(page)
+    assert page.locator(".legend label").all_inner_texts() == ["new\n3"]  # against the empty map: what stands now
+    page.click("text=Any time")
+    page.wait_for_selector(".legend >> text=standing")
+    time_input = page.locator(".instant-view input[type=text]")
+    time_input.fill(f"{utc_from_ns(samples.START_NS):%Y-%m-%d} 07:00:00")
+    time_input.press("Enter")
+    page.wait_for_selector('html[data-cones="0"]', state="attached")
+    assert "No cone stood on the road then" in page.locator(".legend").inner_text()
+
+
+def test_click_shows_history_and_pictures(page, address, features):
+    open_view(page, address)
+    click_cone(page, features["wanders"])
+    page.wait_for_selector("figure img >> nth=1")
+    panel = page.locator(".panel").inner_text()
+    assert features["wanders"][:8] in panel
+    assert "moved by 1.500 m" in panel
+    assert "458006.500 E" in panel
+    assert "Sighting 4 of 6" in panel  # the nearest of the drive that is shown
+    sizes = page.eval_on_selector_all("figure img", "all => all.map(i => [i.naturalWidth, i.naturalHeight])")
+    assert len(sizes) == 2 and all(min(size) >= 300 for size in sizes)
+    page.keyboard.press("n")
+    page.wait_for_selector("text=Sighting 5 of 6")
+    page.keyboard.press("Escape")
+    page.wait_for_selector(".panel", state="hidden")
+
+
+def test_a_link_restores_the_picture(page, address, features, browser):
+    open_view(page, address)
+    page.click("canvas", position={"x": 20, "y": 20})
+    for key in ("-", "-", "+", "Shift+ArrowLeft", "ArrowRight"):
+        page.keyboard.press(key)
+    settle(page)
+    click_cone(page, features["comes"])
+    page.wait_for_selector("figure img >> nth=1")
+    settle(page)
+    page.mouse.move(5, 5)  # no tooltip, no focus ring
+    page.evaluate("document.activeElement.blur()")
+    page.wait_for_timeout(300)
+    link = page.url
+    assert re.search(r"feature=[0-9a-f-]{36}.*cam=", link)
+    wanted = picture(page)
+    again = browser.new_page(viewport={"width": 1280, "height": 800})
+    again.goto(link)
+    again.wait_for_selector("figure img >> nth=1")
+    settle(again)
+    assert (np.abs(picture(again) - wanted).max(axis=2) > 40).mean() < 0.002
+    assert features["comes"][:8] in again.locator(".panel h2").inner_text()
+    again.close()
+
+
+def test_filters_hide_cones_and_search_finds_one(page, address, features):
+    open_view(page, address)
+    page.locator(".legend label[data-kind=moved] input").uncheck()
+    page.wait_for_selector('html[data-cones="3"]', state="attached")
+    settle(page)
+    assert pixels_of(picture(page), MOVED) == 0
+    page.locator("#probability").fill("0.8")
+    page.wait_for_selector('html[data-cones="2"]', state="attached")
+    page.fill("#search", features["stays"][:9])
+    page.press("#search", "Enter")
+    page.wait_for_selector(f"h2:text-is('{features['stays'][:8]}')")
+
+
+def test_server_trouble_is_said_and_can_be_retried(browser, address):
+    tab = browser.new_page(viewport={"width": 1280, "height": 800})
+    tab.route("**/timeline", lambda route: route.fulfill(status=503, json={"detail": "The database is busy."}))
+    tab.goto(address)
+    tab.wait_for_selector(".card >> text=The database is busy.")
+    tab.unroute("**/timeline")
+    tab.click("text=Try again")
+    tab.wait_for_selector('html[data-cones="4"]', state="attached")
+    assert tab.locator(".card-host").is_hidden()
+    tab.close()
+
+
+def test_a_new_changeset_appears_by_itself(page, address, conn, samples, pictures):
+    """Last in this file: it changes the map."""
+    open_view(page, address)
+    page.wait_for_selector(".status[data-status=live]")
+    page.evaluate("window.notReloaded = true")
+    commit(conn, samples, pictures, "3", 2, samples.added(cone(samples, "late", 12.0, day=2)))
+    committed = time.monotonic()
+    page.wait_for_selector("text=drive_3 was committed: 1 new", timeout=5000)
+    page.wait_for_selector(".drive-text >> text=drive_3")
+    assert time.monotonic() - committed < 3.0
+    assert page.evaluate("window.notReloaded") is True
+    assert page.locator(".legend label").all_inner_texts() == ["new\n1", "not judged\n3"]

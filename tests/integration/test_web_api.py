@@ -1,0 +1,312 @@
+"""The API of `conetl view` over a real PostGIS."""
+
+from __future__ import annotations
+
+import asyncio
+import shutil
+from datetime import timedelta
+from pathlib import Path
+
+import cv2
+import numpy as np
+import psycopg2
+import pytest
+from fastapi.testclient import TestClient
+
+from conetl.io.db import connect, execute
+from conetl.io.reader_pool import ReaderPool, open_reader
+from conetl.records import utc_from_ns
+from conetl.web.app import create_app
+from conetl.web.live import MAX_STREAMS, HeadWatcher
+from tests.view_map import commit, cone, two_drives
+
+DAY = timedelta(days=1)
+MAP = "/api/maps/default"
+NOBODY = "00000000-0000-4000-8000-00000000dead"
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("pictures")
+
+
+@pytest.fixture(scope="module")
+def features(module_database_url, samples, pictures):
+    conn = connect(module_database_url)
+    yield two_drives(conn, samples, pictures)
+    conn.close()
+
+
+@pytest.fixture(scope="module")
+def client(module_database_url, features):
+    with TestClient(create_app(module_database_url, "default"), base_url="http://127.0.0.1") as test_client:
+        yield test_client
+
+
+def get(client, path, status=200, **parameters):
+    answer = client.get(path, params=parameters)
+    assert answer.status_code == status, answer.text
+    return answer.json()
+
+
+def kinds(client, features, path, **parameters):
+    names = {str(f.feature_id): name for name, f in features.items()}
+    return {names[c["feature_id"]]: c["kind"] for c in get(client, path, **parameters)["changes"]}
+
+
+def names_at(client, features, **parameters):
+    names = {str(f.feature_id): name for name, f in features.items()}
+    return {names[f["feature_id"]] for f in get(client, f"{MAP}/features", **parameters)["features"]}
+
+
+def test_maps_and_timeline(client, samples):
+    answer = get(client, "/api/maps")
+    assert answer["chosen"] == "default"
+    assert [(m["map_name"], m["changeset_count"], m["feature_count"]) for m in answer["maps"]] == [("default", 2, 3)]
+    timeline = get(client, f"{MAP}/timeline")
+    assert timeline["srid"] == samples.SRID
+    assert timeline["origin_m"] == [458_000.0, 5_428_000.0, 100.0]
+    counts = ("added_count", "confirmed_count", "moved_count", "removed_count")
+    assert [[c[n] for n in counts] for c in timeline["changesets"]] == [[3, 0, 0, 0], [1, 1, 1, 1]]
+
+
+def test_features_of_every_instant(client, features, samples):
+    start = utc_from_ns(samples.START_NS)
+    everything_first = {"stays", "goes", "wanders"}
+    assert names_at(client, features) == {"stays", "wanders", "comes"}
+    assert names_at(client, features, valid_at=(start - DAY).isoformat()) == set()
+    assert names_at(client, features, valid_at=(start + DAY / 2).isoformat()) == everything_first
+    # the second drive was committed at noon: before, nobody knew
+    knew = (start + DAY + timedelta(hours=3)).isoformat()
+    assert names_at(client, features, valid_at=(start + DAY * 2).isoformat(), known_at=knew) == everything_first
+
+
+def test_places_are_offsets_that_a_float32_holds(client, features):
+    answer = get(client, f"{MAP}/features")
+    for sent in answer["features"]:
+        feature = next(f for f in features.values() if str(f.feature_id) == sent["feature_id"])
+        place = np.add(np.array(sent["xyz_m"], np.float32).astype(float), answer["origin_m"])
+        wanted = np.add(feature.xyz_m, (1.5 if feature is features["wanders"] else 0, 0, 0))
+        assert np.abs(place - wanted).max() < 1e-4
+
+
+def test_before_and_after_of_a_changeset_are_what_it_changed(client, features):
+    second = get(client, f"{MAP}/timeline")["changesets"][1]
+    at = {"valid_at": second["valid_at"]}
+    assert names_at(client, features, **at, known_at=second["known_before"]) == {"stays", "goes", "wanders"}
+    assert names_at(client, features, **at, known_at=second["committed_at"]) == {"stays", "wanders", "comes"}
+    wanted = {"stays": "confirmed", "goes": "removed", "wanders": "moved", "comes": "added"}
+    assert kinds(client, features, f"{MAP}/changes/{second['changeset_no']}") == wanted
+
+
+def test_changes_between_two_instants_and_back(client, features, samples):
+    start = utc_from_ns(samples.START_NS)
+    early, late = (start + DAY / 2).isoformat(), (start + DAY * 2).isoformat()
+    there = kinds(client, features, f"{MAP}/changes", from_valid_at=early, to_valid_at=late)
+    assert there == {"stays": "confirmed", "goes": "removed", "wanders": "moved", "comes": "added"}
+    back = kinds(client, features, f"{MAP}/changes", from_valid_at=late, to_valid_at=early)
+    assert back == {"stays": "confirmed", "goes": "added", "wanders": "moved", "comes": "removed"}
+    assert set(kinds(client, features, f"{MAP}/changes", from_valid_at=late, to_valid_at=late).values()) == {
+        "unchanged"
+    }
+    far = kinds(client, features, f"{MAP}/changes", from_valid_at=early, to_valid_at=late, moved_from_m=1.6)
+    assert far["wanders"] == "confirmed"
+    [moved] = [c for c in get(client, f"{MAP}/changes", from_valid_at=early)["changes"] if c["kind"] == "moved"]
+    assert moved["shift_m"] == pytest.approx(1.5)
+    assert np.subtract(moved["xyz_m"], moved["old_xyz_m"]) == pytest.approx([1.5, 0, 0])
+
+
+def test_history_and_sightings(client, features):
+    wanders = features["wanders"].feature_id
+    history = get(client, f"{MAP}/features/{wanders}")["history"]
+    assert [(h["kind"], h["version"], h["sighting_count"]) for h in history] == [("added", 1, 3), ("moved", 2, 3)]
+    assert history[1]["map_xyz_m"] == [458_006.5, 5_428_010.0, 114.5]
+    sightings = get(client, f"{MAP}/features/{wanders}/sightings")["sightings"]
+    assert len(sightings) == 6
+    first = sightings[0]
+    assert first["camera_xyz_m"] == [0.5, 0.25, 15.125]
+    assert (first["left"]["x_px"], first["left"]["score"], first["range_m"]) == (600.5, 0.9, 12.0)
+    assert first["corners"][0][2] == 1.0
+    removed = get(client, f"{MAP}/features/{features['goes'].feature_id}")["history"][-1]
+    assert (removed["kind"], removed["sighting_count"]) == ("removed", 0)
+
+
+def test_trajectory(client):
+    drive = get(client, f"{MAP}/timeline")["changesets"][0]["drive_uuid"]
+    way = get(client, f"{MAP}/drives/{drive}/trajectory")
+    assert way["frame_index"] == [0, 1, 2]
+    assert way["xyz_m"] == [[0.5, 0.25, 15.125]] * 3
+
+
+def picture_path(client, features, side="left"):
+    s = get(client, f"{MAP}/features/{features['comes'].feature_id}/sightings")["sightings"][0]
+    return f"{MAP}/drives/{s['drive_uuid']}/pictures/{s['frame_index']}/{s['match_index']}/{side}.jpg"
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_crop_shows_the_cone_in_its_box(client, features, side):
+    answer = client.get(picture_path(client, features, side))
+    assert answer.headers["content-type"] == "image/jpeg"
+    crop = cv2.imdecode(np.frombuffer(answer.content, np.uint8), cv2.IMREAD_COLOR)
+    assert crop.shape[0] == crop.shape[1] >= 300
+    middle = crop[crop.shape[0] // 2, crop.shape[1] // 2].astype(int)
+    assert middle[2] > 200  # the orange block
+    assert middle[0] < 60
+    assert abs(crop[5, 5].astype(int) - 128).max() < 12  # the grey around it
+    whole = client.get(picture_path(client, features, side), params={"context": 100})
+    assert cv2.imdecode(np.frombuffer(whole.content, np.uint8), cv2.IMREAD_COLOR).shape == (375, 1242, 3)
+
+
+def test_a_missing_picture_is_named(client, features, pictures):
+    hidden = pictures / "hidden"
+    shutil.move(pictures / "drive_2" / "image_03", hidden)
+    try:
+        answer = get(client, picture_path(client, features, "right"), 404)
+    finally:
+        shutil.move(hidden, pictures / "drive_2" / "image_03")
+    assert "image_03/data/0000000000.png" in answer["detail"]
+    assert "put the drive back" in answer["detail"]
+
+
+@pytest.mark.parametrize("name", ["../secret.png", "/etc/passwd", "link.png", "image_02/data/0000000000.txt"])
+def test_only_pictures_inside_the_drive_are_served(client, features, module_database_url, pictures, name):
+    (pictures / "secret.png").write_bytes(b"\x89PNG")
+    link = pictures / "drive_2" / "link.png"
+    link.unlink(missing_ok=True)
+    link.symlink_to(pictures / "secret.png")
+    path = picture_path(client, features)
+    where = (
+        "where left_path like '%%' and drive_uuid = (select drive_uuid from conetl.drive where drive_id = 'drive_2')"
+    )
+    conn = connect(module_database_url)
+    try:
+        [old, *_] = execute(conn, f"select left_path from conetl.frame_pair {where} and frame_index = 0")
+        for value in (name, old["left_path"]):
+            execute(conn, f"update conetl.frame_pair set left_path = %(p)s {where} and frame_index = 0", {"p": value})
+            conn.commit()
+            if value == name:
+                assert "inside the folder" in get(client, path, 404)["detail"]
+    finally:
+        conn.close()
+    assert client.get(path).status_code == 200
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        f"{MAP}/features?valid_at=yesterday",
+        f"{MAP}/changes?moved_from_m=nan",
+        f"{MAP}/changes?moved_from_m=-1",
+        f"{MAP}/changes/0",
+        f"{MAP}/changes/99999999999999999999999",
+        f"{MAP}/features/not-an-id",
+        f"{MAP}/find?beginning=%25",
+        f"{MAP}/find?beginning=' or 1=1 --",
+        "/api/maps/x';drop table conetl.map--/features",
+        f"{MAP}/drives/{NOBODY}/pictures/-1/0/left.jpg",
+        f"{MAP}/drives/{NOBODY}/pictures/0/0/left.jpg?context=1e9",
+        f"{MAP}/drives/{NOBODY}/pictures/0/0/both.jpg",
+    ],
+)
+def test_bad_parameters_are_refused(client, path):
+    assert client.get(path).status_code == 422
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/api/maps/elsewhere/timeline",
+        "/api/maps/elsewhere/features",
+        f"{MAP}/features/{NOBODY}",
+        f"{MAP}/drives/{NOBODY}/trajectory",
+        f"{MAP}/drives/{NOBODY}/pictures/0/0/left.jpg",
+        "/..%2f..%2f..%2f..%2fetc/passwd",
+        "/assets/..%2f..%2fapp.py",
+    ],
+)
+def test_unknown_things_are_not_found(client, path):
+    assert client.get(path).status_code == 404
+
+
+def test_find_by_the_beginning_of_an_id(client, features):
+    wanted = str(features["stays"].feature_id)
+    assert get(client, f"{MAP}/find", beginning=wanted[:10].upper())["feature_ids"] == [wanted]
+    assert get(client, f"{MAP}/find", beginning="0123456789")["feature_ids"] == []
+
+
+def test_headers_and_names(client):
+    page = client.get("/")
+    assert page.status_code == 200
+    policy = page.headers["content-security-policy"]
+    assert "default-src 'none'" in policy
+    assert "unsafe" not in policy
+    assert page.headers["x-content-type-options"] == "nosniff"
+    assert "access-control-allow-origin" not in page.headers
+    assert client.get("/api/maps", headers={"Host": "evil.example"}).status_code == 400
+    for method in ("POST", "PUT", "PATCH", "DELETE"):
+        assert client.request(method, f"{MAP}/features").status_code == 405
+
+
+def test_the_view_cannot_write(module_database_url):
+    conn = open_reader(module_database_url)
+    assert execute(conn, "select current_user")[0]["current_user"] == "conetl_reader"
+    with pytest.raises(psycopg2.errors.ReadOnlySqlTransaction):
+        execute(conn, "delete from conetl.map")
+    conn.rollback()
+    execute(conn, "set transaction read write")
+    with pytest.raises(psycopg2.errors.InsufficientPrivilege):
+        execute(conn, "delete from conetl.map")
+    conn.close()
+
+
+def test_a_commit_reaches_the_stream_within_a_second(database_url, samples, tmp_path):
+    conn = connect(database_url)
+    pool = ReaderPool(database_url)
+
+    async def listen() -> tuple[list[str], float]:
+        loop = asyncio.get_running_loop()
+        watcher = HeadWatcher(pool, closing=lambda: False)
+        stream = watcher.events("default")
+        said = [await anext(stream)]
+        feature = cone(samples, "one", 0.0)
+        await loop.run_in_executor(None, commit, conn, samples, tmp_path, "1", 0, samples.added(feature))
+        committed = loop.time()
+        said.append(await asyncio.wait_for(anext(stream), 5))
+        took = loop.time() - committed
+        await stream.aclose()
+        return said, took
+
+    said, took = asyncio.run(listen())
+    pool.close()
+    [row] = execute(conn, "select changeset_no from conetl.changeset")
+    conn.close()
+    assert said == ["event: changeset\ndata: 0\n\n", f"event: changeset\ndata: {row['changeset_no']}\n\n"]
+    assert took < 1.0
+
+
+def test_streams_are_limited_and_places_come_back(module_database_url):
+    pool = ReaderPool(module_database_url)
+
+    async def crowd() -> None:
+        watcher = HeadWatcher(pool, closing=lambda: False)
+        streams = [watcher.events("default") for _ in range(MAX_STREAMS)]
+        await asyncio.gather(*(anext(stream) for stream in streams))
+        assert watcher.full()
+        surplus = watcher.events("default")
+        assert (await anext(surplus)).startswith("event: trouble")
+        assert [event async for event in surplus] == []
+        for stream in streams:
+            await stream.aclose()
+        assert not watcher.full()
+        assert (await anext(watcher.events("default"))).startswith("event: changeset")
+
+    asyncio.run(crowd())
+    pool.close()
+
+
+def test_without_a_database_the_answer_is_503(tmp_path):
+    app = create_app(f"postgresql:///nowhere?host={tmp_path}", "default")
+    with TestClient(app, base_url="http://127.0.0.1") as test_client:
+        answer = test_client.get("/api/maps")
+    assert answer.status_code == 503
+    assert "cannot be reached" in answer.json()["detail"]

@@ -1,0 +1,66 @@
+"""A small map with real pictures on disk, for the tests of the web view."""
+
+from __future__ import annotations
+
+from datetime import timedelta
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import cv2
+import numpy as np
+
+from conetl.io.map_store import commit_changeset, map_transaction
+from conetl.records import Delta, MapFeature, utc_from_ns
+
+#: Box of samples.detections() in both pictures.
+BOX = (600, 180, 20, 30)
+
+
+def write_pictures(folder: Path, drive: Any) -> None:
+    """One grey PNG a path, with an orange block where the detections' box is."""
+    for pair in drive.frame_pairs:
+        for name in (pair.left_path, pair.right_path):
+            image = np.full((375, 1242, 3), 128, np.uint8)
+            x, y, w, h = BOX
+            image[y : y + h, x : x + w] = (0, 128, 255)
+            path = folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            assert cv2.imwrite(str(path), image)
+
+
+def commit(conn: Any, samples: SimpleNamespace, folder: Path, key: str, day: int, *deltas: Delta) -> Any:
+    """Commit a drive of day `day` (from 0) with pictures under `folder`; system time is noon of that day."""
+    start_ns = samples.START_NS + day * samples.DAY_NS
+    source = folder / f"drive_{key}"
+    drive = samples.drive(f"drive_{key}", start_ns=start_ns).model_copy(update={"source_path": str(source)})
+    write_pictures(source, drive)
+    with map_transaction(conn):
+        return commit_changeset(
+            conn, drive, samples.detections(), samples.matches(), samples.positions(), [samples.track()], [],
+            samples.changeset(*deltas, drive_id=drive.drive_id, key=key), now=utc_from_ns(start_ns) + timedelta(hours=4),
+        )  # fmt: skip
+
+
+def cone(samples: SimpleNamespace, name: str, east_m: float, *, day: int = 0, **changes: Any) -> MapFeature:
+    """A feature `east_m` east of the others, 10 m before the camera."""
+    xyz_m = (458_001.0 + east_m, 5_428_010.0, 114.5)
+    seen_ns = samples.START_NS + day * samples.DAY_NS + 7
+    return samples.feature(name, seen_ns=seen_ns, xyz_m=xyz_m, centre_xyz_m=(*xyz_m[:2], 114.85), **changes)
+
+
+def two_drives(conn: Any, samples: SimpleNamespace, folder: Path) -> dict[str, MapFeature]:
+    """Day 0: `stays`, `goes`, `wanders`. Day 1: `stays` confirmed, `goes` removed, `wanders` 1.5 m east, `comes` new."""
+    stays, goes, wanders = (cone(samples, name, 2.0 * i) for i, name in enumerate(("stays", "goes", "wanders")))
+    commit(conn, samples, folder, "1", 0, *(samples.added(f) for f in (stays, goes, wanders)))
+    at_ns = samples.START_NS + samples.DAY_NS + 7
+    comes = cone(samples, "comes", 8.0, day=1, existence_probability=0.7)
+    moved_m = (wanders.xyz_m[0] + 1.5, *wanders.xyz_m[1:])
+    commit(
+        conn, samples, folder, "2", 1,
+        samples.changed("confirmed", stays, at_ns, observation_count=6),
+        samples.removed(goes, at_ns),
+        samples.changed("moved", wanders, at_ns, xyz_m=moved_m),
+        samples.added(comes),
+    )  # fmt: skip
+    return {"stays": stays, "goes": goes, "wanders": wanders, "comes": comes}

@@ -1,0 +1,181 @@
+// The server's answers (src/conetl/web/models.py) and how to ask for them. Lengths in metres, places as offsets from origin_m.
+
+export type Vec3 = [number, number, number];
+export type ChangeKind = "added" | "confirmed" | "moved" | "removed" | "unchanged";
+
+export interface MapItem {
+  map_name: string;
+  srid: number;
+  changeset_count: number;
+  feature_count: number;
+  last_committed_at: string | null;
+}
+
+export interface TimelineItem {
+  changeset_no: number;
+  changeset_id: string;
+  drive_id: string;
+  drive_uuid: string;
+  captured_from: string;
+  captured_to: string;
+  valid_at: string;
+  committed_at: string;
+  known_before: string;
+  added_count: number;
+  confirmed_count: number;
+  moved_count: number;
+  removed_count: number;
+  frame_pair_count: number;
+  rejection_count: number;
+}
+
+export interface Timeline {
+  map_name: string;
+  srid: number;
+  origin_m: Vec3;
+  changesets: TimelineItem[];
+}
+
+export interface Feature {
+  feature_id: string;
+  version: number;
+  xyz_m: Vec3;
+  cov_m2: number[];
+  cone_height_m: number;
+  existence_probability: number;
+  observation_count: number;
+}
+
+export interface Change {
+  feature_id: string;
+  kind: ChangeKind;
+  shift_m: number | null;
+  old_xyz_m: Vec3 | null;
+  xyz_m: Vec3;
+  cone_height_m: number;
+  existence_probability: number;
+  observation_count: number;
+  version: number;
+}
+
+export interface HistoryItem {
+  changeset_no: number;
+  drive_id: string;
+  kind: Exclude<ChangeKind, "unchanged">;
+  changed_at: string;
+  committed_at: string;
+  version: number;
+  shift_m: number | null;
+  xyz_m: Vec3;
+  map_xyz_m: Vec3;
+  cov_m2: [number, number, number, number, number, number];
+  cone_height_m: number;
+  cone_height_sigma_m: number;
+  existence_probability: number;
+  observation_count: number;
+  first_seen_at: string;
+  last_seen_at: string;
+  sighting_count: number;
+}
+
+export interface Sighting {
+  changeset_no: number;
+  drive_id: string;
+  drive_uuid: string;
+  frame_index: number;
+  match_index: number;
+  captured_at: string;
+  xyz_m: Vec3;
+  range_m: number;
+  residual_rms_px: number;
+  camera_xyz_m: Vec3;
+  map_R_camera: [Vec3, Vec3, Vec3];
+  corners: [Vec3, Vec3, Vec3, Vec3];
+  left: { score: number; h_px: number };
+  right: { score: number; h_px: number };
+}
+
+export interface Trajectory {
+  drive_id: string;
+  drive_uuid: string;
+  xyz_m: Vec3[];
+}
+
+/** What the server refused, in its own words; `status` is 0 where it could not be reached. */
+export class ApiError extends Error {
+  constructor(
+    message: string,
+    readonly status: number,
+  ) {
+    super(message);
+  }
+}
+
+async function ask(path: string, signal?: AbortSignal): Promise<Response> {
+  let response: Response;
+  try {
+    response = await fetch(`./api/${path}`, signal ? { signal } : {});
+  } catch (error) {
+    if (error instanceof DOMException && error.name === "AbortError") throw error;
+    throw new ApiError("The server does not answer. Is `conetl view` still running?", 0);
+  }
+  if (response.ok) return response;
+  let detail = `The server answered ${response.status}.`;
+  try {
+    const body: unknown = await response.json();
+    if (typeof body === "object" && body !== null && "detail" in body && typeof body.detail === "string") detail = body.detail;
+  } catch {
+    // not JSON: the status says it
+  }
+  throw new ApiError(detail, response.status);
+}
+
+async function askJson<T>(path: string, signal?: AbortSignal): Promise<T> {
+  return (await (await ask(path, signal)).json()) as T;
+}
+
+const enc = encodeURIComponent;
+
+function query(values: Record<string, string | null>): string {
+  const search = new URLSearchParams();
+  for (const [name, value] of Object.entries(values)) if (value !== null) search.set(name, value);
+  const text = search.toString();
+  return text ? `?${text}` : "";
+}
+
+/** An instant on the road and one of the database; null means the latest. */
+export interface Instant {
+  valid: string | null;
+  known: string | null;
+}
+
+export const api = {
+  maps: () => askJson<{ maps: MapItem[]; chosen: string }>("maps"),
+  timeline: (map: string) => askJson<Timeline>(`maps/${enc(map)}/timeline`),
+  features: (map: string, at: Instant) =>
+    askJson<{ features: Feature[]; truncated: boolean }>(
+      `maps/${enc(map)}/features${query({ valid_at: at.valid, known_at: at.known })}`,
+    ),
+  changes: (map: string, changesetNo: number) =>
+    askJson<{ changes: Change[]; truncated: boolean }>(`maps/${enc(map)}/changes/${changesetNo}`),
+  between: (map: string, from: Instant, to: Instant) =>
+    askJson<{ changes: Change[]; truncated: boolean }>(
+      `maps/${enc(map)}/changes${query({
+        from_valid_at: from.valid,
+        from_known_at: from.known,
+        to_valid_at: to.valid,
+        to_known_at: to.known,
+      })}`,
+    ),
+  history: (map: string, id: string) => askJson<{ history: HistoryItem[] }>(`maps/${enc(map)}/features/${enc(id)}`),
+  sightings: (map: string, id: string) =>
+    askJson<{ sightings: Sighting[]; truncated: boolean }>(`maps/${enc(map)}/features/${enc(id)}/sightings`),
+  trajectory: (map: string, drive: string) => askJson<Trajectory>(`maps/${enc(map)}/drives/${enc(drive)}/trajectory`),
+  find: (map: string, beginning: string) =>
+    askJson<{ feature_ids: string[]; truncated: boolean }>(`maps/${enc(map)}/find${query({ beginning })}`),
+  picture: async (map: string, s: Sighting, side: "left" | "right", whole: boolean, signal: AbortSignal): Promise<Blob> => {
+    const place = `maps/${enc(map)}/drives/${enc(s.drive_uuid)}/pictures/${s.frame_index}/${s.match_index}/${side}.jpg`;
+    return (await ask(`${place}?context=${whole ? 100 : 3}`, signal)).blob();
+  },
+  events: (map: string) => new EventSource(`./api/maps/${enc(map)}/events`),
+};

@@ -1,0 +1,236 @@
+// The cones: true-size bodies (instanced), markers of fixed size above them, ghosts and arrows of what was there before.
+import {
+  BoxGeometry, BufferAttribute, BufferGeometry, Color, ConeGeometry, CylinderGeometry, DynamicDrawUsage, Group, InstancedMesh,
+  Matrix4, Mesh, MeshLambertMaterial, Points, Quaternion, ShaderMaterial, Vector3,
+} from "three";
+import { mergeGeometries } from "three/addons/utils/BufferGeometryUtils.js";
+import type { Vec3 } from "./api";
+import { STYLES, type Cone } from "./kinds";
+import type { Stage } from "./scene";
+
+const PICK_PX = 18;
+/** Lower cones are drawn as their marker alone. */
+const MIN_BODY_PX = 4;
+/** Marker's height above the tip. */
+const MARKER_LIFT_PX = 13;
+
+export interface ConeLayer {
+  show(cones: Cone[]): void;
+  /** The cone under a point of the canvas. */
+  pick(x: number, y: number): Cone | null;
+  shown(): Cone[];
+}
+
+export function createCones(stage: Stage): ConeLayer {
+  const body = coneGeometry();
+  const solid = new MeshLambertMaterial({ vertexColors: true });
+  const ghost = new MeshLambertMaterial({ vertexColors: true, transparent: true, opacity: 0.3, depthWrite: false });
+  const group = new Group();
+  stage.scene.add(group);
+  const markers = markerPoints();
+  stage.scene.add(markers.points);
+  let cones: Cone[] = [];
+
+  const standing = bodies(body, solid);
+  const gone = bodies(body, ghost);
+  const arrows = new Group();
+  group.add(standing.mesh, gone.mesh, arrows);
+  stage.beforeDraw(() => {
+    standing.cull(stage);
+    gone.cull(stage);
+  });
+
+  function show(next: Cone[]): void {
+    cones = next;
+    const colour = (c: Cone) => STYLES[c.kind].colour;
+    standing.set(cones.filter((c) => c.kind !== "removed").map((c) => ({ at: c.xyz, height: c.height_m, colour: colour(c) })));
+    gone.set(
+      cones.flatMap((c) => {
+        const at = c.kind === "removed" ? c.xyz : c.kind === "moved" ? c.old : null;
+        return at ? [{ at, height: c.height_m, colour: colour(c) }] : [];
+      }),
+    );
+    arrows.clear();
+    for (const c of cones) if (c.kind === "moved" && c.old) arrows.add(arrow(c.old, c.xyz, 0.32 * c.height_m, colour(c)));
+    markers.set(cones);
+    stage.draw();
+  }
+
+  function pick(x: number, y: number): Cone | null {
+    let best: Cone | null = null;
+    let bestScore = 1;
+    for (const cone of cones) {
+      const [cx, cy, cz] = cone.xyz;
+      const foot = stage.project([cx, cy, cz]);
+      const tip = stage.project([cx, cy, cz + cone.height_m]);
+      if (!foot || !tip) continue;
+      // Distance to the line from the foot to the marker above the tip, in units of how near a click must be.
+      const top: [number, number] = [tip[0], tip[1] - MARKER_LIFT_PX];
+      const reach = Math.max(PICK_PX, Math.hypot(tip[0] - foot[0], tip[1] - foot[1]) * 0.35);
+      const score = distanceToSegment([x, y], foot, top) / reach;
+      if (score < bestScore) {
+        bestScore = score;
+        best = cone;
+      }
+    }
+    return best;
+  }
+
+  return { show, pick, shown: () => cones };
+}
+
+interface Body {
+  at: Vec3;
+  height: number;
+  colour: string;
+}
+
+/** Cones of one material. Those that would be smaller than a few pixels are left out: their marker stands for them. */
+function bodies(geometry: BufferGeometry, material: MeshLambertMaterial) {
+  let items: Body[] = [];
+  let mesh = make(1);
+  const holder = new Group().add(mesh);
+  const matrix = new Matrix4();
+  const colour = new Color();
+
+  function make(capacity: number): InstancedMesh {
+    const made = new InstancedMesh(geometry, material, capacity);
+    made.frustumCulled = false;
+    made.count = 0;
+    return made;
+  }
+
+  return {
+    mesh: holder,
+    set(next: Body[]): void {
+      items = next;
+      holder.remove(mesh);
+      mesh.dispose();
+      mesh = make(Math.max(items.length, 1));
+      holder.add(mesh);
+    },
+    cull(stage: Stage): void {
+      let count = 0;
+      for (const { at, height, colour: css } of items) {
+        if (!stage.sees(at, height, MIN_BODY_PX)) continue;
+        mesh.setMatrixAt(count, matrix.makeScale(height, height, height).setPosition(...at));
+        mesh.setColorAt(count, colour.set(css));
+        count += 1;
+      }
+      mesh.count = count;
+      mesh.visible = count > 0;
+      mesh.instanceMatrix.needsUpdate = true;
+      if (mesh.instanceColor) mesh.instanceColor.needsUpdate = true;
+    },
+  };
+}
+
+function distanceToSegment(p: [number, number], a: [number, number], b: [number, number]): number {
+  const [dx, dy] = [b[0] - a[0], b[1] - a[1]];
+  const length2 = dx * dx + dy * dy;
+  const t = length2 ? Math.max(0, Math.min(1, ((p[0] - a[0]) * dx + (p[1] - a[1]) * dy) / length2)) : 0;
+  return Math.hypot(p[0] - a[0] - t * dx, p[1] - a[1] - t * dy);
+}
+
+/** A cone of height 1 with its foot's centre at the origin and z up; shades of one colour, a light band as on the road. */
+function coneGeometry(): BufferGeometry {
+  const radius = (z: number) => 0.2 - 0.165 * z;
+  const plate = new BoxGeometry(0.56, 0.56, 0.05).translate(0, 0, 0.025);
+  const part = (from: number, to: number) =>
+    new CylinderGeometry(radius(to), radius(from), to - from, 20, 1, false)
+      .rotateX(Math.PI / 2)
+      .translate(0, 0, (from + to) / 2);
+  const parts: [BufferGeometry, number][] = [
+    [plate, 0.62], [part(0.05, 0.45), 1.0], [part(0.45, 0.7), 1.9], [part(0.7, 1.0), 1.0],
+  ];
+  for (const [geometry, shade] of parts) {
+    const count = geometry.getAttribute("position").count;
+    geometry.setAttribute("color", new BufferAttribute(new Float32Array(count * 3).fill(shade), 3));
+  }
+  return mergeGeometries(parts.map(([geometry]) => geometry));
+}
+
+/** From the old place to the rim of the cone at the new one, `short_m` before its centre. */
+function arrow(from: Vec3, to: Vec3, short_m: number, colour: string): Group {
+  const [a, b] = [new Vector3(...from), new Vector3(...to)];
+  const way = b.clone().sub(a);
+  const length = Math.max(way.length() - short_m, 0.05);
+  const head = Math.min(0.35, length * 0.35);
+  const material = new MeshLambertMaterial({ color: colour });
+  const shaft = new Mesh(new CylinderGeometry(0.035, 0.035, Math.max(length - head, 0.01), 8), material);
+  shaft.position.y = (length - head) / 2;
+  const tip = new Mesh(new ConeGeometry(0.12, head, 12), material);
+  tip.position.y = length - head / 2;
+  const group = new Group().add(shaft, tip);
+  group.quaternion.copy(new Quaternion().setFromUnitVectors(new Vector3(0, 1, 0), way.normalize()));
+  group.position.copy(a).add(new Vector3(0, 0, 0.08));
+  return group;
+}
+
+// --- markers
+
+const VERTEX = /* glsl */ `
+attribute vec3 tint;
+attribute float shape;
+uniform float size;
+uniform float lift;
+varying vec3 vTint;
+varying float vShape;
+void main() {
+  vTint = tint;
+  vShape = shape;
+  gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
+  gl_Position.y += lift * gl_Position.w;
+  gl_PointSize = shape < 0.5 ? size * 0.72 : size;
+}`;
+const FRAGMENT = /* glsl */ `
+varying vec3 vTint;
+varying float vShape;
+float bar(vec2 p) { return min(max(abs(p.x) - 0.15, abs(p.y) - 0.62), max(abs(p.y) - 0.15, abs(p.x) - 0.62)); }
+void main() {
+  vec2 p = gl_PointCoord * 2.0 - 1.0;
+  float d = length(p) - 0.55;
+  if (vShape > 2.5) d = bar(mat2(0.7071, 0.7071, -0.7071, 0.7071) * p);
+  else if (vShape > 1.5) d = (abs(p.x) + abs(p.y)) - 0.72;
+  else if (vShape > 0.5) d = bar(p);
+  if (d > 0.2) discard;
+  gl_FragColor = vec4(d > 0.02 ? vec3(1.0) : vTint, 1.0);
+  #include <colorspace_fragment>
+}`;
+
+function markerPoints(): { points: Points; set(cones: Cone[]): void } {
+  const material = new ShaderMaterial({
+    vertexShader: VERTEX,
+    fragmentShader: FRAGMENT,
+    uniforms: { size: { value: 17 }, lift: { value: 0 } },
+    depthTest: false,
+  });
+  const points = new Points(new BufferGeometry(), material);
+  points.frustumCulled = false;
+  points.renderOrder = 5;
+  points.onBeforeRender = (renderer) => {
+    const ratio = renderer.getPixelRatio();
+    material.uniforms["size"]!.value = 17 * ratio;
+    material.uniforms["lift"]!.value = (2 * MARKER_LIFT_PX) / Math.max(renderer.domElement.clientHeight, 1);
+    material.uniformsNeedUpdate = true;
+  };
+  const colour = new Color();
+  function set(cones: Cone[]): void {
+    // Important ones last, so that they lie on top.
+    const order = [...cones].sort((a, b) => STYLES[a.kind].shape - STYLES[b.kind].shape);
+    const [position, tint, shape] = [new Float32Array(order.length * 3), new Float32Array(order.length * 3), new Float32Array(order.length)];
+    order.forEach((cone, i) => {
+      position.set([cone.xyz[0], cone.xyz[1], cone.xyz[2] + cone.height_m], i * 3);
+      tint.set(colour.set(STYLES[cone.kind].colour).toArray(), i * 3);
+      shape[i] = STYLES[cone.kind].shape;
+    });
+    points.geometry.dispose();
+    points.geometry = new BufferGeometry()
+      .setAttribute("position", new BufferAttribute(position, 3).setUsage(DynamicDrawUsage))
+      .setAttribute("tint", new BufferAttribute(tint, 3))
+      .setAttribute("shape", new BufferAttribute(shape, 1));
+    points.visible = order.length > 0;
+  }
+  set([]);
+  return { points, set };
+}

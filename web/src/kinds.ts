@@ -1,0 +1,57 @@
+// How each kind of cone looks: a colour that the colour-blind can tell (no red/green pair, no orange) and a marker of its own.
+import type { ChangeKind } from "./api";
+
+export type Kind = "confirmed" | "added" | "moved" | "removed" | "unchanged" | "standing";
+
+export interface Cone {
+  id: string;
+  kind: Kind;
+  xyz: [number, number, number];
+  /** Where it stood before, of moved ones. */
+  old: [number, number, number] | null;
+  shift_m: number | null;
+  height_m: number;
+  probability: number;
+  observations: number;
+}
+
+export interface KindStyle {
+  colour: string;
+  /** Number of the marker's shape in the shader and in `icon`. */
+  shape: 0 | 1 | 2 | 3;
+  label: string;
+}
+
+export const STYLES: Record<Kind, KindStyle> = {
+  added: { colour: "#0068b4", shape: 1, label: "new" },
+  moved: { colour: "#a8327f", shape: 2, label: "moved" },
+  removed: { colour: "#1f2933", shape: 3, label: "removed" },
+  confirmed: { colour: "#7f97b2", shape: 0, label: "confirmed" },
+  unchanged: { colour: "#b4bcc6", shape: 0, label: "not judged" },
+  standing: { colour: "#7f97b2", shape: 0, label: "standing" },
+};
+
+export const KIND_ORDER: Kind[] = ["added", "moved", "removed", "confirmed", "unchanged", "standing"];
+
+export const kindOf = (kind: ChangeKind): Kind => kind;
+
+const SVG = "http://www.w3.org/2000/svg";
+const PATHS = [
+  "M8 3.2a4.8 4.8 0 1 0 .01 0z",
+  "M6.5 2h3v4.5H14v3H9.5V14h-3V9.5H2v-3h4.5z",
+  "M8 1.5 14.5 8 8 14.5 1.5 8z",
+  "M3.600 1.800 8 6.200l4.400-4.400 1.800 1.800L9.800 8l4.400 4.400-1.800 1.800L8 9.800l-4.400 4.400-1.800-1.800L6.200 8 1.800 3.600z",
+];
+
+/** The marker of a kind as a small picture, the same shape as in the scene. */
+export function icon(kind: Kind): SVGSVGElement {
+  const svg = document.createElementNS(SVG, "svg");
+  svg.setAttribute("viewBox", "0 0 16 16");
+  svg.setAttribute("class", "icon");
+  svg.setAttribute("aria-hidden", "true");
+  const path = document.createElementNS(SVG, "path");
+  path.setAttribute("d", PATHS[STYLES[kind].shape] ?? "");
+  path.setAttribute("fill", STYLES[kind].colour);
+  svg.append(path);
+  return svg;
+}

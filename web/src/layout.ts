@@ -1,0 +1,103 @@
+// The page's frame: header, side panels, cards for what is empty, loading or wrong.
+import { el, fill, plural, shortId } from "./dom";
+import { icon, STYLES, type Cone } from "./kinds";
+import type { LiveStatus } from "./live";
+
+interface CardOptions {
+  busy?: boolean;
+  code?: string;
+  action?: { text: string; run: () => void };
+}
+
+const KEYS: [string, string][] = [
+  ["Drag, right drag, wheel", "turn, move, zoom"],
+  ["← ↑ → ↓, with Shift", "move, turn"],
+  ["+ −", "zoom"],
+  ["Home", "show everything"],
+  ["T", "from above, north up"],
+  [", .", "drive before, drive after"],
+  ["B, C", "before / after, changes"],
+  ["P N", "sighting before, sighting after"],
+  ["/", "find a cone"],
+  ["Esc", "close the panel"],
+];
+const STATUS_TEXT: Record<LiveStatus, string> = { live: "live", waiting: "no connection", trouble: "database trouble" };
+
+export function createLayout(app: HTMLElement) {
+  const view = el("main", { class: "view" });
+  const sidebar = el("aside", { class: "sidebar", id: "sidebar", aria: { label: "Map, search and legend" } });
+  const panel = el("aside", { class: "panel", hidden: true, aria: { label: "Chosen cone" } });
+  const timeline = el("footer", { class: "timeline" });
+  const brand = el("div", { class: "brand" });
+  const dot = el("span", { class: "status", role: "status" }, el("i"), el("span", { textContent: "connecting" }));
+  dot.dataset["status"] = "waiting";
+  const progress = el("div", { class: "progress", hidden: true });
+  const cardHost = el("div", { class: "card-host", hidden: true });
+  const noticeHost = el("div", { class: "scene-notice", hidden: true, role: "status" });
+  const toasts = el("div", { class: "toasts", aria: { live: "polite" } });
+  const tip = el("div", { class: "tip", hidden: true, aria: { hidden: "true" } });
+  const help = el("dialog", { class: "help" },
+    el("h2", { textContent: "Keys" }), el("dl", {}, ...KEYS.flatMap(([keys, what]) => [el("dt", { textContent: keys }), el("dd", { textContent: what })])),
+    el("p", { class: "hint", textContent: "Cones stand in true size (height as measured, width of a common cone); markers above them keep their size. The address of this page shows a colleague the same picture." }),
+    el("button", { type: "button", textContent: "Close", onclick: () => help.close() })); // prettier-ignore
+  const menu = el("button", { type: "button", class: "menu", textContent: "☰ Legend", aria: { expanded: "false", controls: "sidebar" } });
+  menu.addEventListener("click", () => {
+    const open = app.classList.toggle("menu-open");
+    menu.setAttribute("aria-expanded", String(open));
+  });
+  const helpButton = el("button", { type: "button", class: "link", onclick: () => help.showModal() }, "Keys ", el("kbd", { textContent: "?" }));
+  app.append(
+    el("header", { class: "top" }, menu, brand, el("span", { class: "space" }), dot, helpButton),
+    progress, sidebar, view, panel, timeline, toasts, help,
+  ); // prettier-ignore
+  view.append(cardHost, noticeHost, tip);
+
+  return {
+    view, sidebar, panel, timeline, brand,
+    busy: (on: boolean) => void (progress.hidden = !on),
+    empty: (on: boolean) => void app.classList.toggle("is-empty", on),
+    panelOpen: (on: boolean) => void app.classList.toggle("panel-open", on),
+    card(title: string | null, text = "", options: CardOptions = {}): void {
+      cardHost.hidden = title === null;
+      if (title === null) return;
+      const { action } = options;
+      fill(cardHost, el("div", { class: options.busy ? "card busy" : "card", role: options.busy ? "status" : "alert" },
+        el("h2", { textContent: title }), Boolean(text) && el("p", { textContent: text }),
+        options.code && el("code", { textContent: options.code }),
+        action && el("button", { type: "button", class: "primary", textContent: action.text, onclick: () => action.run() }))); // prettier-ignore
+    },
+    notice(text: string | null): void {
+      noticeHost.hidden = text === null;
+      noticeHost.textContent = text;
+    },
+    toast(text: string, action: { text: string; run: () => void } | null): void {
+      const node = el("div", { class: "toast" }, el("span", { textContent: text }));
+      const remove = () => node.remove();
+      if (action) node.append(el("button", { type: "button", class: "link", textContent: action.text, onclick: () => (action.run(), remove()) }));
+      node.append(el("button", { type: "button", class: "link", textContent: "×", aria: { label: "Dismiss" }, onclick: remove }));
+      toasts.append(node);
+      window.setTimeout(remove, action ? 60_000 : 8_000);
+    },
+    status(status: LiveStatus, text: string): void {
+      dot.dataset["status"] = status;
+      dot.title = text;
+      const word = dot.lastElementChild;
+      if (word && word.textContent !== STATUS_TEXT[status]) word.textContent = STATUS_TEXT[status];
+    },
+    tip(cone: Cone | null, x: number, y: number): void {
+      tip.hidden = cone === null;
+      if (!cone) return;
+      const shift = cone.kind === "moved" && cone.shift_m !== null ? ` by ${cone.shift_m.toFixed(2)} m` : "";
+      fill(tip, el("b", {}, icon(cone.kind), `${STYLES[cone.kind].label}${shift}`), el("span", { class: "mono", textContent: shortId(cone.id) }),
+        el("span", { textContent: `exists ${cone.probability.toFixed(3)}, ${plural(cone.observations, "observation")}` })); // prettier-ignore
+      const left = x + 14 + tip.offsetWidth > view.clientWidth ? x - 14 - tip.offsetWidth : x + 14;
+      tip.style.transform = `translate(${left}px, ${Math.max(4, y - tip.offsetHeight / 2)}px)`;
+    },
+    openHelp: () => void (help.open || help.showModal()),
+    closeHelp: (): boolean => {
+      const open = help.open;
+      if (open) help.close();
+      return open;
+    },
+  };
+}

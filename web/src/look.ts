@@ -1,0 +1,68 @@
+// From what is asked for to the cones that show it.
+import { api, type Change, type Feature, type Instant, type TimelineItem } from "./api";
+import { kindOf, type Cone } from "./kinds";
+import type { State } from "./state";
+
+/** The changeset of this number; the newest one for null or a number that the map does not have. */
+export function changesetOf(items: TimelineItem[], no: number | null): TimelineItem | undefined {
+  return no === null ? items.at(-1) : items.find((t) => t.changeset_no === no) ?? items.at(-1);
+}
+
+const standing = (f: Feature): Cone => ({
+  id: f.feature_id, kind: "standing", xyz: f.xyz_m, old: null, shift_m: null, height_m: f.cone_height_m,
+  probability: f.existence_probability, observations: f.observation_count,
+});
+
+const changed = (c: Change): Cone => ({
+  id: c.feature_id, kind: kindOf(c.kind), xyz: c.xyz_m, old: c.kind === "moved" ? c.old_xyz_m : null, shift_m: c.shift_m,
+  height_m: c.cone_height_m, probability: c.existence_probability, observations: c.observation_count,
+});
+
+/** The cones to draw for a state, and whether the answer was cut short. */
+export async function readCones(state: State, items: TimelineItem[]): Promise<[Cone[], boolean]> {
+  const { map } = state;
+  const known = state.known === null ? null : changesetOf(items, state.known)?.committed_at ?? null;
+  if (state.mode === "instant") {
+    const answer = await api.features(map, { valid: state.valid, known });
+    return [answer.features.map(standing), answer.truncated];
+  }
+  if (state.mode === "compare") {
+    const answer = await api.between(map, instantAfter(items, state.from, known), instantAfter(items, state.to, known));
+    return [answer.changes.map(changed), answer.truncated];
+  }
+  const item = changesetOf(items, state.changeset);
+  if (!item) return [[], false];
+  // Before and after are two beliefs about the same instant on the road, the end of the drive: this shows what a drive changed
+  // also where it was committed after younger ones.
+  if (state.side === "before") {
+    const answer = await api.features(map, { valid: item.valid_at, known: item.known_before });
+    return [answer.features.map(standing), answer.truncated];
+  }
+  const [features, changes] = await Promise.all([
+    api.features(map, { valid: item.valid_at, known: item.committed_at }),
+    api.changes(map, item.changeset_no),
+  ]);
+  const judged = new Map(changes.changes.map((c) => [c.feature_id, changed(c)]));
+  const rest = features.features.filter((f) => !judged.has(f.feature_id)).map((f): Cone => ({ ...standing(f), kind: "unchanged" }));
+  const shown = [...judged.values()].flatMap((c): Cone[] => {
+    if (state.side === "changes") return [c];
+    return c.kind === "removed" ? [] : [{ ...c, old: null, shift_m: null }];
+  });
+  return [[...shown, ...rest], features.truncated];
+}
+
+function instantAfter(items: TimelineItem[], no: number | null, known: string | null): Instant {
+  const first = items[0];
+  if (no === 0 && first) return { valid: new Date(Date.parse(first.captured_from) - 1000).toISOString(), known };
+  return { valid: changesetOf(items, no)?.valid_at ?? null, known };
+}
+
+/** Whose ways are drawn. */
+export function drivesShown(state: State, items: TimelineItem[]): TimelineItem[] {
+  if (!state.trajectory) return [];
+  const pick = (...list: (TimelineItem | undefined)[]) => list.filter((t): t is TimelineItem => t !== undefined);
+  if (state.mode === "drive") return pick(changesetOf(items, state.changeset));
+  if (state.mode === "compare") return pick(state.from === 0 ? undefined : changesetOf(items, state.from), changesetOf(items, state.to));
+  const until = state.valid === null ? Infinity : Date.parse(state.valid);
+  return items.filter((t) => Date.parse(t.captured_from) <= until).slice(-10);
+}

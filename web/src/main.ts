@@ -1,0 +1,394 @@
+// Ties everything together: state -> what to fetch -> what to draw.
+import { api, type HistoryItem, type MapItem, type Timeline, type TimelineItem, type Trajectory, type Vec3 } from "./api";
+import { createCones } from "./cones";
+import { el, fill, plural } from "./dom";
+import type { Cone } from "./kinds";
+import { createLayout } from "./layout";
+import { listen } from "./live";
+import { changesetOf, drivesShown, readCones } from "./look";
+import { createOverlays, ellipse95, niceFactor } from "./overlays";
+import { createPanel, stateAt, type Chosen } from "./panel";
+import { createStage, type Stage } from "./scene";
+import { createSidebar } from "./sidebar";
+import { formatState, parseState, type State } from "./state";
+import "./style.css";
+import { createTimeline } from "./timeline";
+
+const layout = createLayout(document.getElementById("app") ?? document.body);
+let stage: Stage;
+try {
+  stage = createStage(layout.view);
+} catch (error) {
+  layout.card("This browser cannot draw in three dimensions", "WebGL is switched off or missing. Switch on hardware acceleration, or use another browser.");
+  throw error;
+}
+const cones = createCones(stage);
+const overlays = createOverlays(stage, layout.view);
+
+let state: State = parseState(location.hash);
+let maps: MapItem[] = [];
+let timeline: Timeline | null = null;
+let all: Cone[] = [];
+let chosen: Chosen | null = null;
+let fitted = false;
+/** Rises with every look at the map, so that an answer that comes too late is not shown. */
+let look = 0;
+let closeStream: (() => void) | null = null;
+const ways = new Map<string, Trajectory>();
+
+const sidebar = createSidebar(layout.sidebar, {
+  chooseMap: (name) => {
+    state = { ...parseState(""), map: name };
+    void openMap();
+  },
+  toggleKind: (kind) => {
+    const hidden = new Set(state.hidden);
+    if (!hidden.delete(kind)) hidden.add(kind);
+    change({ hidden }, false);
+  },
+  setProbability: (minProbability) => change({ minProbability }, false),
+  setTrajectory: (trajectory) => change({ trajectory }),
+  find: async (beginning) => {
+    const found = await api.find(state.map, beginning);
+    return { ids: found.feature_ids, truncated: found.truncated };
+  },
+  select: (id) => void select(id, true),
+  fit: () => fit(),
+});
+const showTimeline = createTimeline(layout.timeline, {
+  setMode: (mode) => change({ mode }),
+  setSide: (side) => change({ side }),
+  setChangeset: (changeset) => change({ changeset }),
+  setCompare: (from, to) => change({ from, to }),
+  setValid: (valid) => change({ valid }),
+  setKnown: (known) => change({ known }),
+});
+const panel = createPanel(layout.panel, {
+  close: () => void select(null),
+  showSighting: (sighting) => showSighting(sighting),
+  showChangeset: (changeset) => change({ mode: "drive", changeset }),
+  setFactor: (factor) => {
+    if (chosen) chosen = { ...chosen, factor };
+    drawChosen();
+  },
+  centre: () => centreChosen(),
+});
+
+// --- state
+
+function change(values: Partial<State>, refetch = true): void {
+  state = { ...state, ...values };
+  writeAddress();
+  if (refetch) void refresh();
+  else draw();
+}
+
+let addressTimer = 0;
+function writeAddress(): void {
+  window.clearTimeout(addressTimer);
+  addressTimer = window.setTimeout(() => history.replaceState(null, "", `#${formatState(state)}`), 120);
+}
+
+stage.onCamera((camera) => {
+  state.camera = camera;
+  writeAddress();
+});
+window.addEventListener("hashchange", () => {
+  const next = parseState(location.hash);
+  const other = next.map !== state.map;
+  state = next;
+  if (other) void openMap();
+  else {
+    if (state.camera) stage.place(state.camera);
+    void refresh();
+    void select(state.feature);
+  }
+});
+
+const changeset = (no: number | null) => changesetOf(timeline?.changesets ?? [], no);
+
+// --- reading
+
+async function openMap(): Promise<void> {
+  closeStream?.();
+  chosen = null;
+  panel.hide();
+  timeline = null;
+  all = [];
+  ways.clear();
+  fitted = state.camera !== null;
+  layout.card("Reading the map …", "", { busy: true });
+  try {
+    const answer = await api.maps();
+    maps = answer.maps;
+    if (!state.map) state.map = maps.some((m) => m.map_name === answer.chosen) || !maps[0] ? answer.chosen : maps[0].map_name;
+    sidebar.showMaps(maps, state.map);
+    document.title = `${state.map} · conetl`;
+    if (maps.some((m) => m.map_name === state.map && m.changeset_count > 0)) await readTimeline();
+    if (state.camera) stage.place(state.camera);
+    await refresh();
+    if (state.feature) await select(state.feature);
+  } catch (error) {
+    fail(error, openMap);
+  }
+  closeStream = listen(state.map, { newest: (no) => void newChangeset(no), status: layout.status });
+}
+
+async function readTimeline(): Promise<void> {
+  timeline = await api.timeline(state.map);
+}
+
+async function newChangeset(no: number): Promise<void> {
+  const known = timeline?.changesets.at(-1)?.changeset_no ?? 0;
+  if (no <= known) return;
+  try {
+    await readTimeline();
+    const item = timeline?.changesets.at(-1);
+    if (!item) return;
+    void api.maps().then((answer) => sidebar.showMaps((maps = answer.maps), state.map));
+    const counts = [`${item.added_count} new`, `${item.moved_count} moved`, `${item.removed_count} removed`].join(", ");
+    const follows = state.mode === "drive" && state.changeset === null;
+    layout.toast(`${item.drive_id} was committed: ${counts}.`, follows ? null : { text: "Show it", run: () => change({ mode: "drive", changeset: null }) });
+    await refresh();
+    if (chosen) await select(chosen.id);
+  } catch (error) {
+    fail(error, () => newChangeset(no));
+  }
+}
+
+async function refresh(): Promise<void> {
+  const mine = ++look;
+  if (!timeline || !timeline.changesets.length) {
+    layout.card(`The map “${state.map}” is empty`, "Fill it and it appears here by itself:", { code: `${state.map === "default" ? "" : `CONETL_MAP_NAME=${state.map} `}conetl ingest path/to/drive` });
+    layout.empty(true);
+    show([], []);
+    return;
+  }
+  layout.empty(false);
+  layout.busy(true);
+  showTimeline(state, timeline.changesets); // the controls answer at once, the picture when it is there
+  try {
+    const [next, truncated] = await readCones(state, timeline.changesets);
+    const drives = await readWays(drivesShown(state, timeline.changesets));
+    if (mine !== look) return;
+    layout.card(null);
+    layout.notice(truncated ? `Only the first ${plural(next.length, "cone")} are shown: this map is larger than one picture holds.` : null);
+    show(next, drives);
+  } catch (error) {
+    if (mine === look) fail(error, refresh);
+  } finally {
+    if (mine === look) layout.busy(false);
+  }
+}
+
+async function readWays(drives: TimelineItem[]): Promise<Trajectory[]> {
+  return Promise.all(
+    drives.map(async ({ drive_uuid }) => {
+      const way = ways.get(drive_uuid) ?? (await api.trajectory(state.map, drive_uuid));
+      ways.set(drive_uuid, way);
+      return way;
+    }),
+  );
+}
+
+// --- drawing
+
+function show(next: Cone[], drives: Trajectory[]): void {
+  all = next;
+  overlays.showWays(drives);
+  const heights = all.map((c) => c.xyz[2]).sort((a, b) => a - b);
+  const middle = heights[Math.floor(heights.length / 2)];
+  if (middle !== undefined) stage.setGround(middle);
+  draw();
+  if (!fitted && (all.length || drives.length)) {
+    fitted = true;
+    fit();
+  }
+}
+
+function visible(): Cone[] {
+  return all.filter((c) => !state.hidden.has(c.kind) && c.probability >= state.minProbability);
+}
+
+function draw(): void {
+  const shown = visible();
+  cones.show(shown);
+  overlays.showLabels(shown, state.feature);
+  sidebar.show(state, all, shown.length);
+  showTimeline(state, timeline?.changesets ?? []);
+  drawChosen();
+  document.documentElement.dataset["cones"] = String(shown.length);
+}
+
+/** Everything, seen from behind the drive and above. */
+function fit(): void {
+  const way = [...ways.values()].at(-1)?.xyz_m ?? [];
+  const points: Vec3[] = all.flatMap((c) => [c.xyz, ...(c.old ? [c.old] : [])]);
+  const near = way.filter((p) => points.some((q) => Math.hypot(p[0] - q[0], p[1] - q[1]) < 7));
+  const [a, b] = [way[0], way.at(-1)];
+  if (a && b && state.camera === null) {
+    const heading = Math.atan2(b[1] - a[1], b[0] - a[0]);
+    stage.place([a[0], a[1], a[2], heading - Math.PI / 2 + 0.5, 0.95, 30]);
+  }
+  stage.fit([...points, ...(points.length ? near : way)]);
+}
+
+function fail(error: unknown, again: () => unknown): void {
+  layout.busy(false);
+  const text = error instanceof Error ? error.message : String(error);
+  layout.card("The map cannot be shown", text, { action: { text: "Try again", run: () => void again() } });
+}
+
+// --- the chosen cone
+
+let selecting = 0;
+async function select(id: string | null, centre = false): Promise<void> {
+  const mine = ++selecting;
+  if (id !== state.feature) state.sighting = null;
+  state.feature = id;
+  writeAddress();
+  overlays.showLabels(visible(), id);
+  layout.panelOpen(id !== null);
+  if (id === null) {
+    chosen = null;
+    panel.hide();
+    drawChosen();
+    return;
+  }
+  const map = state.map;
+  if (chosen?.id !== id) {
+    chosen = null;
+    panel.loading(id);
+    drawChosen();
+  }
+  try {
+    const { history } = await api.history(map, id);
+    if (mine !== selecting) return;
+    chosen = { id, map, srid: timeline?.srid ?? 0, history, sightings: null, truncated: false, sightingIndex: 0, upTo: upTo(), factor: chosen?.factor ?? null };
+    drawChosen();
+    if (centre) centreChosen();
+    const { sightings, truncated } = await api.sightings(map, id);
+    if (mine !== selecting || !chosen) return;
+    chosen = { ...chosen, sightings, truncated };
+    drawChosen();
+  } catch (error) {
+    if (mine === selecting) panel.failed(id, error);
+  }
+}
+
+function showSighting(index: number): void {
+  if (!chosen?.sightings) return;
+  const sightingIndex = Math.max(0, Math.min(index, chosen.sightings.length - 1));
+  state.sighting = sightingIndex;
+  writeAddress();
+  drawChosen();
+}
+
+const upTo = () => (state.mode === "drive" ? changeset(state.changeset)?.changeset_no ?? Infinity : Infinity);
+
+function drawChosen(): void {
+  if (!chosen) {
+    overlays.showSelection(null, null, 1);
+    overlays.showFrustum(null);
+    return;
+  }
+  chosen = { ...chosen, upTo: upTo() };
+  chosen.sightingIndex = sightingToShow(chosen);
+  const now: HistoryItem | undefined = stateAt(chosen.history, chosen.upTo);
+  if (now) {
+    const ellipse = ellipse95(now.cov_m2);
+    overlays.showSelection(now.xyz_m, ellipse, chosen.factor ?? niceFactor(ellipse));
+  }
+  overlays.showFrustum(chosen.sightings?.[chosen.sightingIndex] ?? null);
+  panel.show(chosen);
+}
+
+/** The one that was asked for, else the nearest one of the drive that is looked at: that shows most. */
+function sightingToShow({ sightings, history, upTo }: Chosen): number {
+  if (!sightings?.length) return 0;
+  if (state.sighting !== null) return Math.min(state.sighting, sightings.length - 1);
+  const no = history.filter((h) => h.changeset_no <= upTo && h.sighting_count > 0).at(-1)?.changeset_no;
+  let best = -1;
+  sightings.forEach((s, i) => {
+    if ((s.changeset_no === no || no === undefined) && (best < 0 || s.range_m < (sightings[best]?.range_m ?? 0))) best = i;
+  });
+  return Math.max(best, 0);
+}
+
+function centreChosen(): void {
+  const now = chosen && stateAt(chosen.history, chosen.upTo);
+  if (now) stage.lookAt(now.xyz_m, 9);
+}
+
+// --- mouse and keys
+
+let down: [number, number] | null = null;
+stage.canvas.addEventListener("pointerdown", (event) => {
+  down = [event.clientX, event.clientY];
+});
+stage.canvas.addEventListener("pointerup", (event) => {
+  if (!down || event.button !== 0 || Math.hypot(event.clientX - down[0], event.clientY - down[1]) > 5) return;
+  const cone = cones.pick(event.offsetX, event.offsetY);
+  if (cone) void select(cone.id);
+});
+let hovering = false;
+stage.canvas.addEventListener("pointermove", (event) => {
+  if (hovering || event.buttons || event.pointerType === "touch") return;
+  hovering = true;
+  requestAnimationFrame(() => {
+    hovering = false;
+    const cone = cones.pick(event.offsetX, event.offsetY);
+    stage.canvas.classList.toggle("over", cone !== null);
+    layout.tip(cone, event.offsetX, event.offsetY);
+  });
+});
+stage.canvas.addEventListener("pointerleave", () => layout.tip(null, 0, 0));
+
+window.addEventListener("keydown", (event) => {
+  if (event.ctrlKey || event.metaKey || event.altKey) return;
+  const target = event.target instanceof HTMLElement ? event.target : document.body;
+  const typing = target.matches("select, input:not([type=range]):not([type=checkbox])");
+  if (event.key === "Escape") {
+    if (typing) target.blur();
+    else if (!layout.closeHelp()) void select(null);
+    return;
+  }
+  if (typing) return;
+  if (target.matches("input[type=range]") && event.key.startsWith("Arrow")) return;
+  if (handleKey(event) || stage.key(event)) event.preventDefault();
+});
+
+function handleKey(event: KeyboardEvent): boolean {
+  const items = timeline?.changesets ?? [];
+  const at = items.findIndex((t) => t === changeset(state.changeset));
+  const step = (by: number) => {
+    const item = items[at + by];
+    if (item) change({ mode: "drive", changeset: item === items.at(-1) ? null : item.changeset_no });
+  };
+  switch (event.key) {
+    case "Home": fit(); return true;
+    case ",": step(-1); return true;
+    case ".": step(1); return true;
+    case "b": case "B": change({ mode: "drive", side: state.side === "before" ? "after" : "before" }); return true;
+    case "c": case "C": change({ mode: "drive", side: "changes" }); return true;
+    case "n": case "N": if (chosen) showSighting(chosen.sightingIndex + 1); return true;
+    case "p": case "P": if (chosen) showSighting(chosen.sightingIndex - 1); return true;
+    case "/": sidebar.focusSearch(); return true;
+    case "?": layout.openHelp(); return true;
+    default: return false;
+  }
+}
+
+declare global {
+  interface Window {
+    /** For tests: where a cone is on the canvas. */
+    conetlProject?: (id: string) => [number, number] | null;
+  }
+}
+window.conetlProject = (id) => {
+  const cone = all.find((c) => c.id === id);
+  return cone ? stage.project([cone.xyz[0], cone.xyz[1], cone.xyz[2] + cone.height_m / 2]) : null;
+};
+
+fill(layout.brand, el("b", { textContent: "conetl" }), " map");
+void openMap();

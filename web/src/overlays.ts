@@ -1,0 +1,171 @@
+// What is drawn beside the cones: the drives' ways, the camera of a sighting, the chosen cone's error ellipse, labels.
+import {
+  BufferAttribute, BufferGeometry, CircleGeometry, DoubleSide, Float32BufferAttribute, Group, InstancedMesh, Line, LineBasicMaterial,
+  LineLoop, LineSegments, Matrix4, Mesh, MeshBasicMaterial, Object3D, Shape, ShapeGeometry, Vector3,
+} from "three";
+import type { HistoryItem, Sighting, Trajectory, Vec3 } from "./api";
+import { el } from "./dom";
+import { STYLES, type Cone } from "./kinds";
+import type { Stage } from "./scene";
+
+/** 95 % of a normal distribution in two dimensions lies within so many sigmas. */
+export const SIGMAS_95 = Math.sqrt(-2 * Math.log(0.05));
+const FRUSTUM_DEPTH_M = 1.6;
+const ARROW_EVERY_M = 8;
+const MAX_LABELS = 60;
+const WAY = "#4a5560";
+const CAMERA = "#00795c";
+const ELLIPSE = "#0068b4";
+
+export interface Ellipse {
+  /** Half axes on the ground that hold 95 %, in metres, and the direction of the greater one, from east counter-clockwise. */
+  major_m: number;
+  minor_m: number;
+  angle_rad: number;
+}
+
+export function ellipse95(cov: HistoryItem["cov_m2"]): Ellipse {
+  const [xx, xy, , yy] = cov;
+  const mean = (xx + yy) / 2;
+  const spread = Math.hypot((xx - yy) / 2, xy);
+  return {
+    major_m: SIGMAS_95 * Math.sqrt(mean + spread),
+    minor_m: SIGMAS_95 * Math.sqrt(Math.max(mean - spread, 0)),
+    angle_rad: 0.5 * Math.atan2(2 * xy, xx - yy),
+  };
+}
+
+/** Enlargement at which the ellipse can be seen beside a cone. */
+export const niceFactor = (e: Ellipse): number => [1, 10, 100, 1000].find((f) => e.major_m * f >= 0.3) ?? 1000;
+
+export function createOverlays(stage: Stage, host: HTMLElement) {
+  const ways = new Group();
+  const selection = new Group();
+  const frustum = new Group();
+  stage.scene.add(ways, selection, frustum);
+  const labels = el("div", { class: "labels", aria: { hidden: "true" } });
+  host.append(labels);
+  let labelled: { at: Vec3; node: HTMLElement }[] = [];
+
+  stage.beforeDraw(() => {
+    for (const { at, node } of labelled) {
+      const place = stage.project(at);
+      node.hidden = place === null;
+      if (place) node.style.transform = `translate(${Math.round(place[0])}px, ${Math.round(place[1])}px)`;
+    }
+  });
+
+  return {
+    showWays(drives: Trajectory[]): void {
+      empty(ways);
+      for (const drive of drives) {
+        const line = new Line(geometry(drive.xyz_m), new LineBasicMaterial({ color: WAY }));
+        ways.add(line, ...chevrons(drive.xyz_m));
+      }
+      stage.draw();
+    },
+
+    showSelection(at: Vec3 | null, ellipse: Ellipse | null, factor: number): void {
+      empty(selection);
+      if (at && ellipse) {
+        const circle = new CircleGeometry(1, 72);
+        const rim = new LineLoop(rimOf(circle), new LineBasicMaterial({ color: ELLIPSE, depthTest: false }));
+        const fill = new Mesh(
+          circle,
+          new MeshBasicMaterial({ color: ELLIPSE, transparent: true, opacity: 0.22, depthTest: false, side: DoubleSide }),
+        );
+        for (const part of [fill, rim]) {
+          part.scale.set(ellipse.major_m * factor, ellipse.minor_m * factor, 1);
+          part.rotation.z = ellipse.angle_rad;
+          part.position.set(at[0], at[1], at[2] + 0.01);
+          part.renderOrder = 2;
+          selection.add(part);
+        }
+      }
+      stage.draw();
+    },
+
+    showFrustum(sighting: Sighting | null): void {
+      empty(frustum);
+      if (sighting) {
+        const centre = new Vector3(...sighting.camera_xyz_m);
+        const corner = sighting.corners.map((c) => centre.clone().add(rotate(sighting.map_R_camera, c).multiplyScalar(FRUSTUM_DEPTH_M)));
+        const points: Vector3[] = [];
+        corner.forEach((c, i) => points.push(centre, c, c, corner[(i + 1) % 4] ?? c));
+        const [a, b] = [corner[0], corner[1]];
+        if (a && b) {
+          const roof = a.clone().lerp(b, 0.5).add(rotate(sighting.map_R_camera, [0, -0.25, 0]));
+          points.push(a.clone().lerp(b, 0.35), roof, roof, a.clone().lerp(b, 0.65));
+        }
+        const lines = new LineSegments(new BufferGeometry().setFromPoints(points), new LineBasicMaterial({ color: CAMERA }));
+        const ray = new Line(
+          new BufferGeometry().setFromPoints([centre, new Vector3(...sighting.xyz_m)]),
+          new LineBasicMaterial({ color: CAMERA, transparent: true, opacity: 0.55 }),
+        );
+        frustum.add(lines, ray);
+      }
+      stage.draw();
+    },
+
+    showLabels(cones: Cone[], chosen: string | null): void {
+      const wanted = cones.filter((c) => c.id === chosen || (c.kind === "moved" && c.shift_m !== null)).slice(0, MAX_LABELS);
+      labelled = wanted.map((cone) => {
+        const isChosen = cone.id === chosen;
+        const text = [isChosen ? cone.id.slice(0, 8) : "", cone.kind === "moved" && cone.shift_m !== null ? `${cone.shift_m.toFixed(2)} m` : ""]
+          .filter(Boolean).join(" · "); // prettier-ignore
+        const node = el("span", { class: isChosen ? "label chosen" : "label", textContent: text });
+        node.style.setProperty("--colour", STYLES[cone.kind].colour);
+        return { at: [cone.xyz[0], cone.xyz[1], cone.xyz[2] + cone.height_m] as Vec3, node };
+      });
+      labels.replaceChildren(...labelled.map(({ node }) => node));
+      stage.draw();
+    },
+  };
+}
+
+export type Overlays = ReturnType<typeof createOverlays>;
+
+function empty(group: Group): void {
+  const children: Object3D[] = [...group.children];
+  for (const child of children) {
+    group.remove(child);
+    if (child instanceof InstancedMesh) child.dispose();
+    if (child instanceof Mesh || child instanceof Line) child.geometry.dispose();
+  }
+}
+
+function geometry(points: Vec3[]): BufferGeometry {
+  return new BufferGeometry().setAttribute("position", new Float32BufferAttribute(points.flat(), 3));
+}
+
+function rimOf(circle: CircleGeometry): BufferGeometry {
+  const all = circle.getAttribute("position");
+  const rim = new Float32Array((all.count - 2) * 3);
+  for (let i = 1; i < all.count - 1; i++) rim.set([all.getX(i), all.getY(i), 0], (i - 1) * 3);
+  return new BufferGeometry().setAttribute("position", new BufferAttribute(rim, 3));
+}
+
+function rotate(R: [Vec3, Vec3, Vec3], v: Vec3): Vector3 {
+  const [a, b, c] = R.map((row) => row[0] * v[0] + row[1] * v[1] + row[2] * v[2]);
+  return new Vector3(a, b, c);
+}
+
+/** Small arrow heads along a way, so that one sees which way was driven. */
+function chevrons(points: Vec3[]): Object3D[] {
+  const places: Matrix4[] = [];
+  let since = ARROW_EVERY_M / 2;
+  for (let i = 1; i < points.length; i++) {
+    const [a, b] = [points[i - 1], points[i]];
+    if (!a || !b) continue;
+    since += Math.hypot(b[0] - a[0], b[1] - a[1]);
+    if (since < ARROW_EVERY_M) continue;
+    since = 0;
+    places.push(new Matrix4().makeRotationZ(Math.atan2(b[1] - a[1], b[0] - a[0])).setPosition(...b));
+  }
+  if (!places.length) return [];
+  const shape = new Shape().moveTo(0.45, 0).lineTo(-0.3, 0.3).lineTo(-0.12, 0).lineTo(-0.3, -0.3).closePath();
+  const mesh = new InstancedMesh(new ShapeGeometry(shape), new MeshBasicMaterial({ color: WAY, side: DoubleSide }), places.length);
+  mesh.frustumCulled = false;
+  places.forEach((matrix, i) => mesh.setMatrixAt(i, matrix));
+  return [mesh];
+}

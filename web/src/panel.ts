@@ -1,0 +1,206 @@
+// Right: everything about the chosen cone.
+import { api, ApiError, type HistoryItem, type Sighting } from "./api";
+import { el, fill, plural, shortId, utc } from "./dom";
+import { icon, STYLES } from "./kinds";
+import { ellipse95, niceFactor } from "./overlays";
+
+export interface PanelActions {
+  close(): void;
+  showSighting(index: number): void;
+  showChangeset(no: number): void;
+  setFactor(factor: number | null): void;
+  centre(): void;
+}
+
+export interface Chosen {
+  id: string;
+  map: string;
+  srid: number;
+  history: HistoryItem[];
+  /** null while they are being fetched. */
+  sightings: Sighting[] | null;
+  truncated: boolean;
+  sightingIndex: number;
+  /** Number of the changeset that is looked at. */
+  upTo: number;
+  /** Enlargement of the ellipse; null chooses one. */
+  factor: number | null;
+}
+
+const cm = (variance: number) => `${(Math.sqrt(variance) * 100).toFixed(1)} cm`;
+
+/** The state that the history holds after changeset `upTo`; the first one where it begins later. */
+export function stateAt(history: HistoryItem[], upTo: number): HistoryItem | undefined {
+  return history.filter((h) => h.changeset_no <= upTo).at(-1) ?? history[0];
+}
+
+export function createPanel(host: HTMLElement, actions: PanelActions) {
+  let whole = false;
+  let pictures: AbortController | null = null;
+  let urls: string[] = [];
+  let shownPicture = "";
+  const head = el("header", {});
+  const facts = el("div", {});
+  const story = el("section", {});
+  const seen = el("section", { class: "sightings" });
+  const scroll = el("div", { class: "panel-scroll" }, facts, seen, story);
+  host.append(head, scroll);
+
+  function setHead(id: string, chip: Node | null): void {
+    const copy = el("button", { type: "button", class: "link", textContent: "copy id" });
+    copy.addEventListener("click", () => {
+      void navigator.clipboard.writeText(id).then(() => (copy.textContent = "copied"), () => (copy.textContent = "copying is not allowed here")); // prettier-ignore
+    });
+    fill(
+      head,
+      el("div", { class: "panel-title" }, chip, el("h2", { class: "mono", textContent: shortId(id), title: id }), copy,
+        el("button", { type: "button", class: "link", textContent: "centre", onclick: () => actions.centre() })),
+      el("button", { type: "button", class: "close", textContent: "×", title: "Close (Esc)", aria: { label: "Close" }, onclick: () => actions.close() }),
+    ); // prettier-ignore
+  }
+
+  function loading(id: string): void {
+    host.hidden = false;
+    setHead(id, null);
+    shownPicture = "";
+    fill(facts, el("p", { class: "hint loading", textContent: "Reading its history …" }));
+    fill(story);
+    fill(seen);
+  }
+
+  function failed(id: string, error: unknown): void {
+    host.hidden = false;
+    setHead(id, null);
+    fill(facts, el("p", { class: "hint bad", textContent: error instanceof Error ? error.message : String(error) }));
+    fill(story);
+    fill(seen);
+  }
+
+  function show(chosen: Chosen): void {
+    host.hidden = false;
+    const now = stateAt(chosen.history, chosen.upTo);
+    if (!now) return;
+    setHead(chosen.id, el("span", { class: "chip" }, icon(now.kind), STYLES[now.kind].label));
+    showFacts(chosen, now);
+    showStory(chosen, now);
+    showSightings(chosen);
+  }
+
+  function showFacts(chosen: Chosen, now: HistoryItem): void {
+    const e = ellipse95(now.cov_m2);
+    const auto = niceFactor(e);
+    const factor = el("select", { aria: { label: "Enlargement of the ellipse" } },
+      el("option", { value: "auto", textContent: `${auto}× (chosen)` }), ...[1, 10, 100].map((f) => el("option", { value: String(f), textContent: `${f}×` }))); // prettier-ignore
+    factor.value = chosen.factor === null ? "auto" : String(chosen.factor);
+    factor.addEventListener("change", () => actions.setFactor(factor.value === "auto" ? null : Number(factor.value)));
+    const meter = el("span", { class: "meter" }, el("i"));
+    (meter.firstElementChild as HTMLElement).style.width = `${now.existence_probability * 100}%`;
+    const [easting, northing, height] = now.map_xyz_m.map((v) => v.toFixed(3));
+    const gone = now.kind === "removed";
+    fill(
+      facts,
+      gone && el("p", { class: "notice", textContent: `Removed: ${now.drive_id} looked and did not see it any more. These are its last values.` }),
+      el(
+        "dl", {},
+        ...row("Place", el("span", { class: "mono", textContent: `${easting} E` }), el("span", { class: "mono", textContent: `${northing} N` }), el("small", { textContent: `EPSG:${chosen.srid}, foot centre` })),
+        ...row("Height", el("span", { class: "mono", textContent: `${height} m` }), el("small", { textContent: "ellipsoidal" })),
+        ...row("Sigma E, N, up", el("span", { class: "mono", textContent: `${cm(now.cov_m2[0])}, ${cm(now.cov_m2[3])}, ${cm(now.cov_m2[5])}` })),
+        ...row("95 % ellipse", el("span", { class: "mono", textContent: `${(e.major_m * 100).toFixed(1)} × ${(e.minor_m * 100).toFixed(1)} cm half axes` }),
+          el("small", {}, "drawn ", factor, " enlarged")),
+        ...row("Exists", meter, el("span", { class: "mono", textContent: now.existence_probability.toFixed(4) })),
+        ...row("Seen", el("span", { textContent: plural(now.observation_count, "observation") })),
+        ...row("Cone height", el("span", { class: "mono", textContent: `${now.cone_height_m.toFixed(3)} ± ${now.cone_height_sigma_m.toFixed(3)} m` })),
+        ...row("First, last seen", el("span", { class: "mono", textContent: utc(now.first_seen_at) }), el("span", { class: "mono", textContent: `${utc(now.last_seen_at)} UTC` })),
+      ),
+    ); // prettier-ignore
+  }
+
+  function showStory(chosen: Chosen, now: HistoryItem): void {
+    fill(
+      story,
+      el("h3", { textContent: "History" }),
+      el("ol", { class: "history" }, ...chosen.history.map((h) =>
+        el("li", { class: h === now ? "chosen" : "" },
+          el("button", { type: "button", title: "Show this drive", onclick: () => actions.showChangeset(h.changeset_no) },
+            icon(h.kind),
+            el("span", {}, el("b", { textContent: STYLES[h.kind].label }), h.shift_m !== null && ` by ${h.shift_m.toFixed(3)} m`, ` · version ${h.version}`,
+              el("small", { textContent: `${utc(h.changed_at)} UTC · ${h.drive_id}` }),
+              el("small", { textContent: `exists ${h.existence_probability.toFixed(4)} · ${plural(h.observation_count, "observation")} · σ ${cm((h.cov_m2[0] + h.cov_m2[3]) / 2)}` }))))),
+      ),
+    ); // prettier-ignore
+  }
+
+  function showSightings(chosen: Chosen): void {
+    const { sightings } = chosen;
+    if (sightings === null) return fill(seen, el("h3", { textContent: "Pictures" }), el("p", { class: "hint loading", textContent: "Reading its sightings …" }));
+    const s = sightings[chosen.sightingIndex];
+    if (!s) return fill(seen, el("h3", { textContent: "Pictures" }), el("p", { class: "hint", textContent: "The database keeps no sighting of this cone." }));
+    const i = chosen.sightingIndex;
+    const key = `${chosen.map} ${s.drive_uuid} ${s.frame_index} ${s.match_index} ${whole}`;
+    const stepFocus = document.activeElement instanceof HTMLElement ? document.activeElement.dataset["focus"] : undefined;
+    const slider = el("input", { type: "range", min: "0", max: String(sightings.length - 1), step: "1", value: String(i), data: { focus: "slider" }, aria: { label: "Sighting" } });
+    slider.addEventListener("input", () => actions.showSighting(Number(slider.value)));
+    const box = el("input", { type: "checkbox", checked: whole, data: { focus: "whole" } });
+    box.addEventListener("change", () => {
+      whole = box.checked;
+      showSightings(chosen);
+    });
+    const step = (to: number, text: string, label: string) =>
+      el("button", { type: "button", class: "step", textContent: text, title: label, disabled: to < 0 || to >= sightings.length, data: { focus: label }, aria: { label }, onclick: () => actions.showSighting(to) });
+    const holder = seen.querySelector(".pictures") ?? el("div", { class: "pictures" });
+    holder.classList.toggle("whole", whole);
+    fill(
+      seen,
+      el("h3", {}, "Pictures", el("label", { class: "check small" }, box, "whole picture")),
+      holder,
+      el("div", { class: "stepper" }, step(i - 1, "‹", "Previous sighting (P)"), slider, step(i + 1, "›", "Next sighting (N)")),
+      el("p", { class: "hint", textContent: `Sighting ${i + 1} of ${sightings.length}${chosen.truncated ? " (the first of more)" : ""} · ${s.drive_id} · frame pair ${s.frame_index} · ${utc(s.captured_at)} UTC` }),
+      el("p", { class: "hint", textContent: `Range ${s.range_m.toFixed(2)} m · score left ${s.left.score.toFixed(2)}, right ${s.right.score.toFixed(2)} · residual ${s.residual_rms_px.toFixed(2)} px` }),
+    ); // prettier-ignore
+    if (stepFocus) seen.querySelector<HTMLElement>(`[data-focus="${stepFocus}"]:not(:disabled)`)?.focus();
+    if (key !== shownPicture) {
+      shownPicture = key;
+      void showPictures(holder, chosen.map, s);
+    }
+  }
+
+  async function showPictures(holder: Element, map: string, s: Sighting): Promise<void> {
+    pictures?.abort();
+    const controller = (pictures = new AbortController());
+    holder.classList.add("busy");
+    const figures = await Promise.all((["left", "right"] as const).map((side) => figure(map, s, side, controller.signal)));
+    if (controller.signal.aborted) {
+      figures.forEach(({ url }) => url && URL.revokeObjectURL(url));
+      return;
+    }
+    fill(holder, ...figures.map(({ node }) => node));
+    holder.classList.remove("busy");
+    urls.forEach((url) => URL.revokeObjectURL(url));
+    urls = figures.flatMap(({ url }) => (url ? [url] : []));
+  }
+
+  async function figure(map: string, s: Sighting, side: "left" | "right", signal: AbortSignal) {
+    const caption = el("figcaption", { textContent: side });
+    try {
+      const url = URL.createObjectURL(await api.picture(map, s, side, whole, signal));
+      const image = el("img", { src: url, alt: `${side} picture of sighting in frame pair ${s.frame_index}, with the box of the detection` });
+      await image.decode().catch(() => undefined);
+      return { node: el("figure", {}, image, caption), url };
+    } catch (error) {
+      const text = error instanceof ApiError ? error.message : "The picture could not be shown.";
+      return { node: el("figure", { class: "missing" }, el("p", { textContent: text }), caption), url: null };
+    }
+  }
+
+  function hide(): void {
+    host.hidden = true;
+    pictures?.abort();
+    shownPicture = "";
+  }
+
+  return { loading, failed, show, hide };
+}
+
+function row(name: string, ...values: (Node | string)[]): Node[] {
+  return [el("dt", { textContent: name }), el("dd", {}, ...values)];
+}

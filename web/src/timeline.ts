@@ -1,0 +1,224 @@
+// Below: one drive before and after, two drives compared, or any instant.
+import type { TimelineItem } from "./api";
+import { el, fill, plural, utc } from "./dom";
+import { icon, STYLES, type Kind } from "./kinds";
+import type { Mode, Side, State } from "./state";
+
+export interface TimelineActions {
+  setMode(mode: Mode): void;
+  setSide(side: Side): void;
+  /** A changeset's number; null follows the newest. */
+  setChangeset(no: number | null): void;
+  setCompare(from: number, to: number | null): void;
+  setValid(iso: string | null): void;
+  setKnown(no: number | null): void;
+}
+
+const MODES: [Mode, string][] = [["drive", "Drive by drive"], ["compare", "Compare two"], ["instant", "Any time"]];
+const SIDES: [Side, string][] = [["before", "Before"], ["changes", "Changes"], ["after", "After"]];
+const CHANGED: [Kind, (t: TimelineItem) => number][] = [
+  ["added", (t) => t.added_count], ["moved", (t) => t.moved_count], ["removed", (t) => t.removed_count], ["confirmed", (t) => t.confirmed_count],
+];
+const BAR_PX = 30;
+
+export function createTimeline(host: HTMLElement, actions: TimelineActions) {
+  const modeTabs = segmented("What to show", MODES, (mode) => actions.setMode(mode));
+  const body = el("div", { class: "timeline-body" });
+  host.append(modeTabs.node, body);
+  const drive = driveView(actions);
+  const compare = compareView(actions);
+  const instant = instantView(actions);
+
+  return (state: State, items: TimelineItem[]) => {
+    modeTabs.set(state.mode);
+    const view = { drive, compare, instant }[state.mode];
+    if (body.firstElementChild !== view.node) fill(body, view.node);
+    view.update(state, items);
+  };
+}
+
+function segmented<T extends string>(label: string, choices: [T, string][], choose: (value: T) => void) {
+  const buttons = choices.map(([value, text]) =>
+    el("button", { type: "button", textContent: text, data: { value }, onclick: () => choose(value) }),
+  );
+  const node = el("div", { class: "segmented", role: "group", aria: { label } }, ...buttons);
+  return {
+    node,
+    set: (value: T) => {
+      for (const button of buttons) button.setAttribute("aria-pressed", String(button.dataset["value"] === value));
+    },
+  };
+}
+
+function driveView(actions: TimelineActions) {
+  const columns = el("div", { class: "columns" });
+  const slider = el("input", { type: "range", class: "changeset-slider", min: "0", step: "1", aria: { label: "Drive" } });
+  const previous = el("button", { type: "button", class: "step", title: "Previous drive (,)", textContent: "‹", aria: { label: "Previous drive" } });
+  const next = el("button", { type: "button", class: "step", title: "Next drive (.)", textContent: "›", aria: { label: "Next drive" } });
+  const sides = segmented("Before or after this drive", SIDES, (side) => actions.setSide(side));
+  const text = el("div", { class: "drive-text", aria: { live: "polite" } });
+  const node = el(
+    "div", { class: "drive-view" },
+    el("div", { class: "drive-line" }, text, sides.node),
+    el("div", { class: "drive-track" }, previous, el("div", { class: "track-scroll" }, columns, slider), next),
+  );
+  let items: TimelineItem[] = [];
+  let drawn: TimelineItem[] | null = null;
+  let index = 0;
+  const go = (i: number) => {
+    const item = items[i];
+    if (item) actions.setChangeset(i === items.length - 1 ? null : item.changeset_no);
+  };
+  slider.addEventListener("input", () => go(Number(slider.value)));
+  previous.addEventListener("click", () => go(index - 1));
+  next.addEventListener("click", () => go(index + 1));
+
+  function drawColumns(): void {
+    const most = Math.max(1, ...items.map((t) => CHANGED.reduce((sum, [, count]) => sum + count(t), 0)));
+    const wide = items.length <= 12;
+    fill(columns, ...items.map((t, i) => {
+      const bars = CHANGED.map(([kind, count]) => {
+        const bar = el("i", {});
+        bar.style.height = `${count(t) ? Math.max(2, (count(t) / most) * BAR_PX) : 0}px`;
+        bar.style.background = STYLES[kind].colour;
+        return bar;
+      });
+      const counts = CHANGED.filter(([, count]) => count(t)).map(([kind, count]) => `${count(t)} ${STYLES[kind].label}`).join(", ");
+      return el("button", { type: "button", class: "column", tabIndex: -1, title: `${t.drive_id}: ${counts}`, onclick: () => go(i), data: { changeset: String(t.changeset_no) } },
+        el("span", { class: "bars" }, ...bars), wide && el("span", { class: "day", textContent: utc(t.captured_from, false).slice(5) })); // prettier-ignore
+    }));
+    const n = Math.max(items.length, 1);
+    slider.style.marginLeft = `calc(${50 / n}% - 8px)`;
+    slider.style.width = `calc(${100 - 100 / n}% + 16px)`;
+    columns.parentElement?.style.setProperty("--least", `${items.length * 7}px`);
+  }
+
+  return {
+    node,
+    update(state: State, now: TimelineItem[]): void {
+      items = now;
+      if (drawn !== items) {
+        drawn = items;
+        drawColumns();
+      }
+      const found = items.findIndex((t) => t.changeset_no === state.changeset);
+      index = state.changeset === null || found < 0 ? items.length - 1 : found;
+      slider.max = String(Math.max(items.length - 1, 0));
+      slider.value = String(index);
+      slider.disabled = items.length < 2;
+      previous.disabled = index <= 0;
+      next.disabled = index >= items.length - 1;
+      sides.set(state.side);
+      [...columns.children].forEach((column, i) => column.classList.toggle("chosen", i === index));
+      columns.children[index]?.scrollIntoView?.({ block: "nearest", inline: "nearest" });
+      const t = items[index];
+      if (!t) return fill(text);
+      slider.setAttribute("aria-valuetext", `${t.drive_id}, drive ${index + 1} of ${items.length}`);
+      fill(
+        text,
+        el("strong", { textContent: t.drive_id }),
+        el("span", { textContent: `drive ${index + 1} of ${items.length} · ${utc(t.captured_from)} UTC on the road · ${plural(t.frame_pair_count, "frame pair")} · committed ${utc(t.committed_at)} UTC` }),
+        el("span", { class: "chips" }, ...CHANGED.filter(([, count]) => count(t)).map(([kind, count]) =>
+          el("span", { class: "chip" }, icon(kind), `${count(t)} ${STYLES[kind].label}`))),
+      ); // prettier-ignore
+    },
+  };
+}
+
+function driveOptions(items: TimelineItem[], withStart: boolean): HTMLOptionElement[] {
+  const drives = items.map((t, i) =>
+    el("option", { value: i === items.length - 1 ? "latest" : String(t.changeset_no), textContent: `${utc(t.captured_from, false)} · after ${t.drive_id}` }),
+  );
+  return withStart ? [el("option", { value: "0", textContent: "the empty map, before the first drive" }), ...drives] : drives;
+}
+
+function knownSelect(actions: TimelineActions) {
+  const select = el("select", { onchange: () => actions.setKnown(select.value === "now" ? null : Number(select.value)) });
+  return {
+    node: el("label", {}, "As the database knew it ", select),
+    update: (state: State, items: TimelineItem[]) => {
+      fill(select, el("option", { value: "now", textContent: "now" }),
+        ...items.map((t) => el("option", { value: String(t.changeset_no), textContent: `${utc(t.committed_at)} · after ${t.drive_id} was committed` }))); // prettier-ignore
+      select.value = state.known === null ? "now" : String(state.known);
+    },
+  };
+}
+
+function compareView(actions: TimelineActions) {
+  const from = el("select", {});
+  const to = el("select", {});
+  const known = knownSelect(actions);
+  const number = (select: HTMLSelectElement) => (select.value === "latest" ? null : Number(select.value));
+  let newest = 0;
+  const choose = () => actions.setCompare(number(from) ?? newest, number(to));
+  from.addEventListener("change", choose);
+  to.addEventListener("change", choose);
+  const swap = el("button", { type: "button", class: "step", textContent: "⇄", title: "Exchange the two", aria: { label: "Exchange the two" } });
+  swap.addEventListener("click", () => {
+    const [a, b] = [number(from) ?? newest, number(to) ?? newest];
+    if (a !== 0) actions.setCompare(b, a);
+  });
+  const node = el(
+    "div", { class: "form-line" },
+    el("label", {}, "The road ", from), swap, el("label", {}, "against ", to), known.node,
+    el("p", { class: "hint", textContent: "A cone counts as moved from 0.5 m on, the pipeline's own limit." }),
+  );
+  return {
+    node,
+    update(state: State, items: TimelineItem[]): void {
+      newest = items.at(-1)?.changeset_no ?? 0;
+      fill(from, ...driveOptions(items, true));
+      fill(to, ...driveOptions(items, false));
+      from.value = state.from === newest ? "latest" : String(state.from);
+      to.value = state.to === null || state.to === newest ? "latest" : String(state.to);
+      swap.disabled = state.from === 0;
+      known.update(state, items);
+    },
+  };
+}
+
+function instantView(actions: TimelineActions) {
+  const slider = el("input", { type: "range", class: "instant-slider", min: "0", max: "1000", step: "1", aria: { label: "Time on the road" } });
+  const ticks = el("div", { class: "ticks" });
+  const input = el("input", { type: "text", size: 19, placeholder: "2026-03-02 09:41:07", spellcheck: false, autocomplete: "off" });
+  const latest = el("button", { type: "button", textContent: "Latest", onclick: () => actions.setValid(null) });
+  const known = knownSelect(actions);
+  let [start, end] = [0, 1];
+  slider.addEventListener("input", () => {
+    const t = Number(slider.value);
+    actions.setValid(t >= 1000 ? null : new Date(start + ((end - start) * t) / 1000).toISOString());
+  });
+  input.addEventListener("change", () => {
+    const text = input.value.trim().replace(" ", "T");
+    const time = Date.parse(text.includes("T") ? `${text}Z` : text);
+    input.setCustomValidity(Number.isNaN(time) ? "Write it like 2026-03-02 or 2026-03-02 09:41:07 (UTC)" : "");
+    if (input.reportValidity()) actions.setValid(new Date(time).toISOString());
+  });
+  const node = el(
+    "div", { class: "instant-view" },
+    el("div", { class: "form-line" }, el("label", {}, "On the road at (UTC) ", input), latest, known.node),
+    el("div", { class: "instant-track" }, ticks, slider),
+  );
+  return {
+    node,
+    update(state: State, items: TimelineItem[]): void {
+      const first = items[0];
+      const last = items.at(-1);
+      if (!first || !last) return;
+      const times = items.flatMap((t) => [Date.parse(t.captured_from), Date.parse(t.valid_at)]);
+      const [least, most] = [Math.min(...times), Math.max(...times)];
+      const margin = Math.max((most - least) * 0.03, 1000);
+      [start, end] = [least - margin, most + margin];
+      const at = state.valid === null ? end : Date.parse(state.valid);
+      if (document.activeElement !== slider) slider.value = String(Math.round(((at - start) / (end - start)) * 1000));
+      if (input.validity.valid) input.value = utc(new Date(at).toISOString());
+      latest.disabled = state.valid === null;
+      fill(ticks, ...items.map((t) => {
+        const tick = el("button", { type: "button", tabIndex: -1, title: `${t.drive_id} · ${utc(t.captured_to)} UTC`, onclick: () => actions.setValid(new Date(Date.parse(t.valid_at) + 1).toISOString()) });
+        tick.style.left = `calc(8px + (100% - 16px) * ${(Date.parse(t.captured_to) - start) / (end - start)})`;
+        return tick;
+      })); // prettier-ignore
+      known.update(state, items);
+    },
+  };
+}
