@@ -1,7 +1,8 @@
 -- Purpose: what one changeset did to each feature it judged. Parameters: map_name; changeset_no.
 -- Columns: feature_id, kind, changed_at, shift_m, old_easting_m, old_northing_m, old_height_m (null for added); easting_m,
 -- northing_m, height_m (after it; of a removed feature the last place), cov_xx, cov_xy, cov_yy (m^2), cone_height_m,
--- existence_probability, observation_count, version.
+-- existence_probability, observation_count, version. All as believed when it was committed: an earlier drive that comes later
+-- may have given the drive another part since, which the history of a feature tells.
 select
     x.feature_id, x.kind, x.changed_at, x.shift_m,
     ST_X(o.geom) as old_easting_m, ST_Y(o.geom) as old_northing_m, ST_Z(o.geom) as old_height_m,
@@ -13,14 +14,14 @@ join conetl.map m using (map_id)
 join lateral (
     select v.* from conetl.feature_version v
     where v.feature_id = x.feature_id and v.version = x.new_version
-    order by upper_inf(v.system_period) desc, v.version_row_id desc  -- what is believed now
+    order by v.system_period @> c.committed_at desc, v.version_row_id desc
     limit 1
 ) n on true
 left join lateral (
     select v.geom from conetl.feature_version v
     where v.feature_id = x.feature_id and v.version = x.old_version
-    order by upper_inf(v.system_period) desc, v.version_row_id desc  -- what is believed now
+    order by v.system_period @> c.committed_at desc, v.version_row_id desc
     limit 1
 ) o on true
-where m.map_name = %(map_name)s and c.changeset_no = %(changeset_no)s and upper_inf(x.system_period)
+where m.map_name = %(map_name)s and c.changeset_no = %(changeset_no)s and x.system_period @> c.committed_at
 order by x.feature_id;
