@@ -44,4 +44,4 @@ bench-rectification: setup  ## cost of resampling raw pictures
 	@$(BIN)/python benchmarks/bench_rectification.py
 
 lock:           ## renew requirements.txt from pyproject.toml (needs uv)
-	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --no-annotate -o requirements.txt
+	uv pip compile pyproject.toml --extra dev --extra dask --extra s3 --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --no-annotate -o requirements.txt
