@@ -87,7 +87,7 @@ def motions_task(chunk: Chunk, tracks: Path) -> Path:
 def self_calibrate_task(drive: Drive, tracks: list[Path], motions: list[Path], chunk: Chunk) -> SelfCalibration:
     """What the whole drive says of its rig's calibration; chunk: any of the drive's, for parameters and results folder."""
     params = chunk.params.trajectory
-    key = result_key(RESULTS_VERSION, "self-calibrate", *(path.stem for path in (*tracks, *motions)))
+    key = result_key(RESULTS_VERSION, "self-calibrate-bend", *(path.stem for path in (*tracks, *motions)))
     if has_result(chunk.results_folder, key):
         return load_result(result_path(chunk.results_folder, key), SelfCalibration)[0][0]
     measured, _ = load_results(motions, RelativeMotion)
