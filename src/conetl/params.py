@@ -114,6 +114,8 @@ class TrajectoryParams(Params):
     self_calibration_min_spans: int = Field(default=8, ge=4)
     self_calibration_row_tolerance_px: Positive = 2.5
     """As `epipolar_tolerance_px`, for these points: rows may be off by what is to be found."""
+    self_calibration_corners_per_cell: int = Field(default=3, ge=1)
+    """As `corners_per_cell`, for these points: there are few spans."""
     self_calibration_prior_px: Positive = 1.0
     """How far a calibration of unknown covariance may be off: sigma of a shift of disparities and of rows, and, at the picture's
     side, of rows by a tilt and of disparities by a bend."""
@@ -128,7 +130,8 @@ class TrajectoryParams(Params):
     max_width_px: int = Field(default=1280, ge=64)
     """Wider pictures are reduced for following points."""
     cell_px: int = Field(default=40, ge=8)
-    corners_per_cell: int = Field(default=3, ge=1)
+    corners_per_cell: int = Field(default=2, ge=1)
+    """More of them sharpen a motion below the floors that follow, and cost time in proportion."""
     min_disparity_px: Positive = 2.0
     """Points with less are too far to tell how far the car drove; sky has none."""
     min_points: int = Field(default=30, ge=6)

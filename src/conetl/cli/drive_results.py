@@ -101,7 +101,7 @@ def run_steps(folder: Path, settings: Settings, params: IngestParams, *, map_sri
                     calibration = self_calibrate_task.fn(drive, followed, motions, chunks[0])
             rig = self_calibrated_rig(drive.rig, calibration, params.trajectory)
             if rig != drive.rig:
-                motions = [motions_task.fn(c, path) for c, path in zip(with_rig(following, rig), followed, strict=True)]
+                motions = list(map(motions_task.fn, with_rig(following, rig), followed, motions))
             detected = [[future.result() for future in sides] for sides in running]
         finally:
             progress.ignore(listener)

@@ -6,9 +6,9 @@ span and, common to the drive, one rotation of the right camera and one bend of 
 shifts all disparities, which points at many depths show once the rig has moved; turned up or down (rx) and about its axis (rz) it
 shifts and tilts rows. The bend shifts columns as x squared: what a principal point that is off, or the decentring of a lens,
 leaves over once a calibration has put it down as a turn. Without it the turn would be a compromise between the middle and the
-sides of the picture. Rows would tell ry too, by their shift in the corners (as x y), much more sharply than motion does, but only if
-nothing else shifted them: a parameter of rows alone takes that part away. Where disparities are off by yet another field,
-`model_gap` shows it: what would change if they might also follow the next even Legendre polynomial, the fourth.
+sides of the picture. Rows would tell ry too, by their shift in the corners (as x y), much more sharply than motion does, but
+only if nothing else shifted them: a parameter of rows alone takes that part away. Where disparities are off by yet another
+field, `model_gap` shows it: what would change if they might also follow the next even Legendre polynomial, the fourth.
 Points and motions are eliminated (Schur complement); what errors of one span have in common is taken from the scatter between
 spans (covariance of M-estimates with clusters: Huber 1981, ch. 6; Liang & Zeger 1986; neighbours: Newey & West 1987).
 
@@ -98,9 +98,11 @@ def estimate_right_camera(
     min_spans: with fewer usable spans there is no scatter to speak of. Points on moving objects are outvoted within each span.
     """
     state = np.zeros(_SHARED)
+    starts: list[Floats | None] = [None] * len(spans)
     for _ in range(_OUTER):
         own = corrected(cameras, state[:_SKEW])
-        chosen = [_still(own, span, limits, seed) for seed, span in enumerate(spans)]
+        chosen = [_still(own, span, limits, seed, starts[seed]) for seed, span in enumerate(spans)]
+        starts = [None if c is None else c[1] for c in chosen]
         used = [c for c in chosen if c is not None]
         if len(used) < min_spans:
             return None
@@ -126,11 +128,11 @@ def estimate_right_camera(
 
 
 def _still(
-    cameras: StereoCameras, span: SpanPoints, limits: MotionLimits, seed: int
+    cameras: StereoCameras, span: SpanPoints, limits: MotionLimits, seed: int, start: Floats | None
 ) -> tuple[SpanPoints, Floats, Floats] | None:
     """The points of a span that one motion explains, that motion, and where they are; None where there are too few."""
     motion = estimate_motion(
-        cameras, span.first_px[:, :3], span.last_px[:, :3], span.sigma_px, span.last_SE3_first, limits, seed
+        cameras, span.first_px[:, :3], span.last_px[:, :3], span.sigma_px, span.last_SE3_first, limits, seed, start
     )
     if motion.status is not MotionStatus.OK:
         return None

@@ -80,6 +80,16 @@ SWITCHED_OFF = SelfCalibration(
 )  # fmt: skip
 
 
+def span_params(params: TrajectoryParams) -> TrajectoryParams:
+    """The parameters with which points are followed over spans."""
+    return params.model_copy(
+        update={
+            "epipolar_tolerance_px": params.self_calibration_row_tolerance_px,
+            "corners_per_cell": params.self_calibration_corners_per_cell,
+        }
+    )
+
+
 def choose_spans(motions: Sequence[RelativeMotion], span_m: float) -> list[Span]:
     """Consecutive parts of a drive of about `span_m` each; motions: one an interval, in order, none left out.
 
