@@ -227,7 +227,9 @@ def _consensus(
     """The three-point motion that most points follow, among those near the expected one; and who follows it."""
     rng = np.random.default_rng(seed)
     index = np.flatnonzero(usable)
-    draws = index[rng.integers(0, len(index), (_HYPOTHESES, _MINIMAL_POINTS))]  # one point twice wastes that hypothesis only
+    draws = index[
+        rng.integers(0, len(index), (_HYPOTHESES, _MINIMAL_POINTS))
+    ]  # one point twice wastes that hypothesis only
     poses = np.broadcast_to(expected, (_HYPOTHESES, 4, 4)).copy()
     for _ in range(4):
         moved = np.einsum("hij,hnj->hni", poses[:, :3, :3], points[draws]) + poses[:, None, :3, 3]
