@@ -9,9 +9,9 @@ from uuid import UUID
 import numpy as np
 
 from conetl.geometry.road_axis import place, stations
+from conetl.params import LayoutParams
 from conetl.records import MapFeature
 from conetl.steps.layout_check import allowed_spacing_m, taper_ratio
-from conetl.params import LayoutParams
 from conetl.work_zone_records import DrivePath, LaneLine, ZoneHistory
 
 Fault = Literal["none", "missing", "spacing", "in lane", "short taper"]
@@ -66,9 +66,11 @@ def road(rng: np.random.Generator, length_m: float) -> Floats:
 
 
 def closure(seed: int, fault: Fault, *, sigma_m: float = 0.1, with_lanes: bool = True) -> Closure:
-    """The right-hand (odd seeds: left-hand) lane closed by a taper and a tangent, spaced at 70 to 93 % of what the rule allows."""
+    """The right-hand (odd seeds: left-hand) lane closed by taper and tangent, spaced at 70 to 93 % of what the rule allows."""
     rng = np.random.default_rng(seed)
-    speed_kmh = float(rng.choice([50.0, 60.0, 80.0, 100.0] if fault == "short taper" else [30.0, 50.0, 60.0, 80.0, 100.0]))
+    speed_kmh = float(
+        rng.choice([50.0, 60.0, 80.0, 100.0] if fault == "short taper" else [30.0, 50.0, 60.0, 80.0, 100.0])
+    )
     rules = LayoutParams()
     taper_m, tangent_m = (limit * rng.uniform(0.7, 0.93) for limit in allowed_spacing_m(speed_kmh, rules))
     length_m = taper_ratio(speed_kmh, rules) * LANE_M * (0.2 if fault == "short taper" else rng.uniform(1.05, 1.3))

@@ -55,7 +55,8 @@ def find_rows(
 ) -> list[ConeRow]:
     """The rows that cones (C,) make, longest first; cones in none are strays. stations_m must not fall.
 
-    axis_sigma_m: how far the axis itself may bend where the road does not; lesser shifts are no tapers. traffic_sign: +1 where traffic passes to the left of the row, -1 to the right, 0 unknown (converging then means to the left).
+    axis_sigma_m: how far the axis itself may bend where the road does not; lesser shifts are no tapers.
+    traffic_sign: +1 where traffic passes to the left of the row, -1 to the right, 0 unknown (converging then means to the left).
     """
     left = np.arange(len(stations_m))
     rows: list[ConeRow] = []
@@ -110,6 +111,10 @@ def _tapers(
 ) -> list[Taper]:
     pieces = _scaled(_pieces(s, o, sigmas_o, params), o, s, sigmas_o, params)
     least_shift_m = max(params.min_taper_shift_m, 2.0 * axis_sigma_m)
+    if axis_sigma_m <= params.lane_axis_sigma_m:
+        # Tangents run along lane lines: that they may slope a little would only make the tapers' ends vague.
+        flat = [abs(piece.b) * (s[piece.last] - s[piece.first]) < params.min_taper_shift_m for piece in pieces]
+        pieces = [replace(p, b=0.0, var_b=0.0) if level else p for p, level in zip(pieces, flat, strict=True)]
     knots = [_knot(one, other, s) for one, other in pairwise(pieces)]
     tapers: list[Taper] = []
     for index, piece in enumerate(pieces):
@@ -167,7 +172,9 @@ def _scaled(pieces: list[_Piece], o: Floats, s: Floats, sigmas_o: Floats, params
     """The pieces with variances that fit the scatter of the row, the assumed one weighing as much as `_PRIOR_FREEDOM` cones."""
     variances = params.placement_sigma_m**2 + sigmas_o**2
     chi2 = sum(
-        (o[k] - piece.at(float(s[k]))) ** 2 / variances[k] for piece in pieces for k in range(piece.first, piece.last + 1)
+        (o[k] - piece.at(float(s[k]))) ** 2 / variances[k]
+        for piece in pieces
+        for k in range(piece.first, piece.last + 1)
     )
     freedom = max(len(o) - 2 * len(pieces), 0)
     scale = float((_PRIOR_FREEDOM + chi2) / (_PRIOR_FREEDOM + freedom))

@@ -78,7 +78,9 @@ def _gaps(zone: ZoneHistory, layout: ZoneLayout, row: ConeRow, speed_kmh: float,
         lacks = own - rules.missing_cone_ratio > rules.sigmas * sigma_own
         # Wherever the taper ends: longer than a tangent may have is too long.
         longest = max(limits)
-        sure = beyond > rules.sigmas * sigma_used or gap - longest > rules.sigmas * float(np.hypot(*sigma[index : index + 2]))
+        sure = beyond > rules.sigmas * sigma_used or gap - longest > rules.sigmas * float(
+            np.hypot(*sigma[index : index + 2])
+        )
         if not sure and beyond <= 0 and not lacks:
             continue
         level = Level.VIOLATION if sure else Level.NOTICE if lacks else Level.CANNOT_TELL
@@ -87,7 +89,7 @@ def _gaps(zone: ZoneHistory, layout: ZoneLayout, row: ConeRow, speed_kmh: float,
         where = "taper" if inside > 0.5 else "tangent"
         words = f"{gap:.1f} m from cone to cone in the {where}, at most {limit_m:.1f} m at {speed_kmh:g} km/h"
         if lacks:
-            allowed = "" if beyond > 0 else f" (the rule allows {limit_m:.1f} m)"
+            allowed = f", allowed are {limit_m:.1f} m"
             some = "a cone is" if missing == 1 else f"{missing} cones are"
             words = f"{some} missing in the {where}: gap of {gap:.1f} m where the row has {gap / own:.1f} m{allowed}"
         found.append(
@@ -95,7 +97,7 @@ def _gaps(zone: ZoneHistory, layout: ZoneLayout, row: ConeRow, speed_kmh: float,
                 zone_id=zone.zone_id,
                 rule=Rule.MISSING_CONE if lacks else Rule.SPACING,
                 level=level,
-                norm=NORM_SPACING if beyond > 0 else NORM_NONE,
+                norm=NORM_SPACING if level is not Level.NOTICE else NORM_NONE,
                 text=words,
                 value=float(gap),
                 limit=float(limit_m),
