@@ -114,6 +114,8 @@ class ZoneLayout:
     traffic_side: Side | None
     """Where traffic passes the first row; the closed side is the other one."""
     bands: LaneBands | None
+    two_way: bool
+    """Drives passed in both directions: beside the closed lane there may be oncoming traffic and nothing to merge into."""
     drive_ids: tuple[str, ...]
 
 

@@ -63,15 +63,15 @@ def project(line_m: Floats, points_m: Floats) -> tuple[Floats, Floats]:
     found_s, found_o = np.empty(len(points_m)), np.empty(len(points_m))
     for first in range(0, len(points_m), _CHUNK):
         some = slice(first, first + _CHUNK)
-        away = points_m[some, None, :] - starts
-        foot = np.clip(np.einsum("pij,ij->pi", away, directions), low, high)
-        distance = np.linalg.norm(away - foot[..., None] * directions, axis=2)
-        best = np.argmin(distance, axis=1)
+        # (P, N) arrays a coordinate each: several times faster than (P, N, 2).
+        x, y = (points_m[some, k, None] - starts[:, k] for k in range(2))
+        foot = np.clip(x * directions[:, 0] + y * directions[:, 1], low, high)
+        squared = (x - foot * directions[:, 0]) ** 2 + (y - foot * directions[:, 1]) ** 2
+        best = np.argmin(squared, axis=1)
         each = np.arange(len(best))
-        ahead, beside = directions[best], away[each, best]
-        cross = ahead[:, 0] * beside[:, 1] - ahead[:, 1] * beside[:, 0]
+        cross = directions[best, 0] * y[each, best] - directions[best, 1] * x[each, best]
         found_s[some] = way[best] + foot[each, best]
-        found_o[some] = np.copysign(distance[each, best], cross)
+        found_o[some] = np.copysign(np.sqrt(squared[each, best]), cross)
     return found_s, found_o
 
 

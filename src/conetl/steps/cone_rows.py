@@ -146,26 +146,34 @@ def _pieces(s: Floats, o: Floats, sigmas_o: Floats, params: WorkZoneParams) -> l
     """The row in straight pieces with the least chi-square plus a penalty for every piece."""
     count = len(s)
     weights = 1.0 / (params.placement_sigma_m**2 + sigmas_o**2)
-    fits: dict[tuple[int, int], tuple[float, _Piece]] = {}
-    for i in range(count):
-        for j in range(i, count):
-            fits[i, j] = _fit(s[i : j + 1], o[i : j + 1], weights[i : j + 1], i, j)
-    cost = [0.0, *([np.inf] * count)]
+    # Sums up to every cone give the chi-square of the line through any stretch at once; counted from the middle for precision.
+    x, y = s - s.mean(), o - o.mean()
+    moments = [weights, weights * x, weights * y, weights * x * x, weights * x * y, weights * y * y]
+    sums = np.concatenate([np.zeros((6, 1)), np.cumsum(np.stack(moments), axis=1)], axis=1)
+    cost = np.array([0.0, *([np.inf] * count)])
     cut = [0] * (count + 1)
     for j in range(1, count + 1):
-        for i in range(j):
-            # Fewer than three cones show no line of their own, unless the row has no more.
-            if j - i < 3 and count >= 3 and not (i == 0 and j == count):
-                continue
-            value = cost[i] + fits[i, j - 1][0] + params.segment_penalty
-            if value < cost[j]:
-                cost[j], cut[j] = value, i
+        # Fewer than three cones show no line of their own, unless the row has no more.
+        starts = np.arange(max(j - 2, 1)) if count >= 3 else np.array([0])
+        values = cost[starts] + _chi2(sums[:, [j]] - sums[:, starts]) + params.segment_penalty
+        best = int(np.argmin(values))
+        if j >= 3 or j == count:
+            cost[j], cut[j] = values[best], int(starts[best])
     pieces = []
     end = count
     while end > 0:
-        pieces.append(fits[cut[end], end - 1][1])
+        some = slice(cut[end], end)
+        pieces.append(_fit(s[some], o[some], weights[some], cut[end], end - 1))
         end = cut[end]
     return pieces[::-1]
+
+
+def _chi2(moments: Floats) -> Floats:
+    """(K,) weighted squares of what straight lines leave, from sums (6, K) of w, wx, wy, wxx, wxy, wyy."""
+    w, wx, wy, wxx, wxy, wyy = moments
+    spread, mixed, rest = wxx - wx**2 / w, wxy - wx * wy / w, wyy - wy**2 / w
+    chi2: Floats = np.maximum(rest - np.where(spread > 0, mixed**2 / np.where(spread > 0, spread, 1.0), 0.0), 0.0)
+    return chi2
 
 
 def _scaled(pieces: list[_Piece], o: Floats, s: Floats, sigmas_o: Floats, params: WorkZoneParams) -> list[_Piece]:
@@ -181,15 +189,14 @@ def _scaled(pieces: list[_Piece], o: Floats, s: Floats, sigmas_o: Floats, params
     return [replace(piece, var_a=piece.var_a * scale, var_b=piece.var_b * scale) for piece in pieces]
 
 
-def _fit(s: Floats, o: Floats, w: Floats, first: int, last: int) -> tuple[float, _Piece]:
+def _fit(s: Floats, o: Floats, w: Floats, first: int, last: int) -> _Piece:
     total = float(w.sum())
     centre = float((w * s).sum() / total)
     mean = float((w * o).sum() / total)
     spread = float((w * (s - centre) ** 2).sum())
     slope = float((w * (s - centre) * o).sum()) / spread if spread > 0 else 0.0
-    residual = o - mean - slope * (s - centre)
     var_b = 1.0 / spread if spread > 0 else np.inf
-    return float((w * residual**2).sum()), _Piece(first, last, centre, mean, slope, 1.0 / total, var_b)
+    return _Piece(first, last, centre, mean, slope, 1.0 / total, var_b)
 
 
 def _knot(one: _Piece, other: _Piece, s: Floats) -> tuple[float, float]:

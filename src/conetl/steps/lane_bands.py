@@ -49,7 +49,7 @@ def _spans(line_m: Floats, low: Floats, high: Floats) -> bool:
 
 def _along(axis_m: Floats, line_m: Floats, at: Floats, reach_m: float) -> list[Floats]:
     """Offsets of one line by station, a row for each stretch in which it runs along the axis."""
-    points = resampled(line_m, 1.0)
+    points = resampled(line_m, _STEP_M)
     s, o = project(axis_m, points)
     if s[-1] < s[0]:
         s, o = s[::-1], o[::-1]

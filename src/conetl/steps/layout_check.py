@@ -31,7 +31,9 @@ _ON_LANE_LINE_M = 0.6
 def taper_ratio(speed_kmh: float, rules: LayoutParams) -> float:
     """L / W of a merging taper: S^2 / 60 or S, with S in mph (L and W in the same unit). MUTCD 2009, Table 6C-4."""
     speed_mph = speed_kmh / MILE_KM
-    return speed_mph**2 / rules.low_speed_divisor if speed_mph < rules.low_speed_max_mph else speed_mph
+    # Some room for the conversion: 72.42048 km/h are 45 mph.
+    slow = speed_mph < rules.low_speed_max_mph - 1e-6
+    return speed_mph**2 / rules.low_speed_divisor if slow else speed_mph
 
 
 def allowed_spacing_m(speed_kmh: float, rules: LayoutParams) -> tuple[float, float]:

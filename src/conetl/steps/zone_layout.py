@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from conetl.geometry.road_axis import Floats, directions_at, place, project, stations
+from conetl.geometry.road_axis import Floats, directions_at, place, project
 from conetl.params import WorkZoneParams
 from conetl.records import MapFeature
 from conetl.steps.cone_rows import find_rows
@@ -110,6 +110,7 @@ def _along(
         rows=tuple(rows),
         traffic_side=None if not sign else ("left" if sign > 0 else "right"),
         bands=bands,
+        two_way=len({_heading(line, one) for one in passes}) > 1,
         drive_ids=tuple(sorted({one.drive_id for one in passes})),
     )
 
@@ -194,7 +195,9 @@ def _impact(
         return VehicleImpact.UNKNOWN, None
     converging = [taper for taper in layout.rows[0].tapers if taper.converging]
     merge = VehicleImpact.SOME_LANES_CLOSED_MERGE_RIGHT
-    if closed_side == "right":
+    if layout.two_way:
+        merge = VehicleImpact.SOME_LANES_CLOSED
+    elif closed_side == "right":
         merge = VehicleImpact.SOME_LANES_CLOSED_MERGE_LEFT
     if layout.bands is not None and layout.axis_source == "lanes":
         sign = 1.0 if layout.traffic_side == "left" else -1.0
@@ -210,8 +213,3 @@ def _impact(
         if taper.shift_m - 2 * sigma >= params.full_lane_shift_m:
             return merge, None
     return VehicleImpact.UNKNOWN, None
-
-
-def axis_length_m(layout: ZoneLayout) -> float:
-    """Length of the axis that the zone is counted along."""
-    return float(stations(layout.axis_m)[-1])
