@@ -28,14 +28,16 @@ def findings(made: Closure):
 def is_the_fault(finding, made: Closure) -> bool:
     if made.fault in ("missing", "spacing"):
         rules = (Rule.MISSING_CONE,) if made.fault == "missing" else (Rule.SPACING, Rule.MISSING_CONE)
-        return set(finding.feature_ids) == set(made.gap) and (finding.rule in rules or finding.level == Level.CANNOT_TELL)
+        return set(finding.feature_ids) == set(made.gap) and (
+            finding.rule in rules or finding.level == Level.CANNOT_TELL
+        )
     if made.fault == "in lane":
         return finding.rule == Rule.CONE_IN_LANE and finding.feature_ids == (made.stray,)
     return made.fault == "short taper" and finding.rule == Rule.TAPER_LENGTH
 
 
 def test_every_fault_of_100_closures_is_found_without_a_false_alarm():
-    """Sigma 0.1 m. Where a taper ends is known to a few metres: a wide gap there may remain `cannot tell`, at most in 2 of 100."""
+    """Sigma 0.1 m. Where a taper ends is known to a few metres: a wide gap there may remain `cannot tell`, in at most 2."""
     vague = 0
     for seed in range(100):
         made = closure(seed, FAULTS[seed % len(FAULTS)], sigma_m=0.1)

@@ -29,8 +29,12 @@ def drive(day: int, *, to_m: float = 600.0, y: float = 0.0, back: bool = False) 
 
 def stand(number: int, x: float, y: float = -3.0, *, days: tuple[int, int | None] = (1, None), version: int = 1):
     """A version that a drive of the first day made, and one of the last day ended."""
-    feature = cone(number, ORIGIN_M + [x, y], 0.05).model_copy(
-        update={"version": version, "last_seen_ns": days[0] * DAY_NS + number, "first_seen_ns": days[0] * DAY_NS + number}
+    feature = cone(number, ORIGIN_M + np.array([x, y]), 0.05).model_copy(
+        update={
+            "version": version,
+            "last_seen_ns": days[0] * DAY_NS + number,
+            "first_seen_ns": days[0] * DAY_NS + number,
+        }
     )
     return BelievedVersion(
         feature=feature,
@@ -96,7 +100,12 @@ def test_a_zone_keeps_its_id_while_cones_come_move_and_go():
     first = row(0, 0.0)
     ends = {1: 2, 3: 3}
     versions = [v if k not in ends else stand(k, 6.0 * k, days=(1, ends[k])) for k, v in enumerate(first)]
-    versions += [gone(versions[1], 2), gone(versions[3], 3), stand(20, 36.0, days=(2, None)), stand(21, 40.0, days=(3, None))]
+    versions += [
+        gone(versions[1], 2),
+        gone(versions[3], 3),
+        stand(20, 36.0, days=(2, None)),
+        stand(21, 40.0, days=(3, None)),
+    ]
     paths = [drive(1), drive(2), drive(3)]
     by_day = [zones(versions, paths, day) for day in (1, 2, 3)]
     assert [len(found) for found in by_day] == [1, 1, 1]
@@ -187,7 +196,7 @@ def test_without_any_drive_the_direction_is_not_claimed():
 def test_an_axis_is_put_together_from_drives_that_overlap():
     """A row of 300 m, one drive along its first half, one along its second: one zone, in order."""
     versions = row(0, 0.0, count=50)
-    halves = [drive(1, to_m=150.0), DrivePath("other", 1, drive(1).xy_m[40:] + [0.0, 1.5])]
+    halves = [drive(1, to_m=150.0), DrivePath("other", 1, drive(1).xy_m[40:] + np.array([0.0, 1.5]))]
     [zone] = zones(versions, halves)
     layout = layout_of(zone, halves, [], PARAMS)
     assert [c.feature_id.int - 1 for c in layout.cones] == list(range(50))
