@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 import shutil
@@ -18,6 +19,7 @@ from typing import Any
 import pytest
 
 from conetl.io.db import connect, execute
+from conetl.io.exports.wzdx_schema import schema_faults
 from tests.conftest import cloned_database
 from tests.integration.drives_of_days import valid_time_map
 
@@ -144,8 +146,6 @@ def small_drive(tmp_path: Path) -> Path:
 
 
 def truth_changes(drive: Path) -> dict[str, int]:
-    import csv
-
     kinds = dict.fromkeys(("added", "confirmed", "moved", "removed"), 0)
     with (drive / "truth.csv").open(newline="") as file:
         for row in csv.DictReader(file):
@@ -171,6 +171,8 @@ def test_the_sample_drives_become_the_true_map(desk: Desk) -> None:
     assert desk.final_tables() == before
     assert desk.run("db", "audit").code == 0
 
+    check_the_feeds_of_three_days(Desk({**desk.environment, "CONETL_MAP_NAME": "demo"}))
+
     # the first drive again under other parameters: its new analysis takes the place of the old one, and later drives follow
     desk_demo = Desk({**desk.environment, "CONETL_MAP_NAME": "demo"})
     params = Path(desk.environment["CONETL_HOME"]) / "params.yaml"
@@ -186,6 +188,38 @@ def test_the_sample_drives_become_the_true_map(desk: Desk) -> None:
     assert len(collection["features"]) == len(outcome["cones"])
     as_of = desk_demo.run("map", "show", "--as-of", "2026-03-02T23:00", "--json")
     assert len(as_of.json["features"]) == truth_changes(DRIVES[0])["added"]
+
+
+def check_the_feeds_of_three_days(desk: Desk) -> None:
+    """The sample closure as WZDx: valid, one id, and the first and the last cone of each day."""
+    path = Path(desk.environment["CONETL_HOME"]) / "feed.geojson"
+    ids = set()
+    for drive in DRIVES:
+        as_of = f"{drive.name[:10]}T23:00"
+        feed = ("--publisher", "City", "--road-name", "L 605", "--as-of", as_of)
+        done = desk.run("map", "export", "--format", "wzdx", "--out", path, *feed)
+        assert done.code == 0, done.err
+        document = json.loads(path.read_text())
+        assert schema_faults(document, "WorkZoneFeed") == []
+        [event] = document["features"]
+        ids.add(event["id"])
+        assert event["properties"]["core_details"]["direction"] == "eastbound"
+        assert event["properties"]["event_status"] == "active"
+        assert event["properties"]["is_start_position_verified"] is True
+        truth = {}
+        with (drive / "truth.csv").open(newline="") as file:
+            for row in csv.DictReader(file):
+                if row["present"] == "1":
+                    truth[row["cone_id"]] = (float(row["easting_m"]), float(row["northing_m"]))
+        assert len(event["conetl"]["device_ids"]) == len(truth)
+        features = desk.run("map", "show", "--as-of", as_of, "--json").json["features"]
+        places = {f["feature_id"]: f["xyz_m"] for f in features}
+        # The closure runs from C01 to C09, eastwards, with traffic to its left.
+        for end, name in (("first_device_id", "C01"), ("last_device_id", "C09")):
+            x, y, _ = places[event["conetl"][end]]
+            assert ((x - truth[name][0]) ** 2 + (y - truth[name][1]) ** 2) ** 0.5 < 0.3, (drive.name, end)
+        assert event["conetl"]["closed_side"] == "right"
+    assert len(ids) == 1
 
 
 def test_late_drives_give_the_same_map(
