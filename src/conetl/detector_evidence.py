@@ -125,6 +125,41 @@ class DetectorEvidence(BaseModel):
         return self
 
 
+class LookFigures(BaseModel):
+    """What is needed to tell how much it means that a drive looked at a spot and found no box: kept with each drive."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    evidence: DetectorEvidence
+    score_threshold: Share
+    """Boxes below it were not kept."""
+
+
+def absence_log_ratio(
+    figures: LookFigures,
+    heights_px: NDArray[np.float64],
+    hidden: NDArray[np.float64],
+    unseen_occluder_probability: float,
+) -> float:
+    """ln P(no box in any of these frame pairs | a cone stands there) / P(no box | nothing stands there); never positive.
+
+    heights_px (N, 2), hidden (N, 2): apparent height of the cone, and share of it behind nearer detections, in the left and
+    right picture. A frame pair misses a cone unless both pictures show it. Frame pairs miss together (`joint_log_ratio`), and
+    with a small probability all of them because of something in front that is no detection. That an empty spot would get a box
+    is neglected.
+    """
+    if len(heights_px) == 0:
+        return 0.0
+    seen = [
+        detect_probability(figures.evidence, h, s, figures.score_threshold)
+        for h, s in zip(heights_px.ravel(), hidden.ravel(), strict=True)
+    ]
+    missed = 1 - np.reshape(seen, (-1, 2)).prod(axis=1)
+    joint = joint_log_ratio(figures.evidence, np.log(missed), heights_px.min(axis=1))
+    blind = unseen_occluder_probability
+    return float(np.logaddexp(np.log(blind), np.log1p(-blind) + joint))
+
+
 def calibrated_probability(calibration: ScoreCalibration, score: float) -> float:
     """P(cone | a box of this score) in pictures like those that the calibration was fitted on."""
     return 1 / (1 + float(np.exp(-_log_odds(calibration, score))))
@@ -240,3 +275,5 @@ UNMEASURED = DetectorEvidence(
     look_correlation=LookCorrelation(near=1 / 6, far=1 / 6, decay_octaves=1.0),
     joint_scale=1.0,
 )
+#: The same with the default threshold of `DetectionParams`.
+UNMEASURED_LOOKS = LookFigures(evidence=UNMEASURED, score_threshold=0.3)

@@ -20,6 +20,10 @@ _STYLE = {
     DeltaKind.ADDED: ("P", "#0072b2", "added"),
     DeltaKind.MOVED: ("D", "#e69f00", "moved"),
     DeltaKind.REMOVED: ("X", "#d55e00", "removed"),
+    DeltaKind.MISSED: ("o", "#56b4e9", "looked for in vain"),
+    DeltaKind.HEIGHT_CHANGED: ("s", "#cc79a7", "height changed"),
+    DeltaKind.SPLIT: ("P", "#000000", "split"),
+    DeltaKind.MERGED: ("X", "#000000", "merged"),
 }
 _MARGIN_M = 4.0
 
