@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from conetl.io.audits import run_audits
-from conetl.io.db import connect, execute, load_sql, migrate, sql_directory
+from conetl.io.db import connect, execute, load_sql, migrate, sql_directory, sql_names
 from conetl.io.decision_store import read_decisions
 from conetl.io.map_store import find_map, list_changesets, map_transaction, read_current_features, system_time
 from conetl.io.replay_store import affected_drives, write_replay
@@ -212,7 +212,7 @@ def test_a_map_of_the_first_schema_is_brought_up_to_date_and_takes_late_drives(c
             sequence = f"pg_get_serial_sequence('conetl.{table}', '{column}')"
             execute(old, f"select setval({sequence}, (select max({column}) from conetl.{table}))")
         old.commit()
-        assert migrate(old) == ["0002_order_independence"]
+        assert migrate(old) == [name.removeprefix("migrations/") for name in sql_names("migrations")[1:]]
         assert failed_audits(old) == []
         assert merge(old, survey(1)).replayed == 1
         assert failed_audits(old) == []

@@ -8,23 +8,24 @@ removed one. Features out of view are left alone.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from uuid import UUID, uuid5
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
-from conetl.geometry.packing import cov3, cov_matrix, vec3
+from conetl.geometry.packing import cov_matrices, vec3
 from conetl.params import ReconcileParams
 from conetl.records import Cov3, Delta, DeltaKind, MapFeature, Track
+from conetl.steps.gating import assign, near_pairs
 from conetl.steps.visibility import Look
 
 Floats = NDArray[np.float64]
 _NAMESPACE = UUID("6a3f2f0e-5a0f-4b55-8f0f-3d6a3f0c7e11")
-_FORBIDDEN = 1e6
 #: Offsets that are tried; every shared cone proposes nearly the same one, so a few hundred are plenty for any drive.
 _MAX_PROPOSALS = 200
+#: Tracks that an offset is tried on: every so many of a longer drive's.
+_MAX_TRACKS = 2000
 #: Belief in a feature never becomes certainty: the next drive must be able to change it.
 _MAX_LOGIT = 7.0
 
@@ -60,13 +61,13 @@ def reconcile(
         look = look_at(feature, weight * offset_m)
         if look is not None and look.frames >= params.removal_min_frames:
             vanished.append((j, look))
-    for j, i in pairs.items():
-        deltas.append(_confirmed(features[j], tracks[i], placed[i], weight * offset_m))
-    for j, i in _moves(placed, tracks, free_tracks, features, [j for j, _ in vanished], params).items():
+    deltas += _confirmations(pairs, features, tracks, placed, weight * offset_m)
+    moves = _moves(placed, tracks, free_tracks, features, [j for j, _ in vanished], params)
+    for j, i in moves.items():
         deltas.append(_moved(features[j], tracks[i], placed[i], weight * offset_m))
-        free_tracks.remove(i)
-        vanished = [(k, look) for k, look in vanished if k != j]
     for j, look in vanished:
+        if j in moves:
+            continue
         feature = features[j]
         deltas.append(
             Delta(
@@ -79,7 +80,7 @@ def reconcile(
                 shift_m=None,
             )
         )
-    for i in free_tracks:
+    for i in sorted(set(free_tracks) - set(moves.values())):
         deltas.append(_added(tracks[i], placed[i], weight * offset_m, founding_key))
     return sorted(deltas, key=lambda d: (d.changed_at_ns, str(d.feature_id)))
 
@@ -96,21 +97,23 @@ def common_offset(
     zero = np.zeros(3)
     if len(tracks) < 2 or len(features) < 2:
         return zero, 0.0
-    t = np.array([track.xyz_m for track in tracks])
-    f = np.array([feature.xyz_m for feature in features])
-    differences = t[:, None, :] - f[None, :, :]
     drive_var = float(np.mean([track.cov_m2[0] + track.cov_m2[3] for track in tracks])) / 2
     map_var = float(np.mean([feature.cov_m2[0] + feature.cov_m2[3] for feature in features])) / 2
     allowed_m = min(params.max_offset_m, 4 * float(np.sqrt(drive_var + map_var)))
-    proposals = differences.reshape(-1, 3)
-    lengths = np.linalg.norm(proposals[:, :2], axis=1)
+    t = np.array([track.xyz_m for track in tracks[:: 1 + len(tracks) // _MAX_TRACKS]])
+    f = np.array([feature.xyz_m for feature in features])
+    rows, columns = near_pairs(t[:, :2], f[:, :2], allowed_m + params.min_gate_m)
+    differences = t[rows] - f[columns]
+    starts = np.flatnonzero(np.diff(rows, prepend=-1))  # of each track's pairs
+    of_track = np.cumsum(np.diff(rows, prepend=-1) != 0) - 1
+    lengths = np.linalg.norm(differences[:, :2], axis=1)
     best: tuple[int, float, Floats] = (1, 0.0, zero)
     for k in np.argsort(lengths, kind="stable")[:_MAX_PROPOSALS]:
         if lengths[k] > allowed_m:
             break
-        misfits = np.linalg.norm((differences - proposals[k])[:, :, :2], axis=2)
-        close = misfits <= params.min_gate_m
-        inliers = differences[close & (misfits == misfits.min(axis=1, keepdims=True))]
+        misfits = np.linalg.norm((differences - differences[k])[:, :2], axis=1)
+        nearest = np.minimum.reduceat(misfits, starts)
+        inliers = differences[(misfits <= params.min_gate_m) & (misfits == nearest[of_track])]
         spread = float(np.linalg.norm(inliers - inliers.mean(axis=0), axis=1).mean()) if len(inliers) else np.inf
         if len(inliers) > best[0] or (len(inliers) == best[0] >= 2 and spread < 0.5 * best[1]):
             best = (len(inliers), spread, np.median(inliers, axis=0))
@@ -133,18 +136,20 @@ def _pair(
         return {}
     # With the offset known only what is not common to the drive is uncertain; without it, everything is.
     known = weight > 0
-    cov = _horizontal([track.relative_cov_m2 if known else track.cov_m2 for track in tracks])[None]
+    cov = _horizontal([track.relative_cov_m2 if known else track.cov_m2 for track in tracks])
+    places = np.array([feature.xyz_m for feature in features])[:, :2]
+    sought = (placed - (1 - weight) * offset_m)[:, :2]
+    reach_m = max(params.min_gate_m, params.max_offset_m)
+    rows, columns = near_pairs(places, sought, reach_m)
+    x, y = (sought[columns] - places[rows]).T
+    pair_cov = cov[columns]
     if not known:
-        cov = cov + _horizontal([feature.cov_m2 for feature in features])[:, None]
-    places = np.array([feature.xyz_m for feature in features])
-    x, y = np.moveaxis((placed - (1 - weight) * offset_m)[None, :, :2] - places[:, None, :2], 2, 0)
-    xx, xy, yy = np.moveaxis(cov, 2, 0)
+        pair_cov = pair_cov + _horizontal([feature.cov_m2 for feature in features])[rows]
+    xx, xy, yy = pair_cov.T
     distance2 = (yy * x * x - 2 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
     distance = np.hypot(x, y)
     near = (distance <= params.min_gate_m) | ((distance2 <= params.gate_chi2) & (distance <= params.max_offset_m))
-    costs = np.where(near, distance, _FORBIDDEN)
-    rows, columns = linear_sum_assignment(costs)
-    return {int(j): int(i) for j, i in zip(rows, columns, strict=True) if costs[j, i] < _FORBIDDEN}
+    return assign(rows[near], columns[near], distance[near])
 
 
 def _horizontal(covariances: Sequence[Cov3]) -> Floats:
@@ -163,19 +168,15 @@ def _moves(
     """Feature index -> track index of cones that were moved."""
     if not free_tracks or not vanished:
         return {}
-    costs = np.full((len(vanished), len(free_tracks)), _FORBIDDEN)
-    for row, j in enumerate(vanished):
-        for column, i in enumerate(free_tracks):
-            distance = float(np.linalg.norm((placed[i] - np.array(features[j].xyz_m))[:2]))
-            height_difference = abs(tracks[i].cone_height_m - features[j].cone_height_m)
-            if distance <= params.moved_max_m and height_difference <= params.moved_height_tolerance_m:
-                costs[row, column] = distance
-    rows, columns = linear_sum_assignment(costs)
-    return {
-        vanished[r]: free_tracks[c]
-        for r, c in zip(rows.tolist(), columns.tolist(), strict=True)
-        if costs[r, c] < _FORBIDDEN
-    }
+    places = np.array([features[j].xyz_m for j in vanished])[:, :2]
+    sought = placed[free_tracks][:, :2]
+    rows, columns = near_pairs(places, sought, params.moved_max_m)
+    distance = np.linalg.norm(sought[columns] - places[rows], axis=1)
+    heights_m = np.array([features[j].cone_height_m for j in vanished])[rows]
+    differences_m = np.abs(np.array([tracks[i].cone_height_m for i in free_tracks])[columns] - heights_m)
+    alike = (distance <= params.moved_max_m) & (differences_m <= params.moved_height_tolerance_m)
+    paired = assign(rows[alike], columns[alike], distance[alike])
+    return {vanished[r]: free_tracks[c] for r, c in paired.items()}
 
 
 def _added(track: Track, placed: Floats, shift: Floats, founding_key: str) -> Delta:
@@ -211,41 +212,72 @@ def _moved(feature: MapFeature, track: Track, placed: Floats, shift: Floats) -> 
     )
 
 
-def _confirmed(feature: MapFeature, track: Track, placed: Floats, shift: Floats) -> Delta:
-    """The same place seen again: both statements weighted by their covariances."""
-    old_cov, new_cov = cov_matrix(feature.cov_m2), cov_matrix(track.cov_m2)
-    old_xyz = np.array(feature.xyz_m)
-    gain = old_cov @ np.linalg.inv(old_cov + new_cov)
-    fused = old_xyz + gain @ (placed - old_xyz)
+def _confirmations(
+    pairs: Mapping[int, int],
+    features: Sequence[MapFeature],
+    tracks: Sequence[Track],
+    placed: Floats,
+    shift: Floats,
+) -> list[Delta]:
+    """The same places seen again: both statements weighted by their covariances, all pairs (feature -> track) at once."""
+    if not pairs:
+        return []
+    old, new = [features[j] for j in pairs], [tracks[i] for i in pairs.values()]
+    old_xyz, old_cov = np.array([f.xyz_m for f in old]), cov_matrices([f.cov_m2 for f in old])
+    gain = old_cov @ np.linalg.inv(old_cov + cov_matrices([t.cov_m2 for t in new]))
+    fused = old_xyz + _times(gain, placed[list(pairs.values())] - old_xyz)
     cov = (np.eye(3) - gain) @ old_cov
-    centre = np.array(feature.centre_xyz_m)
-    fused_centre = centre + gain @ (np.array(track.centre_xyz_m) - shift - centre)
-    old_weight, new_weight = feature.cone_height_sigma_m**-2, track.cone_height_sigma_m**-2
-    height = (feature.cone_height_m * old_weight + track.cone_height_m * new_weight) / (old_weight + new_weight)
-    logit = _logit(feature.existence_probability) + _logit(track.existence_probability)
-    new = MapFeature(
-        feature_id=feature.feature_id,
-        version=feature.version + 1,
-        category=feature.category,
-        xyz_m=vec3(fused),
-        cov_m2=cov3((cov + cov.T) / 2),
-        centre_xyz_m=vec3(fused_centre),
-        cone_height_m=height,
-        cone_height_sigma_m=(old_weight + new_weight) ** -0.5,
-        existence_probability=float(1 / (1 + np.exp(-min(logit, _MAX_LOGIT)))),
-        observation_count=feature.observation_count + track.observation_count,
-        first_seen_ns=feature.first_seen_ns,
-        last_seen_ns=max(feature.last_seen_ns, track.last_seen_ns),
+    cov = (cov + np.swapaxes(cov, 1, 2)) / 2
+    centres = np.array([f.centre_xyz_m for f in old])
+    fused_centres = centres + _times(gain, np.array([t.centre_xyz_m for t in new]) - shift - centres)
+    shifts_m = np.linalg.norm((fused - old_xyz)[:, :2], axis=1)
+    heights = np.array([(f.cone_height_m, t.cone_height_m) for f, t in zip(old, new, strict=True)])
+    weights = np.array([(f.cone_height_sigma_m, t.cone_height_sigma_m) for f, t in zip(old, new, strict=True)]) ** -2.0
+    height = (heights * weights).sum(axis=1) / weights.sum(axis=1)
+    beliefs = [(f.existence_probability, t.existence_probability) for f, t in zip(old, new, strict=True)]
+    logit = np.minimum(_logit(np.array(beliefs)).sum(axis=1), _MAX_LOGIT)
+    columns = zip(
+        old,
+        new,
+        fused.tolist(),
+        cov.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]].tolist(),
+        fused_centres.tolist(),
+        height.tolist(),
+        (weights.sum(axis=1) ** -0.5).tolist(),
+        (1 / (1 + np.exp(-logit))).tolist(),
+        shifts_m.tolist(),
+        strict=True,
     )
-    return Delta(
-        kind=DeltaKind.CONFIRMED,
-        feature_id=feature.feature_id,
-        old=feature,
-        new=new,
-        track_index=track.track_index,
-        changed_at_ns=track.first_seen_ns,
-        shift_m=float(np.linalg.norm((fused - old_xyz)[:2])),
-    )
+    return [
+        Delta(
+            kind=DeltaKind.CONFIRMED,
+            feature_id=feature.feature_id,
+            old=feature,
+            new=MapFeature(
+                feature_id=feature.feature_id,
+                version=feature.version + 1,
+                category=feature.category,
+                xyz_m=tuple(xyz_m),
+                cov_m2=tuple(cov_m2),
+                centre_xyz_m=tuple(centre_m),
+                cone_height_m=height_m,
+                cone_height_sigma_m=height_sigma_m,
+                existence_probability=probability,
+                observation_count=feature.observation_count + track.observation_count,
+                first_seen_ns=feature.first_seen_ns,
+                last_seen_ns=max(feature.last_seen_ns, track.last_seen_ns),
+            ),
+            track_index=track.track_index,
+            changed_at_ns=track.first_seen_ns,
+            shift_m=shift_m,
+        )
+        for feature, track, xyz_m, cov_m2, centre_m, height_m, height_sigma_m, probability, shift_m in columns
+    ]
+
+
+def _times(matrices: Floats, vectors: Floats) -> Floats:
+    """(N, 3, 3) times (N, 3)."""
+    return (matrices @ vectors[:, :, None])[:, :, 0]
 
 
 def _feature_from_track(track: Track, placed: Floats, shift: Floats, feature_id: UUID, version: int) -> MapFeature:
@@ -265,6 +297,6 @@ def _feature_from_track(track: Track, placed: Floats, shift: Floats, feature_id:
     )
 
 
-def _logit(probability: float) -> float:
-    p = float(np.clip(probability, 1e-6, 1 - 1e-6))
-    return float(np.log(p / (1 - p)))
+def _logit(probability: Floats) -> Floats:
+    p = np.clip(probability, 1e-6, 1 - 1e-6)
+    return np.asarray(np.log(p / (1 - p)))
