@@ -386,7 +386,9 @@ class Delta(Record):
             return False
         if self.kind is not DeltaKind.CONFIRMED or self.old is None or self.new is None:
             return True
-        return self.new.model_copy(update={"version": self.old.version}) != self.old
+        return any(
+            getattr(self.new, name) != getattr(self.old, name) for name in MapFeature.model_fields if name != "version"
+        )
 
 
 class FeatureChange(Record):

@@ -95,8 +95,9 @@ def test_a_database_of_a_newer_conetl_is_refused(conn):
 
 
 def test_a_misnamed_migration_is_refused(conn, tmp_path):
-    (tmp_path / "0002_second.sql").write_text("select 1")
-    with pytest.raises(DatabaseError, match="0001_"):
+    (tmp_path / "0001_first.sql").write_text("select 1")
+    (tmp_path / "0001_second.sql").write_text("select 1")
+    with pytest.raises(DatabaseError, match="each number once"):
         migrate(conn, directory=tmp_path)
 
 

@@ -8,7 +8,7 @@ to the next (a binary Bayes filter, Thrun, Burgard & Fox 2005, Probabilistic Rob
 
 from __future__ import annotations
 
-import numpy as np
+from math import exp, log
 
 from conetl.params import ReconcileParams
 from conetl.records import Doubt, MapFeature, SightingEvidence, Track
@@ -57,13 +57,13 @@ def doubt_after(doubt: Doubt | None, existence_probability: float, first_missed_
 
 def log_odds(value: float) -> float:
     """ln p / (1 - p), kept finite."""
-    p = float(np.clip(value, _EDGE, 1 - _EDGE))
-    return float(np.log(p / (1 - p)))
+    p = min(max(value, _EDGE), 1 - _EDGE)
+    return log(p / (1 - p))
 
 
 def probability(log_odds_value: float) -> float:
     """The inverse of `log_odds`."""
-    return float(1 / (1 + np.exp(-log_odds_value)))
+    return 1 / (1 + exp(-log_odds_value))
 
 
 def _believed(feature: MapFeature, doubt: Doubt | None) -> float:

@@ -10,16 +10,18 @@ all kinds are written down in docs/changes.md.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from math import hypot
 from uuid import UUID, uuid5
 
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.geometry.packing import cov3, cov_matrix, vec3
+from conetl.geometry.packing import cov_matrices, vec3
 from conetl.params import ReconcileParams
 from conetl.records import Delta, DeltaKind, Doubt, MapFeature, SightingEvidence, Track
 from conetl.steps.belief import is_gone, missed, seen
-from conetl.steps.map_association import common_offset, moves, near_pairs, pair
+from conetl.steps.gating import near_pairs
+from conetl.steps.map_association import common_offset, moves, pair
 from conetl.steps.visibility import WIDTH_OVER_HEIGHT, Look
 
 Floats = NDArray[np.float64]
@@ -77,16 +79,20 @@ def reconcile(
     moved = moves(placed, tracks, free, features, sorted(gone), params)
     free = [i for i in free if i not in set(moved.values())]
     halves = _halves(placed, tracks, free, features, pairs, params)
-    for j, i in {**pairs, **moved}.items():
-        feature, track = features[j], tracks[i]
-        evidence = seen(feature, doubts.get(feature.feature_id), track)
-        kind = DeltaKind.MOVED if j in moved else DeltaKind.CONFIRMED
-        if j not in moved and feature.feature_id not in pinned and _height_differs(feature, track, params):
-            kind = DeltaKind.HEIGHT_CHANGED
-        if kind is DeltaKind.CONFIRMED and j not in halves.values():
-            deltas.append(_confirmed(feature, track, placed[i], shift_m, evidence))
-        else:  # what was known of its place, that of neither half, or its height is so no longer
-            deltas.append(_anew(kind, feature, track, placed[i], shift_m, evidence))
+    evidence_for = {
+        j: seen(features[j], doubts.get(features[j].feature_id), tracks[i]) for j, i in {**pairs, **moved}.items()
+    }
+    anew = dict.fromkeys(moved, DeltaKind.MOVED)
+    anew |= dict.fromkeys(halves.values(), DeltaKind.CONFIRMED)  # its place was that of neither half
+    for j, i in pairs.items():
+        if features[j].feature_id not in pinned and _height_differs(features[j], tracks[i], params):
+            anew[j] = DeltaKind.HEIGHT_CHANGED
+    deltas += _confirmations(
+        {j: i for j, i in pairs.items() if j not in anew}, features, tracks, placed, shift_m, evidence_for
+    )
+    for j, kind in anew.items():
+        i = pairs[j] if j in pairs else moved[j]
+        deltas.append(_anew(kind, features[j], tracks[i], placed[i], shift_m, evidence_for[j]))
     deltas += [
         _removed(features[j], doubts.get(features[j].feature_id), look, evidence)
         for j, (look, evidence) in gone.items()
@@ -112,7 +118,7 @@ def _mergers(
         return {}
     places = np.array([feature.xyz_m for feature in features])
     found: dict[int, tuple[float, int]] = {}
-    for a, b in zip(*near_pairs(places[certain], places[unseen], _WIDEST_BASE_M), strict=True):
+    for a, b in zip(*near_pairs(places[certain, :2], places[unseen, :2], _WIDEST_BASE_M), strict=True):
         kept, other = certain[a], unseen[b]
         distance_m = float(np.hypot(*(places[kept] - places[other])[:2]))
         base_m = WIDTH_OVER_HEIGHT * min(features[kept].cone_height_m, features[other].cone_height_m)
@@ -134,9 +140,9 @@ def _halves(
     if not free_tracks or not pairs:
         return {}
     seen_features = sorted(pairs)
-    own_m = placed[[pairs[j] for j in seen_features]]
+    own_m = placed[[pairs[j] for j in seen_features], :2]
     found: dict[int, int] = {}
-    for b, a in sorted(zip(*near_pairs(own_m, placed[list(free_tracks)], 2 * params.min_gate_m)[::-1], strict=True)):
+    for b, a in zip(*near_pairs(placed[list(free_tracks), :2], own_m, 2 * params.min_gate_m), strict=True):
         i, j = free_tracks[b], seen_features[a]
         own = tracks[pairs[j]]
         apart_m = float(np.hypot(*(placed[i] - placed[pairs[j]])[:2]))
@@ -149,7 +155,7 @@ def _halves(
 
 
 def _height_differs(feature: MapFeature, track: Track, params: ReconcileParams) -> bool:
-    sigma_m = float(np.hypot(feature.cone_height_sigma_m, track.cone_height_sigma_m))
+    sigma_m = hypot(feature.cone_height_sigma_m, track.cone_height_sigma_m)
     difference_m = abs(track.cone_height_m - feature.cone_height_m)
     return difference_m > max(params.moved_height_tolerance_m, 3 * sigma_m)
 
@@ -236,41 +242,72 @@ def _anew(
     )
 
 
-def _confirmed(feature: MapFeature, track: Track, placed: Floats, shift: Floats, evidence: SightingEvidence) -> Delta:
-    """The same place seen again: both statements weighted by their covariances."""
-    old_cov, new_cov = cov_matrix(feature.cov_m2), cov_matrix(track.cov_m2)
-    old_xyz = np.array(feature.xyz_m)
-    gain = old_cov @ np.linalg.inv(old_cov + new_cov)
-    fused = old_xyz + gain @ (placed - old_xyz)
+def _confirmations(
+    pairs: Mapping[int, int],
+    features: Sequence[MapFeature],
+    tracks: Sequence[Track],
+    placed: Floats,
+    shift: Floats,
+    evidence: Mapping[int, SightingEvidence],
+) -> list[Delta]:
+    """The same places seen again: both statements weighted by their covariances, all pairs (feature -> track) at once."""
+    if not pairs:
+        return []
+    old, new = [features[j] for j in pairs], [tracks[i] for i in pairs.values()]
+    old_xyz, old_cov = np.array([f.xyz_m for f in old]), cov_matrices([f.cov_m2 for f in old])
+    gain = old_cov @ np.linalg.inv(old_cov + cov_matrices([t.cov_m2 for t in new]))
+    fused = old_xyz + _times(gain, placed[list(pairs.values())] - old_xyz)
     cov = (np.eye(3) - gain) @ old_cov
-    centre = np.array(feature.centre_xyz_m)
-    fused_centre = centre + gain @ (np.array(track.centre_xyz_m) - shift - centre)
-    old_weight, new_weight = feature.cone_height_sigma_m**-2, track.cone_height_sigma_m**-2
-    height = (feature.cone_height_m * old_weight + track.cone_height_m * new_weight) / (old_weight + new_weight)
-    new = MapFeature(
-        feature_id=feature.feature_id,
-        version=feature.version + 1,
-        category=feature.category,
-        xyz_m=vec3(fused),
-        cov_m2=cov3((cov + cov.T) / 2),
-        centre_xyz_m=vec3(fused_centre),
-        cone_height_m=height,
-        cone_height_sigma_m=(old_weight + new_weight) ** -0.5,
-        existence_probability=evidence.existence_probability,
-        observation_count=feature.observation_count + track.observation_count,
-        first_seen_ns=feature.first_seen_ns,
-        last_seen_ns=max(feature.last_seen_ns, track.last_seen_ns),
+    cov = (cov + np.swapaxes(cov, 1, 2)) / 2
+    centres = np.array([f.centre_xyz_m for f in old])
+    fused_centres = centres + _times(gain, np.array([t.centre_xyz_m for t in new]) - shift - centres)
+    shifts_m = np.linalg.norm((fused - old_xyz)[:, :2], axis=1)
+    heights = np.array([(f.cone_height_m, t.cone_height_m) for f, t in zip(old, new, strict=True)])
+    weights = np.array([(f.cone_height_sigma_m, t.cone_height_sigma_m) for f, t in zip(old, new, strict=True)]) ** -2.0
+    height = (heights * weights).sum(axis=1) / weights.sum(axis=1)
+    columns = zip(
+        old,
+        new,
+        fused.tolist(),
+        cov.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]].tolist(),
+        fused_centres.tolist(),
+        height.tolist(),
+        (weights.sum(axis=1) ** -0.5).tolist(),
+        [evidence[j] for j in pairs],
+        shifts_m.tolist(),
+        strict=True,
     )
-    return Delta(
-        kind=DeltaKind.CONFIRMED,
-        feature_id=feature.feature_id,
-        old=feature,
-        new=new,
-        track_index=track.track_index,
-        changed_at_ns=track.first_seen_ns,
-        shift_m=float(np.linalg.norm((fused - old_xyz)[:2])),
-        evidence=evidence,
-    )
+    return [
+        Delta(
+            kind=DeltaKind.CONFIRMED,
+            feature_id=feature.feature_id,
+            old=feature,
+            new=MapFeature(
+                feature_id=feature.feature_id,
+                version=feature.version + 1,
+                category=feature.category,
+                xyz_m=tuple(xyz_m),
+                cov_m2=tuple(cov_m2),
+                centre_xyz_m=tuple(centre_m),
+                cone_height_m=height_m,
+                cone_height_sigma_m=height_sigma_m,
+                existence_probability=found.existence_probability,
+                observation_count=feature.observation_count + track.observation_count,
+                first_seen_ns=feature.first_seen_ns,
+                last_seen_ns=max(feature.last_seen_ns, track.last_seen_ns),
+            ),
+            track_index=track.track_index,
+            changed_at_ns=track.first_seen_ns,
+            shift_m=shift_m,
+            evidence=found,
+        )
+        for feature, track, xyz_m, cov_m2, centre_m, height_m, height_sigma_m, found, shift_m in columns
+    ]
+
+
+def _times(matrices: Floats, vectors: Floats) -> Floats:
+    """(N, 3, 3) times (N, 3)."""
+    return (matrices @ vectors[:, :, None])[:, :, 0]
 
 
 def _feature_from_track(

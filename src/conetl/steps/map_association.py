@@ -9,18 +9,17 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from conetl.params import ReconcileParams
 from conetl.records import Cov3, MapFeature, Track
+from conetl.steps.gating import assign, near_pairs
 
 Floats = NDArray[np.float64]
-Indices = NDArray[np.intp]
 #: Offsets that are tried; cones that share one propose nearly the same.
 _MAX_PROPOSALS = 200
+#: Tracks that an offset is tried on: every so many of a longer drive's.
+_MAX_TRACKS = 2000
 #: Proposals nearer together than this are one.
 _PROPOSAL_CELL_M = 0.1
 #: Cost of a pair at the edge of the gate, and of leaving a track and a feature unpaired: a chi-square of 3 sigma.
@@ -40,7 +39,7 @@ def common_offset(
     zero = np.zeros(3)
     if len(tracks) < 2 or len(features) < 2:
         return zero, 0.0
-    t = np.array([track.xyz_m for track in tracks])
+    t = np.array([track.xyz_m for track in tracks[:: 1 + len(tracks) // _MAX_TRACKS]])
     f = np.array([feature.xyz_m for feature in features])
     drive_var = float(np.mean([track.cov_m2[0] + track.cov_m2[3] for track in tracks])) / 2
     map_var = float(np.mean([feature.cov_m2[0] + feature.cov_m2[3] for feature in features])) / 2
@@ -94,7 +93,7 @@ def pair(
     known = weight > 0
     places = np.array([feature.xyz_m for feature in features])
     moved = placed - (1 - weight) * offset_m
-    j, i = near_pairs(places, moved, max(params.min_gate_m, params.max_offset_m))
+    j, i = near_pairs(places[:, :2], moved[:, :2], max(params.min_gate_m, params.max_offset_m))
     cov = _horizontal([track.relative_cov_m2 if known else track.cov_m2 for track in tracks])[i]
     if not known:
         cov = cov + _horizontal([feature.cov_m2 for feature in features])[j]
@@ -104,7 +103,7 @@ def pair(
     distance = np.hypot(x, y)
     share = np.minimum((distance / params.min_gate_m) ** 2, distance2 / params.gate_chi2)
     allowed = (distance <= params.min_gate_m) | ((distance2 <= params.gate_chi2) & (distance <= params.max_offset_m))
-    return _assign(j[allowed], i[allowed], _GATE_COST * (1 - share[allowed]))
+    return assign(j[allowed], i[allowed], _GATE_COST * share[allowed], alone_cost=_GATE_COST)
 
 
 def moves(
@@ -120,20 +119,18 @@ def moves(
         return {}
     rows, columns = np.array(vanished), np.array(free_tracks)
     places = np.array([features[j].xyz_m for j in vanished])
-    j, i = near_pairs(places, placed[columns], params.moved_max_m)
+    j, i = near_pairs(places[:, :2], placed[columns, :2], params.moved_max_m)
     distance = np.hypot(*(placed[columns[i], :2] - places[j, :2]).T)
     heights = np.array([features[k].cone_height_m for k in vanished])[j]
     alike = np.abs(np.array([tracks[k].cone_height_m for k in free_tracks])[i] - heights)
-    allowed = alike <= params.moved_height_tolerance_m
-    # More than any sum of distances is gained by one more pair.
-    gain = params.moved_max_m * (len(vanished) + 1) - distance[allowed]
-    found = _assign(j[allowed], i[allowed], gain)
+    allowed = (alike <= params.moved_height_tolerance_m) & (distance <= params.moved_max_m)
+    found = assign(j[allowed], i[allowed], distance[allowed])
     return {int(rows[row]): int(columns[column]) for row, column in found.items()}
 
 
 def _proposals(t: Floats, f: Floats, allowed_m: float) -> Floats:
     """(P, 3) offsets that some track and feature propose, one a cell, those of most pairs first, then the shortest."""
-    j, i = near_pairs(f, t, allowed_m)
+    j, i = near_pairs(f[:, :2], t[:, :2], allowed_m)
     differences = t[i] - f[j]
     if len(differences) == 0:
         return differences
@@ -145,37 +142,6 @@ def _proposals(t: Floats, f: Floats, allowed_m: float) -> Floats:
     first = shortest_first[np.searchsorted(inverse[shortest_first], np.arange(len(counts)))]
     order = np.lexsort((lengths[first], -counts))[:_MAX_PROPOSALS]
     return differences[first[order]]
-
-
-def near_pairs(places: Floats, others: Floats, within_m: float) -> tuple[Indices, Indices]:
-    """Index pairs (into places, into others) that are horizontally within a distance."""
-    far = cKDTree(places[:, :2]).sparse_distance_matrix(cKDTree(others[:, :2]), within_m, output_type="ndarray")
-    order = np.lexsort((far["i"], far["j"]))
-    return far["i"][order], far["j"][order]
-
-
-def _assign(rows: Indices, columns: Indices, gains: Floats) -> dict[int, int]:
-    """Row -> column of the one-to-one assignment of greatest total gain; what gains nothing stays alone.
-
-    Solved part by part: rows and columns that no chain of pairs joins do not matter to each other.
-    """
-    if len(rows) == 0:
-        return {}
-    count = int(rows.max()) + 1
-    size = count + int(columns.max()) + 1
-    graph = coo_array((np.ones(len(rows)), (rows, count + columns)), shape=(size, size))
-    label = connected_components(graph, directed=False)[1][rows]
-    order = np.argsort(label, kind="stable")
-    found: dict[int, int] = {}
-    for part in np.split(order, np.flatnonzero(np.diff(label[order])) + 1):
-        own_rows, r = np.unique(rows[part], return_inverse=True)
-        own_columns, c = np.unique(columns[part], return_inverse=True)
-        table = np.zeros((len(own_rows), len(own_columns)))
-        table[r, c] = np.maximum(gains[part], 0.0)
-        for a, b in zip(*linear_sum_assignment(table, maximize=True), strict=True):
-            if table[a, b] > 0:
-                found[int(own_rows[a])] = int(own_columns[b])
-    return found
 
 
 def _horizontal(covariances: Sequence[Cov3]) -> Floats:
