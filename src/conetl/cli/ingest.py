@@ -136,9 +136,15 @@ def _with_refinement(params: IngestParams, *, refine: bool, self_calibrate: bool
     return params.model_copy(update={"trajectory": params.trajectory.model_copy(update=off)}) if off else params
 
 
+#: Kinds of change that are named also where there is none.
+_USUAL = (DeltaKind.ADDED, DeltaKind.CONFIRMED, DeltaKind.MOVED, DeltaKind.REMOVED)
+
+
 def print_report(report: IngestReport) -> None:
     """What one drive changed, for a person."""
-    counts = ", ".join(f"{report.counts[kind]} {kind}" for kind in DeltaKind)
+    counts = ", ".join(
+        f"{report.counts[kind]} {kind.replace('_', ' ')}" for kind in DeltaKind if kind in _USUAL or report.counts[kind]
+    )
     when = f"{report.captured_from:%Y-%m-%d %H:%M} UTC"
     if report.status == "no changes":
         out.print(
@@ -173,7 +179,7 @@ def print_changes(report: IngestReport) -> None:
     """The table of changes of one drive."""
     rows = [
         (
-            line.kind,
+            line.kind.replace("_", " "),
             str(line.feature_id)[:8],
             f"{line.xyz_m[0]:.3f}",
             f"{line.xyz_m[1]:.3f}",
