@@ -139,14 +139,17 @@ def absence_log_ratio(
     figures: LookFigures,
     heights_px: NDArray[np.float64],
     hidden: NDArray[np.float64],
+    found: NDArray[np.bool_],
+    *,
+    stray_probability: float,
     unseen_occluder_probability: float,
 ) -> float:
-    """ln P(no box in any of these frame pairs | a cone stands there) / P(no box | nothing stands there); never positive.
+    """ln P(what some frame pairs show of a spot | a cone stands there) / P(the same | nothing stands there); never positive.
 
     heights_px (N, 2), hidden (N, 2): apparent height of the cone, and share of it behind nearer detections, in the left and
-    right picture. A frame pair misses a cone unless both pictures show it. Frame pairs miss together (`joint_log_ratio`), and
-    with a small probability all of them because of something in front that is no detection. That an empty spot would get a box
-    is neglected.
+    right picture; found (N,): whether something was found there. A frame pair misses a cone unless both pictures show it; an
+    empty spot gets a box with `stray_probability`. Frame pairs go together (`joint_log_ratio`), and with a small probability all
+    of them miss the cone because of something in front that is no detection.
     """
     if len(heights_px) == 0:
         return 0.0
@@ -154,10 +157,11 @@ def absence_log_ratio(
         detect_probability(figures.evidence, h, s, figures.score_threshold)
         for h, s in zip(heights_px.ravel(), hidden.ravel(), strict=True)
     ]
-    missed = 1 - np.reshape(seen, (-1, 2)).prod(axis=1)
-    joint = joint_log_ratio(figures.evidence, np.log(missed), heights_px.min(axis=1))
+    shown = np.reshape(seen, (-1, 2)).prod(axis=1)
+    ratios = np.where(found, np.log(shown / stray_probability), np.log((1 - shown) / (1 - stray_probability)))
+    joint = joint_log_ratio(figures.evidence, ratios, heights_px.min(axis=1))
     blind = unseen_occluder_probability
-    return float(np.logaddexp(np.log(blind), np.log1p(-blind) + joint))
+    return min(float(np.logaddexp(np.log(blind), np.log1p(-blind) + joint)), 0.0)
 
 
 def calibrated_probability(calibration: ScoreCalibration, score: float) -> float:

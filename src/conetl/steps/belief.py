@@ -43,10 +43,10 @@ def missed(feature: MapFeature, doubt: Doubt | None, look: Look, params: Reconci
     )
 
 
-def is_gone(evidence: SightingEvidence, params: ReconcileParams) -> bool:
-    """Whether a miss is enough to remove the feature."""
-    enough = evidence.frames_empty >= params.removal_min_frames
-    return enough and evidence.existence_probability < params.removal_existence_probability
+def is_gone(evidence: SightingEvidence, params: ReconcileParams, *, moved: bool = False) -> bool:
+    """Whether a miss is enough to remove the feature; moved: or to say that it is the new cone near it."""
+    below = params.moved_existence_probability if moved else params.removal_existence_probability
+    return evidence.frames_empty >= params.removal_min_frames and evidence.existence_probability < below
 
 
 def doubt_after(doubt: Doubt | None, existence_probability: float, first_missed_ns: int) -> Doubt:

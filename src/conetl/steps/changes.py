@@ -47,13 +47,13 @@ def reconcile(
 
     look_at(feature, offset_m, others_m): what the drive saw of that feature's spot, None where that says nothing; offset_m (3,)
     is where the drive's map frame lies against the map's (add it to map coordinates to get the drive's), others_m (M, 3) the
-    places, in the drive's frame, of cones that are other features (`visibility.look_at_spot`). founding_key (the map and the
+    places, in the drive's frame, of cones that are not that feature (`visibility.look_at_spot`). founding_key (the map and the
     drive's content) founds the ids of new features. pinned: features that a person holds in place. doubts: of features that
     drives missed since their version. `features` is the map as the drives recorded before this one left it (`steps/fold.py`);
     the order of both lists does not matter.
     """
     doubts = doubts or {}
-    tracks = sorted(tracks, key=lambda track: track.members[0])
+    tracks = _without_doubles(sorted(tracks, key=lambda track: track.members[0]))
     features = sorted(features, key=lambda feature: feature.feature_id)
     offset_m, weight = common_offset(tracks, features, params)
     shift_m = weight * offset_m
@@ -63,20 +63,17 @@ def reconcile(
     deltas = [_merged(features[j], features[kept], tracks[pairs[kept]]) for j, kept in merged.items()]
 
     paired = set(pairs.values())
-    others_m = np.array([tracks[i].xyz_m for i in sorted(paired)]).reshape(-1, 3)
-    gone: dict[int, tuple[Look, SightingEvidence]] = {}
+    others_m = np.array([track.xyz_m for track in tracks]).reshape(-1, 3)
+    unseen: dict[int, tuple[Look, SightingEvidence]] = {}
     for j, feature in enumerate(features):
         look = None if j in pairs or j in merged else look_at(feature, shift_m, others_m)
-        if look is None:
-            continue
-        evidence = missed(feature, doubts.get(feature.feature_id), look, params)
-        if feature.feature_id not in pinned and is_gone(evidence, params):
-            gone[j] = look, evidence
-        else:
-            deltas.append(_missed(feature, look, evidence))
+        if look is not None:
+            unseen[j] = look, missed(feature, doubts.get(feature.feature_id), look, params)
+    loose = {j: evidence for j, (_, evidence) in unseen.items() if features[j].feature_id not in pinned}
+    vanished = [j for j, evidence in loose.items() if is_gone(evidence, params, moved=True)]
 
     free = [i for i in range(len(tracks)) if i not in paired]
-    moved = moves(placed, tracks, free, features, sorted(gone), params)
+    moved = moves(placed, tracks, free, features, vanished, params)
     free = [i for i in free if i not in set(moved.values())]
     halves = _halves(placed, tracks, free, features, pairs, params)
     evidence_for = {
@@ -93,15 +90,30 @@ def reconcile(
     for j, kind in anew.items():
         i = pairs[j] if j in pairs else moved[j]
         deltas.append(_anew(kind, features[j], tracks[i], placed[i], shift_m, evidence_for[j]))
-    deltas += [
-        _removed(features[j], doubts.get(features[j].feature_id), look, evidence)
-        for j, (look, evidence) in gone.items()
-        if j not in moved
-    ]
+    for j, (look, evidence) in unseen.items():
+        if j in loose and j not in moved and is_gone(evidence, params):
+            deltas.append(_removed(features[j], doubts.get(features[j].feature_id), look, evidence))
+        elif j not in moved:
+            deltas.append(_missed(features[j], look, evidence))
     for i in free:
         half_of = features[halves[i]].feature_id if i in halves else None
         deltas.append(_added(tracks[i], placed[i], shift_m, founding_key, half_of))
     return sorted(deltas, key=lambda d: (d.changed_at_ns, str(d.feature_id)))
+
+
+def _without_doubles(tracks: Sequence[Track]) -> list[Track]:
+    """The tracks but for those that stand inside another one of the same drive: two base plates do not fit into one place. The
+    one with more observations is the cone, the other a second box of the detector or a piece of the same chain."""
+    if not tracks:
+        return []
+    places = np.array([track.xyz_m[:2] for track in tracks])
+    weight = [(track.observation_count, track.existence_probability, -i) for i, track in enumerate(tracks)]
+    doubles = set()
+    for a, b in zip(*near_pairs(places, places, _WIDEST_BASE_M), strict=True):
+        base_m = WIDTH_OVER_HEIGHT * min(tracks[a].cone_height_m, tracks[b].cone_height_m)
+        if weight[a] > weight[b] and float(np.hypot(*(places[a] - places[b]))) < base_m:
+            doubles.add(int(b))
+    return [track for i, track in enumerate(tracks) if i not in doubles]
 
 
 def _mergers(

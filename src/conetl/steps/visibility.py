@@ -23,6 +23,8 @@ Floats = NDArray[np.float64]
 #: Width of a cone's base plate over its height; between the 0.5 and 0.6 of common road cones.
 WIDTH_OVER_HEIGHT = 0.55
 _NEAREST_M = 0.5
+#: Cones farther from a spot than this do not explain what is seen at it.
+_NEIGHBOUR_M = 6.0
 #: Middles of the cells into which a box is cut to see what of it is hidden, in shares of its side.
 _GRID = (np.arange(24) + 0.5) / 24
 Box = tuple[float, float, float, float]
@@ -93,34 +95,42 @@ def look_at_spot(
     """What the drive saw of a feature's spot, or None where it was never in view, or a cone was seen there as often as not.
 
     offset_m (3,): add it to map coordinates to get the drive's. others_m (M, 3): places, in the drive's coordinates, of cones
-    that are other features: what is nearer to one of them is that cone, so that a neighbour does not stand in for one that is
+    that are not this feature: what is nearer to one of them is that cone, so that a neighbour does not stand in for one that is
     gone. Frames from before the feature was last seen (drives may overlap in time) say nothing about whether it is gone.
     """
     spot = np.array(feature.xyz_m) + offset_m
     numbers, heights_px, boxes = looks_in_view(spot, feature.cone_height_m, view, params)
-    empty: list[int] = []
-    hidden: list[tuple[float, float]] = []
-    occupied = 0
+    near_m = others_m[np.hypot(*(others_m - spot)[:, :2].T) <= _NEIGHBOUR_M]
+    looks: list[tuple[int, bool, float, float]] = []
     for row, number in enumerate(numbers):
         frame = view.frames[number]
         if view.captured_at_ns[number] <= feature.last_seen_ns:
             continue
-        if _is_occupied(spot, view.places_m.get(frame), others_m, params.min_gate_m):
-            occupied += 1
-            continue
         found = view.detections.get(frame, ())
+        is_found = _is_shown(boxes[row], number, found, near_m, feature.cone_height_m, view) or _is_occupied(
+            spot, view.places_m.get(frame), near_m, params.min_gate_m
+        )
         left, right = (
             hidden_share(box, [d for d in found if d.side == side])
             for side, box in zip(("left", "right"), boxes[row], strict=True)
         )
-        if max(left, right) <= view.figures.evidence.hidden_most:
-            empty.append(row)
-            hidden.append((left, right))
-    if not empty or occupied >= len(empty):
+        if is_found or max(left, right) <= view.figures.evidence.hidden_most:
+            looks.append((row, is_found, left, right))
+    if not looks:
         return None
-    ratio = absence_log_ratio(view.figures, heights_px[empty], np.array(hidden), params.unseen_occluder_probability)
-    first_ns = int(view.captured_at_ns[numbers[empty]].min())
-    return Look(len(empty), first_ns, ratio, occupied)
+    rows, occupied, *hidden = (np.array(column) for column in zip(*looks, strict=True))
+    if occupied.sum() >= (~occupied).sum():
+        return None
+    ratio = absence_log_ratio(
+        view.figures,
+        heights_px[rows],
+        np.column_stack(hidden),
+        occupied,
+        stray_probability=params.stray_probability,
+        unseen_occluder_probability=params.unseen_occluder_probability,
+    )
+    first_ns = int(view.captured_at_ns[numbers[rows[~occupied]]].min())
+    return Look(int((~occupied).sum()), first_ns, ratio, int(occupied.sum()))
 
 
 def looks_in_view(
@@ -165,14 +175,23 @@ def are_in_view(boxes: Floats, camera: Camera, params: ReconcileParams) -> NDArr
 
 
 def apparent_box(foot_m: Floats, tip_m: Floats, camera: Camera) -> Box | None:
-    """As `apparent_boxes`, of one foot and tip (3,); None where it is behind the camera."""
-    box = apparent_boxes(foot_m[None], tip_m[None], camera)[0]
-    return None if np.isnan(box[0]) else _box(box)
+    """As `apparent_boxes`, of one foot and tip (3,), many times as fast for one; None where it is behind the camera."""
+    (foot_x, foot_y, foot_z), (_, tip_y, tip_z) = foot_m.tolist(), tip_m.tolist()
+    if min(foot_z, tip_z) < _NEAREST_M:
+        return None
+    y1 = camera.cy_px + camera.fy_px * foot_y / foot_z
+    y0 = camera.cy_px + camera.fy_px * tip_y / tip_z
+    half = (y1 - y0) * WIDTH_OVER_HEIGHT / 2
+    u = camera.cx_px + camera.fx_px * foot_x / foot_z
+    return u - half, y0, u + half, y1
 
 
 def is_in_view(box: Box, camera: Camera, params: ReconcileParams) -> bool:
     """As `are_in_view`, of one box."""
-    return bool(are_in_view(np.array([box]), camera, params)[0])
+    x0, y0, x1, y1 = box
+    border = params.visible_border_px
+    inside = x0 >= border and y0 >= border and x1 <= camera.width_px - border and y1 <= camera.height_px - border
+    return inside and y1 - y0 >= params.visible_min_height_px
 
 
 def hidden_share(box: Box, detections: Sequence[Detection]) -> float:
@@ -193,12 +212,44 @@ def hidden_share(box: Box, detections: Sequence[Detection]) -> float:
     return float(covered.mean())
 
 
+def iou(box: Box, detection: Detection) -> float:
+    """Overlap of a box and a detection over their union, 0 to 1."""
+    shared = overlap_px2(box, detection)
+    x0, y0, x1, y1 = box
+    return shared / ((x1 - x0) * (y1 - y0) + detection.w_px * detection.h_px - shared)
+
+
 def overlap_px2(box: Box, detection: Detection) -> float:
     """Area that a box and a detection share."""
     x0, y0, x1, y1 = box
     width = min(x1, detection.x_px + detection.w_px) - max(x0, detection.x_px)
     height = min(y1, detection.y_px + detection.h_px) - max(y0, detection.y_px)
     return max(width, 0.0) * max(height, 0.0)
+
+
+def _is_shown(
+    boxes: tuple[Box, Box],
+    number: int,
+    found: Sequence[Detection],
+    others_m: Floats,
+    cone_height_m: float,
+    view: View,
+) -> bool:
+    """Whether a picture shows a box where the cone should be, which no other cone explains better: far cones are placed to a
+    metre, but their boxes to a pixel. boxes: left and right; number: row of the frame pair in `view`."""
+    threshold = view.figures.evidence.match_iou
+    for side, box in zip(("left", "right"), boxes, strict=True):
+        own = [(d, share) for d in found if d.side == side and (share := iou(box, d)) >= threshold]
+        if own and len(others_m):
+            pose = (view.map_SE3_left if side == "left" else view.map_SE3_right)[number]
+            camera = view.rig.left if side == "left" else view.rig.right
+            feet = (others_m - pose[:3, 3]) @ pose[:3, :3]
+            tips = (others_m + np.array([0.0, 0.0, cone_height_m]) - pose[:3, 3]) @ pose[:3, :3]
+            others = [_box(other) for other in apparent_boxes(feet, tips, camera) if not np.isnan(other[0])]
+            own = [(d, share) for d, share in own if all(iou(other, d) <= share for other in others)]
+        if own:
+            return True
+    return False
 
 
 def _is_occupied(spot_m: Floats, places_m: Floats | None, others_m: Floats, gate_m: float) -> bool:

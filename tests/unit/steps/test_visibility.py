@@ -4,13 +4,24 @@ import math
 from uuid import UUID
 
 import numpy as np
+import pytest
 
 from conetl.detector_evidence import DetectorEvidence, LookFigures
 from conetl.io.detector import shipped_model_path
 from conetl.io.model_card import read_model_card
 from conetl.params import ReconcileParams
 from conetl.records import Detection, MapFeature, Position, Side
-from conetl.steps.visibility import Look, View, look_at_spot, looks_in_view, view_of_drive
+from conetl.steps.visibility import (
+    Look,
+    View,
+    apparent_box,
+    apparent_boxes,
+    are_in_view,
+    is_in_view,
+    look_at_spot,
+    looks_in_view,
+    view_of_drive,
+)
 from tests.synthetic.world import ORIGIN_M, Cone, detect, make_path, make_rig, observe
 
 RIG = make_rig()
@@ -97,6 +108,19 @@ def test_the_more_and_the_nearer_the_looks_the_surer_is_the_absence_but_never_ce
     assert ratios == sorted(ratios, reverse=True)
     assert ratios[-1] < -3
     assert ratios[-1] > math.log(PARAMS.unseen_occluder_probability)
+
+
+def test_one_box_is_that_of_many() -> None:
+    rng = np.random.default_rng(1)
+    feet = rng.uniform([-6, 0.5, -2], [6, 2.0, 40], (200, 3))
+    tips = feet - [0.0, 0.7, 0.0]
+    many = apparent_boxes(feet, tips, RIG.left)
+    inside = are_in_view(many, RIG.left, PARAMS)
+    assert 10 < inside.sum() < 150
+    for i in range(len(feet)):
+        one = apparent_box(feet[i], tips[i], RIG.left)
+        assert (one is None) == np.isnan(many[i]).any()
+        assert one is None or (one == pytest.approx(many[i]) and is_in_view(one, RIG.left, PARAMS) == inside[i])
 
 
 def view(positions: list[Position]) -> View:
