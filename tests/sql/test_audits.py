@@ -75,6 +75,8 @@ FAULTS = {
         ("update changeset set rejection_count = 5",),
         ("delete from detection where frame_index = 1",),
         ("delete from delta where kind = 'moved'",),
+        ("update changeset set missed_count = missed_count + 1",),
+        ("update changeset set split_count = 1, merged_count = 1, height_changed_count = 1",),
     ],
     "invalid_geometry": [
         (DROP_CHECKS, "update feature_version set geom = ST_SetSRID(geom, 32633) where version = 2"),
@@ -96,6 +98,8 @@ FAULTS = {
         ("update feature_version set present = false where version = 2",),
         ("update delta set old_version = 2 where kind = 'moved'",),
         ("update delta set kind = 'removed' where kind = 'moved'",),
+        ("update delta set kind = 'merged' where kind = 'moved'",),
+        ("update delta set kind = 'split' where kind = 'moved'",),
         ("update delta set system_period = tstzrange(lower(system_period), '2100-01-01') where kind = 'moved'",),
         (
             "insert into decision (decision_id, map_id, srid, kind, changeset_id, note, decided_at) "

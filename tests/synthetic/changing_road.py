@@ -132,14 +132,14 @@ def change(road: Road, rng: np.random.Generator) -> dict[int, str]:
         x, y = road.places.pop(moved)
         for _ in range(100):
             place = (x + float(rng.uniform(-2.0, 2.0)), y + float(rng.uniform(-1.2, 1.2)))
-            if 0.9 <= np.hypot(place[0] - x, place[1] - y) <= 2.4 and road.is_free(place, 0.8):
+            far_enough = 0.9 <= np.hypot(place[0] - x, place[1] - y) <= 2.4
+            if far_enough and road.is_free(place, 0.8) and fate_is_clear(place, road, fate):
                 fate[moved] = "moved"
                 break
         road.places[moved] = place if fate[moved] == "moved" else (x, y)
     if len(road.places) < 12 and rng.random() < 0.8:
         for _ in range(100):
             place = (float(rng.uniform(*LENGTH_M)), float(rng.choice([-4.5, 3.0])) + float(rng.normal(0, 0.4)))
-            # Farther from where something was than a cone is taken for a moved one: only a person could tell these apart.
             if road.is_free(place, 0.8) and fate_is_clear(place, road, fate):
                 fate[road.put(place, float(rng.choice([0.5, 0.7])))] = "added"
                 break
@@ -147,7 +147,7 @@ def change(road: Road, rng: np.random.Generator) -> dict[int, str]:
 
 
 def fate_is_clear(place: Place, road: Road, fate: dict[int, str]) -> bool:
-    """Whether nothing that was taken away or moved last night stood near."""
+    """Whether no other cone that went last night stood so near that it could be this one: nothing tells these apart."""
     return all(
         np.hypot(place[0] - road.before[n][0], place[1] - road.before[n][1]) > 4.0
         for n, kind in fate.items()
