@@ -296,7 +296,7 @@ def _track(index: int, xyz_m: Vec3, members: tuple[tuple[int, int], ...], seen_n
     )
 
 
-def summary(conn: Connection, tables: Sequence[str]) -> list[dict[str, object]]:
+def index_sizes(conn: Connection, tables: Sequence[str]) -> list[dict[str, object]]:
     """Size of each table and of each of its indexes in bytes."""
     return execute(
         conn,
