@@ -23,8 +23,10 @@ import tempfile
 import time
 import traceback
 from collections import Counter
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
+
+import cv2
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -99,7 +101,7 @@ def ingest(drives: list[Path], home: Path, *, kill_after_s: float | None = None)
     start = time.monotonic()
     pid = os.fork()
     if pid == 0:
-        os.setsid()
+        os.setpgid(0, 0)
         code = 70
         try:
             log = os.open(home / "ingest.log", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
@@ -110,6 +112,8 @@ def ingest(drives: list[Path], home: Path, *, kill_after_s: float | None = None)
             traceback.print_exc()
         finally:
             os._exit(code)
+    with suppress(ProcessLookupError, PermissionError):
+        os.setpgid(pid, pid)  # whoever is first, so that there is a group to kill at once
     if kill_after_s is not None:
         while time.monotonic() - start < kill_after_s:
             if os.waitpid(pid, os.WNOHANG)[0]:
@@ -120,7 +124,8 @@ def ingest(drives: list[Path], home: Path, *, kill_after_s: float | None = None)
         return False, time.monotonic() - start
     status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
     if status != 0:
-        raise SystemExit(f"the ingest of {drives} failed with exit code {status}: see {home / 'ingest.log'}")
+        log = (home / "ingest.log").read_text()[-3000:]
+        raise SystemExit(f"{log}\nthe ingest of {drives} failed with exit code {status}")
     return True, time.monotonic() - start
 
 
@@ -188,6 +193,10 @@ def trials(conn: Connection, home: Path, kills: int, chance: random.Random) -> N
         _, seconds[name] = ingest([order[-1]], home)
         expected[name] = tables_hash(conn)
     cached = _detections(home)
+    if JOB is without_prefect:  # once in this process, so that the forks need not import everything again
+        cv2.setNumThreads(0)
+        _prepare(conn, home, cached, "new drive", late)
+        JOB([early], Settings(home=home))
     for name in expected:  # timed with cached detections
         _prepare(conn, home, cached, name, late)
         _, seconds[name] = ingest([early], home)

@@ -25,6 +25,7 @@ from conetl.io.replay_store import (
     read_versions,
     superseded_drives,
 )
+from conetl.io.retention import require_comparable
 from conetl.params import IngestParams, ReconcileParams
 from conetl.records import Changeset, Decisions, Detection, Drive, MapFeature, Position, StereoMatch, Track
 from conetl.rejections import Rejection
@@ -143,13 +144,14 @@ def replay_of(
 
 
 def stored_evidence(conn: Connection, drives: Sequence[DriveRef]) -> list[Evidence]:
-    """What ingested drives told the map; where they looked is read when it is asked for."""
+    """What ingested drives told the map; where they looked is read when it is asked for. InputError where it was pruned."""
 
     @lru_cache(maxsize=_VIEWS_IN_MEMORY)
     def view_of(drive_uuid: UUID) -> View:
         stored = read_view(conn, drive_uuid)
         return view_of_drive(rigs[drive_uuid], stored.frame_pairs, stored.detections, stored.spots)
 
+    require_comparable(conn, [ref.drive_uuid for ref in drives])
     rigs = {}
     evidence = []
     for ref in drives:
