@@ -1,10 +1,11 @@
 """kill -9 of an ingest at random instants, again and again: the tables must become those of one clean run every time.
 
-A drive of a few frame pairs with cached detections is ingested in a process group of its own, which is killed at a random instant of
-the time that a whole ingest takes: by the flow's own functions, file by file and into PostGIS, without Prefect around them, which
-costs seconds a trial and writes nothing of ours; with --prefect by the real command's function. The same ingest then runs to its end, and
-the final tables (hash of every row, but for what a clock or a sequence says), advisory locks, audits and leftover files are looked
-at. Every second trial the drive comes late: another one over the same place is on the map already, and is compared again.
+A drive of a few frame pairs with cached detections is ingested in a process group of its own, which is killed at a random
+instant of the time that a whole ingest takes: by the flow's own functions, file by file and into PostGIS, without Prefect
+around them, which costs seconds a trial and writes nothing of ours; with --prefect by the real command's function. The same
+ingest then runs to its end, and the final tables (hash of every row, but for what a clock or a sequence says), advisory locks,
+audits (every tenth trial) and leftover files are looked at. In every second trial the drive comes late: another one over the
+same place is on the map already, and is compared again.
 
     python benchmarks/bench_kills.py [--kills 200] [--seed 1] [--prefect] [--folder /tmp]
 """
@@ -86,7 +87,16 @@ def without_prefect(drives: list[Path], settings: Settings) -> int:
             with merging.open_map(settings) as conn, map_transaction(conn, settings.map_name):
                 if find_changeset(conn, identity.idempotency_key, map_name=settings.map_name) is None:
                     merge_drive(
-                        conn, drive, detections, matches, positions, tracks, refused, changeset, params, map_name=settings.map_name
+                        conn,
+                        drive,
+                        detections,
+                        matches,
+                        positions,
+                        tracks,
+                        refused,
+                        changeset,
+                        params,
+                        map_name=settings.map_name,
                     )
         with merging.open_map(settings) as conn:
             export_geojson(conn, settings.exports_folder / "default.geojson", map_name=settings.map_name)
@@ -166,7 +176,7 @@ def main() -> None:
         with closing(connect(url)) as conn, ExitStack() as running:
             migrate(conn)
             if options.prefect:
-                global JOB
+                global JOB  # noqa: PLW0603 -- what all forks do, chosen once
                 from flows.server import prefect_server
 
                 JOB = with_prefect
@@ -200,7 +210,9 @@ def trials(conn: Connection, home: Path, kills: int, chance: random.Random) -> N
     for name in expected:  # timed with cached detections
         _prepare(conn, home, cached, name, late)
         _, seconds[name] = ingest([early], home)
-    print(f"a whole ingest takes {seconds['new drive']:.1f} s, of a late drive {seconds['late drive']:.1f} s", flush=True)
+    print(
+        f"a whole ingest takes {seconds['new drive']:.1f} s, of a late drive {seconds['late drive']:.1f} s", flush=True
+    )
     outcome: Counter[str] = Counter()
     faults = []
     for trial in range(kills):
@@ -210,7 +222,9 @@ def trials(conn: Connection, home: Path, kills: int, chance: random.Random) -> N
         ended, _ = ingest([early], home, kill_after_s=instant_s)
         on_map = execute(conn, "select count(*) as n from conetl.changeset")[0]["n"] == 1 + trial % 2
         conn.rollback()
-        outcome["was over before" if ended else ("killed after its commit" if on_map else "killed before its commit")] += 1
+        outcome[
+            "was over before" if ended else ("killed after its commit" if on_map else "killed before its commit")
+        ] += 1
         ingest([early], home)
         problems = []
         if tables_hash(conn) != expected[name]:
@@ -219,12 +233,17 @@ def trials(conn: Connection, home: Path, kills: int, chance: random.Random) -> N
         conn.rollback()
         problems += [f"{locks} locks"] if locks else []
         problems += [f"left {path}" for path in leftovers(home)]
-        problems += [f"audit {result.name}" for result in run_audits(conn) if not result.passed] if trial % 10 == 0 else []
+        problems += (
+            [f"audit {result.name}" for result in run_audits(conn) if not result.passed] if trial % 10 == 0 else []
+        )
         if problems:
             faults.append((trial, name, instant_s, problems))
         if (trial + 1) % 10 == 0:
             print(json.dumps({"trials": trial + 1, **outcome, "faults": faults}), flush=True)
-    print(f"{kills} trials, {sum(outcome.values()) - outcome['was over before']} killed, {len(faults)} with a fault", flush=True)
+    print(
+        f"{kills} trials, {sum(outcome.values()) - outcome['was over before']} killed, {len(faults)} with a fault",
+        flush=True,
+    )
     if faults:
         raise SystemExit(1)
 

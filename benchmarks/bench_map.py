@@ -1,9 +1,9 @@
 """How long one drive takes to be merged into maps of 100 thousand, 1 million and 10 million features, and what a look back costs.
 
-A private cluster with fsync on, as `conetl db up` makes it, lies in a temporary folder that is removed at the end. For each size the
-map is loaded (see `made_up_map.py`), a drive with its tracks in memory is merged, and the map is asked for boxes of 500 m at an
-instant of the past. Processor time is that of this process and of the database's backend; the wall clock is what a user waits, but
-tells little on a machine that does other work.
+A private cluster with fsync on, as `conetl db up` makes it, lies in a temporary folder that is removed at the end. For each size
+the map is loaded (see `made_up_map.py`), a drive with its tracks in memory is merged, and the map is asked for boxes of 500 m at
+an instant of the past. Processor time is that of this process and of the database's backend; the wall clock is what a user
+waits, but tells little on a machine that does other work.
 
     python benchmarks/bench_map.py [--sizes 100000 1000000] [--sightings 100000] [--audits] [--no-history] [--folder /tmp]
 
@@ -31,7 +31,6 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.made_up_map import (
-    DAY_NS,
     FOUNDED_NS,
     MAP_NAME,
     SRID,
@@ -84,7 +83,7 @@ def merge(conn: Connection, sightings: Sightings) -> Stopwatch:
     drive = sightings.drive
     key = hashlib.sha256(f"changeset {drive.drive_id}".encode()).hexdigest()
     changeset_id = uuid5(NAMESPACE_URL, key)
-    with watch.phase("lock, commit"):  # its own share is what is left after the others
+    with watch.phase("lock, commit"):  # noqa: SIM117 -- its own share is what is left after the others
         with map_transaction(conn, MAP_NAME):
             with watch.phase("place the drive"):
                 drive_uuid = place_drive(conn, drive, key, map_name=MAP_NAME)
@@ -169,7 +168,9 @@ def report(title: str, watch: Stopwatch) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--sizes", type=int, nargs="+", default=[100_000, 1_000_000], help="features, multiples of 100,000")
+    parser.add_argument(
+        "--sizes", type=int, nargs="+", default=[100_000, 1_000_000], help="features, multiples of 100,000"
+    )
     parser.add_argument("--sightings", type=int, default=100_000, help="cones that the drive passes")
     parser.add_argument("--no-history", action="store_true", help="one row a feature instead of three")
     parser.add_argument("--audits", action="store_true", help="run all audits on the map after the merge")
@@ -192,7 +193,9 @@ def bench(conn: Connection, size: int, options: argparse.Namespace) -> None:
     start = time.perf_counter()
     load_map(conn, size, history=not options.no_history)
     rows = size * (1 if options.no_history else 3)
-    print(f"\n=== {size:,} features, {rows:,} version rows, loaded in {time.perf_counter() - start:.0f} s; load {os.getloadavg()}")
+    print(
+        f"\n=== {size:,} features, {rows:,} version rows, loaded in {time.perf_counter() - start:.0f} s; load {os.getloadavg()}"
+    )
     measure(conn, size, options.sightings, audits=options.audits)
 
 
@@ -207,9 +210,13 @@ def measure(conn: Connection, size: int, sightings: int, *, audits: bool = False
     server = executed_ms(conn, size)
     times, found = look_back(conn, size)
     middle = f"median {np.median(server):.1f} ms, 95 % {np.percentile(server, 95):.1f} ms"
-    print(f"\n{LOOKS} boxes of 500 m as of a day, {found} features: server {middle}; with reading median {np.median(times):.1f} ms")
+    print(
+        f"\n{LOOKS} boxes of 500 m as of a day, {found} features: server {middle}; with reading median {np.median(times):.1f} ms"
+    )
     for row in index_sizes(conn, ("feature", "feature_version", "delta")):
-        print(f"{row['table_name']}: {row['index_name']} {row['bytes'] / size:.0f} bytes a feature (table {row['heap'] / size:.0f})")
+        print(
+            f"{row['table_name']}: {row['index_name']} {row['bytes'] / size:.0f} bytes a feature (table {row['heap'] / size:.0f})"
+        )
     if audits:
         start = time.perf_counter()
         for result in run_audits(conn):

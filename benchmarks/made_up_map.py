@@ -1,8 +1,8 @@
 """A made-up map of millions of cones, loaded with set-based SQL, and a drive along its roads: for `bench_map.py`.
 
-Cones stand every 5 m beside roads of 50 km that lie 100 m apart and swing gently. Every 100,000 of them were founded by one drive.
-With history they were confirmed by another one a day later, so each feature has three rows: as first believed, as believed since,
-and as it is now. All of it passes the audits.
+Cones stand every 5 m beside roads of 50 km that lie 100 m apart and swing gently. Every 100,000 of them were founded by one
+drive. With history they were confirmed by another one a day later, so each feature has three rows: as first believed, as
+believed since, and as it is now. All of it passes the audits.
 """
 
 from __future__ import annotations
@@ -54,7 +54,9 @@ def load_map(conn: Connection, count: int, *, history: bool = True, map_name: st
             "insert into conetl.map (map_name, srid, created_at) values (%(name)s, %(srid)s, '2026-03-01')",
             {"name": map_name, "srid": SRID},
         )
-        map_id = execute(conn, "select map_id from conetl.map where map_name = %(name)s", {"name": map_name})[0]["map_id"]
+        map_id = execute(conn, "select map_id from conetl.map where map_name = %(name)s", {"name": map_name})[0][
+            "map_id"
+        ]
         for start in range(0, count, BLOCK):
             _load_block(conn, map_id, map_name, start, history)
     conn.commit()
@@ -129,7 +131,9 @@ from (values (1, false, true), (1, true, false), (2, false, false)) r (version, 
     generate_series(%(start)s, %(stop)s) i
 where %(history)s or r.closed"""
 _DELTAS = f"""
-insert into conetl.delta (changeset_id, feature_id, kind, old_version, new_version, changed_at_ns, changed_at, shift_m, system_period)
+insert into conetl.delta (
+    changeset_id, feature_id, kind, old_version, new_version, changed_at_ns, changed_at, shift_m, system_period
+)
 select d.changeset_id, {_ID}, d.kind, d.old_version, d.new_version, d.at_ns, to_timestamp(d.at_ns / 1e9), d.shift_m,
     tstzrange(to_timestamp(d.at_s), null)
 from (
@@ -155,7 +159,9 @@ def _without_indexes(conn: Connection) -> Iterator[None]:
         )
         for row in constraints:
             execute(conn, f"alter table {row['rel']} drop constraint if exists {row['conname']}")
-            again.append((row["contype"] == "f", f"alter table {row['rel']} add constraint {row['conname']} {row['text']}"))
+            again.append(
+                (row["contype"] == "f", f"alter table {row['rel']} add constraint {row['conname']} {row['text']}")
+            )
         for row in execute(
             conn,
             "select indexrelid::regclass::text as name, pg_get_indexdef(indexrelid) as text from pg_index "
@@ -205,7 +211,7 @@ def drive_along(first: int, count: int, *, seed: int = 1, days: int = 2, sightin
     kept = places[fate > 0.05]
     seen = np.vstack([kept, fresh])
     seen = seen[np.argsort(seen[:, 1] // ROAD_DISTANCE_M * 1e6 + seen[:, 0], kind="stable")]
-    seen = seen + (0.3, -0.2, 0.05) + rng.normal(0, 0.05, seen.shape)
+    seen = (*seen, 0.3, -0.2, 0.05, *rng.normal(0, 0.05, seen.shape))
     start_ns = FOUNDED_NS + days * DAY_NS
     pairs = _path(first, count, start_ns)
     frame_of = np.linspace(0, len(pairs) - sightings, len(seen)).astype(int)

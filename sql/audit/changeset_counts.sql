@@ -23,9 +23,12 @@ cross join lateral (
         ('moved', c.moved_count, coalesce(x.moved, 0)),
         ('removed', c.removed_count, coalesce(x.removed, 0)),
         ('frame pairs', c.frame_pair_count, (select count(*) from conetl.frame_pair r where r.drive_uuid = c.drive_uuid)),
-        ('detections', case when d.pruned_at is null then c.detection_count else 0 end, (select count(*) from conetl.detection r where r.drive_uuid = c.drive_uuid)),
-        ('stereo matches', case when d.pruned_at is null then c.match_count else 0 end, (select count(*) from conetl.stereo_match r where r.drive_uuid = c.drive_uuid)),
-        ('positions', case when d.pruned_at is null then c.position_count else 0 end, (select count(*) from conetl.position r where r.drive_uuid = c.drive_uuid)),
+        ('detections', case when d.pruned_at is null then c.detection_count else 0 end,
+            (select count(*) from conetl.detection r where r.drive_uuid = c.drive_uuid)),
+        ('stereo matches', case when d.pruned_at is null then c.match_count else 0 end,
+            (select count(*) from conetl.stereo_match r where r.drive_uuid = c.drive_uuid)),
+        ('positions', case when d.pruned_at is null then c.position_count else 0 end,
+            (select count(*) from conetl.position r where r.drive_uuid = c.drive_uuid)),
         ('tracks', c.track_count, (select count(*) from conetl.track r where r.drive_uuid = c.drive_uuid)),
         ('rejections', c.rejection_count, (select count(*) from conetl.quarantine r where r.changeset_id = c.changeset_id))
 ) counted (what, stated, found)

@@ -354,7 +354,9 @@ class Delta(Record):
         """False for a confirmation that leaves every stored value as it was: it is recorded, but makes no version."""
         if self.kind is not DeltaKind.CONFIRMED or self.old is None or self.new is None:
             return True
-        return any(getattr(self.new, name) != getattr(self.old, name) for name in MapFeature.model_fields if name != "version")
+        return any(
+            getattr(self.new, name) != getattr(self.old, name) for name in MapFeature.model_fields if name != "version"
+        )
 
 
 class FeatureChange(Record):

@@ -70,7 +70,9 @@ def test_a_connection_lost_in_the_middle_of_the_commit_writes_nothing(conn, data
     assert [result for result in run_audits(conn) if not result.passed] == []
 
 
-def test_drives_of_one_neighbourhood_at_once_give_the_map_of_any_order(conn, database_url, cluster_url, template_database):
+def test_drives_of_one_neighbourhood_at_once_give_the_map_of_any_order(
+    conn, database_url, cluster_url, template_database
+):
     from tests.conftest import cloned_database
 
     def ingest(day):

@@ -20,11 +20,13 @@ begin
     end loop;
 end $$"""
 INSERT_DECISION = (
-    "insert into decision (decision_id, map_id, srid, kind, geom, radius_m, feature_id, changeset_id, withdraws, note, decided_at) "
+    "insert into decision (decision_id, map_id, srid, kind, geom, radius_m, feature_id, changeset_id, withdraws, note, "
+    "decided_at)"
 )
 #: A pin and a revert as people make them; the faults of the audit of decisions spoil them.
 PIN = (
-    f"{INSERT_DECISION} select gen_random_uuid(), f.map_id, f.srid, 'pin', ST_Force2D(v.geom), 1, f.feature_id, null, null, '', now() "
+    f"{INSERT_DECISION} select gen_random_uuid(), f.map_id, f.srid, 'pin', ST_Force2D(v.geom), 1, f.feature_id, null, null, "
+    "'', now() "
     "from feature f join feature_version v using (feature_id) limit 1"
 )
 REVERT = (

@@ -117,7 +117,10 @@ def audit(as_json: JsonOption = False) -> None:
     if as_json:
         print_json([asdict(result) for result in results])
     else:
-        rows = [(result.name, "passed" if not result.rows else f"{result.row_count} rows", f"{result.seconds:.1f}") for result in results]
+        rows = [
+            (result.name, "passed" if not result.rows else f"{result.row_count} rows", f"{result.seconds:.1f}")
+            for result in results
+        ]
         print_table("", ("audit", "result", "s"), rows, numbers_from=2)
         for result in results:
             for row in result.rows[:10]:

@@ -72,7 +72,9 @@ def ingest_drives(
     try:
         (settings.home / "prefect").mkdir(parents=True, exist_ok=True)
         settings.results_folder.mkdir(exist_ok=True)
-        with TemporaryFile(dir=settings.results_folder):  # a folder that is there may still be read-only, or its disk full
+        with TemporaryFile(
+            dir=settings.results_folder
+        ):  # a folder that is there may still be read-only, or its disk full
             pass
     except OSError as error:
         raise InputError(

@@ -19,7 +19,9 @@ from conetl.settings import read_settings
 def prune(
     keep_positions: Annotated[
         str | None,
-        typer.Option(help="Delete detections, stereo matches and positions of drives recorded longer ago: 90d, 12w, 36h."),
+        typer.Option(
+            help="Delete detections, stereo matches and positions of drives recorded longer ago: 90d, 12w, 36h."
+        ),
     ] = None,
     keep_results: Annotated[
         str | None, typer.Option(help="Delete intermediate results (files) that were written longer ago.")
@@ -60,7 +62,14 @@ def prune(
     if keep_positions is not None:
         names = ("map", "drive", "recorded until", "detections", "matches", "positions")
         lines = [
-            (d.map_name, d.drive_id, f"{d.captured_to:%Y-%m-%d %H:%M}", d.detection_count, d.match_count, d.position_count)
+            (
+                d.map_name,
+                d.drive_id,
+                f"{d.captured_to:%Y-%m-%d %H:%M}",
+                d.detection_count,
+                d.match_count,
+                d.position_count,
+            )
             for d in drives
         ]
         print_table("", names, lines, numbers_from=3)

@@ -64,8 +64,8 @@ def save_result(folder: Path, key: str, records: Sequence[R], rejections: Sequen
         os.replace(unfinished, path)  # noqa: PTH105 - atomic on every platform, unlike Path.rename
     except OSError as error:
         raise InputError(
-            f"{folder}: results cannot be written ({os.strerror(error.errno) if error.errno else error}): free space there, or set "
-            "CONETL_HOME to another folder, and run the same command again; what is finished is not computed again."
+            f"{folder}: results cannot be written ({os.strerror(error.errno) if error.errno else error}): free space there, or "
+            "set CONETL_HOME to another folder, and run the same command again; what is finished is not computed again."
         ) from error
     finally:
         with suppress(OSError):

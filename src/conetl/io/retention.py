@@ -1,9 +1,9 @@
 """What may go when it is old: raw records of drives in the database, and intermediate results on disk.
 
-Of a drive go its detections, stereo matches and positions: nine tenths of what it takes. Its path, its tracks, its changeset and
-all that it did to the map stay, so the history of the map and every audit hold. What is lost: its single sightings, and that it can
-be compared with the map again. A drive or a decision that would need that is refused (`require_comparable`) instead of being
-answered from half of the evidence, so the map stays the same whatever the order of the drives that were accepted.
+Of a drive go its detections, stereo matches and positions. Its path, its tracks, its changeset and all that it did to the map
+stay, so the history of the map and every audit hold. What is lost: its single sightings, and that it can be compared with the
+map again. A drive or a decision that would need that is refused (`require_comparable`) instead of being answered from half of
+the evidence, so the map stays the same whatever the order of the drives that were accepted.
 """
 
 from __future__ import annotations
@@ -60,15 +60,18 @@ def require_comparable(conn: Connection, drive_uuids: Sequence[UUID]) -> None:
         first = pruned[0]
         more = f" and {len(pruned) - 1} more" if len(pruned) > 1 else ""
         raise InputError(
-            f"drive {first['drive_id']}, recorded {first['captured_to']:%Y-%m-%d}{more}, would have to be compared with the map again, "
-            f"but its raw records were pruned on {first['pruned_at']:%Y-%m-%d}: the map before that time is closed. Nothing was written."
+            f"drive {first['drive_id']}, recorded {first['captured_to']:%Y-%m-%d}{more}, would have to be compared with the map "
+            f"again, but its raw records were pruned on {first['pruned_at']:%Y-%m-%d}: the map before that time is closed. "
+            "Nothing was written."
         )
 
 
 def prunable_results(folder: Path, before: datetime) -> list[Path]:
     """Intermediate results that were written before an instant; they can be computed again from the drives."""
     limit_s = before.timestamp()
-    return sorted(path for path in folder.glob("*.parquet") if path.stat().st_mtime < limit_s) if folder.is_dir() else []
+    return (
+        sorted(path for path in folder.glob("*.parquet") if path.stat().st_mtime < limit_s) if folder.is_dir() else []
+    )
 
 
 def prune_results(paths: Sequence[Path]) -> int:

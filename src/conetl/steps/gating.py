@@ -1,7 +1,6 @@
 """Which of many points lie near each other, and the cheapest one-to-one pairing of those that do: nearly linear in their number.
 
-A drive of 100,000 tracks against 100,000 features would need a matrix of ten thousand million costs; nearly all of them forbidden.
-Only pairs within reach are looked at, and points that hang together through such pairs are assigned by themselves, which gives
+A drive of 100,000 tracks against 100,000 features would need a matrix of ten thousand million costs, nearly all forbidden. Only pairs within reach are looked at, and points that hang together through such pairs are assigned by themselves, which gives
 the same total as the whole matrix would: between such groups nothing is allowed.
 """
 
@@ -21,7 +20,7 @@ _FORBIDDEN = 1e6
 
 
 def near_pairs(a_m: Floats, b_m: Floats, reach_m: float) -> tuple[Indices, Indices]:
-    """Indices into a_m (N, 2) and b_m (M, 2), metres, of all pairs at most `reach_m` apart, by rising index of `a`, then of `b`."""
+    """Indices into a_m (N, 2) and b_m (M, 2), metres, of all pairs at most `reach_m` apart; by index of `a`, then of `b`."""
     if not len(a_m) or not len(b_m):
         return np.empty(0, np.int64), np.empty(0, np.int64)
     # A hair farther, so that a pair exactly at the reach is not lost to the tree's rounding: callers gate themselves.
