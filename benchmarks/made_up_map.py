@@ -1,8 +1,8 @@
 """A made-up map of millions of cones, loaded with set-based SQL, and a drive along its roads: for `bench_map.py`.
 
-Cones stand every 5 m beside roads of 50 km that lie 100 m apart and swing gently. Every 100,000 of them were founded by one drive.
-With history they were confirmed by another one a day later, so each feature has three rows: as first believed, as believed since,
-and as it is now. All of it passes the audits.
+Cones stand every 5 m beside roads of 50 km that lie 100 m apart and swing gently. Every 100,000 of them were founded by one
+drive. With history they were confirmed by another one a day later, so each feature has three rows: as first believed, as
+believed since, and as it is now. All of it passes the audits.
 """
 
 from __future__ import annotations
@@ -131,7 +131,9 @@ from (values (1, false, true), (1, true, false), (2, false, false)) r (version, 
     generate_series(%(start)s, %(stop)s) i
 where %(history)s or r.closed"""
 _DELTAS = f"""
-insert into conetl.delta (changeset_id, feature_id, kind, old_version, new_version, changed_at_ns, changed_at, shift_m, system_period)
+insert into conetl.delta (
+    changeset_id, feature_id, kind, old_version, new_version, changed_at_ns, changed_at, shift_m, system_period
+)
 select d.changeset_id, {_ID}, d.kind, d.old_version, d.new_version, d.at_ns, to_timestamp(d.at_ns / 1e9), d.shift_m,
     tstzrange(to_timestamp(d.at_s), null)
 from (
@@ -209,7 +211,7 @@ def drive_along(first: int, count: int, *, seed: int = 1, days: int = 2, sightin
     kept = places[fate > 0.05]
     seen = np.vstack([kept, fresh])
     seen = seen[np.argsort(seen[:, 1] // ROAD_DISTANCE_M * 1e6 + seen[:, 0], kind="stable")]
-    seen = seen + (0.3, -0.2, 0.05) + rng.normal(0, 0.05, seen.shape)
+    seen = (*seen, 0.3, -0.2, 0.05, *rng.normal(0, 0.05, seen.shape))
     start_ns = FOUNDED_NS + days * DAY_NS
     pairs = _path(first, count, start_ns)
     frame_of = np.linspace(0, len(pairs) - sightings, len(seen)).astype(int)
@@ -300,7 +302,7 @@ def _track(index: int, xyz_m: Vec3, members: tuple[tuple[int, int], ...], seen_n
     )
 
 
-def summary(conn: Connection, tables: Sequence[str]) -> list[dict[str, object]]:
+def index_sizes(conn: Connection, tables: Sequence[str]) -> list[dict[str, object]]:
     """Size of each table and of each of its indexes in bytes."""
     return execute(
         conn,

@@ -28,6 +28,7 @@ from conetl.io.replay_store import (
     read_versions,
     superseded_drives,
 )
+from conetl.io.retention import require_comparable
 from conetl.params import IngestParams, ReconcileParams
 from conetl.records import (
     BelievedVersion,
@@ -167,7 +168,7 @@ def replay_of(
 
 
 def stored_evidence(conn: Connection, drives: Sequence[DriveRef]) -> list[Evidence]:
-    """What ingested drives told the map; where they looked is read when it is asked for."""
+    """What ingested drives told the map; where they looked is read when it is asked for. InputError where it was pruned."""
 
     @lru_cache(maxsize=_VIEWS_IN_MEMORY)
     def view_of(drive_uuid: UUID) -> View:
@@ -175,6 +176,7 @@ def stored_evidence(conn: Connection, drives: Sequence[DriveRef]) -> list[Eviden
         rig, figures = looked_with[drive_uuid]
         return view_of_drive(rig, stored.frame_pairs, stored.detections, stored.spots, figures)
 
+    require_comparable(conn, [ref.drive_uuid for ref in drives])
     looked_with = {}
     evidence = []
     for ref in drives:

@@ -19,3 +19,8 @@ create unique index feature_version_believed
 drop index conetl.feature_version_by_changeset;
 -- A database holds a few maps: whoever wants all features of one reads the table.
 drop index conetl.feature_by_map;
+
+-- Raw records may go when they are old; what was made of them stays. A drive without them cannot be compared with the map again.
+alter table conetl.drive add column pruned_at timestamptz;
+comment on column conetl.drive.pruned_at is
+    'When its detections, stereo matches and positions were deleted by policy; null while they are there.';

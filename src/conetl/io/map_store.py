@@ -65,7 +65,7 @@ from conetl.rejections import Rejection
 Bbox = tuple[float, float, float, float]
 """west, south, east, north in metres of the map's CRS."""
 LOCK_TIMEOUT_S = 600.0
-#: After so many new versions the planner's picture of the tables is renewed at once, not when autovacuum comes round.
+#: From so many new versions on, if they are a tenth of the table, the planner's picture is renewed before autovacuum comes.
 ANALYSE_FROM_VERSIONS = 10_000
 #: Features this far around the path may be seen by a drive: the farthest position plus the largest offset and move.
 INFLUENCE_M = 60.0
@@ -316,7 +316,7 @@ def _merge_deltas(
     """Set-based: stage all deltas, check them against the map, close what they replace, write what they bring."""
     execute(conn, load_sql("write/create_delta_stage"))
     copy_columns(conn, "delta_stage", map_columns.delta_columns(info.srid, changeset.deltas, suppressed))
-    execute(conn, "analyze delta_stage")
+    execute(conn, "analyze delta_stage (feature_id, kind, is_change)")
     execute(conn, load_sql("write/create_open_version"))
     execute(conn, "analyze open_version")
     conflicts = execute(conn, load_sql("map/delta_conflicts"), {"map_id": info.map_id})
@@ -334,7 +334,10 @@ def _merge_deltas(
     versions = execute_count(conn, load_sql("write/insert_versions"), parameters)
     execute(conn, load_sql("write/insert_deltas"), parameters)
     execute(conn, "drop table delta_stage, open_version")
-    if versions >= ANALYSE_FROM_VERSIONS:
+    if (
+        versions >= ANALYSE_FROM_VERSIONS
+        and execute(conn, load_sql("map/has_outgrown"), {"versions": versions})[0]["outgrown"]
+    ):
         execute(conn, "analyze conetl.feature, conetl.feature_version")
     return versions
 
