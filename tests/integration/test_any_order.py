@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import json
 import os
 import random
 import signal
@@ -80,7 +81,7 @@ def test_all_orders_of_three_drives_give_the_same_map(conn, in_order, order):
 
 def test_short_looks_in_vain_add_up_in_any_order_and_are_known_at_any_time(conn, cluster_url, template_database):
     """Two drives that came too near the spot for too short a time: evidence, counts and belief, but no version."""
-    glimpses = [survey(1, frames=14), survey(1, frames=15, after_ns=3_600_000_000_000)]
+    glimpses = [survey(1, frames=20), survey(1, frames=21, after_ns=3_600_000_000_000)]
     for one in (survey(0), *glimpses):
         merge(conn, one)
     missed = {v.feature.feature_id: v for v in read_features_as_of(conn) if v.missed_count == 2}
@@ -204,6 +205,18 @@ def test_a_drive_of_a_later_day_does_not_replay_the_earlier_ones(conn):
     assert merged.changeset.deltas[0].changed_at_ns >= 2 * DAY_NS
 
 
+EVIDENCE = ("log_likelihood_ratio", "existence_after", "frames_seen", "frames_empty")
+
+
+def without_evidence(lines):
+    """The first schema kept none of it with what drives did."""
+    rows = {name: [json.loads(line) for line in found] for name, found in lines.items()}
+    return {
+        name: sorted(json.dumps({k: v for k, v in row.items() if k not in EVIDENCE}, sort_keys=True) for row in found)
+        for name, found in rows.items()
+    }
+
+
 OLD_TABLES = (
     "map",
     "run",
@@ -254,7 +267,7 @@ def test_a_map_of_the_first_schema_is_brought_up_to_date_and_takes_late_drives(c
         assert failed_audits(old) == []
         assert merge(old, survey(1)).replayed == 1
         assert failed_audits(old) == []
-        assert valid_time_map(old) == in_order
+        assert without_evidence(valid_time_map(old)) == without_evidence(in_order)
         old.close()
 
 
