@@ -409,7 +409,7 @@ def test_the_other_half_of_the_real_street_a_day_later_and_half_a_metre_aside_do
     assert second.code == 0, second.err
     counts = [{kind: n for kind, n in result.json[0]["counts"].items() if n} for result in (first, second)]
     assert counts[0] == {"added": 4}
-    # The cone half behind bollards has too few good boxes in the odd pairs to be a track of its own: it stays, unjudged.
+    # One cone does not become a track in the odd pairs: it stays, and is not doubled.
     assert set(counts[1]) <= {"confirmed", "missed"}, "none doubled, none moved, none removed"
     assert counts[1]["confirmed"] >= 3
     features = desk.run("map", "show", "--json").json["features"]
