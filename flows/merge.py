@@ -132,6 +132,7 @@ def merge_task(
             _changeset(drive, settings.map_name, identity, ()),
             params,
             map_name=settings.map_name,
+            evidence=identity.evidence,
             run=run,
         )
     deltas = merged.changeset.deltas
@@ -186,7 +187,7 @@ def _line(delta: Delta) -> ChangeLine:
         xyz_m=feature.xyz_m,
         cone_height_m=feature.cone_height_m,
         sigma_horizontal_m=((feature.cov_m2[0] + feature.cov_m2[3]) / 2) ** 0.5,
-        existence_probability=feature.existence_probability,
+        existence_probability=delta.evidence.existence_probability if delta.evidence else feature.existence_probability,
         observation_count=feature.observation_count,
         shift_m=delta.shift_m,
     )
@@ -207,12 +208,7 @@ def _no_changes(drive: Drive, identity: Identity, known: CommittedChangeset, set
         matches=known.match_count,
         positions=known.position_count,
         tracks=known.track_count,
-        counts={
-            DeltaKind.ADDED: known.added_count,
-            DeltaKind.CONFIRMED: known.confirmed_count,
-            DeltaKind.MOVED: known.moved_count,
-            DeltaKind.REMOVED: known.removed_count,
-        },
+        counts={kind: getattr(known, f"{kind.value}_count") for kind in DeltaKind},
         changes=(),
         rejections={},
         params_sha256=identity.params_sha256,

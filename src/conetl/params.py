@@ -96,8 +96,20 @@ class ReconcileParams(Params):
     moved_max_m: Positive = 3.0
     """A vanished feature and a new track of like height, at most this far apart, are one cone that was moved."""
     moved_height_tolerance_m: Positive = 0.15
+    """Heights that differ by more are of different classes of cones, which lie 0.2 m apart and more."""
+    moved_existence_probability: Annotated[float, Field(gt=0, lt=1)] = 0.5
+    """Below this belief a feature counts as vanished where a new cone of like height near it tells where it went."""
+    vanished_probability: Annotated[float, Field(gt=0, lt=1)] = 0.1
+    """That a cone is taken away between one drive and the next: however often it was seen, a drive that misses it starts from
+    this doubt."""
+    stray_probability: Annotated[float, Field(gt=0, lt=1)] = 0.1
+    """That a frame pair shows something at an empty spot: a stray box, or a neighbour's."""
+    unseen_occluder_probability: Annotated[float, Field(gt=0, lt=1)] = 0.02
+    """That something which is no detection (a parked van) hid a spot all the time: no look without a box is surer than this."""
+    removal_existence_probability: Annotated[float, Field(gt=0, lt=1)] = 0.35
+    """A feature is removed by the drive that brings the belief in it below this ..."""
     removal_min_frames: int = Field(default=5, ge=1)
-    """Frames in which the spot must have been in plain view without a detection before a feature is removed."""
+    """... and that looked at its spot in at least so many frame pairs without finding a cone there."""
     visible_min_height_px: Positive = 22.0
     """A cone counts as visible when it would appear at least this tall ..."""
     visible_border_px: Positive = 12.0

@@ -16,10 +16,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from conetl.io.db import connect, execute
 from conetl.io.exports.wzdx_schema import schema_faults
+from conetl.records import DeltaKind
 from tests.conftest import cloned_database
 from tests.integration.drives_of_days import valid_time_map
 
@@ -146,7 +148,7 @@ def small_drive(tmp_path: Path) -> Path:
 
 
 def truth_changes(drive: Path) -> dict[str, int]:
-    kinds = dict.fromkeys(("added", "confirmed", "moved", "removed"), 0)
+    kinds = dict.fromkeys(map(str, DeltaKind), 0)
     with (drive / "truth.csv").open(newline="") as file:
         for row in csv.DictReader(file):
             kinds[row["change"]] += 1
@@ -401,3 +403,50 @@ def test_a_real_street_gives_its_four_cones(desk: Desk) -> None:
     again = desk.run("ingest", KITTI, "--json")
     assert again.code == 0
     assert again.json[0]["status"] == "no changes"
+
+
+def every_other_pair(folder: Path, first: int, *, days: int = 0, east_m: float = 0.0, north_m: float = 0.0) -> Path:
+    """Every other frame pair of the street, by links, some days later and with all GNSS positions shifted."""
+    folder.mkdir()
+    for calibration in KITTI.glob("calib_*.txt"):
+        (folder / calibration.name).symlink_to(calibration)
+    (folder / "oxts" / "data").mkdir(parents=True)
+    for side in ("image_02", "image_03"):
+        (folder / side / "data").mkdir(parents=True)
+        for picture in sorted((KITTI / side / "data").iterdir())[first::2]:
+            (folder / side / "data" / picture.name).symlink_to(picture)
+    for times in KITTI.glob("*/timestamps.txt"):
+        if (folder / times.parent.name).is_dir():
+            moved = (
+                str(np.datetime64(line) + np.timedelta64(days, "D")) for line in times.read_text().split("\n") if line
+            )
+            (folder / times.parent.name / "timestamps.txt").write_text("\n".join(moved).replace("T", " ") + "\n")
+    for record in (KITTI / "oxts" / "data").iterdir():
+        lat, lon, *rest = record.read_text().split()
+        lat_deg = float(lat) + north_m / 111_195.0
+        lon_deg = float(lon) + east_m / (111_320.0 * np.cos(np.radians(lat_deg)))
+        (folder / "oxts" / "data" / record.name).write_text(f"{lat_deg:.12f} {lon_deg:.12f} {' '.join(rest)}\n")
+    return folder
+
+
+@pytest.mark.skipif(
+    not KITTI.is_dir(), reason=f"{KITTI} is not there: the real street is tested where the shared data lie"
+)
+def test_the_other_half_of_the_real_street_a_day_later_and_half_a_metre_aside_doubles_and_moves_nothing(
+    desk: Desk, tmp_path: Path
+) -> None:
+    even = every_other_pair(tmp_path / "even", 0)
+    odd = every_other_pair(tmp_path / "odd", 1, days=1, east_m=0.4, north_m=-0.3)
+    first = desk.run("ingest", even, "--json")
+    assert first.code == 0, first.err
+    second = desk.run("ingest", odd, "--json")
+    assert second.code == 0, second.err
+    counts = [{kind: n for kind, n in result.json[0]["counts"].items() if n} for result in (first, second)]
+    assert counts[0] == {"added": 4}
+    # One cone does not become a track in the odd pairs: it stays, and is not doubled.
+    assert set(counts[1]) <= {"confirmed", "missed"}, "none doubled, none moved, none removed"
+    assert counts[1]["confirmed"] >= 3
+    features = desk.run("map", "show", "--json").json["features"]
+    assert len(features) == 4
+    assert sum(feature["seen_count"] == 2 for feature in features) == counts[1]["confirmed"]
+    assert desk.run("db", "audit").code == 0

@@ -216,9 +216,12 @@ def database_status(conn: Connection) -> DatabaseStatus:
 
 def _migration_files(directory: Path) -> dict[str, str]:
     files = {path.stem: path.read_text(encoding="utf-8") for path in sorted(directory.glob("*.sql"))}
-    for number, name in enumerate(files, start=1):
-        if not re.fullmatch(rf"{number:04d}_[a-z0-9_]+", name):
-            raise DatabaseError(f"migration {name}.sql in {directory} should be named {number:04d}_<what it does>.sql")
+    numbers = [name.split("_", 1)[0] for name in files]
+    for name in files:
+        if not re.fullmatch(r"[0-9]{4}_[a-z0-9_]+", name) or numbers.count(name[:4]) > 1:
+            raise DatabaseError(
+                f"migration {name}.sql in {directory} should be named <four digits, each number once>_<what it does>.sql"
+            )
     return files
 
 

@@ -81,6 +81,10 @@ class Feature(Answer):
     last_seen_at: datetime
     valid_from: datetime
     valid_to: datetime | None
+    seen_count: int
+    """Drives that saw it until then."""
+    missed_count: int
+    """Drives that looked at its spot in vain."""
 
 
 class Features(Answer):
@@ -131,6 +135,10 @@ class HistoryItem(Answer):
     first_seen_at: datetime
     last_seen_at: datetime
     sighting_count: int
+    seen_count: int
+    """Drives that saw the feature, up to now."""
+    missed_count: int
+    """Drives that looked at its spot in vain, up to now."""
 
 
 class FeatureHistory(Answer):
