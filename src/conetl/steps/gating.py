@@ -1,7 +1,8 @@
 """Which of many points lie near each other, and the cheapest one-to-one pairing of those that do: nearly linear in their number.
 
-A drive of 100,000 tracks against 100,000 features would need a matrix of ten thousand million costs, nearly all forbidden. Only pairs within reach are looked at, and points that hang together through such pairs are assigned by themselves, which gives
-the same total as the whole matrix would: between such groups nothing is allowed.
+A drive of 100,000 tracks against 100,000 features would need a matrix of ten thousand million costs, nearly all forbidden. Only
+pairs within reach are looked at, and points that hang together through such pairs are assigned by themselves, which gives the
+same total as the whole matrix would: between such groups nothing is allowed.
 """
 
 from __future__ import annotations
