@@ -7,6 +7,8 @@ same total as the whole matrix would: between such groups nothing is allowed.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
@@ -25,7 +27,7 @@ def near_pairs(a_m: Floats, b_m: Floats, reach_m: float) -> tuple[Indices, Indic
     if not len(a_m) or not len(b_m):
         return np.empty(0, np.int64), np.empty(0, np.int64)
     # A hair farther, so that a pair exactly at the reach is not lost to the tree's rounding: callers gate themselves.
-    found: list[list[int]] = list(cKDTree(b_m).query_ball_point(a_m, reach_m * (1 + 1e-9), return_sorted=True))
+    found: Any = cKDTree(b_m).query_ball_point(a_m, reach_m * (1 + 1e-9), return_sorted=True)  # array of lists
     counts = np.fromiter((len(indices) for indices in found), np.int64, len(a_m))
     columns = np.fromiter((index for indices in found for index in indices), np.int64, int(counts.sum()))
     return np.repeat(np.arange(len(a_m)), counts), columns
