@@ -140,10 +140,10 @@ def ingest(drives: list[Path], home: Path, *, kill_after_s: float | None = None)
 
 
 def tables_hash(conn: Connection) -> str:
-    """Of all final tables."""
+    """Of all final tables; map_id comes from a sequence, which a transaction that was killed has moved on."""
     digest = hashlib.sha256()
     for table, content in FINAL_TABLES.items():
-        for row in execute(conn, f"select ({content})::text as line from conetl.{table} t order by 1"):
+        for row in execute(conn, f"select ({content} - 'map_id')::text as line from conetl.{table} t order by 1"):
             digest.update(f"{table} {row['line']}\n".encode())
     conn.rollback()
     return digest.hexdigest()
@@ -218,14 +218,16 @@ def trials(conn: Connection, home: Path, kills: int, chance: random.Random) -> N
     for trial in range(kills):
         name = ("new drive", "late drive")[trial % 2]
         _prepare(conn, home, cached, name, late)
-        instant_s = chance.uniform(0.0, seconds[name])
+        instant_s = chance.uniform(0.0, 1.1 * seconds[name])
         ended, _ = ingest([early], home, kill_after_s=instant_s)
         on_map = execute(conn, "select count(*) as n from conetl.changeset")[0]["n"] == 1 + trial % 2
         conn.rollback()
         outcome[
             "was over before" if ended else ("killed after its commit" if on_map else "killed before its commit")
         ] += 1
-        ingest([early], home)
+        again_s = ingest([early], home)[1]
+        if not on_map:  # the machine may do other work than a minute ago
+            seconds[name] = again_s
         problems = []
         if tables_hash(conn) != expected[name]:
             problems.append("other tables")
