@@ -13,8 +13,8 @@ interface Palette {
 }
 /** Red points, green lines: as in Lagahit & Tseng. For people who do not see red and green: docs/decisions.md tells how it was checked. */
 export const PALETTES: Record<"paper" | "safe", Palette> = {
-  paper: { dark: "#b3121d", bright: "#f58a80", line: "#0b8a3a" },
-  safe: { dark: "#8f7a3c", bright: "#d9c88c", line: "#007c6b" },
+  paper: { dark: "#cf3a3f", bright: "#fbbdb4", line: "#0b8a3a" },
+  safe: { dark: "#a98f4e", bright: "#e6d9ab", line: "#007c6b" },
 };
 
 export interface BaseView {

@@ -19,7 +19,7 @@ const PARALLEL = 6;
 const REDRAW_EVERY_MS = 200;
 const ROOT_M = 4096;
 const GRID = 128;
-const POINT_M = 0.09;
+const POINT_M = 0.07;
 
 interface Tile {
   sha256: string;
@@ -259,6 +259,9 @@ varying vec3 vTint;
 void main() {
   vec4 seen = modelViewMatrix * vec4(position, 1.0);
   gl_Position = projectionMatrix * seen;
+  // Half a metre farther in depth: the points that LiDAR saw of a cone do not hide the cone.
+  float farther = seen.z - 0.5;
+  gl_Position.z = (projectionMatrix[2][2] * farther + projectionMatrix[3][2]) / -farther * gl_Position.w;
   gl_PointSize = clamp(perMetre / max(-seen.z, 0.01), least, 4.0 * least);
   vTint = mix(dark, bright, shade / 255.0);
 }`;
@@ -280,7 +283,7 @@ function pointMaterial(): ShaderMaterial {
     const height = renderer.domElement.height;
     const projection = camera.projectionMatrix.elements[5] ?? 1;
     material.uniforms["perMetre"]!.value = (POINT_M * height * projection) / 2;
-    material.uniforms["least"]!.value = 1.5 * ratio;
+    material.uniforms["least"]!.value = 1.4 * ratio;
     material.uniformsNeedUpdate = true;
   };
   return material;

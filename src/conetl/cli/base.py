@@ -6,7 +6,7 @@ import re
 from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
@@ -82,7 +82,7 @@ def import_files(
 
 
 def import_one(
-    settings: Settings, path: Path, *, kind: Literal["points", "lines"] | str | None = None, crs: str | None = None, layer: str | None = None,
+    settings: Settings, path: Path, *, kind: str | None = None, crs: str | None = None, layer: str | None = None,
     voxel_m: float = 0.05, height_offset_m: float = 0.0,
 ) -> Imported:  # fmt: skip
     """Import one file into the map of the settings. Raises InputError, and then wrote nothing."""
@@ -95,9 +95,7 @@ def import_one(
     with closing(open_map(settings)) as conn, progress_bar() as bars:
         info = find_map(conn, settings.map_name)
         if info is None:
-            raise InputError(
-                f"there is no map {settings.map_name} to put {path} under: ingest a drive first, it gives the map its CRS"
-            )
+            raise InputError(f"there is no map {settings.map_name} to put {path} under: ingest a drive first")
         bar = bars.add_task(path.name, total=None)
         return import_file(
             conn, path, read_place(conn, settings.map_name, info.srid), options,
@@ -134,8 +132,10 @@ def list_layers(as_json: JsonOption = False) -> None:
         return
     rows = [
         (
-            s.layer_name, s.kind, Path(s.source_path).name, s.source_crs, f"{s.kept_count:,}", f"{s.read_count:,}", f"{s.refused_count:,}",
-            f"{s.east_m - s.west_m:.0f} x {s.north_m - s.south_m:.0f}", f"{s.bytes / 1e6:.1f}" if s.kind == "points" else "", s.heights,
+            s.layer_name, s.kind, Path(s.source_path).name, s.source_crs, f"{s.kept_count:,}", f"{s.read_count:,}",
+            f"{s.refused_count:,}",
+            f"{s.east_m - s.west_m:.0f} x {s.north_m - s.south_m:.0f}", f"{s.bytes / 1e6:.1f}" if s.kind == "points" else "",
+            s.heights,
             f"{s.imported_at:%Y-%m-%d %H:%M}",
         )
         for s in found

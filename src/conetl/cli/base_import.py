@@ -42,7 +42,8 @@ from conetl.io.drive_folder.velodyne import ScanFileError, left_SE3_velo, list_s
 from conetl.records import Drive
 
 LINE_READERS: dict[str, Callable[[Path], LineFile]] = {
-    ".osm": read_lanelet2, ".geojson": read_vector_file, ".json": read_vector_file, ".gpkg": read_vector_file, ".xodr": read_opendrive,
+    ".osm": read_lanelet2, ".geojson": read_vector_file, ".json": read_vector_file, ".gpkg": read_vector_file,
+    ".xodr": read_opendrive,
 }  # fmt: skip
 POINT_SUFFIXES = (".las", ".laz")
 #: So many points tell where a file lies.
@@ -84,8 +85,8 @@ def kind_of(path: Path) -> Kind:
     if suffix in LINE_READERS:
         return "lines"
     raise InputError(
-        f"{path}: cannot tell what it is by its name; expected .las, .laz (also .copc.laz) or a drive folder with LiDAR for points, "
-        f"{', '.join(LINE_READERS)} for lines"
+        f"{path}: cannot tell what it is by its name; expected .las, .laz (also .copc.laz) or a drive folder with LiDAR for "
+        f"points, {', '.join(LINE_READERS)} for lines"
     )
 
 
@@ -149,9 +150,7 @@ def _import_drive(
     warnings = (
         []
         if poses
-        else [
-            f"{path.name}: this drive is not on the map, so its logged poses place the points. Ingested first, its refined ones do"
-        ]
+        else [f"{path.name}: is not on the map: placed by its logged poses. Ingest it first, then its refined ones do"]
     )
     refusals: list[str] = []
     read = [0]
@@ -171,6 +170,7 @@ def _drive_clouds(
     pairs = {}
     for pair in drive.frame_pairs:
         better = poses.get(pair.frame_index)
+        pairs[pair.frame_index] = pair
         if better is not None:
             pose = pair.pose.model_copy(
                 update={
@@ -178,8 +178,7 @@ def _drive_clouds(
                     "map_t_body_m": tuple(better[:3, 3].tolist()),
                 }
             )
-            pair = pair.model_copy(update={"pose": pose})
-        pairs[pair.frame_index] = pair
+            pairs[pair.frame_index] = pair.model_copy(update={"pose": pose})
     for done, (number, path) in enumerate(scans.items(), 1):
         progress(done, len(scans))
         placed_pair = pairs.get(number)
@@ -235,7 +234,7 @@ def _import_lines(conn: Connection, path: Path, place: MapPlace, options: Import
     flat = [bool(np.isnan(line.xyz[:, 2]).any()) for line in found.lines]
     if any(flat) and len(place.ground_m) == 0:
         raise InputError(
-            f"{path}: its lines have no heights, and the map {options.map_name} has no drive to take them from: ingest a drive first"
+            f"{path}: its lines have no heights, and map {options.map_name} has no drive to take them from: ingest one first"
         )
     file = _base_file(path, "lines", _sha256(path), options, layer.name, heights="drives" if any(flat) else "file")
     if (there := find_base_file(conn, file)) is not None:

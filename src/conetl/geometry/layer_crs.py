@@ -1,7 +1,7 @@
 """Coordinates of foreign layers (point clouds, lane boundaries) -> the map's CRS, with the checks that such files need.
 
-Easting and northing go through PROJ in two dimensions. Heights are only brought to metres: from heights above a geoid to the map's
-ellipsoidal ones it takes a geoid model, which PROJ does not have without its grid files; the difference is stated by hand
+Easting and northing go through PROJ in two dimensions. Heights are only brought to metres: from heights above a geoid to the
+map's ellipsoidal ones it takes a geoid model, which PROJ does not have without its grid files; the difference is stated by hand
 (`--height-offset`), and compared with the drives.
 """
 
@@ -18,6 +18,9 @@ Array = NDArray[np.float64]
 
 #: How far beyond the area that a CRS is made for (degrees) places may lie before it is said.
 _AREA_MARGIN_DEG = 0.5
+
+#: Percent of confidence with which PROJ takes a CRS for one of EPSG's.
+_SURE_ENOUGH = 25
 
 
 class LayerCrs(NamedTuple):
@@ -60,6 +63,8 @@ def layer_crs(crs: CRS, map_srid: int) -> LayerCrs:
     if vertical is not None and "ellips" not in vertical.name.lower():
         note = f"its heights are those of {vertical.name}, the map's are ellipsoidal"
     area = flat.area_of_use
+    if area is None and (code := flat.to_epsg(_SURE_ENOUGH)) is not None:  # WKT of older files does not name the area
+        area = CRS.from_epsg(code).area_of_use
     try:
         return LayerCrs(
             crs.name,

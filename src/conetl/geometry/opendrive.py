@@ -1,7 +1,7 @@
 """The plan view of OpenDRIVE roads as points: reference line, and the borders of lanes beside it.
 
-ASAM OpenDRIVE 1.8: chapter 9 (geometries of the reference line), 10.3 and 10.5 (elevation, superelevation), 11.4 to 11.6 (lane offset,
-lane sections, lane width and border). s runs along the reference line in plan, t to its left. Lengths in metres, angles in radians.
+ASAM OpenDRIVE 1.8, on geometries of the reference line, elevation, superelevation, lane offset, lane sections, lane width
+and border. s runs along the reference line in plan, t to its left. Lengths in metres, angles in radians.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Cubic(NamedTuple):
 
 
 class Piece(NamedTuple):
-    """One geometry of the reference line, from `start_m` on. Line, arc and spiral: curvature changes linearly from k0 to k1 (1/m)."""
+    """One geometry of the reference line from `start_m` on. Line, arc, spiral: curvature changes linearly from k0 to k1 (1/m)."""
 
     shape: Literal["curvature", "poly3", "paramPoly3"]
     start_m: float
@@ -75,7 +75,7 @@ def samples_m(pieces: Sequence[Piece], from_m: float, to_m: float) -> Array:
 
 
 def reference_line(pieces: Sequence[Piece], s_m: Array) -> tuple[Array, Array]:
-    """Places (N, 2) and headings (N,) of the reference line at s. Before the first piece and after the last one: of its nearest end."""
+    """Places (N, 2) and headings (N,) of the reference line at s; of its nearest end beyond the pieces."""
     ordered = sorted(pieces, key=lambda p: p.start_m)
     starts = np.array([p.start_m for p in ordered])
     s = np.asarray(s_m, np.float64)

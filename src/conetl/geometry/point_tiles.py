@@ -1,8 +1,8 @@
 """Point clouds as tiles with levels of detail: thinning, levels, and the bytes of a tile.
 
-Tiles are squares in plan, aligned with the axes of the map's CRS: level 0 has ROOT_M, every further level half of that. A tile holds
-the points that are the first ones of their voxel of its level's spacing (side / GRID) and of no coarser level: the tiles of all
-levels together are the cloud, and those down to some level are an even sample of it (the additive scheme of Schuetz, *Potree*,
+Tiles are squares in plan, aligned with the axes of the map's CRS: level 0 has ROOT_M, every further level half of that. A tile
+holds the points that are the first ones of their voxel of its level's spacing (side / GRID) and of no coarser level: the tiles of
+all levels together are the cloud, and those down to some level are an even sample of it (the additive scheme of Schuetz, *Potree*,
 2016, and of COPC). A tile with few points holds all that is left and has no tiles below it.
 """
 
@@ -49,7 +49,7 @@ class Tile(NamedTuple):
     level: int
     ix: int
     iy: int
-    count: int
+    points: int
     origin_m: tuple[float, float, float]
     scale_m: tuple[float, float, float]
     high_m: float
@@ -59,7 +59,7 @@ class Tile(NamedTuple):
 
 def tile_side_m(level: int) -> float:
     """Side of the tiles of a level."""
-    return ROOT_M / 2**level
+    return float(ROOT_M / 2**level)
 
 
 def join(clouds: Iterable[Cloud]) -> Cloud:
@@ -107,9 +107,9 @@ def top_level(extent_m: float) -> int:
 
 
 def tiles_of(cells: Iterable[tuple[int, int, Cloud]], top: int, voxel_m: float) -> Iterator[Tile]:
-    """Tiles from level `top` on, of cells (ix, iy, points) of CELL_M in Z-order. Holds one cell, and one open tile a coarse level.
+    """Tiles from level `top` on, of cells (ix, iy, points) of CELL_M in Z-order.
 
-    The points of a cell are thinned by voxel_m first.
+    Holds one cell, and one open tile a coarse level. The points of a cell are thinned by voxel_m first.
     """
     coarse = range(top, CELL_LEVEL)
     keys: dict[int, tuple[int, int]] = {}

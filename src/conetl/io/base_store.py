@@ -102,7 +102,7 @@ def read_place(conn: Connection, map_name: str, srid: int) -> MapPlace:
 
 
 def read_ingested_poses(conn: Connection, map_name: str, content_sha256: str) -> dict[int, NDArray[np.float64]]:
-    """Frame index -> (4, 4) map_SE3_body that the drive of this content was placed by; {} where it was not ingested into the map."""
+    """Frame index -> (4, 4) map_SE3_body that the drive of this content was placed by; {} where the map does not have it."""
     parameters = {"map_name": map_name, "content_sha256": content_sha256}
     with database_errors(f"The poses of a drive of map {map_name} cannot be read"):
         rows = execute(conn, load_sql("map/ingested_poses"), parameters)
@@ -129,7 +129,7 @@ def write_points(conn: Connection, file: BaseFile, counts: BaseCounts, tiles: It
     with transaction(conn, f"{file.source_path} was not imported, nothing was written"):
         for batch in _batches(tiles, _TILES_AT_ONCE):
             copy_columns(conn, "conetl.base_tile", _tile_columns(source_id, batch))
-            kept += sum(tile.count for tile in batch)
+            kept += sum(tile.points for tile in batch)
         return _finish(conn, source_id, file, counts, kept)
 
 
@@ -179,7 +179,7 @@ def _tile_columns(source_id: UUID, tiles: list[Tile]) -> dict[str, Column]:
         "level": fixed([t.level for t in tiles], ">i2"),
         "ix": integers([t.ix for t in tiles]),
         "iy": integers([t.iy for t in tiles]),
-        "points": integers([t.count for t in tiles]),
+        "points": integers([t.points for t in tiles]),
         "origin_m": double_arrays([t.origin_m for t in tiles]),
         "scale_m": double_arrays([t.scale_m for t in tiles]),
         "high_m": doubles([t.high_m for t in tiles]),

@@ -111,7 +111,9 @@ def _boundaries(road: Road) -> str:
         x = np.linspace(start, end, max(math.ceil((end - start) / _LINE_STEP_M), 1) + 1)
         places = np.column_stack([x, np.full(len(x), y), np.full(len(x), z)]) @ motion[:3, :3].T + motion[:3, 3]
         lon, lat = to_wgs84.transform(places[:, 0], places[:, 1])
-        coordinates = [[round(a, 9), round(b, 9), round(c, 3)] for a, b, c in zip(lon, lat, places[:, 2].tolist(), strict=True)]
+        coordinates = [
+            [round(a, 9), round(b, 9), round(c, 3)] for a, b, c in zip(lon, lat, places[:, 2].tolist(), strict=True)
+        ]
         geometry = {"type": "LineString", "coordinates": coordinates}
         features.append({"type": "Feature", "properties": {"kind": kind, "subtype": subtype}, "geometry": geometry})
 

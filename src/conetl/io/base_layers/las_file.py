@@ -45,7 +45,7 @@ def read_las_header(path: Path) -> tuple[int, CRS | None]:
 def las_chunks(path: Path, expected: int) -> Iterator[Cloud]:
     """All points in the file's own coordinates and units, without noise and withheld points. Raises InputError.
 
-    A file that ends before `expected` points, or holds damaged ones, is an error after the good chunks: write nothing before the end.
+    A file that ends before `expected` points, or holds damaged ones, is an error after the good chunks: write nothing before.
     """
     read = 0
     brightest: float | None = None
@@ -86,8 +86,8 @@ def _reading(path: Path) -> Iterator[None]:
         raise
     except BaseException as error:  # pyo3's PanicException is no Exception
         raise InputError(
-            f"{path}: the points cannot be read ({error}). Expected a whole LAS or LAZ file; this one is cut off or damaged: copy "
-            "it again"
+            f"{path}: the points cannot be read ({error}). Expected a whole LAS or LAZ file; this one is cut off or damaged: "
+            "copy it again"
         ) from error
 
 

@@ -1,11 +1,11 @@
-"""OpenDRIVE files (.xodr): reference lines and lane borders of every road. The XML is read here, the geometry is geometry/opendrive.py."""
+"""OpenDRIVE files (.xodr): reference lines and lane borders of every road. The geometry is in geometry/opendrive.py."""
 
 from __future__ import annotations
 
 import math
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import shapely

@@ -48,18 +48,18 @@ def ground_under(poses_m: Array, feet_m: Array) -> Array:
         return poses_m
     _, nearest = cKDTree(poses_m[:, :2]).query(feet_m[:, :2])
     down = float(np.median(feet_m[:, 2] - poses_m[nearest, 2]))
-    return np.asarray(poses_m + [0.0, 0.0, down])
+    return np.asarray(poses_m + np.array([0.0, 0.0, down]))
 
 
 def resolve_crs(path: Path, stated: CRS | None, given: str | None, place: MapPlace) -> tuple[LayerCrs, list[str]]:
-    """The CRS to read a file in: `given` by the user, else the one that the file states. Raises InputError where there is none."""
+    """The CRS to read a file in: `given` by the user, else the one that it states. Raises InputError where there is none."""
     warnings: list[str] = []
     try:
         crs = parse_crs(given) if given else stated
         if crs is None:
             raise InputError(
-                f"{path}: the file does not say in which CRS its coordinates are. State it, for example --crs {place.srid} for that of "
-                "the map"
+                f"{path}: the file does not say in which CRS its coordinates are. State it, e.g. --crs {place.srid} for the "
+                "map's"
             )
         if given and stated is not None and not crs.equals(stated, ignore_axis_order=True):
             warnings.append(f"{path.name}: read as {crs.name} as you say; the file itself states {stated.name}")
@@ -80,12 +80,12 @@ def check_coordinates(path: Path, layer: LayerCrs, xy: Array, place: MapPlace) -
         first, second = ("longitude", "latitude") if layer.geographic else ("easting", "northing")
         x, y = np.median(finite, axis=0)
         raise InputError(
-            f"{path}: {first} and {second} are swapped: expected {first} first, the file begins with {x:.6g}, {y:.6g} or so. Write "
-            "the file in that order"
+            f"{path}: {first} and {second} are swapped: expected {first} first, the file has {x:.6g}, {y:.6g} or so. "
+            "Write it in that order"
         )
     if layer.geographic and np.abs(finite[:, 1]).max() > 90.0:
         raise InputError(
-            f"{path}: latitudes up to {np.abs(finite[:, 1]).max():.6g} in {layer.name}: these are no degrees. State the CRS with --crs"
+            f"{path}: latitudes up to {np.abs(finite[:, 1]).max():.6g} in {layer.name}: no degrees. State the CRS with --crs"
         )
     if outside_area(layer, finite):
         return [f"{path.name}: its coordinates lie outside the area that {layer.name} is made for: is that its CRS?"]
@@ -109,7 +109,8 @@ def check_heights(name: str, xyz_m: Array, place: MapPlace) -> list[str]:
     """Warn where points or vertices (N, 3) along the drives lie well above or below the road."""
     if len(place.ground_m) == 0 or len(xyz_m) == 0:
         return []
-    distance, nearest = cKDTree(place.ground_m[:, :2]).query(xyz_m[:, :2], distance_upper_bound=_ROAD_WITHIN_M)
+    found = cKDTree(place.ground_m[:, :2]).query(xyz_m[:, :2], distance_upper_bound=_ROAD_WITHIN_M)
+    distance, nearest = np.asarray(found[0]), np.asarray(found[1])
     near = np.isfinite(distance)
     if np.count_nonzero(near) < 10:
         return []
@@ -117,8 +118,8 @@ def check_heights(name: str, xyz_m: Array, place: MapPlace) -> list[str]:
     if abs(difference) < _HEIGHT_DIFFERS_M:
         return []
     return [
-        f"{name}: along the drives it lies {abs(difference):.1f} m {'above' if difference > 0 else 'below'} the road. The map's heights "
-        f"are ellipsoidal; if the file's count from a geoid, import it with --height-offset {-difference:.1f}"
+        f"{name}: along the drives it lies {abs(difference):.1f} m {'above' if difference > 0 else 'below'} the road. The map's "
+        f"heights are ellipsoidal; if the file's count from a geoid, import it with --height-offset {-difference:.1f}"
     ]
 
 

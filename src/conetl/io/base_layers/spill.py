@@ -30,7 +30,7 @@ class Spilled(NamedTuple):
 
 
 def spill(clouds: Iterable[Cloud], folder: Path, voxel_m: float, name: str) -> Spilled:
-    """Write clouds (map coordinates) into one file a cell, thinned by voxel within each cloud. Points that are no numbers are left out.
+    """Write clouds (map coordinates) into one file a cell, thinned by voxel within each cloud, without what is no number.
 
     Raises InputError where no point is left, or the points spread over more than a base layer does; `name` is for its text.
     """
@@ -38,7 +38,7 @@ def spill(clouds: Iterable[Cloud], folder: Path, voxel_m: float, name: str) -> S
     kept = refused = 0
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     for cloud in clouds:
-        good = np.isfinite(cloud.xyz_m).all(axis=1) & (np.abs(cloud.xyz_m) < 1e8).all(axis=1)
+        good = np.asarray(np.isfinite(cloud.xyz_m).all(axis=1) & (np.abs(cloud.xyz_m) < 1e8).all(axis=1))
         refused += int(np.count_nonzero(~good))
         part = cloud.take(good)
         part = part.take(first_in_voxels(part.xyz_m, voxel_m))
@@ -50,12 +50,12 @@ def spill(clouds: Iterable[Cloud], folder: Path, voxel_m: float, name: str) -> S
             _append(folder, ix, iy, points, voxel_m, limits)
         if len(limits) > MAX_CELLS:
             raise InputError(
-                f"{name}: its points spread over {(high - low)[0] / 1000:.0f} x {(high - low)[1] / 1000:.0f} km. Expected a base layer "
-                "of at most some hundred km^2: remove stray points, or import it in parts"
+                f"{name}: its points spread over {(high - low)[0] / 1000:.0f} x {(high - low)[1] / 1000:.0f} km. Expected a "
+                "base layer of at most some hundred km^2: remove stray points, or import it in parts"
             )
     if not limits:
         raise InputError(
-            f"{name}: none of its points can be placed on the map ({refused:,} are no numbers in the map's CRS). Is its CRS right?"
+            f"{name}: none of its points can be placed on the map ({refused:,} have no place in its CRS). Is the CRS right?"
         )
     cells = sorted(limits, key=lambda cell: morton(*cell))
     return Spilled(cells, kept, refused, (float(low[0]), float(low[1])), (float(high[0]), float(high[1])))
@@ -96,7 +96,7 @@ def _write(path: Path, ix: int, iy: int, cloud: Cloud, mode: str) -> None:
 
 def _read(path: Path, ix: int, iy: int) -> Cloud:
     records = np.frombuffer(path.read_bytes(), _RECORD)
-    xy = np.clip(records["xy"].astype(np.float64), 0.0, np.nextafter(CELL_M, 0)) + [ix * CELL_M, iy * CELL_M]
+    xy = np.clip(records["xy"].astype(np.float64), 0.0, np.nextafter(CELL_M, 0)) + np.array([ix, iy]) * CELL_M
     return Cloud(np.column_stack([xy, records["z"]]), np.asarray(records["shade"]))
 
 

@@ -23,7 +23,7 @@ _DRIVERS = {".geojson": "GeoJSON", ".json": "GeoJSON", ".gpkg": "GPKG"}
 
 
 def read_vector_file(path: Path) -> LineFile:
-    """Lines and parts of multi-lines of a file. Raises InputError where it cannot be read, holds none, or its layers differ in CRS."""
+    """Lines and parts of multi-lines of a file. Raises InputError where there is none, or layers differ in CRS."""
     if not path.is_file():
         raise InputError(f"{path}: there is no such file")
     driver = _DRIVERS[path.suffix.lower()]
