@@ -1,4 +1,4 @@
-"""`conetl base` on PostGIS: files in, tiles and lines out, nothing written for what is broken; and what the web server answers."""
+"""`conetl base` on PostGIS: files in, tiles and lines out, nothing written for what is broken; and what the server answers."""
 
 from __future__ import annotations
 
@@ -30,7 +30,11 @@ def world(database_url, samples, tmp_path, monkeypatch):
 
     def run(*arguments):
         result = CliRunner().invoke(app, ["base", *map(str, arguments)])
-        return SimpleNamespace(code=result.exit_code, error=result.exception, json=json.loads(result.stdout or "null") if "--json" in arguments else None)
+        return SimpleNamespace(
+            code=result.exit_code,
+            error=result.exception,
+            json=json.loads(result.stdout or "null") if "--json" in arguments else None,
+        )
 
     def rows(sql):
         conn.rollback()
@@ -41,15 +45,26 @@ def world(database_url, samples, tmp_path, monkeypatch):
 
 
 def counts(world):
-    return [world.rows(f"select count(*) as n from conetl.{table}")[0]["n"] for table in ("base_source", "base_tile", "base_line")]
+    return [
+        world.rows(f"select count(*) as n from conetl.{table}")[0]["n"]
+        for table in ("base_source", "base_tile", "base_line")
+    ]
 
 
 def test_points_come_back_as_tiles_and_again_changes_nothing(world):
     path = write_las(world.folder / "street.laz", 60_000)
     done = world.run("import", path, "--json").json[0]
-    assert (done["layer"], done["kind"], done["read"], done["refused"], done["warnings"]) == ("street", "points", 60_000, 0, [])
+    assert (done["layer"], done["kind"], done["read"], done["refused"], done["warnings"]) == (
+        "street",
+        "points",
+        60_000,
+        0,
+        [],
+    )
     tiles = world.rows("select * from conetl.base_tile")
-    back = np.concatenate([decode_points(bytes(t["payload"]))[0] * np.array(t["scale_m"]) + t["origin_m"] for t in tiles])
+    back = np.concatenate(
+        [decode_points(bytes(t["payload"]))[0] * np.array(t["scale_m"]) + t["origin_m"] for t in tiles]
+    )
     assert len(back) == done["kept"] == sum(t["points"] for t in tiles) > 59_000
     assert (back.min(axis=0) >= np.array(CENTRE) - 0.1).all() and (back.max(axis=0) <= np.array(CENTRE) + 40.1).all()
     before = world.rows("select source_id, imported_at from conetl.base_source")
@@ -84,7 +99,10 @@ def test_lines_without_heights_lie_on_the_road(world):
     osm.write_text(OSM)
     done = world.run("import", osm, "--json")
     assert (done.code, done.json[0]["kept"], done.json[0]["refused"]) == (1, 2, 2)  # half of it refused: exit code 1
-    rows = world.rows("select ST_Z(ST_StartPoint(geom)) as a, ST_Z(ST_EndPoint(geom)) as b, ST_SRID(geom) as srid from conetl.base_line order by line_id")
+    rows = world.rows(
+        "select ST_Z(ST_StartPoint(geom)) as a, ST_Z(ST_EndPoint(geom)) as b, ST_SRID(geom) as srid"
+        " from conetl.base_line order by attributes ->> 'way'"
+    )
     assert [row["srid"] for row in rows] == [32632, 32632]
     assert rows[0]["a"] == 110.0 and rows[0]["b"] == pytest.approx(114.5)  # the feet of the cones
     assert world.rows("select heights from conetl.base_source")[0]["heights"] == "drives"
@@ -92,7 +110,13 @@ def test_lines_without_heights_lie_on_the_road(world):
 
 def test_the_server_tells_tiles_lines_and_what_did_not_change(world):
     world.run("import", write_las(world.folder / "street.laz", 30_000))
-    world.run("import", geojson(world.folder / "lanes.geojson", line([LON, LAT, 115.0], [LON, LAT + 1e-4, 115.0], kind="line_thin", subtype="dashed")))
+    world.run(
+        "import",
+        geojson(
+            world.folder / "lanes.geojson",
+            line([LON, LAT, 115.0], [LON, LAT + 1e-4, 115.0], kind="line_thin", subtype="dashed"),
+        ),
+    )
     with TestClient(create_app(world.url, "default"), base_url="http://127.0.0.1") as client:
         first = client.get("/api/maps/default/base")
         base = first.json()
@@ -115,7 +139,10 @@ def test_the_server_tells_tiles_lines_and_what_did_not_change(world):
         plain = client.get(url, headers={"Accept-Encoding": "identity"})
         assert "content-encoding" not in plain.headers and plain.content == answer.content
         stored = world.rows(f"select payload from conetl.base_tile where sha256 = '{tile['sha256']}'")[0]["payload"]
-        assert hashlib.sha256(bytes(stored)).hexdigest() == tile["sha256"] and gzip.decompress(bytes(stored)) == plain.content
+        assert (
+            hashlib.sha256(bytes(stored)).hexdigest() == tile["sha256"]
+            and gzip.decompress(bytes(stored)) == plain.content
+        )
         assert client.get(url, headers={"If-None-Match": answer.headers["etag"]}).status_code == 304
         for wrong in ("0" * 64, "../../etc/passwd", "0" * 63 + "g"):
             assert client.get(f"/api/maps/default/base/tiles/{wrong}.bin").status_code in (404, 422)
@@ -128,7 +155,8 @@ def test_the_server_tells_tiles_lines_and_what_did_not_change(world):
 def test_roles_read_and_drop_as_they_should(world):
     world.run("import", write_las(world.folder / "street.laz", 1_000))
     allowed = world.rows(
-        "select r, t, has_table_privilege(r, 'conetl.' || t, 'select') as s, has_table_privilege(r, 'conetl.' || t, 'insert, delete') as w"
+        "select r, t, has_table_privilege(r, 'conetl.' || t, 'select') as s,"
+        " has_table_privilege(r, 'conetl.' || t, 'insert, delete') as w"
         " from unnest(array['conetl_reader', 'conetl_writer']) r, unnest(array['base_source', 'base_tile', 'base_line']) t"
     )
     assert all(row["s"] for row in allowed)

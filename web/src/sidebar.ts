@@ -63,7 +63,7 @@ export function createSidebar(host: HTMLElement, actions: SidebarActions) {
   const pointsRow = el("label", { class: "check" }, points, el("i", { class: "swatch points" }), "LiDAR points ", el("kbd", { textContent: "1" }));
   const linesRow = el("label", { class: "check" }, lines, el("i", { class: "swatch lines" }), "Lane boundaries ", el("kbd", { textContent: "2" }));
   const baseSection = el("section", { class: "base", hidden: true }, el("h2", { textContent: "Under the cones" }), pointsRow, linesRow,
-    el("label", { class: "check", title: "Ochre points and teal lines instead of red and green" }, safe, "Colour-blind safe colours")); // prettier-ignore
+    el("label", { class: "check", title: "Ochre points and brown lines instead of red and green" }, safe, "Colour-blind safe colours")); // prettier-ignore
   const fitButton = el("button", { type: "button", class: "wide", onclick: () => actions.fit() }, "Show everything ", el("kbd", { textContent: "Home" }));
 
   host.append(

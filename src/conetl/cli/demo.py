@@ -93,7 +93,10 @@ def demo(
         )
     out.print("\n[bold]How to look further[/]")
     out.print("  export CONETL_MAP_NAME=demo PATH=$PWD/.venv/bin:$PATH", markup=False)
-    out.print("  conetl view                             the map in a browser, with LiDAR points and lane boundaries", markup=False)
+    out.print(
+        "  conetl view                             the map in a browser, with LiDAR points and lane boundaries",
+        markup=False,
+    )
     out.print("  conetl map show                         the cones, with sigma and existence probability", markup=False)
     out.print("  conetl map show --as-of 2026-03-02T23:00 the map before the second drive", markup=False)
     out.print(

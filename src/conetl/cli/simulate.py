@@ -20,7 +20,10 @@ def simulate(
     height: Annotated[int, typer.Option(min=32, help="Picture height in pixels.")] = 320,
     samples: Annotated[int, typer.Option(min=1, help="Light paths per pixel.")] = 9,
     base: Annotated[
-        bool, typer.Option("--base", help="Instead of a drive the base layers: the street's LiDAR points and lane boundaries.")
+        bool,
+        typer.Option(
+            "--base", help="Instead of a drive the base layers: the street's LiDAR points and lane boundaries."
+        ),
     ] = False,
     as_json: JsonOption = False,
 ) -> None:

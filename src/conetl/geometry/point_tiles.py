@@ -2,8 +2,8 @@
 
 Tiles are squares in plan, aligned with the axes of the map's CRS: level 0 has ROOT_M, every further level half of that. A tile
 holds the points that are the first ones of their voxel of its level's spacing (side / GRID) and of no coarser level: the tiles of
-all levels together are the cloud, and those down to some level are an even sample of it (the additive scheme of Schuetz, *Potree*,
-2016, and of COPC). A tile with few points holds all that is left and has no tiles below it.
+all levels together are the cloud, and those down to some level are an even sample of it (the additive scheme of Schuetz,
+*Potree*, 2016, and of COPC). A tile with few points holds all that is left and has no tiles below it.
 """
 
 from __future__ import annotations

@@ -85,7 +85,9 @@ def test_heights_follow_elevation_and_superelevation():
 
 
 def test_cubics_hold_from_their_start_and_samples_meet_the_joints():
-    assert cubic_at([Cubic(0.0, 1.0), Cubic(5.0, 2.0, 1.0)], np.array([4.9, 5.0, 6.0])) == pytest.approx([1.0, 2.0, 3.0])
+    assert cubic_at([Cubic(0.0, 1.0), Cubic(5.0, 2.0, 1.0)], np.array([4.9, 5.0, 6.0])) == pytest.approx(
+        [1.0, 2.0, 3.0]
+    )
     pieces = [Piece("curvature", start, 0.0, 0.0, 0.0, 3.3) for start in (0.0, 3.3, 6.6)]
     s = samples_m(pieces, 0.0, 9.9)
     assert {0.0, 3.3, 6.6, 9.9} <= set(s.tolist())

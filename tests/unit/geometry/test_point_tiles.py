@@ -75,7 +75,7 @@ def test_all_tiles_together_are_the_thinned_cloud():
     back = np.concatenate([points_of(tile) for tile in tiles])
     order, wanted = (xyz[np.lexsort(np.round(xyz, 1).T)] for xyz in (back, thinned.xyz_m))
     assert len(order) == len(wanted)
-    from scipy.spatial import cKDTree  # noqa: PLC0415
+    from scipy.spatial import cKDTree
 
     distance, _ = cKDTree(back).query(thinned.xyz_m)
     assert distance.max() < 0.02  # half a step: the coarsest tiles count in about a centimetre

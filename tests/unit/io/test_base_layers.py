@@ -91,7 +91,12 @@ def test_points_that_are_no_numbers_are_left_out_and_cells_keep_places(tmp_path)
     xyz = np.array(CENTRE) + rng.uniform(-150, 150, (4_000, 3))
     xyz[::100, 1] = np.nan
     xyz[1::100, 0] = np.inf
-    spilled = spill([Cloud(xyz[:2_000], np.full(2_000, 9, np.uint8)), Cloud(xyz[2_000:], np.full(2_000, 8, np.uint8))], tmp_path, 0.01, "x")
+    spilled = spill(
+        [Cloud(xyz[:2_000], np.full(2_000, 9, np.uint8)), Cloud(xyz[2_000:], np.full(2_000, 8, np.uint8))],
+        tmp_path,
+        0.01,
+        "x",
+    )
     assert (spilled.kept, spilled.refused) == (3_920, 80)
     back = np.concatenate([c.xyz_m for _, _, c in read_cells(tmp_path, spilled.cells)])
     good = xyz[np.isfinite(xyz).all(axis=1)]
@@ -140,7 +145,9 @@ def test_swapped_axes_are_found():
     assert axes_seem_swapped(utm, np.array([[5_428_000.0, 458_000.0]]), PLACE.lonlat())
     with pytest.raises(InputError, match="longitude and latitude are swapped"):
         placing.check_coordinates(Path("a.geojson"), wgs84, wrong, PLACE)
-    assert outside_area(layer_crs(parse_crs("2993"), 32610), np.array([[636_000.0, 849_000.0]]))  # feet said to be metres
+    assert outside_area(
+        layer_crs(parse_crs("2993"), 32610), np.array([[636_000.0, 849_000.0]])
+    )  # feet said to be metres
     assert not outside_area(layer_crs(parse_crs("2994"), 32610), np.array([[636_000.0, 849_000.0]]))
 
 
@@ -148,7 +155,7 @@ def test_a_layer_far_away_or_at_other_heights_is_warned_of():
     low, high = np.array(CENTRE[:2]), np.array(CENTRE[:2]) + 50
     assert placing.check_near("a", low, high, PLACE) == []
     assert "lies 9 km" in placing.check_near("a", low + 9_000 / 2**0.5, high + 9_000, PLACE)[0]
-    road = PLACE.ground_m + [0.0, 1.0, 0.02]
+    road = PLACE.ground_m + np.array([0.0, 1.0, 0.02])
     assert placing.check_heights("a", road, PLACE) == []
     assert "--height-offset 47.6" in placing.check_heights("a", road - [0.0, 0.0, 47.62], PLACE)[0]
 
@@ -157,7 +164,9 @@ def test_the_road_lies_as_far_below_the_poses_as_the_cones_feet():
     poses = np.column_stack([np.arange(20.0), np.zeros(20), np.full(20, 10.0)])
     feet = np.array([[3.0, 2.0, 9.1], [8.0, -2.0, 9.0], [12.0, 2.0, 9.05]])
     assert placing.ground_under(poses, feet)[:, 2] == pytest.approx([9.05] * 20)
-    assert placing.drape(np.array([[5.0, 30.0]]), placing.MapPlace(32632, placing.ground_under(poses, feet))) == pytest.approx([9.05])
+    assert placing.drape(
+        np.array([[5.0, 30.0]]), placing.MapPlace(32632, placing.ground_under(poses, feet))
+    ) == pytest.approx([9.05])
 
 
 # --------------------------------------------------------------------------- lines
@@ -172,7 +181,11 @@ def geojson(path, *features, crs=None):
 
 
 def line(*places, **properties):
-    return {"type": "Feature", "properties": properties, "geometry": {"type": "LineString", "coordinates": list(places)}}
+    return {
+        "type": "Feature",
+        "properties": properties,
+        "geometry": {"type": "LineString", "coordinates": list(places)},
+    }
 
 
 def test_geojson_lines_with_kind_heights_and_refusals(tmp_path):
@@ -194,7 +207,9 @@ def test_geojson_lines_with_kind_heights_and_refusals(tmp_path):
     assert len(found.refused) == 3 and "not a line" in " ".join(found.refused)
 
 
-@pytest.mark.parametrize("text", ["", "{", '{"type": "FeatureCollection", "features": []}', "[1, 2", '{"a": 1}', "<osm>"])
+@pytest.mark.parametrize(
+    "text", ["", "{", '{"type": "FeatureCollection", "features": []}', "[1, 2", '{"a": 1}', "<osm>"]
+)
 @pytest.mark.parametrize("name", ["a.geojson", "a.gpkg", "a.osm", "a.xodr"])
 def test_what_is_no_line_file_is_refused_by_name(tmp_path, text, name):
     path = tmp_path / name
@@ -206,7 +221,7 @@ def test_what_is_no_line_file_is_refused_by_name(tmp_path, text, name):
 
 def test_geopackage_with_its_crs(tmp_path):
     geopandas = pytest.importorskip("geopandas")
-    from shapely import LineString  # noqa: PLC0415
+    from shapely import LineString
 
     path = tmp_path / "a.gpkg"
     shapes = [LineString([CENTRE, (458_010.0, 5_428_000.0, 115.0)])]
@@ -222,7 +237,8 @@ OSM = """<osm><node id="1" lat="49.0" lon="8.4"><tag k="ele" v="110"/></node><no
 <way id="11"><nd ref="2"/><nd ref="1"/><tag k="type" v="odd"/></way>
 <way id="12"><nd ref="2"/><nd ref="9"/><tag k="type" v="curbstone"/></way>
 <way id="13"><nd ref="2"/><nd ref="1"/><tag k="type" v="stop_line"/></way>
-<relation id="20"><member type="way" ref="11" role="left"/><member type="way" ref="10" role="right"/><tag k="type" v="lanelet"/></relation>
+<relation id="20"><member type="way" ref="11" role="left"/><member type="way" ref="10" role="right"/>
+<tag k="type" v="lanelet"/></relation>
 </osm>"""
 
 
@@ -234,7 +250,9 @@ def test_lanelet2_gives_what_bounds_lanelets_and_what_is_painted(tmp_path):
         ("line_thin", "10", True), ("odd", "11", True),
     ]  # fmt: skip
     assert found.lines[0].xyz[0].tolist() == [8.4, 49.0, 110.0]
-    assert any("node 9 is missing" in text for text in found.refused) and any("node 3" in text for text in found.refused)
+    assert any("node 9 is missing" in text for text in found.refused) and any(
+        "node 3" in text for text in found.refused
+    )
 
 
 @pytest.mark.skipif(not (SHARED / "lanelet2").is_dir(), reason=f"no real Lanelet2 map in {SHARED}")
@@ -252,8 +270,10 @@ XODR = """<OpenDRIVE><header><geoReference><![CDATA[+proj=utm +zone=32 +ellps=WG
 <geometry s="0" x="0" y="0" hdg="0" length="20"><line/></geometry>
 <geometry s="20" x="20" y="0" hdg="0" length="20"><arc curvature="0.05"/></geometry></planView>
 <elevationProfile><elevation s="0" a="1" b="0" c="0" d="0"/></elevationProfile>
-<lanes><laneSection s="0"><left><lane id="1" type="driving"><width sOffset="0" a="3" b="0" c="0" d="0"/><roadMark sOffset="0" type="solid"/></lane>
+<lanes><laneSection s="0"><left><lane id="1" type="driving"><width sOffset="0" a="3" b="0" c="0" d="0"/>
+<roadMark sOffset="0" type="solid"/></lane>
 </left><center><lane id="0" type="none"><roadMark sOffset="0" type="broken"/></lane></center>
+
 <right><lane id="-1" type="driving"><width sOffset="0" a="3.5" b="0" c="0" d="0"/></lane></right></laneSection></lanes></road>
 <road id="2" length="10"><planView><geometry s="0" x="0" y="nan" hdg="0" length="10"><line/></geometry></planView></road>
 <road id="3" length="10"><planView><geometry s="0" x="0" y="0" hdg="0" length="10"><wave/></geometry></planView></road>
