@@ -26,7 +26,6 @@ function styleOf({ kind, subtype }: BaseLine): Style {
 
 export function createLines(stage: Stage, background: string) {
   const group = new Group();
-  group.renderOrder = 1;
   stage.scene.add(group);
   let colour = new Color();
   const meshes = new Map<Style, LineSegments2>();
