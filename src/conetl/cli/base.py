@@ -6,17 +6,19 @@ import re
 from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from conetl.cli.base_import import Imported, ImportOptions, import_file, kind_of
 from conetl.cli.console import JsonOption, complain, err, out, print_json, print_table, progress_bar
 from conetl.cli.database import open_map
 from conetl.errors import EXIT_BAD_INPUT, EXIT_TOO_MANY_REJECTIONS, InputError
 from conetl.io.base_store import drop_base_layer, list_base_sources, read_place
 from conetl.io.map_store import find_map
 from conetl.settings import Settings, read_settings
+
+if TYPE_CHECKING:  # GDAL and the LAS libraries take seconds to load: only where a file is imported
+    from conetl.cli.base_import import Imported
 
 app = typer.Typer(help="Base layers under the cones: LiDAR points and lane boundaries.", no_args_is_help=True)
 _LAYER_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,59}")
@@ -86,6 +88,8 @@ def import_one(
     voxel_m: float = 0.05, height_offset_m: float = 0.0,
 ) -> Imported:  # fmt: skip
     """Import one file into the map of the settings. Raises InputError, and then wrote nothing."""
+    from conetl.cli.base_import import ImportOptions, import_file, kind_of
+
     if path.exists() and kind is not None and kind_of(path) != kind:
         raise InputError(f"{path}: holds {kind_of(path)}, not {kind}")
     name = layer if layer is not None else _name_of(path)
