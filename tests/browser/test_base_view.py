@@ -8,7 +8,7 @@ from typing import Any
 import laspy
 import numpy as np
 import pytest
-from pyproj import CRS
+from pyproj import CRS, Transformer
 from typer.testing import CliRunner
 
 from conetl.cli.app import app
@@ -26,7 +26,7 @@ from tests.browser.test_view import (  # fixtures are used by their names
     pytestmark,  # noqa: F401
     settle,
 )
-from tests.unit.io.test_base_layers import LAT, LON, geojson, line
+from tests.unit.io.test_base_layers import geojson, line
 
 #: The darkest points and the painted lines, as in web/src/base.ts.
 LINE = (0x0B, 0x8A, 0x3A)
@@ -52,11 +52,14 @@ def base_layers(module_database_url: str, features: dict[str, str], tmp_path_fac
     las.z = 114.48 + rng.normal(0, 0.01, POINT_COUNT)
     las.intensity = rng.integers(0, 255, POINT_COUNT)
     las.write(folder / "street.laz")
-    step = 1e-5
-    lanes = geojson(folder / "lanes.geojson", *(
-        line([LON - 20 * step, LAT + i * step / 10], [LON + 40 * step, LAT + i * step / 10], kind="line_thin")
-        for i in range(LINE_COUNT)
-    ))  # fmt: skip
+    to_wgs84 = Transformer.from_crs(32632, 4326, always_xy=True)
+
+    def place(east_m: float, north_m: float) -> list[float]:
+        return [*to_wgs84.transform(458_000 + east_m, 5_428_000 + north_m), 114.5]
+
+    lanes = geojson(
+        folder / "lanes.geojson", *(line(place(-20, 2 * i), place(40, 2 * i), kind="line_thin") for i in range(LINE_COUNT))
+    )  # fmt: skip
     environment = {"CONETL_DATABASE_URL": module_database_url, "CONETL_HOME": str(folder / "home")}
     result = CliRunner().invoke(app, ["base", "import", str(folder / "street.laz"), str(lanes)], env=environment)
     assert result.exit_code == 0, result.output
