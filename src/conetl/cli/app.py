@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import typer
 
+from conetl.cli.base import app as base
 from conetl.cli.calibrate import calibrate
 from conetl.cli.database import app as database
 from conetl.cli.demo import demo
@@ -29,5 +30,6 @@ app = typer.Typer(
 for command in (ingest, view, calibrate, locate, detect, evaluate, lidar_check, simulate, demo):
     app.command()(command)
 app.add_typer(maps, name="map")
+app.add_typer(base, name="base")
 app.add_typer(database, name="db")
 app.add_typer(rig, name="rig")

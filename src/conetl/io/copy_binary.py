@@ -107,6 +107,11 @@ def texts(values: Sequence[str | None]) -> Column:
     return _variable([None if value is None else clean_text(value).encode() for value in values])
 
 
+def byteas(values: Sequence[bytes]) -> Column:
+    """bytea, or geometry as extended well-known binary."""
+    return _variable(list(values))
+
+
 def jsons(values: Sequence[Mapping[str, Any]]) -> Column:
     """jsonb; NaN and infinity, which JSON lacks, become the strings "nan", "inf", "-inf"."""
     return _variable([b"\x01" + json_text(value).encode() for value in values])

@@ -203,6 +203,45 @@ class FoundFeatures(Answer):
     truncated: bool
 
 
+class BaseLayer(Answer):
+    layer_name: str
+    kind: Literal["points", "lines"]
+    files: int
+    count: int
+
+
+class BaseTile(Answer):
+    """A square of points; its side is 4096 m / 2^level. A point is origin_m + steps * scale_m."""
+
+    level: int
+    points: int
+    origin_m: Vec3
+    scale_m: Vec3
+    high_m: float
+    sha256: str
+
+
+class BaseLayers(Answer):
+    origin_m: Vec3
+    layers: list[BaseLayer]
+    tiles: list[BaseTile]
+    """Coarse levels first; tiles of all levels together are the cloud."""
+    truncated: bool
+
+
+class BaseLine(Answer):
+    kind: str
+    subtype: str | None
+    xyz_m: list[float]
+    """x, y, z of one vertex after the other."""
+
+
+class BaseLines(Answer):
+    origin_m: Vec3
+    lines: list[BaseLine]
+    truncated: bool
+
+
 class Problem(Answer):
     """Every refusal."""
 
