@@ -20,7 +20,9 @@ def audit() -> State[Any]:
     with alive(read_settings()) as url, closing(connect(url)) as conn:
         recover(conn)
         results = run_audits(conn)
-    rows = [{"audit": r.name, "result": "passed" if r.passed else f"{r.row_count} rows", "what": r.purpose} for r in results]
+    rows = [
+        {"audit": r.name, "result": "passed" if r.passed else f"{r.row_count} rows", "what": r.purpose} for r in results
+    ]
     create_table_artifact(rows, key="audit", description="The map against its own rules")
     broken = [result for result in results if not result.passed]
     if broken:

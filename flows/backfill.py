@@ -1,4 +1,4 @@
-"""Many drives: plan on disk first, then one sub-flow per drive; what failed or was interrupted is tried again by running it again."""
+"""Many drives: plan on disk first, then one sub-flow per drive. Run again, it tries again what failed or was interrupted."""
 
 from __future__ import annotations
 
@@ -22,7 +22,17 @@ from conetl.io.receipt_store import Receipt, attempt_ends, end_crashed, latest_r
 from conetl.params import IngestParams
 from conetl.settings import Settings
 from flows.batch_artifacts import Board, open_board, show_progress, show_summary
-from flows.dispatch import Flight, Where, abandon, launch, mark_crashed, online_workers, over, resolve_where, was_cancelled
+from flows.dispatch import (
+    Flight,
+    Where,
+    abandon,
+    launch,
+    mark_crashed,
+    online_workers,
+    over,
+    resolve_where,
+    was_cancelled,
+)
 from flows.drive_job import MapName, MapSrid, alive, new_receipt, settings_for
 from flows.plan import Plan, PlanLine, plan_drives, write_plan
 
@@ -31,7 +41,9 @@ TRIES = 2
 _POLL_S = 1.0
 Parallel = Annotated[
     int | None,
-    Field(ge=1, le=1000, description="Drives at the same time; as many as there are workers (or 1 without) unless given."),
+    Field(
+        ge=1, le=1000, description="Drives at the same time; as many as there are workers (or 1 without) unless given."
+    ),
 ]
 Watcher = Callable[["Standing"], None]
 
@@ -173,7 +185,9 @@ def _landed(
                 mark_crashed(flight.flow_run_id, crashed.reason)
                 landed.append((flight, crashed, not was_cancelled(flight)))
         elif reason is not None:  # it ended before it began: could not be started, or a person cancelled it
-            never = new_receipt(flight.outline, settings, plan.analysis.sha256, flight.attempt_id, str(flight.flow_run_id))
+            never = new_receipt(
+                flight.outline, settings, plan.analysis.sha256, flight.attempt_id, str(flight.flow_run_id)
+            )
             lost = replace(never, state="crashed", reason=reason)
             write_receipt(conn, lost, settings.receipts_folder)
             mark_crashed(flight.flow_run_id, reason)
@@ -223,5 +237,3 @@ def _end(standing: Standing) -> State[Any]:
 def utc(at: datetime | None) -> datetime | None:
     """A time without a zone is UTC."""
     return at if at is None or at.tzinfo else at.replace(tzinfo=UTC)
-
-

@@ -67,9 +67,14 @@ def show_summary(standing: Standing, board: Board) -> None:
     ]
     if standing.failed:
         lines += ["", "| failed | recorded in | reason |", "|---|---|---|"]
-        lines += [f"| {_cell(r.drive_id)} | `{_cell(r.drive_path)}` | {_cell(r.reason)} |" for r in standing.failed[:_SHOWN_ROWS]]
-        lines += ["", "Run the same backfill again to try the failed drives again; what is on the map is left alone."]
-    create_markdown_artifact("\n".join(lines), key="batch-summary", description=f"{standing.done} of {standing.todo} drives")
+        lines += [
+            f"| {_cell(r.drive_id)} | `{_cell(r.drive_path)}` | {_cell(r.reason)} |"
+            for r in standing.failed[:_SHOWN_ROWS]
+        ]
+            lines += ["", "Run the same backfill again to try the failed drives again; what is on the map is left alone."]
+    create_markdown_artifact(
+        "\n".join(lines), key="batch-summary", description=f"{standing.done} of {standing.todo} drives"
+    )
 
 
 def _write_table(standing: Standing) -> None:
@@ -110,9 +115,8 @@ def sentence(standing: Standing) -> str:
     left = standing.left_s
     rate = f", {standing.pairs_done / standing.seconds:.1f} frame pairs a second" if standing.pairs_done else ""
     when = "" if left is None else f", about {minutes(left)} left"
-    return (
-        f"{len(standing.ended)} of {standing.todo} drives ({len(standing.failed)} failed), {len(standing.flying)} in work{rate}{when}"
-    )
+    counts = f"{len(standing.ended)} of {standing.todo} drives ({len(standing.failed)} failed), {len(standing.flying)} in work"
+    return counts + rate + when
 
 
 def minutes(seconds: float) -> str:

@@ -9,7 +9,6 @@ import multiprocessing.process
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Literal
 from uuid import UUID, uuid4
 
@@ -25,7 +24,8 @@ from conetl.errors import ServiceError
 from conetl.io.drive_folder.outline import DriveOutline
 from conetl.params import IngestParams
 from conetl.settings import Settings
-from flows.drive_job import drive_run_name, drive_tags, ingest_one
+from flows.control_room import drive_run_name
+from flows.drive_job import drive_tags, ingest_one
 
 POOL = "conetl"
 DRIVE_DEPLOYMENT = "ingest-drive/ingest-drive"
@@ -59,9 +59,7 @@ def resolve_where(where: Where) -> Literal["workers", "here"]:
         except ObjectNotFound:
             if where == "auto":
                 return "here"
-            raise ServiceError(
-                f"this Prefect server has no deployment {DRIVE_DEPLOYMENT}: run `conetl up`, or `prefect deploy --all` in the clone"
-            ) from None
+            raise ServiceError(f"this Prefect server has no deployment {DRIVE_DEPLOYMENT}: run `conetl up`") from None
     return "workers"
 
 
@@ -73,7 +71,12 @@ def online_workers() -> int:
 
 
 def launch(
-    outline: DriveOutline, settings: Settings, params: IngestParams, map_srid: int | None, where: Literal["workers", "here"], parallel: int
+    outline: DriveOutline,
+    settings: Settings,
+    params: IngestParams,
+    map_srid: int | None,
+    where: Literal["workers", "here"],
+    parallel: int,
 ) -> Flight:
     """Start work on one drive as a sub-flow of the present flow run."""
     attempt_id = uuid4()
@@ -90,7 +93,12 @@ def launch(
         if where == "workers":
             deployment = api.read_deployment_by_name(DRIVE_DEPLOYMENT)
             run = api.create_flow_run_from_deployment(
-                deployment.id, parameters=parameters, state=Scheduled(), name=name, tags=labels, parent_task_run_id=parent
+                deployment.id,
+                parameters=parameters,
+                state=Scheduled(),
+                name=name,
+                tags=labels,
+                parent_task_run_id=parent,
             )
             return Flight(attempt_id, run.id, outline, None)
         run = api.create_flow_run(
@@ -158,11 +166,11 @@ def _parent_task_run(api: SyncPrefectClient, name: str, attempt_id: UUID) -> UUI
     if context is None or context.flow_run is None:
         return None
     stand_in = Task(name=name, fn=_nothing)
-    run = api.create_task_run(stand_in, flow_run_id=context.flow_run.id, dynamic_key=str(attempt_id), name=name, state=Pending())
+    run = api.create_task_run(
+        stand_in, flow_run_id=context.flow_run.id, dynamic_key=str(attempt_id), name=name, state=Pending()
+    )
     return run.id
 
 
 def _nothing() -> None:
     """What a stand-in does."""
-
-

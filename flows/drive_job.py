@@ -7,7 +7,6 @@ import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import replace
-from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any
 from uuid import UUID, uuid4
@@ -25,14 +24,18 @@ from conetl.io.receipt_store import Receipt, holding, run_lock, write_receipt
 from conetl.params import IngestParams
 from conetl.reports import IngestReport, TooManyRejectionsError
 from conetl.settings import Settings, read_settings
+from flows.control_room import name_of_run
 from flows.ingest_drive import ingest_drive
 from flows.merge import database_url
 from flows.plan import analysis_of
 
 MapName = Annotated[
-    str | None, Field(pattern=r"^[a-z0-9_-]{1,40}$", description="Map to work on; CONETL_MAP_NAME of the worker unless given.")
+    str | None,
+    Field(pattern=r"^[a-z0-9_-]{1,40}$", description="Map to work on; CONETL_MAP_NAME of the worker unless given."),
 ]
-MapSrid = Annotated[int | None, Field(gt=0, description="EPSG code of the map; the first drive's UTM zone unless given.")]
+MapSrid = Annotated[
+    int | None, Field(gt=0, description="EPSG code of the map; the first drive's UTM zone unless given.")
+]
 
 
 def settings_for(map_name: str | None) -> Settings:
@@ -47,19 +50,6 @@ def drive_tags(outline: DriveOutline, map_name: str) -> list[str]:
     return [f"drive:{outline.drive_id}", f"map:{map_name}", *day]
 
 
-def drive_run_name(outline: DriveOutline) -> str:
-    """Drive and date, as Prefect's lists show them."""
-    return f"{outline.drive_id} {_day(outline.captured_from)}".strip()
-
-
-def _day(at: datetime | None) -> str:
-    return f"({at:%Y-%m-%d %H:%M})" if at else ""
-
-
-def _own_run_name() -> str:
-    return drive_run_name(outline_drive(Path(str(flow_run.parameters["drive"]))))
-
-
 @contextmanager
 def alive(settings: Settings) -> Iterator[str]:
     """Hold the lock that says that this flow run's process lives; the database's address."""
@@ -72,7 +62,7 @@ def alive(settings: Settings) -> Iterator[str]:
 
 @flow(
     name="ingest-drive",
-    flow_run_name=_own_run_name,
+    flow_run_name=name_of_run,
     task_runner=ThreadPoolTaskRunner(max_workers=read_settings().workers + 1),  # type: ignore[arg-type]
 )
 def ingest_one(
@@ -97,7 +87,11 @@ def ingest_one(
         except Exception as error:
             reason = str(error) if isinstance(error, (InputError, ServiceError)) else f"{type(error).__name__}: {error}"
             may_pass = isinstance(error, (ServiceError, OSError, MemoryError))
-            keep(url, replace(begun, state="failed", reason=reason[:2000] or "no reason given", may_pass=may_pass), settings)
+            keep(
+                url,
+                replace(begun, state="failed", reason=reason[:2000] or "no reason given", may_pass=may_pass),
+                settings,
+            )
             raise
         keep(url, _ended(begun, report, started, ""), settings)
     counts = ", ".join(f"{count} {kind}" for kind, count in report.counts.items())

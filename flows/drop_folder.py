@@ -25,7 +25,9 @@ from flows.recovery import recover
 
 @flow(name="ingest-drop-folder", flow_run_name="new drives")
 def ingest_drop_folder(
-    folder: Annotated[Path | None, Field(description="Where drives arrive; CONETL_DROP_FOLDER of the worker unless given.")] = None,
+    folder: Annotated[
+        Path | None, Field(description="Where drives arrive; CONETL_DROP_FOLDER of the worker unless given.")
+    ] = None,
     quiet_minutes: Annotated[
         float | None, Field(ge=0, description="Minutes without a change after which a drive counts as complete.")
     ] = None,
@@ -43,10 +45,16 @@ def ingest_drop_folder(
         complete, arriving = split_by_completeness(inbox, quiet_s)
         plan = plan_drives(conn, inbox, settings=settings, params=params, once=True, folders=complete)
         if arriving:
-            rows = [{"drive": path.name, "quiet for s": round(quiet, 1), "needed s": quiet_s} for path, quiet in arriving]
-            create_table_artifact(rows, key="arriving", description=f"Still arriving: neither {MARKER} nor quiet for long enough")
+            rows = [
+                {"drive": path.name, "quiet for s": round(quiet, 1), "needed s": quiet_s} for path, quiet in arriving
+            ]
+            create_table_artifact(
+                rows, key="arriving", description=f"Still arriving: neither {MARKER} nor quiet for long enough"
+            )
         if not plan.todo:
-            message = f"nothing new: {len(complete)} complete drives are done, {len(arriving)} still arriving in {inbox}"
+            message = (
+                f"nothing new: {len(complete)} complete drives are done, {len(arriving)} still arriving in {inbox}"
+            )
             get_run_logger().info(message)
             return Completed(name="NothingNew", message=message)
         return run_batch(conn, plan, settings, params, map_srid=map_srid, max_parallel=max_parallel, where="auto")

@@ -86,7 +86,9 @@ def analysis_of(params: IngestParams, settings: Settings) -> Analysis:
     """Hashes of parameters and model."""
     card = read_model_card(settings.model_path or shipped_model_path())
     parameters = params_sha256(params)
-    return Analysis(parameters, card.sha256, result_key("analysis", parameters, card.sha256, evidence_sha256(card.evidence)))
+    return Analysis(
+        parameters, card.sha256, result_key("analysis", parameters, card.sha256, evidence_sha256(card.evidence))
+    )
 
 
 def plan_drives(
@@ -242,5 +244,7 @@ def write_plan(plan: Plan, parallel: int, folder: Path) -> Path:
 def reasons(plan: Plan) -> list[tuple[str, int]]:
     """How many drives there are for each action and kind of reason, the most frequent first."""
     words = {"ingest": "to ingest", "wait": "others are at it", "skip": "nothing to do", "refuse": "not usable"}
-    counted = Counter(f"{words[line.action]}: {line.why.split(':')[0].split(' on ')[0].split(' since ')[0]}" for line in plan.lines)
+    counted = Counter(
+        f"{words[line.action]}: {line.why.split(':')[0].split(' on ')[0].split(' since ')[0]}" for line in plan.lines
+    )
     return counted.most_common()

@@ -20,7 +20,9 @@ from flows.drive_job import MapName, alive, settings_for
 @flow(name="publish-map", flow_run_name="publish map")
 def publish_map(
     map_name: MapName = None,
-    folder: Annotated[Path | None, Field(description="Where the files go; `exports` of CONETL_HOME unless given.")] = None,
+    folder: Annotated[
+        Path | None, Field(description="Where the files go; `exports` of CONETL_HOME unless given.")
+    ] = None,
 ) -> State[Any]:
     """Write the map as it stands in all formats."""
     settings = settings_for(map_name)
@@ -29,7 +31,9 @@ def publish_map(
             return Completed(name="NothingToPublish", message=f"the map {settings.map_name} is empty")
         files = export_map(conn, settings.map_name, folder or settings.exports_folder)
     rows = [{"file": str(path), "kB": round(path.stat().st_size / 1000, 1)} for path in files]
-    create_table_artifact(rows, key="exports", description=f"Map {settings.map_name}, {datetime.now(UTC):%Y-%m-%d %H:%M} UTC")
+    create_table_artifact(
+        rows, key="exports", description=f"Map {settings.map_name}, {datetime.now(UTC):%Y-%m-%d %H:%M} UTC"
+    )
     return Completed(message=f"{len(files)} files in {files[0].parent}")
 
 

@@ -30,7 +30,7 @@ _REASON = "its process is gone: nobody holds its lock in the database"
 
 
 def recover(conn: Connection) -> list[FlowRun]:
-    """Mark dead runs as crashed; those that belong to no other run and were not tried too often are queued again. All that were dead."""
+    """Mark dead runs as crashed and queue those again that belong to no other run and were not tried too often; all the dead."""
     states = [StateType.RUNNING, StateType.PENDING, StateType.CANCELLING]
     with client() as api:
         runs = api.read_flow_runs(

@@ -54,7 +54,9 @@ def ensure_deployments() -> bool:
         env={**os.environ, "PREFECT_LOGGING_LEVEL": "ERROR"},
     )  # fmt: skip
     if done.returncode != 0:
-        raise ServiceError(f"the deployments of {path} could not be registered: {(done.stderr or done.stdout).strip()[-1500:]}")
+        raise ServiceError(
+            f"the deployments of {path} could not be registered: {(done.stderr or done.stdout).strip()[-1500:]}"
+        )
     Variable.set(_VARIABLE, wanted, overwrite=True)
     return True
 

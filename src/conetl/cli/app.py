@@ -28,7 +28,21 @@ app = typer.Typer(
     epilog="Exit codes: 0 done; 1 done, but too many records were quarantined; 2 bad usage or input, nothing written; "
     "3 a service (database, Prefect) is not to be had, nothing written.",
 )
-for command in (ingest, backfill, up, down, status, view, calibrate, locate, detect, evaluate, lidar_check, simulate, demo):
+for command in (
+    ingest,
+    backfill,
+    up,
+    down,
+    status,
+    view,
+    calibrate,
+    locate,
+    detect,
+    evaluate,
+    lidar_check,
+    simulate,
+    demo,
+):
     app.command()(command)
 app.add_typer(maps, name="map")
 app.add_typer(database, name="db")

@@ -31,9 +31,7 @@ def backfill(
         int | None, typer.Option(min=1, help="Drives at the same time; as many as there are workers, or 1 without.")
     ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the plan and do nothing.")] = False,
-    recheck: Annotated[
-        bool, typer.Option(help="Compare drives that are on the map by their content as well.")
-    ] = False,
+    recheck: Annotated[bool, typer.Option(help="Compare drives that are on the map by their content as well.")] = False,
     here: Annotated[bool, typer.Option("--here", help="Work in this process also where there are workers.")] = False,
     params: Annotated[Path | None, typer.Option(help="YAML file of parameters; see `src/conetl/params.py`.")] = None,
     map_srid: Annotated[
@@ -43,7 +41,7 @@ def backfill(
 ) -> None:
     """Bring all drives below a folder onto the map that are not there yet, each as a run of its own.
 
-    The plan comes first: what, why, how long. Run the same command again after a stop, and it goes on; what failed is tried again.
+    The plan comes first: what, why, how long. Run it again after a stop: it goes on; what failed is tried again.
     Exit code 2 where drives failed (the others are on the map), 3 where services were missing.
     """
     settings = read_settings()
@@ -53,7 +51,13 @@ def backfill(
 
     with closing(open_map(settings)) as conn, err.status("Planning") if err.is_terminal else nullcontext():
         plan = plan_drives(
-            conn, root, settings=settings, params=parameters, since=parse_time(since), until=parse_time(until), recheck=recheck
+            conn,
+            root,
+            settings=settings,
+            params=parameters,
+            since=parse_time(since),
+            until=parse_time(until),
+            recheck=recheck,
         )
     if dry_run or not plan.todo:
         if as_json:
@@ -95,7 +99,9 @@ def backfill(
     if as_json:
         print_json({"plan": plan_as_dict(plan, max_parallel or 1), "drives": [_receipt_as_dict(r) for r in ended]})
     else:
-        out.print(f"\n{len(ended) - len(failed)} drives are on map {settings.map_name}, {len(failed)} failed.", markup=False)
+        out.print(
+            f"\n{len(ended) - len(failed)} drives are on map {settings.map_name}, {len(failed)} failed.", markup=False
+        )
         if failed:
             out.print("Run the same command again to try the failed ones again.", markup=False)
     raise typer.Exit(_exit_code(failed))
@@ -108,7 +114,12 @@ def _exit_code(failed: list[Any]) -> int:
 
 
 def _bar() -> Progress:
-    columns = (BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TextColumn("{task.description}"), TimeElapsedColumn())
+    columns = (
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TextColumn("{task.description}"),
+        TimeElapsedColumn(),
+    )
     return Progress(*columns, console=err, disable=not err.is_terminal, transient=True)
 
 
@@ -119,7 +130,8 @@ def _print_plan(plan: Plan, parallel: int) -> None:
     span = " to ".join(f"{t:%Y-%m-%d %H:%M}" if t else "..." for t in (plan.since, plan.until))
     within = f", recorded {span}" if plan.since or plan.until else ""
     out.print(
-        f"{len(plan.lines)} drives below {plan.root}{within}; map {plan.map_name}; planned in {plan.seconds:.1f} s.", markup=False
+        f"{len(plan.lines)} drives below {plan.root}{within}; map {plan.map_name}; planned in {plan.seconds:.1f} s.",
+        markup=False,
     )
     print_table("", ("plan", "drives"), reasons(plan))
     estimate = plan.estimate_s(parallel)
@@ -155,5 +167,15 @@ def _print_receipt(receipt: Any) -> None:
 
 
 def _receipt_as_dict(receipt: Any) -> dict[str, Any]:
-    names = ("drive_id", "drive_path", "state", "reason", "may_pass", "changeset_id", "content_sha256", "frame_pairs", "seconds")
+    names = (
+        "drive_id",
+        "drive_path",
+        "state",
+        "reason",
+        "may_pass",
+        "changeset_id",
+        "content_sha256",
+        "frame_pairs",
+        "seconds",
+    )
     return {name: getattr(receipt, name) for name in names}

@@ -59,9 +59,12 @@ PREFECT_DATABASE = "prefect"
 
 def prefect_database(url: str) -> str:
     """Make the Prefect server's database on the server of `url` where there is none; its address as SQLAlchemy writes it."""
-    with closing(connect(url)) as conn, database_errors(
-        f"The database {PREFECT_DATABASE} for the Prefect server cannot be made: make it by hand, or name one in "
-        "CONETL_PREFECT_DATABASE_URL"
+    with (
+        closing(connect(url)) as conn,
+        database_errors(
+            f"The database {PREFECT_DATABASE} for the Prefect server cannot be made: make it by hand, or name one in "
+            "CONETL_PREFECT_DATABASE_URL"
+        ),
     ):
         conn.autocommit = True
         if not execute(conn, load_sql("schema/database_exists"), {"name": PREFECT_DATABASE})[0]["found"]:
@@ -74,8 +77,12 @@ def sqlalchemy_url(url: str, database: str | None = None) -> str:
     try:
         parts = psycopg2.extensions.parse_dsn(url)
     except psycopg2.Error as error:
-        raise DatabaseError(f"The address {_without_password(url)} is no libpq address: {_first_line(error)}") from error
-    login = quote(parts.get("user", ""), safe="") + (f":{quote(parts['password'], safe='')}" if "password" in parts else "")
+        raise DatabaseError(
+            f"The address {_without_password(url)} is no libpq address: {_first_line(error)}"
+        ) from error
+    login = quote(parts.get("user", ""), safe="") + (
+        f":{quote(parts['password'], safe='')}" if "password" in parts else ""
+    )
     query = {name: parts[name] for name in ("host", "port") if name in parts}
     if "sslmode" in parts:
         query["ssl"] = parts["sslmode"]
@@ -247,7 +254,11 @@ def database_status(conn: Connection) -> DatabaseStatus:
 def _migration_files(directory: Path) -> dict[str, str]:
     files = {path.stem: path.read_text(encoding="utf-8") for path in sorted(directory.glob("*.sql"))}
     for earlier, name in zip(["0000", *files], files, strict=False):
-        if not re.fullmatch(r"\d{4}_[a-z0-9_]+", name) or name[:4] == earlier[:4] or (earlier == "0000" and name[:4] != "0001"):
+        if (
+            not re.fullmatch(r"\d{4}_[a-z0-9_]+", name)
+            or name[:4] == earlier[:4]
+            or (earlier == "0000" and name[:4] != "0001")
+        ):
             raise DatabaseError(
                 f"migration {name}.sql in {directory} should be named NNNN_<what it does>.sql, from 0001_ on, each number once"
             )

@@ -83,16 +83,14 @@ def write_receipt(conn: Connection, receipt: Receipt, folder: Path) -> None:
     parameters = asdict(receipt)
     with transaction(conn, f"The receipt of drive {receipt.drive_id} cannot be written"):
         execute(conn, load_sql("write/insert_receipt"), parameters)
-        written = [r for r in _receipts(conn, "map/latest_receipts", receipt.map_name, [receipt.header_sha256])]
+        written = list(_receipts(conn, "map/latest_receipts", receipt.map_name, [receipt.header_sha256]))
     name = "".join(c if c.isalnum() or c in "-_." else "_" for c in receipt.drive_id).lstrip(".") or "drive"
     with atomic_text_file(folder / receipt.map_name / f"{name}-{receipt.header_sha256[:12]}.json") as file:
         json.dump(asdict(written[0] if written else receipt), file, indent=1, default=str)
         file.write("\n")
 
 
-def latest_receipts(
-    conn: Connection, *, map_name: str, headers: Sequence[str] | None = None
-) -> dict[str, Receipt]:
+def latest_receipts(conn: Connection, *, map_name: str, headers: Sequence[str] | None = None) -> dict[str, Receipt]:
     """The last word on every drive of a map, by header_sha256."""
     with transaction(conn, "The receipts cannot be read"):
         return {r.header_sha256: r for r in _receipts(conn, "map/latest_receipts", map_name, headers)}
@@ -131,7 +129,12 @@ def holding(url: str, *names: str) -> Iterator[None]:
         conn.autocommit = True
         for name in names:
             execute(conn, load_sql("write/take_lock"), {"name": name})
-        yield
+        try:
+            yield
+        finally:
+            if not conn.closed:  # the server would notice only a moment after this
+                for name in names:
+                    execute(conn, load_sql("write/free_lock"), {"name": name})
 
 
 @contextmanager

@@ -60,7 +60,9 @@ def read_services(home: Path) -> dict[str, Service]:
     except FileNotFoundError:
         return {}
     except (ValueError, TypeError, KeyError) as error:
-        raise ServiceError(f"{home / _STATE} cannot be understood ({error}): remove it once nothing of it runs any more") from error
+        raise ServiceError(
+            f"{home / _STATE} cannot be understood ({error}): remove it once nothing of it runs any more"
+        ) from error
 
 
 def write_services(home: Path, services: Mapping[str, Service]) -> None:
@@ -139,7 +141,9 @@ def wait_healthy(service: Service, is_healthy: Callable[[], bool], timeout_s: fl
     deadline = time.monotonic() + timeout_s
     while not is_healthy():
         if not is_running(service):
-            raise ServiceError(f"{service.name} ended while it was starting; the end of {service.log}:\n{log_tail(service)}")
+            raise ServiceError(
+                f"{service.name} ended while it was starting; the end of {service.log}:\n{log_tail(service)}"
+            )
         if time.monotonic() > deadline:
             raise ServiceError(
                 f"{service.name} was not ready within {timeout_s:.0f} s; the end of {service.log}:\n{log_tail(service)}"
@@ -172,7 +176,10 @@ def _members(service: Service) -> list[int]:
     for entry in Path("/proc").iterdir():
         if entry.name.isdigit() and int(entry.name) != os.getpid():
             with suppress(OSError):
-                if wanted in (entry / "environ").read_bytes().split(b"\0") and _start_ticks(int(entry.name)) is not None:
+                if (
+                    wanted in (entry / "environ").read_bytes().split(b"\0")
+                    and _start_ticks(int(entry.name)) is not None
+                ):
                     found.append(int(entry.name))
     return found
 
