@@ -71,7 +71,7 @@ def show_summary(standing: Standing, board: Board) -> None:
             f"| {_cell(r.drive_id)} | `{_cell(r.drive_path)}` | {_cell(r.reason)} |"
             for r in standing.failed[:_SHOWN_ROWS]
         ]
-            lines += ["", "Run the same backfill again to try the failed drives again; what is on the map is left alone."]
+        lines += ["", "Run the same backfill again to try the failed drives again; what is on the map is left alone."]
     create_markdown_artifact(
         "\n".join(lines), key="batch-summary", description=f"{standing.done} of {standing.todo} drives"
     )
