@@ -83,6 +83,7 @@ def _write_table(standing: Standing) -> None:
     rows: list[dict[str, Any]] = []
     for line in standing.plan.lines:
         receipt = ended.get(line.outline.header_sha256) if line.action != "skip" else None
+        state: str
         if receipt is not None:
             state, why = receipt.state, receipt.reason
         elif line.action == "skip":

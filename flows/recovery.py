@@ -22,7 +22,7 @@ from flows.dispatch import client
 
 FLOWS = ("ingest-drive", "backfill", "ingest-drop-folder", "publish-map", "audit")
 #: Between the state "running" and its lock a run imports and connects.
-GRACE = timedelta(seconds=20)
+GRACE = timedelta(seconds=30)
 #: A run that a worker took and never started.
 PENDING_GRACE = timedelta(minutes=5)
 MAX_RUNS = 3

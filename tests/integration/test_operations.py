@@ -212,8 +212,8 @@ def test_a_backfill_survives_a_killed_worker_and_a_poisoned_drive(desk: Desk, tm
 
 
 def _old_enough(desk: Desk, run_id: str) -> bool:
-    """Recovery leaves a run alone for its first 20 s."""
-    return float(desk.get(f"/flow_runs/{run_id}")["estimated_run_time"]) > 21
+    """Recovery leaves a run alone for its first 30 s."""
+    return float(desk.get(f"/flow_runs/{run_id}")["estimated_run_time"]) > 31
 
 
 def test_every_changeset_is_an_event(desk: Desk) -> None:

@@ -13,7 +13,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from conetl.cli.console import JsonOption, err, out, parse_time, print_json, print_table
 from conetl.cli.database import open_map
 from conetl.cli.ingest import read_params
-from conetl.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_SERVICE_MISSING
+from conetl.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_SERVICE_MISSING, EXIT_TOO_MANY_REJECTIONS
 from conetl.settings import prefect_environment, read_settings
 
 if TYPE_CHECKING:
@@ -104,12 +104,12 @@ def backfill(
         )
         if failed:
             out.print("Run the same command again to try the failed ones again.", markup=False)
-    raise typer.Exit(_exit_code(failed))
+    raise typer.Exit(_exit_code(ended, failed))
 
 
-def _exit_code(failed: list[Any]) -> int:
-    if not failed:
-        return EXIT_DONE
+def _exit_code(ended: list[Any], failed: list[Any]) -> int:
+    if not failed:  # a committed drive has a reason where too much of it was refused
+        return EXIT_TOO_MANY_REJECTIONS if any(receipt.reason for receipt in ended) else EXIT_DONE
     return EXIT_SERVICE_MISSING if all(receipt.may_pass for receipt in failed) else EXIT_BAD_INPUT
 
 
