@@ -40,5 +40,6 @@ def test_deployments_name_flows_that_exist_and_queues_that_workers_serve() -> No
     for deployment in PREFECT["deployments"]:
         module, function = deployment["entrypoint"].rsplit(".", 1)
         assert hasattr(importlib.import_module(module), function)
-        assert f"--work-queue {deployment['work_pool']['work_queue_name']} " in workers[deployment["work_pool"]["work_queue_name"]]
+        queue = deployment["work_pool"]["work_queue_name"]
+        assert f"--work-queue {queue} " in workers[queue]
         assert deployment["concurrency_limit"]["limit"] >= 1
