@@ -249,15 +249,17 @@ def test_the_desk_sees_it_in_prefect(desk: Desk, tmp_path: Path) -> None:
         page.set_default_timeout(120_000)
         for name, path, words in (
             ("runs", "/runs", ["2026-04-06_small (2026-04-06"]),
-            ("backfill", f"/runs/flow-run/{backfill['id']}?tab=Artifacts", ["6 drives", "on map default, 1 failed"]),
+            ("backfill", f"/runs/flow-run/{backfill['id']}", ["batch-progress", "batch-summary", "6 drives"]),
             (
                 "drive",
-                f"/runs/flow-run/{drive['id']}?tab=Artifacts",
+                f"/runs/flow-run/{drive['id']}",
                 ["Plan view of drive", "the pairs whose rays fit worst"],
             ),
             ("deployments", "/deployments", ["ingest-drop-folder", "publish-map"]),
         ):
             page.goto(f"{address}{path}")
+            if "/flow-run/" in path:
+                page.get_by_text("Artifacts").first.click()
             for word in words:
                 page.get_by_text(word).first.wait_for()
             page.wait_for_timeout(500)
