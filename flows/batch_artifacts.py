@@ -19,8 +19,8 @@ from flows.plan import reasons
 if TYPE_CHECKING:
     from flows.backfill import Standing
 
-#: The table is written anew at most so often; a thousand drives make it large.
-_TABLE_EVERY_S = 30.0
+#: The table is written anew at most so often: each time is another artifact, and a thousand drives make it large.
+_TABLE_EVERY_S = 600.0
 _SHOWN_ROWS = 300
 
 
