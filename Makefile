@@ -7,7 +7,7 @@ export PYTHON
 export PREFECT_SERVER_ANALYTICS_ENABLED := false
 export DO_NOT_TRACK := 1
 
-.PHONY: help setup demo test check web bench-detect bench-intersection bench-trajectory bench-rectification bench-changes bench-map bench-kills lock
+.PHONY: help setup demo up down test check web bench-detect bench-intersection bench-trajectory bench-rectification bench-changes bench-map bench-kills lock
 
 help:           ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -17,6 +17,12 @@ setup:          ## virtual environment with locked dependencies, PostGIS from th
 
 demo: setup     ## the main job: three sample drives become a versioned cone map
 	@$(BIN)/conetl demo
+
+up: setup       ## PostGIS, Prefect, workers, schedules and the web view; make down ends them
+	@$(BIN)/conetl up
+
+down:           ## end what make up started; the data stay
+	@$(BIN)/conetl down
 
 test: setup     ## all tests
 	@$(BIN)/python -m pytest -n 2 --dist loadgroup

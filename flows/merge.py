@@ -74,10 +74,15 @@ def identify(drive: Drive, params: IngestParams, settings: Settings) -> Identity
     return Identity(idempotency_key=key, params_sha256=parameters, model_sha256=card.sha256, evidence=card.evidence)
 
 
+def database_url(settings: Settings) -> str:
+    """Address of the map's database; the private cluster is started where it does not run."""
+    return settings.database_url.get_secret_value() if settings.database_url else cluster_up(settings.home)
+
+
 @contextmanager
 def open_map(settings: Settings) -> Iterator[Connection]:
     """A connection to the map's database, started and migrated where needed."""
-    url = settings.database_url.get_secret_value() if settings.database_url else cluster_up(settings.home)
+    url = database_url(settings)
     with closing(connect(url)) as conn:
         migrate(conn)
         yield conn
@@ -158,6 +163,7 @@ def merge_task(
             rejections=dict(sorted(Counter(r.reason for r in rejections).items())),
             params_sha256=identity.params_sha256,
             model_sha256=identity.model_sha256,
+            content_sha256=drive.content_sha256,
             seconds=0.0,
             committed_at=None,
             replayed_drives=merged.replayed,
@@ -213,6 +219,7 @@ def _no_changes(drive: Drive, identity: Identity, known: CommittedChangeset, set
         rejections={},
         params_sha256=identity.params_sha256,
         model_sha256=identity.model_sha256,
+        content_sha256=drive.content_sha256,
         seconds=0.0,
         committed_at=known.committed_at,
         counts_on_map=known.counts,
