@@ -19,7 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import spline_filter1d
 
+from conetl.records import Camera
 from conetl.steps.cone_outline import Outline
+from conetl.steps.cone_surface import cone_surface
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -81,21 +83,20 @@ def match_area(
     disparity_px: float,
     search_px: float,
     *,
-    focal_px: float,
+    camera: Camera,
+    up: Floats,
     at_infinity_px: float = 0.0,
     row_offset_px: float = 0.0,
-    lean: float = 0.0,
 ) -> AreaMatch | None:
     """Disparity of the cone with `outline` in the left picture, or None where the pictures do not settle it.
 
     left, right: rectified pictures, (H, W, 3) or (H, W), uint8. disparity_px: first guess; search_px: half width of the search.
-    focal_px: of the left camera. at_infinity_px: disparity of a point at infinity. row_offset_px: how much lower all things are
-    in the right picture by calibration. lean: z component of the unit vector up over minus its y component (camera frame): how
-    much farther a point of the axis lies than the foot, for each metre that it lies higher.
+    camera: the left one. up: unit vector (3,) in its frame (x right, y down, z forward). at_infinity_px: disparity of a point at
+    infinity. row_offset_px: how much lower all things are in the right picture by calibration.
     """
     if left.ndim == 2:
         left, right = left[:, :, None], right[:, :, None]
-    pixels = _pixels_of(left, outline, focal_px, lean)
+    pixels = _pixels_of(left, outline, camera, up)
     if pixels is None:
         return None
     coarse = _whole_pixel_disparity(pixels, right, disparity_px, search_px, at_infinity_px, round(row_offset_px))
@@ -104,7 +105,7 @@ def match_area(
     return _least_squares(pixels, right, float(coarse), at_infinity_px, row_offset_px)
 
 
-def _pixels_of(left: NDArray[np.uint8], outline: Outline, focal_px: float, lean: float) -> _Pixels | None:
+def _pixels_of(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Floats) -> _Pixels | None:
     """The pixels inside the outline, with the disparity surface over them."""
     height = outline.foot_row - outline.tip_row
     first = max(int(np.ceil(outline.tip_row + _ROWS[0] * height)), 0)
@@ -123,11 +124,12 @@ def _pixels_of(left: NDArray[np.uint8], outline: Outline, focal_px: float, lean:
     i, j = np.nonzero(inside)
     if len(i) < _MIN_PIXELS:
         return None
-    # Where the surface is nearer than the axis by `cheek` (px at the axis's depth), disparity grows by cheek / focal length.
+    surface = cone_surface(outline, camera, up, v[i].astype(np.float64), u[j].astype(np.float64))
+    if surface is None:
+        return None
     # At the very edge it is the outline that shows, blurred over about a pixel, not the surface.
     inner = radius[i] - np.abs(aside[i, j]) > _EDGE_PX
-    cheek = np.sqrt(np.maximum(radius[i] ** 2 - aside[i, j] ** 2, 0.0)) * inner
-    stretch = (1 + cheek / focal_px) / (1 + lean * (outline.foot_row - v[i]) / focal_px)
+    stretch = 1.0 / np.where(inner, surface.depth, surface.limb)
     values = left[v[i], u[j]].astype(np.float64)
     group = 2 * (i // (2 * every)) + (aside[i, j] > 0)
     return _Pixels(v[i], u[j], values, stretch, group)
