@@ -130,9 +130,18 @@ def _pixels_of(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Fl
     # At the very edge it is the outline that shows, blurred over about a pixel, not the surface.
     inner = radius[i] - np.abs(aside[i, j]) > _EDGE_PX
     stretch = 1.0 / np.where(inner, surface.depth, surface.limb)
-    values = left[v[i], u[j]].astype(np.float64)
+    values = _smooth(left, v, u)[i, j]
     group = 2 * (i // (2 * every)) + (aside[i, j] > 0)
     return _Pixels(v[i], u[j], values, stretch, group)
+
+
+def _smooth(picture: NDArray[np.uint8], rows: Ints, columns: Ints) -> Floats:
+    """Grey values (rows, columns, channels) blurred as `_Patch` blurs the right picture at a whole pixel."""
+    top = np.clip(np.arange(rows[0] - 1, rows[-1] + 2), 0, picture.shape[0] - 1)
+    aside = np.clip(np.arange(columns[0] - 1, columns[-1] + 2), 0, picture.shape[1] - 1)
+    part = picture[top[:, None], aside].astype(np.float64)
+    part = (part[:-2] + 4 * part[1:-1] + part[2:]) / 6
+    return np.asarray((part[:, :-2] + 4 * part[:, 1:-1] + part[:, 2:]) / 6)
 
 
 def _whole_pixel_disparity(
@@ -270,8 +279,7 @@ class _Patch(NamedTuple):
         row1 = int(np.ceil(pixels.rows.max() + row_offset_px)) + 5
         rows = np.clip(np.arange(row0, row1), 0, right.shape[0] - 1)
         part = right[rows, column0:column1].astype(np.float64)
-        coefficients = spline_filter1d(spline_filter1d(part, 3, axis=0, mode="mirror"), 3, axis=1, mode="mirror")
-        return _Patch(coefficients, row0, column0)
+        return _Patch(part, row0, column0)
 
     def at(self, rows: Ints, columns: Floats, down_px: float) -> tuple[Floats, Floats, Floats]:
         """Grey values and their slopes along columns and rows, each (n, channels), at rows + down_px and columns."""

@@ -23,6 +23,8 @@ _REACH_TOP, _REACH_FOOT = 0.08, 0.12
 #: Rows that show the body alone, as shares of the way from tip to foot: not the blunt tip, not the base plate.
 BODY_ROWS = (0.08, 0.84)
 _COARSE_TOP, _COARSE_FOOT, _FINE = np.linspace(-1, 1, 7), np.linspace(-1, 1, 11), np.linspace(-1, 1, 7)
+#: Half width (sigma) of the window in which an edge is centred, from step to step.
+_WINDOWS_PX = (1.5, 1.5, 1.2, 1.2, 1.0, 1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -107,7 +109,26 @@ def _edge(steps: Floats, share: Floats, top: float, foot: float, width_px: float
     i, j = np.unravel_index(int(np.argmax(score)), score.shape)
     tops, feet = tops[i] + max(0.5, reach_top / 4) * _FINE, feet[j] + max(0.5, reach_foot / 6) * _FINE
     i, j = np.unravel_index(int(np.argmax(_along(steps, share, tops, feet))), (len(_FINE), len(_FINE)))
-    return float(tops[i]), float(feet[j])
+    return _settled(steps, share, float(tops[i]), float(feet[j]))
+
+
+def _settled(steps: Floats, share: Floats, top: float, foot: float) -> tuple[float, float]:
+    """The line moved to where the change of grey values is centred in its rows, by mean shift (Comaniciu & Meer 2002).
+
+    Each row says where its change is centred under a window about the line; the line through these, weighted by how much
+    changes there, is the next one. The window narrows, so that the line ends on the edge itself and not between two of them.
+    """
+    columns = np.arange(steps.shape[1])
+    design = np.column_stack([1 - share, share])
+    for window_px in _WINDOWS_PX:
+        line = design @ [top, foot]
+        weights = steps * np.exp(-0.5 * ((columns - line[:, None]) / window_px) ** 2)
+        total = weights.sum(axis=1)
+        normal = design.T @ (design * total[:, None])
+        if np.linalg.det(normal) <= 1e-9 * normal[0, 0] * normal[1, 1]:
+            break
+        top, foot = np.linalg.solve(normal, design.T @ (weights @ columns))
+    return float(top), float(foot)
 
 
 def _along(steps: Floats, share: Floats, tops: Floats, feet: Floats) -> Floats:
