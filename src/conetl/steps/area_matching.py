@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import spline_filter1d
+from scipy.special import ndtr
 
 from conetl.records import Camera
 from conetl.steps.cone_outline import Outline
@@ -36,10 +36,15 @@ _MAX_WAY_PX = 2.0
 _MAX_ROW_OFFSET_PX = 1.5
 _MIN_INLIER_SHARE = 0.6
 _HUBER = 2.0
+_CAUCHY = 3.0
 #: Rows of the body that take part, as shares of the way from tip to foot; the base plate lies on the ground, not at the axis.
 _ROWS = (0.02, 0.90)
 #: Pixels outside of the outline that still show its edge, blurred by lens and sensor.
 _EDGE_PX = 1.0
+_OUT_PX = 1.0
+_BLUR_PX = 0.85
+_BEYOND_PX = np.array([2.0, 3.0])
+_REDESCEND = True
 #: Variance of grey values that even equal pictures have, by rounding to 8 bits in both.
 _QUANTISATION = 0.17
 #: Sigma: of the residuals times a factor (they see less than all errors: measured on the sample drives, docs/accuracy.md), with
@@ -74,6 +79,23 @@ class _Pixels(NamedTuple):
     """(n,) disparity as a multiple of that of the axis at the foot"""
     group: Ints
     """(n,) number of the piece of outline that a pixel belongs to: two rows, left or right of the axis"""
+    edge: Ints
+    """(n,) number of the edge that a pixel is next to: one row, left or right of the axis"""
+    cover: Floats
+    """(n,) share of the background in a pixel's grey value"""
+    beyond: _Beyond
+
+
+class _Beyond(NamedTuple):
+    """What stands beside the body, just beyond the blur of its edges: e edges, two points each."""
+
+    rows: Ints
+    """(2e,)"""
+    columns: Floats
+    stretch: Floats
+    """(2e,) of the edge: what is looked for is what the right picture shows beside the same edge"""
+    values: Floats
+    """(e, channels) mean grey value in the left picture"""
 
 
 def match_area(
@@ -118,7 +140,7 @@ def _pixels_of(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Fl
     high = min(int(np.ceil((axis + radius).max() + _EDGE_PX)), left.shape[1] - 1)
     u = np.arange(low, high + 1)
     aside = u[None, :] - axis[:, None]
-    inside = np.abs(aside) <= radius[:, None] + _EDGE_PX
+    inside = np.abs(aside) <= radius[:, None] + _OUT_PX
     every = int(np.ceil(inside.sum() / _MAX_PIXELS))
     inside[np.arange(len(v)) % every != 0] = False  # the rows of a near cone say the same thing many times
     i, j = np.nonzero(inside)
@@ -131,8 +153,28 @@ def _pixels_of(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Fl
     inner = radius[i] - np.abs(aside[i, j]) > _EDGE_PX
     stretch = 1.0 / np.where(inner, surface.depth, surface.limb)
     values = _smooth(left, v, u)[i, j]
-    group = 2 * (i // (2 * every)) + (aside[i, j] > 0)
-    return _Pixels(v[i], u[j], values, stretch, group)
+    right_half = aside[i, j] > 0
+    group = 2 * (i // (2 * every)) + right_half
+    cover = ndtr((np.abs(aside[i, j]) - radius[i]) / _BLUR_PX)
+    beyond = _beyond(left, outline, camera, up, v)
+    if beyond is None:
+        return None
+    return _Pixels(v[i], u[j], values, stretch, group, 2 * i + right_half, cover, beyond)
+
+
+def _beyond(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Floats, rows: Ints) -> _Beyond | None:
+    """Background beside both edges of every row; None where the picture ends there."""
+    y = rows.astype(np.float64)
+    axis, radius = outline.axis(y), outline.radius(y)
+    columns = axis[:, None, None] + np.array([-1.0, 1.0])[None, :, None] * (radius[:, None, None] + _BEYOND_PX)
+    columns, y = columns.ravel(), np.repeat(y, 2 * len(_BEYOND_PX))
+    surface = cone_surface(outline, camera, up, y, columns)
+    patch = _Patch.of(left, rows[0], rows[-1], columns.min(), columns.max())
+    if surface is None or patch is None:
+        return None
+    v = np.repeat(rows, 2 * len(_BEYOND_PX))
+    values = patch.at(v, columns, 0.0)[0]
+    return _Beyond(v, columns, 1.0 / surface.limb, values.reshape(-1, len(_BEYOND_PX), values.shape[1]).mean(axis=1))
 
 
 def _smooth(picture: NDArray[np.uint8], rows: Ints, columns: Ints) -> Floats:
@@ -171,23 +213,41 @@ def _least_squares(
     pixels: _Pixels, right: NDArray[np.uint8], start: float, at_infinity_px: float, row_offset_px: float
 ) -> AreaMatch | None:
     """Gauss-Newton on disparity and row offset; gain and offset of each colour are taken out in every step."""
-    patch = _Patch.around(pixels, right, start, at_infinity_px, row_offset_px)
+    beyond = pixels.beyond
+    reach = np.concatenate([
+        pixels.columns - (at_infinity_px + (start - at_infinity_px) * pixels.stretch),
+        beyond.columns - (at_infinity_px + (start - at_infinity_px) * beyond.stretch),
+    ])
+    patch = _Patch.of(
+        right, pixels.rows[0] + row_offset_px - _MAX_ROW_OFFSET_PX, pixels.rows[-1] + row_offset_px + _MAX_ROW_OFFSET_PX,
+        reach.min() - _MAX_WAY_PX, reach.max() + _MAX_WAY_PX,
+    )  # fmt: skip
     if patch is None:
         return None
     disparity, down = start, row_offset_px
     weights = np.ones(len(pixels.rows))
+    gain, shift = np.ones(right.shape[2]), np.zeros(right.shape[2])
     for iteration in range(_MAX_ITERATIONS):
         if abs(disparity - start) > _MAX_WAY_PX or abs(down - row_offset_px) > _MAX_ROW_OFFSET_PX:
             return None
         columns = pixels.columns - (at_infinity_px + (disparity - at_infinity_px) * pixels.stretch)
-        step_of = _linearise(pixels, patch.at(pixels.rows, columns, down), weights)
+        beside = beyond.columns - (at_infinity_px + (disparity - at_infinity_px) * beyond.stretch)
+        seen = patch.at(beyond.rows, beside, down)[0].reshape(len(beyond.values), -1, right.shape[2]).mean(axis=1)
+        # Edge pixels as the left picture would show them before the right one's background.
+        values = pixels.values + pixels.cover[:, None] * (gain * seen + shift - beyond.values)[pixels.edge]
+        step_of = _linearise(values, pixels.stretch, patch.at(pixels.rows, columns, down), weights)
         if step_of is None:
             return None
+        gain, shift = step_of.gain, step_of.shift
         move = np.clip(step_of.inverse @ step_of.pull, -0.7, 0.7)
         disparity, down = disparity + float(move[0]), down + float(move[1])
         size = np.sqrt((step_of.residual**2 / step_of.noise).mean(axis=1))
-        weights = 1.0 / np.maximum(size / (_HUBER * 1.2 * max(float(np.median(size)), 1e-6)), 1.0)
-        if iteration >= 2 and np.abs(move).max() < _CONVERGED_PX:
+        size /= max(1.2 * float(np.median(size)), 1e-6)
+        if _REDESCEND and iteration >= 3:
+            weights = 1.0 / (1.0 + (size / _CAUCHY) ** 2) ** 2
+        else:
+            weights = 1.0 / np.maximum(size / _HUBER, 1.0)
+        if iteration >= (5 if _REDESCEND else 2) and np.abs(move).max() < _CONVERGED_PX:
             break
     else:
         return None
@@ -212,14 +272,21 @@ class _Linearised(NamedTuple):
     pull: Floats
     """(2,)"""
     correlation: float
+    gain: Floats
+    """(channels,) left over right"""
+    shift: Floats
+    """(channels,) left less gain times right"""
 
 
-def _linearise(pixels: _Pixels, sampled: tuple[Floats, Floats, Floats], weights: Floats) -> _Linearised | None:
+def _linearise(
+    values: Floats, stretch: Floats, sampled: tuple[Floats, Floats, Floats], weights: Floats
+) -> _Linearised | None:
     """None where the right picture has nothing to hold on to, or is the negative of the left one."""
     sample, slope_u, slope_v = sampled
     total = weights.sum()
-    every = np.stack([pixels.values, sample, slope_u * -pixels.stretch[:, None], slope_v])  # (4, n, channels)
-    every = every - (weights @ every / total)[:, None, :]
+    every = np.stack([values, sample, slope_u * -stretch[:, None], slope_v])  # (4, n, channels)
+    means = weights @ every / total
+    every = every - means[:, None, :]
     # Of each colour the 4x4 inner products of template, sample and the two slopes: all that least squares needs.
     by_colour = every.transpose(2, 0, 1)
     gram = (by_colour * weights) @ by_colour.transpose(0, 2, 1)
@@ -240,7 +307,7 @@ def _linearise(pixels: _Pixels, sampled: tuple[Floats, Floats, Floats], weights:
     inverse = np.array([[normal[1, 1], -normal[0, 1]], [-normal[0, 1], normal[0, 0]]]) / determinant
     jacobian = (every[2:] - along.T[:, None, :] * every[1]) * gain  # (2, n, channels)
     correlation = float((ts / noise).sum() / np.sqrt((tt / noise).sum() * (ss / noise).sum()))
-    return _Linearised(jacobian.transpose(1, 2, 0), every[0] - gain * every[1], noise, inverse, pull, correlation)
+    return _Linearised(jacobian.transpose(1, 2, 0), every[0] - gain * every[1], noise, inverse, pull, correlation, gain, means[0] - gain * means[1])
 
 
 def _sigma(at: _Linearised, weights: Floats, group: Ints) -> float:
@@ -266,20 +333,14 @@ class _Patch(NamedTuple):
     column0: int
 
     @staticmethod
-    def around(
-        pixels: _Pixels, right: NDArray[np.uint8], disparity_px: float, at_infinity_px: float, row_offset_px: float
-    ) -> _Patch | None:
-        """The part that `pixels` can reach; None where it would leave the picture at the sides."""
-        columns = pixels.columns - (at_infinity_px + (disparity_px - at_infinity_px) * pixels.stretch)
-        margin = int(_MAX_WAY_PX) + 4
-        column0, column1 = int(columns.min()) - margin, int(columns.max()) + margin + 1
-        if column0 < 0 or column1 > right.shape[1]:
+    def of(picture: NDArray[np.uint8], row0: float, row1: float, column0: float, column1: float) -> _Patch | None:
+        """The part that holds rows and columns between two ends; None where it would leave the picture at the sides."""
+        first, last = int(np.floor(column0)) - 2, int(np.floor(column1)) + 4
+        if first < 0 or last > picture.shape[1]:
             return None
-        row0 = int(np.floor(pixels.rows.min() + row_offset_px)) - 4
-        row1 = int(np.ceil(pixels.rows.max() + row_offset_px)) + 5
-        rows = np.clip(np.arange(row0, row1), 0, right.shape[0] - 1)
-        part = right[rows, column0:column1].astype(np.float64)
-        return _Patch(part, row0, column0)
+        top = int(np.floor(row0)) - 2
+        rows = np.clip(np.arange(top, int(np.floor(row1)) + 4), 0, picture.shape[0] - 1)
+        return _Patch(picture[rows, first:last].astype(np.float64), top, first)
 
     def at(self, rows: Ints, columns: Floats, down_px: float) -> tuple[Floats, Floats, Floats]:
         """Grey values and their slopes along columns and rows, each (n, channels), at rows + down_px and columns."""
