@@ -41,7 +41,8 @@ _CAUCHY = 3.0
 _ROWS = (0.02, 0.90)
 #: Pixels outside of the outline that still show its edge, blurred by lens and sensor.
 _EDGE_PX = 1.0
-_OUT_PX = 1.0
+_OUT_PX = 1.5
+_SHRINK = 3.0
 _BLUR_PX = 0.85
 _BEYOND_PX = np.array([2.0, 3.0])
 _REDESCEND = True
@@ -227,6 +228,7 @@ def _least_squares(
     disparity, down = start, row_offset_px
     weights = np.ones(len(pixels.rows))
     gain, shift = np.ones(right.shape[2]), np.zeros(right.shape[2])
+    noise = np.full(right.shape[2], 25.0)
     for iteration in range(_MAX_ITERATIONS):
         if abs(disparity - start) > _MAX_WAY_PX or abs(down - row_offset_px) > _MAX_ROW_OFFSET_PX:
             return None
@@ -234,11 +236,15 @@ def _least_squares(
         beside = beyond.columns - (at_infinity_px + (disparity - at_infinity_px) * beyond.stretch)
         seen = patch.at(beyond.rows, beside, down)[0].reshape(len(beyond.values), -1, right.shape[2]).mean(axis=1)
         # Edge pixels as the left picture would show them before the right one's background.
-        values = pixels.values + pixels.cover[:, None] * (gain * seen + shift - beyond.values)[pixels.edge]
+        change = gain * seen + shift - beyond.values
+        if _SHRINK > 0:
+            power = (change**2 / noise).mean(axis=1, keepdims=True)
+            change *= power / (power + _SHRINK)
+        values = pixels.values + pixels.cover[:, None] * change[pixels.edge]
         step_of = _linearise(values, pixels.stretch, patch.at(pixels.rows, columns, down), weights)
         if step_of is None:
             return None
-        gain, shift = step_of.gain, step_of.shift
+        gain, shift, noise = step_of.gain, step_of.shift, step_of.noise
         move = np.clip(step_of.inverse @ step_of.pull, -0.7, 0.7)
         disparity, down = disparity + float(move[0]), down + float(move[1])
         size = np.sqrt((step_of.residual**2 / step_of.noise).mean(axis=1))
