@@ -27,7 +27,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
 _MIN_PIXELS = 24
-_MAX_PIXELS = 700
+_MAX_PIXELS = 2000
 _MIN_CORRELATION = 0.75
 _MAX_ITERATIONS = 15
 _CONVERGED_PX = 2e-2
