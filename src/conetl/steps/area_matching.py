@@ -35,24 +35,28 @@ _CONVERGED_PX = 2e-2
 _MAX_WAY_PX = 2.0
 _MAX_ROW_OFFSET_PX = 1.5
 _MIN_INLIER_SHARE = 0.6
-_HUBER = 2.0
-_CAUCHY = 3.0
+#: Residuals, in units of the usual one, from which on a pixel loses weight at first (Huber 1964), and the scale of the weights
+#: with which the fit ends, by which outliers count nothing (Geman & McClure 1985).
+_HUBER, _OUTLIER = 2.0, 3.0
+_SOFT_ITERATIONS = 3
 #: Rows of the body that take part, as shares of the way from tip to foot; the base plate lies on the ground, not at the axis.
 _ROWS = (0.02, 0.90)
-#: Pixels outside of the outline that still show its edge, blurred by lens and sensor.
-_EDGE_PX = 1.0
-_OUT_PX = 1.5
-_SHRINK = 3.0
+#: Pixels inside of the outline that show its edge rather than the surface, and those outside that take part.
+_EDGE_PX, _OUT_PX = 2.0, 1.5
+#: Blur (sigma) of an edge by lens, sensor and the smoothing here, and where the background shows alone.
 _BLUR_PX = 0.85
 _BEYOND_PX = np.array([2.0, 3.0])
-_REDESCEND = True
+#: A change of background counts by half where its square is this many times the noise.
+_BACKGROUND_NOISE = 3.0
 #: Variance of grey values that even equal pictures have, by rounding to 8 bits in both.
 _QUANTISATION = 0.17
-#: Sigma: of the residuals times a factor (they see less than all errors: measured on the sample drives, docs/accuracy.md), with
-#: what the disparity surface may be wrong, as a share of its depth, and what no cone will show.
-_SIGMA_FACTOR = 1.35
-_CHEEK_SIGMA_SHARE = 0.07
-_SIGMA_FLOOR_PX = 0.03
+#: What is known beforehand, one sigma: lean of a cone towards the camera (rad), its surface's nearness (share), and how far an
+#: edge is seen off its place by what stands behind it (px). Nothing of disparity and row offset.
+_LEAN_SIGMA, _SURPLUS_SIGMA, _SHIFT_SIGMA_PX = 0.015, 0.05, 0.08
+_PRIOR = np.array([0.0, 0.0, _LEAN_SIGMA**-2, _SURPLUS_SIGMA**-2, _SHIFT_SIGMA_PX**-2, _SHIFT_SIGMA_PX**-2])
+#: Variances over those of white noise, and over those of the sum over pieces (docs/accuracy.md says how they were measured).
+_DESIGN_EFFECT, _PIECES_FACTOR = 15.0, 5.0
+_SIGMA_FLOOR_PX = 0.02
 
 
 @dataclass(frozen=True)
@@ -76,8 +80,14 @@ class _Pixels(NamedTuple):
     columns: Ints
     values: Floats
     """(n, channels) grey values"""
-    stretch: Floats
-    """(n,) disparity as a multiple of that of the axis at the foot"""
+    depth: Floats
+    """(n,) of what shows, in units of the depth of the axis at the foot"""
+    nearer: Floats
+    """(n,) by how much the surface is nearer than the limb, in the same units; 0 at the edges"""
+    height: Floats
+    """(n,) above the foot, in the same units"""
+    at_edge: Floats
+    """(n, 2) 1 for pixels of the left, of the right edge"""
     group: Ints
     """(n,) number of the piece of outline that a pixel belongs to: two rows, left or right of the axis"""
     edge: Ints
@@ -93,7 +103,7 @@ class _Beyond(NamedTuple):
     rows: Ints
     """(2e,)"""
     columns: Floats
-    stretch: Floats
+    depth: Floats
     """(2e,) of the edge: what is looked for is what the right picture shows beside the same edge"""
     values: Floats
     """(e, channels) mean grey value in the left picture"""
@@ -152,7 +162,7 @@ def _pixels_of(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Fl
         return None
     # At the very edge it is the outline that shows, blurred over about a pixel, not the surface.
     inner = radius[i] - np.abs(aside[i, j]) > _EDGE_PX
-    stretch = 1.0 / np.where(inner, surface.depth, surface.limb)
+    nearer = (surface.limb - surface.depth) * inner
     values = _smooth(left, v, u)[i, j]
     right_half = aside[i, j] > 0
     group = 2 * (i // (2 * every)) + right_half
@@ -160,7 +170,11 @@ def _pixels_of(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Fl
     beyond = _beyond(left, outline, camera, up, v)
     if beyond is None:
         return None
-    return _Pixels(v[i], u[j], values, stretch, group, 2 * i + right_half, cover, beyond)
+    at_edge = ~inner[:, None] & (right_half[:, None] == np.array([False, True]))
+    return _Pixels(
+        v[i], u[j], values, surface.limb - nearer, nearer, surface.height, at_edge.astype(np.float64), group,
+        2 * i + right_half, cover, beyond,
+    )  # fmt: skip
 
 
 def _beyond(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Floats, rows: Ints) -> _Beyond | None:
@@ -175,7 +189,7 @@ def _beyond(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Float
         return None
     v = np.repeat(rows, 2 * len(_BEYOND_PX))
     values = patch.at(v, columns, 0.0)[0]
-    return _Beyond(v, columns, 1.0 / surface.limb, values.reshape(-1, len(_BEYOND_PX), values.shape[1]).mean(axis=1))
+    return _Beyond(v, columns, surface.limb, values.reshape(-1, len(_BEYOND_PX), values.shape[1]).mean(axis=1))
 
 
 def _smooth(picture: NDArray[np.uint8], rows: Ints, columns: Ints) -> Floats:
@@ -193,7 +207,7 @@ def _whole_pixel_disparity(
     """Disparity at which the pixels fit best; None at the search's end, below the bar, or where it leaves the picture."""
     reach = int(np.ceil(search_px)) + 1
     candidates = round(guess) + np.arange(-reach, reach + 1)
-    shape = at_infinity_px + (candidates[:, None] - at_infinity_px) * pixels.stretch
+    shape = at_infinity_px + (candidates[:, None] - at_infinity_px) / pixels.depth
     columns = np.round(pixels.columns - shape).astype(np.intp)  # (candidates, n)
     if columns.min() < 2 or columns.max() > right.shape[1] - 3:
         return None
@@ -215,68 +229,68 @@ def _least_squares(
 ) -> AreaMatch | None:
     """Gauss-Newton on disparity and row offset; gain and offset of each colour are taken out in every step."""
     beyond = pixels.beyond
-    reach = np.concatenate([
-        pixels.columns - (at_infinity_px + (start - at_infinity_px) * pixels.stretch),
-        beyond.columns - (at_infinity_px + (start - at_infinity_px) * beyond.stretch),
-    ])
+    reach = np.concatenate([part.columns - at_infinity_px - (start - at_infinity_px) / part.depth for part in (pixels, beyond)])
     patch = _Patch.of(
         right, pixels.rows[0] + row_offset_px - _MAX_ROW_OFFSET_PX, pixels.rows[-1] + row_offset_px + _MAX_ROW_OFFSET_PX,
         reach.min() - _MAX_WAY_PX, reach.max() + _MAX_WAY_PX,
     )  # fmt: skip
     if patch is None:
         return None
-    disparity, down = start, row_offset_px
-    weights = np.ones(len(pixels.rows))
-    gain, shift = np.ones(right.shape[2]), np.zeros(right.shape[2])
-    noise = np.full(right.shape[2], 25.0)
+    # Disparity of the axis at the foot, row offset, lean of the axis, surplus of the surface's nearness, shift of either edge.
+    unknown = np.array([start, row_offset_px, 0.0, 0.0, 0.0, 0.0])
+    weights, size = np.ones(len(pixels.rows)), np.zeros(len(pixels.rows))
+    background = np.zeros_like(beyond.values)
     for iteration in range(_MAX_ITERATIONS):
+        disparity, down, lean, surplus = unknown[:4]
         if abs(disparity - start) > _MAX_WAY_PX or abs(down - row_offset_px) > _MAX_ROW_OFFSET_PX:
             return None
-        columns = pixels.columns - (at_infinity_px + (disparity - at_infinity_px) * pixels.stretch)
-        beside = beyond.columns - (at_infinity_px + (disparity - at_infinity_px) * beyond.stretch)
-        seen = patch.at(beyond.rows, beside, down)[0].reshape(len(beyond.values), -1, right.shape[2]).mean(axis=1)
-        # Edge pixels as the left picture would show them before the right one's background.
-        change = gain * seen + shift - beyond.values
-        if _SHRINK > 0:
-            power = (change**2 / noise).mean(axis=1, keepdims=True)
-            change *= power / (power + _SHRINK)
-        values = pixels.values + pixels.cover[:, None] * change[pixels.edge]
-        step_of = _linearise(values, pixels.stretch, patch.at(pixels.rows, columns, down), weights)
+        scale = disparity - at_infinity_px
+        depth = pixels.depth + lean * pixels.height - surplus * pixels.nearer
+        columns = pixels.columns - at_infinity_px - scale / depth - pixels.at_edge @ unknown[4:]
+        sample, slope_u, slope_v = patch.at(pixels.rows, columns, down)
+        along = -np.column_stack([1 / depth, -scale * pixels.height / depth**2, scale * pixels.nearer / depth**2, pixels.at_edge])
+        slopes = np.empty((6, *sample.shape))
+        slopes[0], slopes[1], slopes[2:] = along[:, :1] * slope_u, slope_v, along.T[1:, :, None] * slope_u
+        values = pixels.values + pixels.cover[:, None] * background[pixels.edge]
+        step_of = _linearise(values, sample, slopes, unknown, weights)
         if step_of is None:
             return None
-        gain, shift, noise = step_of.gain, step_of.shift, step_of.noise
         move = np.clip(step_of.inverse @ step_of.pull, -0.7, 0.7)
-        disparity, down = disparity + float(move[0]), down + float(move[1])
+        unknown = unknown + move
         size = np.sqrt((step_of.residual**2 / step_of.noise).mean(axis=1))
         size /= max(1.2 * float(np.median(size)), 1e-6)
-        if _REDESCEND and iteration >= 3:
-            weights = 1.0 / (1.0 + (size / _CAUCHY) ** 2) ** 2
-        else:
-            weights = 1.0 / np.maximum(size / _HUBER, 1.0)
-        if iteration >= (5 if _REDESCEND else 2) and np.abs(move).max() < _CONVERGED_PX:
+        settled = bool(np.abs(move[:2]).max() < _CONVERGED_PX)
+        if settled and iteration >= _SOFT_ITERATIONS + 2:
             break
+        weights = 1 / np.maximum(size / _HUBER, 1.0) if iteration < _SOFT_ITERATIONS else (1 + (size / _OUTLIER) ** 2) ** -2
+        beside = beyond.columns - at_infinity_px - scale / beyond.depth
+        seen = patch.at(beyond.rows, beside, down)[0].reshape(len(beyond.values), -1, right.shape[2]).mean(axis=1)
+        background = step_of.gain * seen + step_of.shift - beyond.values
+        power = (background**2 / step_of.noise).mean(axis=1, keepdims=True)
+        background *= power / (power + _BACKGROUND_NOISE)
     else:
         return None
-    if step_of.correlation < _MIN_CORRELATION or np.mean(weights > 0.5) < _MIN_INLIER_SHARE:
+    if step_of.correlation < _MIN_CORRELATION or np.mean(size < 2 * _HUBER) < _MIN_INLIER_SHARE:
         return None
-    sigma = _SIGMA_FACTOR * _sigma(step_of, weights, pixels.group)
-    nearest = _CHEEK_SIGMA_SHARE * (disparity - at_infinity_px) * float(np.ptp(pixels.stretch))
-    return AreaMatch(disparity, float(np.sqrt(sigma**2 + nearest**2 + _SIGMA_FLOOR_PX**2)), step_of.correlation, down)
+    sigma = np.hypot(_sigma(step_of, weights, pixels.group), _SIGMA_FLOOR_PX)
+    return AreaMatch(float(unknown[0]), float(sigma), step_of.correlation, float(unknown[1]))
 
 
 class _Linearised(NamedTuple):
     """The matching problem at one point; gain and offset of each colour eliminated."""
 
     jacobian: Floats
-    """(n, channels, 2) of the modelled grey values"""
+    """(n, channels, p) of the modelled grey values"""
     residual: Floats
     """(n, channels)"""
     noise: Floats
     """(channels,) variance of the residuals"""
     inverse: Floats
-    """(2, 2) covariance of disparity and row offset if the residuals were white"""
+    """(p, p) of the normal matrix, what is known beforehand included"""
+    normal: Floats
+    """(p, p) of the pictures alone, were the residuals white"""
     pull: Floats
-    """(2,)"""
+    """(p,)"""
     correlation: float
     gain: Floats
     """(channels,) left over right"""
@@ -284,16 +298,16 @@ class _Linearised(NamedTuple):
     """(channels,) left less gain times right"""
 
 
-def _linearise(
-    values: Floats, stretch: Floats, sampled: tuple[Floats, Floats, Floats], weights: Floats
-) -> _Linearised | None:
-    """None where the right picture has nothing to hold on to, or is the negative of the left one."""
-    sample, slope_u, slope_v = sampled
+def _linearise(values: Floats, sample: Floats, slopes: Floats, unknown: Floats, weights: Floats) -> _Linearised | None:
+    """None where the right picture has nothing to hold on to, or is the negative of the left one.
+
+    values, sample (n, channels): grey values left and right. slopes (p, n, channels): of the sample with respect to the unknowns.
+    """
     total = weights.sum()
-    every = np.stack([values, sample, slope_u * -stretch[:, None], slope_v])  # (4, n, channels)
-    means = weights @ every / total
+    every = np.concatenate([values[None], sample[None], slopes])  # (2 + p, n, channels)
+    means = np.einsum("n,knc->kc", weights, every) / total
     every = every - means[:, None, :]
-    # Of each colour the 4x4 inner products of template, sample and the two slopes: all that least squares needs.
+    # Of each colour the inner products of template, sample and slopes: all that least squares needs.
     by_colour = every.transpose(2, 0, 1)
     gram = (by_colour * weights) @ by_colour.transpose(0, 2, 1)
     tt, ts, ss = gram[:, 0, 0], gram[:, 0, 1], gram[:, 1, 1]
@@ -303,17 +317,19 @@ def _linearise(
     if (gain <= 0).all():
         return None
     noise = np.maximum((tt - gain * ts) / total, _QUANTISATION)
-    along = gram[:, 2:, 1] / ss[:, None]  # (channels, 2)
+    along = gram[:, 2:, 1] / ss[:, None]  # (channels, p)
     square = gram[:, 2:, 2:] - along[:, :, None] * gram[:, None, 2:, 1]
     normal = ((gain**2 / noise)[:, None, None] * square).sum(axis=0)
-    pull = ((gain / noise)[:, None] * (gram[:, 2:, 0] - along * ts[:, None])).sum(axis=0)
-    determinant = normal[0, 0] * normal[1, 1] - normal[0, 1] ** 2
-    if not determinant > 1e-9 * normal[0, 0] * normal[1, 1]:
+    pull = ((gain / noise)[:, None] * (gram[:, 2:, 0] - along * ts[:, None])).sum(axis=0) - _DESIGN_EFFECT * _PRIOR * unknown
+    if not normal[0, 0] * normal[1, 1] - normal[0, 1] ** 2 > 1e-9 * normal[0, 0] * normal[1, 1]:
         return None
-    inverse = np.array([[normal[1, 1], -normal[0, 1]], [-normal[0, 1], normal[0, 0]]]) / determinant
-    jacobian = (every[2:] - along.T[:, None, :] * every[1]) * gain  # (2, n, channels)
+    inverse = np.linalg.inv(normal + _DESIGN_EFFECT * np.diag(_PRIOR))
+    jacobian = (every[2:] - along.T[:, None, :] * every[1]) * gain  # (p, n, channels)
     correlation = float((ts / noise).sum() / np.sqrt((tt / noise).sum() * (ss / noise).sum()))
-    return _Linearised(jacobian.transpose(1, 2, 0), every[0] - gain * every[1], noise, inverse, pull, correlation, gain, means[0] - gain * means[1])
+    return _Linearised(
+        jacobian.transpose(1, 2, 0), every[0] - gain * every[1], noise, inverse, normal, pull, correlation, gain,
+        means[0] - gain * means[1],
+    )  # fmt: skip
 
 
 def _sigma(at: _Linearised, weights: Floats, group: Ints) -> float:
@@ -321,13 +337,15 @@ def _sigma(at: _Linearised, weights: Floats, group: Ints) -> float:
 
     Neighbouring pixels err together (optics, colour filter, compression) and no model of a cone is perfect, so the residuals
     are not white. The estimate that allows for it is the cluster-robust one (Liang & Zeger 1986): the pull of each piece of
-    outline, left and right of the axis apart, counts as one observation.
+    outline, left and right of the axis apart, counts as one observation. A few pieces say little about their spread: what is usual
+    (`_DESIGN_EFFECT` times white noise) counts as much as what they say.
     """
     pulls = np.einsum("ncp,nc->pn", at.jacobian, at.residual / at.noise) * weights
     pieces = np.stack([np.bincount(group, pull) for pull in pulls])
     count = max(len(np.unique(group)), 3)
-    robust = (at.inverse @ (pieces @ pieces.T) @ at.inverse)[0, 0] * count / (count - 2)
-    return float(np.sqrt(max(robust, at.inverse[0, 0])))
+    spread = _PIECES_FACTOR * (pieces @ pieces.T) * count / (count - 2)
+    spread = (spread + _DESIGN_EFFECT * at.normal) / 2 + _DESIGN_EFFECT**2 * np.diag(_PRIOR)
+    return float(np.sqrt((at.inverse @ spread @ at.inverse)[0, 0]))
 
 
 class _Patch(NamedTuple):
