@@ -6,8 +6,13 @@ least-squares matching (Ackermann 1984; Gruen 1985) by Gauss-Newton, with a gain
 
 A cone is no plane: its outline lies at the depth of the axis, the surface between lies nearer by up to its radius. The left
 picture is therefore matched along a disparity *surface*, that of a body of revolution with the outline of `cone_outline.py`
-standing upright, and the one unknown is the disparity of its axis at the foot. Only pixels of the body and its very edge take
-part, not what stands behind; a pixel that does not fit (something in front, a reflection) loses its weight (Huber 1964).
+standing upright (`cone_surface.py`), and what is looked for is the disparity of its axis at the foot. How far the cone leans, how near
+its surface is and how far each edge is seen off its place are unknowns as well, about which something is known beforehand; so neither
+the edges nor the texture of a large cone are believed beyond what they deserve, and sigma contains what such errors cost.
+
+Only pixels of the body and its edges take part. What stands behind is mixed into the edges by the blur, and is another thing in the
+other picture: that change is measured just beyond the edge and taken out. Both pictures are blurred alike by the B-spline of the
+interpolation, without which noise draws disparities towards half pixels. What does not fit (something in front) loses its weight.
 """
 
 from __future__ import annotations
@@ -29,7 +34,7 @@ Ints = NDArray[np.intp]
 _MIN_PIXELS = 24
 _MAX_PIXELS = 2000
 _MIN_CORRELATION = 0.75
-_MAX_ITERATIONS = 15
+_MAX_ITERATIONS = 24
 _CONVERGED_PX = 2e-2
 #: How far the disparity may run from the best whole-pixel place.
 _MAX_WAY_PX = 2.0
@@ -229,7 +234,9 @@ def _least_squares(
 ) -> AreaMatch | None:
     """Gauss-Newton on disparity and row offset; gain and offset of each colour are taken out in every step."""
     beyond = pixels.beyond
-    reach = np.concatenate([part.columns - at_infinity_px - (start - at_infinity_px) / part.depth for part in (pixels, beyond)])
+    reach = np.concatenate(
+        [part.columns - at_infinity_px - (start - at_infinity_px) / part.depth for part in (pixels, beyond)]
+    )
     patch = _Patch.of(
         right, pixels.rows[0] + row_offset_px - _MAX_ROW_OFFSET_PX, pixels.rows[-1] + row_offset_px + _MAX_ROW_OFFSET_PX,
         reach.min() - _MAX_WAY_PX, reach.max() + _MAX_WAY_PX,
@@ -248,7 +255,9 @@ def _least_squares(
         depth = pixels.depth + lean * pixels.height - surplus * pixels.nearer
         columns = pixels.columns - at_infinity_px - scale / depth - pixels.at_edge @ unknown[4:]
         sample, slope_u, slope_v = patch.at(pixels.rows, columns, down)
-        along = -np.column_stack([1 / depth, -scale * pixels.height / depth**2, scale * pixels.nearer / depth**2, pixels.at_edge])
+        along = -np.column_stack(
+            [1 / depth, -scale * pixels.height / depth**2, scale * pixels.nearer / depth**2, pixels.at_edge]
+        )
         slopes = np.empty((6, *sample.shape))
         slopes[0], slopes[1], slopes[2:] = along[:, :1] * slope_u, slope_v, along.T[1:, :, None] * slope_u
         values = pixels.values + pixels.cover[:, None] * background[pixels.edge]
@@ -262,7 +271,11 @@ def _least_squares(
         settled = bool(np.abs(move[:2]).max() < _CONVERGED_PX)
         if settled and iteration >= _SOFT_ITERATIONS + 2:
             break
-        weights = 1 / np.maximum(size / _HUBER, 1.0) if iteration < _SOFT_ITERATIONS else (1 + (size / _OUTLIER) ** 2) ** -2
+        weights = (
+            1 / np.maximum(size / _HUBER, 1.0) if iteration < _SOFT_ITERATIONS else (1 + (size / _OUTLIER) ** 2) ** -2
+        )
+        if iteration >= _MAX_ITERATIONS // 2:
+            continue  # the background stays as it is now: it may follow the disparity to and fro
         beside = beyond.columns - at_infinity_px - scale / beyond.depth
         seen = patch.at(beyond.rows, beside, down)[0].reshape(len(beyond.values), -1, right.shape[2]).mean(axis=1)
         background = step_of.gain * seen + step_of.shift - beyond.values
@@ -320,7 +333,9 @@ def _linearise(values: Floats, sample: Floats, slopes: Floats, unknown: Floats, 
     along = gram[:, 2:, 1] / ss[:, None]  # (channels, p)
     square = gram[:, 2:, 2:] - along[:, :, None] * gram[:, None, 2:, 1]
     normal = ((gain**2 / noise)[:, None, None] * square).sum(axis=0)
-    pull = ((gain / noise)[:, None] * (gram[:, 2:, 0] - along * ts[:, None])).sum(axis=0) - _DESIGN_EFFECT * _PRIOR * unknown
+    pull = ((gain / noise)[:, None] * (gram[:, 2:, 0] - along * ts[:, None])).sum(
+        axis=0
+    ) - _DESIGN_EFFECT * _PRIOR * unknown
     if not normal[0, 0] * normal[1, 1] - normal[0, 1] ** 2 > 1e-9 * normal[0, 0] * normal[1, 1]:
         return None
     inverse = np.linalg.inv(normal + _DESIGN_EFFECT * np.diag(_PRIOR))
@@ -337,8 +352,8 @@ def _sigma(at: _Linearised, weights: Floats, group: Ints) -> float:
 
     Neighbouring pixels err together (optics, colour filter, compression) and no model of a cone is perfect, so the residuals
     are not white. The estimate that allows for it is the cluster-robust one (Liang & Zeger 1986): the pull of each piece of
-    outline, left and right of the axis apart, counts as one observation. A few pieces say little about their spread: what is usual
-    (`_DESIGN_EFFECT` times white noise) counts as much as what they say.
+    outline, left and right of the axis apart, counts as one observation. A few pieces say little about their spread: what is
+    usual (`_DESIGN_EFFECT` times white noise) counts as much as what they say.
     """
     pulls = np.einsum("ncp,nc->pn", at.jacobian, at.residual / at.noise) * weights
     pieces = np.stack([np.bincount(group, pull) for pull in pulls])

@@ -102,9 +102,7 @@ def find_outline(image: NDArray[np.uint8], detection: Detection) -> Outline:
     return found if radii[0] > 0 and radii[1] > radii[0] else expected
 
 
-def _edge(
-    steps: Floats, share: Floats, top: float, foot: float, width_px: float, floor: float
-) -> tuple[float, float]:
+def _edge(steps: Floats, share: Floats, top: float, foot: float, width_px: float, floor: float) -> tuple[float, float]:
     """Columns at tip and foot of the line along which the grey values change most, near to the expected ones."""
     reach_top, reach_foot = max(_REACH_TOP * width_px, 1.0), max(_REACH_FOOT * width_px, 1.5)
     tops, feet = top + reach_top * _COARSE_TOP, foot + reach_foot * _COARSE_FOOT

@@ -1,9 +1,9 @@
 """The visible surface of a standing cone, from its outline in one picture: how deep each pixel lies, up to one common scale.
 
 Through each edge of the outline and the projection centre goes a plane that touches the cone. The plane midway between the two
-holds the axis; it stands upright in it, through the foot's row. A circular cone about that axis that touches both planes is unique but
-for its size, which is the unknown of the matching; so the depth of the axis at the foot is 1 here. Each pixel's ray meets that cone
-in a quadratic equation. Nothing is taken as small: neither the cone against its distance nor the angle from which it is seen.
+holds the axis; it stands upright in it, through the foot's row. Only one circular cone about that axis touches both planes, but for
+its size, which is the unknown of the matching; so the depth of the axis at the foot is 1 here. Each pixel's ray meets that
+cone in a quadratic equation. Nothing is taken as small: neither the cone against its distance nor the angle of sight.
 """
 
 from __future__ import annotations
@@ -37,7 +37,9 @@ def cone_surface(outline: Outline, camera: Camera, up: Floats, rows: Floats, col
     """
     left = _plane(camera, (outline.left_top, outline.tip_row), (outline.left_foot, outline.foot_row), -1.0)
     right = _plane(camera, (outline.right_top, outline.tip_row), (outline.right_foot, outline.foot_row), 1.0)
-    middle = right - left  # both point outwards: points of the plane midway are as far inside of the one as of the other
+    middle = (
+        right - left
+    )  # both point outwards: points of the plane midway are as far inside of the one as of the other
     middle /= np.linalg.norm(middle)
     y = (outline.foot_row - camera.cy_px) / camera.fy_px
     foot = np.array([-(middle[1] * y + middle[2]) / middle[0], y, 1.0])
@@ -49,7 +51,9 @@ def cone_surface(outline: Outline, camera: Camera, up: Floats, rows: Floats, col
     r0, r1 = -float(right @ foot) / cosine, -sine / cosine
     if r0 <= 0:
         return None
-    rays = np.column_stack([(columns - camera.cx_px) / camera.fx_px, (rows - camera.cy_px) / camera.fy_px, np.ones(len(rows))])
+    rays = np.column_stack(
+        [(columns - camera.cx_px) / camera.fx_px, (rows - camera.cy_px) / camera.fy_px, np.ones(len(rows))]
+    )
     # | depth * ray - foot |^2 - h^2 = (r0 + r1 h)^2 with h = (depth * ray - foot) . axis
     rise, start = rays @ axis, float(foot @ axis)
     base = r0 - r1 * start

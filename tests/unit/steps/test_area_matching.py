@@ -8,7 +8,6 @@ from conetl.steps.area_matching import AreaMatch, match_area
 from conetl.steps.cone_outline import find_outline
 from tests.synthetic.cone_pictures import F_PX, ConePair, cone_pair
 
-
 UP = np.array([0.0, -1.0, 0.0])
 
 
