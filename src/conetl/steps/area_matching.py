@@ -6,13 +6,13 @@ least-squares matching (Ackermann 1984; Gruen 1985) by Gauss-Newton, with a gain
 
 A cone is no plane: its outline lies at the depth of the axis, the surface between lies nearer by up to its radius. The left
 picture is therefore matched along a disparity *surface*, that of a body of revolution with the outline of `cone_outline.py`
-standing upright (`cone_surface.py`), and what is looked for is the disparity of its axis at the foot. How far the cone leans, how near
-its surface is and how far each edge is seen off its place are unknowns as well, about which something is known beforehand; so neither
-the edges nor the texture of a large cone are believed beyond what they deserve, and sigma contains what such errors cost.
+standing upright (`cone_surface.py`), and what is looked for is the disparity of its axis at the foot. How far the cone leans,
+how near its surface is and how far each edge is seen off its place are unknowns as well, about which something is known
+beforehand; so neither the edges nor the texture of a large cone are believed too much, and sigma holds what such errors cost.
 
-Only pixels of the body and its edges take part. What stands behind is mixed into the edges by the blur, and is another thing in the
-other picture: that change is measured just beyond the edge and taken out. Both pictures are blurred alike by the B-spline of the
-interpolation, without which noise draws disparities towards half pixels. What does not fit (something in front) loses its weight.
+Only pixels of the body and its edges take part. What stands behind is mixed into the edges by the blur, and is another thing in
+the other picture: that change is measured just beyond the edge and taken out. Both pictures are blurred alike by the B-spline of
+the interpolation; without that noise draws disparities to half pixels. What does not fit (something in front) loses its weight.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from scipy.special import ndtr
 from conetl.records import Camera
 from conetl.steps.cone_outline import Outline
 from conetl.steps.cone_surface import cone_surface
+from conetl.steps.spline_patch import SplinePatch
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -189,7 +190,7 @@ def _beyond(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Float
     columns = axis[:, None, None] + np.array([-1.0, 1.0])[None, :, None] * (radius[:, None, None] + _BEYOND_PX)
     columns, y = columns.ravel(), np.repeat(y, 2 * len(_BEYOND_PX))
     surface = cone_surface(outline, camera, up, y, columns)
-    patch = _Patch.of(left, rows[0], rows[-1], columns.min(), columns.max())
+    patch = SplinePatch.of(left, rows[0], rows[-1], columns.min(), columns.max())
     if surface is None or patch is None:
         return None
     v = np.repeat(rows, 2 * len(_BEYOND_PX))
@@ -198,7 +199,7 @@ def _beyond(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Float
 
 
 def _smooth(picture: NDArray[np.uint8], rows: Ints, columns: Ints) -> Floats:
-    """Grey values (rows, columns, channels) blurred as `_Patch` blurs the right picture at a whole pixel."""
+    """Grey values (rows, columns, channels) blurred as `SplinePatch` blurs the right picture at a whole pixel."""
     top = np.clip(np.arange(rows[0] - 1, rows[-1] + 2), 0, picture.shape[0] - 1)
     aside = np.clip(np.arange(columns[0] - 1, columns[-1] + 2), 0, picture.shape[1] - 1)
     part = picture[top[:, None], aside].astype(np.float64)
@@ -237,7 +238,7 @@ def _least_squares(
     reach = np.concatenate(
         [part.columns - at_infinity_px - (start - at_infinity_px) / part.depth for part in (pixels, beyond)]
     )
-    patch = _Patch.of(
+    patch = SplinePatch.of(
         right, pixels.rows[0] + row_offset_px - _MAX_ROW_OFFSET_PX, pixels.rows[-1] + row_offset_px + _MAX_ROW_OFFSET_PX,
         reach.min() - _MAX_WAY_PX, reach.max() + _MAX_WAY_PX,
     )  # fmt: skip
@@ -361,57 +362,3 @@ def _sigma(at: _Linearised, weights: Floats, group: Ints) -> float:
     spread = _PIECES_FACTOR * (pieces @ pieces.T) * count / (count - 2)
     spread = (spread + _DESIGN_EFFECT * at.normal) / 2 + _DESIGN_EFFECT**2 * np.diag(_PRIOR)
     return float(np.sqrt((at.inverse @ spread @ at.inverse)[0, 0]))
-
-
-class _Patch(NamedTuple):
-    """Cubic B-spline coefficients of a part of the right picture (Unser 1999)."""
-
-    coefficients: Floats
-    """(rows, columns, channels)"""
-    row0: int
-    column0: int
-
-    @staticmethod
-    def of(picture: NDArray[np.uint8], row0: float, row1: float, column0: float, column1: float) -> _Patch | None:
-        """The part that holds rows and columns between two ends; None where it would leave the picture at the sides."""
-        first, last = int(np.floor(column0)) - 2, int(np.floor(column1)) + 4
-        if first < 0 or last > picture.shape[1]:
-            return None
-        top = int(np.floor(row0)) - 2
-        rows = np.clip(np.arange(top, int(np.floor(row1)) + 4), 0, picture.shape[0] - 1)
-        return _Patch(picture[rows, first:last].astype(np.float64), top, first)
-
-    def at(self, rows: Ints, columns: Floats, down_px: float) -> tuple[Floats, Floats, Floats]:
-        """Grey values and their slopes along columns and rows, each (n, channels), at rows + down_px and columns."""
-        height, width, channels = self.coefficients.shape
-        whole = int(np.floor(down_px))
-        value_v, slope_v = _weights(np.array(down_px - whole))
-        # All pixels have the same part of a row to go: blend whole rows first, then only four columns are left for each pixel.
-        blend = np.zeros((height - 3, width, channels, 2))
-        for k in range(4):
-            part = self.coefficients[k : height - 3 + k]
-            blend[..., 0] += value_v[k] * part
-            blend[..., 1] += slope_v[k] * part
-        blend = blend.reshape(-1, 2 * channels)
-        base = np.floor(columns).astype(np.intp)
-        value_u, slope_u = _weights(columns - base)
-        top = np.clip(rows + whole - 1 - self.row0, 0, height - 4)
-        first = top * width + np.clip(base - 1 - self.column0, 0, width - 4)
-        picked = blend[first[:, None] + np.arange(4)]  # (n, 4, 2 * channels): value and slope down, colour by colour
-        both = np.einsum("kn,nkc->nc", value_u, picked)
-        along = np.einsum("kn,nkc->nc", slope_u, picked[:, :, 0::2])
-        return both[:, 0::2], along, both[:, 1::2]
-
-
-def _weights(part: Floats) -> tuple[Floats, Floats]:
-    """Cubic B-spline weights (4, ...) of the four neighbours of a point, and their derivatives; part: 0..1 past the second."""
-    t, rest = part, 1 - part
-    t2, rest2 = t * t, rest * rest
-    value, slope = np.empty((4, *part.shape)), np.empty((4, *part.shape))
-    value[0], value[3] = rest2 * rest / 6, t2 * t / 6
-    value[1] = 2 / 3 - t2 + t2 * t / 2
-    value[2] = 1 - value[0] - value[1] - value[3]
-    slope[0], slope[3] = -rest2 / 2, t2 / 2
-    slope[1] = 1.5 * t2 - 2 * t
-    slope[2] = -slope[0] - slope[1] - slope[3]
-    return value, slope

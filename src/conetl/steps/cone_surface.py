@@ -1,8 +1,8 @@
 """The visible surface of a standing cone, from its outline in one picture: how deep each pixel lies, up to one common scale.
 
 Through each edge of the outline and the projection centre goes a plane that touches the cone. The plane midway between the two
-holds the axis; it stands upright in it, through the foot's row. Only one circular cone about that axis touches both planes, but for
-its size, which is the unknown of the matching; so the depth of the axis at the foot is 1 here. Each pixel's ray meets that
+holds the axis; it stands upright in it, through the foot's row. Only one circular cone about that axis touches both planes, but
+for its size, which is the unknown of the matching; so the depth of the axis at the foot is 1 here. Each pixel's ray meets that
 cone in a quadratic equation. Nothing is taken as small: neither the cone against its distance nor the angle of sight.
 """
 
