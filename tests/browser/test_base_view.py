@@ -140,7 +140,7 @@ def test_cones_are_found_among_points_and_each_tile_comes_once(page, address, fe
     print(f"finding the cone under a click: {page.evaluate('([x, y]) => window.conetlPickTime(x, y)', [x, y]):.2f} ms")
     assert int(page.get_attribute("canvas", "data-points")) <= 1_000_000
     before = len(asked)
-    for _ in range(14):
+    for _ in range(6):
         page.keyboard.press("-")
     all_drawn(page)
     assert before <= len(asked) <= before + 40  # tiles of the surroundings

@@ -207,8 +207,10 @@ function row(name: string, ...values: (Node | string)[]): Node[] {
   return [el("dt", { textContent: name }), el("dd", {}, ...values)];
 }
 
-/** "seen by 3 drives, looked in vain by 1" */
-const evidence = (h: HistoryItem): string => `seen by ${plural(h.seen_count, "drive")}, looked in vain by ${h.missed_count}`;
+/** "seen by 3 drives, looked in vain by 1", broken only at the comma. */
+function evidence(h: HistoryItem): string {
+  return [`seen by ${plural(h.seen_count, "drive")},`, `looked in vain by ${h.missed_count}`].map((part) => part.replaceAll(" ", "\u00a0")).join(" ");
+}
 
 const frames = (h: HistoryItem): string => (h.frames_empty ? ` in ${plural(h.frames_empty, "frame pair")}` : "");
 
