@@ -10,6 +10,7 @@ from conetl.cli.demo import demo
 from conetl.cli.detect import detect
 from conetl.cli.evaluate import evaluate
 from conetl.cli.ingest import ingest
+from conetl.cli.inspect_drive import inspect
 from conetl.cli.lidar_check import lidar_check
 from conetl.cli.locate import locate
 from conetl.cli.maps import app as maps
@@ -26,7 +27,7 @@ app = typer.Typer(
     epilog="Exit codes: 0 done; 1 done, but too many records were quarantined; 2 bad usage or input, nothing written; "
     "3 a service (database, Prefect) is not to be had, nothing written.",
 )
-for command in (ingest, view, calibrate, locate, detect, evaluate, lidar_check, simulate, demo):
+for command in (ingest, inspect, view, calibrate, locate, detect, evaluate, lidar_check, simulate, demo):
     app.command()(command)
 app.add_typer(maps, name="map")
 app.add_typer(database, name="db")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import shutil
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -274,6 +275,7 @@ def write_bag(
     picture: Picture = compressed,
     image_name: str = "image_raw/compressed",
     connected: bool = True,
+    mangle: Callable[[str, int, bytes], bytes] = lambda topic, number, data: data,
 ) -> Path:
     messages: list[tuple[int, str, str, Any]] = []
     start = frames[0].stamp_ns
@@ -302,8 +304,11 @@ def write_bag(
             topic: writer.add_connection(topic, kind, typestore=STORE)
             for topic, kind in dict.fromkeys((m[1], m[2]) for m in messages)
         }
+        counts: Counter[str] = Counter()
         for at, topic, kind, content in messages:
-            writer.write(topics[topic], at, STORE.serialize_cdr(content, kind))
+            data = mangle(topic, counts[topic], bytes(STORE.serialize_cdr(content, kind)))
+            writer.write(topics[topic], at, data)
+            counts[topic] += 1
     if odometry:
         (root / "drive.yaml").write_text(georeference(frames))
     return root

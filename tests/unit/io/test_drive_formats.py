@@ -261,3 +261,55 @@ def test_a_bag_needs_to_know_where_the_cameras_sit(tmp_path: Path, frames: list[
     (path / "drive.yaml").write_text("antenna_t_m: [0.4, -0.2, 1.1]\n")
     drive, rejections = read(path, tmp_path / "cache")
     assert (len(drive.frame_pairs), rejections) == (3, [])
+
+
+@pytest.mark.parametrize(
+    ("topic", "lost"),
+    [
+        ("/stereo/left/image_raw/compressed", [R.TIMESTAMP_INVALID]),
+        ("/stereo/right/image_raw/compressed", [R.IMAGE_MISSING]),
+        ("/gnss/fix", []),  # interpolated between its neighbours
+        ("/imu/data", []),
+    ],
+)
+def test_a_damaged_message_costs_itself(
+    topic: str, lost: list[R], tmp_path: Path, frames: list[Frame], rig: Rig
+) -> None:
+    def mangle(name: str, number: int, data: bytes) -> bytes:
+        return data[:10] if (name, number) == (topic, 3) else data
+
+    path = write_bag(tmp_path / "run", frames, rig, mangle=mangle)
+    drive, rejections = read(path, tmp_path / "cache")
+    assert [r.reason for r in rejections] == lost
+    assert [r.payload["frame_index"] for r in rejections] == [3] * len(lost)
+    assert (len(drive.frame_pairs), drive.expected_frame_count) == (10 - len(lost), 10)
+
+
+def test_stamps_that_no_driver_set_cost_their_pairs(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+    path = write_bag(tmp_path / "run", changed(frames, 4, stamp_ns=0), rig)
+    drive, rejections = read(path, tmp_path / "cache")
+    assert [(r.reason, r.payload["frame_index"]) for r in rejections] == [(R.TIMESTAMP_INVALID, 4)]
+    assert "stamp is zero" in rejections[0].detail
+    assert len(drive.frame_pairs) == 9
+
+
+def test_a_euroc_row_without_a_time_costs_one_pair(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+    path = write_euroc(tmp_path / "run", frames, rig)
+    for cam in ("cam0", "cam1"):
+        file = path / f"mav0/{cam}/data.csv"
+        file.write_text(file.read_text().replace(f"{frames[5].stamp_ns},", "soon,"))
+    drive, rejections = read(path, tmp_path / "cache")
+    assert [(r.reason, r.payload["frame_index"]) for r in rejections] == [(R.TIMESTAMP_INVALID, 5)]
+    assert "'soon' is no time stamp" in rejections[0].detail
+    assert len(drive.frame_pairs) == 9
+
+
+def test_a_euroc_row_cannot_lead_out_of_the_drive(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+    path = write_euroc(tmp_path / "run", frames[:3], rig)
+    (tmp_path / "outside.jpg").write_bytes(frames[1].left or b"")
+    file = path / "mav0/cam0/data.csv"
+    file.write_text(file.read_text().replace("000001.jpg", "../../../../outside.jpg"))
+    drive, rejections = read(path, tmp_path / "cache")
+    assert [(r.reason, r.payload["frame_index"]) for r in rejections] == [(R.IMAGE_MISSING, 1)]
+    assert "no file name inside the drive folder" in rejections[0].detail
+    assert len(drive.frame_pairs) == 2

@@ -33,28 +33,36 @@ Couple = tuple[Picture | None, Picture | None]
 def pair_by_stamp(left: Sequence[Picture], right: Sequence[Picture], tolerance_ns: int) -> list[Couple]:
     """Couples in the order in which they were recorded; every picture is in one at most, and alone where it has no partner.
 
-    Two pictures belong together when each is the other's nearest in time and they are at most tolerance_ns apart. A right picture
-    without a usable stamp is left out: its left partner says that it is alone.
+    Two pictures belong together when each is the other's nearest in time and they are at most tolerance_ns apart. A left picture
+    without a usable stamp takes the right one that follows the last pair, if that is alone, so that the two are one loss; a right
+    one without is left out: its left partner says that it is alone.
     """
-    stamps = {picture.stamp: i for i, picture in reversed(list(enumerate(right))) if isinstance(picture.stamp, int)}
-    right_times = sorted(t for t in stamps if isinstance(t, int))
+    number = {picture.stamp: i for i, picture in reversed(list(enumerate(right))) if isinstance(picture.stamp, int)}
+    right_times = sorted(t for t in number if isinstance(t, int))
     left_times = sorted({p.stamp for p in left if isinstance(p.stamp, int)})
-    couples: list[Couple] = []
+    partners: list[int | None] = []
     used: set[int] = set()
     for picture in left:
         partner = None
         if isinstance(picture.stamp, int) and right_times:
             time = right_times[nearest_index(right_times, picture.stamp)]
             mutual = left_times[nearest_index(left_times, time)] == picture.stamp
-            if mutual and abs(time - picture.stamp) <= tolerance_ns and time not in used:
-                used.add(time)
-                partner = right[stamps[time]]
-        couples.append((picture, partner))
+            if mutual and abs(time - picture.stamp) <= tolerance_ns and number[time] not in used:
+                partner = number[time]
+                used.add(partner)
+        partners.append(partner)
+    last = -1
+    for i, picture in enumerate(left):
+        if isinstance(picture.stamp, str) and last + 1 < len(right) and last + 1 not in used:
+            partners[i] = last + 1
+            used.add(last + 1)
+        last = last if (partner := partners[i]) is None else partner
+    couples: list[Couple] = [(p, None if i is None else right[i]) for p, i in zip(left, partners, strict=True)]
     # A right picture that is alone goes before the first left one that is later.
     for time in right_times:
-        if time not in used:
+        if number[time] not in used:
             place = next((i for i, c in enumerate(couples) if (t := _stamp(c)) is not None and t > time), len(couples))
-            couples.insert(place, (None, right[stamps[time]]))
+            couples.insert(place, (None, right[number[time]]))
     return couples
 
 
