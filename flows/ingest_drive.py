@@ -20,6 +20,7 @@ from conetl.rejections import INPUT_REASONS
 from conetl.reports import IngestReport, TooManyRejectionsError
 from conetl.settings import Settings
 from conetl.steps.self_calibration import SWITCHED_OFF, SelfCalibration, self_calibrated_rig
+from flows.control_room import name_of_run, worst_frames_task
 from flows.merge import already_committed, identify, merge_task
 from flows.merge import map_srid as srid_of_map
 from flows.progress import expect, ignore, listen
@@ -44,7 +45,7 @@ from flows.tasks import (
 )
 
 
-@flow(name="ingest-drive", flow_run_name="ingest {folder}", validate_parameters=False)
+@flow(name="ingest-drive", flow_run_name=name_of_run, validate_parameters=False)
 def ingest_drive(
     folder: Path, settings: Settings, params: IngestParams, *, map_srid: int | None = None
 ) -> IngestReport:
@@ -54,7 +55,7 @@ def ingest_drive(
     service missing: nothing was written) and TooManyRejectionsError (written, but look at the rejections).
     """
     started = time.monotonic()
-    drive, rejections = read_drive_task(folder, map_srid or srid_of_map(settings))
+    drive, rejections = read_drive_task(folder, map_srid or srid_of_map(settings), settings.pictures_folder.resolve())
     identity = identify(drive, params, settings)
     if identity.evidence is None:
         get_run_logger().warning(NOT_MEASURED)
@@ -88,6 +89,7 @@ def ingest_drive(
     report = merged.report.model_copy(update={"seconds": time.monotonic() - started, **told})
     if report.status == "committed":
         publish_task(drive, merged.changeset, list(merged.untouched), report, settings)
+        worst_frames_task(drive, detections, positions, matches)
     lost = len(lost_frame_pairs(rejections, INPUT_REASONS))
     if lost > params.max_rejected_fraction * drive.expected_frame_count:
         raise TooManyRejectionsError(report, params.max_rejected_fraction)
@@ -126,7 +128,8 @@ def _run_chunks(drive: Drive, chunks: list[Chunk]) -> tuple[list[Path], list[Pat
         calibration = self_calibrate_task(drive, tracks, motions, chunks[0]) if params.self_calibrate else SWITCHED_OFF
         rig = self_calibrated_rig(drive.rig, calibration, params)
         if rig != drive.rig:
-            motions = [motions_task(o, t) for o, t in zip(with_rig(overlapping, rig), tracks, strict=True)]
+            turned = with_rig(overlapping, rig)
+            motions = [motions_task(o, t, m) for o, t, m in zip(turned, tracks, motions, strict=True)]
         turned = with_rig(chunks, rig)
         matched = [match_task.submit(c, left, right) for c, (left, right) in zip(turned, detected, strict=True)]
         return [f.result() for sides in detected for f in sides], [f.result() for f in matched], motions, calibration

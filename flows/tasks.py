@@ -36,7 +36,6 @@ from conetl.records import (
     Track,
 )
 from conetl.rejections import Rejection
-from conetl.settings import read_settings
 from conetl.steps.detections import check_boxes
 from conetl.steps.matches import match_pair
 from conetl.steps.positions import locate_positions
@@ -46,7 +45,7 @@ from flows.progress import tell_progress
 from flows.retries import RETRY
 
 #: Part of every result key: raise it when a step computes something else from the same inputs.
-RESULTS_VERSION = "3"
+RESULTS_VERSION = "4"
 _per_thread = threading.local()
 
 
@@ -63,9 +62,9 @@ class Chunk(Record):
 
 
 @task(name="read drive", task_run_name="read {folder}", **RETRY)
-def read_drive_task(folder: Path, map_srid: int | None) -> tuple[Drive, list[Rejection]]:
+def read_drive_task(folder: Path, map_srid: int | None, pictures_folder: Path) -> tuple[Drive, list[Rejection]]:
     """Understand a drive folder; see `io/drive_folder`."""
-    return read_drive(folder, map_srid=map_srid, pictures_folder=read_settings().pictures_folder)
+    return read_drive(folder, map_srid=map_srid, pictures_folder=pictures_folder)
 
 
 @task(name="detect", task_run_name="detect {side} {chunk.frame_pairs[0].frame_index}", tags=["detect"], **RETRY)

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.records import Detection
+from conetl.records import Camera, Detection
 
 F_PX, BASE_M, SIZE = 700.0, 0.54, (110, 180)
 _FINE = 3
@@ -24,6 +24,8 @@ class ConePair(NamedTuple):
     right: NDArray[np.uint8]
     detection: Detection
     disparity_px: float
+    camera: Camera
+    """The left one."""
 
 
 def cone_pair(
@@ -56,7 +58,8 @@ def cone_pair(
         w_px=width * (1 + 0.05 * rng.normal()), h_px=foot_v - tip_v + 0.1 * width, score=0.9,
         foot_px=(foot_u + 0.5 + jitter[1], foot_v + 0.5), tip_px=(foot_u + 0.5 + jitter[2], tip_v + 0.5),
     )  # fmt: skip
-    return ConePair(pictures[0], pictures[1], detection, F_PX * BASE_M / range_m)
+    camera = Camera(width_px=SIZE[1], height_px=SIZE[0], fx_px=F_PX, fy_px=F_PX, cx_px=cx, cy_px=cy)
+    return ConePair(pictures[0], pictures[1], detection, F_PX * BASE_M / range_m, camera)
 
 
 def _render(

@@ -12,6 +12,7 @@ from uuid import UUID
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.detector_evidence import UNMEASURED_LOOKS, LookFigures
 from conetl.errors import MapMismatchError
 from conetl.io.db import Connection, database_errors, execute, load_sql, stream
 from conetl.params import ReconcileParams
@@ -30,6 +31,8 @@ class StoredDrive:
     rig: Rig
     reconcile: ReconcileParams
     influence_m: float
+    figures: LookFigures
+    """Of the detector that looked."""
     path_m: Floats
     """(N, 2), a row per frame pair."""
     tracks: list[Track]
@@ -63,6 +66,7 @@ def read_drive(conn: Connection, drive_uuid: UUID) -> StoredDrive:
             rig=Rig.model_validate(header["rig"]),
             reconcile=ReconcileParams.model_validate(header["reconcile"]),
             influence_m=header["influence_m"],
+            figures=LookFigures.model_validate(header["look_figures"]) if header["look_figures"] else UNMEASURED_LOOKS,
             path_m=np.array(list(stream(conn, load_sql("map/drive_path"), parameters))).reshape(-1, 2),
             tracks=[_track(row) for row in stream(conn, load_sql("map/drive_tracks"), parameters)],
         )

@@ -6,8 +6,13 @@ least-squares matching (Ackermann 1984; Gruen 1985) by Gauss-Newton, with a gain
 
 A cone is no plane: its outline lies at the depth of the axis, the surface between lies nearer by up to its radius. The left
 picture is therefore matched along a disparity *surface*, that of a body of revolution with the outline of `cone_outline.py`
-standing upright, and the one unknown is the disparity of its axis at the foot. Only pixels of the body and its very edge take
-part, not what stands behind; a pixel that does not fit (something in front, a reflection) loses its weight (Huber 1964).
+standing upright (`cone_surface.py`), and what is looked for is the disparity of its axis at the foot. How far the cone leans,
+how near its surface is and how far each edge is seen off its place are unknowns as well, about which something is known
+beforehand; so neither the edges nor the texture of a large cone are believed too much, and sigma holds what such errors cost.
+
+Only pixels of the body and its edges take part. What stands behind is mixed into the edges by the blur, and is another thing in
+the other picture: that change is measured just beyond the edge and taken out. Both pictures are blurred alike by the B-spline of
+the interpolation; without that noise draws disparities to half pixels. What does not fit (something in front) loses its weight.
 """
 
 from __future__ import annotations
@@ -17,34 +22,47 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import spline_filter1d
+from scipy.special import ndtr
 
+from conetl.records import Camera
 from conetl.steps.cone_outline import Outline
+from conetl.steps.cone_surface import cone_surface
+from conetl.steps.spline_patch import SplinePatch
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
 _MIN_PIXELS = 24
-_MAX_PIXELS = 700
+_MAX_PIXELS = 2000
 _MIN_CORRELATION = 0.75
-_MAX_ITERATIONS = 15
+_MAX_ITERATIONS = 24
 _CONVERGED_PX = 2e-2
 #: How far the disparity may run from the best whole-pixel place.
 _MAX_WAY_PX = 2.0
 _MAX_ROW_OFFSET_PX = 1.5
 _MIN_INLIER_SHARE = 0.6
-_HUBER = 2.0
+#: Residuals, in units of the usual one, from which on a pixel loses weight at first (Huber 1964), and the scale of the weights
+#: with which the fit ends, by which outliers count nothing (Geman & McClure 1985).
+_HUBER, _OUTLIER = 2.0, 3.0
+_SOFT_ITERATIONS = 3
 #: Rows of the body that take part, as shares of the way from tip to foot; the base plate lies on the ground, not at the axis.
 _ROWS = (0.02, 0.90)
-#: Pixels outside of the outline that still show its edge, blurred by lens and sensor.
-_EDGE_PX = 1.0
+#: Pixels inside of the outline that show its edge rather than the surface, and those outside that take part.
+_EDGE_PX, _OUT_PX = 2.0, 1.5
+#: Blur (sigma) of an edge by lens, sensor and the smoothing here, and where the background shows alone.
+_BLUR_PX = 0.85
+_BEYOND_PX = np.array([2.0, 3.0])
+#: A change of background counts by half where its square is this many times the noise.
+_BACKGROUND_NOISE = 3.0
 #: Variance of grey values that even equal pictures have, by rounding to 8 bits in both.
 _QUANTISATION = 0.17
-#: Sigma: of the residuals times a factor (they see less than all errors: measured on the sample drives, docs/accuracy.md), with
-#: what the disparity surface may be wrong, as a share of its depth, and what no cone will show.
-_SIGMA_FACTOR = 1.35
-_CHEEK_SIGMA_SHARE = 0.07
-_SIGMA_FLOOR_PX = 0.03
+#: What is known beforehand, one sigma: lean of a cone towards the camera (rad), its surface's nearness (share), and how far an
+#: edge is seen off its place by what stands behind it (px). Nothing of disparity and row offset.
+_LEAN_SIGMA, _SURPLUS_SIGMA, _SHIFT_SIGMA_PX = 0.015, 0.05, 0.08
+_PRIOR = np.array([0.0, 0.0, _LEAN_SIGMA**-2, _SURPLUS_SIGMA**-2, _SHIFT_SIGMA_PX**-2, _SHIFT_SIGMA_PX**-2])
+#: Variances over those of white noise, and over those of the sum over pieces (docs/accuracy.md says how they were measured).
+_DESIGN_EFFECT, _PIECES_FACTOR = 15.0, 5.0
+_SIGMA_FLOOR_PX = 0.02
 
 
 @dataclass(frozen=True)
@@ -68,10 +86,33 @@ class _Pixels(NamedTuple):
     columns: Ints
     values: Floats
     """(n, channels) grey values"""
-    stretch: Floats
-    """(n,) disparity as a multiple of that of the axis at the foot"""
+    depth: Floats
+    """(n,) of what shows, in units of the depth of the axis at the foot"""
+    nearer: Floats
+    """(n,) by how much the surface is nearer than the limb, in the same units; 0 at the edges"""
+    height: Floats
+    """(n,) above the foot, in the same units"""
+    at_edge: Floats
+    """(n, 2) 1 for pixels of the left, of the right edge"""
     group: Ints
     """(n,) number of the piece of outline that a pixel belongs to: two rows, left or right of the axis"""
+    edge: Ints
+    """(n,) number of the edge that a pixel is next to: one row, left or right of the axis"""
+    cover: Floats
+    """(n,) share of the background in a pixel's grey value"""
+    beyond: _Beyond
+
+
+class _Beyond(NamedTuple):
+    """What stands beside the body, just beyond the blur of its edges: e edges, two points each."""
+
+    rows: Ints
+    """(2e,)"""
+    columns: Floats
+    depth: Floats
+    """(2e,) of the edge: what is looked for is what the right picture shows beside the same edge"""
+    values: Floats
+    """(e, channels) mean grey value in the left picture"""
 
 
 def match_area(
@@ -81,21 +122,20 @@ def match_area(
     disparity_px: float,
     search_px: float,
     *,
-    focal_px: float,
+    camera: Camera,
+    up: Floats,
     at_infinity_px: float = 0.0,
     row_offset_px: float = 0.0,
-    lean: float = 0.0,
 ) -> AreaMatch | None:
     """Disparity of the cone with `outline` in the left picture, or None where the pictures do not settle it.
 
     left, right: rectified pictures, (H, W, 3) or (H, W), uint8. disparity_px: first guess; search_px: half width of the search.
-    focal_px: of the left camera. at_infinity_px: disparity of a point at infinity. row_offset_px: how much lower all things are
-    in the right picture by calibration. lean: z component of the unit vector up over minus its y component (camera frame): how
-    much farther a point of the axis lies than the foot, for each metre that it lies higher.
+    camera: the left one. up: unit vector (3,) in its frame (x right, y down, z forward). at_infinity_px: disparity of a point at
+    infinity. row_offset_px: how much lower all things are in the right picture by calibration.
     """
     if left.ndim == 2:
         left, right = left[:, :, None], right[:, :, None]
-    pixels = _pixels_of(left, outline, focal_px, lean)
+    pixels = _pixels_of(left, outline, camera, up)
     if pixels is None:
         return None
     coarse = _whole_pixel_disparity(pixels, right, disparity_px, search_px, at_infinity_px, round(row_offset_px))
@@ -104,7 +144,7 @@ def match_area(
     return _least_squares(pixels, right, float(coarse), at_infinity_px, row_offset_px)
 
 
-def _pixels_of(left: NDArray[np.uint8], outline: Outline, focal_px: float, lean: float) -> _Pixels | None:
+def _pixels_of(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Floats) -> _Pixels | None:
     """The pixels inside the outline, with the disparity surface over them."""
     height = outline.foot_row - outline.tip_row
     first = max(int(np.ceil(outline.tip_row + _ROWS[0] * height)), 0)
@@ -117,20 +157,54 @@ def _pixels_of(left: NDArray[np.uint8], outline: Outline, focal_px: float, lean:
     high = min(int(np.ceil((axis + radius).max() + _EDGE_PX)), left.shape[1] - 1)
     u = np.arange(low, high + 1)
     aside = u[None, :] - axis[:, None]
-    inside = np.abs(aside) <= radius[:, None] + _EDGE_PX
+    inside = np.abs(aside) <= radius[:, None] + _OUT_PX
     every = int(np.ceil(inside.sum() / _MAX_PIXELS))
     inside[np.arange(len(v)) % every != 0] = False  # the rows of a near cone say the same thing many times
     i, j = np.nonzero(inside)
     if len(i) < _MIN_PIXELS:
         return None
-    # Where the surface is nearer than the axis by `cheek` (px at the axis's depth), disparity grows by cheek / focal length.
+    surface = cone_surface(outline, camera, up, v[i].astype(np.float64), u[j].astype(np.float64))
+    if surface is None:
+        return None
     # At the very edge it is the outline that shows, blurred over about a pixel, not the surface.
     inner = radius[i] - np.abs(aside[i, j]) > _EDGE_PX
-    cheek = np.sqrt(np.maximum(radius[i] ** 2 - aside[i, j] ** 2, 0.0)) * inner
-    stretch = (1 + cheek / focal_px) / (1 + lean * (outline.foot_row - v[i]) / focal_px)
-    values = left[v[i], u[j]].astype(np.float64)
-    group = 2 * (i // (2 * every)) + (aside[i, j] > 0)
-    return _Pixels(v[i], u[j], values, stretch, group)
+    nearer = (surface.limb - surface.depth) * inner
+    values = _smooth(left, v, u)[i, j]
+    right_half = aside[i, j] > 0
+    group = 2 * (i // (2 * every)) + right_half
+    cover = ndtr((np.abs(aside[i, j]) - radius[i]) / _BLUR_PX)
+    beyond = _beyond(left, outline, camera, up, v)
+    if beyond is None:
+        return None
+    at_edge = ~inner[:, None] & (right_half[:, None] == np.array([False, True]))
+    return _Pixels(
+        v[i], u[j], values, surface.limb - nearer, nearer, surface.height, at_edge.astype(np.float64), group,
+        2 * i + right_half, cover, beyond,
+    )  # fmt: skip
+
+
+def _beyond(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Floats, rows: Ints) -> _Beyond | None:
+    """Background beside both edges of every row; None where the picture ends there."""
+    y = rows.astype(np.float64)
+    axis, radius = outline.axis(y), outline.radius(y)
+    columns = axis[:, None, None] + np.array([-1.0, 1.0])[None, :, None] * (radius[:, None, None] + _BEYOND_PX)
+    columns, y = columns.ravel(), np.repeat(y, 2 * len(_BEYOND_PX))
+    surface = cone_surface(outline, camera, up, y, columns)
+    patch = SplinePatch.of(left, rows[0], rows[-1], columns.min(), columns.max())
+    if surface is None or patch is None:
+        return None
+    v = np.repeat(rows, 2 * len(_BEYOND_PX))
+    values = patch.at(v, columns, 0.0)[0]
+    return _Beyond(v, columns, surface.limb, values.reshape(-1, len(_BEYOND_PX), values.shape[1]).mean(axis=1))
+
+
+def _smooth(picture: NDArray[np.uint8], rows: Ints, columns: Ints) -> Floats:
+    """Grey values (rows, columns, channels) blurred as `SplinePatch` blurs the right picture at a whole pixel."""
+    top = np.clip(np.arange(rows[0] - 1, rows[-1] + 2), 0, picture.shape[0] - 1)
+    aside = np.clip(np.arange(columns[0] - 1, columns[-1] + 2), 0, picture.shape[1] - 1)
+    part = picture[top[:, None], aside].astype(np.float64)
+    part = (part[:-2] + 4 * part[1:-1] + part[2:]) / 6
+    return np.asarray((part[:, :-2] + 4 * part[:, 1:-1] + part[:, 2:]) / 6)
 
 
 def _whole_pixel_disparity(
@@ -139,7 +213,7 @@ def _whole_pixel_disparity(
     """Disparity at which the pixels fit best; None at the search's end, below the bar, or where it leaves the picture."""
     reach = int(np.ceil(search_px)) + 1
     candidates = round(guess) + np.arange(-reach, reach + 1)
-    shape = at_infinity_px + (candidates[:, None] - at_infinity_px) * pixels.stretch
+    shape = at_infinity_px + (candidates[:, None] - at_infinity_px) / pixels.depth
     columns = np.round(pixels.columns - shape).astype(np.intp)  # (candidates, n)
     if columns.min() < 2 or columns.max() > right.shape[1] - 3:
         return None
@@ -160,56 +234,94 @@ def _least_squares(
     pixels: _Pixels, right: NDArray[np.uint8], start: float, at_infinity_px: float, row_offset_px: float
 ) -> AreaMatch | None:
     """Gauss-Newton on disparity and row offset; gain and offset of each colour are taken out in every step."""
-    patch = _Patch.around(pixels, right, start, at_infinity_px, row_offset_px)
+    beyond = pixels.beyond
+    reach = np.concatenate(
+        [part.columns - at_infinity_px - (start - at_infinity_px) / part.depth for part in (pixels, beyond)]
+    )
+    patch = SplinePatch.of(
+        right, pixels.rows[0] + row_offset_px - _MAX_ROW_OFFSET_PX, pixels.rows[-1] + row_offset_px + _MAX_ROW_OFFSET_PX,
+        reach.min() - _MAX_WAY_PX, reach.max() + _MAX_WAY_PX,
+    )  # fmt: skip
     if patch is None:
         return None
-    disparity, down = start, row_offset_px
-    weights = np.ones(len(pixels.rows))
+    # Disparity of the axis at the foot, row offset, lean of the axis, surplus of the surface's nearness, shift of either edge.
+    unknown = np.array([start, row_offset_px, 0.0, 0.0, 0.0, 0.0])
+    weights, size = np.ones(len(pixels.rows)), np.zeros(len(pixels.rows))
+    background = np.zeros_like(beyond.values)
     for iteration in range(_MAX_ITERATIONS):
+        disparity, down, lean, surplus = unknown[:4]
         if abs(disparity - start) > _MAX_WAY_PX or abs(down - row_offset_px) > _MAX_ROW_OFFSET_PX:
             return None
-        columns = pixels.columns - (at_infinity_px + (disparity - at_infinity_px) * pixels.stretch)
-        step_of = _linearise(pixels, patch.at(pixels.rows, columns, down), weights)
+        scale = disparity - at_infinity_px
+        depth = pixels.depth + lean * pixels.height - surplus * pixels.nearer
+        columns = pixels.columns - at_infinity_px - scale / depth - pixels.at_edge @ unknown[4:]
+        sample, slope_u, slope_v = patch.at(pixels.rows, columns, down)
+        along = -np.column_stack(
+            [1 / depth, -scale * pixels.height / depth**2, scale * pixels.nearer / depth**2, pixels.at_edge]
+        )
+        slopes = np.empty((6, *sample.shape))
+        slopes[0], slopes[1], slopes[2:] = along[:, :1] * slope_u, slope_v, along.T[1:, :, None] * slope_u
+        values = pixels.values + pixels.cover[:, None] * background[pixels.edge]
+        step_of = _linearise(values, sample, slopes, unknown, weights)
         if step_of is None:
             return None
         move = np.clip(step_of.inverse @ step_of.pull, -0.7, 0.7)
-        disparity, down = disparity + float(move[0]), down + float(move[1])
+        unknown = unknown + move
         size = np.sqrt((step_of.residual**2 / step_of.noise).mean(axis=1))
-        weights = 1.0 / np.maximum(size / (_HUBER * 1.2 * max(float(np.median(size)), 1e-6)), 1.0)
-        if iteration >= 2 and np.abs(move).max() < _CONVERGED_PX:
+        size /= max(1.2 * float(np.median(size)), 1e-6)
+        settled = bool(np.abs(move[:2]).max() < _CONVERGED_PX)
+        if settled and iteration >= _SOFT_ITERATIONS + 2:
             break
+        weights = (
+            1 / np.maximum(size / _HUBER, 1.0) if iteration < _SOFT_ITERATIONS else (1 + (size / _OUTLIER) ** 2) ** -2
+        )
+        if iteration >= _MAX_ITERATIONS // 2:
+            continue  # the background stays as it is now: it may follow the disparity to and fro
+        beside = beyond.columns - at_infinity_px - scale / beyond.depth
+        seen = patch.at(beyond.rows, beside, down)[0].reshape(len(beyond.values), -1, right.shape[2]).mean(axis=1)
+        background = step_of.gain * seen + step_of.shift - beyond.values
+        power = (background**2 / step_of.noise).mean(axis=1, keepdims=True)
+        background *= power / (power + _BACKGROUND_NOISE)
     else:
         return None
-    if step_of.correlation < _MIN_CORRELATION or np.mean(weights > 0.5) < _MIN_INLIER_SHARE:
+    if step_of.correlation < _MIN_CORRELATION or np.mean(size < 2 * _HUBER) < _MIN_INLIER_SHARE:
         return None
-    sigma = _SIGMA_FACTOR * _sigma(step_of, weights, pixels.group)
-    nearest = _CHEEK_SIGMA_SHARE * (disparity - at_infinity_px) * float(np.ptp(pixels.stretch))
-    return AreaMatch(disparity, float(np.sqrt(sigma**2 + nearest**2 + _SIGMA_FLOOR_PX**2)), step_of.correlation, down)
+    sigma = np.hypot(_sigma(step_of, weights, pixels.group), _SIGMA_FLOOR_PX)
+    return AreaMatch(float(unknown[0]), float(sigma), step_of.correlation, float(unknown[1]))
 
 
 class _Linearised(NamedTuple):
     """The matching problem at one point; gain and offset of each colour eliminated."""
 
     jacobian: Floats
-    """(n, channels, 2) of the modelled grey values"""
+    """(n, channels, p) of the modelled grey values"""
     residual: Floats
     """(n, channels)"""
     noise: Floats
     """(channels,) variance of the residuals"""
     inverse: Floats
-    """(2, 2) covariance of disparity and row offset if the residuals were white"""
+    """(p, p) of the normal matrix, what is known beforehand included"""
+    normal: Floats
+    """(p, p) of the pictures alone, were the residuals white"""
     pull: Floats
-    """(2,)"""
+    """(p,)"""
     correlation: float
+    gain: Floats
+    """(channels,) left over right"""
+    shift: Floats
+    """(channels,) left less gain times right"""
 
 
-def _linearise(pixels: _Pixels, sampled: tuple[Floats, Floats, Floats], weights: Floats) -> _Linearised | None:
-    """None where the right picture has nothing to hold on to, or is the negative of the left one."""
-    sample, slope_u, slope_v = sampled
+def _linearise(values: Floats, sample: Floats, slopes: Floats, unknown: Floats, weights: Floats) -> _Linearised | None:
+    """None where the right picture has nothing to hold on to, or is the negative of the left one.
+
+    values, sample (n, channels): grey values left and right. slopes (p, n, channels): of the sample with respect to the unknowns.
+    """
     total = weights.sum()
-    every = np.stack([pixels.values, sample, slope_u * -pixels.stretch[:, None], slope_v])  # (4, n, channels)
-    every = every - (weights @ every / total)[:, None, :]
-    # Of each colour the 4x4 inner products of template, sample and the two slopes: all that least squares needs.
+    every = np.concatenate([values[None], sample[None], slopes])  # (2 + p, n, channels)
+    means = np.einsum("n,knc->kc", weights, every) / total
+    every = every - means[:, None, :]
+    # Of each colour the inner products of template, sample and slopes: all that least squares needs.
     by_colour = every.transpose(2, 0, 1)
     gram = (by_colour * weights) @ by_colour.transpose(0, 2, 1)
     tt, ts, ss = gram[:, 0, 0], gram[:, 0, 1], gram[:, 1, 1]
@@ -219,17 +331,21 @@ def _linearise(pixels: _Pixels, sampled: tuple[Floats, Floats, Floats], weights:
     if (gain <= 0).all():
         return None
     noise = np.maximum((tt - gain * ts) / total, _QUANTISATION)
-    along = gram[:, 2:, 1] / ss[:, None]  # (channels, 2)
+    along = gram[:, 2:, 1] / ss[:, None]  # (channels, p)
     square = gram[:, 2:, 2:] - along[:, :, None] * gram[:, None, 2:, 1]
     normal = ((gain**2 / noise)[:, None, None] * square).sum(axis=0)
-    pull = ((gain / noise)[:, None] * (gram[:, 2:, 0] - along * ts[:, None])).sum(axis=0)
-    determinant = normal[0, 0] * normal[1, 1] - normal[0, 1] ** 2
-    if not determinant > 1e-9 * normal[0, 0] * normal[1, 1]:
+    pull = ((gain / noise)[:, None] * (gram[:, 2:, 0] - along * ts[:, None])).sum(
+        axis=0
+    ) - _DESIGN_EFFECT * _PRIOR * unknown
+    if not normal[0, 0] * normal[1, 1] - normal[0, 1] ** 2 > 1e-9 * normal[0, 0] * normal[1, 1]:
         return None
-    inverse = np.array([[normal[1, 1], -normal[0, 1]], [-normal[0, 1], normal[0, 0]]]) / determinant
-    jacobian = (every[2:] - along.T[:, None, :] * every[1]) * gain  # (2, n, channels)
+    inverse = np.linalg.inv(normal + _DESIGN_EFFECT * np.diag(_PRIOR))
+    jacobian = (every[2:] - along.T[:, None, :] * every[1]) * gain  # (p, n, channels)
     correlation = float((ts / noise).sum() / np.sqrt((tt / noise).sum() * (ss / noise).sum()))
-    return _Linearised(jacobian.transpose(1, 2, 0), every[0] - gain * every[1], noise, inverse, pull, correlation)
+    return _Linearised(
+        jacobian.transpose(1, 2, 0), every[0] - gain * every[1], noise, inverse, normal, pull, correlation, gain,
+        means[0] - gain * means[1],
+    )  # fmt: skip
 
 
 def _sigma(at: _Linearised, weights: Floats, group: Ints) -> float:
@@ -237,71 +353,12 @@ def _sigma(at: _Linearised, weights: Floats, group: Ints) -> float:
 
     Neighbouring pixels err together (optics, colour filter, compression) and no model of a cone is perfect, so the residuals
     are not white. The estimate that allows for it is the cluster-robust one (Liang & Zeger 1986): the pull of each piece of
-    outline, left and right of the axis apart, counts as one observation.
+    outline, left and right of the axis apart, counts as one observation. A few pieces say little about their spread: what is
+    usual (`_DESIGN_EFFECT` times white noise) counts as much as what they say.
     """
     pulls = np.einsum("ncp,nc->pn", at.jacobian, at.residual / at.noise) * weights
     pieces = np.stack([np.bincount(group, pull) for pull in pulls])
     count = max(len(np.unique(group)), 3)
-    robust = (at.inverse @ (pieces @ pieces.T) @ at.inverse)[0, 0] * count / (count - 2)
-    return float(np.sqrt(max(robust, at.inverse[0, 0])))
-
-
-class _Patch(NamedTuple):
-    """Cubic B-spline coefficients of a part of the right picture (Unser 1999)."""
-
-    coefficients: Floats
-    """(rows, columns, channels)"""
-    row0: int
-    column0: int
-
-    @staticmethod
-    def around(
-        pixels: _Pixels, right: NDArray[np.uint8], disparity_px: float, at_infinity_px: float, row_offset_px: float
-    ) -> _Patch | None:
-        """The part that `pixels` can reach; None where it would leave the picture at the sides."""
-        columns = pixels.columns - (at_infinity_px + (disparity_px - at_infinity_px) * pixels.stretch)
-        margin = int(_MAX_WAY_PX) + 4
-        column0, column1 = int(columns.min()) - margin, int(columns.max()) + margin + 1
-        if column0 < 0 or column1 > right.shape[1]:
-            return None
-        row0 = int(np.floor(pixels.rows.min() + row_offset_px)) - 4
-        row1 = int(np.ceil(pixels.rows.max() + row_offset_px)) + 5
-        rows = np.clip(np.arange(row0, row1), 0, right.shape[0] - 1)
-        part = right[rows, column0:column1].astype(np.float64)
-        coefficients = spline_filter1d(spline_filter1d(part, 3, axis=0, mode="mirror"), 3, axis=1, mode="mirror")
-        return _Patch(coefficients, row0, column0)
-
-    def at(self, rows: Ints, columns: Floats, down_px: float) -> tuple[Floats, Floats, Floats]:
-        """Grey values and their slopes along columns and rows, each (n, channels), at rows + down_px and columns."""
-        height, width, channels = self.coefficients.shape
-        whole = int(np.floor(down_px))
-        value_v, slope_v = _weights(np.array(down_px - whole))
-        # All pixels have the same part of a row to go: blend whole rows first, then only four columns are left for each pixel.
-        blend = np.zeros((height - 3, width, channels, 2))
-        for k in range(4):
-            part = self.coefficients[k : height - 3 + k]
-            blend[..., 0] += value_v[k] * part
-            blend[..., 1] += slope_v[k] * part
-        blend = blend.reshape(-1, 2 * channels)
-        base = np.floor(columns).astype(np.intp)
-        value_u, slope_u = _weights(columns - base)
-        top = np.clip(rows + whole - 1 - self.row0, 0, height - 4)
-        first = top * width + np.clip(base - 1 - self.column0, 0, width - 4)
-        picked = blend[first[:, None] + np.arange(4)]  # (n, 4, 2 * channels): value and slope down, colour by colour
-        both = np.einsum("kn,nkc->nc", value_u, picked)
-        along = np.einsum("kn,nkc->nc", slope_u, picked[:, :, 0::2])
-        return both[:, 0::2], along, both[:, 1::2]
-
-
-def _weights(part: Floats) -> tuple[Floats, Floats]:
-    """Cubic B-spline weights (4, ...) of the four neighbours of a point, and their derivatives; part: 0..1 past the second."""
-    t, rest = part, 1 - part
-    t2, rest2 = t * t, rest * rest
-    value, slope = np.empty((4, *part.shape)), np.empty((4, *part.shape))
-    value[0], value[3] = rest2 * rest / 6, t2 * t / 6
-    value[1] = 2 / 3 - t2 + t2 * t / 2
-    value[2] = 1 - value[0] - value[1] - value[3]
-    slope[0], slope[3] = -rest2 / 2, t2 / 2
-    slope[1] = 1.5 * t2 - 2 * t
-    slope[2] = -slope[0] - slope[1] - slope[3]
-    return value, slope
+    spread = _PIECES_FACTOR * (pieces @ pieces.T) * count / (count - 2)
+    spread = (spread + _DESIGN_EFFECT * at.normal) / 2 + _DESIGN_EFFECT**2 * np.diag(_PRIOR)
+    return float(np.sqrt((at.inverse @ spread @ at.inverse)[0, 0]))

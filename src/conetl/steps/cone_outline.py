@@ -23,6 +23,11 @@ _REACH_TOP, _REACH_FOOT = 0.08, 0.12
 #: Rows that show the body alone, as shares of the way from tip to foot: not the blunt tip, not the base plate.
 BODY_ROWS = (0.08, 0.84)
 _COARSE_TOP, _COARSE_FOOT, _FINE = np.linspace(-1, 1, 7), np.linspace(-1, 1, 11), np.linspace(-1, 1, 7)
+#: Half width (sigma) of the window in which an edge is centred, from step to step.
+_WINDOWS_PX = (1.5, 1.5, 1.2, 1.2, 1.0, 1.0, 1.0, 1.0)
+_ROW_SIGMA_PX = 1.0
+#: A change of grey values that noise alone makes, at least.
+_LEAST_STEP = 2.0
 
 
 @dataclass(frozen=True)
@@ -85,8 +90,9 @@ def find_outline(image: NDArray[np.uint8], detection: Detection) -> Outline:
     steps[:, 1:-1] = np.sqrt((((patch[:, 2:] - patch[:, :-2]) / 2) ** 2).sum(axis=2))
     rows = np.arange(first, last + 1, dtype=np.float64)
     share = expected.share(rows)
-    left = _edge(steps, share, expected.left_top - column0, expected.left_foot - column0, width)
-    right = _edge(steps, share, expected.right_top - column0, expected.right_foot - column0, width)
+    floor = max(float(np.median(steps)), _LEAST_STEP)
+    left = _edge(steps, share, expected.left_top - column0, expected.left_foot - column0, width, floor)
+    right = _edge(steps, share, expected.right_top - column0, expected.right_foot - column0, width, floor)
     found = Outline(
         tip_row=expected.tip_row, foot_row=expected.foot_row,
         left_top=left[0] + column0, left_foot=left[1] + column0,
@@ -96,7 +102,7 @@ def find_outline(image: NDArray[np.uint8], detection: Detection) -> Outline:
     return found if radii[0] > 0 and radii[1] > radii[0] else expected
 
 
-def _edge(steps: Floats, share: Floats, top: float, foot: float, width_px: float) -> tuple[float, float]:
+def _edge(steps: Floats, share: Floats, top: float, foot: float, width_px: float, floor: float) -> tuple[float, float]:
     """Columns at tip and foot of the line along which the grey values change most, near to the expected ones."""
     reach_top, reach_foot = max(_REACH_TOP * width_px, 1.0), max(_REACH_FOOT * width_px, 1.5)
     tops, feet = top + reach_top * _COARSE_TOP, foot + reach_foot * _COARSE_FOOT
@@ -107,7 +113,30 @@ def _edge(steps: Floats, share: Floats, top: float, foot: float, width_px: float
     i, j = np.unravel_index(int(np.argmax(score)), score.shape)
     tops, feet = tops[i] + max(0.5, reach_top / 4) * _FINE, feet[j] + max(0.5, reach_foot / 6) * _FINE
     i, j = np.unravel_index(int(np.argmax(_along(steps, share, tops, feet))), (len(_FINE), len(_FINE)))
-    return float(tops[i]), float(feet[j])
+    prior = np.array([1 / max(0.5 * reach_top, 0.3) ** 2, 1 / max(0.5 * reach_foot, 0.3) ** 2])
+    return _settled(steps / floor, share, (float(tops[i]), float(feet[j])), (top, foot), prior)
+
+
+def _settled(
+    steps: Floats, share: Floats, start: tuple[float, float], expected: tuple[float, float], prior: Floats
+) -> tuple[float, float]:
+    """The line moved to where the change of grey values is centred in its rows, by mean shift (Comaniciu & Meer 2002).
+
+    Each row says where its change is centred under a window about the line; the line through these, weighted by how much
+    changes there, is the next one. The window narrows, so that the line ends on the edge itself and not between two of them.
+    steps: in units of what changes everywhere; a row with no more than that says where its edge is to `_ROW_SIGMA_PX`. The
+    expected line counts with the weights `prior` (1/px^2): it decides where the picture shows no edge.
+    """
+    top, foot = start
+    columns = np.arange(steps.shape[1])
+    design = np.column_stack([1 - share, share])
+    for window_px in _WINDOWS_PX:
+        line = design @ [top, foot]
+        weights = steps * np.exp(-0.5 * ((columns - line[:, None]) / window_px) ** 2)
+        unit = _ROW_SIGMA_PX**2 * window_px * np.sqrt(2 * np.pi)
+        normal = design.T @ (design * weights.sum(axis=1)[:, None]) / unit + np.diag(prior)
+        top, foot = np.linalg.solve(normal, design.T @ (weights @ columns) / unit + prior * expected)
+    return float(top), float(foot)
 
 
 def _along(steps: Floats, share: Floats, tops: Floats, feet: Floats) -> Floats:

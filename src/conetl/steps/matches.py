@@ -153,7 +153,7 @@ def _candidate(
     if images is not None:
         area = match_area(
             images[0], images[1], find_outline(images[0], a), disparity + at_infinity, max(3.0, 0.3 * a.w_px),
-            focal_px=rig.left.fx_px, at_infinity_px=at_infinity, row_offset_px=row_offset_px, lean=float(-up[2] / up[1]),
+            camera=rig.left, up=up, at_infinity_px=at_infinity, row_offset_px=row_offset_px,
         )  # fmt: skip
     cost = row_difference / row_tolerance + np.log(height_ratio) * 2 + np.log(width_ratio) + score_difference
     if images is not None:

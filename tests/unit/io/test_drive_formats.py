@@ -17,6 +17,7 @@ import yaml
 from conetl.errors import CalibrationError, DriveFolderError
 from conetl.geometry import rig as rigs
 from conetl.io.drive_folder import drive_format, read_drive
+from conetl.io.drive_folder.outline import find_drives, outline_drive
 from conetl.records import Drive, Rig
 from conetl.rejections import Rejection
 from conetl.rejections import RejectionReason as R
@@ -313,3 +314,15 @@ def test_a_euroc_row_cannot_lead_out_of_the_drive(tmp_path: Path, frames: list[F
     assert [(r.reason, r.payload["frame_index"]) for r in rejections] == [(R.IMAGE_MISSING, 1)]
     assert "no file name inside the drive folder" in rejections[0].detail
     assert len(drive.frame_pairs) == 2
+
+
+@pytest.mark.parametrize("name", [name for name in WRITERS if name != "mcap file"])
+def test_a_plan_over_many_drives_finds_every_format(name: str, tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+    path = WRITERS[name](tmp_path / "day" / "run", frames, rig)
+    assert list(find_drives(tmp_path)) == [path]
+    outline = outline_drive(path)
+    assert (outline.problem, outline.drive_id, outline.frame_pairs) == (None, "run", len(frames))
+    assert (outline.captured_from_ns, outline.captured_to_ns) == (frames[0].stamp_ns, frames[-1].stamp_ns)
+    assert outline_drive(path).header_sha256 == outline.header_sha256
+    shorter = WRITERS[name](tmp_path / "other" / "run", frames[:-1], rig)
+    assert outline_drive(shorter).header_sha256 != outline.header_sha256

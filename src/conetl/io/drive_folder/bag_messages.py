@@ -43,6 +43,10 @@ class Bag(NamedTuple):
 
     types: Mapping[str, str]
     """Message type by topic, like sensor_msgs/msg/Image."""
+    counts: Mapping[str, int]
+    """Messages by topic."""
+    recorded_ns: tuple[int, int]
+    """First and last message, by the recorder's clock."""
     messages: Callable[[Sequence[str]], Iterator[Message]]
     """Called with topics; in the order of recording, one message in memory at a time."""
 
@@ -87,7 +91,9 @@ def _bag_of_folder(reader: AnyReader) -> Bag:
                 content = None
             yield Message(connection.topic, content, at_ns)
 
-    return Bag({c.topic: c.msgtype for c in reader.connections}, messages)
+    types = {c.topic: c.msgtype for c in reader.connections}
+    counts = {topic: info.msgcount for topic, info in reader.topics.items()}
+    return Bag(types, counts, (reader.start_time, reader.end_time - 1), messages)  # its end is exclusive
 
 
 def _bag_of_file(reader: McapReader, path: Path) -> Bag:
@@ -119,7 +125,12 @@ def _bag_of_file(reader: McapReader, path: Path) -> Bag:
                 content = None
             yield Message(channel.topic, content, message.log_time)
 
-    return Bag(types, messages)
+    statistics = summary.statistics
+    counts = {
+        c.topic: statistics.channel_message_counts.get(c.id, 0) if statistics else 0 for c in summary.channels.values()
+    }
+    recorded_ns = (statistics.message_start_time, statistics.message_end_time) if statistics else (0, 0)
+    return Bag(types, counts, recorded_ns, messages)
 
 
 def _ros_name(schema: Schema) -> str:

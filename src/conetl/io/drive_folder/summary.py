@@ -173,7 +173,7 @@ def _gaps(pairs: Sequence[FramePair], seconds: Array, metres: Array) -> tuple[Ga
             after_frame=pairs[i].frame_index, before_frame=pairs[i + 1].frame_index, seconds=float(seconds[i]),
             metres=float(metres[i]), in_time=bool(in_time[i]), in_space=bool(in_space[i]),
         )
-        for i in np.flatnonzero(in_time | in_space)
+        for i in np.flatnonzero(in_time | in_space).tolist()
     )  # fmt: skip
 
 
@@ -190,4 +190,4 @@ def _jumps(pairs: Sequence[FramePair], times_s: Array, places: Array, horizontal
     )
     padded = np.concatenate([[0.0], np.where(wild, off, 0.0), [0.0]])
     worst = wild & (padded[1:-1] >= padded[:-2]) & (padded[1:-1] > padded[2:])
-    return tuple(Jump(frame=pairs[i + 1].frame_index, off_m=float(off[i])) for i in np.flatnonzero(worst))
+    return tuple(Jump(frame=pairs[i + 1].frame_index, off_m=float(off[i])) for i in np.flatnonzero(worst).tolist())

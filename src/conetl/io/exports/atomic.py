@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TextIO
 
 from conetl.errors import InputError
+from conetl.io.leftovers import aside
 
 
 @contextmanager
@@ -20,7 +20,8 @@ def atomic_text_file(path: Path) -> Iterator[TextIO]:
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
+        temporary = aside(path)
+        handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
     except OSError as error:
         raise InputError(f"{path} cannot be written ({error.strerror}): choose another file.") from error
     try:
@@ -28,12 +29,9 @@ def atomic_text_file(path: Path) -> Iterator[TextIO]:
             yield file
             file.flush()
             os.fsync(handle)
-        umask = os.umask(0)
-        os.umask(umask)
-        Path(temporary).chmod(0o666 & ~umask)  # mkstemp makes it private; an export is an ordinary file
-        Path(temporary).replace(path)
+        temporary.replace(path)
     except BaseException as error:
-        Path(temporary).unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)
         if isinstance(error, OSError):
             raise InputError(
                 f"{path} cannot be written ({error.strerror}): free space or choose another file."

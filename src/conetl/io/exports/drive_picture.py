@@ -68,11 +68,18 @@ def _draw_way(axes: Axes, figure: Figure, drive: Drive, summary: DriveSummary) -
             xytext=(6, 6), textcoords="offset points",
         )  # fmt: skip
     points = axes.scatter(
-        *local.T, c=sigma_m, s=14, cmap="viridis", vmin=0.0, vmax=max(float(sigma_m.max()), 1e-3), zorder=3
+        local[:, 0],
+        local[:, 1],
+        c=sigma_m,
+        s=14,
+        cmap="viridis",
+        vmin=0.0,
+        vmax=max(float(sigma_m.max()), 1e-3),
+        zorder=3,
     )
     if summary.poses.jumps:
         jumps = local[[number[jump.frame] for jump in summary.poses.jumps]]
-        axes.scatter(*jumps.T, marker="x", s=60, color=_RED, zorder=4, label="jump")
+        axes.scatter(jumps[:, 0], jumps[:, 1], marker="x", s=60, color=_RED, zorder=4, label="jump")
     axes.plot(*local[0], marker="^", color="black", markersize=9, linestyle="none", label="start", zorder=5)
     span = float(np.ptp(local, axis=0).max())
     middle = (local.max(axis=0) + local.min(axis=0)) / 2

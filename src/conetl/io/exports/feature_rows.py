@@ -32,6 +32,8 @@ PROPERTY_NAMES = (
     "valid_from",
     "valid_to",
     "changeset_id",
+    "seen_count",
+    "missed_count",
 )
 _BATCH = 10_000
 
@@ -89,6 +91,8 @@ def _properties(version: FeatureVersion) -> dict[str, Any]:
         "valid_from": iso_utc(version.valid_from),
         "valid_to": iso_utc(version.valid_to) if version.valid_to else None,
         "changeset_id": str(version.changeset_id),
+        "seen_count": version.seen_count,
+        "missed_count": version.missed_count,
     }
 
 
