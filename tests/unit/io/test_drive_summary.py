@@ -50,9 +50,11 @@ def test_gaps_in_time_and_space(sample: Drive) -> None:
     assert 6.0 < gap.metres < 7.5
 
 
-@pytest.mark.parametrize(("by_m", "told"), [(0.3, []), (1.5, [20])])
+@pytest.mark.parametrize(("by_m", "told"), [(0.3, []), (1.5, [20]), (6.0, [20])])
 def test_a_jump_is_told_once(sample: Drive, by_m: float, told: list[int]) -> None:
-    jumps = summarise(moved(sample, 20, by_m), []).poses.jumps
+    summary = summarise(moved(sample, 20, by_m), [])
+    assert summary.gaps == ()  # the same mistake is not told as a gap as well
+    jumps = summary.poses.jumps
     assert [jump.frame for jump in jumps] == told
     assert all(jump.off_m == pytest.approx(by_m, abs=0.05) for jump in jumps)
 

@@ -124,6 +124,7 @@ def summarise(drive: Drive, rejections: Sequence[Rejection]) -> DriveSummary:
     times_s = np.array([(pair.captured_at_ns - pairs[0].captured_at_ns) * 1e-9 for pair in pairs])
     seconds, metres = np.diff(times_s), np.hypot(*np.diff(places[:, :2], axis=0).T)
     horizontal = np.maximum(sigmas[:, 0], sigmas[:, 1])
+    jumps = _jumps(pairs, times_s, places, horizontal)
     geodetic = geodesy.to_geodetic(drive.map_srid, places)
     return DriveSummary(
         drive_id=drive.drive_id, source_path=drive.source_path, map_srid=drive.map_srid, rig=_rig(drive),
@@ -132,12 +133,12 @@ def summarise(drive: Drive, rejections: Sequence[Rejection]) -> DriveSummary:
         lost=tuple(LostPair(record=r.record, reason=r.reason.value, detail=r.detail) for r in rejections),
         captured_from=drive.captured_from, captured_to=drive.captured_to, duration_s=float(times_s[-1] - times_s[0]),
         rate_hz=float(1.0 / np.median(seconds)) if len(seconds) else None, length_m=float(metres.sum()),
-        gaps=_gaps(pairs, seconds, metres),
+        gaps=_gaps(pairs, seconds, metres, {jump.frame for jump in jumps}),
         poses=PoseSummary(
             horizontal_sigma_median_m=float(np.median(horizontal)), horizontal_sigma_max_m=float(horizontal.max()),
             vertical_sigma_median_m=float(np.median(sigmas[:, 2])),
             yaw_sigma_median_deg=float(np.degrees(np.median([pair.pose.sigma_rpy_rad[2] for pair in pairs]))),
-            jumps=_jumps(pairs, times_s, places, horizontal),
+            jumps=jumps,
         ),
         extent=Extent(
             east_m=_span(places[:, 0]), north_m=_span(places[:, 1]), height_m=_span(places[:, 2]),
@@ -162,12 +163,15 @@ def _span(values: Array) -> tuple[float, float]:
     return float(values.min()), float(values.max())
 
 
-def _gaps(pairs: Sequence[FramePair], seconds: Array, metres: Array) -> tuple[Gap, ...]:
+def _gaps(pairs: Sequence[FramePair], seconds: Array, metres: Array, jumped: set[int]) -> tuple[Gap, ...]:
+    """Steps that are too long; the way to and from a jump's wrong place is no gap in space."""
     if not len(seconds):
         return ()
     moving = metres[metres > 0.05]
     long_m = max(LEAST_GAP_M, GAP_FACTOR * float(np.median(moving)) if len(moving) else 0.0)
     in_time, in_space = seconds > GAP_FACTOR * float(np.median(seconds)), metres > long_m
+    wrong = np.array([pair.frame_index in jumped for pair in pairs])
+    in_space &= ~(wrong[:-1] | wrong[1:])
     return tuple(
         Gap(
             after_frame=pairs[i].frame_index, before_frame=pairs[i + 1].frame_index, seconds=float(seconds[i]),
