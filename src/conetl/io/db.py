@@ -127,6 +127,13 @@ def stream(
         yield from cursor
 
 
+def query_columns(conn: Connection, sql: str, parameters: Mapping[str, Any]) -> list[tuple[str, int]]:
+    """Names and type OIDs of the columns of a query (without its final semicolon), without running it."""
+    with conn.cursor() as cursor:
+        cursor.execute(f"select * from ({sql}) q limit 0", parameters)
+        return [(column.name, column.type_code) for column in cursor.description or ()]
+
+
 def copy_columns(conn: Connection, table: str, columns: Mapping[str, Column]) -> None:
     """Load columns into a table by COPY BINARY, so many rows at a time that the encoded bytes stay below some 100 MB."""
     with conn.cursor() as cursor:
