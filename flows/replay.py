@@ -26,7 +26,7 @@ from conetl.io.replay_store import (
     superseded_drives,
 )
 from conetl.params import IngestParams, ReconcileParams
-from conetl.records import Changeset, Decisions, Detection, Drive, MapFeature, Position, StereoMatch, Track
+from conetl.records import Changeset, Decisions, Detection, Drive, MapFeature, Position, Rig, StereoMatch, Track
 from conetl.rejections import Rejection
 from conetl.steps.fold import Evidence, Extension, Floats, Folded, extend, fold
 from conetl.steps.visibility import Look, View, look_at_spot, view_of_drive
@@ -150,11 +150,12 @@ def stored_evidence(conn: Connection, drives: Sequence[DriveRef]) -> list[Eviden
         stored = read_view(conn, drive_uuid)
         return view_of_drive(rigs[drive_uuid], stored.frame_pairs, stored.detections, stored.spots)
 
-    rigs = {}
+    rigs: dict[UUID, Rig] = {}
     evidence = []
     for ref in drives:
         drive = read_drive(conn, ref.drive_uuid)
-        rigs[ref.drive_uuid] = drive.rig
+        if drive.rig is not None:
+            rigs[ref.drive_uuid] = drive.rig
         evidence.append(
             Evidence(
                 key=drive.key(ref.idempotency_key),
@@ -165,6 +166,7 @@ def stored_evidence(conn: Connection, drives: Sequence[DriveRef]) -> list[Eviden
                 influence_m=drive.influence_m,
                 look_at=_look_at(view_of, ref.drive_uuid, drive.reconcile),
                 params=drive.reconcile,
+                statements=drive.statements,
             )
         )
     return evidence

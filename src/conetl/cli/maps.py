@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from contextlib import closing
 from dataclasses import asdict
-from enum import StrEnum
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from conetl.cli import decisions
+from conetl.cli import decisions, exchange
 from conetl.cli.console import JsonOption, out, parse_time, print_json, print_table
 from conetl.cli.database import open_map
 from conetl.errors import InputError
-from conetl.io.exports.csv_table import export_csv
-from conetl.io.exports.geojson import export_geojson
 from conetl.io.map_store import feature_log, find_features, list_changesets, map_summary, read_features_as_of
 from conetl.records import utc_from_ns
 from conetl.settings import read_settings
@@ -23,13 +19,7 @@ from conetl.settings import read_settings
 app = typer.Typer(help="Look at the map, decide about it and take it elsewhere.", no_args_is_help=True)
 for decide in (decisions.suppress, decisions.pin, decisions.revert, decisions.decisions, decisions.diff):
     app.command()(decide)
-
-
-class Format(StrEnum):
-    """File formats of `map export`."""
-
-    GEOJSON = "geojson"
-    CSV = "csv"
+app.command()(exchange.export)
 
 
 AsOf = Annotated[
@@ -159,23 +149,3 @@ def log(
         "believed until (UTC)",
     )
     print_table("", history_columns, history, numbers_from=3)
-
-
-@app.command()
-def export(
-    output: Annotated[Path, typer.Option("--out", help="File to write.")],
-    file_format: Annotated[
-        Format, typer.Option("--format", help="GeoJSON (RFC 7946, longitude/latitude) or CSV.")
-    ] = Format.GEOJSON,
-    as_of: AsOf = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Write the map, as it is or as it stood, to a file."""
-    settings = read_settings()
-    with closing(open_map(settings)) as conn:
-        write = export_geojson if file_format is Format.GEOJSON else export_csv
-        count = write(conn, output, as_of=parse_time(as_of), map_name=settings.map_name)
-    if as_json:
-        print_json({"written": str(output), "features": count})
-    else:
-        out.print(f"{count} cones -> {output}", markup=False)

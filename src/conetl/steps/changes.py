@@ -26,7 +26,7 @@ _FORBIDDEN = 1e6
 #: Offsets that are tried; every shared cone proposes nearly the same one, so a few hundred are plenty for any drive.
 _MAX_PROPOSALS = 200
 #: Belief in a feature never becomes certainty: the next drive must be able to change it.
-_MAX_LOGIT = 7.0
+MAX_LOGIT = 7.0
 
 
 def reconcile(
@@ -61,9 +61,9 @@ def reconcile(
         if look is not None and look.frames >= params.removal_min_frames:
             vanished.append((j, look))
     for j, i in pairs.items():
-        deltas.append(_confirmed(features[j], tracks[i], placed[i], weight * offset_m))
+        deltas.append(confirmed(features[j], tracks[i], placed[i], weight * offset_m))
     for j, i in _moves(placed, tracks, free_tracks, features, [j for j, _ in vanished], params).items():
-        deltas.append(_moved(features[j], tracks[i], placed[i], weight * offset_m))
+        deltas.append(moved(features[j], tracks[i], placed[i], weight * offset_m))
         free_tracks.remove(i)
         vanished = [(k, look) for k, look in vanished if k != j]
     for j, look in vanished:
@@ -193,7 +193,8 @@ def _added(track: Track, placed: Floats, shift: Floats, founding_key: str) -> De
     )
 
 
-def _moved(feature: MapFeature, track: Track, placed: Floats, shift: Floats) -> Delta:
+def moved(feature: MapFeature, track: Track, placed: Floats, shift: Floats) -> Delta:
+    """The same cone at another place; arguments as of `confirmed`."""
     new = _feature_from_track(track, placed, shift, feature.feature_id, feature.version + 1).model_copy(
         update={
             "first_seen_ns": feature.first_seen_ns,
@@ -211,8 +212,8 @@ def _moved(feature: MapFeature, track: Track, placed: Floats, shift: Floats) -> 
     )
 
 
-def _confirmed(feature: MapFeature, track: Track, placed: Floats, shift: Floats) -> Delta:
-    """The same place seen again: both statements weighted by their covariances."""
+def confirmed(feature: MapFeature, track: Track, placed: Floats, shift: Floats) -> Delta:
+    """The same place seen again: both statements weighted by their covariances. placed, shift: see `reconcile`'s offset, (3,) metres."""
     old_cov, new_cov = cov_matrix(feature.cov_m2), cov_matrix(track.cov_m2)
     old_xyz = np.array(feature.xyz_m)
     gain = old_cov @ np.linalg.inv(old_cov + new_cov)
@@ -232,7 +233,7 @@ def _confirmed(feature: MapFeature, track: Track, placed: Floats, shift: Floats)
         centre_xyz_m=vec3(fused_centre),
         cone_height_m=height,
         cone_height_sigma_m=(old_weight + new_weight) ** -0.5,
-        existence_probability=float(1 / (1 + np.exp(-min(logit, _MAX_LOGIT)))),
+        existence_probability=float(1 / (1 + np.exp(-min(logit, MAX_LOGIT)))),
         observation_count=feature.observation_count + track.observation_count,
         first_seen_ns=feature.first_seen_ns,
         last_seen_ns=max(feature.last_seen_ns, track.last_seen_ns),
@@ -258,7 +259,7 @@ def _feature_from_track(track: Track, placed: Floats, shift: Floats, feature_id:
         centre_xyz_m=vec3(np.array(track.centre_xyz_m) - shift),
         cone_height_m=track.cone_height_m,
         cone_height_sigma_m=track.cone_height_sigma_m,
-        existence_probability=min(track.existence_probability, float(1 / (1 + np.exp(-_MAX_LOGIT)))),
+        existence_probability=min(track.existence_probability, float(1 / (1 + np.exp(-MAX_LOGIT)))),
         observation_count=track.observation_count,
         first_seen_ns=track.first_seen_ns,
         last_seen_ns=track.last_seen_ns,

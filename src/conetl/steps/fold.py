@@ -8,7 +8,7 @@ version that it follows (drives that overlap in time) begins a microsecond after
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from heapq import merge
 from itertools import pairwise
@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from conetl.params import ReconcileParams
-from conetl.records import BelievedVersion, Decisions, Delta, FoldKey, MapFeature, Place, Track
+from conetl.records import BelievedVersion, Decisions, Delta, FoldKey, MapFeature, Place, Statement, Track
+from conetl.steps.adoption import adopt
 from conetl.steps.changes import reconcile
 from conetl.steps.visibility import Look
 
@@ -44,6 +45,8 @@ class Evidence:
     look_at: Callable[[MapFeature, Floats], Look | None]
     """See `reconcile`."""
     params: ReconcileParams
+    statements: Sequence[Statement] = ()
+    """Of an imported map instead of tracks; it looked nowhere, so it removes nothing. `path_m` is where its cones stand."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +95,7 @@ def fold(
     )
     for _, _, event in events:
         if isinstance(event, Evidence):
-            extension = extend(standing, event, decisions)
+            extension = extend(standing, event, decisions, known=folded.chains.keys())
             folded.extensions[event.changeset_id] = extension
             versions = extension.versions
         else:
@@ -114,17 +117,35 @@ def fold(
     return folded
 
 
-def extend(standing: Mapping[UUID, BelievedVersion], drive: Evidence, decisions: Decisions) -> Extension:
+def extend(
+    standing: Mapping[UUID, BelievedVersion],
+    drive: Evidence,
+    decisions: Decisions,
+    *,
+    known: Collection[UUID] = (),
+) -> Extension:
     """Compare one drive with the map as the drives recorded before it left it.
 
     standing: the open versions of the features that stand, suppressed ones too, by feature id; those out of the drive's
-    influence are left out of account, whether they are there or not.
+    influence are left out of account, whether they are there or not. known: ids that are taken, also by features that are gone;
+    only an imported map, which brings ids of its own, needs to be told.
     """
     around = _around(standing, drive)
     pinned = {feature.feature_id for feature in around if is_within(feature, decisions.pinned)}
-    deltas = reconcile(
-        drive.tracks, around, drive.look_at, drive.params, founding_key=drive.founding_key, pinned=pinned
-    )
+    if drive.statements:
+        deltas = adopt(
+            drive.statements,
+            around,
+            drive.params,
+            at_ns=drive.key[0],
+            founding_key=drive.founding_key,
+            known=known,
+            pinned=pinned,
+        )
+    else:
+        deltas = reconcile(
+            drive.tracks, around, drive.look_at, drive.params, founding_key=drive.founding_key, pinned=pinned
+        )
     versions = []
     for delta in deltas:
         if not delta.is_change:

@@ -39,7 +39,7 @@ class What(StrEnum):
     FEATURES = "features"
     """What stood on the road at `as_of`, as believed at `believed_at`."""
     HISTORY = "history"
-    """Every version; with `believed_at` only those that were believed then."""
+    """Every version that was ever believed; with `believed_at` only those that were believed then."""
     CHANGES = "changes"
     """What differs between the road at `since` and at `until`, both as believed at `believed_at`."""
 
@@ -99,11 +99,12 @@ class Source:
 
     def lon_lat_deg(self, batch: pa.RecordBatch) -> tuple[Floats, Floats]:
         """WGS 84 longitudes and latitudes (n,) of a batch."""
-        lons, lats = self._to_wgs84.transform(numpy_of(batch.column("easting_m")), numpy_of(batch.column("northing_m")))
+        lons, lats = self.to_wgs84.transform(numpy_of(batch.column("easting_m")), numpy_of(batch.column("northing_m")))
         return lons, lats
 
     @cached_property
-    def _to_wgs84(self) -> Transformer:
+    def to_wgs84(self) -> Transformer:
+        """From easting, northing to longitude, latitude."""
         return Transformer.from_crs(self.crs, 4326, always_xy=True)
 
     @property
@@ -123,7 +124,9 @@ class Source:
     @property
     def _parameters(self) -> dict[str, Any]:
         request = self.request
-        everything_believed = request.what is What.HISTORY and request.believed_at is None
+        # What is told in the order of the road's time is told in one belief.
+        one_belief = request.believed_at is not None or self.order is Order.BY_TIME
+        everything_believed = request.what is What.HISTORY and not one_belief
         return {
             "map_name": request.map_name,
             "every_version": request.what is What.HISTORY,
