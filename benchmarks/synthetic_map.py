@@ -4,6 +4,8 @@ Cones stand in closures of 100 along roads in a square of 40 km; feature k has `
 database, each confirmed (and every tenth feature moved by 1 m) by a changeset of its own.
 """
 
+# ruff: noqa: E501 -- SQL
+
 from __future__ import annotations
 
 from conetl.io.db import Connection, execute, execute_count

@@ -19,7 +19,9 @@ from conetl.settings import read_settings
 app = typer.Typer(help="Look at the map, decide about it and take it elsewhere.", no_args_is_help=True)
 for decide in (decisions.suppress, decisions.pin, decisions.revert, decisions.decisions, decisions.diff):
     app.command()(decide)
-app.command()(exchange.export)
+for exchanged in (exchange.export, exchange.licence):
+    app.command()(exchanged)
+app.command("import")(exchange.import_)
 
 
 AsOf = Annotated[

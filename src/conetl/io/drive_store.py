@@ -62,7 +62,9 @@ def read_drive(conn: Connection, drive_uuid: UUID) -> StoredDrive:
         header = headers[0]
         rig = None if header["rig"] is None else Rig.model_validate(header["rig"])
         statements = read_statements(conn, drive_uuid) if rig is None else []
-        path = stream(conn, load_sql("map/drive_path"), parameters) if rig else (s.feature.xyz_m[:2] for s in statements)
+        path = (
+            stream(conn, load_sql("map/drive_path"), parameters) if rig else (s.feature.xyz_m[:2] for s in statements)
+        )
         return StoredDrive(
             map_name=header["map_name"],
             content_sha256=header["content_sha256"],

@@ -14,7 +14,7 @@ import numpy as np
 from conetl.errors import MapMismatchError
 from conetl.io import map_columns
 from conetl.io.copy_binary import bigints, clean_text, constant_uuid, integers, json_text, uuids
-from conetl.io.db import Connection, copy_columns, database_errors, execute, load_sql, stream
+from conetl.io.db import Connection, copy_columns, database_errors, execute, load_sql, stream, transaction
 from conetl.io.map_results import CommitResult, Replay, RunInfo
 from conetl.io.map_rows import feature_of
 from conetl.io.map_store import find_changeset, insert_run, map_for, system_time
@@ -100,7 +100,8 @@ def commit_import(
     run: RunInfo,
     now: datetime | None = None,
 ) -> CommitResult:
-    """Write what an import states and what follows from it, inside the caller's `map_transaction`. drive_uuid: of `place_import`."""
+    """Write what an import states and what follows from it, inside the caller's `map_transaction`. drive_uuid: of
+    `place_import`."""
     info = map_for(conn, map_name, imported.srid, imported.name)
     committed_at = system_time(conn, info, now)
     insert_run(conn, run, committed_at)
@@ -146,6 +147,26 @@ def read_statements(conn: Connection, drive_uuid: UUID) -> list[Statement]:
     """What an imported map states, in the order of its file."""
     rows = stream(conn, load_sql("map/statements"), {"drive_uuid": drive_uuid})
     return [Statement.model_construct(feature=feature_of(row), valid_from_ns=row[21]) for row in rows]
+
+
+def read_licence(conn: Connection, map_name: str) -> str | None:
+    """Licence of a map's data, None where none was set. Raises MapMismatchError where there is no such map."""
+    with database_errors(f"The map {map_name} cannot be read"):
+        rows = execute(conn, load_sql("export/facts"), {"map_name": map_name})
+    if not rows:
+        raise MapMismatchError(
+            f"there is no map named {map_name} in this database: ingest a drive or import a map first."
+        )
+    licence: str | None = rows[0]["licence"]
+    return licence
+
+
+def set_licence(conn: Connection, map_name: str, licence: str) -> None:
+    """Set the licence of a map's data; an empty text takes it away."""
+    with transaction(conn, f"The licence of the map {map_name} could not be set"):
+        execute(
+            conn, load_sql("write/set_licence"), {"map_name": map_name, "licence": clean_text(licence).strip() or None}
+        )
 
 
 def _statement_columns(drive_uuid: UUID, srid: int, statements: Sequence[Statement]) -> Mapping[str, Any]:

@@ -1,7 +1,9 @@
 """What an imported map states against the map -> deltas. It adds, confirms and moves; what it leaves out, it says nothing about.
 
-Statement and feature are the same cone where the id is the same, else where a track of a drive would be taken for it (`changes.py`);
-one-to-one. Unlike a drive, an imported map has no common offset that could be told from its own errors: its sigmas must hold as they are.
+Statement and feature are the same cone where the id is the same, else where a track of a drive would be taken for it
+(`changes.py`);
+one-to-one. Unlike a drive, an imported map has no common offset that could be told from its own errors: its sigmas must
+hold as they are.
 """
 
 from __future__ import annotations
@@ -54,6 +56,7 @@ def adopt(
             deltas.append(confirmed(feature, _as_track(statement, at_ns), place, np.zeros(3)))
         elif feature.feature_id not in pinned:
             deltas.append(moved(feature, _as_track(statement, at_ns), place, np.zeros(3)))
+    deltas = [delta.model_copy(update={"track_index": None}) for delta in deltas]
     return sorted(deltas, key=lambda delta: (delta.changed_at_ns, str(delta.feature_id)))
 
 
@@ -72,7 +75,7 @@ def _pair(statements: Sequence[Statement], features: Sequence[MapFeature], param
         return pairs
     tree = cKDTree(_places([features[j] for j in others]))
     reach_m = max(params.max_offset_m, params.min_gate_m)
-    near = tree.query_ball_point(_places([statements[i].feature for i in free]), reach_m)
+    near: list[list[int]] = tree.query_ball_point(_places([statements[i].feature for i in free]), reach_m)
     edges = [
         (row, column)
         for row, columns in enumerate(near)
@@ -153,10 +156,11 @@ def _as_track(statement: Statement, at_ns: int) -> Track:
     """What `confirmed` and `moved` need to know of a sighting; a statement has no positions."""
     feature = statement.feature
     return Track.model_construct(
-        track_index=None,
+        track_index=0,
         category=feature.category,
         xyz_m=vec3(np.array(feature.xyz_m)),
         cov_m2=feature.cov_m2,
+        relative_cov_m2=feature.cov_m2,
         centre_xyz_m=feature.centre_xyz_m,
         cone_height_m=feature.cone_height_m,
         cone_height_sigma_m=feature.cone_height_sigma_m,
@@ -164,4 +168,7 @@ def _as_track(statement: Statement, at_ns: int) -> Track:
         observation_count=feature.observation_count,
         first_seen_ns=at_ns,
         last_seen_ns=feature.last_seen_ns,
+        residual_rms_px=0.0,
+        nearest_range_m=1.0,
+        members=((0, 0),),
     )

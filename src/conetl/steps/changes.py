@@ -213,7 +213,8 @@ def moved(feature: MapFeature, track: Track, placed: Floats, shift: Floats) -> D
 
 
 def confirmed(feature: MapFeature, track: Track, placed: Floats, shift: Floats) -> Delta:
-    """The same place seen again: both statements weighted by their covariances. placed, shift: see `reconcile`'s offset, (3,) metres."""
+    """The same place seen again: both statements weighted by their covariances. placed, shift: see `reconcile`'s offset,
+    (3,) metres."""
     old_cov, new_cov = cov_matrix(feature.cov_m2), cov_matrix(track.cov_m2)
     old_xyz = np.array(feature.xyz_m)
     gain = old_cov @ np.linalg.inv(old_cov + new_cov)

@@ -31,7 +31,8 @@ class Format:
     suffix: str
     order: Order
     module: str
-    """Module of this package with `write(source, path) -> int`: writes all of `source` to `path` and returns the number of rows."""
+    """Module of this package with `write(source, path) -> int`: writes all of `source` to `path` and returns the number of
+    rows."""
     geographic: bool = False
     """Whether the file is in WGS 84 longitude and latitude, else in the map's CRS."""
     with_change: bool = False

@@ -46,7 +46,8 @@ def atomic_text_file(path: Path) -> Iterator[TextIO]:
 def atomic_files(*paths: Path) -> Iterator[list[Path]]:
     """Files to write that take the names `paths` (in one folder) only when the block ends well, the last one last.
 
-    They lie in a hidden folder beside `paths` meanwhile, so that whatever a library writes beside its file (journals, indices) goes
+    They lie in a hidden folder beside `paths` meanwhile, so that whatever a library writes beside its file (journals,
+    indices) goes
     with it. Everything is on the disk before the first name changes. The folder is made where it is missing. Raises InputError
     where nothing can be written there.
     """

@@ -74,7 +74,7 @@ def rows_of(source: Source) -> Iterator[ExportRow]:
         places = [*degrees, *(batch.column(name).to_pylist() for name in PLACE_NAMES)]
         columns = [_plain(name, batch.column(name)) for name in names]
         for place, values in zip(zip(*places, strict=True), zip(*columns, strict=True), strict=True):
-            yield ExportRow(*place, dict(zip(names, values, strict=True)))
+            yield ExportRow(*place, dict(zip(names, values, strict=True)))  # type: ignore[call-arg]
 
 
 def export_rows(

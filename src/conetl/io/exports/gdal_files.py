@@ -1,7 +1,7 @@
 """The map in file formats that GDAL writes, streamed to it as Arrow record batches.
 
-GDAL's own date and time holds milliseconds. So each time stands there twice: as date and time, for QGIS's temporal controller and the
-like, and as a whole number of microseconds since 1970 (UTC) in a column with `_us` at its end, exact.
+GDAL's own date and time holds milliseconds. So each time stands there twice: as date and time, for QGIS's temporal
+controller and the like, and as a whole number of microseconds since 1970 (UTC) in a column with `_us` at its end, exact.
 """
 
 from __future__ import annotations

@@ -33,8 +33,8 @@ def export_geojson(
 def write(source: Source, path: Path) -> int:
     """Write one Feature per row, one per line; the number of rows.
 
-    Coordinates are WGS 84 longitude, latitude (degrees) and ellipsoidal height (m). The same map gives the same bytes. A feature's
-    id is that of the cone, but in a history, where a cone has several rows.
+    Coordinates are WGS 84 longitude, latitude (degrees) and ellipsoidal height (m). The same map gives the same bytes. A
+    feature's id is that of the cone, but in a history, where a cone has several rows.
     """
     count = 0
     with_id = source.request.what is not What.HISTORY

@@ -1,7 +1,7 @@
 """The map as GeoParquet 1.1 (https://geoparquet.org/releases/v1.1.0/): for geopandas, DuckDB, BigQuery, QGIS.
 
-Rows lie along a Hilbert curve, and each has its box in the column `bbox`: with the statistics of the row groups a reader finds a street
-without reading the town.
+Rows lie along a Hilbert curve, and each has its box in the column `bbox`: with the statistics of the row groups a reader
+finds a street without reading the town.
 """
 
 from __future__ import annotations

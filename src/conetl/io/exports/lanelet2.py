@@ -1,7 +1,7 @@
 """The map as points of an OSM file, as Lanelet2 and JOSM read them: one node a cone, with its properties as tags.
 
-Ids are negative (new objects, which never meet those of a lanelet map), and `upload` is `never`: no cone gets into OpenStreetMap by
-accident. `ele` is the ellipsoidal height; `local_x`, `local_y` are easting and northing in the map's CRS.
+Ids are negative (new objects, which never meet those of a lanelet map), and `upload` is `never`: no cone gets into
+OpenStreetMap by accident. `ele` is the ellipsoidal height; `local_x`, `local_y` are easting and northing in the map's CRS.
 """
 
 from __future__ import annotations

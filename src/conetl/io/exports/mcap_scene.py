@@ -1,9 +1,11 @@
 """The map as an MCAP recording for Foxglove: cones in true size, coloured by what changed.
 
-Topics, all JSON with the schemas of https://docs.foxglove.dev/docs/sdk/schemas: /cones (SceneUpdate), /tf (FrameTransform from the map's CRS
-to a frame `map` with its origin near the first cone, because the graphics card counts in float32) and /origin (LocationFix of that
-origin). Features and changes are one instant; a history is told in the order of the road's time, in one belief (that of `believed_at`):
-cones come, change and go as the recording plays.
+Topics, all JSON with the schemas of https://docs.foxglove.dev/docs/sdk/schemas: /cones (SceneUpdate), /tf (FrameTransform
+from the map's CRS
+to a frame `map` with its origin near the first cone, because the graphics card counts in float32) and /origin (LocationFix
+of that
+origin). Features and changes are one instant; a history is told in the order of the road's time, in one belief (that of
+`believed_at`): cones come, change and go as the recording plays.
 """
 
 from __future__ import annotations
@@ -43,7 +45,9 @@ def write(source: Source, path: Path) -> int:
         writer = Writer(file)
         writer.start(profile="", library="conetl")
         channels = [
-            writer.register_channel(topic, "json", writer.register_schema(name, "jsonschema", json.dumps(schema).encode()))
+            writer.register_channel(
+                topic, "json", writer.register_schema(name, "jsonschema", json.dumps(schema).encode())
+            )
             for topic, name, schema in (
                 (TOPIC, "foxglove.SceneUpdate", SCENE_UPDATE),
                 ("/tf", "foxglove.FrameTransform", FRAME_TRANSFORM),
@@ -60,7 +64,7 @@ def write(source: Source, path: Path) -> int:
                         _add(writer, channel, log_time_ns, message)
                 _add(writer, channels[0], log_time_ns, _scene(chunk, origin, source.request.what))
                 count += len(chunk)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
     return count
 
 
@@ -80,9 +84,7 @@ def _scene(rows: list[Row], origin: tuple[float, float, float], what: What) -> R
     gone = [row for row in rows if what is What.HISTORY and not row["present"]]
     drawn = [row for row in rows if what is not What.HISTORY or row["present"]]
     return {
-        "deletions": [
-            {"timestamp": _time(row["instant_us"]), "type": 0, "id": row["feature_id"]} for row in gone
-        ],
+        "deletions": [{"timestamp": _time(row["instant_us"]), "type": 0, "id": row["feature_id"]} for row in gone],
         "entities": [_entity(row, origin) for row in drawn],
     }
 

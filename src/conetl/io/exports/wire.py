@@ -1,7 +1,7 @@
 """PostgreSQL's binary records (`record_send`) as Arrow columns: millions of rows without a Python object a value.
 
-A record is a column count and per column its type's OID, a length (-1: NULL) and big-endian bytes. Records of the same lengths share one
-numpy structured type, so they are read column by column; the converse of `copy_binary`.
+A record is a column count and per column its type's OID, a length (-1: NULL) and big-endian bytes. Records of the same
+lengths share one numpy structured type, so they are read column by column; the converse of `copy_binary`.
 """
 
 from __future__ import annotations
@@ -92,7 +92,11 @@ def _values(wire: NDArray[Any], oid: int, length: int) -> Any:
         numbers = np.ascontiguousarray(wire).view(_FIXED[oid][0])
         numbers = numbers.astype(numbers.dtype.newbyteorder("="))
         return numbers + _POSTGRES_EPOCH_US if oid == 1184 else numbers
-    letters = np.ascontiguousarray(wire).view(np.uint8).reshape(len(wire), length) if length else np.empty((len(wire), 0), np.uint8)
+    letters = (
+        np.ascontiguousarray(wire).view(np.uint8).reshape(len(wire), length)
+        if length
+        else np.empty((len(wire), 0), np.uint8)
+    )
     return _uuid_text(letters) if oid == _UUID else letters
 
 
