@@ -16,6 +16,7 @@ from conetl.errors import InputError
 from conetl.geometry.geodesy import check_map_srid
 from conetl.io.exports import FORMATS
 from conetl.io.exports.export import export_map
+from conetl.io.exports.qgis_project import write_qgis_project
 from conetl.io.exports.source import ExportRequest, What
 from conetl.io.import_store import read_licence, set_licence
 from conetl.io.imports.statements import read_map_file
@@ -141,6 +142,24 @@ def licence(
         print_json({"map": settings.map_name, "licence": found})
     else:
         out.print(found or "No licence is set.", markup=False)
+
+
+def qgis(
+    output: Annotated[Path, typer.Option("--out", help="Project to write (.qgz or .qgs).")],
+    user: Annotated[
+        str | None,
+        typer.Option("--user", help="Login that QGIS uses, e.g. one with the role conetl_reader; no password is kept."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Write a QGIS project over the live map: styled by change and probability, with the temporal controller set."""
+    settings = read_settings()
+    with closing(open_map(settings)) as conn:
+        write_qgis_project(conn, output, map_name=settings.map_name, user=user)
+    if as_json:
+        print_json({"written": str(output)})
+    else:
+        out.print(f"Project -> {output}", markup=False)
 
 
 def require_map_srid(srid: int) -> None:

@@ -19,7 +19,7 @@ from conetl.settings import read_settings
 app = typer.Typer(help="Look at the map, decide about it and take it elsewhere.", no_args_is_help=True)
 for decide in (decisions.suppress, decisions.pin, decisions.revert, decisions.decisions, decisions.diff):
     app.command()(decide)
-for exchanged in (exchange.export, exchange.licence):
+for exchanged in (exchange.export, exchange.licence, exchange.qgis):
     app.command()(exchanged)
 app.command("import")(exchange.import_)
 

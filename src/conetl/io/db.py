@@ -127,6 +127,12 @@ def stream(
         yield from cursor
 
 
+def address(conn: Connection) -> dict[str, str]:
+    """Where a connection leads: host (a folder for a unix socket), port, dbname, user. Never a password."""
+    known = conn.get_dsn_parameters()
+    return {name: known[name] for name in ("host", "port", "dbname", "user") if known.get(name)}
+
+
 def query_columns(conn: Connection, sql: str, parameters: Mapping[str, Any]) -> list[tuple[str, int]]:
     """Names and type OIDs of the columns of a query (without its final semicolon), without running it."""
     with conn.cursor() as cursor:
