@@ -7,7 +7,7 @@ export PYTHON
 export PREFECT_SERVER_ANALYTICS_ENABLED := false
 export DO_NOT_TRACK := 1
 
-.PHONY: help setup demo test check web bench-detect bench-intersection bench-trajectory bench-rectification lock
+.PHONY: help setup demo test check web bench-detect bench-intersection bench-trajectory bench-rectification bench-export lock
 
 help:           ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -42,6 +42,9 @@ bench-trajectory: setup  ## refinement of a drive's poses: time, and how far con
 
 bench-rectification: setup  ## cost of resampling raw pictures
 	@$(BIN)/python benchmarks/bench_rectification.py
+
+bench-export: setup  ## export of a million cones to GeoParquet: time and memory (ARGS='--what history --versions 5' ...)
+	@$(BIN)/python benchmarks/bench_export.py $(ARGS)
 
 lock:           ## renew requirements.txt from pyproject.toml (needs uv)
 	uv pip compile pyproject.toml --extra dev --extra dask --extra s3 --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --no-annotate -o requirements.txt

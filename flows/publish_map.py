@@ -34,7 +34,8 @@ LATEST = "latest"
 
 @flow(name="publish-map")
 def publish_map(settings: Settings, formats: list[str], folder: Path, as_of: datetime | None = None) -> Path:
-    """Write the map (as of `as_of`; None: now) in `formats` to a new folder in `folder`, and point `latest` at it; the new folder.
+    """Write the map (as of `as_of`; None: now) in `formats` to a new folder in `folder`, and point `latest` at it; the new
+    folder.
 
     All files tell the map as it was believed at one instant. Raises InputError for an unknown format, a map that is not there, or
     a folder that cannot be written; the last publication stays then.

@@ -264,3 +264,44 @@ def test_a_new_map_wants_its_crs_stated(tmp_path):
     path = geojson(tmp_path / "good.geojson", [GOOD])
     with pytest.raises(InputError, match=r"--map-srid.*longitude 8\.4300, latitude 49\.0100, would be in EPSG:32632"):
         read_map_file(path, PARAMS)
+
+
+def test_the_browser_shows_a_map_that_began_with_an_import(conn, database_url, surveyed):
+    from fastapi.testclient import TestClient
+
+    from conetl.web.app import create_app
+
+    folder, features = surveyed
+    take(conn, folder / "map.parquet")
+    [changeset] = list_changesets(conn)
+    conn.rollback()
+    with TestClient(create_app(database_url, "default"), base_url="http://127.0.0.1") as client:
+        timeline = client.get("/api/maps/default/timeline").json()
+        assert [item["drive_id"] for item in timeline["changesets"]] == ["map.parquet"]
+        way = client.get(f"/api/maps/default/drives/{changeset.drive_uuid}/trajectory").json()
+        assert way["frame_index"] == []
+        answer = client.get("/api/maps/default/features", params={"valid_at": "infinity"})
+        answer = answer if answer.status_code == 200 else client.get("/api/maps/default/features")
+        assert len(answer.json()["features"]) == len(features)
+
+
+def test_the_command_line(database_url, tmp_path, surveyed):
+    import os
+    import subprocess
+    import sys
+
+    folder, features = surveyed
+    environment = {**os.environ, "CONETL_DATABASE_URL": database_url, "CONETL_HOME": str(tmp_path / "home")}
+
+    def conetl(*arguments, code=0):
+        command = [sys.executable, "-c", "from conetl.cli import main; main()", *map(str, arguments)]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+        assert done.returncode == code, done.stderr
+        return done.stderr if code else done.stdout
+
+    assert "row 2: longitude" not in conetl("map", "import", geojson(tmp_path / "a.geojson", [GOOD]), code=2)
+    done = json.loads(conetl("map", "import", folder / "map.gpkg", "--json"))
+    assert (done["counts"]["added"], done["srid"], done["committed"]) == (len(features), 32632, True)
+    assert "CC0" in conetl("map", "licence", "CC0")
+    written = json.loads(conetl("map", "export", "--format", "geoparquet", "--out", tmp_path / "a.parquet", "--json"))
+    assert (written["features"], written["manifest"]["licence"]) == (len(features), "CC0")

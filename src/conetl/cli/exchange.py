@@ -6,7 +6,6 @@ from contextlib import closing
 from pathlib import Path
 from typing import Annotated
 
-import click
 import typer
 from pydantic import ValidationError
 
@@ -27,9 +26,7 @@ from conetl.settings import read_settings
 
 def export(
     output: Annotated[Path, typer.Option("--out", help="File to write; a manifest is written beside it.")],
-    file_format: Annotated[
-        str, typer.Option("--format", click_type=click.Choice(list(FORMATS)), help="File format.")
-    ] = "geojson",
+    file_format: Annotated[str, typer.Option("--format", help=f"One of {', '.join(FORMATS)}.")] = "geojson",
     what: Annotated[
         What,
         typer.Option("--what", help="What stands, every version there ever was, or what changed between two times."),

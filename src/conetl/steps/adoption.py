@@ -73,9 +73,9 @@ def _pair(statements: Sequence[Statement], features: Sequence[MapFeature], param
     others = [j for j in range(len(features)) if j not in taken]
     if not free or not others:
         return pairs
-    tree = cKDTree(_places([features[j] for j in others]))
     reach_m = max(params.max_offset_m, params.min_gate_m)
-    near: list[list[int]] = tree.query_ball_point(_places([statements[i].feature for i in free]), reach_m)
+    stated = cKDTree(_places([statements[i].feature for i in free]))
+    near = stated.query_ball_tree(cKDTree(_places([features[j] for j in others])), reach_m)
     edges = [
         (row, column)
         for row, columns in enumerate(near)

@@ -1,8 +1,8 @@
 """A QGIS project (3.22 or newer) over the live tables: styled layers, and the temporal controller set to the map's time.
 
-The project holds no data and no password: QGIS asks the database whenever it draws, as the user named in it, and asks the person for a
-password where the server wants one. Layers: what stands now, coloured by the change that made it so and the fainter the less sure it is
-to exist; 95 % circles of the places; everything that ever stood, for the temporal controller.
+The project holds no data and no password: QGIS asks the database whenever it draws, as the user named in it, and asks the
+person for a password where the server wants one. Layers: what stands now, coloured by the change that made it so and the fainter
+the less sure it is to exist; 95 % circles of the places; everything that ever stood, for the temporal controller.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape, quoteattr
+
+from pyproj import CRS
 
 from conetl.errors import InputError
 from conetl.io.db import Connection, address, database_errors, execute, load_sql
@@ -189,7 +191,8 @@ def _defined(properties: dict[str, str] | None) -> str:
 
 
 def _srs(srid: int) -> str:
-    return f"<spatialrefsys><srid>{srid}</srid><authid>EPSG:{srid}</authid></spatialrefsys>"
+    wkt = escape(CRS.from_epsg(srid).to_wkt())
+    return f"<spatialrefsys><wkt>{wkt}</wkt><srid>{srid}</srid><authid>EPSG:{srid}</authid></spatialrefsys>"
 
 
 def _extent(extent: dict[str, Any]) -> str:
