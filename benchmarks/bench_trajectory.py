@@ -144,7 +144,7 @@ def main() -> None:
         found = calibrate_drive(drive, params.trajectory, tracks)
         print(f"self-calibration {time.perf_counter() - started:.1f} s wall: {found.detail}")
         drive = drive.model_copy(update={"rig": self_calibrated_rig(drive.rig, found, params.trajectory)})
-        motions = list(motions_of(tracks, logged, drive.rig, params.trajectory))
+        motions = list(motions_of(tracks, logged, drive.rig, params.trajectory, motions))
     matches = match_boxes(drive, boxes, params)
     detections = {index: [*left, *right] for index, (left, right) in boxes.items()}
     wall_before = time.perf_counter()

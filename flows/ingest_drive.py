@@ -126,7 +126,8 @@ def _run_chunks(drive: Drive, chunks: list[Chunk]) -> tuple[list[Path], list[Pat
         calibration = self_calibrate_task(drive, tracks, motions, chunks[0]) if params.self_calibrate else SWITCHED_OFF
         rig = self_calibrated_rig(drive.rig, calibration, params)
         if rig != drive.rig:
-            motions = [motions_task(o, t) for o, t in zip(with_rig(overlapping, rig), tracks, strict=True)]
+            turned = with_rig(overlapping, rig)
+            motions = [motions_task(o, t, m) for o, t, m in zip(turned, tracks, motions, strict=True)]
         turned = with_rig(chunks, rig)
         matched = [match_task.submit(c, left, right) for c, (left, right) in zip(turned, detected, strict=True)]
         return [f.result() for sides in detected for f in sides], [f.result() for f in matched], motions, calibration

@@ -27,7 +27,7 @@ from conetl.params import IngestParams, params_sha256
 from conetl.records import Drive, FramePair, Rig, Side, StereoMatch
 from conetl.steps.association import chain_positions
 from conetl.steps.positions import locate_positions
-from conetl.steps.self_calibration import SelfCalibration, choose_spans, self_calibrate
+from conetl.steps.self_calibration import SelfCalibration, choose_spans, self_calibrate, span_params
 from conetl.steps.trajectory import RefinedTrajectory, RefinementOutcome, motion_error, refine_trajectory
 from flows.progress import tell_progress
 from flows.retries import RETRY
@@ -72,14 +72,20 @@ def odometry_task(chunk: Chunk) -> Path:
 
 
 @task(name="motions", task_run_name="motions {chunk.frame_pairs[0].frame_index}", **RETRY)
-def motions_task(chunk: Chunk, tracks: Path) -> Path:
-    """Motions between the frame pairs of a chunk from the points followed; returns the Parquet file."""
+def motions_task(chunk: Chunk, tracks: Path, earlier: Path | None = None) -> Path:
+    """Motions between the frame pairs of a chunk from the points followed; returns the Parquet file.
+
+    earlier: the motions by the rig as it was before its self-calibration, a start that spares the search.
+    """
     params, pairs = chunk.params.trajectory, chunk.frame_pairs
     geometry = result_key(chunk.rig.model_dump_json(), *(pair.model_dump_json() for pair in pairs))
-    key = result_key(RESULTS_VERSION, "motions", tracks.stem, params_sha256(params), geometry)
+    key = result_key(
+        RESULTS_VERSION, "motions", tracks.stem, params_sha256(params), geometry, earlier.stem if earlier else "none"
+    )
     if not has_result(chunk.results_folder, key):
         followed, _ = load_result(tracks, StereoTracks)
-        save_result(chunk.results_folder, key, list(motions_of(followed, pairs, chunk.rig, params)), [])
+        starts = load_result(earlier, RelativeMotion)[0] if earlier else None
+        save_result(chunk.results_folder, key, list(motions_of(followed, pairs, chunk.rig, params, starts)), [])
     return result_path(chunk.results_folder, key)
 
 
@@ -87,12 +93,12 @@ def motions_task(chunk: Chunk, tracks: Path) -> Path:
 def self_calibrate_task(drive: Drive, tracks: list[Path], motions: list[Path], chunk: Chunk) -> SelfCalibration:
     """What the whole drive says of its rig's calibration; chunk: any of the drive's, for parameters and results folder."""
     params = chunk.params.trajectory
-    key = result_key(RESULTS_VERSION, "self-calibrate", *(path.stem for path in (*tracks, *motions)))
+    key = result_key(RESULTS_VERSION, "self-calibrate-bend", *(path.stem for path in (*tracks, *motions)))
     if has_result(chunk.results_folder, key):
         return load_result(result_path(chunk.results_folder, key), SelfCalibration)[0][0]
     measured, _ = load_results(motions, RelativeMotion)
     pairs, read = drive.frame_pairs, _reader(drive.rig)
-    wide = params.model_copy(update={"epipolar_tolerance_px": params.self_calibration_row_tolerance_px})
+    wide = span_params(params)
     spans = choose_spans(measured, params.self_calibration_span_m)
     if len(spans) < params.self_calibration_min_spans:
         spans = []  # no picture needs to be read again

@@ -8,7 +8,7 @@ from dataset import Picture
 
 MIN_CONE_PX = 7.0  # below this a labelled cone is neither taught nor forbidden
 # How far the sides of a source's boxes are believed; renders and cut-outs are exact, hand-drawn boxes leave a margin.
-SIDE_TRUST = {"renders": 1.0, "rf_traffic_cones": 0.8, "fs_onboard": 0.9, "css_safety_cone": 0.5}
+SIDE_TRUST = {"renders": 1.0, "rf_traffic_cones": 0.8, "fs_onboard": 0.9, "css_safety_cone": 0.5, "roadwork_clips": 0.5}
 CutOut = tuple[np.ndarray, np.ndarray]
 """A cone to paste (h, w, 4) BGRA with its foot and tip (4,) in its own pixels, NaN where not known."""
 Sample = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -27,7 +27,9 @@ def choose_scale(picture: Picture, rng: np.random.Generator, stretch: float) -> 
     if picture.source == "renders":
         return float(rng.choice((1.0, rng.uniform(0.7, 1.4)))), int(rng.integers(len(picture.boxes)))
     index = int(rng.integers(len(picture.boxes)))
-    if picture.source == "fs_onboard" and rng.random() < 0.5:  # as a camera saw them: most far cones are small already
+    if (
+        picture.source in ("fs_onboard", "roadwork_clips") and rng.random() < 0.5
+    ):  # as a camera saw them: most far cones are small already
         return float(rng.uniform(0.85, 1.25)), index
     height = picture.boxes[index, 3] - picture.boxes[index, 1]
     low, high = (11.0, 64.0) if rng.random() < 0.62 else (50.0, 330.0)

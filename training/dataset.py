@@ -8,6 +8,7 @@ is likely, so that "background" is not taught there, and `tight` = whether its b
 from __future__ import annotations
 
 import csv
+import json
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -143,6 +144,26 @@ def read_clip_negatives(root: Path, every_s: float = 0.5) -> list[Picture]:
                 height = image.shape[0]
                 cut = image[round(top * height) : round(bottom * height)]
                 pictures.append(Picture(f"{name}_{index}", "roadwork_clips", cut, np.zeros((0, 8))))
+    return pictures
+
+
+def read_labelled_clips(root: Path, labels: Path, every: int = 6) -> list[Picture]:
+    """Every so many frames of the clips that `label_clips.py` labelled, with cones; boxes cut at the picture's edge."""
+    pictures = []
+    for name, frames in json.loads(labels.read_text())["clips"].items():
+        clip = cv2.VideoCapture(str(root / f"{name}.mp4"))
+        for index in range(int(clip.get(cv2.CAP_PROP_FRAME_COUNT))):
+            ok, image = clip.read()
+            if not ok:
+                break
+            label = frames.get(str(index))
+            if index % every or label is None or not label["boxes"]:
+                continue
+            height, width = image.shape[:2]
+            cones = np.full((len(label["boxes"]), 8), np.nan)
+            cones[:, :4] = np.clip(label["boxes"], 0, (width, height, width, height))
+            fades = np.array(label["fades"]).reshape(-1, 4)
+            pictures.append(Picture(f"{name}_{index}", "roadwork_clips", image, cones, fades))
     return pictures
 
 

@@ -19,13 +19,19 @@ import cv2
 import numpy as np
 import torch
 from augment import make_sample, pyramid
-from dataset import cut_out_cones, read_clip_negatives, read_cones, read_renders
+from dataset import cut_out_cones, read_clip_negatives, read_cones, read_labelled_clips, read_renders
 from drawn_cones import draw_cone
 from loss import detection_loss
 from network import ConeNet
 from torch.utils.data import DataLoader, IterableDataset
 
-SHARES = {"rf_traffic_cones": 0.22, "fs_onboard": 0.38, "css_safety_cone": 0.12, "renders": 0.28}
+SHARES = {
+    "rf_traffic_cones": 0.2,
+    "fs_onboard": 0.34,
+    "css_safety_cone": 0.1,
+    "roadwork_clips": 0.12,
+    "renders": 0.24,
+}
 
 
 class Samples(IterableDataset):
@@ -39,6 +45,8 @@ class Samples(IterableDataset):
             for picture in pictures:
                 fade = np.array(places[picture.name]).reshape(-1, 4)
                 picture.fade = fade if picture.source == "fs_onboard" else np.concatenate((picture.fade, fade))
+        if args.clip_labels:
+            pictures += read_labelled_clips(Path(args.clips), Path(args.clip_labels))
         self.cutouts = cut_out_cones([p for p in pictures if p.source == "rf_traffic_cones"])
         drawn = np.random.default_rng(args.seed)
         self.cutouts += [draw_cone(drawn) for _ in range(500)]
@@ -86,6 +94,7 @@ def read_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cones", required=True)
     parser.add_argument("--clips", default="")
+    parser.add_argument("--clip-labels", default="", help="what label_clips.py wrote")
     parser.add_argument("--renders", default="")
     parser.add_argument("--unlabelled", default="", help="what find_unlabelled.py wrote")
     parser.add_argument("--start", default="", help="checkpoint whose weights are taken where their shapes agree")

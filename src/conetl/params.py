@@ -114,21 +114,24 @@ class TrajectoryParams(Params):
     self_calibration_min_spans: int = Field(default=8, ge=4)
     self_calibration_row_tolerance_px: Positive = 2.5
     """As `epipolar_tolerance_px`, for these points: rows may be off by what is to be found."""
+    self_calibration_corners_per_cell: int = Field(default=3, ge=1)
+    """As `corners_per_cell`, for these points: there are few spans."""
     self_calibration_prior_px: Positive = 1.0
-    """How far a calibration of unknown covariance may be off: sigma of a shift of disparities and of rows, and of rows at the
-    picture's side by a tilt."""
+    """How far a calibration of unknown covariance may be off: sigma of a shift of disparities and of rows, and, at the picture's
+    side, of rows by a tilt and of disparities by a bend."""
     self_calibration_sigma_floor_px: Positive = 0.05
     """Of each of these, added to what the spans say: lenses and focal lengths are not turns of a camera."""
     self_calibration_least_px: Positive = 0.1
-    """A correction smaller than this, in each of the three, is not applied ..."""
+    """A correction smaller than this, in each of the four, is not applied ..."""
     self_calibration_significance: Positive = 3.0
     """... nor one of fewer than so many of its own sigmas ..."""
-    self_calibration_max_chi2: Positive = 16.3
-    """... nor one farther from the prior: chi-square of 3 degrees of freedom at 0.001."""
+    self_calibration_max_chi2: Positive = 18.5
+    """... nor one farther from the prior: chi-square of 4 degrees of freedom at 0.001."""
     max_width_px: int = Field(default=1280, ge=64)
     """Wider pictures are reduced for following points."""
     cell_px: int = Field(default=40, ge=8)
-    corners_per_cell: int = Field(default=3, ge=1)
+    corners_per_cell: int = Field(default=2, ge=1)
+    """More of them sharpen a motion below the floors that follow, and cost time in proportion."""
     min_disparity_px: Positive = 2.0
     """Points with less are too far to tell how far the car drove; sky has none."""
     min_points: int = Field(default=30, ge=6)

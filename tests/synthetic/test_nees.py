@@ -46,7 +46,7 @@ def of_tracks(drive: NoisyDrive) -> Consistency | None:
     ]
     lines, _ = compare_with_truth(drive.truth, longest, path)
     assert sum(line.feature is not None for line in lines) == len(drive.truth)
-    return drive_consistency(track_errors(lines, drive.drive))
+    return drive_consistency(track_errors(lines, drive.drive, drive.positions))
 
 
 def _near(cone: TruthCone, tracks: Sequence[Track]) -> list[Track]:

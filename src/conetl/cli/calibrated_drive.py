@@ -12,7 +12,7 @@ from conetl.io.rectified_image import read_rig_image
 from conetl.io.visual_odometry import follow_drive, follow_span
 from conetl.params import TrajectoryParams
 from conetl.records import Drive, FramePair, Side
-from conetl.steps.self_calibration import SelfCalibration, choose_spans, self_calibrate
+from conetl.steps.self_calibration import SelfCalibration, choose_spans, self_calibrate, span_params
 
 
 def calibrate_drive(
@@ -26,7 +26,7 @@ def calibrate_drive(
 
     if tracks is None:
         tracks = list(follow_drive(pairs, drive.rig, read, params))
-    wide = params.model_copy(update={"epipolar_tolerance_px": params.self_calibration_row_tolerance_px})
+    wide = span_params(params)
     spans = choose_spans(list(motions_of(tracks, pairs, drive.rig, params)), params.self_calibration_span_m)
     points = [follow_span(pairs[s.first], pairs[s.last], s.last_SE3_first, drive.rig, read, wide) for s in spans]
     return self_calibrate(drive.rig, spans, points, params)

@@ -16,7 +16,9 @@ from conetl.params import IngestParams
 from conetl.records import Detection, Drive, Position, Side, StereoMatch, Track
 from conetl.rejections import Rejection
 from conetl.settings import Settings, prefect_environment
+from conetl.steps.association import MotionError
 from conetl.steps.self_calibration import SWITCHED_OFF, self_calibrated_rig
+from conetl.steps.trajectory import motion_error
 
 _SIDES: tuple[Side, Side] = ("left", "right")
 
@@ -27,6 +29,8 @@ class DriveResults:
 
     drive: Drive
     """With the refined poses and the turned right camera, where trajectory and calibration were refined."""
+    motion: MotionError | None
+    """Error of the motion between frames; None where the trajectory was not refined."""
     trajectory: str
     """What became of the trajectory, in one sentence."""
     calibration: str
@@ -101,7 +105,7 @@ def run_steps(folder: Path, settings: Settings, params: IngestParams, *, map_sri
                     calibration = self_calibrate_task.fn(drive, followed, motions, chunks[0])
             rig = self_calibrated_rig(drive.rig, calibration, params.trajectory)
             if rig != drive.rig:
-                motions = [motions_task.fn(c, path) for c, path in zip(with_rig(following, rig), followed, strict=True)]
+                motions = list(map(motions_task.fn, with_rig(following, rig), followed, motions))
             detected = [[future.result() for future in sides] for sides in running]
         finally:
             progress.ignore(listener)
@@ -116,4 +120,14 @@ def run_steps(folder: Path, settings: Settings, params: IngestParams, *, map_sri
     positions, refused_positions = load_results(located, Position)
     tracks, refused_tracks = fuse_task.fn(drive, detections, matches, positions, params, card.evidence, trajectory)
     refused = [*rejections, *refused_detections, *refused_matches, *refused_positions, *refused_tracks]
-    return DriveResults(drive, trajectory.detail, calibration.detail, detections, matches, positions, tracks, refused)
+    return DriveResults(
+        drive,
+        motion_error(trajectory),
+        trajectory.detail,
+        calibration.detail,
+        detections,
+        matches,
+        positions,
+        tracks,
+        refused,
+    )

@@ -118,7 +118,7 @@ def _evaluate(
     false: list[Track],
     path_m: np.ndarray[Any, np.dtype[np.float64]],
 ) -> _Evaluation:
-    tracks = track_errors(lines, results.drive)
+    tracks = track_errors(lines, results.drive, results.positions, results.motion)
     singles = position_errors(members_of(lines), results.positions, results.drive)
     figures = {
         name: figure

@@ -141,12 +141,8 @@ def project(cameras: StereoCameras, points_m: Floats) -> tuple[Floats, Floats, B
 
     Also returns the derivatives (..., 3, 3) px/m and which points lie in front of both cameras.
     """
-    right = points_m @ cameras.right_SE3_left[:3, :3].T + cameras.right_SE3_left[:3, 3]
-    valid = (points_m[..., 2] > _NEAREST_M) & (right[..., 2] > _NEAREST_M)
-    z = np.where(valid, points_m[..., 2], 1.0)
-    zr = np.where(valid, right[..., 2], 1.0)
+    x, y, z, xr, zr, valid = _directions(cameras, points_m)
     fx, fy, cx, cy = cameras.left_px
-    x, y, xr = points_m[..., 0] / z, points_m[..., 1] / z, right[..., 0] / zr
     image = np.stack([fx * x + cx, fy * y + cy, cameras.right_px[0] * xr + cameras.right_px[2]], axis=-1)
     jacobian = np.zeros((*points_m.shape[:-1], 3, 3))
     jacobian[..., 0, 0], jacobian[..., 0, 2] = fx / z, -fx * x / z
@@ -154,6 +150,28 @@ def project(cameras: StereoCameras, points_m: Floats) -> tuple[Floats, Floats, B
     rotation = cameras.right_SE3_left[:3, :3]
     jacobian[..., 2, :] = (cameras.right_px[0] / zr)[..., None] * (rotation[0] - xr[..., None] * rotation[2])
     return image, jacobian, valid
+
+
+def _directions(cameras: StereoCameras, points_m: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats, Bools]:
+    """x / z, y / z and z (...) in the left camera, x / z and z in the right one, and which points lie in front of both."""
+    turn, shift = cameras.right_SE3_left[:3, :3], cameras.right_SE3_left[:3, 3]
+    right_x, right_z = points_m @ turn[0] + shift[0], points_m @ turn[2] + shift[2]
+    valid = (points_m[..., 2] > _NEAREST_M) & (right_z > _NEAREST_M)
+    z, zr = np.where(valid, points_m[..., 2], 1.0), np.where(valid, right_z, 1.0)
+    return points_m[..., 0] / z, points_m[..., 1] / z, z, right_x / zr, zr, valid
+
+
+def _followers(
+    cameras: StereoCameras, points: Floats, second_px: Floats, usable: Bools, reach_px: Floats, poses: Floats
+) -> Bools:
+    """(H, N): which points follow motions (H, 4, 4) to within their reach."""
+    moved = points @ np.swapaxes(poses[:, :3, :3], 1, 2) + poses[:, None, :3, 3]
+    x, y, _, xr, _, valid = _directions(cameras, moved)
+    fx, fy, cx, cy = cameras.left_px
+    follows = valid & usable & (np.abs(fx * x + (cx - second_px[:, 0])) <= reach_px)
+    follows &= np.abs(fy * y + (cy - second_px[:, 1])) <= reach_px
+    follows &= np.abs(cameras.right_px[0] * xr + (cameras.right_px[2] - second_px[:, 2])) <= reach_px
+    return np.asarray(follows)
 
 
 def estimate_motion(
@@ -164,11 +182,14 @@ def estimate_motion(
     expected: Floats,
     limits: MotionLimits,
     seed: int = 0,
+    start: Floats | None = None,
 ) -> StereoMotion:
     """Motion of the rig between two frame pairs.
 
     first_px, second_px (N, 3): u_left, v_left, u_right of the same points; sigma_px (N,) of each of their coordinates; expected
-    (4, 4): a guess of next_SE3_first (from INS), whose only use is to bound and start the search. Never raises on bad points.
+    (4, 4): a guess of next_SE3_first (from INS), whose only use is to bound and start the search; start (4, 4): a motion that is
+    nearly right already, such as that of the same points with another calibration, in place of a search among hypotheses. Never
+    raises on bad points.
     """
     count = len(first_px)
     points, d_points, usable = triangulate(cameras, first_px)
@@ -180,7 +201,11 @@ def estimate_motion(
         return StereoMotion(MotionStatus.TOO_FEW_POINTS, expected, np.zeros((6, 6)), nobody, 0.0)
     # A residual is expected to grow with the point's own errors: near points magnify them.
     reach = limits.inlier_px * _spread_px(cameras, points, d_points, sigma_px, expected) / np.median(sigma_px) / 2**0.5
-    best = _consensus(cameras, points, second_px, usable, reach, expected, limits, seed)
+    best = None
+    if start is not None:
+        best = start, _followers(cameras, points, second_px, usable, reach, start[None])[0]
+    if best is None or best[1].sum() < limits.min_inliers:
+        best = _consensus(cameras, points, second_px, usable, reach, expected, limits, seed)
     if best is None:
         return StereoMotion(MotionStatus.NO_CONSENSUS, expected, np.zeros((6, 6)), nobody, 0.0)
     pose, inliers = best
@@ -202,7 +227,9 @@ def _consensus(
     """The three-point motion that most points follow, among those near the expected one; and who follows it."""
     rng = np.random.default_rng(seed)
     index = np.flatnonzero(usable)
-    draws = index[rng.permuted(np.tile(np.arange(len(index)), (_HYPOTHESES, 1)), axis=1)[:, :_MINIMAL_POINTS]]
+    draws = index[
+        rng.integers(0, len(index), (_HYPOTHESES, _MINIMAL_POINTS))
+    ]  # one point twice wastes that hypothesis only
     poses = np.broadcast_to(expected, (_HYPOTHESES, 4, 4)).copy()
     for _ in range(4):
         moved = np.einsum("hij,hnj->hni", poses[:, :3, :3], points[draws]) + poses[:, None, :3, 3]
@@ -218,9 +245,7 @@ def _consensus(
     poses = np.concatenate([expected[None], poses])
     turn, shift = _difference(poses, expected)
     poses = poses[(shift <= limits.gate_m) & (turn <= limits.gate_rad)]
-    moved = np.einsum("hij,nj->hni", poses[:, :3, :3], points) + poses[:, None, :3, 3]
-    image, _, valid = project(cameras, moved)
-    follows = (np.abs(second_px - image).max(axis=2) <= reach_px) & valid & usable
+    follows = _followers(cameras, points, second_px, usable, reach_px, poses)
     votes = follows.sum(axis=1)
     if not len(votes) or votes.max() < _MINIMAL_POINTS:
         return None
@@ -254,21 +279,21 @@ def _refine(
         spread = sigma_px[inliers, None, None] ** 2 * (np.eye(3) + carried @ np.swapaxes(carried, 1, 2))
         information = np.linalg.inv(spread)
         r = residual[inliers]
-        misfit2 = np.einsum("ni,nij,nj->n", r, information, r) / 3
+        misfit2 = np.einsum("ni,ni->n", r, (information @ r[:, :, None])[:, :, 0]) / 3
         factor2 = max(float(np.median(misfit2)) / 0.7887, 1e-6)  # median of chi-square(3) / 3
         weight = 1 / (1 + misfit2 / factor2 / _CAUCHY_SIGMAS**2)
         design = jacobian[inliers] @ _point_jacobian(turned[inliers])
-        weighted = np.swapaxes(design, 1, 2) @ information * weight[:, None, None]
-        normal = np.einsum("nij,njk->ik", weighted, design)
+        weighted = (information * weight[:, None, None]) @ design  # (N, 3, 6): the information is symmetric
+        normal = weighted.reshape(-1, 6).T @ design.reshape(-1, 6)
         try:
             inverse = np.linalg.inv(normal)
         except np.linalg.LinAlgError:
             return StereoMotion(MotionStatus.DEGENERATE, pose, np.zeros((6, 6)), inliers, 0.0)
-        step = inverse @ np.einsum("nij,nj->i", weighted, r)
+        step = inverse @ (weighted.reshape(-1, 6).T @ r.ravel())
         pose = _moved(pose[None], step[None])[0]
         if iteration >= _CHOOSING_ITERATIONS and float((step**2 * np.diag(normal)).max()) < _CONVERGED:
             # Sandwich of M-estimation: scatter of the weighted scores around the curvature (Huber 1981, ch. 6).
-            scores = np.einsum("nij,nj->ni", weighted, r)
+            scores = (r[:, None, :] @ weighted)[:, 0]
             cov = inverse @ (scores.T @ scores) @ inverse
             cov = np.maximum(1.0, len(r) / max(len(r) - 6, 1)) * (cov + cov.T) / 2
             sigma = np.sqrt(np.diag(cov))

@@ -83,17 +83,26 @@ def motion_limits(params: TrajectoryParams) -> MotionLimits:
 
 
 def motions_of(
-    tracks: Iterable[StereoTracks], frame_pairs: Sequence[FramePair], rig: Rig, params: TrajectoryParams
+    tracks: Iterable[StereoTracks],
+    frame_pairs: Sequence[FramePair],
+    rig: Rig,
+    params: TrajectoryParams,
+    earlier: Sequence[RelativeMotion] | None = None,
 ) -> Iterator[RelativeMotion]:
-    """Motion of every interval of `tracks`, in their order; tracks[k] runs from frame_pairs[k] to frame_pairs[k + 1]."""
+    """Motion of every interval of `tracks`, in their order; tracks[k] runs from frame_pairs[k] to frame_pairs[k + 1].
+
+    earlier: motions of the same tracks by a slightly other rig, which spare the search among hypotheses.
+    """
     cameras, limits = cameras_of(rig), motion_limits(params)
-    for points, expected in zip(tracks, expected_motions(frame_pairs, rig), strict=True):
+    starts = [None] * (len(frame_pairs) - 1) if earlier is None else [motion.second_SE3_first for motion in earlier]
+    for points, expected, start in zip(tracks, expected_motions(frame_pairs, rig), starts, strict=True):
         reason, pose, cov, inliers = str(points.missing), None, (), 0
         first_px, second_px, sigma_px = points.points()
         if points.missing is None:
             motion = estimate_motion(
-                cameras, first_px[:, :3], second_px[:, :3], sigma_px, expected, limits, seed=points.first_frame_index
-            )
+                cameras, first_px[:, :3], second_px[:, :3], sigma_px, expected, limits, seed=points.first_frame_index,
+                start=None if start is None else np.array(start),
+            )  # fmt: skip
             reason, inliers = str(motion.status), int(motion.inliers.sum())
             if motion.status is MotionStatus.OK:
                 pose, cov = se3.to_matrix4(motion.next_SE3_first), tuple(motion.cov[np.triu_indices(6)].tolist())

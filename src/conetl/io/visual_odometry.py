@@ -30,6 +30,8 @@ _Found = tuple[Floats, Floats, float, NoMeasurement | None]
 
 _WINDOW = (15, 15)
 _STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01)
+#: Of ways back, which are only compared with a tolerance of most of a pixel.
+_STOP_OF_CHECKS = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.05)
 #: Least eigenvalue of a corner's structure matrix as a share of a strong corner's: weaker ones are followed badly.
 _WEAK_SHARE = 0.004
 #: Grey values of a picture must spread at least this much for anything to be followed.
@@ -139,20 +141,23 @@ def _between(
     left, right, guess = left[inside], right[inside], guess[inside]
     if len(left) < params.min_points:
         return _nothing(NoMeasurement.TOO_FEW_POINTS)
+    # Who fails at one side of the circle is not followed round the others.
     next_left, good = _flow(first.left, second.left, left, guess[:, :2], 2)
-    home, back = _flow(second.left, first.left, next_left, left, 1)
-    good &= back & (np.linalg.norm(home - left, axis=1) <= params.circle_tolerance_px)
+    left, right, guess, next_left = left[good], right[good], guess[good], next_left[good]
+    home, good = _flow(second.left, first.left, next_left, left, 1, _STOP_OF_CHECKS)
+    good &= np.linalg.norm(home - left, axis=1) <= params.circle_tolerance_px
+    left, right, guess, next_left = left[good], right[good], guess[good], next_left[good]
     across = next_left - _along_rows(guess[:, 0] - guess[:, 2])
-    next_right, found = _flow(second.left, second.right, next_left, across, 1)
-    other_way, met = _flow(first.right, second.right, right, next_right, 1)
-    good &= found & met & (np.linalg.norm(other_way - next_right, axis=1) <= params.circle_tolerance_px)
+    next_right, good = _flow(second.left, second.right, next_left, across, 1)
     good &= np.abs(next_right[:, 1] - next_left[:, 1] - rows) <= params.epipolar_tolerance_px
     good &= next_left[:, 0] - next_right[:, 0] >= params.min_disparity_px * scale / 2
+    left, right, next_left, next_right = left[good], right[good], next_left[good], next_right[good]
+    other_way, good = _flow(first.right, second.right, right, next_right, 1, _STOP_OF_CHECKS)
+    good &= np.linalg.norm(other_way - next_right, axis=1) <= params.circle_tolerance_px
     if int(good.sum()) < params.min_points:
         return _nothing(NoMeasurement.TOO_FEW_POINTS)
-    sigma = params.sigma_px / scale
     first_px = _joined(left[good], right[good]) / scale
-    return first_px, _joined(next_left[good], next_right[good]) / scale, sigma, None
+    return first_px, _joined(next_left[good], next_right[good]) / scale, params.sigma_px / scale, None
 
 
 def _corners(picture: Bytes, params: TrajectoryParams) -> Points:
@@ -188,14 +193,19 @@ def _disparity(frame: _Frame, corners: Points) -> Floats:
 
 
 def _flow(
-    source: Bytes, target: Bytes, points: Points, guess: NDArray[np.floating], levels: int
+    source: Bytes,
+    target: Bytes,
+    points: Points,
+    guess: NDArray[np.floating],
+    levels: int,
+    stop: tuple[int, int, float] = _STOP,
 ) -> tuple[Points, NDArray[np.bool_]]:
     """Where points (N, 2) of one picture are in another, beginning at a guess on the `levels`-th pyramid level."""
     if not len(points):
         return points, np.zeros(0, dtype=bool)
     start = np.ascontiguousarray(guess, dtype=np.float32)
     found, status, _ = cv2.calcOpticalFlowPyrLK(
-        source, target, np.ascontiguousarray(points), start.copy(), winSize=_WINDOW, maxLevel=levels, criteria=_STOP,
+        source, target, np.ascontiguousarray(points), start.copy(), winSize=_WINDOW, maxLevel=levels, criteria=stop,
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )  # fmt: skip
     return np.asarray(found, dtype=np.float32), status.reshape(-1).astype(bool) & np.isfinite(found).all(axis=1)

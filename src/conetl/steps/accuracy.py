@@ -14,6 +14,7 @@ from conetl.geometry.packing import cov_matrix, vec3
 from conetl.geometry.pose_covariance import pose_jacobian
 from conetl.geometry.rig import map_SE3_left
 from conetl.records import Drive, Pose, Position, Record, Rig, Track, Vec3
+from conetl.steps.association import MotionError
 from conetl.steps.evaluation import TruthCone, TruthLine
 
 Floats = NDArray[np.float64]
@@ -99,12 +100,15 @@ class ConsistencyReport(Record):
     common: NeesReport | None
 
 
-def track_errors(lines: Sequence[TruthLine[Track]], drive: Drive) -> PointErrors:
+def track_errors(
+    lines: Sequence[TruthLine[Track]], drive: Drive, positions: Sequence[Position], motion: MotionError | None = None
+) -> PointErrors:
     """Errors of the tracks that were found.
 
     In common they have what the positions of the drive have (`position_errors`), each by its own lever: an error of the
-    heading is no mere shift of all cones. The levers of a track's sightings are averaged with the weight that sightings have
-    in an adjustment, about one over the square of the range.
+    heading is no mere shift of all cones. The levers of a track's sightings are put together as their adjustment puts the
+    sightings together, with the information of each (a (3, 3) share: one far ahead tells the side, one abeam the way along).
+    positions: single ones of the drive, those of the tracks among them. motion: of a refined trajectory, as tracks were fused.
     """
     found = [(line, line.feature) for line in lines if line.feature is not None]
     path_m = np.array([map_SE3_left(pair.pose, drive.rig)[:3, 3] for pair in drive.frame_pairs])
@@ -114,13 +118,13 @@ def track_errors(lines: Sequence[TruthLine[Track]], drive: Drive) -> PointErrors
     level = offset[np.arange(len(found)), nearest]
     truth = np.array([line.truth.xyz_m for line, _ in found]).reshape(-1, 3)
     pose_of = {pair.frame_index: pair.pose for pair in drive.frame_pairs}
+    by_member = {(p.frame_index, p.match_index): p for p in positions}
     jacobians, variances = [np.zeros((0, 3, 6 + len(_calibration(drive.rig))))], []
     for place, (_, track) in zip(xyz, found, strict=True):
         poses = [pose_of[frame_index] for frame_index, _ in track.members]
         lever, sigmas = _common_errors(np.tile(place, (len(poses), 1)), poses, drive.rig)
-        left = np.array([map_SE3_left(pose, drive.rig)[:2, 3] for pose in poses])
-        weight = 1.0 / np.sum((place[:2] - left) ** 2, axis=1)
-        jacobians.append(np.einsum("f,fij->ij", weight / weight.sum(), lever)[None])
+        shares = _shares([by_member[member] for member in track.members], poses, drive.rig, motion)
+        jacobians.append(np.einsum("fij,fjk->ik", shares, lever)[None])
         variances.append(np.mean(sigmas**2, axis=0))
     return PointErrors(
         cone_ids=tuple(line.truth.cone_id for line, _ in found),
@@ -133,6 +137,18 @@ def track_errors(lines: Sequence[TruthLine[Track]], drive: Drive) -> PointErrors
         common_jacobian=np.concatenate(jacobians),
         common_cov=_blocks(np.diag(np.mean(variances, axis=0)) if found else np.zeros((6, 6)), _calibration(drive.rig)),
     )
+
+
+def _shares(members: Sequence[Position], poses: Sequence[Pose], rig: Rig, motion: MotionError | None) -> Floats:
+    """(F, 3, 3): how a track moves with each of its positions; their sum is the identity (`JointFit.shares`)."""
+    turn = np.array([map_SE3_left(pose, rig)[:3, :3] for pose in poses])
+    cov = _stack([cov_matrix(p.camera_cov_m2) for p in members])
+    if motion is not None:
+        nearest = min(members, key=lambda p: p.range_m).frame_index
+        added = [np.trace(motion(p.frame_index, nearest, np.array(p.camera_xyz_m))) / 3 for p in members]
+        cov = cov + np.array(added)[:, None, None] * np.eye(3)
+    information = np.linalg.inv(turn @ cov @ np.swapaxes(turn, 1, 2))
+    return np.asarray(np.linalg.inv(information.sum(axis=0)) @ information)
 
 
 def members_of(lines: Sequence[TruthLine[Track]]) -> dict[tuple[int, int], TruthCone]:

@@ -1,10 +1,11 @@
 """Does a drive contradict the calibration of its rig, and which rig agrees with it?
 
 The estimate itself is `geometry/self_calibration.py`. Here: which spans of the drive take part, whether what they say is
-significant and plausible, and the rig with its right camera turned. The turn goes into `body_SE3_right`, not into the principal
-point: a turned camera shifts the sides of its picture more than the middle, and intersection, odometry and tracks take the full
-orientation anyway (matching asks `geometry/rig.py` where infinity lies). Pictures are not resampled: of a rig with
-`rectified_from` the camera that took them is turned by the same angle, so that pictures stay as they are.
+significant and plausible, and the rig with its right camera corrected. A turn goes into `body_SE3_right`: it shifts the sides of
+the picture more than the middle, and intersection, odometry and tracks take the full orientation anyway (matching asks
+`geometry/rig.py` where infinity lies). Where the sides need something else, a bend, turn and principal point change together.
+Pictures are not resampled: of a rig with `rectified_from` the camera that took them is turned by the same angle, so that pictures
+stay as they are; a bend would change them, so that such rigs, whose lenses conetl knows itself, are only turned.
 """
 
 from __future__ import annotations
@@ -20,16 +21,18 @@ from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
 from conetl.geometry.calibration_covariance import known_covariance
-from conetl.geometry.packing import cov3, cov_matrix, vec3
+from conetl.geometry.packing import vec3
 from conetl.geometry.rig import body_SE3_camera
-from conetl.geometry.self_calibration import SpanPoints, estimate_turn
+from conetl.geometry.self_calibration import SpanPoints, as_camera, estimate_right_camera
 from conetl.geometry.stereo_motion import RelativeMotion
 from conetl.geometry.stereo_tracks import StereoTracks, cameras_of, motion_limits
 from conetl.params import TrajectoryParams
-from conetl.records import CalibrationCovariance, Cov3, Record, Rig, Vec3
+from conetl.records import CalibrationCovariance, Record, Rig, Vec3
 
 Floats = NDArray[np.float64]
 _TURN_NAMES = ("relative.rx_rad", "relative.ry_rad", "relative.rz_rad")
+#: The tangential coefficient of brown and rational lenses that moves columns by (3 x^2 + y^2) of it.
+_DECENTRING = "lens.3"
 
 
 class Span(NamedTuple):
@@ -59,20 +62,32 @@ class SelfCalibration(Record):
     detail: str
     """One sentence for a person."""
     rotation_rad: Vec3 | None
-    """rx, ry, rz; left_SE3_right = (R, t) becomes (R exp([r]x), t). None without an estimate."""
-    rotation_cov: Cov3 | None
-    """Of the turn, the prior included, rad^2."""
+    """rx, ry, rz of a camera that is only turned; None without an estimate (`geometry/self_calibration.py` has the signs)."""
+    bend: float
+    """Shift of the right picture's columns at x = 1, in focal lengths; it grows as x squared."""
+    cov: tuple[float, ...]
+    """Upper triangle, row by row, of the (4, 4) covariance of (rx, ry, rz, bend), prior included; empty without an estimate."""
     span_count: int = Field(ge=0)
     point_count: int = Field(ge=0)
     prior_chi2: float = Field(ge=0)
-    """Squared distance of what the spans say from the calibration as it was, 3 degrees of freedom."""
+    """Squared distance of what the spans say from the calibration as it was, 4 degrees of freedom."""
 
 
 #: Where the parameters do not ask for it.
 SWITCHED_OFF = SelfCalibration(
     outcome=SelfCalibrationOutcome.SWITCHED_OFF, detail="self-calibration is switched off", rotation_rad=None,
-    rotation_cov=None, span_count=0, point_count=0, prior_chi2=0.0,
+    bend=0.0, cov=(), span_count=0, point_count=0, prior_chi2=0.0,
 )  # fmt: skip
+
+
+def span_params(params: TrajectoryParams) -> TrajectoryParams:
+    """The parameters with which points are followed over spans."""
+    return params.model_copy(
+        update={
+            "epipolar_tolerance_px": params.self_calibration_row_tolerance_px,
+            "corners_per_cell": params.self_calibration_corners_per_cell,
+        }
+    )
 
 
 def choose_spans(motions: Sequence[RelativeMotion], span_m: float) -> list[Span]:
@@ -95,7 +110,7 @@ def choose_spans(motions: Sequence[RelativeMotion], span_m: float) -> list[Span]
 def self_calibrate(
     rig: Rig, spans: Sequence[Span], tracks: Sequence[StereoTracks], params: TrajectoryParams
 ) -> SelfCalibration:
-    """Estimate the turn of the right camera from the points of each span, and decide whether it is to be applied.
+    """Estimate turn and bend of the right camera from the points of each span, and decide whether they are to be applied.
 
     tracks: of each span. Nothing in it depends on where the poses say that the car was.
     """
@@ -107,30 +122,35 @@ def self_calibrate(
     if len(points) < params.self_calibration_min_spans:
         return _without_estimate(f"{len(points)} spans of the drive could be compared, needed are "
                                  f"{params.self_calibration_min_spans}")  # fmt: skip
-    said = estimate_turn(cameras_of(rig), points, motion_limits(params), params.self_calibration_min_spans)
+    said = estimate_right_camera(cameras_of(rig), points, motion_limits(params), params.self_calibration_min_spans)
     if said is None:
         return _without_estimate("too few points stand still, or they are all far away")
-    unit_px = _pixels_a_radian(rig)
+    unit_px = _pixels_a_unit(rig)
     cov = said.cov + np.diag((params.self_calibration_sigma_floor_px / unit_px) ** 2)
     _, prior, by_parameter = _prior(rig, params)
-    turn_prior = by_parameter @ prior @ by_parameter.T
+    before = by_parameter @ prior @ by_parameter.T
     # Whether the calibration is contradicted, the scatter decides; how well the turn then describes it, the model's gap too.
-    spread = turn_prior + cov + np.outer(said.model_gap_rad, said.model_gap_rad)
-    prior_chi2 = float(said.rotation_rad @ np.linalg.solve(spread, said.rotation_rad))
-    gain = turn_prior @ np.linalg.inv(spread)
-    rotation, posterior = gain @ said.rotation_rad, _symmetric(turn_prior - gain @ turn_prior)
-    shift_px, sigma_px = said.rotation_rad * unit_px, np.sqrt(np.diag(cov)) * unit_px
+    spread = before + cov + np.outer(said.model_gap, said.model_gap)
+    prior_chi2 = float(said.turn_and_bend @ np.linalg.solve(spread, said.turn_and_bend))
+    gain = before @ np.linalg.inv(spread)
+    found, posterior = gain @ said.turn_and_bend, _symmetric(before - gain @ before)
+    shift_px, sigma_px = said.turn_and_bend * unit_px, np.sqrt(np.diag(cov)) * unit_px
     worth = (np.abs(shift_px) > params.self_calibration_significance * sigma_px) & (
-        np.abs(rotation * unit_px) > params.self_calibration_least_px
+        np.abs(found * unit_px) > params.self_calibration_least_px
     )
     figures = (
-        f"disparities {-shift_px[1]:+.2f} +- {sigma_px[1]:.2f} px, rows {shift_px[0]:+.2f} +- {sigma_px[0]:.2f} px in the "
-        f"middle, {shift_px[2]:+.2f} +- {sigma_px[2]:.2f} px more at the side; {len(points)} spans"
+        f"disparities {-shift_px[1]:+.2f} +- {sigma_px[1]:.2f} px in the middle, {-shift_px[3]:+.2f} +- {sigma_px[3]:.2f} px "
+        f"more at the sides than a turn explains, rows {shift_px[0]:+.2f} +- {sigma_px[0]:.2f} px in the middle, "
+        f"{shift_px[2]:+.2f} +- {sigma_px[2]:.2f} px more at the side; {len(points)} spans"
     )
     outcome = SelfCalibrationOutcome.APPLIED
+    rotation, _ = as_camera(found, rig.right.fx_px)
     turn_text = f"{rotation[1] * 1e3:+.2f} mrad to the side and {rotation[0] * 1e3:+.2f} mrad up or down"
+    bend_text = f", columns bent by {found[3] * unit_px[3]:+.2f} px at the sides" if found[3] else ""
     left_px = float(np.sqrt(posterior[1, 1]) * unit_px[1])
-    detail = f"right camera turned by {turn_text}, disparities are good to {left_px:.2f} px after it ({figures})"
+    detail = (
+        f"right camera turned by {turn_text}{bend_text}; disparities are good to {left_px:.2f} px after it ({figures})"
+    )
     if not worth.any():
         outcome = SelfCalibrationOutcome.INSIGNIFICANT
         detail = f"calibration left as it is, the drive does not contradict it ({figures})"
@@ -140,24 +160,28 @@ def self_calibrate(
             f"calibration left as it is: it would have to be off by {prior_chi2**0.5:.1f} of its sigmas ({figures})"
         )
     return SelfCalibration(
-        outcome=outcome, detail=detail, rotation_rad=vec3(rotation), rotation_cov=cov3(posterior), span_count=len(points),
-        point_count=said.point_count, prior_chi2=prior_chi2,
+        outcome=outcome, detail=detail, rotation_rad=vec3(found[:3]), bend=float(found[3]),
+        cov=tuple(posterior[np.triu_indices(4)].tolist()), span_count=len(points), point_count=said.point_count,
+        prior_chi2=prior_chi2,
     )  # fmt: skip
 
 
 def self_calibrated_rig(rig: Rig, found: SelfCalibration, params: TrajectoryParams) -> Rig:
-    """The rig with its right camera turned and what is left to know as `calibration_covariance`; as it is unless applied."""
+    """The rig with its right camera corrected and what is left to know as `calibration_covariance`; as it is unless applied."""
     if found.outcome is not SelfCalibrationOutcome.APPLIED:
         return rig
-    assert found.rotation_rad is not None and found.rotation_cov is not None  # it was applied
+    assert found.rotation_rad is not None  # it was applied
     names, prior, by_parameter = _prior(rig, params)
-    # The estimate as a measurement of the parameters: what it says of the turn, it says of all that is correlated with it.
-    turn_prior = by_parameter @ prior @ by_parameter.T
-    lift = prior @ by_parameter.T @ np.linalg.pinv(turn_prior, hermitian=True)
-    left_over = _symmetric(prior - lift @ (turn_prior - cov_matrix(found.rotation_cov)) @ lift.T)
+    # The estimate as a measurement of the parameters: what it says of turn and bend, it says of all that is correlated with them.
+    before, after = by_parameter @ prior @ by_parameter.T, np.zeros((4, 4))
+    after[np.triu_indices(4)] = found.cov
+    after += np.triu(after, 1).T
+    lift = prior @ by_parameter.T @ np.linalg.pinv(before, rcond=1e-9, hermitian=True)
+    left_over = _symmetric(prior - lift @ (before - after) @ lift.T)
     covariance = CalibrationCovariance(names=names, matrix=tuple(tuple(row) for row in left_over.tolist()))
     own = body_SE3_camera(rig, "right")
-    in_body = own[:3, :3] @ Rotation.from_rotvec(found.rotation_rad).as_matrix() @ own[:3, :3].T
+    rotation, shift_px = as_camera(np.array([*found.rotation_rad, found.bend]), rig.right.fx_px)
+    in_body = own[:3, :3] @ Rotation.from_rotvec(rotation).as_matrix() @ own[:3, :3].T
 
     def turn(one: Rig) -> Rig:
         pose = body_SE3_camera(one, "right")
@@ -165,39 +189,53 @@ def self_calibrated_rig(rig: Rig, found: SelfCalibration, params: TrajectoryPara
         return one.model_copy(update={"body_SE3_right": se3.to_matrix4(pose)})
 
     if rig.rectified_from is None:
-        return turn(rig).model_copy(update={"calibration_covariance": covariance})
+        right = rig.right.model_copy(update={"cx_px": rig.right.cx_px + shift_px})
+        return turn(rig).model_copy(update={"right": right, "calibration_covariance": covariance})
     taken = turn(rig.rectified_from).model_copy(update={"calibration_covariance": covariance})
     return turn(rig).model_copy(update={"rectified_from": taken})
 
 
-def _pixels_a_radian(rig: Rig) -> Floats:
-    """(3,): rows for rx and disparity for ry in the middle of the picture, rows at its side for rz."""
-    return np.array([rig.right.fy_px, rig.right.fx_px, rig.right.width_px / 2])
+def _pixels_a_unit(rig: Rig) -> Floats:
+    """(4,): rows for rx and disparity for ry in the middle of the picture, rows for rz and columns for the bend at its side."""
+    side = rig.right.width_px / 2 / rig.right.fx_px
+    return np.array([rig.right.fy_px, rig.right.fx_px, rig.right.width_px / 2, rig.right.fx_px * side**2])
 
 
 def _prior(rig: Rig, params: TrajectoryParams) -> tuple[tuple[str, ...], Floats, Floats]:
-    """Names (K) and covariance (K, K) of the calibration before the drive, and (3, K) how its errors look like a turn.
+    """Names (K) and covariance (K, K) of the calibration before the drive, and (4, K) how its errors look like turn and bend.
 
-    A principal point that is off looks like a turn in the middle of the picture; without it a calibration would seem to know
-    the turn worse than it knows what the pictures show. Focal lengths, lens and baseline do nothing there.
+    A principal point that is off looks like a turn and a bend that cancel each other at the sides of the picture, decentring of a
+    lens like a bend; without them a calibration would seem to know less than it does. Other parameters do nothing there.
     """
     taken = rig.rectified_from or rig
     own_R_taken = body_SE3_camera(rig, "right")[:3, :3].T @ body_SE3_camera(taken, "right")[:3, :3]
+    bends = rig.rectified_from is None
     known = known_covariance(rig)
     if known is None:
-        sigma = params.self_calibration_prior_px / _pixels_a_radian(rig)
-        return _TURN_NAMES, own_R_taken.T @ np.diag(sigma**2) @ own_R_taken, own_R_taken
-    by_parameter = np.zeros((3, len(known.names)))
-    for k, name in enumerate(known.names):
+        names = (*_TURN_NAMES, "right.cx_px") if bends else _TURN_NAMES
+        by_parameter = _by_parameter(names, taken, own_R_taken, bends)
+        sigma = params.self_calibration_prior_px / _pixels_a_unit(rig)
+        back = np.linalg.pinv(by_parameter)
+        return names, back @ np.diag(sigma**2) @ back.T, by_parameter
+    return known.names, np.array(known.matrix), _by_parameter(known.names, taken, own_R_taken, bends)
+
+
+def _by_parameter(names: Sequence[str], taken: Rig, own_R_taken: Floats, bends: bool) -> Floats:
+    """(4, K): turn and bend of the rectified right camera that an error of each named parameter amounts to."""
+    result = np.zeros((4, len(names)))
+    for k, name in enumerate(names):
         side, _, field = name.partition(".")
         camera, sign = (taken.left, -1.0) if side == "left" else (taken.right, 1.0)
         if name in _TURN_NAMES:
-            by_parameter[:, k] = own_R_taken[:, _TURN_NAMES.index(name)]
+            result[:3, k] = own_R_taken[:, _TURN_NAMES.index(name)]
         elif field == "cx_px":
-            by_parameter[1, k] = -sign / camera.fx_px
+            result[1, k] = result[3, k] = -sign / camera.fx_px
         elif field == "cy_px":
-            by_parameter[0, k] = sign / camera.fy_px
-    return known.names, np.array(known.matrix), by_parameter
+            result[0, k] = sign / camera.fy_px
+        elif field == _DECENTRING and camera.lens.model in ("brown", "rational"):
+            result[3, k] = 3 * sign
+    result[3] *= bends
+    return result
 
 
 def _symmetric(matrix: Floats) -> Floats:
@@ -207,5 +245,5 @@ def _symmetric(matrix: Floats) -> Floats:
 def _without_estimate(why: str) -> SelfCalibration:
     return SelfCalibration(
         outcome=SelfCalibrationOutcome.NO_ESTIMATE, detail=f"calibration left as it is: {why}", rotation_rad=None,
-        rotation_cov=None, span_count=0, point_count=0, prior_chi2=0.0,
+        bend=0.0, cov=(), span_count=0, point_count=0, prior_chi2=0.0,
     )  # fmt: skip

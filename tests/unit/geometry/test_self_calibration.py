@@ -1,14 +1,16 @@
-"""The turn of the right camera from simulated points of a drive: found within what is stated, and not where nothing tells."""
+"""Turn and bend of the right camera from simulated points of a drive: found within what is stated, not where nothing tells."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from conetl.geometry.self_calibration import estimate_turn
-from conetl.geometry.stereo_motion import MotionLimits, StereoCameras
+from conetl.geometry.self_calibration import SpanPoints, corrected, estimate_right_camera
+from conetl.geometry.stereo_motion import MotionLimits, StereoCameras, project
 from tests.synthetic.spans import BASELINE_M, CX_PX, CY_PX, FOCAL_PX, make_span, see
 
 INTRINSICS = np.array([FOCAL_PX, FOCAL_PX, CX_PX, CY_PX])
@@ -18,13 +20,15 @@ CAMERAS = StereoCameras(INTRINSICS, INTRINSICS, BESIDE)
 LIMITS = MotionLimits(min_inliers=30, gate_m=0.5, gate_rad=0.02)
 #: 0.6 px of disparity, 0.3 px of row, 0.2 px of row at the side.
 TURN = np.array([0.3, -0.6, 0.3]) / FOCAL_PX
+#: 1.1 px of disparity at the sides of the picture.
+BEND = 1.5 / FOCAL_PX
 
 
 def found_from(seed: int, turn: np.ndarray = TURN, spans: int = 18, **street: float) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
-    found = estimate_turn(CAMERAS, [make_span(rng, turn, **street) for _ in range(spans)], LIMITS, 8)  # type: ignore[arg-type]
+    found = estimate_right_camera(CAMERAS, [make_span(rng, turn, **street) for _ in range(spans)], LIMITS, 8)  # type: ignore[arg-type]
     assert found is not None
-    return found.rotation_rad, found.cov
+    return found.turn_and_bend[:3], found.cov[:3, :3]
 
 
 def test_a_turn_is_found_within_its_stated_sigma() -> None:
@@ -57,9 +61,11 @@ def test_wrong_points_do_not_move_the_result() -> None:
     for span in spans:
         span.last_px[::9] += rng.uniform(-20, 20, span.last_px[::9].shape)
         span.first_px[1::9, 3] += 2.0  # a wrong row alone is seen by no motion
-    found = estimate_turn(CAMERAS, spans, LIMITS, 8)
+    found = estimate_right_camera(CAMERAS, spans, LIMITS, 8)
     assert found is not None
-    assert np.abs(found.rotation_rad - TURN).max() * FOCAL_PX < 0.06  # a ninth of the rows is wrong by 2 px to one side
+    assert (
+        np.abs(found.turn_and_bend[:3] - TURN).max() * FOCAL_PX < 0.06
+    )  # a ninth of the rows is wrong by 2 px to one side
 
 
 def test_a_longer_way_tells_more() -> None:
@@ -67,25 +73,60 @@ def test_a_longer_way_tells_more() -> None:
     assert long[1, 1] < 0.5 * short[1, 1]
 
 
-def test_disparities_bent_by_something_else_show_as_a_gap_of_the_model() -> None:
-    rng = np.random.default_rng(500)
-    bent, straight = ([make_span(rng, np.zeros(3)) for _ in range(16)] for _ in range(2))
-    for span in bent:
+def bent(
+    rng: np.random.Generator, turn: np.ndarray, field: Callable[[np.ndarray], np.ndarray], spans: int
+) -> list[SpanPoints]:
+    """Spans whose right columns are shifted, in px, by a field of x, the column in focal lengths from the middle."""
+    made = [make_span(rng, turn) for _ in range(spans)]
+    for span in made:
         for seen in (span.first_px, span.last_px):
-            seen[:, 2] += 1.5 * ((seen[:, 2] - CX_PX) / FOCAL_PX) ** 2
-    gaps = [estimate_turn(CAMERAS, spans, LIMITS, 8) for spans in (bent, straight)]
-    assert gaps[0] is not None and gaps[1] is not None
-    # Nothing is turned: the turn that was found instead and its gap are of opposite sign and equal size.
-    gap_px = float(gaps[0].model_gap_rad[1]) * FOCAL_PX
-    assert gap_px > 0.15
-    assert gap_px == pytest.approx(-float(gaps[0].rotation_rad[1]) * FOCAL_PX, abs=0.05)
-    assert abs(float(gaps[1].model_gap_rad[1])) * FOCAL_PX < 0.03
+            seen[:, 2] += field((seen[:, 2] - CX_PX) / FOCAL_PX)
+    return made
+
+
+def test_a_bend_of_the_columns_is_found_beside_the_turn_and_within_its_stated_sigma() -> None:
+    nees = []
+    for seed in range(500, 505):
+        spans = bent(np.random.default_rng(seed), TURN, lambda x: BEND * FOCAL_PX * x**2, 16)
+        found = estimate_right_camera(CAMERAS, spans, LIMITS, 8)
+        assert found is not None
+        off = found.turn_and_bend - [*TURN, BEND]
+        assert np.abs(off).max() * FOCAL_PX < 0.4
+        nees.append(off @ np.linalg.solve(found.cov, off))
+    low, high = chi2.ppf([0.001, 0.999], 4 * len(nees)) / len(nees)
+    assert 0.8 * low < np.mean(nees) < 1.2 * high
+
+
+def test_a_corrected_camera_sees_what_turn_and_bend_say() -> None:
+    """A turn moves columns by -ry (1 + x^2), the bend by b x^2: to first order, in focal lengths."""
+    far = np.array([[x, 0.0, 1.0] for x in (-0.8, -0.4, 0.0, 0.5, 0.8)]) * 1e6
+    moved = project(corrected(CAMERAS, np.array([0, TURN[1], 0, BEND])), far)[0] - project(CAMERAS, far)[0]
+    x2 = (far[:, 0] / far[:, 2]) ** 2
+    assert moved[:, 2] / FOCAL_PX == pytest.approx(-TURN[1] * (1 + x2) + BEND * x2, abs=2e-5)
+    assert moved[:, :2] == pytest.approx(0.0)
+
+
+def test_disparities_off_by_yet_another_field_show_as_a_gap_of_the_model() -> None:
+    side = CX_PX / FOCAL_PX
+
+    def fourth(x: np.ndarray) -> np.ndarray:
+        return np.asarray(1.5 * (35 * (x / side) ** 4 - 30 * (x / side) ** 2 + 3) / 8)
+
+    gaps = []
+    for field in (fourth, np.zeros_like):
+        found = estimate_right_camera(CAMERAS, bent(np.random.default_rng(510), np.zeros(3), field, 16), LIMITS, 8)
+        assert found is not None
+        gaps.append((found.turn_and_bend, found.model_gap))
+    # Nothing is turned: what was found instead and its gap are of opposite sign and equal size.
+    assert abs(gaps[0][1][3]) * FOCAL_PX > 0.15
+    assert gaps[0][1] * FOCAL_PX == pytest.approx(-gaps[0][0] * FOCAL_PX, abs=0.12)
+    assert np.abs(gaps[1][1]).max() * FOCAL_PX < 0.1
 
 
 @pytest.mark.parametrize("spans", [0, 7])
 def test_too_few_spans_say_nothing(spans: int) -> None:
     rng = np.random.default_rng(600)
-    assert estimate_turn(CAMERAS, [make_span(rng, TURN) for _ in range(spans)], LIMITS, 8) is None
+    assert estimate_right_camera(CAMERAS, [make_span(rng, TURN) for _ in range(spans)], LIMITS, 8) is None
 
 
 def test_spans_of_noise_say_nothing() -> None:
@@ -93,7 +134,7 @@ def test_spans_of_noise_say_nothing() -> None:
     spans = [make_span(rng, TURN) for _ in range(10)]
     for span in spans:
         span.last_px[:] = see(np.array([[0.0, 0.0, 9.0]]), np.zeros(3)) + rng.uniform(-60, 60, span.last_px.shape)
-    assert estimate_turn(CAMERAS, spans, LIMITS, 8) is None
+    assert estimate_right_camera(CAMERAS, spans, LIMITS, 8) is None
 
 
 def test_a_turn_of_the_rig_as_delivered_is_what_is_left() -> None:
@@ -102,6 +143,6 @@ def test_a_turn_of_the_rig_as_delivered_is_what_is_left() -> None:
     askew = np.eye(4)
     askew[:3, :3] = Rotation.from_rotvec(-TURN).as_matrix()
     cameras = StereoCameras(INTRINSICS, INTRINSICS, askew @ BESIDE)
-    found = estimate_turn(cameras, [make_span(rng, TURN) for _ in range(16)], LIMITS, 8)
+    found = estimate_right_camera(cameras, [make_span(rng, TURN) for _ in range(16)], LIMITS, 8)
     assert found is not None
-    assert np.all(np.abs(found.rotation_rad) < 4 * np.sqrt(np.diag(found.cov)))
+    assert np.all(np.abs(found.turn_and_bend[:3]) < 4 * np.sqrt(np.diag(found.cov)[:3]))

@@ -62,6 +62,11 @@ def lines_of(cones: list[TruthCone], shift: np.ndarray) -> list[TruthLine[Track]
     return compare_with_truth(cones, tracks, PATH)[0]
 
 
+def positions_of(cones: list[TruthCone]) -> list[Position]:
+    """Positions of the members of the tracks of `lines_of`."""
+    return [make_position(f, k, np.array(cone.xyz_m)) for k, cone in enumerate(cones) for f in range(8)]
+
+
 def test_errors_are_told_by_axis() -> None:
     """The drive goes east: ahead is easting, left is northing; camera z is the range."""
     cones = truth_cones(3)
@@ -79,7 +84,7 @@ def test_errors_are_told_by_axis() -> None:
     assert figures.le90_m == pytest.approx(0.05)
     assert figures.ce90_m == pytest.approx(0.2)
     np.testing.assert_allclose(singles.own_cov_m2[0], np.diag([25e-4, 1e-4, 4e-4]), atol=1e-12)
-    tracks = track_errors(lines, DRIVE)
+    tracks = track_errors(lines, DRIVE, positions_of(cones))
     np.testing.assert_allclose(np.diag(tracks.common_cov), np.square([0.02, 0.02, 0.03, 5e-4, 5e-4, 5e-4]))
     assert sum(band.errors.count for band in by_range(singles)) == 24
     assert statistics(select(singles, np.zeros(24, dtype=bool))) is None
@@ -87,14 +92,14 @@ def test_errors_are_told_by_axis() -> None:
 
 def test_a_shift_of_the_whole_drive_is_common_and_one_cone_off_is_relative() -> None:
     cones = truth_cones(6)
-    shifted = drive_consistency(track_errors(lines_of(cones, np.array([0.3, 0.0, 0.0])), DRIVE))
+    shifted = drive_consistency(track_errors(lines_of(cones, np.array([0.3, 0.0, 0.0])), DRIVE, positions_of(cones)))
     assert shifted is not None
     assert shifted.relative.value == pytest.approx(0.0, abs=1e-9)
     assert not shifted.common.holds()
     lines = lines_of(cones, np.zeros(3))
     off = make_track(0, np.add(cones[0].xyz_m, (0.3, 0.0, 0.0)), range(8))
     lines[0] = TruthLine(cones[0], off, lines[0].truth_range_m, lines[0].range_m)
-    alone = drive_consistency(track_errors(lines, DRIVE))
+    alone = drive_consistency(track_errors(lines, DRIVE, positions_of(cones)))
     assert alone is not None
     assert not alone.relative.holds()
     assert alone.common.holds(0.9999)
@@ -158,7 +163,7 @@ def test_an_error_of_the_calibration_is_common_to_all_positions() -> None:
 
 def test_nothing_found_is_no_figure() -> None:
     lines: list[TruthLine[Track]] = [TruthLine(truth_cones(1)[0], None, 3.0, None)]
-    tracks, singles = track_errors(lines, DRIVE), position_errors(members_of(lines), [], DRIVE)
+    tracks, singles = track_errors(lines, DRIVE, []), position_errors(members_of(lines), [], DRIVE)
     for errors in (tracks, singles):
         assert isinstance(errors, PointErrors)
         assert statistics(errors) is None

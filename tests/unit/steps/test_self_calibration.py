@@ -24,7 +24,7 @@ from conetl.steps.self_calibration import (
     self_calibrate,
     self_calibrated_rig,
 )
-from tests.synthetic.spans import FOCAL_PX, make_span, motion
+from tests.synthetic.spans import CX_PX, FOCAL_PX, make_span, motion
 from tests.synthetic.world import make_rig
 
 PARAMS = TrajectoryParams()
@@ -33,12 +33,19 @@ TURN = np.array([0.2, -0.6, 0.2]) / FOCAL_PX
 
 
 def asked(
-    rig: Rig = RIG, turn: np.ndarray = TURN, seed: int = 1, spans: int = 14, params: TrajectoryParams = PARAMS
+    rig: Rig = RIG,
+    turn: np.ndarray = TURN,
+    seed: int = 1,
+    spans: int = 14,
+    params: TrajectoryParams = PARAMS,
+    bend_px: float = 0.0,
 ) -> SelfCalibration:
     rng = np.random.default_rng(seed)
     chosen, tracks = [], []
     for k in range(spans):
         made = make_span(rng, turn, points=80)
+        for seen in (made.first_px, made.last_px):
+            seen[:, 2] += bend_px * ((seen[:, 2] - CX_PX) / FOCAL_PX) ** 2
         chosen.append(Span(k, k + 1, made.last_SE3_first))
         tracks.append(
             StereoTracks(
@@ -66,19 +73,53 @@ def test_a_turned_camera_is_found_and_applied() -> None:
     assert np.array(found.rotation_rad) * FOCAL_PX == pytest.approx(TURN * FOCAL_PX, abs=0.12)
     rig = self_calibrated_rig(RIG, found, PARAMS)
     turned = left_SE3_right(RIG)[:3, :3].T @ left_SE3_right(rig)[:3, :3]
-    assert Rotation.from_matrix(turned).as_rotvec() == pytest.approx(np.array(found.rotation_rad), abs=1e-9)
+    assert found.rotation_rad is not None
+    rx, ry, rz = found.rotation_rad
+    assert Rotation.from_matrix(turned).as_rotvec() == pytest.approx([rx, ry - found.bend, rz], abs=1e-9)
+    assert rig.right.cx_px - RIG.right.cx_px == pytest.approx(-found.bend * RIG.right.fx_px)
     assert left_SE3_right(rig)[:3, 3] == pytest.approx(left_SE3_right(RIG)[:3, 3])
     assert "mrad" in found.detail and "px" in found.detail
+
+
+def test_a_bend_is_found_and_applied() -> None:
+    """Of a bent picture the sides are measured right afterwards too, and what is left open there is stated."""
+    found = asked(bend_px=1.6)
+    assert found.outcome is SelfCalibrationOutcome.APPLIED
+    assert found.bend * FOCAL_PX == pytest.approx(1.6, abs=0.5)
+    assert np.array(found.rotation_rad) * FOCAL_PX == pytest.approx(TURN * FOCAL_PX, abs=0.15)
+    after = self_calibrated_rig(RIG, found, PARAMS)
+    side = np.array([[8.0, 0.0, 10.0]])
+    sigma_px = FOCAL_PX * RIG.baseline_m / 100 * float(np.sqrt(calibration_cov(side, after)[0, 2, 2]))
+    assert 0.05 < sigma_px < 0.35
+    assert "bent" in found.detail
+
+
+def test_a_calibration_that_knows_its_principal_points_is_not_bent() -> None:
+    """Where only the orientation is stated to be open, the turn alone is corrected."""
+    names = ("relative.rx_rad", "relative.ry_rad", "relative.rz_rad")
+    stated = CalibrationCovariance(
+        names=names, matrix=tuple(tuple(r) for r in ((0.7 / FOCAL_PX) ** 2 * np.eye(3)).tolist())
+    )
+    rig = RIG.model_copy(update={"calibration_covariance": stated})
+    found = asked(rig)
+    assert found.outcome is SelfCalibrationOutcome.APPLIED
+    assert found.bend == 0.0
+    assert self_calibrated_rig(rig, found, PARAMS).right == RIG.right
 
 
 def test_what_is_left_to_know_is_carried_as_an_error_of_the_calibration() -> None:
     rig = self_calibrated_rig(RIG, asked(), PARAMS)
     assert rig.calibration_covariance is not None
-    assert rig.calibration_covariance.names == ("relative.rx_rad", "relative.ry_rad", "relative.rz_rad")
-    sigma_px = np.sqrt(np.diag(np.array(rig.calibration_covariance.matrix))) * FOCAL_PX
-    assert 0.05 <= sigma_px[1] < 0.2
+    assert rig.calibration_covariance.names == (
+        "relative.rx_rad", "relative.ry_rad", "relative.rz_rad", "right.cx_px"
+    )  # fmt: skip
+    matrix = np.array(rig.calibration_covariance.matrix)
+    middle = np.array([0, FOCAL_PX, 0, -1])  # turn and principal point: only their sum moves the middle of the picture
+    sigma_px = np.sqrt(middle @ matrix @ middle)
+    assert 0.05 <= sigma_px < 0.2
+    assert 0.05 <= np.sqrt(matrix[3, 3]) < 0.3  # and the bend tells the principal point
     depth_sigma_m = float(np.sqrt(calibration_cov(np.array([[0.0, 0.0, 10.0]]), rig)[0, 2, 2]))
-    assert depth_sigma_m == pytest.approx(100 * sigma_px[1] / (FOCAL_PX * RIG.baseline_m), rel=0.05)
+    assert depth_sigma_m == pytest.approx(100 * sigma_px / (FOCAL_PX * RIG.baseline_m), rel=0.05)
 
 
 def test_a_true_calibration_stays_as_it_is() -> None:
@@ -117,7 +158,8 @@ def test_a_known_covariance_is_sharpened_and_not_replaced() -> None:
     assert np.linalg.eigvalsh(matrix / np.outer(sigma, sigma)).min() > -1e-9
     assert matrix[0, 0] == pytest.approx(4.0)
     both = np.array([0, -1 / FOCAL_PX, 1, 0, 0])
-    assert np.sqrt(both @ matrix @ both) * FOCAL_PX < 0.2 < np.sqrt(matrix[2, 2]) * FOCAL_PX < 0.7
+    assert np.sqrt(both @ matrix @ both) * FOCAL_PX < 0.2
+    assert np.sqrt(matrix[2, 2]) * FOCAL_PX < 0.3  # without the bend turn and principal point could not be told apart
 
 
 def test_the_camera_that_took_raw_pictures_is_turned_along_and_pictures_stay() -> None:
