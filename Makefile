@@ -7,7 +7,7 @@ export PYTHON
 export PREFECT_SERVER_ANALYTICS_ENABLED := false
 export DO_NOT_TRACK := 1
 
-.PHONY: help setup demo test check web bench-detect bench-intersection bench-trajectory bench-rectification bench-export lock
+.PHONY: help setup demo up down test check web bench-detect bench-intersection bench-trajectory bench-rectification bench-changes bench-map bench-kills bench-export lock
 
 help:           ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -17,6 +17,12 @@ setup:          ## virtual environment with locked dependencies, PostGIS from th
 
 demo: setup     ## the main job: three sample drives become a versioned cone map
 	@$(BIN)/conetl demo
+
+up: setup       ## PostGIS, Prefect, workers, schedules and the web view; make down ends them
+	@$(BIN)/conetl up
+
+down:           ## end what make up started; the data stay
+	@$(BIN)/conetl down
 
 test: setup     ## all tests
 	@$(BIN)/python -m pytest -n 2 --dist loadgroup
@@ -45,6 +51,15 @@ bench-rectification: setup  ## cost of resampling raw pictures
 
 bench-export: setup  ## export of a million cones to GeoParquet: time and memory (ARGS='--what history --versions 5' ...)
 	@$(BIN)/python benchmarks/bench_export.py $(ARGS)
+
+bench-changes: setup  ## what the map makes of 200 simulated days of changes: confusion matrix (10 minutes of processor time)
+	@$(BIN)/python benchmarks/bench_changes.py
+
+bench-map: setup  ## a drive of 100,000 cones into maps of 100 thousand and 1 million features (SIZES="... 10000000" for more)
+	@$(BIN)/python benchmarks/bench_map.py --sizes $(or $(SIZES),100000 1000000)
+
+bench-kills: setup  ## 200 ingests killed at random instants: equal tables, no lock, no file left (KILLS=20 for fewer)
+	@$(BIN)/python benchmarks/bench_kills.py --kills $(or $(KILLS),200)
 
 lock:           ## renew requirements.txt from pyproject.toml (needs uv)
 	uv pip compile pyproject.toml --extra dev --extra dask --extra s3 --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --no-annotate -o requirements.txt

@@ -71,7 +71,7 @@ def import_map(
             tracks=(),
             path_m=np.array([statement.feature.xyz_m[:2] for statement in imported.statements]),
             influence_m=IMPORT_INFLUENCE_M,
-            look_at=lambda feature, offset_m: None,
+            look_at=lambda feature, offset_m, others_m: None,
             params=params.reconcile,
             statements=imported.statements,
         )

@@ -20,6 +20,7 @@ from conetl.rejections import INPUT_REASONS
 from conetl.reports import IngestReport, TooManyRejectionsError
 from conetl.settings import Settings
 from conetl.steps.self_calibration import SWITCHED_OFF, SelfCalibration, self_calibrated_rig
+from flows.control_room import name_of_run, worst_frames_task
 from flows.merge import already_committed, identify, merge_task
 from flows.merge import map_srid as srid_of_map
 from flows.progress import expect, ignore, listen
@@ -44,7 +45,7 @@ from flows.tasks import (
 )
 
 
-@flow(name="ingest-drive", flow_run_name="ingest {folder}", validate_parameters=False)
+@flow(name="ingest-drive", flow_run_name=name_of_run, validate_parameters=False)
 def ingest_drive(
     folder: Path, settings: Settings, params: IngestParams, *, map_srid: int | None = None
 ) -> IngestReport:
@@ -88,6 +89,7 @@ def ingest_drive(
     report = merged.report.model_copy(update={"seconds": time.monotonic() - started, **told})
     if report.status == "committed":
         publish_task(drive, merged.changeset, list(merged.untouched), report, settings)
+        worst_frames_task(drive, detections, positions, matches)
     lost = len(lost_frame_pairs(rejections, INPUT_REASONS))
     if lost > params.max_rejected_fraction * drive.expected_frame_count:
         raise TooManyRejectionsError(report, params.max_rejected_fraction)

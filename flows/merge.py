@@ -74,10 +74,15 @@ def identify(drive: Drive, params: IngestParams, settings: Settings) -> Identity
     return Identity(idempotency_key=key, params_sha256=parameters, model_sha256=card.sha256, evidence=card.evidence)
 
 
+def database_url(settings: Settings) -> str:
+    """Address of the map's database; the private cluster is started where it does not run."""
+    return settings.database_url.get_secret_value() if settings.database_url else cluster_up(settings.home)
+
+
 @contextmanager
 def open_map(settings: Settings) -> Iterator[Connection]:
     """A connection to the map's database, started and migrated where needed."""
-    url = settings.database_url.get_secret_value() if settings.database_url else cluster_up(settings.home)
+    url = database_url(settings)
     with closing(connect(url)) as conn:
         migrate(conn)
         yield conn
@@ -132,6 +137,7 @@ def merge_task(
             _changeset(drive, settings.map_name, identity, ()),
             params,
             map_name=settings.map_name,
+            evidence=identity.evidence,
             run=run,
         )
     deltas = merged.changeset.deltas
@@ -157,6 +163,7 @@ def merge_task(
             rejections=dict(sorted(Counter(r.reason for r in rejections).items())),
             params_sha256=identity.params_sha256,
             model_sha256=identity.model_sha256,
+            content_sha256=drive.content_sha256,
             seconds=0.0,
             committed_at=None,
             replayed_drives=merged.replayed,
@@ -186,7 +193,7 @@ def _line(delta: Delta) -> ChangeLine:
         xyz_m=feature.xyz_m,
         cone_height_m=feature.cone_height_m,
         sigma_horizontal_m=((feature.cov_m2[0] + feature.cov_m2[3]) / 2) ** 0.5,
-        existence_probability=feature.existence_probability,
+        existence_probability=delta.evidence.existence_probability if delta.evidence else feature.existence_probability,
         observation_count=feature.observation_count,
         shift_m=delta.shift_m,
     )
@@ -207,16 +214,12 @@ def _no_changes(drive: Drive, identity: Identity, known: CommittedChangeset, set
         matches=known.match_count,
         positions=known.position_count,
         tracks=known.track_count,
-        counts={
-            DeltaKind.ADDED: known.added_count,
-            DeltaKind.CONFIRMED: known.confirmed_count,
-            DeltaKind.MOVED: known.moved_count,
-            DeltaKind.REMOVED: known.removed_count,
-        },
+        counts={kind: getattr(known, f"{kind.value}_count") for kind in DeltaKind},
         changes=(),
         rejections={},
         params_sha256=identity.params_sha256,
         model_sha256=identity.model_sha256,
+        content_sha256=drive.content_sha256,
         seconds=0.0,
         committed_at=known.committed_at,
         counts_on_map=known.counts,

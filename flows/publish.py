@@ -16,6 +16,7 @@ from conetl.io.exports.plan_view import draw_plan_view
 from conetl.records import Changeset, Drive, MapFeature
 from conetl.reports import ChangeLine, IngestReport
 from conetl.settings import Settings
+from flows.control_room import show_around, tell_changes
 from flows.merge import open_map
 from flows.retries import RETRY
 
@@ -50,6 +51,8 @@ def publish_task(
             key="changes",
             description=f"Changes by drive {drive.drive_id}",
         )
+    show_around(report, settings)
+    tell_changes(drive, changeset, report)
     return [geojson, picture]
 
 

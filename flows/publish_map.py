@@ -1,4 +1,4 @@
-"""The map as files for others, nightly: a folder a publication, and a pointer to the last one.
+"""The map as files for others, every night: a folder a publication, and a pointer to the last one.
 
     folder/
       2026-03-04T020000.000000Z/    one publication: files, each with its manifest, and publication.json
@@ -8,61 +8,79 @@ A publication appears whole or not at all: it is written beside the others under
 at the end, in one step.
 """
 
-from __future__ import annotations
-
 import json
-import os
 import shutil
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
-from uuid import uuid4
+from typing import Annotated, Any
 
-from prefect import flow
+from prefect import State, flow
 from prefect.artifacts import create_table_artifact
+from prefect.states import Completed
+from pydantic import Field
 
 from conetl.errors import InputError
 from conetl.io.exports import FORMATS
 from conetl.io.exports.export import export_map
 from conetl.io.exports.source import ExportRequest
+from conetl.io.leftovers import aside, sweep
 from conetl.io.map_store import find_map
 from conetl.settings import Settings
+from flows.drive_job import MapName, alive, settings_for
 from flows.merge import open_map
 
 LATEST = "latest"
 
 
-@flow(name="publish-map")
-def publish_map(settings: Settings, formats: list[str], folder: Path, as_of: datetime | None = None) -> Path:
-    """Write the map (as of `as_of`; None: now) in `formats` to a new folder in `folder`, and point `latest` at it; the new
-    folder.
+@flow(name="publish-map", flow_run_name="publish map")
+def publish_map(
+    map_name: MapName = None,
+    formats: Annotated[
+        list[str] | None, Field(description=f"Some of {', '.join(FORMATS)}; all of them unless given.")
+    ] = None,
+    folder: Annotated[
+        Path | None, Field(description="Where publications go; `exports` of CONETL_HOME unless given.")
+    ] = None,
+    as_of: Annotated[datetime | None, Field(description="Instant on the road; as the map stands unless given.")] = None,
+) -> State[Any]:
+    """Write the map in several formats to a new folder, and point `latest` at it.
 
-    All files tell the map as it was believed at one instant. Raises InputError for an unknown format, a map that is not there, or
-    a folder that cannot be written; the last publication stays then.
+    All files tell the map as it was believed at one instant. Fails for an unknown format or a folder that cannot be written; the
+    last publication stays then.
     """
-    published, manifests = write_publication(settings, formats, folder, as_of)
+    settings = settings_for(map_name)
+    with alive(settings):
+        with open_map(settings) as conn:
+            if find_map(conn, settings.map_name) is None:
+                return Completed(name="NothingToPublish", message=f"the map {settings.map_name} is empty")
+        published, manifests = write_publication(
+            settings, list(FORMATS) if formats is None else formats, folder or settings.exports_folder, as_of
+        )
     create_table_artifact(
         [{name: manifest[name] for name in ("file", "rows", "bytes", "sha256")} for manifest in manifests],
         key="publication",
         description=f"Map {settings.map_name} -> {published}",
     )
-    return published
+    return Completed(message=f"{len(manifests)} files in {published}")
 
 
 def write_publication(
     settings: Settings, formats: list[str], folder: Path, as_of: datetime | None = None
 ) -> tuple[Path, list[dict[str, Any]]]:
-    """As `publish_map`, without Prefect; the new folder and the manifests of its files."""
+    """Write the map of `as_of` (None: latest) in `formats` to a new folder in `folder`; that folder, and its files' manifests.
+
+    Raises InputError for an unknown format, a map that is not there, or a folder that cannot be written.
+    """
     unknown = [name for name in formats if name not in FORMATS]
     if unknown or not formats:
         raise InputError(f"formats to publish: {', '.join(unknown) or 'none'}; choose from {', '.join(FORMATS)}")
-    started_at = datetime.now(UTC)
-    name = started_at.strftime("%Y-%m-%dT%H%M%S.%fZ")
-    aside = folder / f".{name}.{uuid4().hex}.tmp"
+    name = datetime.now(UTC).strftime("%Y-%m-%dT%H%M%S.%fZ")
+    unfinished = aside(folder / name)
     try:
-        aside.mkdir(parents=True)
+        unfinished.mkdir(parents=True)
     except OSError as error:
         raise InputError(f"{folder} cannot be written ({error.strerror}): choose another folder") from error
+    sweep([folder])
     try:
         with open_map(settings) as conn:
             info = find_map(conn, settings.map_name)
@@ -71,15 +89,15 @@ def write_publication(
             believed_at = info.last_committed_at if info else None
             request = ExportRequest(settings.map_name, as_of=as_of, believed_at=believed_at)
             manifests = [
-                export_map(conn, aside / f"{settings.map_name}{FORMATS[wanted].suffix}", wanted, request)
+                export_map(conn, unfinished / f"{settings.map_name}{FORMATS[wanted].suffix}", wanted, request)
                 for wanted in dict.fromkeys(formats)
             ]
-        (aside / "publication.json").write_text(
+        (unfinished / "publication.json").write_text(
             json.dumps({"map": settings.map_name, "files": manifests}, indent=2) + "\n"
         )
-        aside.replace(folder / name)
+        unfinished.replace(folder / name)
     except BaseException:
-        shutil.rmtree(aside, ignore_errors=True)
+        shutil.rmtree(unfinished, ignore_errors=True)
         raise
     _point_at(folder / LATEST, name)
     return folder / name, manifests
@@ -87,6 +105,6 @@ def write_publication(
 
 def _point_at(link: Path, target: str) -> None:
     """A symbolic link that replaces the old one in one step."""
-    fresh = link.with_name(f".{link.name}.{uuid4().hex}.tmp")
+    fresh = aside(link)
     fresh.symlink_to(target)
-    os.replace(fresh, link)  # noqa: PTH105 -- atomic on every platform, unlike Path.rename
+    fresh.replace(link)

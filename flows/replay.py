@@ -13,6 +13,7 @@ from uuid import UUID
 
 import numpy as np
 
+from conetl.detector_evidence import UNMEASURED, DetectorEvidence, LookFigures
 from conetl.io.db import Connection
 from conetl.io.decision_store import read_decisions
 from conetl.io.drive_store import read_drive, read_view
@@ -21,12 +22,28 @@ from conetl.io.map_store import INFLUENCE_M, commit_changeset, place_drive
 from conetl.io.replay_store import (
     affected_drives,
     read_deltas,
+    read_doubts_around,
+    read_misses,
     read_standing_around,
     read_versions,
     superseded_drives,
 )
+from conetl.io.retention import require_comparable
 from conetl.params import IngestParams, ReconcileParams
-from conetl.records import Changeset, Decisions, Detection, Drive, MapFeature, Position, Rig, StereoMatch, Track
+from conetl.records import (
+    BelievedVersion,
+    Changeset,
+    Decisions,
+    Detection,
+    Drive,
+    FoldKey,
+    MapFeature,
+    Miss,
+    Position,
+    Rig,
+    StereoMatch,
+    Track,
+)
 from conetl.rejections import Rejection
 from conetl.steps.fold import Evidence, Extension, Floats, Folded, extend, fold
 from conetl.steps.visibility import Look, View, look_at_spot, view_of_drive
@@ -57,13 +74,16 @@ def merge_drive(
     params: IngestParams,
     *,
     map_name: str,
+    evidence: DetectorEvidence | None = None,
     run: RunInfo | None = None,
     now: datetime | None = None,
 ) -> Merged:
     """Compare a drive with the map as the drives recorded before it left it, and commit what follows.
 
-    changeset: without deltas; they are worked out here. Later drives around it are compared again.
+    changeset: without deltas; they are worked out here. Later drives around it are compared again. evidence: what is measured of
+    the detector (None: nothing), which tells how much it means that it found no cone.
     """
+    figures = LookFigures(evidence=evidence or UNMEASURED, score_threshold=params.detection.score_threshold)
     drive_uuid = place_drive(
         conn,
         drive,
@@ -72,16 +92,18 @@ def merge_drive(
         now=now,
         reconcile=params.reconcile,
         influence_m=influence_m(params),
+        figures=figures,
     )
-    view = view_of_drive(drive.rig, drive.frame_pairs, detections, [(p.frame_index, p.xyz_m) for p in positions])
-    evidence = Evidence(
-        key=(min(view.captured_at_ns.values()), drive.content_sha256, changeset.idempotency_key),
+    spots = [(p.frame_index, p.xyz_m) for p in positions]
+    view = view_of_drive(drive.rig, drive.frame_pairs, detections, spots, figures)
+    own = Evidence(
+        key=(int(view.captured_at_ns.min()), drive.content_sha256, changeset.idempotency_key),
         changeset_id=changeset.changeset_id,
         founding_key=founding_key(map_name, drive.content_sha256),
         tracks=tracks,
         path_m=np.array([pair.pose.map_t_body_m[:2] for pair in drive.frame_pairs]),
         influence_m=influence_m(params),
-        look_at=lambda feature, offset_m: look_at_spot(feature, offset_m, view, params.reconcile),
+        look_at=lambda feature, offset_m, others_m: look_at_spot(feature, offset_m, others_m, view, params.reconcile),
         params=params.reconcile,
     )
     decisions = read_decisions(conn, map_name=map_name)
@@ -89,10 +111,11 @@ def merge_drive(
     later = [ref for ref in affected_drives(conn, seeds) if ref.drive_uuid not in seeds]
     replay = None
     if later or len(seeds) > 1:
-        folded, replay = replay_of(conn, [*seeds, *(ref.drive_uuid for ref in later)], later, decisions, own=[evidence])
+        folded, replay = replay_of(conn, [*seeds, *(ref.drive_uuid for ref in later)], later, decisions, own=[own])
         extension = folded.extensions[changeset.changeset_id]
     else:
-        extension = extend(read_standing_around(conn, drive_uuid), evidence, decisions)
+        standing, doubts = read_standing_around(conn, drive_uuid), read_doubts_around(conn, drive_uuid)
+        extension = extend(standing, own, decisions, doubts)
     changeset = changeset.model_copy(update={"deltas": tuple(extension.deltas)})
     result = commit_changeset(
         conn,
@@ -129,7 +152,10 @@ def replay_of(
     """
     versions = read_versions(conn, [*aside, *around])
     deltas = read_deltas(conn, aside)
-    given = [(stored.key, stored.version) for stored in versions if stored.drive_uuid not in set(aside)]
+    out = set(aside)
+    given: list[tuple[FoldKey, BelievedVersion | Miss]] = []
+    given += [(stored.key, stored.version) for stored in versions if stored.drive_uuid not in out]
+    given += [(s.key, s.miss) for s in read_misses(conn, [*aside, *around]) if s.drive_uuid not in out]
     folded = fold([*own, *stored_evidence(conn, again)], decisions, given=given)
     replay = Replay(
         versions_before=versions,
@@ -143,19 +169,21 @@ def replay_of(
 
 
 def stored_evidence(conn: Connection, drives: Sequence[DriveRef]) -> list[Evidence]:
-    """What ingested drives told the map; where they looked is read when it is asked for."""
+    """What ingested drives told the map; where they looked is read when it is asked for. InputError where it was pruned."""
 
     @lru_cache(maxsize=_VIEWS_IN_MEMORY)
     def view_of(drive_uuid: UUID) -> View:
         stored = read_view(conn, drive_uuid)
-        return view_of_drive(rigs[drive_uuid], stored.frame_pairs, stored.detections, stored.spots)
+        rig, figures = looked_with[drive_uuid]
+        return view_of_drive(rig, stored.frame_pairs, stored.detections, stored.spots, figures)
 
-    rigs: dict[UUID, Rig] = {}
+    require_comparable(conn, [ref.drive_uuid for ref in drives])
+    looked_with: dict[UUID, tuple[Rig, LookFigures]] = {}
     evidence = []
     for ref in drives:
         drive = read_drive(conn, ref.drive_uuid)
-        if drive.rig is not None:
-            rigs[ref.drive_uuid] = drive.rig
+        if drive.rig is not None:  # an imported map looked nowhere
+            looked_with[ref.drive_uuid] = drive.rig, drive.figures
         evidence.append(
             Evidence(
                 key=drive.key(ref.idempotency_key),
@@ -185,5 +213,5 @@ def founding_key(map_name: str, content_sha256: str) -> str:
 
 def _look_at(
     view_of: Callable[[UUID], View], drive_uuid: UUID, params: ReconcileParams
-) -> Callable[[MapFeature, Floats], Look | None]:
-    return lambda feature, offset_m: look_at_spot(feature, offset_m, view_of(drive_uuid), params)
+) -> Callable[[MapFeature, Floats, Floats], Look | None]:
+    return lambda feature, offset_m, others_m: look_at_spot(feature, offset_m, others_m, view_of(drive_uuid), params)

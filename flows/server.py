@@ -23,6 +23,7 @@ from prefect.logging.handlers import APILogWorker
 from prefect.settings import PREFECT_API_URL, temporary_settings
 
 from conetl.errors import ServiceError
+from conetl.io.services import is_running, read_services
 
 _START_TIMEOUT_S = 90
 _DRAIN_TIMEOUT_S = 5
@@ -31,8 +32,14 @@ _PR_SET_PDEATHSIG = 1
 
 @contextlib.contextmanager
 def prefect_server(home: Path) -> Iterator[str]:
-    """Address of a Prefect API: the configured one (PREFECT_API_URL), or one started here and stopped at the end."""
+    """Address of a Prefect API: the configured one (PREFECT_API_URL), that of `conetl up`, or one started here and stopped at the
+    end."""
     configured = os.environ.get("PREFECT_API_URL")
+    own = None if configured else read_services(home).get("prefect")
+    if own is not None and own.address and is_running(own) and _is_healthy(f"{own.address}/api"):
+        with temporary_settings(updates={PREFECT_API_URL: f"{own.address}/api"}):  # of `conetl up`
+            yield f"{own.address}/api"
+        return
     if configured:
         if not _is_healthy(configured):
             raise ServiceError(

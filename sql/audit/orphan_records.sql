@@ -1,4 +1,5 @@
--- Purpose: every raw record belongs to its drive, frame pair, stereo match, position and track, and every drive to a changeset.
+-- Purpose: every raw record belongs to its drive, frame pair, stereo match, position and track (of a pruned drive the
+-- positions are gone), and every drive to a changeset.
 -- Columns: table_name, drive_uuid, row_count, problem.
 select 'drive' as table_name, d.drive_uuid, count(*) as row_count, 'has no changeset' as problem
 from conetl.drive d
@@ -42,6 +43,8 @@ from conetl.track_member t
 where not exists (
     select from conetl.position p
     where p.drive_uuid = t.drive_uuid and p.frame_index = t.frame_index and p.match_index = t.match_index
+) and not exists (
+    select from conetl.drive d where d.drive_uuid = t.drive_uuid and d.pruned_at is not null
 ) or not exists (
     select from conetl.track k where k.drive_uuid = t.drive_uuid and k.track_index = t.track_index
 )

@@ -23,17 +23,17 @@ select
     coalesce(left_version::text, 'nothing') as expected, coalesce(old_version::text, 'nothing') as found
 from chain
 where case
-    when kind = 'added' then old_version is not null or coalesce(left_kind, 'removed') <> 'removed'
-    else left_version is distinct from old_version or left_kind = 'removed'
+    when kind in ('added', 'split') then old_version is not null or not coalesce(left_kind in ('removed', 'merged'), true)
+    else left_version is distinct from old_version or left_kind in ('removed', 'merged')
 end
 union all
 select
     coalesce(l.feature_id, v.feature_id), 'the map is not what its deltas make',
-    coalesce('version ' || l.new_version || case when l.kind = 'removed' then ', gone' else ', standing' end, 'nothing'),
+    coalesce('version ' || l.new_version || case when l.kind in ('removed', 'merged') then ', gone' else ', standing' end, 'nothing'),
     coalesce('version ' || v.version || case when v.present then ', standing' else ', gone' end, 'nothing')
 from (select * from chain where is_last) l
 full join current v using (feature_id)
-where l.new_version is distinct from v.version or (l.kind <> 'removed') is distinct from v.present
+where l.new_version is distinct from v.version or (l.kind not in ('removed', 'merged')) is distinct from v.present
 union all
 select x.feature_id, 'is still changed by a drive that does not count', 'nothing', x.kind
 from conetl.delta x

@@ -2,7 +2,8 @@
 -- Parameters: map_name; from_valid_at, to_valid_at, known_at (timestamptz; 'infinity' = latest); moved_from_m: a place that differs
 -- by more (horizontally) was moved, by less is only known better; spatial_order, time_order (both false: by feature_id).
 -- Columns: as export/versions, of the later state (of removed features: of the earlier one), change (added, moved, confirmed, removed)
--- and shift_m; old_easting_m, old_northing_m, old_height_m, old_version: of the earlier state (of added features: null).
+-- and shift_m; old_easting_m, old_northing_m, old_height_m, old_version: of the earlier state (of added features: null);
+-- seen_count, missed_count: drives that saw the feature and that looked in vain, until to_valid_at.
 with before as (
     select f.feature_id, f as state
     from conetl.map_as_of(%(map_name)s, %(from_valid_at)s::timestamptz, %(known_at)s::timestamptz) f
@@ -24,7 +25,7 @@ select
     (c.state).feature_id,
     (c.state).version,
     (c.state).category,
-    (c.state).existence_probability,
+    coalesce(e.existence_after, (c.state).existence_probability) as existence_probability,
     (c.state).cone_height_m as height_m,
     sqrt((c.state).cov_xx) as sigma_e_m,
     sqrt((c.state).cov_yy) as sigma_n_m,
@@ -35,6 +36,8 @@ select
     lower((c.state).valid_period) as valid_from,
     upper((c.state).valid_period) as valid_to,
     (c.state).changeset_id,
+    e.seen_count,
+    e.missed_count,
     (c.state).cone_height_sigma_m as height_sigma_m,
     (c.state).cov_xy as cov_en_m2,
     (c.state).cov_xz as cov_eu_m2,
@@ -54,6 +57,9 @@ select
     ST_Y((c.state).geom) as northing_m,
     ST_Z((c.state).geom) as ellipsoidal_height_m
 from both_states c
+cross join lateral conetl.feature_evidence(
+    (c.state).feature_id, (c.state).version, %(to_valid_at)s::timestamptz, %(known_at)s::timestamptz
+) e
 order by
     case when %(spatial_order)s then (c.state).geom end,
     case when %(time_order)s then lower((c.state).valid_period) end,

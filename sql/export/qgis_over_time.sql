@@ -9,5 +9,5 @@ from conetl.feature_version v
 join conetl.map m using (map_id)
 join conetl.delta x on x.changeset_id = v.changeset_id and x.feature_id = v.feature_id and upper_inf(x.system_period)
 where m.map_name = %(map_name)s and upper_inf(v.system_period)
-and (v.present or x.kind = 'removed')
+and (v.present or x.kind in ('removed', 'merged'))
 ;

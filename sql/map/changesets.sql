@@ -4,6 +4,7 @@
 select
     c.changeset_no, c.changeset_id, d.drive_id, c.drive_uuid, c.idempotency_key, c.params_sha256, c.model_sha256, c.code_version,
     c.committed_at, c.added_count, c.confirmed_count, c.moved_count, c.removed_count,
+    c.missed_count, c.height_changed_count, c.split_count, c.merged_count,
     c.frame_pair_count, c.detection_count, c.match_count, c.position_count, c.track_count, c.rejection_count,
     d.captured_from_ns, d.captured_to_ns,
     exists (select from conetl.active_drive a where a.changeset_id = c.changeset_id) as counts

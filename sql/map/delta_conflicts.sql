@@ -6,7 +6,7 @@ from delta_stage s
 left join open_version o using (feature_id)
 where case
     when o.map_id <> %(map_id)s then true
-    when s.kind = 'added' then coalesce(o.present, false)
+    when s.kind in ('added', 'split') then coalesce(o.present, false)
     else not coalesce(o.present and o.version = s.old_version, false)
 end
 limit 10;

@@ -5,7 +5,8 @@ select
     c.changeset_no, c.changeset_id, d.drive_id, m.map_name, x.kind, x.changed_at, lower(x.system_period) as committed_at,
     upper(x.system_period) as believed_until, x.old_version, x.new_version,
     x.track_index, x.shift_m, v.category, ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m, ST_Z(v.geom) as height_m,
-    v.cone_height_m, v.existence_probability, v.observation_count, v.suppressed
+    v.cone_height_m, coalesce(x.existence_after, v.existence_probability) as existence_probability, v.observation_count, v.suppressed,
+    x.other_feature_id, x.log_likelihood_ratio, x.frames_seen, x.frames_empty
 from conetl.delta x
 join conetl.changeset c using (changeset_id)
 join conetl.drive d using (drive_uuid)

@@ -39,3 +39,25 @@ create table conetl.statement (
     check (first_seen_ns <= last_seen_ns)
 );
 comment on table conetl.statement is 'What an imported map says: here stands a cone.';
+
+-- An imported map is no drive that saw anything: its rows in conetl.sighting_evidence have frames_seen 0, and the counts leave it out.
+create or replace function conetl.feature_evidence(
+    feature_id uuid, version integer, valid_at timestamptz default 'infinity', known_at timestamptz default 'infinity',
+    out seen_count integer, out missed_count integer, out existence_after float8
+)
+language sql stable
+as $$
+    select
+        count(*) filter (where x.kind not in ('missed', 'removed', 'merged') and d.kind = 'drive')::integer,
+        count(*) filter (where x.kind in ('missed', 'removed'))::integer,
+        (
+            array_agg(
+                x.existence_after
+                order by d.captured_from_ns desc, d.content_sha256 collate "C" desc, c.idempotency_key collate "C" desc
+            ) filter (where x.kind = 'missed' and x.old_version = $2)
+        )[1]
+    from conetl.delta x
+    join conetl.changeset c using (changeset_id)
+    join conetl.drive d using (drive_uuid)
+    where x.feature_id = $1 and x.changed_at <= $3 and x.system_period @> $4
+$$;

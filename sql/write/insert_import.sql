@@ -1,5 +1,6 @@
--- Purpose: an imported map as an event of the fold, unless it is there. Parameters: as the columns; stated_at: the instant for which it
--- speaks (stated_at_ns cut to microseconds); cells_wkt: points (map CRS) so that every cone is within cell_m of one; influence_m.
+-- Purpose: an imported map as an event of the fold, unless it is there. Parameters: drive_uuid, map_id, srid, drive_id (name of the
+-- file), source_path, content_sha256, reconcile (JSON), influence_m: as the columns; stated_at_ns, stated_at: the instant for which it
+-- speaks (the latter cut to microseconds); cells_wkt: points (map CRS) so that every cone is within cell_m of one.
 insert into conetl.drive (
     drive_uuid, map_id, srid, kind, drive_id, source_path, content_sha256, rig,
     captured_from_ns, captured_to_ns, captured_period, expected_frame_count,

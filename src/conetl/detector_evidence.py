@@ -125,6 +125,45 @@ class DetectorEvidence(BaseModel):
         return self
 
 
+class LookFigures(BaseModel):
+    """What is needed to tell how much it means that a drive looked at a spot and found no box: kept with each drive."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    evidence: DetectorEvidence
+    score_threshold: Share
+    """Boxes below it were not kept."""
+
+
+def absence_log_ratio(
+    figures: LookFigures,
+    heights_px: NDArray[np.float64],
+    hidden: NDArray[np.float64],
+    found: NDArray[np.bool_],
+    *,
+    stray_probability: float,
+    unseen_occluder_probability: float,
+) -> float:
+    """ln P(what some frame pairs show of a spot | a cone stands there) / P(the same | nothing stands there); never positive.
+
+    heights_px (N, 2), hidden (N, 2): apparent height of the cone, and share of it behind nearer detections, in the left and
+    right picture; found (N,): whether something was found there. A frame pair misses a cone unless both pictures show it; an
+    empty spot gets a box with `stray_probability`. Frame pairs go together (`joint_log_ratio`), and with a small probability all
+    of them miss the cone because of something in front that is no detection.
+    """
+    if len(heights_px) == 0:
+        return 0.0
+    seen = [
+        detect_probability(figures.evidence, h, s, figures.score_threshold)
+        for h, s in zip(heights_px.ravel(), hidden.ravel(), strict=True)
+    ]
+    shown = np.reshape(seen, (-1, 2)).prod(axis=1)
+    ratios = np.where(found, np.log(shown / stray_probability), np.log((1 - shown) / (1 - stray_probability)))
+    joint = joint_log_ratio(figures.evidence, ratios, heights_px.min(axis=1))
+    blind = unseen_occluder_probability
+    return min(float(np.logaddexp(np.log(blind), np.log1p(-blind) + joint)), 0.0)
+
+
 def calibrated_probability(calibration: ScoreCalibration, score: float) -> float:
     """P(cone | a box of this score) in pictures like those that the calibration was fitted on."""
     return 1 / (1 + float(np.exp(-_log_odds(calibration, score))))
@@ -240,3 +279,5 @@ UNMEASURED = DetectorEvidence(
     look_correlation=LookCorrelation(near=1 / 6, far=1 / 6, decay_octaves=1.0),
     joint_scale=1.0,
 )
+#: The same with the default threshold of `DetectionParams`.
+UNMEASURED_LOOKS = LookFigures(evidence=UNMEASURED, score_threshold=0.3)

@@ -11,6 +11,8 @@ EXIT_BAD_INPUT = 2
 EXIT_SERVICE_MISSING = 3
 #: An error that nobody foresaw (EX_SOFTWARE); Python's own 1 would read as "done, but".
 EXIT_BUG = 70
+#: Ctrl-C: 128 + SIGINT, as shells have it.
+EXIT_INTERRUPTED = 130
 
 
 class ConetlError(Exception):

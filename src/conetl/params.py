@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -96,8 +96,20 @@ class ReconcileParams(Params):
     moved_max_m: Positive = 3.0
     """A vanished feature and a new track of like height, at most this far apart, are one cone that was moved."""
     moved_height_tolerance_m: Positive = 0.15
+    """Heights that differ by more are of different classes of cones, which lie 0.2 m apart and more."""
+    moved_existence_probability: Annotated[float, Field(gt=0, lt=1)] = 0.5
+    """Below this belief a feature counts as vanished where a new cone of like height near it tells where it went."""
+    vanished_probability: Annotated[float, Field(gt=0, lt=1)] = 0.1
+    """That a cone is taken away between one drive and the next: however often it was seen, a drive that misses it starts from
+    this doubt."""
+    stray_probability: Annotated[float, Field(gt=0, lt=1)] = 0.1
+    """That a frame pair shows something at an empty spot: a stray box, or a neighbour's."""
+    unseen_occluder_probability: Annotated[float, Field(gt=0, lt=1)] = 0.02
+    """That something which is no detection (a parked van) hid a spot all the time: no look without a box is surer than this."""
+    removal_existence_probability: Annotated[float, Field(gt=0, lt=1)] = 0.35
+    """A feature is removed by the drive that brings the belief in it below this ..."""
     removal_min_frames: int = Field(default=5, ge=1)
-    """Frames in which the spot must have been in plain view without a detection before a feature is removed."""
+    """... and that looked at its spot in at least so many frame pairs without finding a cone there."""
     visible_min_height_px: Positive = 22.0
     """A cone counts as visible when it would appear at least this tall ..."""
     visible_border_px: Positive = 12.0
@@ -195,6 +207,79 @@ class ImportParams(Params):
     new_ids: bool = False
     """Found ids of its own for every feature, instead of those of the file."""
     reconcile: ReconcileParams = ReconcileParams()
+
+
+class WorkZoneParams(Params):
+    """How cones become work zones."""
+
+    min_cones: int = Field(default=3, ge=2)
+    """Fewer cones near each other found no work zone (one that has shrunk goes on until its last cone is gone)."""
+    min_link_m: Positive = 15.0
+    """Neighbours along the road that are nearer than this always belong together."""
+    link_factor: Positive = 3.2
+    """Otherwise up to this many times the spacing beside the gap: two cones missing in succession do not split a zone."""
+    max_link_m: Positive = 80.0
+    """Never more than this. MUTCD 2009 6F.63 allows 130 ft (40 m) in a tangent at 65 mph: one missing cone is bridged."""
+    max_path_offset_m: Positive = 12.0
+    """Cones farther from a drive's path do not stand on the road that it followed."""
+    max_beyond_path_m: Positive = 40.0
+    """Cones may stand so far before or behind a path: what a camera sees ahead of where the drive ended."""
+    axis_smoothing_m: Positive = 5.0
+    path_axis_sigma_m: Positive = 0.5
+    """How far a car wanders across its lane beside cones: what a driven path is worth as an axis ..."""
+    lane_axis_sigma_m: Positive = 0.1
+    """... and a lane boundary."""
+    kerb_side: Literal["right", "left"] = "right"
+    """Traffic keeps to this side of the road."""
+    row_tolerance_m: Positive = 0.3
+    """How far a cone of a row stands from the line of its neighbours ..."""
+    row_skip_cost: Positive = 7.0
+    """... and the square of how many such tolerances one accepts rather than leave it out of the row."""
+    min_row_cones: int = Field(default=4, ge=3)
+    """A second row beside the first needs as many; fewer are strays."""
+    placement_sigma_m: Positive = 0.15
+    """How exactly crews set cones across the road."""
+    segment_penalty: Positive = 14.0
+    """Chi-square that one more bend in a row must explain."""
+    min_taper_slope: Positive = 0.01
+    """Gentler than this is no taper: at 75 mph MUTCD asks for 1:75."""
+    min_taper_shift_m: Positive = 0.75
+    lane_width_m: tuple[Positive, Positive] = (2.3, 5.0)
+    """Two lane lines so far apart, least and most, have a lane between them."""
+    min_open_lane_m: Positive = 2.5
+    """A lane of which less is left is closed: lorries are up to 2.55 m wide (directive 96/53/EC)."""
+    full_lane_shift_m: Positive = 2.8
+    """Without lane lines: a taper that wide closes a lane (11 and 12 ft lanes are 3.35 and 3.66 m)."""
+    verified_sigma_m: Positive = 0.5
+    """A position counts as verified (WZDx) up to this horizontal sigma ..."""
+    verified_existence: Fraction = 0.9
+    """... and from this existence probability on."""
+    assumed_duration_h: Positive = 24.0
+    """WZDx wants an end date also of what stands: so long after the feed was made, marked as not verified."""
+    keep_ended_days: Positive = 14.0
+    """So long a work zone that is gone stays in the feed, as completed."""
+
+
+class LayoutParams(Params):
+    """Rules of the layout check, each with its source; MUTCD: Manual on Uniform Traffic Control Devices (FHWA), edition 2009."""
+
+    taper_spacing_ft_per_mph: Positive = 1.0
+    """MUTCD 2009, 6F.63: spacing of devices in a taper at most 1.0 times the speed limit in mph, in feet ..."""
+    tangent_spacing_ft_per_mph: Positive = 2.0
+    """... and in a tangent at most 2.0 times."""
+    low_speed_max_mph: Positive = 45.0
+    """MUTCD 2009, Table 6C-4: L = W S^2 / 60 for 40 mph or less, L = W S for 45 mph or more; between them the milder one."""
+    low_speed_divisor: Positive = 60.0
+    merging_taper_share: Positive = 1.0
+    """MUTCD 2009, Table 6C-3: a merging taper is at least L long ..."""
+    shoulder_taper_share: Positive = 1.0 / 3.0
+    """... and a shoulder taper at least L / 3."""
+    missing_cone_ratio: Positive = 1.6
+    """No norm: a gap of more than so many times the row's own spacing lacks a cone."""
+    in_lane_tolerance_m: Positive = 0.6
+    """No norm: a cone farther than this from its row, towards traffic, stands in the way."""
+    sigmas: Positive = 3.0
+    """A rule must be exceeded by so many sigmas to be called violated."""
 
 
 def params_sha256(params: Params) -> str:

@@ -314,6 +314,37 @@ class DeltaKind(StrEnum):
     CONFIRMED = "confirmed"
     MOVED = "moved"
     REMOVED = "removed"
+    MISSED = "missed"
+    """Looked and not seen, but not surely enough to remove it: evidence only, the feature stays as it is."""
+    HEIGHT_CHANGED = "height_changed"
+    """A cone of another height class stands in the same place."""
+    SPLIT = "split"
+    """One feature turned out to be two cones: this is the second one."""
+    MERGED = "merged"
+    """Two features turned out to be one cone: this one is given up."""
+
+    @property
+    def founds(self) -> bool:
+        """Whether a feature begins with it."""
+        return self in (DeltaKind.ADDED, DeltaKind.SPLIT)
+
+    @property
+    def ends(self) -> bool:
+        """Whether the feature is gone after it."""
+        return self in (DeltaKind.REMOVED, DeltaKind.MERGED)
+
+
+class SightingEvidence(Record):
+    """How much one drive says for a feature or against it."""
+
+    log_likelihood_ratio: float
+    """ln p(what the drive saw | the cone stands there) / p(the same | it does not)."""
+    existence_probability: Probability
+    """Belief after it."""
+    frames_seen: int = Field(ge=0)
+    """Frame pairs in which it was seen."""
+    frames_empty: int = Field(ge=0)
+    """Frame pairs in which its spot was in view and no cone was found; counted only where the drive did not see it."""
 
 
 class Delta(Record):
@@ -327,16 +358,15 @@ class Delta(Record):
     changed_at_ns: int
     """When this became true on the road, as far as the drive can tell."""
     shift_m: NonNegative | None
-    """Horizontal distance between old and new place; None for added and removed."""
+    """Horizontal distance between old and new place; None where there is only one."""
+    other_feature_id: UUID | None = None
+    """Of a split, the feature that was both; of a merger, the one that is left."""
+    evidence: SightingEvidence | None = None
+    """None where no belief was worked out: mergers, and what was written before it was kept."""
 
     @model_validator(mode="after")
     def _sides_fit_kind(self) -> Delta:
-        wanted = {
-            DeltaKind.ADDED: (False, True),
-            DeltaKind.CONFIRMED: (True, True),
-            DeltaKind.MOVED: (True, True),
-            DeltaKind.REMOVED: (True, False),
-        }[self.kind]
+        wanted = (not self.kind.founds, not self.kind.ends)
         if (self.old is not None, self.new is not None) != wanted:
             raise ValueError(f"a delta of kind {self.kind} has old/new = {wanted}")
         return self
@@ -351,10 +381,14 @@ class Delta(Record):
 
     @property
     def is_change(self) -> bool:
-        """False for a confirmation that leaves every stored value as it was: it is recorded, but makes no version."""
+        """False for a miss, and a confirmation that leaves every stored value as it was: recorded, but no version."""
+        if self.kind is DeltaKind.MISSED:
+            return False
         if self.kind is not DeltaKind.CONFIRMED or self.old is None or self.new is None:
             return True
-        return self.new.model_copy(update={"version": self.old.version}) != self.old
+        return any(
+            getattr(self.new, name) != getattr(self.old, name) for name in MapFeature.model_fields if name != "version"
+        )
 
 
 class Statement(Record):
@@ -391,6 +425,26 @@ class BelievedVersion(Record):
     valid_from_ns: int
     valid_to_ns: int | None
     """None while open."""
+
+
+class Miss(Record):
+    """A drive looked at a feature's spot and did not see it; it stands all the same."""
+
+    feature_id: UUID
+    changeset_id: UUID
+    version: int
+    """That stood at the time."""
+    existence_probability: Probability
+    """After it."""
+    first_missed_ns: int
+
+
+class Doubt(Record):
+    """What the misses since a feature's last version make of it."""
+
+    existence_probability: Probability
+    first_missed_ns: int
+    """The earliest of them: from here on the cone may have been gone."""
 
 
 #: Order in which drives are compared with the map: start of the recording (ns), hash of its content, idempotency key.

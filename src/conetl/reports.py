@@ -48,6 +48,8 @@ class IngestReport(Record):
     rejections: dict[RejectionReason, int]
     params_sha256: str
     model_sha256: str
+    content_sha256: str
+    """Of everything that was read of the drive folder."""
     seconds: float
     trajectory: str | None = None
     """What became of the logged poses, in a sentence; None of a known drive."""

@@ -26,6 +26,23 @@ class Settings(BaseSettings):
     workers: int = Field(default=os.cpu_count() or 1, ge=1)
     """Detection tasks at the same time, one core each."""
 
+    drop_folder: Path | None = None
+    """Where new drives arrive, for the deployment `ingest-drop-folder`; `inbox` under `home` unless given."""
+    drop_quiet_minutes: float = Field(default=10.0, ge=0)
+    """A drive without the marker file counts as complete when nothing in it has changed for so long."""
+    prefect_database_url: SecretStr | None = None
+    """Database of the Prefect server that `conetl up` starts; `prefect` beside the map's unless given."""
+    view_url: str | None = None
+    """Where `conetl view` is reached, for links in Prefect; `conetl up` sets it for its workers."""
+
+    @property
+    def inbox(self) -> Path:
+        return self.drop_folder or self.home / "inbox"
+
+    @property
+    def receipts_folder(self) -> Path:
+        return self.home / "receipts"
+
     @property
     def results_folder(self) -> Path:
         return self.home / "results"

@@ -22,11 +22,12 @@ from pyproj import Transformer
 
 from conetl.errors import InputError
 from conetl.io.db import connect, execute
-from conetl.io.exports import FORMATS, geojson
+from conetl.io.exports import FORMATS, geojson, mcap_scene, qgis_project
 from conetl.io.exports.export import export_map
 from conetl.io.exports.source import ExportRequest, What
 from conetl.io.import_store import set_licence
 from conetl.io.map_store import read_features_as_of
+from conetl.records import DeltaKind
 from conetl.settings import Settings
 from flows.publish_map import write_publication
 from tests.conftest import cloned_database
@@ -43,11 +44,12 @@ WHATS = {
 
 @pytest.fixture(scope="module")
 def conn(cluster_url, template_database):
-    """A map of three drives, the second one late: there are beliefs that were given up."""
+    """A map of four drives, the second one late, the last one short: beliefs that were given up, and cones in doubt."""
     with cloned_database(cluster_url, template_database) as url:
         connection = connect(url)
         for day in (0, 2, 1):
             merge(connection, survey(day))
+        merge(connection, survey(3, frames=20))  # too short a look to remove what it does not see
         set_licence(connection, "default", "CC BY 4.0, Roads of Nowhere")
         yield connection
         connection.close()
@@ -226,6 +228,29 @@ def test_changes_lead_from_one_map_to_the_other(conn, files):
         assert (row["old_version"], row["version"]) == (old.version, new.version)
         assert row["shift_m"] == pytest.approx(np.hypot(*np.subtract(old.xyz_m, new.xyz_m)[:2]))
         assert (row["change"] == "moved") == (row["shift_m"] > 0.5)
+
+
+def test_evidence_of_drives_is_exported_as_it_is_shown(conn, files):
+    """Counts and belief as `conetl map show` has them; the cones that a drive missed are among them."""
+    shown = {str(v.feature.feature_id): v for v in read_features_as_of(conn)}
+    then = {str(v.feature.feature_id): v for v in read_features_as_of(conn, NOON[2])}
+    conn.rollback()
+    assert sum(v.missed_count for v in shown.values()) > 0
+    for what, wanted in ((What.FEATURES, shown), (What.HISTORY, shown), (What.CHANGES, then)):
+        frame = geopandas.read_parquet(files[0] / f"{what}.parquet")
+        if what is What.HISTORY:
+            frame = frame[frame["present"] & frame["valid_to"].isna() & frame["system_to"].isna()]
+        frame = frame[frame["feature_id"].isin(wanted)].set_index("feature_id")
+        assert len(frame) > 0 and (what is What.CHANGES or len(frame) == len(wanted))
+        for feature_id, row in frame.iterrows():
+            known = wanted[feature_id]
+            assert (row["seen_count"], row["missed_count"]) == (known.seen_count, known.missed_count)
+            assert row["existence_probability"] == known.feature.existence_probability
+
+
+def test_every_kind_of_change_has_a_colour():
+    kinds = {kind.value for kind in DeltaKind if kind is not DeltaKind.MISSED}  # which makes no version
+    assert set(mcap_scene._COLOURS) == set(qgis_project._KINDS) == kinds
 
 
 def test_what_was_believed_earlier_can_be_exported(conn, tmp_path):

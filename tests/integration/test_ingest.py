@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 import shutil
@@ -15,9 +16,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from conetl.io.db import connect, execute
+from conetl.io.exports.wzdx_schema import schema_faults
+from conetl.records import DeltaKind
 from tests.conftest import cloned_database
 from tests.integration.drives_of_days import valid_time_map
 
@@ -144,9 +148,7 @@ def small_drive(tmp_path: Path) -> Path:
 
 
 def truth_changes(drive: Path) -> dict[str, int]:
-    import csv
-
-    kinds = dict.fromkeys(("added", "confirmed", "moved", "removed"), 0)
+    kinds = dict.fromkeys(map(str, DeltaKind), 0)
     with (drive / "truth.csv").open(newline="") as file:
         for row in csv.DictReader(file):
             kinds[row["change"]] += 1
@@ -171,6 +173,8 @@ def test_the_sample_drives_become_the_true_map(desk: Desk) -> None:
     assert desk.final_tables() == before
     assert desk.run("db", "audit").code == 0
 
+    check_the_feeds_of_three_days(Desk({**desk.environment, "CONETL_MAP_NAME": "demo"}))
+
     # the first drive again under other parameters: its new analysis takes the place of the old one, and later drives follow
     desk_demo = Desk({**desk.environment, "CONETL_MAP_NAME": "demo"})
     params = Path(desk.environment["CONETL_HOME"]) / "params.yaml"
@@ -186,6 +190,38 @@ def test_the_sample_drives_become_the_true_map(desk: Desk) -> None:
     assert len(collection["features"]) == len(outcome["cones"])
     as_of = desk_demo.run("map", "show", "--as-of", "2026-03-02T23:00", "--json")
     assert len(as_of.json["features"]) == truth_changes(DRIVES[0])["added"]
+
+
+def check_the_feeds_of_three_days(desk: Desk) -> None:
+    """The sample closure as WZDx: valid, one id, and the first and the last cone of each day."""
+    path = Path(desk.environment["CONETL_HOME"]) / "feed.geojson"
+    ids = set()
+    for drive in DRIVES:
+        as_of = f"{drive.name[:10]}T23:00"
+        feed = ("--publisher", "City", "--road-name", "L 605", "--as-of", as_of)
+        done = desk.run("map", "export", "--format", "wzdx", "--out", path, *feed)
+        assert done.code == 0, done.err
+        document = json.loads(path.read_text())
+        assert schema_faults(document, "WorkZoneFeed") == []
+        [event] = document["features"]
+        ids.add(event["id"])
+        assert event["properties"]["core_details"]["direction"] == "eastbound"
+        assert event["properties"]["event_status"] == "active"
+        assert event["properties"]["is_start_position_verified"] is True
+        truth = {}
+        with (drive / "truth.csv").open(newline="") as file:
+            for row in csv.DictReader(file):
+                if row["present"] == "1":
+                    truth[row["cone_id"]] = (float(row["easting_m"]), float(row["northing_m"]))
+        assert len(event["conetl"]["device_ids"]) == len(truth)
+        features = desk.run("map", "show", "--as-of", as_of, "--json").json["features"]
+        places = {f["feature_id"]: f["xyz_m"] for f in features}
+        # The closure runs from C01 to C09, eastwards, with traffic to its left.
+        for end, name in (("first_device_id", "C01"), ("last_device_id", "C09")):
+            x, y, _ = places[event["conetl"][end]]
+            assert ((x - truth[name][0]) ** 2 + (y - truth[name][1]) ** 2) ** 0.5 < 0.3, (drive.name, end)
+        assert event["conetl"]["closed_side"] == "right"
+    assert len(ids) == 1
 
 
 def test_late_drives_give_the_same_map(
@@ -367,3 +403,50 @@ def test_a_real_street_gives_its_four_cones(desk: Desk) -> None:
     again = desk.run("ingest", KITTI, "--json")
     assert again.code == 0
     assert again.json[0]["status"] == "no changes"
+
+
+def every_other_pair(folder: Path, first: int, *, days: int = 0, east_m: float = 0.0, north_m: float = 0.0) -> Path:
+    """Every other frame pair of the street, by links, some days later and with all GNSS positions shifted."""
+    folder.mkdir()
+    for calibration in KITTI.glob("calib_*.txt"):
+        (folder / calibration.name).symlink_to(calibration)
+    (folder / "oxts" / "data").mkdir(parents=True)
+    for side in ("image_02", "image_03"):
+        (folder / side / "data").mkdir(parents=True)
+        for picture in sorted((KITTI / side / "data").iterdir())[first::2]:
+            (folder / side / "data" / picture.name).symlink_to(picture)
+    for times in KITTI.glob("*/timestamps.txt"):
+        if (folder / times.parent.name).is_dir():
+            moved = (
+                str(np.datetime64(line) + np.timedelta64(days, "D")) for line in times.read_text().split("\n") if line
+            )
+            (folder / times.parent.name / "timestamps.txt").write_text("\n".join(moved).replace("T", " ") + "\n")
+    for record in (KITTI / "oxts" / "data").iterdir():
+        lat, lon, *rest = record.read_text().split()
+        lat_deg = float(lat) + north_m / 111_195.0
+        lon_deg = float(lon) + east_m / (111_320.0 * np.cos(np.radians(lat_deg)))
+        (folder / "oxts" / "data" / record.name).write_text(f"{lat_deg:.12f} {lon_deg:.12f} {' '.join(rest)}\n")
+    return folder
+
+
+@pytest.mark.skipif(
+    not KITTI.is_dir(), reason=f"{KITTI} is not there: the real street is tested where the shared data lie"
+)
+def test_the_other_half_of_the_real_street_a_day_later_and_half_a_metre_aside_doubles_and_moves_nothing(
+    desk: Desk, tmp_path: Path
+) -> None:
+    even = every_other_pair(tmp_path / "even", 0)
+    odd = every_other_pair(tmp_path / "odd", 1, days=1, east_m=0.4, north_m=-0.3)
+    first = desk.run("ingest", even, "--json")
+    assert first.code == 0, first.err
+    second = desk.run("ingest", odd, "--json")
+    assert second.code == 0, second.err
+    counts = [{kind: n for kind, n in result.json[0]["counts"].items() if n} for result in (first, second)]
+    assert counts[0] == {"added": 4}
+    # One cone does not become a track in the odd pairs: it stays, and is not doubled.
+    assert set(counts[1]) <= {"confirmed", "missed"}, "none doubled, none moved, none removed"
+    assert counts[1]["confirmed"] >= 3
+    features = desk.run("map", "show", "--json").json["features"]
+    assert len(features) == 4
+    assert sum(feature["seen_count"] == 2 for feature in features) == counts[1]["confirmed"]
+    assert desk.run("db", "audit").code == 0

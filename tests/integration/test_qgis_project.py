@@ -14,7 +14,7 @@ from PIL import Image
 
 from conetl.errors import InputError
 from conetl.io.db import address, execute
-from conetl.io.exports.qgis_project import write_qgis_project
+from conetl.io.exports.qgis_project import _iso, write_qgis_project
 from tests.integration.drives_of_days import merge, survey
 
 #: QGIS comes for the system's Python only.
@@ -63,7 +63,8 @@ def test_qgis_opens_and_draws_it(surveyed, tmp_path):
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert found["read"] and found["errors"] == [] and found["crs"] == "EPSG:32632"
-    assert found["time"] == ["2026-03-02T10:00:03"]  # the first sighting, to the next second
+    [first] = execute(surveyed, "select min(lower(valid_period)) as at from conetl.feature_version")
+    assert found["time"] == [_iso(first["at"]).rstrip("Z")]  # the first sighting, to the next second
     [counts] = execute(
         surveyed,
         "select count(*) as over_time, count(*) filter (where upper_inf(valid_period)) as now "

@@ -57,6 +57,11 @@ def test_the_flow_runs_from_the_wheel(installed: Path, tmp_path: Path) -> None:
     assert run(installed, code, tmp_path) == "ingest-drive"
 
 
+def test_the_deployments_come_from_the_wheel(installed: Path, tmp_path: Path) -> None:
+    code = "from flows.register import deployments_file; print(deployments_file())"
+    assert Path(run(installed, code, tmp_path)).is_relative_to(installed)
+
+
 def test_the_front_end_comes_from_the_wheel(installed: Path, tmp_path: Path) -> None:
     code = "from conetl.web.app import STATIC; print(STATIC); print(len(list(STATIC.rglob('*.js'))))"
     folder, scripts = run(installed, code, tmp_path).splitlines()

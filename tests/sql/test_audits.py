@@ -19,7 +19,40 @@ begin
         execute format('alter table conetl.feature_version drop constraint %I', name);
     end loop;
 end $$"""
+INSERT_DECISION = (
+    "insert into decision (decision_id, map_id, srid, kind, geom, radius_m, feature_id, changeset_id, withdraws, note, "
+    "decided_at)"
+)
+#: A pin and a revert as people make them; the faults of the audit of decisions spoil them.
+PIN = (
+    f"{INSERT_DECISION} select gen_random_uuid(), f.map_id, f.srid, 'pin', ST_Force2D(v.geom), 1, f.feature_id, null, null, "
+    "'', now() "
+    "from feature f join feature_version v using (feature_id) limit 1"
+)
+REVERT = (
+    f"{INSERT_DECISION} select gen_random_uuid(), map_id, 32632, 'revert', null, null, null, changeset_id, null, '', now() "
+    "from changeset where moved_count = 1"
+)
+WITHDRAW = (
+    f"{INSERT_DECISION} select gen_random_uuid(), map_id, srid, 'withdraw', null, null, null, null, decision_id, '', "
+    "decided_at + interval '1 s' from decision order by decision_no desc limit 1"
+)
+OTHER_MAP = "insert into map (map_name, srid, created_at) values ('other', 32632, now())"
+TO_OTHER_MAP = "update decision set map_id = (select map_id from map where map_name = 'other') where kind = "
+UNCHECKED = "set local session_replication_role = replica"
 FAULTS = {
+    "decisions": [
+        (PIN, "update decision set feature_id = gen_random_uuid()"),
+        (PIN, OTHER_MAP, f"{TO_OTHER_MAP}'pin'"),
+        (REVERT, OTHER_MAP, f"{TO_OTHER_MAP}'revert'"),
+        (REVERT, UNCHECKED, "update decision set changeset_id = gen_random_uuid()"),
+        (REVERT, "update decision set decided_at = '2000-01-01'"),
+        (REVERT, REVERT),
+        (PIN, WITHDRAW, UNCHECKED, "delete from decision where kind = 'pin'"),
+        (PIN, OTHER_MAP, WITHDRAW, f"{TO_OTHER_MAP}'withdraw'"),
+        (PIN, WITHDRAW, "update decision set decided_at = '2000-01-01' where kind = 'withdraw'"),
+        (PIN, WITHDRAW, WITHDRAW),
+    ],
     "overlapping_periods": [
         (
             DROP_EXCLUDE,
@@ -75,6 +108,8 @@ FAULTS = {
         ("update changeset set rejection_count = 5",),
         ("delete from detection where frame_index = 1",),
         ("delete from delta where kind = 'moved'",),
+        ("update changeset set missed_count = missed_count + 1",),
+        ("update changeset set split_count = 1, merged_count = 1, height_changed_count = 1",),
     ],
     "invalid_geometry": [
         (DROP_CHECKS, "update feature_version set geom = ST_SetSRID(geom, 32633) where version = 2"),
@@ -96,6 +131,8 @@ FAULTS = {
         ("update feature_version set present = false where version = 2",),
         ("update delta set old_version = 2 where kind = 'moved'",),
         ("update delta set kind = 'removed' where kind = 'moved'",),
+        ("update delta set kind = 'merged' where kind = 'moved'",),
+        ("update delta set kind = 'split' where kind = 'moved'",),
         ("update delta set system_period = tstzrange(lower(system_period), '2100-01-01') where kind = 'moved'",),
         (
             "insert into decision (decision_id, map_id, srid, kind, changeset_id, note, decided_at) "
@@ -121,6 +158,17 @@ def test_every_audit_passes_on_a_good_map(good_map):
     results = run_audits(good_map)
     assert [result for result in results if not result.passed] == []
     assert all(result.purpose.endswith(".") and len(result.purpose) > 30 for result in results)
+
+
+def test_decisions_as_people_make_them_pass(good_map):
+    try:
+        for statement in (PIN, WITHDRAW, PIN, REVERT, WITHDRAW):
+            execute(good_map, "savepoint s")
+            execute(good_map, statement)
+        failed = {result.name for result in audits_of_open_transaction(good_map) if not result.passed}
+    finally:
+        good_map.rollback()
+    assert "decisions" not in failed
 
 
 def test_every_audit_has_faults_to_find():

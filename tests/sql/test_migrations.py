@@ -94,9 +94,20 @@ def test_a_database_of_a_newer_conetl_is_refused(conn):
         migrate(conn)
 
 
-def test_a_misnamed_migration_is_refused(conn, tmp_path):
-    (tmp_path / "0002_second.sql").write_text("select 1")
-    with pytest.raises(DatabaseError, match="0001_"):
+@pytest.mark.parametrize(
+    ("names", "wanted"),
+    [
+        (["0001_first", "0001_second"], "0002_"),
+        (["0001_first", "0003_third"], "0002_"),
+        (["0002_second"], "0001_"),
+        (["0001_First"], "0001_"),
+    ],
+)
+def test_a_misnamed_migration_is_refused(conn, tmp_path, names, wanted):
+    """Numbers are contiguous from 0001: one that is missing would come after the later ones where these were applied."""
+    for name in names:
+        (tmp_path / f"{name}.sql").write_text("select 1;")
+    with pytest.raises(DatabaseError, match=f"{names[-1]}.sql .* should be named {wanted}"):
         migrate(conn, directory=tmp_path)
 
 

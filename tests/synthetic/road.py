@@ -20,6 +20,8 @@ SECOND_NS = 1_000_000_000
 SPEED_M_S = 10.0
 SIDE_M = 8.0
 """Cones nearer to the path than this are seen or missed."""
+POOR_SIDE_M = 3.2
+"""Farther to the side than this they are looked at poorly."""
 Floats = np.ndarray
 
 
@@ -117,7 +119,7 @@ def _look(
     west, east = span_m
     blind = (west + blind_share * (east - west), west + blind_share * (east - west) + 25.0)
 
-    def look_at(feature: MapFeature, offset_m: Floats) -> Look | None:
+    def look_at(feature: MapFeature, offset_m: Floats, _others_m: Floats) -> Look | None:
         spot = np.array(feature.xyz_m) + offset_m
         along, aside = spot[:2] - ORIGIN_M[:2]
         if not west <= along <= east or abs(aside) > SIDE_M or blind[0] <= along <= blind[1]:
@@ -125,6 +127,8 @@ def _look(
         if len(seen) and np.hypot(*(seen - spot)[:, :2].T).min() <= 0.5:
             return None
         first_ns = start_ns + int((along - west) / SPEED_M_S * SECOND_NS)
-        return Look(10, first_ns) if first_ns > feature.last_seen_ns else None
+        # Far from the path a look is a poor one: it takes several such drives to remove a cone.
+        ratio = -3.5 if abs(aside) < POOR_SIDE_M else -1.2
+        return Look(10, first_ns, ratio) if first_ns > feature.last_seen_ns else None
 
     return look_at

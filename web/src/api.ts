@@ -101,6 +101,30 @@ export interface Trajectory {
   xyz_m: Vec3[];
 }
 
+export interface BaseLayer {
+  layer_name: string;
+  kind: "points" | "lines";
+  files: number;
+  count: number;
+}
+
+/** A square of points; its side is 4096 m / 2^level. */
+export interface BaseTile {
+  level: number;
+  points: number;
+  origin_m: Vec3;
+  scale_m: Vec3;
+  high_m: number;
+  sha256: string;
+}
+
+export interface BaseLine {
+  kind: string;
+  subtype: string | null;
+  /** x, y, z of one vertex after the other. */
+  xyz_m: number[];
+}
+
 /** What the server refused, in its own words; `status` is 0 where it could not be reached. */
 export class ApiError extends Error {
   constructor(
@@ -177,5 +201,9 @@ export const api = {
     const place = `maps/${enc(map)}/drives/${enc(s.drive_uuid)}/pictures/${s.frame_index}/${s.match_index}/${side}.jpg`;
     return (await ask(`${place}?context=${whole ? 100 : 3}`, signal)).blob();
   },
+  base: (map: string) => askJson<{ layers: BaseLayer[]; tiles: BaseTile[]; truncated: boolean }>(`maps/${enc(map)}/base`),
+  baseLines: (map: string) => askJson<{ lines: BaseLine[]; truncated: boolean }>(`maps/${enc(map)}/base/lines`),
+  baseTile: async (map: string, sha256: string): Promise<ArrayBuffer> =>
+    (await ask(`maps/${enc(map)}/base/tiles/${enc(sha256)}.bin`)).arrayBuffer(),
   events: (map: string) => new EventSource(`./api/maps/${enc(map)}/events`),
 };

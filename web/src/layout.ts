@@ -17,6 +17,7 @@ const KEYS: [string, string][] = [
   ["T", "from above, north up"],
   [", .", "drive before, drive after"],
   ["B, C", "before / after, changes"],
+  ["1, 2", "LiDAR points, lane boundaries on and off"],
   ["P N", "sighting before, sighting after"],
   ["/", "find a cone"],
   ["Esc", "close the panel"],

@@ -1,5 +1,6 @@
 // Ties everything together: state -> what to fetch -> what to draw.
 import { api, type HistoryItem, type MapItem, type Timeline, type TimelineItem, type Trajectory, type Vec3 } from "./api";
+import { createBase } from "./base";
 import { createCones } from "./cones";
 import { el, fill, plural } from "./dom";
 import type { Cone } from "./kinds";
@@ -24,6 +25,7 @@ try {
 }
 const cones = createCones(stage);
 const overlays = createOverlays(stage, layout.view);
+const base = createBase(stage, (error) => layout.toast(`Base layers: ${error instanceof Error ? error.message : String(error)}`, null));
 
 let state: State = parseState(location.hash);
 let maps: MapItem[] = [];
@@ -48,6 +50,9 @@ const sidebar = createSidebar(layout.sidebar, {
   },
   setProbability: (minProbability) => change({ minProbability }, false),
   setTrajectory: (trajectory) => change({ trajectory }),
+  setPoints: (points) => change({ points }, false),
+  setLines: (lines) => change({ lines }, false),
+  setSafeColours: (safeColours) => change({ safeColours }, false),
   find: async (beginning) => {
     const found = await api.find(state.map, beginning);
     return { ids: found.feature_ids, truncated: found.truncated };
@@ -116,6 +121,8 @@ async function openMap(): Promise<void> {
   timeline = null;
   all = [];
   ways.clear();
+  base.close();
+  sidebar.showBase([]);
   fitted = state.camera !== null;
   layout.card("Reading the map …", "", { busy: true });
   try {
@@ -124,7 +131,10 @@ async function openMap(): Promise<void> {
     if (!state.map) state.map = maps.some((m) => m.map_name === answer.chosen) || !maps[0] ? answer.chosen : maps[0].map_name;
     sidebar.showMaps(maps, state.map);
     document.title = `${state.map} · conetl`;
-    if (maps.some((m) => m.map_name === state.map && m.changeset_count > 0)) await readTimeline();
+    if (maps.some((m) => m.map_name === state.map && m.changeset_count > 0)) {
+      void openBase(state.map);
+      await readTimeline();
+    }
     if (state.camera) stage.place(state.camera);
     await refresh();
     if (state.feature) await select(state.feature);
@@ -132,6 +142,16 @@ async function openMap(): Promise<void> {
     fail(error, openMap);
   }
   closeStream = listen(state.map, { newest: (no) => void newChangeset(no), status: layout.status });
+}
+
+/** Beside everything else: cones never wait for what lies under them. */
+async function openBase(map: string): Promise<void> {
+  try {
+    const layers = await base.open(map);
+    if (map === state.map) sidebar.showBase(layers);
+  } catch (error) {
+    layout.toast(`The base layers cannot be shown: ${error instanceof Error ? error.message : String(error)}`, { text: "Try again", run: () => void openBase(map) });
+  }
 }
 
 async function readTimeline(): Promise<void> {
@@ -213,6 +233,7 @@ function visible(): Cone[] {
 function draw(): void {
   const shown = visible();
   cones.show(shown);
+  base.apply(state);
   overlays.showLabels(shown, state.feature);
   sidebar.show(state, all, shown.length);
   showTimeline(state, timeline?.changesets ?? []);
@@ -373,6 +394,8 @@ function handleKey(event: KeyboardEvent): boolean {
     case "c": case "C": change({ mode: "drive", side: "changes" }); return true;
     case "n": case "N": if (chosen) showSighting(chosen.sightingIndex + 1); return true;
     case "p": case "P": if (chosen) showSighting(chosen.sightingIndex - 1); return true;
+    case "1": change({ points: !state.points }, false); return true;
+    case "2": change({ lines: !state.lines }, false); return true;
     case "/": sidebar.focusSearch(); return true;
     case "?": layout.openHelp(); return true;
     default: return false;
@@ -383,11 +406,19 @@ declare global {
   interface Window {
     /** For tests: where a cone is on the canvas. */
     conetlProject?: (id: string) => [number, number] | null;
+    /** For tests: how long finding the cone under a click takes, in milliseconds. */
+    conetlPickTime?: (x: number, y: number) => number;
   }
 }
 window.conetlProject = (id) => {
   const cone = all.find((c) => c.id === id);
   return cone ? stage.project([cone.xyz[0], cone.xyz[1], cone.xyz[2] + cone.height_m / 2]) : null;
+};
+
+window.conetlPickTime = (x, y) => {
+  const before = performance.now();
+  cones.pick(x, y);
+  return performance.now() - before;
 };
 
 fill(layout.brand, el("b", { textContent: "conetl" }), " map");

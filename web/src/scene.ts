@@ -8,7 +8,7 @@ import type { Vec3 } from "./api";
 import { el } from "./dom";
 import type { CameraPlace } from "./state";
 
-const BACKGROUND = "#eef1f4";
+export const BACKGROUND = "#eef1f4";
 const FIELD_DEG = 42;
 const GRID_LINES = 60;
 const PIECE_CELLS = 5;

@@ -1,5 +1,5 @@
 // Left: map, search, and the legend, which is the filter too.
-import type { MapItem } from "./api";
+import type { BaseLayer, MapItem } from "./api";
 import { el, fill, plural, shortId } from "./dom";
 import { icon, KIND_ORDER, STYLES, type Cone, type Kind } from "./kinds";
 import type { State } from "./state";
@@ -9,6 +9,9 @@ export interface SidebarActions {
   toggleKind(kind: Kind): void;
   setProbability(value: number): void;
   setTrajectory(on: boolean): void;
+  setPoints(on: boolean): void;
+  setLines(on: boolean): void;
+  setSafeColours(on: boolean): void;
   find(beginning: string): Promise<{ ids: string[]; truncated: boolean }>;
   select(id: string): void;
   fit(): void;
@@ -54,6 +57,13 @@ export function createSidebar(host: HTMLElement, actions: SidebarActions) {
   const probabilityText = el("output", { htmlFor: "probability" } as never);
   probability.addEventListener("input", () => actions.setProbability(Number(probability.value)));
   const way = el("input", { type: "checkbox", id: "way", onchange: () => actions.setTrajectory(way.checked) });
+  const points = el("input", { type: "checkbox", id: "points", onchange: () => actions.setPoints(points.checked) });
+  const lines = el("input", { type: "checkbox", id: "lines", onchange: () => actions.setLines(lines.checked) });
+  const safe = el("input", { type: "checkbox", id: "safe-colours", onchange: () => actions.setSafeColours(safe.checked) });
+  const pointsRow = el("label", { class: "check" }, points, el("i", { class: "swatch points" }), "LiDAR points ", el("kbd", { textContent: "1" }));
+  const linesRow = el("label", { class: "check" }, lines, el("i", { class: "swatch lines" }), "Lane boundaries ", el("kbd", { textContent: "2" }));
+  const baseSection = el("section", { class: "base", hidden: true }, el("h2", { textContent: "Under the cones" }), pointsRow, linesRow,
+    el("label", { class: "check", title: "Ochre points and brown lines instead of red and green" }, safe, "Colour-blind safe colours")); // prettier-ignore
   const fitButton = el("button", { type: "button", class: "wide", onclick: () => actions.fit() }, "Show everything ", el("kbd", { textContent: "Home" }));
 
   host.append(
@@ -65,6 +75,7 @@ export function createSidebar(host: HTMLElement, actions: SidebarActions) {
       el("label", { htmlFor: "probability" }, "Existence probability ≥ ", probabilityText),
       probability,
     ),
+    baseSection,
     el("section", {}, el("label", { class: "check" }, way, el("i", { class: "swatch way" }), "Way of the left camera"), fitButton),
   );
 
@@ -75,6 +86,14 @@ export function createSidebar(host: HTMLElement, actions: SidebarActions) {
       fill(maps, ...items.map((m) => el("option", { value: m.map_name, textContent: `${m.map_name} (${m.feature_count})` })),
         !names.has(chosen) && el("option", { value: chosen, textContent: `${chosen} (empty)` })); // prettier-ignore
       maps.value = chosen;
+    },
+    showBase(layers: BaseLayer[]): void {
+      for (const [row, kind] of [[pointsRow, "points"], [linesRow, "lines"]] as const) {
+        const mine = layers.filter((l) => l.kind === kind);
+        row.hidden = !mine.length;
+        row.title = mine.map((l) => `${l.layer_name}: ${plural(l.count, kind === "points" ? "point" : "line")}`).join("\n");
+      }
+      baseSection.hidden = !layers.length;
     },
     show(state: State, cones: Cone[], shownCount: number): void {
       const counts = new Map<Kind, number>();
@@ -96,6 +115,10 @@ export function createSidebar(host: HTMLElement, actions: SidebarActions) {
       if (document.activeElement !== probability) probability.value = String(state.minProbability);
       probabilityText.textContent = state.minProbability.toFixed(2);
       way.checked = state.trajectory;
+      points.checked = state.points;
+      lines.checked = state.lines;
+      safe.checked = state.safeColours;
+      baseSection.dataset["colours"] = state.safeColours ? "safe" : "paper";
     },
   };
 }

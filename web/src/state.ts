@@ -25,13 +25,19 @@ export interface State {
   /** Which sighting is open, counted from 0; null is the nearest one. */
   sighting: number | null;
   trajectory: boolean;
+  /** Base layers. */
+  points: boolean;
+  lines: boolean;
+  /** Base layers in colours that the colour-blind tell apart. */
+  safeColours: boolean;
   camera: CameraPlace | null;
 }
 
 export function initialState(): State {
   return {
     map: "", mode: "drive", changeset: null, side: "changes", from: 0, to: null, valid: null, known: null,
-    hidden: new Set(), minProbability: 0, feature: null, sighting: null, trajectory: true, camera: null,
+    hidden: new Set(), minProbability: 0, feature: null, sighting: null, trajectory: true,
+    points: true, lines: true, safeColours: false, camera: null,
   };
 }
 
@@ -62,6 +68,9 @@ export function parseState(hash: string): State {
   state.feature = feature !== null && /^[0-9a-f-]{36}$/.test(feature) ? feature : null;
   state.sighting = natural(p.get("sighting"));
   state.trajectory = p.get("way") !== "0";
+  state.points = p.get("points") !== "0";
+  state.lines = p.get("lines") !== "0";
+  state.safeColours = p.get("colours") === "safe";
   const camera = (p.get("cam") ?? "").split(",").map(Number);
   if (camera.length === 6 && camera.every(Number.isFinite) && (camera[5] ?? 0) > 0) state.camera = camera as CameraPlace;
   return state;
@@ -87,6 +96,9 @@ export function formatState(state: State): string {
   if (state.feature) p.set("feature", state.feature);
   if (state.feature && state.sighting !== null) p.set("sighting", String(state.sighting));
   if (!state.trajectory) p.set("way", "0");
+  if (!state.points) p.set("points", "0");
+  if (!state.lines) p.set("lines", "0");
+  if (state.safeColours) p.set("colours", "safe");
   if (state.camera) p.set("cam", state.camera.map((v) => v.toFixed(3).replace(/\.?0+$/, "")).join(","));
   return p.toString().replaceAll("%2C", ",").replaceAll("%3A", ":");
 }

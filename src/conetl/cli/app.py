@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import typer
 
+from conetl.cli.backfill import backfill
+from conetl.cli.base import app as base
 from conetl.cli.calibrate import calibrate
 from conetl.cli.database import app as database
 from conetl.cli.demo import demo
@@ -14,6 +16,7 @@ from conetl.cli.lidar_check import lidar_check
 from conetl.cli.locate import locate
 from conetl.cli.maps import app as maps
 from conetl.cli.rig import app as rig
+from conetl.cli.services import down, status, up
 from conetl.cli.simulate import simulate
 from conetl.cli.view import view
 
@@ -26,8 +29,23 @@ app = typer.Typer(
     epilog="Exit codes: 0 done; 1 done, but too many records were quarantined; 2 bad usage or input, nothing written; "
     "3 a service (database, Prefect) is not to be had, nothing written.",
 )
-for command in (ingest, view, calibrate, locate, detect, evaluate, lidar_check, simulate, demo):
+for command in (
+    ingest,
+    backfill,
+    up,
+    down,
+    status,
+    view,
+    calibrate,
+    locate,
+    detect,
+    evaluate,
+    lidar_check,
+    simulate,
+    demo,
+):
     app.command()(command)
 app.add_typer(maps, name="map")
+app.add_typer(base, name="base")
 app.add_typer(database, name="db")
 app.add_typer(rig, name="rig")

@@ -8,6 +8,7 @@ from dataclasses import asdict
 import typer
 
 from conetl.cli.console import JsonOption, out, print_json, print_table
+from conetl.cli.prune import prune
 from conetl.errors import ConetlError, DatabaseError
 from conetl.io.audits import run_audits
 from conetl.io.cluster import cluster_down, cluster_status, cluster_up
@@ -18,6 +19,7 @@ from conetl.settings import Settings, read_settings
 app = typer.Typer(
     help="The database that holds the map: CONETL_DATABASE_URL, or a private cluster.", no_args_is_help=True
 )
+app.command()(prune)
 
 
 class AuditFailedError(ConetlError):
@@ -115,8 +117,11 @@ def audit(as_json: JsonOption = False) -> None:
     if as_json:
         print_json([asdict(result) for result in results])
     else:
-        rows = [(result.name, "passed" if not result.rows else f"{result.row_count} rows") for result in results]
-        print_table("", ("audit", "result"), rows)
+        rows = [
+            (result.name, "passed" if not result.rows else f"{result.row_count} rows", f"{result.seconds:.1f}")
+            for result in results
+        ]
+        print_table("", ("audit", "result", "s"), rows, numbers_from=2)
         for result in results:
             for row in result.rows[:10]:
                 out.print(f"{result.name}: {row}", markup=False)

@@ -10,6 +10,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from conetl.cli.base import import_one, print_imported
 from conetl.cli.console import JsonOption, out, print_json
 from conetl.cli.database import open_map
 from conetl.cli.ingest import ingest_drives, print_report
@@ -24,6 +25,8 @@ from conetl.settings import read_settings
 from conetl.steps.evaluation import compare_with_truth
 
 _SAMPLES = Path("data/drives")
+#: Beside the folder of drives: what the map lies on in the browser.
+_BASE_LAYERS = ("base/street.laz", "base/lane_boundaries.geojson")
 
 
 def demo(
@@ -43,6 +46,11 @@ def demo(
     )
     if exit_code:
         raise typer.Exit(exit_code)
+    for name in _BASE_LAYERS:
+        if (layer := samples.parent / name).is_file():
+            imported = import_one(settings, layer)
+            if not as_json:
+                print_imported(imported)
     last = drives[-1]
     truth, _ = read_truth_cones(last / "truth.csv")
     drive, _ = read_drive(last, map_srid=reports[-1].map_srid)
@@ -85,6 +93,10 @@ def demo(
         )
     out.print("\n[bold]How to look further[/]")
     out.print("  export CONETL_MAP_NAME=demo PATH=$PWD/.venv/bin:$PATH", markup=False)
+    out.print(
+        "  conetl view                             the map in a browser, with LiDAR points and lane boundaries",
+        markup=False,
+    )
     out.print("  conetl map show                         the cones, with sigma and existence probability", markup=False)
     out.print("  conetl map show --as-of 2026-03-02T23:00 the map before the second drive", markup=False)
     out.print(

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 from pydantic import ValidationError
 
+from conetl.cli import work_zones
 from conetl.cli.console import JsonOption, out, parse_time, print_json
 from conetl.cli.database import open_map
 from conetl.errors import InputError
@@ -18,15 +19,19 @@ from conetl.io.exports.export import export_map
 from conetl.io.exports.qgis_project import write_qgis_project
 from conetl.io.exports.source import ExportRequest, What
 from conetl.io.import_store import read_licence, set_licence
-from conetl.io.imports.statements import read_map_file
 from conetl.io.map_store import find_map
 from conetl.params import ImportParams
 from conetl.settings import read_settings
 
+#: Formats of `map export` that tell of work zones, not of cones one by one (`work_zones.py`).
+WZDX, WZDX_DEVICES = "wzdx", "wzdx-devices"
+ALL_FORMATS = (*FORMATS, WZDX, WZDX_DEVICES)
+_NOUNS = {What.FEATURES: "cones", What.HISTORY: "versions", What.CHANGES: "changes"}
+
 
 def export(
     output: Annotated[Path, typer.Option("--out", help="File to write; a manifest is written beside it.")],
-    file_format: Annotated[str, typer.Option("--format", help=f"One of {', '.join(FORMATS)}.")] = "geojson",
+    file_format: Annotated[str, typer.Option("--format", help=f"One of {', '.join(ALL_FORMATS)}.")] = "geojson",
     what: Annotated[
         What,
         typer.Option("--what", help="What stands, every version there ever was, or what changed between two times."),
@@ -40,10 +45,31 @@ def export(
     ] = None,
     since: Annotated[str | None, typer.Option("--from", help="Changes on the road since this time ...")] = None,
     until: Annotated[str | None, typer.Option("--to", help="... until this time; default: now.")] = None,
+    feed: work_zones.FeedOption = None,
+    publisher: work_zones.PublisherOption = None,
+    road_names: work_zones.RoadNamesOption = None,
+    lanes: work_zones.LanesOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Write the map, as it is or was, its history, or what changed, to a file with a manifest (FILE.manifest.json)."""
+    """Write the map, as it is or was, its history, or what changed, to a file with a manifest (FILE.manifest.json); or its work
+    zones as a WZDx 4.2 feed."""
     settings = read_settings()
+    if file_format in (WZDX, WZDX_DEVICES):
+        if what is not What.FEATURES or believed_at or since or until:
+            raise InputError(
+                f"--what, --believed-at, --from and --to do not go with --format {file_format}: leave them out"
+            )
+        with closing(open_map(settings)) as conn:
+            count = work_zones.export_wzdx(
+                conn, output, devices=file_format == WZDX_DEVICES, map_name=settings.map_name, as_of=parse_time(as_of),
+                feed=feed, publisher=publisher, road_names=road_names, lanes=lanes,
+            )  # fmt: skip
+        _say(output, count, "work zones" if file_format == WZDX else "cones", {"features": count}, as_json)
+        return
+    if feed or publisher or road_names or lanes:
+        raise InputError(f"--feed, --publisher, --road-name and --lanes belong to --format {WZDX} or {WZDX_DEVICES}")
+    if file_format not in FORMATS:
+        raise InputError(f"there is no format {file_format}: choose one of {', '.join(ALL_FORMATS)}")
     request = ExportRequest(
         settings.map_name,
         what,
@@ -54,11 +80,15 @@ def export(
     )
     with closing(open_map(settings)) as conn:
         manifest = export_map(conn, output, file_format, request)
+    rows = manifest["rows"]
+    _say(output, rows, _NOUNS[what], {what.value: rows, "manifest": manifest}, as_json)
+
+
+def _say(output: Path, count: int, noun: str, answer: dict[str, object], as_json: bool) -> None:
     if as_json:
-        print_json({"written": str(output), what.value: manifest["rows"], "manifest": manifest})
+        print_json({"written": str(output)} | answer)
     else:
-        noun = {What.FEATURES: "cones", What.HISTORY: "versions", What.CHANGES: "changes"}[what]
-        out.print(f"{manifest['rows']} {noun} -> {output}", markup=False)
+        out.print(f"{count} {noun} -> {output}", markup=False)
 
 
 def import_(
@@ -89,6 +119,7 @@ def import_(
 ) -> None:
     """Take a map that was made elsewhere onto this one, as one changeset. Drives confirm, move and remove its cones like
     others."""
+    from conetl.io.imports.statements import read_map_file  # GDAL takes seconds to load
     from flows.import_map import import_map
 
     settings = read_settings()

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, nullcontext
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Annotated
 
 import typer
@@ -15,6 +16,7 @@ from pydantic import ValidationError
 from conetl.cli.console import JsonOption, complain, err, note_unmeasured, out, print_json, print_table, progress_bar
 from conetl.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_TOO_MANY_REJECTIONS, ConetlError, InputError, ServiceError
 from conetl.io.detector import shipped_model_path
+from conetl.io.leftovers import sweep
 from conetl.io.model_card import read_model_card
 from conetl.params import IngestParams
 from conetl.records import DeltaKind
@@ -69,10 +71,16 @@ def ingest_drives(
         raise InputError(f"no such drive folder: {', '.join(missing)}")
     try:
         (settings.home / "prefect").mkdir(parents=True, exist_ok=True)
+        settings.results_folder.mkdir(exist_ok=True)
+        with TemporaryFile(
+            dir=settings.results_folder
+        ):  # a folder that is there may still be read-only, or its disk full
+            pass
     except OSError as error:
         raise InputError(
             f"{settings.home}: cannot be written to ({error.strerror}); set CONETL_HOME to a folder of yours"
         ) from error
+    sweep((settings.results_folder, settings.exports_folder))
     note_unmeasured(read_model_card(settings.model_path or shipped_model_path()))
     os.environ.update(prefect_environment(settings.home))
     reports: list[IngestReport] = []
@@ -136,9 +144,15 @@ def _with_refinement(params: IngestParams, *, refine: bool, self_calibrate: bool
     return params.model_copy(update={"trajectory": params.trajectory.model_copy(update=off)}) if off else params
 
 
+#: Kinds of change that are named also where there is none.
+_USUAL = (DeltaKind.ADDED, DeltaKind.CONFIRMED, DeltaKind.MOVED, DeltaKind.REMOVED)
+
+
 def print_report(report: IngestReport) -> None:
     """What one drive changed, for a person."""
-    counts = ", ".join(f"{report.counts[kind]} {kind}" for kind in DeltaKind)
+    counts = ", ".join(
+        f"{report.counts[kind]} {kind.replace('_', ' ')}" for kind in DeltaKind if kind in _USUAL or report.counts[kind]
+    )
     when = f"{report.captured_from:%Y-%m-%d %H:%M} UTC"
     if report.status == "no changes":
         out.print(
@@ -173,7 +187,7 @@ def print_changes(report: IngestReport) -> None:
     """The table of changes of one drive."""
     rows = [
         (
-            line.kind,
+            line.kind.replace("_", " "),
             str(line.feature_id)[:8],
             f"{line.xyz_m[0]:.3f}",
             f"{line.xyz_m[1]:.3f}",

@@ -111,8 +111,17 @@ def _points(
     path: Path, pair: FramePair, pairs: Mapping[int, FramePair], rig: Rig, velo: Array, period_s: float
 ) -> Array:
     """Points (N, 3) of one scan as at the instant of the picture, in the scanner's frame."""
+    return points_at_exposure(read_scan(path)[:, :3].astype(np.float64), pair, pairs, rig, velo, period_s)
+
+
+def points_at_exposure(
+    points: Array, pair: FramePair, pairs: Mapping[int, FramePair], rig: Rig, velo: Array, period_s: float
+) -> Array:
+    """Points (N, 3) of one turn of the scanner, in its frame, as at the instant of the picture.
+
+    velo: (4, 4) left_SE3_velo; the car's motion comes from the poses of the frame pairs before and after.
+    """
     before, after = pairs.get(pair.frame_index - 1, pair), pairs.get(pair.frame_index + 1, pair)
-    points = read_scan(path)[:, :3].astype(np.float64)
     seconds = (after.captured_at_ns - before.captured_at_ns) * 1e-9
     if seconds <= 0:
         return points

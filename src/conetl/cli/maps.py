@@ -8,10 +8,11 @@ from typing import Annotated
 
 import typer
 
-from conetl.cli import decisions, exchange
+from conetl.cli import decisions, exchange, work_zones
 from conetl.cli.console import JsonOption, out, parse_time, print_json, print_table
 from conetl.cli.database import open_map
 from conetl.errors import InputError
+from conetl.io.map_results import CommittedChangeset, FeatureLogEntry
 from conetl.io.map_store import feature_log, find_features, list_changesets, map_summary, read_features_as_of
 from conetl.records import utc_from_ns
 from conetl.settings import read_settings
@@ -22,6 +23,7 @@ for decide in (decisions.suppress, decisions.pin, decisions.revert, decisions.de
 for exchanged in (exchange.export, exchange.licence, exchange.qgis):
     app.command()(exchanged)
 app.command("import")(exchange.import_)
+app.command("check-layout")(work_zones.check_layout_command)
 
 
 AsOf = Annotated[
@@ -41,7 +43,13 @@ def show(as_of: AsOf = None, as_json: JsonOption = False) -> None:
         versions = list(read_features_as_of(conn, parse_time(as_of), map_name=settings.map_name))
     if as_json:
         print_json(
-            {"map": summary and asdict(summary), "features": [v.feature.model_dump(mode="json") for v in versions]}
+            {
+                "map": summary and asdict(summary),
+                "features": [
+                    v.feature.model_dump(mode="json") | {"seen_count": v.seen_count, "missed_count": v.missed_count}
+                    for v in versions
+                ],
+            }
         )
         return
     if summary is None:
@@ -60,6 +68,8 @@ def show(as_of: AsOf = None, as_json: JsonOption = False) -> None:
             f"{((v.feature.cov_m2[0] + v.feature.cov_m2[3]) / 2) ** 0.5:.3f}",
             f"{v.feature.existence_probability:.3f}",
             v.feature.observation_count,
+            v.seen_count,
+            v.missed_count or "",
             f"{utc_from_ns(v.feature.first_seen_ns):%Y-%m-%d %H:%M}",
         )
         for v in versions
@@ -75,6 +85,8 @@ def show(as_of: AsOf = None, as_json: JsonOption = False) -> None:
             "sigma m",
             "exists",
             "seen",
+            "drives",
+            "missed",
             "first seen (UTC)",
         )
         print_table("", columns, rows)
@@ -104,12 +116,26 @@ def log(
                     c.confirmed_count,
                     c.moved_count,
                     c.removed_count,
+                    c.missed_count,
+                    _others(c),
                     c.rejection_count,
                     "" if c.counts else "does not count",
                 )
                 for c in changesets
             ]
-            columns = ("no", "drive", "committed (UTC)", "added", "confirmed", "moved", "removed", "quarantined", "")
+            columns = (
+                "no",
+                "drive",
+                "committed (UTC)",
+                "added",
+                "confirmed",
+                "moved",
+                "removed",
+                "missed",
+                "other",
+                "quarantined",
+                "",
+            )
             print_table("", columns, rows, numbers_from=3)
             return
         found = find_features(conn, feature, map_name=settings.map_name)
@@ -123,16 +149,18 @@ def log(
         return
     history: list[tuple[object, ...]] = [
         (
-            e.kind,
+            e.kind.replace("_", " "),
             e.drive_id,
             f"{e.changed_at:%Y-%m-%d %H:%M:%S}",
+            "" if e.log_likelihood_ratio is None else f"{e.log_likelihood_ratio:+.1f}",
+            _frames(e),
             f"{e.easting_m:.3f}",
             f"{e.northing_m:.3f}",
             f"{e.height_m:.3f}",
             f"{e.existence_probability:.3f}",
             e.observation_count,
             "" if e.shift_m is None else f"{e.shift_m:.3f}",
-            "suppressed" if e.suppressed else "",
+            "suppressed" if e.suppressed else "" if e.other_feature_id is None else str(e.other_feature_id)[:8],
             "" if e.believed_until is None else f"{e.believed_until:%Y-%m-%d %H:%M:%S}",
         )
         for e in entries
@@ -141,13 +169,31 @@ def log(
         "change",
         "drive",
         "on the road since (UTC)",
+        "log odds",
+        "frame pairs",
         "easting m",
         "northing m",
         "height m",
         "exists",
         "seen",
         "shift m",
-        "",
+        "with",
         "believed until (UTC)",
     )
     print_table("", history_columns, history, numbers_from=3)
+
+
+def _others(changeset: CommittedChangeset) -> str:
+    """The rare kinds, as far as there are any."""
+    counts = {
+        "height changed": changeset.height_changed_count,
+        "split": changeset.split_count,
+        "merged": changeset.merged_count,
+    }
+    return ", ".join(f"{count} {kind}" for kind, count in counts.items() if count)
+
+
+def _frames(entry: FeatureLogEntry) -> str:
+    """In how many frame pairs a drive saw it, or looked in vain."""
+    parts = ((entry.frames_seen, "seen"), (entry.frames_empty, "empty"))
+    return ", ".join(f"{count} {word}" for count, word in parts if count)

@@ -19,11 +19,26 @@ def simulate(
     width: Annotated[int, typer.Option(min=64, help="Picture width in pixels.")] = 960,
     height: Annotated[int, typer.Option(min=32, help="Picture height in pixels.")] = 320,
     samples: Annotated[int, typer.Option(min=1, help="Light paths per pixel.")] = 9,
+    base: Annotated[
+        bool,
+        typer.Option(
+            "--base", help="Instead of a drive the base layers: the street's LiDAR points and lane boundaries."
+        ),
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Render a stereo drive along a lane-closure taper, with its truth.csv (needs the extra `simulate`)."""
     from conetl.simulation.simulate import simulate_drive
 
+    if base:
+        from conetl.simulation.base_layers import simulate_base_layers
+
+        files = [str(path) for path in simulate_base_layers(folder, seed=seed)]
+        if as_json:
+            print_json({"base_layers": files})
+        else:
+            out.print(f"{' '.join(files)}: try `conetl base import {' '.join(files)}`", markup=False)
+        return
     with progress_bar() as bars:
         bar = bars.add_task("render", total=None)
         written = simulate_drive(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,3 +28,8 @@ def cov_matrix(cov: Cov3) -> Array:
     """Upper triangle xx, xy, xz, yy, yz, zz -> symmetric (3, 3)."""
     xx, xy, xz, yy, yz, zz = cov
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def cov_matrices(covariances: Sequence[Cov3]) -> Array:
+    """As `cov_matrix`, for N of them: (N, 3, 3)."""
+    return np.array(covariances, dtype=np.float64).reshape(-1, 6)[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,6 +22,8 @@ class AuditResult:
     row_count: int
     rows: tuple[dict[str, Any], ...]
     """The first 100 offending rows; every one has a column `problem`."""
+    seconds: float = 0.0
+    """How long it took."""
 
     @property
     def passed(self) -> bool:
@@ -43,5 +46,7 @@ def _run(conn: Connection, name: str) -> AuditResult:
     text = load_sql(name)
     purpose = re.match(r"-- Purpose: ((?:.*\n)(?:-- (?!Columns).*\n)*)", text)
     sentence = re.sub(r"\s*\n(-- )?", " ", purpose[1]).strip() if purpose else name
+    start = time.monotonic()
     rows = execute(conn, text)
-    return AuditResult(name.removeprefix("audit/"), sentence, len(rows), tuple(rows[:SHOWN_ROWS]))
+    seconds = time.monotonic() - start
+    return AuditResult(name.removeprefix("audit/"), sentence, len(rows), tuple(rows[:SHOWN_ROWS]), seconds)

@@ -71,9 +71,11 @@ def timestamps_from_ns(nanoseconds: Any) -> Column:
     return fixed(np.asarray(nanoseconds, np.int64) // 1000 - _POSTGRES_EPOCH_US, ">i8")
 
 
-def uuids(values: Sequence[UUID]) -> Column:
-    """uuid."""
-    return _blocks([value.bytes for value in values], 16)
+def uuids(values: Sequence[UUID | None]) -> Column:
+    """uuid; None becomes NULL."""
+    column = _blocks([bytes(16) if value is None else value.bytes for value in values], 16)
+    column.lengths[[value is None for value in values]] = NULL_LENGTH
+    return column
 
 
 def constant_uuid(value: UUID, count: int) -> Column:
@@ -103,6 +105,11 @@ def double_arrays(values: Any) -> Column:
 def texts(values: Sequence[str | None]) -> Column:
     """text; None becomes NULL. What PostgreSQL cannot hold (NUL, half surrogate pairs of broken file names) becomes U+FFFD."""
     return _variable([None if value is None else clean_text(value).encode() for value in values])
+
+
+def byteas(values: Sequence[bytes]) -> Column:
+    """bytea, or geometry as extended well-known binary."""
+    return _variable(list(values))
 
 
 def jsons(values: Sequence[Mapping[str, Any]]) -> Column:

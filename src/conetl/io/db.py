@@ -5,11 +5,12 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeAlias
+from urllib.parse import quote, urlencode
 
 import psycopg2
 import psycopg2.errors
@@ -51,6 +52,42 @@ class DatabaseStatus:
     @property
     def ready(self) -> bool:
         return bool(self.applied_migrations) and not self.pending_migrations
+
+
+PREFECT_DATABASE = "prefect"
+
+
+def prefect_database(url: str) -> str:
+    """Make the Prefect server's database on the server of `url` where there is none; its address as SQLAlchemy writes it."""
+    with (
+        closing(connect(url)) as conn,
+        database_errors(
+            f"The database {PREFECT_DATABASE} for the Prefect server cannot be made: make it by hand, or name one in "
+            "CONETL_PREFECT_DATABASE_URL"
+        ),
+    ):
+        conn.autocommit = True
+        if not execute(conn, load_sql("schema/database_exists"), {"name": PREFECT_DATABASE})[0]["found"]:
+            execute(conn, load_sql("schema/create_prefect_database"))
+    return sqlalchemy_url(url, PREFECT_DATABASE)
+
+
+def sqlalchemy_url(url: str, database: str | None = None) -> str:
+    """A libpq address, of either form, as SQLAlchemy's asyncpg dialect wants it; for another database where one is named."""
+    try:
+        parts = psycopg2.extensions.parse_dsn(url)
+    except psycopg2.Error as error:
+        raise DatabaseError(
+            f"The address {_without_password(url)} is no libpq address: {_first_line(error)}"
+        ) from error
+    login = quote(parts.get("user", ""), safe="") + (
+        f":{quote(parts['password'], safe='')}" if "password" in parts else ""
+    )
+    query = {name: parts[name] for name in ("host", "port") if name in parts}
+    if "sslmode" in parts:
+        query["ssl"] = parts["sslmode"]
+    name = quote(database or parts.get("dbname", ""), safe="")
+    return f"postgresql+asyncpg://{login + '@' if login else ''}/{name}?{urlencode(query)}"
 
 
 def connect(url: str) -> Connection:

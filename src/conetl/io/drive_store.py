@@ -12,6 +12,7 @@ from uuid import UUID
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.detector_evidence import UNMEASURED_LOOKS, LookFigures
 from conetl.errors import MapMismatchError
 from conetl.io.db import Connection, database_errors, execute, load_sql, stream
 from conetl.io.import_store import read_statements
@@ -32,6 +33,8 @@ class StoredDrive:
     """None of an imported map."""
     reconcile: ReconcileParams
     influence_m: float
+    figures: LookFigures
+    """Of the detector that looked."""
     path_m: Floats
     """(N, 2), a row per frame pair."""
     tracks: list[Track]
@@ -72,6 +75,7 @@ def read_drive(conn: Connection, drive_uuid: UUID) -> StoredDrive:
             rig=rig,
             reconcile=ReconcileParams.model_validate(header["reconcile"]),
             influence_m=header["influence_m"],
+            figures=LookFigures.model_validate(header["look_figures"]) if header["look_figures"] else UNMEASURED_LOOKS,
             path_m=np.array(list(path)).reshape(-1, 2),
             tracks=[_track(row) for row in stream(conn, load_sql("map/drive_tracks"), parameters)],
             statements=statements,

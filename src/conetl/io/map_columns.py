@@ -144,6 +144,7 @@ def delta_columns(srid: int, deltas: Sequence[Delta], suppressed: Collection[UUI
         "changed_at_ns": bigints([d.changed_at_ns for d in deltas]),
         "changed_at": timestamps_from_ns([d.changed_at_ns for d in deltas]),
         "shift_m": doubles([d.shift_m for d in deltas]),
+        **_evidence_columns(deltas),
         "present": booleans([d.new is not None and d.feature_id not in suppressed for d in deltas]),
         "suppressed": booleans([d.new is not None and d.feature_id in suppressed for d in deltas]),
         **cone_columns(srid, states),
@@ -179,7 +180,30 @@ def replayed_delta_columns(changes: Sequence[tuple[UUID, Delta]]) -> Columns:
         "changed_at_ns": bigints([d.changed_at_ns for d in deltas]),
         "changed_at": timestamps_from_ns([d.changed_at_ns for d in deltas]),
         "shift_m": doubles([d.shift_m for d in deltas]),
+        **_evidence_columns(deltas),
     }
+
+
+def _evidence_columns(deltas: Sequence[Delta]) -> Columns:
+    values = [evidence_values(delta) for delta in deltas]
+    ratios, existence, seen, empty = zip(*values, strict=True) if values else ((), (), (), ())
+    return {
+        "other_feature_id": uuids([d.other_feature_id for d in deltas]),
+        "log_likelihood_ratio": doubles(ratios),
+        "existence_after": doubles(existence),
+        "frames_seen": integers(seen),
+        "frames_empty": integers(empty),
+    }
+
+
+def evidence_values(delta: Delta) -> tuple[float | None, float | None, int | None, int | None]:
+    """log_likelihood_ratio, existence_after, frames_seen, frames_empty of a delta's row."""
+    e = delta.evidence
+    return (
+        (None, None, None, None)
+        if e is None
+        else (e.log_likelihood_ratio, e.existence_probability, e.frames_seen, e.frames_empty)
+    )
 
 
 def version_after(delta: Delta) -> int:

@@ -8,7 +8,7 @@ from datetime import datetime
 from typing import Any
 from uuid import UUID
 
-from conetl.records import BelievedVersion, Delta, DeltaKind, FoldKey, MapFeature
+from conetl.records import BelievedVersion, Delta, DeltaKind, FoldKey, MapFeature, Miss
 
 
 @dataclass(frozen=True)
@@ -48,6 +48,10 @@ class CommittedChangeset:
     confirmed_count: int
     moved_count: int
     removed_count: int
+    missed_count: int
+    height_changed_count: int
+    split_count: int
+    merged_count: int
     frame_pair_count: int
     detection_count: int
     match_count: int
@@ -80,6 +84,10 @@ class FeatureVersion:
     valid_to: datetime | None
     """None while open."""
     changeset_id: UUID
+    seen_count: int
+    """Drives that saw it, until that instant."""
+    missed_count: int
+    """Drives that looked at its spot in vain."""
 
 
 @dataclass(frozen=True)
@@ -110,8 +118,14 @@ class FeatureLogEntry:
     height_m: float
     cone_height_m: float
     existence_probability: float
+    """Belief after this drive, also of one that changed nothing."""
     observation_count: int
     suppressed: bool
+    other_feature_id: UUID | None
+    """Of a split, the feature that was both; of a merger, the one that is left."""
+    log_likelihood_ratio: float | None
+    frames_seen: int | None
+    frames_empty: int | None
 
 
 @dataclass(frozen=True)
@@ -134,8 +148,17 @@ class StoredVersion:
 
 
 @dataclass(frozen=True)
+class StoredMiss:
+    """A drive that looked for a feature in vain, as it is believed now."""
+
+    drive_uuid: UUID
+    key: FoldKey
+    miss: Miss
+
+
+@dataclass(frozen=True)
 class StoredDelta:
-    """A delta that is believed now, as the values of its columns from changeset_id to shift_m."""
+    """A delta that is believed now, as the values of its columns from changeset_id to frames_empty."""
 
     delta_row_id: int
     values: tuple[Any, ...]

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeVar
 
-from conetl.records import BelievedVersion, MapFeature
+from conetl.records import BelievedVersion, MapFeature, Record
+
+R = TypeVar("R", bound=Record)
 
 
 def feature_of(row: tuple[Any, ...]) -> MapFeature:
     """Columns as in `map/current_features`, more may follow."""
-    return MapFeature.model_construct(
+    return _record(
+        MapFeature,
         feature_id=row[0],
         version=row[1],
         category=row[2],
@@ -27,7 +30,8 @@ def feature_of(row: tuple[Any, ...]) -> MapFeature:
 
 def version_of(row: tuple[Any, ...]) -> BelievedVersion:
     """Columns as in `map/standing_around`, more may follow."""
-    return BelievedVersion.model_construct(
+    return _record(
+        BelievedVersion,
         feature=feature_of(row),
         changeset_id=row[21],
         standing=row[22],
@@ -35,3 +39,16 @@ def version_of(row: tuple[Any, ...]) -> BelievedVersion:
         valid_from_ns=row[24],
         valid_to_ns=row[25],
     )
+
+
+def _record(record_type: type[R], **values: Any) -> R:
+    """As `model_construct` where every field is given, in a third of its time: a drive is compared with 100,000 of them."""
+    record = record_type.__new__(record_type)
+    for name, value in (
+        ("__dict__", values),
+        ("__pydantic_fields_set__", set(values)),
+        ("__pydantic_extra__", None),
+        ("__pydantic_private__", None),
+    ):
+        object.__setattr__(record, name, value)
+    return record

@@ -20,6 +20,7 @@ from datetime import UTC, datetime
 from typing import Any
 from uuid import NAMESPACE_URL, UUID, uuid5
 
+from conetl.detector_evidence import LookFigures
 from conetl.errors import MapMismatchError
 from conetl.io import map_columns
 from conetl.io.commit_checks import require_consistent
@@ -64,7 +65,7 @@ from conetl.rejections import Rejection
 Bbox = tuple[float, float, float, float]
 """west, south, east, north in metres of the map's CRS."""
 LOCK_TIMEOUT_S = 600.0
-#: After so many new versions the planner's picture of the tables is renewed at once, not when autovacuum comes round.
+#: From so many new versions on, if they are a tenth of the table, the planner's picture is renewed before autovacuum comes.
 ANALYSE_FROM_VERSIONS = 10_000
 #: Features this far around the path may be seen by a drive: the farthest position plus the largest offset and move.
 INFLUENCE_M = 60.0
@@ -133,7 +134,7 @@ def read_features_as_of(
     }
     with database_errors(f"The features of map {map_name} cannot be read"):
         for row in stream(conn, load_sql("map/features_as_of"), parameters):
-            yield FeatureVersion(feature_of(row), valid_from=row[21], valid_to=row[22], changeset_id=row[23])
+            yield FeatureVersion(feature_of(row), *row[21:26])
 
 
 def find_changeset(conn: Connection, idempotency_key: str, *, map_name: str = "default") -> CommittedChangeset | None:
@@ -258,11 +259,13 @@ def place_drive(
     now: datetime | None = None,
     reconcile: ReconcileParams | None = None,
     influence_m: float = INFLUENCE_M,
+    figures: LookFigures | None = None,
 ) -> UUID:
     """Make the drive known to the map unless it is, so that it can be asked what is around it; does not commit.
 
-    It counts only once its changeset is there. reconcile (default: the defaults) and influence_m are kept, so that the drive can
-    be compared with the map again. Raises MapMismatchError where the map is in another CRS.
+    It counts only once its changeset is there. reconcile (default: the defaults), influence_m and figures (of the detector; None:
+    nothing was measured) are kept, so that the drive can be compared with the map again. Raises MapMismatchError where the map
+    is in another CRS.
     """
     info = map_for(conn, map_name, drive.map_srid, f"drive {drive.drive_id}", now)
     drive_uuid = uuid5(_NAMESPACE, f"{map_name}/{idempotency_key}")
@@ -282,6 +285,7 @@ def place_drive(
         "expected_frame_count": drive.expected_frame_count,
         "reconcile": json_text((reconcile or ReconcileParams()).model_dump(mode="json")),
         "influence_m": influence_m,
+        "look_figures": None if figures is None else json_text(figures.model_dump(mode="json")),
         "path_wkt": _path_wkt(drive),
     }
     execute(conn, load_sql("write/insert_drive"), parameters)
@@ -312,7 +316,7 @@ def _merge_deltas(
     """Set-based: stage all deltas, check them against the map, close what they replace, write what they bring."""
     execute(conn, load_sql("write/create_delta_stage"))
     copy_columns(conn, "delta_stage", map_columns.delta_columns(info.srid, changeset.deltas, suppressed))
-    execute(conn, "analyze delta_stage")
+    execute(conn, "analyze delta_stage (feature_id, kind, is_change)")
     execute(conn, load_sql("write/create_open_version"))
     execute(conn, "analyze open_version")
     conflicts = execute(conn, load_sql("map/delta_conflicts"), {"map_id": info.map_id})
@@ -330,7 +334,10 @@ def _merge_deltas(
     versions = execute_count(conn, load_sql("write/insert_versions"), parameters)
     execute(conn, load_sql("write/insert_deltas"), parameters)
     execute(conn, "drop table delta_stage, open_version")
-    if versions >= ANALYSE_FROM_VERSIONS:
+    if (
+        versions >= ANALYSE_FROM_VERSIONS
+        and execute(conn, load_sql("map/has_outgrown"), {"versions": versions})[0]["outgrown"]
+    ):
         execute(conn, "analyze conetl.feature, conetl.feature_version")
     return versions
 

@@ -9,14 +9,16 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TypeVar
-from uuid import uuid4
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import TypeAdapter
 
+from conetl.errors import InputError
+from conetl.io.leftovers import aside
 from conetl.records import Record
 from conetl.rejections import Rejection
 
@@ -47,18 +49,27 @@ def has_result(folder: Path, key: str) -> bool:
 
 
 def save_result(folder: Path, key: str, records: Sequence[R], rejections: Sequence[Rejection]) -> Path:
-    """Write the records and rejections of one finished chunk; the Parquet file is the last to appear."""
-    folder.mkdir(parents=True, exist_ok=True)
+    """Write the records and rejections of one finished chunk; the Parquet file is the last to appear.
+
+    Raises InputError where it cannot be written.
+    """
     refused = TypeAdapter(list[Rejection]).dump_json(list(rejections)).decode()
     table = pa.Table.from_pylist([record.model_dump(mode="json") for record in records])
     table = table.replace_schema_metadata({_REJECTIONS: refused})
     path = result_path(folder, key)
-    aside = path.with_suffix(f".{uuid4().hex}.tmp")
+    unfinished = aside(path)
     try:
-        pq.write_table(table, aside, compression="zstd", write_page_checksum=True)
-        os.replace(aside, path)  # noqa: PTH105 - atomic on every platform, unlike Path.rename
+        folder.mkdir(parents=True, exist_ok=True)
+        pq.write_table(table, unfinished, compression="zstd", write_page_checksum=True)
+        os.replace(unfinished, path)  # noqa: PTH105 - atomic on every platform, unlike Path.rename
+    except OSError as error:
+        raise InputError(
+            f"{folder}: results cannot be written ({os.strerror(error.errno) if error.errno else error}): free space there, or "
+            "set CONETL_HOME to another folder, and run the same command again; what is finished is not computed again."
+        ) from error
     finally:
-        aside.unlink(missing_ok=True)
+        with suppress(OSError):
+            unfinished.unlink()
     return path
 
 

@@ -12,9 +12,9 @@ from uuid import UUID
 
 from conetl.io import map_columns
 from conetl.io.db import Connection, copy_columns, database_errors, execute, execute_count, load_sql, stream
-from conetl.io.map_results import DriveRef, MapInfo, Replay, StoredDelta, StoredVersion
+from conetl.io.map_results import DriveRef, MapInfo, Replay, StoredDelta, StoredMiss, StoredVersion
 from conetl.io.map_rows import version_of
-from conetl.records import BelievedVersion, Delta
+from conetl.records import BelievedVersion, Delta, Doubt, Miss
 
 
 def read_standing_around(conn: Connection, drive_uuid: UUID) -> dict[UUID, BelievedVersion]:
@@ -50,6 +50,32 @@ def read_versions(conn: Connection, drive_uuids: Sequence[UUID]) -> list[StoredV
         return [
             StoredVersion(version_row_id=row[26], drive_uuid=row[27], key=row[28:31], version=version_of(row))
             for row in stream(conn, load_sql("map/belief_around"), {"drive_uuids": list(drive_uuids)})
+        ]
+
+
+def read_doubts_around(conn: Connection, drive_uuid: UUID) -> dict[UUID, Doubt]:
+    """What drives that looked in vain make of the features that stand around a drive's path, by feature id."""
+    with database_errors("The doubts about the features around the drive cannot be read"):
+        rows = stream(conn, load_sql("map/doubts_around"), {"drive_uuid": drive_uuid})
+        return {row[0]: Doubt(existence_probability=row[1], first_missed_ns=row[2]) for row in rows}
+
+
+def read_misses(conn: Connection, drive_uuids: Sequence[UUID]) -> list[StoredMiss]:
+    """Every drive that looked in vain for features that ever stood around the drives, as it is believed now."""
+    with database_errors("What is believed about the neighbourhood cannot be read"):
+        return [
+            StoredMiss(
+                drive_uuid=row[5],
+                key=row[6:9],
+                miss=Miss.model_construct(
+                    feature_id=row[0],
+                    changeset_id=row[1],
+                    version=row[2],
+                    existence_probability=row[3],
+                    first_missed_ns=row[4],
+                ),
+            )
+            for row in stream(conn, load_sql("map/misses_around"), {"drive_uuids": list(drive_uuids)})
         ]
 
 
@@ -97,6 +123,8 @@ def _delta_values(changeset_id: UUID, delta: Delta) -> tuple[Any, ...]:
         delta.track_index,
         delta.changed_at_ns,
         delta.shift_m,
+        delta.other_feature_id,
+        *map_columns.evidence_values(delta),
     )
 
 

@@ -113,6 +113,27 @@ def find_features(conn: Connection, map_name: str, beginning: str, max_rows: int
     return [row["feature_id"] for row in _rows(conn, "find_features", parameters)]
 
 
+def read_base_sources(conn: Connection, map_name: str) -> list[Row]:
+    """The imported files of a map's base layers, by layer."""
+    return _rows(conn, "base_sources", {"map_name": map_name})
+
+
+def read_base_tiles(conn: Connection, map_name: str, max_rows: int) -> list[Row]:
+    """Which tiles of points a map has, coarse ones first."""
+    return _rows(conn, "base_tiles", {"map_name": map_name, "max_rows": max_rows})
+
+
+def read_base_tile(conn: Connection, map_name: str, sha256: str) -> bytes | None:
+    """The bytes of one tile, in gzip; None where the map has no such tile."""
+    rows = _rows(conn, "base_tile", {"map_name": map_name, "sha256": sha256})
+    return bytes(rows[0]["payload"]) if rows else None
+
+
+def read_base_lines(conn: Connection, map_name: str, max_rows: int) -> list[Row]:
+    """Lines of a map's base layers; `geom` is well-known binary."""
+    return _rows(conn, "base_lines", {"map_name": map_name, "max_rows": max_rows})
+
+
 def _rows(conn: Connection, name: str, parameters: Mapping[str, Any]) -> list[Row]:
     with database_errors("The map cannot be read"):
         return execute(conn, load_sql(f"serve/{name}"), parameters)

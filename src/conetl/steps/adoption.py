@@ -1,29 +1,26 @@
-"""What an imported map states against the map -> deltas. It adds, confirms and moves; what it leaves out, it says nothing about.
+"""What an imported map states against the map -> deltas. It adds, confirms, moves and changes heights; what it leaves out, it
+says nothing about.
 
 Statement and feature are the same cone where the id is the same, else where a track of a drive would be taken for it
-(`changes.py`);
-one-to-one. Unlike a drive, an imported map has no common offset that could be told from its own errors: its sigmas must
-hold as they are.
+(`map_association.py`); one-to-one. Unlike a drive, an imported map has no common offset that could be told from its own errors:
+its sigmas must hold as they are. What it says of a cone's existence adds up with what drives saw and missed (`belief.py`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from uuid import UUID, uuid5
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
-from conetl.geometry.packing import vec3
 from conetl.params import ReconcileParams
-from conetl.records import Delta, DeltaKind, MapFeature, Statement, Track
-from conetl.steps.changes import MAX_LOGIT, Floats, confirmed, moved
+from conetl.records import Delta, DeltaKind, Doubt, MapFeature, Statement, Track
+from conetl.steps.belief import stated
+from conetl.steps.changes import changed, confirmations, height_differs
+from conetl.steps.map_association import pair
 
 _NAMESPACE = UUID("c2a5b3a1-6c2f-4f1e-9a53-7c1d2b6f0d44")
-_MAX_BELIEF = float(1 / (1 + np.exp(-MAX_LOGIT)))
+_NO_OFFSET_M = np.zeros(3)
 
 
 def adopt(
@@ -35,104 +32,72 @@ def adopt(
     founding_key: str,
     known: Collection[UUID] = (),
     pinned: Collection[UUID] = (),
+    doubts: Mapping[UUID, Doubt] | None = None,
 ) -> list[Delta]:
     """Deltas of an imported map that speaks for the instant `at_ns`; the order of statements and features does not matter.
 
     features: those that stand around. A new feature keeps the id of its statement, unless that is `known` already (it stood there
     and is gone, or stands elsewhere): then its id follows from `founding_key` and that id. pinned: features that a person
-    holds in place; they may be confirmed.
+    holds in place; they may be confirmed. doubts: of features that drives missed since their version.
     """
+    doubts = doubts or {}
     statements = sorted(statements, key=lambda statement: statement.feature.feature_id)
     features = sorted(features, key=lambda feature: feature.feature_id)
-    pairs = _pair(statements, features, params)
-    deltas = []
-    for i, statement in enumerate(statements):
-        if i not in pairs:
-            deltas.append(_added(statement, founding_key, known))
-            continue
-        feature = features[pairs[i]]
-        place = np.array(statement.feature.xyz_m)
-        if _is_near(statement.feature, feature, params):
-            deltas.append(confirmed(feature, _as_track(statement, at_ns), place, np.zeros(3)))
-        elif feature.feature_id not in pinned:
-            deltas.append(moved(feature, _as_track(statement, at_ns), place, np.zeros(3)))
+    tracks = [_as_track(statement, at_ns) for statement in statements]
+    placed = np.array([track.xyz_m for track in tracks]).reshape(-1, 3)
+    pairs = _pair(tracks, statements, features, params)
+    evidence = {
+        j: stated(features[j], doubts.get(features[j].feature_id), statements[i]) for j, i in sorted(pairs.items())
+    }
+    kinds: dict[int, DeltaKind | None] = {}
+    for j, i in sorted(pairs.items()):
+        held, near = features[j].feature_id in pinned, _is_near(statements[i].feature, features[j], params)
+        if not near:
+            kinds[j] = None if held else DeltaKind.MOVED
+        else:
+            other = not held and height_differs(features[j], tracks[i], params)
+            kinds[j] = DeltaKind.HEIGHT_CHANGED if other else DeltaKind.CONFIRMED
+    confirmed = {j: pairs[j] for j, kind in kinds.items() if kind is DeltaKind.CONFIRMED}
+    deltas = confirmations(confirmed, features, tracks, placed, _NO_OFFSET_M, evidence)
+    for j, kind in kinds.items():
+        if kind is not None and kind is not DeltaKind.CONFIRMED:
+            i = pairs[j]
+            deltas.append(changed(kind, features[j], tracks[i], placed[i], _NO_OFFSET_M, evidence[j]))
     deltas = [delta.model_copy(update={"track_index": None}) for delta in deltas]
+    paired = set(pairs.values())
+    deltas += [_added(s, founding_key, known) for i, s in enumerate(statements) if i not in paired]
     return sorted(deltas, key=lambda delta: (delta.changed_at_ns, str(delta.feature_id)))
 
 
-def _pair(statements: Sequence[Statement], features: Sequence[MapFeature], params: ReconcileParams) -> dict[int, int]:
-    """Statement index -> feature index of those that are the same cone."""
+def _pair(
+    tracks: Sequence[Track], statements: Sequence[Statement], features: Sequence[MapFeature], params: ReconcileParams
+) -> dict[int, int]:
+    """Feature index -> statement index of those that are the same cone."""
     index_of = {feature.feature_id: j for j, feature in enumerate(features)}
     pairs = {
-        i: index_of[statement.feature.feature_id]
+        index_of[statement.feature.feature_id]: i
         for i, statement in enumerate(statements)
         if statement.feature.feature_id in index_of
     }
     taken = set(pairs.values())
-    free = [i for i in range(len(statements)) if i not in pairs]
-    others = [j for j in range(len(features)) if j not in taken]
-    if not free or not others:
-        return pairs
-    reach_m = max(params.max_offset_m, params.min_gate_m)
-    stated = cKDTree(_places([statements[i].feature for i in free]))
-    near = stated.query_ball_tree(cKDTree(_places([features[j] for j in others])), reach_m)
-    edges = [
-        (row, column)
-        for row, columns in enumerate(near)
-        for column in sorted(columns)
-        if _is_near(statements[free[row]].feature, features[others[column]], params)
-    ]
-    return pairs | {free[row]: others[column] for row, column in _assign(edges, statements, features, free, others)}
+    free = [i for i in range(len(statements)) if i not in taken]
+    others = [j for j in range(len(features)) if j not in pairs]
+    own = [tracks[i] for i in free]
+    placed = np.array([track.xyz_m for track in own]).reshape(-1, 3)
+    near = pair(placed, own, [features[j] for j in others], _NO_OFFSET_M, 0.0, params)
+    return pairs | {others[column]: free[row] for column, row in near.items()}
 
 
-def _assign(
-    edges: Sequence[tuple[int, int]],
-    statements: Sequence[Statement],
-    features: Sequence[MapFeature],
-    free: Sequence[int],
-    others: Sequence[int],
-) -> list[tuple[int, int]]:
-    """The edges of least total distance, each end used once; group by group, because a whole map has no small cost matrix."""
-    if not edges:
-        return []
-    rows, columns = np.array(edges).T
-    size = len(free) + len(others)
-    _, group = connected_components(coo_array((np.ones(len(rows)), (rows, len(free) + columns)), shape=(size, size)))
-    by_group: dict[int, list[tuple[int, int]]] = {}
-    for edge in edges:
-        by_group.setdefault(int(group[edge[0]]), []).append(edge)
-    chosen = []
-    for members in by_group.values():
-        left = sorted({row for row, _ in members})
-        right = sorted({column for _, column in members})
-        costs = np.full((len(left), len(right)), 1e6)
-        for row, column in members:
-            shift = _shift_m(statements[free[row]].feature, features[others[column]])
-            costs[left.index(row), right.index(column)] = shift
-        for a, b in zip(*linear_sum_assignment(costs), strict=True):
-            if costs[a, b] < 1e6:
-                chosen.append((left[int(a)], right[int(b)]))
-    return chosen
-
-
-def _is_near(stated: MapFeature, feature: MapFeature, params: ReconcileParams) -> bool:
-    """Whether the two places may be one, as for tracks of a drive without a known offset (`changes.py`)."""
-    distance_m = _shift_m(stated, feature)
+def _is_near(stated_feature: MapFeature, feature: MapFeature, params: ReconcileParams) -> bool:
+    """Whether the two places may be one, as for tracks of a drive without a known offset (`map_association.pair`)."""
+    shift = np.subtract(stated_feature.xyz_m[:2], feature.xyz_m[:2])
+    distance_m = float(np.hypot(*shift))
     if distance_m <= params.min_gate_m:
         return True
-    cov = np.array(stated.cov_m2) + np.array(feature.cov_m2)
+    cov = np.array(stated_feature.cov_m2) + np.array(feature.cov_m2)
     horizontal = np.array([[cov[0], cov[1]], [cov[1], cov[3]]])
-    shift = np.subtract(stated.xyz_m[:2], feature.xyz_m[:2])
     chi2 = float(shift @ np.linalg.solve(horizontal, shift))
     return chi2 <= params.gate_chi2 and distance_m <= params.max_offset_m
-
-
-def _shift_m(stated: MapFeature, feature: MapFeature) -> float:
-    return float(np.hypot(stated.xyz_m[0] - feature.xyz_m[0], stated.xyz_m[1] - feature.xyz_m[1]))
-
-
-def _places(features: Sequence[MapFeature]) -> Floats:
-    return np.array([feature.xyz_m[:2] for feature in features])
 
 
 def _added(statement: Statement, founding_key: str, known: Collection[UUID]) -> Delta:
@@ -140,25 +105,28 @@ def _added(statement: Statement, founding_key: str, known: Collection[UUID]) -> 
     feature_id = feature.feature_id
     if feature_id in known:
         feature_id = uuid5(_NAMESPACE, f"{founding_key}/{feature_id}")
-    belief = min(feature.existence_probability, _MAX_BELIEF)
+    evidence = stated(None, None, statement)
     return Delta(
         kind=DeltaKind.ADDED,
         feature_id=feature_id,
         old=None,
-        new=feature.model_copy(update={"feature_id": feature_id, "version": 1, "existence_probability": belief}),
+        new=feature.model_copy(
+            update={"feature_id": feature_id, "version": 1, "existence_probability": evidence.existence_probability}
+        ),
         track_index=None,
         changed_at_ns=statement.valid_from_ns,
         shift_m=None,
+        evidence=evidence,
     )
 
 
 def _as_track(statement: Statement, at_ns: int) -> Track:
-    """What `confirmed` and `moved` need to know of a sighting; a statement has no positions."""
+    """What `confirmations`, `changed` and `pair` need to know of a sighting; a statement has no positions."""
     feature = statement.feature
     return Track.model_construct(
         track_index=0,
         category=feature.category,
-        xyz_m=vec3(np.array(feature.xyz_m)),
+        xyz_m=feature.xyz_m,
         cov_m2=feature.cov_m2,
         relative_cov_m2=feature.cov_m2,
         centre_xyz_m=feature.centre_xyz_m,

@@ -1,256 +1,334 @@
-"""Tracks of one drive against the map -> deltas: added, confirmed, moved, removed.
+"""Tracks of one drive against the map -> deltas.
 
 The drive's common offset (GNSS without a fix puts the whole drive aside) is estimated from all shared cones first and taken
-out; then tracks and features are paired one-to-one. What is left of both sides is a cone that was moved when the two are of
-like height and near each other; otherwise a new cone, and, where the drive plainly looked at the spot and saw nothing, a
-removed one. Features out of view are left alone.
+out; then tracks and features are paired one-to-one (`map_association.py`). A feature without a track whose spot was in view is
+missed: evidence against it, and where the belief falls far enough (`belief.py`), it is gone. What is gone and a new track of like
+height near it are one cone that was moved; what is left is removed, and added. Features out of view are left alone. The rules of
+all kinds are written down in docs/changes.md.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from math import hypot
 from uuid import UUID, uuid5
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
-from conetl.geometry.packing import cov3, cov_matrix, vec3
+from conetl.geometry.packing import cov_matrices, vec3
 from conetl.params import ReconcileParams
-from conetl.records import Cov3, Delta, DeltaKind, MapFeature, Track
-from conetl.steps.visibility import Look
+from conetl.records import Delta, DeltaKind, Doubt, MapFeature, SightingEvidence, Track
+from conetl.steps.belief import is_gone, missed, seen
+from conetl.steps.gating import near_pairs
+from conetl.steps.map_association import common_offset, moves, pair
+from conetl.steps.visibility import WIDTH_OVER_HEIGHT, Look
 
 Floats = NDArray[np.float64]
+LookAt = Callable[[MapFeature, Floats, Floats], Look | None]
 _NAMESPACE = UUID("6a3f2f0e-5a0f-4b55-8f0f-3d6a3f0c7e11")
-_FORBIDDEN = 1e6
-#: Offsets that are tried; every shared cone proposes nearly the same one, so a few hundred are plenty for any drive.
-_MAX_PROPOSALS = 200
-#: Belief in a feature never becomes certainty: the next drive must be able to change it.
-MAX_LOGIT = 7.0
+#: A feature this near to the middle of two tracks, as a share of their distance, was both of them.
+_MIDDLE_SHARE = 0.25
+#: Wider than the base plate of any cone.
+_WIDEST_BASE_M = 1.0
 
 
 def reconcile(
     tracks: Sequence[Track],
     features: Sequence[MapFeature],
-    look_at: Callable[[MapFeature, Floats], Look | None],
+    look_at: LookAt,
     params: ReconcileParams,
     *,
     founding_key: str,
     pinned: Collection[UUID] = (),
+    doubts: Mapping[UUID, Doubt] | None = None,
 ) -> list[Delta]:
     """Deltas that bring the map from before the drive to after it.
 
-    look_at(feature, offset_m): what the drive saw of that feature's spot, None where it was never in plain view; offset_m (3,)
-    is where the drive's map frame lies against the map's (add it to map coordinates to get the drive's). founding_key (the
-    map and the drive's content) founds the ids of new features. pinned: features that a person holds in place. `features` is the
-    map as the drives recorded before this one left it (`steps/fold.py`); the order of both lists does not matter.
+    look_at(feature, offset_m, others_m): what the drive saw of that feature's spot, None where that says nothing; offset_m (3,)
+    is where the drive's map frame lies against the map's (add it to map coordinates to get the drive's), others_m (M, 3) the
+    places, in the drive's frame, of cones that are not that feature (`visibility.look_at_spot`). founding_key (the map and the
+    drive's content) founds the ids of new features. pinned: features that a person holds in place. doubts: of features that
+    drives missed since their version. `features` is the map as the drives recorded before this one left it (`steps/fold.py`);
+    the order of both lists does not matter.
     """
-    tracks = sorted(tracks, key=lambda track: track.members[0])
+    doubts = doubts or {}
+    tracks = _without_doubles(sorted(tracks, key=lambda track: track.members[0]))
     features = sorted(features, key=lambda feature: feature.feature_id)
     offset_m, weight = common_offset(tracks, features, params)
-    placed = np.array([t.xyz_m for t in tracks]).reshape(-1, 3) - weight * offset_m
-    pairs = _pair(placed, tracks, features, offset_m, weight, params)
-    deltas: list[Delta] = []
+    shift_m = weight * offset_m
+    placed = np.array([t.xyz_m for t in tracks]).reshape(-1, 3) - shift_m
+    pairs = pair(placed, tracks, features, offset_m, weight, params)
+    merged = _mergers(features, pairs, tracks, pinned, params)
+    deltas = [_merged(features[j], features[kept], tracks[pairs[kept]]) for j, kept in merged.items()]
+
     paired = set(pairs.values())
-    free_tracks = [i for i in range(len(tracks)) if i not in paired]
-    vanished: list[tuple[int, Look]] = []
+    others_m = np.array([track.xyz_m for track in tracks]).reshape(-1, 3)
+    unseen: dict[int, tuple[Look, SightingEvidence]] = {}
     for j, feature in enumerate(features):
-        if j in pairs or feature.feature_id in pinned:
-            continue
-        look = look_at(feature, weight * offset_m)
-        if look is not None and look.frames >= params.removal_min_frames:
-            vanished.append((j, look))
+        look = None if j in pairs or j in merged else look_at(feature, shift_m, others_m)
+        if look is not None:
+            unseen[j] = look, missed(feature, doubts.get(feature.feature_id), look, params)
+    loose = {j: evidence for j, (_, evidence) in unseen.items() if features[j].feature_id not in pinned}
+    vanished = [j for j, evidence in loose.items() if is_gone(evidence, params, moved=True)]
+
+    free = [i for i in range(len(tracks)) if i not in paired]
+    moved = moves(placed, tracks, free, features, vanished, params)
+    free = [i for i in free if i not in set(moved.values())]
+    halves = _halves(placed, tracks, free, features, pairs, params)
+    evidence_for = {
+        j: seen(features[j], doubts.get(features[j].feature_id), tracks[i]) for j, i in {**pairs, **moved}.items()
+    }
+    anew = dict.fromkeys(moved, DeltaKind.MOVED)
+    anew |= dict.fromkeys(halves.values(), DeltaKind.CONFIRMED)  # its place was that of neither half
     for j, i in pairs.items():
-        deltas.append(confirmed(features[j], tracks[i], placed[i], weight * offset_m))
-    for j, i in _moves(placed, tracks, free_tracks, features, [j for j, _ in vanished], params).items():
-        deltas.append(moved(features[j], tracks[i], placed[i], weight * offset_m))
-        free_tracks.remove(i)
-        vanished = [(k, look) for k, look in vanished if k != j]
-    for j, look in vanished:
-        feature = features[j]
-        deltas.append(
-            Delta(
-                kind=DeltaKind.REMOVED,
-                feature_id=feature.feature_id,
-                old=feature,
-                new=None,
-                track_index=None,
-                changed_at_ns=max(look.first_ns, feature.last_seen_ns + 1),
-                shift_m=None,
-            )
-        )
-    for i in free_tracks:
-        deltas.append(_added(tracks[i], placed[i], weight * offset_m, founding_key))
+        if features[j].feature_id not in pinned and height_differs(features[j], tracks[i], params):
+            anew[j] = DeltaKind.HEIGHT_CHANGED
+    deltas += confirmations(
+        {j: i for j, i in pairs.items() if j not in anew}, features, tracks, placed, shift_m, evidence_for
+    )
+    for j, kind in anew.items():
+        i = pairs[j] if j in pairs else moved[j]
+        deltas.append(changed(kind, features[j], tracks[i], placed[i], shift_m, evidence_for[j]))
+    for j, (look, evidence) in unseen.items():
+        if j in loose and j not in moved and is_gone(evidence, params):
+            deltas.append(_removed(features[j], doubts.get(features[j].feature_id), look, evidence))
+        elif j not in moved:
+            deltas.append(_missed(features[j], look, evidence))
+    for i in free:
+        half_of = features[halves[i]].feature_id if i in halves else None
+        deltas.append(_added(tracks[i], placed[i], shift_m, founding_key, half_of))
     return sorted(deltas, key=lambda d: (d.changed_at_ns, str(d.feature_id)))
 
 
-def common_offset(
-    tracks: Sequence[Track], features: Sequence[MapFeature], params: ReconcileParams
-) -> tuple[Floats, float]:
-    """Offset (3,) of the drive against the map in metres, and the share of it that is the drive's fault.
-
-    Every track-feature pair proposes an offset; the one that brings most tracks onto features wins, nearer proposals first,
-    and is averaged over its pairs. Fewer than two agreeing pairs, or an offset beyond what the stated sigmas allow,
-    give zero: one cone that was moved must not drag the drive along.
-    """
-    zero = np.zeros(3)
-    if len(tracks) < 2 or len(features) < 2:
-        return zero, 0.0
-    t = np.array([track.xyz_m for track in tracks])
-    f = np.array([feature.xyz_m for feature in features])
-    differences = t[:, None, :] - f[None, :, :]
-    drive_var = float(np.mean([track.cov_m2[0] + track.cov_m2[3] for track in tracks])) / 2
-    map_var = float(np.mean([feature.cov_m2[0] + feature.cov_m2[3] for feature in features])) / 2
-    allowed_m = min(params.max_offset_m, 4 * float(np.sqrt(drive_var + map_var)))
-    proposals = differences.reshape(-1, 3)
-    lengths = np.linalg.norm(proposals[:, :2], axis=1)
-    best: tuple[int, float, Floats] = (1, 0.0, zero)
-    for k in np.argsort(lengths, kind="stable")[:_MAX_PROPOSALS]:
-        if lengths[k] > allowed_m:
-            break
-        misfits = np.linalg.norm((differences - proposals[k])[:, :, :2], axis=2)
-        close = misfits <= params.min_gate_m
-        inliers = differences[close & (misfits == misfits.min(axis=1, keepdims=True))]
-        spread = float(np.linalg.norm(inliers - inliers.mean(axis=0), axis=1).mean()) if len(inliers) else np.inf
-        if len(inliers) > best[0] or (len(inliers) == best[0] >= 2 and spread < 0.5 * best[1]):
-            best = (len(inliers), spread, np.median(inliers, axis=0))
-    count, _, offset_m = best
-    if count < 2 or float(np.linalg.norm(offset_m[:2])) > allowed_m:
-        return zero, 0.0
-    return offset_m, drive_var / (drive_var + map_var)
+def _without_doubles(tracks: Sequence[Track]) -> list[Track]:
+    """The tracks but for those that stand inside another one of the same drive: two base plates do not fit into one place. The
+    one with more observations is the cone, the other a second box of the detector or a piece of the same chain."""
+    if not tracks:
+        return []
+    places = np.array([track.xyz_m[:2] for track in tracks])
+    weight = [(track.observation_count, track.existence_probability, -i) for i, track in enumerate(tracks)]
+    doubles = set()
+    for a, b in zip(*near_pairs(places, places, _WIDEST_BASE_M), strict=True):
+        base_m = WIDTH_OVER_HEIGHT * min(tracks[a].cone_height_m, tracks[b].cone_height_m)
+        if weight[a] > weight[b] and float(np.hypot(*(places[a] - places[b]))) < base_m:
+            doubles.add(int(b))
+    return [track for i, track in enumerate(tracks) if i not in doubles]
 
 
-def _pair(
-    placed: Floats,
-    tracks: Sequence[Track],
+def _mergers(
     features: Sequence[MapFeature],
-    offset_m: Floats,
-    weight: float,
+    pairs: Mapping[int, int],
+    tracks: Sequence[Track],
+    pinned: Collection[UUID],
     params: ReconcileParams,
 ) -> dict[int, int]:
-    """Feature index -> track index of those that are the same cone in the same place."""
-    if not tracks or not features:
+    """Unseen feature -> the seen one that it must be: two base plates do not fit into one place."""
+    certain = [j for j in sorted(pairs) if tracks[pairs[j]].observation_count >= params.removal_min_frames]
+    unseen = [j for j, feature in enumerate(features) if j not in pairs and feature.feature_id not in pinned]
+    if not certain or not unseen:
         return {}
-    # With the offset known only what is not common to the drive is uncertain; without it, everything is.
-    known = weight > 0
-    cov = _horizontal([track.relative_cov_m2 if known else track.cov_m2 for track in tracks])[None]
-    if not known:
-        cov = cov + _horizontal([feature.cov_m2 for feature in features])[:, None]
     places = np.array([feature.xyz_m for feature in features])
-    x, y = np.moveaxis((placed - (1 - weight) * offset_m)[None, :, :2] - places[:, None, :2], 2, 0)
-    xx, xy, yy = np.moveaxis(cov, 2, 0)
-    distance2 = (yy * x * x - 2 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
-    distance = np.hypot(x, y)
-    near = (distance <= params.min_gate_m) | ((distance2 <= params.gate_chi2) & (distance <= params.max_offset_m))
-    costs = np.where(near, distance, _FORBIDDEN)
-    rows, columns = linear_sum_assignment(costs)
-    return {int(j): int(i) for j, i in zip(rows, columns, strict=True) if costs[j, i] < _FORBIDDEN}
+    found: dict[int, tuple[float, int]] = {}
+    for a, b in zip(*near_pairs(places[certain, :2], places[unseen, :2], _WIDEST_BASE_M), strict=True):
+        kept, other = certain[a], unseen[b]
+        distance_m = float(np.hypot(*(places[kept] - places[other])[:2]))
+        base_m = WIDTH_OVER_HEIGHT * min(features[kept].cone_height_m, features[other].cone_height_m)
+        if distance_m < base_m:
+            found[other] = min(found.get(other, (distance_m, kept)), (distance_m, kept))
+    return {other: kept for other, (_, kept) in found.items()}
 
 
-def _horizontal(covariances: Sequence[Cov3]) -> Floats:
-    """(N, 3): xx, xy, yy of each covariance."""
-    return np.array(covariances)[:, [0, 1, 3]]
-
-
-def _moves(
+def _halves(
     placed: Floats,
     tracks: Sequence[Track],
     free_tracks: Sequence[int],
     features: Sequence[MapFeature],
-    vanished: Sequence[int],
+    pairs: Mapping[int, int],
     params: ReconcileParams,
 ) -> dict[int, int]:
-    """Feature index -> track index of cones that were moved."""
-    if not free_tracks or not vanished:
+    """Track index -> feature index of cones that are half of a feature: it lies in the middle between this track and its own, and
+    one picture shows both."""
+    if not free_tracks or not pairs:
         return {}
-    costs = np.full((len(vanished), len(free_tracks)), _FORBIDDEN)
-    for row, j in enumerate(vanished):
-        for column, i in enumerate(free_tracks):
-            distance = float(np.linalg.norm((placed[i] - np.array(features[j].xyz_m))[:2]))
-            height_difference = abs(tracks[i].cone_height_m - features[j].cone_height_m)
-            if distance <= params.moved_max_m and height_difference <= params.moved_height_tolerance_m:
-                costs[row, column] = distance
-    rows, columns = linear_sum_assignment(costs)
-    return {
-        vanished[r]: free_tracks[c]
-        for r, c in zip(rows.tolist(), columns.tolist(), strict=True)
-        if costs[r, c] < _FORBIDDEN
-    }
+    seen_features = sorted(pairs)
+    own_m = placed[[pairs[j] for j in seen_features], :2]
+    found: dict[int, int] = {}
+    for b, a in zip(*near_pairs(placed[list(free_tracks), :2], own_m, 2 * params.min_gate_m), strict=True):
+        i, j = free_tracks[b], seen_features[a]
+        own = tracks[pairs[j]]
+        apart_m = float(np.hypot(*(placed[i] - placed[pairs[j]])[:2]))
+        off_m = float(np.hypot(*((placed[i] + placed[pairs[j]]) / 2 - np.array(features[j].xyz_m))[:2]))
+        base_m = WIDTH_OVER_HEIGHT * min(tracks[i].cone_height_m, own.cone_height_m)
+        together = not {frame for frame, _ in tracks[i].members}.isdisjoint(frame for frame, _ in own.members)
+        if apart_m >= base_m and off_m <= _MIDDLE_SHARE * apart_m and together and j not in found.values():
+            found.setdefault(i, j)
+    return found
 
 
-def _added(track: Track, placed: Floats, shift: Floats, founding_key: str) -> Delta:
-    frame_index, match_index = track.members[0]
-    feature_id = uuid5(_NAMESPACE, f"{founding_key}/{frame_index}/{match_index}")
-    new = _feature_from_track(track, placed, shift, feature_id, 1)
+def height_differs(feature: MapFeature, track: Track, params: ReconcileParams) -> bool:
+    """Whether another cone stands there now."""
+    sigma_m = hypot(feature.cone_height_sigma_m, track.cone_height_sigma_m)
+    difference_m = abs(track.cone_height_m - feature.cone_height_m)
+    return difference_m > max(params.moved_height_tolerance_m, 3 * sigma_m)
+
+
+def _added(track: Track, placed: Floats, shift: Floats, founding_key: str, half_of: UUID | None) -> Delta:
+    # The first sighting is in no other track of the drive, and does not depend on how tracks are numbered.
+    frame, match = track.members[0]
+    feature_id = uuid5(_NAMESPACE, f"{founding_key}/{frame}/{match}")
+    evidence = seen(None, None, track)
     return Delta(
-        kind=DeltaKind.ADDED,
+        kind=DeltaKind.ADDED if half_of is None else DeltaKind.SPLIT,
         feature_id=feature_id,
         old=None,
-        new=new,
+        new=_feature_from_track(track, placed, shift, feature_id, 1, evidence),
         track_index=track.track_index,
         changed_at_ns=track.first_seen_ns,
         shift_m=None,
+        other_feature_id=half_of,
+        evidence=evidence,
     )
 
 
-def moved(feature: MapFeature, track: Track, placed: Floats, shift: Floats) -> Delta:
-    """The same cone at another place; arguments as of `confirmed`."""
-    new = _feature_from_track(track, placed, shift, feature.feature_id, feature.version + 1).model_copy(
+def _removed(feature: MapFeature, doubt: Doubt | None, look: Look, evidence: SightingEvidence) -> Delta:
+    """Gone from the first of the looks that missed it on: of this drive, or of an earlier one that was not enough by itself."""
+    first_ns = look.first_ns if doubt is None else min(doubt.first_missed_ns, look.first_ns)
+    return Delta(
+        kind=DeltaKind.REMOVED,
+        feature_id=feature.feature_id,
+        old=feature,
+        new=None,
+        track_index=None,
+        changed_at_ns=max(first_ns, feature.last_seen_ns + 1),
+        shift_m=None,
+        evidence=evidence,
+    )
+
+
+def _missed(feature: MapFeature, look: Look, evidence: SightingEvidence) -> Delta:
+    return Delta(
+        kind=DeltaKind.MISSED,
+        feature_id=feature.feature_id,
+        old=feature,
+        new=feature,
+        track_index=None,
+        changed_at_ns=look.first_ns,
+        shift_m=None,
+        evidence=evidence,
+    )
+
+
+def _merged(feature: MapFeature, kept: MapFeature, track: Track) -> Delta:
+    return Delta(
+        kind=DeltaKind.MERGED,
+        feature_id=feature.feature_id,
+        old=feature,
+        new=None,
+        track_index=None,
+        changed_at_ns=max(track.first_seen_ns, feature.last_seen_ns + 1),
+        shift_m=None,
+        other_feature_id=kept.feature_id,
+    )
+
+
+def changed(
+    kind: DeltaKind, feature: MapFeature, track: Track, placed: Floats, shift: Floats, evidence: SightingEvidence
+) -> Delta:
+    """The feature as this drive alone saw it; arguments as of `confirmations`, placed (3,)."""
+    new = _feature_from_track(track, placed, shift, feature.feature_id, feature.version + 1, evidence).model_copy(
         update={
             "first_seen_ns": feature.first_seen_ns,
+            "last_seen_ns": max(feature.last_seen_ns, track.last_seen_ns),
             "observation_count": feature.observation_count + track.observation_count,
         }
     )
     return Delta(
-        kind=DeltaKind.MOVED,
+        kind=kind,
         feature_id=feature.feature_id,
         old=feature,
         new=new,
         track_index=track.track_index,
         changed_at_ns=track.first_seen_ns,
         shift_m=float(np.linalg.norm((placed - np.array(feature.xyz_m))[:2])),
+        evidence=evidence,
     )
 
 
-def confirmed(feature: MapFeature, track: Track, placed: Floats, shift: Floats) -> Delta:
-    """The same place seen again: both statements weighted by their covariances. placed, shift: see `reconcile`'s offset,
-    (3,) metres."""
-    old_cov, new_cov = cov_matrix(feature.cov_m2), cov_matrix(track.cov_m2)
-    old_xyz = np.array(feature.xyz_m)
-    gain = old_cov @ np.linalg.inv(old_cov + new_cov)
-    fused = old_xyz + gain @ (placed - old_xyz)
+def confirmations(
+    pairs: Mapping[int, int],
+    features: Sequence[MapFeature],
+    tracks: Sequence[Track],
+    placed: Floats,
+    shift: Floats,
+    evidence: Mapping[int, SightingEvidence],
+) -> list[Delta]:
+    """The same places seen again: both statements weighted by their covariances, all pairs (feature -> track) at once.
+
+    placed (T, 3): the tracks in the map's coordinates; shift (3,): what was taken out of them, metres; evidence: by feature.
+    """
+    if not pairs:
+        return []
+    old, new = [features[j] for j in pairs], [tracks[i] for i in pairs.values()]
+    old_xyz, old_cov = np.array([f.xyz_m for f in old]), cov_matrices([f.cov_m2 for f in old])
+    gain = old_cov @ np.linalg.inv(old_cov + cov_matrices([t.cov_m2 for t in new]))
+    fused = old_xyz + _times(gain, placed[list(pairs.values())] - old_xyz)
     cov = (np.eye(3) - gain) @ old_cov
-    centre = np.array(feature.centre_xyz_m)
-    fused_centre = centre + gain @ (np.array(track.centre_xyz_m) - shift - centre)
-    old_weight, new_weight = feature.cone_height_sigma_m**-2, track.cone_height_sigma_m**-2
-    height = (feature.cone_height_m * old_weight + track.cone_height_m * new_weight) / (old_weight + new_weight)
-    logit = _logit(feature.existence_probability) + _logit(track.existence_probability)
-    new = MapFeature(
-        feature_id=feature.feature_id,
-        version=feature.version + 1,
-        category=feature.category,
-        xyz_m=vec3(fused),
-        cov_m2=cov3((cov + cov.T) / 2),
-        centre_xyz_m=vec3(fused_centre),
-        cone_height_m=height,
-        cone_height_sigma_m=(old_weight + new_weight) ** -0.5,
-        existence_probability=float(1 / (1 + np.exp(-min(logit, MAX_LOGIT)))),
-        observation_count=feature.observation_count + track.observation_count,
-        first_seen_ns=feature.first_seen_ns,
-        last_seen_ns=max(feature.last_seen_ns, track.last_seen_ns),
+    cov = (cov + np.swapaxes(cov, 1, 2)) / 2
+    centres = np.array([f.centre_xyz_m for f in old])
+    fused_centres = centres + _times(gain, np.array([t.centre_xyz_m for t in new]) - shift - centres)
+    shifts_m = np.linalg.norm((fused - old_xyz)[:, :2], axis=1)
+    heights = np.array([(f.cone_height_m, t.cone_height_m) for f, t in zip(old, new, strict=True)])
+    weights = np.array([(f.cone_height_sigma_m, t.cone_height_sigma_m) for f, t in zip(old, new, strict=True)]) ** -2.0
+    height = (heights * weights).sum(axis=1) / weights.sum(axis=1)
+    columns = zip(
+        old,
+        new,
+        fused.tolist(),
+        cov.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]].tolist(),
+        fused_centres.tolist(),
+        height.tolist(),
+        (weights.sum(axis=1) ** -0.5).tolist(),
+        [evidence[j] for j in pairs],
+        shifts_m.tolist(),
+        strict=True,
     )
-    return Delta(
-        kind=DeltaKind.CONFIRMED,
-        feature_id=feature.feature_id,
-        old=feature,
-        new=new,
-        track_index=track.track_index,
-        changed_at_ns=track.first_seen_ns,
-        shift_m=float(np.linalg.norm((fused - old_xyz)[:2])),
-    )
+    return [
+        Delta(
+            kind=DeltaKind.CONFIRMED,
+            feature_id=feature.feature_id,
+            old=feature,
+            new=MapFeature(
+                feature_id=feature.feature_id,
+                version=feature.version + 1,
+                category=feature.category,
+                xyz_m=tuple(xyz_m),
+                cov_m2=tuple(cov_m2),
+                centre_xyz_m=tuple(centre_m),
+                cone_height_m=height_m,
+                cone_height_sigma_m=height_sigma_m,
+                existence_probability=found.existence_probability,
+                observation_count=feature.observation_count + track.observation_count,
+                first_seen_ns=feature.first_seen_ns,
+                last_seen_ns=max(feature.last_seen_ns, track.last_seen_ns),
+            ),
+            track_index=track.track_index,
+            changed_at_ns=track.first_seen_ns,
+            shift_m=shift_m,
+            evidence=found,
+        )
+        for feature, track, xyz_m, cov_m2, centre_m, height_m, height_sigma_m, found, shift_m in columns
+    ]
 
 
-def _feature_from_track(track: Track, placed: Floats, shift: Floats, feature_id: UUID, version: int) -> MapFeature:
+def _times(matrices: Floats, vectors: Floats) -> Floats:
+    """(N, 3, 3) times (N, 3)."""
+    return (matrices @ vectors[:, :, None])[:, :, 0]
+
+
+def _feature_from_track(
+    track: Track, placed: Floats, shift: Floats, feature_id: UUID, version: int, evidence: SightingEvidence
+) -> MapFeature:
     return MapFeature(
         feature_id=feature_id,
         version=version,
@@ -260,13 +338,8 @@ def _feature_from_track(track: Track, placed: Floats, shift: Floats, feature_id:
         centre_xyz_m=vec3(np.array(track.centre_xyz_m) - shift),
         cone_height_m=track.cone_height_m,
         cone_height_sigma_m=track.cone_height_sigma_m,
-        existence_probability=min(track.existence_probability, float(1 / (1 + np.exp(-MAX_LOGIT)))),
+        existence_probability=evidence.existence_probability,
         observation_count=track.observation_count,
         first_seen_ns=track.first_seen_ns,
         last_seen_ns=track.last_seen_ns,
     )
-
-
-def _logit(probability: float) -> float:
-    p = float(np.clip(probability, 1e-6, 1 - 1e-6))
-    return float(np.log(p / (1 - p)))

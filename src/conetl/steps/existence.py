@@ -32,7 +32,7 @@ from conetl.geometry.rig import left_SE3_right
 from conetl.params import IngestParams
 from conetl.records import Detection, Position, Rig, Side
 from conetl.steps.association import carry
-from conetl.steps.visibility import Box, apparent_box, hidden_share, is_in_view, overlap_px2
+from conetl.steps.visibility import Box, apparent_box, hidden_share, iou, is_in_view
 
 Floats = NDArray[np.float64]
 
@@ -68,7 +68,7 @@ def existence_probability(
     for frame_index in sorted(map_SE3_left):
         for side, box in _boxes(frame_index, group, cone_height_m, rig, map_SE3_left, params).items():
             found = [d for d in detections.get(frame_index, ()) if d.side == side]
-            own = [d for d in found if _iou(box, d) >= evidence.match_iou]
+            own = [d for d in found if iou(box, d) >= evidence.match_iou]
             hidden = hidden_share(box, [d for d in found if d not in own])
             score = max((d.score for d in own), default=None)
             looks[side].append(Look(height_px=box[3] - box[1], hidden=hidden, score=score))
@@ -143,9 +143,3 @@ def _boxes(
     if right is not None and is_in_view(right, rig.right, params.reconcile):
         boxes["right"] = right
     return boxes
-
-
-def _iou(box: Box, detection: Detection) -> float:
-    shared = overlap_px2(box, detection)
-    x0, y0, x1, y1 = box
-    return shared / ((x1 - x0) * (y1 - y0) + detection.w_px * detection.h_px - shared)

@@ -8,7 +8,7 @@ version that it follows (drives that overlap in time) begins a microsecond after
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from heapq import merge
 from itertools import pairwise
@@ -19,10 +19,22 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from conetl.params import ReconcileParams
-from conetl.records import BelievedVersion, Decisions, Delta, FoldKey, MapFeature, Place, Statement, Track
+from conetl.records import (
+    BelievedVersion,
+    Decisions,
+    Delta,
+    DeltaKind,
+    Doubt,
+    FoldKey,
+    MapFeature,
+    Miss,
+    Place,
+    Statement,
+    Track,
+)
 from conetl.steps.adoption import adopt
-from conetl.steps.changes import reconcile
-from conetl.steps.visibility import Look
+from conetl.steps.belief import doubt_after
+from conetl.steps.changes import LookAt, reconcile
 
 Floats = NDArray[np.float64]
 #: What two versions of a feature are at least apart: the database holds microseconds.
@@ -42,7 +54,7 @@ class Evidence:
     """(N, 2) places of the body, easting and northing."""
     influence_m: float
     """Features farther than this from the path are neither judged nor changed by the drive."""
-    look_at: Callable[[MapFeature, Floats], Look | None]
+    look_at: LookAt
     """See `reconcile`."""
     params: ReconcileParams
     statements: Sequence[Statement] = ()
@@ -56,6 +68,8 @@ class Extension:
     deltas: list[Delta]
     versions: list[BelievedVersion]
     """One for each delta that changes anything, open."""
+    misses: list[Miss]
+    """One for each delta that is evidence against a feature and changes nothing."""
     untouched: list[MapFeature]
     """Features around the path that the drive did not judge."""
 
@@ -71,6 +85,8 @@ class Folded:
 
     chains: dict[UUID, list[BelievedVersion]] = field(default_factory=dict)
     """The versions of each feature, oldest first; the last one is open."""
+    misses: list[Miss] = field(default_factory=list)
+    """What was looked for and not seen but stands, in the order of the drives."""
     extensions: dict[UUID, Extension] = field(default_factory=dict)
     """What each drive that was compared did, by changeset."""
 
@@ -79,35 +95,45 @@ def fold(
     drives: Iterable[Evidence],
     decisions: Decisions = Decisions(),  # noqa: B008 -- frozen
     *,
-    given: Iterable[tuple[FoldKey, BelievedVersion]] = (),
+    given: Iterable[tuple[FoldKey, BelievedVersion | Miss]] = (),
 ) -> Folded:
     """The map that the drives make, whatever order they are given in.
 
-    given: what other drives left, each version with the key of its drive; these drives are not compared again. The valid
+    given: what other drives left, each version and miss with the key of its drive; these drives are not compared again. The valid
     periods and the suppression of given versions are worked out anew.
     """
     folded = Folded()
     standing: dict[UUID, BelievedVersion] = {}
-    events: Iterable[tuple[FoldKey, str, BelievedVersion | Evidence]] = merge(
-        sorted(((key, str(version.feature.feature_id), version) for key, version in given), key=lambda e: e[:2]),
+    doubts: dict[UUID, Doubt] = {}
+    events: Iterable[tuple[FoldKey, str, BelievedVersion | Miss | Evidence]] = merge(
+        sorted(((key, str(_feature_id(state)), state) for key, state in given), key=lambda e: e[:2]),
         sorted(((drive.key, "", drive) for drive in drives), key=lambda e: e[:2]),
         key=lambda event: event[:2],
     )
     for _, _, event in events:
         if isinstance(event, Evidence):
-            extension = extend(standing, event, decisions, known=folded.chains.keys())
+            extension = extend(standing, event, decisions, doubts, known=folded.chains.keys())
             folded.extensions[event.changeset_id] = extension
-            versions = extension.versions
+            versions, misses = extension.versions, extension.misses
+        elif isinstance(event, Miss):
+            versions, misses = [], [event]
         else:
+            misses = []
             suppressed = event.standing and is_within(event.feature, decisions.suppressed)
             versions = [event.model_copy(update={"suppressed": suppressed})]
         for version in versions:
             feature_id = version.feature.feature_id
             folded.chains.setdefault(feature_id, []).append(version)
+            doubts.pop(feature_id, None)
             if version.standing:
                 standing[feature_id] = version
             else:
                 del standing[feature_id]
+        folded.misses += misses
+        for miss in misses:
+            doubts[miss.feature_id] = doubt_after(
+                doubts.get(miss.feature_id), miss.existence_probability, miss.first_missed_ns
+            )
     for chain in folded.chains.values():
         ends: list[int | None] = [after.valid_from_ns for _, after in pairwise(chain)]
         chain[:] = [
@@ -121,14 +147,15 @@ def extend(
     standing: Mapping[UUID, BelievedVersion],
     drive: Evidence,
     decisions: Decisions,
+    doubts: Mapping[UUID, Doubt],
     *,
     known: Collection[UUID] = (),
 ) -> Extension:
     """Compare one drive with the map as the drives recorded before it left it.
 
     standing: the open versions of the features that stand, suppressed ones too, by feature id; those out of the drive's
-    influence are left out of account, whether they are there or not. known: ids that are taken, also by features that are gone;
-    only an imported map, which brings ids of its own, needs to be told.
+    influence are left out of account, whether they are there or not. doubts: of those that were missed since. known: ids that are
+    taken, also by features that are gone; only an imported map, which brings ids of its own, needs to be told.
     """
     around = _around(standing, drive)
     pinned = {feature.feature_id for feature in around if is_within(feature, decisions.pinned)}
@@ -141,13 +168,22 @@ def extend(
             founding_key=drive.founding_key,
             known=known,
             pinned=pinned,
+            doubts=doubts,
         )
     else:
         deltas = reconcile(
-            drive.tracks, around, drive.look_at, drive.params, founding_key=drive.founding_key, pinned=pinned
+            drive.tracks,
+            around,
+            drive.look_at,
+            drive.params,
+            founding_key=drive.founding_key,
+            pinned=pinned,
+            doubts=doubts,
         )
-    versions = []
+    versions, misses = [], []
     for delta in deltas:
+        if delta.kind is DeltaKind.MISSED:
+            misses.append(_miss(delta, drive.changeset_id))
         if not delta.is_change:
             continue
         before = standing.get(delta.feature_id)
@@ -165,13 +201,29 @@ def extend(
             )
         )
     judged = {delta.feature_id for delta in deltas}
-    return Extension(deltas, versions, [feature for feature in around if feature.feature_id not in judged])
+    return Extension(deltas, versions, misses, [feature for feature in around if feature.feature_id not in judged])
 
 
 def is_within(feature: MapFeature, places: Sequence[Place]) -> bool:
     """Whether a feature stands at one of the places (horizontally)."""
     x, y, _ = feature.xyz_m
     return any(float(np.hypot(x - place.xy_m[0], y - place.xy_m[1])) <= place.radius_m for place in places)
+
+
+def _miss(delta: Delta, changeset_id: UUID) -> Miss:
+    if delta.evidence is None:
+        raise ValueError(f"the miss of feature {delta.feature_id} has no evidence")
+    return Miss(
+        feature_id=delta.feature_id,
+        changeset_id=changeset_id,
+        version=delta.state_after.version,
+        existence_probability=delta.evidence.existence_probability,
+        first_missed_ns=delta.changed_at_ns,
+    )
+
+
+def _feature_id(state: BelievedVersion | Miss) -> UUID:
+    return state.feature_id if isinstance(state, Miss) else state.feature.feature_id
 
 
 def _around(standing: Mapping[UUID, BelievedVersion], drive: Evidence) -> list[MapFeature]:

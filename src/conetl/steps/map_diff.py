@@ -15,6 +15,8 @@ from conetl.records import DeltaKind, FeatureChange, MapFeature
 
 #: A cone whose place differs by more was moved; by less, its place is only known better. As in the comparison of drives.
 MOVED_M = ReconcileParams().min_gate_m
+#: One whose height differs by more is of another class of cones.
+HEIGHT_M = ReconcileParams().moved_height_tolerance_m
 
 
 def diff(before: Iterable[MapFeature], after: Iterable[MapFeature]) -> list[FeatureChange]:
@@ -39,7 +41,9 @@ def change(old: MapFeature | None, new: MapFeature | None) -> FeatureChange | No
         kind = DeltaKind.REMOVED
     else:
         shift_m = float(np.hypot(new.xyz_m[0] - old.xyz_m[0], new.xyz_m[1] - old.xyz_m[1]))
-        kind = DeltaKind.MOVED if shift_m > MOVED_M else DeltaKind.CONFIRMED
+        taller_m = abs(new.cone_height_m - old.cone_height_m)
+        changed = DeltaKind.HEIGHT_CHANGED if taller_m > HEIGHT_M else DeltaKind.CONFIRMED
+        kind = DeltaKind.MOVED if shift_m > MOVED_M else changed
     return FeatureChange(kind=kind, feature_id=one.feature_id, old=old, new=new, shift_m=shift_m)
 
 

@@ -81,6 +81,10 @@ class Feature(Answer):
     last_seen_at: datetime
     valid_from: datetime
     valid_to: datetime | None
+    seen_count: int
+    """Drives that saw it until then."""
+    missed_count: int
+    """Drives that looked at its spot in vain."""
 
 
 class Features(Answer):
@@ -131,6 +135,10 @@ class HistoryItem(Answer):
     first_seen_at: datetime
     last_seen_at: datetime
     sighting_count: int
+    seen_count: int
+    """Drives that saw the feature, up to now."""
+    missed_count: int
+    """Drives that looked at its spot in vain, up to now."""
 
 
 class FeatureHistory(Answer):
@@ -192,6 +200,45 @@ class Trajectory(Answer):
 
 class FoundFeatures(Answer):
     feature_ids: list[UUID]
+    truncated: bool
+
+
+class BaseLayer(Answer):
+    layer_name: str
+    kind: Literal["points", "lines"]
+    files: int
+    count: int
+
+
+class BaseTile(Answer):
+    """A square of points; its side is 4096 m / 2^level. A point is origin_m + steps * scale_m."""
+
+    level: int
+    points: int
+    origin_m: Vec3
+    scale_m: Vec3
+    high_m: float
+    sha256: str
+
+
+class BaseLayers(Answer):
+    origin_m: Vec3
+    layers: list[BaseLayer]
+    tiles: list[BaseTile]
+    """Coarse levels first; tiles of all levels together are the cloud."""
+    truncated: bool
+
+
+class BaseLine(Answer):
+    kind: str
+    subtype: str | None
+    xyz_m: list[float]
+    """x, y, z of one vertex after the other."""
+
+
+class BaseLines(Answer):
+    origin_m: Vec3
+    lines: list[BaseLine]
     truncated: bool
 
 

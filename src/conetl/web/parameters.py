@@ -18,6 +18,8 @@ from conetl.records import Vec3
 MAX_FEATURES = 20_000
 MAX_SIGHTINGS = 2_000
 MAX_TRAJECTORY = 50_000
+MAX_BASE_TILES = 20_000
+MAX_BASE_LINES = 20_000
 
 
 def _utc(time: datetime) -> datetime:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 from uuid import UUID
 
 import numpy as np
@@ -8,7 +9,8 @@ import pytest
 
 from conetl.params import ReconcileParams
 from conetl.records import Delta, DeltaKind, MapFeature, Track
-from conetl.steps.changes import common_offset, reconcile
+from conetl.steps.changes import reconcile
+from conetl.steps.map_association import common_offset
 from conetl.steps.visibility import Look
 from tests.synthetic.world import ORIGIN_M, START_NS
 
@@ -60,10 +62,15 @@ def feature(number: int, east: float, north: float, *, sigma_m: float = RTK, hei
 
 
 def changes(
-    tracks: Sequence[Track], features: Sequence[MapFeature], *, frames_empty: int = 20, hidden: Sequence[int] = ()
+    tracks: Sequence[Track],
+    features: Sequence[MapFeature],
+    *,
+    frames_empty: int = 20,
+    ratio: float = -3.5,
+    hidden: Sequence[int] = (),
 ) -> dict[DeltaKind, list[Delta]]:
-    def look(seen: MapFeature, _offset: object) -> Look | None:
-        return None if seen.feature_id.int in hidden else Look(frames_empty, START_NS + DAY_NS)
+    def look(seen: MapFeature, _offset: object, _others: object) -> Look | None:
+        return None if seen.feature_id.int in hidden else Look(frames_empty, START_NS + DAY_NS, ratio)
 
     deltas = reconcile(tracks, features, look, PARAMS, founding_key="d")
     return {kind: [d for d in deltas if d.kind == kind] for kind in DeltaKind}
@@ -74,7 +81,7 @@ ROW = [(0.0, 3.0), (5.0, 2.6), (10.0, 2.2), (15.0, 1.8), (20.0, 1.4)]
 
 def test_an_empty_map_gets_every_track() -> None:
     found = changes([track(i, *at) for i, at in enumerate(ROW)], [])
-    assert [len(found[kind]) for kind in DeltaKind] == [5, 0, 0, 0]
+    assert {kind: len(deltas) for kind, deltas in found.items() if deltas} == {DeltaKind.ADDED: 5}
     assert len({d.feature_id for d in found[DeltaKind.ADDED]}) == 5
 
 
@@ -96,9 +103,15 @@ def test_a_cone_out_of_view_stays() -> None:
     assert len(found[DeltaKind.CONFIRMED]) == 1
 
 
-def test_a_short_look_removes_nothing() -> None:
-    found = changes([], [feature(0, *ROW[0])], frames_empty=PARAMS.removal_min_frames - 1)
-    assert not any(found.values())
+@pytest.mark.parametrize("look", [{"frames_empty": PARAMS.removal_min_frames - 1}, {"ratio": -2.0}])
+def test_a_short_look_and_a_poor_one_remove_nothing_but_leave_a_doubt(look: dict[str, Any]) -> None:
+    found = changes([], [feature(0, *ROW[0])], **look)
+    assert {kind for kind, deltas in found.items() if deltas} == {DeltaKind.MISSED}
+    (miss,) = found[DeltaKind.MISSED]
+    assert miss.new == miss.old
+    assert not miss.is_change
+    assert miss.evidence is not None
+    assert miss.evidence.existence_probability < 0.97
 
 
 @pytest.mark.parametrize("offset", [(0.4, -0.3), (-0.7, 0.5), (0.0, 0.9)])
@@ -135,21 +148,21 @@ def test_a_pinned_cone_is_neither_removed_nor_moved() -> None:
     features = [feature(0, *ROW[0]), feature(1, *ROW[1])]
     tracks = [track(0, ROW[1][0], ROW[1][1] + 1.5)]
 
-    def look(_feature: MapFeature, _offset: object) -> Look:
-        return Look(20, START_NS + DAY_NS)
+    def look(_feature: MapFeature, _offset: object, _others: object) -> Look:
+        return Look(20, START_NS + DAY_NS, -3.5)
 
     free = reconcile(tracks, features, look, PARAMS, founding_key="d")
     pinned = reconcile(tracks, features, look, PARAMS, founding_key="d", pinned={UUID(int=0), UUID(int=1)})
     assert {d.kind for d in free} == {DeltaKind.REMOVED, DeltaKind.MOVED}
-    assert {d.kind for d in pinned} == {DeltaKind.ADDED}
+    assert {d.kind for d in pinned} == {DeltaKind.ADDED, DeltaKind.MISSED}
 
 
 def test_the_order_of_tracks_and_features_does_not_matter() -> None:
     features = [feature(i, *at) for i, at in enumerate(ROW)]
     tracks = [track(i, x + 0.05, y) for i, (x, y) in enumerate(ROW[1:])]
 
-    def look(_feature: MapFeature, _offset: object) -> Look:
-        return Look(20, START_NS + DAY_NS)
+    def look(_feature: MapFeature, _offset: object, _others: object) -> Look:
+        return Look(20, START_NS + DAY_NS, -3.5)
 
     one = reconcile(tracks, features, look, PARAMS, founding_key="d")
     other = reconcile(tracks[::-1], features[::-1], look, PARAMS, founding_key="d")

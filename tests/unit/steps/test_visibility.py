@@ -1,34 +1,61 @@
 from __future__ import annotations
 
+import math
 from uuid import UUID
 
 import numpy as np
+import pytest
 
+from conetl.detector_evidence import DetectorEvidence, LookFigures
+from conetl.io.detector import shipped_model_path
+from conetl.io.model_card import read_model_card
 from conetl.params import ReconcileParams
 from conetl.records import Detection, MapFeature, Position, Side
-from conetl.steps.visibility import View, frames_in_plain_view, look_at_spot, view_of_drive
-from tests.synthetic.world import ORIGIN_M, Cone, camera_poses, detect, make_path, make_rig, observe
+from conetl.steps.visibility import (
+    Look,
+    View,
+    apparent_box,
+    apparent_boxes,
+    are_in_view,
+    is_in_view,
+    look_at_spot,
+    looks_in_view,
+    view_of_drive,
+)
+from tests.synthetic.world import ORIGIN_M, Cone, detect, make_path, make_rig, observe
 
 RIG = make_rig()
 PAIRS = make_path(30)
-LEFT, RIGHT = camera_poses(PAIRS, RIG, "left"), camera_poses(PAIRS, RIG, "right")
 TIMES = {pair.frame_index: pair.captured_at_ns for pair in PAIRS}
 PARAMS = ReconcileParams()
+NOBODY = np.empty((0, 3))
 SPOT = Cone((25.0, 2.0, 0.0))
 
 
-def boxes(cones: list[Cone]) -> dict[int, list[Detection]]:
-    found: dict[int, list[Detection]] = {}
+def shipped() -> DetectorEvidence:
+    evidence = read_model_card(shipped_model_path()).evidence
+    assert evidence is not None, "the shipped model's sidecar holds its evidence"
+    return evidence
+
+
+def boxes(cones: list[Cone]) -> list[Detection]:
     sides: tuple[Side, Side] = ("left", "right")
     by_side = detect(cones, PAIRS, RIG)
-    for pair in PAIRS:
-        found[pair.frame_index] = [d for side in sides for d in by_side[pair.frame_index, side]]
-    return found
+    return [d for pair in PAIRS for side in sides for d in by_side[pair.frame_index, side]]
 
 
-def in_view(cone: Cone, others: list[Cone] | None = None) -> list[int]:
-    foot = ORIGIN_M + np.array(cone.foot_m)
-    return frames_in_plain_view(foot, cone.height_m, RIG, LEFT, RIGHT, boxes(others or []), PARAMS)
+def in_view(cone: Cone) -> list[int]:
+    drive = view([])
+    rows, heights_px, found = looks_in_view(ORIGIN_M + np.array(cone.foot_m), cone.height_m, drive, PARAMS)
+    assert heights_px.shape == (len(rows), 2)
+    assert len(found) == len(rows)
+    return [drive.frames[row] for row in rows]
+
+
+def look_with(others: list[Cone]) -> Look | None:
+    """What is seen of the spot when other cones stand there, but are not taken for it."""
+    seen = view_of_drive(RIG, PAIRS, boxes(others), [])
+    return look_at_spot(feature(SPOT), np.zeros(3), NOBODY, seen, PARAMS)
 
 
 def feature(cone: Cone) -> MapFeature:
@@ -62,10 +89,38 @@ def test_small_far_and_sideways_spots_are_not_in_view() -> None:
     assert in_view(Cone((-10.0, 0.0, 0.0))) == []
 
 
-def test_a_nearer_cone_hides_a_spot_and_a_farther_one_does_not() -> None:
-    hidden = in_view(SPOT, [Cone((23.5, 1.95, 0.0), height_m=0.9, base_m=0.6)])
-    assert len(hidden) < len(in_view(SPOT)) - 3
-    assert in_view(SPOT, [Cone((30.0, 2.1, 0.0))]) == in_view(SPOT)
+def test_a_nearer_cone_makes_a_look_worth_less_and_a_farther_one_does_not() -> None:
+    plain, behind, before = (
+        look_with(others)
+        for others in ([], [Cone((23.5, 1.95, 0.0), height_m=0.9, base_m=0.6)], [Cone((30.0, 2.1, 0.0))])
+    )
+    assert plain is not None
+    assert before == plain
+    assert behind is None or behind.log_likelihood_ratio > plain.log_likelihood_ratio + 0.5
+
+
+def test_the_more_and_the_nearer_the_looks_the_surer_is_the_absence_but_never_certain() -> None:
+    ratios = []
+    for frames in (5, 8, 12, 30):
+        drive = view_of_drive(RIG, PAIRS[:frames], [], [], LookFigures(evidence=shipped(), score_threshold=0.3))
+        found = look_at_spot(feature(SPOT), np.zeros(3), NOBODY, drive, PARAMS)
+        ratios.append(0.0 if found is None else found.log_likelihood_ratio)
+    assert ratios == sorted(ratios, reverse=True)
+    assert ratios[-1] < -3
+    assert ratios[-1] > math.log(PARAMS.unseen_occluder_probability)
+
+
+def test_one_box_is_that_of_many() -> None:
+    rng = np.random.default_rng(1)
+    feet = rng.uniform([-6, 0.5, -2], [6, 2.0, 40], (200, 3))
+    tips = feet - [0.0, 0.7, 0.0]
+    many = apparent_boxes(feet, tips, RIG.left)
+    inside = are_in_view(many, RIG.left, PARAMS)
+    assert 10 < inside.sum() < 150
+    for i in range(len(feet)):
+        one = apparent_box(feet[i], tips[i], RIG.left)
+        assert (one is None) == np.isnan(many[i]).any()
+        assert one is None or (one == pytest.approx(many[i]) and is_in_view(one, RIG.left, PARAMS) == inside[i])
 
 
 def view(positions: list[Position]) -> View:
@@ -73,7 +128,7 @@ def view(positions: list[Position]) -> View:
 
 
 def look(positions: list[Position], offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> int:
-    found = look_at_spot(feature(SPOT), np.array(offset_m), view(positions), PARAMS)
+    found = look_at_spot(feature(SPOT), np.array(offset_m), NOBODY, view(positions), PARAMS)
     return 0 if found is None else found.frames
 
 
@@ -91,7 +146,7 @@ def test_the_offset_of_the_drive_moves_the_spot() -> None:
 
 
 def test_the_time_of_the_look_is_that_of_the_first_empty_frame() -> None:
-    found = look_at_spot(feature(SPOT), np.zeros(3), view([]), PARAMS)
+    found = look_at_spot(feature(SPOT), np.zeros(3), NOBODY, view([]), PARAMS)
     assert found is not None
     assert found.first_ns == TIMES[in_view(SPOT)[0]]
 
@@ -100,6 +155,18 @@ def test_frames_from_before_the_cone_was_last_seen_say_nothing() -> None:
     """Another drive, which began earlier and overlaps this one, saw the cone in the midst of it."""
     frames = in_view(SPOT)
     seen = feature(SPOT).model_copy(update={"last_seen_ns": TIMES[frames[3]]})
-    found = look_at_spot(seen, np.zeros(3), view([]), PARAMS)
+    found = look_at_spot(seen, np.zeros(3), NOBODY, view([]), PARAMS)
     assert found is not None
     assert (found.frames, found.first_ns) == (len(frames) - 4, TIMES[frames[4]])
+
+
+def test_a_neighbour_does_not_stand_in_for_a_cone_that_is_gone() -> None:
+    """Cones 0.5 m apart: what is seen near the spot is the other one."""
+    neighbour = Cone((25.0, 2.45, 0.0))
+    _, _, positions = observe([neighbour], PAIRS, RIG)
+    alone = look_at_spot(feature(SPOT), np.zeros(3), NOBODY, view(positions), PARAMS)
+    assert alone is None
+    others = (ORIGIN_M + np.array(neighbour.foot_m))[None]
+    known = look_at_spot(feature(SPOT), np.zeros(3), others, view(positions), PARAMS)
+    assert known is not None
+    assert known.occupied == 0

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 import shutil
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TextIO
 
 from conetl.errors import InputError
+from conetl.io.leftovers import aside
 
 
 @contextmanager
@@ -21,7 +21,8 @@ def atomic_text_file(path: Path) -> Iterator[TextIO]:
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
+        temporary = aside(path)
+        handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
     except OSError as error:
         raise InputError(f"{path} cannot be written ({error.strerror}): choose another file.") from error
     try:
@@ -29,12 +30,9 @@ def atomic_text_file(path: Path) -> Iterator[TextIO]:
             yield file
             file.flush()
             os.fsync(handle)
-        umask = os.umask(0)
-        os.umask(umask)
-        Path(temporary).chmod(0o666 & ~umask)  # mkstemp makes it private; an export is an ordinary file
-        Path(temporary).replace(path)
+        temporary.replace(path)
     except BaseException as error:
-        Path(temporary).unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)
         if isinstance(error, OSError):
             raise InputError(
                 f"{path} cannot be written ({error.strerror}): free space or choose another file."
@@ -54,11 +52,12 @@ def atomic_files(*paths: Path) -> Iterator[list[Path]]:
     folder = paths[0].parent
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        aside = Path(tempfile.mkdtemp(prefix=f".{paths[0].name}.", suffix=".tmp", dir=folder))
+        unfinished = aside(paths[0])
+        unfinished.mkdir()
     except OSError as error:
         raise InputError(f"{paths[0]} cannot be written ({error.strerror}): choose another file.") from error
     try:
-        written = [aside / path.name for path in paths]
+        written = [unfinished / path.name for path in paths]
         yield written
         for path in written:
             _sync(path)
@@ -70,7 +69,7 @@ def atomic_files(*paths: Path) -> Iterator[list[Path]]:
             f"{paths[0]} cannot be written ({error.strerror or error}): free space or choose another file."
         ) from error
     finally:
-        shutil.rmtree(aside, ignore_errors=True)
+        shutil.rmtree(unfinished, ignore_errors=True)
 
 
 def _sync(path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from uuid import uuid4
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from conetl.geometry.board_views import BoardView
 from conetl.geometry.stereo_bundle import Bundle, residuals_px
+from conetl.io.leftovers import aside
 
 Array = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ def draw_coverage(path: Path, bundle: Bundle, views: Sequence[BoardView], title:
     figure.colorbar(arrows, ax=panels, shrink=0.8, label="length of the residual (px)")
     figure.suptitle(title)
     path.parent.mkdir(parents=True, exist_ok=True)
-    aside = path.with_suffix(f".{uuid4().hex}.tmp")
-    figure.savefig(aside, format="png")
-    os.replace(aside, path)  # noqa: PTH105 - atomic on every platform, unlike Path.rename
+    unfinished = aside(path)
+    figure.savefig(unfinished, format="png")
+    os.replace(unfinished, path)  # noqa: PTH105 - atomic on every platform, unlike Path.rename
     return path

@@ -29,6 +29,8 @@ PROPERTY_NAMES = (
     "valid_from",
     "valid_to",
     "changeset_id",
+    "seen_count",
+    "missed_count",
 )
 #: What history and changes tell besides, and to how many decimals numbers are written.
 _MORE_NAMES = (

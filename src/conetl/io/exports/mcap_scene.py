@@ -28,8 +28,17 @@ FRAME = "map"
 TOPIC = "/cones"
 #: Entities of one message.
 _MESSAGE_ROWS = 1000
-#: As in `conetl view`: told apart by the colour-blind.
-_COLOURS = {"added": "#0068b4", "moved": "#a8327f", "removed": "#1f2933", "confirmed": "#7f97b2"}
+#: As in `conetl view`: told apart by the colour-blind. A split is drawn as added, a merger as removed, another
+#: height as confirmed.
+_COLOURS = {
+    "added": "#0068b4",
+    "split": "#0068b4",
+    "moved": "#a8327f",
+    "removed": "#1f2933",
+    "merged": "#1f2933",
+    "confirmed": "#7f97b2",
+    "height_changed": "#7f97b2",
+}
 #: A road cone: diameter of the foot over the height, and of the top over that of the foot.
 _FOOT_WIDTH, _TOP_SHARE = 0.4, 0.175
 _EMPTY = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")

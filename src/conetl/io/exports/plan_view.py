@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from uuid import uuid4
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from conetl.io.leftovers import aside
 from conetl.records import Delta, DeltaKind, MapFeature
 
 #: Colour-blind safe (Okabe & Ito) and told apart by shape as well.
@@ -20,6 +20,10 @@ _STYLE = {
     DeltaKind.ADDED: ("P", "#0072b2", "added"),
     DeltaKind.MOVED: ("D", "#e69f00", "moved"),
     DeltaKind.REMOVED: ("X", "#d55e00", "removed"),
+    DeltaKind.MISSED: ("o", "#56b4e9", "looked for in vain"),
+    DeltaKind.HEIGHT_CHANGED: ("s", "#cc79a7", "height changed"),
+    DeltaKind.SPLIT: ("P", "#000000", "split"),
+    DeltaKind.MERGED: ("X", "#000000", "merged"),
 }
 _MARGIN_M = 4.0
 
@@ -62,9 +66,9 @@ def draw_plan_view(
     axes.set_title(title)
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8, frameon=False)
     path.parent.mkdir(parents=True, exist_ok=True)
-    aside = path.with_suffix(f".{uuid4().hex}.tmp")
-    figure.savefig(aside, format="png", bbox_inches="tight")
-    os.replace(aside, path)  # noqa: PTH105 - atomic on every platform, unlike Path.rename
+    unfinished = aside(path)
+    figure.savefig(unfinished, format="png", bbox_inches="tight")
+    os.replace(unfinished, path)  # noqa: PTH105 - atomic on every platform, unlike Path.rename
     return path
 
 

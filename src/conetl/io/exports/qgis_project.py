@@ -26,6 +26,9 @@ _KINDS = {
     "added": ("0,104,180", "cross_fill", 3.6),
     "moved": ("168,50,127", "diamond", 3.6),
     "removed": ("31,41,51", "cross2", 3.0),
+    "height_changed": ("127,151,178", "square", 3.0),
+    "split": ("0,104,180", "star", 3.6),
+    "merged": ("31,41,51", "cross2", 2.2),
 }
 #: Radius of the circle that holds a place with 95 %, over sigma (chi-square of 2 degrees of freedom).
 _CIRCLE = 2.4477

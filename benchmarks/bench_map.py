@@ -1,0 +1,236 @@
+"""How long one drive takes to be merged into maps of 100 thousand, 1 million and 10 million features, and what a look back costs.
+
+A private cluster with fsync on, as `conetl db up` makes it, lies in a temporary folder that is removed at the end. For each size
+the map is loaded (see `made_up_map.py`), a drive with its tracks in memory is merged, and the map is asked for boxes of 500 m at
+an instant of the past. Processor time is that of this process and of the database's backend; the wall clock is what a user
+waits, but tells little on a machine that does other work.
+
+    python benchmarks/bench_map.py [--sizes 100000 1000000] [--sightings 100000] [--audits] [--no-history] [--folder /tmp]
+
+10 million features need some 10 GB without history (one row each), 22 GB with it, and half an hour.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import os
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from uuid import NAMESPACE_URL, uuid5
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.made_up_map import (
+    FOUNDED_NS,
+    MAP_NAME,
+    SRID,
+    Sightings,
+    drive_along,
+    index_sizes,
+    load_map,
+    place_of,
+)
+from conetl.io.audits import run_audits
+from conetl.io.cluster import cluster_remove, cluster_up
+from conetl.io.db import Connection, connect, execute, load_sql, migrate
+from conetl.io.map_store import commit_changeset, map_transaction, place_drive, read_features_as_of
+from conetl.io.replay_store import affected_drives, read_standing_around, superseded_drives
+from conetl.params import ReconcileParams
+from conetl.records import Changeset, Decisions
+from conetl.steps.fold import Evidence, extend
+
+LOOKS = 60
+BOX_M = 500.0
+
+
+@dataclass
+class Stopwatch:
+    """Seconds by phase: wall, processor of this process, processor of the database's backend."""
+
+    backend_pid: int
+    seconds: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+
+    @contextmanager
+    def phase(self, name: str) -> Iterator[None]:
+        start = self._now()
+        yield
+        end = self._now()
+        self.seconds[name] = tuple(b - a for a, b in zip(start, end, strict=True))  # type: ignore[assignment]
+
+    def _now(self) -> tuple[float, float, float]:
+        fields = Path(f"/proc/{self.backend_pid}/stat").read_text().rsplit(")", 1)[1].split()
+        return time.perf_counter(), time.process_time(), (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    @property
+    def total(self) -> tuple[float, float, float]:
+        wall, own, backend = zip(*self.seconds.values(), strict=True)
+        return sum(wall), sum(own), sum(backend)
+
+
+def merge(conn: Connection, sightings: Sightings) -> Stopwatch:
+    """What `flows/replay.py` does with a drive that is newer than all others around it, phase by phase, to the commit."""
+    watch = Stopwatch(conn.info.backend_pid)
+    drive = sightings.drive
+    key = hashlib.sha256(f"changeset {drive.drive_id}".encode()).hexdigest()
+    changeset_id = uuid5(NAMESPACE_URL, key)
+    with watch.phase("lock, commit"):  # noqa: SIM117 -- its own share is what is left after the others
+        with map_transaction(conn, MAP_NAME):
+            with watch.phase("place the drive"):
+                drive_uuid = place_drive(conn, drive, key, map_name=MAP_NAME)
+                later = [r for r in affected_drives(conn, [drive_uuid]) if r.drive_uuid != drive_uuid]
+                if later or superseded_drives(conn, drive_uuid):
+                    raise SystemExit("the drive is not the newest one: this would be a replay")
+            with watch.phase("read what stands around"):
+                standing = read_standing_around(conn, drive_uuid)
+            evidence = Evidence(
+                key=(drive.frame_pairs[0].captured_at_ns, drive.content_sha256, key),
+                changeset_id=changeset_id,
+                founding_key=f"{MAP_NAME}/{drive.content_sha256}",
+                tracks=sightings.tracks,
+                path_m=np.array([pair.pose.map_t_body_m[:2] for pair in drive.frame_pairs]),
+                influence_m=60.0,
+                look_at=sightings.look_at,
+                params=ReconcileParams(),
+            )
+            with watch.phase("reconcile"):
+                extension = extend(standing, evidence, Decisions())
+            changeset = Changeset.model_construct(
+                changeset_id=changeset_id,
+                drive_id=drive.drive_id,
+                idempotency_key=key,
+                params_sha256="",
+                model_sha256="",
+                code_version="bench",
+                deltas=tuple(extension.deltas),
+            )
+            with watch.phase("write"):
+                commit_changeset(
+                    conn,
+                    drive,
+                    [],
+                    [],
+                    sightings.positions,
+                    sightings.tracks,
+                    [],
+                    changeset,
+                    map_name=MAP_NAME,
+                    suppressed=extension.suppressed,
+                )
+    rest = np.subtract(watch.seconds["lock, commit"], np.sum(list(watch.seconds.values())[:-1], axis=0))
+    watch.seconds["lock, commit"] = tuple(rest.tolist())
+    return watch
+
+
+def look_back(conn: Connection, count: int) -> tuple[np.ndarray, int]:
+    """Milliseconds of boxes of 500 m around random cones, 18 hours after the map was founded; and features found in all."""
+    rng = np.random.default_rng(3)
+    at = datetime.fromtimestamp(FOUNDED_NS / 1e9, UTC) + timedelta(hours=18)
+    found, times = 0, []
+    for x, y, _ in place_of(rng.integers(0, count, LOOKS)).tolist():
+        box = (x - BOX_M / 2, y - BOX_M / 2, x + BOX_M / 2, y + BOX_M / 2)
+        start = time.perf_counter()
+        found += len(list(read_features_as_of(conn, at, map_name=MAP_NAME, within=box)))
+        times.append(1000 * (time.perf_counter() - start))
+        conn.rollback()
+    return np.array(times), found
+
+
+def executed_ms(conn: Connection, count: int) -> np.ndarray:
+    """The same boxes as the server counts them: planning and execution of the query alone."""
+    rng = np.random.default_rng(3)
+    at = (datetime.fromtimestamp(FOUNDED_NS / 1e9, UTC) + timedelta(hours=18)).isoformat()
+    times = []
+    for x, y, _ in place_of(rng.integers(0, count, LOOKS)).tolist():
+        box = {"west_m": x - 250, "south_m": y - 250, "east_m": x + 250, "north_m": y + 250, "srid": SRID}
+        parameters = box | {"map_name": MAP_NAME, "valid_at": at, "known_at": "infinity"}
+        [plan] = execute(conn, f"explain (analyze, format json) {load_sql('map/features_as_of')}", parameters)
+        top = plan["QUERY PLAN"][0]
+        times.append(top["Planning Time"] + top["Execution Time"])
+    conn.rollback()
+    return np.array(times)
+
+
+def report(title: str, watch: Stopwatch) -> None:
+    print(f"\n{title}\n{'phase':28}{'wall s':>9}{'python s':>10}{'server s':>10}")
+    for name, seconds in (*watch.seconds.items(), ("all", watch.total)):
+        print(f"{name:28}{seconds[0]:9.2f}{seconds[1]:10.2f}{seconds[2]:10.2f}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument(
+        "--sizes", type=int, nargs="+", default=[100_000, 1_000_000], help="features, multiples of 100,000"
+    )
+    parser.add_argument("--sightings", type=int, default=100_000, help="cones that the drive passes")
+    parser.add_argument("--no-history", action="store_true", help="one row a feature instead of three")
+    parser.add_argument("--audits", action="store_true", help="run all audits on the map after the merge")
+    parser.add_argument("--folder", type=Path, help="where the temporary cluster lies")
+    options = parser.parse_args()
+    home = Path(tempfile.mkdtemp(prefix="conetl-bench-map-", dir=options.folder))
+    try:
+        url = cluster_up(home)
+        for size in options.sizes:
+            with closing(connect(_database(url, size))) as conn:
+                bench(conn, size, options)
+    finally:
+        cluster_remove(home)
+        shutil.rmtree(home)
+
+
+def bench(conn: Connection, size: int, options: argparse.Namespace) -> None:
+    """One size of map."""
+    migrate(conn)
+    start = time.perf_counter()
+    load_map(conn, size, history=not options.no_history)
+    rows = size * (1 if options.no_history else 3)
+    print(
+        f"\n=== {size:,} features, {rows:,} version rows, loaded in {time.perf_counter() - start:.0f} s; load {os.getloadavg()}"
+    )
+    measure(conn, size, options.sightings, audits=options.audits)
+
+
+def measure(conn: Connection, size: int, sightings: int, *, audits: bool = False) -> None:
+    """All that is measured on a loaded map: two readings of 'sightings', boxes, sizes, audits."""
+    first = 20_000 if size >= sightings + 20_000 else 0
+    one_each = drive_along(first, min(sightings, size - first), days=2)
+    report(f"{len(one_each.tracks):,} tracks of one sighting each into {size:,} features", merge(conn, one_each))
+    ten_each = drive_along(first, min(sightings, size - first) // 10, days=3, seed=2, sightings=10)
+    title = f"{len(ten_each.positions):,} sightings, ten a track, into {size:,} features"
+    report(title, merge(conn, ten_each))
+    server = executed_ms(conn, size)
+    times, found = look_back(conn, size)
+    middle = f"median {np.median(server):.1f} ms, 95 % {np.percentile(server, 95):.1f} ms"
+    print(
+        f"\n{LOOKS} boxes of 500 m as of a day, {found} features: server {middle}; with reading median {np.median(times):.1f} ms"
+    )
+    for row in index_sizes(conn, ("feature", "feature_version", "delta")):
+        print(
+            f"{row['table_name']}: {row['index_name']} {row['bytes'] / size:.0f} bytes a feature (table {row['heap'] / size:.0f})"
+        )
+    if audits:
+        start = time.perf_counter()
+        for result in run_audits(conn):
+            print(f"audit {result.name:24} {'passed' if result.passed else result.rows[:1]} ({result.seconds:.1f} s)")
+        print(f"all audits {time.perf_counter() - start:.1f} s")
+
+
+def _database(url: str, size: int) -> str:
+    """A database of its own for each size."""
+    with closing(connect(url)) as conn:
+        conn.autocommit = True
+        execute(conn, f"create database map_{size}")
+    return url.replace("@/conetl?", f"@/map_{size}?")
+
+
+if __name__ == "__main__":
+    main()

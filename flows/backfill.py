@@ -1,0 +1,239 @@
+"""Many drives: plan on disk first, then one sub-flow per drive. Run again, it tries again what failed or was interrupted."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Any, Literal
+from uuid import UUID, uuid4
+
+from prefect import State, flow, get_run_logger, tags
+from prefect.runtime import flow_run
+from prefect.states import Completed
+from pydantic import Field
+
+from conetl.io.db import Connection, connect
+from conetl.io.receipt_store import Receipt, attempt_ends, end_crashed, latest_receipts, write_receipt
+from conetl.params import IngestParams
+from conetl.settings import Settings
+from flows.batch_artifacts import Board, open_board, show_progress, show_summary
+from flows.dispatch import (
+    Flight,
+    Where,
+    abandon,
+    launch,
+    mark_crashed,
+    online_workers,
+    over,
+    resolve_where,
+    was_cancelled,
+)
+from flows.drive_job import MapName, MapSrid, alive, new_receipt, settings_for
+from flows.plan import Plan, PlanLine, plan_drives, write_plan
+
+#: A drive whose process died is given to another one so often, then it counts as failed.
+TRIES = 2
+_POLL_S = 1.0
+Parallel = Annotated[
+    int | None,
+    Field(
+        ge=1, le=1000, description="Drives at the same time; as many as there are workers (or 1 without) unless given."
+    ),
+]
+Watcher = Callable[["Standing"], None]
+
+
+@dataclass
+class Standing:
+    """How far a batch is."""
+
+    plan: Plan
+    parallel: int
+    where: Literal["workers", "here"]
+    started: float
+    flying: list[Flight]
+    ended: list[Receipt]
+    pairs_todo: int
+    pairs_done: int = 0
+
+    @property
+    def todo(self) -> int:
+        return len(self.plan.todo)
+
+    @property
+    def seconds(self) -> float:
+        return time.monotonic() - self.started
+
+    @property
+    def done(self) -> int:
+        return sum(receipt.done for receipt in self.ended)
+
+    @property
+    def failed(self) -> list[Receipt]:
+        return [receipt for receipt in self.ended if not receipt.done]
+
+    @property
+    def left_s(self) -> float | None:
+        """Time left by the rate so far; before the first drive is done, by that of earlier days; None without either."""
+        if self.pairs_done:
+            return (self.pairs_todo - self.pairs_done) * self.seconds / self.pairs_done
+        return self.plan.estimate_s(self.parallel)
+
+
+def _batch_run_name() -> str:
+    parameters = flow_run.parameters
+    since, until = (str(parameters.get(name) or "")[:10] for name in ("since", "until"))
+    span = f" {since or '...'} to {until or '...'}" if since or until else ""
+    return f"backfill {Path(str(parameters['root'])).name}{span}"
+
+
+@flow(name="backfill", flow_run_name=_batch_run_name)
+def backfill(
+    root: Annotated[Path, Field(description="Folder with drives, or with folders of drives, as the workers see it.")],
+    since: Annotated[datetime | None, Field(description="Drives recorded at this time or later.")] = None,
+    until: Annotated[datetime | None, Field(description="Drives recorded before this time.")] = None,
+    max_parallel: Parallel = None,
+    map_name: MapName = None,
+    map_srid: MapSrid = None,
+    params: Annotated[IngestParams, Field(description="Parameters of all steps.")] = IngestParams(),  # noqa: B008 -- frozen
+    recheck: Annotated[bool, Field(description="Compare drives that are on the map by their content as well.")] = False,
+    where: Annotated[Where, Field(description="Where drives are worked on.")] = "auto",
+) -> State[Any]:
+    """Bring all drives below a folder onto the map that are not there yet. Run it again after a stop: it goes on."""
+    settings = settings_for(map_name)
+    with alive(settings) as url, closing(connect(url)) as conn:
+        plan = plan_drives(
+            conn, root, settings=settings, params=params, since=utc(since), until=utc(until), recheck=recheck
+        )
+        return run_batch(conn, plan, settings, params, map_srid=map_srid, max_parallel=max_parallel, where=where)
+
+
+def run_batch(
+    conn: Connection,
+    plan: Plan,
+    settings: Settings,
+    params: IngestParams,
+    *,
+    map_srid: int | None,
+    max_parallel: int | None,
+    where: Where,
+) -> State[Any]:
+    """Do what a plan says, inside a flow run. The state says how many failed; the receipts say which and why."""
+    place = resolve_where(where)
+    parallel = max_parallel or (max(1, online_workers()) if place == "workers" else 1)
+    write_plan(plan, parallel, settings.home / "plans")
+    standing = Standing(plan, parallel, place, time.monotonic(), [], [], pairs_todo=plan.frame_pairs)
+    board = open_board(standing)
+    waiting: deque[tuple[PlanLine, int]] = deque((line, 1) for line in plan.todo)
+    _tell(standing, board)
+    try:
+        with tags(f"map:{settings.map_name}"):
+            tries: dict[UUID, tuple[PlanLine, int]] = {}
+            while waiting or standing.flying:
+                while waiting and len(standing.flying) < parallel:
+                    line, number = waiting.popleft()
+                    if line.action == "refuse":
+                        standing.ended.append(_refused(conn, line, plan, settings))
+                        continue
+                    flight = launch(line.outline, settings, params, map_srid, place, parallel)
+                    standing.flying.append(flight)
+                    tries[flight.attempt_id] = line, number
+                    _tell(standing, board)
+                for flight, receipt, again in _landed(conn, standing.flying, plan, settings):
+                    standing.flying.remove(flight)
+                    line, number = tries.pop(flight.attempt_id)
+                    if again and number < TRIES:
+                        waiting.append((line, number + 1))
+                        continue
+                    standing.ended.append(receipt)
+                    standing.pairs_done += line.outline.frame_pairs
+                    _tell(standing, board)
+                if standing.flying:
+                    time.sleep(_POLL_S)
+    finally:
+        abandon(standing.flying)
+    show_summary(standing, board)
+    return _end(standing)
+
+
+def _landed(
+    conn: Connection, flying: list[Flight], plan: Plan, settings: Settings
+) -> list[tuple[Flight, Receipt, bool]]:
+    """Flights that are over, with their receipts, and whether another try may help."""
+    # Asked first: what ended before this has its receipt by now.
+    ends_of_processes = {flight.attempt_id: over(flight) for flight in flying}
+    ends = attempt_ends(conn, [flight.attempt_id for flight in flying])
+    landed: list[tuple[Flight, Receipt, bool]] = []
+    latest = latest_receipts(conn, map_name=settings.map_name, headers=[f.outline.header_sha256 for f in flying])
+    for flight in flying:
+        if flight.attempt_id in ends:
+            if flight.process is not None:
+                flight.process.join()
+            landed.append((flight, ends[flight.attempt_id], False))
+            continue
+        reason = ends_of_processes[flight.attempt_id]
+        begun = latest.get(flight.outline.header_sha256)
+        if begun is not None and begun.attempt_id == flight.attempt_id and begun.state == "started":
+            # It began. Whether it lives is not a question of Prefect's state, but of its lock.
+            crashed = end_crashed(conn, begun, reason or "its process is gone", settings.receipts_folder)
+            if crashed is not None:
+                mark_crashed(flight.flow_run_id, crashed.reason)
+                landed.append((flight, crashed, not was_cancelled(flight)))
+        elif reason is not None:  # it ended before it began: could not be started, or a person cancelled it
+            never = new_receipt(
+                flight.outline, settings, plan.analysis.sha256, flight.attempt_id, str(flight.flow_run_id)
+            )
+            lost = replace(never, state="crashed", reason=reason)
+            write_receipt(conn, lost, settings.receipts_folder)
+            mark_crashed(flight.flow_run_id, reason)
+            landed.append((flight, lost, not was_cancelled(flight)))
+    return landed
+
+
+def _refused(conn: Connection, line: PlanLine, plan: Plan, settings: Settings) -> Receipt:
+    """The receipt of a folder that cannot be a drive."""
+    begun = new_receipt(line.outline, settings, plan.analysis.sha256, uuid4(), flow_run.id)
+    receipt = replace(begun, state="failed", reason=line.why, may_pass=False, at=datetime.now(UTC))
+    write_receipt(conn, replace(receipt, at=None), settings.receipts_folder)
+    return receipt
+
+
+_watchers: list[Watcher] = []
+
+
+def watch(watcher: Watcher) -> None:
+    """Call `watcher(standing)` whenever something changes in a batch of this process."""
+    _watchers.append(watcher)
+
+
+def unwatch(watcher: Watcher) -> None:
+    _watchers.remove(watcher)
+
+
+def _tell(standing: Standing, board: Board) -> None:
+    show_progress(standing, board)
+    for watcher in _watchers:
+        watcher(standing)
+
+
+def _end(standing: Standing) -> State[Any]:
+    failed = standing.failed
+    message = (
+        f"{standing.done} on the map, {len(failed)} failed, {standing.plan.count('skip')} had nothing to do; "
+        f"{standing.seconds:.0f} s"
+    )
+    get_run_logger().info(message)
+    if failed:
+        first = failed[0]
+        return Completed(name="SomeFailed", message=f"{message}. {first.drive_id}: {first.reason}")
+    return Completed(message=message)
+
+
+def utc(at: datetime | None) -> datetime | None:
+    """A time without a zone is UTC."""
+    return at if at is None or at.tzinfo else at.replace(tzinfo=UTC)

@@ -1,0 +1,133 @@
+"""What Prefect's UI shows of a batch of drives: a bar that moves, a table of drives, a summary."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, cast
+from uuid import UUID
+
+from prefect.artifacts import (
+    create_markdown_artifact,
+    create_progress_artifact,
+    create_table_artifact,
+    update_progress_artifact,
+)
+
+from flows.plan import reasons
+
+if TYPE_CHECKING:
+    from flows.backfill import Standing
+
+#: The table is written anew at most so often: each time is another artifact, and a thousand drives make it large.
+_TABLE_EVERY_S = 600.0
+_SHOWN_ROWS = 300
+
+
+@dataclass
+class Board:
+    """What was shown last."""
+
+    progress_id: UUID | None
+    table_at: float
+
+
+def open_board(standing: Standing) -> Board:
+    """The artifacts of a batch that begins; no bar where there is nothing to do."""
+    if not standing.todo:
+        return Board(None, 0.0)
+    progress = create_progress_artifact(0.0, key="batch-progress", description=sentence(standing))
+    return Board(cast(UUID, progress), 0.0)
+
+
+def show_progress(standing: Standing, board: Board) -> None:
+    """Move the bar; from time to time write the table."""
+    if board.progress_id is None:
+        return
+    update_progress_artifact(board.progress_id, percent(standing), description=sentence(standing))
+    if time.monotonic() - board.table_at > _TABLE_EVERY_S:
+        _write_table(standing)
+        board.table_at = time.monotonic()
+
+
+def show_summary(standing: Standing, board: Board) -> None:
+    """The last word on a batch."""
+    if board.progress_id is not None:
+        _write_table(standing)
+    plan = standing.plan
+    lines = [
+        f"## {standing.done} drives came onto map {plan.map_name}, {len(standing.failed)} failed",
+        "",
+        f"{len(plan.lines)} drives below `{plan.root}`, planned in {plan.seconds:.1f} s; worked on for {standing.seconds:.0f} s, "
+        f"{standing.parallel} at a time ({'by workers' if standing.where == 'workers' else 'in this process'}).",
+        "",
+        "| plan | drives |",
+        "|---|---|",
+        *(f"| {_cell(reason)} | {count} |" for reason, count in reasons(plan)),
+    ]
+    if standing.failed:
+        lines += ["", "| failed | recorded in | reason |", "|---|---|---|"]
+        lines += [
+            f"| {_cell(r.drive_id)} | `{_cell(r.drive_path)}` | {_cell(r.reason)} |"
+            for r in standing.failed[:_SHOWN_ROWS]
+        ]
+        lines += ["", "Run the same backfill again to try the failed drives again; what is on the map is left alone."]
+    create_markdown_artifact(
+        "\n".join(lines), key="batch-summary", description=f"{standing.done} of {standing.todo} drives"
+    )
+
+
+def _write_table(standing: Standing) -> None:
+    ended = {receipt.header_sha256: receipt for receipt in standing.ended}
+    flying = {flight.outline.header_sha256 for flight in standing.flying}
+    rows: list[dict[str, Any]] = []
+    for line in standing.plan.lines:
+        receipt = ended.get(line.outline.header_sha256) if line.action != "skip" else None
+        state: str
+        if receipt is not None:
+            state, why = receipt.state, receipt.reason
+        elif line.action == "skip":
+            state, why = "nothing to do", line.why
+        else:
+            state, why = ("in work" if line.outline.header_sha256 in flying else "waiting"), line.why
+        rows.append(
+            {
+                "drive": line.outline.drive_id,
+                "recorded": f"{line.outline.captured_from:%Y-%m-%d %H:%M}" if line.outline.captured_from else "",
+                "frame pairs": line.outline.frame_pairs,
+                "state": state,
+                "seconds": round(receipt.seconds, 1) if receipt is not None and receipt.seconds else None,
+                "why": why,
+            }
+        )
+    order = ("failed", "crashed", "in work", "waiting", "committed", "known", "nothing to do")
+    rows.sort(key=lambda row: order.index(row["state"]))
+    note = f"; the first {_SHOWN_ROWS} are shown" if len(rows) > _SHOWN_ROWS else ""
+    create_table_artifact(rows[:_SHOWN_ROWS], key="batch-drives", description=f"{len(rows)} drives{note}")
+
+
+def percent(standing: Standing) -> float:
+    if standing.pairs_todo:
+        return min(100.0, 100.0 * standing.pairs_done / standing.pairs_todo)
+    return 100.0 * len(standing.ended) / max(1, standing.todo)
+
+
+def sentence(standing: Standing) -> str:
+    left = standing.left_s
+    rate = f", {standing.pairs_done / standing.seconds:.1f} frame pairs a second" if standing.pairs_done else ""
+    when = "" if left is None else f", about {minutes(left)} left"
+    counts = f"{len(standing.ended)} of {standing.todo} drives ({len(standing.failed)} failed), {len(standing.flying)} in work"
+    return counts + rate + when
+
+
+def minutes(seconds: float) -> str:
+    """A time span as a person says it."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    if seconds < 5400:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f} h"
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.split()).replace("|", "\\|")

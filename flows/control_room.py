@@ -1,0 +1,138 @@
+"""What the desk sees of one drive in Prefect: a name with drive and date, rejections, worst pictures, the map, events."""
+
+import base64
+from collections import defaultdict
+from collections.abc import Sequence
+from pathlib import Path
+from uuid import UUID, uuid5
+
+import numpy as np
+from numpy.typing import NDArray
+from prefect import task
+from prefect.artifacts import create_image_artifact, create_link_artifact, create_table_artifact
+from prefect.events import emit_event
+from prefect.runtime import flow_run
+
+from conetl.io.annotated_image import draw_boxes, pairs_jpeg
+from conetl.io.drive_folder.outline import DriveOutline, outline_drive
+from conetl.io.images import ImageFileError
+from conetl.io.map_store import list_changesets
+from conetl.io.rectified_image import read_rig_image
+from conetl.records import Changeset, DeltaKind, Detection, Drive, Position, Side, StereoMatch
+from conetl.reports import IngestReport
+from conetl.settings import Settings
+from flows.merge import open_map
+from flows.retries import RETRY
+
+SHOWN_FRAMES = 3
+_NAMESPACE = UUID("7d0b6f2e-54c3-4f0d-9a53-0d2f7c1be9aa")
+
+
+def drive_run_name(outline: DriveOutline) -> str:
+    """Drive and date, as Prefect's lists show them."""
+    at = outline.captured_from
+    return f"{outline.drive_id} ({at:%Y-%m-%d %H:%M})" if at else outline.drive_id
+
+
+def name_of_run() -> str:
+    """Name of the present run of `ingest-drive`, whatever its parameter is called."""
+    parameters = flow_run.parameters
+    return drive_run_name(outline_drive(Path(str(parameters.get("drive") or parameters["folder"]))))
+
+
+def show_around(report: IngestReport, settings: Settings) -> None:
+    """Rejections by reason, and a link to the changeset in the web view."""
+    if report.rejections:
+        total = sum(report.rejections.values())
+        rows = [
+            {"reason": str(reason).replace("_", " "), "records": count} for reason, count in report.rejections.items()
+        ]
+        create_table_artifact(
+            rows, key="rejections", description=f"{total} records of drive {report.drive_id} are in quarantine"
+        )
+    if settings.view_url:
+        with open_map(settings) as conn:
+            found = [
+                c for c in list_changesets(conn, map_name=settings.map_name) if c.changeset_id == report.changeset_id
+            ]
+        link = (
+            f"{settings.view_url.rstrip('/')}/#map={settings.map_name}&changeset={found[0].changeset_no}"
+            if found
+            else ""
+        )
+        if link:
+            create_link_artifact(
+                link, link_text=f"Drive {report.drive_id} on the map", key="map", description="The web view"
+            )
+
+
+def tell_changes(drive: Drive, changeset: Changeset, report: IngestReport) -> None:
+    """Events for automations: one for the changeset, and one for each cone that vanished, which an automation can count.
+
+    Their ids follow from the changeset, so a changeset told twice counts once.
+    """
+    map_resource = f"conetl.map.{report.map_name}"
+    changeset_resource = f"{map_resource}.changeset.{changeset.changeset_id}"
+    related = [{"prefect.resource.id": map_resource, "prefect.resource.role": "map"}]
+    emit_event(
+        "conetl.changeset.committed",
+        resource={
+            "prefect.resource.id": changeset_resource,
+            "prefect.resource.name": drive.drive_id,
+            "conetl.map": report.map_name,
+            **{f"conetl.{kind}": str(count) for kind, count in report.counts.items()},
+        },
+        related=related,
+        payload=report.model_dump(mode="json", exclude={"changes"}),
+        id=uuid5(_NAMESPACE, changeset_resource),
+    )
+    for line in report.changes:
+        if line.kind is DeltaKind.REMOVED:
+            feature_resource = f"{map_resource}.feature.{line.feature_id}"
+            emit_event(
+                "conetl.cone.vanished",
+                resource={
+                    "prefect.resource.id": feature_resource,
+                    "conetl.map": report.map_name,
+                    "conetl.changeset": str(changeset.changeset_id),
+                    "conetl.drive": drive.drive_id,
+                },
+                related=related,
+                payload={"xyz_m": line.xyz_m, "srid": report.map_srid, "cone_height_m": line.cone_height_m},
+                id=uuid5(_NAMESPACE, f"{changeset_resource}/{line.feature_id}"),
+            )
+
+
+@task(name="worst frames", **RETRY)
+def worst_frames_task(
+    drive: Drive, detections: Sequence[Detection], positions: Sequence[Position], matches: Sequence[StereoMatch]
+) -> None:
+    """Show the pairs whose rays fit worst, with the boxes that were found; nothing where no cone was measured."""
+    worst: dict[int, float] = defaultdict(float)
+    for position in positions:
+        worst[position.frame_index] = max(worst[position.frame_index], position.residual_rms_px)
+    chosen = sorted(worst, key=lambda index: -worst[index])[:SHOWN_FRAMES]
+    pairs = {pair.frame_index: pair for pair in drive.frame_pairs}
+    rows: list[tuple[NDArray[np.uint8], NDArray[np.uint8], str]] = []
+    for index in chosen:
+        pair = pairs[index]
+        drawn: list[NDArray[np.uint8]] = []
+        sides: tuple[tuple[Side, str], ...] = (("left", pair.left_path), ("right", pair.right_path))
+        try:
+            for side, path in sides:
+                boxes = [
+                    (d.x_px, d.y_px, d.w_px, d.h_px, d.score, *(np.nan,) * 4)
+                    for d in detections
+                    if d.frame_index == index and d.side == side
+                ]
+                drawn.append(draw_boxes(read_rig_image(Path(path), drive.rig, side), np.array(boxes).reshape(-1, 9)))
+        except ImageFileError:  # vanished since it was read; the drive is on the map already
+            continue
+        count = sum(match.frame_index == index for match in matches)
+        rows.append((drawn[0], drawn[1], f"frame pair {index}: {worst[index]:.2f} px residual, {count} cones matched"))
+    if rows:
+        encoded = base64.b64encode(pairs_jpeg(rows)).decode()
+        create_image_artifact(
+            f"data:image/jpeg;base64,{encoded}", key="worst-frames",
+            description=f"Drive {drive.drive_id}: the pairs whose rays fit worst, left and right",
+        )  # fmt: skip

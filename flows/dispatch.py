@@ -1,0 +1,176 @@
+"""Hand one drive to a process of its own: to a worker of the pool where there are some, else to a child of this process.
+
+Either way it is a sub-flow of the run that asks, and a drive that kills its process costs only itself.
+"""
+
+from __future__ import annotations
+
+import multiprocessing.process
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+from uuid import UUID, uuid4
+
+from prefect import Task
+from prefect.client.orchestration import SyncPrefectClient, get_client
+from prefect.client.schemas.objects import FlowRun, WorkerStatus
+from prefect.context import FlowRunContext
+from prefect.exceptions import ObjectNotFound
+from prefect.flow_engine import run_flow_in_subprocess
+from prefect.states import Crashed, Pending, Scheduled
+
+from conetl.errors import ServiceError
+from conetl.io.drive_folder.outline import DriveOutline
+from conetl.params import IngestParams
+from conetl.settings import Settings
+from flows.control_room import drive_run_name
+from flows.drive_job import drive_tags, ingest_one
+
+POOL = "conetl"
+DRIVE_DEPLOYMENT = "ingest-drive/ingest-drive"
+DRIVE_QUEUE = "drives"
+Where = Literal["auto", "workers", "here"]
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A drive that is being worked on, or waits for a worker."""
+
+    attempt_id: UUID
+    flow_run_id: UUID
+    outline: DriveOutline
+    process: multiprocessing.process.BaseProcess | None
+    """The child of this process; None where a worker has it."""
+
+
+def client() -> SyncPrefectClient:
+    """The Prefect server that this process talks to."""
+    return get_client(sync_client=True)
+
+
+def resolve_where(where: Where) -> Literal["workers", "here"]:
+    """`auto`: workers where `conetl up` has made the deployment, else children of this process. Raises ServiceError."""
+    if where == "here":
+        return where
+    with client() as api:
+        try:
+            api.read_deployment_by_name(DRIVE_DEPLOYMENT)
+        except ObjectNotFound:
+            if where == "auto":
+                return "here"
+            raise ServiceError(f"this Prefect server has no deployment {DRIVE_DEPLOYMENT}: run `conetl up`") from None
+    return "workers"
+
+
+def online_workers() -> int:
+    """Workers of the pool that take drives and were heard of lately."""
+    with client() as api:
+        workers = api.read_workers_for_work_pool(POOL)
+    return sum(w.status == WorkerStatus.ONLINE and DRIVE_QUEUE in w.name for w in workers)
+
+
+def launch(
+    outline: DriveOutline,
+    settings: Settings,
+    params: IngestParams,
+    map_srid: int | None,
+    where: Literal["workers", "here"],
+    parallel: int,
+) -> Flight:
+    """Start work on one drive as a sub-flow of the present flow run."""
+    attempt_id = uuid4()
+    parameters: dict[str, Any] = {
+        "drive": str(outline.path),
+        "map_name": settings.map_name,
+        "map_srid": map_srid,
+        "params": params.model_dump(mode="json"),
+        "attempt_id": str(attempt_id),
+    }
+    name, labels = drive_run_name(outline), drive_tags(outline, settings.map_name)
+    with client() as api:
+        parent = _parent_task_run(api, name, attempt_id)
+        if where == "workers":
+            deployment = api.read_deployment_by_name(DRIVE_DEPLOYMENT)
+            run = api.create_flow_run_from_deployment(
+                deployment.id,
+                parameters=parameters,
+                state=Scheduled(),
+                name=name,
+                tags=labels,
+                parent_task_run_id=parent,
+            )
+            return Flight(attempt_id, run.id, outline, None)
+        run = api.create_flow_run(
+            ingest_one, name=name, parameters=parameters, tags=labels, parent_task_run_id=parent, state=Pending()
+        )
+    process = run_flow_in_subprocess(
+        ingest_one, flow_run=run, parameters=ingest_one.validate_parameters(parameters),
+        env={
+            "CONETL_HOME": str(settings.home.resolve()),
+            "CONETL_WORKERS": str(max(1, settings.workers // parallel)),
+        },
+    )  # fmt: skip
+    return Flight(attempt_id, run.id, outline, process)
+
+
+def over(flight: Flight) -> str | None:
+    """Why nothing more will come of a flight, None while something may. The receipts say what came of it."""
+    if flight.process is not None:
+        if flight.process.is_alive():
+            return None
+        code = flight.process.exitcode or 0
+        if code < 0:
+            return f"its process was ended by signal {-code}"
+    state = read_run(flight.flow_run_id).state
+    if state is None or not state.is_final():
+        return None if flight.process is None else "its process ended without a word"
+    return f"{state.name}: {state.message or 'without a message'}"
+
+
+def was_cancelled(flight: Flight) -> bool:
+    """A person cancelled it."""
+    state = read_run(flight.flow_run_id).state
+    return state is not None and state.is_cancelled()
+
+
+def read_run(flow_run_id: UUID) -> FlowRun:
+    with client() as api:
+        return api.read_flow_run(flow_run_id)
+
+
+def mark_crashed(flow_run_id: UUID, reason: str) -> None:
+    """Tell Prefect what the receipts know; a run that has ended is left as it is."""
+    with client() as api:
+        run = api.read_flow_run(flow_run_id)
+        if run.state is None or not run.state.is_final():
+            api.set_flow_run_state(flow_run_id, Crashed(message=reason), force=True)
+
+
+def abandon(flights: Sequence[Flight]) -> None:
+    """End the children of this process; what workers have goes on."""
+    children = [flight.process for flight in flights if flight.process is not None and flight.process.is_alive()]
+    for child in children:
+        child.terminate()
+    deadline = time.monotonic() + 10
+    for child in children:
+        child.join(max(0.1, deadline - time.monotonic()))
+        if child.is_alive():
+            child.kill()
+            child.join()
+
+
+def _parent_task_run(api: SyncPrefectClient, name: str, attempt_id: UUID) -> UUID | None:
+    """A task run of the present flow run that stands for the sub-flow, as Prefect's own `run_deployment` makes one."""
+    context = FlowRunContext.get()
+    if context is None or context.flow_run is None:
+        return None
+    stand_in = Task(name=name, fn=_nothing)
+    run = api.create_task_run(
+        stand_in, flow_run_id=context.flow_run.id, dynamic_key=str(attempt_id), name=name, state=Pending()
+    )
+    return run.id
+
+
+def _nothing() -> None:
+    """What a stand-in does."""

@@ -1,0 +1,140 @@
+"""One drive as a job: its lock, its receipts, its run. What schedules, backfills and the form in Prefect's UI start."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+from uuid import UUID, uuid4
+
+from prefect import State, flow, tags
+from prefect.runtime import flow_run
+from prefect.states import Completed
+from prefect.task_runners import ThreadPoolTaskRunner
+from pydantic import Field
+
+from conetl.errors import InputError, ServiceError
+from conetl.io.db import connect, migrate
+from conetl.io.drive_folder.outline import DriveOutline, outline_drive
+from conetl.io.receipt_store import Receipt, holding, run_lock, write_receipt
+from conetl.params import IngestParams
+from conetl.reports import IngestReport, TooManyRejectionsError
+from conetl.settings import Settings, read_settings
+from flows.control_room import name_of_run
+from flows.ingest_drive import ingest_drive
+from flows.merge import database_url
+from flows.plan import analysis_of
+
+MapName = Annotated[
+    str | None,
+    Field(pattern=r"^[a-z0-9_-]{1,40}$", description="Map to work on; CONETL_MAP_NAME of the worker unless given."),
+]
+MapSrid = Annotated[
+    int | None, Field(gt=0, description="EPSG code of the map; the first drive's UTM zone unless given.")
+]
+
+
+def settings_for(map_name: str | None) -> Settings:
+    """Settings of this process, for another map where one is named."""
+    settings = read_settings()
+    return settings.model_copy(update={"map_name": map_name}) if map_name else settings
+
+
+def drive_tags(outline: DriveOutline, map_name: str) -> list[str]:
+    """By what a run is found again in Prefect."""
+    day = [f"day:{outline.captured_from:%Y-%m-%d}"] if outline.captured_from else []
+    return [f"drive:{outline.drive_id}", f"map:{map_name}", *day]
+
+
+@contextmanager
+def alive(settings: Settings) -> Iterator[str]:
+    """Hold the lock that says that this flow run's process lives; the database's address."""
+    url = database_url(settings)
+    with closing(connect(url)) as conn:
+        migrate(conn)
+    with holding(url, run_lock(str(flow_run.id))):
+        yield url
+
+
+@flow(
+    name="ingest-drive",
+    flow_run_name=name_of_run,
+    task_runner=ThreadPoolTaskRunner(max_workers=read_settings().workers + 1),  # type: ignore[arg-type]
+)
+def ingest_one(
+    drive: Annotated[Path, Field(description="Drive folder, as the worker sees it.")],
+    map_name: MapName = None,
+    map_srid: MapSrid = None,
+    params: Annotated[IngestParams, Field(description="Parameters of all steps.")] = IngestParams(),  # noqa: B008 -- frozen
+    attempt_id: Annotated[UUID | None, Field(description="Leave empty.")] = None,
+) -> State[Any]:
+    """Ingest one drive: into the map once, whoever else tries at the same time, with a receipt of what became of it."""
+    settings = settings_for(map_name)
+    outline = outline_drive(drive.resolve())
+    begun = new_receipt(outline, settings, analysis_of(params, settings).sha256, attempt_id or uuid4(), flow_run.id)
+    with alive(settings) as url, holding(url, begun.drive_lock), tags(*drive_tags(outline, settings.map_name)):
+        keep(url, begun, settings)
+        started = time.monotonic()
+        try:
+            report = ingest_drive.fn(outline.path, settings, params, map_srid=map_srid)
+        except TooManyRejectionsError as error:
+            keep(url, _ended(begun, error.report, started, str(error)), settings)
+            return Completed(name="CommittedNeedsALook", message=str(error))
+        except Exception as error:
+            reason = str(error) if isinstance(error, (InputError, ServiceError)) else f"{type(error).__name__}: {error}"
+            may_pass = isinstance(error, (ServiceError, OSError, MemoryError))
+            keep(
+                url,
+                replace(begun, state="failed", reason=reason[:2000] or "no reason given", may_pass=may_pass),
+                settings,
+            )
+            raise
+        keep(url, _ended(begun, report, started, ""), settings)
+    counts = ", ".join(f"{count} {kind}" for kind, count in report.counts.items())
+    return Completed(message=f"{report.status}: {counts}")
+
+
+def new_receipt(
+    outline: DriveOutline, settings: Settings, analysis_sha256: str, attempt_id: UUID, flow_run_id: str | None
+) -> Receipt:
+    """The receipt of work that begins now."""
+    return Receipt(
+        attempt_id=attempt_id,
+        map_name=settings.map_name,
+        drive_path=str(outline.path),
+        drive_id=outline.drive_id,
+        header_sha256=outline.header_sha256,
+        analysis_sha256=analysis_sha256,
+        content_sha256=None,
+        state="started",
+        reason="",
+        may_pass=True,
+        changeset_id=None,
+        frame_pairs=outline.frame_pairs,
+        seconds=None,
+        flow_run_id=flow_run_id,
+        host=socket.gethostname(),
+    )
+
+
+def keep(url: str, receipt: Receipt, settings: Settings) -> None:
+    """Write a receipt over a connection of its own: work takes long, and idle connections are cut."""
+    with closing(connect(url)) as conn:
+        write_receipt(conn, receipt, settings.receipts_folder)
+
+
+def _ended(begun: Receipt, report: IngestReport, started: float, reason: str) -> Receipt:
+    return replace(
+        begun,
+        state="committed" if report.status == "committed" else "known",
+        reason=reason,
+        may_pass=False,
+        changeset_id=report.changeset_id,
+        content_sha256=report.content_sha256,
+        frame_pairs=report.frame_pairs,
+        seconds=time.monotonic() - started,
+    )

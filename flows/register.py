@@ -1,0 +1,71 @@
+"""Deployments, work pool and workers, as `conetl up` needs them."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+from datetime import datetime
+from importlib.metadata import version
+from pathlib import Path
+
+from prefect.client.schemas.actions import WorkPoolCreate
+from prefect.client.schemas.objects import WorkerStatus
+from prefect.exceptions import ObjectAlreadyExists
+from prefect.variables import Variable
+
+from conetl.errors import ServiceError
+from flows.dispatch import POOL, client
+
+_VARIABLE = "conetl_deployments"
+_TIMEOUT_S = 300
+
+
+def deployments_file() -> Path:
+    """`prefect.yaml`: beside the flows in an installed wheel, at the top of a clone."""
+    package = Path(__file__).resolve().parent
+    return next(path for path in (package / "prefect.yaml", package.parent / "prefect.yaml") if path.is_file())
+
+
+def ensure_pool() -> None:
+    """The work pool of processes, made where it is missing; what was set in the UI stays."""
+    with client() as api:
+        try:
+            api.create_work_pool(WorkPoolCreate(name=POOL, type="process", description="Machines that run conetl"))
+        except ObjectAlreadyExists:
+            return
+
+
+def ensure_deployments() -> bool:
+    """Register what `prefect.yaml` says, unless just that was registered before: changes made in the UI stay until an upgrade.
+
+    True where it was registered now. Raises ServiceError with what Prefect said.
+    """
+    path = deployments_file()
+    wanted = f"{version('conetl')} {hashlib.sha256(path.read_bytes()).hexdigest()}"
+    with client() as api:
+        registered = {deployment.name for deployment in api.read_deployments()}
+    if Variable.get(_VARIABLE) == wanted and "ingest-drive" in registered:
+        return False
+    done = subprocess.run(
+        [sys.executable, "-m", "prefect", "--no-prompt", "deploy", "--all", "--prefect-file", str(path)],
+        capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL, timeout=_TIMEOUT_S, cwd=path.parent,
+        env={**os.environ, "PREFECT_LOGGING_LEVEL": "ERROR"},
+    )  # fmt: skip
+    if done.returncode != 0:
+        raise ServiceError(
+            f"the deployments of {path} could not be registered: {(done.stderr or done.stdout).strip()[-1500:]}"
+        )
+    Variable.set(_VARIABLE, wanted, overwrite=True)
+    return True
+
+
+def worker_is_online(name: str, since: datetime) -> bool:
+    """A worker of this name was heard of since then."""
+    with client() as api:
+        workers = api.read_workers_for_work_pool(POOL)
+    return any(
+        w.name == name and w.status == WorkerStatus.ONLINE and w.last_heartbeat_time and w.last_heartbeat_time >= since
+        for w in workers
+    )  # fmt: skip

@@ -1,0 +1,223 @@
+"""Work zones: `conetl map export --format wzdx|wzdx-devices` and `conetl map check-layout`."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated
+
+import typer
+import yaml
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from conetl.cli.console import JsonOption, out, parse_time, print_json, print_table
+from conetl.cli.database import open_map
+from conetl.errors import InputError
+from conetl.io.db import Connection
+from conetl.io.exports.layout_files import export_layout_geojson, finding_as_dict
+from conetl.io.exports.wzdx import FeedContext, export_device_feed, export_work_zone_feed
+from conetl.io.feed_info import read_feed_info
+from conetl.io.map_store import find_map
+from conetl.io.zone_store import read_paths, read_versions
+from conetl.params import LayoutParams, WorkZoneParams
+from conetl.records import MapFeature
+from conetl.settings import read_settings
+from conetl.steps.layout_check import allowed_spacing_m, check_layout
+from conetl.steps.work_zones import zones_over_time
+from conetl.steps.zone_layout import describe, layout_of
+from conetl.work_zone_records import DrivePath, Finding, Level, WorkZone
+
+FeedOption = Annotated[
+    Path | None, typer.Option("--feed", help="For wzdx: YAML file with publisher, road_names, contact, licence ...")
+]
+PublisherOption = Annotated[str | None, typer.Option("--publisher", help="For wzdx: who publishes the feed.")]
+RoadNamesOption = Annotated[
+    list[str] | None, typer.Option("--road-name", help="For wzdx: the road's name; may be given several times.")
+]
+LanesOption = Annotated[
+    Path | None,
+    typer.Option("--lanes", help="Lane boundaries: GeoJSON, GeoPackage, Lanelet2 (.osm) or whatever GDAL reads."),
+]
+RulesOption = Annotated[
+    Path | None, typer.Option("--rules", help="YAML file with `layout` and `zones`: rules other than the defaults.")
+]
+
+
+class Rules(BaseModel):
+    """The file of `--rules`."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    layout: LayoutParams = LayoutParams()
+    zones: WorkZoneParams = WorkZoneParams()
+
+
+@dataclass(frozen=True)
+class MapZones:
+    """The work zones of a map at an instant."""
+
+    srid: int
+    zones: list[WorkZone]
+    standing: list[MapFeature]
+    paths: list[DrivePath]
+
+
+def export_wzdx(
+    conn: Connection,
+    output: Path,
+    *,
+    devices: bool,
+    map_name: str,
+    as_of: datetime | None,
+    feed: Path | None,
+    publisher: str | None,
+    road_names: list[str] | None,
+    lanes: Path | None,
+) -> int:
+    """Write a WorkZoneFeed, or a DeviceFeed, checked against its schema; the number of features. Raises InputError."""
+    info = read_feed_info(feed, publisher=publisher, road_names=road_names)
+    params = WorkZoneParams()
+    found = read_zones(conn, map_name=map_name, as_of=as_of, lanes=lanes, params=params)
+    now = datetime.now(UTC)
+    context = FeedContext(info, map_name, found.srid, at=as_of or now, made_at=now, params=params)
+    if devices:
+        return export_device_feed(found.standing, found.zones, output, context)
+    return export_work_zone_feed(found.zones, output, context)
+
+
+def read_zones(
+    conn: Connection, *, map_name: str, as_of: datetime | None, lanes: Path | None, params: WorkZoneParams
+) -> MapZones:
+    """The map's work zones, standing and ended, up to an instant (None: now). Raises InputError where there is no such map."""
+    info = find_map(conn, map_name)
+    if info is None:
+        raise InputError(f"there is no map named {map_name} in this database: ingest a drive first.")
+    lines = []
+    if lanes:
+        from conetl.io.lane_lines import read_lane_lines  # GDAL takes seconds to load
+
+        lines = read_lane_lines(lanes, srid=info.srid)
+    versions = read_versions(conn, map_name=map_name, until=as_of)
+    paths = read_paths(conn, map_name=map_name, until=as_of)
+    at_ns = None if as_of is None else int(as_of.timestamp() * 1_000_000) * 1000 + 999
+    histories = zones_over_time(versions, paths, params, map_name=map_name, at_ns=at_ns)
+    zones = [describe(history, layout_of(history, paths, lines, params), params) for history in histories]
+    open_until = [v for v in versions if v.valid_to_ns is None or (at_ns is not None and v.valid_to_ns > at_ns)]
+    standing = [v.feature for v in open_until if v.standing and not v.suppressed]
+    return MapZones(info.srid, zones, standing, paths)
+
+
+def check_layout_command(
+    speed_kmh: Annotated[
+        float, typer.Option("--speed-kmh", min=5, max=200, help="Speed limit that the rules ask for.")
+    ] = 50.0,
+    rules: RulesOption = None,
+    lanes: LanesOption = None,
+    as_of: Annotated[str | None, typer.Option("--as-of", help="The map as it stood on the road at this time.")] = None,
+    output: Annotated[Path | None, typer.Option("--out", help="GeoJSON file to write: one feature a finding.")] = None,
+    picture: Annotated[
+        Path | None, typer.Option("--picture", help="PNG file to write: the zones along their road.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Check the layout of the work zones: spacing, missing cones, taper lengths, cones in the open lane."""
+    settings = read_settings()
+    chosen = read_rules(rules)
+    with closing(open_map(settings)) as conn:
+        found = read_zones(conn, map_name=settings.map_name, as_of=parse_time(as_of), lanes=lanes, params=chosen.zones)
+    standing = [zone for zone in found.zones if zone.history.end_ns is None]
+    checked = [
+        (zone, check_layout(zone.history, zone.layout, speed_kmh, chosen.layout, chosen.zones)) for zone in standing
+    ]
+    findings = [finding for _, some in checked for finding in some]
+    if output is not None:
+        export_layout_geojson(findings, output, srid=found.srid)
+    if picture is not None:
+        if not checked:
+            raise InputError(f"the map {settings.map_name} has no work zone to draw: {picture} was not written")
+        from conetl.io.exports.layout_picture import draw_layout  # so does matplotlib
+
+        draw_layout(picture, checked, found.paths, title=_title(settings.map_name, speed_kmh, chosen.layout, as_of))
+    if as_json:
+        print_json(
+            {
+                "map": settings.map_name,
+                "speed_kmh": speed_kmh,
+                "work_zones": [_zone_as_dict(zone) for zone in standing],
+                "findings": [finding_as_dict(finding) for finding in findings],
+            }
+        )
+        return
+    _print(checked, _title(settings.map_name, speed_kmh, chosen.layout, as_of))
+    for path, what in ((output, f"{len(findings)} findings"), (picture, "picture")):
+        if path is not None:
+            out.print(f"{what} -> {path}", markup=False)
+
+
+def read_rules(path: Path | None) -> Rules:
+    """Rules from a YAML file; the defaults without one. Raises InputError naming what is wrong."""
+    if path is None:
+        return Rules()
+    try:
+        return Rules.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")) or {})
+    except OSError as error:
+        raise InputError(f"rules {path}: cannot be read ({error.strerror})") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise InputError(f"rules {path}: not a YAML file ({error})") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"]) or "the file"
+        raise InputError(f"rules {path}: {where}: {first['msg']}") from error
+
+
+def _title(map_name: str, speed_kmh: float, rules: LayoutParams, as_of: str | None) -> str:
+    taper_m, tangent_m = allowed_spacing_m(speed_kmh, rules)
+    when = f" as of {as_of}" if as_of else ""
+    limits = f"at most {taper_m:.1f} m between cones in tapers, {tangent_m:.1f} m in tangents"
+    return f"Map {map_name}{when}, {speed_kmh:g} km/h: {limits}"
+
+
+def _print(checked: list[tuple[WorkZone, list[Finding]]], title: str) -> None:
+    out.print(title, markup=False)
+    if not checked:
+        out.print("No work zone stands on this map.")
+        return
+    for zone, findings in checked:
+        layout = zone.layout
+        source = {"lanes": "lane lines", "drives": "the driven paths", "cones": "the cones alone"}[layout.axis_source]
+        length = layout.stations_m[-1] - layout.stations_m[0]
+        counts = {level: sum(finding.level is level for finding in findings) for level in Level}
+        words = ", ".join(f"{count} {level}" for level, count in counts.items() if count) or "nothing to report"
+        what = f"{len(layout.cones)} cones over {length:.1f} m, offsets from {source}: {words}"
+        out.print(f"\nWork zone {str(zone.history.zone_id)[:8]}: {what}", markup=False)
+        if findings:
+            rows: list[tuple[object, ...]] = []
+            for n, f in enumerate(findings, 1):
+                metres = (f.station_m - layout.stations_m[0], f.value, f.limit, f.sigma)
+                rows.append((n, f.level, f.rule, *(f"{value:.2f}" for value in metres), f.norm))
+            columns = ("", "level", "rule", "at m", "is m", "limit m", "sigma m", "norm")
+            print_table("", columns, rows, numbers_from=3)
+            for n, finding in enumerate(findings, 1):
+                out.print(f"{n}  {finding.text}", markup=False)
+
+
+def _zone_as_dict(zone: WorkZone) -> dict[str, object]:
+    layout = zone.layout
+    return {
+        "work_zone_id": str(zone.history.zone_id),
+        "cones": [str(cone.feature_id) for cone in layout.cones],
+        "first": str(zone.first.feature_id),
+        "last": str(zone.last.feature_id),
+        "length_m": round(float(layout.stations_m[-1] - layout.stations_m[0]), 2),
+        "road_axis_from": layout.axis_source,
+        "direction_known": layout.direction_known,
+        "closed_side": zone.closed_side,
+        "closed_lane_count": zone.closed_lane_count,
+        "vehicle_impact": str(zone.impact),
+        "tapers": [
+            {"length_m": round(t.end_m - t.start_m, 2), "shift_m": round(t.shift_m, 2), "converging": t.converging}
+            for row in layout.rows[:1]
+            for t in row.tapers
+        ],
+    }

@@ -1,0 +1,210 @@
+"""Point clouds as tiles with levels of detail: thinning, levels, and the bytes of a tile.
+
+Tiles are squares in plan, aligned with the axes of the map's CRS: level 0 has ROOT_M, every further level half of that. A tile
+holds the points that are the first ones of their voxel of its level's spacing (side / GRID) and of no coarser level: the tiles of
+all levels together are the cloud, and those down to some level are an even sample of it (the additive scheme of Schuetz,
+*Potree*, 2016, and of COPC). A tile with few points holds all that is left and has no tiles below it.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+ROOT_M = 4096.0
+#: Spacings along a tile's side.
+GRID = 128
+#: Side of the cells that are tiled one after the other; CELL_LEVEL is the level whose tiles are as large.
+CELL_M = 64.0
+CELL_LEVEL = 6
+#: Tiles of this level, 8 m wide, take all that is left.
+LAST_LEVEL = 9
+#: From this level on a tile with so few points takes all that is left.
+LEAF_POINTS = 20_000
+_STEPS = 65_535
+#: Places are rounded to this share of the voxel that the cloud was thinned by.
+_ROUNDING = 1 / 16
+
+
+class Cloud(NamedTuple):
+    """xyz_m (N, 3) in the map's CRS; shade (N,) uint8, dark to bright (intensity)."""
+
+    xyz_m: Array
+    shade: NDArray[np.uint8]
+
+    def take(self, index: NDArray[np.integer] | NDArray[np.bool_]) -> Cloud:
+        """The points of an index or mask."""
+        return Cloud(self.xyz_m[index], self.shade[index])
+
+
+class Tile(NamedTuple):
+    """One tile; a point is origin_m + steps * scale_m. `payload` is what `encode_points` made, in gzip."""
+
+    level: int
+    ix: int
+    iy: int
+    points: int
+    origin_m: tuple[float, float, float]
+    scale_m: tuple[float, float, float]
+    high_m: float
+    """Height of its highest point; its lowest is origin_m[2]."""
+    payload: bytes
+
+
+def tile_side_m(level: int) -> float:
+    """Side of the tiles of a level."""
+    return float(ROOT_M / 2**level)
+
+
+def join(clouds: Iterable[Cloud]) -> Cloud:
+    """Several clouds as one."""
+    parts = list(clouds)
+    if not parts:
+        return Cloud(np.zeros((0, 3)), np.zeros(0, np.uint8))
+    return Cloud(np.concatenate([p.xyz_m for p in parts]), np.concatenate([p.shade for p in parts]))
+
+
+def first_in_voxels(xyz_m: Array, voxel_m: float) -> NDArray[np.intp]:
+    """Indices, rising, of the first point in every voxel of points (N, 3). Voxels are aligned with the map's origin."""
+    if len(xyz_m) == 0:
+        return np.zeros(0, np.intp)
+    voxels = np.floor(xyz_m / voxel_m).astype(np.int64)
+    voxels -= voxels.min(axis=0)
+    size = [int(v) for v in voxels.max(axis=0) + 1]
+    if size[0] * size[1] * size[2] < 2**62:  # exact arithmetic, then one key holds a voxel
+        _, first = np.unique((voxels[:, 0] * size[1] + voxels[:, 1]) * size[2] + voxels[:, 2], return_index=True)
+    else:
+        _, first = np.unique(voxels, axis=0, return_index=True)
+    return np.sort(first)
+
+
+def cell_indices(xyz_m: Array, side_m: float) -> NDArray[np.int64]:
+    """(N, 2) index of the square of this side in which each point lies."""
+    return np.floor(xyz_m[:, :2] / side_m).astype(np.int64)
+
+
+def morton(ix: int, iy: int) -> int:
+    """Place of a cell on the Z-order curve: cells of one coarser tile follow each other, on every level."""
+    key = 0
+    x, y = ix + (1 << 31), iy + (1 << 31)
+    for bit in range(33):
+        key |= (x >> bit & 1) << (2 * bit) | (y >> bit & 1) << (2 * bit + 1)
+    return key
+
+
+def top_level(extent_m: float) -> int:
+    """The level at which a cloud of this extent begins: the finest whose tiles are as large as the cloud."""
+    level = 0
+    while level < CELL_LEVEL and tile_side_m(level + 1) >= extent_m:
+        level += 1
+    return level
+
+
+def tiles_of(cells: Iterable[tuple[int, int, Cloud]], top: int, voxel_m: float) -> Iterator[Tile]:
+    """Tiles from level `top` on, of cells (ix, iy, points) of CELL_M in Z-order.
+
+    Holds one cell, and one open tile a coarse level. The points of a cell are thinned by voxel_m first.
+    """
+    coarse = range(top, CELL_LEVEL)
+    keys: dict[int, tuple[int, int]] = {}
+    waiting: dict[int, list[Cloud]] = {level: [] for level in coarse}
+
+    def close(level: int) -> Iterator[Tile]:
+        cloud = join(waiting[level])
+        if len(cloud.xyz_m):
+            yield encode_tile(level, *keys[level], cloud, voxel_m)
+        waiting[level] = []
+
+    for ix, iy, points in cells:
+        cloud = points.take(first_in_voxels(points.xyz_m, voxel_m))
+        for level in coarse:
+            key = (ix >> CELL_LEVEL - level, iy >> CELL_LEVEL - level)
+            if keys.get(level, key) != key:
+                yield from close(level)
+            keys[level] = key
+            chosen, cloud = _split(cloud, level)
+            waiting[level].append(chosen)
+        yield from _fine_tiles(cloud, CELL_LEVEL, ix, iy, voxel_m)
+    for level in coarse:
+        if level in keys:
+            yield from close(level)
+
+
+def _split(cloud: Cloud, level: int) -> tuple[Cloud, Cloud]:
+    """The points that a level takes, and the rest."""
+    first = first_in_voxels(cloud.xyz_m, tile_side_m(level) / GRID)
+    rest = np.ones(len(cloud.xyz_m), bool)
+    rest[first] = False
+    return cloud.take(first), cloud.take(rest)
+
+
+def _fine_tiles(cloud: Cloud, level: int, ix: int, iy: int, voxel_m: float) -> Iterator[Tile]:
+    if len(cloud.xyz_m) == 0:
+        return
+    if level == LAST_LEVEL or len(cloud.xyz_m) <= LEAF_POINTS:
+        yield encode_tile(level, ix, iy, cloud, voxel_m)
+        return
+    chosen, rest = _split(cloud, level)
+    yield encode_tile(level, ix, iy, chosen, voxel_m)
+    quarter = cell_indices(rest.xyz_m, tile_side_m(level + 1)) - [2 * ix, 2 * iy]
+    for dx in (0, 1):
+        for dy in (0, 1):
+            part = rest.take((quarter[:, 0] == dx) & (quarter[:, 1] == dy))
+            yield from _fine_tiles(part, level + 1, 2 * ix + dx, 2 * iy + dy, voxel_m)
+
+
+def encode_tile(level: int, ix: int, iy: int, cloud: Cloud, voxel_m: float) -> Tile:
+    """One tile of at least one point that lies inside it."""
+    side = tile_side_m(level)
+    low, high = cloud.xyz_m.min(axis=0), cloud.xyz_m.max(axis=0)
+    origin = np.array([ix * side, iy * side, low[2]])
+    span = np.array([side, side, max(high[2] - low[2], 1e-3)])
+    scale = np.maximum(span / _STEPS, voxel_m * _ROUNDING)
+    steps = np.clip(np.rint((cloud.xyz_m - origin) / scale), 0, _STEPS).astype(np.uint16)
+    x, y, z = (float(v) for v in origin)
+    sx, sy, sz = (float(v) for v in scale)
+    payload = encode_points(steps, cloud.shade)
+    return Tile(level, ix, iy, len(steps), (x, y, z), (sx, sy, sz), float(high[2]), payload)
+
+
+def encode_points(steps: NDArray[np.uint16], shade: NDArray[np.uint8]) -> bytes:
+    """Gzip of: low bytes, then high bytes, of the zigzag differences of x; the same of y and z; then shades. N points, 7 N bytes.
+
+    steps (N, 3). The points are put along the Z-order curve first, so that differences are small; equal points give equal bytes.
+    """
+    order = np.lexsort((shade, steps[:, 2], steps[:, 1], steps[:, 0], _z_order(steps[:, 0], steps[:, 1])))
+    planes: list[bytes] = []
+    for axis in range(3):
+        values = steps[order, axis].astype(np.int32)
+        difference = (np.diff(values, prepend=0) + 0x8000) % 0x10000 - 0x8000  # modulo 2^16, as a signed number
+        zigzag = (difference << 1 ^ difference >> 15) & 0xFFFF
+        planes += [(zigzag & 0xFF).astype(np.uint8).tobytes(), (zigzag >> 8).astype(np.uint8).tobytes()]
+    packer = zlib.compressobj(9, zlib.DEFLATED, 31)  # 31: a gzip header without name and time
+    return packer.compress(b"".join([*planes, shade[order].tobytes()])) + packer.flush()
+
+
+def decode_points(payload: bytes) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
+    """steps (N, 3) and shades (N,) of `encode_points`."""
+    data = np.frombuffer(zlib.decompress(payload, 31), np.uint8)
+    count = len(data) // 7
+    steps = np.empty((count, 3), np.uint16)
+    for axis in range(3):
+        low, high = (data[(2 * axis + i) * count : (2 * axis + i + 1) * count].astype(np.int64) for i in (0, 1))
+        zigzag = low | high << 8
+        steps[:, axis] = np.cumsum(zigzag >> 1 ^ -(zigzag & 1)) & 0xFFFF
+    return steps, data[6 * count :]
+
+
+def _z_order(x: NDArray[np.uint16], y: NDArray[np.uint16]) -> NDArray[np.uint64]:
+    key = np.zeros(len(x), np.uint64)
+    wide_x, wide_y = x.astype(np.uint64), y.astype(np.uint64)
+    for bit in range(16):
+        shift, one = np.uint64(bit), np.uint64(1)
+        key |= (wide_x >> shift & one) << np.uint64(2 * bit) | (wide_y >> shift & one) << np.uint64(2 * bit + 1)
+    return key

@@ -1,0 +1,165 @@
+"""What a drive folder says of itself at a glance: when, how many pictures, which. No picture is opened.
+
+For plans over many drives. What is found here is enough to know a drive again, not to trust it: the exact content is compared
+when the drive is ingested.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from conetl.errors import ConetlError, DriveFolderError
+from conetl.io.calibration_files import CAM_TO_CAM, IMU_TO_VELO, RIG_YAML, VELO_TO_CAM
+from conetl.io.drive_folder.content import ContentHash
+from conetl.io.drive_folder.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml
+from conetl.io.drive_folder.kitti import is_kitti_folder
+from conetl.io.drive_folder.pairs import IMAGE_SUFFIXES
+from conetl.io.drive_folder.plain import TRAJECTORY, is_plain_folder
+from conetl.io.drive_folder.timestamps import parse_timestamp
+from conetl.records import utc_from_ns
+
+#: A drive may lie in folders by month, day, vehicle; deeper ones are not looked for.
+MAX_DEPTH = 6
+#: Pictures a side whose size takes part in the header: a drive delivered again with other pictures is another one.
+SAMPLED_PICTURES = 16
+MARKER = "COMPLETE"
+
+
+@dataclass(frozen=True)
+class DriveOutline:
+    """A drive folder at a glance."""
+
+    path: Path
+    drive_id: str
+    header_sha256: str
+    frame_pairs: int
+    captured_from_ns: int | None
+    captured_to_ns: int | None
+    """UTC; None where the folder does not tell, then `problem` says why."""
+    problem: str | None
+
+    @property
+    def captured_from(self) -> datetime | None:
+        return None if self.captured_from_ns is None else utc_from_ns(self.captured_from_ns)
+
+
+def find_drives(root: Path) -> Iterator[Path]:
+    """Drive folders in `root` and the folders below it, `root` itself included, by path; hidden folders are left out."""
+    if not root.is_dir():
+        raise DriveFolderError(f"{root}: there is no such folder; give a folder that holds drives")
+    yield from _find(root.resolve(), MAX_DEPTH)
+
+
+def _find(folder: Path, depth: int) -> Iterator[Path]:
+    if is_kitti_folder(folder) or is_plain_folder(folder):
+        yield folder
+        return
+    if depth == 0:
+        return
+    with os.scandir(folder) as entries:
+        names = sorted(entry.name for entry in entries if entry.is_dir() and not entry.name.startswith("."))
+    for name in names:
+        yield from _find(folder / name, depth - 1)
+
+
+def outline_drive(folder: Path) -> DriveOutline:
+    """The outline of a drive folder; what is wrong with it stands in `problem`, nothing is raised for it."""
+    content = ContentHash()
+    drive_id, pairs = folder.name[:200], 0
+    first_ns = last_ns = problem = None
+    try:
+        settings = read_drive_yaml(folder)
+        drive_id = settings.drive_id or drive_id
+        content.add("drive_id", drive_id.encode())
+        _add_file(content, folder, DRIVE_YAML)
+        plain = is_plain_folder(folder)
+        sides = ("left", "right") if plain else (f"{settings.cameras.left}/data", f"{settings.cameras.right}/data")
+        pairs = len(set.union(*(_add_pictures(content, folder, side) for side in sides)))
+        first_ns, last_ns = (_plain_times if plain else _kitti_times)(content, folder, settings)
+        if not pairs:
+            problem = f"there are no pictures in {sides[0]} and {sides[1]}"
+    except (ConetlError, OSError, ValueError) as error:
+        problem = f"{error}"
+    return DriveOutline(folder, drive_id, content.hexdigest(), pairs, first_ns, last_ns, problem)
+
+
+def quiet_since(folder: Path) -> float | None:
+    """When anything in a drive folder changed last (seconds since 1970), None where the marker file says that it is complete.
+
+    The time is that of the inode (ctime): copying tools set modification times back to those of the source, this one they cannot.
+    """
+    if (folder / MARKER).exists():
+        return None
+    latest = folder.stat().st_ctime
+    for parent, folders, files in os.walk(folder):
+        for name in (*folders, *files):
+            try:
+                latest = max(latest, (Path(parent) / name).lstat().st_ctime)
+            except FileNotFoundError:  # renamed this very moment
+                latest = max(latest, datetime.now(UTC).timestamp())
+    return latest
+
+
+def _add_file(content: ContentHash, folder: Path, name: str) -> None:
+    path = folder / name
+    if path.is_file():
+        content.add(name, path.read_bytes())
+
+
+def _add_pictures(content: ContentHash, folder: Path, side: str) -> set[str]:
+    """Names of all pictures of one side, and sizes of a few, into the header; the stems."""
+    data = folder / side
+    if not data.is_dir():
+        raise DriveFolderError(f"{folder}: the folder {side} is missing")
+    with os.scandir(data) as entries:
+        found = (entry.name for entry in entries if not entry.name.startswith("."))
+        names = sorted(name for name in found if os.path.splitext(name)[1].lower() in IMAGE_SUFFIXES)  # noqa: PTH122 -- many
+    sample = names[:: max(1, len(names) // SAMPLED_PICTURES)]
+    sizes = [f"{name} {(data / name).stat().st_size}" for name in sample]
+    content.add(side, "\n".join([*names, *sizes]).encode(errors="surrogateescape"))
+    return {name.rsplit(".", 1)[0] for name in names}
+
+
+def _kitti_times(content: ContentHash, folder: Path, settings: DriveYaml) -> tuple[int, int]:
+    for name in (CAM_TO_CAM, VELO_TO_CAM, IMU_TO_VELO):
+        _add_file(content, folder if (folder / CAM_TO_CAM).is_file() else folder.parent, name)
+    _add_file(content, folder, "oxts/timestamps.txt")
+    name = f"{settings.cameras.left}/timestamps.txt"
+    path = folder / name
+    if not path.is_file():
+        raise DriveFolderError(f"{folder}: {name} is missing")
+    data = path.read_bytes()
+    content.add(name, data)
+    lines = data.decode("utf-8", errors="replace").splitlines()
+    return _ends(lines, settings.timestamps_timezone, path)
+
+
+def _plain_times(content: ContentHash, folder: Path, settings: DriveYaml) -> tuple[int, int]:
+    _add_file(content, folder, RIG_YAML)
+    path = folder / TRAJECTORY
+    if not path.is_file():
+        raise DriveFolderError(f"{folder}: {TRAJECTORY} is missing")
+    data = path.read_bytes()
+    content.add(TRAJECTORY, data)
+    rows = csv.DictReader(data.decode("utf-8", errors="replace").splitlines())
+    return _ends([row.get("captured_at") or "" for row in rows], settings.timestamps_timezone, path)
+
+
+def _ends(stamps: list[str], zone: str, path: Path) -> tuple[int, int]:
+    """First and last time that can be read. Raises DriveFolderError."""
+    found: list[int] = []
+    for lines in (iter(stamps), reversed(stamps)):
+        for line in lines:
+            try:
+                found.append(parse_timestamp(line, zone))
+            except ValueError:
+                continue
+            break
+    if not found:
+        raise DriveFolderError(f"{path}: there is no time stamp that can be read")
+    return min(found), max(found)

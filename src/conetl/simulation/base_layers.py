@@ -1,0 +1,129 @@
+"""The base layers of the sample scenario: a LiDAR survey of the street before the cones came, and its lane boundaries."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import laspy
+import numpy as np
+from numpy.typing import NDArray
+from pyproj import CRS, Transformer
+
+from conetl.errors import InputError
+from conetl.geometry.point_tiles import first_in_voxels
+from conetl.simulation.scenario import scenario_pass
+from conetl.simulation.scene import build_scene, load_mitsuba
+from conetl.simulation.trajectory import MAP_SRID, map_SE3_road
+from conetl.simulation.world import Road
+
+Array = NDArray[np.float64]
+
+POINTS_FILE = "street.laz"
+LINES_FILE = "lane_boundaries.geojson"
+#: A scanner on the roof, 32 beams, a turn every two metres of the way there.
+_SCANNER_HEIGHT_M = 1.9
+_BEAMS_DEG = np.linspace(-24.0, 12.0, 32)
+_AZIMUTH_STEP_DEG = 0.5
+_SCAN_EVERY_M = 2.0
+_RANGE_M = 45.0
+_RANGE_SIGMA_M = 0.015
+_VOXEL_M = 0.22
+_LINE_STEP_M = 10.0
+
+
+def simulate_base_layers(folder: Path, *, seed: int) -> tuple[Path, Path]:
+    """Write street.laz (points, EPSG:32632) and lane_boundaries.geojson (WGS 84) into `folder`; their paths.
+
+    The street of the sample scenario without its cones, seen by a LiDAR on a car. Equal seeds give equal files. Raises InputError
+    where Mitsuba is missing or a file is there already.
+    """
+    points, lines = folder / POINTS_FILE, folder / LINES_FILE
+    for path in (points, lines):
+        if path.exists():
+            raise InputError(f"{path}: is there already; name another folder")
+    load_mitsuba()
+    folder.mkdir(parents=True, exist_ok=True)
+    xyz, intensity = _scan(seed)
+    _write_las(points, xyz, intensity)
+    lines.write_text(_boundaries(scenario_pass(1).world.road), encoding="utf-8")
+    return points, lines
+
+
+def _scan(seed: int) -> tuple[Array, NDArray[np.uint16]]:
+    """Points (N, 3) on the map and their intensities (N,), thinned by voxel."""
+    mi = load_mitsuba()
+    scenario = scenario_pass(1)
+    scene = build_scene(replace(scenario.world, cones=()))
+    rng = np.random.default_rng([seed, 99])
+    directions = _directions()
+    found: list[Array] = []
+    bright: list[Array] = []
+    for x in np.arange(scenario.start_x_m - 8.0, scenario.end_x_m + 25.0, _SCAN_EVERY_M):
+        origin = np.array([x, -1.0, _SCANNER_HEIGHT_M])
+        for direction in directions:
+            ray = mi.Ray3f(mi.ScalarPoint3f(origin.tolist()), mi.ScalarVector3f(direction.tolist()))
+            hit = scene.ray_intersect(ray)
+            if not hit.is_valid() or not float(hit.t) <= _RANGE_M:
+                continue
+            reach = float(hit.t) + rng.normal(0.0, _RANGE_SIGMA_M)
+            found.append(origin + reach * direction)
+            colour = hit.bsdf().eval_diffuse_reflectance(hit)
+            bright.append(np.array([float(np.mean(np.array(colour)))]))
+    road = np.array(found)
+    first = first_in_voxels(road, _VOXEL_M)
+    motion = map_SE3_road()
+    intensity = np.clip(np.rint(np.concatenate(bright) * 255.0 / 0.8), 0, 255).astype(np.uint16)
+    return road[first] @ motion[:3, :3].T + motion[:3, 3], intensity[first]
+
+
+def _directions() -> Array:
+    """Unit vectors (N, 3) of one turn of the scanner, in the road frame."""
+    azimuth, elevation = np.meshgrid(np.radians(np.arange(0.0, 360.0, _AZIMUTH_STEP_DEG)), np.radians(_BEAMS_DEG))
+    cos = np.cos(elevation)
+    return np.stack([cos * np.cos(azimuth), cos * np.sin(azimuth), np.sin(elevation)], axis=-1).reshape(-1, 3)
+
+
+def _write_las(path: Path, xyz: Array, intensity: NDArray[np.uint16]) -> None:
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales = np.full(3, 0.01)
+    header.offsets = np.floor(xyz.min(axis=0))
+    header.add_crs(CRS.from_epsg(MAP_SRID))
+    header.creation_date = scenario_pass(1).start_utc.date()
+    header.generating_software = "conetl simulate"
+    las = laspy.LasData(header)
+    order = np.lexsort(np.floor(xyz / 4.0).T)  # neighbours together: compresses better
+    las.x, las.y, las.z = xyz[order].T
+    las.intensity = intensity[order]
+    las.write(path)
+
+
+def _boundaries(road: Road) -> str:
+    """GeoJSON (RFC 7946) of what is painted, and of the kerbs, with ellipsoidal heights."""
+    to_wgs84 = Transformer.from_crs(MAP_SRID, 4326, always_xy=True)
+    motion = map_SE3_road()
+    features: list[dict[str, Any]] = []
+
+    def add(kind: str, subtype: str, y: float, start: float, end: float, z: float) -> None:
+        x = np.linspace(start, end, max(math.ceil((end - start) / _LINE_STEP_M), 1) + 1)
+        places = np.column_stack([x, np.full(len(x), y), np.full(len(x), z)]) @ motion[:3, :3].T + motion[:3, 3]
+        lon, lat = to_wgs84.transform(places[:, 0], places[:, 1])
+        coordinates = [
+            [round(a, 9), round(b, 9), round(c, 3)] for a, b, c in zip(lon, lat, places[:, 2].tolist(), strict=True)
+        ]
+        geometry = {"type": "LineString", "coordinates": coordinates}
+        features.append({"type": "Feature", "properties": {"kind": kind, "subtype": subtype}, "geometry": geometry})
+
+    start, end = road.start_m, road.end_m
+    for y in road.edge_lines:
+        add("line_thin", "solid", y, start, end, 0.003)
+    if road.centre_line:
+        add("line_thin", "dashed", 0.0, start, end, 0.003)
+    for y in (road.right_m, road.left_m):
+        add("curbstone", "high", y, start, end, 0.12)
+    add("road_border", "pavement", road.right_m - 0.14 - road.pavement_width_m, start, end, 0.10)
+    head = '{"type": "FeatureCollection", "features": [\n'
+    return head + ",\n".join(json.dumps(feature) for feature in features) + "\n]}\n"

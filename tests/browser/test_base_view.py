@@ -1,0 +1,137 @@
+"""Base layers in a real Chromium: red points and green lines under the cones, switched on and off, never more than the budget."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import laspy
+import numpy as np
+import pytest
+from pyproj import CRS, Transformer
+from typer.testing import CliRunner
+
+from conetl.cli.app import app
+from tests.browser.test_view import (  # fixtures are used by their names
+    address,  # noqa: F401
+    browser,  # noqa: F401
+    click_cone,
+    conn,  # noqa: F401
+    features,  # noqa: F401
+    open_view,
+    page,  # noqa: F401
+    picture,
+    pictures,  # noqa: F401
+    pixels_of,
+    pytestmark,  # noqa: F401
+    settle,
+)
+from tests.unit.io.test_base_layers import geojson, line
+
+#: The darkest points and the painted lines, as in web/src/base.ts.
+LINE = (0x0B, 0x8A, 0x3A)
+SAFE_LINE = (0x64, 0x49, 0x16)
+POINT_COUNT, LINE_COUNT = 100_000, 200
+
+
+def reddish(image: np.ndarray) -> int:
+    """Pixels of points: red, whatever their intensity."""
+    red, green, blue = np.moveaxis(image, 2, 0)
+    return int(((red > 190) & (red - green > 45) & (abs(green - blue) < 25)).sum())
+
+
+@pytest.fixture(scope="module", autouse=True)
+def base_layers(module_database_url: str, features: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> None:  # noqa: F811
+    folder = tmp_path_factory.mktemp("base")
+    rng = np.random.default_rng(1)
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales, header.offsets = [0.001] * 3, [458_000.0, 5_428_000.0, 100.0]
+    header.add_crs(CRS.from_epsg(32632))
+    las = laspy.LasData(header)
+    las.x, las.y = rng.uniform(457_960, 458_060, POINT_COUNT), rng.uniform(5_427_980, 5_428_060, POINT_COUNT)
+    las.z = 114.48 + rng.normal(0, 0.01, POINT_COUNT)
+    las.intensity = rng.integers(0, 255, POINT_COUNT)
+    las.write(folder / "street.laz")
+    to_wgs84 = Transformer.from_crs(32632, 4326, always_xy=True)
+
+    def place(east_m: float, north_m: float) -> list[float]:
+        return [*to_wgs84.transform(458_000 + east_m, 5_428_000 + north_m), 114.5]
+
+    lanes = geojson(
+        folder / "lanes.geojson", *(line(place(-20, 2 * i), place(40, 2 * i), kind="line_thin") for i in range(LINE_COUNT))
+    )  # fmt: skip
+    environment = {"CONETL_DATABASE_URL": module_database_url, "CONETL_HOME": str(folder / "home")}
+    result = CliRunner().invoke(app, ["base", "import", str(folder / "street.laz"), str(lanes)], env=environment)
+    assert result.exit_code == 0, result.output
+
+
+def all_drawn(tab: Any) -> None:
+    """Wait until every tile that the camera asks for is there and drawn."""
+    tab.wait_for_selector("canvas[data-loading='0']")
+    tab.wait_for_timeout(400)
+    settle(tab)
+
+
+def test_points_and_lines_are_drawn_and_can_be_switched_off(page, address):  # noqa: F811
+    started = time.monotonic()
+    open_view(page, address)
+    page.wait_for_selector(f'html[data-lines="{LINE_COUNT}"]', state="attached")
+    page.wait_for_selector("canvas[data-points]:not([data-points='0'])")
+    print(
+        f"first picture with {POINT_COUNT} points, {LINE_COUNT} lines: {time.monotonic() - started:.1f} s (software GL, settled)"
+    )
+    all_drawn(page)
+    on = picture(page)
+    assert reddish(on) > 3_000
+    assert pixels_of(on, LINE) > 300
+    page.click("label:has(#points)")
+    settle(page)
+    without = picture(page)
+    assert reddish(without) < reddish(on) / 10 and pixels_of(without, LINE) > 300
+    assert page.get_attribute("canvas", "data-points") == "0"
+    page.keyboard.press("2")
+    settle(page)
+    assert pixels_of(picture(page), LINE) == 0
+    page.wait_for_timeout(200)  # the address follows a moment later
+    assert "points=0&lines=0" in page.url
+    page.keyboard.press("1")
+    page.keyboard.press("2")
+    settle(page)
+    again = picture(page)
+    assert reddish(again) > 3_000 and pixels_of(again, LINE) > 300
+
+
+def test_safe_colours_come_with_the_address(page, address):  # noqa: F811
+    open_view(page, address, "#colours=safe")
+    page.wait_for_selector(f'html[data-lines="{LINE_COUNT}"]', state="attached")
+    all_drawn(page)
+    image = picture(page)
+    assert reddish(image) < 600  # markers of moved cones have some
+    assert pixels_of(image, SAFE_LINE) > 300 > pixels_of(image, LINE)
+    assert page.is_checked("#safe-colours")
+
+
+def test_cones_are_found_among_points_and_nothing_is_drawn_at_rest(page, address, features):  # noqa: F811
+    open_view(page, address)
+    all_drawn(page)
+    frames = page.get_attribute("canvas", "data-frames")
+    page.wait_for_timeout(1_500)
+    assert page.get_attribute("canvas", "data-frames") == frames
+    click_cone(page, features["comes"])
+    page.wait_for_selector(f"h2:text-is('{features['comes'][:8]}')")
+    x, y = page.evaluate("id => window.conetlProject(id)", features["stays"])
+    print(f"finding the cone under a click: {page.evaluate('([x, y]) => window.conetlPickTime(x, y)', [x, y]):.2f} ms")
+    assert int(page.get_attribute("canvas", "data-points")) <= 1_000_000
+
+
+def test_finer_tiles_come_nearer_and_a_missing_tile_is_said(page, address):  # noqa: F811
+    asked: list[str] = []
+    page.on("request", lambda r: asked.append(r.url) if "/tiles/" in r.url else None)
+    open_view(page, address)
+    all_drawn(page)
+    before = len(asked)
+    for _ in range(14):
+        page.keyboard.press("-")
+    all_drawn(page)
+    assert before <= len(asked) <= before + 40  # coarse tiles of the surroundings, each once
+    assert len(set(asked)) == len(asked)

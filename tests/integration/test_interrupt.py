@@ -1,0 +1,59 @@
+"""Ctrl-C and folders that cannot be written to, through the command line."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+DRIVE = sorted((ROOT / "data" / "drives").iterdir())[0]
+COMMAND = [sys.executable, "-c", "from conetl.cli import main; main()"]
+
+
+def environment(home):
+    paths = os.pathsep.join([str(ROOT / "src"), str(ROOT)])
+    return {**os.environ, "PYTHONPATH": paths, "CONETL_HOME": str(home)}
+
+
+@pytest.mark.parametrize("presses", [1, 2])
+def test_ctrl_c_is_one_sentence_and_an_exit_code_of_its_own(tmp_path, presses):
+    """A second Ctrl-C ends what does not listen to the first."""
+    body = "time.sleep(60)" if presses == 1 else "try: time.sleep(60)\n    finally: time.sleep(60)"
+    wait = "import time\nfrom conetl.cli import app, main\n@app.command()\ndef wait():\n"
+    wait += f"    print('ready', flush=True)\n    {body}"
+    code = f"{wait}\nimport sys; sys.argv = ['conetl', 'wait']; main()"
+    process = subprocess.Popen(
+        [sys.executable, "-c", code],
+        env=environment(tmp_path),
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout.readline() == "ready\n"
+    for _ in range(presses):
+        process.send_signal(signal.SIGINT)
+        time.sleep(0.5)
+    _, complaint = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "Ctrl-C again to stop at once" in complaint
+    assert ("is on the map as a whole or not at all" in complaint) == (presses == 1)
+    assert "Traceback" not in complaint
+
+
+def test_a_home_that_cannot_be_written_to_is_named(tmp_path):
+    home = tmp_path / "home"
+    home.write_text("a file in the way, which stops root as well")
+    done = subprocess.run(
+        [*COMMAND, "ingest", str(DRIVE)], env=environment(home), cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert "cannot be written to" in done.stderr
+    assert "CONETL_HOME" in done.stderr
+    assert "Traceback" not in done.stderr

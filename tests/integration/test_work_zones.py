@@ -1,0 +1,106 @@
+"""Work zones through the command line on PostGIS: feeds over days, an end, the layout check and its files."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from conetl.cli.app import app
+from conetl.errors import ConetlError
+from conetl.io.exports.wzdx_schema import schema_faults
+from tests.integration.drives_of_days import merge, survey
+
+FEED = ("--publisher", "City", "--road-name", "L 605")
+
+
+@pytest.fixture
+def conetl(database_url, tmp_path, monkeypatch):
+    """The command line in this process: what a command prints, or the words of the error that it ends with."""
+    environment = {"CONETL_DATABASE_URL": database_url, "CONETL_HOME": str(tmp_path / "home")}
+
+    def run(*arguments, code=0):
+        with monkeypatch.context() as patch:
+            for name, value in environment.items():
+                patch.setenv(name, value)
+            done = CliRunner().invoke(app, list(map(str, arguments)))
+        if code:
+            assert isinstance(done.exception, ConetlError), done.output
+            assert done.exception.exit_code == code
+            return str(done.exception)
+        assert done.exception is None, done.exception
+        return done.output
+
+    return run
+
+
+def feed_of(conetl, path, *options, kind="wzdx"):
+    conetl("map", "export", "--format", kind, "--out", path, *FEED, *options)
+    document = json.loads(path.read_text())
+    assert schema_faults(document, "WorkZoneFeed" if kind == "wzdx" else "DeviceFeed") == []
+    return document
+
+
+def test_a_work_zone_that_is_gone_on_the_third_day_ends(conn, samples, conetl, tmp_path):
+    cones = [samples.feature(str(k), xyz_m=(458_000.0 + 6.0 * k, 5_428_010.0, 114.5)) for k in range(5)]
+    samples.commit(conn, *[samples.added(cone) for cone in cones], key="1")
+    day = samples.DAY_NS
+    samples.commit(conn, samples.removed(cones[4], samples.START_NS + day), key="2", start_ns=samples.START_NS + day)
+    third = samples.START_NS + 2 * day
+    samples.commit(conn, *[samples.removed(cone, third) for cone in cones[:4]], key="3", start_ns=third)
+
+    path = tmp_path / "feed.geojson"
+    times = ("2026-03-01T20:00", "2026-03-02T20:00", "2026-03-03T20:00")
+    first, second, last = (feed_of(conetl, path, "--as-of", time)["features"] for time in times)
+    assert [len(features) for features in (first, second, last)] == [1, 1, 1]
+    assert first[0]["id"] == second[0]["id"] == last[0]["id"]
+    status = [features[0]["properties"] for features in (first, second, last)]
+    assert [s["event_status"] for s in status] == ["active", "active", "completed"]
+    assert [s["is_end_date_verified"] for s in status] == [False, False, True]
+    assert {s["start_date"] for s in status} == {"2026-03-01T08:00:00Z"}
+    assert [s["end_date"] for s in status] == ["2026-03-02T20:00:00Z", "2026-03-03T20:00:00Z", "2026-03-03T08:00:00Z"]
+    assert [len(features[0]["conetl"]["device_ids"]) for features in (first, second, last)] == [5, 4, 4]
+    # Nobody drove along it: the map does not claim to know the direction, nor which end is the start.
+    assert status[0]["core_details"]["direction"] == "unknown"
+    assert not status[0]["is_start_position_verified"]
+    assert feed_of(conetl, path, "--as-of", "2026-03-30")["features"] == []
+    assert feed_of(conetl, path, "--as-of", times[2], kind="wzdx-devices")["features"] == []
+    devices = feed_of(conetl, path, "--as-of", times[1], kind="wzdx-devices")["features"]
+    marks = sorted(mark["type"] for d in devices for mark in d["properties"]["marked_locations"])
+    assert marks == ["delineator", "delineator", "work-zone-end", "work-zone-start"]
+    assert "nothing" not in conetl("map", "check-layout", "--as-of", times[2])
+
+
+def test_the_layout_check_writes_table_layer_and_picture(conn, conetl, tmp_path):
+    for day in (0, 1):
+        merge(conn, survey(day))
+    layer, picture = tmp_path / "layout.geojson", tmp_path / "new" / "layout.png"
+    table = conetl("map", "check-layout", "--speed-kmh", 50, "--out", layer, "--picture", picture)
+    assert "at most 9.5 m between cones in tapers, 18.9 m in tangents" in table
+    found = json.loads(conetl("map", "check-layout", "--json"))
+    assert found["work_zones"]
+    features = json.loads(layer.read_text())["features"]
+    assert [f["properties"]["rule"] for f in features] == [f["rule"] for f in found["findings"]]
+    assert picture.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    # Stricter rules of one's own, named in a file.
+    rules = tmp_path / "rules.yaml"
+    rules.write_text("layout: {taper_spacing_ft_per_mph: 0.2, tangent_spacing_ft_per_mph: 0.2}\n")
+    strict = json.loads(conetl("map", "check-layout", "--rules", rules, "--json"))["findings"]
+    assert sum(f["rule"] != "cone in open lane" for f in strict) > sum(
+        f["rule"] != "cone in open lane" for f in found["findings"]
+    )
+    rules.write_text("layout: {spacing: 3}\n")
+    assert "layout.spacing" in conetl("map", "check-layout", "--rules", rules, code=2)
+
+
+def test_a_feed_without_its_publisher_is_not_written(conn, conetl, tmp_path):
+    merge(conn, survey(0))
+    path = tmp_path / "feed.geojson"
+    complaint = conetl("map", "export", "--format", "wzdx", "--out", path, code=2)
+    assert "publisher" in complaint
+    assert "--road-name" in complaint
+    assert "no such file" in conetl(
+        "map", "export", "--format", "wzdx", "--out", path, *FEED, "--lanes", tmp_path / "none.gpkg", code=2
+    )
+    assert not path.exists()

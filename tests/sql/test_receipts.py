@@ -1,0 +1,207 @@
+"""Receipts and plans on a real PostGIS: what is done, what is not, and what a crash looks like."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+import pytest
+
+from conetl.io.db import connect, execute
+from conetl.io.drive_folder.outline import DriveOutline
+from conetl.io.receipt_store import Receipt, end_crashed, held_locks, holding, latest_receipts, run_lock, write_receipt
+from conetl.params import IngestParams
+from conetl.settings import Settings
+from flows import plan as planning
+from flows.plan import Plan, analysis_of, plan_as_dict, plan_drives
+
+SAMPLES = Path(__file__).resolve().parents[2] / "data" / "drives"
+DAY = 86_400
+ROOT = Path("drives")
+
+
+def outlines(count: int) -> list[DriveOutline]:
+    """Simulated drives, one a day from 2026-01-01 on."""
+    start_ns = int(datetime(2026, 1, 1, tzinfo=UTC).timestamp()) * 1_000_000_000
+    return [
+        DriveOutline(
+            ROOT / f"d{i:04d}",
+            f"d{i:04d}",
+            f"{i:064x}",
+            100,
+            start_ns + i * DAY * 10**9,
+            start_ns + i * DAY * 10**9 + 10**10,
+            None,
+        )
+        for i in range(count)
+    ]
+
+
+@pytest.fixture
+def plan(conn: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """`plan(outlines, **options)`: a plan over drives that need not exist."""
+
+    def make(drives: list[DriveOutline], **options: Any) -> Plan:
+        by_path = {drive.path: drive for drive in drives}
+        monkeypatch.setattr(planning, "outline_drive", by_path.__getitem__)
+        return plan_drives(conn, ROOT, settings=Settings(), params=IngestParams(), folders=list(by_path), **options)
+
+    return make
+
+
+@pytest.fixture
+def receipt(conn: Any, tmp_path: Path) -> Any:
+    """`receipt(outline, state, **values)`: writes a receipt, with the start before an end."""
+
+    def write(outline: DriveOutline, state: str, **values: Any) -> Receipt:
+        analysis = analysis_of(IngestParams(), Settings()).sha256
+        started = Receipt(
+            uuid4(), "default", str(outline.path), outline.drive_id, outline.header_sha256, analysis, None, "started", "", True,
+            None, 100, None, None, "here",
+        )  # fmt: skip
+        started = replace(started, **{k: v for k, v in values.items() if k == "analysis_sha256"})
+        write_receipt(conn, started, tmp_path)
+        if state != "started":
+            write_receipt(conn, replace(started, state=state, **values), tmp_path)
+        return started
+
+    return write
+
+
+def actions(plan: Plan) -> list[tuple[str, str]]:
+    return [(line.outline.drive_id, line.action) for line in plan.lines]
+
+
+def test_new_drives_are_planned_in_the_order_of_their_recording(plan: Any) -> None:
+    made = plan(list(reversed(outlines(3))))
+    assert actions(made) == [("d0000", "ingest"), ("d0001", "ingest"), ("d0002", "ingest")]
+    assert made.frame_pairs == 300
+    assert made.estimate_s(1) is None
+    assert json.loads(json.dumps(plan_as_dict(made, 2)))["to_ingest"] == 3
+
+
+def test_since_belongs_to_the_span_and_until_does_not(plan: Any) -> None:
+    made = plan(outlines(5), since=datetime(2026, 1, 2, tzinfo=UTC), until=datetime(2026, 1, 4, tzinfo=UTC))
+    assert [name for name, _ in actions(made)] == ["d0001", "d0002"]
+
+
+def test_what_is_done_is_left_alone_and_only_what_failed_is_tried_again(
+    plan: Any, receipt: Any, conn: Any, samples: Any
+) -> None:
+    samples.commit(conn, samples.added(samples.feature()), key="a")
+    drives = outlines(5)
+    receipt(drives[0], "committed", changeset_id=changeset_id(conn), seconds=50.0, may_pass=False)
+    receipt(drives[1], "failed", reason="not one usable pose", may_pass=False)
+    receipt(drives[2], "started")
+    receipt(drives[3], "committed", changeset_id=changeset_id(conn), analysis_sha256="ab" * 32, may_pass=False)
+    made = plan(drives)
+    assert [action for _, action in actions(made)] == ["skip", "ingest", "ingest", "ingest", "ingest"]
+    why = [line.why for line in made.lines]
+    assert "not one usable pose" in why[1]
+    assert "interrupted" in why[2]
+    assert "other parameters" in why[3]
+    assert why[4] == "new"
+    assert made.pairs_per_second == 2.0
+    assert made.estimate_s(2) == 400 / 2.0 / 2
+    assert [action for _, action in actions(plan(drives, recheck=True))] == ["ingest"] * 5
+
+
+def test_a_schedule_leaves_alone_what_failed_until_it_changes(plan: Any, receipt: Any) -> None:
+    drives = outlines(4)
+    receipt(drives[0], "failed", reason="not one usable pose", may_pass=False)
+    receipt(drives[1], "crashed", reason="signal 9", may_pass=True)
+    for _ in range(3):
+        receipt(drives[2], "crashed", reason="signal 9", may_pass=True)
+    made = plan([*drives[:3], replace(drives[3], problem="there are no pictures")], once=True)
+    assert [action for _, action in actions(made)] == ["skip", "ingest", "skip", "refuse"]
+    changed = replace(drives[0], header_sha256="f" * 64)
+    assert plan([changed], once=True).lines[0].action == "ingest"
+
+
+def test_a_drive_that_was_ingested_by_hand_is_known(plan: Any, conn: Any, samples: Any) -> None:
+    samples.commit(conn, samples.added(samples.feature()), key="a")
+    analysis = analysis_of(IngestParams(), Settings())
+    conn.rollback()
+    execute(
+        conn,
+        "update conetl.changeset set params_sha256 = %(p)s, model_sha256 = %(m)s",
+        {"p": analysis.params_sha256, "m": analysis.model_sha256},
+    )
+    conn.commit()
+    known = replace(
+        outlines(1)[0], drive_id="drive_a", captured_from_ns=samples.START_NS, captured_to_ns=samples.START_NS + 10**10
+    )
+    other = replace(known, path=ROOT / "other", header_sha256="e" * 64, captured_from_ns=known.captured_to_ns)
+    assert [line.action for line in plan([known, other]).lines] == ["skip", "ingest"]
+
+
+def test_the_same_recording_twice_is_ingested_once(plan: Any) -> None:
+    first = outlines(1)[0]
+    made = plan([first, replace(first, path=ROOT / "copy")])
+    assert sorted(line.action for line in made.lines) == ["ingest", "skip"]
+
+
+def test_a_lock_says_who_lives(conn: Any, database_url: str, plan: Any, receipt: Any, tmp_path: Path) -> None:
+    drive = outlines(1)[0]
+    started = receipt(drive, "started")
+    names = [started.drive_lock, run_lock("a"), run_lock("b")]
+    with holding(database_url, started.drive_lock, run_lock("a")):
+        assert held_locks(conn, names) == set(names[:2])
+        assert plan([drive]).lines[0].action == "wait"
+        assert end_crashed(conn, started, "gone", tmp_path) is None
+    assert held_locks(conn, names) == set()
+    assert end_crashed(conn, started, "gone", tmp_path) is not None
+    assert end_crashed(conn, started, "gone", tmp_path) is None, "told once"
+    assert latest_receipts(conn, map_name="default")[drive.header_sha256].state == "crashed"
+    assert held_locks(conn, names) == set()
+
+
+def test_receipts_are_files_too(receipt: Any, tmp_path: Path) -> None:
+    receipt(outlines(1)[0], "failed", reason="not one usable pose", may_pass=False)
+    (path,) = (tmp_path / "default").glob("d0000-*.json")
+    kept = json.loads(path.read_text())
+    assert (kept["state"], kept["reason"], kept["attempts"]) == ("failed", "not one usable pose", 1)
+
+
+def test_the_writer_may_add_receipts_and_not_change_them(database_url: str, receipt: Any) -> None:
+    receipt(outlines(1)[0], "started")
+    writer = connect(database_url)
+    execute(writer, "set role conetl_writer")
+    with pytest.raises(Exception, match="permission denied"):
+        execute(writer, "update conetl.receipt set reason = 'x'")
+    writer.close()
+
+
+def test_a_thousand_drives_are_planned_without_opening_a_picture(
+    conn: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Real folders of real small files; the pictures cannot be read at all."""
+    template = tmp_path / "template"
+    sample = next(SAMPLES.iterdir())
+    for side in ("image_02", "image_03"):
+        (template / side / "data").mkdir(parents=True)
+        for number in range(3):
+            (template / side / "data" / f"{number:010d}.jpg").write_bytes(b"no picture")
+        shutil.copy(sample / side / "timestamps.txt", template / side)
+    (template / "oxts" / "data").mkdir(parents=True)
+    for path in sample.glob("calib*"):
+        shutil.copy(path, template)
+    for number in range(1000):
+        drive = tmp_path / "year" / f"{number % 12:02d}" / f"drive_{number:04d}"
+        shutil.copytree(template, drive, copy_function=_link)
+    made = plan_drives(conn, tmp_path / "year", settings=Settings(), params=IngestParams())
+    assert made.count("ingest") == 1000
+    assert made.frame_pairs == 3000
+
+
+def _link(source: str, target: str) -> None:
+    Path(target).hardlink_to(source)
+
+
+def changeset_id(conn: Any) -> Any:
+    return execute(conn, "select changeset_id from conetl.changeset")[0]["changeset_id"]

@@ -1,0 +1,81 @@
+"""Drive folders at a glance: what is known of them without opening a picture."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import time
+from pathlib import Path
+
+import pytest
+
+from conetl.errors import DriveFolderError
+from conetl.io.drive_folder import read_drive
+from conetl.io.drive_folder.outline import find_drives, outline_drive, quiet_since
+
+SAMPLES = Path(__file__).resolve().parents[3] / "data" / "drives"
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> Path:
+    return Path(shutil.copytree(next(SAMPLES.iterdir()), tmp_path / "archive" / "drive"))
+
+
+def test_an_outline_agrees_with_the_whole_reading(drive: Path) -> None:
+    outline = outline_drive(drive)
+    whole, _ = read_drive(drive)
+    assert outline.problem is None
+    assert outline.drive_id == whole.drive_id
+    assert outline.frame_pairs == len(whole.frame_pairs)
+    assert outline.captured_from == whole.captured_from
+    assert outline.captured_to_ns == whole.frame_pairs[-1].captured_at_ns
+
+
+def test_the_header_goes_with_the_drive_and_not_with_its_place(drive: Path, tmp_path: Path) -> None:
+    moved = Path(shutil.copytree(drive, tmp_path / "elsewhere" / "drive"))
+    assert outline_drive(moved).header_sha256 == outline_drive(drive).header_sha256
+
+
+@pytest.mark.parametrize("change", ["a picture more", "another size", "another time", "another calibration"])
+def test_another_delivery_is_another_drive(drive: Path, change: str) -> None:
+    before = outline_drive(drive).header_sha256
+    picture = drive / "image_02" / "data" / "0000000000.jpg"
+    if change == "a picture more":
+        shutil.copy(picture, picture.with_name("0000009999.jpg"))
+    elif change == "another size":
+        picture.write_bytes(picture.read_bytes() + b"\0")
+    else:
+        name = "image_02/timestamps.txt" if change == "another time" else "calib_cam_to_cam.txt"
+        (drive / name).write_text((drive / name).read_text().replace("9", "8"))
+    assert outline_drive(drive).header_sha256 != before
+
+
+@pytest.mark.parametrize("missing", ["image_03", "image_02/timestamps.txt"])
+def test_what_is_missing_is_said_and_nothing_raised(drive: Path, missing: str) -> None:
+    path = drive / missing
+    shutil.rmtree(path) if path.is_dir() else path.unlink()
+    problem = outline_drive(drive).problem
+    assert problem is not None
+    assert missing in problem
+
+
+def test_drives_are_found_in_folders_by_day(drive: Path, tmp_path: Path) -> None:
+    shutil.copytree(drive, tmp_path / "archive" / "2026" / "03" / "another")
+    shutil.copytree(drive, tmp_path / "archive" / ".arriving" / "hidden")
+    (tmp_path / "archive" / "notes").mkdir()
+    found = [path.name for path in find_drives(tmp_path / "archive")]
+    assert sorted(found) == ["another", "drive"]
+    assert list(find_drives(drive)) == [drive]
+    with pytest.raises(DriveFolderError, match="no such folder"):
+        list(find_drives(tmp_path / "nowhere"))
+
+
+def test_a_drive_is_quiet_since_its_last_change_whatever_its_times_say(drive: Path) -> None:
+    """Copying tools set times back; the inode's own time stays that of the arrival."""
+    for path in (*drive.rglob("*"), drive):
+        os.utime(path, (0, 0))
+    changed_at = quiet_since(drive)
+    assert changed_at is not None
+    assert abs(time.time() - changed_at) < 3600
+    (drive / "COMPLETE").touch()
+    assert quiet_since(drive) is None

@@ -1,0 +1,45 @@
+"""compose.yaml and prefect.yaml: what can be known of them without running them."""
+
+from __future__ import annotations
+
+import importlib
+import re
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+ROOT = Path(__file__).resolve().parents[2]
+COMPOSE = yaml.safe_load((ROOT / "compose.yaml").read_text(encoding="utf-8"))
+PREFECT = yaml.safe_load((ROOT / "prefect.yaml").read_text(encoding="utf-8"))
+
+
+def test_services_wait_for_services_that_exist() -> None:
+    services: dict[str, Any] = COMPOSE["services"]
+    assert {"postgis", "prefect", "desk", "drives", "view"} <= set(services)
+    for name, service in services.items():
+        for other, how in service.get("depends_on", {}).items():
+            assert other in services, f"{name} waits for {other}"
+            if how["condition"] == "service_healthy":
+                assert "healthcheck" in services[other], f"{other} has no healthcheck"
+
+
+def test_every_variable_is_told_at_the_head_or_has_a_default() -> None:
+    text = (ROOT / "compose.yaml").read_text(encoding="utf-8")
+    head = text[: text.index("name: conetl")]
+    for variable, default in re.findall(r"(?<!\$)\$\{([A-Z_]+)(:-[^}]*)?", text):
+        assert default or variable in head, f"{variable} is not told in the head of compose.yaml"
+
+
+def test_only_the_proxy_is_reached_from_outside() -> None:
+    assert [name for name, service in COMPOSE["services"].items() if "ports" in service] == ["proxy"]
+
+
+def test_deployments_name_flows_that_exist_and_queues_that_workers_serve() -> None:
+    workers = {name: str(COMPOSE["services"][name]["command"]) for name in ("desk", "drives")}
+    for deployment in PREFECT["deployments"]:
+        module, function = deployment["entrypoint"].rsplit(".", 1)
+        assert hasattr(importlib.import_module(module), function)
+        queue = deployment["work_pool"]["work_queue_name"]
+        assert f"--work-queue {queue} " in workers[queue]
+        assert deployment["concurrency_limit"]["limit"] >= 1

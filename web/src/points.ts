@@ -1,0 +1,290 @@
+// The point cloud: tiles with levels of detail. Which tiles are drawn depends on the camera; never more points than the budget.
+import {
+  BufferGeometry, Box3, Color, Frustum, Group, InterleavedBuffer, InterleavedBufferAttribute, Matrix4, Points, ShaderMaterial, Vector3,
+} from "three";
+import type { BaseTile } from "./api";
+import type { Stage } from "./scene";
+
+/** Points of one picture at rest, whatever the map holds. */
+export const MAX_DRAWN = 1_000_000;
+/** Points kept on the graphics card; beyond that, tiles not drawn for longest go. */
+const MAX_KEPT = 3_000_000;
+/** While the camera moves, fewer: as many as give this time a picture, between these limits. */
+const MOVING_MS = 60;
+const MIN_MOVING = 60_000;
+const REST_AFTER_MS = 250;
+/** A finer tile is drawn where the spacing of the coarser one would be more pixels than this. */
+const SPACING_PX = 1.4;
+const PARALLEL = 6;
+const REDRAW_EVERY_MS = 200;
+const ROOT_M = 4096;
+const GRID = 128;
+const POINT_M = 0.07;
+
+interface Tile {
+  sha256: string;
+  count: number;
+  box: Box3;
+  /** Spacing of the coarser level, in metres: what is seen where this tile is left out. */
+  coarser_m: number;
+  origin: Vector3;
+  scale: Vector3;
+  points: Points | null;
+  state: "absent" | "loading" | "there" | "failed";
+  usedAt: number;
+}
+
+export interface PointLayer {
+  setTiles(tiles: BaseTile[], fetchTile: (sha256: string) => Promise<ArrayBuffer>): void;
+  setVisible(on: boolean): void;
+  setColour(dark: string, bright: string): void;
+}
+
+export function createPoints(stage: Stage, onTrouble: (error: unknown) => void): PointLayer {
+  const group = new Group();
+  stage.scene.add(group);
+  const material = pointMaterial();
+  const frustum = new Frustum();
+  const matrix = new Matrix4();
+  const nearest = new Vector3();
+  let tiles: Tile[] = [];
+  let fetchTile: (sha256: string) => Promise<ArrayBuffer> = () => Promise.reject(new Error("no map"));
+  let visible = true;
+  let loading = 0;
+  let kept = 0;
+  let picture = 0;
+  let wanted: Tile[] = [];
+  let generation = 0;
+  let moving = false;
+  let movingBudget = 400_000;
+  let lastPictureAt = 0;
+  let lastCost_ms = 0;
+  let restTimer = 0;
+  let redrawTimer = 0;
+
+  stage.onCamera(() => {
+    if (!tiles.length || !visible) return;
+    moving = true;
+    window.clearTimeout(restTimer);
+    restTimer = window.setTimeout(() => {
+      moving = false;
+      stage.draw();
+    }, REST_AFTER_MS);
+  });
+
+  stage.beforeDraw(() => {
+    group.visible = visible && tiles.length > 0;
+    if (!group.visible) {
+      stage.canvas.dataset["points"] = "0";
+      return;
+    }
+    picture += 1;
+    adapt();
+    choose(moving ? movingBudget : MAX_DRAWN);
+    load();
+  });
+
+  /** Time between two pictures of one movement tells what a picture costs, also where another process draws it. */
+  function adapt(): void {
+    const now = performance.now();
+    const between = now - lastPictureAt;
+    lastPictureAt = now;
+    if (!moving || between > 2000) return;
+    lastCost_ms = 0.5 * lastCost_ms + 0.5 * between;
+    if (lastCost_ms > MOVING_MS * 1.3) movingBudget = Math.max(MIN_MOVING, movingBudget * 0.7);
+    else if (lastCost_ms < MOVING_MS * 0.7) movingBudget = Math.min(MAX_DRAWN, movingBudget * 1.15);
+  }
+
+  function choose(budget: number): void {
+    const { camera } = stage;
+    frustum.setFromProjectionMatrix(matrix.multiplyMatrices(camera.projectionMatrix, camera.matrixWorldInverse));
+    const scale_px = pixelsAtOneMetre(stage);
+    const candidates: [number, Tile][] = [];
+    for (const tile of tiles) {
+      if (tile.points) tile.points.visible = false;
+      if (!frustum.intersectsBox(tile.box)) continue;
+      const distance = Math.max(tile.box.clampPoint(camera.position, nearest).distanceTo(camera.position), 0.5);
+      const spacing_px = (tile.coarser_m * scale_px) / distance;
+      if (spacing_px > SPACING_PX) candidates.push([spacing_px, tile]);
+    }
+    candidates.sort((a, b) => b[0] - a[0]);
+    let count = 0;
+    let drawn = 0;
+    wanted = [];
+    for (const [, tile] of candidates) {
+      if (count + tile.count > budget) break;
+      count += tile.count;
+      tile.usedAt = picture;
+      if (tile.points) {
+        tile.points.visible = true;
+        drawn += tile.count;
+      } else if (tile.state === "absent") wanted.push(tile);
+    }
+    stage.canvas.dataset["points"] = String(drawn);
+  }
+
+  function load(): void {
+    while (loading < PARALLEL) {
+      const tile = wanted.shift();
+      if (!tile) return;
+      if (tile.state !== "absent") continue;
+      tile.state = "loading";
+      loading += 1;
+      void fetchOne(tile, generation);
+    }
+  }
+
+  async function fetchOne(tile: Tile, mine: number): Promise<void> {
+    try {
+      const data = await fetchTile(tile.sha256);
+      if (mine !== generation) return;
+      tile.points = makePoints(tile, new Uint8Array(data), material);
+      tile.state = "there";
+      kept += tile.count;
+      group.add(tile.points);
+      evict();
+    } catch (error) {
+      if (mine !== generation) return;
+      tile.state = "failed";
+      onTrouble(error);
+    } finally {
+      if (mine === generation) {
+        loading -= 1;
+        load();
+        const delay = loading ? REDRAW_EVERY_MS : 0;
+        if (!redrawTimer || !delay) {
+          window.clearTimeout(redrawTimer);
+          redrawTimer = window.setTimeout(() => {
+            redrawTimer = 0;
+            stage.draw();
+          }, delay);
+        }
+        stage.canvas.dataset["loading"] = String(loading + wanted.length);
+      }
+    }
+  }
+
+  function evict(): void {
+    if (kept <= MAX_KEPT) return;
+    const old = tiles.filter((t) => t.points && t.usedAt < picture).sort((a, b) => a.usedAt - b.usedAt);
+    for (const tile of old) {
+      if (kept <= MAX_KEPT) return;
+      drop(tile);
+    }
+  }
+
+  function drop(tile: Tile): void {
+    if (!tile.points) return;
+    group.remove(tile.points);
+    tile.points.geometry.dispose();
+    tile.points = null;
+    tile.state = "absent";
+    kept -= tile.count;
+  }
+
+  return {
+    setTiles(next, fetcher): void {
+      generation += 1;
+      loading = 0;
+      wanted = [];
+      tiles.forEach(drop);
+      kept = 0;
+      fetchTile = fetcher;
+      const top = next.reduce((level, t) => Math.min(level, t.level), Infinity);
+      tiles = next.map((t) => {
+        const side = ROOT_M / 2 ** t.level;
+        const [x, y, z] = t.origin_m;
+        return {
+          sha256: t.sha256, count: t.points, points: null, state: "absent", usedAt: 0,
+          box: new Box3(new Vector3(x, y, z), new Vector3(x + side, y + side, t.high_m)),
+          coarser_m: t.level === top ? Infinity : (2 * side) / GRID,
+          origin: new Vector3(x, y, z), scale: new Vector3(...t.scale_m),
+        };
+      });
+      stage.draw();
+    },
+    setVisible(on): void {
+      visible = on;
+      stage.draw();
+    },
+    setColour(dark, bright): void {
+      (material.uniforms["dark"]!.value as Color).set(dark);
+      (material.uniforms["bright"]!.value as Color).set(bright);
+      stage.draw();
+    },
+  };
+}
+
+const pixelsAtOneMetre = (stage: Stage) => stage.canvas.clientHeight / (2 * Math.tan((stage.camera.fov * Math.PI) / 360));
+
+/** Steps and shade of `encode_points` (src/conetl/geometry/point_tiles.py): planes of low and high bytes of zigzag differences. */
+export function decodePoints(data: Uint8Array): Uint16Array {
+  const count = Math.floor(data.length / 7);
+  const out = new Uint16Array(count * 4);
+  for (let axis = 0; axis < 3; axis++) {
+    const [low, high] = [2 * axis * count, (2 * axis + 1) * count];
+    let value = 0;
+    for (let i = 0; i < count; i++) {
+      const zigzag = (data[low + i] ?? 0) | ((data[high + i] ?? 0) << 8);
+      value = (value + ((zigzag >> 1) ^ -(zigzag & 1))) & 0xffff;
+      out[4 * i + axis] = value;
+    }
+  }
+  for (let i = 0; i < count; i++) out[4 * i + 3] = data[6 * count + i] ?? 0;
+  return out;
+}
+
+function makePoints(tile: Tile, data: Uint8Array, material: ShaderMaterial): Points {
+  if (data.length !== 7 * tile.count) throw new Error(`A tile has ${data.length} bytes instead of ${7 * tile.count}.`);
+  const buffer = new InterleavedBuffer(decodePoints(data), 4);
+  const geometry = new BufferGeometry()
+    .setAttribute("position", new InterleavedBufferAttribute(buffer, 3, 0))
+    .setAttribute("shade", new InterleavedBufferAttribute(buffer, 1, 3));
+  const points = new Points(geometry, material);
+  points.frustumCulled = false;
+  points.matrixAutoUpdate = false;
+  points.matrix.makeScale(tile.scale.x, tile.scale.y, tile.scale.z).setPosition(tile.origin);
+  points.matrixWorldNeedsUpdate = true;
+  points.visible = false;
+  return points;
+}
+
+const VERTEX = /* glsl */ `
+attribute float shade;
+uniform vec3 dark;
+uniform vec3 bright;
+uniform float perMetre;
+uniform float least;
+varying vec3 vTint;
+void main() {
+  vec4 seen = modelViewMatrix * vec4(position, 1.0);
+  gl_Position = projectionMatrix * seen;
+  // Half a metre farther in depth: the points that LiDAR saw of a cone do not hide the cone.
+  float farther = seen.z - 0.5;
+  gl_Position.z = (projectionMatrix[2][2] * farther + projectionMatrix[3][2]) / -farther * gl_Position.w;
+  gl_PointSize = clamp(perMetre / max(-seen.z, 0.01), least, 4.0 * least);
+  vTint = mix(dark, bright, shade / 255.0);
+}`;
+const FRAGMENT = /* glsl */ `
+varying vec3 vTint;
+void main() {
+  gl_FragColor = vec4(vTint, 1.0);
+  #include <colorspace_fragment>
+}`;
+
+function pointMaterial(): ShaderMaterial {
+  const material = new ShaderMaterial({
+    vertexShader: VERTEX,
+    fragmentShader: FRAGMENT,
+    uniforms: { dark: { value: new Color() }, bright: { value: new Color() }, perMetre: { value: 1 }, least: { value: 1.5 } },
+  });
+  material.onBeforeRender = (renderer, _scene, camera) => {
+    const ratio = renderer.getPixelRatio();
+    const height = renderer.domElement.height;
+    const projection = camera.projectionMatrix.elements[5] ?? 1;
+    material.uniforms["perMetre"]!.value = (POINT_M * height * projection) / 2;
+    material.uniforms["least"]!.value = 1.4 * ratio;
+    material.uniformsNeedUpdate = true;
+  };
+  return material;
+}
