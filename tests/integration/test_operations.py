@@ -24,6 +24,7 @@ import pytest
 
 from conetl.io.cluster import cluster_remove, cluster_status
 from conetl.io.db import connect, execute
+from conetl.io.exports import FORMATS
 from conetl.io.services import TOKEN, read_services
 
 pytestmark = pytest.mark.xdist_group("operations")
@@ -231,7 +232,10 @@ def test_the_map_is_published_and_audited(desk: Desk) -> None:
     published, audited = desk.start("publish-map/publish-map", {}), desk.start("audit/audit", {})
     assert desk.ended(published)["state_type"] == "COMPLETED"
     assert desk.ended(audited)["state_type"] == "COMPLETED"
-    assert (desk.home / "exports" / "default.geojson").is_file()
+    latest = desk.home / "exports" / "latest"
+    files = {name: latest / f"default{chosen.suffix}" for name, chosen in FORMATS.items()}
+    assert [name for name, path in files.items() if not path.is_file()] == []
+    assert json.loads((latest / "publication.json").read_text())["map"] == "default"
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine (Debian: apt install chromium)")
