@@ -3,7 +3,7 @@
 -- committed_at, version, shift_m, other_feature_id (of a split what was both, of a merger what is left), frames_empty (frame pairs
 -- that looked at its spot in vain); then place, covariance (m^2) and values after the drive, of a removed feature the last ones,
 -- existence_probability with this drive's evidence; sighting_count: frame pairs of this drive that it rests on; seen_count,
--- missed_count: drives that saw the feature, and that looked in vain, this one included and those after it left out.
+-- missed_count: drives (not imported maps) that saw the feature, and that looked in vain, this one included, later ones left out.
 select
     c.changeset_no, d.drive_id, d.drive_uuid, d.captured_from_ns, x.kind, x.changed_at, c.committed_at,
     x.new_version as version, x.shift_m, x.other_feature_id, x.frames_empty, v.category,
@@ -16,7 +16,7 @@ select
         select count(*) from conetl.track_member t
         where t.drive_uuid = d.drive_uuid and t.track_index = x.track_index
     ) as sighting_count,
-    count(*) filter (where x.kind not in ('missed', 'removed', 'merged')) over on_the_road as seen_count,
+    count(*) filter (where x.kind not in ('missed', 'removed', 'merged') and d.kind = 'drive') over on_the_road as seen_count,
     count(*) filter (where x.kind in ('missed', 'removed')) over on_the_road as missed_count
 from conetl.delta x
 join conetl.changeset c using (changeset_id)

@@ -92,7 +92,7 @@ def all_drawn(tab: Any) -> None:
     settle(tab)
 
 
-def test_points_and_lines_are_drawn_switched_off_and_coloured(page, address):
+def test_points_and_lines_are_drawn_switched_off_and_coloured(page, address):  # noqa: F811
     started = time.monotonic()
     open_view(page, address)
     page.wait_for_selector(f'html[data-lines="{LINE_COUNT}"]', state="attached")

@@ -286,4 +286,6 @@ def test_a_new_changeset_appears_by_itself(page, address, conn, samples, picture
     assert [row.splitlines()[0] for row in page.locator(".history button").all_inner_texts()] == [
         "new · version 1", "confirmed · version 2", "looked for in vain in 5 frame pairs",
     ]  # fmt: skip
-    assert "drive_3 looked for it in vain in 5 frame pairs, but not surely enough" in page.locator(".notice").inner_text()
+    assert (
+        "drive_3 looked for it in vain in 5 frame pairs, but not surely enough" in page.locator(".notice").inner_text()
+    )
