@@ -254,6 +254,7 @@ def test_filters_hide_cones_and_search_finds_one(page, address, features):
 
 def test_server_trouble_is_said_and_can_be_retried(browser, address):
     tab = browser.new_page(viewport={"width": 1280, "height": 800})
+    tab.route("**/events", lambda route: route.abort())  # else its news bring the map back before the click
     tab.route("**/timeline", lambda route: route.fulfill(status=503, json={"detail": "The database is busy."}))
     tab.goto(address)
     tab.wait_for_selector(".card >> text=The database is busy.")
