@@ -241,7 +241,7 @@ def test_the_desk_sees_it_in_prefect(desk: Desk, tmp_path: Path) -> None:
     address = f"http://127.0.0.1:{desk.port}"
     runs = desk.post("/flow_runs/filter", {"sort": "START_TIME_DESC", "limit": 100})
     backfill = next(run for run in runs if run["deployment_id"] and run["name"].startswith("backfill"))
-    on_map = desk.rows("select * from conetl.receipt where state = 'committed' and drive_id like '2026-04%%' order by at")
+    on_map = desk.rows("select * from conetl.receipt where state = 'committed' and drive_id like '2026-04%' order by at")
     drive = desk.get(f"/flow_runs/{on_map[-1]['flow_run_id']}")
     day = on_map[-1]["drive_id"].removesuffix("_small")
     assert drive["name"].startswith(f"{day}_small ({day} ")
