@@ -29,7 +29,8 @@ from tests.integration.small_drives import SAMPLES, cut_drive, processes_with
 
 pytestmark = pytest.mark.xdist_group("operations")
 ROOT = Path(__file__).resolve().parents[2]
-POISONED = "2026-04-04_small"
+#: Late, so that it fails once: what failed is tried again when the backfill is taken up.
+POISONED = "2026-04-06_small"
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 PATIENCE_S = 600
 DROP_FOLDER = "ingest-drop-folder/ingest-drop-folder"
@@ -45,7 +46,7 @@ def until(condition: Callable[[], Any], what: str, patience_s: float = PATIENCE_
     deadline = time.monotonic() + patience_s
     while not (found := condition()):
         assert time.monotonic() < deadline, f"waited in vain: {what}"
-        time.sleep(0.3)
+        time.sleep(0.5)
     return found
 
 
@@ -57,6 +58,7 @@ class Desk:
     environment: dict[str, str]
     port: int
     view_port: int
+    api: httpx.Client
 
     def run(self, *arguments: object, code: int | None = 0) -> Any:
         """A command with --json; its output."""
@@ -71,20 +73,19 @@ class Desk:
         return self.run("up", "--workers", 2, "--port", self.port, "--view-port", self.view_port)
 
     def post(self, path: str, body: Any) -> Any:
-        answer = httpx.post(f"http://127.0.0.1:{self.port}/api{path}", json=body, timeout=60, trust_env=False)
+        answer = self.api.post(path, json=body)
         answer.raise_for_status()
         return answer.json()
 
     def get(self, path: str) -> Any:
-        answer = httpx.get(f"http://127.0.0.1:{self.port}/api{path}", timeout=60, trust_env=False)
+        answer = self.api.get(path)
         answer.raise_for_status()
         return answer.json()
 
     def pause(self, deployment: str) -> None:
         """Pause a deployment's schedules as the switch in Prefect's UI does."""
         found = self.get(f"/deployments/name/{deployment}")
-        address = f"http://127.0.0.1:{self.port}/api/deployments/{found['id']}"
-        httpx.patch(address, json={"paused": True}, timeout=60, trust_env=False).raise_for_status()
+        self.api.patch(f"/deployments/{found['id']}", json={"paused": True}).raise_for_status()
 
     def start(self, deployment: str, parameters: dict[str, Any]) -> str:
         """Start a deployment as the form in Prefect's UI does; the run's id."""
@@ -123,16 +124,19 @@ def desk(services_home: Path) -> Iterator[Desk]:
     scratch.mkdir(parents=True)
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("PREFECT_", "CONETL_"))}
     environment |= {
-        "CONETL_HOME": str(home), "CONETL_DROP_FOLDER": str(home / "arrivals"), "PREFECT_WORKER_QUERY_SECONDS": "1",
+        "CONETL_HOME": str(home), "CONETL_DROP_FOLDER": str(home / "arrivals"), "PREFECT_WORKER_QUERY_SECONDS": "2",
         "TMPDIR": str(scratch),  # a run that is killed leaves its working folder
     }  # fmt: skip
-    found = Desk(home, environment, free_port(), free_port())
+    port = free_port()
+    api = httpx.Client(base_url=f"http://127.0.0.1:{port}/api", timeout=60, trust_env=False)
+    found = Desk(home, environment, port, free_port(), api)
     try:
         found.up()
         # The real schedule might fire in between, and take the drive or the only place from the test's own run.
         found.pause(DROP_FOLDER)
         yield found
     finally:
+        api.close()
         found.run("down", code=None)
         cluster_remove(home)
         left = processes_with("CONETL_HOME", home)
@@ -190,7 +194,7 @@ def test_a_backfill_survives_a_killed_worker_and_a_poisoned_drive(desk: Desk, tm
     state, reason = receipts.pop(POISONED)
     assert state == "failed"
     assert "not one usable pose" in reason
-    assert sorted(receipts) == [f"2026-04-{n:02d}_small" for n in (1, 2, 3, 5, 6)]
+    assert sorted(receipts) == [f"2026-04-{n:02d}_small" for n in range(1, 6)]
     assert {state for state, _ in receipts.values()} <= {"committed", "known"}
     on_map = desk.rows("select d.drive_id from conetl.changeset c join conetl.drive d using (drive_uuid) order by 1")
     assert [row["drive_id"] for row in on_map] == ["2026-03-20_dropped", *sorted(receipts)]
@@ -241,7 +245,9 @@ def test_the_desk_sees_it_in_prefect(desk: Desk, tmp_path: Path) -> None:
     address = f"http://127.0.0.1:{desk.port}"
     runs = desk.post("/flow_runs/filter", {"sort": "START_TIME_DESC", "limit": 100})
     backfill = next(run for run in runs if run["deployment_id"] and run["name"].startswith("backfill"))
-    on_map = desk.rows("select * from conetl.receipt where state = 'committed' and drive_id like '2026-04%' order by at")
+    on_map = desk.rows(
+        "select * from conetl.receipt where state = 'committed' and drive_id like '2026-04%' order by at"
+    )
     drive = desk.get(f"/flow_runs/{on_map[-1]['flow_run_id']}")
     day = on_map[-1]["drive_id"].removesuffix("_small")
     assert drive["name"].startswith(f"{day}_small ({day} ")
