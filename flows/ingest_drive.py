@@ -55,7 +55,7 @@ def ingest_drive(
     service missing: nothing was written) and TooManyRejectionsError (written, but look at the rejections).
     """
     started = time.monotonic()
-    drive, rejections = read_drive_task(folder, map_srid or srid_of_map(settings))
+    drive, rejections = read_drive_task(folder, map_srid or srid_of_map(settings), settings.pictures_folder.resolve())
     identity = identify(drive, params, settings)
     if identity.evidence is None:
         get_run_logger().warning(NOT_MEASURED)

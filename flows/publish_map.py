@@ -1,6 +1,15 @@
-"""The map as files, every night."""
+"""The map as files for others, every night: a folder a publication, and a pointer to the last one.
 
-from contextlib import closing
+    folder/
+      2026-03-04T020000.000000Z/    one publication: files, each with its manifest, and publication.json
+      latest -> 2026-03-04T020000.000000Z
+
+A publication appears whole or not at all: it is written beside the others under a hidden name, and `latest` changes
+at the end, in one step.
+"""
+
+import json
+import shutil
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,37 +19,92 @@ from prefect.artifacts import create_table_artifact
 from prefect.states import Completed
 from pydantic import Field
 
-from conetl.io.db import Connection, connect
-from conetl.io.exports.csv_table import export_csv
-from conetl.io.exports.geojson import export_geojson
+from conetl.errors import InputError
+from conetl.io.exports import FORMATS
+from conetl.io.exports.export import export_map
+from conetl.io.exports.source import ExportRequest
+from conetl.io.leftovers import aside, sweep
 from conetl.io.map_store import find_map
+from conetl.settings import Settings
 from flows.drive_job import MapName, alive, settings_for
+from flows.merge import open_map
+
+LATEST = "latest"
 
 
 @flow(name="publish-map", flow_run_name="publish map")
 def publish_map(
     map_name: MapName = None,
-    folder: Annotated[
-        Path | None, Field(description="Where the files go; `exports` of CONETL_HOME unless given.")
+    formats: Annotated[
+        list[str] | None, Field(description=f"Some of {', '.join(FORMATS)}; all of them unless given.")
     ] = None,
+    folder: Annotated[
+        Path | None, Field(description="Where publications go; `exports` of CONETL_HOME unless given.")
+    ] = None,
+    as_of: Annotated[datetime | None, Field(description="Instant on the road; as the map stands unless given.")] = None,
 ) -> State[Any]:
-    """Write the map as it stands in all formats."""
+    """Write the map in several formats to a new folder, and point `latest` at it.
+
+    All files tell the map as it was believed at one instant. Fails for an unknown format or a folder that cannot be written; the
+    last publication stays then.
+    """
     settings = settings_for(map_name)
-    with alive(settings) as url, closing(connect(url)) as conn:
-        if find_map(conn, settings.map_name) is None:
-            return Completed(name="NothingToPublish", message=f"the map {settings.map_name} is empty")
-        files = export_map(conn, settings.map_name, folder or settings.exports_folder)
-    rows = [{"file": str(path), "kB": round(path.stat().st_size / 1000, 1)} for path in files]
+    with alive(settings):
+        with open_map(settings) as conn:
+            if find_map(conn, settings.map_name) is None:
+                return Completed(name="NothingToPublish", message=f"the map {settings.map_name} is empty")
+        published, manifests = write_publication(
+            settings, list(FORMATS) if formats is None else formats, folder or settings.exports_folder, as_of
+        )
     create_table_artifact(
-        rows, key="exports", description=f"Map {settings.map_name}, {datetime.now(UTC):%Y-%m-%d %H:%M} UTC"
+        [{name: manifest[name] for name in ("file", "rows", "bytes", "sha256")} for manifest in manifests],
+        key="publication",
+        description=f"Map {settings.map_name} -> {published}",
     )
-    return Completed(message=f"{len(files)} files in {files[0].parent}")
+    return Completed(message=f"{len(manifests)} files in {published}")
 
 
-def export_map(conn: Connection, map_name: str, folder: Path) -> list[Path]:
-    """Write every format; the files. The one place to add a format."""
-    folder.mkdir(parents=True, exist_ok=True)
-    geojson, csv = folder / f"{map_name}.geojson", folder / f"{map_name}.csv"
-    export_geojson(conn, geojson, map_name=map_name)
-    export_csv(conn, csv, map_name=map_name)
-    return [geojson, csv]
+def write_publication(
+    settings: Settings, formats: list[str], folder: Path, as_of: datetime | None = None
+) -> tuple[Path, list[dict[str, Any]]]:
+    """Write the map of `as_of` (None: latest) in `formats` to a new folder in `folder`; that folder, and its files' manifests.
+
+    Raises InputError for an unknown format, a map that is not there, or a folder that cannot be written.
+    """
+    unknown = [name for name in formats if name not in FORMATS]
+    if unknown or not formats:
+        raise InputError(f"formats to publish: {', '.join(unknown) or 'none'}; choose from {', '.join(FORMATS)}")
+    name = datetime.now(UTC).strftime("%Y-%m-%dT%H%M%S.%fZ")
+    unfinished = aside(folder / name)
+    try:
+        unfinished.mkdir(parents=True)
+    except OSError as error:
+        raise InputError(f"{folder} cannot be written ({error.strerror}): choose another folder") from error
+    sweep([folder])
+    try:
+        with open_map(settings) as conn:
+            info = find_map(conn, settings.map_name)
+            conn.rollback()
+            # The belief of the last changeset: what is committed from now on is left out of every file alike.
+            believed_at = info.last_committed_at if info else None
+            request = ExportRequest(settings.map_name, as_of=as_of, believed_at=believed_at)
+            manifests = [
+                export_map(conn, unfinished / f"{settings.map_name}{FORMATS[wanted].suffix}", wanted, request)
+                for wanted in dict.fromkeys(formats)
+            ]
+        (unfinished / "publication.json").write_text(
+            json.dumps({"map": settings.map_name, "files": manifests}, indent=2) + "\n"
+        )
+        unfinished.replace(folder / name)
+    except BaseException:
+        shutil.rmtree(unfinished, ignore_errors=True)
+        raise
+    _point_at(folder / LATEST, name)
+    return folder / name, manifests
+
+
+def _point_at(link: Path, target: str) -> None:
+    """A symbolic link that replaces the old one in one step."""
+    fresh = aside(link)
+    fresh.symlink_to(target)
+    fresh.replace(link)

@@ -40,6 +40,7 @@ from conetl.records import (
     MapFeature,
     Miss,
     Position,
+    Rig,
     StereoMatch,
     Track,
 )
@@ -177,11 +178,12 @@ def stored_evidence(conn: Connection, drives: Sequence[DriveRef]) -> list[Eviden
         return view_of_drive(rig, stored.frame_pairs, stored.detections, stored.spots, figures)
 
     require_comparable(conn, [ref.drive_uuid for ref in drives])
-    looked_with = {}
+    looked_with: dict[UUID, tuple[Rig, LookFigures]] = {}
     evidence = []
     for ref in drives:
         drive = read_drive(conn, ref.drive_uuid)
-        looked_with[ref.drive_uuid] = drive.rig, drive.figures
+        if drive.rig is not None:  # an imported map looked nowhere
+            looked_with[ref.drive_uuid] = drive.rig, drive.figures
         evidence.append(
             Evidence(
                 key=drive.key(ref.idempotency_key),
@@ -192,6 +194,7 @@ def stored_evidence(conn: Connection, drives: Sequence[DriveRef]) -> list[Eviden
                 influence_m=drive.influence_m,
                 look_at=_look_at(view_of, ref.drive_uuid, drive.reconcile),
                 params=drive.reconcile,
+                statements=drive.statements,
             )
         )
     return evidence

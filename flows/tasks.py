@@ -62,9 +62,9 @@ class Chunk(Record):
 
 
 @task(name="read drive", task_run_name="read {folder}", **RETRY)
-def read_drive_task(folder: Path, map_srid: int | None) -> tuple[Drive, list[Rejection]]:
+def read_drive_task(folder: Path, map_srid: int | None, pictures_folder: Path) -> tuple[Drive, list[Rejection]]:
     """Understand a drive folder; see `io/drive_folder`."""
-    return read_drive(folder, map_srid=map_srid)
+    return read_drive(folder, map_srid=map_srid, pictures_folder=pictures_folder)
 
 
 @task(name="detect", task_run_name="detect {side} {chunk.frame_pairs[0].frame_index}", tags=["detect"], **RETRY)

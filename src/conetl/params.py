@@ -193,6 +193,22 @@ class IngestParams(Params):
     """More frame pairs refused than this, and the command ends with exit code 1."""
 
 
+class ImportParams(Params):
+    """What is taken for true of an imported map where its file does not say it, and how it is compared with the map."""
+
+    sigma_m: Positive = 0.5
+    """Standard deviation of each coordinate."""
+    cone_height_m: Positive = 0.5
+    cone_height_sigma_m: Positive = 0.2
+    existence_probability: Fraction = 0.9
+    """Somebody wrote it down; people err, and cones are taken away."""
+    ground_height_m: float | None = None
+    """Ellipsoidal height of all cones of a file without heights; None: such a file is refused."""
+    new_ids: bool = False
+    """Found ids of its own for every feature, instead of those of the file."""
+    reconcile: ReconcileParams = ReconcileParams()
+
+
 class WorkZoneParams(Params):
     """How cones become work zones."""
 

@@ -391,6 +391,15 @@ class Delta(Record):
         )
 
 
+class Statement(Record):
+    """What a map that was made elsewhere says: here stands a cone, since when, and how sure that is."""
+
+    feature: MapFeature
+    """As the other map has it, version 1."""
+    valid_from_ns: int
+    """Since when it stands there."""
+
+
 class FeatureChange(Record):
     """What differs of one feature between two states of a map; `confirmed`: the same place, known otherwise."""
 

@@ -48,6 +48,11 @@ class Settings(BaseSettings):
         return self.home / "results"
 
     @property
+    def pictures_folder(self) -> Path:
+        """Pictures unpacked from bags, by the hash of their bytes; may be deleted when no run is on."""
+        return self.home / "pictures"
+
+    @property
     def exports_folder(self) -> Path:
         return self.home / "exports"
 

@@ -148,16 +148,17 @@ def test_only_files_of_dead_writers_are_swept(tmp_path):
             sys.executable,
             "-c",
             "import sys; from pathlib import Path; from conetl.io.leftovers import aside\n"
-            "path = aside(Path(sys.argv[1])); path.write_text('half'); print(path)",
+            "path = aside(Path(sys.argv[1])); path.write_text('half'); print(path)\n"
+            "folder = aside(Path(sys.argv[1])); folder.mkdir(); (folder / 'part').write_text('half'); print(folder)",
             str(tmp_path / "b.parquet"),
         ],
         env={**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2] / "src")},
         capture_output=True,
         text=True,
         check=True,
-    ).stdout.strip()
+    ).stdout.split()
     foreign = tmp_path / f".c.parquet.elsewhere.1.{uuid4().hex}.tmp"
     foreign.write_text("of another machine")
     (tmp_path / ".notes.tmp").write_text("not ours")
-    assert sweep([tmp_path, tmp_path / "missing"]) == [Path(dead)]
+    assert sorted(sweep([tmp_path, tmp_path / "missing"])) == sorted(map(Path, dead))
     assert {path.name for path in tmp_path.iterdir()} == {mine.name, foreign.name, ".notes.tmp"}

@@ -30,6 +30,8 @@ CONTRACT = [
     "valid_from",
     "valid_to",
     "changeset_id",
+    "seen_count",
+    "missed_count",
 ]
 
 

@@ -24,6 +24,7 @@ import pytest
 
 from conetl.io.cluster import cluster_remove, cluster_status
 from conetl.io.db import connect, execute
+from conetl.io.exports import FORMATS
 from conetl.io.services import TOKEN, read_services
 from tests.integration.small_drives import SAMPLES, cut_drive, processes_with
 
@@ -221,8 +222,12 @@ def _old_enough(desk: Desk, run_id: str) -> bool:
 def test_the_map_is_published_and_audited_and_no_drive_is_taken_again(desk: Desk) -> None:
     started = {name: desk.start(name, {}) for name in ("publish-map/publish-map", "audit/audit", DROP_FOLDER)}
     ended = {name: desk.ended(run_id) for name, run_id in started.items()}
-    assert {run["state_type"] for run in ended.values()} == {"COMPLETED"}, ended
-    assert (desk.home / "exports" / "default.geojson").is_file()
+    messages = {name: run["state"]["message"] for name, run in ended.items()}
+    assert {run["state_type"] for run in ended.values()} == {"COMPLETED"}, messages
+    latest = desk.home / "exports" / "latest"
+    files = {name: latest / f"default{chosen.suffix}" for name, chosen in FORMATS.items()}
+    assert [name for name, path in files.items() if not path.is_file()] == []
+    assert json.loads((latest / "publication.json").read_text())["map"] == "default"
     assert ended[DROP_FOLDER]["state_name"] == "NothingNew"
     assert "1 still arriving" in ended[DROP_FOLDER]["state"]["message"]
 

@@ -77,7 +77,7 @@ def test_a_changed_old_migration_is_an_error(empty_url, tmp_path):
 def test_a_failing_migration_leaves_the_database_as_it_was(empty_url, tmp_path):
     folder = tmp_path / "migrations"
     shutil.copytree(sql_directory() / "migrations", folder)
-    number = 1 + max(int(path.name[:4]) for path in folder.iterdir())
+    number = len(list(folder.iterdir())) + 1
     (folder / f"{number:04d}_broken.sql").write_text("create table conetl.half (n integer); select 1 / 0;")
     conn = connect(empty_url)
     with pytest.raises(DatabaseError, match=r"division by zero"):
@@ -94,10 +94,20 @@ def test_a_database_of_a_newer_conetl_is_refused(conn):
         migrate(conn)
 
 
-def test_a_misnamed_migration_is_refused(conn, tmp_path):
-    (tmp_path / "0001_first.sql").write_text("select 1")
-    (tmp_path / "0001_second.sql").write_text("select 1")
-    with pytest.raises(DatabaseError, match="each number once"):
+@pytest.mark.parametrize(
+    ("names", "wanted"),
+    [
+        (["0001_first", "0001_second"], "0002_"),
+        (["0001_first", "0003_third"], "0002_"),
+        (["0002_second"], "0001_"),
+        (["0001_First"], "0001_"),
+    ],
+)
+def test_a_misnamed_migration_is_refused(conn, tmp_path, names, wanted):
+    """Numbers are contiguous from 0001: one that is missing would come after the later ones where these were applied."""
+    for name in names:
+        (tmp_path / f"{name}.sql").write_text("select 1;")
+    with pytest.raises(DatabaseError, match=f"{names[-1]}.sql .* should be named {wanted}"):
         migrate(conn, directory=tmp_path)
 
 

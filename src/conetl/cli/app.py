@@ -12,6 +12,7 @@ from conetl.cli.demo import demo
 from conetl.cli.detect import detect
 from conetl.cli.evaluate import evaluate
 from conetl.cli.ingest import ingest
+from conetl.cli.inspect_drive import inspect
 from conetl.cli.lidar_check import lidar_check
 from conetl.cli.locate import locate
 from conetl.cli.maps import app as maps
@@ -31,6 +32,7 @@ app = typer.Typer(
 )
 for command in (
     ingest,
+    inspect,
     backfill,
     up,
     down,

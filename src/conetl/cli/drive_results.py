@@ -72,7 +72,7 @@ def run_steps(folder: Path, settings: Settings, params: IngestParams, *, map_sri
     )
     from flows.tasks import Chunk, detect_task, fuse_task, locate_task, match_task, read_drive_task
 
-    drive, rejections = read_drive_task.fn(folder, map_srid)
+    drive, rejections = read_drive_task.fn(folder, map_srid, settings.pictures_folder.resolve())
     card = read_model_card(settings.model_path or shipped_model_path())
     note_unmeasured(card)
     chunks = [

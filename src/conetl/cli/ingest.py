@@ -16,6 +16,7 @@ from pydantic import ValidationError
 from conetl.cli.console import JsonOption, complain, err, note_unmeasured, out, print_json, print_table, progress_bar
 from conetl.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_TOO_MANY_REJECTIONS, ConetlError, InputError, ServiceError
 from conetl.io.detector import shipped_model_path
+from conetl.io.drive_folder import drive_format
 from conetl.io.leftovers import sweep
 from conetl.io.model_card import read_model_card
 from conetl.params import IngestParams
@@ -66,7 +67,7 @@ def ingest_drives(
     show: Callable[[IngestReport], None],
 ) -> tuple[list[IngestReport], int]:
     """Ingest drives one after the other; the reports and the exit code of the worst of them."""
-    missing = [str(drive) for drive in drives if not drive.is_dir()]
+    missing = [str(drive) for drive in drives if not drive.is_dir() and drive_format(drive) is None]
     if len(missing) == len(drives):  # before any service is started
         raise InputError(f"no such drive folder: {', '.join(missing)}")
     try:

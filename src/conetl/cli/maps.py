@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from contextlib import closing
 from dataclasses import asdict
-from enum import StrEnum
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from conetl.cli import decisions, work_zones
+from conetl.cli import decisions, exchange, work_zones
 from conetl.cli.console import JsonOption, out, parse_time, print_json, print_table
 from conetl.cli.database import open_map
 from conetl.errors import InputError
-from conetl.io.exports.csv_table import export_csv
-from conetl.io.exports.geojson import export_geojson
 from conetl.io.map_results import CommittedChangeset, FeatureLogEntry
 from conetl.io.map_store import feature_log, find_features, list_changesets, map_summary, read_features_as_of
 from conetl.records import utc_from_ns
@@ -24,16 +20,10 @@ from conetl.settings import read_settings
 app = typer.Typer(help="Look at the map, decide about it and take it elsewhere.", no_args_is_help=True)
 for decide in (decisions.suppress, decisions.pin, decisions.revert, decisions.decisions, decisions.diff):
     app.command()(decide)
+for exchanged in (exchange.export, exchange.licence, exchange.qgis):
+    app.command()(exchanged)
+app.command("import")(exchange.import_)
 app.command("check-layout")(work_zones.check_layout_command)
-
-
-class Format(StrEnum):
-    """File formats of `map export`."""
-
-    GEOJSON = "geojson"
-    CSV = "csv"
-    WZDX = "wzdx"
-    WZDX_DEVICES = "wzdx-devices"
 
 
 AsOf = Annotated[
@@ -207,35 +197,3 @@ def _frames(entry: FeatureLogEntry) -> str:
     """In how many frame pairs a drive saw it, or looked in vain."""
     parts = ((entry.frames_seen, "seen"), (entry.frames_empty, "empty"))
     return ", ".join(f"{count} {word}" for count, word in parts if count)
-
-
-@app.command()
-def export(
-    output: Annotated[Path, typer.Option("--out", help="File to write.")],
-    file_format: Annotated[
-        Format, typer.Option("--format", help="GeoJSON (RFC 7946, longitude/latitude), CSV, or work zones as WZDx 4.2.")
-    ] = Format.GEOJSON,
-    as_of: AsOf = None,
-    feed: work_zones.FeedOption = None,
-    publisher: work_zones.PublisherOption = None,
-    road_names: work_zones.RoadNamesOption = None,
-    lanes: work_zones.LanesOption = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Write the map, as it is or as it stood, to a file."""
-    settings = read_settings()
-    is_wzdx = file_format in (Format.WZDX, Format.WZDX_DEVICES)
-    with closing(open_map(settings)) as conn:
-        if is_wzdx:
-            count = work_zones.export_wzdx(
-                conn, output, devices=file_format is Format.WZDX_DEVICES, map_name=settings.map_name,
-                as_of=parse_time(as_of), feed=feed, publisher=publisher, road_names=road_names, lanes=lanes,
-            )  # fmt: skip
-        else:
-            write = export_geojson if file_format is Format.GEOJSON else export_csv
-            count = write(conn, output, as_of=parse_time(as_of), map_name=settings.map_name)
-    if as_json:
-        print_json({"written": str(output), "features": count})
-    else:
-        what = "work zones" if file_format is Format.WZDX else "cones"
-        out.print(f"{count} {what} -> {output}", markup=False)

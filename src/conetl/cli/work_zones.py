@@ -17,10 +17,8 @@ from conetl.cli.database import open_map
 from conetl.errors import InputError
 from conetl.io.db import Connection
 from conetl.io.exports.layout_files import export_layout_geojson, finding_as_dict
-from conetl.io.exports.layout_picture import draw_layout
 from conetl.io.exports.wzdx import FeedContext, export_device_feed, export_work_zone_feed
 from conetl.io.feed_info import read_feed_info
-from conetl.io.lane_lines import read_lane_lines
 from conetl.io.map_store import find_map
 from conetl.io.zone_store import read_paths, read_versions
 from conetl.params import LayoutParams, WorkZoneParams
@@ -95,7 +93,11 @@ def read_zones(
     info = find_map(conn, map_name)
     if info is None:
         raise InputError(f"there is no map named {map_name} in this database: ingest a drive first.")
-    lines = read_lane_lines(lanes, srid=info.srid) if lanes else []
+    lines = []
+    if lanes:
+        from conetl.io.lane_lines import read_lane_lines  # GDAL takes seconds to load
+
+        lines = read_lane_lines(lanes, srid=info.srid)
     versions = read_versions(conn, map_name=map_name, until=as_of)
     paths = read_paths(conn, map_name=map_name, until=as_of)
     at_ns = None if as_of is None else int(as_of.timestamp() * 1_000_000) * 1000 + 999
@@ -134,6 +136,8 @@ def check_layout_command(
     if picture is not None:
         if not checked:
             raise InputError(f"the map {settings.map_name} has no work zone to draw: {picture} was not written")
+        from conetl.io.exports.layout_picture import draw_layout  # so does matplotlib
+
         draw_layout(picture, checked, found.paths, title=_title(settings.map_name, speed_kmh, chosen.layout, as_of))
     if as_json:
         print_json(

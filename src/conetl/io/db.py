@@ -164,6 +164,19 @@ def stream(
         yield from cursor
 
 
+def address(conn: Connection) -> dict[str, str]:
+    """Where a connection leads: host (a folder for a unix socket), port, dbname, user. Never a password."""
+    known = conn.get_dsn_parameters()
+    return {name: known[name] for name in ("host", "port", "dbname", "user") if known.get(name)}
+
+
+def query_columns(conn: Connection, sql: str, parameters: Mapping[str, Any]) -> list[tuple[str, int]]:
+    """Names and type OIDs of the columns of a query (without its final semicolon), without running it."""
+    with conn.cursor() as cursor:
+        cursor.execute(f"select * from ({sql}) q limit 0", parameters)
+        return [(column.name, column.type_code) for column in cursor.description or ()]
+
+
 def copy_columns(conn: Connection, table: str, columns: Mapping[str, Column]) -> None:
     """Load columns into a table by COPY BINARY, so many rows at a time that the encoded bytes stay below some 100 MB."""
     with conn.cursor() as cursor:
@@ -253,12 +266,9 @@ def database_status(conn: Connection) -> DatabaseStatus:
 
 def _migration_files(directory: Path) -> dict[str, str]:
     files = {path.stem: path.read_text(encoding="utf-8") for path in sorted(directory.glob("*.sql"))}
-    numbers = [name.split("_", 1)[0] for name in files]
-    for name in files:
-        if not re.fullmatch(r"[0-9]{4}_[a-z0-9_]+", name) or numbers.count(name[:4]) > 1:
-            raise DatabaseError(
-                f"migration {name}.sql in {directory} should be named <four digits, each number once>_<what it does>.sql"
-            )
+    for number, name in enumerate(files, start=1):
+        if not re.fullmatch(rf"{number:04d}_[a-z0-9_]+", name):
+            raise DatabaseError(f"migration {name}.sql in {directory} should be named {number:04d}_<what it does>.sql")
     return files
 
 

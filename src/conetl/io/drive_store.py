@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from conetl.detector_evidence import UNMEASURED_LOOKS, LookFigures
 from conetl.errors import MapMismatchError
 from conetl.io.db import Connection, database_errors, execute, load_sql, stream
+from conetl.io.import_store import read_statements
 from conetl.params import ReconcileParams
-from conetl.records import Detection, FoldKey, FramePair, Pose, Rig, Track, Vec3
+from conetl.records import Detection, FoldKey, FramePair, Pose, Rig, Statement, Track, Vec3
 
 Floats = NDArray[np.float64]
 
@@ -28,7 +29,8 @@ class StoredDrive:
     map_name: str
     content_sha256: str
     captured_from_ns: int
-    rig: Rig
+    rig: Rig | None
+    """None of an imported map."""
     reconcile: ReconcileParams
     influence_m: float
     figures: LookFigures
@@ -36,6 +38,8 @@ class StoredDrive:
     path_m: Floats
     """(N, 2), a row per frame pair."""
     tracks: list[Track]
+    statements: list[Statement]
+    """Of an imported map, instead of tracks; `path_m` is where its cones stand then."""
 
     def key(self, idempotency_key: str) -> FoldKey:
         return self.captured_from_ns, self.content_sha256, idempotency_key
@@ -59,16 +63,22 @@ def read_drive(conn: Connection, drive_uuid: UUID) -> StoredDrive:
         if not headers:
             raise MapMismatchError(f"there is no drive {drive_uuid} in this database")
         header = headers[0]
+        rig = None if header["rig"] is None else Rig.model_validate(header["rig"])
+        statements = read_statements(conn, drive_uuid) if rig is None else []
+        path = (
+            stream(conn, load_sql("map/drive_path"), parameters) if rig else (s.feature.xyz_m[:2] for s in statements)
+        )
         return StoredDrive(
             map_name=header["map_name"],
             content_sha256=header["content_sha256"],
             captured_from_ns=header["captured_from_ns"],
-            rig=Rig.model_validate(header["rig"]),
+            rig=rig,
             reconcile=ReconcileParams.model_validate(header["reconcile"]),
             influence_m=header["influence_m"],
             figures=LookFigures.model_validate(header["look_figures"]) if header["look_figures"] else UNMEASURED_LOOKS,
-            path_m=np.array(list(stream(conn, load_sql("map/drive_path"), parameters))).reshape(-1, 2),
+            path_m=np.array(list(path)).reshape(-1, 2),
             tracks=[_track(row) for row in stream(conn, load_sql("map/drive_tracks"), parameters)],
+            statements=statements,
         )
 
 

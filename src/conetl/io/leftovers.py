@@ -1,14 +1,15 @@
 """Names for files that are being written, and what becomes of those whose writer was killed.
 
-A file appears under its own name only when it is whole; until then it is called `.<name>.<host>.<pid>.<random>.tmp` beside it. A
-process that is killed leaves such a file behind. The name says whose it is, so the next run can tell it from one that another
-process is writing at this moment.
+A file, or a folder of files that belong together, appears under its own name only when it is whole; until then it is called
+`.<name>.<host>.<pid>.<random>.tmp` beside it. A process that is killed leaves such
+a file behind. The name says whose it is, so the next run can tell it from one that another process is writing at this moment.
 """
 
 from __future__ import annotations
 
 import os
 import re
+import shutil
 import socket
 from collections.abc import Iterable
 from pathlib import Path
@@ -23,7 +24,7 @@ def aside(path: Path) -> Path:
 
 
 def sweep(folders: Iterable[Path]) -> list[Path]:
-    """Remove what killed processes of this machine left in the folders (not below them); the paths removed.
+    """Remove what killed processes of this machine left in the folders (not below them), also whole folders; the paths removed.
 
     A file whose process number is in use again is kept until the next time; one that cannot be removed is left.
     """
@@ -34,7 +35,10 @@ def sweep(folders: Iterable[Path]) -> list[Path]:
             if name is None or name["host"] != _host() or Path(f"/proc/{name['pid']}").exists():
                 continue
             try:
-                path.unlink()
+                if path.is_dir() and not path.is_symlink():
+                    shutil.rmtree(path)
+                else:
+                    path.unlink()
             except OSError:
                 continue
             removed.append(path)

@@ -110,7 +110,7 @@ def track_columns(drive_uuid: UUID, srid: int, tracks: Sequence[Track]) -> Colum
     return {
         "drive_uuid": constant_uuid(drive_uuid, len(tracks)),
         "track_index": integers([t.track_index for t in tracks]),
-        **_cone_columns(srid, tracks),
+        **cone_columns(srid, tracks),
         **_covariance("relative_cov", [t.relative_cov_m2 for t in tracks]),
         "residual_rms_px": doubles([t.residual_rms_px for t in tracks]),
         "nearest_range_m": doubles([t.nearest_range_m for t in tracks]),
@@ -147,7 +147,7 @@ def delta_columns(srid: int, deltas: Sequence[Delta], suppressed: Collection[UUI
         **_evidence_columns(deltas),
         "present": booleans([d.new is not None and d.feature_id not in suppressed for d in deltas]),
         "suppressed": booleans([d.new is not None and d.feature_id in suppressed for d in deltas]),
-        **_cone_columns(srid, states),
+        **cone_columns(srid, states),
     }
 
 
@@ -159,7 +159,7 @@ def version_columns(srid: int, versions: Sequence[BelievedVersion]) -> Columns:
         "changeset_id": uuids([v.changeset_id for v in versions]),
         "present": booleans([v.standing and not v.suppressed for v in versions]),
         "suppressed": booleans([v.suppressed for v in versions]),
-        **_cone_columns(srid, [v.feature for v in versions]),
+        **cone_columns(srid, [v.feature for v in versions]),
         "valid_from_ns": bigints([v.valid_from_ns for v in versions]),
         "valid_from": timestamps_from_ns([v.valid_from_ns for v in versions]),
         "valid_to": timestamps_from_ns([0 if v.valid_to_ns is None else v.valid_to_ns for v in versions]),
@@ -225,7 +225,8 @@ def rejection_columns(changeset_id: UUID, rejections: Sequence[Rejection]) -> Co
     }
 
 
-def _cone_columns(srid: int, cones: Sequence[Track] | Sequence[MapFeature]) -> Columns:
+def cone_columns(srid: int, cones: Sequence[Track] | Sequence[MapFeature]) -> Columns:
+    """What tracks, feature versions and statements of imported maps have in common."""
     return {
         "category": texts([c.category for c in cones]),
         "geom": points([c.xyz_m for c in cones], srid),

@@ -205,10 +205,10 @@ def commit_changeset(
         return CommitResult(committed=False, changeset=known, versions_written=0)
     require_consistent(drive, detections, matches, positions, tracks, changeset)
     drive_uuid = place_drive(conn, drive, changeset.idempotency_key, map_name=map_name, now=now)
-    info = _map_for(conn, map_name, drive, now)
+    info = map_for(conn, map_name, drive.map_srid, f"drive {drive.drive_id}", now)
     committed_at = system_time(conn, info, now)
     if run is not None:
-        _insert_run(conn, run, committed_at)
+        insert_run(conn, run, committed_at)
     kinds = Counter(delta.kind for delta in changeset.deltas)
     execute(
         conn,
@@ -267,7 +267,7 @@ def place_drive(
     nothing was measured) are kept, so that the drive can be compared with the map again. Raises MapMismatchError where the map
     is in another CRS.
     """
-    info = _map_for(conn, map_name, drive, now)
+    info = map_for(conn, map_name, drive.map_srid, f"drive {drive.drive_id}", now)
     drive_uuid = uuid5(_NAMESPACE, f"{map_name}/{idempotency_key}")
     times_ns = [pair.captured_at_ns for pair in drive.frame_pairs]
     parameters = {
@@ -353,21 +353,23 @@ def _conflict_text(map_name: str, conflicts: Sequence[Mapping[str, Any]]) -> str
     )
 
 
-def _map_for(conn: Connection, map_name: str, drive: Drive, now: datetime | None) -> MapInfo:
+def map_for(conn: Connection, map_name: str, srid: int, what: str, now: datetime | None = None) -> MapInfo:
+    """The map, made where there is none; does not commit. Raises MapMismatchError where it is not in EPSG:srid, as `what` is."""
     info = find_map(conn, map_name)
     if info is None:
-        created = {"map_name": map_name, "srid": drive.map_srid, "created_at": now or datetime.now(UTC)}
+        created = {"map_name": map_name, "srid": srid, "created_at": now or datetime.now(UTC)}
         execute(conn, load_sql("write/insert_map"), created)
         info = find_map(conn, map_name)
-    if info is None or info.srid != drive.map_srid:
+    if info is None or info.srid != srid:
         raise MapMismatchError(
-            f"drive {drive.drive_id} is in EPSG:{drive.map_srid}, the map {map_name} in EPSG:{info.srid if info else '?'}: set "
+            f"{what} is in EPSG:{srid}, the map {map_name} in EPSG:{info.srid if info else '?'}: set "
             "the drive's map CRS in its drive.yaml to the map's, or ingest it into a map of its own."
         )
     return info
 
 
-def _insert_run(conn: Connection, run: RunInfo, finished_at: datetime) -> None:
+def insert_run(conn: Connection, run: RunInfo, finished_at: datetime) -> None:
+    """Keep the parameters of a run that ends in a changeset; does not commit."""
     parameters = {
         "run_id": run.run_id,
         "started_at": run.started_at,

@@ -1,9 +1,10 @@
 """Belief in a feature over drives: Bayes in log-odds, one term a drive.
 
-A drive that sees the cone adds the log-odds that its track had. A drive that looks at the spot and does not see it adds the
-log-likelihood ratio of its empty frame pairs (`steps/visibility.py`), but first allows for the cone having been taken away
-since: no number of earlier sightings holds more than ln((1 - v) / v) against it, v the chance that a cone vanishes from one drive
-to the next (a binary Bayes filter, Thrun, Burgard & Fox 2005, Probabilistic Robotics, section 4.2, with that transition).
+A drive that sees the cone adds the log-odds that its track had, an imported map those that it states. A drive that looks at the
+spot and does not see it adds the log-likelihood ratio of its empty frame pairs (`steps/visibility.py`), but first allows for the
+cone having been taken away since: no number of earlier sightings holds more than ln((1 - v) / v) against it, v the chance that a
+cone vanishes from one drive to the next (a binary Bayes filter, Thrun, Burgard & Fox 2005, Probabilistic Robotics, section 4.2,
+with that transition).
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from __future__ import annotations
 from math import exp, log
 
 from conetl.params import ReconcileParams
-from conetl.records import Doubt, MapFeature, SightingEvidence, Track
+from conetl.records import Doubt, MapFeature, SightingEvidence, Statement, Track
 from conetl.steps.visibility import Look
 
 #: Belief in a feature never becomes certainty: the next drive must be able to change it.
@@ -21,14 +22,12 @@ _EDGE = 1e-6
 
 def seen(feature: MapFeature | None, doubt: Doubt | None, track: Track) -> SightingEvidence:
     """A drive saw the feature (None: for the first time) as `track`; doubt: what misses since its last version make of it."""
-    ratio = log_odds(track.existence_probability)
-    before = 0.0 if feature is None else log_odds(_believed(feature, doubt))
-    return SightingEvidence(
-        log_likelihood_ratio=ratio,
-        existence_probability=probability(min(before + ratio, MAX_LOG_ODDS)),
-        frames_seen=len({frame for frame, _ in track.members}),
-        frames_empty=0,
-    )
+    return _for_it(feature, doubt, track.existence_probability, frames_seen=len({frame for frame, _ in track.members}))
+
+
+def stated(feature: MapFeature | None, doubt: Doubt | None, statement: Statement) -> SightingEvidence:
+    """An imported map says that the feature (None: a new one) stands there; arguments as of `seen`. Nobody looked."""
+    return _for_it(feature, doubt, statement.feature.existence_probability, frames_seen=0)
 
 
 def missed(feature: MapFeature, doubt: Doubt | None, look: Look, params: ReconcileParams) -> SightingEvidence:
@@ -64,6 +63,19 @@ def log_odds(value: float) -> float:
 def probability(log_odds_value: float) -> float:
     """The inverse of `log_odds`."""
     return 1 / (1 + exp(-log_odds_value))
+
+
+def _for_it(
+    feature: MapFeature | None, doubt: Doubt | None, existence_probability: float, *, frames_seen: int
+) -> SightingEvidence:
+    ratio = log_odds(existence_probability)
+    before = 0.0 if feature is None else log_odds(_believed(feature, doubt))
+    return SightingEvidence(
+        log_likelihood_ratio=ratio,
+        existence_probability=probability(min(before + ratio, MAX_LOG_ODDS)),
+        frames_seen=frames_seen,
+        frames_empty=0,
+    )
 
 
 def _believed(feature: MapFeature, doubt: Doubt | None) -> float:

@@ -82,14 +82,14 @@ def reconcile(
     anew = dict.fromkeys(moved, DeltaKind.MOVED)
     anew |= dict.fromkeys(halves.values(), DeltaKind.CONFIRMED)  # its place was that of neither half
     for j, i in pairs.items():
-        if features[j].feature_id not in pinned and _height_differs(features[j], tracks[i], params):
+        if features[j].feature_id not in pinned and height_differs(features[j], tracks[i], params):
             anew[j] = DeltaKind.HEIGHT_CHANGED
-    deltas += _confirmations(
+    deltas += confirmations(
         {j: i for j, i in pairs.items() if j not in anew}, features, tracks, placed, shift_m, evidence_for
     )
     for j, kind in anew.items():
         i = pairs[j] if j in pairs else moved[j]
-        deltas.append(_anew(kind, features[j], tracks[i], placed[i], shift_m, evidence_for[j]))
+        deltas.append(changed(kind, features[j], tracks[i], placed[i], shift_m, evidence_for[j]))
     for j, (look, evidence) in unseen.items():
         if j in loose and j not in moved and is_gone(evidence, params):
             deltas.append(_removed(features[j], doubts.get(features[j].feature_id), look, evidence))
@@ -166,7 +166,8 @@ def _halves(
     return found
 
 
-def _height_differs(feature: MapFeature, track: Track, params: ReconcileParams) -> bool:
+def height_differs(feature: MapFeature, track: Track, params: ReconcileParams) -> bool:
+    """Whether another cone stands there now."""
     sigma_m = hypot(feature.cone_height_sigma_m, track.cone_height_sigma_m)
     difference_m = abs(track.cone_height_m - feature.cone_height_m)
     return difference_m > max(params.moved_height_tolerance_m, 3 * sigma_m)
@@ -231,10 +232,10 @@ def _merged(feature: MapFeature, kept: MapFeature, track: Track) -> Delta:
     )
 
 
-def _anew(
+def changed(
     kind: DeltaKind, feature: MapFeature, track: Track, placed: Floats, shift: Floats, evidence: SightingEvidence
 ) -> Delta:
-    """The feature as this drive alone saw it."""
+    """The feature as this drive alone saw it; arguments as of `confirmations`, placed (3,)."""
     new = _feature_from_track(track, placed, shift, feature.feature_id, feature.version + 1, evidence).model_copy(
         update={
             "first_seen_ns": feature.first_seen_ns,
@@ -254,7 +255,7 @@ def _anew(
     )
 
 
-def _confirmations(
+def confirmations(
     pairs: Mapping[int, int],
     features: Sequence[MapFeature],
     tracks: Sequence[Track],
@@ -262,7 +263,10 @@ def _confirmations(
     shift: Floats,
     evidence: Mapping[int, SightingEvidence],
 ) -> list[Delta]:
-    """The same places seen again: both statements weighted by their covariances, all pairs (feature -> track) at once."""
+    """The same places seen again: both statements weighted by their covariances, all pairs (feature -> track) at once.
+
+    placed (T, 3): the tracks in the map's coordinates; shift (3,): what was taken out of them, metres; evidence: by feature.
+    """
     if not pairs:
         return []
     old, new = [features[j] for j in pairs], [tracks[i] for i in pairs.values()]

@@ -8,7 +8,7 @@ version that it follows (drives that overlap in time) begins a microsecond after
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from heapq import merge
 from itertools import pairwise
@@ -29,8 +29,10 @@ from conetl.records import (
     MapFeature,
     Miss,
     Place,
+    Statement,
     Track,
 )
+from conetl.steps.adoption import adopt
 from conetl.steps.belief import doubt_after
 from conetl.steps.changes import LookAt, reconcile
 
@@ -55,6 +57,8 @@ class Evidence:
     look_at: LookAt
     """See `reconcile`."""
     params: ReconcileParams
+    statements: Sequence[Statement] = ()
+    """Of an imported map instead of tracks; it looked nowhere, so it removes nothing. `path_m` is where its cones stand."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +112,7 @@ def fold(
     )
     for _, _, event in events:
         if isinstance(event, Evidence):
-            extension = extend(standing, event, decisions, doubts)
+            extension = extend(standing, event, decisions, doubts, known=folded.chains.keys())
             folded.extensions[event.changeset_id] = extension
             versions, misses = extension.versions, extension.misses
         elif isinstance(event, Miss):
@@ -140,24 +144,42 @@ def fold(
 
 
 def extend(
-    standing: Mapping[UUID, BelievedVersion], drive: Evidence, decisions: Decisions, doubts: Mapping[UUID, Doubt]
+    standing: Mapping[UUID, BelievedVersion],
+    drive: Evidence,
+    decisions: Decisions,
+    doubts: Mapping[UUID, Doubt],
+    *,
+    known: Collection[UUID] = (),
 ) -> Extension:
     """Compare one drive with the map as the drives recorded before it left it.
 
     standing: the open versions of the features that stand, suppressed ones too, by feature id; those out of the drive's
-    influence are left out of account, whether they are there or not. doubts: of those that were missed since.
+    influence are left out of account, whether they are there or not. doubts: of those that were missed since. known: ids that are
+    taken, also by features that are gone; only an imported map, which brings ids of its own, needs to be told.
     """
     around = _around(standing, drive)
     pinned = {feature.feature_id for feature in around if is_within(feature, decisions.pinned)}
-    deltas = reconcile(
-        drive.tracks,
-        around,
-        drive.look_at,
-        drive.params,
-        founding_key=drive.founding_key,
-        pinned=pinned,
-        doubts=doubts,
-    )
+    if drive.statements:
+        deltas = adopt(
+            drive.statements,
+            around,
+            drive.params,
+            at_ns=drive.key[0],
+            founding_key=drive.founding_key,
+            known=known,
+            pinned=pinned,
+            doubts=doubts,
+        )
+    else:
+        deltas = reconcile(
+            drive.tracks,
+            around,
+            drive.look_at,
+            drive.params,
+            founding_key=drive.founding_key,
+            pinned=pinned,
+            doubts=doubts,
+        )
     versions, misses = [], []
     for delta in deltas:
         if delta.kind is DeltaKind.MISSED:

@@ -8,7 +8,7 @@ from fastapi import APIRouter, HTTPException, Request
 
 from conetl.io.map_store import find_map, list_changesets
 from conetl.io.serve_store import read_maps, read_trajectory
-from conetl.records import Rig, utc_from_ns
+from conetl.records import Rig, Vec3, utc_from_ns
 from conetl.web.models import MapItem, Maps, Timeline, Trajectory
 from conetl.web.parameters import MAX_TRAJECTORY, MapName, Reader, origin_of
 from conetl.web.rows import camera_place, timeline_item
@@ -39,7 +39,10 @@ def trajectory(map_name: MapName, drive_uuid: UUID, conn: Reader) -> Trajectory:
     origin = origin_of(conn, map_name)
     rows = read_trajectory(conn, map_name, drive_uuid, MAX_TRAJECTORY + 1)
     if not rows:
-        raise HTTPException(404, f"The map {map_name} knows no drive {drive_uuid}.")
+        known = [c.drive_id for c in list_changesets(conn, map_name=map_name) if c.drive_uuid == drive_uuid]
+        if not known:
+            raise HTTPException(404, f"The map {map_name} knows no drive {drive_uuid}.")
+        return _no_way(known[0], drive_uuid, origin)  # an imported map went nowhere
     rig = Rig.model_validate(rows[0]["rig"])
     shown = rows[:MAX_TRAJECTORY]
     return Trajectory(
@@ -50,4 +53,16 @@ def trajectory(map_name: MapName, drive_uuid: UUID, conn: Reader) -> Trajectory:
         captured_at=[utc_from_ns(row["captured_at_ns"]) for row in shown],
         xyz_m=[camera_place(row, rig, origin) for row in shown],
         truncated=len(rows) > MAX_TRAJECTORY,
+    )
+
+
+def _no_way(drive_id: str, drive_uuid: UUID, origin: Vec3) -> Trajectory:
+    return Trajectory(
+        drive_id=drive_id,
+        drive_uuid=drive_uuid,
+        origin_m=origin,
+        frame_index=[],
+        captured_at=[],
+        xyz_m=[],
+        truncated=False,
     )

@@ -68,15 +68,21 @@ def pair_of(path: Path) -> tuple[Path, Path]:
 def read_ros_rig(path: Path) -> Rig:
     """Raw rig of a camera_info pair. Raises CalibrationError."""
     left_path, right_path = pair_of(path)
-    left, left_R, left_p = _camera(left_path)
-    right, right_R, right_p = _camera(right_path)
     extrinsics = left_path.parent / EXTRINSICS
     if extrinsics.is_file():
+        left, right = _camera(left_path, read_yaml(left_path))[0], _camera(right_path, read_yaml(right_path))[0]
         relative = entry(extrinsics, read_yaml(extrinsics), "left_SE3_right")
         key = "left_SE3_right"
         rotation = numbers(extrinsics, f"{key}.R", entry(extrinsics, relative, "R", f"{key}."), (3, 3))
         place = numbers(extrinsics, f"{key}.t_m", entry(extrinsics, relative, "t_m", f"{key}."), (3,))
         return stereo_rig(extrinsics, key, "ros", left, right, rotation.T, -rotation.T @ place)
+    return rig_of_camera_infos(left_path, read_yaml(left_path), right_path, read_yaml(right_path))
+
+
+def rig_of_camera_infos(left_path: Path, left_info: Any, right_path: Path, right_info: Any) -> Rig:
+    """Raw rig of two camera_info mappings (keys of the YAML files); the paths are only for messages. Raises CalibrationError."""
+    left, left_R, left_p = _camera(left_path, left_info)
+    right, right_R, right_p = _camera(right_path, right_info)
     key = "projection_matrix"
     if abs(left_p[0, 3]) > 1e-9:
         raise bad(left_path, key, "of the left camera must have a zero in row 1, column 4: are left and right swapped?")
@@ -93,9 +99,8 @@ def read_ros_rig(path: Path) -> Rig:
     return stereo_rig(right_path, key, "ros", left, right, right_R_left, -right_R.T @ centre)
 
 
-def _camera(path: Path) -> tuple[Camera, Array, Array]:
+def _camera(path: Path, content: Any) -> tuple[Camera, Array, Array]:
     """Camera, its rectification matrix (3, 3) and its projection matrix (3, 4)."""
-    content = read_yaml(path)
     if not isinstance(content, Mapping):
         raise CalibrationError(f"{path}: expected the YAML mapping of a ROS camera_info")
     size = picture_size(

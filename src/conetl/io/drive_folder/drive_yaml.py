@@ -41,6 +41,29 @@ class Sigmas(_Section):
     image_px: Positive = 0.5
 
 
+class Georeference(_Section):
+    """Where a local trajectory (odometry, SLAM, motion capture) lies on the earth: its frame must be level, z up."""
+
+    lon_deg: float = Field(ge=-180, le=180)
+    lat_deg: float = Field(ge=-90, le=90)
+    height_m: float = Field(ge=-20_000, le=20_000)
+    """Of the frame's origin, above the WGS 84 ellipsoid."""
+    heading_deg: float = Field(ge=-360, le=360)
+    """Of the frame's x axis, clockwise from true north; 90 for a frame whose x axis points east."""
+
+
+class Streams(_Section):
+    """Which of a recording's streams is what, where their types do not tell: topics of a bag, folders of a EuRoC recording."""
+
+    left: str | None = Field(default=None, min_length=1)
+    right: str | None = Field(default=None, min_length=1)
+    trajectory: str | None = Field(default=None, min_length=1)
+    """NavSatFix or Odometry topic; folder beside cam0."""
+    imu: str | None = Field(default=None, min_length=1)
+    left_info: str | None = Field(default=None, min_length=1)
+    right_info: str | None = Field(default=None, min_length=1)
+
+
 class DriveYaml(_Section):
     """The whole file."""
 
@@ -53,6 +76,14 @@ class DriveYaml(_Section):
     calibration: str | None = Field(default=None, min_length=1)
     """KITTI calib_cam_to_cam.txt, relative to the drive folder and inside it; the other two lie beside it."""
     sigmas: Sigmas = Sigmas()
+    georeference: Georeference | None = None
+    streams: Streams = Streams()
+    pair_tolerance_ms: Positive = 5.0
+    """EuRoC and bags: left and right pictures farther apart in time are no pair."""
+    max_pose_gap_s: Positive = 0.5
+    """EuRoC and bags: poses farther apart in time are not interpolated."""
+    antenna_t_m: tuple[float, float, float] | None = None
+    """Bags: the GNSS antenna in the IMU's frame, where /tf_static does not tell; 0, 0, 0 if reduced already."""
 
     @field_validator("timestamps_timezone")
     @classmethod
@@ -64,9 +95,9 @@ class DriveYaml(_Section):
         return value
 
 
-def read_drive_yaml(folder: Path) -> DriveYaml:
+def read_drive_yaml(folder: Path, name: str = DRIVE_YAML) -> DriveYaml:
     """Settings of a drive folder; all defaults where it has no `drive.yaml`. Raises DriveFolderError."""
-    path = folder / DRIVE_YAML
+    path = folder / name
     if not path.is_file():
         return DriveYaml()
     try:

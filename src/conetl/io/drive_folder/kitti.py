@@ -37,14 +37,16 @@ def is_kitti_folder(folder: Path) -> bool:
     return any((folder / name).is_dir() for name in ("image_02", "image_03", "oxts")) or (folder / DRIVE_YAML).is_file()
 
 
-def read_kitti_drive(folder: Path, *, map_srid: int | None = None) -> tuple[Drive, list[Rejection]]:
+def read_kitti_drive(
+    folder: Path, *, map_srid: int | None = None, headers_only: bool = False
+) -> tuple[Drive, list[Rejection]]:
     """Everything about a drive but its pixels; pictures are checked by header and end marker, not decoded.
 
     map_srid: EPSG code of the map; wins over drive.yaml, and both over the UTM zone of the first pose. Raises DriveFolderError
     or CalibrationError where there is no drive to speak of.
     """
     root = folder.resolve()
-    content = ContentHash()
+    content = ContentHash(headers_only=headers_only)
     settings = read_drive_yaml(root)
     calibration = _calibration_path(root, folder.absolute().parent, settings)
     rejections: list[Rejection] = []

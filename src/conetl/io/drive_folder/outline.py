@@ -8,18 +8,20 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
 from conetl.errors import ConetlError, DriveFolderError
 from conetl.io.calibration_files import CAM_TO_CAM, IMU_TO_VELO, RIG_YAML, VELO_TO_CAM
+from conetl.io.drive_folder import DriveFormat, drive_format
+from conetl.io.drive_folder.bag_messages import METADATA, bag_files, open_bag
+from conetl.io.drive_folder.bag_rig import choose_topics
 from conetl.io.drive_folder.content import ContentHash
 from conetl.io.drive_folder.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml
-from conetl.io.drive_folder.kitti import is_kitti_folder
 from conetl.io.drive_folder.pairs import IMAGE_SUFFIXES
-from conetl.io.drive_folder.plain import TRAJECTORY, is_plain_folder
+from conetl.io.drive_folder.plain import TRAJECTORY
 from conetl.io.drive_folder.timestamps import parse_timestamp
 from conetl.records import utc_from_ns
 
@@ -28,6 +30,7 @@ MAX_DEPTH = 6
 #: Pictures a side whose size takes part in the header: a drive delivered again with other pictures is another one.
 SAMPLED_PICTURES = 16
 MARKER = "COMPLETE"
+_Times = Callable[[ContentHash, Path, DriveYaml], tuple[int, int]]
 
 
 @dataclass(frozen=True)
@@ -56,7 +59,7 @@ def find_drives(root: Path) -> Iterator[Path]:
 
 
 def _find(folder: Path, depth: int) -> Iterator[Path]:
-    if is_kitti_folder(folder) or is_plain_folder(folder):
+    if drive_format(folder) is not None:
         yield folder
         return
     if depth == 0:
@@ -77,10 +80,14 @@ def outline_drive(folder: Path) -> DriveOutline:
         drive_id = settings.drive_id or drive_id
         content.add("drive_id", drive_id.encode())
         _add_file(content, folder, DRIVE_YAML)
-        plain = is_plain_folder(folder)
-        sides = ("left", "right") if plain else (f"{settings.cameras.left}/data", f"{settings.cameras.right}/data")
-        pairs = len(set.union(*(_add_pictures(content, folder, side) for side in sides)))
-        first_ns, last_ns = (_plain_times if plain else _kitti_times)(content, folder, settings)
+        found = drive_format(folder)
+        if found == "bag":
+            pairs, first_ns, last_ns = _bag(content, folder, settings)
+            sides = ("the left", "the right camera's topic")
+        else:
+            sides, times = _folder_format(found, folder, settings)
+            pairs = len(set.union(*(_add_pictures(content, folder, side) for side in sides)))
+            first_ns, last_ns = times(content, folder, settings)
         if not pairs:
             problem = f"there are no pictures in {sides[0]} and {sides[1]}"
     except (ConetlError, OSError, ValueError) as error:
@@ -123,6 +130,55 @@ def _add_pictures(content: ContentHash, folder: Path, side: str) -> set[str]:
     sizes = [f"{name} {(data / name).stat().st_size}" for name in sample]
     content.add(side, "\n".join([*names, *sizes]).encode(errors="surrogateescape"))
     return {name.rsplit(".", 1)[0] for name in names}
+
+
+def _folder_format(found: DriveFormat | None, folder: Path, settings: DriveYaml) -> tuple[tuple[str, str], _Times]:
+    """Folders of both sides' pictures, and what reads the times, of a drive that is a folder of pictures."""
+    if found == "plain":
+        return ("left", "right"), _plain_times
+    if found == "euroc":
+        left, right = (_euroc_camera(folder, name) for name in _euroc_names(settings))
+        return (f"{left}/data", f"{right}/data"), _euroc_times
+    return (f"{settings.cameras.left}/data", f"{settings.cameras.right}/data"), _kitti_times
+
+
+def _euroc_names(settings: DriveYaml) -> tuple[str, str]:
+    return settings.streams.left or "cam0", settings.streams.right or "cam1"
+
+
+def _euroc_camera(folder: Path, name: str) -> str:
+    return f"mav0/{name}" if (folder / "mav0").is_dir() else name
+
+
+def _euroc_times(content: ContentHash, folder: Path, settings: DriveYaml) -> tuple[int, int]:
+    cameras = [_euroc_camera(folder, name) for name in _euroc_names(settings)]
+    for camera in cameras:
+        _add_file(content, folder, f"{camera}/data.csv")
+        _add_file(content, folder, f"{camera}/sensor.yaml")
+    _add_file(content, folder, RIG_YAML)
+    path = folder / cameras[0] / "data.csv"
+    if not path.is_file():
+        raise DriveFolderError(f"{folder}: {cameras[0]}/data.csv is missing")
+    words = (line.split(",")[0].strip() for line in path.read_text(encoding="utf-8", errors="replace").splitlines())
+    stamps = [int(word) for word in words if word.isascii() and word.isdigit()]
+    if not stamps:
+        raise DriveFolderError(f"{path}: there is no time stamp that can be read")
+    return stamps[0], stamps[-1]
+
+
+def _bag(content: ContentHash, folder: Path, settings: DriveYaml) -> tuple[int, int, int]:
+    """Left pictures, first and last message by the recorder's clock; the bag's index goes into the header."""
+    path = bag_files(folder)
+    if path is None:
+        raise DriveFolderError(f"{folder}: this is no bag")
+    for name in (METADATA, RIG_YAML):
+        _add_file(content, folder, name)
+    for file in sorted(folder.glob("*.mcap")) + sorted(folder.glob("*.db3")):
+        content.add(file.name, str(file.stat().st_size).encode())
+    with open_bag(path) as bag:
+        topics = choose_topics(bag.types, settings.streams, folder)
+        content.add("index", repr((sorted(bag.counts.items()), bag.recorded_ns)).encode())
+        return bag.counts[topics.left], *bag.recorded_ns
 
 
 def _kitti_times(content: ContentHash, folder: Path, settings: DriveYaml) -> tuple[int, int]:

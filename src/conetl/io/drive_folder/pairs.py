@@ -10,7 +10,7 @@ from conetl.errors import DriveFolderError
 from conetl.geometry.rectification import stored_camera
 from conetl.io.drive_folder.content import ContentHash
 from conetl.io.image_headers import inspect_image
-from conetl.io.images import ImageFileError, check_image_bytes, read_bytes
+from conetl.io.images import ImageFileError, check_image_bytes, check_image_ends, read_bytes
 from conetl.records import FramePair, Rig, Side
 from conetl.rejections import Rejection, RejectionReason
 
@@ -56,9 +56,12 @@ def check_images(
             continue
         name = paths[0].relative_to(root).as_posix()
         try:
-            data = read_bytes(paths[0])
-            content.add(name, data)
-            check_image_bytes(data, name, (camera.width_px, camera.height_px))
+            if content.headers_only:
+                check_image_ends(paths[0], name, (camera.width_px, camera.height_px))
+            else:
+                data = read_bytes(paths[0])
+                content.add(name, data)
+                check_image_bytes(data, name, (camera.width_px, camera.height_px))
         except ImageFileError as error:
             problem = problem or PairError(error.reason, str(error), side=side, path=name)
         good.append(paths[0])

@@ -14,7 +14,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -27,6 +27,7 @@ from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.io.calibration_files import RIG_YAML, read_rig_yaml
 from conetl.io.calibration_files.common import rectified_rig
+from conetl.io.drive_folder import oxts
 from conetl.io.drive_folder.content import ContentHash
 from conetl.io.drive_folder.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml
 from conetl.io.drive_folder.pairs import IMAGE_SUFFIXES, PairError, check_images, require_pairs
@@ -66,10 +67,12 @@ def is_plain_folder(folder: Path) -> bool:
     return (folder / TRAJECTORY).is_file() or ((folder / "left").is_dir() and (folder / "right").is_dir())
 
 
-def read_plain_drive(folder: Path, *, map_srid: int | None = None) -> tuple[Drive, list[Rejection]]:
+def read_plain_drive(
+    folder: Path, *, map_srid: int | None = None, headers_only: bool = False
+) -> tuple[Drive, list[Rejection]]:
     """A plain drive and its rejections; see `kitti.read_kitti_drive` for the rules that both share."""
     root = folder.resolve()
-    content = ContentHash()
+    content = ContentHash(headers_only=headers_only)
     settings = read_drive_yaml(root)
     rig = _read_rig(root, settings, content)
     left, right = _images(root / "left", folder), _images(root / "right", folder)
@@ -83,6 +86,8 @@ def read_plain_drive(folder: Path, *, map_srid: int | None = None) -> tuple[Driv
         raise DriveFolderError(f"{folder / TRAJECTORY}: not one usable pose: {first}")
     srid, poses = _poses(good, map_srid or settings.map_srid, folder)
     times = {row.stem: _time(row, settings.timestamps_timezone) for row in good}
+    for stem, text in _jumps(poses, times).items():
+        rows[stem] = f"{TRAJECTORY}, stem '{stem}': {text}"
     # Pairs are ordered by row; a stem that has none comes last and only serves to name the rejection.
     order = {stem: numbers.get(stem, len(rows) + i) for i, stem in enumerate(stems)}
     disordered = out_of_order({order[stem]: t for stem in stems if isinstance(t := times.get(stem), int)})
@@ -154,6 +159,15 @@ def _poses(rows: Sequence[Row], srid: int | None, folder: Path) -> tuple[int, di
         return srid, {row.stem: _pose(row, srid) for row in rows}
     except ValueError as error:
         raise DriveFolderError(f"{folder}: {error}") from error
+
+
+def _jumps(poses: Mapping[str, Pose], times: Mapping[str, int | str]) -> dict[str, str]:
+    """Stems whose place cannot be true, as in `oxts.jumps`."""
+    timed = sorted((time, stem) for stem, time in times.items() if isinstance(time, int))
+    places = np.array([se3.map_SE3_body(poses[stem]) for _, stem in timed]).reshape(-1, 4, 4)
+    numbers = list(range(len(timed)))
+    track = oxts.Trajectory(numbers, places, np.zeros((len(timed), 3)), {n: timed[n][0] for n in numbers})
+    return {timed[number][1]: text for number, text in oxts.jumps(track).items()}
 
 
 def _images(data: Path, folder: Path) -> dict[str, list[Path]]:

@@ -1,8 +1,9 @@
-"""Write a file completely or not at all."""
+"""Write a file, or several that belong together, completely or not at all."""
 
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -37,3 +38,43 @@ def atomic_text_file(path: Path) -> Iterator[TextIO]:
                 f"{path} cannot be written ({error.strerror}): free space or choose another file."
             ) from error
         raise
+
+
+@contextmanager
+def atomic_files(*paths: Path) -> Iterator[list[Path]]:
+    """Files to write that take the names `paths` (in one folder) only when the block ends well, the last one last.
+
+    They lie in a hidden folder beside `paths` meanwhile, so that whatever a library writes beside its file (journals,
+    indices) goes
+    with it. Everything is on the disk before the first name changes. The folder is made where it is missing. Raises InputError
+    where nothing can be written there.
+    """
+    folder = paths[0].parent
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        unfinished = aside(paths[0])
+        unfinished.mkdir()
+    except OSError as error:
+        raise InputError(f"{paths[0]} cannot be written ({error.strerror}): choose another file.") from error
+    try:
+        written = [unfinished / path.name for path in paths]
+        yield written
+        for path in written:
+            _sync(path)
+        for path, final in zip(written, paths, strict=True):
+            path.replace(final)
+        _sync(folder)
+    except OSError as error:
+        raise InputError(
+            f"{paths[0]} cannot be written ({error.strerror or error}): free space or choose another file."
+        ) from error
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+
+
+def _sync(path: Path) -> None:
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

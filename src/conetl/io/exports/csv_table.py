@@ -7,8 +7,9 @@ from datetime import datetime
 from pathlib import Path
 
 from conetl.io.db import Connection
-from conetl.io.exports.atomic import atomic_text_file
-from conetl.io.exports.feature_rows import PROPERTY_NAMES, export_rows
+from conetl.io.exports.atomic import atomic_files
+from conetl.io.exports.feature_rows import names_of, rows_of
+from conetl.io.exports.source import ExportRequest, Source, open_source
 
 PLACE_NAMES = ("lon_deg", "lat_deg", "ellipsoidal_height_m", "easting_m", "northing_m")
 
@@ -21,15 +22,22 @@ def export_csv(
     as_of: datetime | None = None,
     known_at: datetime | None = None,
 ) -> int:
-    """Write one line per standing cone, by feature id; the number of lines. `valid_to` is empty while open."""
+    """The standing cones as CSV alone, without a manifest; the number of lines. See `write`."""
+    source = open_source(conn, ExportRequest(map_name, as_of=as_of, believed_at=known_at))
+    with atomic_files(path) as (file,):
+        return write(source, file)
+
+
+def write(source: Source, path: Path) -> int:
+    """Write one line per row; the number of rows. What is null (`valid_to` while open) is empty."""
     count = 0
-    rows = export_rows(conn, map_name=map_name, as_of=as_of, known_at=known_at)
-    with atomic_text_file(path) as file:
+    names = names_of(source)
+    with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow([*PROPERTY_NAMES, *PLACE_NAMES])
-        for row in rows:
+        writer.writerow([*names, *PLACE_NAMES])
+        for row in rows_of(source):
             place = [f"{row.lon_deg:.9f}", f"{row.lat_deg:.9f}"]
             metres = [f"{value:.4f}" for value in (row.ellipsoidal_height_m, row.easting_m, row.northing_m)]
-            writer.writerow([row.properties[name] for name in PROPERTY_NAMES] + place + metres)
+            writer.writerow([*row.properties.values(), *place, *metres])
             count += 1
     return count

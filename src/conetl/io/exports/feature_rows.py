@@ -1,22 +1,19 @@
-"""One row per standing feature, in longitude and latitude, with the properties that outsiders rely on."""
+"""One row per exported feature as plain values, for the formats that are text."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from itertools import islice
 from typing import Any
 
-from pyproj import Transformer
+import numpy as np
+import pyarrow as pa
 
-from conetl.errors import InputError
 from conetl.io.db import Connection
-from conetl.io.map_results import FeatureVersion
-from conetl.io.map_store import find_map, read_features_as_of
-from conetl.records import utc_from_ns
+from conetl.io.exports.source import PLACE_NAMES, ExportRequest, Source, What, open_source
 
-#: Names and order of the exported properties; part of the contract with users, never rename one.
+#: Names and order of the exported properties of features; part of the contract with users, never rename one.
 PROPERTY_NAMES = (
     "feature_id",
     "version",
@@ -35,7 +32,21 @@ PROPERTY_NAMES = (
     "seen_count",
     "missed_count",
 )
-_BATCH = 10_000
+#: What history and changes tell besides, and to how many decimals numbers are written.
+_MORE_NAMES = (
+    "change",
+    "shift_m",
+    "present",
+    "suppressed",
+    "system_from",
+    "system_to",
+    "old_version",
+    "old_easting_m",
+    "old_northing_m",
+    "old_height_m",
+)
+_DECIMALS = {"existence_probability": 6}
+_METRE_DECIMALS = 4
 
 
 @dataclass(frozen=True)
@@ -44,11 +55,28 @@ class ExportRow:
 
     lon_deg: float
     lat_deg: float
-    ellipsoidal_height_m: float
     easting_m: float
     northing_m: float
+    ellipsoidal_height_m: float
     properties: dict[str, Any]
-    """`PROPERTY_NAMES`; `height_m` is the cone's own height, times are ISO 8601 UTC, `valid_to` None while open."""
+    """`names_of(source)`; `height_m` is the cone's own height, times are ISO 8601 UTC, `valid_to` None while open."""
+
+
+def names_of(source: Source) -> list[str]:
+    """Names of the properties of `rows_of(source)`."""
+    more = () if source.request.what is What.FEATURES else _MORE_NAMES
+    return [name for name in source.property_names if name in PROPERTY_NAMES or name in more]
+
+
+def rows_of(source: Source) -> Iterator[ExportRow]:
+    """The rows of a source."""
+    names = names_of(source)
+    for batch in source.batches():
+        degrees = [values.tolist() for values in source.lon_lat_deg(batch)]
+        places = [*degrees, *(batch.column(name).to_pylist() for name in PLACE_NAMES)]
+        columns = [_plain(name, batch.column(name)) for name in names]
+        for place, values in zip(zip(*places, strict=True), zip(*columns, strict=True), strict=True):
+            yield ExportRow(*place, dict(zip(names, values, strict=True)))  # type: ignore[call-arg]
 
 
 def export_rows(
@@ -58,44 +86,29 @@ def export_rows(
 
     Raises InputError where there is no such map.
     """
-    info = find_map(conn, map_name)
-    if info is None:
-        raise InputError(f"there is no map named {map_name} in this database: ingest a drive first.")
-    return _rows(read_features_as_of(conn, as_of, known_at=known_at, map_name=map_name), info.srid)
-
-
-def _rows(versions: Iterator[FeatureVersion], srid: int) -> Iterator[ExportRow]:
-    to_wgs84 = Transformer.from_crs(f"EPSG:{srid}", "EPSG:4326", always_xy=True)
-    while batch := list(islice(versions, _BATCH)):
-        eastings, northings, heights = zip(*(version.feature.xyz_m for version in batch), strict=True)
-        lons, lats = to_wgs84.transform(eastings, northings)
-        for version, lon, lat, height in zip(batch, lons, lats, heights, strict=True):
-            feature = version.feature
-            yield ExportRow(lon, lat, height, feature.xyz_m[0], feature.xyz_m[1], _properties(version))
-
-
-def _properties(version: FeatureVersion) -> dict[str, Any]:
-    feature = version.feature
-    return {
-        "feature_id": str(feature.feature_id),
-        "version": feature.version,
-        "category": feature.category,
-        "existence_probability": round(feature.existence_probability, 6),
-        "height_m": round(feature.cone_height_m, 4),
-        "sigma_e_m": round(feature.cov_m2[0] ** 0.5, 4),
-        "sigma_n_m": round(feature.cov_m2[3] ** 0.5, 4),
-        "sigma_u_m": round(feature.cov_m2[5] ** 0.5, 4),
-        "first_seen_at": iso_utc(utc_from_ns(feature.first_seen_ns)),
-        "last_seen_at": iso_utc(utc_from_ns(feature.last_seen_ns)),
-        "observation_count": feature.observation_count,
-        "valid_from": iso_utc(version.valid_from),
-        "valid_to": iso_utc(version.valid_to) if version.valid_to else None,
-        "changeset_id": str(version.changeset_id),
-        "seen_count": version.seen_count,
-        "missed_count": version.missed_count,
-    }
+    return rows_of(open_source(conn, ExportRequest(map_name, as_of=as_of, believed_at=known_at)))
 
 
 def iso_utc(instant: datetime) -> str:
     """ISO 8601 in UTC with microseconds and a final Z."""
     return instant.astimezone(UTC).isoformat(timespec="microseconds").replace("+00:00", "Z")
+
+
+def iso_texts(times: pa.Array) -> list[str | None]:
+    """As `iso_utc`, of a column of timestamps in microseconds; None for null."""
+    instants = np.asarray(times.cast(pa.int64()).fill_null(0)).astype("datetime64[us]")
+    texts = np.char.add(np.datetime_as_string(instants), "Z").tolist()
+    if times.null_count:
+        return [text if valid else None for text, valid in zip(texts, times.is_valid().to_pylist(), strict=True)]
+    return list(texts)
+
+
+def _plain(name: str, column: pa.Array) -> list[Any]:
+    """Values of a column, rounded to what is meant, as JSON can hold them."""
+    if pa.types.is_timestamp(column.type):
+        return iso_texts(column)
+    values = column.to_pylist()
+    if pa.types.is_floating(column.type):
+        decimals = _DECIMALS.get(name, _METRE_DECIMALS)
+        return [None if value is None else round(value, decimals) for value in values]
+    return list(values)

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from conetl.io.db import Connection
-from conetl.io.exports.atomic import atomic_text_file
-from conetl.io.exports.feature_rows import ExportRow, export_rows
+from conetl.io.exports.atomic import atomic_files
+from conetl.io.exports.feature_rows import ExportRow, rows_of
+from conetl.io.exports.source import ExportRequest, Source, What, open_source
 
 LON_LAT_DECIMALS = 9  # 0.1 mm
 HEIGHT_DECIMALS = 4
@@ -23,28 +24,36 @@ def export_geojson(
     as_of: datetime | None = None,
     known_at: datetime | None = None,
 ) -> int:
-    """Write one Feature per standing cone, one per line, by feature id; the number of features.
+    """The standing cones as GeoJSON alone, without a manifest; the number of features. See `write`."""
+    source = open_source(conn, ExportRequest(map_name, as_of=as_of, believed_at=known_at))
+    with atomic_files(path) as (file,):
+        return write(source, file)
 
-    Coordinates are WGS 84 longitude, latitude (degrees) and ellipsoidal height (m). The same map gives the same bytes.
+
+def write(source: Source, path: Path) -> int:
+    """Write one Feature per row, one per line; the number of rows.
+
+    Coordinates are WGS 84 longitude, latitude (degrees) and ellipsoidal height (m). The same map gives the same bytes. A
+    feature's id is that of the cone, but in a history, where a cone has several rows.
     """
     count = 0
-    rows = export_rows(conn, map_name=map_name, as_of=as_of, known_at=known_at)
-    with atomic_text_file(path) as file:
+    with_id = source.request.what is not What.HISTORY
+    with path.open("w", encoding="utf-8", newline="") as file:
         file.write('{"type": "FeatureCollection", "features": [')
-        for row in rows:
+        for row in rows_of(source):
             file.write(",\n" if count else "\n")
-            file.write(json.dumps(_feature(row), allow_nan=False))
+            file.write(json.dumps(_feature(row, with_id), allow_nan=False))
             count += 1
         file.write("\n]}\n")
     return count
 
 
-def _feature(row: ExportRow) -> dict[str, Any]:
+def _feature(row: ExportRow, with_id: bool) -> dict[str, Any]:
     lon_deg, lat_deg = round(row.lon_deg, LON_LAT_DECIMALS), round(row.lat_deg, LON_LAT_DECIMALS)
     coordinates = [lon_deg, lat_deg, round(row.ellipsoidal_height_m, HEIGHT_DECIMALS)]
     return {
         "type": "Feature",
-        "id": row.properties["feature_id"],
+        **({"id": row.properties["feature_id"]} if with_id else {}),
         "geometry": {"type": "Point", "coordinates": coordinates},
         "properties": row.properties,
     }

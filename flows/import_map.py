@@ -1,0 +1,118 @@
+"""A map that was made elsewhere onto this one: an event of the fold, early or late. Knows no Prefect."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from importlib.metadata import version
+from typing import NamedTuple
+from uuid import UUID, uuid5
+
+import numpy as np
+
+from conetl.errors import InputError
+from conetl.io.db import Connection
+from conetl.io.decision_store import read_decisions
+from conetl.io.import_store import IMPORT_INFLUENCE_M, ImportedMap, commit_import, known_ids, place_import
+from conetl.io.map_results import RunInfo
+from conetl.io.map_store import find_changeset, map_transaction
+from conetl.io.parquet_store import result_key
+from conetl.io.replay_store import affected_drives, superseded_drives
+from conetl.params import ImportParams, params_sha256
+from conetl.records import Changeset, DeltaKind
+from conetl.steps.fold import Evidence
+from flows.replay import founding_key, replay_of
+
+_NAMESPACE = UUID("9d5b6a0c-3d0f-4b0e-8e4f-0a6f2c9b7d13")
+#: Of a network there is none.
+_NO_MODEL = ""
+
+
+class Imported(NamedTuple):
+    """What an import did."""
+
+    changeset_id: UUID
+    committed: bool
+    """False where the same file with the same parameters is on the map already: nothing was written."""
+    counts: dict[DeltaKind, int]
+    replayed: int
+    """Later drives that were compared with the map again because of it."""
+
+
+def import_map(
+    conn: Connection, imported: ImportedMap, params: ImportParams, *, map_name: str, now: datetime | None = None
+) -> Imported:
+    """Compare an imported map with this one as the drives recorded before it left it, and commit what follows, or nothing.
+
+    The same file with other parameters takes the place of its first import. Raises InputError for ids that are taken.
+    """
+    started_at = datetime.now(UTC)
+    key = result_key(
+        "import", imported.content_sha256, params_sha256(params), str(imported.srid), str(imported.stated_at_ns)
+    )
+    changeset = Changeset(
+        changeset_id=uuid5(_NAMESPACE, f"{map_name}/{key}"),
+        drive_id=imported.name,
+        idempotency_key=key,
+        params_sha256=params_sha256(params),
+        model_sha256=_NO_MODEL,
+        code_version=version("conetl"),
+        deltas=(),
+    )
+    with map_transaction(conn, map_name):
+        known = find_changeset(conn, key, map_name=map_name)
+        if known is not None:
+            return Imported(known.changeset_id, False, dict.fromkeys(DeltaKind, 0), 0)
+        _refuse_taken_ids(conn, imported, params, map_name)
+        drive_uuid = place_import(conn, imported, key, map_name=map_name, reconcile=params.reconcile)
+        evidence = Evidence(
+            key=(imported.stated_at_ns, imported.content_sha256, key),
+            changeset_id=changeset.changeset_id,
+            founding_key=founding_key(map_name, imported.content_sha256),
+            tracks=(),
+            path_m=np.array([statement.feature.xyz_m[:2] for statement in imported.statements]),
+            influence_m=IMPORT_INFLUENCE_M,
+            look_at=lambda feature, offset_m, others_m: None,
+            params=params.reconcile,
+            statements=imported.statements,
+        )
+        seeds = [drive_uuid, *superseded_drives(conn, drive_uuid)]
+        later = [ref for ref in affected_drives(conn, seeds) if ref.drive_uuid not in seeds]
+        aside = [*seeds, *(ref.drive_uuid for ref in later)]
+        folded, replay = replay_of(conn, aside, later, read_decisions(conn, map_name=map_name), own=[evidence])
+        deltas = tuple(folded.extensions[changeset.changeset_id].deltas)
+        changeset = changeset.model_copy(update={"deltas": deltas})
+        run = RunInfo(
+            run_id=uuid5(_NAMESPACE, f"run {map_name}/{key}"),
+            started_at=started_at,
+            params={
+                "import": params.model_dump(mode="json"),
+                "file": imported.source_path,
+                "sha256": imported.content_sha256,
+            },
+        )
+        commit_import(conn, imported, drive_uuid, changeset, replay, map_name=map_name, run=run, now=now)
+    counts = {kind: sum(delta.kind is kind for delta in deltas) for kind in DeltaKind}
+    return Imported(changeset.changeset_id, True, counts, len(later))
+
+
+def _refuse_taken_ids(conn: Connection, imported: ImportedMap, params: ImportParams, map_name: str) -> None:
+    """An id names one feature in the whole database; on this map it may come again where that feature is."""
+    features = [statement.feature for statement in imported.statements]
+    taken = known_ids(conn, [feature.feature_id for feature in features])
+    for index, feature in enumerate(features):
+        known = taken.get(feature.feature_id)
+        if known is None:
+            continue
+        where = f"{imported.source_path}, row {index + 1}: feature {feature.feature_id}"
+        if known.map_name != map_name:
+            raise InputError(
+                f"{where} belongs to the map {known.map_name} of this database already: use --new-ids; nothing was written"
+            )
+        if known.xy_m is not None:
+            away_m = float(np.hypot(feature.xyz_m[0] - known.xy_m[0], feature.xyz_m[1] - known.xy_m[1]))
+            if away_m > params.reconcile.moved_max_m:
+                raise InputError(
+                    f"{where} stands {away_m:.1f} m away on this map, farther than a cone is moved: correct the "
+                    "row, or use --new-ids; "
+                    "nothing was written"
+                )

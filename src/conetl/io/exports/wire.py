@@ -1,0 +1,134 @@
+"""PostgreSQL's binary records (`record_send`) as Arrow columns: millions of rows without a Python object a value.
+
+A record is a column count and per column its type's OID, a length (-1: NULL) and big-endian bytes. Records of the same
+lengths share one numpy structured type, so they are read column by column; the converse of `copy_binary`.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import defaultdict
+from collections.abc import Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from conetl.errors import DatabaseError
+
+#: PostgreSQL counts microseconds from 2000-01-01.
+_POSTGRES_EPOCH_US = 946_684_800_000_000
+_UUID, _TEXT = 2950, 25
+_UTC_US = pa.timestamp("us", tz="UTC")
+_FIXED: dict[int, tuple[str, pa.DataType]] = {
+    16: ("?", pa.bool_()),
+    20: (">i8", pa.int64()),
+    23: (">i4", pa.int32()),
+    701: (">f8", pa.float64()),
+    1184: (">i8", _UTC_US),
+}
+_HEX = np.frombuffer(b"0123456789abcdef", np.uint8)
+_DASHES = np.array([8, 13, 18, 23])
+_DIGITS = np.setdiff1d(np.arange(36), _DASHES)
+Parts: TypeAlias = list[tuple[NDArray[np.int64], Any]]
+"""Of one column: rows, and their values; None where all are NULL."""
+
+
+def arrow_type(oid: int) -> pa.DataType:
+    """Arrow's type for a PostgreSQL type; uuid becomes text. Raises DatabaseError for one that no export has."""
+    if oid in (_UUID, _TEXT):
+        return pa.string()
+    if oid not in _FIXED:
+        raise DatabaseError(f"an export has a column of PostgreSQL's type {oid}, which it cannot read")
+    return _FIXED[oid][1]
+
+
+def decode_records(records: Sequence[Any], oids: Sequence[int]) -> list[pa.Array]:
+    """Columns of `records` (bytes-like, as `record_send` makes them) with the types `oids`, in the order of the records."""
+    by_length: dict[int, list[int]] = defaultdict(list)
+    for row, record in enumerate(records):
+        by_length[len(record)].append(row)
+    columns: list[Parts] = [[] for _ in oids]
+    for rows in by_length.values():
+        _decode_group(records, np.array(rows), oids, columns)
+    return [_column(parts, oid, len(records)) for parts, oid in zip(columns, oids, strict=True)]
+
+
+def _decode_group(records: Sequence[Any], rows: NDArray[np.int64], oids: Sequence[int], columns: list[Parts]) -> None:
+    """Records of one length: those whose columns have the lengths of the first one's, then the rest."""
+    while len(rows):
+        first = bytes(records[rows[0]])
+        lengths = _lengths(first, oids)
+        fields: list[tuple[str, Any]] = [("count", ">i4")]
+        for i, length in enumerate(lengths):
+            fields += [(f"oid{i}", ">i4"), (f"length{i}", ">i4"), (f"value{i}", f"V{max(length, 0)}")]
+        block = np.frombuffer(b"".join(records[row] for row in rows), np.dtype(fields))
+        alike = np.ones(len(rows), bool)
+        for i, length in enumerate(lengths):
+            alike &= block[f"length{i}"] == length
+        for i, (length, oid) in enumerate(zip(lengths, oids, strict=True)):
+            columns[i].append((rows[alike], None if length < 0 else _values(block[f"value{i}"][alike], oid, length)))
+        rows = rows[~alike]
+
+
+def _lengths(record: bytes, oids: Sequence[int]) -> list[int]:
+    (count,) = struct.unpack_from(">i", record)
+    if count != len(oids):
+        raise DatabaseError(f"an export has {len(oids)} columns, but the database sent {count}")
+    lengths, at = [], 4
+    for wanted in oids:
+        oid, length = struct.unpack_from(">ii", record, at)
+        if oid != wanted:
+            raise DatabaseError(f"an export has a column of PostgreSQL's type {wanted}, but the database sent {oid}")
+        lengths.append(length)
+        at += 8 + max(length, 0)
+    return lengths
+
+
+def _values(wire: NDArray[Any], oid: int, length: int) -> Any:
+    """(n,) values of one column: numbers, or for text and uuid bytes (n, length)."""
+    if oid in _FIXED:
+        numbers = np.ascontiguousarray(wire).view(_FIXED[oid][0])
+        numbers = numbers.astype(numbers.dtype.newbyteorder("="))
+        return numbers + _POSTGRES_EPOCH_US if oid == 1184 else numbers
+    letters = (
+        np.ascontiguousarray(wire).view(np.uint8).reshape(len(wire), length)
+        if length
+        else np.empty((len(wire), 0), np.uint8)
+    )
+    return _uuid_text(letters) if oid == _UUID else letters
+
+
+def _uuid_text(uuids: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """(n, 36) letters of (n, 16) bytes."""
+    text = np.full((len(uuids), 36), ord("-"), np.uint8)
+    text[:, _DIGITS] = _HEX[np.stack([uuids >> 4, uuids & 15], axis=2).reshape(len(uuids), 32)]
+    return text
+
+
+def _column(parts: Parts, oid: int, count: int) -> pa.Array:
+    missing = np.zeros(count, bool)
+    for rows, values in parts:
+        if values is None:
+            missing[rows] = True
+    if oid in _FIXED:
+        if len(parts) == 1 and parts[0][1] is not None:
+            return pa.array(parts[0][1]).cast(_FIXED[oid][1])
+        together = np.zeros(count, np.dtype(_FIXED[oid][0]).newbyteorder("="))
+        for rows, values in parts:
+            if values is not None:
+                together[rows] = values
+        return pa.array(together, mask=missing if missing.any() else None).cast(_FIXED[oid][1])
+    if len(parts) == 1 and parts[0][1] is not None:  # one length: no need to put rows into order
+        return _strings(parts[0][1])
+    texts = [_strings(values) if values is not None else pa.nulls(len(rows), pa.string()) for rows, values in parts]
+    order = np.empty(count, np.int64)
+    order[np.concatenate([rows for rows, _ in parts])] = np.arange(count)
+    return pa.concat_arrays(texts).take(pa.array(order))
+
+
+def _strings(letters: NDArray[np.uint8]) -> pa.Array:
+    count, length = letters.shape
+    offsets = (np.arange(count + 1) * length).astype(np.int32)
+    return pa.StringArray.from_buffers(count, pa.py_buffer(offsets), pa.py_buffer(np.ascontiguousarray(letters)))

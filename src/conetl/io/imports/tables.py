@@ -1,0 +1,229 @@
+"""The rows of a map file of any kind: columns as Python values, places, and the CRS that the file names.
+
+What a file claims about itself (row counts, sizes) is compared with its size before anything is read, and rows are read in
+batches.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import struct
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pyogrio
+import shapely
+from numpy.typing import NDArray
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
+from conetl.errors import InputError
+
+#: Files with more are no cone maps; they would not fit into memory either.
+MAX_ROWS = 1_000_000
+#: What a compressed file may grow to.
+MAX_BYTES = 2 << 30
+_BATCH = 20_000
+#: A feature of any format takes at least so many bytes of the file.
+_MIN_ROW_BYTES = 8
+#: The first bytes of a FlatGeobuf file, without the patch version.
+_FGB_MAGIC = b"fgb\x03fgb"
+
+
+@dataclass
+class MapTable:
+    """n rows; rows are numbered from 1 in messages."""
+
+    path: Path
+    crs: CRS | None
+    """None where the file names none."""
+    xyz: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 3)))
+    """(n, 3) in `crs`, east before north, longitude before latitude; heights NaN where there are none."""
+    columns: dict[str, list[Any]] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+
+def read_table(path: Path) -> MapTable:
+    """All rows of a GeoJSON, CSV, GeoPackage, FlatGeobuf or GeoParquet file. Raises InputError naming the file, and the row."""
+    readers: dict[str, Callable[[Path], MapTable]] = {
+        ".csv": _read_csv,
+        ".parquet": _read_parquet,
+        ".geoparquet": _read_parquet,
+        ".geojson": _read_vector,
+        ".json": _read_vector,
+        ".gpkg": _read_vector,
+        ".fgb": _read_vector,
+    }
+    reader = readers.get(path.suffix.lower())
+    if reader is None:
+        raise InputError(
+            f"{path}: a map can be imported from {', '.join(readers)}, not from {path.suffix or 'such a file'}"
+        )
+    try:
+        size = path.stat().st_size
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror})") from error
+    if not path.is_file() or size == 0:
+        raise InputError(f"{path} is {'empty' if path.is_file() else 'no file'}: nothing to import")
+    table = reader(path)
+    if not len(table):
+        raise InputError(f"{path} holds no features: nothing to import")
+    return table
+
+
+def _read_vector(path: Path) -> MapTable:
+    if path.suffix.lower() == ".fgb":
+        _check_flatgeobuf_header(path)
+    try:
+        info = pyogrio.read_info(path)
+        _check_claim(path, info["features"], "features")
+        table = MapTable(path, _crs_of(path, info["crs"]))
+        with pyogrio.open_arrow(path, use_pyarrow=True, batch_size=_BATCH, datetime_as_string=True) as (meta, reader):
+            name = meta["geometry_name"] or "wkb_geometry"
+            if name not in reader.schema.names:
+                raise InputError(f"{path} has no geometry: a cone map is a layer of points")
+            _append_batches(table, reader, name)
+    except InputError:
+        raise
+    except Exception as error:  # GDAL raises what it likes for a broken file
+        raise InputError(f"{path} cannot be read as a map ({_line(error)})") from error
+    return table
+
+
+def _read_parquet(path: Path) -> MapTable:
+    try:
+        file = pq.ParquetFile(path)
+        metadata = file.metadata
+        groups = [metadata.row_group(i) for i in range(metadata.num_row_groups)]
+        _check_claim(path, metadata.num_rows, "rows")
+        if sum(group.total_byte_size for group in groups) > MAX_BYTES:
+            raise InputError(f"{path} claims to hold more than {MAX_BYTES >> 30} GiB: that is no cone map")
+        geo = json.loads((metadata.metadata or {}).get(b"geo", b"null"))
+        if not isinstance(geo, dict):
+            raise InputError(f"{path} is no GeoParquet file: it has no `geo` metadata")
+        name = geo["primary_column"]
+        column = geo["columns"][name]
+        if column["encoding"] != "WKB":
+            raise InputError(f"{path}: geometry encoded as {column['encoding']}; WKB is read")
+        crs = column.get("crs", "OGC:CRS84")  # what the standard says where none is named
+        table = MapTable(path, None if crs is None else CRS.from_user_input(crs))
+        names = [field.name for field in file.schema_arrow if not pa.types.is_nested(field.type)]
+        _append_batches(table, file.iter_batches(_BATCH, columns=names), name)
+    except InputError:
+        raise
+    except (OSError, pa.ArrowException, ValueError, KeyError, TypeError, MemoryError, CRSError) as error:
+        raise InputError(f"{path} cannot be read as GeoParquet ({_line(error)})") from error
+    return table
+
+
+def _append_batches(table: MapTable, batches: Iterable[pa.RecordBatch], geometry: str) -> None:
+    parts = []
+    count = 0
+    for batch in batches:
+        points = shapely.from_wkb(np.asarray(batch.column(geometry).to_pylist(), object))
+        bad = np.flatnonzero((shapely.get_type_id(points) != 0) | shapely.is_empty(points))
+        if len(bad):
+            kind = points[bad[0]].geom_type if points[bad[0]] is not None else "nothing"
+            raise InputError(f"{table.path}, row {count + int(bad[0]) + 1}: {kind} where a point is expected")
+        parts.append(shapely.get_coordinates(points, include_z=True))
+        count += batch.num_rows
+        if count > MAX_ROWS:
+            raise _too_many(table.path)
+        for name, column in zip(batch.schema.names, batch.columns, strict=True):
+            if name != geometry:
+                table.columns.setdefault(name, []).extend(column.to_pylist())
+    table.xyz = np.concatenate(parts) if parts else table.xyz
+
+
+def _read_csv(path: Path) -> MapTable:
+    """Columns lon_deg, lat_deg (WGS 84), or easting_m, northing_m (their CRS has to be stated); ellipsoidal_height_m."""
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            rows = csv.reader(file, strict=True)
+            names = [name.strip() for name in next(rows, [])]
+            lines = []
+            for number, line in enumerate(rows, start=1):
+                if not line:
+                    continue
+                if len(line) != len(names):
+                    raise InputError(f"{path}, row {number}: {len(line)} values where the header has {len(names)}")
+                lines.append(line)
+                if number > MAX_ROWS:
+                    raise _too_many(path)
+    except (OSError, UnicodeError, csv.Error) as error:
+        raise InputError(f"{path} cannot be read as CSV ({_line(error)})") from error
+    if len(set(names)) != len(names):
+        raise InputError(f"{path}: a column name stands twice in the header")
+    columns = {
+        name: [text.strip() or None for text in values]
+        for name, values in zip(names, zip(*lines, strict=True), strict=False)
+    }
+    geographic = {"lon_deg", "lat_deg"} <= set(names)
+    if not geographic and not {"easting_m", "northing_m"} <= set(names):
+        raise InputError(f"{path}: no columns lon_deg and lat_deg, nor easting_m and northing_m")
+    place = ("lon_deg", "lat_deg") if geographic else ("easting_m", "northing_m")
+    axes = [[_number(path, i, name, value) for i, value in enumerate(columns.get(name, []))] for name in place]
+    heights = columns.get("ellipsoidal_height_m", [None] * len(lines))
+    axes.append(
+        [
+            np.nan if value is None else _number(path, i, "ellipsoidal_height_m", value)
+            for i, value in enumerate(heights)
+        ]
+    )
+    return MapTable(path, CRS("OGC:CRS84") if geographic else None, np.array(axes).T.reshape(-1, 3), columns)
+
+
+def _number(path: Path, index: int, name: str, text: Any) -> float:
+    try:
+        return float(text)
+    except (TypeError, ValueError):
+        raise InputError(f"{path}, row {index + 1}: {name} is {text!r}, which is no number") from None
+
+
+def _check_flatgeobuf_header(path: Path) -> None:
+    """GDAL reserves what the header claims; the header's size is bytes 8 to 12."""
+    with path.open("rb") as file:
+        start = file.read(12)
+    if len(start) < 12 or not start.startswith(_FGB_MAGIC):
+        raise InputError(f"{path} is no FlatGeobuf file (version 3)")
+    (size,) = struct.unpack("<I", start[8:])
+    if size + 12 > path.stat().st_size:
+        raise InputError(
+            f"{path} claims a header of {size} bytes, but is only {path.stat().st_size} long: it is cut or broken"
+        )
+
+
+def _check_claim(path: Path, count: int, noun: str) -> None:
+    if count > MAX_ROWS:
+        raise _too_many(path)
+    # Columns of equal values compress to next to nothing; but geometries differ.
+    if count * _MIN_ROW_BYTES > path.stat().st_size + 4096:
+        raise InputError(
+            f"{path} claims {count} {noun}, but is only {path.stat().st_size} bytes long: it is cut or broken"
+        )
+
+
+def _too_many(path: Path) -> InputError:
+    return InputError(f"{path} has more than {MAX_ROWS} rows: that is no cone map; cut it into parts")
+
+
+def _crs_of(path: Path, text: str | None) -> CRS | None:
+    if text is None:
+        return None
+    try:
+        return CRS.from_user_input(text)
+    except CRSError as error:
+        raise InputError(f"{path} names a CRS that is not known: {text[:80]}") from error
+
+
+def _line(error: BaseException) -> str:
+    lines = str(error).splitlines()
+    return lines[0].rstrip(".") if lines else type(error).__name__

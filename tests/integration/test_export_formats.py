@@ -1,0 +1,329 @@
+"""Every format, opened by the programs that it is for: equal counts, places within a millimetre, times to the microsecond."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+from contextlib import closing
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from xml.etree import ElementTree
+
+import duckdb
+import geopandas
+import numpy as np
+import pyarrow.parquet as pq
+import pyogrio
+import pytest
+import shapely
+from jsonschema import validate
+from mcap.reader import make_reader
+from pyproj import Transformer
+
+from conetl.errors import InputError
+from conetl.io.db import connect, execute
+from conetl.io.exports import FORMATS, geojson, mcap_scene, qgis_project
+from conetl.io.exports.export import export_map
+from conetl.io.exports.source import ExportRequest, What
+from conetl.io.import_store import set_licence
+from conetl.io.map_store import read_features_as_of
+from conetl.records import DeltaKind
+from conetl.settings import Settings
+from flows.publish_map import write_publication
+from tests.conftest import cloned_database
+from tests.integration.drives_of_days import DAY_NS, START_NS, merge, survey
+
+NOON = [datetime.fromtimestamp((START_NS + day * DAY_NS) / 1e9 + 7200, UTC) for day in range(4)]
+TO_MAP = Transformer.from_crs(4326, 32632, always_xy=True)
+WHATS = {
+    What.FEATURES: ExportRequest(),
+    What.HISTORY: ExportRequest(what=What.HISTORY),
+    What.CHANGES: ExportRequest(what=What.CHANGES, since=NOON[0], until=NOON[2]),
+}
+
+
+@pytest.fixture(scope="module")
+def conn(cluster_url, template_database):
+    """A map of three drives, the second one late: there are beliefs that were given up."""
+    with cloned_database(cluster_url, template_database) as url:
+        connection = connect(url)
+        for day in (0, 2, 1):
+            merge(connection, survey(day))
+        set_licence(connection, "default", "CC BY 4.0, Roads of Nowhere")
+        yield connection
+        connection.close()
+
+
+@pytest.fixture(scope="module")
+def files(conn, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("files")
+    manifests = {
+        (what, name): export_map(conn, folder / f"{what}{FORMATS[name].suffix}", name, request)
+        for what, request in WHATS.items()
+        for name in FORMATS
+        if name != "wzdx"
+    }
+    assert not [path for path in folder.iterdir() if path.name.startswith(".")]
+    return folder, manifests
+
+
+def rows_of(conn, what):
+    """(place, valid_from) of what is to be in the file, from the tables, sorted."""
+    believed = "upper_inf(system_period)"
+    where = {
+        What.FEATURES: f"{believed} and upper_inf(valid_period) and present",
+        What.HISTORY: "true",
+        "scene": believed,
+    }[what]
+    rows = execute(
+        conn,
+        f"select ST_X(geom) x, ST_Y(geom) y, ST_Z(geom) z, lower(valid_period) t from conetl.feature_version where {where}",
+    )
+    conn.rollback()
+    return np.array(sorted((row["x"], row["y"], row["z"], microseconds(row["t"])) for row in rows))
+
+
+def microseconds(instant):
+    return (instant - datetime(1970, 1, 1, tzinfo=UTC)) // timedelta(microseconds=1)
+
+
+def same(found, wanted):
+    found = np.array(sorted(found))
+    assert found.shape == wanted.shape
+    assert np.abs(found[:, :3] - wanted[:, :3]).max() < 0.001
+    assert (found[:, 3] == wanted[:, 3]).all()
+
+
+@pytest.mark.parametrize("what", [What.FEATURES, What.HISTORY])
+def test_geoparquet_in_geopandas_and_duckdb(conn, files, what):
+    path = files[0] / f"{what}.parquet"
+    wanted = rows_of(conn, what)
+    frame = geopandas.read_parquet(path)
+    assert frame.crs.to_epsg() == 32632
+    times = [microseconds(t.to_pydatetime()) for t in frame["valid_from"]]
+    same([(p.x, p.y, p.z, t) for p, t in zip(frame.geometry, times, strict=True)], wanted)
+    # DuckDB's spatial extension would have to be downloaded; plain columns and the WKB say the same.
+    duck = duckdb.sql(
+        f"select bbox.xmin, bbox.ymin, bbox.zmin, epoch_us(valid_from), geometry from '{path}'"
+    ).fetchall()
+    same([row[:4] for row in duck], wanted)
+    points = [shapely.from_wkb(bytes(row[4])) if isinstance(row[4], bytes) else row[4] for row in duck]
+    if not isinstance(points[0], str):
+        assert all((p.x, p.y, p.z) == row[:3] for p, row in zip(points, duck, strict=True))
+    west, south = wanted[:, 0].min(), wanted[:, 1].min()
+    one = geopandas.read_parquet(path, bbox=(west - 0.01, south - 1e3, west + 0.01, south + 1e3))
+    assert 1 <= len(one) < len(wanted)
+
+
+def test_geoparquet_says_what_the_standard_wants(files):
+    file = pq.ParquetFile(files[0] / "features.parquet")
+    geo = json.loads(file.metadata.metadata[b"geo"])
+    assert (geo["version"], geo["primary_column"]) == ("1.1.0", "geometry")
+    column = geo["columns"]["geometry"]
+    assert (column["encoding"], column["geometry_types"]) == ("WKB", ["Point Z"])
+    assert column["crs"]["id"] == {"authority": "EPSG", "code": 32632}
+    assert column["covering"]["bbox"]["xmax"] == ["bbox", "xmax"]
+    assert len(column["bbox"]) == 6
+    assert str(file.schema_arrow.field("last_seen_at").type) == "timestamp[us, tz=UTC]"
+
+
+@pytest.mark.parametrize("what", [What.FEATURES, What.HISTORY])
+@pytest.mark.parametrize("suffix", ["gpkg", "fgb"])
+def test_geopackage_and_flatgeobuf_in_gdal(conn, files, what, suffix):
+    path = files[0] / f"{what}.{suffix}"
+    info = pyogrio.read_info(path)
+    assert info["crs"] == "EPSG:32632" and info["geometry_type"] == "Point Z" and info["layer_name"] == "default"
+    frame = pyogrio.read_dataframe(path)
+    same([(p.x, p.y, p.z, t) for p, t in zip(frame.geometry, frame["valid_from_us"], strict=True)], rows_of(conn, what))
+    shown = [microseconds(t.to_pydatetime()) for t in frame["valid_from"]]
+    assert np.abs(np.array(shown) - frame["valid_from_us"]).max() < 1000  # GDAL's own times hold milliseconds
+
+
+def test_text_formats(conn, files):
+    folder, _ = files
+    for what in (What.FEATURES, What.HISTORY):
+        wanted = rows_of(conn, what)
+        features = json.loads((folder / f"{what}.geojson").read_text())["features"]
+        places = [(*f["geometry"]["coordinates"], f["properties"]["valid_from"]) for f in features]
+        same([(*TO_MAP.transform(lon, lat), z, parsed(t)) for lon, lat, z, t in places], wanted)
+        with (folder / f"{what}.csv").open(newline="") as file:
+            lines = list(csv.DictReader(file))
+        names = ("easting_m", "northing_m", "ellipsoidal_height_m")
+        same([(*(float(line[name]) for name in names), parsed(line["valid_from"])) for line in lines], wanted)
+        nodes = ElementTree.parse(folder / f"{what}.osm").getroot().findall("node")
+        tags = [{tag.get("k"): tag.get("v") for tag in node.findall("tag")} for node in nodes]
+        same(
+            [
+                (*TO_MAP.transform(float(n.get("lon")), float(n.get("lat"))), float(t["ele"]), parsed(t["valid_from"]))
+                for n, t in zip(nodes, tags, strict=True)
+            ],
+            wanted,
+        )
+        assert len({node.get("id") for node in nodes}) == len(nodes)
+        assert all(int(node.get("id")) < 0 for node in nodes)
+
+
+def parsed(text):
+    return microseconds(datetime.fromisoformat(text))
+
+
+def scene(path):
+    with path.open("rb") as file:
+        for schema, channel, message in make_reader(file).iter_messages():
+            value = json.loads(message.data)
+            validate(value, json.loads(schema.data))
+            yield channel.topic, message.log_time, value
+
+
+def test_the_scene_in_mcap(conn, files):
+    messages = list(scene(files[0] / "features.mcap"))
+    [origin] = [value["translation"] for topic, _, value in messages if topic == "/tf"]
+    [fix] = [value for topic, _, value in messages if topic == "/origin"]
+    assert TO_MAP.transform(fix["longitude"], fix["latitude"]) == pytest.approx((origin["x"], origin["y"]), abs=0.001)
+    entities = [entity for topic, _, value in messages if topic == "/cones" for entity in value["entities"]]
+    found = []
+    for entity in entities:
+        [cylinder] = entity["cylinders"]
+        position, size = cylinder["pose"]["position"], cylinder["size"]
+        known = {pair["key"]: pair["value"] for pair in entity["metadata"]}
+        assert size["z"] == float(known["height_m"])
+        place = (position["x"] + origin["x"], position["y"] + origin["y"], position["z"] - size["z"] / 2 + origin["z"])
+        found.append((*place, parsed(known["valid_from"])))
+    same(found, rows_of(conn, What.FEATURES))
+    colours = {tuple(round(e["cylinders"][0]["color"][c], 2) for c in "rgb") for e in entities}
+    assert len(colours) >= 2  # some are new, some confirmed
+
+
+def test_a_history_plays_in_mcap(conn, files):
+    """At its end the scene is the map as it stands."""
+    standing = {}
+    last = 0
+    for topic, log_time, value in scene(files[0] / "history.mcap"):
+        assert log_time >= last
+        last = log_time
+        if topic == "/cones":
+            for deletion in value["deletions"]:
+                del standing[deletion["id"]]
+            standing |= {entity["id"]: entity for entity in value["entities"]}
+    now = execute(conn, "select feature_id::text as id from conetl.current_feature")
+    conn.rollback()
+    assert set(standing) == {row["id"] for row in now}
+
+
+def test_changes_lead_from_one_map_to_the_other(conn, files):
+    frame = geopandas.read_parquet(files[0] / "changes.parquet").set_index("feature_id")
+    before, after = (
+        {str(v.feature.feature_id): v.feature for v in read_features_as_of(conn, instant)}
+        for instant in (NOON[0], NOON[2])
+    )
+    conn.rollback()
+    assert set(frame.index[frame["change"] == "added"]) == after.keys() - before.keys() != set()
+    assert set(frame.index[frame["change"] == "removed"]) == before.keys() - after.keys() != set()
+    assert not frame.index.duplicated().any()
+    for feature_id, row in frame[frame["change"].isin(["moved", "confirmed"])].iterrows():
+        old, new = before[feature_id], after[feature_id]
+        assert (row["old_easting_m"], row["old_northing_m"], row["old_height_m"]) == old.xyz_m
+        assert (row.geometry.x, row.geometry.y, row.geometry.z) == new.xyz_m
+        assert (row["old_version"], row["version"]) == (old.version, new.version)
+        assert row["shift_m"] == pytest.approx(np.hypot(*np.subtract(old.xyz_m, new.xyz_m)[:2]))
+        assert (row["change"] == "moved") == (row["shift_m"] > 0.5)
+
+
+def test_evidence_of_drives_is_exported_as_it_is_shown(cluster_url, template_database, tmp_path):
+    """Counts and belief as `conetl map show` has them, of cones that two short looks missed."""
+    with cloned_database(cluster_url, template_database) as url, closing(connect(url)) as conn:
+        for one in (survey(0), survey(1, frames=20), survey(1, frames=21, after_ns=3_600_000_000_000)):
+            merge(conn, one)
+        shown = {str(v.feature.feature_id): v for v in read_features_as_of(conn)}
+        conn.rollback()
+        assert any(v.missed_count == 2 for v in shown.values())
+        for what in What:
+            since = NOON[0] - timedelta(days=1) if what is What.CHANGES else None
+            path = tmp_path / f"{what}.parquet"
+            export_map(conn, path, "geoparquet", ExportRequest(what=what, since=since))
+            frame = geopandas.read_parquet(path)
+            if what is What.HISTORY:
+                frame = frame[frame["present"] & frame["valid_to"].isna() & frame["system_to"].isna()]
+            told = frame.set_index("feature_id")[["seen_count", "missed_count", "existence_probability"]]
+            assert {key: tuple(row) for key, row in told.iterrows()} == {
+                key: (v.seen_count, v.missed_count, v.feature.existence_probability) for key, v in shown.items()
+            }
+
+
+def test_every_kind_of_change_has_a_colour():
+    kinds = {kind.value for kind in DeltaKind if kind is not DeltaKind.MISSED}  # which makes no version
+    assert set(mcap_scene._COLOURS) == set(qgis_project._KINDS) == kinds
+
+
+def test_what_was_believed_earlier_can_be_exported(conn, tmp_path):
+    [first] = execute(conn, "select min(committed_at) as at from conetl.changeset")
+    conn.rollback()
+    manifest = export_map(conn, tmp_path / "old.parquet", "geoparquet", ExportRequest(believed_at=first["at"]))
+    assert manifest["rows"] == len(list(read_features_as_of(conn, known_at=first["at"]))) != 0
+    conn.rollback()
+    history = ExportRequest(what=What.HISTORY, believed_at=first["at"])
+    assert export_map(conn, tmp_path / "h.csv", "csv", history)["rows"] == manifest["rows"]
+
+
+def test_the_manifest(files):
+    folder, manifests = files
+    for (what, name), manifest in manifests.items():
+        path = folder / f"{what}{FORMATS[name].suffix}"
+        assert json.loads(Path(f"{path}.manifest.json").read_text()) == manifest
+        assert manifest["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
+        assert manifest["licence"] == "CC BY 4.0, Roads of Nowhere"
+        assert manifest["crs"] == ("OGC:CRS84" if FORMATS[name].geographic else "EPSG:32632")
+        assert manifest["map"] == "default" and manifest["what"] == what and manifest["rows"] > 0
+
+
+def test_contradicting_requests_are_refused(conn, tmp_path):
+    for request, message in (
+        (ExportRequest("nowhere"), "no map named nowhere"),
+        (ExportRequest(what=What.CHANGES), "--from"),
+        (ExportRequest(since=NOON[0]), "--what changes"),
+        (ExportRequest(what=What.HISTORY, as_of=NOON[0]), "--as-of"),
+        (ExportRequest(what=What.CHANGES, since=NOON[1], until=NOON[0]), "second time lies before"),
+    ):
+        with pytest.raises(InputError, match=message):
+            export_map(conn, tmp_path / "out.parquet", "geoparquet", request)
+    with pytest.raises(InputError, match="no format kml"):
+        export_map(conn, tmp_path / "out.kml", "kml", ExportRequest())
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["gpkg", "geoparquet", "geojson", "mcap"])
+def test_a_failure_on_the_way_leaves_the_old_files_and_nothing_else(conn, tmp_path, monkeypatch, name):
+    path = tmp_path / f"map{FORMATS[name].suffix}"
+    export_map(conn, path, name, ExportRequest())
+    before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
+
+    def broken(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("conetl.io.exports.source.decode_records", broken)
+    with pytest.raises(KeyboardInterrupt):
+        export_map(conn, path, name, ExportRequest())
+    assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before
+
+
+def test_a_publication_is_whole_or_not_at_all(conn, tmp_path, monkeypatch):
+    settings = Settings(database_url=conn.dsn)
+    published, manifests = write_publication(settings, ["geojson", "geoparquet"], tmp_path)
+    latest = tmp_path / "latest"
+    assert latest.resolve() == published
+    assert sorted(p.name for p in latest.iterdir()) == [
+        "default.geojson",
+        "default.geojson.manifest.json",
+        "default.parquet",
+        "default.parquet.manifest.json",
+        "publication.json",
+    ]
+    assert [m["rows"] for m in manifests] == [manifests[0]["rows"]] * 2
+    monkeypatch.setattr(geojson, "write", lambda source, path: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        write_publication(settings, ["geoparquet", "geojson"], tmp_path)
+    with pytest.raises(InputError, match="kml"):
+        write_publication(settings, ["kml"], tmp_path)
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted([published.name, "latest"])
+    assert latest.resolve() == published

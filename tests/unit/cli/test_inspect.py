@@ -1,0 +1,66 @@
+"""`conetl inspect`: what it says of damaged drives, and its exit codes."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from conetl.cli import main
+from conetl.io.drive_folder import read_drive
+from conetl.records import Rig
+from tests.unit.io.drive_formats import SAMPLE, WRITERS, Frame, changed, sample_frames, write_euroc, write_kitti
+
+
+@pytest.fixture(scope="module")
+def frames() -> list[Frame]:
+    return sample_frames()
+
+
+@pytest.fixture(scope="module")
+def rig() -> Rig:
+    return read_drive(SAMPLE)[0].rig
+
+
+def run(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as stopped:
+        patch.setattr(sys, "argv", ["conetl", *arguments])
+        main()
+    text = capsys.readouterr()
+    return int(stopped.value.code or 0), text.out, text.err
+
+
+def test_inspect_says_what_is_lost(
+    tmp_path: Path, frames: list[Frame], rig: Rig, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CONETL_HOME", str(tmp_path / "home"))
+    damaged = changed(frames, 4, left=(frames[4].left or b"")[:-500])
+    path = WRITERS["mcap file"](tmp_path / "run", damaged, rig)
+    picture = tmp_path / "shown" / "drive.png"
+    code, text, _ = run(["inspect", str(path), "--json", "--picture", str(picture)], capsys)
+    found = json.loads(text)
+    assert code == 0
+    assert (found["format"], found["usable_pairs"], found["expected_pairs"]) == ("bag", 9, 10)
+    assert found["lost_by_reason"] == {"image_truncated": 1}
+    assert found["estimated_seconds"] > 0
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    damaged = changed(changed(damaged, 2, right=None), 3, right=None)
+    code, text, _ = run(["inspect", str(write_kitti(tmp_path / "kitti", damaged, rig))], capsys)
+    assert code == 1  # 3 of 10 are more than a tenth
+    assert "KITTI raw layout" in text
+    assert "7 of 10 usable, 3 lost" in text
+    assert "there is no right image" in text
+
+
+def test_inspect_ends_with_2_for_what_cannot_be_ingested(
+    tmp_path: Path, frames: list[Frame], rig: Rig, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CONETL_HOME", str(tmp_path / "home"))
+    path = write_euroc(tmp_path / "run", frames, rig)
+    (path / "drive.yaml").unlink()
+    code, text, complaint = run(["inspect", str(path)], capsys)
+    assert (code, text) == (2, "")
+    assert "georeference" in complaint
+    assert run(["inspect", str(tmp_path / "nothing")], capsys)[0] == 2
