@@ -1,6 +1,8 @@
-"""One drive as a job: its lock, its receipts, its run. What schedules, backfills and the form in Prefect's UI start."""
+"""One drive as a job: its lock, its receipts, its run. What schedules, backfills and the form in Prefect's UI start.
 
-from __future__ import annotations
+Annotations are evaluated here and not put off: Prefect sends a flow to a child process by value, with those globals only that its
+body uses, and the child could not make sense of their names.
+"""
 
 import socket
 import time

@@ -25,7 +25,7 @@ from prefect.settings import PREFECT_API_URL, temporary_settings
 from conetl.errors import ServiceError
 from conetl.io.services import is_running, read_services
 
-_START_TIMEOUT_S = 90
+_START_TIMEOUT_S = 180
 _DRAIN_TIMEOUT_S = 5
 _PR_SET_PDEATHSIG = 1
 

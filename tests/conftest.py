@@ -60,14 +60,17 @@ def pytest_unconfigure(config: pytest.Config) -> None:
 
 def _remove(home: Path) -> None:
     from conetl.io.cluster import cluster_remove
+    from conetl.io.services import read_services, stop_service
 
     if home.is_dir():
+        for service in read_services(home).values():
+            stop_service(service)
         cluster_remove(home)
         shutil.rmtree(home)
 
 
 def _remove_leftovers() -> None:
-    """Clusters of test runs that were killed."""
+    """Services and clusters of test runs that were killed; their homes' names end with the run's process id."""
     for home in HOMES.glob(f"conetl-test-{os.geteuid()}-*"):
         if not Path(f"/proc/{home.name.rsplit('-', 1)[1]}").exists():
             _remove(home)
@@ -79,6 +82,14 @@ def cluster_url(pytestconfig: pytest.Config) -> str:
     from conetl.io.cluster import cluster_up
 
     return cluster_up(_test_home(pytestconfig))
+
+
+@pytest.fixture(scope="session")
+def services_home(pytestconfig: pytest.Config) -> Path:
+    """A home folder for services that outlive their command; the next test run ends what a killed one left there."""
+    cluster_home = _test_home(pytestconfig)
+    prefix, main_pid = cluster_home.name.rsplit("-", 1)
+    return cluster_home.with_name(f"{prefix}-services-{main_pid}")
 
 
 @pytest.fixture(scope="session")

@@ -96,7 +96,7 @@ class _Started(NamedTuple):
 def _start_all(
     settings: Settings, home: Path, workers: int, host: str, port: int, view_port: int, say: Callable[[str], object]
 ) -> _Started:
-    """Start what is missing, one after the other, each when the one before it is healthy."""
+    """Start what is missing, each when that which it needs is healthy; all are at the end."""
     services = {name: s for name, s in read_services(home).items() if is_running(s)}
     _require_ports(services, host, port, view_port)
     say("Starting PostGIS")
@@ -111,31 +111,37 @@ def _start_all(
         **_environment(settings, home, f"{address}/api", os.environ.get(_AUTH), view, workers),
     }
 
-    def ensure(name: str, command: list[str], where: str | None, healthy: Callable[[], bool], **more: str) -> None:
+    def ensure(name: str, command: list[str], where: str | None, **more: str) -> None:
         if name not in services:
             say(f"Starting {name}")
             everything = {**environment, **more}
             services[name] = start_service(name, command, home=home, environment=everything, address=where)
             write_services(home, services)
-        wait_healthy(services[name], healthy, _TIMEOUT_S)
 
+    # Starting is mostly importing, one core each: what needs nothing of another starts at the same time.
     server = [sys.executable, "-m", "uvicorn", "--factory", "prefect.server.api.server:create_app"]
     ensure(
         "prefect",
         [*server, "--host", host, "--port", str(port), "--log-level", "warning"],
         address,
-        lambda: _answers(f"{address}/api/health"),
         PREFECT_SERVER_DATABASE_CONNECTION_URL=_prefect_url(settings, url),
         PREFECT_SERVER_UI_API_URL=os.environ.get("PREFECT_SERVER_UI_API_URL", f"{address}/api"),
     )
     conetl = [sys.executable, "-c", "from conetl.cli import main; main()"]
-    ensure("view", [*conetl, "view", "--port", str(view_port)], view, lambda: _answers(view))
+    ensure("view", [*conetl, "view", "--port", str(view_port)], view)
     os.environ.update(environment)  # Prefect reads its environment when it is imported, below
     from flows import register
     from flows.recovery import recover
 
-    say("Registering deployments")
+    wait_healthy(services["prefect"], lambda: _answers(f"{address}/api/health"), _TIMEOUT_S)
     register.ensure_pool()
+    names = ["desk", *(f"drives-{n + 1}" for n in range(workers))]
+    for name in names:
+        queue, limit = ("desk", "8") if name == "desk" else ("drives", "1")
+        command = [sys.executable, "-m", "prefect", "worker", "start", "--pool", "conetl", "--type", "process"]
+        command += ["--work-queue", queue, "--limit", limit, "--name", _worker_name(name), "--install-policy", "never"]
+        ensure(name, command, None)
+    say("Registering deployments")
     registered = register.ensure_deployments()
     with closing(connect(url)) as conn:
         recovered = [run.id for run in recover(conn)]
@@ -143,11 +149,10 @@ def _start_all(
     def is_online(name: str) -> bool:
         return register.worker_is_online(_worker_name(name), datetime.fromisoformat(services[name].started_at))
 
-    for name in ["desk", *(f"drives-{n + 1}" for n in range(workers))]:
-        queue, limit = ("desk", "8") if name == "desk" else ("drives", "1")
-        command = [sys.executable, "-m", "prefect", "worker", "start", "--pool", "conetl", "--type", "process"]
-        command += ["--work-queue", queue, "--limit", limit, "--name", _worker_name(name), "--install-policy", "never"]
-        ensure(name, command, None, partial(is_online, name))
+    say("Waiting until all answer")
+    wait_healthy(services["view"], lambda: _answers(view), _TIMEOUT_S)
+    for name in names:
+        wait_healthy(services[name], partial(is_online, name), _TIMEOUT_S)
     return _Started(address, view, url, registered, recovered)
 
 

@@ -148,7 +148,7 @@ def wait_healthy(service: Service, is_healthy: Callable[[], bool], timeout_s: fl
             raise ServiceError(
                 f"{service.name} was not ready within {timeout_s:.0f} s; the end of {service.log}:\n{log_tail(service)}"
             )
-        time.sleep(0.25)
+        time.sleep(0.5)  # asking costs the service, which is still starting, time as well
 
 
 def require_free_port(host: str, port: int, what: str, option: str) -> None:

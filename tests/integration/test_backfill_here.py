@@ -1,0 +1,58 @@
+"""`conetl backfill --here`: many drives on one machine where nothing of `conetl up` runs."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from contextlib import closing
+from pathlib import Path
+
+from conetl.io.db import connect, execute
+from tests.integration.small_drives import SAMPLES, cut_drive, processes_with
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_a_backfill_without_services_leaves_nothing_but_the_map_and_its_receipts(
+    tmp_path: Path, database_url: str
+) -> None:
+    cut_drive(SAMPLES[0], tmp_path / "drives" / "2026-05-01_good", "2026-05-01")
+    cut_drive(SAMPLES[1], tmp_path / "drives" / "2026-05-02_poisoned", "2026-05-02", poisoned=True)
+    cut_drive(SAMPLES[1], tmp_path / "drives" / "2026-05-03_good", "2026-05-03")
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("PREFECT_", "CONETL_"))}
+    environment |= {"CONETL_HOME": str(tmp_path / "home"), "CONETL_DATABASE_URL": database_url}
+
+    def backfill(*options: str) -> tuple[int, dict[str, dict[str, object]]]:
+        command = [sys.executable, "-c", "from conetl.cli import main; main()", "backfill", str(tmp_path / "drives")]
+        done = subprocess.run(
+            [*command, "--here", "--json", *options],
+            env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=600, check=False,
+        )  # fmt: skip
+        assert done.stdout, done.stderr
+        said = json.loads(done.stdout)
+        return done.returncode, {d["drive_id"]: d for d in said["drives"] or said["plan"]["lines"]}
+
+    code, drives = backfill("--max-parallel", "2")
+    assert {name: drive["state"] for name, drive in drives.items()} == {
+        "2026-05-01_good": "committed", "2026-05-02_poisoned": "failed", "2026-05-03_good": "committed",
+    }  # fmt: skip
+    assert "not one usable pose" in str(drives["2026-05-02_poisoned"]["reason"])
+    assert code == 2
+    with closing(connect(database_url)) as conn:
+        changesets = execute(
+            conn, "select d.drive_id from conetl.changeset c join conetl.drive d using (drive_uuid) order by 1"
+        )
+        cones = execute(conn, "select count(*) as cones from conetl.feature_version")[0]["cones"]
+        states = {r["drive_id"]: r["state"] for r in execute(conn, "select * from conetl.latest_receipt")}
+    assert [row["drive_id"] for row in changesets] == ["2026-05-01_good", "2026-05-03_good"]
+    assert cones > 0
+    assert states == {name: drive["state"] for name, drive in drives.items()}
+    assert processes_with("CONETL_HOME", tmp_path / "home") == set()
+
+    code, drives = backfill("--dry-run")
+    assert code == 0
+    assert {name: drive["action"] for name, drive in drives.items()} == {
+        "2026-05-01_good": "skip", "2026-05-02_poisoned": "ingest", "2026-05-03_good": "skip",
+    }  # fmt: skip
