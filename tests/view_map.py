@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from conetl.io.map_store import commit_changeset, map_transaction
-from conetl.records import Delta, MapFeature, utc_from_ns
+from conetl.records import Delta, DeltaKind, MapFeature, SightingEvidence, utc_from_ns
 
 #: Box of samples.detections() in both pictures.
 BOX = (600, 180, 20, 30)
@@ -64,3 +64,14 @@ def two_drives(conn: Any, samples: SimpleNamespace, folder: Path) -> dict[str, M
         samples.added(comes),
     )  # fmt: skip
     return {"stays": stays, "goes": goes, "wanders": wanders, "comes": comes}
+
+
+def missed(feature: MapFeature, at_ns: int, existence: float, frames_empty: int = 5) -> Delta:
+    """The drive looked for `feature` in vain and left it standing."""
+    evidence = SightingEvidence(
+        log_likelihood_ratio=-1.5, existence_probability=existence, frames_seen=0, frames_empty=frames_empty
+    )
+    return Delta(
+        kind=DeltaKind.MISSED, feature_id=feature.feature_id, old=feature, new=feature,
+        track_index=None, changed_at_ns=at_ns, shift_m=None, evidence=evidence,
+    )  # fmt: skip

@@ -2,5 +2,5 @@
 insert into conetl.feature (feature_id, map_id, srid, founded_by)
 select s.feature_id, %(map_id)s, %(srid)s, %(changeset_id)s
 from delta_stage s
-where s.kind = 'added'
+where s.kind in ('added', 'split')
 on conflict (feature_id) do nothing;

@@ -1,7 +1,9 @@
 // The server's answers (src/conetl/web/models.py) and how to ask for them. Lengths in metres, places as offsets from origin_m.
 
 export type Vec3 = [number, number, number];
-export type ChangeKind = "added" | "confirmed" | "moved" | "removed" | "unchanged";
+/** What a drive did to a cone; "unchanged" only between two instants. */
+export type ChangeKind =
+  | "added" | "confirmed" | "moved" | "removed" | "missed" | "height_changed" | "split" | "merged" | "unchanged";
 
 export interface MapItem {
   map_name: string;
@@ -25,6 +27,10 @@ export interface TimelineItem {
   confirmed_count: number;
   moved_count: number;
   removed_count: number;
+  missed_count: number;
+  height_changed_count: number;
+  split_count: number;
+  merged_count: number;
   frame_pair_count: number;
   rejection_count: number;
 }
@@ -61,11 +67,14 @@ export interface Change {
 export interface HistoryItem {
   changeset_no: number;
   drive_id: string;
+  captured_from: string;
   kind: Exclude<ChangeKind, "unchanged">;
   changed_at: string;
   committed_at: string;
   version: number;
   shift_m: number | null;
+  other_feature_id: string | null;
+  frames_empty: number | null;
   xyz_m: Vec3;
   map_xyz_m: Vec3;
   cov_m2: [number, number, number, number, number, number];
@@ -76,6 +85,9 @@ export interface HistoryItem {
   first_seen_at: string;
   last_seen_at: string;
   sighting_count: number;
+  /** Drives that saw it, and that looked in vain, up to this one. */
+  seen_count: number;
+  missed_count: number;
 }
 
 export interface Sighting {

@@ -5,7 +5,7 @@ import {
 } from "three";
 import { mergeGeometries } from "three/addons/utils/BufferGeometryUtils.js";
 import type { Vec3 } from "./api";
-import { STYLES, type Cone } from "./kinds";
+import { isGone, STYLES, type Cone } from "./kinds";
 import type { Stage } from "./scene";
 
 const PICK_PX = 18;
@@ -43,10 +43,10 @@ export function createCones(stage: Stage): ConeLayer {
   function show(next: Cone[]): void {
     cones = next;
     const colour = (c: Cone) => STYLES[c.kind].colour;
-    standing.set(cones.filter((c) => c.kind !== "removed").map((c) => ({ at: c.xyz, height: c.height_m, colour: colour(c) })));
+    standing.set(cones.filter((c) => !isGone(c.kind)).map((c) => ({ at: c.xyz, height: c.height_m, colour: colour(c) })));
     gone.set(
       cones.flatMap((c) => {
-        const at = c.kind === "removed" ? c.xyz : c.kind === "moved" ? c.old : null;
+        const at = isGone(c.kind) ? c.xyz : c.kind === "moved" ? c.old : null;
         return at ? [{ at, height: c.height_m, colour: colour(c) }] : [];
       }),
     );
@@ -187,10 +187,17 @@ const FRAGMENT = /* glsl */ `
 varying vec3 vTint;
 varying float vShape;
 float bar(vec2 p) { return min(max(abs(p.x) - 0.15, abs(p.y) - 0.62), max(abs(p.y) - 0.15, abs(p.x) - 0.62)); }
+/** Tip up; gl_PointCoord grows downwards. */
+float triangle(vec2 p) { return max(p.y - 0.5, abs(p.x) * 0.88 - p.y * 0.47 - 0.36); }
 void main() {
   vec2 p = gl_PointCoord * 2.0 - 1.0;
   float d = length(p) - 0.55;
-  if (vShape > 2.5) d = bar(mat2(0.7071, 0.7071, -0.7071, 0.7071) * p);
+  float w = max(abs(p.x), abs(p.y));
+  if (vShape > 6.5) d = triangle(vec2(p.x, -p.y));
+  else if (vShape > 5.5) d = triangle(p);
+  else if (vShape > 4.5) d = w - 0.52;
+  else if (vShape > 3.5) d = abs(length(p) - 0.47) - 0.17;
+  else if (vShape > 2.5) d = bar(mat2(0.7071, 0.7071, -0.7071, 0.7071) * p);
   else if (vShape > 1.5) d = (abs(p.x) + abs(p.y)) - 0.72;
   else if (vShape > 0.5) d = bar(p);
   if (d > 0.2) discard;

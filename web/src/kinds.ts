@@ -1,7 +1,7 @@
 // How each kind of cone looks: a colour that the colour-blind can tell (no red/green pair, no orange) and a marker of its own.
 import type { ChangeKind } from "./api";
 
-export type Kind = "confirmed" | "added" | "moved" | "removed" | "unchanged" | "standing";
+export type Kind = ChangeKind | "standing";
 
 export interface Cone {
   id: string;
@@ -18,7 +18,7 @@ export interface Cone {
 export interface KindStyle {
   colour: string;
   /** Number of the marker's shape in the shader and in `icon`. */
-  shape: 0 | 1 | 2 | 3;
+  shape: 0 | 1 | 2 | 3 | 4 | 5 | 6 | 7;
   label: string;
 }
 
@@ -26,14 +26,19 @@ export const STYLES: Record<Kind, KindStyle> = {
   added: { colour: "#0068b4", shape: 1, label: "new" },
   moved: { colour: "#a8327f", shape: 2, label: "moved" },
   removed: { colour: "#1f2933", shape: 3, label: "removed" },
+  split: { colour: "#0068b4", shape: 6, label: "split off" },
+  merged: { colour: "#1f2933", shape: 7, label: "merged" },
+  height_changed: { colour: "#00707c", shape: 5, label: "height changed" },
+  missed: { colour: "#5f45b8", shape: 4, label: "looked for in vain" },
   confirmed: { colour: "#7f97b2", shape: 0, label: "confirmed" },
   unchanged: { colour: "#b4bcc6", shape: 0, label: "not judged" },
   standing: { colour: "#7f97b2", shape: 0, label: "standing" },
 };
 
-export const KIND_ORDER: Kind[] = ["added", "moved", "removed", "confirmed", "unchanged", "standing"];
+export const KIND_ORDER: Kind[] = ["added", "split", "moved", "removed", "merged", "height_changed", "missed", "confirmed", "unchanged", "standing"];
 
-export const kindOf = (kind: ChangeKind): Kind => kind;
+/** What stands there no more after the drive: drawn as a ghost. */
+export const isGone = (kind: Kind): boolean => kind === "removed" || kind === "merged";
 
 const SVG = "http://www.w3.org/2000/svg";
 const PATHS = [
@@ -41,6 +46,10 @@ const PATHS = [
   "M6.5 2h3v4.5H14v3H9.5V14h-3V9.5H2v-3h4.5z",
   "M8 1.5 14.5 8 8 14.5 1.5 8z",
   "M3.600 1.800 8 6.200l4.400-4.400 1.800 1.800L9.800 8l4.400 4.400-1.800 1.800L8 9.800l-4.400 4.400-1.800-1.800L6.200 8 1.800 3.600z",
+  "M8 2.200a5.800 5.800 0 1 0 .01 0zM8 4.900a3.100 3.100 0 1 1 -.01 0z",
+  "M3.200 3.200h9.600v9.600H3.200z",
+  "M8 2 14 13.200H2z",
+  "M8 14 2 2.800h12z",
 ];
 
 /** The marker of a kind as a small picture, the same shape as in the scene. */

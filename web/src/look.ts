@@ -1,6 +1,6 @@
 // From what is asked for to the cones that show it.
 import { api, type Change, type Feature, type Instant, type TimelineItem } from "./api";
-import { kindOf, type Cone } from "./kinds";
+import { isGone, type Cone } from "./kinds";
 import type { State } from "./state";
 
 /** The changeset of this number; the newest one for null or a number that the map does not have. */
@@ -14,7 +14,7 @@ const standing = (f: Feature): Cone => ({
 });
 
 const changed = (c: Change): Cone => ({
-  id: c.feature_id, kind: kindOf(c.kind), xyz: c.xyz_m, old: c.kind === "moved" ? c.old_xyz_m : null, shift_m: c.shift_m,
+  id: c.feature_id, kind: c.kind, xyz: c.xyz_m, old: c.kind === "moved" ? c.old_xyz_m : null, shift_m: c.shift_m,
   height_m: c.cone_height_m, probability: c.existence_probability, observations: c.observation_count,
 });
 
@@ -46,7 +46,7 @@ export async function readCones(state: State, items: TimelineItem[]): Promise<[C
   const rest = features.features.filter((f) => !judged.has(f.feature_id)).map((f): Cone => ({ ...standing(f), kind: "unchanged" }));
   const shown = [...judged.values()].flatMap((c): Cone[] => {
     if (state.side === "changes") return [c];
-    return c.kind === "removed" ? [] : [{ ...c, old: null, shift_m: null }];
+    return isGone(c.kind) ? [] : [{ ...c, old: null, shift_m: null }];
   });
   return [[...shown, ...rest], features.truncated];
 }

@@ -8,7 +8,7 @@ import { createLayout } from "./layout";
 import { listen } from "./live";
 import { changesetOf, drivesShown, readCones } from "./look";
 import { createOverlays, ellipse95, niceFactor } from "./overlays";
-import { createPanel, stateAt, type Chosen } from "./panel";
+import { createPanel, stateAt, until, type Chosen } from "./panel";
 import { createStage, type Stage } from "./scene";
 import { createSidebar } from "./sidebar";
 import { formatState, parseState, type State } from "./state";
@@ -305,7 +305,10 @@ function showSighting(index: number): void {
   drawChosen();
 }
 
-const upTo = () => (state.mode === "drive" ? changeset(state.changeset)?.changeset_no ?? Infinity : Infinity);
+function upTo(): number {
+  const item = state.mode === "drive" ? changeset(state.changeset) : undefined;
+  return item ? Date.parse(item.captured_from) : Infinity;
+}
 
 function drawChosen(): void {
   if (!chosen) {
@@ -328,7 +331,7 @@ function drawChosen(): void {
 function sightingToShow({ sightings, history, upTo }: Chosen): number {
   if (!sightings?.length) return 0;
   if (state.sighting !== null) return Math.min(state.sighting, sightings.length - 1);
-  const no = history.filter((h) => h.changeset_no <= upTo && h.sighting_count > 0).at(-1)?.changeset_no;
+  const no = history.filter((h) => until(h, upTo) && h.sighting_count > 0).at(-1)?.changeset_no;
   let best = -1;
   sightings.forEach((s, i) => {
     if ((s.changeset_no === no || no === undefined) && (best < 0 || s.range_m < (sightings[best]?.range_m ?? 0))) best = i;

@@ -1,7 +1,7 @@
 // Right: everything about the chosen cone.
 import { api, ApiError, type HistoryItem, type Sighting } from "./api";
 import { el, fill, plural, shortId, utc } from "./dom";
-import { icon, STYLES } from "./kinds";
+import { icon, isGone, STYLES } from "./kinds";
 import { ellipse95, niceFactor } from "./overlays";
 
 export interface PanelActions {
@@ -21,7 +21,7 @@ export interface Chosen {
   sightings: Sighting[] | null;
   truncated: boolean;
   sightingIndex: number;
-  /** Number of the changeset that is looked at. */
+  /** When the drive that is looked at began (milliseconds); Infinity for all drives. */
   upTo: number;
   /** Enlargement of the ellipse; null chooses one. */
   factor: number | null;
@@ -29,9 +29,11 @@ export interface Chosen {
 
 const cm = (variance: number) => `${(Math.sqrt(variance) * 100).toFixed(1)} cm`;
 
-/** The state that the history holds after changeset `upTo`; the first one where it begins later. */
+export const until = (h: HistoryItem, upTo: number): boolean => Date.parse(h.captured_from) <= upTo;
+
+/** The state that the history holds after the drive that began at `upTo`; the first one where it begins later. */
 export function stateAt(history: HistoryItem[], upTo: number): HistoryItem | undefined {
-  return history.filter((h) => h.changeset_no <= upTo).at(-1) ?? history[0];
+  return history.filter((h) => until(h, upTo)).at(-1) ?? history[0];
 }
 
 export function createPanel(host: HTMLElement, actions: PanelActions) {
@@ -96,10 +98,10 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
     const meter = el("span", { class: "meter" }, el("i"));
     (meter.firstElementChild as HTMLElement).style.width = `${now.existence_probability * 100}%`;
     const [easting, northing, height] = now.map_xyz_m.map((v) => v.toFixed(3));
-    const gone = now.kind === "removed";
     fill(
       facts,
-      gone && el("p", { class: "notice", textContent: `Removed: ${now.drive_id} looked and did not see it any more. These are its last values.` }),
+      isGone(now.kind) && el("p", { class: "notice", textContent: `${whyGone(now)} These are its last values.` }),
+      now.kind === "missed" && el("p", { class: "notice", textContent: `${now.drive_id} looked for it in vain${frames(now)}, but not surely enough to remove it.` }),
       el(
         "dl", {},
         ...row("Place", el("span", { class: "mono", textContent: `${easting} E` }), el("span", { class: "mono", textContent: `${northing} N` }), el("small", { textContent: `EPSG:${chosen.srid}, foot centre` })),
@@ -108,7 +110,7 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
         ...row("95 % ellipse", el("span", { class: "mono", textContent: `${(e.major_m * 100).toFixed(1)} × ${(e.minor_m * 100).toFixed(1)} cm half axes` }),
           el("small", {}, "drawn ", factor, " enlarged")),
         ...row("Exists", meter, el("span", { class: "mono", textContent: now.existence_probability.toFixed(4) })),
-        ...row("Seen", el("span", { textContent: plural(now.observation_count, "observation") })),
+        ...row("Evidence", el("span", { textContent: evidence(now) }), el("small", { textContent: `${plural(now.observation_count, "observation")} so far` })),
         ...row("Cone height", el("span", { class: "mono", textContent: `${now.cone_height_m.toFixed(3)} ± ${now.cone_height_sigma_m.toFixed(3)} m` })),
         ...row("First, last seen", el("span", { class: "mono", textContent: utc(now.first_seen_at) }), el("span", { class: "mono", textContent: `${utc(now.last_seen_at)} UTC` })),
       ),
@@ -123,7 +125,7 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
         el("li", { class: h === now ? "chosen" : "" },
           el("button", { type: "button", title: "Show this drive", onclick: () => actions.showChangeset(h.changeset_no) },
             icon(h.kind),
-            el("span", {}, el("b", { textContent: STYLES[h.kind].label }), h.shift_m !== null && ` by ${h.shift_m.toFixed(3)} m`, ` · version ${h.version}`,
+            el("span", {}, el("b", { textContent: STYLES[h.kind].label }), h.kind === "moved" && h.shift_m !== null && ` by ${h.shift_m.toFixed(3)} m`, other(h), h.kind === "missed" ? frames(h) : ` · version ${h.version}`,
               el("small", { textContent: `${utc(h.changed_at)} UTC · ${h.drive_id}` }),
               el("small", { textContent: `exists ${h.existence_probability.toFixed(4)} · ${plural(h.observation_count, "observation")} · σ ${cm((h.cov_m2[0] + h.cov_m2[3]) / 2)}` }))))),
       ),
@@ -203,4 +205,22 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
 
 function row(name: string, ...values: (Node | string)[]): Node[] {
   return [el("dt", { textContent: name }), el("dd", {}, ...values)];
+}
+
+/** "seen by 3 drives, looked in vain by 1", broken only at the comma. */
+function evidence(h: HistoryItem): string {
+  return [`seen by ${plural(h.seen_count, "drive")},`, `looked in vain by ${h.missed_count}`].map((part) => part.replaceAll(" ", "\u00a0")).join(" ");
+}
+
+const frames = (h: HistoryItem): string => (h.frames_empty ? ` in ${plural(h.frames_empty, "frame pair")}` : "");
+
+/** Which cone a split came from, or a merger went into. */
+function other(h: HistoryItem): string {
+  if (h.other_feature_id === null) return "";
+  return ` ${h.kind === "merged" ? "into" : "from"} ${shortId(h.other_feature_id)}`;
+}
+
+function whyGone(h: HistoryItem): string {
+  if (h.kind === "merged") return `Merged: ${h.drive_id} found one cone where the map had two; ${shortId(h.other_feature_id ?? "")} is left.`;
+  return `Removed: ${h.drive_id} looked${frames(h)} and did not see it any more.`;
 }

@@ -19,7 +19,7 @@ const PARALLEL = 6;
 const REDRAW_EVERY_MS = 200;
 const ROOT_M = 4096;
 const GRID = 128;
-const POINT_M = 0.07;
+const POINT_M = 0.05;
 
 interface Tile {
   sha256: string;
@@ -262,12 +262,13 @@ void main() {
   // Half a metre farther in depth: the points that LiDAR saw of a cone do not hide the cone.
   float farther = seen.z - 0.5;
   gl_Position.z = (projectionMatrix[2][2] * farther + projectionMatrix[3][2]) / -farther * gl_Position.w;
-  gl_PointSize = clamp(perMetre / max(-seen.z, 0.01), least, 4.0 * least);
+  gl_PointSize = clamp(perMetre / max(-seen.z, 0.01), least, 3.0 * least);
   vTint = mix(dark, bright, shade / 255.0);
 }`;
 const FRAGMENT = /* glsl */ `
 varying vec3 vTint;
 void main() {
+  if (distance(gl_PointCoord, vec2(0.5)) > 0.5) discard;  // round, also from near
   gl_FragColor = vec4(vTint, 1.0);
   #include <colorspace_fragment>
 }`;

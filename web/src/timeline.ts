@@ -17,7 +17,9 @@ export interface TimelineActions {
 const MODES: [Mode, string][] = [["drive", "Drive by drive"], ["compare", "Compare two"], ["instant", "Any time"]];
 const SIDES: [Side, string][] = [["before", "Before"], ["changes", "Changes"], ["after", "After"]];
 const CHANGED: [Kind, (t: TimelineItem) => number][] = [
-  ["added", (t) => t.added_count], ["moved", (t) => t.moved_count], ["removed", (t) => t.removed_count], ["confirmed", (t) => t.confirmed_count],
+  ["added", (t) => t.added_count], ["moved", (t) => t.moved_count], ["removed", (t) => t.removed_count],
+  ["split", (t) => t.split_count], ["merged", (t) => t.merged_count], ["height_changed", (t) => t.height_changed_count],
+  ["missed", (t) => t.missed_count], ["confirmed", (t) => t.confirmed_count],
 ];
 const BAR_PX = 30;
 

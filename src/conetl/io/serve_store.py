@@ -69,7 +69,7 @@ def read_changes_between(
 
 
 def read_feature_history(conn: Connection, map_name: str, feature_id: UUID) -> list[Row]:
-    """Every delta of a feature with the state after it, oldest first; [] where the map has no such feature."""
+    """Every delta of a feature with the state after it, in the order of the road; [] where the map has no such feature."""
     return _rows(conn, "feature_history", {"map_name": map_name, "feature_id": feature_id})
 
 

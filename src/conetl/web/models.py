@@ -8,10 +8,12 @@ from uuid import UUID
 
 from pydantic import BaseModel, ConfigDict
 
-from conetl.records import Matrix3, Vec3
+from conetl.records import DeltaKind, Matrix3, Vec3
 
 Cov2 = tuple[float, float, float]
 """xx, xy, yy on the ground."""
+ChangeKind = DeltaKind | Literal["unchanged"]
+"""What a drive did to a feature; between two instants, `unchanged` where it is the same version."""
 
 
 class Answer(BaseModel):
@@ -52,6 +54,10 @@ class TimelineItem(Answer):
     confirmed_count: int
     moved_count: int
     removed_count: int
+    missed_count: int
+    height_changed_count: int
+    split_count: int
+    merged_count: int
     frame_pair_count: int
     detection_count: int
     track_count: int
@@ -96,7 +102,7 @@ class Features(Answer):
 
 class Change(Answer):
     feature_id: UUID
-    kind: Literal["added", "confirmed", "moved", "removed", "unchanged"]
+    kind: ChangeKind
     changed_at: datetime | None
     shift_m: float | None
     old_xyz_m: Vec3 | None
@@ -118,11 +124,17 @@ class HistoryItem(Answer):
     changeset_no: int
     drive_id: str
     drive_uuid: UUID
-    kind: Literal["added", "confirmed", "moved", "removed"]
+    captured_from: datetime
+    """Beginning of the drive."""
+    kind: DeltaKind
     changed_at: datetime
     committed_at: datetime
     version: int
     shift_m: float | None
+    other_feature_id: UUID | None
+    """Of a split, the feature that was both; of a merger, the one that is left."""
+    frames_empty: int | None
+    """Frame pairs of this drive that looked at its spot in vain; None where that was not kept."""
     category: str
     xyz_m: Vec3
     map_xyz_m: Vec3
@@ -136,16 +148,16 @@ class HistoryItem(Answer):
     last_seen_at: datetime
     sighting_count: int
     seen_count: int
-    """Drives that saw the feature, up to now."""
+    """Drives that saw the feature, up to this one on the road."""
     missed_count: int
-    """Drives that looked at its spot in vain, up to now."""
+    """Drives that looked at its spot in vain, up to this one."""
 
 
 class FeatureHistory(Answer):
     feature_id: UUID
     origin_m: Vec3
     history: list[HistoryItem]
-    """Oldest first."""
+    """In the order of the drives on the road."""
 
 
 class Box(Answer):

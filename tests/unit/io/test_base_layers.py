@@ -260,7 +260,8 @@ def test_a_real_lanelet2_map():
     found = read_lanelet2(SHARED / "lanelet2" / "mapping_example.osm")
     assert len(found.lines) > 1_000 and not found.refused
     assert {"line_thin", "curbstone", "road_border", "virtual"} <= {item.kind for item in found.lines}
-    length_m = max(np.ptp(to_map(layer_crs(found.crs, 32632), item.xyz)[:, :2], axis=0).max() for item in found.lines)
+    layer = layer_crs(found.crs, 32632)
+    length_m = max(np.ptp(to_map(layer, item.xyz)[:, :2], axis=0).max() for item in found.lines)
     assert 50 < length_m < 2_000
 
 
