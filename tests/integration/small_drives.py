@@ -6,7 +6,7 @@ import shutil
 from pathlib import Path
 
 SAMPLES = sorted((Path(__file__).resolve().parents[2] / "data" / "drives").iterdir())
-#: The fewest pairs of the samples that put a cone on the map.
+#: Few, since every drive costs the start of a process anyway, and enough to put cones on the map.
 FRAMES = range(14, 17)
 
 
