@@ -62,4 +62,4 @@ bench-kills: setup  ## 200 ingests killed at random instants: equal tables, no l
 	@$(BIN)/python benchmarks/bench_kills.py --kills $(or $(KILLS),200)
 
 lock:           ## renew requirements.txt from pyproject.toml (needs uv)
-	uv pip compile pyproject.toml --extra dev --extra dask --extra s3 --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --no-annotate -o requirements.txt
+	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --no-annotate -o requirements.txt
