@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 from contextlib import closing
 from pathlib import Path
 
@@ -49,6 +50,9 @@ def test_a_backfill_without_services_leaves_nothing_but_the_map_and_its_receipts
     assert [row["drive_id"] for row in changesets] == ["2026-05-01_good", "2026-05-03_good"]
     assert cones > 0
     assert states == {name: drive["state"] for name, drive in drives.items()}
+    ends = time.monotonic() + 30
+    while processes_with("CONETL_HOME", tmp_path / "home") and time.monotonic() < ends:
+        time.sleep(0.2)  # the temporary server takes a moment to end
     assert processes_with("CONETL_HOME", tmp_path / "home") == set()
 
     code, drives = backfill("--dry-run")
