@@ -24,8 +24,9 @@ up: setup       ## PostGIS, Prefect, workers, schedules and the web view; make d
 down:           ## end what make up started; the data stay
 	@$(BIN)/conetl down
 
+# A file's tests stay on one worker: they share servers, and some build on the one before.
 test: setup     ## all tests
-	@$(BIN)/python -m pytest -n 2 --dist loadgroup
+	@$(BIN)/python -m pytest -n 2 --dist loadfile
 
 check: setup    ## lint, types, layer contracts and the fast tests
 	$(BIN)/ruff check .

@@ -27,10 +27,7 @@ from tests.view_map import commit, cone, missed, two_drives
 playwright_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed (extra `dev`)")
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-pytestmark = [
-    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine (Debian: apt install chromium)"),
-    pytest.mark.xdist_group("browser"),
-]
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine (Debian: apt install chromium)")
 
 ROOT = Path(__file__).resolve().parents[2]
 FLAGS = [
@@ -279,6 +276,7 @@ def test_a_new_changeset_appears_by_itself(page, address, conn, samples, picture
     page.wait_for_selector(".drive-text >> text=drive_3")
     print(f"from commit to picture: {time.monotonic() - committed:.1f} s")
     assert page.evaluate("window.notReloaded") is True
+    page.wait_for_selector(".legend label >> text=looked for in vain")  # the changes come a request after the drive
     assert page.locator(".legend label").all_inner_texts() == ["new\n1", "looked for in vain\n1", "not judged\n2"]
     settle(page)
     assert pixels_of(picture(page), MISSED) > 40

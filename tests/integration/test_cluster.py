@@ -24,10 +24,6 @@ from conetl.io.postgres_install import find_installs
 AS_ROOT = os.geteuid() == 0
 
 
-#: One worker of pytest-xdist for all: they are few, and share a cluster.
-pytestmark = pytest.mark.xdist_group("cluster")
-
-
 @contextmanager
 def new_home(name: str):
     """A home folder that the server's user can reach, with a space, a dollar and a quote in its name."""

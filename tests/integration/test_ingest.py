@@ -29,8 +29,6 @@ ROOT = Path(__file__).resolve().parents[2]
 DRIVES = sorted((ROOT / "data" / "drives").iterdir())
 SHARED = Path(os.environ.get("CONETL_SHARED_DATA", ROOT.parent / "shared" / "data"))
 KITTI = SHARED / "kitti_2011_09_26_drive_0005_sync"
-#: One worker runs all of them: they share a Prefect server and the results of detection.
-pytestmark = pytest.mark.xdist_group("ingest")
 
 #: Everything that a drive leaves on the map, but for what a clock or a sequence says.
 FINAL_TABLES = {

@@ -28,7 +28,6 @@ from conetl.io.exports import FORMATS
 from conetl.io.services import TOKEN, read_services
 from tests.integration.small_drives import SAMPLES, cut_drive, processes_with
 
-pytestmark = pytest.mark.xdist_group("operations")
 ROOT = Path(__file__).resolve().parents[2]
 #: Late, so that it fails once: what failed is tried again when the backfill is taken up.
 POISONED = "2026-04-06_small"
