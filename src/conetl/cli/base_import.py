@@ -18,13 +18,11 @@ from conetl.geometry.layer_crs import LayerCrs, to_map
 from conetl.geometry.point_tiles import Cloud, tiles_of, top_level
 from conetl.geometry.rig import map_SE3_left
 from conetl.io.base_layers import placing
-from conetl.io.base_layers.lanelet2 import read_lanelet2
 from conetl.io.base_layers.las_file import las_chunks, read_las_header
+from conetl.io.base_layers.line_files import LINE_READERS
 from conetl.io.base_layers.lines import LineFile
-from conetl.io.base_layers.opendrive_file import read_opendrive
 from conetl.io.base_layers.placing import MapPlace
 from conetl.io.base_layers.spill import Spilled, read_cells, spill
-from conetl.io.base_layers.vector_file import read_vector_file
 from conetl.io.base_store import (
     BaseCounts,
     BaseFile,
@@ -41,10 +39,6 @@ from conetl.io.drive_folder import read_drive
 from conetl.io.drive_folder.velodyne import ScanFileError, left_SE3_velo, list_scans, read_scan, scan_period_s
 from conetl.records import Drive
 
-LINE_READERS: dict[str, Callable[[Path], LineFile]] = {
-    ".osm": read_lanelet2, ".geojson": read_vector_file, ".json": read_vector_file, ".gpkg": read_vector_file,
-    ".xodr": read_opendrive,
-}  # fmt: skip
 POINT_SUFFIXES = (".las", ".laz")
 #: So many points tell where a file lies.
 _CHECKED = 20_000

@@ -1,4 +1,4 @@
-"""GeoJSON and GeoPackage: every line of every layer, through GDAL (pyogrio)."""
+"""GeoJSON, GeoPackage and what else GDAL reads (pyogrio): every line of every layer."""
 
 from __future__ import annotations
 
@@ -19,14 +19,12 @@ from conetl.io.base_layers.lines import MAX_LINES, Line, LineFile, usable
 
 #: Properties that may hold what a line is, the first that is there counts.
 _KIND_NAMES = ("kind", "type", "subtype", "class", "lane_type", "boundary_type")
-_DRIVERS = {".geojson": "GeoJSON", ".json": "GeoJSON", ".gpkg": "GPKG"}
 
 
 def read_vector_file(path: Path) -> LineFile:
     """Lines and parts of multi-lines of a file. Raises InputError where there is none, or layers differ in CRS."""
     if not path.is_file():
         raise InputError(f"{path}: there is no such file")
-    driver = _DRIVERS[path.suffix.lower()]
     lines: list[Line] = []
     refused: list[str] = []
     systems: dict[str, None] = {}
@@ -44,12 +42,12 @@ def read_vector_file(path: Path) -> LineFile:
                 systems[meta["crs"]] = None
             lines += found
     except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, pyogrio.errors.FieldError) as error:
-        raise InputError(f"{path}: cannot be read as {driver} ({_first(error)})") from error
+        raise InputError(f"{path}: not a file of lines that GDAL can read ({_first(error)})") from error
     except (shapely.errors.ShapelyError, UnicodeDecodeError, ValueError) as error:
         raise InputError(f"{path}: a feature cannot be read ({_first(error)})") from error
     if not lines:
         reasons = f"; {refused[0]}" if refused else ""
-        raise InputError(f"{path}: no lines in it; expected LineString or MultiLineString features{reasons}")
+        raise InputError(f"{path}: holds no line; expected LineString or MultiLineString features{reasons}")
     if len(systems) > 1:
         raise InputError(
             f"{path}: its layers have different CRSs ({', '.join(systems)}): bring them into one file each"
