@@ -31,13 +31,13 @@ import cv2
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from conetl.io.audits import run_audits
-from conetl.io.cluster import cluster_remove, cluster_up
 from conetl.io.db import Connection, connect, execute, migrate
 from conetl.io.exports.geojson import export_geojson
 from conetl.io.leftovers import sweep
-from conetl.io.map_store import find_changeset, map_transaction
 from conetl.io.parquet_store import load_results
+from conetl.io.services.cluster import cluster_remove, cluster_up
+from conetl.io.stores.audits import run_audits
+from conetl.io.stores.map_store import find_changeset, map_transaction
 from conetl.params import IngestParams
 from conetl.records import Detection, Position, StereoMatch
 from conetl.settings import Settings, prefect_environment

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from conetl.geometry import pose as se3
 from conetl.geometry.lens import distort, field_radius, undistort
 from conetl.geometry.rectification import rectify
-from conetl.io import rectified_image
+from conetl.io.pictures import rectified_image
 from conetl.records import Camera, Lens, Rig
 
 LEFT = Lens(model="brown", coefficients=(-0.3691481, 0.1968681, 1.353473e-3, 5.677587e-4, -0.06770705))

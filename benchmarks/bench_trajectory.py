@@ -27,7 +27,7 @@ from conetl.geometry.rig import map_SE3_left, map_SE3_right
 from conetl.geometry.stereo_tracks import motions_of
 from conetl.io.detector import detect_image, load_detector
 from conetl.io.drive_folder import read_drive
-from conetl.io.images import read_image
+from conetl.io.pictures.images import read_image
 from conetl.io.visual_odometry import follow_drive
 from conetl.params import IngestParams, TrajectoryParams
 from conetl.records import Drive, FramePair, Position, StereoMatch

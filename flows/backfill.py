@@ -18,7 +18,7 @@ from prefect.states import Completed
 from pydantic import Field
 
 from conetl.io.db import Connection, connect
-from conetl.io.receipt_store import Receipt, attempt_ends, end_crashed, latest_receipts, write_receipt
+from conetl.io.stores.receipt_store import Receipt, attempt_ends, end_crashed, latest_receipts, write_receipt
 from conetl.params import IngestParams
 from conetl.settings import Settings
 from flows.batch_artifacts import Board, open_board, show_progress, show_summary

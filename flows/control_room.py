@@ -13,11 +13,11 @@ from prefect.artifacts import create_image_artifact, create_link_artifact, creat
 from prefect.events import emit_event
 from prefect.runtime import flow_run
 
-from conetl.io.annotated_image import draw_boxes, pairs_jpeg
 from conetl.io.drive_folder.outline import DriveOutline, outline_drive
-from conetl.io.images import ImageFileError
-from conetl.io.map_store import list_changesets
-from conetl.io.rectified_image import read_rig_image
+from conetl.io.pictures.annotated_image import draw_boxes, pairs_jpeg
+from conetl.io.pictures.images import ImageFileError
+from conetl.io.pictures.rectified_image import read_rig_image
+from conetl.io.stores.map_store import list_changesets
 from conetl.records import Changeset, DeltaKind, Detection, Drive, Position, Side, StereoMatch
 from conetl.reports import IngestReport
 from conetl.settings import Settings

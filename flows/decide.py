@@ -13,10 +13,10 @@ from uuid import UUID
 
 from conetl.errors import InputError
 from conetl.io.db import Connection
-from conetl.io.decision_store import find_decisions, insert_decision, list_decisions, read_decisions
-from conetl.io.map_results import Decidable, MapInfo
-from conetl.io.map_store import find_features, find_map, map_transaction, system_time
-from conetl.io.replay_store import (
+from conetl.io.stores.decision_store import find_decisions, insert_decision, list_decisions, read_decisions
+from conetl.io.stores.map_results import Decidable, MapInfo
+from conetl.io.stores.map_store import find_features, find_map, map_transaction, system_time
+from conetl.io.stores.replay_store import (
     affected_drives,
     drives_at,
     read_believed_feature,

@@ -11,12 +11,12 @@ import numpy as np
 
 from conetl.errors import InputError
 from conetl.io.db import Connection
-from conetl.io.decision_store import read_decisions
-from conetl.io.import_store import IMPORT_INFLUENCE_M, ImportedMap, commit_import, known_ids, place_import
-from conetl.io.map_results import RunInfo
-from conetl.io.map_store import find_changeset, map_transaction
 from conetl.io.parquet_store import result_key
-from conetl.io.replay_store import affected_drives, superseded_drives
+from conetl.io.stores.decision_store import read_decisions
+from conetl.io.stores.import_store import IMPORT_INFLUENCE_M, ImportedMap, commit_import, known_ids, place_import
+from conetl.io.stores.map_results import RunInfo
+from conetl.io.stores.map_store import find_changeset, map_transaction
+from conetl.io.stores.replay_store import affected_drives, superseded_drives
 from conetl.params import ImportParams, params_sha256
 from conetl.records import Changeset, DeltaKind
 from conetl.steps.fold import Evidence

@@ -14,17 +14,17 @@ from prefect.context import get_run_context
 from prefect.runtime import flow_run
 
 from conetl.detector_evidence import DetectorEvidence, evidence_sha256
-from conetl.io.cluster import cluster_up
 from conetl.io.db import Connection, connect, migrate
 from conetl.io.detector import shipped_model_path
-from conetl.io.map_results import CommittedChangeset, RunInfo
-from conetl.io.map_store import (
+from conetl.io.model_card import read_model_card
+from conetl.io.parquet_store import result_key
+from conetl.io.services.cluster import cluster_up
+from conetl.io.stores.map_results import CommittedChangeset, RunInfo
+from conetl.io.stores.map_store import (
     find_changeset,
     find_map,
     map_transaction,
 )
-from conetl.io.model_card import read_model_card
-from conetl.io.parquet_store import result_key
 from conetl.params import IngestParams, params_sha256
 from conetl.records import (
     Changeset,

@@ -22,7 +22,14 @@ from conetl.io.drive_folder.outline import DriveOutline, find_drives, outline_dr
 from conetl.io.exports.atomic import atomic_text_file
 from conetl.io.model_card import read_model_card
 from conetl.io.parquet_store import result_key
-from conetl.io.receipt_store import DriveOnMap, Receipt, drives_on_map, held_locks, latest_receipts, pairs_per_second
+from conetl.io.stores.receipt_store import (
+    DriveOnMap,
+    Receipt,
+    drives_on_map,
+    held_locks,
+    latest_receipts,
+    pairs_per_second,
+)
 from conetl.params import IngestParams, params_sha256
 from conetl.settings import Settings
 

@@ -21,7 +21,7 @@ from conetl.io.parquet_store import (
     result_path,
     save_result,
 )
-from conetl.io.rectified_image import read_rig_image
+from conetl.io.pictures.rectified_image import read_rig_image
 from conetl.io.visual_odometry import PictureReader, follow_drive, follow_span
 from conetl.params import IngestParams, params_sha256
 from conetl.records import Drive, FramePair, Rig, Side, StereoMatch

@@ -15,11 +15,11 @@ import numpy as np
 
 from conetl.detector_evidence import UNMEASURED, DetectorEvidence, LookFigures
 from conetl.io.db import Connection
-from conetl.io.decision_store import read_decisions
-from conetl.io.drive_store import read_drive, read_view
-from conetl.io.map_results import CommitResult, DriveRef, Replay, RunInfo
-from conetl.io.map_store import INFLUENCE_M, commit_changeset, place_drive
-from conetl.io.replay_store import (
+from conetl.io.stores.decision_store import read_decisions
+from conetl.io.stores.drive_store import read_drive, read_view
+from conetl.io.stores.map_results import CommitResult, DriveRef, Replay, RunInfo
+from conetl.io.stores.map_store import INFLUENCE_M, commit_changeset, place_drive
+from conetl.io.stores.replay_store import (
     affected_drives,
     read_deltas,
     read_doubts_around,
@@ -28,7 +28,7 @@ from conetl.io.replay_store import (
     read_versions,
     superseded_drives,
 )
-from conetl.io.retention import require_comparable
+from conetl.io.stores.retention import require_comparable
 from conetl.params import IngestParams, ReconcileParams
 from conetl.records import (
     BelievedVersion,

@@ -23,7 +23,7 @@ from prefect.logging.handlers import APILogWorker
 from prefect.settings import PREFECT_API_URL, temporary_settings
 
 from conetl.errors import ServiceError
-from conetl.io.services import is_running, read_services
+from conetl.io.services.processes import is_running, read_services
 
 _START_TIMEOUT_S = 180
 _DRAIN_TIMEOUT_S = 5

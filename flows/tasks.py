@@ -13,7 +13,6 @@ from conetl.geometry.camera import first_road_row
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
 from conetl.io import detector as detector_io
 from conetl.io.drive_folder import read_drive
-from conetl.io.images import ImageFileError
 from conetl.io.parquet_store import (
     file_sha256,
     has_result,
@@ -22,7 +21,8 @@ from conetl.io.parquet_store import (
     result_path,
     save_result,
 )
-from conetl.io.rectified_image import read_rig_image
+from conetl.io.pictures.images import ImageFileError
+from conetl.io.pictures.rectified_image import read_rig_image
 from conetl.params import IngestParams, params_sha256
 from conetl.records import (
     Detection,

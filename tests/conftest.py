@@ -59,8 +59,8 @@ def pytest_unconfigure(config: pytest.Config) -> None:
 
 
 def _remove(home: Path) -> None:
-    from conetl.io.cluster import cluster_remove
-    from conetl.io.services import read_services, stop_service
+    from conetl.io.services.cluster import cluster_remove
+    from conetl.io.services.processes import read_services, stop_service
 
     if home.is_dir():
         for service in read_services(home).values():
@@ -79,7 +79,7 @@ def _remove_leftovers() -> None:
 @pytest.fixture(scope="session")
 def cluster_url(pytestconfig: pytest.Config) -> str:
     """A private cluster for this test run; fails with a clear message where PostGIS is not installed."""
-    from conetl.io.cluster import cluster_up
+    from conetl.io.services.cluster import cluster_up
 
     return cluster_up(_test_home(pytestconfig))
 
@@ -333,7 +333,7 @@ def commit_deltas(
     conn: Any, *deltas: Delta, key: str, start_ns: int = START_NS, map_name: str = "default", **options: Any
 ) -> Any:
     """Commit a small drive with these deltas; `key` is one or more hex digits, different for every drive."""
-    from conetl.io.map_store import commit_changeset, map_transaction
+    from conetl.io.stores.map_store import commit_changeset, map_transaction
 
     # Recorded at the same instant; the content puts them into the order of their keys.
     drive = sample_drive(f"drive_{key}", start_ns=start_ns, content_sha256=f"{int(key, 16):064x}")

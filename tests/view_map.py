@@ -10,7 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from conetl.io.map_store import commit_changeset, map_transaction
+from conetl.io.stores.map_store import commit_changeset, map_transaction
 from conetl.records import Delta, DeltaKind, MapFeature, SightingEvidence, utc_from_ns
 
 #: Box of samples.detections() in both pictures.

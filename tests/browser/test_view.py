@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 from conetl.io.db import connect
-from conetl.io.map_store import read_current_features
+from conetl.io.stores.map_store import read_current_features
 from conetl.records import utc_from_ns
 from tests.view_map import commit, cone, missed, two_drives
 

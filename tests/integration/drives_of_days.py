@@ -12,7 +12,7 @@ from uuid import NAMESPACE_URL, uuid5
 import numpy as np
 
 from conetl.io.db import Connection, execute
-from conetl.io.map_store import find_changeset, map_transaction
+from conetl.io.stores.map_store import find_changeset, map_transaction
 from conetl.params import IngestParams
 from conetl.records import Changeset, Detection, Drive, Position, StereoMatch, Track
 from conetl.steps.tracks import fuse_tracks

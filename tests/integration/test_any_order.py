@@ -17,10 +17,10 @@ from pathlib import Path
 
 import pytest
 
-from conetl.io.audits import run_audits
 from conetl.io.db import connect, execute, load_sql, migrate, sql_directory, sql_names
-from conetl.io.decision_store import read_decisions
-from conetl.io.map_store import (
+from conetl.io.stores.audits import run_audits
+from conetl.io.stores.decision_store import read_decisions
+from conetl.io.stores.map_store import (
     feature_log,
     find_map,
     list_changesets,
@@ -29,7 +29,7 @@ from conetl.io.map_store import (
     read_features_as_of,
     system_time,
 )
-from conetl.io.replay_store import affected_drives, write_replay
+from conetl.io.stores.replay_store import affected_drives, write_replay
 from conetl.params import IngestParams, ReconcileParams
 from conetl.records import DeltaKind
 from flows.replay import replay_of

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from conetl.cli.calibrate import calibrate
 from conetl.errors import CalibrationError, InputError
-from conetl.io.calibration_files import read_rig
+from conetl.io.calibration.files import read_rig
 
 SHARED = Path(os.environ.get("CONETL_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data"))
 PICTURES = SHARED / "feb_stereo_chessboard" / "pairs"

@@ -7,10 +7,10 @@ from itertools import permutations
 import pytest
 
 from conetl.errors import InputError
-from conetl.io.audits import run_audits
 from conetl.io.db import connect
-from conetl.io.decision_store import list_decisions
-from conetl.io.map_store import feature_log, list_changesets, read_current_features, read_features_as_of
+from conetl.io.stores.audits import run_audits
+from conetl.io.stores.decision_store import list_decisions
+from conetl.io.stores.map_store import feature_log, list_changesets, read_current_features, read_features_as_of
 from conetl.records import DeltaKind
 from flows.decide import PIN, SUPPRESS, decide_place, revert
 from tests.conftest import cloned_database
@@ -137,8 +137,8 @@ def test_decisions_and_drives_in_any_order_give_one_map(cluster_url, template_da
 
 def place_of_first_day(conn, kind, feature, order):
     """The same decision in every order: about the place where the first drive saw the cone."""
-    from conetl.io.decision_store import insert_decision
-    from conetl.io.map_store import find_map, map_transaction, system_time
+    from conetl.io.stores.decision_store import insert_decision
+    from conetl.io.stores.map_store import find_map, map_transaction, system_time
     from conetl.records import Place
     from flows.decide import _judge_place
 

@@ -15,12 +15,12 @@ from uuid import uuid4
 import pytest
 
 from conetl.errors import DatabaseError, InputError
-from conetl.io.audits import run_audits
 from conetl.io.db import connect, execute
 from conetl.io.exports.atomic import atomic_text_file
 from conetl.io.leftovers import aside, sweep
-from conetl.io.map_store import list_changesets, map_transaction
 from conetl.io.parquet_store import save_result
+from conetl.io.stores.audits import run_audits
+from conetl.io.stores.map_store import list_changesets, map_transaction
 from conetl.records import Detection
 from tests.integration.drives_of_days import merge, survey, valid_time_map
 

@@ -26,8 +26,8 @@ from conetl.io.db import connect, execute
 from conetl.io.exports import FORMATS, geojson, mcap_scene, qgis_project
 from conetl.io.exports.export import export_map
 from conetl.io.exports.source import ExportRequest, What
-from conetl.io.import_store import set_licence
-from conetl.io.map_store import read_features_as_of
+from conetl.io.stores.import_store import set_licence
+from conetl.io.stores.map_store import read_features_as_of
 from conetl.records import DeltaKind
 from conetl.settings import Settings
 from flows.publish_map import write_publication

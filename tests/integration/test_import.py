@@ -15,13 +15,13 @@ import pyarrow.parquet as pq
 import pytest
 
 from conetl.errors import InputError
-from conetl.io.audits import run_audits
 from conetl.io.db import connect, execute
 from conetl.io.exports import FORMATS
 from conetl.io.exports.export import export_map
 from conetl.io.exports.source import ExportRequest
 from conetl.io.imports.statements import read_map_file
-from conetl.io.map_store import list_changesets, read_current_features
+from conetl.io.stores.audits import run_audits
+from conetl.io.stores.map_store import list_changesets, read_current_features
 from conetl.params import ImportParams
 from conetl.records import DeltaKind
 from flows.import_map import import_map

@@ -349,7 +349,7 @@ def wait_for(point: str, home: Path, database_url: str, process: subprocess.Pope
         until(lambda: len(list(results.glob("*.parquet"))) >= 2)
     else:
         with closing(connect(database_url)) as holder, closing(connect(database_url)) as watcher:
-            from conetl.io.map_store import map_lock
+            from conetl.io.stores.map_store import map_lock
 
             map_lock(holder, "default")
 

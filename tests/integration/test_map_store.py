@@ -17,10 +17,10 @@ from uuid import uuid4
 import pytest
 
 from conetl.errors import DatabaseError, MapMismatchError
-from conetl.io.audits import run_audits
 from conetl.io.db import connect, execute
-from conetl.io.map_results import RunInfo
-from conetl.io.map_store import (
+from conetl.io.stores.audits import run_audits
+from conetl.io.stores.map_results import RunInfo
+from conetl.io.stores.map_store import (
     commit_changeset,
     feature_log,
     find_changeset,
@@ -31,7 +31,7 @@ from conetl.io.map_store import (
     read_current_features,
     read_features_as_of,
 )
-from conetl.io.quarantine_store import count_rejections, read_rejections
+from conetl.io.stores.quarantine_store import count_rejections, read_rejections
 from conetl.records import utc_from_ns
 from conetl.rejections import Rejection, RejectionReason
 

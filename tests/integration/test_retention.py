@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 
 from conetl.errors import InputError
-from conetl.io.audits import run_audits
 from conetl.io.db import execute
-from conetl.io.map_store import list_changesets
-from conetl.io.retention import parse_age, prunable_drives, prune_drives
+from conetl.io.stores.audits import run_audits
+from conetl.io.stores.map_store import list_changesets
+from conetl.io.stores.retention import parse_age, prunable_drives, prune_drives
 from conetl.records import utc_from_ns
 from flows.decide import REVERT, SUPPRESS, decide_place, revert
 from tests.integration.drives_of_days import merge, survey, valid_time_map

@@ -14,7 +14,7 @@ import pytest
 from fastapi.testclient import TestClient
 
 from conetl.io.db import connect, execute
-from conetl.io.reader_pool import ReaderPool, open_reader
+from conetl.io.stores.reader_pool import ReaderPool, open_reader
 from conetl.records import DeltaKind, utc_from_ns
 from conetl.web.app import create_app
 from conetl.web.live import MAX_STREAMS, HeadWatcher

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from conetl.io.audits import audits_of_open_transaction, run_audits
 from conetl.io.db import connect, execute, sql_names
+from conetl.io.stores.audits import audits_of_open_transaction, run_audits
 
 #: audit -> statements that plant one fault, past the constraints that would refuse it.
 DROP_EXCLUDE = "alter table feature_version drop constraint no_overlap"

@@ -12,7 +12,7 @@ import pytest
 
 from conetl.errors import DatabaseError
 from conetl.io.db import connect, database_status, execute, load_sql, migrate, sql_directory, sql_names
-from conetl.io.map_store import read_current_features
+from conetl.io.stores.map_store import read_current_features
 
 
 @pytest.fixture

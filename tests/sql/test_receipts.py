@@ -14,7 +14,15 @@ import pytest
 
 from conetl.io.db import connect, execute
 from conetl.io.drive_folder.outline import DriveOutline
-from conetl.io.receipt_store import Receipt, end_crashed, held_locks, holding, latest_receipts, run_lock, write_receipt
+from conetl.io.stores.receipt_store import (
+    Receipt,
+    end_crashed,
+    held_locks,
+    holding,
+    latest_receipts,
+    run_lock,
+    write_receipt,
+)
 from conetl.params import IngestParams
 from conetl.settings import Settings
 from flows import plan as planning

@@ -14,10 +14,10 @@ from conetl.geometry import camera as cam
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.rig import map_SE3_left
-from conetl.io.calibration_files import read_kitti_rig
+from conetl.io.calibration.files import read_kitti_rig
 from conetl.io.detector import detect_image, load_detector
 from conetl.io.drive_folder import read_drive
-from conetl.io.rectified_image import read_rig_image
+from conetl.io.pictures.rectified_image import read_rig_image
 from conetl.params import IngestParams
 from conetl.records import Camera, Drive, Lens, Position, Rig
 from conetl.steps.detections import check_boxes

@@ -13,8 +13,8 @@ import typer
 from conetl.cli.console import JsonOption, complain, err, out, print_json, print_table, progress_bar
 from conetl.cli.database import open_map
 from conetl.errors import EXIT_BAD_INPUT, EXIT_TOO_MANY_REJECTIONS, InputError
-from conetl.io.base_store import drop_base_layer, list_base_sources, read_place
-from conetl.io.map_store import find_map
+from conetl.io.stores.base_store import drop_base_layer, list_base_sources, read_place
+from conetl.io.stores.map_store import find_map
 from conetl.settings import Settings, read_settings
 
 if TYPE_CHECKING:  # GDAL and the LAS libraries take seconds to load: only where a file is imported

@@ -23,7 +23,11 @@ from conetl.io.base_layers.line_files import LINE_READERS
 from conetl.io.base_layers.lines import LineFile
 from conetl.io.base_layers.placing import MapPlace
 from conetl.io.base_layers.spill import Spilled, read_cells, spill
-from conetl.io.base_store import (
+from conetl.io.calibration.files import IMU_TO_VELO
+from conetl.io.db import Connection
+from conetl.io.drive_folder import read_drive
+from conetl.io.drive_folder.velodyne import ScanFileError, left_SE3_velo, list_scans, read_scan, scan_period_s
+from conetl.io.stores.base_store import (
     BaseCounts,
     BaseFile,
     Kind,
@@ -33,10 +37,6 @@ from conetl.io.base_store import (
     write_lines,
     write_points,
 )
-from conetl.io.calibration_files import IMU_TO_VELO
-from conetl.io.db import Connection
-from conetl.io.drive_folder import read_drive
-from conetl.io.drive_folder.velodyne import ScanFileError, left_SE3_velo, list_scans, read_scan, scan_period_s
 from conetl.records import Drive
 
 POINT_SUFFIXES = (".las", ".laz")

@@ -25,9 +25,9 @@ from conetl.geometry.stereo_calibration import (
     calibrate_stereo,
     rig_of,
 )
-from conetl.io.calibration_boards import Board, parse_board
-from conetl.io.calibration_files.rig_yaml import write_rig_yaml
-from conetl.io.calibration_images import (
+from conetl.io.calibration.boards import Board, parse_board
+from conetl.io.calibration.files.rig_yaml import write_rig_yaml
+from conetl.io.calibration.images import (
     SIDES,
     BoardPictures,
     PicturePair,
@@ -37,7 +37,7 @@ from conetl.io.calibration_images import (
     pairs_in_folders,
     rejection,
 )  # fmt: skip
-from conetl.io.calibration_start import start_values
+from conetl.io.calibration.start_values import start_values
 from conetl.io.exports.atomic import atomic_text_file
 from conetl.records import LensModel, Rig
 from conetl.rejections import Rejection, RejectionReason

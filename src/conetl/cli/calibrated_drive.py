@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry.stereo_tracks import StereoTracks, motions_of
-from conetl.io.rectified_image import read_rig_image
+from conetl.io.pictures.rectified_image import read_rig_image
 from conetl.io.visual_odometry import follow_drive, follow_span
 from conetl.params import TrajectoryParams
 from conetl.records import Drive, FramePair, Side

@@ -10,10 +10,10 @@ import typer
 from conetl.cli.console import JsonOption, out, print_json, print_table
 from conetl.cli.prune import prune
 from conetl.errors import ConetlError, DatabaseError
-from conetl.io.audits import run_audits
-from conetl.io.cluster import cluster_down, cluster_status, cluster_up
 from conetl.io.db import Connection, connect, database_status
 from conetl.io.db import migrate as apply_migrations
+from conetl.io.services.cluster import cluster_down, cluster_status, cluster_up
+from conetl.io.stores.audits import run_audits
 from conetl.settings import Settings, read_settings
 
 app = typer.Typer(

@@ -19,7 +19,7 @@ from conetl.errors import InputError
 from conetl.geometry.rig import map_SE3_left
 from conetl.io.drive_folder import read_drive
 from conetl.io.exports.geojson import export_geojson
-from conetl.io.map_store import read_current_features
+from conetl.io.stores.map_store import read_current_features
 from conetl.params import IngestParams
 from conetl.settings import read_settings
 from conetl.steps.evaluation import compare_with_truth

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from conetl.cli.console import JsonOption, complain, out, print_json, progress_bar
 from conetl.detector_evidence import DetectorEvidence, calibrated_probability
 from conetl.errors import EXIT_TOO_MANY_REJECTIONS, InputError
-from conetl.io.annotated_image import write_annotated_image
 from conetl.io.detector import detect_image, load_detector
 from conetl.io.exports.atomic import atomic_text_file
-from conetl.io.images import ImageFileError, read_upright_image
+from conetl.io.pictures.annotated_image import write_annotated_image
+from conetl.io.pictures.images import ImageFileError, read_upright_image
 from conetl.settings import read_settings
 
 _SUFFIXES = {".jpg", ".jpeg", ".png"}

@@ -18,8 +18,8 @@ from conetl.io.exports import FORMATS
 from conetl.io.exports.export import export_map
 from conetl.io.exports.qgis_project import write_qgis_project
 from conetl.io.exports.source import ExportRequest, What
-from conetl.io.import_store import read_licence, set_licence
-from conetl.io.map_store import find_map
+from conetl.io.stores.import_store import read_licence, set_licence
+from conetl.io.stores.map_store import find_map
 from conetl.params import ImportParams
 from conetl.settings import read_settings
 

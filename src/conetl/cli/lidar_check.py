@@ -17,12 +17,12 @@ from conetl.geometry import pose as se3
 from conetl.geometry.camera import first_road_row
 from conetl.geometry.packing import cov_matrix
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
-from conetl.io.calibration_files import IMU_TO_VELO
+from conetl.io.calibration.files import IMU_TO_VELO
 from conetl.io.detector import Detector, detect_image, load_detector
 from conetl.io.drive_folder import read_drive
 from conetl.io.drive_folder.velodyne import ScanFileError, left_SE3_velo, list_scans, read_scan, scan_period_s
-from conetl.io.images import ImageFileError
-from conetl.io.rectified_image import read_rig_image
+from conetl.io.pictures.images import ImageFileError
+from conetl.io.pictures.rectified_image import read_rig_image
 from conetl.params import IngestParams, TrajectoryParams
 from conetl.records import Drive, FramePair, Rig, Side, StereoMatch
 from conetl.settings import read_settings

@@ -10,11 +10,11 @@ import typer
 from conetl.cli.console import JsonOption, out, print_json, print_table
 from conetl.errors import InputError
 from conetl.geometry.rig import up_in_left_camera
-from conetl.io.calibration_files import read_rig_for_pictures
+from conetl.io.calibration.files import read_rig_for_pictures
 from conetl.io.detector import detect_image, load_detector
 from conetl.io.drive_folder.pairs import first_size
-from conetl.io.images import ImageFileError
-from conetl.io.rectified_image import read_rig_image
+from conetl.io.pictures.images import ImageFileError
+from conetl.io.pictures.rectified_image import read_rig_image
 from conetl.params import IngestParams
 from conetl.records import Side
 from conetl.settings import read_settings

@@ -12,8 +12,8 @@ from conetl.cli import decisions, exchange, work_zones
 from conetl.cli.console import JsonOption, out, parse_time, print_json, print_table
 from conetl.cli.database import open_map
 from conetl.errors import InputError
-from conetl.io.map_results import CommittedChangeset, FeatureLogEntry
-from conetl.io.map_store import feature_log, find_features, list_changesets, map_summary, read_features_as_of
+from conetl.io.stores.map_results import CommittedChangeset, FeatureLogEntry
+from conetl.io.stores.map_store import feature_log, find_features, list_changesets, map_summary, read_features_as_of
 from conetl.records import utc_from_ns
 from conetl.settings import read_settings
 

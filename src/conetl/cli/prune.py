@@ -12,7 +12,7 @@ import typer
 from conetl.cli.console import JsonOption, out, print_json, print_table
 from conetl.errors import InputError
 from conetl.io.leftovers import sweep
-from conetl.io.retention import parse_age, prunable_drives, prunable_results, prune_drives, prune_results
+from conetl.io.stores.retention import parse_age, prunable_drives, prunable_results, prune_drives, prune_results
 from conetl.settings import read_settings
 
 

@@ -14,7 +14,7 @@ from conetl.cli.console import JsonOption, out, print_json, print_table
 from conetl.errors import InputError
 from conetl.geometry import rig as rigs
 from conetl.geometry.rectification import is_rectified, rectify
-from conetl.io.calibration_files import FORMAT_NAMES, WRITERS, read_rig_and_format
+from conetl.io.calibration.files import FORMAT_NAMES, WRITERS, read_rig_and_format
 from conetl.records import Camera, Rig, Side
 
 app = typer.Typer(no_args_is_help=True, help="Look at a calibration file, or take it from one tool to another.")

@@ -18,9 +18,9 @@ import typer
 
 from conetl.cli.console import JsonOption, err, out, print_json, print_table
 from conetl.errors import EXIT_SERVICE_MISSING, InputError, ServiceError
-from conetl.io.cluster import cluster_down, cluster_status, cluster_up
 from conetl.io.db import connect, migrate, prefect_database, sqlalchemy_url
-from conetl.io.services import (
+from conetl.io.services.cluster import cluster_down, cluster_status, cluster_up
+from conetl.io.services.processes import (
     Service,
     is_running,
     log_tail,

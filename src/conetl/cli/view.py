@@ -11,8 +11,8 @@ import uvicorn
 
 from conetl.cli.console import JsonOption, out, print_json
 from conetl.errors import InputError
-from conetl.io.cluster import cluster_up
 from conetl.io.db import connect, migrate
+from conetl.io.services.cluster import cluster_up
 from conetl.settings import Settings, read_settings
 from conetl.web.app import STATIC, create_app
 

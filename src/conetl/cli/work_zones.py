@@ -19,8 +19,8 @@ from conetl.io.db import Connection
 from conetl.io.exports.layout_files import export_layout_geojson, finding_as_dict
 from conetl.io.exports.wzdx import FeedContext, export_device_feed, export_work_zone_feed
 from conetl.io.feed_info import read_feed_info
-from conetl.io.map_store import find_map
-from conetl.io.zone_store import read_paths, read_versions
+from conetl.io.stores.map_store import find_map
+from conetl.io.stores.zone_store import read_paths, read_versions
 from conetl.params import LayoutParams, WorkZoneParams
 from conetl.records import MapFeature
 from conetl.settings import read_settings

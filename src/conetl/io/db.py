@@ -18,7 +18,7 @@ import psycopg2.extensions
 import psycopg2.extras
 
 from conetl.errors import DatabaseError
-from conetl.io.copy_binary import Column, copy_statement, encode, row_count, sliced
+from conetl.io.stores.copy_binary import Column, copy_statement, encode, row_count, sliced
 
 Connection: TypeAlias = psycopg2.extensions.connection
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from conetl.geometry.stereo_motion import RelativeMotion, StereoCameras, project, triangulate
 from conetl.geometry.stereo_tracks import NoMeasurement, StereoTracks, cameras_of, expected_motions, motions_of
-from conetl.io.images import ImageFileError
+from conetl.io.pictures.images import ImageFileError
 from conetl.params import TrajectoryParams
 from conetl.records import FramePair, Rig, Side
 

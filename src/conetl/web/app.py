@@ -13,9 +13,9 @@ from starlette.middleware.gzip import GZipMiddleware
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 from conetl.errors import DatabaseError
-from conetl.io.crops import PictureMissingError
-from conetl.io.images import ImageFileError
-from conetl.io.reader_pool import ReaderPool
+from conetl.io.pictures.crops import PictureMissingError
+from conetl.io.pictures.images import ImageFileError
+from conetl.io.stores.reader_pool import ReaderPool
 from conetl.web import routes_base, routes_events, routes_features, routes_maps, routes_pictures
 from conetl.web.headers import SecurityHeaders
 from conetl.web.live import HeadWatcher

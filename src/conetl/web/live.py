@@ -9,8 +9,8 @@ from contextlib import suppress
 from starlette.concurrency import run_in_threadpool
 
 from conetl.errors import DatabaseError
-from conetl.io.reader_pool import ReaderPool
-from conetl.io.serve_store import read_heads
+from conetl.io.stores.reader_pool import ReaderPool
+from conetl.io.stores.serve_store import read_heads
 
 POLL_S = 0.4
 PING_S = 15.0

@@ -10,8 +10,8 @@ from fastapi import Depends, HTTPException, Path, Query, Request
 from pydantic import AfterValidator
 
 from conetl.io.db import Connection
-from conetl.io.reader_pool import ReaderPool
-from conetl.io.serve_store import read_origin
+from conetl.io.stores.reader_pool import ReaderPool
+from conetl.io.stores.serve_store import read_origin
 from conetl.records import Vec3
 
 #: More rows than this are never sent in one answer; it then says so.

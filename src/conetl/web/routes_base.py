@@ -11,7 +11,7 @@ import shapely
 from fastapi import APIRouter, HTTPException, Path, Request, Response
 
 from conetl.io.db import Connection
-from conetl.io.serve_store import read_base_lines, read_base_sources, read_base_tile, read_base_tiles
+from conetl.io.stores.serve_store import read_base_lines, read_base_sources, read_base_tile, read_base_tiles
 from conetl.web.models import BaseLayer, BaseLayers, BaseLine, BaseLines, BaseTile
 from conetl.web.parameters import MAX_BASE_LINES, MAX_BASE_TILES, MapName, Reader, origin_of
 

@@ -7,7 +7,7 @@ from uuid import UUID
 
 from fastapi import APIRouter, HTTPException, Query
 
-from conetl.io.serve_store import (
+from conetl.io.stores.serve_store import (
     find_features,
     read_changes_between,
     read_changeset_changes,

@@ -7,9 +7,9 @@ from uuid import UUID
 
 from fastapi import APIRouter, HTTPException, Request, Response
 
-from conetl.io.crops import crop_jpeg, picture_file
-from conetl.io.reader_pool import ReaderPool
-from conetl.io.serve_store import read_sighting_picture
+from conetl.io.pictures.crops import crop_jpeg, picture_file
+from conetl.io.stores.reader_pool import ReaderPool
+from conetl.io.stores.serve_store import read_sighting_picture
 from conetl.records import Rig
 from conetl.web.parameters import Context, FrameIndex, MapName, MatchIndex
 

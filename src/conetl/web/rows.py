@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from conetl.geometry.rig import map_SE3_left
-from conetl.io.map_results import CommittedChangeset
+from conetl.io.stores.map_results import CommittedChangeset
 from conetl.records import Pose, Rig, Vec3, utc_from_ns
 from conetl.web.models import Box, Change, Feature, HistoryItem, Sighting, TimelineItem
 

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from conetl.cli.rig import app
 from conetl.errors import CalibrationError, InputError
-from conetl.io.calibration_files import read_rig
+from conetl.io.calibration.files import read_rig
 
 RIG = """
 rig_id: a6000-pair

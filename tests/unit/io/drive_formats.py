@@ -19,8 +19,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
-from conetl.io.calibration_files import write_rig_yaml
-from conetl.io.calibration_files.ros import write_ros_rig
+from conetl.io.calibration.files import write_rig_yaml
+from conetl.io.calibration.files.ros import write_ros_rig
 from conetl.records import Rig
 
 SAMPLE = Path(__file__).resolve().parents[3] / "data/drives/2026-03-02_taper_pass1"

@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from conetl.errors import InputError
-from conetl.io.calibration_boards import Board, Found, NotFound, find_board, matched_orientation, parse_board
-from conetl.io.calibration_images import find_boards, pairs_by_pattern, pairs_even_odd, pairs_in_folders
+from conetl.io.calibration.boards import Board, Found, NotFound, find_board, matched_orientation, parse_board
+from conetl.io.calibration.images import find_boards, pairs_by_pattern, pairs_even_odd, pairs_in_folders
 from conetl.rejections import RejectionReason
 
 Array = NDArray[np.float64]

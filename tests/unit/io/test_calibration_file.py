@@ -11,7 +11,7 @@ import pytest
 from conetl.errors import CalibrationError
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
-from conetl.io.calibration_files import read_kitti_rig, read_rig
+from conetl.io.calibration.files import read_kitti_rig, read_rig
 
 #: Numbers of the size of KITTI's own: camera 2 sits 6 cm left of camera 0, camera 3 47 cm right of it.
 P2 = "7.2e+02 0 6.1e+02 4.5e+01 0 7.2e+02 1.7e+02 2.0e-01 0 0 1 2.7e-03"

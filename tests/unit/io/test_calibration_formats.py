@@ -20,7 +20,7 @@ from conetl.errors import CalibrationError
 from conetl.geometry import camera as cam
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
-from conetl.io.calibration_files import WRITERS, read_rig, read_rig_and_format
+from conetl.io.calibration.files import WRITERS, read_rig, read_rig_and_format
 from conetl.records import Camera, Lens, Rig
 
 SIZE = (1280, 720)

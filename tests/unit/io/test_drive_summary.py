@@ -10,7 +10,7 @@ import pytest
 
 from conetl.io.drive_folder import read_drive
 from conetl.io.drive_folder.summary import summarise
-from conetl.io.images import ImageFileError, check_image_ends
+from conetl.io.pictures.images import ImageFileError, check_image_ends
 from conetl.records import Drive, FramePair
 from conetl.rejections import RejectionReason
 from tests.unit.io.drive_formats import SAMPLE

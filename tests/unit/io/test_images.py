@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from conetl.io import images
-from conetl.io.image_headers import ImageFormatError, ImageTruncatedError, inspect_image
-from conetl.io.images import ImageFileError, read_image, read_upright_image
+from conetl.io.pictures import images
+from conetl.io.pictures.image_headers import ImageFormatError, ImageTruncatedError, inspect_image
+from conetl.io.pictures.images import ImageFileError, read_image, read_upright_image
 from conetl.rejections import RejectionReason
 
 SIZE = (64, 48)

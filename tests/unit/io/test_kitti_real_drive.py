@@ -13,7 +13,7 @@ from conetl.geometry import camera as cam
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.io.drive_folder import read_drive
-from conetl.io.images import read_image
+from conetl.io.pictures.images import read_image
 from conetl.records import Drive
 from conetl.rejections import Rejection
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from conetl.errors import EXIT_SERVICE_MISSING, DatabaseError
-from conetl.io.postgres_install import PostgresInstall, choose_install, probe_install
+from conetl.io.services.postgres_install import PostgresInstall, choose_install, probe_install
 
 BARE_14 = PostgresInstall(Path("/usr/lib/postgresql/14/bin"), (14, 2), ("postgis",))
 FULL_15 = PostgresInstall(Path("/usr/lib/postgresql/15/bin"), (15, 10), ())

@@ -14,7 +14,7 @@ from conetl.geometry import camera as cam
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.rectification import is_rectified, rectified_from_raw, rectify
-from conetl.io.calibration_files import read_kitti_rig, read_rig, read_rig_for_pictures, write_rig_yaml
+from conetl.io.calibration.files import read_kitti_rig, read_rig, read_rig_for_pictures, write_rig_yaml
 from conetl.io.drive_folder import read_drive
 
 #: The numbers of KITTI's cameras 02 and 03, with few digits.

@@ -13,8 +13,8 @@ from conetl.geometry import camera as cam
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.rectification import rectify
-from conetl.io.images import ImageFileError, read_image
-from conetl.io.rectified_image import read_rig_image, rectify_image
+from conetl.io.pictures.images import ImageFileError, read_image
+from conetl.io.pictures.rectified_image import read_rig_image, rectify_image
 from conetl.records import Camera, Lens, Rig
 
 BARREL = Lens(model="brown", coefficients=(-0.3, 0.1, 1e-3, -8e-4, -0.02))

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from conetl.errors import InputError, ServiceError
-from conetl.io.services import (
+from conetl.io.services.processes import (
     Service,
     is_running,
     read_services,

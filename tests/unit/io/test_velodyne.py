@@ -7,7 +7,7 @@ import pytest
 
 from conetl.errors import CalibrationError
 from conetl.geometry import pose as se3
-from conetl.io.calibration_files import CAM_TO_CAM, IMU_TO_VELO, read_kitti_rig
+from conetl.io.calibration.files import CAM_TO_CAM, IMU_TO_VELO, read_kitti_rig
 from conetl.io.drive_folder.velodyne import ScanFileError, left_SE3_velo, list_scans, read_scan, scan_period_s
 from conetl.simulation.rig import simulated_rig
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from conetl.geometry import pose as se3
 from conetl.geometry.rig import left_SE3_right, map_SE3_left
 from conetl.io.drive_folder import read_drive
-from conetl.io.images import ImageFileError, read_image
+from conetl.io.pictures.images import ImageFileError, read_image
 from conetl.io.visual_odometry import measure_motions
 from conetl.params import TrajectoryParams
 from conetl.records import FramePair, Lens, Side

@@ -12,7 +12,7 @@ from pyproj import Geod, Transformer
 
 from conetl.geometry import pose as se3
 from conetl.geometry.rig import body_SE3_camera
-from conetl.io.calibration_files import read_rig
+from conetl.io.calibration.files import read_rig
 from conetl.io.drive_folder import oxts
 from conetl.io.drive_folder.drive_yaml import Sigmas
 from conetl.io.drive_folder.timestamps import parse_timestamp

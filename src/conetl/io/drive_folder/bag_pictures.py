@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from conetl.errors import DriveFolderError
 from conetl.io.drive_folder.pairs import PairError
-from conetl.io.images import ImageFileError, check_image_bytes
+from conetl.io.pictures.images import ImageFileError, check_image_bytes
 from conetl.rejections import RejectionReason
 
 #: OpenCV's names of Bayer patterns begin at another pixel than ROS' (REP 118, cv_bridge).

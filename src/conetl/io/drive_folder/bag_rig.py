@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from conetl.errors import CalibrationError, DriveFolderError
 from conetl.geometry import pose as se3
-from conetl.io.calibration_files.ros import rig_of_camera_infos
+from conetl.io.calibration.files.ros import rig_of_camera_infos
 from conetl.io.drive_folder.drive_yaml import Streams
 from conetl.io.drive_folder.trajectories import rotation_of
 from conetl.records import Rig

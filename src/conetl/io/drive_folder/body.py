@@ -12,8 +12,8 @@ from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.georeference import local_to_map, sensor_R_body
-from conetl.io.calibration_files import RIG_YAML, read_rig_yaml
-from conetl.io.calibration_files.common import rectified_rig
+from conetl.io.calibration.files import RIG_YAML, read_rig_yaml
+from conetl.io.calibration.files.common import rectified_rig
 from conetl.io.drive_folder.content import ContentHash
 from conetl.io.drive_folder.drive_yaml import DRIVE_YAML, DriveYaml
 from conetl.records import Rig

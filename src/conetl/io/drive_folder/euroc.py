@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 
 from conetl.errors import DriveFolderError
 from conetl.geometry import pose as se3
-from conetl.io.calibration_files import RIG_YAML
-from conetl.io.calibration_files.common import (
+from conetl.io.calibration.files import RIG_YAML
+from conetl.io.calibration.files.common import (
     bad,
     camera_from_matrix,
     entry,

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from conetl.errors import CalibrationError, DriveFolderError
 from conetl.geometry import geodesy
-from conetl.io.calibration_files import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, kitti_rig_for_pictures
+from conetl.io.calibration.files import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, kitti_rig_for_pictures
 from conetl.io.drive_folder import oxts
 from conetl.io.drive_folder.content import ContentHash
 from conetl.io.drive_folder.drive_yaml import DRIVE_YAML, DriveYaml, inside, read_drive_yaml

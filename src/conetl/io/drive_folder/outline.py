@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from conetl.errors import ConetlError, DriveFolderError
-from conetl.io.calibration_files import CAM_TO_CAM, IMU_TO_VELO, RIG_YAML, VELO_TO_CAM
+from conetl.io.calibration.files import CAM_TO_CAM, IMU_TO_VELO, RIG_YAML, VELO_TO_CAM
 from conetl.io.drive_folder import DriveFormat, drive_format
 from conetl.io.drive_folder.bag_messages import METADATA, bag_files, open_bag
 from conetl.io.drive_folder.bag_rig import choose_topics

@@ -9,8 +9,8 @@ from typing import Any
 from conetl.errors import DriveFolderError
 from conetl.geometry.rectification import stored_camera
 from conetl.io.drive_folder.content import ContentHash
-from conetl.io.image_headers import inspect_image
-from conetl.io.images import ImageFileError, check_image_bytes, check_image_ends, read_bytes
+from conetl.io.pictures.image_headers import inspect_image
+from conetl.io.pictures.images import ImageFileError, check_image_bytes, check_image_ends, read_bytes
 from conetl.records import FramePair, Rig, Side
 from conetl.rejections import Rejection, RejectionReason
 

@@ -25,8 +25,8 @@ from conetl.errors import CalibrationError, DriveFolderError
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
-from conetl.io.calibration_files import RIG_YAML, read_rig_yaml
-from conetl.io.calibration_files.common import rectified_rig
+from conetl.io.calibration.files import RIG_YAML, read_rig_yaml
+from conetl.io.calibration.files.common import rectified_rig
 from conetl.io.drive_folder import oxts
 from conetl.io.drive_folder.content import ContentHash
 from conetl.io.drive_folder.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml

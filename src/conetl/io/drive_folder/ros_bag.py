@@ -27,7 +27,7 @@ from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
 from conetl.geometry.georeference import enu_to_grid
 from conetl.geometry.rectification import stored_camera
-from conetl.io.calibration_files import RIG_YAML
+from conetl.io.calibration.files import RIG_YAML
 from conetl.io.drive_folder.bag_messages import Bag, Message, bag_files, open_bag
 from conetl.io.drive_folder.bag_pictures import check_picture, picture_bytes, unpack
 from conetl.io.drive_folder.bag_rig import (

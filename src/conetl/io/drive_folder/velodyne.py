@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from conetl.errors import CalibrationError, ConetlError
 from conetl.geometry import pose as se3
-from conetl.io.calibration_files import IMU_TO_VELO
+from conetl.io.calibration.files import IMU_TO_VELO
 from conetl.io.drive_folder.timestamps import parse_timestamps
 from conetl.records import Rig
 

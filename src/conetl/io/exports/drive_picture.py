@@ -12,8 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from conetl.io.drive_folder.summary import DriveSummary
-from conetl.io.images import ImageFileError
-from conetl.io.rectified_image import read_rig_image
+from conetl.io.pictures.images import ImageFileError
+from conetl.io.pictures.rectified_image import read_rig_image
 from conetl.records import Drive, FramePair
 
 _RED = "#d55e00"

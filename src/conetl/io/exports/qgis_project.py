@@ -18,7 +18,7 @@ from pyproj import CRS
 from conetl.errors import InputError
 from conetl.io.db import Connection, address, database_errors, execute, load_sql
 from conetl.io.exports.atomic import atomic_files
-from conetl.io.map_store import find_map
+from conetl.io.stores.map_store import find_map
 
 #: As in `conetl view`: colour, shape and size (mm) of a kind of change; told apart by the colour-blind, and by shape as well.
 _KINDS = {

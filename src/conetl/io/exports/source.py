@@ -19,8 +19,8 @@ from conetl.errors import InputError
 from conetl.io.db import Connection, database_errors, load_sql, query_columns, stream
 from conetl.io.exports import Order
 from conetl.io.exports.wire import arrow_type, decode_records
-from conetl.io.map_results import MapInfo
-from conetl.io.map_store import find_map
+from conetl.io.stores.map_results import MapInfo
+from conetl.io.stores.map_store import find_map
 from conetl.params import ReconcileParams
 
 Floats = NDArray[np.float64]

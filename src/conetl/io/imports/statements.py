@@ -16,9 +16,9 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError
 
 from conetl.errors import InputError
-from conetl.io.import_store import ImportedMap
 from conetl.io.imports.tables import MapTable, read_table
 from conetl.io.parquet_store import file_sha256
+from conetl.io.stores.import_store import ImportedMap
 from conetl.params import ImportParams
 from conetl.records import Cov3, MapFeature, Statement
 

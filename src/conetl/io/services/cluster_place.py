@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from conetl.errors import DatabaseError
-from conetl.io.postgres_install import OWN_DATABASE_HINT
+from conetl.io.services.postgres_install import OWN_DATABASE_HINT
 
 #: Users that may run the server for root, in this order.
 UNPRIVILEGED_USERS = ("postgres", "nobody")

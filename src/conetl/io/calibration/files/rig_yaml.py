@@ -18,7 +18,7 @@ from conetl.errors import CalibrationError
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.rectification import check_stereo_baseline
-from conetl.io.calibration_files.common import Array, first_message, read_yaml, rig_of
+from conetl.io.calibration.files.common import Array, first_message, read_yaml, rig_of
 from conetl.io.exports.atomic import atomic_text_file
 from conetl.records import CalibrationCovariance, Camera, Lens, Rig
 

@@ -12,13 +12,13 @@ from uuid import NAMESPACE_URL, UUID, uuid5
 import numpy as np
 
 from conetl.errors import MapMismatchError
-from conetl.io import map_columns
-from conetl.io.copy_binary import bigints, clean_text, constant_uuid, integers, json_text, uuids
 from conetl.io.db import Connection, copy_columns, database_errors, execute, load_sql, stream, transaction
-from conetl.io.map_results import CommitResult, Replay, RunInfo
-from conetl.io.map_rows import feature_of
-from conetl.io.map_store import find_changeset, insert_run, map_for, system_time
-from conetl.io.replay_store import write_replay
+from conetl.io.stores import map_columns
+from conetl.io.stores.copy_binary import bigints, clean_text, constant_uuid, integers, json_text, uuids
+from conetl.io.stores.map_results import CommitResult, Replay, RunInfo
+from conetl.io.stores.map_rows import feature_of
+from conetl.io.stores.map_store import find_changeset, insert_run, map_for, system_time
+from conetl.io.stores.replay_store import write_replay
 from conetl.params import ReconcileParams
 from conetl.records import Changeset, DeltaKind, Statement, utc_from_ns
 

@@ -7,7 +7,7 @@ from uuid import UUID
 
 import numpy as np
 
-from conetl.io.copy_binary import (
+from conetl.io.stores.copy_binary import (
     Column,
     bigints,
     booleans,

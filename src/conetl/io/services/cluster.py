@@ -24,7 +24,7 @@ from urllib.parse import quote
 from uuid import uuid4
 
 from conetl.errors import DatabaseError
-from conetl.io.cluster_place import (
+from conetl.io.services.cluster_place import (
     ClusterPlace,
     Done,
     cluster_lock,
@@ -35,7 +35,7 @@ from conetl.io.cluster_place import (
     run_as,
     working_folder,
 )
-from conetl.io.postgres_install import OWN_DATABASE_HINT, PostgresInstall, choose_install, find_installs
+from conetl.io.services.postgres_install import OWN_DATABASE_HINT, PostgresInstall, choose_install, find_installs
 
 DATABASE = "conetl"
 SUPERUSER = "conetl"

@@ -5,9 +5,9 @@ from __future__ import annotations
 from datetime import datetime
 from uuid import UUID, uuid4
 
-from conetl.io.copy_binary import clean_text
 from conetl.io.db import Connection, database_errors, execute, load_sql
-from conetl.io.map_results import Decidable, MapInfo, StoredDecision
+from conetl.io.stores.copy_binary import clean_text
+from conetl.io.stores.map_results import Decidable, MapInfo, StoredDecision
 from conetl.records import Decisions, Place
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from uuid import UUID
 
 from conetl.io.db import Connection, copy_columns, database_errors, execute, load_sql
-from conetl.io.map_columns import rejection_columns
+from conetl.io.stores.map_columns import rejection_columns
 from conetl.rejections import Rejection, RejectionReason
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from conetl.detector_evidence import UNMEASURED_LOOKS, LookFigures
 from conetl.errors import MapMismatchError
 from conetl.io.db import Connection, database_errors, execute, load_sql, stream
-from conetl.io.import_store import read_statements
+from conetl.io.stores.import_store import read_statements
 from conetl.params import ReconcileParams
 from conetl.records import Detection, FoldKey, FramePair, Pose, Rig, Statement, Track, Vec3
 

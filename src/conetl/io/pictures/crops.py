@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.errors import InputError
-from conetl.io.rectified_image import read_rig_image
+from conetl.io.pictures.rectified_image import read_rig_image
 from conetl.records import Rig, Side
 
 PICTURE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})

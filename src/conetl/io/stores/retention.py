@@ -17,7 +17,7 @@ from uuid import UUID
 
 from conetl.errors import InputError
 from conetl.io.db import Connection, database_errors, execute, execute_count, load_sql
-from conetl.io.map_store import map_transaction
+from conetl.io.stores.map_store import map_transaction
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 
 from conetl.errors import CalibrationError
 from conetl.geometry.calibration import kitti_raw_rig, kitti_rig
-from conetl.io.calibration_files.common import Array, Size, first_message, read_text, rectified_rig
+from conetl.io.calibration.files.common import Array, Size, first_message, read_text, rectified_rig
 from conetl.records import Rig
 
 CAM_TO_CAM = "calib_cam_to_cam.txt"

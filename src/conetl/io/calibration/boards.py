@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from conetl.errors import InputError
 from conetl.geometry.stereo_calibration import MIN_CORNERS
-from conetl.io.tag_boards import find_april_grid, find_charuco
+from conetl.io.calibration.tag_boards import find_april_grid, find_charuco
 from conetl.rejections import RejectionReason
 
 Array = NDArray[np.float64]

@@ -19,7 +19,7 @@ from conetl.errors import CalibrationError
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.camera import matrix_k
-from conetl.io.calibration_files.common import (
+from conetl.io.calibration.files.common import (
     LENGTH_UNITS,
     Array,
     Size,

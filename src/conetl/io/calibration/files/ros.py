@@ -20,7 +20,7 @@ from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.camera import matrix_k
 from conetl.geometry.rectification import common_rotation, rectify
-from conetl.io.calibration_files.common import (
+from conetl.io.calibration.files.common import (
     Array,
     bad,
     camera_from_matrix,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from conetl.geometry.rectification import raw_from_rectified, stored_camera
 from conetl.geometry.rig import camera_of
-from conetl.io.images import read_image
+from conetl.io.pictures.images import read_image
 from conetl.records import Rig, Side
 
 #: Bicubic: bilinear resampling blurs by how far a pixel falls between its neighbours, and area-based matching sees that as shift.

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from conetl.geometry.point_tiles import Tile
 from conetl.io.base_layers.placing import MapPlace, ground_under
-from conetl.io.copy_binary import (
+from conetl.io.db import Connection, copy_columns, database_errors, execute, load_sql, transaction
+from conetl.io.stores.copy_binary import (
     Column,
     byteas,
     constant_uuid,
@@ -28,7 +29,6 @@ from conetl.io.copy_binary import (
     jsons,
     texts,
 )
-from conetl.io.db import Connection, copy_columns, database_errors, execute, load_sql, transaction
 
 Kind = Literal["points", "lines"]
 _MAX_POSES = 20_000

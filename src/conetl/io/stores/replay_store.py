@@ -10,10 +10,10 @@ from datetime import datetime
 from typing import Any
 from uuid import UUID
 
-from conetl.io import map_columns
 from conetl.io.db import Connection, copy_columns, database_errors, execute, execute_count, load_sql, stream
-from conetl.io.map_results import DriveRef, MapInfo, Replay, StoredDelta, StoredMiss, StoredVersion
-from conetl.io.map_rows import version_of
+from conetl.io.stores import map_columns
+from conetl.io.stores.map_results import DriveRef, MapInfo, Replay, StoredDelta, StoredMiss, StoredVersion
+from conetl.io.stores.map_rows import version_of
 from conetl.records import BelievedVersion, Delta, Doubt, Miss
 
 

@@ -13,19 +13,19 @@ from pathlib import Path
 from typing import Any, Literal
 
 from conetl.errors import CalibrationError
-from conetl.io.calibration_files.common import Size, read_text, read_yaml, rectified_rig
-from conetl.io.calibration_files.kalibr import looks_like_kalibr, read_kalibr_rig, write_kalibr_rig
-from conetl.io.calibration_files.kitti import (
+from conetl.io.calibration.files.common import Size, read_text, read_yaml, rectified_rig
+from conetl.io.calibration.files.kalibr import looks_like_kalibr, read_kalibr_rig, write_kalibr_rig
+from conetl.io.calibration.files.kitti import (
     CAM_TO_CAM,
     IMU_TO_VELO,
     VELO_TO_CAM,
     kitti_rig_for_pictures,
     read_kitti_rig,
 )
-from conetl.io.calibration_files.matlab import looks_like_matlab, read_matlab_rig, write_matlab_rig
-from conetl.io.calibration_files.opencv import looks_like_opencv, read_opencv_rig, write_opencv_rig
-from conetl.io.calibration_files.rig_yaml import RIG_YAML, read_rig_yaml, write_rig_yaml
-from conetl.io.calibration_files.ros import looks_like_ros, read_ros_rig, write_ros_rig
+from conetl.io.calibration.files.matlab import looks_like_matlab, read_matlab_rig, write_matlab_rig
+from conetl.io.calibration.files.opencv import looks_like_opencv, read_opencv_rig, write_opencv_rig
+from conetl.io.calibration.files.rig_yaml import RIG_YAML, read_rig_yaml, write_rig_yaml
+from conetl.io.calibration.files.ros import looks_like_ros, read_ros_rig, write_ros_rig
 from conetl.records import Rig
 
 __all__ = [

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.io.image_headers import ImageFormatError, ImageHeader, ImageTruncatedError, inspect_image
+from conetl.io.pictures.image_headers import ImageFormatError, ImageHeader, ImageTruncatedError, inspect_image
 from conetl.rejections import RejectionReason
 
 #: Larger files are not read at all.

@@ -7,7 +7,7 @@ from datetime import datetime
 import numpy as np
 
 from conetl.io.db import Connection, database_errors, load_sql, stream
-from conetl.io.map_rows import version_of
+from conetl.io.stores.map_rows import version_of
 from conetl.records import BelievedVersion
 from conetl.work_zone_records import DrivePath
 

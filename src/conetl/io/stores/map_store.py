@@ -22,9 +22,6 @@ from uuid import NAMESPACE_URL, UUID, uuid5
 
 from conetl.detector_evidence import LookFigures
 from conetl.errors import MapMismatchError
-from conetl.io import map_columns
-from conetl.io.commit_checks import require_consistent
-from conetl.io.copy_binary import clean_text, json_text
 from conetl.io.db import (
     Connection,
     copy_columns,
@@ -35,7 +32,10 @@ from conetl.io.db import (
     stream,
     transaction,
 )
-from conetl.io.map_results import (
+from conetl.io.stores import map_columns
+from conetl.io.stores.commit_checks import require_consistent
+from conetl.io.stores.copy_binary import clean_text, json_text
+from conetl.io.stores.map_results import (
     CommitResult,
     CommittedChangeset,
     FeatureLogEntry,
@@ -45,9 +45,9 @@ from conetl.io.map_results import (
     Replay,
     RunInfo,
 )
-from conetl.io.map_rows import feature_of
-from conetl.io.quarantine_store import insert_rejections
-from conetl.io.replay_store import write_replay
+from conetl.io.stores.map_rows import feature_of
+from conetl.io.stores.quarantine_store import insert_rejections
+from conetl.io.stores.replay_store import write_replay
 from conetl.params import ReconcileParams
 from conetl.records import (
     Changeset,

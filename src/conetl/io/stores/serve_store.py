@@ -7,8 +7,8 @@ from datetime import datetime
 from typing import Any
 from uuid import UUID
 
-from conetl.io.copy_binary import clean_text
 from conetl.io.db import Connection, database_errors, execute, load_sql
+from conetl.io.stores.copy_binary import clean_text
 from conetl.records import Side
 
 Row = dict[str, Any]

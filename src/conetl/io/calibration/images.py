@@ -15,8 +15,8 @@ import numpy as np
 
 from conetl.errors import InputError
 from conetl.geometry.board_views import BoardView
-from conetl.io.calibration_boards import Board, Found, NotFound, find_board, matched_orientation
-from conetl.io.images import ImageFileError, read_image
+from conetl.io.calibration.boards import Board, Found, NotFound, find_board, matched_orientation
+from conetl.io.pictures.images import ImageFileError, read_image
 from conetl.records import Side
 from conetl.rejections import Rejection, RejectionReason
 

@@ -1,0 +1,1 @@
+"""Calibration boards and files: pictures -> corners, and the formats of other programs."""

@@ -1,0 +1,1 @@
+"""Picture files: read safely, resampled for geometry, cut out and drawn on for people."""
