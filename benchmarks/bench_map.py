@@ -45,8 +45,8 @@ from conetl.io.services.cluster import cluster_remove, cluster_up
 from conetl.io.stores.audits import run_audits
 from conetl.io.stores.map_store import commit_changeset, map_transaction, place_drive, read_features_as_of
 from conetl.io.stores.replay_store import affected_drives, read_standing_around, superseded_drives
+from conetl.map_records import Changeset, Decisions
 from conetl.params import ReconcileParams
-from conetl.records import Changeset, Decisions
 from conetl.steps.fold import Evidence, extend
 
 LOOKS = 60

@@ -16,7 +16,17 @@ from uuid import NAMESPACE_URL, UUID, uuid5
 import numpy as np
 
 from conetl.io.db import Connection, execute
-from conetl.records import Camera, Drive, FramePair, MapFeature, Pose, Position, Rig, Track, Vec3
+from conetl.map_records import MapFeature
+from conetl.records import (
+    Camera,
+    Drive,
+    FramePair,
+    Pose,
+    Position,
+    Rig,
+    Track,
+    Vec3,
+)
 from conetl.steps.visibility import Look
 
 SRID = 32632

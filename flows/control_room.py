@@ -18,7 +18,8 @@ from conetl.io.pictures.annotated_image import draw_boxes, pairs_jpeg
 from conetl.io.pictures.images import ImageFileError
 from conetl.io.pictures.rectified_image import read_rig_image
 from conetl.io.stores.map_store import list_changesets
-from conetl.records import Changeset, DeltaKind, Detection, Drive, Position, Side, StereoMatch
+from conetl.map_records import Changeset, DeltaKind
+from conetl.records import Detection, Drive, Position, Side, StereoMatch
 from conetl.reports import IngestReport
 from conetl.settings import Settings
 from flows.merge import open_map

@@ -23,7 +23,7 @@ from conetl.io.stores.replay_store import (
     superseded_drives,
     write_replay,
 )
-from conetl.records import MapFeature, Place
+from conetl.map_records import MapFeature, Place
 from conetl.steps.fold import is_within
 from flows.replay import replay_of
 

@@ -17,8 +17,8 @@ from conetl.io.stores.import_store import IMPORT_INFLUENCE_M, ImportedMap, commi
 from conetl.io.stores.map_results import RunInfo
 from conetl.io.stores.map_store import find_changeset, map_transaction
 from conetl.io.stores.replay_store import affected_drives, superseded_drives
+from conetl.map_records import Changeset, DeltaKind
 from conetl.params import ImportParams, params_sha256
-from conetl.records import Changeset, DeltaKind
 from conetl.steps.fold import Evidence
 from flows.replay import founding_key, replay_of
 

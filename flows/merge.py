@@ -25,14 +25,11 @@ from conetl.io.stores.map_store import (
     find_map,
     map_transaction,
 )
+from conetl.map_records import Changeset, Delta, DeltaKind, MapFeature
 from conetl.params import IngestParams, params_sha256
 from conetl.records import (
-    Changeset,
-    Delta,
-    DeltaKind,
     Detection,
     Drive,
-    MapFeature,
     Position,
     Record,
     StereoMatch,

@@ -13,7 +13,8 @@ from prefect.artifacts import create_image_artifact, create_table_artifact
 from conetl.geometry.rig import map_SE3_left
 from conetl.io.exports.geojson import export_geojson
 from conetl.io.exports.plan_view import draw_plan_view
-from conetl.records import Changeset, Drive, MapFeature
+from conetl.map_records import Changeset, MapFeature
+from conetl.records import Drive
 from conetl.reports import ChangeLine, IngestReport
 from conetl.settings import Settings
 from flows.control_room import show_around, tell_changes

@@ -29,16 +29,18 @@ from conetl.io.stores.replay_store import (
     superseded_drives,
 )
 from conetl.io.stores.retention import require_comparable
-from conetl.params import IngestParams, ReconcileParams
-from conetl.records import (
+from conetl.map_records import (
     BelievedVersion,
     Changeset,
     Decisions,
-    Detection,
-    Drive,
     FoldKey,
     MapFeature,
     Miss,
+)
+from conetl.params import IngestParams, ReconcileParams
+from conetl.records import (
+    Detection,
+    Drive,
     Position,
     Rig,
     StereoMatch,

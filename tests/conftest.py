@@ -17,15 +17,12 @@ from uuid import UUID, uuid5
 import pytest
 from hypothesis import settings
 
+from conetl.map_records import Changeset, Delta, DeltaKind, MapFeature
 from conetl.records import (
     Camera,
-    Changeset,
-    Delta,
-    DeltaKind,
     Detection,
     Drive,
     FramePair,
-    MapFeature,
     Pose,
     Position,
     Rig,

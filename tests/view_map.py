@@ -11,7 +11,8 @@ import cv2
 import numpy as np
 
 from conetl.io.stores.map_store import commit_changeset, map_transaction
-from conetl.records import Delta, DeltaKind, MapFeature, SightingEvidence, utc_from_ns
+from conetl.map_records import Delta, DeltaKind, MapFeature, SightingEvidence
+from conetl.records import utc_from_ns
 
 #: Box of samples.detections() in both pictures.
 BOX = (600, 180, 20, 30)

@@ -7,7 +7,8 @@ from typing import Literal
 from uuid import UUID
 
 from conetl.errors import EXIT_TOO_MANY_REJECTIONS, ConetlError
-from conetl.records import DeltaKind, Record, Vec3
+from conetl.map_records import DeltaKind
+from conetl.records import Record, Vec3
 from conetl.rejections import RejectionReason
 
 

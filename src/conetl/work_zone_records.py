@@ -10,7 +10,7 @@ from uuid import UUID
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.records import MapFeature
+from conetl.map_records import MapFeature
 
 Floats = NDArray[np.float64]
 Side = Literal["left", "right"]

@@ -13,8 +13,9 @@ import numpy as np
 
 from conetl.io.db import Connection, execute
 from conetl.io.stores.map_store import find_changeset, map_transaction
+from conetl.map_records import Changeset
 from conetl.params import IngestParams
-from conetl.records import Changeset, Detection, Drive, Position, StereoMatch, Track
+from conetl.records import Detection, Drive, Position, StereoMatch, Track
 from conetl.steps.tracks import fuse_tracks
 from flows.replay import Merged, merge_drive
 from tests.synthetic.world import START_NS, Cone, camera_poses, detect, locate, make_path, make_rig, shifted

@@ -30,8 +30,8 @@ from conetl.io.stores.map_store import (
     system_time,
 )
 from conetl.io.stores.replay_store import affected_drives, write_replay
+from conetl.map_records import DeltaKind
 from conetl.params import IngestParams, ReconcileParams
-from conetl.records import DeltaKind
 from flows.replay import replay_of
 from tests.conftest import cloned_database
 from tests.integration.drives_of_days import DAY_NS, DAYS, known_maps, merge, survey, valid_time_map

@@ -11,7 +11,7 @@ from conetl.io.db import connect
 from conetl.io.stores.audits import run_audits
 from conetl.io.stores.decision_store import list_decisions
 from conetl.io.stores.map_store import feature_log, list_changesets, read_current_features, read_features_as_of
-from conetl.records import DeltaKind
+from conetl.map_records import DeltaKind
 from flows.decide import PIN, SUPPRESS, decide_place, revert
 from tests.conftest import cloned_database
 from tests.integration.drives_of_days import merge, survey, valid_time_map
@@ -139,7 +139,7 @@ def place_of_first_day(conn, kind, feature, order):
     """The same decision in every order: about the place where the first drive saw the cone."""
     from conetl.io.stores.decision_store import insert_decision
     from conetl.io.stores.map_store import find_map, map_transaction, system_time
-    from conetl.records import Place
+    from conetl.map_records import Place
     from flows.decide import _judge_place
 
     with map_transaction(conn):

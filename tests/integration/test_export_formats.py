@@ -28,7 +28,7 @@ from conetl.io.exports.export import export_map
 from conetl.io.exports.source import ExportRequest, What
 from conetl.io.stores.import_store import set_licence
 from conetl.io.stores.map_store import read_features_as_of
-from conetl.records import DeltaKind
+from conetl.map_records import DeltaKind
 from conetl.settings import Settings
 from flows.publish_map import write_publication
 from tests.conftest import cloned_database

@@ -22,8 +22,8 @@ from conetl.io.exports.source import ExportRequest
 from conetl.io.imports.statements import read_map_file
 from conetl.io.stores.audits import run_audits
 from conetl.io.stores.map_store import list_changesets, read_current_features
+from conetl.map_records import DeltaKind
 from conetl.params import ImportParams
-from conetl.records import DeltaKind
 from flows.import_map import import_map
 from tests.conftest import cloned_database
 from tests.integration.drives_of_days import DAY_NS, DAYS, START_NS, merge, survey, valid_time_map

@@ -21,7 +21,7 @@ import pytest
 
 from conetl.io.db import connect, execute
 from conetl.io.exports.wzdx_schema import schema_faults
-from conetl.records import DeltaKind
+from conetl.map_records import DeltaKind
 from tests.conftest import cloned_database
 from tests.integration.drives_of_days import valid_time_map
 

@@ -15,7 +15,8 @@ from fastapi.testclient import TestClient
 
 from conetl.io.db import connect, execute
 from conetl.io.stores.reader_pool import ReaderPool, open_reader
-from conetl.records import DeltaKind, utc_from_ns
+from conetl.map_records import DeltaKind
+from conetl.records import utc_from_ns
 from conetl.web.app import create_app
 from conetl.web.live import MAX_STREAMS, HeadWatcher
 from tests.view_map import commit, cone, missed, two_drives

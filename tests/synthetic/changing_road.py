@@ -18,8 +18,9 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from conetl.detector_evidence import DetectorEvidence, LookFigures, detect_probability
+from conetl.map_records import BelievedVersion, Decisions, DeltaKind, Doubt, MapFeature
 from conetl.params import IngestParams, ReconcileParams
-from conetl.records import BelievedVersion, Decisions, DeltaKind, Detection, Doubt, FramePair, MapFeature, Side
+from conetl.records import Detection, FramePair, Side
 from conetl.steps.belief import doubt_after
 from conetl.steps.fold import Evidence, extend
 from conetl.steps.tracks import fuse_tracks

@@ -14,7 +14,17 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from conetl.params import IngestParams, PositionParams
-from conetl.records import Detection, Drive, FramePair, Matrix3, Position, Rig, Side, StereoMatch, Track
+from conetl.records import (
+    Detection,
+    Drive,
+    FramePair,
+    Matrix3,
+    Position,
+    Rig,
+    Side,
+    StereoMatch,
+    Track,
+)
 from conetl.steps.evaluation import TruthCone
 from conetl.steps.positions import locate_positions
 from conetl.steps.tracks import fuse_tracks

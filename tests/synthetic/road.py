@@ -9,8 +9,9 @@ from uuid import NAMESPACE_URL, uuid5
 
 import numpy as np
 
+from conetl.map_records import MapFeature
 from conetl.params import ReconcileParams
-from conetl.records import MapFeature, Track
+from conetl.records import Track
 from conetl.steps.fold import Evidence
 from conetl.steps.visibility import Look
 from tests.synthetic.world import ORIGIN_M, START_NS

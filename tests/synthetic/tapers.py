@@ -9,8 +9,8 @@ from uuid import UUID
 import numpy as np
 
 from conetl.geometry.road_axis import place, stations
+from conetl.map_records import MapFeature
 from conetl.params import LayoutParams
-from conetl.records import MapFeature
 from conetl.steps.layout_check import allowed_spacing_m, taper_ratio
 from conetl.work_zone_records import DrivePath, LaneLine, ZoneHistory
 

@@ -8,7 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.records import Camera, Detection, FramePair, Pose, Position, Rig, Side, StereoMatch
+from conetl.records import (
+    Camera,
+    Detection,
+    FramePair,
+    Pose,
+    Position,
+    Rig,
+    Side,
+    StereoMatch,
+)
 
 Floats = NDArray[np.float64]
 WIDTH_PX, HEIGHT_PX, FOCAL_PX = 1242, 375, 721.5

@@ -17,7 +17,7 @@ from conetl.io.db import Connection
 from conetl.io.exports.diff_geojson import export_diff_geojson
 from conetl.io.stores.decision_store import list_decisions
 from conetl.io.stores.map_store import find_map, list_changesets, read_features_as_of
-from conetl.records import FeatureChange, MapFeature
+from conetl.map_records import FeatureChange, MapFeature
 from conetl.settings import Settings, read_settings
 from conetl.steps.map_diff import diff as diff_of
 

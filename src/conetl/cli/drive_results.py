@@ -13,7 +13,14 @@ from conetl.io.detector import shipped_model_path
 from conetl.io.model_card import read_model_card
 from conetl.io.parquet_store import load_results
 from conetl.params import IngestParams
-from conetl.records import Detection, Drive, Position, Side, StereoMatch, Track
+from conetl.records import (
+    Detection,
+    Drive,
+    Position,
+    Side,
+    StereoMatch,
+    Track,
+)
 from conetl.rejections import Rejection
 from conetl.settings import Settings, prefect_environment
 from conetl.steps.association import MotionError

@@ -19,8 +19,8 @@ from conetl.io.detector import shipped_model_path
 from conetl.io.drive_folder import drive_format
 from conetl.io.leftovers import sweep
 from conetl.io.model_card import read_model_card
+from conetl.map_records import DeltaKind
 from conetl.params import IngestParams
-from conetl.records import DeltaKind
 from conetl.reports import IngestReport, TooManyRejectionsError
 from conetl.settings import Settings, prefect_environment, read_settings
 

@@ -21,8 +21,8 @@ from conetl.io.exports.wzdx import FeedContext, export_device_feed, export_work_
 from conetl.io.feed_info import read_feed_info
 from conetl.io.stores.map_store import find_map
 from conetl.io.stores.zone_store import read_paths, read_versions
+from conetl.map_records import MapFeature
 from conetl.params import LayoutParams, WorkZoneParams
-from conetl.records import MapFeature
 from conetl.settings import read_settings
 from conetl.steps.layout_check import allowed_spacing_m, check_layout
 from conetl.steps.work_zones import zones_over_time

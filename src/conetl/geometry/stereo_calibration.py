@@ -17,7 +17,15 @@ from conetl.geometry.board_views import BoardView, pair_indices, shape_basis
 from conetl.geometry.bundle_covariance import RigCovariance, rig_covariance
 from conetl.geometry.lens import distort, distort_jacobian, undistort
 from conetl.geometry.stereo_bundle import SIDES, Bundle, BundleError, adjust, parameter_names, reduce, residuals_px
-from conetl.records import LENS_COEFFICIENTS, CalibrationCovariance, Camera, Lens, LensModel, Rig, Side
+from conetl.records import (
+    LENS_COEFFICIENTS,
+    CalibrationCovariance,
+    Camera,
+    Lens,
+    LensModel,
+    Rig,
+    Side,
+)
 
 Array = NDArray[np.float64]
 

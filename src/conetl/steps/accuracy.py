@@ -13,7 +13,15 @@ from conetl.geometry.consistency import Consistency, Nees, ce90_m, consistency, 
 from conetl.geometry.packing import cov_matrix, vec3
 from conetl.geometry.pose_covariance import pose_jacobian
 from conetl.geometry.rig import map_SE3_left
-from conetl.records import Drive, Pose, Position, Record, Rig, Track, Vec3
+from conetl.records import (
+    Drive,
+    Pose,
+    Position,
+    Record,
+    Rig,
+    Track,
+    Vec3,
+)
 from conetl.steps.association import MotionError
 from conetl.steps.evaluation import TruthCone, TruthLine
 

@@ -13,8 +13,9 @@ from uuid import UUID, uuid5
 
 import numpy as np
 
+from conetl.map_records import Delta, DeltaKind, Doubt, MapFeature, Statement
 from conetl.params import ReconcileParams
-from conetl.records import Delta, DeltaKind, Doubt, MapFeature, Statement, Track
+from conetl.records import Track
 from conetl.steps.belief import stated
 from conetl.steps.changes import changed, confirmations, height_differs
 from conetl.steps.map_association import pair

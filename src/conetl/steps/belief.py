@@ -11,8 +11,9 @@ from __future__ import annotations
 
 from math import exp, log
 
+from conetl.map_records import Doubt, MapFeature, SightingEvidence, Statement
 from conetl.params import ReconcileParams
-from conetl.records import Doubt, MapFeature, SightingEvidence, Statement, Track
+from conetl.records import Track
 from conetl.steps.visibility import Look
 
 #: Belief in a feature never becomes certainty: the next drive must be able to change it.

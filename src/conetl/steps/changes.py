@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry.packing import cov_matrices, vec3
+from conetl.map_records import Delta, DeltaKind, Doubt, MapFeature, SightingEvidence
 from conetl.params import ReconcileParams
-from conetl.records import Delta, DeltaKind, Doubt, MapFeature, SightingEvidence, Track
+from conetl.records import Track
 from conetl.steps.belief import is_gone, missed, seen
 from conetl.steps.gating import near_pairs
 from conetl.steps.map_association import common_offset, moves, pair

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from conetl.records import MapFeature, Positive, Record, Track, Vec3
+from conetl.map_records import MapFeature
+from conetl.records import Positive, Record, Track, Vec3
 
 Floats = NDArray[np.float64]
 #: What is compared with the truth: features of the map, or tracks of one drive.

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from conetl.params import ReconcileParams
-from conetl.records import (
+from conetl.map_records import (
     BelievedVersion,
     Decisions,
     Delta,
@@ -30,8 +29,9 @@ from conetl.records import (
     Miss,
     Place,
     Statement,
-    Track,
 )
+from conetl.params import ReconcileParams
+from conetl.records import Track
 from conetl.steps.adoption import adopt
 from conetl.steps.belief import doubt_after
 from conetl.steps.changes import LookAt, reconcile

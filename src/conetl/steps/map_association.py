@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from conetl.map_records import MapFeature
 from conetl.params import ReconcileParams
-from conetl.records import Cov3, MapFeature, Track
+from conetl.records import Cov3, Track
 from conetl.steps.gating import assign, near_pairs
 
 Floats = NDArray[np.float64]

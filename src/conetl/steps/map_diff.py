@@ -10,8 +10,8 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
+from conetl.map_records import DeltaKind, FeatureChange, MapFeature
 from conetl.params import ReconcileParams
-from conetl.records import DeltaKind, FeatureChange, MapFeature
 
 #: A cone whose place differs by more was moved; by less, its place is only known better. As in the comparison of drives.
 MOVED_M = ReconcileParams().min_gate_m

@@ -21,7 +21,18 @@ from conetl.geometry.intersection import IntersectionStatus, intersect
 from conetl.geometry.packing import cov3, vec3
 from conetl.geometry.pose_covariance import add_pose_covariance
 from conetl.params import PositionParams
-from conetl.records import Cov3, FramePair, NonNegative, Position, Positive, Probability, Record, Rig, StereoMatch, Vec3
+from conetl.records import (
+    Cov3,
+    FramePair,
+    NonNegative,
+    Position,
+    Positive,
+    Probability,
+    Record,
+    Rig,
+    StereoMatch,
+    Vec3,
+)
 from conetl.rejections import Rejection, RejectionReason
 
 Array = NDArray[np.float64]

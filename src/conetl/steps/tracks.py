@@ -11,7 +11,14 @@ from conetl.detector_evidence import UNMEASURED, DetectorEvidence
 from conetl.geometry.joint_fit import JointFit, fit_point
 from conetl.geometry.packing import cov3, vec3
 from conetl.params import IngestParams, TrackParams
-from conetl.records import Detection, FramePair, Position, Rig, StereoMatch, Track
+from conetl.records import (
+    Detection,
+    FramePair,
+    Position,
+    Rig,
+    StereoMatch,
+    Track,
+)
 from conetl.rejections import Rejection, RejectionReason
 from conetl.steps.association import MotionError, chain_positions
 from conetl.steps.common_errors import common_cov

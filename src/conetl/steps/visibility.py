@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from conetl.detector_evidence import UNMEASURED_LOOKS, LookFigures, absence_log_ratio
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
+from conetl.map_records import MapFeature
 from conetl.params import ReconcileParams
-from conetl.records import Camera, Detection, FramePair, MapFeature, Rig, Vec3
+from conetl.records import Camera, Detection, FramePair, Rig, Vec3
 
 Floats = NDArray[np.float64]
 #: Width of a cone's base plate over its height; between the 0.5 and 0.6 of common road cones.

@@ -17,8 +17,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from conetl.geometry.road_axis import Floats
+from conetl.map_records import BelievedVersion, MapFeature
 from conetl.params import WorkZoneParams
-from conetl.records import BelievedVersion, MapFeature
 from conetl.steps.road_axes import Indices, Pass, axes_of, passes_beside
 from conetl.work_zone_records import DrivePath, ZoneHistory
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from conetl.geometry.road_axis import Floats, directions_at, place, project
+from conetl.map_records import MapFeature
 from conetl.params import WorkZoneParams
-from conetl.records import MapFeature
 from conetl.steps.cone_rows import find_rows
 from conetl.steps.lane_bands import closed_lanes, lane_bands
 from conetl.steps.road_axes import Pass, axes_of, passes_beside

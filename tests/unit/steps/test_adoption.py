@@ -6,8 +6,8 @@ from uuid import UUID
 
 import pytest
 
+from conetl.map_records import DeltaKind, Doubt, MapFeature, Statement
 from conetl.params import ReconcileParams
-from conetl.records import DeltaKind, Doubt, MapFeature, Statement
 from conetl.steps.adoption import adopt
 from conetl.steps.belief import MAX_LOG_ODDS, log_odds, probability
 

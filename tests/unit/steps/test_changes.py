@@ -7,8 +7,9 @@ from uuid import UUID
 import numpy as np
 import pytest
 
+from conetl.map_records import Delta, DeltaKind, MapFeature
 from conetl.params import ReconcileParams
-from conetl.records import Delta, DeltaKind, MapFeature, Track
+from conetl.records import Track
 from conetl.steps.changes import reconcile
 from conetl.steps.map_association import common_offset
 from conetl.steps.visibility import Look

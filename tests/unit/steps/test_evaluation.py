@@ -5,7 +5,7 @@ from uuid import UUID
 import numpy as np
 import pytest
 
-from conetl.records import MapFeature
+from conetl.map_records import MapFeature
 from conetl.steps.evaluation import TruthCone, compare_with_truth
 
 PATH = np.array([[0.0, 0.0, 1.6], [10.0, 0.0, 1.6], [20.0, 0.0, 1.6]])

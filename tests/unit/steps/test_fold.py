@@ -9,7 +9,15 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from conetl.records import BelievedVersion, Decisions, DeltaKind, Doubt, FoldKey, Miss, Place
+from conetl.map_records import (
+    BelievedVersion,
+    Decisions,
+    DeltaKind,
+    Doubt,
+    FoldKey,
+    Miss,
+    Place,
+)
 from conetl.steps.belief import doubt_after
 from conetl.steps.fold import Evidence, Folded, extend, fold
 from tests.synthetic.road import HOUR_NS, SECOND_NS, random_drive, random_world

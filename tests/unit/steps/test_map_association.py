@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from conetl.records import Delta, DeltaKind, MapFeature, Track
+from conetl.map_records import Delta, DeltaKind, MapFeature
+from conetl.records import Track
 from conetl.steps.changes import reconcile
 from conetl.steps.map_association import common_offset, pair
 from tests.unit.steps.test_changes import NO_FIX, PARAMS, RTK, Look, changes, feature, track

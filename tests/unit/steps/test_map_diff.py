@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from conetl.records import DeltaKind, MapFeature
+from conetl.map_records import DeltaKind, MapFeature
 from conetl.steps.map_diff import compose, diff, invert
 
 

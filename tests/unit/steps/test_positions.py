@@ -12,7 +12,16 @@ from conetl.geometry import camera as cam
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.params import PositionParams
-from conetl.records import CalibrationCovariance, Camera, Detection, FramePair, Pose, Rig, Side, StereoMatch
+from conetl.records import (
+    CalibrationCovariance,
+    Camera,
+    Detection,
+    FramePair,
+    Pose,
+    Rig,
+    Side,
+    StereoMatch,
+)
 from conetl.rejections import RejectionReason
 from conetl.steps.positions import locate_in_camera, locate_positions
 

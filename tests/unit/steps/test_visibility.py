@@ -9,8 +9,9 @@ import pytest
 from conetl.detector_evidence import DetectorEvidence, LookFigures
 from conetl.io.detector import shipped_model_path
 from conetl.io.model_card import read_model_card
+from conetl.map_records import MapFeature
 from conetl.params import ReconcileParams
-from conetl.records import Detection, MapFeature, Position, Side
+from conetl.records import Detection, Position, Side
 from conetl.steps.visibility import (
     Look,
     View,

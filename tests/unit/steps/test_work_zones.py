@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from conetl.map_records import BelievedVersion
 from conetl.params import WorkZoneParams
-from conetl.records import BelievedVersion
 from conetl.steps.work_zones import chain, zones_over_time
 from conetl.steps.zone_layout import describe, layout_of
 from conetl.work_zone_records import DrivePath

@@ -11,7 +11,7 @@ from pyproj import Transformer
 
 from conetl.io.exports.atomic import atomic_text_file
 from conetl.io.exports.geojson import HEIGHT_DECIMALS, LON_LAT_DECIMALS
-from conetl.records import DeltaKind, FeatureChange, MapFeature
+from conetl.map_records import DeltaKind, FeatureChange, MapFeature
 
 
 def export_diff_geojson(changes: Sequence[FeatureChange], path: Path, *, srid: int) -> int:

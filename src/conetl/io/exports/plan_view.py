@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from conetl.io.leftovers import aside
-from conetl.records import Delta, DeltaKind, MapFeature
+from conetl.map_records import Delta, DeltaKind, MapFeature
 
 #: Colour-blind safe (Okabe & Ito) and told apart by shape as well.
 _STYLE = {

@@ -22,8 +22,9 @@ from conetl.io.exports.atomic import atomic_text_file
 from conetl.io.exports.geojson import HEIGHT_DECIMALS, LON_LAT_DECIMALS
 from conetl.io.exports.wzdx_schema import schema_faults
 from conetl.io.feed_info import CC0, FeedInfo
+from conetl.map_records import MapFeature
 from conetl.params import WorkZoneParams
-from conetl.records import MapFeature, utc_from_ns
+from conetl.records import utc_from_ns
 from conetl.work_zone_records import WorkZone
 
 _NAMESPACE = uuid5(NAMESPACE_URL, "https://conetl.example/data_source")

@@ -19,8 +19,9 @@ from conetl.errors import InputError
 from conetl.io.imports.tables import MapTable, read_table
 from conetl.io.parquet_store import file_sha256
 from conetl.io.stores.import_store import ImportedMap
+from conetl.map_records import MapFeature, Statement
 from conetl.params import ImportParams
-from conetl.records import Cov3, MapFeature, Statement
+from conetl.records import Cov3
 
 _NAMESPACE = UUID("5f0f6f0a-1c1b-4a53-9d0e-3c7a4a5be9a1")
 #: How far beyond the area for which a CRS is made its coordinates may lie (degrees): maps at a zone's edge.

@@ -6,7 +6,8 @@ from collections import Counter
 from collections.abc import Sequence
 
 from conetl.errors import MapMismatchError
-from conetl.records import Changeset, Detection, Drive, Position, StereoMatch, Track
+from conetl.map_records import Changeset
+from conetl.records import Detection, Drive, Position, StereoMatch, Track
 
 
 def require_consistent(

@@ -8,7 +8,7 @@ from uuid import UUID, uuid4
 from conetl.io.db import Connection, database_errors, execute, load_sql
 from conetl.io.stores.copy_binary import clean_text
 from conetl.io.stores.map_results import Decidable, MapInfo, StoredDecision
-from conetl.records import Decisions, Place
+from conetl.map_records import Decisions, Place
 
 
 def list_decisions(conn: Connection, *, map_name: str = "default") -> list[StoredDecision]:

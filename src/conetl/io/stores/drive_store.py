@@ -16,8 +16,16 @@ from conetl.detector_evidence import UNMEASURED_LOOKS, LookFigures
 from conetl.errors import MapMismatchError
 from conetl.io.db import Connection, database_errors, execute, load_sql, stream
 from conetl.io.stores.import_store import read_statements
+from conetl.map_records import FoldKey, Statement
 from conetl.params import ReconcileParams
-from conetl.records import Detection, FoldKey, FramePair, Pose, Rig, Statement, Track, Vec3
+from conetl.records import (
+    Detection,
+    FramePair,
+    Pose,
+    Rig,
+    Track,
+    Vec3,
+)
 
 Floats = NDArray[np.float64]
 

@@ -19,8 +19,9 @@ from conetl.io.stores.map_results import CommitResult, Replay, RunInfo
 from conetl.io.stores.map_rows import feature_of
 from conetl.io.stores.map_store import find_changeset, insert_run, map_for, system_time
 from conetl.io.stores.replay_store import write_replay
+from conetl.map_records import Changeset, DeltaKind, Statement
 from conetl.params import ReconcileParams
-from conetl.records import Changeset, DeltaKind, Statement, utc_from_ns
+from conetl.records import utc_from_ns
 
 #: How far from a stated place an import judges: what it may pair or move, with room to spare.
 IMPORT_INFLUENCE_M = 10.0

@@ -21,7 +21,8 @@ from conetl.io.stores.copy_binary import (
     timestamps_from_ns,
     uuids,
 )
-from conetl.records import BelievedVersion, Delta, Detection, FramePair, MapFeature, Position, StereoMatch, Track
+from conetl.map_records import BelievedVersion, Delta, MapFeature
+from conetl.records import Detection, FramePair, Position, StereoMatch, Track
 from conetl.rejections import Rejection
 
 Columns = dict[str, Column]

@@ -8,7 +8,14 @@ from datetime import datetime
 from typing import Any
 from uuid import UUID
 
-from conetl.records import BelievedVersion, Delta, DeltaKind, FoldKey, MapFeature, Miss
+from conetl.map_records import (
+    BelievedVersion,
+    Delta,
+    DeltaKind,
+    FoldKey,
+    MapFeature,
+    Miss,
+)
 
 
 @dataclass(frozen=True)

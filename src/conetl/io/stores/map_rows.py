@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any, TypeVar
 
-from conetl.records import BelievedVersion, MapFeature, Record
+from conetl.map_records import BelievedVersion, MapFeature
+from conetl.records import Record
 
 R = TypeVar("R", bound=Record)
 

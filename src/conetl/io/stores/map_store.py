@@ -48,13 +48,11 @@ from conetl.io.stores.map_results import (
 from conetl.io.stores.map_rows import feature_of
 from conetl.io.stores.quarantine_store import insert_rejections
 from conetl.io.stores.replay_store import write_replay
+from conetl.map_records import Changeset, DeltaKind, MapFeature
 from conetl.params import ReconcileParams
 from conetl.records import (
-    Changeset,
-    DeltaKind,
     Detection,
     Drive,
-    MapFeature,
     Position,
     StereoMatch,
     Track,

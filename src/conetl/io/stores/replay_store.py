@@ -14,7 +14,7 @@ from conetl.io.db import Connection, copy_columns, database_errors, execute, exe
 from conetl.io.stores import map_columns
 from conetl.io.stores.map_results import DriveRef, MapInfo, Replay, StoredDelta, StoredMiss, StoredVersion
 from conetl.io.stores.map_rows import version_of
-from conetl.records import BelievedVersion, Delta, Doubt, Miss
+from conetl.map_records import BelievedVersion, Delta, Doubt, Miss
 
 
 def read_standing_around(conn: Connection, drive_uuid: UUID) -> dict[UUID, BelievedVersion]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from conetl.io.db import Connection, database_errors, load_sql, stream
 from conetl.io.stores.map_rows import version_of
-from conetl.records import BelievedVersion
+from conetl.map_records import BelievedVersion
 from conetl.work_zone_records import DrivePath
 
 _PATH_TOLERANCE_M = 0.05
