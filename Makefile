@@ -7,7 +7,7 @@ export PYTHON
 export PREFECT_SERVER_ANALYTICS_ENABLED := false
 export DO_NOT_TRACK := 1
 
-.PHONY: help setup demo up down test check web bench-detect bench-intersection bench-trajectory bench-rectification bench-changes bench-map bench-kills bench-export lock
+.PHONY: help setup demo up down test check web bench-detect bench-intersection bench-trajectory bench-rectification bench-changes bench-map bench-kills bench-export bench-overhead bench-ingest lock
 
 help:           ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -61,6 +61,12 @@ bench-map: setup  ## a drive of 100,000 cones into maps of 100 thousand and 1 mi
 
 bench-kills: setup  ## 200 ingests killed at random instants: equal tables, no lock, no file left (KILLS=20 for fewer)
 	@$(BIN)/python benchmarks/bench_kills.py --kills $(or $(KILLS),200)
+
+bench-overhead: setup  ## what Prefect costs on a drive of 1,000 pairs, beside the same steps in a plain loop (ARGS='--pairs 200' ...)
+	@$(BIN)/python benchmarks/bench_overhead.py $(ARGS)
+
+bench-ingest: setup  ## the whole job beside decoding and the network alone: pairs a second, memory (ARGS='--pairs 150 --stages' ...)
+	@$(BIN)/python benchmarks/bench_ingest.py $(ARGS)
 
 lock:           ## renew requirements.txt from pyproject.toml (needs uv)
 	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --no-annotate -o requirements.txt

@@ -22,12 +22,13 @@ from conetl.io.parquet_store import (
     save_result,
 )
 from conetl.io.pictures.rectified_image import read_rig_image
+from conetl.io.services.allocator import keep_freed_pictures
 from conetl.io.visual_odometry import PictureReader, follow_drive, follow_span
 from conetl.params import IngestParams, params_sha256
 from conetl.records import Drive, FramePair, Rig, Side, StereoMatch
 from conetl.steps.association import chain_positions
 from conetl.steps.positions import locate_positions
-from conetl.steps.self_calibration import SelfCalibration, choose_spans, self_calibrate, span_params
+from conetl.steps.self_calibration import SelfCalibration, choose_spans, self_calibrate, span_params, spread_spans
 from conetl.steps.trajectory import RefinedTrajectory, RefinementOutcome, motion_error, refine_trajectory
 from flows.progress import tell_progress
 from flows.retries import RETRY
@@ -64,6 +65,7 @@ def odometry_task(chunk: Chunk) -> Path:
     if has_result(chunk.results_folder, key):
         tell_progress(chunk.drive_id, intervals)
         return result_path(chunk.results_folder, key)
+    keep_freed_pictures()
     tracks: list[StereoTracks] = []
     for found in follow_drive(chunk.frame_pairs, chunk.rig, _reader(chunk.rig), chunk.params.trajectory):
         tracks.append(found)
@@ -100,6 +102,7 @@ def self_calibrate_task(drive: Drive, tracks: list[Path], motions: list[Path], c
     pairs, read = drive.frame_pairs, _reader(drive.rig)
     wide = span_params(params)
     spans = choose_spans(measured, params.self_calibration_span_m)
+    spans = spread_spans(spans, params.self_calibration_max_spans)
     if len(spans) < params.self_calibration_min_spans:
         spans = []  # no picture needs to be read again
     followed = [follow_span(pairs[s.first], pairs[s.last], s.last_SE3_first, drive.rig, read, wide) for s in spans]
@@ -135,6 +138,6 @@ def _tracks_key(chunk: Chunk) -> str:
 
 def _reader(rig: Rig) -> PictureReader:
     def read(pair: FramePair, side: Side) -> NDArray[np.uint8]:
-        return read_rig_image(Path(pair.left_path if side == "left" else pair.right_path), rig, side)
+        return read_rig_image(Path(pair.left_path if side == "left" else pair.right_path), rig, side, grey=True)
 
     return read

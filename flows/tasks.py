@@ -23,6 +23,7 @@ from conetl.io.parquet_store import (
 )
 from conetl.io.pictures.images import ImageFileError
 from conetl.io.pictures.rectified_image import read_rig_image
+from conetl.io.services.allocator import keep_freed_pictures
 from conetl.params import IngestParams, params_sha256
 from conetl.records import (
     Detection,
@@ -45,7 +46,7 @@ from flows.progress import tell_progress
 from flows.retries import RETRY
 
 #: Part of every result key: raise it when a step computes something else from the same inputs.
-RESULTS_VERSION = "4"
+RESULTS_VERSION = "5"
 _per_thread = threading.local()
 
 
@@ -79,6 +80,7 @@ def detect_task(chunk: Chunk, side: Side) -> Path:
     if has_result(chunk.results_folder, key):
         tell_progress(chunk.drive_id, len(paths))
         return result_path(chunk.results_folder, key)
+    keep_freed_pictures()
     camera = chunk.rig.left if side == "left" else chunk.rig.right
     pose_of = map_SE3_left if side == "left" else map_SE3_right
     rotations = [pose_of(pair.pose, chunk.rig)[:3, :3] for pair in chunk.frame_pairs]

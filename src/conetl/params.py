@@ -124,6 +124,8 @@ class TrajectoryParams(Params):
     self_calibration_span_m: Positive = 2.0
     """Points are compared over this way: longer ones tell depth better, but fewer points survive."""
     self_calibration_min_spans: int = Field(default=8, ge=4)
+    self_calibration_max_spans: int = Field(default=120, ge=4)
+    """More parts than these, evenly spread over the drive, only cost time: what they agree on is then far below the floor."""
     self_calibration_row_tolerance_px: Positive = 2.5
     """As `epipolar_tolerance_px`, for these points: rows may be off by what is to be found."""
     self_calibration_corners_per_cell: int = Field(default=3, ge=1)

@@ -12,7 +12,7 @@ from conetl.io.pictures.rectified_image import read_rig_image
 from conetl.io.visual_odometry import follow_drive, follow_span
 from conetl.params import TrajectoryParams
 from conetl.records import Drive, FramePair, Side
-from conetl.steps.self_calibration import SelfCalibration, choose_spans, self_calibrate, span_params
+from conetl.steps.self_calibration import SelfCalibration, choose_spans, self_calibrate, span_params, spread_spans
 
 
 def calibrate_drive(
@@ -22,11 +22,12 @@ def calibrate_drive(
     pairs = drive.frame_pairs
 
     def read(pair: FramePair, side: Side) -> NDArray[np.uint8]:
-        return read_rig_image(Path(pair.left_path if side == "left" else pair.right_path), drive.rig, side)
+        return read_rig_image(Path(pair.left_path if side == "left" else pair.right_path), drive.rig, side, grey=True)
 
     if tracks is None:
         tracks = list(follow_drive(pairs, drive.rig, read, params))
     wide = span_params(params)
     spans = choose_spans(list(motions_of(tracks, pairs, drive.rig, params)), params.self_calibration_span_m)
+    spans = spread_spans(spans, params.self_calibration_max_spans)
     points = [follow_span(pairs[s.first], pairs[s.last], s.last_SE3_first, drive.rig, read, wide) for s in spans]
     return self_calibrate(drive.rig, spans, points, params)

@@ -163,11 +163,13 @@ def _between(
 def _corners(picture: Bytes, params: TrajectoryParams) -> Points:
     """Corners (N, 2) of a picture, the best few of each cell of a grid, so that no textured wall takes them all."""
     response = cv2.cornerMinEigenVal(picture, 5)
-    peak = cv2.dilate(response, np.ones((7, 7), np.uint8)) == response
+    highest = cv2.dilate(response, np.ones((7, 7), np.uint8))
     strong = float(np.quantile(response[::4, ::4], 0.99))
     border = 12
-    peak[:border], peak[-border:], peak[:, :border], peak[:, -border:] = False, False, False, False
-    rows, columns = np.nonzero(peak & (response > max(_WEAK_SHARE * strong, 1e-9)))
+    inner, around = (picture[border:-border, border:-border] for picture in (response, highest))
+    # One row after the other: numpy finds the few set elements of a mask much faster in one dimension than in two.
+    chosen = np.flatnonzero((inner == around) & (inner > max(_WEAK_SHARE * strong, 1e-9)))
+    rows, columns = np.divmod(chosen, max(inner.shape[1], 1)) + np.array(border)
     strength = response[rows, columns]
     cell = rows // params.cell_px * 10_000 + columns // params.cell_px
     order = np.lexsort((-strength, cell))

@@ -107,6 +107,13 @@ def choose_spans(motions: Sequence[RelativeMotion], span_m: float) -> list[Span]
     return spans
 
 
+def spread_spans(spans: Sequence[Span], most: int) -> list[Span]:
+    """At most so many of the spans, evenly spread over the drive, its first and last among them; all where there are no more."""
+    if len(spans) <= most:
+        return list(spans)
+    return [spans[round(k * (len(spans) - 1) / (most - 1))] for k in range(most)]
+
+
 def self_calibrate(
     rig: Rig, spans: Sequence[Span], tracks: Sequence[StereoTracks], params: TrajectoryParams
 ) -> SelfCalibration:

@@ -23,6 +23,7 @@ from conetl.steps.self_calibration import (
     choose_spans,
     self_calibrate,
     self_calibrated_rig,
+    spread_spans,
 )
 from tests.synthetic.spans import CX_PX, FOCAL_PX, make_span, motion
 from tests.synthetic.world import make_rig
@@ -192,6 +193,16 @@ def test_infinity_lies_where_a_turned_camera_sees_it() -> None:
     far_right = se3.apply(se3.invert(left_SE3_right(rig)), far_left)
     shift = project(rig.left, far_left) - project(rig.right, far_right)
     assert infinity_shift_px(rig, project(rig.left, far_left)) == pytest.approx(shift, abs=1e-3)
+
+
+def test_a_long_drive_is_represented_by_spans_from_all_of_it() -> None:
+    spans = choose_spans(moves(*[2.0] * 1000), 2.0)
+    assert len(spans) == 1000
+    chosen = spread_spans(spans, 120)
+    assert (len(chosen), chosen[0], chosen[-1]) == (120, spans[0], spans[-1])
+    steps = np.diff([span.first for span in chosen])
+    assert set(steps) == {8, 9}
+    assert spread_spans(spans[:120], 120) == spans[:120]
 
 
 def test_spans_follow_each_other_and_begin_anew_after_a_gap() -> None:

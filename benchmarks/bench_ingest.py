@@ -1,0 +1,143 @@
+"""The whole job, from JPEG on disk to the committed map, beside nothing but decoding and the network on the same pictures.
+
+Each way takes its own look at all pictures, one after the other in one run. Memory is that of this process with Prefect's
+server. Where other work shares the machine the clock says little: pairs a second are also told as cores over processor time
+a pair, which is what an idle machine of as many cores could reach.
+
+    python benchmarks/bench_ingest.py [--pairs 600] [--drive FOLDER] [--only refined|plain] [--stages]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from conetl.settings import prefect_environment
+
+
+def decode_and_run(drive: Path, workers: int) -> None:
+    """Every picture of a drive decoded and put through the network, in so many threads; the answers are thrown away."""
+    from conetl.geometry.camera import first_road_row
+    from conetl.geometry.rig import map_SE3_left
+    from conetl.io.detector import MAX_SIDE_PX, load_detector, network_input
+    from conetl.io.drive_folder import read_drive
+    from conetl.params import IngestParams
+
+    read, _ = read_drive(drive, headers_only=True)
+    margin_rad = IngestParams().detection.horizon_margin_rad
+    rotations = [map_SE3_left(pair.pose, read.rig)[:3, :3] for pair in read.frame_pairs]
+    row = first_road_row(read.rig.left, rotations, margin_rad)
+    paths = [path for pair in read.frame_pairs for path in (pair.left_path, pair.right_path)]
+
+    def some(mine: list[str]) -> None:
+        detector = load_detector(threads=1)
+        for path in mine:
+            picture = cv2.imdecode(np.fromfile(path, dtype=np.uint8), cv2.IMREAD_COLOR)
+            blob, _, _ = network_input(
+                np.asarray(picture[row:], dtype=np.uint8), detector.card.pad_multiple_px, MAX_SIDE_PX,
+                layout=detector.card.input_layout,
+            )  # fmt: skip
+            detector.session.run(None, {detector.input_name: blob})
+
+    with ThreadPoolExecutor(workers) as pool:
+        for done in [pool.submit(some, paths[k::workers]) for k in range(workers)]:
+            done.result()
+
+
+def main() -> None:  # noqa: PLR0915 -- a list of measurements
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--pairs", type=int, default=600)
+    parser.add_argument("--drive", type=Path, help="KITTI drive whose pictures are repeated")
+    parser.add_argument("--only", choices=("refined", "plain"))
+    parser.add_argument(
+        "--stages", action="store_true", help="also without Prefect, with the processor time of each task"
+    )
+    parser.add_argument("--json", type=Path, help="write the figures here")
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix="conetl-bench-") as folder, ExitStack() as stack:
+        home = Path(folder) / "home"
+        (home / "prefect").mkdir(parents=True)
+        os.environ.update(prefect_environment(home))
+        from benchmarks.whole_job import (
+            Peak,
+            database_pid,
+            make_long_drive,
+            params_with,
+            plain_ingest,
+            processor_s,
+            settings_in,
+            source_drive,
+        )
+        from conetl.io.services.cluster import cluster_remove
+        from flows.ingest_drive import ingest_drive, with_workers
+        from flows.server import prefect_server
+
+        source, pairs = source_drive(arguments.drive), arguments.pairs
+        drive = make_long_drive(source, Path(folder) / "drive", pairs)
+        workers = settings_in(home).workers
+        stack.callback(cluster_remove, home)
+        database = database_pid(settings_in(home))
+        stack.enter_context(prefect_server(home))
+        figures: dict[str, dict[str, float]] = {}
+
+        def take(name: str, run: Callable[[], object]) -> None:
+            cpu, wall, load = processor_s(os.getpid(), database), time.monotonic(), os.getloadavg()[0]
+            with Peak() as peak:
+                run()
+            cpu, wall = processor_s(os.getpid(), database) - cpu, time.monotonic() - wall
+            figures[name] = {
+                "processor_ms_a_pair": 1e3 * cpu / pairs, "pairs_a_second_by_the_clock": pairs / wall,
+                "pairs_a_second_of_idle_cores": workers * pairs / cpu, "peak_mb": peak.bytes / 1e6,
+                "peak_own_mb": peak.own_bytes / 1e6, "load": max(load, os.getloadavg()[0]),
+            }  # fmt: skip
+            print(f"{name:28}" + "".join(f"{value:12.1f}" for value in figures[name].values()), flush=True)
+
+        columns = ("ms CPU/pair", "pairs/s", "idle cores", "peak MB", "own MB", "load")
+        print(
+            f"{pairs} pairs of {source.name}, {workers} threads\n{'':28}" + "".join(f"{text:>12}" for text in columns)
+        )
+        take("decode + network", lambda: decode_and_run(drive, workers))
+        for refine in (True, False):
+            if arguments.only not in (None, "refined" if refine else "plain"):
+                continue
+            name = "whole job, refined" if refine else "whole job, logged poses"
+            settings, params = settings_in(home, "refined" if refine else "plain"), params_with(refine)
+            run = with_workers(ingest_drive, workers)
+            settings_in(home).results_folder.mkdir(exist_ok=True)
+            for old in settings_in(home).results_folder.iterdir():
+                old.unlink()
+            take(name, lambda run=run, settings=settings, params=params: run(drive, settings, params, map_srid=None))
+            share = figures["decode + network"]["processor_ms_a_pair"] / figures[name]["processor_ms_a_pair"]
+            stored = sum(path.stat().st_size for path in settings.results_folder.iterdir())
+            print(
+                f"  {share:.2f} of decode + network alone; {stored / 1e6 / pairs * 1e3:.0f} MB of results for 1,000 pairs"
+            )
+            if arguments.stages:
+                spent: dict[str, float] = defaultdict(float)
+                for old in settings.results_folder.iterdir():
+                    old.unlink()
+                again = settings_in(home, f"{settings.map_name}_stages")
+                with plain_ingest(workers, spent) as plain:
+                    take("  the same without Prefect", lambda p=plain, s=again, q=params: p(drive, s, q, map_srid=None))
+                for task, seconds in sorted(spent.items(), key=lambda item: -item[1]):
+                    print(f"    {task:20} {1e3 * seconds / pairs:8.2f} ms a pair")
+        if arguments.json:
+            arguments.json.write_text(json.dumps(figures, indent=1))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,110 @@
+"""What Prefect costs: `ingest` of one long drive through a running Prefect server against the same steps in a plain loop.
+
+Processor time of this process, of the Prefect server and of PostGIS. First both ways from pictures ("cold"), each into a map
+of its own; then both again with the results of all chunks on disk ("warm"), where hardly anything but orchestration is left,
+so that a busy machine does not hide it. The figure to judge by is the warm difference over the cold plain loop.
+
+    python benchmarks/bench_overhead.py [--pairs 1000] [--no-refine] [--rounds 3] [--drive FOLDER] [--cold-prefect]
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from conetl.settings import prefect_environment
+
+IMPORTS = {
+    "the steps alone": "import conetl.io.detector, conetl.io.drive_folder, conetl.io.stores.map_store, conetl.steps.tracks",
+    "the flow, with Prefect": "import flows.ingest_drive",
+}
+
+
+def cpu_of_import(statement: str) -> float:
+    """Processor time of a Python process that imports something, the best of three."""
+    took = []
+    for _ in range(3):
+        before = os.times()
+        subprocess.run([sys.executable, "-c", statement], check=True)
+        after = os.times()
+        took.append(after.children_user + after.children_system - before.children_user - before.children_system)
+    return min(took)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--pairs", type=int, default=1000)
+    parser.add_argument("--drive", type=Path)
+    parser.add_argument("--rounds", type=int, default=3, help="warm rounds of each way")
+    parser.add_argument("--no-refine", action="store_true")
+    parser.add_argument("--no-cold", action="store_true", help="plain loop from pictures only, not Prefect's")
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix="conetl-bench-") as folder, ExitStack() as stack:
+        home = Path(folder) / "home"
+        (home / "prefect").mkdir(parents=True)
+        os.environ.update(prefect_environment(home))
+        from benchmarks.whole_job import (
+            database_pid,
+            make_long_drive,
+            params_with,
+            plain_ingest,
+            processor_s,
+            settings_in,
+            source_drive,
+        )
+        from conetl.io.services.cluster import cluster_remove
+        from flows.ingest_drive import ingest_drive, with_workers
+        from flows.server import prefect_server
+
+        drive = make_long_drive(source_drive(arguments.drive), Path(folder) / "drive", arguments.pairs)
+        params, workers = params_with(not arguments.no_refine), settings_in(home).workers
+        stack.callback(cluster_remove, home)
+        database = database_pid(settings_in(home))
+        before = processor_s(os.getpid())
+        stack.enter_context(prefect_server(home))
+        start_s = processor_s(os.getpid()) - before
+
+        def took(run: Callable[..., object], map_name: str) -> tuple[float, float]:
+            cpu, wall = processor_s(os.getpid(), database), time.monotonic()
+            run(drive, settings_in(home, map_name), params, map_srid=None)
+            return processor_s(os.getpid(), database) - cpu, time.monotonic() - wall
+
+        through_prefect = with_workers(ingest_drive, workers)
+        cold: dict[str, tuple[float, float]] = {}
+        with plain_ingest(workers) as plain:
+            cold["plain"] = took(plain, "cold_plain")
+        if not arguments.no_cold:
+            shutil.rmtree(settings_in(home).results_folder)
+            cold["prefect"] = took(through_prefect, "cold_prefect")
+        warm: dict[str, list[float]] = {"plain": [], "prefect": []}
+        for k in range(arguments.rounds):
+            with plain_ingest(workers) as plain:
+                warm["plain"].append(took(plain, f"warm_plain_{k}")[0])
+            warm["prefect"].append(took(through_prefect, f"warm_prefect_{k}")[0])
+        print(f"{arguments.pairs} pairs of {source_drive(arguments.drive).name}, refinement {params.trajectory.refine}, "
+              f"{workers} detection tasks at a time, load {os.getloadavg()[0]:.1f}")  # fmt: skip
+        for way, (cpu, wall) in cold.items():
+            print(f"{way:8} from pictures: {cpu:7.1f} s of processor time, {wall:7.1f} s by the clock")
+        for way, times in warm.items():
+            print(f"{way:8} with results on disk: {', '.join(f'{t:.2f}' for t in times)} s of processor time")
+        extra = statistics.median(warm["prefect"]) - statistics.median(warm["plain"])
+        print(f"Prefect costs {extra:.2f} s: {100 * extra / cold['plain'][0]:.2f} % of the plain loop")
+        if "prefect" in cold:
+            print(f"cold against cold: {100 * (cold['prefect'][0] / cold['plain'][0] - 1):+.2f} %")
+        print(f"once a command: start of the server {start_s:.1f} s; "
+              + "; ".join(f"import of {name} {cpu_of_import(text):.1f} s" for name, text in IMPORTS.items()))  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
