@@ -83,7 +83,8 @@ def main() -> None:  # noqa: PLR0915 -- a list of measurements
             source_drive,
         )
         from conetl.io.services.cluster import cluster_remove
-        from flows.ingest_drive import ingest_drive, with_workers
+        from flows.ingest_drive import ingest_drive
+        from flows.runners import with_runner
         from flows.server import prefect_server
 
         source, pairs = source_drive(arguments.drive), arguments.pairs
@@ -116,7 +117,7 @@ def main() -> None:  # noqa: PLR0915 -- a list of measurements
                 continue
             name = "whole job, refined" if refine else "whole job, logged poses"
             settings, params = settings_in(home, "refined" if refine else "plain"), params_with(refine)
-            run = with_workers(ingest_drive, workers)
+            run = with_runner(ingest_drive, settings_in(home))
             settings_in(home).results_folder.mkdir(exist_ok=True)
             for old in settings_in(home).results_folder.iterdir():
                 old.unlink()

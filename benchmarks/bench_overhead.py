@@ -64,7 +64,8 @@ def main() -> None:
             source_drive,
         )
         from conetl.io.services.cluster import cluster_remove
-        from flows.ingest_drive import ingest_drive, with_workers
+        from flows.ingest_drive import ingest_drive
+        from flows.runners import with_runner
         from flows.server import prefect_server
 
         drive = make_long_drive(source_drive(arguments.drive), Path(folder) / "drive", arguments.pairs)
@@ -80,7 +81,7 @@ def main() -> None:
             run(drive, settings_in(home, map_name), params, map_srid=None)
             return processor_s(os.getpid(), database) - cpu, time.monotonic() - wall
 
-        through_prefect = with_workers(ingest_drive, workers)
+        through_prefect = with_runner(ingest_drive, settings_in(home))
         cold: dict[str, tuple[float, float]] = {}
         with plain_ingest(workers) as plain:
             cold["plain"] = took(plain, "cold_plain")

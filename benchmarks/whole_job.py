@@ -22,6 +22,7 @@ from uuid import uuid4
 
 import psutil
 from prefect import Flow, Task
+from prefect.utilities.annotations import opaque
 
 from conetl.io.db import connect, execute
 from conetl.io.services.cluster import cluster_up
@@ -126,7 +127,7 @@ class _PlainTask:
     def __call__(self, *arguments: Any, **named: Any) -> Any:
         before = time.thread_time()
         try:
-            return self._task.fn(*arguments, **named)
+            return self._task.fn(*(a.unwrap() if isinstance(a, opaque) else a for a in arguments), **named)
         finally:
             self._spent_s[self._task.name] += time.thread_time() - before
 

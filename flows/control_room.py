@@ -3,7 +3,6 @@
 import base64
 from collections import defaultdict
 from collections.abc import Sequence
-from pathlib import Path
 from uuid import UUID, uuid5
 
 import numpy as np
@@ -17,6 +16,7 @@ from conetl.io.drive_folder.outline import DriveOutline, outline_drive
 from conetl.io.pictures.annotated_image import draw_boxes, pairs_jpeg
 from conetl.io.pictures.images import ImageFileError
 from conetl.io.pictures.rectified_image import read_rig_image
+from conetl.io.places import place
 from conetl.io.stores.map_store import list_changesets
 from conetl.map_records import Changeset, DeltaKind
 from conetl.records import Detection, Drive, Position, Side, StereoMatch
@@ -38,7 +38,7 @@ def drive_run_name(outline: DriveOutline) -> str:
 def name_of_run() -> str:
     """Name of the present run of `ingest-drive`, whatever its parameter is called."""
     parameters = flow_run.parameters
-    return drive_run_name(outline_drive(Path(str(parameters.get("drive") or parameters["folder"]))))
+    return drive_run_name(outline_drive(place(str(parameters.get("drive") or parameters["folder"]))))
 
 
 def show_around(report: IngestReport, settings: Settings) -> None:
@@ -126,7 +126,7 @@ def worst_frames_task(
                     for d in detections
                     if d.frame_index == index and d.side == side
                 ]
-                drawn.append(draw_boxes(read_rig_image(Path(path), drive.rig, side), np.array(boxes).reshape(-1, 9)))
+                drawn.append(draw_boxes(read_rig_image(place(path), drive.rig, side), np.array(boxes).reshape(-1, 9)))
         except ImageFileError:  # vanished since it was read; the drive is on the map already
             continue
         count = sum(match.frame_index == index for match in matches)

@@ -16,12 +16,12 @@ from uuid import UUID, uuid4
 from prefect import State, flow, tags
 from prefect.runtime import flow_run
 from prefect.states import Completed
-from prefect.task_runners import ThreadPoolTaskRunner
 from pydantic import Field
 
 from conetl.errors import InputError, ServiceError
 from conetl.io.db import connect, migrate
 from conetl.io.drive_folder.outline import DriveOutline, outline_drive
+from conetl.io.places import place
 from conetl.io.stores.receipt_store import Receipt, holding, run_lock, write_receipt
 from conetl.params import IngestParams
 from conetl.reports import IngestReport, TooManyRejectionsError
@@ -30,6 +30,7 @@ from flows.control_room import name_of_run
 from flows.ingest_drive import ingest_drive
 from flows.merge import database_url
 from flows.plan import analysis_of
+from flows.runners import task_runner
 
 MapName = Annotated[
     str | None,
@@ -65,7 +66,7 @@ def alive(settings: Settings) -> Iterator[str]:
 @flow(
     name="ingest-drive",
     flow_run_name=name_of_run,
-    task_runner=ThreadPoolTaskRunner(max_workers=read_settings().workers + 1),  # type: ignore[arg-type]
+    task_runner=task_runner(read_settings()),  # type: ignore[arg-type]
 )
 def ingest_one(
     drive: Annotated[Path, Field(description="Drive folder, as the worker sees it.")],
@@ -76,7 +77,7 @@ def ingest_one(
 ) -> State[Any]:
     """Ingest one drive: into the map once, whoever else tries at the same time, with a receipt of what became of it."""
     settings = settings_for(map_name)
-    outline = outline_drive(drive.resolve())
+    outline = outline_drive(place(drive).resolve())
     begun = new_receipt(outline, settings, analysis_of(params, settings).sha256, attempt_id or uuid4(), flow_run.id)
     with alive(settings) as url, holding(url, begun.drive_lock), tags(*drive_tags(outline, settings.map_name)):
         keep(url, begun, settings)

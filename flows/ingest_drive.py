@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Any
 from uuid import UUID
 
-from prefect import Flow, flow, get_run_logger
+from prefect import flow, get_run_logger
 from prefect.artifacts import create_progress_artifact, update_progress_artifact
 from prefect.futures import PrefectFuture
-from prefect.task_runners import ThreadPoolTaskRunner
 
 from conetl.io.model_card import NOT_MEASURED
 from conetl.io.parquet_store import load_results
@@ -34,7 +32,8 @@ from flows.refinement import (
     self_calibrate_task,
     with_rig,
 )
-from flows.retries import lost_frame_pairs
+from flows.retries import lost_frame_pairs, whole
+from flows.runners import count_when_done
 from flows.tasks import (
     Chunk,
     detect_task,
@@ -67,7 +66,7 @@ def ingest_drive(
             rig=drive.rig,
             frame_pairs=drive.frame_pairs[first : first + params.chunk_pairs],
             results_folder=settings.results_folder.resolve(),
-            model_path=settings.model_path,
+            model_path=settings.model_path and settings.model_path.resolve(),
             model_sha256=identity.model_sha256,
             params=params,
         )
@@ -76,20 +75,21 @@ def ingest_drive(
     detection_paths, match_paths, motion_paths, calibration = _run_chunks(drive, chunks)
     drive = drive.model_copy(update={"rig": self_calibrated_rig(drive.rig, calibration, params.trajectory)})
     chunks = with_rig(chunks, drive.rig)
-    trajectory = refine_task(drive, motion_paths, match_paths, params)
+    trajectory = refine_task(whole(drive), motion_paths, match_paths, params)
     drive = drive.model_copy(update={"frame_pairs": trajectory.frame_pairs})
-    position_paths = [locate_task(c, m) for c, m in zip(moved(chunks, trajectory), match_paths, strict=True)]
+    position_paths = [locate_task(whole(c), m) for c, m in zip(moved(chunks, trajectory), match_paths, strict=True)]
     detections, refused_detections = load_results(detection_paths, Detection)
     matches, refused_matches = load_results(match_paths, StereoMatch)
     positions, refused_positions = load_results(position_paths, Position)
-    tracks, refused_tracks = fuse_task(drive, detections, matches, positions, params, identity.evidence, trajectory)
+    seen = whole(detections), whole(matches), whole(positions)
+    tracks, refused_tracks = fuse_task(whole(drive), *seen, params, identity.evidence, whole(trajectory))
     rejections = [*rejections, *refused_detections, *refused_matches, *refused_positions, *refused_tracks]
-    merged = merge_task(drive, identity, detections, matches, positions, tracks, rejections, settings, params)
+    merged = merge_task(whole(drive), identity, *seen, whole(tracks), whole(rejections), settings, params)
     told = {"trajectory": trajectory.detail, "calibration": calibration.detail}
     report = merged.report.model_copy(update={"seconds": time.monotonic() - started, **told})
     if report.status == "committed":
-        publish_task(drive, merged.changeset, list(merged.untouched), report, settings)
-        worst_frames_task(drive, detections, positions, matches)
+        publish_task(whole(drive), whole(merged.changeset), whole(list(merged.untouched)), whole(report), settings)
+        worst_frames_task(whole(drive), whole(detections), whole(positions), whole(matches))
     lost = len(lost_frame_pairs(rejections, INPUT_REASONS))
     if lost > params.max_rejected_fraction * drive.expected_frame_count:
         raise TooManyRejectionsError(report, params.max_rejected_fraction)
@@ -120,24 +120,25 @@ def _run_chunks(drive: Drive, chunks: list[Chunk]) -> tuple[list[Path], list[Pat
         detected: list[tuple[PrefectFuture[Path], PrefectFuture[Path]]] = []
         followed: list[PrefectFuture[Path]] = []
         for k, chunk in enumerate(chunks):
-            detected.append((detect_task.submit(chunk, "left"), detect_task.submit(chunk, "right")))
+            detected.append((detect_task.submit(whole(chunk), "left"), detect_task.submit(whole(chunk), "right")))
+            for future in detected[-1]:
+                count_when_done(future, drive_id, len(chunk.frame_pairs))
             if k < len(overlapping):
-                followed.append(odometry_task.submit(overlapping[k]))
+                followed.append(odometry_task.submit(whole(overlapping[k])))
+                count_when_done(followed[-1], drive_id, len(overlapping[k].frame_pairs) - 1)
         tracks = [f.result() for f in followed]
-        motions = [motions_task(o, t) for o, t in zip(overlapping, tracks, strict=True)]
-        calibration = self_calibrate_task(drive, tracks, motions, chunks[0]) if params.self_calibrate else SWITCHED_OFF
+        motions = [motions_task(whole(o), t) for o, t in zip(overlapping, tracks, strict=True)]
+        calibration = (
+            self_calibrate_task(whole(drive), tracks, motions, whole(chunks[0]))
+            if params.self_calibrate
+            else SWITCHED_OFF
+        )
         rig = self_calibrated_rig(drive.rig, calibration, params)
         if rig != drive.rig:
             turned = with_rig(overlapping, rig)
-            motions = [motions_task(o, t, m) for o, t, m in zip(turned, tracks, motions, strict=True)]
+            motions = [motions_task(whole(o), t, m) for o, t, m in zip(turned, tracks, motions, strict=True)]
         turned = with_rig(chunks, rig)
-        matched = [match_task.submit(c, left, right) for c, (left, right) in zip(turned, detected, strict=True)]
+        matched = [match_task.submit(whole(c), left, right) for c, (left, right) in zip(turned, detected, strict=True)]
         return [f.result() for sides in detected for f in sides], [f.result() for f in matched], motions, calibration
     finally:
         ignore(show)
-
-
-def with_workers(run: Flow[..., IngestReport], workers: int) -> Flow[..., IngestReport]:
-    """The flow with room for `workers` detections at the same time, and the cheap steps beside them."""
-    runner: ThreadPoolTaskRunner[Any] = ThreadPoolTaskRunner(max_workers=workers + 1)
-    return run.with_options(task_runner=runner)  # type: ignore[arg-type]  # invariant in the kind of future

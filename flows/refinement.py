@@ -22,6 +22,7 @@ from conetl.io.parquet_store import (
     save_result,
 )
 from conetl.io.pictures.rectified_image import read_rig_image
+from conetl.io.places import in_batches, place
 from conetl.io.services.allocator import keep_freed_pictures
 from conetl.io.visual_odometry import PictureReader, follow_drive, follow_span
 from conetl.params import IngestParams, params_sha256
@@ -131,13 +132,14 @@ def refine_task(drive: Drive, motions: list[Path], matches: list[Path], params: 
 
 
 def _tracks_key(chunk: Chunk) -> str:
-    hashes = [file_sha256(Path(path)) for pair in chunk.frame_pairs for path in (pair.left_path, pair.right_path)]
+    paths = [place(path) for pair in chunk.frame_pairs for path in (pair.left_path, pair.right_path)]
+    hashes = [file_sha256(path) for path in in_batches(paths)]
     geometry = result_key(chunk.rig.model_dump_json(), *(pair.model_dump_json() for pair in chunk.frame_pairs))
     return result_key(RESULTS_VERSION, "tracks", params_sha256(chunk.params.trajectory), geometry, *hashes)
 
 
 def _reader(rig: Rig) -> PictureReader:
     def read(pair: FramePair, side: Side) -> NDArray[np.uint8]:
-        return read_rig_image(Path(pair.left_path if side == "left" else pair.right_path), rig, side, grey=True)
+        return read_rig_image(place(pair.left_path if side == "left" else pair.right_path), rig, side, grey=True)
 
     return read

@@ -1,11 +1,14 @@
-"""What all tasks share: when to try again, and which frame pairs were lost."""
+"""What all tasks share: when to try again, what is handed to them whole, and which frame pairs were lost."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, TypeVar, cast
 
 from prefect.cache_policies import NO_CACHE
+from prefect.context import FlowRunContext
+from prefect.task_runners import ProcessPoolTaskRunner, ThreadPoolTaskRunner
+from prefect.utilities.annotations import opaque
 
 from conetl.errors import InputError
 from conetl.rejections import Rejection, RejectionReason
@@ -28,6 +31,21 @@ RETRY: dict[str, Any] = {
     "retry_condition_fn": _may_pass,
     "cache_policy": NO_CACHE,  # results are kept by content in the Parquet store, see io/parquet_store.py
 }
+
+
+_T = TypeVar("_T")
+
+
+def whole(value: _T) -> _T:
+    """A task's argument that Prefect hands on as it is.
+
+    Prefect looks for futures and states inside of all arguments, twice for each task: every number of every record of a list.
+    With a chunk of 128 frame pairs that costs four times what the task's run itself costs, with the records of a drive seconds.
+    Dask makes a plain tuple of Prefect's mark, so there it looks.
+    """
+    context = FlowRunContext.get()
+    marks = context is None or isinstance(context.task_runner, ThreadPoolTaskRunner | ProcessPoolTaskRunner)
+    return cast(_T, opaque(value)) if marks else value
 
 
 def lost_frame_pairs(rejections: Iterable[Rejection], reasons: frozenset[RejectionReason]) -> set[str]:

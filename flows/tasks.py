@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 from collections import defaultdict
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 from prefect import task
 
 from conetl.detector_evidence import UNMEASURED, DetectorEvidence
+from conetl.errors import ModelFileError
 from conetl.geometry.camera import first_road_row
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
 from conetl.io import detector as detector_io
@@ -23,6 +25,7 @@ from conetl.io.parquet_store import (
 )
 from conetl.io.pictures.images import ImageFileError
 from conetl.io.pictures.rectified_image import read_rig_image
+from conetl.io.places import in_batches, place
 from conetl.io.services.allocator import keep_freed_pictures
 from conetl.params import IngestParams, params_sha256
 from conetl.records import (
@@ -71,8 +74,8 @@ def read_drive_task(folder: Path, map_srid: int | None, pictures_folder: Path) -
 @task(name="detect", task_run_name="detect {side} {chunk.frame_pairs[0].frame_index}", tags=["detect"], **RETRY)
 def detect_task(chunk: Chunk, side: Side) -> Path:
     """Detections of one side of a chunk; returns the Parquet file."""
-    paths = [Path(pair.left_path if side == "left" else pair.right_path) for pair in chunk.frame_pairs]
-    hashes = [file_sha256(path) for path in paths]
+    paths = [place(pair.left_path if side == "left" else pair.right_path) for pair in chunk.frame_pairs]
+    hashes = [file_sha256(path) for path in in_batches(paths)]
     params = chunk.params.detection
     key = result_key(
         RESULTS_VERSION, "detect", side, chunk.model_sha256, params_sha256(params), _rig_and_poses(chunk), *hashes
@@ -87,7 +90,7 @@ def detect_task(chunk: Chunk, side: Side) -> Path:
     first_row = first_road_row(camera, rotations, params.horizon_margin_rad)
     detections: list[Detection] = []
     rejections: list[Rejection] = []
-    for pair, path in zip(chunk.frame_pairs, paths, strict=True):
+    for pair, path in zip(chunk.frame_pairs, in_batches(paths), strict=True):
         try:
             image = read_rig_image(path, chunk.rig, side)
         except ImageFileError as error:
@@ -131,8 +134,8 @@ def match_task(chunk: Chunk, left: Path, right: Path) -> Path:
         images = None
         if ours and theirs and chunk.params.match.refine:
             images = (
-                read_rig_image(Path(pair.left_path), chunk.rig, "left"),
-                read_rig_image(Path(pair.right_path), chunk.rig, "right"),
+                read_rig_image(place(pair.left_path), chunk.rig, "left"),
+                read_rig_image(place(pair.right_path), chunk.rig, "right"),
             )
         # Up of the map, as the left camera sees it at this instant.
         up = map_SE3_left(pair.pose, chunk.rig)[2, :3]
@@ -197,6 +200,12 @@ def _detector(chunk: Chunk) -> detector_io.Detector:
     """One single-threaded session per thread: two of them beat one session with two threads."""
     loaded: tuple[str, detector_io.Detector] | None = getattr(_per_thread, "detector", None)
     if loaded is None or loaded[0] != chunk.model_sha256:
-        loaded = (chunk.model_sha256, detector_io.load_detector(chunk.model_path, threads=1))
+        detector = detector_io.load_detector(chunk.model_path, threads=1)
+        if detector.sha256 != chunk.model_sha256:  # on another machine, perhaps
+            raise ModelFileError(
+                f"{detector.path} on {socket.gethostname()} is another model (SHA-256 {detector.sha256}) than that of this run "
+                f"({chunk.model_sha256}); all machines need the same version of conetl and the same CONETL_MODEL_PATH"
+            )
+        loaded = (chunk.model_sha256, detector)
         _per_thread.detector = loaded
     return loaded[1]

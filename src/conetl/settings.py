@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Literal
 
 from pydantic import Field, SecretStr, ValidationError
 from pydantic_settings import BaseSettings, SettingsConfigDict
@@ -25,6 +26,10 @@ class Settings(BaseSettings):
     """ONNX file of the detector; without it the one that is shipped."""
     workers: int = Field(default=os.cpu_count() or 1, ge=1)
     """Detection tasks at the same time, one core each."""
+    task_runner: Literal["threads", "processes", "dask"] = "threads"
+    """What works on the chunks of a drive; the results are the same."""
+    dask_address: str | None = None
+    """Scheduler of a Dask cluster, such as tcp://host:8786, for `task_runner` dask; without it Dask runs on this machine."""
 
     drop_folder: Path | None = None
     """Where new drives arrive, for the deployment `ingest-drop-folder`; `inbox` under `home` unless given."""

@@ -19,6 +19,7 @@ from conetl.io.detector import shipped_model_path
 from conetl.io.drive_folder import drive_format
 from conetl.io.leftovers import sweep
 from conetl.io.model_card import read_model_card
+from conetl.io.places import place
 from conetl.map_records import DeltaKind
 from conetl.params import IngestParams
 from conetl.reports import IngestReport, TooManyRejectionsError
@@ -67,6 +68,7 @@ def ingest_drives(
     show: Callable[[IngestReport], None],
 ) -> tuple[list[IngestReport], int]:
     """Ingest drives one after the other; the reports and the exit code of the worst of them."""
+    drives = [place(drive) for drive in drives]
     missing = [str(drive) for drive in drives if not drive.is_dir() and drive_format(drive) is None]
     if len(missing) == len(drives):  # before any service is started
         raise InputError(f"no such drive folder: {', '.join(missing)}")
@@ -90,7 +92,8 @@ def ingest_drives(
         with err.status("Starting Prefect") if err.is_terminal else nullcontext():
             # Prefect reads its environment when it is imported, and takes two seconds for it: not at the top of the file.
             from flows import progress
-            from flows.ingest_drive import ingest_drive, with_workers
+            from flows.ingest_drive import ingest_drive
+            from flows.runners import with_runner
             from flows.server import prefect_server
 
             running.enter_context(prefect_server(settings.home))
@@ -99,7 +102,7 @@ def ingest_drives(
         listener = lambda drive_id, done, total: bars.update(bar, description=drive_id, completed=done, total=total)  # noqa: E731
         progress.listen(listener)
         try:
-            run = with_workers(ingest_drive, settings.workers)
+            run = with_runner(ingest_drive, settings)
             for drive in drives:
                 try:
                     report = run(drive, settings, params, map_srid=map_srid)

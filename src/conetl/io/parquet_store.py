@@ -19,6 +19,7 @@ from pydantic import TypeAdapter
 
 from conetl.errors import InputError
 from conetl.io.leftovers import aside
+from conetl.io.places import is_remote, object_bytes
 from conetl.records import Record
 from conetl.rejections import Rejection
 
@@ -33,6 +34,11 @@ def result_key(*parts: str) -> str:
 
 def file_sha256(path: Path) -> str:
     """SHA-256 of a file's bytes; of nothing where the file is missing, which is a state of the input like any other."""
+    if is_remote(path):
+        try:
+            return hashlib.sha256(object_bytes(path)).hexdigest()
+        except FileNotFoundError:
+            return hashlib.sha256().hexdigest()
     if not path.is_file():
         return hashlib.sha256().hexdigest()
     with path.open("rb") as file:

@@ -10,6 +10,7 @@ from conetl.io.drive_folder.euroc import is_euroc_folder, read_euroc_drive
 from conetl.io.drive_folder.kitti import is_kitti_folder, read_kitti_drive
 from conetl.io.drive_folder.plain import is_plain_folder, read_plain_drive
 from conetl.io.drive_folder.ros_bag import is_bag, read_bag_drive
+from conetl.io.places import forget_listing, is_remote, place, reached
 from conetl.records import Drive
 from conetl.rejections import Rejection
 
@@ -20,6 +21,8 @@ DriveFormat = Literal["kitti", "plain", "euroc", "bag"]
 
 def drive_format(path: Path) -> DriveFormat | None:
     """What a folder (or a bag's file) looks like, whole or not; None for anything else."""
+    if is_remote(path):
+        return _remote_format(path)
     if not path.is_dir():
         return "bag" if is_bag(path) else None
     if is_plain_folder(path):
@@ -29,6 +32,13 @@ def drive_format(path: Path) -> DriveFormat | None:
     if (path / "image_02").is_dir() or not is_bag(path):  # a KITTI drive may hold a bag of something else
         return "kitti" if is_kitti_folder(path) else None
     return "bag"
+
+
+def _remote_format(path: Path) -> DriveFormat | None:
+    """Bags need files that can be sought in, and EuRoC folders have not been read from object storage yet."""
+    if is_plain_folder(path):
+        return "plain"
+    return "kitti" if is_kitti_folder(path) else None
 
 
 def read_drive(
@@ -42,8 +52,17 @@ def read_drive(
     content_sha256 covers only the small files: for a look at a drive, not for one that is ingested.
     Raises DriveFolderError or CalibrationError where the folder as a whole cannot be used.
     """
-    if not path.exists():
-        raise DriveFolderError(f"{path}: there is no such folder; give the folder of one drive")
+    path = place(path)
+    forget_listing(path)
+    with reached(path):
+        if not path.exists():
+            raise DriveFolderError(f"{path}: there is no such folder; give the folder of one drive")
+        return _read(path, map_srid, pictures_folder, headers_only)
+
+
+def _read(
+    path: Path, map_srid: int | None, pictures_folder: Path | None, headers_only: bool
+) -> tuple[Drive, list[Rejection]]:
     match drive_format(path):
         case "bag":
             return read_bag_drive(path, map_srid=map_srid, headers_only=headers_only, pictures_folder=pictures_folder)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import os
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -23,6 +24,7 @@ from conetl.io.drive_folder.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_
 from conetl.io.drive_folder.pairs import IMAGE_SUFFIXES
 from conetl.io.drive_folder.plain import TRAJECTORY
 from conetl.io.drive_folder.timestamps import parse_timestamp
+from conetl.io.places import is_remote
 from conetl.records import utc_from_ns
 
 #: A drive may lie in folders by month, day, vehicle; deeper ones are not looked for.
@@ -123,7 +125,7 @@ def _add_pictures(content: ContentHash, folder: Path, side: str) -> set[str]:
     data = folder / side
     if not data.is_dir():
         raise DriveFolderError(f"{folder}: the folder {side} is missing")
-    with os.scandir(data) as entries:
+    with nullcontext(data.iterdir()) if is_remote(data) else os.scandir(data) as entries:
         found = (entry.name for entry in entries if not entry.name.startswith("."))
         names = sorted(name for name in found if os.path.splitext(name)[1].lower() in IMAGE_SUFFIXES)  # noqa: PTH122 -- many
     sample = names[:: max(1, len(names) // SAMPLED_PICTURES)]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.io.pictures.image_headers import ImageFormatError, ImageHeader, ImageTruncatedError, inspect_image
+from conetl.io.places import is_remote, object_bytes
 from conetl.rejections import RejectionReason
 
 #: Larger files are not read at all.
@@ -61,7 +62,7 @@ def check_image_ends(path: Path, name: str, expected_size: tuple[int, int]) -> I
     """Like `check_image_bytes` from a file's first and last bytes only: damage in between goes unseen. Raises ImageFileError."""
     data = b""
     try:
-        if path.is_file() and path.stat().st_size > _HEAD_BYTES + _TAIL_BYTES:
+        if not is_remote(path) and path.is_file() and path.stat().st_size > _HEAD_BYTES + _TAIL_BYTES:
             with path.open("rb") as file:
                 data = file.read(_HEAD_BYTES)
                 file.seek(-_TAIL_BYTES, 2)
@@ -141,6 +142,8 @@ def read_upright_image(path: Path) -> NDArray[np.uint8]:
 def read_bytes(path: Path) -> bytes:
     """All bytes of a picture file, unchecked. Raises ImageFileError where there is no such file or it is not readable."""
     try:
+        if is_remote(path):
+            return object_bytes(path)
         if not path.is_file():
             raise ImageFileError(RejectionReason.IMAGE_MISSING, f"{path.name}: there is no such file")
         size = path.stat().st_size
@@ -150,5 +153,7 @@ def read_bytes(path: Path) -> bytes:
                 f"{path.name}: {size} bytes are more than {MAX_FILE_BYTES} and not read",
             )
         return path.read_bytes()
+    except FileNotFoundError as error:  # an object; or a file that vanished this moment
+        raise ImageFileError(RejectionReason.IMAGE_MISSING, f"{path}: there is no such file") from error
     except OSError as error:
         raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, f"{path.name}: {error.strerror or error}") from error

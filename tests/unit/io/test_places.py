@@ -1,0 +1,123 @@
+"""Drives in S3-compatible storage: a real server of moto on loopback, spoken to by s3fs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from moto.server import ThreadedMotoServer
+
+from conetl.errors import DriveFolderError, ServiceError
+from conetl.io import places
+from conetl.io.drive_folder import drive_format, read_drive
+from conetl.io.drive_folder.outline import outline_drive
+from conetl.io.parquet_store import file_sha256
+from conetl.io.pictures.rectified_image import read_rig_image
+from conetl.io.places import in_batches, is_remote, object_bytes, place
+from conetl.rejections import RejectionReason
+from tests.unit.io.drive_formats import SAMPLE, Frame, sample_frames, write_kitti, write_plain
+
+BUCKET = "survey"
+RIG = read_drive(SAMPLE, headers_only=True)[0].rig
+WRITERS: dict[str, Callable[..., Path]] = {"kitti": write_kitti, "plain": write_plain}
+
+
+@pytest.fixture(scope="module")
+def storage() -> Iterator[pytest.MonkeyPatch]:
+    """A storage server with an empty bucket, and the usual environment that leads to it."""
+    server = ThreadedMotoServer(ip_address="127.0.0.1", port=0)
+    server.start()
+    host, port = server.get_host_and_port()
+    with pytest.MonkeyPatch.context() as environment:
+        environment.setenv("AWS_ENDPOINT_URL", f"http://{host}:{port}")
+        environment.setenv("AWS_ACCESS_KEY_ID", "somebody")
+        environment.setenv("AWS_SECRET_ACCESS_KEY", "something")
+        environment.setenv("AWS_DEFAULT_REGION", "us-east-1")
+        place(f"s3://{BUCKET}").mkdir()
+        yield environment
+    server.stop()
+
+
+def upload(folder: Path, name: str) -> Path:
+    """A drive folder as objects."""
+    target = place(f"s3://{BUCKET}/{name}")
+    target.fs.put(f"{folder}/", f"{BUCKET}/{name}/", recursive=True)  # type: ignore[attr-defined]
+    return target
+
+
+@pytest.fixture(params=sorted(WRITERS))
+def drive(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[str, Path]:
+    frames: list[Frame] = sample_frames()[:4]
+    return request.param, WRITERS[request.param](tmp_path / f"drive_{request.param}", frames, RIG)
+
+
+def test_a_drive_reads_as_it_does_from_disk(drive: tuple[str, Path], storage: pytest.MonkeyPatch) -> None:
+    name, folder = drive
+    remote = upload(folder, folder.name)
+    assert is_remote(remote)
+    assert drive_format(remote) == drive_format(folder) == name
+    ours, refused = read_drive(folder)
+    theirs, refused_there = read_drive(Path(f"s3:/{BUCKET}/{folder.name}"))  # as `pathlib` writes an address
+    assert theirs.content_sha256 == ours.content_sha256
+    assert (theirs.rig, theirs.drive_id, theirs.map_srid) == (ours.rig, ours.drive_id, ours.map_srid)
+    assert refused == refused_there
+    for mine, its in zip(ours.frame_pairs, theirs.frame_pairs, strict=True):
+        assert (mine.frame_index, mine.captured_at_ns, mine.pose) == (its.frame_index, its.captured_at_ns, its.pose)
+        assert its.left_path.startswith(f"s3://{BUCKET}/")
+        picture = place(its.left_path)
+        assert file_sha256(picture) == file_sha256(Path(mine.left_path))
+        assert (
+            read_rig_image(picture, theirs.rig, "left") == read_rig_image(Path(mine.left_path), ours.rig, "left")
+        ).all()
+    at_a_glance, there = outline_drive(folder), outline_drive(remote)
+    assert there.problem is None
+    assert (there.header_sha256, there.frame_pairs, there.captured_from) == (
+        at_a_glance.header_sha256, at_a_glance.frame_pairs, at_a_glance.captured_from,
+    )  # fmt: skip
+
+
+def test_a_missing_picture_costs_its_pair_and_is_named(tmp_path: Path, storage: pytest.MonkeyPatch) -> None:
+    folder = write_kitti(tmp_path / "gap", sample_frames()[:4], RIG)
+    remote = upload(folder, "gap")
+    read, _ = read_drive(remote)
+    gone = place(read.frame_pairs[2].right_path)
+    gone.unlink()
+    again, refused = read_drive(remote)
+    assert len(again.frame_pairs) == 3
+    assert [rejection.reason for rejection in refused] == [RejectionReason.IMAGE_MISSING]
+
+
+def test_what_is_not_there_is_named(storage: pytest.MonkeyPatch) -> None:
+    with pytest.raises(DriveFolderError, match=f"s3://{BUCKET}/nowhere"):
+        read_drive(place(f"s3://{BUCKET}/nowhere"))
+
+
+def test_storage_that_does_not_answer_is_a_missing_service(storage: pytest.MonkeyPatch) -> None:
+    import s3fs
+
+    with pytest.MonkeyPatch.context() as environment:
+        environment.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
+        s3fs.S3FileSystem.clear_instance_cache()
+        try:
+            with pytest.raises(ServiceError, match="s3://elsewhere/drive"):
+                read_drive(place("s3://elsewhere/drive"))
+        finally:
+            s3fs.S3FileSystem.clear_instance_cache()
+
+
+def test_what_stays_in_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(places, "CACHE_BYTES", 2_500)
+    places._kept.clear()
+    paths = [place(f"memory://bounded/{k}") for k in range(10)]
+    for k, path in enumerate(paths):
+        path.write_bytes(bytes([k]) * 1_000)
+    for k, path in enumerate(in_batches(paths)):
+        assert object_bytes(path) == bytes([k]) * 1_000
+        assert sum(map(len, places._kept.values())) <= 2_500
+    places._kept.clear()
+
+
+def test_files_stay_files() -> None:
+    assert place("drives/s3:/x") == Path("drives/s3:/x")
+    assert not is_remote(place(Path("/data/drive")))
