@@ -74,6 +74,7 @@ def main() -> None:  # noqa: PLR0915 -- a list of measurements
         os.environ.update(prefect_environment(home))
         from benchmarks.whole_job import (
             Peak,
+            database_bytes,
             database_pid,
             make_long_drive,
             params_with,
@@ -121,12 +122,13 @@ def main() -> None:  # noqa: PLR0915 -- a list of measurements
             settings_in(home).results_folder.mkdir(exist_ok=True)
             for old in settings_in(home).results_folder.iterdir():
                 old.unlink()
+            before = database_bytes(settings)
             take(name, lambda run=run, settings=settings, params=params: run(drive, settings, params, map_srid=None))
             share = figures["decode + network"]["processor_ms_a_pair"] / figures[name]["processor_ms_a_pair"]
             stored = sum(path.stat().st_size for path in settings.results_folder.iterdir())
-            print(
-                f"  {share:.2f} of decode + network alone; {stored / 1e6 / pairs * 1e3:.0f} MB of results for 1,000 pairs"
-            )
+            grown = database_bytes(settings) - before
+            print(f"  {share:.2f} of decode + network alone; a pair takes {stored / 1e3 / pairs:.1f} kB of results and "
+                  f"{grown / 1e3 / pairs:.1f} kB in the database")  # fmt: skip
             if arguments.stages:
                 spent: dict[str, float] = defaultdict(float)
                 for old in settings.results_folder.iterdir():

@@ -91,10 +91,16 @@ def database_pid(settings: Settings) -> int:
         return psutil.Process(backend).ppid()
 
 
-class Peak:
-    """Most resident memory of this process and its children together, looked at several times a second."""
+def database_bytes(settings: Settings) -> int:
+    """Size of the map's database on disk."""
+    with closing(connect(cluster_up(settings.home))) as conn:
+        return int(execute(conn, "select pg_database_size(current_database()) as size")[0]["size"])
 
-    def __init__(self, every_s: float = 0.2) -> None:
+
+class Peak:
+    """Most resident memory of this process and its children together, looked at once a second."""
+
+    def __init__(self, every_s: float = 1.0) -> None:
         self.bytes = self.own_bytes = 0
         self._every_s, self._stop = every_s, threading.Event()
         self._thread = threading.Thread(target=self._look, daemon=True)

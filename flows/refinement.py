@@ -133,7 +133,7 @@ def refine_task(drive: Drive, motions: list[Path], matches: list[Path], params: 
 
 def _tracks_key(chunk: Chunk) -> str:
     paths = [place(path) for pair in chunk.frame_pairs for path in (pair.left_path, pair.right_path)]
-    hashes = [file_sha256(path) for path in in_batches(paths)]
+    hashes = [file_sha256(path) for path in in_batches(paths, fresh=True)]
     geometry = result_key(chunk.rig.model_dump_json(), *(pair.model_dump_json() for pair in chunk.frame_pairs))
     return result_key(RESULTS_VERSION, "tracks", params_sha256(chunk.params.trajectory), geometry, *hashes)
 

@@ -26,6 +26,8 @@ from conetl.errors import ServiceError
 from conetl.io.services.processes import is_running, read_services
 
 _START_TIMEOUT_S = 180
+#: Loops of a server that serves one command: nothing is scheduled, late, paused or waited for by an automation.
+_NOT_NEEDED = ("SCHEDULER", "LATE_RUNS", "FOREMAN", "PAUSE_EXPIRATIONS", "REPOSSESSOR", "TRIGGERS")
 _DRAIN_TIMEOUT_S = 5
 _PR_SET_PDEATHSIG = 1
 
@@ -52,6 +54,7 @@ def prefect_server(home: Path) -> Iterator[str]:
     state.mkdir(parents=True, exist_ok=True)
     port = _free_port()
     url = f"http://127.0.0.1:{port}/api"
+    quiet = {f"PREFECT_SERVER_SERVICES_{name}_ENABLED": "false" for name in _NOT_NEEDED}
     with (state / "server.log").open("ab") as log:
         command = [sys.executable, "-m", "uvicorn", "--factory", "prefect.server.api.server:create_app"]
         process = subprocess.Popen(
@@ -61,7 +64,7 @@ def prefect_server(home: Path) -> Iterator[str]:
             stdin=subprocess.DEVNULL,
             # Before any thread of ours runs; nothing else ties a child to a parent that is killed with -9.
             preexec_fn=_die_with_parent if sys.platform == "linux" else None,  # noqa: PLW1509
-            env={**os.environ, "PREFECT_SERVER_UI_API_URL": url},
+            env={**quiet, **os.environ, "PREFECT_SERVER_UI_API_URL": url},
         )
     try:
         _wait_until_healthy(url, process, state / "server.log")

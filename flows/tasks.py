@@ -75,7 +75,7 @@ def read_drive_task(folder: Path, map_srid: int | None, pictures_folder: Path) -
 def detect_task(chunk: Chunk, side: Side) -> Path:
     """Detections of one side of a chunk; returns the Parquet file."""
     paths = [place(pair.left_path if side == "left" else pair.right_path) for pair in chunk.frame_pairs]
-    hashes = [file_sha256(path) for path in in_batches(paths)]
+    hashes = [file_sha256(path) for path in in_batches(paths, fresh=True)]
     params = chunk.params.detection
     key = result_key(
         RESULTS_VERSION, "detect", side, chunk.model_sha256, params_sha256(params), _rig_and_poses(chunk), *hashes

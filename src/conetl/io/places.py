@@ -91,12 +91,16 @@ def object_bytes(path: Path) -> bytes:
     return data
 
 
-def fetch(paths: Sequence[Path]) -> None:
+def fetch(paths: Sequence[Path], *, fresh: bool = False) -> None:
     """Ask for several objects at once, for `object_bytes` to find; what is missing is left to it. Nothing to do for files.
 
-    More than `CACHE_BYTES` of them push each other out: ask for as many as will be read next.
+    fresh: also for those that are in memory, as somebody may have written them anew since. More than `CACHE_BYTES` of them push
+    each other out: ask for as many as will be read next.
     """
     with _lock:
+        if fresh:
+            for path in paths:
+                _kept.pop(str(path), None)
         wanted = [path for path in paths if is_remote(path) and str(path) not in _kept]
     if not wanted:
         return
@@ -109,11 +113,11 @@ def fetch(paths: Sequence[Path]) -> None:
             _keep(str(path), data)
 
 
-def in_batches(paths: Sequence[Path]) -> Iterator[Path]:
-    """The same paths; objects are asked for some at a time, before they are handed out."""
+def in_batches(paths: Sequence[Path], *, fresh: bool = False) -> Iterator[Path]:
+    """The same paths; objects are asked for some at a time, before they are handed out. fresh: see `fetch`."""
     for first in range(0, len(paths), _AT_ONCE):
         batch = paths[first : first + _AT_ONCE]
-        fetch(batch)
+        fetch(batch, fresh=fresh)
         yield from batch
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -116,6 +117,14 @@ def test_what_stays_in_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> Non
         assert object_bytes(path) == bytes([k]) * 1_000
         assert sum(map(len, places._kept.values())) <= 2_500
     places._kept.clear()
+
+
+def test_an_object_that_was_written_anew_is_hashed_anew() -> None:
+    path = place("memory://changed/picture")
+    for data in (b"old", b"new"):
+        path.write_bytes(data)
+        assert [file_sha256(p) for p in in_batches([path], fresh=True)] == [hashlib.sha256(data).hexdigest()]
+        assert object_bytes(path) == data
 
 
 def test_files_stay_files() -> None:

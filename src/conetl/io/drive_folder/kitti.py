@@ -23,8 +23,16 @@ from conetl.io.calibration.files import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, ki
 from conetl.io.drive_folder import oxts
 from conetl.io.drive_folder.content import ContentHash
 from conetl.io.drive_folder.drive_yaml import DRIVE_YAML, DriveYaml, inside, read_drive_yaml
-from conetl.io.drive_folder.pairs import IMAGE_SUFFIXES, PairError, check_images, first_size, require_pairs
+from conetl.io.drive_folder.pairs import (
+    IMAGE_SUFFIXES,
+    PairError,
+    check_images,
+    first_size,
+    pictures_ahead,
+    require_pairs,
+)
 from conetl.io.drive_folder.timestamps import out_of_order, parse_timestamps
+from conetl.io.places import fetch, is_remote, object_bytes
 from conetl.records import Drive, FramePair, Rig
 from conetl.rejections import Rejection, RejectionReason
 
@@ -84,7 +92,7 @@ def read_kitti_drive(
     pairs: list[FramePair] = []
     rising = {n: t for n in numbers if isinstance(t := stamps.get(n), int)}
     disordered = out_of_order(rising)
-    for number in numbers:
+    for number in pictures_ahead(numbers, left, right, content):
         try:
             left_path, right_path = check_images(left.get(number, []), right.get(number, []), rig, content, root)
             captured = _captured_at(number, stamps, disordered, settings)
@@ -192,7 +200,8 @@ def _text(root: Path, name: str, content: ContentHash, *, required: bool) -> str
                 f"{root}: {name} is missing; it holds one line with a time stamp for each frame number"
             )
         return ""
-    data = path.read_bytes()
+    fetched = is_remote(path) and name.startswith("oxts/data/")
+    data = object_bytes(path) if fetched else path.read_bytes()
     content.add(name, data)
     return data.decode("utf-8", errors="replace")
 
@@ -208,6 +217,7 @@ def _read_oxts(
             f"{folder}: there are no poses in oxts/data (one file of 30 numbers per frame); without a trajectory use "
             "'conetl locate' on single pairs"
         )
+    fetch([path for paths in files.values() for path in paths], fresh=True)
     records: dict[int, oxts.OxtsRecord] = {}
     bad: dict[int, str] = {}
     for number, paths in files.items():

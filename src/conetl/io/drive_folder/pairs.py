@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from conetl.errors import DriveFolderError
 from conetl.geometry.rectification import stored_camera
 from conetl.io.drive_folder.content import ContentHash
 from conetl.io.pictures.image_headers import inspect_image
 from conetl.io.pictures.images import ImageFileError, check_image_bytes, check_image_ends, read_bytes
+from conetl.io.places import fetch
 from conetl.records import FramePair, Rig, Side
 from conetl.rejections import Rejection, RejectionReason
 
@@ -30,6 +31,24 @@ class PairError(Exception):
             step="frames", reason=self.reason, record=record, detail=str(self),
             payload={"frame_index": frame_index, **self.payload},
         )  # fmt: skip
+
+
+_Key = TypeVar("_Key", int, str)
+_PAIRS_AT_ONCE = 8
+
+
+def pictures_ahead(
+    keys: Sequence[_Key],
+    left: Mapping[_Key, Sequence[Path]],
+    right: Mapping[_Key, Sequence[Path]],
+    content: ContentHash,
+) -> Iterator[_Key]:
+    """The same keys of frame pairs; their pictures in object storage are asked for some pairs at a time."""
+    for first in range(0, len(keys), _PAIRS_AT_ONCE):
+        batch = keys[first : first + _PAIRS_AT_ONCE]
+        if not content.headers_only:
+            fetch([path for key in batch for path in (*left.get(key, ()), *right.get(key, ()))], fresh=True)
+        yield from batch
 
 
 def check_images(

@@ -30,7 +30,7 @@ from conetl.io.calibration.files.common import rectified_rig
 from conetl.io.drive_folder import oxts
 from conetl.io.drive_folder.content import ContentHash
 from conetl.io.drive_folder.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml
-from conetl.io.drive_folder.pairs import IMAGE_SUFFIXES, PairError, check_images, require_pairs
+from conetl.io.drive_folder.pairs import IMAGE_SUFFIXES, PairError, check_images, pictures_ahead, require_pairs
 from conetl.io.drive_folder.timestamps import out_of_order, parse_timestamp
 from conetl.records import Drive, FramePair, Pose, Rig
 from conetl.rejections import Rejection, RejectionReason
@@ -94,7 +94,7 @@ def read_plain_drive(
 
     pairs: list[FramePair] = []
     rejections: list[Rejection] = []
-    for stem in sorted(stems, key=lambda stem: order[stem]):
+    for stem in pictures_ahead(sorted(stems, key=lambda stem: order[stem]), left, right, content):
         try:
             left_path, right_path = check_images(left.get(stem, []), right.get(stem, []), rig, content, root)
             if stem not in rows:

@@ -1,0 +1,133 @@
+"""The same drive by threads, processes and Dask, and from object storage: one Prefect server for all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import cloudpickle
+import pytest
+from moto.server import ThreadedMotoServer
+from prefect import flow
+
+from conetl.cli.ingest import ingest_drives
+from conetl.errors import InputError, ModelFileError
+from conetl.io.db import connect, execute
+from conetl.io.detector import shipped_model_path
+from conetl.io.drive_folder import read_drive
+from conetl.io.model_card import read_model_card
+from conetl.io.places import place
+from conetl.params import IngestParams
+from conetl.settings import Settings, prefect_environment
+from flows import progress, tasks
+from flows.ingest_drive import _run_chunks
+from flows.runners import task_runner
+from flows.server import prefect_server
+from flows.tasks import Chunk
+from tests.integration.small_drives import SAMPLES, cut_drive
+
+CHUNK_PAIRS = 2
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A home folder with a Prefect server that runs."""
+    folder = tmp_path_factory.mktemp("scale")
+    (folder / "prefect").mkdir()
+    with pytest.MonkeyPatch.context() as environment:
+        for name, value in prefect_environment(folder).items():
+            environment.setenv(name, value)
+        with prefect_server(folder) as url:
+            environment.setenv("PREFECT_API_URL", url)
+            yield folder
+
+
+@pytest.fixture(scope="module")
+def chunks(tmp_path_factory: pytest.TempPathFactory) -> list[Chunk]:
+    drive, _ = read_drive(cut_drive(SAMPLES[0], tmp_path_factory.mktemp("drives") / "cut", "2026-04-01"))
+    params = IngestParams(chunk_pairs=CHUNK_PAIRS)
+    return [
+        Chunk(
+            drive_id=drive.drive_id, rig=drive.rig, frame_pairs=drive.frame_pairs[first : first + CHUNK_PAIRS],
+            results_folder=Path("set by the test"), model_path=None,
+            model_sha256=read_model_card(shipped_model_path()).sha256, params=params,
+        )
+        for first in range(0, len(drive.frame_pairs), CHUNK_PAIRS)
+    ]  # fmt: skip
+
+
+def test_threads_processes_and_dask_write_the_same_bytes(home: Path, chunks: list[Chunk], tmp_path: Path) -> None:
+    drive, _ = read_drive(Path(chunks[0].frame_pairs[0].left_path).parents[2])
+
+    def work(folder: Path) -> None:
+        _run_chunks(drive, [chunk.model_copy(update={"results_folder": folder}) for chunk in chunks])
+
+    written: dict[str, dict[str, bytes]] = {}
+    for kind in ("threads", "processes", "dask"):
+        runner = task_runner(Settings(home=home, workers=1, task_runner=kind))
+        assert cloudpickle.loads(cloudpickle.dumps(runner)) == runner  # a flow travels to its process with its runner
+        heard: list[tuple[int, int]] = []
+        listener = lambda _, done, total, heard=heard: heard.append((done, total))  # noqa: E731
+        progress.listen(listener)
+        try:
+            flow(work, name=f"chunks by {kind}", validate_parameters=False).with_options(task_runner=runner)(
+                tmp_path / kind
+            )
+        finally:
+            progress.ignore(listener)
+        assert heard[-1] == (8, 8), "6 pictures and 2 motions, whoever counted them"
+        written[kind] = {path.name: path.read_bytes() for path in (tmp_path / kind).iterdir()}
+    assert len(written["threads"]) >= 2 * 2 + 2 * 2 + 2  # detections, points followed and motions, matches
+    assert written["processes"] == written["threads"]
+    assert written["dask"] == written["threads"]
+
+
+def test_another_machines_model_is_no_answer(chunks: list[Chunk], tmp_path: Path) -> None:
+    other = chunks[0].model_copy(update={"results_folder": tmp_path, "model_sha256": "0" * 64})
+    with pytest.raises(ModelFileError, match="all machines need the same version"):
+        tasks.detect_task.fn(other, "left")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_address_without_dask_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="CONETL_DASK_ADDRESS"):
+        task_runner(Settings(home=tmp_path, dask_address="tcp://127.0.0.1:8786"))
+
+
+@pytest.fixture
+def storage(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """Address of an empty bucket of a storage server, which the environment leads to."""
+    server = ThreadedMotoServer(ip_address="127.0.0.1", port=0)
+    server.start()
+    host, port = server.get_host_and_port()
+    monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://{host}:{port}")
+    monkeypatch.setenv("AWS_ACCESS_KEY_ID", "somebody")
+    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "something")
+    monkeypatch.setenv("AWS_DEFAULT_REGION", "us-east-1")
+    place("s3://survey").mkdir()
+    yield "s3://survey"
+    server.stop()
+
+
+def test_a_drive_in_object_storage_makes_the_same_map(
+    home: Path, chunks: list[Chunk], database_url: str, storage: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = Path(chunks[0].frame_pairs[0].left_path).parents[2]
+    remote = place(f"{storage}/{folder.name}")
+    remote.fs.put(f"{folder}/", f"survey/{folder.name}/", recursive=True)  # type: ignore[attr-defined]
+    features = []
+    for name, drive in (("disk", folder), ("storage", Path(str(remote)))):
+        settings = Settings(home=home / name, map_name=name, database_url=database_url)  # type: ignore[arg-type]
+        reports, code = ingest_drives([drive], settings, IngestParams(), map_srid=None, show=lambda _: None)
+        assert (code, reports[0].status) == (0, "committed")
+        with connect(database_url) as conn:
+            features.append(
+                execute(
+                    conn,
+                    "select st_astext(geom) as at, existence_probability, cone_height_m, observation_count "
+                    "from conetl.map_as_of(%(name)s, now()) order by 1",
+                    {"name": name},
+                )
+            )
+    assert features[0] == features[1]
+    assert features[0]
