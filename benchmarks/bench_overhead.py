@@ -4,7 +4,7 @@ Processor time of this process, of the Prefect server and of PostGIS. First both
 of its own; then both again with the results of all chunks on disk ("warm"), where hardly anything but orchestration is left,
 so that a busy machine does not hide it. The figure to judge by is the warm difference over the cold plain loop.
 
-    python benchmarks/bench_overhead.py [--pairs 1000] [--no-refine] [--rounds 3] [--drive FOLDER] [--cold-prefect]
+    python benchmarks/bench_overhead.py [--pairs 1000] [--no-refine] [--rounds 3] [--drive FOLDER] [--chunk-pairs 128] [--no-cold]
 """
 
 from __future__ import annotations
@@ -47,6 +47,7 @@ def main() -> None:
     parser.add_argument("--pairs", type=int, default=1000)
     parser.add_argument("--drive", type=Path)
     parser.add_argument("--rounds", type=int, default=3, help="warm rounds of each way")
+    parser.add_argument("--chunk-pairs", type=int, help="frame pairs a task: 8 of 64 pairs are the tasks of 1,000")
     parser.add_argument("--no-refine", action="store_true")
     parser.add_argument("--no-cold", action="store_true", help="plain loop from pictures only, not Prefect's")
     arguments = parser.parse_args()
@@ -70,6 +71,8 @@ def main() -> None:
 
         drive = make_long_drive(source_drive(arguments.drive), Path(folder) / "drive", arguments.pairs)
         params, workers = params_with(not arguments.no_refine), settings_in(home).workers
+        if arguments.chunk_pairs:
+            params = params.model_copy(update={"chunk_pairs": arguments.chunk_pairs})
         stack.callback(cluster_remove, home)
         database = database_pid(settings_in(home))
         before = processor_s(os.getpid())
