@@ -66,7 +66,7 @@ def alive(settings: Settings) -> Iterator[str]:
 @flow(
     name="ingest-drive",
     flow_run_name=name_of_run,
-    task_runner=task_runner(read_settings()),  # type: ignore[arg-type]
+    task_runner=task_runner(read_settings()),
 )
 def ingest_one(
     drive: Annotated[Path, Field(description="Drive folder, as the worker sees it.")],

@@ -37,7 +37,7 @@ def task_runner(settings: Settings) -> TaskRunner[Any]:
 
 def _dask(settings: Settings) -> TaskRunner[Any]:
     try:
-        from prefect_dask import DaskTaskRunner
+        from prefect_dask.task_runners import DaskTaskRunner
     except ImportError as error:
         raise InputError("CONETL_TASK_RUNNER is dask, which is not installed: pip install 'conetl[dask]'") from error
     if settings.dask_address:
@@ -53,7 +53,7 @@ def _dask(settings: Settings) -> TaskRunner[Any]:
 
 def with_runner(run: Flow[..., IngestReport], settings: Settings) -> Flow[..., IngestReport]:
     """The flow with its chunks where the settings want them."""
-    return run.with_options(task_runner=task_runner(settings))  # type: ignore[arg-type]  # invariant in the kind of future
+    return run.with_options(task_runner=task_runner(settings))
 
 
 def count_when_done(future: PrefectFuture[Any], drive_id: str, steps: int) -> None:

@@ -47,7 +47,7 @@ def pictures_ahead(
     for first in range(0, len(keys), _PAIRS_AT_ONCE):
         batch = keys[first : first + _PAIRS_AT_ONCE]
         if not content.headers_only:
-            fetch([path for key in batch for path in (*left.get(key, ()), *right.get(key, ()))], fresh=True)
+            fetch([path for side in (left, right) for key in batch for path in side.get(key, ())], fresh=True)
         yield from batch
 
 
