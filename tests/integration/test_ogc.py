@@ -330,7 +330,8 @@ def test_vector_tiles(client, features):
     "query",
     [
         "bbox=1,2,3", "bbox=a,b,c,d", "bbox=nan,0,1,1", "bbox=0,1,1,0", "bbox=0,0,181,1", "bbox=1e400,0,1,1", "bbox=",
-        "datetime=yesterday", "datetime=2026-03-01T00:00:00Z/2026-02-01T00:00:00Z", "datetime=a/b/c", "datetime=../..", "datetime=",
+        "datetime=yesterday",
+        "datetime=2026-03-01T00:00:00Z/2026-02-01T00:00:00Z", "datetime=a/b/c", "datetime=../..", "datetime=",
         "datetime=0001-01-01T00:00:00Z/..",
         "datetime=2026-03-01T00:00:00Z&at=2026-03-01T00:00:00Z",
         "at=yesterday", "at=99999-01-01", "no_such=1", "sortby=no_such", "sortby=feature_id;drop", "version=one", "f=html",

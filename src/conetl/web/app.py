@@ -18,6 +18,7 @@ from conetl.io.pictures.images import ImageFileError
 from conetl.io.stores.async_reader_pool import AsyncReaderPool
 from conetl.io.stores.reader_pool import ReaderPool
 from conetl.web import routes_base, routes_events, routes_features, routes_maps, routes_pictures
+from conetl.web.guard import Guard
 from conetl.web.headers import SecurityHeaders
 from conetl.web.live import HeadWatcher
 from conetl.web.models import Problem
@@ -56,6 +57,7 @@ def create_app(database_url: str, map_name: str, *, closing: Callable[[], bool] 
     app.mount("/", StaticFiles(directory=STATIC, html=True), name="front end")
     app.add_middleware(GZipMiddleware, minimum_size=1024, compresslevel=5)
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=LOOPBACK_NAMES, www_redirect=False)
+    app.add_middleware(Guard)
     app.add_middleware(SecurityHeaders)
     return app
 

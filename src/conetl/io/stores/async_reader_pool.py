@@ -20,6 +20,12 @@ MAX_CONNECTIONS = 6
 _KEYWORDS = (
     "host", "port", "user", "password", "passfile", "sslmode", "sslcert", "sslkey", "sslrootcert", "sslcrl",
 )  # fmt: skip
+_SESSION = {
+    "application_name": "conetl ogc",
+    "TimeZone": "UTC",
+    "jit": "off",
+    "plan_cache_mode": "force_custom_plan",  # a box of 500 m and the whole map want different plans
+}
 _BUSY = "The database is busy: all connections of the OGC API are in use. Try again."
 
 
@@ -64,10 +70,9 @@ class AsyncReaderPool:
                     min_size=0,
                     max_size=MAX_CONNECTIONS,
                     timeout=CONNECT_TIMEOUT_S,
-                    statement_cache_size=0,  # each box is a text of its own
                     init=_only_read,
                     reset=_keep,
-                    server_settings={"application_name": "conetl ogc", "TimeZone": "UTC", "jit": "off"},
+                    server_settings=_SESSION,
                 )
             return self._pool
 

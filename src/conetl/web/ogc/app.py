@@ -13,7 +13,6 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Receive, Scope, Send
-from tipg import dependencies as tipg
 from tipg.errors import NotFound, TiPgError
 
 from conetl.errors import DatabaseError
@@ -26,12 +25,7 @@ from conetl.web.ogc.endpoints import API_DEFINITION_TYPE, DESCRIPTION, TITLE, co
 from conetl.web.ogc.parameters import (
     MAX_LIMIT,
     BadParameterError,
-    read_box,
     read_instants,
-    read_interval,
-    read_json_only,
-    read_output,
-    refuse_filter,
     refuse_unknown,
 )
 
@@ -55,14 +49,6 @@ def create_ogc_app(pool: AsyncReaderPool, map_name: str) -> ASGIApp:
     app.get("/api", tags=["OGC Common"])(_definition)
     for part in endpoints():
         app.include_router(part.router)
-    app.dependency_overrides = {
-        tipg.bbox_query: read_box,
-        tipg.datetime_query: read_interval,
-        tipg.filter_query: refuse_filter,
-        tipg.ItemsOutputType: read_output,
-        tipg.OutputType: read_json_only,
-        tipg.QueryablesOutputType: read_json_only,
-    }
     _add_refusals(app)
     return _prepared(app)
 

@@ -27,10 +27,17 @@ def define(app: FastAPI) -> dict[str, Any]:
             operation["responses"] = {status: _without_html(answer) for status, answer in operation["responses"].items() if status != "422"}
             operation["responses"] |= _refusals()
         document["components"]["schemas"]["Problem"] = Problem.model_json_schema()
-        for parameter in _parameters(document):
-            _no_html_form(parameter["schema"])
+        document["components"]["parameters"] = {"limit": _limit(document)}  # where QGIS looks for the size of its pages
         app.openapi_schema = document
     return app.openapi_schema
+
+
+def _limit(document: dict[str, Any]) -> dict[str, Any]:
+    """The parameter as it is: from 1 on, where tipg takes 0 for none given."""
+    [limit] = [p for p in document["paths"][_ITEMS[0]]["get"]["parameters"] if p["name"] == "limit"]
+    limit["schema"]["minimum"] = 1
+    found: dict[str, Any] = limit
+    return found
 
 
 def _filters(parameters: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -43,18 +50,8 @@ def _filters(parameters: list[dict[str, Any]]) -> list[dict[str, Any]]:
     ]
 
 
-def _parameters(document: dict[str, Any]) -> list[dict[str, Any]]:
-    return [p for operations in document["paths"].values() for p in operations["get"]["parameters"]]
-
-
 def _without_html(answer: dict[str, Any]) -> dict[str, Any]:
     return answer | {"content": {kind: schema for kind, schema in answer.get("content", {}).items() if kind != _HTML}}
-
-
-def _no_html_form(schema: dict[str, Any]) -> None:
-    for part in (schema, *schema.get("anyOf", ())):
-        if "html" in part.get("enum", ()):
-            part["enum"] = [form for form in part["enum"] if form != "html"]
 
 
 def _refusals() -> dict[str, Any]:

@@ -31,7 +31,8 @@ class BadParameterError(Exception):
     """A parameter that says nothing that can be understood; answered 400, as the standard wants it."""
 
 
-def read_instants(
+# All are coroutines: FastAPI runs plain functions in a thread each.
+async def read_instants(
     at: Instant = None,
     known_at: Instant = None,
     start: Annotated[Instant, Query(alias="from")] = None,
@@ -46,7 +47,7 @@ def read_instants(
 AskedInstants = Annotated[Instants, Depends(read_instants)]
 
 
-def refuse_unknown(request: Request) -> None:
+async def refuse_unknown(request: Request) -> None:
     """Raise BadParameterError for a parameter that the API definition does not name (requirement query-param-unknown)."""
     path = request.scope["route"].path
     defined = request.app.openapi()["paths"].get(path, {}).get("get", {}).get("parameters", ())
@@ -85,7 +86,7 @@ async def all_collections(
     offset: Annotated[int, Query(ge=0, le=2**31, description="From this one on.")] = 0,
 ) -> CollectionList:
     """Two collections a map; the map that the server was started for comes first."""
-    box, interval = read_box(bbox), _parsed(datetime_)
+    box, interval = _box(bbox), _parsed(datetime_)
     found = [m for m in await _maps(request) if _meets(m, box) and (interval is None or interval[1] is None or interval[1] >= m.since)]
     found.sort(key=lambda m: (m.map_name != request.app.state.map_name, m.map_name))
     listed = [make(m, instants, "geojson") for m in found for make in _KINDS.values()]
@@ -99,13 +100,31 @@ async def all_collections(
     )
 
 
-def read_box(
+async def read_box(
     bbox: Annotated[
         str | None,
         Query(description="west,south,east,north in degrees, edges included; six numbers with lowest and highest height, which do not count."),
     ] = None,
 ) -> Degrees | None:
     """The box of a request; west > east goes across 180 degrees. Raises BadParameterError."""
+    return _box(bbox)
+
+
+async def read_interval(
+    instants: AskedInstants,
+    datetime: Annotated[
+        str | None,
+        Query(description="RFC 3339: an instant (the map as of it), or an interval a/b, a/.. or ../b (what stood or changed within it)."),
+    ] = None,
+) -> Interval | None:
+    """The temporal filter of a request as its ends; None of an end: open. Raises BadParameterError."""
+    interval = _parsed(datetime)
+    if interval is not None and (instants.at or instants.start or instants.end):
+        raise BadParameterError("datetime says the same as at, from and to: give one or the other.")
+    return interval
+
+
+def _box(bbox: str | None) -> Degrees | None:
     if bbox is None:
         return None
     try:
@@ -118,20 +137,6 @@ def read_box(
     if max(abs(west), abs(east)) > 180 or max(abs(south), abs(north)) > 90 or south > north:
         raise BadParameterError(f"bbox={bbox!r} lies outside -180,-90,180,90, or its south lies north of its north.")
     return west, south, east, north
-
-
-def read_interval(
-    instants: AskedInstants,
-    datetime: Annotated[
-        str | None,
-        Query(description="RFC 3339: an instant (the map as of it), or an interval a/b, a/.. or ../b (what stood or changed within it)."),
-    ] = None,
-) -> Interval | None:
-    """The temporal filter of a request as its ends; None of an end: open. Raises BadParameterError."""
-    interval = _parsed(datetime)
-    if interval is not None and (instants.at or instants.start or instants.end):
-        raise BadParameterError("datetime says the same as at, from and to: give one or the other.")
-    return interval
 
 
 def _parsed(datetime: str | None) -> Interval | None:
@@ -147,16 +152,35 @@ def _parsed(datetime: str | None) -> Interval | None:
     return start, end
 
 
-def read_output(f: Annotated[Literal["geojson", "json", "csv", "geojsonseq", "ndjson"], Query()] = "geojson") -> MediaType:
+async def read_output(f: Annotated[Literal["geojson", "json", "csv", "geojsonseq", "ndjson"], Query()] = "geojson") -> MediaType:
     """Form of items."""
     return MediaType[f]
 
 
-def read_json_only(f: Annotated[Literal["json", "schemajson"] | None, Query()] = None) -> None:
+async def read_json_only(f: Annotated[Literal["json", "schemajson"] | None, Query()] = None) -> None:
     """JSON is the only form."""
 
 
-def refuse_filter() -> None:
+async def read_ids(ids: Annotated[str | None, Query(description="Only these items, with commas.")] = None) -> list[str] | None:
+    """Items by their ids."""
+    return ids.split(",") if ids else None
+
+
+async def read_properties(
+    properties: Annotated[str | None, Query(description="Only these properties, with commas; empty: none. Without it: all.")] = None,
+) -> list[str] | None:
+    """Properties that are wanted."""
+    return None if properties is None else [name.strip() for name in properties.split(",")]
+
+
+async def read_order(
+    sortby: Annotated[str | None, Query(description="Properties with commas, each with - before it where the largest comes first.")] = None,
+) -> str | None:
+    """Order of the items; by id where none is given."""
+    return sortby
+
+
+async def refuse_filter() -> None:
     """Expressions may call any function of the database: they are not offered."""
 
 
