@@ -1,12 +1,13 @@
-"""OGC API Features over a map of a million cones: boxes as of an instant, 20 users at a time, beside a bare `select` of the same rows.
+"""OGC API Features over a map of a million cones: boxes as of an instant, 20 users at a time, beside a bare `select`.
 
-    .venv/bin/python benchmarks/bench_ogc.py [--features N] [--users 20] [--seconds 20] [--side-m 500] [--limit 1000] [--home FOLDER]
+    .venv/bin/python benchmarks/bench_ogc.py [--features N] [--users 20] [--seconds 20] [--side-m 500] [--limit 1000]
+    [--pause-s 1] [--home FOLDER]
 
-The server is `conetl view`'s, a process of its own; users are threads of this one with a connection each. Every user asks for another
-box around another cone each time, as of another instant. Two ways: with a pause (--pause-s) between two requests of a user, as
-people and map programs ask, and without one, which measures throughput. The same boxes are then asked of PostgreSQL by psycopg2, by
-as many users at a time. Processor time is that of the server (of `select`: of the asking process) and of PostgreSQL with its children.
-The private cluster lives in a folder of its own and is removed at the end unless --home names the folder.
+The server is `conetl view`'s, a process of its own; users are threads of this one with a connection each. Every user asks for
+another box around another cone each time, as of another instant. Two ways: with a pause between two requests of a user, as
+people and map programs ask, and without one, which measures throughput. The same rows are then asked of PostgreSQL by
+psycopg2, by as many users at a time. Processor time is that of the server (of `select`: of the asking process) and of
+PostgreSQL with its children. The private cluster lives in a folder of its own and is removed at the end unless --home names it.
 """
 
 from __future__ import annotations
@@ -124,9 +125,8 @@ def ogc_user(port: int, places: list[dict[str, float]], half_m: float, limit: in
             [[place["x"] - half_m, place["y"] - half_m, 0.0], [place["x"] + half_m, place["y"] + half_m, 0.0]]
         )
         (south, west, _), (north, east, _) = to_geodetic(SRID, corners)
-        conn.request(
-            "GET", f"/ogc/collections/{MAP}.features/items?bbox={west},{south},{east},{north}&at={at}&limit=1000"
-        )
+        path = f"/ogc/collections/{MAP}.features/items?bbox={west},{south},{east},{north}&at={at}&limit={limit}"
+        conn.request("GET", path)
         try:
             answer = conn.getresponse()
         except http.client.RemoteDisconnected:  # the server ended a connection that was quiet for 5 s
