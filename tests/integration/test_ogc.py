@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import re
+import subprocess
 from datetime import datetime, timedelta
+from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
 import jsonschema
@@ -16,7 +19,8 @@ from conetl.io.db import connect, execute
 from conetl.records import utc_from_ns
 from conetl.web.app import create_app
 from tests import ogc_schemas as standard
-from tests.view_map import commit, cone, two_drives
+from tests.integration.test_qgis_project import OFFSCREEN, PYTHON, has_qgis
+from tests.view_map import commit, cone, serving, two_drives
 
 OGC = "/ogc"
 FEATURES = f"{OGC}/collections/default.features"
@@ -290,6 +294,10 @@ def test_one_item_also_as_of_an_instant(client, features, start):
     ]  # fmt: skip
     assert parse_qs(urlsplit(link).query)["at"] == [early]
     get(client, f"{FEATURES}/items/not-an-id", 404)
+    both = [str(features[name].feature_id) for name in ("comes", "stays")]
+    assert sorted(names(features, get(client, f"{FEATURES}/items", ids=",".join(both)))) == ["comes", "stays"]
+    assert names(features, get(client, f"{FEATURES}/items", ids=both[0], category="traffic_cone")) == ["comes"]
+    get(client, f"{FEATURES}/items", 404, ids="not-an-id")
 
 
 def test_filters_by_property_order_and_choice_of_properties(client, features):
@@ -394,3 +402,29 @@ def test_without_a_database_the_answer_is_503(tmp_path):
     with TestClient(app, base_url=BASE) as client:
         assert "cannot be reached" in get(client, f"{FEATURES}/items", 503)["detail"]
         get(client, f"{OGC}/", schema=standard.LANDING)
+
+
+@pytest.mark.skipif(not has_qgis(), reason="python3-qgis is not installed for the system's Python")
+def test_qgis_reads_it_as_of_an_instant_and_by_box(module_database_url, client, features, start):
+    early = iso(start + DAY / 2)
+    page = get(client, f"{FEATURES}/items", at=early)
+    places = {item["id"]: item["geometry"]["coordinates"] for item in page["features"]}
+    [lon, lat, _] = places[str(features["goes"].feature_id)]
+    box = ",".join(map(str, (lon - 1e-5, lat - 1e-5, lon + 1e-5, lat + 1e-5)))
+    with serving(module_database_url, "default") as port:
+        for asked, wanted in (("", set(places)), (box, {str(features["goes"].feature_id)})):
+            script = Path(__file__).with_name("qgis_ogc.py")
+            address = f"http://127.0.0.1:{port}/ogc?at={early}"  # QGIS adds its own parameters to these
+            done = subprocess.run(
+                [PYTHON, script, address, "default.features", asked],
+                capture_output=True, text=True, env=OFFSCREEN, timeout=120, check=False,
+            )  # fmt: skip
+            assert done.returncode == 0, done.stderr
+            read = json.loads(done.stdout)
+            assert {f["id"] for f in read["features"]} == wanted
+            for feature in read["features"]:
+                assert [feature["lon"], feature["lat"], feature["height"]] == pytest.approx(
+                    places[feature["id"]], abs=1e-9
+                )
+            assert read["crs"] == "EPSG:4326"
+            assert {"existence_probability", "valid_from", "sigma_east_m"} <= set(read["fields"])

@@ -9,6 +9,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 #: Bytes of path and query together; a filter by a hundred ids has 4 kB.
 MAX_URL_BYTES = 8_192
 FROM_ELSEWHERE = "This server answers its own pages and programs on this machine, not other web pages."
+NO_TEXT = "Nothing here has a name with control characters."
 TOO_LONG = f"The address has more than {MAX_URL_BYTES} bytes."
 
 
@@ -23,6 +24,9 @@ class Guard:
             headers = Headers(scope=scope)
             if len(scope.get("raw_path") or b"") + len(scope["query_string"]) > MAX_URL_BYTES:
                 return await JSONResponse({"detail": TOO_LONG}, status_code=414)(scope, receive, send)
+            if not scope["path"].isprintable():
+                code = {"code": "NotFound"} if scope["path"].startswith("/ogc") else {}
+                return await JSONResponse(code | {"detail": NO_TEXT}, status_code=404)(scope, receive, send)
             if is_from_elsewhere(headers):
                 return await JSONResponse({"detail": FROM_ELSEWHERE}, status_code=403)(scope, receive, send)
         return await self._app(scope, receive, send)

@@ -9,6 +9,7 @@ from typing import Any
 from uuid import UUID
 
 import asyncpg
+from cql2 import Expr
 from morecantile import Tile, TileMatrixSet
 from tipg.collections import Column, ItemList, Parameter, PgCollection
 from tipg.errors import NotFound
@@ -96,6 +97,15 @@ class AsOfCollection(PgCollection):
             spatial=Spatial(bbox=[list(self.served.extent)]),
             temporal=Temporal(interval=[[_rfc3339(self.served.since), None]]),
         )
+
+    def cql_where(self, ids: list[str] | None = None, **asked: Any) -> Expr | None:
+        """tipg's condition; its own one for several ids would compare uuid with text."""
+        where = super().cql_where(**asked)
+        if not ids:
+            return where
+        each = [{"op": "=", "args": [{"property": "feature_id"}, text]} for text in ids]
+        wanted = Expr({"op": "or", "args": each} if len(each) > 1 else each[0])
+        return wanted if where is None else where + wanted
 
     async def features(self, conn: asyncpg.Connection, **asked: Any) -> ItemList:
         """One page of items."""

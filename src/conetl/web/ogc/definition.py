@@ -10,6 +10,14 @@ from fastapi.openapi.utils import get_openapi
 from conetl.web.models import Problem
 from conetl.web.ogc.collections import CHANGE_COLUMNS, FEATURE_COLUMNS
 
+
+
+class Refusal(Problem):
+    """Every refusal, with the code that the standard wants."""
+
+    code: str
+
+
 #: Parameters of tipg that are not offered: expressions may call any function of the database, and the others mean nothing for points.
 NOT_OFFERED = frozenset({"filter", "filter-lang", "geom-column", "datetime-column", "simplify", "bbox-only", "type"})
 _HTML = "text/html"
@@ -26,7 +34,7 @@ def define(app: FastAPI) -> dict[str, Any]:
             operation["parameters"] = parameters + (_filters(parameters) if path in _ITEMS else [])
             operation["responses"] = {status: _without_html(answer) for status, answer in operation["responses"].items() if status != "422"}
             operation["responses"] |= _refusals()
-        document["components"]["schemas"]["Problem"] = Problem.model_json_schema()
+        document["components"]["schemas"]["Refusal"] = Refusal.model_json_schema()
         document["components"]["parameters"] = {"limit": _limit(document)}  # where QGIS looks for the size of its pages
         app.openapi_schema = document
     return app.openapi_schema
@@ -55,7 +63,7 @@ def _without_html(answer: dict[str, Any]) -> dict[str, Any]:
 
 
 def _refusals() -> dict[str, Any]:
-    schema = {"$ref": "#/components/schemas/Problem"}
+    schema = {"$ref": "#/components/schemas/Refusal"}
     reasons = {
         "400": "A parameter says nothing that can be understood, or does not exist.",
         "404": "There is no such map, collection, item or tile.",
