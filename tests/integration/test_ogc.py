@@ -300,6 +300,14 @@ def test_one_item_also_as_of_an_instant(client, features, start):
     get(client, f"{FEATURES}/items", 404, ids="not-an-id")
 
 
+def test_a_layer_of_tiles_is_of_the_instant_asked_for_and_stays_live(client):
+    path = f"{FEATURES}/tiles/WebMercatorQuad/tilejson.json"
+    [template] = get(client, path)["tiles"]
+    assert template.endswith("{z}/{x}/{y}")
+    [template] = get(client, path, at="2026-03-01T12:00:00Z")["tiles"]
+    assert parse_qs(urlsplit(template).query) == {"at": ["2026-03-01T12:00:00Z"]}
+
+
 def test_filters_by_property_order_and_choice_of_properties(client, features):
     assert names(features, get(client, f"{CHANGES}/items", kind="added", **{"from": "2026-03-01T20:00Z"})) == ["comes"]
     low_first = names(features, get(client, f"{FEATURES}/items", sortby="existence_probability,-easting_m"))

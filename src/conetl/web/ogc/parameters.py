@@ -197,7 +197,7 @@ def _pinned(instants: Instants, served: ServedMap) -> Instants:
 def _pin_links(request: Request, kind: str, served: ServedMap) -> None:
     """Links to this page and the next ones name the state of the database that this one shows."""
     name = "known_at" if kind == "features" else "known_to"
-    if name not in request.query_params:
+    if request.scope["route"].name == "items" and name not in request.query_params:  # a layer of tiles stays live
         pinned = [*request.query_params.multi_items(), (name, served.committed_at.isoformat().replace("+00:00", "Z"))]
         request._query_params = QueryParams(pinned)  # where Request keeps them once read; tipg makes links of them
 
