@@ -98,7 +98,9 @@ class AsOfCollection(PgCollection):
             temporal=Temporal(interval=[[_rfc3339(self.served.since), None]]),
         )
 
-    def cql_where(self, ids: list[str] | None = None, **asked: Any) -> Expr | None:
+    def cql_where(  # type: ignore[override]  # the same parameters, handed on
+        self, ids: list[str] | None = None, **asked: Any
+    ) -> Expr | None:
         """tipg's condition; its own one for several ids would compare uuid with text."""
         where = super().cql_where(**asked)
         if not ids:
