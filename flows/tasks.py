@@ -37,7 +37,7 @@ from conetl.records import (
 )
 from conetl.rejections import Rejection
 from conetl.steps.detections import check_boxes
-from conetl.steps.matches import match_pair
+from conetl.steps.matches import match_pair, with_measured_spread
 from conetl.steps.positions import locate_positions
 from conetl.steps.tracks import fuse_tracks
 from conetl.steps.trajectory import RefinedTrajectory, motion_error
@@ -137,7 +137,7 @@ def match_task(chunk: Chunk, left: Path, right: Path) -> Path:
         found, refused = match_pair(ours, theirs, chunk.rig, chunk.params.match, up_left=up, images=images)
         matches += found
         rejections += refused
-    return save_result(chunk.results_folder, key, matches, rejections)
+    return save_result(chunk.results_folder, key, with_measured_spread(matches), rejections)
 
 
 @task(name="locate", task_run_name="locate {chunk.frame_pairs[0].frame_index}", **RETRY)

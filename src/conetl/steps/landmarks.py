@@ -10,13 +10,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from conetl.geometry.packing import cov3, cov_matrix
 from conetl.geometry.rig import map_SE3_left
 from conetl.geometry.stereo_motion import RelativeMotion
 from conetl.params import IngestParams
-from conetl.records import FramePair, Rig, StereoMatch
+from conetl.records import FramePair, Position, Rig, StereoMatch
 from conetl.steps.association import chain_positions
 from conetl.steps.positions import locate_positions
 from conetl.steps.trajectory import RefinedTrajectory, RefinementOutcome, motion_error, refine_trajectory
+
+#: Neighbouring sightings of a cone err alike (background, sun, calibration at its place in the picture): so many count as one.
+_ALIKE = 4.0
 
 
 def refine_with_cones(
@@ -38,7 +42,7 @@ def refine_with_cones(
     positions, _ = locate_positions([m for m in matches if m.refined], pairs, rig, params.position)
     left = {index: map_SE3_left(pair.pose, rig) for index, pair in pairs.items()}
     groups = chain_positions(positions, left, params.track, motion_error(alone))
-    cones = [group for group in groups if len(group) >= params.track.min_observations]
+    cones = [[_counted(p) for p in group] for group in groups if len(group) >= params.track.min_observations]
     if not cones:
         return alone
     together = refine_trajectory(frame_pairs, rig, motions, params.trajectory, cones)
@@ -59,3 +63,7 @@ def refine_with_cones(
         covariance=alone.covariance,
         detail=f"{together.detail}; {len(cones)} cones as landmarks",
     )
+
+
+def _counted(position: Position) -> Position:
+    return position.model_copy(update={"camera_cov_m2": cov3(_ALIKE * cov_matrix(position.camera_cov_m2))})
