@@ -171,7 +171,9 @@ class TrajectoryParams(Params):
     attitude_correlation_s: Positive = 60.0
     attitude_white_share: Fraction = 0.3
     cone_landmarks: bool = True
-    """Let the drive's own cones, which stand still, take part in the adjustment."""
+    """Let the drive's own cones, which stand still, take part in the adjustment ..."""
+    cone_landmarks_from_m: Positive = 0.1
+    """... where GNSS/INS states at least this (median horizontal sigma). Beside an RTK fix what is systematic in cones only harms."""
     max_shift_chi2: Positive = 36.0
     """Squared shift of a pose in its stated sigmas above which the refinement is not believed: 3 sigma of a GNSS/INS that
     states half its sigmas."""

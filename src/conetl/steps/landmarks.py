@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from conetl.geometry.packing import cov3, cov_matrix
 from conetl.geometry.rig import map_SE3_left
 from conetl.geometry.stereo_motion import RelativeMotion
@@ -32,11 +34,13 @@ def refine_with_cones(
 ) -> RefinedTrajectory:
     """Refined poses by visual odometry and by the cones that were seen often enough to be tracks.
 
-    frame_pairs: as logged. motions: as `refine_trajectory` takes them. Without `trajectory.cone_landmarks`, without such cones,
-    and where the adjustment with cones is not believed, the result is that of visual odometry alone.
+    frame_pairs: as logged. motions: as `refine_trajectory` takes them. Without `trajectory.cone_landmarks`, beside good
+    GNSS/INS, without such cones, and where the adjustment with cones is not believed, the result is that of visual odometry alone.
     """
     alone = refine_trajectory(frame_pairs, rig, motions, params.trajectory)
     if not params.trajectory.cone_landmarks or alone.outcome is not RefinementOutcome.REFINED:
+        return alone
+    if np.median([max(pair.pose.sigma_enu_m[:2]) for pair in frame_pairs]) < params.trajectory.cone_landmarks_from_m:
         return alone
     pairs = {pair.frame_index: pair for pair in alone.frame_pairs}
     positions, _ = locate_positions([m for m in matches if m.refined], pairs, rig, params.position)
