@@ -173,7 +173,7 @@ class TrajectoryParams(Params):
     cone_landmarks: bool = True
     """Let the drive's own cones, which stand still, take part in the adjustment ..."""
     cone_landmarks_from_m: Positive = 0.1
-    """... where GNSS/INS states at least this (median horizontal sigma). Beside an RTK fix what is systematic in cones only harms."""
+    """... where GNSS/INS states at least this (median horizontal sigma). Beside an RTK fix cones only harm."""
     max_shift_chi2: Positive = 36.0
     """Squared shift of a pose in its stated sigmas above which the refinement is not believed: 3 sigma of a GNSS/INS that
     states half its sigmas."""

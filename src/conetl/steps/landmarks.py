@@ -35,7 +35,7 @@ def refine_with_cones(
     """Refined poses by visual odometry and by the cones that were seen often enough to be tracks.
 
     frame_pairs: as logged. motions: as `refine_trajectory` takes them. Without `trajectory.cone_landmarks`, beside good
-    GNSS/INS, without such cones, and where the adjustment with cones is not believed, the result is that of visual odometry alone.
+    GNSS/INS, without such cones and where the adjustment with cones is not believed the result is that of visual odometry.
     """
     alone = refine_trajectory(frame_pairs, rig, motions, params.trajectory)
     if not params.trajectory.cone_landmarks or alone.outcome is not RefinementOutcome.REFINED:
