@@ -31,9 +31,9 @@ from conetl.io.pictures.images import read_image
 from conetl.io.visual_odometry import follow_drive
 from conetl.params import IngestParams, TrajectoryParams
 from conetl.records import Drive, FramePair, Position, StereoMatch
-from conetl.steps.association import chain_positions
 from conetl.steps.detections import check_boxes
-from conetl.steps.matches import match_pair
+from conetl.steps.landmarks import refine_with_cones
+from conetl.steps.matches import match_pair, with_measured_spread
 from conetl.steps.positions import locate_positions
 from conetl.steps.self_calibration import self_calibrated_rig
 from conetl.steps.tracks import fuse_tracks
@@ -70,7 +70,7 @@ def match_boxes(drive: Drive, boxes: dict[int, tuple[list, list]], params: Inges
             images = read_side(pair, "left"), read_side(pair, "right")
             up = map_SE3_left(pair.pose, drive.rig)[2, :3]
             matches += match_pair(left, right, drive.rig, params.match, up_left=up, images=images)[0]
-    return matches
+    return with_measured_spread(matches)
 
 
 def places(pairs: list[FramePair], drive: Drive, matches: list[StereoMatch], params: IngestParams) -> list[Position]:
@@ -153,12 +153,7 @@ def main() -> None:
           f"adjustment {time.perf_counter() - wall_before:.2f} s")  # fmt: skip
     print(f"{by_motion.outcome}: {by_motion.detail}")
     refined = list(by_motion.frame_pairs)
-    left = {p.frame_index: map_SE3_left(p.pose, drive.rig) for p in refined}
-    positions = places(refined, drive, matches, params)
-    chains = chain_positions(positions, left, params.track)
-    with_cones = refine_trajectory(
-        logged, drive.rig, motions, params.trajectory.model_copy(update={"max_shift_chi2": 1e3}), chains
-    )
+    with_cones = refine_with_cones(logged, drive.rig, motions, matches, params)
     last = list(with_cones.frame_pairs)
     cones, _ = fuse_tracks(
         places(last, drive, matches, params),

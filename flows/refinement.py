@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from prefect import get_run_logger, task
 
-from conetl.geometry.rig import map_SE3_left
 from conetl.geometry.stereo_motion import RelativeMotion
 from conetl.geometry.stereo_tracks import StereoTracks, motions_of
 from conetl.io.parquet_store import (
@@ -27,10 +26,9 @@ from conetl.io.services.allocator import keep_freed_pictures
 from conetl.io.visual_odometry import PictureReader, follow_drive, follow_span
 from conetl.params import IngestParams, params_sha256
 from conetl.records import Drive, FramePair, Rig, Side, StereoMatch
-from conetl.steps.association import chain_positions
-from conetl.steps.positions import locate_positions
+from conetl.steps.landmarks import refine_with_cones
 from conetl.steps.self_calibration import SelfCalibration, choose_spans, self_calibrate, span_params, spread_spans
-from conetl.steps.trajectory import RefinedTrajectory, RefinementOutcome, motion_error, refine_trajectory
+from conetl.steps.trajectory import RefinedTrajectory
 from flows.progress import tell_progress
 from flows.retries import RETRY
 from flows.tasks import RESULTS_VERSION, Chunk
@@ -117,16 +115,8 @@ def self_calibrate_task(drive: Drive, tracks: list[Path], motions: list[Path], c
 def refine_task(drive: Drive, motions: list[Path], matches: list[Path], params: IngestParams) -> RefinedTrajectory:
     """Refined poses of the whole drive; the logged ones, with the reason, where pictures or parameters do not allow it."""
     measured, _ = load_results(motions, RelativeMotion)
-    result = refine_trajectory(drive.frame_pairs, drive.rig, measured, params.trajectory)
-    if params.trajectory.cone_landmarks and result.outcome is RefinementOutcome.REFINED:
-        found, _ = load_results(matches, StereoMatch)
-        pairs = {pair.frame_index: pair for pair in result.frame_pairs}
-        positions, _ = locate_positions(found, pairs, drive.rig, params.position)
-        left = {index: map_SE3_left(pair.pose, drive.rig) for index, pair in pairs.items()}
-        cones = chain_positions(positions, left, params.track, motion_error(result))
-        seen_often = [cone for cone in cones if len(cone) >= params.track.min_observations]
-        with_cones = refine_trajectory(drive.frame_pairs, drive.rig, measured, params.trajectory, seen_often)
-        result = with_cones if with_cones.outcome is RefinementOutcome.REFINED else result
+    found, _ = load_results(matches, StereoMatch)
+    result = refine_with_cones(drive.frame_pairs, drive.rig, measured, found, params)
     get_run_logger().info("Trajectory %s: %s", result.outcome.replace("_", " "), result.detail)
     return result
 

@@ -41,7 +41,7 @@ from conetl.records import (
 )
 from conetl.rejections import Rejection
 from conetl.steps.detections import check_boxes
-from conetl.steps.matches import match_pair
+from conetl.steps.matches import match_pair, with_measured_spread
 from conetl.steps.positions import locate_positions
 from conetl.steps.tracks import fuse_tracks
 from conetl.steps.trajectory import RefinedTrajectory, motion_error
@@ -49,7 +49,7 @@ from flows.progress import tell_progress
 from flows.retries import RETRY
 
 #: Part of every result key: raise it when a step computes something else from the same inputs.
-RESULTS_VERSION = "5"
+RESULTS_VERSION = "6"
 _per_thread = threading.local()
 
 
@@ -142,7 +142,7 @@ def match_task(chunk: Chunk, left: Path, right: Path) -> Path:
         found, refused = match_pair(ours, theirs, chunk.rig, chunk.params.match, up_left=up, images=images)
         matches += found
         rejections += refused
-    return save_result(chunk.results_folder, key, matches, rejections)
+    return save_result(chunk.results_folder, key, with_measured_spread(matches), rejections)
 
 
 @task(name="locate", task_run_name="locate {chunk.frame_pairs[0].frame_index}", **RETRY)

@@ -172,9 +172,10 @@ class TrajectoryParams(Params):
     """... except this share of its sigma, which is new in every record."""
     attitude_correlation_s: Positive = 60.0
     attitude_white_share: Fraction = 0.3
-    cone_landmarks: bool = False
-    """Let the drive's own cones, which stand still, take part in the adjustment. Off: stereo errors of far cones are of the same
-    sign over many frames, and bend a trajectory that visual odometry knows better."""
+    cone_landmarks: bool = True
+    """Let the drive's own cones, which stand still, take part in the adjustment ..."""
+    cone_landmarks_from_m: Positive = 0.1
+    """... where GNSS/INS states at least this (median horizontal sigma). Beside an RTK fix cones only harm."""
     max_shift_chi2: Positive = 36.0
     """Squared shift of a pose in its stated sigmas above which the refinement is not believed: 3 sigma of a GNSS/INS that
     states half its sigmas."""

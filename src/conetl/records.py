@@ -231,6 +231,8 @@ class StereoMatch(Record):
     """Of each image point across the rows."""
     sigma_pointing_px: NonNegative
     """Along the rows, common to both images: where the cone's axis was put in the picture. Moves the bearing, not the range."""
+    sigma_outline_px: NonNegative = 0.0
+    """Along and across the rows, common to all sightings of one cone: what the detector takes for its foot and axis."""
     refined: bool
     """True where the correspondence was refined by area-based matching, False where the box edges alone were used."""
     cost: NonNegative
@@ -253,6 +255,8 @@ class Position(Record):
     camera_xyz_m: Vec3
     """The foot in the left camera's frame (x right, y down, z forward): free of GNSS error."""
     camera_cov_m2: Cov3
+    sigma_outline_m: NonNegative = 0.0
+    """To the right and down, common to all sightings of this cone (`StereoMatch.sigma_outline_px`); part of both covariances."""
     range_m: Positive
     """Ground distance from the left camera to the foot."""
     ray_angle_rad: Positive

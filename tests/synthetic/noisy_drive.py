@@ -62,12 +62,14 @@ def draw_positions(
     frames: int = 32,
     noise: float = 1.0,
     stated_share: float = 1.0,
+    outline_px: float = 0.0,
 ) -> NoisyDrive:
     """One drive up to its single positions; match_index is the number of the cone.
 
     noise: what the stated image sigmas are multiplied with to get the true ones. stated_share: of the pose errors.
+    outline_px: sigma of what all sightings of a cone share, along and across the rows.
     """
-    return _draw(rng, rig, cones, errors, frames, noise, stated_share)[0]
+    return _draw(rng, rig, cones, errors, frames, noise, stated_share, outline_px)[0]
 
 
 def draw_drive(
@@ -78,9 +80,10 @@ def draw_drive(
     *,
     frames: int = 32,
     noise: float = 1.0,
+    outline_px: float = 0.0,
 ) -> NoisyDrive:
     """One drive through positions and tracks, which know that the log has no error from frame to frame but what is common."""
-    drawn, matches = _draw(rng, rig, cones, errors, frames, noise, 1.0)
+    drawn, matches = _draw(rng, rig, cones, errors, frames, noise, 1.0, outline_px)
     found = [detection for match in matches for detection in (match.left, match.right)]
     pairs = drawn.drive.frame_pairs
     tracks, _ = fuse_logged(pairs, rig, found, matches, drawn.positions, motion=_exact_motion)
@@ -100,14 +103,16 @@ def _draw(
     frames: int,
     noise: float,
     stated_share: float,
+    outline_px: float,
 ) -> tuple[NoisyDrive, list[StereoMatch]]:
     true_pairs = make_path(frames)
     logged = _logged(rng, true_pairs, errors, stated_share)
+    outlines = rng.normal(0, noise * outline_px, (len(cones), 2)) if outline_px else np.zeros((len(cones), 2))
     matches = [
-        match
+        match.model_copy(update={"sigma_outline_px": outline_px})
         for pair in true_pairs
         for number, cone in enumerate(cones)
-        if (match := _match(rng, cone, number, pair, rig, noise)) is not None
+        if (match := _match(rng, cone, number, pair, rig, noise, outlines[number])) is not None
     ]
     positions, _ = locate_positions(matches, {pair.frame_index: pair for pair in logged}, rig, PositionParams())
     drive = Drive(
@@ -150,7 +155,13 @@ def _logged(
 
 
 def _match(
-    rng: np.random.Generator, cone: Cone, number: int, pair: FramePair, rig: Rig, noise: float
+    rng: np.random.Generator,
+    cone: Cone,
+    number: int,
+    pair: FramePair,
+    rig: Rig,
+    noise: float,
+    outline_px: NDArray[np.float64],
 ) -> StereoMatch | None:
     """Foot, centre and tip in both pictures, drawn; None where the cone is not wholly in view of both."""
     boxes = {side: apparent_box(cone, pair, rig, side) for side in ("left", "right")}
@@ -162,8 +173,19 @@ def _match(
     for side in ("left", "right"):
         camera, pose = (rig.left if side == "left" else rig.right), camera_pose(pair, rig, side)
         local = (points - pose[:3, 3]) @ pose[:3, :3]
-        u = camera.cx_px + camera.fx_px * local[:, 0] / local[:, 2] + pointing + rng.normal(0, noise * SIGMA_U_PX)
-        v = camera.cy_px + camera.fy_px * local[:, 1] / local[:, 2] + rng.normal(0, noise * SIGMA_V_PX, 3)
+        u = (
+            outline_px[0]
+            + camera.cx_px
+            + camera.fx_px * local[:, 0] / local[:, 2]
+            + pointing
+            + rng.normal(0, noise * SIGMA_U_PX)
+        )
+        v = (
+            outline_px[1]
+            + camera.cy_px
+            + camera.fy_px * local[:, 1] / local[:, 2]
+            + rng.normal(0, noise * SIGMA_V_PX, 3)
+        )
         uv[side] = list(zip(u.tolist(), v.tolist(), strict=True))
     named = {
         f"{point}_{side}_uv_px": uv[side][k]

@@ -102,6 +102,20 @@ def test_the_joint_adjustment_holds_for_the_errors_that_it_knows(noise: float, h
     assert total.holds(0.99) is holds
 
 
+@pytest.mark.parametrize(("noise", "holds"), [(0.5, False), (1.0, True), (2.0, False)])
+def test_what_all_sightings_of_a_cone_share_is_common_to_them(noise: float, holds: bool) -> None:
+    """Feet that the detector puts wrongly, for each cone in all its pictures alike: single positions and tracks hold."""
+    some = [
+        draw_drive(np.random.default_rng(seed), RIG, CONES, RTK, frames=16, noise=noise, outline_px=0.6)
+        for seed in range(16)
+    ]
+    singles, tracks = summed(of_positions(drive) for drive in some), summed(of_tracks(drive) for drive in some)
+    for part in (singles.relative, singles.absolute, singles.common, tracks.relative, tracks.absolute):
+        assert part.holds(0.999) is holds
+    shares = {p.sigma_outline_m / p.camera_xyz_m[2] for drive in some for p in drive.positions}
+    assert np.ptp(list(shares)) < 1e-9
+
+
 @pytest.mark.parametrize(("noise", "drives", "holds"), [(0.5, 10, False), (1.0, 40, True), (2.0, 10, False)])
 def test_tracks_of_drives_with_a_common_pose_error(noise: float, drives: int, holds: bool) -> None:
     """Relative and absolute: the joint adjustment of each cone, and what pose errors add to it."""

@@ -8,11 +8,13 @@ from scipy.stats import chi2
 
 from conetl.geometry import pose as se3
 from conetl.geometry.stereo_motion import RelativeMotion
-from conetl.params import TrajectoryParams
+from conetl.params import IngestParams, TrajectoryParams
 from conetl.records import FramePair, Position
+from conetl.steps.landmarks import refine_with_cones
 from conetl.steps.trajectory import RefinementOutcome, motion_error, refine_trajectory, relative_cov
+from tests.synthetic.noisy_drive import PoseErrors, _draw
 from tests.synthetic.odometry import log_of, motions_of, pose_errors, true_poses
-from tests.synthetic.world import make_rig
+from tests.synthetic.world import Cone, make_path, make_rig
 
 RIG = make_rig()
 PARAMS = TrajectoryParams()
@@ -186,6 +188,52 @@ def test_cones_as_landmarks_bridge_what_pictures_do_not_tell() -> None:
             assert result.outcome is RefinementOutcome.REFINED
             errors.append(slide(pose_errors(result.frame_pairs, truth)[20:41]))
     assert np.mean(after) < 0.5 * np.mean(before)
+
+
+def test_cones_as_landmarks_correct_the_length_of_the_way() -> None:
+    """Visual odometry that makes all ways 1.5 % too long: cones, located by stereo, say so; they do not count twice."""
+    pairs = make_path(32)
+    truth = np.stack([se3.map_SE3_body(pair.pose) for pair in pairs])
+    before, after = [], []
+    for seed in range(4):
+        cones = [Cone((12.0 + 4.0 * k, 3.2 - 6.0 * (k % 2), 0.0)) for k in range(5)]
+        _, matches = _draw(np.random.default_rng(seed), RIG, cones, PoseErrors(), 32, 1.0, 1.0, 0.0)
+        log = log_of(truth, np.random.default_rng(50 + seed), 0.4, 0.0009, PARAMS)
+        motions = [longer(m, 1.015) for m in motions_of(truth, RIG, np.random.default_rng(9 + seed), PARAMS)]
+        alone = refine_trajectory(log, RIG, motions, PARAMS)
+        together = refine_with_cones(log, RIG, motions, matches, IngestParams())
+        for result, errors in ((alone, before), (together, after)):
+            assert result.outcome is RefinementOutcome.REFINED
+            errors.append(slide(pose_errors(result.frame_pairs, truth)))
+        assert together.detail.endswith(f"{len(cones)} cones as landmarks")
+        for one, other in zip(alone.frame_pairs, together.frame_pairs, strict=True):
+            assert one.pose.sigma_enu_m == other.pose.sigma_enu_m
+            assert one.pose.map_t_body_m != other.pose.map_t_body_m
+    assert np.mean(after) < 0.6 * np.mean(before)
+
+
+def test_cones_do_not_bend_what_rtk_says() -> None:
+    """Whatever the cones say: the log is better than they are."""
+    cones = [Cone((12.0 + 4.0 * k, 3.2 - 6.0 * (k % 2), 0.0)) for k in range(3)]
+    _, matches = _draw(np.random.default_rng(1), RIG, cones, PoseErrors(), 32, 1.0, 1.0, 0.0)
+    truth = np.stack([se3.map_SE3_body(pair.pose) for pair in make_path(32)])
+    rng = np.random.default_rng(2)
+    log, motions = log_of(truth, rng, 0.02, 0.0009, PARAMS), motions_of(truth, RIG, rng, PARAMS)
+    result = refine_with_cones(log, RIG, motions, matches, IngestParams())
+    assert result.outcome is RefinementOutcome.REFINED
+    assert result.frame_pairs == refine_trajectory(log, RIG, motions, PARAMS).frame_pairs
+
+
+def longer(motion: RelativeMotion, factor: float) -> RelativeMotion:
+    pose = np.array(motion.second_SE3_first)
+    pose[:3, 3] *= factor
+    return motion.model_copy(update={"second_SE3_first": se3.to_matrix4(pose)})
+
+
+def test_without_cones_the_trajectory_is_that_of_visual_odometry() -> None:
+    _, log, motions = drive(3)
+    alone = refine_trajectory(log, RIG, motions, PARAMS)
+    assert refine_with_cones(log, RIG, motions, [], IngestParams()).frame_pairs == alone.frame_pairs
 
 
 def seen(frame: int, cone: int, xyz: np.ndarray) -> Position:

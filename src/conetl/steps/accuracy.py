@@ -172,8 +172,8 @@ def position_errors(
 ) -> PointErrors:
     """Errors of the single positions whose cone is known; see `members_of`.
 
-    In common they have place and attitude of the body and the rig's calibration; of its own each position has the error of its
-    image points.
+    In common they have place and attitude of the body, the rig's calibration and, those of one cone, what the detector takes for
+    its foot and axis; of its own each position has the error of its image points.
     """
     pose_of = {pair.frame_index: pair.pose for pair in drive.frame_pairs}
     chosen = [p for p in positions if (p.frame_index, p.match_index) in cone_of]
@@ -185,17 +185,39 @@ def position_errors(
     camera_cov = _stack([cov_matrix(p.camera_cov_m2) for p in chosen])
     truth = np.array([cone.xyz_m for cone in cones]).reshape(-1, 3)
     jacobian, sigmas = _common_errors(xyz, poses, drive.rig)
+    names = tuple(cone.cone_id for cone in cones)
+    outline, own_cov = _outline_errors(names, chosen, turn, turn @ camera_cov @ np.swapaxes(turn, 1, 2))
+    common = _blocks(np.diag(np.mean(sigmas**2, axis=0)) if poses else np.zeros((6, 6)), _calibration(drive.rig))
     return PointErrors(
-        cone_ids=tuple(cone.cone_id for cone in cones),
+        cone_ids=names,
         truth_m=truth,
         difference_m=xyz - truth,
         cov_m2=_stack([cov_matrix(p.cov_m2) for p in chosen]),
-        own_cov_m2=turn @ camera_cov @ np.swapaxes(turn, 1, 2),
+        own_cov_m2=own_cov,
         range_m=np.array([p.range_m for p in chosen]),
         sight=_unit(xyz[:, :2] - left[:, :2, 3]),
-        common_jacobian=jacobian,
-        common_cov=_blocks(np.diag(np.mean(sigmas**2, axis=0)) if poses else np.zeros((6, 6)), _calibration(drive.rig)),
+        common_jacobian=np.concatenate([jacobian, outline], axis=2),
+        common_cov=_blocks(common, np.eye(outline.shape[2])),
     )
+
+
+def _outline_errors(
+    cone_ids: Sequence[str], positions: Sequence[Position], turn: Floats, cov_m2: Floats
+) -> tuple[Floats, Floats]:
+    """(N, 3, 2C) how the outline errors of C cones, in their sigmas, move N positions; (N, 3, 3) what is left of the covariances.
+
+    turn (N, 3, 3): map_R_left of each position. cov_m2 (N, 3, 3): of their image points and outline together, in the map.
+    """
+    order = sorted({name for name, p in zip(cone_ids, positions, strict=True) if p.sigma_outline_m > 0})
+    jacobian = np.zeros((len(positions), 3, 2 * len(order)))
+    own = cov_m2.copy()
+    for n, (name, position) in enumerate(zip(cone_ids, positions, strict=True)):
+        if position.sigma_outline_m > 0:
+            moved = turn[n, :, :2] * position.sigma_outline_m
+            k = 2 * order.index(name)
+            jacobian[n, :, k : k + 2] = moved
+            own[n] -= moved @ moved.T
+    return jacobian, own
 
 
 def statistics(errors: PointErrors) -> ErrorStatistics | None:

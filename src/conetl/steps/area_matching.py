@@ -33,7 +33,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
 _MIN_PIXELS = 24
-_MAX_PIXELS = 2000
+_MAX_PIXELS = 1200
 _MIN_CORRELATION = 0.75
 _MAX_ITERATIONS = 24
 _CONVERGED_PX = 2e-2
@@ -47,13 +47,16 @@ _HUBER, _OUTLIER = 2.0, 3.0
 _SOFT_ITERATIONS = 3
 #: Rows of the body that take part, as shares of the way from tip to foot; the base plate lies on the ground, not at the axis.
 _ROWS = (0.02, 0.90)
-#: Pixels inside of the outline that show its edge rather than the surface, and those outside that take part.
-_EDGE_PX, _OUT_PX = 2.0, 1.5
+#: Pixels inside of the outline that show its edge rather than the surface, and those outside that take part: shares of the
+#: radius at the foot, from the blur of one pixel upwards. A far cone would else be all edge, and half of it background.
+_EDGE_SHARE, _OUT_SHARE = 0.1, 0.075
+_EDGE_PX, _OUT_PX = (1.0, 2.0), (1.0, 1.5)
 #: Blur (sigma) of an edge by lens, sensor and the smoothing here, and where the background shows alone.
 _BLUR_PX = 0.85
 _BEYOND_PX = np.array([2.0, 3.0])
-#: A change of background counts by half where its square is this many times the noise.
-_BACKGROUND_NOISE = 3.0
+#: A change of background counts by half where its square is this many times its own uncertainty: noise, and what it may change
+#: by on the way from where it is seen to the edge, so many pixels (a random walk: its variance grows with the way).
+_BACKGROUND_NOISE, _BACKGROUND_WAY_PX = 3.0, 2.5
 #: Variance of grey values that even equal pictures have, by rounding to 8 bits in both.
 _QUANTISATION = 0.17
 #: What is known beforehand, one sigma: lean of a cone towards the camera (rad), its surface's nearness (share), and how far an
@@ -112,7 +115,7 @@ class _Beyond(NamedTuple):
     depth: Floats
     """(2e,) of the edge: what is looked for is what the right picture shows beside the same edge"""
     values: Floats
-    """(e, channels) mean grey value in the left picture"""
+    """(e, 2, channels) grey values in the left picture"""
 
 
 def match_area(
@@ -153,11 +156,13 @@ def _pixels_of(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Fl
         return None
     v = np.arange(first, last + 1)
     axis, radius = outline.axis(v.astype(np.float64)), outline.radius(v.astype(np.float64))
-    low = max(int(np.floor((axis - radius).min() - _EDGE_PX)), 0)
-    high = min(int(np.ceil((axis + radius).max() + _EDGE_PX)), left.shape[1] - 1)
+    widest = float(outline.radius(np.array([outline.foot_row]))[0])
+    edge_px, out_px = float(np.clip(_EDGE_SHARE * widest, *_EDGE_PX)), float(np.clip(_OUT_SHARE * widest, *_OUT_PX))
+    low = max(int(np.floor((axis - radius).min() - out_px)), 0)
+    high = min(int(np.ceil((axis + radius).max() + out_px)), left.shape[1] - 1)
     u = np.arange(low, high + 1)
     aside = u[None, :] - axis[:, None]
-    inside = np.abs(aside) <= radius[:, None] + _OUT_PX
+    inside = np.abs(aside) <= radius[:, None] + out_px
     every = int(np.ceil(inside.sum() / _MAX_PIXELS))
     inside[np.arange(len(v)) % every != 0] = False  # the rows of a near cone say the same thing many times
     i, j = np.nonzero(inside)
@@ -167,7 +172,7 @@ def _pixels_of(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Fl
     if surface is None:
         return None
     # At the very edge it is the outline that shows, blurred over about a pixel, not the surface.
-    inner = radius[i] - np.abs(aside[i, j]) > _EDGE_PX
+    inner = radius[i] - np.abs(aside[i, j]) > edge_px
     nearer = (surface.limb - surface.depth) * inner
     values = _smooth(left, v, u)[i, j]
     right_half = aside[i, j] > 0
@@ -195,7 +200,7 @@ def _beyond(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Float
         return None
     v = np.repeat(rows, 2 * len(_BEYOND_PX))
     values = patch.at(v, columns, 0.0)[0]
-    return _Beyond(v, columns, surface.limb, values.reshape(-1, len(_BEYOND_PX), values.shape[1]).mean(axis=1))
+    return _Beyond(v, columns, surface.limb, values.reshape(-1, len(_BEYOND_PX), values.shape[1]))
 
 
 def _smooth(picture: NDArray[np.uint8], rows: Ints, columns: Ints) -> Floats:
@@ -247,7 +252,7 @@ def _least_squares(
     # Disparity of the axis at the foot, row offset, lean of the axis, surplus of the surface's nearness, shift of either edge.
     unknown = np.array([start, row_offset_px, 0.0, 0.0, 0.0, 0.0])
     weights, size = np.ones(len(pixels.rows)), np.zeros(len(pixels.rows))
-    background = np.zeros_like(beyond.values)
+    background = np.zeros_like(beyond.values[:, 0])
     for iteration in range(_MAX_ITERATIONS):
         disparity, down, lean, surplus = unknown[:4]
         if abs(disparity - start) > _MAX_WAY_PX or abs(down - row_offset_px) > _MAX_ROW_OFFSET_PX:
@@ -255,7 +260,16 @@ def _least_squares(
         scale = disparity - at_infinity_px
         depth = pixels.depth + lean * pixels.height - surplus * pixels.nearer
         columns = pixels.columns - at_infinity_px - scale / depth - pixels.at_edge @ unknown[4:]
-        sample, slope_u, slope_v = patch.at(pixels.rows, columns, down)
+        # The background stays as it is from half way on: it may follow the disparity to and fro.
+        looks = iteration < _MAX_ITERATIONS // 2
+        beside = beyond.columns - at_infinity_px - scale / beyond.depth
+        sample, slope_u, slope_v = (
+            patch.at(np.concatenate([pixels.rows, beyond.rows]), np.concatenate([columns, beside]), down)
+            if looks
+            else patch.at(pixels.rows, columns, down)
+        )
+        seen = sample[len(columns) :]
+        sample, slope_u, slope_v = sample[: len(columns)], slope_u[: len(columns)], slope_v[: len(columns)]
         along = -np.column_stack(
             [1 / depth, -scale * pixels.height / depth**2, scale * pixels.nearer / depth**2, pixels.at_edge]
         )
@@ -275,19 +289,35 @@ def _least_squares(
         weights = (
             1 / np.maximum(size / _HUBER, 1.0) if iteration < _SOFT_ITERATIONS else (1 + (size / _OUTLIER) ** 2) ** -2
         )
-        if iteration >= _MAX_ITERATIONS // 2:
-            continue  # the background stays as it is now: it may follow the disparity to and fro
-        beside = beyond.columns - at_infinity_px - scale / beyond.depth
-        seen = patch.at(beyond.rows, beside, down)[0].reshape(len(beyond.values), -1, right.shape[2]).mean(axis=1)
-        background = step_of.gain * seen + step_of.shift - beyond.values
-        power = (background**2 / step_of.noise).mean(axis=1, keepdims=True)
-        background *= power / (power + _BACKGROUND_NOISE)
+        if looks:
+            seen = step_of.gain * seen.reshape(beyond.values.shape) + step_of.shift
+            background = _background(seen - beyond.values, step_of.noise)
     else:
         return None
     if step_of.correlation < _MIN_CORRELATION or np.mean(size < 2 * _HUBER) < _MIN_INLIER_SHARE:
         return None
     sigma = np.hypot(_sigma(step_of, weights, pixels.group), _SIGMA_FLOOR_PX)
     return AreaMatch(float(unknown[0]), float(sigma), step_of.correlation, float(unknown[1]))
+
+
+def _background(change: Floats, noise: Floats) -> Floats:
+    """(e, channels): how much the background changes between the pictures at e edges, as far as it can be told from beside them.
+
+    change (e, 2, channels): at the two points beyond each edge; edges left and right in turn, row by row. noise (channels,).
+    Beside a far cone a pixel is a large piece of the world, and what is seen two pixels off says little of the edge: where the
+    change differs from pixel to pixel, across the rows or along them, it is believed the less.
+    """
+    mean = change.mean(axis=1)
+    rows = mean.reshape(-1, 2, mean.shape[1])
+    steps = (np.diff(rows, axis=0) ** 2 / noise).mean(axis=2)
+    along = np.zeros(rows.shape[:2])
+    along[1:] += steps
+    along[:-1] += steps
+    along[1:-1] /= 2
+    across = ((change[:, 0] - change[:, 1]) ** 2 / noise).mean(axis=1)
+    power = (mean**2 / noise).mean(axis=1)
+    unsure = _BACKGROUND_NOISE + _BACKGROUND_WAY_PX * (across + along.ravel())
+    return np.asarray(mean * (power / (power + unsure))[:, None])
 
 
 class _Linearised(NamedTuple):

@@ -46,6 +46,18 @@ def common_cov(
     return _pose_part(moved, group, frame_pairs, log_errors) + shared_cov(of_calibration, rig)
 
 
+def outline_cov(group: Sequence[Position], shares: Floats, map_SE3_left: Mapping[int, Floats]) -> Floats:
+    """Covariance (3, 3) m^2 of a joint fit by what the detector takes for this cone's foot and axis, in all pictures alike.
+
+    Two errors, to the right and down in the pictures, each as large at every sighting as `Position.sigma_outline_m` says. From
+    one side they stay what they are, however many frames; seen from several sides, they work against each other.
+    """
+    sigma_m = np.array([p.sigma_outline_m for p in group])
+    right_and_down = np.stack([map_SE3_left[p.frame_index][:3, :2] for p in group]) * sigma_m[:, None, None]
+    moved = np.einsum("fij,fjk->ik", shares, right_and_down)
+    return np.asarray(moved @ moved.T)
+
+
 def _pose_part(
     moved: Floats, group: Sequence[Position], frame_pairs: Mapping[int, FramePair], log_errors: TrajectoryParams | None
 ) -> Floats:

@@ -27,10 +27,20 @@ _HEIGHT_BOUNDS_M = (0.15, 1.8)
 #: right up to the edge.
 _BORDER_PX = 2.0
 _BORDER_SHARE = 0.15
-#: Spread of foot and axis, a floor plus a share of the box: generous. Single pairs of the sample drives show half of it across
-#: the rows; with less, boxes with edges off by 0.9 px (sigma) give tracks that are too sure (tests/synthetic/test_drive.py).
+#: Spread of foot and axis where boxes alone tell them, a floor plus a share of the box: generous. With less, boxes with edges off
+#: by 0.9 px (sigma) give tracks that are too sure (tests/synthetic/test_drive.py).
 _EDGE_SIGMA_PX = 0.6
 _EDGE_SIGMA_SHARE = 0.025
+#: Where the network tells the foot: a floor (px), a share of the box's height or width, and what is divided by the height (px^2;
+#: of tiny boxes). Across the rows in each picture, along the rows in both alike, and what all sightings of one cone share.
+#: Measured on the sample drives (docs/accuracy.md).
+_FOOT_ACROSS, _FOOT_ALONG, _FOOT_OF_CONE = (0.8, 0.010, 11.0), (0.5, 0.007, 6.0), (0.2, 0.0035, 0.0)
+#: Feet scatter by so much more than the difference of the two pictures tells, because both err in part alike.
+_BOTH_ALIKE = 1.5
+#: The spread of feet is measured on the matches themselves; what is usual counts as so many of them. Beyond so many sigmas a
+#: difference counts as that many.
+_USUAL_MATCHES, _LARGEST_RATIO = 10.0, 3.0
+_SPREAD_BOUNDS = (0.5, 2.0)
 
 
 @dataclass(frozen=True)
@@ -79,6 +89,29 @@ def match_pair(
     return matches, rejections
 
 
+def with_measured_spread(matches: Sequence[StereoMatch]) -> list[StereoMatch]:
+    """The matches of one drive, or of a part of it, with sigmas of their feet as the pictures show them.
+
+    Both pictures of a pair tell in which row a cone stands. How much they disagree from match to match is known without any
+    truth, and is the spread of one picture times the square root of two; a constant is the calibration's. Along the rows it
+    scales alike: it is the same network on the same pictures. Only for matches of boxes with feet of their own.
+    """
+    feet = [m for m in matches if m.left.foot_px is not None and m.right.foot_px is not None]
+    if len(feet) < 2:
+        return list(matches)
+    apart = np.array([m.foot_left_uv_px[1] - m.foot_right_uv_px[1] for m in feet])
+    ratio = (apart - np.median(apart)) / (2**0.5 * np.array([m.sigma_v_px for m in feet]))
+    measured = _BOTH_ALIKE**2 * float(np.mean(np.minimum(np.abs(ratio), _LARGEST_RATIO) ** 2))
+    factor = ((_USUAL_MATCHES + len(feet) * measured) / (_USUAL_MATCHES + len(feet))) ** 0.5
+    factor = float(np.clip(factor, *_SPREAD_BOUNDS))
+    return [
+        m.model_copy(update={"sigma_v_px": m.sigma_v_px * factor, "sigma_pointing_px": m.sigma_pointing_px * factor})
+        if m.left.foot_px is not None and m.right.foot_px is not None
+        else m
+        for m in matches
+    ]
+
+
 def foot_image_point(box_bottom: Vec2, box_width_px: float, camera: Camera, up: NDArray[np.float64]) -> Vec2:
     """Image point of the centre of the foot, from the middle of the box's lower edge.
 
@@ -95,6 +128,11 @@ def foot_image_point(box_bottom: Vec2, box_width_px: float, camera: Camera, up: 
         float(camera.cx_px + camera.fx_px * centre[0] / centre[2]),
         float(camera.cy_px + camera.fy_px * centre[1] / centre[2]),
     )
+
+
+def _spread(parts: tuple[float, float, float], size_px: float, height_px: float) -> float:
+    floor, share, tiny = parts
+    return float(np.sqrt(floor**2 + (share * size_px) ** 2 + (tiny / height_px) ** 2))
 
 
 def _is_whole(detection: Detection, camera: Camera, rejections: list[Rejection]) -> bool:
@@ -167,6 +205,11 @@ def _stereo_match(
     foot_left, tip_left, centre_left = _foot_tip_centre(a, rig.left, up)
     foot_right, tip_right, centre_right = _foot_tip_centre(b, rig.right, up)
     pointing_sigma = _EDGE_SIGMA_PX + _EDGE_SIGMA_SHARE * (a.w_px + b.w_px) / 2
+    width, height = (a.w_px + b.w_px) / 2, (a.h_px + b.h_px) / 2
+    across, along, of_cone = _EDGE_SIGMA_PX + _EDGE_SIGMA_SHARE * height, pointing_sigma / 2**0.5, 0.0
+    if a.foot_px is not None and b.foot_px is not None:
+        across, of_cone = _spread(_FOOT_ACROSS, height, height), _spread(_FOOT_OF_CONE, height, height)
+        along = _spread(_FOOT_ALONG, width, height)
     axis_left, axis_right = foot_left[0], foot_right[0]
     sigma_u = pointing_sigma
     if candidate.area is not None:
@@ -187,8 +230,9 @@ def _stereo_match(
         tip_left_uv_px=(axis_left, tip_left),
         tip_right_uv_px=(axis_right, tip_right),
         sigma_u_px=sigma_u,
-        sigma_v_px=_EDGE_SIGMA_PX + _EDGE_SIGMA_SHARE * (a.h_px + b.h_px) / 2,
-        sigma_pointing_px=pointing_sigma / 2**0.5,
+        sigma_v_px=across,
+        sigma_pointing_px=along,
+        sigma_outline_px=of_cone,
         refined=candidate.area is not None,
         cost=candidate.cost,
     )

@@ -84,6 +84,8 @@ class _Located(NamedTuple):
     """(3, M, 3) m"""
     foot_cov: Array
     """(M, 3, 3) m^2"""
+    outline_m: Array
+    """(M,) m, the share in it that all sightings of a cone have in common: sigma to the right and down"""
     residual_rms: Array
     """(M,) px, over the eight image coordinates of foot and tip"""
     ray_angle: Array
@@ -136,6 +138,7 @@ def locate_positions(
                         cone_height_m=float(xyz[2, i, 2] - xyz[0, i, 2]),
                         camera_xyz_m=vec3(located.xyz[0, i]),
                         camera_cov_m2=cov3(located.foot_cov[i]),
+                        sigma_outline_m=float(located.outline_m[i]),
                         range_m=float(ground[i]),
                         ray_angle_rad=float(located.ray_angle[i]),
                         residual_rms_px=float(located.residual_rms[i]),
@@ -218,10 +221,14 @@ def _locate(matches: Sequence[StereoMatch], rig: Rig, params: PositionParams) ->
     foot_cov = result.cov_m2[:count].copy()
     pointing = np.array([m.sigma_pointing_px for m in matches])
     foot_cov[:, 0, 0] += (pointing * result.depth_m[:count, 0] / rig.left.fx_px) ** 2
+    outline_m = np.array([m.sigma_outline_px for m in matches]) * result.depth_m[:count, 0] / rig.left.fx_px
+    foot_cov[:, 0, 0] += outline_m**2
+    foot_cov[:, 1, 1] += outline_m**2
     return _Located(
         status=result.status.reshape(3, count),
         xyz=result.xyz_m.reshape(3, count, 3),
         foot_cov=foot_cov,
+        outline_m=outline_m,
         residual_rms=np.sqrt(np.mean(residuals**2, axis=(0, 2))),
         ray_angle=result.ray_angle_rad[:count],
         iterations=result.iterations.reshape(3, count).max(axis=0),

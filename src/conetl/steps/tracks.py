@@ -21,7 +21,7 @@ from conetl.records import (
 )
 from conetl.rejections import Rejection, RejectionReason
 from conetl.steps.association import MotionError, chain_positions
-from conetl.steps.common_errors import common_cov
+from conetl.steps.common_errors import common_cov, outline_cov
 from conetl.steps.existence import existence_probability
 
 Floats = NDArray[np.float64]
@@ -115,7 +115,10 @@ def _fuse_group(
     height_m = float(tip.xyz_m[2] - foot.xyz_m[2])
     # The pose errors shift foot and tip alike: only the spread of the box edges makes the height uncertain.
     height_sigma_m = float(
-        np.sqrt(2 / sum((rig.left.fy_px / p.range_m / m.sigma_v_px) ** 2 for p, m in zip(group, pairs, strict=True)))
+        np.sqrt(
+            2 / sum((rig.left.fy_px / p.range_m / m.sigma_v_px) ** 2 for p, m in zip(group, pairs, strict=True))
+            + 2 * min(p.sigma_outline_m for p in group) ** 2
+        )
     )
     if not limits.min_cone_height_m <= height_m <= limits.max_cone_height_m:
         bounds = f"{limits.min_cone_height_m} to {limits.max_cone_height_m} m"
@@ -127,17 +130,18 @@ def _fuse_group(
             group,
             f"existence probability {existence:.2f}, expected at least {limits.min_existence_probability}",
         )
+    own_cov = foot.cov_m2 + outline_cov(group, foot.shares, map_SE3_left)
     first, last = (frame_pairs[p.frame_index].captured_at_ns for p in (group[0], group[-1]))
     return Track(
         track_index=index,
         xyz_m=vec3(foot.xyz_m),
         cov_m2=cov3(
-            foot.cov_m2
+            own_cov
             + common_cov(
                 group, foot.shares, frame_pairs, rig, map_SE3_left, params.trajectory if motion is None else None
             )
         ),
-        relative_cov_m2=cov3(foot.cov_m2),
+        relative_cov_m2=cov3(own_cov),
         centre_xyz_m=vec3(centre.xyz_m),
         cone_height_m=height_m,
         cone_height_sigma_m=height_sigma_m,

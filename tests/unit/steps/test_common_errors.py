@@ -14,7 +14,7 @@ from conetl.geometry.joint_fit import fit_point, pair_jacobian
 from conetl.geometry.packing import cov_matrix
 from conetl.params import TrajectoryParams
 from conetl.records import CalibrationCovariance, FramePair, Position, Rig
-from conetl.steps.common_errors import common_cov
+from conetl.steps.common_errors import common_cov, outline_cov
 from tests.synthetic.noisy_drive import PoseErrors, draw_positions
 from tests.synthetic.world import ORIGIN_M, Cone, camera_poses, make_path, make_rig
 
@@ -185,3 +185,18 @@ def position_at(pair: FramePair, map_SE3_left: Array, xyz_m: Array) -> Position:
 def constants(rig: Rig) -> tuple[Array, Array]:
     focal = np.array([rig.left.fx_px, rig.left.fy_px, rig.right.fx_px, rig.right.fy_px])
     return focal, np.array([rig.left.cx_px, rig.left.cy_px, rig.right.cx_px, rig.right.cy_px])
+
+
+def test_the_outline_error_of_a_cone_stays_from_one_side_and_cancels_from_opposite_ones() -> None:
+    drawn = draw_positions(np.random.default_rng(4), RIG, [CONE], PoseErrors(), frames=2)
+    pairs = list(drawn.drive.frame_pairs)
+    left = camera_poses(pairs, RIG, "left")
+    position = drawn.positions[0].model_copy(update={"sigma_outline_m": 0.02})
+    shares = np.stack([0.5 * np.eye(3)] * 2)
+    one_side = outline_cov([position, position], shares, left)
+    np.testing.assert_allclose(np.trace(one_side), 2 * 0.02**2)
+    turned = left[position.frame_index].copy()
+    turned[:3, 0] *= -1  # as seen from the other side: right is left, down is down
+    other = position.model_copy(update={"frame_index": 99})
+    both_sides = outline_cov([position, other], shares, {**left, 99: turned})
+    np.testing.assert_allclose(np.trace(both_sides), 0.02**2)

@@ -7,7 +7,7 @@ from conetl.geometry.pose import to_matrix4
 from conetl.params import MatchParams
 from conetl.records import Camera
 from conetl.rejections import RejectionReason
-from conetl.steps.matches import foot_image_point, match_pair
+from conetl.steps.matches import foot_image_point, match_pair, with_measured_spread
 from tests.synthetic.cone_pictures import BASE_M, F_PX, SIZE, cone_pair
 from tests.synthetic.world import Cone, camera_pose, detect, make_path, make_rig
 
@@ -115,3 +115,29 @@ def test_pictures_fix_the_disparity_and_its_sigma() -> None:
     )
     assert not rough.refined
     assert rough.sigma_u_px > 0.5
+
+
+@pytest.mark.parametrize(("spread", "low", "high"), [(0.5, 0.55, 0.95), (1.0, 1.0, 1.6), (3.0, 2.0, 2.0)])
+def test_the_spread_of_feet_is_that_between_the_two_pictures(spread: float, low: float, high: float) -> None:
+    """Whatever constant the calibration leaves between the rows; a few matches say little, and boxes without feet nothing."""
+    rig, (pair,) = make_rig(), make_path(1)
+    found = detect([Cone((10.0, 0.0, 0.0))], [pair], rig)
+    (plain,), _ = match_pair(found[0, "left"], found[0, "right"], rig, MatchParams(), up_left=UP)
+    told = [
+        box.model_copy(update={"foot_px": (box.x_px + box.w_px / 2, box.y_px + box.h_px)})
+        for box in (plain.left, plain.right)
+    ]
+    (match,), _ = match_pair([told[0]], [told[1]], rig, MatchParams(), up_left=UP)
+    assert match.sigma_outline_px > 0 == plain.sigma_outline_px
+    rng = np.random.default_rng(3)
+    u, v = match.foot_right_uv_px
+    noisy = [
+        match.model_copy(update={"foot_right_uv_px": (u, v + 5.0 + spread * match.sigma_v_px * 2**0.5 * rng.normal())})
+        for _ in range(300)
+    ]
+    changed = with_measured_spread([*noisy, plain])
+    assert low <= changed[0].sigma_v_px / match.sigma_v_px <= high
+    assert changed[0].sigma_pointing_px / match.sigma_pointing_px == changed[0].sigma_v_px / match.sigma_v_px
+    assert changed[0].sigma_u_px == match.sigma_u_px
+    assert changed[-1] == plain
+    assert with_measured_spread([match]) == [match]
