@@ -1,5 +1,5 @@
 -- Purpose: feature versions of a map as other programs get them: the map of an instant, or its whole history.
--- Parameters: map_name; every_version (false: only what stood on the road at valid_at); valid_at (timestamptz; 'infinity' = latest);
+-- Parameters: map_id; every_version (false: only what stood on the road at valid_at); valid_at (timestamptz; 'infinity' = latest);
 -- known_at (timestamptz; 'infinity' = what is believed now; null: all that was ever believed); with_change: tell what made each
 -- version (else change and shift_m are null); spatial_order (Hilbert curve, PostGIS's order of geometries), time_order (both false:
 -- by feature_id).
@@ -9,11 +9,10 @@
 with told as not materialized (  -- by the drives of the map until the instant, for all features at once: a call a feature takes too long
     select x.feature_id, x.kind, x.old_version, x.existence_after, d.kind as source,
         d.captured_from_ns, d.content_sha256, c.idempotency_key
-    from conetl.map m
-    join conetl.changeset c using (map_id)
+    from conetl.changeset c
     join conetl.delta x using (changeset_id)
     join conetl.drive d using (drive_uuid)
-    where not %(every_version)s and m.map_name = %(map_name)s
+    where not %(every_version)s and c.map_id = %(map_id)s
     and x.changed_at <= %(valid_at)s::timestamptz and x.system_period @> %(known_at)s::timestamptz
 ),
 
@@ -63,8 +62,7 @@ select
     ST_X(v.geom) as easting_m,
     ST_Y(v.geom) as northing_m,
     ST_Z(v.geom) as ellipsoidal_height_m
-from conetl.map m
-join conetl.feature_version v using (map_id)
+from conetl.feature_version v
 left join conetl.delta x on %(with_change)s and x.changeset_id = v.changeset_id and x.feature_id = v.feature_id
     and x.new_version = v.version and x.system_period @> lower(v.system_period)
 left join counts n on n.feature_id = v.feature_id
@@ -73,7 +71,7 @@ left join lateral conetl.feature_evidence(
     v.feature_id, v.version, coalesce(upper(v.valid_period) - interval '1 microsecond', 'infinity'),
     coalesce(%(known_at)s::timestamptz, upper(v.system_period) - interval '1 microsecond', 'infinity')
 ) e on %(every_version)s
-where m.map_name = %(map_name)s
+where v.map_id = %(map_id)s
 and (%(every_version)s or (v.present and v.valid_period @> %(valid_at)s::timestamptz))
 and (%(known_at)s::timestamptz is null or v.system_period @> %(known_at)s::timestamptz)
 order by

@@ -301,7 +301,7 @@ def test_a_failure_on_the_way_leaves_the_old_files_and_nothing_else(conn, tmp_pa
     def broken(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("conetl.io.exports.source.decode_records", broken)
+    monkeypatch.setattr("conetl.io.exports.source.decode_rows", broken)
     with pytest.raises(KeyboardInterrupt):
         export_map(conn, path, name, ExportRequest())
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before

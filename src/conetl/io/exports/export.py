@@ -32,8 +32,11 @@ def export_map(conn: Connection, path: Path, file_format: str, request: ExportRe
     manifest_path = path.with_name(path.name + ".manifest.json")
     with transaction(conn, f"The map {request.map_name} cannot be read"):
         execute(conn, load_sql("export/snapshot"))
-        source = open_source(conn, request, order=chosen.order, with_change=chosen.with_change)
-        with atomic_files(path, manifest_path) as (file, manifest_file):
+        execute(conn, load_sql("export/memory"))
+        with (
+            open_source(conn, request, order=chosen.order, with_change=chosen.with_change) as source,
+            atomic_files(path, manifest_path) as (file, manifest_file),
+        ):
             rows = writer_of(file_format)(source, file)
             manifest = _manifest(source, file_format, chosen, file, rows)
             manifest_file.write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
