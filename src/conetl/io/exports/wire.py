@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -27,9 +28,13 @@ _FIXED: dict[int, tuple[str, pa.DataType]] = {
     701: (">f8", pa.float64()),
     1184: (">i8", _UTC_US),
 }
-_HEX = np.frombuffer(b"0123456789abcdef", np.uint8)
-_DASHES = np.array([8, 13, 18, 23])
-_DIGITS = np.setdiff1d(np.arange(36), _DASHES)
+#: Of every byte its two hexadecimal digits.
+_HEX = np.frombuffer("".join(f"{byte:02x}" for byte in range(256)).encode(), np.uint16)
+#: Where the digits of a UUID stand between its dashes, and which ones.
+_DIGITS = tuple(
+    (slice(start + dashes, stop + dashes), slice(start, stop))
+    for dashes, (start, stop) in enumerate(pairwise((0, 8, 12, 16, 20, 32)))
+)
 Parts: TypeAlias = list[tuple[NDArray[np.int64], Any]]
 """Of one column: rows, and their values; None where all are NULL."""
 
@@ -104,7 +109,9 @@ def _values(wire: NDArray[Any], oid: int, length: int) -> Any:
 def _uuid_text(uuids: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """(n, 36) letters of (n, 16) bytes."""
     text = np.full((len(uuids), 36), ord("-"), np.uint8)
-    text[:, _DIGITS] = _HEX[np.stack([uuids >> 4, uuids & 15], axis=2).reshape(len(uuids), 32)]
+    digits = _HEX[uuids].view(np.uint8)
+    for place, which in _DIGITS:
+        text[:, place] = digits[:, which]
     return text
 
 
