@@ -98,7 +98,7 @@ def read_zones(
     """The map's work zones, standing and ended, up to an instant (None: now). Raises InputError where there is no such map."""
     info = find_map(conn, map_name)
     if info is None:
-        raise InputError(f"there is no map named {map_name} in this database: ingest a drive first.")
+        raise InputError(f"there is no map named {map_name} in this database: ingest a drive or import a map first.")
     versions = read_versions(conn, map_name=map_name, until=as_of)
     paths = read_paths(conn, map_name=map_name, until=as_of)
     at_ns = None if as_of is None else int(as_of.timestamp() * 1_000_000) * 1000 + 999

@@ -167,7 +167,9 @@ def open_source(
     _check(request)
     info = find_map(conn, request.map_name)
     if info is None:
-        raise InputError(f"there is no map named {request.map_name} in this database: ingest a drive first.")
+        raise InputError(
+            f"there is no map named {request.map_name} in this database: ingest a drive or import a map first."
+        )
     source = Source(conn, info, request, order, with_change)
     try:
         yield source
