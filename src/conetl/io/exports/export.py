@@ -14,10 +14,12 @@ from conetl.io.db import Connection, execute, load_sql, transaction
 from conetl.io.exports import FORMATS, Format, writer_of
 from conetl.io.exports.atomic import atomic_files
 from conetl.io.exports.feature_rows import iso_utc
-from conetl.io.exports.source import ExportRequest, Source, open_source
+from conetl.io.exports.source import ExportRequest, Source, What, open_source
 
 MANIFEST_VERSION = 1
 _WGS84 = "OGC:CRS84"
+#: Of the database for each sort or join: a million features fit; a history has more joins, and may be of any length.
+_WORK_MEM = {What.FEATURES: "128MB", What.CHANGES: "64MB", What.HISTORY: "64MB"}
 
 
 def export_map(conn: Connection, path: Path, file_format: str, request: ExportRequest) -> dict[str, Any]:
@@ -32,7 +34,7 @@ def export_map(conn: Connection, path: Path, file_format: str, request: ExportRe
     manifest_path = path.with_name(path.name + ".manifest.json")
     with transaction(conn, f"The map {request.map_name} cannot be read"):
         execute(conn, load_sql("export/snapshot"))
-        execute(conn, load_sql("export/memory"))
+        execute(conn, load_sql("export/memory"), {"work_mem": _WORK_MEM[request.what]})
         with (
             open_source(conn, request, order=chosen.order, with_change=chosen.with_change) as source,
             atomic_files(path, manifest_path) as (file, manifest_file),
