@@ -68,6 +68,7 @@ def measure(conn: Connection, home: Path, map_name: str, file_format: str, what:
         "processor_s": round(time.process_time() - before, 1),
         "database_processor_s": round(server_seconds(pid) - server_before, 1),
         "peak_rss_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024,
+        "database_peak_rss_mb": server_peak_mb(pid),
         "load_before": round(load, 1),
         "load_after": round(os.getloadavg()[0], 1),
     }
@@ -77,6 +78,12 @@ def server_seconds(pid: int) -> float:
     """Processor time of a process of this machine (proc(5): utime and stime are fields 14 and 15)."""
     fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def server_peak_mb(pid: int) -> int:
+    """Greatest resident memory of a process of this machine, with the buffers that it shares with others (proc(5): VmHWM)."""
+    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    return next(int(line.split()[1]) // 1024 for line in lines if line.startswith("VmHWM"))
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
 -- Purpose: feature versions of a map as other programs get them: the map of an instant, or its whole history.
--- Parameters: map_name; every_version (false: only what stood on the road at valid_at); valid_at (timestamptz; 'infinity' = latest);
+-- Parameters: map_id; every_version (false: only what stood on the road at valid_at); valid_at (timestamptz; 'infinity' = latest);
 -- known_at (timestamptz; 'infinity' = what is believed now; null: all that was ever believed); with_change: tell what made each
 -- version (else change and shift_m are null); spatial_order (Hilbert curve, PostGIS's order of geometries), time_order (both false:
 -- by feature_id).
@@ -9,11 +9,10 @@
 with told as not materialized (  -- by the drives of the map until the instant, for all features at once: a call a feature takes too long
     select x.feature_id, x.kind, x.old_version, x.existence_after, d.kind as source,
         d.captured_from_ns, d.content_sha256, c.idempotency_key
-    from conetl.map m
-    join conetl.changeset c using (map_id)
+    from conetl.changeset c
     join conetl.delta x using (changeset_id)
     join conetl.drive d using (drive_uuid)
-    where not %(every_version)s and m.map_name = %(map_name)s
+    where not %(every_version)s and c.map_id = %(map_id)s
     and x.changed_at <= %(valid_at)s::timestamptz and x.system_period @> %(known_at)s::timestamptz
 ),
 
@@ -31,13 +30,44 @@ doubts as (
     from told
     where kind = 'missed'
     order by feature_id, old_version, captured_from_ns desc, content_sha256 collate "C" desc, idempotency_key collate "C" desc
+),
+
+told_of_versions as not materialized (  -- of a history: by the drives until each version ended, as each version was believed last
+    select
+        v.version_row_id, v.version, x.kind, x.old_version, x.existence_after, d.kind as source,
+        d.captured_from_ns, d.content_sha256, c.idempotency_key
+    from conetl.feature_version v
+    join conetl.delta x using (feature_id)
+    join conetl.changeset c on c.changeset_id = x.changeset_id
+    join conetl.drive d using (drive_uuid)
+    where %(every_version)s and v.map_id = %(map_id)s
+    and x.changed_at <= coalesce(upper(v.valid_period) - interval '1 microsecond', 'infinity')
+    and x.system_period @> coalesce(
+        %(known_at)s::timestamptz, upper(v.system_period) - interval '1 microsecond', 'infinity'
+    )
+),
+
+counts_of_versions as (
+    select
+        version_row_id,
+        count(*) filter (where kind not in ('missed', 'removed', 'merged') and source = 'drive')::integer as seen_count,
+        count(*) filter (where kind in ('missed', 'removed'))::integer as missed_count
+    from told_of_versions
+    group by version_row_id
+),
+
+doubts_of_versions as (
+    select distinct on (version_row_id) version_row_id, existence_after
+    from told_of_versions
+    where kind = 'missed' and old_version = version
+    order by version_row_id, captured_from_ns desc, content_sha256 collate "C" desc, idempotency_key collate "C" desc
 )
 
 select
     v.feature_id,
     v.version,
     v.category,
-    coalesce(b.existence_after, e.existence_after, v.existence_probability) as existence_probability,
+    coalesce(b.existence_after, vb.existence_after, v.existence_probability) as existence_probability,
     v.cone_height_m as height_m,
     sqrt(v.cov_xx) as sigma_e_m,
     sqrt(v.cov_yy) as sigma_n_m,
@@ -48,8 +78,8 @@ select
     lower(v.valid_period) as valid_from,
     upper(v.valid_period) as valid_to,
     v.changeset_id,
-    coalesce(n.seen_count, e.seen_count, 0) as seen_count,
-    coalesce(n.missed_count, e.missed_count, 0) as missed_count,
+    coalesce(n.seen_count, vn.seen_count, 0) as seen_count,
+    coalesce(n.missed_count, vn.missed_count, 0) as missed_count,
     v.cone_height_sigma_m as height_sigma_m,
     v.cov_xy as cov_en_m2,
     v.cov_xz as cov_eu_m2,
@@ -63,17 +93,14 @@ select
     ST_X(v.geom) as easting_m,
     ST_Y(v.geom) as northing_m,
     ST_Z(v.geom) as ellipsoidal_height_m
-from conetl.map m
-join conetl.feature_version v using (map_id)
+from conetl.feature_version v
 left join conetl.delta x on %(with_change)s and x.changeset_id = v.changeset_id and x.feature_id = v.feature_id
     and x.new_version = v.version and x.system_period @> lower(v.system_period)
 left join counts n on n.feature_id = v.feature_id
 left join doubts b on b.feature_id = v.feature_id and b.version = v.version
-left join lateral conetl.feature_evidence(
-    v.feature_id, v.version, coalesce(upper(v.valid_period) - interval '1 microsecond', 'infinity'),
-    coalesce(%(known_at)s::timestamptz, upper(v.system_period) - interval '1 microsecond', 'infinity')
-) e on %(every_version)s
-where m.map_name = %(map_name)s
+left join counts_of_versions vn on vn.version_row_id = v.version_row_id
+left join doubts_of_versions vb on vb.version_row_id = v.version_row_id
+where v.map_id = %(map_id)s
 and (%(every_version)s or (v.present and v.valid_period @> %(valid_at)s::timestamptz))
 and (%(known_at)s::timestamptz is null or v.system_period @> %(known_at)s::timestamptz)
 order by

@@ -68,8 +68,12 @@ class Taper:
     """Lateral way over its length, positive."""
     shift_sigma_m: float
     """Of the cones alone, without the error of the axis."""
-    start_sigma_m: float
-    end_sigma_m: float
+    start_sigmas_m: tuple[float, float]
+    """How far it may begin before that station, and behind it."""
+    end_sigmas_m: tuple[float, float]
+    start_cones_m: tuple[float, ...]
+    """Stations of the cones that may mark its beginning, if one does."""
+    end_cones_m: tuple[float, ...]
     converging: bool
 
 

@@ -7,6 +7,7 @@ import hashlib
 import json
 from contextlib import closing
 from datetime import UTC, datetime, timedelta
+from importlib import resources
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -16,7 +17,6 @@ import numpy as np
 import pyarrow.parquet as pq
 import pyogrio
 import pytest
-import shapely
 from jsonschema import validate
 from mcap.reader import make_reader
 from pyproj import Transformer
@@ -95,6 +95,14 @@ def same(found, wanted):
     assert (found[:, 3] == wanted[:, 3]).all()
 
 
+def duckdb_spatial():
+    """DuckDB with its spatial extension, out of the package that brings it as a file."""
+    connection = duckdb.connect()
+    [extension] = resources.files("duckdb_extension_spatial").joinpath("extensions").glob("*/spatial.duckdb_extension")
+    connection.execute(f"load '{extension}'")
+    return connection
+
+
 @pytest.mark.parametrize("what", [What.FEATURES, What.HISTORY])
 def test_geoparquet_in_geopandas_and_duckdb(conn, files, what):
     path = files[0] / f"{what}.parquet"
@@ -103,14 +111,14 @@ def test_geoparquet_in_geopandas_and_duckdb(conn, files, what):
     assert frame.crs.to_epsg() == 32632
     times = [microseconds(t.to_pydatetime()) for t in frame["valid_from"]]
     same([(p.x, p.y, p.z, t) for p, t in zip(frame.geometry, times, strict=True)], wanted)
-    # DuckDB's spatial extension would have to be downloaded; plain columns and the WKB say the same.
-    duck = duckdb.sql(
-        f"select bbox.xmin, bbox.ymin, bbox.zmin, epoch_us(valid_from), geometry from '{path}'"
-    ).fetchall()
-    same([row[:4] for row in duck], wanted)
-    points = [shapely.from_wkb(bytes(row[4])) if isinstance(row[4], bytes) else row[4] for row in duck]
-    if not isinstance(points[0], str):
-        assert all((p.x, p.y, p.z) == row[:3] for p, row in zip(points, duck, strict=True))
+    duck = duckdb_spatial().execute(
+        "select ST_X(geometry), ST_Y(geometry), ST_Z(geometry), epoch_us(valid_from), bbox.xmin, bbox.ymax, typeof(geometry) "
+        f"from '{path}'"
+    )
+    rows = duck.fetchall()
+    same([row[:4] for row in rows], wanted)
+    assert all(row[:2] == row[4:6] for row in rows)
+    assert {row[6] for row in rows} == {"GEOMETRY('EPSG:32632')"}
     west, south = wanted[:, 0].min(), wanted[:, 1].min()
     one = geopandas.read_parquet(path, bbox=(west - 0.01, south - 1e3, west + 0.01, south + 1e3))
     assert 1 <= len(one) < len(wanted)
@@ -301,7 +309,7 @@ def test_a_failure_on_the_way_leaves_the_old_files_and_nothing_else(conn, tmp_pa
     def broken(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("conetl.io.exports.source.decode_records", broken)
+    monkeypatch.setattr("conetl.io.exports.source.decode_rows", broken)
     with pytest.raises(KeyboardInterrupt):
         export_map(conn, path, name, ExportRequest())
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before

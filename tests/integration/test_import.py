@@ -178,7 +178,7 @@ OTHER = [8.431, 49.01, 115.0]
 SEEN = GOOD[1]
 ID = "7d0f4a53-29c9-4f3b-8f0e-0c1f3e0f2d11"
 BAD = {
-    "not a number": ([math.nan, 49.01, 115.0], SEEN, "row 2"),
+    "not a number": ([math.nan, 49.01, 115.0], SEEN, "row 2: no numbers where a point is expected"),
     "swapped": ([49.01, 8.431, 115.0], SEEN, r"row 2: .*swapped"),
     "swapped, out of range": ([-33.0, 151.2, 20.0], SEEN, r"row 2: .*swapped"),
     "no degrees": ([458000.0, 5428000.0, 115.0], SEEN, r"row 2: .*--crs wrong"),
@@ -238,6 +238,8 @@ def test_files_that_are_none(conn, tmp_path, surveyed):
         "claim.fgb", header[:8] + struct.pack("<I", 0xFFFFFFF0) + header[12:], "claims a header of 4294967280 bytes"
     )
     refused("noheader.csv", b"a,b\n1,2\n", "no columns lon_deg")
+    refused("two.csv", b"lon;lat\n8.4;49\n", "height of the ground .* and for which time it speaks")
+    refused("comma.csv", b"Longitude;Latitude\n8,4;49\n", "row 1: lon_deg is '8,4', which is no number")
     refused("ragged.csv", b"lon_deg,lat_deg\n8.4,49\n8.4\n", "row 2: 1 values where the header has 2")
     refused("crs.csv", b"easting_m,northing_m\n458000,5428000\n", "state it")
     refused("map.kml", b"<kml/>", "can be imported from")

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import json
 
+import geopandas
+import numpy as np
 import pytest
+import shapely
 from typer.testing import CliRunner
 
 from conetl.cli.app import app
 from conetl.errors import ConetlError
+from conetl.io.db import execute
 from conetl.io.exports.wzdx_schema import schema_faults
 from tests.integration.drives_of_days import merge, survey
 
@@ -104,3 +108,33 @@ def test_a_feed_without_its_publisher_is_not_written(conn, conetl, tmp_path):
         "map", "export", "--format", "wzdx", "--out", path, *FEED, "--lanes", tmp_path / "none.gpkg", code=2
     )
     assert not path.exists()
+
+
+def test_lane_lines_come_from_the_base_layers_unless_a_file_is_named(conn, conetl, tmp_path):
+    for day in (0, 1):
+        merge(conn, survey(day))
+    without = json.loads(conetl("map", "check-layout", "--json"))
+    assert without["lane_lines_from"] is None
+    assert {zone["road_axis_from"] for zone in without["work_zones"]} == {"drives"}
+    places = execute(conn, "select ST_X(geom) as x, ST_Y(geom) as y from conetl.frame_pair order by frame_index")
+    conn.rollback()
+    first, last = np.array([[places[k]["x"], places[k]["y"]] for k in (0, -1)])
+    beyond = 100.0 * (last - first) / np.linalg.norm(last - first)
+    driven = shapely.LineString([first - beyond, last + beyond])
+    sides = [shapely.offset_curve(driven, away) for away in (-5.25, -1.75, 1.75)]
+    far = shapely.affinity.translate(sides[0], 3000.0)
+    files = []
+    for name, lines in (("lanes", [*sides, far]), ("elsewhere", [far])):
+        files.append(tmp_path / f"{name}.gpkg")
+        geopandas.GeoDataFrame(geometry=lines, crs=32632).to_file(files[-1])
+    conetl("base", "import", files[0])
+    by_layer = json.loads(conetl("map", "check-layout", "--json"))
+    assert by_layer["lane_lines_from"] == "base layers lanes"
+    assert "lanes" in {zone["road_axis_from"] for zone in by_layer["work_zones"]}
+    by_file = json.loads(conetl("map", "check-layout", "--json", "--lanes", files[0]))
+    assert by_file | {"lane_lines_from": None} == by_layer | {"lane_lines_from": None}
+    other = json.loads(conetl("map", "check-layout", "--json", "--lanes", files[1]))
+    assert other["lane_lines_from"] == str(files[1])
+    assert {zone["road_axis_from"] for zone in other["work_zones"]} == {"drives"}
+    feeds = [feed_of(conetl, tmp_path / "feed.geojson", *lanes) for lanes in ((), ("--lanes", files[0]))]
+    assert feeds[0]["features"] == feeds[1]["features"] != []

@@ -73,6 +73,11 @@ def _plain(text: str) -> str:
     return text.replace("[", "\\[")
 
 
+def counted(count: int, noun: str) -> str:
+    """`1 cone`, `2 cones`."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
 def parse_time(text: str | None) -> datetime | None:
     """ISO 8601 date or time; UTC where it names no zone. Raises InputError."""
     if text is None:

@@ -10,7 +10,7 @@ import typer
 from pydantic import ValidationError
 
 from conetl.cli import work_zones
-from conetl.cli.console import JsonOption, out, parse_time, print_json
+from conetl.cli.console import JsonOption, counted, out, parse_time, print_json
 from conetl.cli.database import open_map
 from conetl.errors import InputError
 from conetl.geometry.geodesy import check_map_srid
@@ -26,7 +26,7 @@ from conetl.settings import read_settings
 #: Formats of `map export` that tell of work zones, not of cones one by one (`work_zones.py`).
 WZDX, WZDX_DEVICES = "wzdx", "wzdx-devices"
 ALL_FORMATS = (*FORMATS, WZDX, WZDX_DEVICES)
-_NOUNS = {What.FEATURES: "cones", What.HISTORY: "versions", What.CHANGES: "changes"}
+_NOUNS = {What.FEATURES: "cone", What.HISTORY: "version", What.CHANGES: "change"}
 
 
 def export(
@@ -64,7 +64,7 @@ def export(
                 conn, output, devices=file_format == WZDX_DEVICES, map_name=settings.map_name, as_of=parse_time(as_of),
                 feed=feed, publisher=publisher, road_names=road_names, lanes=lanes,
             )  # fmt: skip
-        _say(output, count, "work zones" if file_format == WZDX else "cones", {"features": count}, as_json)
+        _say(output, count, "work zone" if file_format == WZDX else "cone", {"features": count}, as_json)
         return
     if feed or publisher or road_names or lanes:
         raise InputError(f"--feed, --publisher, --road-name and --lanes belong to --format {WZDX} or {WZDX_DEVICES}")
@@ -88,7 +88,7 @@ def _say(output: Path, count: int, noun: str, answer: dict[str, object], as_json
     if as_json:
         print_json({"written": str(output)} | answer)
     else:
-        out.print(f"{count} {noun} -> {output}", markup=False)
+        out.print(f"{counted(count, noun)} -> {output}", markup=False)
 
 
 def import_(
@@ -152,8 +152,8 @@ def import_(
         out.print(f"{file} is on the map {settings.map_name} already: no changes.", markup=False)
     else:
         counts = ", ".join(f"{count} {kind}" for kind, count in done.counts.items() if count)
-        again = f" {done.replayed} later drives were compared with the map again." if done.replayed else ""
-        out.print(f"{len(imported.statements)} cones (EPSG:{imported.srid}): {counts}.{again}", markup=False)
+        again = f" Compared with the map again: {counted(done.replayed, 'later drive')}." if done.replayed else ""
+        out.print(f"{counted(len(imported.statements), 'cone')} (EPSG:{imported.srid}): {counts}.{again}", markup=False)
 
 
 def licence(

@@ -10,8 +10,6 @@ from tempfile import TemporaryFile
 from typing import Annotated
 
 import typer
-import yaml
-from pydantic import ValidationError
 
 from conetl.cli.console import JsonOption, complain, err, note_unmeasured, out, print_json, print_table, progress_bar
 from conetl.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_TOO_MANY_REJECTIONS, ConetlError, InputError, ServiceError
@@ -20,6 +18,7 @@ from conetl.io.drive_folder import drive_format
 from conetl.io.leftovers import sweep
 from conetl.io.model_card import read_model_card
 from conetl.io.places import place
+from conetl.io.yaml_model import read_yaml_model
 from conetl.map_records import DeltaKind
 from conetl.params import IngestParams
 from conetl.reports import IngestReport, TooManyRejectionsError
@@ -127,18 +126,7 @@ def ingest_drives(
 
 def read_params(path: Path | None) -> IngestParams:
     """Parameters from a YAML file; the defaults without one. Raises InputError naming what is wrong."""
-    if path is None:
-        return IngestParams()
-    try:
-        return IngestParams.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")) or {})
-    except OSError as error:
-        raise InputError(f"parameters {path}: cannot be read ({error.strerror})") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise InputError(f"parameters {path}: not a YAML file ({error})") from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "the file"
-        raise InputError(f"parameters {path}: {where}: {first['msg']}") from error
+    return read_yaml_model(path, IngestParams, "parameters")
 
 
 def _with_refinement(params: IngestParams, *, refine: bool, self_calibrate: bool) -> IngestParams:

@@ -53,7 +53,10 @@ def show(as_of: AsOf = None, as_json: JsonOption = False) -> None:
         )
         return
     if summary is None:
-        out.print(f"The map {settings.map_name} is empty: fill it with `conetl ingest DRIVE`.", markup=False)
+        out.print(
+            f"The map {settings.map_name} is empty: fill it with `conetl ingest DRIVE` or `conetl map import FILE`.",
+            markup=False,
+        )
         return
     when = f" as of {as_of}" if as_of else ""
     out.print(

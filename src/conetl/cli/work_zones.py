@@ -8,11 +8,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
-import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 
-from conetl.cli.console import JsonOption, out, parse_time, print_json, print_table
+from conetl.cli.console import JsonOption, counted, out, parse_time, print_json, print_table
 from conetl.cli.database import open_map
 from conetl.errors import InputError
 from conetl.io.db import Connection
@@ -20,14 +20,15 @@ from conetl.io.exports.layout_files import export_layout_geojson, finding_as_dic
 from conetl.io.exports.wzdx import FeedContext, export_device_feed, export_work_zone_feed
 from conetl.io.feed_info import read_feed_info
 from conetl.io.stores.map_store import find_map
-from conetl.io.stores.zone_store import read_paths, read_versions
+from conetl.io.stores.zone_store import read_lanes_near, read_paths, read_versions
+from conetl.io.yaml_model import read_yaml_model
 from conetl.map_records import MapFeature
 from conetl.params import LayoutParams, WorkZoneParams
 from conetl.settings import read_settings
 from conetl.steps.layout_check import allowed_spacing_m, check_layout
 from conetl.steps.work_zones import zones_over_time
 from conetl.steps.zone_layout import describe, layout_of
-from conetl.work_zone_records import DrivePath, Finding, Level, WorkZone
+from conetl.work_zone_records import DrivePath, Finding, LaneLine, Level, WorkZone, ZoneHistory
 
 FeedOption = Annotated[
     Path | None, typer.Option("--feed", help="For wzdx: YAML file with publisher, road_names, contact, licence ...")
@@ -38,7 +39,10 @@ RoadNamesOption = Annotated[
 ]
 LanesOption = Annotated[
     Path | None,
-    typer.Option("--lanes", help="Lane boundaries: GeoJSON, GeoPackage, Lanelet2 (.osm) or whatever GDAL reads."),
+    typer.Option(
+        "--lanes",
+        help="Lane boundaries: GeoJSON, GeoPackage, Lanelet2 (.osm) or whatever GDAL reads; default: the base layers.",
+    ),
 ]
 RulesOption = Annotated[
     Path | None, typer.Option("--rules", help="YAML file with `layout` and `zones`: rules other than the defaults.")
@@ -61,6 +65,8 @@ class MapZones:
     zones: list[WorkZone]
     standing: list[MapFeature]
     paths: list[DrivePath]
+    lane_lines_from: str | None
+    """The file, or the base layers; None where no lane lines are known."""
 
 
 def export_wzdx(
@@ -92,20 +98,32 @@ def read_zones(
     """The map's work zones, standing and ended, up to an instant (None: now). Raises InputError where there is no such map."""
     info = find_map(conn, map_name)
     if info is None:
-        raise InputError(f"there is no map named {map_name} in this database: ingest a drive first.")
-    lines = []
-    if lanes:
-        from conetl.io.lane_lines import read_lane_lines  # GDAL takes seconds to load
-
-        lines = read_lane_lines(lanes, srid=info.srid)
+        raise InputError(f"there is no map named {map_name} in this database: ingest a drive or import a map first.")
     versions = read_versions(conn, map_name=map_name, until=as_of)
     paths = read_paths(conn, map_name=map_name, until=as_of)
     at_ns = None if as_of is None else int(as_of.timestamp() * 1_000_000) * 1000 + 999
     histories = zones_over_time(versions, paths, params, map_name=map_name, at_ns=at_ns)
-    zones = [describe(history, layout_of(history, paths, lines, params), params) for history in histories]
+    lines, source = _lane_lines(conn, histories, lanes, map_name=map_name, srid=info.srid)
+    zones = [
+        describe(history, layout_of(history, paths, some, params), params)
+        for history, some in zip(histories, lines, strict=True)
+    ]
     open_until = [v for v in versions if v.valid_to_ns is None or (at_ns is not None and v.valid_to_ns > at_ns)]
     standing = [v.feature for v in open_until if v.standing and not v.suppressed]
-    return MapZones(info.srid, zones, standing, paths)
+    return MapZones(info.srid, zones, standing, paths, source)
+
+
+def _lane_lines(
+    conn: Connection, histories: list[ZoneHistory], lanes: Path | None, *, map_name: str, srid: int
+) -> tuple[list[list[LaneLine]], str | None]:
+    """Lane lines beside each zone, and where they come from: the file where one is named, else the map's base layers."""
+    if lanes is not None:
+        from conetl.io.lane_lines import read_lane_lines  # GDAL takes seconds to load
+
+        return [read_lane_lines(lanes, srid=srid)] * len(histories), str(lanes)
+    places = [np.array([cone.xyz_m[:2] for cone in history.cones]) for history in histories]
+    lines, layers = read_lanes_near(conn, places, map_name=map_name)
+    return lines, f"base layers {', '.join(layers)}" if layers else None
 
 
 def check_layout_command(
@@ -123,7 +141,7 @@ def check_layout_command(
 ) -> None:
     """Check the layout of the work zones: spacing, missing cones, taper lengths, cones in the open lane."""
     settings = read_settings()
-    chosen = read_rules(rules)
+    chosen = read_yaml_model(rules, Rules, "rules")
     with closing(open_map(settings)) as conn:
         found = read_zones(conn, map_name=settings.map_name, as_of=parse_time(as_of), lanes=lanes, params=chosen.zones)
     standing = [zone for zone in found.zones if zone.history.end_ns is None]
@@ -144,31 +162,16 @@ def check_layout_command(
             {
                 "map": settings.map_name,
                 "speed_kmh": speed_kmh,
+                "lane_lines_from": found.lane_lines_from,
                 "work_zones": [_zone_as_dict(zone) for zone in standing],
                 "findings": [finding_as_dict(finding) for finding in findings],
             }
         )
         return
-    _print(checked, _title(settings.map_name, speed_kmh, chosen.layout, as_of))
-    for path, what in ((output, f"{len(findings)} findings"), (picture, "picture")):
+    _print(checked, _title(settings.map_name, speed_kmh, chosen.layout, as_of), found.lane_lines_from)
+    for path, what in ((output, counted(len(findings), "finding")), (picture, "picture")):
         if path is not None:
             out.print(f"{what} -> {path}", markup=False)
-
-
-def read_rules(path: Path | None) -> Rules:
-    """Rules from a YAML file; the defaults without one. Raises InputError naming what is wrong."""
-    if path is None:
-        return Rules()
-    try:
-        return Rules.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")) or {})
-    except OSError as error:
-        raise InputError(f"rules {path}: cannot be read ({error.strerror})") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise InputError(f"rules {path}: not a YAML file ({error})") from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "the file"
-        raise InputError(f"rules {path}: {where}: {first['msg']}") from error
 
 
 def _title(map_name: str, speed_kmh: float, rules: LayoutParams, as_of: str | None) -> str:
@@ -178,18 +181,19 @@ def _title(map_name: str, speed_kmh: float, rules: LayoutParams, as_of: str | No
     return f"Map {map_name}{when}, {speed_kmh:g} km/h: {limits}"
 
 
-def _print(checked: list[tuple[WorkZone, list[Finding]]], title: str) -> None:
+def _print(checked: list[tuple[WorkZone, list[Finding]]], title: str, lane_lines_from: str | None) -> None:
     out.print(title, markup=False)
     if not checked:
         out.print("No work zone stands on this map.")
         return
     for zone, findings in checked:
         layout = zone.layout
-        source = {"lanes": "lane lines", "drives": "the driven paths", "cones": "the cones alone"}[layout.axis_source]
+        lanes = f"lane lines ({lane_lines_from})"
+        source = {"lanes": lanes, "drives": "the driven paths", "cones": "the cones alone"}[layout.axis_source]
         length = layout.stations_m[-1] - layout.stations_m[0]
         counts = {level: sum(finding.level is level for finding in findings) for level in Level}
-        words = ", ".join(f"{count} {level}" for level, count in counts.items() if count) or "nothing to report"
-        what = f"{len(layout.cones)} cones over {length:.1f} m, offsets from {source}: {words}"
+        words = ", ".join(_counted(count, level) for level, count in counts.items() if count) or "nothing to report"
+        what = f"{counted(len(layout.cones), 'cone')} over {length:.1f} m, offsets from {source}: {words}"
         out.print(f"\nWork zone {str(zone.history.zone_id)[:8]}: {what}", markup=False)
         if findings:
             rows: list[tuple[object, ...]] = []
@@ -200,6 +204,10 @@ def _print(checked: list[tuple[WorkZone, list[Finding]]], title: str) -> None:
             print_table("", columns, rows, numbers_from=3)
             for n, finding in enumerate(findings, 1):
                 out.print(f"{n}  {finding.text}", markup=False)
+
+
+def _counted(count: int, level: Level) -> str:
+    return f"{count} {level}" if level is Level.CANNOT_TELL else counted(count, level)
 
 
 def _zone_as_dict(zone: WorkZone) -> dict[str, object]:

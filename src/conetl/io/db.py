@@ -18,6 +18,7 @@ import psycopg2.extensions
 import psycopg2.extras
 
 from conetl.errors import DatabaseError
+from conetl.io.read_ahead import read_ahead
 from conetl.io.stores.copy_binary import Column, copy_statement, encode, row_count, sliced
 
 Connection: TypeAlias = psycopg2.extensions.connection
@@ -167,6 +168,20 @@ def stream(
         cursor.itersize = batch
         cursor.execute(sql, parameters)
         yield from cursor
+
+
+@contextmanager
+def copied_rows(
+    conn: Connection, sql: str, parameters: Mapping[str, Any], *, batch: int
+) -> Iterator[Iterator[list[bytes]]]:
+    """Rows of a query (without its final semicolon) as COPY BINARY has them, `batch` in a list, read ahead by a thread.
+
+    Inside the open transaction; nothing else may be asked of the connection until the block ends.
+    """
+    with conn.cursor() as cursor:
+        copy = f"copy ({cursor.mogrify(sql, parameters).decode()}) to stdout (format binary)"
+        with read_ahead(lambda sink: cursor.copy_expert(copy, sink), conn.cancel, batch=batch) as rows:
+            yield rows
 
 
 def address(conn: Connection) -> dict[str, str]:

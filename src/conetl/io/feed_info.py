@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from conetl.errors import InputError
+from conetl.io.yaml_model import read_yaml_mapping, validated
 
 CC0 = "https://creativecommons.org/publicdomain/zero/1.0/"
 Direction = Literal[
@@ -44,19 +44,8 @@ class FeedInfo(BaseModel):
 
 def read_feed_info(path: Path | None, **flags: Any) -> FeedInfo:
     """The file's values, flags that are not empty before them. Raises InputError naming what is missing or wrong."""
-    values: dict[str, Any] = {}
-    name = "the feed's description"
-    if path is not None:
-        name = f"feed {path}"
-        try:
-            read = yaml.safe_load(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise InputError(f"{name}: cannot be read ({error.strerror})") from error
-        except (yaml.YAMLError, UnicodeDecodeError) as error:
-            raise InputError(f"{name}: not a YAML file ({error})") from error
-        if not isinstance(read, dict):
-            raise InputError(f"{name}: expected keys and values, for example:{_EXAMPLE}")
-        values |= read
+    name = "the feed's description" if path is None else f"feed {path}"
+    values = {} if path is None else read_yaml_mapping(path, "feed", _EXAMPLE)
     values |= {key: value for key, value in flags.items() if value}
     missing = [key for key in ("publisher", "road_names") if not values.get(key)]
     if missing:
@@ -64,10 +53,4 @@ def read_feed_info(path: Path | None, **flags: Any) -> FeedInfo:
             f"{name}: WZDx wants {' and '.join(missing)}, which no picture tells: name them with --publisher and --road-name, "
             f"or in a file for --feed:{_EXAMPLE}"
         )
-    try:
-        return FeedInfo.model_validate(values)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "the file"
-        hint = f"; one of {', '.join(get_args(Direction))}" if where == "direction" else ""
-        raise InputError(f"{name}: {where}: {first['msg']}{hint}") from error
+    return validated(values, FeedInfo, name)

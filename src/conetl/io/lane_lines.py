@@ -9,12 +9,9 @@ from pyproj import Transformer
 
 from conetl.errors import InputError
 from conetl.io.base_layers.line_files import LINE_READERS
-from conetl.io.base_layers.lines import Line
+from conetl.io.base_layers.lines import LANELET2_BOUNDARIES, bounds_lanes, full_kind
 from conetl.io.base_layers.vector_file import read_vector_file
 from conetl.work_zone_records import LaneLine
-
-#: Lanelet2 line strings that bound lanes or the road; others (stop lines, signs, fences) do not.
-_LANELET2_TYPES = frozenset({"line_thin", "line_thick", "curbstone", "road_border", "guard_rail", "virtual"})
 
 
 def read_lane_lines(path: Path, *, srid: int) -> list[LaneLine]:
@@ -28,9 +25,9 @@ def read_lane_lines(path: Path, *, srid: int) -> list[LaneLine]:
     if not path.is_file():
         raise InputError(f"lanes {path}: there is no such file")
     file = LINE_READERS.get(suffix, read_vector_file)(path)
-    lines = [line for line in file.lines if suffix != ".osm" or line.kind in _LANELET2_TYPES]
+    lines = [line for line in file.lines if bounds_lanes(line.kind, line.attributes)]
     if not lines:
-        raise InputError(f"lanes {path}: holds no line of the types {', '.join(sorted(_LANELET2_TYPES))}")
+        raise InputError(f"lanes {path}: holds no line of the types {', '.join(sorted(LANELET2_BOUNDARIES))}")
     if file.crs is None:
         raise InputError(f"lanes {path}: names no coordinate reference system that can be used")
     to_map = Transformer.from_crs(file.crs, f"EPSG:{srid}", always_xy=True)
@@ -39,11 +36,5 @@ def read_lane_lines(path: Path, *, srid: int) -> list[LaneLine]:
         place = np.stack(to_map.transform(line.xyz[:, 0], line.xyz[:, 1]), axis=1)
         if not np.isfinite(place).all():
             raise InputError(f"lanes {path}: has coordinates that EPSG:{srid} cannot express")
-        found.append(LaneLine(place, _kind(line)))
+        found.append(LaneLine(place, full_kind(line.kind, line.attributes)))
     return found
-
-
-def _kind(line: Line) -> str:
-    """`type/subtype` where the file has these attributes."""
-    words = [str(line.attributes[name]) for name in ("type", "subtype") if line.attributes.get(name)]
-    return "/".join(words) or line.kind

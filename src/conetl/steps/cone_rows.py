@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,25 +23,35 @@ _LEAST_STEP_M = 1.0
 #: Rows may run this steeply across the road (a short taper at a flagger is 1:4).
 _MAX_SLOPE = 0.5
 _PRIOR_FREEDOM = 4.0
+#: Where two pieces meet is looked for so many cones beyond the gap between them, in so many steps, and told to so many sigmas.
+_KNOT_CONES, _KNOT_STEPS, _KNOT_SIGMAS = 2, 81, 3.0
 
 
 @dataclass(frozen=True)
 class _Piece:
-    """A straight piece of a row: positions first..last, offset = a + b (station - centre), and the covariance of a and b."""
+    """A straight piece of a row: positions first..last, offset = a + b (station - centre), and the variance of b."""
 
     first: int
     last: int
     centre_m: float
     a_m: float
     b: float
-    var_a: float
     var_b: float
-
-    def sigma_at(self, station_m: float) -> float:
-        return float(np.sqrt(self.var_a + self.var_b * (station_m - self.centre_m) ** 2))
+    level: bool = False
+    """Known to run along the axis: b is no matter of fitting."""
 
     def at(self, station_m: float) -> float:
         return self.a_m + self.b * (station_m - self.centre_m)
+
+
+class _Knot(NamedTuple):
+    """A station at which a row turns or ends."""
+
+    station_m: float
+    sigmas_m: tuple[float, float]
+    """Before it and behind it."""
+    cones_m: tuple[float, ...]
+    """Stations of the cones that may stand there."""
 
 
 def find_rows(
@@ -109,20 +120,24 @@ def _tapers(
     traffic_sign: float,
     axis_sigma_m: float,
 ) -> list[Taper]:
-    pieces = _scaled(_pieces(s, o, sigmas_o, params), o, s, sigmas_o, params)
+    pieces = _pieces(s, o, sigmas_o, params)
+    scale = _variance_factor(pieces, o, s, sigmas_o, params)
+    variances = scale * (params.placement_sigma_m**2 + sigmas_o**2)
+    pieces = [replace(piece, var_b=piece.var_b * scale) for piece in pieces]
     least_shift_m = max(params.min_taper_shift_m, 2.0 * axis_sigma_m)
     if axis_sigma_m <= params.lane_axis_sigma_m:
         # Tangents run along lane lines: that they may slope a little would only make the tapers' ends vague.
         flat = [abs(piece.b) * (s[piece.last] - s[piece.first]) < params.min_taper_shift_m for piece in pieces]
-        pieces = [replace(p, b=0.0, var_b=0.0) if level else p for p, level in zip(pieces, flat, strict=True)]
-    knots = [_knot(one, other, s) for one, other in pairwise(pieces)]
+        pieces = [
+            replace(p, b=0.0, var_b=0.0, level=True) if level else p for p, level in zip(pieces, flat, strict=True)
+        ]
+    knots = [_knot(one, other, s, o, variances) for one, other in pairwise(pieces)]
     tapers: list[Taper] = []
     for index, piece in enumerate(pieces):
-        start_m, start_sigma = (float(s[piece.first]), float(sigmas_s[piece.first])) if index == 0 else knots[index - 1]
-        end_m, end_sigma = (
-            (float(s[piece.last]), float(sigmas_s[piece.last])) if index == len(pieces) - 1 else knots[index]
-        )
-        shift_m = abs(piece.b) * (end_m - start_m)
+        start = _end(s, sigmas_s, piece.first) if index == 0 else knots[index - 1]
+        end = _end(s, sigmas_s, piece.last) if index == len(pieces) - 1 else knots[index]
+        length_m = end.station_m - start.station_m
+        shift_m = abs(piece.b) * length_m
         steep = abs(piece.b) >= params.min_taper_slope and abs(piece.b) > 3.0 * piece.var_b**0.5
         if not steep or shift_m < least_shift_m:
             continue
@@ -130,12 +145,14 @@ def _tapers(
             Taper(
                 first=piece.first,
                 last=piece.last,
-                start_m=start_m,
-                end_m=end_m,
+                start_m=start.station_m,
+                end_m=end.station_m,
                 shift_m=shift_m,
-                shift_sigma_m=(end_m - start_m) * piece.var_b**0.5,
-                start_sigma_m=start_sigma,
-                end_sigma_m=end_sigma,
+                shift_sigma_m=length_m * piece.var_b**0.5,
+                start_sigmas_m=start.sigmas_m,
+                end_sigmas_m=end.sigmas_m,
+                start_cones_m=start.cones_m,
+                end_cones_m=end.cones_m,
                 converging=piece.b * traffic_sign > 0,
             )
         )
@@ -176,8 +193,8 @@ def _chi2(moments: Floats) -> Floats:
     return chi2
 
 
-def _scaled(pieces: list[_Piece], o: Floats, s: Floats, sigmas_o: Floats, params: WorkZoneParams) -> list[_Piece]:
-    """The pieces with variances that fit the scatter of the row, the assumed one weighing as much as `_PRIOR_FREEDOM` cones."""
+def _variance_factor(pieces: list[_Piece], o: Floats, s: Floats, sigmas_o: Floats, params: WorkZoneParams) -> float:
+    """By what to multiply assumed variances to fit the scatter of the row; they weigh as much as `_PRIOR_FREEDOM` cones."""
     variances = params.placement_sigma_m**2 + sigmas_o**2
     chi2 = sum(
         (o[k] - piece.at(float(s[k]))) ** 2 / variances[k]
@@ -185,8 +202,7 @@ def _scaled(pieces: list[_Piece], o: Floats, s: Floats, sigmas_o: Floats, params
         for k in range(piece.first, piece.last + 1)
     )
     freedom = max(len(o) - 2 * len(pieces), 0)
-    scale = float((_PRIOR_FREEDOM + chi2) / (_PRIOR_FREEDOM + freedom))
-    return [replace(piece, var_a=piece.var_a * scale, var_b=piece.var_b * scale) for piece in pieces]
+    return float((_PRIOR_FREEDOM + chi2) / (_PRIOR_FREEDOM + freedom))
 
 
 def _fit(s: Floats, o: Floats, w: Floats, first: int, last: int) -> _Piece:
@@ -196,18 +212,63 @@ def _fit(s: Floats, o: Floats, w: Floats, first: int, last: int) -> _Piece:
     spread = float((w * (s - centre) ** 2).sum())
     slope = float((w * (s - centre) * o).sum()) / spread if spread > 0 else 0.0
     var_b = 1.0 / spread if spread > 0 else np.inf
-    return _Piece(first, last, centre, mean, slope, 1.0 / total, var_b)
+    return _Piece(first, last, centre, mean, slope, var_b)
 
 
-def _knot(one: _Piece, other: _Piece, s: Floats) -> tuple[float, float]:
-    """Station where two pieces meet, and its sigma; kept within one cone of the gap between them."""
-    low, high = float(s[max(one.last - 1, one.first)]), float(s[min(other.first + 1, other.last)])
-    turn = one.b - other.b
-    if turn == 0.0:
-        return (low + high) / 2, (high - low) / 4
-    meet = float(np.clip((other.at(0.0) - one.at(0.0)) / turn, low, high))
-    sigma = np.hypot(one.sigma_at(meet), other.sigma_at(meet)) / abs(turn)
-    return meet, float(min(sigma, (high - low) / 4))
+def _end(s: Floats, sigmas_s: Floats, at: int) -> _Knot:
+    """The end of a row, at its last cone."""
+    return _Knot(float(s[at]), (float(sigmas_s[at]), float(sigmas_s[at])), (float(s[at]),))
+
+
+def _knot(one: _Piece, other: _Piece, s: Floats, o: Floats, variances: Floats) -> _Knot:
+    """Where two pieces meet.
+
+    The station is looked for around the gap between them. Its sigmas are thirds of the way to where the best two lines that meet
+    there fit worse by nine in chi-square (profile likelihood, Venzon & Moolgavkar 1988): near the end of a taper the one side
+    is known better than the other, and a sigma by error propagation would be too large there. Likewise for the cones: those at
+    which the lines may meet fit worse than the best one by at most nine.
+    """
+    low = float(s[max(one.last - _KNOT_CONES, one.first)])
+    high = float(s[min(other.first + _KNOT_CONES, other.last)])
+    stations = np.linspace(low, high, _KNOT_STEPS)
+    some = slice(one.first, other.last + 1)
+
+    def chi2_at(station_m: float) -> float:
+        return _chi2_of_knot(station_m, s[some], o[some], variances[some], one.level, other.level)
+
+    chi2 = np.array([chi2_at(at) for at in stations])
+    best = int(np.argmin(chi2))
+    rise = chi2 - chi2[best] - _KNOT_SIGMAS**2
+    first, last = _crossing(stations, rise, best, -1), _crossing(stations, rise, best, 1)
+    meet = float(stations[best])
+    cones = s[(s >= low) & (s <= high)]
+    at_cones = np.array([chi2_at(at) for at in cones])
+    likely = cones[at_cones - at_cones.min() <= _KNOT_SIGMAS**2]
+    return _Knot(meet, ((meet - first) / _KNOT_SIGMAS, (last - meet) / _KNOT_SIGMAS), tuple(likely.tolist()))
+
+
+def _crossing(stations: Floats, rise: Floats, best: int, step: int) -> float:
+    """Station at which `rise` becomes positive, from the best one on; the outermost where it does not."""
+    at = best
+    while 0 <= at + step < len(stations):
+        if rise[at + step] > 0:
+            share = -rise[at] / (rise[at + step] - rise[at])
+            return float(stations[at] + share * (stations[at + step] - stations[at]))
+        at += step
+    return float(stations[at])
+
+
+def _chi2_of_knot(at_m: float, s: Floats, o: Floats, variances: Floats, first_level: bool, other_level: bool) -> float:
+    """Chi-square of the two lines that meet at a station, level (along the axis) or not, and fit best."""
+    columns = [np.ones(len(s))]
+    if not first_level:
+        columns.append(np.minimum(s - at_m, 0.0))
+    if not other_level:
+        columns.append(np.maximum(s - at_m, 0.0))
+    design = np.stack(columns, axis=1) / np.sqrt(variances)[:, None]
+    seen = o / np.sqrt(variances)
+    solution = np.linalg.lstsq(design, seen, rcond=None)[0]
+    return float(((seen - design @ solution) ** 2).sum())
 
 
 def row_offset(row: Sequence[int], stations_m: Floats, offsets_m: Floats, at_m: float) -> float:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -64,46 +65,42 @@ def _gaps(zone: ZoneHistory, layout: ZoneLayout, row: ConeRow, speed_kmh: float,
     places = np.array([layout.cones[k].xyz_m[:2] for k in members])
     gaps = np.hypot(*np.diff(places, axis=0).T)
     shares = np.array([_taper_share(row.tapers, a, b) for a, b in pairwise(s)]).reshape(-1, 2)
+    # Crews set a cone where a taper ends: what that makes of a gap is worth a notice, where lane lines tell which cone it is.
+    at_cones = np.array([[_share_at_cones(row.tapers, a, b), 0.0] for a, b in pairwise(s)]).reshape(-1, 2)
     limits = allowed_spacing_m(speed_kmh, rules)
+    on_lanes = layout.axis_source == "lanes"
     found = []
     for index, gap in enumerate(gaps):
-        inside, blur_m = shares[index]
-        regular = _regular(gaps, shares[:, 0], index)
-        used, sigma_used, limit_m = _used(gap, inside, blur_m, sigma[index : index + 2], limits)
-        beyond = used - 1.0
-        own, sigma_own, _ = (
-            _used(gap, inside, blur_m, sigma[index : index + 2], regular) if regular else (0.0, 1.0, 0.0)
-        )
-        if layout.axis_source != "lanes":
-            # Where a taper ends is vague then: what is twice the spacing before it may be the spacing behind it.
-            own = min(own, gap / max(_beside(gaps, index), 1e-9))
-        lacks = own - rules.missing_cone_ratio > rules.sigmas * sigma_own
+        both = sigma[index : index + 2]
+        read = _read_gap(gaps, shares, index, both, limits, rules, vague=not on_lanes)
         # Wherever the taper ends: longer than a tangent may have is too long.
-        longest = max(limits)
-        sure = beyond > rules.sigmas * sigma_used or gap - longest > rules.sigmas * float(
-            np.hypot(*sigma[index : index + 2])
-        )
-        if not sure and beyond <= 0 and not lacks:
+        sure = read.exceeds or gap - max(limits) > rules.sigmas * float(np.hypot(*both))
+        noted, doubt = read.lacks, ""
+        if on_lanes and not sure and not noted:
+            marked = _read_gap(gaps, at_cones, index, both, limits, rules, vague=False)
+            if marked.exceeds or marked.lacks:
+                read, noted, doubt = marked, True, ", if a cone marks where the taper ends"
+        if not sure and not noted and read.used <= 1:
             continue
-        level = Level.VIOLATION if sure else Level.NOTICE if lacks else Level.CANNOT_TELL
-        lacks = lacks or (sure and own > rules.missing_cone_ratio)
-        missing = max(round(own) - 1, 1)
-        where = "taper" if inside > 0.5 else "tangent"
-        words = f"{gap:.1f} m from cone to cone in the {where}, at most {limit_m:.1f} m at {speed_kmh:g} km/h"
+        lacks = read.lacks or (sure and read.own > rules.missing_cone_ratio)
+        level = Level.VIOLATION if sure else Level.NOTICE if noted else Level.CANNOT_TELL
+        where, limit_m = "taper" if read.inside > 0.5 else "tangent", read.limit_m
+        words = f"{gap:.1f} m from cone to cone in the {where}, at most {limit_m:.1f} m at {speed_kmh:g} km/h{doubt}"
         if lacks:
-            allowed = f", allowed are {limit_m:.1f} m"
+            missing = max(round(read.own) - 1, 1)
             some = "a cone is" if missing == 1 else f"{missing} cones are"
-            words = f"{some} missing in the {where}: gap of {gap:.1f} m where the row has {gap / own:.1f} m{allowed}"
+            rest = f"gap of {gap:.1f} m where the row has {gap / read.own:.1f} m, allowed are {limit_m:.1f} m{doubt}"
+            words = f"{some} missing in the {where}: {rest}"
         found.append(
             Finding(
                 zone_id=zone.zone_id,
                 rule=Rule.MISSING_CONE if lacks else Rule.SPACING,
                 level=level,
-                norm=NORM_SPACING if level is not Level.NOTICE else NORM_NONE,
+                norm=NORM_NONE if level is Level.NOTICE and not read.exceeds else NORM_SPACING,
                 text=words,
                 value=float(gap),
                 limit=float(limit_m),
-                sigma=float(sigma_used * limit_m),
+                sigma=float(read.sigma * limit_m),
                 unit="m",
                 station_m=float((s[index] + s[index + 1]) / 2),
                 feature_ids=tuple(layout.cones[k].feature_id for k in members[index : index + 2]),
@@ -113,12 +110,57 @@ def _gaps(zone: ZoneHistory, layout: ZoneLayout, row: ConeRow, speed_kmh: float,
     return found
 
 
+class _Gap(NamedTuple):
+    """A gap under one reading of where the tapers end."""
+
+    inside: float
+    """Share of it that lies in tapers."""
+    used: float
+    """How much of the allowed spacing it uses up; 1 is all ..."""
+    sigma: float
+    limit_m: float
+    """... and this length would use up all of it."""
+    own: float
+    """How much it uses up of the row's own spacing; 0 where the row is too short to tell."""
+    exceeds: bool
+    lacks: bool
+    """By more than the uncertainty explains: longer than the rule allows; a cone is missing."""
+
+
+def _read_gap(
+    gaps: Floats,
+    shares: Floats,
+    index: int,
+    sigmas_m: Floats,
+    limits: tuple[float, float],
+    rules: LayoutParams,
+    *,
+    vague: bool,
+) -> _Gap:
+    """One gap of a row against the rule and against the row; vague: where tapers end is hardly known."""
+    gap, (inside, blur_m) = float(gaps[index]), shares[index]
+    used, sigma, limit_m = _used(gap, inside, blur_m, sigmas_m, limits)
+    regular = _regular(gaps, shares[:, 0], index)
+    own, sigma_own, _ = _used(gap, inside, blur_m, sigmas_m, regular) if regular else (0.0, 1.0, 0.0)
+    if vague:  # what is twice the spacing before it may be the spacing behind it
+        own = min(own, gap / max(_beside(gaps, index), 1e-9))
+    exceeds = used - 1.0 > rules.sigmas * sigma
+    lacks = own - rules.missing_cone_ratio > rules.sigmas * sigma_own
+    return _Gap(float(inside), used, sigma, limit_m, own, exceeds, lacks)
+
+
+def _share_at_cones(tapers: Sequence[Taper], from_m: float, to_m: float) -> float:
+    """Share of a gap that lies in tapers at least, if a cone stands where each of them begins and ends."""
+    inside_m = sum(max(min(to_m, *taper.end_cones_m) - max(from_m, *taper.start_cones_m), 0.0) for taper in tapers)
+    return min(inside_m / (to_m - from_m), 1.0) if to_m > from_m else 0.0
+
+
 def _taper_share(tapers: Sequence[Taper], from_m: float, to_m: float) -> tuple[float, float]:
-    """Share of a gap that lies in tapers, and how uncertain the tapers' ends in it are, in metres."""
+    """Share of a gap that lies in tapers, and by how many metres less it may be (one sigma): what would excuse a wide gap."""
     inside_m, blur_m = 0.0, 0.0
     for taper in tapers:
         inside_m += max(min(to_m, taper.end_m) - max(from_m, taper.start_m), 0.0)
-        for end_m, sigma_m in ((taper.start_m, taper.start_sigma_m), (taper.end_m, taper.end_sigma_m)):
+        for end_m, sigma_m in ((taper.start_m, taper.start_sigmas_m[1]), (taper.end_m, taper.end_sigmas_m[0])):
             if from_m - 2 * sigma_m < end_m < to_m + 2 * sigma_m:
                 blur_m = max(blur_m, min(sigma_m, to_m - from_m))
     length = to_m - from_m
@@ -179,7 +221,8 @@ def _taper_lengths(
         merging = _is_merging(layout, taper, members, params)
         for share, kind in ((rules.shoulder_taper_share, "shoulder"), (rules.merging_taper_share, "merging")):
             wanted_m = share * ratio * taper.shift_m
-            sigma_m = float(np.hypot(np.hypot(taper.start_sigma_m, taper.end_sigma_m), share * ratio * shift_sigma))
+            longer_m = np.hypot(taper.start_sigmas_m[0], taper.end_sigmas_m[1])
+            sigma_m = float(np.hypot(longer_m, share * ratio * shift_sigma))
             if length_m >= wanted_m or (kind == "shoulder" and merging):
                 continue
             sure = wanted_m - length_m > rules.sigmas * sigma_m and (kind == "shoulder" or merging is True)

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 MAX_LINES = 500_000
+#: Lanelet2 line strings that bound lanes or the road; others (stop lines, signs, walls) do not.
+LANELET2_BOUNDARIES = frozenset({"line_thin", "line_thick", "curbstone", "road_border", "guard_rail", "virtual"})
 
 
 class Line(NamedTuple):
@@ -41,3 +43,13 @@ def usable(line: Line, what: str) -> str | None:
     if np.isinf(line.xyz[:, 2]).any():
         return f"{what}: a height is no number"
     return None
+
+
+def bounds_lanes(kind: str, attributes: Mapping[str, Any]) -> bool:
+    """Whether a line is one beside which lanes lie: of Lanelet2 by its type, of other files always."""
+    return "bounds_a_lanelet" not in attributes or kind in LANELET2_BOUNDARIES
+
+
+def full_kind(kind: str, attributes: Mapping[str, Any]) -> str:
+    """`type/subtype` where a line has these attributes, for example `line_thin/dashed`."""
+    return "/".join(str(attributes[name]) for name in ("type", "subtype") if attributes.get(name)) or kind

@@ -23,8 +23,8 @@ def export_csv(
     known_at: datetime | None = None,
 ) -> int:
     """The standing cones as CSV alone, without a manifest; the number of lines. See `write`."""
-    source = open_source(conn, ExportRequest(map_name, as_of=as_of, believed_at=known_at))
-    with atomic_files(path) as (file,):
+    request = ExportRequest(map_name, as_of=as_of, believed_at=known_at)
+    with open_source(conn, request) as source, atomic_files(path) as (file,):
         return write(source, file)
 
 

@@ -14,10 +14,12 @@ from conetl.io.db import Connection, execute, load_sql, transaction
 from conetl.io.exports import FORMATS, Format, writer_of
 from conetl.io.exports.atomic import atomic_files
 from conetl.io.exports.feature_rows import iso_utc
-from conetl.io.exports.source import ExportRequest, Source, open_source
+from conetl.io.exports.source import ExportRequest, Source, What, open_source
 
 MANIFEST_VERSION = 1
 _WGS84 = "OGC:CRS84"
+#: Of the database for each sort or join: a million features fit; a history has more joins, and may be of any length.
+_WORK_MEM = {What.FEATURES: "128MB", What.CHANGES: "64MB", What.HISTORY: "64MB"}
 
 
 def export_map(conn: Connection, path: Path, file_format: str, request: ExportRequest) -> dict[str, Any]:
@@ -32,8 +34,11 @@ def export_map(conn: Connection, path: Path, file_format: str, request: ExportRe
     manifest_path = path.with_name(path.name + ".manifest.json")
     with transaction(conn, f"The map {request.map_name} cannot be read"):
         execute(conn, load_sql("export/snapshot"))
-        source = open_source(conn, request, order=chosen.order, with_change=chosen.with_change)
-        with atomic_files(path, manifest_path) as (file, manifest_file):
+        execute(conn, load_sql("export/memory"), {"work_mem": _WORK_MEM[request.what]})
+        with (
+            open_source(conn, request, order=chosen.order, with_change=chosen.with_change) as source,
+            atomic_files(path, manifest_path) as (file, manifest_file),
+        ):
             rows = writer_of(file_format)(source, file)
             manifest = _manifest(source, file_format, chosen, file, rows)
             manifest_file.write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from conetl.io.db import Connection
-from conetl.io.exports.source import PLACE_NAMES, ExportRequest, Source, What, open_source
+from conetl.io.exports.source import PLACE_NAMES, Source, What
 
 #: Names and order of the exported properties of features; part of the contract with users, never rename one.
 PROPERTY_NAMES = (
@@ -77,16 +76,6 @@ def rows_of(source: Source) -> Iterator[ExportRow]:
         columns = [_plain(name, batch.column(name)) for name in names]
         for place, values in zip(zip(*places, strict=True), zip(*columns, strict=True), strict=True):
             yield ExportRow(*place, dict(zip(names, values, strict=True)))  # type: ignore[call-arg]
-
-
-def export_rows(
-    conn: Connection, *, map_name: str = "default", as_of: datetime | None = None, known_at: datetime | None = None
-) -> Iterator[ExportRow]:
-    """The map of `as_of` (on the road; None: latest) as the database knew it at `known_at` (None: now), by feature id.
-
-    Raises InputError where there is no such map.
-    """
-    return rows_of(open_source(conn, ExportRequest(map_name, as_of=as_of, believed_at=known_at)))
 
 
 def iso_utc(instant: datetime) -> str:

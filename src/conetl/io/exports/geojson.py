@@ -25,8 +25,8 @@ def export_geojson(
     known_at: datetime | None = None,
 ) -> int:
     """The standing cones as GeoJSON alone, without a manifest; the number of features. See `write`."""
-    source = open_source(conn, ExportRequest(map_name, as_of=as_of, believed_at=known_at))
-    with atomic_files(path) as (file,):
+    request = ExportRequest(map_name, as_of=as_of, believed_at=known_at)
+    with open_source(conn, request) as source, atomic_files(path) as (file,):
         return write(source, file)
 
 

@@ -21,13 +21,18 @@ from conetl.io.exports.source import Source
 _SIDES = ("xmin", "ymin", "zmin", "xmax", "ymax", "zmax")
 _BBOX = pa.struct([pa.field(side, pa.float64(), nullable=False) for side in _SIDES])
 
+#: Columns in which values come again and again. Parquet would try a dictionary for all others, too, and give it up each time.
+_REPEATED = ("version", "category", "height_m", "observation_count", "valid_from", "valid_to", "changeset_id", "seen_count",
+    "missed_count", "height_sigma_m", "change", "present", "suppressed", "system_from", "system_to", "old_version")  # fmt: skip
+
 
 def write(source: Source, path: Path) -> int:
     """Write points in the map's CRS, a row group a batch; the number of rows."""
     schema = property_schema(source).append(pa.field("bbox", _BBOX)).append(pa.field(GEOMETRY, pa.binary()))
     count = 0
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    with pq.ParquetWriter(path, schema, compression="zstd") as writer:
+    repeated = [name for name in _REPEATED if name in schema.names]
+    with pq.ParquetWriter(path, schema, compression="zstd", use_dictionary=repeated) as writer:
         for batch, xyz_m in point_arrays(source):
             low, high = np.minimum(low, xyz_m.min(axis=0)), np.maximum(high, xyz_m.max(axis=0))
             arrays = [*batch.columns, _boxes(xyz_m), wkb_points(xyz_m)]

@@ -1,13 +1,13 @@
-"""What an export writes: rows of the map in Arrow record batches, read through a server-side cursor as they are consumed."""
+"""What an export writes: rows of the map in Arrow record batches, read from the server while they are written."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
 from functools import cached_property
-from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 
 from conetl.errors import InputError
-from conetl.io.db import Connection, database_errors, load_sql, query_columns, stream
+from conetl.io.db import Connection, copied_rows, database_errors, load_sql, query_columns
 from conetl.io.exports import Order
-from conetl.io.exports.wire import arrow_type, decode_records
+from conetl.io.exports.wire import arrow_type, decode_rows
 from conetl.io.stores.map_results import MapInfo
 from conetl.io.stores.map_store import find_map
 from conetl.params import ReconcileParams
@@ -58,20 +58,19 @@ class ExportRequest:
 
 @dataclass(frozen=True)
 class Source:
-    """The rows of one request. Made by `open_source`."""
+    """The rows of one request. Made by `open_source`, valid in its block."""
 
     conn: Connection
     info: MapInfo
     request: ExportRequest
     order: Order
     with_change: bool
+    _reading: list[Generator[pa.RecordBatch]] = field(default_factory=list, init=False, repr=False, compare=False)
 
     @cached_property
     def schema(self) -> pa.Schema:
         """Columns of every batch: the properties in the order of the contract, then `PLACE_NAMES`."""
-        dropped = () if self._tells_change else HISTORY_NAMES
-        fields = [pa.field(*self._exported(name, oid)) for name, oid in self._columns]
-        return pa.schema([field for field in fields if field.name not in dropped])
+        return pa.schema([pa.field(*self._exported(name, oid)) for name, oid in self._columns])
 
     @property
     def property_names(self) -> list[str]:
@@ -85,17 +84,14 @@ class Source:
 
     def batches(self) -> Iterator[pa.RecordBatch]:
         """All rows, `BATCH_ROWS` at a time, with `schema`. Valid in the transaction of `open_source`."""
-        sql = f"select record_send(q) from ({self._sql}) q"
-        oids = [oid for _, oid in self._columns]
-        with database_errors(f"The map {self.request.map_name} cannot be read"):
-            rows = stream(self.conn, sql, self._parameters, batch=BATCH_ROWS)
-            while chunk := [row[0] for row in islice(rows, BATCH_ROWS)]:
-                arrays = decode_records(chunk, oids)
-                columns = {
-                    self._exported(name, oid)[0]: _microseconds(array) if name in _NS_NAMES else array
-                    for (name, oid), array in zip(self._columns, arrays, strict=True)
-                }
-                yield pa.record_batch([columns[name] for name in self.schema.names], schema=self.schema)
+        reading = self._read()
+        self._reading.append(reading)
+        return reading
+
+    def close(self) -> None:
+        """End what reads: the connection is free again."""
+        for reading in self._reading:
+            reading.close()
 
     def lon_lat_deg(self, batch: pa.RecordBatch) -> tuple[Floats, Floats]:
         """WGS 84 longitudes and latitudes (n,) of a batch."""
@@ -106,6 +102,21 @@ class Source:
     def to_wgs84(self) -> Transformer:
         """From easting, northing to longitude, latitude."""
         return Transformer.from_crs(self.crs, 4326, always_xy=True)
+
+    def _read(self) -> Generator[pa.RecordBatch]:
+        columns = self._columns
+        names, oids = [name for name, _ in columns], [oid for _, oid in columns]
+        sql = f"select {', '.join(names)} from ({self._sql}) q"
+        with (
+            database_errors(f"The map {self.request.map_name} cannot be read"),
+            copied_rows(self.conn, sql, self._parameters, batch=BATCH_ROWS) as chunks,
+        ):
+            for chunk in chunks:
+                arrays = [
+                    _microseconds(array) if name in _NS_NAMES else array
+                    for name, array in zip(names, decode_rows(chunk, oids), strict=True)
+                ]
+                yield pa.record_batch(arrays, schema=self.schema)
 
     @property
     def _tells_change(self) -> bool:
@@ -119,7 +130,9 @@ class Source:
     @cached_property
     def _columns(self) -> list[tuple[str, int]]:
         with database_errors(f"The map {self.request.map_name} cannot be read"):
-            return query_columns(self.conn, self._sql, self._parameters)
+            columns = query_columns(self.conn, self._sql, self._parameters)
+        dropped = () if self._tells_change else HISTORY_NAMES
+        return [(name, oid) for name, oid in columns if name not in dropped]
 
     @property
     def _parameters(self) -> dict[str, Any]:
@@ -129,6 +142,7 @@ class Source:
         everything_believed = request.what is What.HISTORY and not one_belief
         return {
             "map_name": request.map_name,
+            "map_id": self.info.map_id,
             "every_version": request.what is What.HISTORY,
             "valid_at": _instant(request.as_of),
             "known_at": None if everything_believed else _instant(request.believed_at),
@@ -144,16 +158,23 @@ class Source:
         return (_NS_NAMES[name], _UTC_US) if name in _NS_NAMES else (name, arrow_type(oid))
 
 
+@contextmanager
 def open_source(
     conn: Connection, request: ExportRequest, *, order: Order = Order.BY_ID, with_change: bool = False
-) -> Source:
+) -> Iterator[Source]:
     """The rows of a request. with_change: also of standing features, what made them so. Raises InputError for a request that
     contradicts itself, or a map that is not there."""
     _check(request)
     info = find_map(conn, request.map_name)
     if info is None:
-        raise InputError(f"there is no map named {request.map_name} in this database: ingest a drive first.")
-    return Source(conn, info, request, order, with_change)
+        raise InputError(
+            f"there is no map named {request.map_name} in this database: ingest a drive or import a map first."
+        )
+    source = Source(conn, info, request, order, with_change)
+    try:
+        yield source
+    finally:
+        source.close()
 
 
 def numpy_of(array: pa.Array) -> NDArray[Any]:

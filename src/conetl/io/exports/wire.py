@@ -1,14 +1,14 @@
-"""PostgreSQL's binary records (`record_send`) as Arrow columns: millions of rows without a Python object a value.
+"""Rows of PostgreSQL's COPY BINARY as Arrow columns: millions of rows without a Python object a value.
 
-A record is a column count and per column its type's OID, a length (-1: NULL) and big-endian bytes. Records of the same
-lengths share one numpy structured type, so they are read column by column; the converse of `copy_binary`.
+A row is a column count and per column a length (-1: NULL) and big-endian bytes. Rows of the same lengths share one numpy
+structured type, so they are read column by column; the converse of `copy_binary`.
 """
 
 from __future__ import annotations
 
 import struct
-from collections import defaultdict
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -28,9 +28,13 @@ _FIXED: dict[int, tuple[str, pa.DataType]] = {
     701: (">f8", pa.float64()),
     1184: (">i8", _UTC_US),
 }
-_HEX = np.frombuffer(b"0123456789abcdef", np.uint8)
-_DASHES = np.array([8, 13, 18, 23])
-_DIGITS = np.setdiff1d(np.arange(36), _DASHES)
+#: Of every byte its two hexadecimal digits.
+_HEX = np.frombuffer("".join(f"{byte:02x}" for byte in range(256)).encode(), np.uint16)
+#: Where the digits of a UUID stand between its dashes, and which ones.
+_DIGITS = tuple(
+    (slice(start + dashes, stop + dashes), slice(start, stop))
+    for dashes, (start, stop) in enumerate(pairwise((0, 8, 12, 16, 20, 32)))
+)
 Parts: TypeAlias = list[tuple[NDArray[np.int64], Any]]
 """Of one column: rows, and their values; None where all are NULL."""
 
@@ -44,45 +48,47 @@ def arrow_type(oid: int) -> pa.DataType:
     return _FIXED[oid][1]
 
 
-def decode_records(records: Sequence[Any], oids: Sequence[int]) -> list[pa.Array]:
-    """Columns of `records` (bytes-like, as `record_send` makes them) with the types `oids`, in the order of the records."""
-    by_length: dict[int, list[int]] = defaultdict(list)
-    for row, record in enumerate(records):
-        by_length[len(record)].append(row)
+def decode_rows(rows: Sequence[bytes], oids: Sequence[int]) -> list[pa.Array]:
+    """Columns of `rows` with the types `oids`, in the order of the rows."""
+    lengths = np.fromiter(map(len, rows), np.int64, len(rows))
     columns: list[Parts] = [[] for _ in oids]
-    for rows in by_length.values():
-        _decode_group(records, np.array(rows), oids, columns)
-    return [_column(parts, oid, len(records)) for parts, oid in zip(columns, oids, strict=True)]
+    for length in np.unique(lengths):
+        _decode_group(rows, np.flatnonzero(lengths == length), oids, columns)
+    return [_column(parts, oid, len(rows)) for parts, oid in zip(columns, oids, strict=True)]
 
 
-def _decode_group(records: Sequence[Any], rows: NDArray[np.int64], oids: Sequence[int], columns: list[Parts]) -> None:
-    """Records of one length: those whose columns have the lengths of the first one's, then the rest."""
-    while len(rows):
-        first = bytes(records[rows[0]])
-        lengths = _lengths(first, oids)
-        fields: list[tuple[str, Any]] = [("count", ">i4")]
+def _decode_group(rows: Sequence[bytes], chosen: NDArray[np.int64], oids: Sequence[int], columns: list[Parts]) -> None:
+    """Rows of one length: those whose columns have the lengths of the first one's, then the rest."""
+    while len(chosen):
+        lengths = _lengths(rows[chosen[0]], oids)
+        fields: list[tuple[str, Any]] = [("count", ">i2")]
         for i, length in enumerate(lengths):
-            fields += [(f"oid{i}", ">i4"), (f"length{i}", ">i4"), (f"value{i}", f"V{max(length, 0)}")]
-        block = np.frombuffer(b"".join(records[row] for row in rows), np.dtype(fields))
-        alike = np.ones(len(rows), bool)
+            fields += [(f"length{i}", ">i4"), (f"value{i}", f"V{max(length, 0)}")]
+        together = b"".join(rows if len(chosen) == len(rows) else [rows[row] for row in chosen])
+        block = np.frombuffer(together, np.dtype(fields))
+        alike = np.ones(len(chosen), bool)
         for i, length in enumerate(lengths):
             alike &= block[f"length{i}"] == length
+        if not alike.all():
+            block = block[alike]
         for i, (length, oid) in enumerate(zip(lengths, oids, strict=True)):
-            columns[i].append((rows[alike], None if length < 0 else _values(block[f"value{i}"][alike], oid, length)))
-        rows = rows[~alike]
+            columns[i].append((chosen[alike], None if length < 0 else _values(block[f"value{i}"], oid, length)))
+        chosen = chosen[~alike]
 
 
-def _lengths(record: bytes, oids: Sequence[int]) -> list[int]:
-    (count,) = struct.unpack_from(">i", record)
+def _lengths(row: bytes, oids: Sequence[int]) -> list[int]:
+    """Lengths of the values of a row. Raises DatabaseError where they are not those of the types."""
+    (count,) = struct.unpack_from(">h", row)
     if count != len(oids):
         raise DatabaseError(f"an export has {len(oids)} columns, but the database sent {count}")
-    lengths, at = [], 4
-    for wanted in oids:
-        oid, length = struct.unpack_from(">ii", record, at)
-        if oid != wanted:
-            raise DatabaseError(f"an export has a column of PostgreSQL's type {wanted}, but the database sent {oid}")
+    lengths, at = [], 2
+    for oid in oids:
+        (length,) = struct.unpack_from(">i", row, at)
+        wanted = 16 if oid == _UUID else np.dtype(_FIXED[oid][0]).itemsize if oid in _FIXED else length
+        if length not in (-1, wanted):
+            raise DatabaseError(f"an export has a column of PostgreSQL's type {oid} with {length} bytes, not {wanted}")
         lengths.append(length)
-        at += 8 + max(length, 0)
+        at += 4 + max(length, 0)
     return lengths
 
 
@@ -103,7 +109,9 @@ def _values(wire: NDArray[Any], oid: int, length: int) -> Any:
 def _uuid_text(uuids: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """(n, 36) letters of (n, 16) bytes."""
     text = np.full((len(uuids), 36), ord("-"), np.uint8)
-    text[:, _DIGITS] = _HEX[np.stack([uuids >> 4, uuids & 15], axis=2).reshape(len(uuids), 32)]
+    digits = _HEX[uuids].view(np.uint8)
+    for place, which in _DIGITS:
+        text[:, place] = digits[:, which]
     return text
 
 

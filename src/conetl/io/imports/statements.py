@@ -54,6 +54,7 @@ def read_map_file(
                 f"{path} is an export of history or changes (column {name}); export features to import them"
             )
     file_crs = _file_crs(table, crs)
+    _ask_at_once(table, file_crs, map_srid, params, stated_at)
     srid = _map_srid(table, file_crs, map_srid)
     xyz_m = _places(table, file_crs, srid, params)
     _refuse_duplicate_places(path, xyz_m)
@@ -196,6 +197,24 @@ class _RowReader:
         return default
 
 
+def _ask_at_once(
+    table: MapTable, file_crs: CRS, map_srid: int | None, params: ImportParams, stated_at: datetime | None
+) -> None:
+    """Raises InputError where a file leaves open more than one thing that a user has to state."""
+    wanted = []
+    if map_srid is None and file_crs.is_geographic:
+        wanted.append("the CRS of the map that it begins (--map-srid)")
+    if params.ground_height_m is None and np.isnan(table.xyz[:, 2]).any():
+        wanted.append("the ellipsoidal height of the ground (--ground-height-m)")
+    if stated_at is None and "last_seen_at" not in table.columns:
+        wanted.append("for which time it speaks (--surveyed-at)")
+    if len(wanted) > 1:
+        raise InputError(
+            f"{table.path} does not tell {', '.join(wanted[:-1])} and {wanted[-1]}: state them"
+            + (_zone_hint(table, file_crs) if map_srid is None and file_crs.is_geographic else "")
+        )
+
+
 def _file_crs(table: MapTable, stated: str | None) -> CRS:
     try:
         wanted = None if stated is None else CRS.from_user_input(stated)
@@ -232,12 +251,16 @@ def _map_srid(table: MapTable, crs: CRS, map_srid: int | None) -> int:
         return map_srid
     if crs.is_projected and (srid := crs.to_epsg()) is not None:
         return int(srid)
+    raise InputError(f"{table.path} begins a new map, whose CRS has to be stated (--map-srid){_zone_hint(table, crs)}")
+
+
+def _zone_hint(table: MapTable, crs: CRS) -> str:
+    """In which UTM zone the first cone would be; nothing where it is nowhere."""
     lon, lat = _to_wgs84(crs, table.xyz[:1])[0]
-    hint = ""
-    if -180 <= lon <= 180 and -80 <= lat <= 84:
-        zone = min(int((lon + 180) // 6) + 1, 60) + (32600 if lat >= 0 else 32700)
-        hint = f"; its first cone, at longitude {lon:.4f}, latitude {lat:.4f}, would be in EPSG:{zone}"
-    raise InputError(f"{table.path} begins a new map, whose CRS has to be stated (--map-srid){hint}")
+    if not (-180 <= lon <= 180 and -80 <= lat <= 84):
+        return ""
+    zone = min(int((lon + 180) // 6) + 1, 60) + (32600 if lat >= 0 else 32700)
+    return f"; its first cone, at longitude {lon:.4f}, latitude {lat:.4f}, would be in EPSG:{zone}"
 
 
 def _places(table: MapTable, crs: CRS, srid: int, params: ImportParams) -> NDArray[np.float64]:

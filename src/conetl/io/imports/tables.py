@@ -32,6 +32,13 @@ MAX_BYTES = 2 << 30
 _BATCH = 20_000
 #: A feature of any format takes at least so many bytes of the file.
 _MIN_ROW_BYTES = 8
+#: What others call the columns of a place in a CSV file.
+_CSV_NAMES = {
+    **dict.fromkeys(("lon", "lng", "long", "longitude"), "lon_deg"),
+    **dict.fromkeys(("lat", "latitude"), "lat_deg"),
+    "easting": "easting_m",
+    "northing": "northing_m",
+}
 #: The first bytes of a FlatGeobuf file, without the patch version.
 _FGB_MAGIC = b"fgb\x03fgb"
 
@@ -131,7 +138,8 @@ def _append_batches(table: MapTable, batches: Iterable[pa.RecordBatch], geometry
         points = shapely.from_wkb(np.asarray(batch.column(geometry).to_pylist(), object))
         bad = np.flatnonzero((shapely.get_type_id(points) != 0) | shapely.is_empty(points))
         if len(bad):
-            kind = points[bad[0]].geom_type if points[bad[0]] is not None else "nothing"
+            point = points[bad[0]]
+            kind = "nothing" if point is None else "no numbers" if point.geom_type == "Point" else point.geom_type
             raise InputError(f"{table.path}, row {count + int(bad[0]) + 1}: {kind} where a point is expected")
         parts.append(shapely.get_coordinates(points, include_z=True))
         count += batch.num_rows
@@ -144,11 +152,16 @@ def _append_batches(table: MapTable, batches: Iterable[pa.RecordBatch], geometry
 
 
 def _read_csv(path: Path) -> MapTable:
-    """Columns lon_deg, lat_deg (WGS 84), or easting_m, northing_m (their CRS has to be stated); ellipsoidal_height_m."""
+    """Columns lon_deg, lat_deg (WGS 84), or easting_m, northing_m (their CRS has to be stated); ellipsoidal_height_m.
+
+    Values are parted by commas, semicolons or tabs, whichever the header has most of.
+    """
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = csv.reader(file, strict=True)
-            names = [name.strip() for name in next(rows, [])]
+            header = file.readline()
+            file.seek(0)
+            rows = csv.reader(file, strict=True, delimiter=max(",;\t", key=header.count))
+            names = [_CSV_NAMES.get(name.strip().lower(), name.strip()) for name in next(rows, [])]
             lines = []
             for number, line in enumerate(rows, start=1):
                 if not line:
@@ -168,7 +181,8 @@ def _read_csv(path: Path) -> MapTable:
     }
     geographic = {"lon_deg", "lat_deg"} <= set(names)
     if not geographic and not {"easting_m", "northing_m"} <= set(names):
-        raise InputError(f"{path}: no columns lon_deg and lat_deg, nor easting_m and northing_m")
+        found = ", ".join(names)[:200]
+        raise InputError(f"{path}: no columns lon_deg and lat_deg, nor easting_m and northing_m; found: {found}")
     place = ("lon_deg", "lat_deg") if geographic else ("easting_m", "northing_m")
     axes = [[_number(path, i, name, value) for i, value in enumerate(columns.get(name, []))] for name in place]
     heights = columns.get("ellipsoidal_height_m", [None] * len(lines))

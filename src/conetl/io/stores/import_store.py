@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -14,12 +13,13 @@ import numpy as np
 from conetl.errors import MapMismatchError
 from conetl.io.db import Connection, copy_columns, database_errors, execute, load_sql, stream, transaction
 from conetl.io.stores import map_columns
+from conetl.io.stores.changeset_rows import insert_changeset
 from conetl.io.stores.copy_binary import bigints, clean_text, constant_uuid, integers, json_text, uuids
-from conetl.io.stores.map_results import CommitResult, Replay, RunInfo
+from conetl.io.stores.map_results import CommitResult, RecordCounts, Replay, RunInfo
 from conetl.io.stores.map_rows import feature_of
-from conetl.io.stores.map_store import find_changeset, insert_run, map_for, system_time
+from conetl.io.stores.map_store import find_changeset, map_for, system_time
 from conetl.io.stores.replay_store import write_replay
-from conetl.map_records import Changeset, DeltaKind, Statement
+from conetl.map_records import Changeset, Statement
 from conetl.params import ReconcileParams
 from conetl.records import utc_from_ns
 
@@ -105,35 +105,7 @@ def commit_import(
     `place_import`."""
     info = map_for(conn, map_name, imported.srid, imported.name)
     committed_at = system_time(conn, info, now)
-    insert_run(conn, run, committed_at)
-    kinds = Counter(delta.kind for delta in changeset.deltas)
-    execute(
-        conn,
-        load_sql("write/insert_changeset"),
-        {
-            "changeset_id": changeset.changeset_id,
-            "map_id": info.map_id,
-            "drive_uuid": drive_uuid,
-            "run_id": run.run_id,
-            "idempotency_key": changeset.idempotency_key,
-            "params_sha256": changeset.params_sha256,
-            "model_sha256": changeset.model_sha256,
-            "code_version": changeset.code_version,
-            "committed_at": committed_at,
-            **{f"{kind.value}_count": kinds[kind] for kind in DeltaKind},
-            **dict.fromkeys(
-                (
-                    "frame_pair_count",
-                    "detection_count",
-                    "match_count",
-                    "position_count",
-                    "track_count",
-                    "rejection_count",
-                ),
-                0,
-            ),
-        },
-    )
+    insert_changeset(conn, info, drive_uuid, changeset, RecordCounts(), run, committed_at)
     copy_columns(conn, "conetl.statement", _statement_columns(drive_uuid, info.srid, imported.statements))
     versions_written = write_replay(conn, info, replay, committed_at)
     if versions_written:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any
+from typing import Any, NamedTuple
 from uuid import UUID
 
 from conetl.map_records import (
@@ -26,6 +26,17 @@ class MapInfo:
     map_name: str
     srid: int
     last_committed_at: datetime | None
+
+
+class RecordCounts(NamedTuple):
+    """How many records of each kind a drive gave; an imported map has none."""
+
+    frame_pair_count: int = 0
+    detection_count: int = 0
+    match_count: int = 0
+    position_count: int = 0
+    track_count: int = 0
+    rejection_count: int = 0
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ Everything is committed at the end of the block, or nothing.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -33,6 +32,7 @@ from conetl.io.db import (
     transaction,
 )
 from conetl.io.stores import map_columns
+from conetl.io.stores.changeset_rows import insert_changeset
 from conetl.io.stores.commit_checks import require_consistent
 from conetl.io.stores.copy_binary import clean_text, json_text
 from conetl.io.stores.map_results import (
@@ -42,6 +42,7 @@ from conetl.io.stores.map_results import (
     FeatureVersion,
     MapInfo,
     MapSummary,
+    RecordCounts,
     Replay,
     RunInfo,
 )
@@ -205,31 +206,15 @@ def commit_changeset(
     drive_uuid = place_drive(conn, drive, changeset.idempotency_key, map_name=map_name, now=now)
     info = map_for(conn, map_name, drive.map_srid, f"drive {drive.drive_id}", now)
     committed_at = system_time(conn, info, now)
-    if run is not None:
-        insert_run(conn, run, committed_at)
-    kinds = Counter(delta.kind for delta in changeset.deltas)
-    execute(
-        conn,
-        load_sql("write/insert_changeset"),
-        {
-            "changeset_id": changeset.changeset_id,
-            "map_id": info.map_id,
-            "drive_uuid": drive_uuid,
-            "run_id": run.run_id if run else None,
-            "idempotency_key": changeset.idempotency_key,
-            "params_sha256": changeset.params_sha256,
-            "model_sha256": changeset.model_sha256,
-            "code_version": changeset.code_version,
-            "committed_at": committed_at,
-            **{f"{kind.value}_count": kinds[kind] for kind in DeltaKind},
-            "frame_pair_count": len(drive.frame_pairs),
-            "detection_count": len(detections),
-            "match_count": len(matches),
-            "position_count": len(positions),
-            "track_count": len(tracks),
-            "rejection_count": len(rejections),
-        },
+    counts = RecordCounts(
+        frame_pair_count=len(drive.frame_pairs),
+        detection_count=len(detections),
+        match_count=len(matches),
+        position_count=len(positions),
+        track_count=len(tracks),
+        rejection_count=len(rejections),
     )
+    insert_changeset(conn, info, drive_uuid, changeset, counts, run, committed_at)
     srid = info.srid
     copy_columns(conn, "conetl.frame_pair", map_columns.frame_pair_columns(drive_uuid, srid, drive.frame_pairs))
     copy_columns(conn, "conetl.detection", map_columns.detection_columns(drive_uuid, detections))
@@ -364,18 +349,6 @@ def map_for(conn: Connection, map_name: str, srid: int, what: str, now: datetime
             "the drive's map CRS in its drive.yaml to the map's, or ingest it into a map of its own."
         )
     return info
-
-
-def insert_run(conn: Connection, run: RunInfo, finished_at: datetime) -> None:
-    """Keep the parameters of a run that ends in a changeset; does not commit."""
-    parameters = {
-        "run_id": run.run_id,
-        "started_at": run.started_at,
-        "finished_at": finished_at,
-        "params": json_text(dict(run.params)),
-        "flow_run_id": run.flow_run_id,
-    }
-    execute(conn, load_sql("write/insert_run"), parameters)
 
 
 def _changesets(conn: Connection, map_name: str, key: str | None, limit: int | None) -> list[CommittedChangeset]:

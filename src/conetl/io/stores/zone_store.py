@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import datetime
 
 import numpy as np
+import shapely
+from numpy.typing import NDArray
 
+from conetl.io.base_layers.lines import bounds_lanes, full_kind
 from conetl.io.db import Connection, database_errors, load_sql, stream
 from conetl.io.stores.map_rows import version_of
 from conetl.map_records import BelievedVersion
-from conetl.work_zone_records import DrivePath
+from conetl.work_zone_records import DrivePath, LaneLine
 
 _PATH_TOLERANCE_M = 0.05
+#: Lane lines are looked for so far around the cones of a work zone; a road is not as wide.
+_LANE_REACH_M = 60.0
 
 
 def read_versions(conn: Connection, *, map_name: str, until: datetime | None = None) -> list[BelievedVersion]:
@@ -33,3 +39,30 @@ def read_paths(conn: Connection, *, map_name: str, until: datetime | None = None
             DrivePath(row[0], row[1], np.stack([np.array(row[2]), np.array(row[3])], axis=1))
             for row in stream(conn, load_sql("map/drive_paths"), parameters)
         ]
+
+
+def read_lanes_near(
+    conn: Connection, places_m: Sequence[NDArray[np.float64]], *, map_name: str
+) -> tuple[list[list[LaneLine]], list[str]]:
+    """Lane lines that the map's base layers have near each of the places, and the names of these layers.
+
+    places_m: (N, 2) each, in the map's CRS. Near: in their box, widened by `_LANE_REACH_M`.
+    """
+    found: list[list[LaneLine]] = [[] for _ in places_m]
+    layers: set[str] = set()
+    low = [places.min(axis=0) - _LANE_REACH_M for places in places_m]
+    high = [places.max(axis=0) + _LANE_REACH_M for places in places_m]
+    parameters = {
+        "map_name": map_name,
+        "west_m": [float(corner[0]) for corner in low],
+        "south_m": [float(corner[1]) for corner in low],
+        "east_m": [float(corner[0]) for corner in high],
+        "north_m": [float(corner[1]) for corner in high],
+    }
+    with database_errors(f"The base layers of map {map_name} cannot be read"):
+        for box, layer, kind, attributes, wkb in stream(conn, load_sql("map/base_lines_near"), parameters):
+            if bounds_lanes(kind, attributes):
+                line = shapely.get_coordinates(shapely.from_wkb(bytes(wkb)))
+                found[box].append(LaneLine(line, full_kind(kind, attributes)))
+                layers.add(layer)
+    return found, sorted(layers)
