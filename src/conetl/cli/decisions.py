@@ -100,7 +100,7 @@ def diff(
         info = find_map(conn, settings.map_name)
         if info is None:
             raise InputError(f"there is no map named {settings.map_name} in this database: ingest a drive first.")
-        changes = diff_of(_state(conn, settings, before), _state(conn, settings, after))
+        changes = diff_of(state_of(conn, settings, before), state_of(conn, settings, after))
     if output is not None:
         export_diff_geojson(changes, output, srid=info.srid)
     if as_json:
@@ -131,7 +131,7 @@ def _nothing() -> MapFeature:
     raise ValueError("a change has an old or a new side")
 
 
-def _state(conn: Connection, settings: Settings, name: str) -> list[MapFeature]:
+def state_of(conn: Connection, settings: Settings, name: str) -> list[MapFeature]:
     """The map that `name` stands for: as known right after a changeset, or at a time on the road as known now."""
     valid_at: datetime | None = None
     known_at: datetime | None = None
