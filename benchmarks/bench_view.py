@@ -3,8 +3,8 @@
 A private cluster in a temporary folder gets two drives past `--cones` cones, `--lines` lane boundaries and `--points` LiDAR
 points, all along one road. For each run a fresh browser opens the page; the first picture is there when all cones, all lines and
 points are drawn. Processor time is that of Chromium's processes up to then, the wall clock depends on what else the machine does
-(load average is printed). Then the page is asked how many points it draws at most, how long a click takes to find a cone, and how long pictures take while
-the camera turns.
+(load average is printed). Then the page is asked how many points it draws at most, how long a click takes to find a cone, and how
+long pictures take while the camera turns.
 
     python benchmarks/bench_view.py [--points 100000] [--cones 500] [--lines 200] [--runs 3] [--pictures folder]
 """
@@ -132,8 +132,8 @@ def two_days(conn: Any, count: int) -> None:
             )
         key = hashlib.sha256(made.drive.drive_id.encode()).hexdigest()
         changeset = Changeset(
-            changeset_id=uuid4(), drive_id=made.drive.drive_id, idempotency_key=key, params_sha256="0" * 64, model_sha256="0" * 64,
-            code_version="bench", deltas=tuple(deltas),
+            changeset_id=uuid4(), drive_id=made.drive.drive_id, idempotency_key=key, params_sha256="0" * 64,
+            model_sha256="0" * 64, code_version="bench", deltas=tuple(deltas),
         )  # fmt: skip
         with map_transaction(conn, MAP_NAME):
             commit_changeset(conn, made.drive, [], [], made.positions, made.tracks, [], changeset, map_name=MAP_NAME)
@@ -245,7 +245,8 @@ def measure(playwright: Any, address: str, options: argparse.Namespace) -> None:
         marks, used_s, entries, browser, tab = first_picture(playwright, address, None, close=False)
         parts = ", ".join(f"{name} {ms / 1000:.2f}" for name, ms in sorted(marks.items(), key=lambda m: m[1]))
         print(
-            f"first picture {max(marks.values()) / 1000:.2f} s ({parts}); Chromium's processor time {used_s:.1f} s; load {os.getloadavg()[0]:.1f}"
+            f"first picture {max(marks.values()) / 1000:.2f} s ({parts}); Chromium's processor time "
+            f"{used_s:.1f} s; load {os.getloadavg()[0]:.1f}"
         )
         if options.requests and run == options.runs - 1:
             for name, start, begin, end, size in entries:
@@ -280,7 +281,8 @@ def use(tab: Any, pictures: Path | None) -> None:
     frames = int(tab.get_attribute("canvas", "data-frames")) - start_frames
     each_ms = 1000 * (time.monotonic() - started) / max(frames, 1)
     print(
-        f"points drawn at most {most:,}; finding the cone under a click: median {np.median(times):.2f} ms, worst {max(times):.2f} ms; "
+        f"points drawn at most {most:,}; finding the cone under a click: median {np.median(times):.2f} ms, "
+        f"worst {max(times):.2f} ms; "
         f"while turning {each_ms:.0f} ms a picture ({frames} pictures)"
     )
     if pictures:
