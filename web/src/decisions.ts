@@ -54,7 +54,7 @@ export const withdrawChoice = (d: Decision): Choice => ({
 });
 
 export const revertChoice = (changesetId: string, driveId: string): Choice => ({
-  text: "Revert this drive …",
+  text: "Revert …",
   explain: `${driveId} does not count any more. What other drives saw is kept, and this can be taken back.`,
   submit: "Revert this drive",
   wish: ({ decided_by, reason }) => ({ kind: "revert", changeset_id: changesetId, decided_by, reason }),
@@ -157,8 +157,7 @@ export function createDecider(host: HTMLElement) {
       say("", false);
       try {
         const done = await api.decide(context.map, choice.wish(by), secret);
-        sessionStorage.setItem(TOKEN, secret);
-        sessionStorage.setItem(NAME, by.decided_by);
+        remember();
         cancel();
         say(`${choice.done} ${plural(done.versions_written, "feature version")} written, ${plural(done.replayed, "drive")} compared with the map again.`, false); // prettier-ignore
         context.changed();
@@ -169,7 +168,14 @@ export function createDecider(host: HTMLElement) {
       }
     }
 
+    /** Once the server took the token, whatever else it said. */
+    function remember(): void {
+      sessionStorage.setItem(TOKEN, tokenRow.hidden ? (sessionStorage.getItem(TOKEN) ?? "") : token.value.trim());
+      sessionStorage.setItem(NAME, name.value.trim());
+    }
+
     function refused(error: unknown): void {
+      if (error instanceof ApiError && ![0, 401, 403].includes(error.status)) remember();
       for (const input of [name, reason, radius, token, abort]) input.disabled = false;
       submit.disabled = false;
       submit.textContent = choice.submit;
