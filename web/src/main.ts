@@ -190,6 +190,7 @@ async function openMap(): Promise<void> {
 /** Beside everything else: cones never wait for what lies under them. */
 async function openBase(map: string): Promise<void> {
   try {
+    base.apply(state);
     const layers = await base.open(map);
     if (map === state.map) sidebar.showBase(layers);
   } catch (error) {
@@ -326,6 +327,7 @@ function fit(): void {
 
 function fail(error: unknown, again: () => unknown): void {
   stage.start();
+  if (!all.length) layout.empty(true); // no controls for what is not there
   layout.busy(false);
   const text = error instanceof Error ? error.message : String(error);
   layout.card("The map cannot be shown", text, { action: { text: "Try again", run: () => void again() } });
