@@ -11,11 +11,12 @@ import pytest
 from fastapi.testclient import TestClient
 from pydantic import SecretStr
 
-from conetl.cli.view import decide_on
+from conetl.cli.view import decide_on, writer_of
 from conetl.errors import InputError
 from conetl.io.db import connect, execute
 from conetl.io.services.writer_token import checked_token, make_writer_token, read_writer_token
 from conetl.io.stores.audits import run_audits
+from conetl.settings import Settings
 from conetl.web.app import create_app
 from conetl.web.writing import MAX_BODY_BYTES, Writer
 from tests.integration.drives_of_days import merge, survey
@@ -193,3 +194,18 @@ def test_the_token_lies_where_only_its_owner_reads_it(tmp_path: Path):
         with pytest.raises(InputError, match="at least 16") as refused:
             checked_token(SecretStr(short), "CONETL_WRITER_TOKEN")
         assert not short or short not in str(refused.value)
+
+
+def test_only_a_server_that_was_told_to_takes_decisions_and_none_prints_its_token(tmp_path: Path, capfd):
+    home = Settings(home=tmp_path / "home")
+    assert writer_of(home, "", on_request=False, token_file=None) is None
+    assert not (tmp_path / "home").exists()
+    made = writer_of(home, "", on_request=True, token_file=None)
+    in_file = read_writer_token(tmp_path / "home" / "writer_token")
+    assert made is not None and made.token == in_file
+    named = writer_of(Settings(home=tmp_path, writer_token=SecretStr(TOKEN)), "", on_request=True, token_file=None)
+    assert named is not None and named.token.get_secret_value() == TOKEN and not (tmp_path / "writer_token").exists()
+    said = "".join(capfd.readouterr())
+    assert "writer_token" in said and TOKEN not in said and in_file.get_secret_value() not in said
+    with pytest.raises(InputError, match="CONETL_WRITER_TOKEN"):
+        writer_of(Settings(home=tmp_path, writer_token=SecretStr("short")), "", on_request=False, token_file=None)

@@ -51,7 +51,7 @@ def view(
     url = _database_url(settings)
     with closing(connect(url)) as conn:
         migrate(conn)
-    writer = _writer(settings, url, decisions, writer_token_file)
+    writer = writer_of(settings, url, on_request=decisions, token_file=writer_token_file)
     address = f"http://127.0.0.1:{port}/"
     with closing(_listen(port)) as listener:
         server: uvicorn.Server | None = None
@@ -70,7 +70,7 @@ def view(
         server.run(sockets=[listener])
 
 
-def _writer(settings: Settings, url: str, on_request: bool, token_file: Path | None) -> Writer | None:
+def writer_of(settings: Settings, url: str, *, on_request: bool, token_file: Path | None) -> Writer | None:
     """None where nobody may write. The token itself is never printed."""
     if token_file is None and on_request and settings.writer_token is None:
         token_file = make_writer_token(settings.home)
