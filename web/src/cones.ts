@@ -30,6 +30,7 @@ export function createCones(stage: Stage): ConeLayer {
   const markers = markerPoints();
   stage.scene.add(markers.points);
   let cones: Cone[] = [];
+  const seen = new Matrix4();
 
   const standing = bodies(body, solid);
   const gone = bodies(body, ghost);
@@ -63,15 +64,23 @@ export function createCones(stage: Stage): ConeLayer {
   function pick(x: number, y: number): Cone | null {
     let best: Cone | null = null;
     let bestScore = 1;
+    // One matrix for all, and nothing allocated in the loop: with thousands of cones a click must not wait for the garbage collector.
+    const e = seen.multiplyMatrices(stage.camera.projectionMatrix, stage.camera.matrixWorldInverse).elements;
+    const at = (row: number, px: number, py: number, pz: number) => e[row]! * px + e[row + 4]! * py + e[row + 8]! * pz + e[row + 12]!;
+    const { clientWidth: width, clientHeight: height } = stage.canvas;
     for (const cone of cones) {
       const [cx, cy, cz] = cone.xyz;
-      const foot = stage.project([cx, cy, cz]);
-      const tip = stage.project([cx, cy, cz + cone.height_m]);
-      if (!foot || !tip) continue;
+      const top = cz + cone.height_m;
+      const wFoot = at(3, cx, cy, cz);
+      const wTip = at(3, cx, cy, top);
+      if (wFoot <= 0 || wTip <= 0 || at(2, cx, cy, cz) > wFoot) continue;
+      const footX = ((at(0, cx, cy, cz) / wFoot + 1) / 2) * width;
+      const footY = ((1 - at(1, cx, cy, cz) / wFoot) / 2) * height;
+      const tipX = ((at(0, cx, cy, top) / wTip + 1) / 2) * width;
+      const tipY = ((1 - at(1, cx, cy, top) / wTip) / 2) * height;
       // Distance to the line from the foot to the marker above the tip, in units of how near a click must be.
-      const top: [number, number] = [tip[0], tip[1] - MARKER_LIFT_PX];
-      const reach = Math.max(PICK_PX, Math.hypot(tip[0] - foot[0], tip[1] - foot[1]) * 0.35);
-      const score = distanceToSegment([x, y], foot, top) / reach;
+      const reach = Math.max(PICK_PX, Math.hypot(tipX - footX, tipY - footY) * 0.35);
+      const score = distanceToSegment(x, y, footX, footY, tipX, tipY - MARKER_LIFT_PX) / reach;
       if (score < bestScore) {
         bestScore = score;
         best = cone;
@@ -130,11 +139,12 @@ function bodies(geometry: BufferGeometry, material: ShaderMaterial) {
   };
 }
 
-function distanceToSegment(p: [number, number], a: [number, number], b: [number, number]): number {
-  const [dx, dy] = [b[0] - a[0], b[1] - a[1]];
+function distanceToSegment(x: number, y: number, ax: number, ay: number, bx: number, by: number): number {
+  const dx = bx - ax;
+  const dy = by - ay;
   const length2 = dx * dx + dy * dy;
-  const t = length2 ? Math.max(0, Math.min(1, ((p[0] - a[0]) * dx + (p[1] - a[1]) * dy) / length2)) : 0;
-  return Math.hypot(p[0] - a[0] - t * dx, p[1] - a[1] - t * dy);
+  const t = length2 ? Math.max(0, Math.min(1, ((x - ax) * dx + (y - ay) * dy) / length2)) : 0;
+  return Math.hypot(x - ax - t * dx, y - ay - t * dy);
 }
 
 /** A cone of height 1 with its foot's centre at the origin and z up; shades of one colour, a light band as on the road. */
