@@ -128,12 +128,13 @@ export function createPoints(stage: Stage, onTrouble: (error: unknown) => void):
   function load(): void {
     while (loading < PARALLEL) {
       const tile = wanted.shift();
-      if (!tile) return;
+      if (!tile) break;
       if (tile.state !== "absent") continue;
       tile.state = "loading";
       loading += 1;
       void fetchOne(tile, generation);
     }
+    stage.canvas.dataset["loading"] = String(loading + wanted.length);
   }
 
   async function fetchOne(tile: Tile, mine: number): Promise<void> {
@@ -161,7 +162,6 @@ export function createPoints(stage: Stage, onTrouble: (error: unknown) => void):
             stage.draw();
           }, delay);
         }
-        stage.canvas.dataset["loading"] = String(loading + wanted.length);
       }
     }
   }
