@@ -7,7 +7,7 @@ export PYTHON
 export PREFECT_SERVER_ANALYTICS_ENABLED := false
 export DO_NOT_TRACK := 1
 
-.PHONY: help setup demo up down test check web bench-detect bench-intersection bench-trajectory bench-rectification bench-changes bench-map bench-kills bench-export bench-ogc bench-overhead bench-ingest lock
+.PHONY: help setup demo up down test check web bench-detect bench-intersection bench-trajectory bench-rectification bench-changes bench-map bench-kills bench-export bench-ogc bench-overhead bench-ingest bench-view lock
 
 help:           ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -61,6 +61,9 @@ bench-changes: setup  ## what the map makes of 200 simulated days of changes: co
 
 bench-map: setup  ## a drive of 100,000 cones into maps of 100 thousand and 1 million features (SIZES="... 10000000" for more)
 	@$(BIN)/python benchmarks/bench_map.py --sizes $(or $(SIZES),100000 1000000)
+
+bench-view: setup  ## first picture of the web view, clicks and frames (POINTS=3000000 for a large cloud; needs Chromium)
+	@$(BIN)/python benchmarks/bench_view.py --points $(or $(POINTS),100000)
 
 bench-kills: setup  ## 200 ingests killed at random instants: equal tables, no lock, no file left (KILLS=20 for fewer)
 	@$(BIN)/python benchmarks/bench_kills.py --kills $(or $(KILLS),200)

@@ -221,7 +221,7 @@ def drive_along(first: int, count: int, *, seed: int = 1, days: int = 2, sightin
     kept = places[fate > 0.05]
     seen = np.vstack([kept, fresh])
     seen = seen[np.argsort(seen[:, 1] // ROAD_DISTANCE_M * 1e6 + seen[:, 0], kind="stable")]
-    seen = (*seen, 0.3, -0.2, 0.05, *rng.normal(0, 0.05, seen.shape))
+    seen = seen + np.array((0.3, -0.2, 0.05)) + rng.normal(0, 0.05, seen.shape)
     start_ns = FOUNDED_NS + days * DAY_NS
     pairs = _path(first, count, start_ns)
     frame_of = np.linspace(0, len(pairs) - sightings, len(seen)).astype(int)

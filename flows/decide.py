@@ -11,11 +11,11 @@ from datetime import datetime
 from typing import NamedTuple
 from uuid import UUID
 
-from conetl.errors import InputError
+from conetl.errors import ConflictError, InputError
 from conetl.io.db import Connection
 from conetl.io.stores.decision_store import find_decisions, insert_decision, list_decisions, read_decisions
 from conetl.io.stores.map_results import Decidable, MapInfo
-from conetl.io.stores.map_store import find_features, find_map, map_transaction, system_time
+from conetl.io.stores.map_store import LOCK_TIMEOUT_S, find_features, find_map, map_transaction, system_time
 from conetl.io.stores.replay_store import (
     affected_drives,
     drives_at,
@@ -53,45 +53,78 @@ def decide_place(
     map_name: str,
     radius_m: float = 1.0,
     note: str = "",
+    decided_by: str | None = None,
+    expected_version: int | None = None,
+    lock_timeout_s: float = LOCK_TIMEOUT_S,
     now: datetime | None = None,
 ) -> Decided:
-    """Suppress or pin the place of a feature. feature: its id, or how that begins. Raises InputError."""
+    """Suppress or pin the place of a feature. feature: its id, or how that begins. Raises InputError, and ConflictError where the
+    same was decided already, or the feature's version is another one than `expected_version`, on which the person decided."""
     if not 0 < radius_m <= MAX_RADIUS_M:
         raise InputError(f"a radius of {radius_m} m is not between 0 and {MAX_RADIUS_M:g} m")
-    with map_transaction(conn, map_name):
+    with map_transaction(conn, map_name, lock_timeout_s=lock_timeout_s):
         info = _map(conn, map_name)
         state = _feature(conn, map_name, feature)
         before = read_decisions(conn, map_name=map_name)
         if is_within(state, before.suppressed if kind == SUPPRESS else before.pinned):
-            raise InputError(f"there is a decision to {kind} this place already: see `conetl map decisions`")
+            raise ConflictError(f"there is a decision to {kind} this place already: see `conetl map decisions`")
+        if expected_version is not None and state.version != expected_version:
+            raise ConflictError(
+                f"feature {state.feature_id} changed meanwhile: you decided on version {expected_version}, it is at version "
+                f"{state.version} now. Look at it again."
+            )
         place = Place(xy_m=state.xyz_m[:2], radius_m=radius_m)
         decided_at = system_time(conn, info, now)
         decision_id = insert_decision(
-            conn, info, kind, decided_at=decided_at, note=note, place=place, feature_id=state.feature_id
+            conn,
+            info,
+            kind,
+            decided_at=decided_at,
+            note=note,
+            decided_by=decided_by,
+            place=place,
+            feature_id=state.feature_id,
         )
         written, replayed = _judge_place(conn, info, kind, place.xy_m, decided_at)
     return Decided(decision_id, kind, decided_at, written, replayed, ())
 
 
-def revert(conn: Connection, what: str, *, map_name: str, note: str = "", now: datetime | None = None) -> Decided:
+def revert(
+    conn: Connection,
+    what: str,
+    *,
+    map_name: str,
+    note: str = "",
+    decided_by: str | None = None,
+    lock_timeout_s: float = LOCK_TIMEOUT_S,
+    now: datetime | None = None,
+) -> Decided:
     """Take back a changeset (its drive does not count any more), or a decision. what: its id, how that begins, or the changeset's
-    number. Nothing is lost: taking the decision back brings everything back. Raises InputError."""
-    with map_transaction(conn, map_name):
+    number. Nothing is lost: taking the decision back brings everything back. Raises InputError, ConflictError where that was done
+    already."""
+    with map_transaction(conn, map_name, lock_timeout_s=lock_timeout_s):
         info = _map(conn, map_name)
         target = _target(conn, map_name, what)
         decided_at = system_time(conn, info, now)
         if target.kind == "changeset":
             if any(decision.changeset_id == target.id for decision in list_decisions(conn, map_name=map_name)):
-                raise InputError(f"changeset {target.id} is reverted already: see `conetl map decisions`")
+                raise ConflictError(f"changeset {target.id} is reverted already: see `conetl map decisions`")
             kind, withdraws, changeset_id = REVERT, None, target.changeset_id
         elif target.kind == WITHDRAW or not target.active:
-            raise InputError(f"decision {target.id} does not hold any more: make it again instead")
+            raise ConflictError(f"decision {target.id} does not hold any more: make it again instead")
         else:
             kind, withdraws, changeset_id = WITHDRAW, target.id, None
         place = next((d for d in list_decisions(conn, map_name=map_name) if d.decision_id == target.id), None)
         counted_before = superseded_drives(conn, target.drive_uuid) if target.drive_uuid else []
         decision_id = insert_decision(
-            conn, info, kind, decided_at=decided_at, note=note, changeset_id=changeset_id, withdraws=withdraws
+            conn,
+            info,
+            kind,
+            decided_at=decided_at,
+            note=note,
+            decided_by=decided_by,
+            changeset_id=changeset_id,
+            withdraws=withdraws,
         )
         also_changed: tuple[UUID, ...] = ()
         if target.drive_uuid is not None:

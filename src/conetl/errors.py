@@ -25,6 +25,10 @@ class InputError(ConetlError):
     """The input as a whole cannot be used: nothing was written."""
 
 
+class ConflictError(InputError):
+    """What was decided does not fit what is there now: somebody or some drive was faster. Nothing was written."""
+
+
 class DriveFolderError(InputError):
     """A drive folder is missing, empty, or lacks a file without which no frame pair can be placed."""
 

@@ -37,6 +37,8 @@ class Settings(BaseSettings):
     """A drive without the marker file counts as complete when nothing in it has changed for so long."""
     prefect_database_url: SecretStr | None = None
     """Database of the Prefect server that `conetl up` starts; `prefect` beside the map's unless given."""
+    writer_token: SecretStr | None = None
+    """With it the web view takes decisions from whoever sends it; see also `conetl view --writer-token-file`."""
     view_url: str | None = None
     """Where `conetl view` is reached, for links in Prefect; `conetl up` sets it for its workers."""
 

@@ -122,6 +122,8 @@ def settle(page: Any) -> None:
     while before != (now := page.get_attribute("canvas", "data-frames")):
         before = now
         page.wait_for_timeout(250)
+        # A picture that was asked for waits for the one that is still being drawn.
+        page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
 
 def picture(page: Any) -> np.ndarray:

@@ -320,7 +320,8 @@ def test_a_commit_reaches_the_stream(database_url, samples, tmp_path):
     pool.close()
     [row] = execute(conn, "select changeset_no from conetl.changeset")
     conn.close()
-    assert said == ["event: changeset\ndata: 0\n\n", f"event: changeset\ndata: {row['changeset_no']}\n\n"]
+    beginning = "event: changeset\ndata: 0\n\nevent: decision\ndata: 0\n\nevent: base\ndata: none\n\n"
+    assert said == [beginning, f"event: changeset\ndata: {row['changeset_no']}\n\n"]
     print(f"from commit to event: {took:.2f} s")
 
 

@@ -33,6 +33,8 @@ export interface TimelineItem {
   merged_count: number;
   frame_pair_count: number;
   rejection_count: number;
+  /** False where it was reverted, or a later analysis of the same recording took its place. */
+  counts: boolean;
 }
 
 export interface Timeline {
@@ -137,37 +139,81 @@ export interface BaseLine {
   xyz_m: number[];
 }
 
+/** What a person decided and nobody took back. */
+export interface Decision {
+  decision_id: string;
+  kind: "suppress" | "pin" | "revert";
+  /** Of a place: what lies within radius_m of it. */
+  xy_m: [number, number] | null;
+  radius_m: number | null;
+  feature_id: string | null;
+  changeset_id: string | null;
+  drive_id: string | null;
+  decided_by: string | null;
+  reason: string;
+  decided_at: string;
+}
+
+export interface Decisions {
+  /** Whether this server takes decisions from holders of its writer token. */
+  writable: boolean;
+  decisions: Decision[];
+}
+
+export interface Decided {
+  decision_id: string;
+  versions_written: number;
+  replayed: number;
+}
+
+export type Wish = { decided_by: string; reason: string } & (
+  | { kind: "suppress" | "pin"; feature_id: string; expected_version: number; radius_m: number }
+  | { kind: "revert"; changeset_id: string }
+  | { kind: "withdraw"; decision_id: string }
+);
+
 /** What the server refused, in its own words; `status` is 0 where it could not be reached. */
 export class ApiError extends Error {
   constructor(
     message: string,
     readonly status: number,
+    /** The whole answer, where it was JSON. */
+    readonly body: unknown = null,
   ) {
     super(message);
   }
 }
 
-async function ask(path: string, signal?: AbortSignal): Promise<Response> {
+async function ask(path: string, init: RequestInit = {}): Promise<Response> {
   let response: Response;
   try {
-    response = await fetch(`./api/${path}`, signal ? { signal } : {});
+    response = await fetch(`./api/${path}`, init);
   } catch (error) {
     if (error instanceof DOMException && error.name === "AbortError") throw error;
     throw new ApiError("The server does not answer. Is `conetl view` still running?", 0);
   }
   if (response.ok) return response;
   let detail = `The server answered ${response.status}.`;
+  let body: unknown = null;
   try {
-    const body: unknown = await response.json();
+    body = await response.json();
     if (typeof body === "object" && body !== null && "detail" in body && typeof body.detail === "string") detail = body.detail;
   } catch {
     // not JSON: the status says it
   }
-  throw new ApiError(detail, response.status);
+  throw new ApiError(detail, response.status, body);
 }
 
-async function askJson<T>(path: string, signal?: AbortSignal): Promise<T> {
-  return (await (await ask(path, signal)).json()) as T;
+/** Asked for before the scene is set up, which takes a while; each answer is used once. */
+const early = new Map<string, Promise<unknown>>();
+
+async function askJson<T>(path: string, init: RequestInit = {}): Promise<T> {
+  const asked = early.get(path);
+  if (asked) {
+    early.delete(path);
+    return (await asked) as T;
+  }
+  return (await (await ask(path, init)).json()) as T;
 }
 
 const enc = encodeURIComponent;
@@ -183,6 +229,17 @@ function query(values: Record<string, string | null>): string {
 export interface Instant {
   valid: string | null;
   known: string | null;
+}
+
+/** Ask now for what the first picture of this map needs; `maps` is given back to who asks for it next. */
+export function askEarly(map: string, maps: unknown): void {
+  early.set("maps", Promise.resolve(maps));
+  for (const part of ["timeline", "decisions", "base", "base/lines"]) {
+    const path = `maps/${enc(map)}/${part}`;
+    const answer = askJson(path);
+    answer.catch(() => undefined); // told to who asks for it
+    early.set(path, answer);
+  }
 }
 
 export const api = {
@@ -211,11 +268,18 @@ export const api = {
     askJson<{ feature_ids: string[]; truncated: boolean }>(`maps/${enc(map)}/find${query({ beginning })}`),
   picture: async (map: string, s: Sighting, side: "left" | "right", whole: boolean, signal: AbortSignal): Promise<Blob> => {
     const place = `maps/${enc(map)}/drives/${enc(s.drive_uuid)}/pictures/${s.frame_index}/${s.match_index}/${side}.jpg`;
-    return (await ask(`${place}?context=${whole ? 100 : 3}`, signal)).blob();
+    return (await ask(`${place}?context=${whole ? 100 : 3}`, { signal })).blob();
   },
   base: (map: string) => askJson<{ layers: BaseLayer[]; tiles: BaseTile[]; truncated: boolean }>(`maps/${enc(map)}/base`),
   baseLines: (map: string) => askJson<{ lines: BaseLine[]; truncated: boolean }>(`maps/${enc(map)}/base/lines`),
   baseTile: async (map: string, sha256: string): Promise<ArrayBuffer> =>
     (await ask(`maps/${enc(map)}/base/tiles/${enc(sha256)}.bin`)).arrayBuffer(),
+  decisions: (map: string) => askJson<Decisions>(`maps/${enc(map)}/decisions`),
+  decide: (map: string, wish: Wish, token: string) =>
+    askJson<Decided>(`maps/${enc(map)}/decisions`, {
+      method: "POST",
+      headers: { "Content-Type": "application/json", Authorization: `Bearer ${token}` },
+      body: JSON.stringify(wish),
+    }),
   events: (map: string) => new EventSource(`./api/maps/${enc(map)}/events`),
 };

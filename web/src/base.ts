@@ -36,6 +36,7 @@ export function createBase(stage: Stage, onTrouble: (error: unknown) => void): B
       if (mine !== opening) return [];
       points.setTiles(base.tiles, (sha256) => api.baseTile(map, sha256));
       lines.show(found.lines);
+      stage.warm();
       document.documentElement.dataset["lines"] = String(found.lines.length);
       if (base.truncated || found.truncated) onTrouble(new Error("The base layers are larger than one page holds: some of them are not shown."));
       return base.layers;

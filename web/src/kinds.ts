@@ -1,7 +1,7 @@
 // How each kind of cone looks: a colour that the colour-blind can tell (no red/green pair, no orange) and a marker of its own.
 import type { ChangeKind } from "./api";
 
-export type Kind = ChangeKind | "standing";
+export type Kind = ChangeKind | "standing" | "suppressed";
 
 export interface Cone {
   id: string;
@@ -32,13 +32,14 @@ export const STYLES: Record<Kind, KindStyle> = {
   missed: { colour: "#5f45b8", shape: 4, label: "looked for in vain" },
   confirmed: { colour: "#7f97b2", shape: 0, label: "confirmed" },
   unchanged: { colour: "#b4bcc6", shape: 0, label: "not judged" },
+  suppressed: { colour: "#66717c", shape: 3, label: "suppressed by a person" },
   standing: { colour: "#7f97b2", shape: 0, label: "standing" },
 };
 
-export const KIND_ORDER: Kind[] = ["added", "split", "moved", "removed", "merged", "height_changed", "missed", "confirmed", "unchanged", "standing"];
+export const KIND_ORDER: Kind[] = ["added", "split", "moved", "removed", "merged", "height_changed", "missed", "suppressed", "confirmed", "unchanged", "standing"];
 
 /** What stands there no more after the drive: drawn as a ghost. */
-export const isGone = (kind: Kind): boolean => kind === "removed" || kind === "merged";
+export const isGone = (kind: Kind): boolean => kind === "removed" || kind === "merged" || kind === "suppressed";
 
 const SVG = "http://www.w3.org/2000/svg";
 const PATHS = [

@@ -1,10 +1,14 @@
-// The stream of new changesets. The browser reconnects by itself; where the server refused for good, this tries again.
+// The stream of new changesets, decisions and base layers. The browser reconnects by itself; where the server refused for good, this tries again.
 import { api } from "./api";
 
 export type LiveStatus = "live" | "waiting" | "trouble";
 
 export interface LiveHandlers {
   newest(changesetNo: number): void;
+  /** Number of the newest decision; at once, and whenever it changes. */
+  decided(decisionNo: number): void;
+  /** Differs where the base layers do; at once, and whenever it changes. */
+  base(head: string): void;
   status(status: LiveStatus, text: string): void;
 }
 
@@ -22,6 +26,8 @@ export function listen(map: string, on: LiveHandlers): () => void {
       on.status("live", "New drives appear here as soon as they are committed.");
       on.newest(Number(event.data));
     });
+    source.addEventListener("decision", (event: MessageEvent<string>) => on.decided(Number(event.data)));
+    source.addEventListener("base", (event: MessageEvent<string>) => on.base(event.data));
     source.addEventListener("trouble", (event: MessageEvent<string>) => on.status("trouble", event.data));
     source.addEventListener("error", () => {
       on.status("waiting", "No connection for news: new drives do not appear until there is one. Trying again …");

@@ -1,7 +1,8 @@
 // Ties everything together: state -> what to fetch -> what to draw.
-import { api, type HistoryItem, type MapItem, type Timeline, type TimelineItem, type Trajectory, type Vec3 } from "./api";
+import { api, askEarly, type Decisions, type HistoryItem, type MapItem, type Timeline, type TimelineItem, type Trajectory, type Vec3 } from "./api";
 import { createBase } from "./base";
 import { createCones } from "./cones";
+import { aboutFeature, createDecisionList } from "./decisions";
 import { el, fill, plural } from "./dom";
 import type { Cone } from "./kinds";
 import { createLayout } from "./layout";
@@ -16,6 +17,16 @@ import "./style.css";
 import { createTimeline } from "./timeline";
 
 const layout = createLayout(document.getElementById("app") ?? document.body);
+// The requests go out first: setting up WebGL keeps this thread for as long as they take.
+layout.card("Reading the map …", "", { busy: true });
+let state: State = parseState(location.hash);
+try {
+  const answer = await api.maps();
+  const name = state.map || nameOf(answer);
+  if (answer.maps.some((m) => m.map_name === name && m.changeset_count > 0)) askEarly(name, answer);
+} catch {
+  // openMap asks again, and tells
+}
 let stage: Stage;
 try {
   stage = createStage(layout.view);
@@ -27,7 +38,6 @@ const cones = createCones(stage);
 const overlays = createOverlays(stage, layout.view);
 const base = createBase(stage, (error) => layout.toast(`Base layers: ${error instanceof Error ? error.message : String(error)}`, null));
 
-let state: State = parseState(location.hash);
 let maps: MapItem[] = [];
 let timeline: Timeline | null = null;
 let all: Cone[] = [];
@@ -35,6 +45,7 @@ let chosen: Chosen | null = null;
 let fitted = false;
 /** Rises with every look at the map, so that an answer that comes too late is not shown. */
 let look = 0;
+let decisions: Decisions | null = null;
 let closeStream: (() => void) | null = null;
 const ways = new Map<string, Trajectory>();
 
@@ -67,6 +78,8 @@ const showTimeline = createTimeline(layout.timeline, {
   setCompare: (from, to) => change({ from, to }),
   setValid: (valid) => change({ valid }),
   setKnown: (known) => change({ known }),
+  decidesOn: () => (decisions?.writable ? state.map : null),
+  decided: () => void newDecision(),
 });
 const panel = createPanel(layout.panel, {
   close: () => void select(null),
@@ -77,6 +90,14 @@ const panel = createPanel(layout.panel, {
     drawChosen();
   },
   centre: () => centreChosen(),
+  decided: () => void newDecision(),
+});
+const decisionSection = el("section", { class: "decisions", hidden: true });
+layout.sidebar.append(decisionSection);
+const showDecisionList = createDecisionList(decisionSection, (d) => {
+  const reverted = timeline?.changesets.find((t) => t.changeset_id === d.changeset_id);
+  if (reverted) change({ mode: "drive", changeset: reverted.changeset_no });
+  else if (d.feature_id) void select(d.feature_id, true);
 });
 
 // --- state
@@ -114,6 +135,11 @@ const changeset = (no: number | null) => changesetOf(timeline?.changesets ?? [],
 
 // --- reading
 
+/** The map to show where the address names none. */
+function nameOf(answer: { maps: MapItem[]; chosen: string }): string {
+  return answer.maps.some((m) => m.map_name === answer.chosen) || !answer.maps[0] ? answer.chosen : answer.maps[0].map_name;
+}
+
 async function openMap(): Promise<void> {
   closeStream?.();
   chosen = null;
@@ -121,6 +147,8 @@ async function openMap(): Promise<void> {
   timeline = null;
   all = [];
   ways.clear();
+  decisions = null;
+  showDecisionList(null);
   base.close();
   sidebar.showBase([]);
   fitted = state.camera !== null;
@@ -128,12 +156,13 @@ async function openMap(): Promise<void> {
   try {
     const answer = await api.maps();
     maps = answer.maps;
-    if (!state.map) state.map = maps.some((m) => m.map_name === answer.chosen) || !maps[0] ? answer.chosen : maps[0].map_name;
+    if (!state.map) state.map = nameOf(answer);
     sidebar.showMaps(maps, state.map);
     document.title = `${state.map} · conetl`;
     if (maps.some((m) => m.map_name === state.map && m.changeset_count > 0)) {
       void openBase(state.map);
-      await readTimeline();
+      stage.warm();
+      await Promise.all([readTimeline(), readDecisions()]);
     }
     if (state.camera) stage.place(state.camera);
     await refresh();
@@ -141,12 +170,27 @@ async function openMap(): Promise<void> {
   } catch (error) {
     fail(error, openMap);
   }
-  closeStream = listen(state.map, { newest: (no) => void newChangeset(no), status: layout.status });
+  let decided: number | null = null;
+  let baseHead: string | null = null;
+  const map = state.map;
+  closeStream = listen(map, {
+    newest: (no) => void newChangeset(no),
+    decided: (no) => {
+      if (decided !== null && no !== decided) void newDecision();
+      decided = no;
+    },
+    base: (head) => {
+      if (baseHead !== null && head !== baseHead) void openBase(map);
+      baseHead = head;
+    },
+    status: layout.status,
+  });
 }
 
 /** Beside everything else: cones never wait for what lies under them. */
 async function openBase(map: string): Promise<void> {
   try {
+    base.apply(state);
     const layers = await base.open(map);
     if (map === state.map) sidebar.showBase(layers);
   } catch (error) {
@@ -176,6 +220,31 @@ async function newChangeset(no: number): Promise<void> {
   }
 }
 
+/** Decisions never keep the map from being shown. */
+async function readDecisions(): Promise<void> {
+  const map = state.map;
+  try {
+    const answer = await api.decisions(map);
+    if (map !== state.map) return;
+    decisions = answer;
+    showDecisionList(answer);
+    if (chosen) chosen = { ...chosen, decisions };
+  } catch (error) {
+    layout.toast(`The decisions cannot be read: ${error instanceof Error ? error.message : String(error)}`, { text: "Try again", run: () => void newDecision() });
+  }
+}
+
+/** Somebody decided: which cones stand and which drives count may be otherwise now. */
+async function newDecision(): Promise<void> {
+  try {
+    await Promise.all([readTimeline(), readDecisions()]);
+    await refresh();
+    if (chosen) await select(chosen.id);
+  } catch (error) {
+    fail(error, newDecision);
+  }
+}
+
 async function refresh(): Promise<void> {
   const mine = ++look;
   if (!timeline || !timeline.changesets.length) {
@@ -188,8 +257,7 @@ async function refresh(): Promise<void> {
   layout.busy(true);
   showTimeline(state, timeline.changesets); // the controls answer at once, the picture when it is there
   try {
-    const [next, truncated] = await readCones(state, timeline.changesets);
-    const drives = await readWays(drivesShown(state, timeline.changesets));
+    const [[next, truncated], drives] = await Promise.all([readCones(state, timeline.changesets), readWays(drivesShown(state, timeline.changesets))]);
     if (mine !== look) return;
     layout.card(null);
     layout.notice(truncated ? `Only the first ${plural(next.length, "cone")} are shown: this map is larger than one picture holds.` : null);
@@ -214,8 +282,11 @@ async function readWays(drives: TimelineItem[]): Promise<Trajectory[]> {
 // --- drawing
 
 function show(next: Cone[], drives: Trajectory[]): void {
-  all = next;
+  // A drive is shown as it was committed; what a person said of it since is drawn over it.
+  const suppressed = state.mode === "drive" ? (decisions?.decisions ?? []).filter((d) => d.kind === "suppress") : [];
+  all = suppressed.length ? next.map((c) => (aboutFeature(suppressed, c.id, c.xyz).length ? { ...c, kind: "suppressed" } : c)) : next;
   overlays.showWays(drives);
+  stage.start();
   const heights = all.map((c) => c.xyz[2]).sort((a, b) => a - b);
   const middle = heights[Math.floor(heights.length / 2)];
   if (middle !== undefined) stage.setGround(middle);
@@ -255,6 +326,8 @@ function fit(): void {
 }
 
 function fail(error: unknown, again: () => unknown): void {
+  stage.start();
+  if (!all.length) layout.empty(true); // no controls for what is not there
   layout.busy(false);
   const text = error instanceof Error ? error.message : String(error);
   layout.card("The map cannot be shown", text, { action: { text: "Try again", run: () => void again() } });
@@ -285,7 +358,7 @@ async function select(id: string | null, centre = false): Promise<void> {
   try {
     const { history } = await api.history(map, id);
     if (mine !== selecting) return;
-    chosen = { id, map, srid: timeline?.srid ?? 0, history, sightings: null, truncated: false, sightingIndex: 0, upTo: upTo(), factor: chosen?.factor ?? null };
+    chosen = { id, map, srid: timeline?.srid ?? 0, history, sightings: null, truncated: false, sightingIndex: 0, upTo: upTo(), factor: chosen?.factor ?? null, decisions };
     drawChosen();
     if (centre) centreChosen();
     const { sightings, truncated } = await api.sightings(map, id);

@@ -13,6 +13,8 @@ export const SIGMAS_95 = Math.sqrt(-2 * Math.log(0.05));
 const FRUSTUM_DEPTH_M = 1.6;
 const ARROW_EVERY_M = 8;
 const MAX_LABELS = 60;
+/** Room that a label needs: width, height. */
+const LABEL_PX = [64, 20] as const;
 const WAY = "#4a5560";
 const CAMERA = "#00795c";
 const ELLIPSE = "#0068b4";
@@ -48,9 +50,12 @@ export function createOverlays(stage: Stage, host: HTMLElement) {
   let labelled: { at: Vec3; node: HTMLElement }[] = [];
 
   stage.beforeDraw(() => {
+    const taken: [number, number][] = [];
     for (const { at, node } of labelled) {
       const place = stage.project(at);
-      node.hidden = place === null;
+      // From afar labels would cover each other and what they name: the first one stays.
+      node.hidden = place === null || taken.some(([x, y]) => Math.abs(x - place[0]) < LABEL_PX[0] && Math.abs(y - place[1]) < LABEL_PX[1]);
+      if (place && !node.hidden) taken.push(place);
       if (place) node.style.transform = `translate(${Math.round(place[0])}px, ${Math.round(place[1])}px)`;
     }
   });
@@ -108,7 +113,8 @@ export function createOverlays(stage: Stage, host: HTMLElement) {
     },
 
     showLabels(cones: Cone[], chosen: string | null): void {
-      const wanted = cones.filter((c) => c.id === chosen || (c.kind === "moved" && c.shift_m !== null)).slice(0, MAX_LABELS);
+      const moved = cones.filter((c) => c.id !== chosen && c.kind === "moved" && c.shift_m !== null).slice(0, MAX_LABELS);
+      const wanted = [...cones.filter((c) => c.id === chosen), ...moved];
       labelled = wanted.map((cone) => {
         const isChosen = cone.id === chosen;
         const text = [isChosen ? cone.id.slice(0, 8) : "", cone.kind === "moved" && cone.shift_m !== null ? `${cone.shift_m.toFixed(2)} m` : ""]

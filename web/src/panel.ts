@@ -1,5 +1,6 @@
 // Right: everything about the chosen cone.
-import { api, ApiError, type HistoryItem, type Sighting } from "./api";
+import { api, ApiError, type Decisions, type HistoryItem, type Sighting } from "./api";
+import { aboutFeature, createDecider, placeChoice, sentence, withdrawChoice, type DecideContext } from "./decisions";
 import { el, fill, plural, shortId, utc } from "./dom";
 import { icon, isGone, STYLES } from "./kinds";
 import { ellipse95, niceFactor } from "./overlays";
@@ -10,6 +11,8 @@ export interface PanelActions {
   showChangeset(no: number): void;
   setFactor(factor: number | null): void;
   centre(): void;
+  /** Something was decided about this cone. */
+  decided(): void;
 }
 
 export interface Chosen {
@@ -25,6 +28,8 @@ export interface Chosen {
   upTo: number;
   /** Enlargement of the ellipse; null chooses one. */
   factor: number | null;
+  /** null while they are being fetched. */
+  decisions: Decisions | null;
 }
 
 const cm = (variance: number) => `${(Math.sqrt(variance) * 100).toFixed(1)} cm`;
@@ -43,9 +48,13 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
   let shownPicture = "";
   const head = el("header", {});
   const facts = el("div", {});
+  const decided = el("div", {});
+  const deciderHost = el("div", {});
+  const decide = el("section", { class: "decide-section" }, el("h3", { textContent: "Decision" }), decided, deciderHost);
+  const decider = createDecider(deciderHost);
   const story = el("section", {});
   const seen = el("section", { class: "sightings" });
-  const scroll = el("div", { class: "panel-scroll" }, facts, seen, story);
+  const scroll = el("div", { class: "panel-scroll" }, facts, decide, seen, story);
   host.append(head, scroll);
 
   function setHead(id: string, chip: Node | null): void {
@@ -65,6 +74,7 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
     host.hidden = false;
     setHead(id, null);
     shownPicture = "";
+    decide.hidden = true;
     fill(facts, el("p", { class: "hint loading", textContent: "Reading its history …" }));
     fill(story);
     fill(seen);
@@ -73,6 +83,7 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
   function failed(id: string, error: unknown): void {
     host.hidden = false;
     setHead(id, null);
+    decide.hidden = true;
     fill(facts, el("p", { class: "hint bad", textContent: error instanceof Error ? error.message : String(error) }));
     fill(story);
     fill(seen);
@@ -84,6 +95,7 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
     if (!now) return;
     setHead(chosen.id, el("span", { class: "chip" }, icon(now.kind), STYLES[now.kind].label));
     showFacts(chosen, now);
+    showDecisions(chosen);
     showStory(chosen, now);
     showSightings(chosen);
   }
@@ -115,6 +127,22 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
         ...row("First, last seen", el("span", { class: "mono", textContent: utc(now.first_seen_at) }), el("span", { class: "mono", textContent: `${utc(now.last_seen_at)} UTC` })),
       ),
     ); // prettier-ignore
+  }
+
+  function showDecisions({ id, map, history, decisions }: Chosen): void {
+    const newest = history.at(-1);
+    decide.hidden = decisions === null || !newest || (!decisions.writable && !aboutFeature(decisions.decisions, id, newest.xyz_m).length);
+    if (!decisions || !newest) return;
+    const about = aboutFeature(decisions.decisions, id, newest.xyz_m);
+    fill(decided, ...about.map(sentence));
+    if (!decisions.writable) return decider.show(`${id} reading`, [], { map, changed: () => undefined });
+    const has = (kind: string) => about.some((d) => d.kind === kind);
+    const context: DecideContext = { map, changed: () => actions.decided() };
+    decider.show(`${id} ${newest.version} ${about.map((d) => d.decision_id).join(" ")}`, [
+      ...(has("suppress") || isGone(newest.kind) ? [] : [placeChoice("suppress", id, newest.version)]),
+      ...(has("pin") || has("suppress") ? [] : [placeChoice("pin", id, newest.version)]),
+      ...about.map(withdrawChoice),
+    ], context); // prettier-ignore
   }
 
   function showStory(chosen: Chosen, now: HistoryItem): void {

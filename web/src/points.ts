@@ -1,6 +1,6 @@
 // The point cloud: tiles with levels of detail. Which tiles are drawn depends on the camera; never more points than the budget.
 import {
-  BufferGeometry, Box3, Color, Frustum, Group, InterleavedBuffer, InterleavedBufferAttribute, Matrix4, Points, ShaderMaterial, Vector3,
+  BufferAttribute, BufferGeometry, Box3, Color, Frustum, Group, InterleavedBuffer, InterleavedBufferAttribute, Matrix4, Points, ShaderMaterial, Vector3,
 } from "three";
 import type { BaseTile } from "./api";
 import type { Stage } from "./scene";
@@ -16,6 +16,7 @@ const REST_AFTER_MS = 250;
 /** A finer tile is drawn where the spacing of the coarser one would be more pixels than this. */
 const SPACING_PX = 1.4;
 const PARALLEL = 6;
+const EARLY_POINTS = 60_000;
 const REDRAW_EVERY_MS = 200;
 const ROOT_M = 4096;
 const GRID = 128;
@@ -44,6 +45,7 @@ export function createPoints(stage: Stage, onTrouble: (error: unknown) => void):
   const group = new Group();
   stage.scene.add(group);
   const material = pointMaterial();
+  group.add(noPoints(material)); // so that the shader is compiled while the points are on their way
   const frustum = new Frustum();
   const matrix = new Matrix4();
   const nearest = new Vector3();
@@ -126,12 +128,13 @@ export function createPoints(stage: Stage, onTrouble: (error: unknown) => void):
   function load(): void {
     while (loading < PARALLEL) {
       const tile = wanted.shift();
-      if (!tile) return;
+      if (!tile) break;
       if (tile.state !== "absent") continue;
       tile.state = "loading";
       loading += 1;
       void fetchOne(tile, generation);
     }
+    stage.canvas.dataset["loading"] = String(loading + wanted.length);
   }
 
   async function fetchOne(tile: Tile, mine: number): Promise<void> {
@@ -159,7 +162,6 @@ export function createPoints(stage: Stage, onTrouble: (error: unknown) => void):
             stage.draw();
           }, delay);
         }
-        stage.canvas.dataset["loading"] = String(loading + wanted.length);
       }
     }
   }
@@ -201,6 +203,10 @@ export function createPoints(stage: Stage, onTrouble: (error: unknown) => void):
           origin: new Vector3(x, y, z), scale: new Vector3(...t.scale_m),
         };
       });
+      // The coarse ones are part of every picture: they are asked for before it is known what the camera sees.
+      let count = 0;
+      wanted = tiles.filter((t) => (count += t.count) <= EARLY_POINTS);
+      load();
       stage.draw();
     },
     setVisible(on): void {
@@ -213,6 +219,14 @@ export function createPoints(stage: Stage, onTrouble: (error: unknown) => void):
       stage.draw();
     },
   };
+}
+
+function noPoints(material: ShaderMaterial): Points {
+  const geometry = new BufferGeometry();
+  for (const [name, size] of [["position", 3], ["shade", 1]] as const) geometry.setAttribute(name, new BufferAttribute(new Float32Array(size), size));
+  const points = new Points(geometry, material);
+  points.visible = false;
+  return points;
 }
 
 const pixelsAtOneMetre = (stage: Stage) => stage.canvas.clientHeight / (2 * Math.tan((stage.camera.fov * Math.PI) / 360));

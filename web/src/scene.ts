@@ -1,6 +1,6 @@
 // The stage: renderer, camera and its keys, ground grid, scale bar. Draws only when something changed.
 import {
-  AmbientLight, BufferGeometry, Color, DirectionalLight, Float32BufferAttribute, LineBasicMaterial, LineSegments, MOUSE,
+  BufferGeometry, Color, Float32BufferAttribute, LineBasicMaterial, LineSegments, MOUSE,
   PerspectiveCamera, Scene, Spherical, Vector3, WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
@@ -22,6 +22,10 @@ export interface Stage {
   canvas: HTMLCanvasElement;
   /** Ask for a new picture; many calls make one. */
   draw(): void;
+  /** From now on pictures are drawn: before, there is nothing to see, and each picture costs time. */
+  start(): void;
+  /** Compile what is in the scene, without waiting for it. */
+  warm(): void;
   /** Called before every picture. */
   beforeDraw(callback: () => void): void;
   onCamera(callback: (place: CameraPlace) => void): void;
@@ -39,6 +43,7 @@ export interface Stage {
 
 export function createStage(host: HTMLElement): Stage {
   const renderer = new WebGLRenderer({ antialias: true, powerPreference: "high-performance" });
+  renderer.debug.checkShaderErrors = false; // asking for errors waits for the compiler
   renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
   const canvas = renderer.domElement;
   canvas.tabIndex = 0;
@@ -50,10 +55,6 @@ export function createStage(host: HTMLElement): Stage {
 
   const scene = new Scene();
   scene.background = new Color(BACKGROUND);
-  scene.add(new AmbientLight("#ffffff", 1.9));
-  const sun = new DirectionalLight("#ffffff", 1.6);
-  sun.position.set(-0.5, -0.8, 1.4);
-  scene.add(sun);
 
   const camera = new PerspectiveCamera(FIELD_DEG, 1, 0.1, 5000);
   camera.up.set(0, 0, 1);
@@ -74,10 +75,11 @@ export function createStage(host: HTMLElement): Stage {
   const befores: (() => void)[] = [];
   const cameraCallbacks: ((place: CameraPlace) => void)[] = [];
   let asked = false;
+  let started = false;
   let frames = 0;
 
   function draw(): void {
-    if (asked) return;
+    if (asked || !started) return;
     asked = true;
     requestAnimationFrame(() => {
       asked = false;
@@ -198,7 +200,14 @@ export function createStage(host: HTMLElement): Stage {
   resize();
 
   const stage: Stage = {
-    scene, camera, canvas, draw, fit, place, key, sees,
+    scene, camera, canvas, draw,
+    start: () => {
+      if (started) return;
+      started = true;
+      draw();
+    },
+    warm: () => void renderer.compile(scene, camera),
+    fit, place, key, sees,
     beforeDraw: (callback) => void befores.push(callback),
     onCamera: (callback) => void cameraCallbacks.push(callback),
     topView: () => {

@@ -1,5 +1,6 @@
 // Below: one drive before and after, two drives compared, or any instant.
 import type { TimelineItem } from "./api";
+import { createDecider, revertChoice, type Choice } from "./decisions";
 import { el, fill, plural, utc } from "./dom";
 import { icon, STYLES, type Kind } from "./kinds";
 import type { Mode, Side, State } from "./state";
@@ -12,6 +13,9 @@ export interface TimelineActions {
   setCompare(from: number, to: number | null): void;
   setValid(iso: string | null): void;
   setKnown(no: number | null): void;
+  /** Map whose drives may be reverted here; null where this server only reads. */
+  decidesOn(): string | null;
+  decided(): void;
 }
 
 const MODES: [Mode, string][] = [["drive", "Drive by drive"], ["compare", "Compare two"], ["instant", "Any time"]];
@@ -59,9 +63,11 @@ function driveView(actions: TimelineActions) {
   const next = el("button", { type: "button", class: "step", title: "Next drive (.)", textContent: "›", aria: { label: "Next drive" } });
   const sides = segmented("Before or after this drive", SIDES, (side) => actions.setSide(side));
   const text = el("div", { class: "drive-text", aria: { live: "polite" } });
+  const deciderHost = el("div", { class: "drive-decide" });
+  const decider = createDecider(deciderHost);
   const node = el(
     "div", { class: "drive-view" },
-    el("div", { class: "drive-line" }, text, sides.node),
+    el("div", { class: "drive-line" }, text, deciderHost, sides.node),
     el("div", { class: "drive-track" }, previous, el("div", { class: "track-scroll" }, columns, slider), next),
   );
   let items: TimelineItem[] = [];
@@ -115,13 +121,17 @@ function driveView(actions: TimelineActions) {
       columns.children[index]?.scrollIntoView?.({ block: "nearest", inline: "nearest" });
       const t = items[index];
       if (!t) return fill(text);
+      const map = actions.decidesOn();
+      const choices: Choice[] = map !== null && t.counts ? [revertChoice(t.changeset_id, t.drive_id)] : [];
+      decider.show(`${t.changeset_id} ${String(t.counts)} ${String(map)}`, choices, { map: map ?? "", changed: () => actions.decided() });
       slider.setAttribute("aria-valuetext", `${t.drive_id}, drive ${index + 1} of ${items.length}`);
       fill(
         text,
         el("strong", { textContent: t.drive_id }),
         el("span", { textContent: `drive ${index + 1} of ${items.length} · ${utc(t.captured_from)} UTC on the road · ${plural(t.frame_pair_count, "frame pair")} · committed ${utc(t.committed_at)} UTC` }),
         el("span", { class: "chips" }, ...CHANGED.filter(([, count]) => count(t)).map(([kind, count]) =>
-          el("span", { class: "chip" }, icon(kind), `${count(t)} ${STYLES[kind].label}`))),
+          el("span", { class: "chip" }, icon(kind), `${count(t)} ${STYLES[kind].label}`)),
+          !t.counts && el("span", { class: "chip off", title: "It was reverted, or a later analysis of the same recording took its place.", textContent: "does not count" })),
       ); // prettier-ignore
     },
   };

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import getpass
 from contextlib import closing
 from dataclasses import asdict
 from datetime import datetime
@@ -27,21 +28,25 @@ if TYPE_CHECKING:
 Feature = Annotated[str, typer.Argument(help="A feature's id, or how it begins.")]
 Radius = Annotated[float, typer.Option("--radius", help="Radius of the place in metres, at most 20.")]
 Note = Annotated[str, typer.Option("--note", help="Why; kept with the decision.")]
+By = Annotated[str | None, typer.Option("--by", help="Who decides; kept with the decision. Default: your login name.")]
 
 
-def suppress(feature: Feature, radius: Radius = 1.0, note: Note = "", as_json: JsonOption = False) -> None:
+def suppress(
+    feature: Feature, radius: Radius = 1.0, note: Note = "", by: By = None, as_json: JsonOption = False
+) -> None:
     """Nothing stands where this feature is, whatever drives see: a false positive."""
-    _decide_place("suppress", feature, radius, note, as_json)
+    _decide_place("suppress", feature, radius, note, by, as_json)
 
 
-def pin(feature: Feature, radius: Radius = 1.0, note: Note = "", as_json: JsonOption = False) -> None:
+def pin(feature: Feature, radius: Radius = 1.0, note: Note = "", by: By = None, as_json: JsonOption = False) -> None:
     """This cone stands: drives may confirm it, but neither remove nor move it."""
-    _decide_place("pin", feature, radius, note, as_json)
+    _decide_place("pin", feature, radius, note, by, as_json)
 
 
 def revert(
     what: Annotated[str, typer.Argument(help="A changeset's number or id, or a decision's id; ids may be cut short.")],
     note: Note = "",
+    by: By = None,
     as_json: JsonOption = False,
 ) -> None:
     """Take back a changeset (its drive does not count any more) or a decision. Nothing is lost: revert the revert to restore."""
@@ -49,7 +54,7 @@ def revert(
 
     settings = read_settings()
     with closing(open_map(settings)) as conn:
-        _print(take_back(conn, what, map_name=settings.map_name, note=note), as_json)
+        _print(take_back(conn, what, map_name=settings.map_name, note=note, decided_by=_who(by)), as_json)
 
 
 def decisions(as_json: JsonOption = False) -> None:
@@ -69,12 +74,13 @@ def decisions(as_json: JsonOption = False) -> None:
             "" if d.easting_m is None else f"{d.easting_m:.3f}",
             "" if d.northing_m is None else f"{d.northing_m:.3f}",
             "" if d.radius_m is None else f"{d.radius_m:g}",
+            d.decided_by or "",
             d.note,
         )
         for d in found
     ]
     if rows:
-        columns = ("decision", "kind", "about", "decided (UTC)", "easting m", "northing m", "radius m", "note")
+        columns = ("decision", "kind", "about", "decided (UTC)", "easting m", "northing m", "radius m", "by", "note")
         print_table("", columns, rows, numbers_from=4)
     else:
         out.print("No decisions.")
@@ -94,7 +100,7 @@ def diff(
         info = find_map(conn, settings.map_name)
         if info is None:
             raise InputError(f"there is no map named {settings.map_name} in this database: ingest a drive first.")
-        changes = diff_of(_state(conn, settings, before), _state(conn, settings, after))
+        changes = diff_of(state_of(conn, settings, before), state_of(conn, settings, after))
     if output is not None:
         export_diff_geojson(changes, output, srid=info.srid)
     if as_json:
@@ -125,7 +131,7 @@ def _nothing() -> MapFeature:
     raise ValueError("a change has an old or a new side")
 
 
-def _state(conn: Connection, settings: Settings, name: str) -> list[MapFeature]:
+def state_of(conn: Connection, settings: Settings, name: str) -> list[MapFeature]:
     """The map that `name` stands for: as known right after a changeset, or at a time on the road as known now."""
     valid_at: datetime | None = None
     known_at: datetime | None = None
@@ -140,13 +146,22 @@ def _state(conn: Connection, settings: Settings, name: str) -> list[MapFeature]:
     return [version.feature for version in versions]
 
 
-def _decide_place(kind: str, feature: str, radius: float, note: str, as_json: bool) -> None:
+def _decide_place(kind: str, feature: str, radius: float, note: str, by: str | None, as_json: bool) -> None:
     from flows.decide import decide_place
 
     settings = read_settings()
     with closing(open_map(settings)) as conn:
-        decided = decide_place(conn, kind, feature, map_name=settings.map_name, radius_m=radius, note=note)
+        decided = decide_place(
+            conn, kind, feature, map_name=settings.map_name, radius_m=radius, note=note, decided_by=_who(by)
+        )
     _print(decided, as_json)
+
+
+def _who(by: str | None) -> str:
+    try:
+        return by or getpass.getuser()
+    except (OSError, KeyError) as error:  # a container whose user has no name
+        raise InputError("this system does not know your name: say who decides with --by NAME") from error
 
 
 def _print(decided: Decided, as_json: bool) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from conetl.cli import decisions, exchange, work_zones
+from conetl.cli import decisions, exchange, picture, work_zones
 from conetl.cli.console import JsonOption, out, parse_time, print_json, print_table
 from conetl.cli.database import open_map
 from conetl.errors import InputError
@@ -22,6 +22,7 @@ for decide in (decisions.suppress, decisions.pin, decisions.revert, decisions.de
     app.command()(decide)
 for exchanged in (exchange.export, exchange.licence, exchange.qgis):
     app.command()(exchanged)
+app.command()(picture.picture)
 app.command("import")(exchange.import_)
 app.command("check-layout")(work_zones.check_layout_command)
 

@@ -48,6 +48,9 @@ def up(
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port of Prefect.")] = 4200,
     view_port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the web view (always 127.0.0.1).")] = 8791,
+    decisions: Annotated[
+        bool, typer.Option("--decisions", help="The web view takes decisions from holders of the writer token.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Start everything: PostGIS, Prefect on PostgreSQL, workers, deployments with their schedules, the web view.
@@ -64,7 +67,7 @@ def up(
     home = settings.home.resolve()
     with services_lock(home), err.status("Starting") if err.is_terminal else nullcontext() as spinner:
         say = spinner.update if spinner is not None else _say_nothing
-        started = _start_all(settings, home, workers, host, port, view_port, say)
+        started = _start_all(settings, home, workers, host, port, view_port, decisions, say)
     if as_json:
         about = {
             "deployments_registered": started.registered,
@@ -94,7 +97,14 @@ class _Started(NamedTuple):
 
 
 def _start_all(
-    settings: Settings, home: Path, workers: int, host: str, port: int, view_port: int, say: Callable[[str], object]
+    settings: Settings,
+    home: Path,
+    workers: int,
+    host: str,
+    port: int,
+    view_port: int,
+    decisions: bool,
+    say: Callable[[str], object],
 ) -> _Started:
     """Start what is missing, each when that which it needs is healthy; all are at the end."""
     services = {name: s for name, s in read_services(home).items() if is_running(s)}
@@ -128,7 +138,7 @@ def _start_all(
         PREFECT_SERVER_UI_API_URL=os.environ.get("PREFECT_SERVER_UI_API_URL", f"{address}/api"),
     )
     conetl = [sys.executable, "-c", "from conetl.cli import main; main()"]
-    ensure("view", [*conetl, "view", "--port", str(view_port)], view)
+    ensure("view", [*conetl, "view", "--port", str(view_port), *(["--decisions"] if decisions else [])], view)
     os.environ.update(environment)  # Prefect reads its environment when it is imported, below
     from flows import register
     from flows.recovery import recover

@@ -1,4 +1,4 @@
-"""The server of `conetl view`: an API that only reads and the built front end. No other host is ever asked for anything."""
+"""The server of `conetl view`: an API that reads, decisions of writers, and the built front end. No other host is ever asked for anything."""
 
 from __future__ import annotations
 
@@ -17,20 +17,24 @@ from conetl.io.pictures.crops import PictureMissingError
 from conetl.io.pictures.images import ImageFileError
 from conetl.io.stores.async_reader_pool import AsyncReaderPool
 from conetl.io.stores.reader_pool import ReaderPool
-from conetl.web import routes_base, routes_events, routes_features, routes_maps, routes_pictures
+from conetl.web import routes_base, routes_decisions, routes_events, routes_features, routes_maps, routes_pictures
 from conetl.web.guard import Guard
 from conetl.web.headers import SecurityHeaders
 from conetl.web.live import HeadWatcher
 from conetl.web.models import Problem
 from conetl.web.ogc.app import create_ogc_app
+from conetl.web.writing import Writer
 
 STATIC = Path(__file__).parent / "static"
 #: Names under which a browser on this machine may call; any other is a page elsewhere that rebound its name to this machine.
 LOOPBACK_NAMES = ["127.0.0.1", "localhost", "[::1]"]
 
 
-def create_app(database_url: str, map_name: str, *, closing: Callable[[], bool] = lambda: False) -> FastAPI:
-    """The application over one database. `closing` tells whether the server stops: open streams end then."""
+def create_app(
+    database_url: str, map_name: str, *, closing: Callable[[], bool] = lambda: False, writer: Writer | None = None
+) -> FastAPI:
+    """The application over one database. `closing` tells whether the server stops: open streams end then. Without `writer` it only
+    reads."""
     pool = ReaderPool(database_url)
     ogc_pool = AsyncReaderPool(database_url)
 
@@ -46,8 +50,10 @@ def create_app(database_url: str, map_name: str, *, closing: Callable[[], bool] 
     )  # fmt: skip
     app.state.pool = pool
     app.state.map_name = map_name
+    app.state.writer = writer
     app.state.watcher = HeadWatcher(pool, closing=closing)
-    for router in (routes_maps.router, routes_features.router, routes_pictures.router, routes_base.router, routes_events.router):
+    for router in (routes_maps.router, routes_features.router, routes_pictures.router, routes_base.router, routes_decisions.router,
+                   routes_events.router):
         app.include_router(router, prefix="/api")
     app.add_exception_handler(DatabaseError, _refusal(503))
     app.add_exception_handler(PictureMissingError, _refusal(404))

@@ -1,4 +1,8 @@
-"""Tells open pages about new changesets: one poller for all of them, and only while somebody listens."""
+"""Tells open pages about news: one listener for all of them, and only while somebody listens.
+
+PostgreSQL tells of each commit (LISTEN, see sql/serve/listen.sql); then, and every `LOOK_S` in case a connection pool between swallows
+notices, the heads of all maps are read once for all pages.
+"""
 
 from __future__ import annotations
 
@@ -9,73 +13,115 @@ from contextlib import suppress
 from starlette.concurrency import run_in_threadpool
 
 from conetl.errors import DatabaseError
-from conetl.io.stores.reader_pool import ReaderPool
-from conetl.io.stores.serve_store import read_heads
+from conetl.io.db import Connection
+from conetl.io.stores.reader_pool import ReaderPool, open_listener, wait_for_news
+from conetl.io.stores.serve_store import Head, read_heads
 
-POLL_S = 0.4
+#: How often streams look whether the server stops, and the listener whether anybody still listens.
+ROUND_S = 0.5
+LOOK_S = 5.0
+RETRY_S = 1.0
 PING_S = 15.0
 MAX_STREAMS = 64
 TOO_MANY = f"{MAX_STREAMS} pages listen already: close some, or reload by hand."
 
 
 class HeadWatcher:
-    """Asks the database for the newest changesets, several times a second, and hands them to every open stream."""
+    """Listens to the database and hands the newest state of every map to every open stream."""
 
     def __init__(self, pool: ReaderPool, *, closing: Callable[[], bool]) -> None:
         self._pool, self._closing = pool, closing
-        self._heads: dict[str, int] = {}
+        self._heads: dict[str, Head] = {}
         self._problem: str | None = None
         self._streams = 0
         self._round = asyncio.Condition()
-        self._poller: asyncio.Task[None] | None = None
+        self._listener: asyncio.Task[None] | None = None
 
     def full(self) -> bool:
         """True where no further stream may be opened."""
         return self._streams >= MAX_STREAMS
 
     async def events(self, map_name: str) -> AsyncIterator[str]:
-        """Server-sent events: `changeset` with the number of the map's newest one (0: none), at once and after every commit;
-        `trouble` with what is wrong, while the database cannot be asked."""
+        """Server-sent events, at once and after every commit that changes them: `changeset` and `decision` with the number of the
+        map's newest one (0: none), `base` with a text that differs where the base layers do; `trouble` with what is wrong, while
+        the database cannot be asked."""
         if self.full():  # many came at the same moment
             yield _event("trouble", TOO_MANY)
             return
         self._streams += 1
-        sent: tuple[int | None, str | None] | None = None
+        sent: Head | None = None
+        said: str | None = None
         idle_s = 0.0
         try:
-            if self._poller is None or self._poller.done():
-                self._poller = asyncio.create_task(self._poll())
+            if self._listener is None or self._listener.done():
+                self._listener = asyncio.create_task(self._listen())
             while not self._closing():
                 async with self._round:
                     await self._round.wait()
-                now = (self._heads.get(map_name, 0), self._problem)
-                idle_s += POLL_S
-                if now != sent:
-                    yield _event("trouble", now[1]) if now[1] else _event("changeset", str(now[0]))
-                    sent, idle_s = now, 0.0
+                head, problem = self._heads.get(map_name, Head()), self._problem
+                idle_s += ROUND_S
+                if problem and problem != said:
+                    yield _event("trouble", problem)
+                    sent, idle_s = None, 0.0  # afterwards everything is told again
+                elif not problem and head != sent:
+                    yield "".join(_news(sent, head))
+                    sent, idle_s = head, 0.0
                 elif idle_s >= PING_S:
                     yield ": still here\n\n"
                     idle_s = 0.0
+                said = problem
         finally:
             self._streams -= 1
-            if self._streams == 0 and self._poller is not None:
-                self._poller.cancel()
-                self._poller = None
+            if self._streams == 0 and self._listener is not None:
+                self._listener.cancel()
+                self._listener = None
 
-    async def _poll(self) -> None:
+    async def _listen(self) -> None:
+        conn: Connection | None = None
+        since_look_s = LOOK_S
         with suppress(asyncio.CancelledError):
-            while True:
-                try:
-                    self._heads, self._problem = await run_in_threadpool(self._read), None
-                except DatabaseError as error:
-                    self._problem = str(error)
-                async with self._round:
-                    self._round.notify_all()
-                await asyncio.sleep(POLL_S)
+            try:
+                while True:
+                    try:
+                        if conn is None:
+                            conn = await run_in_threadpool(self._pool.listener)
+                        if since_look_s >= LOOK_S:
+                            self._heads, since_look_s = await run_in_threadpool(self._read), 0.0
+                        self._problem = None
+                        await self._tell()
+                        told = await run_in_threadpool(wait_for_news, conn, ROUND_S)
+                        since_look_s = LOOK_S if told else since_look_s + ROUND_S
+                    except DatabaseError as error:
+                        self._problem, since_look_s = str(error), LOOK_S
+                        _close(conn)
+                        conn = None
+                        await self._tell()
+                        await asyncio.sleep(RETRY_S)
+            finally:
+                _close(conn)
 
-    def _read(self) -> dict[str, int]:
+    async def _tell(self) -> None:
+        async with self._round:
+            self._round.notify_all()
+
+    def _read(self) -> dict[str, Head]:
         with self._pool.reading() as conn:
             return read_heads(conn)
+
+
+def _close(conn: Connection | None) -> None:
+    if conn is not None:
+        with suppress(Exception):  # it may be broken already
+            conn.close()
+
+
+def _news(sent: Head | None, head: Head) -> list[str]:
+    named = {"changeset": "changeset_no", "decision": "decision_no", "base": "base"}
+    return [
+        _event(name, str(getattr(head, field)))
+        for name, field in named.items()
+        if sent is None or getattr(sent, field) != getattr(head, field)
+    ]
 
 
 def _event(name: str, data: str) -> str:

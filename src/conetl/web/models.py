@@ -64,6 +64,8 @@ class TimelineItem(Answer):
     track_count: int
     rejection_count: int
     code_version: str
+    counts: bool
+    """False where it was reverted, or a later analysis of the same recording took its place."""
 
 
 class Timeline(Answer):
@@ -211,6 +213,46 @@ class Trajectory(Answer):
     truncated: bool
 
 
+class Decision(Answer):
+    """What a person decided and nobody took back."""
+
+    decision_id: UUID
+    kind: Literal["suppress", "pin", "revert"]
+    xy_m: tuple[float, float] | None
+    """Of a suppressed or pinned place its middle; what lies within `radius_m` of it is meant."""
+    radius_m: float | None
+    feature_id: UUID | None
+    """The feature that the person pointed at."""
+    changeset_id: UUID | None
+    drive_id: str | None
+    """Drive of a reverted changeset."""
+    decided_by: str | None
+    reason: str
+    decided_at: datetime
+
+
+class Decisions(Answer):
+    origin_m: Vec3
+    writable: bool
+    """True where this server takes decisions from holders of its writer token."""
+    decisions: list[Decision]
+    """Newest first."""
+    truncated: bool
+
+
+class Decided(Answer):
+    """A decision that was written, and what followed from it."""
+
+    decision_id: UUID
+    kind: Literal["suppress", "pin", "revert", "withdraw"]
+    decided_at: datetime
+    versions_written: int
+    replayed: int
+    """Drives that were compared with the map again."""
+    also_changed: list[UUID]
+    """Of a reverted changeset: features that later drives changed too; what they saw is kept."""
+
+
 class FoundFeatures(Answer):
     feature_ids: list[UUID]
     truncated: bool
@@ -259,3 +301,10 @@ class Problem(Answer):
     """Every refusal."""
 
     detail: str
+
+
+class Conflict(Problem):
+    """A decision on what is not there any more."""
+
+    now: HistoryItem | None
+    """The feature's newest state; None where it is not believed in any more, or the decision was not about a feature."""

@@ -11,7 +11,7 @@ import numpy as np
 from conetl.geometry.rig import map_SE3_left
 from conetl.io.stores.map_results import CommittedChangeset
 from conetl.records import Pose, Rig, Vec3, utc_from_ns
-from conetl.web.models import Box, Change, Feature, HistoryItem, Sighting, TimelineItem
+from conetl.web.models import Box, Change, Decision, Feature, HistoryItem, Sighting, TimelineItem
 
 Row = Mapping[str, Any]
 #: Offsets are sent to a tenth of a millimetre.
@@ -71,6 +71,18 @@ def history_item(row: Row, origin_m: Vec3) -> HistoryItem:
         cov_m2=tuple(row[f"cov_{name}"] for name in _COV3),
         first_seen_at=utc_from_ns(row["first_seen_ns"]),
         last_seen_at=utc_from_ns(row["last_seen_ns"]),
+    )
+
+
+def decision(row: Row, origin_m: Vec3) -> Decision:
+    """One decision that holds."""
+    is_place = row["easting_m"] is not None
+    return Decision(
+        **_same(row, Decision, skip={"xy_m", "reason"}),
+        xy_m=tuple(round(row[n] - o, _DECIMALS) for n, o in zip(("easting_m", "northing_m"), origin_m, strict=False))
+        if is_place
+        else None,
+        reason=row["note"],
     )
 
 

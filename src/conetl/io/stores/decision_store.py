@@ -43,6 +43,7 @@ def insert_decision(
     *,
     decided_at: datetime,
     note: str,
+    decided_by: str | None = None,
     place: Place | None = None,
     feature_id: UUID | None = None,
     changeset_id: UUID | None = None,
@@ -63,6 +64,7 @@ def insert_decision(
         "changeset_id": changeset_id,
         "withdraws": withdraws,
         "note": clean_text(note),
+        "decided_by": clean_text(decided_by) if decided_by else None,
         "decided_at": decided_at,
     }
     execute(conn, load_sql("write/insert_decision"), parameters)

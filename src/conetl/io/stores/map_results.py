@@ -206,6 +206,8 @@ class StoredDecision:
     feature_id: UUID | None
     changeset_id: UUID | None
     note: str
+    decided_by: str | None
+    """None of decisions from before names were kept."""
     decided_at: datetime
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import select
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -38,10 +39,35 @@ class ReaderPool:
         finally:
             self._slots.release()
 
+    def listener(self) -> Connection:
+        """One more connection, which is told of changes; the caller closes it. Raises DatabaseError."""
+        return open_listener(self._url)
+
     def close(self) -> None:
         """Close what is not lent."""
         while self._free:
             self._free.pop().close()
+
+
+def open_listener(url: str) -> Connection:
+    """A connection that is told of every change of a map or its base layers. Raises DatabaseError."""
+    conn = open_reader(url)
+    with database_errors("The connection could not listen for news"):
+        conn.autocommit = True
+        execute(conn, load_sql("serve/listen"))
+    return conn
+
+
+def wait_for_news(conn: Connection, timeout_s: float) -> bool:
+    """Block until the database tells of a change, True, or the time is over, False. Raises DatabaseError where it went away."""
+    waiting = select.poll()  # takes file numbers beyond select's 1024
+    waiting.register(conn.fileno(), select.POLLIN)
+    waiting.poll(timeout_s * 1000)
+    with database_errors("The database went away"):
+        conn.poll()
+    told = bool(conn.notifies)
+    conn.notifies.clear()
+    return told
 
 
 def open_reader(url: str) -> Connection:

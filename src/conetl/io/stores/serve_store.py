@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from datetime import datetime
-from typing import Any
+from typing import Any, NamedTuple
 from uuid import UUID
 
 from conetl.io.db import Connection, database_errors, execute, load_sql
@@ -19,9 +19,22 @@ def read_maps(conn: Connection) -> list[Row]:
     return _rows(conn, "maps", {})
 
 
-def read_heads(conn: Connection) -> dict[str, int]:
-    """Number of the newest changeset of every map that has one."""
-    return {row["map_name"]: row["changeset_no"] for row in _rows(conn, "heads", {})}
+class Head(NamedTuple):
+    """How far a map has come; each part differs where there is news of its kind."""
+
+    changeset_no: int = 0
+    decision_no: int = 0
+    base: str = "none"
+
+
+def read_heads(conn: Connection) -> dict[str, Head]:
+    """The head of every map."""
+    return {row.pop("map_name"): Head(**row) for row in _rows(conn, "heads", {})}
+
+
+def read_decisions(conn: Connection, map_name: str, max_rows: int) -> list[Row]:
+    """The decisions that hold, newest first."""
+    return _rows(conn, "decisions", {"map_name": map_name, "max_rows": max_rows})
 
 
 def read_origin(conn: Connection, map_name: str) -> tuple[float, float, float] | None:

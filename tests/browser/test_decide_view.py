@@ -1,0 +1,184 @@
+"""Decisions from the panel and news without a reload, in a real Chromium."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import uvicorn
+from pydantic import SecretStr
+from pyproj import Transformer
+from typer.testing import CliRunner
+
+from conetl.cli.app import app as command_line
+from conetl.cli.view import decide_on
+from conetl.io.stores.decision_store import list_decisions
+from conetl.io.stores.map_store import read_current_features
+from conetl.web.app import create_app
+from conetl.web.writing import Writer
+from flows.decide import PIN, decide_place
+from tests.browser.test_view import (  # fixtures are used by their names
+    _free_port,
+    browser,  # noqa: F401
+    click_cone,
+    conn,  # noqa: F401
+    pytestmark,  # noqa: F401
+    settle,
+)
+from tests.integration.drives_of_days import merge, survey
+from tests.unit.io.test_base_layers import geojson, line
+
+TOKEN = "a-token-that-nobody-guesses"
+
+
+@pytest.fixture(scope="module")
+def address(module_database_url: str, conn: Any) -> Iterator[str]:  # noqa: F811
+    merge(conn, survey(0))
+    port = _free_port()
+    writer = Writer(token=SecretStr(TOKEN), decide=decide_on(module_database_url))
+    application = create_app(module_database_url, "default", writer=writer)
+    server = uvicorn.Server(uvicorn.Config(application, port=port, log_level="warning", timeout_graceful_shutdown=1))
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    while not server.started:
+        assert thread.is_alive(), "the server ended by itself"
+        time.sleep(0.02)
+    yield f"http://127.0.0.1:{port}/"
+    server.should_exit = True
+    thread.join()
+
+
+@pytest.fixture
+def page(browser: Any, address: str) -> Iterator[Any]:  # noqa: F811
+    """Refused requests are logged by the browser itself: only errors of the page's own script fail here."""
+    tab = browser.new_page(viewport={"width": 1280, "height": 800})
+    problems: list[str] = []
+    tab.on("pageerror", lambda e: problems.append(str(e)))
+    tab.on("request", lambda r: problems.append(r.url) if TOKEN in r.url else None)
+    tab.goto(address)
+    tab.wait_for_selector(".status[data-status=live]")
+    tab.wait_for_selector("canvas[data-frames]")
+    settle(tab)
+    yield tab
+    tab.close()
+    assert problems == []
+
+
+def the_one(conn: Any, number: int) -> str:  # noqa: F811
+    conn.rollback()
+    return str(sorted(read_current_features(conn), key=lambda f: f.xyz_m)[number].feature_id)
+
+
+def fill_form(page: Any, button: str, reason: str, *, token: str | None = None) -> None:
+    """By keyboard alone, from the button on."""
+    page.focus(f".decide-section button:text('{button}')")
+    page.keyboard.press("Enter")
+    page.wait_for_selector("form.decide")
+    name = page.locator("form.decide [name=name]")
+    if not name.input_value():
+        page.keyboard.type("Ada Müller")
+        page.keyboard.press("Tab")
+    page.keyboard.type(reason)
+    if token is not None:
+        page.fill("form.decide [name=token]", token)
+    page.focus("form.decide button[type=submit]")
+    page.keyboard.press("Enter")
+
+
+def test_a_cone_is_suppressed_and_comes_back(page, conn):  # noqa: F811
+    one = the_one(conn, 2)
+    click_cone(page, one)
+    page.wait_for_selector(f"h2:text-is('{one[:8]}')")
+    fill_form(page, "Suppress", "a bollard", token="not-the-writers-token")
+    page.wait_for_selector(".decide-status.bad >> text=Nothing was written. The writer token is missing")
+    assert page.evaluate("sessionStorage.length") == 0
+    assert list_decisions(conn) == []
+    page.fill("form.decide [name=token]", TOKEN)
+    page.keyboard.press("Enter")
+    page.wait_for_selector(".decide-status.good >> text=Suppressed. 1 feature version written")
+    page.wait_for_selector(".legend label[data-kind=suppressed]")
+    assert page.locator(".decide-section .decision").inner_text().startswith("Suppressed by Ada Müller: a bollard")
+    assert page.locator(".decisions .decision-row").count() == 1
+    conn.rollback()
+    [decision] = list_decisions(conn)
+    assert (decision.kind, decision.decided_by, decision.note) == ("suppress", "Ada Müller", "a bollard")
+    count = len(read_current_features(conn))
+    page.click("text=Any time")
+    page.wait_for_selector(f'html[data-cones="{count}"]', state="attached")
+    page.click("text=Drive by drive")
+    page.wait_for_selector(".legend label[data-kind=suppressed]")
+    assert TOKEN not in page.url + page.content()
+    fill_form(page, "Take back", "it is a cone")  # name and token are known by now
+    page.wait_for_selector(".decide-status.good >> text=Taken back.")
+    page.wait_for_selector(".legend label[data-kind=suppressed]", state="detached")
+    conn.rollback()
+    assert list_decisions(conn) == [] and one in {str(f.feature_id) for f in read_current_features(conn)}
+
+
+def test_what_somebody_else_decided_meanwhile_appears_and_is_a_conflict(page, conn):  # noqa: F811
+    one = the_one(conn, 3)
+    click_cone(page, one)
+    page.wait_for_selector(".decide-section button:text('Pin')")
+    page.route("**/events", lambda route: route.abort())
+    page.reload()  # this page hears of nothing
+    page.wait_for_selector(".decide-section button:text('Pin')")
+    conn.rollback()
+    decide_place(conn, PIN, one, map_name="default", note="of old", decided_by="Grace")
+    fill_form(page, "Pin", "on the kerb", token=TOKEN)
+    page.wait_for_selector(".decide-status.bad >> text=There is a decision to pin this place already")
+    assert "Now: version 1, added by" in page.locator(".panel .decide-status").inner_text()
+    page.wait_for_selector(".decide-section .decision >> text=Pinned by Grace: of old")
+    fill_form(page, "Unpin", "done", token=None)
+    page.wait_for_selector(".decide-status.good")
+    assert page.locator("form.decide").count() == 0
+    page.keyboard.press("Escape")
+    page.wait_for_selector(".panel", state="hidden")
+
+
+def test_news_come_without_a_reload(page, conn, module_database_url, tmp_path: Path):  # noqa: F811
+    """Last in this file: a drive, a base layer that comes and goes, a decision made elsewhere. Prints how long each took."""
+    page.evaluate("""() => {
+        window.notReloaded = true;
+        window.seen = {};
+        const watch = () => {
+            const drive = document.querySelector('.drive-text strong')?.textContent, root = document.documentElement.dataset;
+            const frames = document.querySelector('canvas').dataset.frames;
+            const gone = document.querySelectorAll('[data-kind=suppressed]').length;
+            for (const name of [`drive ${drive}`, `lines ${root.lines}`, `suppressed ${gone}`])
+                if (!window.seen[name]) window.seen[name] = { frames };
+            for (const seen of Object.values(window.seen)) if (seen.frames !== frames) seen.at ??= Date.now();
+        };
+        new MutationObserver(watch).observe(document, { subtree: true, attributes: true, childList: true });
+    }""")
+
+    def came(name: str, committed: float) -> None:
+        deadline = time.monotonic() + 60
+        while not (at := page.evaluate("(name) => window.seen[name]?.at", name)):
+            assert time.monotonic() < deadline, f"{name} did not come: {page.evaluate('Object.keys(window.seen)')}"
+            page.wait_for_timeout(20)
+        print(f"from commit to picture, {name}: {at / 1000 - committed:.2f} s")
+
+    second = survey(1)
+    conn.rollback()
+    merge(conn, second)
+    came(f"drive {second.drive.drive_id}", time.time())
+    one = the_one(conn, 1)
+    conn.rollback()
+    decide_place(conn, "suppress", one, map_name="default", note="a bin", decided_by="Grace")
+    came("suppressed 1", time.time())
+    features = read_current_features(conn)
+    east, north = features[0].xyz_m[:2]
+    to_wgs84 = Transformer.from_crs(second.drive.map_srid, 4326, always_xy=True)
+    points = [[*to_wgs84.transform(east + d, north), features[0].xyz_m[2]] for d in (0, 5)]
+    lanes = geojson(tmp_path / "lanes.geojson", line(*points, kind="line_thin"))
+    environment = {"CONETL_DATABASE_URL": module_database_url, "CONETL_HOME": str(tmp_path / "home")}
+    for command, name in ((["import", str(lanes)], "lines 1"), (["drop", "lanes"], "lines 0")):
+        page.evaluate("(name) => { delete window.seen[name]; }", name)
+        done = CliRunner().invoke(command_line, ["base", *command], env=environment)
+        assert done.exit_code == 0, done.output
+        came(name, time.time())
+    assert page.evaluate("window.notReloaded") is True
