@@ -44,8 +44,14 @@ from conetl.io.db import Connection, connect, execute, load_sql, migrate
 from conetl.io.services.cluster import cluster_remove, cluster_up
 from conetl.io.stores.audits import run_audits
 from conetl.io.stores.map_store import commit_changeset, map_transaction, place_drive, read_features_as_of
-from conetl.io.stores.replay_store import affected_drives, read_standing_around, superseded_drives
+from conetl.io.stores.replay_store import (
+    affected_drives,
+    read_doubts_around,
+    read_standing_around,
+    superseded_drives,
+)
 from conetl.map_records import Changeset, Decisions
+from conetl.memory import no_cycle_search
 from conetl.params import ReconcileParams
 from conetl.steps.fold import Evidence, extend
 
@@ -84,14 +90,14 @@ def merge(conn: Connection, sightings: Sightings) -> Stopwatch:
     key = hashlib.sha256(f"changeset {drive.drive_id}".encode()).hexdigest()
     changeset_id = uuid5(NAMESPACE_URL, key)
     with watch.phase("lock, commit"):  # noqa: SIM117 -- its own share is what is left after the others
-        with map_transaction(conn, MAP_NAME):
+        with no_cycle_search(), map_transaction(conn, MAP_NAME):
             with watch.phase("place the drive"):
                 drive_uuid = place_drive(conn, drive, key, map_name=MAP_NAME)
                 later = [r for r in affected_drives(conn, [drive_uuid]) if r.drive_uuid != drive_uuid]
                 if later or superseded_drives(conn, drive_uuid):
                     raise SystemExit("the drive is not the newest one: this would be a replay")
             with watch.phase("read what stands around"):
-                standing = read_standing_around(conn, drive_uuid)
+                standing, doubts = read_standing_around(conn, drive_uuid), read_doubts_around(conn, drive_uuid)
             evidence = Evidence(
                 key=(drive.frame_pairs[0].captured_at_ns, drive.content_sha256, key),
                 changeset_id=changeset_id,
@@ -103,7 +109,7 @@ def merge(conn: Connection, sightings: Sightings) -> Stopwatch:
                 params=ReconcileParams(),
             )
             with watch.phase("reconcile"):
-                extension = extend(standing, evidence, Decisions())
+                extension = extend(standing, evidence, Decisions(), doubts)
             changeset = Changeset.model_construct(
                 changeset_id=changeset_id,
                 drive_id=drive.drive_id,

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from conetl.geometry.packing import cov_matrices, vec3
 from conetl.map_records import Delta, DeltaKind, Doubt, MapFeature, SightingEvidence
 from conetl.params import ReconcileParams
-from conetl.records import Track
+from conetl.records import Track, sound
 from conetl.steps.belief import is_gone, missed, seen
 from conetl.steps.gating import near_pairs
 from conetl.steps.map_association import common_offset, moves, pair
@@ -295,11 +295,13 @@ def confirmations(
         strict=True,
     )
     return [
-        Delta(
+        sound(
+            Delta,
             kind=DeltaKind.CONFIRMED,
             feature_id=feature.feature_id,
             old=feature,
-            new=MapFeature(
+            new=sound(
+                MapFeature,
                 feature_id=feature.feature_id,
                 version=feature.version + 1,
                 category=feature.category,
@@ -316,6 +318,7 @@ def confirmations(
             track_index=track.track_index,
             changed_at_ns=track.first_seen_ns,
             shift_m=shift_m,
+            other_feature_id=None,
             evidence=found,
         )
         for feature, track, xyz_m, cov_m2, centre_m, height_m, height_sigma_m, found, shift_m in columns
@@ -330,7 +333,8 @@ def _times(matrices: Floats, vectors: Floats) -> Floats:
 def _feature_from_track(
     track: Track, placed: Floats, shift: Floats, feature_id: UUID, version: int, evidence: SightingEvidence
 ) -> MapFeature:
-    return MapFeature(
+    return sound(
+        MapFeature,
         feature_id=feature_id,
         version=version,
         category=track.category,
