@@ -22,7 +22,7 @@ from conetl.params import ReconcileParams
 from conetl.records import Track, sound
 from conetl.steps.belief import is_gone, missed, seen
 from conetl.steps.gating import near_pairs
-from conetl.steps.map_association import common_offset, moves, pair
+from conetl.steps.map_association import common_offset, moved_before, moves, pair
 from conetl.steps.visibility import WIDTH_OVER_HEIGHT, Look
 
 Floats = NDArray[np.float64]
@@ -85,16 +85,23 @@ def reconcile(
     for j, i in pairs.items():
         if features[j].feature_id not in pinned and height_differs(features[j], tracks[i], params):
             anew[j] = DeltaKind.HEIGHT_CHANGED
-    deltas += confirmations(
-        {j: i for j, i in pairs.items() if j not in anew}, features, tracks, placed, shift_m, evidence_for
-    )
+    as_before = {j: i for j, i in pairs.items() if j not in anew}
+    loose_seen = {j: i for j, i in as_before.items() if features[j].feature_id not in pinned}
+    left = [j for j in vanished if j not in moved]
+    moved_to = moved_before(placed, tracks, loose_seen, features, left, params)
+    feature_by_id = {features[k].feature_id: features[j] for j, k in moved_to.items()}
+    for delta in confirmations(as_before, features, tracks, placed, shift_m, evidence_for):
+        old = feature_by_id.get(delta.feature_id)
+        deltas += [delta] if old is None else _moved_before(old, delta)
     for j, kind in anew.items():
         i = pairs[j] if j in pairs else moved[j]
         deltas.append(changed(kind, features[j], tracks[i], placed[i], shift_m, evidence_for[j]))
     for j, (look, evidence) in unseen.items():
-        if j in loose and j not in moved and is_gone(evidence, params):
+        if j in moved or j in moved_to:
+            continue
+        if j in loose and is_gone(evidence, params):
             deltas.append(_removed(features[j], doubts.get(features[j].feature_id), look, evidence))
-        elif j not in moved:
+        else:
             deltas.append(_missed(features[j], look, evidence))
     for i in free:
         half_of = features[halves[i]].feature_id if i in halves else None
@@ -231,6 +238,34 @@ def _merged(feature: MapFeature, kept: MapFeature, track: Track) -> Delta:
         shift_m=None,
         other_feature_id=kept.feature_id,
     )
+
+
+def _moved_before(old: MapFeature, confirmed: Delta) -> list[Delta]:
+    """A cone that an earlier drive took for a new one, having looked at its new place only: what it founded is given up again."""
+    given_up, state = confirmed.old, confirmed.new
+    if given_up is None or state is None:
+        raise ValueError(f"the confirmation of feature {confirmed.feature_id} has an old and a new side")
+    new = state.model_copy(
+        update={
+            "feature_id": old.feature_id,
+            "version": old.version + 1,
+            "first_seen_ns": old.first_seen_ns,
+            "observation_count": old.observation_count + state.observation_count,
+        }
+    )
+    shift_m = float(np.hypot(*(np.array(new.xyz_m) - np.array(old.xyz_m))[:2]))
+    moved = {"kind": DeltaKind.MOVED, "feature_id": old.feature_id, "old": old, "new": new, "shift_m": shift_m}
+    merged = Delta(
+        kind=DeltaKind.MERGED,
+        feature_id=given_up.feature_id,
+        old=given_up,
+        new=None,
+        track_index=None,
+        changed_at_ns=max(confirmed.changed_at_ns, given_up.last_seen_ns + 1),
+        shift_m=None,
+        other_feature_id=old.feature_id,
+    )
+    return [confirmed.model_copy(update=moved), merged]
 
 
 def changed(

@@ -168,3 +168,29 @@ def test_the_order_of_tracks_and_features_does_not_matter() -> None:
     one = reconcile(tracks, features, look, PARAMS, founding_key="d")
     other = reconcile(tracks[::-1], features[::-1], look, PARAMS, founding_key="d")
     assert one == other
+
+
+def test_a_cone_that_was_seen_at_its_new_place_first_is_one_cone() -> None:
+    """An earlier drive had only the new place in view, and took the cone for a new one."""
+    day = START_NS + DAY_NS // 2
+    founded_since = feature(9, 5.0, 4.1).model_copy(update={"first_seen_ns": day, "last_seen_ns": day})
+    features = [*(feature(i, *at) for i, at in enumerate(ROW)), founded_since]
+    tracks = [track(i, *at) for i, at in enumerate([ROW[0], (5.0, 4.1), *ROW[2:]])]
+    found = changes(tracks, features)
+    (moved,), (merged,) = found[DeltaKind.MOVED], found[DeltaKind.MERGED]
+    assert (moved.feature_id.int, merged.feature_id.int, merged.other_feature_id) == (1, 9, moved.feature_id)
+    assert moved.shift_m == pytest.approx(1.5, abs=0.05)
+    assert moved.new is not None
+    assert moved.new.version == 2
+    assert moved.new.first_seen_ns == START_NS
+    assert not found[DeltaKind.REMOVED]
+    assert not found[DeltaKind.ADDED]
+    assert len(found[DeltaKind.CONFIRMED]) == 4
+
+
+def test_cones_that_were_both_seen_to_stand_are_two() -> None:
+    features = [*(feature(i, *at) for i, at in enumerate(ROW)), feature(9, 5.0, 4.1)]
+    found = changes([track(i, *at) for i, at in enumerate([ROW[0], (5.0, 4.1), *ROW[2:]])], features)
+    assert [d.feature_id.int for d in found[DeltaKind.REMOVED]] == [1]
+    assert not found[DeltaKind.MOVED]
+    assert not found[DeltaKind.MERGED]
