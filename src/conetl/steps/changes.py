@@ -10,7 +10,7 @@ all kinds are written down in docs/changes.md.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from math import hypot
+from math import hypot, sqrt
 from uuid import UUID, uuid5
 
 import numpy as np
@@ -64,7 +64,8 @@ def reconcile(
     deltas = [_merged(features[j], features[kept], tracks[pairs[kept]]) for j, kept in merged.items()]
 
     paired = set(pairs.values())
-    others_m = np.array([track.xyz_m for track in tracks]).reshape(-1, 3)
+    free = _founding(tracks, paired, params)
+    others_m = np.array([tracks[i].xyz_m for i in sorted(paired.union(free))]).reshape(-1, 3)
     unseen: dict[int, tuple[Look, SightingEvidence]] = {}
     for j, feature in enumerate(features):
         look = None if j in pairs or j in merged else look_at(feature, shift_m, others_m)
@@ -73,7 +74,6 @@ def reconcile(
     loose = {j: evidence for j, (_, evidence) in unseen.items() if features[j].feature_id not in pinned}
     vanished = [j for j, evidence in loose.items() if is_gone(evidence, params, moved=True)]
 
-    free = [i for i in range(len(tracks)) if i not in paired]
     moved = moves(placed, tracks, free, features, vanished, params)
     free = [i for i in free if i not in set(moved.values())]
     halves = _halves(placed, tracks, free, features, pairs, params)
@@ -122,6 +122,33 @@ def _without_doubles(tracks: Sequence[Track]) -> list[Track]:
         if weight[a] > weight[b] and float(np.hypot(*(places[a] - places[b]))) < base_m:
             doubles.add(int(b))
     return [track for i, track in enumerate(tracks) if i not in doubles]
+
+
+def _founding(tracks: Sequence[Track], paired: Collection[int], params: ReconcileParams) -> list[int]:
+    """The tracks without a feature that are sure enough to be a cone of their own.
+
+    A far cone is placed well across the line of sight and poorly along it, so the second box that a detector now and then gives
+    to one cone may come to stand beside it. So a track founds nothing while its base plate, moved by one sigma, would stand on
+    that of a track with more observations: a drive that passes nearer tells whether there are two.
+    """
+    sure = params.founding_existence_probability
+    free = [i for i, track in enumerate(tracks) if i not in paired and track.existence_probability >= sure]
+    if not free:
+        return []
+    places = np.array([track.xyz_m[:2] for track in tracks])
+    doubtful = set()
+    for a, k in zip(*near_pairs(places[free], places, 2 * _WIDEST_BASE_M), strict=True):
+        i = free[a]
+        if tracks[k].observation_count <= tracks[i].observation_count:
+            continue
+        apart = places[i] - places[k]
+        apart_m = float(np.hypot(*apart))
+        xx, xy, _, yy, *_ = np.add(tracks[i].relative_cov_m2, tracks[k].relative_cov_m2).tolist()
+        x, y = (apart / max(apart_m, 1e-9)).tolist()
+        sigma_m = sqrt(max(x * x * xx + 2 * x * y * xy + y * y * yy, 0.0))
+        if apart_m - sigma_m < WIDTH_OVER_HEIGHT * min(tracks[i].cone_height_m, tracks[k].cone_height_m):
+            doubtful.add(i)
+    return [i for i in free if i not in doubtful]
 
 
 def _mergers(

@@ -194,3 +194,18 @@ def test_cones_that_were_both_seen_to_stand_are_two() -> None:
     assert [d.feature_id.int for d in found[DeltaKind.REMOVED]] == [1]
     assert not found[DeltaKind.MOVED]
     assert not found[DeltaKind.MERGED]
+
+
+def test_a_weak_track_confirms_a_feature_but_founds_none() -> None:
+    weak = {"existence_probability": 0.54}
+    tracks = [track(i, *at).model_copy(update=weak) for i, at in enumerate([ROW[0], ROW[1], (30.0, 0.6)])]
+    found = changes(tracks, [feature(i, *at) for i, at in enumerate(ROW[:2])])
+    assert {kind: len(deltas) for kind, deltas in found.items() if deltas} == {DeltaKind.CONFIRMED: 2}
+
+
+@pytest.mark.parametrize(("along_sigma_m", "cones"), [(0.3, 1), (0.02, 2)])
+def test_a_box_beside_a_far_cone_founds_no_second_one(along_sigma_m: float, cones: int) -> None:
+    """Half a metre behind the other one, as far as the drive can tell: along the line of sight it may be off by 0.3 m."""
+    behind = {"relative_cov_m2": (along_sigma_m**2, 0.0, 0.0, 0.02**2, 0.0, 0.02**2), "observation_count": 6}
+    found = changes([track(0, 40.0, 3.0), track(1, 40.5, 3.1).model_copy(update=behind)], [])
+    assert len(found[DeltaKind.ADDED]) == cones
