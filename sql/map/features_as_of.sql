@@ -35,7 +35,9 @@ select
     ST_X(v.centre_geom), ST_Y(v.centre_geom), ST_Z(v.centre_geom),
     v.cone_height_m, v.cone_height_sigma_m, coalesce(e.existence_after, v.existence_probability), v.observation_count,
     v.first_seen_ns, v.last_seen_ns,
-    lower(v.valid_period), upper(v.valid_period), v.changeset_id, coalesce(e.seen_count, 0), coalesce(e.missed_count, 0)
+    lower(v.valid_period), upper(v.valid_period), v.changeset_id,
+    coalesce(e.seen_count, 0) as seen_count,
+    coalesce(e.missed_count, 0) as missed_count
 from v
 left join evidence e using (feature_id)
 order by v.feature_id;
