@@ -40,12 +40,13 @@ def main() -> None:
     jobs = [(len(range(road, options.days, options.roads)), options.seed + road) for road in range(options.roads)]
     total = Score()
     with ProcessPoolExecutor(options.processes) as pool:
-        for score in pool.map(one_road, jobs):
+        for (days, seed), score in zip(jobs, pool.map(one_road, jobs), strict=True):
             total.confusion += score.confusion
             total.wrong += score.wrong
             total.removed_well_seen += score.removed_well_seen
             total.removed_at_once += score.removed_at_once
             total.unseen_removed += score.unseen_removed
+            print(f"road of seed {seed}, {days} days: F1 {score.f1:.4f}; of all so far {total.f1:.4f}", flush=True)
     print_table(total.confusion)
     print(f"days {options.days}, F1 of added, moved, removed after 3 drives: {total.f1:.4f}")
     print(
