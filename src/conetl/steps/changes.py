@@ -344,6 +344,12 @@ def confirmations(
     heights = np.array([(f.cone_height_m, t.cone_height_m) for f, t in zip(old, new, strict=True)])
     weights = np.array([(f.cone_height_sigma_m, t.cone_height_sigma_m) for f, t in zip(old, new, strict=True)]) ** -2.0
     height = (heights * weights).sum(axis=1) / weights.sum(axis=1)
+    # All at once what the records would check one by one.
+    whole = np.column_stack([fused, cov.reshape(-1, 9), fused_centres, height])
+    unsound = ~np.isfinite(whole).all(axis=1) | (np.diagonal(cov, axis1=1, axis2=2) <= 0).any(axis=1)
+    if unsound.any():
+        first = old[int(np.flatnonzero(unsound)[0])]
+        raise ValueError(f"feature {first.feature_id} and its track have covariances that cannot be fused")
     columns = zip(
         old,
         new,

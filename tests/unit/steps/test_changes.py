@@ -10,7 +10,8 @@ import pytest
 from conetl.map_records import Delta, DeltaKind, MapFeature
 from conetl.params import ReconcileParams
 from conetl.records import Track
-from conetl.steps.changes import reconcile
+from conetl.steps.belief import seen
+from conetl.steps.changes import confirmations, reconcile
 from conetl.steps.map_association import common_offset
 from conetl.steps.visibility import Look
 from tests.synthetic.world import ORIGIN_M, START_NS
@@ -209,3 +210,17 @@ def test_a_box_beside_a_far_cone_founds_no_second_one(along_sigma_m: float, cone
     behind = {"relative_cov_m2": (along_sigma_m**2, 0.0, 0.0, 0.02**2, 0.0, 0.02**2), "observation_count": 6}
     found = changes([track(0, 40.0, 3.0), track(1, 40.5, 3.1).model_copy(update=behind)], [])
     assert len(found[DeltaKind.ADDED]) == cones
+
+
+@pytest.mark.filterwarnings("ignore:invalid value encountered in matmul")
+def test_covariances_that_cannot_be_fused_are_refused() -> None:
+    broken = feature(0, *ROW[0]).model_copy(update={"cov_m2": (float("inf"), 0.0, 0.0, 1.0, 0.0, 1.0)})
+    with pytest.raises(ValueError, match="cannot be fused"):
+        confirmations(
+            {0: 0},
+            [broken],
+            [track(0, *ROW[0])],
+            ORIGIN_M[None],
+            np.zeros(3),
+            {0: seen(broken, None, track(0, *ROW[0]))},
+        )
