@@ -7,7 +7,7 @@ export PYTHON
 export PREFECT_SERVER_ANALYTICS_ENABLED := false
 export DO_NOT_TRACK := 1
 
-.PHONY: help setup demo up down test check web bench-detect bench-intersection bench-trajectory bench-rectification bench-changes bench-map bench-kills bench-export lock
+.PHONY: help setup demo up down test check web bench-detect bench-intersection bench-trajectory bench-rectification bench-changes bench-map bench-kills bench-export bench-ogc lock
 
 help:           ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -52,6 +52,9 @@ bench-rectification: setup  ## cost of resampling raw pictures
 
 bench-export: setup  ## export of a million cones to GeoParquet: time and memory (ARGS='--what history --versions 5' ...)
 	@$(BIN)/python benchmarks/bench_export.py $(ARGS)
+
+bench-ogc: setup  ## OGC API Features over a million cones, 20 users (ARGS='--side-m 1000 --seconds 60' ...)
+	@$(BIN)/python benchmarks/bench_ogc.py $(ARGS)
 
 bench-changes: setup  ## what the map makes of 200 simulated days of changes: confusion matrix (10 minutes of processor time)
 	@$(BIN)/python benchmarks/bench_changes.py

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import timedelta
 from pathlib import Path
 from types import SimpleNamespace
@@ -9,10 +14,12 @@ from typing import Any
 
 import cv2
 import numpy as np
+import uvicorn
 
 from conetl.io.stores.map_store import commit_changeset, map_transaction
 from conetl.map_records import Delta, DeltaKind, MapFeature, SightingEvidence
 from conetl.records import utc_from_ns
+from conetl.web.app import create_app
 
 #: Box of samples.detections() in both pictures.
 BOX = (600, 180, 20, 30)
@@ -76,3 +83,20 @@ def missed(feature: MapFeature, at_ns: int, existence: float, frames_empty: int 
         kind=DeltaKind.MISSED, feature_id=feature.feature_id, old=feature, new=feature,
         track_index=None, changed_at_ns=at_ns, shift_m=None, evidence=evidence,
     )  # fmt: skip
+
+
+@contextmanager
+def serving(database_url: str, map_name: str) -> Iterator[int]:
+    """The server as `conetl view` runs it, in a thread; yields its port."""
+    running: uvicorn.Server | None = None
+    app = create_app(database_url, map_name, closing=lambda: running is not None and running.should_exit)
+    listener = socket.create_server(("127.0.0.1", 0), backlog=2048)
+    config = uvicorn.Config(app, log_level="critical", limit_concurrency=256, timeout_graceful_shutdown=1)
+    running = uvicorn.Server(config)
+    thread = threading.Thread(target=running.run, kwargs={"sockets": [listener]})
+    thread.start()
+    while not running.started:
+        time.sleep(0.02)
+    yield listener.getsockname()[1]
+    running.should_exit = True
+    thread.join()

@@ -18,7 +18,7 @@ begin
 end
 $$;
 revoke all on all tables in schema conetl from conetl_reader, conetl_writer;
-grant usage on schema conetl to conetl_reader, conetl_writer;
+grant usage on schema conetl, conetl_ogc to conetl_reader, conetl_writer;
 grant select on all tables in schema conetl to conetl_reader, conetl_writer;
 grant insert on all tables in schema conetl to conetl_writer;
 grant update (system_period) on conetl.feature_version, conetl.delta to conetl_writer;

@@ -74,20 +74,25 @@ def prefect_database(url: str) -> str:
 
 def sqlalchemy_url(url: str, database: str | None = None) -> str:
     """A libpq address, of either form, as SQLAlchemy's asyncpg dialect wants it; for another database where one is named."""
-    try:
-        parts = psycopg2.extensions.parse_dsn(url)
-    except psycopg2.Error as error:
-        raise DatabaseError(
-            f"The address {_without_password(url)} is no libpq address: {_first_line(error)}"
-        ) from error
+    parts = address_parts(url)
     login = quote(parts.get("user", ""), safe="") + (
         f":{quote(parts['password'], safe='')}" if "password" in parts else ""
     )
-    query = {name: parts[name] for name in ("host", "port") if name in parts}
+    query: dict[str, str] = {name: parts[name] for name in ("host", "port") if name in parts}
     if "sslmode" in parts:
         query["ssl"] = parts["sslmode"]
     name = quote(database or parts.get("dbname", ""), safe="")
     return f"postgresql+asyncpg://{login + '@' if login else ''}/{name}?{urlencode(query)}"
+
+
+def address_parts(url: str) -> dict[str, str]:
+    """Keywords of a libpq address of either form (host, port, dbname, user, ...). Raises `DatabaseError` where it is none."""
+    try:
+        return dict(psycopg2.extensions.parse_dsn(url))
+    except psycopg2.Error as error:
+        raise DatabaseError(
+            f"The address {_without_password(url)} is no libpq address: {_first_line(error)}"
+        ) from error
 
 
 def connect(url: str) -> Connection:

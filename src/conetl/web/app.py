@@ -7,7 +7,7 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 from fastapi import FastAPI, Request
-from fastapi.responses import JSONResponse
+from fastapi.responses import JSONResponse, RedirectResponse
 from fastapi.staticfiles import StaticFiles
 from starlette.middleware.gzip import GZipMiddleware
 from starlette.middleware.trustedhost import TrustedHostMiddleware
@@ -15,11 +15,14 @@ from starlette.middleware.trustedhost import TrustedHostMiddleware
 from conetl.errors import DatabaseError
 from conetl.io.pictures.crops import PictureMissingError
 from conetl.io.pictures.images import ImageFileError
+from conetl.io.stores.async_reader_pool import AsyncReaderPool
 from conetl.io.stores.reader_pool import ReaderPool
 from conetl.web import routes_base, routes_events, routes_features, routes_maps, routes_pictures
+from conetl.web.guard import Guard
 from conetl.web.headers import SecurityHeaders
 from conetl.web.live import HeadWatcher
 from conetl.web.models import Problem
+from conetl.web.ogc.app import create_ogc_app
 
 STATIC = Path(__file__).parent / "static"
 #: Names under which a browser on this machine may call; any other is a page elsewhere that rebound its name to this machine.
@@ -29,11 +32,13 @@ LOOPBACK_NAMES = ["127.0.0.1", "localhost", "[::1]"]
 def create_app(database_url: str, map_name: str, *, closing: Callable[[], bool] = lambda: False) -> FastAPI:
     """The application over one database. `closing` tells whether the server stops: open streams end then."""
     pool = ReaderPool(database_url)
+    ogc_pool = AsyncReaderPool(database_url)
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
         yield
         pool.close()
+        await ogc_pool.close()
 
     app = FastAPI(
         title="conetl", docs_url=None, redoc_url=None, openapi_url="/api/openapi.json", lifespan=lifespan,
@@ -47,9 +52,12 @@ def create_app(database_url: str, map_name: str, *, closing: Callable[[], bool] 
     app.add_exception_handler(DatabaseError, _refusal(503))
     app.add_exception_handler(PictureMissingError, _refusal(404))
     app.add_exception_handler(ImageFileError, _refusal(404))
+    app.mount("/ogc", create_ogc_app(ogc_pool, map_name), name="ogc")
+    app.add_route("/ogc", lambda request: RedirectResponse(request.url.replace(path="/ogc/")), include_in_schema=False)
     app.mount("/", StaticFiles(directory=STATIC, html=True), name="front end")
     app.add_middleware(GZipMiddleware, minimum_size=1024, compresslevel=5)
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=LOOPBACK_NAMES, www_redirect=False)
+    app.add_middleware(Guard)
     app.add_middleware(SecurityHeaders)
     return app
 

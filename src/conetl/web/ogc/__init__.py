@@ -1,0 +1,1 @@
+"""OGC API Features and vector tiles at `/ogc`: tipg over the functions of schema conetl_ogc, and nothing else of the database."""

@@ -1,0 +1,223 @@
+"""The two collections of each map, as tipg sees them: its features as of an instant, and its changes between two."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
+from typing import Any
+from uuid import UUID
+
+import asyncpg
+from cql2 import Expr
+from morecantile import Tile, TileMatrixSet
+from tipg.collections import Column, ItemList, Parameter, PgCollection
+from tipg.errors import NotFound
+from tipg.model import Extent, Spatial, Temporal
+
+from conetl.io.stores.ogc_store import EVERYWHERE, Degrees, ServedMap, rows_near
+from conetl.params import ReconcileParams
+
+SCHEMA = "conetl_ogc"
+MAX_ZOOM = 24
+#: PostgreSQL's timestamps count microseconds.
+_TICK = timedelta(microseconds=1)
+_BOX = ("west", "south", "east", "north", "min_x_m", "min_y_m", "max_x_m", "max_y_m")
+
+
+@dataclass(frozen=True)
+class Instants:
+    """Which state of the map is asked for; None: the latest of all (of `start`, `known_start`: before anything)."""
+
+    at: datetime | None = None
+    known_at: datetime | None = None
+    start: datetime | None = None
+    end: datetime | None = None
+    known_start: datetime | None = None
+    known_end: datetime | None = None
+
+
+FEATURE_COLUMNS = {
+    "feature_id": ("uuid", "The cone, the same in all its versions"),
+    "version": ("integer", "Counts the states that it had on the road"),
+    "category": ("text", "What stands there"),
+    "existence_probability": ("float8", "After the last drive that looked for it, until the instant asked for"),
+    "easting_m": ("float8", "In the map's CRS"),
+    "northing_m": ("float8", "In the map's CRS"),
+    "height_m": ("float8", "Above the WGS 84 ellipsoid"),
+    "sigma_east_m": ("float8", "Standard deviation"),
+    "sigma_north_m": ("float8", "Standard deviation"),
+    "sigma_height_m": ("float8", "Standard deviation"),
+    "cov_xy_m2": ("float8", "Covariance of easting and northing"),
+    "cone_height_m": ("float8", "From the foot to the tip"),
+    "cone_height_sigma_m": ("float8", "Standard deviation"),
+    "observation_count": ("integer", "Frame pairs that it was seen in"),
+    "seen_count": ("integer", "Drives that saw it, until the instant asked for"),
+    "missed_count": ("integer", "Drives that looked for it in vain, until the instant asked for"),
+    "first_seen_at": ("timestamptz", "First frame pair"),
+    "last_seen_at": ("timestamptz", "Last frame pair of this version"),
+    "valid_from": ("timestamptz", "It stood so from this instant on"),
+    "valid_to": ("timestamptz", "until this one (null: it still does)"),
+}
+CHANGE_COLUMNS = {
+    "feature_id": ("uuid", "The cone"),
+    "kind": ("text", "added, removed, moved or confirmed (the same place with newer values)"),
+    "changed_at": ("timestamptz", "From when on it is so on the road"),
+    "shift_m": ("float8", "How far it moved on the ground"),
+    "category": ("text", "What stands there"),
+    "easting_m": ("float8", "After the change (removed: before), in the map's CRS"),
+    "northing_m": ("float8", "After the change (removed: before), in the map's CRS"),
+    "height_m": ("float8", "Above the WGS 84 ellipsoid"),
+    "old_easting_m": ("float8", "Before the change"),
+    "old_northing_m": ("float8", "Before the change"),
+    "old_height_m": ("float8", "Before the change"),
+    "existence_probability": ("float8", "Of the version"),
+    "observation_count": ("integer", "Frame pairs that it was seen in"),
+    "cone_height_m": ("float8", "From the foot to the tip"),
+    "version": ("integer", "After the change (removed: before)"),
+}
+FEATURE_PARAMETERS = {"map_name": "text", "from_at": "timestamptz", "to_at": "timestamptz", "known_at": "timestamptz"}
+CHANGE_PARAMETERS = {
+    "map_name": "text", "from_at": "timestamptz", "known_from": "timestamptz", "to_at": "timestamptz", "known_to": "timestamptz",
+    "moved_from_m": "float8",
+}  # fmt: skip
+
+
+class AsOfCollection(PgCollection):
+    """One function of one map with its arguments; boxes and times of a request become arguments of the function."""
+
+    served: ServedMap
+    instants: Instants
+    format: str = "geojson"
+
+    @property
+    def extent(self) -> Extent:
+        """Around all that the map's drives looked at, from the first one on."""
+        return Extent(
+            spatial=Spatial(bbox=[list(self.served.extent)]),
+            temporal=Temporal(interval=[[_rfc3339(self.served.since), None]]),
+        )
+
+    def cql_where(  # type: ignore[override]  # the same parameters, handed on
+        self, ids: list[str] | None = None, **asked: Any
+    ) -> Expr | None:
+        """tipg's condition; its own one for several ids would compare uuid with text."""
+        where = super().cql_where(**asked)
+        if not ids:
+            return where
+        each = [{"op": "=", "args": [{"property": "feature_id"}, text]} for text in ids]
+        wanted = Expr({"op": "or", "args": each} if len(each) > 1 else each[0])
+        return wanted if where is None else where + wanted
+
+    async def features(self, conn: asyncpg.Connection, **asked: Any) -> ItemList:
+        """One page of items."""
+        box = asked.pop("bbox_filter", None)
+        asked["function_parameters"] = await self._arguments(conn, box, asked.pop("datetime_filter", None))
+        _check_ids(asked.get("ids_filter"))
+        found = await super().features(conn, **asked)
+        if not found["items"] and self.format == "csv":
+            raise EmptyTableError(["collectionId", "itemId", *self.columns(asked.get("properties")), "geometry"])
+        return found
+
+    async def get_tile(self, conn: asyncpg.Connection, *, tms: TileMatrixSet, tile: Tile, **asked: Any) -> bytes:
+        """One vector tile."""
+        if not 0 <= tile.z <= MAX_ZOOM or not (0 <= tile.x < 2**tile.z and 0 <= tile.y < 2**tile.z):
+            raise NotFound(f"There is no tile {tile.z}/{tile.x}/{tile.y}: the zoom levels are 0 to {MAX_ZOOM}.")
+        _check_ids(asked.get("ids_filter"))
+        box = asked.pop("bbox_filter", None)
+        edges = tms.bounds(tile)
+        around = (edges.left, edges.bottom, edges.right, edges.top)
+        arguments = await self._arguments(conn, box, asked.pop("datetime_filter", None))
+        near = await rows_near(conn, around, self.served)
+        if box is None:
+            arguments |= _texts(dict(zip(_BOX[4:], near, strict=True)))
+        asked["function_parameters"] = arguments
+        tile_bytes: bytes = await super().get_tile(conn, tms=tms, tile=tile, **asked)
+        return tile_bytes
+
+    async def _arguments(
+        self, conn: asyncpg.Connection, box: Degrees | None, interval: tuple[datetime | None, datetime | None] | None
+    ) -> dict[str, str]:
+        near = await rows_near(conn, box or EVERYWHERE, self.served)
+        edges = dict(zip(_BOX, (*(box or EVERYWHERE), *near), strict=True))
+        return {"map_name": self.served.map_name} | _texts(self._times(interval) | edges)
+
+    def _times(self, interval: tuple[datetime | None, datetime | None] | None) -> dict[str, Any]:
+        asked = self.instants
+        if self.table == "features":
+            start, end = interval or (asked.at or "infinity", asked.at or "infinity")
+            return {
+                "from_at": "-infinity" if start is None else start,
+                "to_at": "infinity" if end is None else end,
+                "known_at": asked.known_at or "infinity",
+            }
+        if interval is not None:  # what changed at its edges lies within it
+            asked = replace(asked, start=None if interval[0] is None else interval[0] - _TICK, end=interval[1])
+        return {
+            "from_at": asked.start or "-infinity",
+            "known_from": asked.known_start or asked.known_end or "infinity",
+            "to_at": asked.end or "infinity",
+            "known_to": asked.known_end or "infinity",
+            "moved_from_m": ReconcileParams().min_gate_m,
+        }
+
+
+class EmptyTableError(Exception):
+    """A table in CSV without a row; carries the names of its columns. (tipg takes them from the first row.)"""
+
+    def __init__(self, names: list[str]) -> None:
+        super().__init__("no rows")
+        self.names = names
+
+
+def features_of(served: ServedMap, instants: Instants, output: str = "geojson") -> AsOfCollection:
+    """The map as of an instant on the road, as the database knew it at another."""
+    return _collection(
+        "features", served, instants, output, FEATURE_COLUMNS, FEATURE_PARAMETERS,
+        f"Cones of the map {served.map_name}",
+        "Traffic cones as they stood at the instant `at` on the road, as the database knew it at `known_at`; without them, the latest.",
+    )  # fmt: skip
+
+
+def changes_of(served: ServedMap, instants: Instants, output: str = "geojson") -> AsOfCollection:
+    """How the map differs between two instants."""
+    return _collection(
+        "changes", served, instants, output, CHANGE_COLUMNS, CHANGE_PARAMETERS,
+        f"Changes of the map {served.map_name}",
+        "Traffic cones that were added, moved, removed or confirmed between the instants `from` and `to` on the road; without `from`, "
+        "all that stand are added.",
+    )  # fmt: skip
+
+
+def _collection(
+    name: str, served: ServedMap, instants: Instants, output: str, columns: Mapping[str, tuple[str, str]],
+    parameters: Mapping[str, str], title: str, description: str,
+) -> AsOfCollection:  # fmt: skip
+    place = Column(name="geom", type="geometry", geometry_type="Point", srid=4326, bounds=list(served.extent))
+    listed = [Column(name=name, type=kind, description=text) for name, (kind, text) in columns.items()]
+    types = dict(parameters) | dict.fromkeys(_BOX, "float8")
+    return AsOfCollection(
+        type="Function", id=f"{served.map_name}.{name}", table=name, schema=SCHEMA, title=title, description=description,
+        table_columns=[*listed, place], properties=[*listed, place], id_column=listed[0], geometry_column=place,
+        parameters=[Parameter(name=key, type=kind, default="") for key, kind in types.items()],
+        served=served, instants=instants, format=output,
+    )  # fmt: skip
+
+
+def _check_ids(ids: list[str] | None) -> None:
+    for text in ids or ():
+        try:
+            UUID(text)
+        except ValueError as error:
+            raise NotFound(f"There is no item {text!r}: ids of cones are UUIDs.") from error
+
+
+def _texts(values: Mapping[str, Any]) -> dict[str, str]:
+    return {
+        name: value.isoformat() if isinstance(value, datetime) else value if isinstance(value, str) else repr(float(value))
+        for name, value in values.items()
+    }
+
+
+def _rfc3339(time: datetime) -> str:
+    return time.astimezone(UTC).isoformat().replace("+00:00", "Z")

@@ -1,0 +1,438 @@
+"""OGC API Features and vector tiles at /ogc, over a real PostGIS: what the standards require, and the map as of an instant."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+from datetime import datetime, timedelta
+from pathlib import Path
+from urllib.parse import parse_qs, urlsplit
+
+import jsonschema
+import morecantile
+import pytest
+from fastapi.testclient import TestClient
+
+from conetl.geometry.geodesy import to_geodetic
+from conetl.io.db import connect, execute
+from conetl.records import utc_from_ns
+from conetl.web.app import create_app
+from tests import ogc_schemas as standard
+from tests.integration.test_qgis_project import OFFSCREEN, PYTHON, has_qgis
+from tests.view_map import commit, cone, serving, two_drives
+
+OGC = "/ogc"
+FEATURES = f"{OGC}/collections/default.features"
+CHANGES = f"{OGC}/collections/default.changes"
+DAY = timedelta(days=1)
+TICK = timedelta(microseconds=1)
+BASE = "http://127.0.0.1"
+
+
+@pytest.fixture(scope="module")
+def features(module_database_url, samples, tmp_path_factory):
+    conn = connect(module_database_url)
+    yield two_drives(conn, samples, tmp_path_factory.mktemp("pictures"))
+    conn.close()
+
+
+@pytest.fixture(scope="module")
+def client(module_database_url, features):
+    with TestClient(create_app(module_database_url, "default"), base_url=BASE) as test_client:
+        yield test_client
+
+
+@pytest.fixture(scope="module")
+def start(samples):
+    return utc_from_ns(samples.START_NS)
+
+
+def get(client, path, status=200, schema=None, **parameters):
+    answer = client.get(path, params=parameters or None)
+    assert answer.status_code == status, answer.text
+    body = answer.json()
+    jsonschema.validate(
+        body, schema or ({} if status == 200 else standard.REFUSAL), cls=jsonschema.Draft202012Validator
+    )
+    return body
+
+
+def names(features, page):
+    known = {str(f.feature_id): name for name, f in features.items()}
+    return [known[item["id"]] for item in page["features"]]
+
+
+def names_at(client, features, **parameters):
+    return set(names(features, get(client, f"{FEATURES}/items", schema=standard.ITEMS, **parameters)))
+
+
+def kinds(client, features, **parameters):
+    page = get(client, f"{CHANGES}/items", schema=standard.ITEMS, **parameters)
+    return {
+        name: item["properties"]["kind"] for name, item in zip(names(features, page), page["features"], strict=True)
+    }
+
+
+@pytest.mark.parametrize(
+    ("path", "schema"),
+    [
+        (f"{OGC}/", standard.LANDING),
+        (f"{OGC}", standard.LANDING),
+        (f"{OGC}/conformance", standard.CONFORMANCE),
+        (f"{OGC}/collections", standard.COLLECTIONS),
+        (FEATURES, standard.COLLECTION),
+        (CHANGES, standard.COLLECTION),
+        (f"{FEATURES}/items", standard.ITEMS),
+        (f"{CHANGES}/items", standard.ITEMS),
+        (f"{FEATURES}/queryables", standard.QUERYABLES),
+        (f"{FEATURES}/tiles", standard.TILESETS),
+        (f"{FEATURES}/tiles/WebMercatorQuad", standard.TILESET),
+        (f"{FEATURES}/tiles/WebMercatorQuad/tilejson.json", standard.TILEJSON),
+        (f"{OGC}/tileMatrixSets", standard.TILE_MATRIX_SETS),
+    ],
+)
+def test_answers_are_what_the_standards_require(client, path, schema):
+    get(client, path, schema=schema)
+
+
+def links_of(body):
+    if isinstance(body, dict):
+        yield from (v for k, v in body.items() if k in ("href", "$id") and isinstance(v, str))
+        yield from (v for k, v in body.items() if k == "tiles" and isinstance(v, list) for v in v if isinstance(v, str))
+        for value in body.values():
+            yield from links_of(value)
+    elif isinstance(body, list):
+        for value in body:
+            yield from links_of(value)
+
+
+def test_every_link_leads_somewhere(client, features):
+    values = {"collectionId": "default.features", "tileMatrixSetId": "WebMercatorQuad", "z": "0", "x": "0", "y": "0"}
+    waiting, seen = [f"{BASE}{OGC}/", f"{BASE}{FEATURES}/items?limit=2", f"{BASE}{CHANGES}/items?at=2026-03-01"], set()
+    waiting += [
+        f"{BASE}{FEATURES}/tiles/WebMercatorQuad/{name}" for name in ("tilejson.json?at=2026-03-01", "style.json")
+    ]
+    while waiting:
+        link = re.sub(r"\{(\w+)\}", lambda found: values[found[1]], waiting.pop())
+        if link in seen or not link.startswith(BASE):  # others name standards
+            assert link in seen or link.startswith(
+                ("https://json-schema.org/", "https://geojson.org/", "http://www.opengis.net/")
+            )
+            continue
+        seen.add(link)
+        answer = client.get(link)
+        assert answer.status_code == 200, link
+        assert urlsplit(link).path.startswith(f"{OGC}/")
+        if (
+            "json" in answer.headers["content-type"]
+            and "seq" not in answer.headers["content-type"]
+            and not link.endswith("/api")
+        ):
+            waiting += links_of(answer.json())
+    assert len(seen) > 20
+
+
+def test_the_map_as_of_an_instant(client, features, start):
+    first = {"stays", "goes", "wanders"}
+    assert names_at(client, features) == {"stays", "wanders", "comes"}
+    assert names_at(client, features, at=(start - DAY).isoformat()) == set()
+    assert names_at(client, features, at=(start + DAY / 2).isoformat()) == first
+    knew = (start + DAY + timedelta(hours=3)).isoformat()  # before the second drive was committed
+    assert names_at(client, features, at=(start + DAY * 2).isoformat(), known_at=knew) == first
+    assert names_at(client, features, datetime=(start + DAY / 2).isoformat()) == first
+
+
+def test_the_beginning_of_a_period_is_part_of_it_and_its_end_is_not(client, features, start):
+    [goes] = [
+        item for item in get(client, f"{FEATURES}/items", at=(start + DAY / 2).isoformat())["features"]
+        if item["id"] == str(features["goes"].feature_id)
+    ]  # fmt: skip
+    begin, end = (utc(goes["properties"][name]) for name in ("valid_from", "valid_to"))
+    for ask in ("at", "datetime"):
+        found = [
+            "goes" in names_at(client, features, **{ask: time.isoformat()})
+            for time in (begin - TICK, begin, end - TICK, end)
+        ]
+        assert found == [False, True, True, False], ask
+    for interval, wanted in {
+        f"../{iso(begin - TICK)}": False, f"../{iso(begin)}": True, f"{iso(end - TICK)}/..": True, f"{iso(end)}/..": False,
+        f"{iso(begin - DAY)}/{iso(end + DAY)}": True, f"{iso(end)}/{iso(end + DAY)}": False,
+    }.items():  # fmt: skip
+        assert ("goes" in names_at(client, features, datetime=interval)) is wanted, interval
+
+
+def test_an_interval_holds_each_feature_once_as_it_was_last(client, features, start):
+    page = get(client, f"{FEATURES}/items", datetime=f"{iso(start)}/..")
+    assert sorted(names(features, page)) == ["comes", "goes", "stays", "wanders"]
+    versions = {
+        name: item["properties"]["version"] for name, item in zip(names(features, page), page["features"], strict=True)
+    }
+    assert versions == {"comes": 1, "goes": 1, "stays": 2, "wanders": 2}
+
+
+def utc(text):
+    return datetime.fromisoformat(text)
+
+
+def iso(time):
+    return time.isoformat().replace("+00:00", "Z")
+
+
+def test_changes_between_two_instants(client, features, start):
+    early, late = iso(start + DAY / 2), iso(start + DAY * 2)
+    all_kinds = {"stays": "confirmed", "goes": "removed", "wanders": "moved", "comes": "added"}
+    assert kinds(client, features, **{"from": early, "to": late}) == all_kinds
+    assert kinds(client, features, datetime=f"{early}/{late}") == all_kinds
+    assert kinds(client, features, **{"from": late, "to": late}) == {}
+    back = kinds(client, features, **{"from": late, "to": early})
+    assert back == {"stays": "confirmed", "goes": "added", "wanders": "moved", "comes": "removed"}
+    assert set(kinds(client, features).values()) == {"added"}
+    [moved] = [
+        i for i in get(client, f"{CHANGES}/items", **{"from": early})["features"] if i["properties"]["kind"] == "moved"
+    ]
+    assert moved["properties"]["shift_m"] == pytest.approx(1.5)
+    at = iso(utc(moved["properties"]["changed_at"]))
+    assert kinds(client, features, datetime=f"{at}/{at}")["wanders"] == "moved"  # both ends are part of an interval
+    assert "wanders" not in kinds(client, features, datetime=f"{iso(utc(at) + TICK)}/..")
+    assert "wanders" not in kinds(client, features, datetime=f"{early}/{iso(utc(at) - TICK)}")
+
+
+def test_values_are_those_of_the_map(client, features, module_database_url, samples, start):
+    page = get(client, f"{FEATURES}/items", at=iso(start + DAY * 2))
+    conn = connect(module_database_url)
+    for item in page["features"]:
+        feature = next(f for f in features.values() if str(f.feature_id) == item["id"])
+        values = item["properties"]
+        place = (values["easting_m"], values["northing_m"], values["height_m"])
+        lat, lon, height = to_geodetic(samples.SRID, place)
+        assert item["geometry"]["coordinates"] == pytest.approx([lon, lat, height], abs=1e-9)
+        [row] = execute(
+            conn, "select * from conetl.feature_evidence(%(id)s::uuid, %(version)s)",
+            {"id": str(feature.feature_id), "version": values["version"]},
+        )  # fmt: skip
+        assert (values["seen_count"], values["missed_count"]) == (row["seen_count"], row["missed_count"])
+        assert values["sigma_east_m"] == pytest.approx(feature.cov_m2[0] ** 0.5)
+    conn.close()
+
+
+def test_a_box_includes_its_edges(client, features):
+    everything = get(client, f"{FEATURES}/items")["features"]
+    lons, lats = (sorted(item["geometry"]["coordinates"][axis] for item in everything) for axis in (0, 1))
+    tight = [lons[0], lats[0], lons[-1], lats[-1]]
+    step = (-1e-9, -1e-9, 1e-9, 1e-9)
+
+    def count(box):
+        return get(client, f"{FEATURES}/items", bbox=",".join(map(repr, box)))["numberMatched"]
+
+    assert count(tight) == 3
+    for edge, change in enumerate(step):
+        narrow = [value - change * (k == edge) for k, value in enumerate(tight)]
+        assert count(narrow) == 2, f"edge {edge} one step of the coordinates inwards"
+    assert count([*tight[:2], -1000.0, *tight[2:], 9000.0]) == 3
+    assert count([-180.0, -90.0, 180.0, 90.0]) == 3
+    assert count([170.0, -90.0, -170.0, 90.0]) == 0  # across 180 degrees
+    assert count([lons[0], lats[0], -170.0, lats[-1]]) == 3
+    assert count([170.0, lats[0], lons[0], lats[-1]]) == 1
+
+
+def test_pages_hold_each_item_once_also_while_a_drive_is_committed(database_url, samples, tmp_path):
+    conn = connect(database_url)
+    cones = [cone(samples, f"cone {k}", 2.0 * k) for k in range(7)]
+    commit(conn, samples, tmp_path, "1", 0, *(samples.added(f) for f in cones))
+    with TestClient(create_app(database_url, "default"), base_url=BASE) as client:
+        link, seen, sizes = f"{BASE}{FEATURES}/items?limit=3", [], []
+        while link:
+            page = get(client, link, schema=standard.ITEMS)
+            assert page["numberMatched"] == 7
+            assert page["numberReturned"] == len(page["features"])
+            seen += [item["id"] for item in page["features"]]
+            sizes.append(len(page["features"]))
+            found = [link["href"] for link in page["links"] if link["rel"] == "next"]
+            link = found[0] if found else None
+            if len(sizes) == 1:  # another drive comes
+                late = [cone(samples, f"late {k}", 40.0 + k, day=1) for k in range(5)]
+                commit(conn, samples, tmp_path, "2", 1, *(samples.added(f) for f in late))
+        assert sizes == [3, 3, 1]
+        assert sorted(seen) == sorted(str(f.feature_id) for f in cones)
+        assert get(client, f"{FEATURES}/items", limit=1)["numberMatched"] == 12
+    conn.close()
+
+
+def test_a_new_map_appears_by_itself(database_url, samples):
+    with TestClient(create_app(database_url, "second"), base_url=BASE) as client:
+        assert get(client, f"{OGC}/collections", schema=standard.COLLECTIONS)["collections"] == []
+        get(client, f"{OGC}/collections/first.features/items", 404)
+        conn = connect(database_url)
+        for key, name in enumerate(("first", "second")):
+            samples.commit(conn, samples.added(samples.feature(name)), key=f"{key}", map_name=name)
+        conn.close()
+        ids = [c["id"] for c in get(client, f"{OGC}/collections")["collections"]]
+        assert ids == ["second.features", "second.changes", "first.features", "first.changes"]
+        for name in ("first", "second"):
+            [item] = get(client, f"{OGC}/collections/{name}.features/items")["features"]
+            assert item["id"] == str(samples.feature(name).feature_id)
+
+
+def test_limits(client):
+    assert get(client, f"{FEATURES}/items", limit=2)["numberReturned"] == 2
+    assert (
+        get(client, f"{FEATURES}/items", limit=1_000_000)["numberReturned"] == 3
+    )  # more than the largest one is no error
+    get(client, f"{FEATURES}/items", 400, limit=0)
+    get(client, f"{FEATURES}/items", 400, limit=-1)
+
+
+def test_one_item_also_as_of_an_instant(client, features, start):
+    goes = features["goes"].feature_id
+    get(client, f"{FEATURES}/items/{goes}", 404)
+    early = iso(start + DAY / 2)
+    assert get(client, f"{FEATURES}/items/{goes}", schema=standard.ITEM, at=early)["id"] == str(goes)
+    [link] = [
+        link["href"] for item in get(client, f"{FEATURES}/items", at=early)["features"] if item["id"] == str(goes)
+        for link in item["links"] if link["rel"] == "item"
+    ]  # fmt: skip
+    assert parse_qs(urlsplit(link).query)["at"] == [early]
+    get(client, f"{FEATURES}/items/not-an-id", 404)
+    both = [str(features[name].feature_id) for name in ("comes", "stays")]
+    assert sorted(names(features, get(client, f"{FEATURES}/items", ids=",".join(both)))) == ["comes", "stays"]
+    assert names(features, get(client, f"{FEATURES}/items", ids=both[0], category="traffic_cone")) == ["comes"]
+    get(client, f"{FEATURES}/items", 404, ids="not-an-id")
+
+
+def test_a_layer_of_tiles_is_of_the_instant_asked_for_and_stays_live(client):
+    path = f"{FEATURES}/tiles/WebMercatorQuad/tilejson.json"
+    [template] = get(client, path)["tiles"]
+    assert template.endswith("{z}/{x}/{y}")
+    [template] = get(client, path, at="2026-03-01T12:00:00Z")["tiles"]
+    assert parse_qs(urlsplit(template).query) == {"at": ["2026-03-01T12:00:00Z"]}
+
+
+def test_filters_by_property_order_and_choice_of_properties(client, features):
+    assert names(features, get(client, f"{CHANGES}/items", kind="added", **{"from": "2026-03-01T20:00Z"})) == ["comes"]
+    low_first = names(features, get(client, f"{FEATURES}/items", sortby="existence_probability,-easting_m"))
+    assert low_first == ["comes", "wanders", "stays"]
+    page = get(client, f"{FEATURES}/items", properties="category,version")
+    assert set(page["features"][0]["properties"]) == {"category", "version"}
+
+
+@pytest.mark.parametrize("form", ["csv", "geojsonseq", "json", "ndjson"])
+def test_other_forms(client, form):
+    for at in ("2026-03-05", "2026-02-01"):  # three items, and none
+        answer = client.get(f"{FEATURES}/items", params={"f": form, "at": f"{at}T00:00:00Z"})
+        assert answer.status_code == 200
+        lines = answer.text.splitlines()
+        count = {"csv": len(lines) - 1, "json": len(answer.json()) if form == "json" else None}.get(form, len(lines))
+        assert count == (3 if at == "2026-03-05" else 0)
+
+
+def test_vector_tiles(client, features):
+    page = get(client, f"{FEATURES}/items")
+    lon, lat, _ = page["features"][0]["geometry"]["coordinates"]
+    grid = morecantile.tms.get("WebMercatorQuad")
+    for zoom in (0, 12, 22):
+        tile = grid.tile(lon, lat, zoom)
+        answer = client.get(f"{FEATURES}/tiles/WebMercatorQuad/{tile.z}/{tile.x}/{tile.y}")
+        assert answer.headers["content-type"] == "application/vnd.mapbox-vector-tile"
+        assert page["features"][0]["id"].encode() in answer.content
+        past = client.get(f"{FEATURES}/tiles/WebMercatorQuad/{tile.z}/{tile.x}/{tile.y}", params={"at": "2026-02-01"})
+        assert (past.status_code, past.content) == (200, b"")
+    for place in ("25/0/0", "-1/0/0", "2/4/0", "2/0/-1"):
+        get(client, f"{FEATURES}/tiles/WebMercatorQuad/{place}", 404)
+    get(client, f"{FEATURES}/tiles/NoSuchTiling/0/0/0", 400)
+
+
+@pytest.mark.parametrize(
+    "query",
+    [
+        "bbox=1,2,3", "bbox=a,b,c,d", "bbox=nan,0,1,1", "bbox=0,1,1,0", "bbox=0,0,181,1", "bbox=1e400,0,1,1", "bbox=",
+        "datetime=yesterday",
+        "datetime=2026-03-01T00:00:00Z/2026-02-01T00:00:00Z", "datetime=a/b/c", "datetime=../..", "datetime=",
+        "datetime=0001-01-01T00:00:00Z/..",
+        "datetime=2026-03-01T00:00:00Z&at=2026-03-01T00:00:00Z",
+        "at=yesterday", "at=99999-01-01", "no_such=1", "sortby=no_such", "sortby=feature_id;drop", "version=one", "f=html",
+        "filter=version=1",
+        "filter=pg_sleep(10)=1", "category=%00", "offset=-1", "offset=99999999999999999999", "limit=ten",
+    ],
+)  # fmt: skip
+def test_what_cannot_be_understood_is_refused(client, query):
+    get(client, f"{FEATURES}/items?{query}", 400)
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "pg_catalog.pg_tables", "conetl.map", "conetl_ogc.features", "default", "default.no_such", "elsewhere.features",
+        "DEFAULT.features",
+        "default.features'--", "default%00.features", "..%2f..%2fapi%2fmaps", "a.b.features",
+    ],
+)  # fmt: skip
+def test_nothing_else_of_the_database_is_there(client, path):
+    get(client, f"{OGC}/collections/{path}/items", 404)
+
+
+def words_of(body):
+    if isinstance(body, dict):
+        yield from body
+        for value in body.values():
+            yield from words_of(value)
+    elif isinstance(body, list):
+        for value in body:
+            yield from words_of(value)
+    else:
+        yield body
+
+
+def test_no_page_for_browsers(client):
+    for path in (
+        "/",
+        "/collections",
+        "/collections/default.features",
+        "/collections/default.features/items",
+        "/conformance",
+    ):
+        answer = client.get(f"{OGC}{path}", headers={"Accept": "text/html"})
+        assert "json" in answer.headers["content-type"]
+    for path in (
+        "/docs",
+        "/api.html",
+        "/openapi.json",
+        "/redoc",
+        "/collections/default.features/tiles/WebMercatorQuad/map.html",
+    ):
+        get(client, f"{OGC}{path}", 404)
+    definition = client.get(f"{OGC}/api").json()
+    assert {"text/html", "html"}.isdisjoint(words_of(definition["paths"]))
+
+
+def test_without_a_database_the_answer_is_503(tmp_path):
+    app = create_app(f"postgresql:///nowhere?host={tmp_path}", "default")
+    with TestClient(app, base_url=BASE) as client:
+        assert "cannot be reached" in get(client, f"{FEATURES}/items", 503)["detail"]
+        get(client, f"{OGC}/", schema=standard.LANDING)
+
+
+@pytest.mark.skipif(not has_qgis(), reason="python3-qgis is not installed for the system's Python")
+def test_qgis_reads_it_as_of_an_instant_and_by_box(module_database_url, client, features, start):
+    early = iso(start + DAY / 2)
+    page = get(client, f"{FEATURES}/items", at=early)
+    places = {item["id"]: item["geometry"]["coordinates"] for item in page["features"]}
+    [lon, lat, _] = places[str(features["goes"].feature_id)]
+    box = ",".join(map(str, (lon - 1e-5, lat - 1e-5, lon + 1e-5, lat + 1e-5)))
+    with serving(module_database_url, "default") as port:
+        for asked, wanted in (("", set(places)), (box, {str(features["goes"].feature_id)})):
+            script = Path(__file__).with_name("qgis_ogc.py")
+            address = f"http://127.0.0.1:{port}/ogc?at={early}"  # QGIS adds its own parameters to these
+            done = subprocess.run(
+                [PYTHON, script, address, "default.features", asked],
+                capture_output=True, text=True, env=OFFSCREEN, timeout=120, check=False,
+            )  # fmt: skip
+            assert done.returncode == 0, done.stderr
+            read = json.loads(done.stdout)
+            assert {f["id"] for f in read["features"]} == wanted
+            for feature in read["features"]:
+                assert [feature["lon"], feature["lat"], feature["height"]] == pytest.approx(
+                    places[feature["id"]], abs=1e-9
+                )
+            assert read["crs"] == "EPSG:4326"
+            assert {"existence_probability", "valid_from", "sigma_east_m"} <= set(read["fields"])
