@@ -1,5 +1,8 @@
 """How long one drive takes to be merged into maps of 100 thousand, 1 million and 10 million features, and what a look back costs.
 
+"100,000 sightings" is measured in both readings of the word: 100,000 positions, of which a track has about ten (a drive past
+10,000 cones), and 100,000 tracks of one position each (a drive past 100,000 cones: 500 km of road works in one go).
+
 A private cluster with fsync on, as `conetl db up` makes it, lies in a temporary folder that is removed at the end. For each size
 the map is loaded (see `made_up_map.py`), a drive with its tracks in memory is merged, and the map is asked for boxes of 500 m at
 an instant of the past. Processor time is that of this process and of the database's backend; the wall clock is what a user
@@ -44,8 +47,14 @@ from conetl.io.db import Connection, connect, execute, load_sql, migrate
 from conetl.io.services.cluster import cluster_remove, cluster_up
 from conetl.io.stores.audits import run_audits
 from conetl.io.stores.map_store import commit_changeset, map_transaction, place_drive, read_features_as_of
-from conetl.io.stores.replay_store import affected_drives, read_standing_around, superseded_drives
+from conetl.io.stores.replay_store import (
+    affected_drives,
+    read_doubts_around,
+    read_standing_around,
+    superseded_drives,
+)
 from conetl.map_records import Changeset, Decisions
+from conetl.memory import no_cycle_search
 from conetl.params import ReconcileParams
 from conetl.steps.fold import Evidence, extend
 
@@ -77,6 +86,10 @@ class Stopwatch:
         return sum(wall), sum(own), sum(backend)
 
 
+#: By how many sightings a track has.
+Figures = dict[str, Stopwatch]
+
+
 def merge(conn: Connection, sightings: Sightings) -> Stopwatch:
     """What `flows/replay.py` does with a drive that is newer than all others around it, phase by phase, to the commit."""
     watch = Stopwatch(conn.info.backend_pid)
@@ -84,14 +97,14 @@ def merge(conn: Connection, sightings: Sightings) -> Stopwatch:
     key = hashlib.sha256(f"changeset {drive.drive_id}".encode()).hexdigest()
     changeset_id = uuid5(NAMESPACE_URL, key)
     with watch.phase("lock, commit"):  # noqa: SIM117 -- its own share is what is left after the others
-        with map_transaction(conn, MAP_NAME):
+        with no_cycle_search(), map_transaction(conn, MAP_NAME):
             with watch.phase("place the drive"):
                 drive_uuid = place_drive(conn, drive, key, map_name=MAP_NAME)
                 later = [r for r in affected_drives(conn, [drive_uuid]) if r.drive_uuid != drive_uuid]
                 if later or superseded_drives(conn, drive_uuid):
                     raise SystemExit("the drive is not the newest one: this would be a replay")
             with watch.phase("read what stands around"):
-                standing = read_standing_around(conn, drive_uuid)
+                standing, doubts = read_standing_around(conn, drive_uuid), read_doubts_around(conn, drive_uuid)
             evidence = Evidence(
                 key=(drive.frame_pairs[0].captured_at_ns, drive.content_sha256, key),
                 changeset_id=changeset_id,
@@ -103,7 +116,7 @@ def merge(conn: Connection, sightings: Sightings) -> Stopwatch:
                 params=ReconcileParams(),
             )
             with watch.phase("reconcile"):
-                extension = extend(standing, evidence, Decisions())
+                extension = extend(standing, evidence, Decisions(), doubts)
             changeset = Changeset.model_construct(
                 changeset_id=changeset_id,
                 drive_id=drive.drive_id,
@@ -179,15 +192,32 @@ def main() -> None:
     home = Path(tempfile.mkdtemp(prefix="conetl-bench-map-", dir=options.folder))
     try:
         url = cluster_up(home)
+        results: dict[int, Figures] = {}
         for size in options.sizes:
             with closing(connect(_database(url, size))) as conn:
-                bench(conn, size, options)
+                results[size] = bench(conn, size, options)
+        summary(results)
     finally:
         cluster_remove(home)
         shutil.rmtree(home)
 
 
-def bench(conn: Connection, size: int, options: argparse.Namespace) -> None:
+def summary(results: dict[int, Figures]) -> None:
+    """All sizes, and how much longer each takes than the one before it."""
+    print("\nprocessor time in s (python + server) and growth from the size before; wall clock in brackets")
+    before: Figures | None = None
+    for size, found in sorted(results.items()):
+        print(f"{size:>12,} features", end="")
+        for name, watch in found.items():
+            wall, own, server = watch.total
+            grown = "" if before is None else f" x {(own + server) / sum(before[name].total[1:]):.2f}"
+            print(f"   {name}: {own + server:.1f}{grown} ({wall:.1f})", end="")
+        print()
+        before = found
+    print(f"load {os.getloadavg()}")
+
+
+def bench(conn: Connection, size: int, options: argparse.Namespace) -> Figures:
     """One size of map."""
     migrate(conn)
     start = time.perf_counter()
@@ -196,17 +226,18 @@ def bench(conn: Connection, size: int, options: argparse.Namespace) -> None:
     print(
         f"\n=== {size:,} features, {rows:,} version rows, loaded in {time.perf_counter() - start:.0f} s; load {os.getloadavg()}"
     )
-    measure(conn, size, options.sightings, audits=options.audits)
+    return measure(conn, size, options.sightings, audits=options.audits)
 
 
-def measure(conn: Connection, size: int, sightings: int, *, audits: bool = False) -> None:
+def measure(conn: Connection, size: int, sightings: int, *, audits: bool = False) -> Figures:
     """All that is measured on a loaded map: two readings of 'sightings', boxes, sizes, audits."""
     first = 20_000 if size >= sightings + 20_000 else 0
-    one_each = drive_along(first, min(sightings, size - first), days=2)
-    report(f"{len(one_each.tracks):,} tracks of one sighting each into {size:,} features", merge(conn, one_each))
-    ten_each = drive_along(first, min(sightings, size - first) // 10, days=3, seed=2, sightings=10)
-    title = f"{len(ten_each.positions):,} sightings, ten a track, into {size:,} features"
-    report(title, merge(conn, ten_each))
+    found: Figures = {}
+    for name, per_track, days in (("ten a track", 10, 2), ("one a track", 1, 3)):
+        drive = drive_along(first, min(sightings, size - first) // per_track, days=days, seed=days, sightings=per_track)
+        found[name] = merge(conn, drive)
+        title = f"{len(drive.positions):,} sightings, {name} ({len(drive.tracks):,} tracks), into {size:,} features"
+        report(title, found[name])
     server = executed_ms(conn, size)
     times, found = look_back(conn, size)
     middle = f"median {np.median(server):.1f} ms, 95 % {np.percentile(server, 95):.1f} ms"
@@ -222,6 +253,7 @@ def measure(conn: Connection, size: int, sightings: int, *, audits: bool = False
         for result in run_audits(conn):
             print(f"audit {result.name:24} {'passed' if result.passed else result.rows[:1]} ({result.seconds:.1f} s)")
         print(f"all audits {time.perf_counter() - start:.1f} s")
+    return found
 
 
 def _database(url: str, size: int) -> str:

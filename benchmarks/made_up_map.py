@@ -197,9 +197,9 @@ class Sightings:
     tracks: list[Track]
     gone: frozenset[UUID]
 
-    def look_at(self, feature: MapFeature, _offset_m: np.ndarray) -> Look | None:
-        """Where the drive looked is another step's work: here the answer is known."""
-        return Look(6, self.tracks[0].first_seen_ns) if feature.feature_id in self.gone else None
+    def look_at(self, feature: MapFeature, _offset_m: np.ndarray, _others_m: np.ndarray) -> Look | None:
+        """Where the drive looked is another step's work: here the answer is known. -5: six looks in plain view."""
+        return Look(6, self.tracks[0].first_seen_ns, -5.0) if feature.feature_id in self.gone else None
 
 
 def cone_id(number: int) -> UUID:
@@ -221,7 +221,7 @@ def drive_along(first: int, count: int, *, seed: int = 1, days: int = 2, sightin
     kept = places[fate > 0.05]
     seen = np.vstack([kept, fresh])
     seen = seen[np.argsort(seen[:, 1] // ROAD_DISTANCE_M * 1e6 + seen[:, 0], kind="stable")]
-    seen = seen + np.array((0.3, -0.2, 0.05)) + rng.normal(0, 0.05, seen.shape)
+    seen = seen + np.array([0.3, -0.2, 0.05]) + rng.normal(0, 0.05, seen.shape)
     start_ns = FOUNDED_NS + days * DAY_NS
     pairs = _path(first, count, start_ns)
     frame_of = np.linspace(0, len(pairs) - sightings, len(seen)).astype(int)

@@ -14,7 +14,7 @@ from uuid import UUID
 from conetl.errors import ConflictError, InputError
 from conetl.io.db import Connection
 from conetl.io.stores.decision_store import find_decisions, insert_decision, list_decisions, read_decisions
-from conetl.io.stores.map_results import Decidable, MapInfo
+from conetl.io.stores.map_results import Decidable, MapInfo, Replay
 from conetl.io.stores.map_store import LOCK_TIMEOUT_S, find_features, find_map, map_transaction, system_time
 from conetl.io.stores.replay_store import (
     affected_drives,
@@ -23,13 +23,27 @@ from conetl.io.stores.replay_store import (
     superseded_drives,
     write_replay,
 )
-from conetl.map_records import MapFeature, Place
+from conetl.map_records import BelievedVersion, MapFeature, Place
 from conetl.steps.fold import is_within
 from flows.replay import replay_of
 
 SUPPRESS, PIN, REVERT, WITHDRAW = "suppress", "pin", "revert", "withdraw"
 #: Larger places are no statement about one cone.
 MAX_RADIUS_M = 20.0
+
+
+class Conflict(NamedTuple):
+    """A feature that a reverted changeset changed, and other changesets after it: three ways."""
+
+    feature_id: UUID
+    kind: str
+    """What the reverted changeset did to it."""
+    was: BelievedVersion | None
+    """Before the reverted changeset; None where it founded the feature."""
+    changed_to: BelievedVersion | None
+    """By the reverted changeset."""
+    is_now: BelievedVersion | None
+    """After the revert, as its changeset left it; None where without the reverted one it was never founded."""
 
 
 class Decided(NamedTuple):
@@ -41,7 +55,7 @@ class Decided(NamedTuple):
     versions_written: int
     replayed: int
     """Drives that were compared with the map again."""
-    also_changed: tuple[UUID, ...]
+    conflicts: tuple[Conflict, ...]
     """Of a reverted changeset: features that other drives changed after it; what they saw is kept."""
 
 
@@ -126,17 +140,17 @@ def revert(
             changeset_id=changeset_id,
             withdraws=withdraws,
         )
-        also_changed: tuple[UUID, ...] = ()
+        conflicts: tuple[Conflict, ...] = ()
         if target.drive_uuid is not None:
             counted_now = superseded_drives(conn, target.drive_uuid)
             seeds = list(dict.fromkeys([target.drive_uuid, *counted_before, *counted_now]))
-            written, replayed, also_changed = _judge_drives(conn, info, seeds, decided_at, changeset_id)
+            written, replayed, conflicts = _judge_drives(conn, info, seeds, decided_at, changeset_id)
         elif place is not None and place.easting_m is not None and place.northing_m is not None:
             xy_m = (place.easting_m, place.northing_m)
             written, replayed = _judge_place(conn, info, place.kind, xy_m, decided_at)
         else:
             raise InputError(f"decision {target.id} can not be taken back")
-    return Decided(decision_id, kind, decided_at, written, replayed, also_changed)
+    return Decided(decision_id, kind, decided_at, written, replayed, conflicts)
 
 
 def _judge_place(
@@ -154,15 +168,36 @@ def _judge_place(
 
 def _judge_drives(
     conn: Connection, info: MapInfo, seeds: Sequence[UUID], decided_at: datetime, changeset_id: UUID | None
-) -> tuple[int, int, tuple[UUID, ...]]:
+) -> tuple[int, int, tuple[Conflict, ...]]:
     """Work out what follows when drives come to count or cease to."""
     again = affected_drives(conn, seeds)
     aside = list(dict.fromkeys([*seeds, *(ref.drive_uuid for ref in again)]))
     _, replay = replay_of(conn, aside, again, read_decisions(conn, map_name=info.map_name))
-    changes = [stored.values[:2] for stored in replay.deltas_before]
-    own = {feature_id for changed_by, feature_id in changes if changed_by == changeset_id}
-    others = {feature_id for changed_by, feature_id in changes if changed_by != changeset_id}
-    return write_replay(conn, info, replay, decided_at), len(again), tuple(sorted(own & others))
+    return write_replay(conn, info, replay, decided_at), len(again), _conflicts(replay, changeset_id)
+
+
+def _conflicts(replay: Replay, changeset_id: UUID | None) -> tuple[Conflict, ...]:
+    """The features that this changeset and others changed, by feature id."""
+    own: dict[UUID, tuple[str, int | None, int]] = {}
+    others = set()
+    for changed_by, feature_id, kind, old, new in (stored.values[:5] for stored in replay.deltas_before):
+        if changed_by == changeset_id:
+            own[feature_id] = kind, old, new
+        else:
+            others.add(feature_id)
+    before = {(s.version.feature.feature_id, s.version.feature.version): s.version for s in replay.versions_before}
+    now = {version.feature.feature_id: version for version in replay.versions if version.valid_to_ns is None}
+    return tuple(
+        Conflict(
+            feature_id=feature_id,
+            kind=kind,
+            was=None if old is None else before.get((feature_id, old)),
+            changed_to=before.get((feature_id, new)),
+            is_now=now.get(feature_id),
+        )
+        for feature_id, (kind, old, new) in sorted(own.items())
+        if feature_id in others
+    )
 
 
 def _map(conn: Connection, map_name: str) -> MapInfo:

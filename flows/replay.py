@@ -37,6 +37,7 @@ from conetl.map_records import (
     MapFeature,
     Miss,
 )
+from conetl.memory import no_cycle_search
 from conetl.params import IngestParams, ReconcileParams
 from conetl.records import (
     Detection,
@@ -64,6 +65,7 @@ class Merged(NamedTuple):
     result: CommitResult
 
 
+@no_cycle_search()
 def merge_drive(
     conn: Connection,
     drive: Drive,

@@ -109,9 +109,12 @@ class Delta(Record):
             return False
         if self.kind is not DeltaKind.CONFIRMED or self.old is None or self.new is None:
             return True
-        return any(
-            getattr(self.new, name) != getattr(self.old, name) for name in MapFeature.model_fields if name != "version"
-        )
+        new, old = self.new.__dict__, self.old.__dict__
+        return any(new[name] != old[name] for name in _STATE)
+
+
+#: All of a feature but its number, what a confirmation changes first.
+_STATE = sorted(MapFeature.model_fields.keys() - {"version"}, key=lambda name: name != "observation_count")
 
 
 class Statement(Record):

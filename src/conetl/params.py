@@ -70,7 +70,8 @@ class TrackParams(Params):
     join_gate_m: Positive = 0.6
     """Two tracks never seen in one picture and nearer than this (plus drift) are one cone."""
     min_observations: int = Field(default=3, ge=1)
-    min_existence_probability: Fraction = 0.6
+    min_existence_probability: Fraction = 0.5
+    """Rather a cone than not: such a track confirms a feature. It takes more to found one, see `reconcile`."""
     expected_cones_per_picture: Positive = 0.05
     """Before anything was seen: against the detector's false boxes per picture it gives the odds that a group of boxes is a cone.
     One picture in twenty suits an ordinary street; a road with works holds more."""
@@ -99,6 +100,9 @@ class ReconcileParams(Params):
     """Heights that differ by more are of different classes of cones, which lie 0.2 m apart and more."""
     moved_existence_probability: Annotated[float, Field(gt=0, lt=1)] = 0.5
     """Below this belief a feature counts as vanished where a new cone of like height near it tells where it went."""
+    founding_existence_probability: Fraction = 0.6
+    """A track less sure than this confirms a feature that stands there already, but makes no new one: two drives rarely err at
+    the same place."""
     vanished_probability: Annotated[float, Field(gt=0, lt=1)] = 0.1
     """That a cone is taken away between one drive and the next: however often it was seen, a drive that misses it starts from
     this doubt."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -31,6 +31,24 @@ class Record(BaseModel):
     """Base of all records: immutable, closed, finite."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+R = TypeVar("R", bound=Record)
+
+
+def sound(record_type: type[R], **values: Any) -> R:
+    """A record of values that are known to be sound, without checking them again; every field must be given.
+
+    For rows that were checked before they were written, and for what is computed from such. A drive is compared with 100,000
+    features, and the checks alone would take longer than the comparison. As `model_construct`, in a third of its time.
+    """
+    record = record_type.__new__(record_type)
+    put = object.__setattr__
+    put(record, "__dict__", values)
+    put(record, "__pydantic_fields_set__", set(values))
+    put(record, "__pydantic_extra__", None)
+    put(record, "__pydantic_private__", None)
+    return record
 
 
 # --------------------------------------------------------------------------- drive

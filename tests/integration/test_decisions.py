@@ -91,7 +91,12 @@ def test_a_reverted_drive_might_never_have_come_and_comes_back_as_it_was(conn, c
     target = changesets[survey(day).drive.drive_id]
     reverted = revert(conn, str(target.changeset_no), map_name="default", note="bad GNSS")
     assert reverted.replayed == 2 - day
-    assert bool(reverted.also_changed) == (day < 2), "features that later drives saw too are named"
+    assert bool(reverted.conflicts) == (day < 2), "features that later drives saw too are named"
+    for conflict in reverted.conflicts:
+        assert conflict.changed_to is not None
+        assert conflict.changed_to.changeset_id == target.changeset_id or conflict.kind in ("missed", "confirmed")
+        assert (conflict.was is None) == (conflict.kind in ("added", "split"))
+        assert conflict.is_now is None or conflict.is_now.changeset_id != target.changeset_id
     with cloned_database(cluster_url, template_database) as url:
         other = connect(url)
         for one in range(3):

@@ -482,10 +482,9 @@ def test_the_other_half_of_the_real_street_a_day_later_and_half_a_metre_aside_do
     assert second.code == 0, second.err
     counts = [{kind: n for kind, n in result.json[0]["counts"].items() if n} for result in (first, second)]
     assert counts[0] == {"added": 4}
-    # One cone does not become a track in the odd pairs: it stays, and is not doubled.
-    assert set(counts[1]) <= {"confirmed", "missed"}, "none doubled, none moved, none removed"
-    assert counts[1]["confirmed"] >= 3
+    # One of them is hardly more likely a cone than not in the odd pairs: enough to confirm it, not to found it.
+    assert counts[1] == {"confirmed": 4}, "none doubled, none moved, none removed"
     features = desk.run("map", "show", "--json").json["features"]
     assert len(features) == 4
-    assert sum(feature["seen_count"] == 2 for feature in features) == counts[1]["confirmed"]
+    assert all(feature["seen_count"] == 2 for feature in features)
     assert desk.run("db", "audit").code == 0

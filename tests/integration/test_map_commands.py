@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import cv2
 import pytest
 
 from tests.integration.drives_of_days import merge, survey
@@ -40,6 +41,9 @@ def test_differences_between_changesets_and_times(conetl, tmp_path):
         (c["feature_id"], c["new"], c["old"]) for c in back
     ]
     assert conetl("map", "diff", 3, 3).strip() == "No difference."
+    drawn = tmp_path / "diff.png"
+    assert str(drawn) in conetl("map", "diff", 2, 3, "--picture", drawn).replace("\n", "")
+    assert cv2.imread(str(drawn)).std() > 5
     written = tmp_path / "diff.geojson"
     table = conetl("map", "diff", "2026-03-02T23:00", "2026-03-03T23:00", "--out", written)
     collection = json.loads(written.read_text())

@@ -18,11 +18,11 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from conetl.detector_evidence import DetectorEvidence, LookFigures, detect_probability
-from conetl.map_records import BelievedVersion, Decisions, DeltaKind, Doubt, MapFeature
+from conetl.map_records import BelievedVersion, Decisions, Delta, DeltaKind, Doubt, MapFeature
 from conetl.params import IngestParams, ReconcileParams
 from conetl.records import Detection, FramePair, Side
 from conetl.steps.belief import doubt_after
-from conetl.steps.fold import Evidence, extend
+from conetl.steps.fold import Evidence, Extension, extend
 from conetl.steps.visibility import View, hidden_share, look_at_spot, looks_in_view, view_of_drive
 from tests.synthetic.world import (
     ORIGIN_M,
@@ -45,6 +45,7 @@ MISS_CORRELATION = 0.5
 DOUBLED = 0.03
 """Cones that get a second box in a drive."""
 WELL_SEEN_FRAMES = 10
+HIDDEN = " (hidden)"
 Boxes = dict[tuple[int, Side], list[Detection]]
 Place = tuple[float, float]
 
@@ -244,7 +245,7 @@ def simulate(days: int, evidence: DetectorEvidence, *, seed: int = 5) -> Score:
         before, known = dict(road.places), owners(standing, road.places)
         road.before = before
         fate = change(road, rng) if day else dict.fromkeys(road.places, "added")
-        started, most_plain = set(standing), dict[int, int]()
+        started, most_plain, happened = set(standing), dict[int, int](), list[tuple[int, Delta]]()
         for number in range(DRIVES_A_DAY):
             span = (0, FRAMES)
             if number == 0 and day and rng.random() < 0.5:  # a part of the road
@@ -252,6 +253,7 @@ def simulate(days: int, evidence: DetectorEvidence, *, seed: int = 5) -> Score:
             start_ns = START_NS + day * DAY_NS + number * HOUR_NS
             drive, view = survey(road, evidence, rng, start_ns=start_ns, span=span)
             extension = extend(standing, drive, Decisions(), doubts)
+            happened += [(number + 1, delta) for delta in extension.deltas]
             gone = {d.feature_id for d in extension.deltas if d.kind in (DeltaKind.REMOVED, DeltaKind.MOVED)}
             for cone, feature_id in known.items() if day else ():
                 frames, plain = in_view(before[cone], road.heights[cone], view, drive.params)
@@ -261,20 +263,40 @@ def simulate(days: int, evidence: DetectorEvidence, *, seed: int = 5) -> Score:
                 if number == 0 and fate[cone] == "removed" and plain >= WELL_SEEN_FRAMES:
                     score.removed_well_seen += 1
                     score.removed_at_once += feature_id in gone
-            for miss in extension.misses:
-                earlier = doubts.get(miss.feature_id)
-                doubts[miss.feature_id] = doubt_after(earlier, miss.existence_probability, miss.first_missed_ns)
-            for version in extension.versions:
-                doubts.pop(version.feature.feature_id, None)
-                standing.pop(version.feature.feature_id, None)
-                if version.standing:
-                    standing[version.feature.feature_id] = version
+            take(extension, standing, doubts)
         for cone in fate:
             if fate[cone] in ("removed", "moved") and most_plain.get(cone, 0) < WELL_SEEN_FRAMES:
-                fate[cone] += " (hidden)"
+                fate[cone] += HIDDEN
         if day:
-            count(score, fate, known, owners(standing, road.places), started, set(standing))
+            wrong, made_up = count(score, fate, known, owners(standing, road.places), started, set(standing))
+            lines = [(line, [at[cone] for at in (before, road.places) if cone in at]) for cone, line in wrong.items()]
+            made_up_at = [np.array(standing[feature_id].feature.xyz_m) - ORIGIN_M for feature_id in made_up]
+            lines += [("no cone at all", [(float(x), float(y))]) for x, y, _ in made_up_at]
+            score.wrong += [f"seed {seed}, day {day}, {line}:{_deltas_near(at, happened)}" for line, at in lines]
     return score
+
+
+def take(extension: Extension, standing: dict[UUID, BelievedVersion], doubts: dict[UUID, Doubt]) -> None:
+    """Bring the map up to what a drive made of it."""
+    for miss in extension.misses:
+        earlier = doubts.get(miss.feature_id)
+        doubts[miss.feature_id] = doubt_after(earlier, miss.existence_probability, miss.first_missed_ns)
+    for version in extension.versions:
+        doubts.pop(version.feature.feature_id, None)
+        standing.pop(version.feature.feature_id, None)
+        if version.standing:
+            standing[version.feature.feature_id] = version
+
+
+def _deltas_near(places: Sequence[Place], happened: Sequence[tuple[int, Delta]]) -> str:
+    """What the day's drives did within reach of some places, for whoever wants to know why."""
+    told = []
+    for number, delta in happened:
+        x, y, _ = np.array(delta.state_after.xyz_m) - ORIGIN_M
+        if any(np.hypot(x - a, y - b) < 3.0 for a, b in places):
+            belief = "" if delta.evidence is None else f", belief {delta.evidence.existence_probability:.2f}"
+            told.append(f"drive {number} {delta.kind} {str(delta.feature_id)[:4]} at ({x:.1f}, {y:.1f}){belief}")
+    return "".join(f"\n    {line}" for line in told)
 
 
 def in_view(place: Place, height_m: float, view: View, params: ReconcileParams) -> tuple[int, int]:
@@ -310,9 +332,10 @@ def count(
     now: dict[int, UUID],
     started: set[UUID],
     ended: set[UUID],
-) -> None:
-    """Add one day to the confusion matrix."""
+) -> tuple[dict[int, str], set[UUID]]:
+    """Add one day to the confusion matrix; what is said wrongly of which cones, and features that are no cone."""
     told: set[UUID] = set()
+    wrong: dict[int, str] = {}
     for cone, kind in fate.items():
         old, new = known.get(cone), now.get(cone)
         if kind.startswith("removed"):
@@ -324,7 +347,9 @@ def count(
         else:
             said = "confirmed" if new in started else "added"
         score.confusion[kind, said] += 1
-        if kind != said:
-            score.wrong.append(f"cone {cone}: {kind}, the map says {said}")
+        if kind.removesuffix(HIDDEN) != said:
+            wrong[cone] = f"cone {cone}: {kind}, the map says {said}"
         told |= {feature for feature in (old, new) if feature is not None}
-    score.confusion["nothing", "added"] += len(ended - started - told)
+    made_up = ended - started - told
+    score.confusion["nothing", "added"] += len(made_up)
+    return wrong, made_up

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import getpass
+from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
+from uuid import UUID
 
+import numpy as np
 import typer
 
 from conetl.cli.console import JsonOption, out, parse_time, print_json, print_table
@@ -16,9 +19,10 @@ from conetl.cli.database import open_map
 from conetl.errors import InputError
 from conetl.io.db import Connection
 from conetl.io.exports.diff_geojson import export_diff_geojson
+from conetl.io.exports.plan_view import draw_plan_view
 from conetl.io.stores.decision_store import list_decisions
 from conetl.io.stores.map_store import find_map, list_changesets, read_features_as_of
-from conetl.map_records import FeatureChange, MapFeature
+from conetl.map_records import BelievedVersion, FeatureChange, MapFeature
 from conetl.settings import Settings, read_settings
 from conetl.steps.map_diff import diff as diff_of
 
@@ -54,7 +58,9 @@ def revert(
 
     settings = read_settings()
     with closing(open_map(settings)) as conn:
-        _print(take_back(conn, what, map_name=settings.map_name, note=note, decided_by=_who(by)), as_json)
+        decided = take_back(conn, what, map_name=settings.map_name, note=note, decided_by=_who(by))
+        numbers = {c.changeset_id: c.changeset_no for c in list_changesets(conn, map_name=settings.map_name)}
+    _print(decided, as_json, numbers)
 
 
 def decisions(as_json: JsonOption = False) -> None:
@@ -92,6 +98,9 @@ def diff(
     ],
     after: Annotated[str, typer.Argument(help="Likewise.")],
     output: Annotated[Path | None, typer.Option("--out", help="GeoJSON file to write.")] = None,
+    picture: Annotated[
+        Path | None, typer.Option("--picture", help="PNG to write: both maps, changes coloured.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """What differs between two states of the map."""
@@ -100,9 +109,22 @@ def diff(
         info = find_map(conn, settings.map_name)
         if info is None:
             raise InputError(f"there is no map named {settings.map_name} in this database: ingest a drive first.")
-        changes = diff_of(state_of(conn, settings, before), state_of(conn, settings, after))
+        old, new = state_of(conn, settings, before), state_of(conn, settings, after)
+    changes = diff_of(old, new)
     if output is not None:
         export_diff_geojson(changes, output, srid=info.srid)
+    if picture is not None:
+        if not old and not new:
+            raise InputError(f"neither {before} nor {after} has a cone on the map: there is nothing to draw")
+        changed = {change.feature_id for change in changes}
+        draw_plan_view(
+            picture,
+            title=f"Map {settings.map_name}, EPSG:{info.srid}: {before} to {after}",
+            trajectory_m=np.empty((0, 2)),
+            deltas=changes,
+            untouched=[feature for feature in new if feature.feature_id not in changed],
+            untouched_label="no difference",
+        )
     if as_json:
         print_json([change.model_dump(mode="json") for change in changes])
         return
@@ -113,6 +135,8 @@ def diff(
         print_table("", columns, [_change_row(change) for change in changes], numbers_from=2)
     if output is not None:
         out.print(f"{len(changes)} changes -> {output}", markup=False)
+    if picture is not None:
+        out.print(f"picture -> {picture}", markup=False)
 
 
 def _change_row(change: FeatureChange) -> tuple[object, ...]:
@@ -154,7 +178,7 @@ def _decide_place(kind: str, feature: str, radius: float, note: str, by: str | N
         decided = decide_place(
             conn, kind, feature, map_name=settings.map_name, radius_m=radius, note=note, decided_by=_who(by)
         )
-    _print(decided, as_json)
+    _print(decided, as_json, {})
 
 
 def _who(by: str | None) -> str:
@@ -164,14 +188,44 @@ def _who(by: str | None) -> str:
         raise InputError("this system does not know your name: say who decides with --by NAME") from error
 
 
-def _print(decided: Decided, as_json: bool) -> None:
+def _print(decided: Decided, as_json: bool, numbers: Mapping[UUID, int]) -> None:
+    """numbers: of changesets, by id."""
     if as_json:
-        print_json(decided._asdict())
+        conflicts = [
+            {
+                name: v.model_dump(mode="json") if isinstance(v, BelievedVersion) else v
+                for name, v in one._asdict().items()
+            }
+            for one in decided.conflicts
+        ]
+        print_json(decided._asdict() | {"conflicts": conflicts})
         return
     out.print(
         f"Decision {str(decided.decision_id)[:8]} ({decided.kind}): {decided.versions_written} feature versions written, "
         f"{decided.replayed} drives compared with the map again."
     )
-    if decided.also_changed:
-        names = ", ".join(str(feature_id)[:8] for feature_id in decided.also_changed)
-        out.print(f"Later drives changed these features too; what they saw is kept: {names}")
+    if decided.conflicts:
+        out.print("Other drives had something to say about these features too; what they saw is kept:")
+        columns = ("feature", "change taken back", "was", "it made of it", "is now", "by changeset")
+        rows = [
+            (
+                str(one.feature_id)[:8],
+                one.kind,
+                _state_text(one.was, "not there"),
+                _state_text(one.changed_to, "?"),
+                _state_text(one.is_now, "never there"),
+                "" if one.is_now is None else numbers.get(one.is_now.changeset_id, ""),
+            )
+            for one in decided.conflicts
+        ]
+        print_table("", columns, rows, numbers_from=5)
+
+
+def _state_text(version: BelievedVersion | None, nothing: str) -> str:
+    """Where a feature stands, in the map's CRS."""
+    if version is None:
+        return nothing
+    if not version.standing:
+        return "gone"
+    x, y, _ = version.feature.xyz_m
+    return f"{x:.2f} {y:.2f}" + (" (suppressed)" if version.suppressed else "")

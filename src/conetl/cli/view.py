@@ -105,7 +105,14 @@ def decide_on(url: str) -> Decide:
                     conn, str(what), map_name=map_name, note=wish.reason, decided_by=wish.decided_by,
                     lock_timeout_s=_LOCK_TIMEOUT_S,
                 )  # fmt: skip
-        return Decided(**done._asdict())
+        return Decided(
+            decision_id=done.decision_id,
+            kind=done.kind,
+            decided_at=done.decided_at,
+            versions_written=done.versions_written,
+            replayed=done.replayed,
+            also_changed=[conflict.feature_id for conflict in done.conflicts],
+        )
 
     return decide
 

@@ -13,7 +13,7 @@ from math import exp, log
 
 from conetl.map_records import Doubt, MapFeature, SightingEvidence, Statement
 from conetl.params import ReconcileParams
-from conetl.records import Track
+from conetl.records import Track, sound
 from conetl.steps.visibility import Look
 
 #: Belief in a feature never becomes certainty: the next drive must be able to change it.
@@ -71,7 +71,8 @@ def _for_it(
 ) -> SightingEvidence:
     ratio = log_odds(existence_probability)
     before = 0.0 if feature is None else log_odds(_believed(feature, doubt))
-    return SightingEvidence(
+    return sound(
+        SightingEvidence,
         log_likelihood_ratio=ratio,
         existence_probability=probability(min(before + ratio, MAX_LOG_ODDS)),
         frames_seen=frames_seen,

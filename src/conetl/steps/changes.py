@@ -10,7 +10,7 @@ all kinds are written down in docs/changes.md.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from math import hypot
+from math import hypot, sqrt
 from uuid import UUID, uuid5
 
 import numpy as np
@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from conetl.geometry.packing import cov_matrices, vec3
 from conetl.map_records import Delta, DeltaKind, Doubt, MapFeature, SightingEvidence
 from conetl.params import ReconcileParams
-from conetl.records import Track
+from conetl.records import Track, sound
 from conetl.steps.belief import is_gone, missed, seen
 from conetl.steps.gating import near_pairs
-from conetl.steps.map_association import common_offset, moves, pair
+from conetl.steps.map_association import common_offset, moved_before, moves, pair
 from conetl.steps.visibility import WIDTH_OVER_HEIGHT, Look
 
 Floats = NDArray[np.float64]
@@ -64,7 +64,8 @@ def reconcile(
     deltas = [_merged(features[j], features[kept], tracks[pairs[kept]]) for j, kept in merged.items()]
 
     paired = set(pairs.values())
-    others_m = np.array([track.xyz_m for track in tracks]).reshape(-1, 3)
+    free = _founding(tracks, paired, params)
+    others_m = np.array([tracks[i].xyz_m for i in sorted(paired.union(free))]).reshape(-1, 3)
     unseen: dict[int, tuple[Look, SightingEvidence]] = {}
     for j, feature in enumerate(features):
         look = None if j in pairs or j in merged else look_at(feature, shift_m, others_m)
@@ -73,7 +74,6 @@ def reconcile(
     loose = {j: evidence for j, (_, evidence) in unseen.items() if features[j].feature_id not in pinned}
     vanished = [j for j, evidence in loose.items() if is_gone(evidence, params, moved=True)]
 
-    free = [i for i in range(len(tracks)) if i not in paired]
     moved = moves(placed, tracks, free, features, vanished, params)
     free = [i for i in free if i not in set(moved.values())]
     halves = _halves(placed, tracks, free, features, pairs, params)
@@ -85,16 +85,23 @@ def reconcile(
     for j, i in pairs.items():
         if features[j].feature_id not in pinned and height_differs(features[j], tracks[i], params):
             anew[j] = DeltaKind.HEIGHT_CHANGED
-    deltas += confirmations(
-        {j: i for j, i in pairs.items() if j not in anew}, features, tracks, placed, shift_m, evidence_for
-    )
+    as_before = {j: i for j, i in pairs.items() if j not in anew}
+    loose_seen = {j: i for j, i in as_before.items() if features[j].feature_id not in pinned}
+    left = [j for j in vanished if j not in moved]
+    moved_to = moved_before(placed, tracks, loose_seen, features, left, params)
+    feature_by_id = {features[k].feature_id: features[j] for j, k in moved_to.items()}
+    for delta in confirmations(as_before, features, tracks, placed, shift_m, evidence_for):
+        old = feature_by_id.get(delta.feature_id)
+        deltas += [delta] if old is None else _moved_before(old, delta)
     for j, kind in anew.items():
         i = pairs[j] if j in pairs else moved[j]
         deltas.append(changed(kind, features[j], tracks[i], placed[i], shift_m, evidence_for[j]))
     for j, (look, evidence) in unseen.items():
-        if j in loose and j not in moved and is_gone(evidence, params):
+        if j in moved or j in moved_to:
+            continue
+        if j in loose and is_gone(evidence, params):
             deltas.append(_removed(features[j], doubts.get(features[j].feature_id), look, evidence))
-        elif j not in moved:
+        else:
             deltas.append(_missed(features[j], look, evidence))
     for i in free:
         half_of = features[halves[i]].feature_id if i in halves else None
@@ -115,6 +122,33 @@ def _without_doubles(tracks: Sequence[Track]) -> list[Track]:
         if weight[a] > weight[b] and float(np.hypot(*(places[a] - places[b]))) < base_m:
             doubles.add(int(b))
     return [track for i, track in enumerate(tracks) if i not in doubles]
+
+
+def _founding(tracks: Sequence[Track], paired: Collection[int], params: ReconcileParams) -> list[int]:
+    """The tracks without a feature that are sure enough to be a cone of their own.
+
+    A far cone is placed well across the line of sight and poorly along it, so the second box that a detector now and then gives
+    to one cone may come to stand beside it. So a track founds nothing while its base plate, moved by one sigma, would stand on
+    that of a track with more observations: a drive that passes nearer tells whether there are two.
+    """
+    sure = params.founding_existence_probability
+    free = [i for i, track in enumerate(tracks) if i not in paired and track.existence_probability >= sure]
+    if not free:
+        return []
+    places = np.array([track.xyz_m[:2] for track in tracks])
+    doubtful = set()
+    for a, k in zip(*near_pairs(places[free], places, 2 * _WIDEST_BASE_M), strict=True):
+        i = free[a]
+        if tracks[k].observation_count <= tracks[i].observation_count:
+            continue
+        apart = places[i] - places[k]
+        apart_m = float(np.hypot(*apart))
+        xx, xy, _, yy, *_ = np.add(tracks[i].relative_cov_m2, tracks[k].relative_cov_m2).tolist()
+        x, y = (apart / max(apart_m, 1e-9)).tolist()
+        sigma_m = sqrt(max(x * x * xx + 2 * x * y * xy + y * y * yy, 0.0))
+        if apart_m - sigma_m < WIDTH_OVER_HEIGHT * min(tracks[i].cone_height_m, tracks[k].cone_height_m):
+            doubtful.add(i)
+    return [i for i in free if i not in doubtful]
 
 
 def _mergers(
@@ -233,6 +267,34 @@ def _merged(feature: MapFeature, kept: MapFeature, track: Track) -> Delta:
     )
 
 
+def _moved_before(old: MapFeature, confirmed: Delta) -> list[Delta]:
+    """A cone that an earlier drive took for a new one, having looked at its new place only: what it founded is given up again."""
+    given_up, state = confirmed.old, confirmed.new
+    if given_up is None or state is None:
+        raise ValueError(f"the confirmation of feature {confirmed.feature_id} has an old and a new side")
+    new = state.model_copy(
+        update={
+            "feature_id": old.feature_id,
+            "version": old.version + 1,
+            "first_seen_ns": old.first_seen_ns,
+            "observation_count": old.observation_count + state.observation_count,
+        }
+    )
+    shift_m = float(np.hypot(*(np.array(new.xyz_m) - np.array(old.xyz_m))[:2]))
+    moved = {"kind": DeltaKind.MOVED, "feature_id": old.feature_id, "old": old, "new": new, "shift_m": shift_m}
+    merged = Delta(
+        kind=DeltaKind.MERGED,
+        feature_id=given_up.feature_id,
+        old=given_up,
+        new=None,
+        track_index=None,
+        changed_at_ns=max(confirmed.changed_at_ns, given_up.last_seen_ns + 1),
+        shift_m=None,
+        other_feature_id=old.feature_id,
+    )
+    return [confirmed.model_copy(update=moved), merged]
+
+
 def changed(
     kind: DeltaKind, feature: MapFeature, track: Track, placed: Floats, shift: Floats, evidence: SightingEvidence
 ) -> Delta:
@@ -282,6 +344,12 @@ def confirmations(
     heights = np.array([(f.cone_height_m, t.cone_height_m) for f, t in zip(old, new, strict=True)])
     weights = np.array([(f.cone_height_sigma_m, t.cone_height_sigma_m) for f, t in zip(old, new, strict=True)]) ** -2.0
     height = (heights * weights).sum(axis=1) / weights.sum(axis=1)
+    # All at once what the records would check one by one.
+    whole = np.column_stack([fused, cov.reshape(-1, 9), fused_centres, height])
+    unsound = ~np.isfinite(whole).all(axis=1) | (np.diagonal(cov, axis1=1, axis2=2) <= 0).any(axis=1)
+    if unsound.any():
+        first = old[int(np.flatnonzero(unsound)[0])]
+        raise ValueError(f"feature {first.feature_id} and its track have covariances that cannot be fused")
     columns = zip(
         old,
         new,
@@ -295,11 +363,13 @@ def confirmations(
         strict=True,
     )
     return [
-        Delta(
+        sound(
+            Delta,
             kind=DeltaKind.CONFIRMED,
             feature_id=feature.feature_id,
             old=feature,
-            new=MapFeature(
+            new=sound(
+                MapFeature,
                 feature_id=feature.feature_id,
                 version=feature.version + 1,
                 category=feature.category,
@@ -316,6 +386,7 @@ def confirmations(
             track_index=track.track_index,
             changed_at_ns=track.first_seen_ns,
             shift_m=shift_m,
+            other_feature_id=None,
             evidence=found,
         )
         for feature, track, xyz_m, cov_m2, centre_m, height_m, height_sigma_m, found, shift_m in columns
@@ -330,7 +401,8 @@ def _times(matrices: Floats, vectors: Floats) -> Floats:
 def _feature_from_track(
     track: Track, placed: Floats, shift: Floats, feature_id: UUID, version: int, evidence: SightingEvidence
 ) -> MapFeature:
-    return MapFeature(
+    return sound(
+        MapFeature,
         feature_id=feature_id,
         version=version,
         category=track.category,

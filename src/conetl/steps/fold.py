@@ -31,7 +31,7 @@ from conetl.map_records import (
     Statement,
 )
 from conetl.params import ReconcileParams
-from conetl.records import Track
+from conetl.records import Track, sound
 from conetl.steps.adoption import adopt
 from conetl.steps.belief import doubt_after
 from conetl.steps.changes import LookAt, reconcile
@@ -191,7 +191,8 @@ def extend(
         number = 1 if delta.old is None else delta.old.version + 1
         state = delta.state_after
         versions.append(
-            BelievedVersion(
+            sound(
+                BelievedVersion,
                 feature=state if state.version == number else state.model_copy(update={"version": number}),
                 changeset_id=drive.changeset_id,
                 standing=delta.new is not None,

@@ -5,7 +5,7 @@ Everything works on neighbours found by a k-d tree, so that drives with thousand
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from conetl.map_records import MapFeature
 from conetl.params import ReconcileParams
 from conetl.records import Cov3, Track
-from conetl.steps.gating import assign, near_pairs
+from conetl.steps.gating import Indices, assign, near_pairs
 
 Floats = NDArray[np.float64]
 #: Offsets that are tried; cones that share one propose nearly the same.
@@ -118,15 +118,51 @@ def moves(
     """Feature index -> track index of cones that were moved: as many as can be, over the shortest ways."""
     if not free_tracks or not vanished:
         return {}
-    rows, columns = np.array(vanished), np.array(free_tracks)
-    places = np.array([features[j].xyz_m for j in vanished])
+    j, i, distance = _alike_nearby(placed, tracks, free_tracks, features, vanished, params)
+    return assign(j, i, distance)
+
+
+def moved_before(
+    placed: Floats,
+    tracks: Sequence[Track],
+    seen: Mapping[int, int],
+    features: Sequence[MapFeature],
+    vanished: Sequence[int],
+    params: ReconcileParams,
+) -> dict[int, int]:
+    """Feature index -> index of the feature that it was moved to: an earlier drive had only the new place in view and founded it.
+
+    As `moves`, among the features that are `seen` now (feature -> track index) and were founded after the vanished one was last
+    seen: had both ever been seen to stand, they would be two cones.
+    """
+    since_ns = min((features[j].last_seen_ns for j in vanished), default=0)
+    feature_of = {i: k for k, i in seen.items() if features[k].first_seen_ns > since_ns}
+    if not feature_of or not vanished:
+        return {}
+    j, i, distance = _alike_nearby(placed, tracks, sorted(feature_of), features, vanished, params)
+    founded_ns = np.array([features[feature_of[track]].first_seen_ns for track in i.tolist()], np.int64)
+    last_seen_ns = np.array([features[row].last_seen_ns for row in j.tolist()], np.int64)
+    since = founded_ns > last_seen_ns
+    return {row: feature_of[track] for row, track in assign(j[since], i[since], distance[since]).items()}
+
+
+def _alike_nearby(
+    placed: Floats,
+    tracks: Sequence[Track],
+    of_tracks: Sequence[int],
+    features: Sequence[MapFeature],
+    of_features: Sequence[int],
+    params: ReconcileParams,
+) -> tuple[Indices, Indices, Floats]:
+    """Feature and track indices, and distances in metres, of all pairs between which a cone may have been moved."""
+    rows, columns = np.array(of_features), np.array(of_tracks)
+    places = np.array([features[j].xyz_m for j in of_features])
     j, i = near_pairs(places[:, :2], placed[columns, :2], params.moved_max_m)
     distance = np.hypot(*(placed[columns[i], :2] - places[j, :2]).T)
-    heights = np.array([features[k].cone_height_m for k in vanished])[j]
-    alike = np.abs(np.array([tracks[k].cone_height_m for k in free_tracks])[i] - heights)
+    heights = np.array([features[k].cone_height_m for k in of_features])[j]
+    alike = np.abs(np.array([tracks[k].cone_height_m for k in of_tracks])[i] - heights)
     allowed = (alike <= params.moved_height_tolerance_m) & (distance <= params.moved_max_m)
-    found = assign(j[allowed], i[allowed], distance[allowed])
-    return {int(rows[row]): int(columns[column]) for row, column in found.items()}
+    return rows[j[allowed]], columns[i[allowed]], distance[allowed]
 
 
 def _proposals(t: Floats, f: Floats, allowed_m: float) -> Floats:

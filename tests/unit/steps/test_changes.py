@@ -10,7 +10,8 @@ import pytest
 from conetl.map_records import Delta, DeltaKind, MapFeature
 from conetl.params import ReconcileParams
 from conetl.records import Track
-from conetl.steps.changes import reconcile
+from conetl.steps.belief import seen
+from conetl.steps.changes import confirmations, reconcile
 from conetl.steps.map_association import common_offset
 from conetl.steps.visibility import Look
 from tests.synthetic.world import ORIGIN_M, START_NS
@@ -168,3 +169,58 @@ def test_the_order_of_tracks_and_features_does_not_matter() -> None:
     one = reconcile(tracks, features, look, PARAMS, founding_key="d")
     other = reconcile(tracks[::-1], features[::-1], look, PARAMS, founding_key="d")
     assert one == other
+
+
+def test_a_cone_that_was_seen_at_its_new_place_first_is_one_cone() -> None:
+    """An earlier drive had only the new place in view, and took the cone for a new one."""
+    day = START_NS + DAY_NS // 2
+    founded_since = feature(9, 5.0, 4.1).model_copy(update={"first_seen_ns": day, "last_seen_ns": day})
+    features = [*(feature(i, *at) for i, at in enumerate(ROW)), founded_since]
+    tracks = [track(i, *at) for i, at in enumerate([ROW[0], (5.0, 4.1), *ROW[2:]])]
+    found = changes(tracks, features)
+    (moved,), (merged,) = found[DeltaKind.MOVED], found[DeltaKind.MERGED]
+    assert (moved.feature_id.int, merged.feature_id.int, merged.other_feature_id) == (1, 9, moved.feature_id)
+    assert moved.shift_m == pytest.approx(1.5, abs=0.05)
+    assert moved.new is not None
+    assert moved.new.version == 2
+    assert moved.new.first_seen_ns == START_NS
+    assert not found[DeltaKind.REMOVED]
+    assert not found[DeltaKind.ADDED]
+    assert len(found[DeltaKind.CONFIRMED]) == 4
+
+
+def test_cones_that_were_both_seen_to_stand_are_two() -> None:
+    features = [*(feature(i, *at) for i, at in enumerate(ROW)), feature(9, 5.0, 4.1)]
+    found = changes([track(i, *at) for i, at in enumerate([ROW[0], (5.0, 4.1), *ROW[2:]])], features)
+    assert [d.feature_id.int for d in found[DeltaKind.REMOVED]] == [1]
+    assert not found[DeltaKind.MOVED]
+    assert not found[DeltaKind.MERGED]
+
+
+def test_a_weak_track_confirms_a_feature_but_founds_none() -> None:
+    weak = {"existence_probability": 0.54}
+    tracks = [track(i, *at).model_copy(update=weak) for i, at in enumerate([ROW[0], ROW[1], (30.0, 0.6)])]
+    found = changes(tracks, [feature(i, *at) for i, at in enumerate(ROW[:2])])
+    assert {kind: len(deltas) for kind, deltas in found.items() if deltas} == {DeltaKind.CONFIRMED: 2}
+
+
+@pytest.mark.parametrize(("along_sigma_m", "cones"), [(0.3, 1), (0.02, 2)])
+def test_a_box_beside_a_far_cone_founds_no_second_one(along_sigma_m: float, cones: int) -> None:
+    """Half a metre behind the other one, as far as the drive can tell: along the line of sight it may be off by 0.3 m."""
+    behind = {"relative_cov_m2": (along_sigma_m**2, 0.0, 0.0, 0.02**2, 0.0, 0.02**2), "observation_count": 6}
+    found = changes([track(0, 40.0, 3.0), track(1, 40.5, 3.1).model_copy(update=behind)], [])
+    assert len(found[DeltaKind.ADDED]) == cones
+
+
+@pytest.mark.filterwarnings("ignore:invalid value encountered in matmul")
+def test_covariances_that_cannot_be_fused_are_refused() -> None:
+    broken = feature(0, *ROW[0]).model_copy(update={"cov_m2": (float("inf"), 0.0, 0.0, 1.0, 0.0, 1.0)})
+    with pytest.raises(ValueError, match="cannot be fused"):
+        confirmations(
+            {0: 0},
+            [broken],
+            [track(0, *ROW[0])],
+            ORIGIN_M[None],
+            np.zeros(3),
+            {0: seen(broken, None, track(0, *ROW[0]))},
+        )

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from uuid import UUID
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from conetl.map_records import DeltaKind, MapFeature
+from conetl.steps.fold import fold
 from conetl.steps.map_diff import compose, diff, invert
+from tests.unit.steps.test_fold import random_case
 
 
 def cone(number: int, east_m: float) -> MapFeature:
@@ -47,6 +50,22 @@ def test_differences_compose_and_invert(a: list[MapFeature], b: list[MapFeature]
     assert invert(invert(diff(a, b))) == diff(a, b)
     assert compose(diff(a, b), diff(b, c)) == diff(a, c)
     assert compose(diff(a, b), diff(b, a)) == []
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_differences_between_the_maps_of_drives_compose_and_invert(seed: int) -> None:
+    """The map before and after each of three drives, with all that happens there: cones founded, moved, removed, known better."""
+    drives = sorted(random_case(seed, 3), key=lambda drive: drive.key)
+    maps = []
+    for count in range(4):
+        chains = fold(drives[:count]).chains.values()
+        maps.append([chain[-1].feature for chain in chains if chain[-1].standing])
+    first, second, third = (diff(before, after) for before, after in pairwise(maps))
+    assert compose(compose(first, second), third) == compose(first, compose(second, third)) == diff(maps[0], maps[3])
+    reverted = compose(compose(first, second), invert(second))
+    assert reverted == first
+    assert compose(reverted, invert(invert(second))) == diff(maps[0], maps[2]), "the revert of the revert"
 
 
 def test_differences_that_do_not_follow_each_other_are_refused() -> None:

@@ -1,4 +1,4 @@
-"""The plan view of one drive: trajectory, cones of the map and what the drive changed, as a PNG."""
+"""The plan view of one drive, or of two maps: trajectory, cones of the map and what changed, as a PNG."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from conetl.io.leftovers import aside
-from conetl.map_records import Delta, DeltaKind, MapFeature
+from conetl.map_records import Delta, DeltaKind, FeatureChange, MapFeature
 
 #: Colour-blind safe (Okabe & Ito) and told apart by shape as well.
 _STYLE = {
@@ -33,12 +33,14 @@ def draw_plan_view(
     *,
     title: str,
     trajectory_m: NDArray[np.float64],
-    deltas: Sequence[Delta],
+    deltas: Sequence[Delta | FeatureChange],
     untouched: Sequence[MapFeature],
+    untouched_label: str = "not in view",
 ) -> Path:
     """Write the picture to `path` (PNG) and return it.
 
-    trajectory_m: (F, 2) easting, northing of the left camera in order of time. untouched: features that the drive did not judge.
+    trajectory_m: (F, 2) easting, northing of the left camera in order of time, (0, 2) where there is none. untouched: features
+    that the drive did not judge, or that are the same on both maps.
     """
     points = [trajectory_m, *(_places(d) for d in deltas), *(np.array([f.xyz_m[:2]]) for f in untouched)]
     everything = np.concatenate(points)
@@ -48,12 +50,15 @@ def draw_plan_view(
     figure = Figure(figsize=(10, float(np.clip(10 * height / width + 1.6, 3.2, 10))), dpi=110, layout="constrained")
     axes = figure.add_subplot()
     way = trajectory_m - origin
-    axes.plot(way[:, 0], way[:, 1], color="#777777", linewidth=1.5, label="path of the left camera", zorder=1)
+    if len(way):
+        axes.plot(way[:, 0], way[:, 1], color="#777777", linewidth=1.5, label="path of the left camera", zorder=1)
     if len(way) > 1:
         axes.annotate("", xy=way[-1], xytext=way[-2], arrowprops={"arrowstyle": "-|>", "color": "#777777"})
     if untouched:
         rest = np.array([f.xyz_m[:2] for f in untouched]) - origin
-        axes.scatter(rest[:, 0], rest[:, 1], marker="o", s=22, color="#bbbbbb", label=f"not in view ({len(rest)})")
+        axes.scatter(
+            rest[:, 0], rest[:, 1], marker="o", s=22, color="#bbbbbb", label=f"{untouched_label} ({len(rest)})"
+        )
     for kind in DeltaKind:
         _draw_kind(axes, kind, [d for d in deltas if d.kind == kind], origin)
     axes.set_xlim(low[0], high[0])
@@ -72,7 +77,9 @@ def draw_plan_view(
     return path
 
 
-def _draw_kind(axes: Axes, kind: DeltaKind, deltas: Sequence[Delta], origin: NDArray[np.float64]) -> None:
+def _draw_kind(
+    axes: Axes, kind: DeltaKind, deltas: Sequence[Delta | FeatureChange], origin: NDArray[np.float64]
+) -> None:
     if not deltas:
         return
     marker, colour, word = _STYLE[kind]
@@ -87,6 +94,6 @@ def _draw_kind(axes: Axes, kind: DeltaKind, deltas: Sequence[Delta], origin: NDA
             axes.annotate(f"{delta.shift_m:.2f} m", xy=new, xytext=(8, 4), textcoords="offset points", fontsize=8)
 
 
-def _places(delta: Delta) -> NDArray[np.float64]:
+def _places(delta: Delta | FeatureChange) -> NDArray[np.float64]:
     """(1 or 2, 2): where it stood and where it stands."""
     return np.array([feature.xyz_m[:2] for feature in (delta.old, delta.new) if feature is not None])
