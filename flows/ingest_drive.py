@@ -84,8 +84,11 @@ def ingest_drive(
     positions, refused_positions = load_results(position_paths, Position)
     tracks, refused_tracks = fuse_task(drive, detections, matches, positions, params, identity.evidence, trajectory)
     rejections = [*rejections, *refused_detections, *refused_matches, *refused_positions, *refused_tracks]
-    merged = merge_task(drive, identity, detections, matches, positions, tracks, rejections, settings, params)
     told = {"trajectory": trajectory.detail, "calibration": calibration.detail}
+    outcomes = {"trajectory_outcome": trajectory.outcome.value, "calibration_outcome": calibration.outcome.value}
+    merged = merge_task(
+        drive, identity, detections, matches, positions, tracks, rejections, settings, params, told | outcomes
+    )
     report = merged.report.model_copy(update={"seconds": time.monotonic() - started, **told})
     if report.status == "committed":
         publish_task(drive, merged.changeset, list(merged.untouched), report, settings)

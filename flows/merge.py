@@ -14,6 +14,7 @@ from prefect.context import get_run_context
 from prefect.runtime import flow_run
 
 from conetl.detector_evidence import DetectorEvidence, evidence_sha256
+from conetl.io.code_identity import code_facts
 from conetl.io.db import Connection, connect, migrate
 from conetl.io.detector import shipped_model_path
 from conetl.io.model_card import read_model_card
@@ -110,6 +111,7 @@ def merge_task(
     rejections: list[Rejection],
     settings: Settings,
     params: IngestParams,
+    told: dict[str, str],
 ) -> Merged:
     """Compare the tracks with the map and commit the differences: all of them, or none."""
     run = RunInfo(
@@ -117,6 +119,7 @@ def merge_task(
         started_at=datetime.now(UTC),
         params=params.model_dump(mode="json"),
         flow_run_id=flow_run.get_id(),
+        facts={**told, **code_facts()},
     )
     with open_map(settings) as conn, map_transaction(conn, settings.map_name):
         known = find_changeset(conn, identity.idempotency_key, map_name=settings.map_name)

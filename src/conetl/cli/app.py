@@ -16,6 +16,7 @@ from conetl.cli.inspect_drive import inspect
 from conetl.cli.lidar_check import lidar_check
 from conetl.cli.locate import locate
 from conetl.cli.maps import app as maps
+from conetl.cli.report import app as report
 from conetl.cli.rig import app as rig
 from conetl.cli.services import down, status, up
 from conetl.cli.simulate import simulate
@@ -50,4 +51,5 @@ for command in (
 app.add_typer(maps, name="map")
 app.add_typer(base, name="base")
 app.add_typer(database, name="db")
+app.add_typer(report, name="report")
 app.add_typer(rig, name="rig")
