@@ -21,6 +21,7 @@ from conetl.cli.rig import app as rig
 from conetl.cli.services import down, status, up
 from conetl.cli.simulate import simulate
 from conetl.cli.view import view
+from conetl.cli.watch import watch
 
 app = typer.Typer(
     name="conetl",
@@ -34,6 +35,7 @@ app = typer.Typer(
 for command in (
     ingest,
     inspect,
+    watch,
     backfill,
     up,
     down,
