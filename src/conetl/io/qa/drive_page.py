@@ -25,7 +25,7 @@ _DOUBTFUL = 0.9
 #: Confirmed cones in the table.
 _MAX_CONFIRMED = 400
 _TOLD_OUTCOMES = {"refined", "switched_off"}
-_TOLD_CALIBRATIONS = {"insignificant", "switched_off"}
+_TOLD_CALIBRATIONS = {"insignificant", "no_estimate", "switched_off"}
 
 
 class Finding(NamedTuple):
