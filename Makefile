@@ -7,7 +7,7 @@ export PYTHON
 export PREFECT_SERVER_ANALYTICS_ENABLED := false
 export DO_NOT_TRACK := 1
 
-.PHONY: help setup demo up down test check web bench-detect bench-intersection bench-trajectory bench-rectification bench-changes bench-map bench-kills bench-export lock
+.PHONY: help setup demo up down test check web bench-detect bench-intersection bench-trajectory bench-rectification bench-changes bench-map bench-kills bench-export bench-watch lock
 
 help:           ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -61,6 +61,9 @@ bench-map: setup  ## a drive of 100,000 cones into maps of 100 thousand and 1 mi
 
 bench-kills: setup  ## 200 ingests killed at random instants: equal tables, no lock, no file left (KILLS=20 for fewer)
 	@$(BIN)/python benchmarks/bench_kills.py --kills $(or $(KILLS),200)
+
+bench-watch: setup  ## a recorded KITTI drive written again at 10 Hz: latency of conetl watch (ARGS='DRIVE --rate 5')
+	@$(BIN)/python benchmarks/bench_watch.py $(ARGS)
 
 lock:           ## renew requirements.txt from pyproject.toml (needs uv)
 	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --no-annotate -o requirements.txt

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator
 from contextlib import closing
@@ -13,7 +14,9 @@ from uuid import uuid4
 
 import pytest
 from fastapi.testclient import TestClient
+from typer.testing import CliRunner
 
+from conetl.cli.app import app
 from conetl.errors import InputError
 from conetl.io.code_identity import code_facts, code_sha256
 from conetl.io.db import connect, execute
@@ -236,3 +239,24 @@ def test_the_code_has_a_name() -> None:
     facts = code_facts()
     assert facts["code_sha256"] == code_sha256() and len(code_sha256()) == 64
     assert {"numpy", "onnxruntime", "scipy"} <= set(facts["libraries"])
+
+
+def test_the_commands(url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`conetl report drive` and `night`, in this process."""
+    for name, value in (("DATABASE_URL", url), ("HOME", str(tmp_path)), ("MAP_NAME", "default")):
+        monkeypatch.setenv(f"CONETL_{name}", value)
+    runner = CliRunner()
+    one = runner.invoke(app, ["report", "drive", "1", "--json"])
+    assert one.exit_code == 0, one.output
+    assert json.loads(one.stdout)["changeset_no"] == 1
+    assert (tmp_path / "exports" / "reports" / "default" / "000001-drive_1.html").is_file()
+    night = runner.invoke(app, ["report", "night", "2026-03-01", "--out", str(tmp_path / "night.html"), "--json"])
+    assert json.loads(night.stdout)["since"] == "2026-03-01T00:00:00+00:00"
+    assert json.loads(night.stdout)["drives"] == 1
+    for wrong in (
+        ["2026-03-01", "--since", "2026-03-01"],
+        ["yesterday"],
+        ["--since", "2026-03-02", "--until", "2026-03-01"],
+    ):
+        assert isinstance(runner.invoke(app, ["report", "night", *wrong]).exception, InputError)
+    assert isinstance(runner.invoke(app, ["report", "drive", "nobody"]).exception, InputError)

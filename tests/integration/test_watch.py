@@ -12,6 +12,7 @@ from uuid import uuid4
 
 import numpy as np
 import pytest
+from fastapi.testclient import TestClient
 
 from conetl.cli.watch import latency, report_as_dict
 from conetl.errors import DriveFolderError, InputError
@@ -22,6 +23,7 @@ from conetl.io.stores.map_store import find_map, map_transaction
 from conetl.io.stores.receipt_store import held_if_free
 from conetl.params import IngestParams
 from conetl.settings import Settings
+from conetl.web.app import create_app
 from flows.watch import WatchReport, watch_drive
 from tests.integration.arriving_drives import FRAMES, append, begin, picture, row, write_pictures
 
@@ -187,7 +189,7 @@ def test_what_a_dead_watch_left_goes_and_a_living_one_is_left_alone(
             watch(begin(tmp_path / "alive"), settings)
 
 
-def test_the_commit_of_a_drive_removes_what_was_shown_of_it(conn: Any, samples: Any) -> None:
+def test_the_commit_of_a_drive_removes_what_was_shown_of_it(conn: Any, samples: Any, database_url: str) -> None:
     """The same recording, not another one of its name; and a feature of the map is named where one is near."""
     live_row(conn, samples, "drive_1", samples.START_NS)
     live_row(conn, samples, "drive_1", samples.START_NS + samples.DAY_NS)
@@ -198,6 +200,10 @@ def test_the_commit_of_a_drive_removes_what_was_shown_of_it(conn: Any, samples: 
     live_row(conn, samples, "drive_3", samples.START_NS)
     near = {row["drive_id"]: row["near_feature_id"] for row in read_provisional(conn, map_name="default")}
     assert near == {"drive_1": None, "drive_2": None, "drive_3": feature.feature_id}
+    with TestClient(create_app(database_url, "default"), base_url="http://127.0.0.1") as client:
+        told = client.get("/api/maps/default/provisional").json()
+        assert [f["drive_id"] for f in told["features"]] == ["drive_1", "drive_2", "drive_3"]
+        assert told["features"][2]["near_feature_id"] == str(feature.feature_id) and told["features"][2]["is_watched"]
     with map_transaction(conn):
         assert drop_watched_recording(conn, samples.drive("drive_3"), map_name="other") == 0
         assert drop_watched_recording(conn, samples.drive("drive_3"), map_name="default") == 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,8 +12,10 @@ import numpy as np
 import typer
 
 from conetl.cli.console import JsonOption, err, out, print_json, print_table
+from conetl.cli.database import open_map
 from conetl.cli.ingest import read_params
-from conetl.settings import read_settings
+from conetl.io.stores.live_store import read_provisional
+from conetl.settings import Settings, read_settings
 
 if TYPE_CHECKING:  # onnxruntime and the watcher are loaded when they are needed
     from flows.watch import PairTime, WatchReport
@@ -70,6 +73,34 @@ def watch(
         print_table("Latency of frame pairs that came during the watch, ms", ("", "p50", "p95", "largest"), rows)
     if report.drive_id:
         out.print(f"Now: conetl ingest {drive}", markup=False)
+
+
+def show_provisional(settings: Settings, *, as_json: bool) -> None:
+    """The provisional features of a map (`conetl map show --provisional`)."""
+    with closing(open_map(settings)) as conn:
+        found = read_provisional(conn, map_name=settings.map_name)
+    if as_json:
+        print_json({"map": settings.map_name, "provisional_features": found})
+        return
+    if not found:
+        out.print(
+            f"The map {settings.map_name} has no provisional cones: `conetl watch DRIVE` shows them.", markup=False
+        )
+        return
+    rows = [
+        (
+            row["drive_id"], row["feature_index"],
+            *(f"{row[name]:.3f}" for name in ("easting_m", "northing_m", "height_m")),
+            f"{row['cone_height_m']:.2f}", f"{((row['cov_xx'] + row['cov_yy']) / 2) ** 0.5:.3f}",
+            f"{row['existence_probability']:.3f}", row["observation_count"], str(row["near_feature_id"] or "")[:8],
+            f"{row['updated_at']:%Y-%m-%d %H:%M:%S}",
+        )
+        for row in found
+    ]  # fmt: skip
+    columns = (
+        "drive", "no", "easting m", "northing m", "height m", "cone m", "sigma m", "exists", "seen", "on the map as", "at (UTC)"
+    )  # fmt: skip
+    print_table("", columns, rows)
 
 
 def latency(pairs: list[PairTime]) -> dict[str, tuple[float, float, float]]:

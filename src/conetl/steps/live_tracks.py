@@ -62,9 +62,10 @@ def take_frame(
     now = frame.pair.frame_index
     if tracks.frames and now <= max(tracks.frames):
         raise ValueError(f"frame pair {now} comes after {max(tracks.frames)}: expected rising numbers")
-    frames = {n: f for n, f in tracks.frames.items() if n > now - KEPT_FRAMES} | {now: frame}
-    poses = {n: tracks.poses[n] for n in frames if n != now} | {now: map_SE3_left(frame.pair.pose, rig)}
     gap = params.track.max_gap_frames
+    oldest = now - max(KEPT_FRAMES, gap + 1)
+    frames = {n: f for n, f in tracks.frames.items() if n > oldest} | {now: frame}
+    poses = {n: tracks.poses[n] for n in frames if n != now} | {now: map_SE3_left(frame.pair.pose, rig)}
     living = [c for c in tracks.open_chains if now - c.members[-1].frame_index <= gap]
     ended = [c.members for c in tracks.open_chains if now - c.members[-1].frame_index > gap]
     ended = [g for g in (*tracks.ended, *ended) if g[-1].frame_index in poses]

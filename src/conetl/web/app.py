@@ -16,7 +16,15 @@ from conetl.errors import DatabaseError
 from conetl.io.pictures.crops import PictureMissingError
 from conetl.io.pictures.images import ImageFileError
 from conetl.io.stores.reader_pool import ReaderPool
-from conetl.web import routes_base, routes_events, routes_features, routes_maps, routes_pictures, routes_reports
+from conetl.web import (
+    routes_base,
+    routes_events,
+    routes_features,
+    routes_maps,
+    routes_pictures,
+    routes_provisional,
+    routes_reports,
+)
 from conetl.web.headers import SecurityHeaders
 from conetl.web.live import HeadWatcher
 from conetl.web.models import Problem
@@ -42,7 +50,9 @@ def create_app(database_url: str, map_name: str, *, closing: Callable[[], bool] 
     app.state.pool = pool
     app.state.map_name = map_name
     app.state.watcher = HeadWatcher(pool, closing=closing)
-    for routes in (routes_maps, routes_features, routes_pictures, routes_base, routes_events, routes_reports):
+    for routes in (
+        routes_maps, routes_features, routes_pictures, routes_base, routes_events, routes_reports, routes_provisional
+    ):  # fmt: skip
         app.include_router(routes.router, prefix="/api")
     app.add_exception_handler(DatabaseError, _refusal(503))
     app.add_exception_handler(PictureMissingError, _refusal(404))
