@@ -4,13 +4,11 @@ import base64
 from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
-from uuid import UUID, uuid5
 
 import numpy as np
 from numpy.typing import NDArray
 from prefect import task
 from prefect.artifacts import create_image_artifact, create_link_artifact, create_table_artifact
-from prefect.events import emit_event
 from prefect.runtime import flow_run
 
 from conetl.io.drive_folder.outline import DriveOutline, outline_drive
@@ -18,7 +16,6 @@ from conetl.io.pictures.annotated_image import draw_boxes, pairs_jpeg
 from conetl.io.pictures.images import ImageFileError
 from conetl.io.pictures.rectified_image import read_rig_image
 from conetl.io.stores.map_store import list_changesets
-from conetl.map_records import Changeset, DeltaKind
 from conetl.records import Detection, Drive, Position, Side, StereoMatch
 from conetl.reports import IngestReport
 from conetl.settings import Settings
@@ -26,7 +23,6 @@ from flows.merge import open_map
 from flows.retries import RETRY
 
 SHOWN_FRAMES = 3
-_NAMESPACE = UUID("7d0b6f2e-54c3-4f0d-9a53-0d2f7c1be9aa")
 
 
 def drive_run_name(outline: DriveOutline) -> str:
@@ -64,43 +60,6 @@ def show_around(report: IngestReport, settings: Settings) -> None:
         if link:
             create_link_artifact(
                 link, link_text=f"Drive {report.drive_id} on the map", key="map", description="The web view"
-            )
-
-
-def tell_changes(drive: Drive, changeset: Changeset, report: IngestReport) -> None:
-    """Events for automations: one for the changeset, and one for each cone that vanished, which an automation can count.
-
-    Their ids follow from the changeset, so a changeset told twice counts once.
-    """
-    map_resource = f"conetl.map.{report.map_name}"
-    changeset_resource = f"{map_resource}.changeset.{changeset.changeset_id}"
-    related = [{"prefect.resource.id": map_resource, "prefect.resource.role": "map"}]
-    emit_event(
-        "conetl.changeset.committed",
-        resource={
-            "prefect.resource.id": changeset_resource,
-            "prefect.resource.name": drive.drive_id,
-            "conetl.map": report.map_name,
-            **{f"conetl.{kind}": str(count) for kind, count in report.counts.items()},
-        },
-        related=related,
-        payload=report.model_dump(mode="json", exclude={"changes"}),
-        id=uuid5(_NAMESPACE, changeset_resource),
-    )
-    for line in report.changes:
-        if line.kind is DeltaKind.REMOVED:
-            feature_resource = f"{map_resource}.feature.{line.feature_id}"
-            emit_event(
-                "conetl.cone.vanished",
-                resource={
-                    "prefect.resource.id": feature_resource,
-                    "conetl.map": report.map_name,
-                    "conetl.changeset": str(changeset.changeset_id),
-                    "conetl.drive": drive.drive_id,
-                },
-                related=related,
-                payload={"xyz_m": line.xyz_m, "srid": report.map_srid, "cone_height_m": line.cone_height_m},
-                id=uuid5(_NAMESPACE, f"{changeset_resource}/{line.feature_id}"),
             )
 
 

@@ -20,6 +20,7 @@ from conetl.rejections import INPUT_REASONS
 from conetl.reports import IngestReport, TooManyRejectionsError
 from conetl.settings import Settings
 from conetl.steps.self_calibration import SWITCHED_OFF, SelfCalibration, self_calibrated_rig
+from flows.changeset_events import catch_up_task
 from flows.control_room import name_of_run, worst_frames_task
 from flows.merge import already_committed, identify, merge_task
 from flows.merge import map_srid as srid_of_map
@@ -60,6 +61,7 @@ def ingest_drive(
     if identity.evidence is None:
         get_run_logger().warning(NOT_MEASURED)
     if (known := already_committed(drive, identity, settings)) is not None:
+        catch_up_task(known, settings)
         return known
     chunks = [
         Chunk(

@@ -23,7 +23,8 @@ from conetl.map_records import Changeset, MapFeature
 from conetl.records import Drive
 from conetl.reports import ChangeLine, IngestReport
 from conetl.settings import Settings
-from flows.control_room import show_around, tell_changes
+from flows.changeset_events import tell_changes
+from flows.control_room import show_around
 from flows.merge import open_map
 from flows.retries import RETRY
 from flows.timing import times_of
@@ -62,7 +63,7 @@ def publish_task(
             description=f"Changes by drive {drive.drive_id}",
         )
     show_around(report, settings)
-    tell_changes(drive, changeset, report)
+    tell_changes(report, settings)
     return [geojson, picture, page]
 
 

@@ -16,9 +16,17 @@ from conetl.io.stores.map_store import find_changeset, map_transaction
 from conetl.map_records import Changeset
 from conetl.params import IngestParams
 from conetl.records import Detection, Drive, Position, StereoMatch, Track
-from conetl.steps.tracks import fuse_tracks
 from flows.replay import Merged, merge_drive
-from tests.synthetic.world import START_NS, Cone, camera_poses, detect, locate, make_path, make_rig, shifted
+from tests.synthetic.world import (
+    START_NS,
+    Cone,
+    detect,
+    fuse_logged,
+    locate,
+    make_path,
+    make_rig,
+    shifted,
+)
 
 DAY_NS = 86_400_000_000_000
 RIG = make_rig()
@@ -55,19 +63,7 @@ def survey(
     offset = np.array(logged[0].pose.map_t_body_m) - np.array(true[0].pose.map_t_body_m)
     logged = [shifted(pair, offset) for pair in true]
     found, matches, positions = locate(detect(DAYS[day], true, RIG, noise_px=0.5, rng=rng), logged, RIG)
-    by_frame: dict[int, list[Detection]] = {}
-    for detection in found:
-        by_frame.setdefault(detection.frame_index, []).append(detection)
-    tracks, _ = fuse_tracks(
-        positions,
-        {(m.frame_index, m.match_index): m for m in matches},
-        by_frame,
-        {pair.frame_index: pair for pair in logged},
-        RIG,
-        camera_poses(logged, RIG, "left"),
-        camera_poses(logged, RIG, "right"),
-        IngestParams(),
-    )
+    tracks, _ = fuse_logged(logged, RIG, found, matches, positions)
     drive = Drive(
         drive_id=name,
         source_path=name,

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import httpx
 import numpy as np
 import pytest
 
@@ -332,6 +333,46 @@ def test_kill_9_and_again_gives_the_tables_of_one_clean_run(
     assert victim.run("ingest", small_drive).code == 0
     assert victim.final_tables() == expected
     assert victim.run("ingest", small_drive, "--json").json[0]["status"] == "no changes"
+
+
+def events_of(desk: Desk, changeset_id: str) -> list[str]:
+    """Names of the events of a changeset that the Prefect server holds; they are stored in batches, a moment later."""
+    chosen = {"resource": {"id": [f"conetl.map.default.changeset.{changeset_id}"]}, "event": {"prefix": ["conetl."]}}
+    answer = httpx.post(
+        f"{desk.environment['PREFECT_API_URL']}/events/filter", json={"filter": chosen}, timeout=30, trust_env=False
+    )
+    return [event["event"] for event in answer.raise_for_status().json()["events"]]
+
+
+def test_what_a_run_that_was_killed_after_its_commit_left_untold_is_told_by_the_next(
+    desk: Desk, tmp_path: Path
+) -> None:
+    drive = part_of(DRIVES[0], tmp_path / "untold", 8, skip=6)
+    url = desk.environment["CONETL_DATABASE_URL"]
+    with closing(connect(url)) as holder, closing(connect(url)) as watcher:
+        execute(holder, "lock table conetl.changeset_told in access exclusive mode")
+        with subprocess.Popen(
+            desk.command("ingest", drive), env=desk.environment, cwd=ROOT, stderr=subprocess.DEVNULL
+        ) as process:
+            deadline = time.monotonic() + 120
+            committed: list[dict[str, Any]] = []
+            while not committed:
+                assert process.poll() is None, "the ingest ended before its events"
+                assert time.monotonic() < deadline, "the ingest never came to its commit"
+                committed = execute(watcher, "select changeset_id::text as id from conetl.changeset")
+                watcher.rollback()
+                time.sleep(0.01)
+            process.send_signal(signal.SIGKILL)
+        assert process.returncode == -signal.SIGKILL
+    changeset = committed[0]["id"]
+    for _ in range(2):
+        assert desk.run("ingest", drive, "--json").json[0]["status"] == "no changes"
+        while not (found := events_of(desk, changeset)):
+            assert time.monotonic() < deadline + 120, "the changeset was never told"
+            time.sleep(0.2)
+        assert found == ["conetl.changeset.committed"]
+    with closing(connect(url)) as conn:
+        assert execute(conn, "select changeset_id::text as id from conetl.changeset_told") == committed
 
 
 def wait_for(point: str, home: Path, database_url: str, process: subprocess.Popen[bytes]) -> None:

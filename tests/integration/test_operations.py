@@ -237,7 +237,7 @@ def test_every_changeset_is_an_event(desk: Desk) -> None:
         return list(desk.post("/events/filter", events)["events"])
 
     committed = len(desk.rows("select 1 from conetl.changeset"))
-    events = until(lambda: found() if len(found()) >= committed else None, "an event of each changeset", 60)
+    events = until(lambda: found() if len(found()) >= committed else None, "an event of each changeset", 180)
     assert len(events) == committed
     assert {"conetl.added", "conetl.removed", "conetl.map"} <= set(events[0]["resource"])
 

@@ -23,14 +23,13 @@ from conetl.params import IngestParams, ReconcileParams
 from conetl.records import Detection, FramePair, Side
 from conetl.steps.belief import doubt_after
 from conetl.steps.fold import Evidence, extend
-from conetl.steps.tracks import fuse_tracks
 from conetl.steps.visibility import View, hidden_share, look_at_spot, looks_in_view, view_of_drive
 from tests.synthetic.world import (
     ORIGIN_M,
     START_NS,
     Cone,
     apparent_box,
-    camera_poses,
+    fuse_logged,
     locate,
     make_path,
     make_rig,
@@ -219,20 +218,7 @@ def survey(
     logged = [shifted(pair, offset) for pair in true]
     boxes = drive_boxes(road.cones(), true, figures, rng)
     found, matches, positions = locate(boxes, logged, RIG)
-    by_frame: dict[int, list[Detection]] = {}
-    for detection in found:
-        by_frame.setdefault(detection.frame_index, []).append(detection)
-    tracks, _ = fuse_tracks(
-        positions,
-        {(m.frame_index, m.match_index): m for m in matches},
-        by_frame,
-        {pair.frame_index: pair for pair in logged},
-        RIG,
-        camera_poses(logged, RIG, "left"),
-        camera_poses(logged, RIG, "right"),
-        params,
-        evidence,
-    )
+    tracks, _ = fuse_logged(logged, RIG, found, matches, positions, params=params, evidence=evidence)
     view = view_of_drive(RIG, logged, found, [(p.frame_index, p.xyz_m) for p in positions], figures)
     content = hashlib.sha256(f"{start_ns}".encode()).hexdigest()
     drive = Evidence(

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from conetl.params import IngestParams, PositionParams
+from conetl.params import PositionParams
 from conetl.records import (
     Detection,
     Drive,
@@ -27,8 +27,7 @@ from conetl.records import (
 )
 from conetl.steps.evaluation import TruthCone
 from conetl.steps.positions import locate_positions
-from conetl.steps.tracks import fuse_tracks
-from tests.synthetic.world import ORIGIN_M, Cone, apparent_box, camera_pose, camera_poses, make_path
+from tests.synthetic.world import ORIGIN_M, Cone, apparent_box, camera_pose, fuse_logged, make_path
 
 SIGMA_U_PX, SIGMA_V_PX, SIGMA_POINTING_PX = 0.3, 0.8, 0.5
 
@@ -82,21 +81,9 @@ def draw_drive(
 ) -> NoisyDrive:
     """One drive through positions and tracks, which know that the log has no error from frame to frame but what is common."""
     drawn, matches = _draw(rng, rig, cones, errors, frames, noise, 1.0)
-    boxes: dict[int, list[Detection]] = {pair.frame_index: [] for pair in drawn.drive.frame_pairs}
-    for match in matches:
-        boxes[match.frame_index] += [match.left, match.right]
+    found = [detection for match in matches for detection in (match.left, match.right)]
     pairs = drawn.drive.frame_pairs
-    tracks, _ = fuse_tracks(
-        drawn.positions,
-        {(m.frame_index, m.match_index): m for m in matches},
-        boxes,
-        {pair.frame_index: pair for pair in pairs},
-        rig,
-        camera_poses(pairs, rig, "left"),
-        camera_poses(pairs, rig, "right"),
-        IngestParams(),
-        motion=_exact_motion,
-    )
+    tracks, _ = fuse_logged(pairs, rig, found, matches, drawn.positions, motion=_exact_motion)
     return replace(drawn, tracks=tracks)
 
 

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Sequence
 
 import numpy as np
 import pytest
 
-from conetl.params import IngestParams
-from conetl.records import Detection, FramePair, Track
+from conetl.records import FramePair, Track
 from conetl.rejections import Rejection
-from conetl.steps.tracks import fuse_tracks
-from tests.synthetic.world import ORIGIN_M, Cone, camera_poses, detect, locate, make_path, make_rig, shifted
+from tests.synthetic.world import (
+    ORIGIN_M,
+    Cone,
+    detect,
+    fuse_logged,
+    locate,
+    make_path,
+    make_rig,
+    shifted,
+)
 
 TAPER = [Cone((14.0 + 5.0 * k, 3.6 - 0.5 * k, 0.0), height_m=0.7 if k % 2 else 0.5) for k in range(8)]
 DENSE = [Cone((20.0 + 0.9 * k, 3.0 - 0.12 * k, 0.0)) for k in range(6)]
@@ -34,19 +40,7 @@ def fuse(
     detections = detect(cones, true_pairs, RIG, noise_px=noise_px, rng=rng)
     kept = {key: [d for d in found if rng.random() >= drop] for key, found in detections.items()}
     found, matches, positions = locate(kept, logged, RIG)
-    by_frame: dict[int, list[Detection]] = defaultdict(list)
-    for detection in found:
-        by_frame[detection.frame_index].append(detection)
-    return fuse_tracks(
-        positions,
-        {(m.frame_index, m.match_index): m for m in matches},
-        by_frame,
-        {pair.frame_index: pair for pair in logged},
-        RIG,
-        camera_poses(logged, RIG, "left"),
-        camera_poses(logged, RIG, "right"),
-        IngestParams(),
-    )
+    return fuse_logged(logged, RIG, found, matches, positions)
 
 
 def errors_m(tracks: Sequence[Track], cones: Sequence[Cone]) -> list[float]:
@@ -116,18 +110,6 @@ def test_weak_boxes_alone_make_no_cone() -> None:
     pairs = make_path(45)
     detections = detect(TAPER[:2], pairs, RIG, score=0.32, rng=rng)
     found, matches, positions = locate(detections, pairs, RIG)
-    by_frame: dict[int, list[Detection]] = defaultdict(list)
-    for detection in found:
-        by_frame[detection.frame_index].append(detection)
-    tracks, rejections = fuse_tracks(
-        positions,
-        {(m.frame_index, m.match_index): m for m in matches},
-        by_frame,
-        {pair.frame_index: pair for pair in pairs},
-        RIG,
-        camera_poses(pairs, RIG, "left"),
-        camera_poses(pairs, RIG, "right"),
-        IngestParams(),
-    )
+    tracks, rejections = fuse_logged(pairs, RIG, found, matches, positions)
     assert tracks == []
     assert {str(r.reason) for r in rejections} == {"existence_unlikely"}

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +19,9 @@ from conetl.records import (
     Rig,
     Side,
     StereoMatch,
+    Track,
 )
+from conetl.rejections import Rejection
 
 Floats = NDArray[np.float64]
 WIDTH_PX, HEIGHT_PX, FOCAL_PX = 1242, 375, 721.5
@@ -175,3 +179,30 @@ def locate(
         matches += match_pair(left, right, rig, MatchParams(), up_left=up)[0]
     positions, _ = locate_positions(matches, {p.frame_index: p for p in pairs}, rig, PositionParams())
     return [d for ds in detections.values() for d in ds], matches, positions
+
+
+def fuse_logged(
+    logged: Sequence[FramePair],
+    rig: Rig,
+    found: Iterable[Detection],
+    matches: Iterable[StereoMatch],
+    positions: Sequence[Position],
+    **more: Any,
+) -> tuple[list[Track], list[Rejection]]:
+    """Tracks by the poses of `logged`; `more` goes to `fuse_tracks` (params, evidence, motion)."""
+    from conetl.params import IngestParams
+    from conetl.steps.tracks import fuse_tracks
+
+    by_frame: dict[int, list[Detection]] = defaultdict(list)
+    for detection in found:
+        by_frame[detection.frame_index].append(detection)
+    return fuse_tracks(
+        positions,
+        {(m.frame_index, m.match_index): m for m in matches},
+        by_frame,
+        {pair.frame_index: pair for pair in logged},
+        rig,
+        camera_poses(logged, rig, "left"),
+        camera_poses(logged, rig, "right"),
+        **{"params": IngestParams(), **more},
+    )

@@ -1,0 +1,38 @@
+"""Which changesets were told to the outside, and what is told of one: read back, so that another run can tell it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from uuid import UUID
+
+from conetl.io.db import Connection, execute, load_sql, transaction
+from conetl.records import Vec3
+
+
+@dataclass(frozen=True)
+class VanishedCone:
+    """A feature that a changeset took off the map; place and height as last known, in metres of the map's CRS."""
+
+    feature_id: UUID
+    xyz_m: Vec3
+    cone_height_m: float
+
+
+def was_told(conn: Connection, changeset_id: UUID) -> bool:
+    """Whether somebody handed on the events of this changeset."""
+    return bool(execute(conn, load_sql("map/was_told"), {"changeset_id": changeset_id})[0]["was_told"])
+
+
+def mark_told(conn: Connection, changeset_id: UUID) -> None:
+    """Remember that its events were handed on."""
+    with transaction(conn, "remember a told changeset"):
+        execute(conn, load_sql("write/mark_told"), {"changeset_id": changeset_id})
+
+
+def vanished_by_changeset(conn: Connection, changeset_id: UUID) -> list[VanishedCone]:
+    """The cones that a changeset removed, as it was committed."""
+    rows = execute(conn, load_sql("map/vanished_by_changeset"), {"changeset_id": changeset_id})
+    return [
+        VanishedCone(r["feature_id"], (r["easting_m"], r["northing_m"], r["height_m"]), r["cone_height_m"])
+        for r in rows
+    ]
