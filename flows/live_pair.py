@@ -69,6 +69,9 @@ class StepTimes:
     track_s: float
     """Match, locate, tracks."""
     commit_s: float
+    processor_s: float
+    """Processor time on the pair's way: of the side that took longer, and of all after it. What a machine with nothing else to do
+    would need, without the database."""
 
 
 @contextmanager
@@ -100,8 +103,8 @@ def take_pair(conn: Connection, eyes: Eyes, drive: LiveDrive, pair: FramePair) -
     """Detect -> match -> locate -> tracks -> commit. Raises ImageFileError (a picture is not whole), DatabaseError."""
     started = time.monotonic()
     looks = [eyes.pool.submit(_look, eyes, drive.rig, pair, side) for side in _SIDES]
-    (left_image, left), (right_image, right) = [look.result() for look in looks]
-    detected = time.monotonic()
+    (left_image, left, left_s), (right_image, right, right_s) = [look.result() for look in looks]
+    detected, processor_s = time.monotonic(), time.thread_time()
     params = eyes.params
     up = map_SE3_left(pair.pose, drive.rig)[2, :3]
     matches, _ = match_pair(left, right, drive.rig, params.match, up_left=up, images=(left_image, right_image))
@@ -120,11 +123,13 @@ def take_pair(conn: Connection, eyes: Eyes, drive: LiveDrive, pair: FramePair) -
         conn, after.watch, captured_ns=after.captured_ns, frame_pair_count=after.frame_pair_count, tracks=cones,
         taken_back=taken_back, least_reach_m=params.reconcile.min_gate_m,
     )  # fmt: skip
-    return after, StepTimes(detected - started, tracked - detected, time.monotonic() - tracked)
+    on_the_way_s = max(left_s, right_s) + time.thread_time() - processor_s
+    return after, StepTimes(detected - started, tracked - detected, time.monotonic() - tracked, on_the_way_s)
 
 
-def _look(eyes: Eyes, rig: Rig, pair: FramePair, side: Side) -> tuple[Image, list[Detection]]:
-    """Picture and detections of one side."""
+def _look(eyes: Eyes, rig: Rig, pair: FramePair, side: Side) -> tuple[Image, list[Detection], float]:
+    """Picture and detections of one side, and the processor time that they took."""
+    started_s = time.thread_time()
     path = Path(pair.left_path if side == "left" else pair.right_path)
     image = read_rig_image(path, rig, side)
     rotation = map_SE3_camera(pair.pose, rig, side)[:3, :3]
@@ -132,7 +137,7 @@ def _look(eyes: Eyes, rig: Rig, pair: FramePair, side: Side) -> tuple[Image, lis
     found, _ = check_boxes(
         _boxes(eyes, image, first_row), frame_index=pair.frame_index, side=side, params=eyes.params.detection
     )
-    return image, found
+    return image, found, time.thread_time() - started_s
 
 
 def _boxes(eyes: Eyes, image: Image, first_row: int) -> NDArray[np.float64]:

@@ -21,7 +21,14 @@ if TYPE_CHECKING:  # onnxruntime and the watcher are loaded when they are needed
     from flows.watch import PairTime, WatchReport
 
 _TOLD_EVERY = 10
-_PARTS = ("image written -> committed", "waiting", "detect", "match, locate, tracks", "commit")
+_PARTS = (
+    "image written -> committed",
+    "waiting",
+    "detect",
+    "match, locate, tracks",
+    "commit",
+    "processor time on its way",
+)
 
 
 def watch(
@@ -108,7 +115,9 @@ def latency(pairs: list[PairTime]) -> dict[str, tuple[float, float, float]]:
     live = [p for p in pairs if not p.backlog]
     if not live:
         return {}
-    table = np.array([(p.total_s, p.waited_s, p.work.detect_s, p.work.track_s, p.work.commit_s) for p in live])
+    table = np.array(
+        [(p.total_s, p.waited_s, p.work.detect_s, p.work.track_s, p.work.commit_s, p.work.processor_s) for p in live]
+    )
     columns = zip(*np.percentile(table, (50, 95, 100), axis=0), strict=True)
     return {name: (float(a), float(b), float(c)) for name, (a, b, c) in zip(_PARTS, columns, strict=True)}
 

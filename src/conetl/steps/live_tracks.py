@@ -26,7 +26,7 @@ Floats = NDArray[np.float64]
 #: What is older takes part in nothing any more.
 KEPT_FRAMES = 400
 #: Of a group, the nearest positions that are adjusted together; of the drive, the last frame pairs that say whether it exists.
-_MOST_MEMBERS, _LOOKED_FRAMES = 12, 12
+_MOST_MEMBERS, _LOOKED_FRAMES = 8, 8
 
 
 @dataclass(frozen=True)
