@@ -7,7 +7,7 @@ export PYTHON
 export PREFECT_SERVER_ANALYTICS_ENABLED := false
 export DO_NOT_TRACK := 1
 
-.PHONY: help setup demo up down test check web bench-detect bench-intersection bench-trajectory bench-rectification bench-changes bench-map bench-kills bench-export bench-ogc bench-overhead bench-ingest bench-view lock
+.PHONY: help setup demo up down test check web bench-detect bench-intersection bench-trajectory bench-rectification bench-changes bench-map bench-kills bench-export bench-ogc bench-overhead bench-ingest bench-view bench-watch lock
 
 help:           ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -73,6 +73,9 @@ bench-overhead: setup  ## what Prefect costs on a drive of 1,000 pairs, beside t
 
 bench-ingest: setup  ## the whole job beside decoding and the network alone: pairs a second, memory (ARGS='--pairs 150 --stages' ...)
 	@$(BIN)/python benchmarks/bench_ingest.py $(ARGS)
+
+bench-watch: setup  ## a recorded KITTI drive written again at 10 Hz: latency of conetl watch (ARGS='DRIVE --rate 5')
+	@$(BIN)/python benchmarks/bench_watch.py $(ARGS)
 
 lock:           ## renew requirements.txt from pyproject.toml (needs uv)
 	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --no-annotate -o requirements.txt

@@ -86,8 +86,11 @@ def ingest_drive(
     seen = whole(detections), whole(matches), whole(positions)
     tracks, refused_tracks = fuse_task(whole(drive), *seen, params, identity.evidence, whole(trajectory))
     rejections = [*rejections, *refused_detections, *refused_matches, *refused_positions, *refused_tracks]
-    merged = merge_task(whole(drive), identity, *seen, whole(tracks), whole(rejections), settings, params)
     told = {"trajectory": trajectory.detail, "calibration": calibration.detail}
+    outcomes = {"trajectory_outcome": trajectory.outcome.value, "calibration_outcome": calibration.outcome.value}
+    merged = merge_task(
+        whole(drive), identity, *seen, whole(tracks), whole(rejections), settings, params, told | outcomes
+    )
     report = merged.report.model_copy(update={"seconds": time.monotonic() - started, **told})
     if report.status == "committed":
         publish_task(whole(drive), whole(merged.changeset), whole(list(merged.untouched)), whole(report), settings)

@@ -14,11 +14,13 @@ from prefect.context import get_run_context
 from prefect.runtime import flow_run
 
 from conetl.detector_evidence import DetectorEvidence, evidence_sha256
-from conetl.io.db import Connection, connect, migrate
+from conetl.io.code_identity import code_facts
+from conetl.io.db import Connection, connect, migrate, transaction
 from conetl.io.detector import shipped_model_path
 from conetl.io.model_card import read_model_card
 from conetl.io.parquet_store import result_key
 from conetl.io.services.cluster import cluster_up
+from conetl.io.stores.live_store import drop_watched_recording
 from conetl.io.stores.map_results import CommittedChangeset, RunInfo
 from conetl.io.stores.map_store import (
     find_changeset,
@@ -96,6 +98,9 @@ def already_committed(drive: Drive, identity: Identity, settings: Settings) -> I
     """The report 'no changes' where this very drive is on the map already."""
     with open_map(settings) as conn:
         known = find_changeset(conn, identity.idempotency_key, map_name=settings.map_name)
+        if known is not None:  # it may have been watched again since
+            with transaction(conn, "Provisional features cannot be removed"):
+                drop_watched_recording(conn, drive, map_name=settings.map_name)
     return _no_changes(drive, identity, known, settings) if known else None
 
 
@@ -110,6 +115,7 @@ def merge_task(
     rejections: list[Rejection],
     settings: Settings,
     params: IngestParams,
+    told: dict[str, str],
 ) -> Merged:
     """Compare the tracks with the map and commit the differences: all of them, or none."""
     run = RunInfo(
@@ -117,6 +123,7 @@ def merge_task(
         started_at=datetime.now(UTC),
         params=params.model_dump(mode="json"),
         flow_run_id=flow_run.get_id(),
+        facts={**told, **code_facts()},
     )
     with open_map(settings) as conn, map_transaction(conn, settings.map_name):
         known = find_changeset(conn, identity.idempotency_key, map_name=settings.map_name)

@@ -8,11 +8,17 @@ from typing import Any
 
 import numpy as np
 from prefect import task
-from prefect.artifacts import create_image_artifact, create_table_artifact
+from prefect.artifacts import create_image_artifact, create_link_artifact, create_table_artifact
+from prefect.runtime import flow_run
 
+from conetl.errors import MapMismatchError
 from conetl.geometry.rig import map_SE3_left
+from conetl.io.db import Connection
 from conetl.io.exports.geojson import export_geojson
 from conetl.io.exports.plan_view import draw_plan_view
+from conetl.io.qa.drive_page import write_drive_page
+from conetl.io.stores.map_store import find_changeset
+from conetl.io.stores.run_store import write_run_steps
 from conetl.map_records import Changeset, MapFeature
 from conetl.records import Drive
 from conetl.reports import ChangeLine, IngestReport
@@ -21,18 +27,21 @@ from flows.changeset_events import tell_changes
 from flows.control_room import show_around
 from flows.merge import open_map
 from flows.retries import RETRY
+from flows.timing import times_of
 
 
 @task(name="publish", **RETRY)
 def publish_task(
     drive: Drive, changeset: Changeset, untouched: list[MapFeature], report: IngestReport, settings: Settings
 ) -> list[Path]:
-    """Write the map as GeoJSON and the plan view as a PNG; show the view, the summary and the changes as artifacts."""
+    """Write the map as GeoJSON, the plan view as a PNG and the QA report; show view, summary, changes and report as artifacts."""
     exports = settings.exports_folder
     exports.mkdir(parents=True, exist_ok=True)
     geojson = exports / f"{settings.map_name}.geojson"
     with open_map(settings) as conn:
         export_geojson(conn, geojson, map_name=settings.map_name)
+        write_run_steps(conn, changeset.changeset_id, times_of(flow_run.get_id()))
+        page = _write_report(conn, changeset, settings)
     picture = exports / f"{_file_name(drive.drive_id)}.png"
     path = np.array([map_SE3_left(pair.pose, drive.rig)[:2, 3] for pair in drive.frame_pairs])
     draw_plan_view(
@@ -55,7 +64,22 @@ def publish_task(
         )
     show_around(report, settings)
     tell_changes(report, settings)
-    return [geojson, picture]
+    return [geojson, picture, page]
+
+
+def _write_report(conn: Connection, changeset: Changeset, settings: Settings) -> Path:
+    """The QA report as a file, and a link to it: to the web view where there is one, since browsers open no file from a page."""
+    committed = find_changeset(conn, changeset.idempotency_key, map_name=settings.map_name)
+    if committed is None:
+        raise MapMismatchError(f"changeset {changeset.changeset_id} was committed but cannot be found again")
+    path = settings.drive_report_path(committed.drive_id, committed.changeset_no).resolve()
+    write_drive_page(conn, committed, path, map_name=settings.map_name)
+    served = f"/api/maps/{settings.map_name}/changesets/{committed.changeset_no}/report"
+    create_link_artifact(
+        settings.view_url.rstrip("/") + served if settings.view_url else path.as_uri(),
+        link_text=f"QA report of drive {changeset.drive_id}", key="qa-report", description=f"The file: {path}",
+    )  # fmt: skip
+    return path
 
 
 def _file_name(drive_id: str) -> str:

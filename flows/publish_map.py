@@ -1,7 +1,7 @@
 """The map as files for others, every night: a folder a publication, and a pointer to the last one.
 
     folder/
-      2026-03-04T020000.000000Z/    one publication: files, each with its manifest, and publication.json
+      2026-03-04T020000.000000Z/    one publication: files, each with its manifest, report.html and publication.json
       latest -> 2026-03-04T020000.000000Z
 
 A publication appears whole or not at all: it is written beside the others under a hidden name, and `latest` changes
@@ -10,12 +10,12 @@ at the end, in one step.
 
 import json
 import shutil
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Annotated, Any
 
 from prefect import State, flow
-from prefect.artifacts import create_table_artifact
+from prefect.artifacts import create_link_artifact, create_table_artifact
 from prefect.states import Completed
 from pydantic import Field
 
@@ -24,12 +24,15 @@ from conetl.io.exports import FORMATS
 from conetl.io.exports.export import export_map
 from conetl.io.exports.source import ExportRequest
 from conetl.io.leftovers import aside, sweep
+from conetl.io.qa.night_page import write_night_page
 from conetl.io.stores.map_store import find_map
 from conetl.settings import Settings
 from flows.drive_job import MapName, alive, settings_for
 from flows.merge import open_map
 
 LATEST = "latest"
+REPORT = "report.html"
+REPORTED = timedelta(days=1)
 
 
 @flow(name="publish-map", flow_run_name="publish map")
@@ -45,8 +48,8 @@ def publish_map(
 ) -> State[Any]:
     """Write the map in several formats to a new folder, and point `latest` at it.
 
-    All files tell the map as it was believed at one instant. Fails for an unknown format or a folder that cannot be written; the
-    last publication stays then.
+    All files tell the map as it was believed at one instant; `report.html` tells of the last 24 hours. Fails for an unknown
+    format or a folder that cannot be written; the last publication stays then.
     """
     settings = settings_for(map_name)
     with alive(settings):
@@ -60,6 +63,13 @@ def publish_map(
         [{name: manifest[name] for name in ("file", "rows", "bytes", "sha256")} for manifest in manifests],
         key="publication",
         description=f"Map {settings.map_name} -> {published}",
+    )
+    page = published / REPORT
+    create_link_artifact(
+        page.resolve().as_uri(),
+        key="qa-report-night",
+        link_text="QA report of the last 24 hours",
+        description=f"The file: {page}",
     )
     return Completed(message=f"{len(manifests)} files in {published}")
 
@@ -92,9 +102,11 @@ def write_publication(
                 export_map(conn, unfinished / f"{settings.map_name}{FORMATS[wanted].suffix}", wanted, request)
                 for wanted in dict.fromkeys(formats)
             ]
-        (unfinished / "publication.json").write_text(
-            json.dumps({"map": settings.map_name, "files": manifests}, indent=2) + "\n"
-        )
+            now = datetime.now(UTC)
+            if info is not None:
+                write_night_page(conn, unfinished / REPORT, map_name=settings.map_name, since=now - REPORTED, until=now)
+        content = {"map": settings.map_name, "report": REPORT if info else None, "files": manifests}
+        (unfinished / "publication.json").write_text(json.dumps(content, indent=2) + "\n")
         unfinished.replace(folder / name)
     except BaseException:
         shutil.rmtree(unfinished, ignore_errors=True)

@@ -12,6 +12,7 @@ from prefect.utilities.annotations import opaque
 
 from conetl.errors import InputError
 from conetl.rejections import Rejection, RejectionReason
+from flows.timing import note_time
 
 
 def _may_pass(_task: Any, _run: Any, state: Any) -> bool:
@@ -29,6 +30,7 @@ RETRY: dict[str, Any] = {
     "retries": 2,
     "retry_delay_seconds": [1, 5],
     "retry_condition_fn": _may_pass,
+    "on_completion": [note_time],
     "cache_policy": NO_CACHE,  # results are kept by content in the Parquet store, see io/parquet_store.py
 }
 

@@ -63,6 +63,11 @@ class Settings(BaseSettings):
     def exports_folder(self) -> Path:
         return self.home / "exports"
 
+    def drive_report_path(self, drive_id: str, changeset_no: int) -> Path:
+        """Where the ingest writes the QA report of a drive; an id may hold anything, a file name not."""
+        name = "".join(c if c.isalnum() or c in "-_." else "_" for c in drive_id).lstrip(".")[:120] or "drive"
+        return self.exports_folder / "reports" / self.map_name / f"{changeset_no:06d}-{name}.html"
+
 
 def read_settings() -> Settings:
     """Settings from the environment. Raises InputError naming the variable that cannot be used."""

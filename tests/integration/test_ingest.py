@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -22,6 +23,9 @@ import pytest
 
 from conetl.io.db import connect, execute
 from conetl.io.exports.wzdx_schema import schema_faults
+from conetl.io.qa.drive_page import drive_page
+from conetl.io.stores.live_store import read_provisional
+from conetl.io.stores.map_store import list_changesets
 from conetl.map_records import DeltaKind
 from tests.conftest import cloned_database
 from tests.integration.drives_of_days import valid_time_map
@@ -488,3 +492,34 @@ def test_the_other_half_of_the_real_street_a_day_later_and_half_a_metre_aside_do
     assert len(features) == 4
     assert all(feature["seen_count"] == 2 for feature in features)
     assert desk.run("db", "audit").code == 0
+
+
+def test_a_watched_drive_is_replaced_by_its_ingest_which_writes_its_report(
+    desk: Desk, small_drive: Path, tmp_path: Path
+) -> None:
+    """Watched through the command line, then ingested; the page lies where the flow says, and comes again from the database."""
+    name = "<b>small</b> drive"
+    (small_drive / "drive.yaml").write_text(f"drive_id: {name}\n")
+    (small_drive / "COMPLETE").touch()
+    watched = desk.run("watch", small_drive, "--json")
+    assert watched.code == 0, watched.err
+    assert watched.json["frame_pairs"] == 16 and watched.json["provisional_features"] >= 2
+    with closing(connect(desk.environment["CONETL_DATABASE_URL"])) as conn:
+        shown = read_provisional(conn, map_name="default")
+        assert {row["drive_id"] for row in shown} == {name}
+        assert len(shown) == watched.json["provisional_features"]
+        assert execute(conn, "select * from conetl.map") == []  # no part of the map
+        conn.rollback()
+        done = desk.run("ingest", small_drive, "--json")
+        assert done.code == 0, done.err
+        assert read_provisional(conn, map_name="default") == []
+        conn.rollback()
+        again = drive_page(conn, list_changesets(conn)[0], map_name="default")
+    reports = Path(desk.environment["CONETL_HOME"]) / "exports" / "reports" / "default"
+    page = (reports / "000001-_b_small__b__drive.html").read_text()
+    assert name not in page and "&lt;b&gt;small&lt;/b&gt; drive" in page
+    for told in ("detect", "merge", "intervals measured", done.json[0]["content_sha256"], done.json[0]["model_sha256"]):
+        assert told in page, told
+    assert page.count("<figure>") == done.json[0]["counts"]["added"]
+    made = re.compile(r"Made [0-9: -]+ UTC")
+    assert made.sub("", again) == made.sub("", page)

@@ -16,10 +16,12 @@ from conetl.cli.inspect_drive import inspect
 from conetl.cli.lidar_check import lidar_check
 from conetl.cli.locate import locate
 from conetl.cli.maps import app as maps
+from conetl.cli.report import app as report
 from conetl.cli.rig import app as rig
 from conetl.cli.services import down, status, up
 from conetl.cli.simulate import simulate
 from conetl.cli.view import view
+from conetl.cli.watch import watch
 
 app = typer.Typer(
     name="conetl",
@@ -33,6 +35,7 @@ app = typer.Typer(
 for command in (
     ingest,
     inspect,
+    watch,
     backfill,
     up,
     down,
@@ -50,4 +53,5 @@ for command in (
 app.add_typer(maps, name="map")
 app.add_typer(base, name="base")
 app.add_typer(database, name="db")
+app.add_typer(report, name="report")
 app.add_typer(rig, name="rig")

@@ -11,6 +11,7 @@ import typer
 from conetl.cli import decisions, exchange, picture, work_zones
 from conetl.cli.console import JsonOption, out, parse_time, print_json, print_table
 from conetl.cli.database import open_map
+from conetl.cli.watch import show_provisional
 from conetl.errors import InputError
 from conetl.io.stores.map_results import CommittedChangeset, FeatureLogEntry
 from conetl.io.stores.map_store import feature_log, find_features, list_changesets, map_summary, read_features_as_of
@@ -36,9 +37,20 @@ AsOf = Annotated[
 
 
 @app.command()
-def show(as_of: AsOf = None, as_json: JsonOption = False) -> None:
+def show(
+    as_of: AsOf = None,
+    provisional: Annotated[
+        bool, typer.Option("--provisional", help="Instead, what drives show that are being recorded (`conetl watch`).")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
     """The cones on the map."""
     settings = read_settings()
+    if provisional:
+        if as_of:
+            raise InputError("--provisional and --as-of do not go together: what drives show now has no history")
+        show_provisional(settings, as_json=as_json)
+        return
     with closing(open_map(settings)) as conn:
         summary = map_summary(conn, settings.map_name)
         versions = list(read_features_as_of(conn, parse_time(as_of), map_name=settings.map_name))

@@ -57,7 +57,7 @@ def chain_positions(
     for frame_index in sorted(by_frame):
         still_open = [c for c in open_chains if frame_index - c.members[-1].frame_index <= params.max_gap_frames]
         closed += [c for c in open_chains if frame_index - c.members[-1].frame_index > params.max_gap_frames]
-        open_chains = _extend(still_open, by_frame[frame_index], frame_index, map_SE3_left, params, motion)
+        open_chains = extend_chains(still_open, by_frame[frame_index], frame_index, map_SE3_left, params, motion)
     return join_fragments([c.members for c in closed + open_chains], map_SE3_left, params, motion)
 
 
@@ -86,7 +86,7 @@ def carry(
     return rotation @ mean + translation, rotation @ cov @ rotation.T + error
 
 
-def _extend(
+def extend_chains(
     chains: list[Chain],
     found: Sequence[Position],
     frame_index: int,
@@ -143,7 +143,7 @@ def join_fragments(
         best: tuple[float, int, int] | None = None
         for i in range(len(joined)):
             for j in range(i + 1, len(joined)):
-                misfit = _misfit(joined[i], joined[j], map_SE3_left, params, motion)
+                misfit = misfit_of(joined[i], joined[j], map_SE3_left, params, motion)
                 if misfit is not None and (best is None or misfit < best[0]):
                     best = (misfit, i, j)
         if best is None:
@@ -153,7 +153,7 @@ def join_fragments(
         joined = [g for k, g in enumerate(joined) if k not in (i, j)] + [merged]
 
 
-def _misfit(
+def misfit_of(
     a: tuple[Position, ...],
     b: tuple[Position, ...],
     map_SE3_left: Mapping[int, Floats],

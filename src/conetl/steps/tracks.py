@@ -50,7 +50,7 @@ def fuse_tracks(
     rejections: list[Rejection] = []
     groups = chain_positions(positions, map_SE3_left, params.track, motion)
     for group in sorted(groups, key=lambda g: (g[0].frame_index, g[0].match_index)):
-        result = _fuse_group(
+        result = fuse_group(
             len(tracks),
             group,
             matches,
@@ -70,7 +70,7 @@ def fuse_tracks(
     return _check_ground(tracks, rejections, map_SE3_left, params.track)
 
 
-def _fuse_group(
+def fuse_group(
     index: int,
     group: tuple[Position, ...],
     matches: Mapping[tuple[int, int], StereoMatch],
@@ -83,6 +83,7 @@ def _fuse_group(
     evidence: DetectorEvidence,
     motion: MotionError | None,
 ) -> Track | Rejection:
+    """The track of one group of positions, or why it is none; arguments as of `fuse_tracks`."""
     limits = params.track
     if len(group) < limits.min_observations:
         wanted = f"expected at least {limits.min_observations}; one or two boxes may be anything"

@@ -17,7 +17,16 @@ from conetl.io.pictures.crops import PictureMissingError
 from conetl.io.pictures.images import ImageFileError
 from conetl.io.stores.async_reader_pool import AsyncReaderPool
 from conetl.io.stores.reader_pool import ReaderPool
-from conetl.web import routes_base, routes_decisions, routes_events, routes_features, routes_maps, routes_pictures
+from conetl.web import (
+    routes_base,
+    routes_decisions,
+    routes_events,
+    routes_features,
+    routes_maps,
+    routes_pictures,
+    routes_provisional,
+    routes_reports,
+)
 from conetl.web.guard import Guard
 from conetl.web.headers import SecurityHeaders
 from conetl.web.live import HeadWatcher
@@ -52,9 +61,11 @@ def create_app(
     app.state.map_name = map_name
     app.state.writer = writer
     app.state.watcher = HeadWatcher(pool, closing=closing)
-    for router in (routes_maps.router, routes_features.router, routes_pictures.router, routes_base.router, routes_decisions.router,
-                   routes_events.router):
-        app.include_router(router, prefix="/api")
+    for routes in (
+        routes_maps, routes_features, routes_pictures, routes_base, routes_decisions, routes_events, routes_reports,
+        routes_provisional,
+    ):  # fmt: skip
+        app.include_router(routes.router, prefix="/api")
     app.add_exception_handler(DatabaseError, _refusal(503))
     app.add_exception_handler(PictureMissingError, _refusal(404))
     app.add_exception_handler(ImageFileError, _refusal(404))

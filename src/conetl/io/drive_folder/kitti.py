@@ -56,15 +56,15 @@ def read_kitti_drive(
     root = folder.resolve()
     content = ContentHash(headers_only=headers_only)
     settings = read_drive_yaml(root)
-    calibration = _calibration_path(root, folder.absolute().parent, settings)
+    calibration = calibration_path(root, folder.absolute().parent, settings)
     rejections: list[Rejection] = []
-    left = _numbered_images(_camera_folder(root, settings.cameras.left, settings), folder, rejections)
-    right = _numbered_images(_camera_folder(root, settings.cameras.right, settings), folder, rejections)
+    left = _numbered_images(camera_folder(root, settings.cameras.left, settings), folder, rejections)
+    right = _numbered_images(camera_folder(root, settings.cameras.right, settings), folder, rejections)
     numbers = sorted(left.keys() | right.keys())
     if not numbers:
         raise DriveFolderError(f"{folder}: there are no pictures (*.png, *.jpg) in {settings.cameras.left}/data")
     size = first_size(paths[0] for _, paths in sorted(left.items()))
-    rig = _read_rig(root, calibration, size, settings, content)
+    rig = read_rig_for(root, calibration, size, settings, content)
     zone = settings.timestamps_timezone
     stamps = parse_timestamps(_text(root, f"{settings.cameras.left}/timestamps.txt", content, required=True), zone)
     oxts_stamps = parse_timestamps(_text(root, "oxts/timestamps.txt", content, required=False), zone)
@@ -117,7 +117,7 @@ def read_kitti_drive(
     return drive, rejections
 
 
-def _calibration_path(root: Path, parent: Path, settings: DriveYaml) -> Path:
+def calibration_path(root: Path, parent: Path, settings: DriveYaml) -> Path:
     """Where calib_cam_to_cam.txt is. Raises CalibrationError."""
     if settings.calibration is not None:
         path = inside(root, settings.calibration, DRIVE_YAML)
@@ -137,7 +137,9 @@ def _calibration_path(root: Path, parent: Path, settings: DriveYaml) -> Path:
     return path
 
 
-def _read_rig(root: Path, path: Path, size: tuple[int, int] | None, settings: DriveYaml, content: ContentHash) -> Rig:
+def read_rig_for(
+    root: Path, path: Path, size: tuple[int, int] | None, settings: DriveYaml, content: ContentHash
+) -> Rig:
     """The rig for left pictures of this size, with the chain from the IMU; its files go into the content hash."""
     numbers = int(settings.cameras.left[-1]), int(settings.cameras.right[-1])
     rig = kitti_rig_for_pictures(
@@ -151,7 +153,7 @@ def _read_rig(root: Path, path: Path, size: tuple[int, int] | None, settings: Dr
     return rig
 
 
-def _camera_folder(root: Path, name: str, settings: DriveYaml) -> Path:
+def camera_folder(root: Path, name: str, settings: DriveYaml) -> Path:
     """Folder of one camera's pictures. Where drive.yaml names it, it must lie inside the drive folder."""
     return (inside(root, name, DRIVE_YAML) if "cameras" in settings.model_fields_set else root / name) / "data"
 
@@ -165,7 +167,7 @@ def _numbered_images(data: Path, folder: Path, rejections: list[Rejection]) -> d
         )
     paths = [p for p in sorted(data.iterdir()) if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".")]
     for path in paths:
-        if not _is_number(path.stem):
+        if not is_number(path.stem):
             name = f"{data.parent.name}/data/{path.name}"
             detail = (
                 f"{name}: the name is no frame number, so it has neither a partner nor a pose; expected 0000000044.png"
@@ -178,7 +180,7 @@ def _numbered_images(data: Path, folder: Path, rejections: list[Rejection]) -> d
     return _numbered(paths)
 
 
-def _is_number(stem: str) -> bool:
+def is_number(stem: str) -> bool:
     return stem.isascii() and stem.isdigit()
 
 
@@ -186,7 +188,7 @@ def _numbered(paths: Iterable[Path]) -> dict[int, list[Path]]:
     """Files by the number that is their name; others are left out."""
     found: dict[int, list[Path]] = {}
     for path in sorted(paths):
-        if _is_number(path.stem):
+        if is_number(path.stem):
             found.setdefault(int(path.stem), []).append(path)
     return found
 

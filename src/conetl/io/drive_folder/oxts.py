@@ -133,7 +133,12 @@ def pose_at(track: Trajectory, number: int, time_ns: int, sigmas: Sigmas) -> Pos
             t0, t1 = track.times_ns[number], track.times_ns[track.numbers[other]]
             if t0 != t1 and abs(t1 - t0) <= MAX_GAP_NS and 0 <= (time_ns - t0) / (t1 - t0) <= 1:
                 pose = se3.interpolate(pose, track.map_SE3_body[other], (time_ns - t0) / (t1 - t0))
-    e, n, u = (float(s) for s in track.sigma_enu_m[own])
+    return pose_record(pose, track.sigma_enu_m[own], sigmas)
+
+
+def pose_record(pose: Array, sigma_enu_m: Array, sigmas: Sigmas) -> Pose:
+    """The record of a pose (4, 4) with the sigmas (3,) of its place."""
+    e, n, u = (float(s) for s in sigma_enu_m)
     x, y, z = (float(c) for c in pose[:3, 3])
     return Pose(
         map_R_body=se3.to_matrix3(pose[:3, :3]), map_t_body_m=(x, y, z), sigma_enu_m=(e, n, u),

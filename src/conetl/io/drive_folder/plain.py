@@ -74,7 +74,7 @@ def read_plain_drive(
     root = folder.resolve()
     content = ContentHash(headers_only=headers_only)
     settings = read_drive_yaml(root)
-    rig = _read_rig(root, settings, content)
+    rig = read_plain_rig(root, settings, content)
     left, right = _images(root / "left", folder), _images(root / "right", folder)
     stems = sorted(left.keys() | right.keys())
     if not stems:
@@ -85,7 +85,7 @@ def read_plain_drive(
         first = next((str(row) for row in rows.values()), "the file has no rows")
         raise DriveFolderError(f"{folder / TRAJECTORY}: not one usable pose: {first}")
     srid, poses = _poses(good, map_srid or settings.map_srid, folder)
-    times = {row.stem: _time(row, settings.timestamps_timezone) for row in good}
+    times = {row.stem: time_of_row(row, settings.timestamps_timezone) for row in good}
     for stem, text in _jumps(poses, times).items():
         rows[stem] = f"{TRAJECTORY}, stem '{stem}': {text}"
     # Pairs are ordered by row; a stem that has none comes last and only serves to name the rejection.
@@ -125,7 +125,7 @@ def read_plain_drive(
     return drive, rejections
 
 
-def _read_rig(root: Path, settings: DriveYaml, content: ContentHash) -> Rig:
+def read_plain_rig(root: Path, settings: DriveYaml, content: ContentHash) -> Rig:
     """The rectified rig, which must tell how the left camera sits on the body; its file goes into the content hash.
 
     A rig.yaml with lenses or turned cameras describes raw pictures: they are resampled when they are read.
@@ -156,7 +156,7 @@ def _poses(rows: Sequence[Row], srid: int | None, folder: Path) -> tuple[int, di
         srid = srid or geodesy.utm_srid(first.lat_deg, first.lon_deg)
         geodesy.check_map_srid(srid)
         geodesy.check_scale(srid, first.lat_deg, first.lon_deg)
-        return srid, {row.stem: _pose(row, srid) for row in rows}
+        return srid, {row.stem: pose_of_row(row, srid) for row in rows}
     except ValueError as error:
         raise DriveFolderError(f"{folder}: {error}") from error
 
@@ -213,7 +213,7 @@ def _read_rows(root: Path, folder: Path, content: ContentHash) -> tuple[dict[str
     return rows, numbers
 
 
-def _pose(row: Row, srid: int) -> Pose:
+def pose_of_row(row: Row, srid: int) -> Pose:
     """Pose of the body in the map frame; yaw is turned from true to grid east."""
     x, y, z = (float(c) for c in geodesy.to_map(srid, row.lat_deg, row.lon_deg, row.height_m))
     convergence = float(geodesy.grid_convergence_rad(srid, row.lat_deg, row.lon_deg))
@@ -225,7 +225,7 @@ def _pose(row: Row, srid: int) -> Pose:
     )  # fmt: skip
 
 
-def _time(row: Row, zone: str) -> int | str:
+def time_of_row(row: Row, zone: str) -> int | str:
     """UTC nanoseconds, or what is wrong."""
     try:
         return parse_timestamp(row.captured_at, zone)

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from conetl.io.leftovers import aside
 from conetl.map_records import Delta, DeltaKind, FeatureChange, MapFeature
 
-#: Colour-blind safe (Okabe & Ito) and told apart by shape as well.
-_STYLE = {
+#: Marker, colour and word of each kind: colour-blind safe (Okabe & Ito) and told apart by shape as well.
+KIND_STYLE = {
     DeltaKind.CONFIRMED: ("^", "#009e73", "confirmed"),
     DeltaKind.ADDED: ("P", "#0072b2", "added"),
     DeltaKind.MOVED: ("D", "#e69f00", "moved"),
@@ -82,7 +82,7 @@ def _draw_kind(
 ) -> None:
     if not deltas:
         return
-    marker, colour, word = _STYLE[kind]
+    marker, colour, word = KIND_STYLE[kind]
     places = np.concatenate([_places(d)[-1:] for d in deltas]) - origin
     axes.scatter(
         places[:, 0], places[:, 1], marker=marker, s=60, color=colour, label=f"{word} ({len(deltas)})", zorder=3

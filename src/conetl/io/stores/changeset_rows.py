@@ -52,5 +52,6 @@ def _insert_run(conn: Connection, run: RunInfo, finished_at: datetime) -> None:
         "finished_at": finished_at,
         "params": json_text(dict(run.params)),
         "flow_run_id": run.flow_run_id,
+        "facts": None if run.facts is None else json_text(dict(run.facts)),
     }
     execute(conn, load_sql("write/insert_run"), parameters)

@@ -95,7 +95,7 @@ def read_view(conn: Connection, drive_uuid: UUID) -> StoredView:
     parameters = {"drive_uuid": drive_uuid}
     with database_errors(f"Drive {drive_uuid} cannot be read"):
         return StoredView(
-            frame_pairs=[_frame_pair(row) for row in stream(conn, load_sql("map/drive_frame_pairs"), parameters)],
+            frame_pairs=read_frame_pairs(conn, drive_uuid),
             detections=[
                 Detection.model_construct(
                     frame_index=row[0],
@@ -112,6 +112,12 @@ def read_view(conn: Connection, drive_uuid: UUID) -> StoredView:
             ],
             spots=[(row[0], row[1:]) for row in stream(conn, load_sql("map/drive_spots"), parameters)],
         )
+
+
+def read_frame_pairs(conn: Connection, drive_uuid: UUID) -> list[FramePair]:
+    """Frame pairs with their poses, in order."""
+    with database_errors(f"Drive {drive_uuid} cannot be read"):
+        return [_frame_pair(row) for row in stream(conn, load_sql("map/drive_frame_pairs"), {"drive_uuid": drive_uuid})]
 
 
 def _frame_pair(row: tuple[Any, ...]) -> FramePair:

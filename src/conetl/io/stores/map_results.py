@@ -47,6 +47,8 @@ class RunInfo:
     started_at: datetime
     params: Mapping[str, Any]
     flow_run_id: str | None = None
+    facts: Mapping[str, Any] | None = None
+    """What became of trajectory and calibration, in words, and what code did it (`io/code_identity.py`)."""
 
 
 @dataclass(frozen=True)

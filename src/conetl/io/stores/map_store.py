@@ -35,6 +35,7 @@ from conetl.io.stores import map_columns
 from conetl.io.stores.changeset_rows import insert_changeset
 from conetl.io.stores.commit_checks import require_consistent
 from conetl.io.stores.copy_binary import clean_text, json_text
+from conetl.io.stores.live_store import drop_watched_recording
 from conetl.io.stores.map_results import (
     CommitResult,
     CommittedChangeset,
@@ -223,6 +224,7 @@ def commit_changeset(
     copy_columns(conn, "conetl.track", map_columns.track_columns(drive_uuid, srid, tracks))
     copy_columns(conn, "conetl.track_member", map_columns.track_member_columns(drive_uuid, tracks))
     insert_rejections(conn, changeset.changeset_id, rejections)
+    drop_watched_recording(conn, drive, map_name=map_name)
     if replay is None:
         versions_written = _merge_deltas(conn, info, changeset, committed_at, suppressed)
     else:

@@ -1,0 +1,298 @@
+"""A drive while it is recorded: frame pairs as they arrive, in the order of recording, into provisional features.
+
+Knows no Prefect. What a pair lacks is waited for. A pair that is not whole holds up those behind it for `PATIENCE_S` and is then
+left to the ingest, which takes the whole drive anyway; so are pairs for which the machine is too slow.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from queue import Empty, SimpleQueue
+
+import numpy as np
+from watchfiles import watch as watch_files
+
+from conetl.errors import DriveFolderError, InputError
+from conetl.io.db import Connection, connect, migrate
+from conetl.io.drive_folder.arriving import ArrivingDrive, ArrivingPair, open_arriving
+from conetl.io.drive_folder.outline import MARKER
+from conetl.io.drive_folder.oxts import MAX_SPEED_M_S
+from conetl.io.drive_folder.pairs import PairError
+from conetl.io.pictures.images import ImageFileError
+from conetl.io.stores.live_store import clear_watches, end_watch, watch_lock
+from conetl.io.stores.map_store import find_map
+from conetl.io.stores.receipt_store import held_if_free
+from conetl.params import IngestParams
+from conetl.records import FramePair, Track
+from conetl.rejections import RejectionReason
+from conetl.settings import Settings
+from flows.live_pair import Eyes, LiveDrive, StepTimes, new_drive, open_eyes, take_pair
+from flows.merge import database_url
+
+#: So long a pair that is not whole holds up those behind it; a picture that cannot be read may become whole for so long.
+PATIENCE_S = 2.0
+#: All folders are read again so often, in case the system did not tell of a file.
+_LOOK_EVERY_S = 1.0
+_WAIT_S, _GATHER_MS = 0.1, 4
+#: Older pairs are left out while newer ones wait: a picture of the road as it was a while ago is what the ingest is for.
+MAX_BEHIND_S = 0.5
+
+
+@dataclass(frozen=True)
+class PairTime:
+    """One frame pair on its way; seconds."""
+
+    frame_index: int
+    total_s: float
+    """From the last change of the later picture to the commit."""
+    waited_s: float
+    """Of it, until work began: the system's word, a late pose, the pairs before it."""
+    work: StepTimes
+    backlog: bool
+    """Its pictures were there before the watch was ready: its total says nothing."""
+
+
+@dataclass
+class WatchReport:
+    """What a watch did; grows while it goes on."""
+
+    drive_id: str = ""
+    map_name: str = ""
+    pairs: list[PairTime] = field(default_factory=list)
+    refused: Counter[str] = field(default_factory=Counter)
+    """Frame pairs that cannot be used, by reason."""
+    left_out: int = 0
+    """Frame pairs that were not whole, or too old, when their turn came."""
+    standing: dict[int, Track] = field(default_factory=dict)
+    """Provisional features by number."""
+    cleared: int = 0
+    """Watches before this one whose provisional features were removed."""
+    processor_s: float = 0.0
+    """Of all threads of this process, since the watch was ready."""
+    ended_by: str = ""
+
+
+@dataclass
+class _Watch:
+    """A watch in work."""
+
+    conn: Connection
+    eyes: Eyes
+    folder: Path
+    settings: Settings
+    report: WatchReport
+    stop: threading.Event
+    tell: Callable[[WatchReport], None]
+    max_behind_s: float
+    patience_s: float
+    ready_ns: int
+    source: ArrivingDrive | None = None
+    drive: LiveDrive | None = None
+    last: FramePair | None = None
+    """The pair whose place and time the next one is judged by ..."""
+    jumped: FramePair | None = None
+    """... or the one that was refused since for its place: two that agree are believed."""
+    taken_index: int = -1
+    waiting: dict[str, tuple[ArrivingPair, float]] = field(default_factory=dict)
+    """Pairs whose turn has not come, with the time of their first sight (monotonic s)."""
+
+
+def watch_drive(
+    folder: Path,
+    settings: Settings,
+    params: IngestParams,
+    *,
+    stop: threading.Event,
+    idle_s: float | None = None,
+    max_behind_s: float = MAX_BEHIND_S,
+    patience_s: float = PATIENCE_S,
+    poll: bool = False,
+    tell: Callable[[WatchReport], None] = lambda _: None,
+) -> WatchReport:
+    """Watch a drive folder until it holds `COMPLETE`, `stop` is set, or nothing came for `idle_s`.
+
+    max_behind_s: pairs older than this are left out while newer ones wait. patience_s: so long a pair that is not whole is waited
+    for. poll: ask the file system instead of waiting for its word (network file systems). tell: called when the watch is ready,
+    and after every pair. Raises InputError where the folder is missing, cannot be a drive, or is being watched already;
+    DatabaseError.
+    """
+    if not folder.is_dir():
+        raise DriveFolderError(f"{folder}: there is no such folder; make it before the recording begins")
+    report = WatchReport(map_name=settings.map_name)
+    with ExitStack() as stack:
+        conn = stack.enter_context(closing(connect(database_url(settings))))
+        migrate(conn)
+        eyes = stack.enter_context(open_eyes(settings, params))
+        changes = stack.enter_context(_changes_of(folder.resolve(), poll=poll))
+        watch = _Watch(conn, eyes, folder, settings, report, stop, tell, max_behind_s, patience_s, time.time_ns())
+        processor_s, heard_s, looked_s, took = time.process_time(), time.monotonic(), -np.inf, False
+        tell(report)
+        while not stop.is_set():
+            paths = _told(changes, 0.0 if took else _WAIT_S)
+            complete = (folder / MARKER).exists()  # before the look, which then finds all there is
+            if watch.source is None and (source := open_arriving(folder)) is not None:
+                _begin(watch, source, stack)
+            if watch.source is not None:
+                everything = (complete and not took) or time.monotonic() - looked_s >= _LOOK_EVERY_S
+                looked_s = time.monotonic() if everything else looked_s
+                found = watch.source.look(None if everything else paths)
+                watch.waiting |= {pair.key: (pair, time.monotonic()) for pair in found}
+            took = _take_next(watch)
+            heard_s = time.monotonic() if paths or took else heard_s
+            report.processor_s = time.process_time() - processor_s
+            if complete and not took and all(_is_overdue(watch, since) for _, since in watch.waiting.values()):
+                report.ended_by = MARKER
+                break
+            if idle_s is not None and time.monotonic() - heard_s >= idle_s:
+                report.ended_by = f"nothing came for {idle_s:g} s"
+                break
+        report.ended_by = report.ended_by or "interrupted"
+        report.left_out += len(watch.waiting)
+        if watch.drive is not None:
+            end_watch(conn, watch.drive.watch)
+    return report
+
+
+@contextmanager
+def _changes_of(folder: Path, *, poll: bool) -> Iterator[SimpleQueue[Path]]:
+    """Files below a folder that changed, as the system tells of them, by a thread of its own."""
+    queue: SimpleQueue[Path] = SimpleQueue()
+    stop = threading.Event()
+
+    def listen() -> None:
+        for changes in watch_files(
+            folder, watch_filter=None, step=_GATHER_MS, debounce=4 * _GATHER_MS, rust_timeout=200, yield_on_timeout=False,
+            stop_event=stop, force_polling=poll or None, poll_delay_ms=25, raise_interrupt=False,
+        ):  # fmt: skip
+            for _, path in changes:
+                queue.put(Path(path))
+
+    thread = threading.Thread(target=listen, name="changes", daemon=True)
+    thread.start()
+    try:
+        yield queue
+    finally:
+        stop.set()
+        thread.join()
+
+
+def _told(changes: SimpleQueue[Path], wait_s: float) -> list[Path]:
+    """What changed since the last time; waits for the first word."""
+    paths: list[Path] = []
+    with suppress(Empty):
+        paths.append(changes.get(timeout=wait_s) if wait_s else changes.get_nowait())
+        while True:
+            paths.append(changes.get_nowait())
+    return paths
+
+
+def _begin(watch: _Watch, source: ArrivingDrive, stack: ExitStack) -> None:
+    """The folder has told what it is: nobody else may watch it, and what earlier watches left goes."""
+    name = watch_lock(watch.settings.map_name, source.drive_id)
+    if not stack.enter_context(held_if_free(watch.conn, name)):
+        raise InputError(f"{watch.folder}: the drive {source.drive_id} is being watched already")
+    watch.source, watch.report.drive_id = source, source.drive_id
+    watch.report.cleared = clear_watches(watch.conn, map_name=watch.settings.map_name, drive_id=source.drive_id)
+
+
+def _take_next(watch: _Watch) -> bool:
+    """Take the next pair whose turn has come; whether there was one. One that is not whole holds up the rest for a while."""
+    source = watch.source
+    if source is None or not watch.waiting:
+        return False
+    turn = sorted(watch.waiting.values(), key=lambda item: source.order(item[0]))
+    newest_ns = max((_written_ns(pair) for pair, _ in turn[-2:]), default=0)
+    for pair, since in turn:
+        if _is_late(watch, pair, newest_ns):
+            watch.report.left_out += 1
+            del watch.waiting[pair.key]
+            continue
+        try:
+            done = _take(watch, source, pair)
+        except (PairError, ImageFileError) as error:
+            done = isinstance(error, PairError) or _is_overdue(watch, since)
+            watch.report.refused[error.reason.value] += done
+        if done:
+            del watch.waiting[pair.key]
+            return True
+        if not _is_overdue(watch, since):
+            return False
+    return False
+
+
+def _is_overdue(watch: _Watch, since_s: float) -> bool:
+    return time.monotonic() - since_s > watch.patience_s
+
+
+def _is_late(watch: _Watch, pair: ArrivingPair, newest_ns: int) -> bool:
+    """Whether a pair is too old to be worth the time while pairs that came during the watch wait behind it."""
+    written_ns = _written_ns(pair)
+    behind_s = (time.time_ns() - written_ns) * 1e-9
+    return behind_s > watch.max_behind_s and newest_ns > max(written_ns, watch.ready_ns)
+
+
+def _written_ns(pair: ArrivingPair) -> int:
+    """When the later picture of a pair changed last (inode time, which a rename sets too); 0 where one has vanished."""
+    try:
+        return max(path.stat().st_ctime_ns for path in (pair.left_path, pair.right_path))
+    except OSError:
+        return 0
+
+
+def _take(watch: _Watch, source: ArrivingDrive, arriving: ArrivingPair) -> bool:
+    """Take one pair; False where something of it is not there yet. Raises PairError, ImageFileError."""
+    began_ns = time.time_ns()
+    rig = watch.drive.rig if watch.drive else source.rig()
+    posed = source.frame_pair(arriving, _srid(watch))
+    if rig is None or posed is None:
+        return False
+    pair, srid = posed
+    if pair.frame_index <= watch.taken_index:  # those behind it did not wait any longer
+        watch.report.left_out += 1
+        return True
+    _check_motion(watch, pair)
+    written_ns = _written_ns(arriving)
+    drive = watch.drive or new_drive(source.drive_id, watch.folder, rig, srid, watch.settings.map_name, pair)
+    watch.drive, times = take_pair(watch.conn, watch.eyes, drive, pair)
+    watch.taken_index = pair.frame_index
+    watch.report.standing = watch.drive.standing
+    watch.report.pairs.append(
+        PairTime(
+            pair.frame_index, (time.time_ns() - written_ns) * 1e-9, (began_ns - written_ns) * 1e-9, times,
+            backlog=written_ns < watch.ready_ns,
+        )
+    )  # fmt: skip
+    watch.tell(watch.report)
+    return True
+
+
+def _srid(watch: _Watch) -> int | None:
+    """CRS of the drive, once it is known; of the map, where there is one."""
+    if watch.drive is not None:
+        return watch.drive.watch.srid
+    info = find_map(watch.conn, watch.settings.map_name)
+    watch.conn.rollback()
+    return info.srid if info else None
+
+
+def _check_motion(watch: _Watch, pair: FramePair) -> None:
+    """Time must rise, and nobody drives at 100 m/s from where the drive was, or where a refused pair put it. Raises PairError."""
+    if watch.last is not None and pair.captured_at_ns <= watch.last.captured_at_ns:
+        raise PairError(RejectionReason.TIMESTAMP_INVALID, f"frame pair {pair.frame_index}: the time does not rise")
+    known = [other for other in (watch.last, watch.jumped) if other is not None]
+    speeds = [_speed_m_s(other, pair) for other in known]
+    if speeds and min(speeds) > MAX_SPEED_M_S:
+        watch.jumped = pair
+        raise PairError(RejectionReason.POSE_INVALID, f"frame pair {pair.frame_index}: reached at {speeds[0]:.0f} m/s")
+    watch.last, watch.jumped = pair, None
+
+
+def _speed_m_s(before: FramePair, pair: FramePair) -> float:
+    metres = float(np.linalg.norm(np.subtract(pair.pose.map_t_body_m, before.pose.map_t_body_m)))
+    return metres / max((pair.captured_at_ns - before.captured_at_ns) * 1e-9, 1e-3)

@@ -1,0 +1,1 @@
+"""QA reports: what one drive, or one night, did to the map, on one HTML page for the file and the printer."""

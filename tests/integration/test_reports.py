@@ -1,0 +1,262 @@
+"""QA reports from a real PostGIS: what they tell, that everything is escaped, and that a page needs nothing but itself."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+import pytest
+from fastapi.testclient import TestClient
+from typer.testing import CliRunner
+
+from conetl.cli.app import app
+from conetl.errors import InputError
+from conetl.io.code_identity import code_facts, code_sha256
+from conetl.io.db import connect, execute
+from conetl.io.qa import evidence
+from conetl.io.qa.drive_facts import find_drive, read_drive_facts
+from conetl.io.qa.drive_page import drive_page, findings, write_drive_page
+from conetl.io.qa.night_page import night_page, read_night, write_night_page
+from conetl.io.stores.map_results import CommittedChangeset
+from conetl.io.stores.map_store import list_changesets
+from conetl.io.stores.receipt_store import Receipt, write_receipt
+from conetl.io.stores.run_store import write_run_steps
+from conetl.map_records import DeltaKind
+from conetl.params import IngestParams
+from conetl.rejections import RejectionReason
+from conetl.settings import Settings
+from conetl.web.app import create_app
+from flows.publish_map import write_publication
+from flows.timing import StepTime
+from tests.conftest import cloned_database
+from tests.view_map import two_drives
+
+EVIL = "<img src=x onerror=alert(1)>"
+
+
+@pytest.fixture(scope="module")
+def url(
+    cluster_url: str, template_database: str, samples: Any, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[str]:
+    """Two drives with pictures; the second one with everything that a report may have to tell."""
+    with cloned_database(cluster_url, template_database) as found:
+        with closing(connect(found)) as conn:
+            two_drives(conn, samples, tmp_path_factory.mktemp("pictures"))
+            latest = list_changesets(conn)[0]
+            run_id = uuid4()
+            execute(
+                conn,
+                "insert into run values (%(id)s, now(), now(), %(params)s, null, %(facts)s)",
+                {
+                    "id": run_id,
+                    "params": IngestParams().model_dump_json(),
+                    "facts": '{"trajectory": "poses moved by up to 0.07 m", "trajectory_outcome": "not_converged", '
+                    '"calibration": "<b>turned</b>", "calibration_outcome": "applied", "code_sha256": "abc", '
+                    '"python": "3.11", "libraries": {"numpy": "2.1"}}',
+                },
+            )
+            execute(
+                conn,
+                "update changeset set run_id = %(r)s where changeset_id = %(c)s",
+                {"r": run_id, "c": latest.changeset_id},
+            )
+            execute(
+                conn,
+                "update drive set drive_id = %(name)s where drive_uuid = %(d)s",
+                {"name": EVIL, "d": latest.drive_uuid},
+            )
+            for reason in (RejectionReason.NEVER_NEAR, RejectionReason.NEVER_NEAR, RejectionReason.IMAGE_TRUNCATED):
+                execute(
+                    conn,
+                    "insert into quarantine (changeset_id, step, reason, record, detail, payload) "
+                    "values (%(c)s, 'tracks', %(reason)s, 'a record', %(detail)s, '{}')",
+                    {"c": latest.changeset_id, "reason": reason, "detail": EVIL},
+                )
+            conn.commit()
+            steps = [StepTime("detect", 2, 3.0, 0.0, 2.0), StepTime("merge", 1, 0.25, 2.0, 2.25)]
+            for _ in range(2):  # a task that is tried again writes them once
+                write_run_steps(conn, latest.changeset_id, steps)
+        yield found
+
+
+@pytest.fixture
+def conn(url: str) -> Iterator[Any]:
+    with closing(connect(url)) as connection:
+        yield connection
+
+
+@pytest.fixture
+def latest(conn: Any) -> CommittedChangeset:
+    return list_changesets(conn)[0]
+
+
+def assert_needs_nothing(page: str) -> None:
+    """No script, and nothing that a browser would fetch."""
+    assert EVIL not in page
+    assert not re.search(r"<(script|iframe|link|object|embed)\b", page)
+    assert not re.search(r"\bon\w+\s*=\s*[\"']", page)
+    assert all(source.startswith("data:image/") for source in re.findall(r"\bsrc=\"([^\"]*)", page))
+    assert "@import" not in page and "url(" not in page
+
+
+def test_the_report_of_a_drive(conn: Any, latest: CommittedChangeset, samples: Any, tmp_path: Path) -> None:
+    path = write_drive_page(conn, latest, tmp_path / "reports" / "drive.html", map_name="default")
+    page = path.read_text()
+    assert_needs_nothing(page)
+    assert "&lt;img src=x onerror=alert(1)&gt;" in page
+    facts = read_drive_facts(conn, latest, map_name="default")
+    assert [c.number for c in facts.changes] == [1, 2, 3, 4]
+    kinds = [c.kind for c in facts.changes]
+    assert kinds == [DeltaKind.REMOVED, DeltaKind.MOVED, DeltaKind.ADDED, DeltaKind.CONFIRMED]
+    for told in (
+        latest.model_sha256, latest.params_sha256, facts.content_sha256, "abc", "numpy 2.1", "poses moved by up to 0.07 m",
+        "&lt;b&gt;turned&lt;/b&gt;", "never near", "image truncated", "changeset 2", "merge",
+        *(str(c.feature_id) for c in facts.changes),
+    ):  # fmt: skip
+        assert told in page, told
+    assert [(line.reason, line.count) for line in facts.rejections] == [("never_near", 2), ("image_truncated", 1)]
+    assert [(s.step, s.busy_s) for s in facts.steps] == [("detect", 3.0), ("merge", 0.25)]
+    # moved: before and after; added: this drive; each with a left and a right crop
+    pictures = evidence.pictures_of(conn, facts, facts.changes)
+    assert {facts.changes[n - 1].kind: [len(p.crops) for p in pairs] for n, pairs in pictures.items()} == {
+        DeltaKind.REMOVED: [2, 0], DeltaKind.MOVED: [2, 2], DeltaKind.ADDED: [2],
+    }  # fmt: skip
+    assert pictures[1][1].missing  # its place was in no picture of the second drive
+
+
+def test_a_picture_that_is_gone_costs_itself(conn: Any, latest: CommittedChangeset) -> None:
+    facts = read_drive_facts(conn, latest, map_name="default")
+    gone = replace(facts, changeset=latest, source_path="/nowhere")
+    assert "no picture" in drive_page(conn, latest, map_name="default")  # of the cone that is gone
+    assert evidence.pictures_of(conn, gone, facts.changes)[2][0].crops  # the drive before still has its own
+
+
+def test_what_a_person_should_look_at(conn: Any, latest: CommittedChangeset) -> None:
+    facts = read_drive_facts(conn, latest, map_name="default")
+    told = " ".join(f.text for f in findings(facts))
+    assert "1 cone is removed from the map: no. 1" in told
+    assert "The trajectory is the logged one" in told and "Calibration: <b>turned</b>" in told
+    calm = replace(facts, facts={}, changes=tuple(c for c in facts.changes if c.kind is DeltaKind.CONFIRMED))
+    assert findings(calm) == []
+    lossy = replace(calm, expected_frame_count=100)
+    assert [f.grave for f in findings(lossy)] == [True]
+    blurred = replace(calm, residual_px=calm.residual_px + 3.0)
+    assert [f.grave for f in findings(blurred)] == [True]
+    reverted = replace(calm, changeset=replace(latest, counts=False))
+    assert "does not count" in findings(reverted)[0].text
+
+
+def test_drives_are_found_by_id_and_by_number(conn: Any, latest: CommittedChangeset) -> None:
+    assert find_drive(conn, EVIL, map_name="default").changeset_no == latest.changeset_no
+    assert find_drive(conn, "1", map_name="default").changeset_no == 1
+    with pytest.raises(InputError, match="knows no drive and no changeset 99"):
+        find_drive(conn, "99", map_name="default")
+
+
+def test_a_drive_without_anything_has_a_report_too(conn: Any, samples: Any) -> None:
+    """Committed by something else than the flow, nothing measured, its pictures nowhere."""
+    samples.commit(conn, key="abcd", map_name="bare")
+    bare = list_changesets(conn, map_name="bare")[0]
+    page = drive_page(conn, bare, map_name="bare")
+    assert_needs_nothing(page)
+    assert "Not kept for this changeset" in page and "This drive changed nothing on the map" in page
+    execute(conn, "update drive set pruned_at = now() where drive_uuid = %(d)s", {"d": bare.drive_uuid})
+    execute(conn, "delete from position where drive_uuid = %(d)s", {"d": bare.drive_uuid})
+    assert "were pruned on" in drive_page(conn, bare, map_name="bare")
+    conn.rollback()
+
+
+def failed(header: str, state: str, **values: Any) -> Receipt:
+    receipt = Receipt(
+        uuid4(), "default", f"/in/{EVIL}", f"{EVIL} {header}", header * 64, "0" * 64, None, "started", "", True,
+        None, 10, None, None, "here",
+    )  # fmt: skip
+    return replace(receipt, state=state, **values)
+
+
+def test_the_report_of_a_night(conn: Any, latest: CommittedChangeset, tmp_path: Path) -> None:
+    for receipt in (
+        failed("1", "started"), failed("1", "failed", reason=f"not one usable pose {EVIL}"), failed("2", "started"),
+        failed("3", "failed", reason="it will pass"), failed("3", "started"),
+        failed("3", "committed", changeset_id=latest.changeset_id, seconds=12.0, content_sha256="0" * 64),
+    ):  # fmt: skip
+        write_receipt(conn, receipt, tmp_path)
+    until = datetime.now(UTC) + timedelta(hours=1)
+    since = datetime(2000, 1, 1, tzinfo=UTC)
+    facts = write_night_page(conn, tmp_path / "night.html", map_name="default", since=since, until=until)
+    page = (tmp_path / "night.html").read_text()
+    assert_needs_nothing(page)
+    assert [row["drive_id"] for row in facts.drives][-1] == EVIL
+    assert [(row["state"], row["attempts"]) for row in facts.failures] == [("failed", 1), ("started", 1)]
+    assert facts.drives[-1]["seconds"] == 12.0
+    assert [row["kind"] for row in facts.vanished] == ["removed"]
+    assert {row["reason"]: row["count"] for row in facts.rejections} == {"never_near": 2, "image_truncated": 1}
+    now = execute(conn, "select count(*) as n from current_feature where map_name = 'default'")[0]["n"]
+    assert [count for _, count in facts.sizes][-1] == facts.size_at(until) == now
+    assert facts.size_at(since) == 0
+    for told in ("2 drives did not come onto the map", "not one usable pose", "1 cone vanished", "removed"):
+        assert told in page
+
+
+def test_a_quiet_night_and_a_night_that_cannot_be(conn: Any) -> None:
+    begin = datetime(2001, 1, 1, tzinfo=UTC)
+    quiet = read_night(conn, map_name="default", since=begin, until=begin + timedelta(days=1))
+    assert (quiet.drives, quiet.failures, quiet.vanished) == ([], [], [])
+    assert "No drive came onto the map" in night_page(quiet)
+    with pytest.raises(InputError, match="before it begins"):
+        read_night(conn, map_name="default", since=begin, until=begin)
+    with pytest.raises(InputError, match="no map nowhere"):
+        read_night(conn, map_name="nowhere", since=begin, until=begin + timedelta(days=1))
+
+
+def test_the_nightly_publication_holds_its_report(url: str, tmp_path: Path) -> None:
+    settings = Settings(database_url=url, home=tmp_path, map_name="default")  # type: ignore[arg-type]
+    folder, _ = write_publication(settings, ["geojson"], tmp_path / "exports")
+    assert_needs_nothing((folder / "report.html").read_text())
+    assert '"report": "report.html"' in (folder / "publication.json").read_text()
+
+
+def test_the_web_view_serves_the_report(url: str) -> None:
+    with TestClient(create_app(url, "default"), base_url="http://127.0.0.1") as client:
+        answer = client.get("/api/maps/default/changesets/2/report")
+        assert answer.status_code == 200
+        assert_needs_nothing(answer.text)
+        assert (
+            "default-src 'none'; img-src data:; style-src 'unsafe-inline'" in answer.headers["content-security-policy"]
+        )
+        assert answer.headers["x-content-type-options"] == "nosniff"
+        assert client.get("/api/maps/default/changesets/77/report").status_code == 404
+
+
+def test_the_code_has_a_name() -> None:
+    facts = code_facts()
+    assert facts["code_sha256"] == code_sha256() and len(code_sha256()) == 64
+    assert {"numpy", "onnxruntime", "scipy"} <= set(facts["libraries"])
+
+
+def test_the_commands(url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`conetl report drive` and `night`, in this process."""
+    for name, value in (("DATABASE_URL", url), ("HOME", str(tmp_path)), ("MAP_NAME", "default")):
+        monkeypatch.setenv(f"CONETL_{name}", value)
+    runner = CliRunner()
+    one = runner.invoke(app, ["report", "drive", "1", "--json"])
+    assert one.exit_code == 0, one.output
+    assert json.loads(one.stdout)["changeset_no"] == 1
+    assert (tmp_path / "exports" / "reports" / "default" / "000001-drive_1.html").is_file()
+    night = runner.invoke(app, ["report", "night", "2026-03-01", "--out", str(tmp_path / "night.html"), "--json"])
+    assert json.loads(night.stdout)["since"] == "2026-03-01T00:00:00+00:00"
+    assert json.loads(night.stdout)["drives"] == 1
+    for wrong in (
+        ["2026-03-01", "--since", "2026-03-01"],
+        ["yesterday"],
+        ["--since", "2026-03-02", "--until", "2026-03-01"],
+    ):
+        assert isinstance(runner.invoke(app, ["report", "night", *wrong]).exception, InputError)
+    assert isinstance(runner.invoke(app, ["report", "drive", "nobody"]).exception, InputError)
