@@ -68,20 +68,17 @@ def without_prefect(drives: list[Path], settings: Settings) -> int:
         drive, refused = tasks.read_drive_task.fn(folder, merging.map_srid(settings), settings.pictures_folder)
         identity = merging.identify(drive, params, settings)
         if merging.already_committed(drive, identity, settings) is None:
-            chunk = tasks.Chunk(
-                drive_id=drive.drive_id,
-                rig=drive.rig,
-                frame_pairs=drive.frame_pairs,
-                results_folder=settings.results_folder,
-                model_path=None,
-                model_sha256=identity.model_sha256,
-                params=params,
+            (chunk,) = tasks.chunks_of(
+                drive,
+                settings,
+                identity.model_sha256,
+                params.model_copy(update={"chunk_pairs": len(drive.frame_pairs)}),
             )
             sides = [tasks.detect_task.fn(chunk, side) for side in ("left", "right")]
             found = tasks.match_task.fn(chunk, *sides)
-            placed = tasks.locate_task.fn(chunk, found)
+            placed = tasks.locate_task.fn([chunk], [found])
             detections, matches = load_results(sides, Detection)[0], load_results([found], StereoMatch)[0]
-            positions = load_results([placed], Position)[0]
+            positions = load_results(placed, Position)[0]
             tracks, _ = tasks.fuse_task.fn(drive, detections, matches, positions, params, identity.evidence)
             changeset = merging._changeset(drive, settings.map_name, identity, ())
             with merging.open_map(settings) as conn, map_transaction(conn, settings.map_name):

@@ -37,6 +37,7 @@ from flows.retries import lost_frame_pairs, whole
 from flows.runners import count_when_done
 from flows.tasks import (
     Chunk,
+    chunks_of,
     detect_task,
     fuse_task,
     locate_task,
@@ -62,24 +63,13 @@ def ingest_drive(
     if (known := already_committed(drive, identity, settings)) is not None:
         catch_up_task(known, settings)
         return known
-    chunks = [
-        Chunk(
-            drive_id=drive.drive_id,
-            rig=drive.rig,
-            frame_pairs=drive.frame_pairs[first : first + params.chunk_pairs],
-            results_folder=settings.results_folder.resolve(),
-            model_path=settings.model_path and settings.model_path.resolve(),
-            model_sha256=identity.model_sha256,
-            params=params,
-        )
-        for first in range(0, len(drive.frame_pairs), params.chunk_pairs)
-    ]
+    chunks = chunks_of(drive, settings, identity.model_sha256, params)
     detection_paths, match_paths, motion_paths, calibration = _run_chunks(drive, chunks)
     drive = drive.model_copy(update={"rig": self_calibrated_rig(drive.rig, calibration, params.trajectory)})
     chunks = with_rig(chunks, drive.rig)
     trajectory = refine_task(whole(drive), motion_paths, match_paths, params)
     drive = drive.model_copy(update={"frame_pairs": trajectory.frame_pairs})
-    position_paths = [locate_task(whole(c), m) for c, m in zip(moved(chunks, trajectory), match_paths, strict=True)]
+    position_paths = locate_task(whole(moved(chunks, trajectory)), match_paths)
     detections, refused_detections = load_results(detection_paths, Detection)
     matches, refused_matches = load_results(match_paths, StereoMatch)
     positions, refused_positions = load_results(position_paths, Position)
@@ -132,7 +122,7 @@ def _run_chunks(drive: Drive, chunks: list[Chunk]) -> tuple[list[Path], list[Pat
                 followed.append(odometry_task.submit(whole(overlapping[k])))
                 count_when_done(followed[-1], drive_id, len(overlapping[k].frame_pairs) - 1)
         tracks = [f.result() for f in followed]
-        motions = [motions_task(whole(o), t) for o, t in zip(overlapping, tracks, strict=True)]
+        motions = motions_task(whole(overlapping), tracks)
         calibration = (
             self_calibrate_task(whole(drive), tracks, motions, whole(chunks[0]))
             if params.self_calibrate
@@ -140,8 +130,7 @@ def _run_chunks(drive: Drive, chunks: list[Chunk]) -> tuple[list[Path], list[Pat
         )
         rig = self_calibrated_rig(drive.rig, calibration, params)
         if rig != drive.rig:
-            turned = with_rig(overlapping, rig)
-            motions = [motions_task(whole(o), t, m) for o, t, m in zip(turned, tracks, motions, strict=True)]
+            motions = motions_task(whole(with_rig(overlapping, rig)), tracks, motions)
         turned = with_rig(chunks, rig)
         matched = [match_task.submit(whole(c), left, right) for c, (left, right) in zip(turned, detected, strict=True)]
         return [f.result() for sides in detected for f in sides], [f.result() for f in matched], motions, calibration

@@ -72,12 +72,17 @@ def odometry_task(chunk: Chunk) -> Path:
     return save_result(chunk.results_folder, key, tracks, [])
 
 
-@task(name="motions", task_run_name="motions {chunk.frame_pairs[0].frame_index}", **RETRY)
-def motions_task(chunk: Chunk, tracks: Path, earlier: Path | None = None) -> Path:
-    """Motions between the frame pairs of a chunk from the points followed; returns the Parquet file.
+@task(name="motions", **RETRY)
+def motions_task(chunks: Sequence[Chunk], tracks: Sequence[Path], earlier: Sequence[Path] = ()) -> list[Path]:
+    """Motions between the frame pairs of a drive from the points followed, chunk by chunk; returns the Parquet files.
 
     earlier: the motions by the rig as it was before its self-calibration, a start that spares the search.
     """
+    starts: Sequence[Path | None] = earlier or [None] * len(chunks)
+    return [_motions(chunk, path, start) for chunk, path, start in zip(chunks, tracks, starts, strict=True)]
+
+
+def _motions(chunk: Chunk, tracks: Path, earlier: Path | None) -> Path:
     params, pairs = chunk.params.trajectory, chunk.frame_pairs
     geometry = result_key(chunk.rig.model_dump_json(), *(pair.model_dump_json() for pair in pairs))
     key = result_key(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import threading
 from collections import defaultdict
+from collections.abc import Sequence
 from pathlib import Path
 
 from prefect import task
@@ -40,6 +41,7 @@ from conetl.records import (
     Track,
 )
 from conetl.rejections import Rejection
+from conetl.settings import Settings
 from conetl.steps.detections import check_boxes
 from conetl.steps.matches import match_pair, with_measured_spread
 from conetl.steps.positions import locate_positions
@@ -63,6 +65,22 @@ class Chunk(Record):
     model_path: Path | None
     model_sha256: str
     params: IngestParams
+
+
+def chunks_of(drive: Drive, settings: Settings, model_sha256: str, params: IngestParams) -> list[Chunk]:
+    """A drive cut into chunks of `params.chunk_pairs` frame pairs; the last may be shorter."""
+    return [
+        Chunk(
+            drive_id=drive.drive_id,
+            rig=drive.rig,
+            frame_pairs=drive.frame_pairs[first : first + params.chunk_pairs],
+            results_folder=settings.results_folder.resolve(),
+            model_path=settings.model_path and settings.model_path.resolve(),
+            model_sha256=model_sha256,
+            params=params,
+        )
+        for first in range(0, len(drive.frame_pairs), params.chunk_pairs)
+    ]
 
 
 @task(name="read drive", task_run_name="read {folder}", **RETRY)
@@ -145,9 +163,13 @@ def match_task(chunk: Chunk, left: Path, right: Path) -> Path:
     return save_result(chunk.results_folder, key, with_measured_spread(matches), rejections)
 
 
-@task(name="locate", task_run_name="locate {chunk.frame_pairs[0].frame_index}", **RETRY)
-def locate_task(chunk: Chunk, matches: Path) -> Path:
-    """Positions of a chunk by forward intersection; returns the Parquet file."""
+@task(name="locate", **RETRY)
+def locate_task(chunks: Sequence[Chunk], matches: Sequence[Path]) -> list[Path]:
+    """Positions of a drive by forward intersection, chunk by chunk; returns the Parquet files."""
+    return [_locate(chunk, path) for chunk, path in zip(chunks, matches, strict=True)]
+
+
+def _locate(chunk: Chunk, matches: Path) -> Path:
     key = result_key(
         RESULTS_VERSION, "locate", matches.stem, params_sha256(chunk.params.position), _rig_and_poses(chunk)
     )

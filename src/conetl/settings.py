@@ -63,10 +63,15 @@ class Settings(BaseSettings):
     def exports_folder(self) -> Path:
         return self.home / "exports"
 
+    @property
+    def reports_folder(self) -> Path:
+        """QA reports of this map."""
+        return self.exports_folder / "reports" / self.map_name
+
     def drive_report_path(self, drive_id: str, changeset_no: int) -> Path:
         """Where the ingest writes the QA report of a drive; an id may hold anything, a file name not."""
         name = "".join(c if c.isalnum() or c in "-_." else "_" for c in drive_id).lstrip(".")[:120] or "drive"
-        return self.exports_folder / "reports" / self.map_name / f"{changeset_no:06d}-{name}.html"
+        return self.reports_folder / f"{changeset_no:06d}-{name}.html"
 
 
 def read_settings() -> Settings:

@@ -91,6 +91,9 @@ def demo(
         out.print(
             f"  {settings.exports_folder / report.drive_id}.png: plan view of drive {report.drive_id}", markup=False
         )
+    out.print(
+        f"  {settings.reports_folder}: a report of each drive, one HTML page with pictures of its changes", markup=False
+    )
     out.print("\n[bold]How to look further[/]")
     out.print("  export CONETL_MAP_NAME=demo PATH=$PWD/.venv/bin:$PATH", markup=False)
     out.print(

@@ -77,23 +77,12 @@ def run_steps(folder: Path, settings: Settings, params: IngestParams, *, map_sri
         self_calibrate_task,
         with_rig,
     )
-    from flows.tasks import Chunk, detect_task, fuse_task, locate_task, match_task, read_drive_task
+    from flows.tasks import chunks_of, detect_task, fuse_task, locate_task, match_task, read_drive_task
 
     drive, rejections = read_drive_task.fn(folder, map_srid, settings.pictures_folder.resolve())
     card = read_model_card(settings.model_path or shipped_model_path())
     note_unmeasured(card)
-    chunks = [
-        Chunk(
-            drive_id=drive.drive_id,
-            rig=drive.rig,
-            frame_pairs=drive.frame_pairs[first : first + params.chunk_pairs],
-            results_folder=settings.results_folder.resolve(),
-            model_path=settings.model_path,
-            model_sha256=card.sha256,
-            params=params,
-        )
-        for first in range(0, len(drive.frame_pairs), params.chunk_pairs)
-    ]
+    chunks = chunks_of(drive, settings, card.sha256, params)
     following = list(odometry_chunks(chunks)) if params.trajectory.refine else []
     steps = 2 * len(drive.frame_pairs) + sum(len(chunk.frame_pairs) - 1 for chunk in following)
     with progress_bar() as bars, ThreadPoolExecutor(settings.workers) as pool:
@@ -105,14 +94,14 @@ def run_steps(folder: Path, settings: Settings, params: IngestParams, *, map_sri
             running = [[pool.submit(detect_task.fn, chunk, side) for side in _SIDES] for chunk in chunks]
             driven = [pool.submit(odometry_task.fn, chunk) for chunk in following]
             followed = [future.result() for future in driven]
-            motions = [motions_task.fn(chunk, path) for chunk, path in zip(following, followed, strict=True)]
+            motions = motions_task.fn(following, followed)
             calibration = SWITCHED_OFF
             if params.trajectory.self_calibrate:
                 with disable_run_logger():  # outside a run Prefect has no logger to give
                     calibration = self_calibrate_task.fn(drive, followed, motions, chunks[0])
             rig = self_calibrated_rig(drive.rig, calibration, params.trajectory)
             if rig != drive.rig:
-                motions = list(map(motions_task.fn, with_rig(following, rig), followed, motions))
+                motions = motions_task.fn(with_rig(following, rig), followed, motions)
             detected = [[future.result() for future in sides] for sides in running]
         finally:
             progress.ignore(listener)
@@ -121,7 +110,7 @@ def run_steps(folder: Path, settings: Settings, params: IngestParams, *, map_sri
     with disable_run_logger():
         trajectory = refine_task.fn(drive, motions, matched, params)
     drive = drive.model_copy(update={"frame_pairs": trajectory.frame_pairs})
-    located = [locate_task.fn(chunk, path) for chunk, path in zip(moved(chunks, trajectory), matched, strict=True)]
+    located = locate_task.fn(moved(chunks, trajectory), matched)
     detections, refused_detections = load_results([path for sides in detected for path in sides], Detection)
     matches, refused_matches = load_results(matched, StereoMatch)
     positions, refused_positions = load_results(located, Position)

@@ -61,7 +61,7 @@ def night(
 
     settings = read_settings()
     begin, end = _span(day, since, until)
-    path = output or settings.exports_folder / "reports" / settings.map_name / f"night-{end:%Y%m%dT%H%M%SZ}.html"
+    path = output or settings.reports_folder / f"night-{end:%Y%m%dT%H%M%SZ}.html"
     with closing(open_map(settings)) as conn:
         facts = write_night_page(conn, path, map_name=settings.map_name, since=begin, until=end)
     counted = {
