@@ -133,8 +133,11 @@ def _ground(axes: Axes, content: PlanContent) -> list[Line2D]:
         axes.plot(way[:, 0], way[:, 1], color=_WAY, linewidth=1.1, zorder=3)
         if len(way) > 1:
             middle = len(way) // 2
+            before, tip = way[middle - 1], way[middle]
+            # The head alone: annotations are not cut at the frame, and a straight way may come from far outside of it.
+            start = tip - (tip - before) / max(float(np.linalg.norm(tip - before)), 1e-9) * 1e-3
             axes.annotate(
-                "", xy=way[middle], xytext=way[middle - 1], zorder=3,
+                "", xy=tip, xytext=start, zorder=3, annotation_clip=True,
                 arrowprops={"arrowstyle": "-|>", "color": _WAY, "linewidth": 1.1, "shrinkA": 0, "shrinkB": 0},
             )  # fmt: skip
     if content.ways_m:
@@ -201,8 +204,9 @@ def _arrows(axes: Axes, moved: Sequence[FeatureChange], colour: str, box: Bbox) 
         old, new = change.old.xyz_m[:2], change.new.xyz_m[:2]
         axes.scatter(*old, marker="o", s=26, facecolors="none", edgecolors=colour, linewidths=1.0, zorder=8)
         axes.annotate(
-            "", xy=new, xytext=old, zorder=8, arrowprops={"arrowstyle": "->", "color": colour, "linewidth": 1.2}
-        )
+            "", xy=new, xytext=old, zorder=8,
+            arrowprops={"arrowstyle": "->", "color": colour, "linewidth": 1.2, "clip_path": axes.patch, "clip_on": True},
+        )  # fmt: skip
         if label:
             axes.annotate(
                 f"{change.shift_m:.2f} m", xy=new, xytext=(6, 5), textcoords="offset points", fontsize=7.5, color=colour,
