@@ -326,6 +326,7 @@ def test_a_publication_is_whole_or_not_at_all(conn, tmp_path, monkeypatch):
         "default.parquet",
         "default.parquet.manifest.json",
         "publication.json",
+        "report.html",
     ]
     assert [m["rows"] for m in manifests] == [manifests[0]["rows"]] * 2
     monkeypatch.setattr(geojson, "write", lambda source, path: 1 / 0)

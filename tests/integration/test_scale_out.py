@@ -7,7 +7,6 @@ from pathlib import Path
 
 import cloudpickle
 import pytest
-from moto.server import ThreadedMotoServer
 from prefect import flow
 
 from conetl.cli.ingest import ingest_drives
@@ -25,6 +24,7 @@ from flows.runners import task_runner
 from flows.server import prefect_server
 from flows.tasks import Chunk
 from tests.integration.small_drives import SAMPLES, cut_drive
+from tests.object_storage import BUCKET, object_storage
 
 CHUNK_PAIRS = 2
 
@@ -95,18 +95,10 @@ def test_an_address_without_dask_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def storage(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """Address of an empty bucket of a storage server, which the environment leads to."""
-    server = ThreadedMotoServer(ip_address="127.0.0.1", port=0)
-    server.start()
-    host, port = server.get_host_and_port()
-    monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://{host}:{port}")
-    monkeypatch.setenv("AWS_ACCESS_KEY_ID", "somebody")
-    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "something")
-    monkeypatch.setenv("AWS_DEFAULT_REGION", "us-east-1")
-    place("s3://survey").mkdir()
-    yield "s3://survey"
-    server.stop()
+def storage() -> Iterator[str]:
+    """Address of an empty bucket, which the environment leads to."""
+    with object_storage():
+        yield f"s3://{BUCKET}"
 
 
 def test_a_drive_in_object_storage_makes_the_same_map(
@@ -114,7 +106,7 @@ def test_a_drive_in_object_storage_makes_the_same_map(
 ) -> None:
     folder = Path(chunks[0].frame_pairs[0].left_path).parents[2]
     remote = place(f"{storage}/{folder.name}")
-    remote.fs.put(f"{folder}/", f"survey/{folder.name}/", recursive=True)  # type: ignore[attr-defined]
+    remote.fs.put(f"{folder}/", f"{BUCKET}/{folder.name}/", recursive=True)  # type: ignore[attr-defined]
     features = []
     for name, drive in (("disk", folder), ("storage", Path(str(remote)))):
         settings = Settings(home=home / name, map_name=name, database_url=database_url)  # type: ignore[arg-type]

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from moto.server import ThreadedMotoServer
 
 from conetl.errors import DriveFolderError, ServiceError
 from conetl.io import places
@@ -17,9 +16,9 @@ from conetl.io.parquet_store import file_sha256
 from conetl.io.pictures.rectified_image import read_rig_image
 from conetl.io.places import in_batches, is_remote, object_bytes, place
 from conetl.rejections import RejectionReason
+from tests.object_storage import BUCKET, object_storage
 from tests.unit.io.drive_formats import SAMPLE, Frame, sample_frames, write_kitti, write_plain
 
-BUCKET = "survey"
 RIG = read_drive(SAMPLE, headers_only=True)[0].rig
 WRITERS: dict[str, Callable[..., Path]] = {"kitti": write_kitti, "plain": write_plain}
 
@@ -27,17 +26,8 @@ WRITERS: dict[str, Callable[..., Path]] = {"kitti": write_kitti, "plain": write_
 @pytest.fixture(scope="module")
 def storage() -> Iterator[pytest.MonkeyPatch]:
     """A storage server with an empty bucket, and the usual environment that leads to it."""
-    server = ThreadedMotoServer(ip_address="127.0.0.1", port=0)
-    server.start()
-    host, port = server.get_host_and_port()
-    with pytest.MonkeyPatch.context() as environment:
-        environment.setenv("AWS_ENDPOINT_URL", f"http://{host}:{port}")
-        environment.setenv("AWS_ACCESS_KEY_ID", "somebody")
-        environment.setenv("AWS_SECRET_ACCESS_KEY", "something")
-        environment.setenv("AWS_DEFAULT_REGION", "us-east-1")
-        place(f"s3://{BUCKET}").mkdir()
+    with object_storage() as environment:
         yield environment
-    server.stop()
 
 
 def upload(folder: Path, name: str) -> Path:
