@@ -61,13 +61,7 @@ def draw_plan_view(
         )
     for kind in DeltaKind:
         _draw_kind(axes, kind, [d for d in deltas if d.kind == kind], origin)
-    axes.set_xlim(low[0], high[0])
-    axes.set_ylim(low[1], high[1])
-    axes.set_aspect("equal")
-    axes.grid(color="#eeeeee")
-    axes.set_axisbelow(True)
-    axes.set_xlabel(f"easting - {origin[0]:.0f} (m)")
-    axes.set_ylabel(f"northing - {origin[1]:.0f} (m)")
+    frame_plan(axes, low, high, origin)
     axes.set_title(title)
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8, frameon=False)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -75,6 +69,17 @@ def draw_plan_view(
     figure.savefig(unfinished, format="png", bbox_inches="tight")
     os.replace(unfinished, path)  # noqa: PTH105 - atomic on every platform, unlike Path.rename
     return path
+
+
+def frame_plan(axes: Axes, low: NDArray[np.float64], high: NDArray[np.float64], origin: NDArray[np.float64]) -> None:
+    """Cut a plan at a box, with grid and axes named. low, high: (2,) in metres from `origin`, which is (2,) in the map's CRS."""
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
+    axes.set_aspect("equal")
+    axes.grid(color="#eeeeee")
+    axes.set_axisbelow(True)
+    axes.set_xlabel(f"easting - {origin[0]:.0f} (m)")
+    axes.set_ylabel(f"northing - {origin[1]:.0f} (m)")
 
 
 def _draw_kind(

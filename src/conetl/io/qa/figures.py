@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from conetl.io.exports.accuracy_plots import png
-from conetl.io.exports.plan_view import KIND_STYLE
+from conetl.io.exports.plan_view import KIND_STYLE, frame_plan
 from conetl.io.qa.drive_facts import Change
 from conetl.map_records import DeltaKind
 
@@ -56,13 +56,7 @@ def plan(path_m: Floats, changes: Sequence[Change], others_m: Floats) -> bytes:
             arrow = {"arrowstyle": "->", "color": KIND_STYLE[DeltaKind.MOVED][1]}
             axes.annotate("", xy=at, xytext=np.array(change.old_xy_m) - origin, arrowprops=arrow)
         axes.annotate(str(change.number), xy=at, xytext=(5, 5), textcoords="offset points", fontsize=8)
-    axes.set_xlim(low[0], high[0])
-    axes.set_ylim(low[1], high[1])
-    axes.set_aspect("equal")
-    axes.grid(color="#eeeeee")
-    axes.set_axisbelow(True)
-    axes.set_xlabel(f"easting - {origin[0]:.0f} (m)")
-    axes.set_ylabel(f"northing - {origin[1]:.0f} (m)")
+    frame_plan(axes, low, high, origin)
     figure.legend(loc="outside lower center", ncols=4, fontsize=8, frameon=False)
     return png(figure)
 
