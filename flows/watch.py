@@ -123,7 +123,8 @@ def watch_drive(
     DatabaseError.
     """
     if not folder.is_dir():
-        raise DriveFolderError(f"{folder}: there is no such folder; make it before the recording begins")
+        what = "this is a file, not a drive folder" if folder.exists() else "there is no such folder"
+        raise DriveFolderError(f"{folder}: {what}; make the folder before the recording begins")
     report = WatchReport(map_name=settings.map_name)
     with ExitStack() as stack:
         conn = stack.enter_context(closing(connect(database_url(settings))))

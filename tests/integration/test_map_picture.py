@@ -8,7 +8,10 @@ import pytest
 from typer.testing import CliRunner
 
 from conetl.cli.app import app
+from conetl.cli.picture import _ways
 from conetl.errors import InputError
+from conetl.io.stores.map_store import list_changesets
+from tests.integration.drives_of_days import merge, survey
 from tests.view_map import two_drives
 
 
@@ -37,6 +40,7 @@ def test_the_map_of_a_time_changes_and_a_place_in_degrees(run, tmp_path):
     for words, text in (
         (("--bbox", "1,2,3"), "west,south,east,north"),
         (("--bbox", "3,2,1,4"), "less than east"),
+        (("--bbox", "99,0,99.001,0.001"), "does not exist in the map's CRS"),
         (("--size", "9x9"), "millimetres"),
         (("--changes", "1", "2", "--at", "2026-03-02"), "leave --at"),
         (("--at", "2020-01-01"), "no cone stands"),
@@ -45,3 +49,12 @@ def test_the_map_of_a_time_changes_and_a_place_in_degrees(run, tmp_path):
         refused = run(str(out), *words)
         assert isinstance(refused.exception, InputError) and text in str(refused.exception)
         assert not out.exists()
+
+
+def test_a_picture_shows_the_paths_that_its_state_knows_of(conn):
+    for day in (0, 1):
+        merge(conn, survey(day))
+    changesets = list_changesets(conn)  # newest first
+    assert len(_ways(conn, "default", None, None)) == len(_ways(conn, "default", None, changesets[0].committed_at)) == 2
+    assert len(_ways(conn, "default", None, changesets[1].committed_at)) == 1
+    conn.rollback()

@@ -250,6 +250,8 @@ def test_the_commands(url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert one.exit_code == 0, one.output
     assert json.loads(one.stdout)["changeset_no"] == 1
     assert (tmp_path / "exports" / "reports" / "default" / "000001-drive_1.html").is_file()
+    last_day = runner.invoke(app, ["report", "night", "9999-12-31"])
+    assert isinstance(last_day.exception, InputError)
     night = runner.invoke(app, ["report", "night", "2026-03-01", "--out", str(tmp_path / "night.html"), "--json"])
     assert json.loads(night.stdout)["since"] == "2026-03-01T00:00:00+00:00"
     assert json.loads(night.stdout)["drives"] == 1

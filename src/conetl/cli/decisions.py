@@ -157,17 +157,19 @@ def _nothing() -> MapFeature:
 
 def state_of(conn: Connection, settings: Settings, name: str) -> list[MapFeature]:
     """The map that `name` stands for: as known right after a changeset, or at a time on the road as known now."""
-    valid_at: datetime | None = None
-    known_at: datetime | None = None
+    valid_at, known_at = instants_of(conn, settings, name)
+    versions = read_features_as_of(conn, valid_at, known_at=known_at, map_name=settings.map_name)
+    return [version.feature for version in versions]
+
+
+def instants_of(conn: Connection, settings: Settings, name: str) -> tuple[datetime | None, datetime | None]:
+    """Instant on the road and instant of the database that the number of a changeset, or a time, stands for; None: the latest."""
     if name.isdigit() and len(name) < 8:
         changesets = [c for c in list_changesets(conn, map_name=settings.map_name) if c.changeset_no == int(name)]
         if not changesets:
             raise InputError(f"the map {settings.map_name} has no changeset {name}: `conetl map log` lists them")
-        known_at = changesets[0].committed_at
-    else:
-        valid_at = parse_time(name)
-    versions = read_features_as_of(conn, valid_at, known_at=known_at, map_name=settings.map_name)
-    return [version.feature for version in versions]
+        return None, changesets[0].committed_at
+    return parse_time(name), None
 
 
 def _decide_place(kind: str, feature: str, radius: float, note: str, by: str | None, as_json: bool) -> None:

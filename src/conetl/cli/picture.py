@@ -15,12 +15,12 @@ from pyproj import Transformer
 
 from conetl.cli.console import JsonOption, out, parse_time, print_json
 from conetl.cli.database import open_map
-from conetl.cli.decisions import state_of
+from conetl.cli.decisions import instants_of, state_of
 from conetl.errors import InputError
 from conetl.geometry.point_tiles import decode_points, tile_side_m
 from conetl.io.db import Connection
 from conetl.io.exports.map_picture import SUFFIXES, Array, Bbox, PlanContent, draw_map_picture, plan_extent
-from conetl.io.stores.map_store import find_map, read_features_as_of
+from conetl.io.stores.map_store import find_map, list_changesets, read_features_as_of
 from conetl.io.stores.serve_store import read_base_lines, read_base_tile, read_base_tiles
 from conetl.io.stores.zone_store import read_paths
 from conetl.settings import read_settings
@@ -71,13 +71,14 @@ def picture(
             standing, differing = [version.feature for version in versions], None
         else:
             standing = state_of(conn, settings, changes[1])
+            valid_at, known = instants_of(conn, settings, changes[1])
             differing = diff_of(state_of(conn, settings, changes[0]), standing)
         extent = plan_extent(standing, differing) if bbox is None else _bbox(bbox, info.srid)
         around = _around(extent)
         points, shades = _points(conn, name, around)
         content = PlanContent(
             srid=info.srid, standing=standing, changes=differing,
-            ways_m=[path.xy_m for path in read_paths(conn, map_name=name, until=valid_at)],
+            ways_m=_ways(conn, name, valid_at, known),
             lines_m=_lines(conn, name, around), points_m=points, shades=shades,
         )  # fmt: skip
         last = info.last_committed_at
@@ -108,13 +109,10 @@ def _footer(
     valid_at: datetime | None, known: datetime | None, changes: tuple[str, str] | None, last: datetime | None
 ) -> str:
     """What the picture shows, in words that can be checked."""
-    parts = [
-        f"on the road at {valid_at:%Y-%m-%d %H:%M} UTC"
-        if valid_at
-        else "latest state"
-        if changes is None
-        else "two states compared"
-    ]
+    if changes:
+        parts = [f"{changes[0]} compared with {changes[1]}"]
+    else:
+        parts = [f"on the road at {valid_at:%Y-%m-%d %H:%M} UTC" if valid_at else "latest state"]
     if known:
         parts.append(f"as known at {known:%Y-%m-%d %H:%M} UTC")
     elif last:
@@ -145,6 +143,8 @@ def _bbox(text: str, srid: int) -> Bbox:
     if abs(west) <= 180 and abs(east) <= 180 and abs(south) <= 90 and abs(north) <= 90:
         to_map = Transformer.from_crs(4326, srid, always_xy=True)
         west, south, east, north = to_map.transform_bounds(west, south, east, north)
+        if not all(map(math.isfinite, (west, south, east, north))):
+            raise InputError(f"--bbox {text}: this place does not exist in the map's CRS, EPSG:{srid}")
     if max(east - west, north - south) > 100_000:
         raise InputError(f"--bbox {text}: a picture shows at most 100 km")
     return west, south, east, north
@@ -155,6 +155,15 @@ def _around(extent: Bbox) -> Bbox:
     west, south, east, north = extent
     more = max(east - west, north - south)
     return west - more, south - more, east + more, north + more
+
+
+def _ways(conn: Connection, name: str, valid_at: datetime | None, known: datetime | None) -> list[Array]:
+    """Paths of the drives that the state can know of."""
+    paths = read_paths(conn, map_name=name, until=valid_at)
+    if known is None:
+        return [path.xy_m for path in paths]
+    by_then = {c.drive_id for c in list_changesets(conn, map_name=name) if c.committed_at <= known}
+    return [path.xy_m for path in paths if path.drive_id in by_then]
 
 
 def _lines(conn: Connection, name: str, around: Bbox) -> list[Array]:

@@ -79,7 +79,10 @@ def _span(day: str | None, since: str | None, until: str | None) -> tuple[dateti
         if since or until:
             raise InputError("a day, or --since and --until: not both")
         begin = _time(day).replace(hour=0, minute=0, second=0, microsecond=0)
-        return begin, begin + timedelta(days=1)
+        try:
+            return begin, begin + timedelta(days=1)
+        except OverflowError:
+            raise InputError(f"{day}: the calendar ends with this day") from None
     end = _time(until) if until else datetime.now(UTC)
     return (_time(since) if since else end - timedelta(days=1)), end
 
