@@ -70,6 +70,8 @@ def cone_surface(outline: Outline, camera: Camera, up: Floats, rows: Floats, col
 
 def _plane(camera: Camera, top: tuple[float, float], foot: tuple[float, float], outwards: float) -> Floats:
     """(3,) unit normal of the plane through the projection centre and a line of the picture, its x of the sign `outwards`."""
-    (x0, y0), (x1, y1) = (((u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px) for u, v in (top, foot))
+    (x0, y0), (x1, y1) = (
+        ((u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px) for u, v in (top, foot)
+    )
     normal = np.array([y0 - y1, x1 - x0, x0 * y1 - y0 * x1])  # the cross product of the rays (x, y, 1) through both
     return np.asarray(normal / np.linalg.norm(normal) * np.sign(normal[0]) * outwards)
