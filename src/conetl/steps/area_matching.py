@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from conetl.geometry.medians import median
 from conetl.records import Camera
 from conetl.steps.cone_outline import Outline
 from conetl.steps.cone_surface import cone_surface
@@ -289,7 +290,7 @@ def _least_squares(
         move = np.clip(step_of.inverse @ step_of.pull, -0.7, 0.7)
         unknown = unknown + move
         size = np.sqrt(step_of.residual**2 @ (1 / step_of.noise) / len(step_of.noise))
-        size /= max(1.2 * _median(size), 1e-6)
+        size /= max(1.2 * median(size), 1e-6)
         settled = bool(np.abs(move[:2]).max() < _CONVERGED_PX)
         if settled and iteration >= _SOFT_ITERATIONS + 2:
             break
@@ -316,15 +317,6 @@ def _by_unknown(along: Floats, slope_u: Floats, slope_v: Floats) -> Floats:
     slopes[:, 0], slopes[:, 1] = along[:, 0] * slope_u.T, slope_v.T
     np.multiply(along.T[1:], slope_u.T[:, None], out=slopes[:, 2:])
     return slopes.transpose(1, 2, 0)
-
-
-def _median(values: Floats) -> float:
-    """As `np.median` of (n,) finite numbers, which takes five times as long for some hundreds."""
-    middle = len(values) // 2
-    if len(values) % 2:
-        return float(np.partition(values, middle)[middle])
-    low, high = np.partition(values, (middle - 1, middle))[middle - 1 : middle + 1]
-    return float(low + high) / 2
 
 
 def _background(change: Floats, noise: Floats) -> Floats:
