@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations, count
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,19 +139,28 @@ def join_fragments(
     Two groups with a common frame are two cones, however near. Otherwise the nearest pair of positions in time is compared,
     one carried into the frame of the other; the best fitting groups are joined first.
     """
-    joined: list[tuple[Position, ...]] = sorted(groups, key=lambda g: g[0].frame_index)
-    while True:
-        best: tuple[float, int, int] | None = None
-        for i in range(len(joined)):
-            for j in range(i + 1, len(joined)):
-                misfit = misfit_of(joined[i], joined[j], map_SE3_left, params, motion)
-                if misfit is not None and (best is None or misfit < best[0]):
-                    best = (misfit, i, j)
-        if best is None:
-            return joined
-        _, i, j = best
-        merged = tuple(sorted((*joined[i], *joined[j]), key=lambda p: p.frame_index))
-        joined = [g for k, g in enumerate(joined) if k not in (i, j)] + [merged]
+    joined = dict(enumerate(sorted(groups, key=lambda g: g[0].frame_index)))
+    misfits: dict[tuple[int, int], float] = {}
+
+    def compare(i: int, j: int) -> None:
+        misfit = misfit_of(joined[i], joined[j], map_SE3_left, params, motion)
+        if misfit is not None:
+            misfits[i, j] = misfit
+
+    for i, j in combinations(joined, 2):
+        compare(i, j)
+    # Only what was just joined is compared anew: to compare all again each time takes hours on a drive of many cones.
+    for number in count(len(joined)):
+        if not misfits:
+            break
+        i, j = min(misfits, key=lambda pair: (misfits[pair], pair))
+        merged = tuple(sorted((*joined.pop(i), *joined.pop(j)), key=lambda p: p.frame_index))
+        misfits = {pair: misfit for pair, misfit in misfits.items() if i not in pair and j not in pair}
+        others = list(joined)
+        joined[number] = merged
+        for other in others:
+            compare(other, number)
+    return list(joined.values())
 
 
 def misfit_of(
@@ -161,10 +171,11 @@ def misfit_of(
     motion: MotionError | None,
 ) -> float | None:
     """Squared Mahalanobis distance of two groups, or None where they cannot be one cone."""
-    frames_a, frames_b = {p.frame_index for p in a}, {p.frame_index for p in b}
-    if frames_a & frames_b:
+    apart = np.abs(np.subtract.outer([p.frame_index for p in a], [p.frame_index for p in b]))
+    i, j = divmod(int(apart.argmin()), len(b))
+    if apart[i, j] == 0:
         return None
-    one, other = min(((p, q) for p in a for q in b), key=lambda pair: abs(pair[0].frame_index - pair[1].frame_index))
+    one, other = a[i], b[j]
     mean, cov = carry(
         np.array(one.camera_xyz_m),
         cov_matrix(one.camera_cov_m2),
