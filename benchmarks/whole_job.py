@@ -152,12 +152,20 @@ def plain_ingest(workers: int, spent_s: dict[str, float] | None = None) -> Itera
 
     spent_s: processor time of each task's threads is added here (OpenCV's own threads go uncounted).
     """
-    from flows import changeset_events, control_room, ingest_drive, merge, publish, refinement
+    from flows import analysis, changeset_events, control_room, ingest_drive, merge, publish, refinement
 
     def nothing(*_: Any, **__: Any) -> Any:
         return uuid4()
 
-    modules: tuple[ModuleType, ...] = (changeset_events, control_room, ingest_drive, merge, publish, refinement)
+    modules: tuple[ModuleType, ...] = (
+        analysis,
+        changeset_events,
+        control_room,
+        ingest_drive,
+        merge,
+        publish,
+        refinement,
+    )
     named = {"get_run_logger": lambda: logging.getLogger("plain"), "emit_event": nothing}
     named["get_run_context"] = lambda: SimpleNamespace(task_run=SimpleNamespace(id=uuid4()))
     times = defaultdict(float) if spent_s is None else spent_s

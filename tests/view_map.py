@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 import uvicorn
 
+from conetl.drive_records import DriveRecords
 from conetl.io.stores.map_store import commit_changeset, map_transaction
 from conetl.map_records import Delta, DeltaKind, MapFeature, SightingEvidence
 from conetl.records import utc_from_ns
@@ -45,7 +46,8 @@ def commit(conn: Any, samples: SimpleNamespace, folder: Path, key: str, day: int
     write_pictures(source, drive)
     with map_transaction(conn):
         return commit_changeset(
-            conn, drive, samples.detections(), samples.matches(), samples.positions(), [samples.track()], [],
+            conn,
+            DriveRecords(drive, samples.detections(), samples.matches(), samples.positions(), [samples.track()]),
             samples.changeset(*deltas, drive_id=drive.drive_id, key=key), now=utc_from_ns(start_ns) + timedelta(hours=4),
         )  # fmt: skip
 
