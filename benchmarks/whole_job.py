@@ -25,7 +25,7 @@ from prefect import Flow, Task
 from prefect.utilities.annotations import opaque
 
 from conetl.io.db import connect, execute
-from conetl.io.services.cluster import cluster_up
+from conetl.io.services.cluster import cluster_remove, cluster_up
 from conetl.params import IngestParams
 from conetl.reports import IngestReport
 from conetl.settings import Settings
@@ -95,6 +95,15 @@ def database_bytes(settings: Settings) -> int:
     """Size of the map's database on disk."""
     with closing(connect(cluster_up(settings.home))) as conn:
         return int(execute(conn, "select pg_database_size(current_database()) as size")[0]["size"])
+
+
+@contextmanager
+def database_in(home: Path) -> Iterator[int]:
+    """A private cluster for the time of a benchmark; the id of its first process."""
+    try:
+        yield database_pid(settings_in(home))
+    finally:
+        cluster_remove(home)
 
 
 class Peak:
