@@ -19,7 +19,7 @@ from conetl.io.places import place
 from conetl.params import IngestParams
 from conetl.settings import Settings, prefect_environment
 from flows import progress, tasks
-from flows.ingest_drive import _run_chunks
+from flows.analysis import PrefectRuns, analyse
 from flows.runners import task_runner
 from flows.server import prefect_server
 from flows.tasks import Chunk
@@ -60,7 +60,8 @@ def test_threads_processes_and_dask_write_the_same_bytes(home: Path, chunks: lis
     drive, _ = read_drive(Path(chunks[0].frame_pairs[0].left_path).parents[2])
 
     def work(folder: Path) -> None:
-        _run_chunks(drive, [chunk.model_copy(update={"results_folder": folder}) for chunk in chunks])
+        here = [chunk.model_copy(update={"results_folder": folder}) for chunk in chunks]
+        analyse(drive, [], here, chunks[0].params, None, PrefectRuns())
 
     written: dict[str, dict[str, bytes]] = {}
     for kind in ("threads", "processes", "dask"):
