@@ -78,7 +78,9 @@ def test_threads_processes_and_dask_write_the_same_bytes(home: Path, chunks: lis
             progress.ignore(listener)
         assert heard[-1] == (8, 8), "6 pictures and 2 motions, whoever counted them"
         written[kind] = {path.name: path.read_bytes() for path in (tmp_path / kind).iterdir()}
-    assert len(written["threads"]) == 9, "4 of detections, 2 of matches; points followed, motions, self-calibration"
+    assert len(written["threads"]) == 11, (
+        "4 of detections, 2 of matches, 2 of positions; points followed, motions, self-calibration"
+    )
     assert written["processes"] == written["threads"]
     assert written["dask"] == written["threads"]
 
