@@ -1,67 +1,93 @@
-"""Fragments of tracks: what is joined, and in which order."""
+"""Chains and fragments of them: the same groups as by comparing every group with every other, on drives of any length."""
 
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given, settings
+import pytest
+from hypothesis import given
 from hypothesis import strategies as st
 
-from conetl.params import IngestParams
+from conetl.geometry.packing import cov3
+from conetl.params import TrackParams
 from conetl.records import Position
-from conetl.steps.association import join_fragments, misfit_of
+from conetl.steps.association import MotionError, join_fragments, misfit_of
 
-PARAMS = IngestParams().track
-Groups = list[tuple[Position, ...]]
-POSES = {n: np.array([[0, 0, 1, 0.8 * n], [-1, 0, 0, 0], [0, -1, 0, 1.6], [0, 0, 0, 1.0]]) for n in range(40)}
-
-
-def position(frame: int, number: int, along_m: float, aside_m: float) -> Position:
-    """A sighting of something that stands so far along the road and beside it."""
-    xyz = (-aside_m, 1.6, along_m - 0.8 * frame)
-    return Position(
-        frame_index=frame, match_index=number, xyz_m=(along_m, aside_m, 0.0), cov_m2=(0.01, 0, 0, 0.01, 0, 0.01),
-        centre_xyz_m=(along_m, aside_m, 0.3), cone_height_m=0.6, camera_xyz_m=xyz, camera_cov_m2=(0.01, 0, 0, 0.01, 0, 0.04),
-        range_m=30.0, ray_angle_rad=0.02, residual_rms_px=0.2, iterations=2, score=0.8,
-    )  # fmt: skip
+PARAMS = TrackParams()
+STEP_M = 0.8
 
 
-def one_after_the_other(groups: Groups) -> Groups:
-    """All groups compared anew after each joint."""
-    joined = sorted(groups, key=lambda g: g[0].frame_index)
+def path(frames: int) -> dict[int, np.ndarray]:
+    """Camera axes along the map's; the car drives along z."""
+    poses = {}
+    for k in range(frames):
+        poses[k] = np.eye(4)
+        poses[k][2, 3] = STEP_M * k
+    return poses
+
+
+def position(frame: int, xyz_m: np.ndarray, sigma_m: float, poses: dict[int, np.ndarray]) -> Position:
+    seen = xyz_m - poses[frame][:3, 3]
+    cov = tuple(map(float, cov3(np.diag([sigma_m**2, sigma_m**2, (3 * sigma_m) ** 2]))))
+    return Position.model_construct(
+        frame_index=frame, match_index=0, xyz_m=tuple(xyz_m), cov_m2=cov, camera_xyz_m=tuple(seen), camera_cov_m2=cov
+    )
+
+
+def drifting(m2_a_frame: float) -> MotionError:
+    """A motion whose error grows with the frames in between."""
+    most = m2_a_frame * 400
+    return MotionError(lambda a, b, _: m2_a_frame * abs(a - b) * np.eye(3), most_m2=lambda _: 3 * most)
+
+
+def joined_one_by_one(groups, poses, motion):
+    """The rule as it is written: compare all with all, join the best, begin again."""
+    groups = sorted(groups, key=lambda g: g[0].frame_index)
     while True:
-        found = [
+        fits = [
             (misfit, i, j)
-            for i in range(len(joined))
-            for j in range(i + 1, len(joined))
-            if (misfit := misfit_of(joined[i], joined[j], POSES, PARAMS, None)) is not None
+            for i in range(len(groups))
+            for j in range(i + 1, len(groups))
+            if (misfit := misfit_of(groups[i], groups[j], poses, PARAMS, motion)) is not None
         ]
-        if not found:
-            return joined
-        _, i, j = min(found)
-        merged = tuple(sorted((*joined[i], *joined[j]), key=lambda p: p.frame_index))
-        joined = [group for k, group in enumerate(joined) if k not in (i, j)] + [merged]
+        if not fits:
+            return groups
+        _, i, j = min(fits)
+        merged = tuple(sorted((*groups[i], *groups[j]), key=lambda p: p.frame_index))
+        groups = [g for k, g in enumerate(groups) if k not in (i, j)] + [merged]
 
 
-@st.composite
-def fragments(draw: st.DrawFn) -> Groups:
-    """Pieces of tracks of a few things that stand near each other, some of them in the same frames."""
+@given(seed=st.integers(0, 2**32 - 1), cones=st.integers(1, 8), m2_a_frame=st.sampled_from([0.0, 1e-5, 1e-3, None]))
+def test_fragments_are_joined_as_by_comparing_all_with_all(seed, cones, m2_a_frame):
+    rng = np.random.default_rng(seed)
+    poses = path(400)
+    motion = None if m2_a_frame is None else drifting(m2_a_frame)
     groups = []
-    for number in range(draw(st.integers(1, 9))):
-        frames = sorted(draw(st.sets(st.integers(0, 39), min_size=1, max_size=6)))
-        along, aside = draw(st.sampled_from([(40.0, 3.0), (40.8, 3.0), (43.0, -2.0)]))
-        offsets = draw(st.lists(st.floats(-0.3, 0.3), min_size=2, max_size=2))
-        groups.append(tuple(position(n, number, along + offsets[0], aside + offsets[1]) for n in frames))
-    return groups
+    for _ in range(cones):
+        place = np.array([rng.uniform(-4, 4), 1.0, rng.uniform(0, 60)])
+        frames = np.unique(rng.integers(0, 400, rng.integers(1, 12)))
+        pieces = np.split(frames, np.unique(rng.integers(0, len(frames) + 1, 3)))
+        groups += [
+            tuple(position(int(f), place + rng.normal(0, 0.05, 3), 0.05, poses) for f in piece)
+            for piece in pieces
+            if len(piece)
+        ]
+    found = join_fragments(groups, poses, PARAMS, motion)
+    assert found == joined_one_by_one(groups, poses, motion)
 
 
-@settings(max_examples=60, deadline=None)
-@given(fragments())
-def test_the_best_fit_is_joined_first_whatever_is_remembered(groups: Groups) -> None:
-    assert join_fragments(groups, POSES, PARAMS) == one_after_the_other(groups)
+def test_groups_that_no_error_brings_together_are_not_compared():
+    poses, asked = path(400), []
+
+    def cov_m2(start, end, _point_m):
+        asked.append((start, end))
+        return np.zeros((3, 3))
+
+    groups = [(position(k, np.array([0.0, 1.0, 30.0 + STEP_M * k]), 0.01, poses),) for k in range(0, 400, 5)]
+    motion = MotionError(cov_m2, most_m2=lambda _: 1e-4)
+    assert len(join_fragments(groups, poses, PARAMS, motion)) == len(groups)
+    assert len(asked) < 2 * len(groups)
 
 
-def test_groups_with_a_common_frame_are_two_cones() -> None:
-    one = (position(3, 0, 40.0, 3.0), position(4, 0, 40.0, 3.0))
-    assert misfit_of(one, (position(4, 1, 40.0, 3.0),), POSES, PARAMS, None) is None
-    assert misfit_of(one, (position(6, 1, 40.0, 3.0),), POSES, PARAMS, None) is not None
-    assert len(join_fragments([one, (position(6, 1, 40.0, 3.0),)], POSES, PARAMS)) == 1
+@pytest.mark.parametrize("motion", [None, drifting(1e-5)])
+def test_nothing_to_join(motion):
+    assert join_fragments([], path(2), PARAMS, motion) == []
