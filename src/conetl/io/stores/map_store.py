@@ -49,6 +49,7 @@ from conetl.io.stores.map_results import (
 )
 from conetl.io.stores.map_rows import feature_of
 from conetl.io.stores.quarantine_store import insert_rejections
+from conetl.io.stores.record_load import load_records, records_encoded
 from conetl.io.stores.replay_store import write_replay
 from conetl.map_records import Changeset, DeltaKind, MapFeature
 from conetl.params import ReconcileParams
@@ -216,19 +217,14 @@ def commit_changeset(
         rejection_count=len(rejections),
     )
     insert_changeset(conn, info, drive_uuid, changeset, counts, run, committed_at)
-    srid = info.srid
-    copy_columns(conn, "conetl.frame_pair", map_columns.frame_pair_columns(drive_uuid, srid, drive.frame_pairs))
-    copy_columns(conn, "conetl.detection", map_columns.detection_columns(drive_uuid, detections))
-    copy_columns(conn, "conetl.stereo_match", map_columns.match_columns(drive_uuid, matches))
-    copy_columns(conn, "conetl.position", map_columns.position_columns(drive_uuid, srid, positions))
-    copy_columns(conn, "conetl.track", map_columns.track_columns(drive_uuid, srid, tracks))
-    copy_columns(conn, "conetl.track_member", map_columns.track_member_columns(drive_uuid, tracks))
     insert_rejections(conn, changeset.changeset_id, rejections)
     drop_watched_recording(conn, drive, map_name=map_name)
-    if replay is None:
-        versions_written = _merge_deltas(conn, info, changeset, committed_at, suppressed)
-    else:
-        versions_written = write_replay(conn, info, replay, committed_at)
+    with records_encoded(drive_uuid, info.srid, drive, detections, matches, positions, tracks) as blocks:
+        if replay is None:
+            versions_written = _merge_deltas(conn, info, changeset, committed_at, suppressed)
+        else:
+            versions_written = write_replay(conn, info, replay, committed_at)
+        load_records(conn, blocks)
     written = find_changeset(conn, changeset.idempotency_key, map_name=map_name)
     if written is None:
         raise MapMismatchError(f"changeset {changeset.changeset_id} was written but cannot be found again")
