@@ -219,9 +219,11 @@ def commit_changeset(
     insert_changeset(conn, info, drive_uuid, changeset, counts, run, committed_at)
     insert_rejections(conn, changeset.changeset_id, rejections)
     drop_watched_recording(conn, drive, map_name=map_name)
+    if replay is None:
+        _stage_deltas(conn, info, changeset, suppressed)
     with records_encoded(drive_uuid, info.srid, drive, detections, matches, positions, tracks) as blocks:
         if replay is None:
-            versions_written = _merge_deltas(conn, info, changeset, committed_at, suppressed)
+            versions_written = _merge_deltas(conn, info, changeset, committed_at)
         else:
             versions_written = write_replay(conn, info, replay, committed_at)
         load_records(conn, blocks)
@@ -291,13 +293,15 @@ def _path_wkt(drive: Drive) -> str:
     return "LINESTRING(" + ", ".join(f"{x!r} {y!r}" for x, y, _ in points) + ")"
 
 
-def _merge_deltas(
-    conn: Connection, info: MapInfo, changeset: Changeset, committed_at: datetime, suppressed: Collection[UUID]
-) -> int:
-    """Set-based: stage all deltas, check them against the map, close what they replace, write what they bring."""
+def _stage_deltas(conn: Connection, info: MapInfo, changeset: Changeset, suppressed: Collection[UUID]) -> None:
+    """All deltas into a table of the transaction's own."""
     execute(conn, load_sql("write/create_delta_stage"))
     copy_columns(conn, "delta_stage", map_columns.delta_columns(info.srid, changeset.deltas, suppressed))
     execute(conn, "analyze delta_stage (feature_id, kind, is_change)")
+
+
+def _merge_deltas(conn: Connection, info: MapInfo, changeset: Changeset, committed_at: datetime) -> int:
+    """Set-based: check the staged deltas against the map, close what they replace, write what they bring."""
     execute(conn, load_sql("write/create_open_version"))
     execute(conn, "analyze open_version")
     conflicts = execute(conn, load_sql("map/delta_conflicts"), {"map_id": info.map_id})
