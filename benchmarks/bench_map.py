@@ -24,7 +24,7 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
@@ -195,6 +195,14 @@ def main() -> None:
         "--load-only", action="store_true", help="load the maps of --home that are not there yet, and end"
     )
     parser.add_argument(
+        "--per-track", type=int, nargs="+", default=[10, 1], help="positions a track: which readings of 'sightings'"
+    )
+    parser.add_argument(
+        "--before-others",
+        action="store_true",
+        help="let this process and its database session go before other work on the machine (root; Linux with autogroups)",
+    )
+    parser.add_argument(
         "--clone", action="store_true", help="measure on copies of the maps, which are dropped afterwards"
     )
     options = parser.parse_args()
@@ -249,7 +257,10 @@ def bench(url: str, size: int, options: argparse.Namespace) -> Figures | None:
         if options.clone:
             name = kept.enter_context(_clone(url, name))
         with closing(connect(_address(url, name))) as conn:
-            return measure(conn, size, options.sightings, audits=options.audits)
+            if options.before_others:
+                for pid in (os.getpid(), conn.info.backend_pid):
+                    Path(f"/proc/{pid}/autogroup").write_text("-15")
+            return measure(conn, size, options.sightings, options.per_track, audits=options.audits)
 
 
 @contextmanager
@@ -266,20 +277,23 @@ def _clone(url: str, name: str) -> Iterator[str]:
             execute(conn, f"drop database {name}_clone")
 
 
-def measure(conn: Connection, size: int, sightings: int, *, audits: bool = False) -> Figures:
+def measure(
+    conn: Connection, size: int, sightings: int, per_tracks: Sequence[int] = (10, 1), *, audits: bool = False
+) -> Figures:
     """All that is measured on a loaded map: two readings of 'sightings', boxes, sizes, audits."""
     first = 20_000 if size >= sightings + 20_000 else 0
     found: Figures = {}
-    for name, per_track, days in (("ten a track", 10, 2), ("one a track", 1, 3)):
+    for days, per_track in enumerate(per_tracks, start=2):
+        name = f"{per_track} a track"
         drive = drive_along(first, min(sightings, size - first) // per_track, days=days, seed=days, sightings=per_track)
         found[name] = merge(conn, drive)
         title = f"{len(drive.positions):,} sightings, {name} ({len(drive.tracks):,} tracks), into {size:,} features"
         report(title, found[name])
     server = executed_ms(conn, size)
-    times, found = look_back(conn, size)
+    times, in_boxes = look_back(conn, size)
     middle = f"median {np.median(server):.1f} ms, 95 % {np.percentile(server, 95):.1f} ms"
     print(
-        f"\n{LOOKS} boxes of 500 m as of a day, {found} features: server {middle}; with reading median {np.median(times):.1f} ms"
+        f"\n{LOOKS} boxes of 500 m as of a day, {in_boxes} features: server {middle}; with reading median {np.median(times):.1f} ms"
     )
     for row in index_sizes(conn, ("feature", "feature_version", "delta")):
         print(

@@ -54,8 +54,8 @@ SERVER_SETTINGS = {
     "shared_buffers": "512MB",
     "work_mem": "16MB",
     "maintenance_work_mem": "64MB",
-    # Such a drive writes 0.25 GB of log, mostly pages that it is the first to change after a checkpoint: with 1 GB every second or
-    # third drive brings a checkpoint, and pays for them again. More would make the start after a crash long.
+    # Such a drive writes 0.25 GB of log, mostly pages that it is the first to change after a checkpoint. With 1 GB every second
+    # drive or so brings a checkpoint and pays for them again; with more than 2 GB the start after a crash takes long.
     "max_wal_size": "2GB",
     # Maps lie on solid-state disks or in memory, where a page out of order costs little more than the next one.
     "random_page_cost": "1.1",
