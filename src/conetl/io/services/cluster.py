@@ -49,16 +49,10 @@ SERVER_SETTINGS = {
     "listen_addresses": "",
     "unix_socket_permissions": "0700",
     "max_connections": "60",
-    # Taken page by page as it is needed. A drive of 100,000 positions touches some 300 MB; with less its own session has to write
-    # pages out while it merges.
-    "shared_buffers": "512MB",
+    "shared_buffers": "256MB",
     "work_mem": "16MB",
     "maintenance_work_mem": "64MB",
-    # Such a drive writes 0.25 GB of log, mostly pages that it is the first to change after a checkpoint. With 1 GB every second
-    # drive or so brings a checkpoint and pays for them again; with more than 2 GB the start after a crash takes long.
-    "max_wal_size": "2GB",
-    # Maps lie on solid-state disks or in memory, where a page out of order costs little more than the next one.
-    "random_page_cost": "1.1",
+    "max_wal_size": "1GB",
     "wal_level": "minimal",
     "max_wal_senders": "0",
     "fsync": "on",
