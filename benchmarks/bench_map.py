@@ -289,7 +289,8 @@ def measure(
     times, in_boxes = look_back(conn, size)
     middle = f"median {np.median(server):.1f} ms, 95 % {np.percentile(server, 95):.1f} ms"
     print(
-        f"\n{LOOKS} boxes of 500 m as of a day, {in_boxes} features: server {middle}; with reading median {np.median(times):.1f} ms"
+        f"\n{LOOKS} boxes of 500 m as of a day, {in_boxes} features: server {middle}; "
+        f"with reading median {np.median(times):.1f} ms"
     )
     for row in index_sizes(conn, ("feature", "feature_version", "delta")):
         print(
