@@ -16,6 +16,7 @@ from conetl.errors import DatabaseError
 from conetl.io.pictures.crops import PictureMissingError
 from conetl.io.pictures.images import ImageFileError
 from conetl.io.stores.async_reader_pool import AsyncReaderPool
+from conetl.io.stores.ogc_store import warm
 from conetl.io.stores.reader_pool import ReaderPool
 from conetl.web import (
     routes_base,
@@ -45,7 +46,7 @@ def create_app(
     """The application over one database. `closing` tells whether the server stops: open streams end then. Without `writer` it only
     reads."""
     pool = ReaderPool(database_url)
-    ogc_pool = AsyncReaderPool(database_url)
+    ogc_pool = AsyncReaderPool(database_url, warm)
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
