@@ -55,8 +55,9 @@ where v.geom && ST_MakeEnvelope(%(west)s, %(south)s, %(east)s, %(north)s, 32632)
 #: The same cones by their longitudes and latitudes, as a box in degrees means it (its edges are not parallel to those in metres).
 _IN_DEGREES = """
 select v.feature_id from conetl.map_as_of(%(map)s, %(at)s::timestamptz) v
+cross join lateral (select ST_Transform(v.geom, 4326) as place) p
 where v.geom && ST_Expand(ST_MakeEnvelope(%(west)s, %(south)s, %(east)s, %(north)s, 32632), %(spare_m)s)
-and ST_Transform(v.geom, 4326) && ST_MakeEnvelope(%(lon_west)s, %(lat_south)s, %(lon_east)s, %(lat_north)s, 4326)
+and ST_X(p.place) between %(lon_west)s and %(lon_east)s and ST_Y(p.place) between %(lat_south)s and %(lat_north)s
 order by v.feature_id limit %(limit)s
 """
 #: Different questions; each user begins elsewhere in the list.
@@ -119,7 +120,8 @@ def main() -> None:
 def make_questions(conn: Connection, side_m: float, limit: int) -> list[Question]:
     """Boxes around cones from all over the map."""
     rows = execute(
-        conn, "select ST_X(geom) as x, ST_Y(geom) as y from conetl.feature_version tablesample system (0.05)"
+        conn,
+        "select ST_X(geom) as x, ST_Y(geom) as y from conetl.feature_version tablesample system (0.05) repeatable (1)",
     )
     dice = random.Random(1)
     places = np.array([(p["x"], p["y"]) for p in dice.choices(rows, k=_QUESTIONS)])

@@ -4,7 +4,9 @@
 -- Put in by the caller: {{source}} (conetl_ogc.standing; conetl_ogc.features where the condition or the order needs its evidence), {{where}},
 -- {{order}}, {{properties}} (columns of p, n and e).
 -- Columns: items (with commas, in order; null: none), returned (how many).
--- Evidence is that of conetl.feature_evidence, looked up after the limit; belief after a miss only where there is one.
+-- Evidence is that of conetl.feature_evidence, looked up after the limit and for all items at once; belief after a miss only where there is
+-- one. The full join finds what a left join would, because n has no other features; but it is always hashed or merged, where a planner who
+-- expects one item would go through n once for each.
 with page as materialized (
     select s.*, row_number() over () as place_no
     from (
@@ -23,8 +25,9 @@ select
     ) as items,
     count(*)::integer as returned
 from page p
-cross join lateral (
+full join (
     select
+        x.feature_id,
         count(*) filter (where x.kind in ('missed', 'removed'))::integer as missed_count,
         count(*) filter (
             where x.kind not in ('missed', 'removed', 'merged') and x.changeset_id not in (
@@ -32,9 +35,10 @@ cross join lateral (
             )
         )::integer as seen_count
     from conetl.delta x
-    where x.feature_id = p.feature_id
+    where x.feature_id = any (array(select feature_id from page))
     and x.changed_at <= (select $7::text::timestamptz) and x.system_period @> (select $8::text::timestamptz)
-) n
+    group by x.feature_id
+) n on n.feature_id = p.feature_id
 cross join lateral (
     select
         case when n.missed_count > 0 then (

@@ -21,7 +21,7 @@ from conetl.records import utc_from_ns
 from conetl.web.app import create_app
 from tests import ogc_schemas as standard
 from tests.integration.test_qgis_project import OFFSCREEN, PYTHON, has_qgis
-from tests.view_map import commit, cone, serving, two_drives
+from tests.view_map import commit, cone, missed, serving, two_drives
 
 OGC = "/ogc"
 FEATURES = f"{OGC}/collections/default.features"
@@ -258,6 +258,33 @@ def test_pages_hold_each_item_once_also_while_a_drive_is_committed(database_url,
         assert sorted(seen) == sorted(str(f.feature_id) for f in cones)
         assert get(client, f"{FEATURES}/items", limit=1)["numberMatched"] == 12
     conn.close()
+
+
+def test_belief_is_that_after_the_last_drive_that_looked_in_vain(database_url, samples, start, tmp_path):
+    conn = connect(database_url)
+    there, beside = (cone(samples, name, 2.0 * k) for k, name in enumerate(("there", "beside")))
+    commit(conn, samples, tmp_path, "1", 0, samples.added(there), samples.added(beside))
+    for day, existence in ((1, 0.6), (2, 0.3)):
+        at_ns = samples.START_NS + day * samples.DAY_NS + 7
+        commit(conn, samples, tmp_path, f"{day + 1}", day, missed(there, at_ns, existence))
+    conn.close()
+    with TestClient(create_app(database_url, "default"), base_url=BASE) as client:
+        for day, existence in ((0, there.existence_probability), (1, 0.6), (2, 0.3)):
+            asked = {"at": iso(start + (day + 0.5) * DAY)}
+            pages = [get(client, f"{FEATURES}/items", schema=standard.ITEMS, **asked)["features"]]
+            pages.append(
+                [
+                    json.loads(line)
+                    for line in client.get(f"{FEATURES}/items", params=asked | {"f": "geojsonseq"}).text.splitlines()
+                ]
+            )
+            for items in pages:
+                found = {item["id"]: item["properties"] for item in items}
+                names = ("existence_probability", "seen_count", "missed_count")
+                assert [found[str(there.feature_id)][name] for name in names] == [existence, 1, day]
+                assert [found[str(beside.feature_id)][name] for name in names] == [beside.existence_probability, 1, 0]
+            low = get(client, f"{FEATURES}/items", limit=1, sortby="existence_probability", **asked)["features"]
+            assert low[0]["properties"]["existence_probability"] == min(existence, beside.existence_probability)
 
 
 def test_a_new_map_appears_by_itself(database_url, samples):

@@ -32,8 +32,8 @@ _BUSY = "The database is busy: all connections of the OGC API are in use. Try ag
 class AsyncReaderPool:
     """`MAX_CONNECTIONS` read-only connections, as role conetl_reader where the user may take it.
 
-    All are opened with the first request and stay open: a new session plans its first question for 30 ms and more, and at busy times
-    those would be the slowest answers. `warm` asks each session such a question.
+    All are opened with the first request and stay open: a new session plans its first question for 30 ms and more, and at busy
+    times those would be the slowest answers. `warm` asks each session such a question.
     """
 
     def __init__(self, url: str, warm: Callable[[asyncpg.Connection], Awaitable[None]] | None = None) -> None:

@@ -42,8 +42,8 @@ class Instants:
 #: Columns of features that are looked up in the deltas, and what a page takes them from.
 EVIDENCE_COLUMNS = {
     "existence_probability": "coalesce(e.existence_after, p.existence_probability)",
-    "seen_count": "n.seen_count",
-    "missed_count": "n.missed_count",
+    "seen_count": "coalesce(n.seen_count, 0)",
+    "missed_count": "coalesce(n.missed_count, 0)",
 }
 FEATURE_COLUMNS = {
     "feature_id": ("uuid", "The cone, the same in all its versions"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ from tipg.resources.enums import MediaType
 from tipg.resources.response import GeoJSONResponse
 
 from conetl.web.ogc.collections import AsOfCollection
+from conetl.web.ogc.definition import NOT_OFFERED
 from conetl.web.ogc.pages import item_links, page_answer
 from conetl.web.ogc.parameters import (
     CARRIED,
@@ -74,7 +76,7 @@ class _Features(OGCFeaturesFactory):
         ) -> Any:
             if output_type is not MediaType.geojson:
                 return await others(
-                    request=request, collection=collection, output_type=output_type, limit=limit, offset=offset, **asked
+                    request=request, collection=collection, output_type=output_type, limit=limit, offset=offset, cql_filter=None, **asked
                 )
             address = partial(self.url_for, request)
             async with request.app.state.pool.acquire() as conn:
@@ -86,6 +88,9 @@ class _Features(OGCFeaturesFactory):
                 )  # fmt: skip
             return page_answer(request, collection, page, limit=limit, offset=offset or 0, address=address)
 
+        declared = inspect.signature(others)
+        offered = [p for name, p in declared.parameters.items() if name.replace("_", "-") not in NOT_OFFERED and name != "cql_filter"]
+        items.__signature__ = declared.replace(parameters=offered)  # type: ignore[attr-defined]  # the fewer, the sooner FastAPI is done
         self.router.get(route.path, response_class=GeoJSONResponse, responses=route.responses, tags=route.tags)(items)
 
     def url_for(self, request: Request, name: str, **path_params: Any) -> str:
