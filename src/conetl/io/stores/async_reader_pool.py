@@ -24,7 +24,7 @@ _SESSION = {
     "application_name": "conetl ogc",
     "TimeZone": "UTC",
     "jit": "off",
-    "plan_cache_mode": "force_custom_plan",  # a box of 500 m and the whole map want different plans
+    "plan_cache_mode": "force_generic_plan",  # planning is a fifth of a page; a question for a whole map is another statement
 }
 _BUSY = "The database is busy: all connections of the OGC API are in use. Try again."
 

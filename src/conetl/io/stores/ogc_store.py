@@ -78,10 +78,10 @@ async def warm(conn: asyncpg.Connection) -> None:
         "where": "WHERE TRUE",
         "order": '"feature_id"',
         "source": "conetl_ogc.standing",
+        "box": "".join(f", ${9 + k}" for k in range(8)),
         "properties": "p.feature_id, n.seen_count, e.existence_after",
     }
-    instants = ["infinity"] * 3
-    await read_page(conn, "features", text, [1, 0, "", "", "", *instants, *EVERYWHERE, *NO_ROWS])
+    await read_page(conn, "features", text, [1, 0, "", "", "", *["infinity"] * 3, *EVERYWHERE, *NO_ROWS])
 
 
 def rows_near(box: Degrees, served: ServedMap) -> Metres:

@@ -15,7 +15,7 @@ from tipg.collections import Column, ItemList, Parameter, PgCollection
 from tipg.errors import NotFound
 from tipg.model import Extent, Spatial, Temporal
 
-from conetl.io.stores.ogc_store import EVERYWHERE, Degrees, ServedMap, read_page, rows_near
+from conetl.io.stores.ogc_store import ALL_ROWS, EVERYWHERE, Degrees, ServedMap, read_page, rows_near
 from conetl.params import ReconcileParams
 from conetl.web.ogc.pages import Page
 from conetl.web.ogc.values import BadParameterError, check_value
@@ -150,6 +150,8 @@ class AsOfCollection(PgCollection):
             wanted = {name: EVIDENCE_COLUMNS.get(name, column) for name, column in wanted.items()}
         text["properties"] = ", ".join(f"{column} as {name}" for name, column in wanted.items())
         arguments = self._arguments(box, interval)
+        own = len([name for name in arguments if name not in _BOX])
+        text["box"] = "".join(f", ${5 + k}" for k in range(own, len(arguments)))
         items, returned = await read_page(conn, self.table, text, [limit, offset, *links, *arguments.values()])
         if returned < limit and (returned or not offset):  # the last page says how many there are
             return Page(items, returned, offset + returned)
@@ -177,8 +179,9 @@ class AsOfCollection(PgCollection):
         edges = tms.bounds(tile)
         around = (edges.left, edges.bottom, edges.right, edges.top)
         arguments = self._arguments(box, asked.pop("datetime_filter", None))
-        if box is None:
-            arguments |= dict(zip(_BOX[4:], rows_near(around, self.served), strict=True))
+        near = rows_near(around, self.served)
+        if box is None and near != ALL_ROWS:
+            arguments |= dict(zip(_BOX, (*EVERYWHERE, *near), strict=True))
         asked["function_parameters"] = _texts(arguments)
         tile_bytes: bytes = await super().get_tile(conn, tms=tms, tile=tile, **asked)
         return tile_bytes
@@ -186,9 +189,13 @@ class AsOfCollection(PgCollection):
     def _arguments(
         self, box: Degrees | None, interval: tuple[datetime | None, datetime | None] | None
     ) -> dict[str, str | float]:
-        """What the function is called with, in the order of its parameters: names and instants as text."""
-        edges = (*(box or EVERYWHERE), *rows_near(box or EVERYWHERE, self.served))
-        return {"map_name": self.served.map_name} | self._times(interval) | dict(zip(_BOX, edges, strict=True))
+        """What the function is called with, in the order of its parameters: names and instants as text.
+
+        Without a box where all of the map is asked for: that is a statement of its own, with a plan of its own.
+        """
+        near = ALL_ROWS if box is None else rows_near(box, self.served)
+        edges = {} if box is None or near == ALL_ROWS else dict(zip(_BOX, (*box, *near), strict=True))
+        return {"map_name": self.served.map_name} | self._times(interval) | edges
 
     def _times(self, interval: tuple[datetime | None, datetime | None] | None) -> dict[str, str | float]:
         asked = self.instants
