@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import re
 import subprocess
@@ -17,8 +18,11 @@ from fastapi.testclient import TestClient
 
 from conetl.geometry.geodesy import to_geodetic
 from conetl.io.db import connect, execute
+from conetl.io.stores.async_reader_pool import AsyncReaderPool
+from conetl.io.stores.ogc_store import MapDirectory
 from conetl.records import utc_from_ns
 from conetl.web.app import create_app
+from conetl.web.ogc.collections import Instants, features_of, warm
 from tests import ogc_schemas as standard
 from tests.integration.test_qgis_project import OFFSCREEN, PYTHON, has_qgis
 from tests.view_map import commit, cone, missed, serving, two_drives
@@ -331,6 +335,24 @@ def plain(item):
     """Instants without their trailing zeros, which not everybody writes."""
     values = {k: utc(v) if k.endswith(("_at", "_from", "_to")) and v else v for k, v in item["properties"].items()}
     return item | {"properties": values}
+
+
+def test_a_new_session_has_planned_its_first_page(module_database_url, features):
+    asked = dict.fromkeys(("ids", "interval", "sortby", "properties")) | {"values": [], "limit": 10, "offset": 0}
+    count_pages = "select count(*) from pg_prepared_statements where statement like '-- Purpose: one page of features%'"
+
+    async def prepared_before_and_after():
+        pool = AsyncReaderPool(module_database_url, warm)
+        async with pool.acquire() as conn:
+            [served] = await MapDirectory().maps(conn, "default")
+            before = await conn.fetchval(count_pages)
+            box = (8.0, 48.0, 8.43, 49.5)
+            page = await features_of(served, Instants()).page(conn, box=box, links=("[", "]"), **asked)
+            after = await conn.fetchval(count_pages)
+        await pool.close()
+        return before, after, page.returned
+
+    assert asyncio.run(prepared_before_and_after()) == (1, 1, 3)
 
 
 def test_limits(client):

@@ -70,18 +70,10 @@ async def read_page(
     return (row["items"] or "").encode(), row["returned"]
 
 
-async def warm(conn: asyncpg.Connection) -> None:
-    """Ask for a page of nothing, so that the session's first answer takes no longer than the next ones."""
+async def warm_session(conn: asyncpg.Connection) -> None:
+    """Read what the first question of a session would read: what maps there are, and their coordinate reference systems."""
     await conn.fetch(load_sql("serve/ogc_warm"))
     await conn.fetch(load_sql("serve/ogc_maps"), "")
-    text = {
-        "where": "WHERE TRUE",
-        "order": '"feature_id"',
-        "source": "conetl_ogc.standing",
-        "box": "".join(f", ${9 + k}" for k in range(8)),
-        "properties": "p.feature_id, n.seen_count, e.existence_after",
-    }
-    await read_page(conn, "features", text, [1, 0, "", "", "", *["infinity"] * 3, *EVERYWHERE, *NO_ROWS])
 
 
 def rows_near(box: Degrees, served: ServedMap) -> Metres:

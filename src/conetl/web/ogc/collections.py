@@ -15,7 +15,7 @@ from tipg.collections import Column, ItemList, Parameter, PgCollection
 from tipg.errors import NotFound
 from tipg.model import Extent, Spatial, Temporal
 
-from conetl.io.stores.ogc_store import ALL_ROWS, EVERYWHERE, Degrees, ServedMap, read_page, rows_near
+from conetl.io.stores.ogc_store import ALL_ROWS, EVERYWHERE, Degrees, ServedMap, read_page, rows_near, warm_session
 from conetl.params import ReconcileParams
 from conetl.web.ogc.pages import Page
 from conetl.web.ogc.values import BadParameterError, check_value
@@ -257,6 +257,16 @@ def _collection(
         parameters=[Parameter(name=key, type=kind, default="") for key, kind in types.items()],
         served=served, instants=instants, format=output,
     )  # fmt: skip
+
+
+async def warm(conn: asyncpg.Connection) -> None:
+    """Ask for a page of nothing, so that the first page of a session takes no longer than the next ones."""
+    await warm_session(conn)
+    nowhere = ServedMap("", 0, 0, datetime.min.replace(tzinfo=UTC), (0.0, 0.0, 0.0, 0.0), datetime.min.replace(tzinfo=UTC))
+    elsewhere = (90.0, 45.0, 90.0, 45.0)
+    await features_of(nowhere, Instants()).page(
+        conn, ids=None, box=elsewhere, interval=None, values=None, sortby=None, properties=None, limit=1, offset=0, links=("", "")
+    )
 
 
 def _check_ids(ids: list[str] | None) -> None:
