@@ -391,6 +391,7 @@ def test_a_layer_of_tiles_is_of_the_instant_asked_for_and_stays_live(client):
 
 def test_filters_by_property_order_and_choice_of_properties(client, features):
     assert names(features, get(client, f"{CHANGES}/items", kind="added", **{"from": "2026-03-01T20:00Z"})) == ["comes"]
+    assert get(client, f"{FEATURES}/items", category="{{order}}{{box}}'")["features"] == []
     low_first = names(features, get(client, f"{FEATURES}/items", sortby="existence_probability,-easting_m"))
     assert low_first == ["comes", "wanders", "stays"]
     page = get(client, f"{FEATURES}/items", properties="category,version")
@@ -449,6 +450,8 @@ def test_what_cannot_be_understood_is_refused(client, query):
         ("version=99999999999", "version='99999999999' should be a whole number"),
         ("easting_m=east", "easting_m='east' should be a number"),
         ("feature_id=1", "feature_id='1' should be the id of a cone"),
+        ("version=1_0", "version='1_0' should be a whole number"),
+        ("valid_from=1772352000", "valid_from='1772352000' should be an instant"),
         ("valid_from=yesterday", "valid_from='yesterday' should be an instant"),
         ("properties=category,nope", "There is no property 'nope'; there are: feature_id, version"),
         ("properties=nope&f=csv", "There is no property 'nope'"),

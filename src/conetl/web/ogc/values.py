@@ -33,6 +33,8 @@ def check_value(name: str, kind: str, text: str) -> None:
         return
     read, wanted = known
     try:
+        if not text.isascii() or "_" in text:  # Python reads these as numbers, PostgreSQL does not
+            raise ValueError
         read(text)
     except (ValueError, BadParameterError) as error:
         raise BadParameterError(f"{name}={text!r} should be {wanted}.") from error
@@ -43,9 +45,21 @@ def _integer(text: str) -> None:
         raise ValueError
 
 
+def _uuid(text: str) -> None:
+    UUID(text)
+    if len(text) not in (32, 36):  # Python also reads urn:uuid:...
+        raise ValueError
+
+
+def _instant_in_words(text: str) -> None:
+    read_instant(text)
+    if "-" not in text:  # seconds since 1970 are no text of an instant
+        raise ValueError
+
+
 _VALUES: dict[str, tuple[Callable[[str], object], str]] = {
     "integer": (_integer, "a whole number from -2147483648 to 2147483647"),
     "float8": (float, "a number"),
-    "uuid": (UUID, "the id of a cone, a UUID"),
-    "timestamptz": (read_instant, "an instant such as 2026-03-02T12:00:00Z"),
+    "uuid": (_uuid, "the id of a cone, a UUID"),
+    "timestamptz": (_instant_in_words, "an instant such as 2026-03-02T12:00:00Z"),
 }
