@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import re
 import subprocess
 from datetime import datetime, timedelta
+from itertools import product
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
@@ -16,11 +18,14 @@ from fastapi.testclient import TestClient
 
 from conetl.geometry.geodesy import to_geodetic
 from conetl.io.db import connect, execute
+from conetl.io.stores.async_reader_pool import AsyncReaderPool
+from conetl.io.stores.ogc_store import MapDirectory
 from conetl.records import utc_from_ns
 from conetl.web.app import create_app
+from conetl.web.ogc.collections import Instants, features_of, warm
 from tests import ogc_schemas as standard
 from tests.integration.test_qgis_project import OFFSCREEN, PYTHON, has_qgis
-from tests.view_map import commit, cone, serving, two_drives
+from tests.view_map import commit, cone, missed, serving, two_drives
 
 OGC = "/ogc"
 FEATURES = f"{OGC}/collections/default.features"
@@ -185,8 +190,8 @@ def test_changes_between_two_instants(client, features, start):
     assert kinds(client, features, **{"from": early, "to": late}) == all_kinds
     assert kinds(client, features, datetime=f"{early}/{late}") == all_kinds
     assert kinds(client, features, **{"from": late, "to": late}) == {}
-    back = kinds(client, features, **{"from": late, "to": early})
-    assert back == {"stays": "confirmed", "goes": "added", "wanders": "moved", "comes": "removed"}
+    refused = get(client, f"{CHANGES}/items", 400, **{"from": late, "to": early})["detail"]
+    assert "is later than to=" in refused
     assert set(kinds(client, features).values()) == {"added"}
     [moved] = [
         i for i in get(client, f"{CHANGES}/items", **{"from": early})["features"] if i["properties"]["kind"] == "moved"
@@ -259,6 +264,33 @@ def test_pages_hold_each_item_once_also_while_a_drive_is_committed(database_url,
     conn.close()
 
 
+def test_belief_is_that_after_the_last_drive_that_looked_in_vain(database_url, samples, start, tmp_path):
+    conn = connect(database_url)
+    there, beside = (cone(samples, name, 2.0 * k) for k, name in enumerate(("there", "beside")))
+    commit(conn, samples, tmp_path, "1", 0, samples.added(there), samples.added(beside))
+    for day, existence in ((1, 0.6), (2, 0.3)):
+        at_ns = samples.START_NS + day * samples.DAY_NS + 7
+        commit(conn, samples, tmp_path, f"{day + 1}", day, missed(there, at_ns, existence))
+    conn.close()
+    with TestClient(create_app(database_url, "default"), base_url=BASE) as client:
+        for day, existence in ((0, there.existence_probability), (1, 0.6), (2, 0.3)):
+            asked = {"at": iso(start + (day + 0.5) * DAY)}
+            pages = [get(client, f"{FEATURES}/items", schema=standard.ITEMS, **asked)["features"]]
+            pages.append(
+                [
+                    json.loads(line)
+                    for line in client.get(f"{FEATURES}/items", params=asked | {"f": "geojsonseq"}).text.splitlines()
+                ]
+            )
+            for items in pages:
+                found = {item["id"]: item["properties"] for item in items}
+                names = ("existence_probability", "seen_count", "missed_count")
+                assert [found[str(there.feature_id)][name] for name in names] == [existence, 1, day]
+                assert [found[str(beside.feature_id)][name] for name in names] == [beside.existence_probability, 1, 0]
+            low = get(client, f"{FEATURES}/items", limit=1, sortby="existence_probability", **asked)["features"]
+            assert low[0]["properties"]["existence_probability"] == min(existence, beside.existence_probability)
+
+
 def test_a_new_map_appears_by_itself(database_url, samples):
     with TestClient(create_app(database_url, "second"), base_url=BASE) as client:
         assert get(client, f"{OGC}/collections", schema=standard.COLLECTIONS)["collections"] == []
@@ -272,6 +304,55 @@ def test_a_new_map_appears_by_itself(database_url, samples):
         for name in ("first", "second"):
             [item] = get(client, f"{OGC}/collections/{name}.features/items")["features"]
             assert item["id"] == str(samples.feature(name).feature_id)
+
+
+def test_the_number_of_all_items_is_right_on_every_page(client):
+    for start, returned in ((0, 2), (1, 2), (2, 1), (3, 0), (99, 0)):
+        page = get(client, f"{FEATURES}/items", schema=standard.ITEMS, limit=2, offset=start)
+        assert (page["numberMatched"], page["numberReturned"]) == (3, returned)
+        rels = [link["rel"] for link in page["links"]]
+        assert ("next" in rels, "prev" in rels) == (0 < returned < 3 - start, start > 0)
+
+
+@pytest.mark.parametrize(
+    "query",
+    ["", "limit=2", "sortby=-existence_probability", "seen_count=1", "properties=seen_count,category", "properties=",
+     "bbox=8,48,9,50", "sortby=-northing_m&limit=2&offset=1", "version=1"],
+)  # fmt: skip
+def test_items_of_geojson_are_those_of_the_other_forms(client, start, query):
+    """PostgreSQL makes GeoJSON from a query of its own; the other forms are tipg's."""
+    for path, at in product((FEATURES, CHANGES), (start + DAY / 2, start + DAY * 2)):
+        if path == CHANGES and "seen_count" in query:
+            continue
+        address = f"{path}/items?{query}&{'at' if path == FEATURES else 'to'}={iso(at).replace('+', '%2B')}"
+        page = get(client, address, schema=standard.ITEMS)
+        lines = client.get(f"{address}&f=geojsonseq").text.splitlines()
+        others = [json.loads(line) for line in lines]
+        assert [plain(item) for item in page["features"]] == [plain(item) for item in others]
+
+
+def plain(item):
+    """Instants without their trailing zeros, which not everybody writes."""
+    values = {k: utc(v) if k.endswith(("_at", "_from", "_to")) and v else v for k, v in item["properties"].items()}
+    return item | {"properties": values}
+
+
+def test_a_new_session_has_planned_its_first_page(module_database_url, features):
+    asked = dict.fromkeys(("ids", "interval", "sortby", "properties")) | {"values": [], "limit": 10, "offset": 0}
+    count_pages = "select count(*) from pg_prepared_statements where statement like '-- Purpose: one page of features%'"
+
+    async def prepared_before_and_after():
+        pool = AsyncReaderPool(module_database_url, warm)
+        async with pool.acquire() as conn:
+            [served] = await MapDirectory().maps(conn, "default")
+            before = await conn.fetchval(count_pages)
+            box = (8.0, 48.0, 8.43, 49.5)
+            page = await features_of(served, Instants()).page(conn, box=box, links=("[", "]"), **asked)
+            after = await conn.fetchval(count_pages)
+        await pool.close()
+        return before, after, page.returned
+
+    assert asyncio.run(prepared_before_and_after()) == (1, 1, 3)
 
 
 def test_limits(client):
@@ -310,6 +391,7 @@ def test_a_layer_of_tiles_is_of_the_instant_asked_for_and_stays_live(client):
 
 def test_filters_by_property_order_and_choice_of_properties(client, features):
     assert names(features, get(client, f"{CHANGES}/items", kind="added", **{"from": "2026-03-01T20:00Z"})) == ["comes"]
+    assert get(client, f"{FEATURES}/items", category="{{order}}{{box}}'")["features"] == []
     low_first = names(features, get(client, f"{FEATURES}/items", sortby="existence_probability,-easting_m"))
     assert low_first == ["comes", "wanders", "stays"]
     page = get(client, f"{FEATURES}/items", properties="category,version")
@@ -357,6 +439,27 @@ def test_vector_tiles(client, features):
 )  # fmt: skip
 def test_what_cannot_be_understood_is_refused(client, query):
     get(client, f"{FEATURES}/items?{query}", 400)
+
+
+@pytest.mark.parametrize(
+    ("query", "words"),
+    [
+        ("offset=99999999999999999999", "offset=99999999999999999999 should be a whole number from 0"),
+        ("offset=9223372036854775807", "should be a whole number from 0"),
+        ("version=one", "version='one' should be a whole number"),
+        ("version=99999999999", "version='99999999999' should be a whole number"),
+        ("easting_m=east", "easting_m='east' should be a number"),
+        ("feature_id=1", "feature_id='1' should be the id of a cone"),
+        ("version=1_0", "version='1_0' should be a whole number"),
+        ("valid_from=1772352000", "valid_from='1772352000' should be an instant"),
+        ("valid_from=yesterday", "valid_from='yesterday' should be an instant"),
+        ("properties=category,nope", "There is no property 'nope'; there are: feature_id, version"),
+        ("properties=nope&f=csv", "There is no property 'nope'"),
+        ("sortby=nope", "nope"),
+    ],
+)  # fmt: skip
+def test_a_refusal_says_what_was_expected(client, query, words):
+    assert words in get(client, f"{FEATURES}/items?{query}", 400)["detail"]
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager, suppress
 from urllib.parse import quote, urlencode
 
 import asyncpg
@@ -24,17 +24,23 @@ _SESSION = {
     "application_name": "conetl ogc",
     "TimeZone": "UTC",
     "jit": "off",
-    "plan_cache_mode": "force_custom_plan",  # a box of 500 m and the whole map want different plans
+    "plan_cache_mode": "force_generic_plan",  # planning is a fifth of a page; a question for a whole map is another statement
 }
 _BUSY = "The database is busy: all connections of the OGC API are in use. Try again."
 
 
 class AsyncReaderPool:
-    """At most `MAX_CONNECTIONS` read-only connections, as role conetl_reader where the user may take it."""
+    """`MAX_CONNECTIONS` read-only connections, as role conetl_reader where the user may take it.
 
-    def __init__(self, url: str) -> None:
+    All are opened with the first request and stay open: a new session plans its first question for 30 ms and more, and at busy
+    times those would be the slowest answers. `warm` asks each session such a question.
+    """
+
+    def __init__(self, url: str, warm: Callable[[asyncpg.Connection], Awaitable[None]] | None = None) -> None:
         self._url = url
+        self._warm = warm
         self._pool: asyncpg.Pool | None = None
+        self._filling: asyncio.Future[list[BaseException | None]] | None = None
         self._opening = asyncio.Lock()
 
     @asynccontextmanager
@@ -57,6 +63,8 @@ class AsyncReaderPool:
     async def close(self) -> None:
         """End all connections; the next request opens new ones."""
         pool, self._pool = self._pool, None
+        if self._filling is not None:
+            self._filling.cancel()
         if pool is not None:
             pool.terminate()
 
@@ -69,12 +77,26 @@ class AsyncReaderPool:
                     f"postgresql:///{quote(parts.get('dbname', ''), safe='')}?{query}",
                     min_size=0,
                     max_size=MAX_CONNECTIONS,
+                    max_inactive_connection_lifetime=0,
                     timeout=CONNECT_TIMEOUT_S,
-                    init=_only_read,
+                    init=self._prepare,
                     reset=_keep,
                     server_settings=_SESSION,
                 )
+                touches = [_touch(self._pool) for _ in range(MAX_CONNECTIONS)]
+                self._filling = asyncio.gather(*touches, return_exceptions=True)  # whoever asks will be told
             return self._pool
+
+    async def _prepare(self, conn: asyncpg.Connection) -> None:
+        await _only_read(conn)
+        if self._warm is not None:
+            with suppress(asyncpg.PostgresError):  # whoever asks will be told
+                await self._warm(conn)
+
+
+async def _touch(pool: asyncpg.Pool) -> None:
+    async with pool.acquire(timeout=WAIT_S):
+        pass
 
 
 async def _only_read(conn: asyncpg.Connection) -> None:

@@ -1,12 +1,16 @@
-"""What the OGC API asks of the database beside tipg's own queries: which maps there are, where they lie, boxes in their CRS."""
+"""What the OGC API asks of the database beside tipg's own queries: which maps there are, where they lie, boxes, pages."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 
 import asyncpg
+import numpy as np
 
+from conetl.geometry.geodesy import to_map
 from conetl.io.db import load_sql
 
 #: West, south, east, north in degrees.
@@ -55,7 +59,24 @@ class MapDirectory:
         return replace(known, committed_at=row["committed_at"])
 
 
-async def rows_near(conn: asyncpg.Connection, box: Degrees, served: ServedMap) -> Metres:
+async def read_page(
+    conn: asyncpg.Connection, kind: str, text: Mapping[str, str], arguments: Sequence[str | float]
+) -> tuple[bytes, int]:
+    """Items of one page as JSON with commas between them, and how many; `kind` is features or changes, `text` what the statement
+    wants put in."""
+    # In one go: a condition may hold the text of a client, in which nothing is put in.
+    statement = re.sub(r"\{\{(\w+)\}\}", lambda found: text[found[1]], load_sql(f"serve/ogc_{kind}_page"))
+    row = await conn.fetchrow(statement, *arguments)
+    return (row["items"] or "").encode(), row["returned"]
+
+
+async def warm_session(conn: asyncpg.Connection) -> None:
+    """Read what the first question of a session would read: what maps there are, and their coordinate reference systems."""
+    await conn.fetch(load_sql("serve/ogc_warm"))
+    await conn.fetch(load_sql("serve/ogc_maps"), "")
+
+
+def rows_near(box: Degrees, served: ServedMap) -> Metres:
     """A box in the map's CRS that holds all features of the map in `box` (west > east: across 180 degrees), for the index.
 
     Only the part of it that the map reaches is looked at: far from its zone a projection says nothing.
@@ -69,11 +90,28 @@ async def rows_near(conn: asyncpg.Connection, box: Degrees, served: ServedMap) -
         if part == (low_x, low_y, high_x, high_y):
             return ALL_ROWS
         if part[0] <= part[2] and part[1] <= part[3]:
-            found.append(await conn.fetchrow(load_sql("serve/ogc_box"), *part, served.srid))
+            found.append(_around(part, served.srid))
     if not found:
         return NO_ROWS
     sides = list(zip(*found, strict=True))
     return min(sides[0]), min(sides[1]), max(sides[2]), max(sides[3])
+
+
+def _around(box: Degrees, srid: int) -> Metres:
+    """A box in a CRS that surely holds a box in degrees.
+
+    Its edges are bent there, so they are looked at in 16 pieces each; what they bulge between is far below the hundredth (and the
+    metre) that is added.
+    """
+    west, south, east, north = box
+    steps = np.linspace(0.0, 1.0, 17)
+    lon, lat = west + (east - west) * steps, south + (north - south) * steps
+    lons = np.concatenate([lon, lon, np.full(17, west), np.full(17, east)])
+    lats = np.concatenate([np.full(17, south), np.full(17, north), lat, lat])
+    places = to_map(srid, lats, lons, 0.0)[:, :2]
+    (low_x, low_y), (high_x, high_y) = places.min(axis=0).tolist(), places.max(axis=0).tolist()
+    spare_m = 1 + 0.01 * max(high_x - low_x, high_y - low_y)
+    return low_x - spare_m, low_y - spare_m, high_x + spare_m, high_y + spare_m
 
 
 def _grown(extent: Degrees) -> Degrees:

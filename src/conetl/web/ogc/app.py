@@ -24,10 +24,10 @@ from conetl.web.ogc.definition import define
 from conetl.web.ogc.endpoints import API_DEFINITION_TYPE, DESCRIPTION, TITLE, conformance, endpoints, landing
 from conetl.web.ogc.parameters import (
     MAX_LIMIT,
-    BadParameterError,
     read_instants,
     refuse_unknown,
 )
+from conetl.web.ogc.values import BadParameterError
 
 #: In place of "Not Found" and "Method Not Allowed".
 _WORDS = {404: "There is nothing here: the landing page /ogc/ links to what there is.", 405: "This API only reads: GET."}

@@ -15,8 +15,10 @@ from tipg.collections import Column, ItemList, Parameter, PgCollection
 from tipg.errors import NotFound
 from tipg.model import Extent, Spatial, Temporal
 
-from conetl.io.stores.ogc_store import EVERYWHERE, Degrees, ServedMap, rows_near
+from conetl.io.stores.ogc_store import ALL_ROWS, EVERYWHERE, Degrees, ServedMap, read_page, rows_near, warm_session
 from conetl.params import ReconcileParams
+from conetl.web.ogc.pages import Page
+from conetl.web.ogc.values import BadParameterError, check_value
 
 SCHEMA = "conetl_ogc"
 MAX_ZOOM = 24
@@ -37,6 +39,12 @@ class Instants:
     known_end: datetime | None = None
 
 
+#: Columns of features that are looked up in the deltas, and what a page takes them from.
+EVIDENCE_COLUMNS = {
+    "existence_probability": "coalesce(e.existence_after, p.existence_probability)",
+    "seen_count": "coalesce(n.seen_count, 0)",
+    "missed_count": "coalesce(n.missed_count, 0)",
+}
 FEATURE_COLUMNS = {
     "feature_id": ("uuid", "The cone, the same in all its versions"),
     "version": ("integer", "Counts the states that it had on the road"),
@@ -102,6 +110,9 @@ class AsOfCollection(PgCollection):
         self, ids: list[str] | None = None, **asked: Any
     ) -> Expr | None:
         """tipg's condition; its own one for several ids would compare uuid with text."""
+        kinds = {column.name: column.type for column in self.properties}
+        for name, text in asked.get("properties") or ():
+            check_value(name, kinds[name], text)
         where = super().cql_where(**asked)
         if not ids:
             return where
@@ -109,10 +120,50 @@ class AsOfCollection(PgCollection):
         wanted = Expr({"op": "or", "args": each} if len(each) > 1 else each[0])
         return wanted if where is None else where + wanted
 
+    def _sort_expressions(self, sortby: str | None) -> list[tuple[str, str]]:
+        """tipg's order, and by id what is equal in it: or pages could hold an item twice and another one never."""
+        order: list[tuple[str, str]] = super()._sort_expressions(sortby)
+        return order if any(name == "feature_id" for name, _ in order) else [*order, ("feature_id", "feature_id")]
+
+    def columns(self, properties: list[str] | None = None) -> list[str]:
+        """Names of the properties that are wanted. Raises BadParameterError for one that there is not."""
+        there: list[str] = super().columns()
+        unknown = set(properties or ()) - {*there, ""}
+        if unknown:
+            raise BadParameterError(f"There is no property {min(unknown)!r}; there are: {', '.join(there)}.")
+        return there if properties is None else [name for name in there if name in properties]
+
+    async def page(
+        self, conn: asyncpg.Connection, *, ids: list[str] | None, box: Degrees | None,
+        interval: tuple[datetime | None, datetime | None] | None, values: list[tuple[str, str]] | None,
+        sortby: str | None, properties: list[str] | None, limit: int, offset: int, links: tuple[str, str],
+    ) -> Page:  # fmt: skip
+        """One page of items as GeoJSON, made by PostgreSQL; `links` stands around the id at the end of each item."""
+        _check_ids(ids)
+        where = self._where_clause(self.cql_where(ids=ids, properties=values))
+        order = self._sort_expressions(sortby)
+        wanted = {name: f"p.{name}" for name in self.columns(properties)}
+        text = {"where": where, "order": ", ".join(sql for _, sql in order)}
+        if self.table == "features":
+            asked_of = {name for name, _ in order} | {name for name, _ in values or ()}
+            text["source"] = f"{SCHEMA}.{'standing' if asked_of.isdisjoint(EVIDENCE_COLUMNS) else 'features'}"
+            wanted = {name: EVIDENCE_COLUMNS.get(name, column) for name, column in wanted.items()}
+        text["properties"] = ", ".join(f"{column} as {name}" for name, column in wanted.items())
+        arguments = self._arguments(box, interval)
+        own = len([name for name in arguments if name not in _BOX])
+        text["box"] = "".join(f", ${5 + k}" for k in range(own, len(arguments)))
+        items, returned = await read_page(conn, self.table, text, [limit, offset, *links, *arguments.values()])
+        if returned < limit and (returned or not offset):  # the last page says how many there are
+            return Page(items, returned, offset + returned)
+        matched = await self._features_count_query(
+            conn, where=self.cql_where(ids=ids, properties=values), function_parameters=_texts(arguments)
+        )
+        return Page(items, returned, matched)
+
     async def features(self, conn: asyncpg.Connection, **asked: Any) -> ItemList:
-        """One page of items."""
+        """One page of items, for the other forms."""
         box = asked.pop("bbox_filter", None)
-        asked["function_parameters"] = await self._arguments(conn, box, asked.pop("datetime_filter", None))
+        asked["function_parameters"] = _texts(self._arguments(box, asked.pop("datetime_filter", None)))
         _check_ids(asked.get("ids_filter"))
         found = await super().features(conn, **asked)
         if not found["items"] and self.format == "csv":
@@ -127,37 +178,41 @@ class AsOfCollection(PgCollection):
         box = asked.pop("bbox_filter", None)
         edges = tms.bounds(tile)
         around = (edges.left, edges.bottom, edges.right, edges.top)
-        arguments = await self._arguments(conn, box, asked.pop("datetime_filter", None))
-        near = await rows_near(conn, around, self.served)
-        if box is None:
-            arguments |= _texts(dict(zip(_BOX[4:], near, strict=True)))
-        asked["function_parameters"] = arguments
+        arguments = self._arguments(box, asked.pop("datetime_filter", None))
+        near = rows_near(around, self.served)
+        if box is None and near != ALL_ROWS:
+            arguments |= dict(zip(_BOX, (*EVERYWHERE, *near), strict=True))
+        asked["function_parameters"] = _texts(arguments)
         tile_bytes: bytes = await super().get_tile(conn, tms=tms, tile=tile, **asked)
         return tile_bytes
 
-    async def _arguments(
-        self, conn: asyncpg.Connection, box: Degrees | None, interval: tuple[datetime | None, datetime | None] | None
-    ) -> dict[str, str]:
-        near = await rows_near(conn, box or EVERYWHERE, self.served)
-        edges = dict(zip(_BOX, (*(box or EVERYWHERE), *near), strict=True))
-        return {"map_name": self.served.map_name} | _texts(self._times(interval) | edges)
+    def _arguments(
+        self, box: Degrees | None, interval: tuple[datetime | None, datetime | None] | None
+    ) -> dict[str, str | float]:
+        """What the function is called with, in the order of its parameters: names and instants as text.
 
-    def _times(self, interval: tuple[datetime | None, datetime | None] | None) -> dict[str, Any]:
+        Without a box where all of the map is asked for: that is a statement of its own, with a plan of its own.
+        """
+        near = ALL_ROWS if box is None else rows_near(box, self.served)
+        edges = {} if box is None or near == ALL_ROWS else dict(zip(_BOX, (*box, *near), strict=True))
+        return {"map_name": self.served.map_name} | self._times(interval) | edges
+
+    def _times(self, interval: tuple[datetime | None, datetime | None] | None) -> dict[str, str | float]:
         asked = self.instants
         if self.table == "features":
             start, end = interval or (asked.at or "infinity", asked.at or "infinity")
             return {
-                "from_at": "-infinity" if start is None else start,
-                "to_at": "infinity" if end is None else end,
-                "known_at": asked.known_at or "infinity",
+                "from_at": "-infinity" if start is None else _text(start),
+                "to_at": "infinity" if end is None else _text(end),
+                "known_at": _text(asked.known_at or "infinity"),
             }
         if interval is not None:  # what changed at its edges lies within it
             asked = replace(asked, start=None if interval[0] is None else interval[0] - _TICK, end=interval[1])
         return {
-            "from_at": asked.start or "-infinity",
-            "known_from": asked.known_start or asked.known_end or "infinity",
-            "to_at": asked.end or "infinity",
-            "known_to": asked.known_end or "infinity",
+            "from_at": _text(asked.start or "-infinity"),
+            "known_from": _text(asked.known_start or asked.known_end or "infinity"),
+            "to_at": _text(asked.end or "infinity"),
+            "known_to": _text(asked.known_end or "infinity"),
             "moved_from_m": ReconcileParams().min_gate_m,
         }
 
@@ -204,6 +259,16 @@ def _collection(
     )  # fmt: skip
 
 
+async def warm(conn: asyncpg.Connection) -> None:
+    """Ask for a page of nothing, so that the first page of a session takes no longer than the next ones."""
+    await warm_session(conn)
+    nowhere = ServedMap("", 0, 0, datetime.min.replace(tzinfo=UTC), (0.0, 0.0, 0.0, 0.0), datetime.min.replace(tzinfo=UTC))
+    elsewhere = (90.0, 45.0, 90.0, 45.0)
+    await features_of(nowhere, Instants()).page(
+        conn, ids=None, box=elsewhere, interval=None, values=None, sortby=None, properties=None, limit=1, offset=0, links=("", "")
+    )
+
+
 def _check_ids(ids: list[str] | None) -> None:
     for text in ids or ():
         try:
@@ -212,11 +277,12 @@ def _check_ids(ids: list[str] | None) -> None:
             raise NotFound(f"There is no item {text!r}: ids of cones are UUIDs.") from error
 
 
-def _texts(values: Mapping[str, Any]) -> dict[str, str]:
-    return {
-        name: value.isoformat() if isinstance(value, datetime) else value if isinstance(value, str) else repr(float(value))
-        for name, value in values.items()
-    }
+def _text(time: datetime | str) -> str:
+    return time if isinstance(time, str) else time.isoformat()
+
+
+def _texts(values: Mapping[str, str | float]) -> dict[str, str]:
+    return {name: value if isinstance(value, str) else repr(float(value)) for name, value in values.items()}
 
 
 def _rfc3339(time: datetime) -> str:

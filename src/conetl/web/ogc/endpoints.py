@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial, wraps
 from typing import Any
 from urllib.parse import urlencode
 
 import tipg.factory
 from fastapi import Request
+from fastapi.routing import APIRoute
 from morecantile import tms as all_tilings
 from morecantile.defaults import TileMatrixSets
+from tipg.dependencies import properties_filter_query
 from tipg.factory import EndpointsFactory, OGCFeaturesFactory, OGCTilesFactory
+from tipg.resources.enums import MediaType
+from tipg.resources.response import GeoJSONResponse
 
+from conetl.web.ogc.collections import AsOfCollection
+from conetl.web.ogc.definition import NOT_OFFERED
+from conetl.web.ogc.pages import item_links, page_answer
 from conetl.web.ogc.parameters import (
     CARRIED,
     all_collections,
@@ -53,6 +62,36 @@ CONFORMS_TO = [
 @dataclass
 class _Features(OGCFeaturesFactory):
     """Links of items are made once a request and not once an item, and lead to the item as of the instants asked for."""
+
+    def _items_route(self) -> None:
+        """Pages as GeoJSON are PostgreSQL's work; tipg makes the other forms."""
+        super()._items_route()  # type: ignore[no-untyped-call]
+        [route] = [r for r in self.router.routes if isinstance(r, APIRoute) and r.name == "items"]
+        self.router.routes.remove(route)
+        others = route.endpoint
+
+        @wraps(others)
+        async def items(
+            request: Request, collection: AsOfCollection, output_type: MediaType, limit: int, offset: int | None, **asked: Any
+        ) -> Any:
+            if output_type is not MediaType.geojson:
+                return await others(
+                    request=request, collection=collection, output_type=output_type, limit=limit, offset=offset, cql_filter=None, **asked
+                )
+            address = partial(self.url_for, request)
+            async with request.app.state.pool.acquire() as conn:
+                page = await collection.page(
+                    conn, ids=asked["ids_filter"], box=asked["bbox_filter"], interval=asked["datetime_filter"],
+                    values=properties_filter_query(request, collection), sortby=asked["sortby"],
+                    properties=asked["properties"], limit=limit, offset=offset or 0,
+                    links=item_links(collection.id, address),
+                )  # fmt: skip
+            return page_answer(request, collection, page, limit=limit, offset=offset or 0, address=address)
+
+        declared = inspect.signature(others)
+        offered = [p for name, p in declared.parameters.items() if name.replace("_", "-") not in NOT_OFFERED and name != "cql_filter"]
+        items.__signature__ = declared.replace(parameters=offered)  # type: ignore[attr-defined]  # the fewer, the sooner FastAPI is done
+        self.router.get(route.path, response_class=GeoJSONResponse, responses=route.responses, tags=route.tags)(items)
 
     def url_for(self, request: Request, name: str, **path_params: Any) -> str:
         if name not in ("item", "collection") or "itemId" in path_params and "{" in str(path_params["itemId"]):

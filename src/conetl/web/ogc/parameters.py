@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import Annotated, Literal
 
 from fastapi import Depends, Path, Query, Request
-from pydantic import TypeAdapter, ValidationError
 from tipg.collections import CollectionList
 from starlette.datastructures import QueryParams
 from tipg.errors import NotFound
@@ -17,18 +16,16 @@ from tipg.resources.enums import MediaType
 from conetl.io.stores.async_reader_pool import AsyncReaderPool
 from conetl.io.stores.ogc_store import Degrees, MapDirectory, ServedMap
 from conetl.web.ogc.collections import AsOfCollection, Instants, changes_of, features_of
+from conetl.web.ogc.values import BadParameterError, read_instant
 from conetl.web.parameters import Instant
 
 #: Instants go on into links, so that a link leads to the same state of the map.
 CARRIED = ("at", "known_at", "from", "to", "known_from", "known_to")
 #: What would let a page of thousands of items be one of ten: more than this is no error, but is not sent either.
 MAX_LIMIT = 10_000
-_DATETIME = TypeAdapter(datetime)
+#: No map has more items than this.
+MAX_OFFSET = 2**31
 Interval = tuple[datetime | None, datetime | None]
-
-
-class BadParameterError(Exception):
-    """A parameter that says nothing that can be understood; answered 400, as the standard wants it."""
 
 
 # All are coroutines: FastAPI runs plain functions in a thread each.
@@ -41,6 +38,10 @@ async def read_instants(
     known_to: Instant = None,
 ) -> Instants:
     """Instants that every operation accepts: `at` and `known_at` for features, the others for changes."""
+    if start is not None and end is not None and start > end:
+        raise BadParameterError(
+            f"from={start.isoformat()} is later than to={end.isoformat()}: changes are asked for from the earlier instant to the later."
+        )
     return Instants(at, known_at, start, end, known_from, known_to)
 
 
@@ -59,6 +60,8 @@ async def refuse_unknown(request: Request) -> None:
             raise BadParameterError(f"The parameter {name} holds characters that are no text: {value!r}.")
         if name == "limit" and value.strip("+0") == "":
             raise BadParameterError("limit should be 1 or more.")
+        if name == "offset" and value.isdecimal() and int(value[:20]) > MAX_OFFSET:
+            raise BadParameterError(f"offset={value} should be a whole number from 0 to {MAX_OFFSET}.")
 
 
 async def one_collection(
@@ -83,7 +86,7 @@ async def all_collections(
     bbox: Annotated[str | None, Query(description="Collections that reach into west,south,east,north.")] = None,
     datetime_: Annotated[str | None, Query(alias="datetime", description="Collections of maps begun before its end.")] = None,
     limit: Annotated[int | None, Query(ge=1, description="At most so many collections.")] = None,
-    offset: Annotated[int, Query(ge=0, le=2**31, description="From this one on.")] = 0,
+    offset: Annotated[int, Query(ge=0, le=MAX_OFFSET, description="From this one on.")] = 0,
 ) -> CollectionList:
     """Two collections a map; the map that the server was started for comes first."""
     box, interval = _box(bbox), _parsed(datetime_)
@@ -145,7 +148,7 @@ def _parsed(datetime: str | None) -> Interval | None:
     parts = datetime.split("/")
     if len(parts) > 2 or (len(parts) == 1 and parts[0] in ("", "..")) or set(parts) <= {"", ".."}:
         raise BadParameterError(f"datetime={datetime!r} should be an instant, or an interval a/b, a/.. or ../b.")
-    ends = [None if part in ("", "..") else _instant(part) for part in parts]
+    ends = [None if part in ("", "..") else read_instant(part) for part in parts]
     start, end = ends[0], ends[-1]
     if start is not None and end is not None and start > end:
         raise BadParameterError(f"datetime={datetime!r} begins after its end.")
@@ -200,16 +203,6 @@ def _pin_links(request: Request, kind: str, served: ServedMap) -> None:
     if request.scope["route"].name == "items" and name not in request.query_params:  # a layer of tiles stays live
         pinned = [*request.query_params.multi_items(), (name, served.committed_at.isoformat().replace("+00:00", "Z"))]
         request._query_params = QueryParams(pinned)  # where Request keeps them once read; tipg makes links of them
-
-
-def _instant(text: str) -> datetime:
-    try:
-        time = _DATETIME.validate_python(text)
-    except ValidationError as error:
-        raise BadParameterError(f"{text!r} is no instant such as 2026-03-02T12:00:00Z.") from error
-    if time.year < 2:
-        raise BadParameterError(f"{text!r} is earlier than the year 2.")
-    return time if time.tzinfo else time.replace(tzinfo=UTC)
 
 
 def _meets(served: ServedMap, box: Degrees | None) -> bool:
