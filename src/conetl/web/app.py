@@ -1,4 +1,4 @@
-"""The server of `conetl view`: an API that reads, decisions of writers, and the built front end. No other host is ever asked for anything."""
+"""The server of `conetl view`: an API that reads, decisions of writers, the built front end. No other host is ever asked."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ LOOPBACK_NAMES = ["127.0.0.1", "localhost", "[::1]"]
 def create_app(
     database_url: str, map_name: str, *, closing: Callable[[], bool] = lambda: False, writer: Writer | None = None
 ) -> FastAPI:
-    """The application over one database. `closing` tells whether the server stops: open streams end then. Without `writer` it only
+    """The application over one database. `closing` tells whether the server stops: streams end then. Without `writer` it only
     reads."""
     pool = ReaderPool(database_url)
     ogc_pool = AsyncReaderPool(database_url, warm)
@@ -73,7 +73,9 @@ def create_app(
     app.mount("/ogc", create_ogc_app(ogc_pool, map_name), name="ogc")
     app.add_route("/ogc", lambda request: RedirectResponse(request.url.replace(path="/ogc/")), include_in_schema=False)
     app.mount("/", StaticFiles(directory=STATIC, html=True), name="front end")
-    app.add_middleware(GZipMiddleware, minimum_size=1024, compresslevel=2)  # of 350 kB level 5 saves 6 kB more and takes twice as long
+    app.add_middleware(
+        GZipMiddleware, minimum_size=1024, compresslevel=2
+    )  # of 350 kB level 5 saves 6 kB more and takes twice as long
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=LOOPBACK_NAMES, www_redirect=False)
     app.add_middleware(Guard)
     app.add_middleware(SecurityHeaders)

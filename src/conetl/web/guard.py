@@ -1,4 +1,4 @@
-"""Refuses what no page of this server and no program of its user asks: calls from other web pages, and questions of absurd length."""
+"""Refuses what no page of this server and no program of its user asks: calls from other pages, and questions of absurd length."""
 
 from __future__ import annotations
 

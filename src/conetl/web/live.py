@@ -1,6 +1,6 @@
 """Tells open pages about news: one listener for all of them, and only while somebody listens.
 
-PostgreSQL tells of each commit (LISTEN, see sql/serve/listen.sql); then, and every `LOOK_S` in case a connection pool between swallows
+PostgreSQL tells of each commit (LISTEN, see sql/serve/listen.sql); then, and every `LOOK_S` in case a connection pool swallows
 notices, the heads of all maps are read once for all pages.
 """
 
@@ -14,7 +14,7 @@ from starlette.concurrency import run_in_threadpool
 
 from conetl.errors import DatabaseError
 from conetl.io.db import Connection
-from conetl.io.stores.reader_pool import ReaderPool, open_listener, wait_for_news
+from conetl.io.stores.reader_pool import ReaderPool, wait_for_news
 from conetl.io.stores.serve_store import Head, read_heads
 
 #: How often streams look whether the server stops, and the listener whether anybody still listens.

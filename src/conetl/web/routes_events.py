@@ -13,7 +13,7 @@ router = APIRouter(tags=["events"])
 
 @router.get("/maps/{map_name}/events", response_class=StreamingResponse)
 async def events(map_name: MapName, request: Request) -> StreamingResponse:
-    """Server-sent events, at once and after every commit: `changeset`, `decision` with the newest number, `base`; `trouble` in words."""
+    """Server-sent events, at once and after every commit: `changeset`, `decision` with number, `base`; `trouble` in words."""
     watcher: HeadWatcher = request.app.state.watcher
     if watcher.full():
         raise HTTPException(503, TOO_MANY, headers={"Retry-After": "30"})

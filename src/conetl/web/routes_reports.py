@@ -11,7 +11,10 @@ from conetl.web.parameters import ChangesetNo, MapName, Reader, origin_of
 
 router = APIRouter(tags=["reports"], prefix="/maps/{map_name}")
 #: The page is one file: its styles and pictures are inside it, and it runs nothing.
-_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+_POLICY = (
+    "default-src 'none'; img-src data:; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'"
+)
 
 
 @router.get("/changesets/{changeset_no}/report", response_class=HTMLResponse)

@@ -64,7 +64,9 @@ def change(row: Row, origin_m: Vec3) -> Change:
 def history_item(row: Row, origin_m: Vec3) -> HistoryItem:
     """One line of a feature's history."""
     return HistoryItem(
-        **_same(row, HistoryItem, skip={"captured_from", "xyz_m", "map_xyz_m", "cov_m2", "first_seen_at", "last_seen_at"}),
+        **_same(
+            row, HistoryItem, skip={"captured_from", "xyz_m", "map_xyz_m", "cov_m2", "first_seen_at", "last_seen_at"}
+        ),
         captured_from=utc_from_ns(row["captured_from_ns"]),
         xyz_m=local(row, origin_m),
         map_xyz_m=(row["easting_m"], row["northing_m"], row["height_m"]),

@@ -96,7 +96,9 @@ def _require_writer(request: Request) -> None:
     scheme, _, given = headers.get("authorization", "").partition(" ")
     wanted = writer.token.get_secret_value().encode()
     if not (hmac.compare_digest(given.strip().encode(), wanted) and scheme.lower() == "bearer"):
-        raise HTTPException(401, "The writer token is missing or is not this server's.", headers={"WWW-Authenticate": "Bearer"})
+        raise HTTPException(
+            401, "The writer token is missing or is not this server's.", headers={"WWW-Authenticate": "Bearer"}
+        )
     if headers.get("content-type", "").partition(";")[0].strip().lower() != "application/json":
         raise HTTPException(415, "A decision is sent as application/json.")
     length = headers.get("content-length", "")

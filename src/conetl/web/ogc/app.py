@@ -30,7 +30,10 @@ from conetl.web.ogc.parameters import (
 from conetl.web.ogc.values import BadParameterError
 
 #: In place of "Not Found" and "Method Not Allowed".
-_WORDS = {404: "There is nothing here: the landing page /ogc/ links to what there is.", 405: "This API only reads: GET."}
+_WORDS = {
+    404: "There is nothing here: the landing page /ogc/ links to what there is.",
+    405: "This API only reads: GET.",
+}
 Handler = Callable[[Request, Exception], Awaitable[Response]]
 
 

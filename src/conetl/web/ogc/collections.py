@@ -230,7 +230,8 @@ def features_of(served: ServedMap, instants: Instants, output: str = "geojson") 
     return _collection(
         "features", served, instants, output, FEATURE_COLUMNS, FEATURE_PARAMETERS,
         f"Cones of the map {served.map_name}",
-        "Traffic cones as they stood at the instant `at` on the road, as the database knew it at `known_at`; without them, the latest.",
+        "Traffic cones as they stood at the instant `at` on the road, as the database knew it at `known_at`; "
+        "without them, the latest.",
     )  # fmt: skip
 
 
@@ -239,7 +240,8 @@ def changes_of(served: ServedMap, instants: Instants, output: str = "geojson") -
     return _collection(
         "changes", served, instants, output, CHANGE_COLUMNS, CHANGE_PARAMETERS,
         f"Changes of the map {served.map_name}",
-        "Traffic cones that were added, moved, removed or confirmed between the instants `from` and `to` on the road; without `from`, "
+        "Traffic cones that were added, moved, removed or confirmed between the instants `from` and `to` on the road; "
+        "without `from`, "
         "all that stand are added.",
     )  # fmt: skip
 
@@ -262,10 +264,21 @@ def _collection(
 async def warm(conn: asyncpg.Connection) -> None:
     """Ask for a page of nothing, so that the first page of a session takes no longer than the next ones."""
     await warm_session(conn)
-    nowhere = ServedMap("", 0, 0, datetime.min.replace(tzinfo=UTC), (0.0, 0.0, 0.0, 0.0), datetime.min.replace(tzinfo=UTC))
+    nowhere = ServedMap(
+        "", 0, 0, datetime.min.replace(tzinfo=UTC), (0.0, 0.0, 0.0, 0.0), datetime.min.replace(tzinfo=UTC)
+    )
     elsewhere = (90.0, 45.0, 90.0, 45.0)
     await features_of(nowhere, Instants()).page(
-        conn, ids=None, box=elsewhere, interval=None, values=None, sortby=None, properties=None, limit=1, offset=0, links=("", "")
+        conn,
+        ids=None,
+        box=elsewhere,
+        interval=None,
+        values=None,
+        sortby=None,
+        properties=None,
+        limit=1,
+        offset=0,
+        links=("", ""),
     )
 
 

@@ -1,4 +1,4 @@
-"""The API definition (OpenAPI) of what is served: tipg's own, without HTML and what is not offered, with the filters by property."""
+"""The API definition (OpenAPI) of what is served: tipg's own, without HTML and what is not offered, with filters by property."""
 
 from __future__ import annotations
 
@@ -11,14 +11,13 @@ from conetl.web.models import Problem
 from conetl.web.ogc.collections import CHANGE_COLUMNS, FEATURE_COLUMNS
 
 
-
 class Refusal(Problem):
     """Every refusal, with the code that the standard wants."""
 
     code: str
 
 
-#: Parameters of tipg that are not offered: expressions may call any function of the database, and the others mean nothing for points.
+#: Parameters of tipg that are not offered: expressions may call any function of the database, the others mean nothing for points.
 NOT_OFFERED = frozenset({"filter", "filter-lang", "geom-column", "datetime-column", "simplify", "bbox-only", "type"})
 _HTML = "text/html"
 _ITEMS = ("/collections/{collectionId}/items", "/collections/{collectionId}/tiles/{tileMatrixSetId}/{z}/{x}/{y}")
@@ -32,7 +31,9 @@ def define(app: FastAPI) -> dict[str, Any]:
             operation = operations["get"]
             parameters = [p for p in operation.get("parameters", ()) if p["name"] not in NOT_OFFERED]
             operation["parameters"] = parameters + (_filters(parameters) if path in _ITEMS else [])
-            operation["responses"] = {status: _without_html(answer) for status, answer in operation["responses"].items() if status != "422"}
+            operation["responses"] = {
+                status: _without_html(answer) for status, answer in operation["responses"].items() if status != "422"
+            }
             operation["responses"] |= _refusals()
         document["components"]["schemas"]["Refusal"] = Refusal.model_json_schema()
         document["components"]["parameters"] = {"limit": _limit(document)}  # where QGIS looks for the size of its pages
@@ -52,7 +53,13 @@ def _filters(parameters: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """One parameter a property; its value is the text of what the property should be."""
     taken = {parameter["name"] for parameter in parameters}
     return [
-        {"name": name, "in": "query", "required": False, "description": f"Only items with this value: {text}.", "schema": {"type": "string"}}
+        {
+            "name": name,
+            "in": "query",
+            "required": False,
+            "description": f"Only items with this value: {text}.",
+            "schema": {"type": "string"},
+        }
         for name, (_, text) in (CHANGE_COLUMNS | FEATURE_COLUMNS).items()
         if name not in taken
     ]
@@ -70,5 +77,6 @@ def _refusals() -> dict[str, Any]:
         "503": "The database cannot be reached or is busy, or the question takes too long.",
     }
     return {
-        status: {"description": text, "content": {"application/json": {"schema": schema}}} for status, text in reasons.items()
+        status: {"description": text, "content": {"application/json": {"schema": schema}}}
+        for status, text in reasons.items()
     }

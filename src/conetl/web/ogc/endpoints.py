@@ -39,7 +39,8 @@ from conetl.web.ogc.parameters import (
 
 TITLE = "conetl: maps of traffic cones"
 DESCRIPTION = (
-    "Each map has two collections: MAP.features, the cones as of an instant (at, known_at), and MAP.changes, what changed between two "
+    "Each map has two collections: MAP.features, the cones as of an instant (at, known_at), "
+    "and MAP.changes, what changed between two "
     "(from, to, known_from, known_to)."
 )
 API_DEFINITION_TYPE = "application/vnd.oai.openapi+json;version=3.1"
@@ -72,11 +73,22 @@ class _Features(OGCFeaturesFactory):
 
         @wraps(others)
         async def items(
-            request: Request, collection: AsOfCollection, output_type: MediaType, limit: int, offset: int | None, **asked: Any
+            request: Request,
+            collection: AsOfCollection,
+            output_type: MediaType,
+            limit: int,
+            offset: int | None,
+            **asked: Any,
         ) -> Any:
             if output_type is not MediaType.geojson:
                 return await others(
-                    request=request, collection=collection, output_type=output_type, limit=limit, offset=offset, cql_filter=None, **asked
+                    request=request,
+                    collection=collection,
+                    output_type=output_type,
+                    limit=limit,
+                    offset=offset,
+                    cql_filter=None,
+                    **asked,
                 )
             address = partial(self.url_for, request)
             async with request.app.state.pool.acquire() as conn:
@@ -89,16 +101,22 @@ class _Features(OGCFeaturesFactory):
             return page_answer(request, collection, page, limit=limit, offset=offset or 0, address=address)
 
         declared = inspect.signature(others)
-        offered = [p for name, p in declared.parameters.items() if name.replace("_", "-") not in NOT_OFFERED and name != "cql_filter"]
+        offered = [
+            p
+            for name, p in declared.parameters.items()
+            if name.replace("_", "-") not in NOT_OFFERED and name != "cql_filter"
+        ]
         items.__signature__ = declared.replace(parameters=offered)  # type: ignore[attr-defined]  # the fewer, the sooner FastAPI is done
         self.router.get(route.path, response_class=GeoJSONResponse, responses=route.responses, tags=route.tags)(items)
 
     def url_for(self, request: Request, name: str, **path_params: Any) -> str:
-        if name not in ("item", "collection") or "itemId" in path_params and "{" in str(path_params["itemId"]):
+        if name not in ("item", "collection") or ("itemId" in path_params and "{" in str(path_params["itemId"])):
             return super().url_for(request, name, **path_params)
         made: dict[str, str] = request.scope.setdefault("conetl.links", {})
         if name not in made:
-            made[name] = super().url_for(request, name, **(path_params | ({"itemId": "ITEM"} if name == "item" else {})))
+            made[name] = super().url_for(
+                request, name, **(path_params | ({"itemId": "ITEM"} if name == "item" else {}))
+            )
             carried = urlencode([(key, value) for key, value in request.query_params.items() if key in CARRIED])
             made["carried"] = f"?{carried}" if carried else ""
         if name == "collection":
@@ -108,8 +126,8 @@ class _Features(OGCFeaturesFactory):
 
 @contextmanager
 def _our_parameters() -> Iterator[None]:
-    """While tipg declares its routes, its parameters are ours. (FastAPI's dependency_overrides would work them out for every request,
-    which takes 20 ms of processor time.)"""
+    """While tipg declares its routes, its parameters are ours. (FastAPI's dependency_overrides would work them out for every
+    request, which takes 20 ms of processor time.)"""
     names = {
         "bbox_query": read_box, "datetime_query": read_interval, "filter_query": refuse_filter, "ItemsOutputType": read_output,
         "OutputType": read_json_only, "QueryablesOutputType": read_json_only,

@@ -1,4 +1,4 @@
-"""What a request to the OGC API may say. They take the place of tipg's own dependencies where those would answer 500 or too much."""
+"""What a request to the OGC API may say. Takes the place of tipg's own dependencies where those answer 500 or too much."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from datetime import datetime
 from typing import Annotated, Literal
 
 from fastapi import Depends, Path, Query, Request
-from tipg.collections import CollectionList
 from starlette.datastructures import QueryParams
+from tipg.collections import CollectionList
 from tipg.errors import NotFound
 from tipg.resources.enums import MediaType
 
@@ -40,7 +40,8 @@ async def read_instants(
     """Instants that every operation accepts: `at` and `known_at` for features, the others for changes."""
     if start is not None and end is not None and start > end:
         raise BadParameterError(
-            f"from={start.isoformat()} is later than to={end.isoformat()}: changes are asked for from the earlier instant to the later."
+            f"from={start.isoformat()} is later than to={end.isoformat()}: "
+            "changes are asked for from the earlier instant to the later."
         )
     return Instants(at, known_at, start, end, known_from, known_to)
 
@@ -66,7 +67,9 @@ async def refuse_unknown(request: Request) -> None:
 
 async def one_collection(
     request: Request,
-    collectionId: Annotated[str, Path(description="Name of a map and of what is asked of it: MAP.features or MAP.changes")],
+    collectionId: Annotated[
+        str, Path(description="Name of a map and of what is asked of it: MAP.features or MAP.changes")
+    ],
     instants: AskedInstants,
 ) -> AsOfCollection:
     """The collection that a path names; raises NotFound where there is none."""
@@ -84,13 +87,19 @@ async def all_collections(
     request: Request,
     instants: AskedInstants,
     bbox: Annotated[str | None, Query(description="Collections that reach into west,south,east,north.")] = None,
-    datetime_: Annotated[str | None, Query(alias="datetime", description="Collections of maps begun before its end.")] = None,
+    datetime_: Annotated[
+        str | None, Query(alias="datetime", description="Collections of maps begun before its end.")
+    ] = None,
     limit: Annotated[int | None, Query(ge=1, description="At most so many collections.")] = None,
     offset: Annotated[int, Query(ge=0, le=MAX_OFFSET, description="From this one on.")] = 0,
 ) -> CollectionList:
     """Two collections a map; the map that the server was started for comes first."""
     box, interval = _box(bbox), _parsed(datetime_)
-    found = [m for m in await _maps(request) if _meets(m, box) and (interval is None or interval[1] is None or interval[1] >= m.since)]
+    found = [
+        m
+        for m in await _maps(request)
+        if _meets(m, box) and (interval is None or interval[1] is None or interval[1] >= m.since)
+    ]
     found.sort(key=lambda m: (m.map_name != request.app.state.map_name, m.map_name))
     listed = [make(m, instants, "geojson") for m in found for make in _KINDS.values()]
     page = listed[offset : offset + (limit or MAX_LIMIT)]
@@ -106,7 +115,10 @@ async def all_collections(
 async def read_box(
     bbox: Annotated[
         str | None,
-        Query(description="west,south,east,north in degrees, edges included; six numbers with lowest and highest height, which do not count."),
+        Query(
+            description="west,south,east,north in degrees, edges included; "
+            "six numbers with lowest and highest height, which do not count."
+        ),
     ] = None,
 ) -> Degrees | None:
     """The box of a request; west > east goes across 180 degrees. Raises BadParameterError."""
@@ -117,7 +129,10 @@ async def read_interval(
     instants: AskedInstants,
     datetime: Annotated[
         str | None,
-        Query(description="RFC 3339: an instant (the map as of it), or an interval a/b, a/.. or ../b (what stood or changed within it)."),
+        Query(
+            description="RFC 3339: an instant (the map as of it), "
+            "or an interval a/b, a/.. or ../b (what stood or changed within it)."
+        ),
     ] = None,
 ) -> Interval | None:
     """The temporal filter of a request as its ends; None of an end: open. Raises BadParameterError."""
@@ -155,7 +170,9 @@ def _parsed(datetime: str | None) -> Interval | None:
     return start, end
 
 
-async def read_output(f: Annotated[Literal["geojson", "json", "csv", "geojsonseq", "ndjson"], Query()] = "geojson") -> MediaType:
+async def read_output(
+    f: Annotated[Literal["geojson", "json", "csv", "geojsonseq", "ndjson"], Query()] = "geojson",
+) -> MediaType:
     """Form of items."""
     return MediaType[f]
 
@@ -164,20 +181,26 @@ async def read_json_only(f: Annotated[Literal["json", "schemajson"] | None, Quer
     """JSON is the only form."""
 
 
-async def read_ids(ids: Annotated[str | None, Query(description="Only these items, with commas.")] = None) -> list[str] | None:
+async def read_ids(
+    ids: Annotated[str | None, Query(description="Only these items, with commas.")] = None,
+) -> list[str] | None:
     """Items by their ids."""
     return ids.split(",") if ids else None
 
 
 async def read_properties(
-    properties: Annotated[str | None, Query(description="Only these properties, with commas; empty: none. Without it: all.")] = None,
+    properties: Annotated[
+        str | None, Query(description="Only these properties, with commas; empty: none. Without it: all.")
+    ] = None,
 ) -> list[str] | None:
     """Properties that are wanted."""
     return None if properties is None else [name.strip() for name in properties.split(",")]
 
 
 async def read_order(
-    sortby: Annotated[str | None, Query(description="Properties with commas, each with - before it where the largest comes first.")] = None,
+    sortby: Annotated[
+        str | None, Query(description="Properties with commas, each with - before it where the largest comes first.")
+    ] = None,
 ) -> str | None:
     """Order of the items; by id where none is given."""
     return sortby
@@ -191,7 +214,7 @@ _KINDS = {"features": features_of, "changes": changes_of}
 
 
 def _pinned(instants: Instants, served: ServedMap) -> Instants:
-    """The same, with the newest changeset as the latest: all queries of one request see the same state, and so do its next pages."""
+    """The same, with the newest changeset as the latest: all queries of a request see one state, and so do its next pages."""
     return replace(
         instants, known_at=instants.known_at or served.committed_at, known_end=instants.known_end or served.committed_at
     )
