@@ -9,6 +9,7 @@ picture is therefore matched along a disparity *surface*, that of a body of revo
 standing upright (`cone_surface.py`), and what is looked for is the disparity of its axis at the foot. How far the cone leans,
 how near its surface is and how far each edge is seen off its place are unknowns as well, about which something is known
 beforehand; so neither the edges nor the texture of a large cone are believed too much, and sigma holds what such errors cost.
+Sigma is that of the residuals under slopes that both pictures share: noise makes slopes too, and they hold nothing.
 
 Only pixels of the body and its edges take part. What stands behind is mixed into the edges by the blur, and is another thing in
 the other picture: that change is measured just beyond the edge and taken out. Both pictures are blurred alike by the B-spline of
@@ -27,6 +28,7 @@ from scipy.special import ndtr
 from conetl.records import Camera
 from conetl.steps.cone_outline import Outline
 from conetl.steps.cone_surface import cone_surface
+from conetl.steps.matching_cov import matching_cov
 from conetl.steps.spline_patch import SplinePatch
 
 Floats = NDArray[np.float64]
@@ -63,8 +65,10 @@ _QUANTISATION = 0.17
 #: edge is seen off its place by what stands behind it (px). Nothing of disparity and row offset.
 _LEAN_SIGMA, _SURPLUS_SIGMA, _SHIFT_SIGMA_PX = 0.015, 0.05, 0.08
 _PRIOR = np.array([0.0, 0.0, _LEAN_SIGMA**-2, _SURPLUS_SIGMA**-2, _SHIFT_SIGMA_PX**-2, _SHIFT_SIGMA_PX**-2])
-#: Variances over those of white noise, and over those of the sum over pieces (docs/accuracy.md says how they were measured).
-_DESIGN_EFFECT, _PIECES_FACTOR = 15.0, 5.0
+#: Weight of what is known beforehand against grey values: variance over that of white noise.
+_DESIGN_EFFECT = 15.0
+#: How large lean, surplus and shifts are, with which sigma reckons: variances in the order of the unknowns.
+_PRIOR_VARIANCE = np.array([0.0, 0.0, 0.0106**2, 0.0354**2, 0.0566**2, 0.0566**2])
 _SIGMA_FLOOR_PX = 0.02
 
 
@@ -89,6 +93,8 @@ class _Pixels(NamedTuple):
     columns: Ints
     values: Floats
     """(n, channels) grey values"""
+    slopes: Floats
+    """(2, n, channels) of the grey values along columns and rows"""
     depth: Floats
     """(n,) of what shows, in units of the depth of the axis at the foot"""
     nearer: Floats
@@ -97,8 +103,6 @@ class _Pixels(NamedTuple):
     """(n,) above the foot, in the same units"""
     at_edge: Floats
     """(n, 2) 1 for pixels of the left, of the right edge"""
-    group: Ints
-    """(n,) number of the piece of outline that a pixel belongs to: two rows, left or right of the axis"""
     edge: Ints
     """(n,) number of the edge that a pixel is next to: one row, left or right of the axis"""
     cover: Floats
@@ -174,16 +178,15 @@ def _pixels_of(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Fl
     # At the very edge it is the outline that shows, blurred over about a pixel, not the surface.
     inner = radius[i] - np.abs(aside[i, j]) > edge_px
     nearer = (surface.limb - surface.depth) * inner
-    values = _smooth(left, v, u)[i, j]
+    values, *slopes = (part[i, j] for part in _smooth(left, v, u))
     right_half = aside[i, j] > 0
-    group = 2 * (i // (2 * every)) + right_half
     cover = ndtr((np.abs(aside[i, j]) - radius[i]) / _BLUR_PX)
     beyond = _beyond(left, outline, camera, up, v)
     if beyond is None:
         return None
     at_edge = ~inner[:, None] & (right_half[:, None] == np.array([False, True]))
     return _Pixels(
-        v[i], u[j], values, surface.limb - nearer, nearer, surface.height, at_edge.astype(np.float64), group,
+        v[i], u[j], values, np.stack(slopes), surface.limb - nearer, nearer, surface.height, at_edge.astype(np.float64),
         2 * i + right_half, cover, beyond,
     )  # fmt: skip
 
@@ -203,13 +206,19 @@ def _beyond(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Float
     return _Beyond(v, columns, surface.limb, values.reshape(-1, len(_BEYOND_PX), values.shape[1]))
 
 
-def _smooth(picture: NDArray[np.uint8], rows: Ints, columns: Ints) -> Floats:
-    """Grey values (rows, columns, channels) blurred as `SplinePatch` blurs the right picture at a whole pixel."""
+def _smooth(picture: NDArray[np.uint8], rows: Ints, columns: Ints) -> tuple[Floats, Floats, Floats]:
+    """Grey values (rows, columns, channels) blurred as `SplinePatch` blurs the right picture at a whole pixel, and their slopes
+    along columns and rows.
+    """
     top = np.clip(np.arange(rows[0] - 1, rows[-1] + 2), 0, picture.shape[0] - 1)
     aside = np.clip(np.arange(columns[0] - 1, columns[-1] + 2), 0, picture.shape[1] - 1)
     part = picture[top[:, None], aside].astype(np.float64)
-    part = (part[:-2] + 4 * part[1:-1] + part[2:]) / 6
-    return np.asarray((part[:, :-2] + 4 * part[:, 1:-1] + part[:, 2:]) / 6)
+    blurred, down = (part[:-2] + 4 * part[1:-1] + part[2:]) / 6, (part[2:] - part[:-2]) / 2
+    return (
+        np.asarray((blurred[:, :-2] + 4 * blurred[:, 1:-1] + blurred[:, 2:]) / 6),
+        np.asarray((blurred[:, 2:] - blurred[:, :-2]) / 2),
+        np.asarray((down[:, :-2] + 4 * down[:, 1:-1] + down[:, 2:]) / 6),
+    )
 
 
 def _whole_pixel_disparity(
@@ -273,8 +282,7 @@ def _least_squares(
         along = -np.column_stack(
             [1 / depth, -scale * pixels.height / depth**2, scale * pixels.nearer / depth**2, pixels.at_edge]
         )
-        slopes = np.empty((6, *sample.shape))
-        slopes[0], slopes[1], slopes[2:] = along[:, :1] * slope_u, slope_v, along.T[1:, :, None] * slope_u
+        slopes = _by_unknown(along, slope_u, slope_v)
         values = pixels.values + pixels.cover[:, None] * background[pixels.edge]
         step_of = _linearise(values, sample, slopes, unknown, weights)
         if step_of is None:
@@ -296,8 +304,22 @@ def _least_squares(
         return None
     if step_of.correlation < _MIN_CORRELATION or np.mean(size < 2 * _HUBER) < _MIN_INLIER_SHARE:
         return None
-    sigma = np.hypot(_sigma(step_of, weights, pixels.group), _SIGMA_FLOOR_PX)
+    cov = matching_cov(
+        step_of.jacobian, step_of.residual, step_of.noise, weights, step_of.normal, _by_unknown(along, *pixels.slopes),
+        prior=_DESIGN_EFFECT * _PRIOR, prior_variance=_PRIOR_VARIANCE,
+    )  # fmt: skip
+    sigma = np.hypot(cov[0, 0] ** 0.5, _SIGMA_FLOOR_PX)
     return AreaMatch(float(unknown[0]), float(sigma), step_of.correlation, float(unknown[1]))
+
+
+def _by_unknown(along: Floats, slope_u: Floats, slope_v: Floats) -> Floats:
+    """(6, n, channels): how grey values change with each unknown, from their slopes (n, channels) along columns and rows.
+
+    along (n, 5): how the column changes with the unknowns but the row offset, which comes second.
+    """
+    slopes = np.empty((6, *slope_u.shape))
+    slopes[0], slopes[1], slopes[2:] = along[:, :1] * slope_u, slope_v, along.T[1:, :, None] * slope_u
+    return slopes
 
 
 def _background(change: Floats, noise: Floats) -> Floats:
@@ -376,19 +398,3 @@ def _linearise(values: Floats, sample: Floats, slopes: Floats, unknown: Floats, 
         jacobian.transpose(1, 2, 0), every[0] - gain * every[1], noise, inverse, normal, pull, correlation, gain,
         means[0] - gain * means[1],
     )  # fmt: skip
-
-
-def _sigma(at: _Linearised, weights: Floats, group: Ints) -> float:
-    """Standard deviation of the disparity, from how much the pieces of the cone disagree.
-
-    Neighbouring pixels err together (optics, colour filter, compression) and no model of a cone is perfect, so the residuals
-    are not white. The estimate that allows for it is the cluster-robust one (Liang & Zeger 1986): the pull of each piece of
-    outline, left and right of the axis apart, counts as one observation. A few pieces say little about their spread: what is
-    usual (`_DESIGN_EFFECT` times white noise) counts as much as what they say.
-    """
-    pulls = np.einsum("ncp,nc->pn", at.jacobian, at.residual / at.noise) * weights
-    pieces = np.stack([np.bincount(group, pull) for pull in pulls])
-    count = max(len(np.unique(group)), 3)
-    spread = _PIECES_FACTOR * (pieces @ pieces.T) * count / (count - 2)
-    spread = (spread + _DESIGN_EFFECT * at.normal) / 2 + _DESIGN_EFFECT**2 * np.diag(_PRIOR)
-    return float(np.sqrt((at.inverse @ spread @ at.inverse)[0, 0]))
