@@ -28,7 +28,7 @@ from scipy.special import ndtr
 from conetl.records import Camera
 from conetl.steps.cone_outline import Outline
 from conetl.steps.cone_surface import cone_surface
-from conetl.steps.matching_cov import matching_cov
+from conetl.steps.matching_cov import SHARED_DISPARITY_PX, matching_cov
 from conetl.steps.spline_patch import SplinePatch
 
 Floats = NDArray[np.float64]
@@ -69,7 +69,6 @@ _PRIOR = np.array([0.0, 0.0, _LEAN_SIGMA**-2, _SURPLUS_SIGMA**-2, _SHIFT_SIGMA_P
 _DESIGN_EFFECT = 15.0
 #: How large lean, surplus and shifts are, with which sigma reckons: variances in the order of the unknowns.
 _PRIOR_VARIANCE = np.array([0.0, 0.0, 0.0106**2, 0.0354**2, 0.0566**2, 0.0566**2])
-_SIGMA_FLOOR_PX = 0.02
 
 
 @dataclass(frozen=True)
@@ -306,9 +305,9 @@ def _least_squares(
         return None
     cov = matching_cov(
         step_of.jacobian, step_of.residual, step_of.noise, weights, step_of.normal, _by_unknown(along, *pixels.slopes),
-        prior=_DESIGN_EFFECT * _PRIOR, prior_variance=_PRIOR_VARIANCE,
+        place=(pixels.rows, pixels.columns), prior=_DESIGN_EFFECT * _PRIOR, prior_variance=_PRIOR_VARIANCE,
     )  # fmt: skip
-    sigma = np.hypot(cov[0, 0] ** 0.5, _SIGMA_FLOOR_PX)
+    sigma = np.hypot(cov[0, 0] ** 0.5, SHARED_DISPARITY_PX)
     return AreaMatch(float(unknown[0]), float(sigma), step_of.correlation, float(unknown[1]))
 
 
