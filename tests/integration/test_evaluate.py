@@ -42,9 +42,13 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(drive: Path, truth: Path, home: Path, *options: str) -> typer.testing.Result:
+    return run_all([drive], home, "--truth", str(truth), *options)
+
+
+def run_all(drives: list[Path], home: Path, *options: str) -> typer.testing.Result:
     app = typer.Typer(pretty_exceptions_enable=False)
     app.command()(evaluate)
-    arguments = [str(drive), "--truth", str(truth), *options]
+    arguments = [*(str(drive) for drive in drives), *options]
     return CliRunner().invoke(app, arguments, env={"CONETL_HOME": str(home)})
 
 
@@ -72,6 +76,38 @@ def test_figures_plots_and_page(drive: Path, home: Path, tmp_path: Path) -> None
     assert "http" not in page
     assert not (home / "postgres").exists()
     assert not list(home.glob("**/*.pid"))
+
+
+def test_two_drives_are_judged_together(drive: Path, home: Path, tmp_path: Path) -> None:
+    """Each by its own truth.csv; the second is the same pictures under another name, so that nothing is computed twice."""
+    folders = [tmp_path / name for name in ("first", "second")]
+    for folder in folders:
+        shutil.copytree(drive, folder)
+        shutil.copy(SAMPLE / "truth.csv", folder)
+    options = ("--out", str(tmp_path / "out"), "--within-m", "8")
+    done = run_all(folders, home, *options, "--json")
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)
+    assert [one["drive_id"] for one in found["drives"]] == ["first", "second"]
+    for kind in ("tracks", "single positions"):
+        assert found["pooled"]["errors"][kind]["count"] == sum(d["errors"][kind]["count"] for d in found["drives"])
+        for part in ("relative", "common", "absolute"):
+            one, pooled = found["drives"][0]["nees"][kind][part], found["pooled"]["nees"][kind][part]
+            assert pooled["dof"] == 2 * one["dof"]
+            assert pooled["value"] == pytest.approx(2 * one["value"])
+            assert pooled["high"] / pooled["dof"] < one["high"] / one["dof"]
+    for file in ("first/index.html", "second/plan.png", "index.html"):
+        assert (tmp_path / "out" / file).is_file()
+    told = run_all(folders, home, *options)
+    assert "all together" in told.output
+    assert "2 drives against truth" in (tmp_path / "out" / "index.html").read_text()
+
+
+def test_a_drive_without_truth_or_given_twice_is_refused_before_anything_is_computed(drive: Path, home: Path) -> None:
+    assert "has no truth.csv" in str(run_all([drive], home).exception)
+    twice = run_all([drive, drive], home, "--truth", str(SAMPLE / "truth.csv"))
+    assert isinstance(twice.exception, InputError)
+    assert "given twice" in str(twice.exception)
 
 
 def test_the_table_for_a_person(drive: Path, home: Path, tmp_path: Path) -> None:

@@ -68,7 +68,7 @@ _PRIOR = np.array([0.0, 0.0, _LEAN_SIGMA**-2, _SURPLUS_SIGMA**-2, _SHIFT_SIGMA_P
 #: Weight of what is known beforehand against grey values: variance over that of white noise.
 _DESIGN_EFFECT = 15.0
 #: How large lean, surplus and shifts are, with which sigma reckons: variances in the order of the unknowns.
-_PRIOR_VARIANCE = np.array([0.0, 0.0, 0.0106**2, 0.0354**2, 0.0566**2, 0.0566**2])
+_PRIOR_VARIANCE = np.array([0.0, 0.0, 0.010**2, 0.033**2, 0.033**2, 0.033**2])
 
 
 @dataclass(frozen=True)

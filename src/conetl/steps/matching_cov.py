@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
-#: By how much more variance neighbours leave that err together, at least, by the blur of interpolation, lens and sensor: residuals
-#: of the sample drives correlate by 0.52 side by side and by 0.09 two pixels apart, along rows and columns: (1 + 2 * 0.61) squared.
+#: By how much more variance neighbours leave that err together, at least. On the sample drives residuals correlate by 0.52 side
+#: by side and by 0.09 two pixels apart, along rows and along columns, by the blur of interpolation and lens: (1 + 2 * 0.61)
+#: squared. The slopes go together less far, so half of it would do for noise alone; the errors of cones ask for all of it.
 _NEIGHBOURS = 5.0
 #: How far neighbours are looked at, in pixels.
 _REACH_PX = 5
@@ -58,7 +59,7 @@ def matching_cov(
 def _neighbours(residual: Floats, rows: Ints, columns: Ints) -> float:
     """By how much more variance the residuals (n, channels) leave in a sum than if pixels erred one by one.
 
-    Sums of their correlations along rows and along columns, each up to the first that is not positive (Geyer 1992). Where all is
+    Sums of their correlations along rows and along columns, each up to the first that could be chance (two sigmas). Where all is
     noise they are those of the blur (`_NEIGHBOURS`); compression and what the model leaves of a real cone reach farther.
     """
     i, j = np.unique(rows, return_inverse=True)[1], columns - columns.min()
@@ -70,10 +71,11 @@ def _neighbours(residual: Floats, rows: Ints, columns: Ints) -> float:
     for field, mask in ((grid, there), (grid.swapaxes(0, 1), there.T)):
         correlations = 0.0
         for step in range(1, min(_REACH_PX, len(field) - 1) + 1):
-            together = float((field[:-step] * field[step:]).sum())
-            if together <= 0:
+            pairs = max(float((mask[:-step] * mask[step:]).sum()), 1.0)
+            correlation = float((field[:-step] * field[step:]).sum()) / (pairs * residual.shape[1] * variance)
+            if correlation < 2 / pairs**0.5:
                 break
-            correlations += together / (float((mask[:-step] * mask[step:]).sum()) * residual.shape[1] * variance)
+            correlations += correlation
         factor *= 1 + 2 * correlations
     return max(factor, _NEIGHBOURS)
 
