@@ -13,7 +13,6 @@ import argparse
 import json
 import os
 import sys
-import tempfile
 import time
 from collections import defaultdict
 from collections.abc import Callable
@@ -26,7 +25,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from conetl.settings import prefect_environment
+from benchmarks.own_home import own_home
 
 
 def decode_and_run(drive: Path, workers: int) -> None:
@@ -68,37 +67,23 @@ def main() -> None:  # noqa: PLR0915 -- a list of measurements
     )
     parser.add_argument("--json", type=Path, help="write the figures here")
     arguments = parser.parse_args()
-    with tempfile.TemporaryDirectory(prefix="conetl-bench-") as folder, ExitStack() as stack:
-        home = Path(folder) / "home"
-        (home / "prefect").mkdir(parents=True)
-        os.environ.update(prefect_environment(home))
-        from benchmarks.whole_job import (
-            Peak,
-            database_bytes,
-            database_pid,
-            make_long_drive,
-            params_with,
-            plain_ingest,
-            processor_s,
-            settings_in,
-            source_drive,
-        )
-        from conetl.io.services.cluster import cluster_remove
+    with own_home() as home, ExitStack() as stack:
+        from benchmarks import whole_job as job
+        from benchmarks.whole_job import params_with, plain_ingest, processor_s, settings_in
         from flows.ingest_drive import ingest_drive
         from flows.runners import with_runner
         from flows.server import prefect_server
 
-        source, pairs = source_drive(arguments.drive), arguments.pairs
-        drive = make_long_drive(source, Path(folder) / "drive", pairs)
+        source, pairs = job.source_drive(arguments.drive), arguments.pairs
+        drive = job.make_long_drive(source, home / "drive", pairs)
         workers = settings_in(home).workers
-        stack.callback(cluster_remove, home)
-        database = database_pid(settings_in(home))
+        database = stack.enter_context(job.database_in(home))
         stack.enter_context(prefect_server(home))
         figures: dict[str, dict[str, float]] = {}
 
         def take(name: str, run: Callable[[], object]) -> None:
             cpu, wall, load = processor_s(os.getpid(), database), time.monotonic(), os.getloadavg()[0]
-            with Peak() as peak:
+            with job.Peak() as peak:
                 run()
             cpu, wall = processor_s(os.getpid(), database) - cpu, time.monotonic() - wall
             figures[name] = {
@@ -122,11 +107,11 @@ def main() -> None:  # noqa: PLR0915 -- a list of measurements
             settings_in(home).results_folder.mkdir(exist_ok=True)
             for old in settings_in(home).results_folder.iterdir():
                 old.unlink()
-            before = database_bytes(settings)
+            before = job.database_bytes(settings)
             take(name, lambda run=run, settings=settings, params=params: run(drive, settings, params, map_srid=None))
             share = figures["decode + network"]["processor_ms_a_pair"] / figures[name]["processor_ms_a_pair"]
             stored = sum(path.stat().st_size for path in settings.results_folder.iterdir())
-            grown = database_bytes(settings) - before
+            grown = job.database_bytes(settings) - before
             print(f"  {share:.2f} of decode + network alone; a pair takes {stored / 1e3 / pairs:.1f} kB of results and "
                   f"{grown / 1e3 / pairs:.1f} kB in the database")  # fmt: skip
             if arguments.stages:

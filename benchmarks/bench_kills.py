@@ -31,6 +31,7 @@ import cv2
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from conetl.drive_records import DriveRecords
 from conetl.io.db import Connection, connect, execute, migrate
 from conetl.io.exports.geojson import export_geojson
 from conetl.io.leftovers import sweep
@@ -85,12 +86,7 @@ def without_prefect(drives: list[Path], settings: Settings) -> int:
                 if find_changeset(conn, identity.idempotency_key, map_name=settings.map_name) is None:
                     merge_drive(
                         conn,
-                        drive,
-                        detections,
-                        matches,
-                        positions,
-                        tracks,
-                        refused,
+                        DriveRecords(drive, detections, matches, positions, tracks, refused),
                         changeset,
                         params,
                         map_name=settings.map_name,

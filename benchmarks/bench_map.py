@@ -43,6 +43,7 @@ from benchmarks.made_up_map import (
     load_map,
     place_of,
 )
+from conetl.drive_records import DriveRecords
 from conetl.io.db import Connection, connect, execute, load_sql, migrate
 from conetl.io.services.cluster import cluster_remove, cluster_up
 from conetl.io.stores.audits import run_audits
@@ -129,12 +130,7 @@ def merge(conn: Connection, sightings: Sightings) -> Stopwatch:
             with watch.phase("write"):
                 commit_changeset(
                     conn,
-                    drive,
-                    [],
-                    [],
-                    sightings.positions,
-                    sightings.tracks,
-                    [],
+                    DriveRecords(drive, positions=sightings.positions, tracks=sightings.tracks),
                     changeset,
                     map_name=MAP_NAME,
                     suppressed=extension.suppressed,

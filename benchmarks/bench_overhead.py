@@ -15,7 +15,6 @@ import shutil
 import statistics
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -23,7 +22,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from conetl.settings import prefect_environment
+from benchmarks.own_home import own_home
 
 IMPORTS = {
     "the steps alone": "import conetl.io.detector, conetl.io.drive_folder, conetl.io.stores.map_store, conetl.steps.tracks",
@@ -51,30 +50,19 @@ def main() -> None:
     parser.add_argument("--no-refine", action="store_true")
     parser.add_argument("--no-cold", action="store_true", help="plain loop from pictures only, not Prefect's")
     arguments = parser.parse_args()
-    with tempfile.TemporaryDirectory(prefix="conetl-bench-") as folder, ExitStack() as stack:
-        home = Path(folder) / "home"
-        (home / "prefect").mkdir(parents=True)
-        os.environ.update(prefect_environment(home))
-        from benchmarks.whole_job import (
-            database_pid,
-            make_long_drive,
-            params_with,
-            plain_ingest,
-            processor_s,
-            settings_in,
-            source_drive,
-        )
-        from conetl.io.services.cluster import cluster_remove
+    with own_home() as home, ExitStack() as stack:
+        from benchmarks import whole_job as job
+        from benchmarks.whole_job import params_with, plain_ingest, processor_s, settings_in
         from flows.ingest_drive import ingest_drive
         from flows.runners import with_runner
         from flows.server import prefect_server
 
-        drive = make_long_drive(source_drive(arguments.drive), Path(folder) / "drive", arguments.pairs)
+        source = job.source_drive(arguments.drive)
+        drive = job.make_long_drive(source, home / "drive", arguments.pairs)
         params, workers = params_with(not arguments.no_refine), settings_in(home).workers
         if arguments.chunk_pairs:
             params = params.model_copy(update={"chunk_pairs": arguments.chunk_pairs})
-        stack.callback(cluster_remove, home)
-        database = database_pid(settings_in(home))
+        database = stack.enter_context(job.database_in(home))
         before = processor_s(os.getpid())
         stack.enter_context(prefect_server(home))
         start_s = processor_s(os.getpid()) - before
@@ -96,7 +84,7 @@ def main() -> None:
             with plain_ingest(workers) as plain:
                 warm["plain"].append(took(plain, f"warm_plain_{k}")[0])
             warm["prefect"].append(took(through_prefect, f"warm_prefect_{k}")[0])
-        print(f"{arguments.pairs} pairs of {source_drive(arguments.drive).name}, refinement {params.trajectory.refine}, "
+        print(f"{arguments.pairs} pairs of {source.name}, refinement {params.trajectory.refine}, "
               f"{workers} detection tasks at a time, load {os.getloadavg()[0]:.1f}")  # fmt: skip
         for way, (cpu, wall) in cold.items():
             print(f"{way:8} from pictures: {cpu:7.1f} s of processor time, {wall:7.1f} s by the clock")

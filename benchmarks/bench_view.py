@@ -36,6 +36,7 @@ from pyproj import CRS
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.made_up_map import DAY_NS, MAP_NAME, SPACING_M, SRID, drive_along, place_of
+from conetl.drive_records import DriveRecords
 from conetl.io.db import connect, migrate
 from conetl.io.services.cluster import cluster_remove, cluster_up
 from conetl.io.stores.map_store import commit_changeset, map_transaction
@@ -136,7 +137,9 @@ def two_days(conn: Any, count: int) -> None:
             model_sha256="0" * 64, code_version="bench", deltas=tuple(deltas),
         )  # fmt: skip
         with map_transaction(conn, MAP_NAME):
-            commit_changeset(conn, made.drive, [], [], made.positions, made.tracks, [], changeset, map_name=MAP_NAME)
+            commit_changeset(
+                conn, DriveRecords(made.drive, [], [], made.positions, made.tracks), changeset, map_name=MAP_NAME
+            )
 
 
 def make_layers(folder: Path, points: int, lines: int, cones: int) -> list[Path]:

@@ -25,7 +25,7 @@ from prefect import Flow, Task
 from prefect.utilities.annotations import opaque
 
 from conetl.io.db import connect, execute
-from conetl.io.services.cluster import cluster_up
+from conetl.io.services.cluster import cluster_remove, cluster_up
 from conetl.params import IngestParams
 from conetl.reports import IngestReport
 from conetl.settings import Settings
@@ -97,6 +97,15 @@ def database_bytes(settings: Settings) -> int:
         return int(execute(conn, "select pg_database_size(current_database()) as size")[0]["size"])
 
 
+@contextmanager
+def database_in(home: Path) -> Iterator[int]:
+    """A private cluster for the time of a benchmark; the id of its first process."""
+    try:
+        yield database_pid(settings_in(home))
+    finally:
+        cluster_remove(home)
+
+
 class Peak:
     """Most resident memory of this process and its children together, looked at once a second."""
 
@@ -152,12 +161,20 @@ def plain_ingest(workers: int, spent_s: dict[str, float] | None = None) -> Itera
 
     spent_s: processor time of each task's threads is added here (OpenCV's own threads go uncounted).
     """
-    from flows import changeset_events, control_room, ingest_drive, merge, publish, refinement
+    from flows import analysis, changeset_events, control_room, ingest_drive, merge, publish, refinement
 
     def nothing(*_: Any, **__: Any) -> Any:
         return uuid4()
 
-    modules: tuple[ModuleType, ...] = (changeset_events, control_room, ingest_drive, merge, publish, refinement)
+    modules: tuple[ModuleType, ...] = (
+        analysis,
+        changeset_events,
+        control_room,
+        ingest_drive,
+        merge,
+        publish,
+        refinement,
+    )
     named = {"get_run_logger": lambda: logging.getLogger("plain"), "emit_event": nothing}
     named["get_run_context"] = lambda: SimpleNamespace(task_run=SimpleNamespace(id=uuid4()))
     times = defaultdict(float) if spent_s is None else spent_s

@@ -14,6 +14,7 @@ from prefect.context import get_run_context
 from prefect.runtime import flow_run
 
 from conetl.detector_evidence import DetectorEvidence, evidence_sha256
+from conetl.drive_records import DriveRecords
 from conetl.io.code_identity import code_facts
 from conetl.io.db import Connection, connect, migrate, transaction
 from conetl.io.detector import shipped_model_path
@@ -29,15 +30,8 @@ from conetl.io.stores.map_store import (
 )
 from conetl.map_records import Changeset, Delta, DeltaKind, MapFeature
 from conetl.params import IngestParams, params_sha256
-from conetl.records import (
-    Detection,
-    Drive,
-    Position,
-    Record,
-    StereoMatch,
-    Track,
-)
-from conetl.rejections import INPUT_REASONS, Rejection
+from conetl.records import Drive, Record
+from conetl.rejections import INPUT_REASONS
 from conetl.reports import ChangeLine, IngestReport
 from conetl.settings import Settings
 from flows.replay import merge_drive
@@ -106,18 +100,14 @@ def already_committed(drive: Drive, identity: Identity, settings: Settings) -> I
 
 @task(name="merge", **RETRY)
 def merge_task(
-    drive: Drive,
+    records: DriveRecords,
     identity: Identity,
-    detections: list[Detection],
-    matches: list[StereoMatch],
-    positions: list[Position],
-    tracks: list[Track],
-    rejections: list[Rejection],
     settings: Settings,
     params: IngestParams,
     told: dict[str, str],
 ) -> Merged:
     """Compare the tracks with the map and commit the differences: all of them, or none."""
+    drive = records.drive
     run = RunInfo(
         run_id=UUID(str(get_run_context().task_run.id)),  # type: ignore[union-attr]
         started_at=datetime.now(UTC),
@@ -132,12 +122,7 @@ def merge_task(
             return Merged(changeset=changeset, untouched=(), report=_no_changes(drive, identity, known, settings))
         merged = merge_drive(
             conn,
-            drive,
-            detections,
-            matches,
-            positions,
-            tracks,
-            rejections,
+            records,
             _changeset(drive, settings.map_name, identity, ()),
             params,
             map_name=settings.map_name,
@@ -157,14 +142,14 @@ def merge_task(
             map_name=settings.map_name,
             map_srid=drive.map_srid,
             frame_pairs=len(drive.frame_pairs),
-            frame_pairs_rejected=len(lost_frame_pairs(rejections, INPUT_REASONS)),
-            detections=len(detections),
-            matches=len(matches),
-            positions=len(positions),
-            tracks=len(tracks),
+            frame_pairs_rejected=len(lost_frame_pairs(records.rejections, INPUT_REASONS)),
+            detections=len(records.detections),
+            matches=len(records.matches),
+            positions=len(records.positions),
+            tracks=len(records.tracks),
             counts={kind: sum(d.kind == kind for d in deltas) for kind in DeltaKind},
             changes=tuple(_line(delta) for delta in deltas),
-            rejections=dict(sorted(Counter(r.reason for r in rejections).items())),
+            rejections=dict(sorted(Counter(r.reason for r in records.rejections).items())),
             params_sha256=identity.params_sha256,
             model_sha256=identity.model_sha256,
             content_sha256=drive.content_sha256,

@@ -14,6 +14,7 @@ from uuid import UUID
 import numpy as np
 
 from conetl.detector_evidence import UNMEASURED, DetectorEvidence, LookFigures
+from conetl.drive_records import DriveRecords
 from conetl.io.db import Connection
 from conetl.io.stores.decision_store import read_decisions
 from conetl.io.stores.drive_store import read_drive, read_view
@@ -40,14 +41,8 @@ from conetl.map_records import (
 from conetl.memory import no_cycle_search
 from conetl.params import IngestParams, ReconcileParams
 from conetl.records import (
-    Detection,
-    Drive,
-    Position,
     Rig,
-    StereoMatch,
-    Track,
 )
-from conetl.rejections import Rejection
 from conetl.steps.fold import Evidence, Extension, Floats, Folded, extend, fold
 from conetl.steps.visibility import Look, View, look_at_spot, view_of_drive
 
@@ -68,12 +63,7 @@ class Merged(NamedTuple):
 @no_cycle_search()
 def merge_drive(
     conn: Connection,
-    drive: Drive,
-    detections: Sequence[Detection],
-    matches: Sequence[StereoMatch],
-    positions: Sequence[Position],
-    tracks: Sequence[Track],
-    rejections: Sequence[Rejection],
+    records: DriveRecords,
     changeset: Changeset,
     params: IngestParams,
     *,
@@ -87,6 +77,7 @@ def merge_drive(
     changeset: without deltas; they are worked out here. Later drives around it are compared again. evidence: what is measured of
     the detector (None: nothing), which tells how much it means that it found no cone.
     """
+    drive = records.drive
     figures = LookFigures(evidence=evidence or UNMEASURED, score_threshold=params.detection.score_threshold)
     drive_uuid = place_drive(
         conn,
@@ -98,13 +89,13 @@ def merge_drive(
         influence_m=influence_m(params),
         figures=figures,
     )
-    spots = [(p.frame_index, p.xyz_m) for p in positions]
-    view = view_of_drive(drive.rig, drive.frame_pairs, detections, spots, figures)
+    spots = [(p.frame_index, p.xyz_m) for p in records.positions]
+    view = view_of_drive(drive.rig, drive.frame_pairs, records.detections, spots, figures)
     own = Evidence(
         key=(int(view.captured_at_ns.min()), drive.content_sha256, changeset.idempotency_key),
         changeset_id=changeset.changeset_id,
         founding_key=founding_key(map_name, drive.content_sha256),
-        tracks=tracks,
+        tracks=records.tracks,
         path_m=np.array([pair.pose.map_t_body_m[:2] for pair in drive.frame_pairs]),
         influence_m=influence_m(params),
         look_at=lambda feature, offset_m, others_m: look_at_spot(feature, offset_m, others_m, view, params.reconcile),
@@ -123,12 +114,7 @@ def merge_drive(
     changeset = changeset.model_copy(update={"deltas": tuple(extension.deltas)})
     result = commit_changeset(
         conn,
-        drive,
-        detections,
-        matches,
-        positions,
-        tracks,
-        rejections,
+        records,
         changeset,
         map_name=map_name,
         now=now,

@@ -17,6 +17,7 @@ from uuid import UUID, uuid5
 import pytest
 from hypothesis import settings
 
+from conetl.drive_records import DriveRecords
 from conetl.map_records import Changeset, Delta, DeltaKind, MapFeature
 from conetl.records import (
     Camera,
@@ -337,12 +338,7 @@ def commit_deltas(
     with map_transaction(conn, map_name):
         return commit_changeset(
             conn,
-            drive,
-            sample_detections(),
-            sample_matches(),
-            sample_positions(),
-            [sample_track()],
-            [],
+            DriveRecords(drive, sample_detections(), sample_matches(), sample_positions(), [sample_track()]),
             sample_changeset(*deltas, drive_id=drive.drive_id, key=key),
             map_name=map_name,
             **options,

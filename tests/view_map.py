@@ -16,10 +16,12 @@ import cv2
 import numpy as np
 import uvicorn
 
+from conetl.drive_records import DriveRecords
 from conetl.io.stores.map_store import commit_changeset, map_transaction
 from conetl.map_records import Delta, DeltaKind, MapFeature, SightingEvidence
 from conetl.records import utc_from_ns
 from conetl.web.app import create_app
+from conetl.web.writing import Writer
 
 #: Box of samples.detections() in both pictures.
 BOX = (600, 180, 20, 30)
@@ -45,7 +47,8 @@ def commit(conn: Any, samples: SimpleNamespace, folder: Path, key: str, day: int
     write_pictures(source, drive)
     with map_transaction(conn):
         return commit_changeset(
-            conn, drive, samples.detections(), samples.matches(), samples.positions(), [samples.track()], [],
+            conn,
+            DriveRecords(drive, samples.detections(), samples.matches(), samples.positions(), [samples.track()]),
             samples.changeset(*deltas, drive_id=drive.drive_id, key=key), now=utc_from_ns(start_ns) + timedelta(hours=4),
         )  # fmt: skip
 
@@ -86,16 +89,17 @@ def missed(feature: MapFeature, at_ns: int, existence: float, frames_empty: int 
 
 
 @contextmanager
-def serving(database_url: str, map_name: str) -> Iterator[int]:
+def serving(database_url: str, map_name: str, *, writer: Writer | None = None) -> Iterator[int]:
     """The server as `conetl view` runs it, in a thread; yields its port."""
     running: uvicorn.Server | None = None
-    app = create_app(database_url, map_name, closing=lambda: running is not None and running.should_exit)
+    app = create_app(database_url, map_name, closing=lambda: running is not None and running.should_exit, writer=writer)
     listener = socket.create_server(("127.0.0.1", 0), backlog=2048)
     config = uvicorn.Config(app, log_level="critical", limit_concurrency=256, timeout_graceful_shutdown=1)
     running = uvicorn.Server(config)
     thread = threading.Thread(target=running.run, kwargs={"sockets": [listener]})
     thread.start()
     while not running.started:
+        assert thread.is_alive(), "the server ended by itself"
         time.sleep(0.02)
     yield listener.getsockname()[1]
     running.should_exit = True

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -10,14 +9,11 @@ from typing import Any
 import laspy
 import numpy as np
 import pytest
-import uvicorn
 from pyproj import CRS, Transformer
 from typer.testing import CliRunner
 
 from conetl.cli.app import app
-from conetl.web.app import create_app
 from tests.browser.test_view import (  # fixtures are used by their names
-    _free_port,
     browser,  # noqa: F401
     click_cone,
     conn,  # noqa: F401
@@ -31,6 +27,7 @@ from tests.browser.test_view import (  # fixtures are used by their names
     settle,
 )
 from tests.unit.io.test_base_layers import geojson, line
+from tests.view_map import serving
 
 #: The darkest points and the painted lines, as in web/src/base.ts.
 LINE = (0x0B, 0x8A, 0x3A)
@@ -72,17 +69,8 @@ def base_layers(module_database_url: str, features: dict[str, str], tmp_path_fac
 @pytest.fixture(scope="module")
 def address(module_database_url: str, base_layers: None) -> Iterator[str]:
     """The application in this process; tests/browser/test_view.py starts the command itself."""
-    port = _free_port()
-    app = create_app(module_database_url, "default")
-    server = uvicorn.Server(uvicorn.Config(app, port=port, log_level="warning", timeout_graceful_shutdown=1))
-    thread = threading.Thread(target=server.run)
-    thread.start()
-    while not server.started:
-        assert thread.is_alive(), "the server ended by itself"
-        time.sleep(0.02)
-    yield f"http://127.0.0.1:{port}/"
-    server.should_exit = True
-    thread.join()
+    with serving(module_database_url, "default") as port:
+        yield f"http://127.0.0.1:{port}/"
 
 
 def all_drawn(tab: Any) -> None:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-import uvicorn
 from pydantic import SecretStr
 from pyproj import Transformer
 from typer.testing import CliRunner
@@ -18,11 +16,9 @@ from conetl.cli.app import app as command_line
 from conetl.cli.view import decide_on
 from conetl.io.stores.decision_store import list_decisions
 from conetl.io.stores.map_store import read_current_features
-from conetl.web.app import create_app
 from conetl.web.writing import Writer
 from flows.decide import PIN, decide_place
 from tests.browser.test_view import (  # fixtures are used by their names
-    _free_port,
     browser,  # noqa: F401
     click_cone,
     conn,  # noqa: F401
@@ -31,6 +27,7 @@ from tests.browser.test_view import (  # fixtures are used by their names
 )
 from tests.integration.drives_of_days import merge, survey
 from tests.unit.io.test_base_layers import geojson, line
+from tests.view_map import serving
 
 TOKEN = "a-token-that-nobody-guesses"
 
@@ -38,18 +35,9 @@ TOKEN = "a-token-that-nobody-guesses"
 @pytest.fixture(scope="module")
 def address(module_database_url: str, conn: Any) -> Iterator[str]:  # noqa: F811
     merge(conn, survey(0))
-    port = _free_port()
     writer = Writer(token=SecretStr(TOKEN), decide=decide_on(module_database_url))
-    application = create_app(module_database_url, "default", writer=writer)
-    server = uvicorn.Server(uvicorn.Config(application, port=port, log_level="warning", timeout_graceful_shutdown=1))
-    thread = threading.Thread(target=server.run)
-    thread.start()
-    while not server.started:
-        assert thread.is_alive(), "the server ended by itself"
-        time.sleep(0.02)
-    yield f"http://127.0.0.1:{port}/"
-    server.should_exit = True
-    thread.join()
+    with serving(module_database_url, "default", writer=writer) as port:
+        yield f"http://127.0.0.1:{port}/"
 
 
 @pytest.fixture

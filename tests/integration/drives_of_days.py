@@ -11,6 +11,7 @@ from uuid import NAMESPACE_URL, uuid5
 
 import numpy as np
 
+from conetl.drive_records import DriveRecords
 from conetl.io.db import Connection, execute
 from conetl.io.stores.map_store import find_changeset, map_transaction
 from conetl.map_records import Changeset
@@ -100,12 +101,7 @@ def merge(
             return None
         return merge_drive(
             conn,
-            survey.drive,
-            survey.detections,
-            survey.matches,
-            survey.positions,
-            survey.tracks,
-            [],
+            DriveRecords(survey.drive, survey.detections, survey.matches, survey.positions, survey.tracks),
             changeset,
             params,
             map_name=map_name,

@@ -16,6 +16,7 @@ from uuid import uuid4
 
 import pytest
 
+from conetl.drive_records import DriveRecords
 from conetl.errors import DatabaseError, MapMismatchError
 from conetl.io.db import connect, execute
 from conetl.io.stores.audits import run_audits
@@ -188,12 +189,7 @@ def test_maps_do_not_see_each_other(conn, samples):
     with map_transaction(conn, "berlin"):
         commit_changeset(
             conn,
-            drive,
-            samples.detections(),
-            [],
-            samples.positions(),
-            [samples.track()],
-            [],
+            DriveRecords(drive, samples.detections(), [], samples.positions(), [samples.track()]),
             changeset,
             map_name="berlin",
         )
@@ -208,9 +204,7 @@ def test_maps_do_not_see_each_other(conn, samples):
 def test_another_crs_is_refused(conn, samples):
     samples.commit(conn, samples.added(samples.feature()), key="1")
     with pytest.raises(MapMismatchError, match=r"EPSG:32633.*EPSG:32632.*drive\.yaml"), map_transaction(conn):
-        commit_changeset(
-            conn, samples.drive("b", srid=32633), [], [], [], [], [], samples.changeset(drive_id="b", key="2")
-        )
+        commit_changeset(conn, DriveRecords(samples.drive("b", srid=32633)), samples.changeset(drive_id="b", key="2"))
     assert len(list_changesets(conn)) == 1
 
 
@@ -249,12 +243,11 @@ def test_records_that_do_not_fit_together_are_refused(conn, samples, changes, wo
         "matches": samples.matches(),
         "positions": samples.positions(),
         "tracks": [samples.track()],
-        "rejections": [],
         "changeset": samples.changeset(samples.added(samples.feature())),
     }
     values |= {name: make(samples) for name, make in changes.items()}
     with pytest.raises(MapMismatchError, match=words), map_transaction(conn):
-        commit_changeset(conn, **values)
+        commit_changeset(conn, changeset=values.pop("changeset"), records=DriveRecords(**values))
     assert find_map(conn) is None
 
 
@@ -275,7 +268,7 @@ def test_rejections_come_back_whatever_they_hold(conn, samples):
     ]
     changeset = samples.changeset()
     with map_transaction(conn):
-        commit_changeset(conn, samples.drive(), [], [], [], [], rejections, changeset)
+        commit_changeset(conn, DriveRecords(samples.drive(), rejections=rejections), changeset)
     read = {r.record: r for r in read_rejections(conn, changeset.changeset_id)}
     assert set(read) == {"frame pair 4\ufffd", "frame pair 5", "track 1"}
     assert read["frame pair 4\ufffd"].detail == "näh"
@@ -303,12 +296,7 @@ def test_an_error_inside_the_transaction_leaves_nothing(conn, samples):
     with pytest.raises(RuntimeError), map_transaction(conn):
         commit_changeset(
             conn,
-            samples.drive(),
-            [],
-            [],
-            [],
-            [],
-            [],
+            DriveRecords(samples.drive()),
             samples.changeset(samples.added(samples.feature(), track_index=None)),
         )
         raise RuntimeError
@@ -331,12 +319,7 @@ def test_two_ingests_wait_for_each_other(conn, database_url, samples):
         assert order == []
         commit_changeset(
             conn,
-            samples.drive(),
-            [],
-            [],
-            [],
-            [],
-            [],
+            DriveRecords(samples.drive()),
             samples.changeset(samples.added(samples.feature(), track_index=None)),
         )
     thread.join(timeout=10)
@@ -372,7 +355,7 @@ def test_a_lost_connection_is_one_clear_error(conn, database_url, samples):
         pid = second.info.backend_pid
         execute(conn, "select pg_terminate_backend(%(pid)s)", {"pid": pid})
         conn.commit()
-        commit_changeset(second, samples.drive(), [], [], [], [], [], samples.changeset())
+        commit_changeset(second, DriveRecords(samples.drive()), samples.changeset())
     assert find_map(conn) is None
 
 

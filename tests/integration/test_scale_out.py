@@ -19,7 +19,7 @@ from conetl.io.places import place
 from conetl.params import IngestParams
 from conetl.settings import Settings, prefect_environment
 from flows import progress, tasks
-from flows.ingest_drive import _run_chunks
+from flows.analysis import PrefectRuns, analyse
 from flows.runners import task_runner
 from flows.server import prefect_server
 from flows.tasks import Chunk
@@ -60,7 +60,8 @@ def test_threads_processes_and_dask_write_the_same_bytes(home: Path, chunks: lis
     drive, _ = read_drive(Path(chunks[0].frame_pairs[0].left_path).parents[2])
 
     def work(folder: Path) -> None:
-        _run_chunks(drive, [chunk.model_copy(update={"results_folder": folder}) for chunk in chunks])
+        here = [chunk.model_copy(update={"results_folder": folder}) for chunk in chunks]
+        analyse(drive, [], here, chunks[0].params, None, PrefectRuns())
 
     written: dict[str, dict[str, bytes]] = {}
     for kind in ("threads", "processes", "dask"):
@@ -77,7 +78,9 @@ def test_threads_processes_and_dask_write_the_same_bytes(home: Path, chunks: lis
             progress.ignore(listener)
         assert heard[-1] == (8, 8), "6 pictures and 2 motions, whoever counted them"
         written[kind] = {path.name: path.read_bytes() for path in (tmp_path / kind).iterdir()}
-    assert len(written["threads"]) == 9, "4 of detections, 2 of matches; points followed, motions, self-calibration"
+    assert len(written["threads"]) == 11, (
+        "4 of detections, 2 of matches, 2 of positions; points followed, motions, self-calibration"
+    )
     assert written["processes"] == written["threads"]
     assert written["dask"] == written["threads"]
 

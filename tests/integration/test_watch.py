@@ -13,7 +13,9 @@ from uuid import uuid4
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
+from typer.testing import CliRunner
 
+from conetl.cli.app import app
 from conetl.cli.watch import latency, report_as_dict
 from conetl.errors import DriveFolderError, InputError
 from conetl.io.db import connect, execute
@@ -160,6 +162,17 @@ def test_a_watch_ends_when_nothing_comes(settings: Settings, tmp_path: Path) -> 
     assert watch(tmp_path / "drive", settings, idle_s=0.3).ended_by == "nothing came for 0.3 s"
     with pytest.raises(DriveFolderError, match="no such folder"):
         watch(tmp_path / "typo", settings)
+
+
+def test_a_folder_that_never_becomes_a_drive_is_an_error(
+    database_url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CONETL_DATABASE_URL", database_url)
+    monkeypatch.setenv("CONETL_HOME", str(tmp_path / "home"))
+    (tmp_path / "drive").mkdir()
+    result = CliRunner().invoke(app, ["watch", str(tmp_path / "drive"), "--idle-seconds", "0.3"])
+    assert isinstance(result.exception, DriveFolderError)
+    assert "nothing came that makes it a drive" in str(result.exception)
 
 
 def live_row(conn: Any, samples: Any, drive_id: str, at_ns: int) -> WatchedDrive:

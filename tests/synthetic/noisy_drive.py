@@ -25,6 +25,7 @@ from conetl.records import (
     StereoMatch,
     Track,
 )
+from conetl.steps.association import MotionError
 from conetl.steps.evaluation import TruthCone
 from conetl.steps.positions import locate_positions
 from tests.synthetic.world import ORIGIN_M, Cone, apparent_box, camera_pose, fuse_logged, make_path
@@ -86,13 +87,12 @@ def draw_drive(
     drawn, matches = _draw(rng, rig, cones, errors, frames, noise, 1.0, outline_px)
     found = [detection for match in matches for detection in (match.left, match.right)]
     pairs = drawn.drive.frame_pairs
-    tracks, _ = fuse_logged(pairs, rig, found, matches, drawn.positions, motion=_exact_motion)
+    tracks, _ = fuse_logged(pairs, rig, found, matches, drawn.positions, motion=_EXACT_MOTION)
     return replace(drawn, tracks=tracks)
 
 
-def _exact_motion(_start: int, _end: int, _point_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A `MotionError` of a trajectory whose errors are all common."""
-    return np.zeros((3, 3))
+#: Of a trajectory whose errors are all common.
+_EXACT_MOTION = MotionError(lambda _start, _end, _point_m: np.zeros((3, 3)), most_m2=lambda _range_m: 0.0)
 
 
 def _draw(

@@ -113,6 +113,23 @@ def test_a_gap_in_the_measurements_is_bridged() -> None:
     assert np.trace(error(2, 16, point)) < 1.5 * np.trace(whole_error(2, 16, point))
 
 
+def test_no_motion_errs_more_than_it_is_said_to_at_most() -> None:
+    _, log, motions = drive(2)
+    result = refine_trajectory(log, RIG, motions[:20] + motions[30:], PARAMS)
+    error = motion_error(result)
+    assert error is not None
+    left, most = result.map_SE3_left, []
+    for start in range(0, len(log), 3):
+        for end in range(0, len(log), 3):
+            point = np.array([2.0, 1.0, 15.0])
+            at_end = np.linalg.inv(left[end]) @ left[start] @ np.append(point, 1.0)
+            seen_m = max(np.linalg.norm(point), np.linalg.norm(at_end[:3]))
+            most.append(
+                np.trace(error(log[start].frame_index, log[end].frame_index, point)) / error.most_m2(float(seen_m))
+            )
+    assert max(most) <= 1
+
+
 @pytest.mark.parametrize("wild_m", [0.5, 1.0, 5.0])
 def test_one_wild_motion_is_refused_and_named(wild_m: float) -> None:
     truth, log, motions = drive(3)

@@ -72,9 +72,8 @@ def show(
         )
         return
     when = f" as of {as_of}" if as_of else ""
-    out.print(
-        f"Map {summary.map_name}, EPSG:{summary.srid}: {len(versions)} cones{when}, {summary.changeset_count} changesets."
-    )
+    drives = f"{summary.changeset_count} changeset{'' if summary.changeset_count == 1 else 's'}"
+    out.print(f"Map {summary.map_name}, EPSG:{summary.srid}: {len(versions)} cones{when}, {drives}.")
     rows: list[tuple[object, ...]] = [
         (
             str(v.feature.feature_id)[:8],

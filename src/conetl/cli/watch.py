@@ -14,6 +14,7 @@ import typer
 from conetl.cli.console import JsonOption, err, out, print_json, print_table
 from conetl.cli.database import open_map
 from conetl.cli.ingest import read_params
+from conetl.errors import DriveFolderError
 from conetl.io.stores.live_store import read_provisional
 from conetl.settings import Settings, read_settings
 
@@ -62,6 +63,11 @@ def watch(
         )  # fmt: skip
     finally:
         signal.signal(signal.SIGINT, before)
+    if not report.drive_id and not stop.is_set():
+        raise DriveFolderError(
+            f"{drive}: nothing came that makes it a drive ({report.ended_by}): expected image_02/data and image_03/data of "
+            "KITTI, or a plain folder's left, right and trajectory.csv; `conetl inspect` says what is missing"
+        )
     if as_json:
         print_json(report_as_dict(report))
         return

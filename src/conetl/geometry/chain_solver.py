@@ -48,6 +48,8 @@ class ChainCovariance:
     """(K, n, m): how far a state moves with the shared unknowns."""
     shared: Floats
     """(m, m): covariance of the shared unknowns."""
+    strides: tuple[tuple[int, Floats], ...] = ()
+    """Steps s of many states, longest first, with (K - s, n, n): gain[k] @ ... @ gain[k + s - 1]."""
 
 
 def solve(normal: ChainNormal) -> tuple[Floats, Floats]:
@@ -72,15 +74,30 @@ def covariance(normal: ChainNormal) -> ChainCovariance:
     if len(normal.right_shared):
         shared = np.asarray(np.linalg.inv(_shared_normal(normal, alone, reach)[0]), dtype=np.float64)
         shared = (shared + shared.T) / 2
-    return ChainCovariance(chain + reach @ shared @ np.swapaxes(reach, 1, 2), gain, chain, -reach, shared)
+    cov = chain + reach @ shared @ np.swapaxes(reach, 1, 2)
+    return ChainCovariance(cov, gain, chain, -reach, shared, _strides(gain))
 
 
 def cross_covariance(result: ChainCovariance, first: int, second: int) -> Floats:
-    """(n, n) covariance of state `first` with state `second`; first <= second."""
-    block = result.chain[second]
-    for k in range(second - 1, first - 1, -1):
-        block = result.gain[k] @ block
+    """(n, n) covariance of state `first` with state `second`; first <= second. Takes steps in the logarithm of their distance."""
+    block, k = result.chain[second], second
+    for step, product in (*result.strides, (1, result.gain)):
+        while k - step >= first:
+            k -= step
+            block = product[k] @ block
     return np.asarray(block + result.reach[first] @ result.shared @ result.reach[second].T)
+
+
+def _strides(gain: Floats) -> tuple[tuple[int, Floats], ...]:
+    """Products of 16, 256, ... gains in a row from every state on; see `ChainCovariance.strides`."""
+    strides: list[tuple[int, Floats]] = []
+    step, product = 1, gain
+    while len(gain) >= 16 * step:
+        for _ in range(4):  # a product twice as long from every place where one fits
+            product = product[: len(product) - step] @ product[step:]
+            step *= 2
+        strides.insert(0, (step, product))
+    return tuple(strides)
 
 
 def _eliminate(normal: ChainNormal) -> tuple[Floats, Floats]:

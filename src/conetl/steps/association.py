@@ -12,20 +12,38 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from heapq import heappop, heappush
+from itertools import count
+from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
+from scipy.spatial import cKDTree
 
 from conetl.geometry.packing import cov_matrix
 from conetl.params import TrackParams
 from conetl.records import Position
 
 Floats = NDArray[np.float64]
-#: (start frame, end frame, point (3,) m in the left camera at start) -> (3, 3) m^2 that the motion adds to its covariance.
-MotionError = Callable[[int, int, Floats], Floats]
 #: Cost of an impossible pairing in the assignment; far above any gate.
 _FORBIDDEN = 1e6
+#: Of the search for the farthest that two positions of one cone may be apart.
+_ROUNDS, _SETTLED_M = 50, 0.01
+
+
+@dataclass(frozen=True)
+class MotionError:
+    """How vague a point gets when the relative motion carries it from frame to frame."""
+
+    cov_m2: Callable[[int, int, Floats], Floats]
+    """(start frame, end frame, point (3,) m in the left camera at start) -> (3, 3) m^2 that the motion adds to its covariance,
+    in the left camera's frame at the end."""
+    most_m2: Callable[[float], float] = lambda _range_m: np.inf
+    """Range (m) from which a point is seen at both ends -> what the trace of that covariance never exceeds."""
+
+    def __call__(self, start: int, end: int, point_m: Floats) -> Floats:
+        return self.cov_m2(start, end, point_m)
 
 
 @dataclass(frozen=True)
@@ -138,19 +156,73 @@ def join_fragments(
     Two groups with a common frame are two cones, however near. Otherwise the nearest pair of positions in time is compared,
     one carried into the frame of the other; the best fitting groups are joined first.
     """
-    joined: list[tuple[Position, ...]] = sorted(groups, key=lambda g: g[0].frame_index)
-    while True:
-        best: tuple[float, int, int] | None = None
-        for i in range(len(joined)):
-            for j in range(i + 1, len(joined)):
-                misfit = misfit_of(joined[i], joined[j], map_SE3_left, params, motion)
-                if misfit is not None and (best is None or misfit < best[0]):
-                    best = (misfit, i, j)
-        if best is None:
-            return joined
-        _, i, j = best
-        merged = tuple(sorted((*joined[i], *joined[j]), key=lambda p: p.frame_index))
-        joined = [g for k, g in enumerate(joined) if k not in (i, j)] + [merged]
+    alive = dict(enumerate(sorted(groups, key=lambda g: g[0].frame_index)))
+    near = _near_groups(list(alive.values()), params, motion)
+    waiting: list[tuple[float, int, int]] = []
+    numbers = count(len(alive))
+
+    def compare(i: int, j: int) -> None:
+        if (misfit := misfit_of(alive[i], alive[j], map_SE3_left, params, motion)) is not None:
+            heappush(waiting, (misfit, i, j))
+
+    for i, others in near.items():
+        for j in sorted(others):
+            if i < j:
+                compare(i, j)
+    while waiting:
+        _, i, j = heappop(waiting)
+        if i not in alive or j not in alive:  # one of them was joined to a better fitting one meanwhile
+            continue
+        new = next(numbers)
+        merged = tuple(sorted((*alive.pop(i), *alive.pop(j)), key=lambda p: p.frame_index))
+        alive[new] = merged
+        # Two groups that are far from a third are so together: what is compared is one position of either.
+        near[new] = {k for k in near.pop(i) | near.pop(j) if k in alive and k != new}
+        for k in sorted(near[new]):
+            near[k].add(new)
+            compare(k, new)
+    return list(alive.values())
+
+
+def _near_groups(
+    groups: Sequence[tuple[Position, ...]], params: TrackParams, motion: MotionError | None
+) -> dict[int, set[int]]:
+    """For each group those that may be the same cone: no error that the motion can have spans a longer distance.
+
+    Without it every group of a drive would be compared with every other, though most stand kilometres apart.
+    """
+    most_m = inf if motion is None else _most_reach_m(groups, params, motion)
+    if most_m == inf or not groups:
+        return {i: set(range(len(groups))) - {i} for i in range(len(groups))}
+    places = [np.array([p.xyz_m for p in group]) for group in groups]
+    centres = np.array([own.mean(axis=0) for own in places])
+    radii = np.array([np.linalg.norm(own - own.mean(axis=0), axis=1).max() for own in places])
+    pairs = cKDTree(centres).query_pairs(most_m + 2 * radii.max(), output_type="ndarray")
+    apart_m = np.linalg.norm(centres[pairs[:, 0]] - centres[pairs[:, 1]], axis=1)
+    near: dict[int, set[int]] = {i: set() for i in range(len(groups))}
+    for i, j in pairs[apart_m <= most_m + radii[pairs[:, 0]] + radii[pairs[:, 1]]].tolist():
+        near[i].add(j)
+        near[j].add(i)
+    return near
+
+
+def _most_reach_m(groups: Sequence[tuple[Position, ...]], params: TrackParams, motion: MotionError) -> float:
+    """An upper bound of `misfit_of`'s reach: of a fixed point, because a carried point may be seen from as much farther away."""
+    everything = [p for group in groups for p in group]
+    range_m = max((float(np.linalg.norm(p.camera_xyz_m)) for p in everything), default=0.0)
+    own_m2 = max((p.camera_cov_m2[0] + p.camera_cov_m2[3] + p.camera_cov_m2[5] for p in everything), default=0.0)
+    most_m = 0.0
+    for _ in range(_ROUNDS):
+        further = _reach_m(own_m2 + motion.most_m2(range_m + most_m) + 3 * params.motion_sigma_m**2, params)
+        if further <= most_m + _SETTLED_M:
+            return further + _SETTLED_M
+        most_m = further
+    return inf
+
+
+def _reach_m(trace_m2: float, params: TrackParams) -> float:
+    """How far apart two positions of one cone may be, by the trace of the carried one's covariance."""
+    return params.join_gate_m + 3 * float(np.sqrt(trace_m2 / 3))
 
 
 def misfit_of(
@@ -161,10 +233,15 @@ def misfit_of(
     motion: MotionError | None,
 ) -> float | None:
     """Squared Mahalanobis distance of two groups, or None where they cannot be one cone."""
-    frames_a, frames_b = {p.frame_index for p in a}, {p.frame_index for p in b}
-    if frames_a & frames_b:
+    frames_a, frames_b = np.array([p.frame_index for p in a]), np.array([p.frame_index for p in b])
+    # Of each of a's frames, b's last one before it and its first one after it (or at it).
+    after = np.searchsorted(frames_b, frames_a)
+    candidates = np.stack([np.maximum(after - 1, 0), np.minimum(after, len(b) - 1)], axis=1)
+    gaps = np.abs(frames_b[candidates] - frames_a[:, None])
+    if not gaps.all():
         return None
-    one, other = min(((p, q) for p in a for q in b), key=lambda pair: abs(pair[0].frame_index - pair[1].frame_index))
+    i, side = divmod(int(gaps.argmin()), 2)
+    one, other = a[i], b[int(candidates[i, side])]
     mean, cov = carry(
         np.array(one.camera_xyz_m),
         cov_matrix(one.camera_cov_m2),
@@ -178,5 +255,5 @@ def misfit_of(
     spread = cov + cov_matrix(other.camera_cov_m2)
     distance2 = float(difference @ np.linalg.solve(spread, difference))
     # The covariance alone would join far, vague points over any distance along the line of sight.
-    reach_m = params.join_gate_m + 3 * float(np.sqrt(np.trace(cov) / 3))
+    reach_m = _reach_m(float(np.trace(cov)), params)
     return distance2 if distance2 <= params.gate_chi2 and np.linalg.norm(difference) <= reach_m else None

@@ -169,11 +169,7 @@ def relative_cov(trajectory: RefinedTrajectory, start: int, end: int) -> Floats 
 
 
 def motion_error(trajectory: RefinedTrajectory) -> MotionError | None:
-    """How vague a point gets when it is carried from frame to frame; None where the trajectory was not refined.
-
-    The function returned takes frame indices `start` and `end` and a point (3,) m of the left camera's frame at `start`, and
-    gives the (3, 3) covariance in m^2 that the motion adds to it in the left camera's frame at `end`.
-    """
+    """How vague a point gets when it is carried from frame to frame; None where the trajectory was not refined."""
     if trajectory.covariance is None:
         return None
     rank = {pair.frame_index: k for k, pair in enumerate(trajectory.frame_pairs)}
@@ -186,7 +182,14 @@ def motion_error(trajectory: RefinedTrajectory) -> MotionError | None:
         by_motion = np.hstack([-skew(turned), np.eye(3)])
         return np.asarray(by_motion @ cov @ by_motion.T)
 
-    return carried_cov_m2
+    # A difference of two poses has at most twice the variance of both together, and so has the sum of its place's error and of
+    # what attitude does at the end of a lever.
+    variances = np.diagonal(trajectory.covariance.cov, axis1=1, axis2=2)
+    place_m2, attitude_rad2 = (float(part.sum(axis=1).max()) for part in (variances[:, :3], variances[:, 3:POSE]))
+    lever_m = float(np.linalg.norm(trajectory.body_SE3_left[:3, 3]))
+    return MotionError(
+        carried_cov_m2, most_m2=lambda range_m: 8 * (place_m2 + (range_m + lever_m) ** 2 * attitude_rad2)
+    )
 
 
 def _read_log(frame_pairs: Sequence[FramePair], rig: Rig, params: TrajectoryParams) -> LoggedPoses:

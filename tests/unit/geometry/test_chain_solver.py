@@ -57,6 +57,23 @@ def test_equals_the_dense_solution(seed: int, count: int, size: int, shared: int
     assert np.allclose(result.shared, inverse[count * size :, count * size :], rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.parametrize("count", [16, 17, 33, 600])
+def test_far_states_are_reached_in_strides(count: int) -> None:
+    result = covariance(random_normal(count, count, 2, 1)[0])
+    for first, second in (
+        (0, count - 1),
+        (0, count // 2),
+        (3, count - 2),
+        (count // 3, count - 1),
+        (count - 1, count - 1),
+    ):
+        step_by_step = result.chain[second]
+        for k in range(second - 1, first - 1, -1):
+            step_by_step = result.gain[k] @ step_by_step
+        step_by_step = step_by_step + result.reach[first] @ result.shared @ result.reach[second].T
+        assert np.allclose(cross_covariance(result, first, second), step_by_step, rtol=1e-9, atol=1e-15)
+
+
 def test_a_singular_chain_is_an_error() -> None:
     normal, _, _ = random_normal(0, 3, 2, 0)
     normal.diagonal[0] = 0.0

@@ -85,6 +85,10 @@ class DriveYaml(_Section):
     antenna_t_m: tuple[float, float, float] | None = None
     """Bags: the GNSS antenna in the IMU's frame, where /tf_static does not tell; 0, 0, 0 if reduced already."""
 
+    def id_of(self, name: str) -> str:
+        """The drive's id: what the file says, else the name of the folder or recording."""
+        return self.drive_id or name[:200]
+
     @field_validator("timestamps_timezone")
     @classmethod
     def _known_zone(cls, value: str) -> str:

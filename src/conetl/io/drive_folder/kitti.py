@@ -111,7 +111,7 @@ def read_kitti_drive(
             )
     require_pairs(pairs, rejections, len(numbers), folder)
     drive = Drive(
-        drive_id=settings.drive_id or root.name[:200], source_path=str(root), rig=rig, map_srid=srid,
+        drive_id=settings.id_of(root.name), source_path=str(root), rig=rig, map_srid=srid,
         content_sha256=content.hexdigest(), frame_pairs=tuple(pairs), expected_frame_count=len(numbers),
     )  # fmt: skip
     return drive, rejections

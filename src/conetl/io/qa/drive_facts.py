@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from datetime import datetime
 from typing import Any
 from uuid import UUID
@@ -16,6 +16,7 @@ from conetl.io.db import Connection, database_errors, execute, load_sql, stream
 from conetl.io.stores.drive_store import read_drive, read_frame_pairs
 from conetl.io.stores.map_results import CommittedChangeset
 from conetl.io.stores.map_store import list_changesets, read_features_as_of
+from conetl.io.stores.serve_store import read_changeset_changes
 from conetl.map_records import DeltaKind
 from conetl.records import FramePair, Rig, Track
 
@@ -131,7 +132,7 @@ def read_drive_facts(conn: Connection, changeset: CommittedChangeset, *, map_nam
         if header["rig"] is None:
             raise InputError(f"changeset {changeset.changeset_no} is an imported map, not a drive: it has no report")
         rig = Rig.model_validate(header["rig"])
-        rows = [_change(row) for row in execute(conn, load_sql("report/changes"), parameters)]
+        rows = [_change(row) for row in read_changeset_changes(conn, map_name, changeset.changeset_no)]
         rejections = execute(conn, load_sql("report/rejections"), parameters)
         residuals = np.array(list(stream(conn, load_sql("report/residuals"), {"drive_uuid": changeset.drive_uuid})))
     frame_pairs = read_frame_pairs(conn, changeset.drive_uuid)
@@ -153,9 +154,13 @@ def read_drive_facts(conn: Connection, changeset: CommittedChangeset, *, map_nam
 
 
 def _change(row: dict[str, Any]) -> dict[str, Any]:
-    old = (row.pop("old_easting_m"), row.pop("old_northing_m"))
-    place = (row.pop("easting_m"), row.pop("northing_m"), row.pop("height_m"))
-    return row | {"kind": DeltaKind(row["kind"]), "old_xy_m": None if old[0] is None else old, "xyz_m": place}
+    same = {field.name: row[field.name] for field in fields(Change) if field.name in row}
+    return same | {
+        "kind": DeltaKind(row["kind"]),
+        "old_xy_m": None if row["old_easting_m"] is None else (row["old_easting_m"], row["old_northing_m"]),
+        "xyz_m": (row["easting_m"], row["northing_m"], row["height_m"]),
+        "sigma_m": float(np.sqrt((row["cov_xx"] + row["cov_yy"]) / 2)),
+    }
 
 
 #: What needs a person's eye comes first.

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
 
+from conetl.drive_records import DriveRecords
 from conetl.errors import MapMismatchError
 from conetl.map_records import Changeset
-from conetl.records import Detection, Drive, Position, StereoMatch, Track
 
 
 def require_consistent(
-    drive: Drive,
-    detections: Sequence[Detection],
-    matches: Sequence[StereoMatch],
-    positions: Sequence[Position],
-    tracks: Sequence[Track],
+    records: DriveRecords,
     changeset: Changeset,
 ) -> None:
     """Checks that foreign keys would make row by row, at a tenth of their cost. Raises MapMismatchError."""
+    drive, detections, matches, positions, tracks, _ = records
     frames = {pair.frame_index for pair in drive.frame_pairs}
     boxes = {(d.frame_index, d.side, d.detection_index) for d in detections}
     positioned = {(p.frame_index, p.match_index) for p in positions}

@@ -6,7 +6,7 @@ One drive is one atomic changeset. The caller holds the map's lock from reading 
         if find_changeset(conn, key, map_name=map_name) is None:
             drive_uuid = place_drive(conn, drive, key, ...)
             ...                                       # compare in Python: in flows/replay.py
-            commit_changeset(conn, drive, detections, matches, positions, tracks, rejections, changeset, map_name=map_name)
+            commit_changeset(conn, records, changeset, map_name=map_name)
 
 Everything is committed at the end of the block, or nothing.
 """
@@ -20,6 +20,7 @@ from typing import Any
 from uuid import NAMESPACE_URL, UUID, uuid5
 
 from conetl.detector_evidence import LookFigures
+from conetl.drive_records import DriveRecords
 from conetl.errors import MapMismatchError
 from conetl.io.db import (
     Connection,
@@ -53,14 +54,9 @@ from conetl.io.stores.replay_store import write_replay
 from conetl.map_records import Changeset, DeltaKind, MapFeature
 from conetl.params import ReconcileParams
 from conetl.records import (
-    Detection,
     Drive,
-    Position,
-    StereoMatch,
-    Track,
     utc_from_ns,
 )
-from conetl.rejections import Rejection
 
 Bbox = tuple[float, float, float, float]
 """west, south, east, north in metres of the map's CRS."""
@@ -176,12 +172,7 @@ def map_summary(conn: Connection, map_name: str = "default") -> MapSummary | Non
 
 def commit_changeset(
     conn: Connection,
-    drive: Drive,
-    detections: Sequence[Detection],
-    matches: Sequence[StereoMatch],
-    positions: Sequence[Position],
-    tracks: Sequence[Track],
-    rejections: Sequence[Rejection],
+    records: DriveRecords,
     changeset: Changeset,
     *,
     map_name: str = "default",
@@ -203,7 +194,8 @@ def commit_changeset(
     known = find_changeset(conn, changeset.idempotency_key, map_name=map_name)
     if known is not None:
         return CommitResult(committed=False, changeset=known, versions_written=0)
-    require_consistent(drive, detections, matches, positions, tracks, changeset)
+    require_consistent(records, changeset)
+    drive, detections, matches, positions, tracks, rejections = records
     drive_uuid = place_drive(conn, drive, changeset.idempotency_key, map_name=map_name, now=now)
     info = map_for(conn, map_name, drive.map_srid, f"drive {drive.drive_id}", now)
     committed_at = system_time(conn, info, now)

@@ -56,7 +56,8 @@ def read_features(
 
 def read_changeset_changes(conn: Connection, map_name: str, changeset_no: int) -> list[Row]:
     """What one changeset did, by feature id."""
-    return _rows(conn, "changes_of_changeset", {"map_name": map_name, "changeset_no": changeset_no})
+    with database_errors(f"The map {map_name} cannot be read"):
+        return execute(conn, load_sql("map/changes_of_changeset"), {"map_name": map_name, "changeset_no": changeset_no})
 
 
 def read_changes_between(

@@ -1,11 +1,12 @@
 -- Purpose: what one changeset did to each feature it judged. Parameters: map_name; changeset_no.
--- Columns: feature_id, kind, changed_at, shift_m, old_easting_m, old_northing_m, old_height_m (null for added); easting_m,
--- northing_m, height_m (after it; of a removed feature the last place), cov_xx, cov_xy, cov_yy (m^2), cone_height_m,
+-- Columns: feature_id, kind, changed_at, shift_m, track_index (null: not seen), frames_seen, frames_empty, old_easting_m,
+-- old_northing_m, old_height_m (null for added); easting_m, northing_m, height_m (after it; of a removed feature the last
+-- place), cov_xx, cov_xy, cov_yy (m^2), cone_height_m,
 -- existence_probability (after this drive's look), observation_count, version. All as believed when it was committed: an earlier drive
 -- that comes later may have given the drive another part since, which the history of a feature tells. Kind 'missed': the drive
 -- looked for it in vain and left it standing.
 select
-    x.feature_id, x.kind, x.changed_at, x.shift_m,
+    x.feature_id, x.kind, x.changed_at, x.shift_m, x.track_index, x.frames_seen, x.frames_empty,
     ST_X(o.geom) as old_easting_m, ST_Y(o.geom) as old_northing_m, ST_Z(o.geom) as old_height_m,
     ST_X(n.geom) as easting_m, ST_Y(n.geom) as northing_m, ST_Z(n.geom) as height_m,
     n.cov_xx, n.cov_xy, n.cov_yy, n.cone_height_m,

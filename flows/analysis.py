@@ -1,0 +1,141 @@
+"""From a drive that was read to its tracks: the order of the steps, for the flow and for commands that need no server."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+from prefect import Task
+from prefect.utilities.annotations import opaque
+
+from conetl.detector_evidence import DetectorEvidence
+from conetl.drive_records import DriveRecords
+from conetl.io.parquet_store import load_results
+from conetl.params import IngestParams
+from conetl.records import Detection, Drive, Position, StereoMatch
+from conetl.rejections import Rejection
+from conetl.steps.self_calibration import SWITCHED_OFF, SelfCalibration, self_calibrated_rig
+from conetl.steps.trajectory import RefinedTrajectory
+from flows.progress import expect
+from flows.refinement import (
+    motions_task,
+    moved,
+    odometry_chunks,
+    odometry_task,
+    refine_task,
+    self_calibrate_task,
+    with_rig,
+)
+from flows.retries import whole
+from flows.runners import count_when_done
+from flows.tasks import Chunk, detect_task, fuse_task, locate_task, match_task
+
+
+class Runs(Protocol):
+    """How tasks are run."""
+
+    def now(self, task: Task[..., Any], *arguments: Any) -> Any:
+        """In the caller's thread; its result. Arguments may be futures."""
+
+    def soon(self, task: Task[..., Any], *arguments: Any) -> Any:
+        """Beside the caller, a future with `result()`. Arguments may be futures."""
+
+
+class PrefectRuns:
+    """As task runs of the flow run that calls."""
+
+    def now(self, task: Task[..., Any], *arguments: Any) -> Any:
+        return task(*arguments)
+
+    def soon(self, task: Task[..., Any], *arguments: Any) -> Any:
+        return task.submit(*arguments)
+
+
+class PlainRuns:
+    """As plain functions, on a pool of threads: no server, no run."""
+
+    def __init__(self, pool: ThreadPoolExecutor) -> None:
+        self._pool = pool
+
+    def now(self, task: Task[..., Any], *arguments: Any) -> Any:
+        return task.fn(*(_value(argument) for argument in arguments))
+
+    def soon(self, task: Task[..., Any], *arguments: Any) -> Future[Any]:
+        # What it waits for was submitted before it, so a pool of any size gets on.
+        return self._pool.submit(self.now, task, *arguments)
+
+
+def _value(argument: Any) -> Any:
+    if isinstance(argument, Future):
+        return argument.result()
+    return argument.unwrap() if isinstance(argument, opaque) else argument
+
+
+class Analysed(NamedTuple):
+    """What a drive gave, and how its poses and its calibration were refined."""
+
+    records: DriveRecords
+    trajectory: RefinedTrajectory
+    calibration: SelfCalibration
+
+
+def analyse(
+    drive: Drive,
+    rejections: Sequence[Rejection],
+    chunks: Sequence[Chunk],
+    params: IngestParams,
+    evidence: DetectorEvidence | None,
+    runs: Runs,
+) -> Analysed:
+    """Detect and odometry -> self-calibrate -> match -> refine -> locate -> fuse.
+
+    rejections: of reading the drive. chunks: `chunks_of` the drive. evidence: what is measured of the detector (None: nothing).
+    How far it is, `flows.progress` tells. Raises ConetlError.
+    """
+    detection_paths, match_paths, motion_paths, calibration = _run_chunks(drive, chunks, runs)
+    drive = drive.model_copy(update={"rig": self_calibrated_rig(drive.rig, calibration, params.trajectory)})
+    chunks = with_rig(chunks, drive.rig)
+    trajectory: RefinedTrajectory = runs.now(refine_task, whole(drive), motion_paths, match_paths, params)
+    drive = drive.model_copy(update={"frame_pairs": trajectory.frame_pairs})
+    position_paths = runs.now(locate_task, whole(moved(chunks, trajectory)), match_paths)
+    detections, refused_detections = load_results(detection_paths, Detection)
+    matches, refused_matches = load_results(match_paths, StereoMatch)
+    positions, refused_positions = load_results(position_paths, Position)
+    seen = whole(detections), whole(matches), whole(positions)
+    tracks, refused_tracks = runs.now(fuse_task, whole(drive), *seen, params, evidence, whole(trajectory))
+    refused = [*rejections, *refused_detections, *refused_matches, *refused_positions, *refused_tracks]
+    return Analysed(DriveRecords(drive, detections, matches, positions, tracks, refused), trajectory, calibration)
+
+
+def _run_chunks(
+    drive: Drive, chunks: Sequence[Chunk], runs: Runs
+) -> tuple[list[Path], list[Path], list[Path], SelfCalibration]:
+    """Detections, matches and motions of all chunks, and what the drive says of its calibration, which matching waits for.
+
+    Visual odometry runs beside the detection; motions and self-calibration run in the caller's own thread, also beside it.
+    """
+    drive_id, params = drive.drive_id, chunks[0].params.trajectory
+    overlapping = list(odometry_chunks(chunks)) if params.refine else []
+    steps = 2 * sum(len(chunk.frame_pairs) for chunk in chunks) + sum(len(o.frame_pairs) - 1 for o in overlapping)
+    expect(drive_id, steps)
+    detected, followed = [], []
+    for k, chunk in enumerate(chunks):
+        detected.append([runs.soon(detect_task, whole(chunk), side) for side in ("left", "right")])
+        for future in detected[-1]:
+            count_when_done(future, drive_id, len(chunk.frame_pairs))
+        if k < len(overlapping):
+            followed.append(runs.soon(odometry_task, whole(overlapping[k])))
+            count_when_done(followed[-1], drive_id, len(overlapping[k].frame_pairs) - 1)
+    tracks = [future.result() for future in followed]
+    motions = runs.now(motions_task, whole(overlapping), tracks)
+    calibration: SelfCalibration = SWITCHED_OFF
+    if params.self_calibrate:
+        calibration = runs.now(self_calibrate_task, whole(drive), tracks, motions, whole(chunks[0]))
+    rig = self_calibrated_rig(drive.rig, calibration, params)
+    if rig != drive.rig:
+        motions = runs.now(motions_task, whole(with_rig(overlapping, rig)), tracks, motions)
+    turned = with_rig(chunks, rig)
+    matched = [runs.soon(match_task, whole(c), *sides) for c, sides in zip(turned, detected, strict=True)]
+    return [f.result() for sides in detected for f in sides], [f.result() for f in matched], motions, calibration
