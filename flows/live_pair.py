@@ -5,10 +5,11 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 from uuid import uuid4
 
 import numpy as np
@@ -61,6 +62,29 @@ class LiveDrive:
     """Provisional features by number."""
 
 
+class Sight(NamedTuple):
+    """What one picture of a pair shows."""
+
+    image: Image
+    detections: list[Detection]
+    ended_s: float
+    """When it was known (monotonic s)."""
+    processor_s: float
+
+
+@dataclass(frozen=True)
+class Look:
+    """Both pictures of a pair while they are being searched."""
+
+    pair: FramePair
+    began_s: float
+    sides: tuple[Future[Sight], Future[Sight]]
+
+    def seen(self) -> tuple[Sight, Sight]:
+        """What both show, once they have been searched. Raises ImageFileError where one is not whole."""
+        return self.sides[0].result(), self.sides[1].result()
+
+
 @dataclass(frozen=True)
 class StepTimes:
     """Seconds of work on one pair."""
@@ -99,15 +123,21 @@ def new_drive(drive_id: str, folder: Path, rig: Rig, srid: int, map_name: str, f
     return LiveDrive(watch, rig, (first.captured_at_ns, first.captured_at_ns))
 
 
-def take_pair(conn: Connection, eyes: Eyes, drive: LiveDrive, pair: FramePair) -> tuple[LiveDrive, StepTimes]:
-    """Detect -> match -> locate -> tracks -> commit. Raises ImageFileError (a picture is not whole), DatabaseError."""
-    started = time.monotonic()
-    looks = [eyes.pool.submit(_look, eyes, drive.rig, pair, side) for side in _SIDES]
-    (left_image, left, left_s), (right_image, right, right_s) = [look.result() for look in looks]
-    detected, processor_s = time.monotonic(), time.thread_time()
+def look_at(eyes: Eyes, rig: Rig, pair: FramePair) -> Look:
+    """Begin to search both pictures of a pair, in the threads of the eyes."""
+    left, right = (eyes.pool.submit(_look, eyes, rig, pair, side) for side in _SIDES)
+    return Look(pair, time.monotonic(), (left, right))
+
+
+def take_pair(conn: Connection, eyes: Eyes, drive: LiveDrive, look: Look) -> tuple[LiveDrive, StepTimes]:
+    """Detections -> match -> locate -> tracks -> commit. Raises ImageFileError (a picture is not whole), DatabaseError."""
+    pair, sides = look.pair, look.seen()
+    left, right = sides[0].detections, sides[1].detections
+    started, processor_s = time.monotonic(), time.thread_time()
     params = eyes.params
     up = map_SE3_left(pair.pose, drive.rig)[2, :3]
-    matches, _ = match_pair(left, right, drive.rig, params.match, up_left=up, images=(left_image, right_image))
+    images = sides[0].image, sides[1].image
+    matches, _ = match_pair(left, right, drive.rig, params.match, up_left=up, images=images)
     positions, _ = locate_positions(matches, {pair.frame_index: pair}, drive.rig, params.position)
     frame = Frame(pair, (*left, *right), tuple(matches), tuple(positions))
     tracks, changed = take_frame(drive.tracks, frame, drive.rig, params, eyes.evidence)
@@ -123,12 +153,12 @@ def take_pair(conn: Connection, eyes: Eyes, drive: LiveDrive, pair: FramePair) -
         conn, after.watch, captured_ns=after.captured_ns, frame_pair_count=after.frame_pair_count, tracks=cones,
         taken_back=taken_back, least_reach_m=params.reconcile.min_gate_m,
     )  # fmt: skip
-    on_the_way_s = max(left_s, right_s) + time.thread_time() - processor_s
-    return after, StepTimes(detected - started, tracked - detected, time.monotonic() - tracked, on_the_way_s)
+    on_the_way_s = max(side.processor_s for side in sides) + time.thread_time() - processor_s
+    detect_s = max(side.ended_s for side in sides) - look.began_s
+    return after, StepTimes(detect_s, tracked - started, time.monotonic() - tracked, on_the_way_s)
 
 
-def _look(eyes: Eyes, rig: Rig, pair: FramePair, side: Side) -> tuple[Image, list[Detection], float]:
-    """Picture and detections of one side, and the processor time that they took."""
+def _look(eyes: Eyes, rig: Rig, pair: FramePair, side: Side) -> Sight:
     started_s = time.thread_time()
     path = Path(pair.left_path if side == "left" else pair.right_path)
     image = read_rig_image(path, rig, side)
@@ -137,7 +167,7 @@ def _look(eyes: Eyes, rig: Rig, pair: FramePair, side: Side) -> tuple[Image, lis
     found, _ = check_boxes(
         _boxes(eyes, image, first_row), frame_index=pair.frame_index, side=side, params=eyes.params.detection
     )
-    return image, found, time.thread_time() - started_s
+    return Sight(image, found, time.monotonic(), time.thread_time() - started_s)
 
 
 def _boxes(eyes: Eyes, image: Image, first_row: int) -> NDArray[np.float64]:

@@ -1,7 +1,8 @@
 """A drive while it is recorded: frame pairs as they arrive, in the order of recording, into provisional features.
 
-Knows no Prefect. What a pair lacks is waited for. A pair that is not whole holds up those behind it for `PATIENCE_S` and is then
-left to the ingest, which takes the whole drive anyway; so are pairs for which the machine is too slow.
+The pictures of the next pair are searched while the cones of this one are matched, located and committed. What a pair lacks is
+waited for. A pair that is not whole holds up those behind it for `PATIENCE_S` and is then left to the ingest, which takes the
+whole drive anyway; so are pairs for which the machine is too slow. Knows no Prefect.
 """
 
 from __future__ import annotations
@@ -29,10 +30,10 @@ from conetl.io.stores.live_store import clear_watches, end_watch, watch_lock
 from conetl.io.stores.map_store import find_map
 from conetl.io.stores.receipt_store import held_if_free
 from conetl.params import IngestParams
-from conetl.records import FramePair, Track
+from conetl.records import FramePair, Rig, Track
 from conetl.rejections import RejectionReason
 from conetl.settings import Settings
-from flows.live_pair import Eyes, LiveDrive, StepTimes, new_drive, open_eyes, take_pair
+from flows.live_pair import Eyes, LiveDrive, Look, StepTimes, look_at, new_drive, open_eyes, take_pair
 from flows.merge import database_url
 
 #: So long a pair that is not whole holds up those behind it; a picture that cannot be read may become whole for so long.
@@ -52,7 +53,7 @@ class PairTime:
     total_s: float
     """From the last change of the later picture to the commit."""
     waited_s: float
-    """Of it, until work began: the system's word, a late pose, the pairs before it."""
+    """Of it, without work on this pair: the system's word, a late pose, the pairs before it."""
     work: StepTimes
     backlog: bool
     """Its pictures were there before the watch was ready: its total says nothing."""
@@ -78,6 +79,18 @@ class WatchReport:
     ended_by: str = ""
 
 
+@dataclass(frozen=True)
+class _Begun:
+    """A pair whose pictures are being searched."""
+
+    arriving: ArrivingPair
+    since_s: float
+    """Of its first sight (monotonic s)."""
+    srid: int
+    rig: Rig
+    look: Look
+
+
 @dataclass
 class _Watch:
     """A watch in work."""
@@ -92,6 +105,8 @@ class _Watch:
     max_behind_s: float
     patience_s: float
     ready_ns: int
+    changes: SimpleQueue[Path]
+    """Files that changed, as the system tells of them."""
     source: ArrivingDrive | None = None
     drive: LiveDrive | None = None
     last: FramePair | None = None
@@ -100,7 +115,9 @@ class _Watch:
     """... or the one that was refused since for its place: two that agree are believed."""
     taken_index: int = -1
     waiting: dict[str, tuple[ArrivingPair, float]] = field(default_factory=dict)
-    """Pairs whose turn has not come, with the time of their first sight (monotonic s)."""
+    """Pairs that are not done, with the time of their first sight (monotonic s)."""
+    begun: _Begun | None = None
+    """The one of them whose pictures are searched already."""
 
 
 def watch_drive(
@@ -131,7 +148,9 @@ def watch_drive(
         migrate(conn)
         eyes = stack.enter_context(open_eyes(settings, params))
         changes = stack.enter_context(_changes_of(folder.resolve(), poll=poll))
-        watch = _Watch(conn, eyes, folder, settings, report, stop, tell, max_behind_s, patience_s, time.time_ns())
+        watch = _Watch(
+            conn, eyes, folder, settings, report, stop, tell, max_behind_s, patience_s, time.time_ns(), changes
+        )
         processor_s, heard_s, looked_s, took = time.process_time(), time.monotonic(), -np.inf, False
         tell(report)
         while not stop.is_set():
@@ -142,8 +161,7 @@ def watch_drive(
             if watch.source is not None:
                 everything = (complete and not took) or time.monotonic() - looked_s >= _LOOK_EVERY_S
                 looked_s = time.monotonic() if everything else looked_s
-                found = watch.source.look(None if everything else paths)
-                watch.waiting |= {pair.key: (pair, time.monotonic()) for pair in found}
+                _notice(watch, watch.source, None if everything else paths)
             took = _take_next(watch)
             heard_s = time.monotonic() if paths or took else heard_s
             report.processor_s = time.process_time() - processor_s
@@ -202,11 +220,40 @@ def _begin(watch: _Watch, source: ArrivingDrive, stack: ExitStack) -> None:
     watch.report.cleared = clear_watches(watch.conn, map_name=watch.settings.map_name, drive_id=source.drive_id)
 
 
+def _notice(watch: _Watch, source: ArrivingDrive, paths: list[Path] | None) -> None:
+    watch.waiting |= {pair.key: (pair, time.monotonic()) for pair in source.look(paths)}
+
+
 def _take_next(watch: _Watch) -> bool:
-    """Take the next pair whose turn has come; whether there was one. One that is not whole holds up the rest for a while."""
-    source = watch.source
-    if source is None or not watch.waiting:
+    """Take the next pair whose turn has come, and begin with the one behind it; False where there is nothing to do by now."""
+    if watch.source is None:
         return False
+    ahead = watch.begun is not None
+    begun, watch.begun = watch.begun or _begin_next(watch, watch.source), None
+    if begun is None:
+        return False
+    try:
+        begun.look.seen()
+    except ImageFileError as error:
+        done = _is_overdue(watch, begun.since_s)
+        if done:
+            watch.report.refused[error.reason.value] += 1
+            del watch.waiting[begun.arriving.key]
+        return done or ahead  # begun ahead: it may have become whole since
+    del watch.waiting[begun.arriving.key]
+    pair = begun.look.pair
+    watch.last, watch.jumped, watch.taken_index = pair, None, pair.frame_index
+    if watch.drive is None:
+        name = watch.settings.map_name
+        watch.drive = new_drive(watch.source.drive_id, watch.folder, begun.rig, begun.srid, name, pair)
+    _notice(watch, watch.source, _told(watch.changes, 0.0))
+    watch.begun = _begin_next(watch, watch.source)
+    _take(watch, watch.drive, begun)
+    return True
+
+
+def _begin_next(watch: _Watch, source: ArrivingDrive) -> _Begun | None:
+    """Begin with the next pair whose turn has come, if any. One that is not whole holds up the rest for a while."""
     turn = sorted(watch.waiting.values(), key=lambda item: source.order(item[0]))
     newest_ns = max((_written_ns(pair) for pair, _ in turn[-2:]), default=0)
     for pair, since in turn:
@@ -215,16 +262,21 @@ def _take_next(watch: _Watch) -> bool:
             del watch.waiting[pair.key]
             continue
         try:
-            done = _take(watch, source, pair)
-        except (PairError, ImageFileError) as error:
-            done = isinstance(error, PairError) or _is_overdue(watch, since)
-            watch.report.refused[error.reason.value] += done
-        if done:
+            posed, rig = source.frame_pair(pair, _srid(watch)), watch.drive.rig if watch.drive else source.rig()
+            if posed is not None and rig is not None:
+                if posed[0].frame_index <= watch.taken_index:  # those behind it did not wait any longer
+                    watch.report.left_out += 1
+                    del watch.waiting[pair.key]
+                    continue
+                _check_motion(watch, posed[0])
+                return _Begun(pair, since, posed[1], rig, look_at(watch.eyes, rig, posed[0]))
+        except PairError as error:
+            watch.report.refused[error.reason.value] += 1
             del watch.waiting[pair.key]
-            return True
+            continue
         if not _is_overdue(watch, since):
-            return False
-    return False
+            return None
+    return None
 
 
 def _is_overdue(watch: _Watch, since_s: float) -> bool:
@@ -246,31 +298,17 @@ def _written_ns(pair: ArrivingPair) -> int:
         return 0
 
 
-def _take(watch: _Watch, source: ArrivingDrive, arriving: ArrivingPair) -> bool:
-    """Take one pair; False where something of it is not there yet. Raises PairError, ImageFileError."""
-    began_ns = time.time_ns()
-    rig = watch.drive.rig if watch.drive else source.rig()
-    posed = source.frame_pair(arriving, _srid(watch))
-    if rig is None or posed is None:
-        return False
-    pair, srid = posed
-    if pair.frame_index <= watch.taken_index:  # those behind it did not wait any longer
-        watch.report.left_out += 1
-        return True
-    _check_motion(watch, pair)
-    written_ns = _written_ns(arriving)
-    drive = watch.drive or new_drive(source.drive_id, watch.folder, rig, srid, watch.settings.map_name, pair)
-    watch.drive, times = take_pair(watch.conn, watch.eyes, drive, pair)
-    watch.taken_index = pair.frame_index
+def _take(watch: _Watch, drive: LiveDrive, begun: _Begun) -> None:
+    """Take a pair whose pictures are whole."""
+    pair, written_ns = begun.look.pair, _written_ns(begun.arriving)
+    watch.drive, times = take_pair(watch.conn, watch.eyes, drive, begun.look)
     watch.report.standing = watch.drive.standing
+    total_s = (time.time_ns() - written_ns) * 1e-9
+    worked_s = times.detect_s + times.track_s + times.commit_s
     watch.report.pairs.append(
-        PairTime(
-            pair.frame_index, (time.time_ns() - written_ns) * 1e-9, (began_ns - written_ns) * 1e-9, times,
-            backlog=written_ns < watch.ready_ns,
-        )
-    )  # fmt: skip
+        PairTime(pair.frame_index, total_s, total_s - worked_s, times, backlog=written_ns < watch.ready_ns)
+    )
     watch.tell(watch.report)
-    return True
 
 
 def _srid(watch: _Watch) -> int | None:
@@ -291,7 +329,6 @@ def _check_motion(watch: _Watch, pair: FramePair) -> None:
     if speeds and min(speeds) > MAX_SPEED_M_S:
         watch.jumped = pair
         raise PairError(RejectionReason.POSE_INVALID, f"frame pair {pair.frame_index}: reached at {speeds[0]:.0f} m/s")
-    watch.last, watch.jumped = pair, None
 
 
 def _speed_m_s(before: FramePair, pair: FramePair) -> float:

@@ -54,7 +54,7 @@ def recorder(write: Callable[[], None]) -> Any:
 def test_pairs_become_provisional_features_as_they_arrive(settings: Settings, conn: Any, tmp_path: Path) -> None:
     """Half a picture, half a line, and a pose that comes after everything else: all are waited for."""
     folder = begin(tmp_path / "drive")
-    ready, seen = threading.Event(), threading.Event()
+    ready, seen, tried = threading.Event(), threading.Event(), threading.Event()
 
     def write() -> None:
         ready.wait(60)
@@ -64,7 +64,8 @@ def test_pairs_become_provisional_features_as_they_arrive(settings: Settings, co
                 (folder / "left" / name).write_bytes(picture(number, "left")[0])
                 (folder / "right" / name).write_bytes(data[: len(data) // 2])
                 append(folder, row(number))
-                time.sleep(0.3)
+                tried.wait(60)
+                time.sleep(0.3)  # the watch has nothing else to do: it looks at the half
                 with (folder / "right" / name).open("ab") as file:
                     file.write(data[len(data) // 2 :])
             elif number == 16:  # the pose late, and in two pieces
@@ -81,6 +82,8 @@ def test_pairs_become_provisional_features_as_they_arrive(settings: Settings, co
 
     def tell(report: WatchReport) -> None:
         ready.set()
+        if len(report.pairs) == FRAMES.index(14):
+            tried.set()
         if report.standing and len(report.pairs) >= len(FRAMES) - 2:
             seen.set()
 

@@ -26,8 +26,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from conetl.geometry.medians import median
 from conetl.geometry.projection import cross_matrix
-from conetl.geometry.stereo_motion import MotionLimits, MotionStatus, StereoCameras, estimate_motion, triangulate
+from conetl.geometry.stereo_motion import (
+    MotionLimits,
+    MotionStatus,
+    StereoCameras,
+    estimate_motion,
+    inverse_of_symmetric,
+    triangulate,
+)
 
 Floats = NDArray[np.float64]
 
@@ -155,14 +163,19 @@ def _step_span(
     shared[:, 4:, 3:6] = d_last
     shared[:, :4, 6:], shared[:, 4:, 6:] = r_first, r_last
     by_point, shared = by_point / span.sigma_px[:, None, None], shared / span.sigma_px[:, None, None]
-    own = np.linalg.inv(np.swapaxes(by_point, 1, 2) @ by_point) @ np.swapaxes(by_point, 1, 2)  # (N, 3, 8)
-    rest = residual - np.einsum("nij,njk,nk->ni", by_point, own, residual)
-    design = shared - by_point @ (own @ shared)
+    normals = np.swapaxes(by_point, 1, 2) @ by_point
+    inverses = inverse_of_symmetric(np.ascontiguousarray(normals.transpose(1, 2, 0))).transpose(2, 0, 1)
+    own = inverses @ np.swapaxes(by_point, 1, 2)  # (N, 3, 8)
+    # Residuals and what all share, less the part that each point takes up by moving.
+    free = np.concatenate([shared, residual[:, :, None]], axis=2)
+    free -= by_point @ (own @ free)
+    rest = free[:, :, -1]
     misfit = np.einsum("ni,ni->n", rest, rest) / _FREEDOM
-    factor = max(float(np.median(misfit)) / _MEDIAN_CHI2, 1e-6)
+    factor = max(median(misfit) / _MEDIAN_CHI2, 1e-6)
     weight = 1 / (1 + misfit / factor / _CAUCHY_SIGMAS**2) / factor
-    normal = np.einsum("nki,n,nkj->ij", design, weight, design)
-    score = np.einsum("nki,n,nk->i", design, weight, rest)
+    columns = free.reshape(-1, free.shape[2])
+    products = columns[:, :-1].T @ (columns * np.repeat(weight, free.shape[1])[:, None])
+    normal, score = products[:, :-1], products[:, -1]
     inverse = np.linalg.pinv(normal[:6, :6], hermitian=True)
     gain = normal[6:, :6] @ inverse
     motion_step = inverse @ score[:6]

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from conetl.geometry.medians import median
 from conetl.records import Camera
 from conetl.steps.cone_outline import Outline
 from conetl.steps.cone_surface import cone_surface
@@ -67,6 +68,7 @@ _LEAN_SIGMA, _SURPLUS_SIGMA, _SHIFT_SIGMA_PX = 0.015, 0.05, 0.08
 _PRIOR = np.array([0.0, 0.0, _LEAN_SIGMA**-2, _SURPLUS_SIGMA**-2, _SHIFT_SIGMA_PX**-2, _SHIFT_SIGMA_PX**-2])
 #: Weight of what is known beforehand against grey values: variance over that of white noise.
 _DESIGN_EFFECT = 15.0
+_PRIOR_NORMAL = _DESIGN_EFFECT * np.diag(_PRIOR)
 #: How large lean, surplus and shifts are, with which sigma reckons: variances in the order of the unknowns.
 _PRIOR_VARIANCE = np.array([0.0, 0.0, 0.010**2, 0.033**2, 0.033**2, 0.033**2])
 
@@ -227,16 +229,21 @@ def _whole_pixel_disparity(
     reach = int(np.ceil(search_px)) + 1
     candidates = round(guess) + np.arange(-reach, reach + 1)
     shape = at_infinity_px + (candidates[:, None] - at_infinity_px) / pixels.depth
-    columns = np.round(pixels.columns - shape).astype(np.intp)  # (candidates, n)
+    columns = np.rint(pixels.columns - shape).astype(np.intp)  # (candidates, n)
     if columns.min() < 2 or columns.max() > right.shape[1] - 3:
         return None
-    rows = np.clip(pixels.rows + row_offset, 0, right.shape[0] - 1)
-    samples = right[rows, columns].astype(np.float64)
+    rows = np.minimum(np.maximum(pixels.rows + row_offset, 0), right.shape[0] - 1)
+    height, width, channels = right.shape
+    count = len(pixels.rows)
+    flat = np.ascontiguousarray(right).reshape(height * width, channels)
+    samples = flat.take(rows * width + columns, axis=0).reshape(len(candidates), count * channels).astype(np.float64)
     template = pixels.values - pixels.values.mean(axis=0)
-    centred = samples - samples.mean(axis=1, keepdims=True)
-    norms = np.sqrt((centred**2).sum(axis=(1, 2)) * (template**2).sum())
+    # Sums of squares about the mean, from sums of whole numbers: nothing is lost by taking the mean out afterwards.
+    sums = samples.reshape(len(candidates), count, channels).sum(axis=1)
+    squares = np.einsum("kn,kn->k", samples, samples) - (sums**2).sum(axis=1) / count
+    norms = np.sqrt(np.maximum(squares, 0.0) * (template**2).sum())
     with np.errstate(divide="ignore", invalid="ignore"):
-        scores = np.where(norms > 0, np.einsum("knc,nc->k", centred, template) / norms, -1.0)
+        scores = np.where(norms > 0, samples @ template.ravel() / norms, -1.0)
     best = int(np.argmax(scores))
     if best in (0, 2 * reach) or scores[best] < 0.65 * _MIN_CORRELATION:
         return None
@@ -278,18 +285,20 @@ def _least_squares(
         )
         seen = sample[len(columns) :]
         sample, slope_u, slope_v = sample[: len(columns)], slope_u[: len(columns)], slope_v[: len(columns)]
-        along = -np.column_stack(
-            [1 / depth, -scale * pixels.height / depth**2, scale * pixels.nearer / depth**2, pixels.at_edge]
-        )
-        slopes = _by_unknown(along, slope_u, slope_v)
+        inverse = 1 / depth
+        slant = scale * inverse * inverse
+        along = np.empty((5, len(depth)))
+        along[0], along[1], along[2] = -inverse, slant * pixels.height, -slant * pixels.nearer
+        along[3:] = -pixels.at_edge.T
+        slopes = _by_unknown(along.T, slope_u, slope_v)
         values = pixels.values + pixels.cover[:, None] * background[pixels.edge]
         step_of = _linearise(values, sample, slopes, unknown, weights)
         if step_of is None:
             return None
         move = np.clip(step_of.inverse @ step_of.pull, -0.7, 0.7)
         unknown = unknown + move
-        size = np.sqrt((step_of.residual**2 / step_of.noise).mean(axis=1))
-        size /= max(1.2 * float(np.median(size)), 1e-6)
+        size = np.sqrt(step_of.residual**2 @ (1 / step_of.noise) / len(step_of.noise))
+        size /= max(1.2 * median(size), 1e-6)
         settled = bool(np.abs(move[:2]).max() < _CONVERGED_PX)
         if settled and iteration >= _SOFT_ITERATIONS + 2:
             break
@@ -304,7 +313,7 @@ def _least_squares(
     if step_of.correlation < _MIN_CORRELATION or np.mean(size < 2 * _HUBER) < _MIN_INLIER_SHARE:
         return None
     cov = matching_cov(
-        step_of.jacobian, step_of.residual, step_of.noise, weights, step_of.normal, _by_unknown(along, *pixels.slopes),
+        step_of.jacobian, step_of.residual, step_of.noise, weights, step_of.normal, _by_unknown(along.T, *pixels.slopes),
         place=(pixels.rows, pixels.columns), prior=_DESIGN_EFFECT * _PRIOR, prior_variance=_PRIOR_VARIANCE,
     )  # fmt: skip
     sigma = np.hypot(cov[0, 0] ** 0.5, SHARED_DISPARITY_PX)
@@ -316,9 +325,10 @@ def _by_unknown(along: Floats, slope_u: Floats, slope_v: Floats) -> Floats:
 
     along (n, 5): how the column changes with the unknowns but the row offset, which comes second.
     """
-    slopes = np.empty((6, *slope_u.shape))
-    slopes[0], slopes[1], slopes[2:] = along[:, :1] * slope_u, slope_v, along.T[1:, :, None] * slope_u
-    return slopes
+    slopes = np.empty((slope_u.shape[1], 6, len(along)))
+    slopes[:, 0], slopes[:, 1] = along[:, 0] * slope_u.T, slope_v.T
+    np.multiply(along.T[1:], slope_u.T[:, None], out=slopes[:, 2:])
+    return slopes.transpose(1, 2, 0)
 
 
 def _background(change: Floats, noise: Floats) -> Floats:
@@ -328,15 +338,16 @@ def _background(change: Floats, noise: Floats) -> Floats:
     Beside a far cone a pixel is a large piece of the world, and what is seen two pixels off says little of the edge: where the
     change differs from pixel to pixel, across the rows or along them, it is believed the less.
     """
-    mean = change.mean(axis=1)
+    mean = (change[:, 0] + change[:, 1]) / 2
     rows = mean.reshape(-1, 2, mean.shape[1])
-    steps = (np.diff(rows, axis=0) ** 2 / noise).mean(axis=2)
+    share = 1 / (noise * len(noise))
+    steps = (rows[1:] - rows[:-1]) ** 2 @ share
     along = np.zeros(rows.shape[:2])
     along[1:] += steps
     along[:-1] += steps
     along[1:-1] /= 2
-    across = ((change[:, 0] - change[:, 1]) ** 2 / noise).mean(axis=1)
-    power = (mean**2 / noise).mean(axis=1)
+    across = (change[:, 0] - change[:, 1]) ** 2 @ share
+    power = mean**2 @ share
     unsure = _BACKGROUND_NOISE + _BACKGROUND_WAY_PX * (across + along.ravel())
     return np.asarray(mean * (power / (power + unsure))[:, None])
 
@@ -344,8 +355,10 @@ def _background(change: Floats, noise: Floats) -> Floats:
 class _Linearised(NamedTuple):
     """The matching problem at one point; gain and offset of each colour eliminated."""
 
-    jacobian: Floats
-    """(n, channels, p) of the modelled grey values"""
+    centred: Floats
+    """(channels, 2 + p, n): left and right grey values and slopes, less their means"""
+    along: Floats
+    """(channels, p): how much of the right grey values is in each slope"""
     residual: Floats
     """(n, channels)"""
     noise: Floats
@@ -362,6 +375,12 @@ class _Linearised(NamedTuple):
     shift: Floats
     """(channels,) left less gain times right"""
 
+    @property
+    def jacobian(self) -> Floats:
+        """(n, channels, p) of the modelled grey values, gain and offset eliminated; only sigma asks for it."""
+        free = self.centred[:, 2:] - self.along[:, :, None] * self.centred[:, 1:2]
+        return np.asarray((free * self.gain[:, None, None]).transpose(2, 0, 1))
+
 
 def _linearise(values: Floats, sample: Floats, slopes: Floats, unknown: Floats, weights: Floats) -> _Linearised | None:
     """None where the right picture has nothing to hold on to, or is the negative of the left one.
@@ -369,12 +388,13 @@ def _linearise(values: Floats, sample: Floats, slopes: Floats, unknown: Floats, 
     values, sample (n, channels): grey values left and right. slopes (p, n, channels): of the sample with respect to the unknowns.
     """
     total = weights.sum()
-    every = np.concatenate([values[None], sample[None], slopes])  # (2 + p, n, channels)
-    means = np.einsum("n,knc->kc", weights, every) / total
-    every = every - means[:, None, :]
+    # Colour by colour in memory, so that the products below are those of the linear algebra library.
+    every = np.empty((values.shape[1], 2 + len(slopes), len(values)))
+    every[:, 0], every[:, 1], every[:, 2:] = values.T, sample.T, slopes.transpose(2, 0, 1)
+    means = every @ weights / total
+    every -= means[:, :, None]
     # Of each colour the inner products of template, sample and slopes: all that least squares needs.
-    by_colour = every.transpose(2, 0, 1)
-    gram = (by_colour * weights) @ by_colour.transpose(0, 2, 1)
+    gram = (every * weights) @ every.transpose(0, 2, 1)
     tt, ts, ss = gram[:, 0, 0], gram[:, 0, 1], gram[:, 1, 1]
     if (ss <= 1e-6 * total).any() or (tt <= 1e-6 * total).any():
         return None
@@ -384,16 +404,12 @@ def _linearise(values: Floats, sample: Floats, slopes: Floats, unknown: Floats, 
     noise = np.maximum((tt - gain * ts) / total, _QUANTISATION)
     along = gram[:, 2:, 1] / ss[:, None]  # (channels, p)
     square = gram[:, 2:, 2:] - along[:, :, None] * gram[:, None, 2:, 1]
-    normal = ((gain**2 / noise)[:, None, None] * square).sum(axis=0)
-    pull = ((gain / noise)[:, None] * (gram[:, 2:, 0] - along * ts[:, None])).sum(
-        axis=0
-    ) - _DESIGN_EFFECT * _PRIOR * unknown
+    normal = (gain**2 / noise @ square.reshape(len(gain), -1)).reshape(square.shape[1:])
+    pull = (gain / noise) @ (gram[:, 2:, 0] - along * ts[:, None]) - _DESIGN_EFFECT * _PRIOR * unknown
     if not normal[0, 0] * normal[1, 1] - normal[0, 1] ** 2 > 1e-9 * normal[0, 0] * normal[1, 1]:
         return None
-    inverse = np.linalg.inv(normal + _DESIGN_EFFECT * np.diag(_PRIOR))
-    jacobian = (every[2:] - along.T[:, None, :] * every[1]) * gain  # (p, n, channels)
+    inverse = np.linalg.inv(normal + _PRIOR_NORMAL)
     correlation = float((ts / noise).sum() / np.sqrt((tt / noise).sum() * (ss / noise).sum()))
-    return _Linearised(
-        jacobian.transpose(1, 2, 0), every[0] - gain * every[1], noise, inverse, normal, pull, correlation, gain,
-        means[0] - gain * means[1],
-    )  # fmt: skip
+    residual = (every[:, 0] - gain[:, None] * every[:, 1]).T
+    shift = means[:, 0] - gain * means[:, 1]
+    return _Linearised(every, along, residual, noise, inverse, normal, pull, correlation, gain, shift)

@@ -91,60 +91,80 @@ def find_outline(image: NDArray[np.uint8], detection: Detection) -> Outline:
     rows = np.arange(first, last + 1, dtype=np.float64)
     share = expected.share(rows)
     floor = max(float(np.median(steps)), _LEAST_STEP)
-    left = _edge(steps, share, expected.left_top - column0, expected.left_foot - column0, width, floor)
-    right = _edge(steps, share, expected.right_top - column0, expected.right_foot - column0, width, floor)
+    tops = np.array([expected.left_top, expected.right_top]) - column0
+    feet = np.array([expected.left_foot, expected.right_foot]) - column0
+    (left_top, right_top), (left_foot, right_foot) = (_edges(steps, share, tops, feet, width, floor) + column0).tolist()
     found = Outline(
         tip_row=expected.tip_row, foot_row=expected.foot_row,
-        left_top=left[0] + column0, left_foot=left[1] + column0,
-        right_top=right[0] + column0, right_foot=right[1] + column0,
+        left_top=left_top, left_foot=left_foot, right_top=right_top, right_foot=right_foot,
     )  # fmt: skip
     radii = found.radius(rows[[0, -1]])
     return found if radii[0] > 0 and radii[1] > radii[0] else expected
 
 
-def _edge(steps: Floats, share: Floats, top: float, foot: float, width_px: float, floor: float) -> tuple[float, float]:
-    """Columns at tip and foot of the line along which the grey values change most, near to the expected ones."""
+def _edges(steps: Floats, share: Floats, top: Floats, foot: Floats, width_px: float, floor: float) -> Floats:
+    """Columns (2, 2), at tip and foot, of the two lines along which the grey values change most near to the expected ones.
+
+    top, foot: (2,) of the expected left and right line.
+    """
     reach_top, reach_foot = max(_REACH_TOP * width_px, 1.0), max(_REACH_FOOT * width_px, 1.5)
-    tops, feet = top + reach_top * _COARSE_TOP, foot + reach_foot * _COARSE_FOOT
+    tops, feet = top[:, None] + reach_top * _COARSE_TOP, foot[:, None] + reach_foot * _COARSE_FOOT
     # The square root: an edge seen in all rows counts more than one bright thing behind a few of them.
     score = _along(np.sqrt(steps), share, tops, feet)
     # Slightly rather near to the expected line: decides where nothing else does.
-    score -= 0.1 * score.max() * (_COARSE_TOP[:, None] ** 2 + _COARSE_FOOT[None, :] ** 2)
-    i, j = np.unravel_index(int(np.argmax(score)), score.shape)
-    tops, feet = tops[i] + max(0.5, reach_top / 4) * _FINE, feet[j] + max(0.5, reach_foot / 6) * _FINE
-    i, j = np.unravel_index(int(np.argmax(_along(steps, share, tops, feet))), (len(_FINE), len(_FINE)))
+    score -= 0.1 * score.max(axis=(1, 2), keepdims=True) * (_COARSE_TOP[:, None] ** 2 + _COARSE_FOOT**2)
+    tops, feet = _best(score, tops, feet)
+    tops = tops[:, None] + max(0.5, reach_top / 4) * _FINE
+    feet = feet[:, None] + max(0.5, reach_foot / 6) * _FINE
+    start = _best(_along(steps, share, tops, feet), tops, feet)
     prior = np.array([1 / max(0.5 * reach_top, 0.3) ** 2, 1 / max(0.5 * reach_foot, 0.3) ** 2])
-    return _settled(steps / floor, share, (float(tops[i]), float(feet[j])), (top, foot), prior)
+    return _settled(steps / floor, share, start, np.stack([top, foot]), prior)
 
 
-def _settled(
-    steps: Floats, share: Floats, start: tuple[float, float], expected: tuple[float, float], prior: Floats
-) -> tuple[float, float]:
-    """The line moved to where the change of grey values is centred in its rows, by mean shift (Comaniciu & Meer 2002).
+def _best(score: Floats, tops: Floats, feet: Floats) -> Floats:
+    """(2, 2) columns at tip and foot of both edges' best lines; score (2, tops, feet)."""
+    i, j = np.divmod(score.reshape(len(score), -1).argmax(axis=1), score.shape[2])
+    both = np.arange(len(score))
+    return np.stack([tops[both, i], feet[both, j]])
+
+
+def _settled(steps: Floats, share: Floats, start: Floats, expected: Floats, prior: Floats) -> Floats:
+    """The lines moved to where the change of grey values is centred in its rows, by mean shift (Comaniciu & Meer 2002).
 
     Each row says where its change is centred under a window about the line; the line through these, weighted by how much
     changes there, is the next one. The window narrows, so that the line ends on the edge itself and not between two of them.
     steps: in units of what changes everywhere; a row with no more than that says where its edge is to `_ROW_SIGMA_PX`. The
     expected line counts with the weights `prior` (1/px^2): it decides where the picture shows no edge.
+    start, expected, and what is returned: (2, 2) columns at tip and foot of both edges.
     """
-    top, foot = start
-    columns = np.arange(steps.shape[1])
-    design = np.column_stack([1 - share, share])
+    columns = np.arange(steps.shape[1], dtype=np.float64)
+    ends = np.stack([1 - share, share])  # (2, rows): the share of the column at the tip and at the foot
+    products = np.stack([ends[0] ** 2, ends[0] * ends[1], ends[1] ** 2])
+    lines = start
     for window_px in _WINDOWS_PX:
-        line = design @ [top, foot]
-        weights = steps * np.exp(-0.5 * ((columns - line[:, None]) / window_px) ** 2)
+        aside = columns - (lines.T @ ends)[:, :, None]  # (edges, rows, columns)
+        aside *= aside
+        aside *= -0.5 / window_px**2
+        weights = np.exp(aside, out=aside)
+        weights *= steps
         unit = _ROW_SIGMA_PX**2 * window_px * np.sqrt(2 * np.pi)
-        normal = design.T @ (design * weights.sum(axis=1)[:, None]) / unit + np.diag(prior)
-        top, foot = np.linalg.solve(normal, design.T @ (weights @ columns) / unit + prior * expected)
-    return float(top), float(foot)
+        # Normal equations of two unknowns, written out: [a b; b c] (top, foot) = (p, q), for both edges at once.
+        a, b, c = products @ weights.sum(axis=2).T / unit
+        p, q = ends @ (weights @ columns).T / unit + prior[:, None] * expected
+        a, c = a + prior[0], c + prior[1]
+        lines = np.stack([c * p - b * q, a * q - b * p]) / (a * c - b * b)
+    return lines
 
 
 def _along(steps: Floats, share: Floats, tops: Floats, feet: Floats) -> Floats:
-    """Mean change of grey values (tops, feet) along the straight lines between columns at the tip and at the foot."""
-    lines = tops[:, None, None] * (1 - share) + feet[None, :, None] * share  # (tops, feet, rows)
-    lines = np.clip(lines, 0.0, steps.shape[1] - 1.001)
+    """Mean change of grey values (2, tops, feet) along straight lines between columns (2, tops) at the tip and (2, feet)."""
+    lines = (tops[:, :, None] * (1 - share))[:, :, None] + (feet[:, :, None] * share)[:, None]  # (2, tops, feet, rows)
+    np.maximum(lines, 0.0, out=lines)
+    np.minimum(lines, steps.shape[1] - 1.001, out=lines)
     base = lines.astype(np.intp)
-    part = lines - base
-    flat = base + np.arange(len(share)) * steps.shape[1]
-    values = steps.ravel()
-    return np.asarray(((1 - part) * values[flat] + part * values[flat + 1]).mean(axis=2))
+    lines -= base
+    base += np.arange(len(share)) * steps.shape[1]
+    flat = steps.ravel()
+    values = flat.take(base)
+    values += lines * (flat.take(base + 1) - values)
+    return np.asarray(values.mean(axis=3))

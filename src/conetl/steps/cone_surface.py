@@ -51,14 +51,13 @@ def cone_surface(outline: Outline, camera: Camera, up: Floats, rows: Floats, col
     r0, r1 = -float(right @ foot) / cosine, -sine / cosine
     if r0 <= 0:
         return None
-    rays = np.column_stack(
-        [(columns - camera.cx_px) / camera.fx_px, (rows - camera.cy_px) / camera.fy_px, np.ones(len(rows))]
-    )
+    rays = np.ones((3, len(rows)))
+    rays[0], rays[1] = (columns - camera.cx_px) / camera.fx_px, (rows - camera.cy_px) / camera.fy_px
     # | depth * ray - foot |^2 - h^2 = (r0 + r1 h)^2 with h = (depth * ray - foot) . axis
-    rise, start = rays @ axis, float(foot @ axis)
+    rise, start = axis @ rays, float(foot @ axis)
     base = r0 - r1 * start
-    a = (rays**2).sum(axis=1) - (1 + r1**2) * rise**2
-    b = -rays @ foot + (1 + r1**2) * rise * start - r1 * rise * r0
+    a = (rays**2).sum(axis=0) - (1 + r1**2) * rise**2
+    b = -foot @ rays + (1 + r1**2) * rise * start - r1 * rise * r0
     c = float(foot @ foot) - start**2 - base**2
     if (a <= 0).any():
         return None
@@ -71,6 +70,8 @@ def cone_surface(outline: Outline, camera: Camera, up: Floats, rows: Floats, col
 
 def _plane(camera: Camera, top: tuple[float, float], foot: tuple[float, float], outwards: float) -> Floats:
     """(3,) unit normal of the plane through the projection centre and a line of the picture, its x of the sign `outwards`."""
-    rays = [((u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px, 1.0) for u, v in (top, foot)]
-    normal = np.cross(rays[0], rays[1])
+    (x0, y0), (x1, y1) = (
+        ((u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px) for u, v in (top, foot)
+    )
+    normal = np.array([y0 - y1, x1 - x0, x0 * y1 - y0 * x1])  # the cross product of the rays (x, y, 1) through both
     return np.asarray(normal / np.linalg.norm(normal) * np.sign(normal[0]) * outwards)

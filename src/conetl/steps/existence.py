@@ -27,12 +27,10 @@ from conetl.detector_evidence import (
     joint_log_ratio,
     miss_log_ratio,
 )
-from conetl.geometry.packing import cov_matrix
-from conetl.geometry.rig import left_SE3_right
+from conetl.geometry.rig import camera_of, left_SE3_right
 from conetl.params import IngestParams
 from conetl.records import Detection, Position, Rig, Side
-from conetl.steps.association import carry
-from conetl.steps.visibility import Box, apparent_box, hidden_share, iou, is_in_view
+from conetl.steps.visibility import Box, apparent_boxes, are_in_view, hidden_share, iou
 
 Floats = NDArray[np.float64]
 
@@ -65,8 +63,8 @@ def existence_probability(
     index; detections: of both images; evidence: the detector's figures.
     """
     looks: dict[Side, list[Look]] = {"left": [], "right": []}
-    for frame_index in sorted(map_SE3_left):
-        for side, box in _boxes(frame_index, group, cone_height_m, rig, map_SE3_left, params).items():
+    for side, in_view in _boxes(group, cone_height_m, rig, map_SE3_left, params).items():
+        for frame_index, box in in_view:
             found = [d for d in detections.get(frame_index, ()) if d.side == side]
             own = [d for d in found if iou(box, d) >= evidence.match_iou]
             hidden = hidden_share(box, [d for d in found if d not in own])
@@ -115,31 +113,37 @@ def _run_of_misses(run: Sequence[tuple[float, float]], hidden_probability: float
 
 
 def _boxes(
-    frame_index: int,
     group: Sequence[Position],
     cone_height_m: float,
     rig: Rig,
     map_SE3_left: Mapping[int, Floats],
     params: IngestParams,
-) -> dict[Side, Box]:
-    """Where the cone should show in the two pictures of one frame pair, as far as it is in view there."""
-    nearest = min(group, key=lambda p: abs(p.frame_index - frame_index))
-    foot, _ = carry(
-        np.array(nearest.camera_xyz_m),
-        cov_matrix(nearest.camera_cov_m2),
-        nearest.frame_index,
-        frame_index,
-        map_SE3_left,
-        params.track,
-    )
-    tip = foot + cone_height_m * map_SE3_left[frame_index][2, :3]
+) -> dict[Side, list[tuple[int, Box]]]:
+    """Frame indices, rising, in which the cone should show in a camera's picture, and where."""
+    frames = np.array(sorted(map_SE3_left))
+    poses = np.array([map_SE3_left[n] for n in frames.tolist()])
+    known = sorted(group, key=lambda p: p.frame_index)
+    seen = np.array([p.frame_index for p in known])
+    after = np.minimum(np.searchsorted(seen, frames), len(seen) - 1)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(np.abs(frames - seen[before]) <= np.abs(seen[after] - frames), before, after)
+    # As `association.carry`, for all frames at once.
+    starts = np.array([map_SE3_left[p.frame_index] for p in known])[nearest]
+    frame_SE3_start = np.linalg.inv(poses) @ starts
+    places = np.array([p.camera_xyz_m for p in known])[nearest]
+    foot = (frame_SE3_start[:, :3, :3] @ places[:, :, None])[:, :, 0] + frame_SE3_start[:, :3, 3]
+    tip = foot + cone_height_m * poses[:, 2, :3]
     right_SE3_left = np.linalg.inv(left_SE3_right(rig))
     rotation, translation = right_SE3_left[:3, :3], right_SE3_left[:3, 3]
-    boxes: dict[Side, Box] = {}
-    left = apparent_box(foot, tip, rig.left)
-    right = apparent_box(rotation @ foot + translation, rotation @ tip + translation, rig.right)
-    if left is not None and is_in_view(left, rig.left, params.reconcile):
-        boxes["left"] = left
-    if right is not None and is_in_view(right, rig.right, params.reconcile):
-        boxes["right"] = right
+    boxes: dict[Side, list[tuple[int, Box]]] = {}
+    sides: tuple[tuple[Side, Floats, Floats], ...] = (
+        ("left", foot, tip),
+        ("right", foot @ rotation.T + translation, tip @ rotation.T + translation),
+    )
+    for side, of_foot, of_tip in sides:
+        camera = camera_of(rig, side)
+        all_boxes = apparent_boxes(of_foot, of_tip, camera)
+        shown = np.flatnonzero(are_in_view(all_boxes, camera, params.reconcile))
+        found = zip(frames[shown].tolist(), all_boxes[shown].tolist(), strict=True)
+        boxes[side] = [(n, (x0, y0, x1, y1)) for n, (x0, y0, x1, y1) in found]
     return boxes

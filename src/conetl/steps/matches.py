@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from conetl.params import MatchParams
 from conetl.records import Camera, Detection, Rig, StereoMatch, Vec2
 from conetl.rejections import Rejection, RejectionReason
 from conetl.steps.area_matching import AreaMatch, match_area
-from conetl.steps.cone_outline import find_outline
+from conetl.steps.cone_outline import Outline, find_outline
 
 Image = NDArray[np.uint8]
 #: Height of anything that may be a traffic cone, wide: the boxes are loose. Keeps a cone from being matched with its neighbour.
@@ -49,6 +50,18 @@ class _Candidate:
     area: AreaMatch | None
 
 
+class _Sought(NamedTuple):
+    """What is looked for in the right picture, whatever it is compared with."""
+
+    detection: Detection
+    at_infinity_px: float
+    """Disparity of what is infinitely far, at the middle of the box ..."""
+    row_offset_px: float
+    """... and how much lower it is in the right picture."""
+    outlines: list[Outline]
+    """Of its cone: found when it is first asked for, so none or one."""
+
+
 def match_pair(
     left: Sequence[Detection],
     right: Sequence[Detection],
@@ -72,9 +85,11 @@ def match_pair(
         return [], rejections
     candidates: dict[tuple[int, int], _Candidate] = {}
     costs = np.full((len(left_whole), len(right_whole)), np.inf)
-    for i, a in enumerate(left_whole):
+    middles = np.array([[d.x_px + d.w_px / 2 - 0.5, d.y_px + d.h_px / 2 - 0.5] for d in left_whole])
+    for i, (a, (shift, rows_up)) in enumerate(zip(left_whole, infinity_shift_px(rig, middles).tolist(), strict=True)):
+        sought = _Sought(a, shift, -rows_up, [])
         for j, b in enumerate(right_whole):
-            candidate = _candidate(a, b, rig, params, images if params.refine else None, up_left)
+            candidate = _candidate(sought, b, rig, params, images if params.refine else None, up_left)
             if candidate is not None:
                 candidates[i, j] = candidate
                 costs[i, j] = candidate.cost
@@ -155,7 +170,7 @@ def _is_whole(detection: Detection, camera: Camera, rejections: list[Rejection])
 
 
 def _candidate(
-    a: Detection,
+    sought: _Sought,
     b: Detection,
     rig: Rig,
     params: MatchParams,
@@ -163,12 +178,9 @@ def _candidate(
     up: NDArray[np.float64],
 ) -> _Candidate | None:
     """Cost of calling two detections one object, None where that cannot be."""
+    a, at_infinity, row_offset_px, outlines = sought
     tallest = max(a.h_px, b.h_px)
     row_tolerance = params.epipolar_tolerance_px + params.epipolar_tolerance_relative * tallest
-    at_infinity, rows_up = infinity_shift_px(
-        rig, np.array([a.x_px + a.w_px / 2 - 0.5, a.y_px + a.h_px / 2 - 0.5])
-    ).tolist()
-    row_offset_px = -rows_up
     row_difference = abs((a.y_px + a.h_px / 2) - (b.y_px + b.h_px / 2) + row_offset_px)
     if row_difference > row_tolerance:
         return None
@@ -189,8 +201,10 @@ def _candidate(
         return None
     area = None
     if images is not None:
+        if not outlines:
+            outlines.append(find_outline(images[0], a))
         area = match_area(
-            images[0], images[1], find_outline(images[0], a), disparity + at_infinity, max(3.0, 0.3 * a.w_px),
+            images[0], images[1], outlines[0], disparity + at_infinity, max(3.0, 0.3 * a.w_px),
             camera=rig.left, up=up, at_infinity_px=at_infinity, row_offset_px=row_offset_px,
         )  # fmt: skip
     cost = row_difference / row_tolerance + np.log(height_ratio) * 2 + np.log(width_ratio) + score_difference

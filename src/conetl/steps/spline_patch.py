@@ -18,8 +18,11 @@ Ints = NDArray[np.intp]
 class SplinePatch(NamedTuple):
     """Cubic B-spline coefficients of a part of a picture."""
 
-    coefficients: Floats
-    """(rows, columns, channels)"""
+    rows_of_four: Floats
+    """(4, channels * rows * columns): in [k] the coefficients from row k on, colour by colour. What is blended across the rows
+    then is one product with (4,) weights."""
+    shape: tuple[int, int, int]
+    """channels, rows (three fewer than were cut out), columns"""
     row0: int
     column0: int
 
@@ -30,29 +33,33 @@ class SplinePatch(NamedTuple):
         if first < 0 or last > picture.shape[1]:
             return None
         top = int(np.floor(row0)) - 2
-        rows = np.clip(np.arange(top, int(np.floor(row1)) + 4), 0, picture.shape[0] - 1)
-        return SplinePatch(picture[rows, first:last].astype(np.float64), top, first)
+        rows = np.arange(top, int(np.floor(row1)) + 4)
+        if top < 0 or rows[-1] >= picture.shape[0]:
+            rows = np.clip(rows, 0, picture.shape[0] - 1)
+        by_colour = picture[rows, first:last].transpose(2, 0, 1).astype(np.float64)
+        channels, count = by_colour.shape[0], len(rows) - 3
+        rows_of_four = np.stack([by_colour[:, k : k + count].ravel() for k in range(4)])
+        return SplinePatch(rows_of_four, (channels, count, last - first), top, first)
 
     def at(self, rows: Ints, columns: Floats, down_px: float) -> tuple[Floats, Floats, Floats]:
-        """Grey values and their slopes along columns and rows, each (n, channels), at rows + down_px and columns."""
-        height, width, channels = self.coefficients.shape
+        """Grey values and their slopes along columns and rows, each (n, channels), at rows + down_px and columns.
+
+        In memory they lie colour by colour, which is how least squares reads them.
+        """
+        channels, height, width = self.shape
         whole = int(np.floor(down_px))
-        value_v, slope_v = _weights(np.array(down_px - whole))
         # All pixels have the same part of a row to go: blend whole rows first, then only four columns are left for each pixel.
-        blend = np.zeros((height - 3, width, channels, 2))
-        for k in range(4):
-            part = self.coefficients[k : height - 3 + k]
-            blend[..., 0] += value_v[k] * part
-            blend[..., 1] += slope_v[k] * part
-        blend = blend.reshape(-1, 2 * channels)
-        base = np.floor(columns).astype(np.intp)
+        down = np.stack(_weights(np.array(down_px - whole)))
+        blend = (down @ self.rows_of_four).reshape(2 * channels, height * width)
+        base = np.floor(columns)
         value_u, slope_u = _weights(columns - base)
-        top = np.clip(rows + whole - 1 - self.row0, 0, height - 4)
-        first = top * width + np.clip(base - 1 - self.column0, 0, width - 4)
-        picked = blend[first[:, None] + np.arange(4)]  # (n, 4, 2 * channels): value and slope down, colour by colour
-        both = np.einsum("kn,nkc->nc", value_u, picked)
-        along = np.einsum("kn,nkc->nc", slope_u, picked[:, :, 0::2])
-        return both[:, 0::2], along, both[:, 1::2]
+        top = np.minimum(np.maximum(rows + (whole - 1 - self.row0), 0), height - 1)
+        first = np.minimum(np.maximum(base.astype(np.intp) - (1 + self.column0), 0), width - 4)
+        first += top * width
+        picked = blend.take(first + np.arange(4)[:, None], axis=1)  # (2 * channels, 4, n): values, then slopes down
+        along = np.einsum("ckn,kn->cn", picked[:channels], slope_u)
+        both = np.einsum("ckn,kn->cn", picked, value_u)
+        return both[:channels].T, along.T, both[channels:].T
 
 
 def _weights(part: Floats) -> tuple[Floats, Floats]:
