@@ -9,6 +9,8 @@ an instant of the past. Processor time is that of this process and of the databa
 waits, but tells little on a machine that does other work.
 
     python benchmarks/bench_map.py [--sizes 100000 1000000] [--sightings 100000] [--audits] [--no-history] [--folder /tmp]
+    python benchmarks/bench_map.py --home /tmp/maps --load-only      # keeps the loaded maps ...
+    python benchmarks/bench_map.py --home /tmp/maps [--clone]        # ... and measures on them, or on copies of them
 
 10 million features need some 10 GB without history (one row each), 22 GB with it, and half an hour.
 """
@@ -22,8 +24,8 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -170,7 +172,7 @@ def executed_ms(conn: Connection, count: int) -> np.ndarray:
 
 
 def report(title: str, watch: Stopwatch) -> None:
-    print(f"\n{title}\n{'phase':28}{'wall s':>9}{'python s':>10}{'server s':>10}")
+    print(f"\n{title}; load {os.getloadavg()[0]:.1f}\n{'phase':28}{'wall s':>9}{'python s':>10}{'server s':>10}")
     for name, seconds in (*watch.seconds.items(), ("all", watch.total)):
         print(f"{name:28}{seconds[0]:9.2f}{seconds[1]:10.2f}{seconds[2]:10.2f}")
 
@@ -184,18 +186,34 @@ def main() -> None:
     parser.add_argument("--no-history", action="store_true", help="one row a feature instead of three")
     parser.add_argument("--audits", action="store_true", help="run all audits on the map after the merge")
     parser.add_argument("--folder", type=Path, help="where the temporary cluster lies")
+    parser.add_argument("--home", type=Path, help="home folder of a cluster that is kept, with the maps loaded into it")
+    parser.add_argument(
+        "--load-only", action="store_true", help="load the maps of --home that are not there yet, and end"
+    )
+    parser.add_argument(
+        "--per-track", type=int, nargs="+", default=[10, 1], help="positions a track: which readings of 'sightings'"
+    )
+    parser.add_argument(
+        "--before-others",
+        action="store_true",
+        help="let this process and its database session go before other work on the machine (root; Linux with autogroups)",
+    )
+    parser.add_argument(
+        "--clone", action="store_true", help="measure on copies of the maps, which are dropped afterwards"
+    )
     options = parser.parse_args()
-    home = Path(tempfile.mkdtemp(prefix="conetl-bench-map-", dir=options.folder))
+    if options.home is None and (options.load_only or options.clone):
+        parser.error("--load-only and --clone need --home")
+    home = options.home or Path(tempfile.mkdtemp(prefix="conetl-bench-map-", dir=options.folder))
     try:
         url = cluster_up(home)
-        results: dict[int, Figures] = {}
-        for size in options.sizes:
-            with closing(connect(_database(url, size))) as conn:
-                results[size] = bench(conn, size, options)
-        summary(results)
+        results = {size: bench(url, size, options) for size in options.sizes}
+        if not options.load_only:
+            summary({size: found for size, found in results.items() if found is not None})
     finally:
-        cluster_remove(home)
-        shutil.rmtree(home)
+        if options.home is None:
+            cluster_remove(home)
+            shutil.rmtree(home)
 
 
 def summary(results: dict[int, Figures]) -> None:
@@ -213,32 +231,66 @@ def summary(results: dict[int, Figures]) -> None:
     print(f"load {os.getloadavg()}")
 
 
-def bench(conn: Connection, size: int, options: argparse.Namespace) -> Figures:
-    """One size of map."""
-    migrate(conn)
+def bench(url: str, size: int, options: argparse.Namespace) -> Figures | None:
+    """One size of map: loaded unless it is there, and measured."""
+    name = f"map_{size}" + ("_now" if options.no_history else "")
+    with closing(connect(url)) as conn:
+        conn.autocommit = True
+        there = execute(conn, "select 1 from pg_database where datname = %(name)s", {"name": name})
+        if not there:
+            execute(conn, f"create database {name}")
     start = time.perf_counter()
-    load_map(conn, size, history=not options.no_history)
+    with closing(connect(_address(url, name))) as conn:
+        migrate(conn)
+        if not there:
+            load_map(conn, size, history=not options.no_history)
     rows = size * (1 if options.no_history else 3)
-    print(
-        f"\n=== {size:,} features, {rows:,} version rows, loaded in {time.perf_counter() - start:.0f} s; load {os.getloadavg()}"
-    )
-    return measure(conn, size, options.sightings, audits=options.audits)
+    loaded = "loaded before" if there else f"loaded in {time.perf_counter() - start:.0f} s"
+    print(f"\n=== {size:,} features, {rows:,} version rows, {loaded}; load {os.getloadavg()}", flush=True)
+    if options.load_only:
+        return None
+    with ExitStack() as kept:
+        if options.clone:
+            name = kept.enter_context(_clone(url, name))
+        with closing(connect(_address(url, name))) as conn:
+            if options.before_others:
+                for pid in (os.getpid(), conn.info.backend_pid):
+                    Path(f"/proc/{pid}/autogroup").write_text("-15")
+            return measure(conn, size, options.sightings, options.per_track, audits=options.audits)
 
 
-def measure(conn: Connection, size: int, sightings: int, *, audits: bool = False) -> Figures:
+@contextmanager
+def _clone(url: str, name: str) -> Iterator[str]:
+    """A copy of a database for a while, as cold as the server's cache can make it: its files were just written by the server."""
+    with closing(connect(url)) as conn:
+        conn.autocommit = True
+        execute(conn, f"drop database if exists {name}_clone")
+        execute(conn, f"create database {name}_clone template {name} strategy file_copy")
+        execute(conn, "checkpoint")
+        try:
+            yield f"{name}_clone"
+        finally:
+            execute(conn, f"drop database {name}_clone")
+
+
+def measure(
+    conn: Connection, size: int, sightings: int, per_tracks: Sequence[int] = (10, 1), *, audits: bool = False
+) -> Figures:
     """All that is measured on a loaded map: two readings of 'sightings', boxes, sizes, audits."""
     first = 20_000 if size >= sightings + 20_000 else 0
     found: Figures = {}
-    for name, per_track, days in (("ten a track", 10, 2), ("one a track", 1, 3)):
+    for days, per_track in enumerate(per_tracks, start=2):
+        name = f"{per_track} a track"
         drive = drive_along(first, min(sightings, size - first) // per_track, days=days, seed=days, sightings=per_track)
         found[name] = merge(conn, drive)
         title = f"{len(drive.positions):,} sightings, {name} ({len(drive.tracks):,} tracks), into {size:,} features"
         report(title, found[name])
     server = executed_ms(conn, size)
-    times, found = look_back(conn, size)
+    times, in_boxes = look_back(conn, size)
     middle = f"median {np.median(server):.1f} ms, 95 % {np.percentile(server, 95):.1f} ms"
     print(
-        f"\n{LOOKS} boxes of 500 m as of a day, {found} features: server {middle}; with reading median {np.median(times):.1f} ms"
+        f"\n{LOOKS} boxes of 500 m as of a day, {in_boxes} features: server {middle}; "
+        f"with reading median {np.median(times):.1f} ms"
     )
     for row in index_sizes(conn, ("feature", "feature_version", "delta")):
         print(
@@ -252,12 +304,8 @@ def measure(conn: Connection, size: int, sightings: int, *, audits: bool = False
     return found
 
 
-def _database(url: str, size: int) -> str:
-    """A database of its own for each size."""
-    with closing(connect(url)) as conn:
-        conn.autocommit = True
-        execute(conn, f"create database map_{size}")
-    return url.replace("@/conetl?", f"@/map_{size}?")
+def _address(url: str, database: str) -> str:
+    return url.replace("@/conetl?", f"@/{database}?")
 
 
 if __name__ == "__main__":

@@ -10,4 +10,5 @@ select
     s.other_feature_id, s.log_likelihood_ratio, s.existence_after, s.frames_seen, s.frames_empty,
     tstzrange(%(committed_at)s, null)
 from delta_stage s
-left join open_version o using (feature_id);
+left join open_version o using (feature_id)
+order by s.feature_id;

@@ -16,4 +16,5 @@ select
 from open_version o
 join delta_stage s using (feature_id)
 join conetl.feature_version v using (version_row_id)
-where s.is_change;
+where s.is_change
+order by s.feature_id;

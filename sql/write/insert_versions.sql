@@ -13,4 +13,5 @@ select
     tstzrange(greatest(s.changed_at, o.valid_from + interval '1 microsecond'), null), tstzrange(%(committed_at)s, null), s.suppressed
 from delta_stage s
 left join open_version o using (feature_id)
-where s.is_change;
+where s.is_change
+order by s.feature_id;

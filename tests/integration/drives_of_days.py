@@ -59,11 +59,26 @@ def survey(
     """The drive of one day, with noise and a GNSS offset of its own; `after_ns` later than the day's hour."""
     name = name or f"day_{day}_{frames}_{start_m}_{after_ns}"
     rng = np.random.default_rng(abs(hash((day, frames, start_m, after_ns))) % 2**32)
-    true = make_path(frames, start_m=start_m, first_ns=START_NS + day * DAY_NS + after_ns, sigma_m=0.3)
+    first_ns = START_NS + day * DAY_NS + after_ns
+    return survey_of(DAYS[day], rng, name, frames=frames, start_m=start_m, first_ns=first_ns, content=content)
+
+
+def survey_of(
+    cones: Sequence[Cone],
+    rng: np.random.Generator,
+    name: str,
+    *,
+    frames: int,
+    start_m: float,
+    first_ns: int,
+    content: str = "",
+) -> Survey:
+    """A drive past cones, with noise and a GNSS offset of its own."""
+    true = make_path(frames, start_m=start_m, first_ns=first_ns, sigma_m=0.3)
     logged = [shifted(pair, (*rng.normal(0, 0.2, 2), 0.0)[:3]) for pair in true[:1]]
     offset = np.array(logged[0].pose.map_t_body_m) - np.array(true[0].pose.map_t_body_m)
     logged = [shifted(pair, offset) for pair in true]
-    found, matches, positions = locate(detect(DAYS[day], true, RIG, noise_px=0.5, rng=rng), logged, RIG)
+    found, matches, positions = locate(detect(cones, true, RIG, noise_px=0.5, rng=rng), logged, RIG)
     tracks, _ = fuse_logged(logged, RIG, found, matches, positions)
     drive = Drive(
         drive_id=name,

@@ -33,7 +33,7 @@ def wait_until(reached, *, seconds=30):
 
 
 def test_a_connection_lost_in_the_middle_of_the_commit_writes_nothing(conn, database_url):
-    """The deltas are the last to be written: whoever waits there has written everything else."""
+    """The deltas are the last of what is merged: whoever waits there has written all versions."""
     merge(conn, survey(1))
     before = valid_time_map(conn)
     holder, victim = connect(database_url), connect(database_url)

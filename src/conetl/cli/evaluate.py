@@ -114,6 +114,8 @@ def evaluate(
         files = _write(own, results, evaluation, within_m)
         done[name] = drive, evaluation, _as_dict(results, evaluation, files)
         if not as_json:
+            if len(done) > 1:
+                out.print()
             _print(file, results, evaluation, files, within_m)
     if len(done) == 1:
         if as_json:
@@ -129,6 +131,7 @@ def evaluate(
     if as_json:
         print_json({"drives": [words for _, _, words in done.values()], **as_dict(together), "files": [str(page)]})
         return
+    out.print()
     print_pooled(together)
     out.print(f"\n{page}: all drives on one page", markup=False)
 
@@ -176,7 +179,7 @@ def _print(truth: Path, results: DriveResults, evaluation: _Evaluation, files: l
     out.print()
     for sentence in _summary(results, evaluation, within_m):
         out.print(sentence, markup=False)
-    out.print(f"\n{files[-1]}: everything on one page\n", markup=False)
+    out.print(f"\n{files[-1]}: everything on one page", markup=False)
 
 
 def _evaluate(

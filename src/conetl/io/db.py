@@ -8,8 +8,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import cache
+from io import BytesIO
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 from urllib.parse import quote, urlencode
 
 import psycopg2
@@ -27,6 +28,8 @@ CONNECT_TIMEOUT_S = 10
 #: Times in UTC; streamed queries are planned to be read to their end.
 SESSION_OPTIONS = "-c timezone=UTC -c cursor_tuple_fraction=1"
 COPY_BATCH_ROWS = 200_000
+#: Sent at once; psycopg2's own 8 kB cost a call of Python for every few rows.
+COPY_CHUNK_BYTES = 1 << 20
 #: Key of the advisory lock that keeps two migrations apart.
 MIGRATION_LOCK = 0x636F6E65
 ROLES = ("conetl_reader", "conetl_writer")
@@ -201,8 +204,26 @@ def copy_columns(conn: Connection, table: str, columns: Mapping[str, Column]) ->
     """Load columns into a table by COPY BINARY, so many rows at a time that the encoded bytes stay below some 100 MB."""
     with conn.cursor() as cursor:
         for start in range(0, row_count(columns), COPY_BATCH_ROWS):
-            batch = sliced(columns, start, start + COPY_BATCH_ROWS)
-            cursor.copy_expert(copy_statement(table, batch), encode(batch))
+            block = encoded_block(table, sliced(columns, start, start + COPY_BATCH_ROWS))
+            cursor.copy_expert(block.statement, block.data, COPY_CHUNK_BYTES)
+
+
+class CopyBlock(NamedTuple):
+    """Rows that are ready to be sent."""
+
+    statement: str
+    data: BytesIO
+
+
+def encoded_block(table: str, columns: Mapping[str, Column]) -> CopyBlock:
+    """Rows of columns as COPY BINARY takes them; needs no connection."""
+    return CopyBlock(copy_statement(table, columns), encode(columns))
+
+
+def copy_block(conn: Connection, block: CopyBlock) -> None:
+    """Send one block, inside the open transaction."""
+    with conn.cursor() as cursor:
+        cursor.copy_expert(block.statement, block.data, COPY_CHUNK_BYTES)
 
 
 @cache

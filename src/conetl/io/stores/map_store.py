@@ -50,6 +50,7 @@ from conetl.io.stores.map_results import (
 )
 from conetl.io.stores.map_rows import feature_of
 from conetl.io.stores.quarantine_store import insert_rejections
+from conetl.io.stores.record_load import load_records, records_encoded
 from conetl.io.stores.replay_store import write_replay
 from conetl.map_records import Changeset, DeltaKind, MapFeature
 from conetl.params import ReconcileParams
@@ -208,19 +209,16 @@ def commit_changeset(
         rejection_count=len(rejections),
     )
     insert_changeset(conn, info, drive_uuid, changeset, counts, run, committed_at)
-    srid = info.srid
-    copy_columns(conn, "conetl.frame_pair", map_columns.frame_pair_columns(drive_uuid, srid, drive.frame_pairs))
-    copy_columns(conn, "conetl.detection", map_columns.detection_columns(drive_uuid, detections))
-    copy_columns(conn, "conetl.stereo_match", map_columns.match_columns(drive_uuid, matches))
-    copy_columns(conn, "conetl.position", map_columns.position_columns(drive_uuid, srid, positions))
-    copy_columns(conn, "conetl.track", map_columns.track_columns(drive_uuid, srid, tracks))
-    copy_columns(conn, "conetl.track_member", map_columns.track_member_columns(drive_uuid, tracks))
     insert_rejections(conn, changeset.changeset_id, rejections)
     drop_watched_recording(conn, drive, map_name=map_name)
     if replay is None:
-        versions_written = _merge_deltas(conn, info, changeset, committed_at, suppressed)
-    else:
-        versions_written = write_replay(conn, info, replay, committed_at)
+        _stage_deltas(conn, info, changeset, suppressed)
+    with records_encoded(drive_uuid, info.srid, drive, detections, matches, positions, tracks) as blocks:
+        if replay is None:
+            versions_written = _merge_deltas(conn, info, changeset, committed_at)
+        else:
+            versions_written = write_replay(conn, info, replay, committed_at)
+        load_records(conn, blocks)
     written = find_changeset(conn, changeset.idempotency_key, map_name=map_name)
     if written is None:
         raise MapMismatchError(f"changeset {changeset.changeset_id} was written but cannot be found again")
@@ -287,13 +285,15 @@ def _path_wkt(drive: Drive) -> str:
     return "LINESTRING(" + ", ".join(f"{x!r} {y!r}" for x, y, _ in points) + ")"
 
 
-def _merge_deltas(
-    conn: Connection, info: MapInfo, changeset: Changeset, committed_at: datetime, suppressed: Collection[UUID]
-) -> int:
-    """Set-based: stage all deltas, check them against the map, close what they replace, write what they bring."""
+def _stage_deltas(conn: Connection, info: MapInfo, changeset: Changeset, suppressed: Collection[UUID]) -> None:
+    """All deltas into a table of the transaction's own."""
     execute(conn, load_sql("write/create_delta_stage"))
     copy_columns(conn, "delta_stage", map_columns.delta_columns(info.srid, changeset.deltas, suppressed))
     execute(conn, "analyze delta_stage (feature_id, kind, is_change)")
+
+
+def _merge_deltas(conn: Connection, info: MapInfo, changeset: Changeset, committed_at: datetime) -> int:
+    """Set-based: check the staged deltas against the map, close what they replace, write what they bring."""
     execute(conn, load_sql("write/create_open_version"))
     execute(conn, "analyze open_version")
     conflicts = execute(conn, load_sql("map/delta_conflicts"), {"map_id": info.map_id})
