@@ -18,22 +18,26 @@ SAMPLE = Path(__file__).resolve().parents[2] / "data" / "drives" / "2026-03-02_t
 FRAMES = range(8, 22)
 
 
-@pytest.fixture(scope="module")
-def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """14 frame pairs past the first cones."""
-    folder = tmp_path_factory.mktemp("drives") / "piece"
+def piece(folder: Path, frames: range) -> Path:
+    """Some frame pairs of the sample drive, and its truth."""
     folder.mkdir()
-    for file in SAMPLE.glob("*.txt"):
+    for file in (*SAMPLE.glob("*.txt"), SAMPLE / "truth.csv"):
         shutil.copy(file, folder)
     for part, suffix in (("image_02", "jpg"), ("image_03", "jpg"), ("oxts", "txt")):
         (folder / part / "data").mkdir(parents=True)
         stamps = (SAMPLE / part / "timestamps.txt").read_text().splitlines()
-        (folder / part / "timestamps.txt").write_text("".join(f"{stamps[k]}\n" for k in FRAMES))
-        for new, old in enumerate(FRAMES):
+        (folder / part / "timestamps.txt").write_text("".join(f"{stamps[k]}\n" for k in frames))
+        for new, old in enumerate(frames):
             shutil.copy(
                 SAMPLE / part / "data" / f"{old:010d}.{suffix}", folder / part / "data" / f"{new:010d}.{suffix}"
             )
     return folder
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """14 frame pairs past the first cones."""
+    return piece(tmp_path_factory.mktemp("drives") / "piece", FRAMES)
 
 
 @pytest.fixture(scope="module")
@@ -42,9 +46,13 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(drive: Path, truth: Path, home: Path, *options: str) -> typer.testing.Result:
+    return run_all([drive], home, "--truth", str(truth), *options)
+
+
+def run_all(drives: list[Path], home: Path, *options: str) -> typer.testing.Result:
     app = typer.Typer(pretty_exceptions_enable=False)
     app.command()(evaluate)
-    arguments = [str(drive), "--truth", str(truth), *options]
+    arguments = [*(str(drive) for drive in drives), *options]
     return CliRunner().invoke(app, arguments, env={"CONETL_HOME": str(home)})
 
 
@@ -72,6 +80,34 @@ def test_figures_plots_and_page(drive: Path, home: Path, tmp_path: Path) -> None
     assert "http" not in page
     assert not (home / "postgres").exists()
     assert not list(home.glob("**/*.pid"))
+
+
+def test_two_drives_are_judged_together(drive: Path, home: Path, tmp_path: Path) -> None:
+    """Each by its own truth.csv; the second are six frame pairs of the same road."""
+    second = piece(tmp_path / "second", range(22, 28))
+    done = run_all([drive, second], home, "--out", str(tmp_path / "out"), "--within-m", "8", "--json")
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)
+    assert [one["drive_id"] for one in found["drives"]] == ["piece", "second"]
+    for kind in ("tracks", "single positions"):
+        assert found["pooled"]["errors"][kind]["count"] == sum(d["errors"][kind]["count"] for d in found["drives"])
+        for part in ("relative", "common", "absolute"):
+            single = [d["nees"][kind][part] for d in found["drives"]]
+            together = found["pooled"]["nees"][kind][part]
+            assert together["dof"] == sum(one["dof"] for one in single if one)
+            assert together["value"] == pytest.approx(sum(one["value"] for one in single if one))
+    for file in ("piece/index.html", "second/plan.png"):
+        assert (tmp_path / "out" / file).is_file()
+    assert "2 drives against truth" in (tmp_path / "out" / "index.html").read_text()
+
+
+def test_a_drive_without_truth_or_given_twice_is_refused(drive: Path, home: Path, tmp_path: Path) -> None:
+    """Before anything is computed, also of the drives that are fine."""
+    (tmp_path / "bare").mkdir()
+    for drives, words in (([drive, tmp_path / "bare"], "has no truth.csv"), ([drive, drive], "given twice")):
+        refused = run_all(drives, home).exception
+        assert isinstance(refused, InputError)
+        assert words in str(refused)
 
 
 def test_the_table_for_a_person(drive: Path, home: Path, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""`conetl evaluate`: one drive against surveyed cones, with plots and one page to pass on."""
+"""`conetl evaluate`: drives against surveyed cones, with plots and one page to pass on."""
 
 from __future__ import annotations
 
@@ -13,6 +13,15 @@ import typer
 from conetl.cli.console import JsonOption, out, print_json, print_table
 from conetl.cli.drive_results import DriveResults, run_steps
 from conetl.cli.ingest import read_params
+from conetl.cli.pooled_drives import (
+    NEES_COLUMNS,
+    DriveErrors,
+    as_dict,
+    nees_rows,
+    pool,
+    print_pooled,
+    write_pooled_page,
+)
 from conetl.cli.truth_table import line_as_dict, median_error, print_table_3, read_truth_cones, table_3_rows
 from conetl.errors import InputError
 from conetl.geometry.rig import map_SE3_left
@@ -33,13 +42,12 @@ from conetl.steps.accuracy import (
     statistics,
     track_errors,
 )
-from conetl.steps.evaluation import TruthLine, compare_with_truth
+from conetl.steps.evaluation import TruthCone, TruthLine, compare_with_truth
 
 _STATISTICS = ("", "estimates", "median 3D", "RMSE 3D", "RMSE E", "N", "up", "bias E", "N", "up", "CE90", "LE90")
 _BANDS = (
     "range m", "estimates", "median 3D", "RMSE along", "across", "up", "stated along", "across", "up", "bias along"
 )  # fmt: skip
-_NEES = ("", "sum", "degrees of freedom", "95 % band", "per degree", "sigmas are")
 _NEES_WORDS = (
     "NEES: the sum of squared errors over their stated covariance. Relative: the errors that the whole drive has in common "
     "(GNSS/INS) are taken out. Common: those errors themselves. Absolute: both. One per degree of freedom is right."
@@ -64,11 +72,21 @@ class _Evaluation:
 
 
 def evaluate(
-    drive: Annotated[Path, typer.Argument(help="Drive folder.")],
-    truth: Annotated[Path, typer.Option(help="truth.csv: the surveyed cones; see data/README.md for its columns.")],
+    drives: Annotated[list[Path], typer.Argument(metavar="DRIVE...", help="Drive folders.")],
+    truth: Annotated[
+        Path | None,
+        typer.Option(
+            help="truth.csv: the surveyed cones, of all drives; see data/README.md for its columns. "
+            "Each drive's own truth.csv unless given."
+        ),
+    ] = None,
     output: Annotated[
         Path | None,
-        typer.Option("--out", help="Folder for the page and the plots; exports/evaluate/<drive> unless given."),
+        typer.Option(
+            "--out",
+            help="Folder for the page and the plots (of several drives: a folder each, and a page of all); "
+            "exports/evaluate/<drive> unless given.",
+        ),
     ] = None,
     params: Annotated[Path | None, typer.Option(help="YAML file of parameters; see `src/conetl/params.py`.")] = None,
     within_m: Annotated[
@@ -76,28 +94,80 @@ def evaluate(
     ] = 20.0,
     as_json: JsonOption = False,
 ) -> None:
-    """Compare the cones of one drive with surveyed truth: the paper's Table 3, errors over range, and whether sigmas hold.
+    """Compare the cones of drives with surveyed truth: the paper's Table 3, errors over range, and whether sigmas hold.
 
+    Several drives are compared one by one, and judged together: one in twenty leaves a 95 % band by chance.
     Nothing is put on the map and no database is needed.
     """
-    cones, srid = read_truth_cones(truth)
+    truths = _truths_of(drives, truth)
     settings = read_settings()
-    results = run_steps(drive, settings, read_params(params), map_srid=srid)
+    chosen = read_params(params)
+    folder = output or settings.exports_folder / "evaluate"
+    done: dict[str, tuple[Path, _Evaluation, dict[str, object]]] = {}
+    for drive, (file, cones, srid) in truths.items():
+        results = run_steps(drive, settings, chosen, map_srid=srid)
+        name = results.drive.drive_id
+        if name in done:
+            raise InputError(f"{drive} and {done[name][0]} are both drive {name}: a drive counts once")
+        evaluation = _compare(drive, file, cones, results, within_m)
+        own = folder if output is not None and len(truths) == 1 else folder / name
+        files = _write(own, results, evaluation, within_m)
+        done[name] = drive, evaluation, _as_dict(results, evaluation, files)
+        if not as_json:
+            if len(done) > 1:
+                out.print()
+            _print(file, results, evaluation, files, within_m)
+    if len(done) == 1:
+        if as_json:
+            print_json(next(iter(done.values()))[2])
+        return
+    together = pool(
+        {
+            name: DriveErrors(len(one.lines), one.found, len(one.false), one.tracks, one.singles)
+            for name, (_, one, _) in done.items()
+        }
+    )
+    page = write_pooled_page(folder / "index.html", together)
+    if as_json:
+        print_json({"drives": [words for _, _, words in done.values()], **as_dict(together), "files": [str(page)]})
+        return
+    out.print()
+    print_pooled(together)
+    out.print(f"\n{page}: all drives on one page", markup=False)
+
+
+def _truths_of(drives: Sequence[Path], truth: Path | None) -> dict[Path, tuple[Path, list[TruthCone], int]]:
+    """File, cones and EPSG code of the truth of each drive; all are read before the first drive costs any time.
+
+    Raises InputError where a drive is given twice or has no truth.
+    """
+    truths: dict[Path, tuple[Path, list[TruthCone], int]] = {}
+    for drive in drives:
+        if any(drive.resolve() == other.resolve() for other in truths):
+            raise InputError(f"{drive} is given twice: a drive counts once")
+        if not drive.is_dir():
+            raise InputError(f"no such drive folder: {drive}")
+        file = truth or drive / "truth.csv"
+        if not file.is_file() and truth is None:
+            raise InputError(f"{drive} has no truth.csv: name the surveyed cones by --truth")
+        truths[drive] = (file, *read_truth_cones(file))
+    return truths
+
+
+def _compare(drive: Path, file: Path, cones: list[TruthCone], results: DriveResults, within_m: float) -> _Evaluation:
     path_m = np.array([map_SE3_left(pair.pose, results.drive.rig)[:3, 3] for pair in results.drive.frame_pairs])
     lines, false = compare_with_truth(cones, results.tracks, path_m, within_m=within_m)
     if not lines:
         raise InputError(
-            f"truth {truth}: none of its {len(cones)} cones lies within {within_m:g} m of the path of {drive}; "
+            f"truth {file}: none of its {len(cones)} cones lies within {within_m:g} m of the path of {drive}; "
             "is it another drive's?"
         )
-    evaluation = _evaluate(results, lines, false, path_m)
-    folder = output or settings.exports_folder / "evaluate" / results.drive.drive_id
-    files = _write(folder, results, evaluation, within_m)
-    if as_json:
-        print_json(_as_dict(results, evaluation, files))
-        return
+    return _evaluate(results, lines, false, path_m)
+
+
+def _print(truth: Path, results: DriveResults, evaluation: _Evaluation, files: list[Path], within_m: float) -> None:
     out.print(f"[bold]{results.drive.drive_id}[/] against {truth}, in metres\n")
-    print_table_3(lines, missing="missed")
+    print_table_3(evaluation.lines, missing="missed")
     out.print()
     print_table("Errors", _STATISTICS, _statistics_rows(evaluation))
     out.print()
@@ -105,7 +175,7 @@ def evaluate(
         "Single positions by range: root mean square errors beside the stated sigmas", _BANDS, _band_rows(evaluation)
     )
     out.print()
-    print_table("Do the stated sigmas hold? (NEES)", _NEES, _nees_rows(evaluation))
+    print_table("Do the stated sigmas hold? (NEES)", NEES_COLUMNS, nees_rows(evaluation.nees))
     out.print()
     for sentence in _summary(results, evaluation, within_m):
         out.print(sentence, markup=False)
@@ -177,7 +247,7 @@ def _write(folder: Path, results: DriveResults, evaluation: _Evaluation, within_
                 _BANDS, _band_rows(evaluation), pictures["errors_over_range.png"], "errors over range"),
         Section("Do the stated sigmas hold?",
                 _NEES_WORDS,
-                _NEES, _nees_rows(evaluation), pictures["nees.png"], "histogram of NEES against chi-square"),
+                NEES_COLUMNS, nees_rows(evaluation.nees), pictures["nees.png"], "histogram of NEES against chi-square"),
     ]  # fmt: skip
     page = write_accuracy_page(
         folder / "index.html",
@@ -223,21 +293,6 @@ def _band_rows(evaluation: _Evaluation) -> list[tuple[object, ...]]:
         for band in evaluation.bands
         for f in (band.errors,)
     ]  # fmt: skip
-
-
-def _nees_rows(evaluation: _Evaluation) -> list[tuple[object, ...]]:
-    rows: list[tuple[object, ...]] = []
-    for name, report in evaluation.nees.items():
-        for part in ("relative", "common", "absolute"):
-            nees = getattr(report, part)
-            if nees is None:
-                continue
-            verdict = "right" if nees.holds else "too small" if nees.value > nees.high else "too large"
-            rows.append(
-                (f"{name}, {part}", f"{nees.value:.1f}", nees.dof, f"{nees.low:.1f} to {nees.high:.1f}",
-                 f"{nees.per_dof:.2f}", verdict)
-            )  # fmt: skip
-    return rows
 
 
 def _as_dict(results: DriveResults, evaluation: _Evaluation, files: Sequence[Path]) -> dict[str, object]:

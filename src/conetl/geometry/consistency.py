@@ -57,6 +57,14 @@ class Consistency:
     common: Nees
     """The common errors themselves, one degree of freedom each."""
 
+    def __add__(self, other: Consistency) -> Consistency:
+        """Of two drives together: sums against the sum of their degrees of freedom.
+
+        As in the Monte Carlo test of Bar-Shalom, Li & Kirubarajan (2001, ch. 5.4): chi-square where the drives err independently.
+        The error of a calibration that they share makes the band of `common` somewhat too narrow.
+        """
+        return Consistency(self.absolute + other.absolute, self.relative + other.relative, self.common + other.common)
+
 
 def chi2_band(dof: int, probability: float = 0.95) -> tuple[float, float]:
     """Two-sided interval that a chi-square variable with `dof` degrees of freedom falls into with that probability."""

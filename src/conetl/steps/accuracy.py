@@ -23,6 +23,7 @@ from conetl.records import (
     Vec3,
 )
 from conetl.steps.association import MotionError
+from conetl.steps.common_errors import outline_errors
 from conetl.steps.evaluation import TruthCone, TruthLine
 
 Floats = NDArray[np.float64]
@@ -172,8 +173,8 @@ def position_errors(
 ) -> PointErrors:
     """Errors of the single positions whose cone is known; see `members_of`.
 
-    In common they have place and attitude of the body, the rig's calibration and, those of one cone, what the detector takes for
-    its foot and axis; of its own each position has the error of its image points.
+    In common they have place and attitude of the body, the rig's calibration and, those of one cone, what is taken for its
+    foot, axis and shape; of its own each position has the error of its image points.
     """
     pose_of = {pair.frame_index: pair.pose for pair in drive.frame_pairs}
     chosen = [p for p in positions if (p.frame_index, p.match_index) in cone_of]
@@ -186,7 +187,7 @@ def position_errors(
     truth = np.array([cone.xyz_m for cone in cones]).reshape(-1, 3)
     jacobian, sigmas = _common_errors(xyz, poses, drive.rig)
     names = tuple(cone.cone_id for cone in cones)
-    outline, own_cov = _outline_errors(names, chosen, turn, turn @ camera_cov @ np.swapaxes(turn, 1, 2))
+    outline, own_cov = _outline_errors(names, chosen, drive.rig, turn, turn @ camera_cov @ np.swapaxes(turn, 1, 2))
     common = _blocks(np.diag(np.mean(sigmas**2, axis=0)) if poses else np.zeros((6, 6)), _calibration(drive.rig))
     return PointErrors(
         cone_ids=names,
@@ -202,20 +203,20 @@ def position_errors(
 
 
 def _outline_errors(
-    cone_ids: Sequence[str], positions: Sequence[Position], turn: Floats, cov_m2: Floats
+    cone_ids: Sequence[str], positions: Sequence[Position], rig: Rig, turn: Floats, cov_m2: Floats
 ) -> tuple[Floats, Floats]:
-    """(N, 3, 2C) how the outline errors of C cones, in their sigmas, move N positions; (N, 3, 3) what is left of the covariances.
+    """(N, 3, 3C) how what sightings of C cones share moves N positions, in sigmas; (N, 3, 3) the rest of the covariances.
 
     turn (N, 3, 3): map_R_left of each position. cov_m2 (N, 3, 3): of their image points and outline together, in the map.
     """
     order = sorted({name for name, p in zip(cone_ids, positions, strict=True) if p.sigma_outline_m > 0})
-    jacobian = np.zeros((len(positions), 3, 2 * len(order)))
+    jacobian = np.zeros((len(positions), 3, 3 * len(order)))
     own = cov_m2.copy()
     for n, (name, position) in enumerate(zip(cone_ids, positions, strict=True)):
         if position.sigma_outline_m > 0:
-            moved = turn[n, :, :2] * position.sigma_outline_m
-            k = 2 * order.index(name)
-            jacobian[n, :, k : k + 2] = moved
+            moved = turn[n] @ outline_errors(position, rig)
+            k = 3 * order.index(name)
+            jacobian[n, :, k : k + 3] = moved
             own[n] -= moved @ moved.T
     return jacobian, own
 
@@ -271,6 +272,41 @@ def drive_consistency(errors: PointErrors) -> Consistency | None:
     if not len(errors.difference_m):
         return None
     return consistency(errors.difference_m, errors.own_cov_m2, errors.common_jacobian, errors.common_cov)
+
+
+def pooled_consistency(drives: Sequence[PointErrors]) -> Consistency | None:
+    """NEES of several drives together, each with common errors of its own; None without errors.
+
+    One drive in twenty leaves a 95 % band though its sigmas are right, and its few common errors say little: judge a campaign by
+    its sum.
+    """
+    total: Consistency | None = None
+    for errors in drives:
+        one = drive_consistency(errors)
+        if one is not None:
+            total = one if total is None else total + one
+    return total
+
+
+def pooled_statistics(drives: Sequence[PointErrors]) -> ErrorStatistics | None:
+    """Figures of the errors of several drives together, None where there are none."""
+    everything = [errors for errors in drives if len(errors.difference_m)]
+    if not everything:
+        return None
+    count = sum(len(errors.difference_m) for errors in everything)
+    return statistics(
+        PointErrors(
+            cone_ids=tuple(name for errors in everything for name in errors.cone_ids),
+            truth_m=np.concatenate([errors.truth_m for errors in everything]),
+            difference_m=np.concatenate([errors.difference_m for errors in everything]),
+            cov_m2=np.concatenate([errors.cov_m2 for errors in everything]),
+            own_cov_m2=np.concatenate([errors.own_cov_m2 for errors in everything]),
+            range_m=np.concatenate([errors.range_m for errors in everything]),
+            sight=np.concatenate([errors.sight for errors in everything]),
+            common_jacobian=np.zeros((count, 3, 0)),
+            common_cov=np.zeros((0, 0)),
+        )
+    )
 
 
 def consistency_report(result: Consistency | None) -> ConsistencyReport:

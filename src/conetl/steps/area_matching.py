@@ -9,6 +9,7 @@ picture is therefore matched along a disparity *surface*, that of a body of revo
 standing upright (`cone_surface.py`), and what is looked for is the disparity of its axis at the foot. How far the cone leans,
 how near its surface is and how far each edge is seen off its place are unknowns as well, about which something is known
 beforehand; so neither the edges nor the texture of a large cone are believed too much, and sigma holds what such errors cost.
+Sigma is that of the residuals under slopes that both pictures share: noise makes slopes too, and they hold nothing.
 
 Only pixels of the body and its edges take part. What stands behind is mixed into the edges by the blur, and is another thing in
 the other picture: that change is measured just beyond the edge and taken out. Both pictures are blurred alike by the B-spline of
@@ -28,6 +29,7 @@ from conetl.geometry.medians import median
 from conetl.records import Camera
 from conetl.steps.cone_outline import Outline
 from conetl.steps.cone_surface import cone_surface
+from conetl.steps.matching_cov import SHARED_DISPARITY_PX, matching_cov
 from conetl.steps.spline_patch import SplinePatch
 
 Floats = NDArray[np.float64]
@@ -64,10 +66,11 @@ _QUANTISATION = 0.17
 #: edge is seen off its place by what stands behind it (px). Nothing of disparity and row offset.
 _LEAN_SIGMA, _SURPLUS_SIGMA, _SHIFT_SIGMA_PX = 0.015, 0.05, 0.08
 _PRIOR = np.array([0.0, 0.0, _LEAN_SIGMA**-2, _SURPLUS_SIGMA**-2, _SHIFT_SIGMA_PX**-2, _SHIFT_SIGMA_PX**-2])
-#: Variances over those of white noise, and over those of the sum over pieces (docs/accuracy.md says how they were measured).
-_DESIGN_EFFECT, _PIECES_FACTOR = 15.0, 5.0
+#: Weight of what is known beforehand against grey values: variance over that of white noise.
+_DESIGN_EFFECT = 15.0
 _PRIOR_NORMAL = _DESIGN_EFFECT * np.diag(_PRIOR)
-_SIGMA_FLOOR_PX = 0.02
+#: How large lean, surplus and shifts are, with which sigma reckons: variances in the order of the unknowns.
+_PRIOR_VARIANCE = np.array([0.0, 0.0, 0.010**2, 0.033**2, 0.033**2, 0.033**2])
 
 
 @dataclass(frozen=True)
@@ -91,6 +94,8 @@ class _Pixels(NamedTuple):
     columns: Ints
     values: Floats
     """(n, channels) grey values"""
+    slopes: Floats
+    """(2, n, channels) of the grey values along columns and rows"""
     depth: Floats
     """(n,) of what shows, in units of the depth of the axis at the foot"""
     nearer: Floats
@@ -99,8 +104,6 @@ class _Pixels(NamedTuple):
     """(n,) above the foot, in the same units"""
     at_edge: Floats
     """(n, 2) 1 for pixels of the left, of the right edge"""
-    group: Ints
-    """(n,) number of the piece of outline that a pixel belongs to: two rows, left or right of the axis"""
     edge: Ints
     """(n,) number of the edge that a pixel is next to: one row, left or right of the axis"""
     cover: Floats
@@ -176,16 +179,15 @@ def _pixels_of(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Fl
     # At the very edge it is the outline that shows, blurred over about a pixel, not the surface.
     inner = radius[i] - np.abs(aside[i, j]) > edge_px
     nearer = (surface.limb - surface.depth) * inner
-    values = _smooth(left, v, u)[i, j]
+    values, *slopes = (part[i, j] for part in _smooth(left, v, u))
     right_half = aside[i, j] > 0
-    group = 2 * (i // (2 * every)) + right_half
     cover = ndtr((np.abs(aside[i, j]) - radius[i]) / _BLUR_PX)
     beyond = _beyond(left, outline, camera, up, v)
     if beyond is None:
         return None
     at_edge = ~inner[:, None] & (right_half[:, None] == np.array([False, True]))
     return _Pixels(
-        v[i], u[j], values, surface.limb - nearer, nearer, surface.height, at_edge.astype(np.float64), group,
+        v[i], u[j], values, np.stack(slopes), surface.limb - nearer, nearer, surface.height, at_edge.astype(np.float64),
         2 * i + right_half, cover, beyond,
     )  # fmt: skip
 
@@ -205,13 +207,19 @@ def _beyond(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Float
     return _Beyond(v, columns, surface.limb, values.reshape(-1, len(_BEYOND_PX), values.shape[1]))
 
 
-def _smooth(picture: NDArray[np.uint8], rows: Ints, columns: Ints) -> Floats:
-    """Grey values (rows, columns, channels) blurred as `SplinePatch` blurs the right picture at a whole pixel."""
+def _smooth(picture: NDArray[np.uint8], rows: Ints, columns: Ints) -> tuple[Floats, Floats, Floats]:
+    """Grey values (rows, columns, channels) blurred as `SplinePatch` blurs the right picture at a whole pixel, and their slopes
+    along columns and rows.
+    """
     top = np.clip(np.arange(rows[0] - 1, rows[-1] + 2), 0, picture.shape[0] - 1)
     aside = np.clip(np.arange(columns[0] - 1, columns[-1] + 2), 0, picture.shape[1] - 1)
     part = picture[top[:, None], aside].astype(np.float64)
-    part = (part[:-2] + 4 * part[1:-1] + part[2:]) / 6
-    return np.asarray((part[:, :-2] + 4 * part[:, 1:-1] + part[:, 2:]) / 6)
+    blurred, down = (part[:-2] + 4 * part[1:-1] + part[2:]) / 6, (part[2:] - part[:-2]) / 2
+    return (
+        np.asarray((blurred[:, :-2] + 4 * blurred[:, 1:-1] + blurred[:, 2:]) / 6),
+        np.asarray((blurred[:, 2:] - blurred[:, :-2]) / 2),
+        np.asarray((down[:, :-2] + 4 * down[:, 1:-1] + down[:, 2:]) / 6),
+    )
 
 
 def _whole_pixel_disparity(
@@ -304,7 +312,11 @@ def _least_squares(
         return None
     if step_of.correlation < _MIN_CORRELATION or np.mean(size < 2 * _HUBER) < _MIN_INLIER_SHARE:
         return None
-    sigma = np.hypot(_sigma(step_of, weights, pixels.group), _SIGMA_FLOOR_PX)
+    cov = matching_cov(
+        step_of.jacobian, step_of.residual, step_of.noise, weights, step_of.normal, _by_unknown(along.T, *pixels.slopes),
+        place=(pixels.rows, pixels.columns), prior=_DESIGN_EFFECT * _PRIOR, prior_variance=_PRIOR_VARIANCE,
+    )  # fmt: skip
+    sigma = np.hypot(cov[0, 0] ** 0.5, SHARED_DISPARITY_PX)
     return AreaMatch(float(unknown[0]), float(sigma), step_of.correlation, float(unknown[1]))
 
 
@@ -401,19 +413,3 @@ def _linearise(values: Floats, sample: Floats, slopes: Floats, unknown: Floats, 
     residual = (every[:, 0] - gain[:, None] * every[:, 1]).T
     shift = means[:, 0] - gain * means[:, 1]
     return _Linearised(every, along, residual, noise, inverse, normal, pull, correlation, gain, shift)
-
-
-def _sigma(at: _Linearised, weights: Floats, group: Ints) -> float:
-    """Standard deviation of the disparity, from how much the pieces of the cone disagree.
-
-    Neighbouring pixels err together (optics, colour filter, compression) and no model of a cone is perfect, so the residuals
-    are not white. The estimate that allows for it is the cluster-robust one (Liang & Zeger 1986): the pull of each piece of
-    outline, left and right of the axis apart, counts as one observation. A few pieces say little about their spread: what is
-    usual (`_DESIGN_EFFECT` times white noise) counts as much as what they say.
-    """
-    pulls = np.einsum("ncp,nc->pn", at.jacobian, at.residual / at.noise) * weights
-    pieces = np.stack([np.bincount(group, pull) for pull in pulls])
-    count = max(len(np.unique(group)), 3)
-    spread = _PIECES_FACTOR * (pieces @ pieces.T) * count / (count - 2)
-    spread = (spread + _DESIGN_EFFECT * at.normal) / 2 + _DESIGN_EFFECT**2 * np.diag(_PRIOR)
-    return float(np.sqrt((at.inverse @ spread @ at.inverse)[0, 0]))

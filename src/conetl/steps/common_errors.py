@@ -11,6 +11,7 @@ from conetl.geometry.calibration_covariance import calibration_jacobian, shared_
 from conetl.geometry.pose_covariance import pose_jacobian
 from conetl.params import TrajectoryParams
 from conetl.records import FramePair, Position, Rig
+from conetl.steps.matching_cov import SHARED_DISPARITY_PX
 
 Floats = NDArray[np.float64]
 
@@ -46,15 +47,26 @@ def common_cov(
     return _pose_part(moved, group, frame_pairs, log_errors) + shared_cov(of_calibration, rig)
 
 
-def outline_cov(group: Sequence[Position], shares: Floats, map_SE3_left: Mapping[int, Floats]) -> Floats:
-    """Covariance (3, 3) m^2 of a joint fit by what the detector takes for this cone's foot and axis, in all pictures alike.
+def outline_errors(position: Position, rig: Rig) -> Floats:
+    """(3, 3) m: how one sigma of each error that all sightings of a cone share moves one of them; left camera frame.
 
-    Two errors, to the right and down in the pictures, each as large at every sighting as `Position.sigma_outline_m` says. From
-    one side they stay what they are, however many frames; seen from several sides, they work against each other.
+    Columns: to the right and down, what the detector takes for foot and axis (`Position.sigma_outline_m`); away along the ray,
+    what the matching takes for the cone's shape (`SHARED_DISPARITY_PX`).
     """
-    sigma_m = np.array([p.sigma_outline_m for p in group])
-    right_and_down = np.stack([map_SE3_left[p.frame_index][:3, :2] for p in group]) * sigma_m[:, None, None]
-    moved = np.einsum("fij,fjk->ik", shares, right_and_down)
+    sigma_m, xyz_m = position.sigma_outline_m, np.array(position.camera_xyz_m)
+    away_m = SHARED_DISPARITY_PX * xyz_m[2] ** 2 / (rig.left.fx_px * rig.baseline_m)
+    return np.column_stack([[sigma_m, 0.0, 0.0], [0.0, sigma_m, 0.0], xyz_m / xyz_m[2] * away_m])
+
+
+def outline_cov(group: Sequence[Position], shares: Floats, map_SE3_left: Mapping[int, Floats], rig: Rig) -> Floats:
+    """Covariance (3, 3) m^2 of a joint fit by what is taken for this cone's foot, axis and shape, in all pictures alike.
+
+    Three errors (`outline_errors`), each as large at every sighting as it says. From one side they stay what they are, however
+    many frames; seen from several sides, they work against each other. None where boxes alone tell feet (`sigma_outline_m` 0).
+    """
+    errors = np.stack([outline_errors(p, rig) * (p.sigma_outline_m > 0) for p in group])
+    turn = np.stack([map_SE3_left[p.frame_index][:3, :3] for p in group])
+    moved = np.einsum("fij,fjk,fkl->il", shares, turn, errors)
     return np.asarray(moved @ moved.T)
 
 

@@ -131,7 +131,7 @@ def fuse_group(
             group,
             f"existence probability {existence:.2f}, expected at least {limits.min_existence_probability}",
         )
-    own_cov = foot.cov_m2 + outline_cov(group, foot.shares, map_SE3_left)
+    own_cov = foot.cov_m2 + outline_cov(group, foot.shares, map_SE3_left, rig)
     first, last = (frame_pairs[p.frame_index].captured_at_ns for p in (group[0], group[-1]))
     return Track(
         track_index=index,

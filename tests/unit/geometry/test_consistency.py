@@ -92,3 +92,20 @@ def test_the_band_is_the_chi_square_interval() -> None:
     assert (low, high) == (pytest.approx(0.2158, abs=1e-4), pytest.approx(9.3484, abs=1e-4))
     with pytest.raises(ValueError, match="Jacobian"):
         consistency(np.zeros((2, 3)), np.zeros((2, 3, 3)), np.zeros((1, 3, 2)), np.eye(2))
+
+
+def test_drives_add_up_and_their_band_is_that_of_all_degrees_of_freedom() -> None:
+    """Forty drives, each with common errors of its own: the sum lies in its band, and leaves it where sigmas are doubled."""
+    stated, doubled = [], []
+    for seed in range(40):
+        rng, own, jacobian, cov = random_drive(seed)
+        error = draw(rng, own, jacobian, cov)
+        stated.append(consistency(error, own, jacobian, cov))
+        doubled.append(consistency(error, 4 * own, jacobian, 4 * cov))
+    together, large = stated[0], doubled[0]
+    for one, other in zip(stated[1:], doubled[1:], strict=True):
+        together, large = together + one, large + other
+    assert (together.absolute.dof, together.relative.dof, together.common.dof) == (40 * 27, 40 * 23, 40 * 4)
+    for part in ("absolute", "relative", "common"):
+        assert getattr(together, part).holds(0.999)
+        assert not getattr(large, part).holds(0.999)

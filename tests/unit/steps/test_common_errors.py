@@ -15,6 +15,7 @@ from conetl.geometry.packing import cov_matrix
 from conetl.params import TrajectoryParams
 from conetl.records import CalibrationCovariance, FramePair, Position, Rig
 from conetl.steps.common_errors import common_cov, outline_cov
+from conetl.steps.matching_cov import SHARED_DISPARITY_PX
 from tests.synthetic.noisy_drive import PoseErrors, draw_positions
 from tests.synthetic.world import ORIGIN_M, Cone, camera_poses, make_path, make_rig
 
@@ -193,10 +194,16 @@ def test_the_outline_error_of_a_cone_stays_from_one_side_and_cancels_from_opposi
     left = camera_poses(pairs, RIG, "left")
     position = drawn.positions[0].model_copy(update={"sigma_outline_m": 0.02})
     shares = np.stack([0.5 * np.eye(3)] * 2)
-    one_side = outline_cov([position, position], shares, left)
-    np.testing.assert_allclose(np.trace(one_side), 2 * 0.02**2)
+    one_side = outline_cov([position, position], shares, left, RIG)
+    away = (
+        np.array(position.camera_xyz_m)
+        * SHARED_DISPARITY_PX
+        * position.camera_xyz_m[2]
+        / (RIG.left.fx_px * RIG.baseline_m)
+    )
+    np.testing.assert_allclose(np.trace(one_side), 2 * 0.02**2 + away @ away)
     turned = left[position.frame_index].copy()
-    turned[:3, 0] *= -1  # as seen from the other side: right is left, down is down
+    turned[:3, [0, 2]] *= -1  # as seen from the other side: right is left, away is near, down is down
     other = position.model_copy(update={"frame_index": 99})
-    both_sides = outline_cov([position, other], shares, {**left, 99: turned})
-    np.testing.assert_allclose(np.trace(both_sides), 0.02**2)
+    both_sides = outline_cov([position, other], shares, {**left, 99: turned}, RIG)
+    np.testing.assert_allclose(np.trace(both_sides), 0.02**2 + away[1] ** 2)

@@ -1,0 +1,68 @@
+"""The covariances of the sample drives hold: real pictures, detector, matching and adjustment, all three judged together.
+
+Every second frame pair, by the logged poses: enough to tell sigmas that are twice or half of what they should be.
+"""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from conetl.cli.drive_results import DriveResults, run_steps
+from conetl.cli.truth_table import read_truth_cones
+from conetl.geometry.rig import map_SE3_left
+from conetl.params import IngestParams, TrajectoryParams
+from conetl.settings import Settings
+from conetl.steps.accuracy import PointErrors, members_of, pooled_consistency, position_errors
+from conetl.steps.evaluation import compare_with_truth
+from conetl.steps.positions import locate_positions
+
+DRIVES = sorted((Path(__file__).resolve().parents[2] / "data" / "drives").iterdir())
+PARAMS = IngestParams(trajectory=TrajectoryParams(refine=False))
+
+
+@pytest.fixture(scope="module")
+def sightings(tmp_path_factory: pytest.TempPathFactory) -> dict[Path, DriveResults]:
+    """What the steps make of every second frame pair of each drive."""
+    home = tmp_path_factory.mktemp("home")
+    found = {}
+    for drive in DRIVES:
+        folder = tmp_path_factory.mktemp(drive.name)
+        for file in drive.glob("*.txt"):
+            shutil.copy(file, folder)
+        for part in ("image_02", "image_03", "oxts"):
+            (folder / part / "data").mkdir(parents=True)
+            stamps = (drive / part / "timestamps.txt").read_text().splitlines()[::2]
+            (folder / part / "timestamps.txt").write_text("".join(f"{stamp}\n" for stamp in stamps))
+            for new, file in enumerate(sorted((drive / part / "data").iterdir())[::2]):
+                shutil.copy(file, folder / part / "data" / f"{new:010d}{file.suffix}")
+        srid = read_truth_cones(drive / "truth.csv")[1]
+        found[drive] = run_steps(folder, Settings(home=home, workers=2), PARAMS, map_srid=srid)
+    return found
+
+
+def errors_of(truth: Path, results: DriveResults, factor: float) -> PointErrors:
+    """Of single positions, with the sigmas of all image points multiplied by a factor."""
+    drive = results.drive
+    names = ("sigma_u_px", "sigma_v_px", "sigma_pointing_px", "sigma_outline_px")
+    matches = [m.model_copy(update={name: factor * getattr(m, name) for name in names}) for m in results.matches]
+    pairs = {pair.frame_index: pair for pair in drive.frame_pairs}
+    positions, _ = locate_positions(matches, pairs, drive.rig, PARAMS.position)
+    path_m = np.array([map_SE3_left(pair.pose, drive.rig)[:3, 3] for pair in drive.frame_pairs])
+    lines, _ = compare_with_truth(read_truth_cones(truth)[0], results.tracks, path_m)
+    return position_errors(members_of(lines), positions, drive)
+
+
+@pytest.mark.parametrize(("factor", "holds"), [(0.5, False), (1.0, True), (2.0, False)])
+def test_sigmas_of_three_drives_together(sightings: dict[Path, DriveResults], factor: float, holds: bool) -> None:
+    """In the 95 % band of the summed degrees of freedom, which sigmas of half or double size leave."""
+    errors = [errors_of(drive / "truth.csv", results, factor) for drive, results in sightings.items()]
+    together = pooled_consistency(errors)
+    assert together is not None
+    assert together.relative.dof > 400
+    assert together.relative.holds() is holds
+    assert together.absolute.holds() is holds
+    assert together.common.holds() is holds
