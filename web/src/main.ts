@@ -426,7 +426,9 @@ stage.canvas.addEventListener("pointerdown", (event) => {
 stage.canvas.addEventListener("pointerup", (event) => {
   if (!down || event.button !== 0 || Math.hypot(event.clientX - down[0], event.clientY - down[1]) > 5) return;
   const cone = cones.pick(event.offsetX, event.offsetY);
-  if (cone) void select(cone.id);
+  if (!cone) return;
+  layout.tip(null, 0, 0); // the panel pushes the picture aside, and the cone away from under the pointer
+  void select(cone.id);
 });
 let hovering = false;
 stage.canvas.addEventListener("pointermove", (event) => {
