@@ -14,7 +14,7 @@ from conetl.detector_evidence import DetectorEvidence
 from conetl.drive_records import DriveRecords
 from conetl.io.parquet_store import load_results
 from conetl.params import IngestParams
-from conetl.records import Detection, Drive, Position, StereoMatch
+from conetl.records import Detection, Drive, Position, Rig, StereoMatch
 from conetl.rejections import Rejection
 from conetl.steps.self_calibration import SWITCHED_OFF, SelfCalibration, self_calibrated_rig
 from conetl.steps.trajectory import RefinedTrajectory
@@ -94,9 +94,9 @@ def analyse(
     rejections: of reading the drive. chunks: `chunks_of` the drive. evidence: what is measured of the detector (None: nothing).
     How far it is, `flows.progress` tells. Raises ConetlError.
     """
-    detection_paths, match_paths, motion_paths, calibration = _run_chunks(drive, chunks, runs)
-    drive = drive.model_copy(update={"rig": self_calibrated_rig(drive.rig, calibration, params.trajectory)})
-    chunks = with_rig(chunks, drive.rig)
+    detection_paths, match_paths, motion_paths, calibration, rig = _run_chunks(drive, chunks, runs)
+    chunks = with_rig(chunks, rig)
+    drive = drive.model_copy(update={"rig": rig})
     trajectory: RefinedTrajectory = runs.now(refine_task, whole(drive), motion_paths, match_paths, params)
     drive = drive.model_copy(update={"frame_pairs": trajectory.frame_pairs})
     position_paths = runs.now(locate_task, whole(moved(chunks, trajectory)), match_paths)
@@ -111,9 +111,10 @@ def analyse(
 
 def _run_chunks(
     drive: Drive, chunks: Sequence[Chunk], runs: Runs
-) -> tuple[list[Path], list[Path], list[Path], SelfCalibration]:
-    """Detections, matches and motions of all chunks, and what the drive says of its calibration, which matching waits for.
+) -> tuple[list[Path], list[Path], list[Path], SelfCalibration, Rig]:
+    """Detections, matches and motions of all chunks; what the drive says of its calibration, and its rig after that.
 
+    Matching waits for the calibration.
     Visual odometry runs beside the detection; motions and self-calibration run in the caller's own thread, also beside it.
     """
     drive_id, params = drive.drive_id, chunks[0].params.trajectory
@@ -138,4 +139,5 @@ def _run_chunks(
         motions = runs.now(motions_task, whole(with_rig(overlapping, rig)), tracks, motions)
     turned = with_rig(chunks, rig)
     matched = [runs.soon(match_task, whole(c), *sides) for c, sides in zip(turned, detected, strict=True)]
-    return [f.result() for sides in detected for f in sides], [f.result() for f in matched], motions, calibration
+    found = [future.result() for sides in detected for future in sides]
+    return found, [future.result() for future in matched], motions, calibration, rig

@@ -213,7 +213,7 @@ def commit_changeset(
     drop_watched_recording(conn, drive, map_name=map_name)
     if replay is None:
         _stage_deltas(conn, info, changeset, suppressed)
-    with records_encoded(drive_uuid, info.srid, drive, detections, matches, positions, tracks) as blocks:
+    with records_encoded(drive_uuid, info.srid, records) as blocks:
         if replay is None:
             versions_written = _merge_deltas(conn, info, changeset, committed_at)
         else:

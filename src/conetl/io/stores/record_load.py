@@ -13,10 +13,10 @@ from itertools import chain
 from typing import TypeVar
 from uuid import UUID
 
+from conetl.drive_records import DriveRecords
 from conetl.io.db import Connection, CopyBlock, copy_block, encoded_block
 from conetl.io.made_ahead import made_ahead
 from conetl.io.stores import map_columns
-from conetl.records import Detection, Drive, Position, StereoMatch, Track
 
 #: Records of a block, and blocks that wait at most: some 100 MB of positions, which are the longest rows.
 BLOCK_RECORDS = 25_000
@@ -25,24 +25,16 @@ BLOCKS_AHEAD = 12
 R = TypeVar("R")
 
 
-def records_encoded(
-    drive_uuid: UUID,
-    srid: int,
-    drive: Drive,
-    detections: Sequence[Detection],
-    matches: Sequence[StereoMatch],
-    positions: Sequence[Position],
-    tracks: Sequence[Track],
-) -> AbstractContextManager[Iterator[CopyBlock]]:
+def records_encoded(drive_uuid: UUID, srid: int, records: DriveRecords) -> AbstractContextManager[Iterator[CopyBlock]]:
     """All raw records of a drive as blocks for `load_records`, encoded by a thread from now until the end of the block."""
     columns = map_columns
     blocks = chain(
-        _blocks("conetl.frame_pair", drive.frame_pairs, partial(columns.frame_pair_columns, drive_uuid, srid)),
-        _blocks("conetl.detection", detections, partial(columns.detection_columns, drive_uuid)),
-        _blocks("conetl.stereo_match", matches, partial(columns.match_columns, drive_uuid)),
-        _blocks("conetl.position", positions, partial(columns.position_columns, drive_uuid, srid)),
-        _blocks("conetl.track", tracks, partial(columns.track_columns, drive_uuid, srid)),
-        _blocks("conetl.track_member", tracks, partial(columns.track_member_columns, drive_uuid)),
+        _blocks("conetl.frame_pair", records.drive.frame_pairs, partial(columns.frame_pair_columns, drive_uuid, srid)),
+        _blocks("conetl.detection", records.detections, partial(columns.detection_columns, drive_uuid)),
+        _blocks("conetl.stereo_match", records.matches, partial(columns.match_columns, drive_uuid)),
+        _blocks("conetl.position", records.positions, partial(columns.position_columns, drive_uuid, srid)),
+        _blocks("conetl.track", records.tracks, partial(columns.track_columns, drive_uuid, srid)),
+        _blocks("conetl.track_member", records.tracks, partial(columns.track_member_columns, drive_uuid)),
     )
     return made_ahead(blocks, ahead=BLOCKS_AHEAD)
 
