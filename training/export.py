@@ -1,11 +1,15 @@
 """Export a checkpoint to ONNX with its sidecar, and check that the runtime gives what PyTorch gave.
 
-python training/export.py RUN/last.pt --out data/models/conetl-cone-2.onnx --version 1.0
+    python training/export.py RUN/last.pt --out RUN/conetl-cone-2.onnx --version 2.0
+
+The exported network takes the picture as it lies in memory, (1, H, W, 3) BGR 0 to 255: what would have to be done to it
+before is folded into the first convolution.
 """
 
 from __future__ import annotations
 
 import argparse
+import copy
 import hashlib
 import json
 from pathlib import Path
@@ -15,39 +19,73 @@ import onnxruntime
 import torch
 from network import BINS, STRIDES, ConeNet, fuse_batch_norms
 from torch import Tensor, nn
+from torch.nn import functional
 
 #: Cells a stride whose boxes are computed: more than the cones of any picture cover.
 BEST_CELLS = (512, 256, 128, 64)
 
 
+class PackedStem(nn.Module):
+    """The network's first convolution for a picture as it lies in memory: (1, H, W, 3) BGR 0 to 255 -> what `ConeNet.stem` gives.
+
+    Four pixels side by side are taken as one of 12 channels, and two output columns as one of twice the channels: the numbers
+    stay where they are, and an 8-bit convolution is kept busy, which it is not by three channels. Of the columns 4j - 1 to 4j + 3
+    that the outputs 2j and 2j + 1 see, the first is the last quarter of column j - 1, the others are column j.
+    """
+
+    def __init__(self, stem: nn.Sequential) -> None:
+        super().__init__()
+        first = stem[0]
+        assert isinstance(first, nn.Conv2d) and first.bias is not None
+        self.channels = first.out_channels
+        weight = first.weight.detach().flip(1) / 255.0  # RGB 0..1 -> BGR 0..255
+        packed = torch.zeros(2, self.channels, 4, 3, 3, 2)  # output column, its channel; pixel, its colour; row, column
+        for output in range(2):
+            for tap in range(3):
+                column, pixel = divmod(4 + 2 * output + tap - 1, 4)
+                packed[output, :, pixel, :, :, column] = weight[..., tap]
+        self.conv = nn.Conv2d(12, 2 * self.channels, (3, 2), (2, 1))
+        self.conv.weight = nn.Parameter(packed.reshape(2 * self.channels, 12, 3, 2))
+        self.conv.bias = nn.Parameter(first.bias.detach().repeat(2))
+        self.relu = nn.ReLU()
+
+    def forward(self, picture: Tensor) -> Tensor:
+        packed = picture.reshape(1, picture.shape[1], -1, 12).permute(0, 3, 1, 2)
+        pairs = self.relu(self.conv(functional.pad(packed, (1, 0, 1, 0)))).permute(0, 2, 3, 1)
+        return pairs.reshape(1, pairs.shape[1], -1, self.channels).permute(0, 3, 1, 2)
+
+
 class CellOutputs(nn.Module):
     """The output layers of one stride, for the cells of the highest scores only: all of them would cost an eighth of the whole.
 
-    Features (1, C, h, w) -> the cells' values (K, 4*BINS + 5) as in `ConeNet`, by falling score, and their places (K,) in
-    the row-major map.
+    Features (1, C, h, w) -> the cells' values (K, 4*BINS + 5) as in `ConeNet`, and their places (K,) in the row-major map. The
+    cells are chosen by a score that may be rounded to 8 bits; the scores given are not.
     """
 
     def __init__(self, sides: nn.Module, ends: nn.Module, score: nn.Module, count: int) -> None:
         super().__init__()
         self.score, self.count = score, count
-        self.register_buffer("weight", torch.cat((sides.weight, ends.weight)).detach().flatten(1).T.contiguous())
-        self.register_buffer("bias", torch.cat((sides.bias, ends.bias)).detach())
+        self.register_buffer(
+            "weight", torch.cat((sides.weight, ends.weight, score.weight)).detach().flatten(1).T.contiguous()
+        )
+        self.register_buffer("bias", torch.cat((sides.bias, ends.bias, score.bias)).detach())
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
         logits = self.score(features).flatten(1)
         # A number of cells that depends on the picture's size has to be a tensor, or tracing would freeze it.
         available = torch._shape_as_tensor(logits)[1]
-        best, cells = logits.topk(torch.minimum(torch.tensor(self.count), available), 1)
-        chosen = features.flatten(2)[0].index_select(1, cells[0]).T
-        return torch.cat((chosen @ self.weight + self.bias, best[0][:, None]), 1), cells[0]
+        _, cells = logits.topk(torch.minimum(torch.tensor(self.count), available), 1)
+        chosen = features.permute(0, 2, 3, 1).reshape(-1, len(self.weight)).index_select(0, cells[0])
+        return chosen @ self.weight + self.bias, cells[0]
 
 
 class BestCells(nn.Module):
-    """The network as conetl runs it: picture (1, 3, H, W) -> values and places of `CellOutputs`, stride by stride."""
+    """The network as conetl runs it: picture (1, H, W, 3) -> values and places of `CellOutputs`, stride by stride."""
 
     def __init__(self, network: ConeNet) -> None:
         super().__init__()
-        self.network = network
+        self.network = copy.deepcopy(network)
+        self.network.stem = PackedStem(network.stem)
         layers = zip(network.sides, network.ends, network.score, BEST_CELLS, strict=True)
         self.outputs = nn.ModuleList(CellOutputs(*layer) for layer in layers)
 
@@ -67,9 +105,9 @@ def main() -> None:
     network.load_state_dict(torch.load(args.checkpoint, map_location="cpu", weights_only=True)["average"])
     network.eval()
     fuse_batch_norms(network)
-    picture = torch.rand(1, 3, 96, 160)
+    picture = torch.rand(1, 96, 160, 3)
     names = [name for stride in STRIDES for name in (f"stride{stride}", f"stride{stride}_cells")]
-    axes = {"picture": {2: "height", 3: "width"}} | {name: {0: f"{name}_count"} for name in names}
+    axes = {"picture": {1: "height", 2: "width"}} | {name: {0: f"{name}_count"} for name in names}
     args.out.parent.mkdir(parents=True, exist_ok=True)
     torch.onnx.export(
         BestCells(network),
@@ -81,9 +119,9 @@ def main() -> None:
         opset_version=17,
         dynamo=False,
     )
-    picture = torch.rand(1, 3, 288, 416)  # another size than the one that was traced
+    picture = 255 * torch.rand(1, 288, 416, 3)  # another size than the one that was traced
     with torch.no_grad():
-        maps = network(picture)
+        maps = network(picture.flip(3).permute(0, 3, 1, 2) / 255.0)
     given = onnxruntime.InferenceSession(str(args.out)).run(None, {"picture": picture.numpy()})
     worst = 0.0
     for values, cells, expected in zip(given[::2], given[1::2], maps, strict=True):
@@ -94,7 +132,7 @@ def main() -> None:
         "name": args.out.stem,
         "version": args.version,
         "sha256": hashlib.sha256(args.out.read_bytes()).hexdigest(),
-        "input_layout": "RGB float32 NCHW 0..1",
+        "input_layout": "BGR float32 NHWC 0..255",
         "head": {
             "kind": "side-distributions",
             "side_bins": BINS,

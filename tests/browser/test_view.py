@@ -251,6 +251,13 @@ def test_filters_hide_cones_and_search_finds_one(page, address, features):
     page.wait_for_selector(f"h2:text-is('{features['stays'][:8]}')")
 
 
+def test_an_unknown_map_is_told_apart_from_an_empty_one(page, address):
+    page.goto(f"{address}#map=nowhere")
+    card = page.locator(".card")
+    card.get_by_text("There is no map “nowhere”").wait_for()
+    assert "This database holds “default”" in card.inner_text()
+
+
 def test_server_trouble_is_said_and_can_be_retried(browser, address):
     tab = browser.new_page(viewport={"width": 1280, "height": 800})
     tab.route("**/events", lambda route: route.abort())  # else its news bring the map back before the click

@@ -248,7 +248,11 @@ async function newDecision(): Promise<void> {
 async function refresh(): Promise<void> {
   const mine = ++look;
   if (!timeline || !timeline.changesets.length) {
-    layout.card(`The map “${state.map}” is empty`, "Fill it and it appears here by itself:", { code: `${state.map === "default" ? "" : `CONETL_MAP_NAME=${state.map} `}conetl ingest path/to/drive` });
+    const there = maps.filter((m) => m.changeset_count > 0).map((m) => `“${m.map_name}”`);
+    const unknown = there.length > 0 && !maps.some((m) => m.map_name === state.map);
+    const title = unknown ? `There is no map “${state.map}”` : `The map “${state.map}” is empty`;
+    const hint = unknown ? `This database holds ${there.join(", ")}: choose it at the left. A drive begins a map of a new name:` : "Fill it and it appears here by itself:";
+    layout.card(title, hint, { code: `${state.map === "default" ? "" : `CONETL_MAP_NAME=${state.map} `}conetl ingest path/to/drive` });
     layout.empty(true);
     show([], []);
     return;

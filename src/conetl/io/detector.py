@@ -88,6 +88,12 @@ def load_detector(model_path: Path | None = None, *, threads: int = 1) -> Detect
         raise ModelFileError(
             f"{path}: expected a network with one input of four dimensions, found {len(inputs)} inputs"
         )
+    eaten = "tensor(uint8)" if "uint8" in card.input_layout else "tensor(float)"
+    if inputs[0].type != eaten:
+        raise ModelFileError(
+            f"{path}: the network takes a {inputs[0].type}, but the sidecar's input_layout is {card.input_layout!r}: "
+            "write there what it takes"
+        )
     shapes = [output.shape for output in outputs]
     try:
         if isinstance(card.head, SideDistributionHead):
@@ -108,7 +114,7 @@ def network_input(
     *,
     layout: str = "RGB float32 NCHW 0..1",
     fixed_size: tuple[int, int] | None = None,
-) -> tuple[NDArray[np.float32], float, float]:
+) -> tuple[NDArray[np.float32] | NDArray[np.uint8], float, float]:
     """Image (H, W, 3) -> network input (1, 3, H', W'), or (1, H', W', 3), and the scales (x, y) that were applied to the image.
 
     Native resolution unless a side exceeds `max_side_px` or the network takes one size only. The padding is at the right and
@@ -131,16 +137,23 @@ def network_input(
         if fixed_size is None
         else (fixed_size[0] - rows, fixed_size[1] - columns)
     )
-    padded = cv2.copyMakeBorder(scaled, 0, below, 0, beside, cv2.BORDER_REPLICATE)
+    padded = np.asarray(cv2.copyMakeBorder(scaled, 0, below, 0, beside, cv2.BORDER_REPLICATE), np.uint8)
+    return as_tensor(padded, layout), columns / width, rows / height
+
+
+def as_tensor(image_bgr: NDArray[np.uint8], layout: str) -> NDArray[np.float32] | NDArray[np.uint8]:
+    """Image (H, W, 3) -> (1, 3, H, W) or (1, H, W, 3), in the colours, numbers and range of a sidecar's `input_layout`."""
+    rgb = layout.startswith("RGB")
+    if "uint8" in layout:
+        ordered = np.asarray(cv2.cvtColor(image_bgr, cv2.COLOR_BGR2RGB), np.uint8) if rgb else image_bgr
+        return ordered[None] if "NHWC" in layout else np.ascontiguousarray(ordered.transpose(2, 0, 1)[None])
     # cv2.dnn.blobFromImage does the same to the last bit, and takes six times as long.
-    channels = cv2.split(padded)
+    channels = cv2.split(image_bgr)
     factor = np.float32(1.0 / 255.0 if layout.endswith("0..1") else 1.0)
-    blob = np.empty((1, 3, *padded.shape[:2]), dtype=np.float32)
-    for plane, channel in zip(blob[0], reversed(channels) if layout.startswith("RGB") else channels, strict=True):
+    blob = np.empty((1, 3, *image_bgr.shape[:2]), dtype=np.float32)
+    for plane, channel in zip(blob[0], reversed(channels) if rgb else channels, strict=True):
         np.multiply(channel, factor, out=plane)
-    if "NHWC" in layout:
-        blob = np.ascontiguousarray(blob.transpose(0, 2, 3, 1))
-    return blob, columns / width, rows / height
+    return np.ascontiguousarray(blob.transpose(0, 2, 3, 1)) if "NHWC" in layout else blob
 
 
 def detect_image(

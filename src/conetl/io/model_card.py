@@ -43,7 +43,7 @@ class ModelCard(BaseModel):
     name: str
     version: str
     sha256: str = Field(pattern="^[0-9a-f]{64}$")
-    input_layout: str = Field(pattern=r"^(RGB|BGR) float32 (NCHW|NHWC) 0\.\.(1|255)$")
+    input_layout: str = Field(pattern=r"^(RGB|BGR) (float32 (NCHW|NHWC) 0\.\.(1|255)|uint8 (NCHW|NHWC) 0\.\.255)$")
     """For instance "RGB float32 NCHW 0..1"."""
     head: Annotated[
         SideDistributionHead | YoloHead,

@@ -158,6 +158,18 @@ def copy_model(folder: Path) -> Path:
     return Path(shutil.copy(source, folder))
 
 
+@pytest.mark.parametrize("colours", ["RGB", "BGR"])
+@pytest.mark.parametrize("axes", ["NCHW", "NHWC"])
+@pytest.mark.parametrize("numbers", ["float32 {} 0..1", "float32 {} 0..255", "uint8 {} 0..255"])
+def test_every_layout_shows_the_same_picture(colours: str, axes: str, numbers: str) -> None:
+    image = np.random.default_rng(4).integers(0, 256, (32, 64, 3), dtype=np.uint8)
+    blob, _, _ = network_input(image, 32, 1600, layout=f"{colours} {numbers.format(axes)}")
+    assert blob.dtype == (np.uint8 if "uint8" in numbers else np.float32)
+    shown = blob[0] if axes == "NHWC" else blob[0].transpose(1, 2, 0)
+    expected = image[..., ::-1] if colours == "RGB" else image
+    np.testing.assert_allclose(shown * (255.0 if "0..1" in numbers.split() else 1.0), expected, atol=1e-4)
+
+
 def test_missing_model_and_missing_sidecar_are_named(tmp_path: Path) -> None:
     with pytest.raises(ModelFileError, match=r"none\.onnx"):
         load_detector(tmp_path / "none.onnx")
@@ -206,6 +218,8 @@ def test_a_file_that_is_no_network_is_refused_even_with_a_matching_hash(tmp_path
         ("head", {"side_bins": 16, "strides_px": [8, 16], "foot_and_tip": True}, "outputs"),
         ("head", {"kind": "yolov8", "class_count": 1, "cone_class": 0}, "yolov8"),
         ("head", {"kind": "yolov99"}, "head"),
+        ("input_layout", "RGB float32 NCHW 0..1", "takes a tensor"),
+        ("input_layout", "BGR uint8 NHWC 0..1", "input_layout"),
         ("extra", 1, "extra"),
     ],
 )
