@@ -24,13 +24,13 @@ from conetl.io.exports import FORMATS
 from conetl.io.exports.export import export_map
 from conetl.io.exports.source import ExportRequest
 from conetl.io.leftovers import aside, sweep
+from conetl.io.old_files import LATEST
 from conetl.io.qa.night_page import write_night_page
 from conetl.io.stores.map_store import find_map
 from conetl.settings import Settings
 from flows.drive_job import MapName, alive, settings_for
 from flows.merge import open_map
 
-LATEST = "latest"
 REPORT = "report.html"
 REPORTED = timedelta(days=1)
 

@@ -97,13 +97,13 @@ def test_the_command_says_what_would_go_and_does_it_only_when_told(conn, databas
 
     policy = ("--keep-positions", "1h", "--keep-results", "30d")
     told = run(*policy)
-    assert (told["deleted"], told["result_files"], told["bytes"], len(told["drives"])) == (False, 1, 10, 1)
+    assert (told["deleted"], told["results"], len(told["drives"])) == (False, {"count": 1, "bytes": 10}, 1)
     assert len(list(results.iterdir())) == 2
     rows = sum(raw_rows(conn))
     conn.rollback()
     assert told["rows"] == rows > 0
     done = run(*policy, "--yes")
-    assert (done["deleted"], done["rows"], done["bytes"]) == (True, rows, 10)
+    assert (done["deleted"], done["rows"], done["results"]) == (True, rows, {"count": 1, "bytes": 10})
     assert [path.name for path in results.iterdir()] == ["new.parquet"]
     assert sum(raw_rows(conn)) == 0
 

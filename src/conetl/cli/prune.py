@@ -5,14 +5,16 @@ from __future__ import annotations
 from contextlib import closing
 from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
-from typing import Annotated
+from functools import partial
+from typing import Annotated, Any
 
 import typer
 
 from conetl.cli.console import JsonOption, out, print_json, print_table
 from conetl.errors import InputError
 from conetl.io.leftovers import sweep
-from conetl.io.stores.retention import parse_age, prunable_drives, prunable_results, prune_drives, prune_results
+from conetl.io.old_files import old_pictures, old_publications, old_results, remove, size_bytes
+from conetl.io.stores.retention import parse_age, prunable_drives, prune_drives
 from conetl.settings import read_settings
 
 
@@ -26,10 +28,16 @@ def prune(
     keep_results: Annotated[
         str | None, typer.Option(help="Delete intermediate results (files) that were written longer ago.")
     ] = None,
+    keep_pictures: Annotated[
+        str | None, typer.Option(help="Delete pictures unpacked from bags that no run asked for in this time.")
+    ] = None,
+    keep_publications: Annotated[
+        str | None, typer.Option(help="Delete what `publish` wrote longer ago; the latest stays, however old.")
+    ] = None,
     do_it: Annotated[bool, typer.Option("--yes", help="Delete; without it this only says what would go.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Delete raw records and intermediate results that are older than a policy says. Without --yes nothing is deleted.
+    """Delete raw records and files that are older than a policy says. Without --yes nothing is deleted.
 
     The map and its whole history stay. A drive without its raw records cannot be compared with the map again: drives recorded
     before it over the same road, and decisions that touch what it did, are refused from then on.
@@ -37,10 +45,12 @@ def prune(
     # Here, not at the top: `conetl db` adds this command.
     from conetl.cli.database import open_map
 
-    if keep_positions is None and keep_results is None:
-        raise InputError("say what to keep: --keep-positions 90d, --keep-results 30d, or both")
+    ages = {"results": keep_results, "pictures": keep_pictures, "publications": keep_publications}
     settings, now = read_settings(), datetime.now(UTC)
-    report: dict[str, object] = {"deleted": do_it}
+    since = {kind: now - timedelta(seconds=parse_age(age)) for kind, age in ages.items() if age is not None}
+    if keep_positions is None and not since:
+        raise InputError("say what to keep, for instance --keep-positions 90d or --keep-results 30d (see --help)")
+    report: dict[str, Any] = {"deleted": do_it}
     if keep_positions is not None:
         before = now - timedelta(seconds=parse_age(keep_positions))
         with closing(open_map(settings)) as conn:
@@ -49,13 +59,16 @@ def prune(
             if do_it:
                 rows = prune_drives(conn, drives, now=now)
         report |= {"drives": [asdict(drive) for drive in drives], "rows": rows}
-    if keep_results is not None:
-        old = prunable_results(settings.results_folder, now - timedelta(seconds=parse_age(keep_results)))
-        size = sum(path.stat().st_size for path in old)
-        if do_it:
-            size = prune_results(old)
-            sweep((settings.results_folder, settings.exports_folder))
-        report |= {"result_files": len(old), "bytes": size}
+    find = {
+        "results": partial(old_results, settings.results_folder),
+        "pictures": partial(old_pictures, settings.pictures_folder),
+        "publications": partial(old_publications, settings.exports_folder),
+    }
+    files = {kind: find[kind](before) for kind, before in since.items()}
+    for kind, paths in files.items():
+        report[kind] = {"count": len(paths), "bytes": remove(paths) if do_it else size_bytes(paths)}
+    if do_it:
+        sweep((settings.results_folder, settings.exports_folder))
     if as_json:
         print_json(report)
         return
@@ -74,7 +87,8 @@ def prune(
         ]
         print_table("", names, lines, numbers_from=3)
         out.print(f"{report['rows']} rows of {len(drives)} drives {'were deleted' if do_it else 'would go'}.")
-    if keep_results is not None:
-        out.print(f"{len(old)} result files, {size / 1e6:.1f} MB, {'were deleted' if do_it else 'would go'}.")
+    for kind, paths in files.items():
+        size = report[kind]["bytes"] / 1e6
+        out.print(f"{len(paths)} {kind}, {size:.1f} MB, {'were deleted' if do_it else 'would go'}.")
     if not do_it:
         out.print("Nothing was deleted: add --yes to do it.")

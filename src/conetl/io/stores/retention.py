@@ -1,4 +1,4 @@
-"""What may go when it is old: raw records of drives in the database, and intermediate results on disk.
+"""What may go from the database when it is old: raw records of drives.
 
 Of a drive go its detections, stereo matches and positions. Its path, its tracks, its changeset and all that it did to the map
 stay, so the history of the map and every audit hold. What is lost: its single sightings, and that it can be compared with the
@@ -12,7 +12,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from pathlib import Path
 from uuid import UUID
 
 from conetl.errors import InputError
@@ -64,29 +63,6 @@ def require_comparable(conn: Connection, drive_uuids: Sequence[UUID]) -> None:
             f"again, but its raw records were pruned on {first['pruned_at']:%Y-%m-%d}: the map before that time is closed. "
             "Nothing was written."
         )
-
-
-def prunable_results(folder: Path, before: datetime) -> list[Path]:
-    """Intermediate results that were written before an instant; they can be computed again from the drives."""
-    limit_s = before.timestamp()
-    return (
-        sorted(path for path in folder.glob("*.parquet") if path.stat().st_mtime < limit_s) if folder.is_dir() else []
-    )
-
-
-def prune_results(paths: Sequence[Path]) -> int:
-    """Delete intermediate results; the number of bytes freed. One that vanished meanwhile is passed over."""
-    freed = 0
-    for path in paths:
-        try:
-            size = path.stat().st_size
-            path.unlink()
-        except FileNotFoundError:
-            continue
-        except OSError as error:
-            raise InputError(f"{path} cannot be removed ({error.strerror})") from error
-        freed += size
-    return freed
 
 
 def parse_age(text: str) -> float:
