@@ -23,8 +23,9 @@ from pyproj import Transformer
 
 from conetl.errors import InputError
 from conetl.io.db import connect, execute
-from conetl.io.exports import FORMATS, geojson, mcap_scene, qgis_project
+from conetl.io.exports import FORMATS, geojson, qgis_project
 from conetl.io.exports.export import export_map
+from conetl.io.exports.kind_marks import KIND_MARKS
 from conetl.io.exports.source import ExportRequest, What
 from conetl.io.stores.import_store import set_licence
 from conetl.io.stores.map_store import read_features_as_of
@@ -260,8 +261,8 @@ def test_evidence_of_drives_is_exported_as_it_is_shown(cluster_url, template_dat
 
 
 def test_every_kind_of_change_has_a_colour():
-    kinds = {kind.value for kind in DeltaKind if kind is not DeltaKind.MISSED}  # which makes no version
-    assert set(mcap_scene._COLOURS) == set(qgis_project._KINDS) == kinds
+    assert set(KIND_MARKS) == set(DeltaKind)
+    assert set(qgis_project._KINDS) == set(DeltaKind) - {DeltaKind.MISSED}  # which makes no version
 
 
 def test_what_was_believed_earlier_can_be_exported(conn, tmp_path):

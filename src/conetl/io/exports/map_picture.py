@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from conetl.errors import InputError
+from conetl.io.exports.kind_marks import KIND_MARKS, STANDING, KindMark
 from conetl.io.leftovers import aside
 from conetl.map_records import DeltaKind, FeatureChange, MapFeature
 
@@ -26,15 +27,6 @@ Array = NDArray[np.float64]
 Bbox = tuple[float, float, float, float]
 SUFFIXES = (".png", ".svg", ".pdf")
 
-#: Marker, colour and word; colours and shapes of web/src/kinds.ts, in the order of the legend. Later ones lie on top.
-_STANDING = ("o", "#7f97b2", "standing")
-_STYLES = {
-    DeltaKind.CONFIRMED: ("o", "#7f97b2", "same place"),
-    DeltaKind.HEIGHT_CHANGED: ("s", "#00707c", "height changed"),
-    DeltaKind.REMOVED: ("X", "#1f2933", "removed"),
-    DeltaKind.MOVED: ("D", "#a8327f", "moved"),
-    DeltaKind.ADDED: ("P", "#0068b4", "new"),
-}
 _DARK_POINT, _BRIGHT_POINT, _LANE, _WAY, _INK = "#d9b27c", "#efdfc8", "#644916", "#4a5560", "#1d2733"
 _MARGIN = 0.06
 _MIN_SPAN_M = 12.0
@@ -164,18 +156,18 @@ def _cones(axes: Axes, content: PlanContent, box: Bbox) -> list[Line2D]:
     changes = content.changes or ()
     changed = {change.feature_id for change in changes}
     rest = np.array([f.xyz_m[:2] for f in content.standing if f.feature_id not in changed]).reshape(-1, 2)
-    word = "unchanged" if content.changes is not None else _STANDING[2]
-    handles = [_mark(axes, rest, (*_STANDING[:2], word), box, 4)]
-    for level, (kind, style) in enumerate(_STYLES.items(), 5):
+    word = "unchanged" if content.changes is not None else STANDING.word
+    handles = [_mark(axes, rest, STANDING._replace(word=word), box, 4)]
+    for level, (kind, style) in enumerate(KIND_MARKS.items(), 5):
         these = [change for change in changes if change.kind == kind]
         places = np.array([(c.new or c.old).xyz_m[:2] for c in these if c.new or c.old]).reshape(-1, 2)  # type: ignore[union-attr]
         handles.append(_mark(axes, places, style, box, level))
         if kind == DeltaKind.MOVED:
-            _arrows(axes, these, style[1], box)
+            _arrows(axes, these, style.colour, box)
     return [handle for handle in reversed(handles) if handle is not None]
 
 
-def _mark(axes: Axes, places: Array, style: tuple[str, str, str], box: Bbox, level: int) -> Line2D | None:
+def _mark(axes: Axes, places: Array, style: KindMark, box: Bbox, level: int) -> Line2D | None:
     """Markers of one kind; its line of the legend counts those that are in the picture."""
     inside = places[_inside(places, box)]
     if not len(inside):

@@ -22,23 +22,14 @@ import numpy as np
 from mcap.writer import Writer
 
 from conetl.io.exports.foxglove_schemas import FRAME_TRANSFORM, LOCATION_FIX, SCENE_UPDATE
+from conetl.io.exports.kind_marks import KIND_MARKS
 from conetl.io.exports.source import Source, What
+from conetl.map_records import DeltaKind
 
 FRAME = "map"
 TOPIC = "/cones"
 #: Entities of one message.
 _MESSAGE_ROWS = 1000
-#: As in `conetl view`: told apart by the colour-blind. A split is drawn as added, a merger as removed, another
-#: height as confirmed.
-_COLOURS = {
-    "added": "#0068b4",
-    "split": "#0068b4",
-    "moved": "#a8327f",
-    "removed": "#1f2933",
-    "merged": "#1f2933",
-    "confirmed": "#7f97b2",
-    "height_changed": "#7f97b2",
-}
 #: A road cone: diameter of the foot over the height, and of the top over that of the foot.
 _FOOT_WIDTH, _TOP_SHARE = 0.4, 0.175
 _EMPTY = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
@@ -173,7 +164,7 @@ def _origin(row: Row) -> tuple[float, float, float]:
 
 
 def _colour(change: str | None, existence_probability: float) -> Row:
-    code = _COLOURS[change or "confirmed"]
+    code = KIND_MARKS[DeltaKind(change or "confirmed")].colour
     red, green, blue = (int(code[i : i + 2], 16) / 255 for i in (1, 3, 5))
     return {"r": red, "g": green, "b": blue, "a": round(0.25 + 0.75 * existence_probability, 3)}
 

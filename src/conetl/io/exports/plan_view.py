@@ -11,20 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from conetl.io.exports.kind_marks import KIND_MARKS
 from conetl.io.leftovers import aside
 from conetl.map_records import Delta, DeltaKind, FeatureChange, MapFeature
 
-#: Marker, colour and word of each kind: colour-blind safe (Okabe & Ito) and told apart by shape as well.
-KIND_STYLE = {
-    DeltaKind.CONFIRMED: ("^", "#009e73", "confirmed"),
-    DeltaKind.ADDED: ("P", "#0072b2", "added"),
-    DeltaKind.MOVED: ("D", "#e69f00", "moved"),
-    DeltaKind.REMOVED: ("X", "#d55e00", "removed"),
-    DeltaKind.MISSED: ("o", "#56b4e9", "looked for in vain"),
-    DeltaKind.HEIGHT_CHANGED: ("s", "#cc79a7", "height changed"),
-    DeltaKind.SPLIT: ("P", "#000000", "split"),
-    DeltaKind.MERGED: ("X", "#000000", "merged"),
-}
 _MARGIN_M = 4.0
 
 
@@ -59,7 +49,7 @@ def draw_plan_view(
         axes.scatter(
             rest[:, 0], rest[:, 1], marker="o", s=22, color="#bbbbbb", label=f"{untouched_label} ({len(rest)})"
         )
-    for kind in DeltaKind:
+    for kind in KIND_MARKS:
         _draw_kind(axes, kind, [d for d in deltas if d.kind == kind], origin)
     frame_plan(axes, low, high, origin)
     axes.set_title(title)
@@ -87,7 +77,7 @@ def _draw_kind(
 ) -> None:
     if not deltas:
         return
-    marker, colour, word = KIND_STYLE[kind]
+    marker, colour, word = KIND_MARKS[kind]
     places = np.concatenate([_places(d)[-1:] for d in deltas]) - origin
     axes.scatter(
         places[:, 0], places[:, 1], marker=marker, s=60, color=colour, label=f"{word} ({len(deltas)})", zorder=3

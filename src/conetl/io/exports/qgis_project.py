@@ -18,17 +18,19 @@ from pyproj import CRS
 from conetl.errors import InputError
 from conetl.io.db import Connection, address, database_errors, execute, load_sql
 from conetl.io.exports.atomic import atomic_files
+from conetl.io.exports.kind_marks import KIND_MARKS
 from conetl.io.stores.map_store import find_map
+from conetl.map_records import DeltaKind
 
-#: As in `conetl view`: colour, shape and size (mm) of a kind of change; told apart by the colour-blind, and by shape as well.
+#: Shape in QGIS and its size (mm) of a kind of change.
 _KINDS = {
-    "confirmed": ("127,151,178", "triangle", 3.0),
-    "added": ("0,104,180", "cross_fill", 3.6),
-    "moved": ("168,50,127", "diamond", 3.6),
-    "removed": ("31,41,51", "cross2", 3.0),
-    "height_changed": ("127,151,178", "square", 3.0),
-    "split": ("0,104,180", "star", 3.6),
-    "merged": ("31,41,51", "cross2", 2.2),
+    DeltaKind.CONFIRMED: ("triangle", 3.0),
+    DeltaKind.ADDED: ("cross_fill", 3.6),
+    DeltaKind.MOVED: ("diamond", 3.6),
+    DeltaKind.REMOVED: ("cross2", 3.0),
+    DeltaKind.HEIGHT_CHANGED: ("square", 3.0),
+    DeltaKind.SPLIT: ("star", 3.6),
+    DeltaKind.MERGED: ("cross2", 2.2),
 }
 #: Radius of the circle that holds a place with 95 %, over sigma (chi-square of 2 degrees of freedom).
 _CIRCLE = 2.4477
@@ -131,21 +133,26 @@ def _kinds() -> str:
         _symbol(
             i,
             {
-                "color": f"{colour},255",
+                "color": f"{_rgb(kind)},255",
                 "name": shape,
                 "size": str(size),
                 "size_unit": "MM",
-                "outline_color": "255,255,255,255" if shape != "cross2" else f"{colour},255",
+                "outline_color": "255,255,255,255" if shape != "cross2" else f"{_rgb(kind)},255",
                 "outline_width": "0.2" if shape != "cross2" else "0.6",
             },
             symbol={"alpha": '25 + 75 * "existence_probability"'},
         )
-        for i, (colour, shape, size) in enumerate(_KINDS.values())
+        for i, (kind, (shape, size)) in enumerate(_KINDS.items())
     )
     return (
         '<renderer-v2 type="categorizedSymbol" attr="change" forceraster="0" enableorderby="0" symbollevels="0">'
         f"<categories>{categories}</categories><symbols>{symbols}</symbols></renderer-v2>"
     )
+
+
+def _rgb(kind: DeltaKind) -> str:
+    """Red, green, blue as QGIS writes them."""
+    return ",".join(str(part) for part in bytes.fromhex(KIND_MARKS[kind].colour[1:]))
 
 
 def _circles() -> str:

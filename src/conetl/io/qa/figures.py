@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from conetl.io.exports.accuracy_plots import png
-from conetl.io.exports.plan_view import KIND_STYLE, frame_plan
+from conetl.io.exports.kind_marks import KIND_MARKS
+from conetl.io.exports.plan_view import frame_plan
 from conetl.io.qa.drive_facts import Change
 from conetl.map_records import DeltaKind
 
@@ -47,13 +48,13 @@ def plan(path_m: Floats, changes: Sequence[Change], others_m: Floats) -> bytes:
         group = [c for c in changes if c.kind is kind]
         if not group:
             continue
-        marker, colour, word = KIND_STYLE[kind]
+        marker, colour, word = KIND_MARKS[kind]
         at = np.array([c.xyz_m[:2] for c in group]) - origin
         axes.scatter(at[:, 0], at[:, 1], marker=marker, s=46, color=colour, label=f"{word} ({len(group)})", zorder=3)
     for change in labelled:
         at = np.array(change.xyz_m[:2]) - origin
         if change.kind is DeltaKind.MOVED and change.old_xy_m is not None:
-            arrow = {"arrowstyle": "->", "color": KIND_STYLE[DeltaKind.MOVED][1]}
+            arrow = {"arrowstyle": "->", "color": KIND_MARKS[DeltaKind.MOVED].colour}
             axes.annotate("", xy=at, xytext=np.array(change.old_xy_m) - origin, arrowprops=arrow)
         axes.annotate(str(change.number), xy=at, xytext=(5, 5), textcoords="offset points", fontsize=8)
     frame_plan(axes, low, high, origin)
