@@ -14,7 +14,7 @@ from conetl.detector_evidence import DetectorEvidence
 from conetl.drive_records import DriveRecords
 from conetl.io.parquet_store import load_results
 from conetl.params import IngestParams
-from conetl.records import Detection, Drive, Position, Rig, StereoMatch
+from conetl.records import Detection, Drive, Position, Rig, StereoMatch, Track
 from conetl.rejections import Rejection
 from conetl.steps.self_calibration import SWITCHED_OFF, SelfCalibration, self_calibrated_rig
 from conetl.steps.trajectory import RefinedTrajectory
@@ -30,7 +30,7 @@ from flows.refinement import (
 )
 from flows.retries import whole
 from flows.runners import count_when_done
-from flows.tasks import Chunk, detect_task, fuse_task, locate_task, match_task
+from flows.tasks import Chunk, detect_task, fuse_task, locate_task, match_task, weigh_task
 
 
 class Runs(Protocol):
@@ -89,7 +89,7 @@ def analyse(
     evidence: DetectorEvidence | None,
     runs: Runs,
 ) -> Analysed:
-    """Detect and odometry -> self-calibrate -> match -> refine -> locate -> fuse.
+    """Detect and odometry -> self-calibrate -> match -> refine -> locate -> fuse -> weigh -> locate -> fuse.
 
     rejections: of reading the drive. chunks: `chunks_of` the drive. evidence: what is measured of the detector (None: nothing).
     How far it is, `flows.progress` tells. Raises ConetlError.
@@ -102,9 +102,20 @@ def analyse(
     position_paths = runs.now(locate_task, whole(moved(chunks, trajectory)), match_paths)
     detections, refused_detections = load_results(detection_paths, Detection)
     matches, refused_matches = load_results(match_paths, StereoMatch)
-    positions, refused_positions = load_results(position_paths, Position)
-    seen = whole(detections), whole(matches), whole(positions)
-    tracks, refused_tracks = runs.now(fuse_task, whole(drive), *seen, params, evidence, whole(trajectory))
+    positions = load_results(position_paths, Position)[0]
+
+    def fused() -> tuple[list[Track], list[Rejection]]:
+        seen = whole(detections), whole(matches), whole(positions)
+        tracks: tuple[list[Track], list[Rejection]] = runs.now(
+            fuse_task, whole(drive), *seen, params, evidence, whole(trajectory)
+        )
+        return tracks
+
+    # Once with what each sighting states by itself, and again with what the tracks say of that.
+    matches, positions, refused_positions = runs.now(
+        weigh_task, whole(drive), whole(matches), whole(positions), whole(fused()[0]), params, whole(trajectory)
+    )
+    tracks, refused_tracks = fused()
     refused = [*rejections, *refused_detections, *refused_matches, *refused_positions, *refused_tracks]
     return Analysed(DriveRecords(drive, detections, matches, positions, tracks, refused), trajectory, calibration)
 
