@@ -89,8 +89,9 @@ def analyse(
     evidence: DetectorEvidence | None,
     runs: Runs,
 ) -> Analysed:
-    """Detect and odometry -> self-calibrate -> match -> refine -> locate -> fuse -> weigh -> locate -> fuse.
+    """Detect and odometry -> self-calibrate -> match -> refine -> locate -> fuse.
 
+    Where the trajectory was refined, once more locate and fuse with sigmas as the tracks show them.
     rejections: of reading the drive. chunks: `chunks_of` the drive. evidence: what is measured of the detector (None: nothing).
     How far it is, `flows.progress` tells. Raises ConetlError.
     """
@@ -102,20 +103,22 @@ def analyse(
     position_paths = runs.now(locate_task, whole(moved(chunks, trajectory)), match_paths)
     detections, refused_detections = load_results(detection_paths, Detection)
     matches, refused_matches = load_results(match_paths, StereoMatch)
-    positions = load_results(position_paths, Position)[0]
+    positions, refused_positions = load_results(position_paths, Position)
 
     def fused() -> tuple[list[Track], list[Rejection]]:
         seen = whole(detections), whole(matches), whole(positions)
-        tracks: tuple[list[Track], list[Rejection]] = runs.now(
+        made: tuple[list[Track], list[Rejection]] = runs.now(
             fuse_task, whole(drive), *seen, params, evidence, whole(trajectory)
         )
-        return tracks
+        return made
 
-    # Once with what each sighting states by itself, and again with what the tracks say of that.
-    matches, positions, refused_positions = runs.now(
-        weigh_task, whole(drive), whole(matches), whole(positions), whole(fused()[0]), params, whole(trajectory)
-    )
     tracks, refused_tracks = fused()
+    if trajectory.covariance is not None:
+        # What sightings state by themselves made these tracks; what the tracks say of that makes the last ones.
+        matches, positions, refused_positions = runs.now(
+            weigh_task, whole(drive), whole(matches), whole(tracks), params
+        )
+        tracks, refused_tracks = fused()
     refused = [*rejections, *refused_detections, *refused_matches, *refused_positions, *refused_tracks]
     return Analysed(DriveRecords(drive, detections, matches, positions, tracks, refused), trajectory, calibration)
 

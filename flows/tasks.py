@@ -216,30 +216,15 @@ def fuse_task(
 
 @task(name="weigh", **RETRY)
 def weigh_task(
-    drive: Drive,
-    matches: list[StereoMatch],
-    positions: list[Position],
-    tracks: list[Track],
-    params: IngestParams,
-    trajectory: RefinedTrajectory | None = None,
+    drive: Drive, matches: list[StereoMatch], tracks: list[Track], params: IngestParams
 ) -> tuple[list[StereoMatch], list[Position], list[Rejection]]:
-    """Matches of the whole drive with sigmas as its tracks show them, and their positions; see `sighting_variances`.
-
-    trajectory: as of `fuse_task`.
-    """
+    """Matches of the whole drive with sigmas as its tracks show them, and their positions; see `sighting_variances`."""
     pairs = {pair.frame_index: pair for pair in drive.frame_pairs}
-    variances = sighting_variances(
-        tracks,
-        positions,
-        matches,
-        pairs,
-        drive.rig,
-        {index: map_SE3_left(pair.pose, drive.rig) for index, pair in pairs.items()},
-        {index: map_SE3_right(pair.pose, drive.rig) for index, pair in pairs.items()},
-        params,
-        None if trajectory is None else motion_error(trajectory),
+    left, right = (
+        {index: pose_of(pair.pose, drive.rig) for index, pair in pairs.items()}
+        for pose_of in (map_SE3_left, map_SE3_right)
     )
-    weighed = with_variances(matches, variances)
+    weighed = with_variances(matches, sighting_variances(tracks, matches, drive.rig, left, right))
     return weighed, *locate_positions(weighed, pairs, drive.rig, params.position)
 
 

@@ -186,12 +186,12 @@ def _fit(
         sigma_u_px=np.array([m.sigma_u_px for m in pairs]),
         sigma_v_px=np.array([m.sigma_v_px for m in pairs]),
         sigma_pointing_px=np.array([m.sigma_pointing_px for m in pairs]),
-        sigma_motion_m=motion_sigmas(group, nearest, frame_pairs, left, map_SE3_left, limits, motion),
+        sigma_motion_m=_motion_sigmas(group, nearest, frame_pairs, left, map_SE3_left, limits, motion),
         convergence_m2=convergence_m2,
     )
 
 
-def motion_sigmas(
+def _motion_sigmas(
     group: tuple[Position, ...],
     nearest: Position,
     frame_pairs: Mapping[int, FramePair],
