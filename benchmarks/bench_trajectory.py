@@ -36,6 +36,7 @@ from conetl.steps.landmarks import refine_with_cones
 from conetl.steps.matches import match_pair, with_measured_spread
 from conetl.steps.positions import locate_positions
 from conetl.steps.self_calibration import self_calibrated_rig
+from conetl.steps.sighting_variances import sighting_variances, with_variances
 from conetl.steps.tracks import fuse_tracks
 from conetl.steps.trajectory import refine_trajectory
 
@@ -155,16 +156,20 @@ def main() -> None:
     refined = list(by_motion.frame_pairs)
     with_cones = refine_with_cones(logged, drive.rig, motions, matches, params)
     last = list(with_cones.frame_pairs)
+    left, right = ({p.frame_index: of(p.pose, drive.rig) for p in last} for of in (map_SE3_left, map_SE3_right))
     cones, _ = fuse_tracks(
         places(last, drive, matches, params),
         {(m.frame_index, m.match_index): m for m in matches},
         detections,
         {p.frame_index: p for p in last},
         drive.rig,
-        {p.frame_index: map_SE3_left(p.pose, drive.rig) for p in last},
-        {p.frame_index: map_SE3_right(p.pose, drive.rig) for p in last},
+        left,
+        right,
         params,
     )
+    variances = sighting_variances(cones, matches, drive.rig, left, right)
+    print("variances over stated ones: " + ", ".join(f"{k} {v:.2f}" for k, v in variances._asdict().items()))
+    matches = with_variances(matches, variances)
     groups = [cone.members for cone in cones]
     print(f"{len(cones)} cones, seen in {[len(g) for g in groups]} frame pairs; {with_cones.detail}")
     report("as logged", logged, drive, groups, matches, params)

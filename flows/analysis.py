@@ -14,7 +14,7 @@ from conetl.detector_evidence import DetectorEvidence
 from conetl.drive_records import DriveRecords
 from conetl.io.parquet_store import load_results
 from conetl.params import IngestParams
-from conetl.records import Detection, Drive, Position, Rig, StereoMatch
+from conetl.records import Detection, Drive, Position, Rig, StereoMatch, Track
 from conetl.rejections import Rejection
 from conetl.steps.self_calibration import SWITCHED_OFF, SelfCalibration, self_calibrated_rig
 from conetl.steps.trajectory import RefinedTrajectory
@@ -30,7 +30,7 @@ from flows.refinement import (
 )
 from flows.retries import whole
 from flows.runners import count_when_done
-from flows.tasks import Chunk, detect_task, fuse_task, locate_task, match_task
+from flows.tasks import Chunk, detect_task, fuse_task, locate_task, match_task, weigh_task
 
 
 class Runs(Protocol):
@@ -91,6 +91,7 @@ def analyse(
 ) -> Analysed:
     """Detect and odometry -> self-calibrate -> match -> refine -> locate -> fuse.
 
+    Where the trajectory was refined, once more locate and fuse with sigmas as the tracks show them.
     rejections: of reading the drive. chunks: `chunks_of` the drive. evidence: what is measured of the detector (None: nothing).
     How far it is, `flows.progress` tells. Raises ConetlError.
     """
@@ -103,8 +104,21 @@ def analyse(
     detections, refused_detections = load_results(detection_paths, Detection)
     matches, refused_matches = load_results(match_paths, StereoMatch)
     positions, refused_positions = load_results(position_paths, Position)
-    seen = whole(detections), whole(matches), whole(positions)
-    tracks, refused_tracks = runs.now(fuse_task, whole(drive), *seen, params, evidence, whole(trajectory))
+
+    def fused() -> tuple[list[Track], list[Rejection]]:
+        seen = whole(detections), whole(matches), whole(positions)
+        made: tuple[list[Track], list[Rejection]] = runs.now(
+            fuse_task, whole(drive), *seen, params, evidence, whole(trajectory)
+        )
+        return made
+
+    tracks, refused_tracks = fused()
+    if trajectory.covariance is not None:
+        # What sightings state by themselves made these tracks; what the tracks say of that makes the last ones.
+        matches, positions, refused_positions = runs.now(
+            weigh_task, whole(drive), whole(matches), whole(tracks), params
+        )
+        tracks, refused_tracks = fused()
     refused = [*rejections, *refused_detections, *refused_matches, *refused_positions, *refused_tracks]
     return Analysed(DriveRecords(drive, detections, matches, positions, tracks, refused), trajectory, calibration)
 

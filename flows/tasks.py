@@ -45,6 +45,7 @@ from conetl.settings import Settings
 from conetl.steps.detections import check_boxes
 from conetl.steps.matches import match_pair, with_measured_spread
 from conetl.steps.positions import locate_positions
+from conetl.steps.sighting_variances import sighting_variances, with_variances
 from conetl.steps.tracks import fuse_tracks
 from conetl.steps.trajectory import RefinedTrajectory, motion_error
 from flows.progress import tell_progress
@@ -211,6 +212,20 @@ def fuse_task(
         evidence or UNMEASURED,
         None if trajectory is None else motion_error(trajectory),
     )
+
+
+@task(name="weigh", **RETRY)
+def weigh_task(
+    drive: Drive, matches: list[StereoMatch], tracks: list[Track], params: IngestParams
+) -> tuple[list[StereoMatch], list[Position], list[Rejection]]:
+    """Matches of the whole drive with sigmas as its tracks show them, and their positions; see `sighting_variances`."""
+    pairs = {pair.frame_index: pair for pair in drive.frame_pairs}
+    left, right = (
+        {index: pose_of(pair.pose, drive.rig) for index, pair in pairs.items()}
+        for pose_of in (map_SE3_left, map_SE3_right)
+    )
+    weighed = with_variances(matches, sighting_variances(tracks, matches, drive.rig, left, right))
+    return weighed, *locate_positions(weighed, pairs, drive.rig, params.position)
 
 
 def _rig_and_poses(chunk: Chunk) -> str:

@@ -1,6 +1,6 @@
 """The covariances of the sample drives hold: real pictures, detector, matching and adjustment, all three judged together.
 
-Every second frame pair, by the logged poses: enough to tell sigmas that are twice or half of what they should be.
+Every second frame pair, as an ingest takes them: enough to tell sigmas that are twice or half of what they should be.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ import pytest
 from conetl.cli.drive_results import DriveResults, run_steps
 from conetl.cli.truth_table import read_truth_cones
 from conetl.geometry.rig import map_SE3_left
-from conetl.params import IngestParams, TrajectoryParams
+from conetl.params import IngestParams
 from conetl.settings import Settings
 from conetl.steps.accuracy import PointErrors, members_of, pooled_consistency, position_errors
 from conetl.steps.evaluation import compare_with_truth
 from conetl.steps.positions import locate_positions
 
 DRIVES = sorted((Path(__file__).resolve().parents[2] / "data" / "drives").iterdir())
-PARAMS = IngestParams(trajectory=TrajectoryParams(refine=False))
+PARAMS = IngestParams()
 
 
 @pytest.fixture(scope="module")

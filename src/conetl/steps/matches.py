@@ -110,6 +110,8 @@ def with_measured_spread(matches: Sequence[StereoMatch]) -> list[StereoMatch]:
     Both pictures of a pair tell in which row a cone stands. How much they disagree from match to match is known without any
     truth, and is the spread of one picture times the square root of two; a constant is the calibration's. Along the rows it
     scales alike: it is the same network on the same pictures. Only for matches of boxes with feet of their own.
+
+    A first guess: what both pictures err by alike does not show in it. The tracks tell that afterwards (`sighting_variances.py`).
     """
     feet = [m for m in matches if m.left.foot_px is not None and m.right.foot_px is not None]
     if len(feet) < 2:
