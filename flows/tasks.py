@@ -51,7 +51,7 @@ from flows.progress import tell_progress
 from flows.retries import RETRY
 
 #: Part of every result key: raise it when a step computes something else from the same inputs.
-RESULTS_VERSION = "7"
+RESULTS_VERSION = "8"
 _per_thread = threading.local()
 
 

@@ -34,6 +34,8 @@ _CAUCHY_SIGMAS = 2.385  # 95 % efficiency on normal errors (Rey 1983)
 _NEAREST_M = 0.3
 #: Points whose depth has a sigma above this share of it take no part.
 _VAGUE_SHARE = 0.25
+#: A guess that more than this share of the usable points follow needs no search: whatever else moves is outvoted.
+_MAJORITY = 0.5
 #: Largest step, squared and in sigmas, that ends the iteration.
 _CONVERGED = 1e-3
 
@@ -184,13 +186,15 @@ def estimate_motion(
     limits: MotionLimits,
     seed: int = 0,
     start: Floats | None = None,
+    guess: Floats | None = None,
 ) -> StereoMotion:
     """Motion of the rig between two frame pairs.
 
     first_px, second_px (N, 3): u_left, v_left, u_right of the same points; sigma_px (N,) of each of their coordinates; expected
     (4, 4): a guess of next_SE3_first (from INS), whose only use is to bound and start the search; start (4, 4): a motion that is
-    nearly right already, such as that of the same points with another calibration, in place of a search among hypotheses. Never
-    raises on bad points.
+    nearly right already, such as that of the same points with another calibration, in place of a search among hypotheses; guess
+    (4, 4): one that may be, such as that of the interval before, which is searched for only where most points do not follow it.
+    Never raises on bad points.
     """
     count = len(first_px)
     points, d_points, usable = triangulate(cameras, first_px)
@@ -206,6 +210,8 @@ def estimate_motion(
     if start is not None:
         best = start, _followers(cameras, points, second_px, usable, reach, start[None])[0]
     if best is None or best[1].sum() < limits.min_inliers:
+        best = _majority(cameras, points, second_px, usable, reach, expected, guess, limits)
+    if best is None:
         best = _consensus(cameras, points, second_px, usable, reach, expected, limits, seed)
     if best is None:
         return StereoMotion(MotionStatus.NO_CONSENSUS, expected, np.zeros((6, 6)), nobody, 0.0)
@@ -213,6 +219,28 @@ def estimate_motion(
     if inliers.sum() < max(limits.min_inliers, limits.min_inlier_share * usable.sum()):
         return StereoMotion(MotionStatus.NO_CONSENSUS, expected, np.zeros((6, 6)), inliers, 0.0)
     return _refine(cameras, points, d_points, second_px, sigma_px, usable, reach, pose, inliers, limits)
+
+
+def _majority(
+    cameras: StereoCameras,
+    points: Floats,
+    second_px: Floats,
+    usable: Bools,
+    reach_px: Floats,
+    expected: Floats,
+    guess: Floats | None,
+    limits: MotionLimits,
+) -> tuple[Floats, Bools] | None:
+    """A guess, or the expected motion, where most usable points follow it; and who does."""
+    poses = expected[None] if guess is None else np.stack([guess, expected])
+    turn, shift = _difference(poses, expected)
+    poses = poses[(shift <= limits.gate_m) & (turn <= limits.gate_rad)]
+    follows = _followers(cameras, points, second_px, usable, reach_px, poses)
+    votes = follows.sum(axis=1)
+    winner = int(votes.argmax())
+    if votes[winner] < max(limits.min_inliers, _MAJORITY * usable.sum()):
+        return None
+    return poses[winner], follows[winner]
 
 
 def _consensus(
