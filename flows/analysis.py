@@ -34,7 +34,6 @@ from flows.retries import whole
 from flows.runners import count_when_done
 from flows.tasks import Chunk, detect_task, fuse_task, locate_task, match_task
 
-
 #: Detections of so many chunks, or of as many as there are cores, are asked for before the calibration is known: enough to keep
 #: the cores busy until then. Matching comes as many chunks later.
 _CHUNKS_AHEAD = 4

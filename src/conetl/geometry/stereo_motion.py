@@ -12,6 +12,7 @@ error is (w, d): R = exp([w]x) R_true, t = t_true + d; w in radians, d in metres
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -331,7 +332,7 @@ def _refine(
         except np.linalg.LinAlgError:
             return StereoMotion(MotionStatus.DEGENERATE, pose, np.zeros((6, 6)), inliers, 0.0)
         step = inverse @ (wide @ r.ravel())
-        pose = _moved(pose[None], step[None])[0]
+        pose = _moved_by(pose, step)
         if iteration >= _CHOOSING_ITERATIONS and float((step**2 * np.diag(normal)).max()) < _CONVERGED:
             # Sandwich of M-estimation: scatter of the weighted scores around the curvature (Huber 1981, ch. 6).
             scores = np.einsum("in,ain->an", r, weighted)
@@ -394,6 +395,18 @@ def _moved(poses: Floats, steps: Floats) -> Floats:
     result = poses.copy()
     result[:, :3, :3] = _turn(steps[:, :3]) @ poses[:, :3, :3]
     result[:, :3, 3] += steps[:, 3:]
+    return result
+
+
+def _moved_by(pose: Floats, step: Floats) -> Floats:
+    """As `_moved`, of one pose (4, 4) and step (6,): many times faster."""
+    x, y, z = step[:3].tolist()
+    half = math.sqrt(x * x + y * y + z * z) / 2
+    share = math.sin(half) / half if half else 1.0
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    result = pose.copy()
+    result[:3, :3] += (share * math.cos(half) * cross + 0.5 * share**2 * (cross @ cross)) @ pose[:3, :3]
+    result[:3, 3] += step[3:]
     return result
 
 

@@ -1,9 +1,10 @@
 """Image points that stand still in the world, followed through the four pictures of two consecutive frame pairs.
 
 Corners spread over the left picture are found at half its size and get a disparity by block matching at a quarter of it, since
-both only say where to begin. At full size they are then followed by pyramidal Lucas-Kanade (Bouguet 2001) round a circle: left -> right, left -> next left -> next right, and right -> next right must end at
-the same point, and the way back from the next left must lead home. Points without disparity (sky, clouds, far scenery) are
-left out. Which of the points belong to moving objects is found later (`geometry/stereo_motion.py`).
+both only say where to begin. At full size they are then followed by pyramidal Lucas-Kanade (Bouguet 2001) round a circle:
+left -> right, left -> next left -> next right, and right -> next right must end at the same point, and the way back from the
+next left must lead home. Points without disparity (sky, clouds, far scenery) are left out.
+Which of the points belong to moving objects is found later (`geometry/stereo_motion.py`).
 """
 
 from __future__ import annotations

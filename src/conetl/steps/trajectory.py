@@ -27,8 +27,8 @@ from conetl.geometry.pose_graph import (
     adjust,
     motion_jacobians,
     motion_residuals,
-    skew,
 )
+from conetl.geometry.projection import cross_matrix
 from conetl.geometry.stereo_motion import RelativeMotion
 from conetl.params import TrajectoryParams
 from conetl.records import FramePair, Pose, Position, Rig
@@ -179,7 +179,7 @@ def motion_error(trajectory: RefinedTrajectory) -> MotionError | None:
         assert cov is not None  # the trajectory was refined
         first, second = trajectory.map_SE3_left[rank[start]], trajectory.map_SE3_left[rank[end]]
         turned = second[:3, :3].T @ first[:3, :3] @ point_m
-        by_motion = np.hstack([-skew(turned), np.eye(3)])
+        by_motion = np.hstack([-cross_matrix(turned), np.eye(3)])
         return np.asarray(by_motion @ cov @ by_motion.T)
 
     # A difference of two poses has at most twice the variance of both together, and so has the sum of its place's error and of
