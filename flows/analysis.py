@@ -34,9 +34,8 @@ from flows.retries import whole
 from flows.runners import count_when_done
 from flows.tasks import Chunk, detect_task, fuse_task, locate_task, match_task
 
-#: Detections of so many chunks, or of as many as there are cores, are asked for before the calibration is known: enough to keep
-#: the cores busy until then. Matching comes as many chunks later.
-_CHUNKS_AHEAD = 4
+#: While the calibration is worked out, detections of so many chunks more keep the cores busy.
+_CHUNKS_MEANWHILE = 3
 
 
 class Runs(Protocol):
@@ -131,7 +130,9 @@ def _run_chunks(
     followed = [runs.soon(odometry_task, whole(chunk)) for chunk in overlapping]
     for chunk, future in zip(overlapping, followed, strict=True):
         count_when_done(future, drive_id, len(chunk.frame_pairs) - 1)
-    ahead = max(_CHUNKS_AHEAD, os.cpu_count() or 1)
+    # Tasks begin in the order in which they are handed in. Both sides of so many chunks are one for every core; matching comes
+    # as many chunks later, and so waits for nothing.
+    ahead = ((os.cpu_count() or 1) + 1) // 2 + (_CHUNKS_MEANWHILE if followed else 0)
     detected = [_detect(chunk, runs) for chunk in chunks[:ahead]]
     odometry: list[Odometry] = [future.result() for future in followed]
     motions = [found.motions for found in odometry]
