@@ -27,6 +27,7 @@ from conetl.records import Matrix4, Record
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
+_UPPER = np.triu_indices(6)
 _HYPOTHESES = 64
 _MINIMAL_POINTS = 3
 _MAX_ITERATIONS = 20
@@ -65,7 +66,7 @@ class RelativeMotion(Record):
     def cov_matrix(self) -> Floats:
         """(6, 6) covariance; raises ValueError where there is no measurement."""
         upper = np.zeros((6, 6))
-        upper[np.triu_indices(6)] = self.cov
+        upper[_UPPER] = self.cov
         return upper + np.triu(upper, 1).T
 
 
