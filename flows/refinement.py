@@ -1,4 +1,4 @@
-"""Tasks of trajectory refinement: visual odometry beside the detection, one adjustment for the whole drive after it."""
+"""Tasks of trajectory refinement: visual odometry before the detection, one adjustment for the whole drive after it."""
 
 from __future__ import annotations
 

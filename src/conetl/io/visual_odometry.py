@@ -29,8 +29,9 @@ Points = NDArray[np.float32]
 PictureReader = Callable[[FramePair, Side], Bytes]
 _Found = tuple[Floats, Floats, float, NoMeasurement | None]
 
-#: Larger windows cost time in proportion to their area, and the cones of the street stood no stiller for it.
-_WINDOW = (11, 11)
+#: Side of the windows that are followed, px. Larger ones cost time in proportion to their area, and the cones of the street stood
+#: no stiller for it; but over the spans of self-calibration, which are few, a hundredth of a pixel counts.
+_WINDOW_PX, _WINDOW_OF_SPANS_PX = 11, 15
 _STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01)
 #: Of ways back, which are only compared with a tolerance of most of a pixel.
 _STOP_OF_CHECKS = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.05)
@@ -38,6 +39,8 @@ _STOP_OF_CHECKS = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.05)
 _WEAK_SHARE = 0.004
 #: Grey values of a picture must spread at least this much for anything to be followed.
 _LEAST_CONTRAST = 3.0
+#: Side of what block matching compares, at a quarter of the size.
+_BLOCK_PX = 9
 #: Disparities are searched up to this share of a picture's width.
 _WIDEST_DISPARITY = 0.12
 
@@ -88,7 +91,7 @@ def follow_span(
     What is searched reaches a little farther than between neighbours (pyramid), the guess must be good to some pixels.
     """
     (start, _), (end, scale) = _prepare(first, read, params), _prepare(last, read, params)
-    return _tracks(first, last, *_between(start, end, scale, cameras_of(rig), guess, params))
+    return _tracks(first, last, *_between(start, end, scale, cameras_of(rig), guess, params, _WINDOW_OF_SPANS_PX))
 
 
 def _prepare(pair: FramePair, read: PictureReader, params: TrajectoryParams) -> tuple[_Frame | NoMeasurement, float]:
@@ -129,6 +132,7 @@ def _between(
     cameras: StereoCameras,
     expected: Floats,
     params: TrajectoryParams,
+    window_px: int = _WINDOW_PX,
 ) -> _Found:
     """Points (N, 4) in stored pixels (u and v left, u and v right) of the first and second pair, their sigma, what is missing."""
     if isinstance(first, NoMeasurement):
@@ -145,7 +149,7 @@ def _between(
     left = corners[known]
     if len(left) < params.min_points:
         return _nothing(NoMeasurement.TOO_FEW_POINTS)
-    right, good = _flow(first.left, first.right, left, left - _along_rows(disparity[known]), 0)
+    right, good = _flow(first.left, first.right, left, left - _along_rows(disparity[known]), 0, window_px)
     rows = (cameras.right_px[3] - cameras.left_px[3]) * scale
     good &= np.abs(right[:, 1] - left[:, 1] - rows) <= params.epipolar_tolerance_px
     left, right = left[good], right[good]
@@ -159,17 +163,17 @@ def _between(
     if len(left) < params.min_points:
         return _nothing(NoMeasurement.TOO_FEW_POINTS)
     # Who fails at one side of the circle is not followed round the others.
-    next_left, good = _flow(first.left, second.left, left, guess[:, :2], 2)
+    next_left, good = _flow(first.left, second.left, left, guess[:, :2], 2, window_px)
     left, right, guess, next_left = left[good], right[good], guess[good], next_left[good]
-    home, good = _flow(second.left, first.left, next_left, left, 0, _STOP_OF_CHECKS)
+    home, good = _flow(second.left, first.left, next_left, left, 0, window_px, _STOP_OF_CHECKS)
     good &= np.linalg.norm(home - left, axis=1) <= params.circle_tolerance_px
     left, right, guess, next_left = left[good], right[good], guess[good], next_left[good]
     across = next_left - _along_rows(guess[:, 0] - guess[:, 2])
-    next_right, good = _flow(second.left, second.right, next_left, across, 0)
+    next_right, good = _flow(second.left, second.right, next_left, across, 0, window_px)
     good &= np.abs(next_right[:, 1] - next_left[:, 1] - rows) <= params.epipolar_tolerance_px
     good &= next_left[:, 0] - next_right[:, 0] >= params.min_disparity_px * scale / 2
     left, right, next_left, next_right = left[good], right[good], next_left[good], next_right[good]
-    other_way, good = _flow(first.right, second.right, right, next_right, 0, _STOP_OF_CHECKS)
+    other_way, good = _flow(first.right, second.right, right, next_right, 0, window_px, _STOP_OF_CHECKS)
     good &= np.linalg.norm(other_way - next_right, axis=1) <= params.circle_tolerance_px
     if int(good.sum()) < params.min_points:
         return _nothing(NoMeasurement.TOO_FEW_POINTS)
@@ -200,8 +204,10 @@ def _corners(half: Bytes, params: TrajectoryParams) -> Points:
 def _disparity(frame: _Frame, corners: Points) -> Floats:
     """Rough disparity (N,) px of corners by block matching at a quarter of the size; NaN where there is none."""
     height, width = frame.quarter_left.shape
+    if not len(corners) or min(height, width) < _BLOCK_PX:
+        return np.full(len(corners), np.nan)
     steps = max(int(np.ceil(frame.left.shape[1] / 4 * _WIDEST_DISPARITY / 16)) * 16, 16)
-    matcher = cv2.StereoBM.create(numDisparities=steps, blockSize=9)
+    matcher = cv2.StereoBM.create(numDisparities=steps, blockSize=_BLOCK_PX)
     matcher.setUniquenessRatio(8)
     table = matcher.compute(frame.quarter_left, frame.quarter_right)
     at = np.clip(((corners - 1.5) / 4).round().astype(int), 0, [width - 1, height - 1])
@@ -215,6 +221,7 @@ def _flow(
     points: Points,
     guess: NDArray[np.floating],
     levels: int,
+    window_px: int,
     stop: tuple[int, int, float] = _STOP,
 ) -> tuple[Points, NDArray[np.bool_]]:
     """Where points (N, 2) of one picture are in another, beginning at a guess on the `levels`-th pyramid level."""
@@ -222,8 +229,8 @@ def _flow(
         return points, np.zeros(0, dtype=bool)
     start = np.ascontiguousarray(guess, dtype=np.float32)
     found, status, _ = cv2.calcOpticalFlowPyrLK(
-        source, target, np.ascontiguousarray(points), start.copy(), winSize=_WINDOW, maxLevel=levels, criteria=stop,
-        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+        source, target, np.ascontiguousarray(points), start.copy(), winSize=(window_px, window_px), maxLevel=levels,
+        criteria=stop, flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )  # fmt: skip
     return np.asarray(found, dtype=np.float32), status.reshape(-1).astype(bool) & np.isfinite(found).all(axis=1)
 
