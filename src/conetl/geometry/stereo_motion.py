@@ -12,7 +12,6 @@ error is (w, d): R = exp([w]x) R_true, t = t_true + d; w in radians, d in metres
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from conetl.geometry.medians import median
-from conetl.geometry.projection import cross_matrix
+from conetl.geometry.pose_steps import all_stepped, apart, stepped
 from conetl.records import Matrix4, Record
 
 Floats = NDArray[np.float64]
@@ -235,7 +234,7 @@ def _majority(
 ) -> tuple[Floats, Bools] | None:
     """A guess, or the expected motion, where most usable points follow it; and who does."""
     poses = expected[None] if guess is None else np.stack([guess, expected])
-    turn, shift = _difference(poses, expected)
+    turn, shift = apart(poses, expected)
     poses = poses[(shift <= limits.gate_m) & (turn <= limits.gate_rad)]
     follows = _followers(cameras, points, second_px, usable, reach_px, poses)
     votes = follows.sum(axis=1)
@@ -272,9 +271,9 @@ def _consensus(
         scale = np.einsum("hni,hni->hi", design, design)
         normal = np.swapaxes(design, 1, 2) @ design + (1e-9 * scale + 1e-12)[:, :, None] * np.eye(6)
         step = np.linalg.solve(normal, np.einsum("hni,hn->hi", design, residual)[..., None])[..., 0]
-        poses = _moved(poses, np.clip(np.nan_to_num(step), -1.0, 1.0))
+        poses = all_stepped(poses, np.clip(np.nan_to_num(step), -1.0, 1.0))
     poses = np.concatenate([expected[None], poses])
-    turn, shift = _difference(poses, expected)
+    turn, shift = apart(poses, expected)
     poses = poses[(shift <= limits.gate_m) & (turn <= limits.gate_rad)]
     follows = _followers(cameras, points, second_px, usable, reach_px, poses)
     votes = follows.sum(axis=1)
@@ -333,7 +332,7 @@ def _refine(
         except np.linalg.LinAlgError:
             return StereoMotion(MotionStatus.DEGENERATE, pose, np.zeros((6, 6)), inliers, 0.0)
         step = inverse @ (wide @ r.ravel())
-        pose = _moved_by(pose, step)
+        pose = stepped(pose, step)
         if iteration >= _CHOOSING_ITERATIONS and float((step**2 * np.diag(normal)).max()) < _CONVERGED:
             # Sandwich of M-estimation: scatter of the weighted scores around the curvature (Huber 1981, ch. 6).
             scores = np.einsum("in,ain->an", r, weighted)
@@ -389,40 +388,3 @@ def _point_jacobian(turned: Floats) -> Floats:
     jacobian[..., 2, 0], jacobian[..., 2, 1] = y, -x
     jacobian[..., 0, 3] = jacobian[..., 1, 4] = jacobian[..., 2, 5] = 1.0
     return jacobian
-
-
-def _moved(poses: Floats, steps: Floats) -> Floats:
-    """Poses (H, 4, 4) after steps (H, 6) of (w, d)."""
-    result = poses.copy()
-    result[:, :3, :3] = _turn(steps[:, :3]) @ poses[:, :3, :3]
-    result[:, :3, 3] += steps[:, 3:]
-    return result
-
-
-def _moved_by(pose: Floats, step: Floats) -> Floats:
-    """As `_moved`, of one pose (4, 4) and step (6,): many times faster."""
-    x, y, z = step[:3].tolist()
-    half = math.sqrt(x * x + y * y + z * z) / 2
-    share = math.sin(half) / half if half else 1.0
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    result = pose.copy()
-    result[:3, :3] += (share * math.cos(half) * cross + 0.5 * share**2 * (cross @ cross)) @ pose[:3, :3]
-    result[:3, 3] += step[3:]
-    return result
-
-
-def _turn(rotation_vectors: Floats) -> Floats:
-    """Rotation matrices (H, 3, 3) of rotation vectors (H, 3), by Rodrigues' formula.
-
-    As `Rotation.from_rotvec`, which takes ten times as long for a few.
-    """
-    half = np.sqrt((rotation_vectors**2).sum(axis=1))[:, None, None] / (2 * np.pi)
-    cross = cross_matrix(rotation_vectors)
-    return np.asarray(np.eye(3) + np.sinc(2 * half) * cross + 0.5 * np.sinc(half) ** 2 * (cross @ cross))
-
-
-def _difference(poses: Floats, expected: Floats) -> tuple[Floats, Floats]:
-    """Angle (rad) and distance (m) of poses (H, 4, 4) from the expected one."""
-    trace = np.einsum("hij,ij->h", poses[:, :3, :3], expected[:3, :3])
-    turn = np.arccos(np.clip((trace - 1) / 2, -1, 1))
-    return turn, np.linalg.norm(poses[:, :3, 3] - expected[:3, 3], axis=1)

@@ -12,6 +12,7 @@ from scipy.stats import chi2
 
 from conetl.geometry import pose as se3
 from conetl.geometry import stereo_motion
+from conetl.geometry.pose_steps import all_stepped, stepped
 from conetl.geometry.stereo_motion import (
     MotionLimits,
     MotionStatus,
@@ -121,8 +122,8 @@ def test_a_guess_outside_of_the_gate_is_not_believed_however_many_follow_it() ->
 
 @given(arrays(np.float64, 6, elements=st.floats(-0.5, 0.5)))
 def test_one_pose_moves_as_many_do(step: np.ndarray) -> None:
-    together = stereo_motion._moved(TRUTH[None], step[None])[0]
-    assert np.allclose(stereo_motion._moved_by(TRUTH, step), together, rtol=1e-13, atol=1e-14)
+    together = all_stepped(TRUTH[None], step[None])[0]
+    assert np.allclose(stepped(TRUTH, step), together, rtol=1e-13, atol=1e-14)
 
 
 def test_a_lorry_on_all_of_the_picture_gives_no_motion() -> None:
