@@ -1,4 +1,4 @@
-"""Small steps of poses, and how far poses are apart. A step (w, d), in radians and metres: R = exp([w]x) R_before, t = t_before + d."""
+"""Small steps of poses. A step (w, d), in radians and metres, gives R = exp([w]x) R_before, t = t_before + d."""
 
 from __future__ import annotations
 
