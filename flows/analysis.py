@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -20,6 +21,7 @@ from conetl.steps.self_calibration import SWITCHED_OFF, SelfCalibration, self_ca
 from conetl.steps.trajectory import RefinedTrajectory
 from flows.progress import expect
 from flows.refinement import (
+    Odometry,
     motions_task,
     moved,
     odometry_chunks,
@@ -31,6 +33,9 @@ from flows.refinement import (
 from flows.retries import whole
 from flows.runners import count_when_done
 from flows.tasks import Chunk, detect_task, fuse_task, locate_task, match_task, weigh_task
+
+#: While the calibration is worked out, detections of so many chunks more keep the cores busy.
+_CHUNKS_MEANWHILE = 3
 
 
 class Runs(Protocol):
@@ -128,30 +133,43 @@ def _run_chunks(
 ) -> tuple[list[Path], list[Path], list[Path], SelfCalibration, Rig]:
     """Detections, matches and motions of all chunks; what the drive says of its calibration, and its rig after that.
 
-    Matching waits for the calibration.
-    Visual odometry runs beside the detection; motions and self-calibration run in the caller's own thread, also beside it.
+    Matching waits for the calibration, which needs the odometry of the whole drive. So the odometry comes first, and what
+    Python itself computes (self-calibration in the caller's own thread, matching, motions by the new rig) runs
+    beside detections, which leave the interpreter to others.
     """
     drive_id, params = drive.drive_id, chunks[0].params.trajectory
     overlapping = list(odometry_chunks(chunks)) if params.refine else []
     steps = 2 * sum(len(chunk.frame_pairs) for chunk in chunks) + sum(len(o.frame_pairs) - 1 for o in overlapping)
     expect(drive_id, steps)
-    detected, followed = [], []
-    for k, chunk in enumerate(chunks):
-        detected.append([runs.soon(detect_task, whole(chunk), side) for side in ("left", "right")])
-        for future in detected[-1]:
-            count_when_done(future, drive_id, len(chunk.frame_pairs))
-        if k < len(overlapping):
-            followed.append(runs.soon(odometry_task, whole(overlapping[k])))
-            count_when_done(followed[-1], drive_id, len(overlapping[k].frame_pairs) - 1)
-    tracks = [future.result() for future in followed]
-    motions = runs.now(motions_task, whole(overlapping), tracks)
+    followed = [runs.soon(odometry_task, whole(chunk)) for chunk in overlapping]
+    for chunk, future in zip(overlapping, followed, strict=True):
+        count_when_done(future, drive_id, len(chunk.frame_pairs) - 1)
+    # Tasks begin in the order in which they are handed in. Both sides of so many chunks are one for every core; matching comes
+    # as many chunks later, and so waits for nothing.
+    ahead = ((os.cpu_count() or 1) + 1) // 2 + (_CHUNKS_MEANWHILE if followed else 0)
+    detected = [_detect(chunk, runs) for chunk in chunks[:ahead]]
+    odometry: list[Odometry] = [future.result() for future in followed]
+    motions = [found.motions for found in odometry]
     calibration: SelfCalibration = SWITCHED_OFF
     if params.self_calibrate:
+        tracks = [found.tracks for found in odometry]
         calibration = runs.now(self_calibrate_task, whole(drive), tracks, motions, whole(chunks[0]))
     rig = self_calibrated_rig(drive.rig, calibration, params)
-    if rig != drive.rig:
-        motions = runs.now(motions_task, whole(with_rig(overlapping, rig)), tracks, motions)
-    turned = with_rig(chunks, rig)
-    matched = [runs.soon(match_task, whole(c), *sides) for c, sides in zip(turned, detected, strict=True)]
+    matched, moving = [], []
+    for k, chunk in enumerate(with_rig(chunks, rig)):
+        detected += [_detect(later, runs) for later in chunks[k + ahead : k + ahead + 1]]
+        matched.append(runs.soon(match_task, whole(chunk), *detected[k]))
+        if rig != drive.rig and k < len(overlapping):
+            again = overlapping[k].model_copy(update={"rig": rig})
+            moving.append(runs.soon(motions_task, whole(again), odometry[k].tracks, motions[k]))
     found = [future.result() for sides in detected for future in sides]
+    motions = [future.result() for future in moving] or motions
     return found, [future.result() for future in matched], motions, calibration, rig
+
+
+def _detect(chunk: Chunk, runs: Runs) -> list[Any]:
+    """Detections of a chunk's left and right pictures, futures."""
+    futures = [runs.soon(detect_task, whole(chunk), side) for side in ("left", "right")]
+    for future in futures:
+        count_when_done(future, chunk.drive_id, len(chunk.frame_pairs))
+    return futures

@@ -1,9 +1,10 @@
-"""Tasks of trajectory refinement: visual odometry beside the detection, one adjustment for the whole drive after it."""
+"""Tasks of trajectory refinement: visual odometry before the detection, one adjustment for the whole drive after it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,40 +57,52 @@ def with_rig(chunks: Sequence[Chunk], rig: Rig) -> list[Chunk]:
     return [chunk.model_copy(update={"rig": rig}) for chunk in chunks]
 
 
+class Odometry(NamedTuple):
+    """Parquet files of one chunk."""
+
+    tracks: Path
+    """Points followed between its frame pairs ..."""
+    motions: Path
+    """... and the motions that they tell."""
+
+
 @task(name="odometry", task_run_name="odometry {chunk.frame_pairs[0].frame_index}", tags=["odometry"], **RETRY)
-def odometry_task(chunk: Chunk) -> Path:
-    """Points followed between the frame pairs of a chunk; returns the Parquet file."""
+def odometry_task(chunk: Chunk) -> Odometry:
+    """Points followed between the frame pairs of a chunk, and its motions by the rig as it is."""
     key = _tracks_key(chunk)
-    intervals = len(chunk.frame_pairs) - 1
+    path, intervals = result_path(chunk.results_folder, key), len(chunk.frame_pairs) - 1
     if has_result(chunk.results_folder, key):
         tell_progress(chunk.drive_id, intervals)
-        return result_path(chunk.results_folder, key)
+        return Odometry(path, _motions(chunk, path))
     keep_freed_pictures()
     tracks: list[StereoTracks] = []
     for found in follow_drive(chunk.frame_pairs, chunk.rig, _reader(chunk.rig), chunk.params.trajectory):
         tracks.append(found)
         tell_progress(chunk.drive_id, 1)
-    return save_result(chunk.results_folder, key, tracks, [])
+    save_result(chunk.results_folder, key, tracks, [])
+    return Odometry(path, _motions(chunk, path, tracks))
 
 
-@task(name="motions", **RETRY)
-def motions_task(chunks: Sequence[Chunk], tracks: Sequence[Path], earlier: Sequence[Path] = ()) -> list[Path]:
-    """Motions between the frame pairs of a drive from the points followed, chunk by chunk; returns the Parquet files.
+@task(name="motions", task_run_name="motions {chunk.frame_pairs[0].frame_index}", **RETRY)
+def motions_task(chunk: Chunk, tracks: Path, earlier: Path) -> Path:
+    """Motions between the frame pairs of a chunk from the points followed; returns the Parquet file.
 
     earlier: the motions by the rig as it was before its self-calibration, a start that spares the search.
     """
-    starts: Sequence[Path | None] = earlier or [None] * len(chunks)
-    return [_motions(chunk, path, start) for chunk, path, start in zip(chunks, tracks, starts, strict=True)]
+    return _motions(chunk, tracks, earlier=earlier)
 
 
-def _motions(chunk: Chunk, tracks: Path, earlier: Path | None) -> Path:
+def _motions(
+    chunk: Chunk, tracks: Path, known: Sequence[StereoTracks] | None = None, *, earlier: Path | None = None
+) -> Path:
+    """known: what `tracks` holds, where that is in memory."""
     params, pairs = chunk.params.trajectory, chunk.frame_pairs
     geometry = result_key(chunk.rig.model_dump_json(), *(pair.model_dump_json() for pair in pairs))
     key = result_key(
         RESULTS_VERSION, "motions", tracks.stem, params_sha256(params), geometry, earlier.stem if earlier else "none"
     )
     if not has_result(chunk.results_folder, key):
-        followed, _ = load_result(tracks, StereoTracks)
+        followed = load_result(tracks, StereoTracks)[0] if known is None else known
         starts = load_result(earlier, RelativeMotion)[0] if earlier else None
         save_result(chunk.results_folder, key, list(motions_of(followed, pairs, chunk.rig, params, starts)), [])
     return result_path(chunk.results_folder, key)

@@ -52,7 +52,7 @@ from flows.progress import tell_progress
 from flows.retries import RETRY
 
 #: Part of every result key: raise it when a step computes something else from the same inputs.
-RESULTS_VERSION = "7"
+RESULTS_VERSION = "8"
 _per_thread = threading.local()
 
 
@@ -150,15 +150,15 @@ def match_task(chunk: Chunk, left: Path, right: Path) -> Path:
     rejections: list[Rejection] = []
     for pair in chunk.frame_pairs:
         ours, theirs = by_side["left"][pair.frame_index], by_side["right"][pair.frame_index]
-        images = None
-        if ours and theirs and chunk.params.match.refine:
+        # Up of the map, as the left camera sees it at this instant.
+        up = map_SE3_left(pair.pose, chunk.rig)[2, :3]
+        found, refused = match_pair(ours, theirs, chunk.rig, chunk.params.match, up_left=up)
+        if found and chunk.params.match.refine:  # pictures are dear: only where boxes alone say that something matches
             images = (
                 read_rig_image(place(pair.left_path), chunk.rig, "left"),
                 read_rig_image(place(pair.right_path), chunk.rig, "right"),
             )
-        # Up of the map, as the left camera sees it at this instant.
-        up = map_SE3_left(pair.pose, chunk.rig)[2, :3]
-        found, refused = match_pair(ours, theirs, chunk.rig, chunk.params.match, up_left=up, images=images)
+            found, refused = match_pair(ours, theirs, chunk.rig, chunk.params.match, up_left=up, images=images)
         matches += found
         rejections += refused
     return save_result(chunk.results_folder, key, with_measured_spread(matches), rejections)

@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 from conetl.geometry import chain_solver
 from conetl.geometry import pose as se3
 from conetl.geometry.chain_solver import ChainNormal
+from conetl.geometry.projection import cross_matrix
 
 Floats = NDArray[np.float64]
 #: Unknowns of a frame: six of the pose come first, then six of the log's slow error.
@@ -193,7 +194,10 @@ def _add_sightings(
         residual = s.xyz - local
         information = s.information * _huber(np.asarray(residual @ s.information @ residual / 3), robust_sigmas)
         by_pose = np.hstack(
-            [-camera_R_map, camera_R_map @ rotations[s.frame] @ skew(lever) + skew(local) @ body_R_left.T]
+            [
+                -camera_R_map,
+                camera_R_map @ rotations[s.frame] @ cross_matrix(lever) + cross_matrix(local) @ body_R_left.T,
+            ]
         )
         normal.diagonal[s.frame, :POSE, :POSE] += by_pose.T @ information @ by_pose
         normal.border[s.frame, :POSE, at] += by_pose.T @ information @ camera_R_map
@@ -220,7 +224,7 @@ def motion_jacobians(map_SE3_first: Floats, map_SE3_second: Floats, body_SE3_lef
     """Derivatives (..., 6, 6) of second_SE3_first (rotation, translation in the second camera) by both bodies' (p, a)."""
     second_R_map = np.swapaxes(map_SE3_second[..., :3, :3], -1, -2)
     motion = se3.compose(se3.invert(map_SE3_second), map_SE3_first)
-    left_R_body, lever = body_SE3_left[:3, :3].T, skew(body_SE3_left[:3, 3])
+    left_R_body, lever = body_SE3_left[:3, :3].T, cross_matrix(body_SE3_left[:3, 3])
     by_first = np.zeros((*motion.shape[:-2], 6, 6))
     by_second = np.zeros_like(by_first)
     by_first[..., :3, 3:] = motion[..., :3, :3] @ left_R_body
@@ -228,7 +232,7 @@ def motion_jacobians(map_SE3_first: Floats, map_SE3_second: Floats, body_SE3_lef
     by_first[..., 3:, :3], by_second[..., 3:, :3] = second_R_map, -second_R_map
     # The camera sits at a lever from the body: turning the body moves it.
     by_first[..., 3:, 3:] = -motion[..., :3, :3] @ left_R_body @ lever
-    by_second[..., 3:, 3:] = left_R_body @ lever + skew(motion[..., :3, 3]) @ left_R_body
+    by_second[..., 3:, 3:] = left_R_body @ lever + cross_matrix(motion[..., :3, 3]) @ left_R_body
     return by_first, by_second
 
 
@@ -240,11 +244,3 @@ def _to_map(log: LoggedPoses, rotations: Floats, places: Floats, sighting: Sight
 def _huber(misfit2: Floats, bound: float) -> Floats:
     """Weights of measurements whose mean squared misfits are `misfit2` (1 where they fit)."""
     return np.minimum(1.0, bound / np.sqrt(np.maximum(misfit2, 1e-12)))
-
-
-def skew(vector: Floats) -> Floats:
-    """(..., 3, 3) matrices of the cross product with vectors (..., 3)."""
-    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
-    zero = np.zeros_like(x)
-    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)

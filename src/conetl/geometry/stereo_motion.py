@@ -20,12 +20,13 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from conetl.geometry.medians import median
-from conetl.geometry.projection import cross_matrix
+from conetl.geometry.pose_steps import all_stepped, apart, stepped
 from conetl.records import Matrix4, Record
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
+_UPPER = np.triu_indices(6)
 _HYPOTHESES = 64
 _MINIMAL_POINTS = 3
 _MAX_ITERATIONS = 20
@@ -34,6 +35,8 @@ _CAUCHY_SIGMAS = 2.385  # 95 % efficiency on normal errors (Rey 1983)
 _NEAREST_M = 0.3
 #: Points whose depth has a sigma above this share of it take no part.
 _VAGUE_SHARE = 0.25
+#: A guess that more than this share of the usable points follow needs no search: whatever else moves is outvoted.
+_MAJORITY = 0.5
 #: Largest step, squared and in sigmas, that ends the iteration.
 _CONVERGED = 1e-3
 
@@ -62,7 +65,7 @@ class RelativeMotion(Record):
     def cov_matrix(self) -> Floats:
         """(6, 6) covariance; raises ValueError where there is no measurement."""
         upper = np.zeros((6, 6))
-        upper[np.triu_indices(6)] = self.cov
+        upper[_UPPER] = self.cov
         return upper + np.triu(upper, 1).T
 
 
@@ -184,13 +187,15 @@ def estimate_motion(
     limits: MotionLimits,
     seed: int = 0,
     start: Floats | None = None,
+    guess: Floats | None = None,
 ) -> StereoMotion:
     """Motion of the rig between two frame pairs.
 
     first_px, second_px (N, 3): u_left, v_left, u_right of the same points; sigma_px (N,) of each of their coordinates; expected
     (4, 4): a guess of next_SE3_first (from INS), whose only use is to bound and start the search; start (4, 4): a motion that is
-    nearly right already, such as that of the same points with another calibration, in place of a search among hypotheses. Never
-    raises on bad points.
+    nearly right already, such as that of the same points with another calibration, in place of a search among hypotheses; guess
+    (4, 4): one that may be, such as that of the interval before, which is searched for only where most points do not follow it.
+    Never raises on bad points.
     """
     count = len(first_px)
     points, d_points, usable = triangulate(cameras, first_px)
@@ -206,6 +211,8 @@ def estimate_motion(
     if start is not None:
         best = start, _followers(cameras, points, second_px, usable, reach, start[None])[0]
     if best is None or best[1].sum() < limits.min_inliers:
+        best = _majority(cameras, points, second_px, usable, reach, expected, guess, limits)
+    if best is None:
         best = _consensus(cameras, points, second_px, usable, reach, expected, limits, seed)
     if best is None:
         return StereoMotion(MotionStatus.NO_CONSENSUS, expected, np.zeros((6, 6)), nobody, 0.0)
@@ -213,6 +220,28 @@ def estimate_motion(
     if inliers.sum() < max(limits.min_inliers, limits.min_inlier_share * usable.sum()):
         return StereoMotion(MotionStatus.NO_CONSENSUS, expected, np.zeros((6, 6)), inliers, 0.0)
     return _refine(cameras, points, d_points, second_px, sigma_px, usable, reach, pose, inliers, limits)
+
+
+def _majority(
+    cameras: StereoCameras,
+    points: Floats,
+    second_px: Floats,
+    usable: Bools,
+    reach_px: Floats,
+    expected: Floats,
+    guess: Floats | None,
+    limits: MotionLimits,
+) -> tuple[Floats, Bools] | None:
+    """A guess, or the expected motion, where most usable points follow it; and who does."""
+    poses = expected[None] if guess is None else np.stack([guess, expected])
+    turn, shift = apart(poses, expected)
+    poses = poses[(shift <= limits.gate_m) & (turn <= limits.gate_rad)]
+    follows = _followers(cameras, points, second_px, usable, reach_px, poses)
+    votes = follows.sum(axis=1)
+    winner = int(votes.argmax())
+    if votes[winner] < max(limits.min_inliers, _MAJORITY * usable.sum()):
+        return None
+    return poses[winner], follows[winner]
 
 
 def _consensus(
@@ -242,9 +271,9 @@ def _consensus(
         scale = np.einsum("hni,hni->hi", design, design)
         normal = np.swapaxes(design, 1, 2) @ design + (1e-9 * scale + 1e-12)[:, :, None] * np.eye(6)
         step = np.linalg.solve(normal, np.einsum("hni,hn->hi", design, residual)[..., None])[..., 0]
-        poses = _moved(poses, np.clip(np.nan_to_num(step), -1.0, 1.0))
+        poses = all_stepped(poses, np.clip(np.nan_to_num(step), -1.0, 1.0))
     poses = np.concatenate([expected[None], poses])
-    turn, shift = _difference(poses, expected)
+    turn, shift = apart(poses, expected)
     poses = poses[(shift <= limits.gate_m) & (turn <= limits.gate_rad)]
     follows = _followers(cameras, points, second_px, usable, reach_px, poses)
     votes = follows.sum(axis=1)
@@ -303,7 +332,7 @@ def _refine(
         except np.linalg.LinAlgError:
             return StereoMotion(MotionStatus.DEGENERATE, pose, np.zeros((6, 6)), inliers, 0.0)
         step = inverse @ (wide @ r.ravel())
-        pose = _moved(pose[None], step[None])[0]
+        pose = stepped(pose, step)
         if iteration >= _CHOOSING_ITERATIONS and float((step**2 * np.diag(normal)).max()) < _CONVERGED:
             # Sandwich of M-estimation: scatter of the weighted scores around the curvature (Huber 1981, ch. 6).
             scores = np.einsum("in,ain->an", r, weighted)
@@ -359,28 +388,3 @@ def _point_jacobian(turned: Floats) -> Floats:
     jacobian[..., 2, 0], jacobian[..., 2, 1] = y, -x
     jacobian[..., 0, 3] = jacobian[..., 1, 4] = jacobian[..., 2, 5] = 1.0
     return jacobian
-
-
-def _moved(poses: Floats, steps: Floats) -> Floats:
-    """Poses (H, 4, 4) after steps (H, 6) of (w, d)."""
-    result = poses.copy()
-    result[:, :3, :3] = _turn(steps[:, :3]) @ poses[:, :3, :3]
-    result[:, :3, 3] += steps[:, 3:]
-    return result
-
-
-def _turn(rotation_vectors: Floats) -> Floats:
-    """Rotation matrices (H, 3, 3) of rotation vectors (H, 3), by Rodrigues' formula.
-
-    As `Rotation.from_rotvec`, which takes ten times as long for a few.
-    """
-    half = np.sqrt((rotation_vectors**2).sum(axis=1))[:, None, None] / (2 * np.pi)
-    cross = cross_matrix(rotation_vectors)
-    return np.asarray(np.eye(3) + np.sinc(2 * half) * cross + 0.5 * np.sinc(half) ** 2 * (cross @ cross))
-
-
-def _difference(poses: Floats, expected: Floats) -> tuple[Floats, Floats]:
-    """Angle (rad) and distance (m) of poses (H, 4, 4) from the expected one."""
-    trace = np.einsum("hij,ij->h", poses[:, :3, :3], expected[:3, :3])
-    turn = np.arccos(np.clip((trace - 1) / 2, -1, 1))
-    return turn, np.linalg.norm(poses[:, :3, 3] - expected[:3, 3], axis=1)

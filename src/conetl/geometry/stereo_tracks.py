@@ -91,9 +91,11 @@ def motions_of(
 ) -> Iterator[RelativeMotion]:
     """Motion of every interval of `tracks`, in their order; tracks[k] runs from frame_pairs[k] to frame_pairs[k + 1].
 
-    earlier: motions of the same tracks by a slightly other rig, which spare the search among hypotheses.
+    earlier: motions of the same tracks by a slightly other rig, which spare the search among hypotheses. So does, mostly, the
+    motion of the interval before: cars change their speed little within a tenth of a second.
     """
     cameras, limits = cameras_of(rig), motion_limits(params)
+    before: Floats | None = None
     starts = [None] * (len(frame_pairs) - 1) if earlier is None else [motion.second_SE3_first for motion in earlier]
     for points, expected, start in zip(tracks, expected_motions(frame_pairs, rig), starts, strict=True):
         reason, pose, cov, inliers = str(points.missing), None, (), 0
@@ -101,9 +103,10 @@ def motions_of(
         if points.missing is None:
             motion = estimate_motion(
                 cameras, first_px[:, :3], second_px[:, :3], sigma_px, expected, limits, seed=points.first_frame_index,
-                start=None if start is None else np.array(start),
+                start=None if start is None else np.array(start), guess=before,
             )  # fmt: skip
             reason, inliers = str(motion.status), int(motion.inliers.sum())
+            before = motion.next_SE3_first if motion.status is MotionStatus.OK else None
             if motion.status is MotionStatus.OK:
                 pose, cov = se3.to_matrix4(motion.next_SE3_first), tuple(motion.cov[np.triu_indices(6)].tolist())
         yield RelativeMotion(

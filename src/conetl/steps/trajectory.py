@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +28,8 @@ from conetl.geometry.pose_graph import (
     adjust,
     motion_jacobians,
     motion_residuals,
-    skew,
 )
+from conetl.geometry.projection import cross_matrix
 from conetl.geometry.stereo_motion import RelativeMotion
 from conetl.params import TrajectoryParams
 from conetl.records import FramePair, Pose, Position, Rig
@@ -40,6 +41,7 @@ _LEAST_SIGMA_M, _LEAST_SIGMA_RAD, _LEAST_STEP_S = 1e-4, 1e-6, 1e-3
 #: Chi-square of 6 degrees of freedom at 1e-6: an interval beyond it contradicts GNSS/INS outright.
 _GATE_CHI2 = 38.3
 _NEIGHBOURS = 4
+_MOTIONS_KEPT = 256
 _LONE_SIGMAS = 4.5
 
 
@@ -173,13 +175,15 @@ def motion_error(trajectory: RefinedTrajectory) -> MotionError | None:
     if trajectory.covariance is None:
         return None
     rank = {pair.frame_index: k for k, pair in enumerate(trajectory.frame_pairs)}
+    # All cones that were seen last in one picture are carried by one motion.
+    relative = lru_cache(maxsize=_MOTIONS_KEPT)(partial(relative_cov, trajectory))
 
     def carried_cov_m2(start: int, end: int, point_m: Floats) -> Floats:
-        cov = relative_cov(trajectory, rank[start], rank[end])
+        cov = relative(rank[start], rank[end])
         assert cov is not None  # the trajectory was refined
         first, second = trajectory.map_SE3_left[rank[start]], trajectory.map_SE3_left[rank[end]]
         turned = second[:3, :3].T @ first[:3, :3] @ point_m
-        by_motion = np.hstack([-skew(turned), np.eye(3)])
+        by_motion = np.hstack([-cross_matrix(turned), np.eye(3)])
         return np.asarray(by_motion @ cov @ by_motion.T)
 
     # A difference of two poses has at most twice the variance of both together, and so has the sum of its place's error and of

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from conetl.geometry import pose as se3
+from conetl.geometry import stereo_motion
+from conetl.geometry.pose_steps import all_stepped, stepped
 from conetl.geometry.stereo_motion import (
     MotionLimits,
     MotionStatus,
@@ -84,6 +89,41 @@ def test_a_lorry_on_most_of_the_picture_is_outvoted_by_what_may_be_true() -> Non
     assert np.linalg.norm(error_of(found.next_SE3_first)[3:]) < 0.02
     assert found.inliers[:180].mean() < 0.2
     assert found.inliers[180:].mean() > 0.9
+
+
+def test_a_guess_that_most_points_follow_spares_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    first, second, sigma = observe(np.random.default_rng(3))
+    limits = MotionLimits(gate_m=2.0)
+    searched = estimate_motion(CAMERAS, first, second, sigma, np.eye(4), limits)
+    near = TRUTH @ se3.se3(Rotation.from_rotvec([0.0, 0.0003, 0.0]).as_matrix(), [0.0, 0.0, 0.01])
+
+    def no_search(*_: object) -> None:
+        raise AssertionError("searched among hypotheses")
+
+    monkeypatch.setattr(stereo_motion, "_consensus", no_search)
+    guessed = estimate_motion(CAMERAS, first, second, sigma, np.eye(4), limits, guess=near)
+    # One point at the bound more or less.
+    assert (guessed.inliers != searched.inliers).mean() < 0.02
+    apart = error_of(guessed.next_SE3_first) - error_of(searched.next_SE3_first)
+    assert (np.abs(apart) < 0.2 * np.sqrt(np.diag(searched.cov))).all()
+
+
+def test_a_guess_outside_of_the_gate_is_not_believed_however_many_follow_it() -> None:
+    """Most points are a lorry's, whose motion was the guess: what may be true is searched for."""
+    rng = np.random.default_rng(1)
+    points = scene(rng, 300)
+    first = seen(points, rng)
+    second = seen(se3.apply(TRUTH, points), rng)
+    second[:180] = first[:180] + rng.normal(0, 0.3, (180, 3))
+    found = estimate_motion(CAMERAS, first, second, np.full(300, 0.3), TRUTH, LIMITS, guess=np.eye(4))
+    assert found.status is MotionStatus.OK
+    assert found.inliers[:180].mean() < 0.2
+
+
+@given(arrays(np.float64, 6, elements=st.floats(-0.5, 0.5)))
+def test_one_pose_moves_as_many_do(step: np.ndarray) -> None:
+    together = all_stepped(TRUTH[None], step[None])[0]
+    assert np.allclose(stepped(TRUTH, step), together, rtol=1e-13, atol=1e-14)
 
 
 def test_a_lorry_on_all_of_the_picture_gives_no_motion() -> None:

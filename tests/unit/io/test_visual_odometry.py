@@ -61,6 +61,17 @@ def test_the_motion_before_a_wall_comes_out() -> None:
         assert (sigma > 0).all() and sigma[3:].max() < 0.02
 
 
+@pytest.mark.parametrize("shape", [(1, 1), (2, 3), (9, 70), (64, 64)])
+def test_tiny_pictures_give_no_measurement(shape: tuple[int, int]) -> None:
+    """Half and a quarter of their size hold no window, and below one pixel there is no picture."""
+    noise = np.random.default_rng(0).integers(0, 255, (len(PAIRS), 2, *shape)).astype(np.uint8)
+    pictures = {
+        (p.frame_index, side): noise[i, j] for i, p in enumerate(PAIRS) for j, side in enumerate(("left", "right"))
+    }
+    found = reasons(lambda pair, side: pictures[pair.frame_index, side])
+    assert set(found) <= {"too_few_points", "picture_blank"}
+
+
 def test_equal_input_gives_equal_output() -> None:
     assert list(measure_motions(PAIRS, RIG, wall_picture, PARAMS)) == list(
         measure_motions(PAIRS, RIG, wall_picture, PARAMS)
