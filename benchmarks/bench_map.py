@@ -68,7 +68,7 @@ BOX_M = 500.0
 
 @dataclass
 class Stopwatch:
-    """By phase: seconds (wall, processor of this process, processor of the database's backend), MB that the backend read from disk.
+    """By phase: seconds (wall, processor of this process, of the database's backend), MB that the backend read from disk.
 
     What lay in the system's cache counts as nothing.
     """

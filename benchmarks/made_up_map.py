@@ -125,7 +125,8 @@ insert into conetl.feature_version (cell, feature_id, version, map_id, srid, cha
     cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz, centre_geom, cone_height_m, cone_height_sigma_m, existence_probability,
     observation_count, first_seen_ns, last_seen_ns, valid_from_ns, valid_period, system_period)
 select
-    {_CELL}, {_ID}, r.version, %(map_id)s, %(srid)s, case r.version when 1 then %(changeset)s::uuid else %(later)s::uuid end, true,
+    {_CELL},
+    {_ID}, r.version, %(map_id)s, %(srid)s, case r.version when 1 then %(changeset)s::uuid else %(later)s::uuid end, true,
     'traffic_cone', {_PLACE.format(up=0)}, 0.01, 0.001, 0.0, 0.02, 0.0, 0.04, {_PLACE.format(up=0.35)}, 0.7, 0.02,
     0.9 + 0.09 * (r.version - 1), 3 * r.version, %(from_ns)s,
     case r.version when 1 then %(from_ns)s else %(later_ns)s end + 200000000,

@@ -183,6 +183,7 @@ def test_the_writer_may_commit_but_not_rewrite_history(conn, samples):
         "delete from feature_version",
         "delete from changeset",
         "update delta set shift_m = 0",
+        "update feature set cell = 0",
         "insert into schema_migration values ('x', 'y')",
     ):
         execute(conn, "savepoint s")
@@ -210,6 +211,7 @@ def map_of_one(module_database_url, samples):
         ("valid_period = 'empty'", psycopg2.errors.CheckViolation),
         ("srid = 32633", psycopg2.errors.ForeignKeyViolation),
         ("feature_id = gen_random_uuid()", psycopg2.errors.ForeignKeyViolation),
+        ("cell = cell + 1", psycopg2.errors.ForeignKeyViolation),
     ],
 )
 def test_the_schema_itself_refuses_nonsense(map_of_one, change, error):
@@ -219,6 +221,34 @@ def test_the_schema_itself_refuses_nonsense(map_of_one, change, error):
     with pytest.raises(error):
         execute(conn, f"update feature_version set {change}")
     conn.rollback()
+
+
+def test_one_id_is_one_feature_whatever_its_cell(map_of_one):
+    """So that a second cell is no way around the constraint that refuses two versions at once."""
+    with pytest.raises(psycopg2.errors.UniqueViolation, match="feature_pkey"):
+        execute(
+            map_of_one,
+            "insert into feature (feature_id, map_id, srid, founded_by, cell) "
+            "select feature_id, map_id, srid, founded_by, cell + 1 from feature",
+        )
+    map_of_one.rollback()
+
+
+@pytest.mark.parametrize(
+    ("place", "cell"),
+    [
+        ("0, 0", (0, 0)),
+        ("255.999, 256", (1, 0)),
+        ("-0.001, -256.001", (-2, -1)),
+        ("458001, 5428010", (21203, 1789)),
+        ("'infinity', '-infinity'", (-(2**30), 2**30)),
+        ("'nan', 0", (0, 2**30)),
+    ],
+)
+def test_a_place_has_one_cell_of_256_m(map_of_one, place, cell):
+    row, column = cell
+    found = execute(map_of_one, f"select place_cell(ST_SetSRID(ST_MakePoint({place}), 32632)) as cell")
+    assert found == [{"cell": (row << 32) + column}]
 
 
 def test_the_schema_refuses_two_versions_at_once(conn, samples):
