@@ -17,5 +17,5 @@ join lateral (
     order by v.system_period desc, v.version_row_id
     limit 1
 ) v on true
-where x.cell = (select f.cell from conetl.feature f where f.feature_id = %(feature_id)s) and x.feature_id = %(feature_id)s
+where x.cell = conetl.cell_of(%(feature_id)s) and x.feature_id = %(feature_id)s
 order by d.captured_from_ns, d.content_sha256 collate "C", c.idempotency_key collate "C", x.system_period;

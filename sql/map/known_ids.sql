@@ -5,5 +5,5 @@ from conetl.feature f
 join conetl.map m using (map_id)
 left join conetl.feature_version v
     on v.cell = f.cell and v.feature_id = f.feature_id and upper_inf(v.system_period) and upper_inf(v.valid_period)
-where f.feature_id = any(%(feature_ids)s)
+where f.feature_id = any(%(feature_ids)s) and f.map_id > 0
 order by f.feature_id;

@@ -5,7 +5,7 @@
 -- features, and each is a wait for the disk when the road was not visited lately. So each feature keeps the cell of 256 m in which it
 -- was founded, forever, and keys begin with it. The cell is the database's own affair: no record, export or id knows it.
 --
--- Constraints stay as strong as they were. conetl.feature has one row an id (its primary key), so an id has one cell, and
+-- Constraints stay as strong as they were. conetl.feature has one row an id (feature_by_id), so an id has one cell, and
 -- foreign keys carry it into versions and deltas: two rows with the same id have the same cell, and (cell, id) is the same or different
 -- exactly where the id is. Whoever knows an id only, asks conetl.feature for its cell.
 
@@ -61,8 +61,19 @@ alter table conetl.delta alter column cell type bigint using conetl.cell_of_feat
 alter table conetl.delta alter column cell set not null;
 drop function conetl.cell_of_feature(uuid);
 
-alter table conetl.feature add unique (cell, feature_id);
+-- One row an id. The condition holds for every row, and keeps the planner from this index where a cell is known: it costs as much in its
+-- eyes, and checks of foreign keys would go by it. So whoever asks by id alone says "and map_id > 0", or calls conetl.cell_of.
+alter table conetl.feature add constraint map_ids_are_positive check (map_id > 0);
+create unique index feature_by_id on conetl.feature (feature_id) where map_id > 0;
+alter table conetl.feature drop constraint feature_pkey;
+alter table conetl.feature add primary key (cell, feature_id);
 alter table conetl.feature add unique (cell, feature_id, map_id, srid);
+create function conetl.cell_of(feature_id uuid) returns bigint
+language sql stable parallel safe
+as $$
+    select f.cell from conetl.feature f where f.feature_id = $1 and f.map_id > 0
+$$;
+comment on function conetl.cell_of is 'The cell in which a feature was founded, which keys begin with; null where there is no such feature.';
 create unique index feature_version_believed
     on conetl.feature_version (cell, feature_id, version, coalesce(upper(system_period), 'infinity'));
 alter table conetl.feature_version add constraint no_overlap
@@ -111,7 +122,7 @@ as $$
     from conetl.delta x
     join conetl.changeset c using (changeset_id)
     join conetl.drive d using (drive_uuid)
-    where x.cell = (select f.cell from conetl.feature f where f.feature_id = $1)
+    where x.cell = conetl.cell_of($1)
     and x.feature_id = $1 and x.changed_at <= $3 and x.system_period @> $4
 $$;
 
@@ -281,5 +292,5 @@ as $$
         ),
         s.first_seen_at, s.last_seen_at, s.valid_from, s.valid_to, s.geom
     from conetl_ogc.standing($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12) s
-    join conetl.feature f using (feature_id)
+    join conetl.feature f on f.feature_id = s.feature_id and f.map_id > 0
 $$;

@@ -28,7 +28,7 @@ join lateral (
     order by upper_inf(v.system_period) desc, v.version_row_id desc  -- what is believed now
     limit 1
 ) v on true
-where x.cell = (select f.cell from conetl.feature f where f.feature_id = %(feature_id)s) and x.feature_id = %(feature_id)s and m.map_name = %(map_name)s and upper_inf(x.system_period)
+where x.cell = conetl.cell_of(%(feature_id)s) and x.feature_id = %(feature_id)s and m.map_name = %(map_name)s and upper_inf(x.system_period)
 window on_the_road as (
     order by d.captured_from_ns, d.content_sha256 collate "C", c.idempotency_key collate "C"
     rows unbounded preceding

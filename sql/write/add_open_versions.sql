@@ -5,7 +5,7 @@
 insert into open_version
 select v.*
 from delta_stage s
-join lateral (select f.cell from conetl.feature f where f.feature_id = s.feature_id offset 0) f on true
+join lateral (select f.cell from conetl.feature f where f.feature_id = s.feature_id and f.map_id > 0 offset 0) f on true
 cross join lateral (
     select
         w.feature_id, w.cell, w.map_id, w.version_row_id, w.version, w.present or w.suppressed,

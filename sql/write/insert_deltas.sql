@@ -4,7 +4,7 @@ insert into conetl.delta (
     other_feature_id, log_likelihood_ratio, existence_after, frames_seen, frames_empty, system_period
 )
 select
-    coalesce(o.cell, (select f.cell from conetl.feature f where f.feature_id = s.feature_id)),
+    coalesce(o.cell, (select f.cell from conetl.feature f where f.feature_id = s.feature_id and f.map_id > 0)),
     %(changeset_id)s, s.feature_id, s.kind, s.old_version,
     case when s.is_change then coalesce(o.version, 0) + 1 else s.old_version end,
     s.track_index, s.changed_at_ns, s.changed_at, s.shift_m,

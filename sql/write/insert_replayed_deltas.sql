@@ -8,5 +8,5 @@ select
     s.other_feature_id, s.log_likelihood_ratio, s.existence_after, s.frames_seen, s.frames_empty,
     tstzrange(%(committed_at)s, null)
 from replayed_delta_stage s
-left join conetl.feature f using (feature_id)  -- a missing one is an error, not a row less
+left join conetl.feature f on f.feature_id = s.feature_id and f.map_id > 0  -- a missing one is an error, not a row less
 order by f.cell, s.feature_id, s.changed_at_ns;

@@ -11,5 +11,5 @@ select
     s.first_seen_ns, s.last_seen_ns, s.valid_from_ns,
     tstzrange(s.valid_from, case when not s.is_open then s.valid_to end), tstzrange(%(committed_at)s, null), s.suppressed
 from version_stage s
-left join conetl.feature f using (feature_id)  -- a missing one is an error, not a row less
+left join conetl.feature f on f.feature_id = s.feature_id and f.map_id > 0  -- a missing one is an error, not a row less
 order by f.cell, s.feature_id, s.version;

@@ -6,7 +6,7 @@ insert into conetl.feature_version (
     first_seen_ns, last_seen_ns, valid_from_ns, valid_period, system_period, suppressed
 )
 select
-    coalesce(o.cell, (select f.cell from conetl.feature f where f.feature_id = s.feature_id)),
+    coalesce(o.cell, (select f.cell from conetl.feature f where f.feature_id = s.feature_id and f.map_id > 0)),
     s.feature_id, coalesce(o.version, 0) + 1, %(map_id)s, %(srid)s, %(changeset_id)s, s.present, s.category, s.geom,
     s.cov_xx, s.cov_xy, s.cov_xz, s.cov_yy, s.cov_yz, s.cov_zz,
     s.centre_geom, s.cone_height_m, s.cone_height_sigma_m, s.existence_probability, s.observation_count,

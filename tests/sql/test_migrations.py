@@ -225,7 +225,7 @@ def test_the_schema_itself_refuses_nonsense(map_of_one, change, error):
 
 def test_one_id_is_one_feature_whatever_its_cell(map_of_one):
     """So that a second cell is no way around the constraint that refuses two versions at once."""
-    with pytest.raises(psycopg2.errors.UniqueViolation, match="feature_pkey"):
+    with pytest.raises(psycopg2.errors.UniqueViolation, match="feature_by_id"):
         execute(
             map_of_one,
             "insert into feature (feature_id, map_id, srid, founded_by, cell) "
