@@ -16,7 +16,8 @@ where upper_inf(v.system_period)
 and (v.cell, v.feature_id) in (
     select w.cell, w.feature_id
     from conetl.drive a
-    join conetl.feature_version w on w.map_id = a.map_id and w.geom && a.area and ST_Intersects(w.geom, a.area)
+    cross join lateral conetl.pieces(a.area) piece
+    join conetl.feature_version w on w.map_id = a.map_id and w.geom && piece and ST_Intersects(w.geom, piece)
     where a.drive_uuid = any(%(drive_uuids)s) and upper_inf(w.system_period)
 )
 order by v.feature_id, lower(v.valid_period);

@@ -10,7 +10,8 @@ select
     )[1],
     min(x.changed_at_ns)
 from conetl.drive d
-join conetl.feature_version v on v.map_id = d.map_id and v.geom && d.area and ST_Intersects(v.geom, d.area)
+cross join lateral conetl.pieces(d.area) piece
+join conetl.feature_version v on v.map_id = d.map_id and v.geom && piece and ST_Intersects(v.geom, piece)
 join conetl.delta x on x.cell = v.cell and x.feature_id = v.feature_id and x.old_version = v.version
 join conetl.changeset c on c.changeset_id = x.changeset_id
 join conetl.drive m on m.drive_uuid = c.drive_uuid

@@ -3,10 +3,11 @@
 -- Parameters: drive_uuid.
 -- Columns: feature_id, cell, map_id, version_row_id, version, present (or suppressed), valid_from (timestamptz), valid_from_ns.
 create temporary table open_version on commit drop as
-select
+select distinct on (v.feature_id)
     v.feature_id, v.cell, v.map_id, v.version_row_id, v.version, v.present or v.suppressed as present,
     lower(v.valid_period) as valid_from, v.valid_from_ns
 from conetl.drive d
-join conetl.feature_version v on v.map_id = d.map_id and v.geom && d.area
+cross join lateral conetl.pieces(d.area) piece
+join conetl.feature_version v on v.map_id = d.map_id and v.geom && piece
 join delta_stage s on s.feature_id = v.feature_id
 where d.drive_uuid = %(drive_uuid)s and upper_inf(v.system_period) and upper_inf(v.valid_period);
