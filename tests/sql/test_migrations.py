@@ -251,6 +251,32 @@ def test_a_place_has_one_cell_of_256_m(map_of_one, place, cell):
     assert found == [{"cell": (row << 32) + column}]
 
 
+@pytest.mark.parametrize(("north_m", "swing_m", "count"), [(0, 8, 1), (4000, 8, 4), (4000, 0, 4)])
+def test_the_pieces_of_an_area_hold_what_it_holds(map_of_one, north_m, swing_m, count):
+    """A straight road in one piece, an oblique one in many, whose boxes together are little larger than the road."""
+    sql = f"""
+        with road as (
+            select ST_Buffer(ST_MakeLine(ST_MakePoint(i * 10, i * {north_m} / 500.0 + {swing_m} * sin(i / 30.0))
+                order by i), 68) as area
+            from generate_series(0, 500) i
+        ),
+        piece as (select p as piece from road, pieces(road.area) p),
+        point as (
+            select ST_MakePoint(x * 41.3 - 100, x * 41.3 * {north_m} / 5000.0 + y * 9.7 - 200) as point
+            from generate_series(0, 130) x, generate_series(0, 40) y
+        ),
+        told as (
+            select ST_Intersects(point, area) as inside, exists (select from piece where ST_Intersects(point, piece)) as found
+            from point, road
+        )
+        select
+            (select count(*) from piece) >= {count} as cut, (select sum(ST_Area(ST_Envelope(piece))) < 6 * ST_Area(area)
+            from piece, road group by area) as narrow,
+            bool_and(inside = found) as same, bool_or(inside) and not bool_and(inside) as both_kinds
+        from told"""
+    assert execute(map_of_one, sql) == [{"cut": True, "narrow": True, "same": True, "both_kinds": True}]
+
+
 def test_the_schema_refuses_two_versions_at_once(conn, samples):
     samples.commit(conn, samples.added(samples.feature()), key="1")
     execute(conn, "create temp table copy as select * from feature_version")
