@@ -24,7 +24,7 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
@@ -38,6 +38,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks.made_up_map import (
     FOUNDED_NS,
     MAP_NAME,
+    ROAD_CONES,
     SRID,
     Sightings,
     drive_along,
@@ -47,7 +48,7 @@ from benchmarks.made_up_map import (
 )
 from conetl.drive_records import DriveRecords
 from conetl.io.db import Connection, connect, execute, load_sql, migrate
-from conetl.io.services.cluster import cluster_remove, cluster_up
+from conetl.io.services.cluster import cluster_down, cluster_remove, cluster_up
 from conetl.io.stores.audits import run_audits
 from conetl.io.stores.map_store import commit_changeset, map_transaction, place_drive, read_features_as_of
 from conetl.io.stores.replay_store import (
@@ -67,10 +68,13 @@ BOX_M = 500.0
 
 @dataclass
 class Stopwatch:
-    """Seconds by phase: wall, processor of this process, processor of the database's backend."""
+    """By phase: seconds (wall, processor of this process, of the database's backend), MB that the backend read from disk.
+
+    What lay in the system's cache counts as nothing.
+    """
 
     backend_pid: int
-    seconds: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+    seconds: dict[str, tuple[float, float, float, float]] = field(default_factory=dict)
 
     @contextmanager
     def phase(self, name: str) -> Iterator[None]:
@@ -79,14 +83,16 @@ class Stopwatch:
         end = self._now()
         self.seconds[name] = tuple(b - a for a, b in zip(start, end, strict=True))  # type: ignore[assignment]
 
-    def _now(self) -> tuple[float, float, float]:
+    def _now(self) -> tuple[float, float, float, float]:
         fields = Path(f"/proc/{self.backend_pid}/stat").read_text().rsplit(")", 1)[1].split()
-        return time.perf_counter(), time.process_time(), (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+        server_s = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+        io = dict(line.split(": ") for line in Path(f"/proc/{self.backend_pid}/io").read_text().splitlines())
+        return time.perf_counter(), time.process_time(), server_s, int(io["read_bytes"]) / 1e6
 
     @property
-    def total(self) -> tuple[float, float, float]:
-        wall, own, backend = zip(*self.seconds.values(), strict=True)
-        return sum(wall), sum(own), sum(backend)
+    def total(self) -> tuple[float, float, float, float]:
+        wall, own, backend, read_mb = zip(*self.seconds.values(), strict=True)
+        return sum(wall), sum(own), sum(backend), sum(read_mb)
 
 
 #: By how many sightings a track has.
@@ -172,9 +178,11 @@ def executed_ms(conn: Connection, count: int) -> np.ndarray:
 
 
 def report(title: str, watch: Stopwatch) -> None:
-    print(f"\n{title}; load {os.getloadavg()[0]:.1f}\n{'phase':28}{'wall s':>9}{'python s':>10}{'server s':>10}")
+    print(
+        f"\n{title}; load {os.getloadavg()[0]:.1f}\n{'phase':28}{'wall s':>9}{'python s':>10}{'server s':>10}{'MB read':>10}"
+    )
     for name, seconds in (*watch.seconds.items(), ("all", watch.total)):
-        print(f"{name:28}{seconds[0]:9.2f}{seconds[1]:10.2f}{seconds[2]:10.2f}")
+        print(f"{name:28}{seconds[0]:9.2f}{seconds[1]:10.2f}{seconds[2]:10.2f}{seconds[3]:10.1f}")
 
 
 def main() -> None:
@@ -201,13 +209,22 @@ def main() -> None:
     parser.add_argument(
         "--clone", action="store_true", help="measure on copies of the maps, which are dropped afterwards"
     )
+    parser.add_argument(
+        "--cold",
+        action="store_true",
+        help="nothing in memory: the server starts anew and the system's cache is dropped before each drive and the boxes (root)",
+    )
+    parser.add_argument(
+        "--road", type=int, default=2, help="along which of the map's roads of 10,000 cones the first drive goes"
+    )
+    parser.add_argument("--reads", action="store_true", help="pages that missed shared buffers, by table and index")
     options = parser.parse_args()
     if options.home is None and (options.load_only or options.clone):
         parser.error("--load-only and --clone need --home")
     home = options.home or Path(tempfile.mkdtemp(prefix="conetl-bench-map-", dir=options.folder))
     try:
         url = cluster_up(home)
-        results = {size: bench(url, size, options) for size in options.sizes}
+        results = {size: bench(home, url, size, options) for size in options.sizes}
         if not options.load_only:
             summary({size: found for size, found in results.items() if found is not None})
     finally:
@@ -223,15 +240,15 @@ def summary(results: dict[int, Figures]) -> None:
     for size, found in sorted(results.items()):
         print(f"{size:>12,} features", end="")
         for name, watch in found.items():
-            wall, own, server = watch.total
-            grown = "" if before is None else f" x {(own + server) / sum(before[name].total[1:]):.2f}"
+            wall, own, server, _ = watch.total
+            grown = "" if before is None else f" x {(own + server) / sum(before[name].total[1:3]):.2f}"
             print(f"   {name}: {own + server:.1f}{grown} ({wall:.1f})", end="")
         print()
         before = found
     print(f"load {os.getloadavg()}")
 
 
-def bench(url: str, size: int, options: argparse.Namespace) -> Figures | None:
+def bench(home: Path, url: str, size: int, options: argparse.Namespace) -> Figures | None:
     """One size of map: loaded unless it is there, and measured."""
     name = f"map_{size}" + ("_now" if options.no_history else "")
     with closing(connect(url)) as conn:
@@ -252,11 +269,22 @@ def bench(url: str, size: int, options: argparse.Namespace) -> Figures | None:
     with ExitStack() as kept:
         if options.clone:
             name = kept.enter_context(_clone(url, name))
-        with closing(connect(_address(url, name))) as conn:
-            if options.before_others:
-                for pid in (os.getpid(), conn.info.backend_pid):
-                    Path(f"/proc/{pid}/autogroup").write_text("-15")
-            return measure(conn, size, options.sightings, options.per_track, audits=options.audits)
+        return measure(home, _address(url, name), size, options)
+
+
+@contextmanager
+def _session(home: Path, address: str, options: argparse.Namespace) -> Iterator[Connection]:
+    """A session of the server, which has read nothing yet with --cold."""
+    if options.cold:
+        cluster_down(home)  # writes its buffers
+        os.sync()
+        Path("/proc/sys/vm/drop_caches").write_text("3")
+        cluster_up(home)
+    with closing(connect(address)) as conn:
+        if options.before_others:
+            for pid in (os.getpid(), conn.info.backend_pid):
+                Path(f"/proc/{pid}/autogroup").write_text("-15")
+        yield conn
 
 
 @contextmanager
@@ -273,19 +301,30 @@ def _clone(url: str, name: str) -> Iterator[str]:
             execute(conn, f"drop database {name}_clone")
 
 
-def measure(
-    conn: Connection, size: int, sightings: int, per_tracks: Sequence[int] = (10, 1), *, audits: bool = False
-) -> Figures:
+def measure(home: Path, address: str, size: int, options: argparse.Namespace) -> Figures:
     """All that is measured on a loaded map: two readings of 'sightings', boxes, sizes, audits."""
-    first = 20_000 if size >= sightings + 20_000 else 0
+    first = options.road * ROAD_CONES if size >= options.sightings + options.road * ROAD_CONES else 0
     found: Figures = {}
-    for days, per_track in enumerate(per_tracks, start=2):
+    for days, per_track in enumerate(options.per_track, start=2):
         name = f"{per_track} a track"
-        drive = drive_along(first, min(sightings, size - first) // per_track, days=days, seed=days, sightings=per_track)
-        found[name] = merge(conn, drive)
-        title = f"{len(drive.positions):,} sightings, {name} ({len(drive.tracks):,} tracks), into {size:,} features"
-        report(title, found[name])
-    server = executed_ms(conn, size)
+        cones = min(options.sightings, size - first) // per_track
+        drive = drive_along(first, cones, days=days, seed=days, sightings=per_track)
+        with _session(home, address, options) as conn:
+            before = page_reads(conn) if options.reads else {}
+            found[name] = merge(conn, drive)
+            title = f"{len(drive.positions):,} sightings, {name} ({len(drive.tracks):,} tracks), into {size:,} features"
+            report(title, found[name])
+        if options.reads:
+            with closing(connect(address)) as conn:  # a session tells its reads when it ends
+                report_reads(before, page_reads(conn))
+    with _session(home, address, options) as conn:
+        boxes_and_sizes(conn, size, options)
+    return found
+
+
+def boxes_and_sizes(conn: Connection, size: int, options: argparse.Namespace) -> None:
+    """Looks back, sizes of indexes, and audits where they are asked for."""
+    server = executed_ms(conn, size)  # with --cold the first visit of each box, and the one after it not
     times, in_boxes = look_back(conn, size)
     middle = f"median {np.median(server):.1f} ms, 95 % {np.percentile(server, 95):.1f} ms"
     print(
@@ -296,12 +335,29 @@ def measure(
         print(
             f"{row['table_name']}: {row['index_name']} {row['bytes'] / size:.0f} bytes a feature (table {row['heap'] / size:.0f})"
         )
-    if audits:
+    if options.audits:
         start = time.perf_counter()
         for result in run_audits(conn):
             print(f"audit {result.name:24} {'passed' if result.passed else result.rows[:1]} ({result.seconds:.1f} s)")
         print(f"all audits {time.perf_counter() - start:.1f} s")
-    return found
+
+
+def page_reads(conn: Connection) -> dict[str, int]:
+    """Pages that were not in shared buffers when they were asked for, by table and index, since statistics are kept."""
+    rows = execute(
+        conn,
+        "select relname as name, heap_blks_read as pages from pg_statio_user_tables where schemaname = 'conetl' "
+        "union all select indexrelname, idx_blks_read from pg_statio_user_indexes where schemaname = 'conetl'",
+    )
+    return {row["name"]: row["pages"] for row in rows}
+
+
+def report_reads(before: dict[str, int], after: dict[str, int]) -> None:
+    """What was read in between, most first."""
+    grown = {name: pages - before.get(name, 0) for name, pages in after.items()}
+    for name, pages in sorted(grown.items(), key=lambda item: -item[1]):
+        if pages:
+            print(f"{name:28}{pages:9,} pages read")
 
 
 def _address(url: str, database: str) -> str:

@@ -46,6 +46,7 @@ _PLACE = f"""ST_SetSRID(ST_MakePoint(
     {WEST_M} + {SPACING_M} * (i %% {ROAD_CONES}),
     {SOUTH_M} + {ROAD_DISTANCE_M} * (i / {ROAD_CONES}) + 8 * sin({SPACING_M} * (i %% {ROAD_CONES}) / 300.0),
     100 + {{up}}), {SRID})"""
+_CELL = f"conetl.place_cell({_PLACE.format(up=0)})"
 _ID = "uuid_in(md5('cone ' || i)::cstring)"
 
 
@@ -117,13 +118,14 @@ insert into conetl.changeset (changeset_id, map_id, drive_uuid, idempotency_key,
 values (%(changeset)s, %(map_id)s, %(drive)s, %(key)s, '', '', 'bench', to_timestamp(%(committed_s)s), %(added)s, %(confirmed)s,
     0, 0, 0, 0, 0, 0, 0, 0)"""
 _FEATURES = f"""
-insert into conetl.feature (feature_id, map_id, srid, founded_by)
-select {_ID}, %(map_id)s, %(srid)s, %(changeset)s from generate_series(%(start)s, %(stop)s) i"""
+insert into conetl.feature (feature_id, map_id, srid, founded_by, cell)
+select {_ID}, %(map_id)s, %(srid)s, %(changeset)s, {_CELL} from generate_series(%(start)s, %(stop)s) i"""
 _VERSIONS = f"""
-insert into conetl.feature_version (feature_id, version, map_id, srid, changeset_id, present, category, geom,
+insert into conetl.feature_version (cell, feature_id, version, map_id, srid, changeset_id, present, category, geom,
     cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz, centre_geom, cone_height_m, cone_height_sigma_m, existence_probability,
     observation_count, first_seen_ns, last_seen_ns, valid_from_ns, valid_period, system_period)
 select
+    {_CELL},
     {_ID}, r.version, %(map_id)s, %(srid)s, case r.version when 1 then %(changeset)s::uuid else %(later)s::uuid end, true,
     'traffic_cone', {_PLACE.format(up=0)}, 0.01, 0.001, 0.0, 0.02, 0.0, 0.04, {_PLACE.format(up=0.35)}, 0.7, 0.02,
     0.9 + 0.09 * (r.version - 1), 3 * r.version, %(from_ns)s,
@@ -142,9 +144,9 @@ from (values (1, false, true), (1, true, false), (2, false, false)) r (version, 
 where %(history)s or r.closed"""
 _DELTAS = f"""
 insert into conetl.delta (
-    changeset_id, feature_id, kind, old_version, new_version, changed_at_ns, changed_at, shift_m, system_period
+    cell, changeset_id, feature_id, kind, old_version, new_version, changed_at_ns, changed_at, shift_m, system_period
 )
-select d.changeset_id, {_ID}, d.kind, d.old_version, d.new_version, d.at_ns, to_timestamp(d.at_ns / 1e9), d.shift_m,
+select {_CELL}, d.changeset_id, {_ID}, d.kind, d.old_version, d.new_version, d.at_ns, to_timestamp(d.at_ns / 1e9), d.shift_m,
     tstzrange(to_timestamp(d.at_s), null)
 from (
     values (%(changeset)s::uuid, 'added', null, 1, %(from_ns)s, %(committed_s)s, null),

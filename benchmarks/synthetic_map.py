@@ -34,16 +34,18 @@ _STATEMENTS = (
     where m.map_name = %(map)s
     """,
     """
-    insert into conetl.feature (feature_id, map_id, srid, founded_by)
-    select md5(%(map)s || k)::uuid, m.map_id, 32632, md5(%(map)s || 'changeset0')::uuid
+    insert into conetl.feature (feature_id, map_id, srid, founded_by, cell)
+    select md5(%(map)s || k)::uuid, m.map_id, 32632, md5(%(map)s || 'changeset0')::uuid,
+        conetl.place_cell(ST_MakePoint(450000 + mod((k / 100) * 7919, 40000), 5420000 + mod((k / 100) * 104729, 40000)))
     from conetl.map m, generate_series(1, %(features)s) k
     where m.map_name = %(map)s
     """,
     """
-    insert into conetl.feature_version (feature_id, version, map_id, srid, changeset_id, present, suppressed, category, geom,
+    insert into conetl.feature_version (cell, feature_id, version, map_id, srid, changeset_id, present, suppressed, category, geom,
         cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz, centre_geom, cone_height_m, cone_height_sigma_m, existence_probability,
         observation_count, first_seen_ns, last_seen_ns, valid_from_ns, valid_period, system_period)
-    select md5(%(map)s || k)::uuid, d + 1, m.map_id, 32632, md5(%(map)s || 'changeset' || d)::uuid, true, false, 'traffic_cone',
+    select conetl.place_cell(ST_MakePoint(450000 + mod((k / 100) * 7919, 40000), 5420000 + mod((k / 100) * 104729, 40000))),
+        md5(%(map)s || k)::uuid, d + 1, m.map_id, 32632, md5(%(map)s || 'changeset' || d)::uuid, true, false, 'traffic_cone',
         ST_SetSRID(ST_MakePoint(x, y, z), 32632), 0.0004 + s, s / 10, 0, 0.0005 + s, 0, 0.0009 + s,
         ST_SetSRID(ST_MakePoint(x, y, z + 0.35), 32632), case k %% 2 when 0 then 0.5 else 0.75 end, 0.02, 0.9 + (k %% 97) * 0.001,
         3 + d, 1772352000000000000 + k, 1772352000000000000 + d * 86400000000000 + k + 1,
@@ -61,9 +63,9 @@ _STATEMENTS = (
     where m.map_name = %(map)s
     """,
     """
-    insert into conetl.delta (changeset_id, feature_id, kind, old_version, new_version, track_index, changed_at_ns, changed_at, shift_m,
+    insert into conetl.delta (cell, changeset_id, feature_id, kind, old_version, new_version, track_index, changed_at_ns, changed_at, shift_m,
         system_period)
-    select v.changeset_id, v.feature_id, case when v.version = 1 then 'added' else 'confirmed' end, nullif(v.version - 1, 0), v.version,
+    select v.cell, v.changeset_id, v.feature_id, case when v.version = 1 then 'added' else 'confirmed' end, nullif(v.version - 1, 0), v.version,
         null, v.valid_from_ns, lower(v.valid_period), case when v.version > 1 then 0 end, v.system_period
     from conetl.feature_version v
     join conetl.map m using (map_id)

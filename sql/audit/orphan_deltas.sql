@@ -8,13 +8,14 @@ cross join lateral (
     select case
         when c.changeset_id is null then 'has no changeset'
         when f.feature_id is null then 'has no feature'
+        when f.cell <> x.cell then 'its cell is not the one of its feature'
         when f.map_id <> c.map_id then 'its feature and its changeset are of different maps'
         when not exists (
-            select from conetl.feature_version v where v.feature_id = x.feature_id and v.version = x.new_version
+            select from conetl.feature_version v where v.cell = x.cell and v.feature_id = x.feature_id and v.version = x.new_version
             and (v.system_period && x.system_period)
         ) then 'its new version does not exist'
         when x.old_version is not null and not exists (
-            select from conetl.feature_version v where v.feature_id = x.feature_id and v.version = x.old_version
+            select from conetl.feature_version v where v.cell = x.cell and v.feature_id = x.feature_id and v.version = x.old_version
             and (v.system_period && x.system_period)
         ) then 'its old version does not exist'
         when x.track_index is not null and not exists (

@@ -13,10 +13,11 @@ from conetl.feature_version v
 join conetl.changeset c on c.changeset_id = v.changeset_id
 join conetl.drive d on d.drive_uuid = c.drive_uuid
 where upper_inf(v.system_period)
-and v.feature_id in (
-    select w.feature_id
+and (v.cell, v.feature_id) in (
+    select w.cell, w.feature_id
     from conetl.drive a
-    join conetl.feature_version w on w.map_id = a.map_id and w.geom && a.area and ST_Intersects(w.geom, a.area)
+    cross join lateral conetl.pieces(a.area) piece
+    join conetl.feature_version w on w.map_id = a.map_id and w.geom && piece and ST_Intersects(w.geom, piece)
     where a.drive_uuid = any(%(drive_uuids)s) and upper_inf(w.system_period)
 )
 order by v.feature_id, lower(v.valid_period);

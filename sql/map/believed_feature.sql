@@ -7,4 +7,4 @@ select
     v.changeset_id, v.present or v.suppressed, v.suppressed, v.valid_from_ns, null::bigint
 from conetl.feature_version v
 join conetl.map m using (map_id)
-where v.feature_id = %(feature_id)s and m.map_name = %(map_name)s and upper_inf(v.system_period) and upper_inf(v.valid_period);
+where v.cell = conetl.cell_of(%(feature_id)s) and v.feature_id = %(feature_id)s and m.map_name = %(map_name)s and upper_inf(v.system_period) and upper_inf(v.valid_period);

@@ -16,13 +16,13 @@ join conetl.changeset c using (changeset_id)
 join conetl.map m using (map_id)
 join lateral (
     select v.* from conetl.feature_version v
-    where v.feature_id = x.feature_id and v.version = x.new_version
+    where v.cell = x.cell and v.feature_id = x.feature_id and v.version = x.new_version
     order by v.system_period @> c.committed_at desc, v.version_row_id desc
     limit 1
 ) n on true
 left join lateral (
     select v.geom from conetl.feature_version v
-    where v.feature_id = x.feature_id and v.version = x.old_version
+    where v.cell = x.cell and v.feature_id = x.feature_id and v.version = x.old_version
     order by v.system_period @> c.committed_at desc, v.version_row_id desc
     limit 1
 ) o on true

@@ -13,9 +13,9 @@ join conetl.drive d using (drive_uuid)
 join conetl.map m on m.map_id = c.map_id
 join lateral (
     select * from conetl.feature_version v
-    where v.feature_id = x.feature_id and v.version = x.new_version and v.system_period && x.system_period
+    where v.cell = x.cell and v.feature_id = x.feature_id and v.version = x.new_version and v.system_period && x.system_period
     order by v.system_period desc, v.version_row_id
     limit 1
 ) v on true
-where x.feature_id = %(feature_id)s
+where x.cell = conetl.cell_of(%(feature_id)s) and x.feature_id = %(feature_id)s
 order by d.captured_from_ns, d.content_sha256 collate "C", c.idempotency_key collate "C", x.system_period;

@@ -23,7 +23,7 @@ evidence as (
             ) filter (where x.kind = 'missed' and x.old_version = v.version)
         )[1] as existence_after
     from v
-    join conetl.delta x using (feature_id)
+    join conetl.delta x using (cell, feature_id)
     join conetl.changeset c on c.changeset_id = x.changeset_id
     join conetl.drive d on d.drive_uuid = c.drive_uuid
     where x.changed_at <= %(valid_at)s::timestamptz and x.system_period @> %(known_at)s::timestamptz

@@ -8,10 +8,11 @@ from conetl.delta x
 join conetl.changeset c on c.changeset_id = x.changeset_id
 join conetl.drive d on d.drive_uuid = c.drive_uuid
 where x.kind = 'missed' and upper_inf(x.system_period)
-and x.feature_id in (
-    select w.feature_id
+and (x.cell, x.feature_id) in (
+    select w.cell, w.feature_id
     from conetl.drive a
-    join conetl.feature_version w on w.map_id = a.map_id and w.geom && a.area and ST_Intersects(w.geom, a.area)
+    cross join lateral conetl.pieces(a.area) piece
+    join conetl.feature_version w on w.map_id = a.map_id and w.geom && piece and ST_Intersects(w.geom, piece)
     where a.drive_uuid = any(%(drive_uuids)s) and upper_inf(w.system_period)
 )
 order by x.feature_id, x.changeset_id;

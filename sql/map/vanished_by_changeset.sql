@@ -6,7 +6,7 @@ join conetl.changeset c using (changeset_id)
 join lateral (
     select o.geom, o.cone_height_m
     from conetl.feature_version o
-    where o.feature_id = x.feature_id and o.version = x.old_version
+    where o.cell = x.cell and o.feature_id = x.feature_id and o.version = x.old_version
     order by o.system_period @> c.committed_at desc, o.version_row_id desc
     limit 1
 ) v on true

@@ -9,7 +9,7 @@ join conetl.changeset c using (changeset_id)
 join conetl.map m using (map_id)
 join conetl.drive d using (drive_uuid)
 join conetl.feature_version v
-    on v.feature_id = x.feature_id and v.version = x.new_version and upper_inf(v.system_period) and upper_inf(v.valid_period)
+    on v.cell = x.cell and v.feature_id = x.feature_id and v.version = x.new_version and upper_inf(v.system_period) and upper_inf(v.valid_period)
 where m.map_name = %(map_name)s and c.committed_at >= %(since)s and c.committed_at < %(until)s
 and x.kind in ('removed', 'merged') and upper_inf(x.system_period)
 order by c.changeset_no, x.feature_id

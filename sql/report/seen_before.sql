@@ -4,7 +4,7 @@ select d.drive_uuid, x.track_index, d.drive_id, d.captured_from_ns
 from conetl.delta x
 join conetl.changeset c using (changeset_id)
 join conetl.drive d using (drive_uuid)
-where x.feature_id = %(feature_id)s and x.track_index is not null and upper_inf(x.system_period)
+where x.cell = conetl.cell_of(%(feature_id)s) and x.feature_id = %(feature_id)s and x.track_index is not null and upper_inf(x.system_period)
 and d.kind = 'drive' and d.captured_from_ns < %(before_ns)s
 order by d.captured_from_ns desc, c.changeset_no desc
 limit 1;

@@ -24,11 +24,11 @@ join conetl.drive d using (drive_uuid)
 join conetl.map m on m.map_id = c.map_id
 join lateral (
     select * from conetl.feature_version v
-    where v.feature_id = x.feature_id and v.version = x.new_version
+    where v.cell = x.cell and v.feature_id = x.feature_id and v.version = x.new_version
     order by upper_inf(v.system_period) desc, v.version_row_id desc  -- what is believed now
     limit 1
 ) v on true
-where x.feature_id = %(feature_id)s and m.map_name = %(map_name)s and upper_inf(x.system_period)
+where x.cell = conetl.cell_of(%(feature_id)s) and x.feature_id = %(feature_id)s and m.map_name = %(map_name)s and upper_inf(x.system_period)
 window on_the_road as (
     order by d.captured_from_ns, d.content_sha256 collate "C", c.idempotency_key collate "C"
     rows unbounded preceding

@@ -34,9 +34,10 @@ full join (
                 select i.changeset_id from conetl.drive d join conetl.changeset i using (drive_uuid) where d.kind <> 'drive'
             )
         )::integer as seen_count
-    from conetl.delta x
-    where x.feature_id = any (array(select feature_id from page))
-    and x.changed_at <= (select $7::text::timestamptz) and x.system_period @> (select $8::text::timestamptz)
+    from page p
+    join conetl.feature f on f.feature_id = p.feature_id and f.map_id > 0
+    join conetl.delta x on x.cell = f.cell and x.feature_id = f.feature_id
+    where x.changed_at <= (select $7::text::timestamptz) and x.system_period @> (select $8::text::timestamptz)
     group by x.feature_id
 ) n on n.feature_id = p.feature_id
 cross join lateral (
@@ -46,7 +47,7 @@ cross join lateral (
             from conetl.delta x
             join conetl.changeset c using (changeset_id)
             join conetl.drive d using (drive_uuid)
-            where x.feature_id = p.feature_id and x.old_version = p.version and x.kind = 'missed'
+            where x.cell = conetl.cell_of(p.feature_id) and x.feature_id = p.feature_id and x.old_version = p.version and x.kind = 'missed'
             and x.changed_at <= (select $7::text::timestamptz) and x.system_period @> (select $8::text::timestamptz)
             order by d.captured_from_ns desc, d.content_sha256 collate "C" desc, c.idempotency_key collate "C" desc
             limit 1

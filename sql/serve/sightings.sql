@@ -10,7 +10,7 @@ with seen as materialized (
     join conetl.map m using (map_id)
     join conetl.drive d using (drive_uuid)
     join conetl.track_member t on t.drive_uuid = d.drive_uuid and t.track_index = x.track_index
-    where x.feature_id = %(feature_id)s and m.map_name = %(map_name)s and upper_inf(x.system_period)
+    where x.cell = conetl.cell_of(%(feature_id)s) and x.feature_id = %(feature_id)s and m.map_name = %(map_name)s and upper_inf(x.system_period)
     order by c.changeset_no, t.frame_index
     limit %(max_rows)s
 )

@@ -2,12 +2,12 @@
 -- at least a microsecond later, so that no state is ever lost.
 -- Parameters: committed_at (timestamptz).
 insert into conetl.feature_version (
-    feature_id, version, map_id, srid, changeset_id, present, category, geom, cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz,
+    cell, feature_id, version, map_id, srid, changeset_id, present, category, geom, cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz,
     centre_geom, cone_height_m, cone_height_sigma_m, existence_probability, observation_count,
     first_seen_ns, last_seen_ns, valid_from_ns, valid_period, system_period, suppressed
 )
 select
-    v.feature_id, v.version, v.map_id, v.srid, v.changeset_id, v.present, v.category, v.geom,
+    v.cell, v.feature_id, v.version, v.map_id, v.srid, v.changeset_id, v.present, v.category, v.geom,
     v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz,
     v.centre_geom, v.cone_height_m, v.cone_height_sigma_m, v.existence_probability, v.observation_count,
     v.first_seen_ns, v.last_seen_ns, v.valid_from_ns,
@@ -17,4 +17,4 @@ from open_version o
 join delta_stage s using (feature_id)
 join conetl.feature_version v using (version_row_id)
 where s.is_change
-order by s.feature_id;
+order by v.cell, s.feature_id;

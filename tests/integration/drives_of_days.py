@@ -124,12 +124,12 @@ def merge(
 
 
 def valid_time_map(conn: Connection, map_name: str = "default") -> dict[str, list[str]]:
-    """All that is believed now: versions with their periods and sources, and what each drive did."""
+    """All that is believed now: versions with their periods and sources, and what each drive did; without cells."""
     lines = {
-        "versions": "select (to_jsonb(v) - 'version_row_id' - 'system_period' - 'map_id')::text as line "
+        "versions": "select (to_jsonb(v) - 'version_row_id' - 'system_period' - 'map_id' - 'cell')::text as line "
         "from conetl.feature_version v join conetl.map m using (map_id) "
         "where upper_inf(v.system_period) and m.map_name = %(map_name)s order by 1",
-        "deltas": "select (to_jsonb(x) - 'delta_row_id' - 'system_period')::text as line "
+        "deltas": "select (to_jsonb(x) - 'delta_row_id' - 'system_period' - 'cell')::text as line "
         "from conetl.delta x join conetl.changeset c using (changeset_id) join conetl.map m using (map_id) "
         "where upper_inf(x.system_period) and m.map_name = %(map_name)s order by 1",
     }
@@ -147,7 +147,7 @@ def known_maps(conn: Connection, map_name: str = "default", days: Sequence[int] 
         {"map_name": map_name},
     )
     sql = (
-        "select (to_jsonb(f) - 'version_row_id' - 'system_period' - 'valid_period')::text as line "
+        "select (to_jsonb(f) - 'version_row_id' - 'system_period' - 'valid_period' - 'cell')::text as line "
         "from conetl.map_as_of(%(map_name)s, to_timestamp(%(at)s), %(known)s) f order by 1"
     )
     found = {

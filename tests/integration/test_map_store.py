@@ -127,6 +127,28 @@ def test_confirmed_moved_removed_and_the_map_of_every_day(conn, samples):
     assert map_summary(conn).removed_count == 1
 
 
+def test_a_feature_keeps_its_cell_wherever_it_is_moved(conn, samples):
+    """Over the border of its cell of 256 m, and out of the area of the drives that say so."""
+    day = samples.DAY_NS
+    first = samples.feature(xyz_m=(458_239.5, 5_428_010.0, 114.5))
+    samples.commit(conn, samples.added(first), key="1")
+    over = samples.changed("moved", first, samples.START_NS + day, xyz_m=(458_240.5, 5_428_010.0, 114.5))
+    samples.commit(conn, over, key="2")
+    away = samples.changed("moved", over.new, samples.START_NS + 2 * day, xyz_m=(468_240.5, 5_428_010.0, 114.5))
+    samples.commit(conn, away, key="3")
+    assert read_current_features(conn) == [away.new]
+    samples.commit(conn, samples.removed(away.new, samples.START_NS + 3 * day), key="4")
+    [found] = execute(
+        conn,
+        "select place_cell(ST_MakePoint(458239.5, 5428010)) as cell, (select cell from feature) as own, "
+        "(select array_agg(distinct cell) from feature_version) as versions, "
+        "(select array_agg(distinct cell) from delta) as deltas",
+    )
+    assert found == {"cell": found["own"], "own": found["own"], "versions": [found["own"]], "deltas": [found["own"]]}
+    assert [entry.kind for entry in feature_log(conn, first.feature_id)] == ["added", "moved", "moved", "removed"]
+    assert list(read_features_as_of(conn)) == []
+
+
 def test_a_confirmation_that_changes_nothing_makes_no_version(conn, samples):
     feature = samples.feature()
     samples.commit(conn, samples.added(feature), key="1")

@@ -10,7 +10,8 @@ from conetl.io.stores.audits import audits_of_open_transaction, run_audits
 #: audit -> statements that plant one fault, past the constraints that would refuse it.
 DROP_EXCLUDE = "alter table feature_version drop constraint no_overlap"
 DROP_BELIEVED = "drop index feature_version_believed"
-DROP_FEATURE_KEY = "alter table feature_version drop constraint feature_version_feature_id_map_id_srid_fkey"
+DROP_DELTA_KEY = "alter table delta drop constraint feature_of_delta"
+DROP_FEATURE_KEY = "alter table feature_version drop constraint feature_of_version"
 DROP_CHECKS = """
 do $$
 declare name text;
@@ -80,6 +81,7 @@ FAULTS = {
     ],
     "orphan_versions": [
         (DROP_FEATURE_KEY, "update feature_version set feature_id = gen_random_uuid() where version = 2"),
+        (DROP_FEATURE_KEY, "update feature_version set cell = cell + 1 where version = 2"),
         ("update feature_version set changeset_id = gen_random_uuid() where version = 2",),
         (
             "insert into map (map_name, srid, created_at) values ('other', 32632, now())",
@@ -97,7 +99,8 @@ FAULTS = {
     ],
     "orphan_deltas": [
         ("update delta set changeset_id = gen_random_uuid() where kind = 'moved'",),
-        ("alter table delta drop constraint delta_feature_id_fkey", "update delta set feature_id = gen_random_uuid()"),
+        (DROP_DELTA_KEY, "update delta set feature_id = gen_random_uuid()"),
+        (DROP_DELTA_KEY, "update delta set cell = cell + 1 where kind = 'moved'"),
         ("update delta set new_version = 7 where kind = 'moved'",),
         ("update delta set old_version = 7 where kind = 'moved'",),
         ("update delta set track_index = 7 where kind = 'moved'",),

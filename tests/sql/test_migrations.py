@@ -183,6 +183,7 @@ def test_the_writer_may_commit_but_not_rewrite_history(conn, samples):
         "delete from feature_version",
         "delete from changeset",
         "update delta set shift_m = 0",
+        "update feature set cell = 0",
         "insert into schema_migration values ('x', 'y')",
     ):
         execute(conn, "savepoint s")
@@ -210,6 +211,7 @@ def map_of_one(module_database_url, samples):
         ("valid_period = 'empty'", psycopg2.errors.CheckViolation),
         ("srid = 32633", psycopg2.errors.ForeignKeyViolation),
         ("feature_id = gen_random_uuid()", psycopg2.errors.ForeignKeyViolation),
+        ("cell = cell + 1", psycopg2.errors.ForeignKeyViolation),
     ],
 )
 def test_the_schema_itself_refuses_nonsense(map_of_one, change, error):
@@ -219,6 +221,60 @@ def test_the_schema_itself_refuses_nonsense(map_of_one, change, error):
     with pytest.raises(error):
         execute(conn, f"update feature_version set {change}")
     conn.rollback()
+
+
+def test_one_id_is_one_feature_whatever_its_cell(map_of_one):
+    """So that a second cell is no way around the constraint that refuses two versions at once."""
+    with pytest.raises(psycopg2.errors.UniqueViolation, match="feature_by_id"):
+        execute(
+            map_of_one,
+            "insert into feature (feature_id, map_id, srid, founded_by, cell) "
+            "select feature_id, map_id, srid, founded_by, cell + 1 from feature",
+        )
+    map_of_one.rollback()
+
+
+@pytest.mark.parametrize(
+    ("place", "cell"),
+    [
+        ("0, 0", (0, 0)),
+        ("255.999, 256", (1, 0)),
+        ("-0.001, -256.001", (-2, -1)),
+        ("458001, 5428010", (21203, 1789)),
+        ("'infinity', '-infinity'", (-(2**30), 2**30)),
+        ("'nan', 0", (0, 2**30)),
+    ],
+)
+def test_a_place_has_one_cell_of_256_m(map_of_one, place, cell):
+    row, column = cell
+    found = execute(map_of_one, f"select place_cell(ST_SetSRID(ST_MakePoint({place}), 32632)) as cell")
+    assert found == [{"cell": (row << 32) + column}]
+
+
+@pytest.mark.parametrize(("north_m", "swing_m", "count"), [(0, 8, 1), (4000, 8, 4), (4000, 0, 4)])
+def test_the_pieces_of_an_area_hold_what_it_holds(map_of_one, north_m, swing_m, count):
+    """A straight road in one piece, an oblique one in many, whose boxes together are little larger than the road."""
+    sql = f"""
+        with road as (
+            select ST_Buffer(ST_MakeLine(ST_MakePoint(i * 10, i * {north_m} / 500.0 + {swing_m} * sin(i / 30.0))
+                order by i), 68) as area
+            from generate_series(0, 500) i
+        ),
+        piece as (select p as piece from road, pieces(road.area) p),
+        point as (
+            select ST_MakePoint(x * 41.3 - 100, x * 41.3 * {north_m} / 5000.0 + y * 9.7 - 200) as point
+            from generate_series(0, 130) x, generate_series(0, 40) y
+        ),
+        told as (
+            select ST_Intersects(point, area) as inside, exists (select from piece where ST_Intersects(point, piece)) as found
+            from point, road
+        )
+        select
+            (select count(*) from piece) >= {count} as cut, (select sum(ST_Area(ST_Envelope(piece))) < 6 * ST_Area(area)
+            from piece, road group by area) as narrow,
+            bool_and(inside = found) as same, bool_or(inside) and not bool_and(inside) as both_kinds
+        from told"""
+    assert execute(map_of_one, sql) == [{"cut": True, "narrow": True, "same": True, "both_kinds": True}]
 
 
 def test_the_schema_refuses_two_versions_at_once(conn, samples):

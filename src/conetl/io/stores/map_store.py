@@ -215,7 +215,7 @@ def commit_changeset(
         _stage_deltas(conn, info, changeset, suppressed)
     with records_encoded(drive_uuid, info.srid, records) as blocks:
         if replay is None:
-            versions_written = _merge_deltas(conn, info, changeset, committed_at)
+            versions_written = _merge_deltas(conn, info, drive_uuid, changeset, committed_at)
         else:
             versions_written = write_replay(conn, info, replay, committed_at)
         load_records(conn, blocks)
@@ -292,10 +292,13 @@ def _stage_deltas(conn: Connection, info: MapInfo, changeset: Changeset, suppres
     execute(conn, "analyze delta_stage (feature_id, kind, is_change)")
 
 
-def _merge_deltas(conn: Connection, info: MapInfo, changeset: Changeset, committed_at: datetime) -> int:
+def _merge_deltas(
+    conn: Connection, info: MapInfo, drive_uuid: UUID, changeset: Changeset, committed_at: datetime
+) -> int:
     """Set-based: check the staged deltas against the map, close what they replace, write what they bring."""
-    execute(conn, load_sql("write/create_open_version"))
+    execute(conn, load_sql("write/create_open_version"), {"drive_uuid": drive_uuid})
     execute(conn, "analyze open_version")
+    execute(conn, load_sql("write/add_open_versions"))
     conflicts = execute(conn, load_sql("map/delta_conflicts"), {"map_id": info.map_id})
     if conflicts:
         raise MapMismatchError(_conflict_text(info.map_name, conflicts))
