@@ -48,7 +48,7 @@ HIDDEN_MOST = 0.625
 FOLDS = 5
 #: A cell of the detection table begins with this many looks of the smooth fit's opinion.
 PRIOR_LOOKS = 8.0
-#: Isotonic regression must be better than a straight line by this share of the log loss; it has many more parameters.
+#: A way with more parameters must be better than the next simpler one by this share of the log loss.
 WORTHWHILE = 0.01
 
 
@@ -76,6 +76,19 @@ def fit_platt(scores: np.ndarray, truth: np.ndarray) -> ScoreCalibration:
     # A straight line ends where its probability leaves what a number in the sidecar can hold.
     ends = np.clip(sorted((np.array([-8.5, 8.5]) - offset) / scale), logit(0.001), logit(0.999))
     return _calibration("platt", ends, offset + scale * ends)
+
+
+def fit_beta(scores: np.ndarray, truth: np.ndarray) -> ScoreCalibration:
+    """Log-odds as a weighted sum of log s and -log(1 - s) (Kull, Silva Filho & Flach 2017); knots evenly on the log-odds of s."""
+    least, most = logit(scores.min()), logit(scores.max())
+    knots = np.linspace(float(least), float(most), 33)
+
+    def features(s: np.ndarray) -> np.ndarray:
+        return np.stack((np.ones(len(s)), np.log(s), -np.log1p(-s)), axis=1)
+
+    weights = fit_logistic(features(np.clip(scores, 1e-4, 1 - 1e-4)), truth.astype(float))
+    lines = np.maximum.accumulate(features(1 / (1 + np.exp(-knots))) @ weights)
+    return _calibration("beta", knots, np.clip(lines, -8.5, 8.5))
 
 
 def fit_isotonic(scores: np.ndarray, truth: np.ndarray) -> ScoreCalibration:
@@ -118,7 +131,7 @@ def log_loss(probabilities: np.ndarray, truth: np.ndarray) -> float:
 def compare_calibrations(looks: Looks, folds: np.ndarray) -> tuple[ScoreCalibration, dict[str, np.ndarray], dict]:
     """The better kind fitted on all boxes, the held-out probabilities of each kind, and their figures."""
     picture, _, scores, truth = (np.array(column) for column in zip(*looks.boxes, strict=True))
-    fits = {"platt": fit_platt, "isotonic": fit_isotonic}
+    fits = {"platt": fit_platt, "beta": fit_beta, "isotonic": fit_isotonic}  # by their number of parameters
     held_out = {"score": scores} | {name: np.zeros(len(scores)) for name in fits}
     for fold in range(FOLDS):
         test = folds[picture] == fold
@@ -136,7 +149,10 @@ def compare_calibrations(looks: Looks, folds: np.ndarray) -> tuple[ScoreCalibrat
             for name, p in held_out.items()
         }
     losses = {name: log_loss(held_out[name], truth) for name in fits}
-    best = "isotonic" if losses["isotonic"] < (1 - WORTHWHILE) * losses["platt"] else "platt"
+    best = "platt"
+    for name in ("beta", "isotonic"):
+        if losses[name] < (1 - WORTHWHILE) * losses[best]:
+            best = name
     return fits[best](scores, truth), held_out, figures
 
 

@@ -29,8 +29,8 @@ class ScoreCalibration(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    method: Literal["platt", "isotonic"]
-    """Platt (1999): one straight line, hence two knots; or isotonic regression (Zadrozny & Elkan 2002)."""
+    method: Literal["platt", "beta", "isotonic"]
+    """Platt (1999): one straight line, hence two knots; beta (Kull et al. 2017); isotonic regression (Zadrozny & Elkan 2002)."""
     scores: tuple[Share, ...] = Field(min_length=2)
     probabilities: tuple[Share, ...] = Field(min_length=2)
 
