@@ -3,10 +3,9 @@
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 
 from conetl.geometry.medians import median
-from conetl.geometry.stereo_motion import _turn, inverse_of_symmetric
+from conetl.geometry.stereo_motion import inverse_of_symmetric
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=40))
@@ -20,9 +19,3 @@ def test_inverses_are_those_of_linear_algebra() -> None:
     matrices = factors @ np.swapaxes(factors, 1, 2) + 0.1 * np.eye(3)
     found = inverse_of_symmetric(np.ascontiguousarray(matrices.transpose(1, 2, 0))).transpose(2, 0, 1)
     np.testing.assert_allclose(found, np.linalg.inv(matrices), rtol=1e-9, atol=1e-12)
-
-
-def test_turns_are_rotations() -> None:
-    vectors = np.random.default_rng(4).normal(size=(40, 3)) * np.logspace(-12, 0.4, 40)[:, None]
-    vectors[0] = 0.0
-    np.testing.assert_allclose(_turn(vectors), Rotation.from_rotvec(vectors).as_matrix(), rtol=0, atol=1e-14)
