@@ -19,6 +19,7 @@ from conetl.settings import Settings
 from conetl.steps.accuracy import PointErrors, members_of, pooled_consistency, position_errors
 from conetl.steps.evaluation import compare_with_truth
 from conetl.steps.positions import locate_positions
+from conetl.steps.sighting_variances import SightingVariances, with_variances
 
 DRIVES = sorted((Path(__file__).resolve().parents[2] / "data" / "drives").iterdir())
 PARAMS = IngestParams()
@@ -47,8 +48,9 @@ def sightings(tmp_path_factory: pytest.TempPathFactory) -> dict[Path, DriveResul
 def errors_of(truth: Path, results: DriveResults, factor: float) -> PointErrors:
     """Of single positions, with the sigmas of all image points multiplied by a factor."""
     drive = results.drive
-    names = ("sigma_u_px", "sigma_v_px", "sigma_pointing_px", "sigma_outline_px")
-    matches = [m.model_copy(update={name: factor * getattr(m, name) for name in names}) for m in results.matches]
+    # What all sightings of a cone have in common of its disparity is a constant, which is not theirs to state.
+    scaled = with_variances(results.matches, SightingVariances(factor**2, factor**2, factor**2))
+    matches = [m.model_copy(update={"sigma_outline_px": factor * m.sigma_outline_px}) for m in scaled]
     pairs = {pair.frame_index: pair for pair in drive.frame_pairs}
     positions, _ = locate_positions(matches, pairs, drive.rig, PARAMS.position)
     path_m = np.array([map_SE3_left(pair.pose, drive.rig)[:3, 3] for pair in drive.frame_pairs])
