@@ -249,7 +249,7 @@ def print_report(console: Console, report: dict[str, Any]) -> None:
             f"{network['gflop']:.2f} GFLOP, {network['arithmetic']}"
         )
     for detection in report["detections"]:
-        looks = ", ".join(f"{shape[3]}x{shape[2]}" for shape in detection["network_inputs"])
+        looks = ", ".join("x".join(map(str, shape)) for shape in detection["network_inputs"])
         console.print(
             f"conetl at {detection['size_px'][0]}x{detection['size_px'][1]}: network inputs {looks}; "
             f"{detection['cones_found']} cones found; image: {detection['image']}"
@@ -270,7 +270,7 @@ def run(model_path: Path, runs: int, threads: int) -> dict[str, Any]:
 
     def note_cost(what: str, path: Path, shape: Sequence[int]) -> None:
         cost: Cost = network_cost(path, shape)
-        report["networks"].append({"what": what, "input": f"{shape[3]}x{shape[2]}", **dataclasses.asdict(cost)})
+        report["networks"].append({"what": what, "input": "x".join(map(str, shape)), **dataclasses.asdict(cost)})
 
     detectors = [load_detector(model_path, threads=1) for _ in range(threads)]
     report["model"] = f"{detectors[0].name} {detectors[0].version}"

@@ -263,11 +263,11 @@ def network_cost(path: Path, input_shape: Sequence[int]) -> Cost:
     for node in model.graph.node:
         if node.op_type in ("QuantizeLinear", "DequantizeLinear") and node.input[0] in fixed:
             fixed[node.output[0]] = fixed[node.input[0]]
-        elif node.op_type in ("Conv", "MatMul"):
+        elif node.op_type in ("Conv", "MatMul", "Gemm"):
             products.append(node)
         elif any(kind in node.op_type for kind in ("Conv", "MatMul", "Gemm", "Einsum", "Attention")):
             raise ValueError(
-                f"{path}: node {node.name!r} is a {node.op_type}; only Conv and MatMul are counted: add it here"
+                f"{path}: node {node.name!r} is a {node.op_type}; only Conv, MatMul and Gemm are counted: add it here"
             )
     wanted = [node.output[0] for node in products]
     wanted += [node.input[1] for node in products if node.input[1] not in fixed]
@@ -278,7 +278,9 @@ def network_cost(path: Path, input_shape: Sequence[int]) -> Cost:
     options.intra_op_num_threads = 1
     options.log_severity_level = 3
     session = onnxruntime.InferenceSession(model.SerializeToString(), options, providers=["CPUExecutionProvider"])
-    values = session.run(wanted, {session.get_inputs()[0].name: np.zeros(input_shape, np.float32)})
+    (picture,) = session.get_inputs()
+    kind = np.uint8 if picture.type == "tensor(uint8)" else np.float32
+    values = session.run(wanted, {picture.name: np.zeros(input_shape, kind)})
     shapes = fixed | {name: np.shape(value) for name, value in zip(wanted, values, strict=True)}
     operations = 0
     for node in products:
