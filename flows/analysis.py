@@ -110,20 +110,20 @@ def analyse(
     matches, refused_matches = load_results(match_paths, StereoMatch)
     positions, refused_positions = load_results(position_paths, Position)
 
-    def fused() -> tuple[list[Track], list[Rejection]]:
+    def fused(matches: list[StereoMatch], positions: list[Position]) -> tuple[list[Track], list[Rejection]]:
         seen = whole(detections), whole(matches), whole(positions)
         made: tuple[list[Track], list[Rejection]] = runs.now(
             fuse_task, whole(drive), *seen, params, evidence, whole(trajectory)
         )
         return made
 
-    tracks, refused_tracks = fused()
+    tracks, refused_tracks = fused(matches, positions)
     if trajectory.covariance is not None:
         # What sightings state by themselves made these tracks; what the tracks say of that makes the last ones.
         matches, positions, refused_positions = runs.now(
             weigh_task, whole(drive), whole(matches), whole(tracks), params
         )
-        tracks, refused_tracks = fused()
+        tracks, refused_tracks = fused(matches, positions)
     refused = [*rejections, *refused_detections, *refused_matches, *refused_positions, *refused_tracks]
     return Analysed(DriveRecords(drive, detections, matches, positions, tracks, refused), trajectory, calibration)
 
