@@ -1,5 +1,5 @@
 -- Purpose: write each replaced version down again as it is believed from now on: valid only until its successor begins, which is
--- at least a microsecond later, so that no state is ever lost.
+-- at least a microsecond later, so that no state is ever lost. offset 0: one look into the primary key each, as in close_versions.
 -- Parameters: committed_at (timestamptz).
 insert into conetl.feature_version (
     cell, feature_id, version, map_id, srid, changeset_id, present, category, geom, cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz,
@@ -15,6 +15,6 @@ select
     tstzrange(%(committed_at)s, null), v.suppressed
 from open_version o
 join delta_stage s using (feature_id)
-join conetl.feature_version v using (version_row_id)
+cross join lateral (select w.* from conetl.feature_version w where w.version_row_id = o.version_row_id offset 0) v
 where s.is_change
 order by v.cell, s.feature_id;

@@ -285,6 +285,91 @@ def test_the_schema_refuses_two_versions_at_once(conn, samples):
         execute(conn, "insert into feature_version overriding system value select * from copy")
 
 
+@pytest.mark.parametrize(
+    ("period", "refused"),
+    [
+        ("[2026-03-02,)", True),
+        ("[2026-03-01 23:59:59.999999,)", True),
+        ("[2026-03-02,2026-03-02 00:00:00.000001)", True),
+        ("[2026-02-01,2026-03-01)", False),
+        ("[2026-02-01,2026-03-01 00:00:00.000001)", True),
+        ("[-infinity,infinity)", True),
+    ],
+)
+def test_versions_of_a_feature_may_touch_and_not_overlap(map_of_one, period, refused):
+    conn = map_of_one
+    execute(conn, "update feature_version set valid_period = '[2026-03-01,)'")
+    execute(conn, "create temp table copy as select * from feature_version")
+    execute(
+        conn, "update copy set version = 2, version_row_id = version_row_id + 1000, valid_period = %(p)s", {"p": period}
+    )
+    insert = "insert into feature_version overriding system value select * from copy"
+    if refused:
+        with pytest.raises(psycopg2.errors.ExclusionViolation, match="no_overlap"):
+            execute(conn, insert)
+    else:
+        execute(conn, insert)
+    conn.rollback()
+
+
+def test_boxes_of_a_feature_overlap_where_its_valid_periods_do(map_of_one):
+    """Periods of odd lengths and bounds, and cells at the edges of the plane."""
+    sql = """
+        with instant as (
+            select t + n * interval '1 microsecond' as t
+            from generate_series(0, 3) n,
+                unnest(array['1700-01-01', '1969-12-31 23:59:59.999998', '2026-03-01 08:00:00.1', '2105-12-31']::timestamptz[]) t
+            union all
+            values ('infinity'::timestamptz), ('-infinity')
+        ),
+        period as (
+            select tstzrange(a.t, b.t) as p from instant a, instant b where a.t < b.t
+            union all
+            select tstzrange(a.t, null) from instant a where a.t < 'infinity'
+        ),
+        feature (id, cell) as (
+            values ('11111111-1111-1111-1111-111111111111'::uuid, place_cell(ST_MakePoint(458001, 5428010))),
+                ('22222222-1111-1111-1111-111111111111', place_cell(ST_MakePoint(-1e30, 1e30)))
+        )
+        select
+            count(*) as pairs,
+            count(*) filter (where version_box(f.cell, f.id, a.p) && version_box(f.cell, f.id, b.p) <> (a.p && b.p)) as wrong,
+            count(*) filter (where a.p && b.p) as overlapping
+        from feature f, period a, period b"""
+    [found] = execute(map_of_one, sql)
+    assert found["wrong"] == 0 and 0 < found["overlapping"] < found["pairs"]
+
+
+def test_two_features_with_one_place_number_do_not_exclude_each_other(map_of_one):
+    """The number has 22 bits of an id's hash: among some thousand ids two share it."""
+    conn = map_of_one
+    twins = execute(
+        conn,
+        "with id as (select gen_random_uuid() as id from generate_series(1, 30000)) "
+        "select (array_agg(id))[1:2]::text[] as ids from id group by place_number(7, id) having count(*) > 1 limit 1",
+    )[0]["ids"]
+    parameters = {"ids": twins}
+    execute(
+        conn,
+        "insert into feature (feature_id, map_id, srid, founded_by, cell) "
+        "select id, map_id, srid, founded_by, 7 from feature, unnest(%(ids)s::uuid[]) id",
+        parameters,
+    )
+    execute(conn, "create temp table copy as select v.*, 0 as twin from feature_version v")
+    execute(conn, "insert into copy select v.*, 1 from feature_version v")
+    execute(
+        conn,
+        "update copy set version_row_id = 1000 + twin, cell = 7, feature_id = (%(ids)s::uuid[])[twin + 1]",
+        parameters,
+    )
+    execute(conn, "alter table copy drop column twin")
+    execute(conn, "insert into feature_version overriding system value select * from copy")
+    assert execute(
+        conn, "select count(distinct place_number(cell, feature_id)) as n from feature_version where cell = 7"
+    ) == [{"n": 1}]
+    conn.rollback()
+
+
 FILES = [name for folder in ("map", "write", "audit", "schema") for name in sql_names(folder)]
 
 
