@@ -110,7 +110,10 @@ class Delta(Record):
         if self.kind is not DeltaKind.CONFIRMED or self.old is None or self.new is None:
             return True
         new, old = self.new.__dict__, self.old.__dict__
-        return any(new[name] != old[name] for name in _STATE)
+        for name in _STATE:  # noqa: SIM110 -- asked of every delta, and half as long as any()
+            if new[name] != old[name]:
+                return True
+        return False
 
 
 #: All of a feature but its number, what a confirmation changes first.

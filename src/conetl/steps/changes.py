@@ -106,7 +106,7 @@ def reconcile(
     for i in free:
         half_of = features[halves[i]].feature_id if i in halves else None
         deltas.append(_added(tracks[i], placed[i], shift_m, founding_key, half_of))
-    return sorted(deltas, key=lambda d: (d.changed_at_ns, str(d.feature_id)))
+    return sorted(deltas, key=lambda d: (d.changed_at_ns, d.feature_id.int))
 
 
 def _without_doubles(tracks: Sequence[Track]) -> list[Track]:

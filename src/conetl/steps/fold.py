@@ -207,6 +207,8 @@ def extend(
 
 def is_within(feature: MapFeature, places: Sequence[Place]) -> bool:
     """Whether a feature stands at one of the places (horizontally)."""
+    if not places:
+        return False
     x, y, _ = feature.xyz_m
     return any(float(np.hypot(x - place.xy_m[0], y - place.xy_m[1])) <= place.radius_m for place in places)
 
