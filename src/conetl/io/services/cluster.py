@@ -53,7 +53,7 @@ SERVER_SETTINGS = {
     "work_mem": "16MB",
     "maintenance_work_mem": "64MB",
     "max_wal_size": "1GB",
-    # A drive of 100,000 sightings writes 130 MB of it: the default of 8 MB has the session wait for the disk with every few of them.
+    # A drive of 100,000 sightings writes 130 MB of log; with the default of 8 MB the session waits for it again and again.
     "wal_buffers": "32MB",
     "wal_level": "minimal",
     "max_wal_senders": "0",
