@@ -109,7 +109,7 @@ def consistency(
     seen = s > _INVISIBLE
     inside = u[:, seen].T @ white_e
     common = Nees(float(np.sum(inside**2 / (1.0 + s[seen] ** 2))), int(seen.sum()))
-    relative = Nees(float(max(white_e @ white_e - inside @ inside, 0.0)), e.size - int(seen.sum()))
+    relative = Nees(max(float(white_e @ white_e - inside @ inside), 0.0), e.size - int(seen.sum()))
     return Consistency(common + relative, relative, common)
 
 
