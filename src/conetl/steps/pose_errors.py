@@ -23,6 +23,8 @@ Floats = NDArray[np.float64]
 PoseCov = Callable[[Sequence[int]], Floats]
 #: Correlations of poses that err alike to the last digit leave nothing to divide by.
 _LEAST_SHARE = 1e-10
+#: A pose without any error in one of its six has this one (m, rad).
+_LEAST_SIGMA = 1e-9
 
 
 def pose_cov(trajectory: RefinedTrajectory, params: TrajectoryParams) -> PoseCov:
@@ -49,7 +51,7 @@ def constant_and_change(cov: Floats) -> tuple[Floats, Floats]:
     uncorrelated with what it leaves over. So the two parts are independent and add up exactly.
     """
     count = len(cov) // POSE
-    sigma = np.sqrt(np.diagonal(cov))
+    sigma = np.maximum(np.sqrt(np.diagonal(cov)), _LEAST_SIGMA)
     correlation = cov / np.outer(sigma, sigma) + _LEAST_SHARE * np.eye(len(cov))
     alike = np.tile(np.eye(POSE), (count, 1))
     scaled = alike / sigma[:, None]

@@ -201,16 +201,16 @@ def log_errors(frame_pairs: Sequence[FramePair], params: TrajectoryParams) -> Fl
     times_s = np.array([pair.captured_at_ns for pair in frame_pairs], dtype=np.int64)
     apart_s = np.abs(times_s[:, None] - times_s) * 1e-9
     count = len(frame_pairs)
+    sigma = np.array([(*pair.pose.sigma_enu_m, *pair.pose.sigma_rpy_rad) for pair in frame_pairs])
     cov = np.zeros((count, POSE, count, POSE))
     for column in range(POSE):
-        place = column < 3
-        least = _LEAST_SIGMA_M if place else _LEAST_SIGMA_RAD
-        stated = [(*pair.pose.sigma_enu_m, *pair.pose.sigma_rpy_rad)[column] for pair in frame_pairs]
-        white = params.gnss_white_share if place else params.attitude_white_share
-        lasts_s = params.gnss_correlation_s if place else params.attitude_correlation_s
+        white, lasts_s = (
+            (params.gnss_white_share, params.gnss_correlation_s)
+            if column < 3
+            else (params.attitude_white_share, params.attitude_correlation_s)
+        )
         correlation = (1 - white**2) * np.exp(-apart_s / lasts_s) + white**2 * np.eye(count)
-        sigma = np.maximum(stated, least)
-        cov[:, column, :, column] = correlation * np.outer(sigma, sigma)
+        cov[:, column, :, column] = correlation * np.outer(sigma[:, column], sigma[:, column])
     return cov.reshape(count * POSE, count * POSE)
 
 

@@ -39,6 +39,16 @@ def test_an_error_that_stays_does_not_change() -> None:
     assert np.diag(change) == pytest.approx(4e-6, rel=0.2)
 
 
+def test_what_has_no_error_has_none_in_either_part() -> None:
+    """As a log without errors of attitude states it."""
+    cov = np.tile(np.diag([4e-4, 4e-4, 9e-4, 0.0, 0.0, 0.0]), (5, 5)) + np.kron(
+        np.eye(5), np.diag([1e-4] * 3 + [0.0] * 3)
+    )
+    constant, change = constant_and_change(cov)
+    assert np.diag(constant) == pytest.approx([4.2e-4, 4.2e-4, 9.2e-4, 0.0, 0.0, 0.0], rel=1e-6, abs=1e-15)
+    assert np.abs(change.reshape(5, 6, 5, 6)[:, 3:]).max() < 1e-15
+
+
 def test_of_a_refined_drive_it_is_that_of_the_adjustment() -> None:
     """Frame indices in, joint covariance out; its diagonal is what the poses state."""
     rng, rig = np.random.default_rng(3), make_rig()
