@@ -102,14 +102,14 @@ def test_poses_that_slide_are_no_scatter_of_the_pictures() -> None:
     params, rng = TrajectoryParams(), np.random.default_rng(6)
     truth = np.stack([se3.map_SE3_body(pair.pose) for pair in PATH])
     knowing, naive = [], []
-    for _ in range(4):
+    for _ in range(6):
         log = log_of(truth, rng, 0.06, 0.001, params)
         refined = refine_trajectory(log, RIG, motions_of(truth, RIG, rng, params), params)
         matches, tracks = drawn(rng, (1.0, 1.0, 1.0))
         moved = list(refined.frame_pairs)
         knowing.append(found(matches, tracks, moved, pose_cov(refined, params)))
         naive.append(found(matches, tracks, moved))
-    assert np.mean(knowing, axis=0) == pytest.approx(1.0, abs=0.12)
+    assert np.mean(knowing, axis=0) == pytest.approx(1.0, abs=0.15)
     assert (np.mean(naive, axis=0)[:2] > 1.3).all()
 
 
