@@ -7,7 +7,7 @@ export PYTHON
 export PREFECT_SERVER_ANALYTICS_ENABLED := false
 export DO_NOT_TRACK := 1
 
-.PHONY: help setup demo up down test check web bench-detect bench-intersection bench-trajectory bench-rectification bench-changes bench-map bench-kills bench-export bench-ogc bench-overhead bench-ingest bench-view bench-watch lock
+.PHONY: help setup demo up down test check web bench-detect bench-intersection bench-trajectory bench-calibration bench-rectification bench-changes bench-map bench-kills bench-export bench-ogc bench-overhead bench-ingest bench-view bench-watch lock
 
 help:           ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -46,6 +46,9 @@ bench-intersection: setup  ## speed of forward intersection beside OpenCV and, w
 
 bench-trajectory: setup  ## refinement of a drive's poses: time, and how far cones slide with and without (DRIVE=folder)
 	@$(BIN)/python benchmarks/bench_trajectory.py $(DRIVE)
+
+bench-calibration: setup  ## random halves of a folder of board pictures against each other (ARGS='FOLDER --board chessboard:9x6:37.8mm')
+	@$(BIN)/python benchmarks/bench_calibration.py $(ARGS)
 
 bench-rectification: setup  ## cost of resampling raw pictures
 	@$(BIN)/python benchmarks/bench_rectification.py

@@ -34,6 +34,7 @@ from conetl.records import Drive, FramePair, Position, StereoMatch
 from conetl.steps.detections import check_boxes
 from conetl.steps.landmarks import refine_with_cones
 from conetl.steps.matches import match_pair, with_measured_spread
+from conetl.steps.pose_errors import pose_cov
 from conetl.steps.positions import locate_positions
 from conetl.steps.self_calibration import self_calibrated_rig
 from conetl.steps.sighting_variances import sighting_variances, with_variances
@@ -167,7 +168,8 @@ def main() -> None:
         right,
         params,
     )
-    variances = sighting_variances(cones, matches, drive.rig, left, right)
+    errors = pose_cov(with_cones, params.trajectory)
+    variances = sighting_variances(cones, matches, drive.rig, {p.frame_index: p.pose for p in last}, errors)
     print("variances over stated ones: " + ", ".join(f"{k} {v:.2f}" for k, v in variances._asdict().items()))
     matches = with_variances(matches, variances)
     groups = [cone.members for cone in cones]

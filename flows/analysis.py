@@ -121,7 +121,7 @@ def analyse(
     if trajectory.covariance is not None:
         # What sightings state by themselves made these tracks; what the tracks say of that makes the last ones.
         matches, positions, refused_positions = runs.now(
-            weigh_task, whole(drive), whole(matches), whole(tracks), params
+            weigh_task, whole(drive), whole(matches), whole(tracks), params, whole(trajectory)
         )
         tracks, refused_tracks = fused(matches, positions)
     refused = [*rejections, *refused_detections, *refused_matches, *refused_positions, *refused_tracks]

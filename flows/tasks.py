@@ -44,6 +44,7 @@ from conetl.rejections import Rejection
 from conetl.settings import Settings
 from conetl.steps.detections import check_boxes
 from conetl.steps.matches import match_pair, with_measured_spread
+from conetl.steps.pose_errors import pose_cov
 from conetl.steps.positions import locate_positions
 from conetl.steps.sighting_variances import sighting_variances, with_variances
 from conetl.steps.tracks import fuse_tracks
@@ -216,15 +217,13 @@ def fuse_task(
 
 @task(name="weigh", **RETRY)
 def weigh_task(
-    drive: Drive, matches: list[StereoMatch], tracks: list[Track], params: IngestParams
+    drive: Drive, matches: list[StereoMatch], tracks: list[Track], params: IngestParams, trajectory: RefinedTrajectory
 ) -> tuple[list[StereoMatch], list[Position], list[Rejection]]:
     """Matches of the whole drive with sigmas as its tracks show them, and their positions; see `sighting_variances`."""
     pairs = {pair.frame_index: pair for pair in drive.frame_pairs}
-    left, right = (
-        {index: pose_of(pair.pose, drive.rig) for index, pair in pairs.items()}
-        for pose_of in (map_SE3_left, map_SE3_right)
-    )
-    weighed = with_variances(matches, sighting_variances(tracks, matches, drive.rig, left, right))
+    poses = {index: pair.pose for index, pair in pairs.items()}
+    errors = pose_cov(trajectory, params.trajectory)
+    weighed = with_variances(matches, sighting_variances(tracks, matches, drive.rig, poses, errors))
     return weighed, *locate_positions(weighed, pairs, drive.rig, params.position)
 
 

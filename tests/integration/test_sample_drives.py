@@ -55,7 +55,7 @@ def errors_of(truth: Path, results: DriveResults, factor: float) -> PointErrors:
     positions, _ = locate_positions(matches, pairs, drive.rig, PARAMS.position)
     path_m = np.array([map_SE3_left(pair.pose, drive.rig)[:3, 3] for pair in drive.frame_pairs])
     lines, _ = compare_with_truth(read_truth_cones(truth)[0], results.tracks, path_m)
-    return position_errors(members_of(lines), positions, drive)
+    return position_errors(members_of(lines), positions, drive, results.poses)
 
 
 @pytest.mark.parametrize(("factor", "holds"), [(0.5, False), (1.0, True), (2.0, False)])

@@ -10,17 +10,24 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 import pytest
 
+from conetl.geometry import pose as se3
 from conetl.geometry.consistency import Consistency, Nees
 from conetl.geometry.joint_fit import fit_point, pair_jacobian
 from conetl.geometry.rig import map_SE3_left
+from conetl.params import PositionParams, TrajectoryParams
 from conetl.records import Track
 from conetl.steps.accuracy import drive_consistency, position_errors, track_errors
 from conetl.steps.evaluation import TruthCone, compare_with_truth
-from tests.synthetic.noisy_drive import NoisyDrive, PoseErrors, draw_drive, draw_positions
+from conetl.steps.pose_errors import pose_cov
+from conetl.steps.positions import locate_positions
+from conetl.steps.trajectory import RefinementOutcome, refine_trajectory
+from tests.synthetic.noisy_drive import NoisyDrive, PoseErrors, _draw, draw_drive, draw_positions
+from tests.synthetic.odometry import log_of, motions_of
 from tests.synthetic.world import Cone, camera_poses, make_path, make_rig
 
 RIG = make_rig()
 CONES = [Cone((14.0 + 4.0 * k, 3.6 - 0.5 * k, 0.0)) for k in range(5)]
+PARAMS = TrajectoryParams()
 #: A common error as large as an RTK drive's, in place and attitude.
 RTK = PoseErrors(common_m=0.03, common_rad=0.0005)
 
@@ -73,6 +80,36 @@ def test_doubled_pose_errors_are_noticed_in_the_common_part_alone() -> None:
     total = summed(of_positions(drive) for drive in drives)
     assert total.relative.per_dof == pytest.approx(1.0, abs=0.05)
     assert not total.common.holds(0.9999)
+
+
+@pytest.mark.parametrize(("noise", "drives", "holds"), [(0.5, 5, False), (1.0, 16, True), (2.0, 5, False)])
+def test_single_positions_from_refined_poses_that_slide(noise: float, drives: int, holds: bool) -> None:
+    """Poses from the adjustment of the trajectory, log and odometry with errors as they state: they change within the drive.
+
+    With their joint covariance all parts hold. As one constant error of the drive they do not: what slides looks like noise.
+    """
+    pairs = make_path(16)
+    truth = np.stack([se3.map_SE3_body(pair.pose) for pair in pairs])
+    jointly, as_one = [], []
+    for seed in range(drives):
+        rng = np.random.default_rng(seed)
+        drawn, matches = _draw(rng, RIG, CONES, RTK, len(pairs), noise, 1.0, 0.0)
+        refined = refine_trajectory(
+            log_of(truth, rng, 0.06, 0.001, PARAMS), RIG, motions_of(truth, RIG, rng, PARAMS), PARAMS
+        )
+        assert refined.outcome is RefinementOutcome.REFINED
+        drive = drawn.drive.model_copy(update={"frame_pairs": refined.frame_pairs})
+        positions, _ = locate_positions(
+            matches, {pair.frame_index: pair for pair in refined.frame_pairs}, RIG, PositionParams()
+        )
+        cone_of = {(p.frame_index, p.match_index): drawn.truth[p.match_index] for p in positions}
+        jointly.append(drive_consistency(position_errors(cone_of, positions, drive, pose_cov(refined, PARAMS))))
+        as_one.append(drive_consistency(position_errors(cone_of, positions, drive)))
+    for part in ("relative", "absolute"):
+        assert getattr(summed(jointly), part).holds() is holds
+    assert summed(jointly).common.holds(0.999) or not holds
+    if holds:
+        assert not summed(as_one).relative.holds(0.9999)
 
 
 @pytest.mark.parametrize(("noise", "holds"), [(0.5, False), (1.0, True), (2.0, False)])

@@ -22,6 +22,7 @@ from conetl.records import (
 from conetl.rejections import Rejection
 from conetl.settings import Settings, prefect_environment
 from conetl.steps.association import MotionError
+from conetl.steps.pose_errors import PoseCov, pose_cov
 from conetl.steps.trajectory import motion_error
 
 
@@ -33,6 +34,8 @@ class DriveResults:
     """With the refined poses and the turned right camera, where trajectory and calibration were refined."""
     motion: MotionError | None
     """Error of the motion between frames; None where the trajectory was not refined."""
+    poses: PoseCov
+    """How the errors of the drive's poses hang together."""
     trajectory: str
     """What became of the trajectory, in one sentence."""
     calibration: str
@@ -84,6 +87,7 @@ def run_steps(folder: Path, settings: Settings, params: IngestParams, *, map_sri
     return DriveResults(
         records.drive,
         motion_error(trajectory),
+        pose_cov(trajectory, params.trajectory),
         trajectory.detail,
         calibration.detail,
         list(records.detections),

@@ -189,7 +189,7 @@ def _evaluate(
     path_m: np.ndarray[Any, np.dtype[np.float64]],
 ) -> _Evaluation:
     tracks = track_errors(lines, results.drive, results.positions, results.motion)
-    singles = position_errors(members_of(lines), results.positions, results.drive)
+    singles = position_errors(members_of(lines), results.positions, results.drive, results.poses)
     figures = {
         name: figure
         for name, errors in (("tracks", tracks), ("single positions", singles))

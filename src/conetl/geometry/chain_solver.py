@@ -8,6 +8,7 @@ LAPACK's banded Cholesky does the same sums, but its threads cost up to three se
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,6 +87,28 @@ def cross_covariance(result: ChainCovariance, first: int, second: int) -> Floats
             k -= step
             block = product[k] @ block
     return np.asarray(block + result.reach[first] @ result.shared @ result.reach[second].T)
+
+
+def joint_covariance(result: ChainCovariance, states: Sequence[int], unknowns: int) -> Floats:
+    """(S u, S u) covariance of the first u unknowns of S states together; states: rising, each once.
+
+    One walk along the chain from the last of them to the first, for all pairs at once.
+    """
+    count, size = len(states), result.chain.shape[1]
+    blocks = np.zeros((count, count, unknowns, unknowns))
+    later = np.zeros((count, size, size))  # of the state at hand with each of the chosen ones from it on
+    met = count
+    for k in range(states[-1], states[0] - 1, -1) if count else ():
+        later[met:] = result.gain[k] @ later[met:] if met < count else later[met:]
+        if states[met - 1] == k:
+            met -= 1
+            later[met] = result.chain[k]
+            blocks[met, met:] = later[met:, :unknowns, :unknowns]
+            blocks[met:, met] = np.swapaxes(later[met:, :unknowns, :unknowns], 1, 2)
+    reach = result.reach[list(states), :unknowns]
+    blocks += np.einsum("aim,mn,bjn->abij", reach, result.shared, reach, optimize=True)
+    joint = blocks.transpose(0, 2, 1, 3).reshape(count * unknowns, count * unknowns)
+    return np.asarray((joint + joint.T) / 2)
 
 
 def _strides(gain: Floats) -> tuple[tuple[int, Floats], ...]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import solve_triangular
 from scipy.special import chdtri
 
 Array = NDArray[np.float64]
@@ -84,7 +85,8 @@ def consistency(
 ) -> Consistency:
     """Split the NEES of N points into relative and common part.
 
-    difference_m (N, 3): estimate minus truth. own_cov_m2 (N, 3, 3): of the errors that each point has for itself.
+    difference_m (N, 3): estimate minus truth. own_cov_m2: of the errors that each point has for itself, (N, 3, 3), or, where
+    those of different points hang together (poses that slide within a drive), (3N, 3N); this takes time by the cube of N.
     common_jacobian (N, 3, K), common_cov (K, K): how K common errors move each point, and their covariance (positive
     semi-definite). With e = G x + n whitened by the points' own covariance and G L = U S V' (L L' the common covariance), the
     whitened error has covariance I + U S^2 U': inside the columns of U is the common part, outside it the relative one.
@@ -94,8 +96,12 @@ def consistency(
     if e.ndim != 2 or e.shape[1] != 3 or g.shape[:2] != e.shape:
         raise ValueError(f"expected differences (N, 3) and a Jacobian (N, 3, K), found {e.shape} and {g.shape}")
     lower = np.linalg.cholesky(np.asarray(own_cov_m2, dtype=np.float64))
-    white_e = np.linalg.solve(lower, e[..., None])[..., 0].ravel()
-    white_g = np.linalg.solve(lower, g).reshape(e.size, -1)
+    both = np.concatenate([e[..., None], g], axis=2)
+    if lower.ndim == 2:
+        white: Array = solve_triangular(lower, both.reshape(e.size, -1), lower=True)
+    else:
+        white = np.linalg.solve(lower, both).reshape(e.size, -1)
+    white_e, white_g = white[:, 0], white[:, 1:]
     values, vectors = np.linalg.eigh(np.asarray(common_cov, dtype=np.float64))
     if values.min(initial=0.0) < -1e-9 * max(values.max(initial=0.0), 1e-30):
         raise ValueError("consistency: the common covariance is not positive semi-definite")
@@ -103,7 +109,7 @@ def consistency(
     seen = s > _INVISIBLE
     inside = u[:, seen].T @ white_e
     common = Nees(float(np.sum(inside**2 / (1.0 + s[seen] ** 2))), int(seen.sum()))
-    relative = Nees(float(max(white_e @ white_e - inside @ inside, 0.0)), e.size - int(seen.sum()))
+    relative = Nees(max(float(white_e @ white_e - inside @ inside), 0.0), e.size - int(seen.sum()))
     return Consistency(common + relative, relative, common)
 
 

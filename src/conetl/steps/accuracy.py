@@ -7,24 +7,22 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
-from conetl.geometry.calibration_covariance import calibration_jacobian, known_covariance
 from conetl.geometry.consistency import Consistency, Nees, ce90_m, consistency, le90_m, point_nees
 from conetl.geometry.packing import cov_matrix, vec3
-from conetl.geometry.pose_covariance import pose_jacobian
 from conetl.geometry.rig import map_SE3_left
 from conetl.records import (
     Drive,
-    Pose,
     Position,
     Record,
-    Rig,
     Track,
     Vec3,
 )
 from conetl.steps.association import MotionError
-from conetl.steps.common_errors import outline_errors
+from conetl.steps.error_levers import calibration_of, outline_parts, pose_and_calibration, pose_parts, track_shares
 from conetl.steps.evaluation import TruthCone, TruthLine
+from conetl.steps.pose_errors import PoseCov
 
 Floats = NDArray[np.float64]
 #: Upper ends of the range bands; the last is open.
@@ -43,7 +41,7 @@ class PointErrors:
     cov_m2: Floats
     """(N, 3, 3) absolute, as stated"""
     own_cov_m2: Floats
-    """(N, 3, 3) without what the drive has in common"""
+    """(N, 3, 3) without what the drive has in common, and without what its poses change by"""
     range_m: Floats
     """(N,) ground distance from the left camera; of tracks the nearest"""
     sight: Floats
@@ -52,6 +50,22 @@ class PointErrors:
     """(N, 3, K) how the errors that the drive has in common move each estimate"""
     common_cov: Floats
     """(K, K) of those errors"""
+    change_cov_m2: Floats | None = None
+    """(3N, 3N) what pose errors that change within the drive add to `own_cov_m2`, correlated between estimates; None: nothing"""
+
+    def whole_own_cov_m2(self) -> Floats:
+        """(3N, 3N) of all that the drive does not have in common, (N, 3, 3) where that is independent."""
+        if self.change_cov_m2 is None:
+            return self.own_cov_m2
+        return np.asarray(block_diag(*self.own_cov_m2) + self.change_cov_m2)
+
+    def single_own_cov_m2(self) -> Floats:
+        """(N, 3, 3) of the same, of each estimate by itself."""
+        if self.change_cov_m2 is None:
+            return self.own_cov_m2
+        count = len(self.own_cov_m2)
+        blocks = self.change_cov_m2.reshape(count, 3, count, 3)
+        return np.asarray(self.own_cov_m2 + blocks[np.arange(count), :, np.arange(count)])
 
     def in_sight_axes(self, vectors: Floats) -> Floats:
         """(N, 3) vectors turned to along the sight, across it (to the left) and up."""
@@ -128,11 +142,11 @@ def track_errors(
     truth = np.array([line.truth.xyz_m for line, _ in found]).reshape(-1, 3)
     pose_of = {pair.frame_index: pair.pose for pair in drive.frame_pairs}
     by_member = {(p.frame_index, p.match_index): p for p in positions}
-    jacobians, variances = [np.zeros((0, 3, 6 + len(_calibration(drive.rig))))], []
+    jacobians, variances = [np.zeros((0, 3, 6 + len(calibration_of(drive.rig))))], []
     for place, (_, track) in zip(xyz, found, strict=True):
         poses = [pose_of[frame_index] for frame_index, _ in track.members]
-        lever, sigmas = _common_errors(np.tile(place, (len(poses), 1)), poses, drive.rig)
-        shares = _shares([by_member[member] for member in track.members], poses, drive.rig, motion)
+        lever, sigmas = pose_and_calibration(np.tile(place, (len(poses), 1)), poses, drive.rig)
+        shares = track_shares([by_member[member] for member in track.members], poses, drive.rig, motion)
         jacobians.append(np.einsum("fij,fjk->ik", shares, lever)[None])
         variances.append(np.mean(sigmas**2, axis=0))
     return PointErrors(
@@ -144,20 +158,10 @@ def track_errors(
         range_m=np.linalg.norm(level, axis=1),
         sight=_unit(level),
         common_jacobian=np.concatenate(jacobians),
-        common_cov=_blocks(np.diag(np.mean(variances, axis=0)) if found else np.zeros((6, 6)), _calibration(drive.rig)),
+        common_cov=block_diag(
+            np.diag(np.mean(variances, axis=0)) if found else np.zeros((6, 6)), calibration_of(drive.rig)
+        ),
     )
-
-
-def _shares(members: Sequence[Position], poses: Sequence[Pose], rig: Rig, motion: MotionError | None) -> Floats:
-    """(F, 3, 3): how a track moves with each of its positions; their sum is the identity (`JointFit.shares`)."""
-    turn = np.array([map_SE3_left(pose, rig)[:3, :3] for pose in poses])
-    cov = _stack([cov_matrix(p.camera_cov_m2) for p in members])
-    if motion is not None:
-        nearest = min(members, key=lambda p: p.range_m).frame_index
-        added = [np.trace(motion(p.frame_index, nearest, np.array(p.camera_xyz_m))) / 3 for p in members]
-        cov = cov + np.array(added)[:, None, None] * np.eye(3)
-    information = np.linalg.inv(turn @ cov @ np.swapaxes(turn, 1, 2))
-    return np.asarray(np.linalg.inv(information.sum(axis=0)) @ information)
 
 
 def members_of(lines: Sequence[TruthLine[Track]]) -> dict[tuple[int, int], TruthCone]:
@@ -169,26 +173,32 @@ def members_of(lines: Sequence[TruthLine[Track]]) -> dict[tuple[int, int], Truth
 
 
 def position_errors(
-    cone_of: Mapping[tuple[int, int], TruthCone], positions: Sequence[Position], drive: Drive
+    cone_of: Mapping[tuple[int, int], TruthCone],
+    positions: Sequence[Position],
+    drive: Drive,
+    poses: PoseCov | None = None,
 ) -> PointErrors:
     """Errors of the single positions whose cone is known; see `members_of`.
 
-    In common they have place and attitude of the body, the rig's calibration and, those of one cone, what is taken for its
-    foot, axis and shape; of its own each position has the error of its image points.
+    poses: how the errors of the drive's poses hang together; None: one error of the whole drive.
+
+    In common they have place and attitude of the body as far as their error stays, the rig's calibration and, those of one cone,
+    what is taken for its foot, axis and shape; of its own each position has the error of its image points.
     """
     pose_of = {pair.frame_index: pair.pose for pair in drive.frame_pairs}
     chosen = [p for p in positions if (p.frame_index, p.match_index) in cone_of]
     cones = [cone_of[p.frame_index, p.match_index] for p in chosen]
     xyz = np.array([p.xyz_m for p in chosen]).reshape(-1, 3)
-    poses = [pose_of[p.frame_index] for p in chosen]
-    left = np.array([map_SE3_left(pose, drive.rig) for pose in poses]).reshape(-1, 4, 4)
+    stated = [pose_of[p.frame_index] for p in chosen]
+    left = np.array([map_SE3_left(pose, drive.rig) for pose in stated]).reshape(-1, 4, 4)
     turn = left[:, :3, :3]
     camera_cov = _stack([cov_matrix(p.camera_cov_m2) for p in chosen])
     truth = np.array([cone.xyz_m for cone in cones]).reshape(-1, 3)
-    jacobian, sigmas = _common_errors(xyz, poses, drive.rig)
+    jacobian, sigmas = pose_and_calibration(xyz, stated, drive.rig)
     names = tuple(cone.cone_id for cone in cones)
-    outline, own_cov = _outline_errors(names, chosen, drive.rig, turn, turn @ camera_cov @ np.swapaxes(turn, 1, 2))
-    common = _blocks(np.diag(np.mean(sigmas**2, axis=0)) if poses else np.zeros((6, 6)), _calibration(drive.rig))
+    outline, own_cov = outline_parts(names, chosen, drive.rig, turn, turn @ camera_cov @ np.swapaxes(turn, 1, 2))
+    constant, change = pose_parts(jacobian[:, :, :6], [p.frame_index for p in chosen], sigmas**2, poses)
+    common = block_diag(constant, calibration_of(drive.rig))
     return PointErrors(
         cone_ids=names,
         truth_m=truth,
@@ -198,27 +208,9 @@ def position_errors(
         range_m=np.array([p.range_m for p in chosen]),
         sight=_unit(xyz[:, :2] - left[:, :2, 3]),
         common_jacobian=np.concatenate([jacobian, outline], axis=2),
-        common_cov=_blocks(common, np.eye(outline.shape[2])),
+        common_cov=block_diag(common, np.eye(outline.shape[2])),
+        change_cov_m2=change,
     )
-
-
-def _outline_errors(
-    cone_ids: Sequence[str], positions: Sequence[Position], rig: Rig, turn: Floats, cov_m2: Floats
-) -> tuple[Floats, Floats]:
-    """(N, 3, 3C) how what sightings of C cones share moves N positions, in sigmas; (N, 3, 3) the rest of the covariances.
-
-    turn (N, 3, 3): map_R_left of each position. cov_m2 (N, 3, 3): of their image points and outline together, in the map.
-    """
-    order = sorted({name for name, p in zip(cone_ids, positions, strict=True) if p.sigma_outline_m > 0})
-    jacobian = np.zeros((len(positions), 3, 3 * len(order)))
-    own = cov_m2.copy()
-    for n, (name, position) in enumerate(zip(cone_ids, positions, strict=True)):
-        if position.sigma_outline_m > 0:
-            moved = turn[n] @ outline_errors(position, rig)
-            k = 3 * order.index(name)
-            jacobian[n, :, k : k + 3] = moved
-            own[n] -= moved @ moved.T
-    return jacobian, own
 
 
 def statistics(errors: PointErrors) -> ErrorStatistics | None:
@@ -264,6 +256,7 @@ def select(errors: PointErrors, keep: NDArray[np.bool_]) -> PointErrors:
         sight=errors.sight[keep],
         common_jacobian=errors.common_jacobian[keep],
         common_cov=errors.common_cov,
+        change_cov_m2=None if errors.change_cov_m2 is None else errors.change_cov_m2[np.ix_(*2 * [np.repeat(keep, 3)])],
     )
 
 
@@ -271,7 +264,7 @@ def drive_consistency(errors: PointErrors) -> Consistency | None:
     """NEES of all errors of one drive, split into relative and common part; None without errors."""
     if not len(errors.difference_m):
         return None
-    return consistency(errors.difference_m, errors.own_cov_m2, errors.common_jacobian, errors.common_cov)
+    return consistency(errors.difference_m, errors.whole_own_cov_m2(), errors.common_jacobian, errors.common_cov)
 
 
 def pooled_consistency(drives: Sequence[PointErrors]) -> Consistency | None:
@@ -328,13 +321,14 @@ def single_nees(errors: PointErrors) -> Floats:
     count = len(errors.difference_m)
     if not count:
         return np.zeros(0)
-    weight = np.linalg.inv(errors.own_cov_m2)
+    own_cov_m2 = errors.single_own_cov_m2()
+    weight = np.linalg.inv(own_cov_m2)
     values, vectors = np.linalg.eigh(errors.common_cov)
     scaled = errors.common_jacobian @ (vectors * np.sqrt(np.maximum(values, 0.0)))
     # Prior and observations together, so that what the points cannot tell stays at nothing.
     normal = np.einsum("nik,nij,njl->kl", scaled, weight, scaled) + np.eye(len(values))
     side = np.einsum("nik,nij,nj->k", scaled, weight, errors.difference_m)
-    return point_nees(errors.difference_m - scaled @ np.linalg.solve(normal, side), errors.own_cov_m2)
+    return point_nees(errors.difference_m - scaled @ np.linalg.solve(normal, side), own_cov_m2)
 
 
 def _nees_report(nees: Nees) -> NeesReport | None:
@@ -356,33 +350,6 @@ def _unit(level: Floats) -> Floats:
     """(N, 2) level vectors as (N, 3) unit vectors."""
     unit = level / np.linalg.norm(level, axis=1, keepdims=True)
     return np.column_stack([unit, np.zeros(len(unit))])
-
-
-def _common_errors(xyz_m: Floats, poses: Sequence[Pose], rig: Rig) -> tuple[Floats, Floats]:
-    """(N, 3, 6 + K) how points (N, 3) move with the errors of pose and calibration, (N, 6) sigmas of the poses."""
-    by_pose = pose_jacobian(
-        xyz_m,
-        np.array([pose.map_R_body for pose in poses]).reshape(-1, 3, 3),
-        np.array([pose.map_t_body_m for pose in poses]).reshape(-1, 3),
-    )
-    left = np.array([map_SE3_left(pose, rig) for pose in poses]).reshape(-1, 4, 4)
-    in_camera = np.einsum("nji,nj->ni", left[:, :3, :3], xyz_m - left[:, :3, 3])
-    by_calibration = left[:, :3, :3] @ calibration_jacobian(in_camera, rig)
-    sigmas = np.array([(*pose.sigma_enu_m, *pose.sigma_rpy_rad) for pose in poses]).reshape(-1, 6)
-    return np.concatenate([by_pose, by_calibration], axis=2), sigmas
-
-
-def _calibration(rig: Rig) -> Floats:
-    """(K, K) covariance of the calibration, (0, 0) where none is known."""
-    known = known_covariance(rig)
-    return np.array(known.matrix) if known else np.zeros((0, 0))
-
-
-def _blocks(a: Floats, b: Floats) -> Floats:
-    """Block-diagonal matrix of two."""
-    joined = np.zeros((len(a) + len(b), len(a) + len(b)))
-    joined[: len(a), : len(a)], joined[len(a) :, len(a) :] = a, b
-    return joined
 
 
 def _stack(matrices: Sequence[Floats]) -> Floats:

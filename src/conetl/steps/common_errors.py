@@ -12,6 +12,7 @@ from conetl.geometry.pose_covariance import pose_jacobian
 from conetl.params import TrajectoryParams
 from conetl.records import FramePair, Position, Rig
 from conetl.steps.matching_cov import SHARED_DISPARITY_PX
+from conetl.steps.trajectory import log_errors
 
 Floats = NDArray[np.float64]
 
@@ -22,12 +23,12 @@ def common_cov(
     frame_pairs: Mapping[int, FramePair],
     rig: Rig,
     map_SE3_left: Mapping[int, Floats],
-    log_errors: TrajectoryParams | None = None,
+    log: TrajectoryParams | None = None,
 ) -> Floats:
     """Covariance (3, 3) m^2 that pose and calibration add to the joint fit of the positions of one cone.
 
     shares: (F, 3, 3) of `joint_fit.fit_point`, in the order of `group`; they carry what moves the point of one pair over to the
-    joint point. The calibration is one error for ever. Errors of GNSS/INS change slowly: with `log_errors` as its Gauss-Markov
+    joint point. The calibration is one error for ever. Errors of GNSS/INS change slowly: with `log` as its Gauss-Markov
     processes with a white share, the model of the trajectory's adjustment; without, for poses that were refined, as one error for
     as long as the cone is in view. Each frame has its own sigmas and its own lever from body to cone.
     """
@@ -40,11 +41,17 @@ def common_cov(
         np.array([pose.map_R_body for pose in poses]),
         np.array([pose.map_t_body_m for pose in poses]),
     )
-    moved = shares @ (by_pose * sigmas[:, None, :])
+    moved = shares @ by_pose
     map_R_left = np.stack([map_SE3_left[p.frame_index][:3, :3] for p in group])
     by_calibration = map_R_left @ calibration_jacobian(np.array([p.camera_xyz_m for p in group]), rig)
     of_calibration = np.einsum("fij,fjk->ik", shares, by_calibration)
-    return _pose_part(moved, group, frame_pairs, log_errors) + shared_cov(of_calibration, rig)
+    if log is None:
+        total = (moved * sigmas[:, None, :]).sum(axis=0)
+        of_poses = total @ total.T
+    else:
+        flat = moved.transpose(1, 0, 2).reshape(3, -1)
+        of_poses = flat @ log_errors([frame_pairs[p.frame_index] for p in group], log) @ flat.T
+    return np.asarray((of_poses + of_poses.T) / 2 + shared_cov(of_calibration, rig))
 
 
 def outline_errors(position: Position, rig: Rig) -> Floats:
@@ -68,23 +75,3 @@ def outline_cov(group: Sequence[Position], shares: Floats, map_SE3_left: Mapping
     turn = np.stack([map_SE3_left[p.frame_index][:3, :3] for p in group])
     moved = np.einsum("fij,fjk,fkl->il", shares, turn, errors)
     return np.asarray(moved @ moved.T)
-
-
-def _pose_part(
-    moved: Floats, group: Sequence[Position], frame_pairs: Mapping[int, FramePair], log_errors: TrajectoryParams | None
-) -> Floats:
-    """(3, 3) from what one sigma of each pose error of each frame moves the cone by, (F, 3, 6)."""
-    if log_errors is None:
-        total = moved.sum(axis=0)
-        return np.asarray(total @ total.T)
-    times_ns = np.array([frame_pairs[p.frame_index].captured_at_ns for p in group], dtype=np.int64)
-    apart_s = np.abs(times_ns[:, None] - times_ns) * 1e-9
-    cov = np.zeros((3, 3))
-    for columns, correlation_s, white in (
-        (slice(0, 3), log_errors.gnss_correlation_s, log_errors.gnss_white_share),
-        (slice(3, 6), log_errors.attitude_correlation_s, log_errors.attitude_white_share),
-    ):
-        correlation = (1 - white**2) * np.exp(-apart_s / correlation_s) + white**2 * np.eye(len(group))
-        part = moved[:, :, columns]
-        cov += np.einsum("fik,fjk->ij", part, np.tensordot(correlation, part, axes=1))
-    return (cov + cov.T) / 2

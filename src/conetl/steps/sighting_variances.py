@@ -7,9 +7,9 @@ group of observations gets the factor on its variance under which its squared re
 (Förstner 1979; Koch 1999, ch. 3.6). That is restricted maximum likelihood: each cone's place costs its degrees of freedom, and
 what all sightings of a cone share (`StereoMatch.sigma_outline_px`) is an unknown of its own, known beforehand to one sigma.
 
-The poses are taken as they are: what they err by while a cone is in view counts as the sightings'. So they must come from the
-adjustment of the trajectory. What that states as the error of motion is no help here, since it is on the safe side: let into
-the residuals, it takes the scatter of the pictures upon itself (docs/accuracy.md).
+What the poses err by while a cone is in view is no scatter of the pictures: each frame's pose errors are unknowns of their own,
+known beforehand by their joint covariance from the adjustment of the trajectory. As independent noise of every frame they would
+take the scatter of the pictures upon themselves; as they are, they slide, and sightings jump.
 """
 
 from __future__ import annotations
@@ -21,8 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry.joint_fit import pair_jacobian
-from conetl.records import Rig, StereoMatch, Track
+from conetl.geometry.pose_covariance import pose_jacobian
+from conetl.geometry.rig import map_SE3_left, map_SE3_right
+from conetl.records import Pose, Rig, StereoMatch, Track
 from conetl.steps.matching_cov import SHARED_DISPARITY_PX
+from conetl.steps.pose_errors import PoseCov, moved_cov
 
 Floats = NDArray[np.float64]
 
@@ -35,6 +38,8 @@ _SIGMA_BOUNDS = (0.5, 2.0)
 #: it takes 0.5 % of the squares.
 _HUBER_SIGMAS, _ROBUST_ROUNDS = 3.0, 4
 _MAX_ITERATIONS, _CONVERGED = 50, 1e-3
+#: Errors of poses that move sightings by less than this share of their variance need no unknown.
+_LEAST_POSE_SHARE = 1e-3
 #: Means of columns and of rows, and disparity, from u_left, v_left, u_right, v_right.
 _GROUPS = np.array([[0.5, 0.0, 0.5, 0.0], [0.0, 0.5, 0.0, 0.5], [1.0, 0.0, -1.0, 0.0]])
 
@@ -56,7 +61,7 @@ class _Cone(NamedTuple):
     residual_px: Floats
     """(F, 3)"""
     design: Floats
-    """(F, 3, 6): by the cone's place (m), and by what its sightings share (sigmas)"""
+    """(F, 3, 6 + R): by the cone's place (m), by what its sightings share and by what the poses err by (sigmas)"""
     stated_px2: Floats
     """(F, 3) variances, which the factors are on"""
     fixed_px2: Floats
@@ -67,20 +72,20 @@ def sighting_variances(
     tracks: Sequence[Track],
     matches: Sequence[StereoMatch],
     rig: Rig,
-    map_SE3_left: Mapping[int, Floats],
-    map_SE3_right: Mapping[int, Floats],
+    poses: Mapping[int, Pose],
+    pose_cov: PoseCov | None = None,
 ) -> SightingVariances:
     """Factors for the sightings of one drive, from all its tracks.
 
-    map_SE3_left, map_SE3_right: (4, 4) camera -> map by frame index, of a refined trajectory. Only matches refined in the
-    pictures, of boxes with feet, take part; where few are left, the factors stay near 1.
+    poses: by frame index, of a refined trajectory; pose_cov: of their errors, None where they have none. Only matches refined in
+    the pictures, of boxes with feet, take part; where few are left, the factors stay near 1.
     """
     match_of = {(m.frame_index, m.match_index): m for m in matches}
     cones = []
     for track in tracks:
         pairs = [match_of[member] for member in track.members if _tells_all(match_of[member])]
         if len(pairs) > 1:
-            cones.append(_cone(np.array(track.xyz_m), pairs, rig, map_SE3_left, map_SE3_right))
+            cones.append(_cone(np.array(track.xyz_m), pairs, rig, poses, pose_cov))
     factors = np.ones(3)
     for _ in range(_MAX_ITERATIONS):
         # What is stated counts as so many residuals, each just as large as it says.
@@ -121,13 +126,10 @@ def _disparity_px2(match: StereoMatch) -> float:
 
 
 def _cone(
-    place_m: Floats,
-    pairs: Sequence[StereoMatch],
-    rig: Rig,
-    map_SE3_left: Mapping[int, Floats],
-    map_SE3_right: Mapping[int, Floats],
+    place_m: Floats, pairs: Sequence[StereoMatch], rig: Rig, poses: Mapping[int, Pose], pose_cov: PoseCov | None
 ) -> _Cone:
-    left, right = (np.stack([poses[m.frame_index] for m in pairs]) for poses in (map_SE3_left, map_SE3_right))
+    stated_poses = [poses[m.frame_index] for m in pairs]
+    left, right = (np.stack([pose_of(p, rig) for p in stated_poses]) for pose_of in (map_SE3_left, map_SE3_right))
     # Millimetre corrections on coordinates of millions of metres: work around the cone.
     left[:, :3, 3] -= place_m
     right[:, :3, 3] -= place_m
@@ -136,14 +138,31 @@ def _cone(
     computed, jacobian = pair_jacobian(np.zeros(3), left, right, focal_px, principal_px)
     observed = np.array([(*m.foot_left_uv_px, *m.foot_right_uv_px) for m in pairs])
     shared = np.array([(m.sigma_outline_px, m.sigma_outline_px, SHARED_DISPARITY_PX) for m in pairs])
+    stated = np.array([(m.sigma_pointing_px**2, m.sigma_v_px**2 / 2, _disparity_px2(m)) for m in pairs])
     fixed = np.zeros((len(pairs), 3))
     fixed[:, 0] = [m.sigma_u_px**2 / 2 for m in pairs]
-    return _Cone(
-        (observed - computed) @ _GROUPS.T,
-        np.concatenate([_GROUPS @ jacobian, shared[:, :, None] * np.eye(3)], axis=2),
-        np.array([(m.sigma_pointing_px**2, m.sigma_v_px**2 / 2, _disparity_px2(m)) for m in pairs]),
-        fixed,
-    )
+    by_place = _GROUPS @ jacobian
+    design = [by_place, shared[:, :, None] * np.eye(3)]
+    if pose_cov is not None:
+        by_pose = by_place @ pose_jacobian(
+            np.tile(place_m, (len(pairs), 1)),
+            np.array([p.map_R_body for p in stated_poses]),
+            np.array([p.map_t_body_m for p in stated_poses]),
+        )
+        design.append(_by_pose_sigmas(by_pose, pose_cov([m.frame_index for m in pairs]), (stated + fixed) ** 0.5))
+    return _Cone((observed - computed) @ _GROUPS.T, np.concatenate(design, axis=2), stated, fixed)
+
+
+def _by_pose_sigmas(by_pose: Floats, cov: Floats, stated_px: Floats) -> Floats:
+    """(F, 3, R) px: how F sightings move with R independent errors of one sigma, which make up those of their poses.
+
+    by_pose (F, 3, 6), by the pose of each; cov (6F, 6F) of these; stated_px (F, 3): what is far below it is left out.
+    """
+    count = len(by_pose)
+    together = moved_cov(by_pose / stated_px[:, :, None], np.arange(count), cov)
+    values, vectors = np.linalg.eigh(together)
+    told = values > _LEAST_POSE_SHARE
+    return np.asarray((vectors[:, told] * values[told] ** 0.5).reshape(count, 3, -1) * stated_px[:, :, None])
 
 
 def _squares_and_freedom(cone: _Cone, factors: Floats) -> tuple[Floats, Floats]:
@@ -153,10 +172,11 @@ def _squares_and_freedom(cone: _Cone, factors: Floats) -> tuple[Floats, Floats]:
     """
     own = factors * cone.stated_px2 + cone.fixed_px2
     huber = np.ones_like(own)
+    known = np.arange(3, cone.design.shape[2])
     for _ in range(_ROBUST_ROUNDS):
         weighted = cone.design * (huber / own)[:, :, None]
-        normal = np.einsum("fik,fil->kl", cone.design, weighted)
-        normal[[3, 4, 5], [3, 4, 5]] += 1.0  # what sightings share is known beforehand to one sigma
+        normal = np.tensordot(cone.design, weighted, axes=((0, 1), (0, 1)))
+        normal[known, known] += 1.0  # what sightings share and poses err by is known beforehand to one sigma
         inverse = np.linalg.inv(normal)
         unknown = inverse @ np.einsum("fik,fi->k", weighted, cone.residual_px)
         ratio = np.abs(cone.residual_px - cone.design @ unknown) / own**0.5

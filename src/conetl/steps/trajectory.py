@@ -196,6 +196,24 @@ def motion_error(trajectory: RefinedTrajectory) -> MotionError | None:
     )
 
 
+def log_errors(frame_pairs: Sequence[FramePair], params: TrajectoryParams) -> Floats:
+    """(6K, 6K) covariance of the errors of K logged poses: Gauss-Markov processes with a white share, place before attitude."""
+    times_s = np.array([pair.captured_at_ns for pair in frame_pairs], dtype=np.int64)
+    apart_s = np.abs(times_s[:, None] - times_s) * 1e-9
+    count = len(frame_pairs)
+    sigma = np.array([(*pair.pose.sigma_enu_m, *pair.pose.sigma_rpy_rad) for pair in frame_pairs])
+    cov = np.zeros((count, POSE, count, POSE))
+    for column in range(POSE):
+        white, lasts_s = (
+            (params.gnss_white_share, params.gnss_correlation_s)
+            if column < 3
+            else (params.attitude_white_share, params.attitude_correlation_s)
+        )
+        correlation = (1 - white**2) * np.exp(-apart_s / lasts_s) + white**2 * np.eye(count)
+        cov[:, column, :, column] = correlation * np.outer(sigma[:, column], sigma[:, column])
+    return cov.reshape(count * POSE, count * POSE)
+
+
 def _read_log(frame_pairs: Sequence[FramePair], rig: Rig, params: TrajectoryParams) -> LoggedPoses:
     sigma_p = np.maximum([pair.pose.sigma_enu_m for pair in frame_pairs], _LEAST_SIGMA_M)
     sigma_a = np.maximum([pair.pose.sigma_rpy_rad for pair in frame_pairs], _LEAST_SIGMA_RAD)
@@ -274,10 +292,6 @@ def _sightings(frame_pairs: Sequence[FramePair], cones: Sequence[Sequence[Positi
         for p in group
         if p.frame_index in rank
     ]
-
-
-def _information(position: Position) -> Floats:
-    return np.asarray(np.linalg.inv(cov_matrix(position.camera_cov_m2)), dtype=np.float64)
 
 
 def _as_logged(

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from conetl.geometry.chain_solver import ChainNormal, covariance, cross_covariance, solve
+from conetl.geometry.chain_solver import ChainNormal, covariance, cross_covariance, joint_covariance, solve
 
 
 def random_normal(seed: int, count: int, size: int, shared: int) -> tuple[ChainNormal, np.ndarray, np.ndarray]:
@@ -72,6 +72,21 @@ def test_far_states_are_reached_in_strides(count: int) -> None:
             step_by_step = result.gain[k] @ step_by_step
         step_by_step = step_by_step + result.reach[first] @ result.shared @ result.reach[second].T
         assert np.allclose(cross_covariance(result, first, second), step_by_step, rtol=1e-9, atol=1e-15)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 1000), st.sets(st.integers(0, 8), max_size=9), st.integers(1, 3), st.integers(0, 2))
+def test_any_states_together(seed: int, chosen: set[int], unknowns: int, shared: int) -> None:
+    """The same as of each two of them."""
+    result, states = covariance(random_normal(seed, 9, 3, shared)[0]), sorted(chosen)
+    joint = joint_covariance(result, states, unknowns)
+    assert joint.shape == (unknowns * len(states), unknowns * len(states))
+    blocks = joint.reshape(len(states), unknowns, len(states), unknowns)
+    for a, first in enumerate(states):
+        for b, second in enumerate(states[a:], a):
+            expected = cross_covariance(result, first, second)[:unknowns, :unknowns]
+            assert np.allclose(blocks[a, :, b], expected, rtol=1e-8, atol=1e-12)
+            assert np.allclose(blocks[b, :, a], expected.T, rtol=1e-8, atol=1e-12)
 
 
 def test_a_singular_chain_is_an_error() -> None:

@@ -39,6 +39,32 @@ def test_the_parts_add_up_to_the_full_correlated_nees(seed: int) -> None:
     assert (result.absolute.dof, result.relative.dof, result.common.dof) == (27, 23, 4)
 
 
+def whole(own: np.ndarray) -> np.ndarray:
+    """(3N, 3N) of (N, 3, 3)."""
+    full = np.zeros((3 * len(own), 3 * len(own)))
+    for i, block in enumerate(own):
+        full[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = block
+    return full
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10_000))
+def test_own_errors_may_hang_together(seed: int) -> None:
+    """As one matrix of all points: without correlations the same parts, with them the sum is that of the full matrix."""
+    rng, own, jacobian, cov = random_drive(seed)
+    error = draw(rng, own, jacobian, cov)
+    alone, together = consistency(error, own, jacobian, cov), consistency(error, whole(own), jacobian, cov)
+    for part in ("absolute", "relative", "common"):
+        assert getattr(together, part).value == pytest.approx(getattr(alone, part).value, rel=1e-6)
+    slide = rng.normal(0, 0.05, (error.size, 5))
+    correlated = whole(own) + slide @ slide.T
+    g = jacobian.reshape(error.size, -1)
+    full = correlated + g @ cov @ g.T
+    result = consistency(error, correlated, jacobian, cov)
+    assert result.absolute.value == pytest.approx(error.ravel() @ np.linalg.solve(full, error.ravel()), rel=1e-6)
+    assert (result.absolute.dof, result.relative.dof, result.common.dof) == (27, 23, 4)
+
+
 def test_a_common_error_is_no_relative_error() -> None:
     rng, own, jacobian, cov = random_drive(3)
     error = draw(rng, own, jacobian, cov)

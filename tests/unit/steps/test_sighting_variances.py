@@ -5,11 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from conetl.records import Detection, Side, StereoMatch, Track
+from conetl.geometry import pose as se3
+from conetl.params import TrajectoryParams
+from conetl.records import Detection, FramePair, Side, StereoMatch, Track
 from conetl.steps.matching_cov import SHARED_DISPARITY_PX
+from conetl.steps.pose_errors import PoseCov, pose_cov
 from conetl.steps.sighting_variances import SightingVariances, sighting_variances, with_variances
+from conetl.steps.trajectory import refine_trajectory
 from tests.conftest import sample_matches, sample_track
-from tests.synthetic.world import ORIGIN_M, camera_pose, camera_poses, make_path, make_rig
+from tests.synthetic.odometry import log_of, motions_of
+from tests.synthetic.world import ORIGIN_M, camera_pose, make_path, make_rig
 
 RIG, PATH = make_rig(), make_path(24)
 FEET_M = np.array([[x, y, 0.0] for x in (12.0, 18.0, 24.0, 30.0) for y in (-3.5, 3.0)]) + ORIGIN_M
@@ -70,8 +75,13 @@ def _box(frame: int, number: int, side: Side) -> Detection:
     )  # fmt: skip
 
 
-def found(matches: list[StereoMatch], tracks: list[Track]) -> SightingVariances:
-    return sighting_variances(tracks, matches, RIG, camera_poses(PATH, RIG, "left"), camera_poses(PATH, RIG, "right"))
+def found(
+    matches: list[StereoMatch],
+    tracks: list[Track],
+    pairs: list[FramePair] = PATH,
+    pose_cov: PoseCov | None = None,
+) -> SightingVariances:
+    return sighting_variances(tracks, matches, RIG, {pair.frame_index: pair.pose for pair in pairs}, pose_cov)
 
 
 @pytest.mark.parametrize("sizes", [(1.0, 1.0, 1.0), (1.5, 0.7, 1.3), (0.7, 1.6, 0.6)])
@@ -85,6 +95,22 @@ def test_what_was_drawn_is_found(sizes: tuple[float, float, float]) -> None:
     expected = (count * np.square(sizes) + 16) / (count + 16)
     assert factors.mean(axis=0) == pytest.approx(expected, rel=0.1)
     assert (factors.std(axis=0) / expected < 1.5 * (2 / count) ** 0.5).all()
+
+
+def test_poses_that_slide_are_no_scatter_of_the_pictures() -> None:
+    """A refined log of an RTK receiver: with the covariance of its poses the drawn factors are found, without it larger ones."""
+    params, rng = TrajectoryParams(), np.random.default_rng(6)
+    truth = np.stack([se3.map_SE3_body(pair.pose) for pair in PATH])
+    knowing, naive = [], []
+    for _ in range(6):
+        log = log_of(truth, rng, 0.06, 0.001, params)
+        refined = refine_trajectory(log, RIG, motions_of(truth, RIG, rng, params), params)
+        matches, tracks = drawn(rng, (1.0, 1.0, 1.0))
+        moved = list(refined.frame_pairs)
+        knowing.append(found(matches, tracks, moved, pose_cov(refined, params)))
+        naive.append(found(matches, tracks, moved))
+    assert np.mean(knowing, axis=0) == pytest.approx(1.0, abs=0.15)
+    assert (np.mean(naive, axis=0)[:2] > 1.3).all()
 
 
 def test_a_cone_or_none_says_little() -> None:
