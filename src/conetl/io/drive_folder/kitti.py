@@ -89,32 +89,39 @@ def read_kitti_drive(
     except ValueError as error:
         raise DriveFolderError(f"{folder}: {error}") from error
 
-    pairs: list[FramePair] = []
+    usable: dict[int, tuple[Path, Path, int]] = {}
+    known = frozenset(track.numbers)
     rising = {n: t for n in numbers if isinstance(t := stamps.get(n), int)}
     disordered = out_of_order(rising)
     for number in pictures_ahead(numbers, left, right, content):
         try:
             left_path, right_path = check_images(left.get(number, []), right.get(number, []), rig, content, root)
             captured = _captured_at(number, stamps, disordered, settings)
-            _check_pose(number, captured, bad_records, track, root)
+            _check_pose(number, captured, bad_records, track, known, root)
         except PairError as error:
             rejections.append(error.rejection(f"frame pair {number}", number))
         else:
-            pairs.append(
-                FramePair(
-                    frame_index=number,
-                    left_path=str(left_path),
-                    right_path=str(right_path),
-                    captured_at_ns=captured,
-                    pose=oxts.pose_at(track, number, captured, settings.sigmas),
-                )
-            )
+            usable[number] = left_path, right_path, captured
+    pairs = _frame_pairs(usable, track, settings)
     require_pairs(pairs, rejections, len(numbers), folder)
     drive = Drive(
         drive_id=settings.id_of(root.name), source_path=str(root), rig=rig, map_srid=srid,
         content_sha256=content.hexdigest(), frame_pairs=tuple(pairs), expected_frame_count=len(numbers),
     )  # fmt: skip
     return drive, rejections
+
+
+def _frame_pairs(
+    usable: Mapping[int, tuple[Path, Path, int]], track: oxts.Trajectory, settings: DriveYaml
+) -> list[FramePair]:
+    """Records of the frame pairs that can be used: number -> left and right picture, UTC nanoseconds."""
+    poses = oxts.poses_at(track, {number: captured for number, (_, _, captured) in usable.items()}, settings.sigmas)
+    return [
+        FramePair(
+            frame_index=number, left_path=str(left), right_path=str(right), captured_at_ns=captured, pose=poses[number]
+        )
+        for number, (left, right, captured) in usable.items()
+    ]
 
 
 def calibration_path(root: Path, parent: Path, settings: DriveYaml) -> Path:
@@ -252,14 +259,16 @@ def _captured_at(number: int, stamps: Mapping[int, int | str], disordered: set[i
     return stamp
 
 
-def _check_pose(number: int, captured: int, bad: Mapping[int, str], track: oxts.Trajectory, root: Path) -> None:
+def _check_pose(
+    number: int, captured: int, bad: Mapping[int, str], track: oxts.Trajectory, known: frozenset[int], root: Path
+) -> None:
     """Raise PairError unless there is a pose of this number, of about the image's time."""
     name = f"oxts/data/{number:010d}.txt"
     if number in bad:
         path = root / name
         text = path.read_text(encoding="utf-8", errors="replace")[:1000] if path.is_file() else None
         raise PairError(RejectionReason.POSE_INVALID, f"{name}: {bad[number]}", path=name, text=text)
-    if number not in track.numbers:
+    if number not in known:
         raise PairError(RejectionReason.POSE_MISSING, f"{name}: there is no such file", path=name)
     apart = abs(captured - track.times_ns.get(number, captured))
     if apart > MAX_CLOCK_DIFFERENCE_NS:
