@@ -90,14 +90,13 @@ def read_kitti_drive(
         raise DriveFolderError(f"{folder}: {error}") from error
 
     usable: dict[int, tuple[Path, Path, int]] = {}
-    known = frozenset(track.numbers)
     rising = {n: t for n in numbers if isinstance(t := stamps.get(n), int)}
     disordered = out_of_order(rising)
     for number in pictures_ahead(numbers, left, right, content):
         try:
             left_path, right_path = check_images(left.get(number, []), right.get(number, []), rig, content, root)
             captured = _captured_at(number, stamps, disordered, settings)
-            _check_pose(number, captured, bad_records, track, known, root)
+            _check_pose(number, captured, bad_records, track, root)
         except PairError as error:
             rejections.append(error.rejection(f"frame pair {number}", number))
         else:
@@ -259,16 +258,14 @@ def _captured_at(number: int, stamps: Mapping[int, int | str], disordered: set[i
     return stamp
 
 
-def _check_pose(
-    number: int, captured: int, bad: Mapping[int, str], track: oxts.Trajectory, known: frozenset[int], root: Path
-) -> None:
+def _check_pose(number: int, captured: int, bad: Mapping[int, str], track: oxts.Trajectory, root: Path) -> None:
     """Raise PairError unless there is a pose of this number, of about the image's time."""
     name = f"oxts/data/{number:010d}.txt"
     if number in bad:
         path = root / name
         text = path.read_text(encoding="utf-8", errors="replace")[:1000] if path.is_file() else None
         raise PairError(RejectionReason.POSE_INVALID, f"{name}: {bad[number]}", path=name, text=text)
-    if number not in known:
+    if not oxts.has_record(track, number):
         raise PairError(RejectionReason.POSE_MISSING, f"{name}: there is no such file", path=name)
     apart = abs(captured - track.times_ns.get(number, captured))
     if apart > MAX_CLOCK_DIFFERENCE_NS:

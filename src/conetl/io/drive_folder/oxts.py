@@ -7,6 +7,7 @@ clockwise), 23 pos_accuracy (m, north/east). KITTI's `dataformat.txt` describes 
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -117,6 +118,12 @@ def jumps(track: Trajectory) -> dict[int, str]:
         if speeds[0] > MAX_SPEED_M_S and speeds[1] > MAX_SPEED_M_S and speeds[2] <= MAX_SPEED_M_S:
             found[b] = f"the place is reached and left at {speeds[0]:.0f} m/s, more than {MAX_SPEED_M_S:g}: a wild fix"
     return found
+
+
+def has_record(track: Trajectory, number: int) -> bool:
+    """Whether there is a pose of this frame number."""
+    place = bisect_left(track.numbers, number)
+    return place < len(track.numbers) and track.numbers[place] == number
 
 
 def poses_at(track: Trajectory, exposures_ns: Mapping[int, int], sigmas: Sigmas) -> dict[int, Pose]:
