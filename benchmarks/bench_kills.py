@@ -75,10 +75,10 @@ def without_prefect(drives: list[Path], settings: Settings) -> int:
                 identity.model_sha256,
                 params.model_copy(update={"chunk_pairs": len(drive.frame_pairs)}),
             )
-            sides = [tasks.detect_task.fn(chunk, side) for side in ("left", "right")]
-            found = tasks.match_task.fn(chunk, *sides)
+            parts = [tasks.detect_task.fn(chunk, part, drive.rig) for part in range(len(tasks.parts_of(chunk)))]
+            found = tasks.match_task.fn(chunk, drive.rig, *parts)
             placed = tasks.locate_task.fn([chunk], [found])
-            detections, matches = load_results(sides, Detection)[0], load_results([found], StereoMatch)[0]
+            detections, matches = load_results(parts, Detection)[0], load_results([found], StereoMatch)[0]
             positions = load_results(placed, Position)[0]
             tracks, _ = tasks.fuse_task.fn(drive, detections, matches, positions, params, identity.evidence)
             changeset = merging._changeset(drive, settings.map_name, identity, ())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -32,10 +33,10 @@ from flows.refinement import (
 )
 from flows.retries import whole
 from flows.runners import count_when_done
-from flows.tasks import Chunk, detect_task, fuse_task, locate_task, match_task, weigh_task
+from flows.tasks import Chunk, detect_task, fuse_task, locate_task, match_task, parts_of, weigh_task
 
-#: While the calibration is worked out, detections of so many chunks more keep the cores busy.
-_CHUNKS_MEANWHILE = 3
+#: While the calibration is worked out, detections of so many parts of chunks more keep the cores busy.
+_PARTS_MEANWHILE = 2
 
 
 class Runs(Protocol):
@@ -133,9 +134,10 @@ def _run_chunks(
 ) -> tuple[list[Path], list[Path], list[Path], SelfCalibration, Rig]:
     """Detections, matches and motions of all chunks; what the drive says of its calibration, and its rig after that.
 
-    Matching waits for the calibration, which needs the odometry of the whole drive. So the odometry comes first, and what
-    Python itself computes (self-calibration in the caller's own thread, matching, motions by the new rig) runs
-    beside detections, which leave the interpreter to others.
+    Matching waits for the calibration, which needs the odometry of the whole drive. So the odometry comes first, and while Python
+    itself works out the calibration in the caller's own thread, detections, which leave the interpreter to others, keep
+    the cores busy. Once the rig is known, matches are computed along with the detections, from pictures that are in memory; only
+    for those that were found meanwhile are pictures read again.
     """
     drive_id, params = drive.drive_id, chunks[0].params.trajectory
     overlapping = list(odometry_chunks(chunks)) if params.refine else []
@@ -144,32 +146,40 @@ def _run_chunks(
     followed = [runs.soon(odometry_task, whole(chunk)) for chunk in overlapping]
     for chunk, future in zip(overlapping, followed, strict=True):
         count_when_done(future, drive_id, len(chunk.frame_pairs) - 1)
-    # Tasks begin in the order in which they are handed in. Both sides of so many chunks are one for every core; matching comes
-    # as many chunks later, and so waits for nothing.
-    ahead = ((os.cpu_count() or 1) + 1) // 2 + (_CHUNKS_MEANWHILE if followed else 0)
-    detected = [_detect(chunk, runs) for chunk in chunks[:ahead]]
-    odometry: list[Odometry] = [future.result() for future in followed]
-    motions = [found.motions for found in odometry]
+    parts = iter([(k, part) for k, chunk in enumerate(chunks) for part in range(len(parts_of(chunk)))])
+    detected: list[list[Any]] = [[] for _ in chunks]
+
+    def detect(count: int, rig: Rig | None) -> None:
+        """Hand in the detections of so many parts more."""
+        for k, part in islice(parts, count):
+            detected[k].append(_detect(chunks[k], part, rig, runs))
+
+    # Tasks begin in the order in which they are handed in: one part for every core, and matching as many parts later, which so
+    # waits for nothing.
+    ahead = os.cpu_count() or 1
     calibration: SelfCalibration = SWITCHED_OFF
+    odometry: list[Odometry] = []
+    detect(ahead, None if params.self_calibrate else drive.rig)
     if params.self_calibrate:
-        tracks = [found.tracks for found in odometry]
+        detect(_PARTS_MEANWHILE, None)
+        odometry = [future.result() for future in followed]
+        tracks, motions = [found.tracks for found in odometry], [found.motions for found in odometry]
         calibration = runs.now(self_calibrate_task, whole(drive), tracks, motions, whole(chunks[0]))
     rig = self_calibrated_rig(drive.rig, calibration, params)
     matched, moving = [], []
-    for k, chunk in enumerate(with_rig(chunks, rig)):
-        detected += [_detect(later, runs) for later in chunks[k + ahead : k + ahead + 1]]
-        matched.append(runs.soon(match_task, whole(chunk), *detected[k]))
+    for k, chunk in enumerate(chunks):
+        detect(len(parts_of(chunk)), rig)
+        matched.append(runs.soon(match_task, whole(chunk), whole(rig), *detected[k]))
         if rig != drive.rig and k < len(overlapping):
             again = overlapping[k].model_copy(update={"rig": rig})
-            moving.append(runs.soon(motions_task, whole(again), odometry[k].tracks, motions[k]))
-    found = [future.result() for sides in detected for future in sides]
-    motions = [future.result() for future in moving] or motions
-    return found, [future.result() for future in matched], motions, calibration, rig
+            moving.append(runs.soon(motions_task, whole(again), odometry[k].tracks, odometry[k].motions))
+    paths = [future.result() for halves in detected for future in halves]
+    motion_paths = [f.result() for f in moving] or [f.result().motions for f in followed]
+    return paths, [future.result() for future in matched], motion_paths, calibration, rig
 
 
-def _detect(chunk: Chunk, runs: Runs) -> list[Any]:
-    """Detections of a chunk's left and right pictures, futures."""
-    futures = [runs.soon(detect_task, whole(chunk), side) for side in ("left", "right")]
-    for future in futures:
-        count_when_done(future, chunk.drive_id, len(chunk.frame_pairs))
-    return futures
+def _detect(chunk: Chunk, part: int, rig: Rig | None, runs: Runs) -> Any:
+    """Detections of a part of a chunk, a future."""
+    future = runs.soon(detect_task, whole(chunk), part, whole(rig))
+    count_when_done(future, chunk.drive_id, 2 * len(chunk.frame_pairs[parts_of(chunk)[part]]))
+    return future

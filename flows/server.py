@@ -20,7 +20,7 @@ from pathlib import Path
 import httpx
 from prefect.events.worker import EventsWorker
 from prefect.logging.handlers import APILogWorker
-from prefect.settings import PREFECT_API_URL, temporary_settings
+from prefect.settings import PREFECT_API_URL, PREFECT_FLOWS_HEARTBEAT_FREQUENCY, temporary_settings
 
 from conetl.errors import ServiceError
 from conetl.io.services.processes import is_running, read_services
@@ -39,7 +39,7 @@ def prefect_server(home: Path) -> Iterator[str]:
     configured = os.environ.get("PREFECT_API_URL")
     own = None if configured else read_services(home).get("prefect")
     if own is not None and own.address and is_running(own) and _is_healthy(f"{own.address}/api"):
-        with temporary_settings(updates={PREFECT_API_URL: f"{own.address}/api"}):  # of `conetl up`
+        with _talking_to(f"{own.address}/api"):  # of `conetl up`
             yield f"{own.address}/api"
         return
     if configured:
@@ -68,8 +68,7 @@ def prefect_server(home: Path) -> Iterator[str]:
         )
     try:
         _wait_until_healthy(url, process, state / "server.log")
-        # Prefect read its environment when it was imported: setting a variable now would come too late.
-        with temporary_settings(updates={PREFECT_API_URL: url}):
+        with _talking_to(url):
             try:
                 yield url
             finally:  # the last log lines and events are still on their way
@@ -82,6 +81,14 @@ def prefect_server(home: Path) -> Iterator[str]:
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
+
+
+def _talking_to(url: str) -> contextlib.AbstractContextManager[object]:
+    """Prefect's settings for runs of this command. It read its environment when it was imported: a variable comes too late.
+
+    No heartbeats: every flow would wait a second for their thread to end, and who is alive the locks tell (`recovery.py`).
+    """
+    return temporary_settings(updates={PREFECT_API_URL: url, PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None})
 
 
 def _die_with_parent() -> None:

@@ -5,21 +5,24 @@ from __future__ import annotations
 import socket
 import threading
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
 from prefect import task
 
 from conetl.detector_evidence import UNMEASURED, DetectorEvidence
 from conetl.errors import ModelFileError
 from conetl.geometry.camera import first_road_row
-from conetl.geometry.rig import map_SE3_left, map_SE3_right
+from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left, map_SE3_right
 from conetl.io import detector as detector_io
 from conetl.io.drive_folder import read_drive
 from conetl.io.parquet_store import (
     file_sha256,
     has_result,
     load_result,
+    load_results,
     result_key,
     result_path,
     save_result,
@@ -53,7 +56,8 @@ from flows.progress import tell_progress
 from flows.retries import RETRY
 
 #: Part of every result key: raise it when a step computes something else from the same inputs.
-RESULTS_VERSION = "8"
+RESULTS_VERSION = "9"
+_SIDES: tuple[Side, Side] = ("left", "right")
 _per_thread = threading.local()
 
 
@@ -91,78 +95,127 @@ def read_drive_task(folder: Path, map_srid: int | None, pictures_folder: Path) -
     return read_drive(folder, map_srid=map_srid, pictures_folder=pictures_folder)
 
 
-@task(name="detect", task_run_name="detect {side} {chunk.frame_pairs[0].frame_index}", tags=["detect"], **RETRY)
-def detect_task(chunk: Chunk, side: Side) -> Path:
-    """Detections of one side of a chunk; returns the Parquet file."""
-    paths = [place(pair.left_path if side == "left" else pair.right_path) for pair in chunk.frame_pairs]
+def parts_of(chunk: Chunk) -> list[slice]:
+    """The frame pairs of a chunk that one detection task takes: halves, so that the last ones keep all cores busy."""
+    count = len(chunk.frame_pairs)
+    half = (count + 1) // 2
+    return [slice(first, min(first + half, count)) for first in range(0, count, half)]
+
+
+@task(name="detect", task_run_name="detect {chunk.frame_pairs[0].frame_index} {part}", tags=["detect"], **RETRY)
+def detect_task(chunk: Chunk, part: int, rig: Rig | None) -> Path:
+    """Detections in both pictures of one of the parts of a chunk; returns the Parquet file.
+
+    rig: of the drive after its self-calibration, None where that is not known yet. Where it is, the matches are computed along
+    with the detections, while the pictures are in memory, and lie where `match_task` looks for them.
+    """
+    pairs = chunk.frame_pairs[parts_of(chunk)[part]]
+    paths = [place(path) for pair in pairs for path in (pair.left_path, pair.right_path)]
     hashes = [file_sha256(path) for path in in_batches(paths, fresh=True)]
     params = chunk.params.detection
     key = result_key(
-        RESULTS_VERSION, "detect", side, chunk.model_sha256, params_sha256(params), _rig_and_poses(chunk), *hashes
+        RESULTS_VERSION, "detect", chunk.model_sha256, params_sha256(params), _rig_and_poses(chunk), str(part), *hashes
     )
+    found = result_path(chunk.results_folder, key)
     if has_result(chunk.results_folder, key):
         tell_progress(chunk.drive_id, len(paths))
-        return result_path(chunk.results_folder, key)
+        if rig is not None:
+            _match_part(chunk, part, found, rig)
+        return found
     keep_freed_pictures()
-    camera = chunk.rig.left if side == "left" else chunk.rig.right
-    pose_of = map_SE3_left if side == "left" else map_SE3_right
-    rotations = [pose_of(pair.pose, chunk.rig)[:3, :3] for pair in chunk.frame_pairs]
-    first_row = first_road_row(camera, rotations, params.horizon_margin_rad)
+    first_rows = _first_rows(chunk)
     detections: list[Detection] = []
     rejections: list[Rejection] = []
-    for pair, path in zip(chunk.frame_pairs, in_batches(paths), strict=True):
-        try:
-            image = read_rig_image(path, chunk.rig, side)
-        except ImageFileError as error:
-            rejections.append(
-                Rejection(
-                    step="detections",
-                    reason=error.reason,
-                    record=f"frame pair {pair.frame_index}",
-                    detail=str(error),
-                    payload={"frame_index": pair.frame_index, "side": side, "path": str(path)},
+    matches: list[StereoMatch] = []
+    refused_matches: list[Rejection] = []
+    at = in_batches(paths)
+    for pair in pairs:
+        images: dict[Side, NDArray[np.uint8]] = {}
+        by_side: dict[Side, list[Detection]] = {"left": [], "right": []}
+        for side in _SIDES:
+            path = next(at)
+            try:
+                images[side] = read_rig_image(path, chunk.rig, side)
+            except ImageFileError as error:
+                rejections.append(
+                    Rejection(
+                        step="detections",
+                        reason=error.reason,
+                        record=f"frame pair {pair.frame_index}",
+                        detail=str(error),
+                        payload={"frame_index": pair.frame_index, "side": side, "path": str(path)},
+                    )
                 )
-            )
-        else:
-            boxes = detector_io.detect_image(
-                _detector(chunk), image,
-                score_threshold=params.score_threshold, nms_iou=params.nms_iou, first_row=first_row,
-            )  # fmt: skip
-            found, refused = check_boxes(boxes, frame_index=pair.frame_index, side=side, params=params)
-            detections += found
-            rejections += refused
-        tell_progress(chunk.drive_id, 1)
-    return save_result(chunk.results_folder, key, detections, rejections)
+            else:
+                boxes = detector_io.detect_image(
+                    _detector(chunk), images[side],
+                    score_threshold=params.score_threshold, nms_iou=params.nms_iou, first_row=first_rows[side],
+                )  # fmt: skip
+                by_side[side], refused = check_boxes(boxes, frame_index=pair.frame_index, side=side, params=params)
+                detections += by_side[side]
+                rejections += refused
+            tell_progress(chunk.drive_id, 1)
+        if rig is not None:
+            found_matches, refused = _match(chunk, pair, by_side, rig, images)
+            matches += found_matches
+            refused_matches += refused
+    save_result(chunk.results_folder, key, detections, rejections)
+    if rig is not None:
+        save_result(chunk.results_folder, _match_key(chunk, found, rig), matches, refused_matches)
+    return found
 
 
 @task(name="match", task_run_name="match {chunk.frame_pairs[0].frame_index}", **RETRY)
-def match_task(chunk: Chunk, left: Path, right: Path) -> Path:
-    """Stereo matches of a chunk from the detections of both sides; returns the Parquet file."""
-    key = result_key(
-        RESULTS_VERSION, "match", left.stem, right.stem, params_sha256(chunk.params.match), _rig_and_poses(chunk)
-    )
+def match_task(chunk: Chunk, rig: Rig, *detected: Path) -> Path:
+    """Stereo matches of a chunk from the detections of its parts; returns the Parquet file.
+
+    chunk: with the rig by which its pictures were read; rig: the same after self-calibration.
+    """
+    keys = [_match_key(chunk, path, rig) for path in detected]
+    key = result_key(RESULTS_VERSION, "matches", *keys)
     if has_result(chunk.results_folder, key):
         return result_path(chunk.results_folder, key)
-    by_side = {"left": defaultdict[int, list[Detection]](list), "right": defaultdict[int, list[Detection]](list)}
-    for path in (left, right):
-        for detection in load_result(path, Detection)[0]:
-            by_side[detection.side][detection.frame_index].append(detection)
+    paths = [_match_part(chunk, part, path, rig) for part, path in enumerate(detected)]
+    matches, rejections = load_results(paths, StereoMatch)
+    return save_result(chunk.results_folder, key, with_measured_spread(matches), rejections)
+
+
+def _match_part(chunk: Chunk, part: int, detected: Path, rig: Rig) -> Path:
+    """The matches of a part by themselves, computed where they are not there yet; returns the Parquet file."""
+    key = _match_key(chunk, detected, rig)
+    if has_result(chunk.results_folder, key):
+        return result_path(chunk.results_folder, key)
+    by_frame: dict[int, dict[Side, list[Detection]]] = defaultdict(lambda: {"left": [], "right": []})
+    for detection in load_result(detected, Detection)[0]:
+        by_frame[detection.frame_index][detection.side].append(detection)
     matches: list[StereoMatch] = []
     rejections: list[Rejection] = []
-    for pair in chunk.frame_pairs:
-        ours, theirs = by_side["left"][pair.frame_index], by_side["right"][pair.frame_index]
-        # Up of the map, as the left camera sees it at this instant.
-        up = map_SE3_left(pair.pose, chunk.rig)[2, :3]
-        found, refused = match_pair(ours, theirs, chunk.rig, chunk.params.match, up_left=up)
-        if found and chunk.params.match.refine:  # pictures are dear: only where boxes alone say that something matches
-            images = (
-                read_rig_image(place(pair.left_path), chunk.rig, "left"),
-                read_rig_image(place(pair.right_path), chunk.rig, "right"),
-            )
-            found, refused = match_pair(ours, theirs, chunk.rig, chunk.params.match, up_left=up, images=images)
+    for pair in chunk.frame_pairs[parts_of(chunk)[part]]:
+        found, refused = _match(chunk, pair, by_frame[pair.frame_index], rig)
         matches += found
         rejections += refused
-    return save_result(chunk.results_folder, key, with_measured_spread(matches), rejections)
+    return save_result(chunk.results_folder, key, matches, rejections)
+
+
+def _match(
+    chunk: Chunk,
+    pair: FramePair,
+    by_side: Mapping[Side, Sequence[Detection]],
+    rig: Rig,
+    images: Mapping[Side, NDArray[np.uint8]] | None = None,
+) -> tuple[list[StereoMatch], list[Rejection]]:
+    """Stereo matches of one frame pair. images: of sides that have detections; None where they have to be read again."""
+    ours, theirs, params = by_side["left"], by_side["right"], chunk.params.match
+    # Up of the map, as the left camera sees it at this instant.
+    up = map_SE3_left(pair.pose, rig)[2, :3]
+    if params.refine and images is None:
+        if not match_pair(ours, theirs, rig, params, up_left=up)[0]:
+            images = {}  # pictures are dear: only where boxes alone say that something matches
+        else:
+            paths: dict[Side, str] = {"left": pair.left_path, "right": pair.right_path}
+            images = {side: read_rig_image(place(path), chunk.rig, side) for side, path in paths.items()}
+    both = (images["left"], images["right"]) if images and len(images) == len(_SIDES) else None
+    return match_pair(ours, theirs, rig, params, up_left=up, images=both)
 
 
 @task(name="locate", **RETRY)
@@ -227,9 +280,28 @@ def weigh_task(
     return weighed, *locate_positions(weighed, pairs, drive.rig, params.position)
 
 
-def _rig_and_poses(chunk: Chunk) -> str:
-    """Hash of all geometry that a chunk's matches and positions depend on."""
-    return result_key(chunk.rig.model_dump_json(), *(pair.model_dump_json() for pair in chunk.frame_pairs))
+def _rig_and_poses(chunk: Chunk, rig: Rig | None = None) -> str:
+    """Hash of all geometry that a chunk's matches and positions depend on, by the chunk's rig or another one."""
+    return result_key((rig or chunk.rig).model_dump_json(), *(pair.model_dump_json() for pair in chunk.frame_pairs))
+
+
+def _match_key(chunk: Chunk, detected: Path, rig: Rig) -> str:
+    """Of the matches of one part by themselves."""
+    return result_key(
+        RESULTS_VERSION, "match", detected.stem, params_sha256(chunk.params.match), _rig_and_poses(chunk, rig)
+    )
+
+
+def _first_rows(chunk: Chunk) -> dict[Side, int]:
+    """Rows of the pictures of either side from which on they are searched."""
+    return {
+        side: first_road_row(
+            camera_of(chunk.rig, side),
+            [map_SE3_camera(pair.pose, chunk.rig, side)[:3, :3] for pair in chunk.frame_pairs],
+            chunk.params.detection.horizon_margin_rad,
+        )
+        for side in _SIDES
+    }
 
 
 def _detector(chunk: Chunk) -> detector_io.Detector:

@@ -15,8 +15,10 @@ from conetl.io.db import connect, execute
 from conetl.io.detector import shipped_model_path
 from conetl.io.drive_folder import read_drive
 from conetl.io.model_card import read_model_card
+from conetl.io.parquet_store import load_result
 from conetl.io.places import place
 from conetl.params import IngestParams
+from conetl.records import StereoMatch
 from conetl.settings import Settings, prefect_environment
 from flows import progress, tasks
 from flows.analysis import PrefectRuns, analyse
@@ -78,17 +80,33 @@ def test_threads_processes_and_dask_write_the_same_bytes(home: Path, chunks: lis
             progress.ignore(listener)
         assert heard[-1] == (8, 8), "6 pictures and 2 motions, whoever counted them"
         written[kind] = {path.name: path.read_bytes() for path in (tmp_path / kind).iterdir()}
-    assert len(written["threads"]) == 11, (
-        "4 of detections, 2 of matches, 2 of positions; points followed, motions, self-calibration"
+    assert len(written["threads"]) == 13, (
+        "3 of detections, 3 of their matches, 2 of a chunk's, 2 of positions; points followed, motions, self-calibration"
     )
     assert written["processes"] == written["threads"]
     assert written["dask"] == written["threads"]
 
 
+def test_matches_are_the_same_from_pictures_in_memory_and_read_again(chunks: list[Chunk], tmp_path: Path) -> None:
+    written: list[dict[str, bytes]] = []
+    for early in (True, False):
+        chunk = chunks[0].model_copy(update={"results_folder": tmp_path / str(early)})
+        parts = [
+            tasks.detect_task.fn(chunk, part, chunk.rig if early else None)
+            for part in range(len(tasks.parts_of(chunk)))
+        ]
+        before = len(list(chunk.results_folder.iterdir()))
+        assert before == (4 if early else 2), "with the rig at hand, matches come along with the detections"
+        matches, _ = load_result(tasks.match_task.fn(chunk, chunk.rig, *parts), StereoMatch)
+        assert any(match.refined for match in matches)
+        written.append({path.name: path.read_bytes() for path in chunk.results_folder.iterdir()})
+    assert written[0] == written[1]
+
+
 def test_another_machines_model_is_no_answer(chunks: list[Chunk], tmp_path: Path) -> None:
     other = chunks[0].model_copy(update={"results_folder": tmp_path, "model_sha256": "0" * 64})
     with pytest.raises(ModelFileError, match="all machines need the same version"):
-        tasks.detect_task.fn(other, "left")
+        tasks.detect_task.fn(other, 0, other.rig)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -48,7 +48,7 @@ def file_sha256(path: Path) -> str:
 def has_result(folder: Path, key: str) -> bool:
     """Whether the chunk `key` was finished earlier and its file is whole; a damaged one is computed again."""
     try:
-        table = pq.read_table(result_path(folder, key), page_checksum_verification=True)
+        table = _read(result_path(folder, key))
     except (OSError, pa.ArrowException):
         return False
     return _REJECTIONS in (table.schema.metadata or {})
@@ -81,7 +81,7 @@ def save_result(folder: Path, key: str, records: Sequence[R], rejections: Sequen
 
 def load_result(path: Path, record_type: type[R]) -> tuple[list[R], list[Rejection]]:
     """Records and rejections of one chunk, validated again: a file is a border."""
-    table = pq.read_table(path)
+    table = _read(path)
     metadata = table.schema.metadata or {}
     rejections = TypeAdapter(list[Rejection]).validate_json(metadata[_REJECTIONS])
     return TypeAdapter(list[record_type]).validate_python(table.to_pylist()), rejections  # type: ignore[valid-type]
@@ -96,6 +96,12 @@ def load_results(paths: Iterable[Path], record_type: type[R]) -> tuple[list[R], 
         records += more
         rejections += refused
     return records, rejections
+
+
+def _read(path: Path) -> pa.Table:
+    # pq.read_table imports pandas, which takes as long as some hundred pictures.
+    with pq.ParquetFile(path, page_checksum_verification=True) as file:
+        return file.read()
 
 
 def result_path(folder: Path, key: str) -> Path:

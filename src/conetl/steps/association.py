@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from heapq import heappop, heappush
 from itertools import count
-from math import inf
+from math import dist, inf
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,8 @@ Floats = NDArray[np.float64]
 _FORBIDDEN = 1e6
 #: Of the search for the farthest that two positions of one cone may be apart.
 _ROUNDS, _SETTLED_M = 50, 0.01
+#: Coordinates of millions of metres are rounded to less than this.
+_ROUNDING_M = 1e-6
 
 
 @dataclass(frozen=True)
@@ -233,15 +235,10 @@ def misfit_of(
     motion: MotionError | None,
 ) -> float | None:
     """Squared Mahalanobis distance of two groups, or None where they cannot be one cone."""
-    frames_a, frames_b = np.array([p.frame_index for p in a]), np.array([p.frame_index for p in b])
-    # Of each of a's frames, b's last one before it and its first one after it (or at it).
-    after = np.searchsorted(frames_b, frames_a)
-    candidates = np.stack([np.maximum(after - 1, 0), np.minimum(after, len(b) - 1)], axis=1)
-    gaps = np.abs(frames_b[candidates] - frames_a[:, None])
-    if not gaps.all():
+    nearest = _nearest_in_time(a, b)
+    if nearest is None or (motion is None and not _within_reach(*nearest, map_SE3_left, params)):
         return None
-    i, side = divmod(int(gaps.argmin()), 2)
-    one, other = a[i], b[int(candidates[i, side])]
+    one, other = nearest
     mean, cov = carry(
         np.array(one.camera_xyz_m),
         cov_matrix(one.camera_cov_m2),
@@ -257,3 +254,37 @@ def misfit_of(
     # The covariance alone would join far, vague points over any distance along the line of sight.
     reach_m = _reach_m(float(np.trace(cov)), params)
     return distance2 if distance2 <= params.gate_chi2 and np.linalg.norm(difference) <= reach_m else None
+
+
+def _nearest_in_time(a: tuple[Position, ...], b: tuple[Position, ...]) -> tuple[Position, Position] | None:
+    """The position of either group that are the fewest frames apart; None where one frame has both groups."""
+    if a[-1].frame_index < b[0].frame_index:
+        return a[-1], b[0]
+    if b[-1].frame_index < a[0].frame_index:
+        return a[0], b[-1]
+    frames_a, frames_b = np.array([p.frame_index for p in a]), np.array([p.frame_index for p in b])
+    # Of each of a's frames, b's last one before it and its first one after it (or at it).
+    after = np.searchsorted(frames_b, frames_a)
+    candidates = np.stack([np.maximum(after - 1, 0), np.minimum(after, len(b) - 1)], axis=1)
+    gaps = np.abs(frames_b[candidates] - frames_a[:, None])
+    if not gaps.all():
+        return None
+    i, side = divmod(int(gaps.argmin()), 2)
+    return a[i], b[int(candidates[i, side])]
+
+
+def _within_reach(one: Position, other: Position, map_SE3_left: Mapping[int, Floats], params: TrackParams) -> bool:
+    """Whether two positions are at most as far apart as `misfit_of` allows, where the motion's error is a share of the way.
+
+    The same trace as that of `carry`'s covariance, which turns do not change, without matrices: most groups of a drive stand far
+    from each other, and all are compared with all.
+    """
+    start, end = map_SE3_left[one.frame_index], map_SE3_left[other.frame_index]
+    apart_m = dist(
+        (start[:3, :3] @ one.camera_xyz_m + start[:3, 3]).tolist(),
+        (end[:3, :3] @ other.camera_xyz_m + end[:3, 3]).tolist(),
+    )
+    way_m2 = dist(start[:3, 3].tolist(), end[:3, 3].tolist()) ** 2
+    own_m2 = one.camera_cov_m2[0] + one.camera_cov_m2[3] + one.camera_cov_m2[5] + 3 * params.motion_sigma_m**2
+    shares = params.motion_sigma_relative**2 + 2 * params.motion_sigma_aside**2
+    return apart_m <= _reach_m(own_m2 + shares * way_m2, params) + _ROUNDING_M

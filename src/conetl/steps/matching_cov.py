@@ -48,10 +48,12 @@ def matching_cov(
 
     A sandwich (Huber 1967): the pulls of the pixels as they scatter, all colours together, under the slopes that hold something.
     """
-    colours = np.einsum("nc,nd,n->cd", residual, residual, weights) / weights.sum() / np.outer(noise, noise)
-    pulls = np.einsum("ncp,cd,ndq,n->pq", jacobian, colours, jacobian, weights, optimize=True)
+    count = jacobian.shape[2]
+    colours = (residual.T * weights) @ residual / weights.sum() / np.outer(noise, noise)
+    pulls = (jacobian * weights[:, None, None]).reshape(-1, count).T @ (colours @ jacobian).reshape(-1, count)
     spread = _neighbours(residual * weights[:, None], *place) * pulls + np.diag(prior**2 * prior_variance)
-    crossed = np.einsum("ncp,qnc,nc->pq", jacobian, in_left, weights[:, None] / noise, optimize=True)
+    shares = (weights[:, None] / noise)[:, :, None]
+    crossed = (jacobian * shares).reshape(-1, count).T @ in_left.transpose(1, 2, 0).reshape(-1, count)
     inverse = _inverse_of_signal(normal, crossed, prior)
     return np.asarray(inverse @ spread @ inverse)
 

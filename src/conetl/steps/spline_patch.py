@@ -57,8 +57,8 @@ class SplinePatch(NamedTuple):
         first = np.minimum(np.maximum(base.astype(np.intp) - (1 + self.column0), 0), width - 4)
         first += top * width
         picked = blend.take(first + np.arange(4)[:, None], axis=1)  # (2 * channels, 4, n): values, then slopes down
-        along = np.einsum("ckn,kn->cn", picked[:channels], slope_u)
-        both = np.einsum("ckn,kn->cn", picked, value_u)
+        along = (picked[:channels] * slope_u).sum(axis=1)
+        both = (picked * value_u).sum(axis=1)
         return both[:channels].T, along.T, both[channels:].T
 
 

@@ -7,10 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from conetl.geometry.packing import cov3
+from conetl.geometry import pose as se3
+from conetl.geometry.packing import cov3, cov_matrix
 from conetl.params import TrackParams
 from conetl.records import Position
-from conetl.steps.association import MotionError, join_fragments, misfit_of
+from conetl.steps.association import MotionError, _reach_m, _within_reach, carry, join_fragments, misfit_of
 
 PARAMS = TrackParams()
 STEP_M = 0.8
@@ -73,6 +74,25 @@ def test_fragments_are_joined_as_by_comparing_all_with_all(seed, cones, m2_a_fra
         ]
     found = join_fragments(groups, poses, PARAMS, motion)
     assert found == joined_one_by_one(groups, poses, motion)
+
+
+@given(seed=st.integers(0, 2**32 - 1), share=st.floats(0.5, 1.5))
+def test_what_is_out_of_reach_is_what_the_covariance_says(seed, share):
+    """Without matrices the same bound as by carrying the point, wherever the car turned meanwhile."""
+    rng = np.random.default_rng(seed)
+    poses = {k: se3.se3(se3.rotation_from_rpy(*rng.uniform(-3, 3, 3)), 5e6 + rng.uniform(-40, 40, 3)) for k in range(2)}
+    cov = tuple(map(float, cov3(np.diag(rng.uniform(0.01, 0.5, 3)) + 0.005)))
+    one, other = (
+        Position.model_construct(frame_index=k, camera_xyz_m=tuple(rng.uniform(-9, 9, 3)), camera_cov_m2=cov)
+        for k in range(2)
+    )
+    mean, carried = carry(np.array(one.camera_xyz_m), cov_matrix(cov), 0, 1, poses, PARAMS)
+    reach_m = _reach_m(float(np.trace(carried)), PARAMS)
+    away = rng.normal(size=3)
+    place = mean + share * reach_m * away / np.linalg.norm(away)
+    other = other.model_copy(update={"camera_xyz_m": tuple(place)})
+    if abs(share - 1) * reach_m > 1e-5:
+        assert _within_reach(one, other, poses, PARAMS) == (share < 1)
 
 
 def test_groups_that_no_error_brings_together_are_not_compared():

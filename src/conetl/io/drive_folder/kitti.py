@@ -89,7 +89,7 @@ def read_kitti_drive(
     except ValueError as error:
         raise DriveFolderError(f"{folder}: {error}") from error
 
-    pairs: list[FramePair] = []
+    usable: dict[int, tuple[Path, Path, int]] = {}
     rising = {n: t for n in numbers if isinstance(t := stamps.get(n), int)}
     disordered = out_of_order(rising)
     for number in pictures_ahead(numbers, left, right, content):
@@ -100,21 +100,27 @@ def read_kitti_drive(
         except PairError as error:
             rejections.append(error.rejection(f"frame pair {number}", number))
         else:
-            pairs.append(
-                FramePair(
-                    frame_index=number,
-                    left_path=str(left_path),
-                    right_path=str(right_path),
-                    captured_at_ns=captured,
-                    pose=oxts.pose_at(track, number, captured, settings.sigmas),
-                )
-            )
+            usable[number] = left_path, right_path, captured
+    pairs = _frame_pairs(usable, track, settings)
     require_pairs(pairs, rejections, len(numbers), folder)
     drive = Drive(
         drive_id=settings.id_of(root.name), source_path=str(root), rig=rig, map_srid=srid,
         content_sha256=content.hexdigest(), frame_pairs=tuple(pairs), expected_frame_count=len(numbers),
     )  # fmt: skip
     return drive, rejections
+
+
+def _frame_pairs(
+    usable: Mapping[int, tuple[Path, Path, int]], track: oxts.Trajectory, settings: DriveYaml
+) -> list[FramePair]:
+    """Records of the frame pairs that can be used: number -> left and right picture, UTC nanoseconds."""
+    poses = oxts.poses_at(track, {number: captured for number, (_, _, captured) in usable.items()}, settings.sigmas)
+    return [
+        FramePair(
+            frame_index=number, left_path=str(left), right_path=str(right), captured_at_ns=captured, pose=poses[number]
+        )
+        for number, (left, right, captured) in usable.items()
+    ]
 
 
 def calibration_path(root: Path, parent: Path, settings: DriveYaml) -> Path:
@@ -259,7 +265,7 @@ def _check_pose(number: int, captured: int, bad: Mapping[int, str], track: oxts.
         path = root / name
         text = path.read_text(encoding="utf-8", errors="replace")[:1000] if path.is_file() else None
         raise PairError(RejectionReason.POSE_INVALID, f"{name}: {bad[number]}", path=name, text=text)
-    if number not in track.numbers:
+    if not oxts.has_record(track, number):
         raise PairError(RejectionReason.POSE_MISSING, f"{name}: there is no such file", path=name)
     apart = abs(captured - track.times_ns.get(number, captured))
     if apart > MAX_CLOCK_DIFFERENCE_NS:

@@ -7,6 +7,7 @@ clockwise), 23 pos_accuracy (m, north/east). KITTI's `dataformat.txt` describes 
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -119,21 +120,32 @@ def jumps(track: Trajectory) -> dict[int, str]:
     return found
 
 
-def pose_at(track: Trajectory, number: int, time_ns: int, sigmas: Sigmas) -> Pose:
-    """Pose at the exposure of frame `number`, which has a valid record.
+def has_record(track: Trajectory, number: int) -> bool:
+    """Whether there is a pose of this frame number."""
+    place = bisect_left(track.numbers, number)
+    return place < len(track.numbers) and track.numbers[place] == number
 
-    Between the two records before and after the exposure the pose is interpolated (straight line, slerp). Where there is no
+
+def poses_at(track: Trajectory, exposures_ns: Mapping[int, int], sigmas: Sigmas) -> dict[int, Pose]:
+    """Poses at the exposures of frames, by number; each of them has a valid record.
+
+    Between the two records before and after an exposure the pose is interpolated (straight line, slerp). Where there is no
     such pair (first and last frame, records without a time, a gap of more than 0.5 s) the record of the same number holds.
     """
-    own = track.numbers.index(number)
-    pose = track.map_SE3_body[own]
-    if number in track.times_ns:
-        other = own + (1 if time_ns >= track.times_ns[number] else -1)
-        if 0 <= other < len(track.numbers) and track.numbers[other] in track.times_ns:
-            t0, t1 = track.times_ns[number], track.times_ns[track.numbers[other]]
-            if t0 != t1 and abs(t1 - t0) <= MAX_GAP_NS and 0 <= (time_ns - t0) / (t1 - t0) <= 1:
-                pose = se3.interpolate(pose, track.map_SE3_body[other], (time_ns - t0) / (t1 - t0))
-    return pose_record(pose, track.sigma_enu_m[own], sigmas)
+    places = {number: k for k, number in enumerate(track.numbers)}
+    poses = {number: track.map_SE3_body[places[number]] for number in exposures_ns}
+    between: dict[int, tuple[Array, float]] = {}
+    for number, time_ns in exposures_ns.items():
+        if number in track.times_ns:
+            other = places[number] + (1 if time_ns >= track.times_ns[number] else -1)
+            if 0 <= other < len(track.numbers) and track.numbers[other] in track.times_ns:
+                t0, t1 = track.times_ns[number], track.times_ns[track.numbers[other]]
+                if t0 != t1 and abs(t1 - t0) <= MAX_GAP_NS and 0 <= (time_ns - t0) / (t1 - t0) <= 1:
+                    between[number] = track.map_SE3_body[other], (time_ns - t0) / (t1 - t0)
+    ends, weights = [end for end, _ in between.values()], [weight for _, weight in between.values()]
+    found = se3.interpolate_each([poses[number] for number in between], ends, weights)
+    poses |= dict(zip(between, found, strict=True))
+    return {number: pose_record(pose, track.sigma_enu_m[places[number]], sigmas) for number, pose in poses.items()}
 
 
 def pose_record(pose: Array, sigma_enu_m: Array, sigmas: Sigmas) -> Pose:
