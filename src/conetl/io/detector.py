@@ -16,6 +16,7 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from conetl.errors import ModelFileError
+from conetl.io.closer_look import look_closer
 from conetl.io.detector_decode import COLUMNS, boxes_in_image, decode_cells, suppress_overlaps, without_parts
 from conetl.io.detector_heads import EndToEndHead, check_outputs, decode_head
 from conetl.io.model_card import ModelCard, SideDistributionHead, check_own_outputs, read_model_card
@@ -27,6 +28,8 @@ LEAST_SIDE_PX = 8
 LEAST_ROWS_PX = 120
 SECOND_LOOK_FROM_PX = 480
 LARGE_CONE_PX = 48.0
+#: Two candidates that a closer look has moved on top of each other are one. Cones side by side overlap less.
+SAME_BOX_IOU = 0.7
 
 
 @dataclass(frozen=True)
@@ -104,6 +107,11 @@ def load_detector(model_path: Path | None = None, *, threads: int = 1) -> Detect
         raise ModelFileError(f"{path}: {error}") from error
     size = inputs[0].shape[1:3] if "NHWC" in card.input_layout else inputs[0].shape[2:4]
     fixed = (size[0], size[1]) if all(isinstance(side, int) for side in size) else None
+    if fixed is not None and card.closer_look is not None:
+        raise ModelFileError(
+            f"{path}: the network takes pictures of {fixed[1]}x{fixed[0]} only: "
+            "closer_look in its sidecar needs one that takes any size; leave that key out"
+        )
     return Detector(session=session, path=path, card=card, input_name=inputs[0].name, fixed_size=fixed)
 
 
@@ -169,7 +177,8 @@ def detect_image(
 
     Returns (N, 9) [x, y, w, h, score, foot x, foot y, tip x, tip y] by falling score: x, y is the top-left corner, in pixels of
     the given image, whose left and top edges are x = 0 and y = 0 (the centre of the first pixel is 0.5). Foot and tip are NaN
-    where the network does not give them. first_row: rows above it are not looked at (`geometry.camera.first_road_row`).
+    where the network does not give them. Candidates of middling score get a closer look where the model's sidecar asks for it
+    (`closer_look.py`). first_row: rows above it are not looked at (`geometry.camera.first_road_row`).
     """
     if image_bgr.dtype != np.uint8 or image_bgr.ndim != 3 or image_bgr.shape[2] != 3:
         raise ValueError(f"expected a BGR image (H, W, 3) of uint8, got {image_bgr.shape} of {image_bgr.dtype}")
@@ -178,16 +187,26 @@ def detect_image(
     image_bgr = whole[first_row:]
     if min(image_bgr.shape[:2]) < LEAST_SIDE_PX:
         return np.zeros((0, COLUMNS))
+    closer = detector.card.closer_look
+    # What is to be looked at more closely must be found first, whatever the caller's threshold.
+    candidate_score = score_threshold if closer is None else min(score_threshold, closer.scores[0])
     longest, shortest = max(image_bgr.shape[:2]), min(image_bgr.shape[:2])
     side_px = min(longest, max_side_px)
-    boxes = look(detector, image_bgr, side_px, score_threshold, nms_iou)
+    boxes = look(detector, image_bgr, side_px, candidate_score, nms_iou)
     # Very tall cones outgrow the network at full size: tall pictures get two more looks, each half as large.
     if detector.fixed_size is None and shortest * side_px / longest >= SECOND_LOOK_FROM_PX:
         for smaller_px in (side_px // 2, side_px // 4):
-            again = look(detector, image_bgr, smaller_px, score_threshold, nms_iou)
+            again = look(detector, image_bgr, smaller_px, candidate_score, nms_iou)
             large = again[(again[:, 3] - again[:, 1]) * smaller_px / longest > LARGE_CONE_PX]
             boxes = suppress_overlaps(np.concatenate((without_parts(boxes, large), large)), nms_iou)
     boxes[:, [1, 3, 6, 8]] += first_row
+    if closer is not None:
+
+        def look_at_window(window: NDArray[np.uint8], least_score: float) -> NDArray[np.float64]:
+            return look(detector, window, max(window.shape), least_score, nms_iou)
+
+        boxes = suppress_overlaps(look_closer(look_at_window, whole, boxes, closer), SAME_BOX_IOU)
+        boxes = boxes[boxes[:, 4] >= score_threshold]
     return boxes_in_image(boxes, whole.shape[1], whole.shape[0])
 
 

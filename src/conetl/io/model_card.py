@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError, model_validator
 
-from conetl.detector_evidence import DetectorEvidence
+from conetl.detector_evidence import DetectorEvidence, Share
 from conetl.errors import ModelFileError
 from conetl.io.detector_heads import Shape, YoloHead
 
@@ -35,6 +35,29 @@ class SideDistributionHead(BaseModel):
         return 4 * self.side_bins + (5 if self.foot_and_tip else 1)
 
 
+class CloserLook(BaseModel):
+    """How candidates of middling score are looked at once more (`closer_look.py`); sizes in pixels of the network's input."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    cone_px: PositiveInt
+    """Height to which the candidate is scaled."""
+    window_px: PositiveInt
+    """Side of the square window that the network is given."""
+    scores: tuple[Share, Share]
+    """Candidates from the first to the second score get a closer look."""
+    share: Share
+    """Weight of the closer look; the first look has the rest."""
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.cone_px >= self.window_px or self.scores[0] >= self.scores[1]:
+            raise ValueError(
+                "closer_look: cone_px must be below window_px, and the first of the scores below the second"
+            )
+        return self
+
+
 class ModelCard(BaseModel):
     """A model's sidecar. Unknown keys are refused."""
 
@@ -51,11 +74,19 @@ class ModelCard(BaseModel):
     ]
     pad_multiple_px: int = Field(ge=1)
     """Both sides of the input are padded to a multiple of it; of no account where the network's input has a fixed size."""
+    closer_look: CloserLook | None = None
+    """None: every candidate is judged by one look. Only for networks that take pictures of any size."""
     class_names: tuple[str, ...] = Field(min_length=1)
     score_scale: str
     licence: str
     evidence: DetectorEvidence | None = None
     """What scores, boxes and misses of this very file mean, as `training/calibrate_scores.py` measured it; None: not measured."""
+
+    @model_validator(mode="after")
+    def _window_fits_the_network(self) -> Self:
+        if self.closer_look is not None and self.closer_look.window_px % self.pad_multiple_px:
+            raise ValueError(f"closer_look.window_px must be a multiple of pad_multiple_px, {self.pad_multiple_px}")
+        return self
 
     @model_validator(mode="after")
     def _measured_on_this_file(self) -> Self:

@@ -262,6 +262,11 @@ def test_a_network_of_another_family_runs_by_its_sidecar_alone(tmp_path: Path, f
     scale = 2.0 if fixed else 1.0  # the fixed network sees the picture at half its size
     np.testing.assert_allclose(found[:, :5], [[90 * scale, 40 * scale, 20 * scale, 40 * scale, 0.9]], rtol=1e-6)
     assert np.isnan(found[:, 5:]).all()
+    if fixed:
+        window = {"cone_px": 48, "window_px": 96, "scores": [0.2, 0.8], "share": 0.4}
+        (tmp_path / "tiny.onnx.json").write_text(json.dumps(card | {"closer_look": window}))
+        with pytest.raises(ModelFileError, match=r"takes pictures of 320x160 only.*closer_look"):
+            load_detector(tmp_path / "tiny.onnx")
 
 
 def test_images_of_another_kind_are_refused(detector: Detector) -> None:
