@@ -72,7 +72,6 @@ def without_prefect(drives: list[Path], settings: Settings) -> int:
             (chunk,) = tasks.chunks_of(
                 drive,
                 settings,
-                identity.model_sha256,
                 params.model_copy(update={"chunk_pairs": len(drive.frame_pairs)}),
             )
             parts = [tasks.detect_task.fn(chunk, part, drive.rig) for part in range(len(tasks.parts_of(chunk)))]

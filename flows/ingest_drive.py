@@ -44,7 +44,7 @@ def ingest_drive(
     if (known := already_committed(drive, identity, settings)) is not None:
         catch_up_task(known, settings)
         return known
-    chunks = chunks_of(drive, settings, identity.model_sha256, params)
+    chunks = chunks_of(drive, settings, params)
     with _shown(drive.drive_id):
         records, trajectory, calibration = analyse(drive, rejections, chunks, params, identity.evidence, PrefectRuns())
     told = {"trajectory": trajectory.detail, "calibration": calibration.detail}

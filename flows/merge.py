@@ -63,7 +63,9 @@ def identify(drive: Drive, params: IngestParams, settings: Settings) -> Identity
     """Hashes of content, parameters and model with its evidence; the same on the same map are the same changeset."""
     card = read_model_card(settings.model_path or shipped_model_path())
     parameters, measured = params_sha256(params), evidence_sha256(card.evidence)
-    key = result_key("changeset", drive.content_sha256, parameters, card.sha256, measured, str(drive.map_srid))
+    key = result_key(
+        "changeset", drive.content_sha256, parameters, card.detections_sha256, measured, str(drive.map_srid)
+    )
     return Identity(idempotency_key=key, params_sha256=parameters, model_sha256=card.sha256, evidence=card.evidence)
 
 

@@ -94,7 +94,9 @@ def analysis_of(params: IngestParams, settings: Settings) -> Analysis:
     card = read_model_card(settings.model_path or shipped_model_path())
     parameters = params_sha256(params)
     return Analysis(
-        parameters, card.sha256, result_key("analysis", parameters, card.sha256, evidence_sha256(card.evidence))
+        parameters,
+        card.sha256,
+        result_key("analysis", parameters, card.detections_sha256, evidence_sha256(card.evidence)),
     )
 
 

@@ -18,6 +18,7 @@ from conetl.geometry.camera import first_road_row
 from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left, map_SE3_right
 from conetl.io import detector as detector_io
 from conetl.io.drive_folder import read_drive
+from conetl.io.model_card import read_model_card
 from conetl.io.parquet_store import (
     file_sha256,
     has_result,
@@ -69,12 +70,14 @@ class Chunk(Record):
     frame_pairs: tuple[FramePair, ...]
     results_folder: Path
     model_path: Path | None
-    model_sha256: str
+    detections_sha256: str
+    """Of the model's sidecar: what model, and how it is used."""
     params: IngestParams
 
 
-def chunks_of(drive: Drive, settings: Settings, model_sha256: str, params: IngestParams) -> list[Chunk]:
-    """A drive cut into chunks of `params.chunk_pairs` frame pairs; the last may be shorter."""
+def chunks_of(drive: Drive, settings: Settings, params: IngestParams) -> list[Chunk]:
+    """A drive cut into chunks of `params.chunk_pairs` frame pairs; the last may be shorter. Raises ModelFileError."""
+    card = read_model_card(settings.model_path or detector_io.shipped_model_path())
     return [
         Chunk(
             drive_id=drive.drive_id,
@@ -82,7 +85,7 @@ def chunks_of(drive: Drive, settings: Settings, model_sha256: str, params: Inges
             frame_pairs=drive.frame_pairs[first : first + params.chunk_pairs],
             results_folder=settings.results_folder.resolve(),
             model_path=settings.model_path and settings.model_path.resolve(),
-            model_sha256=model_sha256,
+            detections_sha256=card.detections_sha256,
             params=params,
         )
         for first in range(0, len(drive.frame_pairs), params.chunk_pairs)
@@ -114,7 +117,13 @@ def detect_task(chunk: Chunk, part: int, rig: Rig | None) -> Path:
     hashes = [file_sha256(path) for path in in_batches(paths, fresh=True)]
     params = chunk.params.detection
     key = result_key(
-        RESULTS_VERSION, "detect", chunk.model_sha256, params_sha256(params), _rig_and_poses(chunk), str(part), *hashes
+        RESULTS_VERSION,
+        "detect",
+        chunk.detections_sha256,
+        params_sha256(params),
+        _rig_and_poses(chunk),
+        str(part),
+        *hashes,
     )
     found = result_path(chunk.results_folder, key)
     if has_result(chunk.results_folder, key):
@@ -307,13 +316,13 @@ def _first_rows(chunk: Chunk) -> dict[Side, int]:
 def _detector(chunk: Chunk) -> detector_io.Detector:
     """One single-threaded session per thread: two of them beat one session with two threads."""
     loaded: tuple[str, detector_io.Detector] | None = getattr(_per_thread, "detector", None)
-    if loaded is None or loaded[0] != chunk.model_sha256:
+    if loaded is None or loaded[0] != chunk.detections_sha256:
         detector = detector_io.load_detector(chunk.model_path, threads=1)
-        if detector.sha256 != chunk.model_sha256:  # on another machine, perhaps
+        if detector.card.detections_sha256 != chunk.detections_sha256:  # on another machine, perhaps
             raise ModelFileError(
-                f"{detector.path} on {socket.gethostname()} is another model (SHA-256 {detector.sha256}) than that of this run "
-                f"({chunk.model_sha256}); all machines need the same version of conetl and the same CONETL_MODEL_PATH"
+                f"{detector.path} on {socket.gethostname()} is another model, or its sidecar another, than that of this run "
+                f"(SHA-256 {detector.sha256}); all machines need the same version of conetl and the same CONETL_MODEL_PATH"
             )
-        loaded = (chunk.model_sha256, detector)
+        loaded = (chunk.detections_sha256, detector)
         _per_thread.detector = loaded
     return loaded[1]

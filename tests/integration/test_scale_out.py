@@ -52,7 +52,7 @@ def chunks(tmp_path_factory: pytest.TempPathFactory) -> list[Chunk]:
         Chunk(
             drive_id=drive.drive_id, rig=drive.rig, frame_pairs=drive.frame_pairs[first : first + CHUNK_PAIRS],
             results_folder=Path("set by the test"), model_path=None,
-            model_sha256=read_model_card(shipped_model_path()).sha256, params=params,
+            detections_sha256=read_model_card(shipped_model_path()).detections_sha256, params=params,
         )
         for first in range(0, len(drive.frame_pairs), CHUNK_PAIRS)
     ]  # fmt: skip

@@ -72,7 +72,7 @@ def run_steps(folder: Path, settings: Settings, params: IngestParams, *, map_sri
     drive, rejections = read_drive_task.fn(folder, map_srid, settings.pictures_folder.resolve())
     card = read_model_card(settings.model_path or shipped_model_path())
     note_unmeasured(card)
-    chunks = chunks_of(drive, settings, card.sha256, params)
+    chunks = chunks_of(drive, settings, params)
     # Outside a run Prefect has no logger to give.
     with progress_bar() as bars, ThreadPoolExecutor(settings.workers) as pool, disable_run_logger():
         bar = bars.add_task(drive.drive_id, total=None)

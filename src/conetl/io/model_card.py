@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -81,6 +82,12 @@ class ModelCard(BaseModel):
     licence: str
     evidence: DetectorEvidence | None = None
     """What scores, boxes and misses of this very file mean, as `training/calibrate_scores.py` measured it; None: not measured."""
+
+    @property
+    def detections_sha256(self) -> str:
+        """Hash of all that detections depend on: the weights and how the sidecar has them used, not what was measured of them."""
+        used = {"sha256", "input_layout", "head", "pad_multiple_px", "closer_look"}
+        return hashlib.sha256(self.model_dump_json(include=used).encode()).hexdigest()
 
     @model_validator(mode="after")
     def _window_fits_the_network(self) -> Self:

@@ -119,6 +119,13 @@ def test_a_sidecar_that_asks_for_the_impossible_is_refused(change: dict[str, obj
         type(card).model_validate({**values, "closer_look": {**values["closer_look"], **change}})
 
 
+def test_another_closer_look_is_another_detector_and_other_evidence_is_not() -> None:
+    card = read_model_card(shipped_model_path())
+    without = card.model_copy(update={"closer_look": None})
+    assert without.detections_sha256 != card.detections_sha256
+    assert card.model_copy(update={"evidence": None, "licence": "?"}).detections_sha256 == card.detections_sha256
+
+
 @pytest.mark.skipif(not KITTI_LEFT.is_dir(), reason=f"real drive not at {KITTI_LEFT}")
 @pytest.mark.parametrize("frame", [76, 84, 95])
 def test_a_higher_threshold_is_a_shorter_list_of_the_same_boxes(frame: int) -> None:
