@@ -110,7 +110,7 @@ class ReconcileParams(Params):
     """That a frame pair shows something at an empty spot: a stray box, or a neighbour's."""
     unseen_occluder_probability: Annotated[float, Field(gt=0, lt=1)] = 0.02
     """That something which is no detection (a parked van) hid a spot all the time: no look without a box is surer than this."""
-    removal_existence_probability: Annotated[float, Field(gt=0, lt=1)] = 0.42
+    removal_existence_probability: Annotated[float, Field(gt=0, lt=1)] = 0.5
     """A feature is removed by the drive that brings the belief in it below this ..."""
     removal_min_frames: int = Field(default=5, ge=1)
     """... and that looked at its spot in at least so many frame pairs without finding a cone there."""
