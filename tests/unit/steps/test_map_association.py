@@ -131,7 +131,7 @@ def test_a_doubt_that_grows_over_drives_removes_from_the_first_miss_on() -> None
         at_ns = cone.last_seen_ns + (drive + 1) * first_ns
 
         def look(_feature: MapFeature, _offset: object, _others: object, at_ns: int = at_ns) -> Look:
-            return Look(8, at_ns, -1.1)
+            return Look(8, at_ns, -0.9)
 
         doubts = {cone.feature_id: doubt} if doubt else {}
         (delta,) = reconcile([], [cone], look, PARAMS, founding_key="d", doubts=doubts)
