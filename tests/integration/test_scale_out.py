@@ -104,7 +104,7 @@ def test_matches_are_the_same_from_pictures_in_memory_and_read_again(chunks: lis
 
 
 def test_another_machines_model_is_no_answer(chunks: list[Chunk], tmp_path: Path) -> None:
-    other = chunks[0].model_copy(update={"results_folder": tmp_path, "model_sha256": "0" * 64})
+    other = chunks[0].model_copy(update={"results_folder": tmp_path, "detections_sha256": "0" * 64})
     with pytest.raises(ModelFileError, match="all machines need the same version"):
         tasks.detect_task.fn(other, 0, other.rig)
     assert list(tmp_path.iterdir()) == []
