@@ -101,7 +101,7 @@ class StepTimes:
 @contextmanager
 def open_eyes(settings: Settings, params: IngestParams) -> Iterator[Eyes]:
     """Load the detector once for each side and let it look at something. Raises ModelFileError."""
-    card = read_model_card(settings.model_path or detector_io.shipped_model_path())
+    card = read_model_card(settings.model_path)
     ready = threading.Barrier(len(_SIDES))
     with ThreadPoolExecutor(len(_SIDES)) as pool:
         eyes = Eyes(pool, threading.local(), settings.model_path, card.evidence or UNMEASURED, params)

@@ -17,7 +17,6 @@ from conetl.detector_evidence import DetectorEvidence, evidence_sha256
 from conetl.drive_records import DriveRecords
 from conetl.io.code_identity import code_facts
 from conetl.io.db import Connection, connect, migrate, transaction
-from conetl.io.detector import shipped_model_path
 from conetl.io.model_card import read_model_card
 from conetl.io.parquet_store import result_key
 from conetl.io.services.cluster import cluster_up
@@ -61,7 +60,7 @@ class Merged(Record):
 
 def identify(drive: Drive, params: IngestParams, settings: Settings) -> Identity:
     """Hashes of content, parameters and model with its evidence; the same on the same map are the same changeset."""
-    card = read_model_card(settings.model_path or shipped_model_path())
+    card = read_model_card(settings.model_path)
     parameters, measured = params_sha256(params), evidence_sha256(card.evidence)
     key = result_key(
         "changeset", drive.content_sha256, parameters, card.detections_sha256, measured, str(drive.map_srid)

@@ -17,7 +17,6 @@ from typing import Any, Literal
 
 from conetl.detector_evidence import evidence_sha256
 from conetl.io.db import Connection
-from conetl.io.detector import shipped_model_path
 from conetl.io.drive_folder.outline import DriveOutline, find_drives, outline_drive
 from conetl.io.exports.atomic import atomic_text_file
 from conetl.io.model_card import read_model_card
@@ -91,7 +90,7 @@ class Plan:
 
 def analysis_of(params: IngestParams, settings: Settings) -> Analysis:
     """Hashes of parameters and model."""
-    card = read_model_card(settings.model_path or shipped_model_path())
+    card = read_model_card(settings.model_path)
     parameters = params_sha256(params)
     return Analysis(
         parameters,

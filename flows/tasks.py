@@ -77,7 +77,7 @@ class Chunk(Record):
 
 def chunks_of(drive: Drive, settings: Settings, params: IngestParams) -> list[Chunk]:
     """A drive cut into chunks of `params.chunk_pairs` frame pairs; the last may be shorter. Raises ModelFileError."""
-    card = read_model_card(settings.model_path or detector_io.shipped_model_path())
+    card = read_model_card(settings.model_path)
     return [
         Chunk(
             drive_id=drive.drive_id,
@@ -142,27 +142,11 @@ def detect_task(chunk: Chunk, part: int, rig: Rig | None) -> Path:
         images: dict[Side, NDArray[np.uint8]] = {}
         by_side: dict[Side, list[Detection]] = {"left": [], "right": []}
         for side in _SIDES:
-            path = next(at)
-            try:
-                images[side] = read_rig_image(path, chunk.rig, side)
-            except ImageFileError as error:
-                rejections.append(
-                    Rejection(
-                        step="detections",
-                        reason=error.reason,
-                        record=f"frame pair {pair.frame_index}",
-                        detail=str(error),
-                        payload={"frame_index": pair.frame_index, "side": side, "path": str(path)},
-                    )
-                )
-            else:
-                boxes = detector_io.detect_image(
-                    _detector(chunk), images[side],
-                    score_threshold=params.score_threshold, nms_iou=params.nms_iou, first_row=first_rows[side],
-                )  # fmt: skip
-                by_side[side], refused = check_boxes(boxes, frame_index=pair.frame_index, side=side, params=params)
-                detections += by_side[side]
-                rejections += refused
+            image, by_side[side], refused = _detect(chunk, pair.frame_index, side, next(at), first_rows[side])
+            if image is not None:
+                images[side] = image
+            detections += by_side[side]
+            rejections += refused
             tell_progress(chunk.drive_id, 1)
         if rig is not None:
             found_matches, refused = _match(chunk, pair, by_side, rig, images)
@@ -172,6 +156,28 @@ def detect_task(chunk: Chunk, part: int, rig: Rig | None) -> Path:
     if rig is not None:
         save_result(chunk.results_folder, _match_key(chunk, found, rig), matches, refused_matches)
     return found
+
+
+def _detect(
+    chunk: Chunk, frame_index: int, side: Side, path: Path, first_row: int
+) -> tuple[NDArray[np.uint8] | None, list[Detection], list[Rejection]]:
+    """One picture, None where it cannot be read, and what was found in it from a row on."""
+    params = chunk.params.detection
+    try:
+        image = read_rig_image(path, chunk.rig, side)
+    except ImageFileError as error:
+        unread = Rejection(
+            step="detections",
+            reason=error.reason,
+            record=f"frame pair {frame_index}",
+            detail=str(error),
+            payload={"frame_index": frame_index, "side": side, "path": str(path)},
+        )
+        return None, [], [unread]
+    boxes = detector_io.detect_image(
+        _detector(chunk), image, score_threshold=params.score_threshold, nms_iou=params.nms_iou, first_row=first_row
+    )
+    return image, *check_boxes(boxes, frame_index=frame_index, side=side, params=params)
 
 
 @task(name="match", task_run_name="match {chunk.frame_pairs[0].frame_index}", **RETRY)

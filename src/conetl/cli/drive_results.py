@@ -9,7 +9,6 @@ from pathlib import Path
 
 from conetl.cli.console import note_unmeasured, progress_bar
 from conetl.errors import InputError
-from conetl.io.detector import shipped_model_path
 from conetl.io.model_card import read_model_card
 from conetl.params import IngestParams
 from conetl.records import (
@@ -70,7 +69,7 @@ def run_steps(folder: Path, settings: Settings, params: IngestParams, *, map_sri
     from flows.tasks import chunks_of, read_drive_task
 
     drive, rejections = read_drive_task.fn(folder, map_srid, settings.pictures_folder.resolve())
-    card = read_model_card(settings.model_path or shipped_model_path())
+    card = read_model_card(settings.model_path)
     note_unmeasured(card)
     chunks = chunks_of(drive, settings, params)
     # Outside a run Prefect has no logger to give.

@@ -13,7 +13,6 @@ import typer
 
 from conetl.cli.console import JsonOption, complain, err, note_unmeasured, out, print_json, print_table, progress_bar
 from conetl.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_TOO_MANY_REJECTIONS, ConetlError, InputError, ServiceError
-from conetl.io.detector import shipped_model_path
 from conetl.io.drive_folder import drive_format
 from conetl.io.leftovers import sweep
 from conetl.io.model_card import read_model_card
@@ -83,7 +82,7 @@ def ingest_drives(
             f"{settings.home}: cannot be written to ({error.strerror}); set CONETL_HOME to a folder of yours"
         ) from error
     sweep((settings.results_folder, settings.exports_folder))
-    note_unmeasured(read_model_card(settings.model_path or shipped_model_path()))
+    note_unmeasured(read_model_card(settings.model_path))
     os.environ.update(prefect_environment(settings.home))
     reports: list[IngestReport] = []
     exit_code = EXIT_DONE

@@ -18,6 +18,8 @@ from conetl.io.model_card import CloserLook
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
+#: Columns of a candidate that are x and y by turns; between them lies the score.
+PLACES = (0, 1, 2, 3, 5, 6, 7, 8)
 #: The closer look sees the same thing where its box covers the candidate's that well.
 SAME_THING_IOU = 0.4
 #: No look is believed to be surer than that: where the network sees nothing, there is no score to take a logarithm of.
@@ -39,8 +41,7 @@ def look_closer(
         candidate = candidates[index]
         window, left, top, scale = window_around(image_bgr, candidate[:4], settings)
         seen = look(window, SUREST[0])
-        seen[:, :4] = seen[:, :4] / scale + (left, top, left, top)
-        seen[:, 5:9] = seen[:, 5:9] / scale + (left, top, left, top)
+        seen[:, PLACES] = seen[:, PLACES] / scale + np.tile((left, top), 4)
         overlaps = intersection_over_union(candidate[:4], seen[:, :4])
         closer_score = 0.0
         if (overlaps >= SAME_THING_IOU).any():

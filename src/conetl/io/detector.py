@@ -19,14 +19,13 @@ from conetl.errors import ModelFileError
 from conetl.io.closer_look import look_closer
 from conetl.io.detector_decode import COLUMNS, boxes_in_image, decode_cells, suppress_overlaps, without_parts
 from conetl.io.detector_heads import EndToEndHead, check_outputs, decode_head
-from conetl.io.model_card import ModelCard, SideDistributionHead, check_own_outputs, read_model_card
+from conetl.io.model_card import ModelCard, SideDistributionHead, check_own_outputs, read_model_card, shipped_model_path
 
-DEFAULT_MODEL = "conetl-cone-2.onnx"
 MAX_SIDE_PX = 1600
 LEAST_SIDE_PX = 8
 #: However high a caller says the road begins, this much of the picture is looked at.
 LEAST_ROWS_PX = 120
-SECOND_LOOK_FROM_PX = 480
+SMALLER_LOOKS_FROM_PX = 480
 LARGE_CONE_PX = 48.0
 #: Two candidates that a closer look has moved on top of each other are one. Cones side by side overlap less.
 SAME_BOX_IOU = 0.7
@@ -54,14 +53,6 @@ class Detector:
     @property
     def sha256(self) -> str:
         return self.card.sha256
-
-
-def shipped_model_path() -> Path:
-    """The model that comes with conetl: in a checkout under `data/models/`, in an installed wheel inside the package."""
-    package = Path(__file__).resolve().parents[1]
-    in_wheel = package / "data" / "models" / DEFAULT_MODEL
-    in_checkout = package.parents[1] / "data" / "models" / DEFAULT_MODEL
-    return in_wheel if in_wheel.exists() else in_checkout
 
 
 def load_detector(model_path: Path | None = None, *, threads: int = 1) -> Detector:
@@ -193,8 +184,8 @@ def detect_image(
     longest, shortest = max(image_bgr.shape[:2]), min(image_bgr.shape[:2])
     side_px = min(longest, max_side_px)
     boxes = look(detector, image_bgr, side_px, candidate_score, nms_iou)
-    # Very tall cones outgrow the network at full size: tall pictures get two more looks, each half as large.
-    if detector.fixed_size is None and shortest * side_px / longest >= SECOND_LOOK_FROM_PX:
+    # Very tall cones outgrow the network at full size: tall pictures get two smaller looks, each half as large as the one before.
+    if detector.fixed_size is None and shortest * side_px / longest >= SMALLER_LOOKS_FROM_PX:
         for smaller_px in (side_px // 2, side_px // 4):
             again = look(detector, image_bgr, smaller_px, candidate_score, nms_iou)
             large = again[(again[:, 3] - again[:, 1]) * smaller_px / longest > LARGE_CONE_PX]

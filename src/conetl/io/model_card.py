@@ -12,6 +12,7 @@ from conetl.detector_evidence import DetectorEvidence, Share
 from conetl.errors import ModelFileError
 from conetl.io.detector_heads import Shape, YoloHead
 
+DEFAULT_MODEL = "conetl-cone-2.onnx"
 #: What users are told of a model without `evidence` in its sidecar.
 NOT_MEASURED = (
     "the model's sidecar does not say what its scores mean (key `evidence`): existence probabilities rest on a general guess; "
@@ -105,8 +106,17 @@ class ModelCard(BaseModel):
         return self
 
 
-def read_model_card(model_path: Path) -> ModelCard:
-    """Read and check the sidecar `<model>.json`. Raises ModelFileError."""
+def shipped_model_path() -> Path:
+    """The model that comes with conetl: in a checkout under `data/models/`, in an installed wheel inside the package."""
+    package = Path(__file__).resolve().parents[1]
+    in_wheel = package / "data" / "models" / DEFAULT_MODEL
+    in_checkout = package.parents[1] / "data" / "models" / DEFAULT_MODEL
+    return in_wheel if in_wheel.exists() else in_checkout
+
+
+def read_model_card(model_path: Path | None) -> ModelCard:
+    """Read and check the sidecar `<model>.json`, of the shipped model where None is given. Raises ModelFileError."""
+    model_path = model_path or shipped_model_path()
     card_path = model_path.with_name(model_path.name + ".json")
     try:
         text = card_path.read_text(encoding="utf-8")

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry.calibration_covariance import calibration_jacobian, shared_cov
-from conetl.geometry.pose_covariance import pose_jacobian
 from conetl.params import TrajectoryParams
 from conetl.records import FramePair, Position, Rig
 from conetl.steps.matching_cov import SHARED_DISPARITY_PX
+from conetl.steps.pose_errors import moved_by_poses
 from conetl.steps.trajectory import log_errors
 
 Floats = NDArray[np.float64]
@@ -36,11 +36,7 @@ def common_cov(
         [(*frame_pairs[p.frame_index].pose.sigma_enu_m, *frame_pairs[p.frame_index].pose.sigma_rpy_rad) for p in group]
     )
     poses = [frame_pairs[p.frame_index].pose for p in group]
-    by_pose = pose_jacobian(
-        np.array([p.xyz_m for p in group]),
-        np.array([pose.map_R_body for pose in poses]),
-        np.array([pose.map_t_body_m for pose in poses]),
-    )
+    by_pose = moved_by_poses(np.array([p.xyz_m for p in group]), poses)
     moved = shares @ by_pose
     map_R_left = np.stack([map_SE3_left[p.frame_index][:3, :3] for p in group])
     by_calibration = map_R_left @ calibration_jacobian(np.array([p.camera_xyz_m for p in group]), rig)

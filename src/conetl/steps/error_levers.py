@@ -9,23 +9,18 @@ from numpy.typing import NDArray
 
 from conetl.geometry.calibration_covariance import calibration_jacobian, known_covariance
 from conetl.geometry.packing import cov_matrix
-from conetl.geometry.pose_covariance import pose_jacobian
 from conetl.geometry.rig import map_SE3_left
 from conetl.records import Pose, Position, Rig
 from conetl.steps.association import MotionError
 from conetl.steps.common_errors import outline_errors
-from conetl.steps.pose_errors import PoseCov, constant_and_change, moved_cov
+from conetl.steps.pose_errors import PoseCov, constant_and_change, moved_by_poses, moved_cov
 
 Floats = NDArray[np.float64]
 
 
 def pose_and_calibration(xyz_m: Floats, poses: Sequence[Pose], rig: Rig) -> tuple[Floats, Floats]:
     """(N, 3, 6 + K) how points (N, 3) move with the errors of pose and calibration, (N, 6) sigmas of the poses."""
-    by_pose = pose_jacobian(
-        xyz_m,
-        np.array([pose.map_R_body for pose in poses]).reshape(-1, 3, 3),
-        np.array([pose.map_t_body_m for pose in poses]).reshape(-1, 3),
-    )
+    by_pose = moved_by_poses(xyz_m, poses)
     left = np.array([map_SE3_left(pose, rig) for pose in poses]).reshape(-1, 4, 4)
     in_camera = np.einsum("nji,nj->ni", left[:, :3, :3], xyz_m - left[:, :3, 3])
     by_calibration = left[:, :3, :3] @ calibration_jacobian(in_camera, rig)

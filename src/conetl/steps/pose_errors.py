@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from conetl.geometry.chain_solver import joint_covariance
+from conetl.geometry.pose_covariance import pose_jacobian
 from conetl.geometry.pose_graph import POSE
 from conetl.params import TrajectoryParams
+from conetl.records import Pose
 from conetl.steps.trajectory import RefinedTrajectory, log_errors
 
 Floats = NDArray[np.float64]
@@ -58,6 +60,15 @@ def constant_and_change(cov: Floats) -> tuple[Floats, Floats]:
     constant = np.linalg.inv(scaled.T @ cho_solve(cho_factor(correlation), scaled))
     constant = (constant + constant.T) / 2
     return np.asarray(constant), np.asarray(cov - np.tile(constant, (count, count)))
+
+
+def moved_by_poses(xyz_m: Floats, poses: Sequence[Pose]) -> Floats:
+    """(N, 3, 6): how points (N, 3) move with the errors of their own poses; see `pose_jacobian`."""
+    return pose_jacobian(
+        xyz_m,
+        np.array([pose.map_R_body for pose in poses]).reshape(-1, 3, 3),
+        np.array([pose.map_t_body_m for pose in poses]).reshape(-1, 3),
+    )
 
 
 def moved_cov(jacobian: Floats, rank: NDArray[np.intp], cov: Floats) -> Floats:

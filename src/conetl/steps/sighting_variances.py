@@ -21,11 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry.joint_fit import pair_jacobian
-from conetl.geometry.pose_covariance import pose_jacobian
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
 from conetl.records import Pose, Rig, StereoMatch, Track
 from conetl.steps.matching_cov import SHARED_DISPARITY_PX
-from conetl.steps.pose_errors import PoseCov, moved_cov
+from conetl.steps.pose_errors import PoseCov, moved_by_poses, moved_cov
 
 Floats = NDArray[np.float64]
 
@@ -144,11 +143,7 @@ def _cone(
     by_place = _GROUPS @ jacobian
     design = [by_place, shared[:, :, None] * np.eye(3)]
     if pose_cov is not None:
-        by_pose = by_place @ pose_jacobian(
-            np.tile(place_m, (len(pairs), 1)),
-            np.array([p.map_R_body for p in stated_poses]),
-            np.array([p.map_t_body_m for p in stated_poses]),
-        )
+        by_pose = by_place @ moved_by_poses(np.tile(place_m, (len(pairs), 1)), stated_poses)
         design.append(_by_pose_sigmas(by_pose, pose_cov([m.frame_index for m in pairs]), (stated + fixed) ** 0.5))
     return _Cone((observed - computed) @ _GROUPS.T, np.concatenate(design, axis=2), stated, fixed)
 
