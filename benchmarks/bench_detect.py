@@ -1,10 +1,13 @@
 """How fast conetl finds the cones of one image, beside well-known networks on the same machine.
 
-    .venv/bin/python benchmarks/bench_detect.py [--quick] [--json FILE] [--model FILE]
+    .venv/bin/python benchmarks/bench_detect.py [--quick] [--json FILE] [--model FILE] [--pictures FOLDER]
 
-Rows: conetl's whole detection (`conetl.io.detector.detect_image`), its network alone on the tensor of the full-size look, and two
-rivals with random weights (`rival_networks.py`), network alone. One thread is one session of one thread; two threads are two
-Python threads, each with its own such session, working on the same image at the same time. Needs the development packages (onnx).
+Rows: conetl's whole detection (`conetl.io.detector.detect_image`), its network alone on the tensor of the full-size look, on the
+tensors of all looks, and two rivals with random weights (`rival_networks.py`), network alone. With `--pictures` conetl's rows are
+measured on pictures of one's own, at most 24 from all over the folder; times are per picture.
+
+One thread is one session of one thread; two threads are two Python threads, each with its own such session, working on the same
+image at the same time. Needs the development packages (onnx).
 """
 
 from __future__ import annotations
@@ -18,7 +21,9 @@ import sys
 import tempfile
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -45,7 +50,9 @@ RUNS = 12
 QUICK_RUNS = 3
 LEAST_SHARE = 0.9
 """Threads that got less of a core than this were disturbed."""
-WHOLE, ALONE, YOLOV3, YOLO11N = "conetl whole", "conetl network", "YOLOv3", "YOLO11n-sized"
+WHOLE, ALONE, ALL_LOOKS = "conetl whole", "conetl network", "conetl network, all looks"
+YOLOV3, YOLO11N = "YOLOv3", "YOLO11n-sized"
+MOST_PICTURES = 24
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,8 +108,8 @@ def sample_image(width_px: int, height_px: int) -> tuple[Image, str]:
     return np.clip(noisy, 0, 255).astype(np.uint8), "noise on a gradient (no sample drives in data/drives)"
 
 
-def measure(what: str, size_px: tuple[int, int], works: Sequence[Work], runs: int) -> Timing:
-    """Time `runs` calls of each work, every work in its own thread, all at the same time, after warm-ups in the same threads."""
+def measure(what: str, size_px: tuple[int, int], works: Sequence[Work], runs: int, images: int = 1) -> Timing:
+    """Time `runs` calls of each work on `images` images, each in its own thread, all at the same time, after warm-ups there."""
     barrier = threading.Barrier(len(works))
     times_s: list[float] = []
     cpu_s: list[float] = []
@@ -124,7 +131,7 @@ def measure(what: str, size_px: tuple[int, int], works: Sequence[Work], runs: in
             failures.append(error)
             return
         cpu_s.append(time.thread_time() - cpu_start_s)
-        times_s.extend(np.diff(ticks).tolist())
+        times_s.extend((np.diff(ticks) / images).tolist())
         spans.append((ticks[0], ticks[-1]))
 
     threads = [threading.Thread(target=worker, args=(work,)) for work in works]
@@ -138,33 +145,55 @@ def measure(what: str, size_px: tuple[int, int], works: Sequence[Work], runs: in
     wall_s = max(end for _, end in spans) - min(start for start, _ in spans)
     return Timing(
         what, *size_px, threads=len(works), runs=runs, min_ms=min(times_s) * 1e3, median_ms=median(times_s) * 1e3,
-        images_per_s=len(works) * runs / wall_s, cores_used=sum(cpu_s) / wall_s,
+        images_per_s=len(works) * runs * images / wall_s, cores_used=sum(cpu_s) / wall_s,
     )  # fmt: skip
 
 
-def measure_conetl(detectors: Sequence[Detector], image: Image, runs: int) -> tuple[list[Timing], dict[str, Any]]:
-    """Rows of the whole detection and of the network alone, and what the detection consists of."""
-    size_px = (image.shape[1], image.shape[0])
-    recorder = RecordingSession(detectors[0].session)
-    watched = dataclasses.replace(detectors[0], session=recorder)
-    cones = detect_image(watched, image, score_threshold=SCORE_THRESHOLD)
+def pictures_of(folder: Path) -> list[Image]:
+    """At most MOST_PICTURES of a folder, from all over it; all must have the size of the first."""
+    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in {".jpg", ".jpeg", ".png"})
+    pictures = [cv2.imread(str(path)) for path in paths[:: -(-len(paths) // MOST_PICTURES) or 1]]
+    readable = [np.asarray(picture, np.uint8) for picture in pictures if picture is not None]
+    if not readable or len(readable) < len(pictures) or len({picture.shape for picture in readable}) > 1:
+        raise SystemExit(f"{folder}: expected JPEG or PNG pictures of one size, all of which can be read")
+    return readable
+
+
+def measure_conetl(
+    detectors: Sequence[Detector], images: Sequence[Image], runs: int
+) -> tuple[list[Timing], dict[str, Any]]:
+    """Rows of the whole detection and of the network alone, per image, and what the detection consists of."""
+    size_px = (images[0].shape[1], images[0].shape[0])
+    recorders = [RecordingSession(detectors[0].session) for _ in images]
+    cones = [
+        detect_image(dataclasses.replace(detectors[0], session=recorder), image, score_threshold=SCORE_THRESHOLD)
+        for recorder, image in zip(recorders, images, strict=True)
+    ]
     # The first look is the one at full size.
-    outputs, feeds = recorder.fed[0]
-    whole: list[Work] = [
-        lambda detector=each: detect_image(detector, image, score_threshold=SCORE_THRESHOLD)  # type: ignore[misc]
-        for each in detectors
-    ]
-    alone: list[Work] = [
-        lambda session=each.session: session.run(outputs, feeds)  # type: ignore[misc]
-        for each in detectors
-    ]
+    first, every = [recorder.fed[0] for recorder in recorders], [fed for recorder in recorders for fed in recorder.fed]
+
+    def detect_all(detector: Detector) -> None:
+        for image in images:
+            detect_image(detector, image, score_threshold=SCORE_THRESHOLD)
+
+    def run_all(detector: Detector, fed: list[tuple[Any, dict[str, NDArray[Any]]]]) -> None:
+        for outputs, feeds in fed:
+            detector.session.run(outputs, feeds)
+
+    whole: list[Work] = [partial(detect_all, each) for each in detectors]
+    alone: list[Work] = [partial(run_all, each, first) for each in detectors]
+    all_looks: list[Work] = [partial(run_all, each, every) for each in detectors]
     timings = [
-        measure(what, size_px, works[:count], runs)
+        measure(what, size_px, works[:count], runs, len(images))
         for count in range(1, len(detectors) + 1)
-        for what, works in ((WHOLE, whole), (ALONE, alone))
+        for what, works in ((WHOLE, whole), (ALONE, alone), (ALL_LOOKS, all_looks))
     ]
-    shapes = [list(next(iter(fed.values())).shape) for _, fed in recorder.fed]
-    return timings, {"size_px": list(size_px), "network_inputs": shapes, "cones_found": len(cones)}
+    shapes = [list(next(iter(feeds.values())).shape) for _, feeds in every]
+    full_size = list(next(iter(first[0][1].values())).shape)
+    return timings, {
+        "size_px": list(size_px), "pictures": len(images), "full_size": full_size,
+        "other_looks": [shape for shape in shapes if shape != full_size], "cones_found": sum(map(len, cones)),
+    }  # fmt: skip
 
 
 def measure_rival(path: Path, what: str, size_px: int, image: Image, runs: int, threads: int) -> list[Timing]:
@@ -185,18 +214,22 @@ def measure_rival(path: Path, what: str, size_px: int, image: Image, runs: int, 
 def ratios(timings: Sequence[Timing]) -> dict[str, float]:
     """Ratios of the least times per image with one thread: the least is the steadiest number on a shared machine."""
     least = {(row.what, row.width_px, row.height_px): row.min_ms for row in timings if row.threads == 1}
+    sizes = [key[1:] for key in least if key[0] == WHOLE]
     result = {}
-    for size in SIZES_PX:
-        text = f"{size[0]}x{size[1]}"
-        result[f"whole detection / network alone, {text}"] = least[WHOLE, *size] / least[ALONE, *size]
-    for size in SIZES_PX:
-        text = f"{size[0]}x{size[1]}"
-        result[f"YOLOv3 416x416 / conetl's whole detection, {text}"] = least[YOLOV3, 416, 416] / least[WHOLE, *size]
-    for size in SIZES_PX:
-        text = f"{size[0]}x{size[1]}"
-        result[f"YOLO11n-sized 640x640 / conetl's whole detection, {text}"] = (
-            least[YOLO11N, 640, 640] / least[WHOLE, *size]
-        )
+    for rival, its_name, rivals_size in (
+        (ALONE, "network alone", None),
+        (ALL_LOOKS, "network alone, all looks", None),
+        (YOLOV3, "YOLOv3 416x416", (416, 416)),
+        (YOLO11N, "YOLO11n-sized 640x640", (640, 640)),
+    ):
+        for size in sizes:
+            text = f"{size[0]}x{size[1]}"
+            if rivals_size is None:
+                result[f"whole detection / {its_name}, {text}"] = least[WHOLE, *size] / least[rival, *size]
+            else:
+                result[f"{its_name} / conetl's whole detection, {text}"] = (
+                    least[rival, *rivals_size] / least[WHOLE, *size]
+                )
     return result
 
 
@@ -249,16 +282,18 @@ def print_report(console: Console, report: dict[str, Any]) -> None:
             f"{network['gflop']:.2f} GFLOP, {network['arithmetic']}"
         )
     for detection in report["detections"]:
-        looks = ", ".join("x".join(map(str, shape)) for shape in detection["network_inputs"])
+        looks = Counter("x".join(map(str, shape)) for shape in detection["other_looks"])
+        others = ", ".join(f"{count} of {shape}" for shape, count in sorted(looks.items())) or "none"
         console.print(
-            f"conetl at {detection['size_px'][0]}x{detection['size_px'][1]}: network inputs {looks}; "
-            f"{detection['cones_found']} cones found; image: {detection['image']}"
+            f"conetl at {detection['size_px'][0]}x{detection['size_px'][1]}: network input "
+            f"{'x'.join(map(str, detection['full_size']))}, further looks: {others}; {detection['cones_found']} cones found; "
+            f"{detection['pictures']} image(s): {detection['image']}"
         )
     for name, value in report["ratios"].items():
         console.print(f"{name}: [bold]{value:.2f}[/bold]")
 
 
-def run(model_path: Path, runs: int, threads: int) -> dict[str, Any]:
+def run(model_path: Path, runs: int, threads: int, pictures: Path | None) -> dict[str, Any]:
     """Measure everything; the report is what `--json` writes."""
     report: dict[str, Any] = {
         "machine": machine(),
@@ -274,12 +309,15 @@ def run(model_path: Path, runs: int, threads: int) -> dict[str, Any]:
 
     detectors = [load_detector(model_path, threads=1) for _ in range(threads)]
     report["model"] = f"{detectors[0].name} {detectors[0].version}"
-    for size_px in SIZES_PX:
-        image, source = sample_image(*size_px)
-        rows, detection = measure_conetl(detectors, image, runs)
+    if pictures is None:
+        sources = [([image], source) for image, source in (sample_image(*size_px) for size_px in SIZES_PX)]
+    else:
+        sources = [(pictures_of(pictures), f"{pictures.parent.name}/{pictures.name}")]
+    for images, source in sources:
+        rows, detection = measure_conetl(detectors, images, runs)
         timings += rows
         report["detections"].append({**detection, "image": source})
-        note_cost(report["model"], model_path, detection["network_inputs"][0])
+        note_cost(report["model"], model_path, detection["full_size"])
     del detectors
     with tempfile.TemporaryDirectory(prefix="conetl-bench-") as folder:
         for what, write, size in ((YOLOV3, write_yolov3, 416), (YOLO11N, write_yolo11n, 640)):
@@ -296,14 +334,19 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Measure the speed of conetl's detection beside well-known networks.")
     parser.add_argument("--quick", action="store_true", help=f"{QUICK_RUNS} runs per row instead of {RUNS}")
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the numbers to FILE")
+    parser.add_argument("--pictures", type=Path, metavar="FOLDER", help="measure conetl on pictures of your own")
     parser.add_argument("--model", type=Path, metavar="FILE", help="another conetl model than the shipped one")
     arguments = parser.parse_args()
     # One thread shall mean one thread for OpenCV, too.
     cv2.setNumThreads(1)
+    if arguments.pictures is not None and not arguments.pictures.is_dir():
+        parser.error(f"--pictures {arguments.pictures}: not a folder")
     if arguments.json is not None and not arguments.json.parent.is_dir():
         parser.error(f"--json {arguments.json}: its folder does not exist; create it first")
     try:
-        report = run(arguments.model or shipped_model_path(), QUICK_RUNS if arguments.quick else RUNS, threads=2)
+        report = run(
+            arguments.model or shipped_model_path(), QUICK_RUNS if arguments.quick else RUNS, 2, arguments.pictures
+        )
     except ModelFileError as error:
         parser.error(str(error))
     print_report(Console(soft_wrap=True), report)

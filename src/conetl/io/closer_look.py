@@ -27,20 +27,21 @@ SUREST = (0.01, 0.99)
 
 
 def look_closer(
-    look: Callable[[Image, float], Floats], image_bgr: Image, candidates: Floats, settings: CloserLook
+    look: Callable[[list[Image], float], list[Floats]], image_bgr: Image, candidates: Floats, settings: CloserLook
 ) -> Floats:
     """Candidates (N, 9) of `detector.look` in pixels of the image (H, W, 3), with those of middling score judged once more.
 
-    look: runs the network on an image and gives the candidates above a score. The log-odds of both looks are averaged with the
-    closer one's share, and so are box, foot and tip where the closer look sees the same thing; where it sees nothing there, its
-    score is the least. The order of the rows stays.
+    look: runs the network on images of one size and gives the candidates above a score of each. The log-odds of both looks are
+    averaged with the closer one's share, and so are box, foot and tip where the closer look sees the same thing; where it sees
+    nothing there, its score is the least. The order of the rows stays.
     """
     result = candidates.copy()
     least, most = settings.scores
-    for index in np.flatnonzero((candidates[:, 4] >= least) & (candidates[:, 4] <= most)):
+    middling = np.flatnonzero((candidates[:, 4] >= least) & (candidates[:, 4] <= most))
+    windows = [window_around(image_bgr, candidates[index, :4], settings) for index in middling]
+    seen_in_windows = look([window for window, *_ in windows], SUREST[0]) if windows else []
+    for index, (_, left, top, scale), seen in zip(middling, windows, seen_in_windows, strict=True):
         candidate = candidates[index]
-        window, left, top, scale = window_around(image_bgr, candidate[:4], settings)
-        seen = look(window, SUREST[0])
         seen[:, PLACES] = seen[:, PLACES] / scale + np.tile((left, top), 4)
         overlaps = intersection_over_union(candidate[:4], seen[:, :4])
         closer_score = 0.0
@@ -65,8 +66,10 @@ def window_around(image_bgr: Image, box: Floats, settings: CloserLook) -> tuple[
         min(max(round((low + high - side_px) / 2), 0), max(length - side_px, 0))
         for low, high, length in ((box[0], box[2], image_bgr.shape[1]), (box[1], box[3], image_bgr.shape[0]))
     )
-    middle = (left + (side_px - 1) / 2, top + (side_px - 1) / 2)  # of whole pixels: nothing is interpolated yet
-    cut = cv2.getRectSubPix(image_bgr, (side_px, side_px), middle)
+    cut = image_bgr[top : top + side_px, left : left + side_px]
+    below, beside = side_px - cut.shape[0], side_px - cut.shape[1]
+    if below or beside:
+        cut = np.asarray(cv2.copyMakeBorder(cut, 0, below, 0, beside, cv2.BORDER_REPLICATE), np.uint8)
     method = cv2.INTER_CUBIC if side_px < settings.window_px else cv2.INTER_AREA
     window = cv2.resize(cut, (settings.window_px, settings.window_px), interpolation=method)
     return np.asarray(window, np.uint8), left, top, settings.window_px / side_px

@@ -7,6 +7,7 @@ the YOLO family will do (`detector_heads.py`); the shipped one has a head of its
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -41,6 +42,8 @@ class Detector:
     input_name: str
     fixed_size: tuple[int, int] | None = None
     """Height and width in pixels where the network takes one size only; pictures are then scaled to fit in."""
+    several: bool = False
+    """Whether the network takes several pictures of one size at once."""
 
     @property
     def name(self) -> str:
@@ -103,7 +106,8 @@ def load_detector(model_path: Path | None = None, *, threads: int = 1) -> Detect
             f"{path}: the network takes pictures of {fixed[1]}x{fixed[0]} only: "
             "closer_look in its sidecar needs one that takes any size; leave that key out"
         )
-    return Detector(session=session, path=path, card=card, input_name=inputs[0].name, fixed_size=fixed)
+    several = isinstance(card.head, SideDistributionHead) and not isinstance(inputs[0].shape[0], int)
+    return Detector(session, path, card, inputs[0].name, fixed, several)
 
 
 def network_input(
@@ -136,8 +140,9 @@ def network_input(
         if fixed_size is None
         else (fixed_size[0] - rows, fixed_size[1] - columns)
     )
-    padded = np.asarray(cv2.copyMakeBorder(scaled, 0, below, 0, beside, cv2.BORDER_REPLICATE), np.uint8)
-    return as_tensor(padded, layout), columns / width, rows / height
+    if below or beside:
+        scaled = np.asarray(cv2.copyMakeBorder(scaled, 0, below, 0, beside, cv2.BORDER_REPLICATE), np.uint8)
+    return as_tensor(scaled, layout), columns / width, rows / height
 
 
 def as_tensor(image_bgr: NDArray[np.uint8], layout: str) -> NDArray[np.float32] | NDArray[np.uint8]:
@@ -193,10 +198,10 @@ def detect_image(
     boxes[:, [1, 3, 6, 8]] += first_row
     if closer is not None:
 
-        def look_at_window(window: NDArray[np.uint8], least_score: float) -> NDArray[np.float64]:
-            return look(detector, window, max(window.shape), least_score, nms_iou)
+        def look_at_windows(windows: list[NDArray[np.uint8]], least_score: float) -> list[NDArray[np.float64]]:
+            return look_at_all(detector, windows, closer.window_px, least_score, nms_iou)
 
-        boxes = suppress_overlaps(look_closer(look_at_window, whole, boxes, closer), SAME_BOX_IOU)
+        boxes = suppress_overlaps(look_closer(look_at_windows, whole, boxes, closer), SAME_BOX_IOU)
         boxes = boxes[boxes[:, 4] >= score_threshold]
     return boxes_in_image(boxes, whole.shape[1], whole.shape[0])
 
@@ -204,29 +209,43 @@ def detect_image(
 def look(
     detector: Detector, image_bgr: NDArray[np.uint8], max_side_px: int, score_threshold: float, nms_iou: float
 ) -> NDArray[np.float64]:
-    """One run of the network: candidates (N, 9) of `decode_cells` in pixels of the image, not yet cut at its edges."""
+    """One look at one image: candidates (N, 9) of `decode_cells` in pixels of the image, not yet cut at its edges."""
+    return look_at_all(detector, [image_bgr], max_side_px, score_threshold, nms_iou)[0]
+
+
+def look_at_all(
+    detector: Detector,
+    images_bgr: Sequence[NDArray[np.uint8]],
+    max_side_px: int,
+    score_threshold: float,
+    nms_iou: float,
+) -> list[NDArray[np.float64]]:
+    """`look` at several images of one size, in one run of the network where it takes several pictures at once."""
+    if len(images_bgr) > 1 and not detector.several:
+        return [look(detector, image, max_side_px, score_threshold, nms_iou) for image in images_bgr]
     card = detector.card
-    blob, scale_x, scale_y = network_input(
-        image_bgr, card.pad_multiple_px, max_side_px, layout=card.input_layout, fixed_size=detector.fixed_size
-    )
+    inputs = [
+        network_input(
+            image, card.pad_multiple_px, max_side_px, layout=card.input_layout, fixed_size=detector.fixed_size
+        )
+        for image in images_bgr
+    ]
+    blob = np.concatenate([each for each, *_ in inputs]) if len(inputs) > 1 else inputs[0][0]
+    _, scale_x, scale_y = inputs[0]
     outputs = [np.asarray(output) for output in detector.session.run(None, {detector.input_name: blob})]
     rows, columns = blob.shape[1:3] if "NHWC" in card.input_layout else blob.shape[2:4]
-    if isinstance(card.head, SideDistributionHead):
-        head = card.head
-        parts = [
-            decode_cells(
-                values, cells, columns // stride_px, stride_px, head.side_bins, score_threshold,
-                foot_and_tip=head.foot_and_tip,
-            )
-            for values, cells, stride_px in zip(outputs[::2], outputs[1::2], head.strides_px, strict=True)
-        ]  # fmt: skip
-        boxes = suppress_overlaps(np.concatenate(parts), nms_iou)
+    head = card.head
+    if isinstance(head, SideDistributionHead):
+        boxes, pictures = decode_cells(
+            outputs, (rows, columns), head.strides_px, head.side_bins, score_threshold, foot_and_tip=head.foot_and_tip
+        )
+        seen = [suppress_overlaps(boxes[pictures == picture], nms_iou) for picture in range(len(images_bgr))]
     else:
-        found = decode_head(card.head, outputs, rows, columns, score_threshold)
+        found = decode_head(head, outputs, rows, columns, score_threshold)
         unknown = np.full((len(found), COLUMNS - found.shape[1]), np.nan)
         boxes = np.concatenate((found, unknown), axis=1)
-        if isinstance(card.head, EndToEndHead):  # the network has suppressed overlaps already
-            boxes = boxes[np.argsort(-boxes[:, 4], kind="stable")]
+        if isinstance(head, EndToEndHead):  # the network has suppressed overlaps already
+            seen = [boxes[np.argsort(-boxes[:, 4], kind="stable")]]
         else:
-            boxes = suppress_overlaps(boxes, nms_iou)
-    return boxes / (scale_x, scale_y, scale_x, scale_y, 1.0, scale_x, scale_y, scale_x, scale_y)
+            seen = [suppress_overlaps(boxes, nms_iou)]
+    return [each / (scale_x, scale_y, scale_x, scale_y, 1.0, scale_x, scale_y, scale_x, scale_y) for each in seen]

@@ -1,4 +1,4 @@
-"""From the output of the shipped network to boxes: numpy only.
+"""From the output of the shipped network to boxes.
 
 Pixel convention: a box is [x, y, w, h] with x, y its top-left corner; the centre of the top-left pixel is (0.5, 0.5) in
 these box coordinates, that is, an image W wide spans x = 0 .. W. `docs/coordinates.md` says how observations use this.
@@ -6,6 +6,10 @@ these box coordinates, that is, an image W wide spans x = 0 .. W. `docs/coordina
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,33 +21,38 @@ COLUMNS = 9
 
 
 def decode_cells(
-    values: NDArray[np.float32],
-    cells: NDArray[np.int64],
-    cells_per_row: int,
-    stride_px: int,
+    outputs: Sequence[NDArray[Any]],
+    size_px: tuple[int, int],
+    strides_px: Sequence[int],
     bins: int,
     score_threshold: float,
     *,
     foot_and_tip: bool = False,
-) -> Floats:
-    """Cells of one stride -> candidates (N, 9) in pixels of the network's input.
+) -> tuple[Floats, NDArray[np.int64]]:
+    """Cells of all strides -> candidates (N, 9) in pixels of the network's input, and in which of its pictures (N,) they are.
 
-    Columns: x0, y0, x1, y1, score, foot x, foot y, tip x, tip y. values: (K, 4*bins + 1), or (K, 4*bins + 5) with
-    `foot_and_tip`; without it the last four columns are NaN. cells: (K,) where they lie in the row-major map. Each side (left,
-    top, right, bottom) is a distribution over `bins` distances in strides from the cell's centre; its expectation is the
+    Columns: x0, y0, x1, y1, score, foot x, foot y, tip x, tip y. outputs: by turns values (K, 4*bins + 1), or (K, 4*bins + 5)
+    with `foot_and_tip`, of a stride's cells, and (K,) where these lie in the row-major maps of the pictures, one after the
+    other, each of `size_px` (height, width) over the stride; without `foot_and_tip` the last four columns are NaN. Each side
+    (left, top, right, bottom) is a distribution over `bins` distances in strides from the cell's centre; its expectation is the
     distance (distribution focal loss, Li et al. 2020). Foot and tip are offsets in shares of the box from the middle of its
     lower and upper side; the last value is the score's logit. Cells below the threshold are left out.
     Raises ValueError on arrays of another head.
     """
     channels = 4 * bins + (5 if foot_and_tip else 1)
-    if values.ndim != 2 or values.shape[1] != channels or cells.shape != values.shape[:1]:
-        raise ValueError(f"cells have shapes {values.shape} and {cells.shape}, expected (K, {channels}) and (K,)")
-    scores = 1.0 / (1.0 + np.exp(-values[:, -1].astype(np.float64)))
+    for values, cells in zip(outputs[::2], outputs[1::2], strict=True):
+        if values.ndim != 2 or values.shape[1] != channels or cells.shape != values.shape[:1]:
+            raise ValueError(f"cells have shapes {values.shape} and {cells.shape}, expected (K, {channels}) and (K,)")
+    counts = [len(cells) for cells in outputs[1::2]]
+    numbers, places = np.concatenate(outputs[::2]), np.concatenate(outputs[1::2])
+    scores = 1.0 / (1.0 + np.exp(-numbers[:, -1].astype(np.float64)))
     kept = scores >= score_threshold
-    if not kept.any():
-        return np.zeros((0, COLUMNS))
-    scores, numbers = scores[kept], values[kept].astype(np.float64).T
-    rows, columns = np.divmod(cells[kept], cells_per_row)
+    scores, places = scores[kept], places[kept]
+    stride_px = np.repeat(strides_px, counts)[kept]
+    numbers = numbers[kept].astype(np.float64).T
+    in_row, in_column = size_px[1] // stride_px, size_px[0] // stride_px
+    pictures, places = np.divmod(places, in_row * in_column)
+    rows, columns = np.divmod(places, in_row)
     logits = numbers[: 4 * bins].reshape(4, bins, -1)
     weights = np.exp(logits - logits.max(axis=1, keepdims=True))
     left, top, right, bottom = (weights * np.arange(bins)[None, :, None]).sum(1) / weights.sum(1) * stride_px
@@ -54,7 +63,7 @@ def decode_cells(
         shares, middle = numbers[4 * bins : 4 * bins + 4], (x0 + x1) / 2
         ends[0], ends[1] = middle + shares[0] * (x1 - x0), y1 - shares[1] * (y1 - y0)
         ends[2], ends[3] = middle + shares[2] * (x1 - x0), y0 + shares[3] * (y1 - y0)
-    return np.stack((x0, y0, x1, y1, scores, *ends), axis=1)
+    return np.stack((x0, y0, x1, y1, scores, *ends), axis=1), pictures
 
 
 def intersection_over_union(box: Floats, boxes: Floats) -> Floats:
@@ -73,12 +82,12 @@ def suppress_overlaps(candidates: Floats, nms_iou: float) -> Floats:
 
     No two survivors overlap by more than `nms_iou`; equal scores keep their order (the sort is stable).
     """
-    waiting = candidates[np.argsort(-candidates[:, 4], kind="stable")]
-    kept = []
-    while len(waiting):
-        kept.append(waiting[0])
-        waiting = waiting[1:][intersection_over_union(waiting[0, :4], waiting[1:, :4]) <= nms_iou]
-    return np.array(kept).reshape(-1, candidates.shape[1])
+    ordered = candidates[np.argsort(-candidates[:, 4], kind="stable")]
+    corners_and_sizes = np.concatenate((ordered[:, :2], ordered[:, 2:4] - ordered[:, :2]), axis=1)
+    # Ranks instead of scores: OpenCV takes scores in single precision, of which more are equal.
+    ranks = np.arange(len(ordered), 0.0, -1.0)
+    kept = cv2.dnn.NMSBoxes(corners_and_sizes, ranks, 0.0, nms_iou)  # type: ignore[arg-type]
+    return ordered[np.asarray(kept, np.intp)]
 
 
 def without_parts(candidates: Floats, larger: Floats, inside_share: float = 0.8) -> Floats:

@@ -71,9 +71,9 @@ def test_only_middling_scores_are_looked_at_and_the_others_stay() -> None:
     )
     windows: list[tuple[int, ...]] = []
 
-    def nothing(window: NDArray[np.uint8], least: float) -> NDArray[np.float64]:
-        windows.append(window.shape)
-        return np.zeros((0, 9))
+    def nothing(given: list[NDArray[np.uint8]], least: float) -> list[NDArray[np.float64]]:
+        windows.extend(window.shape for window in given)
+        return [np.zeros((0, 9)) for _ in given]
 
     result = look_closer(nothing, image, rows, SETTINGS)
     assert windows == [(96, 96, 3)]
@@ -88,12 +88,12 @@ def test_of_two_cones_in_the_window_the_candidates_own_counts() -> None:
     _, left, top, scale = window_around(image, row[:4], SETTINGS)
     assert scale == 1.0
 
-    def two(window: NDArray[np.uint8], least: float) -> NDArray[np.float64]:
+    def two(windows: list[NDArray[np.uint8]], least: float) -> list[NDArray[np.float64]]:
         own, other = candidate(100, 62, 124, 108, 0.7), candidate(110, 60, 134, 108, 0.9)
         seen = np.stack([other, own])
         seen[:, [0, 2, 5, 7]] -= left
         seen[:, [1, 3, 6, 8]] -= top
-        return seen
+        return [seen for _ in windows]
 
     (found,) = look_closer(two, image, row[None], SETTINGS)
     np.testing.assert_allclose(found[:4], 0.65 * row[:4] + 0.35 * np.array([100, 62, 124, 108]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 import os
@@ -16,7 +17,15 @@ from hypothesis import strategies as st
 from onnx import TensorProto, helper, numpy_helper
 
 from conetl.errors import ModelFileError
-from conetl.io.detector import Detector, detect_image, load_detector, network_input, shipped_model_path
+from conetl.io.detector import (
+    Detector,
+    detect_image,
+    load_detector,
+    look,
+    look_at_all,
+    network_input,
+    shipped_model_path,
+)
 from conetl.io.detector_decode import (
     boxes_in_image,
     decode_cells,
@@ -40,7 +49,9 @@ def test_decode_reads_one_cell_exactly() -> None:
     values[0, -1] = np.log(0.8 / 0.2)
     for side, distance in enumerate((1, 2, 3, 0)):  # left, top, right, bottom in strides
         values[0, side * 4 + distance] = 60.0
-    found = decode_cells(values, np.array([1 * 5 + 2]), 5, 8, 4, 0.5)  # second row, third of five columns
+    found, _ = decode_cells(
+        [values, np.array([1 * 5 + 2])], (24, 40), (8,), 4, 0.5
+    )  # second row, third of five columns
     # The cell's centre is x = 2.5 * 8 = 20, y = 1.5 * 8 = 12.
     np.testing.assert_allclose(found[:, :5], [[12.0, -4.0, 44.0, 12.0, 0.8]], atol=1e-5)
     assert np.isnan(found[:, 5:]).all()
@@ -52,35 +63,45 @@ def test_decode_reads_foot_and_tip() -> None:
     for side in range(4):
         values[0, side * 4 + 2] = 60.0  # two strides to each side: the box is 16 px wide around (6, 2) at stride 4
     values[0, 16:20] = (0.25, 0.125, -0.25, 0.0625)
-    (found,) = decode_cells(values, np.array([1]), 2, 4, 4, 0.5, foot_and_tip=True)
+    ((found,), _) = decode_cells([values, np.array([1])], (8, 8), (4,), 4, 0.5, foot_and_tip=True)
     # box x 6 +- 8, y 2 +- 8: lower side at y = 10, upper at y = -6
     np.testing.assert_allclose(found[:4], [-2.0, -6.0, 14.0, 10.0], atol=1e-5)
     np.testing.assert_allclose(found[4], 1 / (1 + np.exp(-1.0)), atol=1e-6)
     np.testing.assert_allclose(found[5:], [6 + 4, 10 - 2, 6 - 4, -6 + 1], atol=1e-5)
-    assert len(decode_cells(values, np.array([1]), 2, 4, 4, 0.74, foot_and_tip=True)) == 0
+    assert len(decode_cells([values, np.array([1])], (8, 8), (4,), 4, 0.74, foot_and_tip=True)[0]) == 0
 
 
 def test_decode_takes_the_mean_between_two_bins() -> None:
     values = np.full((1, 17), -60.0, np.float32)
     values[0, -1] = 3.0
     values[0, [1, 2, 4 + 1, 8 + 1, 12 + 1]] = 0.0  # left: halfway between 1 and 2 strides; other sides: 1
-    found = decode_cells(values, np.array([0]), 1, 4, 4, 0.5)
+    found, _ = decode_cells([values, np.array([0])], (4, 4), (4,), 4, 0.5)
     np.testing.assert_allclose(found[0, :4], [2 - 6, 2 - 4, 2 + 4, 2 + 4], atol=1e-6)
 
 
 def test_decode_drops_scores_below_the_threshold_and_keeps_the_order_of_cells() -> None:
     values = np.zeros((3, 17), np.float32)
     values[:, -1] = (2.0, -1.0, 1.0)
-    found = decode_cells(values, np.array([0, 15, 5]), 4, 4, 4, 0.5)
+    found, _ = decode_cells([values, np.array([0, 15, 5])], (16, 16), (4,), 4, 0.5)
     np.testing.assert_allclose(found[:, 4], [1 / (1 + np.exp(-2.0)), 1 / (1 + np.exp(-1.0))], atol=1e-6)
     np.testing.assert_allclose(found[:, :2].mean(axis=0), [4 - 6, 4 - 6], atol=1e-6)  # sides of 1.5 strides each
-    assert decode_cells(values, np.array([0, 15, 5]), 4, 4, 4, 1.0).shape == (0, 9)
+    assert decode_cells([values, np.array([0, 15, 5])], (16, 16), (4,), 4, 1.0)[0].shape == (0, 9)
+
+
+def test_decode_tells_pictures_and_strides_apart() -> None:
+    values = np.zeros((2, 17), np.float32)
+    values[:, -1] = (2.0, 1.0)
+    fine, coarse = [values, np.array([9, 3])], [values[:1], np.array([2])]  # pictures of 2 x 4 and of 1 x 2 cells
+    found, pictures = decode_cells([*fine, *coarse], (8, 16), (4, 8), 4, 0.5)
+    np.testing.assert_array_equal(pictures, [1, 0, 1])
+    np.testing.assert_allclose((found[:, :2] + found[:, 2:4]) / 2, [[6, 2], [14, 2], [4, 4]], atol=1e-6)
+    np.testing.assert_allclose(found[:, 2] - found[:, 0], [12, 12, 24], atol=1e-6)  # 1.5 strides to each side
 
 
 @pytest.mark.parametrize(("values", "cells"), [((6, 2), 6), ((3, 17), 2)])
 def test_decode_refuses_cells_of_another_head(values: tuple[int, int], cells: int) -> None:
     with pytest.raises(ValueError, match="expected"):
-        decode_cells(np.zeros(values, np.float32), np.zeros(cells, np.int64), 4, 8, 4, 0.5)
+        decode_cells([np.zeros(values, np.float32), np.zeros(cells, np.int64)], (32, 32), (8,), 4, 0.5)
 
 
 def test_rows_above_the_road_can_be_left_out(detector: Detector) -> None:
@@ -104,6 +125,8 @@ def test_a_part_of_a_better_and_larger_box_is_dropped() -> None:
     assert len(without_parts(np.zeros((0, 5)), large)) == 0
 
 
+#: Of the overlaps that suppression computes.
+SINGLE_PRECISION = 1e-6
 coordinate = st.floats(0.0, 200.0, allow_nan=False)
 candidate = st.tuples(coordinate, coordinate, st.floats(0.5, 90.0), st.floats(0.5, 90.0), st.floats(0.0, 1.0))
 
@@ -116,11 +139,11 @@ def test_suppression_laws(rows: list[tuple[float, ...]], nms_iou: float) -> None
     assert {tuple(row) for row in kept} <= {tuple(row) for row in candidates}
     assert np.all(np.diff(kept[:, 4]) <= 0)
     for index, box in enumerate(kept):  # survivors do not overlap
-        assert np.all(intersection_over_union(box[:4], kept[index + 1 :, :4]) <= nms_iou)
+        assert np.all(intersection_over_union(box[:4], kept[index + 1 :, :4]) <= nms_iou + SINGLE_PRECISION)
     for box in candidates:  # whatever went, went for a survivor at least as good
         rivals = kept[kept[:, 4] >= box[4]]
         same = (kept == box).all(axis=1).any()
-        assert same or np.any(intersection_over_union(box[:4], rivals[:, :4]) > nms_iou)
+        assert same or np.any(intersection_over_union(box[:4], rivals[:, :4]) > nms_iou - SINGLE_PRECISION)
     np.testing.assert_array_equal(suppress_overlaps(kept, nms_iou), kept)
 
 
@@ -272,6 +295,21 @@ def test_a_network_of_another_family_runs_by_its_sidecar_alone(tmp_path: Path, f
 def test_images_of_another_kind_are_refused(detector: Detector) -> None:
     with pytest.raises(ValueError, match="BGR"):
         detect_image(detector, np.zeros((64, 64), np.uint8), score_threshold=0.5)
+
+
+def test_windows_looked_at_together_are_seen_as_each_alone(detector: Detector) -> None:
+    assert detector.several
+    rng = np.random.default_rng(4)
+    windows = [np.asarray(rng.integers(90, 120, (96, 96, 3)), np.uint8) for _ in range(5)]
+    for index, window in enumerate(windows[1:], 1):
+        draw_cone(window, 20.0 + 12.0 * index, 80.0, 20.0 + 8.0 * index)
+    together = look_at_all(detector, windows, 96, 0.02, 0.5)
+    assert sum(len(seen) for seen in together) >= 4
+    for window, seen in zip(windows, together, strict=True):
+        np.testing.assert_array_equal(seen, look(detector, window, 96, 0.02, 0.5))
+    one_by_one = look_at_all(dataclasses.replace(detector, several=False), windows, 96, 0.02, 0.5)
+    for seen, alone in zip(together, one_by_one, strict=True):
+        np.testing.assert_array_equal(seen, alone)
 
 
 def draw_cone(image: np.ndarray, x: float, foot: float, height: float) -> None:
