@@ -33,6 +33,7 @@ from conetl.detector_evidence import (
     ScoreCalibration,
     box_log_ratio,
     calibrated_probability,
+    detect_probability,
     joint_log_ratio,
     miss_log_ratio,
 )
@@ -239,34 +240,59 @@ def look_ratios(looks: Looks, evidence: DetectorEvidence) -> dict[str, list[np.n
     return ratios
 
 
-def fit_correlation(ratios: dict[str, list[np.ndarray]]) -> tuple[LookCorrelation, dict[str, list[float]]]:
-    """Correlation of two looks at one object over the octaves between them, cones and lookalikes weighing alike.
+def fit_correlation(cones: list[np.ndarray]) -> LookCorrelation:
+    """Correlation of the ratios of two looks at one cone over the octaves between them.
 
-    Least squares on the products of all pairs of looks, each over its kind's variance; and the mean products by kind in steps
-    of half an octave.
+    It stands for lookalikes, too: a few dozen are too few to say, and what they say is less: this errs to the safe side.
     """
-    octaves, products, weights, steps = [], [], [], {}
-    for kind, things in ratios.items():
-        everything = np.concatenate(things)[:, 0]
-        mean, variance = everything.mean(), everything.var()
-        pairs = np.array([
-            (abs(a[1] - b[1]), (a[0] - mean) * (b[0] - mean) / variance)
-            for thing in things for k, a in enumerate(thing) for b in thing[:k]
-        ])  # fmt: skip
-        octaves.append(pairs[:, 0])
-        products.append(pairs[:, 1])
-        weights.append(np.full(len(pairs), 1 / np.sqrt(len(pairs))))
-        parts = [pairs[(pairs[:, 0] >= low) & (pairs[:, 0] < low + 0.5), 1] for low in (0.0, 0.5, 1.0)]
-        steps[kind] = [round(float(part.mean()), 2) for part in parts if len(part)]
-    x, y, w = (np.concatenate(parts) for parts in (octaves, products, weights))
+    everything = np.concatenate(cones)[:, 0]
+    mean, spread = everything.mean(), everything.std()
+    return correlation_over_octaves(*pairs_of_looks([((c[:, 0] - mean) / spread, c[:, 1]) for c in cones]))
+
+
+def fit_miss_correlation(looks: Looks, evidence: DetectorEvidence) -> tuple[LookCorrelation, list[float]]:
+    """Correlation of the misses of two looks at one cone in plain view over the octaves between them, and by half octaves.
+
+    Each miss is taken against its probability at that apparent height, over its standard deviation (as Pearson residuals are).
+    """
+    params = IngestParams()
+    least, threshold = params.reconcile.visible_min_height_px, params.detection.score_threshold
+    rows = np.array([r for r in looks.cones if r[2] < len(SCALES) and r[4] < HIDDEN[1] and r[3] >= least])
+    missed = 1 - np.array([detect_probability(evidence, height_px, 0.0, threshold) for height_px in rows[:, 3]])
+    residuals = ((rows[:, 5] < threshold) - missed) / np.sqrt(missed * (1 - missed))
+    by_cone = [rows[:, 1] == cone for cone in np.unique(rows[:, 1])]
+    between, product = pairs_of_looks([(residuals[own], np.log2(rows[own, 3])) for own in by_cone])
+    return correlation_over_octaves(between, product), by_half_octaves(between, product)
+
+
+def pairs_of_looks(things: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+    """Of every two looks at one thing the octaves between them and the product of their values.
+
+    things: values (N,), in standard deviations from their mean, and logarithms to base 2 of the apparent heights (N,).
+    """
+    pairs = [
+        (abs(height - heights[j]), value * values[j])
+        for values, heights in things for i, (value, height) in enumerate(zip(values, heights, strict=True)) for j in range(i)
+    ]  # fmt: skip
+    octaves, products = np.array(pairs).reshape(-1, 2).T
+    return octaves, products
+
+
+def by_half_octaves(octaves: np.ndarray, products: np.ndarray) -> list[float]:
+    parts = [products[(octaves >= low) & (octaves < low + 0.5)] for low in (0.0, 0.5, 1.0)]
+    return [round(float(part.mean()), 2) for part in parts if len(part)]
+
+
+def correlation_over_octaves(octaves: np.ndarray, products: np.ndarray) -> LookCorrelation:
+    """Least squares on the products of all pairs of looks."""
     near, share, decay = least_squares(
-        lambda p: w * (p[0] * (p[1] + (1 - p[1]) * np.exp(-x / p[2])) - y),
+        lambda p: p[0] * (p[1] + (1 - p[1]) * np.exp(-octaves / p[2])) - products,
         (0.8, 0.5, 0.5),
         bounds=((0.05, 0.0, 0.1), (0.98, 1.0, 3.0)),
     ).x
     return LookCorrelation(
         near=round(float(near), 3), far=round(float(near * share), 3), decay_octaves=round(float(decay), 3)
-    ), steps
+    )
 
 
 def fit_joint_scale(ratios: dict[str, list[np.ndarray]], evidence: DetectorEvidence) -> float:
@@ -301,14 +327,18 @@ def measure(looks: Looks, folds: np.ndarray, sha256: str) -> tuple[DetectorEvide
         "false_boxes_per_picture": rates, "look_correlation": UNMEASURED.look_correlation, "joint_scale": 1.0,
     }  # fmt: skip
     ratios = look_ratios(looks, DetectorEvidence.model_validate(values))
-    values["look_correlation"], steps = fit_correlation(ratios)
+    values["look_correlation"] = fit_correlation(ratios["cones"])
+    values["miss_correlation"], steps_of_misses = fit_miss_correlation(looks, DetectorEvidence.model_validate(values))
+    figures["correlation of two misses of a cone, by half octaves between them"] = steps_of_misses
     values["joint_scale"] = fit_joint_scale(ratios, DetectorEvidence.model_validate(values))
     for kind, things in ratios.items():
         means = [float(thing[:, 0].mean()) for thing in things]
+        everything = np.concatenate(things)[:, 0]
+        like = [((thing[:, 0] - everything.mean()) / everything.std(), thing[:, 1]) for thing in things]
         figures[f"mean log-likelihood ratio of a look, {kind}"] = {
             "things": len(means),
             **{f"{q} %": round(float(np.percentile(means, q)), 2) for q in (5, 25, 50, 75, 95)},
-            "correlation of two looks, by half octaves between them": steps[kind],
+            "correlation of two looks, by half octaves between them": by_half_octaves(*pairs_of_looks(like)),
         }
     return DetectorEvidence.model_validate(values), held_out, figures
 

@@ -2,8 +2,8 @@
 
     python training/export.py RUN/last.pt --out RUN/conetl-cone-2.onnx --version 2.0
 
-The exported network takes the picture as it lies in memory, (1, H, W, 3) BGR 0 to 255: what would have to be done to it
-before is folded into the first convolution.
+The exported network takes pictures of one size as they lie in memory, (P, H, W, 3) BGR 0 to 255: what would have to be done to
+them before is folded into the first convolution.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ BEST_CELLS = (512, 256, 128, 64)
 
 
 class PackedStem(nn.Module):
-    """The network's first convolution for a picture as it lies in memory: (1, H, W, 3) BGR 0 to 255 -> what `ConeNet.stem` gives.
+    """The network's first convolution for pictures as they lie in memory: (P, H, W, 3) BGR 0 to 255 -> what `ConeNet.stem` gives.
 
     Four pixels side by side are taken as one of 12 channels, and two output columns as one of twice the channels: the numbers
     stay where they are, and an 8-bit convolution is kept busy, which it is not by three channels. Of the columns 4j - 1 to 4j + 3
@@ -50,16 +50,17 @@ class PackedStem(nn.Module):
         self.relu = nn.ReLU()
 
     def forward(self, picture: Tensor) -> Tensor:
-        packed = picture.reshape(1, picture.shape[1], -1, 12).permute(0, 3, 1, 2)
+        packed = picture.reshape(*picture.shape[:2], -1, 12).permute(0, 3, 1, 2)
         pairs = self.relu(self.conv(functional.pad(packed, (1, 0, 1, 0)))).permute(0, 2, 3, 1)
-        return pairs.reshape(1, pairs.shape[1], -1, self.channels).permute(0, 3, 1, 2)
+        return pairs.reshape(*pairs.shape[:2], -1, self.channels).permute(0, 3, 1, 2)
 
 
 class CellOutputs(nn.Module):
     """The output layers of one stride, for the cells of the highest scores only: all of them would cost an eighth of the whole.
 
-    Features (1, C, h, w) -> the cells' values (K, 4*BINS + 5) as in `ConeNet`, and their places (K,) in the row-major map. The
-    cells are chosen by a score that may be rounded to 8 bits; the scores given are not.
+    Features (P, C, h, w) -> the cells' values (K, 4*BINS + 5) as in `ConeNet`, and their places (K,) in the row-major maps of the
+    pictures, one after the other: the cells are the best of all pictures together. They are chosen by a score that may be rounded
+    to 8 bits; the scores given are not.
     """
 
     def __init__(self, sides: nn.Module, ends: nn.Module, score: nn.Module, count: int) -> None:
@@ -71,7 +72,7 @@ class CellOutputs(nn.Module):
         self.register_buffer("bias", torch.cat((sides.bias, ends.bias, score.bias)).detach())
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        logits = self.score(features).flatten(1)
+        logits = self.score(features).reshape(1, -1)
         # A number of cells that depends on the picture's size has to be a tensor, or tracing would freeze it.
         available = torch._shape_as_tensor(logits)[1]
         _, cells = logits.topk(torch.minimum(torch.tensor(self.count), available), 1)
@@ -80,7 +81,7 @@ class CellOutputs(nn.Module):
 
 
 class BestCells(nn.Module):
-    """The network as conetl runs it: picture (1, H, W, 3) -> values and places of `CellOutputs`, stride by stride."""
+    """The network as conetl runs it: pictures (P, H, W, 3) -> values and places of `CellOutputs`, stride by stride."""
 
     def __init__(self, network: ConeNet) -> None:
         super().__init__()
@@ -107,7 +108,7 @@ def main() -> None:
     fuse_batch_norms(network)
     picture = torch.rand(1, 96, 160, 3)
     names = [name for stride in STRIDES for name in (f"stride{stride}", f"stride{stride}_cells")]
-    axes = {"picture": {1: "height", 2: "width"}} | {name: {0: f"{name}_count"} for name in names}
+    axes = {"picture": {0: "pictures", 1: "height", 2: "width"}} | {name: {0: f"{name}_count"} for name in names}
     args.out.parent.mkdir(parents=True, exist_ok=True)
     torch.onnx.export(
         BestCells(network),
@@ -119,13 +120,14 @@ def main() -> None:
         opset_version=17,
         dynamo=False,
     )
-    picture = 255 * torch.rand(1, 288, 416, 3)  # another size than the one that was traced
+    picture = 255 * torch.rand(2, 288, 416, 3)  # more pictures than the one that was traced, and of another size
     with torch.no_grad():
         maps = network(picture.flip(3).permute(0, 3, 1, 2) / 255.0)
     given = onnxruntime.InferenceSession(str(args.out)).run(None, {"picture": picture.numpy()})
     worst = 0.0
     for values, cells, expected in zip(given[::2], given[1::2], maps, strict=True):
-        worst = max(worst, float(np.abs(values.T - expected[0].flatten(1)[:, torch.from_numpy(cells)].numpy()).max()))
+        in_order = expected.permute(0, 2, 3, 1).reshape(-1, expected.shape[1])
+        worst = max(worst, float(np.abs(values - in_order[torch.from_numpy(cells)].numpy()).max()))
     if worst > 1e-2:
         raise SystemExit(f"the exported network differs from the trained one by {worst}")
     card = {

@@ -46,8 +46,8 @@ class ScoreCalibration(BaseModel):
 
 
 class LookCorrelation(BaseModel):
-    """How much two looks at one object fail together: correlation of their log-likelihood ratios over the ratio of the object's
-    apparent heights, far + (near - far) exp(-|octaves| / decay)."""
+    """How much two looks at one object have in common: a correlation over the ratio of the object's apparent heights,
+    far + (near - far) exp(-|octaves| / decay)."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -102,6 +102,10 @@ class DetectorEvidence(BaseModel):
     false_boxes_per_picture: tuple[tuple[Annotated[float, Field(gt=0)], ...], ...]
     """Boxes on no cone, at or above the threshold, by threshold and height band."""
     look_correlation: LookCorrelation
+    """Of the log-likelihood ratios, cone against lookalike, of two looks at one thing."""
+    miss_correlation: LookCorrelation | None = None
+    """Of the misses of two looks at one cone in plain view. None, in figures from before these were told apart:
+    `look_correlation` and `joint_scale` stand for it."""
     joint_scale: Annotated[float, Field(gt=0)]
     """What the looks at one thing, put together with that correlation, are multiplied with to tell cones from lookalikes at
     true odds; fitted on things with several looks."""
@@ -150,8 +154,8 @@ def absence_log_ratio(
 
     heights_px (N, 2), hidden (N, 2): apparent height of the cone, and share of it behind nearer detections, in the left and
     right picture; found (N,): whether something was found there. A frame pair misses a cone unless both pictures show it; an
-    empty spot gets a box with `stray_probability`. Frame pairs go together (`joint_log_ratio`), and with a small probability all
-    of them miss the cone because of something in front that is no detection.
+    empty spot gets a box with `stray_probability`. Frame pairs miss a cone together as often as looks do (`miss_correlation`),
+    and with a small probability all of them miss it because of something in front that is no detection.
     """
     if len(heights_px) == 0:
         return 0.0
@@ -161,7 +165,12 @@ def absence_log_ratio(
     ]
     shown = np.reshape(seen, (-1, 2)).prod(axis=1)
     ratios = np.where(found, np.log(shown / stray_probability), np.log((1 - shown) / (1 - stray_probability)))
-    joint = joint_log_ratio(figures.evidence, ratios, heights_px.min(axis=1))
+    misses, least_px = figures.evidence.miss_correlation, heights_px.min(axis=1)
+    joint = (
+        joint_log_ratio(figures.evidence, ratios, least_px)
+        if misses is None
+        else _sum_of_like(misses, ratios, least_px)
+    )
     blind = unseen_occluder_probability
     return min(float(np.logaddexp(np.log(blind), np.log1p(-blind) + joint)), 0.0)
 
@@ -211,23 +220,29 @@ def miss_log_ratio(evidence: DetectorEvidence, height_px: float, hidden: float, 
 def joint_log_ratio(evidence: DetectorEvidence, ratios: NDArray[np.float64], heights_px: NDArray[np.float64]) -> float:
     """Log-likelihood ratio of all looks (N,) together, from that of each (N,) and the object's apparent heights (N,).
 
-    Their sum over the design effect (Kish 1965, Survey Sampling, section 5.4): 1 + (N - 1) r with one correlation r for all, here
-    the mean row sum of their correlations. So many like looks from one distance count little more than one of them. All looks
-    weigh alike: weights by the inverse of the correlations would lean on the first and the last look, and on the model of the
-    correlations. Then `joint_scale`.
+    The sum of like looks by `look_correlation`, times `joint_scale`.
+    """
+    return evidence.joint_scale * _sum_of_like(evidence.look_correlation, ratios, heights_px)
+
+
+def _sum_of_like(correlation: LookCorrelation, ratios: NDArray[np.float64], heights_px: NDArray[np.float64]) -> float:
+    """Sum of log-likelihood ratios (N,) over the design effect of their correlation, which apparent heights (N,) tell.
+
+    Design effect (Kish 1965, Survey Sampling, section 5.4): 1 + (N - 1) r with one correlation r for all, here the mean row sum
+    of their correlations. So many like looks from one distance count little more than one of them. All looks weigh alike:
+    weights by the inverse of the correlations would lean on the first and the last look, and on the model of the correlations.
     """
     if len(ratios) == 0:
         return 0.0
-    correlation = evidence.look_correlation
     octaves = np.abs(np.subtract.outer(np.log2(heights_px), np.log2(heights_px)))
     matrix = correlation.far + (correlation.near - correlation.far) * np.exp(-octaves / correlation.decay_octaves)
     np.fill_diagonal(matrix, 1.0)
-    return evidence.joint_scale * float(ratios.sum() * len(ratios) / matrix.sum())
+    return float(ratios.sum() * len(ratios) / matrix.sum())
 
 
 def evidence_sha256(evidence: DetectorEvidence | None) -> str:
     """Hash of the figures (of none: of nothing), for the identity of an ingest."""
-    return hashlib.sha256(b"" if evidence is None else evidence.model_dump_json().encode()).hexdigest()
+    return hashlib.sha256(b"" if evidence is None else evidence.model_dump_json(exclude_none=True).encode()).hexdigest()
 
 
 def _log_odds(calibration: ScoreCalibration, score: float) -> float:

@@ -98,7 +98,7 @@ class ReconcileParams(Params):
     """A vanished feature and a new track of like height, at most this far apart, are one cone that was moved."""
     moved_height_tolerance_m: Positive = 0.15
     """Heights that differ by more are of different classes of cones, which lie 0.2 m apart and more."""
-    moved_existence_probability: Annotated[float, Field(gt=0, lt=1)] = 0.5
+    moved_existence_probability: Annotated[float, Field(gt=0, lt=1)] = 0.7
     """Below this belief a feature counts as vanished where a new cone of like height near it tells where it went."""
     founding_existence_probability: Fraction = 0.6
     """A track less sure than this confirms a feature that stands there already, but makes no new one: two drives rarely err at

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import hashlib
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,9 @@ from conetl.detector_evidence import (
     UNMEASURED,
     DetectorEvidence,
     LookCorrelation,
+    LookFigures,
     ScoreCalibration,
+    absence_log_ratio,
     box_log_ratio,
     calibrated_probability,
     detect_probability,
@@ -87,6 +90,31 @@ def test_joint_ratio_is_kishs_for_one_correlation_and_near_looks_count_less_than
     assert joint_log_ratio(EVIDENCE, ratios, np.full(3, 40.0)) < joint_log_ratio(EVIDENCE, ratios, heights)
     assert joint_log_ratio(EVIDENCE, ratios[:1], heights[:1]) == pytest.approx(1.0)
     assert joint_log_ratio(EVIDENCE, np.zeros(0), np.zeros(0)) == 0.0
+
+
+def absent(evidence: DetectorEvidence, frames: int) -> float:
+    figures = LookFigures(evidence=evidence, score_threshold=0.3)
+    return absence_log_ratio(
+        figures, np.full((frames, 2), 40.0), np.zeros((frames, 2)), np.zeros(frames, bool),
+        stray_probability=0.02, unseen_occluder_probability=1e-60,
+    )  # fmt: skip
+
+
+@given(st.integers(1, 40), st.floats(0.05, 0.8))
+def test_empty_frames_weigh_by_how_cones_are_missed_and_not_by_how_alike_things_are_judged(n: int, r: float) -> None:
+    alike = LookCorrelation(near=r, far=r, decay_octaves=1.0)
+    told_apart = EVIDENCE.model_copy(update={"miss_correlation": alike, "joint_scale": 7.0})
+    one = np.log((1 - 0.9 * 0.9) / (1 - 0.02))
+    assert absent(told_apart, n) == pytest.approx(n * one / (1 + (n - 1) * r), rel=1e-4)
+    not_told = EVIDENCE.model_copy(update={"look_correlation": alike, "joint_scale": 0.5})
+    assert absent(not_told, n) == pytest.approx(0.5 * absent(told_apart, n), rel=1e-4)
+
+
+def test_figures_from_before_misses_were_told_apart_keep_their_hash() -> None:
+    text = EVIDENCE.model_dump_json(exclude={"miss_correlation"})
+    assert evidence_sha256(DetectorEvidence.model_validate_json(text)) == hashlib.sha256(text.encode()).hexdigest()
+    other = EVIDENCE.model_copy(update={"miss_correlation": EVIDENCE.look_correlation})
+    assert evidence_sha256(other) != evidence_sha256(EVIDENCE)
 
 
 def test_doubt_bounds_what_one_score_can_say() -> None:

@@ -7,13 +7,14 @@ What each of them does was measured for the detector in use (`detector_evidence.
 - a box where the cone should be: p(box with this score | cone, apparent height, hidden share) over the same for a lookalike;
 - no box there: (1 - P(detect | height, hidden)) over (1 - P(found again)) of a lookalike. Misses of one camera running may have
   one cause, something in front that is no detection: with a small probability the whole run says nothing;
+- a box that other positions are made of is another thing's: where only such a box covers the place, the look says nothing;
 - looks at one thing fail together, most where it appears equally tall (`detector_evidence.joint_log_ratio`), so that no number
   of pictures makes up for what they have in common.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,18 +56,22 @@ def existence_probability(
     detections: Mapping[int, Sequence[Detection]],
     params: IngestParams,
     evidence: DetectorEvidence = UNMEASURED,
+    is_anothers: Callable[[Detection], bool] = lambda _: False,
 ) -> float:
     """Belief (0 to 1) that the positions of `group` are a cone.
 
     Every picture in which it should be in plain view speaks. Where it should be is carried over from the nearest frame of the
     group by the relative motion, so that a sliding trajectory does not turn hits into misses. map_SE3_left: (4, 4) by frame
-    index; detections: of both images; evidence: the detector's figures.
+    index; detections: of both images; evidence: the detector's figures; is_anothers: whether another group is made of a box.
     """
     looks: dict[Side, list[Look]] = {"left": [], "right": []}
     for side, in_view in _boxes(group, cone_height_m, rig, map_SE3_left, params).items():
         for frame_index, box in in_view:
             found = [d for d in detections.get(frame_index, ()) if d.side == side]
-            own = [d for d in found if iou(box, d) >= evidence.match_iou]
+            covering = [d for d in found if iou(box, d) >= evidence.match_iou]
+            own = [d for d in covering if not is_anothers(d)]
+            if covering and not own:
+                continue
             hidden = hidden_share(box, [d for d in found if d not in own])
             score = max((d.score for d in own), default=None)
             looks[side].append(Look(height_px=box[3] - box[1], hidden=hidden, score=score))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from conetl.records import (
     FramePair,
     Position,
     Rig,
+    Side,
     StereoMatch,
     Track,
 )
@@ -25,6 +26,8 @@ from conetl.steps.common_errors import common_cov, outline_cov
 from conetl.steps.existence import existence_probability
 
 Floats = NDArray[np.float64]
+#: Frame, side and number of a detection.
+BoxKey = tuple[int, Side, int]
 
 
 def fuse_tracks(
@@ -49,6 +52,9 @@ def fuse_tracks(
     tracks: list[Track] = []
     rejections: list[Rejection] = []
     groups = chain_positions(positions, map_SE3_left, params.track, motion)
+    in_use = {
+        box for group in groups if len(group) >= params.track.min_observations for box in _boxes_of(group, matches)
+    }
     for group in sorted(groups, key=lambda g: (g[0].frame_index, g[0].match_index)):
         result = fuse_group(
             len(tracks),
@@ -62,6 +68,7 @@ def fuse_tracks(
             params,
             evidence,
             motion,
+            in_use,
         )
         if isinstance(result, Track):
             tracks.append(result)
@@ -82,8 +89,12 @@ def fuse_group(
     params: IngestParams,
     evidence: DetectorEvidence,
     motion: MotionError | None,
+    in_use: Collection[BoxKey] = frozenset(),
 ) -> Track | Rejection:
-    """The track of one group of positions, or why it is none; arguments as of `fuse_tracks`."""
+    """The track of one group of positions, or why it is none; arguments as of `fuse_tracks`.
+
+    in_use: boxes of which groups are made, this one or another.
+    """
     limits = params.track
     if len(group) < limits.min_observations:
         wanted = f"expected at least {limits.min_observations}; one or two boxes may be anything"
@@ -124,7 +135,12 @@ def fuse_group(
     if not limits.min_cone_height_m <= height_m <= limits.max_cone_height_m:
         bounds = f"{limits.min_cone_height_m} to {limits.max_cone_height_m} m"
         return _reject(RejectionReason.HEIGHT_IMPLAUSIBLE, group, f"{height_m:.2f} m tall, expected {bounds}")
-    existence = existence_probability(group, height_m, rig, map_SE3_left, detections, params, evidence)
+    own = set(_boxes_of(group, matches))
+
+    def is_anothers(box: Detection) -> bool:
+        return (key := _box_key(box)) in in_use and key not in own
+
+    existence = existence_probability(group, height_m, rig, map_SE3_left, detections, params, evidence, is_anothers)
     if existence < limits.min_existence_probability:
         return _reject(
             RejectionReason.EXISTENCE_UNLIKELY,
@@ -209,6 +225,16 @@ def _motion_sigmas(
     gnss_m = np.array([np.linalg.norm(frame_pairs[p.frame_index].pose.sigma_enu_m) for p in group])
     attitude_m = np.array([max(frame_pairs[p.frame_index].pose.sigma_rpy_rad) * p.range_m for p in group])
     return np.asarray(np.hypot(np.minimum(limits.motion_sigma_relative * driven_m, gnss_m), attitude_m))
+
+
+def _boxes_of(group: Sequence[Position], matches: Mapping[tuple[int, int], StereoMatch]) -> Iterator[BoxKey]:
+    for position in group:
+        match = matches[position.frame_index, position.match_index]
+        yield from (_box_key(match.left), _box_key(match.right))
+
+
+def _box_key(box: Detection) -> BoxKey:
+    return box.frame_index, box.side, box.detection_index
 
 
 def _check_ground(

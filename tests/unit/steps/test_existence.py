@@ -102,8 +102,11 @@ def test_an_unmeasured_detector_gives_beliefs_too() -> None:
     assert belief(looks(*[0.32] * 20), evidence=UNMEASURED) < 0.3
 
 
-def on_a_road(score: float, kept_every: int) -> float:
-    """Belief in a cone at the roadside that gets a box of `score` in every `kept_every`-th frame pair."""
+def on_a_road(score: float, kept_every: int, members: int | None = None) -> float:
+    """Belief in a cone at the roadside that gets a box of `score` in every `kept_every`-th frame pair.
+
+    members: so many positions speak for it, and the other boxes are another thing's.
+    """
     pairs = make_path(40)
     found = detect([Cone((30.0, 2.5, 0.0))], pairs, RIG, score=score)
     thinned = {key: boxes if key[0] % kept_every == 0 else [] for key, boxes in found.items()}
@@ -111,10 +114,20 @@ def on_a_road(score: float, kept_every: int) -> float:
     by_frame: dict[int, list[Detection]] = defaultdict(list)
     for detection in detections:
         by_frame[detection.frame_index].append(detection)
-    group: list[Position] = positions
-    return existence_probability(group, 0.7, RIG, camera_poses(pairs, RIG, "left"), by_frame, PARAMS, shipped())
+    group: list[Position] = positions[-members:] if members else positions
+    own = {position.frame_index for position in group}
+    return existence_probability(
+        group, 0.7, RIG, camera_poses(pairs, RIG, "left"), by_frame, PARAMS, shipped(), lambda d: d.frame_index not in own
+    )  # fmt: skip
 
 
 def test_on_a_road_boxes_are_found_where_the_cone_should_be() -> None:
     assert on_a_road(0.7, 1) > 0.95
     assert on_a_road(0.35, 3) < 0.1
+
+
+def test_boxes_of_another_thing_speak_neither_for_nor_against() -> None:
+    alone, in_all = on_a_road(0.6, 1, members=3), on_a_road(0.6, 1)
+    assert alone < in_all - 0.01, "three pairs of boxes say less than all of them"
+    pairs = 3 * [Look(height_px=60.0, hidden=0.0, score=0.6)]
+    assert alone == pytest.approx(belief(pairs, pairs), abs=0.02), "as if nobody had looked where the other boxes are"
