@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any
 from uuid import UUID, uuid4
 
-from prefect import State, flow, tags
+from prefect import State, flow, get_client
 from prefect.runtime import flow_run
 from prefect.states import Completed
 from pydantic import Field
@@ -53,6 +53,16 @@ def drive_tags(outline: DriveOutline, map_name: str) -> list[str]:
     return [f"drive:{outline.drive_id}", f"map:{map_name}", *day]
 
 
+def put_tags(outline: DriveOutline, map_name: str) -> None:
+    """Tag this flow run: one that the form started has no tags of its drive.
+
+    Its tasks get none: before a task with tags begins, Prefect asks the server for limits of how many may run, and detections
+    waited two seconds for the answer, twice a minute.
+    """
+    with get_client(sync_client=True) as api:
+        api.update_flow_run(UUID(flow_run.id), tags={*flow_run.tags, *drive_tags(outline, map_name)})
+
+
 @contextmanager
 def alive(settings: Settings) -> Iterator[str]:
     """Hold the lock that says that this flow run's process lives; the database's address."""
@@ -79,7 +89,8 @@ def ingest_one(
     settings = settings_for(map_name)
     outline = outline_drive(place(drive).resolve())
     begun = new_receipt(outline, settings, analysis_of(params, settings).sha256, attempt_id or uuid4(), flow_run.id)
-    with alive(settings) as url, holding(url, begun.drive_lock), tags(*drive_tags(outline, settings.map_name)):
+    with alive(settings) as url, holding(url, begun.drive_lock):
+        put_tags(outline, settings.map_name)
         keep(url, begun, settings)
         started = time.monotonic()
         try:

@@ -66,7 +66,7 @@ class Odometry(NamedTuple):
     """... and the motions that they tell."""
 
 
-@task(name="odometry", task_run_name="odometry {chunk.frame_pairs[0].frame_index}", tags=["odometry"], **RETRY)
+@task(name="odometry", task_run_name="odometry {chunk.frame_pairs[0].frame_index}", **RETRY)
 def odometry_task(chunk: Chunk) -> Odometry:
     """Points followed between the frame pairs of a chunk, and its motions by the rig as it is."""
     key = _tracks_key(chunk)

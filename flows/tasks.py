@@ -105,7 +105,7 @@ def parts_of(chunk: Chunk) -> list[slice]:
     return [slice(first, min(first + half, count)) for first in range(0, count, half)]
 
 
-@task(name="detect", task_run_name="detect {chunk.frame_pairs[0].frame_index} {part}", tags=["detect"], **RETRY)
+@task(name="detect", task_run_name="detect {chunk.frame_pairs[0].frame_index} {part}", **RETRY)
 def detect_task(chunk: Chunk, part: int, rig: Rig | None) -> Path:
     """Detections in both pictures of one of the parts of a chunk; returns the Parquet file.
 
