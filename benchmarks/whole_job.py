@@ -179,7 +179,7 @@ def plain_ingest(workers: int, spent_s: dict[str, float] | None = None) -> Itera
     named["get_run_context"] = lambda: SimpleNamespace(task_run=SimpleNamespace(id=uuid4()))
     times = defaultdict(float) if spent_s is None else spent_s
     patches = []
-    with ThreadPoolExecutor(workers + 1) as pool:
+    with ThreadPoolExecutor(workers) as pool:
         for module in modules:
             for name, value in vars(module).items():
                 if isinstance(value, Task):

@@ -18,8 +18,8 @@ from flows.progress import tell_progress
 def task_runner(settings: Settings) -> TaskRunner[Any]:
     """What CONETL_TASK_RUNNER names, not yet started. Raises InputError where it cannot be had.
 
-    Threads: one more than `workers`, for the cheap steps beside the detections. Processes: `workers` of them. Dask: the
-    cluster at CONETL_DASK_ADDRESS, else `workers` processes of this machine for the time of one run, on loopback only.
+    Threads or processes: `workers` of them. Dask: the cluster at CONETL_DASK_ADDRESS, else `workers` processes of this machine
+    for the time of one run, on loopback only.
     """
     if settings.dask_address and settings.task_runner != "dask":
         raise InputError(
@@ -28,7 +28,7 @@ def task_runner(settings: Settings) -> TaskRunner[Any]:
         )
     match settings.task_runner:
         case "threads":
-            return ThreadPoolTaskRunner(max_workers=settings.workers + 1)
+            return ThreadPoolTaskRunner(max_workers=settings.workers)
         case "processes":
             return ProcessPoolTaskRunner(max_workers=settings.workers)
         case "dask":
