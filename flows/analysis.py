@@ -166,15 +166,15 @@ def _run_chunks(
         tracks, motions = [found.tracks for found in odometry], [found.motions for found in odometry]
         calibration = runs.now(self_calibrate_task, whole(drive), tracks, motions, whole(chunks[0]))
     rig = self_calibrated_rig(drive.rig, calibration, params)
-    matched, moving = [], []
+    moving: Any = None
+    if rig != drive.rig:
+        moving = runs.soon(motions_task, whole(with_rig(overlapping, rig)), whole(odometry))
+    matched = []
     for k, chunk in enumerate(chunks):
         detect(len(parts_of(chunk)), rig)
         matched.append(runs.soon(match_task, whole(chunk), whole(rig), *detected[k]))
-        if rig != drive.rig and k < len(overlapping):
-            again = overlapping[k].model_copy(update={"rig": rig})
-            moving.append(runs.soon(motions_task, whole(again), odometry[k].tracks, odometry[k].motions))
     paths = [future.result() for halves in detected for future in halves]
-    motion_paths = [f.result() for f in moving] or [f.result().motions for f in followed]
+    motion_paths = moving.result() if moving else [future.result().motions for future in followed]
     return paths, [future.result() for future in matched], motion_paths, calibration, rig
 
 

@@ -26,6 +26,9 @@ from flows.publish import publish_task
 from flows.retries import lost_frame_pairs, whole
 from flows.tasks import chunks_of, read_drive_task
 
+#: A request to the server costs some 30 ms of processor time.
+_SHOWN_EVERY_S = 10.0
+
 
 @flow(name="ingest-drive", flow_run_name=name_of_run, validate_parameters=False)
 def ingest_drive(
@@ -66,12 +69,13 @@ def _shown(drive_id: str) -> Iterator[None]:
     """An artifact in Prefect that tells how far the drive's images and motions are."""
     progress = create_progress_artifact(0.0, key="progress", description=f"Images and motions of drive {drive_id}")
     assert isinstance(progress, UUID)  # a coroutine only where an event loop runs
-    shown = 0
+    shown_at = time.monotonic()
 
     def show(listened_drive_id: str, done: int, total: int) -> None:
-        nonlocal shown
-        if listened_drive_id == drive_id and done * 10 // total > shown:  # a request to the server every tenth
-            shown = done * 10 // total
+        nonlocal shown_at
+        now = time.monotonic()
+        if listened_drive_id == drive_id and (now - shown_at >= _SHOWN_EVERY_S or done == total):
+            shown_at = now
             update_progress_artifact(progress, 100.0 * done / total)
 
     listen(show)

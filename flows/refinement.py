@@ -83,13 +83,14 @@ def odometry_task(chunk: Chunk) -> Odometry:
     return Odometry(path, _motions(chunk, path, tracks))
 
 
-@task(name="motions", task_run_name="motions {chunk.frame_pairs[0].frame_index}", **RETRY)
-def motions_task(chunk: Chunk, tracks: Path, earlier: Path) -> Path:
-    """Motions between the frame pairs of a chunk from the points followed; returns the Parquet file.
+@task(name="motions", **RETRY)
+def motions_task(chunks: Sequence[Chunk], odometry: Sequence[Odometry]) -> list[Path]:
+    """Motions between a drive's frame pairs by its rig after self-calibration; returns the Parquet files, chunk by chunk.
 
-    earlier: the motions by the rig as it was before its self-calibration, a start that spares the search.
+    chunks: `odometry_chunks` with that rig. odometry: points followed, and motions by the rig as it was, a start that spares the
+    search.
     """
-    return _motions(chunk, tracks, earlier=earlier)
+    return [_motions(chunk, found.tracks, earlier=found.motions) for chunk, found in zip(chunks, odometry, strict=True)]
 
 
 def _motions(
