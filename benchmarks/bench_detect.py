@@ -37,7 +37,9 @@ from rich.table import Table
 from rival_networks import INPUT_NAME, Cost, network_cost, write_yolo11n, write_yolov3
 
 from conetl.errors import ModelFileError
-from conetl.io.detector import Detector, detect_image, load_detector, shipped_model_path
+from conetl.io.detector import LEAST_SIDE_PX, Detector, detect_image, load_detector
+from conetl.io.model_card import shipped_model_path
+from conetl.io.pictures.images import ImageFileError, read_image
 
 Image = NDArray[np.uint8]
 Work = Callable[[], object]
@@ -152,11 +154,13 @@ def measure(what: str, size_px: tuple[int, int], works: Sequence[Work], runs: in
 def pictures_of(folder: Path) -> list[Image]:
     """At most MOST_PICTURES of a folder, from all over it; all must have the size of the first."""
     paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in {".jpg", ".jpeg", ".png"})
-    pictures = [cv2.imread(str(path)) for path in paths[:: -(-len(paths) // MOST_PICTURES) or 1]]
-    readable = [np.asarray(picture, np.uint8) for picture in pictures if picture is not None]
-    if not readable or len(readable) < len(pictures) or len({picture.shape for picture in readable}) > 1:
-        raise SystemExit(f"{folder}: expected JPEG or PNG pictures of one size, all of which can be read")
-    return readable
+    try:
+        pictures = [read_image(path) for path in paths[:: -(-len(paths) // MOST_PICTURES) or 1]]
+    except ImageFileError as error:
+        raise SystemExit(f"{error}") from error
+    if not pictures or len({picture.shape for picture in pictures}) > 1 or min(pictures[0].shape[:2]) < LEAST_SIDE_PX:
+        raise SystemExit(f"{folder}: expected JPEG or PNG pictures of one size, {LEAST_SIDE_PX} px and more a side")
+    return pictures
 
 
 def measure_conetl(
@@ -188,11 +192,11 @@ def measure_conetl(
         for count in range(1, len(detectors) + 1)
         for what, works in ((WHOLE, whole), (ALONE, alone), (ALL_LOOKS, all_looks))
     ]
-    shapes = [list(next(iter(feeds.values())).shape) for _, feeds in every]
+    others = [list(next(iter(feeds.values())).shape) for recorder in recorders for _, feeds in recorder.fed[1:]]
     full_size = list(next(iter(first[0][1].values())).shape)
     return timings, {
         "size_px": list(size_px), "pictures": len(images), "full_size": full_size,
-        "other_looks": [shape for shape in shapes if shape != full_size], "cones_found": sum(map(len, cones)),
+        "other_looks": others, "cones_found": sum(map(len, cones)),
     }  # fmt: skip
 
 

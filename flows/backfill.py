@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 from uuid import UUID, uuid4
 
-from prefect import State, flow, get_run_logger, tags
+from prefect import State, flow, get_run_logger
 from prefect.runtime import flow_run
 from prefect.states import Completed
 from pydantic import Field
@@ -132,29 +132,28 @@ def run_batch(
     waiting: deque[tuple[PlanLine, int]] = deque((line, 1) for line in plan.todo)
     _tell(standing, board)
     try:
-        with tags(f"map:{settings.map_name}"):
-            tries: dict[UUID, tuple[PlanLine, int]] = {}
-            while waiting or standing.flying:
-                while waiting and len(standing.flying) < parallel:
-                    line, number = waiting.popleft()
-                    if line.action == "refuse":
-                        standing.ended.append(_refused(conn, line, plan, settings))
-                        continue
-                    flight = launch(line.outline, settings, params, map_srid, place, parallel)
-                    standing.flying.append(flight)
-                    tries[flight.attempt_id] = line, number
-                    _tell(standing, board)
-                for flight, receipt, again in _landed(conn, standing.flying, plan, settings):
-                    standing.flying.remove(flight)
-                    line, number = tries.pop(flight.attempt_id)
-                    if again and number < TRIES:
-                        waiting.append((line, number + 1))
-                        continue
-                    standing.ended.append(receipt)
-                    standing.pairs_done += line.outline.frame_pairs
-                    _tell(standing, board)
-                if standing.flying:
-                    time.sleep(_POLL_S)
+        tries: dict[UUID, tuple[PlanLine, int]] = {}
+        while waiting or standing.flying:
+            while waiting and len(standing.flying) < parallel:
+                line, number = waiting.popleft()
+                if line.action == "refuse":
+                    standing.ended.append(_refused(conn, line, plan, settings))
+                    continue
+                flight = launch(line.outline, settings, params, map_srid, place, parallel)
+                standing.flying.append(flight)
+                tries[flight.attempt_id] = line, number
+                _tell(standing, board)
+            for flight, receipt, again in _landed(conn, standing.flying, plan, settings):
+                standing.flying.remove(flight)
+                line, number = tries.pop(flight.attempt_id)
+                if again and number < TRIES:
+                    waiting.append((line, number + 1))
+                    continue
+                standing.ended.append(receipt)
+                standing.pairs_done += line.outline.frame_pairs
+                _tell(standing, board)
+            if standing.flying:
+                time.sleep(_POLL_S)
     finally:
         abandon(standing.flying)
     show_summary(standing, board)

@@ -59,8 +59,10 @@ def put_tags(outline: DriveOutline, map_name: str) -> None:
     Its tasks get none: before a task with tags begins, Prefect asks the server for limits of how many may run, and detections
     waited two seconds for the answer, twice a minute.
     """
-    with get_client(sync_client=True) as api:
-        api.update_flow_run(UUID(flow_run.id), tags={*flow_run.tags, *drive_tags(outline, map_name)})
+    wanted = {*flow_run.tags, *drive_tags(outline, map_name)}
+    if wanted != set(flow_run.tags):
+        with get_client(sync_client=True) as api:
+            api.update_flow_run(UUID(flow_run.id), tags=wanted)
 
 
 @contextmanager
@@ -90,10 +92,10 @@ def ingest_one(
     outline = outline_drive(place(drive).resolve())
     begun = new_receipt(outline, settings, analysis_of(params, settings).sha256, attempt_id or uuid4(), flow_run.id)
     with alive(settings) as url, holding(url, begun.drive_lock):
-        put_tags(outline, settings.map_name)
         keep(url, begun, settings)
         started = time.monotonic()
         try:
+            put_tags(outline, settings.map_name)
             report = ingest_drive.fn(outline.path, settings, params, map_srid=map_srid)
         except TooManyRejectionsError as error:
             keep(url, _ended(begun, error.report, started, str(error)), settings)

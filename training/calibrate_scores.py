@@ -245,9 +245,13 @@ def fit_correlation(cones: list[np.ndarray]) -> LookCorrelation:
 
     It stands for lookalikes, too: a few dozen are too few to say, and what they say is less: this errs to the safe side.
     """
-    everything = np.concatenate(cones)[:, 0]
-    mean, spread = everything.mean(), everything.std()
-    return correlation_over_octaves(*pairs_of_looks([((c[:, 0] - mean) / spread, c[:, 1]) for c in cones]))
+    return correlation_over_octaves(*pairs_of_looks(standardised(cones)))
+
+
+def standardised(things: list[np.ndarray]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Of each thing the ratios of its looks, less the mean of all and over their standard deviation, and the octaves."""
+    ratios = np.concatenate(things)[:, 0]
+    return [((thing[:, 0] - ratios.mean()) / ratios.std(), thing[:, 1]) for thing in things]
 
 
 def fit_miss_correlation(looks: Looks, evidence: DetectorEvidence) -> tuple[LookCorrelation, list[float]]:
@@ -332,13 +336,15 @@ def measure(looks: Looks, folds: np.ndarray, sha256: str) -> tuple[DetectorEvide
     figures["correlation of two misses of a cone, by half octaves between them"] = steps_of_misses
     values["joint_scale"] = fit_joint_scale(ratios, DetectorEvidence.model_validate(values))
     for kind, things in ratios.items():
+        if not things:
+            continue
         means = [float(thing[:, 0].mean()) for thing in things]
-        everything = np.concatenate(things)[:, 0]
-        like = [((thing[:, 0] - everything.mean()) / everything.std(), thing[:, 1]) for thing in things]
         figures[f"mean log-likelihood ratio of a look, {kind}"] = {
             "things": len(means),
             **{f"{q} %": round(float(np.percentile(means, q)), 2) for q in (5, 25, 50, 75, 95)},
-            "correlation of two looks, by half octaves between them": by_half_octaves(*pairs_of_looks(like)),
+            "correlation of two looks, by half octaves between them": by_half_octaves(
+                *pairs_of_looks(standardised(things))
+            ),
         }
     return DetectorEvidence.model_validate(values), held_out, figures
 

@@ -81,7 +81,10 @@ def coco_tables(pictures: list[Picture], found: list[np.ndarray]) -> dict[str, d
 
 
 def off_unlabelled(picture: Picture, found: np.ndarray, places: dict[str, np.ndarray]) -> np.ndarray:
-    """Boxes (N, 5 or more) x, y, w, h, score of a picture without those on an unlabelled cone and on no labelled one."""
+    """Boxes (N, 5 or more) x, y, w, h, score of a picture without those on an unlabelled cone and on no labelled one.
+
+    On one: as `calibrate_scores.py` asks of a box that is to be right, not that it touches it only.
+    """
 
     def on_one_of(box: np.ndarray, cones: np.ndarray) -> bool:
         corners = np.concatenate((box[:2], box[:2] + box[2:4]))

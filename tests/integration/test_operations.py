@@ -199,6 +199,8 @@ def test_a_backfill_survives_a_killed_worker_and_a_poisoned_drive(desk: Desk, tm
     on_map = desk.rows("select d.drive_id from conetl.changeset c join conetl.drive d using (drive_uuid) order by 1")
     assert [row["drive_id"] for row in on_map] == ["2026-03-20_dropped", *sorted(receipts)]
     assert desk.rows("select count(*) as cones from conetl.feature_version")[0]["cones"] > 0
+    tasks = desk.post("/task_runs/filter", {"task_runs": {"name": {"like_": "detect"}}})
+    assert tasks and not any(task["tags"] for task in tasks), "each tag of a task costs a request before it begins"
     kept = [json.loads(p.read_text())["drive_id"] for p in (desk.home / "receipts" / "default").glob("2026-04-*.json")]
     assert sorted(kept) == [f"2026-04-{n:02d}_small" for n in range(1, 7)]
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from conetl.io.detector import shipped_model_path
 from conetl.io.model_card import read_model_card
 from tests.synthetic.changing_road import simulate
 
 
 def test_changes_of_some_days_are_told_rightly() -> None:
-    evidence = read_model_card(shipped_model_path()).evidence
+    evidence = read_model_card(None).evidence
     assert evidence is not None
     score = simulate(4, evidence, seed=3)
     happened = sum(

@@ -28,6 +28,9 @@ LEAST_SIDE_PX = 8
 LEAST_ROWS_PX = 120
 SMALLER_LOOKS_FROM_PX = 480
 LARGE_CONE_PX = 48.0
+#: Pictures in one run of the network. It answers for its best cells only, of all of them together: with some twenty windows the
+#: weaker ones begin to lose theirs.
+MOST_AT_ONCE = 8
 #: Two candidates that a closer look has moved on top of each other are one. Cones side by side overlap less.
 SAME_BOX_IOU = 0.7
 
@@ -101,9 +104,9 @@ def load_detector(model_path: Path | None = None, *, threads: int = 1) -> Detect
         raise ModelFileError(f"{path}: {error}") from error
     size = inputs[0].shape[1:3] if "NHWC" in card.input_layout else inputs[0].shape[2:4]
     fixed = (size[0], size[1]) if all(isinstance(side, int) for side in size) else None
-    if fixed is not None and card.closer_look is not None:
+    if card.closer_look is not None and any(isinstance(side, int) for side in size):
         raise ModelFileError(
-            f"{path}: the network takes pictures of {fixed[1]}x{fixed[0]} only: "
+            f"{path}: the network takes pictures of {size[1]}x{size[0]} only: "
             "closer_look in its sidecar needs one that takes any size; leave that key out"
         )
     several = isinstance(card.head, SideDistributionHead) and not isinstance(inputs[0].shape[0], int)
@@ -220,9 +223,11 @@ def look_at_all(
     score_threshold: float,
     nms_iou: float,
 ) -> list[NDArray[np.float64]]:
-    """`look` at several images of one size, in one run of the network where it takes several pictures at once."""
-    if len(images_bgr) > 1 and not detector.several:
-        return [look(detector, image, max_side_px, score_threshold, nms_iou) for image in images_bgr]
+    """`look` at several images of one size, MOST_AT_ONCE in a run of the network where it takes several pictures."""
+    at_once = MOST_AT_ONCE if detector.several else 1
+    if len(images_bgr) > at_once:
+        parts = [images_bgr[first : first + at_once] for first in range(0, len(images_bgr), at_once)]
+        return [seen for part in parts for seen in look_at_all(detector, part, max_side_px, score_threshold, nms_iou)]
     card = detector.card
     inputs = [
         network_input(

@@ -80,7 +80,7 @@ def intersection_over_union(box: Floats, boxes: Floats) -> Floats:
 def suppress_overlaps(candidates: Floats, nms_iou: float) -> Floats:
     """Greedy non-maximum suppression of candidates (N, 5 or more) [x0, y0, x1, y1, score, ...]; survivors by falling score.
 
-    No two survivors overlap by more than `nms_iou`; equal scores keep their order (the sort is stable).
+    No two survivors overlap by more than `nms_iou`, in single precision; equal scores keep their order (the sort is stable).
     """
     ordered = candidates[np.argsort(-candidates[:, 4], kind="stable")]
     corners_and_sizes = np.concatenate((ordered[:, :2], ordered[:, 2:4] - ordered[:, :2]), axis=1)

@@ -7,7 +7,7 @@ whether it stands on the road like the others is not asked. The ingest of the wh
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,7 +20,7 @@ from conetl.params import IngestParams
 from conetl.records import Detection, FramePair, Position, Rig, StereoMatch, Track
 from conetl.rejections import Rejection
 from conetl.steps.association import Chain, extend_chains, misfit_of
-from conetl.steps.tracks import fuse_group
+from conetl.steps.tracks import BoxKey, boxes_in_use, fuse_group
 
 Floats = NDArray[np.float64]
 #: What is older takes part in nothing any more.
@@ -73,13 +73,15 @@ def take_frame(
     chains = [_revived(chain, ended, poses, params) if len(chain.members) == 1 else chain for chain in chains]
     chains = [_recent(chain, poses) for chain in chains]
     numbers = dict(tracks.numbers)
+    groups = ([p for p in group if p.frame_index in frames] for group in (*(c.members for c in chains), *ended))
+    in_use = boxes_in_use(groups, _by_number(frames.values()), params.track)
     changed: dict[int, Track | Rejection] = {}
     for chain in chains:
         if chain.members[-1].frame_index != now:
             continue
         number = numbers.setdefault(_name(chain), len(numbers))
         if len(chain.members) >= params.track.min_observations:
-            changed[number] = _fused(number, chain, frames, rig, params, evidence)
+            changed[number] = _fused(number, chain, frames, rig, params, evidence, in_use)
     return LiveTracks(frames, poses, tuple(chains), tuple(ended), numbers), changed
 
 
@@ -115,8 +117,18 @@ def _revived(
     return Chain((*group, position), np.array(position.camera_xyz_m), cov_matrix(position.camera_cov_m2))
 
 
+def _by_number(frames: Iterable[Frame]) -> dict[tuple[int, int], StereoMatch]:
+    return {(match.frame_index, match.match_index): match for frame in frames for match in frame.matches}
+
+
 def _fused(
-    number: int, chain: Chain, frames: Mapping[int, Frame], rig: Rig, params: IngestParams, evidence: DetectorEvidence
+    number: int,
+    chain: Chain,
+    frames: Mapping[int, Frame],
+    rig: Rig,
+    params: IngestParams,
+    evidence: DetectorEvidence,
+    in_use: Collection[BoxKey],
 ) -> Track | Rejection:
     members = [p for p in chain.members if p.frame_index in frames]
     nearest = sorted(members, key=lambda p: p.range_m)[:_MOST_MEMBERS]
@@ -126,7 +138,7 @@ def _fused(
     track = fuse_group(
         number,
         tuple(group),
-        {(m.frame_index, m.match_index): m for f in shown.values() for m in f.matches},
+        _by_number(shown.values()),
         {n: f.detections for n, f in shown.items()},
         {n: f.pair for n, f in shown.items()},
         rig,
@@ -135,6 +147,7 @@ def _fused(
         params,
         evidence,
         None,
+        in_use,
     )
     if isinstance(track, Rejection):
         return track

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,11 +89,11 @@ def fuse_group(
     params: IngestParams,
     evidence: DetectorEvidence,
     motion: MotionError | None,
-    in_use: Collection[BoxKey] = frozenset(),
+    in_use: Collection[BoxKey],
 ) -> Track | Rejection:
     """The track of one group of positions, or why it is none; arguments as of `fuse_tracks`.
 
-    in_use: boxes of which groups are made, this one or another.
+    in_use: `boxes_in_use` of all groups.
     """
     limits = params.track
     if len(group) < limits.min_observations:
@@ -225,6 +225,13 @@ def _motion_sigmas(
     gnss_m = np.array([np.linalg.norm(frame_pairs[p.frame_index].pose.sigma_enu_m) for p in group])
     attitude_m = np.array([max(frame_pairs[p.frame_index].pose.sigma_rpy_rad) * p.range_m for p in group])
     return np.asarray(np.hypot(np.minimum(limits.motion_sigma_relative * driven_m, gnss_m), attitude_m))
+
+
+def boxes_in_use(
+    groups: Iterable[Sequence[Position]], matches: Mapping[tuple[int, int], StereoMatch], limits: TrackParams
+) -> set[BoxKey]:
+    """Boxes of which the groups are made that are long enough to be tracks. matches: as of `fuse_tracks`."""
+    return {box for group in groups if len(group) >= limits.min_observations for box in _boxes_of(group, matches)}
 
 
 def _boxes_of(group: Sequence[Position], matches: Mapping[tuple[int, int], StereoMatch]) -> Iterator[BoxKey]:

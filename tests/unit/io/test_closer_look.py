@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from conetl.io.closer_look import look_closer, pooled, window_around
-from conetl.io.detector import detect_image, load_detector, shipped_model_path
+from conetl.io.detector import detect_image, load_detector
 from conetl.io.model_card import CloserLook, read_model_card
 
 SETTINGS = CloserLook(cone_px=48, window_px=96, scores=(0.25, 0.75), share=0.35)
@@ -112,7 +112,7 @@ def test_of_two_cones_in_the_window_the_candidates_own_counts() -> None:
     ],
 )
 def test_a_sidecar_that_asks_for_the_impossible_is_refused(change: dict[str, object], words: str) -> None:
-    card = read_model_card(shipped_model_path())
+    card = read_model_card(None)
     assert card.closer_look is not None
     values = card.model_dump(exclude_none=True)
     with pytest.raises(ValidationError, match=words):
@@ -120,7 +120,7 @@ def test_a_sidecar_that_asks_for_the_impossible_is_refused(change: dict[str, obj
 
 
 def test_another_closer_look_is_another_detector_and_other_evidence_is_not() -> None:
-    card = read_model_card(shipped_model_path())
+    card = read_model_card(None)
     without = card.model_copy(update={"closer_look": None})
     assert without.detections_sha256 != card.detections_sha256
     assert card.model_copy(update={"evidence": None, "licence": "?"}).detections_sha256 == card.detections_sha256

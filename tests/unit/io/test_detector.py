@@ -312,6 +312,18 @@ def test_windows_looked_at_together_are_seen_as_each_alone(detector: Detector) -
         np.testing.assert_array_equal(seen, alone)
 
 
+def test_a_faint_cone_keeps_its_box_among_many_clear_ones(detector: Detector) -> None:
+    """The network answers for its best cells only, of all pictures of a run together."""
+    road = np.full((96, 96, 3), (110, 115, 118), np.uint8)
+    clear = road.copy()
+    draw_cone(clear, 48.0, 72.0, 48.0)
+    faint = np.asarray(0.8 * road + 0.2 * clear, np.uint8)
+    expected = look(detector, faint, 96, 0.02, 0.5)
+    assert len(expected) == 1
+    *_, seen = look_at_all(detector, [clear] * 63 + [faint], 96, 0.02, 0.5)
+    np.testing.assert_array_equal(seen, expected)
+
+
 def draw_cone(image: np.ndarray, x: float, foot: float, height: float) -> None:
     """An orange cone with two white bands, anti-aliased by drawing four times larger."""
     big = cv2.resize(image, None, fx=4, fy=4, interpolation=cv2.INTER_NEAREST)
