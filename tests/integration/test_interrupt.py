@@ -24,9 +24,10 @@ def environment(home):
 @pytest.mark.parametrize("presses", [1, 2])
 def test_ctrl_c_is_one_sentence_and_an_exit_code_of_its_own(tmp_path, presses):
     """A second Ctrl-C ends what does not listen to the first."""
-    body = "time.sleep(60)" if presses == 1 else "try: time.sleep(60)\n    finally: time.sleep(60)"
-    wait = "import time\nfrom conetl.cli import app, main\n@app.command()\ndef wait():\n"
-    wait += f"    print('ready', flush=True)\n    {body}"
+    # Ready is what is inside of `try` already: a Ctrl-C just before it would end the first wait and find no second one.
+    body = "print('ready', flush=True); time.sleep(60)"
+    body = body if presses == 1 else f"try: {body}\n    finally: time.sleep(60)"
+    wait = f"import time\nfrom conetl.cli import app, main\n@app.command()\ndef wait():\n    {body}"
     code = f"{wait}\nimport sys; sys.argv = ['conetl', 'wait']; main()"
     process = subprocess.Popen(
         [sys.executable, "-c", code],
