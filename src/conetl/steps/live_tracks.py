@@ -73,15 +73,22 @@ def take_frame(
     chains = [_revived(chain, ended, poses, params) if len(chain.members) == 1 else chain for chain in chains]
     chains = [_recent(chain, poses) for chain in chains]
     numbers = dict(tracks.numbers)
-    groups = ([p for p in group if p.frame_index in frames] for group in (*(c.members for c in chains), *ended))
-    in_use = boxes_in_use(groups, _by_number(frames.values()), params.track)
+    matches = _by_number(frames.values())
+
+    def boxes_of(*groups: Sequence[Position]) -> set[BoxKey]:
+        kept = ([p for p in group if p.frame_index in frames] for group in groups)
+        return boxes_in_use(kept, matches, params.track)
+
+    in_use = boxes_of(*(chain.members for chain in chains), *ended)
     changed: dict[int, Track | Rejection] = {}
     for chain in chains:
         if chain.members[-1].frame_index != now:
             continue
         number = numbers.setdefault(_name(chain), len(numbers))
         if len(chain.members) >= params.track.min_observations:
-            changed[number] = _fused(number, chain, frames, rig, params, evidence, in_use)
+            # Only its nearest positions are adjusted, but all of its boxes are its own.
+            others = in_use - boxes_of(chain.members)
+            changed[number] = _fused(number, chain, frames, rig, params, evidence, others)
     return LiveTracks(frames, poses, tuple(chains), tuple(ended), numbers), changed
 
 
@@ -128,7 +135,7 @@ def _fused(
     rig: Rig,
     params: IngestParams,
     evidence: DetectorEvidence,
-    in_use: Collection[BoxKey],
+    others: Collection[BoxKey],
 ) -> Track | Rejection:
     members = [p for p in chain.members if p.frame_index in frames]
     nearest = sorted(members, key=lambda p: p.range_m)[:_MOST_MEMBERS]
@@ -147,7 +154,7 @@ def _fused(
         params,
         evidence,
         None,
-        in_use,
+        others,
     )
     if isinstance(track, Rejection):
         return track

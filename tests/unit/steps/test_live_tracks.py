@@ -78,6 +78,33 @@ def test_a_cone_seen_again_after_a_gap_is_the_same_one() -> None:
     assert apart.min() > 1.0  # none twice
 
 
+def backwards(frames: list[Frame]) -> list[Frame]:
+    """The same drive with the car in reverse."""
+    turned = []
+    for now, then in zip(frames, reversed(frames), strict=True):
+        at = {"frame_index": now.pair.frame_index}
+        boxes = tuple(d.model_copy(update=at) for d in then.detections)
+        matches = tuple(
+            m.model_copy(update=at | {"left": m.left.model_copy(update=at), "right": m.right.model_copy(update=at)})
+            for m in then.matches
+        )
+        pair = then.pair.model_copy(update=at | {"captured_at_ns": now.pair.captured_at_ns})
+        turned.append(Frame(pair, boxes, matches, tuple(p.model_copy(update=at) for p in then.positions)))
+    return turned
+
+
+def test_boxes_of_its_own_are_never_anothers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A chain is adjusted by its nearest positions only, here the first ones; its other boxes are its own all the same."""
+    frames = backwards(frames_of(0)[0])
+    _, standing = run(frames)
+    assert max(track.observation_count for track in standing.values()) > live_tracks._MOST_MEMBERS
+    monkeypatch.setattr(live_tracks, "boxes_in_use", lambda *_: set())
+    _, undisputed = run(frames)
+    assert {n: t.existence_probability for n, t in standing.items()} == {
+        n: t.existence_probability for n, t in undisputed.items()
+    }
+
+
 def test_frames_must_come_in_order() -> None:
     frames, _ = frames_of(0)
     tracks, _ = take_frame(LiveTracks(), frames[3], RIG, PARAMS, UNMEASURED)
