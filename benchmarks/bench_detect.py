@@ -218,22 +218,15 @@ def measure_rival(path: Path, what: str, size_px: int, image: Image, runs: int, 
 def ratios(timings: Sequence[Timing]) -> dict[str, float]:
     """Ratios of the least times per image with one thread: the least is the steadiest number on a shared machine."""
     least = {(row.what, row.width_px, row.height_px): row.min_ms for row in timings if row.threads == 1}
-    sizes = [key[1:] for key in least if key[0] == WHOLE]
     result = {}
-    for rival, its_name, rivals_size in (
-        (ALONE, "network alone", None),
-        (ALL_LOOKS, "network alone, all looks", None),
-        (YOLOV3, "YOLOv3 416x416", (416, 416)),
-        (YOLO11N, "YOLO11n-sized 640x640", (640, 640)),
-    ):
-        for size in sizes:
-            text = f"{size[0]}x{size[1]}"
-            if rivals_size is None:
-                result[f"whole detection / {its_name}, {text}"] = least[WHOLE, *size] / least[rival, *size]
-            else:
-                result[f"{its_name} / conetl's whole detection, {text}"] = (
-                    least[rival, *rivals_size] / least[WHOLE, *size]
-                )
+    whole = {f"{width}x{height}": (width, height) for what, width, height in least if what == WHOLE}
+    for what, its_name in ((ALONE, "network alone"), (ALL_LOOKS, "network alone, all looks")):
+        for text, size in whole.items():
+            result[f"whole detection / {its_name}, {text}"] = least[WHOLE, *size] / least[what, *size]
+    for rival, side_px in ((YOLOV3, 416), (YOLO11N, 640)):
+        for text, size in whole.items():
+            ratio = least[rival, side_px, side_px] / least[WHOLE, *size]
+            result[f"{rival} {side_px}x{side_px} / conetl's whole detection, {text}"] = ratio
     return result
 
 

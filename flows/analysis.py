@@ -174,7 +174,7 @@ def _run_chunks(
         detect(len(parts_of(chunk)), rig)
         matched.append(runs.soon(match_task, whole(chunk), whole(rig), *detected[k]))
     paths = [future.result() for halves in detected for future in halves]
-    motion_paths = moving.result() if moving else [future.result().motions for future in followed]
+    motion_paths = [future.result().motions for future in followed] if moving is None else moving.result()
     return paths, [future.result() for future in matched], motion_paths, calibration, rig
 
 

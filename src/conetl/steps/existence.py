@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.detector_evidence import (
-    UNMEASURED,
     DetectorEvidence,
     box_log_ratio,
     false_boxes_per_picture,
@@ -55,8 +54,8 @@ def existence_probability(
     map_SE3_left: Mapping[int, Floats],
     detections: Mapping[int, Sequence[Detection]],
     params: IngestParams,
-    evidence: DetectorEvidence = UNMEASURED,
-    is_anothers: Callable[[Detection], bool] = lambda _: False,
+    evidence: DetectorEvidence,
+    is_anothers: Callable[[Detection], bool],
 ) -> float:
     """Belief (0 to 1) that the positions of `group` are a cone.
 

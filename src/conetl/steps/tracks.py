@@ -52,9 +52,7 @@ def fuse_tracks(
     tracks: list[Track] = []
     rejections: list[Rejection] = []
     groups = chain_positions(positions, map_SE3_left, params.track, motion)
-    in_use = {
-        box for group in groups if len(group) >= params.track.min_observations for box in _boxes_of(group, matches)
-    }
+    in_use = boxes_in_use(groups, matches, params.track)
     for group in sorted(groups, key=lambda g: (g[0].frame_index, g[0].match_index)):
         result = fuse_group(
             len(tracks),
@@ -93,7 +91,7 @@ def fuse_group(
 ) -> Track | Rejection:
     """The track of one group of positions, or why it is none; arguments as of `fuse_tracks`.
 
-    in_use: `boxes_in_use` of all groups.
+    in_use: boxes of other groups; those of this one may be among them.
     """
     limits = params.track
     if len(group) < limits.min_observations:

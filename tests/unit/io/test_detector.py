@@ -49,9 +49,8 @@ def test_decode_reads_one_cell_exactly() -> None:
     values[0, -1] = np.log(0.8 / 0.2)
     for side, distance in enumerate((1, 2, 3, 0)):  # left, top, right, bottom in strides
         values[0, side * 4 + distance] = 60.0
-    found, _ = decode_cells(
-        [values, np.array([1 * 5 + 2])], (24, 40), (8,), 4, 0.5
-    )  # second row, third of five columns
+    second_row_third_of_five = np.array([1 * 5 + 2])
+    found, _ = decode_cells([values, second_row_third_of_five], (24, 40), (8,), 4, 0.5)
     # The cell's centre is x = 2.5 * 8 = 20, y = 1.5 * 8 = 12.
     np.testing.assert_allclose(found[:, :5], [[12.0, -4.0, 44.0, 12.0, 0.8]], atol=1e-5)
     assert np.isnan(found[:, 5:]).all()

@@ -115,9 +115,12 @@ def on_a_road(score: float, kept_every: int, members: int | None = None) -> floa
         by_frame[detection.frame_index].append(detection)
     group: list[Position] = positions[-members:] if members else positions
     own = {position.frame_index for position in group}
-    return existence_probability(
-        group, 0.7, RIG, camera_poses(pairs, RIG, "left"), by_frame, PARAMS, shipped(), lambda d: d.frame_index not in own
-    )  # fmt: skip
+
+    def is_anothers(box: Detection) -> bool:
+        return box.frame_index not in own
+
+    poses = camera_poses(pairs, RIG, "left")
+    return existence_probability(group, 0.7, RIG, poses, by_frame, PARAMS, shipped(), is_anothers)
 
 
 def test_on_a_road_boxes_are_found_where_the_cone_should_be() -> None:
