@@ -31,6 +31,16 @@ PARENT = (
     "child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(300)'], start_new_session=True)\n"
     "print(child.pid, flush=True); time.sleep(300)"
 )
+#: When it is to end it loses its environment first, as for a moment every process does, and takes a second more.
+FORGETFUL = (
+    "import ctypes, os, signal, time\n"
+    "fields = open('/proc/self/stat').read().rpartition(')')[2].split()\n"
+    "first, last = int(fields[47]), int(fields[48])\n"
+    "def end(number, frame):\n"
+    "    ctypes.memset(first, 0, last - first); time.sleep(1); os._exit(0)\n"
+    "signal.signal(signal.SIGTERM, end)\n"
+    "print(os.getpid(), flush=True); time.sleep(300)"
+)
 
 
 def start(home: Path, code: str) -> Service:
@@ -76,6 +86,13 @@ def test_children_end_too_also_of_a_service_that_was_killed(service: Service) ->
     assert stop_service(service)
     assert not is_alive(child)
     assert not stop_service(service)
+
+
+def test_what_has_lost_its_environment_on_its_way_out_is_waited_for(tmp_path: Path) -> None:
+    forgetful = start(tmp_path, FORGETFUL)
+    pid = int(last_line(forgetful))
+    assert stop_service(forgetful)
+    assert not is_alive(pid)
 
 
 @pytest.mark.parametrize("difference", ["start", "boot", "token"])

@@ -113,15 +113,15 @@ def stop_service(service: Service, *, grace_s: float = 15.0) -> bool:
         return False
     # The service first: it ends its own children in order.
     leader = [pid for pid in found if pid == service.pid]
-    _signal_all(service, leader or found, signal.SIGTERM)
+    _signal_all(service, leader or list(found), signal.SIGTERM)
     deadline = time.monotonic() + grace_s
-    while (left := _members(service)) and time.monotonic() < deadline:
+    while (left := _left(service, found)) and time.monotonic() < deadline:
         if service.pid not in left:
             _signal_all(service, left, signal.SIGTERM)
         time.sleep(0.2)
-    _signal_all(service, _members(service), signal.SIGKILL)
+    _signal_all(service, list(found), signal.SIGKILL)
     deadline = time.monotonic() + 5
-    while _members(service) and time.monotonic() < deadline:
+    while _left(service, found) and time.monotonic() < deadline:
         time.sleep(0.1)
     return True
 
@@ -165,22 +165,31 @@ def require_free_port(host: str, port: int, what: str, option: str) -> None:
             ) from error
 
 
-def _members(service: Service) -> list[int]:
-    """Process ids of a service and all that it started, by the token in their environment."""
+def _left(service: Service, found: dict[int, int]) -> list[int]:
+    """Those of `found`, and of what the service started since and is added to it, that have not ended.
+
+    A process that ends loses its environment, by which it is known, before its files and ports: so it is waited for by the time
+    of its start.
+    """
+    found |= _members(service)
+    return [pid for pid, ticks in found.items() if _start_ticks(pid) == ticks]
+
+
+def _members(service: Service) -> dict[int, int]:
+    """Process ids of a service and all that it started, by the token in their environment, and when each was started."""
     if service.boot_id != _boot_id():
-        return []
+        return {}
     wanted = f"{TOKEN}={service.token}".encode()
     for child in _children:
         child.poll()
-    found = []
+    found = {}
     for entry in Path("/proc").iterdir():
         if entry.name.isdigit() and int(entry.name) != os.getpid():
             with suppress(OSError):
-                if (
-                    wanted in (entry / "environ").read_bytes().split(b"\0")
-                    and _start_ticks(int(entry.name)) is not None
-                ):
-                    found.append(int(entry.name))
+                if wanted in (entry / "environ").read_bytes().split(b"\0"):
+                    ticks = _start_ticks(int(entry.name))
+                    if ticks is not None:
+                        found[int(entry.name)] = ticks
     return found
 
 
