@@ -296,6 +296,7 @@ def test_bad_input_is_named_and_writes_nothing(
     assert result.code == 2
     assert message in result.err
     assert "Traceback" not in result.err
+    assert "Prefect" not in result.err  # nobody waits for services to hear that
     assert not any(desk.final_tables().values())
 
 

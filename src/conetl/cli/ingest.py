@@ -13,7 +13,8 @@ import typer
 
 from conetl.cli.console import JsonOption, complain, err, note_unmeasured, out, print_json, print_table, progress_bar
 from conetl.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_TOO_MANY_REJECTIONS, ConetlError, InputError, ServiceError
-from conetl.io.drive_folder import drive_format
+from conetl.io.drive_folder import drive_format, read_drive
+from conetl.io.drive_folder.outline import outline_drive
 from conetl.io.leftovers import sweep
 from conetl.io.model_card import read_model_card
 from conetl.io.places import place
@@ -70,17 +71,12 @@ def ingest_drives(
     missing = [str(drive) for drive in drives if not drive.is_dir() and drive_format(drive) is None]
     if len(missing) == len(drives):  # before any service is started
         raise InputError(f"no such drive folder: {', '.join(missing)}")
-    try:
-        (settings.home / "prefect").mkdir(parents=True, exist_ok=True)
-        settings.results_folder.mkdir(exist_ok=True)
-        with TemporaryFile(
-            dir=settings.results_folder
-        ):  # a folder that is there may still be read-only, or its disk full
-            pass
-    except OSError as error:
-        raise InputError(
-            f"{settings.home}: cannot be written to ({error.strerror}); set CONETL_HOME to a folder of yours"
-        ) from error
+    reasons = [reason for drive in drives if (reason := _why_unusable(drive))]
+    if len(reasons) == len(drives):
+        for reason in reasons:
+            complain(reason)
+        return [], EXIT_BAD_INPUT
+    _make_home(settings)
     sweep((settings.results_folder, settings.exports_folder))
     note_unmeasured(read_model_card(settings.model_path))
     os.environ.update(prefect_environment(settings.home))
@@ -121,6 +117,32 @@ def ingest_drives(
         finally:
             progress.ignore(listener)
     return reports, exit_code
+
+
+def _make_home(settings: Settings) -> None:
+    """Folders for services and results. Raises InputError where they cannot be written to."""
+    try:
+        (settings.home / "prefect").mkdir(parents=True, exist_ok=True)
+        settings.results_folder.mkdir(exist_ok=True)
+        with TemporaryFile(
+            dir=settings.results_folder
+        ):  # a folder that is there may still be read-only, or its disk full
+            pass
+    except OSError as error:
+        raise InputError(
+            f"{settings.home}: cannot be written to ({error.strerror}); set CONETL_HOME to a folder of yours"
+        ) from error
+
+
+def _why_unusable(drive: Path) -> ConetlError | None:
+    """What reading would say of a drive of which a glance shows already that it cannot be used."""
+    try:
+        if drive.exists() and outline_drive(drive).problem is None:
+            return None
+        read_drive(drive, headers_only=True)
+    except ConetlError as error:
+        return error
+    return None
 
 
 def read_params(path: Path | None) -> IngestParams:

@@ -59,6 +59,20 @@ def test_what_is_missing_is_said_and_nothing_raised(drive: Path, missing: str) -
     assert missing in problem
 
 
+def test_a_calibration_that_cannot_be_used_is_said_too(drive: Path) -> None:
+    calibration = drive / "calib_cam_to_cam.txt"
+    whole = calibration.read_text()
+    calibration.write_text("\n".join(line for line in whole.splitlines() if not line.startswith("P_rect_03")))
+    spoilt = outline_drive(drive)
+    assert spoilt.problem is not None
+    assert "P_rect_03" in spoilt.problem
+    assert spoilt.captured_from is not None
+    calibration.unlink()
+    assert "calib_cam_to_cam.txt" in (outline_drive(drive).problem or "")
+    calibration.write_text(whole)
+    assert outline_drive(drive).problem is None
+
+
 def test_drives_are_found_in_folders_by_day(drive: Path, tmp_path: Path) -> None:
     shutil.copytree(drive, tmp_path / "archive" / "2026" / "03" / "another")
     shutil.copytree(drive, tmp_path / "archive" / ".arriving" / "hidden")

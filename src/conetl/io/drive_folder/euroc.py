@@ -78,7 +78,7 @@ def read_euroc_drive(
     add_settings(content, root)
     names: dict[Side, str] = {"left": settings.streams.left or "cam0", "right": settings.streams.right or "cam1"}
     left, right = (_pictures(root, base, name, content) for name in names.values())
-    rig, sensor_B = _rig(root, base, names, settings, content)
+    rig, sensor_B = read_euroc_rig(root, base, names, settings, content)
     srid, track = _trajectory(root, base, settings, map_srid, content, sensor_B)
     tolerance_ns = round(settings.pair_tolerance_ms * NS_PER_MS)
     couples = pair_by_stamp(left, right, tolerance_ns)
@@ -141,7 +141,7 @@ def _stamp(text: str, place: str) -> int | str:
     return f"{place}: '{word[:40]}' is no time stamp; expected nanoseconds since 1970"
 
 
-def _rig(
+def read_euroc_rig(
     root: Path, base: Path, names: Mapping[Side, str], settings: DriveYaml, content: ContentHash
 ) -> tuple[Rig, Array]:
     """The rectified rig and body_R (3, 3) of it in B. Raises CalibrationError."""

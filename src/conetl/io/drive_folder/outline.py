@@ -21,8 +21,10 @@ from conetl.io.drive_folder.bag_messages import METADATA, bag_files, open_bag
 from conetl.io.drive_folder.bag_rig import choose_topics
 from conetl.io.drive_folder.content import ContentHash
 from conetl.io.drive_folder.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml
+from conetl.io.drive_folder.euroc import read_euroc_rig
+from conetl.io.drive_folder.kitti import calibration_path, read_rig_for
 from conetl.io.drive_folder.pairs import IMAGE_SUFFIXES
-from conetl.io.drive_folder.plain import TRAJECTORY
+from conetl.io.drive_folder.plain import TRAJECTORY, read_plain_rig
 from conetl.io.drive_folder.timestamps import parse_timestamp
 from conetl.io.places import is_remote
 from conetl.records import utc_from_ns
@@ -90,6 +92,7 @@ def outline_drive(folder: Path) -> DriveOutline:
             sides, times = _folder_format(found, folder, settings)
             pairs = len(set.union(*(_add_pictures(content, folder, side) for side in sides)))
             first_ns, last_ns = times(content, folder, settings)
+            _read_rig(found, folder, settings)
         if not pairs:
             problem = f"there are no pictures in {sides[0]} and {sides[1]}"
     except (ConetlError, OSError, ValueError) as error:
@@ -142,6 +145,19 @@ def _folder_format(found: DriveFormat | None, folder: Path, settings: DriveYaml)
         left, right = (_euroc_camera(folder, name) for name in _euroc_names(settings))
         return (f"{left}/data", f"{right}/data"), _euroc_times
     return (f"{settings.cameras.left}/data", f"{settings.cameras.right}/data"), _kitti_times
+
+
+def _read_rig(found: DriveFormat | None, folder: Path, settings: DriveYaml) -> None:
+    """Raises CalibrationError where a drive's calibration is missing or is none; that of a bag is not looked at."""
+    unused = ContentHash()
+    if found == "plain":
+        read_plain_rig(folder, settings, unused)
+    elif found == "euroc":
+        left, right = _euroc_names(settings)
+        base = folder / "mav0" if (folder / "mav0").is_dir() else folder
+        read_euroc_rig(folder, base, {"left": left, "right": right}, settings, unused)
+    else:
+        read_rig_for(folder, calibration_path(folder.resolve(), folder.parent, settings), None, settings, unused)
 
 
 def _euroc_names(settings: DriveYaml) -> tuple[str, str]:
