@@ -136,7 +136,11 @@ class ConeNet(nn.Module):
         return [head(features) for head, features in zip(self.heads, (p4, p8, p16, p32), strict=True)]
 
     def forward(self, picture: Tensor) -> list[Tensor]:
-        layers = zip(self.features(picture), self.sides, self.ends, self.score, strict=True)
+        return self.outputs(self.features(picture))
+
+    def outputs(self, features: list[Tensor]) -> list[Tensor]:
+        """What the output layers say of `features`, a raw map a stride."""
+        layers = zip(features, self.sides, self.ends, self.score, strict=True)
         return [torch.cat((sides(shared), ends(shared), score(shared)), 1) for shared, sides, ends, score in layers]
 
 

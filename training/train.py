@@ -4,6 +4,9 @@
 
 Writes RUN/last.pt every two minutes (weights, their moving average, optimiser, step) and RUN/log.txt. `--resume RUN/last.pt`
 goes on from there. Renders that appear in DIR while it trains are taken in as they come.
+
+Two processes of one thread each get more done than one of two:
+`torchrun --nproc-per-node 2 -- training/train.py --threads 1 ...`; each then has batches of its own.
 """
 
 from __future__ import annotations
@@ -18,6 +21,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
+import torch.distributed as dist
 from augment import make_sample, pyramid
 from dataset import cut_out_cones, read_clip_negatives, read_cones, read_labelled_clips, read_renders
 from drawn_cones import draw_cone
@@ -68,7 +72,7 @@ class Samples(IterableDataset):
     def __iter__(self):
         cv2.setNumThreads(0)
         info = torch.utils.data.get_worker_info()
-        rng = np.random.default_rng((self.args.seed, info.id if info else 0, self.args.start_step))
+        rng = np.random.default_rng((self.args.seed, info.id if info else 0, self.args.start_step, self.args.rank))
 
         def pick(rng: np.random.Generator):
             names = [name for name in SHARES if self.by_source[name]]
@@ -105,6 +109,9 @@ def read_arguments() -> argparse.Namespace:
     parser.add_argument("--rate", type=float, default=2e-3)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument(
+        "--bf16", action="store_true", help="16-bit features: faster on processors with AMX and on GPUs"
+    )
     parser.add_argument("--resume", default="")
     return parser.parse_args()
 
@@ -133,58 +140,92 @@ def follow_average(average: ConeNet, network: ConeNet, decay: float) -> None:
                 kept.lerp_(value, 1 - decay)
 
 
+def go_on(checkpoint: Path, network: ConeNet, average: ConeNet, optimiser: torch.optim.Optimizer) -> int:
+    """Take all of a checkpoint; its step."""
+    kept = torch.load(checkpoint, map_location=next(network.parameters()).device, weights_only=True)
+    network.load_state_dict(kept["network"])
+    average.load_state_dict(kept["average"])
+    optimiser.load_state_dict(kept["optimiser"])
+    return int(kept["step"])
+
+
+def share_gradients(network: ConeNet) -> None:
+    """The mean of the gradients of all processes, in place, where there are several."""
+    if not dist.is_initialized():
+        return
+    gradients = [weight.grad for weight in network.parameters() if weight.grad is not None]
+    together = torch.cat([gradient.flatten() for gradient in gradients])
+    dist.all_reduce(together)
+    together /= dist.get_world_size()
+    parts = together.split([gradient.numel() for gradient in gradients])
+    for gradient, part in zip(gradients, parts, strict=True):
+        gradient.copy_(part.view_as(gradient))
+
+
+def elapsed_share(started: float, minutes: float) -> float:
+    """How much of the time to train is over, by the first process's clock where there are several: all stop at the same step."""
+    share = torch.tensor((time.monotonic() - started) / (60 * minutes))
+    if dist.is_initialized():
+        dist.broadcast(share, 0)
+    return float(share)
+
+
 def main() -> None:
     args = read_arguments()
     out = Path(args.out)
     out.mkdir(parents=True, exist_ok=True)
     torch.manual_seed(args.seed)
     torch.set_num_threads(args.threads)
+    if dist.is_torchelastic_launched():
+        dist.init_process_group("gloo")
+    args.rank = dist.get_rank() if dist.is_initialized() else 0
     device = "cuda" if torch.cuda.is_available() else "cpu"
     network = ConeNet().to(device, memory_format=torch.channels_last)
     if args.start:
         take_weights(network, Path(args.start))
     average = copy.deepcopy(network).eval()
     optimiser = make_optimiser(network, args.rate)
-    args.start_step = 0
-    if args.resume:
-        kept = torch.load(args.resume, map_location=device, weights_only=True)
-        network.load_state_dict(kept["network"])
-        average.load_state_dict(kept["average"])
-        optimiser.load_state_dict(kept["optimiser"])
-        args.start_step = kept["step"]
+    args.start_step = go_on(Path(args.resume), network, average, optimiser) if args.resume else 0
     loader = iter(
         DataLoader(Samples(args), batch_size=args.batch, num_workers=1, collate_fn=collate, prefetch_factor=6)
     )
 
     started = saved = time.monotonic()
     step, sums = args.start_step, dict.fromkeys(("score", "box", "side", "end"), 0.0)
-    while (share := (time.monotonic() - started) / (60 * args.minutes)) < 1:
+    while (share := elapsed_share(started, args.minutes)) < 1:
         warm = min(1.0, (step - args.start_step + 1) / (50 if args.resume else 300))
         for group in optimiser.param_groups:
             group["lr"] = args.rate * warm * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * share)))
         images, boxes, trusts, fades = next(loader)
         images = images.to(device, memory_format=torch.channels_last).float() / 255
         network.train()
-        maps = network(images)
+        with torch.autocast(device, torch.bfloat16, enabled=args.bf16):
+            features = network.features(images)
+        maps = network.outputs([level.float() for level in features])  # sides of boxes need all their bits
         loss, parts = detection_loss(maps, *([t.to(device) for t in group] for group in (boxes, trusts, fades)))
         optimiser.zero_grad()
         loss.backward()
+        share_gradients(network)
         torch.nn.utils.clip_grad_norm_(network.parameters(), 10.0)
         optimiser.step()
         step += 1
         follow_average(average, network, 0.9988 * (1 - math.exp(-step / 500)))
         sums = {name: sums[name] + parts[name] for name in sums}
-        if step % 100 == 0:
+        if step % 100 == 0 and args.rank == 0:
             means = " ".join(f"{name} {value / 100:.3f}" for name, value in sums.items())
-            line = f"{step} {(time.monotonic() - started) / 60:.1f} min {means}"
-            print(line, flush=True)
-            with (out / "log.txt").open("a") as log:
-                log.write(line + "\n")
+            note(out, f"{step} {(time.monotonic() - started) / 60:.1f} min {means}")
             sums = dict.fromkeys(sums, 0.0)
-        if time.monotonic() - saved > 120:
+        if time.monotonic() - saved > 120 and args.rank == 0:
             saved = time.monotonic()
             save(out, network, average, optimiser, step)
-    save(out, network, average, optimiser, step)
+    if args.rank == 0:
+        save(out, network, average, optimiser, step)
+
+
+def note(out: Path, line: str) -> None:
+    print(line, flush=True)
+    with (out / "log.txt").open("a") as log:
+        log.write(line + "\n")
 
 
 def save(out: Path, network: ConeNet, average: ConeNet, optimiser: torch.optim.Optimizer, step: int) -> None:
