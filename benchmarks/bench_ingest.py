@@ -33,33 +33,33 @@ def decode_and_run(drive: Path, workers: int) -> Callable[[], None]:
 
     The drive is read beforehand, and freed pictures' memory is used again, as the whole job does.
     """
-    from conetl.geometry.rig import first_row_of
-    from conetl.io.detector import MAX_SIDE_PX, first_row_looked_at, load_detector, network_input
+    from conetl.geometry.camera import first_road_row
+    from conetl.geometry.rig import map_SE3_left
+    from conetl.io.detector import MAX_SIDE_PX, load_detector, network_input
     from conetl.io.drive_folder import read_drive
     from conetl.io.services.allocator import keep_freed_pictures
     from conetl.params import IngestParams
 
     read, _ = read_drive(drive, headers_only=True)
     margin_rad = IngestParams().detection.horizon_margin_rad
-    looks = [
-        (path, first_row_of(pair.pose, read.rig, side, margin_rad))
-        for pair in read.frame_pairs
-        for side, path in (("left", pair.left_path), ("right", pair.right_path))
-    ]
+    rotations = [map_SE3_left(pair.pose, read.rig)[:3, :3] for pair in read.frame_pairs]
+    row = first_road_row(read.rig.left, rotations, margin_rad)
+    paths = [path for pair in read.frame_pairs for path in (pair.left_path, pair.right_path)]
     keep_freed_pictures()
 
-    def some(mine: list[tuple[str, int]]) -> None:
+    def some(mine: list[str]) -> None:
         detector = load_detector(threads=1)
-        card = detector.card
-        for path, row in mine:
-            picture = np.asarray(cv2.imdecode(np.fromfile(path, dtype=np.uint8), cv2.IMREAD_COLOR), np.uint8)
-            seen = picture[first_row_looked_at(len(picture), row, card.pad_multiple_px) :]
-            blob, _, _ = network_input(seen, card.pad_multiple_px, MAX_SIDE_PX, layout=card.input_layout)
+        for path in mine:
+            picture = cv2.imdecode(np.fromfile(path, dtype=np.uint8), cv2.IMREAD_COLOR)
+            blob, _, _ = network_input(
+                np.asarray(picture[row:], dtype=np.uint8), detector.card.pad_multiple_px, MAX_SIDE_PX,
+                layout=detector.card.input_layout,
+            )  # fmt: skip
             detector.session.run(None, {detector.input_name: blob})
 
     def everything() -> None:
         with ThreadPoolExecutor(workers) as pool:
-            for done in [pool.submit(some, looks[k::workers]) for k in range(workers)]:
+            for done in [pool.submit(some, paths[k::workers]) for k in range(workers)]:
                 done.result()
 
     return everything

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.detector_evidence import UNMEASURED, DetectorEvidence
-from conetl.geometry.rig import first_row_of, map_SE3_left
+from conetl.geometry.camera import first_road_row
+from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left
 from conetl.io import detector as detector_io
 from conetl.io.db import Connection
 from conetl.io.model_card import read_model_card
@@ -161,7 +162,8 @@ def _look(eyes: Eyes, rig: Rig, pair: FramePair, side: Side) -> Sight:
     started_s = time.thread_time()
     path = Path(pair.left_path if side == "left" else pair.right_path)
     image = read_rig_image(path, rig, side)
-    first_row = first_row_of(pair.pose, rig, side, eyes.params.detection.horizon_margin_rad)
+    rotation = map_SE3_camera(pair.pose, rig, side)[:3, :3]
+    first_row = first_road_row(camera_of(rig, side), [rotation], eyes.params.detection.horizon_margin_rad)
     found, _ = check_boxes(
         _boxes(eyes, image, first_row), frame_index=pair.frame_index, side=side, params=eyes.params.detection
     )

@@ -14,7 +14,8 @@ from prefect import task
 
 from conetl.detector_evidence import UNMEASURED, DetectorEvidence
 from conetl.errors import ModelFileError
-from conetl.geometry.rig import first_row_of, map_SE3_left, map_SE3_right
+from conetl.geometry.camera import first_road_row
+from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left, map_SE3_right
 from conetl.io import detector as detector_io
 from conetl.io.drive_folder import read_drive
 from conetl.io.model_card import read_model_card
@@ -56,7 +57,7 @@ from flows.progress import tell_progress
 from flows.retries import RETRY
 
 #: Part of every result key: raise it when a step computes something else from the same inputs.
-RESULTS_VERSION = "10"
+RESULTS_VERSION = "9"
 _SIDES: tuple[Side, Side] = ("left", "right")
 _per_thread = threading.local()
 
@@ -131,6 +132,7 @@ def detect_task(chunk: Chunk, part: int, rig: Rig | None) -> Path:
             _match_part(chunk, part, found, rig)
         return found
     keep_freed_pictures()
+    first_rows = _first_rows(chunk)
     detections: list[Detection] = []
     rejections: list[Rejection] = []
     matches: list[StereoMatch] = []
@@ -140,7 +142,7 @@ def detect_task(chunk: Chunk, part: int, rig: Rig | None) -> Path:
         images: dict[Side, NDArray[np.uint8]] = {}
         by_side: dict[Side, list[Detection]] = {"left": [], "right": []}
         for side in _SIDES:
-            image, by_side[side], refused = _detect(chunk, pair, side, next(at))
+            image, by_side[side], refused = _detect(chunk, pair.frame_index, side, next(at), first_rows[side])
             if image is not None:
                 images[side] = image
             detections += by_side[side]
@@ -157,9 +159,9 @@ def detect_task(chunk: Chunk, part: int, rig: Rig | None) -> Path:
 
 
 def _detect(
-    chunk: Chunk, pair: FramePair, side: Side, path: Path
+    chunk: Chunk, frame_index: int, side: Side, path: Path, first_row: int
 ) -> tuple[NDArray[np.uint8] | None, list[Detection], list[Rejection]]:
-    """One picture, None where it cannot be read, and what was found in it."""
+    """One picture, None where it cannot be read, and what was found in it from a row on."""
     params = chunk.params.detection
     try:
         image = read_rig_image(path, chunk.rig, side)
@@ -167,16 +169,15 @@ def _detect(
         unread = Rejection(
             step="detections",
             reason=error.reason,
-            record=f"frame pair {pair.frame_index}",
+            record=f"frame pair {frame_index}",
             detail=str(error),
-            payload={"frame_index": pair.frame_index, "side": side, "path": str(path)},
+            payload={"frame_index": frame_index, "side": side, "path": str(path)},
         )
         return None, [], [unread]
-    first_row = first_row_of(pair.pose, chunk.rig, side, params.horizon_margin_rad)
     boxes = detector_io.detect_image(
         _detector(chunk), image, score_threshold=params.score_threshold, nms_iou=params.nms_iou, first_row=first_row
     )
-    return image, *check_boxes(boxes, frame_index=pair.frame_index, side=side, params=params)
+    return image, *check_boxes(boxes, frame_index=frame_index, side=side, params=params)
 
 
 @task(name="match", task_run_name="match {chunk.frame_pairs[0].frame_index}", **RETRY)
@@ -304,6 +305,18 @@ def _match_key(chunk: Chunk, detected: Path, rig: Rig) -> str:
     return result_key(
         RESULTS_VERSION, "match", detected.stem, params_sha256(chunk.params.match), _rig_and_poses(chunk, rig)
     )
+
+
+def _first_rows(chunk: Chunk) -> dict[Side, int]:
+    """Rows of the pictures of either side from which on they are searched."""
+    return {
+        side: first_road_row(
+            camera_of(chunk.rig, side),
+            [map_SE3_camera(pair.pose, chunk.rig, side)[:3, :3] for pair in chunk.frame_pairs],
+            chunk.params.detection.horizon_margin_rad,
+        )
+        for side in _SIDES
+    }
 
 
 def _detector(chunk: Chunk) -> detector_io.Detector:

@@ -143,6 +143,8 @@ def main() -> None:
         },
         "pad_multiple_px": max(STRIDES),
         "class_names": ["traffic_cone"],
+        # As for the shipped weights; others may do better with other numbers, or without (docs/models.md).
+        "closer_look": {"cone_px": 48, "window_px": 96, "scores": [0.25, 0.75], "share": 0.35},
         "score_scale": "sigmoid 0..1, trained towards the IoU with the true box; not calibrated as a probability",
         "licence": "as conetl itself; trained on CC BY 4.0 and ODC-By 1.0 pictures, attribution in README.md beside this file",
     }

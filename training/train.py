@@ -15,6 +15,7 @@ import argparse
 import copy
 import json
 import math
+import os
 import time
 from pathlib import Path
 
@@ -178,6 +179,8 @@ def main() -> None:
     torch.set_num_threads(args.threads)
     if dist.is_torchelastic_launched():
         dist.init_process_group("gloo")
+        if torch.cuda.is_available():
+            torch.cuda.set_device(int(os.environ["LOCAL_RANK"]) % torch.cuda.device_count())
     args.rank = dist.get_rank() if dist.is_initialized() else 0
     device = "cuda" if torch.cuda.is_available() else "cpu"
     network = ConeNet().to(device, memory_format=torch.channels_last)
@@ -220,6 +223,8 @@ def main() -> None:
             save(out, network, average, optimiser, step)
     if args.rank == 0:
         save(out, network, average, optimiser, step)
+    if dist.is_initialized():
+        dist.destroy_process_group()
 
 
 def note(out: Path, line: str) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, nullcontext
+from contextlib import ExitStack, nullcontext, suppress
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Annotated
@@ -17,7 +17,7 @@ from conetl.io.drive_folder import drive_format, read_drive
 from conetl.io.drive_folder.outline import outline_drive
 from conetl.io.leftovers import sweep
 from conetl.io.model_card import read_model_card
-from conetl.io.places import place
+from conetl.io.places import is_remote, place
 from conetl.io.yaml_model import read_yaml_model
 from conetl.map_records import DeltaKind
 from conetl.params import IngestParams
@@ -135,13 +135,19 @@ def _make_home(settings: Settings) -> None:
 
 
 def _why_unusable(drive: Path) -> ConetlError | None:
-    """What reading would say of a drive of which a glance shows already that it cannot be used."""
-    try:
+    """What reading would say of a drive of which a glance shows that it cannot be used; None where a glance is not enough.
+
+    Bags have to be unpacked to be read, and what lies elsewhere may be out of reach for a while: the flow judges them.
+    """
+    if is_remote(drive) or drive_format(drive) == "bag":
+        return None
+    with suppress(OSError):
         if drive.exists() and outline_drive(drive).problem is None:
             return None
-        read_drive(drive, headers_only=True)
-    except ConetlError as error:
-        return error
+        try:
+            read_drive(drive, headers_only=True)
+        except InputError as error:
+            return error
     return None
 
 

@@ -5,6 +5,8 @@ The horizon is that of a camera without a lens: a straight row.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -73,15 +75,15 @@ def horizon_row_px(camera: Camera, map_R_cam: ArrayLike, u_px: float | None = No
     return float(camera.cy_px - camera.fy_px * (up[2] + up[0] * x) / up[1])
 
 
-def first_road_row(camera: Camera, map_R_cam: ArrayLike, margin_rad: float) -> int:
-    """First row of a camera's picture that lies at most `margin_rad` above the horizon of a rotation (3, 3).
+def first_road_row(camera: Camera, map_R_cams: Iterable[ArrayLike], margin_rad: float) -> int:
+    """First row of a camera's pictures that lies at most `margin_rad` above the highest horizon of rotations (3, 3).
 
     What stands on the road, and is no taller than the rig, shows at or below it; the margin is for slopes. 0 where a camera
     has no horizon row.
     """
     corners = (0.0, camera.width_px - 1.0)
     try:
-        highest = min(horizon_row_px(camera, map_R_cam, u_px) for u_px in corners)
+        highest = min(horizon_row_px(camera, rotation, u_px) for rotation in map_R_cams for u_px in corners)
     except ValueError:
         return 0
     row = highest - camera.fy_px * float(np.tan(margin_rad))

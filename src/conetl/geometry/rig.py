@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry import pose as se3
-from conetl.geometry.camera import first_road_row
 from conetl.records import Camera, Pose, Rig, Side
 
 Array = NDArray[np.float64]
@@ -25,11 +24,6 @@ def body_SE3_camera(rig: Rig, side: Side) -> Array:
 def map_SE3_camera(pose: Pose, rig: Rig, side: Side) -> Array:
     """(4, 4) exterior orientation of one camera."""
     return se3.compose(se3.map_SE3_body(pose), body_SE3_camera(rig, side))
-
-
-def first_row_of(pose: Pose, rig: Rig, side: Side, margin_rad: float) -> int:
-    """`first_road_row` of one picture."""
-    return first_road_row(camera_of(rig, side), map_SE3_camera(pose, rig, side)[:3, :3], margin_rad)
 
 
 def map_SE3_left(pose: Pose, rig: Rig) -> Array:

@@ -26,8 +26,6 @@ MAX_SIDE_PX = 1600
 LEAST_SIDE_PX = 8
 #: However high a caller says the road begins, this much of the picture is looked at.
 LEAST_ROWS_PX = 120
-#: So many rows more are left out where they would cost a stripe of padding: the margin above the horizon is many times that.
-SPARE_ROWS_PX = 8
 SMALLER_LOOKS_FROM_PX = 480
 LARGE_CONE_PX = 48.0
 #: Pictures in one run of the network. It answers for its best cells only, of all of them together: with some twenty windows the
@@ -179,12 +177,12 @@ def detect_image(
     Returns (N, 9) [x, y, w, h, score, foot x, foot y, tip x, tip y] by falling score: x, y is the top-left corner, in pixels of
     the given image, whose left and top edges are x = 0 and y = 0 (the centre of the first pixel is 0.5). Foot and tip are NaN
     where the network does not give them. Candidates of middling score get a closer look where the model's sidecar asks for it
-    (`closer_look.py`). first_row: rows above it are not looked at (`geometry.camera.first_road_row`, `first_row_looked_at`).
+    (`closer_look.py`). first_row: rows above it are not looked at (`geometry.camera.first_road_row`).
     """
     if image_bgr.dtype != np.uint8 or image_bgr.ndim != 3 or image_bgr.shape[2] != 3:
         raise ValueError(f"expected a BGR image (H, W, 3) of uint8, got {image_bgr.shape} of {image_bgr.dtype}")
     whole = image_bgr
-    first_row = first_row_looked_at(whole.shape[0], first_row, detector.card.pad_multiple_px)
+    first_row = min(max(first_row, 0), max(whole.shape[0] - LEAST_ROWS_PX, 0))
     image_bgr = whole[first_row:]
     if min(image_bgr.shape[:2]) < LEAST_SIDE_PX:
         return np.zeros((0, COLUMNS))
@@ -209,13 +207,6 @@ def detect_image(
         boxes = suppress_overlaps(look_closer(look_at_windows, whole, boxes, closer), SAME_BOX_IOU)
         boxes = boxes[boxes[:, 4] >= score_threshold]
     return boxes_in_image(boxes, whole.shape[1], whole.shape[0])
-
-
-def first_row_looked_at(height_px: int, first_row: int, pad_multiple_px: int) -> int:
-    """The row of a picture of `height_px` rows from which on the network sees it, where the road begins at `first_row`."""
-    first_row = min(max(first_row, 0), max(height_px - LEAST_ROWS_PX, 0))
-    spare = (height_px - first_row) % pad_multiple_px
-    return first_row + spare if first_row and spare <= SPARE_ROWS_PX else first_row
 
 
 def look(

@@ -110,14 +110,14 @@ def test_no_cone_on_a_level_road_reaches_above_the_first_road_row(
 ) -> None:
     """A camera 1.2 m above the road; the tip of a 1.15 m cone anywhere before it shows at or below that row."""
     rotation = se3.rotation_from_rpy(roll, pitch, 0) @ BODY_R_CAM
-    row = cam.first_road_row(CAMERA, rotation, 0.0)
+    row = cam.first_road_row(CAMERA, [rotation], 0.0)
     tip = rotation.T @ np.array([ahead, aside, 1.15 - 1.2])
     u, v = cam.project(CAMERA, tip)
     if tip[2] > 0.1 and 0 <= u <= CAMERA.width_px - 1:
         assert min(v, CAMERA.height_px - 1) >= row
-    lower = cam.first_road_row(CAMERA, rotation, 0.1)
+    lower = cam.first_road_row(CAMERA, [rotation], 0.1)
     assert lower == 0 or row - lower == pytest.approx(CAMERA.fy_px * np.tan(0.1), abs=1.01)
 
 
 def test_a_camera_that_looks_down_has_no_first_road_row() -> None:
-    assert cam.first_road_row(CAMERA, np.diag([1.0, -1.0, -1.0]), 0.1) == 0
+    assert cam.first_road_row(CAMERA, [np.diag([1.0, -1.0, -1.0])], 0.1) == 0

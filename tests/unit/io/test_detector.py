@@ -20,7 +20,6 @@ from conetl.errors import ModelFileError
 from conetl.io.detector import (
     Detector,
     detect_image,
-    first_row_looked_at,
     load_detector,
     look,
     look_at_all,
@@ -112,15 +111,6 @@ def test_rows_above_the_road_can_be_left_out(detector: Detector) -> None:
     cropped = detect_image(detector, image, score_threshold=0.3, first_row=96)
     assert len(whole) == len(cropped) == 1
     np.testing.assert_allclose(cropped[0, :4], whole[0, :4], atol=1.5)
-
-
-@pytest.mark.parametrize(
-    ("first_row", "seen_from"),
-    [(0, 0), (-5, 0), (87, 87), (80, 87), (79, 87), (78, 78), (88, 88), (375, 255)],
-    ids=["whole", "before", "full", "seven too many", "eight", "nine", "one too few", "least rows"],
-)
-def test_a_few_rows_above_the_road_are_not_worth_a_stripe_of_padding(first_row: int, seen_from: int) -> None:
-    assert first_row_looked_at(375, first_row, 32) == seen_from
 
 
 def test_a_part_of_a_better_and_larger_box_is_dropped() -> None:

@@ -68,9 +68,18 @@ def test_a_calibration_that_cannot_be_used_is_said_too(drive: Path) -> None:
     assert "P_rect_03" in spoilt.problem
     assert spoilt.captured_from is not None
     calibration.unlink()
-    assert "calib_cam_to_cam.txt" in (outline_drive(drive).problem or "")
-    calibration.write_text(whole)
-    assert outline_drive(drive).problem is None
+    missing = outline_drive(drive)
+    assert "calib_cam_to_cam.txt" in (missing.problem or "")
+    (drive / "drive.yaml").write_text("calibration: named/calib_cam_to_cam.txt\n")
+    (drive / "named").mkdir()
+    for name in ("calib_velo_to_cam.txt", "calib_imu_to_velo.txt"):
+        (drive / name).rename(drive / "named" / name)
+    before = outline_drive(drive)
+    (drive / "named" / "calib_cam_to_cam.txt").write_text(whole)
+    delivered = outline_drive(drive)
+    assert delivered.problem is None
+    # What was refused under one header must not stay refused once the file is there.
+    assert delivered.header_sha256 not in (before.header_sha256, missing.header_sha256)
 
 
 def test_drives_are_found_in_folders_by_day(drive: Path, tmp_path: Path) -> None:

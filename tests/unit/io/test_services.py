@@ -88,10 +88,22 @@ def test_children_end_too_also_of_a_service_that_was_killed(service: Service) ->
     assert not stop_service(service)
 
 
-def test_what_has_lost_its_environment_on_its_way_out_is_waited_for(tmp_path: Path) -> None:
+@pytest.mark.parametrize("begun", [False, True], ids=["during", "before"])
+def test_what_has_lost_its_environment_on_its_way_out_is_waited_for(tmp_path: Path, begun: bool) -> None:
     forgetful = start(tmp_path, FORGETFUL)
     pid = int(last_line(forgetful))
+    if begun:
+        os.kill(pid, signal.SIGTERM)
+        while Path(f"/proc/{pid}/environ").read_bytes().strip(b"\0"):
+            time.sleep(0.01)
     assert stop_service(forgetful)
+    assert not is_alive(pid)
+
+
+def test_what_has_no_environment_and_does_not_end_is_killed(tmp_path: Path) -> None:
+    stubborn = start(tmp_path, FORGETFUL.replace("time.sleep(1); os._exit(0)", "time.sleep(300)"))
+    pid = int(last_line(stubborn))
+    assert stop_service(stubborn, grace_s=1)
     assert not is_alive(pid)
 
 

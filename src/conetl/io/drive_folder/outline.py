@@ -9,13 +9,13 @@ from __future__ import annotations
 import csv
 import os
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from conetl.errors import ConetlError, DriveFolderError
-from conetl.io.calibration.files import CAM_TO_CAM, IMU_TO_VELO, RIG_YAML, VELO_TO_CAM
+from conetl.errors import CalibrationError, ConetlError, DriveFolderError
+from conetl.io.calibration.files import IMU_TO_VELO, RIG_YAML, VELO_TO_CAM
 from conetl.io.drive_folder import DriveFormat, drive_format
 from conetl.io.drive_folder.bag_messages import METADATA, bag_files, open_bag
 from conetl.io.drive_folder.bag_rig import choose_topics
@@ -200,8 +200,10 @@ def _bag(content: ContentHash, folder: Path, settings: DriveYaml) -> tuple[int, 
 
 
 def _kitti_times(content: ContentHash, folder: Path, settings: DriveYaml) -> tuple[int, int]:
-    for name in (CAM_TO_CAM, VELO_TO_CAM, IMU_TO_VELO):
-        _add_file(content, folder if (folder / CAM_TO_CAM).is_file() else folder.parent, name)
+    with suppress(CalibrationError):  # said by `_read_rig`; without it the header is another one than with it
+        calibration = calibration_path(folder.resolve(), folder.parent, settings)
+        for name in (calibration.name, VELO_TO_CAM, IMU_TO_VELO):
+            _add_file(content, calibration.parent, name)
     _add_file(content, folder, "oxts/timestamps.txt")
     name = f"{settings.cameras.left}/timestamps.txt"
     path = folder / name

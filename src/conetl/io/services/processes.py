@@ -109,17 +109,19 @@ def is_running(service: Service) -> bool:
 def stop_service(service: Service, *, grace_s: float = 15.0) -> bool:
     """End a service and what it started; True where there was anything to end. Data and logs stay."""
     found = _members(service)
+    if is_running(service) and _environment(service.pid) == [b""]:  # lost already, and so not found by it
+        found[service.pid] = service.start_ticks
     if not found:
         return False
     # The service first: it ends its own children in order.
     leader = [pid for pid in found if pid == service.pid]
-    _signal_all(service, leader or list(found), signal.SIGTERM)
+    _signal_all(found, leader or list(found), signal.SIGTERM)
     deadline = time.monotonic() + grace_s
     while (left := _left(service, found)) and time.monotonic() < deadline:
         if service.pid not in left:
-            _signal_all(service, left, signal.SIGTERM)
+            _signal_all(found, left, signal.SIGTERM)
         time.sleep(0.2)
-    _signal_all(service, list(found), signal.SIGKILL)
+    _signal_all(found, list(found), signal.SIGKILL)
     deadline = time.monotonic() + 5
     while _left(service, found) and time.monotonic() < deadline:
         time.sleep(0.1)
@@ -186,15 +188,14 @@ def _members(service: Service) -> dict[int, int]:
     for entry in Path("/proc").iterdir():
         if entry.name.isdigit() and int(entry.name) != os.getpid():
             with suppress(OSError):
-                if wanted in (entry / "environ").read_bytes().split(b"\0"):
+                if wanted in _environment(int(entry.name)):
                     ticks = _start_ticks(int(entry.name))
                     if ticks is not None:
                         found[int(entry.name)] = ticks
     return found
 
 
-def _signal_all(service: Service, pids: Sequence[int], number: signal.Signals) -> None:
-    wanted = f"{TOKEN}={service.token}".encode()
+def _signal_all(found: Mapping[int, int], pids: Sequence[int], number: signal.Signals) -> None:
     for pid in pids:
         try:
             descriptor = os.pidfd_open(pid)
@@ -202,10 +203,15 @@ def _signal_all(service: Service, pids: Sequence[int], number: signal.Signals) -
             continue
         try:  # From here on the descriptor means one process; is it still ours?
             with suppress(OSError):
-                if wanted in Path(f"/proc/{pid}/environ").read_bytes().split(b"\0"):
+                if _start_ticks(pid) == found[pid]:
                     signal.pidfd_send_signal(descriptor, number)
         finally:
             os.close(descriptor)
+
+
+def _environment(pid: int) -> list[bytes]:
+    """What a process was started with; [b""] where it has none, or none any more. Raises OSError where it does not exist."""
+    return Path(f"/proc/{pid}/environ").read_bytes().strip(b"\0").split(b"\0")
 
 
 def _start_ticks(pid: int) -> int | None:
