@@ -20,7 +20,7 @@ print(len(os.listdir("/proc/self/task")))
 
 
 def threads_after(first: str, environment: dict[str, str]) -> int:
-    given = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"} | environment
+    given = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")} | environment
     done = subprocess.run(
         [sys.executable, "-c", _COUNT.format(first=first)], capture_output=True, text=True, check=True, env=given
     )
