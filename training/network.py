@@ -9,6 +9,7 @@ Channels are multiples of 16 for the runtime's kernels.
 from __future__ import annotations
 
 import math
+from typing import TypeGuard
 
 import torch
 from torch import Tensor, nn
@@ -144,10 +145,15 @@ class ConeNet(nn.Module):
         return [torch.cat((sides(shared), ends(shared), score(shared)), 1) for shared, sides, ends, score in layers]
 
 
+def has_batch_norm(block: nn.Module) -> TypeGuard[nn.Sequential]:
+    """Whether it is a convolution with its batch norm, as `conv` and `depthwise` make them."""
+    return isinstance(block, nn.Sequential) and len(block) == 3 and isinstance(block[1], nn.BatchNorm2d)
+
+
 def fuse_batch_norms(network: nn.Module) -> None:
     """Fold every batch norm into the convolution before it, in place (for export)."""
     for child in network.children():
-        if isinstance(child, nn.Sequential) and len(child) == 3 and isinstance(child[1], nn.BatchNorm2d):
+        if has_batch_norm(child):
             child[0] = torch.nn.utils.fuse_conv_bn_eval(child[0], child[1])
             child[1] = nn.Identity()
         fuse_batch_norms(child)

@@ -18,7 +18,7 @@ import numpy as np
 import onnx
 import torch
 from dataset import read_cones
-from network import BINS, ConeNet
+from network import BINS, ConeNet, has_batch_norm
 from numpy.typing import NDArray
 from onnx import numpy_helper
 from torch import Tensor, nn
@@ -54,15 +54,11 @@ def unpacked_stem(
 
 def blocks_of(network: ConeNet) -> dict[str, nn.Sequential]:
     """Every convolution with its batch norm, by its name."""
-    return {
-        name: block
-        for name, block in network.named_modules()
-        if isinstance(block, nn.Sequential) and len(block) == 3 and isinstance(block[1], nn.BatchNorm2d)
-    }
+    return {name: block for name, block in network.named_modules() if has_batch_norm(block)}
 
 
 @torch.no_grad()
-def take_weights(network: ConeNet, constants: Constants) -> None:
+def take_shipped_weights(network: ConeNet, constants: Constants) -> None:
     """Weights of the shipped network; batch norms that do nothing but add its biases."""
     for name, (convolution, norm, _) in blocks_of(network).items():
         if name == "stem":
@@ -117,7 +113,7 @@ def main() -> None:
     args = parser.parse_args()
     constants = {each.name: numpy_helper.to_array(each) for each in onnx.load(args.model).graph.initializer}
     network = ConeNet()
-    take_weights(network, constants)
+    take_shipped_weights(network, constants)
     pictures = read_cones(args.cones, "train")
     chosen = [pictures[k].image for k in range(0, len(pictures), max(len(pictures) // args.count, 1))]
     tensors = [
