@@ -2,7 +2,7 @@
 -- Parameters: $1 limit, $2 offset; $3, $4 what stands before and behind the id in the links of each item; $5 map name; $6, $7, $8, $9 from_at,
 -- known_from, to_at, known_to (text of instants); $10 moved_from_m (m); then the box in both forms, as conetl_ogc.changes takes them, or
 -- nothing for all of the map.
--- Put in by the caller: {{box}} (the numbers of its parameters, each after a comma), {{where}}, {{order}}, {{properties}} (columns of p).
+-- Put in by the caller: {{box}} (named arguments, each after a comma), {{where}}, {{order}}, {{properties}} (columns of p).
 -- Columns: items (with commas, in order; null: none), returned (how many).
 with page as materialized (
     select s.*, row_number() over () as place_no

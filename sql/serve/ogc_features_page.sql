@@ -1,8 +1,8 @@
 -- Purpose: one page of features of a map as GeoJSON, made by PostgreSQL: nobody unpacks the items on their way to the client.
 -- Parameters: $1 limit, $2 offset; $3, $4 what stands before and behind the id in the links of each item; $5 map name; $6, $7, $8 from_at,
--- to_at, known_at (text of instants); then the box in both forms, as conetl_ogc.standing takes them, or nothing for all of the map.
--- Put in by the caller: {{source}} (conetl_ogc.standing; conetl_ogc.features where the condition or the order needs its evidence), {{box}} (the
--- numbers of its parameters, each after a comma), {{where}}, {{order}}, {{properties}} (columns of p, n and e).
+-- to_at, known_at (text of instants); then those of the box, or nothing for all of the map, or the rows of versions that {{where}} names.
+-- Put in by the caller: {{source}} (conetl_ogc.standing; conetl_ogc.features where the condition or the order needs its evidence), {{box}} (named
+-- arguments of it, each after a comma), {{where}}, {{order}}, {{properties}} (columns of p, n and e).
 -- Columns: items (with commas, in order; null: none), returned (how many).
 -- Evidence is that of conetl.feature_evidence, looked up after the limit and for all items at once; belief after a miss only where there is
 -- one. The full join finds what a left join would, because n has no other features; but it is always hashed or merged, where a planner who

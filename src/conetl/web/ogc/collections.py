@@ -15,7 +15,19 @@ from tipg.collections import Column, ItemList, Parameter, PgCollection
 from tipg.errors import NotFound
 from tipg.model import Extent, Spatial, Temporal
 
-from conetl.io.stores.ogc_store import ALL_ROWS, EVERYWHERE, Degrees, ServedMap, read_page, rows_near, warm_session
+from conetl.io.stores.ogc_store import (
+    ALL_ROWS,
+    EVERYWHERE,
+    Degrees,
+    ServedMap,
+    count_features,
+    find_versions,
+    part_of_map,
+    read_page,
+    rows_near,
+    rows_within,
+    warm_session,
+)
 from conetl.params import ReconcileParams
 from conetl.web.ogc.pages import Page
 from conetl.web.ogc.values import BadParameterError, check_value
@@ -24,7 +36,14 @@ SCHEMA = "conetl_ogc"
 MAX_ZOOM = 24
 #: PostgreSQL's timestamps count microseconds.
 _TICK = timedelta(microseconds=1)
-_BOX = ("west", "south", "east", "north", "min_x_m", "min_y_m", "max_x_m", "max_y_m")
+_EDGES = ("west", "south", "east", "north")
+_NEAR = ("min_x_m", "min_y_m", "max_x_m", "max_y_m")
+_INNER = ("inner_min_x_m", "inner_min_y_m", "inner_max_x_m", "inner_max_y_m")
+_BOX = (*_EDGES, *_NEAR, *_INNER)
+#: From about so many versions in a box on, a page and the number of all items come from one look at the table.
+MANY_VERSIONS = 20_000
+#: From this part of all versions of the database on, reading the whole table takes less than going by the index of places.
+MOST_VERSIONS = 0.3
 
 
 @dataclass(frozen=True)
@@ -140,25 +159,49 @@ class AsOfCollection(PgCollection):
     ) -> Page:  # fmt: skip
         """One page of items as GeoJSON, made by PostgreSQL; `links` stands around the id at the end of each item."""
         _check_ids(ids)
-        where = self._where_clause(self.cql_where(ids=ids, properties=values))
+        where = self.cql_where(ids=ids, properties=values)
         order = self._sort_expressions(sortby)
         wanted = {name: f"p.{name}" for name in self.columns(properties)}
-        text = {"where": where, "order": ", ".join(sql for _, sql in order)}
+        text = {"where": self._where_clause(where), "order": ", ".join(sql for _, sql in order)}
+        arguments = self._arguments(box, interval)
+        looks_evidence_up = True
         if self.table == "features":
             asked_of = {name for name, _ in order} | {name for name, _ in values or ()}
-            text["source"] = f"{SCHEMA}.{'standing' if asked_of.isdisjoint(EVIDENCE_COLUMNS) else 'features'}"
+            looks_evidence_up = not asked_of.isdisjoint(EVIDENCE_COLUMNS)
+            text["source"] = f"{SCHEMA}.{'features' if looks_evidence_up else 'standing'}"
             wanted = {name: EVIDENCE_COLUMNS.get(name, column) for name, column in wanted.items()}
         text["properties"] = ", ".join(f"{column} as {name}" for name, column in wanted.items())
-        arguments = self._arguments(box, interval)
-        own = len([name for name in arguments if name not in _BOX])
-        text["box"] = "".join(f", ${5 + k}" for k in range(own, len(arguments)))
+        part = part_of_map(box, self.served)
+        if not looks_evidence_up and part * self.served.version_count >= MANY_VERSIONS:
+            text["by_place"] = "false" if part * self.served.share >= MOST_VERSIONS else "true"
+            return await self._page_of_many(conn, text, arguments, limit, offset, links)
+        text["box"] = _named(arguments, 5)
         items, returned = await read_page(conn, self.table, text, [limit, offset, *links, *arguments.values()])
         if returned < limit and (returned or not offset):  # the last page says how many there are
             return Page(items, returned, offset + returned)
-        matched = await self._features_count_query(
-            conn, where=self.cql_where(ids=ids, properties=values), function_parameters=_texts(arguments)
-        )
+        if self.table == "features":
+            return Page(items, returned, await self._count(conn, text, arguments))
+        matched = await self._features_count_query(conn, where=where, function_parameters=_texts(arguments))
         return Page(items, returned, matched)
+
+    async def _page_of_many(
+        self, conn: asyncpg.Connection, text: Mapping[str, str], arguments: Mapping[str, str | float],
+        limit: int, offset: int, links: tuple[str, str],
+    ) -> Page:  # fmt: skip
+        """A page of features out of a large part of a large map: first which versions are on it, then their items."""
+        found_text = {**text, "box": _named(arguments, 3)}
+        versions, matched = await find_versions(conn, found_text, [limit, offset, *arguments.values()])
+        if matched is None:
+            return Page(b"", 0, await self._count(conn, text, arguments) if offset else 0)
+        own = [value for name, value in arguments.items() if name not in _BOX]
+        page_text = {**text, "box": "", "where": f"where version_row_id = any(${5 + len(own)}::bigint[])"}
+        items, returned = await read_page(conn, self.table, page_text, [limit, 0, *links, *own, versions])
+        return Page(items, returned, matched)
+
+    async def _count(
+        self, conn: asyncpg.Connection, text: Mapping[str, str], arguments: Mapping[str, str | float]
+    ) -> int:
+        return await count_features(conn, {**text, "box": _named(arguments, 1)}, [*arguments.values()])
 
     async def features(self, conn: asyncpg.Connection, **asked: Any) -> ItemList:
         """One page of items, for the other forms."""
@@ -181,7 +224,7 @@ class AsOfCollection(PgCollection):
         arguments = self._arguments(box, asked.pop("datetime_filter", None))
         near = rows_near(around, self.served)
         if box is None and near != ALL_ROWS:
-            arguments |= dict(zip(_BOX, (*EVERYWHERE, *near), strict=True))
+            arguments |= dict(zip((*_EDGES, *_NEAR), (*EVERYWHERE, *near), strict=True))
         asked["function_parameters"] = _texts(arguments)
         tile_bytes: bytes = await super().get_tile(conn, tms=tms, tile=tile, **asked)
         return tile_bytes
@@ -194,8 +237,12 @@ class AsOfCollection(PgCollection):
         Without a box where all of the map is asked for: that is a statement of its own, with a plan of its own.
         """
         near = ALL_ROWS if box is None else rows_near(box, self.served)
-        edges = {} if box is None or near == ALL_ROWS else dict(zip(_BOX, (*box, *near), strict=True))
-        return {"map_name": self.served.map_name} | self._times(interval) | edges
+        asked = {"map_name": self.served.map_name} | self._times(interval)
+        if box is None or near == ALL_ROWS:
+            return asked
+        edges = dict(zip((*_EDGES, *_NEAR), (*box, *near), strict=True))
+        inner = dict(zip(_INNER, rows_within(box, self.served), strict=True)) if self.table == "features" else {}
+        return asked | edges | inner
 
     def _times(self, interval: tuple[datetime | None, datetime | None] | None) -> dict[str, str | float]:
         asked = self.instants
@@ -252,7 +299,7 @@ def _collection(
 ) -> AsOfCollection:  # fmt: skip
     place = Column(name="geom", type="geometry", geometry_type="Point", srid=4326, bounds=list(served.extent))
     listed = [Column(name=name, type=kind, description=text) for name, (kind, text) in columns.items()]
-    types = dict(parameters) | dict.fromkeys(_BOX, "float8")
+    types = dict(parameters) | dict.fromkeys(_BOX, "float8")  # tipg leaves out what a request does not name
     return AsOfCollection(
         type="Function", id=f"{served.map_name}.{name}", table=name, schema=SCHEMA, title=title, description=description,
         table_columns=[*listed, place], properties=[*listed, place], id_column=listed[0], geometry_column=place,
@@ -280,6 +327,11 @@ async def warm(conn: asyncpg.Connection) -> None:
         offset=0,
         links=("", ""),
     )
+
+
+def _named(arguments: Mapping[str, Any], first: int) -> str:
+    """The box of a call in SQL: its named arguments, each after a comma; `first` numbers the first of all arguments."""
+    return "".join(f", {name} => ${k}" for k, name in enumerate(arguments, first) if name in _BOX)
 
 
 def _check_ids(ids: list[str] | None) -> None:
