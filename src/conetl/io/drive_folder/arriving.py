@@ -136,7 +136,7 @@ class ArrivingPlain:
 
     @property
     def drive_id(self) -> str:
-        return self.settings.id_of(self.root.name)
+        return self.settings.id_of(self.root)
 
     def look(self, changed: Iterable[Path] | None) -> list[ArrivingPair]:
         self.rows.read_on()
@@ -176,7 +176,7 @@ class ArrivingKitti:
 
     @property
     def drive_id(self) -> str:
-        return self.settings.id_of(self.root.name)
+        return self.settings.id_of(self.root)
 
     def look(self, changed: Iterable[Path] | None) -> list[ArrivingPair]:
         return [pair for pair in self.couples.new(changed) if is_number(pair.key)]

@@ -95,7 +95,7 @@ def read_euroc_drive(
         return check_images(files[0], files[1], rig, content, root)
 
     return drive_of_couples(
-        couples, source=root, drive_id=root.name, settings=settings, rig=rig, srid=srid, content=content,
+        couples, source=root, settings=settings, rig=rig, srid=srid, content=content,
         pictures_of=pictures_of, pose_at=partial(_pose_at, track, settings),
     )  # fmt: skip
 

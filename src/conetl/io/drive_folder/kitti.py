@@ -104,7 +104,7 @@ def read_kitti_drive(
     pairs = _frame_pairs(usable, track, settings)
     require_pairs(pairs, rejections, len(numbers), folder)
     drive = Drive(
-        drive_id=settings.id_of(root.name), source_path=str(root), rig=rig, map_srid=srid,
+        drive_id=settings.id_of(root), source_path=str(root), rig=rig, map_srid=srid,
         content_sha256=content.hexdigest(), frame_pairs=tuple(pairs), expected_frame_count=len(numbers),
     )  # fmt: skip
     return drive, rejections

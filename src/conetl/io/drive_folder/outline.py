@@ -19,6 +19,7 @@ from conetl.io.calibration.files import IMU_TO_VELO, RIG_YAML, VELO_TO_CAM
 from conetl.io.drive_folder import DriveFormat, drive_format
 from conetl.io.drive_folder.bag_messages import METADATA, bag_files, open_bag
 from conetl.io.drive_folder.bag_rig import choose_topics
+from conetl.io.drive_folder.body import add_settings
 from conetl.io.drive_folder.content import ContentHash
 from conetl.io.drive_folder.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml
 from conetl.io.drive_folder.euroc import read_euroc_rig
@@ -75,15 +76,15 @@ def _find(folder: Path, depth: int) -> Iterator[Path]:
 
 
 def outline_drive(folder: Path) -> DriveOutline:
-    """The outline of a drive folder; what is wrong with it stands in `problem`, nothing is raised for it."""
+    """The outline of a drive folder or a bare bag; what is wrong with it stands in `problem`, nothing is raised for it."""
     content = ContentHash()
-    drive_id, pairs = folder.name[:200], 0
+    drive_id, pairs = DriveYaml().id_of(folder), 0
     first_ns = last_ns = problem = None
     try:
         settings = read_drive_yaml(folder)
-        drive_id = settings.drive_id or drive_id
+        drive_id = settings.id_of(folder)
         content.add("drive_id", drive_id.encode())
-        _add_file(content, folder, DRIVE_YAML)
+        add_settings(content, folder, (DRIVE_YAML,))
         found = drive_format(folder)
         if found == "bag":
             pairs, first_ns, last_ns = _bag(content, folder, settings)
@@ -189,9 +190,9 @@ def _bag(content: ContentHash, folder: Path, settings: DriveYaml) -> tuple[int, 
     path = bag_files(folder)
     if path is None:
         raise DriveFolderError(f"{folder}: this is no bag")
-    for name in (METADATA, RIG_YAML):
-        _add_file(content, folder, name)
-    for file in sorted(folder.glob("*.mcap")) + sorted(folder.glob("*.db3")):
+    _add_file(content, folder, METADATA)
+    add_settings(content, folder, (RIG_YAML,))
+    for file in [path] if path.is_file() else sorted(folder.glob("*.mcap")) + sorted(folder.glob("*.db3")):
         content.add(file.name, str(file.stat().st_size).encode())
     with open_bag(path) as bag:
         topics = choose_topics(bag.types, settings.streams, folder)
