@@ -364,3 +364,16 @@ def test_another_rig_beside_a_bare_bag_is_another_drive(tmp_path: Path, frames: 
     before = outline_drive(path).header_sha256
     write_rig_yaml(rig, small_file_of(path, "rig.yaml"))
     assert outline_drive(path).header_sha256 != before
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_link_to_a_drive_of_any_format_is_that_drive(
+    name: str, tmp_path: Path, frames: list[Frame], rig: Rig
+) -> None:
+    path = WRITERS[name](tmp_path / "run", frames[:2], rig)
+    link = tmp_path / f"linked{path.suffix}"
+    link.symlink_to(path)
+    direct, linked = outline_drive(path), outline_drive(link)
+    assert linked.problem is None
+    assert (linked.drive_id, linked.header_sha256) == (direct.drive_id, direct.header_sha256)
+    assert read(link, tmp_path / "cache")[0].drive_id == direct.drive_id

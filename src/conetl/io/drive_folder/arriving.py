@@ -189,7 +189,7 @@ class ArrivingKitti:
         if self._rig is None:
             size = first_size(path for _, path in sorted(self.couples.found.get(self.couples.left, {}).items()))
             if size is not None:
-                path = calibration_path(self.root, self.folder.absolute().parent, self.settings)
+                path = calibration_path(self.folder, self.settings)
                 self._rig = read_rig_for(self.root, path, size, self.settings, ContentHash())
         return self._rig
 

@@ -57,10 +57,13 @@ class DriveOutline:
 
 
 def find_drives(root: Path) -> Iterator[Path]:
-    """Drive folders in `root` and the folders below it, `root` itself included, by path; hidden folders are left out."""
+    """Drive folders in `root` and the folders below it, `root` itself included, by path; hidden folders are left out.
+
+    Links are followed and stay in the paths: a calibration may lie beside the link.
+    """
     if not root.is_dir():
         raise DriveFolderError(f"{root}: there is no such folder; give a folder that holds drives")
-    yield from _find(root.resolve(), MAX_DEPTH)
+    yield from _find(root.absolute(), MAX_DEPTH)
 
 
 def _find(folder: Path, depth: int) -> Iterator[Path]:
@@ -158,7 +161,7 @@ def _read_rig(found: DriveFormat | None, folder: Path, settings: DriveYaml) -> N
         base = folder / "mav0" if (folder / "mav0").is_dir() else folder
         read_euroc_rig(folder, base, {"left": left, "right": right}, settings, unused)
     else:
-        read_rig_for(folder, calibration_path(folder.resolve(), folder.parent, settings), None, settings, unused)
+        read_rig_for(folder, calibration_path(folder, settings), None, settings, unused)
 
 
 def _euroc_names(settings: DriveYaml) -> tuple[str, str]:
@@ -187,7 +190,7 @@ def _euroc_times(content: ContentHash, folder: Path, settings: DriveYaml) -> tup
 
 def _bag(content: ContentHash, folder: Path, settings: DriveYaml) -> tuple[int, int, int]:
     """Left pictures, first and last message by the recorder's clock; the bag's index goes into the header."""
-    path = bag_files(folder)
+    path = bag_files(folder.resolve())  # a linked file by its own name, as the drive is called by it
     if path is None:
         raise DriveFolderError(f"{folder}: this is no bag")
     _add_file(content, folder, METADATA)
@@ -202,7 +205,7 @@ def _bag(content: ContentHash, folder: Path, settings: DriveYaml) -> tuple[int, 
 
 def _kitti_times(content: ContentHash, folder: Path, settings: DriveYaml) -> tuple[int, int]:
     with suppress(CalibrationError):  # said by `_read_rig`; without it the header is another one than with it
-        calibration = calibration_path(folder.resolve(), folder.parent, settings)
+        calibration = calibration_path(folder, settings)
         for name in (calibration.name, VELO_TO_CAM, IMU_TO_VELO):
             _add_file(content, calibration.parent, name)
     _add_file(content, folder, "oxts/timestamps.txt")
