@@ -377,3 +377,49 @@ def test_a_link_to_a_drive_of_any_format_is_that_drive(
     assert linked.problem is None
     assert (linked.drive_id, linked.header_sha256) == (direct.drive_id, direct.header_sha256)
     assert read(link, tmp_path / "cache")[0].drive_id == direct.drive_id
+
+
+OUTSIDE = {"upwards": "../../elsewhere/cam0", "absolute": "{elsewhere}/cam0", "by a link": "linked"}
+
+
+@pytest.mark.parametrize("way", OUTSIDE)
+@pytest.mark.parametrize("stream", ["left", "right", "trajectory"])
+def test_a_glance_and_the_reader_refuse_what_lies_outside_of_a_euroc_drive(
+    way: str, stream: str, tmp_path: Path, frames: list[Frame], rig: Rig
+) -> None:
+    (write_euroc(tmp_path / "other", frames[:3], rig) / "mav0").rename(tmp_path / "elsewhere")
+    path = write_euroc(tmp_path / "run", frames[:3], rig)
+    (path / "mav0" / "linked").symlink_to(tmp_path / "elsewhere" / "cam0")
+    named = OUTSIDE[way].format(elsewhere=tmp_path / "elsewhere")
+    with (path / "drive.yaml").open("a") as file:
+        file.write(f"streams: {{{stream}: {named}}}\n")
+    with pytest.raises(DriveFolderError, match=f"'{named}' leads out of the drive folder") as refusal:
+        read(path, tmp_path / "cache")
+    assert outline_drive(path).problem == str(refusal.value)
+
+
+@pytest.mark.parametrize("name", ["../front", "{path}/front"])
+def test_a_glance_and_the_reader_take_a_camera_anywhere_inside_of_a_euroc_drive(
+    name: str, tmp_path: Path, frames: list[Frame], rig: Rig
+) -> None:
+    path = write_euroc(tmp_path / "run", frames[:3], rig)
+    (path / "mav0" / "cam0").rename(path / "front")
+    with (path / "drive.yaml").open("a") as file:
+        file.write(f"streams: {{left: {name.format(path=path)}}}\n")
+    drive, _ = read(path, tmp_path / "cache")
+    outline = outline_drive(path)
+    assert (outline.problem, outline.frame_pairs, len(drive.frame_pairs)) == (None, 3, 3)
+
+
+def test_a_glance_and_the_reader_refuse_a_named_kitti_camera_that_is_a_link_out_of_the_drive(
+    tmp_path: Path, frames: list[Frame], rig: Rig
+) -> None:
+    path = WRITERS["kitti"](tmp_path / "run", frames[:3], rig)
+    (path / "image_02").rename(tmp_path / "elsewhere")
+    (path / "image_02").symlink_to(tmp_path / "elsewhere")
+    assert outline_drive(path).problem is None
+    read(path, tmp_path / "cache")  # where nothing is named, links are the user's own layout
+    (path / "drive.yaml").write_text("cameras: {left: image_02}\n")
+    with pytest.raises(DriveFolderError, match="leads out of the drive folder") as refusal:
+        read(path, tmp_path / "cache")
+    assert outline_drive(path).problem == str(refusal.value)

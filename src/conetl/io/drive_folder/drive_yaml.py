@@ -135,13 +135,14 @@ def read_drive_yaml(source: Path) -> DriveYaml:
         raise DriveFolderError(f"{path}: '{key}': {first['msg']}; found {first['input']!r}") from error
 
 
-def inside(folder: Path, name: str, source: str) -> Path:
+def inside(folder: Path, name: str, source: str, beside: str = ".") -> Path:
     """Path of something that a file names, which must stay in the drive folder, symbolic links resolved.
 
-    Raises DriveFolderError naming `source` where `..`, an absolute path or a link leads out.
+    beside: folder in the drive's that `name` is relative to. Raises DriveFolderError naming `source` where `..`, an absolute path
+    or a link leads out.
     """
     root = folder.resolve()
-    path = (root / name).resolve()
+    path = (root / beside / name).resolve()
     if not path.is_relative_to(root):
         raise DriveFolderError(f"{source}: '{name}' leads out of the drive folder {folder}; name a place inside it")
     return path

@@ -22,8 +22,8 @@ from conetl.io.drive_folder.bag_rig import choose_topics
 from conetl.io.drive_folder.body import add_settings
 from conetl.io.drive_folder.content import ContentHash
 from conetl.io.drive_folder.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml
-from conetl.io.drive_folder.euroc import read_euroc_rig
-from conetl.io.drive_folder.kitti import calibration_path, read_rig_for
+from conetl.io.drive_folder.euroc import camera_names, read_euroc_rig, stream_folder
+from conetl.io.drive_folder.kitti import calibration_path, camera_folder, read_rig_for
 from conetl.io.drive_folder.pairs import IMAGE_SUFFIXES
 from conetl.io.drive_folder.plain import TRAJECTORY, read_plain_rig
 from conetl.io.drive_folder.timestamps import parse_timestamp
@@ -91,14 +91,15 @@ def outline_drive(folder: Path) -> DriveOutline:
         found = drive_format(folder)
         if found == "bag":
             pairs, first_ns, last_ns = _bag(content, folder, settings)
-            sides = ("the left", "the right camera's topic")
+            streams = ["the left", "the right camera's topic"]
         else:
             sides, times = _folder_format(found, folder, settings)
-            pairs = len(set.union(*(_add_pictures(content, folder, side) for side in sides)))
+            streams = [*sides]
+            pairs = len(set.union(*(_add_pictures(content, folder, *side) for side in sides.items())))
             first_ns, last_ns = times(content, folder, settings)
             _read_rig(found, folder, settings)
         if not pairs:
-            problem = f"there are no pictures in {sides[0]} and {sides[1]}"
+            problem = f"there are no pictures in {' and '.join(streams)}"
     except (ConetlError, OSError, ValueError) as error:
         problem = f"{error}"
     return DriveOutline(folder, drive_id, content.hexdigest(), pairs, first_ns, last_ns, problem)
@@ -127,9 +128,8 @@ def _add_file(content: ContentHash, folder: Path, name: str) -> None:
         content.add(name, path.read_bytes())
 
 
-def _add_pictures(content: ContentHash, folder: Path, side: str) -> set[str]:
-    """Names of all pictures of one side, and sizes of a few, into the header; the stems."""
-    data = folder / side
+def _add_pictures(content: ContentHash, folder: Path, side: str, data: Path) -> set[str]:
+    """Names of all pictures of one side, which lie in `data`, and sizes of a few, into the header; the stems."""
     if not data.is_dir():
         raise DriveFolderError(f"{folder}: the folder {side} is missing")
     with nullcontext(data.iterdir()) if is_remote(data) else os.scandir(data) as entries:
@@ -141,14 +141,20 @@ def _add_pictures(content: ContentHash, folder: Path, side: str) -> set[str]:
     return {name.rsplit(".", 1)[0] for name in names}
 
 
-def _folder_format(found: DriveFormat | None, folder: Path, settings: DriveYaml) -> tuple[tuple[str, str], _Times]:
-    """Folders of both sides' pictures, and what reads the times, of a drive that is a folder of pictures."""
+def _folder_format(found: DriveFormat | None, folder: Path, settings: DriveYaml) -> tuple[dict[str, Path], _Times]:
+    """Folders of both sides' pictures by their names, and what reads the times, of a drive that is a folder of pictures.
+
+    Raises DriveFolderError where drive.yaml names one outside of the drive folder.
+    """
+    root = folder.resolve()
     if found == "plain":
-        return ("left", "right"), _plain_times
+        return {side: root / side for side in ("left", "right")}, _plain_times
     if found == "euroc":
-        left, right = (_euroc_camera(folder, name) for name in _euroc_names(settings))
-        return (f"{left}/data", f"{right}/data"), _euroc_times
-    return (f"{settings.cameras.left}/data", f"{settings.cameras.right}/data"), _kitti_times
+        if settings.streams.trajectory:
+            stream_folder(root, settings.streams.trajectory)
+        return {f"{name}/data": path / "data" for name, path in _euroc_cameras(root, settings).items()}, _euroc_times
+    names = (settings.cameras.left, settings.cameras.right)
+    return {f"{name}/data": camera_folder(root, name, settings) for name in names}, _kitti_times
 
 
 def _read_rig(found: DriveFormat | None, folder: Path, settings: DriveYaml) -> None:
@@ -157,23 +163,19 @@ def _read_rig(found: DriveFormat | None, folder: Path, settings: DriveYaml) -> N
     if found == "plain":
         read_plain_rig(folder, settings, unused)
     elif found == "euroc":
-        left, right = _euroc_names(settings)
-        base = folder / "mav0" if (folder / "mav0").is_dir() else folder
-        read_euroc_rig(folder, base, {"left": left, "right": right}, settings, unused)
+        read_euroc_rig(folder, settings, unused)
     else:
         read_rig_for(folder, calibration_path(folder, settings), None, settings, unused)
 
 
-def _euroc_names(settings: DriveYaml) -> tuple[str, str]:
-    return settings.streams.left or "cam0", settings.streams.right or "cam1"
-
-
-def _euroc_camera(folder: Path, name: str) -> str:
-    return f"mav0/{name}" if (folder / "mav0").is_dir() else name
+def _euroc_cameras(root: Path, settings: DriveYaml) -> dict[str, Path]:
+    """Folders of both cameras by their names in the drive folder `root`, links resolved."""
+    paths = [stream_folder(root, name) for name in camera_names(settings).values()]
+    return {path.relative_to(root).as_posix(): path for path in paths}
 
 
 def _euroc_times(content: ContentHash, folder: Path, settings: DriveYaml) -> tuple[int, int]:
-    cameras = [_euroc_camera(folder, name) for name in _euroc_names(settings)]
+    cameras = [*_euroc_cameras(folder.resolve(), settings)]
     for camera in cameras:
         _add_file(content, folder, f"{camera}/data.csv")
         _add_file(content, folder, f"{camera}/sensor.yaml")
