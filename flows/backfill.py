@@ -89,7 +89,7 @@ def _batch_run_name() -> str:
     parameters = flow_run.parameters
     since, until = (str(parameters.get(name) or "")[:10] for name in ("since", "until"))
     span = f" {since or '...'} to {until or '...'}" if since or until else ""
-    return f"backfill {Path(str(parameters['root'])).name}{span}"
+    return f"backfill {Path(str(parameters['root'])).resolve().name}{span}"
 
 
 @flow(name="backfill", flow_run_name=_batch_run_name)

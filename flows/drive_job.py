@@ -89,7 +89,7 @@ def ingest_one(
 ) -> State[Any]:
     """Ingest one drive: into the map once, whoever else tries at the same time, with a receipt of what became of it."""
     settings = settings_for(map_name)
-    outline = outline_drive(place(drive).resolve())
+    outline = outline_drive(place(drive).absolute())  # links stay: a calibration may lie beside the link
     begun = new_receipt(outline, settings, analysis_of(params, settings).sha256, attempt_id or uuid4(), flow_run.id)
     with alive(settings) as url, holding(url, begun.drive_lock):
         keep(url, begun, settings)

@@ -38,7 +38,7 @@ def ingest_drop_folder(
 ) -> State[Any]:
     """Bring new drives onto the map. One that failed is left alone until it changes, or a person runs a backfill."""
     settings = settings_for(map_name)
-    inbox = (folder or settings.inbox).resolve()
+    inbox = (folder or settings.inbox).absolute()
     quiet_s = 60.0 * (settings.drop_quiet_minutes if quiet_minutes is None else quiet_minutes)
     with alive(settings) as url, closing(connect(url)) as conn:
         recover(conn)

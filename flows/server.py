@@ -17,13 +17,19 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-import httpx
 from prefect.events.worker import EventsWorker
 from prefect.logging.handlers import APILogWorker
-from prefect.settings import PREFECT_API_URL, PREFECT_FLOWS_HEARTBEAT_FREQUENCY, temporary_settings
+from prefect.settings import (
+    PREFECT_API_AUTH_STRING,
+    PREFECT_API_URL,
+    PREFECT_FLOWS_HEARTBEAT_FREQUENCY,
+    temporary_settings,
+)
 
 from conetl.errors import ServiceError
+from conetl.io.services.prefect_api import is_healthy, require_access
 from conetl.io.services.processes import is_running, read_services
+from conetl.settings import SERVER_AUTH, prefect_auth_string
 
 _START_TIMEOUT_S = 180
 #: Loops of a server that serves one command: nothing is scheduled, late, paused or waited for by an automation.
@@ -35,19 +41,24 @@ _PR_SET_PDEATHSIG = 1
 @contextlib.contextmanager
 def prefect_server(home: Path) -> Iterator[str]:
     """Address of a Prefect API: the configured one (PREFECT_API_URL), that of `conetl up`, or one started here and stopped at the
-    end."""
+    end.
+
+    Raises ServiceError where it does not answer, or asks for a password that is not known here.
+    """
     configured = os.environ.get("PREFECT_API_URL")
     own = None if configured else read_services(home).get("prefect")
-    if own is not None and own.address and is_running(own) and _is_healthy(f"{own.address}/api"):
+    if own is not None and own.address and is_running(own) and is_healthy(f"{own.address}/api"):
         with _talking_to(f"{own.address}/api"):  # of `conetl up`
             yield f"{own.address}/api"
         return
     if configured:
-        if not _is_healthy(configured):
+        if not is_healthy(configured):
             raise ServiceError(
                 f"PREFECT_API_URL names {configured}, but no Prefect server answers there. Start it, or unset "
                 "PREFECT_API_URL to let conetl start one for this command. Nothing was written."
             )
+        given = PREFECT_API_AUTH_STRING.value()
+        require_access(configured, given.get_secret_value() if given else None, PREFECT_API_AUTH_STRING.name)
         yield configured
         return
     state = home / "prefect"
@@ -88,7 +99,10 @@ def _talking_to(url: str) -> contextlib.AbstractContextManager[object]:
 
     No heartbeats: every flow would wait a second for their thread to end, and who is alive the locks tell (`recovery.py`).
     """
-    return temporary_settings(updates={PREFECT_API_URL: url, PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None})
+    auth = prefect_auth_string()
+    require_access(url, auth, SERVER_AUTH)
+    known = {} if auth is None else {PREFECT_API_AUTH_STRING: auth}
+    return temporary_settings(updates={PREFECT_API_URL: url, PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None, **known})
 
 
 def _die_with_parent() -> None:
@@ -101,19 +115,12 @@ def _free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def _is_healthy(url: str) -> bool:
-    try:
-        return httpx.get(f"{url}/health", timeout=5, trust_env=False).status_code == httpx.codes.OK
-    except httpx.HTTPError:
-        return False
-
-
 def _wait_until_healthy(url: str, process: subprocess.Popen[bytes], log: Path) -> None:
     deadline = time.monotonic() + _START_TIMEOUT_S
     while time.monotonic() < deadline:
         if process.poll() is not None:
             raise ServiceError(f"the Prefect server stopped while starting; see {log}. Nothing was written.")
-        if _is_healthy(url):
+        if is_healthy(url):
             return
         time.sleep(0.1)
     raise ServiceError(

@@ -102,3 +102,16 @@ def prefect_environment(home: Path) -> dict[str, str]:
         "PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS": "60",
     }
     return {name: value for name, value in defaults.items() if name not in os.environ}
+
+
+#: What a Prefect server wants of its clients, user:password; Prefect's own name.
+SERVER_AUTH = "PREFECT_SERVER_API_AUTH_STRING"
+
+
+def prefect_auth_string() -> str | None:
+    """user:password of a Prefect server of conetl's own, None without one: what the server is given, else what clients are.
+
+    Only for such a server: where PREFECT_API_URL names another, Prefect takes PREFECT_API_AUTH_STRING by itself, and the password
+    of the own one is none of its business.
+    """
+    return os.environ.get(SERVER_AUTH) or os.environ.get("PREFECT_API_AUTH_STRING") or None

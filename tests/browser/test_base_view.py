@@ -99,7 +99,7 @@ def test_points_and_lines_are_drawn_switched_off_and_coloured(page, address):  #
     page.keyboard.press("2")
     settle(page)
     assert pixels_of(picture(page), LINE) == 0
-    page.wait_for_timeout(200)  # the address follows a moment later
+    page.wait_for_timeout(200)  # of two choices in one go the second is written when they rest
     assert "points=0&lines=0" in page.url
     page.keyboard.press("1")
     page.keyboard.press("2")

@@ -238,6 +238,46 @@ def test_a_link_restores_the_picture(page, address, features, browser):
     again.close()
 
 
+def test_a_reload_right_after_a_choice_keeps_it(page, address, features):
+    open_view(page, address)
+    click_cone(page, features["wanders"])
+    page.reload()
+    page.wait_for_selector(f"h2:text-is('{features['wanders'][:8]}')")
+    page.wait_for_selector("text=Sighting 4 of 6")
+    settle(page)
+    page.keyboard.press("n")
+    page.reload()
+    page.wait_for_selector("text=Sighting 5 of 6")
+    settle(page)
+    page.keyboard.press("Escape")
+    page.keyboard.press("b")
+    page.reload()
+    page.wait_for_selector(".legend >> text=standing")
+    assert page.locator(".panel").is_hidden()
+
+
+def test_a_choice_is_in_the_address_before_the_next_thing_happens(page, address, features):
+    """In the same turn of the page's own loop, whatever moved just before; what keeps moving is written when it rests."""
+    open_view(page, f"{address}#map=default&feature={features['wanders']}")
+    page.wait_for_selector("text=Sighting 4 of 6")
+    settle(page)
+    press = "key => (window.dispatchEvent(new KeyboardEvent('keydown', { key })), location.hash)"
+    assert "sighting=" not in page.evaluate("() => location.hash")
+    page.keyboard.press("ArrowRight")  # moves the camera
+    assert "sighting=4" in page.evaluate(press, "n")
+    assert "feature=" not in page.evaluate(press, "Escape")
+    page.wait_for_timeout(300)
+    held = """() => {
+      const written = new Set();
+      for (let i = 0; i < 100; i++) {
+        window.dispatchEvent(new KeyboardEvent("keydown", { key: "b", repeat: i > 0 }));
+        written.add(location.hash);
+      }
+      return written.size;
+    }"""
+    assert page.evaluate(held) == 1, "browsers refuse an address that changes all the time"
+
+
 def test_filters_hide_cones_and_search_finds_one(page, address, features):
     open_view(page, address)
     page.locator(".legend label[data-kind=moved] input").uncheck()

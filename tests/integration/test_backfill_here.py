@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 
 from conetl.io.db import connect, execute
@@ -16,25 +17,26 @@ from tests.integration.small_drives import SAMPLES, cut_drive, processes_with
 ROOT = Path(__file__).resolve().parents[2]
 
 
+def _backfill(root: Path, home: Path, database_url: str, *options: str) -> tuple[int, dict[str, dict[str, object]]]:
+    """Exit code, and by drive id what became of the drives; the plan's lines where there was nothing to do."""
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("PREFECT_", "CONETL_"))}
+    environment |= {"CONETL_HOME": str(home), "CONETL_DATABASE_URL": database_url}
+    done = subprocess.run(
+        [sys.executable, "-c", "from conetl.cli import main; main()", "backfill", root.name, "--here", "--json", *options],
+        env=environment, cwd=root.parent, capture_output=True, text=True, timeout=600, check=False,
+    )  # fmt: skip
+    assert done.stdout, done.stderr
+    said = json.loads(done.stdout)
+    return done.returncode, {d["drive_id"]: d for d in said["drives"] or said["plan"]["lines"]}
+
+
 def test_a_backfill_without_services_leaves_nothing_but_the_map_and_its_receipts(
     tmp_path: Path, database_url: str
 ) -> None:
     cut_drive(SAMPLES[0], tmp_path / "drives" / "2026-05-01_good", "2026-05-01")
     cut_drive(SAMPLES[1], tmp_path / "drives" / "2026-05-02_poisoned", "2026-05-02", poisoned=True)
     cut_drive(SAMPLES[1], tmp_path / "drives" / "2026-05-03_good", "2026-05-03")
-    environment = {k: v for k, v in os.environ.items() if not k.startswith(("PREFECT_", "CONETL_"))}
-    environment |= {"CONETL_HOME": str(tmp_path / "home"), "CONETL_DATABASE_URL": database_url}
-
-    def backfill(*options: str) -> tuple[int, dict[str, dict[str, object]]]:
-        command = [sys.executable, "-c", "from conetl.cli import main; main()", "backfill", str(tmp_path / "drives")]
-        done = subprocess.run(
-            [*command, "--here", "--json", *options],
-            env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=600, check=False,
-        )  # fmt: skip
-        assert done.stdout, done.stderr
-        said = json.loads(done.stdout)
-        return done.returncode, {d["drive_id"]: d for d in said["drives"] or said["plan"]["lines"]}
-
+    backfill = partial(_backfill, tmp_path / "drives", tmp_path / "home", database_url)
     code, drives = backfill("--max-parallel", "2")
     assert {name: drive["state"] for name, drive in drives.items()} == {
         "2026-05-01_good": "committed", "2026-05-02_poisoned": "failed", "2026-05-03_good": "committed",
@@ -60,3 +62,30 @@ def test_a_backfill_without_services_leaves_nothing_but_the_map_and_its_receipts
     assert {name: drive["action"] for name, drive in drives.items()} == {
         "2026-05-01_good": "skip", "2026-05-02_poisoned": "ingest", "2026-05-03_good": "skip",
     }  # fmt: skip
+
+
+def test_a_folder_of_links_to_drives_is_ingested_once(tmp_path: Path, database_url: str) -> None:
+    """Links by other names, and one drive whose calibration lies beside the link only."""
+    here, beside = (
+        cut_drive(SAMPLES[n], tmp_path / f"disk{n}" / f"2026-05-0{n + 1}_run", f"2026-05-0{n + 1}") for n in (0, 1)
+    )
+    links = tmp_path / "links"
+    links.mkdir()
+    for calibration in beside.glob("calib*.txt"):
+        calibration.rename(links / calibration.name)
+    for name, drive in (("monday", here), ("monday-again", here), ("tuesday", beside)):
+        (links / name).symlink_to(drive)
+    backfill = partial(_backfill, links, tmp_path / "home", database_url)
+
+    code, drives = backfill()
+    assert {name: drive["state"] for name, drive in drives.items()} == {
+        "2026-05-01_run": "committed", "2026-05-02_run": "committed",
+    }  # fmt: skip
+    assert code == 0
+    code, drives = backfill()
+    assert {name: drive["action"] for name, drive in drives.items()} == {
+        "2026-05-01_run": "skip", "2026-05-02_run": "skip",
+    }  # fmt: skip
+    assert code == 0
+    with closing(connect(database_url)) as conn:
+        assert execute(conn, "select count(*) as n from conetl.changeset")[0]["n"] == 2

@@ -52,6 +52,7 @@ const ways = new Map<string, Trajectory>();
 const sidebar = createSidebar(layout.sidebar, {
   chooseMap: (name) => {
     state = { ...parseState(""), map: name };
+    writeAddress();
     void openMap();
   },
   toggleKind: (kind) => {
@@ -104,20 +105,39 @@ const showDecisionList = createDecisionList(decisionSection, (d) => {
 
 function change(values: Partial<State>, refetch = true): void {
   state = { ...state, ...values };
-  writeAddress();
+  writeChoice();
   if (refetch) void refresh();
   else draw();
 }
 
+/** What keeps moving is written when it rests for so long: browsers refuse more than some 100 addresses in 30 s. */
+const REST_MS = 120;
 let addressTimer = 0;
+let choiceAt = -Infinity;
+
+/** At once: a reload right after a click shows what was clicked. */
 function writeAddress(): void {
   window.clearTimeout(addressTimer);
-  addressTimer = window.setTimeout(() => history.replaceState(null, "", `#${formatState(state)}`), 120);
+  const hash = `#${formatState(state)}`;
+  if (hash !== location.hash) history.replaceState(null, "", hash);
+}
+
+function writeAtRest(): void {
+  window.clearTimeout(addressTimer);
+  addressTimer = window.setTimeout(writeAddress, REST_MS);
+}
+
+/** At once, too, unless choices come faster than a hand clicks: a slider is dragged, or a key held. */
+function writeChoice(): void {
+  const now = performance.now();
+  if (now - choiceAt < REST_MS) writeAtRest();
+  else writeAddress();
+  choiceAt = now;
 }
 
 stage.onCamera((camera) => {
   state.camera = camera;
-  writeAddress();
+  writeAtRest();
 });
 window.addEventListener("hashchange", () => {
   const next = parseState(location.hash);
@@ -378,7 +398,7 @@ function showSighting(index: number): void {
   if (!chosen?.sightings) return;
   const sightingIndex = Math.max(0, Math.min(index, chosen.sightings.length - 1));
   state.sighting = sightingIndex;
-  writeAddress();
+  writeChoice();
   drawChosen();
 }
 

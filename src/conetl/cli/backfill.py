@@ -89,7 +89,7 @@ def backfill(
         flow.watch(show)
         try:
             flow.backfill(
-                root.resolve(), since=parse_time(since), until=parse_time(until), max_parallel=max_parallel,
+                root.absolute(), since=parse_time(since), until=parse_time(until), max_parallel=max_parallel,
                 map_name=settings.map_name, map_srid=map_srid, params=parameters, recheck=recheck,
                 where="here" if here else "auto", return_state=True,
             ).result()  # fmt: skip

@@ -20,6 +20,7 @@ from conetl.cli.console import JsonOption, err, out, print_json, print_table
 from conetl.errors import EXIT_SERVICE_MISSING, InputError, ServiceError
 from conetl.io.db import connect, migrate, prefect_database, sqlalchemy_url
 from conetl.io.services.cluster import cluster_down, cluster_status, cluster_up
+from conetl.io.services.prefect_api import is_healthy, require_access
 from conetl.io.services.processes import (
     Service,
     is_running,
@@ -32,10 +33,9 @@ from conetl.io.services.processes import (
     wait_healthy,
     write_services,
 )
-from conetl.settings import Settings, prefect_environment, read_settings
+from conetl.settings import SERVER_AUTH, Settings, prefect_auth_string, prefect_environment, read_settings
 
 _LOOPBACK = {"127.0.0.1", "::1", "localhost"}
-_AUTH = "PREFECT_SERVER_API_AUTH_STRING"
 _TIMEOUT_S = 180
 
 
@@ -44,7 +44,7 @@ def up(
         int, typer.Option(min=1, max=64, help="Workers that ingest drives, one drive each at a time.")
     ] = 1,
     host: Annotated[
-        str, typer.Option(help=f"Where Prefect listens. Another one than loopback needs {_AUTH} (user:password).")
+        str, typer.Option(help=f"Where Prefect listens. Another one than loopback needs {SERVER_AUTH} (user:password).")
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port of Prefect.")] = 4200,
     view_port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the web view (always 127.0.0.1).")] = 8791,
@@ -59,10 +59,10 @@ def up(
     maps, schedules and the history of runs stay.
     """
     settings = read_settings()
-    if host not in _LOOPBACK and not os.environ.get(_AUTH):
+    if host not in _LOOPBACK and not os.environ.get(SERVER_AUTH):
         raise InputError(
-            f"--host {host} lets other machines start runs here: set {_AUTH} to user:password first (and put a proxy with TLS "
-            "before it, see docs/operations.md). Nothing was started."
+            f"--host {host} lets other machines start runs here: set {SERVER_AUTH} to user:password first (and put a proxy with "
+            "TLS before it, see docs/operations.md). Nothing was started."
         )
     home = settings.home.resolve()
     with services_lock(home), err.status("Starting") if err.is_terminal else nullcontext() as spinner:
@@ -109,6 +109,8 @@ def _start_all(
     """Start what is missing, each when that which it needs is healthy; all are at the end."""
     services = {name: s for name, s in read_services(home).items() if is_running(s)}
     _require_ports(services, host, port, view_port)
+    if "prefect" in services:
+        require_access(f"{services['prefect'].address}/api", prefect_auth_string(), SERVER_AUTH)
     say("Starting PostGIS")
     url = settings.database_url.get_secret_value() if settings.database_url else cluster_up(home)
     with closing(connect(url)) as conn:
@@ -118,7 +120,7 @@ def _start_all(
     view = f"http://127.0.0.1:{view_port}" if "view" not in services else str(services["view"].address)
     environment = {
         **os.environ,
-        **_environment(settings, home, f"{address}/api", os.environ.get(_AUTH), view, workers),
+        **_environment(settings, home, f"{address}/api", prefect_auth_string(), view, workers),
     }
 
     def ensure(name: str, command: list[str], where: str | None, **more: str) -> None:
@@ -143,7 +145,8 @@ def _start_all(
     from flows import register
     from flows.recovery import recover
 
-    wait_healthy(services["prefect"], lambda: _answers(f"{address}/api/health"), _TIMEOUT_S)
+    wait_healthy(services["prefect"], lambda: is_healthy(f"{address}/api"), _TIMEOUT_S)
+    require_access(f"{address}/api", prefect_auth_string(), SERVER_AUTH)
     register.ensure_pool()
     names = ["desk", *(f"drives-{n + 1}" for n in range(workers))]
     for name in names:

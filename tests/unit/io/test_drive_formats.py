@@ -16,6 +16,7 @@ import yaml
 
 from conetl.errors import CalibrationError, DriveFolderError
 from conetl.geometry import rig as rigs
+from conetl.io.calibration.files import write_rig_yaml
 from conetl.io.drive_folder import drive_format, read_drive
 from conetl.io.drive_folder.outline import find_drives, outline_drive
 from conetl.records import Drive, Rig
@@ -320,9 +321,105 @@ def test_a_euroc_row_cannot_lead_out_of_the_drive(tmp_path: Path, frames: list[F
 def test_a_plan_over_many_drives_finds_every_format(name: str, tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
     path = WRITERS[name](tmp_path / "day" / "run", frames, rig)
     assert list(find_drives(tmp_path)) == [path]
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_glance_knows_every_format(name: str, tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+    path = WRITERS[name](tmp_path / "day" / "run", frames, rig)
     outline = outline_drive(path)
     assert (outline.problem, outline.drive_id, outline.frame_pairs) == (None, "run", len(frames))
     assert (outline.captured_from_ns, outline.captured_to_ns) == (frames[0].stamp_ns, frames[-1].stamp_ns)
     assert outline_drive(path).header_sha256 == outline.header_sha256
     shorter = WRITERS[name](tmp_path / "other" / "run", frames[:-1], rig)
     assert outline_drive(shorter).header_sha256 != outline.header_sha256
+
+
+def small_file_of(path: Path, name: str) -> Path:
+    """Where drive.yaml or rig.yaml of a drive belongs: in its folder, or beside a bare bag under its name."""
+    return path.with_name(f"{path.stem}.{name}") if path.is_file() else path / name
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_glance_and_the_reader_take_the_same_drive_yaml(
+    name: str, tmp_path: Path, frames: list[Frame], rig: Rig
+) -> None:
+    path = WRITERS[name](tmp_path / "day" / "run", frames, rig)
+    before = outline_drive(path).header_sha256
+    (path.parent / "drive.yaml").write_text("drive_id: of-somebody-else\n")
+    assert outline_drive(path).header_sha256 == before
+    settings = small_file_of(path, "drive.yaml")
+    settings.write_text((settings.read_text() if settings.is_file() else "") + "drive_id: morning\n")
+    whole, _ = read(path, tmp_path / "cache")
+    outline = outline_drive(path)
+    assert outline.drive_id == whole.drive_id == "morning"
+    assert outline.header_sha256 != before
+    settings.write_text("no_such_key: 1\n")
+    with pytest.raises(DriveFolderError) as refusal:
+        read(path, tmp_path / "cache")
+    assert outline_drive(path).problem == str(refusal.value)
+
+
+def test_another_rig_beside_a_bare_bag_is_another_drive(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+    path = WRITERS["mcap file"](tmp_path / "run", frames[:2], rig)
+    before = outline_drive(path).header_sha256
+    write_rig_yaml(rig, small_file_of(path, "rig.yaml"))
+    assert outline_drive(path).header_sha256 != before
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_link_to_a_drive_of_any_format_is_that_drive(
+    name: str, tmp_path: Path, frames: list[Frame], rig: Rig
+) -> None:
+    path = WRITERS[name](tmp_path / "run", frames[:2], rig)
+    link = tmp_path / f"linked{path.suffix}"
+    link.symlink_to(path)
+    direct, linked = outline_drive(path), outline_drive(link)
+    assert linked.problem is None
+    assert (linked.drive_id, linked.header_sha256) == (direct.drive_id, direct.header_sha256)
+    assert read(link, tmp_path / "cache")[0].drive_id == direct.drive_id
+
+
+OUTSIDE = {"upwards": "../../elsewhere/cam0", "absolute": "{elsewhere}/cam0", "by a link": "linked"}
+
+
+@pytest.mark.parametrize("way", OUTSIDE)
+@pytest.mark.parametrize("stream", ["left", "right", "trajectory"])
+def test_a_glance_and_the_reader_refuse_what_lies_outside_of_a_euroc_drive(
+    way: str, stream: str, tmp_path: Path, frames: list[Frame], rig: Rig
+) -> None:
+    (write_euroc(tmp_path / "other", frames[:3], rig) / "mav0").rename(tmp_path / "elsewhere")
+    path = write_euroc(tmp_path / "run", frames[:3], rig)
+    (path / "mav0" / "linked").symlink_to(tmp_path / "elsewhere" / "cam0")
+    named = OUTSIDE[way].format(elsewhere=tmp_path / "elsewhere")
+    with (path / "drive.yaml").open("a") as file:
+        file.write(f"streams: {{{stream}: {named}}}\n")
+    with pytest.raises(DriveFolderError, match=f"'{named}' leads out of the drive folder") as refusal:
+        read(path, tmp_path / "cache")
+    assert outline_drive(path).problem == str(refusal.value)
+
+
+@pytest.mark.parametrize("name", ["../front", "{path}/front"])
+def test_a_glance_and_the_reader_take_a_camera_anywhere_inside_of_a_euroc_drive(
+    name: str, tmp_path: Path, frames: list[Frame], rig: Rig
+) -> None:
+    path = write_euroc(tmp_path / "run", frames[:3], rig)
+    (path / "mav0" / "cam0").rename(path / "front")
+    with (path / "drive.yaml").open("a") as file:
+        file.write(f"streams: {{left: {name.format(path=path)}}}\n")
+    drive, _ = read(path, tmp_path / "cache")
+    outline = outline_drive(path)
+    assert (outline.problem, outline.frame_pairs, len(drive.frame_pairs)) == (None, 3, 3)
+
+
+def test_a_glance_and_the_reader_refuse_a_named_kitti_camera_that_is_a_link_out_of_the_drive(
+    tmp_path: Path, frames: list[Frame], rig: Rig
+) -> None:
+    path = WRITERS["kitti"](tmp_path / "run", frames[:3], rig)
+    (path / "image_02").rename(tmp_path / "elsewhere")
+    (path / "image_02").symlink_to(tmp_path / "elsewhere")
+    assert outline_drive(path).problem is None
+    read(path, tmp_path / "cache")  # where nothing is named, links are the user's own layout
+    (path / "drive.yaml").write_text("cameras: {left: image_02}\n")
+    with pytest.raises(DriveFolderError, match="leads out of the drive folder") as refusal:
+        read(path, tmp_path / "cache")
+    assert outline_drive(path).problem == str(refusal.value)

@@ -93,6 +93,33 @@ def test_drives_are_found_in_folders_by_day(drive: Path, tmp_path: Path) -> None
         list(find_drives(tmp_path / "nowhere"))
 
 
+def test_a_linked_drive_is_the_drive_that_the_link_leads_to(
+    drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whichever way leads to it: plan, job and reader must mean one drive, else it is ingested again and again."""
+    direct = outline_drive(drive)
+    (tmp_path / "links").mkdir()
+    link = tmp_path / "links" / "another-name"
+    link.symlink_to(drive)
+    monkeypatch.chdir(drive)
+    for way in (link, Path(), Path("../drive")):
+        outline = outline_drive(way)
+        assert (outline.drive_id, outline.header_sha256) == (direct.drive_id, direct.header_sha256)
+        assert read_drive(way, headers_only=True)[0].drive_id == direct.drive_id
+
+
+def test_a_calibration_beside_the_link_is_found_by_plan_and_reader(drive: Path, tmp_path: Path) -> None:
+    day = tmp_path / "day"
+    day.mkdir()
+    for path in drive.glob("calib*.txt"):
+        path.rename(day / path.name)
+    (day / "linked").symlink_to(drive)
+    assert outline_drive(drive).problem is not None
+    for [found] in (find_drives(day), find_drives(day / "linked")):
+        assert outline_drive(found).problem is None
+        assert read_drive(found, headers_only=True)[0].drive_id == "drive"
+
+
 def test_a_drive_is_quiet_since_its_last_change_whatever_its_times_say(drive: Path) -> None:
     """Copying tools set times back; the inode's own time stays that of the arrival."""
     for path in (*drive.rglob("*"), drive):

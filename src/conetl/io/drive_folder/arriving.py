@@ -136,7 +136,7 @@ class ArrivingPlain:
 
     @property
     def drive_id(self) -> str:
-        return self.settings.id_of(self.root.name)
+        return self.settings.id_of(self.root)
 
     def look(self, changed: Iterable[Path] | None) -> list[ArrivingPair]:
         self.rows.read_on()
@@ -176,7 +176,7 @@ class ArrivingKitti:
 
     @property
     def drive_id(self) -> str:
-        return self.settings.id_of(self.root.name)
+        return self.settings.id_of(self.root)
 
     def look(self, changed: Iterable[Path] | None) -> list[ArrivingPair]:
         return [pair for pair in self.couples.new(changed) if is_number(pair.key)]
@@ -189,7 +189,7 @@ class ArrivingKitti:
         if self._rig is None:
             size = first_size(path for _, path in sorted(self.couples.found.get(self.couples.left, {}).items()))
             if size is not None:
-                path = calibration_path(self.root, self.folder.absolute().parent, self.settings)
+                path = calibration_path(self.folder, self.settings)
                 self._rig = read_rig_for(self.root, path, size, self.settings, ContentHash())
         return self._rig
 

@@ -22,6 +22,7 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 
 from conetl.errors import DriveFolderError
+from conetl.io.drive_folder.drive_yaml import is_bare_bag
 
 METADATA = "metadata.yaml"
 #: What reading one message can end with when its bytes are not what its type says.
@@ -53,8 +54,8 @@ class Bag(NamedTuple):
 
 def bag_files(path: Path) -> Path | None:
     """What to open of a folder or a file that is a bag: the folder itself, or a bare .mcap file; None for anything else."""
-    if path.is_file():
-        return path if path.suffix == ".mcap" else None
+    if is_bare_bag(path):
+        return path
     if not path.is_dir():
         return None
     files = sorted(path.glob("*.mcap"))

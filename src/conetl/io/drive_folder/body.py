@@ -15,7 +15,7 @@ from conetl.geometry.georeference import local_to_map, sensor_R_body
 from conetl.io.calibration.files import RIG_YAML, read_rig_yaml
 from conetl.io.calibration.files.common import rectified_rig
 from conetl.io.drive_folder.content import ContentHash
-from conetl.io.drive_folder.drive_yaml import DRIVE_YAML, DriveYaml
+from conetl.io.drive_folder.drive_yaml import DRIVE_YAML, DriveYaml, small_file
 from conetl.records import Rig
 
 Array = NDArray[np.float64]
@@ -57,11 +57,12 @@ def own_rig(path: Path) -> tuple[Rig, Array] | None:
     return rig, rigs.body_SE3_camera(rig, "left")
 
 
-def add_settings(content: ContentHash, folder: Path, names: tuple[str, ...] = (RIG_YAML, DRIVE_YAML)) -> None:
-    """Both small files of a drive, where they are, into its content hash, under their usual names."""
-    for usual, name in zip((RIG_YAML, DRIVE_YAML), names, strict=True):
-        if (folder / name).is_file():
-            content.add(usual, (folder / name).read_bytes())
+def add_settings(content: ContentHash, source: Path, names: tuple[str, ...] = (RIG_YAML, DRIVE_YAML)) -> None:
+    """Small files of a drive, where they are, into its content hash, under their usual names."""
+    for name in names:
+        path = small_file(source, name)
+        if path.is_file():
+            content.add(name, path.read_bytes())
 
 
 def georeferenced(

@@ -85,9 +85,10 @@ class DriveYaml(_Section):
     antenna_t_m: tuple[float, float, float] | None = None
     """Bags: the GNSS antenna in the IMU's frame, where /tf_static does not tell; 0, 0, 0 if reduced already."""
 
-    def id_of(self, name: str) -> str:
-        """The drive's id: what the file says, else the name of the folder or recording."""
-        return self.drive_id or name[:200]
+    def id_of(self, source: Path) -> str:
+        """The drive's id: what the file says, else the name of the folder or recording itself, whatever link leads to it."""
+        source = source.resolve()
+        return self.drive_id or (source.stem if is_bare_bag(source) else source.name)[:200]
 
     @field_validator("timestamps_timezone")
     @classmethod
@@ -99,9 +100,20 @@ class DriveYaml(_Section):
         return value
 
 
-def read_drive_yaml(folder: Path, name: str = DRIVE_YAML) -> DriveYaml:
-    """Settings of a drive folder; all defaults where it has no `drive.yaml`. Raises DriveFolderError."""
-    path = folder / name
+def is_bare_bag(source: Path) -> bool:
+    """True for a .mcap file; a bag's folder is a folder."""
+    return source.suffix == ".mcap" and source.is_file()
+
+
+def small_file(source: Path, name: str) -> Path:
+    """Where the small file `name` (drive.yaml, rig.yaml) of a drive lies: in its folder; NAME.drive.yaml beside NAME.mcap."""
+    source = source.resolve()
+    return source.with_name(f"{source.stem}.{name}") if is_bare_bag(source) else source / name
+
+
+def read_drive_yaml(source: Path) -> DriveYaml:
+    """Settings of a drive, a folder or a bare bag; all defaults where it has no `drive.yaml`. Raises DriveFolderError."""
+    path = small_file(source, DRIVE_YAML)
     if not path.is_file():
         return DriveYaml()
     try:
@@ -123,13 +135,14 @@ def read_drive_yaml(folder: Path, name: str = DRIVE_YAML) -> DriveYaml:
         raise DriveFolderError(f"{path}: '{key}': {first['msg']}; found {first['input']!r}") from error
 
 
-def inside(folder: Path, name: str, source: str) -> Path:
+def inside(folder: Path, name: str, source: str, beside: str = ".") -> Path:
     """Path of something that a file names, which must stay in the drive folder, symbolic links resolved.
 
-    Raises DriveFolderError naming `source` where `..`, an absolute path or a link leads out.
+    beside: folder in the drive's that `name` is relative to. Raises DriveFolderError naming `source` where `..`, an absolute path
+    or a link leads out.
     """
     root = folder.resolve()
-    path = (root / name).resolve()
+    path = (root / beside / name).resolve()
     if not path.is_relative_to(root):
         raise DriveFolderError(f"{source}: '{name}' leads out of the drive folder {folder}; name a place inside it")
     return path

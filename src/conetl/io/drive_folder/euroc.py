@@ -16,7 +16,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -40,7 +40,7 @@ from conetl.io.calibration.files.common import (
 )
 from conetl.io.drive_folder.body import add_settings, georeferenced, own_rig, rig_on_body
 from conetl.io.drive_folder.content import ContentHash
-from conetl.io.drive_folder.drive_yaml import DriveYaml, inside, read_drive_yaml
+from conetl.io.drive_folder.drive_yaml import DRIVE_YAML, DriveYaml, inside, read_drive_yaml
 from conetl.io.drive_folder.pairs import PairError, check_images
 from conetl.io.drive_folder.stamped_pairs import NS_PER_MS, Couple, Picture, alone, drive_of_couples, pair_by_stamp
 from conetl.io.drive_folder.trajectories import (
@@ -72,14 +72,13 @@ def read_euroc_drive(
 ) -> tuple[Drive, list[Rejection]]:
     """A EuRoC drive and its rejections; see `kitti.read_kitti_drive` for the rules that all formats share."""
     root = folder.resolve()
-    base = root / "mav0" if (root / "mav0").is_dir() else root
     content = ContentHash(headers_only=headers_only)
     settings = read_drive_yaml(root)
     add_settings(content, root)
-    names: dict[Side, str] = {"left": settings.streams.left or "cam0", "right": settings.streams.right or "cam1"}
-    left, right = (_pictures(root, base, name, content) for name in names.values())
-    rig, sensor_B = read_euroc_rig(root, base, names, settings, content)
-    srid, track = _trajectory(root, base, settings, map_srid, content, sensor_B)
+    names = camera_names(settings)
+    left, right = (_pictures(root, name, content) for name in names.values())
+    rig, sensor_B = read_euroc_rig(root, settings, content)
+    srid, track = _trajectory(root, settings, map_srid, content, sensor_B)
     tolerance_ns = round(settings.pair_tolerance_ms * NS_PER_MS)
     couples = pair_by_stamp(left, right, tolerance_ns)
     if not couples:
@@ -95,18 +94,28 @@ def read_euroc_drive(
         return check_images(files[0], files[1], rig, content, root)
 
     return drive_of_couples(
-        couples, source=root, drive_id=root.name, settings=settings, rig=rig, srid=srid, content=content,
+        couples, source=root, settings=settings, rig=rig, srid=srid, content=content,
         pictures_of=pictures_of, pose_at=partial(_pose_at, track, settings),
     )  # fmt: skip
+
+
+def camera_names(settings: DriveYaml) -> dict[Side, str]:
+    """Folders of both cameras: those that drive.yaml names, else EuRoC's own."""
+    return {"left": settings.streams.left or "cam0", "right": settings.streams.right or "cam1"}
+
+
+def stream_folder(root: Path, name: str) -> Path:
+    """Folder of a camera or a trajectory, beside the others. Raises DriveFolderError where it is not in the drive folder."""
+    return inside(root, name, DRIVE_YAML, "mav0" if (root / "mav0").is_dir() else ".")
 
 
 def _pose_at(track: Samples, settings: DriveYaml, time_ns: int) -> Pose:
     return to_pose(*at(track, time_ns, round(settings.max_pose_gap_s * 1e9)))
 
 
-def _pictures(root: Path, base: Path, name: str, content: ContentHash) -> list[Picture]:
+def _pictures(root: Path, name: str, content: ContentHash) -> list[Picture]:
     """Pictures of one camera in the order of its data.csv."""
-    path = inside(root, str((base / name).relative_to(root)), "drive.yaml") / "data.csv"
+    path = stream_folder(root, name) / "data.csv"
     found: list[Picture] = []
     for line, words in _rows(path, root, content):
         stamp = _stamp(words[0], f"{name}/data.csv, line {line}")
@@ -141,23 +150,20 @@ def _stamp(text: str, place: str) -> int | str:
     return f"{place}: '{word[:40]}' is no time stamp; expected nanoseconds since 1970"
 
 
-def read_euroc_rig(
-    root: Path, base: Path, names: Mapping[Side, str], settings: DriveYaml, content: ContentHash
-) -> tuple[Rig, Array]:
+def read_euroc_rig(root: Path, settings: DriveYaml, content: ContentHash) -> tuple[Rig, Array]:
     """The rectified rig and body_R (3, 3) of it in B. Raises CalibrationError."""
     given = own_rig(root / RIG_YAML)
     if given is not None:
         return rig_on_body(*given, settings, root / RIG_YAML)
     cameras: list[Camera] = []
     poses: list[Array] = []
-    for name in names.values():
-        path = base / name / SENSOR_YAML
+    for name in camera_names(settings).values():
+        path = stream_folder(root, name) / SENSOR_YAML
         sensor = read_yaml(path)
         content.add(f"{name}/{SENSOR_YAML}", path.read_bytes())
         cameras.append(_camera(path, sensor))
         poses.append(_T_BS(path, sensor))
     right_SE3_left = se3.compose(se3.invert(poses[1]), poses[0])
-    path = base / names["right"] / SENSOR_YAML
     rig = stereo_rig(path, "T_BS", "euroc", cameras[0], cameras[1], right_SE3_left[:3, :3], right_SE3_left[:3, 3])
     return rig_on_body(rig, poses[0], settings, path)
 
@@ -194,18 +200,11 @@ def _T_BS(path: Path, sensor: Any) -> Array:
 
 
 def _trajectory(
-    root: Path, base: Path, settings: DriveYaml, map_srid: int | None, content: ContentHash, sensor_R_body: Array
+    root: Path, settings: DriveYaml, map_srid: int | None, content: ContentHash, sensor_R_body: Array
 ) -> tuple[int, Samples]:
     """EPSG code of the map and the poses of the body in it. Raises DriveFolderError or CalibrationError."""
     wanted = [settings.streams.trajectory] if settings.streams.trajectory else TRAJECTORIES
-    path = next(
-        (
-            p
-            for name in wanted
-            if (p := inside(root, str((base / name).relative_to(root)), "drive.yaml") / "data.csv").is_file()
-        ),
-        None,
-    )
+    path = next((p for name in wanted if (p := stream_folder(root, name) / "data.csv").is_file()), None)
     if path is None:
         raise DriveFolderError(
             f"{root}: there is no trajectory: none of {', '.join(f'{name}/data.csv' for name in wanted)} is there; name its "

@@ -56,7 +56,7 @@ def read_kitti_drive(
     root = folder.resolve()
     content = ContentHash(headers_only=headers_only)
     settings = read_drive_yaml(root)
-    calibration = calibration_path(root, folder.absolute().parent, settings)
+    calibration = calibration_path(folder, settings)
     rejections: list[Rejection] = []
     left = _numbered_images(camera_folder(root, settings.cameras.left, settings), folder, rejections)
     right = _numbered_images(camera_folder(root, settings.cameras.right, settings), folder, rejections)
@@ -104,7 +104,7 @@ def read_kitti_drive(
     pairs = _frame_pairs(usable, track, settings)
     require_pairs(pairs, rejections, len(numbers), folder)
     drive = Drive(
-        drive_id=settings.id_of(root.name), source_path=str(root), rig=rig, map_srid=srid,
+        drive_id=settings.id_of(root), source_path=str(root), rig=rig, map_srid=srid,
         content_sha256=content.hexdigest(), frame_pairs=tuple(pairs), expected_frame_count=len(numbers),
     )  # fmt: skip
     return drive, rejections
@@ -123,8 +123,9 @@ def _frame_pairs(
     ]
 
 
-def calibration_path(root: Path, parent: Path, settings: DriveYaml) -> Path:
-    """Where calib_cam_to_cam.txt is. Raises CalibrationError."""
+def calibration_path(folder: Path, settings: DriveYaml) -> Path:
+    """Where calib_cam_to_cam.txt of a drive folder, named as the user did, is. Raises CalibrationError."""
+    root = folder.resolve()
     if settings.calibration is not None:
         path = inside(root, settings.calibration, DRIVE_YAML)
         if not path.is_file():
@@ -133,7 +134,7 @@ def calibration_path(root: Path, parent: Path, settings: DriveYaml) -> Path:
             )
     else:
         # The folder's parent as the user wrote it comes first: the drive folder itself may be a symbolic link.
-        places = [root / CAM_TO_CAM, parent / CAM_TO_CAM, root.parent / CAM_TO_CAM]
+        places = [parent / CAM_TO_CAM for parent in (root, folder.absolute().parent, root.parent)]
         path = next((place for place in places if place.is_file()), places[0])
         if not path.is_file():
             raise CalibrationError(

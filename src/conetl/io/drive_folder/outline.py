@@ -19,10 +19,11 @@ from conetl.io.calibration.files import IMU_TO_VELO, RIG_YAML, VELO_TO_CAM
 from conetl.io.drive_folder import DriveFormat, drive_format
 from conetl.io.drive_folder.bag_messages import METADATA, bag_files, open_bag
 from conetl.io.drive_folder.bag_rig import choose_topics
+from conetl.io.drive_folder.body import add_settings
 from conetl.io.drive_folder.content import ContentHash
 from conetl.io.drive_folder.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml
-from conetl.io.drive_folder.euroc import read_euroc_rig
-from conetl.io.drive_folder.kitti import calibration_path, read_rig_for
+from conetl.io.drive_folder.euroc import camera_names, read_euroc_rig, stream_folder
+from conetl.io.drive_folder.kitti import calibration_path, camera_folder, read_rig_for
 from conetl.io.drive_folder.pairs import IMAGE_SUFFIXES
 from conetl.io.drive_folder.plain import TRAJECTORY, read_plain_rig
 from conetl.io.drive_folder.timestamps import parse_timestamp
@@ -56,10 +57,13 @@ class DriveOutline:
 
 
 def find_drives(root: Path) -> Iterator[Path]:
-    """Drive folders in `root` and the folders below it, `root` itself included, by path; hidden folders are left out."""
+    """Drive folders in `root` and the folders below it, `root` itself included, by path; hidden folders are left out.
+
+    Links are followed and stay in the paths: a calibration may lie beside the link.
+    """
     if not root.is_dir():
         raise DriveFolderError(f"{root}: there is no such folder; give a folder that holds drives")
-    yield from _find(root.resolve(), MAX_DEPTH)
+    yield from _find(root.absolute(), MAX_DEPTH)
 
 
 def _find(folder: Path, depth: int) -> Iterator[Path]:
@@ -75,26 +79,27 @@ def _find(folder: Path, depth: int) -> Iterator[Path]:
 
 
 def outline_drive(folder: Path) -> DriveOutline:
-    """The outline of a drive folder; what is wrong with it stands in `problem`, nothing is raised for it."""
+    """The outline of a drive folder or a bare bag; what is wrong with it stands in `problem`, nothing is raised for it."""
     content = ContentHash()
-    drive_id, pairs = folder.name[:200], 0
+    drive_id, pairs = DriveYaml().id_of(folder), 0
     first_ns = last_ns = problem = None
     try:
         settings = read_drive_yaml(folder)
-        drive_id = settings.drive_id or drive_id
+        drive_id = settings.id_of(folder)
         content.add("drive_id", drive_id.encode())
-        _add_file(content, folder, DRIVE_YAML)
+        add_settings(content, folder, (DRIVE_YAML,))
         found = drive_format(folder)
         if found == "bag":
             pairs, first_ns, last_ns = _bag(content, folder, settings)
-            sides = ("the left", "the right camera's topic")
+            streams = ["the left", "the right camera's topic"]
         else:
             sides, times = _folder_format(found, folder, settings)
-            pairs = len(set.union(*(_add_pictures(content, folder, side) for side in sides)))
+            streams = [*sides]
+            pairs = len(set.union(*(_add_pictures(content, folder, *side) for side in sides.items())))
             first_ns, last_ns = times(content, folder, settings)
             _read_rig(found, folder, settings)
         if not pairs:
-            problem = f"there are no pictures in {sides[0]} and {sides[1]}"
+            problem = f"there are no pictures in {' and '.join(streams)}"
     except (ConetlError, OSError, ValueError) as error:
         problem = f"{error}"
     return DriveOutline(folder, drive_id, content.hexdigest(), pairs, first_ns, last_ns, problem)
@@ -123,9 +128,8 @@ def _add_file(content: ContentHash, folder: Path, name: str) -> None:
         content.add(name, path.read_bytes())
 
 
-def _add_pictures(content: ContentHash, folder: Path, side: str) -> set[str]:
-    """Names of all pictures of one side, and sizes of a few, into the header; the stems."""
-    data = folder / side
+def _add_pictures(content: ContentHash, folder: Path, side: str, data: Path) -> set[str]:
+    """Names of all pictures of one side, which lie in `data`, and sizes of a few, into the header; the stems."""
     if not data.is_dir():
         raise DriveFolderError(f"{folder}: the folder {side} is missing")
     with nullcontext(data.iterdir()) if is_remote(data) else os.scandir(data) as entries:
@@ -137,14 +141,20 @@ def _add_pictures(content: ContentHash, folder: Path, side: str) -> set[str]:
     return {name.rsplit(".", 1)[0] for name in names}
 
 
-def _folder_format(found: DriveFormat | None, folder: Path, settings: DriveYaml) -> tuple[tuple[str, str], _Times]:
-    """Folders of both sides' pictures, and what reads the times, of a drive that is a folder of pictures."""
+def _folder_format(found: DriveFormat | None, folder: Path, settings: DriveYaml) -> tuple[dict[str, Path], _Times]:
+    """Folders of both sides' pictures by their names, and what reads the times, of a drive that is a folder of pictures.
+
+    Raises DriveFolderError where drive.yaml names one outside of the drive folder.
+    """
+    root = folder.resolve()
     if found == "plain":
-        return ("left", "right"), _plain_times
+        return {side: root / side for side in ("left", "right")}, _plain_times
     if found == "euroc":
-        left, right = (_euroc_camera(folder, name) for name in _euroc_names(settings))
-        return (f"{left}/data", f"{right}/data"), _euroc_times
-    return (f"{settings.cameras.left}/data", f"{settings.cameras.right}/data"), _kitti_times
+        if settings.streams.trajectory:
+            stream_folder(root, settings.streams.trajectory)
+        return {f"{name}/data": path / "data" for name, path in _euroc_cameras(root, settings).items()}, _euroc_times
+    names = (settings.cameras.left, settings.cameras.right)
+    return {f"{name}/data": camera_folder(root, name, settings) for name in names}, _kitti_times
 
 
 def _read_rig(found: DriveFormat | None, folder: Path, settings: DriveYaml) -> None:
@@ -153,23 +163,19 @@ def _read_rig(found: DriveFormat | None, folder: Path, settings: DriveYaml) -> N
     if found == "plain":
         read_plain_rig(folder, settings, unused)
     elif found == "euroc":
-        left, right = _euroc_names(settings)
-        base = folder / "mav0" if (folder / "mav0").is_dir() else folder
-        read_euroc_rig(folder, base, {"left": left, "right": right}, settings, unused)
+        read_euroc_rig(folder, settings, unused)
     else:
-        read_rig_for(folder, calibration_path(folder.resolve(), folder.parent, settings), None, settings, unused)
+        read_rig_for(folder, calibration_path(folder, settings), None, settings, unused)
 
 
-def _euroc_names(settings: DriveYaml) -> tuple[str, str]:
-    return settings.streams.left or "cam0", settings.streams.right or "cam1"
-
-
-def _euroc_camera(folder: Path, name: str) -> str:
-    return f"mav0/{name}" if (folder / "mav0").is_dir() else name
+def _euroc_cameras(root: Path, settings: DriveYaml) -> dict[str, Path]:
+    """Folders of both cameras by their names in the drive folder `root`, links resolved."""
+    paths = [stream_folder(root, name) for name in camera_names(settings).values()]
+    return {path.relative_to(root).as_posix(): path for path in paths}
 
 
 def _euroc_times(content: ContentHash, folder: Path, settings: DriveYaml) -> tuple[int, int]:
-    cameras = [_euroc_camera(folder, name) for name in _euroc_names(settings)]
+    cameras = [*_euroc_cameras(folder.resolve(), settings)]
     for camera in cameras:
         _add_file(content, folder, f"{camera}/data.csv")
         _add_file(content, folder, f"{camera}/sensor.yaml")
@@ -186,12 +192,12 @@ def _euroc_times(content: ContentHash, folder: Path, settings: DriveYaml) -> tup
 
 def _bag(content: ContentHash, folder: Path, settings: DriveYaml) -> tuple[int, int, int]:
     """Left pictures, first and last message by the recorder's clock; the bag's index goes into the header."""
-    path = bag_files(folder)
+    path = bag_files(folder.resolve())  # a linked file by its own name, as the drive is called by it
     if path is None:
         raise DriveFolderError(f"{folder}: this is no bag")
-    for name in (METADATA, RIG_YAML):
-        _add_file(content, folder, name)
-    for file in sorted(folder.glob("*.mcap")) + sorted(folder.glob("*.db3")):
+    _add_file(content, folder, METADATA)
+    add_settings(content, folder, (RIG_YAML,))
+    for file in [path] if path.is_file() else sorted(folder.glob("*.mcap")) + sorted(folder.glob("*.db3")):
         content.add(file.name, str(file.stat().st_size).encode())
     with open_bag(path) as bag:
         topics = choose_topics(bag.types, settings.streams, folder)
@@ -201,7 +207,7 @@ def _bag(content: ContentHash, folder: Path, settings: DriveYaml) -> tuple[int, 
 
 def _kitti_times(content: ContentHash, folder: Path, settings: DriveYaml) -> tuple[int, int]:
     with suppress(CalibrationError):  # said by `_read_rig`; without it the header is another one than with it
-        calibration = calibration_path(folder.resolve(), folder.parent, settings)
+        calibration = calibration_path(folder, settings)
         for name in (calibration.name, VELO_TO_CAM, IMU_TO_VELO):
             _add_file(content, calibration.parent, name)
     _add_file(content, folder, "oxts/timestamps.txt")

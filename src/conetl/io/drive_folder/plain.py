@@ -119,7 +119,7 @@ def read_plain_drive(
             )  # fmt: skip
     require_pairs(pairs, rejections, len(stems), folder)
     drive = Drive(
-        drive_id=settings.id_of(root.name), source_path=str(root), rig=rig, map_srid=srid,
+        drive_id=settings.id_of(root), source_path=str(root), rig=rig, map_srid=srid,
         content_sha256=content.hexdigest(), frame_pairs=tuple(pairs), expected_frame_count=len(stems),
     )  # fmt: skip
     return drive, rejections

@@ -41,7 +41,7 @@ from conetl.io.drive_folder.bag_rig import (
 )
 from conetl.io.drive_folder.body import add_settings, checked_srid, georeferenced, own_rig, rig_on_body
 from conetl.io.drive_folder.content import ContentHash
-from conetl.io.drive_folder.drive_yaml import DRIVE_YAML, DriveYaml, Sigmas, read_drive_yaml
+from conetl.io.drive_folder.drive_yaml import DriveYaml, Sigmas, read_drive_yaml, small_file
 from conetl.io.drive_folder.pairs import PairError
 from conetl.io.drive_folder.stamped_pairs import NS_PER_MS, Couple, Picture, alone, drive_of_couples, pair_by_stamp
 from conetl.io.drive_folder.trajectories import (
@@ -90,15 +90,13 @@ def read_bag_drive(
         raise DriveFolderError(f"{path}: this is no bag: neither a .mcap file nor a folder with metadata.yaml")
     if pictures_folder is None:
         raise DriveFolderError(f"{path}: a bag's pictures must be unpacked, but no folder was given for them")
-    folder = source if source.is_dir() else source.parent
-    rig_name, yaml_name = (name if source.is_dir() else f"{source.stem}.{name}" for name in (RIG_YAML, DRIVE_YAML))
-    settings = read_drive_yaml(folder, yaml_name)
+    settings = read_drive_yaml(source)
     content = ContentHash(headers_only=headers_only)
-    add_settings(content, folder, (rig_name, yaml_name))
+    add_settings(content, source)
     with open_bag(file) as bag:
         topics = choose_topics(bag.types, settings.streams, path)
         recorded = _read_small(bag, topics, settings, content)
-        rig, sensor_R_body = _rig(folder / rig_name, topics, recorded, settings, path)
+        rig, sensor_R_body = _rig(small_file(source, RIG_YAML), topics, recorded, settings, path)
         srid, pose_at = _trajectory(topics, recorded, settings, map_srid, sensor_R_body, path)
         pictures = _read_pictures(bag, topics, rig, content, pictures_folder, source)
     tolerance_ns = round(settings.pair_tolerance_ms * NS_PER_MS)
@@ -117,8 +115,7 @@ def read_bag_drive(
         return left.path, right.path
 
     return drive_of_couples(
-        couples, source=source, drive_id=source.stem if source.is_file() else source.name, settings=settings, rig=rig,
-        srid=srid, content=content, pictures_of=pictures_of, pose_at=pose_at,
+        couples, source=source, settings=settings, rig=rig, srid=srid, content=content, pictures_of=pictures_of, pose_at=pose_at,
     )  # fmt: skip
 
 

@@ -70,7 +70,6 @@ def drive_of_couples(
     couples: Sequence[Couple],
     *,
     source: Path,
-    drive_id: str,
     settings: DriveYaml,
     rig: Rig,
     srid: int,
@@ -102,7 +101,7 @@ def drive_of_couples(
             )
     require_pairs(pairs, rejections, len(couples), source)
     drive = Drive(
-        drive_id=settings.id_of(drive_id), source_path=str(source), rig=rig, map_srid=srid,
+        drive_id=settings.id_of(source), source_path=str(source), rig=rig, map_srid=srid,
         content_sha256=content.hexdigest(), frame_pairs=tuple(pairs), expected_frame_count=len(couples),
     )  # fmt: skip
     return drive, rejections
