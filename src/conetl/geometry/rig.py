@@ -73,12 +73,21 @@ def body_is_left_camera(rig: Rig) -> bool:
     return bool(np.allclose(body_SE3_camera(rig, "left"), np.eye(4), rtol=0.0, atol=1e-12))
 
 
+def stored_R_left(rig: Rig) -> Array:
+    """(3, 3) rotation from the rig's left camera to the one that took the pictures: identity where they are used as they are."""
+    if rig.rectified_from is None:
+        return np.eye(3)
+    turn: Array = body_SE3_camera(rig.rectified_from, "left")[:3, :3].T @ body_SE3_camera(rig, "left")[:3, :3]
+    return turn
+
+
 def up_in_left_camera(rig: Rig) -> Array:
     """(3,) unit vector in the left camera's frame that is up when the body stands level.
 
-    The body's +z where the rig has a body of its own, else minus the camera's y axis (a camera held level).
+    The body's +z where the rig has a body of its own, else minus the y axis of the camera that took the pictures (it is held
+    level: rectification turns pictures, not cameras).
     """
-    if body_is_left_camera(rig):
-        return np.array([0.0, -1.0, 0.0])
+    if body_is_left_camera(rig.rectified_from or rig):
+        return np.array([0.0, -1.0, 0.0]) @ stored_R_left(rig)
     up: Array = body_SE3_camera(rig, "left")[2, :3].copy()
     return up

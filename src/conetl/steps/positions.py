@@ -50,7 +50,8 @@ _REASONS = {
 class CameraPosition(Record):
     """One cone in the left camera's frame (x right, y down, z forward), from one pair without a trajectory: the paper's case.
 
-    "Up" is the body's +z axis where the rig calibration has a body, else minus the camera's y axis (a camera held level).
+    The camera is the one that took the pictures, also where they were rectified. "Up" is the body's +z axis where the rig
+    calibration has a body, else minus the camera's y axis (a camera held level).
     """
 
     frame_index: int
@@ -156,7 +157,10 @@ def locate_positions(
 def locate_in_camera(
     matches: Sequence[StereoMatch], rig: Rig, params: PositionParams
 ) -> tuple[list[CameraPosition], list[Rejection]]:
-    """Positions of stereo matches in the left camera's frame, where there is no trajectory (the paper's own case)."""
+    """Positions of stereo matches where there is no trajectory (the paper's own case).
+
+    In the frame of the left camera that took the pictures, also where they are resampled to be rectified.
+    """
     if not matches:
         return [], []
     located = _locate(matches, rig, params)
@@ -165,6 +169,8 @@ def locate_in_camera(
     height = located.xyz @ up
     level = located.xyz[0] - height[0][:, None] * up
     ground = np.linalg.norm(level, axis=1)
+    turn = rigs.stored_R_left(rig)
+    xyz, xyz_cov = located.xyz @ turn.T, turn @ foot_cov @ turn.T
     positions: list[CameraPosition] = []
     rejections: list[Rejection] = []
     for i, match in enumerate(matches):
@@ -176,9 +182,9 @@ def locate_in_camera(
                     CameraPosition(
                         frame_index=match.frame_index,
                         match_index=match.match_index,
-                        xyz_m=vec3(located.xyz[0, i]),
-                        cov_m2=cov3(foot_cov[i]),
-                        centre_xyz_m=vec3(located.xyz[1, i]),
+                        xyz_m=vec3(xyz[0, i]),
+                        cov_m2=cov3(xyz_cov[i]),
+                        centre_xyz_m=vec3(xyz[1, i]),
                         ground_distance_m=float(ground[i]),
                         ground_distance_sigma_m=float(np.sqrt(along @ foot_cov[i] @ along)),
                         cone_height_m=float(height[2, i] - height[0, i]),

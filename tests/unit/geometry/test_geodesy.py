@@ -76,6 +76,21 @@ def test_web_mercator_is_refused_by_its_scale() -> None:
     geodesy.check_scale(32632, 49.011, 8.423)
 
 
+@pytest.mark.parametrize(("lat", "lon"), [(40.4, -3.7), (60.2, 24.9), (48.2, 16.4)])
+def test_an_equal_area_grid_is_refused_for_its_angles(lat: float, lon: float) -> None:
+    """Europe's statistical grid: directions are wrong by up to half a degree, 20 cm at 15 m, and lengths by little."""
+    with pytest.raises(ValueError, match=r"not conformal.*degrees.*EPSG:326"):
+        geodesy.check_scale(3035, lat, lon)
+
+
+@pytest.mark.parametrize(
+    ("srid", "lat", "lon"),
+    [(2056, 46.9, 7.4), (27700, 52.0, -1.0), (3006, 66.0, 22.0), (28992, 52.0, 5.4), (2193, -41.0, 174.0)],
+)
+def test_grids_of_national_surveys_are_taken(srid: int, lat: float, lon: float) -> None:
+    geodesy.check_scale(srid, lat, lon)
+
+
 def test_the_poles_have_no_utm_zone() -> None:
     with pytest.raises(ValueError, match="outside UTM"):
         geodesy.utm_srid(85.0, 0.0)

@@ -7,10 +7,12 @@ import math
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from conetl.geometry import camera as cam
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
+from conetl.geometry.rectification import rectify
 from conetl.params import PositionParams
 from conetl.records import (
     CalibrationCovariance,
@@ -209,6 +211,40 @@ def test_a_tilted_rig_measures_along_the_bodys_up() -> None:
     assert position.cone_height_m == pytest.approx(0.7)
     assert position.foot_height_m == pytest.approx(-1.6)
     assert position.ground_distance_m == pytest.approx(math.hypot(8.0, 0.8))
+
+
+def test_a_raw_rig_without_a_body_measures_in_the_frame_of_its_own_left_camera() -> None:
+    """Rectification turns the picture, not the camera: up and the axes are those of the camera that took it."""
+    turned = Rotation.from_euler("xyz", [0.4, -1.5, 0.8], degrees=True).as_matrix()
+    raw = RIG.model_copy(
+        update={
+            "body_SE3_left": se3.to_matrix4(np.eye(4)),
+            "body_SE3_right": se3.to_matrix4(se3.se3(turned, [0.53, 0.004, 0.01])),
+        }
+    )
+    flat = rectify(raw)
+    assert not rigs.body_is_left_camera(flat)
+    foot = np.array([1.0, 1.6, 8.0])
+    points = {
+        name: tuple(
+            cam.project(
+                rigs.camera_of(flat, side),
+                se3.apply(se3.invert(rigs.body_SE3_camera(flat, side)), foot - np.array([0, h, 0])),
+            )
+            for side in ("left", "right")
+        )
+        for name, h in (("foot", 0.0), ("centre", 0.35), ("tip", 0.7))
+    }
+    (position,), rejections = locate_in_camera([match_of(points)], flat, PARAMS)  # type: ignore[arg-type]
+    assert not rejections
+    np.testing.assert_allclose(position.xyz_m, foot, atol=1e-6)
+    np.testing.assert_allclose(position.centre_xyz_m, foot - np.array([0, 0.35, 0]), atol=1e-6)
+    assert position.ground_distance_m == pytest.approx(math.hypot(1.0, 8.0))
+    assert position.cone_height_m == pytest.approx(0.7)
+    assert position.foot_height_m == pytest.approx(-1.6)
+    along = np.array([1.0, 0.0, 8.0]) / math.hypot(1.0, 8.0)
+    sigma = math.sqrt(along @ as_matrix(position.cov_m2) @ along)
+    assert sigma == pytest.approx(position.ground_distance_sigma_m, rel=1e-6)
 
 
 def shifted(

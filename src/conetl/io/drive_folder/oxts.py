@@ -129,23 +129,58 @@ def has_record(track: Trajectory, number: int) -> bool:
 def poses_at(track: Trajectory, exposures_ns: Mapping[int, int], sigmas: Sigmas) -> dict[int, Pose]:
     """Poses at the exposures of frames, by number; each of them has a valid record.
 
-    Between the two records before and after an exposure the pose is interpolated (straight line, slerp). Where there is no
-    such pair (first and last frame, records without a time, a gap of more than 0.5 s) the record of the same number holds.
+    Between the two records before and after an exposure the pose is interpolated (straight line, slerp). Where one of them is
+    missing (first and last frame, beside a gap of more than 0.5 s) the motion between the record of the same number and its
+    other neighbour is carried on, by no more than the time between them. Where that cannot be either, the record of the same
+    number holds, and what the body may have driven meanwhile is added to the sigma of its place. A record without a time holds
+    as it is.
     """
     places = {number: k for k, number in enumerate(track.numbers)}
     poses = {number: track.map_SE3_body[places[number]] for number in exposures_ns}
-    between: dict[int, tuple[Array, float]] = {}
+    sigma_enu_m = {number: track.sigma_enu_m[places[number]] for number in exposures_ns}
+    moving: dict[int, tuple[Array, float]] = {}
     for number, time_ns in exposures_ns.items():
-        if number in track.times_ns:
-            other = places[number] + (1 if time_ns >= track.times_ns[number] else -1)
-            if 0 <= other < len(track.numbers) and track.numbers[other] in track.times_ns:
-                t0, t1 = track.times_ns[number], track.times_ns[track.numbers[other]]
-                if t0 != t1 and abs(t1 - t0) <= MAX_GAP_NS and 0 <= (time_ns - t0) / (t1 - t0) <= 1:
-                    between[number] = track.map_SE3_body[other], (time_ns - t0) / (t1 - t0)
-    ends, weights = [end for end, _ in between.values()], [weight for _, weight in between.values()]
-    found = se3.interpolate_each([poses[number] for number in between], ends, weights)
-    poses |= dict(zip(between, found, strict=True))
-    return {number: pose_record(pose, track.sigma_enu_m[places[number]], sigmas) for number, pose in poses.items()}
+        if time_ns == track.times_ns.get(number, time_ns):
+            continue
+        neighbour = _neighbour(track, places[number], time_ns)
+        if neighbour is not None:
+            moving[number] = neighbour
+        else:
+            late_s = abs(time_ns - track.times_ns[number]) * 1e-9
+            sigma_enu_m[number] = np.hypot(sigma_enu_m[number], late_s * _speed_m_s(track, places[number]))
+    ends, weights = [end for end, _ in moving.values()], [weight for _, weight in moving.values()]
+    found = se3.interpolate_each([poses[number] for number in moving], ends, weights)
+    poses |= dict(zip(moving, found, strict=True))
+    return {number: pose_record(pose, sigma_enu_m[number], sigmas) for number, pose in poses.items()}
+
+
+def _neighbour(track: Trajectory, place: int, time_ns: int) -> tuple[Array, float] | None:
+    """The record (4, 4) with which the one at `place` tells the pose at an instant, and its weight there: 0 at `place`, 1 at it.
+
+    That beyond the instant, else that on the other side, whose weight is negative, down to -1. None where neither can.
+    """
+    t0 = track.times_ns[track.numbers[place]]
+    towards = 1 if time_ns > t0 else -1
+    for step, least, most in ((towards, 0.0, 1.0), (-towards, -1.0, 0.0)):
+        other = place + step
+        if not 0 <= other < len(track.numbers) or track.numbers[other] not in track.times_ns:
+            continue
+        t1 = track.times_ns[track.numbers[other]]
+        if t0 != t1 and abs(t1 - t0) <= MAX_GAP_NS and least <= (weight := (time_ns - t0) / (t1 - t0)) <= most:
+            return track.map_SE3_body[other], weight
+    return None
+
+
+def _speed_m_s(track: Trajectory, place: int) -> float:
+    """Largest mean speed between a record and those beside it that have a time; 0 where none has."""
+    found = [0.0]
+    for other in (place - 1, place + 1):
+        if 0 <= other < len(track.numbers) and track.numbers[other] in track.times_ns:
+            apart_ns = abs(track.times_ns[track.numbers[other]] - track.times_ns[track.numbers[place]])
+            way_m = np.linalg.norm(track.map_SE3_body[other, :3, 3] - track.map_SE3_body[place, :3, 3])
+            if apart_ns:
+                found.append(float(way_m) / (apart_ns * 1e-9))
+    return max(found)
 
 
 def pose_record(pose: Array, sigma_enu_m: Array, sigmas: Sigmas) -> Pose:
