@@ -20,6 +20,7 @@ from conetl.records import Detection, Drive, Position, Rig, StereoMatch, Track
 from conetl.rejections import Rejection
 from conetl.steps.self_calibration import SWITCHED_OFF, SelfCalibration, self_calibrated_rig
 from conetl.steps.trajectory import RefinedTrajectory
+from conetl.steps.unread import without_unread
 from flows.progress import expect
 from flows.refinement import (
     Odometry,
@@ -108,6 +109,7 @@ def analyse(
     drive = drive.model_copy(update={"frame_pairs": trajectory.frame_pairs})
     position_paths = runs.now(locate_task, whole(moved(chunks, trajectory)), match_paths)
     detections, refused_detections = load_results(detection_paths, Detection)
+    drive, detections = without_unread(drive, detections, refused_detections)
     matches, refused_matches = load_results(match_paths, StereoMatch)
     positions, refused_positions = load_results(position_paths, Position)
 

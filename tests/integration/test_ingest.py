@@ -272,6 +272,41 @@ def test_bad_pairs_cost_those_pairs_only(desk: Desk, small_drive: Path) -> None:
     assert sum('"pose_invalid"' in line for line in quarantine) == 2, "once for each analysis"
 
 
+def spoil_huffman_table(picture: Path) -> None:
+    """A JPEG with a whole header and a whole end that no decoder takes."""
+    data = bytearray(picture.read_bytes())
+    lengths = data.index(b"\xff\xc4") + 5
+    data[lengths : lengths + 16] = b"\xff" * 16
+    picture.write_bytes(data)
+
+
+def test_what_cannot_be_decoded_was_not_looked_at(desk: Desk, small_drive: Path, tmp_path: Path) -> None:
+    """Only decoding finds that out, after the drive was read: no cone may go for it."""
+    (first,) = desk.run("ingest", small_drive, "--json").json
+    assert first["counts"]["added"] > 3
+    later = part_of(DRIVES[0], tmp_path / "later", 16, skip=4)
+    for stamps in later.glob("*/timestamps.txt"):
+        stamps.write_text(stamps.read_text().replace("2026-03-02", "2026-03-12"))
+    pictures = sorted((later / "image_02" / "data").iterdir())
+    for picture in pictures[4:]:
+        spoil_huffman_table(picture)
+    result = desk.run("ingest", later, "--json")
+    (report,) = result.json
+    assert result.code == 1
+    assert "12 of 16 frame pairs" in result.err
+    assert (report["frame_pairs"], report["frame_pairs_rejected"]) == (4, 12)
+    assert report["rejections"]["image_unreadable"] == 12
+    assert report["counts"]["removed"] == 0
+    assert len(desk.final_tables()["frame_pair"]) == 16 + 4
+    for picture in pictures[:4]:
+        spoil_huffman_table(picture)
+    before = desk.final_tables()
+    result = desk.run("ingest", later)
+    assert result.code == 2
+    assert "not one of 16 frame pairs has two pictures that can be decoded" in result.err
+    assert desk.final_tables() == before
+
+
 def remove_key(drive: Path) -> None:
     file = drive / "calib_cam_to_cam.txt"
     lines = [line for line in file.read_text().splitlines() if not line.startswith("P_rect_03")]
