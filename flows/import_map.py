@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import NamedTuple
@@ -17,7 +18,7 @@ from conetl.io.stores.import_store import IMPORT_INFLUENCE_M, ImportedMap, commi
 from conetl.io.stores.map_results import RunInfo
 from conetl.io.stores.map_store import find_changeset, map_transaction
 from conetl.io.stores.replay_store import affected_drives, superseded_drives
-from conetl.map_records import Changeset, DeltaKind
+from conetl.map_records import Changeset, DeltaKind, Statement
 from conetl.params import ImportParams, params_sha256
 from conetl.steps.fold import Evidence
 from flows.replay import founding_key, replay_of
@@ -62,6 +63,7 @@ def import_map(
         known = find_changeset(conn, key, map_name=map_name)
         if known is not None:
             return Imported(known.changeset_id, False, dict.fromkeys(DeltaKind, 0), 0)
+        imported = _with_ids_of_map(conn, imported, map_name)
         _refuse_taken_ids(conn, imported, params, map_name)
         drive_uuid = place_import(conn, imported, key, map_name=map_name, reconcile=params.reconcile)
         evidence = Evidence(
@@ -95,6 +97,29 @@ def import_map(
     return Imported(changeset.changeset_id, True, counts, len(later))
 
 
+def _with_ids_of_map(conn: Connection, imported: ImportedMap, map_name: str) -> ImportedMap:
+    """An import with the ids that the map founds for it. The map's name is in them: ids are unique in a database, and one
+    file may go onto several of its maps.
+
+    Once they followed from file and row alone. A map that has such ids of this file keeps them, whatever parameters it comes with
+    now: its cones are the same.
+    """
+    if not imported.founds_ids:
+        return imported
+    taken = known_ids(conn, [statement.feature.feature_id for statement in imported.statements])
+    if any(known.map_name == map_name for known in taken.values()):
+        return imported
+    key = founding_key(map_name, imported.content_sha256)
+    statements = [
+        _with_id(statement, uuid5(_NAMESPACE, f"{key}/{row}")) for row, statement in enumerate(imported.statements)
+    ]
+    return replace(imported, statements=statements)
+
+
+def _with_id(statement: Statement, feature_id: UUID) -> Statement:
+    return statement.model_copy(update={"feature": statement.feature.model_copy(update={"feature_id": feature_id})})
+
+
 def _refuse_taken_ids(conn: Connection, imported: ImportedMap, params: ImportParams, map_name: str) -> None:
     """An id names one feature in the whole database; on this map it may come again where that feature is."""
     features = [statement.feature for statement in imported.statements]
@@ -111,8 +136,13 @@ def _refuse_taken_ids(conn: Connection, imported: ImportedMap, params: ImportPar
         if known.xy_m is not None:
             away_m = float(np.hypot(feature.xyz_m[0] - known.xy_m[0], feature.xyz_m[1] - known.xy_m[1]))
             if away_m > params.reconcile.moved_max_m:
+                away = f"{away_m / 1000:.1f} km" if away_m > 9999 else f"{away_m:.1f} m"
+                # An id that was founded can only have come with the same file before.
+                remedy = (
+                    "take the earlier import of this file back first (conetl map revert)"
+                    if imported.founds_ids
+                    else "correct the row, or use --new-ids"
+                )
                 raise InputError(
-                    f"{where} stands {away_m:.1f} m away on this map, farther than a cone is moved: correct the "
-                    "row, or use --new-ids; "
-                    "nothing was written"
+                    f"{where} stands {away} away on this map, farther than a cone is moved: {remedy}; nothing was written"
                 )

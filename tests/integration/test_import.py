@@ -6,6 +6,7 @@ import csv
 import json
 import math
 import struct
+from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import permutations
 
@@ -24,12 +25,14 @@ from conetl.io.stores.audits import run_audits
 from conetl.io.stores.map_store import list_changesets, read_current_features
 from conetl.map_records import DeltaKind
 from conetl.params import ImportParams
+from flows.decide import revert
 from flows.import_map import import_map
 from tests.conftest import cloned_database
 from tests.integration.drives_of_days import DAY_NS, DAYS, START_NS, merge, survey, valid_time_map
 
 IMPORTABLE = [name for name in FORMATS if name not in ("mcap", "lanelet2", "wzdx")]
 PARAMS = ImportParams()
+NEW_IDS = ImportParams(new_ids=True)
 
 
 def audited(conn):
@@ -138,8 +141,6 @@ def test_an_import_has_its_place_in_time_whatever_comes_first(cluster_url, templ
 
 
 def test_an_import_is_reverted_and_brought_back(conn, surveyed):
-    from flows.decide import revert
-
     folder, features = surveyed
     take(conn, folder / "map.parquet")
     before = valid_time_map(conn)
@@ -159,6 +160,62 @@ def test_ids_are_unique_in_a_database(conn, surveyed):
         take(conn, folder / "map.parquet", map_name="copy")
     assert take(conn, folder / "map.parquet", map_name="copy", params=ImportParams(new_ids=True)).committed
     assert len(read_current_features(conn, map_name="copy")) == len(features)
+
+
+@pytest.mark.parametrize("name", ["map.parquet", "plain.csv"])
+def test_a_file_whose_ids_are_founded_goes_onto_several_maps(conn, surveyed, tmp_path, name):
+    """As onto one for tests and the one for production, with ids that are not wanted and without any."""
+    folder, _ = surveyed
+    path = folder / name if name == "map.parquet" else plain_csv(tmp_path)
+    options = {} if name == "map.parquet" else {"crs": "EPSG:32632", "stated_at": datetime(2026, 3, 1, tzinfo=UTC)}
+    ids = []
+    for map_name in ("default", "test"):
+        assert take(conn, path, map_name=map_name, params=NEW_IDS, **options).committed
+        ids.append({feature.feature_id for feature in read_current_features(conn, map_name=map_name)})
+        conn.rollback()
+        assert not take(conn, path, map_name=map_name, params=NEW_IDS, **options).committed
+    assert len(ids[0]) == len(ids[1]) > 0
+    assert not ids[0] & ids[1]
+    assert audited(conn) == []
+
+
+def plain_csv(folder):
+    """Places only."""
+    path = folder / "plain.csv"
+    rows = [",".join(map(str, place_of(cone))) for cone in DAYS[0]]
+    path.write_text("\n".join(["easting_m,northing_m,ellipsoidal_height_m", *rows]))
+    return path
+
+
+def test_ids_founded_before_they_told_of_the_map_are_kept(conn, tmp_path):
+    """Ids once followed from file and row alone. A map that has them keeps them, also for other parameters of the same file."""
+    path = plain_csv(tmp_path)
+    options = {"crs": "EPSG:32632", "stated_at": datetime(2026, 3, 1, tzinfo=UTC)}
+    read = read_map_file(path, PARAMS, map_srid=32632, **options)
+    import_map(conn, replace(read, founds_ids=False), PARAMS, map_name="default")  # as it was written down then
+    ids = [statement.feature.feature_id for statement in read.statements]
+    before = valid_time_map(conn)
+    assert sorted(feature.feature_id for feature in read_current_features(conn)) == sorted(ids)
+    conn.rollback()
+    assert not take(conn, path, **options).committed
+    assert valid_time_map(conn) == before
+    assert take(conn, path, params=ImportParams(sigma_m=0.4), **options).committed
+    assert sorted(feature.feature_id for feature in read_current_features(conn)) == sorted(ids)
+    conn.rollback()
+    assert take(conn, path, map_name="test", **options).committed
+    assert audited(conn) == []
+
+
+def test_a_file_whose_founded_ids_stand_elsewhere_says_what_helps(conn, tmp_path):
+    path = plain_csv(tmp_path)
+    options = {"stated_at": datetime(2026, 3, 1, tzinfo=UTC)}
+    take(conn, path, crs="EPSG:32633", **options)
+    better = ImportParams(sigma_m=0.4)
+    with pytest.raises(InputError, match=r"row 1: .* km away .*conetl map revert"):
+        take(conn, path, crs="EPSG:32632", params=better, **options)
+    revert(conn, "1", map_name="default")
+    assert take(conn, path, crs="EPSG:32632", params=better, **options).committed
+    assert audited(conn) == []
 
 
 # --------------------------------------------------------------------------- bad files

@@ -63,7 +63,7 @@ def read_map_file(
     stated_ns = reader.stated_ns(stated_at)
     ids = reader.ids(sha256)
     statements = [reader.statement(i, ids[i], xyz_m[i], stated_ns) for i in range(len(table))]
-    return ImportedMap(path.name, str(path), sha256, srid, stated_ns, statements)
+    return ImportedMap(path.name, str(path), sha256, srid, stated_ns, statements, founds_ids=reader.founds_ids)
 
 
 class _RowReader:
@@ -72,15 +72,15 @@ class _RowReader:
     def __init__(self, table: MapTable, params: ImportParams) -> None:
         self.table = table
         self.params = params
+        self.founds_ids = params.new_ids or "feature_id" not in table.columns
 
     def fail(self, index: int, what: str) -> InputError:
         return InputError(f"{self.table.path}, row {index + 1}: {what}; nothing was written")
 
     def ids(self, sha256: str) -> list[UUID]:
-        """One a row: those of the file, or, with `new_ids` or without a column `feature_id`, ones that follow from file
-        and row."""
+        """One a row: those of the file, or, where ids are founded, ones that follow from file and row."""
         texts = self.table.columns.get("feature_id")
-        if texts is None or self.params.new_ids:
+        if texts is None or self.founds_ids:
             return [uuid5(_NAMESPACE, f"{sha256}/{index}") for index in range(len(self.table))]
         ids: list[UUID] = []
         first: dict[UUID, int] = {}
