@@ -13,14 +13,17 @@ from itertools import permutations
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+import pyogrio
 import pytest
+import shapely
 
 from conetl.errors import InputError
 from conetl.io.db import connect, execute
 from conetl.io.exports import FORMATS
 from conetl.io.exports.export import export_map
-from conetl.io.exports.source import ExportRequest
+from conetl.io.exports.source import ExportRequest, What
 from conetl.io.imports.statements import read_map_file
+from conetl.io.parquet_store import file_sha256
 from conetl.io.stores.audits import run_audits
 from conetl.io.stores.map_store import list_changesets, read_current_features
 from conetl.map_records import DeltaKind
@@ -218,6 +221,73 @@ def test_a_file_whose_founded_ids_stand_elsewhere_says_what_helps(conn, tmp_path
     assert audited(conn) == []
 
 
+# --------------------------------------------------------------------------- layers
+
+
+def two_layers(path, **more):
+    """A GeoPackage with a cone in the layer `west` and two in `east`, and a table without places, as QGIS keeps its styles in."""
+    layers = {"west": [[458000.0, 5428000.0]], "east": [[458100.0, 5428000.0], [458110.0, 5428000.0]]} | more
+    for name, places in layers.items():
+        points = shapely.to_wkb(shapely.points([[*place, 115.0] for place in places]))
+        pyogrio.raw.write(
+            path, points, [np.array(["2026-03-01T08:00:00"] * len(places), "datetime64[ms]")], ["last_seen_at"],
+            geometry_type="Point Z", crs="EPSG:32632", layer=name, append=path.exists(), driver="GPKG",
+        )  # fmt: skip
+    style = [np.array(["<qgis/>"], object)]
+    pyogrio.raw.write(path, None, style, ["styleQML"], geometry_type=None, layer="layer_styles", append=True)
+    return path
+
+
+def test_a_file_of_several_layers_is_not_taken_in_part(conn, tmp_path):
+    path = two_layers(tmp_path / "two.gpkg")
+    with pytest.raises(InputError, match=r"two\.gpkg holds 2 layers of places: west, east; .*--layer"):
+        take(conn, path)
+    with pytest.raises(InputError, match=r"two\.gpkg has no layer north .*: west, east"):
+        take(conn, path, layer="north")
+    with pytest.raises(InputError, match=r"two\.gpkg has no layer layer_styles .*: west, east"):
+        take(conn, path, layer="layer_styles")
+    assert nothing_written(conn)
+
+
+def test_layers_of_a_file_are_imports_of_their_own(conn, tmp_path):
+    path = two_layers(tmp_path / "two.gpkg")
+    assert take(conn, path, layer="west").counts[DeltaKind.ADDED] == 1
+    assert take(conn, path, layer="east").counts[DeltaKind.ADDED] == 2
+    assert len(read_current_features(conn)) == 3
+    conn.rollback()
+    assert not take(conn, path, layer="west").committed
+    assert not take(conn, path, layer="east").committed
+    assert {changeset.drive_id for changeset in list_changesets(conn)} == {"two.gpkg:west", "two.gpkg:east"}
+    conn.rollback()
+    assert audited(conn) == []
+
+
+def test_the_layer_that_an_import_took_before_there_was_a_choice_is_known_by_its_file(tmp_path):
+    path = two_layers(tmp_path / "two.gpkg")
+    west, east = (read_map_file(path, PARAMS, map_srid=32632, layer=name) for name in ("west", "east"))
+    assert west.content_sha256 == file_sha256(path)
+    assert len({west.content_sha256, east.content_sha256}) == 2
+
+
+def test_a_file_with_one_layer_needs_no_choice(tmp_path, surveyed):
+    folder, features = surveyed
+    assert len(read_map_file(folder / "map.gpkg", PARAMS, layer="default").statements) == len(features)
+    with pytest.raises(InputError, match=r"map\.gpkg has no layer other .*: default"):
+        read_map_file(folder / "map.gpkg", PARAMS, layer="other")
+    for name in ("map.csv", "map.parquet"):
+        with pytest.raises(InputError, match=r"map\..* has no layers: leave out --layer"):
+            read_map_file(folder / name, PARAMS, map_srid=32632, layer="default")
+
+
+@pytest.mark.parametrize("what", [What.HISTORY, What.CHANGES])
+def test_a_history_is_refused_as_one(conn, tmp_path, what):
+    merge(conn, survey(0))
+    since = datetime(2020, 1, 1, tzinfo=UTC) if what is What.CHANGES else None
+    export_map(conn, tmp_path / "h.gpkg", "gpkg", ExportRequest(what=what, since=since))
+    with pytest.raises(InputError, match="export of history or changes"):
+        take(conn, tmp_path / "h.gpkg")
+
+
 # --------------------------------------------------------------------------- bad files
 
 
@@ -361,6 +431,9 @@ def test_the_command_line(database_url, tmp_path, surveyed):
     assert "row 2: longitude" not in conetl("map", "import", geojson(tmp_path / "a.geojson", [GOOD]), code=2)
     done = json.loads(conetl("map", "import", folder / "map.gpkg", "--json"))
     assert (done["counts"]["added"], done["srid"], done["committed"]) == (len(features), 32632, True)
+    layers = two_layers(tmp_path / "two.gpkg")
+    assert "2 layers of places: west, east" in conetl("map", "import", layers, code=2).replace("\n", " ")
+    assert json.loads(conetl("map", "import", layers, "--layer", "west", "--json"))["committed"]
     assert "CC0" in conetl("map", "licence", "CC0")
     written = json.loads(conetl("map", "export", "--format", "geoparquet", "--out", tmp_path / "a.parquet", "--json"))
-    assert (written["features"], written["manifest"]["licence"]) == (len(features), "CC0")
+    assert (written["features"], written["manifest"]["licence"]) == (len(features) + 1, "CC0")

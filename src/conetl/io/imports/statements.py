@@ -3,6 +3,7 @@ none."""
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Callable
 from datetime import UTC, datetime
@@ -40,14 +41,16 @@ def read_map_file(
     crs: str | None = None,
     map_srid: int | None = None,
     stated_at: datetime | None = None,
+    layer: str | None = None,
 ) -> ImportedMap:
     """Read and check a map file. Raises InputError naming the file, and the row (from 1, without a header).
 
     crs: of the file's coordinates, where it names none; must agree where it does. map_srid: CRS of the map; None: the
     file's own, if
     that can be a map's. stated_at: the instant for which the file speaks; None: the latest `last_seen_at` in it.
+    layer: the one to read of a file with several.
     """
-    table = read_table(path)
+    table = read_table(path, layer)
     for name in _HISTORY_COLUMNS:
         if name in table.columns:
             raise InputError(
@@ -58,12 +61,21 @@ def read_map_file(
     srid = _map_srid(table, file_crs, map_srid)
     xyz_m = _places(table, file_crs, srid, params)
     _refuse_duplicate_places(path, xyz_m)
-    sha256 = file_sha256(path)
+    sha256 = _content_sha256(table)
     reader = _RowReader(table, params)
     stated_ns = reader.stated_ns(stated_at)
     ids = reader.ids(sha256)
     statements = [reader.statement(i, ids[i], xyz_m[i], stated_ns) for i in range(len(table))]
-    return ImportedMap(path.name, str(path), sha256, srid, stated_ns, statements, founds_ids=reader.founds_ids)
+    name = f"{path.name}:{table.layer}" if len(table.layers) > 1 else path.name
+    return ImportedMap(name, str(path), sha256, srid, stated_ns, statements, founds_ids=reader.founds_ids)
+
+
+def _content_sha256(table: MapTable) -> str:
+    """What an import is known by. The first layer goes by its file alone: it was what imports took before there was a choice."""
+    sha256 = file_sha256(table.path)
+    if table.layer in (None, *table.layers[:1]):
+        return sha256
+    return hashlib.sha256(f"{sha256}/{table.layer}".encode()).hexdigest()
 
 
 class _RowReader:
