@@ -16,6 +16,7 @@ import pyarrow.parquet as pq
 import pyogrio
 import pytest
 import shapely
+from pyproj import Transformer
 
 from conetl.errors import InputError
 from conetl.io.db import connect, execute
@@ -319,6 +320,37 @@ BAD = {
     "same place": (GOOD[0], SEEN, "row 2: the same place as row 1"),
     "no uuid": (OTHER, SEEN | {"feature_id": "cone 7"}, "row 1: feature_id is None|row 2: feature_id is 'cone 7'"),
 }
+
+
+@pytest.mark.parametrize(
+    ("srid", "places"),
+    [
+        (3460, [[178.44, -18.14], [179.99, -16.8], [-179.99, -16.8], [-178.8, -18.2]]),  # Fiji: 176.81 to -178.15
+        (32760, [[177.0, -18.0], [179.999, -18.0], [-179.5, -18.0]]),  # 174 to 180
+        (32701, [[-177.0, -18.0], [-179.999, -18.0], [179.5, -18.0]]),  # -180 to -174
+        (2193, [[174.76, -36.85], [-179.9, -43.9]]),  # New Zealand: 166.37 to 178.63
+    ],
+)
+def test_places_at_the_antimeridian_are_taken(tmp_path, srid, places):
+    path = geojson(tmp_path / "far.geojson", [([*place, 20.0], SEEN) for place in places])
+    read = read_map_file(path, PARAMS, map_srid=srid)
+    back = Transformer.from_crs(srid, "OGC:CRS84", always_xy=True)
+    for place, statement in zip(places, read.statements, strict=True):
+        lon, lat = back.transform(*statement.feature.xyz_m[:2])
+        assert [(lon - place[0] + 180) % 360 - 180, lat - place[1]] == pytest.approx([0, 0], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("srid", "place"),
+    [
+        (3460, [170.0, -18.0]), (3460, [-170.0, -18.0]), (3460, [0.0, -18.0]), (3460, [179.0, 18.0]),
+        (32760, [-174.0, -18.0]), (32701, [174.0, -18.0]), (32632, [-172.0, 49.0]),
+    ],
+)  # fmt: skip
+def test_places_beyond_an_area_are_refused_at_the_antimeridian_too(tmp_path, srid, place):
+    path = geojson(tmp_path / "far.geojson", [([*place, 20.0], SEEN)])
+    with pytest.raises(InputError, match=f"row 1: .* lies outside the area of the map's CRS EPSG:{srid}"):
+        read_map_file(path, PARAMS, map_srid=srid)
 
 
 def nothing_written(conn):

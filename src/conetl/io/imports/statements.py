@@ -326,9 +326,11 @@ def _within_use(crs: CRS, lon_lat: NDArray[np.float64]) -> NDArray[np.bool_]:
     area = crs.area_of_use
     if area is None:
         return np.asarray(np.isfinite(lon_lat).all(axis=1))
-    low = np.array([area.west, area.south]) - _MARGIN_DEG
-    high = np.array([area.east, area.north]) + _MARGIN_DEG
-    return np.asarray(((lon_lat >= low) & (lon_lat <= high)).all(axis=1))
+    lon, lat = np.where(np.isfinite(lon_lat), lon_lat, np.nan).T
+    # An area across the antimeridian ends west of where it begins, so longitudes are told from its western edge.
+    width = (area.east - area.west) % 360 or 360.0
+    inside = (lon - area.west + _MARGIN_DEG) % 360 <= width + 2 * _MARGIN_DEG
+    return np.asarray(inside & (lat >= area.south - _MARGIN_DEG) & (lat <= area.north + _MARGIN_DEG))
 
 
 def _refuse_duplicate_places(path: Path, xyz_m: NDArray[np.float64]) -> None:
