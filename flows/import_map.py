@@ -26,6 +26,7 @@ from flows.replay import founding_key, replay_of
 _NAMESPACE = UUID("9d5b6a0c-3d0f-4b0e-8e4f-0a6f2c9b7d13")
 #: Of a network there is none.
 _NO_MODEL = ""
+_MS_NS = 1_000_000
 
 
 class Imported(NamedTuple):
@@ -47,9 +48,7 @@ def import_map(
     The same file with other parameters takes the place of its first import. Raises InputError for ids that are taken.
     """
     started_at = datetime.now(UTC)
-    key = result_key(
-        "import", imported.content_sha256, params_sha256(params), str(imported.srid), str(imported.stated_at_ns)
-    )
+    key, *earlier_keys = _keys(imported, params)
     changeset = Changeset(
         changeset_id=uuid5(_NAMESPACE, f"{map_name}/{key}"),
         drive_id=imported.name,
@@ -60,8 +59,8 @@ def import_map(
         deltas=(),
     )
     with map_transaction(conn, map_name):
-        known = find_changeset(conn, key, map_name=map_name)
-        if known is not None:
+        found = (find_changeset(conn, one, map_name=map_name) for one in (key, *earlier_keys))
+        if (known := next(filter(None, found), None)) is not None:
             return Imported(known.changeset_id, False, dict.fromkeys(DeltaKind, 0), 0)
         imported = _with_ids_of_map(conn, imported, map_name)
         _refuse_taken_ids(conn, imported, params, map_name)
@@ -95,6 +94,14 @@ def import_map(
         commit_import(conn, imported, drive_uuid, changeset, replay, map_name=map_name, run=run, now=now)
     counts = {kind: sum(delta.kind is kind for delta in deltas) for kind in DeltaKind}
     return Imported(changeset.changeset_id, True, counts, len(later))
+
+
+def _keys(imported: ImportedMap, params: ImportParams) -> list[str]:
+    """What the import is known by, then what it may have been known by when times of GeoJSON were read in milliseconds only."""
+    exact_ns = imported.stated_at_ns
+    instants_ns = dict.fromkeys((exact_ns, exact_ns // _MS_NS * _MS_NS, -(-exact_ns // _MS_NS) * _MS_NS))
+    known_by = ("import", imported.content_sha256, params_sha256(params), str(imported.srid))
+    return [result_key(*known_by, str(instant_ns)) for instant_ns in instants_ns]
 
 
 def _with_ids_of_map(conn: Connection, imported: ImportedMap, map_name: str) -> ImportedMap:

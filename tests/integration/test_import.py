@@ -88,6 +88,53 @@ def test_an_exported_map_comes_back(conn, surveyed, name):
     assert len(list_changesets(conn)) == 1
 
 
+VALID_TIMES = """
+select v.first_seen_ns, v.last_seen_ns, lower(v.valid_period) as valid_from
+from conetl.feature_version v join conetl.map m using (map_id)
+where m.map_name = %(map_name)s and upper_inf(v.system_period)
+order by v.first_seen_ns
+"""
+
+
+@pytest.mark.parametrize("name", IMPORTABLE)
+def test_times_come_back_to_the_microsecond(conn, tmp_path, name):
+    plan = tmp_path / "plan.csv"
+    header = "easting_m,northing_m,ellipsoidal_height_m,valid_from,first_seen_at,last_seen_at"
+    times = [",".join(f"2026-03-01T08:00:0{n}.{number}23457Z" for n in range(3)) for number in (1, 9)]
+    plan.write_text("\n".join([header, f"458000,5428000,115,{times[0]}", f"458010,5428000,115,{times[1]}"]))
+    take(conn, plan, crs="EPSG:32632")
+    written = [tuple(row.values()) for row in execute(conn, VALID_TIMES, {"map_name": "default"})]
+    conn.rollback()
+    path = tmp_path / f"map{FORMATS[name].suffix}"
+    export_map(conn, path, name, ExportRequest())
+    take(conn, path, map_name="copy", params=NEW_IDS)
+    back = [tuple(row.values()) for row in execute(conn, VALID_TIMES, {"map_name": "copy"})]
+    assert back == written
+    assert [seen_ns % 1_000_000_000 for seen_ns, *_ in back] == [123_457_000, 923_457_000]
+
+
+@pytest.mark.parametrize("text", ["2026/03/01 08:00:00.123456", "2026-03-01T09:00:00.1234567+01:00"])
+def test_times_of_geojson_are_read_as_they_are_written(tmp_path, text):
+    read = read_map_file(geojson(tmp_path / "a.geojson", [(GOOD[0], {"last_seen_at": text})]), PARAMS, map_srid=32632)
+    assert read.stated_at_ns == 1_772_352_000_123_456_000
+
+
+@pytest.mark.parametrize("stated_ms", [1_772_352_000_123, 1_772_352_000_124])
+def test_geojson_that_was_imported_in_milliseconds_is_on_the_map_already(conn, tmp_path, stated_ms):
+    """GDAL rounded its times, to either side at halves."""
+    path = geojson(tmp_path / "a.geojson", [(GOOD[0], {"last_seen_at": "2026-03-01T08:00:00.123500Z"})])
+    read = read_map_file(path, PARAMS, map_srid=32632)
+    [statement] = read.statements
+    cut_ns = stated_ms * 1_000_000
+    feature = statement.feature.model_copy(update={"first_seen_ns": cut_ns, "last_seen_ns": cut_ns})
+    statement = statement.model_copy(update={"feature": feature, "valid_from_ns": cut_ns})
+    assert import_map(
+        conn, replace(read, stated_at_ns=cut_ns, statements=[statement]), PARAMS, map_name="default"
+    ).committed
+    assert not take(conn, path).committed
+    assert len(list_changesets(conn)) == 1
+
+
 def test_drives_confirm_move_and_remove_imported_cones(conn, tmp_path):
     """A cone list of the first day, the drive of the second: as if a drive had been there."""
     path = tmp_path / "plan.csv"

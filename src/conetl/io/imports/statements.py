@@ -202,7 +202,8 @@ class _RowReader:
                     return int(value) * 1000
                 raise self.fail(index, f"{column} is {value!r}, expected microseconds since 1970")
             try:
-                instant = value if isinstance(value, datetime) else datetime.fromisoformat(str(value))
+                text = str(value).replace("/", "-")  # 2026/03/02, as some programs write it
+                instant = value if isinstance(value, datetime) else datetime.fromisoformat(text)
                 return _ns(instant if instant.tzinfo else instant.replace(tzinfo=UTC))
             except (ValueError, OverflowError):
                 raise self.fail(index, f"{column} is {value!r}, expected a time like 2026-03-02T10:00:00Z") from None

@@ -42,6 +42,8 @@ _CSV_NAMES = {
 }
 #: The first bytes of a FlatGeobuf file, without the patch version.
 _FGB_MAGIC = b"fgb\x03fgb"
+#: Options of GDAL's drivers. It takes texts in GeoJSON that look like times for times, of which it keeps milliseconds only.
+_OPEN_OPTIONS = {"GeoJSON": {"DATE_AS_STRING": "YES"}}
 
 
 @dataclass
@@ -106,10 +108,10 @@ def _read_vector(path: Path, layer: str | None) -> MapTable:
         info = pyogrio.read_info(path, layer=layer)
         _check_claim(path, info["features"], "features")
         table = MapTable(path, _crs_of(path, info["crs"]), layers=layers, layer=layer)
-        with pyogrio.open_arrow(path, layer=layer, use_pyarrow=True, batch_size=_BATCH, datetime_as_string=True) as (
-            meta,
-            reader,
-        ):
+        options = _OPEN_OPTIONS.get(info["driver"], {})
+        with pyogrio.open_arrow(
+            path, layer=layer, use_pyarrow=True, batch_size=_BATCH, datetime_as_string=True, **options
+        ) as (meta, reader):
             name = meta["geometry_name"] or "wkb_geometry"
             if name not in reader.schema.names:
                 raise InputError(f"{path} has no geometry: a cone map is a layer of points")
