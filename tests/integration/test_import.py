@@ -365,6 +365,14 @@ BAD = {
     "no time": (OTHER, SEEN | {"first_seen_at": "yesterday"}, r"row 2: first_seen_at is 'yesterday'"),
     "times crossed": (OTHER, SEEN | {"first_seen_at": "2026-03-02T08:00:00Z"}, "row 2: first_seen_at, last_seen_at"),
     "same place": (GOOD[0], SEEN, "row 2: the same place as row 1"),
+    "a formula": (OTHER, SEEN | {"category": "=1+1"}, r"row 2: category is '=1\+1', expected .*letters, digits"),
+    "a formula of names": (OTHER, SEEN | {"category": "-A1"}, r"row 2: category is '-A1'"),
+    "a formula that looks blank": (OTHER, SEEN | {"category": "\t@A1"}, r"row 2: category is '\\t@A1'"),
+    "a category of two lines": (OTHER, SEEN | {"category": "cone\ncone"}, r"row 2: category is"),
+    "a category of marks": (OTHER, SEEN | {"category": "<b>cone"}, r"row 2: category is '<b>cone'"),
+    "no category": (OTHER, SEEN | {"category": ""}, r"row 2: category is ''"),
+    "a blank category": (OTHER, SEEN | {"category": " "}, r"row 2: category is ' '"),
+    "a long category": (OTHER, SEEN | {"category": "c" * 65}, r"row 2: category is 'c+', expected at most 64"),
     "no uuid": (OTHER, SEEN | {"feature_id": "cone 7"}, "row 1: feature_id is None|row 2: feature_id is 'cone 7'"),
 }
 
@@ -416,6 +424,15 @@ def test_a_bad_row_is_named_and_nothing_written(conn, tmp_path, name):
         take(conn, path)
     assert nothing_written(conn)
     assert take(conn, geojson(tmp_path / "good.geojson", [GOOD, (OTHER, SEEN)])).committed
+
+
+@pytest.mark.parametrize(
+    "category", ["traffic_cone", "Leitkegel groß", "large-orange.cone 2", "कोन", "三角锥", "7", "c" * 64, None]
+)
+def test_categories_are_words_of_any_script(tmp_path, category):
+    path = geojson(tmp_path / "good.geojson", [(GOOD[0], SEEN | {"category": category})])
+    [statement] = read_map_file(path, PARAMS, map_srid=32632).statements
+    assert statement.feature.category == (category or "traffic_cone")
 
 
 def test_ids_that_come_twice_are_named(conn, tmp_path):

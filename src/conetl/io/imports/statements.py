@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import unicodedata
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
@@ -29,6 +30,9 @@ _NAMESPACE = UUID("5f0f6f0a-1c1b-4a53-9d0e-3c7a4a5be9a1")
 _MARGIN_DEG = 3.0
 _MAX_SIGMA_M = 100.0
 _MAX_CONE_HEIGHT_M = 10.0
+#: Of cones of which the file does not say what they are.
+_CATEGORY = "traffic_cone"
+_MAX_CATEGORY = 64
 #: Columns that only exports of history and of changes have.
 _HISTORY_COLUMNS = ("system_from", "change", "old_easting_m")
 _WGS84 = CRS("OGC:CRS84")
@@ -149,11 +153,10 @@ class _RowReader:
         if valid_from_ns > stated_ns:
             raise self.fail(index, "valid_from lies after the time for which the file speaks")
         x, y, z = (float(value) for value in xyz_m)
-        category = self.table.columns.get("category", [None] * len(self.table))[index]
         feature = MapFeature(
             feature_id=feature_id,
             version=1,
-            category=str(category or "traffic_cone")[:100],
+            category=self.category(index),
             xyz_m=(x, y, z),
             cov_m2=self.covariance(index),
             centre_xyz_m=(x, y, z + height_m / 2),
@@ -165,6 +168,17 @@ class _RowReader:
             last_seen_ns=last_ns,
         )
         return Statement(feature=feature, valid_from_ns=valid_from_ns)
+
+    def category(self, index: int) -> str:
+        """A word or a few. What begins otherwise is a formula to the programs in which people open a map's CSV."""
+        value = self.table.columns["category"][index] if "category" in self.table.columns else None
+        if value is None:
+            return _CATEGORY
+        category = str(value)
+        rule = f"at most {_MAX_CATEGORY} letters, digits, spaces, _ . or -, a letter or digit first"
+        if not (category[:1].isalnum() and len(category) <= _MAX_CATEGORY and all(map(_is_of_words, category))):
+            raise self.fail(index, f"category is {category[:100]!r}, expected {rule}")
+        return category
 
     def covariance(self, index: int) -> Cov3:
         rule = "more than 0 and at most 100 m"
@@ -345,6 +359,11 @@ def _refuse_duplicate_places(path: Path, xyz_m: NDArray[np.float64]) -> None:
 
 def _ns(instant: datetime) -> int:
     return int(np.datetime64(instant.astimezone(UTC).replace(tzinfo=None), "us").astype(np.int64)) * 1000
+
+
+def _is_of_words(character: str) -> bool:
+    # Many scripts write vowels as marks beside letters.
+    return character.isalnum() or character in " _.-" or unicodedata.category(character).startswith("M")
 
 
 def _text(values: NDArray[np.float64]) -> str:
