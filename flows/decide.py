@@ -99,7 +99,7 @@ def decide_place(
             place=place,
             feature_id=state.feature_id,
         )
-        written, replayed = _judge_place(conn, info, kind, place.xy_m, decided_at)
+        written, replayed = _judge_place(conn, info, kind, place, decided_at)
     return Decided(decision_id, kind, decided_at, written, replayed, ())
 
 
@@ -128,7 +128,7 @@ def revert(
             raise ConflictError(f"decision {target.id} does not hold any more: make it again instead")
         else:
             kind, withdraws, changeset_id = WITHDRAW, target.id, None
-        place = next((d for d in list_decisions(conn, map_name=map_name) if d.decision_id == target.id), None)
+        decision = next((d for d in list_decisions(conn, map_name=map_name) if d.decision_id == target.id), None)
         counted_before = superseded_drives(conn, target.drive_uuid) if target.drive_uuid else []
         decision_id = insert_decision(
             conn,
@@ -145,19 +145,16 @@ def revert(
             counted_now = superseded_drives(conn, target.drive_uuid)
             seeds = list(dict.fromkeys([target.drive_uuid, *counted_before, *counted_now]))
             written, replayed, conflicts = _judge_drives(conn, info, seeds, decided_at, changeset_id)
-        elif place is not None and place.easting_m is not None and place.northing_m is not None:
-            xy_m = (place.easting_m, place.northing_m)
-            written, replayed = _judge_place(conn, info, place.kind, xy_m, decided_at)
+        elif decision is not None and (place := decision.place) is not None:
+            written, replayed = _judge_place(conn, info, decision.kind, place, decided_at)
         else:
             raise InputError(f"decision {target.id} can not be taken back")
     return Decided(decision_id, kind, decided_at, written, replayed, conflicts)
 
 
-def _judge_place(
-    conn: Connection, info: MapInfo, kind: str, xy_m: tuple[float, float], decided_at: datetime
-) -> tuple[int, int]:
+def _judge_place(conn: Connection, info: MapInfo, kind: str, place: Place, decided_at: datetime) -> tuple[int, int]:
     """Work out what follows from a decision about a place; versions written, drives compared again."""
-    around = drives_at(conn, info.map_name, xy_m)
+    around = drives_at(conn, info.map_name, place)
     # Suppression hides what drives see and changes nothing that they are compared with; a pin does.
     again = affected_drives(conn, around) if kind == PIN else []
     aside = [ref.drive_uuid for ref in again]

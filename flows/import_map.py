@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import NamedTuple
@@ -17,7 +18,7 @@ from conetl.io.stores.import_store import IMPORT_INFLUENCE_M, ImportedMap, commi
 from conetl.io.stores.map_results import RunInfo
 from conetl.io.stores.map_store import find_changeset, map_transaction
 from conetl.io.stores.replay_store import affected_drives, superseded_drives
-from conetl.map_records import Changeset, DeltaKind
+from conetl.map_records import Changeset, DeltaKind, Statement
 from conetl.params import ImportParams, params_sha256
 from conetl.steps.fold import Evidence
 from flows.replay import founding_key, replay_of
@@ -25,6 +26,7 @@ from flows.replay import founding_key, replay_of
 _NAMESPACE = UUID("9d5b6a0c-3d0f-4b0e-8e4f-0a6f2c9b7d13")
 #: Of a network there is none.
 _NO_MODEL = ""
+_MS_NS = 1_000_000
 
 
 class Imported(NamedTuple):
@@ -46,9 +48,7 @@ def import_map(
     The same file with other parameters takes the place of its first import. Raises InputError for ids that are taken.
     """
     started_at = datetime.now(UTC)
-    key = result_key(
-        "import", imported.content_sha256, params_sha256(params), str(imported.srid), str(imported.stated_at_ns)
-    )
+    key, *earlier_keys = _keys(imported, params)
     changeset = Changeset(
         changeset_id=uuid5(_NAMESPACE, f"{map_name}/{key}"),
         drive_id=imported.name,
@@ -59,9 +59,10 @@ def import_map(
         deltas=(),
     )
     with map_transaction(conn, map_name):
-        known = find_changeset(conn, key, map_name=map_name)
-        if known is not None:
+        found = (find_changeset(conn, one, map_name=map_name) for one in (key, *earlier_keys))
+        if (known := next(filter(None, found), None)) is not None:
             return Imported(known.changeset_id, False, dict.fromkeys(DeltaKind, 0), 0)
+        imported = _with_ids_of_map(conn, imported, map_name)
         _refuse_taken_ids(conn, imported, params, map_name)
         drive_uuid = place_import(conn, imported, key, map_name=map_name, reconcile=params.reconcile)
         evidence = Evidence(
@@ -95,6 +96,37 @@ def import_map(
     return Imported(changeset.changeset_id, True, counts, len(later))
 
 
+def _keys(imported: ImportedMap, params: ImportParams) -> list[str]:
+    """What the import is known by, then what it may have been known by when times of GeoJSON were read in milliseconds only."""
+    exact_ns = imported.stated_at_ns
+    instants_ns = dict.fromkeys((exact_ns, exact_ns // _MS_NS * _MS_NS, -(-exact_ns // _MS_NS) * _MS_NS))
+    known_by = ("import", imported.content_sha256, params_sha256(params), str(imported.srid))
+    return [result_key(*known_by, str(instant_ns)) for instant_ns in instants_ns]
+
+
+def _with_ids_of_map(conn: Connection, imported: ImportedMap, map_name: str) -> ImportedMap:
+    """An import with the ids that the map founds for it. The map's name is in them: ids are unique in a database, and one
+    file may go onto several of its maps.
+
+    Once they followed from file and row alone. A map that has such ids of this file keeps them, whatever parameters it comes with
+    now: its cones are the same.
+    """
+    if not imported.founds_ids:
+        return imported
+    taken = known_ids(conn, [statement.feature.feature_id for statement in imported.statements])
+    if any(known.map_name == map_name for known in taken.values()):
+        return imported
+    key = founding_key(map_name, imported.content_sha256)
+    statements = [
+        _with_id(statement, uuid5(_NAMESPACE, f"{key}/{row}")) for row, statement in enumerate(imported.statements)
+    ]
+    return replace(imported, statements=statements)
+
+
+def _with_id(statement: Statement, feature_id: UUID) -> Statement:
+    return statement.model_copy(update={"feature": statement.feature.model_copy(update={"feature_id": feature_id})})
+
+
 def _refuse_taken_ids(conn: Connection, imported: ImportedMap, params: ImportParams, map_name: str) -> None:
     """An id names one feature in the whole database; on this map it may come again where that feature is."""
     features = [statement.feature for statement in imported.statements]
@@ -111,8 +143,13 @@ def _refuse_taken_ids(conn: Connection, imported: ImportedMap, params: ImportPar
         if known.xy_m is not None:
             away_m = float(np.hypot(feature.xyz_m[0] - known.xy_m[0], feature.xyz_m[1] - known.xy_m[1]))
             if away_m > params.reconcile.moved_max_m:
+                away = f"{away_m / 1000:.1f} km" if away_m > 9999 else f"{away_m:.1f} m"
+                # An id that was founded can only have come with the same file before.
+                remedy = (
+                    "take the earlier import of this file back first (conetl map revert)"
+                    if imported.founds_ids
+                    else "correct the row, or use --new-ids"
+                )
                 raise InputError(
-                    f"{where} stands {away_m:.1f} m away on this map, farther than a cone is moved: correct the "
-                    "row, or use --new-ids; "
-                    "nothing was written"
+                    f"{where} stands {away} away on this map, farther than a cone is moved: {remedy}; nothing was written"
                 )

@@ -2,26 +2,34 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from itertools import permutations
 
 import pytest
 
 from conetl.errors import InputError
 from conetl.io.db import connect
+from conetl.io.imports.statements import read_map_file
 from conetl.io.stores.audits import run_audits
 from conetl.io.stores.decision_store import list_decisions
 from conetl.io.stores.map_store import feature_log, list_changesets, read_current_features, read_features_as_of
 from conetl.map_records import DeltaKind
+from conetl.params import ImportParams
 from flows.decide import PIN, SUPPRESS, decide_place, revert
+from flows.import_map import import_map
 from tests.conftest import cloned_database
 from tests.integration.drives_of_days import merge, survey, valid_time_map
 from tests.synthetic.world import ORIGIN_M
 
 
+def failed_audits(conn):
+    return [result for result in run_audits(conn) if not result.passed]
+
+
 @pytest.fixture(autouse=True)
 def audited(conn):
     yield
-    assert [result for result in run_audits(conn) if not result.passed] == []
+    assert failed_audits(conn) == []
 
 
 def near(conn, east, north, radius=0.8):
@@ -55,6 +63,34 @@ def test_a_suppressed_place_stays_suppressed_whatever_comes(conn):
     [back] = near(conn, 14.0, 3.6)
     assert back.observation_count > feature.observation_count, "drives went on counting it"
     assert list_decisions(conn) == []
+
+
+def test_a_decision_reaches_the_cones_of_others_within_its_radius(conn, tmp_path):
+    """An import whose area does not hold the centre of the place, but whose cone is within the radius."""
+    first = one_cone(conn, tmp_path / "a.csv", 458005.0)
+    second = one_cone(conn, tmp_path / "b.csv", 458024.0)
+    decided = decide_place(conn, SUPPRESS, str(first), map_name="default", radius_m=20.0)
+    assert decided.versions_written == 2
+    assert read_current_features(conn) == []
+    conn.rollback()
+    assert failed_audits(conn) == []
+    revert(conn, str(decided.decision_id), map_name="default")
+    assert {feature.feature_id for feature in read_current_features(conn)} == {first, second}
+    conn.rollback()
+    narrow = decide_place(conn, SUPPRESS, str(first), map_name="default", radius_m=18.9)
+    assert (narrow.versions_written, [f.feature_id for f in read_current_features(conn)]) == (1, [second])
+
+
+def one_cone(conn, path, easting_m):
+    """A map of one cone, imported; the cone's id."""
+    path.write_text(f"easting_m,northing_m,ellipsoidal_height_m\n{easting_m},5428005.0,115.0\n")
+    options = {"crs": "EPSG:32632", "map_srid": 32632, "stated_at": datetime(2026, 3, 1, tzinfo=UTC)}
+    before = {feature.feature_id for feature in read_current_features(conn)}
+    conn.rollback()
+    import_map(conn, read_map_file(path, ImportParams(), **options), ImportParams(), map_name="default")
+    [founded] = {feature.feature_id for feature in read_current_features(conn)} - before
+    conn.rollback()
+    return founded
 
 
 def test_a_pinned_cone_is_kept_where_drives_would_remove_it(conn):
@@ -152,7 +188,7 @@ def place_of_first_day(conn, kind, feature, order):
         at = system_time(conn, info)
         place = Place(xy_m=feature.xyz_m[:2], radius_m=1.0)
         insert_decision(conn, info, kind, decided_at=at, note=" ".join(order), place=place)
-        _judge_place(conn, info, kind, place.xy_m, at)
+        _judge_place(conn, info, kind, place, at)
 
 
 def test_the_earlier_analysis_counts_again_when_the_later_one_is_reverted(conn):

@@ -6,30 +6,37 @@ import csv
 import json
 import math
 import struct
+from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import permutations
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+import pyogrio
 import pytest
+import shapely
+from pyproj import Transformer
 
 from conetl.errors import InputError
 from conetl.io.db import connect, execute
 from conetl.io.exports import FORMATS
 from conetl.io.exports.export import export_map
-from conetl.io.exports.source import ExportRequest
+from conetl.io.exports.source import ExportRequest, What
 from conetl.io.imports.statements import read_map_file
+from conetl.io.parquet_store import file_sha256
 from conetl.io.stores.audits import run_audits
 from conetl.io.stores.map_store import list_changesets, read_current_features
 from conetl.map_records import DeltaKind
 from conetl.params import ImportParams
+from flows.decide import revert
 from flows.import_map import import_map
 from tests.conftest import cloned_database
 from tests.integration.drives_of_days import DAY_NS, DAYS, START_NS, merge, survey, valid_time_map
 
 IMPORTABLE = [name for name in FORMATS if name not in ("mcap", "lanelet2", "wzdx")]
 PARAMS = ImportParams()
+NEW_IDS = ImportParams(new_ids=True)
 
 
 def audited(conn):
@@ -78,6 +85,53 @@ def test_an_exported_map_comes_back(conn, surveyed, name):
             assert one.cov_m2 == pytest.approx(other.cov_m2, rel=1e-12)
     assert audited(conn) == []
     assert not take(conn, folder / f"map{FORMATS[name].suffix}").committed
+    assert len(list_changesets(conn)) == 1
+
+
+VALID_TIMES = """
+select v.first_seen_ns, v.last_seen_ns, lower(v.valid_period) as valid_from
+from conetl.feature_version v join conetl.map m using (map_id)
+where m.map_name = %(map_name)s and upper_inf(v.system_period)
+order by v.first_seen_ns
+"""
+
+
+@pytest.mark.parametrize("name", IMPORTABLE)
+def test_times_come_back_to_the_microsecond(conn, tmp_path, name):
+    plan = tmp_path / "plan.csv"
+    header = "easting_m,northing_m,ellipsoidal_height_m,valid_from,first_seen_at,last_seen_at"
+    times = [",".join(f"2026-03-01T08:00:0{n}.{number}23457Z" for n in range(3)) for number in (1, 9)]
+    plan.write_text("\n".join([header, f"458000,5428000,115,{times[0]}", f"458010,5428000,115,{times[1]}"]))
+    take(conn, plan, crs="EPSG:32632")
+    written = [tuple(row.values()) for row in execute(conn, VALID_TIMES, {"map_name": "default"})]
+    conn.rollback()
+    path = tmp_path / f"map{FORMATS[name].suffix}"
+    export_map(conn, path, name, ExportRequest())
+    take(conn, path, map_name="copy", params=NEW_IDS)
+    back = [tuple(row.values()) for row in execute(conn, VALID_TIMES, {"map_name": "copy"})]
+    assert back == written
+    assert [seen_ns % 1_000_000_000 for seen_ns, *_ in back] == [123_457_000, 923_457_000]
+
+
+@pytest.mark.parametrize("text", ["2026/03/01 08:00:00.123456", "2026-03-01T09:00:00.1234567+01:00"])
+def test_times_of_geojson_are_read_as_they_are_written(tmp_path, text):
+    read = read_map_file(geojson(tmp_path / "a.geojson", [(GOOD[0], {"last_seen_at": text})]), PARAMS, map_srid=32632)
+    assert read.stated_at_ns == 1_772_352_000_123_456_000
+
+
+@pytest.mark.parametrize("stated_ms", [1_772_352_000_123, 1_772_352_000_124])
+def test_geojson_that_was_imported_in_milliseconds_is_on_the_map_already(conn, tmp_path, stated_ms):
+    """GDAL rounded its times, to either side at halves."""
+    path = geojson(tmp_path / "a.geojson", [(GOOD[0], {"last_seen_at": "2026-03-01T08:00:00.123500Z"})])
+    read = read_map_file(path, PARAMS, map_srid=32632)
+    [statement] = read.statements
+    cut_ns = stated_ms * 1_000_000
+    feature = statement.feature.model_copy(update={"first_seen_ns": cut_ns, "last_seen_ns": cut_ns})
+    statement = statement.model_copy(update={"feature": feature, "valid_from_ns": cut_ns})
+    assert import_map(
+        conn, replace(read, stated_at_ns=cut_ns, statements=[statement]), PARAMS, map_name="default"
+    ).committed
+    assert not take(conn, path).committed
     assert len(list_changesets(conn)) == 1
 
 
@@ -138,8 +192,6 @@ def test_an_import_has_its_place_in_time_whatever_comes_first(cluster_url, templ
 
 
 def test_an_import_is_reverted_and_brought_back(conn, surveyed):
-    from flows.decide import revert
-
     folder, features = surveyed
     take(conn, folder / "map.parquet")
     before = valid_time_map(conn)
@@ -159,6 +211,129 @@ def test_ids_are_unique_in_a_database(conn, surveyed):
         take(conn, folder / "map.parquet", map_name="copy")
     assert take(conn, folder / "map.parquet", map_name="copy", params=ImportParams(new_ids=True)).committed
     assert len(read_current_features(conn, map_name="copy")) == len(features)
+
+
+@pytest.mark.parametrize("name", ["map.parquet", "plain.csv"])
+def test_a_file_whose_ids_are_founded_goes_onto_several_maps(conn, surveyed, tmp_path, name):
+    """As onto one for tests and the one for production, with ids that are not wanted and without any."""
+    folder, _ = surveyed
+    path = folder / name if name == "map.parquet" else plain_csv(tmp_path)
+    options = {} if name == "map.parquet" else {"crs": "EPSG:32632", "stated_at": datetime(2026, 3, 1, tzinfo=UTC)}
+    ids = []
+    for map_name in ("default", "test"):
+        assert take(conn, path, map_name=map_name, params=NEW_IDS, **options).committed
+        ids.append({feature.feature_id for feature in read_current_features(conn, map_name=map_name)})
+        conn.rollback()
+        assert not take(conn, path, map_name=map_name, params=NEW_IDS, **options).committed
+    assert len(ids[0]) == len(ids[1]) > 0
+    assert not ids[0] & ids[1]
+    assert audited(conn) == []
+
+
+def plain_csv(folder):
+    """Places only."""
+    path = folder / "plain.csv"
+    rows = [",".join(map(str, place_of(cone))) for cone in DAYS[0]]
+    path.write_text("\n".join(["easting_m,northing_m,ellipsoidal_height_m", *rows]))
+    return path
+
+
+def test_ids_founded_before_they_told_of_the_map_are_kept(conn, tmp_path):
+    """Ids once followed from file and row alone. A map that has them keeps them, also for other parameters of the same file."""
+    path = plain_csv(tmp_path)
+    options = {"crs": "EPSG:32632", "stated_at": datetime(2026, 3, 1, tzinfo=UTC)}
+    read = read_map_file(path, PARAMS, map_srid=32632, **options)
+    import_map(conn, replace(read, founds_ids=False), PARAMS, map_name="default")  # as it was written down then
+    ids = [statement.feature.feature_id for statement in read.statements]
+    before = valid_time_map(conn)
+    assert sorted(feature.feature_id for feature in read_current_features(conn)) == sorted(ids)
+    conn.rollback()
+    assert not take(conn, path, **options).committed
+    assert valid_time_map(conn) == before
+    assert take(conn, path, params=ImportParams(sigma_m=0.4), **options).committed
+    assert sorted(feature.feature_id for feature in read_current_features(conn)) == sorted(ids)
+    conn.rollback()
+    assert take(conn, path, map_name="test", **options).committed
+    assert audited(conn) == []
+
+
+def test_a_file_whose_founded_ids_stand_elsewhere_says_what_helps(conn, tmp_path):
+    path = plain_csv(tmp_path)
+    options = {"stated_at": datetime(2026, 3, 1, tzinfo=UTC)}
+    take(conn, path, crs="EPSG:32633", **options)
+    better = ImportParams(sigma_m=0.4)
+    with pytest.raises(InputError, match=r"row 1: .* km away .*conetl map revert"):
+        take(conn, path, crs="EPSG:32632", params=better, **options)
+    revert(conn, "1", map_name="default")
+    assert take(conn, path, crs="EPSG:32632", params=better, **options).committed
+    assert audited(conn) == []
+
+
+# --------------------------------------------------------------------------- layers
+
+
+def two_layers(path, **more):
+    """A GeoPackage with a cone in the layer `west` and two in `east`, and a table without places, as QGIS keeps its styles in."""
+    layers = {"west": [[458000.0, 5428000.0]], "east": [[458100.0, 5428000.0], [458110.0, 5428000.0]]} | more
+    for name, places in layers.items():
+        points = shapely.to_wkb(shapely.points([[*place, 115.0] for place in places]))
+        pyogrio.raw.write(
+            path, points, [np.array(["2026-03-01T08:00:00"] * len(places), "datetime64[ms]")], ["last_seen_at"],
+            geometry_type="Point Z", crs="EPSG:32632", layer=name, append=path.exists(), driver="GPKG",
+        )  # fmt: skip
+    style = [np.array(["<qgis/>"], object)]
+    pyogrio.raw.write(path, None, style, ["styleQML"], geometry_type=None, layer="layer_styles", append=True)
+    return path
+
+
+def test_a_file_of_several_layers_is_not_taken_in_part(conn, tmp_path):
+    path = two_layers(tmp_path / "two.gpkg")
+    with pytest.raises(InputError, match=r"two\.gpkg holds 2 layers of places: west, east; .*--layer"):
+        take(conn, path)
+    with pytest.raises(InputError, match=r"two\.gpkg has no layer north .*: west, east"):
+        take(conn, path, layer="north")
+    with pytest.raises(InputError, match=r"two\.gpkg has no layer layer_styles .*: west, east"):
+        take(conn, path, layer="layer_styles")
+    assert nothing_written(conn)
+
+
+def test_layers_of_a_file_are_imports_of_their_own(conn, tmp_path):
+    path = two_layers(tmp_path / "two.gpkg")
+    assert take(conn, path, layer="west").counts[DeltaKind.ADDED] == 1
+    assert take(conn, path, layer="east").counts[DeltaKind.ADDED] == 2
+    assert len(read_current_features(conn)) == 3
+    conn.rollback()
+    assert not take(conn, path, layer="west").committed
+    assert not take(conn, path, layer="east").committed
+    assert {changeset.drive_id for changeset in list_changesets(conn)} == {"two.gpkg:west", "two.gpkg:east"}
+    conn.rollback()
+    assert audited(conn) == []
+
+
+def test_the_layer_that_an_import_took_before_there_was_a_choice_is_known_by_its_file(tmp_path):
+    path = two_layers(tmp_path / "two.gpkg")
+    west, east = (read_map_file(path, PARAMS, map_srid=32632, layer=name) for name in ("west", "east"))
+    assert west.content_sha256 == file_sha256(path)
+    assert len({west.content_sha256, east.content_sha256}) == 2
+
+
+def test_a_file_with_one_layer_needs_no_choice(tmp_path, surveyed):
+    folder, features = surveyed
+    assert len(read_map_file(folder / "map.gpkg", PARAMS, layer="default").statements) == len(features)
+    with pytest.raises(InputError, match=r"map\.gpkg has no layer other .*: default"):
+        read_map_file(folder / "map.gpkg", PARAMS, layer="other")
+    for name in ("map.csv", "map.parquet"):
+        with pytest.raises(InputError, match=r"map\..* has no layers: leave out --layer"):
+            read_map_file(folder / name, PARAMS, map_srid=32632, layer="default")
+
+
+@pytest.mark.parametrize("what", [What.HISTORY, What.CHANGES])
+def test_a_history_is_refused_as_one(conn, tmp_path, what):
+    merge(conn, survey(0))
+    since = datetime(2020, 1, 1, tzinfo=UTC) if what is What.CHANGES else None
+    export_map(conn, tmp_path / "h.gpkg", "gpkg", ExportRequest(what=what, since=since))
+    with pytest.raises(InputError, match="export of history or changes"):
+        take(conn, tmp_path / "h.gpkg")
 
 
 # --------------------------------------------------------------------------- bad files
@@ -190,8 +365,47 @@ BAD = {
     "no time": (OTHER, SEEN | {"first_seen_at": "yesterday"}, r"row 2: first_seen_at is 'yesterday'"),
     "times crossed": (OTHER, SEEN | {"first_seen_at": "2026-03-02T08:00:00Z"}, "row 2: first_seen_at, last_seen_at"),
     "same place": (GOOD[0], SEEN, "row 2: the same place as row 1"),
+    "a formula": (OTHER, SEEN | {"category": "=1+1"}, r"row 2: category is '=1\+1', expected .*letters, digits"),
+    "a formula of names": (OTHER, SEEN | {"category": "-A1"}, r"row 2: category is '-A1'"),
+    "a formula that looks blank": (OTHER, SEEN | {"category": "\t@A1"}, r"row 2: category is '\\t@A1'"),
+    "a category of two lines": (OTHER, SEEN | {"category": "cone\ncone"}, r"row 2: category is"),
+    "a category of marks": (OTHER, SEEN | {"category": "<b>cone"}, r"row 2: category is '<b>cone'"),
+    "no category": (OTHER, SEEN | {"category": ""}, r"row 2: category is ''"),
+    "a blank category": (OTHER, SEEN | {"category": " "}, r"row 2: category is ' '"),
+    "a long category": (OTHER, SEEN | {"category": "c" * 65}, r"row 2: category is 'c+', expected at most 64"),
     "no uuid": (OTHER, SEEN | {"feature_id": "cone 7"}, "row 1: feature_id is None|row 2: feature_id is 'cone 7'"),
 }
+
+
+@pytest.mark.parametrize(
+    ("srid", "places"),
+    [
+        (3460, [[178.44, -18.14], [179.99, -16.8], [-179.99, -16.8], [-178.8, -18.2]]),  # Fiji: 176.81 to -178.15
+        (32760, [[177.0, -18.0], [179.999, -18.0], [-179.5, -18.0]]),  # 174 to 180
+        (32701, [[-177.0, -18.0], [-179.999, -18.0], [179.5, -18.0]]),  # -180 to -174
+        (2193, [[174.76, -36.85], [-179.9, -43.9]]),  # New Zealand: 166.37 to 178.63
+    ],
+)
+def test_places_at_the_antimeridian_are_taken(tmp_path, srid, places):
+    path = geojson(tmp_path / "far.geojson", [([*place, 20.0], SEEN) for place in places])
+    read = read_map_file(path, PARAMS, map_srid=srid)
+    back = Transformer.from_crs(srid, "OGC:CRS84", always_xy=True)
+    for place, statement in zip(places, read.statements, strict=True):
+        lon, lat = back.transform(*statement.feature.xyz_m[:2])
+        assert [(lon - place[0] + 180) % 360 - 180, lat - place[1]] == pytest.approx([0, 0], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("srid", "place"),
+    [
+        (3460, [170.0, -18.0]), (3460, [-170.0, -18.0]), (3460, [0.0, -18.0]), (3460, [179.0, 18.0]),
+        (32760, [-174.0, -18.0]), (32701, [174.0, -18.0]), (32632, [-172.0, 49.0]),
+    ],
+)  # fmt: skip
+def test_places_beyond_an_area_are_refused_at_the_antimeridian_too(tmp_path, srid, place):
+    path = geojson(tmp_path / "far.geojson", [([*place, 20.0], SEEN)])
+    with pytest.raises(InputError, match=f"row 1: .* lies outside the area of the map's CRS EPSG:{srid}"):
+        read_map_file(path, PARAMS, map_srid=srid)
 
 
 def nothing_written(conn):
@@ -210,6 +424,15 @@ def test_a_bad_row_is_named_and_nothing_written(conn, tmp_path, name):
         take(conn, path)
     assert nothing_written(conn)
     assert take(conn, geojson(tmp_path / "good.geojson", [GOOD, (OTHER, SEEN)])).committed
+
+
+@pytest.mark.parametrize(
+    "category", ["traffic_cone", "Leitkegel groß", "large-orange.cone 2", "कोन", "三角锥", "7", "c" * 64, None]
+)
+def test_categories_are_words_of_any_script(tmp_path, category):
+    path = geojson(tmp_path / "good.geojson", [(GOOD[0], SEEN | {"category": category})])
+    [statement] = read_map_file(path, PARAMS, map_srid=32632).statements
+    assert statement.feature.category == (category or "traffic_cone")
 
 
 def test_ids_that_come_twice_are_named(conn, tmp_path):
@@ -304,6 +527,9 @@ def test_the_command_line(database_url, tmp_path, surveyed):
     assert "row 2: longitude" not in conetl("map", "import", geojson(tmp_path / "a.geojson", [GOOD]), code=2)
     done = json.loads(conetl("map", "import", folder / "map.gpkg", "--json"))
     assert (done["counts"]["added"], done["srid"], done["committed"]) == (len(features), 32632, True)
+    layers = two_layers(tmp_path / "two.gpkg")
+    assert "2 layers of places: west, east" in conetl("map", "import", layers, code=2).replace("\n", " ")
+    assert json.loads(conetl("map", "import", layers, "--layer", "west", "--json"))["committed"]
     assert "CC0" in conetl("map", "licence", "CC0")
     written = json.loads(conetl("map", "export", "--format", "geoparquet", "--out", tmp_path / "a.parquet", "--json"))
-    assert (written["features"], written["manifest"]["licence"]) == (len(features), "CC0")
+    assert (written["features"], written["manifest"]["licence"]) == (len(features) + 1, "CC0")

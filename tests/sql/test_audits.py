@@ -30,6 +30,15 @@ PIN = (
     "'', now() "
     "from feature f join feature_version v using (feature_id) limit 1"
 )
+SUPPRESS = (
+    f"{INSERT_DECISION} select gen_random_uuid(), f.map_id, f.srid, 'suppress', ST_Force2D(v.geom), 1, f.feature_id, null, null, "
+    "'', now() from feature f join feature_version v using (feature_id) where v.version = 2 limit 1"
+)
+#: Everything within a metre of the place, as `flows/decide.py` writes it down.
+HIDE = (
+    "update feature_version v set suppressed = present, present = false from decision d where d.kind = 'suppress' "
+    "and ST_DWithin(v.geom, d.geom, 1)"
+)
 REVERT = (
     f"{INSERT_DECISION} select gen_random_uuid(), map_id, 32632, 'revert', null, null, null, changeset_id, null, '', now() "
     "from changeset where moved_count = 1"
@@ -53,6 +62,15 @@ FAULTS = {
         (PIN, OTHER_MAP, WITHDRAW, f"{TO_OTHER_MAP}'withdraw'"),
         (PIN, WITHDRAW, "update decision set decided_at = '2000-01-01' where kind = 'withdraw'"),
         (PIN, WITHDRAW, WITHDRAW),
+    ],
+    "suppressed_places": [
+        (SUPPRESS,),
+        ("update feature_version set suppressed = true, present = false where version = 2",),
+        (SUPPRESS, HIDE, WITHDRAW),
+        (SUPPRESS, HIDE, "update decision set geom = ST_Translate(geom, 1.5, 0)"),
+        (SUPPRESS, HIDE, OTHER_MAP, f"{TO_OTHER_MAP}'suppress'"),
+        # a version that was valid once is hidden like the one that is open
+        (SUPPRESS, HIDE, "update decision set radius_m = 20"),
     ],
     "overlapping_periods": [
         (
@@ -172,6 +190,16 @@ def test_decisions_as_people_make_them_pass(good_map):
     finally:
         good_map.rollback()
     assert "decisions" not in failed
+
+
+def test_a_suppressed_place_as_people_make_it_passes(good_map):
+    try:
+        for statement in (SUPPRESS, HIDE):
+            execute(good_map, statement)
+        failed = {result.name for result in audits_of_open_transaction(good_map) if not result.passed}
+    finally:
+        good_map.rollback()
+    assert failed == set()
 
 
 def test_every_audit_has_faults_to_find():

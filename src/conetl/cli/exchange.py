@@ -112,6 +112,9 @@ def import_(
         float | None,
         typer.Option("--ground-height-m", help="Ellipsoidal height of the ground where the file has none."),
     ] = None,
+    layer: Annotated[
+        str | None, typer.Option("--layer", metavar="NAME", help="Layer to import of a file that has several.")
+    ] = None,
     new_ids: Annotated[
         bool, typer.Option("--new-ids", help="Found new ids instead of taking those of the file.")
     ] = False,
@@ -143,7 +146,7 @@ def import_(
         srid = info.srid if info else map_srid
         if srid is not None:
             require_map_srid(srid)
-        imported = read_map_file(file, params, crs=crs, map_srid=srid, stated_at=parse_time(surveyed_at))
+        imported = read_map_file(file, params, crs=crs, map_srid=srid, stated_at=parse_time(surveyed_at), layer=layer)
         require_map_srid(imported.srid)
         done = import_map(conn, imported, params, map_name=settings.map_name)
     if as_json:

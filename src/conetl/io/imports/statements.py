@@ -3,7 +3,9 @@ none."""
 
 from __future__ import annotations
 
+import hashlib
 import math
+import unicodedata
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
@@ -28,6 +30,9 @@ _NAMESPACE = UUID("5f0f6f0a-1c1b-4a53-9d0e-3c7a4a5be9a1")
 _MARGIN_DEG = 3.0
 _MAX_SIGMA_M = 100.0
 _MAX_CONE_HEIGHT_M = 10.0
+#: Of cones of which the file does not say what they are.
+_CATEGORY = "traffic_cone"
+_MAX_CATEGORY = 64
 #: Columns that only exports of history and of changes have.
 _HISTORY_COLUMNS = ("system_from", "change", "old_easting_m")
 _WGS84 = CRS("OGC:CRS84")
@@ -40,14 +45,16 @@ def read_map_file(
     crs: str | None = None,
     map_srid: int | None = None,
     stated_at: datetime | None = None,
+    layer: str | None = None,
 ) -> ImportedMap:
     """Read and check a map file. Raises InputError naming the file, and the row (from 1, without a header).
 
     crs: of the file's coordinates, where it names none; must agree where it does. map_srid: CRS of the map; None: the
     file's own, if
     that can be a map's. stated_at: the instant for which the file speaks; None: the latest `last_seen_at` in it.
+    layer: the one to read of a file with several.
     """
-    table = read_table(path)
+    table = read_table(path, layer)
     for name in _HISTORY_COLUMNS:
         if name in table.columns:
             raise InputError(
@@ -58,12 +65,21 @@ def read_map_file(
     srid = _map_srid(table, file_crs, map_srid)
     xyz_m = _places(table, file_crs, srid, params)
     _refuse_duplicate_places(path, xyz_m)
-    sha256 = file_sha256(path)
+    sha256 = _content_sha256(table)
     reader = _RowReader(table, params)
     stated_ns = reader.stated_ns(stated_at)
     ids = reader.ids(sha256)
     statements = [reader.statement(i, ids[i], xyz_m[i], stated_ns) for i in range(len(table))]
-    return ImportedMap(path.name, str(path), sha256, srid, stated_ns, statements)
+    name = f"{path.name}:{table.layer}" if len(table.layers) > 1 else path.name
+    return ImportedMap(name, str(path), sha256, srid, stated_ns, statements, founds_ids=reader.founds_ids)
+
+
+def _content_sha256(table: MapTable) -> str:
+    """What an import is known by. The first layer goes by its file alone: it was what imports took before there was a choice."""
+    sha256 = file_sha256(table.path)
+    if table.layer in (None, *table.layers[:1]):
+        return sha256
+    return hashlib.sha256(f"{sha256}/{table.layer}".encode()).hexdigest()
 
 
 class _RowReader:
@@ -72,15 +88,15 @@ class _RowReader:
     def __init__(self, table: MapTable, params: ImportParams) -> None:
         self.table = table
         self.params = params
+        self.founds_ids = params.new_ids or "feature_id" not in table.columns
 
     def fail(self, index: int, what: str) -> InputError:
         return InputError(f"{self.table.path}, row {index + 1}: {what}; nothing was written")
 
     def ids(self, sha256: str) -> list[UUID]:
-        """One a row: those of the file, or, with `new_ids` or without a column `feature_id`, ones that follow from file
-        and row."""
+        """One a row: those of the file, or, where ids are founded, ones that follow from file and row."""
         texts = self.table.columns.get("feature_id")
-        if texts is None or self.params.new_ids:
+        if texts is None or self.founds_ids:
             return [uuid5(_NAMESPACE, f"{sha256}/{index}") for index in range(len(self.table))]
         ids: list[UUID] = []
         first: dict[UUID, int] = {}
@@ -137,11 +153,10 @@ class _RowReader:
         if valid_from_ns > stated_ns:
             raise self.fail(index, "valid_from lies after the time for which the file speaks")
         x, y, z = (float(value) for value in xyz_m)
-        category = self.table.columns.get("category", [None] * len(self.table))[index]
         feature = MapFeature(
             feature_id=feature_id,
             version=1,
-            category=str(category or "traffic_cone")[:100],
+            category=self.category(index),
             xyz_m=(x, y, z),
             cov_m2=self.covariance(index),
             centre_xyz_m=(x, y, z + height_m / 2),
@@ -153,6 +168,17 @@ class _RowReader:
             last_seen_ns=last_ns,
         )
         return Statement(feature=feature, valid_from_ns=valid_from_ns)
+
+    def category(self, index: int) -> str:
+        """A word or a few. What begins otherwise is a formula to the programs in which people open a map's CSV."""
+        value = self.table.columns["category"][index] if "category" in self.table.columns else None
+        if value is None:
+            return _CATEGORY
+        category = str(value)
+        rule = f"at most {_MAX_CATEGORY} letters, digits, spaces, _ . or -, a letter or digit first"
+        if not (category[:1].isalnum() and len(category) <= _MAX_CATEGORY and all(map(_is_of_words, category))):
+            raise self.fail(index, f"category is {category[:100]!r}, expected {rule}")
+        return category
 
     def covariance(self, index: int) -> Cov3:
         rule = "more than 0 and at most 100 m"
@@ -190,7 +216,8 @@ class _RowReader:
                     return int(value) * 1000
                 raise self.fail(index, f"{column} is {value!r}, expected microseconds since 1970")
             try:
-                instant = value if isinstance(value, datetime) else datetime.fromisoformat(str(value))
+                text = str(value).replace("/", "-")  # 2026/03/02, as some programs write it
+                instant = value if isinstance(value, datetime) else datetime.fromisoformat(text)
                 return _ns(instant if instant.tzinfo else instant.replace(tzinfo=UTC))
             except (ValueError, OverflowError):
                 raise self.fail(index, f"{column} is {value!r}, expected a time like 2026-03-02T10:00:00Z") from None
@@ -314,9 +341,11 @@ def _within_use(crs: CRS, lon_lat: NDArray[np.float64]) -> NDArray[np.bool_]:
     area = crs.area_of_use
     if area is None:
         return np.asarray(np.isfinite(lon_lat).all(axis=1))
-    low = np.array([area.west, area.south]) - _MARGIN_DEG
-    high = np.array([area.east, area.north]) + _MARGIN_DEG
-    return np.asarray(((lon_lat >= low) & (lon_lat <= high)).all(axis=1))
+    lon, lat = np.where(np.isfinite(lon_lat), lon_lat, np.nan).T
+    # An area across the antimeridian ends west of where it begins, so longitudes are told from its western edge.
+    width = (area.east - area.west) % 360 or 360.0
+    inside = (lon - area.west + _MARGIN_DEG) % 360 <= width + 2 * _MARGIN_DEG
+    return np.asarray(inside & (lat >= area.south - _MARGIN_DEG) & (lat <= area.north + _MARGIN_DEG))
 
 
 def _refuse_duplicate_places(path: Path, xyz_m: NDArray[np.float64]) -> None:
@@ -330,6 +359,11 @@ def _refuse_duplicate_places(path: Path, xyz_m: NDArray[np.float64]) -> None:
 
 def _ns(instant: datetime) -> int:
     return int(np.datetime64(instant.astimezone(UTC).replace(tzinfo=None), "us").astype(np.int64)) * 1000
+
+
+def _is_of_words(character: str) -> bool:
+    # Many scripts write vowels as marks beside letters.
+    return character.isalnum() or character in " _.-" or unicodedata.category(character).startswith("M")
 
 
 def _text(values: NDArray[np.float64]) -> str:

@@ -9,8 +9,9 @@ from __future__ import annotations
 import csv
 import json
 import struct
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,8 @@ _CSV_NAMES = {
 }
 #: The first bytes of a FlatGeobuf file, without the patch version.
 _FGB_MAGIC = b"fgb\x03fgb"
+#: Options of GDAL's drivers. It takes texts in GeoJSON that look like times for times, of which it keeps milliseconds only.
+_OPEN_OPTIONS = {"GeoJSON": {"DATE_AS_STRING": "YES"}}
 
 
 @dataclass
@@ -53,21 +56,29 @@ class MapTable:
     xyz: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 3)))
     """(n, 3) in `crs`, east before north, longitude before latitude; heights NaN where there are none."""
     columns: dict[str, list[Any]] = field(default_factory=dict)
+    layers: tuple[str, ...] = ()
+    """Names of the file's layers that hold places, in its order; empty for formats that have none."""
+    layer: str | None = None
+    """The one that was read."""
 
     def __len__(self) -> int:
         return len(self.xyz)
 
 
-def read_table(path: Path) -> MapTable:
-    """All rows of a GeoJSON, CSV, GeoPackage, FlatGeobuf or GeoParquet file. Raises InputError naming the file, and the row."""
+def read_table(path: Path, layer: str | None = None) -> MapTable:
+    """All rows of a GeoJSON, CSV, GeoPackage, FlatGeobuf or GeoParquet file. Raises InputError naming the file, and the row.
+
+    layer: of a file with several, which one; None: the file has to have just one.
+    """
+    read_vector = partial(_read_vector, layer=layer)
     readers: dict[str, Callable[[Path], MapTable]] = {
         ".csv": _read_csv,
         ".parquet": _read_parquet,
         ".geoparquet": _read_parquet,
-        ".geojson": _read_vector,
-        ".json": _read_vector,
-        ".gpkg": _read_vector,
-        ".fgb": _read_vector,
+        ".geojson": read_vector,
+        ".json": read_vector,
+        ".gpkg": read_vector,
+        ".fgb": read_vector,
     }
     reader = readers.get(path.suffix.lower())
     if reader is None:
@@ -80,20 +91,27 @@ def read_table(path: Path) -> MapTable:
         raise InputError(f"{path} cannot be read ({error.strerror})") from error
     if not path.is_file() or size == 0:
         raise InputError(f"{path} is {'empty' if path.is_file() else 'no file'}: nothing to import")
+    if layer is not None and reader is not read_vector:
+        raise InputError(f"{path}: such a file has no layers: leave out --layer")
     table = reader(path)
     if not len(table):
         raise InputError(f"{path} holds no features: nothing to import")
     return table
 
 
-def _read_vector(path: Path) -> MapTable:
+def _read_vector(path: Path, layer: str | None) -> MapTable:
     if path.suffix.lower() == ".fgb":
         _check_flatgeobuf_header(path)
     try:
-        info = pyogrio.read_info(path)
+        layers = tuple(str(name) for name, geometry in pyogrio.list_layers(path) if geometry is not None)
+        layer = _choose_layer(path, layers, layer)
+        info = pyogrio.read_info(path, layer=layer)
         _check_claim(path, info["features"], "features")
-        table = MapTable(path, _crs_of(path, info["crs"]))
-        with pyogrio.open_arrow(path, use_pyarrow=True, batch_size=_BATCH, datetime_as_string=True) as (meta, reader):
+        table = MapTable(path, _crs_of(path, info["crs"]), layers=layers, layer=layer)
+        options = _OPEN_OPTIONS.get(info["driver"], {})
+        with pyogrio.open_arrow(
+            path, layer=layer, use_pyarrow=True, batch_size=_BATCH, datetime_as_string=True, **options
+        ) as (meta, reader):
             name = meta["geometry_name"] or "wkb_geometry"
             if name not in reader.schema.names:
                 raise InputError(f"{path} has no geometry: a cone map is a layer of points")
@@ -103,6 +121,19 @@ def _read_vector(path: Path) -> MapTable:
     except Exception as error:  # GDAL raises what it likes for a broken file
         raise InputError(f"{path} cannot be read as a map ({_line(error)})") from error
     return table
+
+
+def _choose_layer(path: Path, layers: Sequence[str], wanted: str | None) -> str:
+    """The layer to read. GDAL would take the first of several and not say so. Raises InputError naming the layers."""
+    if not layers:
+        raise InputError(f"{path} has no geometry: a cone map is a layer of points")
+    if wanted is not None and wanted not in layers:
+        raise InputError(f"{path} has no layer {wanted} with places; it has: {', '.join(layers)}")
+    if wanted is None and len(layers) > 1:
+        raise InputError(
+            f"{path} holds {len(layers)} layers of places: {', '.join(layers)}; say which one to import (--layer NAME)"
+        )
+    return wanted or layers[0]
 
 
 def _read_parquet(path: Path) -> MapTable:

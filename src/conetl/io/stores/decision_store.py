@@ -23,9 +23,8 @@ def read_decisions(conn: Connection, *, map_name: str = "default") -> Decisions:
     """The decisions about places that hold, as the comparison of drives takes them."""
     places: dict[str, list[Place]] = {"suppress": [], "pin": [], "revert": []}
     for decision in list_decisions(conn, map_name=map_name):
-        if decision.easting_m is not None and decision.northing_m is not None and decision.radius_m is not None:
-            place = Place(xy_m=(decision.easting_m, decision.northing_m), radius_m=decision.radius_m)
-            places[decision.kind].append(place)
+        if decision.place is not None:
+            places[decision.kind].append(decision.place)
     return Decisions(suppressed=tuple(places["suppress"]), pinned=tuple(places["pin"]))
 
 

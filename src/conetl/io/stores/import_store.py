@@ -42,6 +42,9 @@ class ImportedMap:
     stated_at_ns: int
     """The instant on the road for which it speaks (UTC)."""
     statements: Sequence[Statement]
+    founds_ids: bool = False
+    """The file brings no ids, or none that are wanted: those of the statements follow from file and row alone, and each map that
+    takes it founds its own."""
 
 
 class KnownId(NamedTuple):

@@ -15,6 +15,7 @@ from conetl.map_records import (
     FoldKey,
     MapFeature,
     Miss,
+    Place,
 )
 
 
@@ -211,6 +212,13 @@ class StoredDecision:
     decided_by: str | None
     """None of decisions from before names were kept."""
     decided_at: datetime
+
+    @property
+    def place(self) -> Place | None:
+        """What it is about; None of a revert."""
+        if self.easting_m is None or self.northing_m is None or self.radius_m is None:
+            return None
+        return Place(xy_m=(self.easting_m, self.northing_m), radius_m=self.radius_m)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from conetl.io.db import Connection, copy_columns, database_errors, execute, exe
 from conetl.io.stores import map_columns
 from conetl.io.stores.map_results import DriveRef, MapInfo, Replay, StoredDelta, StoredMiss, StoredVersion
 from conetl.io.stores.map_rows import version_of
-from conetl.map_records import BelievedVersion, Delta, Doubt, Miss
+from conetl.map_records import BelievedVersion, Delta, Doubt, Miss, Place
 
 
 def read_standing_around(conn: Connection, drive_uuid: UUID) -> dict[UUID, BelievedVersion]:
@@ -38,9 +38,10 @@ def superseded_drives(conn: Connection, drive_uuid: UUID) -> list[UUID]:
     return [row["drive_uuid"] for row in execute(conn, load_sql("map/superseded_drives"), {"drive_uuid": drive_uuid})]
 
 
-def drives_at(conn: Connection, map_name: str, xy_m: tuple[float, float]) -> list[UUID]:
-    """The drives that count and may have something to say about a place (map CRS)."""
-    parameters = {"map_name": map_name, "easting_m": xy_m[0], "northing_m": xy_m[1]}
+def drives_at(conn: Connection, map_name: str, place: Place) -> list[UUID]:
+    """The drives that count and may have something to say about what stands at a place (map CRS), anywhere within its radius."""
+    easting_m, northing_m = place.xy_m
+    parameters = {"map_name": map_name, "easting_m": easting_m, "northing_m": northing_m, "radius_m": place.radius_m}
     return [row["drive_uuid"] for row in execute(conn, load_sql("map/drives_at"), parameters)]
 
 
