@@ -23,7 +23,9 @@ from conetl.io.stores.ogc_store import MapDirectory
 from conetl.records import utc_from_ns
 from conetl.web.app import create_app
 from conetl.web.ogc.collections import Instants, features_of, warm
+from flows.decide import SUPPRESS, decide_place, revert
 from tests import ogc_schemas as standard
+from tests.integration.drives_of_days import merge, survey
 from tests.integration.test_qgis_project import OFFSCREEN, PYTHON, has_qgis
 from tests.view_map import commit, cone, missed, serving, two_drives
 
@@ -261,6 +263,37 @@ def test_pages_hold_each_item_once_also_while_a_drive_is_committed(database_url,
         assert sizes == [3, 3, 1]
         assert sorted(seen) == sorted(str(f.feature_id) for f in cones)
         assert get(client, f"{FEATURES}/items", limit=1)["numberMatched"] == 12
+    conn.close()
+
+
+def test_what_people_decide_is_served_at_once(database_url):
+    """Decisions close system periods like drives do, and no changeset tells of them."""
+    conn = connect(database_url)
+    merge(conn, survey(0))
+    with TestClient(create_app(database_url, "default"), base_url=BASE) as client:
+        before = get(client, f"{FEATURES}/items", limit=3, schema=standard.ITEMS)
+        [link] = [link["href"] for link in before["links"] if link["rel"] == "next"]
+        cone_id, (lon, lat, _) = before["features"][0]["id"], before["features"][0]["geometry"]["coordinates"]
+        tile = morecantile.tms.get("WebMercatorQuad").tile(lon, lat, 22)
+
+        def is_served():
+            everything = (f"{path}/items" for path in (FEATURES, CHANGES))
+            there = {cone_id in [item["id"] for item in get(client, path)["features"]] for path in everything}
+            there.add(client.get(f"{FEATURES}/items/{cone_id}").status_code == 200)
+            path = f"{FEATURES}/tiles/WebMercatorQuad/{tile.z}/{tile.x}/{tile.y}"
+            there.add(cone_id.encode() in client.get(path).content)
+            [answer] = there
+            return answer
+
+        assert is_served()
+        decided = decide_place(conn, SUPPRESS, cone_id, map_name="default")
+        assert not is_served()
+        assert get(client, link)["numberMatched"] == before["numberMatched"], "a page that was begun goes on"
+        taken_back = revert(conn, str(decided.decision_id), map_name="default")
+        assert is_served()
+        page = get(client, f"{FEATURES}/items")
+        [own] = [link["href"] for link in page["links"] if link["rel"] == "self"]
+        assert utc(parse_qs(urlsplit(own).query)["known_at"][0]) == taken_back.decided_at
     conn.close()
 
 
