@@ -15,7 +15,7 @@ from conetl.io.exports.csv_table import export_csv
 from conetl.io.exports.export import export_map
 from conetl.io.exports.feature_rows import iso_utc
 from conetl.io.exports.geojson import export_geojson
-from conetl.io.exports.source import ExportRequest
+from conetl.io.exports.source import ExportRequest, What
 from conetl.io.stores.map_store import read_current_features
 from conetl.records import utc_from_ns
 from flows.decide import SUPPRESS, decide_place
@@ -105,6 +105,21 @@ def test_the_manifest_tells_of_decisions_too(conn, tmp_path):
     after = export_map(conn, tmp_path / "after.csv", "csv", ExportRequest())
     assert (before["rows"] - after["rows"], before["changesets"]) == (1, after["changesets"])
     assert before["last_committed_at"] < after["last_committed_at"] == iso_utc(decided.decided_at)
+
+
+def test_a_removed_cone_was_there_until_it_was_gone(conn, samples, tmp_path):
+    """Also where it was confirmed after the first of the two instants, which made another version of it."""
+    feature, day_ns = samples.feature(), samples.DAY_NS
+    samples.commit(conn, samples.added(feature), key="1")
+    seen = samples.changed("confirmed", feature, samples.START_NS + 4 * day_ns, observation_count=9)
+    samples.commit(conn, seen, key="2")
+    gone_ns = samples.START_NS + 9 * day_ns
+    samples.commit(conn, samples.removed(seen.new, gone_ns), key="3")
+    since, until = (utc_from_ns(samples.START_NS + days * day_ns) for days in (1, 19))
+    export_map(conn, tmp_path / "c.csv", "csv", ExportRequest(what=What.CHANGES, since=since, until=until))
+    with (tmp_path / "c.csv").open(newline="") as file:
+        [row] = csv.DictReader(file)
+    assert (row["change"], row["version"], row["valid_to"]) == ("removed", "1", iso_utc(utc_from_ns(gone_ns)))
 
 
 def test_csv_holds_the_same_values(conn, moved_cone, tmp_path):

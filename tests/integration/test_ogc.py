@@ -205,6 +205,42 @@ def test_changes_between_two_instants(client, features, start):
     assert "wanders" not in kinds(client, features, datetime=f"{early}/{iso(utc(at) - TICK)}")
 
 
+def test_a_change_has_its_own_instant_whatever_confirmed_the_cone_in_between(database_url, samples, start, tmp_path):
+    """Each confirmation makes a version, and none of them is the change. Days 1, 5, 15: seen; 3, 8: added, moved, removed."""
+    conn = connect(database_url)
+    old, gone, new = (cone(samples, f"cone {k}", 2.0 * k, day=day) for k, day in enumerate((0, 0, 3)))
+    far_m = (old.xyz_m[0] + 1.5, *old.xyz_m[1:])
+    moved, seen = (old.model_copy(update={"version": version, "xyz_m": far_m}) for version in (2, 3))
+
+    def at_ns(day):
+        return samples.START_NS + day * samples.DAY_NS + 7
+
+    def confirmed(feature, day):
+        return samples.changed("confirmed", feature, at_ns(day), observation_count=feature.version + 5)
+
+    def next_version(feature):
+        return feature.model_copy(update={"version": feature.version + 1})
+
+    commit(conn, samples, tmp_path, "1", 0, samples.added(old), samples.added(gone))
+    commit(conn, samples, tmp_path, "2", 3, samples.changed("moved", old, at_ns(3), xyz_m=far_m), samples.added(new))
+    commit(conn, samples, tmp_path, "3", 5, confirmed(moved, 5), confirmed(gone, 5), confirmed(new, 5))
+    commit(conn, samples, tmp_path, "4", 8, samples.removed(next_version(gone), at_ns(8)))
+    commit(conn, samples, tmp_path, "5", 15, confirmed(seen, 15), confirmed(next_version(new), 15))
+    conn.close()
+    days = {old: 3, new: 3, gone: 8}
+    with TestClient(create_app(database_url, "default"), base_url=BASE) as client:
+        for begin, end in ((2, 20), (2, 9), (0.5, 9)):
+            asked = {"from": iso(start + begin * DAY), "to": iso(start + end * DAY)}
+            found = {
+                item["id"]: utc(item["properties"]["changed_at"])
+                for item in get(client, f"{CHANGES}/items", schema=standard.ITEMS, **asked)["features"]
+            }
+            assert found == {str(feature.feature_id): utc_from_ns(at_ns(day)) for feature, day in days.items()}
+        seen_last = get(client, f"{CHANGES}/items", **{"from": iso(start + 6 * DAY)}, kind="confirmed")["features"]
+        assert {utc(item["properties"]["changed_at"]) for item in seen_last} == {utc_from_ns(at_ns(15))}
+        assert len(seen_last) == 2
+
+
 def test_values_are_those_of_the_map(client, features, module_database_url, samples, start):
     page = get(client, f"{FEATURES}/items", at=iso(start + DAY * 2))
     conn = connect(module_database_url)
