@@ -1,8 +1,8 @@
 -- Purpose: features that differ between the map of one instant on the road and that of a later one, both as believed at one instant.
 -- Parameters: map_name; from_valid_at, to_valid_at, known_at (timestamptz; 'infinity' = latest); moved_from_m: a place that differs
 -- by more (horizontally) was moved, by less is only known better; spatial_order, time_order (both false: by feature_id).
--- Columns: as export/versions, of the later state (of removed features: of the earlier one), change (added, moved, confirmed, removed)
--- and shift_m; old_easting_m, old_northing_m, old_height_m, old_version: of the earlier state (of added features: null);
+-- Columns: as export/versions, of the later state (of removed features: of the earlier one, but valid_to: when they were gone, whatever
+-- confirmed them in between), change (added, moved, confirmed, removed) and shift_m; old_easting_m, old_northing_m, old_height_m, old_version: of the earlier state (of added features: null);
 -- seen_count, missed_count: drives that saw the feature and that looked in vain, until to_valid_at.
 with before as (
     select f.feature_id, f as state
@@ -34,7 +34,15 @@ select
     (c.state).last_seen_ns,
     (c.state).observation_count,
     lower((c.state).valid_period) as valid_from,
-    upper((c.state).valid_period) as valid_to,
+    case
+        when (c.new).feature_id is null then (
+            select max(upper(v.valid_period))
+            from conetl.feature_version v
+            where v.cell = (c.old).cell and v.feature_id = (c.old).feature_id and v.present
+            and lower(v.valid_period) <= %(to_valid_at)s::timestamptz and v.system_period @> %(known_at)s::timestamptz
+        )
+        else upper((c.state).valid_period)
+    end as valid_to,
     (c.state).changeset_id,
     e.seen_count,
     e.missed_count,

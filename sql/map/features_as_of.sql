@@ -2,7 +2,7 @@
 -- Parameters: map_name; valid_at, known_at (timestamptz; 'infinity' = latest);
 -- west_m, south_m, east_m, north_m (map CRS; all null: everywhere); srid.
 -- Columns: as MapFeature (metres, m^2, UTC nanoseconds), then valid_from, valid_to (null while open), changeset_id,
--- seen_count, missed_count (drives until then). existence_probability is that after the last drive that looked for it.
+-- seen_count, missed_count (drives until then; an import saw nothing). existence_probability is that after the last drive that looked for it.
 -- Evidence is counted for all features at once: a call of conetl.feature_evidence for each takes several times as long.
 with v as materialized (
     select v.*
@@ -14,7 +14,7 @@ with v as materialized (
 evidence as (
     select
         v.feature_id,
-        count(*) filter (where x.kind not in ('missed', 'removed', 'merged'))::integer as seen_count,
+        count(*) filter (where x.kind not in ('missed', 'removed', 'merged') and d.kind = 'drive')::integer as seen_count,
         count(*) filter (where x.kind in ('missed', 'removed'))::integer as missed_count,
         (
             array_agg(

@@ -1,6 +1,6 @@
 -- Purpose: the two group roles and what they may do; grant one of them to a login. Run again after every migration.
--- conetl_reader may only SELECT. conetl_writer may add rows and close system periods; it may neither change nor delete history.
--- Base layers and provisional features are no history: conetl_writer may drop them.
+-- conetl_reader may only SELECT. conetl_writer may add rows, close system periods and set a map's licence; it may neither change nor
+-- delete history. Base layers and provisional features are no history: conetl_writer may drop them.
 -- Needs the right to create roles (superuser or CREATEROLE).
 do $$
 declare
@@ -22,6 +22,7 @@ grant usage on schema conetl, conetl_ogc to conetl_reader, conetl_writer;
 grant select on all tables in schema conetl to conetl_reader, conetl_writer;
 grant insert on all tables in schema conetl to conetl_writer;
 grant update (system_period) on conetl.feature_version, conetl.delta to conetl_writer;
+grant update (licence) on conetl.map to conetl_writer;  -- says what others may do with the data, nothing of the road
 grant delete on conetl.base_source, conetl.base_tile, conetl.base_line to conetl_writer;  -- no history, see 0005
 -- What a drive shows while it is recorded is no history either, see conetl.watched_drive.
 grant update, delete on conetl.watched_drive, conetl.provisional_feature to conetl_writer;

@@ -130,7 +130,8 @@ class Statement(Record):
 
 
 class FeatureChange(Record):
-    """What differs of one feature between two states of a map; `confirmed`: the same place, known otherwise."""
+    """What differs of one feature between two states of a map; `confirmed`: the same place, known otherwise;
+    `missed`: the same version, believed less."""
 
     kind: DeltaKind
     feature_id: UUID

@@ -12,8 +12,14 @@ from pyproj import Transformer
 from conetl.errors import InputError
 from conetl.io.exports.atomic import atomic_text_file
 from conetl.io.exports.csv_table import export_csv
+from conetl.io.exports.export import export_map
+from conetl.io.exports.feature_rows import iso_utc
 from conetl.io.exports.geojson import export_geojson
+from conetl.io.exports.source import ExportRequest, What
+from conetl.io.stores.map_store import read_current_features
 from conetl.records import utc_from_ns
+from flows.decide import SUPPRESS, decide_place
+from tests.integration.drives_of_days import merge, survey
 
 CONTRACT = [
     "feature_id",
@@ -87,6 +93,33 @@ def test_the_same_map_gives_the_same_bytes(conn, samples, tmp_path):
         first = (tmp_path / name).read_bytes()
         export(conn, tmp_path / name)
         assert (tmp_path / name).read_bytes() == first
+
+
+def test_the_manifest_tells_of_decisions_too(conn, tmp_path):
+    """Two exports that differ do not name the same state of the map."""
+    merge(conn, survey(0))
+    feature = read_current_features(conn)[0]
+    conn.rollback()
+    before = export_map(conn, tmp_path / "before.csv", "csv", ExportRequest())
+    decided = decide_place(conn, SUPPRESS, str(feature.feature_id), map_name="default")
+    after = export_map(conn, tmp_path / "after.csv", "csv", ExportRequest())
+    assert (before["rows"] - after["rows"], before["changesets"]) == (1, after["changesets"])
+    assert before["last_committed_at"] < after["last_committed_at"] == iso_utc(decided.decided_at)
+
+
+def test_a_removed_cone_was_there_until_it_was_gone(conn, samples, tmp_path):
+    """Also where it was confirmed after the first of the two instants, which made another version of it."""
+    feature, day_ns = samples.feature(), samples.DAY_NS
+    samples.commit(conn, samples.added(feature), key="1")
+    seen = samples.changed("confirmed", feature, samples.START_NS + 4 * day_ns, observation_count=9)
+    samples.commit(conn, seen, key="2")
+    gone_ns = samples.START_NS + 9 * day_ns
+    samples.commit(conn, samples.removed(seen.new, gone_ns), key="3")
+    since, until = (utc_from_ns(samples.START_NS + days * day_ns) for days in (1, 19))
+    export_map(conn, tmp_path / "c.csv", "csv", ExportRequest(what=What.CHANGES, since=since, until=until))
+    with (tmp_path / "c.csv").open(newline="") as file:
+        [row] = csv.DictReader(file)
+    assert (row["change"], row["version"], row["valid_to"]) == ("removed", "1", iso_utc(utc_from_ns(gone_ns)))
 
 
 def test_csv_holds_the_same_values(conn, moved_cone, tmp_path):

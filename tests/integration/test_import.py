@@ -26,7 +26,7 @@ from conetl.io.exports.source import ExportRequest, What
 from conetl.io.imports.statements import read_map_file
 from conetl.io.parquet_store import file_sha256
 from conetl.io.stores.audits import run_audits
-from conetl.io.stores.map_store import list_changesets, read_current_features
+from conetl.io.stores.map_store import list_changesets, read_current_features, read_features_as_of
 from conetl.map_records import DeltaKind
 from conetl.params import ImportParams
 from flows.decide import revert
@@ -154,6 +154,24 @@ def test_drives_confirm_move_and_remove_imported_cones(conn, tmp_path):
     assert kinds[DeltaKind.CONFIRMED] >= 4
     assert (kinds[DeltaKind.MOVED], kinds[DeltaKind.REMOVED], kinds[DeltaKind.ADDED]) == (1, 1, 0)
     assert audited(conn) == []
+
+
+def test_an_import_saw_no_cone(conn, surveyed):
+    """`conetl map show` counts drives, as the web view, OGC API and exports do."""
+    take(conn, surveyed[0] / "map.parquet")
+    shown = list(read_features_as_of(conn))
+    conn.rollback()
+    assert {v.seen_count for v in shown} == {0}
+    merge(conn, survey(2))
+    shown = list(read_features_as_of(conn))
+    evidence = execute(
+        conn,
+        "select f.feature_id, e.seen_count from conetl.current_feature f, conetl.feature_evidence(f.feature_id, f.version) e",
+    )
+    assert {v.feature.feature_id: v.seen_count for v in shown} == {
+        row["feature_id"]: row["seen_count"] for row in evidence
+    }
+    assert 1 in {v.seen_count for v in shown}
 
 
 def place_of(cone):

@@ -11,7 +11,8 @@ from pathlib import Path
 import cv2
 import pytest
 
-from tests.integration.drives_of_days import merge, survey
+from tests.integration.drives_of_days import DAY_NS, START_NS, merge, survey
+from tests.view_map import commit, cone, missed
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -54,6 +55,18 @@ def test_differences_between_changesets_and_times(conetl, tmp_path):
     assert len(lines) == changes.count("moved")
     assert all(5 < lon < 12 and 48 < lat < 50 for f in lines for lon, lat, _ in f["geometry"]["coordinates"])
     assert "has no changeset 9" in conetl("map", "diff", 9, 3, code=2)
+
+
+def test_a_miss_is_told_as_one(conetl, conn, samples, tmp_path):
+    """In the table, the GeoJSON and JSON; the picture has a mark of its own for it."""
+    there = cone(samples, "there", 400.0)
+    commit(conn, samples, tmp_path, "a", 10, samples.added(there, changed_at_ns=START_NS + 10 * DAY_NS))
+    commit(conn, samples, tmp_path, "b", 11, missed(there, START_NS + 11 * DAY_NS, 0.6))
+    written = tmp_path / "diff.geojson"
+    assert "1 missed" in conetl("map", "diff", 4, 5, "--out", written, "--picture", tmp_path / "diff.png").splitlines()
+    assert [f["properties"]["change"] for f in json.loads(written.read_text())["features"]] == ["missed"]
+    [change] = json.loads(conetl("map", "diff", "4", "5", "--json"))
+    assert (change["kind"], change["new"]["existence_probability"]) == ("missed", 0.6)
 
 
 def test_decisions_through_the_command_line(conetl):

@@ -12,7 +12,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from uuid import uuid4
+from uuid import UUID, uuid4
 
 import pytest
 
@@ -20,6 +20,7 @@ from conetl.drive_records import DriveRecords
 from conetl.errors import DatabaseError, MapMismatchError
 from conetl.io.db import connect, execute
 from conetl.io.stores.audits import run_audits
+from conetl.io.stores.decision_store import find_decisions
 from conetl.io.stores.map_results import RunInfo
 from conetl.io.stores.map_store import (
     commit_changeset,
@@ -417,3 +418,54 @@ def test_kill_nine_at_any_instant_leaves_all_or_nothing(conn, database_url, samp
 def test_an_instant_without_a_zone_is_refused(conn):
     with pytest.raises(ValueError, match="no time zone"):
         list(read_features_as_of(conn, datetime(2026, 1, 1)))
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("1536", ["number"]),
+        ("1537", []),  # the number of a changeset of another map, and how an id of this one begins
+        ("153700", []),
+        ("15370000", ["id"]),
+        ("1538", []),
+        ("15380000", ["number of 8 digits"]),
+        ("15380000-", ["id of a number"]),
+        ("15a0", ["letters"]),
+        ("15a", []),
+    ],
+)
+def test_digits_are_a_number_before_they_are_the_beginning_of_an_id(numbered, text, found):
+    conn, ids = numbered
+    names = {changeset_id: name for name, changeset_id in ids.items()}
+    assert [names[one.id] for one in find_decisions(conn, text)] == found
+
+
+@pytest.fixture(scope="module")
+def numbered(module_database_url, samples):
+    """Changesets whose ids and numbers look alike; 1537 is of another map."""
+    conn = connect(module_database_url)
+    ids = {}
+    for key, (name, changeset_id, number, map_name) in enumerate(
+        (
+            ("number", "a0000000", 1536, "default"),
+            ("also 1536", "15360000", 10, "default"),
+            ("elsewhere", "b0000000", 1537, "other"),
+            ("id", "15370000", 11, "default"),
+            ("number of 8 digits", "c0000000", 15380000, "default"),
+            ("id of a number", "15380000", 12, "default"),
+            ("letters", "15a00000", 13, "default"),
+        ),
+        start=1,
+    ):
+        execute(conn, f"alter table conetl.changeset alter changeset_no restart with {number}")
+        conn.commit()
+        ids[name] = UUID(f"{changeset_id}-0000-4000-8000-000000000000")
+        drive = samples.drive(f"drive_{key}", content_sha256=f"{key:064x}")
+        changeset = samples.changeset(drive_id=drive.drive_id, key=f"{key:x}")
+        with map_transaction(conn, map_name):
+            commit_changeset(
+                conn, DriveRecords(drive, [], [], [], []), changeset.model_copy(update={"changeset_id": ids[name]}),
+                map_name=map_name,
+            )  # fmt: skip
+    yield conn, ids
+    conn.close()

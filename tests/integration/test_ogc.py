@@ -23,7 +23,9 @@ from conetl.io.stores.ogc_store import MapDirectory
 from conetl.records import utc_from_ns
 from conetl.web.app import create_app
 from conetl.web.ogc.collections import Instants, features_of, warm
+from flows.decide import SUPPRESS, decide_place, revert
 from tests import ogc_schemas as standard
+from tests.integration.drives_of_days import merge, survey
 from tests.integration.test_qgis_project import OFFSCREEN, PYTHON, has_qgis
 from tests.view_map import commit, cone, missed, serving, two_drives
 
@@ -203,6 +205,42 @@ def test_changes_between_two_instants(client, features, start):
     assert "wanders" not in kinds(client, features, datetime=f"{early}/{iso(utc(at) - TICK)}")
 
 
+def test_a_change_has_its_own_instant_whatever_confirmed_the_cone_in_between(database_url, samples, start, tmp_path):
+    """Each confirmation makes a version, and none of them is the change. Days 1, 5, 15: seen; 3, 8: added, moved, removed."""
+    conn = connect(database_url)
+    old, gone, new = (cone(samples, f"cone {k}", 2.0 * k, day=day) for k, day in enumerate((0, 0, 3)))
+    far_m = (old.xyz_m[0] + 1.5, *old.xyz_m[1:])
+    moved, seen = (old.model_copy(update={"version": version, "xyz_m": far_m}) for version in (2, 3))
+
+    def at_ns(day):
+        return samples.START_NS + day * samples.DAY_NS + 7
+
+    def confirmed(feature, day):
+        return samples.changed("confirmed", feature, at_ns(day), observation_count=feature.version + 5)
+
+    def next_version(feature):
+        return feature.model_copy(update={"version": feature.version + 1})
+
+    commit(conn, samples, tmp_path, "1", 0, samples.added(old), samples.added(gone))
+    commit(conn, samples, tmp_path, "2", 3, samples.changed("moved", old, at_ns(3), xyz_m=far_m), samples.added(new))
+    commit(conn, samples, tmp_path, "3", 5, confirmed(moved, 5), confirmed(gone, 5), confirmed(new, 5))
+    commit(conn, samples, tmp_path, "4", 8, samples.removed(next_version(gone), at_ns(8)))
+    commit(conn, samples, tmp_path, "5", 15, confirmed(seen, 15), confirmed(next_version(new), 15))
+    conn.close()
+    days = {old: 3, new: 3, gone: 8}
+    with TestClient(create_app(database_url, "default"), base_url=BASE) as client:
+        for begin, end in ((2, 20), (2, 9), (0.5, 9)):
+            asked = {"from": iso(start + begin * DAY), "to": iso(start + end * DAY)}
+            found = {
+                item["id"]: utc(item["properties"]["changed_at"])
+                for item in get(client, f"{CHANGES}/items", schema=standard.ITEMS, **asked)["features"]
+            }
+            assert found == {str(feature.feature_id): utc_from_ns(at_ns(day)) for feature, day in days.items()}
+        seen_last = get(client, f"{CHANGES}/items", **{"from": iso(start + 6 * DAY)}, kind="confirmed")["features"]
+        assert {utc(item["properties"]["changed_at"]) for item in seen_last} == {utc_from_ns(at_ns(15))}
+        assert len(seen_last) == 2
+
+
 def test_values_are_those_of_the_map(client, features, module_database_url, samples, start):
     page = get(client, f"{FEATURES}/items", at=iso(start + DAY * 2))
     conn = connect(module_database_url)
@@ -261,6 +299,37 @@ def test_pages_hold_each_item_once_also_while_a_drive_is_committed(database_url,
         assert sizes == [3, 3, 1]
         assert sorted(seen) == sorted(str(f.feature_id) for f in cones)
         assert get(client, f"{FEATURES}/items", limit=1)["numberMatched"] == 12
+    conn.close()
+
+
+def test_what_people_decide_is_served_at_once(database_url):
+    """Decisions close system periods like drives do, and no changeset tells of them."""
+    conn = connect(database_url)
+    merge(conn, survey(0))
+    with TestClient(create_app(database_url, "default"), base_url=BASE) as client:
+        before = get(client, f"{FEATURES}/items", limit=3, schema=standard.ITEMS)
+        [link] = [link["href"] for link in before["links"] if link["rel"] == "next"]
+        cone_id, (lon, lat, _) = before["features"][0]["id"], before["features"][0]["geometry"]["coordinates"]
+        tile = morecantile.tms.get("WebMercatorQuad").tile(lon, lat, 22)
+
+        def is_served():
+            everything = (f"{path}/items" for path in (FEATURES, CHANGES))
+            there = {cone_id in [item["id"] for item in get(client, path)["features"]] for path in everything}
+            there.add(client.get(f"{FEATURES}/items/{cone_id}").status_code == 200)
+            path = f"{FEATURES}/tiles/WebMercatorQuad/{tile.z}/{tile.x}/{tile.y}"
+            there.add(cone_id.encode() in client.get(path).content)
+            [answer] = there
+            return answer
+
+        assert is_served()
+        decided = decide_place(conn, SUPPRESS, cone_id, map_name="default")
+        assert not is_served()
+        assert get(client, link)["numberMatched"] == before["numberMatched"], "a page that was begun goes on"
+        taken_back = revert(conn, str(decided.decision_id), map_name="default")
+        assert is_served()
+        page = get(client, f"{FEATURES}/items")
+        [own] = [link["href"] for link in page["links"] if link["rel"] == "self"]
+        assert utc(parse_qs(urlsplit(own).query)["known_at"][0]) == taken_back.decided_at
     conn.close()
 
 
@@ -432,6 +501,8 @@ def test_vector_tiles(client, features):
         "datetime=2026-03-01T00:00:00Z/2026-02-01T00:00:00Z", "datetime=a/b/c", "datetime=../..", "datetime=",
         "datetime=0001-01-01T00:00:00Z/..",
         "datetime=2026-03-01T00:00:00Z&at=2026-03-01T00:00:00Z",
+        "datetime=2026", "datetime=20260302", "datetime=2026/2027", "datetime=../1772352000.5", "at=2026", "known_at=1772352000",
+        "known_at=-1",
         "at=yesterday", "at=99999-01-01", "no_such=1", "sortby=no_such", "sortby=feature_id;drop", "version=one", "f=html",
         "filter=version=1",
         "filter=pg_sleep(10)=1", "category=%00", "offset=-1", "offset=99999999999999999999", "limit=ten",
@@ -452,6 +523,8 @@ def test_what_cannot_be_understood_is_refused(client, query):
         ("feature_id=1", "feature_id='1' should be the id of a cone"),
         ("version=1_0", "version='1_0' should be a whole number"),
         ("valid_from=1772352000", "valid_from='1772352000' should be an instant"),
+        ("at=2026", "at: '2026' is no instant such as 2026-03-02T12:00:00Z"),
+        ("datetime=2026/2027", "'2026' is no instant such as 2026-03-02T12:00:00Z"),
         ("valid_from=yesterday", "valid_from='yesterday' should be an instant"),
         ("properties=category,nope", "There is no property 'nope'; there are: feature_id, version"),
         ("properties=nope&f=csv", "There is no property 'nope'"),

@@ -235,6 +235,9 @@ def test_only_pictures_inside_the_drive_are_served(client, features, module_data
     "path",
     [
         f"{MAP}/features?valid_at=yesterday",
+        f"{MAP}/features?valid_at=2026",
+        f"{MAP}/features?known_at=1772352000",
+        f"{MAP}/changes?to_valid_at=20260302",
         f"{MAP}/changes?moved_from_m=nan",
         f"{MAP}/changes?moved_from_m=-1",
         f"{MAP}/changes/0",

@@ -47,7 +47,7 @@ def feed_of(conetl, path, *options, kind="wzdx"):
 
 
 def test_a_work_zone_that_is_gone_on_the_third_day_ends(conn, samples, conetl, tmp_path):
-    cones = [samples.feature(str(k), xyz_m=(458_000.0 + 6.0 * k, 5_428_010.0, 114.5)) for k in range(5)]
+    cones = [samples.feature(str(k), xyz_m=(458_000.0 + 6.0 * k, 5_428_010.0, 114.5 - 0.1 * k)) for k in range(5)]
     samples.commit(conn, *[samples.added(cone) for cone in cones], key="1")
     day = samples.DAY_NS
     samples.commit(conn, samples.removed(cones[4], samples.START_NS + day), key="2", start_ns=samples.START_NS + day)
@@ -59,6 +59,10 @@ def test_a_work_zone_that_is_gone_on_the_third_day_ends(conn, samples, conetl, t
     first, second, last = (feed_of(conetl, path, "--as-of", time)["features"] for time in times)
     assert [len(features) for features in (first, second, last)] == [1, 1, 1]
     assert first[0]["id"] == second[0]["id"] == last[0]["id"]
+    line = first[0]["geometry"]["coordinates"]
+    lowest, highest = ([pick(axis) for axis in zip(*line, strict=True)] for pick in (min, max))
+    assert first[0]["bbox"] == [*lowest, *highest], "heights too, as the coordinates have them (RFC 7946, 5)"
+    assert (lowest[2], highest[2]) == (114.1, 114.5)
     status = [features[0]["properties"] for features in (first, second, last)]
     assert [s["event_status"] for s in status] == ["active", "active", "completed"]
     assert [s["is_end_date_verified"] for s in status] == [False, False, True]

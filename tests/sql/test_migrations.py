@@ -12,6 +12,7 @@ import pytest
 
 from conetl.errors import DatabaseError
 from conetl.io.db import connect, database_status, execute, load_sql, migrate, sql_directory, sql_names
+from conetl.io.stores.import_store import read_licence, set_licence
 from conetl.io.stores.map_store import read_current_features
 
 
@@ -178,12 +179,15 @@ def test_the_writer_may_commit_but_not_rewrite_history(conn, samples):
     assert migrate(conn) == []
     moved = samples.changed("moved", samples.feature(), samples.START_NS + 5, observation_count=9)
     samples.commit(conn, samples.added(samples.feature("b")), moved, key="2")
+    set_licence(conn, "default", "CC BY 4.0")
+    assert read_licence(conn, "default") == "CC BY 4.0"
     for statement in (
         "update feature_version set version = 7",
         "delete from feature_version",
         "delete from changeset",
         "update delta set shift_m = 0",
         "update feature set cell = 0",
+        "update map set srid = 32633",
         "insert into schema_migration values ('x', 'y')",
     ):
         execute(conn, "savepoint s")

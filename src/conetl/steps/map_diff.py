@@ -41,10 +41,25 @@ def change(old: MapFeature | None, new: MapFeature | None) -> FeatureChange | No
         kind = DeltaKind.REMOVED
     else:
         shift_m = float(np.hypot(new.xyz_m[0] - old.xyz_m[0], new.xyz_m[1] - old.xyz_m[1]))
-        taller_m = abs(new.cone_height_m - old.cone_height_m)
-        changed = DeltaKind.HEIGHT_CHANGED if taller_m > HEIGHT_M else DeltaKind.CONFIRMED
-        kind = DeltaKind.MOVED if shift_m > MOVED_M else changed
+        kind = _kind_of_standing(old, new, shift_m)
     return FeatureChange(kind=kind, feature_id=one.feature_id, old=old, new=new, shift_m=shift_m)
+
+
+def _kind_of_standing(old: MapFeature, new: MapFeature, shift_m: float) -> DeltaKind:
+    """What happened to a feature that is on both maps."""
+    if shift_m > MOVED_M:
+        return DeltaKind.MOVED
+    if abs(new.cone_height_m - old.cone_height_m) > HEIGHT_M:
+        return DeltaKind.HEIGHT_CHANGED
+    return DeltaKind.MISSED if _is_only_less_believed(old, new) else DeltaKind.CONFIRMED
+
+
+def _is_only_less_believed(old: MapFeature, new: MapFeature) -> bool:
+    """A drive that looks in vain lowers the belief in a version and changes nothing else; one that sees the cone makes another
+    version."""
+    if new.existence_probability >= old.existence_probability:
+        return False
+    return new == old.model_copy(update={"existence_probability": new.existence_probability})
 
 
 def invert(changes: Sequence[FeatureChange]) -> list[FeatureChange]:

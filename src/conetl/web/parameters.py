@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from typing import Annotated
 
 from fastapi import Depends, HTTPException, Path, Query, Request
-from pydantic import AfterValidator
+from pydantic import AfterValidator, BeforeValidator
+from pydantic_core import PydanticCustomError
 
 from conetl.io.db import Connection
 from conetl.io.stores.reader_pool import ReaderPool
@@ -26,9 +28,16 @@ def _utc(time: datetime) -> datetime:
     return time if time.tzinfo else time.replace(tzinfo=UTC)
 
 
+def dated(text: str | None) -> str | None:
+    """The text of an instant, which begins with a date: pydantic would take a number for seconds since 1970, a year too."""
+    if text is not None and not re.match(r"\d{4}-\d\d-\d\d", text, re.ASCII):
+        raise PydanticCustomError("instant", "{text} is no instant such as 2026-03-02T12:00:00Z", {"text": repr(text)})
+    return text
+
+
 MapName = Annotated[str, Path(pattern=r"^[a-z0-9_-]{1,40}$", description="Name of the map.")]
 Instant = Annotated[
-    datetime | None, AfterValidator(lambda t: None if t is None else _utc(t)),
+    datetime | None, BeforeValidator(dated), AfterValidator(lambda t: None if t is None else _utc(t)),
     Query(description="ISO 8601; UTC where it names no zone. Without it: the latest."),
 ]  # fmt: skip
 ChangesetNo = Annotated[int, Path(ge=1, le=2**62)]

@@ -32,8 +32,13 @@ def cone(number: int, east_m: float) -> MapFeature:
     )
 
 
-MAPS = st.dictionaries(st.integers(0, 6), st.sampled_from([0.0, 0.1, 0.4, 2.0]), max_size=6).map(
-    lambda places: [cone(number, east_m) for number, east_m in places.items()]
+MAPS = st.dictionaries(
+    st.integers(0, 6), st.tuples(st.sampled_from([0.0, 0.1, 0.4, 2.0]), st.sampled_from([0.9, 0.6])), max_size=6
+).map(
+    lambda cones: [
+        cone(number, east_m).model_copy(update={"existence_probability": belief})
+        for number, (east_m, belief) in cones.items()
+    ]
 )
 
 
@@ -41,6 +46,17 @@ def test_kinds() -> None:
     before, after = [cone(1, 0), cone(2, 0), cone(3, 0), cone(4, 0)], [cone(1, 0), cone(2, 0.1), cone(3, 2), cone(5, 0)]
     found = [(change.feature_id.int, change.kind) for change in diff(before, after)]
     assert found == [(2, DeltaKind.CONFIRMED), (3, DeltaKind.MOVED), (4, DeltaKind.REMOVED), (5, DeltaKind.ADDED)]
+
+
+def test_a_cone_that_was_looked_for_in_vain_is_not_confirmed() -> None:
+    """A miss lowers the belief in a version and makes no other one."""
+    before = cone(1, 0)
+    after = before.model_copy(update={"existence_probability": 0.6})
+    seen = after.model_copy(update={"version": 2, "observation_count": 4})
+    assert [change.kind for change in diff([before], [after])] == [DeltaKind.MISSED]
+    assert [change.kind for change in diff([before], [seen])] == [DeltaKind.CONFIRMED], "seen, whatever the belief"
+    assert compose(diff([before], [after]), diff([after], [seen])) == diff([before], [seen])
+    assert invert(diff([before], [after])) == diff([after], [before])
 
 
 @given(a=MAPS, b=MAPS, c=MAPS)

@@ -236,7 +236,8 @@ def _lon_lat(points_m: NDArray[np.float64], srid: int) -> list[list[float]]:
 
 
 def _bbox(line: list[list[float]]) -> list[float]:
-    places = np.array(line)[:, :2]
+    """Lowest, then highest longitude, latitude and height: as many as the coordinates have (RFC 7946, 5)."""
+    places = np.array(line)
     return [*places.min(axis=0).tolist(), *places.max(axis=0).tolist()]
 
 

@@ -38,7 +38,8 @@ class ServedMap:
     map_name: str
     srid: int
     changeset_no: int
-    committed_at: datetime
+    last_committed_at: datetime
+    """Of changesets and decisions."""
     extent: Degrees
     since: datetime
     """Beginning of the first drive."""
@@ -67,7 +68,7 @@ class MapDirectory:
             sizes = {"share": found["share"], "version_count": found["version_count"]}
             known = ServedMap(**row, extent=extent, since=found["since"], **sizes)
             self._known[row["map_name"]] = known
-        return replace(known, committed_at=row["committed_at"])
+        return replace(known, last_committed_at=row["last_committed_at"])
 
 
 async def read_page(

@@ -89,7 +89,7 @@ FEATURE_COLUMNS = {
 CHANGE_COLUMNS = {
     "feature_id": ("uuid", "The cone"),
     "kind": ("text", "added, removed, moved or confirmed (the same place with newer values)"),
-    "changed_at": ("timestamptz", "From when on it is so on the road"),
+    "changed_at": ("timestamptz", "From when on it is so on the road (confirmed: the newest confirmation)"),
     "shift_m": ("float8", "How far it moved on the ground"),
     "category": ("text", "What stands there"),
     "easting_m": ("float8", "After the change (removed: before), in the map's CRS"),

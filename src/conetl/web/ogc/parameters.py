@@ -214,17 +214,18 @@ _KINDS = {"features": features_of, "changes": changes_of}
 
 
 def _pinned(instants: Instants, served: ServedMap) -> Instants:
-    """The same, with the newest changeset as the latest: all queries of a request see one state, and so do its next pages."""
-    return replace(
-        instants, known_at=instants.known_at or served.committed_at, known_end=instants.known_end or served.committed_at
-    )
+    """The same, with the newest changeset or decision as the latest: all queries of a request see one state, and so do its next
+    pages."""
+    latest = served.last_committed_at
+    return replace(instants, known_at=instants.known_at or latest, known_end=instants.known_end or latest)
 
 
 def _pin_links(request: Request, kind: str, served: ServedMap) -> None:
     """Links to this page and the next ones name the state of the database that this one shows."""
     name = "known_at" if kind == "features" else "known_to"
     if request.scope["route"].name == "items" and name not in request.query_params:  # a layer of tiles stays live
-        pinned = [*request.query_params.multi_items(), (name, served.committed_at.isoformat().replace("+00:00", "Z"))]
+        latest = served.last_committed_at.isoformat().replace("+00:00", "Z")
+        pinned = [*request.query_params.multi_items(), (name, latest)]
         request._query_params = QueryParams(pinned)  # where Request keeps them once read; tipg makes links of them
 
 

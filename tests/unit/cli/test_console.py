@@ -1,0 +1,21 @@
+"""What the command line's own words mean."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+
+import pytest
+
+from conetl.cli.console import parse_time
+from conetl.errors import InputError
+
+
+def test_a_day_is_its_first_instant_in_either_form_of_iso_8601():
+    assert parse_time("2026-03-02") == parse_time("20260302") == datetime(2026, 3, 2, tzinfo=UTC)
+
+
+@pytest.mark.parametrize("text", ["2026", "1772352000", "1772352000.5", "0", "2026-03", "yesterday", ""])
+def test_a_number_is_no_time(text):
+    """Nobody means seconds since 1970 who writes 2026."""
+    with pytest.raises(InputError, match="is no time"):
+        parse_time(text)
