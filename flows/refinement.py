@@ -22,9 +22,10 @@ from conetl.io.parquet_store import (
     save_result,
 )
 from conetl.io.pictures.rectified_image import read_rig_image
+from conetl.io.pictures.working_size import PictureReader
 from conetl.io.places import in_batches, place
 from conetl.io.services.allocator import keep_freed_pictures
-from conetl.io.visual_odometry import PictureReader, follow_drive, follow_span
+from conetl.io.visual_odometry import follow_drive, follow_span
 from conetl.params import IngestParams, params_sha256
 from conetl.records import Drive, FramePair, Rig, Side, StereoMatch
 from conetl.steps.landmarks import refine_with_cones

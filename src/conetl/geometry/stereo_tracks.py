@@ -30,6 +30,8 @@ class NoMeasurement(StrEnum):
     PICTURE_UNREADABLE = "picture_unreadable"
     PICTURE_BLANK = "picture_blank"
     PICTURE_FROZEN = "picture_frozen"
+    PICTURE_UNFIT = "picture_unfit"
+    """The picture library refused to work on what was read."""
     TOO_FEW_POINTS = "too_few_points"
 
 

@@ -9,8 +9,7 @@ Which of the points belong to moving objects is found later (`geometry/stereo_mo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 
 import cv2
 import numpy as np
@@ -18,15 +17,19 @@ from numpy.typing import NDArray
 
 from conetl.geometry.stereo_motion import RelativeMotion, StereoCameras, project, triangulate
 from conetl.geometry.stereo_tracks import NoMeasurement, StereoTracks, cameras_of, expected_motions, motions_of
-from conetl.io.pictures.images import ImageFileError
+from conetl.io.pictures.working_size import (
+    PictureReader,
+    WorkingPictures,
+    WorkingSize,
+    read_working_pictures,
+    working_size,
+)
 from conetl.params import TrajectoryParams
 from conetl.records import FramePair, Rig, Side
 
 Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 Points = NDArray[np.float32]
-#: Reads one rectified picture of a frame pair, grey or in blue, green, red order; raises ImageFileError.
-PictureReader = Callable[[FramePair, Side], Bytes]
 _Found = tuple[Floats, Floats, float, NoMeasurement | None]
 
 #: Side of the windows that are followed, px. Larger ones cost time in proportion to their area, and the cones of the street stood
@@ -37,23 +40,10 @@ _STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01)
 _STOP_OF_CHECKS = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.05)
 #: Least eigenvalue of a corner's structure matrix as a share of a strong corner's: weaker ones are followed badly.
 _WEAK_SHARE = 0.004
-#: Grey values of a picture must spread at least this much for anything to be followed.
-_LEAST_CONTRAST = 3.0
 #: Side of what block matching compares, at a quarter of the size.
 _BLOCK_PX = 9
 #: Disparities are searched up to this share of a picture's width.
 _WIDEST_DISPARITY = 0.12
-
-
-@dataclass(frozen=True)
-class _Frame:
-    """Both pictures of one frame pair, grey, at working size; both at a quarter of it, the left one at half of it, too."""
-
-    left: Bytes
-    right: Bytes
-    half_left: Bytes
-    quarter_left: Bytes
-    quarter_right: Bytes
 
 
 def measure_motions(
@@ -73,14 +63,15 @@ def follow_drive(
 
     Dark, blank, frozen, missing or broken pictures give a result with `missing` set, never an exception.
     """
-    cameras, previous = cameras_of(rig), None
+    cameras, working = cameras_of(rig), working_size(rig, params.max_width_px)
+    previous: WorkingPictures | NoMeasurement | None = None
     guesses = expected_motions(frame_pairs, rig)
     for k, pair in enumerate(frame_pairs):
-        frame = _prepare(pair, read, params)
+        pictures = read_working_pictures(pair, read, working)
         if previous is not None:
-            found = _between(previous[0], frame[0], frame[1], cameras, guesses[k - 1], params)
+            found = _between(previous, pictures, working, cameras, guesses[k - 1], params)
             yield _tracks(frame_pairs[k - 1], pair, *found)
-        previous = frame
+        previous = pictures
 
 
 def follow_span(
@@ -90,45 +81,15 @@ def follow_span(
 
     What is searched reaches a little farther than between neighbours (pyramid), the guess must be good to some pixels.
     """
-    (start, _), (end, scale) = _prepare(first, read, params), _prepare(last, read, params)
-    return _tracks(first, last, *_between(start, end, scale, cameras_of(rig), guess, params, _WINDOW_OF_SPANS_PX))
-
-
-def _prepare(pair: FramePair, read: PictureReader, params: TrajectoryParams) -> tuple[_Frame | NoMeasurement, float]:
-    """One frame pair at working size, and the scale from stored to working pixels."""
-    grey: list[Bytes] = []
-    scale = 1.0
-    for side in ("left", "right"):
-        try:
-            picture = read(pair, side)
-        except ImageFileError:
-            return NoMeasurement.PICTURE_UNREADABLE, scale
-        scale = min(1.0, params.max_width_px / picture.shape[1])
-        if picture.ndim == 3:
-            picture = np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
-        if scale < 1.0:
-            size = (round(picture.shape[1] * scale), round(picture.shape[0] * scale))
-            picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-        if float(cv2.meanStdDev(picture)[1][0, 0]) < _LEAST_CONTRAST:
-            return NoMeasurement.PICTURE_BLANK, scale
-        grey.append(picture)
-    halves = [_halved(picture) for picture in grey]
-    return _Frame(grey[0], grey[1], halves[0], *(_halved(picture) for picture in halves)), scale
-
-
-def _halved(picture: Bytes) -> Bytes:
-    """Means of two by two pixels. A last odd row or column is left out: with a ratio of exactly two OpenCV is 30 times faster."""
-    height, width = (size // 2 for size in picture.shape)
-    if not height or not width:
-        return picture
-    half = cv2.resize(picture[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
-    return np.asarray(half, dtype=np.uint8)
+    cameras, working = cameras_of(rig), working_size(rig, params.max_width_px)
+    start, end = (read_working_pictures(pair, read, working) for pair in (first, last))
+    return _tracks(first, last, *_between(start, end, working, cameras, guess, params, _WINDOW_OF_SPANS_PX))
 
 
 def _between(
-    first: _Frame | NoMeasurement,
-    second: _Frame | NoMeasurement,
-    scale: float,
+    first: WorkingPictures | NoMeasurement,
+    second: WorkingPictures | NoMeasurement,
+    working: WorkingSize,
     cameras: StereoCameras,
     expected: Floats,
     params: TrajectoryParams,
@@ -139,46 +100,80 @@ def _between(
         return _nothing(first)
     if isinstance(second, NoMeasurement):
         return _nothing(second)
-    if first.left.shape != second.left.shape:
-        return _nothing(NoMeasurement.PICTURE_UNREADABLE)
     if np.array_equal(first.left, second.left) or np.array_equal(first.right, second.right):
         return _nothing(NoMeasurement.PICTURE_FROZEN)  # not even noise differs: a stuck camera, no standing car
-    corners = _corners(first.half_left, params)
-    disparity = _disparity(first, corners)
-    known = np.isfinite(disparity) & (disparity >= params.min_disparity_px * scale)
-    left = corners[known]
-    if len(left) < params.min_points:
-        return _nothing(NoMeasurement.TOO_FEW_POINTS)
-    right, good = _flow(first.left, first.right, left, left - _along_rows(disparity[known]), 0, window_px)
-    rows = (cameras.right_px[3] - cameras.left_px[3]) * scale
-    good &= np.abs(right[:, 1] - left[:, 1] - rows) <= params.epipolar_tolerance_px
-    left, right = left[good], right[good]
-    # Where the points should be in the next pair, if INS is right and they stand still.
-    points, _, placed = triangulate(cameras, _joined(left, right)[:, :3] / scale)
-    image, _, ahead = project(cameras, points @ expected[:3, :3].T + expected[:3, 3])
-    height, width = first.left.shape
-    guess = (image * scale).astype(np.float32)
-    inside = placed & ahead & (guess[:, 0] > 0) & (guess[:, 0] < width) & (guess[:, 1] > 0) & (guess[:, 1] < height)
-    left, right, guess = left[inside], right[inside], guess[inside]
+    try:
+        return _round_the_circle(first, second, working, cameras, expected, params, window_px)
+    except cv2.error:  # costs this interval, never the drive
+        return _nothing(NoMeasurement.PICTURE_UNFIT)
+
+
+def _round_the_circle(
+    first: WorkingPictures,
+    second: WorkingPictures,
+    working: WorkingSize,
+    cameras: StereoCameras,
+    expected: Floats,
+    params: TrajectoryParams,
+    window_px: int,
+) -> _Found:
+    """As `_between`, for pictures that can be followed. Points are in working pixels until the end."""
+    left, right = _stereo_points(first, working, params, window_px)
+    guess, usable = _where_expected(left, right, working, cameras, expected, window_px)
+    left, right, guess = left[usable], right[usable], guess[usable]
     if len(left) < params.min_points:
         return _nothing(NoMeasurement.TOO_FEW_POINTS)
     # Who fails at one side of the circle is not followed round the others.
-    next_left, good = _flow(first.left, second.left, left, guess[:, :2], 2, window_px)
+    next_left, good = _flow(first.left, second.left, left, guess[:, 0], 2, window_px)
+    good &= _before_the_end(next_left, working, "left", window_px)
     left, right, guess, next_left = left[good], right[good], guess[good], next_left[good]
     home, good = _flow(second.left, first.left, next_left, left, 0, window_px, _STOP_OF_CHECKS)
     good &= np.linalg.norm(home - left, axis=1) <= params.circle_tolerance_px
     left, right, guess, next_left = left[good], right[good], guess[good], next_left[good]
-    across = next_left - _along_rows(guess[:, 0] - guess[:, 2])
+    shift = working.infinity_shift(next_left).astype(np.float32)
+    across = next_left - _offset(guess[:, 0, 0] - guess[:, 1, 0], shift[:, 1])
     next_right, good = _flow(second.left, second.right, next_left, across, 0, window_px)
-    good &= np.abs(next_right[:, 1] - next_left[:, 1] - rows) <= params.epipolar_tolerance_px
-    good &= next_left[:, 0] - next_right[:, 0] >= params.min_disparity_px * scale / 2
+    good &= _on_equal_rows(next_left, next_right, shift, params)
+    good &= _before_the_end(next_right, working, "right", window_px)
+    good &= next_left[:, 0] - next_right[:, 0] - shift[:, 0] >= _least_disparity(working, params) / 2
     left, right, next_left, next_right = left[good], right[good], next_left[good], next_right[good]
     other_way, good = _flow(first.right, second.right, right, next_right, 0, window_px, _STOP_OF_CHECKS)
     good &= np.linalg.norm(other_way - next_right, axis=1) <= params.circle_tolerance_px
     if int(good.sum()) < params.min_points:
         return _nothing(NoMeasurement.TOO_FEW_POINTS)
-    first_px = _joined(left[good], right[good]) / scale
-    return first_px, _joined(next_left[good], next_right[good]) / scale, params.sigma_px / scale, None
+    first_px = _stored(working, left[good], right[good])
+    second_px = _stored(working, next_left[good], next_right[good])
+    return first_px, second_px, params.sigma_px / float(working.scale[0]), None
+
+
+def _stereo_points(
+    pictures: WorkingPictures, working: WorkingSize, params: TrajectoryParams, window_px: int
+) -> tuple[Points, Points]:
+    """Corners (N, 2) of the left picture that are not too far away, and where they are (N, 2) in the right one."""
+    corners = _corners(pictures.half_left, params)
+    disparity, shift = _disparity(pictures, corners, working), working.infinity_shift(corners)
+    known = np.isfinite(disparity) & (disparity - shift[:, 0] >= _least_disparity(working, params))
+    if int(known.sum()) < params.min_points:
+        return corners[:0], corners[:0]
+    left, shift = corners[known], shift[known].astype(np.float32)
+    beginning = left - _offset(disparity[known], shift[:, 1])
+    right, good = _flow(pictures.left, pictures.right, left, beginning, 0, window_px)
+    good &= _on_equal_rows(left, right, shift, params) & _before_the_end(right, working, "right", window_px)
+    return left[good], right[good]
+
+
+def _where_expected(
+    left: Points, right: Points, working: WorkingSize, cameras: StereoCameras, expected: Floats, window_px: int
+) -> tuple[Points, NDArray[np.bool_]]:
+    """Where points of the first pair should be in the next one, if INS is right and they stand still, and which are seen there.
+
+    (N, 2, 2): left and right image point; the row of the right one is that of the left.
+    """
+    points, _, placed = triangulate(cameras, _stored(working, left, right)[:, :3])
+    image, _, ahead = project(cameras, points @ expected[:3, :3].T + expected[:3, 3])
+    guess = working.to_working(image[:, [0, 1, 2, 1]].reshape(-1, 2, 2)).astype(np.float32)
+    inside = ((guess[:, 0] > 0) & (guess[:, 0] < working.size_px)).all(axis=1)
+    return guess, placed & ahead & inside & _before_the_end(guess[:, 0], working, "left", window_px)
 
 
 def _corners(half: Bytes, params: TrajectoryParams) -> Points:
@@ -201,18 +196,34 @@ def _corners(half: Bytes, params: TrajectoryParams) -> Points:
     return 2 * np.stack([columns[chosen], rows[chosen]], axis=1).astype(np.float32) + np.float32(0.5)
 
 
-def _disparity(frame: _Frame, corners: Points) -> Floats:
-    """Rough disparity (N,) px of corners by block matching at a quarter of the size; NaN where there is none."""
-    height, width = frame.quarter_left.shape
+def _disparity(pictures: WorkingPictures, corners: Points, working: WorkingSize) -> Floats:
+    """Rough difference (N,) px of the columns of corners by block matching at a quarter of the size; NaN where there is none.
+
+    What is infinitely far begins the search: where the principal points differ that is neither column difference 0 nor the
+    same row.
+    """
+    height, width = pictures.quarter_left.shape
     if not len(corners) or min(height, width) < _BLOCK_PX:
         return np.full(len(corners), np.nan)
-    steps = max(int(np.ceil(frame.left.shape[1] / 4 * _WIDEST_DISPARITY / 16)) * 16, 16)
+    columns, rows = (working.infinity_shift(np.array(working.size_px) / 2) / 4).tolist()
+    farthest = int(np.floor(columns))
+    steps = max(int(np.ceil(pictures.left.shape[1] / 4 * _WIDEST_DISPARITY / 16)) * 16, 16)
     matcher = cv2.StereoBM.create(numDisparities=steps, blockSize=_BLOCK_PX)
+    matcher.setMinDisparity(farthest)
     matcher.setUniquenessRatio(8)
-    table = matcher.compute(frame.quarter_left, frame.quarter_right)
+    table = matcher.compute(pictures.quarter_left, _lowered(pictures.quarter_right, rows))
     at = np.clip(((corners - 1.5) / 4).round().astype(int), 0, [width - 1, height - 1])
     raw = table[at[:, 1], at[:, 0]].astype(np.float64)
-    return np.where(raw > 0, raw / 16 * 4, np.nan)
+    return np.where(raw >= 16 * farthest, raw / 16 * 4, np.nan)
+
+
+def _lowered(picture: Bytes, rows: float) -> Bytes:
+    """A picture moved down by so many rows; by less than a twentieth, which no block of pixels tells, it is left alone."""
+    if abs(rows) < 0.05:
+        return picture
+    down = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, rows]])
+    moved = cv2.warpAffine(picture, down, picture.shape[::-1], flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(moved, dtype=np.uint8)
 
 
 def _flow(
@@ -235,12 +246,31 @@ def _flow(
     return np.asarray(found, dtype=np.float32), status.reshape(-1).astype(bool) & np.isfinite(found).all(axis=1)
 
 
-def _along_rows(disparity: NDArray[np.floating]) -> Points:
-    return np.stack([disparity, np.zeros_like(disparity)], axis=1).astype(np.float32)
+def _offset(columns: NDArray[np.floating], rows: NDArray[np.floating]) -> Points:
+    """(N, 2) from points of the right picture to those of the left."""
+    return np.stack([columns, rows], axis=1).astype(np.float32)
 
 
-def _joined(left: Points, right: Points) -> Floats:
-    return np.column_stack([left, right]).astype(np.float64)
+def _least_disparity(working: WorkingSize, params: TrajectoryParams) -> float:
+    """In working pixels."""
+    return params.min_disparity_px * float(working.scale[0])
+
+
+def _on_equal_rows(
+    left: Points, right: Points, shift: NDArray[np.floating], params: TrajectoryParams
+) -> NDArray[np.bool_]:
+    """Which points (N, 2) of both pictures lie on the same row of the rig; shift (N, 2): their shift at infinity."""
+    return np.asarray(np.abs(right[:, 1] - left[:, 1] + shift[:, 1]) <= params.epipolar_tolerance_px)
+
+
+def _before_the_end(points: Points, working: WorkingSize, side: Side, window_px: int) -> NDArray[np.bool_]:
+    """Whose windows (N,) end before a picture's padding: it shows streaks that stand still however the car moves."""
+    return np.asarray((points <= working.seen_px(side) - 0.5 - window_px / 2).all(axis=1))
+
+
+def _stored(working: WorkingSize, left: Points, right: Points) -> Floats:
+    """(N, 4) in stored pixels: u and v left, u and v right."""
+    return np.column_stack([working.to_stored(left), working.to_stored(right)])
 
 
 def _nothing(reason: NoMeasurement) -> _Found:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -11,12 +12,13 @@ import pytest
 from numpy.typing import NDArray
 
 from conetl.geometry import pose as se3
-from conetl.geometry.rig import left_SE3_right, map_SE3_left
+from conetl.geometry.rig import camera_of, left_SE3_right, map_SE3_left
+from conetl.geometry.stereo_motion import RelativeMotion
 from conetl.io.drive_folder import read_drive
 from conetl.io.pictures.images import ImageFileError, read_image
-from conetl.io.visual_odometry import measure_motions
+from conetl.io.visual_odometry import follow_drive, measure_motions
 from conetl.params import TrajectoryParams
-from conetl.records import FramePair, Lens, Side
+from conetl.records import Camera, FramePair, Lens, Rig, Side
 from conetl.rejections import RejectionReason
 from tests.synthetic.world import make_path, make_rig
 
@@ -28,15 +30,15 @@ PAIRS = make_path(3, step_m=0.4)
 WALL_M = 14.0
 
 
-def wall_picture(pair: FramePair, side: Side) -> Picture:
+def wall_picture(pair: FramePair, side: Side, rig: Rig = RIG) -> Picture:
     """A wall across the road, WALL_M ahead of the first pair, painted with blobs."""
     rng = np.random.default_rng(11)
     texture = cv2.GaussianBlur(rng.integers(0, 255, (700, 2200)).astype(np.uint8), (0, 0), 2.0)
     texture = cv2.normalize(texture, None, 10, 245, cv2.NORM_MINMAX)
-    first, now = (map_SE3_left(p.pose, RIG) for p in (PAIRS[0], pair))
-    pose = now if side == "left" else se3.compose(now, left_SE3_right(RIG))
+    first, now = (map_SE3_left(p.pose, rig) for p in (PAIRS[0], pair))
+    pose = now if side == "left" else se3.compose(now, left_SE3_right(rig))
     camera_SE3_first = se3.compose(se3.invert(pose), first)
-    camera = RIG.left
+    camera = camera_of(rig, side)
     scale = 0.012  # metres a texel, in the plane z = WALL_M of the first left camera
     plane = np.array([[scale, 0, -1100 * scale], [0, scale, -350 * scale], [0, 0, WALL_M]])
     k = np.array([[camera.fx_px, 0, camera.cx_px], [0, camera.fy_px, camera.cy_px], [0, 0, 1]])
@@ -47,18 +49,108 @@ def wall_picture(pair: FramePair, side: Side) -> Picture:
     return np.clip(warped + noise, 0, 255).astype(np.uint8)
 
 
-def reasons(read: Callable[[FramePair, Side], Picture], pairs: list[FramePair] = PAIRS) -> list[str]:
-    return [motion.reason for motion in measure_motions(pairs, RIG, read, PARAMS)]
+def reasons(read: Callable[[FramePair, Side], Picture], pairs: list[FramePair] = PAIRS, rig: Rig = RIG) -> list[str]:
+    return [motion.reason for motion in measure_motions(pairs, rig, read, PARAMS)]
 
 
-def test_the_motion_before_a_wall_comes_out() -> None:
-    motions = list(measure_motions(PAIRS, RIG, wall_picture, PARAMS))
+def rig_with(*, left: dict[str, float] | None = None, right: dict[str, float] | None = None) -> Rig:
+    """RIG with other numbers of its cameras; its principal points may be moved by `dcx`, `dcy`."""
+    cameras = {}
+    for side, changes in (("left", left or {}), ("right", right or {})):
+        camera = camera_of(RIG, side)  # type: ignore[arg-type]
+        moved = {
+            f"c{axis}_px": getattr(camera, f"c{axis}_px") + changes[f"dc{axis}"]
+            for axis in "xy"
+            if f"dc{axis}" in changes
+        }
+        sizes = {key: value for key, value in changes.items() if key.endswith("_px")}
+        cameras[side] = camera.model_copy(update={**sizes, **moved})
+    return RIG.model_copy(update=cameras)
+
+
+def assert_moved_before_the_wall(rig: Rig, params: TrajectoryParams = PARAMS) -> list[RelativeMotion]:
+    motions = list(measure_motions(PAIRS, rig, lambda pair, side: wall_picture(pair, side, rig), params))
     assert [m.reason for m in motions] == ["ok", "ok"]
     for motion in motions:
         found = np.array(motion.second_SE3_first)
         assert found[:3, 3] == pytest.approx([0.0, 0.0, -0.4], abs=0.02)
         sigma = np.sqrt(np.diag(motion.cov_matrix()))
         assert (sigma > 0).all() and sigma[3:].max() < 0.02
+    return motions
+
+
+def test_the_motion_before_a_wall_comes_out() -> None:
+    assert_moved_before_the_wall(RIG)
+
+
+@pytest.mark.parametrize(
+    "rig",
+    [
+        rig_with(right={"dcx": 30.0}),
+        rig_with(right={"dcx": 52.5}),
+        rig_with(right={"dcx": -60.0}),
+        rig_with(right={"dcy": -4.0}),
+        rig_with(right={"dcx": 52.5, "dcy": 15.0}),
+        rig_with(left={"width_px": 1100}),
+        rig_with(right={"width_px": 1100, "height_px": 370}),
+        rig_with(left={"width_px": 1101, "dcx": -40.0, "dcy": 6.0}),
+    ],
+    ids=lambda rig: (
+        f"{rig.left.width_px}+{rig.right.width_px}, {rig.right.cx_px - rig.left.cx_px:g}, {rig.right.cy_px - rig.left.cy_px:g}"
+    ),
+)
+@pytest.mark.parametrize("max_width_px", [1280, 900])
+def test_sides_may_differ_in_size_and_principal_point(rig: Rig, max_width_px: int) -> None:
+    """As rectification leaves them. Nearly as many points as between equal sides take part."""
+    params = PARAMS.model_copy(update={"max_width_px": max_width_px})
+    equal = assert_moved_before_the_wall(RIG, params)
+    for motion, other in zip(assert_moved_before_the_wall(rig, params), equal, strict=True):
+        assert motion.inlier_count > 0.8 * other.inlier_count
+
+
+def test_no_point_lies_in_the_padding() -> None:
+    """The narrower picture ends in the middle of the wall: what lies beyond is seen by the other side only."""
+    for narrow in ("left", "right"):
+        rig = rig_with(**{narrow: {"width_px": 700}})  # type: ignore[arg-type]
+        tracks = follow_drive(PAIRS, rig, lambda pair, side, rig=rig: wall_picture(pair, side, rig), PARAMS)
+        for points in tracks:
+            assert points.missing is None
+            column = 0 if narrow == "left" else 2
+            for px in points.points()[:2]:
+                assert 600 < px[:, column].max() < 700 - 5.5
+
+
+def test_points_of_a_reduced_picture_come_back_to_the_stored_ones() -> None:
+    """Every pixel four by four times, reduced to a quarter, is the picture itself: points must agree but for the size."""
+    params = PARAMS.model_copy(update={"max_width_px": RIG.left.width_px})
+    large = RIG.model_copy(update={"left": enlarged(RIG.left), "right": enlarged(RIG.right)})
+    wide = params.model_copy(update={"min_disparity_px": 4 * PARAMS.min_disparity_px})
+    for found, own in zip(
+        follow_drive(PAIRS, large, lambda *which: wall_picture(*which).repeat(4, axis=0).repeat(4, axis=1), wide),
+        follow_drive(PAIRS, RIG, wall_picture, params),
+        strict=True,
+    ):
+        for ours, theirs in zip(found.points()[:2], own.points()[:2], strict=True):
+            assert ours == pytest.approx((theirs + 0.5) * 4 - 0.5, abs=0.02)
+
+
+def enlarged(camera: Camera) -> Camera:
+    return Camera(
+        width_px=4 * camera.width_px, height_px=4 * camera.height_px, fx_px=4 * camera.fx_px, fy_px=4 * camera.fy_px,
+        cx_px=4 * (camera.cx_px + 0.5) - 0.5, cy_px=4 * (camera.cy_px + 0.5) - 0.5,
+    )  # fmt: skip
+
+
+def test_what_opencv_refuses_costs_its_interval_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Never the drive: an error of the library in the first interval leaves the second."""
+    whole, asked = cv2.StereoBM.create, []
+
+    def broken_once(**settings: int) -> cv2.StereoBM:
+        asked.append(settings)
+        return whole(**settings) if len(asked) > 1 else whole(numDisparities=16, blockSize=4)  # even: an error
+
+    monkeypatch.setattr(cv2, "StereoBM", SimpleNamespace(create=broken_once))
+    assert reasons(wall_picture) == ["picture_unfit", "ok"]
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (2, 3), (9, 70), (64, 64)])
@@ -68,7 +160,9 @@ def test_tiny_pictures_give_no_measurement(shape: tuple[int, int]) -> None:
     pictures = {
         (p.frame_index, side): noise[i, j] for i, p in enumerate(PAIRS) for j, side in enumerate(("left", "right"))
     }
-    found = reasons(lambda pair, side: pictures[pair.frame_index, side])
+    size = {"width_px": shape[1], "height_px": shape[0]}
+    rig = rig_with(left=size, right=size)
+    found = reasons(lambda pair, side: pictures[pair.frame_index, side], rig=rig)
     assert set(found) <= {"too_few_points", "picture_blank"}
 
 
