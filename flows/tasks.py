@@ -57,7 +57,7 @@ from flows.progress import tell_progress
 from flows.retries import RETRY
 
 #: Part of every result key: raise it when a step computes something else from the same inputs.
-RESULTS_VERSION = "9"
+RESULTS_VERSION = "10"
 _SIDES: tuple[Side, Side] = ("left", "right")
 _per_thread = threading.local()
 
