@@ -18,6 +18,7 @@ from prefect.states import Completed
 from pydantic import Field
 
 from conetl.io.db import Connection, connect
+from conetl.io.file_names import printable
 from conetl.io.stores.receipt_store import Receipt, attempt_ends, end_crashed, latest_receipts, write_receipt
 from conetl.params import IngestParams
 from conetl.settings import Settings
@@ -89,7 +90,7 @@ def _batch_run_name() -> str:
     parameters = flow_run.parameters
     since, until = (str(parameters.get(name) or "")[:10] for name in ("since", "until"))
     span = f" {since or '...'} to {until or '...'}" if since or until else ""
-    return f"backfill {Path(str(parameters['root'])).resolve().name}{span}"
+    return f"backfill {printable(Path(str(parameters['root'])).resolve().name)}{span}"
 
 
 @flow(name="backfill", flow_run_name=_batch_run_name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -213,3 +214,32 @@ def _link(source: str, target: str) -> None:
 
 def changeset_id(conn: Any) -> Any:
     return execute(conn, "select changeset_id from conetl.changeset")[0]["changeset_id"]
+
+
+@pytest.mark.parametrize("drive_id", ["\u6f22" * 200, "M\udcfcnchen"])
+def test_any_id_has_a_receipt(drive_id: str, receipt: Any, conn: Any, tmp_path: Path) -> None:
+    """File systems count bytes; and names of files may be bytes that are not UTF-8."""
+    drive = replace(outlines(1)[0], drive_id=drive_id)
+    receipt(drive, "failed", reason=f"{drive_id} is wrong", may_pass=False)
+    kept = latest_receipts(conn, map_name="default")[drive.header_sha256]
+    assert kept.reason.startswith("M\\xfcnchen" if "M" in drive_id else drive_id)
+    (path,) = (tmp_path / "default").glob("*.json")
+    assert json.loads(path.read_text())["drive_id"] == kept.drive_id
+
+
+def test_a_copy_that_cannot_be_written_does_not_undo_the_receipt(
+    receipt: Any, conn: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "default").write_text("a file where the folder should be")
+    drive = outlines(1)[0]
+    receipt(drive, "failed", reason="not one usable pose", may_pass=False)
+    assert latest_receipts(conn, map_name="default")[drive.header_sha256].state == "failed"
+    assert "its copy is not" in caplog.text
+
+
+def test_what_cannot_be_read_is_a_line_of_the_plan(conn: Any, tmp_path: Path) -> None:
+    shutil.copytree(next(SAMPLES.iterdir()), tmp_path / os.fsdecode(b"M\xfcnchen"))
+    shutil.copytree(next(SAMPLES.iterdir()), tmp_path / "good")
+    made = plan_drives(conn, tmp_path, settings=Settings(), params=IngestParams())
+    assert sorted(actions(made)) == [("M\\xfcnchen", "refuse"), ("good", "ingest")]
+    json.dumps(plan_as_dict(made, 1), ensure_ascii=False).encode()

@@ -27,6 +27,7 @@ from conetl.io.drive_folder.kitti import calibration_path, camera_folder, read_r
 from conetl.io.drive_folder.pairs import IMAGE_SUFFIXES
 from conetl.io.drive_folder.plain import TRAJECTORY, read_plain_rig
 from conetl.io.drive_folder.timestamps import parse_timestamp
+from conetl.io.file_names import printable, require_utf8
 from conetl.io.places import is_remote
 from conetl.records import utc_from_ns
 
@@ -52,6 +53,11 @@ class DriveOutline:
     problem: str | None
 
     @property
+    def shown_path(self) -> str:
+        """The path as text that can be printed and stored, whatever bytes it is made of."""
+        return printable(self.path)
+
+    @property
     def captured_from(self) -> datetime | None:
         return None if self.captured_from_ns is None else utc_from_ns(self.captured_from_ns)
 
@@ -61,34 +67,59 @@ def find_drives(root: Path) -> Iterator[Path]:
 
     Links are followed and stay in the paths: a calibration may lie beside the link.
     """
-    if not root.is_dir():
-        raise DriveFolderError(f"{root}: there is no such folder; give a folder that holds drives")
+    try:
+        there = root.is_dir()
+    except OSError as error:
+        raise DriveFolderError(f"{root}: this cannot be looked at: {error.strerror}") from error
+    if not there:
+        raise DriveFolderError(f"{printable(root)}: there is no such folder; give a folder that holds drives")
+    require_utf8(root)
     yield from _find(root.absolute(), MAX_DEPTH)
 
 
 def _find(folder: Path, depth: int) -> Iterator[Path]:
-    if drive_format(folder) is not None:
+    try:
+        found = drive_format(folder) is not None
+        names = [] if found or depth == 0 else _folders_in(folder)
+    except OSError:  # not to be read, or gone by now: it may hold a drive, so its outline says what is wrong
+        found, names = True, []
+    if found:
         yield folder
-        return
-    if depth == 0:
-        return
-    with os.scandir(folder) as entries:
-        names = sorted(entry.name for entry in entries if entry.is_dir() and not entry.name.startswith("."))
     for name in names:
         yield from _find(folder / name, depth - 1)
+
+
+def _folders_in(folder: Path) -> list[str]:
+    """Names of folders that are not hidden, sorted; of links whatever they lead to where that cannot be seen."""
+    with os.scandir(folder) as entries:
+        return sorted(entry.name for entry in entries if not entry.name.startswith(".") and _may_be_folder(entry))
+
+
+def _may_be_folder(entry: os.DirEntry[str]) -> bool:
+    try:
+        return entry.is_dir()
+    except OSError:
+        return True
 
 
 def outline_drive(folder: Path) -> DriveOutline:
     """The outline of a drive folder or a bare bag; what is wrong with it stands in `problem`, nothing is raised for it."""
     content = ContentHash()
-    drive_id, pairs = DriveYaml().id_of(folder), 0
-    first_ns = last_ns = problem = None
+    drive_id, pairs = printable(folder.name)[:200] or "drive", 0
+    first_ns = last_ns = problem = found = None
+    readable = True
     try:
+        drive_id = DriveYaml().id_of(folder)
+        content.add("drive_id", drive_id.encode())
+        add_settings(content, folder, (DRIVE_YAML,))
         settings = read_drive_yaml(folder)
         drive_id = settings.id_of(folder)
         content.add("drive_id", drive_id.encode())
-        add_settings(content, folder, (DRIVE_YAML,))
+        if not is_remote(folder):
+            require_utf8(folder)
         found = drive_format(folder)
+        if found is None and not is_remote(folder) and not folder.is_file():
+            _require_readable(folder)
         if found == "bag":
             pairs, first_ns, last_ns = _bag(content, folder, settings)
             streams = ["the left", "the right camera's topic"]
@@ -100,9 +131,24 @@ def outline_drive(folder: Path) -> DriveOutline:
             _read_rig(found, folder, settings)
         if not pairs:
             problem = f"there are no pictures in {' and '.join(streams)}"
-    except (ConetlError, OSError, ValueError) as error:
+    except OSError as error:
+        problem = f"this cannot be read: {error.strerror or error}: {error.filename or folder}"
+        readable = False
+    except (ConetlError, ValueError) as error:
         problem = f"{error}"
+    except Exception as error:  # others wrote these files, and one drive must not stop a year of them
+        problem = f"this cannot be looked at: {type(error).__name__}: {error}"
+        readable = False
+    if found is None or not readable:
+        content.add("path", printable(folder).encode())  # nothing else may tell it from another one
+    problem = None if problem is None else printable(problem)
     return DriveOutline(folder, drive_id, content.hexdigest(), pairs, first_ns, last_ns, problem)
+
+
+def _require_readable(folder: Path) -> None:
+    """Raise OSError where a folder cannot be listed: what looks like no drive may be one then."""
+    with os.scandir(folder):
+        pass
 
 
 def quiet_since(folder: Path) -> float | None:
@@ -110,16 +156,26 @@ def quiet_since(folder: Path) -> float | None:
 
     The time is that of the inode (ctime): copying tools set modification times back to those of the source, this one they cannot.
     """
-    if (folder / MARKER).exists():
-        return None
-    latest = folder.stat().st_ctime
+    try:
+        if (folder / MARKER).exists():
+            return None
+    except PermissionError:
+        pass  # goes on by its own time: it is taken when it has been so for a while, and refused with the reason
+    latest = _changed_at(folder, follow_links=True)
     for parent, folders, files in os.walk(folder):
         for name in (*folders, *files):
-            try:
-                latest = max(latest, (Path(parent) / name).lstat().st_ctime)
-            except FileNotFoundError:  # renamed this very moment
-                latest = max(latest, datetime.now(UTC).timestamp())
+            latest = max(latest, _changed_at(Path(parent) / name))
     return latest
+
+
+def _changed_at(path: Path, *, follow_links: bool = False) -> float:
+    """Time of the inode's change (seconds since 1970); now for one that is renamed this very moment, 0 where nobody may know."""
+    try:
+        return path.stat(follow_symlinks=follow_links).st_ctime
+    except FileNotFoundError:
+        return datetime.now(UTC).timestamp()
+    except OSError:
+        return 0.0
 
 
 def _add_file(content: ContentHash, folder: Path, name: str) -> None:

@@ -23,7 +23,10 @@ def parse_timestamp(line: str, zone: str = "UTC") -> int:
     offset = match.group(8)
     tz = datetime.strptime(offset, "%z").tzinfo if offset else ZoneInfo(zone)
     local = datetime(year, month, day, hour, minute, second, tzinfo=tz)
-    seconds = int((local.astimezone(UTC) - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds())
+    try:
+        seconds = int((local.astimezone(UTC) - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds())
+    except OverflowError:  # year 1 east of Greenwich, year 9999 west of it
+        raise ValueError(f"expected a time of this century, found {line.strip()[:60]!r}") from None
     return seconds * 1_000_000_000 + int((match.group(7) or "0").ljust(9, "0"))
 
 
