@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -26,7 +26,7 @@ from conetl.io.drive_folder.euroc import camera_names, read_euroc_rig, stream_fo
 from conetl.io.drive_folder.kitti import calibration_path, camera_folder, read_rig_for
 from conetl.io.drive_folder.pairs import IMAGE_SUFFIXES
 from conetl.io.drive_folder.plain import TRAJECTORY, read_plain_rig
-from conetl.io.drive_folder.timestamps import parse_timestamp
+from conetl.io.drive_folder.timestamps import EARLIEST_NS, misplaced, parse_timestamp, parse_timestamps
 from conetl.io.file_names import printable, require_utf8
 from conetl.io.places import is_remote
 from conetl.records import utc_from_ns
@@ -49,7 +49,7 @@ class DriveOutline:
     frame_pairs: int
     captured_from_ns: int | None
     captured_to_ns: int | None
-    """UTC; None where the folder does not tell, then `problem` says why."""
+    """UTC; None where the folder does not tell: then `problem` says why, or the clock of a bag's recorder was not set."""
     problem: str | None
 
     @property
@@ -240,14 +240,12 @@ def _euroc_times(content: ContentHash, folder: Path, settings: DriveYaml) -> tup
     if not path.is_file():
         raise DriveFolderError(f"{folder}: {cameras[0]}/data.csv is missing")
     words = (line.split(",")[0].strip() for line in path.read_text(encoding="utf-8", errors="replace").splitlines())
-    stamps = [int(word) for word in words if word.isascii() and word.isdigit()]
-    if not stamps:
-        raise DriveFolderError(f"{path}: there is no time stamp that can be read")
-    return stamps[0], stamps[-1]
+    stamps = [int(word) for word in words if word.isascii() and word.isdigit() and 0 < int(word) < 2**63]
+    return _ends(stamps, path)
 
 
-def _bag(content: ContentHash, folder: Path, settings: DriveYaml) -> tuple[int, int, int]:
-    """Left pictures, first and last message by the recorder's clock; the bag's index goes into the header."""
+def _bag(content: ContentHash, folder: Path, settings: DriveYaml) -> tuple[int, int | None, int | None]:
+    """Left pictures, first and last message by the recorder's clock (None: not set); the bag's index goes into the header."""
     path = bag_files(folder.resolve())  # a linked file by its own name, as the drive is called by it
     if path is None:
         raise DriveFolderError(f"{folder}: this is no bag")
@@ -258,7 +256,9 @@ def _bag(content: ContentHash, folder: Path, settings: DriveYaml) -> tuple[int, 
     with open_bag(path) as bag:
         topics = choose_topics(bag.types, settings.streams, folder)
         content.add("index", repr((sorted(bag.counts.items()), bag.recorded_ns)).encode())
-        return bag.counts[topics.left], *bag.recorded_ns
+        set_ns = [time_ns for time_ns in bag.recorded_ns if time_ns >= EARLIEST_NS]
+        # A recorder whose clock was set on the way knows the end; the pictures have stamps of their own.
+        return bag.counts[topics.left], *((set_ns[0], set_ns[-1]) if set_ns else (None, None))
 
 
 def _kitti_times(content: ContentHash, folder: Path, settings: DriveYaml) -> tuple[int, int]:
@@ -273,8 +273,8 @@ def _kitti_times(content: ContentHash, folder: Path, settings: DriveYaml) -> tup
         raise DriveFolderError(f"{folder}: {name} is missing")
     data = path.read_bytes()
     content.add(name, data)
-    lines = data.decode("utf-8", errors="replace").splitlines()
-    return _ends(lines, settings.timestamps_timezone, path)
+    stamps = parse_timestamps(data.decode("utf-8", errors="replace"), settings.timestamps_timezone)
+    return _ends([stamp for stamp in stamps.values() if isinstance(stamp, int)], path)
 
 
 def _plain_times(content: ContentHash, folder: Path, settings: DriveYaml) -> tuple[int, int]:
@@ -285,19 +285,17 @@ def _plain_times(content: ContentHash, folder: Path, settings: DriveYaml) -> tup
     data = path.read_bytes()
     content.add(TRAJECTORY, data)
     rows = csv.DictReader(data.decode("utf-8", errors="replace").splitlines())
-    return _ends([row.get("captured_at") or "" for row in rows], settings.timestamps_timezone, path)
+    stamps: list[int] = []
+    for row in rows:
+        with suppress(ValueError):
+            stamps.append(parse_timestamp(row.get("captured_at") or "", settings.timestamps_timezone))
+    return _ends(stamps, path)
 
 
-def _ends(stamps: list[str], zone: str, path: Path) -> tuple[int, int]:
-    """First and last time that can be read. Raises DriveFolderError."""
-    found: list[int] = []
-    for lines in (iter(stamps), reversed(stamps)):
-        for line in lines:
-            try:
-                found.append(parse_timestamp(line, zone))
-            except ValueError:
-                continue
-            break
+def _ends(stamps: Sequence[int], path: Path) -> tuple[int, int]:
+    """First and last time that the reader will take. Raises DriveFolderError."""
+    wrong = misplaced(dict(enumerate(stamps)))
+    found = [stamp for number, stamp in enumerate(stamps) if number not in wrong]
     if not found:
-        raise DriveFolderError(f"{path}: there is no time stamp that can be read")
-    return min(found), max(found)
+        raise DriveFolderError(f"{path}: there is no time stamp from 2000 on that can be read")
+    return found[0], found[-1]
