@@ -179,10 +179,15 @@ def _judge(
         what = "failed" if receipt.state == "failed" else "was interrupted"
         return "ingest", f"{what} on {_when(receipt.at)}" + (f": {receipt.reason}" if receipt.reason else "")
     found = [drive for drive in on_map if _is_same_recording(outline, drive)]
-    if any(d.params_sha256 == analysis.params_sha256 and d.model_sha256 == analysis.model_sha256 for d in found):
-        drive = found[-1]
+    alike = [d for d in found if (d.params_sha256, d.model_sha256) == (analysis.params_sha256, analysis.model_sha256)]
+    if alike:
         if recheck:
             return "ingest", "asked to compare it again"
+        # By hand it comes without a receipt, so nobody knows from which header: id and time have to do.
+        same_folder = [d for d in alike if not d.headers or outline.header_sha256 in d.headers]
+        if not same_folder:
+            return "ingest", f"changed since it was brought onto the map (changeset {alike[-1].changeset_no})"
+        drive = same_folder[-1]
         return "skip", f"on the map since {_when(drive.committed_at)} (changeset {drive.changeset_no})"
     if found or receipt is not None:
         return "ingest", "known, but analysed with other parameters or another model"

@@ -59,11 +59,17 @@ def test_a_backfill_without_services_leaves_nothing_but_the_map_and_its_receipts
         time.sleep(0.2)  # the temporary server takes a moment to end
     assert processes_with("CONETL_HOME", tmp_path / "home") == set()
 
+    for pose in (
+        tmp_path / "drives" / "2026-05-03_good" / "oxts" / "data"
+    ).iterdir():  # corrected, as post-processing does
+        lat_deg, *others = pose.read_text().split()
+        pose.write_text(" ".join([f"{float(lat_deg) + 4.5e-6:.12f}", *others]))
     code, drives = backfill("--dry-run")
     assert code == 0
     assert {name: drive["action"] for name, drive in drives.items()} == {
-        "2026-05-01_good": "skip", "2026-05-02_poisoned": "ingest", "2026-05-03_good": "skip",
+        "2026-05-01_good": "skip", "2026-05-02_poisoned": "ingest", "2026-05-03_good": "ingest",
     }  # fmt: skip
+    assert "changed since" in str(drives["2026-05-03_good"]["why"])
 
 
 def test_a_folder_of_links_to_drives_is_ingested_once(tmp_path: Path, database_url: str) -> None:

@@ -132,7 +132,15 @@ def test_a_schedule_leaves_alone_what_failed_until_it_changes(plan: Any, receipt
     assert plan([changed], once=True).lines[0].action == "ingest"
 
 
-def test_a_drive_that_was_ingested_by_hand_is_known(plan: Any, conn: Any, samples: Any) -> None:
+def test_a_drive_that_was_ingested_by_hand_is_known(plan: Any, on_the_map: DriveOutline) -> None:
+    known = on_the_map
+    other = replace(known, path=ROOT / "other", header_sha256="e" * 64, captured_from_ns=known.captured_to_ns)
+    assert [line.action for line in plan([known, other]).lines] == ["skip", "ingest"]
+
+
+@pytest.fixture
+def on_the_map(conn: Any, samples: Any) -> DriveOutline:
+    """A recording of which a changeset with the present parameters and model was made; its receipts are the test's."""
     samples.commit(conn, samples.added(samples.feature()), key="a")
     analysis = analysis_of(IngestParams(), Settings())
     conn.rollback()
@@ -142,11 +150,34 @@ def test_a_drive_that_was_ingested_by_hand_is_known(plan: Any, conn: Any, sample
         {"p": analysis.params_sha256, "m": analysis.model_sha256},
     )
     conn.commit()
-    known = replace(
+    return replace(
         outlines(1)[0], drive_id="drive_a", captured_from_ns=samples.START_NS, captured_to_ns=samples.START_NS + 10**10
     )
-    other = replace(known, path=ROOT / "other", header_sha256="e" * 64, captured_from_ns=known.captured_to_ns)
-    assert [line.action for line in plan([known, other]).lines] == ["skip", "ingest"]
+
+
+@pytest.mark.parametrize("once", [True, False], ids=["drop folder", "backfill"])
+def test_a_drive_that_changed_since_it_was_brought_onto_the_map_is_taken_again(
+    plan: Any, receipt: Any, conn: Any, on_the_map: DriveOutline, once: bool
+) -> None:
+    """Corrected poses, another calibration, or the rest of a drive that was taken half copied: another header."""
+    receipt(on_the_map, "committed", changeset_id=changeset_id(conn), may_pass=False)
+    changed = replace(on_the_map, header_sha256="f" * 64)
+    grown = replace(changed, captured_to_ns=(changed.captured_to_ns or 0) + 10**10)
+    for drive in (changed, grown):
+        (line,) = plan([drive], once=once).lines
+        assert (line.action, line.why) == ("ingest", "changed since it was brought onto the map (changeset 1)")
+    assert plan([on_the_map], once=once).lines[0].action == "skip"
+    receipt(changed, "known", changeset_id=changeset_id(conn), may_pass=False)
+    assert plan([changed], once=once).lines[0].action == "skip", "its content was compared, and that is remembered"
+
+
+def test_parameters_of_earlier_do_not_make_a_drive_a_changed_one(
+    plan: Any, receipt: Any, conn: Any, on_the_map: DriveOutline
+) -> None:
+    receipt(on_the_map, "committed", changeset_id=changeset_id(conn), may_pass=False)
+    receipt(on_the_map, "failed", analysis_sha256="ab" * 32, reason="stopped", may_pass=False)
+    (line,) = plan([on_the_map]).lines
+    assert (line.action, line.why.startswith("on the map since")) == ("skip", True)
 
 
 def test_the_same_recording_twice_is_ingested_once(plan: Any) -> None:

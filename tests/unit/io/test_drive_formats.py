@@ -6,6 +6,7 @@ import math
 import shutil
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -378,6 +379,17 @@ def test_a_glance_and_the_reader_take_the_same_drive_yaml(
     with pytest.raises(DriveFolderError) as refusal:
         read(path, tmp_path / "cache")
     assert outline_drive(path).problem == str(refusal.value)
+
+
+@pytest.mark.parametrize("name", ["kitti", "plain", "euroc"])
+def test_corrected_poses_are_another_header(name: str, tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+    """Post-processing moves the poses and nothing else."""
+    before, corrected = (frames, [replace(f, oxts=(f.oxts[0] + 5e-6, *f.oxts[1:])) for f in frames if f.oxts])
+    first, then = (
+        outline_drive(WRITERS[name](tmp_path / part / "run", made, rig)).header_sha256
+        for part, made in (("before", before), ("after", corrected))
+    )
+    assert first != then
 
 
 def test_another_rig_beside_a_bare_bag_is_another_drive(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:

@@ -39,12 +39,20 @@ def test_the_header_goes_with_the_drive_and_not_with_its_place(drive: Path, tmp_
     assert outline_drive(moved).header_sha256 == outline_drive(drive).header_sha256
 
 
-@pytest.mark.parametrize("change", ["a picture more", "another size", "another time", "another calibration"])
+@pytest.mark.parametrize(
+    "change", ["a picture more", "another size", "another time", "another calibration", "other poses", "a pose more"]
+)
 def test_another_delivery_is_another_drive(drive: Path, change: str) -> None:
     before = outline_drive(drive).header_sha256
     picture = drive / "image_02" / "data" / "0000000000.jpg"
     if change == "a picture more":
         shutil.copy(picture, picture.with_name("0000009999.jpg"))
+    elif change == "other poses":  # of as many digits
+        for path in (drive / "oxts" / "data").iterdir():
+            path.write_text(path.read_text().replace("4", "5", 1))
+    elif change == "a pose more":
+        path = drive / "oxts" / "data" / "0000000000.txt"
+        shutil.copy(path, path.with_name("0000009999.txt"))
     elif change == "another size":
         picture.write_bytes(picture.read_bytes() + b"\0")
     else:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -22,7 +22,7 @@ from conetl.io.drive_folder.bag_rig import choose_topics
 from conetl.io.drive_folder.body import add_settings
 from conetl.io.drive_folder.content import ContentHash
 from conetl.io.drive_folder.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml
-from conetl.io.drive_folder.euroc import camera_names, read_euroc_rig, stream_folder
+from conetl.io.drive_folder.euroc import SENSOR_YAML, TRAJECTORIES, camera_names, read_euroc_rig, stream_folder
 from conetl.io.drive_folder.kitti import calibration_path, camera_folder, read_rig_for
 from conetl.io.drive_folder.pairs import IMAGE_SUFFIXES
 from conetl.io.drive_folder.plain import TRAJECTORY, read_plain_rig
@@ -35,6 +35,10 @@ from conetl.records import utc_from_ns
 MAX_DEPTH = 6
 #: Pictures a side whose size takes part in the header: a drive delivered again with other pictures is another one.
 SAMPLED_PICTURES = 16
+#: Pose files whose content takes part: corrected poses are as many, and often of as many digits.
+SAMPLED_POSES = 16
+#: Bytes of a long trajectory that are looked at in one place, at its beginning, its end and between.
+_SAMPLED_BYTES = 4096
 MARKER = "COMPLETE"
 _Times = Callable[[ContentHash, Path, DriveYaml], tuple[int, int]]
 
@@ -188,13 +192,44 @@ def _add_pictures(content: ContentHash, folder: Path, side: str, data: Path) -> 
     """Names of all pictures of one side, which lie in `data`, and sizes of a few, into the header; the stems."""
     if not data.is_dir():
         raise DriveFolderError(f"{folder}: the folder {side} is missing")
-    with nullcontext(data.iterdir()) if is_remote(data) else os.scandir(data) as entries:
-        found = (entry.name for entry in entries if not entry.name.startswith("."))
-        names = sorted(name for name in found if os.path.splitext(name)[1].lower() in IMAGE_SUFFIXES)  # noqa: PTH122 -- many
+    names = _names_in(data, IMAGE_SUFFIXES)
     sample = names[:: max(1, len(names) // SAMPLED_PICTURES)]
     sizes = [f"{name} {(data / name).stat().st_size}" for name in sample]
     content.add(side, "\n".join([*names, *sizes]).encode(errors="surrogateescape"))
     return {name.rsplit(".", 1)[0] for name in names}
+
+
+def _names_in(data: Path, suffixes: Collection[str]) -> list[str]:
+    """Names of files with one of these suffixes that are not hidden, sorted."""
+    with nullcontext(data.iterdir()) if is_remote(data) else os.scandir(data) as entries:
+        found = (entry.name for entry in entries if not entry.name.startswith("."))
+        return sorted(name for name in found if os.path.splitext(name)[1].lower() in suffixes)  # noqa: PTH122 -- many
+
+
+def _add_poses(content: ContentHash, folder: Path) -> None:
+    """Names of all OXTS files and what stands in a few of them, into the header."""
+    data = folder / "oxts" / "data"
+    if not data.is_dir():
+        return  # said by the reader
+    names = _names_in(data, (".txt",))
+    content.add("oxts/data", "\n".join(names).encode(errors="surrogateescape"))
+    for name in names[:: max(1, len(names) // SAMPLED_POSES)]:
+        content.add(f"oxts/data/{name}", (data / name).read_bytes())
+
+
+def _add_trajectory(content: ContentHash, folder: Path, name: str) -> None:
+    """Size and some places of a trajectory, which may be too long to be read for a plan, into the header."""
+    path = folder / name
+    if not path.is_file():
+        return
+    size = path.stat().st_size
+    step = max(_SAMPLED_BYTES, (size - _SAMPLED_BYTES) // (SAMPLED_POSES - 1))
+    pieces = [f"{size}\n".encode()]
+    with path.open("rb") as file:
+        for start in range(0, size, step):
+            file.seek(start)
+            pieces.append(file.read(_SAMPLED_BYTES))
+    content.add(name, b"".join(pieces))
 
 
 def _folder_format(found: DriveFormat | None, folder: Path, settings: DriveYaml) -> tuple[dict[str, Path], _Times]:
@@ -236,6 +271,10 @@ def _euroc_times(content: ContentHash, folder: Path, settings: DriveYaml) -> tup
         _add_file(content, folder, f"{camera}/data.csv")
         _add_file(content, folder, f"{camera}/sensor.yaml")
     _add_file(content, folder, RIG_YAML)
+    for wanted in [settings.streams.trajectory] if settings.streams.trajectory else TRAJECTORIES:
+        name = stream_folder(folder.resolve(), wanted).relative_to(folder.resolve()).as_posix()
+        _add_trajectory(content, folder, f"{name}/data.csv")
+        _add_file(content, folder, f"{name}/{SENSOR_YAML}")
     path = folder / cameras[0] / "data.csv"
     if not path.is_file():
         raise DriveFolderError(f"{folder}: {cameras[0]}/data.csv is missing")
@@ -267,6 +306,7 @@ def _kitti_times(content: ContentHash, folder: Path, settings: DriveYaml) -> tup
         for name in (calibration.name, VELO_TO_CAM, IMU_TO_VELO):
             _add_file(content, calibration.parent, name)
     _add_file(content, folder, "oxts/timestamps.txt")
+    _add_poses(content, folder)
     name = f"{settings.cameras.left}/timestamps.txt"
     path = folder / name
     if not path.is_file():

@@ -71,6 +71,8 @@ class DriveOnMap:
     model_sha256: str
     changeset_no: int
     committed_at: datetime
+    headers: tuple[str, ...]
+    """Of the folders that receipts say it came from; empty where it was ingested by hand."""
 
 
 def drive_lock(map_name: str, header_sha256: str) -> str:
@@ -117,7 +119,8 @@ def attempt_ends(conn: Connection, attempt_ids: Sequence[UUID]) -> dict[UUID, Re
 def drives_on_map(conn: Connection, *, map_name: str) -> list[DriveOnMap]:
     """Every recording that was committed, oldest changeset first."""
     with transaction(conn, "The drives of the map cannot be read"):
-        return [DriveOnMap(**row) for row in execute(conn, load_sql("map/drives_on_map"), {"map_name": map_name})]
+        rows = execute(conn, load_sql("map/drives_on_map"), {"map_name": map_name})
+        return [DriveOnMap(**{**row, "headers": tuple(row["headers"])}) for row in rows]
 
 
 def pairs_per_second(conn: Connection, *, map_name: str) -> float | None:
