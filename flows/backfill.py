@@ -18,6 +18,7 @@ from prefect.states import Completed
 from pydantic import Field
 
 from conetl.io.db import Connection, connect
+from conetl.io.file_names import printable
 from conetl.io.stores.receipt_store import Receipt, attempt_ends, end_crashed, latest_receipts, write_receipt
 from conetl.params import IngestParams
 from conetl.settings import Settings
@@ -25,6 +26,7 @@ from flows.batch_artifacts import Board, open_board, show_progress, show_summary
 from flows.dispatch import (
     Flight,
     Where,
+    WorkerWatch,
     abandon,
     launch,
     mark_crashed,
@@ -60,6 +62,8 @@ class Standing:
     ended: list[Receipt]
     pairs_todo: int
     pairs_done: int = 0
+    note: str = ""
+    """What a person has to look at while the batch waits."""
 
     @property
     def todo(self) -> int:
@@ -89,7 +93,7 @@ def _batch_run_name() -> str:
     parameters = flow_run.parameters
     since, until = (str(parameters.get(name) or "")[:10] for name in ("since", "until"))
     span = f" {since or '...'} to {until or '...'}" if since or until else ""
-    return f"backfill {Path(str(parameters['root'])).resolve().name}{span}"
+    return f"backfill {printable(Path(str(parameters['root'])).resolve().name)}{span}"
 
 
 @flow(name="backfill", flow_run_name=_batch_run_name)
@@ -129,6 +133,7 @@ def run_batch(
     write_plan(plan, parallel, settings.home / "plans")
     standing = Standing(plan, parallel, place, time.monotonic(), [], [], pairs_todo=plan.frame_pairs)
     board = open_board(standing)
+    workers = WorkerWatch()
     waiting: deque[tuple[PlanLine, int]] = deque((line, 1) for line in plan.todo)
     _tell(standing, board)
     try:
@@ -151,6 +156,10 @@ def run_batch(
                     continue
                 standing.ended.append(receipt)
                 standing.pairs_done += line.outline.frame_pairs
+                _tell(standing, board)
+            if place == "workers" and standing.flying and (note := workers.complaint(time.monotonic())):
+                standing.note = note
+                get_run_logger().warning(note)
                 _tell(standing, board)
             if standing.flying:
                 time.sleep(_POLL_S)

@@ -5,6 +5,7 @@ Either way it is a sub-flow of the run that asks, and a drive that kills its pro
 
 from __future__ import annotations
 
+import math
 import multiprocessing.process
 import time
 from collections.abc import Sequence
@@ -30,6 +31,9 @@ from flows.drive_job import drive_tags, ingest_one
 POOL = "conetl"
 DRIVE_DEPLOYMENT = "ingest-drive/ingest-drive"
 DRIVE_QUEUE = "drives"
+#: Workers are started anew, and Prefect takes a minute or two to notice that one is gone.
+WORKERS_GONE_S = 180.0
+_ASK_EVERY_S = 30.0
 Where = Literal["auto", "workers", "here"]
 
 
@@ -50,7 +54,10 @@ def client() -> SyncPrefectClient:
 
 
 def resolve_where(where: Where) -> Literal["workers", "here"]:
-    """`auto`: workers where `conetl up` has made the deployment, else children of this process. Raises ServiceError."""
+    """`auto`: workers where `conetl up` has made the deployment and one is online, else children of this process.
+
+    Without a worker a drive that is handed over waits for ever. Raises ServiceError.
+    """
     if where == "here":
         return where
     with client() as api:
@@ -60,7 +67,7 @@ def resolve_where(where: Where) -> Literal["workers", "here"]:
             if where == "auto":
                 return "here"
             raise ServiceError(f"this Prefect server has no deployment {DRIVE_DEPLOYMENT}: run `conetl up`") from None
-    return "workers"
+    return "workers" if where == "workers" or online_workers() else "here"
 
 
 def online_workers() -> int:
@@ -68,6 +75,33 @@ def online_workers() -> int:
     with client() as api:
         workers = api.read_workers_for_work_pool(POOL)
     return sum(w.status == WorkerStatus.ONLINE and DRIVE_QUEUE in w.name for w in workers)
+
+
+@dataclass
+class WorkerWatch:
+    """Whether anybody is there to take the drives that wait."""
+
+    asked_at: float = -math.inf
+    gone_since: float | None = None
+    told: bool = False
+
+    def complaint(self, now: float) -> str | None:
+        """A sentence, once, where no worker has been online for WORKERS_GONE_S; now: monotonic seconds."""
+        if self.told or now - self.asked_at < _ASK_EVERY_S:
+            return None
+        self.asked_at = now
+        if online_workers():
+            self.gone_since = None
+        elif self.gone_since is None:
+            self.gone_since = now
+        elif now - self.gone_since >= WORKERS_GONE_S:
+            self.told = True
+            return (
+                f"no worker of the queue '{DRIVE_QUEUE}' has been online for {WORKERS_GONE_S / 60:.0f} minutes, so the drives "
+                "wait: `conetl status` tells what runs, `conetl up` starts what is missing, and `conetl backfill --here` does "
+                "without workers"
+            )
+        return None
 
 
 def launch(

@@ -121,7 +121,7 @@ def new_receipt(
     return Receipt(
         attempt_id=attempt_id,
         map_name=settings.map_name,
-        drive_path=str(outline.path),
+        drive_path=outline.shown_path,
         drive_id=outline.drive_id,
         header_sha256=outline.header_sha256,
         analysis_sha256=analysis_sha256,

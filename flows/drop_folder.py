@@ -16,6 +16,7 @@ from pydantic import Field
 
 from conetl.io.db import connect
 from conetl.io.drive_folder.outline import MARKER, find_drives, quiet_since
+from conetl.io.file_names import printable
 from conetl.params import IngestParams
 from flows.backfill import Parallel, run_batch
 from flows.drive_job import MapName, MapSrid, alive, settings_for
@@ -46,7 +47,8 @@ def ingest_drop_folder(
         plan = plan_drives(conn, inbox, settings=settings, params=params, once=True, folders=complete)
         if arriving:
             rows = [
-                {"drive": path.name, "quiet for s": round(quiet, 1), "needed s": quiet_s} for path, quiet in arriving
+                {"drive": printable(path.name), "quiet for s": round(quiet, 1), "needed s": quiet_s}
+                for path, quiet in arriving
             ]
             create_table_artifact(
                 rows, key="arriving", description=f"Still arriving: neither {MARKER} nor quiet for long enough"

@@ -19,6 +19,7 @@ from conetl.detector_evidence import evidence_sha256
 from conetl.io.db import Connection
 from conetl.io.drive_folder.outline import DriveOutline, find_drives, outline_drive
 from conetl.io.exports.atomic import atomic_text_file
+from conetl.io.file_names import printable
 from conetl.io.model_card import read_model_card
 from conetl.io.parquet_store import result_key
 from conetl.io.stores.receipt_store import (
@@ -131,7 +132,7 @@ def plan_drives(
     for outline in sorted(outlines, key=lambda o: (o.captured_from_ns or 0, str(o.path))):
         receipt = receipts.get(outline.header_sha256)
         if outline.header_sha256 in seen:
-            action, why = "skip", f"the same recording as {seen[outline.header_sha256]}"
+            action, why = "skip", f"the same recording as {printable(seen[outline.header_sha256])}"
         else:
             action, why = _judge(
                 outline, receipt, known.get(outline.drive_id, []), analysis,
@@ -178,10 +179,15 @@ def _judge(
         what = "failed" if receipt.state == "failed" else "was interrupted"
         return "ingest", f"{what} on {_when(receipt.at)}" + (f": {receipt.reason}" if receipt.reason else "")
     found = [drive for drive in on_map if _is_same_recording(outline, drive)]
-    if any(d.params_sha256 == analysis.params_sha256 and d.model_sha256 == analysis.model_sha256 for d in found):
-        drive = found[-1]
+    alike = [d for d in found if (d.params_sha256, d.model_sha256) == (analysis.params_sha256, analysis.model_sha256)]
+    if alike:
         if recheck:
             return "ingest", "asked to compare it again"
+        # By hand it comes without a receipt, so nobody knows from which header: id and time have to do.
+        same_folder = [d for d in alike if not d.headers or outline.header_sha256 in d.headers]
+        if not same_folder:
+            return "ingest", f"changed since it was brought onto the map (changeset {alike[-1].changeset_no})"
+        drive = same_folder[-1]
         return "skip", f"on the map since {_when(drive.committed_at)} (changeset {drive.changeset_no})"
     if found or receipt is not None:
         return "ingest", "known, but analysed with other parameters or another model"
@@ -208,7 +214,7 @@ def _when(at: datetime | None) -> str:
 def plan_as_dict(plan: Plan, parallel: int) -> dict[str, Any]:
     """The plan as values that JSON knows."""
     return {
-        "root": str(plan.root),
+        "root": printable(plan.root),
         "map": plan.map_name,
         "since": plan.since and plan.since.isoformat(),
         "until": plan.until and plan.until.isoformat(),
@@ -227,7 +233,7 @@ def plan_as_dict(plan: Plan, parallel: int) -> dict[str, Any]:
         "max_parallel": parallel,
         "lines": [
             {
-                "drive": str(line.outline.path),
+                "drive": line.outline.shown_path,
                 "drive_id": line.outline.drive_id,
                 "captured_from": line.outline.captured_from and line.outline.captured_from.isoformat(),
                 "frame_pairs": line.outline.frame_pairs,

@@ -16,6 +16,7 @@ from conetl.geometry.rig import map_SE3_left
 from conetl.io.db import Connection
 from conetl.io.exports.geojson import export_geojson
 from conetl.io.exports.plan_view import draw_plan_view
+from conetl.io.file_names import file_name_part
 from conetl.io.qa.drive_page import write_drive_page
 from conetl.io.stores.map_store import find_changeset
 from conetl.io.stores.run_store import write_run_steps
@@ -42,7 +43,7 @@ def publish_task(
         export_geojson(conn, geojson, map_name=settings.map_name)
         write_run_steps(conn, changeset.changeset_id, times_of(flow_run.get_id()))
         page = _write_report(conn, changeset, settings)
-    picture = exports / f"{_file_name(drive.drive_id)}.png"
+    picture = exports / f"{file_name_part(drive.drive_id)}.png"
     path = np.array([map_SE3_left(pair.pose, drive.rig)[:2, 3] for pair in drive.frame_pairs])
     draw_plan_view(
         picture,
@@ -80,11 +81,6 @@ def _write_report(conn: Connection, changeset: Changeset, settings: Settings) ->
         link_text=f"QA report of drive {changeset.drive_id}", key="qa-report", description=f"The file: {path}",
     )  # fmt: skip
     return path
-
-
-def _file_name(drive_id: str) -> str:
-    """A drive's id as part of a file name: an id may hold anything, a file name not."""
-    return "".join(c if c.isalnum() or c in "-_." else "_" for c in drive_id).lstrip(".") or "drive"
 
 
 def _change_row(line: ChangeLine) -> dict[str, Any]:

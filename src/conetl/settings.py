@@ -10,6 +10,7 @@ from pydantic import Field, SecretStr, ValidationError
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from conetl.errors import InputError
+from conetl.io.file_names import file_name_part
 
 
 class Settings(BaseSettings):
@@ -70,8 +71,7 @@ class Settings(BaseSettings):
 
     def drive_report_path(self, drive_id: str, changeset_no: int) -> Path:
         """Where the ingest writes the QA report of a drive; an id may hold anything, a file name not."""
-        name = "".join(c if c.isalnum() or c in "-_." else "_" for c in drive_id).lstrip(".")[:120] or "drive"
-        return self.reports_folder / f"{changeset_no:06d}-{name}.html"
+        return self.reports_folder / f"{changeset_no:06d}-{file_name_part(drive_id, 120)}.html"
 
 
 def read_settings() -> Settings:

@@ -15,6 +15,8 @@ from conetl.io.db import connect, execute
 from tests.integration.small_drives import SAMPLES, cut_drive, processes_with
 
 ROOT = Path(__file__).resolve().parents[2]
+#: 210 bytes.
+LONG_ID = "漢" * 70
 
 
 def _backfill(root: Path, home: Path, database_url: str, *options: str) -> tuple[int, dict[str, dict[str, object]]]:
@@ -57,11 +59,17 @@ def test_a_backfill_without_services_leaves_nothing_but_the_map_and_its_receipts
         time.sleep(0.2)  # the temporary server takes a moment to end
     assert processes_with("CONETL_HOME", tmp_path / "home") == set()
 
+    for pose in (
+        tmp_path / "drives" / "2026-05-03_good" / "oxts" / "data"
+    ).iterdir():  # corrected, as post-processing does
+        lat_deg, *others = pose.read_text().split()
+        pose.write_text(" ".join([f"{float(lat_deg) + 4.5e-6:.12f}", *others]))
     code, drives = backfill("--dry-run")
     assert code == 0
     assert {name: drive["action"] for name, drive in drives.items()} == {
-        "2026-05-01_good": "skip", "2026-05-02_poisoned": "ingest", "2026-05-03_good": "skip",
+        "2026-05-01_good": "skip", "2026-05-02_poisoned": "ingest", "2026-05-03_good": "ingest",
     }  # fmt: skip
+    assert "changed since" in str(drives["2026-05-03_good"]["why"])
 
 
 def test_a_folder_of_links_to_drives_is_ingested_once(tmp_path: Path, database_url: str) -> None:
@@ -89,3 +97,21 @@ def test_a_folder_of_links_to_drives_is_ingested_once(tmp_path: Path, database_u
     assert code == 0
     with closing(connect(database_url)) as conn:
         assert execute(conn, "select count(*) as n from conetl.changeset")[0]["n"] == 2
+
+
+def test_one_odd_folder_does_not_stop_the_drives_beside_it(tmp_path: Path, database_url: str) -> None:
+    """A name that is not UTF-8, an id of more bytes than a file name may have, a first stamp before all times."""
+    drives = tmp_path / "drives"
+    cut_drive(SAMPLES[1], drives / os.fsdecode(b"M\xfcnchen"), "2026-05-01")
+    odd = cut_drive(SAMPLES[0], drives / "2026-05-02", "2026-05-02")
+    (odd / "drive.yaml").write_text(f"drive_id: {LONG_ID}\ntimestamps_timezone: Europe/Berlin\n", encoding="utf-8")
+    stamps = odd / "image_02" / "timestamps.txt"
+    stamps.write_text("0001-01-01 00:00:00\n" + stamps.read_text().partition("\n")[2])
+    backfill = partial(_backfill, drives, tmp_path / "home", database_url)
+    code, planned = backfill("--dry-run")
+    assert {name: line["action"] for name, line in planned.items()} == {"M\\xfcnchen": "refuse", LONG_ID: "ingest"}
+    assert code == 0
+    code, done = backfill()
+    assert {name: drive["state"] for name, drive in done.items()} == {"M\\xfcnchen": "failed", LONG_ID: "committed"}
+    assert "not UTF-8" in str(done["M\\xfcnchen"]["reason"])
+    assert code == 2

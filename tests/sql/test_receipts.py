@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -131,7 +132,15 @@ def test_a_schedule_leaves_alone_what_failed_until_it_changes(plan: Any, receipt
     assert plan([changed], once=True).lines[0].action == "ingest"
 
 
-def test_a_drive_that_was_ingested_by_hand_is_known(plan: Any, conn: Any, samples: Any) -> None:
+def test_a_drive_that_was_ingested_by_hand_is_known(plan: Any, on_the_map: DriveOutline) -> None:
+    known = on_the_map
+    other = replace(known, path=ROOT / "other", header_sha256="e" * 64, captured_from_ns=known.captured_to_ns)
+    assert [line.action for line in plan([known, other]).lines] == ["skip", "ingest"]
+
+
+@pytest.fixture
+def on_the_map(conn: Any, samples: Any) -> DriveOutline:
+    """A recording of which a changeset with the present parameters and model was made; its receipts are the test's."""
     samples.commit(conn, samples.added(samples.feature()), key="a")
     analysis = analysis_of(IngestParams(), Settings())
     conn.rollback()
@@ -141,11 +150,34 @@ def test_a_drive_that_was_ingested_by_hand_is_known(plan: Any, conn: Any, sample
         {"p": analysis.params_sha256, "m": analysis.model_sha256},
     )
     conn.commit()
-    known = replace(
+    return replace(
         outlines(1)[0], drive_id="drive_a", captured_from_ns=samples.START_NS, captured_to_ns=samples.START_NS + 10**10
     )
-    other = replace(known, path=ROOT / "other", header_sha256="e" * 64, captured_from_ns=known.captured_to_ns)
-    assert [line.action for line in plan([known, other]).lines] == ["skip", "ingest"]
+
+
+@pytest.mark.parametrize("once", [True, False], ids=["drop folder", "backfill"])
+def test_a_drive_that_changed_since_it_was_brought_onto_the_map_is_taken_again(
+    plan: Any, receipt: Any, conn: Any, on_the_map: DriveOutline, once: bool
+) -> None:
+    """Corrected poses, another calibration, or the rest of a drive that was taken half copied: another header."""
+    receipt(on_the_map, "committed", changeset_id=changeset_id(conn), may_pass=False)
+    changed = replace(on_the_map, header_sha256="f" * 64)
+    grown = replace(changed, captured_to_ns=(changed.captured_to_ns or 0) + 10**10)
+    for drive in (changed, grown):
+        (line,) = plan([drive], once=once).lines
+        assert (line.action, line.why) == ("ingest", "changed since it was brought onto the map (changeset 1)")
+    assert plan([on_the_map], once=once).lines[0].action == "skip"
+    receipt(changed, "known", changeset_id=changeset_id(conn), may_pass=False)
+    assert plan([changed], once=once).lines[0].action == "skip", "its content was compared, and that is remembered"
+
+
+def test_parameters_of_earlier_do_not_make_a_drive_a_changed_one(
+    plan: Any, receipt: Any, conn: Any, on_the_map: DriveOutline
+) -> None:
+    receipt(on_the_map, "committed", changeset_id=changeset_id(conn), may_pass=False)
+    receipt(on_the_map, "failed", analysis_sha256="ab" * 32, reason="stopped", may_pass=False)
+    (line,) = plan([on_the_map]).lines
+    assert (line.action, line.why.startswith("on the map since")) == ("skip", True)
 
 
 def test_the_same_recording_twice_is_ingested_once(plan: Any) -> None:
@@ -213,3 +245,32 @@ def _link(source: str, target: str) -> None:
 
 def changeset_id(conn: Any) -> Any:
     return execute(conn, "select changeset_id from conetl.changeset")[0]["changeset_id"]
+
+
+@pytest.mark.parametrize("drive_id", ["\u6f22" * 200, "M\udcfcnchen"])
+def test_any_id_has_a_receipt(drive_id: str, receipt: Any, conn: Any, tmp_path: Path) -> None:
+    """File systems count bytes; and names of files may be bytes that are not UTF-8."""
+    drive = replace(outlines(1)[0], drive_id=drive_id)
+    receipt(drive, "failed", reason=f"{drive_id} is wrong", may_pass=False)
+    kept = latest_receipts(conn, map_name="default")[drive.header_sha256]
+    assert kept.reason.startswith("M\\xfcnchen" if "M" in drive_id else drive_id)
+    (path,) = (tmp_path / "default").glob("*.json")
+    assert json.loads(path.read_text())["drive_id"] == kept.drive_id
+
+
+def test_a_copy_that_cannot_be_written_does_not_undo_the_receipt(
+    receipt: Any, conn: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "default").write_text("a file where the folder should be")
+    drive = outlines(1)[0]
+    receipt(drive, "failed", reason="not one usable pose", may_pass=False)
+    assert latest_receipts(conn, map_name="default")[drive.header_sha256].state == "failed"
+    assert "its copy is not" in caplog.text
+
+
+def test_what_cannot_be_read_is_a_line_of_the_plan(conn: Any, tmp_path: Path) -> None:
+    shutil.copytree(next(SAMPLES.iterdir()), tmp_path / os.fsdecode(b"M\xfcnchen"))
+    shutil.copytree(next(SAMPLES.iterdir()), tmp_path / "good")
+    made = plan_drives(conn, tmp_path, settings=Settings(), params=IngestParams())
+    assert sorted(actions(made)) == [("M\\xfcnchen", "refuse"), ("good", "ingest")]
+    json.dumps(plan_as_dict(made, 1), ensure_ascii=False).encode()

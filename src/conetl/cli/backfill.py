@@ -68,6 +68,7 @@ def backfill(
     if not as_json:
         _print_plan(plan, max_parallel or 1)
     ended: list[Any] = []
+    noted: set[str] = set()
     with ExitStack() as running:
         with err.status("Starting Prefect") if err.is_terminal else nullcontext():
             from flows import backfill as flow
@@ -81,6 +82,9 @@ def backfill(
             from flows.batch_artifacts import percent, sentence
 
             bar.update(task, completed=percent(standing), description=sentence(standing))
+            if standing.note and standing.note not in noted:
+                noted.add(standing.note)
+                err.print(f"conetl: {standing.note}", markup=False, soft_wrap=True)
             for receipt in standing.ended[len(ended) :]:
                 ended.append(receipt)
                 if not as_json:

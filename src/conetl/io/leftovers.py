@@ -15,12 +15,14 @@ from collections.abc import Iterable
 from pathlib import Path
 from uuid import uuid4
 
+from conetl.io.file_names import cut_to_bytes
+
 _NAME = re.compile(r"\.(?P<host>[A-Za-z0-9-]+)\.(?P<pid>[0-9]+)\.[0-9a-f]{32}\.tmp$")
 
 
 def aside(path: Path) -> Path:
     """Where to write a file before it takes the name `path`."""
-    return path.with_name(f".{path.name[:100]}.{_host()}.{os.getpid()}.{uuid4().hex}.tmp")
+    return path.with_name(f".{cut_to_bytes(path.name, 100)}.{_host()}.{os.getpid()}.{uuid4().hex}.tmp")
 
 
 def sweep(folders: Iterable[Path]) -> list[Path]:

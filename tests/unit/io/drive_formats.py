@@ -275,6 +275,7 @@ def write_bag(
     picture: Picture = compressed,
     image_name: str = "image_raw/compressed",
     connected: bool = True,
+    recorder_as_pictures: bool = False,
     mangle: Callable[[str, int, bytes], bytes] = lambda topic, number, data: data,
 ) -> Path:
     messages: list[tuple[int, str, str, Any]] = []
@@ -290,7 +291,7 @@ def write_bag(
     ]  # fmt: skip
     messages.append((start, "/tf_static", "tf2_msgs/msg/TFMessage", T["tf2_msgs/msg/TFMessage"](transforms=links)))
     for i, frame in enumerate(frames):
-        at = start + i * 10**8
+        at = frame.stamp_ns if recorder_as_pictures else start + i * 10**8
         for side in ("left", "right"):
             data = getattr(frame, side)
             if data is not None:

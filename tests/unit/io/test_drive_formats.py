@@ -6,6 +6,7 @@ import math
 import shutil
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -110,6 +111,12 @@ FAULTS: dict[str, tuple[Callable[[list[Frame]], list[Frame]], dict[int, R]]] = {
     "no picture at all": (lambda f: changed(f, 2, right=b"not a picture"), {2: R.IMAGE_UNREADABLE}),
     "another size": (lambda f: changed(f, 5, right=small_picture()), {5: R.IMAGE_WRONG_SIZE}),
     "time falls": (lambda f: changed(f, 6, stamp_ns=f[1].stamp_ns - 5 * 10**9), {6: R.TIMESTAMP_INVALID}),
+    "clock not set at first": (
+        lambda f: changed(f, 0, stamp_ns=5 * 10**9, pose_stamp_ns=5 * 10**9), {0: R.TIMESTAMP_INVALID},
+    ),
+    "another clock at last": (
+        lambda f: changed(f, -1 % len(f), stamp_ns=f[-1].stamp_ns + 400 * 86_400 * 10**9), {9: R.TIMESTAMP_INVALID},
+    ),
     "pose is NaN": (lambda f: changed(f, 4, oxts=(math.nan,) * 30), {4: R.POSE_INVALID}),
     "poses missing": (without_poses, dict.fromkeys(range(2, 8), R.POSE_MISSING)),
     "a wild fix": (
@@ -132,6 +139,21 @@ def test_the_same_faults_cost_the_same_pairs(
     if name != "plain":  # which numbers pairs by the rows of its trajectory
         assert {r.payload["frame_index"] for r in rejections} == set(lost)
     assert all(r.step == "frames" and r.detail for r in rejections)
+    if "clock" in fault and "bag" not in name and "mcap" not in name:  # whose times are the recorder's
+        outline = outline_drive(tmp_path / "run")
+        assert (outline.captured_from_ns, outline.captured_to_ns) == (kept[0], kept[-1])
+
+
+def test_a_bag_whose_recorder_had_no_time_yet_is_placed_by_its_end(
+    tmp_path: Path, frames: list[Frame], rig: Rig
+) -> None:
+    first = changed(frames, 0, stamp_ns=5 * 10**9, pose_stamp_ns=5 * 10**9)
+    outline = outline_drive(write_bag(tmp_path / "run", first, rig, recorder_as_pictures=True))
+    assert (outline.problem, outline.captured_from_ns) == (None, outline.captured_to_ns)
+    assert outline.captured_to_ns == frames[-1].stamp_ns
+    unset = [changed([f], 0, stamp_ns=f.stamp_ns % 10**15, pose_stamp_ns=f.stamp_ns % 10**15)[0] for f in frames]
+    outline = outline_drive(write_bag(tmp_path / "unset", unset, rig))
+    assert (outline.problem, outline.captured_from_ns) == (None, None)
 
 
 @pytest.mark.parametrize("name", WRITERS)
@@ -357,6 +379,17 @@ def test_a_glance_and_the_reader_take_the_same_drive_yaml(
     with pytest.raises(DriveFolderError) as refusal:
         read(path, tmp_path / "cache")
     assert outline_drive(path).problem == str(refusal.value)
+
+
+@pytest.mark.parametrize("name", ["kitti", "plain", "euroc"])
+def test_corrected_poses_are_another_header(name: str, tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+    """Post-processing moves the poses and nothing else."""
+    before, corrected = (frames, [replace(f, oxts=(f.oxts[0] + 5e-6, *f.oxts[1:])) for f in frames if f.oxts])
+    first, then = (
+        outline_drive(WRITERS[name](tmp_path / part / "run", made, rig)).header_sha256
+        for part, made in (("before", before), ("after", corrected))
+    )
+    assert first != then
 
 
 def test_another_rig_beside_a_bare_bag_is_another_drive(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -36,12 +39,20 @@ def test_the_header_goes_with_the_drive_and_not_with_its_place(drive: Path, tmp_
     assert outline_drive(moved).header_sha256 == outline_drive(drive).header_sha256
 
 
-@pytest.mark.parametrize("change", ["a picture more", "another size", "another time", "another calibration"])
+@pytest.mark.parametrize(
+    "change", ["a picture more", "another size", "another time", "another calibration", "other poses", "a pose more"]
+)
 def test_another_delivery_is_another_drive(drive: Path, change: str) -> None:
     before = outline_drive(drive).header_sha256
     picture = drive / "image_02" / "data" / "0000000000.jpg"
     if change == "a picture more":
         shutil.copy(picture, picture.with_name("0000009999.jpg"))
+    elif change == "other poses":  # of as many digits
+        for path in (drive / "oxts" / "data").iterdir():
+            path.write_text(path.read_text().replace("4", "5", 1))
+    elif change == "a pose more":
+        path = drive / "oxts" / "data" / "0000000000.txt"
+        shutil.copy(path, path.with_name("0000009999.txt"))
     elif change == "another size":
         picture.write_bytes(picture.read_bytes() + b"\0")
     else:
@@ -129,3 +140,109 @@ def test_a_drive_is_quiet_since_its_last_change_whatever_its_times_say(drive: Pa
     assert abs(time.time() - changed_at) < 3600
     (drive / "COMPLETE").touch()
     assert quiet_since(drive) is None
+
+
+def failing(monkeypatch: pytest.MonkeyPatch, owner: Any, name: str, inside: Path, error: OSError) -> None:
+    """Let a function that takes a path first fail for `inside` and all below it, as for a user without rights (root has them)."""
+    true: Callable[..., Any] = getattr(owner, name)
+
+    def fail(path: Any, *args: Any, **kwargs: Any) -> Any:
+        if Path(path) == inside or inside in Path(path).parents:
+            raise error
+        return true(path, *args, **kwargs)
+
+    monkeypatch.setattr(owner, name, fail)
+
+
+@pytest.mark.parametrize("code", [errno.EACCES, errno.ENOENT])
+@pytest.mark.parametrize("what", ["listing", "everything in it"])
+def test_a_folder_that_cannot_be_read_is_told_and_stops_no_other(
+    drive: Path, code: int, what: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """lost+found of root, or a folder that was renamed since its parent was listed."""
+    closed = drive.parent / "lost+found"
+    closed.mkdir()
+    error = OSError(code, os.strerror(code), str(closed))
+    failing(monkeypatch, os, "scandir", closed, error)
+    if what != "listing" and code == errno.EACCES:
+        failing(monkeypatch, Path, "stat", closed / "anything", error)
+        monkeypatch.setattr(Path, "is_file", lambda path: Path.exists(path) and not Path.is_dir(path))
+    found = list(find_drives(drive.parent))
+    assert found == [drive, closed]
+    outline = outline_drive(closed)
+    assert os.strerror(code) in (outline.problem or "")
+    assert outline.drive_id == "lost+found"
+    assert outline_drive(drive).problem is None
+    other = drive.parent / "other" / "lost+found"
+    other.mkdir(parents=True)
+    failing(monkeypatch, os, "scandir", other, error)
+    assert outline_drive(other).header_sha256 != outline.header_sha256
+
+
+def test_a_drive_of_which_a_file_cannot_be_read_is_told(drive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    error = PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(drive / "image_03" / "data"))
+    failing(monkeypatch, os, "scandir", drive / "image_03" / "data", error)
+    assert "Permission denied" in (outline_drive(drive).problem or "")
+
+
+def test_a_link_that_leads_to_itself_stops_nothing(drive: Path) -> None:
+    (drive.parent / "round").symlink_to("round")
+    round_, found = sorted(find_drives(drive.parent), reverse=True)
+    assert found == drive
+    assert outline_drive(round_).problem is not None
+
+
+def test_a_folder_that_is_gone_or_closed_is_not_quiet_for_an_error(
+    drive: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gone = quiet_since(drive.parent / "gone")
+    assert gone is not None
+    assert abs(time.time() - gone) < 60, "still arriving, under another name"
+    failing(monkeypatch, Path, "exists", drive / "COMPLETE", PermissionError(errno.EACCES, os.strerror(errno.EACCES)))
+    assert quiet_since(drive) is not None
+
+
+def test_a_name_that_is_not_utf8_is_refused_in_words_that_can_be_printed(drive: Path) -> None:
+    odd = drive.rename(drive.parent / os.fsdecode(b"M\xfcnchen"))
+    assert list(find_drives(drive.parent)) == [odd]
+    outline = outline_drive(odd)
+    assert outline.drive_id == "M\\xfcnchen"
+    assert outline.shown_path == f"{drive.parent}/M\\xfcnchen"
+    assert "not UTF-8" in (outline.problem or "")
+    (outline.drive_id + outline.shown_path + (outline.problem or "")).encode()
+    with pytest.raises(DriveFolderError, match="rename the folder"):
+        read_drive(odd)
+    again = Path(shutil.copytree(odd, drive.parent / "other day" / odd.name))
+    assert outline_drive(again).header_sha256 != outline.header_sha256, "each is told"
+    link = drive.parent / "linked"
+    link.symlink_to(odd)
+    assert "not UTF-8" in (outline_drive(link).problem or "")
+    with pytest.raises(DriveFolderError, match="not UTF-8"):
+        list(find_drives(odd))
+
+
+def test_an_id_that_no_database_can_hold_is_written_as_it_can_be(drive: Path) -> None:
+    (drive / "drive.yaml").write_text('drive_id: "a\\0b"\n')
+    assert outline_drive(drive).drive_id == "a\\x00b"
+    assert read_drive(drive, headers_only=True)[0].drive_id == outline_drive(drive).drive_id
+
+
+def test_a_time_before_all_times_is_a_stamp_that_cannot_be_read(drive: Path) -> None:
+    (drive / "drive.yaml").write_text("timestamps_timezone: Europe/Berlin\n")
+    whole = outline_drive(drive)
+    stamps = drive / "image_02" / "timestamps.txt"
+    lines = stamps.read_text().splitlines()
+    stamps.write_text("\n".join(["0001-01-01 00:00:00", *lines[1:]]) + "\n")
+    outline = outline_drive(drive)
+    assert outline.problem is None
+    assert outline.captured_to_ns == whole.captured_to_ns
+    _, rejections = read_drive(drive, headers_only=True)
+    assert "0001-01-01" in rejections[0].detail
+
+
+def test_a_file_of_which_nobody_thought_stops_nothing(drive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(_: Path) -> None:
+        raise RecursionError("too deep")
+
+    monkeypatch.setattr("conetl.io.drive_folder.outline.read_drive_yaml", broken)
+    assert "RecursionError: too deep" in (outline_drive(drive).problem or "")

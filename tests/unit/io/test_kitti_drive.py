@@ -17,7 +17,7 @@ from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
 from conetl.io.drive_folder import oxts, read_drive
 from conetl.io.drive_folder.drive_yaml import Sigmas
-from conetl.io.drive_folder.timestamps import out_of_order, parse_timestamp, parse_timestamps
+from conetl.io.drive_folder.timestamps import misplaced, out_of_order, parse_timestamp, parse_timestamps
 from conetl.records import Drive, Pose
 from conetl.rejections import RejectionReason
 
@@ -449,3 +449,17 @@ def test_the_fewest_time_stamps_go_that_make_the_rest_rise() -> None:
     assert out_of_order({0: 10, 1: 20, 2: 3, 3: 30}) == {2}
     assert len(out_of_order({0: 10, 1: 10})) == 1
     assert out_of_order({}) == set()
+
+
+def test_a_clock_that_was_not_set_is_found_although_its_times_rise() -> None:
+    day, start = 86_400 * 10**9, parse_timestamp("2026-03-02 09:41:00")
+    rising = {n: start + n * 10**8 for n in range(1, 9)}
+    assert misplaced(rising) == {}
+    assert list(misplaced({0: 5 * 10**9} | rising)) == [0]
+    assert "not set" in misplaced({0: 5 * 10**9} | rising)[0]
+    assert "30 days" in misplaced({0: start - 30 * day} | rising)[0]
+    assert list(misplaced(rising | {9: start + 2 * day})) == [9]
+    assert misplaced(rising | {9: start + day // 2}) == {}, "a drive may rest"
+    assert list(misplaced({n: n for n in range(3)})) == [0, 1, 2]
+    assert misplaced({}) == {}
+    assert "does not rise" in misplaced(rising | {9: start})[9]

@@ -10,6 +10,7 @@ from conetl.io.drive_folder.euroc import is_euroc_folder, read_euroc_drive
 from conetl.io.drive_folder.kitti import is_kitti_folder, read_kitti_drive
 from conetl.io.drive_folder.plain import is_plain_folder, read_plain_drive
 from conetl.io.drive_folder.ros_bag import is_bag, read_bag_drive
+from conetl.io.file_names import require_utf8
 from conetl.io.places import forget_listing, is_remote, place, reached
 from conetl.records import Drive
 from conetl.rejections import Rejection
@@ -57,6 +58,8 @@ def read_drive(
     with reached(path):
         if not path.exists():
             raise DriveFolderError(f"{path}: there is no such folder; give the folder of one drive")
+        if not is_remote(path):
+            require_utf8(path)
         return _read(path, map_srid, pictures_folder, headers_only)
 
 

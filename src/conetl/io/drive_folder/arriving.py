@@ -32,7 +32,7 @@ from conetl.io.drive_folder.kitti import (
 )
 from conetl.io.drive_folder.pairs import IMAGE_SUFFIXES, PairError, first_size
 from conetl.io.drive_folder.plain import TRAJECTORY, is_plain_folder, pose_of_row, read_plain_rig, time_of_row
-from conetl.io.drive_folder.timestamps import parse_timestamp
+from conetl.io.drive_folder.timestamps import EARLIEST_NS, parse_timestamp
 from conetl.records import FramePair, Pose, Rig
 from conetl.rejections import RejectionReason
 
@@ -159,6 +159,7 @@ class ArrivingPlain:
         captured = time_of_row(row, self.settings.timestamps_timezone)
         if isinstance(captured, str):
             raise PairError(RejectionReason.TIMESTAMP_INVALID, captured)
+        _require_set_clock(captured)
         srid = _srid(map_srid or self.settings.map_srid, row.lat_deg, row.lon_deg, self.root)
         return _record(self.rows.numbers[pair.key], pair, captured, pose_of_row(row, srid)), srid
 
@@ -203,6 +204,7 @@ class ArrivingKitti:
         pose_at = self._time("oxts/timestamps.txt", number)
         if pose_at is None and (self.root / "oxts" / "timestamps.txt").is_file():
             return None
+        _require_set_clock(captured)
         if pose_at is not None and abs(captured - pose_at) > MAX_CLOCK_DIFFERENCE_NS:
             raise PairError(
                 RejectionReason.TIMESTAMP_INVALID, f"image and pose are {abs(captured - pose_at) * 1e-9:.3f} s apart"
@@ -251,6 +253,14 @@ class ArrivingKitti:
             return parse_timestamp(lines[number].decode("utf-8", errors="replace"), self.settings.timestamps_timezone)
         except ValueError as error:
             raise PairError(RejectionReason.TIMESTAMP_INVALID, f"{name}, line {number + 1}: {error}") from error
+
+
+def _require_set_clock(captured: int) -> None:
+    """Of all wrong clocks the one that shows without the rest of the drive."""
+    if captured < EARLIEST_NS:
+        raise PairError(
+            RejectionReason.TIMESTAMP_INVALID, f"the time {captured} ns is before 2000: the clock was not set"
+        )
 
 
 def _srid(srid: int | None, lat_deg: float, lon_deg: float, root: Path) -> int:

@@ -10,6 +10,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from conetl.errors import DriveFolderError
+from conetl.io.file_names import printable
 
 Positive = Annotated[float, Field(gt=0)]
 DRIVE_YAML = "drive.yaml"
@@ -88,7 +89,7 @@ class DriveYaml(_Section):
     def id_of(self, source: Path) -> str:
         """The drive's id: what the file says, else the name of the folder or recording itself, whatever link leads to it."""
         source = source.resolve()
-        return self.drive_id or (source.stem if is_bare_bag(source) else source.name)[:200]
+        return printable(self.drive_id or (source.stem if is_bare_bag(source) else source.name))[:200]
 
     @field_validator("timestamps_timezone")
     @classmethod

@@ -31,7 +31,7 @@ from conetl.io.drive_folder.pairs import (
     pictures_ahead,
     require_pairs,
 )
-from conetl.io.drive_folder.timestamps import out_of_order, parse_timestamps
+from conetl.io.drive_folder.timestamps import misplaced, parse_timestamps
 from conetl.io.places import fetch, is_remote, object_bytes
 from conetl.records import Drive, FramePair, Rig
 from conetl.rejections import Rejection, RejectionReason
@@ -91,11 +91,11 @@ def read_kitti_drive(
 
     usable: dict[int, tuple[Path, Path, int]] = {}
     rising = {n: t for n in numbers if isinstance(t := stamps.get(n), int)}
-    disordered = out_of_order(rising)
+    wrong_times = misplaced(rising)
     for number in pictures_ahead(numbers, left, right, content):
         try:
             left_path, right_path = check_images(left.get(number, []), right.get(number, []), rig, content, root)
-            captured = _captured_at(number, stamps, disordered, settings)
+            captured = _captured_at(number, stamps, wrong_times, settings)
             _check_pose(number, captured, bad_records, track, root)
         except PairError as error:
             rejections.append(error.rejection(f"frame pair {number}", number))
@@ -240,7 +240,9 @@ def _read_oxts(
     return records, bad
 
 
-def _captured_at(number: int, stamps: Mapping[int, int | str], disordered: set[int], settings: DriveYaml) -> int:
+def _captured_at(
+    number: int, stamps: Mapping[int, int | str], wrong_times: Mapping[int, str], settings: DriveYaml
+) -> int:
     """Time of the left image, UTC nanoseconds. Raises PairError."""
     name = f"{settings.cameras.left}/timestamps.txt"
     stamp = stamps.get(number)
@@ -251,10 +253,10 @@ def _captured_at(number: int, stamps: Mapping[int, int | str], disordered: set[i
         )
     if isinstance(stamp, str):
         raise PairError(RejectionReason.TIMESTAMP_INVALID, f"{name}, line {number + 1}: {stamp}")
-    if number in disordered:
+    if number in wrong_times:
         raise PairError(
             RejectionReason.TIMESTAMP_INVALID,
-            f"{name}, line {number + 1}: the time does not rise with the frame numbers",
+            f"{name}, line {number + 1}: the time {wrong_times[number]}",
         )
     return stamp
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -22,11 +22,12 @@ from conetl.io.drive_folder.bag_rig import choose_topics
 from conetl.io.drive_folder.body import add_settings
 from conetl.io.drive_folder.content import ContentHash
 from conetl.io.drive_folder.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml
-from conetl.io.drive_folder.euroc import camera_names, read_euroc_rig, stream_folder
+from conetl.io.drive_folder.euroc import SENSOR_YAML, TRAJECTORIES, camera_names, read_euroc_rig, stream_folder
 from conetl.io.drive_folder.kitti import calibration_path, camera_folder, read_rig_for
 from conetl.io.drive_folder.pairs import IMAGE_SUFFIXES
 from conetl.io.drive_folder.plain import TRAJECTORY, read_plain_rig
-from conetl.io.drive_folder.timestamps import parse_timestamp
+from conetl.io.drive_folder.timestamps import EARLIEST_NS, misplaced, parse_timestamp, parse_timestamps
+from conetl.io.file_names import printable, require_utf8
 from conetl.io.places import is_remote
 from conetl.records import utc_from_ns
 
@@ -34,6 +35,10 @@ from conetl.records import utc_from_ns
 MAX_DEPTH = 6
 #: Pictures a side whose size takes part in the header: a drive delivered again with other pictures is another one.
 SAMPLED_PICTURES = 16
+#: Pose files whose content takes part: corrected poses are as many, and often of as many digits.
+SAMPLED_POSES = 16
+#: Bytes of a long trajectory that are looked at in one place, at its beginning, its end and between.
+_SAMPLED_BYTES = 4096
 MARKER = "COMPLETE"
 _Times = Callable[[ContentHash, Path, DriveYaml], tuple[int, int]]
 
@@ -48,8 +53,13 @@ class DriveOutline:
     frame_pairs: int
     captured_from_ns: int | None
     captured_to_ns: int | None
-    """UTC; None where the folder does not tell, then `problem` says why."""
+    """UTC; None where the folder does not tell: then `problem` says why, or the clock of a bag's recorder was not set."""
     problem: str | None
+
+    @property
+    def shown_path(self) -> str:
+        """The path as text that can be printed and stored, whatever bytes it is made of."""
+        return printable(self.path)
 
     @property
     def captured_from(self) -> datetime | None:
@@ -61,34 +71,59 @@ def find_drives(root: Path) -> Iterator[Path]:
 
     Links are followed and stay in the paths: a calibration may lie beside the link.
     """
-    if not root.is_dir():
-        raise DriveFolderError(f"{root}: there is no such folder; give a folder that holds drives")
+    try:
+        there = root.is_dir()
+    except OSError as error:
+        raise DriveFolderError(f"{root}: this cannot be looked at: {error.strerror}") from error
+    if not there:
+        raise DriveFolderError(f"{printable(root)}: there is no such folder; give a folder that holds drives")
+    require_utf8(root)
     yield from _find(root.absolute(), MAX_DEPTH)
 
 
 def _find(folder: Path, depth: int) -> Iterator[Path]:
-    if drive_format(folder) is not None:
+    try:
+        found = drive_format(folder) is not None
+        names = [] if found or depth == 0 else _folders_in(folder)
+    except OSError:  # not to be read, or gone by now: it may hold a drive, so its outline says what is wrong
+        found, names = True, []
+    if found:
         yield folder
-        return
-    if depth == 0:
-        return
-    with os.scandir(folder) as entries:
-        names = sorted(entry.name for entry in entries if entry.is_dir() and not entry.name.startswith("."))
     for name in names:
         yield from _find(folder / name, depth - 1)
+
+
+def _folders_in(folder: Path) -> list[str]:
+    """Names of folders that are not hidden, sorted; of links whatever they lead to where that cannot be seen."""
+    with os.scandir(folder) as entries:
+        return sorted(entry.name for entry in entries if not entry.name.startswith(".") and _may_be_folder(entry))
+
+
+def _may_be_folder(entry: os.DirEntry[str]) -> bool:
+    try:
+        return entry.is_dir()
+    except OSError:
+        return True
 
 
 def outline_drive(folder: Path) -> DriveOutline:
     """The outline of a drive folder or a bare bag; what is wrong with it stands in `problem`, nothing is raised for it."""
     content = ContentHash()
-    drive_id, pairs = DriveYaml().id_of(folder), 0
-    first_ns = last_ns = problem = None
+    drive_id, pairs = printable(folder.name)[:200] or "drive", 0
+    first_ns = last_ns = problem = found = None
+    readable = True
     try:
+        drive_id = DriveYaml().id_of(folder)
+        content.add("drive_id", drive_id.encode())
+        add_settings(content, folder, (DRIVE_YAML,))
         settings = read_drive_yaml(folder)
         drive_id = settings.id_of(folder)
         content.add("drive_id", drive_id.encode())
-        add_settings(content, folder, (DRIVE_YAML,))
+        if not is_remote(folder):
+            require_utf8(folder)
         found = drive_format(folder)
+        if found is None and not is_remote(folder) and not folder.is_file():
+            _require_readable(folder)
         if found == "bag":
             pairs, first_ns, last_ns = _bag(content, folder, settings)
             streams = ["the left", "the right camera's topic"]
@@ -100,9 +135,24 @@ def outline_drive(folder: Path) -> DriveOutline:
             _read_rig(found, folder, settings)
         if not pairs:
             problem = f"there are no pictures in {' and '.join(streams)}"
-    except (ConetlError, OSError, ValueError) as error:
+    except OSError as error:
+        problem = f"this cannot be read: {error.strerror or error}: {error.filename or folder}"
+        readable = False
+    except (ConetlError, ValueError) as error:
         problem = f"{error}"
+    except Exception as error:  # others wrote these files, and one drive must not stop a year of them
+        problem = f"this cannot be looked at: {type(error).__name__}: {error}"
+        readable = False
+    if found is None or not readable:
+        content.add("path", printable(folder).encode())  # nothing else may tell it from another one
+    problem = None if problem is None else printable(problem)
     return DriveOutline(folder, drive_id, content.hexdigest(), pairs, first_ns, last_ns, problem)
+
+
+def _require_readable(folder: Path) -> None:
+    """Raise OSError where a folder cannot be listed: what looks like no drive may be one then."""
+    with os.scandir(folder):
+        pass
 
 
 def quiet_since(folder: Path) -> float | None:
@@ -110,16 +160,26 @@ def quiet_since(folder: Path) -> float | None:
 
     The time is that of the inode (ctime): copying tools set modification times back to those of the source, this one they cannot.
     """
-    if (folder / MARKER).exists():
-        return None
-    latest = folder.stat().st_ctime
+    try:
+        if (folder / MARKER).exists():
+            return None
+    except PermissionError:
+        pass  # goes on by its own time: it is taken when it has been so for a while, and refused with the reason
+    latest = _changed_at(folder, follow_links=True)
     for parent, folders, files in os.walk(folder):
         for name in (*folders, *files):
-            try:
-                latest = max(latest, (Path(parent) / name).lstat().st_ctime)
-            except FileNotFoundError:  # renamed this very moment
-                latest = max(latest, datetime.now(UTC).timestamp())
+            latest = max(latest, _changed_at(Path(parent) / name))
     return latest
+
+
+def _changed_at(path: Path, *, follow_links: bool = False) -> float:
+    """Time of the inode's change (seconds since 1970); now for one that is renamed this very moment, 0 where nobody may know."""
+    try:
+        return path.stat(follow_symlinks=follow_links).st_ctime
+    except FileNotFoundError:
+        return datetime.now(UTC).timestamp()
+    except OSError:
+        return 0.0
 
 
 def _add_file(content: ContentHash, folder: Path, name: str) -> None:
@@ -132,13 +192,44 @@ def _add_pictures(content: ContentHash, folder: Path, side: str, data: Path) -> 
     """Names of all pictures of one side, which lie in `data`, and sizes of a few, into the header; the stems."""
     if not data.is_dir():
         raise DriveFolderError(f"{folder}: the folder {side} is missing")
-    with nullcontext(data.iterdir()) if is_remote(data) else os.scandir(data) as entries:
-        found = (entry.name for entry in entries if not entry.name.startswith("."))
-        names = sorted(name for name in found if os.path.splitext(name)[1].lower() in IMAGE_SUFFIXES)  # noqa: PTH122 -- many
+    names = _names_in(data, IMAGE_SUFFIXES)
     sample = names[:: max(1, len(names) // SAMPLED_PICTURES)]
     sizes = [f"{name} {(data / name).stat().st_size}" for name in sample]
     content.add(side, "\n".join([*names, *sizes]).encode(errors="surrogateescape"))
     return {name.rsplit(".", 1)[0] for name in names}
+
+
+def _names_in(data: Path, suffixes: Collection[str]) -> list[str]:
+    """Names of files with one of these suffixes that are not hidden, sorted."""
+    with nullcontext(data.iterdir()) if is_remote(data) else os.scandir(data) as entries:
+        found = (entry.name for entry in entries if not entry.name.startswith("."))
+        return sorted(name for name in found if os.path.splitext(name)[1].lower() in suffixes)  # noqa: PTH122 -- many
+
+
+def _add_poses(content: ContentHash, folder: Path) -> None:
+    """Names of all OXTS files and what stands in a few of them, into the header."""
+    data = folder / "oxts" / "data"
+    if not data.is_dir():
+        return  # said by the reader
+    names = _names_in(data, (".txt",))
+    content.add("oxts/data", "\n".join(names).encode(errors="surrogateescape"))
+    for name in names[:: max(1, len(names) // SAMPLED_POSES)]:
+        content.add(f"oxts/data/{name}", (data / name).read_bytes())
+
+
+def _add_trajectory(content: ContentHash, folder: Path, name: str) -> None:
+    """Size and some places of a trajectory, which may be too long to be read for a plan, into the header."""
+    path = folder / name
+    if not path.is_file():
+        return
+    size = path.stat().st_size
+    step = max(_SAMPLED_BYTES, (size - _SAMPLED_BYTES) // (SAMPLED_POSES - 1))
+    pieces = [f"{size}\n".encode()]
+    with path.open("rb") as file:
+        for start in range(0, size, step):
+            file.seek(start)
+            pieces.append(file.read(_SAMPLED_BYTES))
+    content.add(name, b"".join(pieces))
 
 
 def _folder_format(found: DriveFormat | None, folder: Path, settings: DriveYaml) -> tuple[dict[str, Path], _Times]:
@@ -180,18 +271,20 @@ def _euroc_times(content: ContentHash, folder: Path, settings: DriveYaml) -> tup
         _add_file(content, folder, f"{camera}/data.csv")
         _add_file(content, folder, f"{camera}/sensor.yaml")
     _add_file(content, folder, RIG_YAML)
+    for wanted in [settings.streams.trajectory] if settings.streams.trajectory else TRAJECTORIES:
+        name = stream_folder(folder.resolve(), wanted).relative_to(folder.resolve()).as_posix()
+        _add_trajectory(content, folder, f"{name}/data.csv")
+        _add_file(content, folder, f"{name}/{SENSOR_YAML}")
     path = folder / cameras[0] / "data.csv"
     if not path.is_file():
         raise DriveFolderError(f"{folder}: {cameras[0]}/data.csv is missing")
     words = (line.split(",")[0].strip() for line in path.read_text(encoding="utf-8", errors="replace").splitlines())
-    stamps = [int(word) for word in words if word.isascii() and word.isdigit()]
-    if not stamps:
-        raise DriveFolderError(f"{path}: there is no time stamp that can be read")
-    return stamps[0], stamps[-1]
+    stamps = [int(word) for word in words if word.isascii() and word.isdigit() and 0 < int(word) < 2**63]
+    return _ends(stamps, path)
 
 
-def _bag(content: ContentHash, folder: Path, settings: DriveYaml) -> tuple[int, int, int]:
-    """Left pictures, first and last message by the recorder's clock; the bag's index goes into the header."""
+def _bag(content: ContentHash, folder: Path, settings: DriveYaml) -> tuple[int, int | None, int | None]:
+    """Left pictures, first and last message by the recorder's clock (None: not set); the bag's index goes into the header."""
     path = bag_files(folder.resolve())  # a linked file by its own name, as the drive is called by it
     if path is None:
         raise DriveFolderError(f"{folder}: this is no bag")
@@ -202,7 +295,9 @@ def _bag(content: ContentHash, folder: Path, settings: DriveYaml) -> tuple[int, 
     with open_bag(path) as bag:
         topics = choose_topics(bag.types, settings.streams, folder)
         content.add("index", repr((sorted(bag.counts.items()), bag.recorded_ns)).encode())
-        return bag.counts[topics.left], *bag.recorded_ns
+        set_ns = [time_ns for time_ns in bag.recorded_ns if time_ns >= EARLIEST_NS]
+        # A recorder whose clock was set on the way knows the end; the pictures have stamps of their own.
+        return bag.counts[topics.left], *((set_ns[0], set_ns[-1]) if set_ns else (None, None))
 
 
 def _kitti_times(content: ContentHash, folder: Path, settings: DriveYaml) -> tuple[int, int]:
@@ -211,14 +306,15 @@ def _kitti_times(content: ContentHash, folder: Path, settings: DriveYaml) -> tup
         for name in (calibration.name, VELO_TO_CAM, IMU_TO_VELO):
             _add_file(content, calibration.parent, name)
     _add_file(content, folder, "oxts/timestamps.txt")
+    _add_poses(content, folder)
     name = f"{settings.cameras.left}/timestamps.txt"
     path = folder / name
     if not path.is_file():
         raise DriveFolderError(f"{folder}: {name} is missing")
     data = path.read_bytes()
     content.add(name, data)
-    lines = data.decode("utf-8", errors="replace").splitlines()
-    return _ends(lines, settings.timestamps_timezone, path)
+    stamps = parse_timestamps(data.decode("utf-8", errors="replace"), settings.timestamps_timezone)
+    return _ends([stamp for stamp in stamps.values() if isinstance(stamp, int)], path)
 
 
 def _plain_times(content: ContentHash, folder: Path, settings: DriveYaml) -> tuple[int, int]:
@@ -229,19 +325,17 @@ def _plain_times(content: ContentHash, folder: Path, settings: DriveYaml) -> tup
     data = path.read_bytes()
     content.add(TRAJECTORY, data)
     rows = csv.DictReader(data.decode("utf-8", errors="replace").splitlines())
-    return _ends([row.get("captured_at") or "" for row in rows], settings.timestamps_timezone, path)
+    stamps: list[int] = []
+    for row in rows:
+        with suppress(ValueError):
+            stamps.append(parse_timestamp(row.get("captured_at") or "", settings.timestamps_timezone))
+    return _ends(stamps, path)
 
 
-def _ends(stamps: list[str], zone: str, path: Path) -> tuple[int, int]:
-    """First and last time that can be read. Raises DriveFolderError."""
-    found: list[int] = []
-    for lines in (iter(stamps), reversed(stamps)):
-        for line in lines:
-            try:
-                found.append(parse_timestamp(line, zone))
-            except ValueError:
-                continue
-            break
+def _ends(stamps: Sequence[int], path: Path) -> tuple[int, int]:
+    """First and last time that the reader will take. Raises DriveFolderError."""
+    wrong = misplaced(dict(enumerate(stamps)))
+    found = [stamp for number, stamp in enumerate(stamps) if number not in wrong]
     if not found:
-        raise DriveFolderError(f"{path}: there is no time stamp that can be read")
-    return min(found), max(found)
+        raise DriveFolderError(f"{path}: there is no time stamp from 2000 on that can be read")
+    return found[0], found[-1]

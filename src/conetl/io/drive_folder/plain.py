@@ -31,7 +31,7 @@ from conetl.io.drive_folder import oxts
 from conetl.io.drive_folder.content import ContentHash
 from conetl.io.drive_folder.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml
 from conetl.io.drive_folder.pairs import IMAGE_SUFFIXES, PairError, check_images, pictures_ahead, require_pairs
-from conetl.io.drive_folder.timestamps import out_of_order, parse_timestamp
+from conetl.io.drive_folder.timestamps import misplaced, parse_timestamp
 from conetl.records import Drive, FramePair, Pose, Rig
 from conetl.rejections import Rejection, RejectionReason
 
@@ -90,7 +90,7 @@ def read_plain_drive(
         rows[stem] = f"{TRAJECTORY}, stem '{stem}': {text}"
     # Pairs are ordered by row; a stem that has none comes last and only serves to name the rejection.
     order = {stem: numbers.get(stem, len(rows) + i) for i, stem in enumerate(stems)}
-    disordered = out_of_order({order[stem]: t for stem in stems if isinstance(t := times.get(stem), int)})
+    wrong_times = misplaced({order[stem]: t for stem in stems if isinstance(t := times.get(stem), int)})
 
     pairs: list[FramePair] = []
     rejections: list[Rejection] = []
@@ -104,9 +104,10 @@ def read_plain_drive(
             captured = times[stem]
             if isinstance(captured, str):
                 raise PairError(RejectionReason.TIMESTAMP_INVALID, captured)
-            if order[stem] in disordered:
+            if order[stem] in wrong_times:
                 raise PairError(
-                    RejectionReason.TIMESTAMP_INVALID, f"{TRAJECTORY}: captured_at of '{stem}' does not rise"
+                    RejectionReason.TIMESTAMP_INVALID,
+                    f"{TRAJECTORY}: captured_at of '{stem}' {wrong_times[order[stem]]}",
                 )
         except PairError as error:
             rejections.append(error.rejection(f"frame pair '{stem}'", order[stem]))

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from conetl.io.drive_folder.content import ContentHash
 from conetl.io.drive_folder.drive_yaml import DriveYaml
 from conetl.io.drive_folder.pairs import PairError, require_pairs
-from conetl.io.drive_folder.timestamps import out_of_order
+from conetl.io.drive_folder.timestamps import misplaced, wrong_clocks
 from conetl.io.drive_folder.trajectories import nearest_index
 from conetl.records import Drive, FramePair, Pose, Rig, Side
 from conetl.rejections import Rejection, RejectionReason
@@ -37,6 +37,7 @@ def pair_by_stamp(left: Sequence[Picture], right: Sequence[Picture], tolerance_n
     without a usable stamp takes the right one that follows the last pair, if that is alone, so that the two are one loss; a right
     one without is left out: its left partner says that it is alone.
     """
+    left, right = _by_true_clocks(left), _by_true_clocks(right)
     number = {picture.stamp: i for i, picture in reversed(list(enumerate(right))) if isinstance(picture.stamp, int)}
     right_times = sorted(t for t in number if isinstance(t, int))
     left_times = sorted({p.stamp for p in left if isinstance(p.stamp, int)})
@@ -66,6 +67,12 @@ def pair_by_stamp(left: Sequence[Picture], right: Sequence[Picture], tolerance_n
     return couples
 
 
+def _by_true_clocks(pictures: Sequence[Picture]) -> list[Picture]:
+    """The same pictures; a stamp by a wrong clock is none, so that the pair it belongs to is one loss."""
+    wrong = wrong_clocks({i: p.stamp for i, p in enumerate(pictures) if isinstance(p.stamp, int)})
+    return [p._replace(stamp=f"the time {p.stamp} ns {wrong[i]}") if i in wrong else p for i, p in enumerate(pictures)]
+
+
 def drive_of_couples(
     couples: Sequence[Couple],
     *,
@@ -83,12 +90,12 @@ def drive_of_couples(
     DriveFolderError where not one pair is left.
     """
     stamps = {n: t for n, couple in enumerate(couples) if (t := _stamp(couple)) is not None}
-    disordered = out_of_order(stamps)
+    wrong_times = misplaced(stamps)
     pairs: list[FramePair] = []
     rejections: list[Rejection] = []
     for number, couple in enumerate(couples):
         try:
-            captured = _captured_at(number, couple, disordered)
+            captured = _captured_at(number, couple, wrong_times)
             left, right = pictures_of(couple)
             pose = pose_at(captured)
         except PairError as error:
@@ -124,13 +131,11 @@ def _stamp(couple: Couple) -> int | None:
     return picture.stamp if picture is not None and isinstance(picture.stamp, int) else None
 
 
-def _captured_at(number: int, couple: Couple, disordered: set[int]) -> int:
+def _captured_at(number: int, couple: Couple, wrong_times: Mapping[int, str]) -> int:
     stamp = _stamp(couple)
     if stamp is None:
         detail = str(couple[0].stamp) if couple[0] else "the picture has no time stamp"
         raise PairError(RejectionReason.TIMESTAMP_INVALID, detail)
-    if number in disordered:
-        raise PairError(
-            RejectionReason.TIMESTAMP_INVALID, f"the time {stamp} ns does not rise with the order of recording"
-        )
+    if number in wrong_times:
+        raise PairError(RejectionReason.TIMESTAMP_INVALID, f"the time {stamp} ns {wrong_times[number]}")
     return stamp

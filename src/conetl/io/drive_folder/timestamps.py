@@ -1,4 +1,7 @@
-"""Time stamps of KITTI: one line a frame, `2011-09-26 13:04:32.345808896`, the line number being the frame's number from 0."""
+"""Time stamps of drives, and which of them cannot be true.
+
+KITTI writes one line a frame, `2011-09-26 13:04:32.345808896`, the line number being the frame's number from 0.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +9,13 @@ import re
 from bisect import bisect_left
 from collections.abc import Mapping
 from datetime import UTC, datetime
+from statistics import median_low
 from zoneinfo import ZoneInfo
 
+EARLIEST_NS = 946_684_800_000_000_000
+"""2000-01-01. A clock that was not set begins in 1970 or 1980, and no drive is as old as that."""
+MAX_FROM_MEDIAN_NS = 86_400_000_000_000
+"""A day: no drive is longer, and a clock that is wrong by less shows in the order of the frames or against the poses."""
 _STAMP = re.compile(r"^\s*(\d{4})-(\d\d)-(\d\d)[ T](\d\d):(\d\d):(\d\d)(?:\.(\d{1,9}))?\s*(Z|[+-]\d\d:?\d\d)?\s*$")
 
 
@@ -23,7 +31,10 @@ def parse_timestamp(line: str, zone: str = "UTC") -> int:
     offset = match.group(8)
     tz = datetime.strptime(offset, "%z").tzinfo if offset else ZoneInfo(zone)
     local = datetime(year, month, day, hour, minute, second, tzinfo=tz)
-    seconds = int((local.astimezone(UTC) - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds())
+    try:
+        seconds = int((local.astimezone(UTC) - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds())
+    except OverflowError:  # year 1 east of Greenwich, year 9999 west of it
+        raise ValueError(f"expected a time from 2000 on, found {line.strip()[:60]!r}") from None
     return seconds * 1_000_000_000 + int((match.group(7) or "0").ljust(9, "0"))
 
 
@@ -36,6 +47,27 @@ def parse_timestamps(text: str, zone: str = "UTC") -> dict[int, int | str]:
         except ValueError as error:
             stamps[number] = str(error)
     return stamps
+
+
+def misplaced(stamps_ns: Mapping[int, int]) -> dict[int, str]:
+    """What is wrong with the times of some frames, by number, as the end of a sentence: the clock, else the order."""
+    wrong = wrong_clocks(stamps_ns)
+    for number in out_of_order({number: stamp for number, stamp in stamps_ns.items() if number not in wrong}):
+        wrong[number] = "does not rise with the order of recording"
+    return wrong
+
+
+def wrong_clocks(stamps_ns: Mapping[int, int]) -> dict[int, str]:
+    """Frames whose time was told by a clock that was not set, or by another one than most: a stamp that rises may be both."""
+    wrong = {n: "is before 2000: the clock was not set" for n, stamp in stamps_ns.items() if stamp < EARLIEST_NS}
+    others = {number: stamp for number, stamp in stamps_ns.items() if number not in wrong}
+    if others:
+        middle = median_low(others.values())
+        for number, stamp in others.items():
+            if abs(stamp - middle) > MAX_FROM_MEDIAN_NS:
+                days = abs(stamp - middle) / MAX_FROM_MEDIAN_NS
+                wrong[number] = f"is {days:.0f} days from most others of the drive: another clock"
+    return wrong
 
 
 def out_of_order(stamps_ns: Mapping[int, int]) -> set[int]:

@@ -7,6 +7,7 @@ however it ended. So a crash is known and not guessed from a clock. (A pooler in
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, replace
@@ -15,8 +16,12 @@ from pathlib import Path
 from typing import Literal
 from uuid import UUID
 
+from conetl.errors import InputError
 from conetl.io.db import Connection, connect, database_errors, execute, load_sql, transaction
 from conetl.io.exports.atomic import atomic_text_file
+from conetl.io.file_names import file_name_part, printable
+
+_log = logging.getLogger(__name__)
 
 State = Literal["started", "committed", "known", "failed", "crashed"]
 
@@ -66,6 +71,8 @@ class DriveOnMap:
     model_sha256: str
     changeset_no: int
     committed_at: datetime
+    headers: tuple[str, ...]
+    """Of the folders that receipts say it came from; empty where it was ingested by hand."""
 
 
 def drive_lock(map_name: str, header_sha256: str) -> str:
@@ -79,15 +86,21 @@ def run_lock(flow_run_id: str) -> str:
 
 
 def write_receipt(conn: Connection, receipt: Receipt, folder: Path) -> None:
-    """Keep a receipt: a row, and `folder/<drive>-<header>.json` with the drive's last word (a copy; the row is what counts)."""
-    parameters = asdict(receipt)
+    """Keep a receipt: a row, and `folder/<drive>-<header>.json` with the drive's last word (a copy; the row is what counts).
+
+    Names of files may be any bytes, and stand in reasons too, so texts are stored as they can be printed.
+    """
+    parameters = {k: printable(v) if isinstance(v, str) else v for k, v in asdict(receipt).items()}
     with transaction(conn, f"The receipt of drive {receipt.drive_id} cannot be written"):
         execute(conn, load_sql("write/insert_receipt"), parameters)
         written = list(_receipts(conn, "map/latest_receipts", receipt.map_name, [receipt.header_sha256]))
-    name = "".join(c if c.isalnum() or c in "-_." else "_" for c in receipt.drive_id).lstrip(".") or "drive"
-    with atomic_text_file(folder / receipt.map_name / f"{name}-{receipt.header_sha256[:12]}.json") as file:
-        json.dump(asdict(written[0] if written else receipt), file, indent=1, default=str)
-        file.write("\n")
+    name = f"{file_name_part(receipt.drive_id)}-{receipt.header_sha256[:12]}.json"
+    try:
+        with atomic_text_file(folder / receipt.map_name / name) as file:
+            json.dump(asdict(written[0]) if written else parameters, file, indent=1, default=str)
+            file.write("\n")
+    except (InputError, OSError) as error:
+        _log.warning("The receipt of drive %s is in the database, its copy is not: %s", receipt.drive_id, error)
 
 
 def latest_receipts(conn: Connection, *, map_name: str, headers: Sequence[str] | None = None) -> dict[str, Receipt]:
@@ -106,7 +119,8 @@ def attempt_ends(conn: Connection, attempt_ids: Sequence[UUID]) -> dict[UUID, Re
 def drives_on_map(conn: Connection, *, map_name: str) -> list[DriveOnMap]:
     """Every recording that was committed, oldest changeset first."""
     with transaction(conn, "The drives of the map cannot be read"):
-        return [DriveOnMap(**row) for row in execute(conn, load_sql("map/drives_on_map"), {"map_name": map_name})]
+        rows = execute(conn, load_sql("map/drives_on_map"), {"map_name": map_name})
+        return [DriveOnMap(**{**row, "headers": tuple(row["headers"])}) for row in rows]
 
 
 def pairs_per_second(conn: Connection, *, map_name: str) -> float | None:
