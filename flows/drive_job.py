@@ -22,7 +22,8 @@ from conetl.errors import InputError, ServiceError
 from conetl.io.db import connect, migrate
 from conetl.io.drive_folder.outline import DriveOutline, outline_drive
 from conetl.io.places import place
-from conetl.io.stores.receipt_store import Receipt, holding, run_lock, write_receipt
+from conetl.io.stores.receipt_store import Receipt, run_lock, write_receipt
+from conetl.io.stores.session_locks import holding
 from conetl.params import IngestParams
 from conetl.reports import IngestReport, TooManyRejectionsError
 from conetl.settings import Settings, read_settings

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import fcntl
 import os
 import signal
 import socket
@@ -32,6 +33,7 @@ from conetl.io.services.processes import is_running, read_services
 from conetl.settings import SERVER_AUTH, prefect_auth_string
 
 _START_TIMEOUT_S = 180
+_LOG = "server.log"
 #: Loops of a server that serves one command: nothing is scheduled, late, paused or waited for by an automation.
 _NOT_NEEDED = ("SCHEDULER", "LATE_RUNS", "FOREMAN", "PAUSE_EXPIRATIONS", "REPOSSESSOR", "TRIGGERS")
 _DRAIN_TIMEOUT_S = 5
@@ -61,37 +63,82 @@ def prefect_server(home: Path) -> Iterator[str]:
         require_access(configured, given.get_secret_value() if given else None, PREFECT_API_AUTH_STRING.name)
         yield configured
         return
-    state = home / "prefect"
+    with _own_server(home / "prefect") as url, _talking_to(url):
+        try:
+            yield url
+        finally:  # the last log lines and events are still on their way
+            APILogWorker.drain_all(timeout=_DRAIN_TIMEOUT_S)
+            EventsWorker.drain_all(timeout=_DRAIN_TIMEOUT_S)
+
+
+@contextlib.contextmanager
+def _own_server(state: Path) -> Iterator[str]:
+    """Address of a server that is started here, with its state in a folder, and stopped at the end."""
     state.mkdir(parents=True, exist_ok=True)
-    port = _free_port()
-    url = f"http://127.0.0.1:{port}/api"
+    url, process = _start(state)
+    try:
+        yield url
+    finally:
+        _end(process)
+
+
+def _start(state: Path) -> tuple[str, subprocess.Popen[bytes]]:
+    """Start a server and wait until it answers; once more where it stops meanwhile. Raises ServiceError.
+
+    One after the other in a home: until it answers, a server makes and fills the tables of a SQLite file that all of them share,
+    and finding it locked it gives up. Servers that run already, or a port that was taken meanwhile, may still be in the way:
+    hence once more.
+    """
+    with _start_lock(state):
+        for _ in range(2):
+            port = _free_port()
+            url, process = f"http://127.0.0.1:{port}/api", _spawn(state, port)
+            try:
+                if _becomes_healthy(url, process, state / _LOG):
+                    return url, process
+            except BaseException:
+                _end(process)
+                raise
+    raise ServiceError(
+        f"the Prefect server stopped twice while starting (exit code {process.returncode}); see {state / _LOG}. Nothing was "
+        "written."
+    )
+
+
+@contextlib.contextmanager
+def _start_lock(state: Path) -> Iterator[None]:
+    """Waits for other commands of this home; the kernel frees it with this process."""
+    with (state / "start.lock").open("w") as handle:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+
+
+def _spawn(state: Path, port: int) -> subprocess.Popen[bytes]:
     quiet = {f"PREFECT_SERVER_SERVICES_{name}_ENABLED": "false" for name in _NOT_NEEDED}
-    with (state / "server.log").open("ab") as log:
-        command = [sys.executable, "-m", "uvicorn", "--factory", "prefect.server.api.server:create_app"]
-        process = subprocess.Popen(
-            [*command, "--host", "127.0.0.1", "--port", str(port), "--log-level", "warning"],
+    with (state / _LOG).open("ab") as log:
+        return subprocess.Popen(
+            _command(port),
             stdout=log,
             stderr=log,
             stdin=subprocess.DEVNULL,
             # Before any thread of ours runs; nothing else ties a child to a parent that is killed with -9.
             preexec_fn=_die_with_parent if sys.platform == "linux" else None,  # noqa: PLW1509
-            env={**quiet, **os.environ, "PREFECT_SERVER_UI_API_URL": url},
+            env={**quiet, **os.environ, "PREFECT_SERVER_UI_API_URL": f"http://127.0.0.1:{port}/api"},
         )
+
+
+def _command(port: int) -> list[str]:
+    command = [sys.executable, "-m", "uvicorn", "--factory", "prefect.server.api.server:create_app"]
+    return [*command, "--host", "127.0.0.1", "--port", str(port), "--log-level", "warning"]
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    process.terminate()
     try:
-        _wait_until_healthy(url, process, state / "server.log")
-        with _talking_to(url):
-            try:
-                yield url
-            finally:  # the last log lines and events are still on their way
-                APILogWorker.drain_all(timeout=_DRAIN_TIMEOUT_S)
-                EventsWorker.drain_all(timeout=_DRAIN_TIMEOUT_S)
-    finally:
-        process.terminate()
-        try:
-            process.wait(timeout=10)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+        process.wait(timeout=10)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
 
 
 def _talking_to(url: str) -> contextlib.AbstractContextManager[object]:
@@ -115,13 +162,14 @@ def _free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def _wait_until_healthy(url: str, process: subprocess.Popen[bytes], log: Path) -> None:
+def _becomes_healthy(url: str, process: subprocess.Popen[bytes], log: Path) -> bool:
+    """False where the server stops before it answers. Raises ServiceError where it does neither."""
     deadline = time.monotonic() + _START_TIMEOUT_S
     while time.monotonic() < deadline:
         if process.poll() is not None:
-            raise ServiceError(f"the Prefect server stopped while starting; see {log}. Nothing was written.")
+            return False
         if is_healthy(url):
-            return
+            return True
         time.sleep(0.1)
     raise ServiceError(
         f"the Prefect server did not answer within {_START_TIMEOUT_S} s; see {log}. Nothing was written."

@@ -38,8 +38,8 @@ from flows.merge import database_url
 
 #: So long a pair that is not whole holds up those behind it; a picture that cannot be read may become whole for so long.
 PATIENCE_S = 2.0
-#: All folders are read again so often, in case the system did not tell of a file.
-_LOOK_EVERY_S = 1.0
+#: All folders are read again so often, in case the system did not tell of a file; but looks take no more than this share of time.
+_LOOK_EVERY_S, _LOOK_SHARE = 1.0, 0.02
 _WAIT_S, _GATHER_MS = 0.1, 4
 #: Older pairs are left out while newer ones wait: a picture of the road as it was a while ago is what the ingest is for.
 MAX_BEHIND_S = 0.5
@@ -151,7 +151,7 @@ def watch_drive(
         watch = _Watch(
             conn, eyes, folder, settings, report, stop, tell, max_behind_s, patience_s, time.time_ns(), changes
         )
-        processor_s, heard_s, looked_s, took = time.process_time(), time.monotonic(), -np.inf, False
+        processor_s, heard_s, look_s, took = time.process_time(), time.monotonic(), -np.inf, False
         tell(report)
         while not stop.is_set():
             paths = _told(changes, 0.0 if took else _WAIT_S)
@@ -159,9 +159,10 @@ def watch_drive(
             if watch.source is None and (source := open_arriving(folder)) is not None:
                 _begin(watch, source, stack)
             if watch.source is not None:
-                everything = (complete and not took) or time.monotonic() - looked_s >= _LOOK_EVERY_S
-                looked_s = time.monotonic() if everything else looked_s
+                begun_s = time.monotonic()
+                everything = (complete and not took) or begun_s >= look_s
                 _notice(watch, watch.source, None if everything else paths)
+                look_s = time.monotonic() + pause_s(time.monotonic() - begun_s) if everything else look_s
             took = _take_next(watch)
             heard_s = time.monotonic() if paths or took else heard_s
             report.processor_s = time.process_time() - processor_s
@@ -176,6 +177,11 @@ def watch_drive(
         if watch.drive is not None:
             end_watch(conn, watch.drive.watch)
     return report
+
+
+def pause_s(look_s: float) -> float:
+    """So long the folders are left alone after a look at all of them that took so long."""
+    return max(_LOOK_EVERY_S, look_s / _LOOK_SHARE)
 
 
 @contextmanager

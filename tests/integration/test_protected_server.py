@@ -43,7 +43,9 @@ def conetl(home: Path, *arguments: object, auth: str | None = AUTH) -> subproces
 
 @pytest.fixture(scope="module")
 def home(services_home: Path) -> Iterator[Path]:
-    place = services_home.with_name(f"{services_home.name}-protected")
+    # The run's process id last, or another test run takes it for a leftover.
+    prefix, main_pid = services_home.name.rsplit("-", 1)
+    place = services_home.with_name(f"{prefix}-protected-{main_pid}")
     (place / "tmp").mkdir(parents=True)
     try:
         yield place

@@ -26,7 +26,7 @@ from conetl.io.stores.receipt_store import held_if_free
 from conetl.params import IngestParams
 from conetl.settings import Settings
 from conetl.web.app import create_app
-from flows.watch import WatchReport, watch_drive
+from flows.watch import WatchReport, pause_s, watch_drive
 from tests.integration.arriving_drives import FRAMES, append, begin, picture, row, write_pictures
 
 #: A busy machine must not make a test fail: nothing is too old, and what is written late is waited for.
@@ -176,6 +176,12 @@ def test_a_folder_that_never_becomes_a_drive_is_an_error(
     result = CliRunner().invoke(app, ["watch", str(tmp_path / "drive"), "--idle-seconds", "0.3"])
     assert isinstance(result.exception, DriveFolderError)
     assert "nothing came that makes it a drive" in str(result.exception)
+
+
+def test_looks_at_all_files_are_rarer_the_longer_they_take() -> None:
+    """On a long drive they must not be what makes pairs too old."""
+    assert pause_s(0.001) == pause_s(0.01) == 1.0
+    assert [look_s / (look_s + pause_s(look_s)) < 0.05 for look_s in (0.05, 0.5, 5.0)] == [True] * 3
 
 
 def live_row(conn: Any, samples: Any, drive_id: str, at_ns: int) -> WatchedDrive:

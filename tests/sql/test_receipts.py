@@ -19,11 +19,11 @@ from conetl.io.stores.receipt_store import (
     Receipt,
     end_crashed,
     held_locks,
-    holding,
     latest_receipts,
     run_lock,
     write_receipt,
 )
+from conetl.io.stores.session_locks import holding
 from conetl.params import IngestParams
 from conetl.settings import Settings
 from flows import plan as planning

@@ -25,8 +25,22 @@ from conetl.io.stores.copy_binary import Column, copy_statement, encode, row_cou
 Connection: TypeAlias = psycopg2.extensions.connection
 
 CONNECT_TIMEOUT_S = 10
-#: Times in UTC; streamed queries are planned to be read to their end.
-SESSION_OPTIONS = "-c timezone=UTC -c cursor_tuple_fraction=1"
+#: Many sessions are idle while a drive is computed. Over TCP, both ends ask for the other one after `_IDLE_S` and know after a
+#: minute that it is gone; firewalls in between see traffic. Without effect on unix sockets; what the address names itself counts.
+_IDLE_S, _INTERVAL_S, _COUNT = 30, 10, 3
+_GONE_MS = 1000 * (_IDLE_S + _COUNT * _INTERVAL_S)
+CLIENT_KEEPALIVES = {
+    "keepalives": 1,
+    "keepalives_idle": _IDLE_S,
+    "keepalives_interval": _INTERVAL_S,
+    "keepalives_count": _COUNT,
+    "tcp_user_timeout": _GONE_MS,
+}
+#: Times in UTC; and the server's side of the keepalives, by which it frees the locks of a machine that is gone.
+SESSION_OPTIONS = (
+    f"-c timezone=UTC -c tcp_keepalives_idle={_IDLE_S} -c tcp_keepalives_interval={_INTERVAL_S} "
+    f"-c tcp_keepalives_count={_COUNT} -c tcp_user_timeout={_GONE_MS}"
+)
 COPY_BATCH_ROWS = 200_000
 #: Sent at once; psycopg2's own 8 kB cost a call of Python for every few rows.
 COPY_CHUNK_BYTES = 1 << 20
@@ -102,8 +116,10 @@ def address_parts(url: str) -> dict[str, str]:
 def connect(url: str) -> Connection:
     """Open a connection (times in UTC, no autocommit). Raises `DatabaseError` with the reason and what to do."""
     try:
+        named = psycopg2.extensions.parse_dsn(url)
+        keepalives = {name: value for name, value in CLIENT_KEEPALIVES.items() if name not in named}
         conn = psycopg2.connect(
-            url, connect_timeout=CONNECT_TIMEOUT_S, application_name="conetl", options="-c timezone=UTC"
+            url, connect_timeout=CONNECT_TIMEOUT_S, application_name="conetl", options=SESSION_OPTIONS, **keepalives
         )
     except (psycopg2.Error, UnicodeError) as error:
         raise DatabaseError(

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from conetl.errors import DriveFolderError
+from conetl.io.drive_folder import arriving
 from conetl.io.drive_folder.arriving import ArrivingPair, open_arriving
 from conetl.io.drive_folder.arriving_rows import ArrivingRows
+from conetl.io.drive_folder.arriving_stamps import ArrivingStamps
 from conetl.io.drive_folder.kitti import read_kitti_drive
 from conetl.io.drive_folder.pairs import PairError
 from conetl.rejections import RejectionReason
@@ -70,6 +72,47 @@ def test_a_plain_pair_needs_both_pictures_and_its_row(tmp_path: Path) -> None:
     append(folder, row(11))
     pairs = drive.look(None)
     assert [p.key for p in sorted(pairs, key=drive.order)] == ["000011", "000012"]  # the one without a row comes last
+
+
+def test_a_name_that_is_known_costs_a_look_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An hour's drive is 72,000 names, looked at again and again."""
+    folder = begin(tmp_path / "d")
+    for number in (10, 11):
+        write_pictures(folder, number)
+    (folder / "left" / ".000012.jpg.part").touch()
+    drive = open_arriving(folder)
+    assert drive is not None and len(drive.look(None)) == 2
+    asked: list[str] = []
+
+    def is_picture(name: str) -> bool:
+        asked.append(name)
+        return real(name)
+
+    real = arriving._is_picture
+    monkeypatch.setattr(arriving, "_is_picture", is_picture)
+    assert drive.look(None) == [] and asked == []
+    write_pictures(folder, 12)
+    assert [pair.left_path for pair in drive.look(None)] == [folder.resolve() / "left" / "000012.jpg"]
+    assert asked == ["000012.jpg"] * 2
+
+
+def test_stamps_are_read_once(tmp_path: Path) -> None:
+    path = tmp_path / "timestamps.txt"
+    stamps = ArrivingStamps(path)
+    assert stamps.line(0) is None and not path.exists()
+    path.write_bytes(b"first\r\nsec")
+    assert (stamps.line(0), stamps.line(1)) == ("first\r", None)
+    with path.open("ab") as file:
+        file.write(b"ond\nthird\n")
+    assert [stamps.line(n) for n in (2, 1, 3)] == ["third", "second", None]
+    # a recorder that writes the whole file anew each time: under another name and renamed, or in place and shorter
+    (tmp_path / "new").write_bytes(b"1st\n2nd\n3rd\n4th\n")
+    (tmp_path / "new").replace(path)
+    assert [stamps.line(n) for n in (3, 0)] == ["4th", "1st"]
+    path.write_bytes(b"I\nII\n")
+    assert [stamps.line(n) for n in (4, 0, 3)] == [None, "I", None]
+    path.unlink()
+    assert [stamps.line(n) for n in (1, 2)] == ["II", None]
 
 
 def arriving_kitti(folder: Path, numbers: range) -> tuple[object, list[ArrivingPair]]:

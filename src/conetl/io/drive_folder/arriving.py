@@ -8,7 +8,7 @@ picture is whole is seen when it is read.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple, Protocol
@@ -21,6 +21,7 @@ from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
 from conetl.io.drive_folder import drive_format, oxts
 from conetl.io.drive_folder.arriving_rows import ArrivingRows
+from conetl.io.drive_folder.arriving_stamps import ArrivingStamps
 from conetl.io.drive_folder.content import ContentHash
 from conetl.io.drive_folder.drive_yaml import DriveYaml, read_drive_yaml
 from conetl.io.drive_folder.kitti import (
@@ -93,35 +94,61 @@ def open_arriving(folder: Path) -> ArrivingDrive | None:
 
 @dataclass
 class _Couples:
-    """Pictures of two folders by stem, and which couples were told already."""
+    """Pictures of two folders by stem, and which couples were told already.
+
+    Names only, and each is looked at once: an hour's drive has 72,000, and to make paths of them takes longer than a look may.
+    """
 
     left: Path
     right: Path
-    found: dict[Path, dict[str, Path]] = field(default_factory=dict)
+    seen: dict[Path, set[str]] = field(default_factory=dict)
+    """All names of a folder, pictures or not."""
+    pictures: dict[Path, dict[str, str]] = field(default_factory=dict)
+    """Names of a folder's pictures by stem."""
     told: set[str] = field(default_factory=set)
 
     def new(self, changed: Iterable[Path] | None) -> list[ArrivingPair]:
         """Couples that were not told yet. changed: as in `ArrivingDrive.look`."""
+        paths = None if changed is None else list(changed)
         fresh: set[str] = set()
         for folder in (self.left, self.right):
-            known = self.found.setdefault(folder, {})
-            for path in _files(folder) if changed is None else (p for p in changed if p.parent == folder):
-                if path.stem not in known and path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith("."):
-                    known[path.stem] = path
-                    fresh.add(path.stem)
-        left, right = self.found[self.left], self.found[self.right]
+            names = _names(folder) if paths is None else {path.name for path in paths if path.parent == folder}
+            fresh |= self._take(folder, names)
+        left, right = self.pictures[self.left], self.pictures[self.right]
         whole = sorted(stem for stem in fresh if stem in left and stem in right and stem not in self.told)
         self.told.update(whole)
-        return [ArrivingPair(stem, left[stem], right[stem]) for stem in whole]
+        return [ArrivingPair(stem, self.left / left[stem], self.right / right[stem]) for stem in whole]
+
+    def left_paths(self) -> Iterator[Path]:
+        """Left pictures so far, by stem."""
+        return (self.left / name for _, name in sorted(self.pictures.get(self.left, {}).items()))
+
+    def _take(self, folder: Path, names: set[str]) -> set[str]:
+        """Take in names of a folder; the stems of pictures that are new."""
+        seen, known = self.seen.setdefault(folder, set()), self.pictures.setdefault(folder, {})
+        unseen = names - seen
+        seen |= unseen
+        stems = {_parts(name)[0]: name for name in sorted(unseen, reverse=True) if _is_picture(name)}
+        new = stems.keys() - known.keys()
+        known |= {stem: stems[stem] for stem in new}
+        return new
 
 
-def _files(folder: Path) -> list[Path]:
+def _names(folder: Path) -> set[str]:
     """None where there is no such folder yet."""
     try:
-        with os.scandir(folder) as entries:
-            return [folder / entry.name for entry in entries]
+        return set(os.listdir(folder))  # noqa: PTH208 -- a path for every name is what takes the time
     except FileNotFoundError:
-        return []
+        return set()
+
+
+def _is_picture(name: str) -> bool:
+    return not name.startswith(".") and _parts(name)[1].lower() in IMAGE_SUFFIXES
+
+
+def _parts(name: str) -> tuple[str, str]:
+    """Stem and suffix."""
+    return os.path.splitext(name)  # noqa: PTH122 -- as above
 
 
 @dataclass
@@ -174,6 +201,8 @@ class ArrivingKitti:
     settings: DriveYaml
     couples: _Couples
     _rig: Rig | None = None
+    _stamps: dict[str, ArrivingStamps] = field(default_factory=dict)
+    """By the file's name."""
 
     @property
     def drive_id(self) -> str:
@@ -188,7 +217,7 @@ class ArrivingKitti:
     def rig(self) -> Rig | None:
         """Needs the size of a whole picture: it says whether the pictures are rectified."""
         if self._rig is None:
-            size = first_size(path for _, path in sorted(self.couples.found.get(self.couples.left, {}).items()))
+            size = first_size(self.couples.left_paths())
             if size is not None:
                 path = calibration_path(self.folder, self.settings)
                 self._rig = read_rig_for(self.root, path, size, self.settings, ContentHash())
@@ -243,14 +272,11 @@ class ArrivingKitti:
 
     def _time(self, name: str, number: int) -> int | None:
         """UTC nanoseconds of line `number`; None where it is not there, or not all of it."""
-        try:
-            lines = (self.root / name).read_bytes().split(b"\n")
-        except FileNotFoundError:
-            return None
-        if number >= len(lines) - 1:  # what follows the last newline may be half a line
+        line = self._stamps.setdefault(name, ArrivingStamps(self.root / name)).line(number)
+        if line is None:
             return None
         try:
-            return parse_timestamp(lines[number].decode("utf-8", errors="replace"), self.settings.timestamps_timezone)
+            return parse_timestamp(line, self.settings.timestamps_timezone)
         except ValueError as error:
             raise PairError(RejectionReason.TIMESTAMP_INVALID, f"{name}, line {number + 1}: {error}") from error
 

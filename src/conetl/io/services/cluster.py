@@ -7,6 +7,9 @@ lies in `/var/lib/conetl/<hash of HOME>/`, and the pointer file `HOME/postgres.l
 Who may connect. No TCP port; the socket's folder and the socket have mode 0700, and the server asks the kernel who is at
 the other end (`peer`): only root, the server's user and the user who made the cluster are let in.
 
+Shared homes. Only one server at a time: where a home lies on a volume that several containers or machines see, a server of
+another one is found (`cluster_owner.py`) and no second one is started.
+
 What survives. fsync is on, so a killed server or machine loses nothing that was committed; `cluster_up` clears a stale
 `postmaster.pid`, may be called again at any time, and by several processes at once.
 """
@@ -24,6 +27,7 @@ from urllib.parse import quote
 from uuid import uuid4
 
 from conetl.errors import DatabaseError
+from conetl.io.services.cluster_owner import lock_for_server, require_no_server_elsewhere
 from conetl.io.services.cluster_place import (
     ClusterPlace,
     Done,
@@ -97,7 +101,8 @@ def cluster_up(home: Path) -> str:
     """Start the private cluster of `home`, making it first where there is none; the libpq URL of its database.
 
     Idempotent and safe against a second call at the same time. Raises `DatabaseError` where PostGIS is not installed, the
-    cluster belongs to another user, or the server does not start (with the end of its log).
+    cluster belongs to another user or is used by another machine or container, or the server does not start (with the end of
+    its log).
     """
     with cluster_lock(home):
         place = find_place(home) or make_place(home)
@@ -149,6 +154,7 @@ def cluster_remove(home: Path) -> bool:
             return False
         if _running_pid(place) is not None:
             _stop(place, data_are_needed=False)
+        require_no_server_elsewhere(place)
         shutil.rmtree(place.socket_directory, ignore_errors=True)
         shutil.rmtree(place.directory)
         forget_place(home)
@@ -188,6 +194,7 @@ def _start(place: ClusterPlace, install: PostgresInstall) -> None:
         if _wait_until_answering(place, START_TIMEOUT_S if _socket_file(place).exists() else 2):
             return
         _stop(place)
+    require_no_server_elsewhere(place)
     make_socket_directory(place)
     _remove_stale_files(place)
     _sweep(place)
@@ -200,9 +207,14 @@ def _start(place: ClusterPlace, install: PostgresInstall) -> None:
     # Relative paths: pg_ctl puts them into a shell command unquoted for `$`.
     command = [install.program("pg_ctl"), "start", "-D", "data", "-l", "log/start.log", "-w"]
     command += ["-t", str(START_TIMEOUT_S), "-o", options]
+    with lock_for_server(place) as lock:
+        _run_server(place, command, lock)
+
+
+def _run_server(place: ClusterPlace, command: list[str], lock: int) -> None:
     deadline = time.monotonic() + 15
     while True:
-        started = run_as(place, command, timeout_s=START_TIMEOUT_S + 30)
+        started = run_as(place, command, timeout_s=START_TIMEOUT_S + 30, inherit=(lock,))
         if started.code == 0 and _wait_until_answering(place, 5):
             return
         # Workers of a server that was killed take a moment to notice, and hold its shared memory until then.

@@ -156,10 +156,13 @@ def make_socket_directory(place: ClusterPlace) -> None:
             os.chown(path, place.user.uid, place.user.gid, follow_symlinks=False)
 
 
-def run_as(place: ClusterPlace, command: list[str], *, timeout_s: float, stdin: str = "") -> Done:
+def run_as(
+    place: ClusterPlace, command: list[str], *, timeout_s: float, stdin: str = "", inherit: tuple[int, ...] = ()
+) -> Done:
     """Run a command as the cluster's user inside the cluster's folder, with an environment that holds nothing of the caller's.
 
-    No PG* variable may lead PostgreSQL's programs to another server; messages are in English.
+    No PG* variable may lead PostgreSQL's programs to another server; messages are in English. inherit: open files that the
+    command and what it starts get.
     """
     other = os.geteuid() != place.user.uid
     try:
@@ -179,6 +182,7 @@ def run_as(place: ClusterPlace, command: list[str], *, timeout_s: float, stdin: 
             group=place.user.gid if other else None,
             extra_groups=[] if other else None,
             umask=0o077,
+            pass_fds=inherit,
         )
     except subprocess.TimeoutExpired:
         return Done(124, f"{Path(command[0]).name} did not end within {timeout_s:.0f} s")

@@ -1,7 +1,8 @@
 """Receipts: what became of every drive that was handed over, in the database and, for people, as files.
 
-The locks are PostgreSQL's session locks: the server frees them when the process that holds them is gone, on whatever machine and
-however it ended. So a crash is known and not guessed from a clock. (A pooler in transaction mode would break them.)
+The locks (held by `session_locks.py`) are PostgreSQL's session locks: the server frees them when the process that holds them is
+gone, on whatever machine and however it ended. So a crash is known and not guessed from a clock. (A pooler in transaction mode
+would break them.)
 """
 
 from __future__ import annotations
@@ -9,15 +10,15 @@ from __future__ import annotations
 import json
 import logging
 from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Literal
 from uuid import UUID
 
-from conetl.errors import InputError
-from conetl.io.db import Connection, connect, database_errors, execute, load_sql, transaction
+from conetl.errors import DatabaseError, InputError
+from conetl.io.db import Connection, database_errors, execute, load_sql, transaction
 from conetl.io.exports.atomic import atomic_text_file
 from conetl.io.file_names import file_name_part, printable
 
@@ -137,31 +138,18 @@ def held_locks(conn: Connection, names: Sequence[str]) -> set[str]:
 
 
 @contextmanager
-def holding(url: str, *names: str) -> Iterator[None]:
-    """Hold locks in a session of their own; waits for whoever has them. Always give several in the same order."""
-    with closing(connect(url)) as conn, database_errors("A lock could not be had"):
-        conn.autocommit = True
-        for name in names:
-            execute(conn, load_sql("write/take_lock"), {"name": name})
-        try:
-            yield
-        finally:
-            if not conn.closed:  # the server would notice only a moment after this
-                for name in names:
-                    execute(conn, load_sql("write/free_lock"), {"name": name})
-
-
-@contextmanager
 def held_if_free(conn: Connection, name: str) -> Iterator[bool]:
-    """Hold a lock if nobody has it; yields whether it was free."""
+    """Hold a lock in a session that is used for the work too, if nobody has it; yields whether it was free."""
     with database_errors("A lock could not be had"):
         conn.rollback()
         taken = bool(execute(conn, load_sql("write/try_lock"), {"name": name})[0]["taken"])
         conn.commit()
-        try:
-            yield taken
-        finally:
-            if taken and not conn.closed:
+    try:
+        yield taken
+    finally:
+        if taken:
+            # A session that is lost holds nothing.
+            with suppress(DatabaseError), database_errors("A lock could not be freed"):
                 conn.rollback()
                 execute(conn, load_sql("write/free_lock"), {"name": name})
                 conn.commit()

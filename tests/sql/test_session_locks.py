@@ -1,0 +1,126 @@
+"""Locks that say who lives: a session that is lost on the way costs nobody's work, and is taken up again."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from typing import Any
+
+import psycopg2
+import pytest
+
+from conetl.errors import DatabaseError
+from conetl.io.db import CLIENT_KEEPALIVES, Connection, connect, execute, load_sql
+from conetl.io.stores import session_locks
+from conetl.io.stores.receipt_store import held_if_free, held_locks
+from conetl.io.stores.session_locks import holding
+
+NAMES = ("conetl.drive/a", "conetl.flow_run/b")
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(session_locks, "RETAKE_EVERY_S", 0.05)
+
+
+@pytest.fixture
+def asking(database_url: str) -> Iterator[Connection]:
+    """A session that asks about the others."""
+    with closing(connect(database_url)) as conn:
+        conn.autocommit = True
+        yield conn
+
+
+def owners(asking: Connection) -> set[int]:
+    """Server processes that hold advisory locks in this database."""
+    sql = (
+        "select pid from pg_locks where locktype = 'advisory' and granted "
+        "and database = (select oid from pg_database where datname = current_database())"
+    )
+    return {row["pid"] for row in execute(asking, sql)}
+
+
+def end_sessions(asking: Connection, pids: set[int]) -> None:
+    for pid in pids:
+        execute(asking, "select pg_terminate_backend(%(pid)s, 10000)", {"pid": pid})
+
+
+def until(done: Callable[[], bool]) -> None:
+    for _ in range(600):
+        if done():
+            return
+        time.sleep(0.05)
+    raise AssertionError("it never came")
+
+
+def test_a_lost_session_is_replaced_and_ends_nothing(database_url: str, asking: Connection) -> None:
+    with holding(database_url, *NAMES):
+        before = owners(asking)
+        end_sessions(asking, before)
+        until(lambda: held_locks(asking, NAMES) == set(NAMES))
+        assert not owners(asking) & before
+    assert held_locks(asking, NAMES) == set()
+
+
+def test_a_session_that_is_lost_at_the_very_end_is_no_error(database_url: str, asking: Connection) -> None:
+    with holding(database_url, *NAMES):
+        end_sessions(asking, owners(asking))
+
+
+@pytest.mark.parametrize("freed_first", [True, False])
+def test_who_took_a_lost_lock_keeps_it(database_url: str, asking: Connection, freed_first: bool) -> None:
+    """Both go on; the lock says of one of them that it lives, and of the other as soon as it is free."""
+    with closing(connect(database_url)) as other:
+        other.autocommit = True
+        waits = threading.Thread(target=execute, args=(other, load_sql("write/take_lock"), {"name": NAMES[0]}))
+        with holding(database_url, *NAMES):
+            mine = owners(asking)
+            waits.start()
+            until(lambda: bool(execute(asking, "select pid from pg_locks where locktype = 'advisory' and not granted")))
+            end_sessions(asking, mine)
+            waits.join()
+            until(lambda: held_locks(asking, NAMES) == set(NAMES))
+            assert other.info.backend_pid in owners(asking)
+            if freed_first:
+                execute(other, load_sql("write/free_lock"), {"name": NAMES[0]})
+                until(lambda: held_locks(asking, NAMES) == set(NAMES))
+                assert other.info.backend_pid not in owners(asking)
+        assert held_locks(asking, NAMES) == (set() if freed_first else {NAMES[0]}), "nobody frees another's lock"
+
+
+def test_the_error_of_the_work_is_its_own(database_url: str, asking: Connection) -> None:
+    with pytest.raises(psycopg2.DataError), holding(database_url, *NAMES):
+        raise psycopg2.DataError("of the work")
+    with pytest.raises(psycopg2.DataError), held_if_free(asking, NAMES[0]):
+        raise psycopg2.DataError("of the work")
+    assert held_locks(asking, NAMES) == set()
+
+
+def test_a_watch_that_lost_its_session_frees_without_an_error(database_url: str, asking: Connection) -> None:
+    with closing(connect(database_url)) as conn, held_if_free(conn, NAMES[0]) as free:
+        assert free
+        end_sessions(asking, owners(asking))
+
+
+def test_a_server_that_is_not_there_is_told_at_first() -> None:
+    with pytest.raises(DatabaseError, match="cannot be reached"), holding("postgresql://nobody@127.0.0.1:1/none", "a"):
+        raise AssertionError("it must not begin")
+
+
+def test_idle_connections_are_kept_alive(database_url: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both ends ask after each other; what the address says itself counts."""
+    asked: list[dict[str, Any]] = []
+
+    def spy(url: str, **named: Any) -> Connection:
+        asked.append(named)
+        return real(url, **named)
+
+    real = psycopg2.connect
+    monkeypatch.setattr(psycopg2, "connect", spy)
+    connect(database_url).close()
+    connect(f"{database_url}&keepalives_idle=7").close()
+    assert CLIENT_KEEPALIVES.items() <= asked[0].items()
+    assert all(f"-c tcp_{name}=" in asked[0]["options"] for name in ("keepalives_idle", "user_timeout"))
+    assert "keepalives_idle" not in asked[1] and asked[1]["keepalives_count"] == 3
