@@ -51,5 +51,9 @@ class ServiceError(ConetlError):
     exit_code = EXIT_SERVICE_MISSING
 
 
+class StorageError(ServiceError):
+    """A disk or a storage does not read or write at the moment: failing, full, not mounted, refused. Another time it may."""
+
+
 class DatabaseError(ServiceError):
     """PostGIS is not to be had: no server, no rights, no extension, or a schema of another version."""

@@ -19,7 +19,7 @@ from pydantic import TypeAdapter
 
 from conetl.errors import InputError
 from conetl.io.leftovers import aside
-from conetl.io.places import is_remote, object_bytes
+from conetl.io.places import NO_FILE_SHA256, is_present, is_remote, object_bytes
 from conetl.records import Record
 from conetl.rejections import Rejection
 
@@ -33,14 +33,17 @@ def result_key(*parts: str) -> str:
 
 
 def file_sha256(path: Path) -> str:
-    """SHA-256 of a file's bytes; of nothing where the file is missing, which is a state of the input like any other."""
+    """SHA-256 of a file's bytes; `NO_FILE_SHA256` where the file is missing, which is a state of the input like any other.
+
+    Storage that fails is none: raises OSError, StorageError of an object.
+    """
     if is_remote(path):
         try:
             return hashlib.sha256(object_bytes(path)).hexdigest()
         except FileNotFoundError:
-            return hashlib.sha256().hexdigest()
-    if not path.is_file():
-        return hashlib.sha256().hexdigest()
+            return NO_FILE_SHA256
+    if not is_present(path):
+        return NO_FILE_SHA256
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
