@@ -13,12 +13,14 @@ from pathlib import Path
 from typing import Annotated, Any
 from uuid import UUID, uuid4
 
+import httpx
 from prefect import State, flow, get_client
+from prefect.exceptions import PrefectException
 from prefect.runtime import flow_run
 from prefect.states import Completed
 from pydantic import Field
 
-from conetl.errors import InputError, ServiceError
+from conetl.errors import ConetlError, may_pass, storage_failed
 from conetl.io.db import connect, migrate
 from conetl.io.drive_folder.outline import DriveOutline, outline_drive
 from conetl.io.places import place
@@ -97,19 +99,15 @@ def ingest_one(
         try:
             put_tags(outline, settings.map_name)
             report = ingest_drive.fn(outline.path, settings, params, map_srid=map_srid)
+            look = report.unpublished or ""
         except TooManyRejectionsError as error:
-            keep(url, _ended(begun, error.report, started, str(error)), settings)
-            return Completed(name="CommittedNeedsALook", message=str(error))
+            report, look = error.report, " ".join(filter(None, (str(error), error.report.unpublished)))
         except Exception as error:
-            reason = str(error) if isinstance(error, (InputError, ServiceError)) else f"{type(error).__name__}: {error}"
-            may_pass = isinstance(error, (ServiceError, OSError, MemoryError))
-            keep(
-                url,
-                replace(begun, state="failed", reason=reason[:2000] or "no reason given", may_pass=may_pass),
-                settings,
-            )
+            keep(url, _failed(begun, error), settings)
             raise
-        keep(url, _ended(begun, report, started, ""), settings)
+        keep(url, _ended(begun, report, started, look), settings)
+    if look:
+        return Completed(name="CommittedNeedsALook", message=look)
     counts = ", ".join(f"{count} {kind}" for kind, count in report.counts.items())
     return Completed(message=f"{report.status}: {counts}")
 
@@ -143,11 +141,24 @@ def keep(url: str, receipt: Receipt, settings: Settings) -> None:
         write_receipt(conn, receipt, settings.receipts_folder)
 
 
+def _failed(begun: Receipt, error: Exception) -> Receipt:
+    """The receipt of work that ended before the commit; whether it is tried again depends on what stood in its way."""
+    if isinstance(error, ConetlError):
+        reason = str(error)
+    elif isinstance(error, OSError):
+        reason = str(storage_failed(error))
+    elif isinstance(error, (httpx.HTTPError, PrefectException)):
+        reason = f"Prefect does not answer as it should: {type(error).__name__}: {error}"
+    else:
+        reason = f"{type(error).__name__}: {error}"
+    return replace(begun, state="failed", reason=reason[:2000] or "no reason given", may_pass=may_pass(error))
+
+
 def _ended(begun: Receipt, report: IngestReport, started: float, reason: str) -> Receipt:
     return replace(
         begun,
         state="committed" if report.status == "committed" else "known",
-        reason=reason,
+        reason=reason[:2000],
         may_pass=False,
         changeset_id=report.changeset_id,
         content_sha256=report.content_sha256,

@@ -10,7 +10,7 @@ from prefect.context import FlowRunContext
 from prefect.task_runners import ProcessPoolTaskRunner, ThreadPoolTaskRunner
 from prefect.utilities.annotations import opaque
 
-from conetl.errors import InputError
+from conetl.errors import InputError, is_of_storage
 from conetl.rejections import Rejection, RejectionReason
 from flows.timing import note_time
 
@@ -19,8 +19,8 @@ def _may_pass(_task: Any, _run: Any, state: Any) -> bool:
     """Disk, network and database may be better in a second; bad input stays bad."""
     try:
         state.result()
-    except InputError:
-        return False
+    except InputError as error:
+        return is_of_storage(error.__cause__)
     except Exception:
         return True
     return False

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from conetl.errors import CalibrationError, ConetlError, DriveFolderError
+from conetl.errors import CalibrationError, ConetlError, DriveFolderError, ServiceError, is_of_storage
 from conetl.io.calibration.files import IMU_TO_VELO, RIG_YAML, VELO_TO_CAM
 from conetl.io.drive_folder import DriveFormat, drive_format
 from conetl.io.drive_folder.bag_messages import METADATA, bag_files, open_bag
@@ -50,6 +50,8 @@ class DriveOutline:
     captured_to_ns: int | None
     """UTC; None where the folder does not tell, then `problem` says why."""
     problem: str | None
+    problem_may_pass: bool = False
+    """The storage failed: it is no property of the drive."""
 
     @property
     def captured_from(self) -> datetime | None:
@@ -83,6 +85,7 @@ def outline_drive(folder: Path) -> DriveOutline:
     content = ContentHash()
     drive_id, pairs = DriveYaml().id_of(folder), 0
     first_ns = last_ns = problem = None
+    passes = False
     try:
         settings = read_drive_yaml(folder)
         drive_id = settings.id_of(folder)
@@ -102,7 +105,8 @@ def outline_drive(folder: Path) -> DriveOutline:
             problem = f"there are no pictures in {' and '.join(streams)}"
     except (ConetlError, OSError, ValueError) as error:
         problem = f"{error}"
-    return DriveOutline(folder, drive_id, content.hexdigest(), pairs, first_ns, last_ns, problem)
+        passes = is_of_storage(error) or is_of_storage(error.__cause__) or isinstance(error, ServiceError)
+    return DriveOutline(folder, drive_id, content.hexdigest(), pairs, first_ns, last_ns, problem, passes)
 
 
 def quiet_since(folder: Path) -> float | None:
