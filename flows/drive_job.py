@@ -13,14 +13,12 @@ from pathlib import Path
 from typing import Annotated, Any
 from uuid import UUID, uuid4
 
-import httpx
 from prefect import State, flow, get_client
-from prefect.exceptions import PrefectException
 from prefect.runtime import flow_run
 from prefect.states import Completed
 from pydantic import Field
 
-from conetl.errors import ConetlError, may_pass, storage_failed
+from conetl.errors import ConetlError, may_pass
 from conetl.io.db import connect, migrate
 from conetl.io.drive_folder.outline import DriveOutline, outline_drive
 from conetl.io.places import place
@@ -32,6 +30,7 @@ from flows.control_room import name_of_run
 from flows.ingest_drive import ingest_drive
 from flows.merge import database_url
 from flows.plan import analysis_of
+from flows.retries import as_known
 from flows.runners import task_runner
 
 MapName = Annotated[
@@ -143,14 +142,8 @@ def keep(url: str, receipt: Receipt, settings: Settings) -> None:
 
 def _failed(begun: Receipt, error: Exception) -> Receipt:
     """The receipt of work that ended before the commit; whether it is tried again depends on what stood in its way."""
-    if isinstance(error, ConetlError):
-        reason = str(error)
-    elif isinstance(error, OSError):
-        reason = str(storage_failed(error))
-    elif isinstance(error, (httpx.HTTPError, PrefectException)):
-        reason = f"Prefect does not answer as it should: {type(error).__name__}: {error}"
-    else:
-        reason = f"{type(error).__name__}: {error}"
+    known = as_known(error)
+    reason = str(known) if isinstance(known, ConetlError) else f"{type(error).__name__}: {error}"
     return replace(begun, state="failed", reason=reason[:2000] or "no reason given", may_pass=may_pass(error))
 
 

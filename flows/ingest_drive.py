@@ -25,7 +25,7 @@ from flows.merge import already_committed, identify, merge_task
 from flows.merge import map_srid as srid_of_map
 from flows.progress import ignore, listen
 from flows.publish import publish_task
-from flows.retries import lost_frame_pairs, whole
+from flows.retries import as_known, lost_frame_pairs, whole
 from flows.tasks import chunks_of, read_drive_task
 
 #: A request to the server costs some 30 ms of processor time.
@@ -39,7 +39,8 @@ def ingest_drive(
     """Read -> detect and odometry -> self-calibrate -> match -> refine -> locate -> fuse -> merge -> publish.
 
     folder: a drive folder. map_srid: CRS of the map where it is not the UTM zone of the drive. Raises ConetlError (bad input,
-    service missing: nothing was written) and TooManyRejectionsError (written, but look at the rejections).
+    service missing: nothing was written) and TooManyRejectionsError (written, but look at the rejections). What fails after the
+    commit stands in the report (`unpublished`).
     """
     started = time.monotonic()
     drive, rejections = read_drive_task(folder, map_srid or srid_of_map(settings), settings.pictures_folder.resolve())
@@ -83,7 +84,8 @@ def _after_commit(report: IngestReport, publish: Callable[[], None]) -> IngestRe
     try:
         publish()
     except Exception as error:
-        why = str(error) if isinstance(error, ConetlError) else f"{type(error).__name__}: {error}"
+        known = as_known(error)
+        why = str(known) if isinstance(known, ConetlError) else f"{type(error).__name__}: {error}"
         get_run_logger().exception("Drive %s is on the map, but not all of it was published", report.drive_id)
         note = (
             f"Drive {report.drive_id} is on the map, but its files, report and events could not all be made: {why.rstrip('.')}. "

@@ -8,6 +8,7 @@ from __future__ import annotations
 import errno
 
 EXIT_DONE = 0
+#: Done, but something needs a look: too many rejections, or what was committed could not be published.
 EXIT_TOO_MANY_REJECTIONS = 1
 EXIT_BAD_INPUT = 2
 EXIT_SERVICE_MISSING = 3

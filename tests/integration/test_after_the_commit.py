@@ -137,11 +137,12 @@ def test_what_was_left_untold_is_told_without_the_drive(
     assert len(events) == 3
 
 
-def command(home: Path, database_url: str, *arguments: object) -> subprocess.CompletedProcess[str]:
+def command(home: Path, database_url: str, *arguments: object, before: str = "") -> subprocess.CompletedProcess[str]:
+    """A command of conetl with a Prefect server of its own. before: Python that runs first."""
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("PREFECT_", "CONETL_"))}
     environment |= {"CONETL_HOME": str(home), "CONETL_DATABASE_URL": database_url}
     return subprocess.run(
-        [sys.executable, "-c", "from conetl.cli import main; main()", *map(str, arguments), "--json"],
+        [sys.executable, "-c", f"{before}\nfrom conetl.cli import main; main()", *map(str, arguments), "--json"],
         env=environment, cwd=ROOT, capture_output=True, text=True, timeout=600, check=False,
     )  # fmt: skip
 
@@ -165,3 +166,70 @@ def test_a_batch_tells_what_an_earlier_one_could_not(tmp_path: Path, conn: Any, 
     assert done.returncode == 0, done.stderr
     assert was_told(conn, changeset.changeset_id)
     assert in_the_way.is_file()
+
+
+def test_an_ingest_that_cannot_publish_says_that_it_committed(tmp_path: Path, conn: Any, database_url: str) -> None:
+    home = tmp_path / "home"
+    drive = cut_drive(SAMPLES[0], tmp_path / "drive", "2026-05-01")
+    in_the_way = home / "exports" / "default.geojson"
+    in_the_way.mkdir(parents=True)
+    done = command(home, database_url, "ingest", drive)
+    assert done.returncode == 1, done.stderr
+    (said,) = json.loads(done.stdout)
+    assert said["status"] == "committed"
+    assert "default.geojson" in said["unpublished"]
+    assert "run the same command again" in said["unpublished"]
+    assert said["unpublished"] in " ".join(done.stderr.split())
+    (changeset,) = list_changesets(conn)
+    assert not was_told(conn, changeset.changeset_id)
+    conn.rollback()
+
+    again = command(home, database_url, "ingest", drive)
+    assert again.returncode == 1, "it is still in the way"
+    assert json.loads(again.stdout)[0]["status"] == "no changes"
+    in_the_way.rmdir()
+    again = command(home, database_url, "ingest", drive)
+    assert again.returncode == 0, again.stderr
+    assert json.loads(again.stdout)[0]["unpublished"] is None
+    assert was_told(conn, changeset.changeset_id)
+    assert in_the_way.is_file()
+    assert list((home / "exports" / "reports").rglob("*.html"))
+
+
+_LOST_ANSWER = """
+import os, httpx
+from conetl.settings import prefect_environment, read_settings
+os.environ.update(prefect_environment(read_settings().home))
+from flows import ingest_drive as flow
+merge = flow.merge_task
+def merge_and_lose_the_answer(*arguments):
+    merge(*arguments)
+    raise httpx.ConnectError("Prefect restarts")
+flow.merge_task = merge_and_lose_the_answer
+"""
+
+
+def test_a_commit_whose_answer_was_lost_is_a_commit(tmp_path: Path, conn: Any, database_url: str) -> None:
+    drive = cut_drive(SAMPLES[0], tmp_path / "drive", "2026-05-01")
+    done = command(tmp_path / "home", database_url, "ingest", drive, before=_LOST_ANSWER)
+    assert done.returncode == 0, done.stderr
+    (changeset,) = list_changesets(conn)
+    assert json.loads(done.stdout)[0]["changeset_id"] == str(changeset.changeset_id)
+    assert was_told(conn, changeset.changeset_id)
+
+
+_FAILING_DISK = """
+import errno
+from conetl.io import parquet_store
+def fail(*_, **__):
+    raise OSError(errno.EIO, "Input/output error", "results/chunk.parquet")
+parquet_store._read = fail
+"""
+
+
+def test_a_disk_that_fails_is_no_mistake_of_conetl(tmp_path: Path, conn: Any, database_url: str) -> None:
+    drive = cut_drive(SAMPLES[0], tmp_path / "drive", "2026-05-01")
+    done = command(tmp_path / "home", database_url, "ingest", drive, before=_FAILING_DISK)
+    assert done.returncode == 3, done.stderr
+    assert "results/chunk.parquet: the storage failed (Input/output error)" in " ".join(done.stderr.split())
+    assert list_changesets(conn) == []
