@@ -23,6 +23,7 @@ from conetl.io.stores.receipt_store import Receipt, attempt_ends, end_crashed, l
 from conetl.params import IngestParams
 from conetl.settings import Settings
 from flows.batch_artifacts import Board, open_board, show_progress, show_summary
+from flows.changeset_events import tell_untold
 from flows.dispatch import (
     Flight,
     Where,
@@ -111,9 +112,12 @@ def backfill(
     """Bring all drives below a folder onto the map that are not there yet. Run it again after a stop: it goes on."""
     settings = settings_for(map_name)
     with alive(settings) as url, closing(connect(url)) as conn:
+        tell_untold(conn, settings)
         plan = plan_drives(
             conn, root, settings=settings, params=params, since=utc(since), until=utc(until), recheck=recheck
         )
+        if not plan.todo:  # started for what was left untold
+            return Completed(name="NothingNew", message=f"nothing new: {len(plan.lines)} drives are done")
         return run_batch(conn, plan, settings, params, map_srid=map_srid, max_parallel=max_parallel, where=where)
 
 
@@ -206,7 +210,9 @@ def _landed(
 def _refused(conn: Connection, line: PlanLine, plan: Plan, settings: Settings) -> Receipt:
     """The receipt of a folder that cannot be a drive."""
     begun = new_receipt(line.outline, settings, plan.analysis.sha256, uuid4(), flow_run.id)
-    receipt = replace(begun, state="failed", reason=line.why, may_pass=False, at=datetime.now(UTC))
+    receipt = replace(
+        begun, state="failed", reason=line.why, may_pass=line.outline.problem_may_pass, at=datetime.now(UTC)
+    )
     write_receipt(conn, replace(receipt, at=None), settings.receipts_folder)
     return receipt
 

@@ -1,23 +1,29 @@
 """Events of committed changesets, for automations: told once, whichever run gets to tell them.
 
-A run may be killed between its commit and its events. What it left untold is told by the run that takes the same drive again and
-finds it on the map, which recovery and backfills see to (`flows/recovery.py`). The ids of the events follow from the changeset:
-one that is told twice, by a run killed between event and mark, is stored once.
+A run may be killed between its commit and its events, or not be able to write its files. What it left untold is told by whoever
+comes next: the run that takes the same drive again and finds it on the map, or the next backfill or look into the drop folder,
+which need no drive for it. The ids of the events follow from the changeset: one that is told twice, by a run killed between event
+and mark, is stored once.
 """
 
 from __future__ import annotations
 
+from datetime import timedelta
 from uuid import UUID, uuid5
 
 from prefect import task
 from prefect.events import emit_event
 from prefect.events.worker import EventsWorker
+from prefect.logging import get_logger
 
+from conetl.io.db import Connection
 from conetl.io.exports.geojson import export_geojson
-from conetl.io.stores.told_store import mark_told, vanished_by_changeset, was_told
+from conetl.io.qa.drive_page import write_drive_page
+from conetl.io.stores.map_store import find_changeset, list_changesets
+from conetl.io.stores.told_store import QUIET, mark_told, untold_changesets, vanished_by_changeset, was_told
 from conetl.reports import IngestReport
 from conetl.settings import Settings
-from flows.merge import open_map
+from flows.merge import open_map, report_of
 from flows.retries import RETRY
 
 _NAMESPACE = UUID("7d0b6f2e-54c3-4f0d-9a53-0d2f7c1be9aa")
@@ -66,8 +72,42 @@ def tell_changes(report: IngestReport, settings: Settings) -> bool:
 
 @task(name="tell what was left untold", **RETRY)
 def catch_up_task(report: IngestReport, settings: Settings) -> None:
-    """Of a drive that is on the map already: what a run that was killed after its commit did not get to do."""
-    if tell_changes(report, settings):
+    """Of a drive that is on the map already: what the run that committed it did not get to do."""
+    catch_up(report, settings)
+
+
+def catch_up(report: IngestReport, settings: Settings) -> None:
+    """Write the map's file and the drive's report, then tell: "told" is true of all of it. Nothing where it was told."""
+    with open_map(settings) as conn:
+        if was_told(conn, report.changeset_id):
+            return
         settings.exports_folder.mkdir(parents=True, exist_ok=True)
-        with open_map(settings) as conn:
-            export_geojson(conn, settings.exports_folder / f"{settings.map_name}.geojson", map_name=settings.map_name)
+        export_geojson(conn, settings.exports_folder / f"{settings.map_name}.geojson", map_name=settings.map_name)
+        for known in list_changesets(conn, map_name=settings.map_name):
+            if known.changeset_id == report.changeset_id:
+                page = settings.drive_report_path(known.drive_id, known.changeset_no)
+                write_drive_page(conn, known, page, map_name=settings.map_name)
+    tell_changes(report, settings)
+
+
+def tell_untold(conn: Connection, settings: Settings, *, quiet: timedelta = QUIET) -> None:
+    """Catch up on every drive of the map that was committed longer ago than `quiet` and not told.
+
+    What does not work is logged and left to the next one: those who call this have drives to see to.
+    """
+    for found in untold_changesets(conn, map_name=settings.map_name, quiet=quiet):
+        known = find_changeset(conn, found.idempotency_key, map_name=settings.map_name)
+        conn.rollback()
+        if known is None:
+            continue
+        report = report_of(
+            known,
+            map_name=settings.map_name,
+            map_srid=found.map_srid,
+            content_sha256=found.content_sha256,
+            expected_frame_count=found.expected_frame_count,
+        )
+        try:
+            catch_up(report, settings)
+        except Exception as error:
+            get_logger(__name__).warning("Changes by drive %s are on the map, but untold: %s", known.drive_id, error)

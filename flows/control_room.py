@@ -10,6 +10,7 @@ from prefect import task
 from prefect.artifacts import create_image_artifact, create_link_artifact, create_table_artifact
 from prefect.runtime import flow_run
 
+from conetl.errors import StorageError
 from conetl.io.drive_folder.outline import DriveOutline, outline_drive
 from conetl.io.pictures.annotated_image import draw_boxes, pairs_jpeg
 from conetl.io.pictures.images import ImageFileError
@@ -86,7 +87,7 @@ def worst_frames_task(
                     if d.frame_index == index and d.side == side
                 ]
                 drawn.append(draw_boxes(read_rig_image(place(path), drive.rig, side), np.array(boxes).reshape(-1, 9)))
-        except ImageFileError:  # vanished since it was read; the drive is on the map already
+        except (ImageFileError, StorageError):  # vanished since it was read; the drive is on the map already
             continue
         count = sum(match.frame_index == index for match in matches)
         rows.append((drawn[0], drawn[1], f"frame pair {index}: {worst[index]:.2f} px residual, {count} cones matched"))

@@ -18,7 +18,7 @@ from prefect.runtime import flow_run
 from prefect.states import Completed
 from pydantic import Field
 
-from conetl.errors import InputError, ServiceError
+from conetl.errors import ConetlError, may_pass
 from conetl.io.db import connect, migrate
 from conetl.io.drive_folder.outline import DriveOutline, outline_drive
 from conetl.io.places import place
@@ -31,6 +31,7 @@ from flows.control_room import name_of_run
 from flows.ingest_drive import ingest_drive
 from flows.merge import database_url
 from flows.plan import analysis_of
+from flows.retries import as_known
 from flows.runners import task_runner
 
 MapName = Annotated[
@@ -98,19 +99,15 @@ def ingest_one(
         try:
             put_tags(outline, settings.map_name)
             report = ingest_drive.fn(outline.path, settings, params, map_srid=map_srid)
+            look = report.unpublished or ""
         except TooManyRejectionsError as error:
-            keep(url, _ended(begun, error.report, started, str(error)), settings)
-            return Completed(name="CommittedNeedsALook", message=str(error))
+            report, look = error.report, " ".join(filter(None, (str(error), error.report.unpublished)))
         except Exception as error:
-            reason = str(error) if isinstance(error, (InputError, ServiceError)) else f"{type(error).__name__}: {error}"
-            may_pass = isinstance(error, (ServiceError, OSError, MemoryError))
-            keep(
-                url,
-                replace(begun, state="failed", reason=reason[:2000] or "no reason given", may_pass=may_pass),
-                settings,
-            )
+            keep(url, _failed(begun, error), settings)
             raise
-        keep(url, _ended(begun, report, started, ""), settings)
+        keep(url, _ended(begun, report, started, look), settings)
+    if look:
+        return Completed(name="CommittedNeedsALook", message=look)
     counts = ", ".join(f"{count} {kind}" for kind, count in report.counts.items())
     return Completed(message=f"{report.status}: {counts}")
 
@@ -144,11 +141,18 @@ def keep(url: str, receipt: Receipt, settings: Settings) -> None:
         write_receipt(conn, receipt, settings.receipts_folder)
 
 
+def _failed(begun: Receipt, error: Exception) -> Receipt:
+    """The receipt of work that ended before the commit; whether it is tried again depends on what stood in its way."""
+    known = as_known(error)
+    reason = str(known) if isinstance(known, ConetlError) else f"{type(error).__name__}: {error}"
+    return replace(begun, state="failed", reason=reason[:2000] or "no reason given", may_pass=may_pass(error))
+
+
 def _ended(begun: Receipt, report: IngestReport, started: float, reason: str) -> Receipt:
     return replace(
         begun,
         state="committed" if report.status == "committed" else "known",
-        reason=reason,
+        reason=reason[:2000],
         may_pass=False,
         changeset_id=report.changeset_id,
         content_sha256=report.content_sha256,

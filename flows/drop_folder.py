@@ -19,6 +19,7 @@ from conetl.io.drive_folder.outline import MARKER, find_drives, quiet_since
 from conetl.io.file_names import printable
 from conetl.params import IngestParams
 from flows.backfill import Parallel, run_batch
+from flows.changeset_events import tell_untold
 from flows.drive_job import MapName, MapSrid, alive, settings_for
 from flows.plan import plan_drives
 from flows.recovery import recover
@@ -43,6 +44,7 @@ def ingest_drop_folder(
     quiet_s = 60.0 * (settings.drop_quiet_minutes if quiet_minutes is None else quiet_minutes)
     with alive(settings) as url, closing(connect(url)) as conn:
         recover(conn)
+        tell_untold(conn, settings)
         complete, arriving = split_by_completeness(inbox, quiet_s)
         plan = plan_drives(conn, inbox, settings=settings, params=params, once=True, folders=complete)
         if arriving:

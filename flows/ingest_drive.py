@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from uuid import UUID
 
 from prefect import flow, get_run_logger
 from prefect.artifacts import create_progress_artifact, update_progress_artifact
 
+from conetl.errors import ConetlError
 from conetl.io.model_card import NOT_MEASURED
 from conetl.params import IngestParams
 from conetl.rejections import INPUT_REASONS
@@ -23,7 +25,7 @@ from flows.merge import already_committed, identify, merge_task
 from flows.merge import map_srid as srid_of_map
 from flows.progress import ignore, listen
 from flows.publish import publish_task
-from flows.retries import lost_frame_pairs, whole
+from flows.retries import as_known, lost_frame_pairs, whole
 from flows.tasks import chunks_of, read_drive_task
 
 #: A request to the server costs some 30 ms of processor time.
@@ -37,7 +39,8 @@ def ingest_drive(
     """Read -> detect and odometry -> self-calibrate -> match -> refine -> locate -> fuse -> merge -> publish.
 
     folder: a drive folder. map_srid: CRS of the map where it is not the UTM zone of the drive. Raises ConetlError (bad input,
-    service missing: nothing was written) and TooManyRejectionsError (written, but look at the rejections).
+    service missing: nothing was written) and TooManyRejectionsError (written, but look at the rejections). What fails after the
+    commit stands in the report (`unpublished`).
     """
     started = time.monotonic()
     drive, rejections = read_drive_task(folder, map_srid or srid_of_map(settings), settings.pictures_folder.resolve())
@@ -45,22 +48,50 @@ def ingest_drive(
     if identity.evidence is None:
         get_run_logger().warning(NOT_MEASURED)
     if (known := already_committed(drive, identity, settings)) is not None:
-        catch_up_task(known, settings)
-        return known
+        return _after_commit(known, partial(catch_up_task, known, settings))
     chunks = chunks_of(drive, settings, params)
     with _shown(drive.drive_id):
         records, trajectory, calibration = analyse(drive, rejections, chunks, params, identity.evidence, PrefectRuns())
     told = {"trajectory": trajectory.detail, "calibration": calibration.detail}
     outcomes = {"trajectory_outcome": trajectory.outcome.value, "calibration_outcome": calibration.outcome.value}
-    merged = merge_task(whole(records), identity, settings, params, told | outcomes)
+    try:
+        merged = merge_task(whole(records), identity, settings, params, told | outcomes)
+    except Exception:  # the commit may have gone through, and the database's or Prefect's answer to it been lost
+        if (known := already_committed(drive, identity, settings)) is None:
+            raise
+        return _after_commit(known, partial(catch_up_task, known, settings))
     report = merged.report.model_copy(update={"seconds": time.monotonic() - started, **told})
     drive = records.drive
-    if report.status == "committed":
+
+    def publish() -> None:
         publish_task(whole(drive), whole(merged.changeset), whole(list(merged.untouched)), whole(report), settings)
         worst_frames_task(whole(drive), whole(records.detections), whole(records.positions), whole(records.matches))
+
+    report = _after_commit(
+        report, publish if report.status == "committed" else partial(catch_up_task, report, settings)
+    )
     lost = len(lost_frame_pairs(records.rejections, INPUT_REASONS))
     if lost > params.max_rejected_fraction * drive.expected_frame_count:
         raise TooManyRejectionsError(report, params.max_rejected_fraction)
+    return report
+
+
+def _after_commit(report: IngestReport, publish: Callable[[], None]) -> IngestReport:
+    """Tell what is on the map; the report, with a note where that did not work. What is committed stays so, whatever fails here.
+
+    The changeset stays untold then, and whoever comes next makes up for it (`flows/changeset_events.py`).
+    """
+    try:
+        publish()
+    except Exception as error:
+        known = as_known(error)
+        why = str(known) if isinstance(known, ConetlError) else f"{type(error).__name__}: {error}"
+        get_run_logger().exception("Drive %s is on the map, but not all of it was published", report.drive_id)
+        note = (
+            f"Drive {report.drive_id} is on the map, but its files, report and events could not all be made: {why.rstrip('.')}. "
+            "Mend that, and run the same command again: it makes up for them and changes nothing on the map."
+        )
+        return report.model_copy(update={"unpublished": note})
     return report
 
 

@@ -16,15 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.detector_evidence import UNMEASURED, DetectorEvidence
+from conetl.errors import StorageError
 from conetl.geometry.camera import first_road_row
 from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left
 from conetl.io import detector as detector_io
 from conetl.io.db import Connection
 from conetl.io.model_card import read_model_card
+from conetl.io.pictures.images import ImageFileError
 from conetl.io.pictures.rectified_image import read_rig_image
 from conetl.io.stores.live_store import WatchedDrive, write_live
 from conetl.params import IngestParams
 from conetl.records import Detection, FramePair, Rig, Side, Track
+from conetl.rejections import RejectionReason
 from conetl.settings import Settings
 from conetl.steps.detections import check_boxes
 from conetl.steps.live_tracks import Frame, LiveTracks, take_frame
@@ -161,7 +164,10 @@ def take_pair(conn: Connection, eyes: Eyes, drive: LiveDrive, look: Look) -> tup
 def _look(eyes: Eyes, rig: Rig, pair: FramePair, side: Side) -> Sight:
     started_s = time.thread_time()
     path = Path(pair.left_path if side == "left" else pair.right_path)
-    image = read_rig_image(path, rig, side)
+    try:
+        image = read_rig_image(path, rig, side)
+    except StorageError as error:  # nothing is kept of it: the watch looks again, and in time leaves the pair out
+        raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, str(error)) from error
     rotation = map_SE3_camera(pair.pose, rig, side)[:3, :3]
     first_row = first_road_row(camera_of(rig, side), [rotation], eyes.params.detection.horizon_margin_rad)
     found, _ = check_boxes(

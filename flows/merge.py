@@ -29,7 +29,7 @@ from conetl.io.stores.map_store import (
 )
 from conetl.map_records import Changeset, Delta, DeltaKind, MapFeature
 from conetl.params import IngestParams, params_sha256
-from conetl.records import Drive, Record
+from conetl.records import Drive, Record, utc_from_ns
 from conetl.rejections import INPUT_REASONS
 from conetl.reports import ChangeLine, IngestReport
 from conetl.settings import Settings
@@ -190,16 +190,30 @@ def _line(delta: Delta) -> ChangeLine:
 
 
 def _no_changes(drive: Drive, identity: Identity, known: CommittedChangeset, settings: Settings) -> IngestReport:
-    return IngestReport(
-        drive_id=drive.drive_id,
-        status="no changes",
-        changeset_id=known.changeset_id,
-        captured_from=drive.captured_from,
-        captured_to=drive.captured_to,
+    report = report_of(
+        known,
         map_name=settings.map_name,
         map_srid=drive.map_srid,
+        content_sha256=drive.content_sha256,
+        expected_frame_count=drive.expected_frame_count,
+    )
+    return report.model_copy(update={"model_sha256": identity.model_sha256})
+
+
+def report_of(
+    known: CommittedChangeset, *, map_name: str, map_srid: int, content_sha256: str, expected_frame_count: int
+) -> IngestReport:
+    """The report of a drive that is on the map already, whether the drive itself is at hand or not."""
+    return IngestReport(
+        drive_id=known.drive_id,
+        status="no changes",
+        changeset_id=known.changeset_id,
+        captured_from=utc_from_ns(known.captured_from_ns),
+        captured_to=utc_from_ns(known.captured_to_ns),
+        map_name=map_name,
+        map_srid=map_srid,
         frame_pairs=known.frame_pair_count,
-        frame_pairs_rejected=drive.expected_frame_count - known.frame_pair_count,
+        frame_pairs_rejected=expected_frame_count - known.frame_pair_count,
         detections=known.detection_count,
         matches=known.match_count,
         positions=known.position_count,
@@ -207,9 +221,9 @@ def _no_changes(drive: Drive, identity: Identity, known: CommittedChangeset, set
         counts={kind: getattr(known, f"{kind.value}_count") for kind in DeltaKind},
         changes=(),
         rejections={},
-        params_sha256=identity.params_sha256,
-        model_sha256=identity.model_sha256,
-        content_sha256=drive.content_sha256,
+        params_sha256=known.params_sha256,
+        model_sha256=known.model_sha256,
+        content_sha256=content_sha256,
         seconds=0.0,
         committed_at=known.committed_at,
         counts_on_map=known.counts,

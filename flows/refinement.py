@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,7 +13,6 @@ from prefect import get_run_logger, task
 from conetl.geometry.stereo_motion import RelativeMotion
 from conetl.geometry.stereo_tracks import StereoTracks, motions_of
 from conetl.io.parquet_store import (
-    file_sha256,
     has_result,
     load_result,
     load_results,
@@ -21,9 +20,9 @@ from conetl.io.parquet_store import (
     result_path,
     save_result,
 )
-from conetl.io.pictures.rectified_image import read_rig_image
+from conetl.io.pictures.rectified_image import read_hashed_rig_image, read_rig_image_again
 from conetl.io.pictures.working_size import PictureReader
-from conetl.io.places import in_batches, place
+from conetl.io.places import place
 from conetl.io.services.allocator import keep_freed_pictures
 from conetl.io.visual_odometry import follow_drive, follow_span
 from conetl.params import IngestParams, params_sha256
@@ -33,7 +32,7 @@ from conetl.steps.self_calibration import SelfCalibration, choose_spans, self_ca
 from conetl.steps.trajectory import RefinedTrajectory
 from flows.progress import tell_progress
 from flows.retries import RETRY
-from flows.tasks import RESULTS_VERSION, Chunk
+from flows.tasks import RESULTS_VERSION, Chunk, picture_hashes, picture_paths
 
 
 def odometry_chunks(chunks: Sequence[Chunk]) -> Iterator[Chunk]:
@@ -70,14 +69,15 @@ class Odometry(NamedTuple):
 @task(name="odometry", task_run_name="odometry {chunk.frame_pairs[0].frame_index}", **RETRY)
 def odometry_task(chunk: Chunk) -> Odometry:
     """Points followed between the frame pairs of a chunk, and its motions by the rig as it is."""
-    key = _tracks_key(chunk)
+    hashes = picture_hashes(picture_paths(chunk.frame_pairs))
+    key = _tracks_key(chunk, hashes.values())
     path, intervals = result_path(chunk.results_folder, key), len(chunk.frame_pairs) - 1
     if has_result(chunk.results_folder, key):
         tell_progress(chunk.drive_id, intervals)
         return Odometry(path, _motions(chunk, path))
     keep_freed_pictures()
     tracks: list[StereoTracks] = []
-    for found in follow_drive(chunk.frame_pairs, chunk.rig, _reader(chunk.rig), chunk.params.trajectory):
+    for found in follow_drive(chunk.frame_pairs, chunk.rig, _reader(chunk.rig, hashes), chunk.params.trajectory):
         tracks.append(found)
         tell_progress(chunk.drive_id, 1)
     save_result(chunk.results_folder, key, tracks, [])
@@ -118,7 +118,7 @@ def self_calibrate_task(drive: Drive, tracks: list[Path], motions: list[Path], c
     if has_result(chunk.results_folder, key):
         return load_result(result_path(chunk.results_folder, key), SelfCalibration)[0][0]
     measured, _ = load_results(motions, RelativeMotion)
-    pairs, read = drive.frame_pairs, _reader(drive.rig)
+    pairs, read = drive.frame_pairs, reader_again(drive.rig)
     wide = span_params(params)
     spans = choose_spans(measured, params.self_calibration_span_m)
     spans = spread_spans(spans, params.self_calibration_max_spans)
@@ -141,15 +141,25 @@ def refine_task(drive: Drive, motions: list[Path], matches: list[Path], params: 
     return result
 
 
-def _tracks_key(chunk: Chunk) -> str:
-    paths = [place(path) for pair in chunk.frame_pairs for path in (pair.left_path, pair.right_path)]
-    hashes = [file_sha256(path) for path in in_batches(paths, fresh=True)]
+def _tracks_key(chunk: Chunk, hashes: Iterable[str]) -> str:
     geometry = result_key(chunk.rig.model_dump_json(), *(pair.model_dump_json() for pair in chunk.frame_pairs))
     return result_key(RESULTS_VERSION, "tracks", params_sha256(chunk.params.trajectory), geometry, *hashes)
 
 
-def _reader(rig: Rig) -> PictureReader:
+def _reader(rig: Rig, hashes: Mapping[Path, str]) -> PictureReader:
+    """Reads pictures that were hashed for the key of a result."""
+
     def read(pair: FramePair, side: Side) -> NDArray[np.uint8]:
-        return read_rig_image(place(pair.left_path if side == "left" else pair.right_path), rig, side, grey=True)
+        path = _path(pair, side)
+        return read_hashed_rig_image(path, hashes[path], rig, side, grey=True)
 
     return read
+
+
+def reader_again(rig: Rig) -> PictureReader:
+    """Reads pictures between which motions were measured: they were there."""
+    return lambda pair, side: read_rig_image_again(_path(pair, side), rig, side, grey=True)
+
+
+def _path(pair: FramePair, side: Side) -> Path:
+    return place(pair.left_path if side == "left" else pair.right_path)

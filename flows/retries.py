@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any, TypeVar, cast
 
+import httpx
 from prefect.cache_policies import NO_CACHE
 from prefect.context import FlowRunContext
 from prefect.task_runners import ProcessPoolTaskRunner, ThreadPoolTaskRunner
 from prefect.utilities.annotations import opaque
 
-from conetl.errors import InputError
+from conetl.errors import InputError, ServiceError, is_of_storage, storage_failed
 from conetl.rejections import Rejection, RejectionReason
 from flows.timing import note_time
 
@@ -19,11 +20,24 @@ def _may_pass(_task: Any, _run: Any, state: Any) -> bool:
     """Disk, network and database may be better in a second; bad input stays bad."""
     try:
         state.result()
-    except InputError:
-        return False
+    except InputError as error:
+        return is_of_storage(error.__cause__)
     except Exception:
         return True
     return False
+
+
+def as_known(error: Exception) -> Exception:
+    """A service or a storage that failed under a library's or the system's own name, as conetl's error; others as they are."""
+    refused = isinstance(error, PermissionError) or (is_of_storage(error) and not isinstance(error, ConnectionError))
+    if isinstance(error, OSError) and refused:
+        return storage_failed(error)
+    if isinstance(error, httpx.HTTPError):
+        return ServiceError(
+            f"Prefect does not answer ({type(error).__name__}: {error}): see whether its server runs (`conetl status`, "
+            "PREFECT_API_URL), and run the same command again."
+        )
+    return error
 
 
 RETRY: dict[str, Any] = {

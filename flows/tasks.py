@@ -29,7 +29,7 @@ from conetl.io.parquet_store import (
     save_result,
 )
 from conetl.io.pictures.images import ImageFileError
-from conetl.io.pictures.rectified_image import read_rig_image
+from conetl.io.pictures.rectified_image import read_hashed_rig_image, read_rig_image_again
 from conetl.io.places import in_batches, place
 from conetl.io.services.allocator import keep_freed_pictures
 from conetl.params import IngestParams, params_sha256
@@ -105,6 +105,16 @@ def parts_of(chunk: Chunk) -> list[slice]:
     return [slice(first, min(first + half, count)) for first in range(0, count, half)]
 
 
+def picture_paths(pairs: Sequence[FramePair]) -> list[Path]:
+    """Places of the pictures of frame pairs, left and right in turn."""
+    return [place(path) for pair in pairs for path in (pair.left_path, pair.right_path)]
+
+
+def picture_hashes(paths: Sequence[Path]) -> dict[Path, str]:
+    """SHA-256 of pictures as they are now, in order; of none where one is missing. Raises OSError where storage fails."""
+    return {path: file_sha256(path) for path in in_batches(paths, fresh=True)}
+
+
 @task(name="detect", task_run_name="detect {chunk.frame_pairs[0].frame_index} {part}", **RETRY)
 def detect_task(chunk: Chunk, part: int, rig: Rig | None) -> Path:
     """Detections in both pictures of one of the parts of a chunk; returns the Parquet file.
@@ -113,8 +123,8 @@ def detect_task(chunk: Chunk, part: int, rig: Rig | None) -> Path:
     with the detections, while the pictures are in memory, and lie where `match_task` looks for them.
     """
     pairs = chunk.frame_pairs[parts_of(chunk)[part]]
-    paths = [place(path) for pair in pairs for path in (pair.left_path, pair.right_path)]
-    hashes = [file_sha256(path) for path in in_batches(paths, fresh=True)]
+    paths = picture_paths(pairs)
+    hashes = picture_hashes(paths)
     params = chunk.params.detection
     key = result_key(
         RESULTS_VERSION,
@@ -123,7 +133,7 @@ def detect_task(chunk: Chunk, part: int, rig: Rig | None) -> Path:
         params_sha256(params),
         _rig_and_poses(chunk),
         str(part),
-        *hashes,
+        *hashes.values(),
     )
     found = result_path(chunk.results_folder, key)
     if has_result(chunk.results_folder, key):
@@ -142,7 +152,8 @@ def detect_task(chunk: Chunk, part: int, rig: Rig | None) -> Path:
         images: dict[Side, NDArray[np.uint8]] = {}
         by_side: dict[Side, list[Detection]] = {"left": [], "right": []}
         for side in _SIDES:
-            image, by_side[side], refused = _detect(chunk, pair.frame_index, side, next(at), first_rows[side])
+            path = next(at)
+            image, by_side[side], refused = _detect(chunk, pair.frame_index, side, path, hashes[path], first_rows[side])
             if image is not None:
                 images[side] = image
             detections += by_side[side]
@@ -159,12 +170,12 @@ def detect_task(chunk: Chunk, part: int, rig: Rig | None) -> Path:
 
 
 def _detect(
-    chunk: Chunk, frame_index: int, side: Side, path: Path, first_row: int
+    chunk: Chunk, frame_index: int, side: Side, path: Path, sha256: str, first_row: int
 ) -> tuple[NDArray[np.uint8] | None, list[Detection], list[Rejection]]:
-    """One picture, None where it cannot be read, and what was found in it from a row on."""
+    """One picture, None where it cannot be read, and what was found in it from a row on. sha256: as it was hashed for the key."""
     params = chunk.params.detection
     try:
-        image = read_rig_image(path, chunk.rig, side)
+        image = read_hashed_rig_image(path, sha256, chunk.rig, side)
     except ImageFileError as error:
         unread = Rejection(
             step="detections",
@@ -228,7 +239,7 @@ def _match(
             images = {}  # pictures are dear: only where boxes alone say that something matches
         else:
             paths: dict[Side, str] = {"left": pair.left_path, "right": pair.right_path}
-            images = {side: read_rig_image(place(path), chunk.rig, side) for side, path in paths.items()}
+            images = {side: read_rig_image_again(place(path), chunk.rig, side) for side, path in paths.items()}
     both = (images["left"], images["right"]) if images and len(images) == len(_SIDES) else None
     return match_pair(ours, theirs, rig, params, up_left=up, images=both)
 

@@ -5,7 +5,10 @@ A bad *record* is never one of these: it becomes a `Rejection` (see `rejections.
 
 from __future__ import annotations
 
+import errno
+
 EXIT_DONE = 0
+#: Done, but something needs a look: too many rejections, or what was committed could not be published.
 EXIT_TOO_MANY_REJECTIONS = 1
 EXIT_BAD_INPUT = 2
 EXIT_SERVICE_MISSING = 3
@@ -51,5 +54,52 @@ class ServiceError(ConetlError):
     exit_code = EXIT_SERVICE_MISSING
 
 
+class StorageError(ServiceError):
+    """A disk or a storage does not read or write at the moment: failing, full, not mounted, refused. Another time it may."""
+
+
 class DatabaseError(ServiceError):
     """PostGIS is not to be had: no server, no rights, no extension, or a schema of another version."""
+
+
+#: What the system says of a file, and not of the storage that it lies on.
+_ABOUT_THE_FILE = frozenset(
+    {
+        errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ELOOP, errno.ENAMETOOLONG, errno.EINVAL, errno.EACCES,
+        errno.EPERM, errno.EROFS,
+    }
+)  # fmt: skip
+
+
+def is_of_storage(error: BaseException | None) -> bool:
+    """Whether the system says of a disk or a storage that it fails or is full; such errors pass."""
+    return isinstance(error, OSError) and error.errno is not None and error.errno not in _ABOUT_THE_FILE
+
+
+def storage_failed(error: OSError) -> StorageError:
+    """The error of a file that cannot be read or written, for a person."""
+    return StorageError(
+        f"{error.filename or 'a file'}: the storage failed ({error.strerror or error}). Look at the disk or the network file "
+        "system, and run the same command again."
+    )
+
+
+def may_pass(error: BaseException) -> bool:
+    """Whether the same work may succeed another time: unless the drive's own content stands against it.
+
+    That holds for errors that nobody foresaw, too. Who tries again counts the tries.
+    """
+    if isinstance(error, DriveFolderError | CalibrationError | MapMismatchError):
+        return is_of_storage(error.__cause__)
+    return True
+
+
+def cannot_write(message: str, remedy: str, error: OSError) -> InputError | StorageError:
+    """The error of a file that cannot be written: InputError where the place is not one to write to, else StorageError.
+
+    message: what cannot be written; remedy: what to do where the place is the reason.
+    """
+    why = error.strerror or error
+    if is_of_storage(error):
+        return StorageError(f"{message} ({why}): free space or look at the disk, and run the same command again.")
+    return InputError(f"{message} ({why}): {remedy}.")

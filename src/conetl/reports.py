@@ -60,6 +60,8 @@ class IngestReport(Record):
     """When a known drive was committed; None for one that this run committed."""
     counts_on_map: bool = True
     """False for a known drive that was reverted, or whose recording was analysed again since."""
+    unpublished: str | None = None
+    """What could not be written or told after the commit, and what to do; None where all was."""
     replayed_drives: int = 0
     """Drives recorded later, already on the map, that were compared with it again because this one came late."""
 

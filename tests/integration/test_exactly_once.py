@@ -14,7 +14,7 @@ from uuid import uuid4
 
 import pytest
 
-from conetl.errors import DatabaseError, InputError
+from conetl.errors import EXIT_SERVICE_MISSING, DatabaseError, StorageError
 from conetl.io.db import connect, execute
 from conetl.io.exports.atomic import atomic_text_file
 from conetl.io.leftovers import aside, sweep
@@ -123,20 +123,21 @@ BOX = {"frame_index": 0, "side": "left", "x_px": 1.0, "y_px": 1.0, "w_px": 9.0, 
 
 def test_a_full_disk_leaves_no_result_behind(tmp_path, full_disk):
     boxes = [Detection(detection_index=index, **BOX) for index in range(500)]
-    with pytest.raises(InputError, match=r"results cannot be written.*free space"):
+    with pytest.raises(StorageError, match=r"results cannot be written.*free space") as full:
         save_result(tmp_path / "results", "a" * 64, boxes, [])
+    assert full.value.exit_code == EXIT_SERVICE_MISSING
     assert list((tmp_path / "results").iterdir()) == []
 
 
 def test_a_full_disk_leaves_no_export_behind(tmp_path, full_disk):
-    with pytest.raises(InputError, match="free space"), atomic_text_file(tmp_path / "map.geojson") as file:
+    with pytest.raises(StorageError, match="free space"), atomic_text_file(tmp_path / "map.geojson") as file:
         file.write("x" * 100_000)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_results_cannot_be_written_where_a_file_is_in_the_way(tmp_path):
     (tmp_path / "results").write_text("")
-    with pytest.raises(InputError, match="results cannot be written"):
+    with pytest.raises(StorageError, match="results cannot be written"):
         save_result(tmp_path / "results", "a" * 64, [Detection(detection_index=0, **BOX)], [])
 
 

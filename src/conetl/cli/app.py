@@ -29,8 +29,8 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
-    epilog="Exit codes: 0 done; 1 done, but too many records were quarantined; 2 bad usage or input, nothing written; "
-    "3 a service (database, Prefect) is not to be had, nothing written.",
+    epilog="Exit codes: 0 done; 1 done, but too many records were quarantined, or the map's files or events could not be made; "
+    "2 bad usage or input, nothing written; 3 a service (database, Prefect, storage) is not to be had, nothing written.",
 )
 for command in (
     ingest,

@@ -14,6 +14,7 @@ from conetl.cli.console import JsonOption, err, out, parse_time, print_json, pri
 from conetl.cli.database import open_map
 from conetl.cli.ingest import read_params
 from conetl.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_SERVICE_MISSING, EXIT_TOO_MANY_REJECTIONS
+from conetl.io.stores.told_store import QUIET, untold_changesets
 from conetl.settings import prefect_environment, read_settings
 
 if TYPE_CHECKING:
@@ -59,7 +60,8 @@ def backfill(
             until=parse_time(until),
             recheck=recheck,
         )
-    if dry_run or not plan.todo:
+        untold = untold_changesets(conn, map_name=settings.map_name, quiet=QUIET)
+    if dry_run or not (plan.todo or untold):
         if as_json:
             print_json({"plan": plan_as_dict(plan, max_parallel or 1), "drives": []})
         else:

@@ -87,6 +87,7 @@ def ingest_drives(
             # Prefect reads its environment when it is imported, and takes two seconds for it: not at the top of the file.
             from flows import progress
             from flows.ingest_drive import ingest_drive
+            from flows.retries import as_known
             from flows.runners import with_runner
             from flows.server import prefect_server
 
@@ -101,22 +102,38 @@ def ingest_drives(
                 try:
                     report = run(drive, settings, params, map_srid=map_srid)
                 except TooManyRejectionsError as error:
-                    reports.append(error.report)
-                    show(error.report)
-                    complain(error)
+                    _take(error.report, reports, show, error)
                     exit_code = max(exit_code, EXIT_TOO_MANY_REJECTIONS)
-                except ServiceError as error:
-                    complain(error)
-                    return reports, error.exit_code
-                except ConetlError as error:
-                    complain(error)
+                except Exception as raised:
+                    failure = as_known(raised)
+                    if not isinstance(failure, ConetlError):
+                        raise
+                    complain(failure)
+                    if isinstance(failure, ServiceError):
+                        return reports, failure.exit_code
                     exit_code = EXIT_BAD_INPUT
                 else:
-                    reports.append(report)
-                    show(report)
+                    _take(report, reports, show)
+                    if report.unpublished:
+                        exit_code = max(exit_code, EXIT_TOO_MANY_REJECTIONS)
         finally:
             progress.ignore(listener)
     return reports, exit_code
+
+
+def _take(
+    report: IngestReport,
+    reports: list[IngestReport],
+    show: Callable[[IngestReport], None],
+    *complaints: ConetlError,
+) -> None:
+    """Keep and show the report of a drive that is on the map, and what is to be said of it besides."""
+    reports.append(report)
+    show(report)
+    for complaint in complaints:
+        complain(complaint)
+    if report.unpublished:
+        complain(ConetlError(report.unpublished))
 
 
 def _make_home(settings: Settings) -> None:

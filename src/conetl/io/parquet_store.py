@@ -17,9 +17,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import TypeAdapter
 
-from conetl.errors import InputError
+from conetl.errors import StorageError
 from conetl.io.leftovers import aside
-from conetl.io.places import is_remote, object_bytes
+from conetl.io.places import NO_FILE_SHA256, is_present, is_remote, object_bytes
 from conetl.records import Record
 from conetl.rejections import Rejection
 
@@ -33,14 +33,17 @@ def result_key(*parts: str) -> str:
 
 
 def file_sha256(path: Path) -> str:
-    """SHA-256 of a file's bytes; of nothing where the file is missing, which is a state of the input like any other."""
+    """SHA-256 of a file's bytes; `NO_FILE_SHA256` where the file is missing, which is a state of the input like any other.
+
+    Storage that fails is none: raises OSError, StorageError of an object.
+    """
     if is_remote(path):
         try:
             return hashlib.sha256(object_bytes(path)).hexdigest()
         except FileNotFoundError:
-            return hashlib.sha256().hexdigest()
-    if not path.is_file():
-        return hashlib.sha256().hexdigest()
+            return NO_FILE_SHA256
+    if not is_present(path):
+        return NO_FILE_SHA256
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -57,7 +60,7 @@ def has_result(folder: Path, key: str) -> bool:
 def save_result(folder: Path, key: str, records: Sequence[R], rejections: Sequence[Rejection]) -> Path:
     """Write the records and rejections of one finished chunk; the Parquet file is the last to appear.
 
-    Raises InputError where it cannot be written.
+    Raises StorageError where it cannot be written, whatever the reason: no drive is to blame for it.
     """
     refused = TypeAdapter(list[Rejection]).dump_json(list(rejections)).decode()
     table = pa.Table.from_pylist([record.model_dump(mode="json") for record in records])
@@ -69,7 +72,7 @@ def save_result(folder: Path, key: str, records: Sequence[R], rejections: Sequen
         pq.write_table(table, unfinished, compression="zstd", write_page_checksum=True)
         os.replace(unfinished, path)  # noqa: PTH105 - atomic on every platform, unlike Path.rename
     except OSError as error:
-        raise InputError(
+        raise StorageError(
             f"{folder}: results cannot be written ({os.strerror(error.errno) if error.errno else error}): free space there, or "
             "set CONETL_HOME to another folder, and run the same command again; what is finished is not computed again."
         ) from error

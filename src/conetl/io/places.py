@@ -8,7 +8,10 @@ in memory, since a picture is hashed and then decoded. Credentials and endpoint 
 
 from __future__ import annotations
 
+import errno
+import hashlib
 import re
+import stat
 import threading
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
@@ -18,10 +21,14 @@ from typing import Any, cast
 
 from upath import UPath
 
-from conetl.errors import InputError, ServiceError
+from conetl.errors import InputError, StorageError
 
 #: Bytes of objects that stay in memory for their next reader.
 CACHE_BYTES = 128 * 2**20
+#: SHA-256 where there is no file: of nothing.
+NO_FILE_SHA256 = hashlib.sha256().hexdigest()
+#: What the system says where there is no such file; whatever else it says is about the storage.
+_NO_SUCH_FILE = frozenset({errno.ENOENT, errno.ENOTDIR, errno.ELOOP})
 #: Objects asked for at the same time.
 _AT_ONCE = 16
 #: `Path` makes one slash of two.
@@ -55,18 +62,38 @@ def is_remote(path: Path) -> bool:
     return not isinstance(path, Path)
 
 
+def is_present(path: Path) -> bool:
+    """Whether there is a file on this machine. `Path.is_file` says no where the storage does not answer, this raises OSError."""
+    try:
+        return stat.S_ISREG(path.stat().st_mode)
+    except OSError as error:
+        if error.errno in _NO_SUCH_FILE:
+            return False
+        raise
+
+
 @contextmanager
 def reached(path: Path) -> Iterator[None]:
-    """Storage that does not answer, or refuses, becomes one error that names the object. Files of this machine raise as ever."""
+    """Storage that does not answer, or refuses, becomes one error that names the object. Files of this machine raise as ever.
+
+    That there is no such object is a property of the drive, and stays a FileNotFoundError.
+    """
     try:
         yield
     except Exception as error:
-        if not is_remote(path) or type(error).__module__.split(".")[0] not in _STORAGE_ERRORS:
+        if not is_remote(path) or not _is_of_storage(error):
             raise
-        raise ServiceError(
+        raise StorageError(
             f"{path}: the storage does not give it: {error}. Look at the address, at AWS_ENDPOINT_URL and at the credentials "
             "(AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, AWS_PROFILE, or the machine's role). Nothing was written."
         ) from error
+
+
+def _is_of_storage(error: Exception) -> bool:
+    """s3fs makes Python's own errors of what the storage says of itself (too busy, internal error, expired token, no access)."""
+    if isinstance(error, OSError):
+        return not isinstance(error, FileNotFoundError)
+    return type(error).__module__.split(".")[0] in _STORAGE_ERRORS
 
 
 _STORAGE_ERRORS = frozenset({"botocore", "aiobotocore", "aiohttp", "s3fs"})

@@ -12,7 +12,7 @@ from fastapi.staticfiles import StaticFiles
 from starlette.middleware.gzip import GZipMiddleware
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
-from conetl.errors import DatabaseError
+from conetl.errors import DatabaseError, StorageError
 from conetl.io.pictures.crops import PictureMissingError
 from conetl.io.pictures.images import ImageFileError
 from conetl.io.stores.async_reader_pool import AsyncReaderPool
@@ -68,6 +68,7 @@ def create_app(
     ):  # fmt: skip
         app.include_router(routes.router, prefix="/api")
     app.add_exception_handler(DatabaseError, _refusal(503))
+    app.add_exception_handler(StorageError, _refusal(503))
     app.add_exception_handler(PictureMissingError, _refusal(404))
     app.add_exception_handler(ImageFileError, _refusal(404))
     app.mount("/ogc", create_ogc_app(ogc_pool, map_name), name="ogc")

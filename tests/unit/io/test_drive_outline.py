@@ -24,6 +24,26 @@ def drive(tmp_path: Path) -> Path:
     return Path(shutil.copytree(next(SAMPLES.iterdir()), tmp_path / "archive" / "drive"))
 
 
+def test_a_moment_of_bad_storage_is_no_property_of_the_drive(drive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    good = outline_drive(drive)
+    read = Path.read_text
+
+    def stale(path: Path, *arguments: Any, **options: Any) -> str:
+        if path.name.startswith("calib"):
+            raise OSError(errno.ESTALE, "Stale file handle", str(path))
+        return read(path, *arguments, **options)
+
+    with monkeypatch.context() as failing:
+        failing.setattr(Path, "read_text", stale)
+        bad = outline_drive(drive)
+    assert bad.problem is not None
+    assert "Stale file handle" in bad.problem
+    assert bad.problem_may_pass
+    assert not good.problem_may_pass
+    (drive / "calib_cam_to_cam.txt").write_text("")
+    assert not outline_drive(drive).problem_may_pass
+
+
 def test_an_outline_agrees_with_the_whole_reading(drive: Path) -> None:
     outline = outline_drive(drive)
     whole, _ = read_drive(drive)

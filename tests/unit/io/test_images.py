@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import hashlib
 import io
 from pathlib import Path
 
@@ -12,9 +14,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
+from conetl.errors import StorageError
 from conetl.io.pictures import images
 from conetl.io.pictures.image_headers import ImageFormatError, ImageTruncatedError, inspect_image
-from conetl.io.pictures.images import ImageFileError, read_image, read_upright_image
+from conetl.io.pictures.images import (
+    ImageFileError,
+    check_image_ends,
+    read_bytes,
+    read_image,
+    read_upright_image,
+)
+from conetl.io.places import NO_FILE_SHA256
 from conetl.rejections import RejectionReason
 
 SIZE = (64, 48)
@@ -166,3 +176,53 @@ def test_a_16_bit_picture_that_uses_12_bits_is_not_black(tmp_path: Path) -> None
     (tmp_path / "deep.png").write_bytes(cv2.imencode(".png", ramp)[1].tobytes())
     found = read_upright_image(tmp_path / "deep.png")
     np.testing.assert_allclose(found[0, :, 1], np.arange(256), atol=3)
+
+
+@pytest.mark.parametrize("number", [errno.EIO, errno.ESTALE, errno.EMFILE, errno.ETIMEDOUT])
+@pytest.mark.parametrize("call", ["stat", "read_bytes", "open"])
+def test_a_moment_of_bad_storage_is_no_property_of_the_picture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, call: str
+) -> None:
+    path = written(tmp_path, JPEG * 400)
+
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(number, "of the storage", str(path))
+
+    with monkeypatch.context() as failing:
+        failing.setattr(Path, call, fail)
+        with pytest.raises(StorageError, match=r"0000000001\.jpg.*of the storage.*run the same command again"):
+            read_bytes(path) if call != "open" else check_image_ends(path, path.name, SIZE)
+    assert read_bytes(path) == JPEG * 400
+
+
+@pytest.mark.parametrize(("mode", "error"), [(0o000, ImageFileError), (0o644, StorageError)])
+def test_a_refusal_lasts_where_the_files_own_mode_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mode: int, error: type[Exception]
+) -> None:
+    """An expired ticket of a network file system refuses as well, but not for good."""
+    path = written(tmp_path, JPEG)
+    path.chmod(mode)
+
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "read_bytes", refuse)  # root may read anything
+    with pytest.raises(error, match="Permission denied"):
+        read_bytes(path)
+
+
+def test_no_file_and_a_folder_are_properties_of_the_picture(tmp_path: Path) -> None:
+    (tmp_path / "folder.jpg").mkdir()
+    (tmp_path / "loop.jpg").symlink_to(tmp_path / "loop.jpg")
+    written(tmp_path, JPEG)
+    for name in ("missing.jpg", "folder.jpg", "loop.jpg", "0000000001.jpg/below.jpg"):
+        with pytest.raises(ImageFileError, match="there is no such file") as raised:
+            read_image(tmp_path / name)
+        assert raised.value.reason is RejectionReason.IMAGE_MISSING
+        assert raised.value.sha256 == NO_FILE_SHA256
+
+
+def test_a_refused_picture_tells_which_bytes_were_judged(tmp_path: Path) -> None:
+    with pytest.raises(ImageFileError) as raised:
+        read_image(written(tmp_path, JPEG[:-50]), SIZE)
+    assert raised.value.sha256 == hashlib.sha256(JPEG[:-50]).hexdigest()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,6 +14,7 @@ from conetl.io import places
 from conetl.io.drive_folder import drive_format, read_drive
 from conetl.io.drive_folder.outline import outline_drive
 from conetl.io.parquet_store import file_sha256
+from conetl.io.pictures.images import ImageFileError, read_bytes
 from conetl.io.pictures.rectified_image import read_rig_image
 from conetl.io.places import in_batches, is_remote, object_bytes, place
 from conetl.rejections import RejectionReason
@@ -95,6 +97,47 @@ def test_storage_that_does_not_answer_is_a_missing_service(storage: pytest.Monke
                 read_drive(place("s3://elsewhere/drive"))
         finally:
             s3fs.S3FileSystem.clear_instance_cache()
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        OSError(errno.EBUSY, "Please reduce your request rate."),
+        OSError(errno.EIO, "We encountered an internal error."),
+        PermissionError("The provided token has expired."),
+        PermissionError("Access Denied"),
+        TimeoutError("no answer"),
+    ],
+    ids=["SlowDown", "InternalError", "ExpiredToken", "AccessDenied", "time-out"],
+)
+def test_what_storage_says_of_itself_is_no_property_of_an_object(
+    monkeypatch: pytest.MonkeyPatch, said: OSError
+) -> None:
+    """s3fs translates errors of the storage to Python's own."""
+    path = place("memory://storage/picture.jpg")
+    path.write_bytes(b"a picture")
+    places._kept.clear()
+
+    def fail(*_: object, **__: object) -> bytes:
+        raise said
+
+    with monkeypatch.context() as failing:
+        failing.setattr(path.fs, "cat_file", fail)  # type: ignore[attr-defined]
+        failing.setattr(path.fs, "open", fail)  # type: ignore[attr-defined]
+        for read in (object_bytes, file_sha256, read_bytes):
+            with pytest.raises(ServiceError, match=f"picture.jpg: the storage does not give it: .*{said.args[-1]}"):
+                read(path)
+    assert read_bytes(path) == b"a picture"
+
+
+def test_an_object_that_is_not_there_is_one(storage: pytest.MonkeyPatch) -> None:
+    path = place(f"s3://{BUCKET}/nowhere/picture.jpg")
+    assert file_sha256(path) == places.NO_FILE_SHA256
+    with pytest.raises(FileNotFoundError):
+        object_bytes(path)
+    with pytest.raises(ImageFileError) as raised:
+        read_bytes(path)
+    assert raised.value.reason is RejectionReason.IMAGE_MISSING
 
 
 def test_what_stays_in_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:

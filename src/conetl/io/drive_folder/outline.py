@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from conetl.errors import CalibrationError, ConetlError, DriveFolderError
+from conetl.errors import CalibrationError, ConetlError, DriveFolderError, ServiceError, is_of_storage
 from conetl.io.calibration.files import IMU_TO_VELO, RIG_YAML, VELO_TO_CAM
 from conetl.io.drive_folder import DriveFormat, drive_format
 from conetl.io.drive_folder.bag_messages import METADATA, bag_files, open_bag
@@ -55,6 +55,8 @@ class DriveOutline:
     captured_to_ns: int | None
     """UTC; None where the folder does not tell: then `problem` says why, or the clock of a bag's recorder was not set."""
     problem: str | None
+    problem_may_pass: bool = False
+    """The storage failed: it is no property of the drive."""
 
     @property
     def shown_path(self) -> str:
@@ -111,7 +113,7 @@ def outline_drive(folder: Path) -> DriveOutline:
     content = ContentHash()
     drive_id, pairs = printable(folder.name)[:200] or "drive", 0
     first_ns = last_ns = problem = found = None
-    readable = True
+    readable, passes = True, False
     try:
         drive_id = DriveYaml().id_of(folder)
         content.add("drive_id", drive_id.encode())
@@ -138,15 +140,17 @@ def outline_drive(folder: Path) -> DriveOutline:
     except OSError as error:
         problem = f"this cannot be read: {error.strerror or error}: {error.filename or folder}"
         readable = False
+        passes = is_of_storage(error)
     except (ConetlError, ValueError) as error:
         problem = f"{error}"
+        passes = is_of_storage(error.__cause__) or isinstance(error, ServiceError)
     except Exception as error:  # others wrote these files, and one drive must not stop a year of them
         problem = f"this cannot be looked at: {type(error).__name__}: {error}"
         readable = False
     if found is None or not readable:
         content.add("path", printable(folder).encode())  # nothing else may tell it from another one
     problem = None if problem is None else printable(problem)
-    return DriveOutline(folder, drive_id, content.hexdigest(), pairs, first_ns, last_ns, problem)
+    return DriveOutline(folder, drive_id, content.hexdigest(), pairs, first_ns, last_ns, problem, passes)
 
 
 def _require_readable(folder: Path) -> None:

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TextIO
 
-from conetl.errors import InputError
+from conetl.errors import cannot_write
 from conetl.io.leftovers import aside
 
 
@@ -17,14 +17,15 @@ from conetl.io.leftovers import aside
 def atomic_text_file(path: Path) -> Iterator[TextIO]:
     """A UTF-8 text file that takes the name `path` only when the block ends well; readers never see half of it.
 
-    The folder is made where it is missing. Raises InputError where nothing can be written there.
+    The folder is made where it is missing. Raises InputError where that is no place to write to,
+    StorageError where the disk is full or fails.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary = aside(path)
         handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
     except OSError as error:
-        raise InputError(f"{path} cannot be written ({error.strerror}): choose another file.") from error
+        raise cannot_write(f"{path} cannot be written", "choose another file", error) from error
     try:
         with open(handle, "w", encoding="utf-8", newline="") as file:  # noqa: PTH123 -- takes over the open descriptor
             yield file
@@ -34,9 +35,7 @@ def atomic_text_file(path: Path) -> Iterator[TextIO]:
     except BaseException as error:
         temporary.unlink(missing_ok=True)
         if isinstance(error, OSError):
-            raise InputError(
-                f"{path} cannot be written ({error.strerror}): free space or choose another file."
-            ) from error
+            raise cannot_write(f"{path} cannot be written", "choose another file", error) from error
         raise
 
 
@@ -47,7 +46,7 @@ def atomic_files(*paths: Path) -> Iterator[list[Path]]:
     They lie in a hidden folder beside `paths` meanwhile, so that whatever a library writes beside its file (journals,
     indices) goes
     with it. Everything is on the disk before the first name changes. The folder is made where it is missing. Raises InputError
-    where nothing can be written there.
+    where that is no place to write to, StorageError where the disk is full or fails.
     """
     folder = paths[0].parent
     try:
@@ -55,7 +54,7 @@ def atomic_files(*paths: Path) -> Iterator[list[Path]]:
         unfinished = aside(paths[0])
         unfinished.mkdir()
     except OSError as error:
-        raise InputError(f"{paths[0]} cannot be written ({error.strerror}): choose another file.") from error
+        raise cannot_write(f"{paths[0]} cannot be written", "choose another file", error) from error
     try:
         written = [unfinished / path.name for path in paths]
         yield written
@@ -65,9 +64,7 @@ def atomic_files(*paths: Path) -> Iterator[list[Path]]:
             path.replace(final)
         _sync(folder)
     except OSError as error:
-        raise InputError(
-            f"{paths[0]} cannot be written ({error.strerror or error}): free space or choose another file."
-        ) from error
+        raise cannot_write(f"{paths[0]} cannot be written", "choose another file", error) from error
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
 

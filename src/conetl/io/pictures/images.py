@@ -1,15 +1,26 @@
-"""Picture files -> arrays. Whatever is wrong with a file becomes an `ImageFileError` that callers turn into a rejection."""
+"""Picture files -> arrays. Whatever is wrong with a file becomes an `ImageFileError` that callers turn into a rejection.
+
+Whatever is wrong with the storage at this moment does not: it is no property of the picture, and as a rejection it would stay in
+the map and in results that are kept by content. It is a `StorageError`, tried again by tasks.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import os
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.errors import StorageError
 from conetl.io.pictures.image_headers import ImageFormatError, ImageHeader, ImageTruncatedError, inspect_image
-from conetl.io.places import is_remote, object_bytes
+from conetl.io.places import NO_FILE_SHA256, is_present, is_remote, object_bytes
 from conetl.rejections import RejectionReason
 
 #: Larger files are not read at all.
@@ -26,6 +37,11 @@ class ImageFileError(Exception):
     def __init__(self, reason: RejectionReason, message: str) -> None:
         super().__init__(message)
         self.reason = reason
+        self.sha256: str | None = None
+        """Of the bytes that were judged; `NO_FILE_SHA256` where there was no file, None where none were read."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.reason, str(self)), self.__dict__  # from a process of its own
 
 
 def read_checked_bytes(path: Path, expected_size: tuple[int, int] | None) -> bytes:
@@ -34,7 +50,8 @@ def read_checked_bytes(path: Path, expected_size: tuple[int, int] | None) -> byt
     expected_size: width and height in pixels, or None for any up to `MAX_PIXELS`. Raises ImageFileError.
     """
     data = read_bytes(path)
-    check_image_bytes(data, path.name, expected_size)
+    with _judging(data):
+        check_image_bytes(data, path.name, expected_size)
     return data
 
 
@@ -61,14 +78,12 @@ def check_image_bytes(data: bytes, name: str, expected_size: tuple[int, int] | N
 def check_image_ends(path: Path, name: str, expected_size: tuple[int, int]) -> ImageHeader:
     """Like `check_image_bytes` from a file's first and last bytes only: damage in between goes unseen. Raises ImageFileError."""
     data = b""
-    try:
-        if not is_remote(path) and path.is_file() and path.stat().st_size > _HEAD_BYTES + _TAIL_BYTES:
+    with _asking(path):
+        if not is_remote(path) and is_present(path) and path.stat().st_size > _HEAD_BYTES + _TAIL_BYTES:
             with path.open("rb") as file:
                 data = file.read(_HEAD_BYTES)
                 file.seek(-_TAIL_BYTES, 2)
                 data += file.read()
-    except OSError as error:
-        raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, f"{path.name}: {error.strerror or error}") from error
     if data.startswith(b"\x89PNG\r\n\x1a\n"):  # the chunks cannot be walked: the header's own, and the end's
         data = data[:33] + _PNG_END if data.rstrip(b"\0").endswith(_PNG_END) else data[:33]
     if data:
@@ -89,6 +104,11 @@ def read_image(path: Path, expected_size: tuple[int, int] | None = None, *, grey
     the pixels as stored. Raises ImageFileError.
     """
     data = read_checked_bytes(path, expected_size)
+    with _judging(data):
+        return _decoded(data, path, expected_size, grey=grey)
+
+
+def _decoded(data: bytes, path: Path, expected_size: tuple[int, int] | None, *, grey: bool) -> NDArray[np.uint8]:
     flags = (cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR) | cv2.IMREAD_IGNORE_ORIENTATION
     try:
         image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
@@ -140,12 +160,15 @@ def read_upright_image(path: Path) -> NDArray[np.uint8]:
 
 
 def read_bytes(path: Path) -> bytes:
-    """All bytes of a picture file, unchecked. Raises ImageFileError where there is no such file or it is not readable."""
-    try:
+    """All bytes of a picture file, unchecked. Raises ImageFileError where there is no such file or it is not readable.
+
+    Raises StorageError where another time may do.
+    """
+    with _asking(path):
         if is_remote(path):
             return object_bytes(path)
-        if not path.is_file():
-            raise ImageFileError(RejectionReason.IMAGE_MISSING, f"{path.name}: there is no such file")
+        if not is_present(path):
+            raise _missing(path.name)
         size = path.stat().st_size
         if size > MAX_FILE_BYTES:
             raise ImageFileError(
@@ -153,7 +176,58 @@ def read_bytes(path: Path) -> bytes:
                 f"{path.name}: {size} bytes are more than {MAX_FILE_BYTES} and not read",
             )
         return path.read_bytes()
+
+
+@contextmanager
+def _judging(data: bytes) -> Iterator[None]:
+    """Note in an ImageFileError of which bytes it speaks."""
+    try:
+        yield
+    except ImageFileError as error:
+        error.sha256 = hashlib.sha256(data).hexdigest()
+        raise
+
+
+@contextmanager
+def _asking(path: Path) -> Iterator[None]:
+    """Tell what the system says of the picture (ImageFileError) from what it says of the storage (StorageError)."""
+    try:
+        yield
     except FileNotFoundError as error:  # an object; or a file that vanished this moment
-        raise ImageFileError(RejectionReason.IMAGE_MISSING, f"{path}: there is no such file") from error
+        raise _missing(str(path)) from error
+    except PermissionError as error:
+        if _is_closed_by_mode(path):
+            raise ImageFileError(
+                RejectionReason.IMAGE_UNREADABLE, f"{path.name}: {error.strerror or error}; make it readable"
+            ) from error
+        raise _not_given(path, error) from error
     except OSError as error:
-        raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, f"{path.name}: {error.strerror or error}") from error
+        raise _not_given(path, error) from error
+
+
+def _missing(name: str) -> ImageFileError:
+    error = ImageFileError(RejectionReason.IMAGE_MISSING, f"{name}: there is no such file")
+    error.sha256 = NO_FILE_SHA256
+    return error
+
+
+def _not_given(path: Path, error: OSError) -> StorageError:
+    return StorageError(
+        f"{path}: the storage does not give this picture ({error.strerror or error}). Look at the disk, the network file system "
+        "or its tickets, and run the same command again. Nothing was written."
+    )
+
+
+def _is_closed_by_mode(path: Path) -> bool:
+    """Whether the file's own mode forbids this user to read it, which lasts as its content does.
+
+    Network file systems refuse for other reasons as well, such as a ticket that has expired; that passes.
+    """
+    try:
+        found = path.stat()
+    except OSError:
+        return False
+    if found.st_uid == os.geteuid():
+        return not found.st_mode & stat.S_IRUSR
+    ours = found.st_gid in {os.getegid(), *os.getgroups()}
+    return not found.st_mode & (stat.S_IRGRP if ours else stat.S_IROTH)

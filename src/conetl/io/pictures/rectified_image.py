@@ -9,9 +9,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.errors import StorageError
 from conetl.geometry.rectification import raw_from_rectified, stored_camera
 from conetl.geometry.rig import camera_of
-from conetl.io.pictures.images import read_image
+from conetl.io.pictures.images import ImageFileError, read_image
+from conetl.io.places import NO_FILE_SHA256
 from conetl.records import Rig, Side
 
 #: Bicubic: bilinear resampling blurs by how far a pixel falls between its neighbours, and area-based matching sees that as shift.
@@ -31,6 +33,43 @@ def read_rig_image(path: Path, rig: Rig, side: Side, *, grey: bool = False) -> N
     stored = stored_camera(rig, side)
     image = read_image(path, (stored.width_px, stored.height_px), grey=grey)
     return image if rig.rectified_from is None else rectify_image(image, rig, side)
+
+
+def read_hashed_rig_image(path: Path, sha256: str, rig: Rig, side: Side, *, grey: bool = False) -> NDArray[np.uint8]:
+    """Like `read_rig_image`, for results that are kept under the picture's hash: what is wrong with it has to be true of the
+    bytes with that hash (`NO_FILE_SHA256`: of there being none).
+
+    Raises ImageFileError where it is, and StorageError where storage failed or somebody wrote to the picture meanwhile.
+    """
+    try:
+        image = read_rig_image(path, rig, side, grey=grey)
+    except ImageFileError as error:
+        if error.sha256 == sha256:
+            raise
+        raise StorageError(
+            f"{path}: the picture changed while it was worked on ({error}). Run the same command again when nobody writes to the "
+            "drive. Nothing was written."
+        ) from error
+    if sha256 == NO_FILE_SHA256:
+        raise StorageError(
+            f"{path}: the picture changed while it was worked on: it was not there, and is now. Run the same command again when "
+            "the drive is complete. Nothing was written."
+        )
+    return image
+
+
+def read_rig_image_again(path: Path, rig: Rig, side: Side, *, grey: bool = False) -> NDArray[np.uint8]:
+    """Like `read_rig_image`, of a picture that an earlier step read: that it is not there any more is no property of the drive.
+
+    Raises StorageError.
+    """
+    try:
+        return read_rig_image(path, rig, side, grey=grey)
+    except ImageFileError as error:
+        raise StorageError(
+            f"{path}: the picture was read before, but now: {error}. Run the same command again when it is back. "
+            "Nothing was written."
+        ) from error
 
 
 def rectify_image(image: NDArray[np.uint8], rig: Rig, side: Side) -> NDArray[np.uint8]:

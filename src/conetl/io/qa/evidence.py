@@ -11,6 +11,7 @@ from uuid import UUID
 import numpy as np
 from markupsafe import Markup
 
+from conetl.errors import StorageError
 from conetl.geometry import camera as cameras
 from conetl.geometry import pose as se3
 from conetl.geometry.rig import camera_of, map_SE3_camera
@@ -114,7 +115,7 @@ def _crops(title: str, source_path: str, rig: Rig, paths: Sequence[str], boxes: 
             data_uri(crop_jpeg(picture_file(source_path, path), rig, side, box, context=_CONTEXT), "jpeg")
             for side, path, box in zip(_SIDES, paths, boxes, strict=True)
         ]
-    except (PictureMissingError, ImageFileError, OSError) as error:
+    except (PictureMissingError, ImageFileError, StorageError, OSError) as error:
         return PairOfCrops(title, (), f"{Path(paths[0]).name}: {error}")
     return PairOfCrops(title, tuple(crops))
 

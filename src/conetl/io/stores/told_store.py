@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from datetime import timedelta
 from uuid import UUID
 
 from conetl.io.db import Connection, execute, load_sql, transaction
 from conetl.records import Vec3
+
+#: Within this a run that has just committed tells its changes itself.
+QUIET = timedelta(minutes=2)
 
 
 @dataclass(frozen=True)
@@ -18,9 +22,28 @@ class VanishedCone:
     cone_height_m: float
 
 
+@dataclass(frozen=True)
+class UntoldChangeset:
+    """A changeset that is on the map, and was not told."""
+
+    idempotency_key: str
+    map_srid: int
+    content_sha256: str
+    expected_frame_count: int
+
+
 def was_told(conn: Connection, changeset_id: UUID) -> bool:
     """Whether somebody handed on the events of this changeset."""
     return bool(execute(conn, load_sql("map/was_told"), {"changeset_id": changeset_id})[0]["was_told"])
+
+
+def untold_changesets(conn: Connection, *, map_name: str, quiet: timedelta) -> list[UntoldChangeset]:
+    """Changesets of drives whose events nobody handed on, oldest first, but for those that were committed within `quiet`."""
+    with transaction(conn, "The changesets that are still to be told cannot be read"):
+        rows = execute(
+            conn, load_sql("map/untold_changesets"), {"map_name": map_name, "quiet_s": quiet.total_seconds()}
+        )
+    return [UntoldChangeset(**row) for row in rows]
 
 
 def mark_told(conn: Connection, changeset_id: UUID) -> None:

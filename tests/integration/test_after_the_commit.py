@@ -1,0 +1,235 @@
+"""What goes wrong around the commit of a drive: what its receipt says, and that changes are told in the end."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import httpx
+import pytest
+
+from conetl.errors import CalibrationError, StorageError
+from conetl.io.db import execute
+from conetl.io.stores.map_store import list_changesets
+from conetl.io.stores.told_store import untold_changesets, was_told
+from conetl.reports import IngestReport, TooManyRejectionsError
+from conetl.settings import Settings
+from flows import changeset_events, drive_job
+from flows.changeset_events import tell_untold
+from tests.integration.small_drives import SAMPLES, cut_drive
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def report(**changes: Any) -> IngestReport:
+    at = datetime(2026, 4, 1, tzinfo=UTC)
+    values: dict[str, Any] = {
+        "drive_id": "drive", "status": "committed", "changeset_id": "00000000-0000-4000-8000-000000000000",
+        "captured_from": at, "captured_to": at, "map_name": "default", "map_srid": 32632, "frame_pairs": 3,
+        "frame_pairs_rejected": 0, "detections": 0, "matches": 0, "positions": 0, "tracks": 0, "counts": {}, "changes": (),
+        "rejections": {}, "params_sha256": "a", "model_sha256": "b", "content_sha256": "c" * 64, "seconds": 1.0,
+        "committed_at": None,
+    }  # fmt: skip
+    return IngestReport(**values | changes)
+
+
+@pytest.fixture
+def attempt(
+    conn: Any, database_url: str, samples: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Callable[[Callable[..., Any]], dict[str, Any]]:
+    """`attempt(work)`: the receipt of a job whose ingest is `work`; no Prefect runs."""
+    drive = cut_drive(SAMPLES[0], tmp_path / "drive", "2026-04-01")
+    samples.commit(conn, samples.added(samples.feature()), key="a")
+    monkeypatch.setenv("CONETL_HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("CONETL_DATABASE_URL", database_url)
+    monkeypatch.setattr(drive_job, "put_tags", lambda *_: None)
+
+    def receipt_of(work: Callable[..., Any]) -> dict[str, Any]:
+        monkeypatch.setattr(drive_job, "ingest_drive", SimpleNamespace(fn=work))
+        try:
+            drive_job.ingest_one.fn(drive)
+        except Exception as error:
+            assert str(error)
+        conn.rollback()
+        (row,) = execute(conn, "select * from conetl.latest_receipt where map_name = 'default'")
+        return row
+
+    return receipt_of
+
+
+def raising(error: Exception) -> Callable[..., Any]:
+    def work(*_: object, **__: object) -> None:
+        raise error
+
+    return work
+
+
+@pytest.mark.parametrize(
+    ("error", "passes", "said"),
+    [
+        (httpx.ConnectError("All connection attempts failed"), True, "Prefect"),
+        (StorageError("results cannot be written (No space left on device)"), True, "No space left"),
+        (CalibrationError("calib_cam_to_cam.txt: P_rect_03 is missing"), False, "P_rect_03"),
+    ],
+    ids=["Prefect restarts", "disk full", "calibration"],
+)
+def test_what_is_not_the_drives_own_may_pass(attempt: Any, error: Exception, passes: bool, said: str) -> None:
+    receipt = attempt(raising(error))
+    assert (receipt["state"], receipt["may_pass"]) == ("failed", passes)
+    assert said in receipt["reason"]
+
+
+def test_a_failure_after_the_commit_leaves_a_receipt_that_says_committed(attempt: Any, conn: Any) -> None:
+    (changeset,) = list_changesets(conn)
+    done = report(changeset_id=changeset.changeset_id, unpublished="the map's file cannot be written")
+    receipt = attempt(lambda *_, **__: done)
+    assert receipt["state"] == "committed"
+    assert receipt["reason"] == "the map's file cannot be written"
+    receipt = attempt(raising(TooManyRejectionsError(done, 0.1)))
+    assert receipt["state"] == "committed"
+    assert "the map's file cannot be written" in receipt["reason"]
+    assert "max_rejected_fraction" in receipt["reason"]
+
+
+@pytest.fixture
+def events(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, dict[str, str]]]:
+    """Events that would have gone to Prefect."""
+    sent: list[tuple[str, dict[str, str]]] = []
+    monkeypatch.setattr(changeset_events, "emit_event", lambda event, resource, **_: sent.append((event, resource)))
+    monkeypatch.setattr(changeset_events.EventsWorker, "drain_all", lambda **_: None)
+    return sent
+
+
+def test_what_was_left_untold_is_told_without_the_drive(
+    conn: Any, database_url: str, samples: Any, tmp_path: Path, events: list[tuple[str, dict[str, str]]]
+) -> None:
+    settings = Settings(home=tmp_path, database_url=database_url)  # type: ignore[arg-type]
+    cone = samples.feature()
+    samples.commit(conn, samples.added(cone), key="a")
+    later_ns = samples.START_NS + samples.DAY_NS
+    samples.commit(conn, samples.removed(cone, later_ns), key="b", start_ns=later_ns)
+    tell_untold(conn, settings)
+    assert not events, "the runs that committed them have time to tell them"
+
+    settings.exports_folder.mkdir(parents=True)
+    (settings.exports_folder / "default.geojson").mkdir()
+    tell_untold(conn, settings, quiet=timedelta(0))  # does not stop those who call it
+    assert len(untold_changesets(conn, map_name="default", quiet=timedelta(0))) == 2, "files come before the mark"
+
+    (settings.exports_folder / "default.geojson").rmdir()
+    tell_untold(conn, settings, quiet=timedelta(0))
+    assert [name for name, _ in events] == [
+        "conetl.changeset.committed", "conetl.changeset.committed", "conetl.cone.vanished",
+    ]  # fmt: skip
+    assert [resource["prefect.resource.name"] for _, resource in events[:2]] == ["drive_a", "drive_b"]
+    assert events[1][1]["conetl.removed"] == "1"
+    assert all(was_told(conn, changeset.changeset_id) for changeset in list_changesets(conn))
+    assert (settings.exports_folder / "default.geojson").is_file()
+    tell_untold(conn, settings, quiet=timedelta(0))
+    assert len(events) == 3
+
+
+def command(home: Path, database_url: str, *arguments: object, before: str = "") -> subprocess.CompletedProcess[str]:
+    """A command of conetl with a Prefect server of its own. before: Python that runs first."""
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("PREFECT_", "CONETL_"))}
+    environment |= {"CONETL_HOME": str(home), "CONETL_DATABASE_URL": database_url}
+    return subprocess.run(
+        [sys.executable, "-c", f"{before}\nfrom conetl.cli import main; main()", *map(str, arguments), "--json"],
+        env=environment, cwd=ROOT, capture_output=True, text=True, timeout=600, check=False,
+    )  # fmt: skip
+
+
+def test_a_batch_tells_what_an_earlier_one_could_not(tmp_path: Path, conn: Any, database_url: str) -> None:
+    home = tmp_path / "home"
+    cut_drive(SAMPLES[0], tmp_path / "drives" / "2026-05-01_run", "2026-05-01")
+    in_the_way = home / "exports" / "default.geojson"
+    in_the_way.mkdir(parents=True)
+    done = command(home, database_url, "backfill", tmp_path / "drives", "--here")
+    (drive,) = json.loads(done.stdout)["drives"]
+    assert drive["state"] == "committed", done.stderr
+    assert "default.geojson" in drive["reason"]
+    assert done.returncode == 1
+    (changeset,) = list_changesets(conn)
+    assert not was_told(conn, changeset.changeset_id)
+    shutil.rmtree(in_the_way)
+    execute(conn, "update conetl.changeset set committed_at = committed_at - interval '1 hour'")
+    conn.commit()
+    done = command(home, database_url, "backfill", tmp_path / "drives", "--here")
+    assert done.returncode == 0, done.stderr
+    assert was_told(conn, changeset.changeset_id)
+    assert in_the_way.is_file()
+
+
+def test_an_ingest_that_cannot_publish_says_that_it_committed(tmp_path: Path, conn: Any, database_url: str) -> None:
+    home = tmp_path / "home"
+    drive = cut_drive(SAMPLES[0], tmp_path / "drive", "2026-05-01")
+    in_the_way = home / "exports" / "default.geojson"
+    in_the_way.mkdir(parents=True)
+    done = command(home, database_url, "ingest", drive)
+    assert done.returncode == 1, done.stderr
+    (said,) = json.loads(done.stdout)
+    assert said["status"] == "committed"
+    assert "default.geojson" in said["unpublished"]
+    assert "run the same command again" in said["unpublished"]
+    assert said["unpublished"] in " ".join(done.stderr.split())
+    (changeset,) = list_changesets(conn)
+    assert not was_told(conn, changeset.changeset_id)
+    conn.rollback()
+
+    again = command(home, database_url, "ingest", drive)
+    assert again.returncode == 1, "it is still in the way"
+    assert json.loads(again.stdout)[0]["status"] == "no changes"
+    in_the_way.rmdir()
+    again = command(home, database_url, "ingest", drive)
+    assert again.returncode == 0, again.stderr
+    assert json.loads(again.stdout)[0]["unpublished"] is None
+    assert was_told(conn, changeset.changeset_id)
+    assert in_the_way.is_file()
+    assert list((home / "exports" / "reports").rglob("*.html"))
+
+
+_LOST_ANSWER = """
+import os, httpx
+from conetl.settings import prefect_environment, read_settings
+os.environ.update(prefect_environment(read_settings().home))
+from flows import ingest_drive as flow
+merge = flow.merge_task
+def merge_and_lose_the_answer(*arguments):
+    merge(*arguments)
+    raise httpx.ConnectError("Prefect restarts")
+flow.merge_task = merge_and_lose_the_answer
+"""
+
+
+def test_a_commit_whose_answer_was_lost_is_a_commit(tmp_path: Path, conn: Any, database_url: str) -> None:
+    drive = cut_drive(SAMPLES[0], tmp_path / "drive", "2026-05-01")
+    done = command(tmp_path / "home", database_url, "ingest", drive, before=_LOST_ANSWER)
+    assert done.returncode == 0, done.stderr
+    (changeset,) = list_changesets(conn)
+    assert json.loads(done.stdout)[0]["changeset_id"] == str(changeset.changeset_id)
+    assert was_told(conn, changeset.changeset_id)
+
+
+_FAILING_DISK = """
+import errno
+from conetl.io import parquet_store
+def fail(*_, **__):
+    raise OSError(errno.EIO, "Input/output error", "results/chunk.parquet")
+parquet_store._read = fail
+"""
+
+
+def test_a_disk_that_fails_is_no_mistake_of_conetl(tmp_path: Path, conn: Any, database_url: str) -> None:
+    drive = cut_drive(SAMPLES[0], tmp_path / "drive", "2026-05-01")
+    done = command(tmp_path / "home", database_url, "ingest", drive, before=_FAILING_DISK)
+    assert done.returncode == 3, done.stderr
+    assert "results/chunk.parquet: the storage failed (Input/output error)" in " ".join(done.stderr.split())
+    assert list_changesets(conn) == []
