@@ -21,7 +21,7 @@ from conetl.settings import Settings
 from flows.analysis import PrefectRuns, analyse
 from flows.changeset_events import catch_up_task
 from flows.control_room import name_of_run, worst_frames_task
-from flows.merge import already_committed, identify, merge_task
+from flows.merge import already_committed, identify, merge_task, refuse_other_delivery
 from flows.merge import map_srid as srid_of_map
 from flows.progress import ignore, listen
 from flows.publish import publish_task
@@ -49,6 +49,7 @@ def ingest_drive(
         get_run_logger().warning(NOT_MEASURED)
     if (known := already_committed(drive, identity, settings)) is not None:
         return _after_commit(known, partial(catch_up_task, known, settings))
+    refuse_other_delivery(drive, settings)
     chunks = chunks_of(drive, settings, params)
     with _shown(drive.drive_id):
         records, trajectory, calibration = analyse(drive, rejections, chunks, params, identity.evidence, PrefectRuns())

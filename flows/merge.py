@@ -15,6 +15,7 @@ from prefect.runtime import flow_run
 
 from conetl.detector_evidence import DetectorEvidence, evidence_sha256
 from conetl.drive_records import DriveRecords
+from conetl.errors import MapMismatchError
 from conetl.io.code_identity import code_facts
 from conetl.io.db import Connection, connect, migrate, transaction
 from conetl.io.model_card import read_model_card
@@ -27,6 +28,7 @@ from conetl.io.stores.map_store import (
     find_map,
     map_transaction,
 )
+from conetl.io.stores.replay_store import other_deliveries
 from conetl.map_records import Changeset, Delta, DeltaKind, MapFeature
 from conetl.params import IngestParams, params_sha256
 from conetl.records import Drive, Record, utc_from_ns
@@ -97,6 +99,19 @@ def already_committed(drive: Drive, identity: Identity, settings: Settings) -> I
             with transaction(conn, "Provisional features cannot be removed"):
                 drop_watched_recording(conn, drive, map_name=settings.map_name)
     return _no_changes(drive, identity, known, settings) if known else None
+
+
+def refuse_other_delivery(drive: Drive, settings: Settings) -> None:
+    """Raise MapMismatchError where the recording is on the map with other content: one drive would count as two surveys."""
+    with open_map(settings) as conn, transaction(conn, "The map cannot be read"):
+        numbers = other_deliveries(conn, drive, map_name=settings.map_name)
+    if numbers:
+        number = numbers[-1]
+        raise MapMismatchError(
+            f"{drive.source_path}: drive {drive.drive_id} is on the map already, with other content (changeset {number}); the "
+            f"two would count as two surveys. Take that back with `conetl map revert {number}` and ingest the drive again, or "
+            "give it a drive_id of its own in drive.yaml if it is another drive. Nothing was written."
+        )
 
 
 @task(name="merge", **RETRY)

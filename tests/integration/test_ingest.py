@@ -307,6 +307,25 @@ def test_what_cannot_be_decoded_was_not_looked_at(desk: Desk, small_drive: Path,
     assert desk.final_tables() == before
 
 
+def test_a_corrected_delivery_waits_until_the_first_is_taken_back(desk: Desk, small_drive: Path) -> None:
+    """Poses from post-processing: one recording must not count as two surveys."""
+    assert desk.run("ingest", small_drive).code == 0
+    for path in (small_drive / "oxts" / "data").iterdir():
+        lat_deg, *others = path.read_text().split()
+        path.write_text(" ".join([f"{float(lat_deg) + 4.5e-6:.12f}", *others]))  # half a metre
+    before = desk.final_tables()
+    result = desk.run("ingest", small_drive)
+    assert result.code == 2
+    assert "other content (changeset 1)" in result.err
+    assert "conetl map revert 1" in result.err
+    assert desk.final_tables() == before
+    assert desk.run("map", "revert", "1").code == 0
+    (report,) = desk.run("ingest", small_drive, "--json").json
+    assert report["status"] == "committed"
+    assert report["counts"]["added"] > 3
+    assert desk.run("db", "audit").code == 0
+
+
 def remove_key(drive: Path) -> None:
     file = drive / "calib_cam_to_cam.txt"
     lines = [line for line in file.read_text().splitlines() if not line.startswith("P_rect_03")]

@@ -15,6 +15,7 @@ from conetl.io.stores import map_columns
 from conetl.io.stores.map_results import DriveRef, MapInfo, Replay, StoredDelta, StoredMiss, StoredVersion
 from conetl.io.stores.map_rows import version_of
 from conetl.map_records import BelievedVersion, Delta, Doubt, Miss, Place
+from conetl.records import Drive
 
 
 def read_standing_around(conn: Connection, drive_uuid: UUID) -> dict[UUID, BelievedVersion]:
@@ -36,6 +37,20 @@ def affected_drives(conn: Connection, drive_uuids: Sequence[UUID]) -> list[Drive
 def superseded_drives(conn: Connection, drive_uuid: UUID) -> list[UUID]:
     """Another analysis of the same recording, which gives way to this one."""
     return [row["drive_uuid"] for row in execute(conn, load_sql("map/superseded_drives"), {"drive_uuid": drive_uuid})]
+
+
+def other_deliveries(conn: Connection, drive: Drive, *, map_name: str) -> list[int]:
+    """Numbers of the changesets that count and were made of the same recording with other content: poses corrected since, say."""
+    instants_ns = [pair.captured_at_ns for pair in drive.frame_pairs]
+    parameters = {
+        "map_name": map_name,
+        "drive_id": drive.drive_id,
+        "captured_from_ns": min(instants_ns),
+        "captured_to_ns": max(instants_ns),
+        "content_sha256": drive.content_sha256,
+    }
+    with database_errors("Other deliveries of the drive cannot be looked for"):
+        return [row["changeset_no"] for row in execute(conn, load_sql("map/other_deliveries"), parameters)]
 
 
 def drives_at(conn: Connection, map_name: str, place: Place) -> list[UUID]:
