@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -9,12 +11,20 @@ from typing import NamedTuple
 from uuid import UUID, uuid5
 
 import numpy as np
+from numpy.typing import NDArray
 
 from conetl.errors import InputError
 from conetl.io.db import Connection
 from conetl.io.parquet_store import result_key
 from conetl.io.stores.decision_store import read_decisions
-from conetl.io.stores.import_store import IMPORT_INFLUENCE_M, ImportedMap, commit_import, known_ids, place_import
+from conetl.io.stores.import_store import (
+    IMPORT_INFLUENCE_M,
+    ImportedMap,
+    commit_import,
+    known_ids,
+    place_import,
+    read_statements,
+)
 from conetl.io.stores.map_results import RunInfo
 from conetl.io.stores.map_store import find_changeset, map_transaction
 from conetl.io.stores.replay_store import affected_drives, superseded_drives
@@ -48,20 +58,22 @@ def import_map(
     The same file with other parameters takes the place of its first import. Raises InputError for ids that are taken.
     """
     started_at = datetime.now(UTC)
-    key, *earlier_keys = _keys(imported, params)
-    changeset = Changeset(
-        changeset_id=uuid5(_NAMESPACE, f"{map_name}/{key}"),
-        drive_id=imported.name,
-        idempotency_key=key,
-        params_sha256=params_sha256(params),
-        model_sha256=_NO_MODEL,
-        code_version=version("conetl"),
-        deltas=(),
-    )
+    keys = _keys(imported, params)
     with map_transaction(conn, map_name):
-        found = (find_changeset(conn, one, map_name=map_name) for one in (key, *earlier_keys))
-        if (known := next(filter(None, found), None)) is not None:
-            return Imported(known.changeset_id, False, dict.fromkeys(DeltaKind, 0), 0)
+        taken = [known for one in keys if (known := find_changeset(conn, one, map_name=map_name)) is not None]
+        for known in taken:
+            if _states_the_same_places(conn, known.drive_uuid, imported):
+                return Imported(known.changeset_id, False, dict.fromkeys(DeltaKind, 0), 0)
+        key = keys[-1] if taken else keys[0]
+        changeset = Changeset(
+            changeset_id=uuid5(_NAMESPACE, f"{map_name}/{key}"),
+            drive_id=imported.name,
+            idempotency_key=key,
+            params_sha256=params_sha256(params),
+            model_sha256=_NO_MODEL,
+            code_version=version("conetl"),
+            deltas=(),
+        )
         imported = _with_ids_of_map(conn, imported, map_name)
         _refuse_taken_ids(conn, imported, params, map_name)
         drive_uuid = place_import(conn, imported, key, map_name=map_name, reconcile=params.reconcile)
@@ -97,11 +109,27 @@ def import_map(
 
 
 def _keys(imported: ImportedMap, params: ImportParams) -> list[str]:
-    """What the import is known by, then what it may have been known by when times of GeoJSON were read in milliseconds only."""
+    """What the import is known by, then what it may have been known by when times of GeoJSON were read in milliseconds only.
+
+    Last, what it is known by where these are taken by the same file with other places: of another `--crs`.
+    """
     exact_ns = imported.stated_at_ns
     instants_ns = dict.fromkeys((exact_ns, exact_ns // _MS_NS * _MS_NS, -(-exact_ns // _MS_NS) * _MS_NS))
     known_by = ("import", imported.content_sha256, params_sha256(params), str(imported.srid))
-    return [result_key(*known_by, str(instant_ns)) for instant_ns in instants_ns]
+    keys = [result_key(*known_by, str(instant_ns)) for instant_ns in instants_ns]
+    places_mm = np.rint(_places_m(imported.statements) * 1000).astype(np.int64)
+    return [*keys, result_key(keys[0], hashlib.sha256(places_mm.tobytes()).hexdigest())]
+
+
+def _states_the_same_places(conn: Connection, drive_uuid: UUID, imported: ImportedMap) -> bool:
+    """Whether an earlier import of a file put its cones where this one does, to a millimetre."""
+    before_m, now_m = _places_m(read_statements(conn, drive_uuid)), _places_m(imported.statements)
+    return before_m.shape == now_m.shape and bool((np.abs(before_m - now_m) < 1e-3).all())
+
+
+def _places_m(statements: Sequence[Statement]) -> NDArray[np.float64]:
+    """(n, 3) in the map's CRS."""
+    return np.array([statement.feature.xyz_m for statement in statements], dtype=np.float64).reshape(-1, 3)
 
 
 def _with_ids_of_map(conn: Connection, imported: ImportedMap, map_name: str) -> ImportedMap:

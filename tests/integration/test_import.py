@@ -287,6 +287,22 @@ def test_a_file_whose_founded_ids_stand_elsewhere_says_what_helps(conn, tmp_path
     assert audited(conn) == []
 
 
+def test_the_same_file_by_its_right_crs_is_another_import(conn, tmp_path):
+    """A slip in --crs is mended by reverting and importing again, with no other option changed."""
+    path = plain_csv(tmp_path)
+    options = {"stated_at": datetime(2026, 3, 1, tzinfo=UTC)}
+    take(conn, path, crs="EPSG:32633", **options)
+    revert(conn, "1", map_name="default")
+    assert not take(conn, path, crs="EPSG:32633", **options).committed
+    assert take(conn, path, crs="EPSG:32632", **options).committed
+    stated = read_map_file(path, PARAMS, map_srid=32632, crs="EPSG:32632", **options).statements
+    standing = sorted(feature.xyz_m for feature in read_current_features(conn))
+    assert standing == sorted(statement.feature.xyz_m for statement in stated)
+    conn.rollback()
+    assert not take(conn, path, crs="EPSG:32632", **options).committed
+    assert audited(conn) == []
+
+
 # --------------------------------------------------------------------------- layers
 
 
