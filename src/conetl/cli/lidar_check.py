@@ -16,7 +16,7 @@ from conetl.errors import InputError
 from conetl.geometry import pose as se3
 from conetl.geometry.camera import first_road_row
 from conetl.geometry.packing import cov_matrix
-from conetl.geometry.rig import map_SE3_left, map_SE3_right
+from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left
 from conetl.io.calibration.files import IMU_TO_VELO
 from conetl.io.detector import Detector, detect_image, load_detector
 from conetl.io.drive_folder import read_drive
@@ -139,12 +139,12 @@ def _check_pair(
     images, detections = [], []
     sides: tuple[Side, Side] = ("left", "right")
     for side in sides:
-        camera = rig.left if side == "left" else rig.right
-        pose = (map_SE3_left if side == "left" else map_SE3_right)(pair.pose, rig)
         image = read_rig_image(Path(pair.left_path if side == "left" else pair.right_path), rig, side)
         boxes = detect_image(
             detector, image, score_threshold=params.detection.score_threshold, nms_iou=params.detection.nms_iou,
-            first_row=first_road_row(camera, [pose[:3, :3]], params.detection.horizon_margin_rad),
+            first_row=first_road_row(
+                camera_of(rig, side), [map_SE3_camera(pair.pose, rig, side)[:3, :3]], params.detection.horizon_margin_rad
+            ),
         )  # fmt: skip
         found, _ = check_boxes(boxes, frame_index=pair.frame_index, side=side, params=params.detection)
         images.append(image)
