@@ -103,7 +103,12 @@ class StepTimes:
 
 @contextmanager
 def open_eyes(settings: Settings, params: IngestParams) -> Iterator[Eyes]:
-    """Load the detector once for each side and let it look at something. Raises ModelFileError."""
+    """Load the detector once for each side and let it look at something. Raises ModelFileError.
+
+    Both pictures of a pair are searched everywhere: at the same time, so that waiting for the left one would only make it later.
+    """
+    everywhere: dict[str, object] = {"search_right": "everywhere"}
+    params = params.model_copy(update={"detection": params.detection.model_copy(update=everywhere)})
     card = read_model_card(settings.model_path)
     ready = threading.Barrier(len(_SIDES))
     with ThreadPoolExecutor(len(_SIDES)) as pool:

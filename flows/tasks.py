@@ -7,6 +7,7 @@ import threading
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +48,7 @@ from conetl.records import (
 from conetl.rejections import Rejection
 from conetl.settings import Settings
 from conetl.steps.detections import check_boxes
+from conetl.steps.epipolar_search import Region, blocks_of, is_unanswered, right_region
 from conetl.steps.matches import match_pair, with_measured_spread
 from conetl.steps.pose_errors import pose_cov
 from conetl.steps.positions import locate_positions
@@ -57,7 +59,7 @@ from flows.progress import tell_progress
 from flows.retries import RETRY
 
 #: Part of every result key: raise it when a step computes something else from the same inputs.
-RESULTS_VERSION = "10"
+RESULTS_VERSION = "11"
 _SIDES: tuple[Side, Side] = ("left", "right")
 _per_thread = threading.local()
 
@@ -125,54 +127,90 @@ def detect_task(chunk: Chunk, part: int, rig: Rig | None) -> Path:
     pairs = chunk.frame_pairs[parts_of(chunk)[part]]
     paths = picture_paths(pairs)
     hashes = picture_hashes(paths)
-    params = chunk.params.detection
+    params, reconcile = chunk.params.detection, chunk.params.reconcile
     key = result_key(
         RESULTS_VERSION,
         "detect",
         chunk.detections_sha256,
         params_sha256(params),
+        params_sha256(chunk.params.match),
+        f"{reconcile.removal_min_frames} pairs, {reconcile.visible_min_height_px} px",
         _rig_and_poses(chunk),
         str(part),
         *hashes.values(),
     )
-    found = result_path(chunk.results_folder, key)
     if has_result(chunk.results_folder, key):
+        detected = result_path(chunk.results_folder, key)
         tell_progress(chunk.drive_id, len(paths))
         if rig is not None:
-            _match_part(chunk, part, found, rig)
-        return found
+            _match_part(chunk, part, detected, rig)
+        return detected
     keep_freed_pictures()
     first_rows = _first_rows(chunk)
-    detections: list[Detection] = []
-    rejections: list[Rejection] = []
-    matches: list[StereoMatch] = []
-    refused_matches: list[Rejection] = []
+    found: list[_PairFound] = []
     at = in_batches(paths)
-    for pair in pairs:
-        images: dict[Side, NDArray[np.uint8]] = {}
-        by_side: dict[Side, list[Detection]] = {"left": [], "right": []}
-        for side in _SIDES:
-            path = next(at)
-            image, by_side[side], refused = _detect(chunk, pair.frame_index, side, path, hashes[path], first_rows[side])
-            if image is not None:
-                images[side] = image
-            detections += by_side[side]
-            rejections += refused
-            tell_progress(chunk.drive_id, 1)
-        if rig is not None:
-            found_matches, refused = _match(chunk, pair, by_side, rig, images)
-            matches += found_matches
-            refused_matches += refused
-    save_result(chunk.results_folder, key, detections, rejections)
+    for middle, block in blocks_of(len(pairs), chunk.params):
+        hashed = {k: [(path, hashes[path]) for path in (next(at), next(at))] for k in block}
+        seen = {middle: _search(chunk, pairs[middle], hashed[middle], first_rows, rig, everywhere=True)}
+        everywhere = is_unanswered(seen[middle].detections, chunk.rig, chunk.params)
+        for k in block:
+            if k != middle:
+                seen[k] = _search(chunk, pairs[k], hashed[k], first_rows, rig, everywhere=everywhere)
+        found += [seen[k] for k in block]
+    detected = save_result(
+        chunk.results_folder, key, [d for f in found for d in f.detections], [r for f in found for r in f.rejections]
+    )
     if rig is not None:
-        save_result(chunk.results_folder, _match_key(chunk, found, rig), matches, refused_matches)
-    return found
+        matches, refused = [m for f in found for m in f.matches], [r for f in found for r in f.refused_matches]
+        save_result(chunk.results_folder, _match_key(chunk, detected, rig), matches, refused)
+    return detected
+
+
+class _PairFound(NamedTuple):
+    """What one frame pair shows."""
+
+    detections: list[Detection]
+    rejections: list[Rejection]
+    matches: list[StereoMatch]
+    refused_matches: list[Rejection]
+
+
+def _search(
+    chunk: Chunk,
+    pair: FramePair,
+    hashed: Sequence[tuple[Path, str]],
+    first_rows: Mapping[Side, int],
+    rig: Rig | None,
+    *,
+    everywhere: bool,
+) -> _PairFound:
+    """Detections, and matches where the rig is known, of one frame pair; the right picture where partners can be, or everywhere.
+
+    hashed: the left and the right picture's place, and SHA-256 as it was hashed for the key.
+    """
+    images: dict[Side, NDArray[np.uint8]] = {}
+    by_side: dict[Side, list[Detection]] = {"left": [], "right": []}
+    rejections: list[Rejection] = []
+    for side, (path, sha256) in zip(_SIDES, hashed, strict=True):
+        tell_progress(chunk.drive_id, 1)
+        region = None if side == "left" or everywhere else right_region(by_side["left"], chunk.rig, chunk.params)
+        if region is None and side == "right" and not everywhere:
+            continue
+        image, by_side[side], refused = _detect(chunk, pair.frame_index, side, path, sha256, first_rows[side], region)
+        if image is not None:
+            images[side] = image
+        rejections += refused
+    matches, refused_matches = ([], []) if rig is None else _match(chunk, pair, by_side, rig, images)
+    return _PairFound([*by_side["left"], *by_side["right"]], rejections, matches, refused_matches)
 
 
 def _detect(
-    chunk: Chunk, frame_index: int, side: Side, path: Path, sha256: str, first_row: int
+    chunk: Chunk, frame_index: int, side: Side, path: Path, sha256: str, first_row: int, region: Region | None
 ) -> tuple[NDArray[np.uint8] | None, list[Detection], list[Rejection]]:
-    """One picture, None where it cannot be read, and what was found in it from a row on. sha256: as it was hashed for the key."""
+    """One picture, None where it cannot be read, and what was found in it from a row on, in a part of it (None: everywhere).
+
+    sha256: as it was hashed for the key.
+    """
     params = chunk.params.detection
     try:
         image = read_hashed_rig_image(path, sha256, chunk.rig, side)
@@ -186,8 +224,9 @@ def _detect(
         )
         return None, [], [unread]
     boxes = detector_io.detect_image(
-        _detector(chunk), image, score_threshold=params.score_threshold, nms_iou=params.nms_iou, first_row=first_row
-    )
+        _detector(chunk), image, score_threshold=params.score_threshold, nms_iou=params.nms_iou, first_row=first_row,
+        within=None if region is None else region[:4], reach_px=0.0 if region is None else region.reach_px,
+    )  # fmt: skip
     return image, *check_boxes(boxes, frame_index=frame_index, side=side, params=params)
 
 

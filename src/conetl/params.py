@@ -29,6 +29,9 @@ class DetectionParams(Params):
     min_height_px: Positive = 8.0
     horizon_margin_rad: Annotated[float, Field(ge=0, lt=1.57)] = 0.1
     """Rows farther than this above the horizon are not looked at: cones stand on the road. 0.1 rad is a slope of 10 %."""
+    search_right: Literal["along_epipolar_lines", "everywhere"] = "along_epipolar_lines"
+    """Where the right camera's pictures are searched: only where the partner of a box of the left one can be
+    (`steps/epipolar_search.py`), or everywhere, which takes twice as long and gives the same positions."""
 
 
 class MatchParams(Params):

@@ -28,6 +28,9 @@ LEAST_SIDE_PX = 8
 LEAST_ROWS_PX = 120
 SMALLER_LOOKS_FROM_PX = 480
 LARGE_CONE_PX = 48.0
+#: So much around the boxes that are looked for in a part of a picture is shown to the network, in pixels of its input: they then
+#: are those of the whole picture to 0.08 px in the median (docs/decisions/detector.md).
+CONTEXT_PX = 64.0
 #: Pictures in one run of the network. It answers for its best cells only, of all of them together: with some twenty windows the
 #: weaker ones begin to lose theirs.
 MOST_AT_ONCE = 8
@@ -171,34 +174,51 @@ def detect_image(
     nms_iou: float = 0.5,
     max_side_px: int = MAX_SIDE_PX,
     first_row: int = 0,
+    within: tuple[float, float, float, float] | None = None,
+    reach_px: float = 0.0,
 ) -> NDArray[np.float64]:
     """Find the cones of one image (H, W, 3) uint8 BGR.
 
     Returns (N, 9) [x, y, w, h, score, foot x, foot y, tip x, tip y] by falling score: x, y is the top-left corner, in pixels of
     the given image, whose left and top edges are x = 0 and y = 0 (the centre of the first pixel is 0.5). Foot and tip are NaN
     where the network does not give them. Candidates of middling score get a closer look where the model's sidecar asks for it
-    (`closer_look.py`). first_row: rows above it are not looked at (`geometry.camera.first_road_row`).
+    (`closer_look.py`). first_row: rows above it are not looked at (`geometry.camera.first_road_row`). within: x0, y0, x1, y1 in
+    which boxes must have their middle (None: anywhere), and reach_px how far from it they may reach; of what is around them the
+    network then sees `CONTEXT_PX` only.
     """
     if image_bgr.dtype != np.uint8 or image_bgr.ndim != 3 or image_bgr.shape[2] != 3:
         raise ValueError(f"expected a BGR image (H, W, 3) of uint8, got {image_bgr.shape} of {image_bgr.dtype}")
     whole = image_bgr
     first_row = min(max(first_row, 0), max(whole.shape[0] - LEAST_ROWS_PX, 0))
-    image_bgr = whole[first_row:]
-    if min(image_bgr.shape[:2]) < LEAST_SIDE_PX:
+    road = whole[first_row:]
+    if min(road.shape[:2]) < LEAST_SIDE_PX:
         return np.zeros((0, COLUMNS))
     closer = detector.card.closer_look
     # What is to be looked at more closely must be found first, whatever the caller's threshold.
     candidate_score = score_threshold if closer is None else min(score_threshold, closer.scores[0])
-    longest, shortest = max(image_bgr.shape[:2]), min(image_bgr.shape[:2])
+    longest, shortest = max(road.shape[:2]), min(road.shape[:2])
     side_px = min(longest, max_side_px)
-    boxes = look(detector, image_bgr, side_px, candidate_score, nms_iou)
+    rows, columns = slice(0, road.shape[0]), slice(0, road.shape[1])
+    if within is not None and detector.fixed_size is None:
+        rows, columns = _part(detector, road.shape, first_row, within, reach_px, longest / side_px)
+    part = road[rows, columns]
+
+    def look_at_part(longest_px: int) -> NDArray[np.float64]:
+        """As if the whole road were scaled to so many pixels."""
+        part_px = max(longest_px * max(part.shape[:2]) // longest, 1)
+        return look(detector, part, part_px, candidate_score, nms_iou)
+
+    boxes = look_at_part(side_px)
     # Very tall cones outgrow the network at full size: tall pictures get two smaller looks, each half as large as the one before.
     if detector.fixed_size is None and shortest * side_px / longest >= SMALLER_LOOKS_FROM_PX:
         for smaller_px in (side_px // 2, side_px // 4):
-            again = look(detector, image_bgr, smaller_px, candidate_score, nms_iou)
+            again = look_at_part(smaller_px)
             large = again[(again[:, 3] - again[:, 1]) * smaller_px / longest > LARGE_CONE_PX]
             boxes = suppress_overlaps(np.concatenate((without_parts(boxes, large), large)), nms_iou)
-    boxes[:, [1, 3, 6, 8]] += first_row
+    boxes[:, [0, 2, 5, 7]] += columns.start
+    boxes[:, [1, 3, 6, 8]] += first_row + rows.start
+    if within is not None:
+        boxes = boxes[_has_middle_in(boxes, within)]
     if closer is not None:
 
         def look_at_windows(windows: list[NDArray[np.uint8]], least_score: float) -> list[NDArray[np.float64]]:
@@ -207,6 +227,37 @@ def detect_image(
         boxes = suppress_overlaps(look_closer(look_at_windows, whole, boxes, closer), SAME_BOX_IOU)
         boxes = boxes[boxes[:, 4] >= score_threshold]
     return boxes_in_image(boxes, whole.shape[1], whole.shape[0])
+
+
+def _part(
+    detector: Detector,
+    shape: tuple[int, ...],
+    first_row: int,
+    within: tuple[float, float, float, float],
+    reach_px: float,
+    scale: float,
+) -> tuple[slice, slice]:
+    """Rows and columns of the road's picture (H, W, 3) that the network needs to see to find what reaches reach_px from its
+    middle within x0, y0, x1, y1 (px).
+
+    They begin at multiples of the network's largest stride, so that its cells lie as they would in the whole. scale: picture
+    pixels per pixel of the network's.
+    """
+    x0, y0, x1, y1 = within
+    cell, context = detector.card.pad_multiple_px * scale, CONTEXT_PX * scale + reach_px
+
+    def span(low: float, high: float, length: int) -> slice:
+        begin = round(int(max(low - context, 0.0) / cell) * cell)
+        end = round(int(np.ceil((high + context) / cell)) * cell)
+        return slice(min(begin, length - LEAST_SIDE_PX), min(max(end, begin + LEAST_SIDE_PX), length))
+
+    return span(y0 - first_row, y1 - first_row, shape[0]), span(x0, x1, shape[1])
+
+
+def _has_middle_in(boxes: NDArray[np.float64], within: tuple[float, float, float, float]) -> NDArray[np.bool_]:
+    """(N,) whether candidates (N, 4 and more) [x0, y0, x1, y1, ...] have their middle in x0, y0, x1, y1."""
+    middles = (boxes[:, :2] + boxes[:, 2:4]) / 2
+    return np.asarray(((middles >= within[:2]) & (middles <= within[2:])).all(axis=1))
 
 
 def look(

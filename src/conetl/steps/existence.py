@@ -30,6 +30,7 @@ from conetl.detector_evidence import (
 from conetl.geometry.rig import camera_of, left_SE3_right
 from conetl.params import IngestParams
 from conetl.records import Detection, Position, Rig, Side
+from conetl.steps.epipolar_search import is_within, right_region
 from conetl.steps.visibility import Box, apparent_boxes, are_in_view, hidden_share, iou
 
 Floats = NDArray[np.float64]
@@ -66,7 +67,10 @@ def existence_probability(
     looks: dict[Side, list[Look]] = {"left": [], "right": []}
     for side, in_view in _boxes(group, cone_height_m, rig, map_SE3_left, params).items():
         for frame_index, box in in_view:
-            found = [d for d in detections.get(frame_index, ()) if d.side == side]
+            of_pair = detections.get(frame_index, ())
+            if side == "right" and not is_within(*_middle(box), right_region(of_pair, rig, params)):
+                continue  # what is told by it must not depend on what it shows, only on what the left picture did
+            found = [d for d in of_pair if d.side == side]
             covering = [d for d in found if iou(box, d) >= evidence.match_iou]
             own = [d for d in covering if not is_anothers(d)]
             if covering and not own:
@@ -114,6 +118,10 @@ def _run_of_misses(run: Sequence[tuple[float, float]], hidden_probability: float
     total = sum(ratio for ratio, _ in run)
     either = float(np.logaddexp(np.log(hidden_probability), np.log1p(-hidden_probability) + total))
     return [(either, float(np.median([height_px for _, height_px in run])))]
+
+
+def _middle(box: Box) -> tuple[float, float]:
+    return (box[0] + box[2]) / 2, (box[1] + box[3]) / 2
 
 
 def _boxes(

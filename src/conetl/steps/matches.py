@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,11 @@ from conetl.steps.area_matching import AreaMatch, match_area
 from conetl.steps.cone_outline import Outline, find_outline
 
 Image = NDArray[np.uint8]
+Number = TypeVar("Number", float, NDArray[np.float64])
 #: Height of anything that may be a traffic cone, wide: the boxes are loose. Keeps a cone from being matched with its neighbour.
-_HEIGHT_BOUNDS_M = (0.15, 1.8)
+HEIGHT_BOUNDS_M = (0.15, 1.8)
+#: Nearer to none at all, a disparity says nothing of how tall a thing is.
+LEAST_DISPARITY_PX = 0.5
 #: A box that ends this near to the picture's border (px, or share of the box) may go on behind it: the network seldom draws it
 #: right up to the edge.
 _BORDER_PX = 2.0
@@ -182,7 +185,7 @@ def _candidate(
     """Cost of calling two detections one object, None where that cannot be."""
     a, at_infinity, row_offset_px, outlines = sought
     tallest = max(a.h_px, b.h_px)
-    row_tolerance = params.epipolar_tolerance_px + params.epipolar_tolerance_relative * tallest
+    row_tolerance = row_tolerance_px(params, tallest)
     row_difference = abs((a.y_px + a.h_px / 2) - (b.y_px + b.h_px / 2) + row_offset_px)
     if row_difference > row_tolerance:
         return None
@@ -194,12 +197,11 @@ def _candidate(
     if score_difference > params.max_score_difference:
         return None
     disparity = (a.x_px + a.w_px / 2) - (b.x_px + b.w_px / 2) - at_infinity
-    focal_base = rig.left.fx_px * rig.baseline_m
-    slack = 1.0 + 0.1 * (a.w_px + b.w_px) / 2
-    if not focal_base / params.max_range_m - slack <= disparity <= focal_base / params.min_range_m + slack:
+    least, most = disparity_bounds_px(rig, params, (a.w_px + b.w_px) / 2)
+    if not least <= disparity <= most:
         return None
-    height_m = (a.h_px + b.h_px) / 2 * rig.baseline_m / max(disparity, 0.5)
-    if not _HEIGHT_BOUNDS_M[0] <= height_m <= _HEIGHT_BOUNDS_M[1]:
+    height_m = (a.h_px + b.h_px) / 2 * rig.baseline_m / max(disparity, LEAST_DISPARITY_PX)
+    if not HEIGHT_BOUNDS_M[0] <= height_m <= HEIGHT_BOUNDS_M[1]:
         return None
     area = None
     if images is not None:
@@ -213,6 +215,17 @@ def _candidate(
     if images is not None:
         cost += 1.0 - (area.correlation if area else 0.0)
     return _Candidate(float(cost), area)
+
+
+def row_tolerance_px(params: MatchParams, height_px: Number) -> Number:
+    """How far the middles of two boxes of one thing may be apart across the epipolar line; height_px: of the taller one."""
+    return params.epipolar_tolerance_px + params.epipolar_tolerance_relative * height_px
+
+
+def disparity_bounds_px(rig: Rig, params: MatchParams, width_px: Number) -> tuple[Number, Number]:
+    """Least and largest disparity, from that of what is infinitely far on; width_px: mean of both boxes."""
+    focal_base, slack = rig.left.fx_px * rig.baseline_m, 1.0 + 0.1 * width_px
+    return focal_base / params.max_range_m - slack, focal_base / params.min_range_m + slack
 
 
 def _stereo_match(

@@ -113,6 +113,34 @@ def test_rows_above_the_road_can_be_left_out(detector: Detector) -> None:
     np.testing.assert_allclose(cropped[0, :4], whole[0, :4], atol=1.5)
 
 
+def test_a_part_of_the_picture_shows_what_the_whole_does_there(detector: Detector) -> None:
+    image = np.full((376, 1200, 3), (110, 115, 118), np.uint8)
+    image[:200] = (200, 180, 160)
+    for x in (150.0, 640.0, 1050.0):
+        draw_cone(image, x, 330.0, 70.0)
+    whole = detect_image(detector, image, score_threshold=0.3, first_row=40)
+    part = detect_image(
+        detector, image, score_threshold=0.3, first_row=40, within=(600.0, 280.0, 680.0, 310.0), reach_px=50.0
+    )
+    assert len(whole) == 3 and len(part) == 1, "of three cones the one in the middle"
+    (same,) = whole[np.abs(whole[:, 0] + whole[:, 2] / 2 - 640.0) < 40.0]
+    np.testing.assert_allclose(part[0, :4], same[:4], atol=1.0)
+    everywhere = detect_image(
+        detector, image, score_threshold=0.3, first_row=40, within=(0.0, 0.0, 1200.0, 376.0), reach_px=376.0
+    )
+    np.testing.assert_array_equal(everywhere, whole)
+    assert len(detect_image(detector, image, score_threshold=0.3, within=(300.0, 280.0, 400.0, 310.0))) == 0
+
+
+def test_a_part_of_a_tall_picture_still_shows_what_fills_it(detector: Detector) -> None:
+    image = np.full((900, 1600, 3), (110, 115, 118), np.uint8)
+    image[:300] = (200, 180, 160)
+    draw_cone(image, 700.0, 850.0, 360.0)
+    found = detect_image(detector, image, score_threshold=0.4, within=(600.0, 600.0, 800.0, 740.0), reach_px=300.0)
+    assert len(found) == 1
+    assert found[0, 3] == pytest.approx(360.0, rel=0.15)
+
+
 def test_a_part_of_a_better_and_larger_box_is_dropped() -> None:
     large = np.array([[0.0, 0.0, 100.0, 200.0, 0.8]])
     inside, better, beside = (
@@ -284,7 +312,11 @@ def test_a_network_of_another_family_runs_by_its_sidecar_alone(tmp_path: Path, f
     scale = 2.0 if fixed else 1.0  # the fixed network sees the picture at half its size
     np.testing.assert_allclose(found[:, :5], [[90 * scale, 40 * scale, 20 * scale, 40 * scale, 0.9]], rtol=1e-6)
     assert np.isnan(found[:, 5:]).all()
-    if fixed:
+    if fixed:  # a part of the picture would come to it larger than the whole
+        seen = detect_image(
+            detector, np.zeros((320, 640, 3), np.uint8), score_threshold=0.5, within=(190, 110, 210, 130)
+        )
+        np.testing.assert_array_equal(seen, found)
         window = {"cone_px": 48, "window_px": 96, "scores": [0.2, 0.8], "share": 0.4}
         (tmp_path / "tiny.onnx.json").write_text(json.dumps(card | {"closer_look": window}))
         with pytest.raises(ModelFileError, match=r"takes pictures of 320x160 only.*closer_look"):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from conetl.detector_evidence import UNMEASURED, DetectorEvidence
 from conetl.io.model_card import read_model_card
-from conetl.params import IngestParams
+from conetl.params import DetectionParams, IngestParams
 from conetl.records import Detection, Position
 from conetl.steps.existence import Look, existence_probability, probability_from_looks
 from tests.synthetic.world import Cone, camera_poses, detect, locate, make_path, make_rig
@@ -133,3 +133,28 @@ def test_boxes_of_another_thing_speak_neither_for_nor_against() -> None:
     assert alone < in_all - 0.01, "three pairs of boxes say less than all of them"
     pairs = 3 * [Look(height_px=60.0, hidden=0.0, score=0.6)]
     assert alone == pytest.approx(belief(pairs, pairs), abs=0.02), "as if nobody had looked where the other boxes are"
+
+
+def test_a_right_picture_that_was_not_searched_says_nothing() -> None:
+    """Of pairs whose left picture shows nothing, the right one neither misses the cone nor, searched all the same, shows it."""
+    pairs = make_path(40)
+    found = detect([Cone((30.0, 2.5, 0.0))], pairs, RIG, score=0.6)
+    blind = {index for index, _ in found if index % 3}
+    poses, beliefs = camera_poses(pairs, RIG, "left"), []
+    for shown in ("both", "left"):
+        kept = {
+            (index, side): boxes if index not in blind or (side == "right" and shown == "both") else []
+            for (index, side), boxes in found.items()
+        }
+        detections, _, positions = locate(kept, pairs, RIG)
+        by_frame: dict[int, list[Detection]] = defaultdict(list)
+        for detection in detections:
+            by_frame[detection.frame_index].append(detection)
+        for search in ("along_epipolar_lines", "everywhere"):
+            params = PARAMS.model_copy(update={"detection": DetectionParams(search_right=search)})
+            beliefs.append(
+                existence_probability(positions, 0.7, RIG, poses, by_frame, params, shipped(), lambda _: False)
+            )
+    searched_in_part, all_searched, searched_in_part_missing, all_missing = beliefs
+    assert searched_in_part == searched_in_part_missing
+    assert all_searched > all_missing

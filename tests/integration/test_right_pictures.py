@@ -1,0 +1,84 @@
+"""The right pictures of a real network are searched in part: that must cost nothing, also where the left camera sees nothing."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from conetl.cli.drive_results import DriveResults, run_steps
+from conetl.detector_evidence import LookFigures
+from conetl.io.model_card import read_model_card
+from conetl.map_records import DeltaKind
+from conetl.params import DetectionParams, IngestParams
+from conetl.settings import Settings
+from conetl.steps.changes import reconcile
+from conetl.steps.visibility import look_at_spot, view_of_drive
+
+DRIVE = Path(__file__).resolve().parents[2] / "data" / "drives" / "2026-03-02_taper_pass1"
+PARAMS = IngestParams()
+EVERYWHERE = PARAMS.model_copy(update={"detection": DetectionParams(search_right="everywhere")})
+
+
+@pytest.fixture(scope="module")
+def settings(tmp_path_factory: pytest.TempPathFactory) -> Settings:
+    return Settings(home=tmp_path_factory.mktemp("home"), workers=2)
+
+
+@pytest.fixture(scope="module")
+def results(settings: Settings) -> DriveResults:
+    return run_steps(DRIVE, settings, PARAMS, map_srid=None)
+
+
+def test_the_same_cones_at_the_same_places(settings: Settings, results: DriveResults) -> None:
+    whole = run_steps(DRIVE, settings, EVERYWHERE, map_srid=None)
+    count = {side: [sum(d.side == side for d in r.detections) for r in (whole, results)] for side in ("left", "right")}
+    assert count["left"][0] == count["left"][1]
+    assert count["right"][1] == pytest.approx(count["right"][0], rel=0.05)
+    assert len(results.matches) == pytest.approx(len(whole.matches), rel=0.02)
+    ours, theirs = (np.array([t.xyz_m for t in r.tracks]) for r in (results, whole))
+    assert len(ours) == len(theirs)
+    apart = np.linalg.norm(ours[:, None] - theirs[None], axis=2).min(axis=1)
+    assert np.median(apart) < 0.002 and apart.max() < 0.03
+
+
+@pytest.mark.parametrize("covered", ["image_02", "image_03"])
+def test_a_covered_lens_removes_nothing(
+    tmp_path: Path, settings: Settings, results: DriveResults, covered: str
+) -> None:
+    """What one camera still shows is not gone, whichever it is: a drive with one of them covered tells nothing."""
+    features = [
+        delta.new.model_copy(update={"last_seen_ns": 1, "first_seen_ns": 0})
+        for delta in reconcile(results.tracks, [], lambda *_: None, PARAMS.reconcile, founding_key="first")
+        if delta.new is not None
+    ]
+    assert len(features) >= 8
+    drive = shutil.copytree(DRIVE, tmp_path / "covered")
+    for path in (drive / covered / "data").iterdir():
+        dark = np.full(cv2.imread(str(path)).shape, 12, np.uint8)
+        assert cv2.imwrite(str(path), dark)
+    # Poses as they are logged: odometry has nothing to go by.
+    trajectory = PARAMS.trajectory.model_copy(update={"refine": False})
+    params = PARAMS.model_copy(update={"trajectory": trajectory})
+    dark_drive = run_steps(drive, settings, params, map_srid=None)
+    assert dark_drive.tracks == []
+    evidence = read_model_card(None).evidence
+    assert evidence is not None
+    view = view_of_drive(
+        dark_drive.drive.rig,
+        dark_drive.drive.frame_pairs,
+        dark_drive.detections,
+        [],
+        LookFigures(evidence=evidence, score_threshold=params.detection.score_threshold),
+    )
+    deltas = reconcile(
+        [],
+        features,
+        lambda feature, offset_m, others_m: look_at_spot(feature, offset_m, others_m, view, params.reconcile),
+        params.reconcile,
+        founding_key="second",
+    )
+    assert [delta.kind for delta in deltas if delta.kind is DeltaKind.REMOVED] == []
