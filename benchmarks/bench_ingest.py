@@ -4,7 +4,7 @@ Each way takes its own look at all pictures, one after the other in one run. Mem
 server. Where other work shares the machine the clock says little: pairs a second are also told as cores over processor time
 a pair, which is what an idle machine of as many cores could reach.
 
-    python benchmarks/bench_ingest.py [--pairs 600] [--drive FOLDER] [--only refined|plain] [--stages]
+    python benchmarks/bench_ingest.py [--pairs 600] [--drive FOLDER] [--only refined|plain] [--everywhere] [--stages]
 """
 
 from __future__ import annotations
@@ -71,6 +71,11 @@ def main() -> None:  # noqa: PLR0915 -- a list of measurements
     parser.add_argument("--drive", type=Path, help="KITTI drive whose pictures are repeated")
     parser.add_argument("--only", choices=("refined", "plain"))
     parser.add_argument(
+        "--everywhere",
+        action="store_true",
+        help="also with right pictures searched everywhere, as the bare network does",
+    )
+    parser.add_argument(
         "--stages", action="store_true", help="also without Prefect, with the processor time of each task"
     )
     parser.add_argument("--json", type=Path, help="write the figures here")
@@ -78,6 +83,7 @@ def main() -> None:  # noqa: PLR0915 -- a list of measurements
     with own_home() as home, ExitStack() as stack:
         from benchmarks import whole_job as job
         from benchmarks.whole_job import params_with, plain_ingest, processor_s, settings_in
+        from conetl.params import DetectionParams
         from flows.ingest_drive import ingest_drive
         from flows.merge import open_map
         from flows.runners import with_runner
@@ -109,11 +115,19 @@ def main() -> None:  # noqa: PLR0915 -- a list of measurements
         with open_map(settings_in(home)):
             pass  # the tables are made once in the life of a database
         take("decode + network", decode_and_run(drive, workers))
-        for refine in (True, False):
-            if arguments.only not in (None, "refined" if refine else "plain"):
+        ways = [
+            ("refined", "whole job, refined", params_with(True)),
+            ("plain", "whole job, logged poses", params_with(False)),
+        ]
+        if arguments.everywhere:
+            everywhere = DetectionParams(search_right="everywhere")
+            ways.append(
+                ("everywhere", "the same, right everywhere", ways[1][2].model_copy(update={"detection": everywhere}))
+            )
+        for way, name, params in ways:
+            if arguments.only not in (None, way) and way != "everywhere":
                 continue
-            name = "whole job, refined" if refine else "whole job, logged poses"
-            settings, params = settings_in(home, "refined" if refine else "plain"), params_with(refine)
+            settings = settings_in(home, way)
             run = with_runner(ingest_drive, settings_in(home))
             settings_in(home).results_folder.mkdir(exist_ok=True)
             for old in settings_in(home).results_folder.iterdir():

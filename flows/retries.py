@@ -56,7 +56,7 @@ def whole(value: _T) -> _T:
     """A task's argument that Prefect hands on as it is.
 
     Prefect looks for futures and states inside of all arguments, twice for each task: every number of every record of a list.
-    With a chunk of 128 frame pairs that costs four times what the task's run itself costs, with the records of a drive seconds.
+    With a chunk of 128 frame pairs that costs many times what the task's run itself costs, with the records of a drive seconds.
     Dask makes a plain tuple of Prefect's mark, so there it looks.
     """
     context = FlowRunContext.get()

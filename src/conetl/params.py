@@ -197,8 +197,8 @@ class IngestParams(Params):
     track: TrackParams = TrackParams()
     reconcile: ReconcileParams = ReconcileParams()
     trajectory: TrajectoryParams = TrajectoryParams()
-    chunk_pairs: int = Field(default=128, ge=1)
-    """Frame pairs per detection task: Prefect's cost per task is about 21 ms."""
+    chunk_pairs: int = Field(default=256, ge=1)
+    """Frame pairs of a chunk, half of which are one detection task: a task costs Prefect some 10 ms."""
     max_rejected_fraction: Fraction = 0.10
     """More frame pairs refused than this, and the command ends with exit code 1."""
 
