@@ -44,6 +44,8 @@ from conetl.records import Detection, Position, StereoMatch
 from conetl.settings import Settings, prefect_environment
 from flows import merge as merging
 from flows import tasks
+from flows.chunks import chunks_of, parts_of
+from flows.detection import detect_task, match_task
 from flows.replay import merge_drive
 from tests.integration.test_ingest import DRIVES, FINAL_TABLES, part_of
 
@@ -69,13 +71,13 @@ def without_prefect(drives: list[Path], settings: Settings) -> int:
         drive, refused = tasks.read_drive_task.fn(folder, merging.map_srid(settings), settings.pictures_folder)
         identity = merging.identify(drive, params, settings)
         if merging.already_committed(drive, identity, settings) is None:
-            (chunk,) = tasks.chunks_of(
+            (chunk,) = chunks_of(
                 drive,
                 settings,
                 params.model_copy(update={"chunk_pairs": len(drive.frame_pairs)}),
             )
-            parts = [tasks.detect_task.fn(chunk, part, drive.rig) for part in range(len(tasks.parts_of(chunk)))]
-            found = tasks.match_task.fn(chunk, drive.rig, *parts)
+            parts = [detect_task.fn(chunk, part, drive.rig) for part in range(len(parts_of(chunk)))]
+            found = match_task.fn(chunk, drive.rig, *parts)
             placed = tasks.locate_task.fn([chunk], [found])
             detections, matches = load_results(parts, Detection)[0], load_results([found], StereoMatch)[0]
             positions = load_results(placed, Position)[0]

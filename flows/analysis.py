@@ -21,6 +21,8 @@ from conetl.rejections import Rejection
 from conetl.steps.self_calibration import SWITCHED_OFF, SelfCalibration, self_calibrated_rig
 from conetl.steps.trajectory import RefinedTrajectory
 from conetl.steps.unread import without_unread
+from flows.chunks import Chunk, parts_of
+from flows.detection import detect_task, match_task
 from flows.progress import expect
 from flows.refinement import (
     Odometry,
@@ -34,7 +36,7 @@ from flows.refinement import (
 )
 from flows.retries import whole
 from flows.runners import count_when_done
-from flows.tasks import Chunk, detect_task, fuse_task, locate_task, match_task, parts_of, weigh_task
+from flows.tasks import fuse_task, locate_task, weigh_task
 
 #: While the calibration is worked out, detections of so many parts of chunks more keep the cores busy.
 _PARTS_MEANWHILE = 2

@@ -20,13 +20,14 @@ from conetl.reports import IngestReport, TooManyRejectionsError
 from conetl.settings import Settings
 from flows.analysis import PrefectRuns, analyse
 from flows.changeset_events import catch_up_task
+from flows.chunks import chunks_of
 from flows.control_room import name_of_run, worst_frames_task
 from flows.merge import already_committed, identify, merge_task, refuse_other_delivery
 from flows.merge import map_srid as srid_of_map
 from flows.progress import ignore, listen
 from flows.publish import publish_task
 from flows.retries import as_known, lost_frame_pairs, whole
-from flows.tasks import chunks_of, read_drive_task
+from flows.tasks import read_drive_task
 
 #: A request to the server costs some 30 ms of processor time.
 _SHOWN_EVERY_S = 10.0

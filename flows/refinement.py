@@ -30,9 +30,9 @@ from conetl.records import Drive, FramePair, Rig, Side, StereoMatch
 from conetl.steps.landmarks import refine_with_cones
 from conetl.steps.self_calibration import SelfCalibration, choose_spans, self_calibrate, span_params, spread_spans
 from conetl.steps.trajectory import RefinedTrajectory
+from flows.chunks import RESULTS_VERSION, Chunk, picture_hashes, picture_paths
 from flows.progress import tell_progress
 from flows.retries import RETRY
-from flows.tasks import RESULTS_VERSION, Chunk, picture_hashes, picture_paths
 
 
 def odometry_chunks(chunks: Sequence[Chunk]) -> Iterator[Chunk]:

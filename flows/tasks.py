@@ -2,285 +2,44 @@
 
 from __future__ import annotations
 
-import socket
-import threading
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
 from prefect import task
 
 from conetl.detector_evidence import UNMEASURED, DetectorEvidence
-from conetl.errors import ModelFileError
-from conetl.geometry.camera import first_road_row
-from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left, map_SE3_right
-from conetl.io import detector as detector_io
+from conetl.geometry.rig import map_SE3_left, map_SE3_right
 from conetl.io.drive_folder import read_drive
-from conetl.io.model_card import read_model_card
 from conetl.io.parquet_store import (
-    file_sha256,
     has_result,
     load_result,
-    load_results,
     result_key,
     result_path,
     save_result,
 )
-from conetl.io.pictures.images import ImageFileError
-from conetl.io.pictures.rectified_image import read_hashed_rig_image, read_rig_image_again
-from conetl.io.places import in_batches, place
-from conetl.io.services.allocator import keep_freed_pictures
 from conetl.params import IngestParams, params_sha256
 from conetl.records import (
     Detection,
     Drive,
-    FramePair,
     Position,
-    Record,
-    Rig,
-    Side,
     StereoMatch,
     Track,
 )
 from conetl.rejections import Rejection
-from conetl.settings import Settings
-from conetl.steps.detections import check_boxes
-from conetl.steps.epipolar_search import Region, blocks_of, is_unanswered, right_region
-from conetl.steps.matches import match_pair, with_measured_spread
 from conetl.steps.pose_errors import pose_cov
 from conetl.steps.positions import locate_positions
 from conetl.steps.sighting_variances import sighting_variances, with_variances
 from conetl.steps.tracks import fuse_tracks
 from conetl.steps.trajectory import RefinedTrajectory, motion_error
-from flows.progress import tell_progress
+from flows.chunks import RESULTS_VERSION, Chunk, rig_and_poses
 from flows.retries import RETRY
-
-#: Part of every result key: raise it when a step computes something else from the same inputs.
-RESULTS_VERSION = "11"
-_SIDES: tuple[Side, Side] = ("left", "right")
-_per_thread = threading.local()
-
-
-class Chunk(Record):
-    """Some consecutive frame pairs of a drive, and where their results go."""
-
-    drive_id: str
-    rig: Rig
-    frame_pairs: tuple[FramePair, ...]
-    results_folder: Path
-    model_path: Path | None
-    detections_sha256: str
-    """Of the model's sidecar: what model, and how it is used."""
-    params: IngestParams
-
-
-def chunks_of(drive: Drive, settings: Settings, params: IngestParams) -> list[Chunk]:
-    """A drive cut into chunks of `params.chunk_pairs` frame pairs; the last may be shorter. Raises ModelFileError."""
-    card = read_model_card(settings.model_path)
-    return [
-        Chunk(
-            drive_id=drive.drive_id,
-            rig=drive.rig,
-            frame_pairs=drive.frame_pairs[first : first + params.chunk_pairs],
-            results_folder=settings.results_folder.resolve(),
-            model_path=settings.model_path and settings.model_path.resolve(),
-            detections_sha256=card.detections_sha256,
-            params=params,
-        )
-        for first in range(0, len(drive.frame_pairs), params.chunk_pairs)
-    ]
 
 
 @task(name="read drive", task_run_name="read {folder}", **RETRY)
 def read_drive_task(folder: Path, map_srid: int | None, pictures_folder: Path) -> tuple[Drive, list[Rejection]]:
     """Understand a drive folder; see `io/drive_folder`."""
     return read_drive(folder, map_srid=map_srid, pictures_folder=pictures_folder)
-
-
-def parts_of(chunk: Chunk) -> list[slice]:
-    """The frame pairs of a chunk that one detection task takes: halves, so that the last ones keep all cores busy."""
-    count = len(chunk.frame_pairs)
-    half = (count + 1) // 2
-    return [slice(first, min(first + half, count)) for first in range(0, count, half)]
-
-
-def picture_paths(pairs: Sequence[FramePair]) -> list[Path]:
-    """Places of the pictures of frame pairs, left and right in turn."""
-    return [place(path) for pair in pairs for path in (pair.left_path, pair.right_path)]
-
-
-def picture_hashes(paths: Sequence[Path]) -> dict[Path, str]:
-    """SHA-256 of pictures as they are now, in order; of none where one is missing. Raises OSError where storage fails."""
-    return {path: file_sha256(path) for path in in_batches(paths, fresh=True)}
-
-
-@task(name="detect", task_run_name="detect {chunk.frame_pairs[0].frame_index} {part}", **RETRY)
-def detect_task(chunk: Chunk, part: int, rig: Rig | None) -> Path:
-    """Detections in both pictures of one of the parts of a chunk; returns the Parquet file.
-
-    rig: of the drive after its self-calibration, None where that is not known yet. Where it is, the matches are computed along
-    with the detections, while the pictures are in memory, and lie where `match_task` looks for them.
-    """
-    pairs = chunk.frame_pairs[parts_of(chunk)[part]]
-    paths = picture_paths(pairs)
-    hashes = picture_hashes(paths)
-    params, reconcile = chunk.params.detection, chunk.params.reconcile
-    key = result_key(
-        RESULTS_VERSION,
-        "detect",
-        chunk.detections_sha256,
-        params_sha256(params),
-        params_sha256(chunk.params.match),
-        f"{reconcile.removal_min_frames} pairs, {reconcile.visible_min_height_px} px",
-        _rig_and_poses(chunk),
-        str(part),
-        *hashes.values(),
-    )
-    if has_result(chunk.results_folder, key):
-        detected = result_path(chunk.results_folder, key)
-        tell_progress(chunk.drive_id, len(paths))
-        if rig is not None:
-            _match_part(chunk, part, detected, rig)
-        return detected
-    keep_freed_pictures()
-    first_rows = _first_rows(chunk)
-    found: list[_PairFound] = []
-    at = in_batches(paths)
-    for middle, block in blocks_of(len(pairs), chunk.params):
-        hashed = {k: [(path, hashes[path]) for path in (next(at), next(at))] for k in block}
-        seen = {middle: _search(chunk, pairs[middle], hashed[middle], first_rows, rig, everywhere=True)}
-        everywhere = is_unanswered(seen[middle].detections, chunk.rig, chunk.params)
-        for k in block:
-            if k != middle:
-                seen[k] = _search(chunk, pairs[k], hashed[k], first_rows, rig, everywhere=everywhere)
-        found += [seen[k] for k in block]
-    detected = save_result(
-        chunk.results_folder, key, [d for f in found for d in f.detections], [r for f in found for r in f.rejections]
-    )
-    if rig is not None:
-        matches, refused = [m for f in found for m in f.matches], [r for f in found for r in f.refused_matches]
-        save_result(chunk.results_folder, _match_key(chunk, detected, rig), matches, refused)
-    return detected
-
-
-class _PairFound(NamedTuple):
-    """What one frame pair shows."""
-
-    detections: list[Detection]
-    rejections: list[Rejection]
-    matches: list[StereoMatch]
-    refused_matches: list[Rejection]
-
-
-def _search(
-    chunk: Chunk,
-    pair: FramePair,
-    hashed: Sequence[tuple[Path, str]],
-    first_rows: Mapping[Side, int],
-    rig: Rig | None,
-    *,
-    everywhere: bool,
-) -> _PairFound:
-    """Detections, and matches where the rig is known, of one frame pair; the right picture where partners can be, or everywhere.
-
-    hashed: the left and the right picture's place, and SHA-256 as it was hashed for the key.
-    """
-    images: dict[Side, NDArray[np.uint8]] = {}
-    by_side: dict[Side, list[Detection]] = {"left": [], "right": []}
-    rejections: list[Rejection] = []
-    for side, (path, sha256) in zip(_SIDES, hashed, strict=True):
-        tell_progress(chunk.drive_id, 1)
-        region = None if side == "left" or everywhere else right_region(by_side["left"], chunk.rig, chunk.params)
-        if region is None and side == "right" and not everywhere:
-            continue
-        image, by_side[side], refused = _detect(chunk, pair.frame_index, side, path, sha256, first_rows[side], region)
-        if image is not None:
-            images[side] = image
-        rejections += refused
-    matches, refused_matches = ([], []) if rig is None else _match(chunk, pair, by_side, rig, images)
-    return _PairFound([*by_side["left"], *by_side["right"]], rejections, matches, refused_matches)
-
-
-def _detect(
-    chunk: Chunk, frame_index: int, side: Side, path: Path, sha256: str, first_row: int, region: Region | None
-) -> tuple[NDArray[np.uint8] | None, list[Detection], list[Rejection]]:
-    """One picture, None where it cannot be read, and what was found in it from a row on, in a part of it (None: everywhere).
-
-    sha256: as it was hashed for the key.
-    """
-    params = chunk.params.detection
-    try:
-        image = read_hashed_rig_image(path, sha256, chunk.rig, side)
-    except ImageFileError as error:
-        unread = Rejection(
-            step="detections",
-            reason=error.reason,
-            record=f"frame pair {frame_index}",
-            detail=str(error),
-            payload={"frame_index": frame_index, "side": side, "path": str(path)},
-        )
-        return None, [], [unread]
-    boxes = detector_io.detect_image(
-        _detector(chunk), image, score_threshold=params.score_threshold, nms_iou=params.nms_iou, first_row=first_row,
-        within=None if region is None else region[:4], reach_px=0.0 if region is None else region.reach_px,
-    )  # fmt: skip
-    return image, *check_boxes(boxes, frame_index=frame_index, side=side, params=params)
-
-
-@task(name="match", task_run_name="match {chunk.frame_pairs[0].frame_index}", **RETRY)
-def match_task(chunk: Chunk, rig: Rig, *detected: Path) -> Path:
-    """Stereo matches of a chunk from the detections of its parts; returns the Parquet file.
-
-    chunk: with the rig by which its pictures were read; rig: the same after self-calibration.
-    """
-    keys = [_match_key(chunk, path, rig) for path in detected]
-    key = result_key(RESULTS_VERSION, "matches", *keys)
-    if has_result(chunk.results_folder, key):
-        return result_path(chunk.results_folder, key)
-    paths = [_match_part(chunk, part, path, rig) for part, path in enumerate(detected)]
-    matches, rejections = load_results(paths, StereoMatch)
-    return save_result(chunk.results_folder, key, with_measured_spread(matches), rejections)
-
-
-def _match_part(chunk: Chunk, part: int, detected: Path, rig: Rig) -> Path:
-    """The matches of a part by themselves, computed where they are not there yet; returns the Parquet file."""
-    key = _match_key(chunk, detected, rig)
-    if has_result(chunk.results_folder, key):
-        return result_path(chunk.results_folder, key)
-    by_frame: dict[int, dict[Side, list[Detection]]] = defaultdict(lambda: {"left": [], "right": []})
-    for detection in load_result(detected, Detection)[0]:
-        by_frame[detection.frame_index][detection.side].append(detection)
-    matches: list[StereoMatch] = []
-    rejections: list[Rejection] = []
-    for pair in chunk.frame_pairs[parts_of(chunk)[part]]:
-        found, refused = _match(chunk, pair, by_frame[pair.frame_index], rig)
-        matches += found
-        rejections += refused
-    return save_result(chunk.results_folder, key, matches, rejections)
-
-
-def _match(
-    chunk: Chunk,
-    pair: FramePair,
-    by_side: Mapping[Side, Sequence[Detection]],
-    rig: Rig,
-    images: Mapping[Side, NDArray[np.uint8]] | None = None,
-) -> tuple[list[StereoMatch], list[Rejection]]:
-    """Stereo matches of one frame pair. images: of sides that have detections; None where they have to be read again."""
-    ours, theirs, params = by_side["left"], by_side["right"], chunk.params.match
-    # Up of the map, as the left camera sees it at this instant.
-    up = map_SE3_left(pair.pose, rig)[2, :3]
-    if params.refine and images is None:
-        if not match_pair(ours, theirs, rig, params, up_left=up)[0]:
-            images = {}  # pictures are dear: only where boxes alone say that something matches
-        else:
-            paths: dict[Side, str] = {"left": pair.left_path, "right": pair.right_path}
-            images = {side: read_rig_image_again(place(path), chunk.rig, side) for side, path in paths.items()}
-    both = (images["left"], images["right"]) if images and len(images) == len(_SIDES) else None
-    return match_pair(ours, theirs, rig, params, up_left=up, images=both)
 
 
 @task(name="locate", **RETRY)
@@ -291,7 +50,7 @@ def locate_task(chunks: Sequence[Chunk], matches: Sequence[Path]) -> list[Path]:
 
 def _locate(chunk: Chunk, matches: Path) -> Path:
     key = result_key(
-        RESULTS_VERSION, "locate", matches.stem, params_sha256(chunk.params.position), _rig_and_poses(chunk)
+        RESULTS_VERSION, "locate", matches.stem, params_sha256(chunk.params.position), rig_and_poses(chunk)
     )
     if has_result(chunk.results_folder, key):
         return result_path(chunk.results_folder, key)
@@ -343,42 +102,3 @@ def weigh_task(
     errors = pose_cov(trajectory, params.trajectory)
     weighed = with_variances(matches, sighting_variances(tracks, matches, drive.rig, poses, errors))
     return weighed, *locate_positions(weighed, pairs, drive.rig, params.position)
-
-
-def _rig_and_poses(chunk: Chunk, rig: Rig | None = None) -> str:
-    """Hash of all geometry that a chunk's matches and positions depend on, by the chunk's rig or another one."""
-    return result_key((rig or chunk.rig).model_dump_json(), *(pair.model_dump_json() for pair in chunk.frame_pairs))
-
-
-def _match_key(chunk: Chunk, detected: Path, rig: Rig) -> str:
-    """Of the matches of one part by themselves."""
-    return result_key(
-        RESULTS_VERSION, "match", detected.stem, params_sha256(chunk.params.match), _rig_and_poses(chunk, rig)
-    )
-
-
-def _first_rows(chunk: Chunk) -> dict[Side, int]:
-    """Rows of the pictures of either side from which on they are searched."""
-    return {
-        side: first_road_row(
-            camera_of(chunk.rig, side),
-            [map_SE3_camera(pair.pose, chunk.rig, side)[:3, :3] for pair in chunk.frame_pairs],
-            chunk.params.detection.horizon_margin_rad,
-        )
-        for side in _SIDES
-    }
-
-
-def _detector(chunk: Chunk) -> detector_io.Detector:
-    """One single-threaded session per thread: two of them beat one session with two threads."""
-    loaded: tuple[str, detector_io.Detector] | None = getattr(_per_thread, "detector", None)
-    if loaded is None or loaded[0] != chunk.detections_sha256:
-        detector = detector_io.load_detector(chunk.model_path, threads=1)
-        if detector.card.detections_sha256 != chunk.detections_sha256:  # on another machine, perhaps
-            raise ModelFileError(
-                f"{detector.path} on {socket.gethostname()} is another model, or its sidecar another, than that of this run "
-                f"(SHA-256 {detector.sha256}); all machines need the same version of conetl and the same CONETL_MODEL_PATH"
-            )
-        loaded = (chunk.detections_sha256, detector)
-        _per_thread.detector = loaded
-    return loaded[1]

@@ -15,8 +15,8 @@ from conetl.io.parquet_store import load_result
 from conetl.io.pictures import images
 from conetl.params import IngestParams
 from conetl.records import Detection
-from flows import refinement, tasks
-from flows.tasks import Chunk
+from flows import chunks, detection, refinement
+from flows.chunks import Chunk
 from tests.integration.small_drives import SAMPLES, cut_drive
 
 Failure = Callable[[Path], bytes]
@@ -56,9 +56,9 @@ def test_detections_are_not_kept_of_pictures_that_were_not_read(
     with monkeypatch.context() as failing:
         failing.setattr(Path, "read_bytes", failure)
         with pytest.raises(StorageError, match=r"\.jpg"):
-            tasks.detect_task.fn(chunk, 0, None)
+            detection.detect_task.fn(chunk, 0, None)
     assert not chunk.results_folder.exists()
-    found, rejections = load_result(tasks.detect_task.fn(chunk, 0, None), Detection)
+    found, rejections = load_result(detection.detect_task.fn(chunk, 0, None), Detection)
     assert found
     assert not rejections
 
@@ -80,15 +80,15 @@ def test_a_picture_that_comes_back_after_its_hash_is_not_kept_under_no_picture(
     chunk: Chunk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as failing:
-        failing.setattr(tasks, "file_sha256", lambda _: images.NO_FILE_SHA256)
+        failing.setattr(chunks, "file_sha256", lambda _: images.NO_FILE_SHA256)
         with pytest.raises(StorageError, match="changed"):
-            tasks.detect_task.fn(chunk, 0, None)
+            detection.detect_task.fn(chunk, 0, None)
     assert not chunk.results_folder.exists()
 
 
 def test_a_picture_that_is_gone_is_a_rejection_that_is_kept(chunk: Chunk) -> None:
     Path(chunk.frame_pairs[0].left_path).unlink()
-    _, rejections = load_result(tasks.detect_task.fn(chunk, 0, None), Detection)
+    _, rejections = load_result(detection.detect_task.fn(chunk, 0, None), Detection)
     assert [rejection.reason for rejection in rejections] == ["image_missing"]
     found, _ = load_result(refinement.odometry_task.fn(chunk).tracks, refinement.StereoTracks)
     assert found[0].missing == "picture_unreadable"
@@ -97,20 +97,20 @@ def test_a_picture_that_is_gone_is_a_rejection_that_is_kept(chunk: Chunk) -> Non
 def test_a_picture_that_is_bad_for_good_is_a_rejection_that_is_kept(chunk: Chunk) -> None:
     picture = Path(chunk.frame_pairs[0].left_path)
     picture.write_bytes(half(picture))
-    _, rejections = load_result(tasks.detect_task.fn(chunk, 0, None), Detection)
+    _, rejections = load_result(detection.detect_task.fn(chunk, 0, None), Detection)
     assert [rejection.reason for rejection in rejections] == ["image_truncated"]
 
 
 def test_matches_and_calibration_are_not_worked_out_without_pictures_that_were_there(
     chunk: Chunk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    detected = tasks.detect_task.fn(chunk, 0, None)
+    detected = detection.detect_task.fn(chunk, 0, None)
     kept = set(chunk.results_folder.iterdir())
     read = refinement.reader_again(chunk.rig)
     with monkeypatch.context() as failing:
         failing.setattr(Path, "read_bytes", gone)
         with pytest.raises(StorageError, match="was read before"):
-            tasks.match_task.fn(chunk, chunk.rig, detected)
+            detection.match_task.fn(chunk, chunk.rig, detected)
         with pytest.raises(StorageError, match="was read before"):
             read(chunk.frame_pairs[0], "left")
     assert set(chunk.results_folder.iterdir()) == kept

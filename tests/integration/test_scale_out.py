@@ -19,11 +19,11 @@ from conetl.io.places import place
 from conetl.params import IngestParams
 from conetl.records import StereoMatch
 from conetl.settings import Settings, prefect_environment
-from flows import progress, tasks
+from flows import detection, progress
 from flows.analysis import PrefectRuns, analyse
+from flows.chunks import Chunk, parts_of
 from flows.runners import task_runner
 from flows.server import prefect_server
-from flows.tasks import Chunk
 from tests.integration.small_drives import SAMPLES, cut_drive
 from tests.object_storage import BUCKET, object_storage
 
@@ -91,12 +91,11 @@ def test_matches_are_the_same_from_pictures_in_memory_and_read_again(chunks: lis
     for early in (True, False):
         chunk = chunks[0].model_copy(update={"results_folder": tmp_path / str(early)})
         parts = [
-            tasks.detect_task.fn(chunk, part, chunk.rig if early else None)
-            for part in range(len(tasks.parts_of(chunk)))
+            detection.detect_task.fn(chunk, part, chunk.rig if early else None) for part in range(len(parts_of(chunk)))
         ]
         before = len(list(chunk.results_folder.iterdir()))
         assert before == (4 if early else 2), "with the rig at hand, matches come along with the detections"
-        matches, _ = load_result(tasks.match_task.fn(chunk, chunk.rig, *parts), StereoMatch)
+        matches, _ = load_result(detection.match_task.fn(chunk, chunk.rig, *parts), StereoMatch)
         assert any(match.refined for match in matches)
         written.append({path.name: path.read_bytes() for path in chunk.results_folder.iterdir()})
     assert written[0] == written[1]
@@ -105,7 +104,7 @@ def test_matches_are_the_same_from_pictures_in_memory_and_read_again(chunks: lis
 def test_another_machines_model_is_no_answer(chunks: list[Chunk], tmp_path: Path) -> None:
     other = chunks[0].model_copy(update={"results_folder": tmp_path, "detections_sha256": "0" * 64})
     with pytest.raises(ModelFileError, match="all machines need the same version"):
-        tasks.detect_task.fn(other, 0, other.rig)
+        detection.detect_task.fn(other, 0, other.rig)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -66,7 +66,8 @@ def run_steps(folder: Path, settings: Settings, params: IngestParams, *, map_sri
 
     from flows import progress
     from flows.analysis import PlainRuns, analyse
-    from flows.tasks import chunks_of, read_drive_task
+    from flows.chunks import chunks_of
+    from flows.tasks import read_drive_task
 
     drive, rejections = read_drive_task.fn(folder, map_srid, settings.pictures_folder.resolve())
     card = read_model_card(settings.model_path)
