@@ -217,6 +217,12 @@ def status(as_json: JsonOption = False) -> None:
         for service in found["services"]:
             if service["log_tail"]:
                 out.print(f"\n{service['name']}: the end of {service['log']}:\n{service['log_tail']}", markup=False)
+        if all(service["since"] is None for service in found["services"]):
+            home = read_settings().home.resolve()
+            out.print(
+                f"Nothing of `conetl up` runs for this home, {home}: start it, or name another by CONETL_HOME.",
+                markup=False,
+            )
     if not found["up"]:
         raise typer.Exit(EXIT_SERVICE_MISSING)
 
