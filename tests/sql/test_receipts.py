@@ -14,6 +14,7 @@ from uuid import uuid4
 
 import pytest
 
+from conetl.errors import InputError
 from conetl.io.db import connect, execute
 from conetl.io.drive_folder.outline import DriveOutline
 from conetl.io.stores.receipt_store import (
@@ -98,6 +99,12 @@ def test_new_drives_are_planned_in_the_order_of_their_recording(plan: Any) -> No
 def test_since_belongs_to_the_span_and_until_does_not(plan: Any) -> None:
     made = plan(outlines(5), since=datetime(2026, 1, 2, tzinfo=UTC), until=datetime(2026, 1, 4, tzinfo=UTC))
     assert [name for name, _ in actions(made)] == ["d0001", "d0002"]
+
+
+def test_a_span_that_ends_before_it_begins_is_refused(plan: Any) -> None:
+    """Such a plan was one of no drives, as where there are none."""
+    with pytest.raises(InputError, match=r"2026-01-04 00:00 UTC on \(--since\) and before 2026-01-02"):
+        plan(outlines(5), since=datetime(2026, 1, 4, tzinfo=UTC), until=datetime(2026, 1, 2, tzinfo=UTC))
 
 
 def test_what_is_done_is_left_alone_and_only_what_failed_is_tried_again(
