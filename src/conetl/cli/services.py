@@ -138,6 +138,8 @@ def _start_all(
         address,
         PREFECT_SERVER_DATABASE_CONNECTION_URL=_prefect_url(settings, url),
         PREFECT_SERVER_UI_API_URL=os.environ.get("PREFECT_SERVER_UI_API_URL", f"{address}/api"),
+        # Its terminal is its log: what fails in its own services is told nowhere else.
+        PREFECT_LOGGING_HANDLERS_CONSOLE_LEVEL="ERROR",
     )
     conetl = [sys.executable, "-c", "from conetl.cli import main; main()"]
     ensure("view", [*conetl, "view", "--port", str(view_port), *(["--decisions"] if decisions else [])], view)
