@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from conetl.detector_evidence import evidence_sha256
+from conetl.errors import InputError
 from conetl.io.db import Connection
 from conetl.io.drive_folder.outline import DriveOutline, find_drives, outline_drive
 from conetl.io.exports.atomic import atomic_text_file
@@ -116,8 +117,12 @@ def plan_drives(
 
     once: what failed for good or crashed repeatedly is left alone until the drive changes (for schedules). recheck: drives whose
     header is known are compared by content as well. folders: drive folders, where they were looked for already. Raises
-    DriveFolderError where there is no `root`.
+    InputError where `since` does not lie before `until`, DriveFolderError where there is no `root`.
     """
+    if since is not None and until is not None and until <= since:
+        raise InputError(
+            f"nothing is recorded from {since:%Y-%m-%d %H:%M} UTC on (--since) and before {until:%Y-%m-%d %H:%M} UTC (--until)"
+        )
     started = time.monotonic()
     outlines = [outline_drive(folder) for folder in (find_drives(root) if folders is None else folders)]
     outlines = [o for o in outlines if _is_within(o, since, until)]

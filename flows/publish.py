@@ -16,7 +16,6 @@ from conetl.geometry.rig import map_SE3_left
 from conetl.io.db import Connection
 from conetl.io.exports.geojson import export_geojson
 from conetl.io.exports.plan_view import draw_plan_view
-from conetl.io.file_names import file_name_part
 from conetl.io.qa.drive_page import write_drive_page
 from conetl.io.stores.map_store import find_changeset
 from conetl.io.stores.run_store import write_run_steps
@@ -43,11 +42,12 @@ def publish_task(
         export_geojson(conn, geojson, map_name=settings.map_name)
         write_run_steps(conn, changeset.changeset_id, times_of(flow_run.get_id()))
         page = _write_report(conn, changeset, settings)
-    picture = exports / f"{file_name_part(drive.drive_id)}.png"
+    picture = settings.drive_picture_path(drive.drive_id)
     path = np.array([map_SE3_left(pair.pose, drive.rig)[:2, 3] for pair in drive.frame_pairs])
     draw_plan_view(
         picture,
-        title=f"Drive {drive.drive_id}, {drive.captured_from:%Y-%m-%d %H:%M} UTC (EPSG:{drive.map_srid})",
+        title=f"Drive {drive.drive_id}, {drive.captured_from:%Y-%m-%d %H:%M} UTC\n"
+        f"map {settings.map_name}, EPSG:{drive.map_srid}",
         trajectory_m=path,
         deltas=changeset.deltas,
         untouched=untouched,

@@ -21,7 +21,7 @@ from watchfiles import watch as watch_files
 
 from conetl.errors import DriveFolderError, InputError
 from conetl.io.db import Connection, connect, migrate
-from conetl.io.drive_folder.arriving import ArrivingDrive, ArrivingPair, open_arriving
+from conetl.io.drive_folder.arriving import BEHIND, ArrivingDrive, ArrivingPair, open_arriving
 from conetl.io.drive_folder.outline import MARKER
 from conetl.io.drive_folder.oxts import MAX_SPEED_M_S
 from conetl.io.drive_folder.pairs import PairError
@@ -116,6 +116,10 @@ class _Watch:
     taken_index: int = -1
     waiting: dict[str, tuple[ArrivingPair, float]] = field(default_factory=dict)
     """Pairs that are not done, with the time of their first sight (monotonic s)."""
+    turn: list[tuple[int, str]] = field(default_factory=list)
+    """The order of those of them whose place in the recording is known, rising; of some that are done, too."""
+    unplaced: list[ArrivingPair] = field(default_factory=list)
+    """The others, in any order."""
     begun: _Begun | None = None
     """The one of them whose pictures are searched already."""
 
@@ -227,7 +231,18 @@ def _begin(watch: _Watch, source: ArrivingDrive, stack: ExitStack) -> None:
 
 
 def _notice(watch: _Watch, source: ArrivingDrive, paths: list[Path] | None) -> None:
-    watch.waiting |= {pair.key: (pair, time.monotonic()) for pair in source.look(paths)}
+    """Take in pairs that came, and the place in the recording of those that have one by now.
+
+    A pair is asked for its place until it has one, and not at every look: of a long drive that was there before, that took longer
+    than to match its cones.
+    """
+    new = source.look(paths)
+    watch.waiting |= {pair.key: (pair, time.monotonic()) for pair in new}
+    orders = [(source.order(pair), pair) for pair in (*watch.unplaced, *new) if pair.key in watch.waiting]
+    watch.unplaced = [pair for order, pair in orders if order[0] == BEHIND]
+    placed = [order for order, _ in orders if order[0] != BEHIND]
+    if placed:
+        watch.turn = sorted([*watch.turn, *placed])
 
 
 def _take_next(watch: _Watch) -> bool:
@@ -260,9 +275,11 @@ def _take_next(watch: _Watch) -> bool:
 
 def _begin_next(watch: _Watch, source: ArrivingDrive) -> _Begun | None:
     """Begin with the next pair whose turn has come, if any. One that is not whole holds up the rest for a while."""
-    turn = sorted(watch.waiting.values(), key=lambda item: source.order(item[0]))
-    newest_ns = max((_written_ns(pair) for pair, _ in turn[-2:]), default=0)
-    for pair, since in turn:
+    watch.turn = [order for order in watch.turn if order[1] in watch.waiting]
+    turn = [*watch.turn, *sorted((BEHIND, pair.key) for pair in watch.unplaced if pair.key in watch.waiting)]
+    newest_ns = max((_written_ns(watch.waiting[key][0]) for _, key in turn[-2:]), default=0)
+    for _, key in turn:
+        pair, since = watch.waiting[key]
         if _is_late(watch, pair, newest_ns):
             watch.report.left_out += 1
             del watch.waiting[pair.key]

@@ -73,6 +73,10 @@ class Settings(BaseSettings):
         """Where the ingest writes the QA report of a drive; an id may hold anything, a file name not."""
         return self.reports_folder / f"{changeset_no:06d}-{file_name_part(drive_id, 120)}.html"
 
+    def drive_picture_path(self, drive_id: str) -> Path:
+        """Where the ingest draws the plan view of a drive and its changes: those on this map, another one has others."""
+        return self.reports_folder / f"{file_name_part(drive_id, 120)}.png"
+
 
 def read_settings() -> Settings:
     """Settings from the environment. Raises InputError naming the variable that cannot be used."""

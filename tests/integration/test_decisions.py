@@ -12,7 +12,14 @@ from conetl.io.db import connect
 from conetl.io.imports.statements import read_map_file
 from conetl.io.stores.audits import run_audits
 from conetl.io.stores.decision_store import list_decisions
-from conetl.io.stores.map_store import feature_log, list_changesets, read_current_features, read_features_as_of
+from conetl.io.stores.map_store import (
+    feature_log,
+    list_changesets,
+    map_summary,
+    read_current_features,
+    read_features_as_of,
+)
+from conetl.io.stores.serve_store import read_maps
 from conetl.map_records import DeltaKind
 from conetl.params import ImportParams
 from flows.decide import PIN, SUPPRESS, decide_place, revert
@@ -63,6 +70,26 @@ def test_a_suppressed_place_stays_suppressed_whatever_comes(conn):
     [back] = near(conn, 14.0, 3.6)
     assert back.observation_count > feature.observation_count, "drives went on counting it"
     assert list_decisions(conn) == []
+
+
+def test_a_map_tells_when_it_was_last_decided_about(conn):
+    """Whoever asks whether a map changed since yesterday must see a person's decision, and that it was taken back."""
+    merge(conn, survey(0))
+    feature = read_current_features(conn)[0]
+    conn.rollback()
+
+    def told():
+        [served] = read_maps(conn)
+        summary = map_summary(conn)
+        conn.rollback()
+        assert served["last_committed_at"] == summary.last_committed_at
+        return summary.last_committed_at
+
+    committed = told()
+    decided = decide_place(conn, PIN, str(feature.feature_id), map_name="default")
+    assert committed < told() == decided.decided_at
+    revert(conn, str(decided.decision_id), map_name="default")
+    assert told() > decided.decided_at
 
 
 def test_a_decision_reaches_the_cones_of_others_within_its_radius(conn, tmp_path):

@@ -9,6 +9,7 @@ import struct
 from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import permutations
+from uuid import UUID
 
 import numpy as np
 import pyarrow as pa
@@ -117,6 +118,53 @@ def test_times_come_back_to_the_microsecond(conn, tmp_path, name):
 def test_times_of_geojson_are_read_as_they_are_written(tmp_path, text):
     read = read_map_file(geojson(tmp_path / "a.geojson", [(GOOD[0], {"last_seen_at": text})]), PARAMS, map_srid=32632)
     assert read.stated_at_ns == 1_772_352_000_123_456_000
+
+
+def features_one_after_the_other(path, rows, *, mark="", indent=None):
+    features = [
+        {"type": "Feature", "geometry": {"type": "Point", "coordinates": place}, "properties": properties}
+        for place, properties in rows
+    ]
+    path.write_text("".join(f"{mark}{json.dumps(feature, indent=indent)}\n" for feature in features))
+    return path
+
+
+@pytest.mark.parametrize(("mark", "indent"), [("", None), ("\x1e", 1)])
+def test_a_sequence_of_features_says_what_the_collection_says(tmp_path, mark, indent):
+    """One feature a line, or RFC 8142; times to the microsecond, which GDAL cuts to milliseconds there."""
+    rows = [
+        (GOOD[0], {"last_seen_at": "2026-03-01T08:00:00.123456Z", "category": "cone ä"}),
+        (OTHER, {"last_seen_at": "2026-03-01T08:00:00.1Z"}),
+    ]
+    path = features_one_after_the_other(tmp_path / "sequence.geojson", rows, mark=mark, indent=indent)
+    read = read_map_file(path, PARAMS, map_srid=32632)
+    assert read.stated_at_ns == 1_772_352_000_123_456_000
+    assert read.name == path.name
+    collection = read_map_file(geojson(tmp_path / "collection.geojson", rows), PARAMS, map_srid=32632)
+    of_file = {"feature_id": UUID(int=0)}
+    assert [s.feature.model_copy(update=of_file) for s in read.statements] == [
+        s.feature.model_copy(update=of_file) for s in collection.statements
+    ]
+
+
+@pytest.mark.parametrize(
+    ("row", "text", "message"),
+    [
+        (1, '{"type": "Feature", "geom', "row 2: this is no GeoJSON feature"),
+        (2, '{"type": "Feature", "geom', "row 3: this is no GeoJSON feature"),
+        (1, "3", "row 2: expected a GeoJSON Feature"),
+        (1, "{}", "row 2: expected a GeoJSON Feature"),
+    ],
+)
+def test_a_sequence_with_a_broken_row_is_refused_as_a_whole(tmp_path, row, text, message):
+    """GDAL leaves such rows out and does not say so: a half-imported map."""
+    rows = [([8.43 + i * 1e-4, 49.01, 115.0], SEEN) for i in range(3)]
+    path = features_one_after_the_other(tmp_path / "cut.geojson", rows)
+    lines = path.read_text().splitlines()
+    lines[row] = text
+    path.write_text("\n".join(lines))
+    with pytest.raises(InputError, match=message):
+        read_map_file(path, PARAMS, map_srid=32632)
 
 
 @pytest.mark.parametrize("stated_ms", [1_772_352_000_123, 1_772_352_000_124])

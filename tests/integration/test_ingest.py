@@ -569,6 +569,7 @@ def test_a_watched_drive_is_replaced_by_its_ingest_which_writes_its_report(
         conn.rollback()
         again = drive_page(conn, list_changesets(conn)[0], map_name="default")
     reports = Path(desk.environment["CONETL_HOME"]) / "exports" / "reports" / "default"
+    assert (reports / "_b_small__b__drive.png").read_bytes().startswith(b"\x89PNG")
     page = (reports / "000001-_b_small__b__drive.html").read_text()
     assert name not in page and "&lt;b&gt;small&lt;/b&gt; drive" in page
     for told in ("detect", "merge", "intervals measured", done.json[0]["content_sha256"], done.json[0]["model_sha256"]):

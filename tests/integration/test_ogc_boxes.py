@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from conetl.geometry.geodesy import to_geodetic, to_map
 from conetl.io.db import connect, execute, execute_count
 from conetl.io.stores.ogc_store import MapDirectory, part_of_map, rows_near, rows_within
-from conetl.web.ogc.collections import Instants, features_of
+from conetl.web.ogc.collections import AsOfCollection, Instants, features_of
 
 FEATURE_COUNT = 300
 #: Of each map: its CRS, and around where (lon, lat) its cones lie how far (degrees).
@@ -121,6 +121,13 @@ class Maps:
         assert page.returned == len(items)
         return [(item["id"], item["geometry"]["coordinates"]) for item in items], page.matched
 
+    def table(self, name, box, way, limit, offset, **asked):
+        """A page for the forms that are no GeoJSON."""
+        share, version_count = WAYS[way]
+        served = replace(self.served[name], share=share, version_count=version_count)
+        asked = {"bbox_filter": box, "limit": limit, "offset": offset, "geom_as_wkt": True} | asked
+        return self.run(features_of(served, Instants()).features(self.reader, **asked))
+
 
 @pytest.fixture(scope="module")
 def maps(module_database_url):
@@ -183,3 +190,38 @@ def test_an_inner_box_lies_in_the_box_in_degrees(maps, asked):
     lat, lon, _ = np.moveaxis(to_geodetic(MAPS[name][0], np.stack([x, y, 0 * x], axis=-1)), -1, 0)
     assert ((lat >= south) & (lat <= north)).all()
     assert (((lon >= west) & (lon <= east)) if west <= east else (lon >= west) | (lon <= east)).all()
+
+
+ASKED = (
+    {},
+    {"sortby": "-easting_m"},
+    {"sortby": "category", "properties": ["category", "seen_count", "valid_from"]},
+    {"properties_filter": [("version", "1")]},
+    {"properties_filter": [("version", "2")]},
+    {"sortby": "-seen_count"},
+    {"properties_filter": [("missed_count", "0")], "sortby": "northing_m"},
+)
+
+
+@pytest.mark.parametrize("asked", ASKED, ids=str)
+@pytest.mark.parametrize("way", ["many", "most"])
+@pytest.mark.parametrize(("limit", "offset"), [(7, 0), (7, 5), (1000, 0), (10, 290), (10, 1000)])
+def test_a_table_of_a_large_part_of_a_large_map_is_that_of_a_small_one(maps, asked, way, limit, offset):
+    for name in MAPS:
+        for box in (None, (MAPS[name][1] - 0.1, -90.0, 179.0, 90.0)):
+            expected = maps.table(name, box, "few", limit, offset, **asked)
+            assert maps.table(name, box, way, limit, offset, **asked) == expected
+
+
+def test_a_table_of_a_large_map_looks_no_feature_up_to_count_it(maps, monkeypatch):
+    """A million of them took 4 s, and to keep them all in order as much again."""
+    whole = maps.table("town", None, "few", 10, 0)
+    assert (len(whole["items"]), whole["matched"], whole["next"]) == (10, FEATURE_COUNT, 10)
+    [one] = maps.table("town", None, "most", None, None, ids_filter=[str(whole["items"][3]["id"])])["items"]
+    assert one == whole["items"][3]
+
+    def count(*_, **__):
+        raise AssertionError("every feature is looked up")
+
+    monkeypatch.setattr(AsOfCollection, "_features_count_query", count)
+    assert maps.table("town", None, "most", 10, 0) == whole

@@ -157,6 +157,20 @@ def test_a_complete_drive_in_the_drop_folder_is_taken(desk: Desk) -> None:
     assert desk.receipts() == {"2026-03-20_dropped": ("committed", "")}
 
 
+def test_the_schedules_of_prefect_yaml_come_to_pass(desk: Desk) -> None:
+    """Prefect's scheduler makes runs ahead. With another SQLAlchemy it failed at every look, and told nobody."""
+    wanted = {
+        "deployments": {"name": {"any_": ["publish-map"]}},
+        "flow_runs": {"state": {"type": {"any_": ["SCHEDULED"]}}},
+    }
+    until = time.monotonic() + 180
+    while not (runs := desk.post("/flow_runs/filter", wanted)):
+        log = (desk.home / "logs" / "prefect.log").read_text()
+        assert time.monotonic() < until, f"no run of the schedule was made:\n{log[-3000:]}"
+        time.sleep(1)
+    assert all(run["auto_scheduled"] for run in runs)
+
+
 def test_the_form_of_a_deployment_refuses_what_cannot_be(desk: Desk) -> None:
     found = desk.get("/deployments/name/ingest-drive/ingest-drive")
     assert found["enforce_parameter_schema"]

@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -14,11 +15,14 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
-from conetl.errors import DatabaseError
+from conetl.cli.app import app
+from conetl.errors import DatabaseError, ServiceError
 from conetl.io.db import connect, execute
-from conetl.io.services.cluster import cluster_remove, cluster_status, cluster_up
+from conetl.io.services.cluster import cluster_down, cluster_remove, cluster_status, cluster_up
 from conetl.io.services.cluster_place import find_place
+from conetl.io.services.processes import Service, read_services, write_services
 
 #: What a container is to a process id: a PID namespace with a /proc of its own, and shared memory of its own.
 CONTAINER = ["unshare", "--pid", "--ipc", "--fork", "--mount-proc", "--kill-child"]
@@ -76,9 +80,13 @@ def test_a_server_in_another_container_is_left_alone(home: Path) -> None:
             with pytest.raises(DatabaseError, match=rf"{ELSEWHERE}[\s\S]*CONETL_DATABASE_URL[\s\S]*postmaster.pid"):
                 attempt(home)
         write_note(url)
+        told = cluster_status(home)
+        assert (told.state, told.host, told.url, told.pid) == ("running elsewhere", socket.gethostname(), None, None)
+        with pytest.raises(DatabaseError, match=f"{ELSEWHERE}.*stop it there"):
+            cluster_down(home)
     # The container was killed: its lock is free, so its server is dead, and nobody has to say so.
+    retried(lambda: count_notes(cluster_up(home)) == 2)
     url = cluster_up(home)
-    assert count_notes(url) == 2
     # Now the other way round.
     command = [*CONTAINER, sys.executable, "-c", SERVER, str(home)]
     second = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
@@ -125,6 +133,43 @@ def test_what_a_pid_file_means_depends_on_where_it_was_written(home: Path) -> No
         cluster_up(home)
     host_file.unlink()
     assert is_up()
+
+
+def test_status_and_down_tell_of_what_runs_on_another_host(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing there may be called stopped, or be forgotten."""
+    write_note(cluster_up(home))
+    place = find_place(home)
+    assert place is not None
+    host_file = place.directory / "server.host"
+    written = json.loads(host_file.read_text())
+    pid = cluster_status(home).pid
+    assert pid is not None
+    os.kill(pid, signal.SIGKILL)
+    host_file.write_text(json.dumps(written | {"boot_id": "of another machine", "host": "office-3"}))
+    service = Service(
+        "view", pid, 1, "of another machine", "t", "2026-03-01T08:00:00+00:00", "view.log", "http://127.0.0.1:1"
+    )
+    write_services(home, {"view": service})
+    monkeypatch.setenv("CONETL_HOME", str(home))
+    monkeypatch.delenv("CONETL_DATABASE_URL", raising=False)
+
+    def conetl(*words: str, code: int) -> str:
+        done = CliRunner().invoke(app, words)
+        assert done.exit_code == code, done.output
+        return done.output
+
+    found = json.loads(conetl("status", "--json", code=3))
+    assert [(s["name"], s["state"], s["address"]) for s in found["services"]] == [
+        ("postgis", "running elsewhere", "host office-3"),
+        ("view", "not seen from here", "http://127.0.0.1:1"),
+    ]
+    assert json.loads(conetl("db", "status", "--json", code=0))["cluster"]["host"] == "office-3"
+    for command in (["down"], ["db", "down"]):
+        with pytest.raises(ServiceError, match=r"host office-3\): (end|stop) it"):
+            raise CliRunner().invoke(app, command).exception  # type: ignore[misc]
+    assert read_services(home) == {"view": service}
+    (place.data / "postmaster.pid").unlink()
+    assert cluster_status(home).state == "stopped"
 
 
 def retried(is_up: Callable[[], bool]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -19,6 +20,7 @@ from conetl.cli.app import app
 from conetl.cli.watch import latency, report_as_dict
 from conetl.errors import DriveFolderError, InputError
 from conetl.io.db import connect, execute
+from conetl.io.drive_folder.arriving import ArrivingPair, ArrivingPlain
 from conetl.io.stores.audits import run_audits
 from conetl.io.stores.live_store import WatchedDrive, drop_watched_recording, read_provisional, watch_lock, write_live
 from conetl.io.stores.map_store import find_map, map_transaction
@@ -176,6 +178,29 @@ def test_a_folder_that_never_becomes_a_drive_is_an_error(
     result = CliRunner().invoke(app, ["watch", str(tmp_path / "drive"), "--idle-seconds", "0.3"])
     assert isinstance(result.exception, DriveFolderError)
     assert "nothing came that makes it a drive" in str(result.exception)
+
+
+def test_a_pair_is_asked_for_its_place_until_it_has_one(
+    settings: Settings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not at every look: with 36,000 pairs of an hour waiting that took 9 ms for each that was taken."""
+    folder = begin(tmp_path / "drive")
+    for number in FRAMES:
+        write_pictures(folder, number)
+    append(folder, "".join(row(number) for number in FRAMES[:3]))
+    asked: Counter[str] = Counter()
+    order = ArrivingPlain.order
+
+    def counted(source: ArrivingPlain, pair: ArrivingPair) -> tuple[int, str]:
+        asked[pair.key] += 1
+        return order(source, pair)
+
+    monkeypatch.setattr(ArrivingPlain, "order", counted)
+    report = watch(folder, settings, idle_s=1.0)
+    assert [p.frame_index for p in report.pairs] == [0, 1, 2]
+    assert report.left_out == len(FRAMES) - 3
+    assert [asked[f"{number:06d}"] for number in FRAMES[:3]] == [1, 1, 1]
+    assert min(asked[f"{number:06d}"] for number in FRAMES[3:]) > 1, "their rows may still come"
 
 
 def test_looks_at_all_files_are_rarer_the_longer_they_take() -> None:

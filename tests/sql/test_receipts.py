@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
@@ -13,6 +14,7 @@ from uuid import uuid4
 
 import pytest
 
+from conetl.errors import InputError
 from conetl.io.db import connect, execute
 from conetl.io.drive_folder.outline import DriveOutline
 from conetl.io.stores.receipt_store import (
@@ -97,6 +99,12 @@ def test_new_drives_are_planned_in_the_order_of_their_recording(plan: Any) -> No
 def test_since_belongs_to_the_span_and_until_does_not(plan: Any) -> None:
     made = plan(outlines(5), since=datetime(2026, 1, 2, tzinfo=UTC), until=datetime(2026, 1, 4, tzinfo=UTC))
     assert [name for name, _ in actions(made)] == ["d0001", "d0002"]
+
+
+def test_a_span_that_ends_before_it_begins_is_refused(plan: Any) -> None:
+    """Such a plan was one of no drives, as where there are none."""
+    with pytest.raises(InputError, match=r"2026-01-04 00:00 UTC on \(--since\) and before 2026-01-02"):
+        plan(outlines(5), since=datetime(2026, 1, 4, tzinfo=UTC), until=datetime(2026, 1, 2, tzinfo=UTC))
 
 
 def test_what_is_done_is_left_alone_and_only_what_failed_is_tried_again(
@@ -229,6 +237,7 @@ def test_a_thousand_drives_are_planned_without_opening_a_picture(
             (template / side / "data" / f"{number:010d}.jpg").write_bytes(b"no picture")
         shutil.copy(sample / side / "timestamps.txt", template / side)
     (template / "oxts" / "data").mkdir(parents=True)
+    shutil.copy(sample / "oxts" / "data" / f"{0:010d}.txt", template / "oxts" / "data")
     for path in sample.glob("calib*"):
         shutil.copy(path, template)
     for number in range(1000):
@@ -274,3 +283,25 @@ def test_what_cannot_be_read_is_a_line_of_the_plan(conn: Any, tmp_path: Path) ->
     made = plan_drives(conn, tmp_path, settings=Settings(), params=IngestParams())
     assert sorted(actions(made)) == [("M\\xfcnchen", "refuse"), ("good", "ingest")]
     json.dumps(plan_as_dict(made, 1), ensure_ascii=False).encode()
+
+
+def test_a_full_disk_costs_the_copy_of_a_receipt_and_nothing_else(
+    receipt: Any, conn: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The row is what counts; of the copy there is the earlier one, and no half one beside it."""
+    [drive] = outlines(1)
+    receipt(drive, "started")
+    [copy] = tmp_path.rglob("*.json")
+    before = copy.read_bytes()
+
+    def full(_handle: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as failing:
+        failing.setattr(os, "fsync", full)
+        receipt(drive, "failed", reason="not one usable pose", may_pass=False)
+    assert latest_receipts(conn, map_name="default")[drive.header_sha256].state == "failed"
+    assert "its copy is not" in caplog.text
+    assert "No space left" in caplog.text
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == [copy]
+    assert copy.read_bytes() == before

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from conetl.cli.console import JsonOption, err, out, parse_time, print_json, print_table
+from conetl.cli.console import JsonOption, counted, err, out, parse_time, print_json, print_table
 from conetl.cli.database import open_map
 from conetl.cli.ingest import read_params
 from conetl.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_SERVICE_MISSING, EXIT_TOO_MANY_REJECTIONS
@@ -106,7 +106,8 @@ def backfill(
         print_json({"plan": plan_as_dict(plan, max_parallel or 1), "drives": [_receipt_as_dict(r) for r in ended]})
     else:
         out.print(
-            f"\n{len(ended) - len(failed)} drives are on map {settings.map_name}, {len(failed)} failed.", markup=False
+            f"\nOn map {settings.map_name}: {counted(len(ended) - len(failed), 'drive')}; failed: {len(failed)}.",
+            markup=False,
         )
         if failed:
             out.print("Run the same command again to try the failed ones again.", markup=False)
@@ -136,9 +137,11 @@ def _print_plan(plan: Plan, parallel: int) -> None:
     span = " to ".join(f"{t:%Y-%m-%d %H:%M}" if t else "..." for t in (plan.since, plan.until))
     within = f", recorded {span}" if plan.since or plan.until else ""
     out.print(
-        f"{len(plan.lines)} drives below {plan.root}{within}; map {plan.map_name}; planned in {plan.seconds:.1f} s.",
+        f"{counted(len(plan.lines), 'drive')} below {plan.root}{within}; map {plan.map_name}; planned in {plan.seconds:.1f} s.",
         markup=False,
     )
+    if not plan.lines:
+        return
     print_table("", ("plan", "drives"), reasons(plan))
     estimate = plan.estimate_s(parallel)
     how_long = (
@@ -146,7 +149,11 @@ def _print_plan(plan: Plan, parallel: int) -> None:
         if estimate is None
         else f"about {minutes(estimate)}, {parallel} at a time, as earlier drives took"
     )
-    out.print(f"{plan.count('ingest')} drives with {plan.frame_pairs} frame pairs to ingest: {how_long}.", markup=False)
+    out.print(
+        f"{counted(plan.count('ingest'), 'drive')} with {counted(plan.frame_pairs, 'frame pair')} to ingest"
+        f"{': ' + how_long if plan.count('ingest') else ''}.",
+        markup=False,
+    )
     rows = [
         (
             line.outline.drive_id[:60],

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
+from rich.measure import Measurement
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -21,7 +22,7 @@ JsonOption = Annotated[
     bool, typer.Option("--json", help="Print the result as JSON on standard output, and nothing else there.")
 ]
 
-_TABLE_WIDTH = 240
+_ANY_WIDTH = 100_000
 out = Console(highlight=False, soft_wrap=True)
 #: Progress and complaints go to standard error: standard output is for results.
 err = Console(stderr=True, highlight=False)
@@ -51,8 +52,9 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[obje
         table.add_column(column, justify="right" if index >= numbers_from else "left", no_wrap=True)
     for row in rows:
         table.add_row(*(_plain(str(cell)) for cell in row))
-    # Wider than any terminal: a line may wrap there, but no number is ever cut off.
-    Console(highlight=False, width=_TABLE_WIDTH).print(table)
+    # As wide as it has to be: a line may wrap in a terminal, but no number is ever cut off.
+    wide = Console(highlight=False, width=_ANY_WIDTH)
+    Console(highlight=False, width=Measurement.get(wide, wide.options, table).maximum).print(table)
 
 
 @contextmanager

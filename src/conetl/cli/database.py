@@ -32,8 +32,12 @@ def open_database(settings: Settings, *, start: bool = True) -> Connection:
     """A connection to the configured database, or to the private cluster (started if `start`). Raises DatabaseError."""
     if settings.database_url:
         return connect(settings.database_url.get_secret_value())
-    if not start and cluster_status(settings.home).state != "running":
-        raise DatabaseError("the private database cluster is not running: start it with `conetl db up`")
+    if not start and (cluster := cluster_status(settings.home)).state != "running":
+        raise DatabaseError(
+            "the private database cluster is not running: start it with `conetl db up`"
+            if cluster.host is None
+            else f"the private database cluster runs on another machine or container (host {cluster.host}): ask it there"
+        )
     return connect(cluster_up(settings.home))
 
 

@@ -89,7 +89,7 @@ def demo(
     out.print(f"  {export}: the map (drop it into QGIS)", markup=False)
     for report in reports:
         out.print(
-            f"  {settings.exports_folder / report.drive_id}.png: plan view of drive {report.drive_id}", markup=False
+            f"  {settings.drive_picture_path(report.drive_id)}: plan view of drive {report.drive_id}", markup=False
         )
     out.print(
         f"  {settings.reports_folder}: a report of each drive, one HTML page with pictures of its changes", markup=False

@@ -31,7 +31,9 @@ _NOUNS = {What.FEATURES: "cone", What.HISTORY: "version", What.CHANGES: "change"
 
 def export(
     output: Annotated[Path, typer.Option("--out", help="File to write; a manifest is written beside it.")],
-    file_format: Annotated[str, typer.Option("--format", help=f"One of {', '.join(ALL_FORMATS)}.")] = "geojson",
+    file_format: Annotated[
+        str | None, typer.Option("--format", help=f"One of {', '.join(ALL_FORMATS)}; by the file's name unless given.")
+    ] = None,
     what: Annotated[
         What,
         typer.Option("--what", help="What stands, every version there ever was, or what changed between two times."),
@@ -54,6 +56,7 @@ def export(
     """Write the map, as it is or was, its history, or what changed, to a file with a manifest (FILE.manifest.json); or its work
     zones as a WZDx 4.2 feed."""
     settings = read_settings()
+    file_format = _format_by_name(output) if file_format is None else file_format
     if file_format in (WZDX, WZDX_DEVICES):
         if what is not What.FEATURES or believed_at or since or until:
             raise InputError(
@@ -82,6 +85,17 @@ def export(
         manifest = export_map(conn, output, file_format, request)
     rows = manifest["rows"]
     _say(output, rows, _NOUNS[what], {what.value: rows, "manifest": manifest}, as_json)
+
+
+def _format_by_name(output: Path) -> str:
+    """GeoJSON where the name has no ending. Raises InputError for an ending that says nothing."""
+    by_suffix = {form.suffix: name for name, form in FORMATS.items()} | {".json": "geojson", "": "geojson"}
+    found = by_suffix.get(output.suffix.lower())
+    if found is None:
+        raise InputError(
+            f"{output}: the name does not tell which format to write: choose one by --format ({', '.join(ALL_FORMATS)})"
+        )
+    return found
 
 
 def _say(output: Path, count: int, noun: str, answer: dict[str, object], as_json: bool) -> None:

@@ -89,7 +89,7 @@ def locate(
         return
     out.print(f"{len(detections[0])} cones detected left, {len(detections[1])} right, {len(rows)} located.")
     if any(alone):
-        out.print(f"{alone[0]} boxes left and {alone[1]} right have no partner in the other image.")
+        out.print(f"Boxes without a partner in the other image: {alone[0]} left, {alone[1]} right.")
         if not matches:
             out.print("Are the two images swapped, or rectified already, or is the calibration another rig's?")
     columns = ("cone", "ground distance m", "sigma m", "height m", "right m", "down m", "ahead m", "score")

@@ -158,7 +158,7 @@ def log(
     if not found:
         raise InputError(f"the map {settings.map_name} knows no feature {feature}: `conetl map show` lists them")
     if len(found) > 1:
-        raise InputError(f"{feature} is the beginning of several features' ids: write more of it")
+        raise InputError(f"{feature!r} is the beginning of several features' ids: write more of it")
     if as_json:
         print_json([asdict(e) for e in entries])
         return

@@ -14,7 +14,7 @@ from conetl.cli.console import JsonOption, out, print_json, print_table
 from conetl.errors import InputError
 from conetl.geometry import rig as rigs
 from conetl.geometry.rectification import is_rectified, rectify
-from conetl.io.calibration.files import FORMAT_NAMES, WRITERS, read_rig_and_format
+from conetl.io.calibration.files import FORMAT_NAMES, RIG_YAML, WRITERS, read_rig_and_format
 from conetl.records import Camera, Rig, Side
 
 app = typer.Typer(no_args_is_help=True, help="Look at a calibration file, or take it from one tool to another.")
@@ -67,12 +67,22 @@ def convert(
     target: Annotated[
         Path, typer.Argument(metavar="OUT", help="File to write; for ROS the folder of left.yaml, right.yaml.")
     ],
-    to: Annotated[str, typer.Option("--to", help="opencv (.yml, .xml, .json), kalibr, ros, matlab (.json) or rig.")],
+    to: Annotated[
+        str | None,
+        typer.Option(
+            "--to",
+            help=f"opencv (.yml, .xml, .json), kalibr, ros, matlab (.json) or rig; rig where OUT is called {RIG_YAML}.",
+        ),
+    ] = None,
     image_size: SizeOption = None,
     unit: UnitOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Write a calibration in another tool's format."""
+    if to is None:
+        if target.name != RIG_YAML:
+            raise InputError(f"{target}: say in which format to write it (--to): {', '.join(WRITERS)}")
+        to = "rig"
     if to not in WRITERS:
         raise InputError(f"--to {to}: known formats are {', '.join(WRITERS)}")
     rig, found = read_rig_and_format(source, image_size=_size(image_size), length_unit=unit)

@@ -138,6 +138,8 @@ def _start_all(
         address,
         PREFECT_SERVER_DATABASE_CONNECTION_URL=_prefect_url(settings, url),
         PREFECT_SERVER_UI_API_URL=os.environ.get("PREFECT_SERVER_UI_API_URL", f"{address}/api"),
+        # Its terminal is its log: what fails in its own services is told nowhere else.
+        PREFECT_LOGGING_HANDLERS_CONSOLE_LEVEL="ERROR",
     )
     conetl = [sys.executable, "-c", "from conetl.cli import main; main()"]
     ensure("view", [*conetl, "view", "--port", str(view_port), *(["--decisions"] if decisions else [])], view)
@@ -185,6 +187,12 @@ def down(as_json: JsonOption = False) -> None:
     if home.is_dir():
         with services_lock(home), err.status("Stopping") if err.is_terminal else nullcontext():
             services = read_services(home)
+            if not settings.database_url and (cluster := cluster_status(home)).host is not None:
+                # Their processes cannot be seen from here: whoever forgot them would leave them running for ever.
+                raise ServiceError(
+                    f"what `conetl up` started for {home} runs on another machine or container (host {cluster.host}): end it "
+                    f"there. Nothing was ended. Where it is known to be dead, remove {cluster.directory}/data/postmaster.pid."
+                )
             order = sorted(
                 services, key=lambda name: {"prefect": 2, "view": 1}.get(name, 0)
             )  # workers report their end to Prefect
@@ -211,23 +219,34 @@ def status(as_json: JsonOption = False) -> None:
         for service in found["services"]:
             if service["log_tail"]:
                 out.print(f"\n{service['name']}: the end of {service['log']}:\n{service['log_tail']}", markup=False)
+        if all(service["since"] is None for service in found["services"]):
+            home = read_settings().home.resolve()
+            out.print(
+                f"Nothing of `conetl up` runs for this home, {home}: start it, or name another by CONETL_HOME.",
+                markup=False,
+            )
     if not found["up"]:
         raise typer.Exit(EXIT_SERVICE_MISSING)
 
 
 def _status(settings: Settings) -> dict[str, Any]:
-    """Every service with its state: running, not answering, ended."""
+    """Every service with its state: running, not answering, ended, or not seen from here where the cluster runs elsewhere."""
     home = settings.home.resolve()
     rows: list[dict[str, Any]] = []
+    elsewhere = False
     if not settings.database_url:
         cluster = cluster_status(home)
-        rows.append(_row("postgis", cluster.state, cluster.url, cluster.pid))
+        elsewhere = cluster.host is not None
+        where = cluster.url if cluster.host is None else f"host {cluster.host}"
+        rows.append(_row("postgis", cluster.state, where, cluster.pid))
     services = read_services(home)
     for service in services.values():
-        state = "running" if is_running(service) else "ended"
+        state = "running" if is_running(service) else "not seen from here" if elsewhere else "ended"
         if state == "running" and service.address and not _answers(_health(service)):
             state = "not answering"
-        rows.append(_row(service.name, state, service.address, service.pid, service, tail=state != "running"))
+        rows.append(
+            _row(service.name, state, service.address, service.pid, service, tail=state in ("ended", "not answering"))
+        )
     return {"up": bool(services) and all(row["state"] == "running" for row in rows), "services": rows}
 
 
@@ -238,7 +257,7 @@ def _row(
         "name": name,
         "state": state,
         "address": address,
-        "pid": pid if state != "ended" else None,
+        "pid": pid if state in ("running", "not answering") else None,
         "since": service and service.started_at,
         "log": service and service.log,
         "log_tail": log_tail(service) if service and tail else None,

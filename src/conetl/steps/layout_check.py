@@ -23,8 +23,8 @@ FOOT_M = 0.3048
 MILE_KM = 1.609344
 NORM_SPACING = "MUTCD 2009, 6F.63"
 NORM_TAPER = "MUTCD 2009, Tables 6C-3 and 6C-4"
-NORM_NONE = "none: the row's own spacing"
-NORM_IN_LANE = "none: distance from the row"
+NORM_NONE = "no norm: the row's own spacing"
+NORM_IN_LANE = "no norm: distance from the row"
 #: In the middle of a taper's first and last lane line: it then starts and ends at lane lines.
 _ON_LANE_LINE_M = 0.6
 

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 
 import pytest
 
-from conetl.cli.console import parse_time
+from conetl.cli.console import parse_time, print_table
 from conetl.errors import InputError
 
 
@@ -19,3 +19,11 @@ def test_a_number_is_no_time(text):
     """Nobody means seconds since 1970 who writes 2026."""
     with pytest.raises(InputError, match="is no time"):
         parse_time(text)
+
+
+def test_no_cell_of_a_table_is_cut_off_however_wide_it_is(capsys):
+    names = ", ".join(f"{number:04d}_migration" for number in range(40))
+    print_table("", ("what", "value"), [("applied migrations", names), ("user", "[conetl]")], numbers_from=9)
+    lines = [line.rstrip() for line in capsys.readouterr().out.splitlines()]
+    assert f"applied migrations  {names}" in lines
+    assert "user                [conetl]" in lines

@@ -90,3 +90,14 @@ def test_bad_options_are_told(rig_yaml: Path, tmp_path: Path, words: tuple[str, 
     with pytest.raises(InputError, match=message):
         run("convert", rig_yaml, tmp_path / "x.yaml", *words)
     assert not (tmp_path / "x.yaml").exists()
+
+
+def test_a_rig_yaml_needs_no_format_and_others_do(rig_yaml: Path, tmp_path: Path) -> None:
+    """As the README has it: `conetl rig convert camchain.yaml rig.yaml`."""
+    kalibr, back = tmp_path / "camchain.yaml", tmp_path / "back" / "rig.yaml"
+    back.parent.mkdir()
+    run("convert", rig_yaml, kalibr, "--to", "kalibr")
+    run("convert", kalibr, back)
+    assert read_rig(back).baseline_m == pytest.approx(0.2745)
+    with pytest.raises(InputError, match=r"in which format to write it \(--to\): .*kalibr"):
+        run("convert", rig_yaml, tmp_path / "other.yaml")

@@ -392,6 +392,33 @@ def test_corrected_poses_are_another_header(name: str, tmp_path: Path, frames: l
     assert first != then
 
 
+@pytest.mark.parametrize(
+    ("name", "late"),
+    [
+        ("kitti", "oxts"),
+        ("plain", "trajectory.csv"),
+        ("euroc", "mav0/state_groundtruth_estimate0"),
+        ("euroc", "mav0/state_groundtruth_estimate0/data.csv"),
+        ("euroc", "mav0/cam1/data.csv"),
+    ],
+)
+def test_a_glance_tells_of_poses_that_are_not_there_yet_and_knows_when_they_came(
+    name: str, late: str, tmp_path: Path, frames: list[Frame], rig: Rig
+) -> None:
+    """Trajectories are computed later than pictures are copied. What was refused without one is another delivery with it."""
+    path = WRITERS[name](tmp_path / "run", frames, rig)
+    (path / late).rename(tmp_path / "late")
+    with pytest.raises(DriveFolderError) as refusal:
+        read_drive(path, headers_only=True)
+    before = outline_drive(path)
+    assert before.problem is not None
+    assert str(refusal.value).startswith(before.problem)
+    (tmp_path / "late").rename(path / late)
+    after = outline_drive(path)
+    assert after.problem is None
+    assert after.header_sha256 != before.header_sha256
+
+
 def test_another_rig_beside_a_bare_bag_is_another_drive(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
     path = WRITERS["mcap file"](tmp_path / "run", frames[:2], rig)
     before = outline_drive(path).header_sha256

@@ -39,7 +39,7 @@ from conetl.rejections import RejectionReason
 
 Array = NDArray[np.float64]
 #: Number of a pair whose row is not there yet: it comes last.
-_BEHIND = 2**62
+BEHIND = 2**62
 
 
 class ArrivingPair(NamedTuple):
@@ -60,7 +60,7 @@ class ArrivingDrive(Protocol):
         """Pairs that came since the last look. changed: files that did; None: read all folders, for what nobody told."""
 
     def order(self, pair: ArrivingPair) -> tuple[int, str]:
-        """By this pairs are in the order of their recording, as far as is known by now."""
+        """By this pairs are in the order of their recording; the number is BEHIND until it is known, and stays from then on."""
 
     def rig(self) -> Rig | None:
         """The rectified rig; None as long as its files are not there."""
@@ -170,7 +170,7 @@ class ArrivingPlain:
         return self.couples.new(changed)
 
     def order(self, pair: ArrivingPair) -> tuple[int, str]:
-        return self.rows.numbers.get(pair.key, _BEHIND), pair.key
+        return self.rows.numbers.get(pair.key, BEHIND), pair.key
 
     def rig(self) -> Rig | None:
         if self._rig is None and (self.root / "rig.yaml").is_file():

@@ -16,7 +16,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -199,17 +199,28 @@ def _T_BS(path: Path, sensor: Any) -> Array:
     return se3.se3(se3.nearest_rotation(matrix[:3, :3]), matrix[:3, 3])
 
 
-def _trajectory(
-    root: Path, settings: DriveYaml, map_srid: int | None, content: ContentHash, sensor_R_body: Array
-) -> tuple[int, Samples]:
-    """EPSG code of the map and the poses of the body in it. Raises DriveFolderError or CalibrationError."""
-    wanted = [settings.streams.trajectory] if settings.streams.trajectory else TRAJECTORIES
+def trajectory_names(settings: DriveYaml) -> Sequence[str]:
+    """Folders in which a trajectory may be: the one that drive.yaml names, else those of EuRoC."""
+    return [settings.streams.trajectory] if settings.streams.trajectory else TRAJECTORIES
+
+
+def trajectory_path(root: Path, settings: DriveYaml) -> Path:
+    """The file of the trajectory. Raises DriveFolderError where there is none."""
+    wanted = trajectory_names(settings)
     path = next((p for name in wanted if (p := stream_folder(root, name) / "data.csv").is_file()), None)
     if path is None:
         raise DriveFolderError(
             f"{root}: there is no trajectory: none of {', '.join(f'{name}/data.csv' for name in wanted)} is there; name its "
             "folder in drive.yaml (streams.trajectory)"
         )
+    return path
+
+
+def _trajectory(
+    root: Path, settings: DriveYaml, map_srid: int | None, content: ContentHash, sensor_R_body: Array
+) -> tuple[int, Samples]:
+    """EPSG code of the map and the poses of the body in it. Raises DriveFolderError or CalibrationError."""
+    path = trajectory_path(root, settings)
     sensor_path = path.parent / SENSOR_YAML
     B_SE3_S = np.eye(4)
     if sensor_path.is_file():

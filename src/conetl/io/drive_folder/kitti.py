@@ -222,10 +222,7 @@ def _read_oxts(
     data = root / "oxts" / "data"
     files = _numbered(data.glob("*.txt")) if data.is_dir() else {}
     if not files:
-        raise DriveFolderError(
-            f"{folder}: there are no poses in oxts/data (one file of 30 numbers per frame); without a trajectory use "
-            "'conetl locate' on single pairs"
-        )
+        raise no_poses(folder)
     fetch([path for paths in files.values() for path in paths], fresh=True)
     records: dict[int, oxts.OxtsRecord] = {}
     bad: dict[int, str] = {}
@@ -238,6 +235,14 @@ def _read_oxts(
         except ValueError as error:
             bad[number] = str(error)
     return records, bad
+
+
+def no_poses(folder: Path) -> DriveFolderError:
+    """The error of a drive without one OXTS file."""
+    return DriveFolderError(
+        f"{folder}: there are no poses in oxts/data (one file of 30 numbers per frame); without a trajectory use "
+        "'conetl locate' on single pairs"
+    )
 
 
 def _captured_at(

@@ -22,8 +22,15 @@ from conetl.io.drive_folder.bag_rig import choose_topics
 from conetl.io.drive_folder.body import add_settings
 from conetl.io.drive_folder.content import ContentHash
 from conetl.io.drive_folder.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml
-from conetl.io.drive_folder.euroc import SENSOR_YAML, TRAJECTORIES, camera_names, read_euroc_rig, stream_folder
-from conetl.io.drive_folder.kitti import calibration_path, camera_folder, read_rig_for
+from conetl.io.drive_folder.euroc import (
+    SENSOR_YAML,
+    camera_names,
+    read_euroc_rig,
+    stream_folder,
+    trajectory_names,
+    trajectory_path,
+)
+from conetl.io.drive_folder.kitti import calibration_path, camera_folder, is_number, no_poses, read_rig_for
 from conetl.io.drive_folder.pairs import IMAGE_SUFFIXES
 from conetl.io.drive_folder.plain import TRAJECTORY, read_plain_rig
 from conetl.io.drive_folder.timestamps import EARLIEST_NS, misplaced, parse_timestamp, parse_timestamps
@@ -135,6 +142,7 @@ def outline_drive(folder: Path) -> DriveOutline:
             pairs = len(set.union(*(_add_pictures(content, folder, *side) for side in sides.items())))
             first_ns, last_ns = times(content, folder, settings)
             _read_rig(found, folder, settings)
+            _require_poses(found, folder, settings)
         if not pairs:
             problem = f"there are no pictures in {' and '.join(streams)}"
     except OSError as error:
@@ -214,7 +222,7 @@ def _add_poses(content: ContentHash, folder: Path) -> None:
     """Names of all OXTS files and what stands in a few of them, into the header."""
     data = folder / "oxts" / "data"
     if not data.is_dir():
-        return  # said by the reader
+        return  # said by `_require_poses`; the times are told all the same
     names = _names_in(data, (".txt",))
     content.add("oxts/data", "\n".join(names).encode(errors="surrogateescape"))
     for name in names[:: max(1, len(names) // SAMPLED_POSES)]:
@@ -263,6 +271,19 @@ def _read_rig(found: DriveFormat | None, folder: Path, settings: DriveYaml) -> N
         read_rig_for(folder, calibration_path(folder, settings), None, settings, unused)
 
 
+def _require_poses(found: DriveFormat | None, folder: Path, settings: DriveYaml) -> None:
+    """Raises DriveFolderError where a drive has no trajectory yet: others compute it and send it later.
+
+    A plain folder's times stand in it, so its absence was told before; the trajectory of a bag is one of its topics.
+    """
+    if found == "euroc":
+        trajectory_path(folder.resolve(), settings)
+    elif found != "plain":
+        data = folder / "oxts" / "data"
+        if not data.is_dir() or not any(path.suffix == ".txt" and is_number(path.stem) for path in data.iterdir()):
+            raise no_poses(folder)
+
+
 def _euroc_cameras(root: Path, settings: DriveYaml) -> dict[str, Path]:
     """Folders of both cameras by their names in the drive folder `root`, links resolved."""
     paths = [stream_folder(root, name) for name in camera_names(settings).values()]
@@ -275,13 +296,14 @@ def _euroc_times(content: ContentHash, folder: Path, settings: DriveYaml) -> tup
         _add_file(content, folder, f"{camera}/data.csv")
         _add_file(content, folder, f"{camera}/sensor.yaml")
     _add_file(content, folder, RIG_YAML)
-    for wanted in [settings.streams.trajectory] if settings.streams.trajectory else TRAJECTORIES:
+    for wanted in trajectory_names(settings):
         name = stream_folder(folder.resolve(), wanted).relative_to(folder.resolve()).as_posix()
         _add_trajectory(content, folder, f"{name}/data.csv")
         _add_file(content, folder, f"{name}/{SENSOR_YAML}")
+    for camera in cameras:
+        if not (folder / camera / "data.csv").is_file():
+            raise DriveFolderError(f"{folder}: {camera}/data.csv is missing")
     path = folder / cameras[0] / "data.csv"
-    if not path.is_file():
-        raise DriveFolderError(f"{folder}: {cameras[0]}/data.csv is missing")
     words = (line.split(",")[0].strip() for line in path.read_text(encoding="utf-8", errors="replace").splitlines())
     stamps = [int(word) for word in words if word.isascii() and word.isdigit() and 0 < int(word) < 2**63]
     return _ends(stamps, path)

@@ -108,10 +108,14 @@ def _read_vector(path: Path, layer: str | None) -> MapTable:
         info = pyogrio.read_info(path, layer=layer)
         _check_claim(path, info["features"], "features")
         table = MapTable(path, _crs_of(path, info["crs"]), layers=layers, layer=layer)
-        options = _OPEN_OPTIONS.get(info["driver"], {})
-        with pyogrio.open_arrow(
-            path, layer=layer, use_pyarrow=True, batch_size=_BATCH, datetime_as_string=True, **options
-        ) as (meta, reader):
+        source: Path | bytes = path
+        options = {"layer": layer, **_OPEN_OPTIONS.get(info["driver"], {})}
+        if _is_sequence(path, info):
+            source, options = _collection_of_sequence(path), _OPEN_OPTIONS["GeoJSON"]
+        with pyogrio.open_arrow(source, use_pyarrow=True, batch_size=_BATCH, datetime_as_string=True, **options) as (
+            meta,
+            reader,
+        ):
             name = meta["geometry_name"] or "wkb_geometry"
             if name not in reader.schema.names:
                 raise InputError(f"{path} has no geometry: a cone map is a layer of points")
@@ -121,6 +125,40 @@ def _read_vector(path: Path, layer: str | None) -> MapTable:
     except Exception as error:  # GDAL raises what it likes for a broken file
         raise InputError(f"{path} cannot be read as a map ({_line(error)})") from error
     return table
+
+
+def _is_sequence(path: Path, info: dict[str, Any]) -> bool:
+    """Whether a file holds GeoJSON features one after the other (RFC 8142, or one a line) and not one collection.
+
+    GDAL calls it a collection of one feature where the second of them is no JSON.
+    """
+    if info["driver"] != "GeoJSON" or info["features"] != 1:
+        return bool(info["driver"] == "GeoJSONSeq")
+    try:
+        json.loads(path.read_bytes())
+    except ValueError:
+        return True
+    return False
+
+
+def _collection_of_sequence(path: Path) -> bytes:
+    """A sequence of features as one collection. Raises InputError naming the first row that is no feature.
+
+    GDAL passes over rows that are broken, and keeps only the milliseconds of a sequence's times.
+    """
+    data = path.read_bytes().removeprefix(b"\xef\xbb\xbf")
+    # Neither stands inside of a JSON text: in its strings both are escaped.
+    records = [record for record in data.split(b"\x1e" if b"\x1e" in data else b"\n") if record.strip()]
+    for number, record in enumerate(records, start=1):
+        try:
+            row = json.loads(record)
+        except ValueError as error:
+            raise InputError(
+                f"{path}, row {number}: this is no GeoJSON feature ({error}): the file is cut or broken; nothing was written"
+            ) from None
+        if not (isinstance(row, dict) and row.get("type") == "Feature"):
+            raise InputError(f"{path}, row {number}: expected a GeoJSON Feature; nothing was written")
+    return b'{"type":"FeatureCollection","features":[' + b",".join(records) + b"]}"
 
 
 def _choose_layer(path: Path, layers: Sequence[str], wanted: str | None) -> str:

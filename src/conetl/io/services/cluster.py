@@ -27,7 +27,12 @@ from urllib.parse import quote
 from uuid import uuid4
 
 from conetl.errors import DatabaseError
-from conetl.io.services.cluster_owner import lock_for_server, require_no_server_elsewhere
+from conetl.io.services.cluster_owner import (
+    host_elsewhere,
+    lock_for_server,
+    require_no_server_elsewhere,
+    require_stopped_elsewhere,
+)
 from conetl.io.services.cluster_place import (
     ClusterPlace,
     Done,
@@ -85,7 +90,7 @@ if hasattr(os, "posix_fadvise"):  # without it the server refuses this
 class ClusterStatus:
     """What there is of a private cluster."""
 
-    state: Literal["absent", "stopped", "running"]
+    state: Literal["absent", "stopped", "running", "running elsewhere"]
     url: str | None
     """libpq URL; None unless running."""
     directory: Path | None
@@ -95,6 +100,8 @@ class ClusterStatus:
     server_user: str | None
     postgres_major: int | None
     pid: int | None
+    host: str | None
+    """The other machine or container where it runs; None unless it is one."""
 
 
 def cluster_up(home: Path) -> str:
@@ -115,12 +122,18 @@ def cluster_up(home: Path) -> str:
 
 
 def cluster_down(home: Path) -> bool:
-    """Stop the private cluster of `home`; True where it was running. Data stay. Raises `DatabaseError` where it does not stop."""
+    """Stop the private cluster of `home`; True where it was running. Data stay.
+
+    Raises `DatabaseError` where it does not stop, or runs on another machine or container.
+    """
     if not home.is_dir():
         return False
     with cluster_lock(home):
         place = find_place(home)
-        if place is None or _running_pid(place) is None:
+        if place is None:
+            return False
+        if _running_pid(place) is None:
+            require_stopped_elsewhere(place)
             return False
         _stop(place)
         return True
@@ -130,10 +143,11 @@ def cluster_status(home: Path) -> ClusterStatus:
     """What there is; changes nothing and needs no PostgreSQL."""
     place = find_place(home) if home.is_dir() else None
     if place is None or place.data_major is None:
-        return ClusterStatus("absent", None, None, None, None, None, None, None)
+        return ClusterStatus("absent", None, None, None, None, None, None, None, None)
     pid = _running_pid(place)
+    host = None if pid else host_elsewhere(place)
     return ClusterStatus(
-        state="running" if pid else "stopped",
+        state="running" if pid else "stopped" if host is None else "running elsewhere",
         url=_url(place) if pid else None,
         directory=place.directory,
         socket_directory=place.socket_directory,
@@ -141,6 +155,7 @@ def cluster_status(home: Path) -> ClusterStatus:
         server_user=place.user.name,
         postgres_major=place.data_major,
         pid=pid,
+        host=host,
     )
 
 

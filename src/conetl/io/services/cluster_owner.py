@@ -47,15 +47,35 @@ def this_host() -> ServerHost:
 
 def require_no_server_elsewhere(place: ClusterPlace) -> None:
     """Call where no process here is the server. Raises DatabaseError where one of another container or machine may be."""
-    pid_file = place.data / "postmaster.pid"
-    started = _read_host(place)
-    if started is None or not pid_file.exists() or _is_gone(place, started, this_host()):
+    host = host_elsewhere(place)
+    if host is None:
         return
     raise DatabaseError(
-        f"The private PostGIS cluster in {place.directory} is used by another machine or container (host {started.host}), and a "
+        f"The private PostGIS cluster in {place.directory} is used by another machine or container (host {host}), and a "
         "second server would destroy its data. Give this one a home folder of its own (CONETL_HOME), or let both use one "
-        f"PostGIS by CONETL_DATABASE_URL. Where that server is known to be dead, remove {pid_file}."
+        f"PostGIS by CONETL_DATABASE_URL. Where that server is known to be dead, remove {_pid_file(place)}."
     )
+
+
+def require_stopped_elsewhere(place: ClusterPlace) -> None:
+    """Call where no process here is the server and none is to be. Raises DatabaseError where another place has it to stop."""
+    host = host_elsewhere(place)
+    if host is not None:
+        raise DatabaseError(
+            f"The private PostGIS cluster in {place.directory} runs on another machine or container (host {host}): stop it "
+            f"there. Nothing was stopped. Where that server is known to be dead, remove {_pid_file(place)}."
+        )
+
+
+def host_elsewhere(place: ClusterPlace) -> str | None:
+    """The other machine or container whose process may be the server, by its name; None where there is none for certain.
+
+    Call where no process here is the server.
+    """
+    if not _pid_file(place).exists():
+        return None
+    started = _read_host(place)
+    return None if started is None or _is_gone(place, started, this_host()) else started.host
 
 
 @contextmanager
@@ -123,6 +143,10 @@ def _write_host(place: ClusterPlace, host: ServerHost) -> None:
         raise DatabaseError(
             f"{place.directory / HOST_NAME} could not be written (as user {place.user.name}): {done.output.strip()}"
         )
+
+
+def _pid_file(place: ClusterPlace) -> Path:
+    return place.data / "postmaster.pid"
 
 
 def _lock_file(place: ClusterPlace) -> Path:

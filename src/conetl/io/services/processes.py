@@ -21,7 +21,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from uuid import uuid4
 
-from conetl.errors import InputError, ServiceError
+from conetl.errors import InputError, ServiceError, cannot_write
 from conetl.io.exports.atomic import atomic_text_file
 
 TOKEN = "CONETL_SERVICE_TOKEN"
@@ -45,20 +45,30 @@ class Service:
 
 @contextmanager
 def services_lock(home: Path) -> Iterator[None]:
-    """Only one command at a time starts or ends services of a home folder."""
-    home.mkdir(parents=True, exist_ok=True)
-    with (home / _LOCK).open("w") as handle:
+    """Only one command at a time starts or ends services of a home folder. Raises InputError where it cannot be used."""
+    try:
+        home.mkdir(parents=True, exist_ok=True)
+        handle = (home / _LOCK).open("w")
+    except OSError as error:
+        raise cannot_write(
+            f"The home folder {home} cannot be used", "choose another one (CONETL_HOME)", error
+        ) from error
+    with handle:
         fcntl.flock(handle, fcntl.LOCK_EX)
         yield
 
 
 def read_services(home: Path) -> dict[str, Service]:
-    """The services of a home folder as they were written down, alive or not."""
+    """The services of a home folder as they were written down, alive or not. Raises InputError where it cannot be read."""
     try:
         rows = json.loads((home / _STATE).read_text(encoding="utf-8"))
         return {row["name"]: Service(**row) for row in rows}
     except FileNotFoundError:
         return {}
+    except OSError as error:
+        raise InputError(
+            f"{home / _STATE} cannot be read ({error.strerror}): give a home folder of yours (CONETL_HOME)"
+        ) from error
     except (ValueError, TypeError, KeyError) as error:
         raise ServiceError(
             f"{home / _STATE} cannot be understood ({error}): remove it once nothing of it runs any more"

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Literal
 from uuid import UUID
 
-from conetl.errors import DatabaseError, InputError
+from conetl.errors import DatabaseError, InputError, StorageError
 from conetl.io.db import Connection, database_errors, execute, load_sql, transaction
 from conetl.io.exports.atomic import atomic_text_file
 from conetl.io.file_names import file_name_part, printable
@@ -100,7 +100,7 @@ def write_receipt(conn: Connection, receipt: Receipt, folder: Path) -> None:
         with atomic_text_file(folder / receipt.map_name / name) as file:
             json.dump(asdict(written[0]) if written else parameters, file, indent=1, default=str)
             file.write("\n")
-    except (InputError, OSError) as error:
+    except (InputError, StorageError) as error:
         _log.warning("The receipt of drive %s is in the database, its copy is not: %s", receipt.drive_id, error)
 
 

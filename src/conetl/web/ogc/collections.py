@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from typing import Any
@@ -25,6 +25,7 @@ from conetl.io.stores.ogc_store import (
     part_of_map,
     read_page,
     rows_near,
+    rows_of_versions,
     rows_within,
     warm_session,
 )
@@ -40,6 +41,8 @@ _EDGES = ("west", "south", "east", "north")
 _NEAR = ("min_x_m", "min_y_m", "max_x_m", "max_y_m")
 _INNER = ("inner_min_x_m", "inner_min_y_m", "inner_max_x_m", "inner_max_y_m")
 _BOX = (*_EDGES, *_NEAR, *_INNER)
+#: In place of a parameter of the function: the rows of the versions that are wanted of it.
+_VERSIONS = "versions"
 #: From about so many versions in a box on, a page and the number of all items come from one look at the table.
 MANY_VERSIONS = 20_000
 #: From this part of all versions of the database on, reading the whole table takes less than going by the index of places.
@@ -166,14 +169,12 @@ class AsOfCollection(PgCollection):
         arguments = self._arguments(box, interval)
         looks_evidence_up = True
         if self.table == "features":
-            asked_of = {name for name, _ in order} | {name for name, _ in values or ()}
-            looks_evidence_up = not asked_of.isdisjoint(EVIDENCE_COLUMNS)
+            looks_evidence_up = _needs_evidence(order, values)
             text["source"] = f"{SCHEMA}.{'features' if looks_evidence_up else 'standing'}"
             wanted = {name: EVIDENCE_COLUMNS.get(name, column) for name, column in wanted.items()}
         text["properties"] = ", ".join(f"{column} as {name}" for name, column in wanted.items())
-        part = part_of_map(box, self.served)
-        if not looks_evidence_up and part * self.served.version_count >= MANY_VERSIONS:
-            text["by_place"] = "false" if part * self.served.share >= MOST_VERSIONS else "true"
+        if not looks_evidence_up and (by_place := self._by_place_of_many(box)) is not None:
+            text["by_place"] = by_place
             return await self._page_of_many(conn, text, arguments, limit, offset, links)
         text["box"] = _named(arguments, 5)
         items, returned = await read_page(conn, self.table, text, [limit, offset, *links, *arguments.values()])
@@ -183,6 +184,13 @@ class AsOfCollection(PgCollection):
             return Page(items, returned, await self._count(conn, text, arguments))
         matched = await self._features_count_query(conn, where=where, function_parameters=_texts(arguments))
         return Page(items, returned, matched)
+
+    def _by_place_of_many(self, box: Degrees | None) -> str | None:
+        """Where a box holds a large part of a large map: whether to go by the index of places, in SQL. None where it does not."""
+        part = part_of_map(box, self.served)
+        if part * self.served.version_count < MANY_VERSIONS:
+            return None
+        return "false" if part * self.served.share >= MOST_VERSIONS else "true"
 
     async def _page_of_many(
         self, conn: asyncpg.Connection, text: Mapping[str, str], arguments: Mapping[str, str | float],
@@ -206,12 +214,55 @@ class AsOfCollection(PgCollection):
     async def features(self, conn: asyncpg.Connection, **asked: Any) -> ItemList:
         """One page of items, for the other forms."""
         box = asked.pop("bbox_filter", None)
-        asked["function_parameters"] = _texts(self._arguments(box, asked.pop("datetime_filter", None)))
-        _check_ids(asked.get("ids_filter"))
-        found = await super().features(conn, **asked)
+        arguments = self._arguments(box, asked.pop("datetime_filter", None))
+        asked["function_parameters"] = _texts(arguments)
+        ids = asked.get("ids_filter")
+        _check_ids(ids)
+        by_place = self._by_place_of_many(box) if self.table == "features" and not ids else None
+        order, values = self._sort_expressions(asked.get("sortby")), asked.get("properties_filter")
+        if by_place is None or _needs_evidence(order, values):
+            found = await super().features(conn, **asked)
+        else:
+            found = await self._features_of_many(conn, by_place, arguments, asked)
         if not found["items"] and self.format == "csv":
             raise EmptyTableError(["collectionId", "itemId", *self.columns(asked.get("properties")), "geometry"])
         return found
+
+    async def _features_of_many(
+        self, conn: asyncpg.Connection, by_place: str, arguments: Mapping[str, str | float], asked: Mapping[str, Any]
+    ) -> ItemList:
+        """tipg's page out of a large part of a large map: it would look every feature up to count it, and keep all in order."""
+        limit, offset = asked["limit"], asked.get("offset") or 0
+        text = {
+            "where": self._where_clause(self.cql_where(properties=asked.get("properties_filter"))), "by_place": by_place,
+            "order": ", ".join(sql for _, sql in self._sort_expressions(asked.get("sortby"))), "box": _named(arguments, 3),
+        }  # fmt: skip
+        versions, matched = await find_versions(conn, text, [limit, offset, *arguments.values()])
+        if matched is None:
+            source = {**text, "source": f"{SCHEMA}.standing"}
+            return ItemList(
+                items=[], matched=await self._count(conn, source, arguments) if offset else 0, next=None,
+                prev=max(offset - limit, 0) if offset else None,
+            )  # fmt: skip
+        of_query = ("sortby", "properties", "geom", "bbox_only", "simplify", "geom_as_wkt")
+        wanted: dict[str, Any] = {name: asked[name] for name in of_query if name in asked}
+        wanted |= {"limit": limit, "function_parameters": {**arguments, _VERSIONS: versions}}
+        items = [item async for item in self._features_query(conn, **wanted)]
+        following = offset + len(items)
+        return ItemList(
+            items=items,
+            matched=matched,
+            next=following if matched > following else None,
+            prev=max(offset - limit, 0) if offset else None,
+        )
+
+    def _from(self, function_parameters: dict[str, Any] | None, params: list[Any]) -> str:
+        """tipg's call of the function, or a query for the versions that were found already."""
+        if function_parameters is None or _VERSIONS not in function_parameters:
+            called: str = super()._from(function_parameters, params)
+            return called
+        params.extend(function_parameters[name] for name in (*FEATURE_PARAMETERS, _VERSIONS))
+        return f"FROM ({rows_of_versions()}) page"
 
     async def get_tile(self, conn: asyncpg.Connection, *, tms: TileMatrixSet, tile: Tile, **asked: Any) -> bytes:
         """One vector tile."""
@@ -327,6 +378,11 @@ async def warm(conn: asyncpg.Connection) -> None:
         offset=0,
         links=("", ""),
     )
+
+
+def _needs_evidence(order: Sequence[tuple[str, str]], values: Sequence[tuple[str, str]] | None) -> bool:
+    """Whether an order or a filter asks for what drives saw or looked for in vain."""
+    return not ({name for name, _ in order} | {name for name, _ in values or ()}).isdisjoint(EVIDENCE_COLUMNS)
 
 
 def _named(arguments: Mapping[str, Any], first: int) -> str:
