@@ -16,11 +16,12 @@ from uuid import UUID, uuid5
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.geometry.packing import cov_matrices, vec3
+from conetl.geometry.packing import vec3
 from conetl.map_records import Delta, DeltaKind, Doubt, MapFeature, SightingEvidence
 from conetl.params import ReconcileParams
 from conetl.records import Track, sound
 from conetl.steps.belief import is_gone, missed, seen
+from conetl.steps.fusion import fuse
 from conetl.steps.gating import near_pairs
 from conetl.steps.map_association import common_offset, moved_before, moves, pair
 from conetl.steps.visibility import WIDTH_OVER_HEIGHT, Look
@@ -333,11 +334,11 @@ def confirmations(
     if not pairs:
         return []
     old, new = [features[j] for j in pairs], [tracks[i] for i in pairs.values()]
-    old_xyz, old_cov = np.array([f.xyz_m for f in old]), cov_matrices([f.cov_m2 for f in old])
-    gain = old_cov @ np.linalg.inv(old_cov + cov_matrices([t.cov_m2 for t in new]))
+    gain, cov, levers = fuse(
+        [f.cov_m2 for f in old], [f.levers for f in old], [t.cov_m2 for t in new], [t.levers for t in new]
+    )
+    old_xyz = np.array([f.xyz_m for f in old])
     fused = old_xyz + _times(gain, placed[list(pairs.values())] - old_xyz)
-    cov = (np.eye(3) - gain) @ old_cov
-    cov = (cov + np.swapaxes(cov, 1, 2)) / 2
     centres = np.array([f.centre_xyz_m for f in old])
     fused_centres = centres + _times(gain, np.array([t.centre_xyz_m for t in new]) - shift - centres)
     shifts_m = np.linalg.norm((fused - old_xyz)[:, :2], axis=1)
@@ -360,6 +361,7 @@ def confirmations(
         (weights.sum(axis=1) ** -0.5).tolist(),
         [evidence[j] for j in pairs],
         shifts_m.tolist(),
+        levers,
         strict=True,
     )
     return [
@@ -382,6 +384,7 @@ def confirmations(
                 observation_count=feature.observation_count + track.observation_count,
                 first_seen_ns=feature.first_seen_ns,
                 last_seen_ns=max(feature.last_seen_ns, track.last_seen_ns),
+                levers=own_levers,
             ),
             track_index=track.track_index,
             changed_at_ns=track.first_seen_ns,
@@ -389,7 +392,7 @@ def confirmations(
             other_feature_id=None,
             evidence=found,
         )
-        for feature, track, xyz_m, cov_m2, centre_m, height_m, height_sigma_m, found, shift_m in columns
+        for feature, track, xyz_m, cov_m2, centre_m, height_m, height_sigma_m, found, shift_m, own_levers in columns
     ]
 
 
@@ -415,4 +418,5 @@ def _feature_from_track(
         observation_count=track.observation_count,
         first_seen_ns=track.first_seen_ns,
         last_seen_ns=track.last_seen_ns,
+        levers=track.levers,
     )
