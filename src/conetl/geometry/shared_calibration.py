@@ -121,3 +121,11 @@ def unpack_all(calibrations: tuple[UUID, ...], levers: Sequence[Levers | None]) 
 def with_shared(covariance: CalibrationCovariance, calibration: UUID, matrix: Array) -> CalibrationCovariance:
     """A covariance of which only a part, (N, K) `matrix` times its transpose, is common to drives with that calibration."""
     return covariance.model_copy(update={"shared": SharedErrors(calibration=calibration, matrix=as_rows(matrix))})
+
+
+def with_covariance(rig: Rig, covariance: CalibrationCovariance) -> Rig:
+    """The rig with another covariance of the calibration that took the pictures (`known_covariance`)."""
+    if rig.rectified_from is None:
+        return rig.model_copy(update={"calibration_covariance": covariance})
+    taken = rig.rectified_from.model_copy(update={"calibration_covariance": covariance})
+    return rig.model_copy(update={"rectified_from": taken})
