@@ -99,7 +99,8 @@ def pack_all(calibrations: tuple[UUID, ...], moved_m: Array, *, most: int | None
     size = np.square(moved_m).sum(axis=(2, 3))
     kept = np.sort(np.argsort(-size, axis=1, kind="stable")[:, :most], axis=1)
     return [
-        Levers(tuple(calibrations[k] for k in own), one[own].tobytes()) for own, one in zip(kept.tolist(), wire, strict=True)
+        Levers(tuple(calibrations[k] for k in own), one[own].tobytes())
+        for own, one in zip(kept.tolist(), wire, strict=True)
     ]
 
 

@@ -23,7 +23,11 @@ Floats = NDArray[np.float64]
 
 
 def without_shift(
-    wanted: Iterable[int], tracks: Sequence[Track], features: Sequence[MapFeature], pairs: Mapping[int, int], weight: float
+    wanted: Iterable[int],
+    tracks: Sequence[Track],
+    features: Sequence[MapFeature],
+    pairs: Mapping[int, int],
+    weight: float,
 ) -> dict[int, Track]:
     """The wanted tracks by index, with covariances and levers of their places less `weight` times the drive's offset.
 
