@@ -155,7 +155,7 @@ FAULTS = {
         (f"update feature_version set levers_m = {ONE_LEVER}, calibrations = array[null]::uuid[] where version = 2",),
         (f"update feature_version set levers_m = {ONE_LEVER}, calibrations = array[some_id, some_id] from {A_UUID}",),
         (f"update track set {OF_ONE}, levers_m = array[[[0.001::real], [0]]]",),
-        (f"update track set {OF_ONE}, levers_m = array[[[0::real], [0], ['nan']]]",),
+        (f"update track set {OF_ONE}, levers_m = array[[[0::real], [0], ['nan'::real]]]",),
         # by two errors that are less, each by itself
         (
             f"update track set {OF_ONE}, levers_m = array[[[0, 0], [0.8 * sqrt(cov_yy), -0.8 * sqrt(cov_yy)], [0, 0]]]::real[]",

@@ -1,7 +1,7 @@
 """Ten drives of one rig, which was calibrated once: do the places on the map err as much as they state?
 
-Each trial draws one error of the calibration and compares ten drives with the map, one after the other, through `reconcile`. Every drive has
-a GNSS error of its own. NEES: squared errors in the sigmas that the map states, over 3; 1 where these are right.
+Each trial draws one error of the calibration and compares ten drives with the map, one after the other, through `reconcile`.
+Every drive has a GNSS error of its own. NEES: squared errors in the sigmas that the map states, over 3; 1 where these are right.
 """
 
 from __future__ import annotations
@@ -69,12 +69,13 @@ def one_track(
     levers = levers_of(by_calibration, rig)
     assert levers is not None
     moved = unpack_all(levers.calibrations, [levers])[0, 0]
+    half_m = np.array([0, 0, 0.35])
     at = ORIGIN_M + cone_m + off_m + moved @ z
     own = np.eye(3) * (DRIVE_M**2 + CONE_M**2)
     seen_ns = START_NS + drive * 86_400_000_000_000
     return Track(
         track_index=index, xyz_m=tuple(at.tolist()), cov_m2=cov3(own + moved @ moved.T),
-        relative_cov_m2=cov3(np.eye(3) * CONE_M**2), centre_xyz_m=tuple((at + [0, 0, 0.35]).tolist()), cone_height_m=0.7,
+        relative_cov_m2=cov3(np.eye(3) * CONE_M**2), centre_xyz_m=tuple((at + half_m).tolist()), cone_height_m=0.7,
         cone_height_sigma_m=0.02, existence_probability=0.95, observation_count=10, first_seen_ns=seen_ns,
         last_seen_ns=seen_ns + 10**9, residual_rms_px=0.3, nearest_range_m=7.0, members=((index, 0),), levers=levers,
     )  # fmt: skip
@@ -173,13 +174,13 @@ def test_near_and_far_looks_with_one_calibration() -> None:
 
 
 def test_a_cone_that_a_drive_from_the_other_side_adds_is_off_as_the_map_is() -> None:
-    """It is placed against the cones that were there: with the levers of its own drive, the next ones would seem to cancel them."""
+    """It is placed against the cones that were there: the levers of its own drive would be cancelled by the next ones."""
     late = nees(to_and_fro, [RIG] * 5, cones=3, seen=lambda drive, cone: cone < 2 or drive >= 3, of_cone=2)[0]
     assert 0.5 < late < 1.1
 
 
 def test_pictures_of_a_rig_whose_calibration_is_wrong() -> None:
-    """From boxes to the map: pictures taken by a rig that was drawn from the calibration's sigmas, cones found with the calibration."""
+    """From boxes to the map: a rig drawn from the calibration's sigmas takes the pictures, cones are found with the calibration."""
     rng = np.random.default_rng(4)
     cone = Cone((18.0, 3.0, 0.0))
     honest, proud = [], []

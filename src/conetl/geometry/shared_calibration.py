@@ -1,10 +1,10 @@
 """Errors of a calibration that several drives share, and how they move what the drives measured.
 
-A calibration is wrong by L z: z are independent errors of one sigma each, drawn once when the rig was calibrated, L L^T is the stated
-covariance. A place that was found with it is off by A z, A = J L being its levers (metres), J from
-`calibration_covariance.calibration_jacobian`. So two places have the covariance A B^T in common, whatever drive they are from, as
-long as z means the same in both. Therefore L is the symmetric square root of the correlations, times the sigmas, of the calibration as
-it was given: there is one only, and it does not depend on the order in which some factorisation works.
+A calibration is wrong by L z: z are independent errors of one sigma each, drawn once when the rig was calibrated, L L^T is the
+stated covariance. A place that was found with it is off by A z, A = J L being its levers (metres), J from
+`calibration_covariance.calibration_jacobian`. So two places with the levers A and B have the covariance A B^T in common, whatever
+drives they are from, as long as z means the same in both. Therefore L belongs to the calibration as it was given, and is the
+symmetric square root of its correlations, times the sigmas: there is one only, in whatever order the parameters stand.
 
 Levers are kept as float32 (`records.Levers`): 3 x K of them go with every version of every cone.
 """
@@ -77,7 +77,7 @@ def as_rows(matrix: Array) -> tuple[tuple[float, ...], ...]:
 
 
 def levers_of(jacobian: Array, rig: Rig) -> Levers | None:
-    """Levers of a place by its derivative (3, N) with respect to the N parameters of `known_covariance`; None where none is known."""
+    """Levers of a place by its derivative (3, N) by the parameters of `known_covariance`; None where no covariance is known."""
     shared = shared_errors(rig)
     if shared is None:
         return None

@@ -1,15 +1,16 @@
 """Two statements about one place into one: what the map knows of it, and what a drive says of it.
 
 Best linear unbiased fusion of two estimates whose errors may have a part in common (Bar-Shalom & Campo 1986, "The effect of the
-common process noise on the two-sensor fused-track covariance"; Bar-Shalom, Willett & Tian 2011, "Tracking and Data Fusion", ch. 9): with
-P1, P2 their covariances and C what they have in common, the weight of the second is G = (P1 - C) (P1 + P2 - C - C')^-1.
+common process noise on the two-sensor fused-track covariance"; Bar-Shalom, Willett & Tian 2011, "Tracking and Data Fusion",
+ch. 9): with P1, P2 their covariances and C what they have in common, the weight of the second is
+G = (P1 - C) (P1 + P2 - C - C')^-1.
 
-What drives have in common is the error of a calibration (`geometry/shared_calibration.py`). A statement has a place, its covariance P
-and its levers A, so that P = R + A A', R being nobody else's, and C = A1 A2'. The fused levers are (I - G) A1 + G A2, the fused own
-part is (I - G) R1 (I - G)' + G R2 G', and P is their sum again: what the formula of the covariance gives, but positive definite by its
-form, and never below what the calibration leaves. Drives from one side have the same levers, and the calibration's error
-stays; from opposite sides levers cancel. A weight may be below 0 or above 1: of a near and a far look with one calibration, the
-far one tells which way both are off.
+What drives have in common is the error of a calibration (`geometry/shared_calibration.py`). A statement has a place, its
+covariance P and its levers A, so that P = R + A A', R being nobody else's, and C = A1 A2'. The fused levers are
+(I - G) A1 + G A2, the fused own part is (I - G) R1 (I - G)' + G R2 G', and P is their sum again: what the formula of the
+covariance gives, but positive definite by its form, and never below what the calibration leaves. Drives from one side have the
+same levers, and the calibration's error stays; from opposite sides levers cancel. A weight may be below 0 or above 1: of a near
+and a far look with one calibration, the far one tells which way both are off.
 
 Where neither has levers the plain formula holds, which is the same with A = 0.
 """
@@ -61,15 +62,15 @@ def fuse(
     levers: list[Levers | None] = [None] * len(old)
     # Pairs whose levers are of the same calibrations and numbers go through together; as a rule that is all of a drive.
     alike: dict[tuple[tuple[UUID, ...], int, tuple[UUID, ...], int], list[int]] = {}
-    for k, (a, b) in enumerate(zip(old_levers, new_levers, strict=True)):
-        if a is not None or b is not None:
-            alike.setdefault((*_shape(a), *_shape(b)), []).append(k)
+    for k, (one, other) in enumerate(zip(old_levers, new_levers, strict=True)):
+        if one is not None or other is not None:
+            alike.setdefault((*_shape(one), *_shape(other)), []).append(k)
     for (old_ids, _, new_ids, _), rows in alike.items():
         ids = tuple(sorted({*old_ids, *new_ids}))
         a, b = _side_by_side(ids, [old_levers[k] for k in rows], [new_levers[k] for k in rows])
         gain[rows], cov[rows], moved = _fuse_correlated(old[rows], a, new[rows], b)
-        for k, one in zip(rows, pack_all(ids, moved, most=MOST_CALIBRATIONS), strict=True):
-            levers[k] = one
+        for k, fused in zip(rows, pack_all(ids, moved, most=MOST_CALIBRATIONS), strict=True):
+            levers[k] = fused
     return Fusion(gain, cov, levers)
 
 
@@ -79,7 +80,7 @@ def relevered(cov: Floats, old: Floats, new: Floats) -> Floats:
 
 
 def _fuse_correlated(old: Floats, a: Floats, new: Floats, b: Floats) -> tuple[Floats, Floats, Floats]:
-    """Gain, covariance (N, 3, 3) and levers (N, C, 3, K) of pairs with the levers a and b, (N, C, 3, K), of the same calibrations."""
+    """Gain, covariance (N, 3, 3) and levers (N, C, 3, K) of pairs whose levers, of the same calibrations, are a and b."""
     flat_a, flat_b = _flat(a), _flat(b)
     own_old, own_new = _own_part(old, flat_a), _own_part(new, flat_b)
     apart = flat_a - flat_b

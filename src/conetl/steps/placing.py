@@ -1,8 +1,8 @@
 """What the errors of a drive's tracks have in common with the map's once the drive's offset against the map was taken out.
 
-The offset is what tracks and features of the same cones differ by, so it has the errors of both in it: a track less the share w of it
-has the levers A - w mean(A_track - A_feature), the mean taken over the pairs. A cone that a drive from the other side adds
-stands in the map's frame, and is off as the map is. Of other errors the covariance of the drive alone is kept, which is the larger one.
+The offset is what tracks and features of the same cones differ by, so it has the errors of both in it: a track less the share w
+of it has the levers A - w mean(A_track - A_feature), the mean taken over the pairs. A cone that a drive from the other side adds
+stands in the map's frame, and is off as the map is. Of other errors the drive's own covariance is kept, which is the larger one.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ def without_shift(
 ) -> dict[int, Track]:
     """The wanted tracks by index, with covariances and levers of their places less `weight` times the drive's offset.
 
-    pairs: feature -> track index, from which the offset is. Tracks as they are where nothing has levers, or nothing was taken out.
+    pairs: feature -> track index, from which the offset is. Where nothing has levers, or no offset was found, tracks are as they
+    are.
     """
     own = {i: tracks[i] for i in wanted}
     if weight == 0 or not pairs or not own:

@@ -178,8 +178,8 @@ def self_calibrate(
         )
     return SelfCalibration(
         outcome=outcome, detail=detail, rotation_rad=vec3(found[:3]), bend=float(found[3]),
-        cov=tuple(posterior[np.triu_indices(4)].tolist()), model_gap=tuple(said.model_gap.tolist()), span_count=len(points), point_count=said.point_count,
-        prior_chi2=prior_chi2,
+        cov=tuple(posterior[np.triu_indices(4)].tolist()), model_gap=tuple(said.model_gap.tolist()), span_count=len(points),
+        point_count=said.point_count, prior_chi2=prior_chi2,
     )  # fmt: skip
 
 
@@ -225,8 +225,8 @@ def _shared_after(prior: Floats, by_parameter: Floats, gain: Floats, found: Self
     """(K, M): how errors that drives with the same calibration share move the parameters after the correction, one sigma each.
 
     The correction is gain (H x + e), x being the error of the calibration as it was given, H `by_parameter`, e that of what the
-    drive says: (I - gain H) x - gain e is left. x is one for all drives. Of e, what spans scatter by is of this drive alone; floor and
-    model gap are what no turn and bend of a camera describe, and that is the rig's, again and again.
+    drive says: (I - gain H) x - gain e is left. x is one for all drives. Of e, what spans scatter by is of this drive alone;
+    floor and model gap are what no turn and bend of a camera describe, and that is the rig's, again and again.
     """
     given = square_root(prior)
     return np.column_stack([given - gain @ by_parameter @ given, gain * floor, gain @ np.array(found.model_gap)])

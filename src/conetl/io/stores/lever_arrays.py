@@ -1,7 +1,7 @@
 """Levers as the columns calibrations (uuid[]) and levers_m (real[][][]) of the database, in PostgreSQL's binary format.
 
-An array: number of dimensions, whether any item is null, type of the items, then length and first index of each dimension, then the
-items, each with its length before it; all big-endian (`array_send` in src/backend/utils/adt/arrayfuncs.c of PostgreSQL).
+An array: number of dimensions, whether any item is null, type of the items, then length and first index of each dimension, then
+the items, each with its length before it; all big-endian (`array_send` in PostgreSQL's src/backend/utils/adt/arrayfuncs.c).
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from conetl.records import Levers
 
 _UUID_TYPE, _REAL_TYPE = 2950, 700
 _UUID_BYTES, _REAL_BYTES = 16, 4
+#: Bytes before the items of an array of one dimension and of three, and where the former has its length.
+_HEAD_OF_ONE, _HEAD_OF_THREE, _LENGTH_AT = 20, 36, 12
 _REALS = np.dtype([("length", ">i4"), ("value", ">f4")])
 
 
@@ -33,10 +35,11 @@ def lever_columns(levers: Sequence[Levers | None]) -> dict[str, Column]:
 
 def levers_from_wire(wire: bytes | memoryview) -> Levers:
     """Both columns as `array_send` makes them, one after the other."""
-    head, count = bytes(wire), struct.unpack_from(">i", wire, 12)[0]
-    start, step = 20, 4 + _UUID_BYTES
-    ids = tuple(UUID(bytes=head[at + 4 : at + step]) for at in range(start, start + count * step, step))
-    items = np.frombuffer(head, _REALS, offset=start + count * step + 36)
+    both, (count,) = bytes(wire), struct.unpack_from(">i", wire, _LENGTH_AT)
+    step = 4 + _UUID_BYTES
+    starts = range(_HEAD_OF_ONE, _HEAD_OF_ONE + count * step, step)
+    ids = tuple(UUID(bytes=both[at + 4 : at + step]) for at in starts)
+    items = np.frombuffer(both, _REALS, offset=_HEAD_OF_ONE + count * step + _HEAD_OF_THREE)
     return Levers(ids, items["value"].tobytes())
 
 
