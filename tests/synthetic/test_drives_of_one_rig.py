@@ -176,11 +176,11 @@ def test_near_and_far_looks_with_one_calibration() -> None:
 def test_a_cone_that_a_drive_from_the_other_side_adds_is_off_as_the_map_is() -> None:
     """It is placed against the cones that were there: the levers of its own drive would be cancelled by the next ones."""
     late = nees(to_and_fro, [RIG] * 5, cones=3, seen=lambda drive, cone: cone < 2 or drive >= 3, of_cone=2)[0]
-    assert 0.5 < late < 1.1
+    assert 0.8 < late < 1.25
 
 
 def test_pictures_of_a_rig_whose_calibration_is_wrong() -> None:
-    """From boxes to the map: a rig drawn from the calibration's sigmas takes the pictures, cones are found with the calibration."""
+    """From boxes to the map: a rig drawn from the calibration's sigmas takes the pictures, the calibration finds cones."""
     rng = np.random.default_rng(4)
     cone = Cone((18.0, 3.0, 0.0))
     honest, proud = [], []

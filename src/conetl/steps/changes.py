@@ -23,7 +23,7 @@ from conetl.steps.belief import is_gone, missed, seen
 from conetl.steps.feature_states import changed, confirmations, feature_from_track
 from conetl.steps.gating import near_pairs
 from conetl.steps.map_association import common_offset, moved_before, moves, pair
-from conetl.steps.placing import without_shift
+from conetl.steps.placing import placed_tracks
 from conetl.steps.visibility import WIDTH_OVER_HEIGHT, Look
 
 Floats = NDArray[np.float64]
@@ -88,7 +88,7 @@ def reconcile(
             anew[j] = DeltaKind.HEIGHT_CHANGED
     as_before = {j: i for j, i in pairs.items() if j not in anew}
     anew_from = [*free, *(pairs[j] if j in pairs else moved[j] for j in anew)]
-    own = without_shift(anew_from, tracks, features, pairs, weight)
+    own = placed_tracks(anew_from, tracks, features, pairs, weight)
     loose_seen = {j: i for j, i in as_before.items() if features[j].feature_id not in pinned}
     left = [j for j in vanished if j not in moved]
     moved_to = moved_before(placed, tracks, loose_seen, features, left, params)

@@ -17,8 +17,8 @@ Where neither has levers the plain formula holds, which is the same with A = 0.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple, TypeVar
 from uuid import UUID
 
 import numpy as np
@@ -29,6 +29,7 @@ from conetl.geometry.shared_calibration import pack_all, unpack_all
 from conetl.records import Cov3, Levers
 
 Floats = NDArray[np.float64]
+S = TypeVar("S")
 
 #: A feature keeps the levers of at most so many calibrations: each makes its versions longer. Of more, those that move it least
 #: count as errors of its own from then on.
@@ -60,13 +61,11 @@ def fuse(
     cov = (np.eye(3) - gain) @ old
     cov = (cov + np.swapaxes(cov, 1, 2)) / 2
     levers: list[Levers | None] = [None] * len(old)
-    # Pairs whose levers are of the same calibrations and numbers go through together; as a rule that is all of a drive.
-    alike: dict[tuple[tuple[UUID, ...], int, tuple[UUID, ...], int], list[int]] = {}
-    for k, (one, other) in enumerate(zip(old_levers, new_levers, strict=True)):
-        if one is not None or other is not None:
-            alike.setdefault((*_shape(one), *_shape(other)), []).append(k)
-    for (old_ids, _, new_ids, _), rows in alike.items():
+    shapes = [(_shape(one), _shape(other)) for one, other in zip(old_levers, new_levers, strict=True)]
+    for ((old_ids, _), (new_ids, _)), rows in _alike(shapes).items():
         ids = tuple(sorted({*old_ids, *new_ids}))
+        if not ids:
+            continue
         a, b = _side_by_side(ids, [old_levers[k] for k in rows], [new_levers[k] for k in rows])
         gain[rows], cov[rows], moved = _fuse_correlated(old[rows], a, new[rows], b)
         for k, fused in zip(rows, pack_all(ids, moved, most=MOST_CALIBRATIONS), strict=True):
@@ -74,9 +73,18 @@ def fuse(
     return Fusion(gain, cov, levers)
 
 
-def relevered(cov: Floats, old: Floats, new: Floats) -> Floats:
-    """Covariances (N, 3, 3) whose own part stays, but whose levers are `new` instead of `old`, both (N, C, 3, K)."""
-    return _own_part(cov, _flat(old)) + _squared(_flat(new))
+def own_parts(cov: Sequence[Cov3], levers: Sequence[Levers | None]) -> Floats:
+    """Covariances (N, 3, 3) in m^2 less what levers say of them."""
+    own = cov_matrices(cov)
+    for (ids, _), rows in _alike([_shape(one) for one in levers]).items():
+        if ids:
+            own[rows] = _own_part(own[rows], _flat(unpack_all(ids, [levers[k] for k in rows])))
+    return own
+
+
+def with_levers(own: Floats, levers: Floats) -> Floats:
+    """Covariances (N, 3, 3) whose own parts are these, with levers (N, C, 3, K)."""
+    return own + _squared(_flat(levers))
 
 
 def _fuse_correlated(old: Floats, a: Floats, new: Floats, b: Floats) -> tuple[Floats, Floats, Floats]:
@@ -109,6 +117,14 @@ def _side_by_side(
     a, b = unpack_all(ids, old), unpack_all(ids, new)
     width = max(a.shape[3], b.shape[3])
     return tuple(np.pad(x, ((0, 0), (0, 0), (0, 0), (0, width - x.shape[3]))) for x in (a, b))  # type: ignore[return-value]
+
+
+def _alike(shapes: Iterable[S]) -> dict[S, list[int]]:
+    """Rows by the shapes of their levers: those of one shape go through together, and as a rule that is all of a drive."""
+    rows: dict[S, list[int]] = {}
+    for k, shape in enumerate(shapes):
+        rows.setdefault(shape, []).append(k)
+    return rows
 
 
 def _shape(levers: Levers | None) -> tuple[tuple[UUID, ...], int]:
