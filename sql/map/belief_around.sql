@@ -6,6 +6,7 @@ select
     v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz,
     ST_X(v.centre_geom), ST_Y(v.centre_geom), ST_Z(v.centre_geom),
     v.cone_height_m, v.cone_height_sigma_m, v.existence_probability, v.observation_count, v.first_seen_ns, v.last_seen_ns,
+    array_send(v.calibrations) || array_send(v.levers_m),
     v.changeset_id, v.present or v.suppressed, v.suppressed, v.valid_from_ns,
     lead(v.valid_from_ns) over (partition by v.feature_id order by lower(v.valid_period)),
     v.version_row_id, d.drive_uuid, d.captured_from_ns, d.content_sha256, c.idempotency_key

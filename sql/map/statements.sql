@@ -4,7 +4,7 @@ select
     s.cov_xx, s.cov_xy, s.cov_xz, s.cov_yy, s.cov_yz, s.cov_zz,
     ST_X(s.geom), ST_Y(s.geom), ST_Z(s.geom) + s.cone_height_m / 2,
     s.cone_height_m, s.cone_height_sigma_m, s.existence_probability, s.observation_count, s.first_seen_ns, s.last_seen_ns,
-    s.valid_from_ns
+    null::bytea, s.valid_from_ns
 from conetl.statement s
 where s.drive_uuid = %(drive_uuid)s
 order by s.statement_index;

@@ -10,7 +10,7 @@ from uuid import UUID
 
 from pydantic import Field, model_validator
 
-from conetl.records import Cov3, NonNegative, Positive, Probability, Record, Vec2, Vec3
+from conetl.records import Cov3, Levers, NonNegative, Positive, Probability, Record, Vec2, Vec3
 
 
 class MapFeature(Record):
@@ -28,6 +28,8 @@ class MapFeature(Record):
     observation_count: int = Field(ge=1)
     first_seen_ns: int
     last_seen_ns: int
+    levers: Levers | None = Field(default=None, exclude=True, repr=False)
+    """What of `cov_m2` later drives of the same rig may share with it; None: nothing that is known. Left out of JSON."""
 
 
 class DeltaKind(StrEnum):

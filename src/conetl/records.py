@@ -10,7 +10,8 @@ from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
+from uuid import UUID
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -89,6 +90,15 @@ class Camera(Record):
     lens: Lens = Lens()
 
 
+class SharedErrors(Record):
+    """Errors of a calibration that all drives which were given it have in common; the rest is this drive's alone."""
+
+    calibration: UUID
+    """Of the calibration as it was given (`geometry/shared_calibration.py`)."""
+    matrix: tuple[tuple[float, ...], ...]
+    """A row a parameter, in the order of `CalibrationCovariance.names`: how one sigma of each independent error moves it."""
+
+
 class CalibrationCovariance(Record):
     """Covariance of a rig's calibration: errors that all pictures of the rig have in common.
 
@@ -100,6 +110,8 @@ class CalibrationCovariance(Record):
 
     names: tuple[str, ...] = Field(min_length=1)
     matrix: tuple[tuple[float, ...], ...]
+    shared: SharedErrors | None = None
+    """What of it is common to drives that were given the same calibration. None: all, for this is what was given."""
 
     @model_validator(mode="after")
     def _square_and_symmetric(self) -> CalibrationCovariance:
@@ -283,6 +295,15 @@ class Position(Record):
     score: Probability
 
 
+class Levers(NamedTuple):
+    """How a place moves for one sigma of each error that drives with the same calibration share."""
+
+    calibrations: tuple[UUID, ...]
+    """In rising order."""
+    moved_m: bytes
+    """(C, 3, K) metres of the map, big-endian float32: by calibration, axis and error; see `geometry/shared_calibration.py`."""
+
+
 class Track(Record):
     """All positions of one physical cone in one drive, as one joint fit."""
 
@@ -305,6 +326,8 @@ class Track(Record):
     nearest_range_m: Positive
     members: tuple[tuple[int, int], ...] = Field(min_length=1)
     """(frame_index, match_index) of every position in it."""
+    levers: Levers | None = Field(default=None, exclude=True, repr=False)
+    """Of the calibration's part in `cov_m2`; None where that is not known. Kept in the database, left out of JSON."""
 
 
 def utc_from_ns(nanoseconds: int) -> datetime:

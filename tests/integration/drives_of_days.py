@@ -12,11 +12,12 @@ from uuid import NAMESPACE_URL, uuid5
 import numpy as np
 
 from conetl.drive_records import DriveRecords
+from conetl.geometry.shared_calibration import with_covariance
 from conetl.io.db import Connection, execute
 from conetl.io.stores.map_store import find_changeset, map_transaction
 from conetl.map_records import Changeset
 from conetl.params import IngestParams
-from conetl.records import Detection, Drive, Position, StereoMatch, Track
+from conetl.records import CalibrationCovariance, Detection, Drive, Position, Rig, StereoMatch, Track
 from flows.replay import Merged, merge_drive
 from tests.synthetic.world import (
     START_NS,
@@ -31,6 +32,14 @@ from tests.synthetic.world import (
 
 DAY_NS = 86_400_000_000_000
 RIG = make_rig()
+#: Its calibration is known to some sigmas: what drives of it have in common.
+CALIBRATED = with_covariance(
+    RIG,
+    CalibrationCovariance(
+        names=("left.fx_px", "right.cx_px", "relative.ry_rad"),
+        matrix=((1.0, 0.0, 0.0), (0.0, 0.25, 0.0), (0.0, 0.0, 2.5e-7)),
+    ),
+)
 ROW = [Cone((14.0 + 5.0 * k, 3.6 - 0.4 * k, 0.0), height_m=0.7 if k % 2 else 0.5) for k in range(7)]
 #: What stands on the road on each day: one is moved and one taken away, one is set up; then one is moved back, one comes again.
 DAYS = [
@@ -54,13 +63,20 @@ class Survey:
 
 @cache
 def survey(
-    day: int, *, frames: int = 40, start_m: float = 0.0, after_ns: int = 0, name: str = "", content: str = ""
+    day: int,
+    *,
+    frames: int = 40,
+    start_m: float = 0.0,
+    after_ns: int = 0,
+    name: str = "",
+    content: str = "",
+    rig: Rig = RIG,
 ) -> Survey:
     """The drive of one day, with noise and a GNSS offset of its own; `after_ns` later than the day's hour."""
     name = name or f"day_{day}_{frames}_{start_m}_{after_ns}"
     rng = np.random.default_rng(abs(hash((day, frames, start_m, after_ns))) % 2**32)
     first_ns = START_NS + day * DAY_NS + after_ns
-    return survey_of(DAYS[day], rng, name, frames=frames, start_m=start_m, first_ns=first_ns, content=content)
+    return survey_of(DAYS[day], rng, name, frames=frames, start_m=start_m, first_ns=first_ns, content=content, rig=rig)
 
 
 def survey_of(
@@ -72,18 +88,19 @@ def survey_of(
     start_m: float,
     first_ns: int,
     content: str = "",
+    rig: Rig = RIG,
 ) -> Survey:
     """A drive past cones, with noise and a GNSS offset of its own."""
     true = make_path(frames, start_m=start_m, first_ns=first_ns, sigma_m=0.3)
     logged = [shifted(pair, (*rng.normal(0, 0.2, 2), 0.0)[:3]) for pair in true[:1]]
     offset = np.array(logged[0].pose.map_t_body_m) - np.array(true[0].pose.map_t_body_m)
     logged = [shifted(pair, offset) for pair in true]
-    found, matches, positions = locate(detect(cones, true, RIG, noise_px=0.5, rng=rng), logged, RIG)
-    tracks, _ = fuse_logged(logged, RIG, found, matches, positions)
+    found, matches, positions = locate(detect(cones, true, rig, noise_px=0.5, rng=rng), logged, rig)
+    tracks, _ = fuse_logged(logged, rig, found, matches, positions)
     drive = Drive(
         drive_id=name,
         source_path=name,
-        rig=RIG,
+        rig=rig,
         map_srid=32632,
         content_sha256=content or hashlib.sha256(name.encode()).hexdigest(),
         frame_pairs=tuple(logged),

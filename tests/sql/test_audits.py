@@ -49,6 +49,8 @@ WITHDRAW = (
 )
 OTHER_MAP = "insert into map (map_name, srid, created_at) values ('other', 32632, now())"
 TO_OTHER_MAP = "update decision set map_id = (select map_id from map where map_name = 'other') where kind = "
+OF_ONE, ONE_LEVER = "calibrations = array[gen_random_uuid()]", "array[[[0.001::real], [0], [0]]]"
+A_UUID = "(select gen_random_uuid() as some_id) one"
 UNCHECKED = "set local session_replication_role = replica"
 FAULTS = {
     "decisions": [
@@ -147,6 +149,18 @@ FAULTS = {
         ("update track set cov_xx = 1, cov_yy = 1, cov_zz = 1, cov_xy = 0.9, cov_xz = 0.9, cov_yz = -0.9",),
         ("update position set cov_yz = 'nan' where frame_index = 0",),
     ],
+    "levers": [
+        (f"update track set {OF_ONE}",),
+        (f"update feature_version set levers_m = {ONE_LEVER} where version = 2",),
+        (f"update feature_version set levers_m = {ONE_LEVER}, calibrations = array[null]::uuid[] where version = 2",),
+        (f"update feature_version set levers_m = {ONE_LEVER}, calibrations = array[some_id, some_id] from {A_UUID}",),
+        (f"update track set {OF_ONE}, levers_m = array[[[0.001::real], [0]]]",),
+        (f"update track set {OF_ONE}, levers_m = array[[[0::real], [0], ['nan'::real]]]",),
+        # by two errors that are less, each by itself
+        (
+            f"update track set {OF_ONE}, levers_m = array[[[0, 0], [0.8 * sqrt(cov_yy), -0.8 * sqrt(cov_yy)], [0, 0]]]::real[]",
+        ),
+    ],
     "replay": [
         ("delete from delta where kind = 'moved'",),
         ("update feature_version set present = false where version = 2",),
@@ -190,6 +204,18 @@ def test_decisions_as_people_make_them_pass(good_map):
     finally:
         good_map.rollback()
     assert "decisions" not in failed
+
+
+def test_levers_within_their_covariance_pass(good_map):
+    try:
+        execute(
+            good_map,
+            f"update track set {OF_ONE}, levers_m = array[[[0.8 * sqrt(cov_xx)], [0], [0.1 * sqrt(cov_zz)]]]::real[]",
+        )
+        failed = {result.name for result in audits_of_open_transaction(good_map) if not result.passed}
+    finally:
+        good_map.rollback()
+    assert failed == set()
 
 
 def test_a_suppressed_place_as_people_make_it_passes(good_map):

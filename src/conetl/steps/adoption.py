@@ -17,7 +17,8 @@ from conetl.map_records import Delta, DeltaKind, Doubt, MapFeature, Statement
 from conetl.params import ReconcileParams
 from conetl.records import Track
 from conetl.steps.belief import stated
-from conetl.steps.changes import changed, confirmations, height_differs
+from conetl.steps.changes import height_differs
+from conetl.steps.feature_states import changed, confirmations
 from conetl.steps.map_association import pair
 
 _NAMESPACE = UUID("c2a5b3a1-6c2f-4f1e-9a53-7c1d2b6f0d44")
@@ -59,7 +60,7 @@ def adopt(
             other = not held and height_differs(features[j], tracks[i], params)
             kinds[j] = DeltaKind.HEIGHT_CHANGED if other else DeltaKind.CONFIRMED
     confirmed = {j: pairs[j] for j, kind in kinds.items() if kind is DeltaKind.CONFIRMED}
-    deltas = confirmations(confirmed, features, tracks, placed, _NO_OFFSET_M, evidence)
+    deltas = confirmations(confirmed, features, tracks, evidence)
     for j, kind in kinds.items():
         if kind is not None and kind is not DeltaKind.CONFIRMED:
             i = pairs[j]
@@ -140,4 +141,5 @@ def _as_track(statement: Statement, at_ns: int) -> Track:
         residual_rms_px=0.0,
         nearest_range_m=1.0,
         members=((0, 0),),
+        levers=None,
     )

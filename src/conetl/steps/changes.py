@@ -16,13 +16,14 @@ from uuid import UUID, uuid5
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.geometry.packing import cov_matrices, vec3
 from conetl.map_records import Delta, DeltaKind, Doubt, MapFeature, SightingEvidence
 from conetl.params import ReconcileParams
-from conetl.records import Track, sound
+from conetl.records import Track
 from conetl.steps.belief import is_gone, missed, seen
+from conetl.steps.feature_states import changed, confirmations, feature_from_track
 from conetl.steps.gating import near_pairs
 from conetl.steps.map_association import common_offset, moved_before, moves, pair
+from conetl.steps.placing import placed_tracks
 from conetl.steps.visibility import WIDTH_OVER_HEIGHT, Look
 
 Floats = NDArray[np.float64]
@@ -86,16 +87,18 @@ def reconcile(
         if features[j].feature_id not in pinned and height_differs(features[j], tracks[i], params):
             anew[j] = DeltaKind.HEIGHT_CHANGED
     as_before = {j: i for j, i in pairs.items() if j not in anew}
+    anew_from = [*free, *(pairs[j] if j in pairs else moved[j] for j in anew)]
+    own = placed_tracks(anew_from, tracks, features, pairs, weight)
     loose_seen = {j: i for j, i in as_before.items() if features[j].feature_id not in pinned}
     left = [j for j in vanished if j not in moved]
     moved_to = moved_before(placed, tracks, loose_seen, features, left, params)
     feature_by_id = {features[k].feature_id: features[j] for j, k in moved_to.items()}
-    for delta in confirmations(as_before, features, tracks, placed, shift_m, evidence_for):
+    for delta in confirmations(as_before, features, tracks, evidence_for):
         old = feature_by_id.get(delta.feature_id)
         deltas += [delta] if old is None else _moved_before(old, delta)
     for j, kind in anew.items():
         i = pairs[j] if j in pairs else moved[j]
-        deltas.append(changed(kind, features[j], tracks[i], placed[i], shift_m, evidence_for[j]))
+        deltas.append(changed(kind, features[j], own[i], placed[i], shift_m, evidence_for[j]))
     for j, (look, evidence) in unseen.items():
         if j in moved or j in moved_to:
             continue
@@ -105,7 +108,7 @@ def reconcile(
             deltas.append(_missed(features[j], look, evidence))
     for i in free:
         half_of = features[halves[i]].feature_id if i in halves else None
-        deltas.append(_added(tracks[i], placed[i], shift_m, founding_key, half_of))
+        deltas.append(_added(own[i], placed[i], shift_m, founding_key, half_of))
     return sorted(deltas, key=lambda d: (d.changed_at_ns, d.feature_id.int))
 
 
@@ -217,7 +220,7 @@ def _added(track: Track, placed: Floats, shift: Floats, founding_key: str, half_
         kind=DeltaKind.ADDED if half_of is None else DeltaKind.SPLIT,
         feature_id=feature_id,
         old=None,
-        new=_feature_from_track(track, placed, shift, feature_id, 1, evidence),
+        new=feature_from_track(track, placed, shift, feature_id, 1, evidence),
         track_index=track.track_index,
         changed_at_ns=track.first_seen_ns,
         shift_m=None,
@@ -293,126 +296,3 @@ def _moved_before(old: MapFeature, confirmed: Delta) -> list[Delta]:
         other_feature_id=old.feature_id,
     )
     return [confirmed.model_copy(update=moved), merged]
-
-
-def changed(
-    kind: DeltaKind, feature: MapFeature, track: Track, placed: Floats, shift: Floats, evidence: SightingEvidence
-) -> Delta:
-    """The feature as this drive alone saw it; arguments as of `confirmations`, placed (3,)."""
-    new = _feature_from_track(track, placed, shift, feature.feature_id, feature.version + 1, evidence).model_copy(
-        update={
-            "first_seen_ns": feature.first_seen_ns,
-            "last_seen_ns": max(feature.last_seen_ns, track.last_seen_ns),
-            "observation_count": feature.observation_count + track.observation_count,
-        }
-    )
-    return Delta(
-        kind=kind,
-        feature_id=feature.feature_id,
-        old=feature,
-        new=new,
-        track_index=track.track_index,
-        changed_at_ns=track.first_seen_ns,
-        shift_m=float(np.linalg.norm((placed - np.array(feature.xyz_m))[:2])),
-        evidence=evidence,
-    )
-
-
-def confirmations(
-    pairs: Mapping[int, int],
-    features: Sequence[MapFeature],
-    tracks: Sequence[Track],
-    placed: Floats,
-    shift: Floats,
-    evidence: Mapping[int, SightingEvidence],
-) -> list[Delta]:
-    """The same places seen again: both statements weighted by their covariances, all pairs (feature -> track) at once.
-
-    placed (T, 3): the tracks in the map's coordinates; shift (3,): what was taken out of them, metres; evidence: by feature.
-    """
-    if not pairs:
-        return []
-    old, new = [features[j] for j in pairs], [tracks[i] for i in pairs.values()]
-    old_xyz, old_cov = np.array([f.xyz_m for f in old]), cov_matrices([f.cov_m2 for f in old])
-    gain = old_cov @ np.linalg.inv(old_cov + cov_matrices([t.cov_m2 for t in new]))
-    fused = old_xyz + _times(gain, placed[list(pairs.values())] - old_xyz)
-    cov = (np.eye(3) - gain) @ old_cov
-    cov = (cov + np.swapaxes(cov, 1, 2)) / 2
-    centres = np.array([f.centre_xyz_m for f in old])
-    fused_centres = centres + _times(gain, np.array([t.centre_xyz_m for t in new]) - shift - centres)
-    shifts_m = np.linalg.norm((fused - old_xyz)[:, :2], axis=1)
-    heights = np.array([(f.cone_height_m, t.cone_height_m) for f, t in zip(old, new, strict=True)])
-    weights = np.array([(f.cone_height_sigma_m, t.cone_height_sigma_m) for f, t in zip(old, new, strict=True)]) ** -2.0
-    height = (heights * weights).sum(axis=1) / weights.sum(axis=1)
-    # All at once what the records would check one by one.
-    whole = np.column_stack([fused, cov.reshape(-1, 9), fused_centres, height])
-    unsound = ~np.isfinite(whole).all(axis=1) | (np.diagonal(cov, axis1=1, axis2=2) <= 0).any(axis=1)
-    if unsound.any():
-        first = old[int(np.flatnonzero(unsound)[0])]
-        raise ValueError(f"feature {first.feature_id} and its track have covariances that cannot be fused")
-    columns = zip(
-        old,
-        new,
-        fused.tolist(),
-        cov.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]].tolist(),
-        fused_centres.tolist(),
-        height.tolist(),
-        (weights.sum(axis=1) ** -0.5).tolist(),
-        [evidence[j] for j in pairs],
-        shifts_m.tolist(),
-        strict=True,
-    )
-    return [
-        sound(
-            Delta,
-            kind=DeltaKind.CONFIRMED,
-            feature_id=feature.feature_id,
-            old=feature,
-            new=sound(
-                MapFeature,
-                feature_id=feature.feature_id,
-                version=feature.version + 1,
-                category=feature.category,
-                xyz_m=tuple(xyz_m),
-                cov_m2=tuple(cov_m2),
-                centre_xyz_m=tuple(centre_m),
-                cone_height_m=height_m,
-                cone_height_sigma_m=height_sigma_m,
-                existence_probability=found.existence_probability,
-                observation_count=feature.observation_count + track.observation_count,
-                first_seen_ns=feature.first_seen_ns,
-                last_seen_ns=max(feature.last_seen_ns, track.last_seen_ns),
-            ),
-            track_index=track.track_index,
-            changed_at_ns=track.first_seen_ns,
-            shift_m=shift_m,
-            other_feature_id=None,
-            evidence=found,
-        )
-        for feature, track, xyz_m, cov_m2, centre_m, height_m, height_sigma_m, found, shift_m in columns
-    ]
-
-
-def _times(matrices: Floats, vectors: Floats) -> Floats:
-    """(N, 3, 3) times (N, 3)."""
-    return (matrices @ vectors[:, :, None])[:, :, 0]
-
-
-def _feature_from_track(
-    track: Track, placed: Floats, shift: Floats, feature_id: UUID, version: int, evidence: SightingEvidence
-) -> MapFeature:
-    return sound(
-        MapFeature,
-        feature_id=feature_id,
-        version=version,
-        category=track.category,
-        xyz_m=vec3(placed),
-        cov_m2=track.cov_m2,
-        centre_xyz_m=vec3(np.array(track.centre_xyz_m) - shift),
-        cone_height_m=track.cone_height_m,
-        cone_height_sigma_m=track.cone_height_sigma_m,
-        existence_probability=evidence.existence_probability,
-        observation_count=track.observation_count,
-        first_seen_ns=track.first_seen_ns,
-        last_seen_ns=track.last_seen_ns,
-    )

@@ -38,9 +38,7 @@ def common_cov(
     poses = [frame_pairs[p.frame_index].pose for p in group]
     by_pose = moved_by_poses(np.array([p.xyz_m for p in group]), poses)
     moved = shares @ by_pose
-    map_R_left = np.stack([map_SE3_left[p.frame_index][:3, :3] for p in group])
-    by_calibration = map_R_left @ calibration_jacobian(np.array([p.camera_xyz_m for p in group]), rig)
-    of_calibration = np.einsum("fij,fjk->ik", shares, by_calibration)
+    of_calibration = moved_by_calibration(group, shares, rig, map_SE3_left)
     if log is None:
         total = (moved * sigmas[:, None, :]).sum(axis=0)
         of_poses = total @ total.T
@@ -48,6 +46,15 @@ def common_cov(
         flat = moved.transpose(1, 0, 2).reshape(3, -1)
         of_poses = flat @ log_errors([frame_pairs[p.frame_index] for p in group], log) @ flat.T
     return np.asarray((of_poses + of_poses.T) / 2 + shared_cov(of_calibration, rig))
+
+
+def moved_by_calibration(
+    group: Sequence[Position], shares: Floats, rig: Rig, map_SE3_left: Mapping[int, Floats]
+) -> Floats:
+    """Derivative (3, K) of the joint fit with respect to the rig's calibration, one error of all its pictures."""
+    map_R_left = np.stack([map_SE3_left[p.frame_index][:3, :3] for p in group])
+    by_calibration = map_R_left @ calibration_jacobian(np.array([p.camera_xyz_m for p in group]), rig)
+    return np.asarray(np.einsum("fij,fjk->ik", shares, by_calibration))
 
 
 def outline_errors(position: Position, rig: Rig) -> Floats:

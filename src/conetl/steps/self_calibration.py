@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from enum import StrEnum
 from typing import NamedTuple
+from uuid import UUID
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,13 @@ from conetl.geometry.calibration_covariance import known_covariance
 from conetl.geometry.packing import vec3
 from conetl.geometry.rig import body_SE3_camera
 from conetl.geometry.self_calibration import SpanPoints, as_camera, estimate_right_camera
+from conetl.geometry.shared_calibration import (
+    as_rows,
+    calibration_id,
+    square_root,
+    with_covariance,
+    with_shared,
+)
 from conetl.geometry.stereo_motion import RelativeMotion
 from conetl.geometry.stereo_tracks import StereoTracks, cameras_of, motion_limits
 from conetl.params import TrajectoryParams
@@ -67,6 +75,8 @@ class SelfCalibration(Record):
     """Shift of the right picture's columns at x = 1, in focal lengths; it grows as x squared."""
     cov: tuple[float, ...]
     """Upper triangle, row by row, of the (4, 4) covariance of (rx, ry, rz, bend), prior included; empty without an estimate."""
+    model_gap: tuple[float, ...]
+    """(rx, ry, rz, bend): by how much they would be others if disparities might also follow another field; empty like `cov`."""
     span_count: int = Field(ge=0)
     point_count: int = Field(ge=0)
     prior_chi2: float = Field(ge=0)
@@ -76,7 +86,7 @@ class SelfCalibration(Record):
 #: Where the parameters do not ask for it.
 SWITCHED_OFF = SelfCalibration(
     outcome=SelfCalibrationOutcome.SWITCHED_OFF, detail="self-calibration is switched off", rotation_rad=None,
-    bend=0.0, cov=(), span_count=0, point_count=0, prior_chi2=0.0,
+    bend=0.0, cov=(), model_gap=(), span_count=0, point_count=0, prior_chi2=0.0,
 )  # fmt: skip
 
 
@@ -133,7 +143,7 @@ def self_calibrate(
     if said is None:
         return _without_estimate("too few points stand still, or they are all far away")
     unit_px = _pixels_a_unit(rig)
-    cov = said.cov + np.diag((params.self_calibration_sigma_floor_px / unit_px) ** 2)
+    cov = said.cov + np.diag(_floor(rig, params) ** 2)
     _, prior, by_parameter = _prior(rig, params)
     before = by_parameter @ prior @ by_parameter.T
     # Whether the calibration is contradicted, the scatter decides; how well the turn then describes it, the model's gap too.
@@ -168,8 +178,8 @@ def self_calibrate(
         )
     return SelfCalibration(
         outcome=outcome, detail=detail, rotation_rad=vec3(found[:3]), bend=float(found[3]),
-        cov=tuple(posterior[np.triu_indices(4)].tolist()), span_count=len(points), point_count=said.point_count,
-        prior_chi2=prior_chi2,
+        cov=tuple(posterior[np.triu_indices(4)].tolist()), model_gap=tuple(said.model_gap.tolist()), span_count=len(points),
+        point_count=said.point_count, prior_chi2=prior_chi2,
     )  # fmt: skip
 
 
@@ -183,9 +193,14 @@ def self_calibrated_rig(rig: Rig, found: SelfCalibration, params: TrajectoryPara
     before, after = by_parameter @ prior @ by_parameter.T, np.zeros((4, 4))
     after[np.triu_indices(4)] = found.cov
     after += np.triu(after, 1).T
-    lift = prior @ by_parameter.T @ np.linalg.pinv(before, rcond=1e-9, hermitian=True)
+    back = np.linalg.pinv(before, rcond=1e-9, hermitian=True)
+    lift = prior @ by_parameter.T @ back
     left_over = _symmetric(prior - lift @ (before - after) @ lift.T)
-    covariance = CalibrationCovariance(names=names, matrix=tuple(tuple(row) for row in left_over.tolist()))
+    covariance = with_shared(
+        CalibrationCovariance(names=names, matrix=as_rows(left_over)),
+        _given(rig, names, prior),
+        _shared_after(prior, by_parameter, lift @ (before - after) @ back, found, _floor(rig, params)),
+    )
     own = body_SE3_camera(rig, "right")
     rotation, shift_px = as_camera(np.array([*found.rotation_rad, found.bend]), rig.right.fx_px)
     in_body = own[:3, :3] @ Rotation.from_rotvec(rotation).as_matrix() @ own[:3, :3].T
@@ -197,9 +212,29 @@ def self_calibrated_rig(rig: Rig, found: SelfCalibration, params: TrajectoryPara
 
     if rig.rectified_from is None:
         right = rig.right.model_copy(update={"cx_px": rig.right.cx_px + shift_px})
-        return turn(rig).model_copy(update={"right": right, "calibration_covariance": covariance})
-    taken = turn(rig.rectified_from).model_copy(update={"calibration_covariance": covariance})
-    return turn(rig).model_copy(update={"rectified_from": taken})
+        return with_covariance(turn(rig).model_copy(update={"right": right}), covariance)
+    return with_covariance(turn(rig).model_copy(update={"rectified_from": turn(rig.rectified_from)}), covariance)
+
+
+def _given(rig: Rig, names: Sequence[str], prior: Floats) -> UUID:
+    """The calibration that the drive was given; where its covariance is not known, with what is taken for it."""
+    return calibration_id(with_covariance(rig, CalibrationCovariance(names=tuple(names), matrix=as_rows(prior))))
+
+
+def _shared_after(prior: Floats, by_parameter: Floats, gain: Floats, found: SelfCalibration, floor: Floats) -> Floats:
+    """(K, M): how errors that drives with the same calibration share move the parameters after the correction, one sigma each.
+
+    The correction is gain (H x + e), x being the error of the calibration as it was given, H `by_parameter`, e that of what the
+    drive says: (I - gain H) x - gain e is left. x is one for all drives. Of e, what spans scatter by is of this drive alone;
+    floor and model gap are what no turn and bend of a camera describe, and that is the rig's, again and again.
+    """
+    given = square_root(prior)
+    return np.column_stack([given - gain @ by_parameter @ given, gain * floor, gain @ np.array(found.model_gap)])
+
+
+def _floor(rig: Rig, params: TrajectoryParams) -> Floats:
+    """(4,): least sigma of what a drive says."""
+    return np.asarray(params.self_calibration_sigma_floor_px / _pixels_a_unit(rig))
 
 
 def _pixels_a_unit(rig: Rig) -> Floats:
@@ -252,5 +287,5 @@ def _symmetric(matrix: Floats) -> Floats:
 def _without_estimate(why: str) -> SelfCalibration:
     return SelfCalibration(
         outcome=SelfCalibrationOutcome.NO_ESTIMATE, detail=f"calibration left as it is: {why}", rotation_rad=None,
-        bend=0.0, cov=(), span_count=0, point_count=0, prior_chi2=0.0,
+        bend=0.0, cov=(), model_gap=(), span_count=0, point_count=0, prior_chi2=0.0,
     )  # fmt: skip

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from conetl.detector_evidence import UNMEASURED, DetectorEvidence
 from conetl.geometry.joint_fit import JointFit, fit_point
 from conetl.geometry.packing import cov3, vec3
+from conetl.geometry.shared_calibration import levers_of
 from conetl.params import IngestParams, TrackParams
 from conetl.records import (
     Detection,
@@ -22,7 +23,7 @@ from conetl.records import (
 )
 from conetl.rejections import Rejection, RejectionReason
 from conetl.steps.association import MotionError, chain_positions
-from conetl.steps.common_errors import common_cov, outline_cov
+from conetl.steps.common_errors import common_cov, moved_by_calibration, outline_cov
 from conetl.steps.existence import existence_probability
 
 Floats = NDArray[np.float64]
@@ -167,6 +168,7 @@ def fuse_group(
         residual_rms_px=float(np.sqrt(np.mean(foot.residuals_px**2))),
         nearest_range_m=nearest_m,
         members=tuple((p.frame_index, p.match_index) for p in group),
+        levers=levers_of(moved_by_calibration(group, foot.shares, rig, map_SE3_left), rig),
     )
 
 

@@ -211,6 +211,11 @@ body_SE3_left: {{R: [[0, 0, 1], [-1, 0, 0], [0, -1, 0]], t_m: [1.0, 0.2, 0.7]}}
             f"left: {PIXELS}\nright: {PIXELS}\nleft_SE3_right: {{R: [[1, 0, 0], [0, 1, 0], [0, 0, 2]], t_m: [0.3, 0, 0]}}",
             "left_SE3_right.R: the matrix is not a rotation",
         ),
+        (
+            f"left: {PIXELS}\nright: {PIXELS}\nbaseline_m: 0.3\ncalibration_covariance: {{names: [left.fx_px], matrix: [[1.0]], "
+            "shared: {calibration: 00000000-0000-0000-0000-000000000001, matrix: [[1.0]]}}",
+            "what drives share of it is worked out",
+        ),
     ],
 )
 def test_a_broken_rig_yaml_is_told_in_one_sentence(tmp_path: Path, text: str, message: str) -> None:

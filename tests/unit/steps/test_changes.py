@@ -11,7 +11,8 @@ from conetl.map_records import Delta, DeltaKind, MapFeature
 from conetl.params import ReconcileParams
 from conetl.records import Track
 from conetl.steps.belief import seen
-from conetl.steps.changes import confirmations, reconcile
+from conetl.steps.changes import reconcile
+from conetl.steps.feature_states import confirmations
 from conetl.steps.map_association import common_offset
 from conetl.steps.visibility import Look
 from tests.synthetic.world import ORIGIN_M, START_NS
@@ -220,7 +221,5 @@ def test_covariances_that_cannot_be_fused_are_refused() -> None:
             {0: 0},
             [broken],
             [track(0, *ROW[0])],
-            ORIGIN_M[None],
-            np.zeros(3),
             {0: seen(broken, None, track(0, *ROW[0]))},
         )

@@ -11,6 +11,7 @@ from conetl.geometry.calibration_covariance import calibration_cov
 from conetl.geometry.camera import project
 from conetl.geometry.rectification import raw_from_rectified
 from conetl.geometry.rig import infinity_shift_px, left_SE3_right
+from conetl.geometry.shared_calibration import calibration_id, shared_errors
 from conetl.geometry.stereo_motion import RelativeMotion
 from conetl.geometry.stereo_tracks import NoMeasurement, StereoTracks
 from conetl.params import TrajectoryParams
@@ -161,6 +162,43 @@ def test_a_known_covariance_is_sharpened_and_not_replaced() -> None:
     both = np.array([0, -1 / FOCAL_PX, 1, 0, 0])
     assert np.sqrt(both @ matrix @ both) * FOCAL_PX < 0.2
     assert np.sqrt(matrix[2, 2]) * FOCAL_PX < 0.3  # without the bend turn and principal point could not be told apart
+
+
+def test_what_drives_of_one_calibration_share_after_it_is_part_of_what_is_left() -> None:
+    """Both drives correct the same calibration: what neither can tell stays common, what its own spans scatter by is its own."""
+    names = ("left.fx_px", "right.cx_px", "relative.ry_rad", "relative.rx_rad", "relative.rz_rad")
+    sigma = np.array([2.0, 0.7, 0.7 / FOCAL_PX, 0.5 / FOCAL_PX, 0.5 / FOCAL_PX])
+    stated = CalibrationCovariance(names=names, matrix=tuple(tuple(row) for row in np.diag(sigma**2).tolist()))
+    given = RIG.model_copy(update={"calibration_covariance": stated})
+    after = [self_calibrated_rig(given, asked(given, bend_px=bend_px), PARAMS) for bend_px in (0.0, 1.6)]
+    both = [shared_errors(rig) for rig in after]
+    assert both[0] is not None and both[1] is not None
+    assert both[0].calibration == both[1].calibration == calibration_id(given)
+    for rig, shared in zip(after, both, strict=True):
+        assert rig.calibration_covariance is not None and shared is not None
+        part, whole = np.array(shared.matrix), np.array(rig.calibration_covariance.matrix)
+        own = (whole - part @ part.T) / np.outer(sigma, sigma)
+        assert np.linalg.eigvalsh(own).min() > -1e-9
+        assert own[2, 2] > 1e-5
+        # No drive tells the left camera's focal length: its error is as it was given, and common.
+        assert part[0] == pytest.approx([2.0, *[0.0] * (part.shape[1] - 1)], abs=1e-9)
+    one, other = (np.array(shared.matrix) for shared in both if shared is not None)
+    common = one @ other.T
+    # Turn and principal point of the right camera only come apart by the bend, so much of that is left, and the same in both.
+    correlation = common[1, 1] / np.sqrt((one @ one.T)[1, 1] * (other @ other.T)[1, 1])
+    assert correlation > 0.8
+
+
+def test_a_calibration_of_unknown_accuracy_is_the_same_in_all_drives_that_correct_it() -> None:
+    rigs = [self_calibrated_rig(RIG, asked(bend_px=bend_px), PARAMS) for bend_px in (0.0, 1.6)]
+    shared = [shared_errors(rig) for rig in rigs]
+    assert shared[0] is not None and shared[1] is not None
+    assert shared[0].calibration == shared[1].calibration
+    part = np.array(shared[0].matrix)
+    assert rigs[0].calibration_covariance is not None
+    left_over = np.array(rigs[0].calibration_covariance.matrix) - part @ part.T
+    scale = np.sqrt(np.diag(rigs[0].calibration_covariance.matrix))
+    assert np.linalg.eigvalsh(left_over / np.outer(scale, scale)).min() > -1e-9
 
 
 def test_the_camera_that_took_raw_pictures_is_turned_along_and_pictures_stay() -> None:

@@ -112,6 +112,16 @@ def byteas(values: Sequence[bytes]) -> Column:
     return _variable(list(values))
 
 
+def wires(values: Sequence[bytes | None]) -> Column:
+    """What is in PostgreSQL's binary format already; None becomes NULL."""
+    return _variable(list(values))
+
+
+def nulls(count: int) -> Column:
+    """NULL in every row, of any type."""
+    return Column(np.empty(count, object), np.full(count, NULL_LENGTH, np.int32))
+
+
 def jsons(values: Sequence[Mapping[str, Any]]) -> Column:
     """jsonb; NaN and infinity, which JSON lacks, become the strings "nan", "inf", "-inf"."""
     return _variable([b"\x01" + json_text(value).encode() for value in values])

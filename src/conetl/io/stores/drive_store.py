@@ -16,6 +16,7 @@ from conetl.detector_evidence import UNMEASURED_LOOKS, LookFigures
 from conetl.errors import MapMismatchError
 from conetl.io.db import Connection, database_errors, execute, load_sql, stream
 from conetl.io.stores.import_store import read_statements
+from conetl.io.stores.lever_arrays import levers_from_wire
 from conetl.map_records import FoldKey, Statement
 from conetl.params import ReconcileParams
 from conetl.records import (
@@ -152,4 +153,5 @@ def _track(row: tuple[Any, ...]) -> Track:
         residual_rms_px=row[26],
         nearest_range_m=row[27],
         members=tuple((frame, match) for frame, match in row[28]),
+        levers=None if row[29] is None else levers_from_wire(row[29]),
     )

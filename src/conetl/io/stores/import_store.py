@@ -27,6 +27,8 @@ from conetl.records import utc_from_ns
 IMPORT_INFLUENCE_M = 10.0
 #: The area of an import is made of cells, at most so many.
 _MAX_CELLS = 2000
+#: Columns of cones that statements of other maps have no use for.
+_NOT_STATED = ("centre_geom", "calibrations", "levers_m")
 _NAMESPACE = uuid5(NAMESPACE_URL, "https://conetl.example/import")
 
 
@@ -122,7 +124,7 @@ def commit_import(
 def read_statements(conn: Connection, drive_uuid: UUID) -> list[Statement]:
     """What an imported map states, in the order of its file."""
     rows = stream(conn, load_sql("map/statements"), {"drive_uuid": drive_uuid})
-    return [Statement.model_construct(feature=feature_of(row), valid_from_ns=row[21]) for row in rows]
+    return [Statement.model_construct(feature=feature_of(row), valid_from_ns=row[22]) for row in rows]
 
 
 def read_licence(conn: Connection, map_name: str) -> str | None:
@@ -152,7 +154,7 @@ def _statement_columns(drive_uuid: UUID, srid: int, statements: Sequence[Stateme
         "drive_uuid": constant_uuid(drive_uuid, len(statements)),
         "statement_index": integers(np.arange(len(statements))),
         "feature_id": uuids([feature.feature_id for feature in features]),
-        **{name: column for name, column in cones.items() if name != "centre_geom"},
+        **{name: column for name, column in cones.items() if name not in _NOT_STATED},
         "valid_from_ns": bigints([statement.valid_from_ns for statement in statements]),
     }
 

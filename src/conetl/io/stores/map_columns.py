@@ -21,6 +21,7 @@ from conetl.io.stores.copy_binary import (
     timestamps_from_ns,
     uuids,
 )
+from conetl.io.stores.lever_arrays import lever_columns
 from conetl.map_records import BelievedVersion, Delta, MapFeature
 from conetl.records import Detection, FramePair, Position, StereoMatch, Track
 from conetl.rejections import Rejection
@@ -239,6 +240,7 @@ def cone_columns(srid: int, cones: Sequence[Track] | Sequence[MapFeature]) -> Co
         "observation_count": integers([c.observation_count for c in cones]),
         "first_seen_ns": bigints([c.first_seen_ns for c in cones]),
         "last_seen_ns": bigints([c.last_seen_ns for c in cones]),
+        **lever_columns([c.levers for c in cones]),
     }
 
 

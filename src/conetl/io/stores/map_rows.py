@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from conetl.io.stores.lever_arrays import levers_from_wire
 from conetl.map_records import BelievedVersion, MapFeature
 from conetl.records import sound
 
@@ -24,6 +25,7 @@ def feature_of(row: tuple[Any, ...]) -> MapFeature:
         observation_count=row[18],
         first_seen_ns=row[19],
         last_seen_ns=row[20],
+        levers=None if row[21] is None else levers_from_wire(row[21]),
     )
 
 
@@ -32,9 +34,9 @@ def version_of(row: tuple[Any, ...]) -> BelievedVersion:
     return sound(
         BelievedVersion,
         feature=feature_of(row),
-        changeset_id=row[21],
-        standing=row[22],
-        suppressed=row[23],
-        valid_from_ns=row[24],
-        valid_to_ns=row[25],
+        changeset_id=row[22],
+        standing=row[23],
+        suppressed=row[24],
+        valid_from_ns=row[25],
+        valid_to_ns=row[26],
     )

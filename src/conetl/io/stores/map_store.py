@@ -131,7 +131,7 @@ def read_features_as_of(
     }
     with database_errors(f"The features of map {map_name} cannot be read"):
         for row in stream(conn, load_sql("map/features_as_of"), parameters):
-            yield FeatureVersion(feature_of(row), *row[21:26])
+            yield FeatureVersion(feature_of(row), *row[22:27])
 
 
 def find_changeset(conn: Connection, idempotency_key: str, *, map_name: str = "default") -> CommittedChangeset | None:

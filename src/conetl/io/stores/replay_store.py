@@ -64,7 +64,7 @@ def read_versions(conn: Connection, drive_uuids: Sequence[UUID]) -> list[StoredV
     """All that is believed about the features that ever stood around the drives."""
     with database_errors("What is believed about the neighbourhood cannot be read"):
         return [
-            StoredVersion(version_row_id=row[26], drive_uuid=row[27], key=row[28:31], version=version_of(row))
+            StoredVersion(version_row_id=row[27], drive_uuid=row[28], key=row[29:32], version=version_of(row))
             for row in stream(conn, load_sql("map/belief_around"), {"drive_uuids": list(drive_uuids)})
         ]
 

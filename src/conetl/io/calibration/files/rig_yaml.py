@@ -140,6 +140,8 @@ class _RigFile(_Model):
             )
         if self.sigmas is not None and self.calibration_covariance is not None:
             raise ValueError("give either sigmas or calibration_covariance")
+        if self.calibration_covariance is not None and self.calibration_covariance.shared is not None:
+            raise ValueError("calibration_covariance has names and a matrix; what drives share of it is worked out")
         return self
 
     def covariance(self) -> CalibrationCovariance | None:

@@ -1,0 +1,222 @@
+"""Ten drives of one rig, which was calibrated once: do the places on the map err as much as they state?
+
+Each trial draws one error of the calibration and compares ten drives with the map, one after the other, through `reconcile`.
+Every drive has a GNSS error of its own. NEES: squared errors in the sigmas that the map states, over 3; 1 where these are right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from conetl.geometry import pose as se3
+from conetl.geometry import rig as rigs
+from conetl.geometry.calibration_covariance import calibration_jacobian
+from conetl.geometry.packing import cov3, cov_matrix
+from conetl.geometry.rig import map_SE3_left
+from conetl.geometry.shared_calibration import levers_of, shared_errors, unpack_all
+from conetl.map_records import MapFeature
+from conetl.params import ReconcileParams
+from conetl.records import CalibrationCovariance, Rig, Track
+from conetl.steps.changes import reconcile
+from tests.synthetic.world import ORIGIN_M, START_NS, Cone, detect, fuse_logged, locate, make_path, make_rig, shifted
+
+Floats = NDArray[np.float64]
+PARAMS = ReconcileParams()
+DRIVES = 10
+NAMES = ("left.fx_px", "right.cx_px", "relative.ry_rad", "relative.tx_m")
+SIGMAS = np.array([0.5, 0.25, 2.5e-4, 1e-3])
+#: GNSS of a drive, and of a cone within it, one axis.
+DRIVE_M, CONE_M = 0.03, 0.01
+
+
+def rig_of(sigmas: Floats) -> Rig:
+    matrix = tuple(tuple(row) for row in np.diag(sigmas**2).tolist())
+    return make_rig().model_copy(update={"calibration_covariance": CalibrationCovariance(names=NAMES, matrix=matrix)})
+
+
+RIG = rig_of(SIGMAS)
+#: Calibrated another time, to other sigmas: another calibration.
+OTHERS = [rig_of(SIGMAS * (1 + 0.001 * k)) for k in range(DRIVES)]
+
+
+#: A calibration that makes most of a cone's sigma, also over the frames of a drive.
+POOR = 5 * SIGMAS
+POOR_RIG = rig_of(POOR)
+
+
+def eastwards(_drive: int) -> bool:
+    return True
+
+
+def to_and_fro(drive: int) -> bool:
+    return drive % 2 == 0
+
+
+def one_track(
+    index: int, cone_m: Floats, drive: int, rig: Rig, off_m: Floats, z: Floats, range_m: float, *, east: bool
+) -> Track:
+    """A cone seen from `range_m` before it; off_m (3,): what is the drive's own; z: errors of the calibration, in sigmas."""
+    [pair] = make_path(1, east=east)
+    before_m = range_m if east else -range_m
+    turn = map_SE3_left(pair.pose, rig)[:3, :3]
+    in_camera = turn.T @ np.array([before_m, cone_m[1], -1.6])
+    by_calibration = turn @ calibration_jacobian(in_camera[None], rig)[0]
+    levers = levers_of(by_calibration, rig)
+    assert levers is not None
+    moved = unpack_all(levers.calibrations, [levers])[0, 0]
+    half_m = np.array([0, 0, 0.35])
+    at = ORIGIN_M + cone_m + off_m + moved @ z
+    own = np.eye(3) * (DRIVE_M**2 + CONE_M**2)
+    seen_ns = START_NS + drive * 86_400_000_000_000
+    return Track(
+        track_index=index, xyz_m=tuple(at.tolist()), cov_m2=cov3(own + moved @ moved.T),
+        relative_cov_m2=cov3(np.eye(3) * CONE_M**2), centre_xyz_m=tuple((at + half_m).tolist()), cone_height_m=0.7,
+        cone_height_sigma_m=0.02, existence_probability=0.95, observation_count=10, first_seen_ns=seen_ns,
+        last_seen_ns=seen_ns + 10**9, residual_rms_px=0.3, nearest_range_m=7.0, members=((index, 0),), levers=levers,
+    )  # fmt: skip
+
+
+def after(drives: Sequence[Sequence[Track]]) -> list[MapFeature]:
+    """The map that the drives make."""
+    standing: dict[object, MapFeature] = {}
+    for number, tracks in enumerate(drives):
+        for delta in reconcile(
+            tracks, list(standing.values()), lambda *_: None, PARAMS, founding_key=f"drive {number}"
+        ):
+            assert delta.new is not None
+            standing[delta.feature_id] = delta.new
+    return list(standing.values())
+
+
+def squared(features: Sequence[MapFeature], cones_m: Floats, of_cone: int | None = None) -> float:
+    """Mean NEES over the cones, or of one of them; all of them, and nothing else, must be on the map."""
+    assert len(features) == len(cones_m)
+    found = []
+    for cone_m in cones_m:
+        nearest = min(features, key=lambda f: float(np.hypot(*np.subtract(f.xyz_m, ORIGIN_M + cone_m)[:2])))
+        off = np.subtract(nearest.xyz_m, ORIGIN_M + cone_m)
+        found.append(float(off @ np.linalg.solve(cov_matrix(nearest.cov_m2), off)) / 3)
+    return float(np.mean(found) if of_cone is None else found[of_cone])
+
+
+def nees(
+    east: Callable[[int], bool],
+    rigs_of_drives: Sequence[Rig],
+    *,
+    cones: int,
+    trials: int = 150,
+    known: bool = True,
+    seen: Callable[[int, int], bool] = lambda _drive, _cone: True,
+    ranges_m: tuple[float, float] = (8.0, 8.2),
+    of_cone: int | None = None,
+) -> tuple[float, float]:
+    """Mean NEES over trials and cones (or of one), and the mean sigma along the road in metres.
+
+    known: False as if no drive told its levers. seen: whether a drive sees a cone. ranges_m: of even and odd drives.
+    """
+    rng = np.random.default_rng(12)
+    cones_m = np.array([[12.0 * k, 2.5 if k % 2 else -2.5, 0.0] for k in range(cones)])
+    total, sigma_m = [], []
+    for _ in range(trials):
+        errors = {rig.model_dump_json(): rng.normal(size=len(NAMES)) for rig in rigs_of_drives}
+        drives = []
+        for drive in range(len(rigs_of_drives)):
+            rig, gnss_m = rigs_of_drives[drive], rng.normal(0, DRIVE_M, 3)
+            z = errors[rig.model_dump_json()]
+            tracks = [
+                one_track(
+                    k, cone_m, drive, rig, gnss_m + rng.normal(0, CONE_M, 3), z, ranges_m[drive % 2], east=east(drive)
+                )
+                for k, cone_m in enumerate(cones_m)
+                if seen(drive, k)
+            ]  # fmt: skip
+            drives.append(tracks if known else [track.model_copy(update={"levers": None}) for track in tracks])
+        features = after(drives)
+        total.append(squared(features, cones_m, of_cone))
+        sigma_m.append(np.mean([f.cov_m2[0] ** 0.5 for f in features]))
+    return float(np.mean(total)), float(np.mean(sigma_m))
+
+
+@pytest.mark.parametrize("cones", [1, 3])
+def test_ten_drives_from_one_side_state_what_they_have_in_common(cones: int) -> None:
+    honest, sigma_m = nees(eastwards, [RIG] * DRIVES, cones=cones)
+    proud, proud_m = nees(eastwards, [RIG] * DRIVES, cones=cones, known=False)
+    assert 0.8 < honest < 1.25
+    assert proud > 2.5
+    assert sigma_m > 2 * proud_m
+
+
+@pytest.mark.parametrize("cones", [1, 3])
+def test_drives_from_both_sides_cancel_the_error_of_the_calibration(cones: int) -> None:
+    both, sigma_m = nees(to_and_fro, [RIG] * DRIVES, cones=cones)
+    assert 0.8 < both < 1.25
+    assert sigma_m < 0.5 * nees(eastwards, [RIG] * DRIVES, cones=cones, trials=3)[1]
+
+
+@pytest.mark.parametrize("cones", [1, 3])
+def test_drives_of_other_calibrations_are_averaged_as_ever(cones: int) -> None:
+    apart, sigma_m = nees(eastwards, OTHERS, cones=cones)
+    assert 0.8 < apart < 1.25
+    unaware = nees(eastwards, OTHERS, cones=cones, known=False)
+    assert (apart, sigma_m) == pytest.approx(unaware, rel=0.01)
+
+
+def test_near_and_far_looks_with_one_calibration() -> None:
+    """The far one is off by several times as much: their difference tells which way, and the map may use that."""
+    honest, sigma_m = nees(eastwards, [RIG] * DRIVES, cones=1, ranges_m=(6.0, 11.0))
+    assert 0.8 < honest < 1.25
+    assert sigma_m < nees(eastwards, [RIG] * DRIVES, cones=1, ranges_m=(6.0, 6.0), trials=3)[1]
+
+
+def test_a_cone_that_a_drive_from_the_other_side_adds_is_off_as_the_map_is() -> None:
+    """It is placed against the cones that were there: the levers of its own drive would be cancelled by the next ones."""
+    late = nees(to_and_fro, [RIG] * 5, cones=3, seen=lambda drive, cone: cone < 2 or drive >= 3, of_cone=2)[0]
+    assert 0.8 < late < 1.25
+
+
+def test_pictures_of_a_rig_whose_calibration_is_wrong() -> None:
+    """From boxes to the map: a rig drawn from the calibration's sigmas takes the pictures, the calibration finds cones."""
+    rng = np.random.default_rng(4)
+    cone = Cone((18.0, 3.0, 0.0))
+    honest, proud = [], []
+    for _ in range(40):
+        taken = true_rig(rng.normal(0, POOR))
+        drives = [drive_past(cone, taken, rng, drive) for drive in range(6)]
+        honest.append(squared(after(drives), np.array([cone.foot_m])))
+        unaware = [[track.model_copy(update={"levers": None}) for track in tracks] for tracks in drives]
+        proud.append(squared(after(unaware), np.array([cone.foot_m])))
+    assert 0.6 < np.mean(honest) < 1.3
+    assert np.mean(proud) > 1.8
+
+
+def true_rig(step: Floats) -> Rig:
+    """The rig whose calibration is off by these errors of `NAMES`."""
+    fx, cx, ry, tx = step.tolist()
+    relative = rigs.left_SE3_right(POOR_RIG)
+    relative[:3, :3] = relative[:3, :3] @ Rotation.from_rotvec([0.0, ry, 0.0]).as_matrix()
+    relative[0, 3] += tx
+    return POOR_RIG.model_copy(
+        update={
+            "left": POOR_RIG.left.model_copy(update={"fx_px": POOR_RIG.left.fx_px + fx}),
+            "right": POOR_RIG.right.model_copy(update={"cx_px": POOR_RIG.right.cx_px + cx}),
+            "body_SE3_right": se3.to_matrix4(se3.compose(rigs.body_SE3_camera(POOR_RIG, "left"), relative)),
+        }
+    )
+
+
+def drive_past(cone: Cone, taken: Rig, rng: np.random.Generator, drive: int) -> list[Track]:
+    """The tracks of one drive, with a GNSS error and picture noise of its own."""
+    true = make_path(12, first_ns=START_NS + drive * 86_400_000_000_000, sigma_m=DRIVE_M)
+    gnss_m = rng.normal(0, DRIVE_M, 3) * [1, 1, 1.5]
+    logged = [shifted(pair, gnss_m) for pair in true]
+    found, matches, positions = locate(detect([cone], true, taken, noise_px=0.5, rng=rng), logged, POOR_RIG)
+    tracks, _ = fuse_logged(logged, POOR_RIG, found, matches, positions)
+    shared = shared_errors(POOR_RIG)
+    assert shared is not None
+    assert all(track.levers is not None and track.levers.calibrations == (shared.calibration,) for track in tracks)
+    return tracks
