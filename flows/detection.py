@@ -37,7 +37,7 @@ from conetl.records import (
     Side,
     StereoMatch,
 )
-from conetl.rejections import Rejection
+from conetl.rejections import INPUT_REASONS, Rejection
 from conetl.steps.detections import check_boxes
 from conetl.steps.epipolar_search import Region, blocks_of, is_unanswered, right_region
 from conetl.steps.matches import match_pair, with_measured_spread
@@ -67,7 +67,8 @@ def detect_task(chunk: Chunk, part: int, rig: Rig | None) -> Path:
         chunk.detections_sha256,
         params_sha256(params),
         params_sha256(chunk.params.match),
-        f"{reconcile.removal_min_frames} pairs, {reconcile.visible_min_height_px} px",
+        f"{reconcile.removal_min_frames} pairs, {reconcile.visible_min_height_px} px, {reconcile.visible_border_px} px, "
+        f"{chunk.params.track.max_cone_height_m} m",
         rig_and_poses(chunk),
         str(part),
         *hashes.values(),
@@ -85,7 +86,8 @@ def detect_task(chunk: Chunk, part: int, rig: Rig | None) -> Path:
     for middle, block in blocks_of(len(pairs), chunk.params):
         hashed = {k: [(path, hashes[path]) for path in (next(at), next(at))] for k in block}
         seen = {middle: _search(chunk, pairs[middle], hashed[middle], first_rows, rig, everywhere=True)}
-        everywhere = is_unanswered(seen[middle].detections, chunk.rig, chunk.params)
+        # A pair of which a picture is broken answers nothing.
+        everywhere = _is_broken(seen[middle]) or is_unanswered(seen[middle].detections, chunk.rig, chunk.params)
         for k in block:
             if k != middle:
                 seen[k] = _search(chunk, pairs[k], hashed[k], first_rows, rig, everywhere=everywhere)
@@ -106,6 +108,10 @@ class _PairFound(NamedTuple):
     rejections: list[Rejection]
     matches: list[StereoMatch]
     refused_matches: list[Rejection]
+
+
+def _is_broken(found: _PairFound) -> bool:
+    return any(rejection.reason in INPUT_REASONS for rejection in found.rejections)
 
 
 def _search(

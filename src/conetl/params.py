@@ -31,7 +31,7 @@ class DetectionParams(Params):
     """Rows farther than this above the horizon are not looked at: cones stand on the road. 0.1 rad is a slope of 10 %."""
     search_right: Literal["along_epipolar_lines", "everywhere"] = "along_epipolar_lines"
     """Where the right camera's pictures are searched: only where the partner of a box of the left one can be
-    (`steps/epipolar_search.py`), or everywhere, which takes twice as long and gives the same positions."""
+    (`steps/epipolar_search.py`), or everywhere, which takes up to half as long again for the same positions."""
 
 
 class MatchParams(Params):

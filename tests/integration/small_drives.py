@@ -39,3 +39,11 @@ def processes_with(variable: str, value: object) -> set[int]:
         except OSError:  # gone, or another user's
             continue
     return found
+
+
+def spoil_huffman_table(picture: Path) -> None:
+    """A JPEG with a whole header and a whole end that no decoder takes."""
+    data = bytearray(picture.read_bytes())
+    lengths = data.index(b"\xff\xc4") + 5
+    data[lengths : lengths + 16] = b"\xff" * 16
+    picture.write_bytes(data)

@@ -29,6 +29,7 @@ from conetl.io.stores.map_store import list_changesets
 from conetl.map_records import DeltaKind
 from tests.conftest import cloned_database
 from tests.integration.drives_of_days import valid_time_map
+from tests.integration.small_drives import spoil_huffman_table
 
 ROOT = Path(__file__).resolve().parents[2]
 DRIVES = sorted((ROOT / "data" / "drives").iterdir())
@@ -270,14 +271,6 @@ def test_bad_pairs_cost_those_pairs_only(desk: Desk, small_drive: Path) -> None:
     assert desk.run("ingest", small_drive, "--params", lenient).code == 0
     quarantine = desk.final_tables()["quarantine"]
     assert sum('"pose_invalid"' in line for line in quarantine) == 2, "once for each analysis"
-
-
-def spoil_huffman_table(picture: Path) -> None:
-    """A JPEG with a whole header and a whole end that no decoder takes."""
-    data = bytearray(picture.read_bytes())
-    lengths = data.index(b"\xff\xc4") + 5
-    data[lengths : lengths + 16] = b"\xff" * 16
-    picture.write_bytes(data)
 
 
 def test_what_cannot_be_decoded_was_not_looked_at(desk: Desk, small_drive: Path, tmp_path: Path) -> None:

@@ -48,6 +48,8 @@ class Detector:
     input_name: str
     fixed_size: tuple[int, int] | None = None
     """Height and width in pixels where the network takes one size only; pictures are then scaled to fit in."""
+    any_size: bool = True
+    """Whether the network takes pictures of any size; False also where it asks for one of the two sides only."""
     several: bool = False
     """Whether the network takes several pictures of one size at once."""
 
@@ -107,13 +109,14 @@ def load_detector(model_path: Path | None = None, *, threads: int = 1) -> Detect
         raise ModelFileError(f"{path}: {error}") from error
     size = inputs[0].shape[1:3] if "NHWC" in card.input_layout else inputs[0].shape[2:4]
     fixed = (size[0], size[1]) if all(isinstance(side, int) for side in size) else None
-    if card.closer_look is not None and any(isinstance(side, int) for side in size):
+    any_size = not any(isinstance(side, int) for side in size)
+    if card.closer_look is not None and not any_size:
         raise ModelFileError(
             f"{path}: the network takes pictures of {size[1]}x{size[0]} only: "
             "closer_look in its sidecar needs one that takes any size; leave that key out"
         )
     several = isinstance(card.head, SideDistributionHead) and not isinstance(inputs[0].shape[0], int)
-    return Detector(session, path, card, inputs[0].name, fixed, several)
+    return Detector(session, path, card, inputs[0].name, fixed, any_size, several)
 
 
 def network_input(
@@ -199,13 +202,13 @@ def detect_image(
     longest, shortest = max(road.shape[:2]), min(road.shape[:2])
     side_px = min(longest, max_side_px)
     rows, columns = slice(0, road.shape[0]), slice(0, road.shape[1])
-    if within is not None and detector.fixed_size is None:
+    if within is not None and detector.any_size:
         rows, columns = _part(detector, road.shape, first_row, within, reach_px, longest / side_px)
     part = road[rows, columns]
 
     def look_at_part(longest_px: int) -> NDArray[np.float64]:
         """As if the whole road were scaled to so many pixels."""
-        part_px = max(longest_px * max(part.shape[:2]) // longest, 1)
+        part_px = max(round(longest_px * max(part.shape[:2]) / longest), 1)
         return look(detector, part, part_px, candidate_score, nms_iou)
 
     boxes = look_at_part(side_px)

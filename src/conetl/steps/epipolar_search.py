@@ -51,7 +51,11 @@ def is_unanswered(found: Sequence[Detection], rig: Rig, params: IngestParams) ->
 
     It must be tall enough, and far enough inside the left picture if it were the tallest of cones, for that to mean anything.
     """
-    region, limits = right_region(found, rig, params), params.reconcile
+    if params.detection.search_right == "everywhere":
+        return False
+    limits = params.reconcile
+    # Of each left box by itself: what lies between two of them is searched in this pair, but not in the next, once one is gone.
+    regions = [right_region([box], rig, params) for box in found if box.side == "left"]
     for box in found:
         if box.side == "left" or box.h_px < limits.visible_min_height_px:
             continue
@@ -59,7 +63,7 @@ def is_unanswered(found: Sequence[Detection], rig: Rig, params: IngestParams) ->
         least_disparity_px = box.h_px * rig.baseline_m / params.track.max_cone_height_m
         right_edge_px = box.x_px + box.w_px + least_disparity_px + rig.left.cx_px - rig.right.cx_px
         in_view = right_edge_px <= rig.left.width_px - limits.visible_border_px
-        if in_view and not is_within(u_px, v_px, region):
+        if in_view and not any(is_within(u_px, v_px, region) for region in regions):
             return True
     return False
 

@@ -60,9 +60,10 @@ def existence_probability(
 ) -> float:
     """Belief (0 to 1) that the positions of `group` are a cone.
 
-    Every picture in which it should be in plain view speaks. Where it should be is carried over from the nearest frame of the
-    group by the relative motion, so that a sliding trajectory does not turn hits into misses. map_SE3_left: (4, 4) by frame
-    index; detections: of both images; evidence: the detector's figures; is_anothers: whether another group is made of a box.
+    Every left picture in which it should be in plain view speaks, and every right one that the left one had searched there. Where
+    it should be is carried over from the nearest frame of the group by the relative motion, so that a sliding trajectory does not
+    turn hits into misses. map_SE3_left: (4, 4) by frame index; detections: of both images; evidence: the detector's figures;
+    is_anothers: whether another group is made of a box.
     """
     looks: dict[Side, list[Look]] = {"left": [], "right": []}
     for side, in_view in _boxes(group, cone_height_m, rig, map_SE3_left, params).items():

@@ -132,6 +132,15 @@ def test_a_part_of_the_picture_shows_what_the_whole_does_there(detector: Detecto
     assert len(detect_image(detector, image, score_threshold=0.3, within=(300.0, 280.0, 400.0, 310.0))) == 0
 
 
+def test_a_part_of_a_large_picture_is_scaled_as_the_whole(detector: Detector) -> None:
+    image = np.full((900, 3840, 3), (110, 115, 118), np.uint8)
+    image[:300] = (200, 180, 160)
+    draw_cone(image, 2112.0, 810.0, 216.0)
+    (whole,) = detect_image(detector, image, score_threshold=0.3)
+    (part,) = detect_image(detector, image, score_threshold=0.3, within=(2050.0, 680.0, 2170.0, 720.0), reach_px=144.0)
+    np.testing.assert_allclose(part[:4], whole[:4], atol=1.0)  # 0.4 px of the network's
+
+
 def test_a_part_of_a_tall_picture_still_shows_what_fills_it(detector: Detector) -> None:
     image = np.full((900, 1600, 3), (110, 115, 118), np.uint8)
     image[:300] = (200, 180, 160)
@@ -283,11 +292,13 @@ def test_a_sidecar_that_does_not_fit_is_refused(tmp_path: Path, key: str, value:
         load_detector(model)
 
 
-@pytest.mark.parametrize("fixed", [True, False])
-def test_a_network_of_another_family_runs_by_its_sidecar_alone(tmp_path: Path, fixed: bool) -> None:
+@pytest.mark.parametrize("size", [(160, 320), ("h", "w"), ("h", 640)])
+def test_a_network_of_another_family_runs_by_its_sidecar_alone(
+    tmp_path: Path, size: tuple[int | str, int | str]
+) -> None:
     """A YOLOv8 export of two classes that always gives one box, centred at (100, 60), 20 x 40, in its own input."""
     boxes = np.array([[[100], [60], [20], [40], [0.1], [0.9]]], np.float32)
-    size = (160, 320) if fixed else ("h", "w")
+    fixed = size == (160, 320)
     shapes = [
         helper.make_tensor_value_info("images", TensorProto.FLOAT, [1, *size, 3]),
         helper.make_tensor_value_info("output0", TensorProto.FLOAT, [1, 6, 1]),
@@ -312,11 +323,13 @@ def test_a_network_of_another_family_runs_by_its_sidecar_alone(tmp_path: Path, f
     scale = 2.0 if fixed else 1.0  # the fixed network sees the picture at half its size
     np.testing.assert_allclose(found[:, :5], [[90 * scale, 40 * scale, 20 * scale, 40 * scale, 0.9]], rtol=1e-6)
     assert np.isnan(found[:, 5:]).all()
-    if fixed:  # a part of the picture would come to it larger than the whole
+    if size != ("h", "w"):  # a part of the picture would come to it larger than the whole, or not fit
+        x, y = 100 * scale, 60 * scale
         seen = detect_image(
-            detector, np.zeros((320, 640, 3), np.uint8), score_threshold=0.5, within=(190, 110, 210, 130)
+            detector, np.zeros((320, 640, 3), np.uint8), score_threshold=0.5, within=(x - 10, y - 10, x + 10, y + 10)
         )
         np.testing.assert_array_equal(seen, found)
+    if fixed:
         window = {"cone_px": 48, "window_px": 96, "scores": [0.2, 0.8], "share": 0.4}
         (tmp_path / "tiny.onnx.json").write_text(json.dumps(card | {"closer_look": window}))
         with pytest.raises(ModelFileError, match=r"takes pictures of 320x160 only.*closer_look"):

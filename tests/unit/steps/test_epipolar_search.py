@@ -119,6 +119,8 @@ def test_blocks_hold_every_pair_once_and_never_leave_too_many_out(count: int, le
         ([box("left", 330, 150, 20, 40), box("right", 300, 150, 20, 40)], False),
         ([box("left", 330, 150, 20, 40), box("right", 700, 150, 20, 40)], True),
         ([box("left", 330, 150, 20, 40)], False),
+        # between the places of both partners
+        ([box("left", 230, 150, 20, 40), box("left", 930, 150, 20, 40), box("right", 600, 150, 20, 40)], True),
     ],
 )
 def test_what_the_left_picture_does_not_answer(boxes: list[Detection], unanswered: bool) -> None:
