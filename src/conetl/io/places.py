@@ -23,8 +23,9 @@ from upath import UPath
 
 from conetl.errors import InputError, StorageError
 
-#: Bytes of objects that stay in memory for their next reader.
-CACHE_BYTES = 128 * 2**20
+#: Bytes of objects that stay in memory for their next reader: the 256 pictures of half a chunk, of half a megabyte each, for two
+#: tasks. What is pushed out between its hash and its decoding is fetched twice.
+CACHE_BYTES = 256 * 2**20
 #: SHA-256 where there is no file: of nothing.
 NO_FILE_SHA256 = hashlib.sha256().hexdigest()
 #: What the system says where there is no such file; whatever else it says is about the storage.
