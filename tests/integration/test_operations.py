@@ -92,6 +92,14 @@ class Desk:
         found = self.get(f"/deployments/name/{deployment}")
         return str(self.post(f"/deployments/{found['id']}/create_flow_run", {"parameters": parameters})["id"])
 
+    def drop_folder_ended(self) -> Any:
+        """A run of ours over the drop folder. Where one of its schedule, made before the pause, is at work, ours is cancelled."""
+        while True:
+            run = self.ended(self.start(DROP_FOLDER, {}))
+            if run["state_type"] != "CANCELLED" or "concurrency limit" not in run["state"]["message"]:
+                return run
+            time.sleep(2)
+
     def ended(self, run_id: str) -> Any:
         def final() -> Any:
             run = self.get(f"/flow_runs/{run_id}")
@@ -152,7 +160,7 @@ def test_a_complete_drive_in_the_drop_folder_is_taken(desk: Desk) -> None:
     complete = cut_drive(SAMPLES[0], arrivals / "2026-03-20_dropped", "2026-03-20")
     (complete / "COMPLETE").touch()
     cut_drive(SAMPLES[1], arrivals / "2026-03-21_arriving", "2026-03-21")
-    run = desk.ended(desk.start(DROP_FOLDER, {}))
+    run = desk.drop_folder_ended()
     assert run["state_type"] == "COMPLETED", run["state"]["message"]
     assert desk.receipts() == {"2026-03-20_dropped": ("committed", "")}
 
@@ -235,8 +243,8 @@ def _old_enough(desk: Desk, run_id: str) -> bool:
 
 
 def test_the_map_is_published_and_audited_and_no_drive_is_taken_again(desk: Desk) -> None:
-    started = {name: desk.start(name, {}) for name in ("publish-map/publish-map", "audit/audit", DROP_FOLDER)}
-    ended = {name: desk.ended(run_id) for name, run_id in started.items()}
+    started = {name: desk.start(name, {}) for name in ("publish-map/publish-map", "audit/audit")}
+    ended = {DROP_FOLDER: desk.drop_folder_ended()} | {name: desk.ended(run_id) for name, run_id in started.items()}
     messages = {name: run["state"]["message"] for name, run in ended.items()}
     assert {run["state_type"] for run in ended.values()} == {"COMPLETED"}, messages
     latest = desk.home / "exports" / "latest"
