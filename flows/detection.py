@@ -132,9 +132,11 @@ def _search(
     rejections: list[Rejection] = []
     for side, (path, sha256) in zip(_SIDES, hashed, strict=True):
         tell_progress(chunk.drive_id, 1)
-        region = None if side == "left" or everywhere else right_region(by_side["left"], chunk.rig, chunk.params)
-        if region is None and side == "right" and not everywhere:
-            continue
+        region = None
+        if side == "right" and not everywhere:
+            region = right_region(by_side["left"], chunk.rig, chunk.params)
+            if region is None:
+                continue
         image, by_side[side], refused = _detect(chunk, pair.frame_index, side, path, sha256, first_rows[side], region)
         if image is not None:
             images[side] = image

@@ -11,10 +11,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from conetl.geometry import pose as se3
-from conetl.geometry import rig as rigs
 from conetl.geometry.calibration_covariance import calibration_jacobian
 from conetl.geometry.packing import cov3, cov_matrix
 from conetl.geometry.rig import map_SE3_left
@@ -24,6 +21,7 @@ from conetl.params import ReconcileParams
 from conetl.records import CalibrationCovariance, Rig, Track
 from conetl.steps.changes import reconcile
 from tests.synthetic.world import ORIGIN_M, START_NS, Cone, detect, fuse_logged, locate, make_path, make_rig, shifted
+from tests.synthetic.wrong_rigs import wrong_rig
 
 Floats = NDArray[np.float64]
 PARAMS = ReconcileParams()
@@ -185,28 +183,13 @@ def test_pictures_of_a_rig_whose_calibration_is_wrong() -> None:
     cone = Cone((18.0, 3.0, 0.0))
     honest, proud = [], []
     for _ in range(40):
-        taken = true_rig(rng.normal(0, POOR))
+        taken = wrong_rig(POOR_RIG, rng.normal(0, POOR))
         drives = [drive_past(cone, taken, rng, drive) for drive in range(6)]
         honest.append(squared(after(drives), np.array([cone.foot_m])))
         unaware = [[track.model_copy(update={"levers": None}) for track in tracks] for tracks in drives]
         proud.append(squared(after(unaware), np.array([cone.foot_m])))
     assert 0.6 < np.mean(honest) < 1.3
     assert np.mean(proud) > 1.8
-
-
-def true_rig(step: Floats) -> Rig:
-    """The rig whose calibration is off by these errors of `NAMES`."""
-    fx, cx, ry, tx = step.tolist()
-    relative = rigs.left_SE3_right(POOR_RIG)
-    relative[:3, :3] = relative[:3, :3] @ Rotation.from_rotvec([0.0, ry, 0.0]).as_matrix()
-    relative[0, 3] += tx
-    return POOR_RIG.model_copy(
-        update={
-            "left": POOR_RIG.left.model_copy(update={"fx_px": POOR_RIG.left.fx_px + fx}),
-            "right": POOR_RIG.right.model_copy(update={"cx_px": POOR_RIG.right.cx_px + cx}),
-            "body_SE3_right": se3.to_matrix4(se3.compose(rigs.body_SE3_camera(POOR_RIG, "left"), relative)),
-        }
-    )
 
 
 def drive_past(cone: Cone, taken: Rig, rng: np.random.Generator, drive: int) -> list[Track]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
@@ -18,6 +17,7 @@ from conetl.steps.common_errors import common_cov, outline_cov
 from conetl.steps.matching_cov import SHARED_DISPARITY_PX
 from tests.synthetic.noisy_drive import PoseErrors, draw_positions
 from tests.synthetic.world import ORIGIN_M, Cone, camera_poses, make_path, make_rig
+from tests.synthetic.wrong_rigs import wrong_rig
 
 Array = NDArray[np.float64]
 NAMES = ("left.fx_px", "right.cx_px", "relative.ry_rad", "relative.tx_m")
@@ -25,20 +25,6 @@ SIGMAS = np.array([1.5, 0.8, 8e-4, 2e-3])
 COVARIANCE = CalibrationCovariance(names=NAMES, matrix=tuple(tuple(row) for row in np.diag(SIGMAS**2).tolist()))
 RIG = make_rig().model_copy(update={"calibration_covariance": COVARIANCE})
 CONE = Cone((22.0, 3.0, 0.0))
-
-
-def true_rig(step: Array) -> Rig:
-    fx, cx, ry, tx = step.tolist()
-    relative = rigs.left_SE3_right(RIG)
-    relative[:3, :3] = relative[:3, :3] @ Rotation.from_rotvec([0.0, ry, 0.0]).as_matrix()
-    relative[0, 3] += tx
-    return RIG.model_copy(
-        update={
-            "left": RIG.left.model_copy(update={"fx_px": RIG.left.fx_px + fx}),
-            "right": RIG.right.model_copy(update={"cx_px": RIG.right.cx_px + cx}),
-            "body_SE3_right": se3.to_matrix4(se3.compose(rigs.body_SE3_camera(RIG, "left"), relative)),
-        }
-    )
 
 
 def test_one_sighting_carries_what_its_position_carries() -> None:
@@ -70,7 +56,7 @@ def test_many_sightings_with_a_wrong_calibration_stay_inside_what_they_state() -
     }  # fmt: skip
     honest, proud = Nees(0.0, 0), Nees(0.0, 0)
     for _ in range(200):
-        actual = true_rig(rng.normal(0, SIGMAS))
+        actual = wrong_rig(RIG, rng.normal(0, SIGMAS))
         right = np.stack(list(camera_poses(pairs, actual, "right").values()))
         exact, _ = pair_jacobian(truth, nominal[0], right, *constants(actual))
         observed = exact + rng.normal(0, 0.4, exact.shape)
