@@ -145,6 +145,7 @@ def main() -> None:
         "class_names": ["traffic_cone"],
         # As for the shipped weights; others may do better with other numbers, or without (docs/models.md).
         "closer_look": {"cone_px": 48, "window_px": 96, "scores": [0.25, 0.75], "share": 0.35},
+        "enlarged_look": {"below_px": 40, "from_score": 0.25, "around_px": 24, "scale": 2.0, "share": 0.65},
         "score_scale": "sigmoid 0..1, trained towards the IoU with the true box; not calibrated as a probability",
         "licence": "as conetl itself; trained on CC BY 4.0 and ODC-By 1.0 pictures, attribution in README.md beside this file",
     }

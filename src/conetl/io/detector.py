@@ -20,6 +20,7 @@ from conetl.errors import ModelFileError
 from conetl.io.closer_look import look_closer
 from conetl.io.detector_decode import COLUMNS, boxes_in_image, decode_cells, suppress_overlaps, without_parts
 from conetl.io.detector_heads import EndToEndHead, check_outputs, decode_head
+from conetl.io.enlarged_look import FAINTEST, look_enlarged
 from conetl.io.model_card import ModelCard, SideDistributionHead, check_own_outputs, read_model_card, shipped_model_path
 
 MAX_SIDE_PX = 1600
@@ -34,7 +35,7 @@ CONTEXT_PX = 64.0
 #: Pictures in one run of the network. It answers for its best cells only, of all of them together: with some twenty windows the
 #: weaker ones begin to lose theirs.
 MOST_AT_ONCE = 8
-#: Two candidates that a closer look has moved on top of each other are one. Cones side by side overlap less.
+#: Two candidates that another look has moved on top of each other are one. Cones side by side overlap less.
 SAME_BOX_IOU = 0.7
 
 
@@ -110,11 +111,12 @@ def load_detector(model_path: Path | None = None, *, threads: int = 1) -> Detect
     size = inputs[0].shape[1:3] if "NHWC" in card.input_layout else inputs[0].shape[2:4]
     fixed = (size[0], size[1]) if all(isinstance(side, int) for side in size) else None
     any_size = not any(isinstance(side, int) for side in size)
-    if card.closer_look is not None and not any_size:
-        raise ModelFileError(
-            f"{path}: the network takes pictures of {size[1]}x{size[0]} only: "
-            "closer_look in its sidecar needs one that takes any size; leave that key out"
-        )
+    for key in ("closer_look", "enlarged_look"):
+        if getattr(card, key) is not None and not any_size:
+            raise ModelFileError(
+                f"{path}: the network takes pictures of {size[1]}x{size[0]} only: "
+                f"{key} in its sidecar needs one that takes any size; leave that key out"
+            )
     several = isinstance(card.head, SideDistributionHead) and not isinstance(inputs[0].shape[0], int)
     return Detector(session, path, card, inputs[0].name, fixed, any_size, several)
 
@@ -184,10 +186,10 @@ def detect_image(
 
     Returns (N, 9) [x, y, w, h, score, foot x, foot y, tip x, tip y] by falling score: x, y is the top-left corner, in pixels of
     the given image, whose left and top edges are x = 0 and y = 0 (the centre of the first pixel is 0.5). Foot and tip are NaN
-    where the network does not give them. Candidates of middling score get a closer look where the model's sidecar asks for it
-    (`closer_look.py`). first_row: rows above it are not looked at (`geometry.camera.first_road_row`). within: x0, y0, x1, y1 in
-    which boxes must have their middle (None: anywhere), and reach_px how far from it they may reach; of what is around them the
-    network then sees `CONTEXT_PX` only.
+    where the network does not give them. Where the model's sidecar asks for it, the surroundings of small candidates get an
+    enlarged look (`enlarged_look.py`), and then candidates of middling score a closer one (`closer_look.py`). first_row: rows
+    above it are not looked at (`geometry.camera.first_road_row`). within: x0, y0, x1, y1 in which boxes must have their middle
+    (None: anywhere), and reach_px how far from it they may reach; of what is around them the network then sees `CONTEXT_PX` only.
     """
     if image_bgr.dtype != np.uint8 or image_bgr.ndim != 3 or image_bgr.shape[2] != 3:
         raise ValueError(f"expected a BGR image (H, W, 3) of uint8, got {image_bgr.shape} of {image_bgr.dtype}")
@@ -196,14 +198,17 @@ def detect_image(
     road = whole[first_row:]
     if min(road.shape[:2]) < LEAST_SIDE_PX:
         return np.zeros((0, COLUMNS))
-    closer = detector.card.closer_look
-    # What is to be looked at more closely must be found first, whatever the caller's threshold.
+    if within is not None:
+        within = (within[0], within[1] - first_row, within[2], within[3] - first_row)
+    closer, enlarged = detector.card.closer_look, detector.card.enlarged_look
+    # What is to be looked at once more must be found first, whatever the caller's threshold.
     candidate_score = score_threshold if closer is None else min(score_threshold, closer.scores[0])
+    candidate_score = candidate_score if enlarged is None else min(candidate_score, FAINTEST)
     longest, shortest = max(road.shape[:2]), min(road.shape[:2])
     side_px = min(longest, max_side_px)
     rows, columns = slice(0, road.shape[0]), slice(0, road.shape[1])
     if within is not None and detector.any_size:
-        rows, columns = _part(detector, road.shape, first_row, within, reach_px, longest / side_px)
+        rows, columns = _part(detector, road.shape, within, reach_px, longest / side_px)
     part = road[rows, columns]
 
     def look_at_part(longest_px: int) -> NDArray[np.float64]:
@@ -219,9 +224,19 @@ def detect_image(
             large = again[(again[:, 3] - again[:, 1]) * smaller_px / longest > LARGE_CONE_PX]
             boxes = suppress_overlaps(np.concatenate((without_parts(boxes, large), large)), nms_iou)
     boxes[:, [0, 2, 5, 7]] += columns.start
-    boxes[:, [1, 3, 6, 8]] += first_row + rows.start
+    boxes[:, [1, 3, 6, 8]] += rows.start
     if within is not None:
         boxes = boxes[_has_middle_in(boxes, within)]
+    if enlarged is not None:
+
+        def look_at_enlarged(image: NDArray[np.uint8]) -> NDArray[np.float64]:
+            return look(detector, image, max(image.shape[:2]), FAINTEST, nms_iou)
+
+        seen = look_enlarged(look_at_enlarged, road, boxes, enlarged, longest / side_px)
+        boxes = suppress_overlaps(seen, SAME_BOX_IOU)
+        if within is not None:
+            boxes = boxes[_has_middle_in(boxes, within)]
+    boxes[:, [1, 3, 6, 8]] += first_row
     if closer is not None:
 
         def look_at_windows(windows: list[NDArray[np.uint8]], least_score: float) -> list[NDArray[np.float64]]:
@@ -235,7 +250,6 @@ def detect_image(
 def _part(
     detector: Detector,
     shape: tuple[int, ...],
-    first_row: int,
     within: tuple[float, float, float, float],
     reach_px: float,
     scale: float,
@@ -254,7 +268,7 @@ def _part(
         end = round(int(np.ceil((high + context) / cell)) * cell)
         return slice(min(begin, length - LEAST_SIDE_PX), min(max(end, begin + LEAST_SIDE_PX), length))
 
-    return span(y0 - first_row, y1 - first_row, shape[0]), span(x0, x1, shape[1])
+    return span(y0, y1, shape[0]), span(x0, x1, shape[1])
 
 
 def _has_middle_in(boxes: NDArray[np.float64], within: tuple[float, float, float, float]) -> NDArray[np.bool_]:

@@ -60,6 +60,23 @@ class CloserLook(BaseModel):
         return self
 
 
+class EnlargedLook(BaseModel):
+    """How parts with small candidates are looked at once more (`enlarged_look.py`); sizes in pixels of the network's input."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    below_px: PositiveInt
+    """Candidates less tall than this are small."""
+    from_score: Share
+    """A small candidate of this score calls for an enlarged look at its surroundings."""
+    around_px: PositiveInt
+    """So much around it is shown."""
+    scale: float = Field(gt=1.0, le=8.0)
+    """By how much the surroundings are enlarged."""
+    share: Share
+    """Weight of the enlarged look; the first look has the rest."""
+
+
 class ModelCard(BaseModel):
     """A model's sidecar. Unknown keys are refused."""
 
@@ -78,6 +95,8 @@ class ModelCard(BaseModel):
     """Both sides of the input are padded to a multiple of it; of no account where the network's input has a fixed size."""
     closer_look: CloserLook | None = None
     """None: every candidate is judged by one look. Only for networks that take pictures of any size."""
+    enlarged_look: EnlargedLook | None = None
+    """None: what is small is judged at the picture's own size. Only for networks that take pictures of any size."""
     class_names: tuple[str, ...] = Field(min_length=1)
     score_scale: str
     licence: str
@@ -87,7 +106,7 @@ class ModelCard(BaseModel):
     @property
     def detections_sha256(self) -> str:
         """Hash of all that detections depend on: the weights and how the sidecar has them used, not what was measured of them."""
-        used = {"sha256", "input_layout", "head", "pad_multiple_px", "closer_look"}
+        used = {"sha256", "input_layout", "head", "pad_multiple_px", "closer_look", "enlarged_look"}
         return hashlib.sha256(self.model_dump_json(include=used).encode()).hexdigest()
 
     @model_validator(mode="after")
