@@ -82,6 +82,8 @@ def suppress_overlaps(candidates: Floats, nms_iou: float) -> Floats:
 
     No two survivors overlap by more than `nms_iou`, in single precision; equal scores keep their order (the sort is stable).
     """
+    if len(candidates) < 2:
+        return candidates
     ordered = candidates[np.argsort(-candidates[:, 4], kind="stable")]
     corners_and_sizes = np.concatenate((ordered[:, :2], ordered[:, 2:4] - ordered[:, :2]), axis=1)
     # Ranks instead of scores: OpenCV takes scores in single precision, of which more are equal.

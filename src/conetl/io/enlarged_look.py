@@ -53,9 +53,11 @@ def look_enlarged(
     below_px = settings.below_px * px_per_input_px
     heights = candidates[:, 3] - candidates[:, 1]
     calling = candidates[(heights < below_px) & (candidates[:, 4] >= settings.from_score)]
+    if not len(calling):
+        return candidates
     parts = parts_around(calling, settings.around_px * px_per_input_px, image_bgr.shape[1], image_bgr.shape[0])
     scale = enlargement(parts, settings.scale, image_bgr.shape[1] * image_bgr.shape[0])
-    if not parts or scale < LEAST_SCALE:
+    if scale < LEAST_SCALE:
         return candidates
     result = candidates.copy()
     added = []

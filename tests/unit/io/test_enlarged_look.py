@@ -49,7 +49,7 @@ def test_each_box_lies_in_one_part_with_its_surroundings_and_parts_do_not_touch(
     boxes = np.array([(x, y, x + w, y + h) for x, y, w, h in given_boxes]).reshape(-1, 4)
     parts = parts_around(boxes, 24.0, 403, 211)
     size = np.array([403, 211, 403, 211])
-    for surroundings in np.clip(boxes + (-24, -24, 24, 24), 0, size):
+    for surroundings in np.clip(boxes + np.array((-24, -24, 24, 24)), 0, size):
         inside = (
             [np.array(p)[:2] <= surroundings[:2] for p in parts],
             [np.array(p)[2:] >= surroundings[2:] for p in parts],
