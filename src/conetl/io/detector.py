@@ -18,9 +18,16 @@ from numpy.typing import NDArray
 
 from conetl.errors import ModelFileError
 from conetl.io.closer_look import look_closer
-from conetl.io.detector_decode import COLUMNS, boxes_in_image, decode_cells, suppress_overlaps, without_parts
+from conetl.io.detector_decode import (
+    COLUMNS,
+    boxes_in_image,
+    decode_cells,
+    suppress_overlaps,
+    untold_below,
+    without_parts,
+)
 from conetl.io.detector_heads import EndToEndHead, check_outputs, decode_head
-from conetl.io.enlarged_look import FAINTEST, look_enlarged
+from conetl.io.enlarged_look import FAINTEST, Seen, look_enlarged
 from conetl.io.model_card import ModelCard, SideDistributionHead, check_own_outputs, read_model_card, shipped_model_path
 
 MAX_SIDE_PX = 1600
@@ -225,25 +232,25 @@ def detect_image(
             boxes = suppress_overlaps(np.concatenate((without_parts(boxes, large), large)), nms_iou)
     boxes[:, [0, 2, 5, 7]] += columns.start
     boxes[:, [1, 3, 6, 8]] += rows.start
-    if within is not None:
-        boxes = boxes[_has_middle_in(boxes, within)]
     if enlarged is not None:
 
-        def look_at_enlarged(image: NDArray[np.uint8]) -> NDArray[np.float64]:
-            return look(detector, image, max(image.shape[:2]), FAINTEST, nms_iou)
+        def look_at_enlarged(image: NDArray[np.uint8]) -> Seen:
+            return look_at_all(detector, [image], max(image.shape[:2]), FAINTEST, nms_iou)[0]
 
-        seen = look_enlarged(look_at_enlarged, road, boxes, enlarged, longest / side_px)
+        # What lies beside the wanted part calls for no look, but takes what a look shows of it.
+        wanted = None if within is None else _has_middle_in(boxes, within)
+        seen = look_enlarged(look_at_enlarged, road, boxes, enlarged, longest / side_px, wanted)
         boxes = suppress_overlaps(seen, SAME_BOX_IOU)
-        if within is not None:
-            boxes = boxes[_has_middle_in(boxes, within)]
+    if within is not None:
+        boxes = boxes[_has_middle_in(boxes, within)]
     boxes[:, [1, 3, 6, 8]] += first_row
     if closer is not None:
 
         def look_at_windows(windows: list[NDArray[np.uint8]], least_score: float) -> list[NDArray[np.float64]]:
-            return look_at_all(detector, windows, closer.window_px, least_score, nms_iou)
+            return [seen for seen, _ in look_at_all(detector, windows, closer.window_px, least_score, nms_iou)]
 
         boxes = suppress_overlaps(look_closer(look_at_windows, whole, boxes, closer), SAME_BOX_IOU)
-        boxes = boxes[boxes[:, 4] >= score_threshold]
+    boxes = boxes[boxes[:, 4] >= score_threshold]  # there are fainter ones where there was another look
     return boxes_in_image(boxes, whole.shape[1], whole.shape[0])
 
 
@@ -281,7 +288,7 @@ def look(
     detector: Detector, image_bgr: NDArray[np.uint8], max_side_px: int, score_threshold: float, nms_iou: float
 ) -> NDArray[np.float64]:
     """One look at one image: candidates (N, 9) of `decode_cells` in pixels of the image, not yet cut at its edges."""
-    return look_at_all(detector, [image_bgr], max_side_px, score_threshold, nms_iou)[0]
+    return look_at_all(detector, [image_bgr], max_side_px, score_threshold, nms_iou)[0][0]
 
 
 def look_at_all(
@@ -290,7 +297,7 @@ def look_at_all(
     max_side_px: int,
     score_threshold: float,
     nms_iou: float,
-) -> list[NDArray[np.float64]]:
+) -> list[Seen]:
     """`look` at several images of one size, MOST_AT_ONCE in a run of the network where it takes several pictures."""
     at_once = MOST_AT_ONCE if detector.several else 1
     if len(images_bgr) > at_once:
@@ -307,8 +314,9 @@ def look_at_all(
     _, scale_x, scale_y = inputs[0]
     outputs = [np.asarray(output) for output in detector.session.run(None, {detector.input_name: blob})]
     rows, columns = blob.shape[1:3] if "NHWC" in card.input_layout else blob.shape[2:4]
-    head = card.head
+    head, untold = card.head, 0.0
     if isinstance(head, SideDistributionHead):
+        untold = untold_below(outputs, (len(images_bgr), rows, columns), head.strides_px)
         boxes, pictures = decode_cells(
             outputs, (rows, columns), head.strides_px, head.side_bins, score_threshold, foot_and_tip=head.foot_and_tip
         )
@@ -321,4 +329,5 @@ def look_at_all(
             seen = [boxes[np.argsort(-boxes[:, 4], kind="stable")]]
         else:
             seen = [suppress_overlaps(boxes, nms_iou)]
-    return [each / (scale_x, scale_y, scale_x, scale_y, 1.0, scale_x, scale_y, scale_x, scale_y) for each in seen]
+    scales = np.array((scale_x, scale_y, scale_x, scale_y, 1.0, scale_x, scale_y, scale_x, scale_y))
+    return [(each / scales, untold) for each in seen]

@@ -66,6 +66,21 @@ def decode_cells(
     return np.stack((x0, y0, x1, y1, scores, *ends), axis=1), pictures
 
 
+def untold_below(
+    outputs: Sequence[NDArray[Any]], pictures_and_size: tuple[int, int, int], strides_px: Sequence[int]
+) -> float:
+    """The best score that cells may have of which the network does not tell, because it gives its best cells of each stride only.
+
+    outputs: as of `decode_cells`. pictures_and_size: number of pictures, height and width in pixels. 0 where it gives all cells.
+    """
+    pictures, height_px, width_px = pictures_and_size
+    best = 0.0
+    for values, stride_px in zip(outputs[::2], strides_px, strict=True):
+        if 0 < len(values) < pictures * (height_px // stride_px) * (width_px // stride_px):
+            best = max(best, float(1.0 / (1.0 + np.exp(-float(values[:, -1].min())))))
+    return best
+
+
 def intersection_over_union(box: Floats, boxes: Floats) -> Floats:
     """IoU of one box (4,) with boxes (N, 4), all [x0, y0, x1, y1]; boxes without area have IoU 0."""
     low = np.maximum(box[:2], boxes[:, :2])

@@ -33,26 +33,31 @@ CUT_PX = 3.0
 #: Parts are rectangles of whole cells of this size.
 CELL_PX = 8
 
+#: Candidates (N, 9), and the score below which the network may know of others.
+Seen = tuple[Floats, float]
 #: x0, y0, x1, y1 in whole pixels of the image.
 Part = tuple[int, int, int, int]
 
 
 def look_enlarged(
-    look: Callable[[Image], Floats],
+    look: Callable[[Image], Seen],
     image_bgr: Image,
     candidates: Floats,
     settings: EnlargedLook,
     px_per_input_px: float,
+    wanted: NDArray[np.bool_] | None = None,
 ) -> Floats:
     """Candidates (N, 9) of `detector.look` in pixels of the image (H, W, 3), after an enlarged look where small ones stand.
 
-    look: runs the network on a part of the image, already enlarged, and gives its candidates in pixels of that. px_per_input_px:
-    pixels of the image per pixel of the network's input in the first look. Log-odds of the scores, boxes, feet and tips are
-    averaged with the share of the enlarged look. Boxes that it moved on top of each other are not suppressed yet.
+    look: runs the network on a part of the image, already enlarged, and gives its candidates in pixels of that, and the score
+    below which it may know of others. px_per_input_px: pixels of the image per pixel of the network's input in the first look.
+    wanted: which candidates (N,) may call for a look (None: all). Log-odds of the scores, boxes, feet and tips are averaged
+    with the share of the enlarged look. Boxes that it moved on top of each other are not suppressed yet.
     """
     below_px = settings.below_px * px_per_input_px
     heights = candidates[:, 3] - candidates[:, 1]
-    calling = candidates[(heights < below_px) & (candidates[:, 4] >= settings.from_score)]
+    calls = (heights < below_px) & (candidates[:, 4] >= max(settings.from_score, FAINTEST))
+    calling = candidates[calls if wanted is None else calls & wanted]
     if not len(calling):
         return candidates
     parts = parts_around(calling, settings.around_px * px_per_input_px, image_bgr.shape[1], image_bgr.shape[0])
@@ -62,30 +67,36 @@ def look_enlarged(
     result = candidates.copy()
     added = []
     for part in parts:
-        seen = _seen_in(look, image_bgr, part, scale / px_per_input_px)
+        seen, untold = _seen_in(look, image_bgr, part, scale / px_per_input_px)
         seen = seen[_whole_in(seen, part, image_bgr)]
         small = _whole_in(candidates, part, image_bgr) & (heights < below_px) & (candidates[:, 4] >= FAINTEST)
         free = np.ones(len(seen), bool)
-        for index in np.flatnonzero(small)[np.argsort(-candidates[small, 4], kind="stable")]:
+        inside = ((candidates[:, :2] < part[2:]) & (candidates[:, 2:4] > part[:2])).all(axis=1)
+        told = np.flatnonzero(inside & (candidates[:, 4] >= FAINTEST))
+        for index in told[np.argsort(-candidates[told, 4], kind="stable")]:
             overlaps = intersection_over_union(candidates[index, :4], seen[:, :4])
             same = free & (overlaps >= SAME_THING_IOU)
-            score = 0.0
+            # In a crowd the network tells of its best cells only: what it does not show may be as good as the last of them.
+            score = min(untold, candidates[index, 4]) if untold > FAINTEST else 0.0
             if same.any():
                 chosen = int(np.where(same, overlaps * seen[:, 4], -1.0).argmax())
                 free[chosen], score = False, seen[chosen, 4]
+            if not small[index]:  # it stays as it is, and what the enlarged look sees of it is not new
+                continue
+            if same.any():
                 result[index] = (1.0 - settings.share) * candidates[index] + settings.share * seen[chosen]
             result[index, 4] = pooled(candidates[index, 4], score, settings.share)
         new = seen[free & (seen[:, 3] - seen[:, 1] < TALLEST * below_px)]
         new[:, 4] = [pooled(FAINTEST, score, settings.share) for score in new[:, 4]]
-        added.append(without_parts(new, candidates[~small]))
+        added.append(without_parts(new, candidates[inside & ~small]) if len(new) else new)
     return np.concatenate((result, *added))
 
 
 def parts_around(boxes: Floats, around_px: float, width_px: int, height_px: int) -> list[Part]:
     """Rectangles x0, y0, x1, y1 of an image that hold boxes (N, 4 or more) with so much around them; no two of them touch."""
     size = -(-width_px // CELL_PX), -(-height_px // CELL_PX)
-    low = np.floor((boxes[:, :2] - around_px) / CELL_PX).astype(int).clip(0, size)
-    high = np.ceil((boxes[:, 2:4] + around_px) / CELL_PX).astype(int).clip(0, size)
+    low = np.floor((boxes[:, :2] - around_px) / CELL_PX).clip(0, size).astype(int)
+    high = np.ceil((boxes[:, 2:4] + around_px) / CELL_PX).clip(0, size).astype(int)
     cells = np.concatenate((low, high), axis=1)
     while True:
         shown = np.zeros(size[::-1], np.uint8)
@@ -107,16 +118,16 @@ def enlargement(parts: list[Part], wanted: float, image_px: float) -> float:
     return float(min(wanted, np.sqrt(MOST_AREA * image_px / max(pixels, 1))))
 
 
-def _seen_in(look: Callable[[Image], Floats], image_bgr: Image, part: Part, scale: float) -> Floats:
-    """Candidates (N, 9) in pixels of the image that the network sees in a part of it, enlarged."""
+def _seen_in(look: Callable[[Image], Seen], image_bgr: Image, part: Part, scale: float) -> Seen:
+    """What the network sees in a part of the image, enlarged; candidates (N, 9) in pixels of the image."""
     x0, y0, x1, y1 = part
     method = cv2.INTER_CUBIC if scale > 1.0 else cv2.INTER_AREA
     size = max(round((x1 - x0) * scale), 1), max(round((y1 - y0) * scale), 1)
     enlarged = np.asarray(cv2.resize(image_bgr[y0:y1, x0:x1], size, interpolation=method), np.uint8)
-    seen = look(enlarged)
+    seen, untold = look(enlarged)
     seen[:, PLACES] *= np.tile(((x1 - x0) / size[0], (y1 - y0) / size[1]), 4)
     seen[:, PLACES] += np.tile((x0, y0), 4)
-    return seen
+    return seen, untold
 
 
 def _whole_in(boxes: Floats, part: Part, image_bgr: Image) -> NDArray[np.bool_]:

@@ -106,7 +106,9 @@ class ModelCard(BaseModel):
     @property
     def detections_sha256(self) -> str:
         """Hash of all that detections depend on: the weights and how the sidecar has them used, not what was measured of them."""
-        used = {"sha256", "input_layout", "head", "pad_multiple_px", "closer_look", "enlarged_look"}
+        used = {"sha256", "input_layout", "head", "pad_multiple_px", "closer_look"}
+        if self.enlarged_look is not None:  # without it detections are those of before there was such a key
+            used.add("enlarged_look")
         return hashlib.sha256(self.model_dump_json(include=used).encode()).hexdigest()
 
     @model_validator(mode="after")

@@ -347,12 +347,12 @@ def test_windows_looked_at_together_are_seen_as_each_alone(detector: Detector) -
     windows = [np.asarray(rng.integers(90, 120, (96, 96, 3)), np.uint8) for _ in range(5)]
     for index, window in enumerate(windows[1:], 1):
         draw_cone(window, 20.0 + 12.0 * index, 80.0, 20.0 + 8.0 * index)
-    together = look_at_all(detector, windows, 96, 0.02, 0.5)
+    together = [seen for seen, _ in look_at_all(detector, windows, 96, 0.02, 0.5)]
     assert sum(len(seen) for seen in together) >= 4
     for window, seen in zip(windows, together, strict=True):
         np.testing.assert_array_equal(seen, look(detector, window, 96, 0.02, 0.5))
     one_by_one = look_at_all(dataclasses.replace(detector, several=False), windows, 96, 0.02, 0.5)
-    for seen, alone in zip(together, one_by_one, strict=True):
+    for seen, (alone, _) in zip(together, one_by_one, strict=True):
         np.testing.assert_array_equal(seen, alone)
 
 
@@ -364,7 +364,7 @@ def test_a_faint_cone_keeps_its_box_among_many_clear_ones(detector: Detector) ->
     faint = np.asarray(0.8 * road + 0.2 * clear, np.uint8)
     expected = look(detector, faint, 96, 0.02, 0.5)
     assert len(expected) == 1
-    *_, seen = look_at_all(detector, [clear] * 63 + [faint], 96, 0.02, 0.5)
+    *_, (seen, _) = look_at_all(detector, [clear] * 63 + [faint], 96, 0.02, 0.5)
     np.testing.assert_array_equal(seen, expected)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +20,7 @@ from conetl.io.detector import Detector, detect_image, load_detector
 from conetl.io.enlarged_look import (
     CELL_PX,
     FAINTEST,
+    Seen,
     enlargement,
     look_enlarged,
     parts_around,
@@ -36,10 +39,6 @@ boxes_in_a_picture = st.lists(
 
 def candidate(x0: float, y0: float, x1: float, y1: float, score: float) -> Floats:
     return np.array([x0, y0, x1, y1, score, (x0 + x1) / 2, y1, (x0 + x1) / 2, y0])
-
-
-def nothing(part: Image) -> Floats:
-    return np.zeros((0, 9))
 
 
 @given(boxes_in_a_picture)
@@ -78,7 +77,7 @@ def test_all_parts_enlarged_are_no_larger_than_the_picture(
 def test_what_is_tall_or_faint_calls_for_nothing() -> None:
     rows = np.stack([candidate(100, 50, 140, 110, 0.9), candidate(200, 50, 215, 70, 0.2)])
 
-    def look(part: Image) -> Floats:
+    def look(part: Image) -> Seen:
         raise AssertionError("nothing was to be looked at")
 
     np.testing.assert_array_equal(look_enlarged(look, np.zeros((200, 400, 3), np.uint8), rows, SETTINGS, 1.0), rows)
@@ -92,13 +91,13 @@ def test_the_part_is_shown_enlarged_and_boxes_come_back_in_pixels_of_the_picture
     x0, y0, x1, y1 = parts_around(row[None], 24.0, 400, 200)[0]
     shown: list[Image] = []
 
-    def look(part: Image) -> Floats:
+    def look(part: Image) -> Seen:
         shown.append(part)
         seen = candidate(105, 80, 121, 106, 0.8)[None]
         seen[:, [0, 2, 5, 7]] -= x0
         seen[:, [1, 3, 6, 8]] -= y0
         seen[:, [0, 1, 2, 3, 5, 6, 7, 8]] *= 2.0
-        return seen
+        return seen, 0.0
 
     (found,) = look_enlarged(look, ramp, row[None], SETTINGS, 1.0)
     assert [part.shape for part in shown] == [(2 * (y1 - y0), 2 * (x1 - x0), 3)]
@@ -114,9 +113,9 @@ def test_in_a_picture_that_is_scaled_down_the_part_keeps_more_of_its_own_pixels(
     x0, y0, x1, y1 = parts_around(row[None], 48.0, 3200, 1200)[0]
     shown: list[tuple[int, ...]] = []
 
-    def look(part: Image) -> Floats:
+    def look(part: Image) -> Seen:
         shown.append(part.shape)
-        return np.zeros((0, 9))
+        return np.zeros((0, 9)), 0.0
 
     look_enlarged(look, image, row[None], SETTINGS, 2.0)
     assert shown == [(y1 - y0, x1 - x0, 3)]
@@ -129,12 +128,12 @@ def test_what_only_the_enlarged_look_sees_is_a_candidate_unless_it_is_cut_tall_o
     far, band = candidate(84, 80, 91, 90, 0.9), candidate(127, 90, 139, 100, 0.5)
     cut, tall = candidate(x0 + 1, 80, 90, 100, 0.9), candidate(80, y0 + 4, 92, y0 + 60, 0.9)
 
-    def look(part: Image) -> Floats:
+    def look(part: Image) -> Seen:
         seen = np.stack([far, band, cut, tall])
         seen[:, [0, 2, 5, 7]] -= x0
         seen[:, [1, 3, 6, 8]] -= y0
         seen[:, [0, 1, 2, 3, 5, 6, 7, 8]] *= 2.0
-        return seen
+        return seen, 0.0
 
     found = look_enlarged(look, image, rows, SETTINGS, 1.0)
     assert len(found) == 3
@@ -149,16 +148,63 @@ def test_two_candidates_do_not_share_one_box_of_the_enlarged_look() -> None:
     rows = np.stack([candidate(100, 80, 116, 104, 0.5), candidate(103, 80, 119, 104, 0.6)])
     x0, y0, *_ = parts_around(rows, 24.0, 400, 200)[0]
 
-    def look(part: Image) -> Floats:
+    def look(part: Image) -> Seen:
         seen = candidate(102, 80, 118, 104, 0.9)[None]
         seen[:, [0, 2, 5, 7]] -= x0
         seen[:, [1, 3, 6, 8]] -= y0
         seen[:, [0, 1, 2, 3, 5, 6, 7, 8]] *= 2.0
-        return seen
+        return seen, 0.0
 
     found = look_enlarged(look, image, rows, SETTINGS, 1.0)
     assert found[1, 4] == pytest.approx(pooled(0.6, 0.9, 0.65))  # the surer one has it
     assert found[0, 4] == pytest.approx(pooled(0.5, 0.0, 0.65))
+
+
+@pytest.mark.parametrize(("untold", "counts_as"), [(0.0, 0.0), (0.04, 0.0), (0.5, 0.5), (0.8, 0.6)])
+def test_what_a_crowd_may_keep_from_being_told_is_not_taken_for_unseen(untold: float, counts_as: float) -> None:
+    row = candidate(100, 80, 116, 104, 0.6)
+
+    def look(part: Image) -> Seen:
+        return np.zeros((0, 9)), untold
+
+    (found,) = look_enlarged(look, np.zeros((200, 400, 3), np.uint8), row[None], SETTINGS, 1.0)
+    assert found[4] == pytest.approx(pooled(0.6, counts_as, 0.65))
+
+
+def test_a_cone_just_too_tall_to_be_judged_takes_what_is_seen_of_it() -> None:
+    image = np.zeros((200, 400, 3), np.uint8)
+    rows = np.stack([candidate(100, 80, 130, 124, 0.9), candidate(140, 80, 156, 104, 0.6)])
+    x0, y0, *_ = parts_around(rows[1:], 24.0, 400, 200)[0]
+
+    def look(part: Image) -> Seen:
+        seen = candidate(max(102, x0 + 4), 88, 130, 120, 0.95)[None]
+        seen[:, [0, 2, 5, 7]] -= x0
+        seen[:, [1, 3, 6, 8]] -= y0
+        seen[:, [0, 1, 2, 3, 5, 6, 7, 8]] *= 2.0
+        return seen, 0.0
+
+    found = look_enlarged(look, image, rows, SETTINGS, 1.0)
+    assert len(found) == 2
+    np.testing.assert_array_equal(found[0], rows[0])
+
+
+def test_only_wanted_candidates_call_and_boxes_beyond_all_bounds_harm_nothing() -> None:
+    image = np.zeros((200, 400, 3), np.uint8)
+    rows = np.stack(
+        [candidate(100, 80, 116, 104, 0.6), candidate(300, 80, 316, 104, 0.6), candidate(-1e30, 5, 1e30, 9, 0.6)]
+    )
+    shown: list[tuple[int, ...]] = []
+
+    def look(part: Image) -> Seen:
+        shown.append(part.shape)
+        return np.zeros((0, 9)), 0.0
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = look_enlarged(look, image, rows, SETTINGS, 1.0, np.array([True, False, False]))
+        assert len(shown) == 1
+        np.testing.assert_array_equal(found[1:], rows[1:])
+        look_enlarged(look, image, rows, SETTINGS, 1.0)
 
 
 @pytest.mark.parametrize(
@@ -176,10 +222,13 @@ def test_a_sidecar_that_asks_for_the_impossible_is_refused(change: dict[str, obj
         type(read_model_card(None)).model_validate({**values, "enlarged_look": {**values["enlarged_look"], **change}})
 
 
-def test_another_enlarged_look_is_another_detector() -> None:
+def test_another_enlarged_look_is_another_detector_and_none_is_that_of_before_there_were_any() -> None:
     card = read_model_card(None)
     assert card.enlarged_look is not None
-    assert card.model_copy(update={"enlarged_look": None}).detections_sha256 != card.detections_sha256
+    plain = card.model_copy(update={"enlarged_look": None})
+    assert plain.detections_sha256 != card.detections_sha256
+    used = {"sha256", "input_layout", "head", "pad_multiple_px", "closer_look"}
+    assert plain.detections_sha256 == hashlib.sha256(card.model_dump_json(include=used).encode()).hexdigest()
 
 
 def far_street() -> Image:
@@ -199,6 +248,28 @@ def test_more_small_cones_are_found_with_it() -> None:
     plain = detect_image(without_enlarging(detector), image, score_threshold=0.3)
     found = detect_image(detector, image, score_threshold=0.3)
     assert len(found) > len(plain) >= 1
+
+
+def test_no_cone_of_a_crowd_is_lost_to_it() -> None:
+    detector, image = load_detector(), far_street()
+    best = detect_image(detector, image, score_threshold=0.3)[0]
+    x, y, w, h = best[:4].round().astype(int)
+    cone = cv2.resize(image[y - 2 : y + h + 2, x - 2 : x + w + 2], (28, 36), interpolation=cv2.INTER_CUBIC)
+    crowd = np.full((760, 1000, 3), np.median(image[y + h : y + h + 4, x : x + w], axis=(0, 1)).astype(np.uint8))
+    places = [(left, top) for top in range(40, 700, 62) for left in range(40, 940, 70)]
+    for left, top in places:
+        crowd[top : top + 36, left : left + 28] = cone
+    plain = detect_image(without_enlarging(detector), crowd, score_threshold=0.3)
+    found = detect_image(detector, crowd, score_threshold=0.3)
+    assert len(plain) >= 0.9 * len(places)  # as the network sees them at their own size
+    assert len(found) >= len(plain)
+
+
+def test_without_a_closer_look_nothing_below_the_threshold_comes_out() -> None:
+    detector = load_detector()
+    detector = replace(detector, card=detector.card.model_copy(update={"closer_look": None}))
+    found = detect_image(detector, far_street(), score_threshold=0.3)
+    assert len(found) and (found[:, 4] >= 0.3).all()
 
 
 @pytest.mark.parametrize("thresholds", [(0.06, 0.3), (0.1, 0.5), (0.3, 0.5)])
