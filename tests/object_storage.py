@@ -7,6 +7,7 @@ from contextlib import contextmanager
 
 import httpx
 import pytest
+import s3fs
 from moto.server import ThreadedMotoServer
 
 from conetl.io.places import place
@@ -26,6 +27,7 @@ def object_storage() -> Iterator[pytest.MonkeyPatch]:
             environment.setenv("AWS_ACCESS_KEY_ID", "somebody")
             environment.setenv("AWS_SECRET_ACCESS_KEY", "something")
             environment.setenv("AWS_DEFAULT_REGION", "us-east-1")
+            s3fs.S3FileSystem.clear_instance_cache()  # those of an earlier test know another server
             place(f"s3://{BUCKET}").mkdir()
             yield environment
     finally:
