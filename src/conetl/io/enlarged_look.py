@@ -69,27 +69,38 @@ def look_enlarged(
     for part in parts:
         seen, untold = _seen_in(look, image_bgr, part, scale / px_per_input_px)
         seen = seen[_whole_in(seen, part, image_bgr)]
-        small = _whole_in(candidates, part, image_bgr) & (heights < below_px) & (candidates[:, 4] >= FAINTEST)
-        free = np.ones(len(seen), bool)
         inside = ((candidates[:, :2] < part[2:]) & (candidates[:, 2:4] > part[:2])).all(axis=1)
-        told = np.flatnonzero(inside & (candidates[:, 4] >= FAINTEST))
-        for index in told[np.argsort(-candidates[told, 4], kind="stable")]:
-            overlaps = intersection_over_union(candidates[index, :4], seen[:, :4])
-            same = free & (overlaps >= SAME_THING_IOU)
-            # In a crowd the network tells of its best cells only: what it does not show may be as good as the last of them.
-            score = min(untold, candidates[index, 4]) if untold > FAINTEST else 0.0
-            if same.any():
-                chosen = int(np.where(same, overlaps * seen[:, 4], -1.0).argmax())
-                free[chosen], score = False, seen[chosen, 4]
-            if not small[index]:  # it stays as it is, and what the enlarged look sees of it is not new
-                continue
-            if same.any():
-                result[index] = (1.0 - settings.share) * candidates[index] + settings.share * seen[chosen]
-            result[index, 4] = pooled(candidates[index, 4], score, settings.share)
-        new = seen[free & (seen[:, 3] - seen[:, 1] < TALLEST * below_px)]
+        judged = _whole_in(candidates, part, image_bgr) & (heights < below_px) & (candidates[:, 4] >= FAINTEST)
+        # What is too tall to be judged has its counterpart, too: what the enlarged look sees of it is not new.
+        counterparts = _counterparts(candidates, inside & (candidates[:, 4] >= FAINTEST), seen)
+        for index in np.flatnonzero(judged):
+            first, same = candidates[index], counterparts[index]
+            if same >= 0:
+                result[index] = (1.0 - settings.share) * first + settings.share * seen[same]
+                score = seen[same, 4]
+            else:
+                # In a crowd the network tells of its best cells only: what it does not show may be as good as the last of them.
+                score = min(untold, first[4]) if untold > FAINTEST else 0.0
+            result[index, 4] = pooled(first[4], score, settings.share)
+        new = np.delete(seen, counterparts[counterparts >= 0], axis=0)
+        new = new[new[:, 3] - new[:, 1] < TALLEST * below_px]
         new[:, 4] = [pooled(FAINTEST, score, settings.share) for score in new[:, 4]]
-        added.append(without_parts(new, candidates[inside & ~small]) if len(new) else new)
+        added.append(without_parts(new, candidates[inside & ~judged]) if len(new) else new)
     return np.concatenate((result, *added))
+
+
+def _counterparts(candidates: Floats, among: NDArray[np.bool_], seen: Floats) -> NDArray[np.int64]:
+    """(N,) which box of the enlarged look (M, 9) is each candidate's (N, 9), -1 for none; the surer candidate chooses first."""
+    counterparts = np.full(len(candidates), -1)
+    free = np.ones(len(seen), bool)
+    those = np.flatnonzero(among)
+    for index in those[np.argsort(-candidates[those, 4], kind="stable")]:
+        overlaps = intersection_over_union(candidates[index, :4], seen[:, :4])
+        same = free & (overlaps >= SAME_THING_IOU)
+        if same.any():
+            counterparts[index] = np.where(same, overlaps * seen[:, 4], -1.0).argmax()
+            free[counterparts[index]] = False
+    return counterparts
 
 
 def parts_around(boxes: Floats, around_px: float, width_px: int, height_px: int) -> list[Part]:
