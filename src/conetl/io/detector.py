@@ -20,6 +20,7 @@ from conetl.errors import ModelFileError
 from conetl.io.closer_look import look_closer
 from conetl.io.detector_decode import (
     COLUMNS,
+    Seen,
     boxes_in_image,
     decode_cells,
     suppress_overlaps,
@@ -27,7 +28,7 @@ from conetl.io.detector_decode import (
     without_parts,
 )
 from conetl.io.detector_heads import EndToEndHead, check_outputs, decode_head
-from conetl.io.enlarged_look import FAINTEST, Seen, look_enlarged
+from conetl.io.enlarged_look import FAINTEST, look_enlarged
 from conetl.io.model_card import ModelCard, SideDistributionHead, check_own_outputs, read_model_card, shipped_model_path
 
 MAX_SIDE_PX = 1600

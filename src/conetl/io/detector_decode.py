@@ -18,6 +18,8 @@ Floats = NDArray[np.float64]
 
 #: x0, y0, x1, y1, score, foot x, foot y, tip x, tip y
 COLUMNS = 9
+#: Candidates (N, 9), and the score below which the network may know of others (`untold_below`).
+Seen = tuple[Floats, float]
 
 
 def decode_cells(

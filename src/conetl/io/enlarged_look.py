@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.io.closer_look import PLACES, SAME_THING_IOU, pooled
-from conetl.io.detector_decode import intersection_over_union, without_parts
+from conetl.io.detector_decode import Seen, intersection_over_union, without_parts
 from conetl.io.model_card import EnlargedLook
 
 Floats = NDArray[np.float64]
@@ -33,8 +33,6 @@ CUT_PX = 3.0
 #: Parts are rectangles of whole cells of this size.
 CELL_PX = 8
 
-#: Candidates (N, 9), and the score below which the network may know of others.
-Seen = tuple[Floats, float]
 #: x0, y0, x1, y1 in whole pixels of the image.
 Part = tuple[int, int, int, int]
 

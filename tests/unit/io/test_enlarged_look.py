@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,10 +18,10 @@ from pydantic import ValidationError
 
 from conetl.io.closer_look import pooled
 from conetl.io.detector import Detector, detect_image, load_detector
+from conetl.io.detector_decode import Seen
 from conetl.io.enlarged_look import (
     CELL_PX,
     FAINTEST,
-    Seen,
     enlargement,
     look_enlarged,
     parts_around,
@@ -35,6 +36,20 @@ Image = NDArray[np.uint8]
 boxes_in_a_picture = st.lists(
     st.tuples(st.floats(0, 380), st.floats(0, 180), st.floats(2, 30), st.floats(2, 40)), min_size=0, max_size=12
 )
+
+
+def showing(boxes: list[Floats], row: Floats) -> Callable[[Image], Seen]:
+    """A look that sees these boxes (9,), in pixels of the picture, in the one part around a candidate (9,) of SETTINGS' scale."""
+    x0, y0, *_ = parts_around(row[None], SETTINGS.around_px, 400, 200)[0]
+
+    def look(part: Image) -> Seen:
+        seen = np.stack(boxes)
+        seen[:, [0, 2, 5, 7]] -= x0
+        seen[:, [1, 3, 6, 8]] -= y0
+        seen[:, [0, 1, 2, 3, 5, 6, 7, 8]] *= SETTINGS.scale
+        return seen, 0.0
+
+    return look
 
 
 def candidate(x0: float, y0: float, x1: float, y1: float, score: float) -> Floats:
@@ -93,11 +108,7 @@ def test_the_part_is_shown_enlarged_and_boxes_come_back_in_pixels_of_the_picture
 
     def look(part: Image) -> Seen:
         shown.append(part)
-        seen = candidate(105, 80, 121, 106, 0.8)[None]
-        seen[:, [0, 2, 5, 7]] -= x0
-        seen[:, [1, 3, 6, 8]] -= y0
-        seen[:, [0, 1, 2, 3, 5, 6, 7, 8]] *= 2.0
-        return seen, 0.0
+        return showing([candidate(105, 80, 121, 106, 0.8)], row)(part)
 
     (found,) = look_enlarged(look, ramp, row[None], SETTINGS, 1.0)
     assert [part.shape for part in shown] == [(2 * (y1 - y0), 2 * (x1 - x0), 3)]
@@ -128,14 +139,7 @@ def test_what_only_the_enlarged_look_sees_is_a_candidate_unless_it_is_cut_tall_o
     far, band = candidate(84, 80, 91, 90, 0.9), candidate(127, 90, 139, 100, 0.5)
     cut, tall = candidate(x0 + 1, 80, 90, 100, 0.9), candidate(80, y0 + 4, 92, y0 + 60, 0.9)
 
-    def look(part: Image) -> Seen:
-        seen = np.stack([far, band, cut, tall])
-        seen[:, [0, 2, 5, 7]] -= x0
-        seen[:, [1, 3, 6, 8]] -= y0
-        seen[:, [0, 1, 2, 3, 5, 6, 7, 8]] *= 2.0
-        return seen, 0.0
-
-    found = look_enlarged(look, image, rows, SETTINGS, 1.0)
+    found = look_enlarged(showing([far, band, cut, tall], rows[0]), image, rows, SETTINGS, 1.0)
     assert len(found) == 3
     assert found[0, 4] == pytest.approx(pooled(0.6, 0.0, 0.65)) and found[0, 4] < 0.2  # not seen again
     np.testing.assert_array_equal(found[1], rows[1])  # tall: not judged
@@ -146,16 +150,7 @@ def test_what_only_the_enlarged_look_sees_is_a_candidate_unless_it_is_cut_tall_o
 def test_two_candidates_do_not_share_one_box_of_the_enlarged_look() -> None:
     image = np.zeros((200, 400, 3), np.uint8)
     rows = np.stack([candidate(100, 80, 116, 104, 0.5), candidate(103, 80, 119, 104, 0.6)])
-    x0, y0, *_ = parts_around(rows, 24.0, 400, 200)[0]
-
-    def look(part: Image) -> Seen:
-        seen = candidate(102, 80, 118, 104, 0.9)[None]
-        seen[:, [0, 2, 5, 7]] -= x0
-        seen[:, [1, 3, 6, 8]] -= y0
-        seen[:, [0, 1, 2, 3, 5, 6, 7, 8]] *= 2.0
-        return seen, 0.0
-
-    found = look_enlarged(look, image, rows, SETTINGS, 1.0)
+    found = look_enlarged(showing([candidate(102, 80, 118, 104, 0.9)], rows[0]), image, rows, SETTINGS, 1.0)
     assert found[1, 4] == pytest.approx(pooled(0.6, 0.9, 0.65))  # the surer one has it
     assert found[0, 4] == pytest.approx(pooled(0.5, 0.0, 0.65))
 
@@ -174,16 +169,9 @@ def test_what_a_crowd_may_keep_from_being_told_is_not_taken_for_unseen(untold: f
 def test_a_cone_just_too_tall_to_be_judged_takes_what_is_seen_of_it() -> None:
     image = np.zeros((200, 400, 3), np.uint8)
     rows = np.stack([candidate(100, 80, 130, 124, 0.9), candidate(140, 80, 156, 104, 0.6)])
-    x0, y0, *_ = parts_around(rows[1:], 24.0, 400, 200)[0]
-
-    def look(part: Image) -> Seen:
-        seen = candidate(max(102, x0 + 4), 88, 130, 120, 0.95)[None]
-        seen[:, [0, 2, 5, 7]] -= x0
-        seen[:, [1, 3, 6, 8]] -= y0
-        seen[:, [0, 1, 2, 3, 5, 6, 7, 8]] *= 2.0
-        return seen, 0.0
-
-    found = look_enlarged(look, image, rows, SETTINGS, 1.0)
+    x0, *_ = parts_around(rows[1:], 24.0, 400, 200)[0]
+    counterpart = candidate(max(102, x0 + 4), 88, 130, 120, 0.95)
+    found = look_enlarged(showing([counterpart], rows[1]), image, rows, SETTINGS, 1.0)
     assert len(found) == 2
     np.testing.assert_array_equal(found[0], rows[0])
 
