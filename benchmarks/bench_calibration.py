@@ -15,12 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
-from conetl.geometry.board_views import BoardView
-from conetl.geometry.calibration_tables import rms_px
-from conetl.geometry.stereo_calibration import StereoCalibration, calibrate_stereo
-from conetl.io.calibration.boards import Board, parse_board
-from conetl.io.calibration.images import find_boards, pairs_even_odd, pairs_in_folders
-from conetl.io.calibration.start_values import start_values
+from conetl.geometry.calibration.board_views import BoardView
+from conetl.geometry.calibration.stereo_calibration import StereoCalibration, calibrate_stereo
+from conetl.geometry.calibration.tables import rms_px
+from conetl.perception.boards.boards import Board, parse_board
+from conetl.perception.boards.images import find_boards, pairs_even_odd, pairs_in_folders
+from conetl.perception.boards.start_values import start_values
 
 
 def baseline_mm(found: StereoCalibration) -> tuple[float, float]:

@@ -16,7 +16,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from conetl.io.model_card import read_model_card
+from conetl.perception.model_card import read_model_card
 from tests.synthetic.changing_road import HIDDEN, Score, simulate
 
 

@@ -2,7 +2,7 @@
 
     .venv/bin/python benchmarks/bench_detect.py [--quick] [--json FILE] [--model FILE] [--pictures FOLDER]
 
-Rows: conetl's whole detection (`conetl.io.detector.detect_image`), its network alone on the tensor of the full-size look, on the
+Rows: conetl's whole detection (`conetl.perception.detector.detect_image`), its network alone on the tensor of the full-size look, on the
 tensors of all looks, and two rivals with random weights (`rival_networks.py`), network alone. With `--pictures` conetl's rows are
 measured on pictures of one's own, at most 24 from all over the folder; times are per picture.
 
@@ -36,10 +36,10 @@ from rich.console import Console
 from rich.table import Table
 from rival_networks import INPUT_NAME, Cost, network_cost, write_yolo11n, write_yolov3
 
-from conetl.errors import ModelFileError
-from conetl.io.detector import LEAST_SIDE_PX, Detector, detect_image, load_detector
-from conetl.io.model_card import shipped_model_path
-from conetl.io.pictures.images import ImageFileError, read_image
+from conetl.model.errors import ModelFileError
+from conetl.perception.detector import LEAST_SIDE_PX, Detector, detect_image, load_detector
+from conetl.perception.images import ImageFileError, read_image
+from conetl.perception.model_card import shipped_model_path
 
 Image = NDArray[np.uint8]
 Work = Callable[[], object]

@@ -20,12 +20,12 @@ from pathlib import Path
 
 from synthetic_map import make_map
 
-from conetl.io.db import Connection, connect, execute, migrate
-from conetl.io.exports import FORMATS
-from conetl.io.exports.export import export_map
-from conetl.io.exports.source import ExportRequest, What
-from conetl.io.services.cluster import cluster_remove, cluster_up
-from conetl.io.stores.map_store import find_map
+from conetl.db.cluster.cluster import cluster_remove, cluster_up
+from conetl.db.connection import Connection, connect, execute, migrate
+from conetl.db.map.map_store import find_map
+from conetl.exports import FORMATS
+from conetl.exports.export import export_map
+from conetl.exports.source import ExportRequest, What
 
 
 def main() -> None:

@@ -35,10 +35,10 @@ def decode_and_run(drive: Path, workers: int) -> Callable[[], None]:
     """
     from conetl.geometry.camera import first_road_row
     from conetl.geometry.rig import map_SE3_left
-    from conetl.io.detector import MAX_SIDE_PX, load_detector, network_input
-    from conetl.io.drive_folder import read_drive
-    from conetl.io.services.allocator import keep_freed_pictures
-    from conetl.params import IngestParams
+    from conetl.model.params import IngestParams
+    from conetl.perception.allocator import keep_freed_pictures
+    from conetl.perception.detector import MAX_SIDE_PX, load_detector, network_input
+    from conetl.readers.drives import read_drive
 
     read, _ = read_drive(drive, headers_only=True)
     margin_rad = IngestParams().detection.horizon_margin_rad
@@ -83,7 +83,7 @@ def main() -> None:  # noqa: PLR0915 -- a list of measurements
     with own_home() as home, ExitStack() as stack:
         from benchmarks import whole_job as job
         from benchmarks.whole_job import params_with, plain_ingest, processor_s, settings_in
-        from conetl.params import DetectionParams
+        from conetl.model.params import DetectionParams
         from flows.ingest_drive import ingest_drive
         from flows.merge import open_map
         from flows.runners import with_runner

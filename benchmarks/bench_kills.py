@@ -31,22 +31,22 @@ import cv2
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from conetl.drive_records import DriveRecords
-from conetl.io.db import Connection, connect, execute, migrate
-from conetl.io.exports.geojson import export_geojson
-from conetl.io.leftovers import sweep
-from conetl.io.parquet_store import load_results
-from conetl.io.services.cluster import cluster_remove, cluster_up
-from conetl.io.stores.audits import run_audits
-from conetl.io.stores.map_store import find_changeset, map_transaction
-from conetl.params import IngestParams
-from conetl.records import Detection, Position, StereoMatch
-from conetl.settings import Settings, prefect_environment
+from conetl.db.audits import run_audits
+from conetl.db.cluster.cluster import cluster_remove, cluster_up
+from conetl.db.connection import Connection, connect, execute, migrate
+from conetl.db.map.map_store import find_changeset, map_transaction
+from conetl.exports.geojson import export_geojson
+from conetl.files.parquet_store import load_results
+from conetl.files.partial_files import sweep
+from conetl.model.drive_records import DriveRecords
+from conetl.model.params import IngestParams
+from conetl.model.records import Detection, Position, StereoMatch
+from conetl.pipeline.chunks import chunks_of, parts_of
+from conetl.pipeline.replay import merge_drive
+from conetl.pipeline.settings import Settings, prefect_environment
 from flows import merge as merging
 from flows import tasks
-from flows.chunks import chunks_of, parts_of
 from flows.detection import detect_task, match_task
-from flows.replay import merge_drive
 from tests.integration.test_ingest import DRIVES, FINAL_TABLES, part_of
 
 FRAMES = 4

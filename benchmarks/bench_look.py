@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from conetl.io.drive_folder.arriving import ArrivingKitti, open_arriving
+from conetl.readers.recording.drive import ArrivingKitti, open_arriving
 
 STAMP = "2026-03-02 09:41:{:02d}.{:06d}000\n"
 

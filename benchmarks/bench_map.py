@@ -46,21 +46,21 @@ from benchmarks.made_up_map import (
     load_map,
     place_of,
 )
-from conetl.drive_records import DriveRecords
-from conetl.io.db import Connection, connect, execute, load_sql, migrate
-from conetl.io.services.cluster import cluster_down, cluster_remove, cluster_up
-from conetl.io.stores.audits import run_audits
-from conetl.io.stores.map_store import commit_changeset, map_transaction, place_drive, read_features_as_of
-from conetl.io.stores.replay_store import (
+from conetl.db.audits import run_audits
+from conetl.db.cluster.cluster import cluster_down, cluster_remove, cluster_up
+from conetl.db.connection import Connection, connect, execute, load_sql, migrate
+from conetl.db.map.map_store import commit_changeset, map_transaction, place_drive, read_features_as_of
+from conetl.db.map.replay_store import (
     affected_drives,
     read_doubts_around,
     read_standing_around,
     superseded_drives,
 )
-from conetl.map_records import Changeset, Decisions
-from conetl.memory import no_cycle_search
-from conetl.params import ReconcileParams
-from conetl.steps.fold import Evidence, extend
+from conetl.mapping.fold import Evidence, extend
+from conetl.model.drive_records import DriveRecords
+from conetl.model.map_records import Changeset, Decisions
+from conetl.model.params import ReconcileParams
+from conetl.pipeline.gc_pause import no_cycle_search
 
 LOOKS = 60
 BOX_M = 500.0
@@ -100,7 +100,7 @@ Figures = dict[str, Stopwatch]
 
 
 def merge(conn: Connection, sightings: Sightings) -> Stopwatch:
-    """What `flows/replay.py` does with a drive that is newer than all others around it, phase by phase, to the commit."""
+    """What `pipeline/replay.py` does with a drive that is newer than all others around it, phase by phase, to the commit."""
     watch = Stopwatch(conn.info.backend_pid)
     drive = sightings.drive
     key = hashlib.sha256(f"changeset {drive.drive_id}".encode()).hexdigest()

@@ -40,11 +40,11 @@ from urllib.request import urlopen
 import numpy as np
 from synthetic_map import SRID, make_map
 
+from conetl.db.cluster.cluster import cluster_remove, cluster_status, cluster_up
+from conetl.db.connection import Connection, connect, execute, migrate
+from conetl.db.map.map_store import find_map
+from conetl.db.reader_pool import open_reader
 from conetl.geometry.geodesy import to_geodetic
-from conetl.io.db import Connection, connect, execute, migrate
-from conetl.io.services.cluster import cluster_remove, cluster_status, cluster_up
-from conetl.io.stores.map_store import find_map
-from conetl.io.stores.reader_pool import open_reader
 
 MAP = "bench"
 INSTANTS = ("2026-03-01T12:00:00Z", "2026-03-02T07:00:00Z", "2026-03-02T12:00:00Z", "2026-03-09T00:00:00Z")

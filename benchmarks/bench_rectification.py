@@ -17,8 +17,8 @@ from scipy.spatial.transform import Rotation
 from conetl.geometry import pose as se3
 from conetl.geometry.lens import distort, field_radius, undistort
 from conetl.geometry.rectification import rectify
-from conetl.io.pictures import rectified_image
-from conetl.records import Camera, Lens, Rig
+from conetl.model.records import Camera, Lens, Rig
+from conetl.perception import rectified_image
 
 LEFT = Lens(model="brown", coefficients=(-0.3691481, 0.1968681, 1.353473e-3, 5.677587e-4, -0.06770705))
 RIGHT = Lens(model="brown", coefficients=(-0.3639558, 0.1788651, 6.029694e-4, -3.922424e-4, -0.0538246))

@@ -21,25 +21,25 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from conetl.cli.calibrated_drive import calibrate_drive
+from conetl.evaluation.calibrated_drive import calibrate_drive
 from conetl.geometry.joint_fit import fit_point
+from conetl.geometry.motion.stereo_tracks import motions_of
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
-from conetl.geometry.stereo_tracks import motions_of
-from conetl.io.detector import detect_image, load_detector
-from conetl.io.drive_folder import read_drive
-from conetl.io.pictures.images import read_image
-from conetl.io.visual_odometry import follow_drive
-from conetl.params import IngestParams, TrajectoryParams
-from conetl.records import Drive, FramePair, Position, StereoMatch
-from conetl.steps.detections import check_boxes
-from conetl.steps.landmarks import refine_with_cones
-from conetl.steps.matches import match_pair, with_measured_spread
-from conetl.steps.pose_errors import pose_cov
-from conetl.steps.positions import locate_positions
-from conetl.steps.self_calibration import self_calibrated_rig
-from conetl.steps.sighting_variances import sighting_variances, with_variances
-from conetl.steps.tracks import fuse_tracks
-from conetl.steps.trajectory import refine_trajectory
+from conetl.model.params import IngestParams, TrajectoryParams
+from conetl.model.records import Drive, FramePair, Position, StereoMatch
+from conetl.perception.detections import check_boxes
+from conetl.perception.detector import detect_image, load_detector
+from conetl.perception.images import read_image
+from conetl.perception.visual_odometry import follow_drive
+from conetl.readers.drives import read_drive
+from conetl.tracking.landmarks import refine_with_cones
+from conetl.tracking.matching.matches import match_pair, with_measured_spread
+from conetl.tracking.pose_errors import pose_cov
+from conetl.tracking.positions import locate_positions
+from conetl.tracking.self_calibration import self_calibrated_rig
+from conetl.tracking.tracks import fuse_tracks
+from conetl.tracking.trajectory import refine_trajectory
+from conetl.tracking.variance_components import sighting_variances, with_variances
 
 PARTS = 4
 

@@ -15,9 +15,10 @@ from uuid import NAMESPACE_URL, UUID, uuid5
 
 import numpy as np
 
-from conetl.io.db import Connection, execute
-from conetl.map_records import MapFeature
-from conetl.records import (
+from conetl.db.connection import Connection, execute
+from conetl.mapping.visibility import Look
+from conetl.model.map_records import MapFeature
+from conetl.model.records import (
     Camera,
     Drive,
     FramePair,
@@ -27,7 +28,6 @@ from conetl.records import (
     Track,
     Vec3,
 )
-from conetl.steps.visibility import Look
 
 SRID = 32632
 MAP_NAME = "bench"

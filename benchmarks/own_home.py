@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from conetl.settings import prefect_environment
+from conetl.pipeline.settings import prefect_environment
 
 
 @contextmanager

@@ -8,7 +8,7 @@ database, each confirmed (and every tenth feature moved by 1 m) by a changeset o
 
 from __future__ import annotations
 
-from conetl.io.db import Connection, execute, execute_count
+from conetl.db.connection import Connection, execute, execute_count
 
 SRID = 32632
 _STATEMENTS = (

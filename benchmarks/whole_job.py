@@ -24,11 +24,11 @@ import psutil
 from prefect import Flow, Task
 from prefect.utilities.annotations import opaque
 
-from conetl.io.db import connect, execute
-from conetl.io.services.cluster import cluster_remove, cluster_up
-from conetl.params import IngestParams
-from conetl.reports import IngestReport
-from conetl.settings import Settings
+from conetl.db.cluster.cluster import cluster_remove, cluster_up
+from conetl.db.connection import connect, execute
+from conetl.model.ingest_report import IngestReport
+from conetl.model.params import IngestParams
+from conetl.pipeline.settings import Settings
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = Path(os.environ.get("CONETL_SHARED_DATA", ROOT.parent / "shared" / "data"))
@@ -161,7 +161,8 @@ def plain_ingest(workers: int, spent_s: dict[str, float] | None = None) -> Itera
 
     spent_s: processor time of each task's threads is added here (OpenCV's own threads go uncounted).
     """
-    from flows import analysis, changeset_events, control_room, ingest_drive, merge, publish, refinement
+    from flows import analysis, changeset_events, ingest_drive, merge, publish, refinement
+    from flows import drive_artifacts as control_room
 
     def nothing(*_: Any, **__: Any) -> Any:
         return uuid4()

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from conetl.geometry import calibration_covariance
+from conetl.geometry.calibration import covariance as calibration_covariance
 from conetl.geometry.camera import intrinsics
 from conetl.geometry.intersection import IntersectionResult, intersect
 from conetl.geometry.joint_fit import fit_point
 from conetl.geometry.rig import left_SE3_right
-from conetl.records import Rig
+from conetl.model.records import Rig
 from conetl.simulation.paper_rig import CAMERA_HEIGHT_M, GROUND_DISTANCE_M, changed_views, drawn_views
 
 Array = NDArray[np.float64]

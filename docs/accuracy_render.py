@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry.rig import up_in_left_camera
-from conetl.io.detector import Detector, detect_image, load_detector
-from conetl.params import IngestParams
-from conetl.records import Side
+from conetl.model.params import IngestParams
+from conetl.model.records import Side
+from conetl.perception.detections import check_boxes
+from conetl.perception.detector import Detector, detect_image, load_detector
 from conetl.simulation.camera_noise import develop, exposure_gain
 from conetl.simulation.paper_rig import RenderedPair, render_pair
-from conetl.steps.detections import check_boxes
-from conetl.steps.matches import match_pair
-from conetl.steps.positions import CameraPosition, locate_in_camera
+from conetl.tracking.matching.matches import match_pair
+from conetl.tracking.positions import CameraPosition, locate_in_camera
 
 Array = NDArray[np.float64]
 DRAWS = 100

@@ -21,7 +21,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse
 from scipy import stats
 
-from conetl.geometry.calibration_covariance import calibration_jacobian
+from conetl.geometry.calibration.covariance import calibration_jacobian
 from conetl.simulation.paper_rig import BASELINE_M, SIGMAS, paper_rig
 from docs import accuracy_cases as cases
 from docs import accuracy_render as rendered

@@ -12,18 +12,18 @@ from typing import Any, NamedTuple, Protocol
 from prefect import Task
 from prefect.utilities.annotations import opaque
 
-from conetl.detector_evidence import DetectorEvidence
-from conetl.drive_records import DriveRecords
-from conetl.io.parquet_store import load_results
-from conetl.params import IngestParams
-from conetl.records import Detection, Drive, Position, Rig, StereoMatch, Track
-from conetl.rejections import Rejection
-from conetl.steps.self_calibration import SWITCHED_OFF, SelfCalibration, self_calibrated_rig
-from conetl.steps.trajectory import RefinedTrajectory
-from conetl.steps.unread import without_unread
-from flows.chunks import Chunk, parts_of
+from conetl.files.parquet_store import load_results
+from conetl.model.detector_evidence import DetectorEvidence
+from conetl.model.drive_records import DriveRecords
+from conetl.model.params import IngestParams
+from conetl.model.records import Detection, Drive, Position, Rig, StereoMatch, Track
+from conetl.model.rejections import Rejection
+from conetl.perception.unreadable import without_unread
+from conetl.pipeline.chunks import Chunk, parts_of
+from conetl.pipeline.progress import expect
+from conetl.tracking.self_calibration import SWITCHED_OFF, SelfCalibration, self_calibrated_rig
+from conetl.tracking.trajectory import RefinedTrajectory
 from flows.detection import detect_task, match_task
-from flows.progress import expect
 from flows.refinement import (
     Odometry,
     motions_task,
@@ -102,7 +102,7 @@ def analyse(
 
     Where the trajectory was refined, once more locate and fuse with sigmas as the tracks show them.
     rejections: of reading the drive. chunks: `chunks_of` the drive. evidence: what is measured of the detector (None: nothing).
-    How far it is, `flows.progress` tells. Raises ConetlError.
+    How far it is, `conetl.pipeline.progress` tells. Raises ConetlError.
     """
     detection_paths, match_paths, motion_paths, calibration, rig = _run_chunks(drive, chunks, runs)
     chunks = with_rig(chunks, rig)

@@ -7,9 +7,9 @@ from prefect import State, flow
 from prefect.artifacts import create_table_artifact
 from prefect.states import Completed, Failed
 
-from conetl.io.db import connect
-from conetl.io.stores.audits import run_audits
-from conetl.settings import read_settings
+from conetl.db.audits import run_audits
+from conetl.db.connection import connect
+from conetl.pipeline.settings import read_settings
 from flows.drive_job import alive
 from flows.recovery import recover
 

@@ -17,11 +17,12 @@ from prefect.runtime import flow_run
 from prefect.states import Completed
 from pydantic import Field
 
-from conetl.io.db import Connection, connect
-from conetl.io.file_names import printable
-from conetl.io.stores.receipt_store import Receipt, attempt_ends, end_crashed, latest_receipts, write_receipt
-from conetl.params import IngestParams
-from conetl.settings import Settings
+from conetl.db.connection import Connection, connect
+from conetl.db.receipt_store import Receipt, attempt_ends, end_crashed, latest_receipts, write_receipt
+from conetl.files.names import printable
+from conetl.model.params import IngestParams
+from conetl.pipeline.backfill_plan import Plan, PlanLine, plan_drives, write_plan
+from conetl.pipeline.settings import Settings
 from flows.batch_artifacts import Board, open_board, show_progress, show_summary
 from flows.changeset_events import tell_untold
 from flows.dispatch import (
@@ -37,7 +38,6 @@ from flows.dispatch import (
     was_cancelled,
 )
 from flows.drive_job import MapName, MapSrid, alive, new_receipt, settings_for
-from flows.plan import Plan, PlanLine, plan_drives, write_plan
 
 #: A drive whose process died is given to another one so often, then it counts as failed.
 TRIES = 2

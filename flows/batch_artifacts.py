@@ -14,7 +14,7 @@ from prefect.artifacts import (
     update_progress_artifact,
 )
 
-from flows.plan import reasons
+from conetl.pipeline.backfill_plan import reasons
 
 if TYPE_CHECKING:
     from flows.backfill import Standing

@@ -16,13 +16,13 @@ from prefect.events import emit_event
 from prefect.events.worker import EventsWorker
 from prefect.logging import get_logger
 
-from conetl.io.db import Connection
-from conetl.io.exports.geojson import export_geojson
-from conetl.io.qa.drive_page import write_drive_page
-from conetl.io.stores.map_store import find_changeset, list_changesets
-from conetl.io.stores.told_store import QUIET, mark_told, untold_changesets, vanished_by_changeset, was_told
-from conetl.reports import IngestReport
-from conetl.settings import Settings
+from conetl.db.connection import Connection
+from conetl.db.map.map_store import find_changeset, list_changesets
+from conetl.db.notification_store import QUIET, mark_told, untold_changesets, vanished_by_changeset, was_told
+from conetl.exports.geojson import export_geojson
+from conetl.model.ingest_report import IngestReport
+from conetl.pipeline.settings import Settings
+from conetl.reports.drive_page import write_drive_page
 from flows.merge import open_map, report_of
 from flows.retries import RETRY
 

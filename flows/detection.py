@@ -13,11 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from prefect import task
 
-from conetl.errors import ModelFileError
-from conetl.geometry.camera import first_road_row
-from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left
-from conetl.io import detector as detector_io
-from conetl.io.parquet_store import (
+from conetl.files.parquet_store import (
     has_result,
     load_result,
     load_results,
@@ -25,24 +21,28 @@ from conetl.io.parquet_store import (
     result_path,
     save_result,
 )
-from conetl.io.pictures.images import ImageFileError
-from conetl.io.pictures.rectified_image import read_hashed_rig_image, read_rig_image_again
-from conetl.io.places import in_batches, place
-from conetl.io.services.allocator import keep_freed_pictures
-from conetl.params import params_sha256
-from conetl.records import (
+from conetl.files.storage import in_batches, place
+from conetl.geometry.camera import first_road_row
+from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left
+from conetl.model.errors import ModelFileError
+from conetl.model.params import params_sha256
+from conetl.model.records import (
     Detection,
     FramePair,
     Rig,
     Side,
     StereoMatch,
 )
-from conetl.rejections import INPUT_REASONS, Rejection
-from conetl.steps.detections import check_boxes
-from conetl.steps.epipolar_search import Region, blocks_of, is_unanswered, right_region
-from conetl.steps.matches import match_pair, with_measured_spread
-from flows.chunks import RESULTS_VERSION, Chunk, parts_of, picture_hashes, picture_paths, rig_and_poses
-from flows.progress import tell_progress
+from conetl.model.rejections import INPUT_REASONS, Rejection
+from conetl.perception import detector as detector_io
+from conetl.perception.allocator import keep_freed_pictures
+from conetl.perception.detections import check_boxes
+from conetl.perception.images import ImageFileError
+from conetl.perception.rectified_image import read_hashed_rig_image, read_rig_image_again
+from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, parts_of, picture_hashes, picture_paths, rig_and_poses
+from conetl.pipeline.progress import tell_progress
+from conetl.tracking.matching.epipolar_search import Region, blocks_of, is_unanswered, right_region
+from conetl.tracking.matching.matches import match_pair, with_measured_spread
 from flows.retries import RETRY
 
 _SIDES: tuple[Side, Side] = ("left", "right")

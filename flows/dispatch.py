@@ -21,11 +21,11 @@ from prefect.exceptions import ObjectNotFound
 from prefect.flow_engine import run_flow_in_subprocess
 from prefect.states import Crashed, Pending, Scheduled
 
-from conetl.errors import ServiceError
-from conetl.io.drive_folder.outline import DriveOutline
-from conetl.params import IngestParams
-from conetl.settings import Settings
-from flows.control_room import drive_run_name
+from conetl.model.errors import ServiceError
+from conetl.model.params import IngestParams
+from conetl.pipeline.settings import Settings
+from conetl.readers.drives.header import DriveOutline
+from flows.drive_artifacts import drive_run_name
 from flows.drive_job import drive_tags, ingest_one
 
 POOL = "conetl"

@@ -18,19 +18,19 @@ from prefect.runtime import flow_run
 from prefect.states import Completed
 from pydantic import Field
 
-from conetl.errors import ConetlError, may_pass
-from conetl.io.db import connect, migrate
-from conetl.io.drive_folder.outline import DriveOutline, outline_drive
-from conetl.io.places import place
-from conetl.io.stores.receipt_store import Receipt, run_lock, write_receipt
-from conetl.io.stores.session_locks import holding
-from conetl.params import IngestParams
-from conetl.reports import IngestReport, TooManyRejectionsError
-from conetl.settings import Settings, read_settings
-from flows.control_room import name_of_run
+from conetl.db.connection import connect, migrate
+from conetl.db.receipt_store import Receipt, run_lock, write_receipt
+from conetl.db.session_locks import holding
+from conetl.files.storage import place
+from conetl.model.errors import ConetlError, may_pass
+from conetl.model.ingest_report import IngestReport, TooManyRejectionsError
+from conetl.model.params import IngestParams
+from conetl.pipeline.backfill_plan import analysis_of
+from conetl.pipeline.settings import Settings, read_settings
+from conetl.readers.drives.header import DriveOutline, outline_drive
+from flows.drive_artifacts import name_of_run
 from flows.ingest_drive import ingest_drive
 from flows.merge import database_url
-from flows.plan import analysis_of
 from flows.retries import as_known
 from flows.runners import task_runner
 

@@ -14,14 +14,14 @@ from prefect.artifacts import create_table_artifact
 from prefect.states import Completed
 from pydantic import Field
 
-from conetl.io.db import connect
-from conetl.io.drive_folder.outline import MARKER, find_drives, quiet_since
-from conetl.io.file_names import printable
-from conetl.params import IngestParams
+from conetl.db.connection import connect
+from conetl.files.names import printable
+from conetl.model.params import IngestParams
+from conetl.pipeline.backfill_plan import plan_drives
+from conetl.readers.drives.header import MARKER, find_drives, quiet_since
 from flows.backfill import Parallel, run_batch
 from flows.changeset_events import tell_untold
 from flows.drive_job import MapName, MapSrid, alive, settings_for
-from flows.plan import plan_drives
 from flows.recovery import recover
 
 

@@ -12,19 +12,19 @@ from uuid import UUID
 from prefect import flow, get_run_logger
 from prefect.artifacts import create_progress_artifact, update_progress_artifact
 
-from conetl.errors import ConetlError
-from conetl.io.model_card import NOT_MEASURED
-from conetl.params import IngestParams
-from conetl.rejections import INPUT_REASONS
-from conetl.reports import IngestReport, TooManyRejectionsError
-from conetl.settings import Settings
+from conetl.model.errors import ConetlError
+from conetl.model.ingest_report import IngestReport, TooManyRejectionsError
+from conetl.model.params import IngestParams
+from conetl.model.rejections import INPUT_REASONS
+from conetl.perception.model_card import NOT_MEASURED
+from conetl.pipeline.chunks import chunks_of
+from conetl.pipeline.progress import ignore, listen
+from conetl.pipeline.settings import Settings
 from flows.analysis import PrefectRuns, analyse
 from flows.changeset_events import catch_up_task
-from flows.chunks import chunks_of
-from flows.control_room import name_of_run, worst_frames_task
+from flows.drive_artifacts import name_of_run, worst_frames_task
 from flows.merge import already_committed, identify, merge_task, refuse_other_delivery
 from flows.merge import map_srid as srid_of_map
-from flows.progress import ignore, listen
 from flows.publish import publish_task
 from flows.retries import as_known, lost_frame_pairs, whole
 from flows.tasks import read_drive_task

@@ -13,29 +13,29 @@ from prefect import task
 from prefect.context import get_run_context
 from prefect.runtime import flow_run
 
-from conetl.detector_evidence import DetectorEvidence, evidence_sha256
-from conetl.drive_records import DriveRecords
-from conetl.errors import MapMismatchError
-from conetl.io.code_identity import code_facts
-from conetl.io.db import Connection, connect, migrate, transaction
-from conetl.io.model_card import read_model_card
-from conetl.io.parquet_store import result_key
-from conetl.io.services.cluster import cluster_up
-from conetl.io.stores.live_store import drop_watched_recording
-from conetl.io.stores.map_results import CommittedChangeset, RunInfo
-from conetl.io.stores.map_store import (
+from conetl.db.cluster.cluster import cluster_up
+from conetl.db.connection import Connection, connect, migrate, transaction
+from conetl.db.live_store import drop_watched_recording
+from conetl.db.map.map_store import (
     find_changeset,
     find_map,
     map_transaction,
 )
-from conetl.io.stores.replay_store import other_deliveries
-from conetl.map_records import Changeset, Delta, DeltaKind, MapFeature
-from conetl.params import IngestParams, params_sha256
-from conetl.records import Drive, Record, utc_from_ns
-from conetl.rejections import INPUT_REASONS
-from conetl.reports import ChangeLine, IngestReport
-from conetl.settings import Settings
-from flows.replay import merge_drive
+from conetl.db.map.replay_store import other_deliveries
+from conetl.db.map.results import CommittedChangeset, RunInfo
+from conetl.files.parquet_store import result_key
+from conetl.model.detector_evidence import DetectorEvidence, evidence_sha256
+from conetl.model.drive_records import DriveRecords
+from conetl.model.errors import MapMismatchError
+from conetl.model.ingest_report import ChangeLine, IngestReport
+from conetl.model.map_records import Changeset, Delta, DeltaKind, MapFeature
+from conetl.model.params import IngestParams, params_sha256
+from conetl.model.records import Drive, Record, utc_from_ns
+from conetl.model.rejections import INPUT_REASONS
+from conetl.perception.model_card import read_model_card
+from conetl.pipeline.code_identity import code_facts
+from conetl.pipeline.replay import merge_drive
+from conetl.pipeline.settings import Settings
 from flows.retries import RETRY, lost_frame_pairs
 
 _NAMESPACE = UUID("0b9b3a5e-9c1f-4d0e-8b55-2f7d9a1c6e42")

@@ -11,20 +11,20 @@ from prefect import task
 from prefect.artifacts import create_image_artifact, create_link_artifact, create_table_artifact
 from prefect.runtime import flow_run
 
-from conetl.errors import MapMismatchError
+from conetl.db.connection import Connection
+from conetl.db.map.map_store import find_changeset
+from conetl.db.run_store import write_run_steps
+from conetl.exports.geojson import export_geojson
 from conetl.geometry.rig import map_SE3_left
-from conetl.io.db import Connection
-from conetl.io.exports.geojson import export_geojson
-from conetl.io.exports.plan_view import draw_plan_view
-from conetl.io.qa.drive_page import write_drive_page
-from conetl.io.stores.map_store import find_changeset
-from conetl.io.stores.run_store import write_run_steps
-from conetl.map_records import Changeset, MapFeature
-from conetl.records import Drive
-from conetl.reports import ChangeLine, IngestReport
-from conetl.settings import Settings
+from conetl.model.errors import MapMismatchError
+from conetl.model.ingest_report import ChangeLine, IngestReport
+from conetl.model.map_records import Changeset, MapFeature
+from conetl.model.records import Drive
+from conetl.pipeline.settings import Settings
+from conetl.reports.drive_page import write_drive_page
+from conetl.reports.plan_view import draw_plan_view
 from flows.changeset_events import tell_changes
-from flows.control_room import show_around
+from flows.drive_artifacts import show_around
 from flows.merge import open_map
 from flows.retries import RETRY
 from flows.timing import times_of

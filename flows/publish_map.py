@@ -19,15 +19,15 @@ from prefect.artifacts import create_link_artifact, create_table_artifact
 from prefect.states import Completed
 from pydantic import Field
 
-from conetl.errors import InputError
-from conetl.io.exports import FORMATS
-from conetl.io.exports.export import export_map
-from conetl.io.exports.source import ExportRequest
-from conetl.io.leftovers import aside, sweep
-from conetl.io.old_files import LATEST
-from conetl.io.qa.night_page import write_night_page
-from conetl.io.stores.map_store import find_map
-from conetl.settings import Settings
+from conetl.db.map.map_store import find_map
+from conetl.exports import FORMATS
+from conetl.exports.export import export_map
+from conetl.exports.source import ExportRequest
+from conetl.files.expiry import LATEST
+from conetl.files.partial_files import aside, sweep
+from conetl.model.errors import InputError
+from conetl.pipeline.settings import Settings
+from conetl.reports.night_page import write_night_page
 from flows.drive_job import MapName, alive, settings_for
 from flows.merge import open_map
 

@@ -1,7 +1,7 @@
 """Runs whose process died without a word: found, marked, and put back in the queue.
 
 Prefect believes a run to be running until somebody says otherwise. Every run of ours holds a lock in the database as long as its
-process lives (`io/stores/receipt_store.py`), so one that runs without its lock is dead, on whatever machine it was.
+process lives (`db/receipt_store.py`), so one that runs without its lock is dead, on whatever machine it was.
 """
 
 from datetime import UTC, datetime, timedelta
@@ -16,8 +16,8 @@ from prefect.client.schemas.filters import (
 from prefect.client.schemas.objects import FlowRun, StateType
 from prefect.states import Crashed, Scheduled
 
-from conetl.io.db import Connection
-from conetl.io.stores.receipt_store import held_locks, run_lock
+from conetl.db.connection import Connection
+from conetl.db.receipt_store import held_locks, run_lock
 from flows.dispatch import client
 
 FLOWS = ("ingest-drive", "backfill", "ingest-drop-folder", "publish-map", "audit")

@@ -10,9 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from prefect import get_run_logger, task
 
-from conetl.geometry.stereo_motion import RelativeMotion
-from conetl.geometry.stereo_tracks import StereoTracks, motions_of
-from conetl.io.parquet_store import (
+from conetl.files.parquet_store import (
     has_result,
     load_result,
     load_results,
@@ -20,18 +18,20 @@ from conetl.io.parquet_store import (
     result_path,
     save_result,
 )
-from conetl.io.pictures.rectified_image import read_hashed_rig_image, read_rig_image_again
-from conetl.io.pictures.working_size import PictureReader
-from conetl.io.places import place
-from conetl.io.services.allocator import keep_freed_pictures
-from conetl.io.visual_odometry import follow_drive, follow_span
-from conetl.params import IngestParams, params_sha256
-from conetl.records import Drive, FramePair, Rig, Side, StereoMatch
-from conetl.steps.landmarks import refine_with_cones
-from conetl.steps.self_calibration import SelfCalibration, choose_spans, self_calibrate, span_params, spread_spans
-from conetl.steps.trajectory import RefinedTrajectory
-from flows.chunks import RESULTS_VERSION, Chunk, picture_hashes, picture_paths
-from flows.progress import tell_progress
+from conetl.files.storage import place
+from conetl.geometry.motion.stereo_motion import RelativeMotion
+from conetl.geometry.motion.stereo_tracks import StereoTracks, motions_of
+from conetl.model.params import IngestParams, params_sha256
+from conetl.model.records import Drive, FramePair, Rig, Side, StereoMatch
+from conetl.perception.allocator import keep_freed_pictures
+from conetl.perception.rectified_image import read_hashed_rig_image, read_rig_image_again
+from conetl.perception.visual_odometry import follow_drive, follow_span
+from conetl.perception.working_size import PictureReader
+from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, picture_hashes, picture_paths
+from conetl.pipeline.progress import tell_progress
+from conetl.tracking.landmarks import refine_with_cones
+from conetl.tracking.self_calibration import SelfCalibration, choose_spans, self_calibrate, span_params, spread_spans
+from conetl.tracking.trajectory import RefinedTrajectory
 from flows.retries import RETRY
 
 

@@ -15,7 +15,7 @@ from prefect.client.schemas.objects import WorkerStatus
 from prefect.exceptions import ObjectAlreadyExists
 from prefect.variables import Variable
 
-from conetl.errors import ServiceError
+from conetl.model.errors import ServiceError
 from flows.dispatch import POOL, client
 
 _VARIABLE = "conetl_deployments"

@@ -11,8 +11,8 @@ from prefect.context import FlowRunContext
 from prefect.task_runners import ProcessPoolTaskRunner, ThreadPoolTaskRunner
 from prefect.utilities.annotations import opaque
 
-from conetl.errors import InputError, ServiceError, is_of_storage, storage_failed
-from conetl.rejections import Rejection, RejectionReason
+from conetl.model.errors import InputError, ServiceError, is_of_storage, storage_failed
+from conetl.model.rejections import Rejection, RejectionReason
 from flows.timing import note_time
 
 
@@ -45,7 +45,7 @@ RETRY: dict[str, Any] = {
     "retry_delay_seconds": [1, 5],
     "retry_condition_fn": _may_pass,
     "on_completion": [note_time],
-    "cache_policy": NO_CACHE,  # results are kept by content in the Parquet store, see io/parquet_store.py
+    "cache_policy": NO_CACHE,  # results are kept by content in the Parquet store, see files/parquet_store.py
 }
 
 

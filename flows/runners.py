@@ -9,10 +9,10 @@ from prefect.context import FlowRunContext
 from prefect.futures import PrefectFuture
 from prefect.task_runners import ProcessPoolTaskRunner, TaskRunner, ThreadPoolTaskRunner
 
-from conetl.errors import InputError
-from conetl.reports import IngestReport
-from conetl.settings import Settings
-from flows.progress import tell_progress
+from conetl.model.errors import InputError
+from conetl.model.ingest_report import IngestReport
+from conetl.pipeline.progress import tell_progress
+from conetl.pipeline.settings import Settings
 
 
 def task_runner(settings: Settings) -> TaskRunner[Any]:

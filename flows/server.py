@@ -27,10 +27,10 @@ from prefect.settings import (
     temporary_settings,
 )
 
-from conetl.errors import ServiceError
-from conetl.io.services.prefect_api import is_healthy, require_access
-from conetl.io.services.processes import is_running, read_services
-from conetl.settings import SERVER_AUTH, prefect_auth_string
+from conetl.model.errors import ServiceError
+from conetl.pipeline.settings import SERVER_AUTH, prefect_auth_string
+from conetl.services.prefect_api import is_healthy, require_access
+from conetl.services.processes import is_running, read_services
 
 _START_TIMEOUT_S = 180
 _LOG = "server.log"

@@ -8,31 +8,31 @@ from pathlib import Path
 
 from prefect import task
 
-from conetl.detector_evidence import UNMEASURED, DetectorEvidence
-from conetl.geometry.rig import map_SE3_left, map_SE3_right
-from conetl.io.drive_folder import read_drive
-from conetl.io.parquet_store import (
+from conetl.files.parquet_store import (
     has_result,
     load_result,
     result_key,
     result_path,
     save_result,
 )
-from conetl.params import IngestParams, params_sha256
-from conetl.records import (
+from conetl.geometry.rig import map_SE3_left, map_SE3_right
+from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence
+from conetl.model.params import IngestParams, params_sha256
+from conetl.model.records import (
     Detection,
     Drive,
     Position,
     StereoMatch,
     Track,
 )
-from conetl.rejections import Rejection
-from conetl.steps.pose_errors import pose_cov
-from conetl.steps.positions import locate_positions
-from conetl.steps.sighting_variances import sighting_variances, with_variances
-from conetl.steps.tracks import fuse_tracks
-from conetl.steps.trajectory import RefinedTrajectory, motion_error
-from flows.chunks import RESULTS_VERSION, Chunk, rig_and_poses
+from conetl.model.rejections import Rejection
+from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, rig_and_poses
+from conetl.readers.drives import read_drive
+from conetl.tracking.pose_errors import pose_cov
+from conetl.tracking.positions import locate_positions
+from conetl.tracking.tracks import fuse_tracks
+from conetl.tracking.trajectory import RefinedTrajectory, motion_error
+from conetl.tracking.variance_components import sighting_variances, with_variances
 from flows.retries import RETRY
 
 

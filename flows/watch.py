@@ -19,21 +19,21 @@ from queue import Empty, SimpleQueue
 import numpy as np
 from watchfiles import watch as watch_files
 
-from conetl.errors import DriveFolderError, InputError
-from conetl.io.db import Connection, connect, migrate
-from conetl.io.drive_folder.arriving import BEHIND, ArrivingDrive, ArrivingPair, open_arriving
-from conetl.io.drive_folder.outline import MARKER
-from conetl.io.drive_folder.oxts import MAX_SPEED_M_S
-from conetl.io.drive_folder.pairs import PairError
-from conetl.io.pictures.images import ImageFileError
-from conetl.io.stores.live_store import clear_watches, end_watch, watch_lock
-from conetl.io.stores.map_store import find_map
-from conetl.io.stores.receipt_store import held_if_free
-from conetl.params import IngestParams
-from conetl.records import FramePair, Rig, Track
-from conetl.rejections import RejectionReason
-from conetl.settings import Settings
-from flows.live_pair import Eyes, LiveDrive, Look, StepTimes, look_at, new_drive, open_eyes, take_pair
+from conetl.db.connection import Connection, connect, migrate
+from conetl.db.live_store import clear_watches, end_watch, watch_lock
+from conetl.db.map.map_store import find_map
+from conetl.db.receipt_store import held_if_free
+from conetl.model.errors import DriveFolderError, InputError
+from conetl.model.params import IngestParams
+from conetl.model.records import FramePair, Rig, Track
+from conetl.model.rejections import RejectionReason
+from conetl.perception.images import ImageFileError
+from conetl.pipeline.live_pair import Eyes, LiveDrive, Look, StepTimes, look_at, new_drive, open_eyes, take_pair
+from conetl.pipeline.settings import Settings
+from conetl.readers.drives.header import MARKER
+from conetl.readers.drives.oxts import MAX_SPEED_M_S
+from conetl.readers.drives.pairs import PairError
+from conetl.readers.recording.drive import BEHIND, ArrivingDrive, ArrivingPair, open_arriving
 from flows.merge import database_url
 
 #: So long a pair that is not whole holds up those behind it; a picture that cannot be read may become whole for so long.

@@ -17,9 +17,9 @@ from uuid import UUID, uuid5
 import pytest
 from hypothesis import settings
 
-from conetl.drive_records import DriveRecords
-from conetl.map_records import Changeset, Delta, DeltaKind, MapFeature
-from conetl.records import (
+from conetl.model.drive_records import DriveRecords
+from conetl.model.map_records import Changeset, Delta, DeltaKind, MapFeature
+from conetl.model.records import (
     Camera,
     Detection,
     Drive,
@@ -57,8 +57,8 @@ def pytest_unconfigure(config: pytest.Config) -> None:
 
 
 def _remove(home: Path) -> None:
-    from conetl.io.services.cluster import cluster_remove
-    from conetl.io.services.processes import read_services, stop_service
+    from conetl.db.cluster.cluster import cluster_remove
+    from conetl.services.processes import read_services, stop_service
 
     if home.is_dir():
         for service in read_services(home).values():
@@ -77,7 +77,7 @@ def _remove_leftovers() -> None:
 @pytest.fixture(scope="session")
 def cluster_url(pytestconfig: pytest.Config) -> str:
     """A private cluster for this test run; fails with a clear message where PostGIS is not installed."""
-    from conetl.io.services.cluster import cluster_up
+    from conetl.db.cluster.cluster import cluster_up
 
     return cluster_up(_test_home(pytestconfig))
 
@@ -93,7 +93,7 @@ def services_home(pytestconfig: pytest.Config) -> Path:
 @pytest.fixture(scope="session")
 def template_database(cluster_url: str, pytestconfig: pytest.Config) -> str:
     """A migrated database that each test clones."""
-    from conetl.io.db import connect, execute, migrate
+    from conetl.db.connection import connect, execute, migrate
 
     with (_test_home(pytestconfig) / "template.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
@@ -112,7 +112,7 @@ def template_database(cluster_url: str, pytestconfig: pytest.Config) -> str:
 @contextmanager
 def cloned_database(cluster_url: str, template: str) -> Iterator[str]:
     """libpq URL of a new database, dropped at the end."""
-    from conetl.io.db import connect, execute
+    from conetl.db.connection import connect, execute
 
     name = f"t_{os.getpid()}_{next(_numbers)}"
     conn = connect(cluster_url)
@@ -140,7 +140,7 @@ def module_database_url(cluster_url: str, template_database: str) -> Iterator[st
 @pytest.fixture
 def conn(database_url: str) -> Iterator[Any]:
     """Open connection to `database_url`."""
-    from conetl.io.db import connect
+    from conetl.db.connection import connect
 
     connection = connect(database_url)
     yield connection
@@ -331,7 +331,7 @@ def commit_deltas(
     conn: Any, *deltas: Delta, key: str, start_ns: int = START_NS, map_name: str = "default", **options: Any
 ) -> Any:
     """Commit a small drive with these deltas; `key` is one or more hex digits, different for every drive."""
-    from conetl.io.stores.map_store import commit_changeset, map_transaction
+    from conetl.db.map.map_store import commit_changeset, map_transaction
 
     # Recorded at the same instant; the content puts them into the order of their keys.
     drive = sample_drive(f"drive_{key}", start_ns=start_ns, content_sha256=f"{int(key, 16):064x}")

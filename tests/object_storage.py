@@ -10,7 +10,7 @@ import pytest
 import s3fs
 from moto.server import ThreadedMotoServer
 
-from conetl.io.places import place
+from conetl.files.storage import place
 
 BUCKET = "survey"
 

@@ -16,10 +16,10 @@ import cv2
 import numpy as np
 import uvicorn
 
-from conetl.drive_records import DriveRecords
-from conetl.io.stores.map_store import commit_changeset, map_transaction
-from conetl.map_records import Delta, DeltaKind, MapFeature, SightingEvidence
-from conetl.records import utc_from_ns
+from conetl.db.map.map_store import commit_changeset, map_transaction
+from conetl.model.drive_records import DriveRecords
+from conetl.model.map_records import Delta, DeltaKind, MapFeature, SightingEvidence
+from conetl.model.records import utc_from_ns
 from conetl.web.app import create_app
 from conetl.web.writing import Writer
 

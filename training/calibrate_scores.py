@@ -26,7 +26,7 @@ from dataset import Picture, read_cones, read_renders
 from looks import LEAST_SCORE, MATCH_IOU, SCALES, Looks, look_at_pictures
 from reliability import expected_calibration_error, write_reliability_figure
 
-from conetl.detector_evidence import (
+from conetl.model.detector_evidence import (
     UNMEASURED,
     DetectorEvidence,
     LookCorrelation,
@@ -37,9 +37,9 @@ from conetl.detector_evidence import (
     joint_log_ratio,
     miss_log_ratio,
 )
-from conetl.io.detector import detect_image, load_detector
-from conetl.io.model_card import read_model_card
-from conetl.params import IngestParams
+from conetl.model.params import IngestParams
+from conetl.perception.detector import detect_image, load_detector
+from conetl.perception.model_card import read_model_card
 
 THRESHOLDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
 REFERENCE = 0.3
@@ -215,7 +215,7 @@ def false_box_rates(looks: Looks) -> tuple[list[int], list[list[float]]]:
 
 
 def look_ratios(looks: Looks, evidence: DetectorEvidence) -> dict[str, list[np.ndarray]]:
-    """Per cone in plain view and per lookalike: (N, 2) log-likelihood ratio of each look, as `steps/existence.py` takes it, and
+    """Per cone in plain view and per lookalike: (N, 2) log-likelihood ratio of each look, as `tracking/existence.py` takes it, and
     the logarithm to base 2 of the apparent height."""
     params = IngestParams()
     least, threshold = params.reconcile.visible_min_height_px, params.detection.score_threshold

@@ -25,8 +25,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src"))
 from dataset import Picture, read_cones, read_renders
 from looks import MATCH_IOU, unlabelled_places
 
-from conetl.io.detector import detect_image, load_detector
-from conetl.io.detector_decode import intersection_over_union
+from conetl.perception.decoding import intersection_over_union
+from conetl.perception.detector import detect_image, load_detector
 
 HEIGHTS_PX = {
     "all": (0.0, 1e5),

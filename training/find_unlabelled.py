@@ -19,8 +19,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src"))
 
 from dataset import read_cones
 
-from conetl.io.detector import detect_image, load_detector
-from conetl.io.detector_decode import intersection_over_union
+from conetl.perception.decoding import intersection_over_union
+from conetl.perception.detector import detect_image, load_detector
 
 
 def main() -> None:

@@ -23,8 +23,8 @@ from scipy.signal import savgol_filter
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src"))
 
-from conetl.io.detector import Detector, detect_image, load_detector
-from conetl.io.detector_decode import intersection_over_union
+from conetl.perception.decoding import intersection_over_union
+from conetl.perception.detector import Detector, detect_image, load_detector
 
 CLIPS = ("boston", "charlotte")  # the others show no cone: drums and panels (see CLIP_NEGATIVES in dataset.py)
 EVERY = 2  # frames; the clips have 30 a second

@@ -24,8 +24,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src"))
 from dataset import Picture, read_cones
 from evaluate import coco_tables
 
-from conetl.io.detector import detect_image, load_detector
-from conetl.io.detector_decode import intersection_over_union
+from conetl.perception.decoding import intersection_over_union
+from conetl.perception.detector import detect_image, load_detector
 
 FROM_PX = 20.0
 SAME_CONE_IOU = 0.5

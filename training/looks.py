@@ -1,7 +1,7 @@
 """Looks at labelled cones and at what is taken for one: the raw material of `calibrate_scores.py`.
 
 Each picture is looked at several times: as it is, smaller and larger with other light (a look from another distance), and with
-things pasted in front of its cones. A cone is found where a box overlaps its label as `steps/existence.py` asks.
+things pasted in front of its cones. A cone is found where a box overlaps its label as `tracking/existence.py` asks.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from dataset import Picture
 
-from conetl.io.detector_decode import intersection_over_union
+from conetl.perception.decoding import intersection_over_union
 
 #: Scores below this are not looked at: nothing in the pipeline does.
 LEAST_SCORE = 0.05

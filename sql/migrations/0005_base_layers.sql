@@ -1,7 +1,7 @@
 -- Purpose: what lies under the cones: point clouds as tiles, and lane boundaries, each with the file that it came from.
 --
 -- Base layers are no part of the map's history: they are loaded, renewed and dropped as a whole. Coordinates are those of the map's
--- CRS, in metres. A tile's points count from its origin in steps of its scale (geometry/point_tiles.py tells the bytes).
+-- CRS, in metres. A tile's points count from its origin in steps of its scale (readers/base_layers/point_tiles.py tells the bytes).
 
 create table conetl.base_source (
     source_id      uuid primary key,

@@ -26,7 +26,7 @@ from tests.browser.test_view import (  # fixtures are used by their names
     pytestmark,  # noqa: F401
     settle,
 )
-from tests.unit.io.test_base_layers import geojson, line
+from tests.unit.readers.test_base_layers import geojson, line
 from tests.view_map import serving
 
 #: The darkest points and the painted lines, as in web/src/base.ts.

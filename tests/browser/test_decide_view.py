@@ -14,10 +14,10 @@ from typer.testing import CliRunner
 
 from conetl.cli.app import app as command_line
 from conetl.cli.view import decide_on
-from conetl.io.stores.decision_store import list_decisions
-from conetl.io.stores.map_store import read_current_features
+from conetl.db.map.decision_store import list_decisions
+from conetl.db.map.map_store import read_current_features
+from conetl.pipeline.decisions import PIN, decide_place
 from conetl.web.writing import Writer
-from flows.decide import PIN, decide_place
 from tests.browser.test_view import (  # fixtures are used by their names
     browser,  # noqa: F401
     click_cone,
@@ -26,7 +26,7 @@ from tests.browser.test_view import (  # fixtures are used by their names
     settle,
 )
 from tests.integration.drives_of_days import merge, survey
-from tests.unit.io.test_base_layers import geojson, line
+from tests.unit.readers.test_base_layers import geojson, line
 from tests.view_map import serving
 
 TOKEN = "a-token-that-nobody-guesses"

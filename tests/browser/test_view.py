@@ -19,9 +19,9 @@ import cv2
 import numpy as np
 import pytest
 
-from conetl.io.db import connect
-from conetl.io.stores.map_store import read_current_features
-from conetl.records import utc_from_ns
+from conetl.db.connection import connect
+from conetl.db.map.map_store import read_current_features
+from conetl.model.records import utc_from_ns
 from tests.view_map import commit, cone, missed, two_drives
 
 playwright_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed (extra `dev`)")

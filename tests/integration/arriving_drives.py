@@ -8,10 +8,10 @@ import math
 import shutil
 from pathlib import Path
 
-from conetl.io.calibration.files.rig_yaml import write_rig_yaml
-from conetl.io.drive_folder.kitti import read_kitti_drive
-from conetl.io.drive_folder.oxts import parse_oxts
-from conetl.io.drive_folder.plain import Row
+from conetl.readers.drives.kitti import read_kitti_drive
+from conetl.readers.drives.oxts import parse_oxts
+from conetl.readers.drives.plain import Row
+from conetl.readers.rigs.rig_yaml import write_rig_yaml
 
 SAMPLE = sorted((Path(__file__).resolve().parents[2] / "data" / "drives").iterdir())[0]
 FRAMES = range(10, 22)

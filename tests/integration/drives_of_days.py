@@ -11,14 +11,14 @@ from uuid import NAMESPACE_URL, uuid5
 
 import numpy as np
 
-from conetl.drive_records import DriveRecords
-from conetl.geometry.shared_calibration import with_covariance
-from conetl.io.db import Connection, execute
-from conetl.io.stores.map_store import find_changeset, map_transaction
-from conetl.map_records import Changeset
-from conetl.params import IngestParams
-from conetl.records import CalibrationCovariance, Detection, Drive, Position, Rig, StereoMatch, Track
-from flows.replay import Merged, merge_drive
+from conetl.db.connection import Connection, execute
+from conetl.db.map.map_store import find_changeset, map_transaction
+from conetl.geometry.calibration.shared import with_covariance
+from conetl.model.drive_records import DriveRecords
+from conetl.model.map_records import Changeset
+from conetl.model.params import IngestParams
+from conetl.model.records import CalibrationCovariance, Detection, Drive, Position, Rig, StereoMatch, Track
+from conetl.pipeline.replay import Merged, merge_drive
 from tests.synthetic.world import (
     START_NS,
     Cone,

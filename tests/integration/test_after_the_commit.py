@@ -16,12 +16,12 @@ from typing import Any
 import httpx
 import pytest
 
-from conetl.errors import CalibrationError, StorageError
-from conetl.io.db import execute
-from conetl.io.stores.map_store import list_changesets
-from conetl.io.stores.told_store import untold_changesets, was_told
-from conetl.reports import IngestReport, TooManyRejectionsError
-from conetl.settings import Settings
+from conetl.db.connection import execute
+from conetl.db.map.map_store import list_changesets
+from conetl.db.notification_store import untold_changesets, was_told
+from conetl.model.errors import CalibrationError, StorageError
+from conetl.model.ingest_report import IngestReport, TooManyRejectionsError
+from conetl.pipeline.settings import Settings
 from flows import changeset_events, drive_job
 from flows.changeset_events import tell_untold
 from tests.integration.small_drives import SAMPLES, cut_drive
@@ -198,7 +198,7 @@ def test_an_ingest_that_cannot_publish_says_that_it_committed(tmp_path: Path, co
 
 _LOST_ANSWER = """
 import os, httpx
-from conetl.settings import prefect_environment, read_settings
+from conetl.pipeline.settings import prefect_environment, read_settings
 os.environ.update(prefect_environment(read_settings().home))
 from flows import ingest_drive as flow
 merge = flow.merge_task
@@ -220,7 +220,7 @@ def test_a_commit_whose_answer_was_lost_is_a_commit(tmp_path: Path, conn: Any, d
 
 _FAILING_DISK = """
 import errno
-from conetl.io import parquet_store
+from conetl.files import parquet_store
 def fail(*_, **__):
     raise OSError(errno.EIO, "Input/output error", "results/chunk.parquet")
 parquet_store._read = fail

@@ -17,10 +17,10 @@ from pathlib import Path
 
 import pytest
 
-from conetl.io.db import connect, execute, load_sql, migrate, sql_directory, sql_names
-from conetl.io.stores.audits import run_audits
-from conetl.io.stores.decision_store import read_decisions
-from conetl.io.stores.map_store import (
+from conetl.db.audits import run_audits
+from conetl.db.connection import connect, execute, load_sql, migrate, sql_directory, sql_names
+from conetl.db.map.decision_store import read_decisions
+from conetl.db.map.map_store import (
     feature_log,
     find_map,
     list_changesets,
@@ -29,10 +29,10 @@ from conetl.io.stores.map_store import (
     read_features_as_of,
     system_time,
 )
-from conetl.io.stores.replay_store import affected_drives, write_replay
-from conetl.map_records import DeltaKind
-from conetl.params import IngestParams, ReconcileParams
-from flows.replay import replay_of
+from conetl.db.map.replay_store import affected_drives, write_replay
+from conetl.model.map_records import DeltaKind
+from conetl.model.params import IngestParams, ReconcileParams
+from conetl.pipeline.replay import replay_of
 from tests.conftest import cloned_database
 from tests.integration.drives_of_days import DAY_NS, DAYS, known_maps, merge, survey, valid_time_map
 
@@ -304,7 +304,7 @@ def test_a_map_of_the_first_schema_is_brought_up_to_date_and_takes_late_drives(c
 
 LATE = """
 import sys
-from conetl.io.db import connect
+from conetl.db.connection import connect
 from tests.integration.drives_of_days import merge, survey
 late, conn = survey(0), connect(sys.argv[1])
 print("ready", flush=True)

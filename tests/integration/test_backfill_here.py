@@ -11,7 +11,7 @@ from contextlib import closing
 from functools import partial
 from pathlib import Path
 
-from conetl.io.db import connect, execute
+from conetl.db.connection import connect, execute
 from tests.integration.small_drives import SAMPLES, cut_drive, processes_with
 
 ROOT = Path(__file__).resolve().parents[2]

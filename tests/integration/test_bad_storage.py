@@ -8,15 +8,16 @@ from pathlib import Path
 
 import pytest
 
-from conetl.errors import StorageError
-from conetl.io.drive_folder import read_drive
-from conetl.io.model_card import read_model_card
-from conetl.io.parquet_store import load_result
-from conetl.io.pictures import images
-from conetl.params import IngestParams
-from conetl.records import Detection
-from flows import chunks, detection, refinement
-from flows.chunks import Chunk
+from conetl.files.parquet_store import load_result
+from conetl.model.errors import StorageError
+from conetl.model.params import IngestParams
+from conetl.model.records import Detection
+from conetl.perception import images
+from conetl.perception.model_card import read_model_card
+from conetl.pipeline import chunks
+from conetl.pipeline.chunks import Chunk
+from conetl.readers.drives import read_drive
+from flows import detection, refinement
 from tests.integration.small_drives import SAMPLES, cut_drive
 
 Failure = Callable[[Path], bytes]

@@ -13,10 +13,10 @@ from fastapi.testclient import TestClient
 from typer.testing import CliRunner
 
 from conetl.cli.app import app
-from conetl.geometry.point_tiles import decode_points
-from conetl.io.db import connect, execute
+from conetl.db.connection import connect, execute
+from conetl.readers.base_layers.point_tiles import decode_points
 from conetl.web.app import create_app
-from tests.unit.io.test_base_layers import CENTRE, LAT, LON, OSM, geojson, line, write_las
+from tests.unit.readers.test_base_layers import CENTRE, LAT, LON, OSM, geojson, line, write_las
 from tests.view_map import two_drives
 
 

@@ -10,9 +10,9 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from conetl.cli.calibrate import calibrate
-from conetl.errors import CalibrationError, InputError
-from conetl.io.calibration.files import read_rig
+from conetl.cli.tools.calibrate import calibrate
+from conetl.model.errors import CalibrationError, InputError
+from conetl.readers.rigs import read_rig
 
 SHARED = Path(os.environ.get("CONETL_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data"))
 PICTURES = SHARED / "feb_stereo_chessboard" / "pairs"

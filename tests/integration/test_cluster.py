@@ -15,11 +15,11 @@ from pathlib import Path
 
 import pytest
 
-from conetl.errors import DatabaseError
-from conetl.io.db import connect, execute
-from conetl.io.services.cluster import cluster_down, cluster_remove, cluster_status, cluster_up
-from conetl.io.services.cluster_place import find_place
-from conetl.io.services.postgres_install import find_installs
+from conetl.db.cluster.cluster import cluster_down, cluster_remove, cluster_status, cluster_up
+from conetl.db.cluster.location import find_place
+from conetl.db.cluster.postgres_install import find_installs
+from conetl.db.connection import connect, execute
+from conetl.model.errors import DatabaseError
 
 AS_ROOT = os.geteuid() == 0
 
@@ -145,7 +145,7 @@ def test_many_ups_at_once_make_one_cluster(home):
     command = [
         sys.executable,
         "-c",
-        "import sys, pathlib; from conetl.io.services.cluster import cluster_up; print(cluster_up(pathlib.Path(sys.argv[1])))",
+        "import sys, pathlib; from conetl.db.cluster.cluster import cluster_up; print(cluster_up(pathlib.Path(sys.argv[1])))",
         str(home),
     ]
     with ThreadPoolExecutor(4) as pool:
@@ -224,7 +224,7 @@ def test_an_interrupted_first_start_is_made_good(home):
         [
             sys.executable,
             "-c",
-            "import sys, pathlib; from conetl.io.services.cluster import cluster_up; cluster_up(pathlib.Path(sys.argv[1]))",
+            "import sys, pathlib; from conetl.db.cluster.cluster import cluster_up; cluster_up(pathlib.Path(sys.argv[1]))",
             str(home),
         ]
     )

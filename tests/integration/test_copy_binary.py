@@ -10,9 +10,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from conetl.io import db
-from conetl.io.db import copy_columns, execute
-from conetl.io.stores import copy_binary
+from conetl.db import connection as db
+from conetl.db import copy_binary
+from conetl.db.connection import copy_columns, execute
 
 TEXTS = st.none() | st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\x00"), max_size=20)
 JSONS = st.recursive(

@@ -7,23 +7,23 @@ from itertools import permutations
 
 import pytest
 
-from conetl.errors import InputError
-from conetl.io.db import connect
-from conetl.io.imports.statements import read_map_file
-from conetl.io.stores.audits import run_audits
-from conetl.io.stores.decision_store import list_decisions
-from conetl.io.stores.map_store import (
+from conetl.db.audits import run_audits
+from conetl.db.connection import connect
+from conetl.db.map.decision_store import list_decisions
+from conetl.db.map.map_store import (
     feature_log,
     list_changesets,
     map_summary,
     read_current_features,
     read_features_as_of,
 )
-from conetl.io.stores.serve_store import read_maps
-from conetl.map_records import DeltaKind
-from conetl.params import ImportParams
-from flows.decide import PIN, SUPPRESS, decide_place, revert
-from flows.import_map import import_map
+from conetl.db.serve_store import read_maps
+from conetl.model.errors import InputError
+from conetl.model.map_records import DeltaKind
+from conetl.model.params import ImportParams
+from conetl.pipeline.decisions import PIN, SUPPRESS, decide_place, revert
+from conetl.pipeline.import_map import import_map
+from conetl.readers.maps.statements import read_map_file
 from tests.conftest import cloned_database
 from tests.integration.drives_of_days import merge, survey, valid_time_map
 from tests.synthetic.world import ORIGIN_M
@@ -205,10 +205,10 @@ def test_decisions_and_drives_in_any_order_give_one_map(cluster_url, template_da
 
 def place_of_first_day(conn, kind, feature, order):
     """The same decision in every order: about the place where the first drive saw the cone."""
-    from conetl.io.stores.decision_store import insert_decision
-    from conetl.io.stores.map_store import find_map, map_transaction, system_time
-    from conetl.map_records import Place
-    from flows.decide import _judge_place
+    from conetl.db.map.decision_store import insert_decision
+    from conetl.db.map.map_store import find_map, map_transaction, system_time
+    from conetl.model.map_records import Place
+    from conetl.pipeline.decisions import _judge_place
 
     with map_transaction(conn):
         info = find_map(conn)
@@ -219,7 +219,7 @@ def place_of_first_day(conn, kind, feature, order):
 
 
 def test_the_earlier_analysis_counts_again_when_the_later_one_is_reverted(conn):
-    from conetl.params import IngestParams, ReconcileParams
+    from conetl.model.params import IngestParams, ReconcileParams
 
     merge(conn, survey(0))
     merge(conn, survey(1))

@@ -11,7 +11,7 @@ import pytest
 from prefect.client.schemas.objects import WorkerStatus
 from prefect.exceptions import ObjectNotFound
 
-from conetl.errors import ServiceError
+from conetl.model.errors import ServiceError
 from flows import dispatch
 from flows.dispatch import WORKERS_GONE_S, WorkerWatch, resolve_where
 

@@ -11,8 +11,8 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from conetl.cli.evaluate import evaluate
-from conetl.errors import InputError
+from conetl.cli.tools.evaluate import evaluate
+from conetl.model.errors import InputError
 
 SAMPLE = Path(__file__).resolve().parents[2] / "data" / "drives" / "2026-03-02_taper_pass1"
 FRAMES = range(8, 22)

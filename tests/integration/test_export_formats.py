@@ -21,16 +21,16 @@ from jsonschema import validate
 from mcap.reader import make_reader
 from pyproj import Transformer
 
-from conetl.errors import InputError
-from conetl.io.db import connect, execute
-from conetl.io.exports import FORMATS, geojson, qgis_project
-from conetl.io.exports.export import export_map
-from conetl.io.exports.kind_marks import KIND_MARKS
-from conetl.io.exports.source import ExportRequest, What
-from conetl.io.stores.import_store import set_licence
-from conetl.io.stores.map_store import read_features_as_of
-from conetl.map_records import DeltaKind
-from conetl.settings import Settings
+from conetl.db.connection import connect, execute
+from conetl.db.map.import_store import set_licence
+from conetl.db.map.map_store import read_features_as_of
+from conetl.exports import FORMATS, geojson, qgis_project
+from conetl.exports.export import export_map
+from conetl.exports.kind_marks import KIND_MARKS
+from conetl.exports.source import ExportRequest, What
+from conetl.model.errors import InputError
+from conetl.model.map_records import DeltaKind
+from conetl.pipeline.settings import Settings
 from flows.publish_map import write_publication
 from tests.conftest import cloned_database
 from tests.integration.drives_of_days import DAY_NS, START_NS, merge, survey
@@ -310,7 +310,7 @@ def test_a_failure_on_the_way_leaves_the_old_files_and_nothing_else(conn, tmp_pa
     def broken(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("conetl.io.exports.source.decode_rows", broken)
+    monkeypatch.setattr("conetl.exports.source.decode_rows", broken)
     with pytest.raises(KeyboardInterrupt):
         export_map(conn, path, name, ExportRequest())
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before

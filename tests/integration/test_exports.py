@@ -9,16 +9,16 @@ from datetime import timedelta
 import pytest
 from pyproj import Transformer
 
-from conetl.errors import InputError
-from conetl.io.exports.atomic import atomic_text_file
-from conetl.io.exports.csv_table import export_csv
-from conetl.io.exports.export import export_map
-from conetl.io.exports.feature_rows import iso_utc
-from conetl.io.exports.geojson import export_geojson
-from conetl.io.exports.source import ExportRequest, What
-from conetl.io.stores.map_store import read_current_features
-from conetl.records import utc_from_ns
-from flows.decide import SUPPRESS, decide_place
+from conetl.db.map.map_store import read_current_features
+from conetl.exports.csv_table import export_csv
+from conetl.exports.export import export_map
+from conetl.exports.feature_rows import iso_utc
+from conetl.exports.geojson import export_geojson
+from conetl.exports.source import ExportRequest, What
+from conetl.files.atomic import atomic_text_file
+from conetl.model.errors import InputError
+from conetl.model.records import utc_from_ns
+from conetl.pipeline.decisions import SUPPRESS, decide_place
 from tests.integration.drives_of_days import merge, survey
 
 CONTRACT = [

@@ -19,19 +19,19 @@ import pytest
 import shapely
 from pyproj import Transformer
 
-from conetl.errors import InputError
-from conetl.io.db import connect, execute
-from conetl.io.exports import FORMATS
-from conetl.io.exports.export import export_map
-from conetl.io.exports.source import ExportRequest, What
-from conetl.io.imports.statements import read_map_file
-from conetl.io.parquet_store import file_sha256
-from conetl.io.stores.audits import run_audits
-from conetl.io.stores.map_store import list_changesets, read_current_features, read_features_as_of
-from conetl.map_records import DeltaKind
-from conetl.params import ImportParams
-from flows.decide import revert
-from flows.import_map import import_map
+from conetl.db.audits import run_audits
+from conetl.db.connection import connect, execute
+from conetl.db.map.map_store import list_changesets, read_current_features, read_features_as_of
+from conetl.exports import FORMATS
+from conetl.exports.export import export_map
+from conetl.exports.source import ExportRequest, What
+from conetl.files.parquet_store import file_sha256
+from conetl.model.errors import InputError
+from conetl.model.map_records import DeltaKind
+from conetl.model.params import ImportParams
+from conetl.pipeline.decisions import revert
+from conetl.pipeline.import_map import import_map
+from conetl.readers.maps.statements import read_map_file
 from tests.conftest import cloned_database
 from tests.integration.drives_of_days import DAY_NS, DAYS, START_NS, merge, survey, valid_time_map
 

@@ -21,12 +21,12 @@ import httpx
 import numpy as np
 import pytest
 
-from conetl.io.db import connect, execute
-from conetl.io.exports.wzdx_schema import schema_faults
-from conetl.io.qa.drive_page import drive_page
-from conetl.io.stores.live_store import read_provisional
-from conetl.io.stores.map_store import list_changesets
-from conetl.map_records import DeltaKind
+from conetl.db.connection import connect, execute
+from conetl.db.live_store import read_provisional
+from conetl.db.map.map_store import list_changesets
+from conetl.exports.wzdx_schema import schema_faults
+from conetl.model.map_records import DeltaKind
+from conetl.reports.drive_page import drive_page
 from tests.conftest import cloned_database
 from tests.integration.drives_of_days import valid_time_map
 from tests.integration.small_drives import spoil_huffman_table
@@ -440,7 +440,7 @@ def wait_for(point: str, home: Path, database_url: str, process: subprocess.Pope
         until(lambda: len(list(results.glob("*.parquet"))) >= 2)
     else:
         with closing(connect(database_url)) as holder, closing(connect(database_url)) as watcher:
-            from conetl.io.stores.map_store import map_lock
+            from conetl.db.map.map_store import map_lock
 
             map_lock(holder, "default")
 

@@ -17,11 +17,11 @@ import pytest
 from hypothesis import HealthCheck, Phase, event, example, given, settings
 from hypothesis import strategies as st
 
-from conetl.errors import DatabaseError
-from conetl.io import db
-from conetl.io.db import connect, execute
-from conetl.io.stores.audits import run_audits
-from conetl.io.stores.map_store import map_transaction
+from conetl.db import connection as db
+from conetl.db.audits import run_audits
+from conetl.db.connection import connect, execute
+from conetl.db.map.map_store import map_transaction
+from conetl.model.errors import DatabaseError
 from tests.integration.drives_of_days import merge, survey_of, valid_time_map
 from tests.integration.test_ingest import FINAL_TABLES
 from tests.synthetic.road import HOUR_NS, random_world
@@ -42,7 +42,7 @@ WAYS = (
 class CutConnection(psycopg2.extensions.connection):
     """Is cut off at its statement number `cut_at` (1 is the first; 0: never), in the given `way`: both set once it is prepared.
 
-    Every statement of `conetl.io.db` has a cursor of its own.
+    Every statement of `conetl.db.connection` has a cursor of its own.
     """
 
     cut_at = 0

@@ -8,9 +8,9 @@ import pytest
 from typer.testing import CliRunner
 
 from conetl.cli.app import app
-from conetl.cli.picture import _ways
-from conetl.errors import InputError
-from conetl.io.stores.map_store import list_changesets
+from conetl.cli.map.picture import _ways
+from conetl.db.map.map_store import list_changesets
+from conetl.model.errors import InputError
 from tests.integration.drives_of_days import merge, survey
 from tests.view_map import two_drives
 

@@ -16,13 +16,10 @@ from uuid import UUID, uuid4
 
 import pytest
 
-from conetl.drive_records import DriveRecords
-from conetl.errors import DatabaseError, MapMismatchError
-from conetl.io.db import connect, execute
-from conetl.io.stores.audits import run_audits
-from conetl.io.stores.decision_store import find_decisions
-from conetl.io.stores.map_results import RunInfo
-from conetl.io.stores.map_store import (
+from conetl.db.audits import run_audits
+from conetl.db.connection import connect, execute
+from conetl.db.map.decision_store import find_decisions
+from conetl.db.map.map_store import (
     commit_changeset,
     feature_log,
     find_changeset,
@@ -33,9 +30,12 @@ from conetl.io.stores.map_store import (
     read_current_features,
     read_features_as_of,
 )
-from conetl.io.stores.quarantine_store import count_rejections, read_rejections
-from conetl.records import utc_from_ns
-from conetl.rejections import Rejection, RejectionReason
+from conetl.db.map.quarantine_store import count_rejections, read_rejections
+from conetl.db.map.results import RunInfo
+from conetl.model.drive_records import DriveRecords
+from conetl.model.errors import DatabaseError, MapMismatchError
+from conetl.model.records import utc_from_ns
+from conetl.model.rejections import Rejection, RejectionReason
 
 DAY = timedelta(days=1)
 
@@ -387,7 +387,7 @@ import importlib.util, sys, time
 spec = importlib.util.spec_from_file_location("made_up", sys.argv[1])
 made_up = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(made_up)
-from conetl.io.db import connect
+from conetl.db.connection import connect
 deltas = [made_up.added(made_up.sample_feature(str(i), xyz_m=(i, 0.0, 0.0))) for i in range(3000)]
 conn = connect(sys.argv[2])
 print("ready", flush=True)

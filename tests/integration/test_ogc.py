@@ -16,14 +16,14 @@ import morecantile
 import pytest
 from fastapi.testclient import TestClient
 
+from conetl.db.async_reader_pool import AsyncReaderPool
+from conetl.db.connection import connect, execute
+from conetl.db.ogc_store import MapDirectory
 from conetl.geometry.geodesy import to_geodetic
-from conetl.io.db import connect, execute
-from conetl.io.stores.async_reader_pool import AsyncReaderPool
-from conetl.io.stores.ogc_store import MapDirectory
-from conetl.records import utc_from_ns
+from conetl.model.records import utc_from_ns
+from conetl.pipeline.decisions import SUPPRESS, decide_place, revert
 from conetl.web.app import create_app
 from conetl.web.ogc.collections import Instants, features_of, warm
-from flows.decide import SUPPRESS, decide_place, revert
 from tests import ogc_schemas as standard
 from tests.integration.drives_of_days import merge, survey
 from tests.integration.test_qgis_project import OFFSCREEN, PYTHON, has_qgis

@@ -12,9 +12,9 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
+from conetl.db.connection import connect, execute, execute_count
+from conetl.db.ogc_store import MapDirectory, part_of_map, rows_near, rows_within
 from conetl.geometry.geodesy import to_geodetic, to_map
-from conetl.io.db import connect, execute, execute_count
-from conetl.io.stores.ogc_store import MapDirectory, part_of_map, rows_near, rows_within
 from conetl.web.ogc.collections import AsOfCollection, Instants, features_of
 
 FEATURE_COUNT = 300

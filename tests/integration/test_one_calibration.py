@@ -7,13 +7,11 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from conetl.geometry.packing import cov_matrix
-from conetl.geometry.shared_calibration import calibration_id, unpack_all, with_covariance
-from conetl.io.db import connect, execute, load_sql, migrate, sql_names
-from conetl.io.stores.audits import run_audits
-from conetl.io.stores.decision_store import read_decisions
-from conetl.io.stores.drive_store import read_drive
-from conetl.io.stores.map_store import (
+from conetl.db.audits import run_audits
+from conetl.db.connection import connect, execute, load_sql, migrate, sql_names
+from conetl.db.map.decision_store import read_decisions
+from conetl.db.map.drive_store import read_drive
+from conetl.db.map.map_store import (
     find_map,
     list_changesets,
     map_transaction,
@@ -21,11 +19,13 @@ from conetl.io.stores.map_store import (
     read_features_as_of,
     system_time,
 )
-from conetl.io.stores.replay_store import affected_drives, write_replay
-from conetl.map_records import DeltaKind
-from conetl.records import CalibrationCovariance, Levers
-from flows.decide import revert
-from flows.replay import replay_of
+from conetl.db.map.replay_store import affected_drives, write_replay
+from conetl.geometry.calibration.shared import calibration_id, unpack_all, with_covariance
+from conetl.geometry.packing import cov_matrix
+from conetl.model.map_records import DeltaKind
+from conetl.model.records import CalibrationCovariance, Levers
+from conetl.pipeline.decisions import revert
+from conetl.pipeline.replay import replay_of
 from tests.conftest import cloned_database
 from tests.integration.drives_of_days import CALIBRATED, DAYS, RIG, known_maps, merge, survey, valid_time_map
 from tests.integration.test_any_order import OLD_TABLES, copy_tables

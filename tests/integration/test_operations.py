@@ -22,10 +22,10 @@ from typing import Any
 import httpx
 import pytest
 
-from conetl.io.db import connect, execute
-from conetl.io.exports import FORMATS
-from conetl.io.services.cluster import cluster_remove, cluster_status
-from conetl.io.services.processes import TOKEN, read_services
+from conetl.db.cluster.cluster import cluster_remove, cluster_status
+from conetl.db.connection import connect, execute
+from conetl.exports import FORMATS
+from conetl.services.processes import TOKEN, read_services
 from tests.integration.small_drives import SAMPLES, cut_drive, processes_with
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -12,7 +12,7 @@ from threading import Barrier, Lock
 
 import pytest
 
-from conetl.errors import ServiceError
+from conetl.model.errors import ServiceError
 from flows import server
 from flows.server import prefect_server
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from conetl.io.services.cluster import cluster_remove
+from conetl.db.cluster.cluster import cluster_remove
 from tests.integration.small_drives import SAMPLES, cut_drive, processes_with
 
 #: Loopback, but none of the addresses that need no password.

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from conetl.errors import InputError
-from conetl.io.db import address, execute
-from conetl.io.exports.qgis_project import _iso, write_qgis_project
+from conetl.db.connection import address, execute
+from conetl.exports.qgis_project import _iso, write_qgis_project
+from conetl.model.errors import InputError
 from tests.integration.drives_of_days import merge, survey
 
 #: QGIS comes for the system's Python only.

@@ -17,21 +17,21 @@ from fastapi.testclient import TestClient
 from typer.testing import CliRunner
 
 from conetl.cli.app import app
-from conetl.errors import InputError
-from conetl.io.code_identity import code_facts, code_sha256
-from conetl.io.db import connect, execute
-from conetl.io.qa import evidence
-from conetl.io.qa.drive_facts import find_drive, read_drive_facts
-from conetl.io.qa.drive_page import drive_page, findings, write_drive_page
-from conetl.io.qa.night_page import night_page, read_night, write_night_page
-from conetl.io.stores.map_results import CommittedChangeset
-from conetl.io.stores.map_store import list_changesets
-from conetl.io.stores.receipt_store import Receipt, write_receipt
-from conetl.io.stores.run_store import write_run_steps
-from conetl.map_records import DeltaKind
-from conetl.params import IngestParams
-from conetl.rejections import RejectionReason
-from conetl.settings import Settings
+from conetl.db.connection import connect, execute
+from conetl.db.map.map_store import list_changesets
+from conetl.db.map.results import CommittedChangeset
+from conetl.db.receipt_store import Receipt, write_receipt
+from conetl.db.run_store import write_run_steps
+from conetl.model.errors import InputError
+from conetl.model.map_records import DeltaKind
+from conetl.model.params import IngestParams
+from conetl.model.rejections import RejectionReason
+from conetl.pipeline.code_identity import code_facts, code_sha256
+from conetl.pipeline.settings import Settings
+from conetl.reports import evidence
+from conetl.reports.drive_facts import find_drive, read_drive_facts
+from conetl.reports.drive_page import drive_page, findings, write_drive_page
+from conetl.reports.night_page import night_page, read_night, write_night_page
 from conetl.web.app import create_app
 from flows.publish_map import write_publication
 from flows.timing import StepTime

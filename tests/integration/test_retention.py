@@ -11,13 +11,13 @@ from pathlib import Path
 
 import pytest
 
-from conetl.errors import InputError
-from conetl.io.db import execute
-from conetl.io.stores.audits import run_audits
-from conetl.io.stores.map_store import list_changesets
-from conetl.io.stores.retention import parse_age, prunable_drives, prune_drives
-from conetl.records import utc_from_ns
-from flows.decide import REVERT, SUPPRESS, decide_place, revert
+from conetl.db.audits import run_audits
+from conetl.db.connection import execute
+from conetl.db.map.map_store import list_changesets
+from conetl.db.retention import parse_age, prunable_drives, prune_drives
+from conetl.model.errors import InputError
+from conetl.model.records import utc_from_ns
+from conetl.pipeline.decisions import REVERT, SUPPRESS, decide_place, revert
 from tests.integration.drives_of_days import merge, survey, valid_time_map
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -9,17 +9,17 @@ import cv2
 import numpy as np
 import pytest
 
-from conetl.cli.drive_results import DriveResults, run_steps
-from conetl.detector_evidence import LookFigures
-from conetl.errors import DriveFolderError
-from conetl.io.model_card import read_model_card
-from conetl.map_records import DeltaKind
-from conetl.params import DetectionParams, IngestParams, MatchParams, Params, ReconcileParams, TrackParams
-from conetl.settings import Settings
-from conetl.steps.changes import reconcile
-from conetl.steps.epipolar_search import blocks_of
-from conetl.steps.visibility import look_at_spot, view_of_drive
-from flows.chunks import Chunk
+from conetl.cli.tools.drive_results import DriveResults, run_steps
+from conetl.mapping.changes import reconcile
+from conetl.mapping.visibility import look_at_spot, view_of_drive
+from conetl.model.detector_evidence import LookFigures
+from conetl.model.errors import DriveFolderError
+from conetl.model.map_records import DeltaKind
+from conetl.model.params import DetectionParams, IngestParams, MatchParams, Params, ReconcileParams, TrackParams
+from conetl.perception.model_card import read_model_card
+from conetl.pipeline.chunks import Chunk
+from conetl.pipeline.settings import Settings
+from conetl.tracking.matching.epipolar_search import blocks_of
 from flows.detection import detect_task
 from tests.integration.small_drives import spoil_huffman_table
 

@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from conetl.cli.drive_results import DriveResults, run_steps
-from conetl.cli.truth_table import read_truth_cones
+from conetl.cli.tools.drive_results import DriveResults, run_steps
+from conetl.cli.tools.truth_table import read_truth_cones
+from conetl.evaluation.accuracy import PointErrors, members_of, pooled_consistency, position_errors
+from conetl.evaluation.truth import compare_with_truth
 from conetl.geometry.rig import map_SE3_left
-from conetl.params import IngestParams
-from conetl.settings import Settings
-from conetl.steps.accuracy import PointErrors, members_of, pooled_consistency, position_errors
-from conetl.steps.evaluation import compare_with_truth
-from conetl.steps.positions import locate_positions
-from conetl.steps.sighting_variances import SightingVariances, with_variances
+from conetl.model.params import IngestParams
+from conetl.pipeline.settings import Settings
+from conetl.tracking.positions import locate_positions
+from conetl.tracking.variance_components import SightingVariances, with_variances
 
 DRIVES = sorted((Path(__file__).resolve().parents[2] / "data" / "drives").iterdir())
 PARAMS = IngestParams()

@@ -10,18 +10,19 @@ import pytest
 from prefect import flow
 
 from conetl.cli.ingest import ingest_drives
-from conetl.errors import InputError, ModelFileError
-from conetl.io.db import connect, execute
-from conetl.io.drive_folder import read_drive
-from conetl.io.model_card import read_model_card
-from conetl.io.parquet_store import load_result
-from conetl.io.places import place
-from conetl.params import IngestParams
-from conetl.records import StereoMatch
-from conetl.settings import Settings, prefect_environment
-from flows import detection, progress
+from conetl.db.connection import connect, execute
+from conetl.files.parquet_store import load_result
+from conetl.files.storage import place
+from conetl.model.errors import InputError, ModelFileError
+from conetl.model.params import IngestParams
+from conetl.model.records import StereoMatch
+from conetl.perception.model_card import read_model_card
+from conetl.pipeline import progress
+from conetl.pipeline.chunks import Chunk, parts_of
+from conetl.pipeline.settings import Settings, prefect_environment
+from conetl.readers.drives import read_drive
+from flows import detection
 from flows.analysis import PrefectRuns, analyse
-from flows.chunks import Chunk, parts_of
 from flows.runners import task_runner
 from flows.server import prefect_server
 from tests.integration.small_drives import SAMPLES, cut_drive

@@ -18,16 +18,16 @@ import pytest
 from typer.testing import CliRunner
 
 from conetl.cli.app import app
-from conetl.errors import DatabaseError, ServiceError
-from conetl.io.db import connect, execute
-from conetl.io.services.cluster import cluster_down, cluster_remove, cluster_status, cluster_up
-from conetl.io.services.cluster_place import find_place
-from conetl.io.services.processes import Service, read_services, write_services
+from conetl.db.cluster.cluster import cluster_down, cluster_remove, cluster_status, cluster_up
+from conetl.db.cluster.location import find_place
+from conetl.db.connection import connect, execute
+from conetl.model.errors import DatabaseError, ServiceError
+from conetl.services.processes import Service, read_services, write_services
 
 #: What a container is to a process id: a PID namespace with a /proc of its own, and shared memory of its own.
 CONTAINER = ["unshare", "--pid", "--ipc", "--fork", "--mount-proc", "--kill-child"]
 SERVER = (
-    "import sys, pathlib; from conetl.io.services.cluster import cluster_up\n"
+    "import sys, pathlib; from conetl.db.cluster.cluster import cluster_up\n"
     "print(cluster_up(pathlib.Path(sys.argv[1])), flush=True); sys.stdin.read()"
 )
 ELSEWHERE = "another machine or container"

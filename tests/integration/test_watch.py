@@ -18,15 +18,15 @@ from typer.testing import CliRunner
 
 from conetl.cli.app import app
 from conetl.cli.watch import latency, report_as_dict
-from conetl.errors import DriveFolderError, InputError
-from conetl.io.db import connect, execute
-from conetl.io.drive_folder.arriving import ArrivingPair, ArrivingPlain
-from conetl.io.stores.audits import run_audits
-from conetl.io.stores.live_store import WatchedDrive, drop_watched_recording, read_provisional, watch_lock, write_live
-from conetl.io.stores.map_store import find_map, map_transaction
-from conetl.io.stores.receipt_store import held_if_free
-from conetl.params import IngestParams
-from conetl.settings import Settings
+from conetl.db.audits import run_audits
+from conetl.db.connection import connect, execute
+from conetl.db.live_store import WatchedDrive, drop_watched_recording, read_provisional, watch_lock, write_live
+from conetl.db.map.map_store import find_map, map_transaction
+from conetl.db.receipt_store import held_if_free
+from conetl.model.errors import DriveFolderError, InputError
+from conetl.model.params import IngestParams
+from conetl.pipeline.settings import Settings
+from conetl.readers.recording.drive import ArrivingPair, ArrivingPlain
 from conetl.web.app import create_app
 from flows.watch import WatchReport, pause_s, watch_drive
 from tests.integration.arriving_drives import FRAMES, append, begin, picture, row, write_pictures

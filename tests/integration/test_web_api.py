@@ -13,10 +13,10 @@ import psycopg2
 import pytest
 from fastapi.testclient import TestClient
 
-from conetl.io.db import connect, execute
-from conetl.io.stores.reader_pool import ReaderPool, open_reader
-from conetl.map_records import DeltaKind
-from conetl.records import utc_from_ns
+from conetl.db.connection import connect, execute
+from conetl.db.reader_pool import ReaderPool, open_reader
+from conetl.model.map_records import DeltaKind
+from conetl.model.records import utc_from_ns
 from conetl.web.app import create_app
 from conetl.web.live import MAX_STREAMS, HeadWatcher
 from tests.view_map import commit, cone, missed, two_drives

@@ -12,12 +12,12 @@ from fastapi.testclient import TestClient
 from pydantic import SecretStr
 
 from conetl.cli.view import decide_on, writer_of
-from conetl.errors import InputError
-from conetl.io.db import connect, execute
-from conetl.io.services.writer_token import checked_token, make_writer_token, read_writer_token
-from conetl.io.stores.audits import run_audits
-from conetl.settings import Settings
+from conetl.db.audits import run_audits
+from conetl.db.connection import connect, execute
+from conetl.model.errors import InputError
+from conetl.pipeline.settings import Settings
 from conetl.web.app import create_app
+from conetl.web.writer_token import checked_token, make_writer_token, read_writer_token
 from conetl.web.writing import MAX_BODY_BYTES, Writer
 from tests.integration.drives_of_days import merge, survey
 

@@ -16,7 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from schemathesis import GenerationMode
 from schemathesis.checks import CHECKS
 
-from conetl.io.db import connect, execute
+from conetl.db.connection import connect, execute
 from conetl.web.guard import MAX_URL_BYTES
 from conetl.web.live import MAX_STREAMS
 from tests.view_map import serving, two_drives

@@ -11,9 +11,9 @@ import shapely
 from typer.testing import CliRunner
 
 from conetl.cli.app import app
-from conetl.errors import ConetlError
-from conetl.io.db import execute
-from conetl.io.exports.wzdx_schema import schema_faults
+from conetl.db.connection import execute
+from conetl.exports.wzdx_schema import schema_faults
+from conetl.model.errors import ConetlError
 from tests.integration.drives_of_days import merge, survey
 
 FEED = ("--publisher", "City", "--road-name", "L 605")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from conetl.io.db import connect, execute, sql_names
-from conetl.io.stores.audits import audits_of_open_transaction, run_audits
+from conetl.db.audits import audits_of_open_transaction, run_audits
+from conetl.db.connection import connect, execute, sql_names
 
 #: audit -> statements that plant one fault, past the constraints that would refuse it.
 DROP_EXCLUDE = "alter table feature_version drop constraint no_overlap"
@@ -34,7 +34,7 @@ SUPPRESS = (
     f"{INSERT_DECISION} select gen_random_uuid(), f.map_id, f.srid, 'suppress', ST_Force2D(v.geom), 1, f.feature_id, null, null, "
     "'', now() from feature f join feature_version v using (feature_id) where v.version = 2 limit 1"
 )
-#: Everything within a metre of the place, as `flows/decide.py` writes it down.
+#: Everything within a metre of the place, as `pipeline/decisions.py` writes it down.
 HIDE = (
     "update feature_version v set suppressed = present, present = false from decision d where d.kind = 'suppress' "
     "and ST_DWithin(v.geom, d.geom, 1)"

@@ -10,10 +10,10 @@ from uuid import uuid4
 import psycopg2
 import pytest
 
-from conetl.errors import DatabaseError
-from conetl.io.db import connect, database_status, execute, load_sql, migrate, sql_directory, sql_names
-from conetl.io.stores.import_store import read_licence, set_licence
-from conetl.io.stores.map_store import read_current_features
+from conetl.db.connection import connect, database_status, execute, load_sql, migrate, sql_directory, sql_names
+from conetl.db.map.import_store import read_licence, set_licence
+from conetl.db.map.map_store import read_current_features
+from conetl.model.errors import DatabaseError
 
 
 @pytest.fixture

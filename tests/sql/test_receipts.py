@@ -14,10 +14,8 @@ from uuid import uuid4
 
 import pytest
 
-from conetl.errors import InputError
-from conetl.io.db import connect, execute
-from conetl.io.drive_folder.outline import DriveOutline
-from conetl.io.stores.receipt_store import (
+from conetl.db.connection import connect, execute
+from conetl.db.receipt_store import (
     Receipt,
     end_crashed,
     held_locks,
@@ -25,11 +23,13 @@ from conetl.io.stores.receipt_store import (
     run_lock,
     write_receipt,
 )
-from conetl.io.stores.session_locks import holding
-from conetl.params import IngestParams
-from conetl.settings import Settings
-from flows import plan as planning
-from flows.plan import Plan, analysis_of, plan_as_dict, plan_drives
+from conetl.db.session_locks import holding
+from conetl.model.errors import InputError
+from conetl.model.params import IngestParams
+from conetl.pipeline import backfill_plan as planning
+from conetl.pipeline.backfill_plan import Plan, analysis_of, plan_as_dict, plan_drives
+from conetl.pipeline.settings import Settings
+from conetl.readers.drives.header import DriveOutline
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "drives"
 DAY = 86_400

@@ -11,11 +11,11 @@ from typing import Any
 import psycopg2
 import pytest
 
-from conetl.errors import DatabaseError
-from conetl.io.db import CLIENT_KEEPALIVES, Connection, connect, execute, load_sql
-from conetl.io.stores import session_locks
-from conetl.io.stores.receipt_store import held_if_free, held_locks
-from conetl.io.stores.session_locks import holding
+from conetl.db import session_locks
+from conetl.db.connection import CLIENT_KEEPALIVES, Connection, connect, execute, load_sql
+from conetl.db.receipt_store import held_if_free, held_locks
+from conetl.db.session_locks import holding
+from conetl.model.errors import DatabaseError
 
 NAMES = ("conetl.drive/a", "conetl.flow_run/b")
 

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
-from conetl.geometry.board_views import BoardView
-from conetl.geometry.stereo_bundle import Bundle, BundleError, residuals_px
-from conetl.geometry.stereo_calibration import Start
-from conetl.records import Camera, Lens
+from conetl.geometry.calibration.board_views import BoardView
+from conetl.geometry.calibration.stereo_bundle import Bundle, BundleError, residuals_px
+from conetl.geometry.calibration.stereo_calibration import Start
+from conetl.model.records import Camera, Lens
 
 Array = NDArray[np.float64]
 SIDES = ("left", "right")

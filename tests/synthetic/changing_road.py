@@ -17,13 +17,14 @@ from uuid import NAMESPACE_URL, UUID, uuid5
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from conetl.detector_evidence import DetectorEvidence, LookFigures, detect_probability
-from conetl.map_records import BelievedVersion, Decisions, Delta, DeltaKind, Doubt, MapFeature
-from conetl.params import IngestParams, ReconcileParams
-from conetl.records import Detection, FramePair, Side
-from conetl.steps.belief import doubt_after
-from conetl.steps.fold import Evidence, Extension, extend
-from conetl.steps.visibility import View, hidden_share, look_at_spot, looks_in_view, view_of_drive
+from conetl.mapping.existence_update import doubt_after
+from conetl.mapping.fold import Evidence, Extension, extend
+from conetl.mapping.visibility import View, look_at_spot, looks_in_view, view_of_drive
+from conetl.model.detector_evidence import DetectorEvidence, LookFigures, detect_probability
+from conetl.model.map_records import BelievedVersion, Decisions, Delta, DeltaKind, Doubt, MapFeature
+from conetl.model.params import IngestParams, ReconcileParams
+from conetl.model.records import Detection, FramePair, Side
+from conetl.tracking.apparent_boxes import hidden_share
 from tests.synthetic.world import (
     ORIGIN_M,
     START_NS,

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from conetl.params import PositionParams
-from conetl.records import (
+from conetl.evaluation.truth import TruthCone
+from conetl.model.params import PositionParams
+from conetl.model.records import (
     Detection,
     Drive,
     FramePair,
@@ -25,9 +26,8 @@ from conetl.records import (
     StereoMatch,
     Track,
 )
-from conetl.steps.association import MotionError
-from conetl.steps.evaluation import TruthCone
-from conetl.steps.positions import locate_positions
+from conetl.tracking.association import MotionError
+from conetl.tracking.positions import locate_positions
 from tests.synthetic.world import ORIGIN_M, Cone, apparent_box, camera_pose, fuse_logged, make_path
 
 SIGMA_U_PX, SIGMA_V_PX, SIGMA_POINTING_PX = 0.3, 0.8, 0.5

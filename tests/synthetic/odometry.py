@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
-from conetl.geometry.stereo_motion import RelativeMotion
-from conetl.params import TrajectoryParams
-from conetl.records import FramePair, Pose, Rig
+from conetl.geometry.motion.stereo_motion import RelativeMotion
+from conetl.model.params import TrajectoryParams
+from conetl.model.records import FramePair, Pose, Rig
 from tests.synthetic.world import ORIGIN_M, START_NS
 
 Floats = NDArray[np.float64]

@@ -9,11 +9,11 @@ from uuid import NAMESPACE_URL, uuid5
 
 import numpy as np
 
-from conetl.map_records import MapFeature
-from conetl.params import ReconcileParams
-from conetl.records import Track
-from conetl.steps.fold import Evidence
-from conetl.steps.visibility import Look
+from conetl.mapping.fold import Evidence
+from conetl.mapping.visibility import Look
+from conetl.model.map_records import MapFeature
+from conetl.model.params import ReconcileParams
+from conetl.model.records import Track
 from tests.synthetic.world import ORIGIN_M, START_NS
 
 HOUR_NS = 3_600_000_000_000

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from conetl.geometry.self_calibration import SpanPoints
+from conetl.geometry.calibration.self_calibration import SpanPoints
 
 Floats = NDArray[np.float64]
 WIDTH_PX, HEIGHT_PX, FOCAL_PX, CX_PX, CY_PX, BASELINE_M = 1242, 375, 721.5, 609.6, 172.9, 0.54

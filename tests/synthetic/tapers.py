@@ -8,11 +8,11 @@ from uuid import UUID
 
 import numpy as np
 
-from conetl.geometry.road_axis import place, stations
-from conetl.map_records import MapFeature
-from conetl.params import LayoutParams
-from conetl.steps.layout_check import allowed_spacing_m, taper_ratio
-from conetl.work_zone_records import DrivePath, LaneLine, ZoneHistory
+from conetl.model.map_records import MapFeature
+from conetl.model.params import LayoutParams
+from conetl.model.work_zone_records import DrivePath, LaneLine, ZoneHistory
+from conetl.workzones.layout_check import allowed_spacing_m, taper_ratio
+from conetl.workzones.road_axis import place, stations
 
 Fault = Literal["none", "missing", "spacing", "in lane", "short taper"]
 Floats = np.ndarray

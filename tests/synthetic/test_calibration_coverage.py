@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from conetl.geometry.calibration_covariance import calibration_cov, calibration_jacobian
+from conetl.geometry.calibration.covariance import calibration_cov, calibration_jacobian
 from conetl.simulation.paper_rig import SIGMAS, changed_views, drawn_views, paper_rig, render_pair
 from docs import accuracy_cases as cases
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from conetl.io.model_card import read_model_card
+from conetl.perception.model_card import read_model_card
 from tests.synthetic.changing_road import simulate
 
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from conetl.records import FramePair, Track
-from conetl.rejections import Rejection
+from conetl.model.records import FramePair, Track
+from conetl.model.rejections import Rejection
 from tests.synthetic.world import (
     ORIGIN_M,
     Cone,

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from conetl.geometry.calibration_covariance import calibration_jacobian
+from conetl.geometry.calibration.covariance import calibration_jacobian
+from conetl.geometry.calibration.shared import levers_of, shared_errors, unpack_all
 from conetl.geometry.packing import cov3, cov_matrix
 from conetl.geometry.rig import map_SE3_left
-from conetl.geometry.shared_calibration import levers_of, shared_errors, unpack_all
-from conetl.map_records import MapFeature
-from conetl.params import ReconcileParams
-from conetl.records import CalibrationCovariance, Rig, Track
-from conetl.steps.changes import reconcile
+from conetl.mapping.changes import reconcile
+from conetl.model.map_records import MapFeature
+from conetl.model.params import ReconcileParams
+from conetl.model.records import CalibrationCovariance, Rig, Track
 from tests.synthetic.world import ORIGIN_M, START_NS, Cone, detect, fuse_logged, locate, make_path, make_rig, shifted
 from tests.synthetic.wrong_rigs import wrong_rig
 

@@ -10,17 +10,17 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 import pytest
 
+from conetl.evaluation.accuracy import drive_consistency, position_errors, track_errors
+from conetl.evaluation.truth import TruthCone, compare_with_truth
 from conetl.geometry import pose as se3
 from conetl.geometry.consistency import Consistency, Nees
 from conetl.geometry.joint_fit import fit_point, pair_jacobian
 from conetl.geometry.rig import map_SE3_left
-from conetl.params import PositionParams, TrajectoryParams
-from conetl.records import Track
-from conetl.steps.accuracy import drive_consistency, position_errors, track_errors
-from conetl.steps.evaluation import TruthCone, compare_with_truth
-from conetl.steps.pose_errors import pose_cov
-from conetl.steps.positions import locate_positions
-from conetl.steps.trajectory import RefinementOutcome, refine_trajectory
+from conetl.model.params import PositionParams, TrajectoryParams
+from conetl.model.records import Track
+from conetl.tracking.pose_errors import pose_cov
+from conetl.tracking.positions import locate_positions
+from conetl.tracking.trajectory import RefinementOutcome, refine_trajectory
 from tests.synthetic.noisy_drive import NoisyDrive, PoseErrors, _draw, draw_drive, draw_positions
 from tests.synthetic.odometry import log_of, motions_of
 from tests.synthetic.world import Cone, camera_poses, make_path, make_rig

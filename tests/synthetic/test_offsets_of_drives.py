@@ -9,10 +9,10 @@ import pytest
 from numpy.typing import NDArray
 
 from conetl.geometry.packing import cov3, cov_matrix
-from conetl.map_records import MapFeature
-from conetl.params import ReconcileParams
-from conetl.records import Track
-from conetl.steps.changes import reconcile
+from conetl.mapping.changes import reconcile
+from conetl.model.map_records import MapFeature
+from conetl.model.params import ReconcileParams
+from conetl.model.records import Track
 from tests.synthetic.world import ORIGIN_M, START_NS
 
 Floats = NDArray[np.float64]

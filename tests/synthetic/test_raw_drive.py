@@ -16,17 +16,17 @@ from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.rectification import rectify
 from conetl.geometry.rig import map_SE3_left
-from conetl.io.calibration.files import read_kitti_rig
-from conetl.io.detector import detect_image, load_detector
-from conetl.io.drive_folder import read_drive
-from conetl.io.pictures.images import read_image
-from conetl.io.pictures.rectified_image import read_rig_image, rectify_image
-from conetl.io.visual_odometry import measure_motions
-from conetl.params import IngestParams, TrajectoryParams
-from conetl.records import Camera, Drive, FramePair, Lens, Position, Rig, Side
-from conetl.steps.detections import check_boxes
-from conetl.steps.matches import match_pair
-from conetl.steps.positions import locate_positions
+from conetl.model.params import IngestParams, TrajectoryParams
+from conetl.model.records import Camera, Drive, FramePair, Lens, Position, Rig, Side
+from conetl.perception.detections import check_boxes
+from conetl.perception.detector import detect_image, load_detector
+from conetl.perception.images import read_image
+from conetl.perception.rectified_image import read_rig_image, rectify_image
+from conetl.perception.visual_odometry import measure_motions
+from conetl.readers.drives import read_drive
+from conetl.readers.rigs import read_kitti_rig
+from conetl.tracking.matching.matches import match_pair
+from conetl.tracking.positions import locate_positions
 
 DRIVE = Path(__file__).parents[2] / "data" / "drives" / "2026-03-02_taper_pass1"
 FRAMES = (18, 22, 29, 33)

@@ -7,11 +7,11 @@ import pytest
 from scipy.stats import chi2
 
 from conetl.geometry import pose as se3
-from conetl.geometry.stereo_motion import RelativeMotion
-from conetl.params import IngestParams, TrajectoryParams
-from conetl.records import FramePair, Position
-from conetl.steps.landmarks import refine_with_cones
-from conetl.steps.trajectory import RefinementOutcome, motion_error, refine_trajectory, relative_cov
+from conetl.geometry.motion.stereo_motion import RelativeMotion
+from conetl.model.params import IngestParams, TrajectoryParams
+from conetl.model.records import FramePair, Position
+from conetl.tracking.landmarks import refine_with_cones
+from conetl.tracking.trajectory import RefinementOutcome, motion_error, refine_trajectory, relative_cov
 from tests.synthetic.noisy_drive import PoseErrors, _draw
 from tests.synthetic.odometry import log_of, motions_of, pose_errors, true_poses
 from tests.synthetic.world import Cone, make_path, make_rig

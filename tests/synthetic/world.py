@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.records import (
+from conetl.model.records import (
     Camera,
     Detection,
     FramePair,
@@ -21,7 +21,7 @@ from conetl.records import (
     StereoMatch,
     Track,
 )
-from conetl.rejections import Rejection
+from conetl.model.rejections import Rejection
 
 Floats = NDArray[np.float64]
 WIDTH_PX, HEIGHT_PX, FOCAL_PX = 1242, 375, 721.5
@@ -168,9 +168,9 @@ def locate(
     detections: dict[tuple[int, Side], list[Detection]], pairs: Sequence[FramePair], rig: Rig
 ) -> tuple[list[Detection], list[StereoMatch], list[Position]]:
     """Match and intersect given detections with the poses of `pairs` (which may be wrong on purpose)."""
-    from conetl.params import MatchParams, PositionParams
-    from conetl.steps.matches import match_pair
-    from conetl.steps.positions import locate_positions
+    from conetl.model.params import MatchParams, PositionParams
+    from conetl.tracking.matching.matches import match_pair
+    from conetl.tracking.positions import locate_positions
 
     matches: list[StereoMatch] = []
     for pair in pairs:
@@ -190,8 +190,8 @@ def fuse_logged(
     **more: Any,
 ) -> tuple[list[Track], list[Rejection]]:
     """Tracks by the poses of `logged`; `more` goes to `fuse_tracks` (params, evidence, motion)."""
-    from conetl.params import IngestParams
-    from conetl.steps.tracks import fuse_tracks
+    from conetl.model.params import IngestParams
+    from conetl.tracking.tracks import fuse_tracks
 
     by_frame: dict[int, list[Detection]] = defaultdict(list)
     for detection in found:

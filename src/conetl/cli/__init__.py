@@ -10,7 +10,7 @@ from types import FrameType
 
 from conetl.cli.app import app
 from conetl.cli.console import complain, err
-from conetl.errors import EXIT_BUG, EXIT_INTERRUPTED, ConetlError
+from conetl.model.errors import EXIT_BUG, EXIT_INTERRUPTED, ConetlError
 
 __all__ = ["main"]
 

@@ -5,21 +5,21 @@ from __future__ import annotations
 import typer
 
 from conetl.cli.backfill import backfill
-from conetl.cli.base import app as base
-from conetl.cli.calibrate import calibrate
 from conetl.cli.database import app as database
 from conetl.cli.demo import demo
-from conetl.cli.detect import detect
-from conetl.cli.evaluate import evaluate
 from conetl.cli.ingest import ingest
 from conetl.cli.inspect_drive import inspect
-from conetl.cli.lidar_check import lidar_check
-from conetl.cli.locate import locate
-from conetl.cli.maps import app as maps
+from conetl.cli.map.base import app as base
+from conetl.cli.map.show import app as maps
 from conetl.cli.report import app as report
-from conetl.cli.rig import app as rig
 from conetl.cli.services import down, status, up
-from conetl.cli.simulate import simulate
+from conetl.cli.tools.calibrate import calibrate
+from conetl.cli.tools.detect import detect
+from conetl.cli.tools.evaluate import evaluate
+from conetl.cli.tools.lidar_check import lidar_check
+from conetl.cli.tools.locate import locate
+from conetl.cli.tools.rig import app as rig
+from conetl.cli.tools.simulate import simulate
 from conetl.cli.view import view
 from conetl.cli.watch import watch
 

@@ -13,13 +13,13 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from conetl.cli.console import JsonOption, counted, err, out, parse_time, print_json, print_table
 from conetl.cli.database import open_map
 from conetl.cli.ingest import read_params
-from conetl.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_SERVICE_MISSING, EXIT_TOO_MANY_REJECTIONS
-from conetl.io.stores.told_store import QUIET, untold_changesets
-from conetl.settings import prefect_environment, read_settings
+from conetl.db.notification_store import QUIET, untold_changesets
+from conetl.model.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_SERVICE_MISSING, EXIT_TOO_MANY_REJECTIONS
+from conetl.pipeline.settings import prefect_environment, read_settings
 
 if TYPE_CHECKING:
+    from conetl.pipeline.backfill_plan import Plan
     from flows.backfill import Standing
-    from flows.plan import Plan
 
 _SHOWN = 25
 
@@ -48,7 +48,7 @@ def backfill(
     settings = read_settings()
     parameters = read_params(params)
     os.environ.update(prefect_environment(settings.home))
-    from flows.plan import plan_as_dict, plan_drives
+    from conetl.pipeline.backfill_plan import plan_as_dict, plan_drives
 
     with closing(open_map(settings)) as conn, err.status("Planning") if err.is_terminal else nullcontext():
         plan = plan_drives(
@@ -131,8 +131,8 @@ def _bar() -> Progress:
 
 
 def _print_plan(plan: Plan, parallel: int) -> None:
+    from conetl.pipeline.backfill_plan import reasons
     from flows.batch_artifacts import minutes
-    from flows.plan import reasons
 
     span = " to ".join(f"{t:%Y-%m-%d %H:%M}" if t else "..." for t in (plan.since, plan.until))
     within = f", recorded {span}" if plan.since or plan.until else ""

@@ -15,8 +15,8 @@ from rich.measure import Measurement
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from conetl.errors import ConetlError, InputError
-from conetl.io.model_card import NOT_MEASURED, ModelCard
+from conetl.model.errors import ConetlError, InputError
+from conetl.perception.model_card import NOT_MEASURED, ModelCard
 
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print the result as JSON on standard output, and nothing else there.")

@@ -9,12 +9,12 @@ import typer
 
 from conetl.cli.console import JsonOption, out, print_json, print_table
 from conetl.cli.prune import prune
-from conetl.errors import ConetlError, DatabaseError
-from conetl.io.db import Connection, connect, database_status
-from conetl.io.db import migrate as apply_migrations
-from conetl.io.services.cluster import cluster_down, cluster_status, cluster_up
-from conetl.io.stores.audits import run_audits
-from conetl.settings import Settings, read_settings
+from conetl.db.audits import run_audits
+from conetl.db.cluster.cluster import cluster_down, cluster_status, cluster_up
+from conetl.db.connection import Connection, connect, database_status
+from conetl.db.connection import migrate as apply_migrations
+from conetl.model.errors import ConetlError, DatabaseError
+from conetl.pipeline.settings import Settings, read_settings
 
 app = typer.Typer(
     help="The database that holds the map: CONETL_DATABASE_URL, or a private cluster.", no_args_is_help=True

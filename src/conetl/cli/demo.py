@@ -10,19 +10,19 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from conetl.cli.base import import_one, print_imported
 from conetl.cli.console import JsonOption, out, print_json
 from conetl.cli.database import open_map
 from conetl.cli.ingest import ingest_drives, print_report
-from conetl.cli.truth_table import line_as_dict, median_error, print_table_3, read_truth_cones
-from conetl.errors import InputError
+from conetl.cli.map.base import import_one, print_imported
+from conetl.cli.tools.truth_table import line_as_dict, median_error, print_table_3, read_truth_cones
+from conetl.db.map.map_store import read_current_features
+from conetl.evaluation.truth import compare_with_truth
+from conetl.exports.geojson import export_geojson
 from conetl.geometry.rig import map_SE3_left
-from conetl.io.drive_folder import read_drive
-from conetl.io.exports.geojson import export_geojson
-from conetl.io.stores.map_store import read_current_features
-from conetl.params import IngestParams
-from conetl.settings import read_settings
-from conetl.steps.evaluation import compare_with_truth
+from conetl.model.errors import InputError
+from conetl.model.params import IngestParams
+from conetl.pipeline.settings import read_settings
+from conetl.readers.drives import read_drive
 
 _SAMPLES = Path("data/drives")
 #: Beside the folder of drives: what the map lies on in the browser.

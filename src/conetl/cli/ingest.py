@@ -12,17 +12,24 @@ from typing import Annotated
 import typer
 
 from conetl.cli.console import JsonOption, complain, err, note_unmeasured, out, print_json, print_table, progress_bar
-from conetl.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_TOO_MANY_REJECTIONS, ConetlError, InputError, ServiceError
-from conetl.io.drive_folder import drive_format, read_drive
-from conetl.io.drive_folder.outline import outline_drive
-from conetl.io.leftovers import sweep
-from conetl.io.model_card import read_model_card
-from conetl.io.places import is_remote, place
-from conetl.io.yaml_model import read_yaml_model
-from conetl.map_records import DeltaKind
-from conetl.params import IngestParams
-from conetl.reports import IngestReport, TooManyRejectionsError
-from conetl.settings import Settings, prefect_environment, read_settings
+from conetl.files.partial_files import sweep
+from conetl.files.storage import is_remote, place
+from conetl.files.yaml_model import read_yaml_model
+from conetl.model.errors import (
+    EXIT_BAD_INPUT,
+    EXIT_DONE,
+    EXIT_TOO_MANY_REJECTIONS,
+    ConetlError,
+    InputError,
+    ServiceError,
+)
+from conetl.model.ingest_report import IngestReport, TooManyRejectionsError
+from conetl.model.map_records import DeltaKind
+from conetl.model.params import IngestParams
+from conetl.perception.model_card import read_model_card
+from conetl.pipeline.settings import Settings, prefect_environment, read_settings
+from conetl.readers.drives import drive_format, read_drive
+from conetl.readers.drives.header import outline_drive
 
 
 def ingest(
@@ -85,7 +92,7 @@ def ingest_drives(
     with ExitStack() as running:
         with err.status("Starting Prefect") if err.is_terminal else nullcontext():
             # Prefect reads its environment when it is imported, and takes two seconds for it: not at the top of the file.
-            from flows import progress
+            from conetl.pipeline import progress
             from flows.ingest_drive import ingest_drive
             from flows.retries import as_known
             from flows.runners import with_runner

@@ -8,12 +8,12 @@ from typing import Annotated
 import typer
 
 from conetl.cli.console import JsonOption, out, print_json, print_table
-from conetl.errors import EXIT_DONE, EXIT_TOO_MANY_REJECTIONS, InputError
-from conetl.io.drive_folder import drive_format, read_drive
-from conetl.io.drive_folder.summary import DriveSummary, summarise
-from conetl.io.exports.drive_picture import draw_drive
-from conetl.params import IngestParams
-from conetl.settings import read_settings
+from conetl.model.errors import EXIT_DONE, EXIT_TOO_MANY_REJECTIONS, InputError
+from conetl.model.params import IngestParams
+from conetl.pipeline.settings import read_settings
+from conetl.readers.drives import drive_format, read_drive
+from conetl.readers.drives.summary import DriveSummary, summarise
+from conetl.reports.drive_image import draw_drive
 
 FORMAT_NAMES = {
     "kitti": "KITTI raw layout", "plain": "plain folder", "euroc": "EuRoC / ASL folder", "bag": "ROS 2 bag or MCAP",

@@ -11,11 +11,11 @@ from typing import Annotated, Any
 import typer
 
 from conetl.cli.console import JsonOption, out, print_json, print_table
-from conetl.errors import InputError
-from conetl.io.leftovers import sweep
-from conetl.io.old_files import old_pictures, old_publications, old_results, remove, size_bytes
-from conetl.io.stores.retention import parse_age, prunable_drives, prune_drives
-from conetl.settings import read_settings
+from conetl.db.retention import parse_age, prunable_drives, prune_drives
+from conetl.files.expiry import old_pictures, old_publications, old_results, remove, size_bytes
+from conetl.files.partial_files import sweep
+from conetl.model.errors import InputError
+from conetl.pipeline.settings import read_settings
 
 
 def prune(

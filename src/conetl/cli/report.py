@@ -11,9 +11,9 @@ import typer
 
 from conetl.cli.console import JsonOption, out, parse_time, print_json
 from conetl.cli.database import open_map
-from conetl.errors import InputError
-from conetl.io.qa.drive_facts import find_drive
-from conetl.settings import read_settings
+from conetl.model.errors import InputError
+from conetl.pipeline.settings import read_settings
+from conetl.reports.drive_facts import find_drive
 
 app = typer.Typer(help="QA reports: what a drive, or a night, did to the map.", no_args_is_help=True)
 
@@ -27,7 +27,7 @@ def drive(
     as_json: JsonOption = False,
 ) -> None:
     """Counts, changes with pictures, residuals, refused records, times, versions and hashes of one drive."""
-    from conetl.io.qa.drive_page import write_drive_page  # here: matplotlib takes half a second to load
+    from conetl.reports.drive_page import write_drive_page  # here: matplotlib takes half a second to load
 
     settings = read_settings()
     with closing(open_map(settings)) as conn:
@@ -57,7 +57,7 @@ def night(
     as_json: JsonOption = False,
 ) -> None:
     """All drives of a map in a span of processing time: taken, failed and why, changes, worst drives, map size."""
-    from conetl.io.qa.night_page import write_night_page
+    from conetl.reports.night_page import write_night_page
 
     settings = read_settings()
     begin, end = _span(day, since, until)

@@ -17,11 +17,12 @@ import httpx
 import typer
 
 from conetl.cli.console import JsonOption, err, out, print_json, print_table
-from conetl.errors import EXIT_SERVICE_MISSING, InputError, ServiceError
-from conetl.io.db import connect, migrate, prefect_database, sqlalchemy_url
-from conetl.io.services.cluster import cluster_down, cluster_status, cluster_up
-from conetl.io.services.prefect_api import is_healthy, require_access
-from conetl.io.services.processes import (
+from conetl.db.cluster.cluster import cluster_down, cluster_status, cluster_up
+from conetl.db.connection import connect, migrate, prefect_database, sqlalchemy_url
+from conetl.model.errors import EXIT_SERVICE_MISSING, InputError, ServiceError
+from conetl.pipeline.settings import SERVER_AUTH, Settings, prefect_auth_string, prefect_environment, read_settings
+from conetl.services.prefect_api import is_healthy, require_access
+from conetl.services.processes import (
     Service,
     is_running,
     log_tail,
@@ -33,7 +34,6 @@ from conetl.io.services.processes import (
     wait_healthy,
     write_services,
 )
-from conetl.settings import SERVER_AUTH, Settings, prefect_auth_string, prefect_environment, read_settings
 
 _LOOPBACK = {"127.0.0.1", "::1", "localhost"}
 _TIMEOUT_S = 180

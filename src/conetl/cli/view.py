@@ -11,13 +11,13 @@ import typer
 import uvicorn
 
 from conetl.cli.console import JsonOption, err, out, print_json
-from conetl.errors import InputError
-from conetl.io.db import connect, migrate
-from conetl.io.services.cluster import cluster_up
-from conetl.io.services.writer_token import checked_token, make_writer_token, read_writer_token
-from conetl.settings import Settings, read_settings
+from conetl.db.cluster.cluster import cluster_up
+from conetl.db.connection import connect, migrate
+from conetl.model.errors import InputError
+from conetl.pipeline.settings import Settings, read_settings
 from conetl.web.app import STATIC, create_app
 from conetl.web.models import Decided
+from conetl.web.writer_token import checked_token, make_writer_token, read_writer_token
 from conetl.web.writing import Decide, PlaceWish, RevertWish, WithdrawWish, Writer
 
 #: Requests that are served at one time; more are answered 503 at once.
@@ -90,7 +90,7 @@ def writer_of(settings: Settings, url: str, *, on_request: bool, token_file: Pat
 
 def decide_on(url: str) -> Decide:
     """The function by which the web view writes decisions, as `conetl map suppress|pin|revert` do."""
-    from flows.decide import decide_place, revert
+    from conetl.pipeline.decisions import decide_place, revert
 
     def decide(map_name: str, wish: PlaceWish | RevertWish | WithdrawWish, /) -> Decided:
         with closing(connect(url)) as conn:

@@ -14,9 +14,9 @@ import typer
 from conetl.cli.console import JsonOption, err, out, print_json, print_table
 from conetl.cli.database import open_map
 from conetl.cli.ingest import read_params
-from conetl.errors import DriveFolderError
-from conetl.io.stores.live_store import read_provisional
-from conetl.settings import Settings, read_settings
+from conetl.db.live_store import read_provisional
+from conetl.model.errors import DriveFolderError
+from conetl.pipeline.settings import Settings, read_settings
 
 if TYPE_CHECKING:  # onnxruntime and the watcher are loaded when they are needed
     from flows.watch import PairTime, WatchReport

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from conetl.geometry import lens as lenses
-from conetl.records import Camera
+from conetl.model.records import Camera
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry.lens import distort, distort_jacobian, field_radius, undistort
-from conetl.records import Lens
+from conetl.model.records import Lens
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]

@@ -35,7 +35,7 @@ from conetl.geometry.collinearity import (
     linear_start,
     make_views,
 )
-from conetl.records import Lens
+from conetl.model.records import Lens
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]

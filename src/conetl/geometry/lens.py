@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from conetl.records import Lens
+from conetl.model.records import Lens
 
 Array = NDArray[np.float64]
 

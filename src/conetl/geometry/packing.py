@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.records import Cov3, Vec3
+from conetl.model.records import Cov3, Vec3
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from conetl.records import Matrix3, Matrix4, Pose
+from conetl.model.records import Matrix3, Matrix4, Pose
 
 Array = NDArray[np.float64]
 

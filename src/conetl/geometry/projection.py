@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from conetl.geometry.lens import distort, distort_jacobian
-from conetl.records import Camera
+from conetl.model.records import Camera
 
 Array = NDArray[np.float64]
 

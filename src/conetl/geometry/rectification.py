@@ -18,7 +18,7 @@ from conetl.geometry import camera as cameras
 from conetl.geometry import lens as lenses
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
-from conetl.records import Camera, Rig, Side
+from conetl.model.records import Camera, Rig, Side
 
 Array = NDArray[np.float64]
 Box = tuple[float, float, float, float]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry import pose as se3
-from conetl.records import Camera, Pose, Rig, Side
+from conetl.model.records import Camera, Pose, Rig, Side
 
 Array = NDArray[np.float64]
 

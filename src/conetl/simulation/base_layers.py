@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 
-from conetl.errors import InputError
-from conetl.geometry.point_tiles import first_in_voxels
+from conetl.model.errors import InputError
+from conetl.readers.base_layers.point_tiles import first_in_voxels
 from conetl.simulation.scenario import scenario_pass
 from conetl.simulation.scene import build_scene, load_mitsuba
 from conetl.simulation.trajectory import MAP_SRID, map_SE3_road

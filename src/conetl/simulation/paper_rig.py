@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from conetl.records import CalibrationCovariance, Camera, Matrix4, Rig
+from conetl.model.records import CalibrationCovariance, Camera, Matrix4, Rig
 from conetl.simulation.scene import PinholeCamera, build_scene, render
 from conetl.simulation.world import Cone, World
 

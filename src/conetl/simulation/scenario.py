@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from conetl.errors import InputError
+from conetl.model.errors import InputError
 from conetl.simulation.world import Cone, RoadObject, World
 
 PASS_NUMBERS = (1, 2, 3)

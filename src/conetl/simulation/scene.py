@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.errors import InputError
+from conetl.model.errors import InputError
 from conetl.simulation import meshes, textures
 from conetl.simulation.parts import BUILDERS, Part, cone_parts, motion
 from conetl.simulation.world import World

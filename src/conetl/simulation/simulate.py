@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.errors import InputError
+from conetl.model.errors import InputError
 from conetl.simulation import camera_noise, kitti_writer, trajectory
 from conetl.simulation.rig import simulated_rig
 from conetl.simulation.scenario import scenario_pass

@@ -12,11 +12,11 @@ from fastapi.staticfiles import StaticFiles
 from starlette.middleware.gzip import GZipMiddleware
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
-from conetl.errors import DatabaseError, StorageError
-from conetl.io.pictures.crops import PictureMissingError
-from conetl.io.pictures.images import ImageFileError
-from conetl.io.stores.async_reader_pool import AsyncReaderPool
-from conetl.io.stores.reader_pool import ReaderPool
+from conetl.db.async_reader_pool import AsyncReaderPool
+from conetl.db.reader_pool import ReaderPool
+from conetl.model.errors import DatabaseError, StorageError
+from conetl.perception.images import ImageFileError
+from conetl.reports.crops import PictureMissingError
 from conetl.web import (
     routes_base,
     routes_decisions,

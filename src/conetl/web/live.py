@@ -12,10 +12,10 @@ from contextlib import suppress
 
 from starlette.concurrency import run_in_threadpool
 
-from conetl.errors import DatabaseError
-from conetl.io.db import Connection
-from conetl.io.stores.reader_pool import ReaderPool, wait_for_news
-from conetl.io.stores.serve_store import Head, read_heads
+from conetl.db.connection import Connection
+from conetl.db.reader_pool import ReaderPool, wait_for_news
+from conetl.db.serve_store import Head, read_heads
+from conetl.model.errors import DatabaseError
 
 #: How often streams look whether the server stops, and the listener whether anybody still listens.
 ROUND_S = 0.5

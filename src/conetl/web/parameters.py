@@ -11,10 +11,10 @@ from fastapi import Depends, HTTPException, Path, Query, Request
 from pydantic import AfterValidator, BeforeValidator
 from pydantic_core import PydanticCustomError
 
-from conetl.io.db import Connection
-from conetl.io.stores.reader_pool import ReaderPool
-from conetl.io.stores.serve_store import read_origin
-from conetl.records import Vec3
+from conetl.db.connection import Connection
+from conetl.db.reader_pool import ReaderPool
+from conetl.db.serve_store import read_origin
+from conetl.model.records import Vec3
 
 #: More rows than this are never sent in one answer; it then says so.
 MAX_FEATURES = 20_000

@@ -10,8 +10,8 @@ import numpy as np
 import shapely
 from fastapi import APIRouter, HTTPException, Path, Request, Response
 
-from conetl.io.db import Connection
-from conetl.io.stores.serve_store import read_base_lines, read_base_sources, read_base_tile, read_base_tiles
+from conetl.db.connection import Connection
+from conetl.db.serve_store import read_base_lines, read_base_sources, read_base_tile, read_base_tiles
 from conetl.web.models import BaseLayer, BaseLayers, BaseLine, BaseLines, BaseTile
 from conetl.web.parameters import MAX_BASE_LINES, MAX_BASE_TILES, MapName, Reader, origin_of
 
@@ -80,7 +80,7 @@ def base_lines(map_name: MapName, conn: Reader, request: Request, response: Resp
     responses={200: {"content": {"application/octet-stream": {}}}, 304: {"description": "The browser has it."}},
 )
 def base_tile(map_name: MapName, sha256: Sha256, conn: Reader, request: Request) -> Response:
-    """The points of one tile, 7 bytes a point (see geometry/point_tiles.py). The address tells the content: it never changes."""
+    """The points of one tile, 7 bytes a point (see readers/base_layers/point_tiles.py). The address tells the content: it never changes."""
     headers = {"ETag": f'"{sha256}"', "Cache-Control": _FOR_EVER, "Vary": "Accept-Encoding"}
     payload = read_base_tile(conn, map_name, sha256)
     if payload is None:

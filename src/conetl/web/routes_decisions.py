@@ -7,9 +7,9 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Body, HTTPException, Request
 from fastapi.responses import JSONResponse
 
-from conetl.errors import ConflictError, InputError
-from conetl.io.stores.reader_pool import ReaderPool
-from conetl.io.stores.serve_store import read_decisions, read_feature_history
+from conetl.db.reader_pool import ReaderPool
+from conetl.db.serve_store import read_decisions, read_feature_history
+from conetl.model.errors import ConflictError, InputError
 from conetl.web import rows as to
 from conetl.web.models import Conflict, Decided, Decisions, Problem
 from conetl.web.parameters import MapName, Reader, origin_of

@@ -7,7 +7,7 @@ from uuid import UUID
 
 from fastapi import APIRouter, HTTPException, Query
 
-from conetl.io.stores.serve_store import (
+from conetl.db.serve_store import (
     find_features,
     read_changes_between,
     read_changeset_changes,
@@ -16,8 +16,8 @@ from conetl.io.stores.serve_store import (
     read_rigs,
     read_sightings,
 )
-from conetl.params import ReconcileParams
-from conetl.records import Rig
+from conetl.model.params import ReconcileParams
+from conetl.model.records import Rig
 from conetl.web import rows as to
 from conetl.web.models import Changes, FeatureHistory, Features, FoundFeatures, Sightings
 from conetl.web.parameters import (

@@ -6,9 +6,9 @@ from uuid import UUID
 
 from fastapi import APIRouter, HTTPException, Request
 
-from conetl.io.stores.map_store import find_map, list_changesets
-from conetl.io.stores.serve_store import read_maps, read_trajectory
-from conetl.records import Rig, Vec3, utc_from_ns
+from conetl.db.map.map_store import find_map, list_changesets
+from conetl.db.serve_store import read_maps, read_trajectory
+from conetl.model.records import Rig, Vec3, utc_from_ns
 from conetl.web.models import MapItem, Maps, Timeline, Trajectory
 from conetl.web.parameters import MAX_TRAJECTORY, MapName, Reader, origin_of
 from conetl.web.rows import camera_place, timeline_item

@@ -7,10 +7,10 @@ from uuid import UUID
 
 from fastapi import APIRouter, HTTPException, Request, Response
 
-from conetl.io.pictures.crops import crop_jpeg, picture_file
-from conetl.io.stores.reader_pool import ReaderPool
-from conetl.io.stores.serve_store import read_sighting_picture
-from conetl.records import Rig
+from conetl.db.reader_pool import ReaderPool
+from conetl.db.serve_store import read_sighting_picture
+from conetl.model.records import Rig
+from conetl.reports.crops import crop_jpeg, picture_file
 from conetl.web.parameters import Context, FrameIndex, MapName, MatchIndex
 
 router = APIRouter(tags=["pictures"])

@@ -7,8 +7,8 @@ from uuid import UUID
 
 from fastapi import APIRouter
 
-from conetl.io.stores.live_store import read_provisional
-from conetl.records import Vec3, utc_from_ns
+from conetl.db.live_store import read_provisional
+from conetl.model.records import Vec3, utc_from_ns
 from conetl.web.models import Answer
 from conetl.web.parameters import MAX_FEATURES, MapName, Reader, origin_of
 from conetl.web.rows import local

@@ -5,8 +5,8 @@ from __future__ import annotations
 from fastapi import APIRouter, HTTPException, Response
 from fastapi.responses import HTMLResponse
 
-from conetl.errors import InputError
-from conetl.io.stores.map_store import list_changesets
+from conetl.db.map.map_store import list_changesets
+from conetl.model.errors import InputError
 from conetl.web.parameters import ChangesetNo, MapName, Reader, origin_of
 
 router = APIRouter(tags=["reports"], prefix="/maps/{map_name}")
@@ -20,7 +20,7 @@ _POLICY = (
 @router.get("/changesets/{changeset_no}/report", response_class=HTMLResponse)
 def drive_report(map_name: MapName, changeset_no: ChangesetNo, conn: Reader) -> Response:
     """Counts, changes with pictures, residuals, refused records, times and hashes of one drive."""
-    from conetl.io.qa.drive_page import drive_page  # here: matplotlib takes half a second to load
+    from conetl.reports.drive_page import drive_page  # here: matplotlib takes half a second to load
 
     origin_of(conn, map_name)
     found = [c for c in list_changesets(conn, map_name=map_name) if c.changeset_no == changeset_no]

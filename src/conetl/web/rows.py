@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from conetl.db.map.results import CommittedChangeset
 from conetl.geometry.rig import map_SE3_left
-from conetl.io.stores.map_results import CommittedChangeset
-from conetl.records import Pose, Rig, Vec3, utc_from_ns
+from conetl.model.records import Pose, Rig, Vec3, utc_from_ns
 from conetl.web.models import Box, Change, Decision, Feature, HistoryItem, Sighting, TimelineItem
 
 Row = Mapping[str, Any]

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 import pytest
 
 from conetl.cli.console import parse_time, print_table
-from conetl.errors import InputError
+from conetl.model.errors import InputError
 
 
 def test_a_day_is_its_first_instant_in_either_form_of_iso_8601():

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from conetl.cli.exchange import _format_by_name
-from conetl.errors import InputError
+from conetl.cli.map.exchange import _format_by_name
+from conetl.model.errors import InputError
 
 
 @pytest.mark.parametrize(

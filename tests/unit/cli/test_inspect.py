@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from conetl.cli import main
-from conetl.io.drive_folder import read_drive
-from conetl.records import Rig
-from tests.unit.io.drive_formats import SAMPLE, WRITERS, Frame, changed, sample_frames, write_euroc, write_kitti
+from conetl.model.records import Rig
+from conetl.readers.drives import read_drive
+from tests.unit.readers.drive_formats import SAMPLE, WRITERS, Frame, changed, sample_frames, write_euroc, write_kitti
 
 
 @pytest.fixture(scope="module")

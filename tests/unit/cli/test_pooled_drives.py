@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from conetl.cli.pooled_drives import DriveErrors, as_dict, pool, print_pooled
-from conetl.steps.accuracy import PointErrors, position_errors
+from conetl.cli.tools.pooled_drives import DriveErrors, as_dict, pool, print_pooled
+from conetl.evaluation.accuracy import PointErrors, position_errors
 from tests.synthetic.noisy_drive import PoseErrors, draw_positions
 from tests.synthetic.world import Cone, make_rig
 

@@ -11,9 +11,9 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from conetl.cli.rig import app
-from conetl.errors import CalibrationError, InputError
-from conetl.io.calibration.files import read_rig
+from conetl.cli.tools.rig import app
+from conetl.model.errors import CalibrationError, InputError
+from conetl.readers.rigs import read_rig
 
 RIG = """
 rig_id: a6000-pair

@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from conetl.cli.app import app
-from conetl.errors import InputError
+from conetl.model.errors import InputError
 
 
 def test_an_empty_home_is_told_and_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 from conetl.geometry import camera as cam
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
-from conetl.geometry.calibration_covariance import calibration_cov, calibration_jacobian, shared_cov
+from conetl.geometry.calibration.covariance import calibration_cov, calibration_jacobian, shared_cov
 from conetl.geometry.intersection import intersect
 from conetl.geometry.rectification import rectify
-from conetl.records import CalibrationCovariance, Camera, Lens, Rig
+from conetl.model.records import CalibrationCovariance, Camera, Lens, Rig
 
 Array = NDArray[np.float64]
 

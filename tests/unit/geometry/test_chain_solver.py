@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from conetl.geometry.chain_solver import ChainNormal, covariance, cross_covariance, joint_covariance, solve
+from conetl.geometry.motion.chain_solver import ChainNormal, covariance, cross_covariance, joint_covariance, solve
 
 
 def random_normal(seed: int, count: int, size: int, shared: int) -> tuple[ChainNormal, np.ndarray, np.ndarray]:

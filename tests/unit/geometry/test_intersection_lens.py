@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 from conetl.geometry import pose as se3
 from conetl.geometry.camera import project as project_one
 from conetl.geometry.intersection import IntersectionStatus, intersect
-from conetl.records import Camera, Lens
+from conetl.model.records import Camera, Lens
 
 Array = NDArray[np.float64]
 LENSES = {

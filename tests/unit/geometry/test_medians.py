@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from conetl.geometry.medians import median
-from conetl.geometry.stereo_motion import inverse_of_symmetric
+from conetl.geometry.motion.stereo_motion import inverse_of_symmetric
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=40))

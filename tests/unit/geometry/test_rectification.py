@@ -20,7 +20,7 @@ from conetl.geometry.rectification import (
     rectify,
     stored_camera,
 )
-from conetl.records import Camera, Lens, Rig
+from conetl.model.records import Camera, Lens, Rig
 
 BARREL = Lens(model="brown", coefficients=(-0.3691481, 0.1968681, 1.353473e-3, 5.677587e-4, -0.0677))
 FISHEYE = Lens(model="fisheye", coefficients=(0.02, -0.01, 0.004, -0.0008))

@@ -9,8 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from conetl.geometry.self_calibration import SpanPoints, corrected, estimate_right_camera
-from conetl.geometry.stereo_motion import MotionLimits, StereoCameras, project
+from conetl.geometry.calibration.self_calibration import SpanPoints, corrected, estimate_right_camera
+from conetl.geometry.motion.stereo_motion import MotionLimits, StereoCameras, project
 from tests.synthetic.spans import BASELINE_M, CX_PX, CY_PX, FOCAL_PX, make_span, see
 
 INTRINSICS = np.array([FOCAL_PX, FOCAL_PX, CX_PX, CY_PX])

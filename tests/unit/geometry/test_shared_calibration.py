@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
-from conetl.geometry.calibration_covariance import calibration_jacobian, shared_cov
-from conetl.geometry.shared_calibration import (
+from conetl.geometry.calibration.covariance import calibration_jacobian, shared_cov
+from conetl.geometry.calibration.shared import (
     calibration_id,
     levers_of,
     pack_all,
@@ -17,7 +17,7 @@ from conetl.geometry.shared_calibration import (
     unpack_all,
     with_covariance,
 )
-from conetl.records import CalibrationCovariance, Rig
+from conetl.model.records import CalibrationCovariance, Rig
 from tests.synthetic.world import make_rig
 
 NAMES = ("left.fx_px", "left.cx_px", "right.cx_px", "relative.ry_rad", "relative.tx_m")

@@ -11,9 +11,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from conetl.geometry import pose as se3
-from conetl.geometry import stereo_motion
-from conetl.geometry.pose_steps import all_stepped, stepped
-from conetl.geometry.stereo_motion import (
+from conetl.geometry.motion import stereo_motion
+from conetl.geometry.motion.stereo_motion import (
     MotionLimits,
     MotionStatus,
     RelativeMotion,
@@ -22,6 +21,7 @@ from conetl.geometry.stereo_motion import (
     project,
     triangulate,
 )
+from conetl.geometry.pose_steps import all_stepped, stepped
 
 LENS = np.array([720.0, 715.0, 610.0, 173.0])
 RIGHT_SE3_LEFT = se3.se3(Rotation.from_rotvec([0.002, -0.003, 0.001]).as_matrix(), [-0.53, 0.004, -0.003])

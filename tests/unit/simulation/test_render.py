@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 import pytest
 
-from conetl.errors import InputError
+from conetl.evaluation.truth_file import read_truth
 from conetl.geometry.camera import project
 from conetl.geometry.rig import body_SE3_camera, map_SE3_camera
-from conetl.io.drive_folder import read_drive
-from conetl.io.truth_file import read_truth
+from conetl.model.errors import InputError
+from conetl.readers.drives import read_drive
 from conetl.simulation import camera_noise, trajectory
 from conetl.simulation.rig import simulated_rig
 from conetl.simulation.scenario import scenario_pass
@@ -144,7 +144,7 @@ def test_without_mitsuba_the_extra_is_named(tmp_path: Path) -> None:
     code = (
         "import sys; sys.modules['mitsuba'] = None\n"
         "from pathlib import Path\n"
-        "from conetl.errors import InputError\n"
+        "from conetl.model.errors import InputError\n"
         "from conetl.simulation.simulate import simulate_drive\n"
         "try:\n    simulate_drive(Path(sys.argv[1]), pass_number=1, seed=1)\n"
         "except InputError as error:\n    print(error)\n"

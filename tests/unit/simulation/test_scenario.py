@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from conetl.errors import InputError
+from conetl.model.errors import InputError
 from conetl.simulation import trajectory
 from conetl.simulation.rig import simulated_rig
 from conetl.simulation.scenario import scenario_pass

@@ -12,10 +12,10 @@ from pyproj import Geod, Transformer
 
 from conetl.geometry import pose as se3
 from conetl.geometry.rig import body_SE3_camera
-from conetl.io.calibration.files import read_rig
-from conetl.io.drive_folder import oxts
-from conetl.io.drive_folder.drive_yaml import Sigmas
-from conetl.io.drive_folder.timestamps import parse_timestamp
+from conetl.readers.drives import oxts
+from conetl.readers.drives.drive_yaml import Sigmas
+from conetl.readers.drives.timestamps import parse_timestamp
+from conetl.readers.rigs import read_rig
 from conetl.simulation import kitti_writer, trajectory
 from conetl.simulation.rig import CAMERA_HEIGHT_M, simulated_rig
 from conetl.simulation.scenario import scenario_pass

@@ -15,10 +15,10 @@ from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Receive, Scope, Send
 from tipg.errors import NotFound, TiPgError
 
-from conetl.errors import DatabaseError
-from conetl.io.stores.async_reader_pool import AsyncReaderPool
-from conetl.io.stores.ogc_store import MapDirectory
-from conetl.io.stores.reader_pool import STATEMENT_TIMEOUT
+from conetl.db.async_reader_pool import AsyncReaderPool
+from conetl.db.ogc_store import MapDirectory
+from conetl.db.reader_pool import STATEMENT_TIMEOUT
+from conetl.model.errors import DatabaseError
 from conetl.web.ogc.collections import EmptyTableError
 from conetl.web.ogc.definition import define
 from conetl.web.ogc.endpoints import API_DEFINITION_TYPE, DESCRIPTION, TITLE, conformance, endpoints, landing

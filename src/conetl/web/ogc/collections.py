@@ -15,7 +15,7 @@ from tipg.collections import Column, ItemList, Parameter, PgCollection
 from tipg.errors import NotFound
 from tipg.model import Extent, Spatial, Temporal
 
-from conetl.io.stores.ogc_store import (
+from conetl.db.ogc_store import (
     ALL_ROWS,
     EVERYWHERE,
     Degrees,
@@ -29,7 +29,7 @@ from conetl.io.stores.ogc_store import (
     rows_within,
     warm_session,
 )
-from conetl.params import ReconcileParams
+from conetl.model.params import ReconcileParams
 from conetl.web.ogc.pages import Page
 from conetl.web.ogc.values import BadParameterError, check_value
 

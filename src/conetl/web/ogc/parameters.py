@@ -13,8 +13,8 @@ from tipg.collections import CollectionList
 from tipg.errors import NotFound
 from tipg.resources.enums import MediaType
 
-from conetl.io.stores.async_reader_pool import AsyncReaderPool
-from conetl.io.stores.ogc_store import Degrees, MapDirectory, ServedMap
+from conetl.db.async_reader_pool import AsyncReaderPool
+from conetl.db.ogc_store import Degrees, MapDirectory, ServedMap
 from conetl.web.ogc.collections import AsOfCollection, Instants, changes_of, features_of
 from conetl.web.ogc.values import BadParameterError, read_instant
 from conetl.web.parameters import Instant

@@ -1,0 +1,108 @@
+"""`conetl detect`: cones in any pictures, without calibration."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+from conetl.cli.console import JsonOption, complain, out, print_json, progress_bar
+from conetl.files.atomic import atomic_text_file
+from conetl.model.detector_evidence import DetectorEvidence, calibrated_probability
+from conetl.model.errors import EXIT_TOO_MANY_REJECTIONS, InputError
+from conetl.perception.detector import detect_image, load_detector
+from conetl.perception.images import ImageFileError, read_upright_image
+from conetl.pipeline.settings import read_settings
+from conetl.reports.annotated_image import write_annotated_image
+
+_SUFFIXES = {".jpg", ".jpeg", ".png"}
+
+
+def detect(
+    images: Annotated[list[Path], typer.Argument(help="Images, or folders of images (.jpg, .jpeg, .png).")],
+    output: Annotated[Path, typer.Option("--out", help="Where to write the detections.")] = Path("detections.json"),
+    score: Annotated[float, typer.Option(min=0.0, max=1.0, help="Lowest score that is written.")] = 0.3,
+    draw: Annotated[
+        Path | None, typer.Option(help="Folder for annotated copies of the pictures: boxes, scores, feet and tips.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Find cones in images and write their boxes as JSON.
+
+    One entry per box: file_name, category, bbox [x, y, w, h], score (the network's own), probability (that the box holds a cone,
+    where the model was calibrated), foot and tip [x, y], all in pixels of the picture as it is shown (orientation tags are
+    applied). Exit code 1 where some pictures could not be read; the others are written all the same.
+    """
+    paths = _image_files(images)
+    drawn_names = _drawn_names(paths) if draw is not None else []
+    detector = load_detector(read_settings().model_path)
+    found: list[dict[str, Any]] = []
+    refused: list[str] = []
+    # Opened first: a place where nothing can be written should cost no hour of detection.
+    with atomic_text_file(output) as file, progress_bar() as bars:
+        for number, path in enumerate(bars.track(paths, description="detect")):
+            try:
+                image = read_upright_image(path)
+            except ImageFileError as error:
+                refused.append(str(path))
+                complain(InputError(str(error)))
+                continue
+            boxes = detect_image(detector, image, score_threshold=score)
+            found += [_entry(path, box, detector.card.evidence) for box in boxes]
+            if draw is not None:
+                write_annotated_image(draw / drawn_names[number], image, boxes)
+        if len(refused) == len(paths):
+            raise InputError("none of the images could be read; nothing was written")
+        file.write(json.dumps(found, indent=1) + "\n")
+    if as_json:
+        print_json({"images": len(paths), "refused": refused, "detections": len(found), "written": str(output)})
+    else:
+        out.print(f"{len(found)} cones in {len(paths) - len(refused)} images -> {output}", markup=False)
+        if draw is not None:
+            out.print(f"annotated pictures -> {draw}", markup=False)
+    if refused:
+        raise typer.Exit(EXIT_TOO_MANY_REJECTIONS)
+
+
+def _entry(path: Path, box: NDArray[np.float64], evidence: DetectorEvidence | None) -> dict[str, Any]:
+    entry: dict[str, Any] = {
+        "file_name": str(path),
+        "category": "traffic_cone",
+        "bbox": [round(value, 2) for value in box[:4].tolist()],
+        "score": round(float(box[4]), 4),
+    }
+    if evidence is not None:
+        entry["probability"] = round(calibrated_probability(evidence.calibration, float(box[4])), 4)
+    if np.isfinite(box[5:9]).all():  # a network without these outputs gives none
+        entry["foot"] = [round(value, 2) for value in box[5:7].tolist()]
+        entry["tip"] = [round(value, 2) for value in box[7:9].tolist()]
+    return entry
+
+
+def _drawn_names(paths: list[Path]) -> list[str]:
+    """A name for each annotated copy; pictures of equal name from several folders are told apart by a number."""
+    names: dict[str, None] = {}
+    for path in paths:
+        name, count = f"{path.stem}.jpg", 2
+        while name in names:
+            name, count = f"{path.stem}_{count}.jpg", count + 1
+        names[name] = None
+    return list(names)
+
+
+def _image_files(arguments: list[Path]) -> list[Path]:
+    paths: list[Path] = []
+    for argument in arguments:
+        if argument.is_dir():
+            paths += sorted(p for p in argument.rglob("*") if p.suffix.lower() in _SUFFIXES)
+        elif argument.is_file():
+            paths.append(argument)
+        else:
+            raise InputError(f"{argument}: no such file or folder")
+    if not paths:
+        raise InputError(f"no images (.jpg, .jpeg, .png) in {', '.join(str(a) for a in arguments)}")
+    return paths

@@ -1,0 +1,170 @@
+"""`conetl rig`: look at a rig's calibration file, and take it from one tool to another."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from scipy.spatial.transform import Rotation
+
+from conetl.cli.console import JsonOption, out, print_json, print_table
+from conetl.geometry import rig as rigs
+from conetl.geometry.rectification import is_rectified, rectify
+from conetl.model.errors import InputError
+from conetl.model.records import Camera, Rig, Side
+from conetl.readers.rigs import FORMAT_NAMES, RIG_YAML, WRITERS, read_rig_and_format
+
+app = typer.Typer(no_args_is_help=True, help="Look at a calibration file, or take it from one tool to another.")
+
+SizeOption = Annotated[
+    str | None,
+    typer.Option("--image-size", help="Picture size like 1242x375, where the file (OpenCV, MATLAB) has none."),
+]
+UnitOption = Annotated[
+    str | None, typer.Option("--unit", help="Unit of the baseline in an OpenCV or MATLAB file: m, cm, mm, in.")
+]
+_PLACES = {"_px": 3, "_rad": 6, "_m": 5}
+
+
+@app.command()
+def show(
+    file: Annotated[Path, typer.Argument(help="Calibration file of any known format, or a folder with one.")],
+    image_size: SizeOption = None,
+    unit: UnitOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Print interior and exterior orientation as tables, with their sigmas where the file tells them."""
+    rig, found = read_rig_and_format(file, image_size=_size(image_size), length_unit=unit)
+    if as_json:
+        rectified = is_rectified(rig)
+        print_json(
+            {"format": found, "rectified": rectified, "baseline_m": rig.baseline_m, "rig": rig.model_dump(mode="json")}
+        )
+        return
+    out.print(f"{file}: {FORMAT_NAMES[found]}, rig {rig.rig_id}", markup=False)
+    sigmas = _sigmas(rig)
+    interior: list[tuple[str, ...]] = [
+        ("picture", f"{rig.left.width_px} x {rig.left.height_px}", f"{rig.right.width_px} x {rig.right.height_px}")
+    ]
+    interior += [
+        (name, *(_cell(getattr(camera, name), sigmas, f"{side}.{name}") for side, camera in _cameras(rig)))
+        for name in ("fx_px", "fy_px", "cx_px", "cy_px")
+    ]  # fmt: skip
+    interior.append(("lens", rig.left.lens.model, rig.right.lens.model))
+    for i in range(max(len(rig.left.lens.coefficients), len(rig.right.lens.coefficients))):
+        interior.append((f"lens.{i}", *(_coefficient(camera, side, i, sigmas) for side, camera in _cameras(rig))))
+    print_table("Interior orientation", ("parameter", "left", "right"), interior)
+    print_table("Exterior orientation", ("parameter", "value"), _exterior(rig, sigmas))
+    out.print(_verdict(rig), markup=False)
+
+
+@app.command()
+def convert(
+    source: Annotated[Path, typer.Argument(metavar="IN", help="Calibration file, or a folder with one.")],
+    target: Annotated[
+        Path, typer.Argument(metavar="OUT", help="File to write; for ROS the folder of left.yaml, right.yaml.")
+    ],
+    to: Annotated[
+        str | None,
+        typer.Option(
+            "--to",
+            help=f"opencv (.yml, .xml, .json), kalibr, ros, matlab (.json) or rig; rig where OUT is called {RIG_YAML}.",
+        ),
+    ] = None,
+    image_size: SizeOption = None,
+    unit: UnitOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Write a calibration in another tool's format."""
+    if to is None:
+        if target.name != RIG_YAML:
+            raise InputError(f"{target}: say in which format to write it (--to): {', '.join(WRITERS)}")
+        to = "rig"
+    if to not in WRITERS:
+        raise InputError(f"--to {to}: known formats are {', '.join(WRITERS)}")
+    rig, found = read_rig_and_format(source, image_size=_size(image_size), length_unit=unit)
+    WRITERS[to](rig, target)
+    lost = _lost(rig, to)
+    if as_json:
+        print_json({"read_as": found, "written": str(target), "format": to, "not_written": lost})
+        return
+    out.print(f"{source}: {FORMAT_NAMES[found]} -> {target}: {_name(to)}", markup=False)
+    if lost:
+        out.print(f"{_name(to)} has no place for: {', '.join(lost)}", markup=False)
+
+
+def _name(kind: str) -> str:
+    return {str(key): name for key, name in FORMAT_NAMES.items()}[kind]
+
+
+def _lost(rig: Rig, to: str) -> list[str]:
+    """What the other format cannot hold."""
+    if to == "rig":
+        return []
+    body = [] if rigs.body_is_left_camera(rig) else ["the cameras' place on the body (body_SE3_left)"]
+    covariance = [] if rig.calibration_covariance is None else ["the calibration's covariance"]
+    return [*body, *covariance]
+
+
+def _cameras(rig: Rig) -> tuple[tuple[Side, Camera], tuple[Side, Camera]]:
+    return ("left", rig.left), ("right", rig.right)
+
+
+def _sigmas(rig: Rig) -> dict[str, float]:
+    covariance = rig.calibration_covariance
+    if covariance is None:
+        return {}
+    return {name: float(np.sqrt(covariance.matrix[i][i])) for i, name in enumerate(covariance.names)}
+
+
+def _cell(value: float, sigmas: dict[str, float], name: str) -> str:
+    places = next((count for ending, count in _PLACES.items() if name.endswith(ending)), 6)
+    sigma = sigmas.get(name)
+    return f"{value:.{places}f}" + ("" if sigma is None else f" ± {sigma:.{places}f}")
+
+
+def _coefficient(camera: Camera, side: Side, index: int, sigmas: dict[str, float]) -> str:
+    if index >= len(camera.lens.coefficients):
+        return ""
+    return _cell(camera.lens.coefficients[index], sigmas, f"{side}.lens.{index}")
+
+
+def _exterior(rig: Rig, sigmas: dict[str, float]) -> list[tuple[str, str]]:
+    relative = rigs.left_SE3_right(rig)
+    turn = np.degrees(Rotation.from_matrix(relative[:3, :3]).as_rotvec())
+    rows = [("baseline", f"{rig.baseline_m:.5f} m")]
+    rows += [
+        (f"right camera {axis}", f"{_cell(value, sigmas, f'relative.t{axis}_m')} m")
+        for axis, value in zip("xyz", relative[:3, 3].tolist(), strict=True)
+    ]
+    for axis, value in zip("xyz", turn.tolist(), strict=True):
+        sigma = sigmas.get(f"relative.r{axis}_rad")
+        shown = "" if sigma is None else f" ± {np.degrees(sigma):.4f}"
+        rows.append((f"right camera turned about {axis}", f"{value:.4f}{shown} deg"))
+    if not rigs.body_is_left_camera(rig):
+        body = rigs.body_SE3_camera(rig, "left")
+        rows.append(("left camera on the body", ", ".join(f"{v:.4f}" for v in body[:3, 3]) + " m"))
+    return rows
+
+
+def _verdict(rig: Rig) -> str:
+    if is_rectified(rig):
+        return "The pictures are rectified: no lens, parallel cameras, equal rows. They are used as they are."
+    try:
+        flat = rectify(rig)
+    except ValueError as error:
+        return f"The pictures are raw, and cannot be rectified: {error}."
+    sizes = [f"{camera.width_px} x {camera.height_px}" for camera in (flat.left, flat.right)]
+    return f"The pictures are raw; they are rectified when read, to {sizes[0]} and {sizes[1]} pixels, f {flat.left.fx_px:.1f} px."
+
+
+def _size(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    found = re.fullmatch(r"(\d+)x(\d+)", text.strip().lower())
+    if not found:
+        raise InputError(f"--image-size {text}: expected width and height in pixels like 1242x375")
+    return int(found[1]), int(found[2])

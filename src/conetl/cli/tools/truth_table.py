@@ -1,0 +1,79 @@
+"""Cones against truth on the terminal and as JSON: the paper's Table 3, shared by `conetl demo` and `conetl evaluate`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from conetl.cli.console import print_table
+from conetl.evaluation.truth import Found, TruthCone, TruthLine
+from conetl.evaluation.truth_file import read_truth
+from conetl.model.errors import InputError
+
+
+def read_truth_cones(path: Path) -> tuple[list[TruthCone], int]:
+    """The cones that a truth.csv says are standing, and the EPSG code of their coordinates.
+
+    Raises InputError where the file cannot be used, has no standing cone, or mixes coordinate systems.
+    """
+    rows = [row for row in read_truth(path) if row.present]
+    srids = sorted({row.map_srid for row in rows})
+    if not rows:
+        raise InputError(f"truth {path}: no cone is there (present = 1); nothing to compare with")
+    if len(srids) > 1:
+        raise InputError(f"truth {path}: map_srid must be one for all cones, found {', '.join(map(str, srids))}")
+    cones = [
+        TruthCone(
+            cone_id=row.cone_id,
+            xyz_m=(row.easting_m, row.northing_m, row.height_ellipsoidal_m),
+            cone_height_m=row.cone_height_m,
+        )
+        for row in rows
+    ]
+    return cones, srids[0]
+
+
+def print_table_3(lines: Sequence[TruthLine[Found]], *, missing: str = "not on the map") -> None:
+    """Truth, computed and difference of position, range and height, per cone (the paper's Table 3)."""
+    columns = ("cone", "", "easting", "northing", "height", "range", "cone", "3D error")
+    print_table("", columns, table_3_rows(lines, missing=missing), numbers_from=2)
+
+
+def table_3_rows(lines: Sequence[TruthLine[Found]], *, missing: str) -> list[tuple[object, ...]]:
+    """Three rows a cone, or two where it was not found."""
+    rows: list[tuple[object, ...]] = []
+    for line in lines:
+        truth, feature = line.truth, line.feature
+        known = (*truth.xyz_m, line.truth_range_m, truth.cone_height_m)
+        rows.append((truth.cone_id, "truth", *(f"{value:.3f}" for value in known), ""))
+        if feature is None or line.range_m is None:
+            rows.append(("", missing, *[""] * 6))
+            continue
+        computed = (*feature.xyz_m, line.range_m, feature.cone_height_m)
+        differences = [b - a for a, b in zip(known, computed, strict=True)]
+        rows.append(("", "computed", *(f"{value:.3f}" for value in computed), ""))
+        rows.append(("", "difference", *(f"{value:+.3f}" for value in differences), f"{line.error_3d_m:.3f}"))
+    return rows
+
+
+def median_error(lines: Sequence[TruthLine[Found]]) -> float | None:
+    """Median 3D error of the cones that were found, None where none was."""
+    errors = [line.error_3d_m for line in lines if line.error_3d_m is not None]
+    return float(np.median(errors)) if errors else None
+
+
+def line_as_dict(line: TruthLine[Found]) -> dict[str, object]:
+    """One line for JSON."""
+    return {
+        "cone_id": line.truth.cone_id,
+        "truth_xyz_m": line.truth.xyz_m,
+        "xyz_m": line.feature.xyz_m if line.feature else None,
+        "difference_m": line.difference_m,
+        "error_3d_m": line.error_3d_m,
+        "truth_range_m": line.truth_range_m,
+        "range_m": line.range_m,
+        "truth_cone_height_m": line.truth.cone_height_m,
+        "cone_height_m": line.feature.cone_height_m if line.feature else None,
+    }

@@ -1,0 +1,110 @@
+"""Connections for `asyncio` that can only read: what OGC API Features is served from (tipg speaks to asyncpg)."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager, suppress
+from urllib.parse import quote, urlencode
+
+import asyncpg
+
+from conetl.db.connection import CONNECT_TIMEOUT_S, address_parts, load_sql
+from conetl.db.reader_pool import STATEMENT_TIMEOUT, WAIT_S
+from conetl.model.errors import DatabaseError
+
+#: More at one time do not make two processors answer sooner.
+MAX_CONNECTIONS = 6
+#: Keywords of a libpq address that asyncpg knows; others (such as keepalives) concern the kind of connection only.
+_KEYWORDS = (
+    "host", "port", "user", "password", "passfile", "sslmode", "sslcert", "sslkey", "sslrootcert", "sslcrl",
+)  # fmt: skip
+_SESSION = {
+    "application_name": "conetl ogc",
+    "TimeZone": "UTC",
+    "jit": "off",
+    "plan_cache_mode": "force_generic_plan",  # planning is a fifth of a page; a question for a whole map is another statement
+}
+_BUSY = "The database is busy: all connections of the OGC API are in use. Try again."
+
+
+class AsyncReaderPool:
+    """`MAX_CONNECTIONS` read-only connections, as role conetl_reader where the user may take it.
+
+    All are opened with the first request and stay open: a new session plans its first question for 30 ms and more, and at busy
+    times those would be the slowest answers. `warm` asks each session such a question.
+    """
+
+    def __init__(self, url: str, warm: Callable[[asyncpg.Connection], Awaitable[None]] | None = None) -> None:
+        self._url = url
+        self._warm = warm
+        self._pool: asyncpg.Pool | None = None
+        self._filling: asyncio.Future[list[BaseException | None]] | None = None
+        self._opening = asyncio.Lock()
+
+    @asynccontextmanager
+    async def acquire(self) -> AsyncIterator[asyncpg.Connection]:
+        """One connection whose transactions only read. Raises DatabaseError where none is to be had, or it is lost."""
+        pool = await self._opened()
+        try:
+            conn = await pool.acquire(timeout=WAIT_S)
+        except TimeoutError as error:
+            raise DatabaseError(_BUSY) from error
+        except (OSError, asyncpg.PostgresError, asyncpg.InterfaceError) as error:
+            raise DatabaseError(f"The database cannot be reached: {error}. Start it (`conetl db up`).") from error
+        try:
+            yield conn
+        except (OSError, asyncpg.InterfaceError, asyncpg.PostgresConnectionError) as error:
+            raise DatabaseError(f"The connection to the database was lost: {error}. Try again.") from error
+        finally:
+            await pool.release(conn)
+
+    async def close(self) -> None:
+        """End all connections; the next request opens new ones."""
+        pool, self._pool = self._pool, None
+        if self._filling is not None:
+            self._filling.cancel()
+        if pool is not None:
+            pool.terminate()
+
+    async def _opened(self) -> asyncpg.Pool:
+        async with self._opening:
+            if self._pool is None:
+                parts = address_parts(self._url)
+                query = urlencode({name: parts[name] for name in _KEYWORDS if name in parts})
+                self._pool = await asyncpg.create_pool(
+                    f"postgresql:///{quote(parts.get('dbname', ''), safe='')}?{query}",
+                    min_size=0,
+                    max_size=MAX_CONNECTIONS,
+                    max_inactive_connection_lifetime=0,
+                    timeout=CONNECT_TIMEOUT_S,
+                    init=self._prepare,
+                    reset=_keep,
+                    server_settings=_SESSION,
+                )
+                touches = [_touch(self._pool) for _ in range(MAX_CONNECTIONS)]
+                self._filling = asyncio.gather(*touches, return_exceptions=True)  # whoever asks will be told
+            return self._pool
+
+    async def _prepare(self, conn: asyncpg.Connection) -> None:
+        await _only_read(conn)
+        if self._warm is not None:
+            with suppress(asyncpg.PostgresError):  # whoever asks will be told
+                await self._warm(conn)
+
+
+async def _touch(pool: asyncpg.Pool) -> None:
+    async with pool.acquire(timeout=WAIT_S):
+        pass
+
+
+async def _only_read(conn: asyncpg.Connection) -> None:
+    await conn.execute(load_sql("schema/search_path"))
+    await conn.fetch(load_sql("serve/session").replace("%(timeout)s", "$1"), STATEMENT_TIMEOUT)
+    for name in ("json", "jsonb"):
+        await conn.set_type_codec(name, encoder=json.dumps, decoder=json.loads, schema="pg_catalog")
+
+
+async def _keep(_: asyncpg.Connection) -> None:
+    """Between two requests a session stays as it is: the usual reset would give it its user and its right to write back."""

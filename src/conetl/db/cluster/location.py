@@ -1,0 +1,275 @@
+"""Where a private cluster lies, which user runs it, and how commands run as that user. See `cluster.py`."""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import os
+import pwd
+import stat
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from conetl.db.cluster.postgres_install import OWN_DATABASE_HINT
+from conetl.model.errors import DatabaseError
+
+#: Users that may run the server for root, in this order.
+UNPRIVILEGED_USERS = ("postgres", "nobody")
+#: Clusters of root whose home the server's user cannot reach.
+SYSTEM_DIRECTORY = Path("/var/lib/conetl")
+#: The kernel's limit on a socket's path.
+MAX_SOCKET_PATH_BYTES = 107
+LOCK_NAME, POINTER_NAME, HOME_NAME = "cluster.lock", "postgres.location", "home.path"
+
+
+@dataclass(frozen=True)
+class ServerUser:
+    """The operating-system user that runs the server."""
+
+    name: str
+    uid: int
+    gid: int
+
+
+@dataclass(frozen=True)
+class ClusterPlace:
+    """One cluster: its folder, its socket's folder and its user."""
+
+    directory: Path
+    socket_directory: Path
+    user: ServerUser
+    caller_name: str | None
+    """Name of the user who calls, None where that uid has no passwd entry."""
+
+    @property
+    def data(self) -> Path:
+        return self.directory / "data"
+
+    @property
+    def data_major(self) -> int | None:
+        """Major version of the PostgreSQL that made the data; None where there are none yet."""
+        try:
+            return int((self.data / "PG_VERSION").read_text().strip())
+        except FileNotFoundError:
+            return None
+        except PermissionError as error:
+            raise DatabaseError(
+                f"The private cluster in {self.directory} belongs to user {self.user.name}: run as that user or as root, "
+                f"choose another home folder (CONETL_HOME), {OWN_DATABASE_HINT}."
+            ) from error
+
+
+@dataclass(frozen=True)
+class Done:
+    """How a command ended, and what it said on both channels."""
+
+    code: int
+    output: str
+
+
+@contextmanager
+def cluster_lock(home: Path) -> Iterator[None]:
+    """Hold the home folder's cluster lock; waits for other processes, and is freed by the kernel when this one dies."""
+    try:
+        if not home.is_dir():
+            home.mkdir(parents=True, exist_ok=True)
+        handle = os.open(home / LOCK_NAME, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+    except OSError as error:
+        raise DatabaseError(
+            f"The home folder {home} cannot be used by user {_name_of(os.geteuid()) or os.geteuid()} ({error.strerror}): "
+            f"choose another one (CONETL_HOME), {OWN_DATABASE_HINT}."
+        ) from error
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
+
+
+def find_place(home: Path) -> ClusterPlace | None:
+    """The cluster that belongs to `home`, None where none was made."""
+    home = home.resolve()
+    pointer = home / POINTER_NAME
+    directory = Path(pointer.read_text().strip()) if pointer.is_file() else home / "postgres"
+    if not directory.is_dir():
+        return None
+    if pointer.is_file() and (directory.parent != SYSTEM_DIRECTORY or not _belongs_to(directory, home)):
+        return None  # a copied home: its pointer leads to somebody else's cluster
+    owner = directory.stat().st_uid
+    name = _name_of(owner)
+    if name is None:
+        raise DatabaseError(
+            f"The private cluster in {directory} belongs to uid {owner}, which has no entry in the passwd file; "
+            f"PostgreSQL needs one: add it, {OWN_DATABASE_HINT}."
+        )
+    if os.geteuid() not in (0, owner):
+        raise DatabaseError(
+            f"The private cluster in {directory} belongs to user {name}: run as that user or as root, "
+            f"choose another home folder (CONETL_HOME), {OWN_DATABASE_HINT}."
+        )
+    return _place(directory, ServerUser(name, owner, pwd.getpwuid(owner).pw_gid))
+
+
+def make_place(home: Path) -> ClusterPlace:
+    """Choose and make the folder of a new cluster."""
+    home = home.resolve()
+    user = _server_user()
+    directory = home / "postgres"
+    if not _prepare(directory, user):
+        directory = SYSTEM_DIRECTORY / _digest(home)
+        SYSTEM_DIRECTORY.mkdir(mode=0o755, parents=True, exist_ok=True)
+        if directory.is_dir() and not _belongs_to(directory, home):
+            raise DatabaseError(f"{directory} belongs to another project: remove it, {OWN_DATABASE_HINT}.")
+        if not _prepare(directory, user):
+            raise DatabaseError(
+                f"Neither {home / 'postgres'} nor {directory} can be reached by user {user.name}, who would run PostgreSQL "
+                f"for root: choose another home folder (CONETL_HOME), {OWN_DATABASE_HINT}."
+            )
+        (directory / HOME_NAME).write_text(f"{home}\n")
+        (home / POINTER_NAME).write_text(f"{directory}\n")
+    return _place(directory, user)
+
+
+def forget_place(home: Path) -> None:
+    """Remove what points from `home` to its cluster."""
+    (home.resolve() / POINTER_NAME).unlink(missing_ok=True)
+
+
+def make_socket_directory(place: ClusterPlace) -> None:
+    """Make the socket's folder, mode 0700, owned by the server's user; refuse one that somebody else prepared in /tmp."""
+    path = place.socket_directory
+    try:
+        path.mkdir(mode=0o700)
+        os.chown(path, place.user.uid, place.user.gid, follow_symlinks=False)
+    except FileExistsError:
+        found = path.lstat()
+        mine = found.st_uid in (place.user.uid, os.geteuid())
+        if not stat.S_ISDIR(found.st_mode) or not mine or stat.S_IMODE(found.st_mode) & 0o077:
+            raise DatabaseError(
+                f"{path} should be a folder of user {place.user.name} with mode 0700 for the database's socket, but it is not: "
+                f"remove it, {OWN_DATABASE_HINT}."
+            ) from None
+        if found.st_uid != place.user.uid:
+            os.chown(path, place.user.uid, place.user.gid, follow_symlinks=False)
+
+
+def run_as(
+    place: ClusterPlace, command: list[str], *, timeout_s: float, stdin: str = "", inherit: tuple[int, ...] = ()
+) -> Done:
+    """Run a command as the cluster's user inside the cluster's folder, with an environment that holds nothing of the caller's.
+
+    No PG* variable may lead PostgreSQL's programs to another server; messages are in English. inherit: open files that the
+    command and what it starts get.
+    """
+    other = os.geteuid() != place.user.uid
+    try:
+        done = subprocess.run(
+            command,
+            input=stdin,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+            cwd=place.directory,
+            env={"PATH": os.defpath, "LC_ALL": "C"},
+            start_new_session=True,
+            timeout=timeout_s,
+            check=False,
+            user=place.user.uid if other else None,
+            group=place.user.gid if other else None,
+            extra_groups=[] if other else None,
+            umask=0o077,
+            pass_fds=inherit,
+        )
+    except subprocess.TimeoutExpired:
+        return Done(124, f"{Path(command[0]).name} did not end within {timeout_s:.0f} s")
+    except OSError as error:
+        return Done(126, f"{command[0]}: {error.strerror}")
+    return Done(done.returncode, done.stdout)
+
+
+def working_folder(place: ClusterPlace, pid: int) -> str | None:
+    """Working folder of a process of the cluster's user; None where it is dead, a zombie, or another user's.
+
+    Looked up as that user: root in a container may lack the right to look into other users' processes.
+    """
+    link = f"/proc/{pid}/cwd"
+    if os.geteuid() == place.user.uid:
+        try:
+            return os.readlink(link)  # noqa: PTH115 -- Path would not tell a dead process from a strange path
+        except OSError:
+            return None
+    looked = run_as(place, ["readlink", "-n", link], timeout_s=10)
+    return looked.output if looked.code == 0 else None
+
+
+def _place(directory: Path, user: ServerUser) -> ClusterPlace:
+    socket_directory = directory / "socket"
+    if len(os.fsencode(socket_directory / ".s.PGSQL.00000")) > MAX_SOCKET_PATH_BYTES:
+        socket_directory = Path("/tmp") / f"conetl-{_digest(directory)}"
+    return ClusterPlace(directory, socket_directory, user, _name_of(os.geteuid()))
+
+
+def _server_user() -> ServerUser:
+    uid = os.geteuid()
+    if uid != 0:
+        name = _name_of(uid)
+        if name is None:
+            raise DatabaseError(
+                f"uid {uid} has no entry in the passwd file and PostgreSQL needs one: add it, {OWN_DATABASE_HINT}."
+            )
+        return ServerUser(name, uid, os.getegid())
+    for name in UNPRIVILEGED_USERS:
+        try:
+            entry = pwd.getpwnam(name)
+        except KeyError:
+            continue
+        return ServerUser(name, entry.pw_uid, entry.pw_gid)
+    raise DatabaseError(
+        f"PostgreSQL refuses to run as root and there is neither a user {' nor a user '.join(UNPRIVILEGED_USERS)}: "
+        f"run as an ordinary user, {OWN_DATABASE_HINT}."
+    )
+
+
+def _prepare(directory: Path, user: ServerUser) -> bool:
+    """Make the folder, mode 0700, owned by `user`; False where that user cannot work in it."""
+    try:
+        directory.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if os.geteuid() == 0:
+            os.chown(directory, user.uid, user.gid, follow_symlinks=False)
+    except OSError:
+        return False
+    probe = ["sh", "-c", 'test -w "$0" && test -x "$0"', str(directory)]
+    works = run_as(ClusterPlace(Path("/"), directory, user, None), probe, timeout_s=10).code == 0
+    if not works:
+        with suppress(OSError):
+            directory.rmdir()
+    return works
+
+
+def _belongs_to(directory: Path, home: Path) -> bool:
+    """True where the cluster was made for `home`, or for a home that was moved here."""
+    marker = directory / HOME_NAME
+    if not marker.is_file():
+        return False
+    made_for = Path(marker.read_text().strip())
+    if made_for == home:
+        return True
+    if (made_for / POINTER_NAME).is_file():
+        return False
+    marker.write_text(f"{home}\n")
+    return True
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(os.fsencode(path)).hexdigest()[:16]
+
+
+def _name_of(uid: int) -> str | None:
+    try:
+        return pwd.getpwuid(uid).pw_name
+    except KeyError:
+        return None

@@ -1,0 +1,106 @@
+"""Provisional features: what a drive shows while it is recorded. No part of the map; the ingest of the drive removes them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+from uuid import UUID
+
+from conetl.db.connection import Connection, database_errors, execute, execute_count, load_sql, transaction
+from conetl.db.copy_binary import clean_text
+from conetl.db.receipt_store import held_locks
+from conetl.model.records import Drive, Track
+
+#: Watched drives that nobody ingested are forgotten after so long, when the next watch begins.
+KEEP_DAYS = 7
+_COV = ("cov_xx", "cov_xy", "cov_xz", "cov_yy", "cov_yz", "cov_zz")
+
+
+@dataclass(frozen=True)
+class WatchedDrive:
+    """The drive that a watch is about."""
+
+    watch_id: UUID
+    map_name: str
+    srid: int
+    drive_id: str
+    source_path: str
+
+
+def watch_lock(map_name: str, drive_id: str) -> str:
+    """Name of the lock that is held while a drive is watched."""
+    return f"conetl.watch/{map_name}/{drive_id}"
+
+
+def clear_watches(conn: Connection, *, map_name: str, drive_id: str) -> int:
+    """Remove what earlier watches of this drive left, what died in the middle, and what is older than a week; how many watches.
+
+    The caller holds the drive's own `watch_lock`; those whose lock somebody else holds are alive and stay.
+    """
+    with transaction(conn, "The watched drives cannot be read"):
+        parameters = {"map_name": map_name, "drive_id": clean_text(drive_id), "keep_days": KEEP_DAYS}
+        found = execute(conn, load_sql("map/watches_to_drop"), parameters)
+    others = {watch_lock(map_name, row["drive_id"]) for row in found if row["drive_id"] != clean_text(drive_id)}
+    alive = held_locks(conn, sorted(others))
+    dead = [row["watch_id"] for row in found if watch_lock(map_name, row["drive_id"]) not in alive]
+    with transaction(conn, "The watched drives cannot be cleared"):
+        return execute_count(conn, load_sql("write/drop_watches"), {"watch_ids": dead}) if dead else 0
+
+
+def write_live(
+    conn: Connection,
+    watch: WatchedDrive,
+    *,
+    captured_ns: tuple[int, int],
+    frame_pair_count: int,
+    tracks: Mapping[int, Track],
+    taken_back: Iterable[int],
+    least_reach_m: float,
+) -> None:
+    """Commit what one frame pair changed, in one transaction. captured_ns: of the first and the last pair taken.
+
+    A standing feature of the map nearer than `least_reach_m` plus three sigmas is named as the same cone.
+    """
+    with transaction(conn, f"What drive {watch.drive_id} shows cannot be written"):
+        named = {"watch_id": watch.watch_id, "map_name": watch.map_name, "srid": watch.srid}
+        drive = {
+            "drive_id": clean_text(watch.drive_id), "source_path": clean_text(watch.source_path),
+            "captured_from_ns": captured_ns[0], "captured_to_ns": captured_ns[1], "frame_pair_count": frame_pair_count,
+        }  # fmt: skip
+        execute(conn, load_sql("write/upsert_watched_drive"), named | drive)
+        for index, track in tracks.items():
+            sigma_m = ((track.cov_m2[0] + track.cov_m2[3]) / 2) ** 0.5
+            row = {
+                "feature_index": index, "east_m": track.xyz_m[0], "north_m": track.xyz_m[1], "height_m": track.xyz_m[2],
+                **dict(zip(_COV, track.cov_m2, strict=True)), "cone_height_m": track.cone_height_m,
+                "existence_probability": track.existence_probability, "observation_count": track.observation_count,
+                "first_seen_ns": track.first_seen_ns, "last_seen_ns": track.last_seen_ns, "reach_m": least_reach_m + 3 * sigma_m,
+            }  # fmt: skip
+            execute(conn, load_sql("write/upsert_provisional_feature"), named | row)
+        for index in taken_back:
+            execute(
+                conn, load_sql("write/drop_provisional_feature"), {"watch_id": watch.watch_id, "feature_index": index}
+            )
+
+
+def end_watch(conn: Connection, watch: WatchedDrive) -> None:
+    """Say that the watch ended by itself; what it shows stays until the drive is ingested."""
+    with transaction(conn, f"The end of drive {watch.drive_id} cannot be written"):
+        execute(conn, load_sql("write/end_watch"), {"watch_id": watch.watch_id})
+
+
+def drop_watched_recording(conn: Connection, drive: Drive, *, map_name: str) -> int:
+    """Remove what was shown of a drive while it was recorded, inside the caller's transaction; how many watches."""
+    times_ns = [pair.captured_at_ns for pair in drive.frame_pairs]
+    parameters = {
+        "map_name": map_name, "drive_id": clean_text(drive.drive_id),
+        "captured_from_ns": min(times_ns), "captured_to_ns": max(times_ns),
+    }  # fmt: skip
+    return execute_count(conn, load_sql("write/drop_watched_recording"), parameters)
+
+
+def read_provisional(conn: Connection, *, map_name: str) -> list[dict[str, Any]]:
+    """Provisional features of a map, drive by drive; columns as in sql/map/provisional_features.sql."""
+    with database_errors(f"The map {map_name} cannot be read"):
+        return execute(conn, load_sql("map/provisional_features"), {"map_name": map_name})

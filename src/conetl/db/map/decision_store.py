@@ -1,0 +1,70 @@
+"""What people decided about a map. Append-only: what is taken back is withdrawn by another decision."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from uuid import UUID, uuid4
+
+from conetl.db.connection import Connection, database_errors, execute, load_sql
+from conetl.db.copy_binary import clean_text
+from conetl.db.map.results import Decidable, MapInfo, StoredDecision
+from conetl.model.map_records import Decisions, Place
+
+
+def list_decisions(conn: Connection, *, map_name: str = "default") -> list[StoredDecision]:
+    """The decisions that hold, oldest first."""
+    with database_errors(f"The decisions about map {map_name} cannot be read"):
+        return [
+            StoredDecision(**row) for row in execute(conn, load_sql("map/active_decisions"), {"map_name": map_name})
+        ]
+
+
+def read_decisions(conn: Connection, *, map_name: str = "default") -> Decisions:
+    """The decisions about places that hold, as the comparison of drives takes them."""
+    places: dict[str, list[Place]] = {"suppress": [], "pin": [], "revert": []}
+    for decision in list_decisions(conn, map_name=map_name):
+        if decision.place is not None:
+            places[decision.kind].append(decision.place)
+    return Decisions(suppressed=tuple(places["suppress"]), pinned=tuple(places["pin"]))
+
+
+def find_decisions(conn: Connection, beginning: str, *, map_name: str = "default") -> list[Decidable]:
+    """Changesets and decisions whose id begins so, or the changeset of that number; at most two."""
+    parameters = {"map_name": map_name, "beginning": clean_text(beginning).lower()}
+    with database_errors(f"The map {map_name} cannot be read"):
+        return [Decidable(**row) for row in execute(conn, load_sql("map/find_decisions"), parameters)]
+
+
+def insert_decision(
+    conn: Connection,
+    info: MapInfo,
+    kind: str,
+    *,
+    decided_at: datetime,
+    note: str,
+    decided_by: str | None = None,
+    place: Place | None = None,
+    feature_id: UUID | None = None,
+    changeset_id: UUID | None = None,
+    withdraws: UUID | None = None,
+) -> UUID:
+    """Write a decision inside the caller's `map_transaction`; its id. kind: suppress, pin, revert or withdraw."""
+    decision_id = uuid4()
+    easting_m, northing_m = place.xy_m if place else (None, None)
+    parameters = {
+        "decision_id": decision_id,
+        "map_id": info.map_id,
+        "srid": info.srid,
+        "kind": kind,
+        "easting_m": easting_m,
+        "northing_m": northing_m,
+        "radius_m": place.radius_m if place else None,
+        "feature_id": feature_id,
+        "changeset_id": changeset_id,
+        "withdraws": withdraws,
+        "note": clean_text(note),
+        "decided_by": clean_text(decided_by) if decided_by else None,
+        "decided_at": decided_at,
+    }
+    execute(conn, load_sql("write/insert_decision"), parameters)
+    return decision_id

@@ -1,0 +1,157 @@
+"""Drives out of the database: all that is needed to compare one with the map again, without its pictures.
+
+Numbers come back to the last bit, so a drive that is compared again from here gives what it gave when it was ingested.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+from uuid import UUID
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.db.connection import Connection, database_errors, execute, load_sql, stream
+from conetl.db.map.import_store import read_statements
+from conetl.db.map.jacobian_arrays import levers_from_wire
+from conetl.model.detector_evidence import UNMEASURED_LOOKS, LookFigures
+from conetl.model.errors import MapMismatchError
+from conetl.model.map_records import FoldKey, Statement
+from conetl.model.params import ReconcileParams
+from conetl.model.records import (
+    Detection,
+    FramePair,
+    Pose,
+    Rig,
+    Track,
+    Vec3,
+)
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class StoredDrive:
+    """What of a drive is small: its header, its path and its tracks."""
+
+    map_name: str
+    content_sha256: str
+    captured_from_ns: int
+    rig: Rig | None
+    """None of an imported map."""
+    reconcile: ReconcileParams
+    influence_m: float
+    figures: LookFigures
+    """Of the detector that looked."""
+    path_m: Floats
+    """(N, 2), a row per frame pair."""
+    tracks: list[Track]
+    statements: list[Statement]
+    """Of an imported map, instead of tracks; `path_m` is where its cones stand then."""
+
+    def key(self, idempotency_key: str) -> FoldKey:
+        return self.captured_from_ns, self.content_sha256, idempotency_key
+
+
+@dataclass(frozen=True)
+class StoredView:
+    """What of a drive is large: where it looked and what it saw there."""
+
+    frame_pairs: list[FramePair]
+    detections: list[Detection]
+    spots: list[tuple[int, Vec3]]
+    """Frame index and place of every position."""
+
+
+def read_drive(conn: Connection, drive_uuid: UUID) -> StoredDrive:
+    """Header, path and tracks of an ingested drive. Raises MapMismatchError where there is no such drive."""
+    parameters = {"drive_uuid": drive_uuid}
+    with database_errors(f"Drive {drive_uuid} cannot be read"):
+        headers = execute(conn, load_sql("map/drive_header"), parameters)
+        if not headers:
+            raise MapMismatchError(f"there is no drive {drive_uuid} in this database")
+        header = headers[0]
+        rig = None if header["rig"] is None else Rig.model_validate(header["rig"])
+        statements = read_statements(conn, drive_uuid) if rig is None else []
+        path = (
+            stream(conn, load_sql("map/drive_path"), parameters) if rig else (s.feature.xyz_m[:2] for s in statements)
+        )
+        return StoredDrive(
+            map_name=header["map_name"],
+            content_sha256=header["content_sha256"],
+            captured_from_ns=header["captured_from_ns"],
+            rig=rig,
+            reconcile=ReconcileParams.model_validate(header["reconcile"]),
+            influence_m=header["influence_m"],
+            figures=LookFigures.model_validate(header["look_figures"]) if header["look_figures"] else UNMEASURED_LOOKS,
+            path_m=np.array(list(path)).reshape(-1, 2),
+            tracks=[_track(row) for row in stream(conn, load_sql("map/drive_tracks"), parameters)],
+            statements=statements,
+        )
+
+
+def read_view(conn: Connection, drive_uuid: UUID) -> StoredView:
+    """Frame pairs with their poses, detections and the places of positions."""
+    parameters = {"drive_uuid": drive_uuid}
+    with database_errors(f"Drive {drive_uuid} cannot be read"):
+        return StoredView(
+            frame_pairs=read_frame_pairs(conn, drive_uuid),
+            detections=[
+                Detection.model_construct(
+                    frame_index=row[0],
+                    side=row[1],
+                    detection_index=row[2],
+                    category=row[3],
+                    x_px=row[4],
+                    y_px=row[5],
+                    w_px=row[6],
+                    h_px=row[7],
+                    score=row[8],
+                )
+                for row in stream(conn, load_sql("map/drive_detections"), parameters)
+            ],
+            spots=[(row[0], row[1:]) for row in stream(conn, load_sql("map/drive_spots"), parameters)],
+        )
+
+
+def read_frame_pairs(conn: Connection, drive_uuid: UUID) -> list[FramePair]:
+    """Frame pairs with their poses, in order."""
+    with database_errors(f"Drive {drive_uuid} cannot be read"):
+        return [_frame_pair(row) for row in stream(conn, load_sql("map/drive_frame_pairs"), {"drive_uuid": drive_uuid})]
+
+
+def _frame_pair(row: tuple[Any, ...]) -> FramePair:
+    return FramePair.model_construct(
+        frame_index=row[0],
+        left_path=row[1],
+        right_path=row[2],
+        captured_at_ns=row[3],
+        pose=Pose.model_construct(
+            map_R_body=(tuple(row[7][:3]), tuple(row[7][3:6]), tuple(row[7][6:])),
+            map_t_body_m=row[4:7],
+            sigma_enu_m=tuple(row[8]),
+            sigma_rpy_rad=tuple(row[9]),
+        ),
+    )
+
+
+def _track(row: tuple[Any, ...]) -> Track:
+    return Track.model_construct(
+        track_index=row[0],
+        category=row[1],
+        xyz_m=row[2:5],
+        cov_m2=row[5:11],
+        relative_cov_m2=row[11:17],
+        centre_xyz_m=row[17:20],
+        cone_height_m=row[20],
+        cone_height_sigma_m=row[21],
+        existence_probability=row[22],
+        observation_count=row[23],
+        first_seen_ns=row[24],
+        last_seen_ns=row[25],
+        residual_rms_px=row[26],
+        nearest_range_m=row[27],
+        members=tuple((frame, match) for frame, match in row[28]),
+        levers=None if row[29] is None else levers_from_wire(row[29]),
+    )

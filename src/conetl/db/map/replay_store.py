@@ -1,0 +1,152 @@
+"""Which drives must be compared with the map again, what is believed about their neighbourhood, and the new belief.
+
+No row is changed but for its system period being closed; versions and deltas that come out as they were stay as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime
+from typing import Any
+from uuid import UUID
+
+from conetl.db.connection import Connection, copy_columns, database_errors, execute, execute_count, load_sql, stream
+from conetl.db.map import columns as map_columns
+from conetl.db.map.results import DriveRef, MapInfo, Replay, StoredDelta, StoredMiss, StoredVersion
+from conetl.db.map.rows import version_of
+from conetl.model.map_records import BelievedVersion, Delta, Doubt, Miss, Place
+from conetl.model.records import Drive
+
+
+def read_standing_around(conn: Connection, drive_uuid: UUID) -> dict[UUID, BelievedVersion]:
+    """Open versions of the features that stand around a drive's path, suppressed ones too, by feature id."""
+    with database_errors("The features around the drive cannot be read"):
+        rows = stream(conn, load_sql("map/standing_around"), {"drive_uuid": drive_uuid})
+        return {row[0]: version_of(row) for row in rows}
+
+
+def affected_drives(conn: Connection, drive_uuids: Sequence[UUID]) -> list[DriveRef]:
+    """The drives that must be compared again when these come, go or are judged otherwise, in the order of the fold.
+
+    Those of `drive_uuids` that count, and all later ones that they touch, directly or through others.
+    """
+    rows = execute(conn, load_sql("map/affected_drives"), {"drive_uuids": list(drive_uuids)})
+    return [DriveRef(**row) for row in rows]
+
+
+def superseded_drives(conn: Connection, drive_uuid: UUID) -> list[UUID]:
+    """Another analysis of the same recording, which gives way to this one."""
+    return [row["drive_uuid"] for row in execute(conn, load_sql("map/superseded_drives"), {"drive_uuid": drive_uuid})]
+
+
+def other_deliveries(conn: Connection, drive: Drive, *, map_name: str) -> list[int]:
+    """Numbers of the changesets that count and were made of the same recording with other content: poses corrected since, say."""
+    instants_ns = [pair.captured_at_ns for pair in drive.frame_pairs]
+    parameters = {
+        "map_name": map_name,
+        "drive_id": drive.drive_id,
+        "captured_from_ns": min(instants_ns),
+        "captured_to_ns": max(instants_ns),
+        "content_sha256": drive.content_sha256,
+    }
+    with database_errors("Other deliveries of the drive cannot be looked for"):
+        return [row["changeset_no"] for row in execute(conn, load_sql("map/other_deliveries"), parameters)]
+
+
+def drives_at(conn: Connection, map_name: str, place: Place) -> list[UUID]:
+    """The drives that count and may have something to say about what stands at a place (map CRS), anywhere within its radius."""
+    easting_m, northing_m = place.xy_m
+    parameters = {"map_name": map_name, "easting_m": easting_m, "northing_m": northing_m, "radius_m": place.radius_m}
+    return [row["drive_uuid"] for row in execute(conn, load_sql("map/drives_at"), parameters)]
+
+
+def read_versions(conn: Connection, drive_uuids: Sequence[UUID]) -> list[StoredVersion]:
+    """All that is believed about the features that ever stood around the drives."""
+    with database_errors("What is believed about the neighbourhood cannot be read"):
+        return [
+            StoredVersion(version_row_id=row[27], drive_uuid=row[28], key=row[29:32], version=version_of(row))
+            for row in stream(conn, load_sql("map/belief_around"), {"drive_uuids": list(drive_uuids)})
+        ]
+
+
+def read_doubts_around(conn: Connection, drive_uuid: UUID) -> dict[UUID, Doubt]:
+    """What drives that looked in vain make of the features that stand around a drive's path, by feature id."""
+    with database_errors("The doubts about the features around the drive cannot be read"):
+        rows = stream(conn, load_sql("map/doubts_around"), {"drive_uuid": drive_uuid})
+        return {row[0]: Doubt(existence_probability=row[1], first_missed_ns=row[2]) for row in rows}
+
+
+def read_misses(conn: Connection, drive_uuids: Sequence[UUID]) -> list[StoredMiss]:
+    """Every drive that looked in vain for features that ever stood around the drives, as it is believed now."""
+    with database_errors("What is believed about the neighbourhood cannot be read"):
+        return [
+            StoredMiss(
+                drive_uuid=row[5],
+                key=row[6:9],
+                miss=Miss.model_construct(
+                    feature_id=row[0],
+                    changeset_id=row[1],
+                    version=row[2],
+                    existence_probability=row[3],
+                    first_missed_ns=row[4],
+                ),
+            )
+            for row in stream(conn, load_sql("map/misses_around"), {"drive_uuids": list(drive_uuids)})
+        ]
+
+
+def read_deltas(conn: Connection, drive_uuids: Sequence[UUID]) -> list[StoredDelta]:
+    """What the drives did, as it is believed now."""
+    with database_errors("What the drives did cannot be read"):
+        rows = stream(conn, load_sql("map/believed_deltas"), {"drive_uuids": list(drive_uuids)})
+        return [StoredDelta(row[0], row[1:]) for row in rows]
+
+
+def write_replay(conn: Connection, info: MapInfo, replay: Replay, committed_at: datetime) -> int:
+    """Write the new belief where it differs from the old one; the number of versions written. Does not commit."""
+    kept = {stored.version: stored.version_row_id for stored in replay.versions_before}
+    wanted = set(replay.versions)
+    closed = [row_id for version, row_id in kept.items() if version not in wanted]
+    new = [version for version in replay.versions if version not in kept]
+    known = {stored.values: stored.delta_row_id for stored in replay.deltas_before}
+    values = {_delta_values(changeset_id, delta): (changeset_id, delta) for changeset_id, delta in replay.deltas}
+    closed_deltas = [row_id for value, row_id in known.items() if value not in values]
+    new_deltas = [change for value, change in values.items() if value not in known]
+
+    parameters = {"map_id": info.map_id, "srid": info.srid, "committed_at": committed_at}
+    execute(conn, load_sql("write/create_version_stage"))
+    copy_columns(conn, "version_stage", map_columns.version_columns(info.srid, new))
+    execute(conn, load_sql("write/create_replayed_delta_stage"))
+    copy_columns(conn, "replayed_delta_stage", map_columns.replayed_delta_columns(new_deltas))
+    execute(conn, "analyze version_stage, replayed_delta_stage")
+    execute(conn, load_sql("write/insert_staged_features"), parameters)
+    execute(conn, load_sql("write/close_version_rows"), parameters | {"row_ids": closed})
+    execute(conn, load_sql("write/close_delta_rows"), parameters | {"row_ids": closed_deltas})
+    written = execute_count(conn, load_sql("write/insert_staged_versions"), parameters)
+    execute(conn, load_sql("write/insert_replayed_deltas"), parameters)
+    execute(conn, "drop table version_stage, replayed_delta_stage")
+    return written
+
+
+def _delta_values(changeset_id: UUID, delta: Delta) -> tuple[Any, ...]:
+    """As `StoredDelta.values`."""
+    return (
+        changeset_id,
+        delta.feature_id,
+        delta.kind.value,
+        delta.old.version if delta.old else None,
+        map_columns.version_after(delta),
+        delta.track_index,
+        delta.changed_at_ns,
+        delta.shift_m,
+        delta.other_feature_id,
+        *map_columns.evidence_values(delta),
+    )
+
+
+def read_believed_feature(conn: Connection, map_name: str, feature_id: UUID) -> BelievedVersion | None:
+    """The open version of one feature, standing, suppressed or removed; None where it is not believed in."""
+    with database_errors(f"Feature {feature_id} cannot be read"):
+        parameters = {"map_name": map_name, "feature_id": feature_id}
+        rows = list(stream(conn, load_sql("map/believed_feature"), parameters))
+    return version_of(rows[0]) if rows else None

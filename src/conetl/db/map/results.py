@@ -1,0 +1,253 @@
+"""What the map store answers with: frozen values, times in UTC, lengths in metres of the map's CRS."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any, NamedTuple
+from uuid import UUID
+
+from conetl.model.map_records import (
+    BelievedVersion,
+    Delta,
+    DeltaKind,
+    FoldKey,
+    MapFeature,
+    Miss,
+    Place,
+)
+
+
+@dataclass(frozen=True)
+class MapInfo:
+    """One map; its SRID never changes."""
+
+    map_id: int
+    map_name: str
+    srid: int
+    last_committed_at: datetime | None
+
+
+class RecordCounts(NamedTuple):
+    """How many records of each kind a drive gave; an imported map has none."""
+
+    frame_pair_count: int = 0
+    detection_count: int = 0
+    match_count: int = 0
+    position_count: int = 0
+    track_count: int = 0
+    rejection_count: int = 0
+
+
+@dataclass(frozen=True)
+class RunInfo:
+    """The run that made a changeset, with its parameters in full."""
+
+    run_id: UUID
+    started_at: datetime
+    params: Mapping[str, Any]
+    flow_run_id: str | None = None
+    facts: Mapping[str, Any] | None = None
+    """What became of trajectory and calibration, in words, and what code did it (`pipeline/code_identity.py`)."""
+
+
+@dataclass(frozen=True)
+class CommittedChangeset:
+    """One changeset as the database holds it."""
+
+    changeset_no: int
+    changeset_id: UUID
+    drive_id: str
+    drive_uuid: UUID
+    idempotency_key: str
+    params_sha256: str
+    model_sha256: str
+    code_version: str
+    committed_at: datetime
+    added_count: int
+    confirmed_count: int
+    moved_count: int
+    removed_count: int
+    missed_count: int
+    height_changed_count: int
+    split_count: int
+    merged_count: int
+    frame_pair_count: int
+    detection_count: int
+    match_count: int
+    position_count: int
+    track_count: int
+    rejection_count: int
+    captured_from_ns: int
+    captured_to_ns: int
+    counts: bool
+    """False where the drive was reverted, or another analysis of the same recording took its place."""
+
+
+@dataclass(frozen=True)
+class CommitResult:
+    """What `commit_changeset` did."""
+
+    committed: bool
+    """False where this idempotency key was committed before: nothing was written."""
+    changeset: CommittedChangeset
+    versions_written: int
+    """New feature versions; a confirmation that changes nothing makes none."""
+
+
+@dataclass(frozen=True)
+class FeatureVersion:
+    """A feature as it stood at an instant, and since when and until when it stood so."""
+
+    feature: MapFeature
+    valid_from: datetime
+    valid_to: datetime | None
+    """None while open."""
+    changeset_id: UUID
+    seen_count: int
+    """Drives that saw it, until that instant."""
+    missed_count: int
+    """Drives that looked at its spot in vain."""
+
+
+@dataclass(frozen=True)
+class FeatureLogEntry:
+    """One delta of one feature; the values are those after it (of a removed feature, the last ones).
+
+    What one drive did to a feature may stand here several times: what is believed now, and what was believed before a drive came
+    late or was taken back.
+    """
+
+    changeset_no: int
+    changeset_id: UUID
+    drive_id: str
+    map_name: str
+    kind: DeltaKind
+    changed_at: datetime
+    committed_at: datetime
+    """Since when it was believed (system time)."""
+    believed_until: datetime | None
+    """None where it is believed now."""
+    old_version: int | None
+    new_version: int
+    track_index: int | None
+    shift_m: float | None
+    category: str
+    easting_m: float
+    northing_m: float
+    height_m: float
+    cone_height_m: float
+    existence_probability: float
+    """Belief after this drive, also of one that changed nothing."""
+    observation_count: int
+    suppressed: bool
+    other_feature_id: UUID | None
+    """Of a split, the feature that was both; of a merger, the one that is left."""
+    log_likelihood_ratio: float | None
+    frames_seen: int | None
+    frames_empty: int | None
+
+
+@dataclass(frozen=True)
+class DriveRef:
+    """A drive that counts, and its place in the fold."""
+
+    drive_uuid: UUID
+    changeset_id: UUID
+    idempotency_key: str
+
+
+@dataclass(frozen=True)
+class StoredVersion:
+    """A version that is believed now."""
+
+    version_row_id: int
+    drive_uuid: UUID
+    key: FoldKey
+    version: BelievedVersion
+
+
+@dataclass(frozen=True)
+class StoredMiss:
+    """A drive that looked for a feature in vain, as it is believed now."""
+
+    drive_uuid: UUID
+    key: FoldKey
+    miss: Miss
+
+
+@dataclass(frozen=True)
+class StoredDelta:
+    """A delta that is believed now, as the values of its columns from changeset_id to frames_empty."""
+
+    delta_row_id: int
+    values: tuple[Any, ...]
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What is believed about a neighbourhood, and what is to be believed from now on; features by id, deltas with changeset."""
+
+    versions_before: Sequence[StoredVersion]
+    deltas_before: Sequence[StoredDelta]
+    versions: Sequence[BelievedVersion]
+    deltas: Sequence[tuple[UUID, Delta]]
+
+
+@dataclass(frozen=True)
+class StoredDecision:
+    """What a person decided about a map."""
+
+    decision_id: UUID
+    decision_no: int
+    kind: str
+    """suppress, pin or revert."""
+    easting_m: float | None
+    northing_m: float | None
+    radius_m: float | None
+    feature_id: UUID | None
+    changeset_id: UUID | None
+    note: str
+    decided_by: str | None
+    """None of decisions from before names were kept."""
+    decided_at: datetime
+
+    @property
+    def place(self) -> Place | None:
+        """What it is about; None of a revert."""
+        if self.easting_m is None or self.northing_m is None or self.radius_m is None:
+            return None
+        return Place(xy_m=(self.easting_m, self.northing_m), radius_m=self.radius_m)
+
+
+@dataclass(frozen=True)
+class Decidable:
+    """A changeset, which can be reverted, or a decision, which can be withdrawn."""
+
+    id: UUID
+    kind: str
+    """changeset, or the decision's kind."""
+    drive_uuid: UUID | None
+    """Of a changeset, and of the one that a decision reverts."""
+    changeset_id: UUID | None
+    active: bool
+    """False for a decision that was withdrawn."""
+
+
+@dataclass(frozen=True)
+class MapSummary:
+    """One map in figures."""
+
+    map_name: str
+    srid: int
+    feature_count: int
+    removed_count: int
+    version_count: int
+    changeset_count: int
+    last_committed_at: datetime | None
+    last_captured_to_ns: int | None
+    west_m: float | None
+    south_m: float | None
+    east_m: float | None
+    north_m: float | None

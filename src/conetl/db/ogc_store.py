@@ -1,0 +1,202 @@
+"""What the OGC API asks of the database beside tipg's own queries: which maps there are, where they lie, boxes, pages."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+
+import asyncpg
+import numpy as np
+
+from conetl.db.connection import load_sql
+from conetl.geometry.geodesy import Array, to_geodetic, to_map
+
+#: West, south, east, north in degrees.
+Degrees = tuple[float, float, float, float]
+#: Smallest and largest easting and northing: min x, min y, max x, max y.
+Metres = tuple[float, float, float, float]
+EVERYWHERE: Degrees = (-180.0, -90.0, 180.0, 90.0)
+#: A box around all that any CRS can say, and one around nothing.
+ALL_ROWS: Metres = (-1e30, -1e30, 1e30, 1e30)
+NO_ROWS: Metres = (1e30, 1e30, 1e30, 1e30)
+#: An inner box that holds nothing: every row is looked at in degrees.
+NOTHING_INSIDE: Metres = (1e30, 1e30, -1e30, -1e30)
+#: Features of a map lie this near to what its drives looked at (about 2 km; they lie inside, but for the rounding of PROJ).
+_SPARE_DEG = 0.02
+#: An inner box ends so far within the box in degrees, beside what its edges bulge: versions of PROJ may differ by metres.
+_INNER_SPARE_M = 100.0
+#: A projection is only believed to bend edges, and not to fold the earth, in parts that are no larger.
+_LARGEST_INNER_DEG = 20.0
+
+
+@dataclass(frozen=True)
+class ServedMap:
+    """One map as it stands."""
+
+    map_name: str
+    srid: int
+    changeset_no: int
+    last_committed_at: datetime
+    """Of changesets and decisions."""
+    extent: Degrees
+    since: datetime
+    """Beginning of the first drive."""
+    share: float = 0.0
+    """Of all versions of features in the database, about so many are this map's; 0 where nobody estimated it yet."""
+    version_count: float = 0.0
+    """Versions of its features, about; 0 where nobody estimated it yet."""
+
+
+class MapDirectory:
+    """The maps of a database that hold something, asked anew for every request; extents are computed once a changeset."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, ServedMap] = {}
+
+    async def maps(self, conn: asyncpg.Connection, map_name: str | None = None) -> list[ServedMap]:
+        """All maps by name, or the one that is named; [] where there is no such map or it is empty."""
+        rows = await conn.fetch(load_sql("serve/ogc_maps"), map_name)
+        return [await self._described(conn, row) for row in rows]
+
+    async def _described(self, conn: asyncpg.Connection, row: asyncpg.Record) -> ServedMap:
+        known = self._known.get(row["map_name"])
+        if known is None or known.srid != row["srid"] or known.changeset_no != row["changeset_no"]:
+            found = await conn.fetchrow(load_sql("serve/ogc_extent"), row["map_name"])
+            extent = (found["west"], found["south"], found["east"], found["north"])
+            sizes = {"share": found["share"], "version_count": found["version_count"]}
+            known = ServedMap(**row, extent=extent, since=found["since"], **sizes)
+            self._known[row["map_name"]] = known
+        return replace(known, last_committed_at=row["last_committed_at"])
+
+
+async def read_page(
+    conn: asyncpg.Connection, kind: str, text: Mapping[str, str], arguments: Sequence[object]
+) -> tuple[bytes, int]:
+    """Items of one page as JSON with commas between them, and how many; `kind` is features or changes, `text` what the statement
+    wants put in."""
+    row = await conn.fetchrow(_put_in(text, f"serve/ogc_{kind}_page"), *arguments)
+    return (row["items"] or "").encode(), row["returned"]
+
+
+async def find_versions(
+    conn: asyncpg.Connection, text: Mapping[str, str], arguments: Sequence[str | float]
+) -> tuple[list[int], int | None]:
+    """The rows of the versions on one page of features in order, and how many features there are on all pages (None: the page is
+    empty and does not tell)."""
+    rows = await conn.fetch(_put_in(text, "serve/ogc_features_found"), *arguments)
+    return [row["version_row_id"] for row in rows], rows[0]["matched"] if rows else None
+
+
+def rows_of_versions() -> str:
+    """A query for features by the rows of their versions, to be put into another one; see the file for its parameters."""
+    return load_sql("serve/ogc_features_rows").rstrip().removesuffix(";")
+
+
+async def count_features(conn: asyncpg.Connection, text: Mapping[str, str], arguments: Sequence[str | float]) -> int:
+    """How many features there are on all pages."""
+    matched: int = await conn.fetchval(_put_in(text, "serve/ogc_features_count"), *arguments)
+    return matched
+
+
+def _put_in(text: Mapping[str, str], name: str) -> str:
+    """In one go: a condition may hold the text of a client, in which nothing is put in."""
+    return re.sub(r"\{\{(\w+)\}\}", lambda found: text[found[1]], load_sql(name))
+
+
+async def warm_session(conn: asyncpg.Connection) -> None:
+    """Read what the first question of a session would read: what maps there are, and their coordinate reference systems."""
+    await conn.fetch(load_sql("serve/ogc_warm"))
+    await conn.fetch(load_sql("serve/ogc_maps"), "")
+
+
+def rows_near(box: Degrees, served: ServedMap) -> Metres:
+    """A box in the map's CRS that holds all features of the map in `box` (west > east: across 180 degrees), for the index.
+
+    Only the part of it that the map reaches is looked at: far from its zone a projection says nothing.
+    """
+    reach = _grown(served.extent)
+    parts = _parts(box, reach)
+    if reach in parts:
+        return ALL_ROWS
+    if not parts:
+        return NO_ROWS
+    sides = list(zip(*(_around(part, served.srid) for part in parts), strict=True))
+    return min(sides[0]), min(sides[1]), max(sides[2]), max(sides[3])
+
+
+def rows_within(box: Degrees, served: ServedMap) -> Metres:
+    """The largest box in the map's CRS that surely lies in `box`: nobody needs the degrees of what it holds."""
+    inner = [_inside(part, served.srid) for part in _parts(box, _grown(served.extent))]
+    return max(inner, key=_area, default=NOTHING_INSIDE)
+
+
+def part_of_map(box: Degrees | None, served: ServedMap) -> float:
+    """Which part of what the map reaches lies in `box`, 0 to 1 by area in degrees."""
+    reach = _grown(served.extent)
+    return 1.0 if box is None else sum(_area(part) for part in _parts(box, reach)) / _area(reach)
+
+
+def _parts(box: Degrees, reach: Degrees) -> list[Degrees]:
+    """The parts of a box (two where it goes across 180 degrees) that lie in another one."""
+    west, south, east, north = box
+    low_x, low_y, high_x, high_y = reach
+    pieces = [(west, east)] if west <= east else [(west, 180.0), (-180.0, east)]
+    cut = [(max(left, low_x), max(south, low_y), min(right, high_x), min(north, high_y)) for left, right in pieces]
+    return [part for part in cut if part[0] <= part[2] and part[1] <= part[3]]
+
+
+def _area(box: Degrees | Metres) -> float:
+    return (box[2] - box[0]) * (box[3] - box[1])
+
+
+def _around(box: Degrees, srid: int) -> Metres:
+    """A box in a CRS that surely holds a box in degrees.
+
+    Its edges are bent there, so they are looked at in 16 pieces each; what they bulge between is far below the hundredth (and the
+    metre) that is added.
+    """
+    places = _edges(box, srid).reshape(-1, 2)
+    (low_x, low_y), (high_x, high_y) = places.min(axis=0).tolist(), places.max(axis=0).tolist()
+    spare_m = 1 + 0.01 * max(high_x - low_x, high_y - low_y)
+    return low_x - spare_m, low_y - spare_m, high_x + spare_m, high_y + spare_m
+
+
+def _inside(box: Degrees, srid: int) -> Metres:
+    """A box in a CRS that surely lies in a box in degrees; NOTHING_INSIDE where none is found.
+
+    No edge of the box in degrees, as it is bent in the CRS, reaches into it, and its middle lies in the box: so all of it does.
+    """
+    west, south, east, north = box
+    if max(east - west, north - south) > _LARGEST_INNER_DEG:
+        return NOTHING_INSIDE
+    edges = _edges(box, srid)
+    (_, low_y), (low_x, _) = edges[0].max(axis=0).tolist(), edges[2].max(axis=0).tolist()
+    (_, high_y), (high_x, _) = edges[1].min(axis=0).tolist(), edges[3].min(axis=0).tolist()
+    # An edge bulges between three neighbours by an eighth of their second difference.
+    spare_m = _INNER_SPARE_M + 2 * float(np.abs(np.diff(edges, n=2, axis=1)).max())
+    inner = (low_x + spare_m, low_y + spare_m, high_x - spare_m, high_y - spare_m)
+    if inner[0] >= inner[2] or inner[1] >= inner[3]:
+        return NOTHING_INSIDE
+    lat, lon, _ = to_geodetic(srid, ((inner[0] + inner[2]) / 2, (inner[1] + inner[3]) / 2, 0.0)).tolist()
+    return inner if west <= lon <= east and south <= lat <= north else NOTHING_INSIDE
+
+
+def _edges(box: Degrees, srid: int) -> Array:
+    """Easting and northing along the southern, northern, western and eastern edge of a box in degrees (4, 17, 2)."""
+    west, south, east, north = box
+    steps = np.linspace(0.0, 1.0, 17)
+    lon, lat = west + (east - west) * steps, south + (north - south) * steps
+    lons = np.stack([lon, lon, np.full(17, west), np.full(17, east)])
+    lats = np.stack([np.full(17, south), np.full(17, north), lat, lat])
+    return to_map(srid, lats, lons, 0.0)[..., :2]
+
+
+def _grown(extent: Degrees) -> Degrees:
+    west, south, east, north = extent
+    if (
+        east - west > 180
+    ):  # of a map across 180 degrees corners are known on both sides, and not how near to it they come
+        west, east = -180.0, 180.0
+    return west - _SPARE_DEG, south - _SPARE_DEG, east + _SPARE_DEG, north + _SPARE_DEG

@@ -1,0 +1,171 @@
+"""Receipts: what became of every drive that was handed over, in the database and, for people, as files.
+
+The locks (held by `session_locks.py`) are PostgreSQL's session locks: the server frees them when the process that holds them is
+gone, on whatever machine and however it ended. So a crash is known and not guessed from a clock. (A pooler in transaction mode
+would break them.)
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, replace
+from datetime import datetime
+from pathlib import Path
+from typing import Literal
+from uuid import UUID
+
+from conetl.db.connection import Connection, database_errors, execute, load_sql, transaction
+from conetl.files.atomic import atomic_text_file
+from conetl.files.names import file_name_part, printable
+from conetl.model.errors import DatabaseError, InputError, StorageError
+
+_log = logging.getLogger(__name__)
+
+State = Literal["started", "committed", "known", "failed", "crashed"]
+
+
+@dataclass(frozen=True)
+class Receipt:
+    """One row of `conetl.receipt`."""
+
+    attempt_id: UUID
+    map_name: str
+    drive_path: str
+    drive_id: str
+    header_sha256: str
+    analysis_sha256: str
+    content_sha256: str | None
+    state: State
+    reason: str
+    may_pass: bool
+    changeset_id: UUID | None
+    frame_pairs: int | None
+    seconds: float | None
+    flow_run_id: str | None
+    host: str
+    at: datetime | None = None
+    """When; None until it is written."""
+    attempts: int = 0
+    """How often work on the drive was started, this time included; 0 where nobody counted."""
+
+    @property
+    def done(self) -> bool:
+        """The drive is on the map."""
+        return self.state in {"committed", "known"}
+
+    @property
+    def drive_lock(self) -> str:
+        return drive_lock(self.map_name, self.header_sha256)
+
+
+@dataclass(frozen=True)
+class DriveOnMap:
+    """A recording that was committed, by whatever way."""
+
+    drive_id: str
+    captured_from_ns: int
+    captured_to_ns: int
+    params_sha256: str
+    model_sha256: str
+    changeset_no: int
+    committed_at: datetime
+    headers: tuple[str, ...]
+    """Of the folders that receipts say it came from; empty where it was ingested by hand."""
+
+
+def drive_lock(map_name: str, header_sha256: str) -> str:
+    """Name of the lock that is held while a drive is being ingested."""
+    return f"conetl.drive/{map_name}/{header_sha256}"
+
+
+def run_lock(flow_run_id: str) -> str:
+    """Name of the lock that a flow run holds as long as its process lives."""
+    return f"conetl.flow_run/{flow_run_id}"
+
+
+def write_receipt(conn: Connection, receipt: Receipt, folder: Path) -> None:
+    """Keep a receipt: a row, and `folder/<drive>-<header>.json` with the drive's last word (a copy; the row is what counts).
+
+    Names of files may be any bytes, and stand in reasons too, so texts are stored as they can be printed.
+    """
+    parameters = {k: printable(v) if isinstance(v, str) else v for k, v in asdict(receipt).items()}
+    with transaction(conn, f"The receipt of drive {receipt.drive_id} cannot be written"):
+        execute(conn, load_sql("write/insert_receipt"), parameters)
+        written = list(_receipts(conn, "map/latest_receipts", receipt.map_name, [receipt.header_sha256]))
+    name = f"{file_name_part(receipt.drive_id)}-{receipt.header_sha256[:12]}.json"
+    try:
+        with atomic_text_file(folder / receipt.map_name / name) as file:
+            json.dump(asdict(written[0]) if written else parameters, file, indent=1, default=str)
+            file.write("\n")
+    except (InputError, StorageError) as error:
+        _log.warning("The receipt of drive %s is in the database, its copy is not: %s", receipt.drive_id, error)
+
+
+def latest_receipts(conn: Connection, *, map_name: str, headers: Sequence[str] | None = None) -> dict[str, Receipt]:
+    """The last word on every drive of a map, by header_sha256."""
+    with transaction(conn, "The receipts cannot be read"):
+        return {r.header_sha256: r for r in _receipts(conn, "map/latest_receipts", map_name, headers)}
+
+
+def attempt_ends(conn: Connection, attempt_ids: Sequence[UUID]) -> dict[UUID, Receipt]:
+    """How attempts ended; those that have not are left out."""
+    with transaction(conn, "The receipts cannot be read"):
+        rows = execute(conn, load_sql("map/receipt_ends"), {"attempt_ids": [str(a) for a in attempt_ids]})
+    return {row["attempt_id"]: Receipt(**row) for row in rows}
+
+
+def drives_on_map(conn: Connection, *, map_name: str) -> list[DriveOnMap]:
+    """Every recording that was committed, oldest changeset first."""
+    with transaction(conn, "The drives of the map cannot be read"):
+        rows = execute(conn, load_sql("map/drives_on_map"), {"map_name": map_name})
+        return [DriveOnMap(**{**row, "headers": tuple(row["headers"])}) for row in rows]
+
+
+def pairs_per_second(conn: Connection, *, map_name: str) -> float | None:
+    """How many frame pairs a second drives took of late, each by itself; None where none was timed."""
+    with transaction(conn, "The receipts cannot be read"):
+        rate = execute(conn, load_sql("map/pairs_per_second"), {"map_name": map_name})[0]["pairs_per_second"]
+    return None if rate is None else float(rate)
+
+
+def held_locks(conn: Connection, names: Sequence[str]) -> set[str]:
+    """Those of the locks that some living process holds."""
+    with transaction(conn, "The locks cannot be read"):
+        return {row["name"] for row in execute(conn, load_sql("map/held_locks"), {"names": list(names)})}
+
+
+@contextmanager
+def held_if_free(conn: Connection, name: str) -> Iterator[bool]:
+    """Hold a lock in a session that is used for the work too, if nobody has it; yields whether it was free."""
+    with database_errors("A lock could not be had"):
+        conn.rollback()
+        taken = bool(execute(conn, load_sql("write/try_lock"), {"name": name})[0]["taken"])
+        conn.commit()
+    try:
+        yield taken
+    finally:
+        if taken:
+            # A session that is lost holds nothing.
+            with suppress(DatabaseError), database_errors("A lock could not be freed"):
+                conn.rollback()
+                execute(conn, load_sql("write/free_lock"), {"name": name})
+                conn.commit()
+
+
+def end_crashed(conn: Connection, started: Receipt, reason: str, folder: Path) -> Receipt | None:
+    """Write that an attempt was interrupted; None where its process lives, or it has ended after all."""
+    with held_if_free(conn, started.drive_lock) as free:
+        if not free or attempt_ends(conn, [started.attempt_id]):
+            return None
+        crashed = replace(started, state="crashed", reason=reason, may_pass=True, at=None)
+        write_receipt(conn, crashed, folder)
+        return crashed
+
+
+def _receipts(conn: Connection, query: str, map_name: str, headers: Sequence[str] | None) -> Iterator[Receipt]:
+    parameters = {"map_name": map_name, "headers": None if headers is None else list(headers)}
+    for row in execute(conn, load_sql(query), parameters):
+        yield Receipt(**row)

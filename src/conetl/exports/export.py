@@ -1,0 +1,84 @@
+"""`export_map`: a map as a file of any format, whole or not at all, with a manifest beside it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from conetl.db.connection import Connection, execute, load_sql, transaction
+from conetl.exports import FORMATS, Format, writer_of
+from conetl.exports.feature_rows import iso_utc
+from conetl.exports.source import ExportRequest, Source, What, open_source
+from conetl.files.atomic import atomic_files
+from conetl.model.errors import InputError
+
+MANIFEST_VERSION = 1
+_WGS84 = "OGC:CRS84"
+#: Of the database for each sort or join: a million features fit; a history has more joins, and may be of any length.
+_WORK_MEM = {What.FEATURES: "128MB", What.CHANGES: "64MB", What.HISTORY: "64MB"}
+
+
+def export_map(conn: Connection, path: Path, file_format: str, request: ExportRequest) -> dict[str, Any]:
+    """Write what `request` asks for to `path` and a manifest to `path` + '.manifest.json'; returns the manifest.
+
+    Everything is read from one snapshot of the database, in batches. Both files take their names at the end, or neither. Raises
+    InputError for an unknown format, a map that is not there, or a place that cannot be written.
+    """
+    if file_format not in FORMATS:
+        raise InputError(f"there is no format {file_format}: choose one of {', '.join(FORMATS)}")
+    chosen = FORMATS[file_format]
+    manifest_path = path.with_name(path.name + ".manifest.json")
+    with transaction(conn, f"The map {request.map_name} cannot be read"):
+        execute(conn, load_sql("export/snapshot"))
+        execute(conn, load_sql("export/memory"), {"work_mem": _WORK_MEM[request.what]})
+        with (
+            open_source(conn, request, order=chosen.order, with_change=chosen.with_change) as source,
+            atomic_files(path, manifest_path) as (file, manifest_file),
+        ):
+            rows = writer_of(file_format)(source, file)
+            manifest = _manifest(source, file_format, chosen, file, rows)
+            manifest_file.write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
+    return manifest
+
+
+def _manifest(source: Source, file_format: str, chosen: Format, file: Path, rows: int) -> dict[str, Any]:
+    request = source.request
+    facts = execute(source.conn, load_sql("export/facts"), {"map_name": request.map_name})[0]
+    return {
+        "manifest_version": MANIFEST_VERSION,
+        "file": file.name,
+        "format": file_format,
+        "sha256": sha256_of(file),
+        "bytes": file.stat().st_size,
+        "rows": rows,
+        "what": str(request.what),
+        "map": request.map_name,
+        "as_of": _text(request.as_of),
+        "believed_at": _text(request.believed_at),
+        "from": _text(request.since),
+        "to": _text(request.until),
+        "last_committed_at": _text(facts["last_committed_at"]),
+        "changesets": facts["changeset_count"],
+        "exported_at": iso_utc(datetime.now(UTC)),
+        "crs": _WGS84 if chosen.geographic else f"EPSG:{source.info.srid}",
+        "map_crs": f"EPSG:{source.info.srid}",
+        "heights": "ellipsoidal, metres",
+        "columns": source.property_names,
+        "code_version": version("conetl"),
+        "schema_version": facts["schema_version"],
+        "licence": facts["licence"],
+    }
+
+
+def sha256_of(path: Path) -> str:
+    """Hash of a file's content, in hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _text(instant: datetime | None) -> str | None:
+    return None if instant is None else iso_utc(instant)

@@ -1,0 +1,59 @@
+"""What may go from the disk when it is old: files that conetl can make again, and publications of long ago."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterable, Sequence
+from datetime import datetime
+from pathlib import Path
+
+from conetl.model.errors import InputError
+
+#: The link beside the publications that names the newest one.
+LATEST = "latest"
+
+
+def old_results(folder: Path, before: datetime) -> list[Path]:
+    """Intermediate results that were written before an instant; they can be computed again from the drives."""
+    return _older(folder.glob("*.parquet"), before)
+
+
+def old_pictures(folder: Path, before: datetime) -> list[Path]:
+    """Pictures unpacked from bags that no run has asked for since an instant; they are unpacked again when one does."""
+    return _older((path for path in folder.glob("*/*") if path.is_file()), before)
+
+
+def old_publications(folder: Path, before: datetime) -> list[Path]:
+    """Folders of publications that were finished before an instant, without the newest."""
+    newest = (folder / LATEST).resolve()
+    finished = _older(folder.glob("*/publication.json"), before)
+    return [path.parent for path in finished if not path.parent.is_symlink() and path.parent.resolve() != newest]
+
+
+def size_bytes(paths: Sequence[Path]) -> int:
+    """Of files, and of all files in folders; what vanished meanwhile counts nothing."""
+    files = (file for path in paths for file in (path.rglob("*") if path.is_dir() else (path,)))
+    return sum(file.stat().st_size for file in files if file.is_file())
+
+
+def remove(paths: Sequence[Path]) -> int:
+    """Delete files and folders; the number of bytes freed. One that vanished meanwhile is passed over. Raises InputError."""
+    freed = 0
+    for path in paths:
+        size = size_bytes([path])
+        try:
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
+                path.unlink()
+        except FileNotFoundError:
+            continue
+        except OSError as error:
+            raise InputError(f"{path} cannot be removed ({error.strerror})") from error
+        freed += size
+    return freed
+
+
+def _older(paths: Iterable[Path], before: datetime) -> list[Path]:
+    limit_s = before.timestamp()
+    return sorted(path for path in paths if path.stat().st_mtime < limit_s)

@@ -1,0 +1,112 @@
+"""Intermediate results as Parquet files, named by the hash of everything they were computed from.
+
+Equal inputs give an equal name, so a finished chunk is never computed twice: not after a crash, not when the drive is ingested
+again with other parameters further down the line. Files appear whole (written aside, then renamed) or not at all.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import TypeVar
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+from pydantic import TypeAdapter
+
+from conetl.files.partial_files import aside
+from conetl.files.storage import NO_FILE_SHA256, is_present, is_remote, object_bytes
+from conetl.model.errors import StorageError
+from conetl.model.records import Record
+from conetl.model.rejections import Rejection
+
+R = TypeVar("R", bound=Record)
+_REJECTIONS = b"conetl.rejections"
+
+
+def result_key(*parts: str) -> str:
+    """Content key: SHA-256 over the given hashes and names, in order."""
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a file's bytes; `NO_FILE_SHA256` where the file is missing, which is a state of the input like any other.
+
+    Storage that fails is none: raises OSError, StorageError of an object.
+    """
+    if is_remote(path):
+        try:
+            return hashlib.sha256(object_bytes(path)).hexdigest()
+        except FileNotFoundError:
+            return NO_FILE_SHA256
+    if not is_present(path):
+        return NO_FILE_SHA256
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def has_result(folder: Path, key: str) -> bool:
+    """Whether the chunk `key` was finished earlier and its file is whole; a damaged one is computed again."""
+    try:
+        table = _read(result_path(folder, key))
+    except (OSError, pa.ArrowException):
+        return False
+    return _REJECTIONS in (table.schema.metadata or {})
+
+
+def save_result(folder: Path, key: str, records: Sequence[R], rejections: Sequence[Rejection]) -> Path:
+    """Write the records and rejections of one finished chunk; the Parquet file is the last to appear.
+
+    Raises StorageError where it cannot be written, whatever the reason: no drive is to blame for it.
+    """
+    refused = TypeAdapter(list[Rejection]).dump_json(list(rejections)).decode()
+    table = pa.Table.from_pylist([record.model_dump(mode="json") for record in records])
+    table = table.replace_schema_metadata({_REJECTIONS: refused})
+    path = result_path(folder, key)
+    unfinished = aside(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        pq.write_table(table, unfinished, compression="zstd", write_page_checksum=True)
+        os.replace(unfinished, path)  # noqa: PTH105 - atomic on every platform, unlike Path.rename
+    except OSError as error:
+        raise StorageError(
+            f"{folder}: results cannot be written ({os.strerror(error.errno) if error.errno else error}): free space there, or "
+            "set CONETL_HOME to another folder, and run the same command again; what is finished is not computed again."
+        ) from error
+    finally:
+        with suppress(OSError):
+            unfinished.unlink()
+    return path
+
+
+def load_result(path: Path, record_type: type[R]) -> tuple[list[R], list[Rejection]]:
+    """Records and rejections of one chunk, validated again: a file is a border."""
+    table = _read(path)
+    metadata = table.schema.metadata or {}
+    rejections = TypeAdapter(list[Rejection]).validate_json(metadata[_REJECTIONS])
+    return TypeAdapter(list[record_type]).validate_python(table.to_pylist()), rejections  # type: ignore[valid-type]
+
+
+def load_results(paths: Iterable[Path], record_type: type[R]) -> tuple[list[R], list[Rejection]]:
+    """All chunks of a drive, in order."""
+    records: list[R] = []
+    rejections: list[Rejection] = []
+    for path in paths:
+        more, refused = load_result(path, record_type)
+        records += more
+        rejections += refused
+    return records, rejections
+
+
+def _read(path: Path) -> pa.Table:
+    # pq.read_table imports pandas, which takes as long as some hundred pictures.
+    with pq.ParquetFile(path, page_checksum_verification=True) as file:
+        return file.read()
+
+
+def result_path(folder: Path, key: str) -> Path:
+    """Where the result of a key lies, whether it exists or not."""
+    return folder / f"{key}.parquet"

@@ -1,0 +1,62 @@
+"""A small YAML file of the user's, read into a pydantic model: parameters, rules, the description of a feed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from conetl.model.errors import InputError
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def read_yaml_model(path: Path | None, model: type[Model], what: str) -> Model:
+    """The file's values as a model; the model's defaults without a file, or where it is empty.
+
+    what: the word for such a file in messages. Raises InputError naming the file, the key and what was expected.
+    """
+    return model() if path is None else validated(read_yaml_mapping(path, what), model, f"{what} {path}")
+
+
+def read_yaml_mapping(path: Path, what: str, example: str = "") -> dict[str, Any]:
+    """Keys and values of a YAML file; none where it is empty. Raises InputError."""
+    name = f"{what} {path}"
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{name}: cannot be read ({error.strerror})") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise InputError(f"{name}: not a YAML file ({error})") from error
+    if content is None:
+        return {}
+    if not isinstance(content, dict):
+        shown = f", for example:{example}" if example else ""
+        raise InputError(f"{name}: expected keys and values{shown}")
+    return {str(key): value for key, value in content.items()}
+
+
+def validated(values: Mapping[str, Any], model: type[Model], name: str) -> Model:
+    """Values as a model. Raises InputError that begins with `name` and says which value is wrong, and which would not be."""
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"]) or "the file"
+        if first["type"] == "extra_forbidden":
+            known = ", ".join(_fields_at(model, first["loc"][:-1]))
+            raise InputError(f"{name}: {where}: there is no such key here; known are {known}") from error
+        raise InputError(f"{name}: {where}: {first['msg']}; found {first['input']!r}") from error
+
+
+def _fields_at(model: type[BaseModel], way: tuple[int | str, ...]) -> list[str]:
+    """Names of the fields of the model that `way` leads to through fields that are models."""
+    for part in way:
+        inner = model.model_fields[str(part)].annotation
+        if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
+            return []
+        model = inner
+    return list(model.model_fields)

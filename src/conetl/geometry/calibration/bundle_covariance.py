@@ -1,0 +1,71 @@
+"""Covariance of a rig's calibration that stays honest where the corner errors of one pair belong together.
+
+Least squares takes all corner errors as independent. They are not: motion blur, light, a bent board and the detector move the
+corners of one picture together, and the covariance scaled by the variance factor alone comes out too small. Here each pair
+is one cluster: the pull of its residuals on the result is compared with the pull that independent errors of the same variance
+would have had, its own leverage taken off (the idea of the cluster-robust "sandwich" covariance, Liang & Zeger 1986, and of its
+correction by Bell & McCaffrey 2002). A few dozen pairs cannot determine a whole matrix of 20 and more unknowns, but they do
+determine its size: the least-squares covariance is multiplied by the ratio of the two sums over all pairs and directions, the
+design effect (Kish 1965). Where it differs from 1 by no more than chance it is drawn towards 1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.geometry.calibration.stereo_bundle import BundleError, Reduced
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RigCovariance:
+    """matrix (k, k) of the rig's unknowns. least_squares (k, k): as if all corner errors were independent.
+
+    design_effect: mean ratio of the two variances, 1 for independent errors.
+    """
+
+    matrix: Array
+    least_squares: Array
+    design_effect: float
+
+
+def rig_covariance(reduced: Reduced, rig_parameters: int, variance_factor: float) -> RigCovariance:
+    """Covariance of the first `rig_parameters` unknowns, from the linearised system at the solution.
+
+    variance_factor: a-posteriori variance of one image coordinate, px^2. Raises BundleError where the pictures do not determine
+    the unknowns.
+    """
+    normal = reduced.normal
+    diagonal = np.diag(normal)
+    if not np.all(diagonal > 0):
+        raise BundleError("the pictures do not determine the calibration: an unknown has no influence on any corner")
+    scale = 1.0 / np.sqrt(diagonal)
+    values, vectors = np.linalg.eigh(normal * scale[:, None] * scale)
+    if not values[0] > 1e-13 * values[-1]:
+        raise BundleError("the pictures do not determine the calibration: singular normal equations")
+    half = (scale[:, None] * vectors) / np.sqrt(values)  # half half^T = normal^-1
+    back = half[:rig_parameters]
+    least_squares = variance_factor * back @ back.T
+    # What is known of the board beforehand has its part in the covariance as it is; the pairs' part is what they tell about.
+    known = variance_factor * back @ (half.T @ reduced.prior @ half) @ back.T
+    sizes = np.sqrt(np.diag(least_squares))
+    root = np.linalg.cholesky((least_squares - known) / sizes[:, None] / sizes)
+    white = np.linalg.solve(
+        root, back / sizes[:, None]
+    )  # from whitened unknowns to those of the rig, themselves whitened
+    found = expected = scatter = 0.0
+    for share, gradient in zip(reduced.normals, reduced.gradients, strict=True):
+        leverage = half.T @ share @ half
+        pull = variance_factor * white @ (leverage - leverage @ leverage) @ white.T  # its covariance if independent
+        found += float(((white @ (half.T @ gradient)) ** 2).sum())
+        expected += float(np.trace(pull))
+        scatter += 2.0 * float((pull**2).sum())  # variance of a sum of squares of normal variables
+    if not expected > 0:
+        raise BundleError("there are too few pairs to tell how far they agree")
+    excess = found / expected - 1.0
+    effect = 1.0 + excess * excess**2 / (excess**2 + scatter / expected**2)
+    return RigCovariance(effect * (least_squares - known) + known, least_squares, effect)

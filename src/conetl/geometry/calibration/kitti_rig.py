@@ -1,0 +1,144 @@
+"""From the numbers of KITTI's calibration files to a `Rig`.
+
+KITTI (Geiger et al., IJRR 2013): `x_velo = velo_SE3_imu x_imu` (calib_imu_to_velo), `x_cam0 = cam0_SE3_velo x_velo`
+(calib_velo_to_cam), `x_rect = R_rect_00 x_cam0` and `P_rect_0i = K_i [I | t_i]` in the rectified frame of camera 0. Camera i
+therefore sits at `-t_i` with `t_i = K_i^-1 p4`, all three components: in P_rect_02 and P_rect_03 ty and tz are not zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.geometry import pose as se3
+from conetl.geometry.rectification import check_stereo_baseline
+from conetl.model.records import Camera, Lens, Rig
+
+Array = NDArray[np.float64]
+
+#: A rectified pair whose baseline points away from the image rows by more than this (as a share) is refused.
+MAX_BASELINE_SLOPE = 0.1
+
+
+def kitti_rig(
+    cam_to_cam: Mapping[str, Array],
+    *,
+    velo_to_cam: Mapping[str, Array] | None = None,
+    imu_to_velo: Mapping[str, Array] | None = None,
+    left: int = 2,
+    right: int = 3,
+    rig_id: str,
+    sigma_px: float = 0.5,
+) -> Rig:
+    """Rig of two rectified KITTI cameras; the arrays are flat, as in the files.
+
+    cam_to_cam needs `S_rect_0i` (2), `P_rect_0i` (12) of both cameras and `R_rect_00` (9); the other two need `R` (9) and `T`
+    (3), metres. With both of them the body is the IMU (x forward, y left, z up); without, it is the left camera.
+    Raises ValueError, naming the key, for a matrix that is not what it should be.
+    """
+    cameras, rect_SE3_camera = [], []
+    for number in (left, right):
+        key = f"P_rect_{number:02d}"
+        p = np.asarray(cam_to_cam[key], dtype=np.float64).reshape(3, 4)
+        k = p[:, :3]
+        if not (np.allclose(k[2], [0.0, 0.0, 1.0]) and abs(k[0, 1]) < 1e-6 and abs(k[1, 0]) < 1e-6):
+            raise ValueError(f"{key}: the left 3x3 block must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
+        if k[0, 0] <= 0 or k[1, 1] <= 0:
+            raise ValueError(f"{key}: focal lengths must be positive, found {k[0, 0]:g} and {k[1, 1]:g}")
+        size = np.asarray(cam_to_cam[f"S_rect_{number:02d}"], dtype=np.float64)
+        if not np.all((size >= 1) & (size == np.round(size))):
+            raise ValueError(f"S_rect_{number:02d}: width and height must be whole numbers of pixels, found {size}")
+        width, height = int(size[0]), int(size[1])
+        fx, fy, cx, cy = (float(k[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2)))
+        cameras.append(Camera(width_px=width, height_px=height, fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy))
+        rect_SE3_camera.append(se3.se3(np.eye(3), -np.linalg.solve(k, p[:, 3])))
+    check_rectified_baseline(se3.compose(se3.invert(rect_SE3_camera[0]), rect_SE3_camera[1]))
+    if velo_to_cam is None or imu_to_velo is None:
+        body_SE3_rect = se3.invert(rect_SE3_camera[0])
+    else:
+        rect_SE3_cam0 = se3.se3(_rotation(cam_to_cam["R_rect_00"], "R_rect_00"), np.zeros(3))
+        cam0_SE3_velo = _rigid(velo_to_cam, "calib_velo_to_cam")
+        velo_SE3_imu = _rigid(imu_to_velo, "calib_imu_to_velo")
+        body_SE3_rect = se3.invert(se3.compose(rect_SE3_cam0, se3.compose(cam0_SE3_velo, velo_SE3_imu)))
+    return Rig(
+        rig_id=rig_id, left=cameras[0], right=cameras[1], sigma_px=sigma_px,
+        body_SE3_left=se3.to_matrix4(se3.compose(body_SE3_rect, rect_SE3_camera[0])),
+        body_SE3_right=se3.to_matrix4(se3.compose(body_SE3_rect, rect_SE3_camera[1])),
+    )  # fmt: skip
+
+
+def kitti_raw_rig(
+    cam_to_cam: Mapping[str, Array],
+    *,
+    velo_to_cam: Mapping[str, Array] | None = None,
+    imu_to_velo: Mapping[str, Array] | None = None,
+    left: int = 2,
+    right: int = 3,
+    rig_id: str,
+    sigma_px: float = 0.5,
+) -> Rig:
+    """Rig of the two KITTI cameras that took the pictures ("synced only"), with their lenses; flat arrays as in the files.
+
+    cam_to_cam needs `S_0i` (2), `K_0i` (9), `D_0i` (5), `R_0i` (9), `T_0i` (3) of both cameras: `x_cam_i = R_0i x_cam0 + T_0i`.
+    The body is as with `kitti_rig`. Raises ValueError, naming the key.
+    """
+    cameras, cam0_SE3_camera = [], []
+    for number in (left, right):
+        k = np.asarray(cam_to_cam[f"K_{number:02d}"], dtype=np.float64).reshape(3, 3)
+        key = f"K_{number:02d}"
+        if not (np.allclose(k[2], [0.0, 0.0, 1.0]) and abs(k[0, 1]) < 1e-6 and abs(k[1, 0]) < 1e-6):
+            raise ValueError(f"{key}: must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
+        if k[0, 0] <= 0 or k[1, 1] <= 0:
+            raise ValueError(f"{key}: focal lengths must be positive, found {k[0, 0]:g} and {k[1, 1]:g}")
+        size = np.asarray(cam_to_cam[f"S_{number:02d}"], dtype=np.float64)
+        if not np.all((size >= 1) & (size == np.round(size))):
+            raise ValueError(f"S_{number:02d}: width and height must be whole numbers of pixels, found {size}")
+        d = [float(c) for c in cam_to_cam[f"D_{number:02d}"]]
+        lens = Lens(model="brown", coefficients=tuple(d)) if any(d) else Lens()
+        fx, fy, cx, cy = (float(k[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2)))
+        cameras.append(
+            Camera(width_px=int(size[0]), height_px=int(size[1]), fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy, lens=lens)
+        )
+        camera_R_cam0 = _rotation(cam_to_cam[f"R_{number:02d}"], f"R_{number:02d}")
+        cam0_SE3_camera.append(se3.invert(se3.se3(camera_R_cam0, cam_to_cam[f"T_{number:02d}"])))
+    try:
+        check_stereo_baseline(se3.compose(se3.invert(cam0_SE3_camera[0]), cam0_SE3_camera[1]))
+    except ValueError as error:
+        raise ValueError(f"T_{left:02d}, T_{right:02d}: {error}") from error
+    if velo_to_cam is None or imu_to_velo is None:
+        body_SE3_cam0 = se3.invert(cam0_SE3_camera[0])
+    else:
+        cam0_SE3_velo = _rigid(velo_to_cam, "calib_velo_to_cam")
+        body_SE3_cam0 = se3.invert(se3.compose(cam0_SE3_velo, _rigid(imu_to_velo, "calib_imu_to_velo")))
+    return Rig(
+        rig_id=rig_id, left=cameras[0], right=cameras[1], sigma_px=sigma_px,
+        body_SE3_left=se3.to_matrix4(se3.compose(body_SE3_cam0, cam0_SE3_camera[0])),
+        body_SE3_right=se3.to_matrix4(se3.compose(body_SE3_cam0, cam0_SE3_camera[1])),
+    )  # fmt: skip
+
+
+def check_rectified_baseline(left_SE3_right: Array) -> None:
+    """Raise ValueError unless the right camera sits to the right of the left one, roughly along the image rows."""
+    x, y, z = left_SE3_right[:3, 3]
+    if not x > 0.01:
+        raise ValueError(
+            f"the right camera must sit to the right of the left one, found {x:.4f} m along the image rows: "
+            "are left and right swapped?"
+        )
+    if np.hypot(y, z) > MAX_BASELINE_SLOPE * x:
+        raise ValueError(
+            f"the baseline ({x:.3f}, {y:.3f}, {z:.3f}) m does not follow the image rows of a rectified pair"
+        )
+
+
+def _rotation(values: Array, key: str) -> Array:
+    try:
+        return se3.nearest_rotation(np.asarray(values, dtype=np.float64).reshape(3, 3))
+    except ValueError as error:
+        raise ValueError(f"{key}: {error}") from error
+
+
+def _rigid(values: Mapping[str, Array], name: str) -> Array:
+    return se3.se3(_rotation(values["R"], f"R of {name}"), np.asarray(values["T"], dtype=np.float64))

@@ -1,0 +1,246 @@
+"""How far the right camera of a rig departs from its calibration, from points that stand still while the rig drives.
+
+A small bundle adjustment with additional parameters (e.g. Luhmann et al. 2013, "Close-range photogrammetry", ch. 4.4): over
+spans of a few metres, points seen by both cameras at both ends must fit one rigid motion. Unknown are the points, one motion a
+span and, common to the drive, one rotation of the right camera and one bend of its columns. Turned to the side (ry) the camera
+shifts all disparities, which points at many depths show once the rig has moved; turned up or down (rx) and about its axis (rz) it
+shifts and tilts rows. The bend shifts columns as x squared: what a principal point that is off, or the decentring of a lens,
+leaves over once a calibration has put it down as a turn. Without it the turn would be a compromise between the middle and the
+sides of the picture. Rows would tell ry too, by their shift in the corners (as x y), much more sharply than motion does, but
+only if nothing else shifted them: a parameter of rows alone takes that part away. Where disparities are off by yet another
+field, `model_gap` shows it: what would change if they might also follow the next even Legendre polynomial, the fourth.
+Points and motions are eliminated (Schur complement); what errors of one span have in common is taken from the scatter between
+spans (covariance of M-estimates with clusters: Huber 1981, ch. 6; Liang & Zeger 1986; neighbours: Newey & West 1987).
+
+The rotation r = (rx, ry, rz) in radians perturbs left_SE3_right = (R, t) as (R exp([r]x), t), as in `CalibrationCovariance`. The
+bend b adds b x^2 to the column, in units of the focal length. A turn moves columns by -ry (1 + x^2), so turn and bend together
+are a camera turned by (rx, ry - b, rz) whose principal point lies b focal lengths further to the left (`corrected`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from conetl.geometry.medians import median
+from conetl.geometry.motion.stereo_motion import (
+    MotionLimits,
+    MotionStatus,
+    StereoCameras,
+    estimate_motion,
+    inverse_of_symmetric,
+    triangulate,
+)
+from conetl.geometry.projection import cross_matrix
+
+Floats = NDArray[np.float64]
+
+_OUTER, _INNER = 2, 10
+#: rx, ry, rz, the bend of columns and the skew of rows; and, tried only, the fourth Legendre polynomial of the column.
+_SHARED, _TRIED = 5, 6
+_SKEW, _BEND = 4, 3
+_CAUCHY_SIGMAS = 2.385  # 95 % efficiency on normal errors (Rey 1983)
+_HUBER_SIGMAS = 2.0
+#: Each point has 8 image coordinates and 3 unknowns of its own; median of chi-square(5) / 5.
+_FREEDOM, _MEDIAN_CHI2 = 5, 0.8703
+#: Median of chi-square(5) / 5, of a span's score.
+_MEDIAN_SCORE2 = 0.8703
+_NEAREST_M = 0.3
+#: The last step, squared and in sigmas, must be smaller than this.
+_CONVERGED = 0.01
+#: Neighbouring spans see much of the same scenery: their errors go together over this many spans (Newey & West 1987).
+_LAGS = 3
+
+
+@dataclass(frozen=True)
+class SpanPoints:
+    """Points seen in all four pictures at the two ends of a span, in pixels of the rectified pictures."""
+
+    first_px: Floats
+    """(N, 4): u_left, v_left, u_right, v_right at the beginning."""
+    last_px: Floats
+    """(N, 4): likewise at the end."""
+    sigma_px: Floats
+    """(N,) of each coordinate."""
+    last_SE3_first: Floats
+    """(4, 4) about how the left camera moved, as in `estimate_motion`."""
+
+
+@dataclass(frozen=True)
+class RightCameraError:
+    """What the spans say, without any prior."""
+
+    turn_and_bend: Floats
+    """(4,) rx, ry, rz in radians and the bend in focal lengths."""
+    cov: Floats
+    """(4, 4), from the scatter between spans."""
+    model_gap: Floats
+    """(4,): by how much they would be others if disparities might also follow a fourth-order field."""
+    point_count: int
+
+
+def corrected(cameras: StereoCameras, turn_and_bend: Floats) -> StereoCameras:
+    """The rig with a right camera that is turned and bent by (4,) rx, ry, rz and bend."""
+    rotation_rad, shift_px = as_camera(turn_and_bend, float(cameras.right_px[0]))
+    back = np.eye(4)
+    back[:3, :3] = Rotation.from_rotvec(-rotation_rad).as_matrix()
+    moved = cameras.right_px + np.array([0.0, 0.0, shift_px, 0.0])
+    return replace(cameras, right_px=moved, right_SE3_left=back @ cameras.right_SE3_left)
+
+
+def as_camera(turn_and_bend: Floats, focal_px: float) -> tuple[Floats, float]:
+    """Rotation vector (3,) of the camera and shift of its principal point in columns, px, that (4,) turn and bend amount to."""
+    rx, ry, rz, bend = turn_and_bend
+    return np.array([rx, ry - bend, rz]), float(-focal_px * bend)
+
+
+def estimate_right_camera(
+    cameras: StereoCameras, spans: Sequence[SpanPoints], limits: MotionLimits, min_spans: int
+) -> RightCameraError | None:
+    """Turn and bend of the right camera that make the points of all spans stand still; None where the spans cannot tell.
+
+    min_spans: with fewer usable spans there is no scatter to speak of. Points on moving objects are outvoted within each span.
+    """
+    state = np.zeros(_SHARED)
+    starts: list[Floats | None] = [None] * len(spans)
+    for _ in range(_OUTER):
+        own = corrected(cameras, state[:_SKEW])
+        chosen = [_still(own, span, limits, seed, starts[seed]) for seed, span in enumerate(spans)]
+        starts = [None if c is None else c[1] for c in chosen]
+        used = [c for c in chosen if c is not None]
+        if len(used) < min_spans:
+            return None
+        for _ in range(_INNER):
+            reduced = []
+            own = corrected(cameras, state[:_SKEW])
+            for k, (span, *held) in enumerate(used):
+                parts, pose, points = _step_span(own, state[_SKEW], span, *held)
+                used[k] = (span, pose, points)
+                reduced.append(parts)
+            normals, scores = np.array([p[0] for p in reduced]), np.array([p[1] for p in reduced])
+            solved = _combine(normals, scores)
+            if solved is None:
+                return None
+            step, cov, gap = solved
+            state = state + step
+            if step @ np.linalg.solve(cov, step) < _CONVERGED:
+                break
+        else:
+            return None
+    count = sum(len(span.first_px) for span, _, _ in used)
+    return RightCameraError(state[:_SKEW], cov[:_SKEW, :_SKEW], gap[:_SKEW], count)
+
+
+def _still(
+    cameras: StereoCameras, span: SpanPoints, limits: MotionLimits, seed: int, start: Floats | None
+) -> tuple[SpanPoints, Floats, Floats] | None:
+    """The points of a span that one motion explains, that motion, and where they are; None where there are too few."""
+    motion = estimate_motion(
+        cameras, span.first_px[:, :3], span.last_px[:, :3], span.sigma_px, span.last_SE3_first, limits, seed, start
+    )
+    if motion.status is not MotionStatus.OK:
+        return None
+    keep = motion.inliers
+    kept = SpanPoints(span.first_px[keep], span.last_px[keep], span.sigma_px[keep], motion.next_SE3_first)
+    return kept, motion.next_SE3_first, triangulate(cameras, kept.first_px[:, :3])[0]
+
+
+def _step_span(
+    cameras: StereoCameras, skew: float, span: SpanPoints, pose: Floats, points: Floats
+) -> tuple[tuple[Floats, Floats], Floats, Floats]:
+    """One Gauss-Newton step of a span, shared unknowns held: their reduced normal (6, 6) and score (6,), motion and points."""
+    first, d_first, r_first = _image(cameras, skew, points)
+    moved = points @ pose[:3, :3].T
+    last, d_last, r_last = _image(cameras, skew, moved + pose[:3, 3])
+    residual = np.hstack([span.first_px - first, span.last_px - last]) / span.sigma_px[:, None]
+    by_point = np.concatenate([d_first, d_last @ pose[:3, :3]], axis=1)
+    shared = np.zeros((len(points), 8, 6 + _TRIED))
+    shared[:, 4:, :3] = -(d_last @ cross_matrix(moved))
+    shared[:, 4:, 3:6] = d_last
+    shared[:, :4, 6:], shared[:, 4:, 6:] = r_first, r_last
+    by_point, shared = by_point / span.sigma_px[:, None, None], shared / span.sigma_px[:, None, None]
+    normals = np.swapaxes(by_point, 1, 2) @ by_point
+    inverses = inverse_of_symmetric(np.ascontiguousarray(normals.transpose(1, 2, 0))).transpose(2, 0, 1)
+    own = inverses @ np.swapaxes(by_point, 1, 2)  # (N, 3, 8)
+    # Residuals and what all share, less the part that each point takes up by moving.
+    free = np.concatenate([shared, residual[:, :, None]], axis=2)
+    free -= by_point @ (own @ free)
+    rest = free[:, :, -1]
+    misfit = np.einsum("ni,ni->n", rest, rest) / _FREEDOM
+    factor = max(median(misfit) / _MEDIAN_CHI2, 1e-6)
+    weight = 1 / (1 + misfit / factor / _CAUCHY_SIGMAS**2) / factor
+    columns = free.reshape(-1, free.shape[2])
+    products = columns[:, :-1].T @ (columns * np.repeat(weight, free.shape[1])[:, None])
+    normal, score = products[:, :-1], products[:, -1]
+    inverse = np.linalg.pinv(normal[:6, :6], hermitian=True)
+    gain = normal[6:, :6] @ inverse
+    motion_step = inverse @ score[:6]
+    point_step = np.einsum("nij,nj->ni", own, residual - shared[:, :, :6] @ motion_step)
+    new_pose = pose.copy()
+    new_pose[:3, :3] = Rotation.from_rotvec(motion_step[:3]).as_matrix() @ pose[:3, :3]
+    new_pose[:3, 3] += motion_step[3:]
+    new_points = points + point_step
+    new_points[:, 2] = np.maximum(new_points[:, 2], 2 * _NEAREST_M)  # a point may not pass through the camera
+    return (normal[6:, 6:] - gain @ normal[:6, 6:], score[6:] - gain @ score[:6]), new_pose, new_points
+
+
+def _image(cameras: StereoCameras, skew: float, points: Floats) -> tuple[Floats, Floats, Floats]:
+    """Image points (N, 4) of points (N, 3), derivatives (N, 4, 3) by the point, (N, 4, 6) by what all share."""
+    turn = cameras.right_SE3_left[:3, :3]
+    right = points @ turn.T + cameras.right_SE3_left[:3, 3]
+    left_uv, left_d = _pinhole(cameras.left_px, points)
+    right_uv, right_d = _pinhole(cameras.right_px, right)
+    by_shared = np.zeros((len(points), 4, _TRIED))
+    by_shared[:, 2:, :3] = right_d @ cross_matrix(right)  # exp(-[r]x) q = q + q x r
+    by_shared[:, 2:, _BEND] = -by_shared[:, 2:, 1]
+    by_shared[:, 2, _BEND] -= cameras.right_px[0]
+    corner = (right_uv - cameras.right_px[2:]) / cameras.right_px[:2]
+    by_shared[:, 3, _SKEW] = cameras.right_px[1] * corner[:, 0] * corner[:, 1]
+    side2 = (right_uv[:, 0] / cameras.right_px[2] - 1) ** 2  # about 1 at both sides of the picture
+    by_shared[:, 2, _SHARED] = cameras.right_px[0] * (35 * side2**2 - 30 * side2 + 3) / 8
+    right_uv[:, 1] += skew * by_shared[:, 3, _SKEW]
+    return np.hstack([left_uv, right_uv]), np.concatenate([left_d, right_d @ turn], axis=1), by_shared
+
+
+def _pinhole(intrinsics: Floats, points: Floats) -> tuple[Floats, Floats]:
+    fx, fy, cx, cy = intrinsics
+    z = np.maximum(points[:, 2], _NEAREST_M)
+    x, y = points[:, 0] / z, points[:, 1] / z
+    d = np.zeros((len(points), 2, 3))
+    d[:, 0, 0], d[:, 0, 2], d[:, 1, 1], d[:, 1, 2] = fx / z, -fx * x / z, fy / z, -fy * y / z
+    return np.stack([fx * x + cx, fy * y + cy], axis=1), d
+
+
+def _combine(all_normals: Floats, all_scores: Floats) -> tuple[Floats, Floats, Floats] | None:
+    """Robust step (5,), its covariance (5, 5) and the model's gap (5,)."""
+    normals, scores = all_normals[:, :_SHARED, :_SHARED], all_scores[:, :_SHARED]
+    weight = np.ones(len(normals))
+    for _ in range(10):
+        normal = np.einsum("s,sij->ij", weight, normals)
+        if np.linalg.cond(normal / np.sqrt(np.outer(np.diag(normal), np.diag(normal)) + 1e-300)) > 1e8:
+            return None
+        inverse = np.linalg.inv(normal)
+        step = inverse @ np.einsum("s,si->i", weight, scores)
+        rest = scores - normals @ step
+        # A span's score is as uncertain as its information says, times what spans scatter more than that.
+        score2 = np.einsum("si,sij,sj->s", rest, np.linalg.pinv(normals, hermitian=True), rest) / _SHARED
+        spread = max(float(np.median(score2)) / _MEDIAN_SCORE2, 1e-12)
+        weight = np.minimum(1.0, _HUBER_SIGMAS / np.sqrt(score2 / spread + 1e-300))
+    weighted = weight[:, None] * rest
+    count = len(normals)
+    middle = weighted.T @ weighted
+    for lag in range(1, min(_LAGS, count - 1) + 1):
+        along = weighted[lag:].T @ weighted[:-lag]
+        middle += (1 - lag / (_LAGS + 1)) * (along + along.T)
+    # Few spans make this a vague estimate, never a small one: at least what spans would say that know nothing of each other.
+    values, vectors = np.linalg.eigh(inverse @ middle @ inverse * count / max(count - _SHARED, 1))
+    alone = inverse @ (weighted.T @ weighted) @ inverse * count / max(count - _SHARED, 1)
+    least = np.einsum("ij,ik,kj->j", vectors, alone, vectors)
+    cov = (vectors * np.maximum(values, least)) @ vectors.T
+    tried = np.linalg.pinv(np.einsum("s,sij->ij", weight, all_normals), hermitian=True)
+    gap = tried @ np.einsum("s,si->i", weight, all_scores)
+    return step, (cov + cov.T) / 2, gap[:_SHARED] - step

@@ -1,0 +1,337 @@
+"""Bundle adjustment of a two-camera rig over views of one board.
+
+Unknowns are the interior orientation and lens of both cameras, the pose of the right camera in the left one, optionally the
+shape of the board, and one board pose a pair. A pair that only one camera sees still counts for that camera. Least squares by
+Levenberg-Marquardt; the board poses are eliminated pair by pair (Schur complement; Brown 1958, Triggs et al. 2000), so
+the system that is solved has only the common ("global") unknowns. Lengths are metres, image points pixels, angles radians.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from conetl.geometry import pose as se3
+from conetl.geometry.calibration.board_views import BoardView
+from conetl.geometry.lens import distort, distort_jacobian
+from conetl.model.records import LENS_COEFFICIENTS, Camera, Lens, LensModel, Side
+
+Array = NDArray[np.float64]
+
+#: What is known of a free board beforehand, as a share of its diagonal: paper and plates buckle, but are printed well. Without it
+#: a board that is always held upright could not tell its own aspect ratio from that of the pixels.
+SHAPE_SIGMA_ACROSS = 0.001
+SHAPE_SIGMA_OUT_OF_PLANE = 0.01
+_INTERIOR = 4
+_RELATIVE = 6
+#: A step that changes the sum of squares by less than this share ends the iteration.
+_CONVERGENCE = 1e-9
+_LIGHT = 1e-3
+
+
+class BundleError(ValueError):
+    """The adjustment has no answer: not converged, or the pictures do not determine the unknowns."""
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """All unknowns of the adjustment.
+
+    board_SE3: poses left_SE3_board (4, 4) by pair. shape: (m,) coordinates of the board's deformation in `basis` (3n, m), both
+    with m = 0 for a board that is taken as it is drawn.
+    """
+
+    left: Camera
+    right: Camera
+    left_SE3_right: Array
+    board_SE3: dict[int, Array]
+    points_m: Array
+    basis: Array
+    shape: Array
+    sigma_px: float = 0.1
+    """Of one image coordinate: what the knowledge about the board's shape is weighed against."""
+
+    @property
+    def lens_model(self) -> LensModel:
+        return self.left.lens.model
+
+    @property
+    def rig_parameters(self) -> int:
+        """Number of unknowns of the rig; the board's shape follows them in the global system."""
+        return 2 * (_INTERIOR + LENS_COEFFICIENTS[self.lens_model]) + _RELATIVE
+
+    def board_points_m(self) -> Array:
+        """(n, 3) points of the board with its deformation."""
+        return np.asarray(self.points_m + (self.basis @ self.shape).reshape(-1, 3))
+
+
+@dataclass(frozen=True)
+class PairSystem:
+    """One pair in the linearised system: residuals (r,) px, Jacobians of the global (r, g) and the pose unknowns (r, 6)."""
+
+    residuals_px: Array
+    by_global: Array
+    by_pose: Array
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """The system without board poses: each pair's share of the normal matrix (p, g, g) and of its right side (p, g)."""
+
+    pairs: tuple[int, ...]
+    normals: Array
+    gradients: Array
+    prior: Array
+    """(g, g) normal matrix of what is known of the board's shape beforehand."""
+
+    @property
+    def normal(self) -> Array:
+        """(g, g) reduced normal matrix."""
+        return np.asarray(self.normals.sum(axis=0) + self.prior)
+
+
+def parameter_names(model: LensModel) -> tuple[str, ...]:
+    """Names of the rig's unknowns in the order of the adjustment, those of `CalibrationCovariance`."""
+    own = ("fx_px", "fy_px", "cx_px", "cy_px", *(f"lens.{i}" for i in range(LENS_COEFFICIENTS[model])))
+    relative = ("rx_rad", "ry_rad", "rz_rad", "tx_m", "ty_m", "tz_m")
+    return (
+        *(f"{side}.{name}" for side in ("left", "right") for name in own),
+        *(f"relative.{name}" for name in relative),
+    )
+
+
+def residuals_px(bundle: Bundle, view: BoardView) -> Array:
+    """(n, 2) observed minus computed image points of one view. Raises BundleError where a corner is behind the camera."""
+    camera = bundle.left if view.side == "left" else bundle.right
+    points = bundle.board_points_m()[view.point_ids]
+    in_camera = se3.apply(bundle.board_SE3[view.pair_index], points)
+    if view.side == "right":
+        in_camera = se3.apply(se3.invert(bundle.left_SE3_right), in_camera)
+    return np.asarray(view.uv_px - _image_points(camera, in_camera))
+
+
+def adjust(
+    bundle: Bundle,
+    views: Sequence[BoardView],
+    *,
+    weights: Sequence[Array] | None = None,
+    max_iterations: int = 60,
+) -> Bundle:
+    """The bundle of least weighted squares, from a bundle nearby.
+
+    weights: (n,) for the corners of each view, default one. Raises BundleError where it does not converge.
+    """
+    by_pair = _by_pair(views, weights)
+    damping = 1e-3
+    prior = _prior(bundle)
+    best = _cost(bundle, prior, by_pair)
+    for _ in range(max_iterations):
+        systems = {pair: pair_system(bundle, parts) for pair, parts in by_pair.items()}
+        while True:
+            trial = _stepped(bundle, systems, prior, damping)
+            cost = _cost_or_inf(trial, prior, by_pair)
+            if cost <= best:
+                break
+            damping *= 10.0
+            if damping > 1e10:
+                return bundle  # no direction leads down: this is the minimum within rounding
+        gain = best - cost
+        if gain < _CONVERGENCE * best and damping > _LIGHT:
+            # a heavily damped step is short anywhere: it is the minimum only if the full step finds no more either
+            full = _stepped(bundle, systems, prior, 0.0)
+            gain = max(gain, best - _cost_or_inf(full, prior, by_pair))
+            damping = _LIGHT
+        done = gain < _CONVERGENCE * best
+        bundle, best, damping = trial, cost, max(damping * 0.1, 1e-12)
+        if done:
+            return bundle
+    raise BundleError(f"the adjustment did not converge in {max_iterations} iterations")
+
+
+def reduce(bundle: Bundle, views: Sequence[BoardView]) -> Reduced:
+    """The linearised system at a bundle, with the board poses eliminated."""
+    by_pair = _by_pair(views, None)
+    pairs = tuple(by_pair)
+    normals, gradients = [], []
+    for pair in pairs:
+        system = pair_system(bundle, by_pair[pair])
+        a, b, r = system.by_global, system.by_pose, system.residuals_px
+        inner = np.linalg.solve(b.T @ b, np.column_stack([b.T @ a, b.T @ r]))
+        free = np.column_stack([a, r]) - b @ inner  # the parts that no change of this board pose explains
+        normals.append(free[:, :-1].T @ free[:, :-1])
+        gradients.append(free[:, :-1].T @ free[:, -1])
+    return Reduced(pairs, np.array(normals), np.array(gradients), _prior(bundle))
+
+
+def pair_system(bundle: Bundle, parts: Sequence[tuple[BoardView, Array]]) -> PairSystem:
+    """Residuals and Jacobians of the views of one pair; rows are scaled by the square roots of the weights."""
+    pose = bundle.board_SE3[parts[0][0].pair_index]
+    points = bundle.board_points_m()
+    count = bundle.rig_parameters
+    own = _INTERIOR + LENS_COEFFICIENTS[bundle.lens_model]
+    rows_r, rows_a, rows_b = [], [], []
+    for view, weight in parts:
+        turned = points[view.point_ids] @ pose[:3, :3].T
+        in_left = turned + pose[:3, 3]
+        a = np.zeros((len(in_left), 2, count + len(bundle.shape)))
+        if view.side == "left":
+            camera, in_camera, camera_R_left, first = bundle.left, in_left, np.eye(3), 0
+        else:
+            right_SE3_left = se3.invert(bundle.left_SE3_right)
+            camera_R_left, first = right_SE3_left[:3, :3], own
+            camera, in_camera = bundle.right, se3.apply(right_SE3_left, in_left)
+        z = in_camera[:, 2]
+        xy = in_camera[:, :2] / z[:, None]
+        focal = np.array([camera.fx_px, camera.fy_px])
+        bent = distort(camera.lens, xy)
+        by_xy, by_k = distort_jacobian(camera.lens, xy)
+        a[:, 0, first], a[:, 1, first + 1] = bent[:, 0], bent[:, 1]
+        a[:, 0, first + 2] = a[:, 1, first + 3] = 1.0
+        a[:, :, first + _INTERIOR : first + own] = focal[:, None] * by_k
+        by_point = np.zeros((len(xy), 2, 3))
+        by_point[:, 0, 0] = by_point[:, 1, 1] = 1.0
+        by_point[:, :, 2] = -xy
+        by_camera_point = focal[:, None] * (by_xy @ by_point) / z[:, None, None]
+        by_left_point = by_camera_point @ camera_R_left
+        if view.side == "right":
+            # left_SE3_right = (R exp(r), t + dt): x_right changes by x_right x r - R^T dt
+            a[:, :, count - 6 : count - 3] = by_camera_point @ _skew(in_camera)
+            a[:, :, count - 3 : count] = -by_left_point
+        if len(bundle.shape):
+            by_board_point = by_left_point @ pose[:3, :3]
+            freedom = bundle.basis.reshape(-1, 3, len(bundle.shape))[view.point_ids]
+            a[:, :, count:] = by_board_point @ freedom
+        b = np.concatenate([-by_left_point @ _skew(turned), by_left_point], axis=2)
+        root = np.sqrt(weight)[:, None]
+        computed = focal * bent + (camera.cx_px, camera.cy_px)
+        rows_r.append(((view.uv_px - computed) * root).ravel())
+        rows_a.append((a * root[..., None]).reshape(-1, a.shape[2]))
+        rows_b.append((b * root[..., None]).reshape(-1, 6))
+    return PairSystem(np.concatenate(rows_r), np.concatenate(rows_a), np.concatenate(rows_b))
+
+
+# --------------------------------------------------------------------------- steps
+
+
+def _stepped(bundle: Bundle, systems: dict[int, PairSystem], prior: Array, damping: float) -> Bundle:
+    size = bundle.rig_parameters + len(bundle.shape)
+    normal, right = prior.copy(), np.zeros(size)
+    first = bundle.rig_parameters
+    right[first:] = -prior[first:, first:] @ bundle.shape
+    kept = {}
+    diagonal = np.diag(prior) + sum((s.by_global**2).sum(axis=0) for s in systems.values())
+    for pair, s in systems.items():
+        a, b, r = s.by_global, s.by_pose, s.residuals_px
+        v = b.T @ b
+        v[np.diag_indices(6)] *= 1.0 + damping
+        w, gradient = b.T @ a, b.T @ r
+        inner = np.linalg.solve(v, np.column_stack([w, gradient]))
+        normal += a.T @ a - w.T @ inner[:, :-1]
+        right += a.T @ r - w.T @ inner[:, -1]
+        kept[pair] = inner
+    normal[np.diag_indices(size)] += damping * diagonal
+    scale = 1.0 / np.sqrt(np.maximum(diagonal, 1e-300))  # unknowns of very different units
+    try:
+        step = scale * np.linalg.solve(normal * scale[:, None] * scale, scale * right)
+    except np.linalg.LinAlgError as error:
+        raise BundleError("the pictures do not determine the calibration: singular normal equations") from error
+    poses = {pair: inner[:, -1] - inner[:, :-1] @ step for pair, inner in kept.items()}
+    return moved(bundle, step, poses)
+
+
+def moved(bundle: Bundle, step: Array, pose_steps: dict[int, Array]) -> Bundle:
+    """The bundle after a step (g,) of the global unknowns and (6,) steps of the board poses (rotation vector, shift)."""
+    own = _INTERIOR + LENS_COEFFICIENTS[bundle.lens_model]
+    count = bundle.rig_parameters
+    r, t = bundle.left_SE3_right[:3, :3], bundle.left_SE3_right[:3, 3]
+    relative = se3.se3(r @ _exp(step[count - 6 : count - 3]), t + step[count - 3 : count])
+    poses = dict(bundle.board_SE3)
+    for pair, d in pose_steps.items():
+        old = poses[pair]
+        poses[pair] = se3.se3(_exp(d[:3]) @ old[:3, :3], old[:3, 3] + d[3:])
+    return replace(
+        bundle,
+        left=_moved_camera(bundle.left, step[:own]),
+        right=_moved_camera(bundle.right, step[own : 2 * own]),
+        left_SE3_right=relative,
+        board_SE3=poses,
+        shape=bundle.shape + step[count:],
+    )
+
+
+def _moved_camera(camera: Camera, step: Array) -> Camera:
+    fx, fy, cx, cy = (float(v) for v in np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px]) + step[:4])
+    coefficients = tuple(float(v) for v in np.array(camera.lens.coefficients) + step[4:])
+    lens = Lens.model_construct(model=camera.lens.model, coefficients=coefficients)
+    # unchecked on purpose: a trial step may be nonsense, its cost then is infinite and the step is taken back
+    return camera.model_copy(update={"fx_px": fx, "fy_px": fy, "cx_px": cx, "cy_px": cy, "lens": lens})
+
+
+def _prior(bundle: Bundle) -> Array:
+    """(g, g): nothing is known of the rig beforehand, a little of the board's shape (each corner by itself)."""
+    first = bundle.rig_parameters
+    prior = np.zeros((first + len(bundle.shape),) * 2)
+    if len(bundle.shape):
+        diagonal_m = float(np.linalg.norm(np.ptp(bundle.points_m, axis=0)))
+        sigmas_m = diagonal_m * np.array([SHAPE_SIGMA_ACROSS, SHAPE_SIGMA_ACROSS, SHAPE_SIGMA_OUT_OF_PLANE])
+        weighed = bundle.basis * np.tile(bundle.sigma_px / sigmas_m, len(bundle.points_m))[:, None]
+        prior[first:, first:] = weighed.T @ weighed
+    return prior
+
+
+def _cost(bundle: Bundle, prior: Array, by_pair: dict[int, list[tuple[BoardView, Array]]]) -> float:
+    first = bundle.rig_parameters
+    total = float(bundle.shape @ prior[first:, first:] @ bundle.shape)
+    for parts in by_pair.values():
+        for view, weight in parts:
+            total += float((weight[:, None] * residuals_px(bundle, view) ** 2).sum())
+    return total
+
+
+def _cost_or_inf(bundle: Bundle, prior: Array, by_pair: dict[int, list[tuple[BoardView, Array]]]) -> float:
+    if not all(f > 0 for c in (bundle.left, bundle.right) for f in (c.fx_px, c.fy_px)):
+        return float("inf")
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            cost = _cost(bundle, prior, by_pair)
+    except BundleError:
+        return float("inf")
+    return cost if np.isfinite(cost) else float("inf")
+
+
+def _by_pair(views: Sequence[BoardView], weights: Sequence[Array] | None) -> dict[int, list[tuple[BoardView, Array]]]:
+    found: dict[int, list[tuple[BoardView, Array]]] = defaultdict(list)
+    for number, view in enumerate(views):
+        weight = np.ones(len(view.point_ids)) if weights is None else weights[number]
+        found[view.pair_index].append((view, weight))
+    return dict(sorted(found.items()))
+
+
+def _image_points(camera: Camera, in_camera: Array) -> Array:
+    z = in_camera[:, 2]
+    if not np.all(z > 0):
+        raise BundleError("a corner of the board lies behind the camera")
+    bent = distort(camera.lens, in_camera[:, :2] / z[:, None])
+    return np.asarray(bent * (camera.fx_px, camera.fy_px) + (camera.cx_px, camera.cy_px))
+
+
+def _exp(rotation_vector: Array) -> Array:
+    return np.asarray(Rotation.from_rotvec(rotation_vector).as_matrix())
+
+
+def _skew(v: Array) -> Array:
+    """(n, 3, 3) matrices of the cross products v x ."""
+    x, y, z = v.T
+    zero = np.zeros_like(x)
+    return np.stack(
+        [np.stack([zero, -z, y], axis=1), np.stack([z, zero, -x], axis=1), np.stack([-y, x, zero], axis=1)], axis=1
+    )
+
+
+#: Sides in the order of the unknowns.
+SIDES: tuple[Side, Side] = ("left", "right")

@@ -1,0 +1,398 @@
+"""Calibration of a two-camera rig from board views: robust adjustment, choice of the model, covariance.
+
+Start values come from outside (`Start`); everything here is numpy and scipy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.geometry import pose as se3
+from conetl.geometry.calibration.board_views import BoardView, pair_indices, shape_basis
+from conetl.geometry.calibration.bundle_covariance import RigCovariance, rig_covariance
+from conetl.geometry.calibration.stereo_bundle import (
+    SIDES,
+    Bundle,
+    BundleError,
+    adjust,
+    parameter_names,
+    reduce,
+    residuals_px,
+)
+from conetl.geometry.lens import distort, distort_jacobian, undistort
+from conetl.model.records import (
+    LENS_COEFFICIENTS,
+    CalibrationCovariance,
+    Camera,
+    Lens,
+    LensModel,
+    Rig,
+    Side,
+)
+
+Array = NDArray[np.float64]
+
+BoardShape = Literal["flat", "free"]
+MODELS: tuple[LensModel, ...] = ("none", "radial", "brown", "rational", "fisheye")
+#: Fewer pairs that both cameras see give no relative orientation worth its name.
+MIN_PAIRS = 3
+#: Corners farther off than this many robust sigmas are taken out (a normal error does so once in 25,000).
+CORNER_LIMIT = 4.5
+#: A view is taken out where its RMS is this many times that of the median view, or where it loses half of its corners.
+VIEW_LIMIT = 3.5
+#: Start: a pair whose own relative orientation moves the corners by more than this share of the picture's width is left out.
+PAIR_LIMIT_RELATIVE = 0.05
+#: A view with fewer corners is not used.
+MIN_CORNERS = 6
+_HUBER = 2.5
+_MAX_ROUNDS = 8
+
+
+@dataclass(frozen=True)
+class Start:
+    """Start values: cameras (any lens model) and board poses camera_SE3_board (4, 4) by side and pair."""
+
+    left: Camera
+    right: Camera
+    left_SE3_board: dict[int, Array]
+    right_SE3_board: dict[int, Array]
+
+
+@dataclass(frozen=True)
+class CornerRejection:
+    """One corner that was taken out, with its residual (observed minus computed, px)."""
+
+    pair_index: int
+    side: Side
+    point_id: int
+    uv_px: tuple[float, float]
+    residual_px: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class ViewRejection:
+    """One picture that was taken out, and why."""
+
+    pair_index: int
+    side: Side
+    detail: str
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One model that was tried. bic: lower is better; None with the reason in `problem` where the model cannot be used."""
+
+    model: LensModel
+    board: BoardShape
+    parameters: int
+    rms_px: float | None
+    bic: float | None
+    problem: str | None
+
+
+@dataclass(frozen=True)
+class StereoCalibration:
+    """The result: unknowns, the views that were used, and everything needed to judge it."""
+
+    bundle: Bundle
+    board_shape: BoardShape
+    views: tuple[BoardView, ...]
+    covariance: RigCovariance
+    variance_factor_px2: float
+    degrees_of_freedom: int
+    rejected_views: tuple[ViewRejection, ...]
+    rejected_corners: tuple[CornerRejection, ...]
+    candidates: tuple[Candidate, ...]
+
+    @property
+    def stereo_pairs(self) -> list[int]:
+        """Pairs that both cameras see."""
+        sides = {(v.pair_index, v.side) for v in self.views}
+        return [p for p in pair_indices(self.views) if (p, "left") in sides and (p, "right") in sides]
+
+
+def calibrate_stereo(
+    points_m: Array,
+    views: Sequence[BoardView],
+    start: Start,
+    *,
+    models: Sequence[LensModel] = MODELS,
+    board_shapes: Sequence[BoardShape] = ("flat", "free"),
+) -> StereoCalibration:
+    """Calibrate a rig; of several lens models and board shapes the one of the lowest BIC.
+
+    points_m: (n, 3) nominal board. board_shapes: "flat" takes the board as it is drawn, "free" determines its shape as well. The
+    information criterion counts observations as independent ones: their number and the sum of squares are divided by the
+    design effect of the richest model (see `bundle_covariance`). Raises BundleError.
+    """
+    bundle, kept, rejected = _assembled(np.asarray(points_m, dtype=np.float64), views, start)
+    # Blunders are judged under a model that leaves little unexplained, else good corners of a bent lens or board go too.
+    first: LensModel = models[0] if len(models) == 1 else "brown"
+    richest: BoardShape = "free" if "free" in board_shapes else "flat"
+    bundle, kept, more, corners = _robust(_remodelled(bundle, first, richest), kept)
+    covariance, factor, _ = _judged(bundle, kept)
+    scale = factor * max(covariance.design_effect, 1.0)
+    shape = richest
+    tried: dict[tuple[LensModel, BoardShape], tuple[Candidate, Bundle | None]] = {}
+    if len(board_shapes) > 1:
+        for option in board_shapes:
+            tried[first, option] = _tried(bundle, kept, first, option, scale, factor)
+        shape = min(board_shapes, key=lambda option: _bic_or_inf(tried[first, option][0]))
+    for model in models:
+        if (model, shape) not in tried:
+            tried[model, shape] = _tried(bundle, kept, model, shape, scale, factor)
+    candidates = tuple(candidate for candidate, _ in tried.values())
+    best, chosen = min((tried[model, shape] for model in models), key=lambda pair: _bic_or_inf(pair[0]))
+    if chosen is None:
+        reasons = "; ".join(f"{c.model}: {c.problem}" for c in candidates if c.problem)
+        raise BundleError(f"no lens model fits the pictures ({reasons})")
+    covariance, factor, freedom = _judged(chosen, kept)
+    return StereoCalibration(
+        chosen, best.board, tuple(kept), covariance, factor, freedom, (*rejected, *more), corners, candidates
+    )
+
+
+def rig_of(calibration: StereoCalibration, rig_id: str, *, scale_sigma_relative: float = 0.0) -> Rig:
+    """The calibrated rig with its covariance; the body is the left camera.
+
+    scale_sigma_relative: standard deviation of the board's size as a share; it is the baseline's as well.
+    """
+    bundle = calibration.bundle
+    matrix = calibration.covariance.matrix.copy()
+    along = np.zeros(len(matrix))
+    along[-3:] = bundle.left_SE3_right[:3, 3]
+    matrix += scale_sigma_relative**2 * np.outer(along, along)
+    return Rig(
+        rig_id=rig_id,
+        left=Camera.model_validate(bundle.left.model_dump()),
+        right=Camera.model_validate(bundle.right.model_dump()),
+        body_SE3_left=se3.to_matrix4(np.eye(4)),
+        body_SE3_right=se3.to_matrix4(bundle.left_SE3_right),
+        calibration_covariance=CalibrationCovariance(
+            names=parameter_names(bundle.lens_model), matrix=tuple(tuple(float(v) for v in row) for row in matrix)
+        ),
+    )
+
+
+# --------------------------------------------------------------------------- start
+
+
+def _assembled(
+    points_m: Array, views: Sequence[BoardView], start: Start
+) -> tuple[Bundle, list[BoardView], list[ViewRejection]]:
+    """A first bundle in one frame, without the pairs whose two pictures contradict the others."""
+    by_key = {(view.pair_index, view.side): view for view in views}
+    both = [p for p in pair_indices(views) if (p, "left") in by_key and (p, "right") in by_key]
+    if len(both) < MIN_PAIRS:
+        raise BundleError(
+            f"{len(both)} pairs show the board in both pictures, at least {MIN_PAIRS} are needed (20 to 40 are good): "
+            "take more pairs, near and far, tilted, and into the corners of the pictures"
+        )
+    relatives = {p: se3.compose(start.left_SE3_board[p], se3.invert(start.right_SE3_board[p])) for p in both}
+    relative = _central(np.array([relatives[p] for p in both]))
+    bundle = Bundle(
+        start.left,
+        start.right,
+        relative,
+        dict(start.left_SE3_board),
+        points_m,
+        np.zeros((points_m.size, 0)),
+        np.zeros(0),
+    )
+    rejected: list[ViewRejection] = []
+    for p in both:
+        seen = by_key[p, "right"]
+        try:
+            miss = float(np.sqrt((residuals_px(bundle, seen) ** 2).sum(axis=1).mean()))
+        except BundleError:
+            miss = float("inf")
+        if miss > PAIR_LIMIT_RELATIVE * start.right.width_px:
+            text = (
+                f"left and right picture contradict the other pairs by {miss:.0f} px: not the same instant, another board, "
+                "or the rig was touched"
+            )
+            rejected += [ViewRejection(p, side, text) for side in SIDES]
+    refused = {r.pair_index for r in rejected}
+    if len(both) - len(refused) < max(MIN_PAIRS, len(both) / 3):
+        raise BundleError(
+            f"only {len(both) - len(refused)} of {len(both)} pairs agree on where the right camera is: check that left and right "
+            "pictures are paired as they were taken, and that board size and pattern are those of the board"
+        )
+    poses = {p: relative @ pose for p, pose in start.right_SE3_board.items()} | start.left_SE3_board
+    kept = [view for view in views if view.pair_index not in refused]
+    used = set(pair_indices(kept))
+    return replace(bundle, board_SE3={p: pose for p, pose in poses.items() if p in used}), kept, rejected
+
+
+def _central(poses: Array) -> Array:
+    """Of poses (n, 4, 4) the one with the least median distance to the others: no blunder moves it."""
+    turns = np.einsum("aij,bij->ab", poses[:, :3, :3], poses[:, :3, :3])
+    angles = np.arccos(np.clip((turns - 1.0) / 2.0, -1.0, 1.0))
+    shifts = np.linalg.norm(poses[:, None, :3, 3] - poses[None, :, :3, 3], axis=2)
+    size = max(float(np.median(np.linalg.norm(poses[:, :3, 3], axis=1))), 1e-9)
+    central: Array = poses[int(np.argmin(np.median(angles + shifts / size, axis=1)))]
+    return central
+
+
+def _remodelled(bundle: Bundle, model: LensModel, shape: BoardShape) -> Bundle:
+    """The bundle with another lens model, fitted to the old one over the picture, and another board shape."""
+    basis = shape_basis(bundle.points_m) if shape == "free" else np.zeros((bundle.points_m.size, 0))
+    start = bundle.shape if bundle.shape.size == basis.shape[1] else np.zeros(basis.shape[1])
+    left, right = (
+        camera.model_copy(update={"lens": _refitted(camera, model)}) for camera in (bundle.left, bundle.right)
+    )
+    return replace(bundle, left=left, right=right, basis=basis, shape=start)
+
+
+def _refitted(camera: Camera, model: LensModel) -> Lens:
+    """Lens of another model that is nearest to a camera's own over its picture."""
+    if camera.lens.model == model:
+        return camera.lens
+    family: LensModel = "brown" if model == "rational" else model  # the rational one begins as its numerator
+    blank = Lens(model=family, coefficients=(0.0,) * LENS_COEFFICIENTS[family])
+    bent = _grid(camera, 25)
+    ideal = undistort(camera.lens, bent)
+    good = np.isfinite(ideal).all(axis=1)
+    fitted: Array
+    if family == "none" or good.sum() < 25:
+        fitted = np.zeros(LENS_COEFFICIENTS[family])
+    else:
+        _, by_k = distort_jacobian(blank, ideal[good])  # these models are linear in their coefficients
+        wanted = (bent[good] - distort(blank, ideal[good])).ravel()
+        fitted = np.asarray(np.linalg.lstsq(by_k.reshape(-1, by_k.shape[2]), wanted)[0], dtype=np.float64)
+    padded = (*(float(k) for k in fitted), *(0.0,) * (LENS_COEFFICIENTS[model] - len(fitted)))
+    return Lens(model=model, coefficients=padded)
+
+
+def _grid(camera: Camera, steps: int) -> Array:
+    """(steps^2, 2) normalised, distorted coordinates spread over the picture, edges included."""
+    u, v = np.meshgrid(np.linspace(0, camera.width_px - 1, steps), np.linspace(0, camera.height_px - 1, steps))
+    return np.stack([(u.ravel() - camera.cx_px) / camera.fx_px, (v.ravel() - camera.cy_px) / camera.fy_px], axis=1)
+
+
+# --------------------------------------------------------------------------- blunders
+
+
+def _robust(
+    bundle: Bundle, views: Sequence[BoardView]
+) -> tuple[Bundle, list[BoardView], tuple[ViewRejection, ...], tuple[CornerRejection, ...]]:
+    """Adjusted bundle, what is left of the views, and the views and corners that were taken out.
+
+    Huber's weights find the solution that most corners agree on; then corners and views beyond the limits go out, the rest
+    is adjusted with equal weights, and all are judged again until nothing changes.
+    """
+    kept = list(views)
+    weights = [np.ones(len(v.point_ids)) for v in kept]
+    for _ in range(3):
+        bundle = adjust(bundle, kept, weights=weights)
+        misses = [np.hypot(*residuals_px(bundle, v).T) for v in kept]
+        sigma = _robust_sigma(misses)
+        bundle = replace(bundle, sigma_px=sigma)
+        weights = [np.minimum(1.0, _HUBER * sigma / np.maximum(m, 1e-12)) for m in misses]
+    rejected: list[ViewRejection] = []
+    for _ in range(_MAX_ROUNDS):
+        misses = [np.hypot(*residuals_px(bundle, v).T) for v in kept]
+        sigma = _robust_sigma(misses)
+        good = [m <= CORNER_LIMIT * sigma for m in misses]
+        rms = np.array([np.sqrt((m[g] ** 2).mean()) if g.any() else np.inf for m, g in zip(misses, good, strict=True)])
+        typical = float(np.median(rms))
+        bad = [n for n, g in enumerate(good) if rms[n] > VIEW_LIMIT * typical or g.sum() < max(len(g) / 2, MIN_CORNERS)]
+        rejected += [
+            ViewRejection(
+                kept[n].pair_index, kept[n].side,
+                f"the corners do not fit: RMS {np.sqrt((misses[n] ** 2).mean()):.2f} px, the median picture has "
+                f"{typical:.2f} px",
+            )
+            for n in bad
+        ]  # fmt: skip
+        new = [g.astype(np.float64) for n, g in enumerate(good) if n not in bad]
+        same = not bad and all(np.array_equal(a, b) for a, b in zip(new, weights, strict=True))
+        kept, weights = [v for n, v in enumerate(kept) if n not in bad], new
+        if same:
+            break
+        _enough(kept, rejected)
+        bundle = replace(bundle, board_SE3={p: bundle.board_SE3[p] for p in pair_indices(kept)})
+        bundle = adjust(bundle, kept, weights=weights)
+    corners = []
+    for view, weight in zip(kept, weights, strict=True):
+        misses_uv = residuals_px(bundle, view)
+        for n in np.flatnonzero(weight == 0):
+            (u, v), (du, dv) = view.uv_px[n].tolist(), misses_uv[n].tolist()
+            corners.append(CornerRejection(view.pair_index, view.side, int(view.point_ids[n]), (u, v), (du, dv)))
+    return bundle, [v.only(w > 0) for v, w in zip(kept, weights, strict=True)], tuple(rejected), tuple(corners)
+
+
+def _enough(views: Sequence[BoardView], rejected: Sequence[ViewRejection]) -> None:
+    keys = {(v.pair_index, v.side) for v in views}
+    left = sum((p, "left") in keys and (p, "right") in keys for p in pair_indices(views))
+    if left < MIN_PAIRS:
+        raise BundleError(
+            f"only {left} pairs are left after {len(rejected)} pictures that do not fit were taken out: check the board's "
+            "pattern, and that it does not bend while it is moved"
+        )
+
+
+def _robust_sigma(misses: Sequence[Array]) -> float:
+    """Sigma of one coordinate from the median length of the residuals (Rayleigh's distribution)."""
+    return max(float(np.median(np.concatenate(misses))) / float(np.sqrt(2.0 * np.log(2.0))), 1e-9)
+
+
+# --------------------------------------------------------------------------- choice
+
+
+def _judged(bundle: Bundle, views: Sequence[BoardView]) -> tuple[RigCovariance, float, int]:
+    """Covariance, variance factor (px^2) and degrees of freedom of an adjusted bundle."""
+    observations = 2 * sum(len(v.point_ids) for v in views)
+    freedom = observations - bundle.rig_parameters - _shape_parameters(bundle, views) - 6 * len(pair_indices(views))
+    if freedom < 1:
+        raise BundleError("there are fewer corners than unknowns: take more pairs")
+    factor = _sum_of_squares(bundle, views) / freedom
+    return rig_covariance(reduce(bundle, views), bundle.rig_parameters, factor), factor, freedom
+
+
+def _shape_parameters(bundle: Bundle, views: Sequence[BoardView]) -> int:
+    """Number of shape unknowns that corners tell about."""
+    if not bundle.shape.size:
+        return 0
+    return max(3 * len(np.unique(np.concatenate([v.point_ids for v in views]))) - 7, 0)
+
+
+def _sum_of_squares(bundle: Bundle, views: Sequence[BoardView]) -> float:
+    return float(sum((residuals_px(bundle, v) ** 2).sum() for v in views))
+
+
+def _tried(
+    bundle: Bundle, views: Sequence[BoardView], model: LensModel, shape: BoardShape, scale: float, factor: float
+) -> tuple[Candidate, Bundle | None]:
+    """One model, adjusted and judged. scale: variance of one independent observation; factor: of one coordinate (px^2)."""
+    fit = _remodelled(bundle, model, shape)
+    parameters = fit.rig_parameters + _shape_parameters(fit, views)
+    observations = 2 * sum(len(v.point_ids) for v in views)
+    try:
+        fit = adjust(fit, views)
+        _judged(fit, views)
+        _check_invertible(fit)
+    except BundleError as error:
+        return Candidate(model, shape, parameters, None, None, str(error)), None
+    squares = _sum_of_squares(fit, views)
+    bic = squares / scale + parameters * float(np.log(observations * factor / scale))
+    return Candidate(model, shape, parameters, float(np.sqrt(2 * squares / observations)), bic, None), fit
+
+
+def _check_invertible(bundle: Bundle) -> None:
+    for side, camera in (("left", bundle.left), ("right", bundle.right)):
+        lost = ~np.isfinite(undistort(camera.lens, _grid(camera, 15))).all(axis=1)
+        if lost.any():
+            raise BundleError(
+                f"the lens of the {side} camera folds back inside the picture ({100 * lost.mean():.0f} % of it): the corners "
+                "do not reach far enough out for this model"
+            )
+
+
+def _bic_or_inf(candidate: Candidate) -> float:
+    return float("inf") if candidate.bic is None else candidate.bic

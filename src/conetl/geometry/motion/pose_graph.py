@@ -1,0 +1,246 @@
+"""Poses of a body along its way from logged poses with slowly varying errors and measured motions: one adjustment.
+
+Unknown for each frame are the body's pose and the slowly varying error of its log (a first-order Gauss-Markov process); measured
+motions of the left camera tie each frame to the next, sightings of still points tie all frames that saw them. A scale that
+all measured motions share stands for the error of the rig's calibration. Huber's weights keep single wrong measurements
+from bending the trajectory. Gauss-Newton on the poses' own errors; the normal equations are those of `chain_solver.py`.
+
+A small pose error is (p, a): map_t_body = t_true + p in metres, map_R_body = R_true exp([a]x), a in radians about the body's
+axes; for a car roll, pitch and yaw are about those axes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from conetl.geometry import pose as se3
+from conetl.geometry.motion import chain_solver
+from conetl.geometry.motion.chain_solver import ChainNormal
+from conetl.geometry.projection import cross_matrix
+
+Floats = NDArray[np.float64]
+#: Unknowns of a frame: six of the pose come first, then six of the log's slow error.
+POSE, STATE = 6, 12
+_MAX_ITERATIONS = 15
+_CONVERGED = 1e-4
+
+
+@dataclass(frozen=True)
+class LoggedPoses:
+    """The logged trajectory and how far its errors may change from frame to frame."""
+
+    rotations: Floats
+    places: Floats
+    sigma_p: Floats
+    sigma_a: Floats
+    white: Floats
+    """(K, 6): sigma of what is new in every record, place and attitude."""
+    slow: Floats
+    """(K, 6): sigma of the slowly varying part."""
+    keep: Floats
+    """(K - 1, 6): which share of the slow part is left at the next frame."""
+    body_SE3_left: Floats
+
+
+@dataclass(frozen=True)
+class MeasuredMotions:
+    """M measured intervals: each from frame `start` to the next."""
+
+    start: NDArray[np.intp]
+    """(M,), each once."""
+    next_SE3_first: Floats
+    """(M, 4, 4) of the left camera."""
+    cov: Floats
+    """(M, 6, 6) of (rotation rad, translation m) in the second frame."""
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """One cone in one frame: the foot in the left camera's frame."""
+
+    cone: int
+    frame: int
+    xyz: Floats
+    information: Floats
+
+
+def adjust(
+    log: LoggedPoses,
+    motions: MeasuredMotions,
+    sightings: Sequence[Sighting],
+    robust_sigmas: float,
+    scale_sigma: float,
+) -> tuple[Floats, Floats, ChainNormal] | None:
+    """Rotations (K, 3, 3), places (K, 3) and the last normal equations, or None where the iteration does not settle."""
+    rotations, places = log.rotations.copy(), log.places.copy()
+    bias = np.zeros((len(places), POSE))
+    cones = 1 + max((s.cone for s in sightings), default=-1)
+    shared = np.zeros(1 + 3 * cones)  # scale, then the feet of the cones
+    for cone in range(cones):
+        feet = [_to_map(log, rotations, places, s) for s in sightings if s.cone == cone]
+        shared[1 + 3 * cone : 4 + 3 * cone] = np.median(feet, axis=0) if feet else 0.0
+    for _ in range(_MAX_ITERATIONS):
+        normal = _normal_equations(log, rotations, places, bias, shared, motions, sightings, robust_sigmas, scale_sigma)
+        try:
+            step, common = chain_solver.solve(normal)
+        except np.linalg.LinAlgError:
+            return None
+        places = places + step[:, :3]
+        rotations = rotations @ Rotation.from_rotvec(step[:, 3:6]).as_matrix()
+        bias = bias + step[:, POSE:]
+        shared = shared + common
+        if float(np.abs(step[:, :3] / log.sigma_p).max()) < _CONVERGED:
+            return rotations, places, normal
+    return None
+
+
+def _normal_equations(
+    log: LoggedPoses,
+    rotations: Floats,
+    places: Floats,
+    bias: Floats,
+    shared: Floats,
+    motions: MeasuredMotions,
+    sightings: Sequence[Sighting],
+    robust_sigmas: float,
+    scale_sigma: float,
+) -> ChainNormal:
+    count = len(places)
+    diagonal, upper = np.zeros((count, STATE, STATE)), np.zeros((count - 1, STATE, STATE))
+    border, corner = np.zeros((count, STATE, len(shared))), np.zeros((len(shared), len(shared)))
+    right, right_shared = np.zeros((count, STATE)), np.zeros(len(shared))
+    pose, slow = np.arange(POSE), np.arange(POSE, STATE)
+    # The logged pose is the true one plus the slow error plus the white one.
+    turn = Rotation.from_matrix(np.swapaxes(log.rotations, 1, 2) @ rotations).as_rotvec()
+    gap = np.hstack([places - log.places, turn]) - bias
+    weight = 1 / log.white**2
+    diagonal[:, pose, pose] += weight
+    diagonal[:, slow, slow] += weight
+    diagonal[:, pose, slow] -= weight
+    diagonal[:, slow, pose] -= weight
+    right[:, :POSE] -= weight * gap
+    right[:, POSE:] += weight * gap
+    # The slow error: stationary at the first frame, then from frame to frame.
+    diagonal[0, slow, slow] += 1 / log.slow[0] ** 2
+    right[0, POSE:] -= bias[0] / log.slow[0] ** 2
+    ratio = log.keep * log.slow[1:] / log.slow[:-1]  # the stated sigma may change on the way
+    fresh = 1 / (log.slow[1:] ** 2 * (1 - log.keep**2))
+    jump = bias[1:] - ratio * bias[:-1]
+    diagonal[1:, slow, slow] += fresh
+    diagonal[:-1, slow, slow] += ratio**2 * fresh
+    upper[:, slow, slow] -= ratio * fresh
+    right[1:, POSE:] -= fresh * jump
+    right[:-1, POSE:] += ratio * fresh * jump
+    normal = ChainNormal(diagonal, upper, border, corner, right, right_shared)
+    normal.corner[0, 0] += 1 / scale_sigma**2
+    normal.right_shared[0] -= shared[0] / scale_sigma**2
+    _add_motions(normal, log, rotations, places, shared[0], motions, robust_sigmas)
+    _add_sightings(normal, log, rotations, places, shared, sightings, robust_sigmas)
+    return normal
+
+
+def _add_motions(
+    normal: ChainNormal,
+    log: LoggedPoses,
+    rotations: Floats,
+    places: Floats,
+    scale: float,
+    motions: MeasuredMotions,
+    robust_sigmas: float,
+) -> None:
+    """Add visual odometry to the normal equations; the scale is the first of the shared unknowns."""
+    residual, from_first, from_second = motion_residuals(log, rotations, places, motions, scale)
+    information = np.linalg.inv(motions.cov)
+    misfit2 = np.einsum("mi,mij,mj->m", residual, information, residual) / 6
+    information *= _huber(misfit2, robust_sigmas)[:, None, None]
+    from_scale = np.zeros((len(residual), 6, 1))
+    from_scale[:, 3:, 0] = motions.next_SE3_first[:, :3, 3] - residual[:, 3:]
+    wide_first = np.swapaxes(from_first, 1, 2) @ information
+    wide_second = np.swapaxes(from_second, 1, 2) @ information
+    wide_scale = np.swapaxes(from_scale, 1, 2) @ information
+    k = motions.start
+    normal.diagonal[k, :POSE, :POSE] += wide_first @ from_first
+    normal.diagonal[k + 1, :POSE, :POSE] += wide_second @ from_second
+    normal.upper[k, :POSE, :POSE] += wide_first @ from_second
+    normal.border[k, :POSE, :1] += wide_first @ from_scale
+    normal.border[k + 1, :POSE, :1] += wide_second @ from_scale
+    normal.corner[:1, :1] += (wide_scale @ from_scale).sum(axis=0)
+    normal.right[k, :POSE] += (wide_first @ residual[:, :, None])[:, :, 0]
+    normal.right[k + 1, :POSE] += (wide_second @ residual[:, :, None])[:, :, 0]
+    normal.right_shared[:1] += (wide_scale @ residual[:, :, None]).sum(axis=0)[:, 0]
+
+
+def _add_sightings(
+    normal: ChainNormal,
+    log: LoggedPoses,
+    rotations: Floats,
+    places: Floats,
+    shared: Floats,
+    sightings: Sequence[Sighting],
+    robust_sigmas: float,
+) -> None:
+    """Add cones as landmarks; their feet follow the scale among the shared unknowns."""
+    body_R_left, lever = log.body_SE3_left[:3, :3], log.body_SE3_left[:3, 3]
+    for s in sightings:
+        at = slice(1 + 3 * s.cone, 4 + 3 * s.cone)
+        camera_R_map = (rotations[s.frame] @ body_R_left).T
+        centre = places[s.frame] + rotations[s.frame] @ lever
+        local = camera_R_map @ (shared[at] - centre)
+        residual = s.xyz - local
+        information = s.information * _huber(np.asarray(residual @ s.information @ residual / 3), robust_sigmas)
+        by_pose = np.hstack(
+            [
+                -camera_R_map,
+                camera_R_map @ rotations[s.frame] @ cross_matrix(lever) + cross_matrix(local) @ body_R_left.T,
+            ]
+        )
+        normal.diagonal[s.frame, :POSE, :POSE] += by_pose.T @ information @ by_pose
+        normal.border[s.frame, :POSE, at] += by_pose.T @ information @ camera_R_map
+        normal.corner[at, at] += camera_R_map.T @ information @ camera_R_map
+        normal.right[s.frame, :POSE] += by_pose.T @ information @ residual
+        normal.right_shared[at] += camera_R_map.T @ information @ residual
+
+
+def motion_residuals(
+    log: LoggedPoses, rotations: Floats, places: Floats, motions: MeasuredMotions, scale: float
+) -> tuple[Floats, Floats, Floats]:
+    """Measured minus computed motions (M, 6), and the derivatives (M, 6, 6) of the computed ones by the two poses' errors."""
+    left = se3.compose(se3.se3(rotations, places), log.body_SE3_left)
+    first, second = left[motions.start], left[motions.start + 1]
+    computed = se3.compose(se3.invert(second), first)
+    measured = motions.next_SE3_first
+    turn = Rotation.from_matrix(measured[:, :3, :3] @ np.swapaxes(computed[:, :3, :3], 1, 2)).as_rotvec()
+    residual = np.hstack([turn, measured[:, :3, 3] - (1 + scale) * computed[:, :3, 3]])
+    from_first, from_second = motion_jacobians(first, second, log.body_SE3_left)
+    return residual, from_first, from_second
+
+
+def motion_jacobians(map_SE3_first: Floats, map_SE3_second: Floats, body_SE3_left: Floats) -> tuple[Floats, Floats]:
+    """Derivatives (..., 6, 6) of second_SE3_first (rotation, translation in the second camera) by both bodies' (p, a)."""
+    second_R_map = np.swapaxes(map_SE3_second[..., :3, :3], -1, -2)
+    motion = se3.compose(se3.invert(map_SE3_second), map_SE3_first)
+    left_R_body, lever = body_SE3_left[:3, :3].T, cross_matrix(body_SE3_left[:3, 3])
+    by_first = np.zeros((*motion.shape[:-2], 6, 6))
+    by_second = np.zeros_like(by_first)
+    by_first[..., :3, 3:] = motion[..., :3, :3] @ left_R_body
+    by_second[..., :3, 3:] = -left_R_body
+    by_first[..., 3:, :3], by_second[..., 3:, :3] = second_R_map, -second_R_map
+    # The camera sits at a lever from the body: turning the body moves it.
+    by_first[..., 3:, 3:] = -motion[..., :3, :3] @ left_R_body @ lever
+    by_second[..., 3:, 3:] = left_R_body @ lever + cross_matrix(motion[..., :3, 3]) @ left_R_body
+    return by_first, by_second
+
+
+def _to_map(log: LoggedPoses, rotations: Floats, places: Floats, sighting: Sighting) -> Floats:
+    body = log.body_SE3_left[:3, :3] @ sighting.xyz + log.body_SE3_left[:3, 3]
+    return np.asarray(rotations[sighting.frame] @ body + places[sighting.frame])
+
+
+def _huber(misfit2: Floats, bound: float) -> Floats:
+    """Weights of measurements whose mean squared misfits are `misfit2` (1 where they fit)."""
+    return np.minimum(1.0, bound / np.sqrt(np.maximum(misfit2, 1e-12)))

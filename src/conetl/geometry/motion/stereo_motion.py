@@ -1,0 +1,390 @@
+"""How a calibrated stereo rig moved between two frame pairs, from image points seen in all four pictures.
+
+The motion minimises the reprojection error of (u_left, v_left, u_right) in the second pair of points that were intersected in
+the first (Geiger, Ziegler & Stiller 2011, "StereoScan", eq. 2-3). Unlike there, the image errors of the first pair are carried
+through intersection and motion into the weight of each point, so that near points, whose depth the motion magnifies, do not
+count for more than they know. Moving objects are outvoted by RANSAC over three-point hypotheses (Fischler & Bolles 1981), what is
+left of them is weighted down by Cauchy's weights.
+
+Frames: `next_SE3_first` turns points of the left camera's frame at the first exposure into that of the second. A small motion
+error is (w, d): R = exp([w]x) R_true, t = t_true + d; w in radians, d in metres, both in the second frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from conetl.geometry.medians import median
+from conetl.geometry.pose_steps import all_stepped, apart, stepped
+from conetl.model.records import Matrix4, Record
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+_UPPER = np.triu_indices(6)
+_HYPOTHESES = 64
+_MINIMAL_POINTS = 3
+_MAX_ITERATIONS = 20
+_CHOOSING_ITERATIONS = 4
+_CAUCHY_SIGMAS = 2.385  # 95 % efficiency on normal errors (Rey 1983)
+_NEAREST_M = 0.3
+#: Points whose depth has a sigma above this share of it take no part.
+_VAGUE_SHARE = 0.25
+#: A guess that more than this share of the usable points follow needs no search: whatever else moves is outvoted.
+_MAJORITY = 0.5
+#: Largest step, squared and in sigmas, that ends the iteration.
+_CONVERGED = 1e-3
+
+
+class RelativeMotion(Record):
+    """What visual odometry measured between two consecutive frame pairs of a drive."""
+
+    first_frame_index: int = Field(ge=0)
+    second_frame_index: int = Field(ge=0)
+    second_SE3_first: Matrix4 | None
+    """Motion of the left camera; None where there is no measurement."""
+    cov: tuple[float, ...]
+    """Upper triangle, row by row, of the (6, 6) covariance of (w, d); empty where there is no measurement."""
+    inlier_count: int = Field(ge=0)
+    point_count: int = Field(ge=0)
+    reason: str
+    """'ok', or why there is no measurement."""
+
+    @model_validator(mode="after")
+    def _whole_or_nothing(self) -> RelativeMotion:
+        wanted = 0 if self.second_SE3_first is None else 21
+        if len(self.cov) != wanted:
+            raise ValueError(f"expected {wanted} numbers of covariance, found {len(self.cov)}")
+        return self
+
+    def cov_matrix(self) -> Floats:
+        """(6, 6) covariance; raises ValueError where there is no measurement."""
+        upper = np.zeros((6, 6))
+        upper[_UPPER] = self.cov
+        return upper + np.triu(upper, 1).T
+
+
+class MotionStatus(StrEnum):
+    """What came of one estimate."""
+
+    OK = "ok"
+    TOO_FEW_POINTS = "too_few_points"
+    NO_CONSENSUS = "no_consensus"
+    DEGENERATE = "degenerate"
+    NOT_CONVERGED = "not_converged"
+
+
+@dataclass(frozen=True)
+class StereoCameras:
+    """A rectified rig: (fx, fy, cx, cy) in pixels of both cameras, and (4, 4) right_SE3_left."""
+
+    left_px: Floats
+    right_px: Floats
+    right_SE3_left: Floats
+
+
+@dataclass(frozen=True)
+class MotionLimits:
+    """When a motion is believed. `gate_*`: hypotheses farther from the expected motion than this are not considered."""
+
+    inlier_px: float = 1.5
+    min_inliers: int = 25
+    min_inlier_share: float = 0.2
+    gate_m: float = 0.6
+    gate_rad: float = 0.03
+    max_sigma_m: float = 0.2
+    max_sigma_rad: float = 0.01
+
+
+@dataclass(frozen=True)
+class StereoMotion:
+    """Result of `estimate_motion`; where `status` is not OK the motion is the expected one and means nothing."""
+
+    status: MotionStatus
+    next_SE3_first: Floats
+    cov: Floats
+    """(6, 6) of (w, d): rad^2, rad m, m^2; scaled by the residuals' own spread."""
+    inliers: Bools
+    """(N,)"""
+    rms_px: float
+    """Of the inliers' reprojection errors in the second pair."""
+
+
+def triangulate(cameras: StereoCameras, observed_px: Floats) -> tuple[Floats, Floats, Bools]:
+    """Points (N, 3) m in the left camera's frame of observations (N, 3) u_left, v_left, u_right.
+
+    Three numbers fix three coordinates exactly: the left ray meets the plane of the right column. Also returns the
+    derivatives (N, 3, 3) m/px and which points lie in front of the rig (False: the values mean nothing).
+    """
+    fx, fy, cx, cy = cameras.left_px
+    rotation, shift = cameras.right_SE3_left[:3, :3], cameras.right_SE3_left[:3, 3]
+    ray = np.stack([(observed_px[:, 0] - cx) / fx, (observed_px[:, 1] - cy) / fy, np.ones(len(observed_px))], axis=1)
+    column = (observed_px[:, 2] - cameras.right_px[2]) / cameras.right_px[0]
+    across, ahead = ray @ rotation[0], ray @ rotation[2]
+    above, below = column * shift[2] - shift[0], across - column * ahead
+    usable = np.abs(below) > 1e-9
+    safe = np.where(usable, below, 1.0)
+    depth = above / safe
+    d_column = (shift[2] * safe + above * ahead) / safe**2
+    d_x = -above / safe**2 * (rotation[0, 0] - column * rotation[2, 0])
+    d_y = -above / safe**2 * (rotation[0, 1] - column * rotation[2, 1])
+    d_depth = np.stack([d_x / fx, d_y / fy, d_column / cameras.right_px[0]], axis=1)
+    jacobian = ray[:, :, None] * d_depth[:, None, :]
+    jacobian[:, 0, 0] += depth / fx
+    jacobian[:, 1, 1] += depth / fy
+    return ray * depth[:, None], jacobian, usable & (depth > _NEAREST_M)
+
+
+def project(cameras: StereoCameras, points_m: Floats) -> tuple[Floats, Floats, Bools]:
+    """Image points (..., 3) u_left, v_left, u_right of points (..., 3) in the left camera's frame.
+
+    Also returns the derivatives (..., 3, 3) px/m and which points lie in front of both cameras.
+    """
+    x, y, z, xr, zr, valid = _directions(cameras, points_m)
+    fx, fy, cx, cy = cameras.left_px
+    image = np.stack([fx * x + cx, fy * y + cy, cameras.right_px[0] * xr + cameras.right_px[2]], axis=-1)
+    jacobian = np.zeros((*points_m.shape[:-1], 3, 3))
+    jacobian[..., 0, 0], jacobian[..., 0, 2] = fx / z, -fx * x / z
+    jacobian[..., 1, 1], jacobian[..., 1, 2] = fy / z, -fy * y / z
+    rotation = cameras.right_SE3_left[:3, :3]
+    jacobian[..., 2, :] = (cameras.right_px[0] / zr)[..., None] * (rotation[0] - xr[..., None] * rotation[2])
+    return image, jacobian, valid
+
+
+def _directions(cameras: StereoCameras, points_m: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats, Bools]:
+    """x / z, y / z and z (...) in the left camera, x / z and z in the right one, and which points lie in front of both."""
+    turn, shift = cameras.right_SE3_left[:3, :3], cameras.right_SE3_left[:3, 3]
+    right_x, right_z = points_m @ turn[0] + shift[0], points_m @ turn[2] + shift[2]
+    valid = (points_m[..., 2] > _NEAREST_M) & (right_z > _NEAREST_M)
+    z, zr = np.where(valid, points_m[..., 2], 1.0), np.where(valid, right_z, 1.0)
+    return points_m[..., 0] / z, points_m[..., 1] / z, z, right_x / zr, zr, valid
+
+
+def _followers(
+    cameras: StereoCameras, points: Floats, second_px: Floats, usable: Bools, reach_px: Floats, poses: Floats
+) -> Bools:
+    """(H, N): which points follow motions (H, 4, 4) to within their reach."""
+    moved = points @ np.swapaxes(poses[:, :3, :3], 1, 2) + poses[:, None, :3, 3]
+    x, y, _, xr, _, valid = _directions(cameras, moved)
+    fx, fy, cx, cy = cameras.left_px
+    follows = valid & usable & (np.abs(fx * x + (cx - second_px[:, 0])) <= reach_px)
+    follows &= np.abs(fy * y + (cy - second_px[:, 1])) <= reach_px
+    follows &= np.abs(cameras.right_px[0] * xr + (cameras.right_px[2] - second_px[:, 2])) <= reach_px
+    return np.asarray(follows)
+
+
+def estimate_motion(
+    cameras: StereoCameras,
+    first_px: Floats,
+    second_px: Floats,
+    sigma_px: Floats,
+    expected: Floats,
+    limits: MotionLimits,
+    seed: int = 0,
+    start: Floats | None = None,
+    guess: Floats | None = None,
+) -> StereoMotion:
+    """Motion of the rig between two frame pairs.
+
+    first_px, second_px (N, 3): u_left, v_left, u_right of the same points; sigma_px (N,) of each of their coordinates; expected
+    (4, 4): a guess of next_SE3_first (from INS), whose only use is to bound and start the search; start (4, 4): a motion that is
+    nearly right already, such as that of the same points with another calibration, in place of a search among hypotheses; guess
+    (4, 4): one that may be, such as that of the interval before, which is searched for only where most points do not follow it.
+    Never raises on bad points.
+    """
+    count = len(first_px)
+    points, d_points, usable = triangulate(cameras, first_px)
+    usable &= np.isfinite(first_px).all(axis=1) & np.isfinite(second_px).all(axis=1)
+    # A depth that is hardly known is biased as well: noise makes far points look near.
+    usable &= sigma_px * np.linalg.norm(d_points[:, 2, :], axis=1) <= _VAGUE_SHARE * points[:, 2]
+    nobody = np.zeros(count, dtype=bool)
+    if int(usable.sum()) < limits.min_inliers:
+        return StereoMotion(MotionStatus.TOO_FEW_POINTS, expected, np.zeros((6, 6)), nobody, 0.0)
+    # A residual is expected to grow with the point's own errors: near points magnify them.
+    reach = limits.inlier_px * _spread_px(cameras, points, d_points, sigma_px, expected) / np.median(sigma_px) / 2**0.5
+    best = None
+    if start is not None:
+        best = start, _followers(cameras, points, second_px, usable, reach, start[None])[0]
+    if best is None or best[1].sum() < limits.min_inliers:
+        best = _majority(cameras, points, second_px, usable, reach, expected, guess, limits)
+    if best is None:
+        best = _consensus(cameras, points, second_px, usable, reach, expected, limits, seed)
+    if best is None:
+        return StereoMotion(MotionStatus.NO_CONSENSUS, expected, np.zeros((6, 6)), nobody, 0.0)
+    pose, inliers = best
+    if inliers.sum() < max(limits.min_inliers, limits.min_inlier_share * usable.sum()):
+        return StereoMotion(MotionStatus.NO_CONSENSUS, expected, np.zeros((6, 6)), inliers, 0.0)
+    return _refine(cameras, points, d_points, second_px, sigma_px, usable, reach, pose, inliers, limits)
+
+
+def _majority(
+    cameras: StereoCameras,
+    points: Floats,
+    second_px: Floats,
+    usable: Bools,
+    reach_px: Floats,
+    expected: Floats,
+    guess: Floats | None,
+    limits: MotionLimits,
+) -> tuple[Floats, Bools] | None:
+    """A guess, or the expected motion, where most usable points follow it; and who does."""
+    poses = expected[None] if guess is None else np.stack([guess, expected])
+    turn, shift = apart(poses, expected)
+    poses = poses[(shift <= limits.gate_m) & (turn <= limits.gate_rad)]
+    follows = _followers(cameras, points, second_px, usable, reach_px, poses)
+    votes = follows.sum(axis=1)
+    winner = int(votes.argmax())
+    if votes[winner] < max(limits.min_inliers, _MAJORITY * usable.sum()):
+        return None
+    return poses[winner], follows[winner]
+
+
+def _consensus(
+    cameras: StereoCameras,
+    points: Floats,
+    second_px: Floats,
+    usable: Bools,
+    reach_px: Floats,
+    expected: Floats,
+    limits: MotionLimits,
+    seed: int,
+) -> tuple[Floats, Bools] | None:
+    """The three-point motion that most points follow, among those near the expected one; and who follows it."""
+    rng = np.random.default_rng(seed)
+    index = np.flatnonzero(usable)
+    draws = index[
+        rng.integers(0, len(index), (_HYPOTHESES, _MINIMAL_POINTS))
+    ]  # one point twice wastes that hypothesis only
+    poses = np.broadcast_to(expected, (_HYPOTHESES, 4, 4)).copy()
+    for _ in range(4):
+        moved = np.einsum("hij,hnj->hni", poses[:, :3, :3], points[draws]) + poses[:, None, :3, 3]
+        image, jacobian, valid = project(cameras, moved)
+        design = (jacobian @ _point_jacobian(moved - poses[:, None, :3, 3])).reshape(_HYPOTHESES, -1, 6)
+        residual = np.where(valid[..., None], second_px[draws] - image, 0.0).reshape(_HYPOTHESES, -1)
+        design *= np.repeat(valid, 3, axis=1)[..., None]
+        # Three points in a row or far away leave the normal matrix singular: a little damping keeps them harmless.
+        scale = np.einsum("hni,hni->hi", design, design)
+        normal = np.swapaxes(design, 1, 2) @ design + (1e-9 * scale + 1e-12)[:, :, None] * np.eye(6)
+        step = np.linalg.solve(normal, np.einsum("hni,hn->hi", design, residual)[..., None])[..., 0]
+        poses = all_stepped(poses, np.clip(np.nan_to_num(step), -1.0, 1.0))
+    poses = np.concatenate([expected[None], poses])
+    turn, shift = apart(poses, expected)
+    poses = poses[(shift <= limits.gate_m) & (turn <= limits.gate_rad)]
+    follows = _followers(cameras, points, second_px, usable, reach_px, poses)
+    votes = follows.sum(axis=1)
+    if not len(votes) or votes.max() < _MINIMAL_POINTS:
+        return None
+    winner = int(votes.argmax())
+    return poses[winner], follows[winner]
+
+
+def _refine(
+    cameras: StereoCameras,
+    points: Floats,
+    d_points: Floats,
+    second_px: Floats,
+    sigma_px: Floats,
+    usable: Bools,
+    reach_px: Floats,
+    pose: Floats,
+    inliers: Bools,
+    limits: MotionLimits,
+) -> StereoMotion:
+    """Iteratively reweighted Gauss-Newton over the inliers, which are chosen anew in the first iterations."""
+    # Coordinates come first and points last, so that each line below is a few long operations over all points.
+    chosen = np.flatnonzero(usable)
+    at, seen = points[chosen].T.copy(), second_px[chosen].T.copy()
+    d_at, variance = np.ascontiguousarray(d_points[chosen].transpose(1, 2, 0)), sigma_px[chosen] ** 2
+    for iteration in range(_MAX_ITERATIONS):
+        turned = pose[:3, :3] @ at
+        image, jacobian, valid = _image_of(cameras, turned + pose[:3, 3:])
+        r, spread_of, var = seen - image, d_at, variance
+        if iteration < _CHOOSING_ITERATIONS:  # later a point at the bound could come and go for ever
+            good = np.flatnonzero(valid & (np.abs(r).max(axis=0) <= reach_px[chosen]))
+            inliers = np.zeros(len(points), dtype=bool)
+            inliers[chosen[good]] = True
+            if len(good) < limits.min_inliers:
+                return StereoMotion(MotionStatus.NO_CONSENSUS, pose, np.zeros((6, 6)), inliers, 0.0)
+            # `take`, since what an index in brackets gives lies in memory point by point.
+            r, jacobian, turned, spread_of, var = (x.take(good, -1) for x in (r, jacobian, turned, d_at, variance))
+            if iteration == _CHOOSING_ITERATIONS - 1:
+                at, seen, d_at, variance = at.take(good, -1), seen.take(good, -1), spread_of, var
+        # Error of the residual: the second pair's image errors, and the first pair's carried through intersection and motion.
+        carried = np.einsum("ikn,kjn->ijn", np.einsum("ikn,kj->ijn", jacobian, pose[:3, :3]), spread_of)
+        information = inverse_of_symmetric(var * (np.eye(3)[:, :, None] + np.einsum("ikn,jkn->ijn", carried, carried)))
+        misfit2 = np.einsum("in,ijn,jn->n", r, information, r) / 3
+        factor2 = max(median(misfit2) / 0.7887, 1e-6)  # median of chi-square(3) / 3
+        information *= 1 / (1 + misfit2 / factor2 / _CAUCHY_SIGMAS**2)
+        # By (w, d), as in `_point_jacobian`: the rows' cross products with the turned point, and the rows.
+        by_x, by_y, by_z = jacobian.transpose(1, 0, 2)
+        x, y, z = turned
+        design = np.stack([y * by_z - z * by_y, z * by_x - x * by_z, x * by_y - y * by_x, by_x, by_y, by_z])
+        weighted = np.einsum("ijn,ajn->ain", information, design)  # (6, 3, N): the information is symmetric
+        wide = weighted.reshape(6, -1)
+        normal = wide @ design.reshape(6, -1).T
+        try:
+            inverse = np.linalg.inv(normal)
+        except np.linalg.LinAlgError:
+            return StereoMotion(MotionStatus.DEGENERATE, pose, np.zeros((6, 6)), inliers, 0.0)
+        step = inverse @ (wide @ r.ravel())
+        pose = stepped(pose, step)
+        if iteration >= _CHOOSING_ITERATIONS and float((step**2 * np.diag(normal)).max()) < _CONVERGED:
+            # Sandwich of M-estimation: scatter of the weighted scores around the curvature (Huber 1981, ch. 6).
+            scores = np.einsum("in,ain->an", r, weighted)
+            cov = inverse @ (scores @ scores.T) @ inverse
+            cov = np.maximum(1.0, r.shape[1] / max(r.shape[1] - 6, 1)) * (cov + cov.T) / 2
+            sigma = np.sqrt(np.diag(cov))
+            known = sigma[:3].max() <= limits.max_sigma_rad and sigma[3:].max() <= limits.max_sigma_m
+            status = MotionStatus.OK if known else MotionStatus.DEGENERATE
+            return StereoMotion(status, pose, cov, inliers, float(np.sqrt(np.mean(r**2))))
+    return StereoMotion(MotionStatus.NOT_CONVERGED, pose, np.zeros((6, 6)), inliers, 0.0)
+
+
+def _image_of(cameras: StereoCameras, points_m: Floats) -> tuple[Floats, Floats, Bools]:
+    """As `project`, with the points last: (3, N), (3, 3, N), (N,) of points (3, N)."""
+    x, y, z, xr, zr, valid = _directions(cameras, points_m.T)
+    fx, fy, cx, cy = cameras.left_px
+    rotation, focal = cameras.right_SE3_left[:3, :3], cameras.right_px[0] / zr
+    image, jacobian = np.empty((3, len(z))), np.zeros((3, 3, len(z)))
+    image[0], image[1], image[2] = fx * x + cx, fy * y + cy, cameras.right_px[0] * xr + cameras.right_px[2]
+    jacobian[0, 0] = fx / z
+    jacobian[1, 1] = fy / z
+    jacobian[0, 2], jacobian[1, 2] = -jacobian[0, 0] * x, -jacobian[1, 1] * y
+    jacobian[2] = focal * (rotation[0][:, None] - rotation[2][:, None] * xr)
+    return image, jacobian, valid
+
+
+def inverse_of_symmetric(matrices: Floats) -> Floats:
+    """Inverses of N symmetric matrices (3, 3, N), by their cofactors."""
+    (a, b, c), (_, d, e), (_, _, f) = matrices
+    inverse = np.empty_like(matrices)
+    inverse[0, 0], inverse[1, 1], inverse[2, 2] = d * f - e * e, a * f - c * c, a * d - b * b
+    inverse[0, 1] = inverse[1, 0] = c * e - b * f
+    inverse[0, 2] = inverse[2, 0] = b * e - c * d
+    inverse[1, 2] = inverse[2, 1] = b * c - a * e
+    inverse /= a * inverse[0, 0] + b * inverse[0, 1] + c * inverse[0, 2]
+    return inverse
+
+
+def _spread_px(cameras: StereoCameras, points: Floats, d_points: Floats, sigma_px: Floats, pose: Floats) -> Floats:
+    """Expected sigma (N,) of a residual, the largest of its three coordinates."""
+    _, jacobian, _ = project(cameras, points @ pose[:3, :3].T + pose[:3, 3])
+    carried = jacobian @ pose[:3, :3] @ d_points
+    variance = 1 + np.einsum("nij,nij->ni", carried, carried).max(axis=1)
+    return np.asarray(sigma_px * np.sqrt(np.clip(np.nan_to_num(variance, nan=2.0), 2.0, 50.0)))
+
+
+def _point_jacobian(turned: Floats) -> Floats:
+    """Derivative (..., 3, 6) of a moved point by (w, d), `turned` being R p."""
+    x, y, z = turned[..., 0], turned[..., 1], turned[..., 2]
+    jacobian = np.zeros((*turned.shape[:-1], 3, 6))
+    jacobian[..., 0, 1], jacobian[..., 0, 2] = z, -y
+    jacobian[..., 1, 0], jacobian[..., 1, 2] = -z, x
+    jacobian[..., 2, 0], jacobian[..., 2, 1] = y, -x
+    jacobian[..., 0, 3] = jacobian[..., 1, 4] = jacobian[..., 2, 5] = 1.0
+    return jacobian

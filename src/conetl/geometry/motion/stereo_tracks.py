@@ -1,0 +1,123 @@
+"""Points followed between two frame pairs, and the motions that they tell.
+
+Following needs pictures and is slow (`perception/visual_odometry.py`), motions need only the points and the rig's geometry: kept
+apart, so that another calibration of the rig costs no second look at the pictures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from enum import StrEnum
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from conetl.geometry import pose as se3
+from conetl.geometry.camera import intrinsics
+from conetl.geometry.motion.stereo_motion import (
+    MotionLimits,
+    MotionStatus,
+    RelativeMotion,
+    StereoCameras,
+    estimate_motion,
+)
+from conetl.geometry.rig import left_SE3_right, map_SE3_left
+from conetl.model.params import TrajectoryParams
+from conetl.model.records import FramePair, Positive, Record, Rig
+
+Floats = NDArray[np.float64]
+
+
+class NoMeasurement(StrEnum):
+    """Why there are no points between two frame pairs."""
+
+    PICTURE_UNREADABLE = "picture_unreadable"
+    PICTURE_BLANK = "picture_blank"
+    PICTURE_FROZEN = "picture_frozen"
+    PICTURE_UNFIT = "picture_unfit"
+    """The picture library refused to work on what was read."""
+    TOO_FEW_POINTS = "too_few_points"
+
+
+class StereoTracks(Record):
+    """Points between two frame pairs, in pixels of the rectified pictures; none, with the reason, where there are none."""
+
+    first_frame_index: int = Field(ge=0)
+    second_frame_index: int = Field(ge=0)
+    first_px: tuple[float, ...]
+    """u_left, v_left, u_right, v_right of each point in the first frame pair, one point after the other."""
+    second_px: tuple[float, ...]
+    """Likewise in the second."""
+    sigma_px: Positive
+    """Of each coordinate."""
+    missing: NoMeasurement | None
+
+    @model_validator(mode="after")
+    def _four_numbers_a_point(self) -> StereoTracks:
+        if len(self.first_px) % 4 or len(self.first_px) != len(self.second_px):
+            raise ValueError("expected four numbers a point, for the same points in both frame pairs")
+        return self
+
+    def points(self) -> tuple[Floats, Floats, Floats]:
+        """(N, 4), (N, 4) points in both frame pairs and (N,) their sigma."""
+        first, second = np.array(self.first_px).reshape(-1, 4), np.array(self.second_px).reshape(-1, 4)
+        return first, second, np.full(len(first), self.sigma_px)
+
+
+def cameras_of(rig: Rig) -> StereoCameras:
+    """The numbers of a rectified rig that intersection needs; its right camera may be turned. ValueError with a lens."""
+    if any(camera.lens.model != "none" for camera in (rig.left, rig.right)):
+        raise ValueError("cameras_of: the rig must be rectified")
+    return StereoCameras(intrinsics(rig.left), intrinsics(rig.right), se3.invert(left_SE3_right(rig)))
+
+
+def expected_motions(frame_pairs: Sequence[FramePair], rig: Rig) -> list[Floats]:
+    """(4, 4) next_SE3_first of the left camera between each frame pair and the next, by the poses that they have."""
+    poses = [map_SE3_left(pair.pose, rig) for pair in frame_pairs]
+    return [se3.compose(se3.invert(second), first) for first, second in pairwise(poses)]
+
+
+def motion_limits(params: TrajectoryParams) -> MotionLimits:
+    """The parameters in the form that `estimate_motion` takes."""
+    return MotionLimits(
+        inlier_px=params.inlier_px,
+        min_inliers=params.min_points,
+        min_inlier_share=params.min_inlier_share,
+        gate_m=params.gate_m,
+        gate_rad=params.gate_rad,
+    )
+
+
+def motions_of(
+    tracks: Iterable[StereoTracks],
+    frame_pairs: Sequence[FramePair],
+    rig: Rig,
+    params: TrajectoryParams,
+    earlier: Sequence[RelativeMotion] | None = None,
+) -> Iterator[RelativeMotion]:
+    """Motion of every interval of `tracks`, in their order; tracks[k] runs from frame_pairs[k] to frame_pairs[k + 1].
+
+    earlier: motions of the same tracks by a slightly other rig, which spare the search among hypotheses. So does, mostly, the
+    motion of the interval before: cars change their speed little within a tenth of a second.
+    """
+    cameras, limits = cameras_of(rig), motion_limits(params)
+    before: Floats | None = None
+    starts = [None] * (len(frame_pairs) - 1) if earlier is None else [motion.second_SE3_first for motion in earlier]
+    for points, expected, start in zip(tracks, expected_motions(frame_pairs, rig), starts, strict=True):
+        reason, pose, cov, inliers = str(points.missing), None, (), 0
+        first_px, second_px, sigma_px = points.points()
+        if points.missing is None:
+            motion = estimate_motion(
+                cameras, first_px[:, :3], second_px[:, :3], sigma_px, expected, limits, seed=points.first_frame_index,
+                start=None if start is None else np.array(start), guess=before,
+            )  # fmt: skip
+            reason, inliers = str(motion.status), int(motion.inliers.sum())
+            before = motion.next_SE3_first if motion.status is MotionStatus.OK else None
+            if motion.status is MotionStatus.OK:
+                pose, cov = se3.to_matrix4(motion.next_SE3_first), tuple(motion.cov[np.triu_indices(6)].tolist())
+        yield RelativeMotion(
+            first_frame_index=points.first_frame_index, second_frame_index=points.second_frame_index,
+            second_SE3_first=pose, cov=cov, inlier_count=inliers, point_count=len(first_px), reason=reason,
+        )  # fmt: skip

@@ -1,1 +1,0 @@
-"""Calibration boards and files: pictures -> corners, and the formats of other programs."""

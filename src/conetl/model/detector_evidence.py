@@ -1,0 +1,308 @@
+"""What a box, or the lack of one, says about a cone: figures measured on labelled pictures for one detector.
+
+`training/calibrate_scores.py` measures them and writes them into the model's sidecar (`perception/model_card.py`); `tracking/existence.py`
+reads them. A sidecar without them gives `UNMEASURED`. Cones are told apart from *lookalikes*: things that are no cone but got
+a box, and will get another (a tail lamp, a bollard). How many of them there are is told by the false boxes per picture.
+
+Scores are the network's own (`Detection.score`). The probability that a box holds a cone is another number and has
+another name: `calibrated_probability`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from bisect import bisect_right
+from functools import lru_cache
+from itertools import pairwise
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+Share = Annotated[float, Field(gt=0, lt=1)]
+Count = Annotated[int, Field(ge=0)]
+#: Scores and probabilities are kept this far from 0 and 1 before their logarithm is taken.
+_EDGE = 1e-4
+
+
+class ScoreCalibration(BaseModel):
+    """Monotone map from a score to P(cone | box): straight lines between knots on the log-odds of both, flat beyond them."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    method: Literal["platt", "beta", "isotonic"]
+    """Platt (1999): one straight line, hence two knots; beta (Kull et al. 2017); isotonic regression (Zadrozny & Elkan 2002)."""
+    scores: tuple[Share, ...] = Field(min_length=2)
+    probabilities: tuple[Share, ...] = Field(min_length=2)
+
+    @model_validator(mode="after")
+    def _monotone(self) -> Self:
+        if len(self.scores) != len(self.probabilities):
+            raise ValueError(f"{len(self.scores)} scores, but {len(self.probabilities)} probabilities")
+        if any(b <= a for a, b in pairwise(self.scores)) or any(b < a for a, b in pairwise(self.probabilities)):
+            raise ValueError("scores must rise and probabilities must not fall")
+        return self
+
+
+class LookCorrelation(BaseModel):
+    """How much two looks at one object have in common: a correlation over the ratio of the object's apparent heights,
+    far + (near - far) exp(-|octaves| / decay)."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    near: Annotated[float, Field(gt=0, lt=1)]
+    """Of looks in which the object appears equally tall."""
+    far: Annotated[float, Field(ge=0, lt=1)]
+    """Of looks from very different distances."""
+    decay_octaves: Annotated[float, Field(gt=0)]
+
+    @model_validator(mode="after")
+    def _falls(self) -> Self:
+        if self.far > self.near:
+            raise ValueError(f"far ({self.far}) is above near ({self.near})")
+        return self
+
+
+class DetectorEvidence(BaseModel):
+    """How a detector answers to cones, to lookalikes and to cone-free pictures.
+
+    Thresholds, heights and hidden shares are the axes of the tables; a height or hidden share belongs to the band that begins
+    at or below it, between thresholds the figures are interpolated.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    model_sha256: str = Field(pattern="^[0-9a-f]{64}$")
+    """The model file that was measured."""
+    match_iou: Share
+    """A box answers for a cone from this overlap (IoU) with the cone's box on."""
+    calibration: ScoreCalibration
+    reference_score: Share
+    """One of `score_thresholds`: boxes above it were counted in the two fields below."""
+    true_boxes: int = Field(ge=1)
+    false_boxes: int = Field(ge=1)
+    """Boxes on cones and beside them, of the pictures that the calibration was fitted on: what its probabilities start from."""
+    score_thresholds: tuple[Share, ...] = Field(min_length=1)
+    height_bands_px: tuple[Annotated[float, Field(gt=0)], ...] = Field(min_length=1)
+    """Apparent height of the whole cone at which each band begins; the last has no end."""
+    hidden_bands: tuple[Annotated[float, Field(ge=0, lt=1)], ...] = Field(min_length=1)
+    """Share of the cone's box behind something nearer, at which each band begins; the first begins at 0."""
+    hidden_most: Share
+    """Hidden more than this, a cone was not measured; such a look says nothing."""
+    looks: tuple[tuple[Count, ...], ...]
+    """Cones that were looked at, by height and hidden band."""
+    detected: tuple[tuple[tuple[Share, ...], ...], ...]
+    """P(box at or above the threshold | cone), by threshold, height and hidden band."""
+    lookalikes: Count
+    found_again: tuple[Share, ...]
+    """P(box at or above the threshold | lookalike that had boxes in two other looks at least), by threshold."""
+    false_box_pictures: tuple[Count, ...]
+    """On how many pictures false boxes were counted, by height band."""
+    false_boxes_per_picture: tuple[tuple[Annotated[float, Field(gt=0)], ...], ...]
+    """Boxes on no cone, at or above the threshold, by threshold and height band."""
+    look_correlation: LookCorrelation
+    """Of the log-likelihood ratios, cone against lookalike, of two looks at one thing."""
+    miss_correlation: LookCorrelation | None = None
+    """Of the misses of two looks at one cone in plain view. None, in figures from before these were told apart:
+    `look_correlation` and `joint_scale` stand for it."""
+    joint_scale: Annotated[float, Field(gt=0)]
+    """What the looks at one thing, put together with that correlation, are multiplied with to tell cones from lookalikes at
+    true odds; fitted on things with several looks."""
+
+    @model_validator(mode="after")
+    def _tables_fit_their_axes(self) -> Self:
+        for name in ("score_thresholds", "height_bands_px", "hidden_bands"):
+            if any(b <= a for a, b in pairwise(getattr(self, name))):
+                raise ValueError(f"{name} must rise")
+        scores, heights, hidden = len(self.score_thresholds), len(self.height_bands_px), len(self.hidden_bands)
+        if self.hidden_bands[0] != 0 or self.reference_score not in self.score_thresholds:
+            raise ValueError("hidden_bands must begin at 0, and reference_score be one of score_thresholds")
+        for name, shape in (
+            ("looks", (heights, hidden)),
+            ("detected", (scores, heights, hidden)),
+            ("found_again", (scores,)),
+            ("false_box_pictures", (heights,)),
+            ("false_boxes_per_picture", (scores, heights)),
+        ):
+            found = _shape(getattr(self, name))
+            if found != shape:
+                raise ValueError(f"{name} has the shape {found}, its axes ask for {shape}")
+        return self
+
+
+class LookFigures(BaseModel):
+    """What is needed to tell how much it means that a drive looked at a spot and found no box: kept with each drive."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    evidence: DetectorEvidence
+    score_threshold: Share
+    """Boxes below it were not kept."""
+
+
+def absence_log_ratio(
+    figures: LookFigures,
+    heights_px: NDArray[np.float64],
+    hidden: NDArray[np.float64],
+    found: NDArray[np.bool_],
+    *,
+    stray_probability: float,
+    unseen_occluder_probability: float,
+) -> float:
+    """ln P(what some frame pairs show of a spot | a cone stands there) / P(the same | nothing stands there); never positive.
+
+    heights_px (N, 2), hidden (N, 2): apparent height of the cone, and share of it behind nearer detections, in the left and
+    right picture; found (N,): whether something was found there. A frame pair misses a cone unless both pictures show it; an
+    empty spot gets a box with `stray_probability`. Frame pairs miss a cone together as often as looks do (`miss_correlation`),
+    and with a small probability all of them miss it because of something in front that is no detection.
+    """
+    if len(heights_px) == 0:
+        return 0.0
+    seen = [
+        detect_probability(figures.evidence, h, s, figures.score_threshold)
+        for h, s in zip(heights_px.ravel(), hidden.ravel(), strict=True)
+    ]
+    shown = np.reshape(seen, (-1, 2)).prod(axis=1)
+    ratios = np.where(found, np.log(shown / stray_probability), np.log((1 - shown) / (1 - stray_probability)))
+    misses, least_px = figures.evidence.miss_correlation, heights_px.min(axis=1)
+    joint = (
+        joint_log_ratio(figures.evidence, ratios, least_px)
+        if misses is None
+        else _sum_of_like(misses, ratios, least_px)
+    )
+    blind = unseen_occluder_probability
+    return min(float(np.logaddexp(np.log(blind), np.log1p(-blind) + joint)), 0.0)
+
+
+def calibrated_probability(calibration: ScoreCalibration, score: float) -> float:
+    """P(cone | a box of this score) in pictures like those that the calibration was fitted on."""
+    return 1 / (1 + float(np.exp(-_log_odds(calibration, score))))
+
+
+def detect_probability(evidence: DetectorEvidence, height_px: float, hidden: float, threshold: float) -> float:
+    """P(a box at or above the threshold | a cone of this apparent height, this share of its box hidden)."""
+    i, j = _band(evidence.height_bands_px, height_px), _band(evidence.hidden_bands, hidden)
+    return _at_threshold(evidence, threshold, [table[i][j] for table in evidence.detected])
+
+
+def found_again_probability(evidence: DetectorEvidence, threshold: float) -> float:
+    """P(a box at or above the threshold | something that is no cone and had boxes in two other looks at least)."""
+    return _at_threshold(evidence, threshold, evidence.found_again)
+
+
+def false_boxes_per_picture(evidence: DetectorEvidence, least_height_px: float, threshold: float) -> float:
+    """Expected number of boxes at or above the threshold in a picture without cones, of the bands from `least_height_px` on."""
+    first = _band(evidence.height_bands_px, least_height_px)
+    return _at_threshold(evidence, threshold, [sum(row[first:]) for row in evidence.false_boxes_per_picture])
+
+
+def box_log_ratio(evidence: DetectorEvidence, score: float, height_px: float, hidden: float, doubt: float) -> float:
+    """ln p(box with this score | cone) / p(box with this score | lookalike).
+
+    That a box at or above the reference score came at all, times how scores are spread over cones against the rest. The second
+    factor is the calibrated odds over the odds in the pictures of the calibration (Bayes); it is kept between doubt / (1 - doubt)
+    and its inverse, because no set of pictures holds all that stands on roads.
+    """
+    t = evidence.reference_score
+    came = np.log(detect_probability(evidence, height_px, hidden, t) / found_again_probability(evidence, t))
+    spread = _log_odds(evidence.calibration, score) - np.log(evidence.true_boxes / evidence.false_boxes)
+    bound = np.log((1 - doubt) / doubt)
+    return float(came + np.clip(spread, -bound, bound))
+
+
+def miss_log_ratio(evidence: DetectorEvidence, height_px: float, hidden: float, threshold: float) -> float:
+    """ln P(no box at or above the threshold | cone) / P(no such box | lookalike)."""
+    missed = 1 - detect_probability(evidence, height_px, hidden, threshold)
+    return float(np.log(missed / (1 - found_again_probability(evidence, threshold))))
+
+
+def joint_log_ratio(evidence: DetectorEvidence, ratios: NDArray[np.float64], heights_px: NDArray[np.float64]) -> float:
+    """Log-likelihood ratio of all looks (N,) together, from that of each (N,) and the object's apparent heights (N,).
+
+    The sum of like looks by `look_correlation`, times `joint_scale`.
+    """
+    return evidence.joint_scale * _sum_of_like(evidence.look_correlation, ratios, heights_px)
+
+
+def _sum_of_like(correlation: LookCorrelation, ratios: NDArray[np.float64], heights_px: NDArray[np.float64]) -> float:
+    """Sum of log-likelihood ratios (N,) over the design effect of their correlation, which apparent heights (N,) tell.
+
+    Design effect (Kish 1965, Survey Sampling, section 5.4): 1 + (N - 1) r with one correlation r for all, here the mean row sum
+    of their correlations. So many like looks from one distance count little more than one of them. All looks weigh alike:
+    weights by the inverse of the correlations would lean on the first and the last look, and on the model of the correlations.
+    """
+    if len(ratios) == 0:
+        return 0.0
+    octaves = np.abs(np.subtract.outer(np.log2(heights_px), np.log2(heights_px)))
+    matrix = correlation.far + (correlation.near - correlation.far) * np.exp(-octaves / correlation.decay_octaves)
+    np.fill_diagonal(matrix, 1.0)
+    return float(ratios.sum() * len(ratios) / matrix.sum())
+
+
+def evidence_sha256(evidence: DetectorEvidence | None) -> str:
+    """Hash of the figures (of none: of nothing), for the identity of an ingest."""
+    return hashlib.sha256(b"" if evidence is None else evidence.model_dump_json(exclude_none=True).encode()).hexdigest()
+
+
+def _log_odds(calibration: ScoreCalibration, score: float) -> float:
+    return float(np.interp(_logit(score), *_knots(calibration)))
+
+
+@lru_cache(maxsize=8)
+def _knots(calibration: ScoreCalibration) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Scores and probabilities as log-odds: a drive of an hour asks for them a hundred thousand times."""
+    scores, probabilities = (
+        np.array([_logit(p) for p in values]) for values in (calibration.scores, calibration.probabilities)
+    )
+    return scores, probabilities
+
+
+def _band(begins: tuple[float, ...], value: float) -> int:
+    return max(bisect_right(begins, value) - 1, 0)
+
+
+def _at_threshold(evidence: DetectorEvidence, threshold: float, values: tuple[float, ...] | list[float]) -> float:
+    return float(np.interp(threshold, evidence.score_thresholds, values))
+
+
+def _logit(probability: float) -> float:
+    p = min(max(probability, _EDGE), 1 - _EDGE)  # np.clip takes ten times as long for one number
+    return float(np.log(p / (1 - p)))
+
+
+def _shape(table: object) -> tuple[int, ...] | None:
+    """Shape of nested tuples; None where rows differ in length."""
+    if not isinstance(table, tuple):
+        return ()
+    inner = {_shape(row) for row in table}
+    if len(inner) != 1 or None in inner:
+        return None
+    (only,) = inner
+    return (len(table), *(only or ()))
+
+
+#: For a detector of which nothing was measured; no statement about any network. Scores are read as they were for the first
+#: detector of this project: 0.42 is neither for nor against, a miss is ln(0.1 / 0.2) whatever the height, six looks count as one.
+UNMEASURED = DetectorEvidence(
+    model_sha256="0" * 64,
+    match_iou=0.3,
+    calibration=ScoreCalibration(method="platt", scores=(0.02, 0.98), probabilities=(0.02, 0.98)),
+    reference_score=0.3,
+    true_boxes=45,
+    false_boxes=55,
+    score_thresholds=(0.3,),
+    height_bands_px=(8.0,),
+    hidden_bands=(0.0,),
+    hidden_most=0.25,
+    looks=((0,),),
+    detected=(((0.9,),),),
+    lookalikes=0,
+    found_again=(0.8,),
+    false_box_pictures=(0,),
+    false_boxes_per_picture=((0.3,),),
+    look_correlation=LookCorrelation(near=1 / 6, far=1 / 6, decay_octaves=1.0),
+    joint_scale=1.0,
+)
+#: The same with the default threshold of `DetectionParams`.
+UNMEASURED_LOOKS = LookFigures(evidence=UNMEASURED, score_threshold=0.3)

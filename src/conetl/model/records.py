@@ -1,0 +1,335 @@
+"""The nouns of conetl as frozen, validated records, in the order in which data flows.
+
+Every record checks itself when it is made (pydantic; unknown fields, NaN and infinity are refused), so whatever passes a
+border between two steps is known to be sound. Lengths are metres, image points pixels of the original (rectified)
+image with the origin at the centre of the top-left pixel, angles radians, times UTC nanoseconds since 1970.
+Map coordinates are easting, northing (of the map CRS) and ellipsoidal height. See docs/coordinates.md.
+"""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+from itertools import pairwise
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
+from uuid import UUID
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+Side = Literal["left", "right"]
+Vec2 = tuple[float, float]
+Vec3 = tuple[float, float, float]
+Matrix3 = tuple[Vec3, Vec3, Vec3]
+Matrix4Row = tuple[float, float, float, float]
+Matrix4 = tuple[Matrix4Row, Matrix4Row, Matrix4Row, Matrix4Row]
+#: Symmetric 3x3 matrix as its upper triangle xx, xy, xz, yy, yz, zz (m^2).
+Cov3 = tuple[float, float, float, float, float, float]
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Probability = Annotated[float, Field(ge=0, le=1)]
+
+
+class Record(BaseModel):
+    """Base of all records: immutable, closed, finite."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+R = TypeVar("R", bound=Record)
+
+
+def sound(record_type: type[R], **values: Any) -> R:
+    """A record of values that are known to be sound, without checking them again; every field must be given.
+
+    For rows that were checked before they were written, and for what is computed from such. A drive is compared with 100,000
+    features, and the checks alone would take longer than the comparison. As `model_construct`, in a third of its time.
+    """
+    record = record_type.__new__(record_type)
+    put = object.__setattr__
+    put(record, "__dict__", values)
+    put(record, "__pydantic_fields_set__", set(values))
+    put(record, "__pydantic_extra__", None)
+    put(record, "__pydantic_private__", None)
+    return record
+
+
+# --------------------------------------------------------------------------- drive
+
+
+LensModel = Literal["none", "radial", "brown", "rational", "fisheye"]
+#: Number of coefficients of each lens model, in OpenCV's order.
+LENS_COEFFICIENTS: dict[LensModel, int] = {"none": 0, "radial": 2, "brown": 5, "rational": 8, "fisheye": 4}
+
+
+class Lens(Record):
+    """Distortion of one camera's lens, acting on normalised image coordinates x/z, y/z.
+
+    radial: k1, k2; brown: k1, k2, p1, p2, k3 (Brown 1971); rational: k1, k2, p1, p2, k3, k4, k5, k6; fisheye: k1, k2, k3, k4
+    of the equidistant model (Kannala & Brandt 2006).
+    """
+
+    model: LensModel = "none"
+    coefficients: tuple[float, ...] = ()
+
+    @model_validator(mode="after")
+    def _as_many_as_the_model_has(self) -> Lens:
+        if len(self.coefficients) != LENS_COEFFICIENTS[self.model]:
+            wanted = LENS_COEFFICIENTS[self.model]
+            raise ValueError(f"lens model '{self.model}' has {wanted} coefficients, found {len(self.coefficients)}")
+        return self
+
+
+class Camera(Record):
+    """Interior orientation of one camera in pixels; a rectified camera is one without a lens (model "none")."""
+
+    width_px: int = Field(gt=0)
+    height_px: int = Field(gt=0)
+    fx_px: Positive
+    fy_px: Positive
+    cx_px: float
+    cy_px: float
+    lens: Lens = Lens()
+
+
+class SharedErrors(Record):
+    """Errors of a calibration that all drives which were given it have in common; the rest is this drive's alone."""
+
+    calibration: UUID
+    """Of the calibration as it was given (`geometry/calibration/shared.py`)."""
+    matrix: tuple[tuple[float, ...], ...]
+    """A row a parameter, in the order of `CalibrationCovariance.names`: how one sigma of each independent error moves it."""
+
+
+class CalibrationCovariance(Record):
+    """Covariance of a rig's calibration: errors that all pictures of the rig have in common.
+
+    `names` are fields of the rig: left.fx_px, left.fy_px, left.cx_px, left.cy_px, left.lens.0, left.lens.1 ... (in the order of
+    `Lens.coefficients`), right.* likewise, relative.rx_rad, relative.ry_rad, relative.rz_rad, relative.tx_m, relative.ty_m,
+    relative.tz_m. The relative ones perturb left_SE3_right = (R, t) as (R exp(r), t + dt), r a rotation vector in the right
+    camera's frame, dt in the left camera's. What is not named is taken as exact. Units are those of the names.
+    """
+
+    names: tuple[str, ...] = Field(min_length=1)
+    matrix: tuple[tuple[float, ...], ...]
+    shared: SharedErrors | None = None
+    """What of it is common to drives that were given the same calibration. None: all, for this is what was given."""
+
+    @model_validator(mode="after")
+    def _square_and_symmetric(self) -> CalibrationCovariance:
+        size = len(self.names)
+        if len(set(self.names)) != size:
+            raise ValueError("each calibration parameter may be named once")
+        if len(self.matrix) != size or any(len(row) != size for row in self.matrix):
+            raise ValueError(f"expected a {size} x {size} matrix, one row and column a name")
+        for i in range(size):
+            if self.matrix[i][i] < 0:
+                raise ValueError(f"the variance of {self.names[i]} is negative")
+            for j in range(i):
+                bound = 1e-6 * (self.matrix[i][i] * self.matrix[j][j]) ** 0.5 + 1e-30
+                if abs(self.matrix[i][j] - self.matrix[j][i]) > bound:
+                    raise ValueError(f"the matrix is not symmetric at {self.names[i]}, {self.names[j]}")
+        return self
+
+
+class Rig(Record):
+    """Two cameras and where they sit on the body (the INS unit, or the left camera where there is none).
+
+    The rig of a `Drive` is rectified: no lens distortion, equal rows. Where the pictures as stored are not, `rectified_from`
+    is the rig that took them, and every picture is resampled from that one to this one when it is read.
+
+    `body_SE3_left`/`body_SE3_right` map camera points (x right, y down, z forward) to body points; their translation is the
+    lever arm, their rotation the boresight.
+    """
+
+    rig_id: str = Field(min_length=1)
+    left: Camera
+    right: Camera
+    body_SE3_left: Matrix4
+    body_SE3_right: Matrix4
+    sigma_px: Positive = 0.5
+    """Default image sigma of an observation, used where a detection brings none of its own."""
+    calibration_covariance: CalibrationCovariance | None = None
+    """Of this rig's own parameters; None where the calibration did not tell. A rectified rig leaves it to `rectified_from`."""
+    rectified_from: Rig | None = None
+
+    @property
+    def baseline_m(self) -> float:
+        a, b = self.body_SE3_left, self.body_SE3_right
+        return float(sum((a[i][3] - b[i][3]) ** 2 for i in range(3)) ** 0.5)
+
+
+class Pose(Record):
+    """Exterior orientation of the body at exposure: `map_p = R @ body_p + t`, with its standard deviations."""
+
+    map_R_body: Matrix3
+    map_t_body_m: Vec3
+    sigma_enu_m: tuple[NonNegative, NonNegative, NonNegative]
+    """Of the body's position, absolute (GNSS/INS); strongly correlated from frame to frame of one drive."""
+    sigma_rpy_rad: tuple[NonNegative, NonNegative, NonNegative]
+    """Of roll, pitch, yaw."""
+
+
+class FramePair(Record):
+    """The left and right image of one trigger, with the pose at that instant."""
+
+    frame_index: int = Field(ge=0)
+    """The number in the file name; it links images, poses and time stamps."""
+    left_path: str
+    right_path: str
+    captured_at_ns: int
+    """UTC, nanoseconds since 1970-01-01, of the left image."""
+    pose: Pose
+
+    @property
+    def captured_at(self) -> datetime:
+        return utc_from_ns(self.captured_at_ns)
+
+
+class Drive(Record):
+    """One recording by one rig, as far as it could be read; the bad pairs were rejected by the reader."""
+
+    drive_id: str = Field(min_length=1, max_length=200)
+    source_path: str
+    rig: Rig
+    map_srid: int
+    content_sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
+    """Hash over names and bytes of every file that was read, images included."""
+    frame_pairs: tuple[FramePair, ...] = Field(min_length=1)
+    expected_frame_count: int = Field(gt=0)
+    """Number of frame pairs that the folder announces, the rejected ones included."""
+
+    @model_validator(mode="after")
+    def _frames_in_order(self) -> Drive:
+        indices = [pair.frame_index for pair in self.frame_pairs]
+        if any(b <= a for a, b in pairwise(indices)):
+            raise ValueError("frame pairs must have strictly increasing frame_index")
+        return self
+
+    @property
+    def captured_from(self) -> datetime:
+        return utc_from_ns(min(pair.captured_at_ns for pair in self.frame_pairs))
+
+    @property
+    def captured_to(self) -> datetime:
+        return utc_from_ns(max(pair.captured_at_ns for pair in self.frame_pairs))
+
+
+# --------------------------------------------------------------------------- image space
+
+
+class Detection(Record):
+    """A box from the network, in pixels of the original image; x_px, y_px is the top-left corner.
+
+    Box edges count from the picture's edge, so that a box over the first pixel is x 0, width 1 (COCO); the centre of that
+    pixel is 0.5 in box edges and 0 as an image point. `tracking/matching/matches.py` is where one becomes the other.
+    """
+
+    frame_index: int = Field(ge=0)
+    side: Side
+    detection_index: int = Field(ge=0)
+    """Number within its image, by falling score."""
+    category: str = "traffic_cone"
+    x_px: float
+    y_px: float
+    w_px: Positive
+    h_px: Positive
+    score: Probability
+    foot_px: Vec2 | None = None
+    """Centre of the cone's foot on the ground, in box edges like x_px; None where the network does not tell."""
+    tip_px: Vec2 | None = None
+    """Top of the cone's axis, likewise."""
+
+
+class StereoMatch(Record):
+    """Left and right detection of one object, with the image points that geometry uses.
+
+    `foot`: centre of the base where it meets the ground; `centre`: centre of the box (the paper's point); `tip`: top of the cone.
+    """
+
+    frame_index: int = Field(ge=0)
+    match_index: int = Field(ge=0)
+    left: Detection
+    right: Detection
+    foot_left_uv_px: Vec2
+    foot_right_uv_px: Vec2
+    centre_left_uv_px: Vec2
+    centre_right_uv_px: Vec2
+    tip_left_uv_px: Vec2
+    tip_right_uv_px: Vec2
+    sigma_u_px: Positive
+    """Of each image point along the rows, independent in the two images: sigma of disparity over sqrt(2)."""
+    sigma_v_px: Positive
+    """Of each image point across the rows."""
+    sigma_pointing_px: NonNegative
+    """Along the rows, common to both images: where the cone's axis was put in the picture. Moves the bearing, not the range."""
+    sigma_outline_px: NonNegative = 0.0
+    """Along and across the rows, common to all sightings of one cone: what the detector takes for its foot and axis."""
+    refined: bool
+    """True where the correspondence was refined by area-based matching, False where the box edges alone were used."""
+    cost: NonNegative
+
+
+# --------------------------------------------------------------------------- object space
+
+
+class Position(Record):
+    """Foot and box centre of one cone in the map frame, from one frame pair, by forward intersection."""
+
+    frame_index: int = Field(ge=0)
+    match_index: int = Field(ge=0)
+    xyz_m: Vec3
+    """Foot centre on the ground; what the map calls `geom`."""
+    cov_m2: Cov3
+    centre_xyz_m: Vec3
+    """Box centre, the paper's point."""
+    cone_height_m: float
+    camera_xyz_m: Vec3
+    """The foot in the left camera's frame (x right, y down, z forward): free of GNSS error."""
+    camera_cov_m2: Cov3
+    sigma_outline_m: NonNegative = 0.0
+    """To the right and down, common to all sightings of this cone (`StereoMatch.sigma_outline_px`); part of both covariances."""
+    range_m: Positive
+    """Ground distance from the left camera to the foot."""
+    ray_angle_rad: Positive
+    residual_rms_px: NonNegative
+    iterations: int = Field(ge=1)
+    score: Probability
+
+
+class Levers(NamedTuple):
+    """How a place moves for one sigma of each error that drives with the same calibration share."""
+
+    calibrations: tuple[UUID, ...]
+    """In rising order."""
+    moved_m: bytes
+    """(C, 3, K) metres of the map, big-endian float32: by calibration, axis and error; see `geometry/calibration/shared.py`."""
+
+
+class Track(Record):
+    """All positions of one physical cone in one drive, as one joint fit."""
+
+    track_index: int = Field(ge=0)
+    category: str = "traffic_cone"
+    xyz_m: Vec3
+    """Foot centre in the map frame."""
+    cov_m2: Cov3
+    """Absolute: with the errors of pose and calibration that all sightings share."""
+    relative_cov_m2: Cov3
+    """Without that part: what distances between cones of this drive live on."""
+    centre_xyz_m: Vec3
+    cone_height_m: Positive
+    cone_height_sigma_m: Positive
+    existence_probability: Probability
+    observation_count: int = Field(ge=1)
+    first_seen_ns: int
+    last_seen_ns: int
+    residual_rms_px: NonNegative
+    nearest_range_m: Positive
+    members: tuple[tuple[int, int], ...] = Field(min_length=1)
+    """(frame_index, match_index) of every position in it."""
+    levers: Levers | None = Field(default=None, exclude=True, repr=False)
+    """Of the calibration's part in `cov_m2`; None where that is not known. Kept in the database, left out of JSON."""
+
+
+def utc_from_ns(nanoseconds: int) -> datetime:
+    """UTC datetime of nanoseconds since 1970, truncated to microseconds (what datetime can hold)."""
+    return datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=nanoseconds // 1000)

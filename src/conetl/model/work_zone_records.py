@@ -1,0 +1,192 @@
+"""The nouns of work zones: what goes into finding them, and what comes out. Metres of the map's CRS, UTC nanoseconds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Literal
+from uuid import UUID
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.model.map_records import MapFeature
+
+Floats = NDArray[np.float64]
+Side = Literal["left", "right"]
+#: Where the line comes from along which stations and offsets are counted.
+AxisSource = Literal["lanes", "drives", "cones"]
+
+
+@dataclass(frozen=True, eq=False)
+class LaneLine:
+    """One piece of a lane boundary or road edge, in either direction; pieces need not meet at their ends."""
+
+    xy_m: Floats
+    """(N, 2) in the map's CRS, N >= 2."""
+    kind: str = ""
+    """As the source calls it, for example `line_thin/dashed`."""
+
+
+@dataclass(frozen=True, eq=False)
+class DrivePath:
+    """Where one drive went."""
+
+    drive_id: str
+    captured_from_ns: int
+    xy_m: Floats
+    """(N, 2), in order of time."""
+
+
+@dataclass(frozen=True)
+class ZoneHistory:
+    """One work zone over time, up to an instant: which cones make it, since when, and until when."""
+
+    zone_id: UUID
+    founding_feature_id: UUID
+    start_ns: int
+    """Valid time of its first cone."""
+    end_ns: int | None
+    """When its last cone was gone; None while one stands."""
+    merged_into: UUID | None
+    """The older zone that its cones are part of now; its `end_ns` is when that was first so."""
+    cones: tuple[MapFeature, ...]
+    """Those that stand; of an ended zone, those that stood last."""
+
+
+@dataclass(frozen=True)
+class Taper:
+    """A stretch of the row that comes nearer to traffic (converging) or leaves it, in the direction of travel."""
+
+    first: int
+    last: int
+    """Positions in the row."""
+    start_m: float
+    end_m: float
+    """Stations."""
+    shift_m: float
+    """Lateral way over its length, positive."""
+    shift_sigma_m: float
+    """Of the cones alone, without the error of the axis."""
+    start_sigmas_m: tuple[float, float]
+    """How far it may begin before that station, and behind it."""
+    end_sigmas_m: tuple[float, float]
+    start_cones_m: tuple[float, ...]
+    """Stations of the cones that may mark its beginning, if one does."""
+    end_cones_m: tuple[float, ...]
+    converging: bool
+
+
+@dataclass(frozen=True, eq=False)
+class ConeRow:
+    """Cones that follow each other in a line of tapers and tangents."""
+
+    members: tuple[int, ...]
+    """Indices of the zone's cones, by station."""
+    tapers: tuple[Taper, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class LaneBands:
+    """Lane lines beside the axis: offsets (positive to the left) by station; NaN where a line is not there."""
+
+    stations_m: Floats
+    """(M,), increasing."""
+    offsets_m: Floats
+    """(M, K), lines from right to left at the middle."""
+
+
+@dataclass(frozen=True, eq=False)
+class ZoneLayout:
+    """A zone seen along its road, in the direction of travel."""
+
+    axis_m: Floats
+    """(N, 2) in the direction of travel."""
+    axis_source: AxisSource
+    axis_sigma_m: float
+    """How far the axis may wander across the road over the zone's length."""
+    direction_known: bool
+    cones: tuple[MapFeature, ...]
+    """By station."""
+    stations_m: Floats
+    offsets_m: Floats
+    """Positive to the left of the axis."""
+    sigmas_s_m: Floats
+    sigmas_o_m: Floats
+    rows: tuple[ConeRow, ...]
+    """Longest first."""
+    traffic_side: Side | None
+    """Where traffic passes the first row; the closed side is the other one."""
+    bands: LaneBands | None
+    two_way: bool
+    """Drives passed in both directions: beside the closed lane there may be oncoming traffic and nothing to merge into."""
+    drive_ids: tuple[str, ...]
+
+
+class VehicleImpact(StrEnum):
+    """The values of WZDx that cones alone can support."""
+
+    ALL_LANES_OPEN = "all-lanes-open"
+    SOME_LANES_CLOSED = "some-lanes-closed"
+    SOME_LANES_CLOSED_MERGE_LEFT = "some-lanes-closed-merge-left"
+    SOME_LANES_CLOSED_MERGE_RIGHT = "some-lanes-closed-merge-right"
+    UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True, eq=False)
+class WorkZone:
+    """A work zone ready to be published."""
+
+    history: ZoneHistory
+    layout: ZoneLayout
+    line_m: Floats
+    """(N, 3) from the first to the last channelling device, along the row, in the direction of travel."""
+    first: MapFeature
+    last: MapFeature
+    impact: VehicleImpact
+    closed_side: Side | None
+    """Of the direction of travel."""
+    closed_lane_count: int | None
+    """None where no lane boundaries are known."""
+    updated_ns: int
+
+
+class Rule(StrEnum):
+    """What the layout check looks at."""
+
+    SPACING = "spacing"
+    MISSING_CONE = "missing cone"
+    TAPER_LENGTH = "taper length"
+    CONE_IN_LANE = "cone in open lane"
+
+
+class Level(StrEnum):
+    """How sure a finding is."""
+
+    VIOLATION = "violation"
+    """The rule is exceeded by more than the uncertainty explains."""
+    NOTICE = "notice"
+    """No norm is exceeded, but the row departs from its own pattern by more than the uncertainty explains."""
+    CANNOT_TELL = "cannot tell"
+    """The value lies beyond the rule, but by less than the uncertainty explains, or what decides is not known."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One place where a layout departs from a rule."""
+
+    zone_id: UUID
+    rule: Rule
+    level: Level
+    norm: str
+    text: str
+    value: float
+    limit: float
+    sigma: float
+    """Of value minus limit, in the same unit."""
+    unit: str
+    station_m: float
+    feature_ids: tuple[UUID, ...]
+    """The cones on both sides of a gap, the two ends of a taper, or the one cone."""
+    xy_m: tuple[tuple[float, float], ...]
+    """A point, or the line from one cone to the other, in the map's CRS."""

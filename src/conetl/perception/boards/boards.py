@@ -1,0 +1,260 @@
+"""Calibration boards in pictures: chessboard, ChArUco, AprilGrid -> corners with their numbers.
+
+Corners are pixels with the origin at the centre of the top-left pixel. A chessboard must be seen whole; of the other two any part
+will do, because their corners are told apart by markers. Points of the board lie in z = 0, in metres.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.geometry.calibration.stereo_calibration import MIN_CORNERS
+from conetl.model.errors import InputError
+from conetl.model.rejections import RejectionReason
+from conetl.perception.boards.tag_boards import find_april_grid, find_charuco
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Grey = NDArray[np.uint8]
+Flags = int
+
+#: A blurred edge is at most this wide (contrast over steepest slope, px); what is wider is refused.
+MAX_EDGE_WIDTH_PX = 6.0
+#: Chessboards are measured in a copy enlarged so far that a square is about this wide: the sector-based detector looks at a
+#: neighbourhood of fixed size, and on small squares its corners are pulled by the next ones.
+_SQUARE_PX = 44.0
+_MAX_ENLARGEMENT = 3
+
+_SPEC_HELP = (
+    "expected chessboard:COLSxROWS:SQUARE (inner corners), charuco:COLSxROWS:SQUARE:MARKER[:DICTIONARY] (squares) or "
+    "aprilgrid:COLSxROWS:TAG:SPACING (tags, gap as a share of the tag), lengths as 37.8mm, 3.78cm or 0.0378m"
+)
+
+
+@dataclass(frozen=True)
+class Board:
+    """A calibration board. cols, rows: inner corners of a chessboard, squares of a ChArUco board, tags of an AprilGrid.
+
+    size_m: side of a square or tag. marker_m: side of a ChArUco marker; spacing: an AprilGrid's gap as a share of the tag.
+    """
+
+    kind: Literal["chessboard", "charuco", "aprilgrid"]
+    cols: int
+    rows: int
+    size_m: float
+    marker_m: float = 0.0
+    spacing: float = 0.0
+    dictionary: str = "4X4_50"
+
+    def points_m(self) -> Array:
+        """(n, 3) corners in the order of their numbers."""
+        if self.kind == "aprilgrid":
+            tag = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * self.size_m
+            origins = _lattice(self.cols, self.rows) * self.size_m * (1.0 + self.spacing)
+            flat = (origins[:, None] + tag).reshape(-1, 2)
+        elif self.kind == "charuco":
+            flat = (_lattice(self.cols - 1, self.rows - 1) + 1.0) * self.size_m
+        else:
+            flat = _lattice(self.cols, self.rows) * self.size_m
+        return np.column_stack([flat, np.zeros(len(flat))])
+
+
+@dataclass(frozen=True)
+class Found:
+    """Corners in one picture: point_ids (n,), uv_px (n, 2)."""
+
+    point_ids: Ints
+    uv_px: Array
+
+
+@dataclass(frozen=True)
+class NotFound:
+    """Why a picture gives no corners."""
+
+    reason: RejectionReason
+    detail: str
+
+
+def parse_board(text: str) -> Board:
+    """Board from e.g. `chessboard:9x6:37.8mm`, `charuco:11x8:30mm:22mm:5X5_100`, `aprilgrid:6x6:88mm:0.3`. Raises InputError."""
+    kind, *fields = text.split(":")
+    counts = re.fullmatch(r"(\d+)x(\d+)", fields[0]) if fields else None
+    wanted = {"chessboard": (2, 2), "charuco": (3, 4), "aprilgrid": (3, 3)}.get(kind)
+    if wanted is None or counts is None or not wanted[0] <= len(fields) <= wanted[1]:
+        raise InputError(f"board '{text}': {_SPEC_HELP}")
+    cols, rows = int(counts[1]), int(counts[2])
+    least = 1 if kind == "aprilgrid" else 3
+    if not (least <= min(cols, rows) and max(cols, rows) <= 100):
+        raise InputError(f"board '{text}': {least} to 100 columns and rows, found {cols} x {rows}")
+    size_m = _length_m(fields[1], text)
+    if kind == "chessboard":
+        return Board("chessboard", cols, rows, size_m)
+    if kind == "charuco":
+        dictionary = fields[3].upper().removeprefix("DICT_") if len(fields) > 3 else "4X4_50"
+        if not hasattr(cv2.aruco, f"DICT_{dictionary}"):
+            raise InputError(f"board '{text}': OpenCV knows no dictionary DICT_{dictionary}; one is 5X5_100")
+        marker_m = _length_m(fields[2], text)
+        if not marker_m < size_m:
+            raise InputError(f"board '{text}': a marker is smaller than its square, found {fields[2]} in {fields[1]}")
+        return Board("charuco", cols, rows, size_m, marker_m=marker_m, dictionary=dictionary)
+    try:
+        spacing = float(fields[2])
+    except ValueError:
+        spacing = math.nan
+    if not 0.0 < spacing < 2.0:
+        raise InputError(f"board '{text}': the gap is a share of the tag between 0 and 2, found {fields[2]}")
+    return Board("aprilgrid", cols, rows, size_m, spacing=spacing)
+
+
+def find_board(image: Grey, board: Board) -> Found | NotFound:
+    """Corners of the board in a grey picture (height, width), or why there are none."""
+    if board.kind == "chessboard":
+        corners = _find_chessboard(image, (board.cols, board.rows))
+        if corners is None:
+            return _why_no_chessboard(image, board)
+        found = Found(np.arange(board.cols * board.rows), corners)
+    else:
+        if board.kind == "charuco":
+            ids, uv = find_charuco(image, board.cols, board.rows, board.size_m, board.marker_m, board.dictionary)
+        else:
+            ids, uv = find_april_grid(image, board.cols, board.rows, board.spacing)
+        if len(ids) < MIN_CORNERS:
+            return NotFound(
+                RejectionReason.BOARD_NOT_FOUND,
+                f"{len(ids)} corners of the {board.kind} found, at least {MIN_CORNERS} are needed",
+            )
+        found = Found(ids, uv)
+    width = edge_width_px(image, found.uv_px)
+    if width > MAX_EDGE_WIDTH_PX:
+        return NotFound(
+            RejectionReason.IMAGE_BLURRED,
+            f"edges are {width:.1f} px wide, more than {MAX_EDGE_WIDTH_PX:g}: hold the board still, expose shorter",
+        )
+    return found
+
+
+def matched_orientation(left: Found, right: Found, board: Board) -> Found:
+    """The right corners in the order that fits the left ones: a symmetric chessboard looks the same upside down.
+
+    Only for whole chessboards; other boards come back as they are.
+    """
+    if board.kind != "chessboard":
+        return right
+    grid = np.arange(board.cols * board.rows).reshape(board.rows, board.cols)
+    turns = [grid, grid[::-1, ::-1]]
+    if board.cols == board.rows:
+        turns += [grid.T[::-1], grid.T[:, ::-1]]
+    offset = left.uv_px - left.uv_px.mean(axis=0)
+    orders = [turn.ravel() for turn in turns]
+    misses = [float(((right.uv_px[o] - right.uv_px.mean(axis=0) - offset) ** 2).sum()) for o in orders]
+    return Found(right.point_ids, right.uv_px[orders[int(np.argmin(misses))]])
+
+
+def edge_width_px(image: Grey, uv_px: Array) -> float:
+    """Median over corners of contrast divided by steepest slope around them: how many pixels an edge takes."""
+    widths = []
+    for u, v in uv_px:
+        x, y, reach = round(float(u)), round(float(v)), 6
+        patch = image[max(y - reach, 0) : y + reach + 1, max(x - reach, 0) : x + reach + 1].astype(np.float64)
+        if min(patch.shape) < 5:
+            continue
+        low, high = np.percentile(patch, (5, 95))
+        slope = np.hypot(
+            cv2.Scharr(patch, cv2.CV_64F, 1, 0)[1:-1, 1:-1], cv2.Scharr(patch, cv2.CV_64F, 0, 1)[1:-1, 1:-1]
+        )
+        widths.append((high - low) / max(float(slope.max()) / 32.0, 1e-9))
+    return float(np.median(widths)) if widths else math.inf
+
+
+# --------------------------------------------------------------------------- chessboard
+
+
+def _find_chessboard(image: Grey, size: tuple[int, int]) -> Array | None:
+    """(cols rows, 2) corners row by row, or None: found with ever more effort, then measured in an enlarged copy."""
+    accurate = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+    attempts: tuple[tuple[int, Flags], ...] = (
+        (1, 0), (1, accurate), (1, accurate | cv2.CALIB_CB_NORMALIZE_IMAGE), (2, cv2.CALIB_CB_EXHAUSTIVE)
+    )  # fmt: skip
+    for scale, flags in attempts:
+        rough = _sectors(image, size, flags, scale)
+        if rough is not None:
+            break
+    else:
+        return None
+    grid = rough.reshape(size[1], size[0], 2)
+    steps = np.concatenate([np.diff(grid, axis=axis).reshape(-1, 2) for axis in (0, 1)])
+    length = float(np.median(np.hypot(*steps.T)))
+    enlarge = int(np.clip(round(_SQUARE_PX / length), 1, _MAX_ENLARGEMENT))
+    margin = 1.6 * float(np.hypot(*steps.T).max())
+    top = np.maximum(np.floor(rough.min(axis=0) - margin), 0).astype(int)
+    end = np.ceil(rough.max(axis=0) + margin).astype(int) + 1
+    part = image[top[1] : end[1], top[0] : end[0]]
+    fine = _sectors(part, size, cv2.CALIB_CB_ACCURACY, enlarge)
+    if fine is None:
+        fine = _sectors(part, size, accurate, enlarge)
+    if fine is None or np.hypot(*(_same_way(fine + top, rough, size) - rough).T).max() > 0.25 * length:
+        fine = rough - top  # seen in the whole picture only: rougher, and the adjustment will say whether it fits
+    return _right_handed(np.asarray(fine + top), size)
+
+
+def _sectors(image: Grey, size: tuple[int, int], flags: Flags, scale: int) -> Array | None:
+    enlarged = image if scale == 1 else cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+    found, corners = cv2.findChessboardCornersSB(enlarged, size, flags=flags)
+    if not found:
+        return None
+    return np.asarray((corners.reshape(-1, 2).astype(np.float64) + 0.5) / scale - 0.5)
+
+
+def _same_way(corners: Array, like: Array, size: tuple[int, int]) -> Array:
+    """Corners in the order, forwards or backwards, that is nearer to `like`."""
+    return min((corners, corners[::-1]), key=lambda c: float(((c - like) ** 2).sum()))
+
+
+def _right_handed(corners: Array, size: tuple[int, int]) -> Array:
+    """Corners with columns to the right of rows going down, as a board seen from its front has them."""
+    grid = corners.reshape(size[1], size[0], 2)
+    along, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
+    if along[0] * down[1] - along[1] * down[0] < 0:
+        grid = grid[::-1]
+    return np.ascontiguousarray(grid.reshape(-1, 2))
+
+
+def _why_no_chessboard(image: Grey, board: Board) -> NotFound:
+    """A smaller search tells a board that is cut off from one that is not there, or is of another size."""
+    flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE
+    found, corners, meta = cv2.findChessboardCornersSBWithMeta(image, (3, 3), flags)
+    if not found or meta.size <= 9:  # nine corners are easily found in a fence or a shirt
+        return NotFound(RejectionReason.BOARD_NOT_FOUND, "no chessboard found")
+    rows, cols = meta.shape[:2]
+    grid = corners.reshape(rows, cols, 2).astype(np.float64)
+    sizes = f"a grid of {cols} x {rows} inner corners instead of {board.cols} x {board.rows}"
+    if sorted((cols, rows)) > sorted((board.cols, board.rows)) and rows * cols > board.rows * board.cols:
+        return NotFound(RejectionReason.BOARD_NOT_FOUND, f"{sizes}: is the size of the board right?")
+    step = float(np.median(np.hypot(*np.diff(grid, axis=1).reshape(-1, 2).T)))
+    low, high = grid.reshape(-1, 2).min(axis=0), grid.reshape(-1, 2).max(axis=0)
+    near_edge = low.min() < 2 * step or (np.array(image.shape[::-1]) - high).min() < 2 * step
+    where = "the board reaches out of the picture" if near_edge else "a part is covered, glaring or in the shade"
+    return NotFound(RejectionReason.BOARD_CUT, f"{sizes}: {where}")
+
+
+# --------------------------------------------------------------------------- small help
+
+
+def _lattice(cols: int, rows: int) -> Array:
+    """(cols rows, 2) whole numbers x, y, row by row."""
+    x, y = np.meshgrid(np.arange(cols, dtype=np.float64), np.arange(rows, dtype=np.float64))
+    return np.stack([x.ravel(), y.ravel()], axis=1)
+
+
+def _length_m(text: str, spec: str) -> float:
+    match = re.fullmatch(r"(\d+(?:\.\d+)?|\.\d+)(mm|cm|m)", text)
+    if match is None or float(match[1]) <= 0:
+        raise InputError(f"board '{spec}': '{text}' is no length; {_SPEC_HELP}")
+    return float(match[1]) * {"mm": 1e-3, "cm": 1e-2, "m": 1.0}[match[2]]

@@ -1,0 +1,167 @@
+"""Pictures of a calibration board in a folder: which belong together, and the corners in each."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections import Counter
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from conetl.geometry.calibration.board_views import BoardView
+from conetl.model.errors import InputError
+from conetl.model.records import Side
+from conetl.model.rejections import Rejection, RejectionReason
+from conetl.perception.boards.boards import Board, Found, NotFound, find_board, matched_orientation
+from conetl.perception.images import ImageFileError, read_image
+
+SUFFIXES = frozenset({".jpg", ".jpeg", ".png"})
+SIDES: tuple[Side, Side] = ("left", "right")
+Size = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class PicturePair:
+    """Two pictures of one instant; None where one is missing. name: what they have in common."""
+
+    name: str
+    left: Path | None
+    right: Path | None
+
+    def path(self, side: Side) -> Path | None:
+        return self.left if side == "left" else self.right
+
+
+@dataclass(frozen=True)
+class BoardPictures:
+    """Views of the board (pair_index counts `pairs`), size of the pictures by side, and what was refused."""
+
+    pairs: tuple[PicturePair, ...]
+    views: tuple[BoardView, ...]
+    sizes: dict[Side, Size]
+    rejections: tuple[Rejection, ...]
+
+
+def pairs_in_folders(folder: Path) -> list[PicturePair]:
+    """Pairs of `left/` and `right/` with equal stems. Raises InputError."""
+    found = {side: {p.stem: p for p in _pictures(folder / side)} for side in SIDES if (folder / side).is_dir()}
+    if len(found) != 2:
+        raise InputError(
+            f"{folder}: expected the folders left/ and right/ in it. Pictures in one folder are paired by --left-pattern and "
+            "--right-pattern (left_*.png and right_*.png), or by --pairing even-odd where their numbers alternate"
+        )
+    return _joined(folder, found["left"], found["right"])
+
+
+def pairs_by_pattern(folder: Path, left_pattern: str, right_pattern: str) -> list[PicturePair]:
+    """Pairs of files whose names agree in what the `*` of their patterns stands for. Raises InputError."""
+    found = []
+    for option, pattern in (("--left-pattern", left_pattern), ("--right-pattern", right_pattern)):
+        if pattern.count("*") != 1:
+            raise InputError(f"{option} '{pattern}': expected one * for what left and right names have in common")
+        before, after = pattern.split("*")
+        paths = [p for p in folder.glob(pattern) if p.is_file() and p.suffix.lower() in SUFFIXES]
+        names = {str(p.relative_to(folder)): p for p in sorted(paths)}
+        found.append({name[len(before) : len(name) - len(after)]: p for name, p in names.items()})
+    return _joined(folder, *found)
+
+
+def pairs_even_odd(folder: Path) -> list[PicturePair]:
+    """Pairs of an even number (left) and the next one (right); the number is the last one in a file's stem. Raises InputError."""
+    found: tuple[dict[str, Path], dict[str, Path]] = ({}, {})
+    for path in _pictures(folder):
+        numbers = re.findall(r"\d+", path.stem)
+        if not numbers:
+            raise InputError(f"{path}: pairing even-odd needs a number in each name, and there is none")
+        number = int(numbers[-1])
+        key = str(number // 2 * 2).zfill(len(numbers[-1]))
+        if key in found[number % 2]:
+            raise InputError(f"{path}: the number {number} also is that of {found[number % 2][key].name}")
+        found[number % 2][key] = path
+    return _joined(folder, *found)
+
+
+def find_boards(
+    pairs: Sequence[PicturePair],
+    board: Board,
+    *,
+    on_picture: Callable[[], None] = lambda: None,
+) -> BoardPictures:
+    """Corners in all pictures; each picture that gives none is a rejection. `on_picture` is called after each."""
+    jobs = [(i, side, path) for i, pair in enumerate(pairs) for side in SIDES if (path := pair.path(side)) is not None]
+
+    def look(job: tuple[int, Side, Path]) -> tuple[Size | None, Found | NotFound]:
+        size, result = _look(job[2], board)
+        on_picture()
+        return size, result
+
+    with ThreadPoolExecutor(
+        max_workers=min(os.cpu_count() or 1, 8)
+    ) as pool:  # OpenCV works without the interpreter's lock
+        looked = dict(zip([(i, side) for i, side, _ in jobs], pool.map(look, jobs), strict=True))
+    sizes: dict[Side, Size] = {}
+    for side in SIDES:
+        counted = Counter(size for (_, s), (size, _) in looked.items() if s == side and size is not None)
+        if counted:
+            sizes[side] = counted.most_common(1)[0][0]
+    views: list[BoardView] = []
+    rejections: list[Rejection] = []
+    for i, pair in enumerate(pairs):
+        found: dict[Side, Found] = {}
+        for side in SIDES:
+            size, result = looked.get((i, side), (None, _missing(pair, side)))
+            if size is not None and size != sizes[side]:
+                text = (
+                    f"{size[0]} x {size[1]} pixels, the other {side} pictures have {sizes[side][0]} x {sizes[side][1]}"
+                )
+                result = NotFound(RejectionReason.IMAGE_WRONG_SIZE, text)
+            if isinstance(result, Found):
+                found[side] = result
+            else:
+                rejections.append(rejection(pair, side, result.reason, result.detail))
+        if len(found) == 2:
+            found["right"] = matched_orientation(found["left"], found["right"], board)
+        views += [BoardView(i, side, corners.point_ids, corners.uv_px) for side, corners in found.items()]
+    return BoardPictures(tuple(pairs), tuple(views), sizes, tuple(rejections))
+
+
+def rejection(pair: PicturePair, side: Side, reason: RejectionReason, detail: str) -> Rejection:
+    """A picture that is not used."""
+    path = pair.path(side)
+    record = f"{side} picture of pair {pair.name}" if path is None else f"{side} picture {path.name}"
+    return Rejection(
+        step="calibration", reason=reason, record=record, detail=detail, payload={"pair": pair.name, "side": side}
+    )
+
+
+def _missing(pair: PicturePair, side: Side) -> NotFound:
+    other = pair.left or pair.right
+    name = "" if other is None else other.name
+    return NotFound(RejectionReason.PARTNER_MISSING, f"there is no such file; {name} counts for its own camera only")
+
+
+def _look(path: Path, board: Board) -> tuple[Size | None, Found | NotFound]:
+    try:
+        image = read_image(path)
+    except ImageFileError as error:
+        return None, NotFound(error.reason, str(error))
+    grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+    return (grey.shape[1], grey.shape[0]), find_board(grey, board)
+
+
+def _pictures(folder: Path) -> list[Path]:
+    return sorted(p for p in folder.iterdir() if p.is_file() and p.suffix.lower() in SUFFIXES)
+
+
+def _joined(folder: Path, left: dict[str, Path], right: dict[str, Path]) -> list[PicturePair]:
+    if not set(left) & set(right):
+        raise InputError(
+            f"{folder}: found {len(left)} left and {len(right)} right pictures, but no pair: the names of two pictures that "
+            "belong together must agree"
+        )
+    return [PicturePair(name, left.get(name), right.get(name)) for name in sorted(set(left) | set(right))]

@@ -1,0 +1,340 @@
+"""The cone detector: reads an ONNX network and finds cones in one image. The only importer of onnxruntime.
+
+A model is two files: `NAME.onnx` and `NAME.onnx.json` beside it, which says what the network is (`model_card.py`). Any network of
+the YOLO family will do (`detector_heads.py`); the shipped one has a head of its own (`detector_decode.py`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import onnxruntime
+from numpy.typing import NDArray
+
+from conetl.model.errors import ModelFileError
+from conetl.perception.decoding import (
+    COLUMNS,
+    Seen,
+    boxes_in_image,
+    decode_cells,
+    suppress_overlaps,
+    untold_below,
+    without_parts,
+)
+from conetl.perception.heads import EndToEndHead, check_outputs, decode_head
+from conetl.perception.model_card import (
+    ModelCard,
+    SideDistributionHead,
+    check_own_outputs,
+    read_model_card,
+    shipped_model_path,
+)
+from conetl.perception.rescoring import look_closer
+from conetl.perception.small_objects import FAINTEST, look_enlarged
+
+MAX_SIDE_PX = 1600
+LEAST_SIDE_PX = 8
+#: However high a caller says the road begins, this much of the picture is looked at.
+LEAST_ROWS_PX = 120
+SMALLER_LOOKS_FROM_PX = 480
+LARGE_CONE_PX = 48.0
+#: So much around the boxes that are looked for in a part of a picture is shown to the network, in pixels of its input: they then
+#: are those of the whole picture to 0.08 px in the median (docs/decisions/detector.md).
+CONTEXT_PX = 64.0
+#: Pictures in one run of the network. It answers for its best cells only, of all of them together: with some twenty windows the
+#: weaker ones begin to lose theirs.
+MOST_AT_ONCE = 8
+#: Two candidates that another look has moved on top of each other are one. Cones side by side overlap less.
+SAME_BOX_IOU = 0.7
+
+
+@dataclass(frozen=True)
+class Detector:
+    """A loaded network. One per Python thread: sessions run with the number of threads they were loaded with."""
+
+    session: onnxruntime.InferenceSession
+    path: Path
+    card: ModelCard
+    input_name: str
+    fixed_size: tuple[int, int] | None = None
+    """Height and width in pixels where the network takes one size only; pictures are then scaled to fit in."""
+    any_size: bool = True
+    """Whether the network takes pictures of any size; False also where it asks for one of the two sides only."""
+    several: bool = False
+    """Whether the network takes several pictures of one size at once."""
+
+    @property
+    def name(self) -> str:
+        return self.card.name
+
+    @property
+    def version(self) -> str:
+        return self.card.version
+
+    @property
+    def sha256(self) -> str:
+        return self.card.sha256
+
+
+def load_detector(model_path: Path | None = None, *, threads: int = 1) -> Detector:
+    """Load a model after checking its SHA-256 against the sidecar. Raises ModelFileError before any image is read."""
+    path = shipped_model_path() if model_path is None else model_path
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise ModelFileError(f"{path}: cannot read the model file ({error.strerror}); expected an ONNX file") from error
+    card = read_model_card(path)
+    found = hashlib.sha256(content).hexdigest()
+    if found != card.sha256:
+        raise ModelFileError(
+            f"{path}: SHA-256 is {found}, the sidecar expects {card.sha256}; the file is damaged or of another version: "
+            "fetch it again"
+        )
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    options.log_severity_level = 3
+    try:
+        session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime raises a dozen unrelated kinds for a file that is no network
+        raise ModelFileError(f"{path}: onnxruntime cannot load it as a network: {error}") from error
+    inputs, outputs = session.get_inputs(), session.get_outputs()
+    if len(inputs) != 1 or len(inputs[0].shape) != 4:
+        raise ModelFileError(
+            f"{path}: expected a network with one input of four dimensions, found {len(inputs)} inputs"
+        )
+    eaten = "tensor(uint8)" if "uint8" in card.input_layout else "tensor(float)"
+    if inputs[0].type != eaten:
+        raise ModelFileError(
+            f"{path}: the network takes a {inputs[0].type}, but the sidecar's input_layout is {card.input_layout!r}: "
+            "write there what it takes"
+        )
+    shapes = [output.shape for output in outputs]
+    try:
+        if isinstance(card.head, SideDistributionHead):
+            check_own_outputs(card.head, shapes)
+        else:
+            check_outputs(card.head, shapes)
+    except ModelFileError as error:
+        raise ModelFileError(f"{path}: {error}") from error
+    size = inputs[0].shape[1:3] if "NHWC" in card.input_layout else inputs[0].shape[2:4]
+    fixed = (size[0], size[1]) if all(isinstance(side, int) for side in size) else None
+    any_size = not any(isinstance(side, int) for side in size)
+    for key in ("closer_look", "enlarged_look"):
+        if getattr(card, key) is not None and not any_size:
+            raise ModelFileError(
+                f"{path}: the network takes pictures of {size[1]}x{size[0]} only: "
+                f"{key} in its sidecar needs one that takes any size; leave that key out"
+            )
+    several = isinstance(card.head, SideDistributionHead) and not isinstance(inputs[0].shape[0], int)
+    return Detector(session, path, card, inputs[0].name, fixed, any_size, several)
+
+
+def network_input(
+    image_bgr: NDArray[np.uint8],
+    pad_multiple_px: int,
+    max_side_px: int,
+    *,
+    layout: str = "RGB float32 NCHW 0..1",
+    fixed_size: tuple[int, int] | None = None,
+) -> tuple[NDArray[np.float32] | NDArray[np.uint8], float, float]:
+    """Image (H, W, 3) -> network input (1, 3, H', W'), or (1, H', W', 3), and the scales (x, y) that were applied to the image.
+
+    Native resolution unless a side exceeds `max_side_px` or the network takes one size only. The padding is at the right and
+    bottom and repeats the edge, so that no false edge appears there.
+    """
+    height, width = image_bgr.shape[:2]
+    if fixed_size is None:
+        scale = min(1.0, max_side_px / max(height, width))
+    else:
+        scale = min(fixed_size[0] / height, fixed_size[1] / width)
+    if scale == 1.0:
+        scaled = image_bgr
+    else:
+        size = (max(round(width * scale), 1), max(round(height * scale), 1))
+        method = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR
+        scaled = np.asarray(cv2.resize(image_bgr, size, interpolation=method), dtype=np.uint8)
+    rows, columns = scaled.shape[:2]
+    below, beside = (
+        (-rows % pad_multiple_px, -columns % pad_multiple_px)
+        if fixed_size is None
+        else (fixed_size[0] - rows, fixed_size[1] - columns)
+    )
+    if below or beside:
+        scaled = np.asarray(cv2.copyMakeBorder(scaled, 0, below, 0, beside, cv2.BORDER_REPLICATE), np.uint8)
+    return as_tensor(scaled, layout), columns / width, rows / height
+
+
+def as_tensor(image_bgr: NDArray[np.uint8], layout: str) -> NDArray[np.float32] | NDArray[np.uint8]:
+    """Image (H, W, 3) -> (1, 3, H, W) or (1, H, W, 3), in the colours, numbers and range of a sidecar's `input_layout`."""
+    rgb = layout.startswith("RGB")
+    if "uint8" in layout:
+        ordered = np.asarray(cv2.cvtColor(image_bgr, cv2.COLOR_BGR2RGB), np.uint8) if rgb else image_bgr
+        return ordered[None] if "NHWC" in layout else np.ascontiguousarray(ordered.transpose(2, 0, 1)[None])
+    # cv2.dnn.blobFromImage does the same to the last bit, and takes six times as long.
+    channels = cv2.split(image_bgr)
+    factor = np.float32(1.0 / 255.0 if layout.endswith("0..1") else 1.0)
+    blob = np.empty((1, 3, *image_bgr.shape[:2]), dtype=np.float32)
+    for plane, channel in zip(blob[0], reversed(channels) if rgb else channels, strict=True):
+        np.multiply(channel, factor, out=plane)
+    return np.ascontiguousarray(blob.transpose(0, 2, 3, 1)) if "NHWC" in layout else blob
+
+
+def detect_image(
+    detector: Detector,
+    image_bgr: NDArray[np.uint8],
+    *,
+    score_threshold: float,
+    nms_iou: float = 0.5,
+    max_side_px: int = MAX_SIDE_PX,
+    first_row: int = 0,
+    within: tuple[float, float, float, float] | None = None,
+    reach_px: float = 0.0,
+) -> NDArray[np.float64]:
+    """Find the cones of one image (H, W, 3) uint8 BGR.
+
+    Returns (N, 9) [x, y, w, h, score, foot x, foot y, tip x, tip y] by falling score: x, y is the top-left corner, in pixels of
+    the given image, whose left and top edges are x = 0 and y = 0 (the centre of the first pixel is 0.5). Foot and tip are NaN
+    where the network does not give them. Where the model's sidecar asks for it, the surroundings of small candidates get an
+    enlarged look (`enlarged_look.py`), and then candidates of middling score a closer one (`closer_look.py`). first_row: rows
+    above it are not looked at (`geometry.camera.first_road_row`). within: x0, y0, x1, y1 in which boxes must have their middle
+    (None: anywhere), and reach_px how far from it they may reach; of what is around them the network then sees `CONTEXT_PX` only.
+    """
+    if image_bgr.dtype != np.uint8 or image_bgr.ndim != 3 or image_bgr.shape[2] != 3:
+        raise ValueError(f"expected a BGR image (H, W, 3) of uint8, got {image_bgr.shape} of {image_bgr.dtype}")
+    whole = image_bgr
+    first_row = min(max(first_row, 0), max(whole.shape[0] - LEAST_ROWS_PX, 0))
+    road = whole[first_row:]
+    if min(road.shape[:2]) < LEAST_SIDE_PX:
+        return np.zeros((0, COLUMNS))
+    if within is not None:
+        within = (within[0], within[1] - first_row, within[2], within[3] - first_row)
+    closer, enlarged = detector.card.closer_look, detector.card.enlarged_look
+    # What is to be looked at once more must be found first, whatever the caller's threshold.
+    candidate_score = score_threshold if closer is None else min(score_threshold, closer.scores[0])
+    candidate_score = candidate_score if enlarged is None else min(candidate_score, FAINTEST)
+    longest, shortest = max(road.shape[:2]), min(road.shape[:2])
+    side_px = min(longest, max_side_px)
+    rows, columns = slice(0, road.shape[0]), slice(0, road.shape[1])
+    if within is not None and detector.any_size:
+        rows, columns = _part(detector, road.shape, within, reach_px, longest / side_px)
+    part = road[rows, columns]
+
+    def look_at_part(longest_px: int) -> NDArray[np.float64]:
+        """As if the whole road were scaled to so many pixels."""
+        part_px = max(round(longest_px * max(part.shape[:2]) / longest), 1)
+        return look(detector, part, part_px, candidate_score, nms_iou)
+
+    boxes = look_at_part(side_px)
+    # Very tall cones outgrow the network at full size: tall pictures get two smaller looks, each half as large as the one before.
+    if detector.fixed_size is None and shortest * side_px / longest >= SMALLER_LOOKS_FROM_PX:
+        for smaller_px in (side_px // 2, side_px // 4):
+            again = look_at_part(smaller_px)
+            large = again[(again[:, 3] - again[:, 1]) * smaller_px / longest > LARGE_CONE_PX]
+            boxes = suppress_overlaps(np.concatenate((without_parts(boxes, large), large)), nms_iou)
+    boxes[:, [0, 2, 5, 7]] += columns.start
+    boxes[:, [1, 3, 6, 8]] += rows.start
+    if enlarged is not None:
+
+        def look_at_enlarged(image: NDArray[np.uint8]) -> Seen:
+            return look_at_all(detector, [image], max(image.shape[:2]), FAINTEST, nms_iou)[0]
+
+        # What lies beside the wanted part calls for no look, but takes what a look shows of it.
+        wanted = None if within is None else _has_middle_in(boxes, within)
+        seen = look_enlarged(look_at_enlarged, road, boxes, enlarged, longest / side_px, wanted)
+        boxes = suppress_overlaps(seen, SAME_BOX_IOU)
+    if within is not None:
+        boxes = boxes[_has_middle_in(boxes, within)]
+    boxes[:, [1, 3, 6, 8]] += first_row
+    if closer is not None:
+
+        def look_at_windows(windows: list[NDArray[np.uint8]], least_score: float) -> list[NDArray[np.float64]]:
+            return [seen for seen, _ in look_at_all(detector, windows, closer.window_px, least_score, nms_iou)]
+
+        boxes = suppress_overlaps(look_closer(look_at_windows, whole, boxes, closer), SAME_BOX_IOU)
+    boxes = boxes[boxes[:, 4] >= score_threshold]  # there are fainter ones where there was another look
+    return boxes_in_image(boxes, whole.shape[1], whole.shape[0])
+
+
+def _part(
+    detector: Detector,
+    shape: tuple[int, ...],
+    within: tuple[float, float, float, float],
+    reach_px: float,
+    scale: float,
+) -> tuple[slice, slice]:
+    """Rows and columns of the road's picture (H, W, 3) that the network needs to see to find what reaches reach_px from its
+    middle within x0, y0, x1, y1 (px).
+
+    They begin at multiples of the network's largest stride, so that its cells lie as they would in the whole. scale: picture
+    pixels per pixel of the network's.
+    """
+    x0, y0, x1, y1 = within
+    cell, context = detector.card.pad_multiple_px * scale, CONTEXT_PX * scale + reach_px
+
+    def span(low: float, high: float, length: int) -> slice:
+        begin = round(int(max(low - context, 0.0) / cell) * cell)
+        end = round(int(np.ceil((high + context) / cell)) * cell)
+        return slice(min(begin, length - LEAST_SIDE_PX), min(max(end, begin + LEAST_SIDE_PX), length))
+
+    return span(y0, y1, shape[0]), span(x0, x1, shape[1])
+
+
+def _has_middle_in(boxes: NDArray[np.float64], within: tuple[float, float, float, float]) -> NDArray[np.bool_]:
+    """(N,) whether candidates (N, 4 and more) [x0, y0, x1, y1, ...] have their middle in x0, y0, x1, y1."""
+    middles = (boxes[:, :2] + boxes[:, 2:4]) / 2
+    return np.asarray(((middles >= within[:2]) & (middles <= within[2:])).all(axis=1))
+
+
+def look(
+    detector: Detector, image_bgr: NDArray[np.uint8], max_side_px: int, score_threshold: float, nms_iou: float
+) -> NDArray[np.float64]:
+    """One look at one image: candidates (N, 9) of `decode_cells` in pixels of the image, not yet cut at its edges."""
+    return look_at_all(detector, [image_bgr], max_side_px, score_threshold, nms_iou)[0][0]
+
+
+def look_at_all(
+    detector: Detector,
+    images_bgr: Sequence[NDArray[np.uint8]],
+    max_side_px: int,
+    score_threshold: float,
+    nms_iou: float,
+) -> list[Seen]:
+    """`look` at several images of one size, MOST_AT_ONCE in a run of the network where it takes several pictures."""
+    at_once = MOST_AT_ONCE if detector.several else 1
+    if len(images_bgr) > at_once:
+        parts = [images_bgr[first : first + at_once] for first in range(0, len(images_bgr), at_once)]
+        return [seen for part in parts for seen in look_at_all(detector, part, max_side_px, score_threshold, nms_iou)]
+    card = detector.card
+    inputs = [
+        network_input(
+            image, card.pad_multiple_px, max_side_px, layout=card.input_layout, fixed_size=detector.fixed_size
+        )
+        for image in images_bgr
+    ]
+    blob = np.concatenate([each for each, *_ in inputs]) if len(inputs) > 1 else inputs[0][0]
+    _, scale_x, scale_y = inputs[0]
+    outputs = [np.asarray(output) for output in detector.session.run(None, {detector.input_name: blob})]
+    rows, columns = blob.shape[1:3] if "NHWC" in card.input_layout else blob.shape[2:4]
+    head, untold = card.head, 0.0
+    if isinstance(head, SideDistributionHead):
+        untold = untold_below(outputs, (len(images_bgr), rows, columns), head.strides_px)
+        boxes, pictures = decode_cells(
+            outputs, (rows, columns), head.strides_px, head.side_bins, score_threshold, foot_and_tip=head.foot_and_tip
+        )
+        seen = [suppress_overlaps(boxes[pictures == picture], nms_iou) for picture in range(len(images_bgr))]
+    else:
+        found = decode_head(head, outputs, rows, columns, score_threshold)
+        unknown = np.full((len(found), COLUMNS - found.shape[1]), np.nan)
+        boxes = np.concatenate((found, unknown), axis=1)
+        if isinstance(head, EndToEndHead):  # the network has suppressed overlaps already
+            seen = [boxes[np.argsort(-boxes[:, 4], kind="stable")]]
+        else:
+            seen = [suppress_overlaps(boxes, nms_iou)]
+    scales = np.array((scale_x, scale_y, scale_x, scale_y, 1.0, scale_x, scale_y, scale_x, scale_y))
+    return [(each / scales, untold) for each in seen]

@@ -1,0 +1,271 @@
+"""What the networks of the YOLO family give, and how it becomes boxes: numpy and pydantic only.
+
+A model's sidecar names one of these heads under the key `head`, so that a network trained elsewhere is used as it was exported.
+Pixels are those of `detector_decode`: a picture W wide spans x = 0 .. W. In every head a box's score is the probability of the
+cone's class alone; other classes of the same box are not looked at. Candidates come before suppression of overlaps, which is the
+caller's (`detector_decode.suppress_overlaps`); only the end-to-end head has done it inside the network.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, PositiveInt, model_validator
+
+from conetl.model.errors import ModelFileError
+
+Floats = NDArray[np.float64]
+Output = NDArray[Any]
+"""One output of a network, of any floating type."""
+Shape = Sequence[int | str | None]
+"""Shape of an output; a dimension that is not fixed is None or a name."""
+
+AnchorSide = Annotated[FiniteFloat, Field(gt=0)]
+
+#: A network of 16 bit floats or 8 bit integers may overshoot 0 .. 1 by this much.
+PROBABILITY_SLACK = 0.01
+
+
+class _Head(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class _ClassHead(_Head):
+    class_count: PositiveInt
+    """How many classes the network tells apart."""
+    cone_class: int = Field(ge=0)
+    """Which of them, counted from 0, is the cone."""
+
+    @model_validator(mode="after")
+    def _cone_is_a_class(self) -> Self:
+        if self.cone_class >= self.class_count:
+            raise ValueError(
+                f"cone_class is {self.cone_class}, but class_count {self.class_count} ends at {self.class_count - 1}"
+            )
+        return self
+
+
+class YoloV3Head(_ClassHead):
+    """Raw maps of YOLOv3, one output per stride: per anchor t_x, t_y, t_w, t_h, objectness, classes (Redmon & Farhadi 2018)."""
+
+    kind: Literal["yolov3"] = "yolov3"
+    strides_px: tuple[PositiveInt, ...] = Field(default=(32, 16, 8), min_length=1)
+    """In the order of the outputs."""
+    anchors_px: tuple[tuple[tuple[AnchorSide, AnchorSide], ...], ...]
+    """Per stride the (width, height) of each anchor in pixels of the network's input."""
+    layout: Literal["NCHW", "NHWC"] = "NCHW"
+
+    @model_validator(mode="after")
+    def _anchors_fit_strides(self) -> Self:
+        if len(self.anchors_px) != len(self.strides_px):
+            raise ValueError(f"anchors_px has {len(self.anchors_px)} scales, strides_px has {len(self.strides_px)}")
+        if not all(self.anchors_px):
+            raise ValueError("anchors_px has a scale without an anchor")
+        return self
+
+
+class YoloV5Head(_ClassHead):
+    """YOLOv5 and YOLOv7 exports: one output (batch, boxes, 5 + classes) with cx, cy, w, h in pixels, objectness, classes."""
+
+    kind: Literal["yolov5"] = "yolov5"
+
+
+class YoloV8Head(_ClassHead):
+    """YOLOv8, v9 and v11 exports: one output (batch, 4 + classes, boxes) with cx, cy, w, h in pixels, class probabilities."""
+
+    kind: Literal["yolov8"] = "yolov8"
+
+
+class YoloXHead(_ClassHead):
+    """YOLOX exports without decoding: one output (batch, cells, 5 + classes), the cells of all strides one after another.
+
+    Objectness and classes are probabilities; x, y are offsets from the cell's corner in strides, w, h logarithms of strides
+    (Ge et al. 2021).
+    """
+
+    kind: Literal["yolox"] = "yolox"
+    strides_px: tuple[PositiveInt, ...] = Field(default=(8, 16, 32), min_length=1)
+
+
+class EndToEndHead(_Head):
+    """Networks with suppression inside (as YOLOv10): one output (batch, boxes, 6) with x0, y0, x1, y1 in pixels, score, class."""
+
+    kind: Literal["end-to-end"] = "end-to-end"
+    cone_class: int = Field(ge=0)
+
+
+YoloHead = Annotated[
+    YoloV3Head | YoloV5Head | YoloV8Head | YoloXHead | EndToEndHead,
+    Field(discriminator="kind"),
+]
+
+
+def expected_shapes(head: YoloHead) -> list[tuple[int | str, ...]]:
+    """Shapes of the outputs that the head reads, in their order; what may have any size is a word."""
+    match head:
+        case YoloV3Head():
+            channels = [len(anchors) * (5 + head.class_count) for anchors in head.anchors_px]
+            if head.layout == "NCHW":
+                return [("batch", count, "rows", "columns") for count in channels]
+            return [("batch", "rows", "columns", count) for count in channels]
+        case YoloV5Head() | YoloXHead():
+            return [("batch", "boxes", 5 + head.class_count)]
+        case YoloV8Head():
+            return [("batch", 4 + head.class_count, "boxes")]
+        case EndToEndHead():
+            return [("batch", "boxes", 6)]
+
+
+def check_outputs(head: YoloHead, shapes: Sequence[Shape]) -> None:
+    """Check that a network's outputs are what the head reads.
+
+    shapes: of the outputs in their order, as onnxruntime reports them; None or a name where a dimension is not fixed.
+    Raises ModelFileError where the number of outputs, a rank or a fixed channel count disagrees.
+    """
+    expected = expected_shapes(head)
+    fits = len(expected) == len(shapes) and all(
+        len(wanted) == len(found) and all(map(_dimension_fits, wanted, found))
+        for wanted, found in zip(expected, shapes, strict=True)
+    )
+    if not fits:
+        raise ModelFileError(
+            f"the head '{head.kind}' expects {_shapes_text(expected)}, the network gives {_shapes_text(shapes)}; "
+            "set the sidecar's head to the network's kind and classes, or export the network as that head expects"
+        )
+
+
+def decode_head(
+    head: YoloHead, outputs: Sequence[Output], input_height_px: int, input_width_px: int, score_threshold: float
+) -> Floats:
+    """Outputs of one run -> candidates (N, 5) [x0, y0, x1, y1, score] of the first picture, in pixels of the network's input.
+
+    Only boxes whose score reaches the threshold are given, in the network's order. Boxes that are not finite or have no area
+    are dropped; boxes may reach beyond the picture. Raises ModelFileError where the outputs are not what the head reads: other
+    shapes, a grid that does not fit the input, or scores that are no probabilities.
+    """
+    check_outputs(head, [output.shape for output in outputs])
+    first = [output[0] for output in outputs]
+    # A wild logarithm of a size overflows to infinity; such boxes are dropped below.
+    with np.errstate(over="ignore", invalid="ignore"):
+        match head:
+            case YoloV3Head():
+                candidates = _decode_yolov3(head, first, input_height_px, input_width_px, score_threshold)
+            case YoloV5Head():
+                candidates = _decode_yolov5(head, first[0], score_threshold)
+            case YoloV8Head():
+                candidates = _decode_yolov8(head, first[0], score_threshold)
+            case YoloXHead():
+                candidates = _decode_yolox(head, first[0], input_height_px, input_width_px, score_threshold)
+            case EndToEndHead():
+                candidates = _decode_end_to_end(head, first[0], score_threshold)
+        real = np.isfinite(candidates).all(axis=1) & (candidates[:, 2:4] > candidates[:, :2]).all(axis=1)
+    return candidates[real]
+
+
+def _decode_yolov3(
+    head: YoloV3Head, maps: Sequence[Output], input_height_px: int, input_width_px: int, score_threshold: float
+) -> Floats:
+    """b_xy = (sigmoid(t_xy) + cell) * stride, b_wh = anchor * exp(t_wh), score = sigmoid(objectness) * sigmoid(class)."""
+    parts = []
+    for raw, stride_px, anchors_px in zip(maps, head.strides_px, head.anchors_px, strict=True):
+        grid = raw if head.layout == "NHWC" else np.moveaxis(raw, 0, -1)
+        rows, columns = grid.shape[:2]
+        if (rows * stride_px, columns * stride_px) != (input_height_px, input_width_px):
+            raise ModelFileError(
+                f"the head 'yolov3' expects a map of {input_height_px / stride_px:g} x {input_width_px / stride_px:g} cells "
+                f"(rows x columns) at stride {stride_px} of an input of {input_height_px} x {input_width_px} px, the network "
+                f"gives {rows} x {columns}; set strides_px and anchors_px in the order of the outputs, layout to the network's "
+                "own, and pad_multiple_px to a multiple of the largest stride"
+            )
+        cells = grid.reshape(rows, columns, len(anchors_px), 5 + head.class_count)
+        scores = _sigmoid(cells[..., 4]) * _sigmoid(cells[..., 5 + head.cone_class])
+        row, column, anchor = np.nonzero(scores >= score_threshold)
+        chosen = cells[row, column, anchor, :4].astype(np.float64)
+        centre = (_sigmoid(chosen[:, :2]) + np.stack((column, row), axis=1)) * stride_px
+        size = np.exp(chosen[:, 2:]) * np.asarray(anchors_px, np.float64)[anchor]
+        parts.append(_candidates(centre, size, scores[row, column, anchor]))
+    return np.concatenate(parts)
+
+
+def _decode_yolov5(head: YoloV5Head, boxes: Output, score_threshold: float) -> Floats:
+    """boxes: (A, 5 + classes). With a single class the class is not trained (its loss is off), so objectness is the score."""
+    scores = _probabilities(head, boxes[:, 4])
+    if head.class_count > 1:
+        scores = scores * _probabilities(head, boxes[:, 5 + head.cone_class])
+    chosen = scores >= score_threshold
+    size = boxes[chosen, :4].astype(np.float64)
+    return _candidates(size[:, :2], size[:, 2:], scores[chosen])
+
+
+def _decode_yolov8(head: YoloV8Head, channels: Output, score_threshold: float) -> Floats:
+    """channels: (4 + classes, A)."""
+    scores = _probabilities(head, channels[4 + head.cone_class])
+    chosen = scores >= score_threshold
+    box = channels[:4, chosen].T.astype(np.float64)
+    return _candidates(box[:, :2], box[:, 2:], scores[chosen])
+
+
+def _decode_yolox(
+    head: YoloXHead, cells: Output, input_height_px: int, input_width_px: int, score_threshold: float
+) -> Floats:
+    """cells: (A, 5 + classes). b_xy = (t_xy + cell) * stride, b_wh = exp(t_wh) * stride, score = objectness * class."""
+    corners, strides = [], []
+    for stride_px in head.strides_px:
+        rows, columns = np.mgrid[: input_height_px // stride_px, : input_width_px // stride_px]
+        corners.append(np.stack((columns.ravel(), rows.ravel()), axis=1))
+        strides.append(np.full(rows.size, float(stride_px)))
+    corner, stride = np.concatenate(corners), np.concatenate(strides)
+    if len(corner) != len(cells):
+        raise ModelFileError(
+            f"the head 'yolox' expects {len(corner)} cells at strides {head.strides_px} of an input of {input_height_px} x "
+            f"{input_width_px} px, the network gives {len(cells)}; set strides_px to the network's own and pad_multiple_px to a "
+            "multiple of the largest stride"
+        )
+    scores = _probabilities(head, cells[:, 4]) * _probabilities(head, cells[:, 5 + head.cone_class])
+    chosen = scores >= score_threshold
+    box = cells[chosen, :4].astype(np.float64)
+    steps = stride[chosen, None]
+    return _candidates((box[:, :2] + corner[chosen]) * steps, np.exp(box[:, 2:]) * steps, scores[chosen])
+
+
+def _decode_end_to_end(head: EndToEndHead, boxes: Output, score_threshold: float) -> Floats:
+    """boxes: (N, 6). Rows that the network did not fill have no area and are dropped by the caller."""
+    scores = _probabilities(head, boxes[:, 4])
+    # Classes are whole numbers in a float; a 16 bit network may round them.
+    chosen = (scores >= score_threshold) & (np.abs(boxes[:, 5] - head.cone_class) < 0.5)
+    return np.concatenate((boxes[chosen, :4].astype(np.float64), scores[chosen, None]), axis=1)
+
+
+def _candidates(centre: Floats, size: Floats, scores: Floats) -> Floats:
+    """Centres (N, 2), sizes (N, 2) in pixels and scores (N,) -> (N, 5) [x0, y0, x1, y1, score]; a negative size has no area."""
+    return np.concatenate((centre - size / 2, centre + size / 2, scores[:, None]), axis=1)
+
+
+def _sigmoid(values: Output) -> Floats:
+    # The half tangent does not overflow where exp would.
+    result: Floats = 0.5 * (1.0 + np.tanh(0.5 * values.astype(np.float64)))
+    return result
+
+
+def _probabilities(head: YoloHead, values: Output) -> Floats:
+    """The values as probabilities; NaN and infinity stay. Raises ModelFileError where they lie clearly beyond 0 .. 1."""
+    wide: Floats = values.astype(np.float64)
+    finite = wide[np.isfinite(wide)]
+    if finite.size and (finite.min() < -PROBABILITY_SLACK or finite.max() > 1.0 + PROBABILITY_SLACK):
+        raise ModelFileError(
+            f"the head '{head.kind}' expects scores from 0 to 1, the network gives {finite.min():.4g} to {finite.max():.4g}; "
+            "export it with its sigmoid, or set the sidecar's head to the network's kind and classes"
+        )
+    return np.where(np.isfinite(wide), np.clip(wide, 0.0, 1.0), wide)
+
+
+def _dimension_fits(wanted: int | str, found: int | str | None) -> bool:
+    return not (isinstance(wanted, int) and isinstance(found, int)) or wanted == found
+
+
+def _shapes_text(shapes: Sequence[Shape]) -> str:
+    texts = ["(" + ", ".join("?" if size is None else str(size) for size in shape) + ")" for shape in shapes]
+    return f"{len(shapes)} output{'s' if len(shapes) != 1 else ''} {', '.join(texts)}".rstrip()

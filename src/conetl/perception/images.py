@@ -1,0 +1,233 @@
+"""Picture files -> arrays. Whatever is wrong with a file becomes an `ImageFileError` that callers turn into a rejection.
+
+Whatever is wrong with the storage at this moment does not: it is no property of the picture, and as a rejection it would stay in
+the map and in results that are kept by content. It is a `StorageError`, tried again by tasks.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.files.storage import NO_FILE_SHA256, is_present, is_remote, object_bytes
+from conetl.model.errors import StorageError
+from conetl.model.rejections import RejectionReason
+from conetl.perception.image_headers import ImageFormatError, ImageHeader, ImageTruncatedError, inspect_image
+
+#: Larger files are not read at all.
+MAX_FILE_BYTES = 256 * 2**20
+#: Larger pictures are not decoded where no size is expected (a 100-megapixel camera still fits).
+MAX_PIXELS = 2**27
+_HEAD_BYTES, _TAIL_BYTES = 2**16, 2**12
+_PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
+
+
+class ImageFileError(Exception):
+    """One picture cannot be used; `reason` says which kind of rejection it is."""
+
+    def __init__(self, reason: RejectionReason, message: str) -> None:
+        super().__init__(message)
+        self.reason = reason
+        self.sha256: str | None = None
+        """Of the bytes that were judged; `NO_FILE_SHA256` where there was no file, None where none were read."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.reason, str(self)), self.__dict__  # from a process of its own
+
+
+def read_checked_bytes(path: Path, expected_size: tuple[int, int] | None) -> bytes:
+    """The bytes of a picture file whose header, size and end marker are as they should be; nothing is decoded.
+
+    expected_size: width and height in pixels, or None for any up to `MAX_PIXELS`. Raises ImageFileError.
+    """
+    data = read_bytes(path)
+    with _judging(data):
+        check_image_bytes(data, path.name, expected_size)
+    return data
+
+
+def check_image_bytes(data: bytes, name: str, expected_size: tuple[int, int] | None) -> ImageHeader:
+    """Check header, size and end marker of a picture's bytes. Raises ImageFileError naming `name`."""
+    try:
+        header = inspect_image(data)
+    except ImageTruncatedError as error:
+        raise ImageFileError(RejectionReason.IMAGE_TRUNCATED, f"{name}: {error}; copy it again") from error
+    except ImageFormatError as error:
+        raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, f"{name}: {error}; copy it again") from error
+    found = (header.width_px, header.height_px)
+    if expected_size is not None and found != tuple(expected_size):
+        raise ImageFileError(
+            RejectionReason.IMAGE_WRONG_SIZE,
+            f"{name}: {found[0]} x {found[1]} pixels, but the calibration is for {expected_size[0]} x {expected_size[1]}; "
+            "use the calibration of these pictures",
+        )
+    if expected_size is None and found[0] * found[1] > MAX_PIXELS:
+        raise ImageFileError(RejectionReason.IMAGE_WRONG_SIZE, f"{name}: {found[0]} x {found[1]} pixels are too many")
+    return header
+
+
+def check_image_ends(path: Path, name: str, expected_size: tuple[int, int]) -> ImageHeader:
+    """Like `check_image_bytes` from a file's first and last bytes only: damage in between goes unseen. Raises ImageFileError."""
+    data = b""
+    with _asking(path):
+        if not is_remote(path) and is_present(path) and path.stat().st_size > _HEAD_BYTES + _TAIL_BYTES:
+            with path.open("rb") as file:
+                data = file.read(_HEAD_BYTES)
+                file.seek(-_TAIL_BYTES, 2)
+                data += file.read()
+    if data.startswith(b"\x89PNG\r\n\x1a\n"):  # the chunks cannot be walked: the header's own, and the end's
+        data = data[:33] + _PNG_END if data.rstrip(b"\0").endswith(_PNG_END) else data[:33]
+    if data:
+        try:
+            return check_image_bytes(data, name, expected_size)
+        except ImageFileError:
+            pass  # a long header, or really broken: the whole file says which
+    return check_image_bytes(read_bytes(path), name, expected_size)
+
+
+def read_image(path: Path, expected_size: tuple[int, int] | None = None, *, grey: bool = False) -> NDArray[np.uint8]:
+    """Picture as (height, width, 3) uint8 in blue, green, red order; grey and 16-bit pictures are converted.
+
+    grey: as (height, width) of brightness; of a JPEG its own, which spares the decoder a third of its work.
+
+    expected_size: (width, height) in pixels that the calibration is for. Header and end marker are checked before the decoder
+    sees the file, so that a truncated file never yields pixels. Orientation tags (EXIF) are not applied: calibrations are for
+    the pixels as stored. Raises ImageFileError.
+    """
+    data = read_checked_bytes(path, expected_size)
+    with _judging(data):
+        return _decoded(data, path, expected_size, grey=grey)
+
+
+def _decoded(data: bytes, path: Path, expected_size: tuple[int, int] | None, *, grey: bool) -> NDArray[np.uint8]:
+    flags = (cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR) | cv2.IMREAD_IGNORE_ORIENTATION
+    try:
+        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
+    except cv2.error as error:
+        raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, f"{path.name}: the decoder failed: {error}") from error
+    if image is None:
+        raise ImageFileError(
+            RejectionReason.IMAGE_UNREADABLE, f"{path.name}: the picture cannot be decoded; copy it again"
+        )
+    if expected_size is not None and image.shape[:2] != (expected_size[1], expected_size[0]):
+        raise ImageFileError(
+            RejectionReason.IMAGE_UNREADABLE, f"{path.name}: header and decoded picture differ in size"
+        )
+    return np.asarray(image, dtype=np.uint8)
+
+
+def read_upright_image(path: Path) -> NDArray[np.uint8]:
+    """Any single picture as a person sees it: (height, width, 3) uint8 in blue, green, red order.
+
+    Orientation tags (EXIF) are applied; grey and CMYK become colour; transparent parts become grey; 16-bit pictures are
+    stretched to their own darkest and brightest permille, as many cameras fill only 10 or 12 of the 16 bits. For pictures
+    without a calibration; drives are read by `read_image`. Raises ImageFileError.
+    """
+    raw = np.frombuffer(read_checked_bytes(path, None), dtype=np.uint8)
+    try:
+        colour = cv2.imdecode(raw, cv2.IMREAD_COLOR)
+        stored = cv2.imdecode(raw, cv2.IMREAD_UNCHANGED) if raw[:1].tobytes() == b"\x89" else None  # a PNG
+    except cv2.error as error:
+        raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, f"{path.name}: the decoder failed: {error}") from error
+    if colour is None:
+        raise ImageFileError(
+            RejectionReason.IMAGE_UNREADABLE, f"{path.name}: the picture cannot be decoded; copy it again"
+        )
+    # What IMREAD_COLOR lost: the depth of 16-bit pictures and transparency. Both decodings have the same orientation or they
+    # cannot be put together (an orientation tag in such a PNG); then the plain one stays.
+    if stored is None or stored.shape[:2] != colour.shape[:2]:
+        return np.asarray(colour, dtype=np.uint8)
+    opaque = 65535.0 if stored.dtype == np.uint16 else 255.0
+    has_alpha = stored.ndim == 3 and stored.shape[2] == 4
+    picture: NDArray[np.float64] = colour.astype(np.float64)
+    if stored.dtype == np.uint16:
+        deep = stored[..., :3] if stored.ndim == 3 else np.repeat(stored[..., None], 3, axis=2)
+        low, high = np.percentile(deep, (0.1, 99.9))
+        picture = (deep.astype(np.float64) - low) / max(float(high - low), 1.0) * 255.0
+    if has_alpha:
+        alpha = stored[..., 3:].astype(np.float64) / opaque
+        picture = picture * alpha + 128.0 * (1.0 - alpha)
+    return np.clip(np.round(picture), 0, 255).astype(np.uint8)
+
+
+def read_bytes(path: Path) -> bytes:
+    """All bytes of a picture file, unchecked. Raises ImageFileError where there is no such file or it is not readable.
+
+    Raises StorageError where another time may do.
+    """
+    with _asking(path):
+        if is_remote(path):
+            return object_bytes(path)
+        if not is_present(path):
+            raise _missing(path.name)
+        size = path.stat().st_size
+        if size > MAX_FILE_BYTES:
+            raise ImageFileError(
+                RejectionReason.IMAGE_UNREADABLE,
+                f"{path.name}: {size} bytes are more than {MAX_FILE_BYTES} and not read",
+            )
+        return path.read_bytes()
+
+
+@contextmanager
+def _judging(data: bytes) -> Iterator[None]:
+    """Note in an ImageFileError of which bytes it speaks."""
+    try:
+        yield
+    except ImageFileError as error:
+        error.sha256 = hashlib.sha256(data).hexdigest()
+        raise
+
+
+@contextmanager
+def _asking(path: Path) -> Iterator[None]:
+    """Tell what the system says of the picture (ImageFileError) from what it says of the storage (StorageError)."""
+    try:
+        yield
+    except FileNotFoundError as error:  # an object; or a file that vanished this moment
+        raise _missing(str(path)) from error
+    except PermissionError as error:
+        if _is_closed_by_mode(path):
+            raise ImageFileError(
+                RejectionReason.IMAGE_UNREADABLE, f"{path.name}: {error.strerror or error}; make it readable"
+            ) from error
+        raise _not_given(path, error) from error
+    except OSError as error:
+        raise _not_given(path, error) from error
+
+
+def _missing(name: str) -> ImageFileError:
+    error = ImageFileError(RejectionReason.IMAGE_MISSING, f"{name}: there is no such file")
+    error.sha256 = NO_FILE_SHA256
+    return error
+
+
+def _not_given(path: Path, error: OSError) -> StorageError:
+    return StorageError(
+        f"{path}: the storage does not give this picture ({error.strerror or error}). Look at the disk, the network file system "
+        "or its tickets, and run the same command again. Nothing was written."
+    )
+
+
+def _is_closed_by_mode(path: Path) -> bool:
+    """Whether the file's own mode forbids this user to read it, which lasts as its content does.
+
+    Network file systems refuse for other reasons as well, such as a ticket that has expired; that passes.
+    """
+    try:
+        found = path.stat()
+    except OSError:
+        return False
+    if found.st_uid == os.geteuid():
+        return not found.st_mode & stat.S_IRUSR
+    ours = found.st_gid in {os.getegid(), *os.getgroups()}
+    return not found.st_mode & (stat.S_IRGRP if ours else stat.S_IROTH)

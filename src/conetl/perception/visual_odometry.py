@@ -1,0 +1,292 @@
+"""Image points that stand still in the world, followed through the four pictures of two consecutive frame pairs.
+
+Corners spread over the left picture are found at half its size and get a disparity by block matching at a quarter of it, since
+both only say where to begin. At full size they are then followed by pyramidal Lucas-Kanade (Bouguet 2001) round a circle:
+left -> right, left -> next left -> next right, and right -> next right must end at the same point, and the way back from the
+next left must lead home. Points without disparity (sky, clouds, far scenery) are left out.
+Which of the points belong to moving objects is found later (`geometry/motion/stereo_motion.py`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.geometry.motion.stereo_motion import RelativeMotion, StereoCameras, project, triangulate
+from conetl.geometry.motion.stereo_tracks import NoMeasurement, StereoTracks, cameras_of, expected_motions, motions_of
+from conetl.model.params import TrajectoryParams
+from conetl.model.records import FramePair, Rig, Side
+from conetl.perception.working_size import (
+    PictureReader,
+    WorkingPictures,
+    WorkingSize,
+    read_working_pictures,
+    working_size,
+)
+
+Floats = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+Points = NDArray[np.float32]
+_Found = tuple[Floats, Floats, float, NoMeasurement | None]
+
+#: Side of the windows that are followed, px. Larger ones cost time in proportion to their area, and the cones of the street stood
+#: no stiller for it; but over the spans of self-calibration, which are few, a hundredth of a pixel counts.
+_WINDOW_PX, _WINDOW_OF_SPANS_PX = 11, 15
+_STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01)
+#: Of ways back, which are only compared with a tolerance of most of a pixel.
+_STOP_OF_CHECKS = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.05)
+#: Least eigenvalue of a corner's structure matrix as a share of a strong corner's: weaker ones are followed badly.
+_WEAK_SHARE = 0.004
+#: Side of what block matching compares, at a quarter of the size.
+_BLOCK_PX = 9
+#: Disparities are searched up to this share of a picture's width.
+_WIDEST_DISPARITY = 0.12
+
+
+def measure_motions(
+    frame_pairs: Sequence[FramePair], rig: Rig, read: PictureReader, params: TrajectoryParams
+) -> Iterator[RelativeMotion]:
+    """Motion between each frame pair and the next: len(frame_pairs) - 1 results, in order, each as soon as it is known.
+
+    Equal inputs give equal results. An interval without a measurement says so in `reason`.
+    """
+    yield from motions_of(follow_drive(frame_pairs, rig, read, params), frame_pairs, rig, params)
+
+
+def follow_drive(
+    frame_pairs: Sequence[FramePair], rig: Rig, read: PictureReader, params: TrajectoryParams
+) -> Iterator[StereoTracks]:
+    """Points between each frame pair and the next: len(frame_pairs) - 1 results, in order.
+
+    Dark, blank, frozen, missing or broken pictures give a result with `missing` set, never an exception.
+    """
+    cameras, working = cameras_of(rig), working_size(rig, params.max_width_px)
+    previous: WorkingPictures | NoMeasurement | None = None
+    guesses = expected_motions(frame_pairs, rig)
+    for k, pair in enumerate(frame_pairs):
+        pictures = read_working_pictures(pair, read, working)
+        if previous is not None:
+            found = _between(previous, pictures, working, cameras, guesses[k - 1], params)
+            yield _tracks(frame_pairs[k - 1], pair, *found)
+        previous = pictures
+
+
+def follow_span(
+    first: FramePair, last: FramePair, guess: Floats, rig: Rig, read: PictureReader, params: TrajectoryParams
+) -> StereoTracks:
+    """Points between two frame pairs that need not be neighbours; guess (4, 4): last_SE3_first of the left camera.
+
+    What is searched reaches a little farther than between neighbours (pyramid), the guess must be good to some pixels.
+    """
+    cameras, working = cameras_of(rig), working_size(rig, params.max_width_px)
+    start, end = (read_working_pictures(pair, read, working) for pair in (first, last))
+    return _tracks(first, last, *_between(start, end, working, cameras, guess, params, _WINDOW_OF_SPANS_PX))
+
+
+def _between(
+    first: WorkingPictures | NoMeasurement,
+    second: WorkingPictures | NoMeasurement,
+    working: WorkingSize,
+    cameras: StereoCameras,
+    expected: Floats,
+    params: TrajectoryParams,
+    window_px: int = _WINDOW_PX,
+) -> _Found:
+    """Points (N, 4) in stored pixels (u and v left, u and v right) of the first and second pair, their sigma, what is missing."""
+    if isinstance(first, NoMeasurement):
+        return _nothing(first)
+    if isinstance(second, NoMeasurement):
+        return _nothing(second)
+    if np.array_equal(first.left, second.left) or np.array_equal(first.right, second.right):
+        return _nothing(NoMeasurement.PICTURE_FROZEN)  # not even noise differs: a stuck camera, no standing car
+    try:
+        return _round_the_circle(first, second, working, cameras, expected, params, window_px)
+    except cv2.error:  # costs this interval, never the drive
+        return _nothing(NoMeasurement.PICTURE_UNFIT)
+
+
+def _round_the_circle(
+    first: WorkingPictures,
+    second: WorkingPictures,
+    working: WorkingSize,
+    cameras: StereoCameras,
+    expected: Floats,
+    params: TrajectoryParams,
+    window_px: int,
+) -> _Found:
+    """As `_between`, for pictures that can be followed. Points are in working pixels until the end."""
+    left, right = _stereo_points(first, working, params, window_px)
+    guess, usable = _where_expected(left, right, working, cameras, expected, window_px)
+    left, right, guess = left[usable], right[usable], guess[usable]
+    if len(left) < params.min_points:
+        return _nothing(NoMeasurement.TOO_FEW_POINTS)
+    # Who fails at one side of the circle is not followed round the others.
+    next_left, good = _flow(first.left, second.left, left, guess[:, 0], 2, window_px)
+    good &= _before_the_end(next_left, working, "left", window_px)
+    left, right, guess, next_left = left[good], right[good], guess[good], next_left[good]
+    home, good = _flow(second.left, first.left, next_left, left, 0, window_px, _STOP_OF_CHECKS)
+    good &= np.linalg.norm(home - left, axis=1) <= params.circle_tolerance_px
+    left, right, guess, next_left = left[good], right[good], guess[good], next_left[good]
+    shift = working.infinity_shift(next_left).astype(np.float32)
+    across = next_left - _offset(guess[:, 0, 0] - guess[:, 1, 0], shift[:, 1])
+    next_right, good = _flow(second.left, second.right, next_left, across, 0, window_px)
+    good &= _on_equal_rows(next_left, next_right, shift, params)
+    good &= _before_the_end(next_right, working, "right", window_px)
+    good &= next_left[:, 0] - next_right[:, 0] - shift[:, 0] >= _least_disparity(working, params) / 2
+    left, right, next_left, next_right = left[good], right[good], next_left[good], next_right[good]
+    other_way, good = _flow(first.right, second.right, right, next_right, 0, window_px, _STOP_OF_CHECKS)
+    good &= np.linalg.norm(other_way - next_right, axis=1) <= params.circle_tolerance_px
+    if int(good.sum()) < params.min_points:
+        return _nothing(NoMeasurement.TOO_FEW_POINTS)
+    first_px = _stored(working, left[good], right[good])
+    second_px = _stored(working, next_left[good], next_right[good])
+    return first_px, second_px, params.sigma_px / float(working.scale[0]), None
+
+
+def _stereo_points(
+    pictures: WorkingPictures, working: WorkingSize, params: TrajectoryParams, window_px: int
+) -> tuple[Points, Points]:
+    """Corners (N, 2) of the left picture that are not too far away, and where they are (N, 2) in the right one."""
+    corners = _corners(pictures.half_left, params)
+    disparity, shift = _disparity(pictures, corners, working), working.infinity_shift(corners)
+    known = np.isfinite(disparity) & (disparity - shift[:, 0] >= _least_disparity(working, params))
+    if int(known.sum()) < params.min_points:
+        return corners[:0], corners[:0]
+    left, shift = corners[known], shift[known].astype(np.float32)
+    beginning = left - _offset(disparity[known], shift[:, 1])
+    right, good = _flow(pictures.left, pictures.right, left, beginning, 0, window_px)
+    good &= _on_equal_rows(left, right, shift, params) & _before_the_end(right, working, "right", window_px)
+    return left[good], right[good]
+
+
+def _where_expected(
+    left: Points, right: Points, working: WorkingSize, cameras: StereoCameras, expected: Floats, window_px: int
+) -> tuple[Points, NDArray[np.bool_]]:
+    """Where points of the first pair should be in the next one, if INS is right and they stand still, and which are seen there.
+
+    (N, 2, 2): left and right image point; the row of the right one is that of the left.
+    """
+    points, _, placed = triangulate(cameras, _stored(working, left, right)[:, :3])
+    image, _, ahead = project(cameras, points @ expected[:3, :3].T + expected[:3, 3])
+    guess = working.to_working(image[:, [0, 1, 2, 1]].reshape(-1, 2, 2)).astype(np.float32)
+    inside = ((guess[:, 0] > 0) & (guess[:, 0] < working.size_px)).all(axis=1)
+    return guess, placed & ahead & inside & _before_the_end(guess[:, 0], working, "left", window_px)
+
+
+def _corners(half: Bytes, params: TrajectoryParams) -> Points:
+    """Corners (N, 2) of a picture that comes at half its size: the best few of each cell of a grid, so that no textured wall
+    takes them all."""
+    response = cv2.cornerMinEigenVal(half, 5)
+    highest = cv2.dilate(response, np.ones((5, 5), np.uint8))
+    strong = float(np.quantile(response[::4, ::4], 0.99))
+    border = 6
+    inner, around = (picture[border:-border, border:-border] for picture in (response, highest))
+    # One row after the other: numpy finds the few set elements of a mask much faster in one dimension than in two.
+    chosen = np.flatnonzero((inner == around) & (inner > max(_WEAK_SHARE * strong, 1e-9)))
+    rows, columns = np.divmod(chosen, max(inner.shape[1], 1)) + np.array(border)
+    strength = response[rows, columns]
+    cell = 2 * rows // params.cell_px * 10_000 + 2 * columns // params.cell_px
+    order = np.lexsort((-strength, cell))
+    start = np.r_[0, np.flatnonzero(np.diff(cell[order])) + 1] if len(order) else np.zeros(0, dtype=np.intp)
+    rank = np.arange(len(order)) - np.repeat(start, np.diff(np.r_[start, len(order)]))
+    chosen = order[rank < params.corners_per_cell]
+    return 2 * np.stack([columns[chosen], rows[chosen]], axis=1).astype(np.float32) + np.float32(0.5)
+
+
+def _disparity(pictures: WorkingPictures, corners: Points, working: WorkingSize) -> Floats:
+    """Rough difference (N,) px of the columns of corners by block matching at a quarter of the size; NaN where there is none.
+
+    What is infinitely far begins the search: where the principal points differ that is neither column difference 0 nor the
+    same row.
+    """
+    height, width = pictures.quarter_left.shape
+    if not len(corners) or min(height, width) < _BLOCK_PX:
+        return np.full(len(corners), np.nan)
+    columns, rows = (working.infinity_shift(np.array(working.size_px) / 2) / 4).tolist()
+    farthest = int(np.floor(columns))
+    steps = max(int(np.ceil(pictures.left.shape[1] / 4 * _WIDEST_DISPARITY / 16)) * 16, 16)
+    matcher = cv2.StereoBM.create(numDisparities=steps, blockSize=_BLOCK_PX)
+    matcher.setMinDisparity(farthest)
+    matcher.setUniquenessRatio(8)
+    table = matcher.compute(pictures.quarter_left, _lowered(pictures.quarter_right, rows))
+    at = np.clip(((corners - 1.5) / 4).round().astype(int), 0, [width - 1, height - 1])
+    raw = table[at[:, 1], at[:, 0]].astype(np.float64)
+    return np.where(raw >= 16 * farthest, raw / 16 * 4, np.nan)
+
+
+def _lowered(picture: Bytes, rows: float) -> Bytes:
+    """A picture moved down by so many rows; by less than a twentieth, which no block of pixels tells, it is left alone."""
+    if abs(rows) < 0.05:
+        return picture
+    down = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, rows]])
+    moved = cv2.warpAffine(picture, down, picture.shape[::-1], flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(moved, dtype=np.uint8)
+
+
+def _flow(
+    source: Bytes,
+    target: Bytes,
+    points: Points,
+    guess: NDArray[np.floating],
+    levels: int,
+    window_px: int,
+    stop: tuple[int, int, float] = _STOP,
+) -> tuple[Points, NDArray[np.bool_]]:
+    """Where points (N, 2) of one picture are in another, beginning at a guess on the `levels`-th pyramid level."""
+    if not len(points):
+        return points, np.zeros(0, dtype=bool)
+    start = np.ascontiguousarray(guess, dtype=np.float32)
+    found, status, _ = cv2.calcOpticalFlowPyrLK(
+        source, target, np.ascontiguousarray(points), start.copy(), winSize=(window_px, window_px), maxLevel=levels,
+        criteria=stop, flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+    )  # fmt: skip
+    return np.asarray(found, dtype=np.float32), status.reshape(-1).astype(bool) & np.isfinite(found).all(axis=1)
+
+
+def _offset(columns: NDArray[np.floating], rows: NDArray[np.floating]) -> Points:
+    """(N, 2) from points of the right picture to those of the left."""
+    return np.stack([columns, rows], axis=1).astype(np.float32)
+
+
+def _least_disparity(working: WorkingSize, params: TrajectoryParams) -> float:
+    """In working pixels."""
+    return params.min_disparity_px * float(working.scale[0])
+
+
+def _on_equal_rows(
+    left: Points, right: Points, shift: NDArray[np.floating], params: TrajectoryParams
+) -> NDArray[np.bool_]:
+    """Which points (N, 2) of both pictures lie on the same row of the rig; shift (N, 2): their shift at infinity."""
+    return np.asarray(np.abs(right[:, 1] - left[:, 1] + shift[:, 1]) <= params.epipolar_tolerance_px)
+
+
+def _before_the_end(points: Points, working: WorkingSize, side: Side, window_px: int) -> NDArray[np.bool_]:
+    """Whose windows (N,) end before a picture's padding: it shows streaks that stand still however the car moves."""
+    return np.asarray((points <= working.seen_px(side) - 0.5 - window_px / 2).all(axis=1))
+
+
+def _stored(working: WorkingSize, left: Points, right: Points) -> Floats:
+    """(N, 4) in stored pixels: u and v left, u and v right."""
+    return np.column_stack([working.to_stored(left), working.to_stored(right)])
+
+
+def _nothing(reason: NoMeasurement) -> _Found:
+    return np.zeros((0, 4)), np.zeros((0, 4)), 1.0, reason
+
+
+def _tracks(
+    first: FramePair,
+    second: FramePair,
+    first_px: Floats,
+    second_px: Floats,
+    sigma_px: float,
+    missing: NoMeasurement | None,
+) -> StereoTracks:
+    return StereoTracks(
+        first_frame_index=first.frame_index, second_frame_index=second.frame_index,
+        first_px=tuple(first_px.ravel().tolist()), second_px=tuple(second_px.ravel().tolist()), sigma_px=sigma_px,
+        missing=missing,
+    )  # fmt: skip

@@ -1,0 +1,151 @@
+"""The pictures of a frame pair as points are followed through them: grey, of one size for both sides, not too wide.
+
+Rectification leaves both pictures the same rows but each its own columns, while matching and following demand equal sizes. So
+the smaller picture is padded at its right and lower border, and only then are both reduced, by one scale: what is measured
+between them would otherwise be two scales' difference. Padding shows nothing; `seen_px` tells where it begins.
+
+Frames: stored pixels are those of the rig's own (rectified) cameras, working pixels those of the reduced pictures. Both count
+from the centre of their first pixel, so that a reduced pixel's centre is not a multiple of the stored one's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from conetl.geometry.motion.stereo_tracks import NoMeasurement
+from conetl.geometry.rig import camera_of, infinity_shift_px
+from conetl.model.records import FramePair, Rig, Side
+from conetl.perception.images import ImageFileError
+
+Floats = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+#: Reads one rectified picture of a frame pair, grey or in blue, green, red order; raises ImageFileError.
+PictureReader = Callable[[FramePair, Side], Bytes]
+
+#: Grey values of a picture must spread at least this much for anything to be followed.
+_LEAST_CONTRAST = 3.0
+#: What a product of poses leaves of a shift that is none, and far below what matching could tell. It must not decide about a
+#: disparity of block matching, which counts in quarters of a pixel and often equals the least one that is wanted.
+_SHIFT_DECIMALS = 6
+
+
+@dataclass(frozen=True)
+class WorkingSize:
+    """How stored pictures of a rig become working ones. Sizes are width and height."""
+
+    rig: Rig
+    common_px: tuple[int, int]
+    """Stored pixels that hold both pictures."""
+    size_px: tuple[int, int]
+    """Working pixels of both."""
+
+    @property
+    def scale(self) -> Floats:
+        """(2,) working pixels a stored one, along the columns' and the rows' axis: whole sizes make them differ a little."""
+        return np.asarray(np.array(self.size_px) / np.array(self.common_px))
+
+    def seen_px(self, side: Side) -> Floats:
+        """(2,) number of working pixels of a picture before its padding begins, along u and v; infinite where there is none."""
+        own = np.array(_stored_size(self.rig, side))
+        return np.where(own < self.common_px, own * self.scale, np.inf)
+
+    def to_working(self, stored_px: ArrayLike) -> Floats:
+        """Image points (..., 2) in working pixels for stored ones: (u + 0.5) scale - 0.5."""
+        return np.asarray(np.asarray(stored_px, dtype=np.float64) * self.scale + (self.scale - 1) / 2)
+
+    def to_stored(self, working_px: ArrayLike) -> Floats:
+        """The way back: image points (..., 2) in stored pixels."""
+        return np.asarray((np.asarray(working_px, dtype=np.float64) - (self.scale - 1) / 2) / self.scale)
+
+    def infinity_shift(self, left_px: ArrayLike) -> Floats:
+        """(..., 2) working pixels by which the left picture shows what is infinitely far further right and down than the right
+        one, at points (..., 2) of the left."""
+        shift = infinity_shift_px(self.rig, self.to_stored(left_px)) * self.scale
+        return np.asarray(shift.round(_SHIFT_DECIMALS) + 0.0)
+
+
+@dataclass(frozen=True)
+class WorkingPictures:
+    """Both pictures of one frame pair, grey, at working size; both at a quarter of it, the left one, without its padding, at
+    half of it, too."""
+
+    left: Bytes
+    right: Bytes
+    half_left: Bytes
+    quarter_left: Bytes
+    quarter_right: Bytes
+
+
+def working_size(rig: Rig, max_width_px: int) -> WorkingSize:
+    """The size at which pictures of a rectified rig are worked on: the larger of both sides, reduced where it is too wide."""
+    (left_w, left_h), (right_w, right_h) = _stored_size(rig, "left"), _stored_size(rig, "right")
+    common = max(left_w, right_w), max(left_h, right_h)
+    scale = min(1.0, max_width_px / common[0])
+    size = (round(common[0] * scale), max(round(common[1] * scale), 1)) if scale < 1.0 else common
+    return WorkingSize(rig=rig, common_px=common, size_px=size)
+
+
+def read_working_pictures(
+    pair: FramePair, read: PictureReader, working: WorkingSize
+) -> WorkingPictures | NoMeasurement:
+    """One frame pair at working size, or why there is none; never an exception of the reader or of OpenCV."""
+    grey: list[Bytes] = []
+    try:
+        for side in ("left", "right"):
+            picture = _grey(read(pair, side))
+            if picture.shape[::-1] != _stored_size(working.rig, side):
+                return NoMeasurement.PICTURE_UNREADABLE  # no picture of this rig
+            picture = _at_size(picture, working)
+            if float(cv2.meanStdDev(_seen(picture, working.seen_px(side)))[1][0, 0]) < _LEAST_CONTRAST:
+                return NoMeasurement.PICTURE_BLANK
+            grey.append(picture)
+        left, right = grey
+        half_left, half_right = _halved(left), _halved(right)
+        seen = _seen(half_left, working.seen_px("left") / 2)
+        return WorkingPictures(left, right, seen, _halved(half_left), _halved(half_right))
+    except ImageFileError:
+        return NoMeasurement.PICTURE_UNREADABLE
+    except cv2.error:
+        return NoMeasurement.PICTURE_UNFIT
+
+
+def _stored_size(rig: Rig, side: Side) -> tuple[int, int]:
+    """Width and height, px."""
+    camera = camera_of(rig, side)
+    return camera.width_px, camera.height_px
+
+
+def _grey(picture: Bytes) -> Bytes:
+    return picture if picture.ndim == 2 else np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+
+
+def _at_size(picture: Bytes, working: WorkingSize) -> Bytes:
+    """A grey picture padded to the common size, then reduced. The border is repeated: a step in brightness there would be a
+    line of corners that stand still in the picture."""
+    right, below = working.common_px[0] - picture.shape[1], working.common_px[1] - picture.shape[0]
+    if right or below:
+        padded = cv2.copyMakeBorder(picture, 0, below, 0, right, cv2.BORDER_REPLICATE)
+        picture = np.asarray(padded, dtype=np.uint8)
+    if working.size_px == working.common_px:
+        return picture
+    return np.asarray(cv2.resize(picture, working.size_px, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def _seen(picture: Bytes, seen_px: Floats) -> Bytes:
+    """A picture without its padding: its whole pixels of the first `seen_px` along u and v."""
+    width, height = np.minimum(seen_px, picture.shape[::-1]).astype(int).tolist()
+    return picture[: max(height, 1), : max(width, 1)]
+
+
+def _halved(picture: Bytes) -> Bytes:
+    """Means of two by two pixels. A last odd row or column is left out: with a ratio of exactly two OpenCV is 30 times faster."""
+    height, width = (size // 2 for size in picture.shape)
+    if not height or not width:
+        return picture
+    half = cv2.resize(picture[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
+    return np.asarray(half, dtype=np.uint8)

@@ -1,0 +1,269 @@
+"""What to do with many drives, before anything is done: which, why, how long, and what is on the map already. Knows no Prefect.
+
+A drive is known by its header (see `readers/drives/header.py`), so no picture is read; the exact content is compared when the
+drive is ingested, and one that is on the map after all changes nothing.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal
+
+from conetl.db.connection import Connection
+from conetl.db.receipt_store import (
+    DriveOnMap,
+    Receipt,
+    drives_on_map,
+    held_locks,
+    latest_receipts,
+    pairs_per_second,
+)
+from conetl.files.atomic import atomic_text_file
+from conetl.files.names import printable
+from conetl.files.parquet_store import result_key
+from conetl.model.detector_evidence import evidence_sha256
+from conetl.model.errors import InputError
+from conetl.model.params import IngestParams, params_sha256
+from conetl.perception.model_card import read_model_card
+from conetl.pipeline.settings import Settings
+from conetl.readers.drives.header import DriveOutline, find_drives, outline_drive
+
+#: Work that ended without a word so often is not tried again unless a person asks for it.
+MAX_ATTEMPTS = 3
+Action = Literal["ingest", "wait", "skip", "refuse"]
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """With what a drive is analysed."""
+
+    params_sha256: str
+    model_sha256: str
+    sha256: str
+
+
+@dataclass(frozen=True)
+class PlanLine:
+    """What to do with one drive. `wait`: another process is at it; `refuse`: the folder cannot be a drive."""
+
+    outline: DriveOutline
+    action: Action
+    why: str
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What to do with the drives below a folder, in the order of their recording."""
+
+    root: Path
+    map_name: str
+    since: datetime | None
+    until: datetime | None
+    analysis: Analysis
+    lines: tuple[PlanLine, ...]
+    pairs_per_second: float | None
+    """Of drives that were committed before, each by itself; None where none was timed."""
+    made_at: datetime
+    seconds: float
+    """What making the plan took."""
+
+    def count(self, action: Action) -> int:
+        return sum(line.action == action for line in self.lines)
+
+    @property
+    def todo(self) -> list[PlanLine]:
+        """What has to be done; drives that others are at come last."""
+        return sorted((line for line in self.lines if line.action != "skip"), key=lambda line: line.action == "wait")
+
+    @property
+    def frame_pairs(self) -> int:
+        return sum(line.outline.frame_pairs for line in self.lines if line.action == "ingest")
+
+    def estimate_s(self, parallel: int) -> float | None:
+        """How long the work will take, None where nothing was measured yet."""
+        return None if self.pairs_per_second is None else self.frame_pairs / self.pairs_per_second / max(1, parallel)
+
+
+def analysis_of(params: IngestParams, settings: Settings) -> Analysis:
+    """Hashes of parameters and model."""
+    card = read_model_card(settings.model_path)
+    parameters = params_sha256(params)
+    return Analysis(
+        parameters,
+        card.sha256,
+        result_key("analysis", parameters, card.detections_sha256, evidence_sha256(card.evidence)),
+    )
+
+
+def plan_drives(
+    conn: Connection,
+    root: Path,
+    *,
+    settings: Settings,
+    params: IngestParams,
+    since: datetime | None = None,
+    until: datetime | None = None,
+    once: bool = False,
+    recheck: bool = False,
+    folders: Iterable[Path] | None = None,
+) -> Plan:
+    """Plan the drives below `root` that were recorded in [since, until).
+
+    once: what failed for good or crashed repeatedly is left alone until the drive changes (for schedules). recheck: drives whose
+    header is known are compared by content as well. folders: drive folders, where they were looked for already. Raises
+    InputError where `since` does not lie before `until`, DriveFolderError where there is no `root`.
+    """
+    if since is not None and until is not None and until <= since:
+        raise InputError(
+            f"nothing is recorded from {since:%Y-%m-%d %H:%M} UTC on (--since) and before {until:%Y-%m-%d %H:%M} UTC (--until)"
+        )
+    started = time.monotonic()
+    outlines = [outline_drive(folder) for folder in (find_drives(root) if folders is None else folders)]
+    outlines = [o for o in outlines if _is_within(o, since, until)]
+    analysis = analysis_of(params, settings)
+    receipts = latest_receipts(conn, map_name=settings.map_name, headers=[o.header_sha256 for o in outlines])
+    held = held_locks(conn, [receipt.drive_lock for receipt in receipts.values() if receipt.state == "started"])
+    known: dict[str, list[DriveOnMap]] = {}
+    for drive in drives_on_map(conn, map_name=settings.map_name):
+        known.setdefault(drive.drive_id, []).append(drive)
+    lines: list[PlanLine] = []
+    seen: dict[str, Path] = {}
+    for outline in sorted(outlines, key=lambda o: (o.captured_from_ns or 0, str(o.path))):
+        receipt = receipts.get(outline.header_sha256)
+        if outline.header_sha256 in seen:
+            action, why = "skip", f"the same recording as {printable(seen[outline.header_sha256])}"
+        else:
+            action, why = _judge(
+                outline, receipt, known.get(outline.drive_id, []), analysis,
+                working=receipt is not None and receipt.drive_lock in held, once=once, recheck=recheck,
+            )  # fmt: skip
+        seen.setdefault(outline.header_sha256, outline.path)
+        lines.append(PlanLine(outline, action, why))  # type: ignore[arg-type]
+    return Plan(
+        root=root,
+        map_name=settings.map_name,
+        since=since,
+        until=until,
+        analysis=analysis,
+        lines=tuple(lines),
+        pairs_per_second=pairs_per_second(conn, map_name=settings.map_name),
+        made_at=datetime.now(UTC),
+        seconds=time.monotonic() - started,
+    )
+
+
+def _judge(
+    outline: DriveOutline,
+    receipt: Receipt | None,
+    on_map: Sequence[DriveOnMap],
+    analysis: Analysis,
+    *,
+    working: bool,
+    once: bool,
+    recheck: bool,
+) -> tuple[Action, str]:
+    """What to do with one drive, and why."""
+    if working and receipt is not None:
+        return "wait", f"{receipt.host} is at it since {_when(receipt.at)}"
+    same = receipt is not None and receipt.analysis_sha256 == analysis.sha256
+    if receipt is not None and same and receipt.done:
+        return ("ingest", "asked to compare it again") if recheck else ("skip", f"on the map since {_when(receipt.at)}")
+    if receipt is not None and same and once and not receipt.may_pass and receipt.state == "failed":
+        return "skip", f"failed on {_when(receipt.at)} and has not changed since: {receipt.reason}"
+    if receipt is not None and same and once and receipt.attempts >= MAX_ATTEMPTS and not receipt.done:
+        return "skip", f"tried {receipt.attempts} times; last: {receipt.reason or 'interrupted'}"
+    if outline.problem is not None:
+        return "refuse", outline.problem
+    if receipt is not None and same:
+        what = "failed" if receipt.state == "failed" else "was interrupted"
+        return "ingest", f"{what} on {_when(receipt.at)}" + (f": {receipt.reason}" if receipt.reason else "")
+    found = [drive for drive in on_map if _is_same_recording(outline, drive)]
+    alike = [d for d in found if (d.params_sha256, d.model_sha256) == (analysis.params_sha256, analysis.model_sha256)]
+    if alike:
+        if recheck:
+            return "ingest", "asked to compare it again"
+        # By hand it comes without a receipt, so nobody knows from which header: id and time have to do.
+        same_folder = [d for d in alike if not d.headers or outline.header_sha256 in d.headers]
+        if not same_folder:
+            return "ingest", f"changed since it was brought onto the map (changeset {alike[-1].changeset_no})"
+        drive = same_folder[-1]
+        return "skip", f"on the map since {_when(drive.committed_at)} (changeset {drive.changeset_no})"
+    if found or receipt is not None:
+        return "ingest", "known, but analysed with other parameters or another model"
+    return "ingest", "new"
+
+
+def _is_same_recording(outline: DriveOutline, drive: DriveOnMap) -> bool:
+    """By id and time; a drive's first and last pair may have been refused."""
+    if outline.captured_from_ns is None or outline.captured_to_ns is None:
+        return False
+    return outline.captured_from_ns <= drive.captured_from_ns and drive.captured_to_ns <= outline.captured_to_ns
+
+
+def _is_within(outline: DriveOutline, since: datetime | None, until: datetime | None) -> bool:
+    """Folders that do not tell their time are always looked at: nothing disappears without a word."""
+    at = outline.captured_from
+    return at is None or ((since is None or since <= at) and (until is None or at < until))
+
+
+def _when(at: datetime | None) -> str:
+    return f"{at:%Y-%m-%d %H:%M} UTC" if at else "just now"
+
+
+def plan_as_dict(plan: Plan, parallel: int) -> dict[str, Any]:
+    """The plan as values that JSON knows."""
+    return {
+        "root": printable(plan.root),
+        "map": plan.map_name,
+        "since": plan.since and plan.since.isoformat(),
+        "until": plan.until and plan.until.isoformat(),
+        "params_sha256": plan.analysis.params_sha256,
+        "model_sha256": plan.analysis.model_sha256,
+        "made_at": plan.made_at.isoformat(),
+        "planned_in_s": round(plan.seconds, 3),
+        "drives": len(plan.lines),
+        "to_ingest": plan.count("ingest"),
+        "waiting_for_others": plan.count("wait"),
+        "not_usable": plan.count("refuse"),
+        "nothing_to_do": plan.count("skip"),
+        "frame_pairs": plan.frame_pairs,
+        "pairs_per_second": plan.pairs_per_second,
+        "estimated_s": plan.estimate_s(parallel),
+        "max_parallel": parallel,
+        "lines": [
+            {
+                "drive": line.outline.shown_path,
+                "drive_id": line.outline.drive_id,
+                "captured_from": line.outline.captured_from and line.outline.captured_from.isoformat(),
+                "frame_pairs": line.outline.frame_pairs,
+                "header_sha256": line.outline.header_sha256,
+                "action": line.action,
+                "why": line.why,
+            }
+            for line in plan.lines
+        ],
+    }
+
+
+def write_plan(plan: Plan, parallel: int, folder: Path) -> Path:
+    """Keep the plan as a file; returns its path."""
+    path = folder / f"{plan.made_at:%Y%m%dT%H%M%S}-{plan.map_name}.json"
+    with atomic_text_file(path) as file:
+        json.dump(plan_as_dict(plan, parallel), file, indent=1)
+        file.write("\n")
+    return path
+
+
+def reasons(plan: Plan) -> list[tuple[str, int]]:
+    """How many drives there are for each action and kind of reason, the most frequent first."""
+    words = {"ingest": "to ingest", "wait": "others are at it", "skip": "nothing to do", "refuse": "not usable"}
+    counted = Counter(
+        f"{words[line.action]}: {line.why.split(':')[0].split(' on ')[0].split(' since ')[0]}" for line in plan.lines
+    )
+    return counted.most_common()

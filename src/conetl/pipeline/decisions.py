@@ -1,0 +1,227 @@
+"""What people decide about the map: nothing stands here, this cone stays, that drive does not count. Knows no Prefect.
+
+A decision is a row of its own and takes part in every comparison of drives, those that come later and those that come late. What
+follows from it is worked out at once, in the same transaction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime
+from typing import NamedTuple
+from uuid import UUID
+
+from conetl.db.connection import Connection
+from conetl.db.map.decision_store import find_decisions, insert_decision, list_decisions, read_decisions
+from conetl.db.map.map_store import LOCK_TIMEOUT_S, find_features, find_map, map_transaction, system_time
+from conetl.db.map.replay_store import (
+    affected_drives,
+    drives_at,
+    read_believed_feature,
+    superseded_drives,
+    write_replay,
+)
+from conetl.db.map.results import Decidable, MapInfo, Replay
+from conetl.mapping.fold import is_within
+from conetl.model.errors import ConflictError, InputError
+from conetl.model.map_records import BelievedVersion, MapFeature, Place
+from conetl.pipeline.replay import replay_of
+
+SUPPRESS, PIN, REVERT, WITHDRAW = "suppress", "pin", "revert", "withdraw"
+#: Larger places are no statement about one cone.
+MAX_RADIUS_M = 20.0
+
+
+class Conflict(NamedTuple):
+    """A feature that a reverted changeset changed, and other changesets after it: three ways."""
+
+    feature_id: UUID
+    kind: str
+    """What the reverted changeset did to it."""
+    was: BelievedVersion | None
+    """Before the reverted changeset; None where it founded the feature."""
+    changed_to: BelievedVersion | None
+    """By the reverted changeset."""
+    is_now: BelievedVersion | None
+    """After the revert, as its changeset left it; None where without the reverted one it was never founded."""
+
+
+class Decided(NamedTuple):
+    """A decision and what followed from it."""
+
+    decision_id: UUID
+    kind: str
+    decided_at: datetime
+    versions_written: int
+    replayed: int
+    """Drives that were compared with the map again."""
+    conflicts: tuple[Conflict, ...]
+    """Of a reverted changeset: features that other drives changed after it; what they saw is kept."""
+
+
+def decide_place(
+    conn: Connection,
+    kind: str,
+    feature: str,
+    *,
+    map_name: str,
+    radius_m: float = 1.0,
+    note: str = "",
+    decided_by: str | None = None,
+    expected_version: int | None = None,
+    lock_timeout_s: float = LOCK_TIMEOUT_S,
+    now: datetime | None = None,
+) -> Decided:
+    """Suppress or pin the place of a feature. feature: its id, or how that begins. Raises InputError, and ConflictError where the
+    same was decided already, or the feature's version is another one than `expected_version`, on which the person decided."""
+    if not 0 < radius_m <= MAX_RADIUS_M:
+        raise InputError(f"a radius of {radius_m} m is not between 0 and {MAX_RADIUS_M:g} m")
+    with map_transaction(conn, map_name, lock_timeout_s=lock_timeout_s):
+        info = _map(conn, map_name)
+        state = _feature(conn, map_name, feature)
+        before = read_decisions(conn, map_name=map_name)
+        if is_within(state, before.suppressed if kind == SUPPRESS else before.pinned):
+            raise ConflictError(f"there is a decision to {kind} this place already: see `conetl map decisions`")
+        if expected_version is not None and state.version != expected_version:
+            raise ConflictError(
+                f"feature {state.feature_id} changed meanwhile: you decided on version {expected_version}, it is at version "
+                f"{state.version} now. Look at it again."
+            )
+        place = Place(xy_m=state.xyz_m[:2], radius_m=radius_m)
+        decided_at = system_time(conn, info, now)
+        decision_id = insert_decision(
+            conn,
+            info,
+            kind,
+            decided_at=decided_at,
+            note=note,
+            decided_by=decided_by,
+            place=place,
+            feature_id=state.feature_id,
+        )
+        written, replayed = _judge_place(conn, info, kind, place, decided_at)
+    return Decided(decision_id, kind, decided_at, written, replayed, ())
+
+
+def revert(
+    conn: Connection,
+    what: str,
+    *,
+    map_name: str,
+    note: str = "",
+    decided_by: str | None = None,
+    lock_timeout_s: float = LOCK_TIMEOUT_S,
+    now: datetime | None = None,
+) -> Decided:
+    """Take back a changeset (its drive does not count any more), or a decision. what: its id, how that begins, or the changeset's
+    number. Nothing is lost: taking the decision back brings everything back. Raises InputError, ConflictError where that was done
+    already."""
+    with map_transaction(conn, map_name, lock_timeout_s=lock_timeout_s):
+        info = _map(conn, map_name)
+        target = _target(conn, map_name, what)
+        decided_at = system_time(conn, info, now)
+        if target.kind == "changeset":
+            if any(decision.changeset_id == target.id for decision in list_decisions(conn, map_name=map_name)):
+                raise ConflictError(f"changeset {target.id} is reverted already: see `conetl map decisions`")
+            kind, withdraws, changeset_id = REVERT, None, target.changeset_id
+        elif target.kind == WITHDRAW or not target.active:
+            raise ConflictError(f"decision {target.id} does not hold any more: make it again instead")
+        else:
+            kind, withdraws, changeset_id = WITHDRAW, target.id, None
+        decision = next((d for d in list_decisions(conn, map_name=map_name) if d.decision_id == target.id), None)
+        counted_before = superseded_drives(conn, target.drive_uuid) if target.drive_uuid else []
+        decision_id = insert_decision(
+            conn,
+            info,
+            kind,
+            decided_at=decided_at,
+            note=note,
+            decided_by=decided_by,
+            changeset_id=changeset_id,
+            withdraws=withdraws,
+        )
+        conflicts: tuple[Conflict, ...] = ()
+        if target.drive_uuid is not None:
+            counted_now = superseded_drives(conn, target.drive_uuid)
+            seeds = list(dict.fromkeys([target.drive_uuid, *counted_before, *counted_now]))
+            written, replayed, conflicts = _judge_drives(conn, info, seeds, decided_at, changeset_id)
+        elif decision is not None and (place := decision.place) is not None:
+            written, replayed = _judge_place(conn, info, decision.kind, place, decided_at)
+        else:
+            raise InputError(f"decision {target.id} can not be taken back")
+    return Decided(decision_id, kind, decided_at, written, replayed, conflicts)
+
+
+def _judge_place(conn: Connection, info: MapInfo, kind: str, place: Place, decided_at: datetime) -> tuple[int, int]:
+    """Work out what follows from a decision about a place; versions written, drives compared again."""
+    around = drives_at(conn, info.map_name, place)
+    # Suppression hides what drives see and changes nothing that they are compared with; a pin does.
+    again = affected_drives(conn, around) if kind == PIN else []
+    aside = [ref.drive_uuid for ref in again]
+    decisions = read_decisions(conn, map_name=info.map_name)
+    _, replay = replay_of(conn, aside, again, decisions, around=around)
+    return write_replay(conn, info, replay, decided_at), len(again)
+
+
+def _judge_drives(
+    conn: Connection, info: MapInfo, seeds: Sequence[UUID], decided_at: datetime, changeset_id: UUID | None
+) -> tuple[int, int, tuple[Conflict, ...]]:
+    """Work out what follows when drives come to count or cease to."""
+    again = affected_drives(conn, seeds)
+    aside = list(dict.fromkeys([*seeds, *(ref.drive_uuid for ref in again)]))
+    _, replay = replay_of(conn, aside, again, read_decisions(conn, map_name=info.map_name))
+    return write_replay(conn, info, replay, decided_at), len(again), _conflicts(replay, changeset_id)
+
+
+def _conflicts(replay: Replay, changeset_id: UUID | None) -> tuple[Conflict, ...]:
+    """The features that this changeset and others changed, by feature id."""
+    own: dict[UUID, tuple[str, int | None, int]] = {}
+    others = set()
+    for changed_by, feature_id, kind, old, new in (stored.values[:5] for stored in replay.deltas_before):
+        if changed_by == changeset_id:
+            own[feature_id] = kind, old, new
+        else:
+            others.add(feature_id)
+    before = {(s.version.feature.feature_id, s.version.feature.version): s.version for s in replay.versions_before}
+    now = {version.feature.feature_id: version for version in replay.versions if version.valid_to_ns is None}
+    return tuple(
+        Conflict(
+            feature_id=feature_id,
+            kind=kind,
+            was=None if old is None else before.get((feature_id, old)),
+            changed_to=before.get((feature_id, new)),
+            is_now=now.get(feature_id),
+        )
+        for feature_id, (kind, old, new) in sorted(own.items())
+        if feature_id in others
+    )
+
+
+def _map(conn: Connection, map_name: str) -> MapInfo:
+    info = find_map(conn, map_name)
+    if info is None:
+        raise InputError(f"there is no map named {map_name} in this database: ingest a drive first.")
+    return info
+
+
+def _feature(conn: Connection, map_name: str, beginning: str) -> MapFeature:
+    found = find_features(conn, beginning, map_name=map_name)
+    if not found:
+        raise InputError(f"the map {map_name} knows no feature {beginning}: `conetl map show` lists them")
+    if len(found) > 1:
+        raise InputError(f"{beginning} is the beginning of several features' ids: write more of it")
+    version = read_believed_feature(conn, map_name, found[0])
+    if version is None:
+        raise InputError(f"feature {found[0]} was known once, but is not believed in any more: see `conetl map log`")
+    return version.feature
+
+
+def _target(conn: Connection, map_name: str, beginning: str) -> Decidable:
+    found = find_decisions(conn, beginning, map_name=map_name)
+    if not found:
+        raise InputError(
+            f"the map {map_name} knows no changeset and no decision {beginning}: see `conetl map log` and `conetl map decisions`"
+        )
+    if len(found) > 1:
+        raise InputError(f"{beginning} is the beginning of several ids: write more of it")
+    return found[0]

@@ -1,0 +1,176 @@
+"""A map that was made elsewhere onto this one: an event of the fold, early or late. Knows no Prefect."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from importlib.metadata import version
+from typing import NamedTuple
+from uuid import UUID, uuid5
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.db.connection import Connection
+from conetl.db.map.decision_store import read_decisions
+from conetl.db.map.import_store import IMPORT_INFLUENCE_M, commit_import, known_ids, place_import, read_statements
+from conetl.db.map.map_store import find_changeset, map_transaction
+from conetl.db.map.replay_store import affected_drives, superseded_drives
+from conetl.db.map.results import RunInfo
+from conetl.files.parquet_store import result_key
+from conetl.mapping.fold import Evidence
+from conetl.model.errors import InputError
+from conetl.model.map_records import Changeset, DeltaKind, ImportedMap, Statement
+from conetl.model.params import ImportParams, params_sha256
+from conetl.pipeline.replay import founding_key, replay_of
+
+_NAMESPACE = UUID("9d5b6a0c-3d0f-4b0e-8e4f-0a6f2c9b7d13")
+#: Of a network there is none.
+_NO_MODEL = ""
+_MS_NS = 1_000_000
+
+
+class Imported(NamedTuple):
+    """What an import did."""
+
+    changeset_id: UUID
+    committed: bool
+    """False where the same file with the same parameters is on the map already: nothing was written."""
+    counts: dict[DeltaKind, int]
+    replayed: int
+    """Later drives that were compared with the map again because of it."""
+
+
+def import_map(
+    conn: Connection, imported: ImportedMap, params: ImportParams, *, map_name: str, now: datetime | None = None
+) -> Imported:
+    """Compare an imported map with this one as the drives recorded before it left it, and commit what follows, or nothing.
+
+    The same file with other parameters takes the place of its first import. Raises InputError for ids that are taken.
+    """
+    started_at = datetime.now(UTC)
+    keys = _keys(imported, params)
+    with map_transaction(conn, map_name):
+        taken = [known for one in keys if (known := find_changeset(conn, one, map_name=map_name)) is not None]
+        for known in taken:
+            if _states_the_same_places(conn, known.drive_uuid, imported):
+                return Imported(known.changeset_id, False, dict.fromkeys(DeltaKind, 0), 0)
+        key = keys[-1] if taken else keys[0]
+        changeset = Changeset(
+            changeset_id=uuid5(_NAMESPACE, f"{map_name}/{key}"),
+            drive_id=imported.name,
+            idempotency_key=key,
+            params_sha256=params_sha256(params),
+            model_sha256=_NO_MODEL,
+            code_version=version("conetl"),
+            deltas=(),
+        )
+        imported = _with_ids_of_map(conn, imported, map_name)
+        _refuse_taken_ids(conn, imported, params, map_name)
+        drive_uuid = place_import(conn, imported, key, map_name=map_name, reconcile=params.reconcile)
+        evidence = Evidence(
+            key=(imported.stated_at_ns, imported.content_sha256, key),
+            changeset_id=changeset.changeset_id,
+            founding_key=founding_key(map_name, imported.content_sha256),
+            tracks=(),
+            path_m=np.array([statement.feature.xyz_m[:2] for statement in imported.statements]),
+            influence_m=IMPORT_INFLUENCE_M,
+            look_at=lambda feature, offset_m, others_m: None,
+            params=params.reconcile,
+            statements=imported.statements,
+        )
+        seeds = [drive_uuid, *superseded_drives(conn, drive_uuid)]
+        later = [ref for ref in affected_drives(conn, seeds) if ref.drive_uuid not in seeds]
+        aside = [*seeds, *(ref.drive_uuid for ref in later)]
+        folded, replay = replay_of(conn, aside, later, read_decisions(conn, map_name=map_name), own=[evidence])
+        deltas = tuple(folded.extensions[changeset.changeset_id].deltas)
+        changeset = changeset.model_copy(update={"deltas": deltas})
+        run = RunInfo(
+            run_id=uuid5(_NAMESPACE, f"run {map_name}/{key}"),
+            started_at=started_at,
+            params={
+                "import": params.model_dump(mode="json"),
+                "file": imported.source_path,
+                "sha256": imported.content_sha256,
+            },
+        )
+        commit_import(conn, imported, drive_uuid, changeset, replay, map_name=map_name, run=run, now=now)
+    counts = {kind: sum(delta.kind is kind for delta in deltas) for kind in DeltaKind}
+    return Imported(changeset.changeset_id, True, counts, len(later))
+
+
+def _keys(imported: ImportedMap, params: ImportParams) -> list[str]:
+    """What the import is known by, then what it may have been known by when times of GeoJSON were read in milliseconds only.
+
+    Last, what it is known by where these are taken by the same file with other places: of another `--crs`.
+    """
+    exact_ns = imported.stated_at_ns
+    instants_ns = dict.fromkeys((exact_ns, exact_ns // _MS_NS * _MS_NS, -(-exact_ns // _MS_NS) * _MS_NS))
+    known_by = ("import", imported.content_sha256, params_sha256(params), str(imported.srid))
+    keys = [result_key(*known_by, str(instant_ns)) for instant_ns in instants_ns]
+    places_mm = np.rint(_places_m(imported.statements) * 1000).astype(np.int64)
+    return [*keys, result_key(keys[0], hashlib.sha256(places_mm.tobytes()).hexdigest())]
+
+
+def _states_the_same_places(conn: Connection, drive_uuid: UUID, imported: ImportedMap) -> bool:
+    """Whether an earlier import of a file put its cones where this one does, to a millimetre."""
+    before_m, now_m = _places_m(read_statements(conn, drive_uuid)), _places_m(imported.statements)
+    return before_m.shape == now_m.shape and bool((np.abs(before_m - now_m) < 1e-3).all())
+
+
+def _places_m(statements: Sequence[Statement]) -> NDArray[np.float64]:
+    """(n, 3) in the map's CRS."""
+    return np.array([statement.feature.xyz_m for statement in statements], dtype=np.float64).reshape(-1, 3)
+
+
+def _with_ids_of_map(conn: Connection, imported: ImportedMap, map_name: str) -> ImportedMap:
+    """An import with the ids that the map founds for it. The map's name is in them: ids are unique in a database, and one
+    file may go onto several of its maps.
+
+    Once they followed from file and row alone. A map that has such ids of this file keeps them, whatever parameters it comes with
+    now: its cones are the same.
+    """
+    if not imported.founds_ids:
+        return imported
+    taken = known_ids(conn, [statement.feature.feature_id for statement in imported.statements])
+    if any(known.map_name == map_name for known in taken.values()):
+        return imported
+    key = founding_key(map_name, imported.content_sha256)
+    statements = [
+        _with_id(statement, uuid5(_NAMESPACE, f"{key}/{row}")) for row, statement in enumerate(imported.statements)
+    ]
+    return replace(imported, statements=statements)
+
+
+def _with_id(statement: Statement, feature_id: UUID) -> Statement:
+    return statement.model_copy(update={"feature": statement.feature.model_copy(update={"feature_id": feature_id})})
+
+
+def _refuse_taken_ids(conn: Connection, imported: ImportedMap, params: ImportParams, map_name: str) -> None:
+    """An id names one feature in the whole database; on this map it may come again where that feature is."""
+    features = [statement.feature for statement in imported.statements]
+    taken = known_ids(conn, [feature.feature_id for feature in features])
+    for index, feature in enumerate(features):
+        known = taken.get(feature.feature_id)
+        if known is None:
+            continue
+        where = f"{imported.source_path}, row {index + 1}: feature {feature.feature_id}"
+        if known.map_name != map_name:
+            raise InputError(
+                f"{where} belongs to the map {known.map_name} of this database already: use --new-ids; nothing was written"
+            )
+        if known.xy_m is not None:
+            away_m = float(np.hypot(feature.xyz_m[0] - known.xy_m[0], feature.xyz_m[1] - known.xy_m[1]))
+            if away_m > params.reconcile.moved_max_m:
+                away = f"{away_m / 1000:.1f} km" if away_m > 9999 else f"{away_m:.1f} m"
+                # An id that was founded can only have come with the same file before.
+                remedy = (
+                    "take the earlier import of this file back first (conetl map revert)"
+                    if imported.founds_ids
+                    else "correct the row, or use --new-ids"
+                )
+                raise InputError(
+                    f"{where} stands {away} away on this map, farther than a cone is moved: {remedy}; nothing was written"
+                )

@@ -1,0 +1,191 @@
+"""One frame pair of a drive that is being recorded, from its pictures to the database. Knows no Prefect."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import NamedTuple
+from uuid import uuid4
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.db.connection import Connection
+from conetl.db.live_store import WatchedDrive, write_live
+from conetl.geometry.camera import first_road_row
+from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left
+from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence
+from conetl.model.errors import StorageError
+from conetl.model.params import IngestParams
+from conetl.model.records import Detection, FramePair, Rig, Side, Track
+from conetl.model.rejections import RejectionReason
+from conetl.perception import detector as detector_io
+from conetl.perception.detections import check_boxes
+from conetl.perception.images import ImageFileError
+from conetl.perception.model_card import read_model_card
+from conetl.perception.rectified_image import read_rig_image
+from conetl.pipeline.settings import Settings
+from conetl.tracking.live_tracks import Frame, LiveTracks, take_frame
+from conetl.tracking.matching.matches import match_pair
+from conetl.tracking.positions import locate_positions
+
+Image = NDArray[np.uint8]
+_SIDES: tuple[Side, Side] = ("left", "right")
+#: Pictures of this size are looked at before the first pair: the first look of a network takes several times as long.
+_WARM_UP_SHAPE = (320, 1242, 3)
+
+
+@dataclass(frozen=True)
+class Eyes:
+    """Two threads, each with a detector of its own, and what the network's answers mean."""
+
+    pool: ThreadPoolExecutor
+    per_thread: threading.local
+    model_path: Path | None
+    evidence: DetectorEvidence
+    params: IngestParams
+
+
+@dataclass(frozen=True)
+class LiveDrive:
+    """What is known of a drive so far; every pair makes the next one."""
+
+    watch: WatchedDrive
+    rig: Rig
+    captured_ns: tuple[int, int]
+    """Of the first and the last pair taken."""
+    frame_pair_count: int = 0
+    tracks: LiveTracks = field(default_factory=LiveTracks)
+    standing: dict[int, Track] = field(default_factory=dict)
+    """Provisional features by number."""
+
+
+class Sight(NamedTuple):
+    """What one picture of a pair shows."""
+
+    image: Image
+    detections: list[Detection]
+    ended_s: float
+    """When it was known (monotonic s)."""
+    processor_s: float
+
+
+@dataclass(frozen=True)
+class Look:
+    """Both pictures of a pair while they are being searched."""
+
+    pair: FramePair
+    began_s: float
+    sides: tuple[Future[Sight], Future[Sight]]
+
+    def seen(self) -> tuple[Sight, Sight]:
+        """What both show, once they have been searched. Raises ImageFileError where one is not whole."""
+        return self.sides[0].result(), self.sides[1].result()
+
+
+@dataclass(frozen=True)
+class StepTimes:
+    """Seconds of work on one pair."""
+
+    detect_s: float
+    track_s: float
+    """Match, locate, tracks."""
+    commit_s: float
+    processor_s: float
+    """Processor time on the pair's way: of the side that took longer, and of all after it. What a machine with nothing else to do
+    would need, without the database."""
+
+
+@contextmanager
+def open_eyes(settings: Settings, params: IngestParams) -> Iterator[Eyes]:
+    """Load the detector once for each side and let it look at something. Raises ModelFileError.
+
+    Both pictures of a pair are searched everywhere: at the same time, so that waiting for the left one would only make it later.
+    """
+    everywhere: dict[str, object] = {"search_right": "everywhere"}
+    params = params.model_copy(update={"detection": params.detection.model_copy(update=everywhere)})
+    card = read_model_card(settings.model_path)
+    ready = threading.Barrier(len(_SIDES))
+    with ThreadPoolExecutor(len(_SIDES)) as pool:
+        eyes = Eyes(pool, threading.local(), settings.model_path, card.evidence or UNMEASURED, params)
+
+        def warm_up() -> None:
+            try:
+                _boxes(eyes, np.full(_WARM_UP_SHAPE, 127, np.uint8), 0)
+            finally:
+                ready.wait()  # so that the other thread, and not this one again, takes the other call
+
+        for future in [pool.submit(warm_up) for _ in _SIDES]:
+            future.result()
+        yield eyes
+
+
+def new_drive(drive_id: str, folder: Path, rig: Rig, srid: int, map_name: str, first: FramePair) -> LiveDrive:
+    """A drive of which nothing was taken yet."""
+    watch = WatchedDrive(uuid4(), map_name, srid, drive_id, str(folder.resolve()))
+    return LiveDrive(watch, rig, (first.captured_at_ns, first.captured_at_ns))
+
+
+def look_at(eyes: Eyes, rig: Rig, pair: FramePair) -> Look:
+    """Begin to search both pictures of a pair, in the threads of the eyes."""
+    left, right = (eyes.pool.submit(_look, eyes, rig, pair, side) for side in _SIDES)
+    return Look(pair, time.monotonic(), (left, right))
+
+
+def take_pair(conn: Connection, eyes: Eyes, drive: LiveDrive, look: Look) -> tuple[LiveDrive, StepTimes]:
+    """Detections -> match -> locate -> tracks -> commit. Raises ImageFileError (a picture is not whole), DatabaseError."""
+    pair, sides = look.pair, look.seen()
+    left, right = sides[0].detections, sides[1].detections
+    started, processor_s = time.monotonic(), time.thread_time()
+    params = eyes.params
+    up = map_SE3_left(pair.pose, drive.rig)[2, :3]
+    images = sides[0].image, sides[1].image
+    matches, _ = match_pair(left, right, drive.rig, params.match, up_left=up, images=images)
+    positions, _ = locate_positions(matches, {pair.frame_index: pair}, drive.rig, params.position)
+    frame = Frame(pair, (*left, *right), tuple(matches), tuple(positions))
+    tracks, changed = take_frame(drive.tracks, frame, drive.rig, params, eyes.evidence)
+    cones = {number: found for number, found in changed.items() if isinstance(found, Track)}
+    taken_back = [number for number in changed if number not in cones and number in drive.standing]
+    standing = {n: t for n, t in (drive.standing | cones).items() if n not in taken_back}
+    after = replace(
+        drive, captured_ns=(drive.captured_ns[0], pair.captured_at_ns), frame_pair_count=drive.frame_pair_count + 1,
+        tracks=tracks, standing=standing,
+    )  # fmt: skip
+    tracked = time.monotonic()
+    write_live(
+        conn, after.watch, captured_ns=after.captured_ns, frame_pair_count=after.frame_pair_count, tracks=cones,
+        taken_back=taken_back, least_reach_m=params.reconcile.min_gate_m,
+    )  # fmt: skip
+    on_the_way_s = max(side.processor_s for side in sides) + time.thread_time() - processor_s
+    detect_s = max(side.ended_s for side in sides) - look.began_s
+    return after, StepTimes(detect_s, tracked - started, time.monotonic() - tracked, on_the_way_s)
+
+
+def _look(eyes: Eyes, rig: Rig, pair: FramePair, side: Side) -> Sight:
+    started_s = time.thread_time()
+    path = Path(pair.left_path if side == "left" else pair.right_path)
+    try:
+        image = read_rig_image(path, rig, side)
+    except StorageError as error:  # nothing is kept of it: the watch looks again, and in time leaves the pair out
+        raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, str(error)) from error
+    rotation = map_SE3_camera(pair.pose, rig, side)[:3, :3]
+    first_row = first_road_row(camera_of(rig, side), [rotation], eyes.params.detection.horizon_margin_rad)
+    found, _ = check_boxes(
+        _boxes(eyes, image, first_row), frame_index=pair.frame_index, side=side, params=eyes.params.detection
+    )
+    return Sight(image, found, time.monotonic(), time.thread_time() - started_s)
+
+
+def _boxes(eyes: Eyes, image: Image, first_row: int) -> NDArray[np.float64]:
+    loaded: detector_io.Detector | None = getattr(eyes.per_thread, "detector", None)
+    if loaded is None:
+        loaded = eyes.per_thread.detector = detector_io.load_detector(eyes.model_path, threads=1)
+    params = eyes.params.detection
+    return detector_io.detect_image(
+        loaded, image, score_threshold=params.score_threshold, nms_iou=params.nms_iou, first_row=first_row
+    )

@@ -1,0 +1,207 @@
+"""One drive onto the map, early or late: between the fold (`mapping/fold.py`) and the tables. Knows no Prefect.
+
+All of it runs inside the caller's `map_transaction`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from datetime import datetime
+from functools import lru_cache
+from typing import NamedTuple
+from uuid import UUID
+
+import numpy as np
+
+from conetl.db.connection import Connection
+from conetl.db.map.decision_store import read_decisions
+from conetl.db.map.drive_store import read_drive, read_view
+from conetl.db.map.map_store import INFLUENCE_M, commit_changeset, place_drive
+from conetl.db.map.replay_store import (
+    affected_drives,
+    read_deltas,
+    read_doubts_around,
+    read_misses,
+    read_standing_around,
+    read_versions,
+    superseded_drives,
+)
+from conetl.db.map.results import CommitResult, DriveRef, Replay, RunInfo
+from conetl.db.retention import require_comparable
+from conetl.mapping.fold import Evidence, Extension, Floats, Folded, extend, fold
+from conetl.mapping.visibility import Look, View, look_at_spot, view_of_drive
+from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence, LookFigures
+from conetl.model.drive_records import DriveRecords
+from conetl.model.map_records import (
+    BelievedVersion,
+    Changeset,
+    Decisions,
+    FoldKey,
+    MapFeature,
+    Miss,
+)
+from conetl.model.params import IngestParams, ReconcileParams
+from conetl.model.records import (
+    Rig,
+)
+from conetl.pipeline.gc_pause import no_cycle_search
+
+#: Views of drives are large; the fold asks for one after the other.
+_VIEWS_IN_MEMORY = 2
+
+
+class Merged(NamedTuple):
+    """What a drive did to the map."""
+
+    changeset: Changeset
+    extension: Extension
+    replayed: int
+    """Later drives that were compared with the map again because of it."""
+    result: CommitResult
+
+
+@no_cycle_search()
+def merge_drive(
+    conn: Connection,
+    records: DriveRecords,
+    changeset: Changeset,
+    params: IngestParams,
+    *,
+    map_name: str,
+    evidence: DetectorEvidence | None = None,
+    run: RunInfo | None = None,
+    now: datetime | None = None,
+) -> Merged:
+    """Compare a drive with the map as the drives recorded before it left it, and commit what follows.
+
+    changeset: without deltas; they are worked out here. Later drives around it are compared again. evidence: what is measured of
+    the detector (None: nothing), which tells how much it means that it found no cone.
+    """
+    drive = records.drive
+    figures = LookFigures(evidence=evidence or UNMEASURED, score_threshold=params.detection.score_threshold)
+    drive_uuid = place_drive(
+        conn,
+        drive,
+        changeset.idempotency_key,
+        map_name=map_name,
+        now=now,
+        reconcile=params.reconcile,
+        influence_m=influence_m(params),
+        figures=figures,
+    )
+    spots = [(p.frame_index, p.xyz_m) for p in records.positions]
+    view = view_of_drive(drive.rig, drive.frame_pairs, records.detections, spots, figures)
+    own = Evidence(
+        key=(int(view.captured_at_ns.min()), drive.content_sha256, changeset.idempotency_key),
+        changeset_id=changeset.changeset_id,
+        founding_key=founding_key(map_name, drive.content_sha256),
+        tracks=records.tracks,
+        path_m=np.array([pair.pose.map_t_body_m[:2] for pair in drive.frame_pairs]),
+        influence_m=influence_m(params),
+        look_at=lambda feature, offset_m, others_m: look_at_spot(feature, offset_m, others_m, view, params.reconcile),
+        params=params.reconcile,
+    )
+    decisions = read_decisions(conn, map_name=map_name)
+    seeds = [drive_uuid, *superseded_drives(conn, drive_uuid)]
+    later = [ref for ref in affected_drives(conn, seeds) if ref.drive_uuid not in seeds]
+    replay = None
+    if later or len(seeds) > 1:
+        folded, replay = replay_of(conn, [*seeds, *(ref.drive_uuid for ref in later)], later, decisions, own=[own])
+        extension = folded.extensions[changeset.changeset_id]
+    else:
+        standing, doubts = read_standing_around(conn, drive_uuid), read_doubts_around(conn, drive_uuid)
+        extension = extend(standing, own, decisions, doubts)
+    changeset = changeset.model_copy(update={"deltas": tuple(extension.deltas)})
+    result = commit_changeset(
+        conn,
+        records,
+        changeset,
+        map_name=map_name,
+        now=now,
+        run=run,
+        suppressed=extension.suppressed,
+        replay=replay,
+    )
+    return Merged(changeset, extension, len(later), result)
+
+
+def replay_of(
+    conn: Connection,
+    aside: Sequence[UUID],
+    again: Sequence[DriveRef],
+    decisions: Decisions,
+    *,
+    own: Sequence[Evidence] = (),
+    around: Sequence[UUID] = (),
+) -> tuple[Folded, Replay]:
+    """A neighbourhood of the map, computed anew.
+
+    aside: the drives whose part in the map is put aside; again: those of them that are compared again, from what is stored; own:
+    drives that are compared for the first time. What all other drives left of the features around `aside` and `around` stays,
+    but for their suppression.
+    """
+    versions = read_versions(conn, [*aside, *around])
+    deltas = read_deltas(conn, aside)
+    out = set(aside)
+    given: list[tuple[FoldKey, BelievedVersion | Miss]] = []
+    given += [(stored.key, stored.version) for stored in versions if stored.drive_uuid not in out]
+    given += [(s.key, s.miss) for s in read_misses(conn, [*aside, *around]) if s.drive_uuid not in out]
+    folded = fold([*own, *stored_evidence(conn, again)], decisions, given=given)
+    replay = Replay(
+        versions_before=versions,
+        deltas_before=deltas,
+        versions=[version for chain in folded.chains.values() for version in chain],
+        deltas=[
+            (changeset_id, delta) for changeset_id, extension in folded.extensions.items() for delta in extension.deltas
+        ],
+    )
+    return folded, replay
+
+
+def stored_evidence(conn: Connection, drives: Sequence[DriveRef]) -> list[Evidence]:
+    """What ingested drives told the map; where they looked is read when it is asked for. InputError where it was pruned."""
+
+    @lru_cache(maxsize=_VIEWS_IN_MEMORY)
+    def view_of(drive_uuid: UUID) -> View:
+        stored = read_view(conn, drive_uuid)
+        rig, figures = looked_with[drive_uuid]
+        return view_of_drive(rig, stored.frame_pairs, stored.detections, stored.spots, figures)
+
+    require_comparable(conn, [ref.drive_uuid for ref in drives])
+    looked_with: dict[UUID, tuple[Rig, LookFigures]] = {}
+    evidence = []
+    for ref in drives:
+        drive = read_drive(conn, ref.drive_uuid)
+        if drive.rig is not None:  # an imported map looked nowhere
+            looked_with[ref.drive_uuid] = drive.rig, drive.figures
+        evidence.append(
+            Evidence(
+                key=drive.key(ref.idempotency_key),
+                changeset_id=ref.changeset_id,
+                founding_key=founding_key(drive.map_name, drive.content_sha256),
+                tracks=drive.tracks,
+                path_m=drive.path_m,
+                influence_m=drive.influence_m,
+                look_at=_look_at(view_of, ref.drive_uuid, drive.reconcile),
+                params=drive.reconcile,
+                statements=drive.statements,
+            )
+        )
+    return evidence
+
+
+def influence_m(params: IngestParams) -> float:
+    """How far from its path a drive may judge or change anything: its farthest position, the largest offset and a move."""
+    farthest_m = params.position.max_range_m + params.reconcile.max_offset_m + params.reconcile.moved_max_m
+    return max(INFLUENCE_M, farthest_m + 10.0)
+
+
+def founding_key(map_name: str, content_sha256: str) -> str:
+    """What the ids of the features that a drive founds follow from, with their first sighting."""
+    return f"{map_name}/{content_sha256}"
+
+
+def _look_at(
+    view_of: Callable[[UUID], View], drive_uuid: UUID, params: ReconcileParams
+) -> Callable[[MapFeature, Floats, Floats], Look | None]:
+    return lambda feature, offset_m, others_m: look_at_spot(feature, offset_m, others_m, view_of(drive_uuid), params)

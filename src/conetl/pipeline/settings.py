@@ -1,0 +1,124 @@
+"""Where things are on this machine. The only reader of environment variables (`CONETL_*`)."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field, SecretStr, ValidationError
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+from conetl.files.names import file_name_part
+from conetl.model.errors import InputError
+
+
+class Settings(BaseSettings):
+    """Settings of one run; every field may be set by an environment variable, for example CONETL_DATABASE_URL."""
+
+    model_config = SettingsConfigDict(env_prefix="CONETL_", frozen=True, extra="forbid")
+
+    database_url: SecretStr | None = None
+    """A PostGIS database; without it conetl runs its own private cluster under `home`. Secret: Prefect keeps parameters."""
+    home: Path = Path(".conetl")
+    """Private database cluster, intermediate results, exports, Prefect's own state."""
+    map_name: str = Field(default="default", pattern=r"^[a-z0-9_-]{1,40}$")
+    model_path: Path | None = None
+    """ONNX file of the detector; without it the one that is shipped."""
+    workers: int = Field(default=os.cpu_count() or 1, ge=1)
+    """Detection tasks at the same time, one core each."""
+    task_runner: Literal["threads", "processes", "dask"] = "threads"
+    """What works on the chunks of a drive; the results are the same."""
+    dask_address: str | None = None
+    """Scheduler of a Dask cluster, such as tcp://host:8786, for `task_runner` dask; without it Dask runs on this machine."""
+
+    drop_folder: Path | None = None
+    """Where new drives arrive, for the deployment `ingest-drop-folder`; `inbox` under `home` unless given."""
+    drop_quiet_minutes: float = Field(default=10.0, ge=0)
+    """A drive without the marker file counts as complete when nothing in it has changed for so long."""
+    prefect_database_url: SecretStr | None = None
+    """Database of the Prefect server that `conetl up` starts; `prefect` beside the map's unless given."""
+    writer_token: SecretStr | None = None
+    """With it the web view takes decisions from whoever sends it; see also `conetl view --writer-token-file`."""
+    view_url: str | None = None
+    """Where `conetl view` is reached, for links in Prefect; `conetl up` sets it for its workers."""
+
+    @property
+    def inbox(self) -> Path:
+        return self.drop_folder or self.home / "inbox"
+
+    @property
+    def receipts_folder(self) -> Path:
+        return self.home / "receipts"
+
+    @property
+    def results_folder(self) -> Path:
+        return self.home / "results"
+
+    @property
+    def pictures_folder(self) -> Path:
+        """Pictures unpacked from bags, by the hash of their bytes; may be deleted when no run is on."""
+        return self.home / "pictures"
+
+    @property
+    def exports_folder(self) -> Path:
+        return self.home / "exports"
+
+    @property
+    def reports_folder(self) -> Path:
+        """QA reports of this map."""
+        return self.exports_folder / "reports" / self.map_name
+
+    def drive_report_path(self, drive_id: str, changeset_no: int) -> Path:
+        """Where the ingest writes the QA report of a drive; an id may hold anything, a file name not."""
+        return self.reports_folder / f"{changeset_no:06d}-{file_name_part(drive_id, 120)}.html"
+
+    def drive_picture_path(self, drive_id: str) -> Path:
+        """Where the ingest draws the plan view of a drive and its changes: those on this map, another one has others."""
+        return self.reports_folder / f"{file_name_part(drive_id, 120)}.png"
+
+
+def read_settings() -> Settings:
+    """Settings from the environment. Raises InputError naming the variable that cannot be used."""
+    try:
+        return Settings()
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = f"CONETL_{'_'.join(str(part) for part in first['loc']).upper()}"
+        raise InputError(
+            f"the environment variable {name} cannot be used: {first['msg']} (it is {first['input']!r})"
+        ) from error
+
+
+def prefect_environment(home: Path) -> dict[str, str]:
+    """Defaults for Prefect, as environment variables that the caller sets unless they are set already.
+
+    Prefect's own state lies under `home`; nothing is sent to anybody; only warnings reach the terminal.
+    """
+    defaults = {
+        "PREFECT_HOME": str((home / "prefect").resolve()),
+        "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
+        "DO_NOT_TRACK": "1",
+        "PREFECT_LOGGING_LEVEL": "WARNING",
+        # The server keeps the warnings and the tracebacks; the terminal gets conetl's own one sentence.
+        "PREFECT_LOGGING_HANDLERS_CONSOLE_LEVEL": "CRITICAL",
+        "PREFECT_SERVER_LOGGING_LEVEL": "ERROR",
+        "PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS": "60",
+        # States of task runs are written together, once a second: one by one they cost as much as all else that a server does.
+        "PREFECT_SERVER_SERVICES_TASK_RUN_RECORDER_BATCH_SIZE": "100",
+        "PREFECT_SERVER_SERVICES_TASK_RUN_RECORDER_FLUSH_INTERVAL": "1",
+    }
+    return {name: value for name, value in defaults.items() if name not in os.environ}
+
+
+#: What a Prefect server wants of its clients, user:password; Prefect's own name.
+SERVER_AUTH = "PREFECT_SERVER_API_AUTH_STRING"
+
+
+def prefect_auth_string() -> str | None:
+    """user:password of a Prefect server of conetl's own, None without one: what the server is given, else what clients are.
+
+    Only for such a server: where PREFECT_API_URL names another, Prefect takes PREFECT_API_AUTH_STRING by itself, and the password
+    of the own one is none of its business.
+    """
+    return os.environ.get(SERVER_AUTH) or os.environ.get("PREFECT_API_AUTH_STRING") or None

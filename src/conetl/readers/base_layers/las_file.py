@@ -1,0 +1,121 @@
+"""LAS, LAZ and COPC files, chunk by chunk: a file of any size takes the memory of one chunk."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import laspy
+import numpy as np
+from numpy.typing import NDArray
+from pyproj import CRS
+
+from conetl.model.errors import InputError
+from conetl.readers.base_layers.point_tiles import Cloud
+
+CHUNK_POINTS = 400_000
+#: ASPRS classes of noise (low and high) and of points that were withheld.
+_NOISE = (7, 18)
+_PLAIN_SHADE = 170
+_VLR_HEADER_BYTES = 54
+
+
+def read_las_header(path: Path) -> tuple[int, CRS | None]:
+    """Number of points, as the header states it, and the CRS that the file names. Raises InputError."""
+    _check_header(path)
+    with _reading(path), laspy.open(path) as reader:
+        header = reader.header
+        numbers = np.concatenate([header.scales, header.offsets])
+        if not np.isfinite(numbers).all() or not (np.asarray(header.scales) > 0).all():
+            raise InputError(
+                f"{path}: the header's scales {header.scales} and offsets {header.offsets} are no usable numbers"
+            )
+        if header.point_count == 0:
+            raise InputError(f"{path}: the file holds no points")
+        try:
+            crs = header.parse_crs()
+        except Exception:  # whatever pyproj or laspy trips over: the file then names no CRS that could be used
+            crs = None
+        return int(header.point_count), crs
+
+
+def las_chunks(path: Path, expected: int) -> Iterator[Cloud]:
+    """All points in the file's own coordinates and units, without noise and withheld points. Raises InputError.
+
+    A file that ends before `expected` points, or holds damaged ones, is an error after the good chunks: write nothing before.
+    """
+    read = 0
+    brightest: float | None = None
+    with _reading(path), laspy.open(path) as reader:
+        for chunk in reader.chunk_iterator(CHUNK_POINTS):
+            read += len(chunk)
+            xyz = np.column_stack([np.asarray(chunk.x), np.asarray(chunk.y), np.asarray(chunk.z)])
+            intensity = _intensity(chunk)
+            if brightest is None:
+                brightest = float(np.percentile(intensity, 98)) if len(intensity) else 0.0
+            keep = ~np.isin(np.asarray(chunk.classification), _NOISE)
+            withheld = getattr(chunk, "withheld", None)
+            if withheld is not None:
+                keep &= ~np.asarray(withheld, bool)
+            yield Cloud(xyz[keep], _shade(intensity, brightest)[keep])
+    if read != expected:
+        raise InputError(
+            f"{path}: the header states {expected:,} points, the file holds {read:,}. It is cut off or damaged: copy it again"
+        )
+
+
+def _shade(intensity: NDArray[np.float64], brightest: float) -> NDArray[np.uint8]:
+    if brightest <= 0:
+        return np.full(len(intensity), _PLAIN_SHADE, np.uint8)
+    return np.clip(np.rint(intensity / brightest * 255), 0, 255).astype(np.uint8)
+
+
+def _intensity(chunk: Any) -> NDArray[np.float64]:
+    return np.asarray(chunk.intensity, np.float64)
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Whatever the LAS libraries trip over in a broken file becomes one InputError; also panics of the Rust decoder."""
+    try:
+        yield
+    except (InputError, GeneratorExit, KeyboardInterrupt, SystemExit):
+        raise
+    except BaseException as error:  # pyo3's PanicException is no Exception
+        raise InputError(
+            f"{path}: the points cannot be read ({error}). Expected a whole LAS or LAZ file; this one is cut off or damaged: "
+            "copy it again"
+        ) from error
+
+
+def _check_header(path: Path) -> None:
+    """Refuse what cannot be a LAS file before a library allocates what its header claims."""
+    try:
+        size = path.stat().st_size
+        with path.open("rb") as file:
+            head = file.read(375)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    if head[:4] != b"LASF" or len(head) < 227:
+        raise InputError(
+            f"{path}: this is no LAS or LAZ file (expected it to begin with LASF and a header of 227 bytes or more)"
+        )
+    header_size, points_at, vlr_count = struct.unpack_from("<HII", head, 94)
+    point_format, record_bytes, count = struct.unpack_from("<BHI", head, 104)
+    if head[25] >= 4 and len(head) >= 255:
+        count = max(count, struct.unpack_from("<Q", head, 247)[0])
+    if points_at > size or points_at < header_size or header_size + vlr_count * _VLR_HEADER_BYTES > points_at:
+        raise InputError(
+            f"{path}: the header states {vlr_count:,} records and points from byte {points_at:,} on, but the file has "
+            f"{size:,} bytes. It is cut off or damaged: copy it again"
+        )
+    compressed = bool(point_format & 0x80)
+    least_bytes = count if not compressed else count // 1000  # LAZ reaches a fifteenth or so, never a thousandth
+    if (not compressed and points_at + count * record_bytes > size) or (compressed and least_bytes > size):
+        raise InputError(
+            f"{path}: the header states {count:,} points of {record_bytes} bytes, which do not fit into {size:,} bytes. The file "
+            "is cut off or damaged: copy it again"
+        )

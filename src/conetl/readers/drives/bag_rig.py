@@ -1,0 +1,174 @@
+"""Which topic of a bag is what, and the rig that its CameraInfo and /tf_static messages describe."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path, PurePosixPath
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.geometry import pose as se3
+from conetl.model.errors import CalibrationError, DriveFolderError
+from conetl.model.records import Rig
+from conetl.readers.drives.drive_yaml import Streams
+from conetl.readers.drives.trajectories import rotation_of
+from conetl.readers.rigs.ros import rig_of_camera_infos
+
+Array = NDArray[np.float64]
+COMPRESSED, RAW = "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image"
+CAMERA_INFO, FIX, IMU = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/NavSatFix", "sensor_msgs/msg/Imu"
+ODOMETRY, TRANSFORMS, TF_STATIC = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage", "/tf_static"
+
+
+class Topics(NamedTuple):
+    """Topics of one drive; None where the bag has no such topic."""
+
+    left: str
+    right: str
+    left_info: str | None
+    right_info: str | None
+    fix: str | None
+    imu: str | None
+    odometry: str | None
+
+
+def choose_topics(types: Mapping[str, str], streams: Streams, source: Path) -> Topics:
+    """Topics by type, by their names where types do not tell, and by drive.yaml (streams) before both.
+
+    Raises DriveFolderError where they are not there, or several could be meant.
+    """
+    for key, topic in streams.model_dump(exclude_none=True).items():
+        if topic not in types:
+            raise DriveFolderError(
+                f"{source}: drive.yaml: streams.{key}: the bag has no topic {topic}; {_listing(types)}"
+            )
+    left, right = _cameras(types, streams, source)
+    infos = {t for t, kind in types.items() if kind == CAMERA_INFO}
+    fix = odometry = imu = None
+    if streams.trajectory is not None:
+        kind = types[streams.trajectory]
+        if kind not in (FIX, ODOMETRY):
+            raise DriveFolderError(
+                f"{source}: drive.yaml: streams.trajectory: {streams.trajectory} is a {kind}, expected {FIX} or {ODOMETRY}"
+            )
+        fix, odometry = (streams.trajectory, None) if kind == FIX else (None, streams.trajectory)
+    else:
+        fix = _only(types, FIX, "trajectory", source)
+        odometry = None if fix else _only(types, ODOMETRY, "trajectory", source)
+        if fix is None and odometry is None:
+            raise DriveFolderError(
+                f"{source}: the bag has no trajectory ({FIX} with {IMU}, or {ODOMETRY}); {_listing(types)}"
+            )
+    if fix is not None:
+        imu = streams.imu or _only(types, IMU, "imu", source)
+        if imu is None:
+            raise DriveFolderError(
+                f"{source}: {fix} tells places but no attitude, and the bag has no {IMU}; with an {ODOMETRY} topic name it in "
+                "drive.yaml (streams.trajectory) and add a georeference"
+            )
+    return Topics(
+        left, right, streams.left_info or _info_of(left, infos), streams.right_info or _info_of(right, infos), fix, imu, odometry
+    )  # fmt: skip
+
+
+def _cameras(types: Mapping[str, str], streams: Streams, source: Path) -> tuple[str, str]:
+    if streams.left and streams.right:
+        return streams.left, streams.right
+    for kind in (COMPRESSED, RAW):
+        topics = sorted(t for t, k in types.items() if k == kind)
+        sides = [[t for t in topics if side in t.lower() and other not in t.lower()]
+                 for side, other in (("left", "right"), ("right", "left"))]  # fmt: skip
+        if len(sides[0]) == 1 and len(sides[1]) == 1:
+            return streams.left or sides[0][0], streams.right or sides[1][0]
+    raise DriveFolderError(
+        f"{source}: which two topics are the left and the right camera? Expected one {COMPRESSED} or {RAW} topic each with left "
+        f"and right in its name; name them in drive.yaml (streams.left, streams.right); {_listing(types)}"
+    )
+
+
+def _only(types: Mapping[str, str], kind: str, key: str, source: Path) -> str | None:
+    found = sorted(t for t, k in types.items() if k == kind)
+    if len(found) > 1:
+        raise DriveFolderError(
+            f"{source}: {len(found)} topics are {kind}: {', '.join(found)}; name one in drive.yaml (streams.{key})"
+        )
+    return found[0] if found else None
+
+
+def _info_of(topic: str, infos: set[str]) -> str | None:
+    """The CameraInfo topic in the nearest namespace of a picture topic."""
+    places = PurePosixPath(topic).parents
+    return next((name for place in places if (name := str(place / "camera_info")) in infos), None)
+
+
+def _listing(types: Mapping[str, str]) -> str:
+    return f"found {', '.join(f'{t} ({k})' for t, k in sorted(types.items())) or 'no topics'}"
+
+
+def rig_of_infos(topics: Topics, infos: Mapping[str, Any], source: Path) -> Rig:
+    """The rig as the pictures are stored; its body is the left camera. Raises CalibrationError.
+
+    Topics called image_rect... carry rectified pictures: P is their camera, and neither D nor R applies.
+    """
+    found = []
+    for side, picture, info in (("left", topics.left, topics.left_info), ("right", topics.right, topics.right_info)):
+        if info is None or info not in infos:
+            raise CalibrationError(
+                f"{source}: there is no CameraInfo for the {side} camera {picture}; name it in drive.yaml (streams.{side}_info) "
+                "or put a rig.yaml beside the bag"
+            )
+        found.append((Path(f"{source}:{info}"), _camera_info(infos[info], rectified=is_rectified_topic(picture))))
+    return rig_of_camera_infos(*found[0], *found[1])
+
+
+def is_rectified_topic(topic: str) -> bool:
+    """True for image_rect, image_rect_color ... with whatever transport comes after it (image_proc's names)."""
+    return any(part.startswith("image_rect") for part in topic.split("/"))
+
+
+def _camera_info(message: Any, *, rectified: bool) -> dict[str, Any]:
+    """A CameraInfo message under the keys of its YAML file."""
+    projection = np.asarray(message.p, dtype=np.float64).reshape(3, 4)
+    return {
+        "image_width": int(message.width),
+        "image_height": int(message.height),
+        "camera_matrix": projection[:, :3] if rectified else np.asarray(message.k).reshape(3, 3),
+        "distortion_model": "plumb_bob" if rectified else str(message.distortion_model) or "plumb_bob",
+        "distortion_coefficients": [] if rectified else np.asarray(message.d),
+        "rectification_matrix": np.eye(3) if rectified else np.asarray(message.r).reshape(3, 3),
+        "projection_matrix": projection,
+    }
+
+
+class Frames:
+    """Rigid transforms between named frames, as /tf_static tells them."""
+
+    def __init__(self) -> None:
+        self._parent_SE3_child: dict[tuple[str, str], Array] = {}
+
+    def add(self, message: Any) -> None:
+        """All transforms of one TFMessage; broken ones are left out."""
+        for transform in message.transforms:
+            t, q = transform.transform.translation, transform.transform.rotation
+            try:
+                pose = se3.se3(rotation_of(q.w, q.x, q.y, q.z), [t.x, t.y, t.z])
+            except ValueError:
+                continue
+            parent, child = transform.header.frame_id.lstrip("/"), transform.child_frame_id.lstrip("/")
+            self._parent_SE3_child[parent, child] = pose
+            self._parent_SE3_child[child, parent] = se3.invert(pose)
+
+    def find(self, dst: str, src: str) -> Array | None:
+        """dst_SE3_src (4, 4), None where nothing connects the two."""
+        dst, src = dst.lstrip("/"), src.lstrip("/")
+        found: dict[str, Array] = {dst: np.eye(4)}
+        edge = [dst]
+        while edge and src not in found:
+            here = edge.pop(0)
+            for (parent, child), pose in self._parent_SE3_child.items():
+                if parent == here and child not in found:
+                    found[child] = se3.compose(found[here], pose)
+                    edge.append(child)
+        return found.get(src)

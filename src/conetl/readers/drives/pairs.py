@@ -1,0 +1,107 @@
+"""What all drive readers do with one frame pair: judge its pictures, and make a rejection of what is wrong with it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+from conetl.files.storage import fetch
+from conetl.geometry.rectification import stored_camera
+from conetl.model.errors import DriveFolderError
+from conetl.model.records import FramePair, Rig, Side
+from conetl.model.rejections import Rejection, RejectionReason
+from conetl.perception.image_headers import inspect_image
+from conetl.perception.images import ImageFileError, check_image_bytes, check_image_ends, read_bytes
+from conetl.readers.drives.content import ContentHash
+
+IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
+
+
+class PairError(Exception):
+    """Why one frame pair cannot be used."""
+
+    def __init__(self, reason: RejectionReason, detail: str, **payload: Any) -> None:
+        super().__init__(detail)
+        self.reason, self.payload = reason, payload
+
+    def rejection(self, record: str, frame_index: int) -> Rejection:
+        """The rejection of the pair."""
+        return Rejection(
+            step="frames", reason=self.reason, record=record, detail=str(self),
+            payload={"frame_index": frame_index, **self.payload},
+        )  # fmt: skip
+
+
+_Key = TypeVar("_Key", int, str)
+_PAIRS_AT_ONCE = 8
+
+
+def pictures_ahead(
+    keys: Sequence[_Key],
+    left: Mapping[_Key, Sequence[Path]],
+    right: Mapping[_Key, Sequence[Path]],
+    content: ContentHash,
+) -> Iterator[_Key]:
+    """The same keys of frame pairs; their pictures in object storage are asked for some pairs at a time."""
+    for first in range(0, len(keys), _PAIRS_AT_ONCE):
+        batch = keys[first : first + _PAIRS_AT_ONCE]
+        if not content.headers_only:
+            fetch([path for side in (left, right) for key in batch for path in side.get(key, ())], fresh=True)
+        yield from batch
+
+
+def check_images(
+    left: Sequence[Path], right: Sequence[Path], rig: Rig, content: ContentHash, root: Path
+) -> tuple[Path, Path]:
+    """Paths of both images of a pair, given all files that claim to be them.
+
+    Header, size (of the pictures as stored: raw, where the rig was rectified) and end marker are checked, nothing is decoded.
+    Both are read (for the content hash) before either is judged.
+    Raises PairError.
+    """
+    problem: PairError | None = None
+    good: list[Path] = []
+    sides: tuple[tuple[Side, Sequence[Path]], ...] = (("left", left), ("right", right))
+    for side, paths in sides:
+        camera = stored_camera(rig, side)
+        if len(paths) != 1:
+            names = ", ".join(path.name for path in paths)
+            reason = RejectionReason.IMAGE_UNREADABLE if paths else RejectionReason.IMAGE_MISSING
+            detail = (
+                f"several {side} images claim this pair: {names}; keep one" if paths else f"there is no {side} image"
+            )
+            problem = problem or PairError(reason, detail, side=side)
+            continue
+        name = paths[0].relative_to(root).as_posix()
+        try:
+            if content.headers_only:
+                check_image_ends(paths[0], name, (camera.width_px, camera.height_px))
+            else:
+                data = read_bytes(paths[0])
+                content.add(name, data)
+                check_image_bytes(data, name, (camera.width_px, camera.height_px))
+        except ImageFileError as error:
+            problem = problem or PairError(error.reason, str(error), side=side, path=name)
+        good.append(paths[0])
+    if problem is not None:
+        raise problem
+    return good[0], good[1]
+
+
+def first_size(paths: Iterable[Path]) -> tuple[int, int] | None:
+    """Width and height of the first picture whose header can be read; None where there is none."""
+    for path in paths:
+        try:
+            header = inspect_image(read_bytes(path))
+        except (ImageFileError, ValueError):
+            continue
+        return header.width_px, header.height_px
+    return None
+
+
+def require_pairs(pairs: Sequence[FramePair], rejections: Sequence[Rejection], expected: int, folder: Path) -> None:
+    """Raise DriveFolderError where not one pair is left."""
+    if not pairs:
+        first = f"; the first: {rejections[0].record}: {rejections[0].detail}" if rejections else ""
+        raise DriveFolderError(f"{folder}: not one of {expected} frame pairs can be used{first}")

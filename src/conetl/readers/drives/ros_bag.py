@@ -1,0 +1,314 @@
+"""ROS 2 bags and MCAP files with two cameras and a trajectory. Topics are found by type; drive.yaml (streams) has the last word.
+
+    sensor_msgs CompressedImage or Image    two topics, with left and right in their names
+    sensor_msgs CameraInfo                  one beside each; or a rig.yaml in the bag's folder, which wins
+    sensor_msgs NavSatFix + Imu             WGS 84 place (ellipsoidal height) with its covariance; attitude against east, north,
+                                            up (REP 103)
+    nav_msgs Odometry                       instead of both: a level frame that drive.yaml (georeference) puts on the earth
+    tf2_msgs TFMessage on /tf_static        where the left camera and the antenna sit on the body (the IMU's or odometry's frame)
+
+A bag is a folder with metadata.yaml, a folder with one .mcap, or NAME.mcap itself (then NAME.drive.yaml and NAME.rig.yaml lie
+beside it). Times are the header stamps, UTC.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.geometry import geodesy
+from conetl.geometry import pose as se3
+from conetl.geometry.georeference import enu_to_grid
+from conetl.geometry.rectification import stored_camera
+from conetl.model.errors import CalibrationError, DriveFolderError
+from conetl.model.records import Drive, Pose, Rig, Side
+from conetl.model.rejections import Rejection
+from conetl.readers.drives.bag_images import check_picture, picture_bytes, unpack
+from conetl.readers.drives.bag_messages import Bag, Message, bag_files, open_bag
+from conetl.readers.drives.bag_rig import (
+    TF_STATIC,
+    TRANSFORMS,
+    Frames,
+    Topics,
+    choose_topics,
+    is_rectified_topic,
+    rig_of_infos,
+)
+from conetl.readers.drives.body import add_settings, checked_srid, georeferenced, own_rig, rig_on_body
+from conetl.readers.drives.content import ContentHash
+from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas, read_drive_yaml, small_file
+from conetl.readers.drives.pairs import PairError
+from conetl.readers.drives.stamped_pairs import NS_PER_MS, Couple, Picture, alone, drive_of_couples, pair_by_stamp
+from conetl.readers.drives.trajectories import (
+    at,
+    attitude_sigmas,
+    place_sigmas,
+    rotation_of,
+    samples,
+    to_pose,
+    without_jumps,
+)
+from conetl.readers.rigs import RIG_YAML
+
+Array = NDArray[np.float64]
+Records = dict[int, tuple[Array, tuple[float, ...]]]
+
+
+class _Recorded(NamedTuple):
+    """What the small messages of a bag say."""
+
+    records: dict[str, Records]
+    """By topic and time: place and attitude (4, 4) as recorded (of a fix: degrees and metres in its translation), six sigmas."""
+    bad: dict[str, dict[int, str]]
+    infos: dict[str, Any]
+    frame_ids: dict[str, str]
+    """Of each topic's messages; of odometry the child's."""
+    frames: Frames
+
+
+def is_bag(path: Path) -> bool:
+    """True for a bag's folder and for a bare .mcap file."""
+    return bag_files(path) is not None
+
+
+def read_bag_drive(
+    path: Path, *, map_srid: int | None = None, headers_only: bool = False, pictures_folder: Path | None = None
+) -> tuple[Drive, list[Rejection]]:
+    """The drive of a bag and its rejections; see `kitti.read_kitti_drive` for the rules that all formats share.
+
+    pictures_folder: where pictures are unpacked to. headers_only: only the first picture of each camera is.
+    """
+    source = path.resolve()
+    file = bag_files(source)
+    if file is None:
+        raise DriveFolderError(f"{path}: this is no bag: neither a .mcap file nor a folder with metadata.yaml")
+    if pictures_folder is None:
+        raise DriveFolderError(f"{path}: a bag's pictures must be unpacked, but no folder was given for them")
+    settings = read_drive_yaml(source)
+    content = ContentHash(headers_only=headers_only)
+    add_settings(content, source)
+    with open_bag(file) as bag:
+        topics = choose_topics(bag.types, settings.streams, path)
+        recorded = _read_small(bag, topics, settings, content)
+        rig, sensor_R_body = _rig(small_file(source, RIG_YAML), topics, recorded, settings, path)
+        srid, pose_at = _trajectory(topics, recorded, settings, map_srid, sensor_R_body, path)
+        pictures = _read_pictures(bag, topics, rig, content, pictures_folder, source)
+    tolerance_ns = round(settings.pair_tolerance_ms * NS_PER_MS)
+    couples = pair_by_stamp(pictures[topics.left], pictures[topics.right], tolerance_ns)
+    if not couples:
+        raise DriveFolderError(f"{path}: there are no pictures on {topics.left} and {topics.right}")
+    names: dict[Side, str] = {"left": topics.left, "right": topics.right}
+
+    def pictures_of(couple: Couple) -> tuple[Path, Path]:
+        left, right = couple
+        if left is None or right is None:
+            raise alone(couple, tolerance_ns, names)
+        for picture in (left, right):
+            if picture.problem is not None:
+                raise picture.problem
+        return left.path, right.path
+
+    return drive_of_couples(
+        couples, source=source, settings=settings, rig=rig, srid=srid, content=content, pictures_of=pictures_of, pose_at=pose_at,
+    )  # fmt: skip
+
+
+def _stamp_ns(message: Message) -> int | str:
+    """Header stamp in UTC nanoseconds, or what is wrong."""
+    if message.content is None:
+        return f"{message.topic}: the message recorded at {message.recorded_at_ns} ns is not what its type says"
+    stamp = message.content.header.stamp
+    time_ns = int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+    return time_ns if time_ns > 0 else f"{message.topic}: the header stamp is zero: the driver did not set it"
+
+
+def _read_small(bag: Bag, topics: Topics, settings: DriveYaml, content: ContentHash) -> _Recorded:
+    """All messages of the drive but its pictures."""
+    readers: dict[str, Callable[[Any, Sigmas], tuple[Array, tuple[float, ...]]]] = {}
+    for topic, reader in ((topics.fix, _fix), (topics.imu, _attitude), (topics.odometry, _odometry)):
+        if topic is not None:
+            readers[topic] = reader
+    infos = {topic for topic in (topics.left_info, topics.right_info) if topic}
+    transforms = {TF_STATIC} if bag.types.get(TF_STATIC) == TRANSFORMS else set()
+    found = _Recorded({t: {} for t in readers}, {t: {} for t in readers}, {}, {}, Frames())
+    hashed = {topic: bytearray() for topic in readers}
+    for message in bag.messages([*readers, *infos, *transforms]):
+        topic = message.topic
+        if topic in transforms:
+            if message.content is not None:
+                found.frames.add(message.content)
+            continue
+        stamp = _stamp_ns(message)
+        if message.content is None:
+            continue
+        if topic in infos:
+            if topic not in found.infos:
+                found.infos[topic] = message.content
+                found.frame_ids[topic] = str(message.content.header.frame_id)
+                info = message.content
+                content.add(f"info{topic}", np.concatenate([info.k, info.d, info.r, info.p]).tobytes())
+            continue
+        if isinstance(stamp, str):
+            continue  # says nothing about any instant: a gap, if one is left, costs the pairs in it
+        found.frame_ids.setdefault(topic, _frame_id(message.content))
+        try:
+            record = readers[topic](message.content, settings.sigmas)
+        except ValueError as error:
+            found.bad[topic][stamp] = str(error)
+            hashed[topic] += struct.pack("<q", stamp)
+        else:
+            found.records[topic][stamp] = record
+            hashed[topic] += struct.pack("<q", stamp) + record[0].tobytes() + struct.pack("<6d", *record[1])
+    for topic, data in hashed.items():
+        content.add(f"trajectory{topic}", bytes(data))
+    return found
+
+
+def _frame_id(content: Any) -> str:
+    return str(getattr(content, "child_frame_id", "") or content.header.frame_id)
+
+
+def _fix(message: Any, settings: Sigmas) -> tuple[Array, tuple[float, ...]]:
+    """Latitude, longitude, height in the translation. Raises ValueError."""
+    if int(message.status.status) < 0:
+        raise ValueError("the receiver had no fix (status -1)")
+    lat, lon, height = float(message.latitude), float(message.longitude), float(message.altitude)
+    for name, value, limit in (("latitude", lat, 90.0), ("longitude", lon, 180.0), ("altitude", height, 20_000.0)):
+        if not abs(value) <= limit:  # NaN and infinity fail too
+            raise ValueError(f"{name} is {value}, expected a number between {-limit:g} and {limit:g}")
+    if lat == 0.0 and lon == 0.0:
+        raise ValueError("latitude and longitude are both 0: the receiver had no fix")
+    known = int(message.position_covariance_type) != 0
+    c = [float(message.position_covariance[i]) for i in (0, 4, 8)]
+    recorded = (_root(c[0]), _root(c[1]), _root(c[2])) if known else None
+    return se3.se3(np.eye(3), [lat, lon, height]), (*place_sigmas(settings, recorded), 0.0, 0.0, 0.0)
+
+
+def _attitude(message: Any, settings: Sigmas) -> tuple[Array, tuple[float, ...]]:
+    """Rotation against east, north, up (REP 103). Raises ValueError."""
+    if float(message.orientation_covariance[0]) == -1.0:
+        raise ValueError("the IMU tells no orientation (covariance -1, see sensor_msgs/Imu)")
+    q = message.orientation
+    recorded = tuple(_root(float(message.orientation_covariance[i])) for i in (0, 4, 8))
+    rotation = rotation_of(float(q.w), float(q.x), float(q.y), float(q.z))
+    return se3.se3(rotation, np.zeros(3)), (0.0, 0.0, 0.0, *attitude_sigmas(settings, recorded))
+
+
+def _odometry(message: Any, settings: Sigmas) -> tuple[Array, tuple[float, ...]]:
+    """Pose in the odometry's own frame; its x and y sigmas are not told apart, as the frame may be turned. Raises ValueError."""
+    p, q = message.pose.pose.position, message.pose.pose.orientation
+    place = [float(p.x), float(p.y), float(p.z)]
+    if not all(abs(value) < 1e6 for value in place):
+        raise ValueError(f"expected finite metres below 1,000,000, found {place}")
+    c = [_root(float(message.pose.covariance[i])) for i in (0, 7, 14, 21, 28, 35)]
+    level = max(c[0], c[1])
+    recorded = (level, level, c[2]) if level > 0.0 and c[2] > 0.0 else None
+    rotation = rotation_of(float(q.w), float(q.x), float(q.y), float(q.z))
+    return se3.se3(rotation, place), (*place_sigmas(settings, recorded), *attitude_sigmas(settings, tuple(c[3:])))
+
+
+def _root(variance: float) -> float:
+    return math.sqrt(variance) if variance > 0.0 else 0.0
+
+
+def _rig(rig_path: Path, topics: Topics, found: _Recorded, settings: DriveYaml, source: Path) -> tuple[Rig, Array]:
+    """The rectified rig and sensor_R_body (3, 3). Raises CalibrationError."""
+    given = own_rig(rig_path)
+    if given is not None:
+        return rig_on_body(*given, settings, rig_path)
+    rig = rig_of_infos(topics, found.infos, source)
+    sensor = found.frame_ids.get(topics.imu or topics.odometry or "", "")
+    left_info = topics.left_info or ""
+    camera = found.frame_ids[left_info]
+    sensor_SE3_left = found.frames.find(sensor, camera)
+    if sensor_SE3_left is None:
+        raise CalibrationError(
+            f"{source}: {TF_STATIC} does not connect the left camera's frame '{camera}' with '{sensor}', the frame that the "
+            f"trajectory is of; put a {rig_path.name} with body_SE3_left beside the bag"
+        )
+    if is_rectified_topic(topics.left):
+        turn = np.asarray(found.infos[left_info].r, dtype=np.float64).reshape(3, 3)
+        sensor_SE3_left = se3.compose(sensor_SE3_left, se3.se3(turn.T, np.zeros(3)))
+    return rig_on_body(rig, sensor_SE3_left, settings, source)
+
+
+def _trajectory(
+    topics: Topics, found: _Recorded, settings: DriveYaml, map_srid: int | None, sensor_R_body: Array, source: Path
+) -> tuple[int, Callable[[int], Pose]]:
+    """EPSG code of the map, and the body's pose at a time. Raises DriveFolderError."""
+    gap_ns = round(settings.max_pose_gap_s * 1e9)
+    sensor_SE3_body = se3.se3(sensor_R_body, np.zeros(3))
+    if topics.odometry is not None:
+        own = samples(f"{source}: {topics.odometry}", found.records[topics.odometry], found.bad[topics.odometry])
+        srid, placed = georeferenced(settings, map_srid, source, topics.odometry, own.map_SE3_body)
+        track = without_jumps(own._replace(name=topics.odometry, map_SE3_body=se3.compose(placed, sensor_SE3_body)))
+        return srid, lambda time_ns: to_pose(*at(track, time_ns, gap_ns))
+    fix, imu = topics.fix or "", topics.imu or ""
+    antenna_m = _antenna(topics, found, settings, source)
+    raw = samples(f"{source}: {fix}", found.records[fix], found.bad[fix])
+    attitude = samples(f"{source}: {imu}", found.records[imu], found.bad[imu])._replace(name=imu)
+    lat, lon, height = raw.map_SE3_body[:, :3, 3].T
+    try:
+        srid = checked_srid(map_srid or settings.map_srid, float(lat[0]), float(lon[0]))
+        places = se3.se3(np.broadcast_to(np.eye(3), (len(lat), 3, 3)), geodesy.to_map(srid, lat, lon, height))
+    except ValueError as error:
+        raise DriveFolderError(f"{source}: {error}") from error
+    track = without_jumps(raw._replace(name=fix, map_SE3_body=places))
+
+    def pose_at(time_ns: int) -> Pose:
+        place, place_sigma = at(track, time_ns, gap_ns)
+        turn, turn_sigma = at(attitude, time_ns, gap_ns)
+        here = geodesy.to_geodetic(srid, place[:3, 3])
+        map_R_sensor = enu_to_grid(srid, here[0], here[1], turn[:3, :3])
+        body = se3.se3(map_R_sensor @ sensor_R_body, place[:3, 3] - map_R_sensor @ antenna_m)
+        return to_pose(body, place_sigma + turn_sigma)
+
+    return srid, pose_at
+
+
+def _antenna(topics: Topics, found: _Recorded, settings: DriveYaml, source: Path) -> Array:
+    """(3,) the antenna in the IMU's frame. Raises DriveFolderError."""
+    if settings.antenna_t_m is not None:
+        return np.array(settings.antenna_t_m)
+    imu, antenna = found.frame_ids.get(topics.imu or "", ""), found.frame_ids.get(topics.fix or "", "")
+    pose = found.frames.find(imu, antenna)
+    if pose is None:
+        raise DriveFolderError(
+            f"{source}: {TF_STATIC} does not tell where the antenna '{antenna}' sits on '{imu}'; put antenna_t_m: [x, y, z] into "
+            "drive.yaml ([0, 0, 0] where the receiver's driver reduces its places to the IMU)"
+        )
+    return np.array(pose[:3, 3])
+
+
+def _read_pictures(
+    bag: Bag, topics: Topics, rig: Rig, content: ContentHash, folder: Path, source: Path
+) -> dict[str, list[Picture]]:
+    """Pictures of both cameras by topic, in the order of recording; one is in memory at a time."""
+    sides: dict[str, Side] = {topics.left: "left", topics.right: "right"}
+    found: dict[str, list[Picture]] = {topic: [] for topic in sides}
+    for message in bag.messages(list(sides)):
+        topic = message.topic
+        stamp = _stamp_ns(message)
+        name = f"{topic}, picture of {stamp} ns" if isinstance(stamp, int) else topic
+        path = Path(f"{source}#{topic}@{stamp}")
+        problem: PairError | None = None
+        if message.content is not None:
+            camera = stored_camera(rig, sides[topic])
+            try:
+                if not content.headers_only:
+                    content.add(f"{sides[topic]}/{len(found[topic])}", bytes(message.content.data))
+                    content.add(f"{sides[topic]}/{len(found[topic])}/stamp", str(stamp).encode())
+                data = picture_bytes(message.content, name)
+                suffix = check_picture(data, name, (camera.width_px, camera.height_px))
+                if not content.headers_only or not any(p.path.is_file() for p in found[topic][:1]):
+                    path = unpack(data, suffix, folder)
+            except PairError as error:
+                problem = error
+        found[topic].append(Picture(stamp, path, problem))
+    return found

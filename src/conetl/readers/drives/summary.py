@@ -1,0 +1,197 @@
+"""What was understood of a drive before anything is computed from it: counts, rates, gaps, quality of the poses, extent."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from datetime import datetime
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
+
+from conetl.geometry import geodesy
+from conetl.geometry.rectification import stored_camera
+from conetl.model.records import Drive, FramePair
+from conetl.model.rejections import Rejection
+
+Array = NDArray[np.float64]
+
+GAP_FACTOR = 2.5
+"""A step this many times the drive's median one is a gap."""
+LEAST_GAP_M = 3.0
+JUMP_M = 0.5
+JUMP_SIGMAS = 5.0
+JUMP_WITHIN_S = 0.35
+"""Neighbours farther apart in time say nothing about a jump: a car that brakes or turns leaves the straight line, too."""
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Gap(_Part):
+    """A step between two usable pairs that is too long in time, in space, or both."""
+
+    after_frame: int
+    before_frame: int
+    seconds: float
+    metres: float
+    """Distance that the body covers in between, level."""
+    in_time: bool
+    in_space: bool
+
+
+class Jump(_Part):
+    """A place that leaves the line between its neighbours by more than its sigma explains."""
+
+    frame: int
+    off_m: float
+
+
+class RigSummary(_Part):
+    """The rig as later steps see it (rectified) and the pictures as they are stored."""
+
+    rig_id: str
+    baseline_m: float
+    focal_px: float
+    width_px: int
+    height_px: int
+    stored_width_px: int
+    stored_height_px: int
+    lens: str
+    """Of the left camera as it took the pictures; "none" for rectified ones."""
+    rectified_on_reading: bool
+    calibration_covariance_known: bool
+
+
+class PoseSummary(_Part):
+    """What the trajectory says of its own quality."""
+
+    horizontal_sigma_median_m: float
+    horizontal_sigma_max_m: float
+    vertical_sigma_median_m: float
+    yaw_sigma_median_deg: float
+    jumps: tuple[Jump, ...]
+
+
+class Extent(_Part):
+    """Bounding box of the body's places."""
+
+    east_m: tuple[float, float]
+    north_m: tuple[float, float]
+    height_m: tuple[float, float]
+    lon_deg: tuple[float, float]
+    lat_deg: tuple[float, float]
+
+
+class LostPair(_Part):
+    """One pair that was refused."""
+
+    record: str
+    reason: str
+    detail: str
+
+
+class DriveSummary(_Part):
+    """Everything."""
+
+    drive_id: str
+    source_path: str
+    map_srid: int
+    rig: RigSummary
+    expected_pairs: int
+    usable_pairs: int
+    lost_by_reason: dict[str, int]
+    lost: tuple[LostPair, ...]
+    captured_from: datetime
+    captured_to: datetime
+    duration_s: float
+    rate_hz: float | None
+    """Of the median step; None for a single pair."""
+    length_m: float
+    """Level length of the way, usable pairs joined by straight lines."""
+    gaps: tuple[Gap, ...]
+    poses: PoseSummary
+    extent: Extent
+
+
+def summarise(drive: Drive, rejections: Sequence[Rejection]) -> DriveSummary:
+    """The summary of a drive and its rejections. Costs no look at the pictures."""
+    pairs = drive.frame_pairs
+    places = np.array([pair.pose.map_t_body_m for pair in pairs])
+    sigmas = np.array([pair.pose.sigma_enu_m for pair in pairs])
+    times_s = np.array([(pair.captured_at_ns - pairs[0].captured_at_ns) * 1e-9 for pair in pairs])
+    seconds, metres = np.diff(times_s), np.hypot(*np.diff(places[:, :2], axis=0).T)
+    horizontal = np.maximum(sigmas[:, 0], sigmas[:, 1])
+    jumps = _jumps(pairs, times_s, places, horizontal)
+    geodetic = geodesy.to_geodetic(drive.map_srid, places)
+    return DriveSummary(
+        drive_id=drive.drive_id, source_path=drive.source_path, map_srid=drive.map_srid, rig=_rig(drive),
+        expected_pairs=drive.expected_frame_count, usable_pairs=len(pairs),
+        lost_by_reason=dict(sorted(Counter(r.reason.value for r in rejections).items())),
+        lost=tuple(LostPair(record=r.record, reason=r.reason.value, detail=r.detail) for r in rejections),
+        captured_from=drive.captured_from, captured_to=drive.captured_to, duration_s=float(times_s[-1] - times_s[0]),
+        rate_hz=float(1.0 / np.median(seconds)) if len(seconds) else None, length_m=float(metres.sum()),
+        gaps=_gaps(pairs, seconds, metres, {jump.frame for jump in jumps}),
+        poses=PoseSummary(
+            horizontal_sigma_median_m=float(np.median(horizontal)), horizontal_sigma_max_m=float(horizontal.max()),
+            vertical_sigma_median_m=float(np.median(sigmas[:, 2])),
+            yaw_sigma_median_deg=float(np.degrees(np.median([pair.pose.sigma_rpy_rad[2] for pair in pairs]))),
+            jumps=jumps,
+        ),
+        extent=Extent(
+            east_m=_span(places[:, 0]), north_m=_span(places[:, 1]), height_m=_span(places[:, 2]),
+            lon_deg=_span(geodetic[:, 1]), lat_deg=_span(geodetic[:, 0]),
+        ),
+    )  # fmt: skip
+
+
+def _rig(drive: Drive) -> RigSummary:
+    rig = drive.rig
+    raw = rig.rectified_from or rig
+    stored = stored_camera(rig, "left")
+    return RigSummary(
+        rig_id=rig.rig_id, baseline_m=rig.baseline_m, focal_px=rig.left.fx_px, width_px=rig.left.width_px,
+        height_px=rig.left.height_px, stored_width_px=stored.width_px, stored_height_px=stored.height_px,
+        lens=raw.left.lens.model, rectified_on_reading=rig.rectified_from is not None,
+        calibration_covariance_known=raw.calibration_covariance is not None,
+    )  # fmt: skip
+
+
+def _span(values: Array) -> tuple[float, float]:
+    return float(values.min()), float(values.max())
+
+
+def _gaps(pairs: Sequence[FramePair], seconds: Array, metres: Array, jumped: set[int]) -> tuple[Gap, ...]:
+    """Steps that are too long; the way to and from a jump's wrong place is no gap in space."""
+    if not len(seconds):
+        return ()
+    moving = metres[metres > 0.05]
+    long_m = max(LEAST_GAP_M, GAP_FACTOR * float(np.median(moving)) if len(moving) else 0.0)
+    in_time, in_space = seconds > GAP_FACTOR * float(np.median(seconds)), metres > long_m
+    wrong = np.array([pair.frame_index in jumped for pair in pairs])
+    in_space &= ~(wrong[:-1] | wrong[1:])
+    return tuple(
+        Gap(
+            after_frame=pairs[i].frame_index, before_frame=pairs[i + 1].frame_index, seconds=float(seconds[i]),
+            metres=float(metres[i]), in_time=bool(in_time[i]), in_space=bool(in_space[i]),
+        )
+        for i in np.flatnonzero(in_time | in_space).tolist()
+    )  # fmt: skip
+
+
+def _jumps(pairs: Sequence[FramePair], times_s: Array, places: Array, horizontal_m: Array) -> tuple[Jump, ...]:
+    """Places off the line between their neighbours. A jump shows at its neighbours too: only the worst of a run is told."""
+    if len(pairs) < 3:
+        return ()
+    before, here, after = slice(None, -2), slice(1, -1), slice(2, None)
+    weight = ((times_s[here] - times_s[before]) / (times_s[after] - times_s[before]))[:, None]
+    expected = (1.0 - weight) * places[before, :2] + weight * places[after, :2]
+    off = np.hypot(*(places[here, :2] - expected).T)
+    wild = (off > np.maximum(JUMP_M, JUMP_SIGMAS * horizontal_m[here])) & (
+        times_s[after] - times_s[before] <= JUMP_WITHIN_S
+    )
+    padded = np.concatenate([[0.0], np.where(wild, off, 0.0), [0.0]])
+    worst = wild & (padded[1:-1] >= padded[:-2]) & (padded[1:-1] > padded[2:])
+    return tuple(Jump(frame=pairs[i + 1].frame_index, off_m=float(off[i])) for i in np.flatnonzero(worst).tolist())

@@ -1,0 +1,202 @@
+"""What the readers of all calibration formats share: numbers checked with file and key in hand, and the way to a `Rig`."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import ArrayLike, NDArray
+from pydantic import ValidationError
+
+from conetl.geometry import pose as se3
+from conetl.geometry.rectification import check_stereo_baseline, rectify
+from conetl.model.errors import CalibrationError
+from conetl.model.records import Camera, Lens, Rig
+
+Array = NDArray[np.float64]
+Size = tuple[int, int]
+
+#: Metres in one unit, by the names that calibration tools write.
+LENGTH_UNITS: Mapping[str, float] = {
+    "m": 1.0, "meter": 1.0, "meters": 1.0, "metres": 1.0,
+    "cm": 0.01, "centimeter": 0.01, "centimeters": 0.01,
+    "mm": 0.001, "millimeter": 0.001, "millimeters": 0.001,
+    "in": 0.0254, "inch": 0.0254, "inches": 0.0254,
+}  # fmt: skip
+#: No stereo rig on a vehicle is longer; a longer baseline is one in another unit.
+MAX_BASELINE_M = 10.0
+_SKEW_SHARE = 1e-6
+
+
+def bad(path: Path, key: str, text: str) -> CalibrationError:
+    """The error for one key of one file."""
+    return CalibrationError(f"{path}: '{key}' {text}")
+
+
+def read_text(path: Path) -> str:
+    """Text of a file. Raises CalibrationError."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise CalibrationError(f"{path}: this is not a text file") from error
+    except OSError as error:
+        raise CalibrationError(f"{path}: cannot be read: {error.strerror}") from error
+
+
+def read_yaml(path: Path) -> Any:
+    """Content of a YAML file. Raises CalibrationError."""
+    try:
+        return yaml.safe_load(read_text(path))
+    except yaml.YAMLError as error:
+        raise CalibrationError(f"{path}: this is not YAML: {error}") from error
+
+
+def entry(path: Path, content: Mapping[str, Any], key: str, where: str = "") -> Any:
+    """Value of a key that must be there. Raises CalibrationError."""
+    if not isinstance(content, Mapping) or content.get(key) is None:
+        found = ", ".join(map(str, content)) if isinstance(content, Mapping) else repr(content)[:60]
+        raise bad(path, f"{where}{key}", f"is missing; found {found or 'nothing'}")
+    return content[key]
+
+
+def numbers(path: Path, key: str, value: Any, shape: tuple[int, ...] | None = None) -> Array:
+    """Finite numbers of the given shape (or any flat count), from lists or from {rows, cols, data}. Raises CalibrationError."""
+    if isinstance(value, Mapping):
+        rows, cols = value.get("rows"), value.get("cols")
+        data = numbers(path, key, value.get("data", []))
+        if not isinstance(rows, int) or not isinstance(cols, int) or rows * cols != data.size:
+            raise bad(path, key, f"says {rows} rows and {cols} columns, but holds {data.size} numbers")
+        value = data.reshape(rows, cols)
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise bad(path, key, f"must be numbers, found {str(value)[:60]!r}") from None
+    if shape is None:
+        array = array.reshape(-1)
+    elif array.size == np.prod(shape) and 1 in (*shape, *array.shape, array.ndim):
+        array = array.reshape(shape)  # a row for a column, or a flat list for a matrix
+    if shape is not None and array.shape != shape:
+        wanted = " x ".join(map(str, shape))
+        raise bad(path, key, f"must be {wanted} numbers, found {' x '.join(map(str, array.shape)) or 'one'}")
+    if not np.isfinite(array).all():
+        raise bad(path, key, "must be finite numbers, found NaN or infinity")
+    return array
+
+
+def picture_size(path: Path, key: str, value: Any) -> Size:
+    """Width and height in pixels. Raises CalibrationError."""
+    size = numbers(path, key, value, (2,))
+    if not np.all((size >= 1) & (size == np.round(size))):
+        raise bad(path, key, f"must be whole numbers of pixels, found {size[0]:g} x {size[1]:g}")
+    return int(size[0]), int(size[1])
+
+
+def camera_from_matrix(path: Path, key: str, k: Array, size: Size, lens: Lens) -> Camera:
+    """Camera of a (3, 3) matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels. Raises CalibrationError."""
+    fx, fy, cx, cy = k[0, 0], k[1, 1], k[0, 2], k[1, 2]
+    if not (fx > 0 and fy > 0):
+        raise bad(path, key, f"must have positive focal lengths, found {fx:g} and {fy:g}")
+    if abs(k[0, 1]) > _SKEW_SHARE * fx:
+        raise bad(path, key, f"has a skew of {k[0, 1]:g}; conetl's cameras have square axes, calibrate without skew")
+    if not np.allclose([k[1, 0], *k[2]], [0.0, 0.0, 0.0, 1.0], atol=1e-9 * fx):
+        raise bad(path, key, "must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
+    width, height = size
+    # A principal point that is off the picture by its own size belongs to another picture size.
+    if not (-width < cx < 2 * width and -height < cy < 2 * height):
+        raise bad(path, key, f"has the principal point ({cx:.1f}, {cy:.1f}), far outside {width} x {height} pixels")
+    return Camera(width_px=width, height_px=height, fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy, lens=lens)
+
+
+def opencv_lens(path: Path, key: str, coefficients: Sequence[float] | Array) -> Lens:
+    """The smallest lens model that holds OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6[, s1..s4[, tx, ty]]]].
+
+    Raises CalibrationError.
+    """
+    values = [float(c) for c in np.asarray(coefficients, dtype=np.float64).reshape(-1)]
+    if len(values) not in (0, 4, 5, 8, 12, 14):
+        raise bad(path, key, f"must be 0, 4, 5, 8, 12 or 14 coefficients (OpenCV's order), found {len(values)}")
+    if any(values[8:]):
+        raise bad(
+            path, key, "holds thin-prism or tilt coefficients, which conetl does not model; calibrate without them"
+        )
+    values = (values + [0.0] * 8)[:8]
+    if any(values[5:]):
+        return Lens(model="rational", coefficients=tuple(values))
+    if any(values[2:5]):
+        return Lens(model="brown", coefficients=tuple(values[:5]))
+    return Lens(model="radial", coefficients=tuple(values[:2])) if any(values) else Lens()
+
+
+def fisheye_lens(path: Path, key: str, coefficients: Sequence[float] | Array) -> Lens:
+    """The equidistant lens of k1, k2, k3, k4. Raises CalibrationError."""
+    values = numbers(path, key, coefficients, (4,))
+    return Lens(model="fisheye", coefficients=tuple(float(c) for c in values))
+
+
+def opencv_coefficients(lens: Lens) -> list[float]:
+    """k1, k2, p1, p2, k3[, k4, k5, k6] of a polynomial lens, at least five; k1..k4 of a fisheye."""
+    if lens.model == "fisheye":
+        return list(lens.coefficients)
+    return [*lens.coefficients, *[0.0] * (5 - len(lens.coefficients))]
+
+
+def stereo_rig(
+    path: Path, key: str, tool: str, left: Camera, right: Camera, right_R_left: Array, right_t_left_m: Array
+) -> Rig:
+    """Rig of the usual stereo calibration `p_right = R p_left + t`; the body is the left camera.
+
+    key: what the relative pose is called in the file; tool: the format's name, begins the rig's id. Raises CalibrationError.
+    """
+    try:
+        rotation = se3.nearest_rotation(right_R_left)
+        left_SE3_right = se3.invert(se3.se3(rotation, right_t_left_m))
+        check_stereo_baseline(left_SE3_right)
+    except ValueError as error:
+        raise bad(path, key, f"cannot be used: {error}") from error
+    if np.linalg.norm(right_t_left_m) > MAX_BASELINE_M:
+        raise bad(
+            path, key, f"gives a baseline of {np.linalg.norm(right_t_left_m):.1f} m; is the file in another unit? "
+            "conetl rig convert makes a rig.yaml of it with --unit mm",
+        )  # fmt: skip
+    return rig_of(tool, left, right, left_SE3_right)
+
+
+def rig_of(
+    tool: str,
+    left: Camera,
+    right: Camera,
+    left_SE3_right: ArrayLike,
+    *,
+    rig_id: str | None = None,
+    sigma_px: float = 0.5,
+    body_SE3_left: ArrayLike | None = None,
+) -> Rig:
+    """Rig with an id made of the format's name and a hash over its numbers, unless one is given."""
+    body = np.eye(4) if body_SE3_left is None else np.asarray(body_SE3_left, dtype=np.float64)
+    matrices = se3.to_matrix4(body), se3.to_matrix4(se3.compose(body, left_SE3_right))
+    digest = hashlib.sha256(repr((left, right, matrices)).encode()).hexdigest()[:8]
+    return Rig(
+        rig_id=rig_id or f"{tool}-{digest}", left=left, right=right, sigma_px=sigma_px,
+        body_SE3_left=matrices[0], body_SE3_right=matrices[1],
+    )  # fmt: skip
+
+
+def rectified_rig(rig: Rig, path: Path) -> Rig:
+    """The rig that pictures are resampled to (`rectify`). Raises CalibrationError naming the file where there is none."""
+    try:
+        return rectify(rig)
+    except ValueError as error:
+        raise CalibrationError(f"{path}: {error}") from error
+
+
+def first_message(error: ValueError) -> str:
+    """One sentence of a validation error, with the key it is about."""
+    if isinstance(error, ValidationError):
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        return f"'{key}': {first['msg']}" if key else first["msg"]
+    return str(error)

@@ -1,0 +1,195 @@
+"""MATLAB's `stereoParameters` as a structure: JSON (`jsonencode(toStruct(stereoParams))`) read and written, `.mat` read.
+
+MATLAB differs from OpenCV in three ways (MathWorks, stereoParametersToOpenCV): pixels count from (1, 1), so its principal point
+is ours plus one; `IntrinsicMatrix` is the transposed camera matrix ([fx 0 0; s fy 0; cx cy 1]; `K` of newer versions is not); and
+points are rows, `[x y z] * RotationOfCamera2 + TranslationOfCamera2`, so that rotation is transposed, too (`PoseCamera2` of newer
+versions is not). Lengths are in `WorldUnits`, as a rule millimetres.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.io
+
+from conetl.files.atomic import atomic_text_file
+from conetl.geometry import pose as se3
+from conetl.geometry import rig as rigs
+from conetl.geometry.camera import matrix_k
+from conetl.model.errors import CalibrationError
+from conetl.model.records import Camera, Rig
+from conetl.readers.rigs.common import (
+    LENGTH_UNITS,
+    Array,
+    Size,
+    bad,
+    camera_from_matrix,
+    entry,
+    numbers,
+    opencv_coefficients,
+    opencv_lens,
+    picture_size,
+    read_text,
+    stereo_rig,
+)
+
+#: Lower-left to centre: MATLAB's first pixel is (1, 1), ours (0, 0).
+ORIGIN_PX = 1.0
+_HOW = "In MATLAB: s = toStruct(stereoParams); then save('stereo.mat', 's', '-v7') or writelines(jsonencode(s), 'stereo.json')"
+
+
+def looks_like_matlab(content: Any) -> bool:
+    """True for the structure of a stereoParameters object, or a mapping that holds one."""
+    return _structure(content) is not None
+
+
+def read_matlab_rig(path: Path, *, image_size: Size | None = None, length_unit: str | None = None) -> Rig:
+    """Raw rig of camera 1 (left) and camera 2 (right).
+
+    image_size: width and height where the file does not tell; length_unit: instead of WorldUnits. Raises CalibrationError.
+    """
+    content = _read_mat(path) if path.suffix.lower() == ".mat" else _read_json(path)
+    found = _structure(content)
+    if found is None:
+        names = ", ".join(map(str, content)) if isinstance(content, Mapping) else type(content).__name__
+        raise bad(path, "CameraParameters1", f"is missing; found {names or 'nothing'}. {_HOW}")
+    left = _camera(path, entry(path, found, "CameraParameters1"), "CameraParameters1.", image_size)
+    right = _camera(path, entry(path, found, "CameraParameters2"), "CameraParameters2.", image_size)
+    unit = (length_unit or _unit(found)).lower()
+    if unit not in LENGTH_UNITS:
+        raise bad(
+            path,
+            "WorldUnits",
+            f"'{unit}' is not a known unit; known: {', '.join(LENGTH_UNITS)}. Say it with conetl rig convert --unit mm",
+        )
+    key, right_R_left, t = _relative(path, found)
+    return stereo_rig(path, key, "matlab", left, right, right_R_left, t * LENGTH_UNITS[unit])
+
+
+def _relative(path: Path, found: Mapping[str, Any]) -> tuple[str, Array, Array]:
+    """Key, rotation and translation of `p_right = R p_left + t`, in the file's unit."""
+    if _given(found, "RotationOfCamera2"):
+        rotation = numbers(path, "RotationOfCamera2", found["RotationOfCamera2"], (3, 3)).T
+        place = numbers(path, "TranslationOfCamera2", entry(path, found, "TranslationOfCamera2"), (3,))
+        return "RotationOfCamera2, TranslationOfCamera2", rotation, place
+    pose = entry(path, found, "PoseCamera2")
+    if _given(pose, "A"):
+        a = numbers(path, "PoseCamera2.A", pose["A"], (4, 4))
+        return "PoseCamera2", a[:3, :3], a[:3, 3]
+    rotation = numbers(path, "PoseCamera2.R", entry(path, pose, "R", "PoseCamera2."), (3, 3))
+    place = numbers(path, "PoseCamera2.Translation", entry(path, pose, "Translation", "PoseCamera2."), (3,))
+    return "PoseCamera2", rotation, place
+
+
+def _camera(path: Path, camera: Any, where: str, image_size: Size | None) -> Camera:
+    if _given(camera, "K"):
+        key, k = f"{where}K", numbers(path, f"{where}K", camera["K"], (3, 3))
+    else:
+        key = f"{where}IntrinsicMatrix"
+        k = numbers(path, key, entry(path, camera, "IntrinsicMatrix", where), (3, 3)).T
+    if k[0, 2] == 0.0 and k[1, 2] == 0.0 and k[2, 0] != 0.0:
+        raise bad(
+            path, key, "is transposed: K has the principal point in its last column, IntrinsicMatrix in its last row"
+        )
+    k = k - np.array([[0, 0, ORIGIN_PX], [0, 0, ORIGIN_PX], [0, 0, 0]])
+    radial = numbers(path, f"{where}RadialDistortion", entry(path, camera, "RadialDistortion", where))
+    if radial.size not in (2, 3):
+        raise bad(path, f"{where}RadialDistortion", f"must be 2 or 3 numbers, found {radial.size}")
+    tangential = np.zeros(2)
+    if _given(camera, "TangentialDistortion"):
+        tangential = numbers(path, f"{where}TangentialDistortion", camera["TangentialDistortion"], (2,))
+    k3 = radial[2] if radial.size == 3 else 0.0
+    lens = opencv_lens(path, f"{where}RadialDistortion", [*radial[:2], *tangential, k3])
+    if image_size is None:
+        if not _given(camera, "ImageSize"):
+            raise bad(
+                path,
+                f"{where}ImageSize",
+                "is missing or empty; make a rig.yaml of it: conetl rig convert with --image-size 6000x4000",
+            )
+        rows_columns = picture_size(path, f"{where}ImageSize", camera["ImageSize"])
+        image_size = rows_columns[1], rows_columns[0]
+    return camera_from_matrix(path, key, k, image_size, lens)
+
+
+def _given(content: Any, key: str) -> bool:
+    """True where a key is there and not empty (MATLAB writes [] for what is not known)."""
+    if not isinstance(content, Mapping) or content.get(key) is None:
+        return False
+    return not hasattr(content[key], "__len__") or len(content[key]) > 0
+
+
+def _unit(found: Mapping[str, Any]) -> str:
+    inner = found.get("CameraParameters1")
+    unit = found.get("WorldUnits") or (inner.get("WorldUnits") if isinstance(inner, Mapping) else None)
+    return unit if isinstance(unit, str) else "mm"  # MATLAB's own default
+
+
+def _structure(content: Any) -> Mapping[str, Any] | None:
+    """The structure itself, or the one variable that holds it."""
+    if not isinstance(content, Mapping):
+        return None
+    if "CameraParameters1" in content:
+        return content
+    inner = [v for v in content.values() if isinstance(v, Mapping) and "CameraParameters1" in v]
+    return inner[0] if len(inner) == 1 else None
+
+
+def _read_json(path: Path) -> Any:
+    try:
+        return json.loads(read_text(path))
+    except ValueError as error:
+        raise CalibrationError(f"{path}: this is not JSON: {error}") from error
+
+
+def _read_mat(path: Path) -> Mapping[str, Any]:
+    """Variables of a .mat file, structures as dictionaries."""
+    try:
+        content: dict[str, Any] = scipy.io.loadmat(str(path), simplify_cells=True)
+    except NotImplementedError as error:
+        raise CalibrationError(f"{path}: this is a version 7.3 file (HDF5), which is not read. {_HOW}") from error
+    except Exception as error:  # scipy raises whatever its parser stumbles over
+        raise CalibrationError(f"{path}: this is not a .mat file, or it is damaged ({error})") from error
+    variables = {name: value for name, value in content.items() if not name.startswith("__")}
+    if _structure(variables) is None:
+        raise CalibrationError(
+            f"{path}: no structure of a stereoParameters object, found {', '.join(variables) or 'only objects'}; a saved object "
+            f"itself can be read by MATLAB alone. {_HOW}"
+        )
+    return variables
+
+
+def write_matlab_rig(rig: Rig, path: Path) -> None:
+    """Write the JSON that MATLAB reads back by `stereoParameters(jsondecode(fileread(path)))`, millimetres.
+
+    MATLAB's lens has k1, k2, k3, p1, p2: raises CalibrationError for a rational or a fisheye lens.
+    """
+    if path.suffix.lower() != ".json":
+        raise CalibrationError(f"{path}: the structure is written as .json")
+    right_SE3_left = se3.invert(rigs.left_SE3_right(rig))
+    content: dict[str, Any] = {}
+    for number, camera in ((1, rig.left), (2, rig.right)):
+        if camera.lens.model in ("rational", "fisheye"):
+            raise CalibrationError(
+                f"{path}: MATLAB's stereoParameters have no {camera.lens.model} lens; export to OpenCV or ROS instead"
+            )
+        k1, k2, p1, p2, k3 = opencv_coefficients(camera.lens)
+        k = matrix_k(camera) + np.array([[0, 0, ORIGIN_PX], [0, 0, ORIGIN_PX], [0, 0, 0]])
+        content[f"CameraParameters{number}"] = {
+            "RadialDistortion": [k1, k2, k3],
+            "TangentialDistortion": [p1, p2],
+            "ImageSize": [camera.height_px, camera.width_px],
+            "WorldUnits": "millimeters",
+            "IntrinsicMatrix": k.T.tolist(),
+            "NumRadialDistortionCoefficients": 3,
+            "EstimateSkew": False,
+            "EstimateTangentialDistortion": True,
+        }
+    content["RotationOfCamera2"] = right_SE3_left[:3, :3].T.tolist()
+    content["TranslationOfCamera2"] = (1000.0 * right_SE3_left[:3, 3]).tolist()
+    with atomic_text_file(path) as file:
+        json.dump(content, file, indent=1)

@@ -1,0 +1,238 @@
+"""OpenCV's own calibration files (`cv2.FileStorage`: YAML, XML or JSON), read and written.
+
+One file with M1, D1, M2, D2, R, T (OpenCV's stereo sample; many other names are known, see `_NAMES`), or `intrinsics` and
+`extrinsics` side by side (what that sample writes), or `left` and `right`, each with camera_matrix and
+distortion_coefficients (OpenCV's single-camera sample), with R and T in `extrinsics` or in `right`. `p_right = R p_left + T`.
+OpenCV does not write the unit of T (it is that of the board's squares), and its stereo sample does not write the picture's size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from conetl.files.atomic import atomic_text_file
+from conetl.geometry import pose as se3
+from conetl.geometry import rig as rigs
+from conetl.geometry.camera import matrix_k
+from conetl.model.errors import CalibrationError
+from conetl.model.records import Camera, Lens, Rig, Side
+from conetl.readers.rigs.common import (
+    LENGTH_UNITS,
+    Array,
+    Size,
+    bad,
+    camera_from_matrix,
+    fisheye_lens,
+    numbers,
+    opencv_coefficients,
+    opencv_lens,
+    picture_size,
+    read_text,
+    read_yaml,
+    stereo_rig,
+)
+
+SUFFIXES = (".yml", ".yaml", ".xml", ".json")
+_NAMES: Mapping[str, tuple[str, ...]] = {
+    "left.K": ("M1", "K1", "cameraMatrix1", "camera_matrix_1", "camera_matrix1", "camera_matrix_left", "left_camera_matrix",
+               "K_left", "cameraMatrixL", "LEFT.K", "intrinsicMatrix1"),
+    "right.K": ("M2", "K2", "cameraMatrix2", "camera_matrix_2", "camera_matrix2", "camera_matrix_right", "right_camera_matrix",
+                "K_right", "cameraMatrixR", "RIGHT.K", "intrinsicMatrix2"),
+    "left.D": ("D1", "distCoeffs1", "dist_coeffs_1", "dist_coeffs1", "distortion_coefficients_1", "distortion_coefficients1",
+               "dist_coeffs_left", "left_distortion_coefficients", "D_left", "distCoeffsL", "LEFT.D", "distortionCoefficients1"),
+    "right.D": ("D2", "distCoeffs2", "dist_coeffs_2", "dist_coeffs2", "distortion_coefficients_2", "distortion_coefficients2",
+                "dist_coeffs_right", "right_distortion_coefficients", "D_right", "distCoeffsR", "RIGHT.D",
+                "distortionCoefficients2"),
+    "R": ("R", "rotation", "rotation_matrix", "stereo_R"),
+    "T": ("T", "translation", "translation_vector", "t", "stereo_T"),
+    "K": ("camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "M"),
+    "D": ("distortion_coefficients", "distCoeffs", "Distortion_Coefficients", "dist_coeffs", "D"),
+}  # fmt: skip
+_SIZE_NAMES = ("image_size", "imageSize", "size", "img_size", "resolution")
+_UNIT_NAMES = ("length_unit", "unit", "units")
+_FISHEYE_NAMES = ("fisheye_model", "fisheye")
+_MODEL_NAMES = ("distortion_model", "model", "camera_model")
+
+
+def read_storage(path: Path) -> dict[str, Any]:
+    """Content of an OpenCV file as plain dictionaries, lists and arrays. Raises CalibrationError."""
+    text = read_text(path)
+    if path.suffix.lower() in {".yml", ".yaml"} and not text.lstrip().startswith("%YAML") and "!!opencv" not in text:
+        content = read_yaml(path)
+        if not isinstance(content, dict):
+            raise CalibrationError(f"{path}: expected a YAML mapping with the keys M1, D1, M2, D2, R, T")
+        return content
+    try:
+        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+        return {key: _plain(storage.getNode(key)) for key in storage.root().keys()}  # noqa: SIM118 -- a FileNode is no dict
+    except (cv2.error, SystemError) as error:
+        raise CalibrationError(f"{path}: OpenCV cannot read this file; is it whole?") from error
+
+
+def _plain(node: Any) -> Any:
+    if node.isMap():
+        keys = node.keys()
+        if {"dt", "data"} <= set(keys):  # opencv-matrix, and opencv-nd-matrix of OpenCV 5
+            return node.mat()
+        return {key: _plain(node.getNode(key)) for key in keys}
+    if node.isSeq():
+        return [_plain(node.at(i)) for i in range(node.size())]
+    if node.isString():
+        return node.string()
+    return int(node.real()) if node.isInt() else node.real() if node.isReal() else None
+
+
+def looks_like_opencv(content: Any) -> bool:
+    """True where a mapping has the camera matrices of a stereo file."""
+    return isinstance(content, Mapping) and any(name in content for name in (*_NAMES["left.K"], *_NAMES["right.K"]))
+
+
+def read_opencv_rig(path: Path, *, image_size: Size | None = None, length_unit: str | None = None) -> Rig:
+    """Raw rig of an OpenCV stereo calibration: one file, or a folder (or one of the files) of the two forms above.
+
+    image_size: width and height where the files do not tell. length_unit: of T, default metres. Raises CalibrationError.
+    """
+    files = _files(path)
+    content: dict[str, Any] = {}
+    for name, file in files.items():
+        for key, value in read_storage(file).items():
+            content[f"{name}.{key}" if name in ("left", "right") else key] = value
+    first = next(iter(files.values()))
+    cameras = {side: _camera(first, content, side, image_size) for side in ("left", "right")}
+    key_r, rotation = _named(first, content, "R", _NAMES["R"] + tuple(f"right.{name}" for name in _NAMES["R"]))
+    key_t, translation = _named(first, content, "T", _NAMES["T"] + tuple(f"right.{name}" for name in _NAMES["T"]))
+    r = numbers(first, key_r, rotation)
+    if r.size == 3:  # as a rotation vector
+        r = np.asarray(cv2.Rodrigues(r)[0], dtype=np.float64)
+    stated = next((str(content[name]) for name in _UNIT_NAMES if name in content), "m")
+    unit = length_unit or stated
+    if unit not in LENGTH_UNITS:
+        raise bad(first, "length_unit", f"must be one of {', '.join(LENGTH_UNITS)}, found '{unit}'")
+    t = numbers(first, key_t, translation, (3,)) * LENGTH_UNITS[unit]
+    key = f"{key_r}, {key_t}"
+    return stereo_rig(first, key, "opencv", cameras["left"], cameras["right"], numbers(first, key_r, r, (3, 3)), t)
+
+
+def _files(path: Path) -> dict[str, Path]:
+    """The files of one calibration, by their part in it."""
+    folder = path if path.is_dir() else path.parent
+    if path.is_file() and path.stem not in ("intrinsics", "extrinsics", "left", "right"):
+        return {"stereo": path}
+    for parts, extra in ((("intrinsics", "extrinsics"), ()), (("left", "right"), ("extrinsics",))):
+        if path.is_file() and path.stem not in (*parts, *extra):
+            continue
+        found = {
+            part: folder / f"{part}{suffix}"
+            for part in (*parts, *extra)
+            for suffix in SUFFIXES
+            if (folder / f"{part}{suffix}").is_file()
+        }
+        if all(part in found for part in parts):
+            return found
+    if path.is_file():
+        return {"stereo": path}
+    raise CalibrationError(
+        f"{path}: expected intrinsics.yml and extrinsics.yml, or left.yml and right.yml, in the folder"
+    )
+
+
+def _named(path: Path, content: Mapping[str, Any], what: str, names: tuple[str, ...]) -> tuple[str, Any]:
+    """First of several names that is there, with its value. Raises CalibrationError."""
+    for name in names:
+        value: Any = content.get(name)
+        if value is None and "." in name:
+            part, _, rest = name.partition(".")
+            inner = content.get(part)
+            value = inner.get(rest) if isinstance(inner, Mapping) else None
+        if value is not None:
+            return name, value
+    shown = ", ".join(content) or "nothing"
+    raise bad(path, names[0], f"({what}) is missing; found {shown}. Known names: {', '.join(names[:6])}")
+
+
+def _camera(path: Path, content: Mapping[str, Any], side: Side, image_size: Size | None) -> Camera:
+    key_k, k = _named(path, content, f"{side} matrix", _of_side(side, "K"))
+    key_d, d = _named(path, content, f"{side} distortion", _of_side(side, "D"))
+    lens = (
+        fisheye_lens(path, key_d, d)
+        if _is_fisheye(path, content, side)
+        else opencv_lens(path, key_d, numbers(path, key_d, d))
+    )
+    size = image_size or _size(path, content, side)
+    return camera_from_matrix(path, key_k, numbers(path, key_k, k, (3, 3)), size, lens)
+
+
+def _of_side(side: Side, what: str) -> tuple[str, ...]:
+    return (*_NAMES[f"{side}.{what}"], *(f"{side}.{name}" for name in _NAMES[what]))
+
+
+def _scalar(content: Mapping[str, Any], side: Side, names: tuple[str, ...]) -> tuple[str, Any] | None:
+    found = ((key, content[key]) for name in names for key in (f"{side}.{name}", name) if content.get(key) is not None)
+    return next(found, None)
+
+
+def _is_fisheye(path: Path, content: Mapping[str, Any], side: Side) -> bool:
+    flag = _scalar(content, side, _FISHEYE_NAMES)
+    if flag is not None:
+        return str(flag[1]).lower() not in ("0", "false", "no", "0.0")
+    model = _scalar(content, side, _MODEL_NAMES)
+    if model is None:
+        return False
+    known = {"fisheye": True, "equidistant": True, "kannala_brandt4": True, "plumb_bob": False, "radtan": False,
+             "rational_polynomial": False, "pinhole": False, "brown": False, "opencv": False, "standard": False}  # fmt: skip
+    if str(model[1]).lower() not in known:
+        raise bad(path, model[0], f"'{model[1]}' is not a known lens model; known: {', '.join(known)}")
+    return known[str(model[1]).lower()]
+
+
+def _size(path: Path, content: Mapping[str, Any], side: Side) -> Size:
+    width, height = _scalar(content, side, ("image_width", "width")), _scalar(content, side, ("image_height", "height"))
+    if width is not None and height is not None:
+        return picture_size(path, f"{width[0]}, {height[0]}", [width[1], height[1]])
+    whole = _scalar(content, side, _SIZE_NAMES)
+    if whole is not None:
+        return picture_size(path, whole[0], whole[1])
+    raise bad(
+        path, "image_width, image_height", "are missing: OpenCV's stereo files do not always tell the size of the pictures. "
+        "Add both keys to the file, or make a rig.yaml of it: conetl rig convert with --image-size 1242x375",
+    )  # fmt: skip
+
+
+def write_opencv_rig(rig: Rig, path: Path) -> None:
+    """Write M1, D1, M2, D2, R, T (metres) and the picture size for `cv2.FileStorage`; the suffix gives YAML, XML or JSON.
+
+    A file of OpenCV holds one picture size and one kind of lens: raises CalibrationError for a rig that mixes them, or for
+    another suffix, InputError where nothing can be written. The body's pose and the covariance have no place there.
+    """
+    if path.suffix.lower() not in SUFFIXES:
+        raise CalibrationError(f"{path}: OpenCV's files end in {', '.join(SUFFIXES)}")
+    left, right = rig.left, rig.right
+    if (left.width_px, left.height_px) != (right.width_px, right.height_px):
+        raise CalibrationError(
+            f"{path}: OpenCV's stereo files hold one picture size, but the two cameras differ in theirs"
+        )
+    fisheyes = [camera.lens.model == "fisheye" for camera in (left, right)]
+    if fisheyes[0] != fisheyes[1]:
+        raise CalibrationError(f"{path}: OpenCV's stereo files hold two fisheye lenses or none")
+    right_SE3_left = se3.invert(rigs.left_SE3_right(rig))
+    storage = cv2.FileStorage(path.suffix, cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
+    storage.write("image_width", left.width_px)
+    storage.write("image_height", left.height_px)
+    storage.write("fisheye_model", int(fisheyes[0]))
+    storage.write("length_unit", "m")
+    for number, camera in ((1, left), (2, right)):
+        storage.write(f"M{number}", matrix_k(camera))
+        storage.write(f"D{number}", _row(camera.lens))
+    storage.write("R", np.ascontiguousarray(right_SE3_left[:3, :3]))
+    storage.write("T", np.ascontiguousarray(right_SE3_left[:3, 3:]))
+    with atomic_text_file(path) as file:
+        file.write(storage.releaseAndGetString())
+
+
+def _row(lens: Lens) -> Array:
+    return np.array([opencv_coefficients(lens)])

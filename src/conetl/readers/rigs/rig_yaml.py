@@ -1,0 +1,244 @@
+"""`rig.yaml`, conetl's own description of a rig (docs/coordinates.md shows one), read and written.
+
+Cameras in pixels or in millimetres with the sensor's size, with or without a lens; how the right one sits on the left, and the
+left one on the body; and, where known, how sure the calibration is: the covariance of any of its parameters, or their sigmas.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from conetl.files.atomic import atomic_text_file
+from conetl.geometry import pose as se3
+from conetl.geometry import rig as rigs
+from conetl.geometry.rectification import check_stereo_baseline
+from conetl.model.errors import CalibrationError
+from conetl.model.records import CalibrationCovariance, Camera, Lens, Rig
+from conetl.readers.rigs.common import Array, first_message, read_yaml, rig_of
+
+Positive = Annotated[float, Field(gt=0)]
+Triple = tuple[float, float, float]
+RIG_YAML = "rig.yaml"
+_INTERIOR = ("fx_px", "fy_px", "cx_px", "cy_px")
+_RELATIVE = ("rx_rad", "ry_rad", "rz_rad", "tx_m", "ty_m", "tz_m")
+#: Units that `sigmas` may be given in, besides those of CalibrationCovariance.
+_OTHER_UNITS = {"_deg": ("_rad", np.pi / 180), "_mm": ("_m", 0.001)}
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class _CameraFile(_Model):
+    """Interior orientation in pixels, or in millimetres with the sensor's size (the paper's Table 1)."""
+
+    width_px: int = Field(gt=0)
+    height_px: int = Field(gt=0)
+    fx_px: Positive | None = None
+    fy_px: Positive | None = None
+    cx_px: float | None = None
+    cy_px: float | None = None
+    fx_mm: Positive | None = None
+    fy_mm: Positive | None = None
+    focal_mm: Positive | tuple[Positive, Positive] | None = None
+    """One number, or fx and fy: another way to write fx_mm and fy_mm."""
+    sensor_width_mm: Positive | None = None
+    sensor_height_mm: Positive | None = None
+    x0_mm: float | None = None
+    """Principal point from the centre of the sensor, to the right."""
+    y0_mm: float | None = None
+    """Principal point from the centre of the sensor, upwards (photogrammetric axes)."""
+    principal_mm: tuple[float, float] | None = None
+    """Principal point from the top-left corner of the sensor, to the right and down: another way to write x0_mm, y0_mm."""
+    lens: Lens = Lens()
+
+    @model_validator(mode="after")
+    def _one_form(self) -> _CameraFile:
+        pixels = [self.fx_px, self.fy_px, self.cx_px, self.cy_px]
+        focal = [self.focal_mm] if self.focal_mm is not None else [self.fx_mm, self.fy_mm]
+        millimetres = [*focal, self.sensor_width_mm, self.sensor_height_mm]
+        whole = [all(v is not None for v in group) for group in (pixels, millimetres)]
+        some = [any(v is not None for v in group) for group in (pixels, millimetres)]
+        from_centre = self.x0_mm is not None or self.y0_mm is not None
+        twice = (self.focal_mm is not None and (self.fx_mm is not None or self.fy_mm is not None)) or (
+            self.principal_mm is not None and from_centre
+        )
+        if sum(whole) != 1 or sum(some) != 1 or twice or (whole[0] and (from_centre or self.principal_mm is not None)):
+            raise ValueError(
+                "give either fx_px, fy_px, cx_px, cy_px, or fx_mm, fy_mm (or focal_mm), sensor_width_mm, sensor_height_mm (and "
+                "x0_mm, y0_mm or principal_mm)"
+            )
+        return self
+
+    def px_per_mm(self) -> tuple[float, float] | None:
+        """Along rows and columns; None where the sensor's size is not given."""
+        if self.sensor_width_mm is None or self.sensor_height_mm is None:
+            return None
+        return self.width_px / self.sensor_width_mm, self.height_px / self.sensor_height_mm
+
+    def camera(self) -> Camera:
+        """In pixels, origin at the centre of the top-left pixel."""
+        scale = self.px_per_mm()
+        if scale is None:
+            assert self.fx_px and self.fy_px and self.cx_px is not None and self.cy_px is not None  # by the validator
+            fx, fy, cx, cy = self.fx_px, self.fy_px, self.cx_px, self.cy_px
+        else:
+            pair = self.focal_mm if isinstance(self.focal_mm, tuple) else (self.focal_mm, self.focal_mm)
+            fx_mm, fy_mm = pair if self.focal_mm is not None else (self.fx_mm, self.fy_mm)
+            assert fx_mm and fy_mm
+            fx, fy = fx_mm * scale[0], fy_mm * scale[1]
+            if (
+                self.principal_mm is not None
+            ):  # from the corner, which lies half a pixel before the first pixel's centre
+                cx, cy = self.principal_mm[0] * scale[0] - 0.5, self.principal_mm[1] * scale[1] - 0.5
+            else:
+                cx = (self.width_px - 1) / 2 + (self.x0_mm or 0.0) * scale[0]
+                cy = (self.height_px - 1) / 2 - (self.y0_mm or 0.0) * scale[1]
+        return Camera(
+            width_px=self.width_px, height_px=self.height_px, fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy, lens=self.lens
+        )
+
+
+class _RigidFile(_Model):
+    """`p_dst = R p_src + t`."""
+
+    R: tuple[Triple, Triple, Triple] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    t_m: Triple
+
+    def matrix(self, name: str) -> Array:
+        try:
+            return se3.se3(se3.nearest_rotation(np.array(self.R)), np.array(self.t_m))
+        except ValueError as error:
+            raise ValueError(f"{name}.R: {error}") from error
+
+
+class _RigFile(_Model):
+    """A `rig.yaml`: two cameras, how the right one sits on the left, and (optionally) the left one on the body."""
+
+    rig_id: str | None = Field(default=None, min_length=1)
+    left: _CameraFile
+    right: _CameraFile
+    baseline_m: Positive | None = None
+    left_SE3_right: _RigidFile | None = None
+    body_SE3_left: _RigidFile | None = None
+    sigma_px: Positive = 0.5
+    calibration_covariance: CalibrationCovariance | None = None
+    sigmas: dict[str, Annotated[float, Field(ge=0)]] | None = Field(default=None, min_length=1)
+    """Standard deviations by the names of CalibrationCovariance, also in _deg and _mm: the parameters then are uncorrelated."""
+
+    @model_validator(mode="after")
+    def _one_of_each(self) -> _RigFile:
+        if (self.baseline_m is None) == (self.left_SE3_right is None):
+            raise ValueError(
+                "give either baseline_m (parallel cameras) or left_SE3_right (R, t_m of right points to left)"
+            )
+        if self.sigmas is not None and self.calibration_covariance is not None:
+            raise ValueError("give either sigmas or calibration_covariance")
+        if self.calibration_covariance is not None and self.calibration_covariance.shared is not None:
+            raise ValueError("calibration_covariance has names and a matrix; what drives share of it is worked out")
+        return self
+
+    def covariance(self) -> CalibrationCovariance | None:
+        """Of the parameters in the units of their names. Raises ValueError for names that are no parameters of this rig."""
+        covariance = self.calibration_covariance
+        if self.sigmas is not None:
+            converted: dict[str, float] = {}
+            for name, sigma in self.sigmas.items():
+                known, factor = _in_own_unit(name, self)
+                if known in converted:
+                    raise ValueError(f"'sigmas.{name}': {known} is given twice")
+                converted[known] = sigma * factor
+            diagonal = np.diag(np.square(list(converted.values())))
+            covariance = CalibrationCovariance(names=tuple(converted), matrix=tuple(map(tuple, diagonal.tolist())))
+        if covariance is not None:
+            _check_covariance(covariance, {"left": self.left.lens, "right": self.right.lens})
+        return covariance
+
+
+def _in_own_unit(name: str, file: _RigFile) -> tuple[str, float]:
+    """A sigma's name in the unit of CalibrationCovariance, and what to multiply it with."""
+    part, _, field = name.partition(".")
+    if part in ("left", "right") and field.endswith("_mm"):
+        scale = (file.left if part == "left" else file.right).px_per_mm()
+        px = {"fx_mm": "fx_px", "fy_mm": "fy_px", "x0_mm": "cx_px", "y0_mm": "cy_px"}.get(field)
+        if px is None or scale is None:
+            raise ValueError(f"'sigmas.{name}': millimetres need a camera given in millimetres and fx, fy, x0 or y0")
+        return f"{part}.{px}", scale[0 if "x" in field else 1]
+    for ending, (own, factor) in _OTHER_UNITS.items():
+        if part == "relative" and name.endswith(ending):
+            return name.removesuffix(ending) + own, factor
+    return name, 1.0
+
+
+def _check_covariance(covariance: CalibrationCovariance, lenses: Mapping[str, Lens]) -> None:
+    """Raise ValueError for a name that is no parameter of the rig, or a matrix that is no covariance."""
+    known = [f"relative.{name}" for name in _RELATIVE]
+    for side, lens in lenses.items():
+        known += [f"{side}.{name}" for name in _INTERIOR]
+        known += [f"{side}.lens.{i}" for i in range(len(lens.coefficients))]
+    for name in covariance.names:
+        if name not in known:
+            raise ValueError(
+                f"'{name}' in the calibration's covariance is not a parameter of this rig: {', '.join(known)}"
+            )
+    matrix = np.array(covariance.matrix)
+    sigma = np.sqrt(np.diag(matrix))
+    scale = np.where(sigma > 0, sigma, 1.0)
+    if np.linalg.eigvalsh(matrix / np.outer(scale, scale)).min() < -1e-6:
+        raise ValueError("'calibration_covariance.matrix' is not a covariance: it has a negative eigenvalue")
+
+
+def read_rig_yaml(path: Path) -> Rig:
+    """Rig from a `rig.yaml`, as the file has it: raw, where it has lenses or turned cameras. Raises CalibrationError."""
+    content: Any = read_yaml(path)
+    if not isinstance(content, dict):
+        raise CalibrationError(f"{path}: expected a YAML mapping with the keys left, right and baseline_m")
+    try:
+        file = _RigFile.model_validate(content)
+        if file.left_SE3_right is not None:
+            left_SE3_right = file.left_SE3_right.matrix("left_SE3_right")
+        else:
+            left_SE3_right = se3.se3(np.eye(3), np.array([file.baseline_m, 0.0, 0.0]))
+        body_SE3_left = None if file.body_SE3_left is None else file.body_SE3_left.matrix("body_SE3_left")
+        check_stereo_baseline(left_SE3_right)
+        rig = rig_of(
+            "rig", file.left.camera(), file.right.camera(), left_SE3_right,
+            rig_id=file.rig_id, sigma_px=file.sigma_px, body_SE3_left=body_SE3_left,
+        )  # fmt: skip
+        return rig.model_copy(update={"calibration_covariance": file.covariance()})
+    except ValueError as error:
+        raise CalibrationError(f"{path}: {first_message(error)}") from error
+
+
+def write_rig_yaml(rig: Rig, path: Path) -> None:
+    """Write a rig as a `rig.yaml`, every digit kept: `read_rig_yaml` gives it back.
+
+    The file describes the rig's own cameras; for the pictures as stored of a rectified rig write its `rectified_from`. Raises
+    InputError where nothing can be written.
+    """
+    content: dict[str, Any] = {"rig_id": rig.rig_id}
+    for name, camera in (("left", rig.left), ("right", rig.right)):
+        content[name] = camera.model_dump(mode="python", exclude={"lens"})
+        if camera.lens.model != "none":
+            content[name]["lens"] = {"model": camera.lens.model, "coefficients": list(camera.lens.coefficients)}
+    content["left_SE3_right"] = _rigid(rigs.left_SE3_right(rig))
+    if not rigs.body_is_left_camera(rig):
+        content["body_SE3_left"] = _rigid(rigs.body_SE3_camera(rig, "left"))
+    content["sigma_px"] = rig.sigma_px
+    if rig.calibration_covariance is not None:
+        content["calibration_covariance"] = {
+            "names": list(rig.calibration_covariance.names),
+            "matrix": [list(row) for row in rig.calibration_covariance.matrix],
+        }
+    with atomic_text_file(path) as file:
+        yaml.safe_dump(content, file, default_flow_style=None, sort_keys=False, width=200)
+
+
+def _rigid(pose: Array) -> dict[str, Any]:
+    return {"R": pose[:3, :3].tolist(), "t_m": pose[:3, 3].tolist()}

@@ -1,0 +1,164 @@
+"""ROS `camera_info` YAML pairs (camera_calibration, camera_info_manager): `left.yaml` and `right.yaml`, read and written.
+
+The pair describes the raw pictures. `rectification_matrix` turns directions of the camera into the rectified frame, and
+`projection_matrix` of the right camera holds -fx baseline in its fourth column (REP 104, sensor_msgs/CameraInfo); both together
+are the relative pose. Where the two files were calibrated one by one (identity and no fourth column) the relative pose must be
+told: `extrinsics.yaml` beside them with `left_SE3_right: {R: [[...], [...], [...]], t_m: [x, y, z]}`, as in a rig.yaml.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from conetl.files.atomic import atomic_text_file
+from conetl.geometry import pose as se3
+from conetl.geometry import rig as rigs
+from conetl.geometry.camera import matrix_k
+from conetl.geometry.rectification import common_rotation, rectify
+from conetl.model.errors import CalibrationError
+from conetl.model.records import Camera, Lens, Rig
+from conetl.readers.rigs.common import (
+    Array,
+    bad,
+    camera_from_matrix,
+    entry,
+    fisheye_lens,
+    numbers,
+    opencv_coefficients,
+    opencv_lens,
+    picture_size,
+    read_yaml,
+    stereo_rig,
+)
+
+EXTRINSICS = "extrinsics.yaml"
+_MODELS = ("plumb_bob", "rational_polynomial", "equidistant")
+
+
+def looks_like_ros(content: Any) -> bool:
+    """True for the mapping of a camera_info file."""
+    return isinstance(content, Mapping) and "camera_matrix" in content and (
+        "projection_matrix" in content or "rectification_matrix" in content
+    )  # fmt: skip
+
+
+def pair_of(path: Path) -> tuple[Path, Path]:
+    """Both files of a pair, given one of them (with left or right in its name) or their folder. Raises CalibrationError."""
+    if path.is_dir():
+        for suffix in (".yaml", ".yml"):
+            pair = path / f"left{suffix}", path / f"right{suffix}"
+            if all(file.is_file() for file in pair):
+                return pair
+        raise CalibrationError(f"{path}: expected left.yaml and right.yaml in the folder")
+    name = path.name
+    for ours, theirs in (("left", "right"), ("right", "left")):
+        if name.count(ours) == 1:
+            other = path.with_name(name.replace(ours, theirs))
+            if not other.is_file():
+                raise CalibrationError(f"{path}: this is one camera of two; {other.name} is missing beside it")
+            return (path, other) if ours == "left" else (other, path)
+    raise CalibrationError(f"{path}: this is one camera of two; name the files left.yaml and right.yaml, side by side")
+
+
+def read_ros_rig(path: Path) -> Rig:
+    """Raw rig of a camera_info pair. Raises CalibrationError."""
+    left_path, right_path = pair_of(path)
+    extrinsics = left_path.parent / EXTRINSICS
+    if extrinsics.is_file():
+        left, right = _camera(left_path, read_yaml(left_path))[0], _camera(right_path, read_yaml(right_path))[0]
+        relative = entry(extrinsics, read_yaml(extrinsics), "left_SE3_right")
+        key = "left_SE3_right"
+        rotation = numbers(extrinsics, f"{key}.R", entry(extrinsics, relative, "R", f"{key}."), (3, 3))
+        place = numbers(extrinsics, f"{key}.t_m", entry(extrinsics, relative, "t_m", f"{key}."), (3,))
+        return stereo_rig(extrinsics, key, "ros", left, right, rotation.T, -rotation.T @ place)
+    return rig_of_camera_infos(left_path, read_yaml(left_path), right_path, read_yaml(right_path))
+
+
+def rig_of_camera_infos(left_path: Path, left_info: Any, right_path: Path, right_info: Any) -> Rig:
+    """Raw rig of two camera_info mappings (keys of the YAML files); the paths are only for messages. Raises CalibrationError."""
+    left, left_R, left_p = _camera(left_path, left_info)
+    right, right_R, right_p = _camera(right_path, right_info)
+    key = "projection_matrix"
+    if abs(left_p[0, 3]) > 1e-9:
+        raise bad(left_path, key, "of the left camera must have a zero in row 1, column 4: are left and right swapped?")
+    if right_p[0, 3] == 0.0:
+        raise bad(
+            right_path, key, "has no baseline (row 1, column 4 is 0): the two cameras were calibrated one by one. Calibrate them "
+            f"as a stereo pair, or put an {EXTRINSICS} with left_SE3_right beside them",
+        )  # fmt: skip
+    if not right_p[0, 0] > 0:
+        raise bad(right_path, key, f"must have a positive focal length, found {right_p[0, 0]:g}")
+    centre = np.array([-right_p[0, 3] / right_p[0, 0], 0.0, 0.0])  # of the right camera, in the common rectified frame
+    # x_rect = left_R x_left and x_rect = right_R x_right + centre
+    right_R_left = right_R.T @ left_R
+    return stereo_rig(right_path, key, "ros", left, right, right_R_left, -right_R.T @ centre)
+
+
+def _camera(path: Path, content: Any) -> tuple[Camera, Array, Array]:
+    """Camera, its rectification matrix (3, 3) and its projection matrix (3, 4)."""
+    if not isinstance(content, Mapping):
+        raise CalibrationError(f"{path}: expected the YAML mapping of a ROS camera_info")
+    size = picture_size(
+        path, "image_width, image_height", [entry(path, content, "image_width"), entry(path, content, "image_height")]
+    )
+    model = entry(path, content, "distortion_model")
+    if model not in _MODELS:
+        raise bad(path, "distortion_model", f"'{model}' is not supported; known: {', '.join(_MODELS)}")
+    key = "distortion_coefficients"
+    coefficients = numbers(path, key, entry(path, content, key))
+    lens = (fisheye_lens if model == "equidistant" else opencv_lens)(path, key, coefficients)
+    k = numbers(path, "camera_matrix", entry(path, content, "camera_matrix"), (3, 3))
+    rotation = numbers(path, "rectification_matrix", entry(path, content, "rectification_matrix"), (3, 3))
+    if not se3.is_rotation(rotation):
+        raise bad(path, "rectification_matrix", "is not a rotation")
+    projection = numbers(path, "projection_matrix", entry(path, content, "projection_matrix"), (3, 4))
+    return camera_from_matrix(path, "camera_matrix", k, size, lens), se3.nearest_rotation(rotation), projection
+
+
+def write_ros_rig(rig: Rig, folder: Path) -> None:
+    """Write `left.yaml` and `right.yaml` into a folder; rectification and projection are conetl's own (`rectify`).
+
+    Raises CalibrationError for a rig that cannot be rectified.
+    """
+    try:
+        flat = rectify(rig)
+    except ValueError as error:
+        raise CalibrationError(f"{folder}: this rig cannot be rectified, as ROS demands: {error}") from error
+    base_m = rig.baseline_m
+    raw_R_rect = [
+        rigs.body_SE3_camera(rig, side)[:3, :3].T @ rigs.body_SE3_camera(flat, side)[:3, :3]
+        for side in ("left", "right")
+    ]
+    if flat is rig:
+        # Parallel within tolerance; ROS knows exact rows only, so the rest of the turn goes into its rotations.
+        raw_R_rect = list(common_rotation(rigs.left_SE3_right(rig)))
+    for name, camera, target, turn, shift in (
+        ("left", rig.left, flat.left, raw_R_rect[0], 0.0),
+        ("right", rig.right, flat.right, raw_R_rect[1], -base_m),
+    ):
+        projection = np.column_stack([matrix_k(target), [target.fx_px * shift, 0.0, 0.0]])
+        content = {
+            "image_width": camera.width_px,
+            "image_height": camera.height_px,
+            "camera_name": name,
+            "camera_matrix": _matrix(matrix_k(camera)),
+            "distortion_model": _model(camera.lens),
+            "distortion_coefficients": _matrix(np.array([opencv_coefficients(camera.lens)])),
+            "rectification_matrix": _matrix(turn.T),
+            "projection_matrix": _matrix(projection),
+        }
+        with atomic_text_file(folder / f"{name}.yaml") as file:
+            yaml.safe_dump(content, file, default_flow_style=None, sort_keys=False, width=200)
+
+
+def _model(lens: Lens) -> str:
+    return {"fisheye": "equidistant", "rational": "rational_polynomial"}.get(lens.model, "plumb_bob")
+
+
+def _matrix(values: Array) -> dict[str, Any]:
+    return {"rows": values.shape[0], "cols": values.shape[1], "data": [float(v) for v in values.reshape(-1)]}

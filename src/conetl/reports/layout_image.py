@@ -1,0 +1,158 @@
+"""The layout of work zones along their roads, as a picture for a report: station to the right, offset upwards."""
+
+from __future__ import annotations
+
+import io
+import os
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from uuid import uuid4
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from conetl.model.errors import InputError
+from conetl.model.work_zone_records import DrivePath, Finding, Level, Rule, WorkZone
+from conetl.workzones.road_axis import project
+
+#: Colour-blind safe (Okabe & Ito) and told apart by shape as well.
+_LEVEL_COLOUR = {Level.VIOLATION: "#d55e00", Level.NOTICE: "#0072b2", Level.CANNOT_TELL: "#8a8a8a"}
+_CONE, _ROW, _TAPER, _LANE, _DRIVE = "#e69f00", "#555555", "#f0e442", "#999999", "#009e73"
+_WIDTH_IN = 11.0
+_MARGIN_M = 8.0
+
+
+def draw_layout(
+    path: Path,
+    zones: Sequence[tuple[WorkZone, Sequence[Finding]]],
+    paths: Sequence[DrivePath],
+    *,
+    title: str,
+) -> Path:
+    """Write one picture (PNG) with a panel for each zone and its findings, numbered as in the list below it; the path."""
+    notes = [[_note(n, finding) for n, finding in enumerate(findings, 1)] for _, findings in zones]
+    lines = [sum(len(note) for note in some) for some in notes]
+    heights = [part for count in lines for part in (2.9, 0.3 + 0.2 * max(count, 1))]
+    figure = Figure(figsize=(_WIDTH_IN, sum(heights) + 0.5), dpi=120, layout="constrained")
+    figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
+    axes = figure.subplots(2 * len(zones), 1, height_ratios=heights, squeeze=False)[:, 0]
+    for k, (zone, findings) in enumerate(zones):
+        _panel(axes[2 * k], zone, findings, paths)
+        _list(axes[2 * k + 1], findings, notes[k])
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        aside = path.with_suffix(f".{uuid4().hex}.tmp")
+        aside.write_bytes(picture.getvalue())
+        os.replace(aside, path)  # noqa: PTH105 - atomic on every platform, unlike Path.rename
+    except OSError as error:
+        raise InputError(f"{path} cannot be written ({error.strerror}): choose another file.") from error
+    return path
+
+
+def _note(number: int, finding: Finding) -> list[str]:
+    words = f"{number}  {finding.level}: {finding.text} [{finding.norm}]"
+    return textwrap.wrap(words, 128, subsequent_indent="     ")
+
+
+def _panel(ax: Axes, zone: WorkZone, findings: Sequence[Finding], paths: Sequence[DrivePath]) -> None:
+    layout = zone.layout
+    zero = float(layout.stations_m[0])
+    s, o = layout.stations_m - zero, layout.offsets_m
+    low, high = float(s[0]) - _MARGIN_M, float(s[-1]) + _MARGIN_M
+    if layout.bands is not None:
+        for k in range(layout.bands.offsets_m.shape[1]):
+            label = "lane lines" if k == 0 else None
+            ax.plot(layout.bands.stations_m - zero, layout.bands.offsets_m[:, k], color=_LANE, linewidth=1, label=label)
+    _drives(ax, zone, paths, zero)
+    for n, row in enumerate(layout.rows):
+        members = list(row.members)
+        ax.plot(s[members], o[members], color=_ROW, linewidth=1, zorder=2, label="row" if n == 0 else None)
+        for m, taper in enumerate(row.tapers):
+            label = "taper" if n == m == 0 else None
+            ax.axvspan(taper.start_m - zero, taper.end_m - zero, color=_TAPER, alpha=0.3, linewidth=0, label=label)
+    ax.errorbar(
+        s, o, xerr=2 * layout.sigmas_s_m, yerr=2 * layout.sigmas_o_m, fmt="^", color=_CONE, markeredgecolor="black",
+        markeredgewidth=0.5, markersize=7, elinewidth=1, label="cones, 2 sigma", zorder=3,
+    )  # fmt: skip
+    for number, finding in enumerate(findings, 1):
+        _mark(ax, number, finding, zone, zero)
+    inside = o if layout.bands is None else np.append(o, layout.bands.offsets_m[np.isfinite(layout.bands.offsets_m)])
+    ax.set_xlim(low, high)
+    ax.set_ylim(
+        max(float(np.min(inside)), float(o.min()) - 6) - 1.5, min(float(np.max(inside)), float(o.max()) + 6) + 1.8
+    )
+    ax.set_ylabel("offset, left is up (m)")
+    ax.set_xlabel("along the road in the direction of travel (m)" if layout.direction_known else "along the row (m)")
+    source = {"lanes": "a lane line", "drives": "the driven path", "cones": "the cones themselves"}[layout.axis_source]
+    ax.set_title(
+        f"work zone {str(zone.history.zone_id)[:8]}, {len(s)} cones; offsets from {source}", loc="left", fontsize=9
+    )
+    ax.grid(color="#eeeeee")
+    ax.set_axisbelow(True)
+    ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8, frameon=False)
+
+
+def _drives(ax: Axes, zone: WorkZone, paths: Sequence[DrivePath], zero: float) -> None:
+    label: str | None = "drives"
+    for one in paths:
+        if one.drive_id not in zone.layout.drive_ids:
+            continue
+        s, o = project(zone.layout.axis_m, one.xy_m)
+        near = (np.abs(o) < 15) & (s > zero - 200) & (s < float(zone.layout.stations_m[-1]) + 200)
+        if near.sum() < 2:
+            continue
+        way, aside = s[near] - zero, o[near]
+        ax.plot(way, aside, color=_DRIVE, linewidth=1.2, linestyle="--", label=label, zorder=1)
+        # An arrow in the middle of what is seen of it.
+        seen = np.flatnonzero((way > -_MARGIN_M) & (way < float(zone.layout.stations_m[-1]) - zero + _MARGIN_M))
+        if len(seen) > 1:
+            a, b = seen[len(seen) // 2 - 1], seen[len(seen) // 2]
+            ax.annotate(
+                "", xy=(way[b], aside[b]), xytext=(way[a], aside[a]), arrowprops={"arrowstyle": "-|>", "color": _DRIVE}
+            )
+        label = None
+
+
+def _mark(ax: Axes, number: int, finding: Finding, zone: WorkZone, zero: float) -> None:
+    index = {cone.feature_id: k for k, cone in enumerate(zone.layout.cones)}
+    those = [index[feature_id] for feature_id in finding.feature_ids]
+    s, o = zone.layout.stations_m[those] - zero, zone.layout.offsets_m[those]
+    colour = _LEVEL_COLOUR[finding.level]
+    if finding.rule is Rule.CONE_IN_LANE:
+        ax.plot(s, o, "o", markersize=16, markerfacecolor="none", markeredgecolor=colour, markeredgewidth=2, zorder=4)
+    elif finding.rule is not Rule.TAPER_LENGTH:
+        ax.plot(s, o, color=colour, linewidth=5, alpha=0.6, solid_capstyle="butt", zorder=2)
+    _number(ax, number, float(np.mean(s)), float(np.mean(o)), colour)
+
+
+def _number(ax: Axes, number: int, x: float, y: float, colour: str) -> None:
+    ax.annotate(
+        str(number), xy=(x, y), xytext=(0, 14), textcoords="offset points", ha="center", va="center", fontsize=8,
+        color="white", fontweight="bold", zorder=5,
+        bbox={"boxstyle": "circle,pad=0.25", "facecolor": colour, "edgecolor": "none"},
+    )  # fmt: skip
+
+
+def _list(ax: Axes, findings: Sequence[Finding], notes: Sequence[Sequence[str]]) -> None:
+    ax.axis("off")
+    if not findings:
+        ax.text(0.0, 1.0, "No finding.", va="top", fontsize=8.5, transform=ax.transAxes)
+        return
+    count = sum(len(note) for note in notes)
+    row = 0
+    for finding, note in zip(findings, notes, strict=True):
+        for line in note:
+            ax.text(
+                0.0,
+                1.0 - row / count,
+                line,
+                va="top",
+                fontsize=8.5,
+                transform=ax.transAxes,
+                color=_LEVEL_COLOUR[finding.level],
+            )
+            row += 1

@@ -1,0 +1,4 @@
+"""Processes that outlive the command that started them.
+
+It imports `model` only. The story begins in `processes.py`.
+"""

@@ -1,0 +1,136 @@
+"""The pixels of the left picture that the matching of a cone looks at: its body, its edges, and what stands beside them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from conetl.model.records import Camera
+from conetl.tracking.matching.cone_outline import Outline
+from conetl.tracking.matching.cone_surface import cone_surface
+from conetl.tracking.matching.spline_patch import SplinePatch
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+
+_MIN_PIXELS = 24
+_MAX_PIXELS = 1200
+#: Rows of the body that take part, as shares of the way from tip to foot; the base plate lies on the ground, not at the axis.
+_ROWS = (0.02, 0.90)
+#: Pixels inside of the outline that show its edge rather than the surface, and those outside that take part: shares of the
+#: radius at the foot, from the blur of one pixel upwards. A far cone would else be all edge, and half of it background.
+_EDGE_SHARE, _OUT_SHARE = 0.1, 0.075
+_EDGE_PX, _OUT_PX = (1.0, 2.0), (1.0, 1.5)
+#: Blur (sigma) of an edge by lens, sensor and the smoothing here, and where the background shows alone.
+_BLUR_PX = 0.85
+_BEYOND_PX = np.array([2.0, 3.0])
+
+
+class ConePixels(NamedTuple):
+    """The pixels of the left picture that take part; n of them."""
+
+    rows: Ints
+    """(n,) rows in the picture"""
+    columns: Ints
+    values: Floats
+    """(n, channels) grey values"""
+    slopes: Floats
+    """(2, n, channels) of the grey values along columns and rows"""
+    depth: Floats
+    """(n,) of what shows, in units of the depth of the axis at the foot"""
+    nearer: Floats
+    """(n,) by how much the surface is nearer than the limb, in the same units; 0 at the edges"""
+    height: Floats
+    """(n,) above the foot, in the same units"""
+    at_edge: Floats
+    """(n, 2) 1 for pixels of the left, of the right edge"""
+    edge: Ints
+    """(n,) number of the edge that a pixel is next to: one row, left or right of the axis"""
+    cover: Floats
+    """(n,) share of the background in a pixel's grey value"""
+    beyond: Beyond
+
+
+class Beyond(NamedTuple):
+    """What stands beside the body, just beyond the blur of its edges: e edges, two points each."""
+
+    rows: Ints
+    """(2e,)"""
+    columns: Floats
+    depth: Floats
+    """(2e,) of the edge: what is looked for is what the right picture shows beside the same edge"""
+    values: Floats
+    """(e, 2, channels) grey values in the left picture"""
+
+
+def cone_pixels(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Floats) -> ConePixels | None:
+    """The pixels inside the outline, with the disparity surface over them."""
+    height = outline.foot_row - outline.tip_row
+    first = max(int(np.ceil(outline.tip_row + _ROWS[0] * height)), 0)
+    last = min(int(np.floor(outline.tip_row + _ROWS[1] * height)), left.shape[0] - 1)
+    if last - first < 4:
+        return None
+    v = np.arange(first, last + 1)
+    axis, radius = outline.axis(v.astype(np.float64)), outline.radius(v.astype(np.float64))
+    widest = float(outline.radius(np.array([outline.foot_row]))[0])
+    edge_px, out_px = float(np.clip(_EDGE_SHARE * widest, *_EDGE_PX)), float(np.clip(_OUT_SHARE * widest, *_OUT_PX))
+    low = max(int(np.floor((axis - radius).min() - out_px)), 0)
+    high = min(int(np.ceil((axis + radius).max() + out_px)), left.shape[1] - 1)
+    u = np.arange(low, high + 1)
+    aside = u[None, :] - axis[:, None]
+    inside = np.abs(aside) <= radius[:, None] + out_px
+    every = int(np.ceil(inside.sum() / _MAX_PIXELS))
+    inside[np.arange(len(v)) % every != 0] = False  # the rows of a near cone say the same thing many times
+    i, j = np.nonzero(inside)
+    if len(i) < _MIN_PIXELS:
+        return None
+    surface = cone_surface(outline, camera, up, v[i].astype(np.float64), u[j].astype(np.float64))
+    if surface is None:
+        return None
+    # At the very edge it is the outline that shows, blurred over about a pixel, not the surface.
+    inner = radius[i] - np.abs(aside[i, j]) > edge_px
+    nearer = (surface.limb - surface.depth) * inner
+    values, *slopes = (part[i, j] for part in _smooth(left, v, u))
+    right_half = aside[i, j] > 0
+    cover = ndtr((np.abs(aside[i, j]) - radius[i]) / _BLUR_PX)
+    beyond = _beyond(left, outline, camera, up, v)
+    if beyond is None:
+        return None
+    at_edge = ~inner[:, None] & (right_half[:, None] == np.array([False, True]))
+    return ConePixels(
+        v[i], u[j], values, np.stack(slopes), surface.limb - nearer, nearer, surface.height, at_edge.astype(np.float64),
+        2 * i + right_half, cover, beyond,
+    )  # fmt: skip
+
+
+def _beyond(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Floats, rows: Ints) -> Beyond | None:
+    """Background beside both edges of every row; None where the picture ends there."""
+    y = rows.astype(np.float64)
+    axis, radius = outline.axis(y), outline.radius(y)
+    columns = axis[:, None, None] + np.array([-1.0, 1.0])[None, :, None] * (radius[:, None, None] + _BEYOND_PX)
+    columns, y = columns.ravel(), np.repeat(y, 2 * len(_BEYOND_PX))
+    surface = cone_surface(outline, camera, up, y, columns)
+    patch = SplinePatch.of(left, rows[0], rows[-1], columns.min(), columns.max())
+    if surface is None or patch is None:
+        return None
+    v = np.repeat(rows, 2 * len(_BEYOND_PX))
+    values = patch.at(v, columns, 0.0)[0]
+    return Beyond(v, columns, surface.limb, values.reshape(-1, len(_BEYOND_PX), values.shape[1]))
+
+
+def _smooth(picture: NDArray[np.uint8], rows: Ints, columns: Ints) -> tuple[Floats, Floats, Floats]:
+    """Grey values (rows, columns, channels) blurred as `SplinePatch` blurs the right picture at a whole pixel, and their slopes
+    along columns and rows.
+    """
+    top = np.clip(np.arange(rows[0] - 1, rows[-1] + 2), 0, picture.shape[0] - 1)
+    aside = np.clip(np.arange(columns[0] - 1, columns[-1] + 2), 0, picture.shape[1] - 1)
+    part = picture[top[:, None], aside].astype(np.float64)
+    blurred, down = (part[:-2] + 4 * part[1:-1] + part[2:]) / 6, (part[2:] - part[:-2]) / 2
+    return (
+        np.asarray((blurred[:, :-2] + 4 * blurred[:, 1:-1] + blurred[:, 2:]) / 6),
+        np.asarray((blurred[:, 2:] - blurred[:, :-2]) / 2),
+        np.asarray((down[:, :-2] + 4 * down[:, 1:-1] + down[:, 2:]) / 6),
+    )

@@ -1,0 +1,104 @@
+"""Where in the right picture the partners of the left one's boxes can be: nothing else of it needs to be searched.
+
+A position takes a box in both pictures. Where the left one shows something, its partner lies along the epipolar line, within the
+bounds of `matches.match_pair`; where the left one shows nothing, the right one could only say once more that nothing is there.
+
+That would make the map trust in one camera: what a dirty or covered left lens does not show would be gone. So every fifth pair is
+searched everywhere all the same, and where its right picture shows what the left one does not, its neighbours are, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from conetl.geometry.rig import infinity_shift_px
+from conetl.model.params import IngestParams
+from conetl.model.records import Detection, Rig
+from conetl.tracking.matching.matches import HEIGHT_BOUNDS_M, LEAST_DISPARITY_PX, disparity_bounds_px, row_tolerance_px
+
+#: The rig may turn out to be turned by a little after its pictures were searched (`self_calibration.py`).
+_SLACK_PX = 4.0
+
+
+class Region(NamedTuple):
+    """Part of a picture in which the middles of boxes lie; pixels."""
+
+    x0: float
+    y0: float
+    x1: float
+    y1: float
+    reach_px: float
+    """How far from their middles the boxes may reach."""
+
+
+def blocks_of(count: int, params: IngestParams) -> list[tuple[int, range]]:
+    """So many frame pairs in blocks: the one in the middle, which is searched everywhere, and all of them.
+
+    A block is as long as the fewest frame pairs that can remove a cone, so these are never pairs of which all right pictures were
+    left out. And of pairs running that would have shown it on the right, so many lie in blocks where one did that
+    what is found there outweighs what is not.
+    """
+    length = params.reconcile.removal_min_frames
+    blocks = [range(first, min(first + length, count)) for first in range(0, count, length)]
+    return [(block[len(block) // 2], block) for block in blocks]
+
+
+def is_unanswered(found: Sequence[Detection], rig: Rig, params: IngestParams) -> bool:
+    """Whether a pair that was searched everywhere shows something on the right of which the left picture says nothing.
+
+    It must be tall enough, and far enough inside the left picture if it were the tallest of cones, for that to mean anything.
+    """
+    if params.detection.search_right == "everywhere":
+        return False
+    limits = params.reconcile
+    # Of each left box by itself: what lies between two of them is searched in this pair, but not in the next, once one is gone.
+    regions = [right_region([box], rig, params) for box in found if box.side == "left"]
+    for box in found:
+        if box.side == "left" or box.h_px < limits.visible_min_height_px:
+            continue
+        u_px, v_px = box.x_px + box.w_px / 2, box.y_px + box.h_px / 2
+        least_disparity_px = box.h_px * rig.baseline_m / params.track.max_cone_height_m
+        right_edge_px = box.x_px + box.w_px + least_disparity_px + rig.left.cx_px - rig.right.cx_px
+        in_view = right_edge_px <= rig.left.width_px - limits.visible_border_px
+        if in_view and not any(is_within(u_px, v_px, region) for region in regions):
+            return True
+    return False
+
+
+def right_region(found: Iterable[Detection], rig: Rig, params: IngestParams) -> Region | None:
+    """The part of a frame pair's right picture that is searched, by the middle of boxes; None where none of it is.
+
+    found: detections of the pair, of which those of the left picture count. The smallest box around the places of all partners:
+    the network is faster with one large part than with some small ones.
+    """
+    camera = rig.right
+    if params.detection.search_right == "everywhere":
+        return Region(0.0, 0.0, float(camera.width_px), float(camera.height_px), float(camera.height_px))
+    left = [d for d in found if d.side == "left"]
+    if not left:
+        return None
+    boxes = np.array([(d.x_px + d.w_px / 2, d.y_px + d.h_px / 2, d.w_px, d.h_px) for d in left])
+    u, v, width, height = boxes.T
+    at_infinity, rows_up = infinity_shift_px(rig, boxes[:, :2] - 0.5).T
+    ratio = params.match.max_size_ratio
+    # Of the partner nothing is known but how much larger or smaller it may be.
+    least, most = disparity_bounds_px(rig, params.match, width * (1 + ratio**2) / 2)
+    shortest_m, tallest_m = HEIGHT_BOUNDS_M
+    by_height = height * (1 + 1 / ratio) / 2 * rig.baseline_m / tallest_m
+    least = np.where(by_height > LEAST_DISPARITY_PX, np.maximum(least, by_height), least)
+    most = np.minimum(most, height * (1 + ratio) / 2 * rig.baseline_m / shortest_m)
+    tolerance = row_tolerance_px(params.match, height * ratio) + _SLACK_PX
+    x0, x1 = (u - at_infinity - most - _SLACK_PX).min(), (u - at_infinity - least + _SLACK_PX).max()
+    y0, y1 = (v - rows_up - tolerance).min(), (v - rows_up + tolerance).max()
+    x0, y0 = max(float(x0), 0.0), max(float(y0), 0.0)
+    x1, y1 = min(float(x1), float(camera.width_px)), min(float(y1), float(camera.height_px))
+    reach_px = max(float(height.max()) * ratio, float(width.max()) * ratio**2) / 2
+    return Region(x0, y0, x1, y1, reach_px) if x0 < x1 and y0 < y1 else None
+
+
+def is_within(u_px: float, v_px: float, region: Region | None) -> bool:
+    """Whether a point lies in a region."""
+    return region is not None and region.x0 <= u_px <= region.x1 and region.y0 <= v_px <= region.y1

@@ -1,0 +1,282 @@
+"""Detections of a frame pair -> stereo matches with image points.
+
+In rectified images the two boxes of one cone lie in the same rows. Candidates are gated by rows, disparity, size and by the
+height that the cone would have; the assignment that costs least over the whole picture is taken (one-to-one).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from conetl.geometry.rig import infinity_shift_px
+from conetl.model.params import MatchParams
+from conetl.model.records import Camera, Detection, Rig, StereoMatch, Vec2
+from conetl.model.rejections import Rejection, RejectionReason
+from conetl.tracking.matching.area_matching import AreaMatch, match_area
+from conetl.tracking.matching.cone_outline import Outline, find_outline
+
+Image = NDArray[np.uint8]
+Number = TypeVar("Number", float, NDArray[np.float64])
+#: Height of anything that may be a traffic cone, wide: the boxes are loose. Keeps a cone from being matched with its neighbour.
+HEIGHT_BOUNDS_M = (0.15, 1.8)
+#: Nearer to none at all, a disparity says nothing of how tall a thing is.
+LEAST_DISPARITY_PX = 0.5
+#: A box that ends this near to the picture's border (px, or share of the box) may go on behind it: the network seldom draws it
+#: right up to the edge.
+_BORDER_PX = 2.0
+_BORDER_SHARE = 0.15
+#: Spread of foot and axis where boxes alone tell them, a floor plus a share of the box: generous. With less, boxes with edges off
+#: by 0.9 px (sigma) give tracks that are too sure (tests/synthetic/test_drive.py).
+_EDGE_SIGMA_PX = 0.6
+_EDGE_SIGMA_SHARE = 0.025
+#: Where the network tells the foot: a floor (px), a share of the box's height or width, and what is divided by the height (px^2;
+#: of tiny boxes). Across the rows in each picture, along the rows in both alike, and what all sightings of one cone share.
+#: Measured on the sample drives (docs/accuracy.md).
+_FOOT_ACROSS, _FOOT_ALONG, _FOOT_OF_CONE = (0.8, 0.010, 11.0), (0.5, 0.007, 6.0), (0.2, 0.0035, 0.0)
+#: Feet scatter by so much more than the difference of the two pictures tells, because both err in part alike.
+_BOTH_ALIKE = 1.5
+#: The spread of feet is measured on the matches themselves; what is usual counts as so many of them. Beyond so many sigmas a
+#: difference counts as that many.
+_USUAL_MATCHES, _LARGEST_RATIO = 10.0, 3.0
+_SPREAD_BOUNDS = (0.5, 2.0)
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    cost: float
+    area: AreaMatch | None
+
+
+class _Sought(NamedTuple):
+    """What is looked for in the right picture, whatever it is compared with."""
+
+    detection: Detection
+    at_infinity_px: float
+    """Disparity of what is infinitely far, at the middle of the box ..."""
+    row_offset_px: float
+    """... and how much lower it is in the right picture."""
+    outlines: list[Outline]
+    """Of its cone: found when it is first asked for, so none or one."""
+
+
+def match_pair(
+    left: Sequence[Detection],
+    right: Sequence[Detection],
+    rig: Rig,
+    params: MatchParams,
+    *,
+    up_left: NDArray[np.float64],
+    images: tuple[Image, Image] | None = None,
+) -> tuple[list[StereoMatch], list[Rejection]]:
+    """Match the detections of one frame pair.
+
+    up_left: unit vector (3,) pointing up, in the left camera's frame; (0, -1, 0) for a level camera. images: the two rectified
+    pictures, (H, W, 3) uint8; with them the correspondence is refined by area-based matching (`params.refine`).
+    A detection without a partner is no error and simply yields no match; a box cut by the picture's border has no foot or no
+    tip and is rejected.
+    """
+    rejections: list[Rejection] = []
+    left_whole = [d for d in left if _is_whole(d, rig.left, rejections)]
+    right_whole = [d for d in right if _is_whole(d, rig.right, rejections)]
+    if not left_whole or not right_whole:
+        return [], rejections
+    candidates: dict[tuple[int, int], _Candidate] = {}
+    costs = np.full((len(left_whole), len(right_whole)), np.inf)
+    middles = np.array([[d.x_px + d.w_px / 2 - 0.5, d.y_px + d.h_px / 2 - 0.5] for d in left_whole])
+    for i, (a, (shift, rows_up)) in enumerate(zip(left_whole, infinity_shift_px(rig, middles).tolist(), strict=True)):
+        sought = _Sought(a, shift, -rows_up, [])
+        for j, b in enumerate(right_whole):
+            candidate = _candidate(sought, b, rig, params, images if params.refine else None, up_left)
+            if candidate is not None:
+                candidates[i, j] = candidate
+                costs[i, j] = candidate.cost
+    # A pair that fails the gate must never be forced: it costs more than leaving both alone.
+    rows, columns = linear_sum_assignment(np.where(np.isfinite(costs), costs, 1e6))
+    matches = [
+        _stereo_match(len_before, left_whole[i], right_whole[j], candidates[i, j], rig, up_left)
+        for len_before, (i, j) in enumerate(
+            (i, j) for i, j in zip(rows.tolist(), columns.tolist(), strict=True) if (i, j) in candidates
+        )
+    ]
+    return matches, rejections
+
+
+def with_measured_spread(matches: Sequence[StereoMatch]) -> list[StereoMatch]:
+    """The matches of one drive, or of a part of it, with sigmas of their feet as the pictures show them.
+
+    Both pictures of a pair tell in which row a cone stands. How much they disagree from match to match is known without any
+    truth, and is the spread of one picture times the square root of two; a constant is the calibration's. Along the rows it
+    scales alike: it is the same network on the same pictures. Only for matches of boxes with feet of their own.
+
+    A first guess: what both pictures err by alike does not show in it. The tracks tell that afterwards (`sighting_variances.py`).
+    """
+    feet = [m for m in matches if m.left.foot_px is not None and m.right.foot_px is not None]
+    if len(feet) < 2:
+        return list(matches)
+    apart = np.array([m.foot_left_uv_px[1] - m.foot_right_uv_px[1] for m in feet])
+    ratio = (apart - np.median(apart)) / (2**0.5 * np.array([m.sigma_v_px for m in feet]))
+    measured = _BOTH_ALIKE**2 * float(np.mean(np.minimum(np.abs(ratio), _LARGEST_RATIO) ** 2))
+    factor = ((_USUAL_MATCHES + len(feet) * measured) / (_USUAL_MATCHES + len(feet))) ** 0.5
+    factor = float(np.clip(factor, *_SPREAD_BOUNDS))
+    return [
+        m.model_copy(update={"sigma_v_px": m.sigma_v_px * factor, "sigma_pointing_px": m.sigma_pointing_px * factor})
+        if m.left.foot_px is not None and m.right.foot_px is not None
+        else m
+        for m in matches
+    ]
+
+
+def foot_image_point(box_bottom: Vec2, box_width_px: float, camera: Camera, up: NDArray[np.float64]) -> Vec2:
+    """Image point of the centre of the foot, from the middle of the box's lower edge.
+
+    The lower edge shows the near rim of the base plate, which is nearer to the camera than the centre by half the plate's
+    apparent width, whatever its shape or heading; so the ray to the near rim is moved on along the ground by that share of
+    its depth. up: unit vector (3,) in the camera's frame.
+    """
+    u, v = box_bottom
+    ray = np.array([(u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px, 1.0])
+    along_ground = ray - (ray @ up) * up
+    along_ground /= np.linalg.norm(along_ground)
+    centre = ray + box_width_px / (2 * camera.fx_px) * along_ground
+    return (
+        float(camera.cx_px + camera.fx_px * centre[0] / centre[2]),
+        float(camera.cy_px + camera.fy_px * centre[1] / centre[2]),
+    )
+
+
+def _spread(parts: tuple[float, float, float], size_px: float, height_px: float) -> float:
+    floor, share, tiny = parts
+    return float(np.sqrt(floor**2 + (share * size_px) ** 2 + (tiny / height_px) ** 2))
+
+
+def _is_whole(detection: Detection, camera: Camera, rejections: list[Rejection]) -> bool:
+    right_gap = camera.width_px - (detection.x_px + detection.w_px)
+    bottom_gap = camera.height_px - (detection.y_px + detection.h_px)
+    across = max(_BORDER_PX, _BORDER_SHARE * detection.w_px)
+    down = max(_BORDER_PX, _BORDER_SHARE * detection.h_px)
+    if min(detection.x_px, right_gap) > across and min(detection.y_px, bottom_gap) > down:
+        return True
+    rejections.append(
+        Rejection(
+            step="matches",
+            reason=RejectionReason.BOX_CUT_BY_BORDER,
+            record=f"{detection.side} detection {detection.detection_index} of frame pair {detection.frame_index}",
+            detail=f"box at the border of the {camera.width_px}x{camera.height_px} picture: its foot, tip or axis is unseen",
+            payload=detection.model_dump(mode="json"),
+        )
+    )
+    return False
+
+
+def _candidate(
+    sought: _Sought,
+    b: Detection,
+    rig: Rig,
+    params: MatchParams,
+    images: tuple[Image, Image] | None,
+    up: NDArray[np.float64],
+) -> _Candidate | None:
+    """Cost of calling two detections one object, None where that cannot be."""
+    a, at_infinity, row_offset_px, outlines = sought
+    tallest = max(a.h_px, b.h_px)
+    row_tolerance = row_tolerance_px(params, tallest)
+    row_difference = abs((a.y_px + a.h_px / 2) - (b.y_px + b.h_px / 2) + row_offset_px)
+    if row_difference > row_tolerance:
+        return None
+    height_ratio = tallest / min(a.h_px, b.h_px)
+    width_ratio = max(a.w_px, b.w_px) / min(a.w_px, b.w_px)
+    if height_ratio > params.max_size_ratio or width_ratio > params.max_size_ratio**2:
+        return None
+    score_difference = abs(a.score - b.score)
+    if score_difference > params.max_score_difference:
+        return None
+    disparity = (a.x_px + a.w_px / 2) - (b.x_px + b.w_px / 2) - at_infinity
+    least, most = disparity_bounds_px(rig, params, (a.w_px + b.w_px) / 2)
+    if not least <= disparity <= most:
+        return None
+    height_m = (a.h_px + b.h_px) / 2 * rig.baseline_m / max(disparity, LEAST_DISPARITY_PX)
+    if not HEIGHT_BOUNDS_M[0] <= height_m <= HEIGHT_BOUNDS_M[1]:
+        return None
+    area = None
+    if images is not None:
+        if not outlines:
+            outlines.append(find_outline(images[0], a))
+        area = match_area(
+            images[0], images[1], outlines[0], disparity + at_infinity, max(3.0, 0.3 * a.w_px),
+            camera=rig.left, up=up, at_infinity_px=at_infinity, row_offset_px=row_offset_px,
+        )  # fmt: skip
+    cost = row_difference / row_tolerance + np.log(height_ratio) * 2 + np.log(width_ratio) + score_difference
+    if images is not None:
+        cost += 1.0 - (area.correlation if area else 0.0)
+    return _Candidate(float(cost), area)
+
+
+def row_tolerance_px(params: MatchParams, height_px: Number) -> Number:
+    """How far the middles of two boxes of one thing may be apart across the epipolar line; height_px: of the taller one."""
+    return params.epipolar_tolerance_px + params.epipolar_tolerance_relative * height_px
+
+
+def disparity_bounds_px(rig: Rig, params: MatchParams, width_px: Number) -> tuple[Number, Number]:
+    """Least and largest disparity, from that of what is infinitely far on; width_px: mean of both boxes."""
+    focal_base, slack = rig.left.fx_px * rig.baseline_m, 1.0 + 0.1 * width_px
+    return focal_base / params.max_range_m - slack, focal_base / params.min_range_m + slack
+
+
+def _stereo_match(
+    index: int, a: Detection, b: Detection, candidate: _Candidate, rig: Rig, up: NDArray[np.float64]
+) -> StereoMatch:
+    foot_left, tip_left, centre_left = _foot_tip_centre(a, rig.left, up)
+    foot_right, tip_right, centre_right = _foot_tip_centre(b, rig.right, up)
+    pointing_sigma = _EDGE_SIGMA_PX + _EDGE_SIGMA_SHARE * (a.w_px + b.w_px) / 2
+    width, height = (a.w_px + b.w_px) / 2, (a.h_px + b.h_px) / 2
+    across, along, of_cone = _EDGE_SIGMA_PX + _EDGE_SIGMA_SHARE * height, pointing_sigma / 2**0.5, 0.0
+    if a.foot_px is not None and b.foot_px is not None:
+        across, of_cone = _spread(_FOOT_ACROSS, height, height), _spread(_FOOT_OF_CONE, height, height)
+        along = _spread(_FOOT_ALONG, width, height)
+    axis_left, axis_right = foot_left[0], foot_right[0]
+    sigma_u = pointing_sigma
+    if candidate.area is not None:
+        disparity = candidate.area.disparity_px
+        # Both pictures say where the axis is; the matched disparity says how the two statements relate.
+        axis_left = (axis_left + axis_right + disparity) / 2
+        axis_right = axis_left - disparity
+        sigma_u = candidate.area.sigma_px / 2**0.5
+    return StereoMatch(
+        frame_index=a.frame_index,
+        match_index=index,
+        left=a,
+        right=b,
+        foot_left_uv_px=(axis_left, foot_left[1]),
+        foot_right_uv_px=(axis_right, foot_right[1]),
+        centre_left_uv_px=(axis_left, centre_left),
+        centre_right_uv_px=(axis_right, centre_right),
+        tip_left_uv_px=(axis_left, tip_left),
+        tip_right_uv_px=(axis_right, tip_right),
+        sigma_u_px=sigma_u,
+        sigma_v_px=across,
+        sigma_pointing_px=along,
+        sigma_outline_px=of_cone,
+        refined=candidate.area is not None,
+        cost=candidate.cost,
+    )
+
+
+def _foot_tip_centre(detection: Detection, camera: Camera, up: NDArray[np.float64]) -> tuple[Vec2, float, float]:
+    """Image point of the foot, row of the tip, row of the box's centre.
+
+    Here box edges (0 = the picture's edge) become image points (0 = the centre of a pixel). Where the network tells the foot,
+    the mean of that and of what the box says is taken: on rendered cones the one is too high where the other is too low.
+    """
+    axis, bottom = detection.x_px + detection.w_px / 2 - 0.5, detection.y_px + detection.h_px - 0.5
+    top = detection.y_px - 0.5
+    u, v = foot_image_point((axis, bottom), detection.w_px, camera, up)
+    if detection.foot_px is not None:
+        u, v = (u + detection.foot_px[0] - 0.5) / 2, (v + detection.foot_px[1] - 0.5) / 2
+    tip = top if detection.tip_px is None else detection.tip_px[1] - 0.5
+    return (u, v), tip, (top + bottom) / 2

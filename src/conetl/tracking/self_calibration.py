@@ -1,0 +1,291 @@
+"""Does a drive contradict the calibration of its rig, and which rig agrees with it?
+
+The estimate itself is `geometry/calibration/self_calibration.py`. Here: which spans of the drive take part, whether what they say is
+significant and plausible, and the rig with its right camera corrected. A turn goes into `body_SE3_right`: it shifts the sides of
+the picture more than the middle, and intersection, odometry and tracks take the full orientation anyway (matching asks
+`geometry/rig.py` where infinity lies). Where the sides need something else, a bend, turn and principal point change together.
+Pictures are not resampled: of a rig with `rectified_from` the camera that took them is turned by the same angle, so that pictures
+stay as they are; a bend would change them, so that such rigs, whose lenses conetl knows itself, are only turned.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import StrEnum
+from typing import NamedTuple
+from uuid import UUID
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy.spatial.transform import Rotation
+
+from conetl.geometry import pose as se3
+from conetl.geometry.calibration.covariance import known_covariance
+from conetl.geometry.calibration.self_calibration import SpanPoints, as_camera, estimate_right_camera
+from conetl.geometry.calibration.shared import (
+    as_rows,
+    calibration_id,
+    square_root,
+    with_covariance,
+    with_shared,
+)
+from conetl.geometry.motion.stereo_motion import RelativeMotion
+from conetl.geometry.motion.stereo_tracks import StereoTracks, cameras_of, motion_limits
+from conetl.geometry.packing import vec3
+from conetl.geometry.rig import body_SE3_camera
+from conetl.model.params import TrajectoryParams
+from conetl.model.records import CalibrationCovariance, Record, Rig, Vec3
+
+Floats = NDArray[np.float64]
+_TURN_NAMES = ("relative.rx_rad", "relative.ry_rad", "relative.rz_rad")
+#: The tangential coefficient of brown and rational lenses that moves columns by (3 x^2 + y^2) of it.
+_DECENTRING = "lens.3"
+
+
+class Span(NamedTuple):
+    """Part of a drive over which points are compared."""
+
+    first: int
+    """Place in the drive's frame pairs, not frame index."""
+    last: int
+    last_SE3_first: Floats
+    """(4, 4) motion of the left camera by visual odometry."""
+
+
+class SelfCalibrationOutcome(StrEnum):
+    """What became of the rig's calibration."""
+
+    APPLIED = "applied"
+    INSIGNIFICANT = "insignificant"
+    IMPLAUSIBLE = "implausible"
+    NO_ESTIMATE = "no_estimate"
+    SWITCHED_OFF = "switched_off"
+
+
+class SelfCalibration(Record):
+    """What a drive says of its rig: the turn of the right camera with what is then known of it."""
+
+    outcome: SelfCalibrationOutcome
+    detail: str
+    """One sentence for a person."""
+    rotation_rad: Vec3 | None
+    """rx, ry, rz of a camera that is only turned; None without an estimate (`geometry/calibration/self_calibration.py` has the signs)."""
+    bend: float
+    """Shift of the right picture's columns at x = 1, in focal lengths; it grows as x squared."""
+    cov: tuple[float, ...]
+    """Upper triangle, row by row, of the (4, 4) covariance of (rx, ry, rz, bend), prior included; empty without an estimate."""
+    model_gap: tuple[float, ...]
+    """(rx, ry, rz, bend): by how much they would be others if disparities might also follow another field; empty like `cov`."""
+    span_count: int = Field(ge=0)
+    point_count: int = Field(ge=0)
+    prior_chi2: float = Field(ge=0)
+    """Squared distance of what the spans say from the calibration as it was, 4 degrees of freedom."""
+
+
+#: Where the parameters do not ask for it.
+SWITCHED_OFF = SelfCalibration(
+    outcome=SelfCalibrationOutcome.SWITCHED_OFF, detail="self-calibration is switched off", rotation_rad=None,
+    bend=0.0, cov=(), model_gap=(), span_count=0, point_count=0, prior_chi2=0.0,
+)  # fmt: skip
+
+
+def span_params(params: TrajectoryParams) -> TrajectoryParams:
+    """The parameters with which points are followed over spans."""
+    return params.model_copy(
+        update={
+            "epipolar_tolerance_px": params.self_calibration_row_tolerance_px,
+            "corners_per_cell": params.self_calibration_corners_per_cell,
+        }
+    )
+
+
+def choose_spans(motions: Sequence[RelativeMotion], span_m: float) -> list[Span]:
+    """Consecutive parts of a drive of about `span_m` each; motions: one an interval, in order, none left out.
+
+    A car that stands or turns on the spot never gets far enough: such parts give no span, nor do intervals without a measurement.
+    """
+    spans, start, pose = [], 0, np.eye(4)
+    for k, motion in enumerate(motions):
+        if motion.second_SE3_first is None:
+            start, pose = k + 1, np.eye(4)
+            continue
+        pose = se3.compose(np.array(motion.second_SE3_first), pose)
+        if float(np.linalg.norm(pose[:3, 3])) >= span_m:
+            spans.append(Span(start, k + 1, pose))
+            start, pose = k + 1, np.eye(4)
+    return spans
+
+
+def spread_spans(spans: Sequence[Span], most: int) -> list[Span]:
+    """At most so many of the spans, evenly spread over the drive, its first and last among them; all where there are no more."""
+    if len(spans) <= most:
+        return list(spans)
+    return [spans[round(k * (len(spans) - 1) / (most - 1))] for k in range(most)]
+
+
+def self_calibrate(
+    rig: Rig, spans: Sequence[Span], tracks: Sequence[StereoTracks], params: TrajectoryParams
+) -> SelfCalibration:
+    """Estimate turn and bend of the right camera from the points of each span, and decide whether they are to be applied.
+
+    tracks: of each span. Nothing in it depends on where the poses say that the car was.
+    """
+    points = [
+        SpanPoints(*found.points(), span.last_SE3_first)
+        for span, found in zip(spans, tracks, strict=True)
+        if found.missing is None
+    ]
+    if len(points) < params.self_calibration_min_spans:
+        return _without_estimate(f"{len(points)} spans of the drive could be compared, needed are "
+                                 f"{params.self_calibration_min_spans}")  # fmt: skip
+    said = estimate_right_camera(cameras_of(rig), points, motion_limits(params), params.self_calibration_min_spans)
+    if said is None:
+        return _without_estimate("too few points stand still, or they are all far away")
+    unit_px = _pixels_a_unit(rig)
+    cov = said.cov + np.diag(_floor(rig, params) ** 2)
+    _, prior, by_parameter = _prior(rig, params)
+    before = by_parameter @ prior @ by_parameter.T
+    # Whether the calibration is contradicted, the scatter decides; how well the turn then describes it, the model's gap too.
+    spread = before + cov + np.outer(said.model_gap, said.model_gap)
+    prior_chi2 = float(said.turn_and_bend @ np.linalg.solve(spread, said.turn_and_bend))
+    gain = before @ np.linalg.inv(spread)
+    found, posterior = gain @ said.turn_and_bend, _symmetric(before - gain @ before)
+    shift_px, sigma_px = said.turn_and_bend * unit_px, np.sqrt(np.diag(cov)) * unit_px
+    worth = (np.abs(shift_px) > params.self_calibration_significance * sigma_px) & (
+        np.abs(found * unit_px) > params.self_calibration_least_px
+    )
+    figures = (
+        f"disparities {-shift_px[1]:+.2f} +- {sigma_px[1]:.2f} px in the middle, {-shift_px[3]:+.2f} +- {sigma_px[3]:.2f} px "
+        f"more at the sides than a turn explains, rows {shift_px[0]:+.2f} +- {sigma_px[0]:.2f} px in the middle, "
+        f"{shift_px[2]:+.2f} +- {sigma_px[2]:.2f} px more at the side; {len(points)} spans"
+    )
+    outcome = SelfCalibrationOutcome.APPLIED
+    rotation, _ = as_camera(found, rig.right.fx_px)
+    turn_text = f"{rotation[1] * 1e3:+.2f} mrad to the side and {rotation[0] * 1e3:+.2f} mrad up or down"
+    bend_text = f", columns bent by {found[3] * unit_px[3]:+.2f} px at the sides" if found[3] else ""
+    left_px = float(np.sqrt(posterior[1, 1]) * unit_px[1])
+    detail = (
+        f"right camera turned by {turn_text}{bend_text}; disparities are good to {left_px:.2f} px after it ({figures})"
+    )
+    if not worth.any():
+        outcome = SelfCalibrationOutcome.INSIGNIFICANT
+        detail = f"calibration left as it is, the drive does not contradict it ({figures})"
+    elif prior_chi2 > params.self_calibration_max_chi2:
+        outcome = SelfCalibrationOutcome.IMPLAUSIBLE
+        detail = (
+            f"calibration left as it is: it would have to be off by {prior_chi2**0.5:.1f} of its sigmas ({figures})"
+        )
+    return SelfCalibration(
+        outcome=outcome, detail=detail, rotation_rad=vec3(found[:3]), bend=float(found[3]),
+        cov=tuple(posterior[np.triu_indices(4)].tolist()), model_gap=tuple(said.model_gap.tolist()), span_count=len(points),
+        point_count=said.point_count, prior_chi2=prior_chi2,
+    )  # fmt: skip
+
+
+def self_calibrated_rig(rig: Rig, found: SelfCalibration, params: TrajectoryParams) -> Rig:
+    """The rig with its right camera corrected and what is left to know as `calibration_covariance`; as it is unless applied."""
+    if found.outcome is not SelfCalibrationOutcome.APPLIED:
+        return rig
+    assert found.rotation_rad is not None  # it was applied
+    names, prior, by_parameter = _prior(rig, params)
+    # The estimate as a measurement of the parameters: what it says of turn and bend, it says of all that is correlated with them.
+    before, after = by_parameter @ prior @ by_parameter.T, np.zeros((4, 4))
+    after[np.triu_indices(4)] = found.cov
+    after += np.triu(after, 1).T
+    back = np.linalg.pinv(before, rcond=1e-9, hermitian=True)
+    lift = prior @ by_parameter.T @ back
+    left_over = _symmetric(prior - lift @ (before - after) @ lift.T)
+    covariance = with_shared(
+        CalibrationCovariance(names=names, matrix=as_rows(left_over)),
+        _given(rig, names, prior),
+        _shared_after(prior, by_parameter, lift @ (before - after) @ back, found, _floor(rig, params)),
+    )
+    own = body_SE3_camera(rig, "right")
+    rotation, shift_px = as_camera(np.array([*found.rotation_rad, found.bend]), rig.right.fx_px)
+    in_body = own[:3, :3] @ Rotation.from_rotvec(rotation).as_matrix() @ own[:3, :3].T
+
+    def turn(one: Rig) -> Rig:
+        pose = body_SE3_camera(one, "right")
+        pose[:3, :3] = in_body @ pose[:3, :3]
+        return one.model_copy(update={"body_SE3_right": se3.to_matrix4(pose)})
+
+    if rig.rectified_from is None:
+        right = rig.right.model_copy(update={"cx_px": rig.right.cx_px + shift_px})
+        return with_covariance(turn(rig).model_copy(update={"right": right}), covariance)
+    return with_covariance(turn(rig).model_copy(update={"rectified_from": turn(rig.rectified_from)}), covariance)
+
+
+def _given(rig: Rig, names: Sequence[str], prior: Floats) -> UUID:
+    """The calibration that the drive was given; where its covariance is not known, with what is taken for it."""
+    return calibration_id(with_covariance(rig, CalibrationCovariance(names=tuple(names), matrix=as_rows(prior))))
+
+
+def _shared_after(prior: Floats, by_parameter: Floats, gain: Floats, found: SelfCalibration, floor: Floats) -> Floats:
+    """(K, M): how errors that drives with the same calibration share move the parameters after the correction, one sigma each.
+
+    The correction is gain (H x + e), x being the error of the calibration as it was given, H `by_parameter`, e that of what the
+    drive says: (I - gain H) x - gain e is left. x is one for all drives. Of e, what spans scatter by is of this drive alone;
+    floor and model gap are what no turn and bend of a camera describe, and that is the rig's, again and again.
+    """
+    given = square_root(prior)
+    return np.column_stack([given - gain @ by_parameter @ given, gain * floor, gain @ np.array(found.model_gap)])
+
+
+def _floor(rig: Rig, params: TrajectoryParams) -> Floats:
+    """(4,): least sigma of what a drive says."""
+    return np.asarray(params.self_calibration_sigma_floor_px / _pixels_a_unit(rig))
+
+
+def _pixels_a_unit(rig: Rig) -> Floats:
+    """(4,): rows for rx and disparity for ry in the middle of the picture, rows for rz and columns for the bend at its side."""
+    side = rig.right.width_px / 2 / rig.right.fx_px
+    return np.array([rig.right.fy_px, rig.right.fx_px, rig.right.width_px / 2, rig.right.fx_px * side**2])
+
+
+def _prior(rig: Rig, params: TrajectoryParams) -> tuple[tuple[str, ...], Floats, Floats]:
+    """Names (K) and covariance (K, K) of the calibration before the drive, and (4, K) how its errors look like turn and bend.
+
+    A principal point that is off looks like a turn and a bend that cancel each other at the sides of the picture, decentring of a
+    lens like a bend; without them a calibration would seem to know less than it does. Other parameters do nothing there.
+    """
+    taken = rig.rectified_from or rig
+    own_R_taken = body_SE3_camera(rig, "right")[:3, :3].T @ body_SE3_camera(taken, "right")[:3, :3]
+    bends = rig.rectified_from is None
+    known = known_covariance(rig)
+    if known is None:
+        names = (*_TURN_NAMES, "right.cx_px") if bends else _TURN_NAMES
+        by_parameter = _by_parameter(names, taken, own_R_taken, bends)
+        sigma = params.self_calibration_prior_px / _pixels_a_unit(rig)
+        back = np.linalg.pinv(by_parameter)
+        return names, back @ np.diag(sigma**2) @ back.T, by_parameter
+    return known.names, np.array(known.matrix), _by_parameter(known.names, taken, own_R_taken, bends)
+
+
+def _by_parameter(names: Sequence[str], taken: Rig, own_R_taken: Floats, bends: bool) -> Floats:
+    """(4, K): turn and bend of the rectified right camera that an error of each named parameter amounts to."""
+    result = np.zeros((4, len(names)))
+    for k, name in enumerate(names):
+        side, _, field = name.partition(".")
+        camera, sign = (taken.left, -1.0) if side == "left" else (taken.right, 1.0)
+        if name in _TURN_NAMES:
+            result[:3, k] = own_R_taken[:, _TURN_NAMES.index(name)]
+        elif field == "cx_px":
+            result[1, k] = result[3, k] = -sign / camera.fx_px
+        elif field == "cy_px":
+            result[0, k] = sign / camera.fy_px
+        elif field == _DECENTRING and camera.lens.model in ("brown", "rational"):
+            result[3, k] = 3 * sign
+    result[3] *= bends
+    return result
+
+
+def _symmetric(matrix: Floats) -> Floats:
+    return np.asarray((matrix + matrix.T) / 2)
+
+
+def _without_estimate(why: str) -> SelfCalibration:
+    return SelfCalibration(
+        outcome=SelfCalibrationOutcome.NO_ESTIMATE, detail=f"calibration left as it is: {why}", rotation_rad=None,
+        bend=0.0, cov=(), model_gap=(), span_count=0, point_count=0, prior_chi2=0.0,
+    )  # fmt: skip

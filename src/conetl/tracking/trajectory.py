@@ -1,0 +1,306 @@
+"""Logged poses and visual odometry -> refined poses with a covariance that also holds between frames.
+
+Errors of GNSS/INS change slowly: first-order Gauss-Markov processes with the stated sigmas, plus a small share that is new in
+every record. Visual odometry ties each frame pair to the next; the adjustment itself is `geometry/motion/pose_graph.py`. What visual
+odometry says is believed only as far as GNSS/INS may err.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import lru_cache, partial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from conetl.geometry import pose as se3
+from conetl.geometry.motion import chain_solver
+from conetl.geometry.motion.chain_solver import ChainCovariance
+from conetl.geometry.motion.pose_graph import (
+    POSE,
+    LoggedPoses,
+    MeasuredMotions,
+    Sighting,
+    adjust,
+    motion_jacobians,
+    motion_residuals,
+)
+from conetl.geometry.motion.stereo_motion import RelativeMotion
+from conetl.geometry.packing import cov_matrix, vec3
+from conetl.geometry.projection import cross_matrix
+from conetl.model.params import TrajectoryParams
+from conetl.model.records import FramePair, Pose, Position, Rig
+from conetl.tracking.association import MotionError
+
+Floats = NDArray[np.float64]
+#: Poses stated to be better than this are taken to be this good: zero would have no weight to compare with.
+_LEAST_SIGMA_M, _LEAST_SIGMA_RAD, _LEAST_STEP_S = 1e-4, 1e-6, 1e-3
+#: Chi-square of 6 degrees of freedom at 1e-6: an interval beyond it contradicts GNSS/INS outright.
+_GATE_CHI2 = 38.3
+_NEIGHBOURS = 4
+_MOTIONS_KEPT = 256
+_LONE_SIGMAS = 4.5
+
+
+class RefinementOutcome(StrEnum):
+    """What became of a drive's trajectory."""
+
+    REFINED = "refined"
+    SWITCHED_OFF = "switched_off"
+    NO_MEASUREMENT = "no_measurement"
+    AGAINST_STATED_SIGMAS = "against_stated_sigmas"
+    NOT_CONVERGED = "not_converged"
+
+
+@dataclass(frozen=True)
+class RefinedTrajectory:
+    """Poses of a drive after the adjustment, or as logged, with their joint covariance (`relative_cov`)."""
+
+    frame_pairs: tuple[FramePair, ...]
+    """As given, with new poses where `outcome` is REFINED; their sigmas are those of the adjustment."""
+    outcome: RefinementOutcome
+    detail: str
+    """One sentence for a person."""
+    map_SE3_left: Floats
+    """(K, 4, 4) of these poses."""
+    body_SE3_left: Floats
+    """(4, 4)"""
+    covariance: ChainCovariance | None
+    """Of the states; None unless refined."""
+    used_intervals: int
+    refused_intervals: tuple[int, ...]
+    """First frame index of each measured interval that contradicts its neighbours or GNSS/INS."""
+    largest_shift_m: float
+
+
+def refine_trajectory(
+    frame_pairs: Sequence[FramePair],
+    rig: Rig,
+    motions: Sequence[RelativeMotion],
+    params: TrajectoryParams,
+    cones: Sequence[Sequence[Position]] = (),
+) -> RefinedTrajectory:
+    """Adjust a drive's poses to visual odometry and, where given, to groups of positions of one cone each.
+
+    motions: any subset of the drive's intervals, each once. Without any, and where the adjustment would move a pose by more than
+    its stated sigmas allow, the poses stay as they are and `outcome` says why.
+    """
+    if not params.refine:
+        return _as_logged(frame_pairs, rig, RefinementOutcome.SWITCHED_OFF, "refinement is switched off")
+    log = _read_log(frame_pairs, rig, params)
+    measured = _measured(frame_pairs, motions, params)
+    if not len(measured.start):
+        return _as_logged(
+            frame_pairs, rig, RefinementOutcome.NO_MEASUREMENT, "no two consecutive frame pairs could be compared"
+        )
+    good = _believable(log, measured)
+    refused_frames = tuple(frame_pairs[k].frame_index for k in measured.start[~good])
+    if not good.any():
+        detail = f"all {len(good)} measured motions contradict GNSS/INS or each other"
+        return _as_logged(frame_pairs, rig, RefinementOutcome.NO_MEASUREMENT, detail, refused_frames)
+    sightings = _sightings(frame_pairs, cones)
+    kept = MeasuredMotions(measured.start[good], measured.next_SE3_first[good], measured.cov[good])
+    solved = adjust(log, kept, sightings, params.robust_sigmas, params.scale_sigma)
+    if solved is None:
+        detail = "the adjustment did not settle"
+        return _as_logged(frame_pairs, rig, RefinementOutcome.NOT_CONVERGED, detail, refused_frames)
+    rotations, places, normal = solved
+    shift = places - log.places
+    turn = Rotation.from_matrix(np.swapaxes(log.rotations, 1, 2) @ rotations).as_rotvec()
+    worst = float(np.max(np.sum((shift / log.sigma_p) ** 2, axis=1)))
+    if worst > params.max_shift_chi2:
+        detail = (
+            f"visual odometry would move a pose by {worst**0.5:.1f} of its stated sigmas, allowed are "
+            f"{params.max_shift_chi2**0.5:.1f}; the stated accuracy of GNSS/INS or the calibration is too good to be true"
+        )
+        return _as_logged(frame_pairs, rig, RefinementOutcome.AGAINST_STATED_SIGMAS, detail, refused_frames)
+    cov = chain_solver.covariance(normal)
+    sigma = np.sqrt(np.diagonal(cov.cov, axis1=1, axis2=2)[:, :POSE])
+    pairs = tuple(
+        pair.model_copy(
+            update={
+                "pose": Pose(
+                    map_R_body=se3.to_matrix3(rotations[k]),
+                    map_t_body_m=vec3(places[k]),
+                    sigma_enu_m=vec3(sigma[k, :3]),
+                    sigma_rpy_rad=vec3(sigma[k, 3:]),
+                )
+            }
+        )
+        for k, pair in enumerate(frame_pairs)
+    )
+    largest = float(np.linalg.norm(shift, axis=1).max())
+    detail = (
+        f"{len(good)} of {len(frame_pairs) - 1} intervals measured, {len(refused_frames)} refused; "
+        f"poses moved by up to {largest:.2f} m and {np.degrees(np.abs(turn).max()):.2f} degrees"
+    )
+    return RefinedTrajectory(
+        pairs, RefinementOutcome.REFINED, detail, se3.compose(se3.se3(rotations, places), log.body_SE3_left),
+        log.body_SE3_left, cov, int(good.sum()), refused_frames, largest,
+    )  # fmt: skip
+
+
+def relative_cov(trajectory: RefinedTrajectory, start: int, end: int) -> Floats | None:
+    """(6, 6) covariance of the left camera's motion between two frame pairs, None where nothing is known of it.
+
+    start, end: places in `frame_pairs` (not frame indices), in any order. Error (rotation rad, translation m) of end_SE3_start,
+    in the left camera's frame at `end`.
+    """
+    if trajectory.covariance is None:
+        return None
+    if start == end:
+        return np.zeros((6, 6))
+    joint = trajectory.covariance
+    first, second = min(start, end), max(start, end)
+    cross = chain_solver.cross_covariance(joint, first, second)[:POSE, :POSE]
+    cross = cross if start <= end else cross.T
+    from_start, from_end = motion_jacobians(
+        trajectory.map_SE3_left[start], trajectory.map_SE3_left[end], trajectory.body_SE3_left
+    )
+    mixed = from_start @ cross @ from_end.T
+    cov = (
+        from_start @ joint.cov[start][:POSE, :POSE] @ from_start.T
+        + from_end @ joint.cov[end][:POSE, :POSE] @ from_end.T
+        + mixed
+        + mixed.T
+    )
+    return np.asarray((cov + cov.T) / 2)
+
+
+def motion_error(trajectory: RefinedTrajectory) -> MotionError | None:
+    """How vague a point gets when it is carried from frame to frame; None where the trajectory was not refined."""
+    if trajectory.covariance is None:
+        return None
+    rank = {pair.frame_index: k for k, pair in enumerate(trajectory.frame_pairs)}
+    # All cones that were seen last in one picture are carried by one motion.
+    relative = lru_cache(maxsize=_MOTIONS_KEPT)(partial(relative_cov, trajectory))
+
+    def carried_cov_m2(start: int, end: int, point_m: Floats) -> Floats:
+        cov = relative(rank[start], rank[end])
+        assert cov is not None  # the trajectory was refined
+        first, second = trajectory.map_SE3_left[rank[start]], trajectory.map_SE3_left[rank[end]]
+        turned = second[:3, :3].T @ first[:3, :3] @ point_m
+        by_motion = np.hstack([-cross_matrix(turned), np.eye(3)])
+        return np.asarray(by_motion @ cov @ by_motion.T)
+
+    # A difference of two poses has at most twice the variance of both together, and so has the sum of its place's error and of
+    # what attitude does at the end of a lever.
+    variances = np.diagonal(trajectory.covariance.cov, axis1=1, axis2=2)
+    place_m2, attitude_rad2 = (float(part.sum(axis=1).max()) for part in (variances[:, :3], variances[:, 3:POSE]))
+    lever_m = float(np.linalg.norm(trajectory.body_SE3_left[:3, 3]))
+    return MotionError(
+        carried_cov_m2, most_m2=lambda range_m: 8 * (place_m2 + (range_m + lever_m) ** 2 * attitude_rad2)
+    )
+
+
+def log_errors(frame_pairs: Sequence[FramePair], params: TrajectoryParams) -> Floats:
+    """(6K, 6K) covariance of the errors of K logged poses: Gauss-Markov processes with a white share, place before attitude."""
+    times_s = np.array([pair.captured_at_ns for pair in frame_pairs], dtype=np.int64)
+    apart_s = np.abs(times_s[:, None] - times_s) * 1e-9
+    count = len(frame_pairs)
+    sigma = np.array([(*pair.pose.sigma_enu_m, *pair.pose.sigma_rpy_rad) for pair in frame_pairs])
+    cov = np.zeros((count, POSE, count, POSE))
+    for column in range(POSE):
+        white, lasts_s = (
+            (params.gnss_white_share, params.gnss_correlation_s)
+            if column < 3
+            else (params.attitude_white_share, params.attitude_correlation_s)
+        )
+        correlation = (1 - white**2) * np.exp(-apart_s / lasts_s) + white**2 * np.eye(count)
+        cov[:, column, :, column] = correlation * np.outer(sigma[:, column], sigma[:, column])
+    return cov.reshape(count * POSE, count * POSE)
+
+
+def _read_log(frame_pairs: Sequence[FramePair], rig: Rig, params: TrajectoryParams) -> LoggedPoses:
+    sigma_p = np.maximum([pair.pose.sigma_enu_m for pair in frame_pairs], _LEAST_SIGMA_M)
+    sigma_a = np.maximum([pair.pose.sigma_rpy_rad for pair in frame_pairs], _LEAST_SIGMA_RAD)
+    share = np.repeat([params.gnss_white_share, params.attitude_white_share], 3)
+    stated = np.hstack([sigma_p, sigma_a])
+    times_s = np.array([pair.captured_at_ns for pair in frame_pairs], dtype=np.float64) * 1e-9
+    step_s = np.maximum(np.diff(times_s), _LEAST_STEP_S)
+    keep = np.exp(-step_s[:, None] / np.repeat([params.gnss_correlation_s, params.attitude_correlation_s], 3))
+    poses = np.stack([se3.map_SE3_body(pair.pose) for pair in frame_pairs])
+    return LoggedPoses(
+        poses[:, :3, :3], poses[:, :3, 3], sigma_p, sigma_a, np.maximum(share, 1e-3) * stated,
+        np.sqrt(np.maximum(1 - share**2, 1e-6)) * stated, keep, np.array(rig.body_SE3_left),
+    )  # fmt: skip
+
+
+def _measured(
+    frame_pairs: Sequence[FramePair], motions: Sequence[RelativeMotion], params: TrajectoryParams
+) -> MeasuredMotions:
+    """Measured intervals with what their residuals do not show added to their covariance."""
+    rank = {pair.frame_index: k for k, pair in enumerate(frame_pairs)}
+    found: dict[int, tuple[Floats, Floats]] = {}
+    for motion in motions:
+        start, end = rank.get(motion.first_frame_index), rank.get(motion.second_frame_index)
+        if motion.second_SE3_first is None or start is None or end != start + 1:
+            continue
+        pose, cov = np.array(motion.second_SE3_first), motion.cov_matrix()
+        way_m = float(np.linalg.norm(pose[:3, 3]))
+        cov[:3, :3] += params.floor_rad**2 * np.eye(3)
+        cov[3:, 3:] += (params.floor_m**2 + (params.floor_relative * way_m) ** 2) * np.eye(3)
+        found[start] = pose, cov
+    starts = sorted(found)
+    return MeasuredMotions(
+        np.array(starts, dtype=np.intp),
+        np.array([found[k][0] for k in starts]).reshape(-1, 4, 4),
+        np.array([found[k][1] for k in starts]).reshape(-1, 6, 6),
+    )
+
+
+def _believable(log: LoggedPoses, motions: MeasuredMotions) -> NDArray[np.bool_]:
+    """(M,): which measured intervals may be true.
+
+    An interval is refused where it contradicts GNSS/INS beyond what their errors allow, or where it alone departs from its
+    neighbours while GNSS/INS runs on smoothly: errors of GNSS/INS do not come and go within one interval.
+    """
+    k = motions.start
+    residual, from_first, _ = motion_residuals(log, log.rotations, log.places, motions, 0.0)
+    change = log.slow[k] ** 2 * 2 * (1 - log.keep[k]) + log.white[k] ** 2 + log.white[k + 1] ** 2
+    spread = motions.cov + from_first * change[:, None, :] @ np.swapaxes(from_first, 1, 2)
+    chi2 = np.einsum("mi,mi->m", residual, np.linalg.solve(spread, residual[:, :, None])[:, :, 0])
+    inside = chi2 <= _GATE_CHI2
+    good = inside.copy()
+    sigma = np.sqrt(np.diagonal(spread, axis1=1, axis2=2))
+    seen = motions.next_SE3_first[:, :3, 3]
+    told = seen - residual[:, 3:]
+    for i, start in enumerate(k):
+        near = np.flatnonzero(np.abs(k - start) <= _NEIGHBOURS)
+        near = near[(near != i) & inside[near]]
+        if len(near) < _NEIGHBOURS:
+            continue
+        lone = np.abs(residual[i] - np.median(residual[near], axis=0)) > _LONE_SIGMAS * sigma[i]
+        rougher = np.abs(seen[i] - np.median(seen[near], axis=0)) > np.abs(told[i] - np.median(told[near], axis=0))
+        good[i] &= not (lone[:3].any() or (lone[3:] & rougher).any())
+    return np.asarray(good)
+
+
+def _sightings(frame_pairs: Sequence[FramePair], cones: Sequence[Sequence[Position]]) -> list[Sighting]:
+    rank = {pair.frame_index: k for k, pair in enumerate(frame_pairs)}
+    return [
+        Sighting(
+            cone,
+            rank[p.frame_index],
+            np.array(p.camera_xyz_m),
+            np.asarray(np.linalg.inv(cov_matrix(p.camera_cov_m2)), dtype=np.float64),
+        )
+        for cone, group in enumerate(cones)
+        for p in group
+        if p.frame_index in rank
+    ]
+
+
+def _as_logged(
+    frame_pairs: Sequence[FramePair],
+    rig: Rig,
+    outcome: RefinementOutcome,
+    detail: str,
+    refused: tuple[int, ...] = (),
+) -> RefinedTrajectory:
+    body_SE3_left = np.array(rig.body_SE3_left)
+    poses = np.stack([se3.compose(se3.map_SE3_body(pair.pose), body_SE3_left) for pair in frame_pairs])
+    return RefinedTrajectory(tuple(frame_pairs), outcome, detail, poses, body_SE3_left, None, 0, refused, 0.0)

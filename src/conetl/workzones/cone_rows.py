@@ -1,0 +1,276 @@
+"""Cones of one work zone as rows of tapers and tangents, and what stands beside them.
+
+A row is the chain of cones, by station, that bends least: dynamic programming over pairs of cones, where each cone taken in
+earns `row_skip_cost` and each bend costs its squared deviation in tolerances. A row then falls into straight pieces by optimal
+partitioning of its offsets (Bellman 1961; Killick, Fearnhead & Eckley 2012, without pruning); sloping pieces are tapers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from conetl.model.params import WorkZoneParams
+from conetl.model.work_zone_records import ConeRow, Taper
+from conetl.workzones.road_axis import Floats
+
+_WINDOW = 8
+_LEAST_STEP_M = 1.0
+#: Rows may run this steeply across the road (a short taper at a flagger is 1:4).
+_MAX_SLOPE = 0.5
+_PRIOR_FREEDOM = 4.0
+#: Where two pieces meet is looked for so many cones beyond the gap between them, in so many steps, and told to so many sigmas.
+_KNOT_CONES, _KNOT_STEPS, _KNOT_SIGMAS = 2, 81, 3.0
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """A straight piece of a row: positions first..last, offset = a + b (station - centre), and the variance of b."""
+
+    first: int
+    last: int
+    centre_m: float
+    a_m: float
+    b: float
+    var_b: float
+    level: bool = False
+    """Known to run along the axis: b is no matter of fitting."""
+
+    def at(self, station_m: float) -> float:
+        return self.a_m + self.b * (station_m - self.centre_m)
+
+
+class _Knot(NamedTuple):
+    """A station at which a row turns or ends."""
+
+    station_m: float
+    sigmas_m: tuple[float, float]
+    """Before it and behind it."""
+    cones_m: tuple[float, ...]
+    """Stations of the cones that may stand there."""
+
+
+def find_rows(
+    stations_m: Floats,
+    offsets_m: Floats,
+    sigmas_s_m: Floats,
+    sigmas_o_m: Floats,
+    params: WorkZoneParams,
+    *,
+    traffic_sign: float,
+    axis_sigma_m: float,
+) -> list[ConeRow]:
+    """The rows that cones (C,) make, longest first; cones in none are strays. stations_m must not fall.
+
+    axis_sigma_m: how far the axis itself may bend where the road does not; lesser shifts are no tapers.
+    traffic_sign: +1 where traffic passes to the left of the row, -1 to the right, 0 unknown (converging then means to the left).
+    """
+    left = np.arange(len(stations_m))
+    rows: list[ConeRow] = []
+    while len(left) >= (params.min_row_cones if rows else 2):
+        chosen = left[_straightest(stations_m[left], offsets_m[left], sigmas_o_m[left], params)]
+        if len(chosen) < (params.min_row_cones if rows else 2):
+            break
+        some = (stations_m[chosen], offsets_m[chosen], sigmas_s_m[chosen], sigmas_o_m[chosen])
+        tapers = _tapers(*some, params, traffic_sign or 1.0, axis_sigma_m)
+        rows.append(ConeRow(tuple(int(k) for k in chosen), tuple(tapers)))
+        left = np.setdiff1d(left, chosen)
+    return rows
+
+
+def _straightest(s: Floats, o: Floats, sigmas_o: Floats, params: WorkZoneParams) -> list[int]:
+    """Positions of the best chain among cones by station."""
+    count = len(s)
+    tolerance = params.row_tolerance_m**2 + sigmas_o**2
+    gain = params.row_skip_cost
+    best: dict[tuple[int, int], float] = {}
+    before: dict[tuple[int, int], int] = {}
+    for j in range(count):
+        for i in range(max(j - _WINDOW, 0), j):
+            if s[j] - s[i] < _LEAST_STEP_M or abs(o[j] - o[i]) > _MAX_SLOPE * (s[j] - s[i]) + params.row_tolerance_m:
+                continue
+            value, link = 2 * gain, -1
+            for k in range(max(i - _WINDOW, 0), i):
+                if (k, i) not in best:
+                    continue
+                chord = o[k] + (o[j] - o[k]) * (s[i] - s[k]) / (s[j] - s[k])
+                with_k = best[k, i] + gain - (o[i] - chord) ** 2 / tolerance[i]
+                if with_k > value:
+                    value, link = with_k, k
+            best[i, j], before[i, j] = value, link
+    if not best:
+        return [0] if count else []
+    pair = max(best, key=lambda key: (best[key], -key[0], -key[1]))
+    chain = [pair[1], pair[0]]
+    while (link := before[chain[-1], chain[-2]]) >= 0:
+        chain.append(link)
+    return chain[::-1]
+
+
+def _tapers(
+    s: Floats,
+    o: Floats,
+    sigmas_s: Floats,
+    sigmas_o: Floats,
+    params: WorkZoneParams,
+    traffic_sign: float,
+    axis_sigma_m: float,
+) -> list[Taper]:
+    pieces = _pieces(s, o, sigmas_o, params)
+    scale = _variance_factor(pieces, o, s, sigmas_o, params)
+    variances = scale * (params.placement_sigma_m**2 + sigmas_o**2)
+    pieces = [replace(piece, var_b=piece.var_b * scale) for piece in pieces]
+    least_shift_m = max(params.min_taper_shift_m, 2.0 * axis_sigma_m)
+    if axis_sigma_m <= params.lane_axis_sigma_m:
+        # Tangents run along lane lines: that they may slope a little would only make the tapers' ends vague.
+        flat = [abs(piece.b) * (s[piece.last] - s[piece.first]) < params.min_taper_shift_m for piece in pieces]
+        pieces = [
+            replace(p, b=0.0, var_b=0.0, level=True) if level else p for p, level in zip(pieces, flat, strict=True)
+        ]
+    knots = [_knot(one, other, s, o, variances) for one, other in pairwise(pieces)]
+    tapers: list[Taper] = []
+    for index, piece in enumerate(pieces):
+        start = _end(s, sigmas_s, piece.first) if index == 0 else knots[index - 1]
+        end = _end(s, sigmas_s, piece.last) if index == len(pieces) - 1 else knots[index]
+        length_m = end.station_m - start.station_m
+        shift_m = abs(piece.b) * length_m
+        steep = abs(piece.b) >= params.min_taper_slope and abs(piece.b) > 3.0 * piece.var_b**0.5
+        if not steep or shift_m < least_shift_m:
+            continue
+        tapers.append(
+            Taper(
+                first=piece.first,
+                last=piece.last,
+                start_m=start.station_m,
+                end_m=end.station_m,
+                shift_m=shift_m,
+                shift_sigma_m=length_m * piece.var_b**0.5,
+                start_sigmas_m=start.sigmas_m,
+                end_sigmas_m=end.sigmas_m,
+                start_cones_m=start.cones_m,
+                end_cones_m=end.cones_m,
+                converging=piece.b * traffic_sign > 0,
+            )
+        )
+    return tapers
+
+
+def _pieces(s: Floats, o: Floats, sigmas_o: Floats, params: WorkZoneParams) -> list[_Piece]:
+    """The row in straight pieces with the least chi-square plus a penalty for every piece."""
+    count = len(s)
+    weights = 1.0 / (params.placement_sigma_m**2 + sigmas_o**2)
+    # Sums up to every cone give the chi-square of the line through any stretch at once; counted from the middle for precision.
+    x, y = s - s.mean(), o - o.mean()
+    moments = [weights, weights * x, weights * y, weights * x * x, weights * x * y, weights * y * y]
+    sums = np.concatenate([np.zeros((6, 1)), np.cumsum(np.stack(moments), axis=1)], axis=1)
+    cost = np.array([0.0, *([np.inf] * count)])
+    cut = [0] * (count + 1)
+    for j in range(1, count + 1):
+        # Fewer than three cones show no line of their own, unless the row has no more.
+        starts = np.arange(max(j - 2, 1)) if count >= 3 else np.array([0])
+        values = cost[starts] + _chi2(sums[:, [j]] - sums[:, starts]) + params.segment_penalty
+        best = int(np.argmin(values))
+        if j >= 3 or j == count:
+            cost[j], cut[j] = values[best], int(starts[best])
+    pieces = []
+    end = count
+    while end > 0:
+        some = slice(cut[end], end)
+        pieces.append(_fit(s[some], o[some], weights[some], cut[end], end - 1))
+        end = cut[end]
+    return pieces[::-1]
+
+
+def _chi2(moments: Floats) -> Floats:
+    """(K,) weighted squares of what straight lines leave, from sums (6, K) of w, wx, wy, wxx, wxy, wyy."""
+    w, wx, wy, wxx, wxy, wyy = moments
+    spread, mixed, rest = wxx - wx**2 / w, wxy - wx * wy / w, wyy - wy**2 / w
+    chi2: Floats = np.maximum(rest - np.where(spread > 0, mixed**2 / np.where(spread > 0, spread, 1.0), 0.0), 0.0)
+    return chi2
+
+
+def _variance_factor(pieces: list[_Piece], o: Floats, s: Floats, sigmas_o: Floats, params: WorkZoneParams) -> float:
+    """By what to multiply assumed variances to fit the scatter of the row; they weigh as much as `_PRIOR_FREEDOM` cones."""
+    variances = params.placement_sigma_m**2 + sigmas_o**2
+    chi2 = sum(
+        (o[k] - piece.at(float(s[k]))) ** 2 / variances[k]
+        for piece in pieces
+        for k in range(piece.first, piece.last + 1)
+    )
+    freedom = max(len(o) - 2 * len(pieces), 0)
+    return float((_PRIOR_FREEDOM + chi2) / (_PRIOR_FREEDOM + freedom))
+
+
+def _fit(s: Floats, o: Floats, w: Floats, first: int, last: int) -> _Piece:
+    total = float(w.sum())
+    centre = float((w * s).sum() / total)
+    mean = float((w * o).sum() / total)
+    spread = float((w * (s - centre) ** 2).sum())
+    slope = float((w * (s - centre) * o).sum()) / spread if spread > 0 else 0.0
+    var_b = 1.0 / spread if spread > 0 else np.inf
+    return _Piece(first, last, centre, mean, slope, var_b)
+
+
+def _end(s: Floats, sigmas_s: Floats, at: int) -> _Knot:
+    """The end of a row, at its last cone."""
+    return _Knot(float(s[at]), (float(sigmas_s[at]), float(sigmas_s[at])), (float(s[at]),))
+
+
+def _knot(one: _Piece, other: _Piece, s: Floats, o: Floats, variances: Floats) -> _Knot:
+    """Where two pieces meet.
+
+    The station is looked for around the gap between them. Its sigmas are thirds of the way to where the best two lines that meet
+    there fit worse by nine in chi-square (profile likelihood, Venzon & Moolgavkar 1988): near the end of a taper the one side
+    is known better than the other, and a sigma by error propagation would be too large there. Likewise for the cones: those at
+    which the lines may meet fit worse than the best one by at most nine.
+    """
+    low = float(s[max(one.last - _KNOT_CONES, one.first)])
+    high = float(s[min(other.first + _KNOT_CONES, other.last)])
+    stations = np.linspace(low, high, _KNOT_STEPS)
+    some = slice(one.first, other.last + 1)
+
+    def chi2_at(station_m: float) -> float:
+        return _chi2_of_knot(station_m, s[some], o[some], variances[some], one.level, other.level)
+
+    chi2 = np.array([chi2_at(at) for at in stations])
+    best = int(np.argmin(chi2))
+    rise = chi2 - chi2[best] - _KNOT_SIGMAS**2
+    first, last = _crossing(stations, rise, best, -1), _crossing(stations, rise, best, 1)
+    meet = float(stations[best])
+    cones = s[(s >= low) & (s <= high)]
+    at_cones = np.array([chi2_at(at) for at in cones])
+    likely = cones[at_cones - at_cones.min() <= _KNOT_SIGMAS**2]
+    return _Knot(meet, ((meet - first) / _KNOT_SIGMAS, (last - meet) / _KNOT_SIGMAS), tuple(likely.tolist()))
+
+
+def _crossing(stations: Floats, rise: Floats, best: int, step: int) -> float:
+    """Station at which `rise` becomes positive, from the best one on; the outermost where it does not."""
+    at = best
+    while 0 <= at + step < len(stations):
+        if rise[at + step] > 0:
+            share = -rise[at] / (rise[at + step] - rise[at])
+            return float(stations[at] + share * (stations[at + step] - stations[at]))
+        at += step
+    return float(stations[at])
+
+
+def _chi2_of_knot(at_m: float, s: Floats, o: Floats, variances: Floats, first_level: bool, other_level: bool) -> float:
+    """Chi-square of the two lines that meet at a station, level (along the axis) or not, and fit best."""
+    columns = [np.ones(len(s))]
+    if not first_level:
+        columns.append(np.minimum(s - at_m, 0.0))
+    if not other_level:
+        columns.append(np.maximum(s - at_m, 0.0))
+    design = np.stack(columns, axis=1) / np.sqrt(variances)[:, None]
+    seen = o / np.sqrt(variances)
+    solution = np.linalg.lstsq(design, seen, rcond=None)[0]
+    return float(((seen - design @ solution) ** 2).sum())
+
+
+def row_offset(row: Sequence[int], stations_m: Floats, offsets_m: Floats, at_m: float) -> float:
+    """Offset of a row at a station: straight between its cones, beyond its ends that of the end."""
+    return float(np.interp(at_m, stations_m[list(row)], offsets_m[list(row)]))

@@ -1,0 +1,303 @@
+"""Is a work zone laid out as the rules ask? Spacing, missing cones, taper lengths, cones in the open lane; with uncertainty.
+
+Sources of the rules stand in `params.LayoutParams`. Stations and offsets are those of the zone's axis, in the direction of
+travel. A gap that runs from a taper into a tangent is measured by both: the share of the allowed spacing that it uses up is the
+sum of what it uses in either part.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from conetl.model.params import LayoutParams, WorkZoneParams
+from conetl.model.work_zone_records import ConeRow, Finding, Level, Rule, Taper, ZoneHistory, ZoneLayout
+from conetl.workzones.cone_rows import row_offset
+from conetl.workzones.lane_bands import lanes_at
+from conetl.workzones.road_axis import Floats, place
+
+FOOT_M = 0.3048
+MILE_KM = 1.609344
+NORM_SPACING = "MUTCD 2009, 6F.63"
+NORM_TAPER = "MUTCD 2009, Tables 6C-3 and 6C-4"
+NORM_NONE = "no norm: the row's own spacing"
+NORM_IN_LANE = "no norm: distance from the row"
+#: In the middle of a taper's first and last lane line: it then starts and ends at lane lines.
+_ON_LANE_LINE_M = 0.6
+
+
+def taper_ratio(speed_kmh: float, rules: LayoutParams) -> float:
+    """L / W of a merging taper: S^2 / 60 or S, with S in mph (L and W in the same unit). MUTCD 2009, Table 6C-4."""
+    speed_mph = speed_kmh / MILE_KM
+    # Some room for the conversion: 72.42048 km/h are 45 mph.
+    slow = speed_mph < rules.low_speed_max_mph - 1e-6
+    return speed_mph**2 / rules.low_speed_divisor if slow else speed_mph
+
+
+def allowed_spacing_m(speed_kmh: float, rules: LayoutParams) -> tuple[float, float]:
+    """Greatest spacing in a taper and in a tangent."""
+    speed_mph = speed_kmh / MILE_KM
+    return (
+        rules.taper_spacing_ft_per_mph * speed_mph * FOOT_M,
+        rules.tangent_spacing_ft_per_mph * speed_mph * FOOT_M,
+    )
+
+
+def check_layout(
+    zone: ZoneHistory, layout: ZoneLayout, speed_kmh: float, rules: LayoutParams, params: WorkZoneParams
+) -> list[Finding]:
+    """All findings of one zone, by station. A zone without a row has none but strays can be told from nothing."""
+    found: list[Finding] = []
+    for row in layout.rows:
+        found += _gaps(zone, layout, row, speed_kmh, rules)
+    for row in layout.rows[:1]:
+        found += _taper_lengths(zone, layout, row, speed_kmh, rules, params)
+        found += _in_lane(zone, layout, rules)
+    return sorted(found, key=lambda finding: (finding.station_m, finding.rule))
+
+
+def _gaps(zone: ZoneHistory, layout: ZoneLayout, row: ConeRow, speed_kmh: float, rules: LayoutParams) -> list[Finding]:
+    members = np.array(row.members)
+    s, sigma = layout.stations_m[members], layout.sigmas_s_m[members]
+    places = np.array([layout.cones[k].xyz_m[:2] for k in members])
+    gaps = np.hypot(*np.diff(places, axis=0).T)
+    shares = np.array([_taper_share(row.tapers, a, b) for a, b in pairwise(s)]).reshape(-1, 2)
+    # Crews set a cone where a taper ends: what that makes of a gap is worth a notice, where lane lines tell which cone it is.
+    at_cones = np.array([[_share_at_cones(row.tapers, a, b), 0.0] for a, b in pairwise(s)]).reshape(-1, 2)
+    limits = allowed_spacing_m(speed_kmh, rules)
+    on_lanes = layout.axis_source == "lanes"
+    found = []
+    for index, gap in enumerate(gaps):
+        both = sigma[index : index + 2]
+        read = _read_gap(gaps, shares, index, both, limits, rules, vague=not on_lanes)
+        # Wherever the taper ends: longer than a tangent may have is too long.
+        sure = read.exceeds or gap - max(limits) > rules.sigmas * float(np.hypot(*both))
+        noted, doubt = read.lacks, ""
+        if on_lanes and not sure and not noted:
+            marked = _read_gap(gaps, at_cones, index, both, limits, rules, vague=False)
+            if marked.exceeds or marked.lacks:
+                read, noted, doubt = marked, True, ", if a cone marks where the taper ends"
+        if not sure and not noted and read.used <= 1:
+            continue
+        lacks = read.lacks or (sure and read.own > rules.missing_cone_ratio)
+        level = Level.VIOLATION if sure else Level.NOTICE if noted else Level.CANNOT_TELL
+        where, limit_m = "taper" if read.inside > 0.5 else "tangent", read.limit_m
+        words = f"{gap:.1f} m from cone to cone in the {where}, at most {limit_m:.1f} m at {speed_kmh:g} km/h{doubt}"
+        if lacks:
+            missing = max(round(read.own) - 1, 1)
+            some = "a cone is" if missing == 1 else f"{missing} cones are"
+            rest = f"gap of {gap:.1f} m where the row has {gap / read.own:.1f} m, allowed are {limit_m:.1f} m{doubt}"
+            words = f"{some} missing in the {where}: {rest}"
+        found.append(
+            Finding(
+                zone_id=zone.zone_id,
+                rule=Rule.MISSING_CONE if lacks else Rule.SPACING,
+                level=level,
+                norm=NORM_NONE if level is Level.NOTICE and not read.exceeds else NORM_SPACING,
+                text=words,
+                value=float(gap),
+                limit=float(limit_m),
+                sigma=float(read.sigma * limit_m),
+                unit="m",
+                station_m=float((s[index] + s[index + 1]) / 2),
+                feature_ids=tuple(layout.cones[k].feature_id for k in members[index : index + 2]),
+                xy_m=tuple((float(x), float(y)) for x, y in places[index : index + 2]),
+            )
+        )
+    return found
+
+
+class _Gap(NamedTuple):
+    """A gap under one reading of where the tapers end."""
+
+    inside: float
+    """Share of it that lies in tapers."""
+    used: float
+    """How much of the allowed spacing it uses up; 1 is all ..."""
+    sigma: float
+    limit_m: float
+    """... and this length would use up all of it."""
+    own: float
+    """How much it uses up of the row's own spacing; 0 where the row is too short to tell."""
+    exceeds: bool
+    lacks: bool
+    """By more than the uncertainty explains: longer than the rule allows; a cone is missing."""
+
+
+def _read_gap(
+    gaps: Floats,
+    shares: Floats,
+    index: int,
+    sigmas_m: Floats,
+    limits: tuple[float, float],
+    rules: LayoutParams,
+    *,
+    vague: bool,
+) -> _Gap:
+    """One gap of a row against the rule and against the row; vague: where tapers end is hardly known."""
+    gap, (inside, blur_m) = float(gaps[index]), shares[index]
+    used, sigma, limit_m = _used(gap, inside, blur_m, sigmas_m, limits)
+    regular = _regular(gaps, shares[:, 0], index)
+    own, sigma_own, _ = _used(gap, inside, blur_m, sigmas_m, regular) if regular else (0.0, 1.0, 0.0)
+    if vague:  # what is twice the spacing before it may be the spacing behind it
+        own = min(own, gap / max(_beside(gaps, index), 1e-9))
+    exceeds = used - 1.0 > rules.sigmas * sigma
+    lacks = own - rules.missing_cone_ratio > rules.sigmas * sigma_own
+    return _Gap(float(inside), used, sigma, limit_m, own, exceeds, lacks)
+
+
+def _share_at_cones(tapers: Sequence[Taper], from_m: float, to_m: float) -> float:
+    """Share of a gap that lies in tapers at least, if a cone stands where each of them begins and ends."""
+    inside_m = sum(max(min(to_m, *taper.end_cones_m) - max(from_m, *taper.start_cones_m), 0.0) for taper in tapers)
+    return min(inside_m / (to_m - from_m), 1.0) if to_m > from_m else 0.0
+
+
+def _taper_share(tapers: Sequence[Taper], from_m: float, to_m: float) -> tuple[float, float]:
+    """Share of a gap that lies in tapers, and by how many metres less it may be (one sigma): what would excuse a wide gap."""
+    inside_m, blur_m = 0.0, 0.0
+    for taper in tapers:
+        inside_m += max(min(to_m, taper.end_m) - max(from_m, taper.start_m), 0.0)
+        for end_m, sigma_m in ((taper.start_m, taper.start_sigmas_m[1]), (taper.end_m, taper.end_sigmas_m[0])):
+            if from_m - 2 * sigma_m < end_m < to_m + 2 * sigma_m:
+                blur_m = max(blur_m, min(sigma_m, to_m - from_m))
+    length = to_m - from_m
+    return (min(inside_m / length, 1.0) if length > 0 else 0.0), blur_m
+
+
+def _used(
+    gap_m: float, inside: float, blur_m: float, sigmas_m: Floats, spacing_m: tuple[float, float]
+) -> tuple[float, float, float]:
+    """How much of the spacing a gap uses up (1 is all), its sigma, and the length that would use up all of it."""
+    taper_m, tangent_m = spacing_m
+    rate = inside / taper_m + (1 - inside) / tangent_m
+    sigma = float(np.hypot(np.hypot(*sigmas_m) * rate, blur_m * abs(1 / taper_m - 1 / tangent_m)))
+    return gap_m * rate, sigma, 1 / rate
+
+
+def _regular(gaps: Floats, inside: Floats, index: int) -> tuple[float, float] | None:
+    """The row's own spacing in tapers and in tangents, without the gap asked about; None where the row is too short to tell."""
+    others = np.arange(len(gaps)) != index
+    medians = []
+    for kind in (inside > 0.95, inside < 0.05):
+        chosen = gaps[others & kind]
+        medians.append(float(np.median(chosen)) if len(chosen) >= 2 else None)
+    taper, tangent = medians
+    if inside[index] > 0.95:
+        return None if taper is None else (taper, taper)
+    if inside[index] < 0.05:
+        return None if tangent is None else (tangent, tangent)
+    if taper is None or tangent is None:
+        only = taper or tangent
+        # A tangent has up to twice the spacing of its taper: the wider reading, so that nothing is missing by mistake.
+        return None if only is None else (only, 2 * only if tangent is None else only)
+    return taper, tangent
+
+
+def _beside(gaps: Floats, index: int) -> float:
+    """The greater of the medians of up to three gaps before a gap and after it; infinite where there is none."""
+    some = [part for part in (gaps[max(index - 3, 0) : index], gaps[index + 1 : index + 4]) if len(part)]
+    return max((float(np.median(part)) for part in some), default=np.inf)
+
+
+def _taper_lengths(
+    zone: ZoneHistory,
+    layout: ZoneLayout,
+    row: ConeRow,
+    speed_kmh: float,
+    rules: LayoutParams,
+    params: WorkZoneParams,
+) -> list[Finding]:
+    found = []
+    ratio = taper_ratio(speed_kmh, rules)
+    members = np.array(row.members)
+    for taper in row.tapers:
+        if not taper.converging or not layout.direction_known or layout.traffic_side is None:
+            continue
+        length_m = taper.end_m - taper.start_m
+        shift_sigma = float(np.hypot(taper.shift_sigma_m, layout.axis_sigma_m))
+        merging = _is_merging(layout, taper, members, params)
+        for share, kind in ((rules.shoulder_taper_share, "shoulder"), (rules.merging_taper_share, "merging")):
+            wanted_m = share * ratio * taper.shift_m
+            longer_m = np.hypot(taper.start_sigmas_m[0], taper.end_sigmas_m[1])
+            sigma_m = float(np.hypot(longer_m, share * ratio * shift_sigma))
+            if length_m >= wanted_m or (kind == "shoulder" and merging):
+                continue
+            sure = wanted_m - length_m > rules.sigmas * sigma_m and (kind == "shoulder" or merging is True)
+            if merging is False and kind == "merging":
+                continue
+            doubt = "" if merging is not None or kind == "shoulder" else " if it closes a lane"
+            ends = members[[taper.first, taper.last]]
+            found.append(
+                Finding(
+                    zone_id=zone.zone_id,
+                    rule=Rule.TAPER_LENGTH,
+                    level=Level.VIOLATION if sure else Level.CANNOT_TELL,
+                    norm=NORM_TAPER,
+                    text=f"taper of {length_m:.1f} m over {taper.shift_m:.1f} m of width, a {kind} taper needs {wanted_m:.1f} m "
+                    f"at {speed_kmh:g} km/h{doubt}",
+                    value=length_m,
+                    limit=wanted_m,
+                    sigma=sigma_m,
+                    unit="m",
+                    station_m=(taper.start_m + taper.end_m) / 2,
+                    feature_ids=tuple(layout.cones[k].feature_id for k in ends),
+                    xy_m=tuple((layout.cones[k].xyz_m[0], layout.cones[k].xyz_m[1]) for k in ends),
+                )
+            )
+            break
+    return found
+
+
+def _is_merging(layout: ZoneLayout, taper: Taper, members: Floats, params: WorkZoneParams) -> bool | None:
+    """Does the taper close a lane, or end at the edge of all lanes (a shoulder taper)? None where lane lines do not tell."""
+    if layout.bands is None or layout.axis_source != "lanes":
+        sigma = float(np.hypot(taper.shift_sigma_m, layout.axis_sigma_m))
+        return True if taper.shift_m - 2 * sigma >= params.full_lane_shift_m else None
+    sign = 1.0 if layout.traffic_side == "left" else -1.0
+    end = int(members[taper.last])
+    offset = layout.offsets_m[end] * sign
+    lanes = lanes_at(layout.bands, float(layout.stations_m[end]), params)
+    if not lanes:
+        return None
+    edges = [sorted((a * sign, b * sign)) for a, b in lanes]
+    return bool(min(low for low, _ in edges) + _ON_LANE_LINE_M < offset)
+
+
+def _in_lane(zone: ZoneHistory, layout: ZoneLayout, rules: LayoutParams) -> list[Finding]:
+    """Strays that stand from their row towards traffic."""
+    in_rows = {k for row in layout.rows for k in row.members}
+    found = []
+    for k in range(len(layout.cones)):
+        if k in in_rows:
+            continue
+        station, offset = float(layout.stations_m[k]), float(layout.offsets_m[k])
+        beside = [row_offset(row.members, layout.stations_m, layout.offsets_m, station) for row in layout.rows]
+        nearest = min(beside, key=lambda value: abs(offset - value))
+        sign = {"left": 1.0, "right": -1.0, None: float(np.sign(offset - nearest))}[layout.traffic_side]
+        away = (offset - nearest) * sign
+        if away <= rules.in_lane_tolerance_m:
+            continue
+        sigma = float(np.hypot(layout.sigmas_o_m[k], np.median(layout.sigmas_o_m)))
+        sure = away - rules.in_lane_tolerance_m > rules.sigmas * sigma and layout.traffic_side is not None
+        x_m, y_m = place(layout.axis_m, np.array([station]), np.array([offset]))[0]
+        doubt = "" if layout.traffic_side is not None else "; no drive tells on which side traffic passes"
+        found.append(
+            Finding(
+                zone_id=zone.zone_id,
+                rule=Rule.CONE_IN_LANE,
+                level=Level.VIOLATION if sure else Level.CANNOT_TELL,
+                norm=NORM_IN_LANE,
+                text=f"a cone stands {away:.1f} m from its row towards traffic{doubt}",
+                value=away,
+                limit=rules.in_lane_tolerance_m,
+                sigma=sigma,
+                unit="m",
+                station_m=station,
+                feature_ids=(layout.cones[k].feature_id,),
+                xy_m=((float(x_m), float(y_m)),),
+            )
+        )
+    return found

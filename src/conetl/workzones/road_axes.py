@@ -1,0 +1,164 @@
+"""The line along which the cones of one place are counted: from the paths of drives, else through the cones themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from conetl.model.params import WorkZoneParams
+from conetl.model.work_zone_records import AxisSource, DrivePath
+from conetl.workzones.road_axis import Floats, directions_at, project, smoothed, stations, without_standstill
+
+Indices = NDArray[np.intp]
+Mask = NDArray[np.bool_]
+_STEP_M = 2.0
+_LEAST_PASS_M = 5.0
+#: Two passes are of the same road where they meet within this, and their directions within the angle.
+_JOIN_OFFSET_M = 8.0
+_JOIN_COS = 0.87
+
+
+@dataclass(frozen=True, eq=False)
+class Pass:
+    """One stretch of one drive beside some cones."""
+
+    drive_id: str
+    captured_from_ns: int
+    line_m: Floats
+    """(N, 2), smooth, in order of time."""
+
+
+@dataclass(frozen=True, eq=False)
+class RoadAxis:
+    """A line and the cones (indices) that stand along it."""
+
+    line_m: Floats
+    source: AxisSource
+    members: Indices
+    stations_m: Floats
+    offsets_m: Floats
+
+
+def passes_beside(paths: Sequence[DrivePath], cones_m: Floats, params: WorkZoneParams) -> list[Pass]:
+    """The stretches of the paths beside cones (C, 2): a drive that comes by twice gives two."""
+    tree = KDTree(cones_m)
+    reach_m = params.max_path_offset_m + params.max_beyond_path_m
+    found = []
+    for path in paths:
+        points = without_standstill(path.xy_m, 0.5)
+        if len(points) < 2:
+            continue
+        line = smoothed(points, _STEP_M, params.axis_smoothing_m)
+        near = tree.query(line, distance_upper_bound=reach_m)[0] < np.inf
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], near, [False]]).astype(int)))
+        for start, end in edges.reshape(-1, 2):
+            stretch = line[start:end]
+            if len(stretch) > 1 and stations(stretch)[-1] >= _LEAST_PASS_M:
+                found.append(Pass(path.drive_id, path.captured_from_ns, stretch))
+    return found
+
+
+def axes_of(cones_m: Floats, passes: Sequence[Pass], params: WorkZoneParams) -> list[RoadAxis]:
+    """Lines that together have every cone (C, 2) beside exactly one of them, those of drives first.
+
+    The pass beside the most cones is the first axis; it is lengthened by others of the same road. What stands beside no pass gets
+    a straight line through itself.
+    """
+    left = np.arange(len(cones_m))
+    axes = []
+    while len(left):
+        best = _best_pass(cones_m[left], passes, params)
+        if best is None:
+            break
+        line = _lengthened(best, cones_m[left], passes, params)
+        s, o = project(line, cones_m[left])
+        covered = _covered(line, s, o, params)
+        axes.append(RoadAxis(line, "drives", left[covered], s[covered], o[covered]))
+        left = left[~covered]
+    if len(left):
+        line = _through(cones_m[left])
+        s, o = project(line, cones_m[left])
+        axes.append(RoadAxis(line, "cones", left, s, o))
+    return axes
+
+
+def _covered(line_m: Floats, s: Floats, o: Floats, params: WorkZoneParams) -> Mask:
+    beyond = params.max_beyond_path_m
+    covered: Mask = (np.abs(o) <= params.max_path_offset_m) & (s >= -beyond) & (s <= stations(line_m)[-1] + beyond)
+    return covered
+
+
+def _best_pass(cones_m: Floats, passes: Sequence[Pass], params: WorkZoneParams) -> Floats | None:
+    best: tuple[tuple[float, ...], str] | None = None
+    chosen = None
+    for one in passes:
+        s, o = project(one.line_m, cones_m)
+        covered = _covered(one.line_m, s, o, params)
+        if not covered.any():
+            continue
+        inside = covered & (s >= 0) & (s <= stations(one.line_m)[-1])
+        key = ((-float(covered.sum()), -float(inside.sum()), float(one.captured_from_ns)), one.drive_id)
+        if best is None or key < best:
+            best, chosen = key, one.line_m
+    return chosen
+
+
+def _lengthened(line_m: Floats, cones_m: Floats, passes: Sequence[Pass], params: WorkZoneParams) -> Floats:
+    """The line with parts of other passes put to its ends, moved sideways to meet it, as long as that covers more cones."""
+    for _ in range(len(passes)):
+        covered = _covered(line_m, *project(line_m, cones_m), params)
+        if covered.all():
+            break
+        longer = None
+        for one in passes:
+            for candidate in (_joined(line_m, one.line_m), _joined(line_m[::-1], one.line_m)):
+                if candidate is None:
+                    continue
+                gained = _covered(candidate, *project(candidate, cones_m), params)
+                if (gained & ~covered).any() and not (covered & ~gained).any():
+                    longer = candidate
+                    break
+            if longer is not None:
+                break
+        if longer is None:
+            break
+        # A line lengthened at its beginning was turned for that.
+        line_m = longer if longer[: len(line_m)] is line_m or np.allclose(longer[0], line_m[0]) else longer[::-1]
+    return line_m
+
+
+def _joined(line_m: Floats, other_m: Floats) -> Floats | None:
+    """The line followed by the part of another that goes on beyond its end; None where it does not."""
+    s, o = project(line_m, other_m)
+    beyond = s > stations(line_m)[-1]
+    if not beyond.any() or beyond.all() or np.abs(o[~beyond]).min() > _JOIN_OFFSET_M:
+        return None
+    going = other_m if beyond[-1] else other_m[::-1]
+    ahead = beyond if beyond[-1] else beyond[::-1]
+    first = int(np.flatnonzero(~ahead)[-1]) + 1
+    tail = going[first:]
+    if len(tail) < 2:
+        return None
+    end = directions_at(line_m, stations(line_m)[-1:])[0]
+    start = (tail[1] - tail[0]) / np.hypot(*(tail[1] - tail[0]))
+    if float(end @ start) < _JOIN_COS:
+        return None
+    aside = np.array([-end[1], end[0]])
+    shift = float((tail[0] - line_m[-1]) @ aside)
+    return np.concatenate([line_m, tail - shift * aside])
+
+
+def _through(cones_m: Floats) -> Floats:
+    """A straight line along the greatest extent of the cones, from smaller to greater easting (then northing)."""
+    centre = cones_m.mean(axis=0)
+    if len(cones_m) < 2:
+        return np.array([[centre[0] - 0.5, centre[1]], [centre[0] + 0.5, centre[1]]])
+    direction = np.linalg.svd(cones_m - centre)[2][0]
+    if (direction[0], direction[1]) < (0.0, 0.0):
+        direction = -direction
+    along = (cones_m - centre) @ direction
+    return np.stack([centre + (along.min() - 1.0) * direction, centre + (along.max() + 1.0) * direction])

@@ -1,0 +1,230 @@
+"""Work zones out of the map's history: cones chained along the road, followed over time so that a zone keeps its id and ends.
+
+Time goes in steps of changesets, because the map changes by whole drives. At each step the standing cones of a neighbourhood are
+chained along the road; a chain that shares cones with a zone is that zone, whatever was added, moved or taken away meanwhile.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from uuid import NAMESPACE_URL, UUID, uuid5
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from conetl.model.map_records import BelievedVersion, MapFeature
+from conetl.model.params import WorkZoneParams
+from conetl.model.work_zone_records import DrivePath, ZoneHistory
+from conetl.workzones.road_axes import Indices, Pass, axes_of, passes_beside
+from conetl.workzones.road_axis import Floats
+
+_NAMESPACE = uuid5(NAMESPACE_URL, "https://conetl.example/work_zone")
+#: Gaps on each side of a gap that tell the row's own spacing.
+_NEIGHBOUR_GAPS = 3
+#: Between cones of one zone the car does not drive; it needs that much.
+_CAR_WIDTH_M = 2.0
+_CELL_M = 20.0
+
+
+def zones_over_time(
+    versions: Iterable[BelievedVersion],
+    paths: Sequence[DrivePath],
+    params: WorkZoneParams,
+    *,
+    map_name: str,
+    at_ns: int | None = None,
+) -> list[ZoneHistory]:
+    """Every work zone up to an instant on the road (None: to the last change), standing and ended, by start and id.
+
+    versions: all that is believed of every feature, in any order; what begins after `at_ns` is left out of account, and so are
+    drives that began after it.
+    """
+    known = [
+        v if v.valid_to_ns is None or at_ns is None or v.valid_to_ns <= at_ns else v.model_copy(update={"valid_to_ns": None})
+        for v in versions
+        if at_ns is None or v.valid_from_ns <= at_ns
+    ]  # fmt: skip
+    driven = [path for path in paths if at_ns is None or path.captured_from_ns <= at_ns]
+    zones = [
+        zone for place in _neighbourhoods(known, params) for zone in _zones_of_place(place, driven, params, map_name)
+    ]
+    return sorted(zones, key=lambda zone: (zone.start_ns, str(zone.zone_id)))
+
+
+def chain(stations_m: Floats, params: WorkZoneParams) -> list[Indices]:
+    """Indices of cones (C,) along one road in groups that follow each other, each group by station.
+
+    A gap separates where it exceeds `link_factor` times the spacing beside it: the greater of the medians of up to three gaps
+    before and after it, so that a tangent may follow a taper with half its spacing.
+    """
+    order = np.argsort(stations_m, kind="stable")
+    gaps = np.diff(stations_m[order])
+    cuts = []
+    for index, gap in enumerate(gaps):
+        before, after = gaps[max(index - _NEIGHBOUR_GAPS, 0) : index], gaps[index + 1 : index + 1 + _NEIGHBOUR_GAPS]
+        spacing = max((float(np.median(some)) for some in (before, after) if len(some)), default=0.0)
+        if gap > min(max(params.min_link_m, params.link_factor * spacing), params.max_link_m):
+            cuts.append(index + 1)
+    return list(np.split(order, cuts))
+
+
+def clusters(features: Sequence[MapFeature], passes: Sequence[Pass], params: WorkZoneParams) -> list[set[UUID]]:
+    """Cones that stand at one instant, as groups along roads. Where a drive passed between two rows, they are two groups."""
+    if not features:
+        return []
+    places = np.array([feature.xyz_m[:2] for feature in features])
+    found = []
+    for axis in axes_of(places, passes, params):
+        for group in chain(axis.stations_m, params):
+            for one in _both_sides(group, axis.offsets_m) if axis.source == "drives" else [group]:
+                parts = chain(axis.stations_m[one], params) if len(one) < len(group) else [np.arange(len(one))]
+                found += [{features[int(axis.members[one[k]])].feature_id for k in part} for part in parts]
+    return found
+
+
+def _both_sides(group: Indices, offsets_m: Floats) -> list[Indices]:
+    """The group, or its two halves where the driven path has cones on both sides and room for a car between them."""
+    right, left = group[offsets_m[group] < 0], group[offsets_m[group] >= 0]
+    if not len(right) or not len(left) or offsets_m[left].min() - offsets_m[right].max() < _CAR_WIDTH_M:
+        return [group]
+    return [right, left]
+
+
+def _neighbourhoods(versions: Sequence[BelievedVersion], params: WorkZoneParams) -> list[list[BelievedVersion]]:
+    """Versions in groups that are too far apart to concern each other at any time; by cells, as a place has many versions."""
+    cells: dict[tuple[int, int], int] = {}
+    of_version = []
+    for version in versions:
+        x_m, y_m = version.feature.xyz_m[:2]
+        of_version.append(cells.setdefault((int(x_m // _CELL_M), int(y_m // _CELL_M)), len(cells)))
+    if not cells:
+        return []
+    reach_m = float(np.hypot(params.max_link_m, 2 * params.max_path_offset_m)) + _CELL_M * 2**0.5
+    pairs = KDTree(np.array(list(cells)) * _CELL_M).query_pairs(reach_m, output_type="ndarray")
+    # The versions of one feature belong together, however far it was moved.
+    first: dict[UUID, int] = {}
+    same = [(first.setdefault(v.feature.feature_id, cell), cell) for v, cell in zip(versions, of_version, strict=True)]
+    edges = np.concatenate([pairs.reshape(-1, 2), np.array(sorted(set(same)))])
+    graph = coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(len(cells), len(cells)))
+    labels = connected_components(graph, directed=False)[1]
+    groups: dict[int, list[BelievedVersion]] = defaultdict(list)
+    for cell, version in zip(of_version, versions, strict=True):
+        groups[int(labels[cell])].append(version)
+    return list(groups.values())
+
+
+@dataclass
+class _Live:
+    """A zone while time goes on."""
+
+    zone: ZoneHistory
+    members: set[UUID]
+
+
+def _zones_of_place(
+    versions: Sequence[BelievedVersion], paths: Sequence[DrivePath], params: WorkZoneParams, map_name: str
+) -> list[ZoneHistory]:
+    since: dict[UUID, int] = {}
+    steps: dict[UUID, int] = {}
+    for version in versions:
+        key = version.feature.feature_id
+        since[key] = min(since.get(key, version.valid_from_ns), version.valid_from_ns)
+        steps[version.changeset_id] = max(steps.get(version.changeset_id, 0), version.valid_from_ns)
+    passes = passes_beside(paths, np.array([v.feature.xyz_m[:2] for v in versions]), params)
+    begins = sorted((v for v in versions if v.standing and not v.suppressed), key=lambda v: v.valid_from_ns)
+    next_begin = 0
+    shown: dict[UUID, BelievedVersion] = {}
+    gone: dict[UUID, int] = {}
+    live: list[_Live] = []
+    ended: list[ZoneHistory] = []
+    instants: dict[int, UUID] = {}
+    for changeset_id, instant_ns in sorted(steps.items(), key=lambda step: (step[1], str(step[0]))):
+        instants.setdefault(instant_ns, changeset_id)
+    for instant_ns, changeset_id in instants.items():
+        while next_begin < len(begins) and begins[next_begin].valid_from_ns <= instant_ns:
+            shown[begins[next_begin].feature.feature_id] = begins[next_begin]
+            next_begin += 1
+        for key, version in list(shown.items()):
+            if version.valid_to_ns is not None and version.valid_to_ns <= instant_ns:
+                gone[key] = version.valid_to_ns
+                del shown[key]
+        standing = {key: version.feature for key, version in shown.items()}
+        found = clusters(list(standing.values()), [p for p in passes if p.captured_from_ns <= instant_ns], params)
+        taken = _continue(live, found, standing, params)
+        live, over = _end(live, standing, gone, instant_ns)
+        ended += over
+        for number, cluster in enumerate(found):
+            if number not in taken and len(cluster) >= params.min_cones:
+                founder = min(cluster, key=lambda one: (since[one], str(one)))
+                zone = ZoneHistory(
+                    zone_id=uuid5(_NAMESPACE, f"{map_name}/{founder}/{changeset_id}"),
+                    founding_feature_id=founder,
+                    start_ns=since[founder],
+                    end_ns=None,
+                    merged_into=None,
+                    cones=(),
+                )
+                live.append(_Live(zone, set(cluster)))
+        for one in live:
+            cones = tuple(standing[key] for key in sorted(one.members, key=lambda key: (since[key], str(key))))
+            one.zone = replace(one.zone, cones=cones)
+    return [*ended, *(one.zone for one in live)]
+
+
+def _continue(
+    live: Sequence[_Live], found: Sequence[set[UUID]], standing: dict[UUID, MapFeature], params: WorkZoneParams
+) -> set[int]:
+    """Give every live zone the chain that it is now (its members are set); the numbers of the chains that were given away.
+
+    Most shared cones first, then the older zone. A zone of which no cone is left goes on in a chain at the same place.
+    """
+    shared = [
+        (-len(one.members & cluster), one.zone.start_ns, str(one.zone.zone_id), number, index)
+        for index, one in enumerate(live)
+        for number, cluster in enumerate(found)
+        if one.members & cluster
+    ]
+    # All cones were set anew between two drives: other features at the same place.
+    free = [one for one in live if not any(key in standing for key in one.members)]
+    placed = [
+        (0, one.zone.start_ns, str(one.zone.zone_id), number, live.index(one))
+        for one in free
+        for number, cluster in enumerate(found)
+        if _nearest_m(one.zone.cones, [standing[key] for key in cluster]) <= params.min_link_m
+    ]
+    taken: set[int] = set()
+    given: dict[int, set[UUID]] = {}
+    for _, _, _, number, index in [*sorted(shared), *sorted(placed)]:
+        if number not in taken and index not in given:
+            taken.add(number)
+            given[index] = found[number]
+    for index, one in enumerate(live):
+        one.members = set(given.get(index, set()))
+    # What is left of a chain whose cones all belong to zones: it was split off; it may found a zone of its own.
+    return taken
+
+
+def _nearest_m(some: Sequence[MapFeature], others: Sequence[MapFeature]) -> float:
+    a, b = (np.array([feature.xyz_m[:2] for feature in group]) for group in (some, others))
+    return float(np.min(KDTree(a).query(b)[0]))
+
+
+def _end(
+    live: Sequence[_Live], standing: dict[UUID, MapFeature], gone: dict[UUID, int], instant_ns: int
+) -> tuple[list[_Live], list[ZoneHistory]]:
+    """Zones that go on, and those that do not: their last cone is gone, or an older zone has their cones now."""
+    going = [one for one in live if one.members]
+    over = []
+    for one in live:
+        if one.members:
+            continue
+        left = {cone.feature_id for cone in one.zone.cones if cone.feature_id in standing}
+        heir = next((other.zone.zone_id for other in going if other.members & left), None)
+        ends = [gone[cone.feature_id] for cone in one.zone.cones if cone.feature_id in gone]
+        end_ns = instant_ns if left or not ends else max(ends)
+        over.append(replace(one.zone, end_ns=end_ns, merged_into=heir))
+    return going, over

@@ -1,0 +1,215 @@
+"""A work zone along its road: direction of travel, rows, tapers, the side and the lanes that are closed, its line and ends."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from conetl.model.map_records import MapFeature
+from conetl.model.params import WorkZoneParams
+from conetl.model.work_zone_records import (
+    AxisSource,
+    DrivePath,
+    LaneBands,
+    LaneLine,
+    Side,
+    VehicleImpact,
+    WorkZone,
+    ZoneHistory,
+    ZoneLayout,
+)
+from conetl.workzones.cone_rows import find_rows
+from conetl.workzones.lane_bands import closed_lanes, lane_bands
+from conetl.workzones.road_axes import Pass, axes_of, passes_beside
+from conetl.workzones.road_axis import Floats, directions_at, place, project
+
+#: Lane lines are looked for so far beside the cones.
+_LANE_REACH_M = 15.0
+#: And so far before the first cone and behind the last.
+_LANE_MARGIN_M = 10.0
+
+
+def layout_of(
+    zone: ZoneHistory, paths: Sequence[DrivePath], lanes: Sequence[LaneLine], params: WorkZoneParams
+) -> ZoneLayout:
+    """The zone in the direction of travel; paths: of drives up to the instant that the zone is looked at.
+
+    The direction is that of the drives that passed. Where they came from both sides, it is the one whose drivers had the cones on
+    the kerb's side; where that does not decide, the one in which the row converges; then the one that passed nearest.
+    """
+    places = np.array([cone.xyz_m[:2] for cone in zone.cones])
+    until = zone.end_ns
+    passes = passes_beside([p for p in paths if until is None or p.captured_from_ns <= until], places, params)
+    axis = axes_of(places, passes, params)[0]
+    line, source = axis.line_m, axis.source
+    passes = passes if source == "drives" else []
+    known = bool(passes)
+    if known and _direction(line, places, zone.cones, passes, params) < 0:
+        line = line[::-1]
+    reference = _lane_axis(line, places, lanes, passes) if lanes else None
+    if reference is not None:
+        line, source = reference, "lanes"
+    return _along(line, source, known, zone.cones, passes, lanes, params)
+
+
+def describe(history: ZoneHistory, layout: ZoneLayout, params: WorkZoneParams) -> WorkZone:
+    """What the zone says of itself to others, as far as the evidence goes."""
+    first, last = layout.cones[0], layout.cones[-1]
+    row = list(layout.rows[0].members) if layout.rows else list(range(len(layout.cones)))
+    through = sorted({0, *row, len(layout.cones) - 1})
+    closed_side: Side | None = None
+    if layout.traffic_side is not None:
+        closed_side = "right" if layout.traffic_side == "left" else "left"
+    impact, lane_count = _impact(layout, row, closed_side, params)
+    seen = max(cone.last_seen_ns for cone in layout.cones)
+    return WorkZone(
+        history=history,
+        layout=layout,
+        line_m=np.array([layout.cones[k].xyz_m for k in through]),
+        first=first,
+        last=last,
+        impact=impact,
+        closed_side=closed_side,
+        closed_lane_count=lane_count,
+        updated_ns=max(seen, history.end_ns or 0, history.start_ns),
+    )
+
+
+def _along(
+    line: Floats,
+    source: AxisSource,
+    known: bool,
+    cones: Sequence[MapFeature],
+    passes: Sequence[Pass],
+    lanes: Sequence[LaneLine],
+    params: WorkZoneParams,
+) -> ZoneLayout:
+    places = np.array([cone.xyz_m[:2] for cone in cones])
+    s, o = project(line, places)
+    order = np.argsort(s, kind="stable")
+    s, o, ordered = s[order], o[order], tuple(cones[k] for k in order)
+    sigma_s, sigma_o = _sigmas(line, s, ordered)
+    with_traffic = [one for one in passes if _heading(line, one) > 0] or list(passes)
+    axis_sigma_m = params.lane_axis_sigma_m if source == "lanes" else params.path_axis_sigma_m
+    rows = find_rows(s, o, sigma_s, sigma_o, params, traffic_sign=0.0, axis_sigma_m=axis_sigma_m)
+    sign = _traffic_sign(line, with_traffic, s, o, rows[0].members if rows else ())
+    if sign:
+        rows = find_rows(s, o, sigma_s, sigma_o, params, traffic_sign=sign, axis_sigma_m=axis_sigma_m)
+    bands = _bands(line, s, lanes) if lanes else None
+    return ZoneLayout(
+        axis_m=line,
+        axis_source=source,
+        axis_sigma_m=axis_sigma_m,
+        direction_known=known,
+        cones=ordered,
+        stations_m=s,
+        offsets_m=o,
+        sigmas_s_m=sigma_s,
+        sigmas_o_m=sigma_o,
+        rows=tuple(rows),
+        traffic_side=None if not sign else ("left" if sign > 0 else "right"),
+        bands=bands,
+        two_way=len({_heading(line, one) for one in passes}) > 1,
+        drive_ids=tuple(sorted({one.drive_id for one in passes})),
+    )
+
+
+def _bands(line: Floats, s: Floats, lanes: Sequence[LaneLine]) -> LaneBands | None:
+    return lane_bands(
+        line, lanes, from_m=float(s[0]) - _LANE_MARGIN_M, to_m=float(s[-1]) + _LANE_MARGIN_M, reach_m=_LANE_REACH_M
+    )
+
+
+def _sigmas(line: Floats, s: Floats, cones: Sequence[MapFeature]) -> tuple[Floats, Floats]:
+    """Sigmas (C,) of cones along the line and across it, from their covariances."""
+    along = directions_at(line, s)
+    xx, xy, yy = (np.array([cone.cov_m2[k] for cone in cones]) for k in (0, 1, 3))
+    t0, t1 = along.T
+    var_s = xx * t0**2 + 2 * xy * t0 * t1 + yy * t1**2
+    var_o = xx * t1**2 - 2 * xy * t0 * t1 + yy * t0**2
+    return np.sqrt(np.maximum(var_s, 0.0)), np.sqrt(np.maximum(var_o, 0.0))
+
+
+def _heading(line: Floats, one: Pass) -> int:
+    s, _ = project(line, one.line_m[[0, -1]])
+    return 1 if s[1] > s[0] else -1
+
+
+def _direction(
+    line: Floats, places: Floats, cones: Sequence[MapFeature], passes: Sequence[Pass], params: WorkZoneParams
+) -> int:
+    """+1 where traffic goes along the line, -1 against it."""
+    kerb_sign = -1.0 if params.kerb_side == "right" else 1.0
+    scores: dict[int, tuple[bool, bool, float]] = {}
+    for heading in (1, -1):
+        those = [one for one in passes if _heading(line, one) == heading]
+        if not those:
+            continue
+        beside = [float(np.median(project(one.line_m, places)[1])) for one in those]
+        kerb = sum(value * kerb_sign > 0 for value in beside) * 2 > len(beside)
+        layout = _along(line[::heading], "drives", True, cones, those, (), params)
+        tapers = layout.rows[0].tapers if layout.rows else ()
+        scores[heading] = (kerb, bool(tapers) and tapers[0].converging, -min(abs(value) for value in beside))
+    return max(scores, key=lambda heading: (scores[heading], heading))
+
+
+def _traffic_sign(line: Floats, passes: Sequence[Pass], s: Floats, o: Floats, row: Sequence[int]) -> float:
+    """+1 where the passes went by to the left of the row, -1 to the right, 0 where nobody knows."""
+    if not passes or not row:
+        return 0.0
+    sides = []
+    for one in passes:
+        pass_s, pass_o = project(line, one.line_m)
+        order = np.argsort(pass_s)
+        sides += list(np.interp(s[list(row)], pass_s[order], pass_o[order]) - o[list(row)])
+    return float(np.sign(np.median(sides)))
+
+
+def _lane_axis(line: Floats, places: Floats, lanes: Sequence[LaneLine], passes: Sequence[Pass]) -> Floats | None:
+    """The lane line that runs beside all cones and nearest to them, in the direction of the line; None where there is none."""
+    s, o = project(line, places)
+    bands = _bands(line, np.sort(s), lanes)
+    if bands is None:
+        return None
+    best, distance = None, np.inf
+    for k in range(bands.offsets_m.shape[1]):
+        there = np.isfinite(bands.offsets_m[:, k])
+        at = bands.stations_m[there]
+        if at[0] > s.min() or at[-1] < s.max():
+            continue
+        away = float(np.median(np.abs(np.interp(s, at, bands.offsets_m[there, k]) - o)))
+        if away < distance:
+            best, distance = k, away
+    if best is None:
+        return None
+    there = np.isfinite(bands.offsets_m[:, best])
+    return place(line, bands.stations_m[there], bands.offsets_m[there, best])
+
+
+def _impact(
+    layout: ZoneLayout, row: Sequence[int], closed_side: Side | None, params: WorkZoneParams
+) -> tuple[VehicleImpact, int | None]:
+    """Impact and number of closed lanes; UNKNOWN and None where the evidence does not decide."""
+    if closed_side is None or not layout.direction_known:
+        return VehicleImpact.UNKNOWN, None
+    converging = [taper for taper in layout.rows[0].tapers if taper.converging]
+    merge = VehicleImpact.SOME_LANES_CLOSED_MERGE_RIGHT
+    if layout.two_way:
+        merge = VehicleImpact.SOME_LANES_CLOSED
+    elif closed_side == "right":
+        merge = VehicleImpact.SOME_LANES_CLOSED_MERGE_LEFT
+    if layout.bands is not None and layout.axis_source == "lanes":
+        sign = 1.0 if layout.traffic_side == "left" else -1.0
+        some = np.array(row)
+        closed, narrowed = closed_lanes(
+            layout.bands, layout.stations_m[some], layout.offsets_m[some], layout.sigmas_o_m[some], sign, params
+        )
+        if closed:
+            return (merge if converging else VehicleImpact.SOME_LANES_CLOSED), closed
+        return (VehicleImpact.UNKNOWN, None) if narrowed else (VehicleImpact.ALL_LANES_OPEN, 0)
+    for taper in converging:
+        sigma = float(np.hypot(taper.shift_sigma_m, layout.axis_sigma_m))
+        if taper.shift_m - 2 * sigma >= params.full_lane_shift_m:
+            return merge, None
+    return VehicleImpact.UNKNOWN, None

@@ -1,0 +1,173 @@
+"""Statistics against truth on a drive whose errors are known: axes, bands, and which NEES notices what."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from conetl.evaluation.accuracy import (
+    PointErrors,
+    by_range,
+    consistency_report,
+    drive_consistency,
+    members_of,
+    position_errors,
+    select,
+    single_nees,
+    statistics,
+    track_errors,
+)
+from conetl.evaluation.truth import TruthCone, TruthLine, compare_with_truth
+from conetl.geometry.calibration.covariance import calibration_jacobian
+from conetl.model.records import CalibrationCovariance, Drive, Position, Track
+from tests.synthetic.world import ORIGIN_M, make_path, make_rig
+
+RIG = make_rig()
+PAIRS = make_path(12, sigma_m=0.02)
+DRIVE = Drive(
+    drive_id="made", source_path="made", rig=RIG, map_srid=32632, content_sha256="0" * 64, frame_pairs=tuple(PAIRS),
+    expected_frame_count=len(PAIRS),
+)  # fmt: skip
+PATH = np.add([pair.pose.map_t_body_m for pair in PAIRS], (0.8, 0.27, 1.65))
+
+
+def truth_cones(count: int) -> list[TruthCone]:
+    return [
+        TruthCone(cone_id=f"C{k}", xyz_m=tuple(np.add(ORIGIN_M, (16.0 + 2 * k, 3.0, 0.0)).tolist()), cone_height_m=0.7)
+        for k in range(count)
+    ]
+
+
+def make_track(index: int, xyz: np.ndarray, frames: range) -> Track:
+    x, y, z = xyz.tolist()
+    return Track(
+        track_index=index, xyz_m=(x, y, z), cov_m2=(9e-4, 0, 0, 9e-4, 0, 9e-4), relative_cov_m2=(4e-4, 0, 0, 4e-4, 0, 4e-4),
+        centre_xyz_m=(x, y, z + 0.35), cone_height_m=0.7, cone_height_sigma_m=0.02, existence_probability=0.9,
+        observation_count=len(frames), first_seen_ns=1, last_seen_ns=2, residual_rms_px=0.4, nearest_range_m=5.0,
+        members=tuple((f, index) for f in frames),
+    )  # fmt: skip
+
+
+def make_position(frame: int, match: int, xyz: np.ndarray) -> Position:
+    x, y, z = xyz.tolist()
+    return Position(
+        frame_index=frame, match_index=match, xyz_m=(x, y, z), cov_m2=(5e-3, 0, 0, 5e-3, 0, 5e-3), centre_xyz_m=(x, y, z),
+        cone_height_m=0.7, camera_xyz_m=(1.0, 1.0, 10.0), camera_cov_m2=(1e-4, 0, 0, 4e-4, 0, 25e-4),
+        range_m=float(np.hypot(*(xyz - PATH[frame])[:2])), ray_angle_rad=0.05, residual_rms_px=0.3, iterations=4, score=0.9,
+    )  # fmt: skip
+
+
+def lines_of(cones: list[TruthCone], shift: np.ndarray) -> list[TruthLine[Track]]:
+    tracks = [make_track(k, np.array(cone.xyz_m) + shift, range(8)) for k, cone in enumerate(cones)]
+    return compare_with_truth(cones, tracks, PATH)[0]
+
+
+def positions_of(cones: list[TruthCone]) -> list[Position]:
+    """Positions of the members of the tracks of `lines_of`."""
+    return [make_position(f, k, np.array(cone.xyz_m)) for k, cone in enumerate(cones) for f in range(8)]
+
+
+def test_errors_are_told_by_axis() -> None:
+    """The drive goes east: ahead is easting, left is northing; camera z is the range."""
+    cones = truth_cones(3)
+    lines = lines_of(cones, np.array([0.03, -0.01, 0.02]))
+    positions = [
+        make_position(f, k, np.add(cone.xyz_m, (0.2, 0.0, 0.05))) for k, cone in enumerate(cones) for f in range(8)
+    ]
+    singles = position_errors(members_of(lines), positions, DRIVE)
+    figures = statistics(singles)
+    assert figures is not None
+    assert figures.count == 24
+    assert figures.bias_enu_m == pytest.approx((0.2, 0.0, 0.05))
+    assert figures.rmse_3d_m == pytest.approx(np.hypot(0.2, 0.05))
+    assert figures.bias_sight_m[0] == pytest.approx(0.2, abs=0.02)  # the sight turns a little away from east
+    assert figures.le90_m == pytest.approx(0.05)
+    assert figures.ce90_m == pytest.approx(0.2)
+    np.testing.assert_allclose(singles.own_cov_m2[0], np.diag([25e-4, 1e-4, 4e-4]), atol=1e-12)
+    tracks = track_errors(lines, DRIVE, positions_of(cones))
+    np.testing.assert_allclose(np.diag(tracks.common_cov), np.square([0.02, 0.02, 0.03, 5e-4, 5e-4, 5e-4]))
+    assert sum(band.errors.count for band in by_range(singles)) == 24
+    assert statistics(select(singles, np.zeros(24, dtype=bool))) is None
+
+
+def test_a_shift_of_the_whole_drive_is_common_and_one_cone_off_is_relative() -> None:
+    cones = truth_cones(6)
+    shifted = drive_consistency(track_errors(lines_of(cones, np.array([0.3, 0.0, 0.0])), DRIVE, positions_of(cones)))
+    assert shifted is not None
+    assert shifted.relative.value == pytest.approx(0.0, abs=1e-9)
+    assert not shifted.common.holds()
+    lines = lines_of(cones, np.zeros(3))
+    off = make_track(0, np.add(cones[0].xyz_m, (0.3, 0.0, 0.0)), range(8))
+    lines[0] = TruthLine(cones[0], off, lines[0].truth_range_m, lines[0].range_m)
+    alone = drive_consistency(track_errors(lines, DRIVE, positions_of(cones)))
+    assert alone is not None
+    assert not alone.relative.holds()
+    assert alone.common.holds(0.9999)
+    report = consistency_report(alone)
+    assert report.relative is not None
+    assert report.relative.holds is False
+
+
+@pytest.mark.parametrize(("scale", "holds"), [(0.5, False), (1.0, True), (2.0, False)])
+def test_nees_of_single_positions_with_common_pose_errors(scale: float, holds: bool) -> None:
+    """40 drives with a common shift and yaw error: relative and absolute NEES hold with the right sigmas only."""
+    rng = np.random.default_rng(2)
+    cones = truth_cones(5)
+    lines = lines_of(cones, np.zeros(3))
+    relative = absolute = degrees = degrees_absolute = 0.0
+    for _ in range(40):
+        shift = rng.normal(0, scale * np.array(PAIRS[0].pose.sigma_enu_m))
+        yaw = rng.normal(0, scale * 0.0005)
+        positions = []
+        for k, cone in enumerate(cones):
+            for f in range(8):
+                lever = np.array(cone.xyz_m) - PAIRS[f].pose.map_t_body_m
+                turned = yaw * np.array([-lever[1], lever[0], 0.0])
+                noise = rng.normal(0, scale * np.array([0.05, 0.01, 0.02]))
+                positions.append(make_position(f, k, np.array(cone.xyz_m) + shift + turned + noise))
+        errors = position_errors(members_of(lines), positions, DRIVE)
+        result = drive_consistency(errors)
+        assert result is not None
+        relative, degrees = relative + result.relative.value, degrees + result.relative.dof
+        absolute, degrees_absolute = absolute + result.absolute.value, degrees_absolute + result.absolute.dof
+        assert single_nees(errors).shape == (40,)
+    assert (0.93 < relative / degrees < 1.07) is holds
+    assert (0.93 < absolute / degrees_absolute < 1.07) is holds
+
+
+def test_an_error_of_the_calibration_is_common_to_all_positions() -> None:
+    """A right camera that is turned by one stated sigma shifts every range, the far ones most: no relative error at all."""
+    covariance = CalibrationCovariance(names=("relative.ry_rad",), matrix=((1e-6,),))
+    rig = RIG.model_copy(update={"calibration_covariance": covariance})
+    cones = truth_cones(5)
+    cone_of, positions = {}, []
+    for k, cone in enumerate(cones):
+        for f in range(8):
+            ahead, aside = np.subtract(cone.xyz_m, PATH[f])[:2]
+            in_camera = np.array([[-aside, 1.65, ahead]])
+            moved = calibration_jacobian(in_camera, rig)[0, :, 0] * 1e-3
+            shift = np.array([moved[2], -moved[0], -moved[1]])
+            x, y, z = in_camera[0].tolist()
+            place = make_position(f, k, np.add(cone.xyz_m, shift))
+            positions.append(place.model_copy(update={"camera_xyz_m": (x, y, z)}))
+            cone_of[f, k] = cone
+    calibrated = drive_consistency(position_errors(cone_of, positions, DRIVE.model_copy(update={"rig": rig})))
+    uncalibrated = drive_consistency(position_errors(cone_of, positions, DRIVE))
+    assert calibrated is not None
+    assert uncalibrated is not None
+    assert calibrated.common.dof == 7
+    assert calibrated.relative.value < 0.05 * calibrated.relative.dof
+    assert 0.5 < calibrated.common.value < 1.5
+    assert uncalibrated.relative.value > 20 * max(calibrated.relative.value, 1e-3)
+
+
+def test_nothing_found_is_no_figure() -> None:
+    lines: list[TruthLine[Track]] = [TruthLine(truth_cones(1)[0], None, 3.0, None)]
+    tracks, singles = track_errors(lines, DRIVE, []), position_errors(members_of(lines), [], DRIVE)
+    for errors in (tracks, singles):
+        assert isinstance(errors, PointErrors)
+        assert statistics(errors) is None
+        assert drive_consistency(errors) is None
+        assert by_range(errors) == []
+        assert single_nees(errors).shape == (0,)
+    assert consistency_report(None).absolute is None

@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from conetl.evaluation.lidar_scene import fit_scene_bias, scene_samples
+from conetl.model.records import Camera, Detection, Rig
+
+SIZE = (200, 600)
+CAMERA = Camera(width_px=SIZE[1], height_px=SIZE[0], fx_px=400.0, fy_px=400.0, cx_px=300.0, cy_px=100.0)
+BASE_M = 0.5
+
+
+def make_rig() -> Rig:
+    left = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    right = ((1.0, 0.0, 0.0, BASE_M), *left[1:])
+    return Rig(rig_id="test", left=CAMERA, right=CAMERA, body_SE3_left=left, body_SE3_right=right)
+
+
+class Wall(NamedTuple):
+    left: NDArray[np.uint8]
+    right: NDArray[np.uint8]
+    points: NDArray[np.float64]
+
+
+def wall(z_m: float, seed: int, error_px: float, error_across_px: float, noise: float = 1.0) -> Wall:
+    """Both pictures of a wall, with an error of calibration of a + b x/z, and LiDAR points on it."""
+    rng = np.random.default_rng(seed)
+    left = cv2.GaussianBlur(rng.uniform(0, 255, SIZE).astype(np.float32), (0, 0), 1.5)
+    left = (left - left.min()) / np.ptp(left) * 220 + 15
+    v, u = np.mgrid[0 : SIZE[0], 0 : SIZE[1]].astype(np.float32)
+    # pixel u of the left picture is seen at u - d(u) in the right one; solved for the left column of a right pixel
+    source = u.copy()
+    for _ in range(5):
+        source = u + 400.0 * BASE_M / z_m + error_px + error_across_px * (source - 300.0) / 400.0
+    right = cv2.remap(left, source.astype(np.float32), v, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+    pictures = [
+        np.repeat(np.clip(p + rng.normal(0, noise, SIZE), 0, 255).astype(np.uint8)[:, :, None], 3, axis=2)
+        for p in (left, right)
+    ]
+    x, y = rng.uniform(-0.6, 0.6, 800), rng.uniform(-0.2, 0.2, 800)
+    return Wall(pictures[0], pictures[1], np.stack([x * z_m, y * z_m, np.full(800, z_m)], axis=1))
+
+
+def test_errors_of_calibration_and_of_range_are_told_apart() -> None:
+    rig = make_rig()
+    offset_m = 0.08  # LiDAR says the walls are nearer than they are by this
+    samples = []
+    for seed, z_m in enumerate((5.0, 6.0, 8.0, 11.0, 15.0, 20.0)):
+        left, right, points = wall(z_m, seed, -0.4, -0.5)
+        points[:, 2] -= offset_m
+        points[:, :2] *= points[:, 2:] / z_m
+        samples.append(scene_samples(points, left, right, rig, [], seed=seed))
+    bias = fit_scene_bias(np.concatenate(samples), rig)
+    assert bias is not None
+    across = np.array([[x, 0.0] for x in (-0.4, 0.0, 0.4)])
+    assert bias.disparity_error_px(across) == pytest.approx(-0.4 - 0.5 * across[:, 0], abs=0.06)
+    assert bias.range_offset_m == pytest.approx(offset_m, abs=0.02)
+
+
+def test_without_errors_nothing_is_found() -> None:
+    rig = make_rig()
+    walls = [wall(z_m, seed, 0.0, 0.0) for seed, z_m in enumerate((6.0, 9.0, 15.0))]
+    samples = np.concatenate([scene_samples(w.points, w.left, w.right, rig, []) for w in walls])
+    bias = fit_scene_bias(samples, rig)
+    assert bias is not None
+    assert bias.disparity_error_px(np.zeros(2)) == pytest.approx(0.0, abs=0.04)
+    assert bias.range_offset_m == pytest.approx(0.0, abs=0.02)
+
+
+def test_cones_take_no_part() -> None:
+    left, right, points = wall(8.0, 0, 0, 0)
+    box = Detection(
+        frame_index=0, side="left", detection_index=0, x_px=0.0, y_px=0.0, w_px=400.0, h_px=200.0, score=0.5
+    )
+    samples = scene_samples(points, left, right, make_rig(), [box])
+    assert len(samples) > 0
+    assert (samples[:, 0] > (400 - 300) / 400).all()
+
+
+def test_too_little_is_no_fit() -> None:
+    left, right, points = wall(8.0, 0, 0, 0)
+    assert fit_scene_bias(scene_samples(points[:50], left, right, make_rig(), []), make_rig()) is None
+    assert scene_samples(np.zeros((0, 3)), left, right, make_rig(), []).shape == (0, 4)

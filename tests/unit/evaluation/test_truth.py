@@ -1,0 +1,54 @@
+from __future__ import annotations
+
+from uuid import UUID
+
+import numpy as np
+import pytest
+
+from conetl.evaluation.truth import TruthCone, compare_with_truth
+from conetl.model.map_records import MapFeature
+
+PATH = np.array([[0.0, 0.0, 1.6], [10.0, 0.0, 1.6], [20.0, 0.0, 1.6]])
+
+
+def cone(name: str, x: float, y: float) -> TruthCone:
+    return TruthCone(cone_id=name, xyz_m=(x, y, 0.0), cone_height_m=0.7)
+
+
+def feature(number: int, x: float, y: float) -> MapFeature:
+    return MapFeature(
+        feature_id=UUID(int=number),
+        version=1,
+        category="traffic_cone",
+        xyz_m=(x, y, 0.02),
+        cov_m2=(1e-3, 0.0, 0.0, 1e-3, 0.0, 1e-3),
+        centre_xyz_m=(x, y, 0.35),
+        cone_height_m=0.68,
+        cone_height_sigma_m=0.02,
+        existence_probability=0.9,
+        observation_count=5,
+        first_seen_ns=1,
+        last_seen_ns=2,
+    )
+
+
+def test_pairs_misses_and_false_features_are_told_apart() -> None:
+    truth = [cone("a", 5.0, 3.0), cone("b", 15.0, 3.0)]
+    lines, false = compare_with_truth(truth, [feature(1, 5.03, 3.04), feature(2, 8.0, -4.0)], PATH)
+    assert [(line.truth.cone_id, line.feature is not None) for line in lines] == [("a", True), ("b", False)]
+    assert lines[0].error_3d_m == pytest.approx(np.sqrt(0.03**2 + 0.04**2 + 0.02**2))
+    assert lines[0].truth_range_m == pytest.approx(np.hypot(5.0, 3.0))
+    assert [f.feature_id.int for f in false] == [2]
+
+
+def test_one_feature_stands_for_one_cone_only() -> None:
+    truth = [cone("a", 5.0, 3.0), cone("b", 5.6, 3.0)]
+    lines, false = compare_with_truth(truth, [feature(1, 5.25, 3.0)], PATH)
+    assert sum(line.feature is not None for line in lines) == 1
+    assert not false
+
+
+def test_far_cones_are_not_asked_for_but_their_features_are_not_false() -> None:
+    lines, false = compare_with_truth([cone("far", 5.0, 30.0)], [feature(1, 5.0, 30.0)], PATH)
+    assert lines == []
+    assert false == []

@@ -1,0 +1,65 @@
+"""Statements of an imported map against features that drives saw and missed."""
+
+from __future__ import annotations
+
+from uuid import UUID
+
+import pytest
+
+from conetl.mapping.adoption import adopt
+from conetl.mapping.existence_update import MAX_LOG_ODDS, log_odds, probability
+from conetl.model.map_records import DeltaKind, Doubt, MapFeature, Statement
+from conetl.model.params import ReconcileParams
+
+PARAMS = ReconcileParams()
+
+
+def cone(number: int, x_m: float, *, height_m: float = 0.5, exists: float = 0.9) -> MapFeature:
+    return MapFeature(
+        feature_id=UUID(int=number),
+        version=1,
+        category="traffic_cone",
+        xyz_m=(x_m, 0.0, 0.0),
+        cov_m2=(0.01, 0.0, 0.0, 0.01, 0.0, 0.01),
+        centre_xyz_m=(x_m, 0.0, 0.25),
+        cone_height_m=height_m,
+        cone_height_sigma_m=0.01,
+        existence_probability=exists,
+        observation_count=3,
+        first_seen_ns=0,
+        last_seen_ns=0,
+    )
+
+
+def deltas_of(stated, standing, **options):
+    statements = [Statement(feature=feature, valid_from_ns=5) for feature in stated]
+    return {d.kind: d for d in adopt(statements, standing, PARAMS, at_ns=9, founding_key="k", **options)}
+
+
+def test_a_statement_adds_to_what_drives_believe_after_misses():
+    """The belief that counts is the one after the drives that looked in vain, as for a sighting."""
+    doubt = Doubt(existence_probability=0.3, first_missed_ns=4)
+    feature = cone(1, 0.0)
+    for doubts, before in (({}, 0.9), ({feature.feature_id: doubt}, 0.3)):
+        [delta] = deltas_of([cone(2, 0.05, exists=0.8)], [feature], doubts=doubts).values()
+        assert delta.kind is DeltaKind.CONFIRMED
+        wanted = probability(log_odds(before) + log_odds(0.8))
+        assert delta.evidence.existence_probability == pytest.approx(wanted)
+        assert delta.new.existence_probability == delta.evidence.existence_probability
+        assert (delta.evidence.frames_seen, delta.evidence.frames_empty) == (0, 0)
+
+
+def test_an_import_founds_confirms_moves_and_changes_heights_but_removes_nothing():
+    standing = [cone(1, 0.0), cone(2, 20.0), cone(3, 40.0), cone(4, 60.0)]
+    stated = [cone(1, 2.0), cone(12, 20.05), cone(13, 40.0, height_m=1.0), cone(15, 80.0, exists=1.0)]
+    found = deltas_of(stated, standing)
+    assert {kind: delta.feature_id.int for kind, delta in found.items()} == {
+        DeltaKind.MOVED: 1,
+        DeltaKind.CONFIRMED: 2,
+        DeltaKind.HEIGHT_CHANGED: 3,
+        DeltaKind.ADDED: 15,
+    }
+    assert found[DeltaKind.HEIGHT_CHANGED].new.cone_height_m == 1.0
+    assert found[DeltaKind.ADDED].new.existence_probability == pytest.approx(probability(MAX_LOG_ODDS))
+    held = deltas_of(stated, standing, pinned={UUID(int=1), UUID(int=3)})
+    assert set(held) == {DeltaKind.CONFIRMED, DeltaKind.ADDED}

@@ -1,0 +1,225 @@
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+from uuid import UUID
+
+import numpy as np
+import pytest
+
+from conetl.mapping.association import common_offset
+from conetl.mapping.changes import reconcile
+from conetl.mapping.existence_update import seen
+from conetl.mapping.feature_states import confirmations
+from conetl.mapping.visibility import Look
+from conetl.model.map_records import Delta, DeltaKind, MapFeature
+from conetl.model.params import ReconcileParams
+from conetl.model.records import Track
+from tests.synthetic.world import ORIGIN_M, START_NS
+
+DAY_NS = 86_400_000_000_000
+PARAMS = ReconcileParams()
+RTK, NO_FIX = 0.03, 0.45
+
+
+def cov(sigma_m: float) -> tuple[float, float, float, float, float, float]:
+    return (sigma_m**2, 0.0, 0.0, sigma_m**2, 0.0, sigma_m**2)
+
+
+def track(index: int, east: float, north: float, *, sigma_m: float = RTK, height_m: float = 0.7, day: int = 1) -> Track:
+    x, y, z = (ORIGIN_M + np.array([east, north, 0.0])).tolist()
+    return Track(
+        track_index=index,
+        xyz_m=(x, y, z),
+        cov_m2=cov(sigma_m),
+        relative_cov_m2=cov(0.02),
+        centre_xyz_m=(x, y, z + height_m / 2),
+        cone_height_m=height_m,
+        cone_height_sigma_m=0.02,
+        existence_probability=0.97,
+        observation_count=12,
+        first_seen_ns=START_NS + day * DAY_NS,
+        last_seen_ns=START_NS + day * DAY_NS + 10**9,
+        residual_rms_px=0.5,
+        nearest_range_m=6.0,
+        members=((10 * index, 0),),
+    )
+
+
+def feature(number: int, east: float, north: float, *, sigma_m: float = RTK, height_m: float = 0.7) -> MapFeature:
+    x, y, z = (ORIGIN_M + np.array([east, north, 0.0])).tolist()
+    return MapFeature(
+        feature_id=UUID(int=number),
+        version=1,
+        category="traffic_cone",
+        xyz_m=(x, y, z),
+        cov_m2=cov(sigma_m),
+        centre_xyz_m=(x, y, z + height_m / 2),
+        cone_height_m=height_m,
+        cone_height_sigma_m=0.02,
+        existence_probability=0.97,
+        observation_count=12,
+        first_seen_ns=START_NS,
+        last_seen_ns=START_NS + 10**9,
+    )
+
+
+def changes(
+    tracks: Sequence[Track],
+    features: Sequence[MapFeature],
+    *,
+    frames_empty: int = 20,
+    ratio: float = -3.5,
+    hidden: Sequence[int] = (),
+) -> dict[DeltaKind, list[Delta]]:
+    def look(seen: MapFeature, _offset: object, _others: object) -> Look | None:
+        return None if seen.feature_id.int in hidden else Look(frames_empty, START_NS + DAY_NS, ratio)
+
+    deltas = reconcile(tracks, features, look, PARAMS, founding_key="d")
+    return {kind: [d for d in deltas if d.kind == kind] for kind in DeltaKind}
+
+
+ROW = [(0.0, 3.0), (5.0, 2.6), (10.0, 2.2), (15.0, 1.8), (20.0, 1.4)]
+
+
+def test_an_empty_map_gets_every_track() -> None:
+    found = changes([track(i, *at) for i, at in enumerate(ROW)], [])
+    assert {kind: len(deltas) for kind, deltas in found.items() if deltas} == {DeltaKind.ADDED: 5}
+    assert len({d.feature_id for d in found[DeltaKind.ADDED]}) == 5
+
+
+def test_one_moved_one_removed_two_added_are_told_apart() -> None:
+    features = [feature(i, *at) for i, at in enumerate(ROW)]
+    places = [ROW[0], (5.0, 4.1), ROW[2], ROW[4], (25.0, 1.0), (30.0, 0.6)]
+    found = changes([track(i, *at) for i, at in enumerate(places)], features)
+    assert {d.feature_id.int for d in found[DeltaKind.CONFIRMED]} == {0, 2, 4}
+    (moved,) = found[DeltaKind.MOVED]
+    assert moved.feature_id.int == 1
+    assert moved.shift_m == pytest.approx(1.5, abs=0.05)
+    assert [d.feature_id.int for d in found[DeltaKind.REMOVED]] == [3]
+    assert len(found[DeltaKind.ADDED]) == 2
+
+
+def test_a_cone_out_of_view_stays() -> None:
+    found = changes([track(0, *ROW[0])], [feature(i, *at) for i, at in enumerate(ROW)], hidden=[1, 2, 3, 4])
+    assert not found[DeltaKind.REMOVED]
+    assert len(found[DeltaKind.CONFIRMED]) == 1
+
+
+@pytest.mark.parametrize("look", [{"frames_empty": PARAMS.removal_min_frames - 1}, {"ratio": -2.0}])
+def test_a_short_look_and_a_poor_one_remove_nothing_but_leave_a_doubt(look: dict[str, Any]) -> None:
+    found = changes([], [feature(0, *ROW[0])], **look)
+    assert {kind for kind, deltas in found.items() if deltas} == {DeltaKind.MISSED}
+    (miss,) = found[DeltaKind.MISSED]
+    assert miss.new == miss.old
+    assert not miss.is_change
+    assert miss.evidence is not None
+    assert miss.evidence.existence_probability < 0.97
+
+
+@pytest.mark.parametrize("offset", [(0.4, -0.3), (-0.7, 0.5), (0.0, 0.9)])
+def test_a_drive_without_a_fix_is_laid_onto_the_map_as_a_whole(offset: tuple[float, float]) -> None:
+    features = [feature(i, *at, sigma_m=NO_FIX) for i, at in enumerate(ROW)]
+    tracks = [track(i, x + offset[0], y + offset[1], sigma_m=NO_FIX) for i, (x, y) in enumerate(ROW)]
+    estimated, weight = common_offset(tracks, features, PARAMS)
+    assert estimated[:2] == pytest.approx(offset, abs=1e-6)
+    assert weight == pytest.approx(0.5)
+    found = changes(tracks, features)
+    assert len(found[DeltaKind.CONFIRMED]) == 5
+    assert not found[DeltaKind.ADDED]
+    assert not found[DeltaKind.MOVED]
+
+
+def test_one_moved_cone_does_not_drag_a_good_drive_along() -> None:
+    tracks, features = [track(0, 1.2, 3.0), track(1, 6.2, 2.6)], [feature(0, 0.0, 3.0), feature(1, 5.0, 2.6)]
+    offset, weight = common_offset(tracks, features, PARAMS)
+    assert (offset.tolist(), weight) == ([0.0, 0.0, 0.0], 0.0)
+    assert len(changes(tracks, features)[DeltaKind.MOVED]) == 2
+
+
+def test_confirmation_sharpens_the_position_and_keeps_the_count() -> None:
+    (delta,) = changes([track(0, 0.04, 3.0)], [feature(0, 0.0, 3.0)])[DeltaKind.CONFIRMED]
+    assert delta.old is not None
+    assert delta.new is not None
+    assert delta.new.xyz_m[0] - ORIGIN_M[0] == pytest.approx(0.02, abs=1e-3)
+    assert delta.new.cov_m2[0] < delta.old.cov_m2[0]
+    assert delta.new.observation_count == 24
+    assert delta.new.version == 2
+
+
+def test_a_pinned_cone_is_neither_removed_nor_moved() -> None:
+    features = [feature(0, *ROW[0]), feature(1, *ROW[1])]
+    tracks = [track(0, ROW[1][0], ROW[1][1] + 1.5)]
+
+    def look(_feature: MapFeature, _offset: object, _others: object) -> Look:
+        return Look(20, START_NS + DAY_NS, -3.5)
+
+    free = reconcile(tracks, features, look, PARAMS, founding_key="d")
+    pinned = reconcile(tracks, features, look, PARAMS, founding_key="d", pinned={UUID(int=0), UUID(int=1)})
+    assert {d.kind for d in free} == {DeltaKind.REMOVED, DeltaKind.MOVED}
+    assert {d.kind for d in pinned} == {DeltaKind.ADDED, DeltaKind.MISSED}
+
+
+def test_the_order_of_tracks_and_features_does_not_matter() -> None:
+    features = [feature(i, *at) for i, at in enumerate(ROW)]
+    tracks = [track(i, x + 0.05, y) for i, (x, y) in enumerate(ROW[1:])]
+
+    def look(_feature: MapFeature, _offset: object, _others: object) -> Look:
+        return Look(20, START_NS + DAY_NS, -3.5)
+
+    one = reconcile(tracks, features, look, PARAMS, founding_key="d")
+    other = reconcile(tracks[::-1], features[::-1], look, PARAMS, founding_key="d")
+    assert one == other
+
+
+def test_a_cone_that_was_seen_at_its_new_place_first_is_one_cone() -> None:
+    """An earlier drive had only the new place in view, and took the cone for a new one."""
+    day = START_NS + DAY_NS // 2
+    founded_since = feature(9, 5.0, 4.1).model_copy(update={"first_seen_ns": day, "last_seen_ns": day})
+    features = [*(feature(i, *at) for i, at in enumerate(ROW)), founded_since]
+    tracks = [track(i, *at) for i, at in enumerate([ROW[0], (5.0, 4.1), *ROW[2:]])]
+    found = changes(tracks, features)
+    (moved,), (merged,) = found[DeltaKind.MOVED], found[DeltaKind.MERGED]
+    assert (moved.feature_id.int, merged.feature_id.int, merged.other_feature_id) == (1, 9, moved.feature_id)
+    assert moved.shift_m == pytest.approx(1.5, abs=0.05)
+    assert moved.new is not None
+    assert moved.new.version == 2
+    assert moved.new.first_seen_ns == START_NS
+    assert not found[DeltaKind.REMOVED]
+    assert not found[DeltaKind.ADDED]
+    assert len(found[DeltaKind.CONFIRMED]) == 4
+
+
+def test_cones_that_were_both_seen_to_stand_are_two() -> None:
+    features = [*(feature(i, *at) for i, at in enumerate(ROW)), feature(9, 5.0, 4.1)]
+    found = changes([track(i, *at) for i, at in enumerate([ROW[0], (5.0, 4.1), *ROW[2:]])], features)
+    assert [d.feature_id.int for d in found[DeltaKind.REMOVED]] == [1]
+    assert not found[DeltaKind.MOVED]
+    assert not found[DeltaKind.MERGED]
+
+
+def test_a_weak_track_confirms_a_feature_but_founds_none() -> None:
+    weak = {"existence_probability": 0.54}
+    tracks = [track(i, *at).model_copy(update=weak) for i, at in enumerate([ROW[0], ROW[1], (30.0, 0.6)])]
+    found = changes(tracks, [feature(i, *at) for i, at in enumerate(ROW[:2])])
+    assert {kind: len(deltas) for kind, deltas in found.items() if deltas} == {DeltaKind.CONFIRMED: 2}
+
+
+@pytest.mark.parametrize(("along_sigma_m", "cones"), [(0.3, 1), (0.02, 2)])
+def test_a_box_beside_a_far_cone_founds_no_second_one(along_sigma_m: float, cones: int) -> None:
+    """Half a metre behind the other one, as far as the drive can tell: along the line of sight it may be off by 0.3 m."""
+    behind = {"relative_cov_m2": (along_sigma_m**2, 0.0, 0.0, 0.02**2, 0.0, 0.02**2), "observation_count": 6}
+    found = changes([track(0, 40.0, 3.0), track(1, 40.5, 3.1).model_copy(update=behind)], [])
+    assert len(found[DeltaKind.ADDED]) == cones
+
+
+@pytest.mark.filterwarnings("ignore:invalid value encountered in matmul")
+def test_covariances_that_cannot_be_fused_are_refused() -> None:
+    broken = feature(0, *ROW[0]).model_copy(update={"cov_m2": (float("inf"), 0.0, 0.0, 1.0, 0.0, 1.0)})
+    with pytest.raises(ValueError, match="cannot be fused"):
+        confirmations(
+            {0: 0},
+            [broken],
+            [track(0, *ROW[0])],
+            {0: seen(broken, None, track(0, *ROW[0]))},
+        )

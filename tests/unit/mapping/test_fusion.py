@@ -1,0 +1,194 @@
+"""Fusion of two statements about one place: laws of the weights, covariances and levers."""
+
+from __future__ import annotations
+
+from uuid import UUID
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from conetl.geometry.calibration.shared import pack_all, unpack_all
+from conetl.geometry.packing import cov3, cov_matrix
+from conetl.mapping.fusion import MOST_CALIBRATIONS, fuse
+from conetl.model.records import Cov3, Levers
+
+Floats = NDArray[np.float64]
+CALIBRATIONS = [UUID(int=k) for k in range(1, 20)]
+
+
+def rounded(values: Floats) -> Floats:
+    """As levers are kept."""
+    return values.astype(np.float32).astype(np.float64)
+
+
+def spd(rng: np.random.Generator, size_m: float) -> Floats:
+    root = rng.normal(0, size_m, (3, 3))
+    return np.asarray(root @ root.T + 0.01 * size_m**2 * np.eye(3))
+
+
+def levers(moved_m: dict[UUID, Floats]) -> Levers | None:
+    ids = tuple(sorted(moved_m))
+    return pack_all(ids, np.stack([moved_m[one] for one in ids])[None])[0] if ids else None
+
+
+def statement(own: Floats, moved_m: dict[UUID, Floats]) -> tuple[Cov3, Levers | None]:
+    return cov3(own + sum((a @ a.T for a in moved_m.values()), np.zeros((3, 3)))), levers(moved_m)
+
+
+def fused(
+    old: tuple[Cov3, Levers | None], new: tuple[Cov3, Levers | None]
+) -> tuple[Floats, Floats, tuple[Cov3, Levers | None]]:
+    result = fuse([old[0]], [old[1]], [new[0]], [new[1]])
+    return result.gain[0], result.cov_m2[0], (cov3(result.cov_m2[0]), result.levers[0])
+
+
+def by_formula(old: tuple[Cov3, Levers | None], new: tuple[Cov3, Levers | None]) -> tuple[Floats, Floats]:
+    """Weight and covariance as Bar-Shalom & Campo write them down, of levers one by one."""
+    p1, p2 = cov_matrix(old[0]), cov_matrix(new[0])
+    a, b = (
+        dict(zip(s[1].calibrations, unpack_all(s[1].calibrations, [s[1]])[0], strict=True)) if s[1] else {}
+        for s in (old, new)
+    )
+    c = np.zeros((3, 3))
+    for one in a.keys() & b.keys():
+        width = min(a[one].shape[1], b[one].shape[1])
+        c += a[one][:, :width] @ b[one][:, :width].T
+    gain = (p1 - c) @ np.linalg.inv(p1 + p2 - c - c.T)
+    rest = np.eye(3) - gain
+    cov = rest @ p1 @ rest.T + gain @ p2 @ gain.T + rest @ c @ gain.T + gain @ c.T @ rest.T
+    return gain, cov
+
+
+@st.composite
+def statements(draw: st.DrawFn) -> tuple[tuple[Cov3, Levers | None], tuple[Cov3, Levers | None]]:
+    """Two statements of drives with up to three calibrations each, some of them the same, and not always as many errors."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    chosen = st.sets(st.sampled_from(CALIBRATIONS[:4]), max_size=3)
+    pair = []
+    for _ in range(2):
+        own_m, errors = draw(st.sampled_from([0.003, 0.02, 0.3])), draw(st.integers(1, 6))
+        size_m = draw(st.sampled_from([0.0, 0.01, 0.2]))
+        moved = {one: rounded(rng.normal(0, size_m, (3, errors))) for one in draw(chosen)}
+        pair.append(statement(spd(rng, own_m), moved))
+    return pair[0], pair[1]
+
+
+@settings(max_examples=200, deadline=None)
+@given(statements())
+def test_weights_and_covariances_are_those_of_the_formula(
+    pair: tuple[tuple[Cov3, Levers | None], tuple[Cov3, Levers | None]],
+) -> None:
+    gain, cov, (_, kept) = fused(*pair)
+    wanted_gain, wanted = by_formula(*pair)
+    scale = float(np.trace(wanted))
+    np.testing.assert_allclose(gain, wanted_gain, rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(cov, wanted, rtol=1e-5, atol=1e-6 * scale)
+    np.testing.assert_array_equal(cov, cov.T)
+    assert np.linalg.eigvalsh(cov).min() > 0
+    # No worse than either alone, whatever they have in common.
+    for one in pair:
+        assert np.linalg.eigvalsh(cov_matrix(one[0]) - cov).min() > -1e-6 * float(np.trace(cov_matrix(one[0])))
+    if kept is not None:
+        moved = unpack_all(kept.calibrations, [kept])[0]
+        assert np.linalg.eigvalsh(cov - sum(a @ a.T for a in moved)).min() > -1e-7 * scale
+
+
+@settings(max_examples=100, deadline=None)
+@given(statements())
+def test_where_nothing_is_shared_it_is_the_plain_fusion(
+    pair: tuple[tuple[Cov3, Levers | None], tuple[Cov3, Levers | None]],
+) -> None:
+    (old_cov, old_levers), (new_cov, new_levers) = pair
+    apart = None if new_levers is None else new_levers._replace(
+        calibrations=tuple(UUID(int=one.int + 100) for one in new_levers.calibrations)
+    )  # fmt: skip
+    gain, cov, _ = fused((old_cov, old_levers), (new_cov, apart))
+    p1, p2 = cov_matrix(old_cov), cov_matrix(new_cov)
+    plain = p1 @ np.linalg.inv(p1 + p2)
+    np.testing.assert_allclose(gain, plain, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(cov, (np.eye(3) - plain) @ p1, rtol=1e-6, atol=1e-6 * float(np.trace(p1)))
+
+
+def test_without_levers_not_a_bit_is_different() -> None:
+    rng = np.random.default_rng(3)
+    old, new = ([spd(rng, 0.1) for _ in range(50)] for _ in range(2))
+    result = fuse([cov3(c) for c in old], [None] * 50, [cov3(c) for c in new], [None] * 50)
+    p1, p2 = np.stack(old), np.stack(new)
+    p1, p2 = (np.stack([cov_matrix(cov3(c)) for c in p]) for p in (p1, p2))
+    gain = p1 @ np.linalg.inv(p1 + p2)
+    cov = (np.eye(3) - gain) @ p1
+    np.testing.assert_array_equal(result.gain, gain)
+    np.testing.assert_array_equal(result.cov_m2, (cov + np.swapaxes(cov, 1, 2)) / 2)
+    assert result.levers == [None] * 50
+
+
+@settings(max_examples=50, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), drives=st.integers(2, 30))
+def test_drives_from_one_side_never_get_below_what_the_calibration_leaves(seed: int, drives: int) -> None:
+    rng = np.random.default_rng(seed)
+    moved = {CALIBRATIONS[0]: rounded(rng.normal(0, 0.05, (3, 4)))}
+    floor = moved[CALIBRATIONS[0]] @ moved[CALIBRATIONS[0]].T
+    state = statement(spd(rng, 0.02), moved)
+    for _ in range(drives):
+        _, cov, state = fused(state, statement(spd(rng, 0.02), moved))
+        assert np.linalg.eigvalsh(cov - floor).min() > -1e-6 * float(np.trace(floor))
+    assert state[1] is not None
+    np.testing.assert_allclose(
+        unpack_all((CALIBRATIONS[0],), [state[1]])[0, 0], moved[CALIBRATIONS[0]], rtol=1e-4, atol=1e-6
+    )
+
+
+def test_two_looks_from_opposite_sides_cancel_and_own_parts_average() -> None:
+    a = np.array([[0.2], [0.0], [0.05]])
+    own = 0.02**2 * np.eye(3)
+    _, cov, (_, kept) = fused(
+        statement(own, {CALIBRATIONS[0]: rounded(a)}), statement(own, {CALIBRATIONS[0]: rounded(-a)})
+    )
+    assert kept is not None
+    np.testing.assert_allclose(unpack_all(kept.calibrations, [kept])[0, 0], 0, atol=1e-7)
+    np.testing.assert_allclose(cov, own / 2, rtol=1e-6, atol=1e-12)
+
+
+def test_two_statements_that_are_calibration_error_through_and_through_are_both_kept_half() -> None:
+    one = {CALIBRATIONS[0]: rounded(np.diag([0.1, 0.2, 0.3]))}
+    state = statement(np.zeros((3, 3)), one)
+    gain, cov, _ = fused(state, state)
+    np.testing.assert_allclose(gain, 0.5 * np.eye(3), atol=1e-6)
+    np.testing.assert_allclose(cov, cov_matrix(state[0]), rtol=1e-6, atol=1e-9)
+
+
+def test_the_levers_of_a_few_calibrations_are_kept_those_that_move_it_most() -> None:
+    rng = np.random.default_rng(0)
+    state = statement(spd(rng, 0.02), {})
+    for number, calibration in enumerate(CALIBRATIONS):
+        moved = rounded(np.full((3, 2), 0.001 * (1 + number)))
+        _, cov, state = fused(state, statement(spd(rng, 0.05), {calibration: moved}))
+        assert np.linalg.eigvalsh(cov).min() > 0
+    assert state[1] is not None
+    assert len(state[1].calibrations) == MOST_CALIBRATIONS
+    assert list(state[1].calibrations) == sorted(state[1].calibrations)
+    assert CALIBRATIONS[0] not in state[1].calibrations
+
+
+def test_rows_do_not_depend_on_the_rows_beside_them() -> None:
+    """Otherwise a late drive would leave other last digits than one that came in order."""
+    rng = np.random.default_rng(5)
+    rows = []
+    for k in range(20):
+        moved = [{one: rounded(rng.normal(0, 0.05, (3, 5))) for one in CALIBRATIONS[: k % n]} for n in (3, 4)]
+        rows.append((statement(spd(rng, 0.02), moved[0]), statement(spd(rng, 0.02), moved[1])))
+    whole = fuse([o[0] for o, _ in rows], [o[1] for o, _ in rows], [n[0] for _, n in rows], [n[1] for _, n in rows])
+    for k, (old, new) in enumerate(rows):
+        alone = fuse([old[0]], [old[1]], [new[0]], [new[1]])
+        np.testing.assert_array_equal(alone.gain[0], whole.gain[k])
+        np.testing.assert_array_equal(alone.cov_m2[0], whole.cov_m2[k])
+        assert alone.levers[0] == whole.levers[k]
+    assert whole.levers[0] is None
+
+
+def test_no_pairs_give_nothing() -> None:
+    assert fuse([], [], [], []).levers == []
+    assert pytest.approx(fuse([], [], [], []).gain.shape) == (0, 3, 3)

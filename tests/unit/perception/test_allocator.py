@@ -1,0 +1,40 @@
+"""Freed pictures stay with the process."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+# In a process of its own: what the allocator is told cannot be taken back.
+_COUNT = """
+import resource
+import numpy as np
+from conetl.perception.allocator import keep_freed_pictures
+if {keep}:
+    assert keep_freed_pictures()
+def pictures():
+    return [np.ones(1_500_000, dtype=np.uint8) for _ in range(6)]
+for _ in range(3):
+    pictures()
+before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+for _ in range(10):
+    pictures()
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="told to glibc's allocator only")
+def test_pages_of_a_freed_picture_serve_the_next_one() -> None:
+    faults = {
+        keep: int(
+            subprocess.run(
+                [sys.executable, "-c", _COUNT.format(keep=keep)], capture_output=True, text=True, check=True
+            ).stdout
+        )
+        for keep in (False, True)
+    }
+    if faults[False] < 1_000:
+        pytest.skip(f"this C library keeps freed memory by itself ({faults[False]} page faults)")
+    assert faults[True] < faults[False] / 10

@@ -1,0 +1,453 @@
+"""The cone detector: decode and suppression by their laws, model files that must be refused, and real pictures."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from onnx import TensorProto, helper, numpy_helper
+
+from conetl.model.errors import ModelFileError
+from conetl.perception.decoding import (
+    boxes_in_image,
+    decode_cells,
+    intersection_over_union,
+    suppress_overlaps,
+    without_parts,
+)
+from conetl.perception.detector import (
+    Detector,
+    detect_image,
+    load_detector,
+    look,
+    look_at_all,
+    network_input,
+    shipped_model_path,
+)
+
+REPOSITORY = Path(__file__).resolve().parents[3]
+SHARED_DATA = Path(os.environ.get("CONETL_SHARED_DATA", REPOSITORY.parent / "shared" / "data"))
+KITTI_LEFT = SHARED_DATA / "kitti_2011_09_26_drive_0005_sync" / "image_02" / "data"
+
+
+@pytest.fixture(scope="module")
+def detector() -> Detector:
+    return load_detector()
+
+
+def test_decode_reads_one_cell_exactly() -> None:
+    values = np.zeros((1, 4 * 4 + 1), np.float32)
+    values[0, -1] = np.log(0.8 / 0.2)
+    for side, distance in enumerate((1, 2, 3, 0)):  # left, top, right, bottom in strides
+        values[0, side * 4 + distance] = 60.0
+    second_row_third_of_five = np.array([1 * 5 + 2])
+    found, _ = decode_cells([values, second_row_third_of_five], (24, 40), (8,), 4, 0.5)
+    # The cell's centre is x = 2.5 * 8 = 20, y = 1.5 * 8 = 12.
+    np.testing.assert_allclose(found[:, :5], [[12.0, -4.0, 44.0, 12.0, 0.8]], atol=1e-5)
+    assert np.isnan(found[:, 5:]).all()
+
+
+def test_decode_reads_foot_and_tip() -> None:
+    values = np.zeros((1, 4 * 4 + 5), np.float32)
+    values[0, -1] = 1.0
+    for side in range(4):
+        values[0, side * 4 + 2] = 60.0  # two strides to each side: the box is 16 px wide around (6, 2) at stride 4
+    values[0, 16:20] = (0.25, 0.125, -0.25, 0.0625)
+    ((found,), _) = decode_cells([values, np.array([1])], (8, 8), (4,), 4, 0.5, foot_and_tip=True)
+    # box x 6 +- 8, y 2 +- 8: lower side at y = 10, upper at y = -6
+    np.testing.assert_allclose(found[:4], [-2.0, -6.0, 14.0, 10.0], atol=1e-5)
+    np.testing.assert_allclose(found[4], 1 / (1 + np.exp(-1.0)), atol=1e-6)
+    np.testing.assert_allclose(found[5:], [6 + 4, 10 - 2, 6 - 4, -6 + 1], atol=1e-5)
+    assert len(decode_cells([values, np.array([1])], (8, 8), (4,), 4, 0.74, foot_and_tip=True)[0]) == 0
+
+
+def test_decode_takes_the_mean_between_two_bins() -> None:
+    values = np.full((1, 17), -60.0, np.float32)
+    values[0, -1] = 3.0
+    values[0, [1, 2, 4 + 1, 8 + 1, 12 + 1]] = 0.0  # left: halfway between 1 and 2 strides; other sides: 1
+    found, _ = decode_cells([values, np.array([0])], (4, 4), (4,), 4, 0.5)
+    np.testing.assert_allclose(found[0, :4], [2 - 6, 2 - 4, 2 + 4, 2 + 4], atol=1e-6)
+
+
+def test_decode_drops_scores_below_the_threshold_and_keeps_the_order_of_cells() -> None:
+    values = np.zeros((3, 17), np.float32)
+    values[:, -1] = (2.0, -1.0, 1.0)
+    found, _ = decode_cells([values, np.array([0, 15, 5])], (16, 16), (4,), 4, 0.5)
+    np.testing.assert_allclose(found[:, 4], [1 / (1 + np.exp(-2.0)), 1 / (1 + np.exp(-1.0))], atol=1e-6)
+    np.testing.assert_allclose(found[:, :2].mean(axis=0), [4 - 6, 4 - 6], atol=1e-6)  # sides of 1.5 strides each
+    assert decode_cells([values, np.array([0, 15, 5])], (16, 16), (4,), 4, 1.0)[0].shape == (0, 9)
+
+
+def test_decode_tells_pictures_and_strides_apart() -> None:
+    values = np.zeros((2, 17), np.float32)
+    values[:, -1] = (2.0, 1.0)
+    fine, coarse = [values, np.array([9, 3])], [values[:1], np.array([2])]  # pictures of 2 x 4 and of 1 x 2 cells
+    found, pictures = decode_cells([*fine, *coarse], (8, 16), (4, 8), 4, 0.5)
+    np.testing.assert_array_equal(pictures, [1, 0, 1])
+    np.testing.assert_allclose((found[:, :2] + found[:, 2:4]) / 2, [[6, 2], [14, 2], [4, 4]], atol=1e-6)
+    np.testing.assert_allclose(found[:, 2] - found[:, 0], [12, 12, 24], atol=1e-6)  # 1.5 strides to each side
+
+
+@pytest.mark.parametrize(("values", "cells"), [((6, 2), 6), ((3, 17), 2)])
+def test_decode_refuses_cells_of_another_head(values: tuple[int, int], cells: int) -> None:
+    with pytest.raises(ValueError, match="expected"):
+        decode_cells([np.zeros(values, np.float32), np.zeros(cells, np.int64)], (32, 32), (8,), 4, 0.5)
+
+
+def test_rows_above_the_road_can_be_left_out(detector: Detector) -> None:
+    image = np.full((376, 400, 3), (110, 115, 118), np.uint8)
+    image[:200] = (200, 180, 160)
+    draw_cone(image, 150.0, 310.0, 60.0)
+    whole = detect_image(detector, image, score_threshold=0.3)
+    cropped = detect_image(detector, image, score_threshold=0.3, first_row=96)
+    assert len(whole) == len(cropped) == 1
+    np.testing.assert_allclose(cropped[0, :4], whole[0, :4], atol=1.5)
+
+
+def test_a_part_of_the_picture_shows_what_the_whole_does_there(detector: Detector) -> None:
+    image = np.full((376, 1200, 3), (110, 115, 118), np.uint8)
+    image[:200] = (200, 180, 160)
+    for x in (150.0, 640.0, 1050.0):
+        draw_cone(image, x, 330.0, 70.0)
+    whole = detect_image(detector, image, score_threshold=0.3, first_row=40)
+    part = detect_image(
+        detector, image, score_threshold=0.3, first_row=40, within=(600.0, 280.0, 680.0, 310.0), reach_px=50.0
+    )
+    assert len(whole) == 3 and len(part) == 1, "of three cones the one in the middle"
+    (same,) = whole[np.abs(whole[:, 0] + whole[:, 2] / 2 - 640.0) < 40.0]
+    np.testing.assert_allclose(part[0, :4], same[:4], atol=1.0)
+    everywhere = detect_image(
+        detector, image, score_threshold=0.3, first_row=40, within=(0.0, 0.0, 1200.0, 376.0), reach_px=376.0
+    )
+    np.testing.assert_array_equal(everywhere, whole)
+    assert len(detect_image(detector, image, score_threshold=0.3, within=(300.0, 280.0, 400.0, 310.0))) == 0
+
+
+def test_a_part_of_a_large_picture_is_scaled_as_the_whole(detector: Detector) -> None:
+    image = np.full((900, 3840, 3), (110, 115, 118), np.uint8)
+    image[:300] = (200, 180, 160)
+    draw_cone(image, 2112.0, 810.0, 216.0)
+    (whole,) = detect_image(detector, image, score_threshold=0.3)
+    (part,) = detect_image(detector, image, score_threshold=0.3, within=(2050.0, 680.0, 2170.0, 720.0), reach_px=144.0)
+    np.testing.assert_allclose(part[:4], whole[:4], atol=1.0)  # 0.4 px of the network's
+
+
+def test_a_part_of_a_tall_picture_still_shows_what_fills_it(detector: Detector) -> None:
+    image = np.full((900, 1600, 3), (110, 115, 118), np.uint8)
+    image[:300] = (200, 180, 160)
+    draw_cone(image, 700.0, 850.0, 360.0)
+    found = detect_image(detector, image, score_threshold=0.4, within=(600.0, 600.0, 800.0, 740.0), reach_px=300.0)
+    assert len(found) == 1
+    assert found[0, 3] == pytest.approx(360.0, rel=0.15)
+
+
+def test_a_part_of_a_better_and_larger_box_is_dropped() -> None:
+    large = np.array([[0.0, 0.0, 100.0, 200.0, 0.8]])
+    inside, better, beside = (
+        [10.0, 50.0, 90.0, 110.0, 0.5],
+        [10.0, 50.0, 90.0, 110.0, 0.9],
+        [90.0, 50.0, 170.0, 110.0, 0.5],
+    )
+    np.testing.assert_array_equal(without_parts(np.array([inside, better, beside]), large), [better, beside])
+    assert len(without_parts(np.zeros((0, 5)), large)) == 0
+
+
+#: Of the overlaps that suppression computes.
+SINGLE_PRECISION = 1e-6
+coordinate = st.floats(0.0, 200.0, allow_nan=False)
+candidate = st.tuples(coordinate, coordinate, st.floats(0.5, 90.0), st.floats(0.5, 90.0), st.floats(0.0, 1.0))
+
+
+@given(st.lists(candidate, max_size=25), st.floats(0.1, 0.9))
+def test_suppression_laws(rows: list[tuple[float, ...]], nms_iou: float) -> None:
+    values = np.array(rows, float).reshape(-1, 5)
+    candidates = np.column_stack((values[:, :2], values[:, :2] + values[:, 2:4], values[:, 4]))
+    kept = suppress_overlaps(candidates, nms_iou)
+    assert {tuple(row) for row in kept} <= {tuple(row) for row in candidates}
+    assert np.all(np.diff(kept[:, 4]) <= 0)
+    for index, box in enumerate(kept):  # survivors do not overlap
+        assert np.all(intersection_over_union(box[:4], kept[index + 1 :, :4]) <= nms_iou + SINGLE_PRECISION)
+    for box in candidates:  # whatever went, went for a survivor at least as good
+        rivals = kept[kept[:, 4] >= box[4]]
+        same = (kept == box).all(axis=1).any()
+        assert same or np.any(intersection_over_union(box[:4], rivals[:, :4]) > nms_iou - SINGLE_PRECISION)
+    np.testing.assert_array_equal(suppress_overlaps(kept, nms_iou), kept)
+
+
+@given(st.integers(8, 300), st.integers(8, 300), st.integers(40, 200))
+def test_boxes_map_back_through_padding_and_scaling(width: int, height: int, max_side: int) -> None:
+    image = np.zeros((height, width, 3), np.uint8)
+    blob, scale_x, scale_y = network_input(image, 32, max_side)
+    assert blob.shape[2] % 32 == 0 and blob.shape[3] % 32 == 0
+    assert max(blob.shape[2] - 31, blob.shape[3] - 31) <= max_side
+    if max(width, height) <= max_side:
+        assert scale_x == scale_y == 1.0
+    # A vertical edge at the middle of the image lies at its scaled place in the network's input.
+    image[:, : width // 2] = 255
+    blob, scale_x, scale_y = network_input(image, 32, max_side)
+    bright = float(blob[0, 0, 0, : round(width * scale_x)].sum())
+    assert bright / scale_x == pytest.approx(width // 2, abs=1e-3 + (0.0 if scale_x == 1.0 else 1.0 / scale_x))
+
+
+def test_boxes_in_the_padding_are_dropped_and_others_are_cut() -> None:
+    boxes = np.array([[90.0, 10.0, 130.0, 40.0, 0.9], [105.0, 10.0, 120.0, 40.0, 0.8]])
+    np.testing.assert_allclose(boxes_in_image(boxes, 100, 50), [[90.0, 10.0, 10.0, 30.0, 0.9]])
+
+
+def test_channels_are_rgb_between_zero_and_one() -> None:
+    image = np.zeros((32, 32, 3), np.uint8)
+    image[..., 2] = 255  # red in BGR
+    blob, _, _ = network_input(image, 32, 1600)
+    assert blob.dtype == np.float32
+    np.testing.assert_array_equal(blob[0, :, 0, 0], [1.0, 0.0, 0.0])
+
+
+def copy_model(folder: Path) -> Path:
+    source = shipped_model_path()
+    shutil.copy(source.with_name(source.name + ".json"), folder)
+    return Path(shutil.copy(source, folder))
+
+
+@pytest.mark.parametrize("colours", ["RGB", "BGR"])
+@pytest.mark.parametrize("axes", ["NCHW", "NHWC"])
+@pytest.mark.parametrize("numbers", ["float32 {} 0..1", "float32 {} 0..255", "uint8 {} 0..255"])
+def test_every_layout_shows_the_same_picture(colours: str, axes: str, numbers: str) -> None:
+    image = np.random.default_rng(4).integers(0, 256, (32, 64, 3), dtype=np.uint8)
+    blob, _, _ = network_input(image, 32, 1600, layout=f"{colours} {numbers.format(axes)}")
+    assert blob.dtype == (np.uint8 if "uint8" in numbers else np.float32)
+    shown = blob[0] if axes == "NHWC" else blob[0].transpose(1, 2, 0)
+    expected = image[..., ::-1] if colours == "RGB" else image
+    np.testing.assert_allclose(shown * (255.0 if "0..1" in numbers.split() else 1.0), expected, atol=1e-4)
+
+
+def test_missing_model_and_missing_sidecar_are_named(tmp_path: Path) -> None:
+    with pytest.raises(ModelFileError, match=r"none\.onnx"):
+        load_detector(tmp_path / "none.onnx")
+    model = copy_model(tmp_path)
+    sidecar = model.with_name(model.name + ".json")
+    sidecar.unlink()
+    with pytest.raises(ModelFileError, match="sidecar"):
+        load_detector(model)
+
+
+def test_one_changed_byte_is_refused(tmp_path: Path) -> None:
+    model = copy_model(tmp_path)
+    content = bytearray(model.read_bytes())
+    content[len(content) // 2] ^= 1
+    model.write_bytes(content)
+    with pytest.raises(ModelFileError, match="SHA-256"):
+        load_detector(model)
+
+
+def test_evidence_of_another_model_file_is_refused(tmp_path: Path) -> None:
+    model = copy_model(tmp_path)
+    sidecar = model.with_name(model.name + ".json")
+    card = json.loads(sidecar.read_text())
+    card["evidence"]["model_sha256"] = "0" * 64
+    sidecar.write_text(json.dumps(card))
+    with pytest.raises(ModelFileError, match="calibrate_scores"):
+        load_detector(model)
+
+
+def test_a_file_that_is_no_network_is_refused_even_with_a_matching_hash(tmp_path: Path) -> None:
+    model = copy_model(tmp_path)
+    model.write_bytes(b"not a network")
+    sidecar = model.with_name(model.name + ".json")
+    card = json.loads(sidecar.read_text())
+    card["sha256"] = hashlib.sha256(b"not a network").hexdigest()
+    card.pop("evidence")  # of the file that was there
+    sidecar.write_text(json.dumps(card))
+    with pytest.raises(ModelFileError, match="cannot load"):
+        load_detector(model)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("head", {"side_bins": 8, "strides_px": [4, 8, 16, 32]}, "expects"),
+        ("head", {"side_bins": 16, "strides_px": [8, 16], "foot_and_tip": True}, "outputs"),
+        ("head", {"kind": "yolov8", "class_count": 1, "cone_class": 0}, "yolov8"),
+        ("head", {"kind": "yolov99"}, "head"),
+        ("input_layout", "RGB float32 NCHW 0..1", "takes a tensor"),
+        ("input_layout", "BGR uint8 NHWC 0..1", "input_layout"),
+        ("extra", 1, "extra"),
+    ],
+)
+def test_a_sidecar_that_does_not_fit_is_refused(tmp_path: Path, key: str, value: object, words: str) -> None:
+    model = copy_model(tmp_path)
+    sidecar = model.with_name(model.name + ".json")
+    card = json.loads(sidecar.read_text())
+    card[key] = {"kind": "side-distributions"} | value if isinstance(value, dict) else value
+    sidecar.write_text(json.dumps(card))
+    with pytest.raises(ModelFileError, match=words):
+        load_detector(model)
+
+
+@pytest.mark.parametrize("size", [(160, 320), ("h", "w"), ("h", 640)])
+def test_a_network_of_another_family_runs_by_its_sidecar_alone(
+    tmp_path: Path, size: tuple[int | str, int | str]
+) -> None:
+    """A YOLOv8 export of two classes that always gives one box, centred at (100, 60), 20 x 40, in its own input."""
+    boxes = np.array([[[100], [60], [20], [40], [0.1], [0.9]]], np.float32)
+    fixed = size == (160, 320)
+    shapes = [
+        helper.make_tensor_value_info("images", TensorProto.FLOAT, [1, *size, 3]),
+        helper.make_tensor_value_info("output0", TensorProto.FLOAT, [1, 6, 1]),
+    ]
+    nodes = [
+        helper.make_node("ReduceMax", ["images"], ["most"], keepdims=0),
+        helper.make_node("Mul", ["most", "nothing"], ["zero"]),
+        helper.make_node("Add", ["boxes", "zero"], ["output0"]),
+    ]
+    constants = [numpy_helper.from_array(boxes, "boxes"), numpy_helper.from_array(np.float32(0), "nothing")]
+    graph = helper.make_graph(nodes, "tiny", [shapes[0]], [shapes[1]], constants)
+    content = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8).SerializeToString()
+    (tmp_path / "tiny.onnx").write_bytes(content)
+    card = {
+        "name": "tiny", "version": "1", "sha256": hashlib.sha256(content).hexdigest(), "input_layout": "BGR float32 NHWC 0..255",
+        "head": {"kind": "yolov8", "class_count": 2, "cone_class": 1}, "pad_multiple_px": 32, "class_names": ["car", "cone"],
+        "score_scale": "probability", "licence": "none",
+    }  # fmt: skip
+    (tmp_path / "tiny.onnx.json").write_text(json.dumps(card))
+    detector = load_detector(tmp_path / "tiny.onnx")
+    found = detect_image(detector, np.zeros((320, 640, 3), np.uint8), score_threshold=0.5)
+    scale = 2.0 if fixed else 1.0  # the fixed network sees the picture at half its size
+    np.testing.assert_allclose(found[:, :5], [[90 * scale, 40 * scale, 20 * scale, 40 * scale, 0.9]], rtol=1e-6)
+    assert np.isnan(found[:, 5:]).all()
+    if size != ("h", "w"):  # a part of the picture would come to it larger than the whole, or not fit
+        x, y = 100 * scale, 60 * scale
+        seen = detect_image(
+            detector, np.zeros((320, 640, 3), np.uint8), score_threshold=0.5, within=(x - 10, y - 10, x + 10, y + 10)
+        )
+        np.testing.assert_array_equal(seen, found)
+    if fixed:
+        window = {"cone_px": 48, "window_px": 96, "scores": [0.2, 0.8], "share": 0.4}
+        (tmp_path / "tiny.onnx.json").write_text(json.dumps(card | {"closer_look": window}))
+        with pytest.raises(ModelFileError, match=r"takes pictures of 320x160 only.*closer_look"):
+            load_detector(tmp_path / "tiny.onnx")
+
+
+def test_images_of_another_kind_are_refused(detector: Detector) -> None:
+    with pytest.raises(ValueError, match="BGR"):
+        detect_image(detector, np.zeros((64, 64), np.uint8), score_threshold=0.5)
+
+
+def test_windows_looked_at_together_are_seen_as_each_alone(detector: Detector) -> None:
+    assert detector.several
+    rng = np.random.default_rng(4)
+    windows = [np.asarray(rng.integers(90, 120, (96, 96, 3)), np.uint8) for _ in range(5)]
+    for index, window in enumerate(windows[1:], 1):
+        draw_cone(window, 20.0 + 12.0 * index, 80.0, 20.0 + 8.0 * index)
+    together = [seen for seen, _ in look_at_all(detector, windows, 96, 0.02, 0.5)]
+    assert sum(len(seen) for seen in together) >= 4
+    for window, seen in zip(windows, together, strict=True):
+        np.testing.assert_array_equal(seen, look(detector, window, 96, 0.02, 0.5))
+    one_by_one = look_at_all(dataclasses.replace(detector, several=False), windows, 96, 0.02, 0.5)
+    for seen, (alone, _) in zip(together, one_by_one, strict=True):
+        np.testing.assert_array_equal(seen, alone)
+
+
+def test_a_faint_cone_keeps_its_box_among_many_clear_ones(detector: Detector) -> None:
+    """The network answers for its best cells only, of all pictures of a run together."""
+    road = np.full((96, 96, 3), (110, 115, 118), np.uint8)
+    clear = road.copy()
+    draw_cone(clear, 48.0, 72.0, 48.0)
+    faint = np.asarray(0.8 * road + 0.2 * clear, np.uint8)
+    expected = look(detector, faint, 96, 0.02, 0.5)
+    assert len(expected) == 1
+    *_, (seen, _) = look_at_all(detector, [clear] * 63 + [faint], 96, 0.02, 0.5)
+    np.testing.assert_array_equal(seen, expected)
+
+
+def draw_cone(image: np.ndarray, x: float, foot: float, height: float) -> None:
+    """An orange cone with two white bands, anti-aliased by drawing four times larger."""
+    big = cv2.resize(image, None, fx=4, fy=4, interpolation=cv2.INTER_NEAREST)
+    half = 0.26 * height
+
+    def slab(low: float, high: float, colour: tuple[int, int, int]) -> None:
+        corners = [
+            (x - half * (1 - 0.85 * low), foot - low * height),
+            (x + half * (1 - 0.85 * low), foot - low * height),
+            (x + half * (1 - 0.85 * high), foot - high * height),
+            (x - half * (1 - 0.85 * high), foot - high * height),
+        ]
+        cv2.fillPoly(big, [np.round(np.array(corners) * 4).astype(np.int32)], colour)
+
+    slab(0.06, 1.0, (30, 85, 235))
+    slab(0.35, 0.52, (235, 235, 235))
+    slab(0.65, 0.80, (235, 235, 235))
+    base = [(x - 1.35 * half, foot - 0.06 * height), (x + 1.35 * half, foot)]
+    (x0, y0), (x1, y1) = np.round(np.array(base) * 4).astype(int)
+    cv2.rectangle(big, (int(x0), int(y0)), (int(x1), int(y1)), (25, 70, 200), -1)
+    image[:] = cv2.resize(big, (image.shape[1], image.shape[0]), interpolation=cv2.INTER_AREA)
+
+
+def test_a_drawn_cone_is_found_where_it_stands(detector: Detector) -> None:
+    image = np.full((240, 400, 3), (110, 115, 118), np.uint8)
+    image[:100] = (200, 180, 160)
+    draw_cone(image, 150.0, 180.0, 60.0)
+    found = detect_image(detector, image, score_threshold=0.3)
+    assert len(found) >= 1
+    x, y, w, h = found[0, :4]
+    assert x + w / 2 == pytest.approx(150.0, abs=3.0)
+    assert y + h == pytest.approx(180.0, abs=4.0)
+    assert h == pytest.approx(60.0, abs=8.0)
+
+
+def test_an_empty_road_holds_no_cone(detector: Detector) -> None:
+    image = np.full((240, 400, 3), (110, 115, 118), np.uint8)
+    image[:100] = (200, 180, 160)
+    found = detect_image(detector, image, score_threshold=0.3)
+    assert found.shape == (0, 9)
+
+
+def test_padding_and_scale_do_not_move_a_cone(detector: Detector) -> None:
+    image = np.full((256, 384, 3), (110, 115, 118), np.uint8)
+    image[:100] = (200, 180, 160)
+    draw_cone(image, 150.0, 180.0, 60.0)
+    whole = detect_image(detector, image, score_threshold=0.3)[0]
+    cut = detect_image(detector, image[:243, :371], score_threshold=0.3)[0]  # needs padding
+    np.testing.assert_allclose(cut[:4], whole[:4], atol=1.0)
+    double = cv2.resize(image, None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR)
+    shrunk = detect_image(detector, double, score_threshold=0.3, max_side_px=384)[0]
+    np.testing.assert_allclose(shrunk[:4], 2 * whole[:4], atol=3.0)
+
+
+@pytest.mark.parametrize("height_px", [220.0, 300.0, 360.0])
+def test_a_cone_that_fills_a_tall_picture_is_one_cone(detector: Detector, height_px: float) -> None:
+    image = np.full((640, 640, 3), (110, 115, 118), np.uint8)
+    image[:200] = (200, 180, 160)
+    draw_cone(image, 320.0, 600.0, height_px)
+    found = detect_image(detector, image, score_threshold=0.4)
+    assert len(found) == 1
+    x, y, w, h = found[0, :4]
+    assert x + w / 2 == pytest.approx(320.0, abs=0.05 * height_px)
+    assert y + h == pytest.approx(600.0, abs=0.1 * height_px)
+    assert h == pytest.approx(height_px, rel=0.15)
+
+
+@pytest.mark.skipif(not KITTI_LEFT.is_dir(), reason=f"real drive not at {KITTI_LEFT}")
+@pytest.mark.parametrize("frame", [75, 80, 85])
+def test_real_cones_are_found(detector: Detector, frame: int) -> None:
+    image = cv2.imread(str(KITTI_LEFT / f"{frame:010d}.jpg"))
+    found = detect_image(detector, image, score_threshold=0.3)
+    assert len(found) >= 2
+    assert np.all(np.diff(found[:, 4]) <= 0)
+    assert np.all(found[:, :2] >= 0) and np.all(found[:, 0] + found[:, 2] <= image.shape[1])
+
+
+@pytest.mark.skipif(not KITTI_LEFT.is_dir(), reason=f"real drive not at {KITTI_LEFT}")
+def test_cone_free_real_frames_are_nearly_empty(detector: Detector) -> None:
+    frames = range(0, 40, 8)
+    images = [cv2.imread(str(KITTI_LEFT / f"{frame:010d}.jpg")) for frame in frames]
+    count = sum(len(detect_image(detector, image, score_threshold=0.5)) for image in images)
+    assert count <= len(images)  # at most one false box a picture

@@ -1,0 +1,282 @@
+"""The enlarged look where small cones stand: the parts that it shows, how looks are joined, what the real network makes of it."""
+
+from __future__ import annotations
+
+import hashlib
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from conetl.perception.decoding import Seen
+from conetl.perception.detector import Detector, detect_image, load_detector
+from conetl.perception.model_card import EnlargedLook, read_model_card
+from conetl.perception.rescoring import pooled
+from conetl.perception.small_objects import (
+    CELL_PX,
+    FAINTEST,
+    enlargement,
+    look_enlarged,
+    parts_around,
+)
+
+SETTINGS = EnlargedLook(below_px=40, from_score=0.25, around_px=24, scale=2.0, share=0.65)
+DRIVES = Path(__file__).resolve().parents[3] / "data" / "drives"
+Floats = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+boxes_in_a_picture = st.lists(
+    st.tuples(st.floats(0, 380), st.floats(0, 180), st.floats(2, 30), st.floats(2, 40)), min_size=0, max_size=12
+)
+
+
+def showing(boxes: list[Floats], row: Floats) -> Callable[[Image], Seen]:
+    """A look that sees these boxes (9,), in pixels of the picture, in the one part around a candidate (9,) of SETTINGS' scale."""
+    x0, y0, *_ = parts_around(row[None], SETTINGS.around_px, 400, 200)[0]
+
+    def look(part: Image) -> Seen:
+        seen = np.stack(boxes)
+        seen[:, [0, 2, 5, 7]] -= x0
+        seen[:, [1, 3, 6, 8]] -= y0
+        seen[:, [0, 1, 2, 3, 5, 6, 7, 8]] *= SETTINGS.scale
+        return seen, 0.0
+
+    return look
+
+
+def candidate(x0: float, y0: float, x1: float, y1: float, score: float) -> Floats:
+    return np.array([x0, y0, x1, y1, score, (x0 + x1) / 2, y1, (x0 + x1) / 2, y0])
+
+
+@given(boxes_in_a_picture)
+def test_each_box_lies_in_one_part_with_its_surroundings_and_parts_do_not_touch(
+    given_boxes: list[tuple[float, float, float, float]],
+) -> None:
+    boxes = np.array([(x, y, x + w, y + h) for x, y, w, h in given_boxes]).reshape(-1, 4)
+    parts = parts_around(boxes, 24.0, 403, 211)
+    size = np.array([403, 211, 403, 211])
+    for surroundings in np.clip(boxes + np.array((-24, -24, 24, 24)), 0, size):
+        inside = (
+            [np.array(p)[:2] <= surroundings[:2] for p in parts],
+            [np.array(p)[2:] >= surroundings[2:] for p in parts],
+        )
+        holding = [k for k in range(len(parts)) if inside[0][k].all() and inside[1][k].all()]
+        assert len(holding) == 1
+    for k, one in enumerate(parts):
+        assert 0 <= one[0] < one[2] <= 403 and 0 <= one[1] < one[3] <= 211
+        for other in parts[k + 1 :]:
+            beside = max(one[0], other[0]) - min(one[2], other[2])
+            below = max(one[1], other[1]) - min(one[3], other[3])
+            assert max(beside, below) >= CELL_PX
+
+
+@given(boxes_in_a_picture, st.floats(1.1, 4.0))
+def test_all_parts_enlarged_are_no_larger_than_the_picture(
+    given_boxes: list[tuple[float, float, float, float]], wanted: float
+) -> None:
+    boxes = np.array([(x, y, x + w, y + h) for x, y, w, h in given_boxes]).reshape(-1, 4)
+    parts = parts_around(boxes, 24.0, 400, 200)
+    scale = enlargement(parts, wanted, 400 * 200)
+    assert scale <= wanted
+    assert sum((x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in parts) * scale**2 <= 400 * 200 * (1 + 1e-9)
+
+
+def test_what_is_tall_or_faint_calls_for_nothing() -> None:
+    rows = np.stack([candidate(100, 50, 140, 110, 0.9), candidate(200, 50, 215, 70, 0.2)])
+
+    def look(part: Image) -> Seen:
+        raise AssertionError("nothing was to be looked at")
+
+    np.testing.assert_array_equal(look_enlarged(look, np.zeros((200, 400, 3), np.uint8), rows, SETTINGS, 1.0), rows)
+    empty = np.zeros((0, 9))
+    np.testing.assert_array_equal(look_enlarged(look, np.zeros((200, 400, 3), np.uint8), empty, SETTINGS, 1.0), empty)
+
+
+def test_the_part_is_shown_enlarged_and_boxes_come_back_in_pixels_of_the_picture() -> None:
+    ramp = np.tile(np.linspace(0, 250, 400, dtype=np.float32)[None, :, None], (200, 1, 3)).astype(np.uint8)
+    row = candidate(104, 80, 120, 104, 0.6)
+    x0, y0, x1, y1 = parts_around(row[None], 24.0, 400, 200)[0]
+    shown: list[Image] = []
+
+    def look(part: Image) -> Seen:
+        shown.append(part)
+        return showing([candidate(105, 80, 121, 106, 0.8)], row)(part)
+
+    (found,) = look_enlarged(look, ramp, row[None], SETTINGS, 1.0)
+    assert [part.shape for part in shown] == [(2 * (y1 - y0), 2 * (x1 - x0), 3)]
+    assert shown[0][0, 0, 0] == pytest.approx(250 * x0 / 399, abs=1.5)
+    np.testing.assert_allclose(found[:4], 0.35 * row[:4] + 0.65 * np.array([105, 80, 121, 106]))
+    assert found[4] == pytest.approx(pooled(0.6, 0.8, 0.65))
+    np.testing.assert_allclose(found[5:], 0.35 * row[5:] + 0.65 * np.array([113, 106, 113, 80]))
+
+
+def test_in_a_picture_that_is_scaled_down_the_part_keeps_more_of_its_own_pixels() -> None:
+    image = np.zeros((1200, 3200, 3), np.uint8)
+    row = candidate(1000, 600, 1040, 660, 0.6)  # 30 px of the network's input
+    x0, y0, x1, y1 = parts_around(row[None], 48.0, 3200, 1200)[0]
+    shown: list[tuple[int, ...]] = []
+
+    def look(part: Image) -> Seen:
+        shown.append(part.shape)
+        return np.zeros((0, 9)), 0.0
+
+    look_enlarged(look, image, row[None], SETTINGS, 2.0)
+    assert shown == [(y1 - y0, x1 - x0, 3)]
+
+
+def test_what_only_the_enlarged_look_sees_is_a_candidate_unless_it_is_cut_tall_or_part_of_a_cone() -> None:
+    image = np.zeros((200, 400, 3), np.uint8)
+    rows = np.stack([candidate(100, 80, 116, 104, 0.6), candidate(125, 60, 165, 125, 0.9)])  # the second is tall
+    x0, y0, *_ = parts_around(rows[:1], 24.0, 400, 200)[0]
+    far, band = candidate(84, 80, 91, 90, 0.9), candidate(127, 90, 139, 100, 0.5)
+    cut, tall = candidate(x0 + 1, 80, 90, 100, 0.9), candidate(80, y0 + 4, 92, y0 + 60, 0.9)
+
+    found = look_enlarged(showing([far, band, cut, tall], rows[0]), image, rows, SETTINGS, 1.0)
+    assert len(found) == 3
+    assert found[0, 4] == pytest.approx(pooled(0.6, 0.0, 0.65)) and found[0, 4] < 0.2  # not seen again
+    np.testing.assert_array_equal(found[1], rows[1])  # tall: not judged
+    np.testing.assert_allclose(np.delete(found[2], 4), np.delete(far, 4))
+    assert found[2, 4] == pytest.approx(pooled(FAINTEST, 0.9, 0.65))
+
+
+def test_two_candidates_do_not_share_one_box_of_the_enlarged_look() -> None:
+    image = np.zeros((200, 400, 3), np.uint8)
+    rows = np.stack([candidate(100, 80, 116, 104, 0.5), candidate(103, 80, 119, 104, 0.6)])
+    found = look_enlarged(showing([candidate(102, 80, 118, 104, 0.9)], rows[0]), image, rows, SETTINGS, 1.0)
+    assert found[1, 4] == pytest.approx(pooled(0.6, 0.9, 0.65))  # the surer one has it
+    assert found[0, 4] == pytest.approx(pooled(0.5, 0.0, 0.65))
+
+
+@pytest.mark.parametrize(("untold", "counts_as"), [(0.0, 0.0), (0.04, 0.0), (0.5, 0.5), (0.8, 0.6)])
+def test_what_a_crowd_may_keep_from_being_told_is_not_taken_for_unseen(untold: float, counts_as: float) -> None:
+    row = candidate(100, 80, 116, 104, 0.6)
+
+    def look(part: Image) -> Seen:
+        return np.zeros((0, 9)), untold
+
+    (found,) = look_enlarged(look, np.zeros((200, 400, 3), np.uint8), row[None], SETTINGS, 1.0)
+    assert found[4] == pytest.approx(pooled(0.6, counts_as, 0.65))
+
+
+def test_a_cone_just_too_tall_to_be_judged_takes_what_is_seen_of_it() -> None:
+    image = np.zeros((200, 400, 3), np.uint8)
+    rows = np.stack([candidate(100, 80, 130, 124, 0.9), candidate(140, 80, 156, 104, 0.6)])
+    x0, *_ = parts_around(rows[1:], 24.0, 400, 200)[0]
+    counterpart = candidate(max(102, x0 + 4), 88, 130, 120, 0.95)
+    found = look_enlarged(showing([counterpart], rows[1]), image, rows, SETTINGS, 1.0)
+    assert len(found) == 2
+    np.testing.assert_array_equal(found[0], rows[0])
+
+
+def test_only_wanted_candidates_call_and_boxes_beyond_all_bounds_harm_nothing() -> None:
+    image = np.zeros((200, 400, 3), np.uint8)
+    rows = np.stack(
+        [candidate(100, 80, 116, 104, 0.6), candidate(300, 80, 316, 104, 0.6), candidate(-1e30, 5, 1e30, 9, 0.6)]
+    )
+    shown: list[tuple[int, ...]] = []
+
+    def look(part: Image) -> Seen:
+        shown.append(part.shape)
+        return np.zeros((0, 9)), 0.0
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = look_enlarged(look, image, rows, SETTINGS, 1.0, np.array([True, False, False]))
+        assert len(shown) == 1
+        np.testing.assert_array_equal(found[1:], rows[1:])
+        look_enlarged(look, image, rows, SETTINGS, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"scale": 1.0}, "greater than 1"),
+        ({"share": 1.0}, "less than 1"),
+        ({"below_px": 0}, "greater than 0"),
+        ({"parts": 3}, "Extra inputs"),
+    ],
+)
+def test_a_sidecar_that_asks_for_the_impossible_is_refused(change: dict[str, object], words: str) -> None:
+    values = read_model_card(None).model_dump(exclude_none=True)
+    with pytest.raises(ValidationError, match=words):
+        type(read_model_card(None)).model_validate({**values, "enlarged_look": {**values["enlarged_look"], **change}})
+
+
+def test_another_enlarged_look_is_another_detector_and_none_is_that_of_before_there_were_any() -> None:
+    card = read_model_card(None)
+    assert card.enlarged_look is not None
+    plain = card.model_copy(update={"enlarged_look": None})
+    assert plain.detections_sha256 != card.detections_sha256
+    used = {"sha256", "input_layout", "head", "pad_multiple_px", "closer_look"}
+    assert plain.detections_sha256 == hashlib.sha256(card.model_dump_json(include=used).encode()).hexdigest()
+
+
+def far_street() -> Image:
+    """A picture of a sample drive at a third of its size, as from three times as far, in the lower middle of a grey one."""
+    pictures = sorted(DRIVES.glob("*/image_02/data/*"))
+    picture = cv2.imread(str(pictures[len(pictures) // 8]))
+    assert picture is not None
+    return np.asarray(cv2.resize(picture, None, fx=0.4, fy=0.4, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def without_enlarging(detector: Detector) -> Detector:
+    return replace(detector, card=detector.card.model_copy(update={"enlarged_look": None}))
+
+
+def test_more_small_cones_are_found_with_it() -> None:
+    detector, image = load_detector(), far_street()
+    plain = detect_image(without_enlarging(detector), image, score_threshold=0.3)
+    found = detect_image(detector, image, score_threshold=0.3)
+    assert len(found) > len(plain) >= 1
+
+
+def test_no_cone_of_a_crowd_is_lost_to_it() -> None:
+    detector, image = load_detector(), far_street()
+    best = detect_image(detector, image, score_threshold=0.3)[0]
+    x, y, w, h = best[:4].round().astype(int)
+    cone = cv2.resize(image[y - 2 : y + h + 2, x - 2 : x + w + 2], (28, 36), interpolation=cv2.INTER_CUBIC)
+    crowd = np.full((760, 1000, 3), np.median(image[y + h : y + h + 4, x : x + w], axis=(0, 1)).astype(np.uint8))
+    places = [(left, top) for top in range(40, 700, 62) for left in range(40, 940, 70)]
+    for left, top in places:
+        crowd[top : top + 36, left : left + 28] = cone
+    plain = detect_image(without_enlarging(detector), crowd, score_threshold=0.3)
+    found = detect_image(detector, crowd, score_threshold=0.3)
+    assert len(plain) >= 0.9 * len(places)  # as the network sees them at their own size
+    assert len(found) >= len(plain)
+
+
+def test_without_a_closer_look_nothing_below_the_threshold_comes_out() -> None:
+    detector = load_detector()
+    detector = replace(detector, card=detector.card.model_copy(update={"closer_look": None}))
+    found = detect_image(detector, far_street(), score_threshold=0.3)
+    assert len(found) and (found[:, 4] >= 0.3).all()
+
+
+@pytest.mark.parametrize("thresholds", [(0.06, 0.3), (0.1, 0.5), (0.3, 0.5)])
+def test_a_higher_threshold_is_a_shorter_list_of_the_same_small_boxes(thresholds: tuple[float, float]) -> None:
+    detector, image = load_detector(), far_street()
+    low, high = (detect_image(detector, image, score_threshold=score) for score in thresholds)
+    assert len(low) > len(high) > 0
+    np.testing.assert_array_equal(low[low[:, 4] >= thresholds[1]], high)
+
+
+def test_rows_above_the_road_stay_out_and_so_does_what_lies_beside_the_wanted_part() -> None:
+    detector, image = load_detector(), far_street()
+    whole = detect_image(detector, image, score_threshold=0.3)
+    middles = whole[:, 0] + whole[:, 2] / 2
+    split = float(np.sort(middles)[len(middles) // 2]) - 1.0
+    within = (split, 0.0, float(image.shape[1]), float(image.shape[0]))
+    right = detect_image(detector, image, score_threshold=0.3, within=within, reach_px=40.0)
+    assert 0 < len(right) < len(whole)
+    assert (right[:, 0] + right[:, 2] / 2 >= split - 0.5).all()
+    first_row = int(whole[:, 1].min()) // 2
+    below = detect_image(detector, image, score_threshold=0.3, first_row=first_row)
+    assert (below[:, 1] >= first_row).all() and len(below)

@@ -1,0 +1,297 @@
+"""Readers of base layers on good, broken and hostile files. No database."""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+from pyproj import CRS
+
+from conetl.model.errors import InputError
+from conetl.readers.base_layers import georeferencing as placing
+from conetl.readers.base_layers.lanelet2 import read_lanelet2
+from conetl.readers.base_layers.las_file import las_chunks, read_las_header
+from conetl.readers.base_layers.layer_crs import axes_seem_swapped, layer_crs, outside_area, parse_crs, to_map
+from conetl.readers.base_layers.opendrive_file import read_opendrive
+from conetl.readers.base_layers.point_tiles import Cloud
+from conetl.readers.base_layers.spill import read_cells, spill
+from conetl.readers.base_layers.vector_file import read_vector_file
+
+ROOT = Path(__file__).resolve().parents[3]
+SHARED = Path(os.environ.get("CONETL_SHARED_DATA", ROOT.parent / "shared" / "data"))
+CENTRE = (458_000.0, 5_428_000.0, 115.0)
+PLACE = placing.MapPlace(32632, np.array(CENTRE) + np.column_stack([np.arange(50.0), np.zeros(50), np.zeros(50)]))
+LON, LAT = 8.4262, 49.0037
+
+
+def write_las(path, count=5_000, crs=32632, *, classes=None):
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales, header.offsets = [0.001] * 3, list(CENTRE)
+    if crs:
+        header.add_crs(CRS.from_epsg(crs))
+    las = laspy.LasData(header)
+    rng = np.random.default_rng(3)
+    las.x, las.y, las.z = (CENTRE + rng.uniform(0, 40, (count, 3)) * [1.0, 1.0, 0.02]).T
+    las.intensity = rng.integers(0, 400, count)
+    if classes is not None:
+        las.classification = classes
+    las.write(path)
+    return path
+
+
+def read_all(path):
+    count, _ = read_las_header(path)
+    return np.concatenate([cloud.xyz_m for cloud in las_chunks(path, count)])
+
+
+@pytest.mark.parametrize("suffix", ["las", "laz"])
+def test_points_come_in_chunks_with_their_crs_and_without_noise(tmp_path, suffix, monkeypatch):
+    monkeypatch.setattr("conetl.readers.base_layers.las_file.CHUNK_POINTS", 700)
+    path = write_las(tmp_path / f"a.{suffix}", 2_000, classes=np.where(np.arange(2_000) % 10 == 0, 7, 2))
+    count, crs = read_las_header(path)
+    clouds = list(las_chunks(path, count))
+    assert [len(c.xyz_m) for c in clouds] == [630, 630, 540]
+    assert (count, crs.to_epsg()) == (2_000, 32632)
+    shades = np.concatenate([c.shade for c in clouds])
+    assert shades.min() < 10 and shades.max() == 255
+
+
+@pytest.mark.parametrize("suffix", ["las", "laz"])
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda b: b[: len(b) // 2],
+        lambda b: b[:-100],
+        lambda b: b[:100],
+        lambda b: b"",
+        lambda b: b"hello world" * 50,
+        lambda b: b[:247] + struct.pack("<Q", 2**60) + b[255:],  # point count
+        lambda b: b[:247] + struct.pack("<Q", 0) + b[255:],
+        lambda b: b[:131] + struct.pack("<d", float("nan")) + b[139:],  # scale
+        lambda b: b[:155] + struct.pack("<d", float("inf")) + b[163:],  # offset
+        lambda b: b[:96] + struct.pack("<I", 2**31) + b[100:],  # where the points begin
+        lambda b: b[:100] + struct.pack("<I", 2**31) + b[104:],  # number of records before them
+        lambda b: b[:104] + bytes([99]) + b[105:],  # point format
+    ],
+)
+def test_a_broken_las_file_is_refused_by_name(tmp_path, suffix, damage):
+    path = write_las(tmp_path / f"a.{suffix}")
+    path.write_bytes(damage(path.read_bytes()))
+    with pytest.raises(InputError, match=rf"a\.{suffix}"):
+        read_all(path)
+
+
+def test_points_that_are_no_numbers_are_left_out_and_cells_keep_places(tmp_path):
+    rng = np.random.default_rng(5)
+    xyz = np.array(CENTRE) + rng.uniform(-150, 150, (4_000, 3))
+    xyz[::100, 1] = np.nan
+    xyz[1::100, 0] = np.inf
+    spilled = spill(
+        [Cloud(xyz[:2_000], np.full(2_000, 9, np.uint8)), Cloud(xyz[2_000:], np.full(2_000, 8, np.uint8))],
+        tmp_path,
+        0.01,
+        "x",
+    )
+    assert (spilled.kept, spilled.refused) == (3_920, 80)
+    back = np.concatenate([c.xyz_m for _, _, c in read_cells(tmp_path, spilled.cells)])
+    good = xyz[np.isfinite(xyz).all(axis=1)]
+    order, wanted = (a[np.argsort(a[:, 2])] for a in (back, good))
+    assert np.abs(order - wanted).max() < 1e-4
+    with pytest.raises(InputError, match="none of its points"):
+        spill([Cloud(np.full((3, 3), np.nan), np.zeros(3, np.uint8))], tmp_path, 0.1, "x")
+
+
+# --------------------------------------------------------------------------- CRS
+
+
+def test_feet_become_metres():
+    """EPSG:2994 is Oregon in international feet; without a vertical CRS heights have the unit of the plane."""
+    layer = layer_crs(parse_crs("2994"), 32610)
+    xyz = to_map(layer, np.array([[636_000.0, 849_000.0, 410.0]]))
+    assert layer.height_factor == 0.3048
+    assert xyz[0, 2] == pytest.approx(124.968)
+    back = layer_crs(parse_crs("EPSG:32610"), 32610)
+    lon, lat = back.to_lonlat.transform(*xyz[0, :2])
+    assert (lon, lat) == pytest.approx((-123.07, 44.05), abs=0.05)
+    assert layer_crs(parse_crs("EPSG:26910+6360"), 32610).height_factor == pytest.approx(0.3048006)  # NAVD88 in US feet
+
+
+def test_a_file_without_crs_is_refused_unless_it_is_stated():
+    with pytest.raises(InputError, match=r"does not say in which CRS.*--crs 32632"):
+        placing.resolve_crs(Path("a.las"), None, None, PLACE)
+    layer, warnings = placing.resolve_crs(Path("a.las"), None, "25832", PLACE)
+    assert (layer.name, warnings) == ("ETRS89 / UTM zone 32N", [])
+    _, warnings = placing.resolve_crs(Path("a.las"), CRS.from_epsg(4326), "25832", PLACE)
+    assert "the file itself states WGS 84" in warnings[0]
+    with pytest.raises(InputError, match="is no coordinate reference system"):
+        placing.resolve_crs(Path("a.las"), None, "moon", PLACE)
+    _, warnings = placing.resolve_crs(Path("a.las"), parse_crs("EPSG:25832+7837"), None, PLACE)
+    assert "--height-offset" in warnings[0]
+
+
+def test_swapped_axes_are_found():
+    wgs84 = layer_crs(parse_crs("4326"), 32632)
+    right, wrong = np.array([[LON, LAT]]), np.array([[LAT, LON]])
+    assert not axes_seem_swapped(wgs84, right, PLACE.lonlat())
+    assert axes_seem_swapped(wgs84, wrong, PLACE.lonlat())
+    assert axes_seem_swapped(wgs84, np.array([[30.0, 120.0]]), None)  # no such latitude
+    assert not axes_seem_swapped(wgs84, np.array([[-122.0, 37.0]]), PLACE.lonlat())  # far away, but right
+    utm = layer_crs(parse_crs("32632"), 32632)
+    assert axes_seem_swapped(utm, np.array([[5_428_000.0, 458_000.0]]), PLACE.lonlat())
+    with pytest.raises(InputError, match="longitude and latitude are swapped"):
+        placing.check_coordinates(Path("a.geojson"), wgs84, wrong, PLACE)
+    assert outside_area(
+        layer_crs(parse_crs("2993"), 32610), np.array([[636_000.0, 849_000.0]])
+    )  # feet said to be metres
+    assert not outside_area(layer_crs(parse_crs("2994"), 32610), np.array([[636_000.0, 849_000.0]]))
+
+
+def test_a_layer_far_away_or_at_other_heights_is_warned_of():
+    low, high = np.array(CENTRE[:2]), np.array(CENTRE[:2]) + 50
+    assert placing.check_near("a", low, high, PLACE) == []
+    assert "lies 9 km" in placing.check_near("a", low + 9_000 / 2**0.5, high + 9_000, PLACE)[0]
+    road = PLACE.ground_m + np.array([0.0, 1.0, 0.02])
+    assert placing.check_heights("a", road, PLACE) == []
+    assert "--height-offset 47.6" in placing.check_heights("a", road - [0.0, 0.0, 47.62], PLACE)[0]
+
+
+def test_the_road_lies_as_far_below_the_poses_as_the_cones_feet():
+    poses = np.column_stack([np.arange(20.0), np.zeros(20), np.full(20, 10.0)])
+    feet = np.array([[3.0, 2.0, 9.1], [8.0, -2.0, 9.0], [12.0, 2.0, 9.05]])
+    assert placing.ground_under(poses, feet)[:, 2] == pytest.approx([9.05] * 20)
+    assert placing.drape(
+        np.array([[5.0, 30.0]]), placing.MapPlace(32632, placing.ground_under(poses, feet))
+    ) == pytest.approx([9.05])
+
+
+# --------------------------------------------------------------------------- lines
+
+
+def geojson(path, *features, crs=None):
+    document = {"type": "FeatureCollection", "features": list(features)}
+    if crs:
+        document["crs"] = {"type": "name", "properties": {"name": crs}}
+    path.write_text(json.dumps(document))
+    return path
+
+
+def line(*places, **properties):
+    return {
+        "type": "Feature",
+        "properties": properties,
+        "geometry": {"type": "LineString", "coordinates": list(places)},
+    }
+
+
+def test_geojson_lines_with_kind_heights_and_refusals(tmp_path):
+    path = geojson(
+        tmp_path / "a.geojson",
+        line([LON, LAT, 115.0], [LON, LAT + 1e-4, 115.5], kind="line_thin", width=0.12),
+        line([LON, LAT], [LON, LAT + 1e-4]),
+        line([LON, LAT], [LON, LAT], kind="no length"),
+        {"type": "Feature", "properties": {}, "geometry": {"type": "Point", "coordinates": [LON, LAT]}},
+        {"type": "Feature", "properties": {}, "geometry": None},
+        {"type": "Feature", "properties": {"type": "kerb"}, "geometry": {"type": "MultiLineString", "coordinates": [
+            [[LON, LAT], [LON + 1e-4, LAT]], [[LON, LAT], [LON - 1e-4, LAT]]]}},
+    )  # fmt: skip
+    found = read_vector_file(path)
+    assert [item.kind for item in found.lines] == ["line_thin", "line", "kerb", "kerb"]
+    assert found.lines[0].xyz[:, 2].tolist() == [115.0, 115.5] and np.isnan(found.lines[1].xyz[:, 2]).all()
+    assert found.lines[0].attributes["width"] == 0.12
+    assert found.crs.to_epsg() == 4326
+    assert len(found.refused) == 3 and "not a line" in " ".join(found.refused)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{", '{"type": "FeatureCollection", "features": []}', "[1, 2", '{"a": 1}', "<osm>"]
+)
+@pytest.mark.parametrize("name", ["a.geojson", "a.gpkg", "a.osm", "a.xodr"])
+def test_what_is_no_line_file_is_refused_by_name(tmp_path, text, name):
+    path = tmp_path / name
+    path.write_text(text)
+    reader = {".osm": read_lanelet2, ".xodr": read_opendrive}.get(path.suffix, read_vector_file)
+    with pytest.raises(InputError, match=name):
+        reader(path)
+
+
+def test_geopackage_with_its_crs(tmp_path):
+    geopandas = pytest.importorskip("geopandas")
+    from shapely import LineString
+
+    path = tmp_path / "a.gpkg"
+    shapes = [LineString([CENTRE, (458_010.0, 5_428_000.0, 115.0)])]
+    geopandas.GeoDataFrame({"subtype": ["dashed"]}, geometry=shapes, crs=25832).to_file(path, layer="lines")
+    found = read_vector_file(path)
+    assert (found.lines[0].kind, found.crs.to_epsg()) == ("dashed", 25832)
+    assert found.lines[0].xyz[0].tolist() == list(CENTRE)
+
+
+OSM = """<osm><node id="1" lat="49.0" lon="8.4"><tag k="ele" v="110"/></node><node id="2" lat="49.001" lon="8.4"/>
+<node id="3" lat="x" lon="8.4"/>
+<way id="10"><nd ref="1"/><nd ref="2"/><tag k="type" v="line_thin"/><tag k="subtype" v="dashed"/></way>
+<way id="11"><nd ref="2"/><nd ref="1"/><tag k="type" v="odd"/></way>
+<way id="12"><nd ref="2"/><nd ref="9"/><tag k="type" v="curbstone"/></way>
+<way id="13"><nd ref="2"/><nd ref="1"/><tag k="type" v="stop_line"/></way>
+<relation id="20"><member type="way" ref="11" role="left"/><member type="way" ref="10" role="right"/>
+<tag k="type" v="lanelet"/></relation>
+</osm>"""
+
+
+def test_lanelet2_gives_what_bounds_lanelets_and_what_is_painted(tmp_path):
+    path = tmp_path / "a.osm"
+    path.write_text(OSM)
+    found = read_lanelet2(path)
+    assert [(item.kind, item.attributes["way"], item.attributes["bounds_a_lanelet"]) for item in found.lines] == [
+        ("line_thin", "10", True), ("odd", "11", True),
+    ]  # fmt: skip
+    assert found.lines[0].xyz[0].tolist() == [8.4, 49.0, 110.0]
+    assert any("node 9 is missing" in text for text in found.refused) and any(
+        "node 3" in text for text in found.refused
+    )
+
+
+@pytest.mark.skipif(not (SHARED / "lanelet2").is_dir(), reason=f"no real Lanelet2 map in {SHARED}")
+def test_a_real_lanelet2_map():
+    found = read_lanelet2(SHARED / "lanelet2" / "mapping_example.osm")
+    assert len(found.lines) > 1_000 and not found.refused
+    assert {"line_thin", "curbstone", "road_border", "virtual"} <= {item.kind for item in found.lines}
+    layer = layer_crs(found.crs, 32632)
+    length_m = max(np.ptp(to_map(layer, item.xyz)[:, :2], axis=0).max() for item in found.lines)
+    assert 50 < length_m < 2_000
+
+
+XODR = """<OpenDRIVE><header><geoReference><![CDATA[+proj=utm +zone=32 +ellps=WGS84]]></geoReference>
+<offset x="458000" y="5428000" z="100" hdg="0"/></header>
+<road id="1" length="40" name="a"><planView>
+<geometry s="0" x="0" y="0" hdg="0" length="20"><line/></geometry>
+<geometry s="20" x="20" y="0" hdg="0" length="20"><arc curvature="0.05"/></geometry></planView>
+<elevationProfile><elevation s="0" a="1" b="0" c="0" d="0"/></elevationProfile>
+<lanes><laneSection s="0"><left><lane id="1" type="driving"><width sOffset="0" a="3" b="0" c="0" d="0"/>
+<roadMark sOffset="0" type="solid"/></lane>
+</left><center><lane id="0" type="none"><roadMark sOffset="0" type="broken"/></lane></center>
+
+<right><lane id="-1" type="driving"><width sOffset="0" a="3.5" b="0" c="0" d="0"/></lane></right></laneSection></lanes></road>
+<road id="2" length="10"><planView><geometry s="0" x="0" y="nan" hdg="0" length="10"><line/></geometry></planView></road>
+<road id="3" length="10"><planView><geometry s="0" x="0" y="0" hdg="0" length="10"><wave/></geometry></planView></road>
+</OpenDRIVE>"""
+
+
+def test_opendrive_lines_and_refused_roads(tmp_path):
+    path = tmp_path / "a.xodr"
+    path.write_text(XODR)
+    found = read_opendrive(path)
+    kinds = {item.attributes["border"]: item for item in found.lines}
+    assert {name: item.kind for name, item in kinds.items()} == {
+        "reference line": "reference_line", "lane 0": "broken", "lane 1": "solid", "lane -1": "lane_border",
+    }  # fmt: skip
+    left = kinds["lane 1"].xyz
+    assert left[0] == pytest.approx([458_000.0, 5_428_003.0, 101.0])
+    assert left[-1] == pytest.approx([458_020.0 + 17 * np.sin(1.0), 5_428_020.0 - 17 * np.cos(1.0), 101.0])
+    assert 4 < len(left) < 41  # the straight needs its ends only
+    assert found.crs is not None and found.crs.is_projected
+    assert [text[:6] for text in found.refused] == ["road 2", "road 3"] and "<wave>" in found.refused[1]

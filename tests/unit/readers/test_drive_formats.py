@@ -1,0 +1,485 @@
+"""Conformance: one recording in every format gives the same drive, and the same faults cost the same pairs."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from conetl.geometry import rig as rigs
+from conetl.model.errors import CalibrationError, DriveFolderError
+from conetl.model.records import Drive, Rig
+from conetl.model.rejections import Rejection
+from conetl.model.rejections import RejectionReason as R
+from conetl.readers.drives import drive_format, read_drive
+from conetl.readers.drives.header import find_drives, outline_drive
+from conetl.readers.rigs import write_rig_yaml
+from tests.unit.readers.drive_formats import (
+    SAMPLE,
+    WRITERS,
+    Frame,
+    T,
+    changed,
+    georeference,
+    header,
+    sample_frames,
+    write_bag,
+    write_euroc,
+    write_odometry_bag,
+)
+
+OTHERS = [name for name in WRITERS if name != "kitti"]
+FORMATS = {"kitti": "kitti", "plain": "plain", "euroc": "euroc"}
+
+
+@pytest.fixture(scope="module")
+def frames() -> list[Frame]:
+    return sample_frames()
+
+
+@pytest.fixture(scope="module")
+def rig() -> Rig:
+    return read_drive(SAMPLE)[0].rig
+
+
+@pytest.fixture(scope="module")
+def reference(frames: list[Frame], rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> Drive:
+    return read_drive(WRITERS["kitti"](tmp_path_factory.mktemp("reference") / "run", frames, rig))[0]
+
+
+def read(path: Path, cache: Path) -> tuple[Drive, list[Rejection]]:
+    return read_drive(path, pictures_folder=cache)
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_every_format_gives_the_same_drive(
+    name: str, tmp_path: Path, frames: list[Frame], rig: Rig, reference: Drive
+) -> None:
+    path = WRITERS[name](tmp_path / "run", frames, rig)
+    assert drive_format(path) == FORMATS.get(name, "bag")
+    drive, rejections = read(path, tmp_path / "cache")
+    assert rejections == []
+    assert (drive.drive_id, drive.map_srid, drive.expected_frame_count) == ("run", reference.map_srid, len(frames))
+    assert drive.rig.baseline_m == pytest.approx(reference.rig.baseline_m, rel=1e-4)
+    assert (drive.rig.left.width_px, drive.rig.left.height_px) == (rig.left.width_px, rig.left.height_px)
+    assert drive.rig.left.fx_px == pytest.approx(rig.left.fx_px, rel=1e-5)
+    assert len(drive.frame_pairs) == len(reference.frame_pairs)
+    for pair, wanted in zip(drive.frame_pairs, reference.frame_pairs, strict=True):
+        assert (pair.frame_index, pair.captured_at_ns) == (wanted.frame_index, wanted.captured_at_ns)
+        assert Path(pair.left_path).read_bytes() == Path(wanted.left_path).read_bytes()
+        assert Path(pair.right_path).read_bytes() == Path(wanted.right_path).read_bytes()
+        # Bodies may be other frames; where the cameras are in the map must not depend on the format.
+        for found, true in (
+            (rigs.map_SE3_left(pair.pose, drive.rig), rigs.map_SE3_left(wanted.pose, reference.rig)),
+            (rigs.map_SE3_right(pair.pose, drive.rig), rigs.map_SE3_right(wanted.pose, reference.rig)),
+        ):
+            np.testing.assert_allclose(found[:3, 3], true[:3, 3], atol=1e-3, rtol=0)
+            np.testing.assert_allclose(found[:3, :3], true[:3, :3], atol=2e-4)
+        np.testing.assert_allclose(pair.pose.sigma_enu_m, wanted.pose.sigma_enu_m)
+        np.testing.assert_allclose(pair.pose.sigma_rpy_rad, wanted.pose.sigma_rpy_rad)
+        # x forward, z up, whatever the axes of the sensor are called
+        np.testing.assert_allclose(pair.pose.map_R_body, wanted.pose.map_R_body, atol=2e-4)
+    again = read(path, tmp_path / "cache")[0]
+    assert again.content_sha256 == drive.content_sha256
+    other = WRITERS[name](tmp_path / "other" / "run", changed(frames, 4, left=frames[5].left), rig)
+    assert read(other, tmp_path / "cache")[0].content_sha256 != drive.content_sha256
+
+
+def small_picture() -> bytes:
+    return bytes(cv2.imencode(".jpg", np.full((20, 30, 3), 9, np.uint8))[1].tobytes())
+
+
+def without_poses(frames: list[Frame]) -> list[Frame]:
+    for i in range(2, 8):
+        frames = changed(frames, i, oxts=None)
+    return frames
+
+
+FAULTS: dict[str, tuple[Callable[[list[Frame]], list[Frame]], dict[int, R]]] = {
+    "right picture missing": (lambda f: changed(f, 3, right=None), {3: R.IMAGE_MISSING}),
+    "left picture missing": (lambda f: changed(f, 0, left=None), {0: R.IMAGE_MISSING}),
+    "picture cut off": (lambda f: changed(f, 4, left=(f[4].left or b"")[:-500]), {4: R.IMAGE_TRUNCATED}),
+    "no picture at all": (lambda f: changed(f, 2, right=b"not a picture"), {2: R.IMAGE_UNREADABLE}),
+    "another size": (lambda f: changed(f, 5, right=small_picture()), {5: R.IMAGE_WRONG_SIZE}),
+    "time falls": (lambda f: changed(f, 6, stamp_ns=f[1].stamp_ns - 5 * 10**9), {6: R.TIMESTAMP_INVALID}),
+    "clock not set at first": (
+        lambda f: changed(f, 0, stamp_ns=5 * 10**9, pose_stamp_ns=5 * 10**9), {0: R.TIMESTAMP_INVALID},
+    ),
+    "another clock at last": (
+        lambda f: changed(f, -1 % len(f), stamp_ns=f[-1].stamp_ns + 400 * 86_400 * 10**9), {9: R.TIMESTAMP_INVALID},
+    ),
+    "pose is NaN": (lambda f: changed(f, 4, oxts=(math.nan,) * 30), {4: R.POSE_INVALID}),
+    "poses missing": (without_poses, dict.fromkeys(range(2, 8), R.POSE_MISSING)),
+    "a wild fix": (
+        lambda f: changed(f, 5, oxts=(f[5].oxts[0] + 0.01, *f[5].oxts[1:]) if f[5].oxts else None), {5: R.POSE_INVALID},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize("fault", FAULTS)
+def test_the_same_faults_cost_the_same_pairs(
+    name: str, fault: str, tmp_path: Path, frames: list[Frame], rig: Rig
+) -> None:
+    damage, lost = FAULTS[fault]
+    drive, rejections = read(WRITERS[name](tmp_path / "run", damage(frames), rig), tmp_path / "cache")
+    assert Counter(r.reason for r in rejections) == Counter(lost.values())
+    kept = [frame.stamp_ns for i, frame in enumerate(frames) if i not in lost]
+    assert [pair.captured_at_ns for pair in drive.frame_pairs] == kept
+    assert drive.expected_frame_count == len(frames)
+    if name != "plain":  # which numbers pairs by the rows of its trajectory
+        assert {r.payload["frame_index"] for r in rejections} == set(lost)
+    assert all(r.step == "frames" and r.detail for r in rejections)
+    if "clock" in fault and "bag" not in name and "mcap" not in name:  # whose times are the recorder's
+        outline = outline_drive(tmp_path / "run")
+        assert (outline.captured_from_ns, outline.captured_to_ns) == (kept[0], kept[-1])
+
+
+def test_a_bag_whose_recorder_had_no_time_yet_is_placed_by_its_end(
+    tmp_path: Path, frames: list[Frame], rig: Rig
+) -> None:
+    first = changed(frames, 0, stamp_ns=5 * 10**9, pose_stamp_ns=5 * 10**9)
+    outline = outline_drive(write_bag(tmp_path / "run", first, rig, recorder_as_pictures=True))
+    assert (outline.problem, outline.captured_from_ns) == (None, outline.captured_to_ns)
+    assert outline.captured_to_ns == frames[-1].stamp_ns
+    unset = [changed([f], 0, stamp_ns=f.stamp_ns % 10**15, pose_stamp_ns=f.stamp_ns % 10**15)[0] for f in frames]
+    outline = outline_drive(write_bag(tmp_path / "unset", unset, rig))
+    assert (outline.problem, outline.captured_from_ns) == (None, None)
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_headers_only_understands_the_same(name: str, tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+    damaged = changed(changed(frames, 3, right=None), 4, left=(frames[4].left or b"")[:-500])
+    path = WRITERS[name](tmp_path / "run", damaged, rig)
+    full, full_rejections = read(path, tmp_path / "cache")
+    quick, rejections = read_drive(path, pictures_folder=tmp_path / "quick", headers_only=True)
+    assert rejections == full_rejections
+    assert [p.pose for p in quick.frame_pairs] == [p.pose for p in full.frame_pairs]
+    assert Path(quick.frame_pairs[0].left_path).is_file()
+    assert len([p for p in (tmp_path / "quick").rglob("*") if p.is_file()]) in (0, 2)
+
+
+# --------------------------------------------------------------------------- what only some formats have
+
+
+def test_a_local_trajectory_without_a_georeference_is_refused(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+    for path in (write_euroc(tmp_path / "a", frames, rig), write_odometry_bag(tmp_path / "b", frames, rig)):
+        (path / "drive.yaml").write_text("sigmas: {horizontal_m: 0.02}\n")
+        with pytest.raises(DriveFolderError, match=r"georeference: \{lon_deg"):
+            read(path, tmp_path / "cache")
+
+
+def test_a_euroc_trajectory_needs_sigmas(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+    path = write_euroc(tmp_path / "run", frames, rig)
+    (path / "drive.yaml").write_text(georeference(frames))
+    with pytest.raises(DriveFolderError, match=r"sigmas\.horizontal_m"):
+        read(path, tmp_path / "cache")
+
+
+def test_a_euroc_rig_with_swapped_cameras_is_refused(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+    path = write_euroc(tmp_path / "run", frames, rig)
+    with (path / "drive.yaml").open("a") as file:
+        file.write("streams: {left: cam1, right: cam0}\n")
+    with pytest.raises(CalibrationError, match="swapped"):
+        read(path, tmp_path / "cache")
+
+
+def test_a_euroc_lens_makes_a_raw_rig(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+    path = write_euroc(tmp_path / "run", frames, rig)
+    for cam in ("cam0", "cam1"):
+        file = path / f"mav0/{cam}/sensor.yaml"
+        sensor = yaml.safe_load(file.read_text()) | {"distortion_coefficients": [-0.2, 0.05, 1e-4, 2e-4]}
+        file.write_text(yaml.safe_dump(sensor))
+    raw = read(path, tmp_path / "cache")[0].rig.rectified_from
+    assert raw is not None
+    assert (raw.left.lens.model, raw.left.lens.coefficients[:4]) == ("brown", (-0.2, 0.05, 1e-4, 2e-4))
+
+
+def raw_image(stamp_ns: int, frame_id: str, data: bytes) -> tuple[str, Any]:
+    image = cv2.cvtColor(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
+    height, width = image.shape[:2]
+    step = 3 * width + 6  # rows may be padded
+    rows = np.zeros((height, step), np.uint8)
+    rows[:, : 3 * width] = image.reshape(height, -1)
+    kind = "sensor_msgs/msg/Image"
+    return kind, T[kind](
+        header=header(stamp_ns, frame_id), height=height, width=width, encoding="rgb8", is_bigendian=0, step=step,
+        data=rows.reshape(-1),
+    )  # fmt: skip
+
+
+def test_raw_pictures_of_a_bag_lose_nothing(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+    few = frames[:3]
+    path = write_bag(tmp_path / "run", few, rig, picture=raw_image, image_name="image_raw")
+    drive, rejections = read(path, tmp_path / "cache")
+    assert rejections == []
+    for pair, frame in zip(drive.frame_pairs, few, strict=True):
+        true = cv2.imdecode(np.frombuffer(frame.left or b"", np.uint8), cv2.IMREAD_COLOR)
+        np.testing.assert_array_equal(cv2.imread(pair.left_path), true)
+
+
+def test_pictures_of_a_bag_are_unpacked_once(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+    path = write_bag(tmp_path / "run", frames[:3], rig)
+    cache = tmp_path / "cache"
+    read(path, cache)
+    files = {p: p.stat().st_ino for p in cache.rglob("*.jpg")}
+    assert len(files) == 6
+    read(path, cache)
+    assert {p: p.stat().st_ino for p in cache.rglob("*") if p.is_file()} == files
+
+
+@pytest.mark.parametrize(("late_ms", "kept"), [(4, 3), (6, 2)])
+def test_pairs_are_made_within_the_tolerance(
+    late_ms: int, kept: int, tmp_path: Path, frames: list[Frame], rig: Rig
+) -> None:
+    path = write_euroc(tmp_path / "run", frames[:3], rig)
+    file = path / "mav0/cam1/data.csv"
+    stamp = frames[1].stamp_ns
+    file.write_text(file.read_text().replace(str(stamp), str(stamp + late_ms * 10**6)))
+    drive, rejections = read(path, tmp_path / "cache")
+    assert len(drive.frame_pairs) == kept
+    # each of the two that found no partner is one rejection
+    assert [r.reason for r in rejections] == [R.IMAGE_MISSING] * (2 if kept == 2 else 0)
+    assert all("5 ms" in r.detail for r in rejections)
+
+
+def test_a_bag_that_was_cut_off_is_refused(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+    file = WRITERS["mcap file"](tmp_path / "run", frames[:3], rig)
+    file.write_bytes(file.read_bytes()[:-20_000])
+    with pytest.raises(DriveFolderError, match="mcap recover"):
+        read(file, tmp_path / "cache")
+
+
+def test_streams_name_what_types_do_not_tell(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+    path = write_bag(tmp_path / "run", frames[:3], rig)
+    (path / "drive.yaml").write_text("streams: {trajectory: /nothing}\n")
+    with pytest.raises(DriveFolderError, match="no topic /nothing; found /gnss/fix"):
+        read(path, tmp_path / "cache")
+    (path / "drive.yaml").write_text("streams: {trajectory: /imu/data}\n")
+    with pytest.raises(DriveFolderError, match="expected sensor_msgs/msg/NavSatFix"):
+        read(path, tmp_path / "cache")
+    # left for right: the calibration contradicts it
+    (path / "drive.yaml").write_text(
+        "streams: {left: /stereo/right/image_raw/compressed, right: /stereo/left/image_raw/compressed}\n"
+    )
+    with pytest.raises(CalibrationError, match="swapped"):
+        read(path, tmp_path / "cache")
+
+
+def test_a_bag_needs_to_know_where_the_cameras_sit(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+    path = write_bag(tmp_path / "run", frames[:3], rig, connected=False)
+    with pytest.raises(CalibrationError, match=r"rig\.yaml with body_SE3_left"):
+        read(path, tmp_path / "cache")
+    shutil.copy(WRITERS["plain"](tmp_path / "plain", frames[:3], rig) / "rig.yaml", path / "rig.yaml")
+    with pytest.raises(DriveFolderError, match="antenna_t_m"):
+        read(path, tmp_path / "cache")
+    (path / "drive.yaml").write_text("antenna_t_m: [0.4, -0.2, 1.1]\n")
+    drive, rejections = read(path, tmp_path / "cache")
+    assert (len(drive.frame_pairs), rejections) == (3, [])
+
+
+@pytest.mark.parametrize(
+    ("topic", "lost"),
+    [
+        ("/stereo/left/image_raw/compressed", [R.TIMESTAMP_INVALID]),
+        ("/stereo/right/image_raw/compressed", [R.IMAGE_MISSING]),
+        ("/gnss/fix", []),  # interpolated between its neighbours
+        ("/imu/data", []),
+    ],
+)
+def test_a_damaged_message_costs_itself(
+    topic: str, lost: list[R], tmp_path: Path, frames: list[Frame], rig: Rig
+) -> None:
+    def mangle(name: str, number: int, data: bytes) -> bytes:
+        return data[:10] if (name, number) == (topic, 3) else data
+
+    path = write_bag(tmp_path / "run", frames, rig, mangle=mangle)
+    drive, rejections = read(path, tmp_path / "cache")
+    assert [r.reason for r in rejections] == lost
+    assert [r.payload["frame_index"] for r in rejections] == [3] * len(lost)
+    assert (len(drive.frame_pairs), drive.expected_frame_count) == (10 - len(lost), 10)
+
+
+def test_stamps_that_no_driver_set_cost_their_pairs(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+    path = write_bag(tmp_path / "run", changed(frames, 4, stamp_ns=0), rig)
+    drive, rejections = read(path, tmp_path / "cache")
+    assert [(r.reason, r.payload["frame_index"]) for r in rejections] == [(R.TIMESTAMP_INVALID, 4)]
+    assert "stamp is zero" in rejections[0].detail
+    assert len(drive.frame_pairs) == 9
+
+
+def test_a_euroc_row_without_a_time_costs_one_pair(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+    path = write_euroc(tmp_path / "run", frames, rig)
+    for cam in ("cam0", "cam1"):
+        file = path / f"mav0/{cam}/data.csv"
+        file.write_text(file.read_text().replace(f"{frames[5].stamp_ns},", "soon,"))
+    drive, rejections = read(path, tmp_path / "cache")
+    assert [(r.reason, r.payload["frame_index"]) for r in rejections] == [(R.TIMESTAMP_INVALID, 5)]
+    assert "'soon' is no time stamp" in rejections[0].detail
+    assert len(drive.frame_pairs) == 9
+
+
+def test_a_euroc_row_cannot_lead_out_of_the_drive(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+    path = write_euroc(tmp_path / "run", frames[:3], rig)
+    (tmp_path / "outside.jpg").write_bytes(frames[1].left or b"")
+    file = path / "mav0/cam0/data.csv"
+    file.write_text(file.read_text().replace("000001.jpg", "../../../../outside.jpg"))
+    drive, rejections = read(path, tmp_path / "cache")
+    assert [(r.reason, r.payload["frame_index"]) for r in rejections] == [(R.IMAGE_MISSING, 1)]
+    assert "no file name inside the drive folder" in rejections[0].detail
+    assert len(drive.frame_pairs) == 2
+
+
+@pytest.mark.parametrize("name", [name for name in WRITERS if name != "mcap file"])
+def test_a_plan_over_many_drives_finds_every_format(name: str, tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+    path = WRITERS[name](tmp_path / "day" / "run", frames, rig)
+    assert list(find_drives(tmp_path)) == [path]
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_glance_knows_every_format(name: str, tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+    path = WRITERS[name](tmp_path / "day" / "run", frames, rig)
+    outline = outline_drive(path)
+    assert (outline.problem, outline.drive_id, outline.frame_pairs) == (None, "run", len(frames))
+    assert (outline.captured_from_ns, outline.captured_to_ns) == (frames[0].stamp_ns, frames[-1].stamp_ns)
+    assert outline_drive(path).header_sha256 == outline.header_sha256
+    shorter = WRITERS[name](tmp_path / "other" / "run", frames[:-1], rig)
+    assert outline_drive(shorter).header_sha256 != outline.header_sha256
+
+
+def small_file_of(path: Path, name: str) -> Path:
+    """Where drive.yaml or rig.yaml of a drive belongs: in its folder, or beside a bare bag under its name."""
+    return path.with_name(f"{path.stem}.{name}") if path.is_file() else path / name
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_glance_and_the_reader_take_the_same_drive_yaml(
+    name: str, tmp_path: Path, frames: list[Frame], rig: Rig
+) -> None:
+    path = WRITERS[name](tmp_path / "day" / "run", frames, rig)
+    before = outline_drive(path).header_sha256
+    (path.parent / "drive.yaml").write_text("drive_id: of-somebody-else\n")
+    assert outline_drive(path).header_sha256 == before
+    settings = small_file_of(path, "drive.yaml")
+    settings.write_text((settings.read_text() if settings.is_file() else "") + "drive_id: morning\n")
+    whole, _ = read(path, tmp_path / "cache")
+    outline = outline_drive(path)
+    assert outline.drive_id == whole.drive_id == "morning"
+    assert outline.header_sha256 != before
+    settings.write_text("no_such_key: 1\n")
+    with pytest.raises(DriveFolderError) as refusal:
+        read(path, tmp_path / "cache")
+    assert outline_drive(path).problem == str(refusal.value)
+
+
+@pytest.mark.parametrize("name", ["kitti", "plain", "euroc"])
+def test_corrected_poses_are_another_header(name: str, tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+    """Post-processing moves the poses and nothing else."""
+    before, corrected = (frames, [replace(f, oxts=(f.oxts[0] + 5e-6, *f.oxts[1:])) for f in frames if f.oxts])
+    first, then = (
+        outline_drive(WRITERS[name](tmp_path / part / "run", made, rig)).header_sha256
+        for part, made in (("before", before), ("after", corrected))
+    )
+    assert first != then
+
+
+@pytest.mark.parametrize(
+    ("name", "late"),
+    [
+        ("kitti", "oxts"),
+        ("plain", "trajectory.csv"),
+        ("euroc", "mav0/state_groundtruth_estimate0"),
+        ("euroc", "mav0/state_groundtruth_estimate0/data.csv"),
+        ("euroc", "mav0/cam1/data.csv"),
+    ],
+)
+def test_a_glance_tells_of_poses_that_are_not_there_yet_and_knows_when_they_came(
+    name: str, late: str, tmp_path: Path, frames: list[Frame], rig: Rig
+) -> None:
+    """Trajectories are computed later than pictures are copied. What was refused without one is another delivery with it."""
+    path = WRITERS[name](tmp_path / "run", frames, rig)
+    (path / late).rename(tmp_path / "late")
+    with pytest.raises(DriveFolderError) as refusal:
+        read_drive(path, headers_only=True)
+    before = outline_drive(path)
+    assert before.problem is not None
+    assert str(refusal.value).startswith(before.problem)
+    (tmp_path / "late").rename(path / late)
+    after = outline_drive(path)
+    assert after.problem is None
+    assert after.header_sha256 != before.header_sha256
+
+
+def test_another_rig_beside_a_bare_bag_is_another_drive(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+    path = WRITERS["mcap file"](tmp_path / "run", frames[:2], rig)
+    before = outline_drive(path).header_sha256
+    write_rig_yaml(rig, small_file_of(path, "rig.yaml"))
+    assert outline_drive(path).header_sha256 != before
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_link_to_a_drive_of_any_format_is_that_drive(
+    name: str, tmp_path: Path, frames: list[Frame], rig: Rig
+) -> None:
+    path = WRITERS[name](tmp_path / "run", frames[:2], rig)
+    link = tmp_path / f"linked{path.suffix}"
+    link.symlink_to(path)
+    direct, linked = outline_drive(path), outline_drive(link)
+    assert linked.problem is None
+    assert (linked.drive_id, linked.header_sha256) == (direct.drive_id, direct.header_sha256)
+    assert read(link, tmp_path / "cache")[0].drive_id == direct.drive_id
+
+
+OUTSIDE = {"upwards": "../../elsewhere/cam0", "absolute": "{elsewhere}/cam0", "by a link": "linked"}
+
+
+@pytest.mark.parametrize("way", OUTSIDE)
+@pytest.mark.parametrize("stream", ["left", "right", "trajectory"])
+def test_a_glance_and_the_reader_refuse_what_lies_outside_of_a_euroc_drive(
+    way: str, stream: str, tmp_path: Path, frames: list[Frame], rig: Rig
+) -> None:
+    (write_euroc(tmp_path / "other", frames[:3], rig) / "mav0").rename(tmp_path / "elsewhere")
+    path = write_euroc(tmp_path / "run", frames[:3], rig)
+    (path / "mav0" / "linked").symlink_to(tmp_path / "elsewhere" / "cam0")
+    named = OUTSIDE[way].format(elsewhere=tmp_path / "elsewhere")
+    with (path / "drive.yaml").open("a") as file:
+        file.write(f"streams: {{{stream}: {named}}}\n")
+    with pytest.raises(DriveFolderError, match=f"'{named}' leads out of the drive folder") as refusal:
+        read(path, tmp_path / "cache")
+    assert outline_drive(path).problem == str(refusal.value)
+
+
+@pytest.mark.parametrize("name", ["../front", "{path}/front"])
+def test_a_glance_and_the_reader_take_a_camera_anywhere_inside_of_a_euroc_drive(
+    name: str, tmp_path: Path, frames: list[Frame], rig: Rig
+) -> None:
+    path = write_euroc(tmp_path / "run", frames[:3], rig)
+    (path / "mav0" / "cam0").rename(path / "front")
+    with (path / "drive.yaml").open("a") as file:
+        file.write(f"streams: {{left: {name.format(path=path)}}}\n")
+    drive, _ = read(path, tmp_path / "cache")
+    outline = outline_drive(path)
+    assert (outline.problem, outline.frame_pairs, len(drive.frame_pairs)) == (None, 3, 3)
+
+
+def test_a_glance_and_the_reader_refuse_a_named_kitti_camera_that_is_a_link_out_of_the_drive(
+    tmp_path: Path, frames: list[Frame], rig: Rig
+) -> None:
+    path = WRITERS["kitti"](tmp_path / "run", frames[:3], rig)
+    (path / "image_02").rename(tmp_path / "elsewhere")
+    (path / "image_02").symlink_to(tmp_path / "elsewhere")
+    assert outline_drive(path).problem is None
+    read(path, tmp_path / "cache")  # where nothing is named, links are the user's own layout
+    (path / "drive.yaml").write_text("cameras: {left: image_02}\n")
+    with pytest.raises(DriveFolderError, match="leads out of the drive folder") as refusal:
+        read(path, tmp_path / "cache")
+    assert outline_drive(path).problem == str(refusal.value)

@@ -1,0 +1,465 @@
+"""KITTI drive folders made of small pictures: whole, and broken in every way that must cost one pair or the drive."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from conetl.geometry import geodesy
+from conetl.geometry import pose as se3
+from conetl.model.errors import CalibrationError, DriveFolderError
+from conetl.model.records import Drive, Pose
+from conetl.model.rejections import RejectionReason
+from conetl.readers.drives import oxts, read_drive
+from conetl.readers.drives.drive_yaml import Sigmas
+from conetl.readers.drives.timestamps import misplaced, out_of_order, parse_timestamp, parse_timestamps
+
+FRAMES = 6
+WIDTH, HEIGHT = 96, 32
+LAT, LON = 49.011, 11.5
+SPEED_M_S = 10.0
+YAW = 0.3
+
+CALIBRATION = {
+    "calib_cam_to_cam.txt": f"""calib_time: 09-Jan-2012 13:57:47
+S_rect_02: {WIDTH} {HEIGHT}
+S_rect_03: {WIDTH} {HEIGHT}
+R_rect_00: 1 0 0 0 1 0 0 0 1
+P_rect_02: 60 0 48 3 0 60 16 0.02 0 0 1 0.003
+P_rect_03: 60 0 48 -29 0 60 16 0.15 0 0 1 0.003
+""",
+    "calib_velo_to_cam.txt": "R: 0 -1 0 0 0 -1 1 0 0\nT: 0 -0.08 -0.27\n",
+    "calib_imu_to_velo.txt": "R: 1 0 0 0 1 0 0 0 1\nT: -0.81 0.32 -0.80\n",
+}
+
+
+def stamp(seconds: float) -> str:
+    return f"2026-03-01 12:00:{seconds:012.9f}"
+
+
+def oxts_line(metres: float, *, yaw: float = YAW, accuracy: float = 0.3) -> str:
+    """A record `metres` along the heading (yaw counted from true east)."""
+    lat = LAT + math.degrees(metres * math.sin(yaw) / 6.371e6)
+    lon = LON + math.degrees(metres * math.cos(yaw) / 6.371e6 / math.cos(math.radians(LAT)))
+    values = [lat, lon, 120.0 + 0.01 * metres, 0.01, -0.02, yaw] + [0.0] * 17 + [accuracy, 0.03, 4, 8, 4, 4, 6]
+    return " ".join(f"{value:.12g}" for value in values)
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> Path:
+    """Six pairs, 10 Hz, 10 m/s; poses are stamped 40 ms after the pictures. Calibration in the parent folder."""
+    root = tmp_path / "day" / "drive_0001"
+    rng = np.random.default_rng(0)
+    for camera in ("image_02", "image_03"):
+        (root / camera / "data").mkdir(parents=True)
+        for i in range(FRAMES):
+            picture = rng.integers(0, 255, (HEIGHT, WIDTH, 3), dtype=np.uint8)
+            assert cv2.imwrite(str(root / camera / "data" / f"{i:010d}.jpg"), picture)
+        (root / camera / "timestamps.txt").write_text("".join(f"{stamp(1 + 0.1 * i)}\n" for i in range(FRAMES)))
+    (root / "oxts" / "data").mkdir(parents=True)
+    for i in range(FRAMES):
+        (root / "oxts" / "data" / f"{i:010d}.txt").write_text(oxts_line(SPEED_M_S * (0.1 * i + 0.04)) + "\n")
+    (root / "oxts" / "timestamps.txt").write_text("".join(f"{stamp(1.04 + 0.1 * i)}\n" for i in range(FRAMES)))
+    for name, text in CALIBRATION.items():
+        (root.parent / name).write_text(text)
+    return root
+
+
+def numbers(drive: Drive) -> list[int]:
+    return [pair.frame_index for pair in drive.frame_pairs]
+
+
+def test_a_whole_drive_is_read(drive: Path) -> None:
+    result, rejections = read_drive(drive)
+    assert rejections == []
+    assert numbers(result) == list(range(FRAMES))
+    assert result.drive_id == "drive_0001"
+    assert result.expected_frame_count == FRAMES
+    assert result.map_srid == 32632
+    assert result.frame_pairs[3].captured_at_ns == 1_772_366_401_300_000_000
+    assert Path(result.frame_pairs[3].right_path) == drive.resolve() / "image_03/data/0000000003.jpg"
+    assert result.frame_pairs[0].pose.sigma_enu_m == (0.3, 0.3, pytest.approx(0.45))
+    assert Drive.model_validate_json(result.model_dump_json()) == result
+
+
+def test_poses_are_those_of_the_exposure_and_of_grid_north(drive: Path) -> None:
+    result, _ = read_drive(drive)
+    start = geodesy.to_map(32632, LAT, LON, 120.0)
+    convergence = float(geodesy.grid_convergence_rad(32632, LAT, LON))
+    assert convergence > math.radians(1.5)
+    for pair in result.frame_pairs:  # the first one too, before the first pose: the motion is carried on
+        way = np.array(pair.pose.map_t_body_m) - start
+        if pair.frame_index == 0:
+            assert np.linalg.norm(way) < 0.01
+            continue
+        expected = SPEED_M_S * 0.1 * pair.frame_index  # at the picture's time, not 40 ms later
+        assert np.linalg.norm(way[:2]) == pytest.approx(expected, rel=0.01)
+        assert way[2] == pytest.approx(0.01 * expected, abs=1e-6)
+        roll, pitch, yaw = se3.rpy_from_rotation(np.array(pair.pose.map_R_body))
+        assert (roll, pitch) == (pytest.approx(0.01), pytest.approx(-0.02))
+        assert yaw == pytest.approx(YAW + convergence, abs=1e-6)
+        # The vehicle drives where it looks: only true with the right sign of the convergence.
+        assert math.atan2(way[1], way[0]) == pytest.approx(yaw, abs=5e-3)
+
+
+def test_without_pose_times_the_number_links_them(drive: Path) -> None:
+    (drive / "oxts" / "timestamps.txt").unlink()
+    result, _ = read_drive(drive)
+    way = np.array(result.frame_pairs[2].pose.map_t_body_m) - geodesy.to_map(32632, LAT, LON, 120.0)
+    assert np.linalg.norm(way[:2]) == pytest.approx(2.4, rel=0.01)
+
+
+def test_numbers_link_files_not_their_order(drive: Path) -> None:
+    for path in ("image_02/data/0000000001.jpg", "image_03/data/0000000001.jpg", "oxts/data/0000000001.txt"):
+        (drive / path).unlink()
+    whole_before, _ = read_drive(drive)
+    assert numbers(whole_before) == [0, 2, 3, 4, 5]
+    assert whole_before.expected_frame_count == 5
+    assert whole_before.frame_pairs[1].captured_at_ns == 1_772_366_401_200_000_000
+    way = np.array(whole_before.frame_pairs[2].pose.map_t_body_m) - geodesy.to_map(32632, LAT, LON, 120.0)
+    assert np.linalg.norm(way[:2]) == pytest.approx(3.0, rel=0.01)
+
+
+def test_png_and_jpg_and_short_numbers_mix(drive: Path) -> None:
+    data = drive / "image_02" / "data"
+    cv2.imwrite(str(data / "2.png"), cv2.imread(str(data / "0000000002.jpg")))
+    (data / "0000000002.jpg").unlink()
+    (data / "._0000000003.jpg").write_bytes(b"what a file manager leaves behind")
+    result, rejections = read_drive(drive)
+    assert rejections == []
+    assert result.frame_pairs[2].left_path.endswith("2.png")
+
+
+# --------------------------------------------------------------------------- one pair lost
+
+
+def cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-100])
+
+
+def change_oxts(number: int, field: int, value: str) -> Callable[[Path], None]:
+    def change(drive: Path) -> None:
+        path = drive / "oxts" / "data" / f"{number:010d}.txt"
+        words = path.read_text().split()
+        words[field] = value
+        path.write_text(" ".join(words))
+
+    return change
+
+
+def change_line(number: int, text: str) -> Callable[[Path], None]:
+    def change(drive: Path) -> None:
+        path = drive / "image_02" / "timestamps.txt"
+        lines = path.read_text().splitlines()
+        lines[number] = text
+        path.write_text("\n".join(lines) + "\n")
+
+    return change
+
+
+def other_size(drive: Path) -> None:
+    cv2.imwrite(str(drive / "image_02/data/0000000002.jpg"), np.zeros((40, 100, 3), np.uint8))
+
+
+R = RejectionReason
+LOSSES: dict[str, tuple[Callable[[Path], object], int, RejectionReason, str]] = {
+    "right image missing": (lambda d: (d / "image_03/data/0000000004.jpg").unlink(), 4, R.IMAGE_MISSING, "no right image"),
+    "left image missing": (lambda d: (d / "image_02/data/0000000004.jpg").unlink(), 4, R.IMAGE_MISSING, "no left image"),
+    "JPEG cut off": (lambda d: cut(d / "image_02/data/0000000002.jpg"), 2, R.IMAGE_TRUNCATED, "end marker"),
+    "empty file": (lambda d: (d / "image_03/data/0000000001.jpg").write_bytes(b""), 1, R.IMAGE_UNREADABLE, "empty"),
+    "no picture": (lambda d: (d / "image_03/data/0000000001.jpg").write_text("<html>"), 1, R.IMAGE_UNREADABLE, "neither"),
+    "other size": (other_size, 2, R.IMAGE_WRONG_SIZE, "100 x 40 pixels, but the calibration is for 96 x 32"),
+    "two images of one number": (
+        lambda d: shutil.copy(d / "image_02/data/0000000002.jpg", d / "image_02/data/2.jpg"), 2, R.IMAGE_UNREADABLE, "keep one",
+    ),
+    "NaN in OXTS": (change_oxts(3, 0, "nan"), 3, R.POSE_INVALID, "lat_deg is nan"),
+    "infinite height": (change_oxts(3, 2, "inf"), 3, R.POSE_INVALID, "height_m is inf"),
+    "NaN yaw": (change_oxts(3, 5, "nan"), 3, R.POSE_INVALID, "yaw_rad is nan"),
+    "latitude out of range": (change_oxts(3, 0, "91"), 3, R.POSE_INVALID, "between -90 and 90"),
+    "degrees for radians": (change_oxts(3, 4, "12.5"), 3, R.POSE_INVALID, "pitch_rad"),
+    "no sigma": (change_oxts(3, 23, "0"), 3, R.POSE_INVALID, "pos_accuracy is 0"),
+    "wild fix": (change_oxts(3, 0, "49.02"), 3, R.POSE_INVALID, "wild fix"),
+    "text in OXTS": (change_oxts(3, 7, "fast"), 3, R.POSE_INVALID, "text that is none"),
+    "short OXTS": (
+        lambda d: (d / "oxts/data/0000000003.txt").write_text("49.0 8.4"), 3, R.POSE_INVALID, "expected 30 numbers, found 2",
+    ),
+    "empty OXTS": (lambda d: (d / "oxts/data/0000000003.txt").write_text(""), 3, R.POSE_INVALID, "found 0"),
+    "no OXTS": (lambda d: (d / "oxts/data/0000000003.txt").unlink(), 3, R.POSE_MISSING, "no such file"),
+    "time stamp garbled": (change_line(3, "2026-03-01"), 3, R.TIMESTAMP_INVALID, "line 4"),
+    "impossible time": (change_line(3, "2026-02-31 12:00:00.5"), 3, R.TIMESTAMP_INVALID, "line 4"),
+    "time stamp far ahead": (change_line(2, "2026-03-02 12:00:01.2"), 2, R.TIMESTAMP_INVALID, "does not rise"),
+    "time stamp twice": (change_line(5, stamp(1.4)), 5, R.TIMESTAMP_INVALID, "does not rise"),
+    "time stamps end early": (
+        lambda d: (d / "image_02/timestamps.txt").write_text("".join(f"{stamp(1 + 0.1 * i)}\n" for i in range(5))),
+        5, R.TIMESTAMP_MISSING, "5 lines, line 6 is needed",
+    ),
+    "pose of another time": (
+        lambda d: (d / "oxts/timestamps.txt").write_text(
+            "".join(f"{stamp(1.04 + 0.1 * i + (3 if i == 5 else 0))}\n" for i in range(6))
+        ),
+        5, R.TIMESTAMP_INVALID, "another clock",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", LOSSES)
+def test_a_broken_pair_costs_that_pair_only(drive: Path, name: str) -> None:
+    damage, lost, reason, words = LOSSES[name]
+    damage(drive)
+    result, rejections = read_drive(drive)
+    kept = [i for i in range(FRAMES) if i != lost]
+    if name == "time stamp twice":  # either of the two may go
+        assert len(rejections) == 1
+    else:
+        assert numbers(result) == kept
+        assert [r.record for r in rejections] == [f"frame pair {lost}"]
+    assert rejections[0].reason is reason
+    assert rejections[0].step == "frames"
+    assert words in rejections[0].detail
+    assert result.expected_frame_count == FRAMES
+    json.dumps(rejections[0].payload, allow_nan=False)
+
+
+def test_the_text_of_a_bad_pose_is_kept(drive: Path) -> None:
+    change_oxts(3, 0, "nan")(drive)
+    _, (rejection,) = read_drive(drive)
+    assert rejection.payload["text"].startswith("nan 11.5")
+    assert rejection.payload["frame_index"] == 3
+
+
+def test_neighbours_of_a_bad_pose_are_interpolated_across_it(drive: Path) -> None:
+    change_oxts(3, 0, "nan")(drive)
+    result, _ = read_drive(drive)
+    start = geodesy.to_map(32632, LAT, LON, 120.0)
+    after = next(pair for pair in result.frame_pairs if pair.frame_index == 4)
+    assert np.linalg.norm((np.array(after.pose.map_t_body_m) - start)[:2]) == pytest.approx(4.0, rel=0.01)
+
+
+def poses_of_a_straight_drive(numbers: range, late_ns: int) -> tuple[np.ndarray, dict[int, Pose]]:
+    """Errors (N,) m of the places at exposures so much later than the records, 10 a second at 15 m/s, and the poses."""
+    degrees = 15.0 * 0.1 / 111_412.84 / math.cos(math.radians(49.0))  # of longitude, about 1.5 m
+    records = {n: oxts.OxtsRecord(49.0, 8.4 + n * degrees, 110.0, 0.0, 0.0, 0.0, 0.02) for n in numbers}
+    times = {n: 10**18 + n * 10**8 for n in numbers}
+    track = oxts.trajectory(records, times, 32632, Sigmas())
+    poses = oxts.poses_at(track, {n: times[n] + late_ns for n in numbers}, Sigmas())
+    velocity = (track.map_SE3_body[-1, :3, 3] - track.map_SE3_body[0, :3, 3]) / ((numbers[-1] - numbers[0]) * 0.1)
+    true = track.map_SE3_body[:, :3, 3] + velocity * late_ns * 1e-9
+    return np.linalg.norm(
+        [np.subtract(poses[n].map_t_body_m, t) for n, t in zip(numbers, true, strict=True)], axis=1
+    ), poses
+
+
+@pytest.mark.parametrize("late_ms", [-90, -12, 0, 12, 90])
+@pytest.mark.parametrize("step", [1, 4])
+def test_the_ends_of_a_drive_are_where_they_were_exposed(late_ms: int, step: int) -> None:
+    errors, poses = poses_of_a_straight_drive(range(0, 20, step), late_ms * 10**6)
+    assert errors.max() < 1e-3
+    assert {pose.sigma_enu_m[0] for pose in poses.values()} == {0.02}
+
+
+def test_a_pose_that_nothing_moves_says_how_far_the_body_may_have_driven() -> None:
+    """Records 0.6 s apart are not interpolated: 12 ms at 15 m/s are 0.18 m."""
+    errors, poses = poses_of_a_straight_drive(range(0, 60, 6), 12 * 10**6)
+    assert errors == pytest.approx(0.18, rel=0.01)
+    assert [pose.sigma_enu_m[0] for pose in poses.values()] == pytest.approx([math.hypot(0.02, 0.18)] * 10, rel=0.01)
+
+
+def test_several_broken_pairs_each_give_one_rejection(drive: Path) -> None:
+    cut(drive / "image_02/data/0000000000.jpg")
+    (drive / "image_03/data/0000000000.jpg").unlink()
+    change_oxts(4, 1, "nan")(drive)
+    result, rejections = read_drive(drive)
+    assert numbers(result) == [1, 2, 3, 5]
+    assert [(r.record, r.reason) for r in rejections] == [
+        ("frame pair 0", R.IMAGE_TRUNCATED), ("frame pair 4", R.POSE_INVALID),
+    ]  # fmt: skip
+
+
+def test_a_picture_without_a_number_is_rejected_not_forgotten(drive: Path) -> None:
+    shutil.copy(drive / "image_02/data/0000000002.jpg", drive / "image_02/data/extra.jpg")
+    result, (rejection,) = read_drive(drive)
+    assert len(result.frame_pairs) == FRAMES == result.expected_frame_count
+    assert rejection.record == "image_02/data/extra.jpg"
+
+
+# --------------------------------------------------------------------------- no drive at all
+
+
+def remove(drive: Path, *names: str) -> None:
+    for name in names:
+        path = drive / name
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+
+
+FAILURES: dict[str, tuple[Callable[[Path], object], type[Exception], str]] = {
+    "no calibration": (lambda d: remove(d.parent, *CALIBRATION), CalibrationError, "neither in the drive folder"),
+    "no chain to the IMU": (lambda d: remove(d.parent, "calib_imu_to_velo.txt"), CalibrationError, "imu_to_velo.txt missing"),
+    "calibration key missing": (
+        lambda d: (d.parent / "calib_cam_to_cam.txt").write_text(
+            CALIBRATION["calib_cam_to_cam.txt"].replace("P_rect_02", "P_02")
+        ),
+        CalibrationError, "the key 'P_rect_02' is missing",
+    ),
+    "no OXTS": (lambda d: remove(d, "oxts"), DriveFolderError, "no poses in oxts/data"),
+    "no right camera": (lambda d: remove(d, "image_03"), DriveFolderError, "image_03/data is missing"),
+    "no pictures": (
+        lambda d: [p.unlink() for c in ("image_02", "image_03") for p in (d / c / "data").iterdir()],
+        DriveFolderError, "no pictures",
+    ),
+    "no time stamps": (lambda d: remove(d, "image_02/timestamps.txt"), DriveFolderError, "image_02/timestamps.txt is missing"),
+    "all poses bad": (lambda d: [change_oxts(i, 0, "nan")(d) for i in range(FRAMES)], DriveFolderError, "lat_deg is nan"),
+    "all pictures bad": (
+        lambda d: [cut(p) for p in (d / "image_02/data").iterdir()], DriveFolderError, "not one of 6 frame pairs can be used",
+    ),
+    "drive.yaml with an unknown key": (
+        lambda d: (d / "drive.yaml").write_text("drive: x"), DriveFolderError, "'drive' is not known. Known keys: drive_id",
+    ),
+    "drive.yaml that is no mapping": (lambda d: (d / "drive.yaml").write_text("- x"), DriveFolderError, "mapping"),
+    "drive.yaml that is no YAML": (lambda d: (d / "drive.yaml").write_text("a: ["), DriveFolderError, "YAML"),
+    "unknown time zone": (
+        lambda d: (d / "drive.yaml").write_text("timestamps_timezone: Mars/Olympus"), DriveFolderError, "not a time zone",
+    ),
+    "map CRS in degrees": (lambda d: (d / "drive.yaml").write_text("map_srid: 4326"), DriveFolderError, "not a projected CRS"),
+    "Web Mercator": (lambda d: (d / "drive.yaml").write_text("map_srid: 3857"), DriveFolderError, "stretches lengths"),
+    "negative sigma": (lambda d: (d / "drive.yaml").write_text("sigmas: {yaw_deg: -1}"), DriveFolderError, "'sigmas.yaw_deg'"),
+    "calibration outside by ..": (
+        lambda d: (d / "drive.yaml").write_text("calibration: ../calib_cam_to_cam.txt"), DriveFolderError, "leads out",
+    ),
+    "camera folder by ..": (
+        lambda d: (d / "drive.yaml").write_text("cameras: {left: ../x/image_02, right: image_03}"),
+        DriveFolderError, "cameras.left",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FAILURES)
+def test_a_drive_that_cannot_be_used_is_told_in_one_sentence(drive: Path, name: str) -> None:
+    damage, error, words = FAILURES[name]
+    damage(drive)
+    with pytest.raises(error) as raised:
+        read_drive(drive)
+    assert words in str(raised.value)
+    assert "drive_0001" in str(raised.value) or "day" in str(raised.value), "the message names the place"
+
+
+def test_places_that_are_no_drive(tmp_path: Path, drive: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "a.jpg").write_bytes(b"x")
+    for path, words in (
+        (tmp_path / "nowhere", "no such folder"),
+        (drive / "oxts" / "timestamps.txt", "this is a file"),
+        (tmp_path / "empty", "the folder is empty"),
+        (tmp_path / "photos", "not a drive in KITTI's raw layout"),
+        (drive.parent, "holds 1 drives (drive_0001)"),
+    ):
+        with pytest.raises(DriveFolderError) as raised:
+            read_drive(path)
+        assert words in str(raised.value)
+
+
+def test_a_link_in_drive_yaml_must_not_lead_out(drive: Path, tmp_path: Path) -> None:
+    outside = tmp_path / "outside"
+    shutil.move(drive / "image_02", outside)
+    (drive / "image_02").symlink_to(outside)
+    (drive / "drive.yaml").write_text("cameras: {left: image_02, right: image_03}")
+    with pytest.raises(DriveFolderError, match="leads out of the drive folder"):
+        read_drive(drive)
+    (drive / "drive.yaml").unlink()
+    assert len(read_drive(drive)[0].frame_pairs) == FRAMES, "a user's own link in the standard layout is no attack"
+
+
+# --------------------------------------------------------------------------- drive.yaml and content
+
+
+def test_drive_yaml_overrides(drive: Path) -> None:
+    for name in CALIBRATION:
+        (drive / "calibration").mkdir(exist_ok=True)
+        shutil.move(drive.parent / name, drive / "calibration" / name)
+    (drive / "drive.yaml").write_text(
+        """
+drive_id: morning run
+rig_id: van-3
+map_srid: 25832
+timestamps_timezone: Europe/Berlin
+calibration: calibration/calib_cam_to_cam.txt
+sigmas: {horizontal_m: 0.05, vertical_m: 0.1, roll_deg: 0.1, pitch_deg: 0.2, yaw_deg: 0.3, image_px: 0.7}
+"""
+    )
+    result, rejections = read_drive(drive)
+    assert rejections == []
+    assert (result.drive_id, result.rig.rig_id, result.map_srid, result.rig.sigma_px) == (
+        "morning run",
+        "van-3",
+        25832,
+        0.7,
+    )
+    assert result.frame_pairs[0].captured_at_ns == 1_772_362_801_000_000_000, "12:00 in Berlin in March is 11:00 UTC"
+    assert result.frame_pairs[0].pose.sigma_enu_m == (0.05, 0.05, 0.1)
+    np.testing.assert_allclose(result.frame_pairs[0].pose.sigma_rpy_rad, np.radians([0.1, 0.2, 0.3]))
+    assert read_drive(drive, map_srid=32632)[0].map_srid == 32632, "the map's own CRS wins"
+
+
+def test_pos_accuracy_does_not_matter_where_the_sigma_is_given(drive: Path) -> None:
+    change_oxts(3, 23, "0")(drive)
+    (drive / "drive.yaml").write_text("sigmas: {horizontal_m: 0.05}")
+    assert read_drive(drive)[1] == []
+
+
+def test_the_content_hash_follows_bytes_and_not_places(drive: Path, tmp_path: Path) -> None:
+    first = read_drive(drive)[0].content_sha256
+    assert read_drive(drive)[0].content_sha256 == first
+    copy = tmp_path / "elsewhere" / "drive_0001"
+    shutil.copytree(drive.parent, copy.parent)
+    assert read_drive(copy)[0].content_sha256 == first
+    seen = {first}
+    for change in (
+        lambda: change_oxts(2, 3, "0.011")(copy),
+        lambda: change_line(5, stamp(1.51))(copy),
+        lambda: shutil.copy(copy / "image_02/data/0000000001.jpg", copy / "image_02/data/0000000002.jpg"),
+        lambda: cut(copy / "image_03/data/0000000004.jpg"),
+        lambda: (copy / "drive.yaml").write_text("drive_id: drive_0001"),
+        lambda: (copy.parent / "calib_imu_to_velo.txt").write_text(
+            CALIBRATION["calib_imu_to_velo.txt"].replace("-0.81", "-0.812")
+        ),
+    ):
+        change()
+        seen.add(read_drive(copy)[0].content_sha256)
+    assert len(seen) == 7
+
+
+def test_time_stamps_keep_their_nanoseconds() -> None:
+    assert parse_timestamp("2011-09-26 13:04:32.345808896") == 1_317_042_272_345_808_896
+    assert parse_timestamp("2011-09-26 13:04:32") == 1_317_042_272_000_000_000
+    assert parse_timestamp("2011-09-26T13:04:32.5", "Europe/Berlin") == 1_317_035_072_500_000_000
+    stamps = parse_timestamps("2011-09-26 13:04:32.1\nlater\n\n2011-09-26 13:04:32.3\n\n")
+    assert isinstance(stamps[1], str) and isinstance(stamps[2], str) and isinstance(stamps[3], int)
+    assert len(stamps) == 4
+
+
+def test_the_fewest_time_stamps_go_that_make_the_rest_rise() -> None:
+    assert out_of_order({0: 10, 1: 20, 2: 9000, 3: 30, 4: 40}) == {2}
+    assert out_of_order({0: 10, 1: 20, 2: 3, 3: 30}) == {2}
+    assert len(out_of_order({0: 10, 1: 10})) == 1
+    assert out_of_order({}) == set()
+
+
+def test_a_clock_that_was_not_set_is_found_although_its_times_rise() -> None:
+    day, start = 86_400 * 10**9, parse_timestamp("2026-03-02 09:41:00")
+    rising = {n: start + n * 10**8 for n in range(1, 9)}
+    assert misplaced(rising) == {}
+    assert list(misplaced({0: 5 * 10**9} | rising)) == [0]
+    assert "not set" in misplaced({0: 5 * 10**9} | rising)[0]
+    assert "30 days" in misplaced({0: start - 30 * day} | rising)[0]
+    assert list(misplaced(rising | {9: start + 2 * day})) == [9]
+    assert misplaced(rising | {9: start + day // 2}) == {}, "a drive may rest"
+    assert list(misplaced({n: n for n in range(3)})) == [0, 1, 2]
+    assert misplaced({}) == {}
+    assert "does not rise" in misplaced(rising | {9: start})[9]

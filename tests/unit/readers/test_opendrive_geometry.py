@@ -1,0 +1,103 @@
+"""Reference lines against closed forms, and lane borders against what their widths add up to."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.special import fresnel
+
+from conetl.readers.base_layers.opendrive_geometry import (
+    Cubic,
+    Lane,
+    Piece,
+    cubic_at,
+    lane_borders,
+    offset_line,
+    reference_line,
+    samples_m,
+)
+
+
+def test_a_line_and_an_arc():
+    pieces = [
+        Piece("curvature", 0.0, 10.0, 20.0, math.pi / 2, 5.0),
+        Piece("curvature", 5.0, 10.0, 25.0, math.pi / 2, 10 * math.pi, k0=0.1, k1=0.1),
+    ]
+    xy, heading = reference_line(pieces, np.array([0.0, 5.0, 5.0 + 5 * math.pi, 5.0 + 10 * math.pi]))
+    assert xy == pytest.approx(np.array([[10, 20], [10, 25], [0, 35], [-10, 25]]), abs=1e-9)
+    assert heading == pytest.approx([math.pi / 2, math.pi / 2, math.pi, 1.5 * math.pi])
+
+
+@given(st.floats(20.0, 300.0), st.floats(10.0, 500.0))
+def test_a_spiral_is_eulers(length_m, radius_m):
+    """Clothoid from straight to radius: x = a C(t), y = a S(t) with Fresnel's integrals."""
+    piece = Piece("curvature", 0.0, 0.0, 0.0, 0.0, length_m, k0=0.0, k1=1 / radius_m)
+    s = np.linspace(0, length_m, 7)
+    xy, heading = reference_line([piece], s)
+    scale = math.sqrt(math.pi * length_m * radius_m)
+    sine, cosine = fresnel(s / scale)
+    assert xy == pytest.approx(np.column_stack([scale * cosine, scale * sine]), abs=1e-6)
+    assert heading == pytest.approx(s**2 / (2 * length_m * radius_m))
+
+
+def test_a_spiral_whose_curvature_hardly_changes_is_an_arc():
+    arc = Piece("curvature", 0.0, 0.0, 0.0, 0.3, 80.0, k0=0.02, k1=0.02)
+    nearly = arc._replace(k1=0.02 + 1e-12)
+    s = np.linspace(0, 80, 9)
+    assert reference_line([nearly], s)[0] == pytest.approx(reference_line([arc], s)[0], abs=1e-6)
+
+
+def test_poly3_counts_along_the_curve():
+    """v = u: a line at 45 degrees, so the end after s = 10 is 10 / sqrt(2) away on both axes."""
+    piece = Piece("poly3", 0.0, 1.0, 2.0, 0.0, 10.0, v=(0.0, 1.0, 0.0, 0.0))
+    xy, heading = reference_line([piece], np.array([0.0, 10.0]))
+    assert xy[1] == pytest.approx([1 + 10 / math.sqrt(2), 2 + 10 / math.sqrt(2)], abs=1e-6)
+    assert heading[1] == pytest.approx(math.pi / 4)
+
+
+@pytest.mark.parametrize("normalised", [False, True])
+def test_param_poly3(normalised):
+    """A parabola v = u^2 / 20 over u = 0..10, turned by a right angle."""
+    factor = 10.0 if normalised else 1.0
+    piece = Piece(
+        "paramPoly3", 0.0, 0.0, 0.0, math.pi / 2, 10.0,
+        u=(0.0, factor, 0.0, 0.0), v=(0.0, 0.0, factor**2 / 20, 0.0), normalised=normalised,
+    )  # fmt: skip
+    xy, heading = reference_line([piece], np.array([5.0, 10.0]))
+    assert xy == pytest.approx(np.array([[-1.25, 5.0], [-5.0, 10.0]]))
+    assert heading[1] == pytest.approx(math.pi / 2 + math.pi / 4)
+
+
+def test_lane_borders_add_up_from_the_centre():
+    lanes = [
+        Lane(1, (Cubic(0.0, 3.0),)), Lane(2, (Cubic(0.0, 2.0), Cubic(10.0, 2.0, 0.1))), Lane(-1, (Cubic(0.0, 3.5),)),
+        Lane(-2, (), (Cubic(0.0, -5.0),)),
+    ]  # fmt: skip
+    t = lane_borders(lanes, [Cubic(0.0, 0.5)], 100.0, np.array([100.0, 110.0, 120.0]))
+    assert t[0] == pytest.approx([0.5, 0.5, 0.5])
+    assert t[1] == pytest.approx([3.5, 3.5, 3.5])
+    assert t[2] == pytest.approx([5.5, 5.5, 6.5])
+    assert t[-1] == pytest.approx([-3.0, -3.0, -3.0])
+    assert t[-2] == pytest.approx([-5.0, -5.0, -5.0])
+
+
+def test_heights_follow_elevation_and_superelevation():
+    piece = Piece("curvature", 0.0, 0.0, 0.0, 0.0, 100.0)
+    s = np.array([0.0, 50.0])
+    xyz = offset_line([piece], [Cubic(0.0, 100.0, 0.02)], [Cubic(0.0, 0.05)], s, np.array([4.0, 4.0]))
+    assert xyz[:, 2] == pytest.approx([100 + 4 * math.sin(0.05), 101 + 4 * math.sin(0.05)])
+    assert xyz[:, 1] == pytest.approx([4 * math.cos(0.05)] * 2)
+
+
+def test_cubics_hold_from_their_start_and_samples_meet_the_joints():
+    assert cubic_at([Cubic(0.0, 1.0), Cubic(5.0, 2.0, 1.0)], np.array([4.9, 5.0, 6.0])) == pytest.approx(
+        [1.0, 2.0, 3.0]
+    )
+    pieces = [Piece("curvature", start, 0.0, 0.0, 0.0, 3.3) for start in (0.0, 3.3, 6.6)]
+    s = samples_m(pieces, 0.0, 9.9)
+    assert {0.0, 3.3, 6.6, 9.9} <= set(s.tolist())
+    assert (np.diff(s) > 0).all() and np.diff(s).max() <= 1.0 + 1e-9

@@ -1,0 +1,225 @@
+"""Calibration files: the right rig from good ones, one helpful sentence from bad ones."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from conetl.geometry import pose as se3
+from conetl.geometry import rig as rigs
+from conetl.model.errors import CalibrationError
+from conetl.readers.rigs import read_kitti_rig, read_rig
+
+#: Numbers of the size of KITTI's own: camera 2 sits 6 cm left of camera 0, camera 3 47 cm right of it.
+P2 = "7.2e+02 0 6.1e+02 4.5e+01 0 7.2e+02 1.7e+02 2.0e-01 0 0 1 2.7e-03"
+P3 = "7.2e+02 0 6.1e+02 -3.4e+02 0 7.2e+02 1.7e+02 2.2e+00 0 0 1 2.7e-03"
+CAM_TO_CAM = f"""calib_time: 09-Jan-2012 13:57:47
+corner_dist: 9.950000e-02
+S_rect_02: 1.242000e+03 3.750000e+02
+R_rect_00: 1 0 0 0 1 0 0 0 1
+P_rect_02: {P2}
+S_rect_03: 1.242000e+03 3.750000e+02
+P_rect_03: {P3}
+"""
+VELO_TO_CAM = "calib_time: x\nR: 0 -1 0 0 0 -1 1 0 0\nT: 0.0 -0.08 -0.27\n"
+IMU_TO_VELO = "calib_time: x\nR: 1 0 0 0 1 0 0 0 1\nT: -0.81 0.32 -0.80\n"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "calib_cam_to_cam.txt").write_text(CAM_TO_CAM)
+    (tmp_path / "calib_velo_to_cam.txt").write_text(VELO_TO_CAM)
+    (tmp_path / "calib_imu_to_velo.txt").write_text(IMU_TO_VELO)
+    return tmp_path
+
+
+def test_kitti_rig_has_its_cameras_where_the_files_say(folder: Path) -> None:
+    rig = read_rig(folder)
+    assert (rig.left.width_px, rig.left.height_px) == (1242, 375)
+    t2 = np.linalg.solve([[720, 0, 610], [0, 720, 170], [0, 0, 1]], [45, 0.2, 0.0027])
+    t3 = np.linalg.solve([[720, 0, 610], [0, 720, 170], [0, 0, 1]], [-340, 2.2, 0.0027])
+    relative = rigs.left_SE3_right(rig)
+    np.testing.assert_allclose(relative[:3, 3], t2 - t3, atol=1e-12)
+    assert abs(relative[1, 3]) > 1e-3, "ty is not zero and must not be dropped"
+    assert rig.baseline_m == pytest.approx(np.linalg.norm(t2 - t3))
+    # The chain by hand: imu -> velo adds T, velo -> cam swaps axes, cam0 -> rect is the identity here.
+    imu_point = np.array([10.0, 1.0, -0.5])
+    x, y, z = imu_point + np.array([-0.81, 0.32, -0.80])
+    cam0 = np.array([-y, -z, x]) + np.array([0.0, -0.08, -0.27])
+    np.testing.assert_allclose(
+        se3.apply(se3.invert(rigs.body_SE3_camera(rig, "left")), imu_point), cam0 + t2, atol=1e-12
+    )
+
+
+def test_projection_by_P_and_by_the_rig_agree(folder: Path) -> None:
+    rig = read_rig(folder)
+    rect_point = np.array([1.0, 1.5, 12.0, 1.0])
+    p3 = np.array([float(w) for w in P3.split()]).reshape(3, 4)
+    u, v, w = p3 @ rect_point
+    p2 = np.array([float(n) for n in P2.split()]).reshape(3, 4)
+    left_SE3_rect = se3.se3(np.eye(3), np.linalg.solve(p2[:, :3], p2[:, 3]))
+    in_right = se3.apply(se3.compose(se3.invert(rigs.left_SE3_right(rig)), left_SE3_rect), rect_point[:3])
+    camera = rig.right
+    assert camera.fx_px * in_right[0] / in_right[2] + camera.cx_px == pytest.approx(u / w)
+    assert camera.fy_px * in_right[1] / in_right[2] + camera.cy_px == pytest.approx(v / w)
+
+
+def test_without_the_imu_the_body_is_the_left_camera(folder: Path) -> None:
+    (folder / "calib_velo_to_cam.txt").unlink()
+    (folder / "calib_imu_to_velo.txt").unlink()
+    rig = read_rig(folder / "calib_cam_to_cam.txt")
+    assert rigs.body_is_left_camera(rig)
+    with pytest.raises(CalibrationError, match=r"calib_velo_to_cam\.txt and calib_imu_to_velo\.txt missing"):
+        read_kitti_rig(folder / "calib_cam_to_cam.txt", body_required=True)
+
+
+def test_half_a_chain_is_refused(folder: Path) -> None:
+    (folder / "calib_imu_to_velo.txt").unlink()
+    with pytest.raises(CalibrationError, match=r"calib_imu_to_velo\.txt missing"):
+        read_rig(folder)
+
+
+def test_the_rig_id_follows_the_numbers(folder: Path) -> None:
+    first = read_rig(folder)
+    assert read_rig(folder) == first
+    path = folder / "calib_imu_to_velo.txt"
+    path.write_text(IMU_TO_VELO.replace("-0.81", "-0.82"))
+    assert read_rig(folder).rig_id != first.rig_id
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "message"),
+    [
+        (
+            "calib_cam_to_cam.txt",
+            "P_rect_03:",
+            "P_rekt_03:",
+            r"calib_cam_to_cam.txt: the key 'P_rect_03' is missing.*12 numbers",
+        ),
+        (
+            "calib_cam_to_cam.txt",
+            "S_rect_02: 1.242000e+03",
+            "S_rect_02: wide",
+            "'S_rect_02' must be 2 numbers, found 'wide'",
+        ),
+        ("calib_cam_to_cam.txt", P2, P2.rsplit(" ", 1)[0], "'P_rect_02' must be 12 numbers, found 11"),
+        ("calib_cam_to_cam.txt", P3, P3.replace("-3.4e+02", "nan"), "'P_rect_03' must be 12 finite numbers"),
+        ("calib_cam_to_cam.txt", P3, P3.replace("-3.4e+02", "3.4e+02"), "left and right swapped"),
+        ("calib_cam_to_cam.txt", P3, P2, "left and right swapped"),
+        ("calib_cam_to_cam.txt", P2, P2.replace("7.2e+02 0", "-7.2e+02 0", 1), "focal lengths must be positive"),
+        ("calib_cam_to_cam.txt", "R_rect_00: 1 0", "R_rect_00: 2 0", "R_rect_00: the matrix is not a rotation"),
+        ("calib_cam_to_cam.txt", "S_rect_02: 1.242000e+03", "S_rect_02: 1242.5", "whole numbers of pixels"),
+        ("calib_velo_to_cam.txt", "R: 0 -1", "R: 0 1", "R of calib_velo_to_cam: the matrix is not a rotation"),
+        ("calib_imu_to_velo.txt", "T: -0.81", "T:", "calib_imu_to_velo.txt: 'T' must be 3 numbers, found 2"),
+    ],
+)
+def test_a_broken_kitti_file_is_told_in_one_sentence(folder: Path, name: str, old: str, new: str, message: str) -> None:
+    text = (folder / name).read_text()
+    assert old in text
+    (folder / name).write_text(text.replace(old, new))
+    with pytest.raises(CalibrationError, match=message) as raised:
+        read_rig(folder)
+    assert str(folder) in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda p: p / "nowhere.yaml", "no such file"),
+        (lambda p: p, "expected one of rig.yaml and calib_cam_to_cam.txt"),
+        (lambda p: p / "rig.json", "neither MATLAB's stereoParameters"),
+        (lambda p: p / "rig.toml", "not a '.toml' file"),
+        (lambda p: p / "binary.txt", "not a text file"),
+    ],
+)
+def test_what_is_no_calibration(tmp_path: Path, make, message: str) -> None:  # type: ignore[no-untyped-def]
+    (tmp_path / "rig.json").write_text("{}")
+    (tmp_path / "rig.toml").write_text("a = 1")
+    (tmp_path / "binary.txt").write_bytes(b"\xff\xfe\x00\x81")
+    with pytest.raises(CalibrationError, match=message):
+        read_rig(make(tmp_path))
+
+
+PIXELS = "{width_px: 1242, height_px: 375, fx_px: 721.5, fy_px: 720.0, cx_px: 609.6, cy_px: 172.9}"
+PAPER = (
+    "{width_px: 6000, height_px: 4000, fx_mm: 15.9004, fy_mm: 15.8703, sensor_width_mm: 23.5, sensor_height_mm: 15.6"
+)
+
+
+def yaml_rig(folder: Path, text: str) -> Path:
+    path = folder / "rig.yaml"
+    path.write_text(text)
+    return path
+
+
+def test_rig_yaml_in_pixels(tmp_path: Path) -> None:
+    rig = read_rig(
+        yaml_rig(tmp_path, f"rig_id: mine\nleft: {PIXELS}\nright: {PIXELS}\nbaseline_m: 0.27\nsigma_px: 0.3\n")
+    )
+    assert (rig.rig_id, rig.left.fy_px, rig.sigma_px) == ("mine", 720.0, 0.3)
+    assert rig.baseline_m == pytest.approx(0.27)
+    assert rigs.body_is_left_camera(rig)
+    assert read_rig(tmp_path) == rig, "the folder will do"
+
+
+def test_rig_yaml_in_the_papers_millimetres(tmp_path: Path) -> None:
+    rig = read_rig(
+        yaml_rig(tmp_path, f"left: {PAPER}, x0_mm: 0.1, y0_mm: 0.05}}\nright: {PAPER}}}\nbaseline_m: 0.2745\n")
+    )
+    assert rig.left.fx_px == pytest.approx(15.9004 / 23.5 * 6000)
+    assert rig.left.fy_px == pytest.approx(15.8703 / 15.6 * 4000)
+    assert rig.right.cx_px == pytest.approx(2999.5)
+    assert rig.left.cx_px == pytest.approx(2999.5 + 0.1 / 23.5 * 6000)
+    assert rig.left.cy_px == pytest.approx(1999.5 - 0.05 / 15.6 * 4000), "y0 counts upwards, rows downwards"
+
+
+def test_rig_yaml_with_relative_and_body_pose(tmp_path: Path) -> None:
+    turn = se3.rotation_from_rpy(0.0, 0.01, 0.0).tolist()
+    text = f"""
+left: {PIXELS}
+right: {PIXELS}
+left_SE3_right: {{R: {turn}, t_m: [0.3, 0.001, -0.002]}}
+body_SE3_left: {{R: [[0, 0, 1], [-1, 0, 0], [0, -1, 0]], t_m: [1.0, 0.2, 0.7]}}
+"""
+    rig = read_rig(yaml_rig(tmp_path, text))
+    np.testing.assert_allclose(rigs.left_SE3_right(rig)[:3, :3], turn, atol=1e-12)
+    np.testing.assert_allclose(rigs.left_SE3_right(rig)[:3, 3], [0.3, 0.001, -0.002], atol=1e-12)
+    np.testing.assert_allclose(rigs.up_in_left_camera(rig), [0, -1, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("- a list", "expected a YAML mapping"),
+        ("left: [", "this is not YAML"),
+        (f"left: {PIXELS}\nbaseline_m: 0.3", "'right': Field required"),
+        (f"left: {PIXELS}\nright: {PIXELS}", "either baseline_m"),
+        (f"left: {PIXELS}\nright: {PIXELS}\nbaseline_m: -0.3", "'baseline_m'"),
+        (f"left: {PIXELS}\nright: {PIXELS}\nbaseline_m: .nan", "'baseline_m'"),
+        (f"left: {PIXELS}\nright: {PIXELS}\nbaseline_m: 0.3\nbase: 1", "'base'"),
+        (
+            f"left: {PIXELS}\nright: {{width_px: 1242, height_px: 375, fx_px: 700}}\nbaseline_m: 0.3",
+            "'right': .*give either fx_px",
+        ),
+        (f"left: {PIXELS}\nright: {PAPER}, fx_px: 3000}}\nbaseline_m: 0.3", "'right': .*give either fx_px"),
+        (f"left: {PIXELS}\nright: {PIXELS}\nleft_SE3_right: {{t_m: [-0.3, 0, 0]}}", "left and right swapped"),
+        (f"left: {PIXELS}\nright: {PIXELS}\nleft_SE3_right: {{t_m: [0.3, 0, 0.2]}}", "does not follow the image rows"),
+        (
+            f"left: {PIXELS}\nright: {PIXELS}\nleft_SE3_right: {{R: [[1, 0, 0], [0, 1, 0], [0, 0, 2]], t_m: [0.3, 0, 0]}}",
+            "left_SE3_right.R: the matrix is not a rotation",
+        ),
+        (
+            f"left: {PIXELS}\nright: {PIXELS}\nbaseline_m: 0.3\ncalibration_covariance: {{names: [left.fx_px], matrix: [[1.0]], "
+            "shared: {calibration: 00000000-0000-0000-0000-000000000001, matrix: [[1.0]]}}",
+            "what drives share of it is worked out",
+        ),
+    ],
+)
+def test_a_broken_rig_yaml_is_told_in_one_sentence(tmp_path: Path, text: str, message: str) -> None:
+    path = yaml_rig(tmp_path, text)
+    with pytest.raises(CalibrationError, match=message) as raised:
+        read_rig(path)
+    assert re.match(re.escape(str(path)), str(raised.value))

@@ -1,0 +1,98 @@
+"""The plan picture: what is in it, where, in which colour; and that nothing is half-written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from conetl.mapping.map_diff import diff
+from conetl.model.errors import InputError
+from conetl.reports.map_picture import PlanContent, draw_map_picture, plan_extent
+
+ADDED, MOVED, REMOVED, STANDING, LANE = (
+    (0x00, 0x68, 0xB4),
+    (0xA8, 0x32, 0x7F),
+    (0x1F, 0x29, 0x33),
+    (0x7F, 0x97, 0xB2),
+    (0x64, 0x49, 0x16),
+)
+NO_POINTS = (np.empty((0, 2)), np.empty(0, np.uint8))
+
+
+def cone(samples, name, east_m, north_m, version=1):
+    return samples.feature(name, version=version, xyz_m=(458_000.0 + east_m, 5_428_000.0 + north_m, 114.5))
+
+
+def content(standing, changes=None, lines=(), points=NO_POINTS):
+    return PlanContent(
+        srid=32632, standing=standing, changes=changes, ways_m=[np.array([[458_000.0, 5_428_000.0], [458_030.0, 5_428_000.0]])],
+        lines_m=list(lines), points_m=points[0], shades=points[1],
+    )  # fmt: skip
+
+
+def pixels(path: Path, colour) -> np.ndarray:
+    """(N, 2) column, row of the pixels of a colour, left of the legend."""
+    image = cv2.imread(str(path))[:, :, ::-1].astype(int)
+    rows, columns = np.nonzero(np.abs(image - colour).max(axis=2) <= 4)
+    keep = columns < 0.78 * image.shape[1]
+    return np.column_stack([columns[keep], rows[keep]])
+
+
+def draw(path, made, bbox=None):
+    return draw_map_picture(path, made, bbox or plan_extent(made.standing, made.changes), title="A road", footer="now")
+
+
+def test_changes_are_where_they_belong_in_the_colours_of_the_view(samples, tmp_path):
+    before = [
+        cone(samples, "a", 0, 0),
+        cone(samples, "b", 10, 5),
+        cone(samples, "c", 20, 10),
+        cone(samples, "e", 5, 12),
+    ]
+    after = [
+        cone(samples, "a", 0, 0),
+        cone(samples, "b", 10, 8, version=2),
+        cone(samples, "d", 30, 0),
+        cone(samples, "e", 5, 12),
+    ]
+    made = content(after, diff(before, after), lines=[np.array([[458_000.0, 5_428_014.0], [458_030.0, 5_428_014.0]])])
+    path = draw(tmp_path / "new folder" / "map.png", made)
+    places = {name: pixels(path, colour).mean(axis=0) for name, colour in (("d", ADDED), ("a", STANDING))}
+    assert places["d"][0] - places["a"][0] > 300  # 30 m east against the middle of a and e
+    assert len(pixels(path, MOVED)) > 100 and len(pixels(path, REMOVED)) > 100
+    lane = pixels(path, LANE)
+    assert np.ptp(lane[:, 0]) > 800 and np.ptp(lane[:, 1]) < 12
+    # the same scale both ways: the lane is 30 m long and lies 14 m above the cone d
+    px_per_m = np.ptp(lane[:, 0]) / 30
+    assert (places["d"][1] - lane[:, 1].mean()) / px_per_m == pytest.approx(14.0, abs=0.4)
+
+
+def test_points_lie_under_everything_and_outside_is_left_out(samples, tmp_path):
+    rng = np.random.default_rng(0)
+    points = (np.add(rng.uniform(-40, 40, (5_000, 2)), (458_010.0, 5_428_010.0)), np.full(5_000, 0, np.uint8))
+    made = content([cone(samples, "a", 0, 0), cone(samples, "far", 5_000, 0)], points=points)
+    path = draw(tmp_path / "map.png", made, (457_980.0, 5_427_980.0, 458_040.0, 5_428_030.0))
+    assert len(pixels(path, (0xD9, 0xB2, 0x7C))) > 1_000
+    standing = pixels(path, STANDING)
+    assert len(standing) > 60 and np.ptp(standing[:, 0]) < 40  # the far one is not there
+
+
+@pytest.mark.parametrize(("suffix", "begin"), [(".svg", b"<?xml"), (".pdf", b"%PDF")])
+def test_vector_formats(samples, tmp_path, suffix, begin):
+    path = draw(tmp_path / f"map{suffix}", content([cone(samples, "a", 0, 0)]))
+    assert path.read_bytes().startswith(begin)
+
+
+def test_what_cannot_be_drawn_or_written_is_refused(samples, tmp_path):
+    with pytest.raises(InputError, match="no cone stands"):
+        plan_extent([], None)
+    one = content([cone(samples, "a", 0, 0)])
+    with pytest.raises(InputError, match=r"\.png, \.svg, \.pdf"):
+        draw(tmp_path / "map.gif", one)
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(InputError, match="cannot be written"):
+        draw(tmp_path / "file" / "map.png", one)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["file"]

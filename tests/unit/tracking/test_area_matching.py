@@ -1,0 +1,98 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from conetl.tracking.matching.area_matching import AreaMatch, match_area
+from conetl.tracking.matching.cone_outline import find_outline
+from tests.synthetic.cone_pictures import F_PX, ConePair, cone_pair
+
+UP = np.array([0.0, -1.0, 0.0])
+
+
+def match(pair: ConePair, guess_off_px: float = 1.2, right: NDArray[np.uint8] | None = None) -> AreaMatch | None:
+    return match_area(
+        pair.left, pair.right if right is None else right, find_outline(pair.left, pair.detection),
+        pair.disparity_px + guess_off_px, 4.0, camera=pair.camera, up=UP,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("range_m", "bias_px", "std_px"), [(6.0, 0.04, 0.08), (9.0, 0.04, 0.04), (15.0, 0.03, 0.05)])
+def test_the_disparity_is_that_of_the_axis_not_of_the_near_cheek(range_m: float, bias_px: float, std_px: float) -> None:
+    errors = []
+    for seed in range(10):
+        pair = cone_pair(range_m, seed)
+        found = match(pair, guess_off_px=1.2 if seed % 2 else -1.2)
+        assert found is not None
+        errors.append(found.disparity_px - pair.disparity_px)
+    # the surface alone would be off by up to disparity * radius / range: 1 px at 6 m
+    assert abs(np.mean(errors)) < bias_px
+    assert np.std(errors) < std_px
+
+
+def test_sigma_is_that_of_the_errors() -> None:
+    squares = []
+    for seed in range(60):
+        pair = cone_pair((7.0, 11.0, 16.0)[seed % 3], 100 + seed, noise=(2.0, 6.0, 12.0)[seed // 3 % 3])
+        found = match(pair)
+        assert found is not None
+        squares.append(((found.disparity_px - pair.disparity_px) / found.sigma_px) ** 2)
+    # 0.31: these pictures know neither JPEG nor leaning cones, for which sigma allows; halved it would be 1.2, doubled 0.08
+    assert 0.15 < np.mean(squares) < 0.65
+
+
+def test_noise_makes_sigma_larger() -> None:
+    quiet, loud = (match(cone_pair(18.0, 3, noise=noise)) for noise in (1.0, 25.0))
+    assert quiet is not None
+    assert loud is not None
+    assert loud.sigma_px > 1.3 * quiet.sigma_px
+
+
+def test_brightness_and_contrast_do_not_matter() -> None:
+    pair = cone_pair(9.0, 3)
+    darker = np.clip(pair.right * 0.7 + 15, 0, 255).astype(np.uint8)
+    plain, other = match(pair), match(pair, right=darker)
+    assert plain is not None
+    assert other is not None
+    assert other.disparity_px == pytest.approx(plain.disparity_px, abs=0.03)
+
+
+def test_a_row_offset_is_found_and_does_not_matter() -> None:
+    pair = cone_pair(9.0, 4)
+    lower = np.roll(pair.right, 1, axis=0)
+    plain, other = match(pair), match(pair, right=lower)
+    assert plain is not None
+    assert other is not None
+    assert other.row_offset_px - plain.row_offset_px == pytest.approx(1.0, abs=0.02)
+    assert other.disparity_px == pytest.approx(plain.disparity_px, abs=0.02)
+
+
+def test_a_cone_half_behind_a_post_is_refused() -> None:
+    # the post stands 1.5 m in front and hides another half in the other picture: any match would be off by pixels
+    assert [match(cone_pair(10.0, seed, post=True)) for seed in range(6)] == [None] * 6
+
+
+def test_no_texture_gives_no_match() -> None:
+    assert match(cone_pair(9.0, 1, flat=True)) is None
+
+
+def test_another_picture_gives_no_match() -> None:
+    pair = cone_pair(9.0, 1)
+    rng = np.random.default_rng(0)
+    other = rng.integers(0, 255, pair.right.shape).astype(np.uint8)
+    assert match(pair, right=other) is None
+
+
+def test_a_search_beyond_the_picture_gives_no_match() -> None:
+    pair = cone_pair(9.0, 1)
+    assert match(pair, guess_off_px=120.0) is None
+
+
+def test_the_outline_lies_on_the_edges_of_the_body() -> None:
+    for seed in range(6):
+        pair = cone_pair(8.0, seed)
+        outline = find_outline(pair.left, pair.detection)
+        rows = np.array([outline.tip_row + share * (outline.foot_row - outline.tip_row) for share in (0.3, 0.7)])
+        radius = F_PX / 8.0 * (0.035 + (0.14 - 0.035) * np.array([0.3, 0.7]))
+        assert outline.radius(rows) == pytest.approx(radius, abs=0.4)

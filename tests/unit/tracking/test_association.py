@@ -1,0 +1,113 @@
+"""Chains and fragments of them: the same groups as by comparing every group with every other, on drives of any length."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from conetl.geometry import pose as se3
+from conetl.geometry.packing import cov3, cov_matrix
+from conetl.model.params import TrackParams
+from conetl.model.records import Position
+from conetl.tracking.association import MotionError, _reach_m, _within_reach, carry, join_fragments, misfit_of
+
+PARAMS = TrackParams()
+STEP_M = 0.8
+
+
+def path(frames: int) -> dict[int, np.ndarray]:
+    """Camera axes along the map's; the car drives along z."""
+    poses = {}
+    for k in range(frames):
+        poses[k] = np.eye(4)
+        poses[k][2, 3] = STEP_M * k
+    return poses
+
+
+def position(frame: int, xyz_m: np.ndarray, sigma_m: float, poses: dict[int, np.ndarray]) -> Position:
+    seen = xyz_m - poses[frame][:3, 3]
+    cov = tuple(map(float, cov3(np.diag([sigma_m**2, sigma_m**2, (3 * sigma_m) ** 2]))))
+    return Position.model_construct(
+        frame_index=frame, match_index=0, xyz_m=tuple(xyz_m), cov_m2=cov, camera_xyz_m=tuple(seen), camera_cov_m2=cov
+    )
+
+
+def drifting(m2_a_frame: float) -> MotionError:
+    """A motion whose error grows with the frames in between."""
+    most = m2_a_frame * 400
+    return MotionError(lambda a, b, _: m2_a_frame * abs(a - b) * np.eye(3), most_m2=lambda _: 3 * most)
+
+
+def joined_one_by_one(groups, poses, motion):
+    """The rule as it is written: compare all with all, join the best, begin again."""
+    groups = sorted(groups, key=lambda g: g[0].frame_index)
+    while True:
+        fits = [
+            (misfit, i, j)
+            for i in range(len(groups))
+            for j in range(i + 1, len(groups))
+            if (misfit := misfit_of(groups[i], groups[j], poses, PARAMS, motion)) is not None
+        ]
+        if not fits:
+            return groups
+        _, i, j = min(fits)
+        merged = tuple(sorted((*groups[i], *groups[j]), key=lambda p: p.frame_index))
+        groups = [g for k, g in enumerate(groups) if k not in (i, j)] + [merged]
+
+
+@given(seed=st.integers(0, 2**32 - 1), cones=st.integers(1, 8), m2_a_frame=st.sampled_from([0.0, 1e-5, 1e-3, None]))
+def test_fragments_are_joined_as_by_comparing_all_with_all(seed, cones, m2_a_frame):
+    rng = np.random.default_rng(seed)
+    poses = path(400)
+    motion = None if m2_a_frame is None else drifting(m2_a_frame)
+    groups = []
+    for _ in range(cones):
+        place = np.array([rng.uniform(-4, 4), 1.0, rng.uniform(0, 60)])
+        frames = np.unique(rng.integers(0, 400, rng.integers(1, 12)))
+        pieces = np.split(frames, np.unique(rng.integers(0, len(frames) + 1, 3)))
+        groups += [
+            tuple(position(int(f), place + rng.normal(0, 0.05, 3), 0.05, poses) for f in piece)
+            for piece in pieces
+            if len(piece)
+        ]
+    found = join_fragments(groups, poses, PARAMS, motion)
+    assert found == joined_one_by_one(groups, poses, motion)
+
+
+@given(seed=st.integers(0, 2**32 - 1), share=st.floats(0.5, 1.5))
+def test_what_is_out_of_reach_is_what_the_covariance_says(seed, share):
+    """Without matrices the same bound as by carrying the point, wherever the car turned meanwhile."""
+    rng = np.random.default_rng(seed)
+    poses = {k: se3.se3(se3.rotation_from_rpy(*rng.uniform(-3, 3, 3)), 5e6 + rng.uniform(-40, 40, 3)) for k in range(2)}
+    cov = tuple(map(float, cov3(np.diag(rng.uniform(0.01, 0.5, 3)) + 0.005)))
+    one, other = (
+        Position.model_construct(frame_index=k, camera_xyz_m=tuple(rng.uniform(-9, 9, 3)), camera_cov_m2=cov)
+        for k in range(2)
+    )
+    mean, carried = carry(np.array(one.camera_xyz_m), cov_matrix(cov), 0, 1, poses, PARAMS)
+    reach_m = _reach_m(float(np.trace(carried)), PARAMS)
+    away = rng.normal(size=3)
+    place = mean + share * reach_m * away / np.linalg.norm(away)
+    other = other.model_copy(update={"camera_xyz_m": tuple(place)})
+    if abs(share - 1) * reach_m > 1e-5:
+        assert _within_reach(one, other, poses, PARAMS) == (share < 1)
+
+
+def test_groups_that_no_error_brings_together_are_not_compared():
+    poses, asked = path(400), []
+
+    def cov_m2(start, end, _point_m):
+        asked.append((start, end))
+        return np.zeros((3, 3))
+
+    groups = [(position(k, np.array([0.0, 1.0, 30.0 + STEP_M * k]), 0.01, poses),) for k in range(0, 400, 5)]
+    motion = MotionError(cov_m2, most_m2=lambda _: 1e-4)
+    assert len(join_fragments(groups, poses, PARAMS, motion)) == len(groups)
+    assert len(asked) < 2 * len(groups)
+
+
+@pytest.mark.parametrize("motion", [None, drifting(1e-5)])
+def test_nothing_to_join(motion):
+    assert join_fragments([], path(2), PARAMS, motion) == []

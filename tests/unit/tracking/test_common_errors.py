@@ -1,0 +1,195 @@
+"""What all sightings of a cone share stays in its covariance, however many they are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from conetl.geometry import pose as se3
+from conetl.geometry import rig as rigs
+from conetl.geometry.consistency import Nees
+from conetl.geometry.joint_fit import fit_point, pair_jacobian
+from conetl.geometry.packing import cov_matrix
+from conetl.model.params import TrajectoryParams
+from conetl.model.records import CalibrationCovariance, FramePair, Position, Rig
+from conetl.tracking.common_errors import common_cov, outline_cov
+from conetl.tracking.matching.covariance import SHARED_DISPARITY_PX
+from tests.synthetic.noisy_drive import PoseErrors, draw_positions
+from tests.synthetic.world import ORIGIN_M, Cone, camera_poses, make_path, make_rig
+from tests.synthetic.wrong_rigs import wrong_rig
+
+Array = NDArray[np.float64]
+NAMES = ("left.fx_px", "right.cx_px", "relative.ry_rad", "relative.tx_m")
+SIGMAS = np.array([1.5, 0.8, 8e-4, 2e-3])
+COVARIANCE = CalibrationCovariance(names=NAMES, matrix=tuple(tuple(row) for row in np.diag(SIGMAS**2).tolist()))
+RIG = make_rig().model_copy(update={"calibration_covariance": COVARIANCE})
+CONE = Cone((22.0, 3.0, 0.0))
+
+
+def test_one_sighting_carries_what_its_position_carries() -> None:
+    drawn = draw_positions(np.random.default_rng(2), RIG, [CONE], PoseErrors(), frames=6)
+    pairs = {pair.frame_index: pair for pair in drawn.drive.frame_pairs}
+    poses = camera_poses(list(drawn.drive.frame_pairs), RIG, "left")
+    assert drawn.positions
+    for position in drawn.positions:
+        added = common_cov([position], np.eye(3)[None], pairs, RIG, poses)
+        turn = poses[position.frame_index][:3, :3]
+        image = turn @ cov_matrix(position.camera_cov_m2) @ turn.T
+        np.testing.assert_allclose(added + image, cov_matrix(position.cov_m2), rtol=1e-6, atol=1e-12)
+
+
+def test_many_sightings_with_a_wrong_calibration_stay_inside_what_they_state() -> None:
+    """NEES of joint fits over 12 frames, the calibration drawn once a drive: honest with the common part, far off without."""
+    rng = np.random.default_rng(8)
+    pairs = make_path(12, step_m=1.2)
+    exact_pose = {"sigma_enu_m": (0.0, 0.0, 0.0), "sigma_rpy_rad": (0.0, 0.0, 0.0)}
+    by_index = {
+        pair.frame_index: pair.model_copy(update={"pose": pair.pose.model_copy(update=exact_pose)}) for pair in pairs
+    }
+    left = camera_poses(pairs, RIG, "left")
+    nominal = [np.stack(list(camera_poses(pairs, RIG, side).values())) for side in ("left", "right")]
+    truth = np.add(ORIGIN_M, CONE.foot_m)
+    stated = {
+        "sigma_u_px": np.full(12, 0.4), "sigma_v_px": np.full(12, 0.4), "sigma_pointing_px": np.full(12, 0.0),
+        "sigma_motion_m": np.zeros(12),
+    }  # fmt: skip
+    honest, proud = Nees(0.0, 0), Nees(0.0, 0)
+    for _ in range(200):
+        actual = wrong_rig(RIG, rng.normal(0, SIGMAS))
+        right = np.stack(list(camera_poses(pairs, actual, "right").values()))
+        exact, _ = pair_jacobian(truth, nominal[0], right, *constants(actual))
+        observed = exact + rng.normal(0, 0.4, exact.shape)
+        fit = fit_point(observed, truth, *nominal, *constants(RIG), **stated)
+        assert fit is not None
+        group = [position_at(pair, left[pair.frame_index], fit.xyz_m) for pair in pairs]
+        common = common_cov(group, fit.shares, by_index, RIG, left)
+        off = fit.xyz_m - truth
+        honest += Nees(float(off @ np.linalg.solve(fit.cov_m2 + common, off)), 3)
+        proud += Nees(float(off @ np.linalg.solve(fit.cov_m2, off)), 3)
+    assert honest.holds(0.99)
+    assert proud.per_dof > 2
+
+
+def poses_with(sigma_m: float, sigma_rad: float) -> list[FramePair]:
+    """Three seconds towards the cone at 10 Hz and 5 m/s."""
+    sigmas = {"sigma_enu_m": (sigma_m,) * 3, "sigma_rpy_rad": (sigma_rad,) * 3}
+    pairs = make_path(30, step_m=0.5)
+    return [pair.model_copy(update={"pose": pair.pose.model_copy(update=sigmas)}) for pair in pairs]
+
+
+def nees_of_logs(
+    pairs: list[FramePair],
+    correlation_s: float,
+    believed: TrajectoryParams | None,
+    draws: int,
+    truth_scale: float = 1.0,
+) -> Nees:
+    """Joint fits over a log whose errors are Gauss-Markov processes of one correlation time, as `believed` has it."""
+    rng = np.random.default_rng(11)
+    frames, truth = len(pairs), np.add(ORIGIN_M, CONE.foot_m)
+    exact_rig = make_rig()
+    sigmas = np.array([*pairs[0].pose.sigma_enu_m, *pairs[0].pose.sigma_rpy_rad])
+    by_index = {pair.frame_index: pair for pair in pairs}
+    left = camera_poses(pairs, exact_rig, "left")
+    body = np.stack([se3.map_SE3_body(pair.pose) for pair in pairs])
+    sides = [rigs.body_SE3_camera(exact_rig, side) for side in ("left", "right")]
+    exact, _ = pair_jacobian(truth, *(se3.compose(body, side) for side in sides), *constants(exact_rig))
+    group = [position_at(pair, left[pair.frame_index], truth) for pair in pairs]
+    seconds = 0.1 * np.arange(frames)
+    rho = np.exp(-np.abs(seconds[:, None] - seconds) / correlation_s)
+    nearest = int(np.argmin([p.range_m for p in group]))
+    apart_m = np.sqrt(2 * (1 - rho[nearest])) * np.hypot(sigmas[0], sigmas[3] * np.array([p.range_m for p in group]))
+    stated = {
+        "sigma_u_px": np.full(frames, 0.3), "sigma_v_px": np.full(frames, 0.8), "sigma_pointing_px": np.zeros(frames),
+        "sigma_motion_m": apart_m,
+    }  # fmt: skip
+    root = np.linalg.cholesky(rho + 1e-12 * np.eye(frames))
+    total = Nees(0.0, 0)
+    for _ in range(draws):
+        error = truth_scale * (root @ rng.normal(size=(frames, 6))) * sigmas
+        logged = body.copy()
+        logged[:, :3, :3] = body[:, :3, :3] @ se3.rotation_from_rpy(*error[:, 3:].T)
+        logged[:, :3, 3] += error[:, :3]
+        observed = exact + rng.normal(0, [0.3, 0.8, 0.3, 0.8], exact.shape)
+        fit = fit_point(observed, truth, *(se3.compose(logged, s) for s in sides), *constants(exact_rig), **stated)
+        assert fit is not None
+        cov = fit.cov_m2 + common_cov(group, fit.shares, by_index, exact_rig, left, believed)
+        off = fit.xyz_m - truth
+        total += Nees(float(off @ np.linalg.solve(cov, off)), 3)
+    return total
+
+
+def model(correlation_s: float) -> TrajectoryParams:
+    return TrajectoryParams(
+        gnss_correlation_s=correlation_s,
+        attitude_correlation_s=correlation_s,
+        gnss_white_share=0.0,
+        attitude_white_share=0.0,
+    )
+
+
+@pytest.mark.parametrize("sigma_m", [0.03, 0.3])
+@pytest.mark.parametrize("correlation_s", [1.0, 10.0, 100.0])
+def test_logs_whose_errors_change_slowly_or_fast(correlation_s: float, sigma_m: float) -> None:
+    """The nearest frames weigh most, so correlation times of 1 s to 100 s make little difference; the band is kept in all."""
+    pairs = poses_with(sigma_m, 0.0007)
+    assert nees_of_logs(pairs, correlation_s, model(correlation_s), 300).holds(0.99)
+    assert 0.7 < nees_of_logs(pairs, correlation_s, TrajectoryParams(), 60).per_dof < 1.3, (
+        "not knowing the time costs little"
+    )
+
+
+@pytest.mark.parametrize("scale", [0.5, 2.0])
+def test_logs_twice_or_half_as_wrong_as_stated_are_noticed(scale: float) -> None:
+    assert not nees_of_logs(poses_with(0.3, 0.0007), 10.0, model(10.0), 120, scale).holds(0.999)
+
+
+def test_correlation_of_one_is_one_error_and_none_is_an_average() -> None:
+    pairs = poses_with(0.1, 0.0)
+    by_index, left = {pair.frame_index: pair for pair in pairs}, camera_poses(pairs, make_rig(), "left")
+    group = [position_at(pair, left[pair.frame_index], np.add(ORIGIN_M, CONE.foot_m)) for pair in pairs]
+    equal = np.tile(np.eye(3) / 30, (30, 1, 1))
+
+    def cov(correlation_s: float) -> Array:
+        return common_cov(group, equal, by_index, make_rig(), left, model(correlation_s))
+
+    np.testing.assert_allclose(common_cov(group, equal, by_index, make_rig(), left), 0.01 * np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(cov(1e9), 0.01 * np.eye(3), rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(cov(1e-4), 0.01 / 30 * np.eye(3), rtol=1e-6, atol=1e-12)
+
+
+def position_at(pair: FramePair, map_SE3_left: Array, xyz_m: Array) -> Position:
+    """What a frame pair says of a point; of no account here are all fields but its place."""
+    in_camera = se3.apply(se3.invert(map_SE3_left), xyz_m).tolist()
+    return Position(
+        frame_index=pair.frame_index, match_index=0, xyz_m=tuple(xyz_m.tolist()), cov_m2=(1, 0, 0, 1, 0, 1),
+        centre_xyz_m=tuple(xyz_m.tolist()), cone_height_m=0.7, camera_xyz_m=tuple(in_camera), camera_cov_m2=(1, 0, 0, 1, 0, 1),
+        range_m=in_camera[2], ray_angle_rad=0.03, residual_rms_px=0.1, iterations=3, score=0.9,
+    )  # fmt: skip
+
+
+def constants(rig: Rig) -> tuple[Array, Array]:
+    focal = np.array([rig.left.fx_px, rig.left.fy_px, rig.right.fx_px, rig.right.fy_px])
+    return focal, np.array([rig.left.cx_px, rig.left.cy_px, rig.right.cx_px, rig.right.cy_px])
+
+
+def test_the_outline_error_of_a_cone_stays_from_one_side_and_cancels_from_opposite_ones() -> None:
+    drawn = draw_positions(np.random.default_rng(4), RIG, [CONE], PoseErrors(), frames=2)
+    pairs = list(drawn.drive.frame_pairs)
+    left = camera_poses(pairs, RIG, "left")
+    position = drawn.positions[0].model_copy(update={"sigma_outline_m": 0.02})
+    shares = np.stack([0.5 * np.eye(3)] * 2)
+    one_side = outline_cov([position, position], shares, left, RIG)
+    away = (
+        np.array(position.camera_xyz_m)
+        * SHARED_DISPARITY_PX
+        * position.camera_xyz_m[2]
+        / (RIG.left.fx_px * RIG.baseline_m)
+    )
+    np.testing.assert_allclose(np.trace(one_side), 2 * 0.02**2 + away @ away)
+    turned = left[position.frame_index].copy()
+    turned[:3, [0, 2]] *= -1  # as seen from the other side: right is left, away is near, down is down
+    other = position.model_copy(update={"frame_index": 99})
+    both_sides = outline_cov([position, other], shares, {**left, 99: turned}, RIG)
+    np.testing.assert_allclose(np.trace(both_sides), 0.02**2 + away[1] ** 2)

@@ -1,0 +1,143 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from conetl.geometry.pose import to_matrix4
+from conetl.model.params import MatchParams
+from conetl.model.records import Camera
+from conetl.model.rejections import RejectionReason
+from conetl.tracking.matching.matches import foot_image_point, match_pair, with_measured_spread
+from tests.synthetic.cone_pictures import BASE_M, F_PX, SIZE, cone_pair
+from tests.synthetic.world import Cone, camera_pose, detect, make_path, make_rig
+
+UP = np.array([0.0, -1.0, 0.0])
+
+
+def test_every_cone_is_matched_with_itself_also_in_a_dense_row() -> None:
+    rig, (pair,) = make_rig(), make_path(1)
+    cones = [Cone((9.0 + 1.5 * k, -3.0 + 0.4 * k, 0.0)) for k in range(10)]
+    found = detect(cones, [pair], rig, noise_px=0.5)
+    # detection k shows the same cone in both pictures: all ten are in view
+    assert len(found[0, "left"]) == len(found[0, "right"]) == 10
+    matches, rejections = match_pair(found[0, "left"], found[0, "right"], rig, MatchParams(), up_left=UP)
+    assert not rejections
+    assert [(m.left.detection_index, m.right.detection_index) for m in matches] == [(k, k) for k in range(10)]
+
+
+def test_the_order_of_the_boxes_does_not_matter() -> None:
+    rig, (pair,) = make_rig(), make_path(1)
+    cones = [Cone((9.0 + 2 * k, -2.0 + k, 0.0)) for k in range(5)]
+    found = detect(cones, [pair], rig)
+    left, right = found[0, "left"], found[0, "right"][::-1]
+    matches, _ = match_pair(left, right, rig, MatchParams(), up_left=UP)
+    assert {(m.left.detection_index, m.right.detection_index) for m in matches} == {(k, k) for k in range(5)}
+
+
+def test_different_rows_are_never_matched() -> None:
+    rig, (pair,) = make_rig(), make_path(1)
+    found = detect([Cone((10.0, 0.0, 0.0))], [pair], rig)
+    (left,), (right,) = found[0, "left"], found[0, "right"]
+    lower = right.model_copy(update={"y_px": right.y_px + 25})
+    assert match_pair([left], [lower], rig, MatchParams(), up_left=UP)[0] == []
+
+
+def test_an_object_behind_infinity_is_never_matched() -> None:
+    rig, (pair,) = make_rig(), make_path(1)
+    found = detect([Cone((10.0, 0.0, 0.0))], [pair], rig)
+    (left,), (right,) = found[0, "left"], found[0, "right"]
+    swapped = right.model_copy(update={"x_px": left.x_px + 10})
+    assert match_pair([left], [swapped], rig, MatchParams(), up_left=UP)[0] == []
+
+
+def test_a_box_cut_by_the_border_is_rejected_with_the_reason() -> None:
+    rig, (pair,) = make_rig(), make_path(1)
+    found = detect([Cone((10.0, 0.0, 0.0))], [pair], rig)
+    (left,), right = found[0, "left"], found[0, "right"]
+    cut = left.model_copy(update={"x_px": 0.5})
+    matches, (rejection,) = match_pair([cut], right, rig, MatchParams(), up_left=UP)
+    assert matches == []
+    assert rejection.reason == RejectionReason.BOX_CUT_BY_BORDER
+    assert rejection.payload["frame_index"] == 0
+
+
+@pytest.mark.parametrize("range_m", [6.5, 9.0, 15.0])
+@pytest.mark.parametrize("aside_m", [-2.0, 0.0, 1.5])
+def test_the_foot_is_the_centre_of_the_base_not_its_near_rim(range_m: float, aside_m: float) -> None:
+    rig, (pair,) = make_rig(), make_path(1)
+    cone = Cone((0.8 + range_m, aside_m, 0.0))
+    (box,) = detect([cone], [pair], rig)[0, "left"]
+    pose = camera_pose(pair, rig, "left")
+    local = pose[:3, :3].T @ (np.array(cone.foot_m) + np.array([456_000.0, 5_428_000.0, 115.0]) - pose[:3, 3])
+    true_v = rig.left.cy_px + rig.left.fy_px * local[1] / local[2]
+    axis, bottom = box.x_px + box.w_px / 2 - 0.5, box.y_px + box.h_px - 0.5
+    _, v = foot_image_point((axis, bottom), box.w_px, rig.left, UP)
+    assert v == pytest.approx(true_v, abs=0.4)
+    assert bottom - true_v > 0.5, "without the correction the foot would be too near"
+
+
+def test_foot_and_tip_of_the_network_take_part() -> None:
+    rig, (pair,) = make_rig(), make_path(1)
+    found = detect([Cone((10.0, 0.0, 0.0))], [pair], rig)
+    (left,), (right,) = found[0, "left"], found[0, "right"]
+    (plain,), _ = match_pair([left], [right], rig, MatchParams(), up_left=UP)
+    u, v = plain.foot_left_uv_px
+    told = [
+        box.model_copy(update={"foot_px": (x + 0.5, y + 0.5 - 2.0), "tip_px": (x + 0.5, box.y_px + 1.0)})
+        for box, (x, y) in ((left, plain.foot_left_uv_px), (right, plain.foot_right_uv_px))
+    ]
+    (match,), _ = match_pair([told[0]], [told[1]], rig, MatchParams(), up_left=UP)
+    assert match.foot_left_uv_px == pytest.approx((u, v - 1.0)), "the mean of box and network"
+    assert match.tip_left_uv_px[1] == pytest.approx(left.y_px + 0.5)
+    assert match.centre_left_uv_px[1] == pytest.approx(left.y_px + left.h_px / 2 - 0.5), "of the box, as in the paper"
+
+
+def test_pictures_fix_the_disparity_and_its_sigma() -> None:
+    pair = cone_pair(9.0, 2)
+    camera = Camera(width_px=SIZE[1], height_px=SIZE[0], fx_px=F_PX, fy_px=F_PX, cx_px=90.0, cy_px=30.0)
+    right_pose = [[1.0, 0.0, 0.0, BASE_M], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+    rig = make_rig().model_copy(
+        update={
+            "left": camera, "right": camera,
+            "body_SE3_left": to_matrix4(np.eye(4)), "body_SE3_right": to_matrix4(np.array(right_pose)),
+        }
+    )  # fmt: skip
+    left = pair.detection
+    off = pair.disparity_px - 1.3  # the boxes do not agree by 1.3 px
+    right = left.model_copy(update={"side": "right", "x_px": left.x_px - off, "foot_px": None})
+    (match,), _ = match_pair([left], [right], rig, MatchParams(), up_left=UP, images=(pair.left, pair.right))
+    assert match.refined
+    disparity = match.foot_left_uv_px[0] - match.foot_right_uv_px[0]
+    assert disparity == pytest.approx(pair.disparity_px, abs=0.1)
+    assert match.sigma_u_px < 0.1
+    (rough,), _ = match_pair(
+        [left], [right], rig, MatchParams(refine=False), up_left=UP, images=(pair.left, pair.right)
+    )
+    assert not rough.refined
+    assert rough.sigma_u_px > 0.5
+
+
+@pytest.mark.parametrize(("spread", "low", "high"), [(0.5, 0.55, 0.95), (1.0, 1.0, 1.6), (3.0, 2.0, 2.0)])
+def test_the_spread_of_feet_is_that_between_the_two_pictures(spread: float, low: float, high: float) -> None:
+    """Whatever constant the calibration leaves between the rows; a few matches say little, and boxes without feet nothing."""
+    rig, (pair,) = make_rig(), make_path(1)
+    found = detect([Cone((10.0, 0.0, 0.0))], [pair], rig)
+    (plain,), _ = match_pair(found[0, "left"], found[0, "right"], rig, MatchParams(), up_left=UP)
+    told = [
+        box.model_copy(update={"foot_px": (box.x_px + box.w_px / 2, box.y_px + box.h_px)})
+        for box in (plain.left, plain.right)
+    ]
+    (match,), _ = match_pair([told[0]], [told[1]], rig, MatchParams(), up_left=UP)
+    assert match.sigma_outline_px > 0 == plain.sigma_outline_px
+    rng = np.random.default_rng(3)
+    u, v = match.foot_right_uv_px
+    noisy = [
+        match.model_copy(update={"foot_right_uv_px": (u, v + 5.0 + spread * match.sigma_v_px * 2**0.5 * rng.normal())})
+        for _ in range(300)
+    ]
+    changed = with_measured_spread([*noisy, plain])
+    assert low <= changed[0].sigma_v_px / match.sigma_v_px <= high
+    assert changed[0].sigma_pointing_px / match.sigma_pointing_px == changed[0].sigma_v_px / match.sigma_v_px
+    assert changed[0].sigma_u_px == match.sigma_u_px
+    assert changed[-1] == plain
+    assert with_measured_spread([match]) == [match]

@@ -1,0 +1,317 @@
+"""Stereo matches of a known cone, back to where it stands; covariance by Monte Carlo; every way to be refused."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from conetl.geometry import camera as cam
+from conetl.geometry import pose as se3
+from conetl.geometry import rig as rigs
+from conetl.geometry.rectification import rectify
+from conetl.model.params import PositionParams
+from conetl.model.records import (
+    CalibrationCovariance,
+    Camera,
+    Detection,
+    FramePair,
+    Pose,
+    Rig,
+    Side,
+    StereoMatch,
+)
+from conetl.model.rejections import RejectionReason
+from conetl.tracking.positions import locate_in_camera, locate_positions
+
+Array = NDArray[np.float64]
+CAMERA = Camera(width_px=1242, height_px=375, fx_px=721.5, fy_px=721.5, cx_px=609.6, cy_px=172.9)
+PARAMS = PositionParams()
+BODY_R_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+
+def make_rig(*, body: bool = True) -> Rig:
+    left = se3.se3(BODY_R_CAM, [1.08, 0.25, 0.73]) if body else np.eye(4)
+    return Rig(
+        rig_id="test", left=CAMERA, right=CAMERA, body_SE3_left=se3.to_matrix4(left),
+        body_SE3_right=se3.to_matrix4(se3.compose(left, se3.se3(np.eye(3), [0.53, 0, 0]))),
+    )  # fmt: skip
+
+
+RIG = make_rig()
+MAP_R_BODY = se3.rotation_from_rpy(0.01, -0.02, 2.0)
+PAIR = FramePair(
+    frame_index=7, left_path="left.png", right_path="right.png", captured_at_ns=1,
+    pose=Pose(
+        map_R_body=se3.to_matrix3(MAP_R_BODY), map_t_body_m=(457_808.3, 5_428_849.1, 113.0),
+        sigma_enu_m=(0.3, 0.2, 0.5), sigma_rpy_rad=(0.001, 0.001, 0.003),
+    ),
+)  # fmt: skip
+
+
+def box(side: Side, score: float) -> Detection:
+    return Detection(frame_index=7, side=side, detection_index=0, x_px=1, y_px=1, w_px=9, h_px=20, score=score)
+
+
+def match_of(
+    points: dict[str, tuple[Array, Array]], index: int = 0, frame_index: int = 7, **sigmas: float
+) -> StereoMatch:
+    """A match from the image points (left, right) of foot, centre and tip."""
+    uv = {
+        f"{name}_{side}_uv_px": (float(p[0]), float(p[1]))
+        for name, pair in points.items()
+        for side, p in zip(("left", "right"), pair, strict=True)
+    }
+    values = {"sigma_u_px": 0.2, "sigma_v_px": 0.5, "sigma_pointing_px": 0.0} | sigmas
+    return StereoMatch(
+        frame_index=frame_index, match_index=index, left=box("left", 0.9), right=box("right", 0.6), refined=True, cost=0.1,
+        **uv, **values,
+    )  # fmt: skip
+
+
+def up(height_m: float) -> Array:
+    return np.array([0.0, 0.0, height_m])
+
+
+def see(foot_map: Array, height_m: float = 0.7) -> dict[str, tuple[Array, Array]]:
+    """Image points of a cone that stands upright in the map."""
+    cameras = [se3.invert(rigs.map_SE3_camera(PAIR.pose, RIG, side)) for side in ("left", "right")]
+    points = {"foot": foot_map, "centre": foot_map + up(height_m / 2), "tip": foot_map + up(height_m)}
+    return {
+        name: tuple(cam.project(CAMERA, se3.apply(camera, p)) for camera in cameras)  # type: ignore[misc]
+        for name, p in points.items()
+    }
+
+
+def ahead(forward_m: float, left_m: float = 0.0, up_m: float = -0.9) -> Array:
+    """Map point before the vehicle."""
+    return se3.apply(se3.map_SE3_body(PAIR.pose), np.array([forward_m, left_m, up_m]))
+
+
+def test_a_cone_is_found_where_it_stands() -> None:
+    foot = ahead(12.0, 2.0)
+    positions, rejections = locate_positions([match_of(see(foot))], {7: PAIR}, RIG, PARAMS)
+    assert not rejections
+    (position,) = positions
+    np.testing.assert_allclose(position.xyz_m, foot, atol=1e-6)
+    np.testing.assert_allclose(position.centre_xyz_m, foot + up(0.35), atol=1e-6)
+    assert position.cone_height_m == pytest.approx(0.7, abs=1e-6)
+    left = rigs.map_SE3_left(PAIR.pose, RIG)
+    np.testing.assert_allclose(se3.apply(left, np.array(position.camera_xyz_m)), foot, atol=1e-6)
+    assert position.range_m == pytest.approx(math.hypot(*(foot - left[:3, 3])[:2]), abs=1e-6)
+    assert position.camera_xyz_m[2] > 10 and position.camera_xyz_m[1] > 1, "z forward, y down"
+    assert position.score == 0.6, "the weaker box speaks for the match"
+    assert (position.frame_index, position.match_index) == (7, 0)
+
+
+def as_matrix(upper: tuple[float, ...]) -> Array:
+    xx, xy, xz, yy, yz, zz = upper
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def test_both_covariances_are_what_monte_carlo_finds() -> None:
+    rng = np.random.default_rng(1)
+    foot, draws = ahead(10.0, -1.0), 4000
+    exact = see(foot)
+    matches = []
+    for i in range(draws):
+        pointing = np.array([0.4 * rng.normal(), 0.0])
+        noisy = {
+            name: tuple(p + pointing + [0.2, 0.5] * rng.normal(size=2) for p in pair) for name, pair in exact.items()
+        }
+        matches.append(match_of(noisy, i, sigma_pointing_px=0.4))  # type: ignore[arg-type]
+    positions, rejections = locate_positions(matches, {7: PAIR}, RIG, PARAMS)
+    assert not rejections
+    (predicted,), _ = locate_positions([match_of(exact, sigma_pointing_px=0.4)], {7: PAIR}, RIG, PARAMS)
+    errors = np.array([p.camera_xyz_m for p in positions]) - predicted.camera_xyz_m
+    whitened = np.linalg.solve(np.linalg.cholesky(as_matrix(predicted.camera_cov_m2)), errors.T)
+    np.testing.assert_allclose(np.cov(whitened), np.eye(3), atol=0.12)  # sigmas doubled: 0.25; halved: 4
+
+    # The map covariance is that of the image turned into the map, plus position and attitude drawn from their sigmas.
+    shift = np.array(PAIR.pose.sigma_enu_m) * rng.normal(size=(draws, 3))
+    turned = se3.rotation_from_rpy(
+        *(np.array([0.01, -0.02, 2.0]) + np.array(PAIR.pose.sigma_rpy_rad) * rng.normal(size=(draws, 3))).T
+    )
+    bodies = se3.se3(turned, np.array(PAIR.pose.map_t_body_m) + shift)
+    in_body = se3.apply(rigs.body_SE3_camera(RIG, "left"), np.array([p.camera_xyz_m for p in positions]))
+    errors = se3.apply(bodies, in_body) - foot
+    whitened = np.linalg.solve(np.linalg.cholesky(as_matrix(predicted.cov_m2)), errors.T)
+    np.testing.assert_allclose(np.cov(whitened), np.eye(3), atol=0.12)
+
+
+def test_without_a_trajectory_ground_distance_and_height_are_given() -> None:
+    rig = make_rig(body=False)
+    foot = np.array([1.0, 1.6, 8.0])
+    points = {
+        name: tuple(cam.project(CAMERA, foot - np.array([b, h, 0])) for b in (0.0, 0.53))
+        for name, h in (("foot", 0.0), ("centre", 0.35), ("tip", 0.7))
+    }
+    (position,), rejections = locate_in_camera([match_of(points)], rig, PARAMS)  # type: ignore[arg-type]
+    assert not rejections
+    np.testing.assert_allclose(position.xyz_m, foot, atol=1e-9)
+    assert position.ground_distance_m == pytest.approx(math.hypot(1.0, 8.0))
+    assert position.cone_height_m == pytest.approx(0.7)
+    assert position.foot_height_m == pytest.approx(-1.6)
+    assert position.centre_height_m == pytest.approx(-1.25)
+    # Z^2 sigma_disparity / (f B), nearly along the viewing direction.
+    expected = 8.0**2 * 0.2 * math.sqrt(2) / (721.5 * 0.53)
+    assert position.ground_distance_sigma_m == pytest.approx(expected, rel=0.03)
+
+
+SIGMA_PHI = math.radians(0.02)
+PHI = CalibrationCovariance(names=("relative.ry_rad",), matrix=((SIGMA_PHI**2,),))
+
+
+def test_an_uncertain_calibration_widens_what_is_stated_in_the_map_and_not_what_is_compared_in_the_camera() -> None:
+    rig = RIG.model_copy(update={"calibration_covariance": PHI})
+    matches = [match_of(see(ahead(10.0))), *BAD.values()]
+    exact, refused = locate_positions(matches, {7: PAIR}, RIG, PARAMS)
+    positions, still_refused = locate_positions(matches, {7: PAIR}, rig, PARAMS)
+    assert [r.reason for r in still_refused] == [r.reason for r in refused]
+    assert positions[0].xyz_m == exact[0].xyz_m
+    assert positions[0].camera_cov_m2 == exact[0].camera_cov_m2, "pictures of one rig share the error"
+    added = as_matrix(positions[0].cov_m2) - as_matrix(exact[0].cov_m2)
+    values, vectors = np.linalg.eigh(added)
+    depth = positions[0].camera_xyz_m[2]
+    assert math.sqrt(values[2]) == pytest.approx(depth**2 / 0.53 * SIGMA_PHI, rel=0.03)
+    sight = np.subtract(positions[0].xyz_m, rigs.map_SE3_left(PAIR.pose, RIG)[:3, 3])
+    assert abs(vectors[:, 2] @ sight) / np.linalg.norm(sight) > 0.999, "it moves the cone along the line of sight"
+
+
+def test_one_pair_states_its_distance_with_the_calibration() -> None:
+    exact = locate_in_camera([match_of(see(ahead(10.0)))], RIG, PARAMS)[0][0]
+    rig = RIG.model_copy(update={"calibration_covariance": PHI})
+    (position,), _ = locate_in_camera([match_of(see(ahead(10.0)))], rig, PARAMS)
+    added = math.sqrt(position.ground_distance_sigma_m**2 - exact.ground_distance_sigma_m**2)
+    assert added == pytest.approx(exact.xyz_m[2] ** 2 / 0.53 * SIGMA_PHI, rel=0.05)
+    assert position.cov_m2[5] > exact.cov_m2[5]
+
+
+def test_a_tilted_rig_measures_along_the_bodys_up() -> None:
+    tilt = se3.rotation_from_rpy(0, math.radians(8), 0) @ BODY_R_CAM
+    left = se3.se3(tilt, [1.0, 0.2, 0.7])
+    rig = RIG.model_copy(
+        update={
+            "body_SE3_left": se3.to_matrix4(left),
+            "body_SE3_right": se3.to_matrix4(se3.compose(left, se3.se3(np.eye(3), [0.53, 0, 0]))),
+        }
+    )
+    foot = np.array([9.0, 1.0, -0.9])  # body frame
+    points = {
+        name: tuple(
+            cam.project(CAMERA, se3.apply(se3.invert(rigs.body_SE3_camera(rig, side)), foot + up(h)))
+            for side in ("left", "right")
+        )
+        for name, h in (("foot", 0.0), ("centre", 0.35), ("tip", 0.7))
+    }
+    (position,), _ = locate_in_camera([match_of(points)], rig, PARAMS)  # type: ignore[arg-type]
+    assert position.cone_height_m == pytest.approx(0.7)
+    assert position.foot_height_m == pytest.approx(-1.6)
+    assert position.ground_distance_m == pytest.approx(math.hypot(8.0, 0.8))
+
+
+def test_a_raw_rig_without_a_body_measures_in_the_frame_of_its_own_left_camera() -> None:
+    """Rectification turns the picture, not the camera: up and the axes are those of the camera that took it."""
+    turned = Rotation.from_euler("xyz", [0.4, -1.5, 0.8], degrees=True).as_matrix()
+    raw = RIG.model_copy(
+        update={
+            "body_SE3_left": se3.to_matrix4(np.eye(4)),
+            "body_SE3_right": se3.to_matrix4(se3.se3(turned, [0.53, 0.004, 0.01])),
+        }
+    )
+    flat = rectify(raw)
+    assert not rigs.body_is_left_camera(flat)
+    foot = np.array([1.0, 1.6, 8.0])
+    points = {
+        name: tuple(
+            cam.project(
+                rigs.camera_of(flat, side),
+                se3.apply(se3.invert(rigs.body_SE3_camera(flat, side)), foot - np.array([0, h, 0])),
+            )
+            for side in ("left", "right")
+        )
+        for name, h in (("foot", 0.0), ("centre", 0.35), ("tip", 0.7))
+    }
+    (position,), rejections = locate_in_camera([match_of(points)], flat, PARAMS)  # type: ignore[arg-type]
+    assert not rejections
+    np.testing.assert_allclose(position.xyz_m, foot, atol=1e-6)
+    np.testing.assert_allclose(position.centre_xyz_m, foot - np.array([0, 0.35, 0]), atol=1e-6)
+    assert position.ground_distance_m == pytest.approx(math.hypot(1.0, 8.0))
+    assert position.cone_height_m == pytest.approx(0.7)
+    assert position.foot_height_m == pytest.approx(-1.6)
+    along = np.array([1.0, 0.0, 8.0]) / math.hypot(1.0, 8.0)
+    sigma = math.sqrt(along @ as_matrix(position.cov_m2) @ along)
+    assert sigma == pytest.approx(position.ground_distance_sigma_m, rel=1e-6)
+
+
+def shifted(
+    points: dict[str, tuple[Array, Array]], u_px: float = 0.0, v_px: float = 0.0
+) -> dict[str, tuple[Array, Array]]:
+    return {name: (left, right + np.array([u_px, v_px])) for name, (left, right) in points.items()}
+
+
+BAD = {
+    RejectionReason.RAY_ANGLE_TOO_SMALL: match_of(see(ahead(80.0)), 1),
+    RejectionReason.RANGE_OUT_OF_BOUNDS: match_of(see(ahead(45.0)), 2),
+    RejectionReason.BEHIND_CAMERA: match_of(shifted(see(ahead(10.0)), u_px=80.0), 3),
+    RejectionReason.RESIDUAL_TOO_LARGE: match_of(shifted(see(ahead(10.0)), v_px=40.0), 4),
+    RejectionReason.POSITION_INVALID: match_of(see(ahead(10.0)), 5, frame_index=8),
+}
+
+
+@pytest.mark.parametrize("locate", ["map", "camera"])
+def test_every_bad_match_is_rejected_with_its_reason_and_the_good_ones_stay(locate: str) -> None:
+    matches = [match_of(see(ahead(10.0))), *BAD.values(), match_of(see(ahead(20.0)), 6)]
+    if locate == "map":
+        positions, rejections = locate_positions(matches, {7: PAIR}, RIG, PARAMS)
+        expected = list(BAD)
+    else:  # the camera's frame needs no pose, so a match without one is as good as any
+        positions, rejections = locate_in_camera(matches, RIG, PARAMS)  # type: ignore[assignment]
+        expected = [reason for reason in BAD if reason is not RejectionReason.POSITION_INVALID]
+    assert [r.reason for r in rejections] == expected
+    assert len(positions) + len(rejections) == len(matches)
+    assert {p.match_index for p in positions} >= {0, 6}
+    for rejection in rejections:
+        assert rejection.step == "positions"
+        assert StereoMatch.model_validate(rejection.payload) in matches, "the payload is the whole record"
+        assert len(rejection.detail) > 20
+
+
+def test_iterations_that_do_not_suffice_are_a_rejection() -> None:
+    points = shifted(see(ahead(6.0, 2.0)), v_px=15.0)
+    params = PARAMS.model_copy(update={"max_iterations": 1, "max_residual_px": 50.0})
+    _, (rejection,) = locate_positions([match_of(points)], {7: PAIR}, RIG, params)
+    assert rejection.reason is RejectionReason.NOT_CONVERGED
+
+
+def test_no_match_no_position() -> None:
+    assert locate_positions([], {7: PAIR}, RIG, PARAMS) == ([], [])
+    assert locate_in_camera([], RIG, PARAMS) == ([], [])
+    _, rejections = locate_positions([match_of(see(ahead(10.0)))], {}, RIG, PARAMS)
+    assert [r.reason for r in rejections] == [RejectionReason.POSITION_INVALID]
+
+
+def test_a_position_that_its_record_refuses_is_a_rejection_and_no_exception() -> None:
+    # A cone straight under the camera: found, but its ground distance of 0 is none.
+    looking_down = se3.se3(np.diag([1.0, -1.0, -1.0]), [0, 0, 5.0])
+    rig = RIG.model_copy(
+        update={
+            "body_SE3_left": se3.to_matrix4(looking_down),
+            "body_SE3_right": se3.to_matrix4(se3.compose(looking_down, se3.se3(np.eye(3), [0.53, 0, 0]))),
+        }
+    )
+    level = Pose(
+        map_R_body=se3.to_matrix3(np.eye(3)), map_t_body_m=(0.0, 0.0, 0.0), sigma_enu_m=(0.1, 0.1, 0.1),
+        sigma_rpy_rad=(0.0, 0.0, 0.0),
+    )  # fmt: skip
+    disparity = 721.5 * 0.53 / 5.0
+    left, right = np.array([609.6, 172.9]), np.array([609.6 - disparity, 172.9])
+    points = dict.fromkeys(("foot", "centre", "tip"), (left, right))
+    pair = PAIR.model_copy(update={"pose": level})
+    positions, (rejection,) = locate_positions([match_of(points)], {7: pair}, rig, PARAMS)
+    assert not positions
+    assert rejection.reason is RejectionReason.POSITION_INVALID
+    assert "range_m" in rejection.detail

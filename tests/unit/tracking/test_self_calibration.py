@@ -1,0 +1,271 @@
+"""When a drive's own word on its calibration is taken, and what the rig is then."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from conetl.geometry import pose as se3
+from conetl.geometry.calibration.covariance import calibration_cov
+from conetl.geometry.calibration.shared import calibration_id, shared_errors
+from conetl.geometry.camera import project
+from conetl.geometry.motion.stereo_motion import RelativeMotion
+from conetl.geometry.motion.stereo_tracks import NoMeasurement, StereoTracks
+from conetl.geometry.rectification import raw_from_rectified
+from conetl.geometry.rig import infinity_shift_px, left_SE3_right
+from conetl.model.params import TrajectoryParams
+from conetl.model.records import CalibrationCovariance, Lens, Rig
+from conetl.tracking.self_calibration import (
+    SWITCHED_OFF,
+    SelfCalibration,
+    SelfCalibrationOutcome,
+    Span,
+    choose_spans,
+    self_calibrate,
+    self_calibrated_rig,
+    spread_spans,
+)
+from tests.synthetic.spans import CX_PX, FOCAL_PX, make_span, motion
+from tests.synthetic.world import make_rig
+
+PARAMS = TrajectoryParams()
+RIG = make_rig()
+TURN = np.array([0.2, -0.6, 0.2]) / FOCAL_PX
+
+
+def asked(
+    rig: Rig = RIG,
+    turn: np.ndarray = TURN,
+    seed: int = 1,
+    spans: int = 14,
+    params: TrajectoryParams = PARAMS,
+    bend_px: float = 0.0,
+) -> SelfCalibration:
+    rng = np.random.default_rng(seed)
+    chosen, tracks = [], []
+    for k in range(spans):
+        made = make_span(rng, turn, points=80)
+        for seen in (made.first_px, made.last_px):
+            seen[:, 2] += bend_px * ((seen[:, 2] - CX_PX) / FOCAL_PX) ** 2
+        chosen.append(Span(k, k + 1, made.last_SE3_first))
+        tracks.append(
+            StereoTracks(
+                first_frame_index=k, second_frame_index=k + 1, first_px=tuple(made.first_px.ravel().tolist()),
+                second_px=tuple(made.last_px.ravel().tolist()), sigma_px=0.3, missing=None,
+            )
+        )  # fmt: skip
+    return self_calibrate(rig, chosen, tracks, params)
+
+
+def moves(*ways_m: float | None, turn_rad: float = 0.0) -> list[RelativeMotion]:
+    cov = tuple((1e-6 * np.eye(6))[np.triu_indices(6)].tolist())
+    return [
+        RelativeMotion(
+            first_frame_index=k, second_frame_index=k + 1, inlier_count=50, point_count=60, reason="ok",
+            second_SE3_first=None if way is None else se3.to_matrix4(motion(way, turn_rad)), cov=() if way is None else cov,
+        )
+        for k, way in enumerate(ways_m)
+    ]  # fmt: skip
+
+
+def test_a_turned_camera_is_found_and_applied() -> None:
+    found = asked()
+    assert found.outcome is SelfCalibrationOutcome.APPLIED
+    assert np.array(found.rotation_rad) * FOCAL_PX == pytest.approx(TURN * FOCAL_PX, abs=0.12)
+    rig = self_calibrated_rig(RIG, found, PARAMS)
+    turned = left_SE3_right(RIG)[:3, :3].T @ left_SE3_right(rig)[:3, :3]
+    assert found.rotation_rad is not None
+    rx, ry, rz = found.rotation_rad
+    assert Rotation.from_matrix(turned).as_rotvec() == pytest.approx([rx, ry - found.bend, rz], abs=1e-9)
+    assert rig.right.cx_px - RIG.right.cx_px == pytest.approx(-found.bend * RIG.right.fx_px)
+    assert left_SE3_right(rig)[:3, 3] == pytest.approx(left_SE3_right(RIG)[:3, 3])
+    assert "mrad" in found.detail and "px" in found.detail
+
+
+def test_a_bend_is_found_and_applied() -> None:
+    """Of a bent picture the sides are measured right afterwards too, and what is left open there is stated."""
+    found = asked(bend_px=1.6)
+    assert found.outcome is SelfCalibrationOutcome.APPLIED
+    assert found.bend * FOCAL_PX == pytest.approx(1.6, abs=0.5)
+    assert np.array(found.rotation_rad) * FOCAL_PX == pytest.approx(TURN * FOCAL_PX, abs=0.15)
+    after = self_calibrated_rig(RIG, found, PARAMS)
+    side = np.array([[8.0, 0.0, 10.0]])
+    sigma_px = FOCAL_PX * RIG.baseline_m / 100 * float(np.sqrt(calibration_cov(side, after)[0, 2, 2]))
+    assert 0.05 < sigma_px < 0.35
+    assert "bent" in found.detail
+
+
+def test_a_calibration_that_knows_its_principal_points_is_not_bent() -> None:
+    """Where only the orientation is stated to be open, the turn alone is corrected."""
+    names = ("relative.rx_rad", "relative.ry_rad", "relative.rz_rad")
+    stated = CalibrationCovariance(
+        names=names, matrix=tuple(tuple(r) for r in ((0.7 / FOCAL_PX) ** 2 * np.eye(3)).tolist())
+    )
+    rig = RIG.model_copy(update={"calibration_covariance": stated})
+    found = asked(rig)
+    assert found.outcome is SelfCalibrationOutcome.APPLIED
+    assert found.bend == 0.0
+    assert self_calibrated_rig(rig, found, PARAMS).right == RIG.right
+
+
+def test_what_is_left_to_know_is_carried_as_an_error_of_the_calibration() -> None:
+    rig = self_calibrated_rig(RIG, asked(), PARAMS)
+    assert rig.calibration_covariance is not None
+    assert rig.calibration_covariance.names == (
+        "relative.rx_rad", "relative.ry_rad", "relative.rz_rad", "right.cx_px"
+    )  # fmt: skip
+    matrix = np.array(rig.calibration_covariance.matrix)
+    middle = np.array([0, FOCAL_PX, 0, -1])  # turn and principal point: only their sum moves the middle of the picture
+    sigma_px = np.sqrt(middle @ matrix @ middle)
+    assert 0.05 <= sigma_px < 0.2
+    assert 0.05 <= np.sqrt(matrix[3, 3]) < 0.3  # and the bend tells the principal point
+    depth_sigma_m = float(np.sqrt(calibration_cov(np.array([[0.0, 0.0, 10.0]]), rig)[0, 2, 2]))
+    assert depth_sigma_m == pytest.approx(100 * sigma_px / (FOCAL_PX * RIG.baseline_m), rel=0.05)
+
+
+def test_a_true_calibration_stays_as_it_is() -> None:
+    found = asked(turn=np.zeros(3))
+    assert found.outcome is SelfCalibrationOutcome.INSIGNIFICANT
+    assert self_calibrated_rig(RIG, found, PARAMS) is RIG
+
+
+def test_a_small_correction_stays_below_the_floor() -> None:
+    params = PARAMS.model_copy(update={"self_calibration_least_px": 1.0})
+    assert asked(params=params).outcome is SelfCalibrationOutcome.INSIGNIFICANT
+
+
+def test_what_a_good_calibration_makes_implausible_is_not_applied() -> None:
+    names = ("relative.rx_rad", "relative.ry_rad", "relative.rz_rad")
+    stated = CalibrationCovariance(
+        names=names, matrix=tuple(tuple(r) for r in ((0.03 / FOCAL_PX) ** 2 * np.eye(3)).tolist())
+    )
+    rig = RIG.model_copy(update={"calibration_covariance": stated})
+    found = asked(rig)
+    assert found.outcome is SelfCalibrationOutcome.IMPLAUSIBLE
+    assert self_calibrated_rig(rig, found, PARAMS) is rig
+
+
+def test_a_known_covariance_is_sharpened_and_not_replaced() -> None:
+    """Principal point and turn are confused by a calibration: what the drive says of their sum is taken from both."""
+    names = ("left.fx_px", "right.cx_px", "relative.ry_rad", "relative.rx_rad", "relative.rz_rad")
+    sigma = np.array([2.0, 0.7, 0.7 / FOCAL_PX, 0.5 / FOCAL_PX, 0.5 / FOCAL_PX])
+    stated = CalibrationCovariance(names=names, matrix=tuple(tuple(row) for row in np.diag(sigma**2).tolist()))
+    rig = RIG.model_copy(update={"calibration_covariance": stated})
+    found = asked(rig)
+    assert found.outcome is SelfCalibrationOutcome.APPLIED
+    after = self_calibrated_rig(rig, found, PARAMS).calibration_covariance
+    assert after is not None and after.names == names
+    matrix = np.array(after.matrix)
+    assert np.linalg.eigvalsh(matrix / np.outer(sigma, sigma)).min() > -1e-9
+    assert matrix[0, 0] == pytest.approx(4.0)
+    both = np.array([0, -1 / FOCAL_PX, 1, 0, 0])
+    assert np.sqrt(both @ matrix @ both) * FOCAL_PX < 0.2
+    assert np.sqrt(matrix[2, 2]) * FOCAL_PX < 0.3  # without the bend turn and principal point could not be told apart
+
+
+def test_what_drives_of_one_calibration_share_after_it_is_part_of_what_is_left() -> None:
+    """Both drives correct the same calibration: what neither can tell stays common, what its own spans scatter by is its own."""
+    names = ("left.fx_px", "right.cx_px", "relative.ry_rad", "relative.rx_rad", "relative.rz_rad")
+    sigma = np.array([2.0, 0.7, 0.7 / FOCAL_PX, 0.5 / FOCAL_PX, 0.5 / FOCAL_PX])
+    stated = CalibrationCovariance(names=names, matrix=tuple(tuple(row) for row in np.diag(sigma**2).tolist()))
+    given = RIG.model_copy(update={"calibration_covariance": stated})
+    after = [self_calibrated_rig(given, asked(given, bend_px=bend_px), PARAMS) for bend_px in (0.0, 1.6)]
+    both = [shared_errors(rig) for rig in after]
+    assert both[0] is not None and both[1] is not None
+    assert both[0].calibration == both[1].calibration == calibration_id(given)
+    for rig, shared in zip(after, both, strict=True):
+        assert rig.calibration_covariance is not None and shared is not None
+        part, whole = np.array(shared.matrix), np.array(rig.calibration_covariance.matrix)
+        own = (whole - part @ part.T) / np.outer(sigma, sigma)
+        assert np.linalg.eigvalsh(own).min() > -1e-9
+        assert own[2, 2] > 1e-5
+        # No drive tells the left camera's focal length: its error is as it was given, and common.
+        assert part[0] == pytest.approx([2.0, *[0.0] * (part.shape[1] - 1)], abs=1e-9)
+    one, other = (np.array(shared.matrix) for shared in both if shared is not None)
+    common = one @ other.T
+    # Turn and principal point of the right camera only come apart by the bend, so much of that is left, and the same in both.
+    correlation = common[1, 1] / np.sqrt((one @ one.T)[1, 1] * (other @ other.T)[1, 1])
+    assert correlation > 0.8
+
+
+def test_a_calibration_of_unknown_accuracy_is_the_same_in_all_drives_that_correct_it() -> None:
+    rigs = [self_calibrated_rig(RIG, asked(bend_px=bend_px), PARAMS) for bend_px in (0.0, 1.6)]
+    shared = [shared_errors(rig) for rig in rigs]
+    assert shared[0] is not None and shared[1] is not None
+    assert shared[0].calibration == shared[1].calibration
+    part = np.array(shared[0].matrix)
+    assert rigs[0].calibration_covariance is not None
+    left_over = np.array(rigs[0].calibration_covariance.matrix) - part @ part.T
+    scale = np.sqrt(np.diag(rigs[0].calibration_covariance.matrix))
+    assert np.linalg.eigvalsh(left_over / np.outer(scale, scale)).min() > -1e-9
+
+
+def test_the_camera_that_took_raw_pictures_is_turned_along_and_pictures_stay() -> None:
+    lens = Lens(model="radial", coefficients=(-0.1, 0.01))
+    tilt = np.eye(4)
+    tilt[:3, :3] = Rotation.from_rotvec([0.01, -0.02, 0.005]).as_matrix()
+    taken = RIG.model_copy(
+        update={
+            "right": RIG.right.model_copy(update={"lens": lens}),
+            "body_SE3_right": se3.to_matrix4(np.array(RIG.body_SE3_right) @ tilt),
+        }
+    )
+    rig = RIG.model_copy(update={"rectified_from": taken})
+    found = asked(rig)
+    after = self_calibrated_rig(rig, found, PARAMS)
+    places = np.array([[100.0, 50.0], [600.0, 180.0], [1200.0, 360.0]])
+    assert raw_from_rectified(after, "right", places) == pytest.approx(
+        raw_from_rectified(rig, "right", places), abs=1e-6
+    )
+    assert after.rectified_from is not None and after.rectified_from.calibration_covariance is not None
+    assert after.calibration_covariance is None
+    turned = left_SE3_right(RIG)[:3, :3].T @ left_SE3_right(after)[:3, :3]
+    assert Rotation.from_matrix(turned).as_rotvec() == pytest.approx(np.array(found.rotation_rad), abs=1e-9)
+
+
+def test_infinity_lies_where_a_turned_camera_sees_it() -> None:
+    assert infinity_shift_px(RIG, np.array([300.0, 200.0])) == pytest.approx([0.0, 0.0], abs=1e-9)
+    rig = self_calibrated_rig(RIG, asked(), PARAMS)
+    far_left = np.array([-4e5, 1e5, 1e6])
+    far_right = se3.apply(se3.invert(left_SE3_right(rig)), far_left)
+    shift = project(rig.left, far_left) - project(rig.right, far_right)
+    assert infinity_shift_px(rig, project(rig.left, far_left)) == pytest.approx(shift, abs=1e-3)
+
+
+def test_a_long_drive_is_represented_by_spans_from_all_of_it() -> None:
+    spans = choose_spans(moves(*[2.0] * 1000), 2.0)
+    assert len(spans) == 1000
+    chosen = spread_spans(spans, 120)
+    assert (len(chosen), chosen[0], chosen[-1]) == (120, spans[0], spans[-1])
+    steps = np.diff([span.first for span in chosen])
+    assert set(steps) == {8, 9}
+    assert spread_spans(spans[:120], 120) == spans[:120]
+
+
+def test_spans_follow_each_other_and_begin_anew_after_a_gap() -> None:
+    spans = choose_spans(moves(0.8, 0.8, 0.8, 0.8, None, 1.5, 1.5), 2.0)
+    assert [(s.first, s.last) for s in spans] == [(0, 3), (5, 7)]
+    assert np.linalg.norm(spans[0].last_SE3_first[:3, 3]) == pytest.approx(2.4, abs=0.05)
+
+
+def test_a_car_that_stands_or_turns_on_the_spot_gives_no_estimate() -> None:
+    for turn in (0.0, 0.1):
+        spans = choose_spans(moves(*[0.0] * 40, turn_rad=turn), 2.0)
+        assert spans == []
+    found = self_calibrate(RIG, [], [], PARAMS)
+    assert found.outcome is SelfCalibrationOutcome.NO_ESTIMATE
+    assert self_calibrated_rig(RIG, found, PARAMS) is RIG
+    assert self_calibrated_rig(RIG, SWITCHED_OFF, PARAMS) is RIG
+
+
+def test_pictures_without_texture_give_no_estimate() -> None:
+    spans = [Span(k, k + 1, motion(2.0, 0.0)) for k in range(20)]
+    blank = [
+        StereoTracks(
+            first_frame_index=k, second_frame_index=k + 1, first_px=(), second_px=(), sigma_px=1.0,
+            missing=NoMeasurement.PICTURE_BLANK,
+        )
+        for k in range(20)
+    ]  # fmt: skip
+    assert self_calibrate(RIG, spans, blank, PARAMS).outcome is SelfCalibrationOutcome.NO_ESTIMATE

@@ -1,0 +1,151 @@
+"""Variance components of sightings: drawn errors are found again, whatever the sightings stated of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from conetl.geometry import pose as se3
+from conetl.model.params import TrajectoryParams
+from conetl.model.records import Detection, FramePair, Side, StereoMatch, Track
+from conetl.tracking.matching.covariance import SHARED_DISPARITY_PX
+from conetl.tracking.pose_errors import PoseCov, pose_cov
+from conetl.tracking.trajectory import refine_trajectory
+from conetl.tracking.variance_components import SightingVariances, sighting_variances, with_variances
+from tests.conftest import sample_matches, sample_track
+from tests.synthetic.odometry import log_of, motions_of
+from tests.synthetic.world import ORIGIN_M, camera_pose, make_path, make_rig
+
+RIG, PATH = make_rig(), make_path(24)
+FEET_M = np.array([[x, y, 0.0] for x in (12.0, 18.0, 24.0, 30.0) for y in (-3.5, 3.0)]) + ORIGIN_M
+OUTLINE_PX = 0.3
+
+
+def drawn(
+    rng: np.random.Generator, sizes: tuple[float, float, float], *, cones: int = 8, wild: float = 0.0
+) -> tuple[list[StereoMatch], list[Track]]:
+    """Sightings whose columns, rows and disparities err by `sizes` times what they state, and tracks some centimetres off.
+
+    wild: share of the sightings that are off by 15 px. All sightings of a cone are off by two sigmas of what they share.
+    """
+    matches, tracks = [], []
+    for number, foot in enumerate(FEET_M[:cones]):
+        members = []
+        for pair in PATH:
+            uv = {}
+            for side, camera in (("left", RIG.left), ("right", RIG.right)):
+                local = (foot - camera_pose(pair, RIG, side)[:3, 3]) @ camera_pose(pair, RIG, side)[:3, :3]
+                if local[2] > 3.0:
+                    scale = np.array([camera.fx_px, camera.fy_px]) / local[2]
+                    uv[side] = np.array([camera.cx_px, camera.cy_px]) + scale * local[:2] + 2 * OUTLINE_PX
+            if len(uv) < 2:
+                continue
+            # No two sightings state the same.
+            pointing, across, of_disparity = np.array([0.4, 0.7, 0.08]) * rng.uniform(0.6, 1.6)
+            both = rng.normal(0, sizes[0] * pointing) + 15.0 * (rng.random() < wild)
+            apart = rng.normal(0, sizes[2] * of_disparity) / 2
+            uv["left"] += [both + apart, rng.normal(0, sizes[1] * across)]
+            uv["right"] += [both - apart, rng.normal(0, sizes[1] * across)]
+            left, right = ((float(uv[side][0]), float(uv[side][1])) for side in ("left", "right"))
+            matches.append(
+                sample_matches(1)[0].model_copy(
+                    update={
+                        "frame_index": pair.frame_index, "match_index": number,
+                        "left": _box(pair.frame_index, number, "left"), "right": _box(pair.frame_index, number, "right"),
+                        "foot_left_uv_px": left, "foot_right_uv_px": right,
+                        "sigma_u_px": float(np.hypot(of_disparity, SHARED_DISPARITY_PX) / 2**0.5),
+                        "sigma_v_px": float(across), "sigma_pointing_px": float(pointing), "sigma_outline_px": OUTLINE_PX,
+                    }
+                )
+            )  # fmt: skip
+            members.append((pair.frame_index, number))
+        x, y, z = (foot + rng.normal(0, 0.05, 3)).tolist()
+        tracks.append(
+            sample_track(number).model_copy(
+                update={"xyz_m": (x, y, z), "members": tuple(members), "observation_count": len(members)}
+            )
+        )
+    return matches, tracks
+
+
+def _box(frame: int, number: int, side: Side) -> Detection:
+    return Detection(
+        frame_index=frame, side=side, detection_index=number, x_px=600, y_px=180, w_px=20, h_px=30, score=0.9,
+        foot_px=(610.0, 210.0),
+    )  # fmt: skip
+
+
+def found(
+    matches: list[StereoMatch],
+    tracks: list[Track],
+    pairs: list[FramePair] = PATH,
+    pose_cov: PoseCov | None = None,
+) -> SightingVariances:
+    return sighting_variances(tracks, matches, RIG, {pair.frame_index: pair.pose for pair in pairs}, pose_cov)
+
+
+@pytest.mark.parametrize("sizes", [(1.0, 1.0, 1.0), (1.5, 0.7, 1.3), (0.7, 1.6, 0.6)])
+def test_what_was_drawn_is_found(sizes: tuple[float, float, float]) -> None:
+    """Over many drives within some percent: without bias, each group for itself, though places and shared errors are unknown."""
+    rng = np.random.default_rng(5)
+    factors = np.array([found(*drawn(rng, sizes)) for _ in range(12)])
+    count = len(drawn(rng, sizes)[0])
+    assert count > 100
+    # What is stated counts as 16 residuals beside them.
+    expected = (count * np.square(sizes) + 16) / (count + 16)
+    assert factors.mean(axis=0) == pytest.approx(expected, rel=0.1)
+    assert (factors.std(axis=0) / expected < 1.5 * (2 / count) ** 0.5).all()
+
+
+def test_poses_that_slide_are_no_scatter_of_the_pictures() -> None:
+    """A refined log of an RTK receiver: with the covariance of its poses the drawn factors are found, without it larger ones."""
+    params, rng = TrajectoryParams(), np.random.default_rng(6)
+    truth = np.stack([se3.map_SE3_body(pair.pose) for pair in PATH])
+    knowing, naive = [], []
+    for _ in range(6):
+        log = log_of(truth, rng, 0.06, 0.001, params)
+        refined = refine_trajectory(log, RIG, motions_of(truth, RIG, rng, params), params)
+        matches, tracks = drawn(rng, (1.0, 1.0, 1.0))
+        moved = list(refined.frame_pairs)
+        knowing.append(found(matches, tracks, moved, pose_cov(refined, params)))
+        naive.append(found(matches, tracks, moved))
+    assert np.mean(knowing, axis=0) == pytest.approx(1.0, abs=0.15)
+    assert (np.mean(naive, axis=0)[:2] > 1.3).all()
+
+
+def test_a_cone_or_none_says_little() -> None:
+    """Two or three sightings do not overthrow what they state, and no factor leaves its bounds."""
+    matches, tracks = drawn(np.random.default_rng(1), (1.5, 1.5, 1.5), cones=1)
+    few = tracks[0].model_copy(update={"members": tracks[0].members[:3]})
+    assert found(matches, []) == (1.0, 1.0, 1.0)
+    assert np.array(found(matches, [few])) == pytest.approx(1.0, abs=0.5)
+    assert found(*drawn(np.random.default_rng(2), (9.0, 9.0, 9.0))) == (4.0, 4.0, 4.0)
+    assert found(*drawn(np.random.default_rng(3), (0.05, 0.05, 0.05))) == pytest.approx((0.25, 0.25, 0.25), rel=0.01)
+
+
+def test_wild_sightings_count_as_what_the_adjustment_takes_them_for() -> None:
+    """One in thirty is off by 15 px, forty sigmas."""
+    rng = np.random.default_rng(11)
+    factors = np.mean([found(*drawn(rng, (1.0, 1.0, 1.0), wild=0.03)) for _ in range(6)], axis=0)
+    assert (factors > 0.8).all()
+    assert (factors < 1.5).all()
+
+
+def test_only_sightings_that_took_part_change() -> None:
+    """And of their disparity not what all sightings of a cone have in common."""
+    matches, tracks = drawn(np.random.default_rng(4), (1.0, 1.0, 1.0), cones=2)
+    rough = matches[0].model_copy(update={"refined": False})
+    no_foot = matches[1].model_copy(update={"left": matches[1].left.model_copy(update={"foot_px": None})})
+    matches[:2] = [rough, no_foot]
+    changed = with_variances(matches, SightingVariances(columns=4.0, rows=0.25, disparity=0.25))
+    assert changed[:2] == [rough, no_foot]
+    for old, new in zip(matches[2:], changed[2:], strict=True):
+        assert new.sigma_pointing_px == pytest.approx(2 * old.sigma_pointing_px)
+        assert new.sigma_v_px == pytest.approx(old.sigma_v_px / 2)
+        assert 2 * new.sigma_u_px**2 - SHARED_DISPARITY_PX**2 == pytest.approx(
+            (2 * old.sigma_u_px**2 - SHARED_DISPARITY_PX**2) / 4
+        )
+        assert new.foot_left_uv_px == old.foot_left_uv_px
+    # Those that do not take part do not change the factors either.
+    moved = rough.model_copy(update={"foot_left_uv_px": (0.0, 0.0)})
+    assert found([moved, *matches[1:]], tracks) == found(matches, tracks)

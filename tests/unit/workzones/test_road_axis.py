@@ -1,0 +1,54 @@
+"""Stations and offsets along a line."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from conetl.workzones.road_axis import part, place, project, smoothed, stations, without_standstill
+
+BEND = np.stack([100 * np.sin(np.linspace(0, 1, 80)), 100 - 100 * np.cos(np.linspace(0, 1, 80))], axis=1)
+finite = st.floats(-30, 130)
+
+
+@given(s=finite, o=st.floats(-20, 20))
+def test_place_and_project_are_inverse(s, o):
+    back_s, back_o = project(BEND, place(BEND, np.array([s]), np.array([o])))
+    # A polyline has corners: beside one, a point is nearest to the corner itself.
+    assert back_s[0] == pytest.approx(s, abs=0.3)
+    assert back_o[0] == pytest.approx(o, abs=0.01)
+
+
+def test_left_is_positive_and_the_line_goes_on_straight_beyond_its_ends():
+    line = np.array([[0.0, 0.0], [10.0, 0.0]])
+    s, o = project(line, np.array([[5.0, 2.0], [-3.0, -1.0], [14.0, 1.0]]))
+    assert s == pytest.approx([5.0, -3.0, 14.0])
+    assert o == pytest.approx([2.0, -1.0, 1.0])
+    assert stations(part(line, -5.0, 12.0))[-1] == pytest.approx(17.0)
+
+
+def test_many_points_are_projected_like_one():
+    points = np.random.default_rng(1).uniform(-20, 110, (700, 2))
+    together = project(BEND, points)
+    alone = [project(BEND, point[None]) for point in points]
+    assert np.allclose(together[0], [s[0] for s, _ in alone])
+    assert np.allclose(together[1], [o[0] for _, o in alone])
+
+
+def test_smoothing_removes_wiggles_and_keeps_straight_lines_to_their_ends():
+    x = np.arange(0.0, 80.0, 0.5)
+    line = np.stack([x, 0.02 * x], axis=1)
+    assert np.abs(project(line, smoothed(line, 2.0, 5.0))[1]).max() < 1e-9
+    assert np.allclose(smoothed(line, 2.0, 5.0)[[0, -1]], line[[0, -1]], atol=0.01)
+    noisy = line + np.random.default_rng(2).normal(0, 0.1, line.shape)
+    # The ends are held by their points.
+    assert np.abs(project(line, smoothed(noisy, 2.0, 5.0)[4:-4])[1]).max() < 0.12
+
+
+def test_a_standing_car_adds_nothing():
+    line = np.array([[0.0, 0.0], [0.01, 0.0], [0.02, 0.01], [3.0, 0.0]])
+    assert without_standstill(line, 0.5).tolist() == [[0.0, 0.0], [3.0, 0.0]]
+    with pytest.raises(ValueError, match="two different points"):
+        project(np.zeros((3, 2)), np.zeros((1, 2)))
