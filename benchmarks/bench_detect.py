@@ -2,9 +2,9 @@
 
     .venv/bin/python benchmarks/bench_detect.py [--quick] [--json FILE] [--model FILE] [--pictures FOLDER]
 
-Rows: conetl's whole detection (`conetl.perception.detector.detect_image`), its network alone on the tensor of the full-size look, on the
-tensors of all looks, and two rivals with random weights (`rival_networks.py`), network alone. With `--pictures` conetl's rows are
-measured on pictures of one's own, at most 24 from all over the folder; times are per picture.
+Rows: conetl's whole detection (`conetl.perception.detector.detect_image`), its network alone on the tensor of the full-size
+look, on the tensors of all looks, and two rivals with random weights (`rival_networks.py`), network alone. With `--pictures`
+conetl's rows are measured on pictures of one's own, at most 24 from all over the folder; times are per picture.
 
 One thread is one session of one thread; two threads are two Python threads, each with its own such session, working on the same
 image at the same time. Needs the development packages (onnx).
@@ -151,7 +151,7 @@ def measure(what: str, size_px: tuple[int, int], works: Sequence[Work], runs: in
     )  # fmt: skip
 
 
-def pictures_of(folder: Path) -> list[Image]:
+def images_of(folder: Path) -> list[Image]:
     """At most MOST_PICTURES of a folder, from all over it; all must have the size of the first."""
     paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in {".jpg", ".jpeg", ".png"})
     try:
@@ -309,7 +309,7 @@ def run(model_path: Path, runs: int, threads: int, pictures: Path | None) -> dic
     if pictures is None:
         sources = [([image], source) for image, source in (sample_image(*size_px) for size_px in SIZES_PX)]
     else:
-        sources = [(pictures_of(pictures), f"{pictures.parent.name}/{pictures.name}")]
+        sources = [(images_of(pictures), f"{pictures.parent.name}/{pictures.name}")]
     for images, source in sources:
         rows, detection = measure_conetl(detectors, images, runs)
         timings += rows

@@ -68,7 +68,7 @@ def without_prefect(drives: list[Path], settings: Settings) -> int:
     params = IngestParams()
     sweep((settings.results_folder, settings.exports_folder))
     for folder in drives:
-        drive, refused = tasks.read_drive_task.fn(folder, merging.map_srid(settings), settings.pictures_folder)
+        drive, refused = tasks.read_drive_task.fn(folder, merging.map_srid(settings), settings.images_folder)
         identity = merging.identify(drive, params, settings)
         if merging.already_committed(drive, identity, settings) is None:
             (chunk,) = chunks_of(

@@ -25,7 +25,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks.own_home import own_home
 
 IMPORTS = {
-    "the steps alone": "import conetl.perception.detector, conetl.readers.drives, conetl.db.map.map_store, conetl.tracking.tracks",
+    "the steps alone": "import conetl.perception.detector, conetl.db.map.map_store, conetl.tracking.tracks",
     "the flow, with Prefect": "import flows.ingest_drive",
 }
 

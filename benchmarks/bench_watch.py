@@ -2,7 +2,7 @@
 
     python benchmarks/bench_watch.py [DRIVE] [--rate 10] [--frames 154]
 
-Pictures are written in place in pieces, as a recorder does, after the OXTS record and the time stamps. Prints what
+Images are written in place in pieces, as a recorder does, after the OXTS record and the time stamps. Prints what
 `conetl watch` says at its end, and the load of the machine. The provisional features go to
 CONETL_DATABASE_URL, or to a private cluster of its own.
 """

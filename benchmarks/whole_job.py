@@ -42,7 +42,7 @@ def source_drive(given: Path | None) -> Path:
 
 
 def make_long_drive(source: Path, folder: Path, pairs: int, *, start: datetime | None = None) -> Path:
-    """A KITTI drive of `pairs` frame pairs: the car of `source` goes to and fro, at 10 pairs a second. Pictures are links.
+    """A KITTI drive of `pairs` frame pairs: the car of `source` goes to and fro, at 10 pairs a second. Images are links.
 
     No two neighbouring pairs show the same picture, so that nothing looks like a stuck camera.
     """

@@ -1,4 +1,4 @@
-"""The rendered cone of the accuracy study: real detector, matching and intersection on pictures with drawn camera noise."""
+"""The rendered cone of the accuracy study: real detector, matching and intersection on images with drawn camera noise."""
 
 from __future__ import annotations
 
@@ -85,10 +85,10 @@ def study(figure_path: Path) -> str:
         )
         by_side.append(locate_draws(pair, detector, range(10)))
         rows.append(_row(f"plate turned by {heading:.0f}°, sun at {sun:.0f}°, 10 draws", by_side[-1]))
-    figure, (picture, scatter) = plt.subplots(1, 2, figsize=(8.4, 3.6), width_ratios=(0.6, 1), layout="constrained")
-    picture.imshow(develop(paper.left, exposure_gain(paper.left), np.random.default_rng(0))[::2, ::2, ::-1])
-    picture.set_title("the cone at 8.53 m,\ncut from 6000 x 4000 pixels", fontsize=9)
-    picture.axis("off")
+    figure, (image, scatter) = plt.subplots(1, 2, figsize=(8.4, 3.6), width_ratios=(0.6, 1), layout="constrained")
+    image.imshow(develop(paper.left, exposure_gain(paper.left), np.random.default_rng(0))[::2, ::2, ::-1])
+    image.set_title("the cone at 8.53 m,\ncut from 6000 x 4000 pixels", fontsize=9)
+    image.axis("off")
     for number, side in enumerate(by_side):
         scatter.plot(
             *(100 * side.errors_m[:, [0, 2]]).T,
@@ -106,7 +106,7 @@ def study(figure_path: Path) -> str:
     everything = np.vstack([errors.errors_m, *(side.errors_m for side in by_side)])
     beyond = int(np.sum(np.abs(100 * everything[:, [0, 2]]).max(axis=1) > SHOWN_CM))
     if beyond:
-        scatter.set_title(f"{beyond} of {len(everything)} draws lie beyond the picture", fontsize=9)
+        scatter.set_title(f"{beyond} of {len(everything)} draws lie beyond the image", fontsize=9)
     scatter.grid(color="#eeeeee")
     scatter.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
     figure.savefig(figure_path, dpi=80)

@@ -1,1 +1,1 @@
-"""Prefect flows: order, retries and wiring. What is done stands in `conetl.steps` and `conetl.io`."""
+"""Prefect flows: order, retries and wiring. Every line of work is a call into `conetl.pipeline`."""

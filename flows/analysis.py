@@ -140,8 +140,8 @@ def _run_chunks(
 
     Matching waits for the calibration, which needs the odometry of the whole drive. So the odometry comes first, and while Python
     itself works out the calibration in the caller's own thread, detections, which leave the interpreter to others, keep
-    the cores busy. Once the rig is known, matches are computed along with the detections, from pictures that are in memory; only
-    for those that were found meanwhile are pictures read again.
+    the cores busy. Once the rig is known, matches are computed along with the detections, from images that are in memory; only
+    for those that were found meanwhile are images read again.
     """
     drive_id, params = drive.drive_id, chunks[0].params.trajectory
     overlapping = list(odometry_chunks(chunks)) if params.refine else []

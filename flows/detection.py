@@ -1,4 +1,4 @@
-"""Tasks that look at pictures for cones: detections of parts of a chunk, and stereo matches while the pictures are in memory."""
+"""Tasks that look at images for cones: detections of parts of a chunk, and stereo matches while the images are in memory."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ from conetl.model.records import (
 )
 from conetl.model.rejections import INPUT_REASONS, Rejection
 from conetl.perception import detector as detector_io
-from conetl.perception.allocator import keep_freed_pictures
+from conetl.perception.allocator import keep_freed_images
 from conetl.perception.detections import check_boxes
 from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_hashed_rig_image, read_rig_image_again
-from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, parts_of, picture_hashes, picture_paths, rig_and_poses
+from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, image_hashes, image_paths, parts_of, rig_and_poses
 from conetl.pipeline.progress import tell_progress
 from conetl.tracking.matching.epipolar_search import Region, blocks_of, is_unanswered, right_region
 from conetl.tracking.matching.matches import match_pair, with_measured_spread
@@ -51,15 +51,15 @@ _per_thread = threading.local()
 
 @task(name="detect", task_run_name="detect {chunk.frame_pairs[0].frame_index} {part}", **RETRY)
 def detect_task(chunk: Chunk, part: int, rig: Rig | None) -> Path:
-    """Detections in both pictures of one of the parts of a chunk; returns the Parquet file.
+    """Detections in both images of one of the parts of a chunk; returns the Parquet file.
 
-    The right picture is searched along epipolar lines, and everywhere in some pairs of every block (`epipolar_search.py`).
+    The right image is searched along epipolar lines, and everywhere in some pairs of every block (`epipolar_search.py`).
     rig: of the drive after its self-calibration, None where that is not known yet. Where it is, the matches are computed along
-    with the detections, while the pictures are in memory, and lie where `match_task` looks for them.
+    with the detections, while the images are in memory, and lie where `match_task` looks for them.
     """
     pairs = chunk.frame_pairs[parts_of(chunk)[part]]
-    paths = picture_paths(pairs)
-    hashes = picture_hashes(paths)
+    paths = image_paths(pairs)
+    hashes = image_hashes(paths)
     params, reconcile = chunk.params.detection, chunk.params.reconcile
     key = result_key(
         RESULTS_VERSION,
@@ -79,14 +79,14 @@ def detect_task(chunk: Chunk, part: int, rig: Rig | None) -> Path:
         if rig is not None:
             _match_part(chunk, part, detected, rig)
         return detected
-    keep_freed_pictures()
+    keep_freed_images()
     first_rows = _first_rows(chunk)
     found: list[_PairFound] = []
     at = in_batches(paths)
     for middle, block in blocks_of(len(pairs), chunk.params):
         hashed = {k: [(path, hashes[path]) for path in (next(at), next(at))] for k in block}
         seen = {middle: _search(chunk, pairs[middle], hashed[middle], first_rows, rig, everywhere=True)}
-        # A pair of which a picture is broken answers nothing.
+        # A pair of which a image is broken answers nothing.
         everywhere = _is_broken(seen[middle]) or is_unanswered(seen[middle].detections, chunk.rig, chunk.params)
         for k in block:
             if k != middle:
@@ -123,9 +123,9 @@ def _search(
     *,
     everywhere: bool,
 ) -> _PairFound:
-    """Detections, and matches where the rig is known, of one frame pair; the right picture where partners can be, or everywhere.
+    """Detections, and matches where the rig is known, of one frame pair; the right image where partners can be, or everywhere.
 
-    hashed: the left and the right picture's place, and SHA-256 as it was hashed for the key.
+    hashed: the left and the right image's place, and SHA-256 as it was hashed for the key.
     """
     images: dict[Side, NDArray[np.uint8]] = {}
     by_side: dict[Side, list[Detection]] = {"left": [], "right": []}
@@ -148,7 +148,7 @@ def _search(
 def _detect(
     chunk: Chunk, frame_index: int, side: Side, path: Path, sha256: str, first_row: int, region: Region | None
 ) -> tuple[NDArray[np.uint8] | None, list[Detection], list[Rejection]]:
-    """One picture, None where it cannot be read, and what was found in it from a row on, in a part of it (None: everywhere).
+    """One image, None where it cannot be read, and what was found in it from a row on, in a part of it (None: everywhere).
 
     sha256: as it was hashed for the key.
     """
@@ -175,7 +175,7 @@ def _detect(
 def match_task(chunk: Chunk, rig: Rig, *detected: Path) -> Path:
     """Stereo matches of a chunk from the detections of its parts; returns the Parquet file.
 
-    chunk: with the rig by which its pictures were read; rig: the same after self-calibration.
+    chunk: with the rig by which its images were read; rig: the same after self-calibration.
     """
     keys = [_match_key(chunk, path, rig) for path in detected]
     key = result_key(RESULTS_VERSION, "matches", *keys)
@@ -216,7 +216,7 @@ def _match(
     up = map_SE3_left(pair.pose, rig)[2, :3]
     if params.refine and images is None:
         if not match_pair(ours, theirs, rig, params, up_left=up)[0]:
-            images = {}  # pictures are dear: only where boxes alone say that something matches
+            images = {}  # images are dear: only where boxes alone say that something matches
         else:
             paths: dict[Side, str] = {"left": pair.left_path, "right": pair.right_path}
             images = {side: read_rig_image_again(place(path), chunk.rig, side) for side, path in paths.items()}
@@ -232,7 +232,7 @@ def _match_key(chunk: Chunk, detected: Path, rig: Rig) -> str:
 
 
 def _first_rows(chunk: Chunk) -> dict[Side, int]:
-    """Rows of the pictures of either side from which on they are searched."""
+    """Rows of the images of either side from which on they are searched."""
     return {
         side: first_road_row(
             camera_of(chunk.rig, side),

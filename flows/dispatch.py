@@ -24,7 +24,7 @@ from prefect.states import Crashed, Pending, Scheduled
 from conetl.model.errors import ServiceError
 from conetl.model.params import IngestParams
 from conetl.pipeline.settings import Settings
-from conetl.readers.drives.header import DriveOutline
+from conetl.readers.drives.header import DriveHeader
 from flows.drive_artifacts import drive_run_name
 from flows.drive_job import drive_tags, ingest_one
 
@@ -43,7 +43,7 @@ class Flight:
 
     attempt_id: UUID
     flow_run_id: UUID
-    outline: DriveOutline
+    outline: DriveHeader
     process: multiprocessing.process.BaseProcess | None
     """The child of this process; None where a worker has it."""
 
@@ -105,7 +105,7 @@ class WorkerWatch:
 
 
 def launch(
-    outline: DriveOutline,
+    outline: DriveHeader,
     settings: Settings,
     params: IngestParams,
     map_srid: int | None,

@@ -1,4 +1,4 @@
-"""What the desk sees of one drive in Prefect: a name with drive and date, rejections, worst pictures, the map, events."""
+"""What the desk sees of one drive in Prefect: a name with drive and date, rejections, worst images, the map, events."""
 
 import base64
 from collections import defaultdict
@@ -18,7 +18,7 @@ from conetl.model.records import Detection, Drive, Position, Side, StereoMatch
 from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_rig_image
 from conetl.pipeline.settings import Settings
-from conetl.readers.drives.header import DriveOutline, outline_drive
+from conetl.readers.drives.header import DriveHeader, read_header
 from conetl.reports.annotated_image import draw_boxes, pairs_jpeg
 from flows.merge import open_map
 from flows.retries import RETRY
@@ -26,7 +26,7 @@ from flows.retries import RETRY
 SHOWN_FRAMES = 3
 
 
-def drive_run_name(outline: DriveOutline) -> str:
+def drive_run_name(outline: DriveHeader) -> str:
     """Drive and date, as Prefect's lists show them."""
     at = outline.captured_from
     return f"{outline.drive_id} ({at:%Y-%m-%d %H:%M})" if at else outline.drive_id
@@ -35,7 +35,7 @@ def drive_run_name(outline: DriveOutline) -> str:
 def name_of_run() -> str:
     """Name of the present run of `ingest-drive`, whatever its parameter is called."""
     parameters = flow_run.parameters
-    return drive_run_name(outline_drive(place(str(parameters.get("drive") or parameters["folder"]))))
+    return drive_run_name(read_header(place(str(parameters.get("drive") or parameters["folder"]))))
 
 
 def show_around(report: IngestReport, settings: Settings) -> None:

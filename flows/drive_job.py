@@ -27,7 +27,7 @@ from conetl.model.ingest_report import IngestReport, TooManyRejectionsError
 from conetl.model.params import IngestParams
 from conetl.pipeline.backfill_plan import analysis_of
 from conetl.pipeline.settings import Settings, read_settings
-from conetl.readers.drives.header import DriveOutline, outline_drive
+from conetl.readers.drives.header import DriveHeader, read_header
 from flows.drive_artifacts import name_of_run
 from flows.ingest_drive import ingest_drive
 from flows.merge import database_url
@@ -49,13 +49,13 @@ def settings_for(map_name: str | None) -> Settings:
     return settings.model_copy(update={"map_name": map_name}) if map_name else settings
 
 
-def drive_tags(outline: DriveOutline, map_name: str) -> list[str]:
+def drive_tags(outline: DriveHeader, map_name: str) -> list[str]:
     """By what a run is found again in Prefect."""
     day = [f"day:{outline.captured_from:%Y-%m-%d}"] if outline.captured_from else []
     return [f"drive:{outline.drive_id}", f"map:{map_name}", *day]
 
 
-def put_tags(outline: DriveOutline, map_name: str) -> None:
+def put_tags(outline: DriveHeader, map_name: str) -> None:
     """Tag this flow run: one that the form started has no tags of its drive.
 
     Its tasks get none: before a task with tags begins, Prefect asks the server for limits of how many may run, and detections
@@ -91,7 +91,7 @@ def ingest_one(
 ) -> State[Any]:
     """Ingest one drive: into the map once, whoever else tries at the same time, with a receipt of what became of it."""
     settings = settings_for(map_name)
-    outline = outline_drive(place(drive).absolute())  # links stay: a calibration may lie beside the link
+    outline = read_header(place(drive).absolute())  # links stay: a calibration may lie beside the link
     begun = new_receipt(outline, settings, analysis_of(params, settings).sha256, attempt_id or uuid4(), flow_run.id)
     with alive(settings) as url, holding(url, begun.drive_lock):
         keep(url, begun, settings)
@@ -113,7 +113,7 @@ def ingest_one(
 
 
 def new_receipt(
-    outline: DriveOutline, settings: Settings, analysis_sha256: str, attempt_id: UUID, flow_run_id: str | None
+    outline: DriveHeader, settings: Settings, analysis_sha256: str, attempt_id: UUID, flow_run_id: str | None
 ) -> Receipt:
     """The receipt of work that begins now."""
     return Receipt(

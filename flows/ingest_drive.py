@@ -44,7 +44,7 @@ def ingest_drive(
     commit stands in the report (`unpublished`).
     """
     started = time.monotonic()
-    drive, rejections = read_drive_task(folder, map_srid or srid_of_map(settings), settings.pictures_folder.resolve())
+    drive, rejections = read_drive_task(folder, map_srid or srid_of_map(settings), settings.images_folder.resolve())
     identity = identify(drive, params, settings)
     if identity.evidence is None:
         get_run_logger().warning(NOT_MEASURED)

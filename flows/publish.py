@@ -42,17 +42,17 @@ def publish_task(
         export_geojson(conn, geojson, map_name=settings.map_name)
         write_run_steps(conn, changeset.changeset_id, times_of(flow_run.get_id()))
         page = _write_report(conn, changeset, settings)
-    picture = settings.drive_picture_path(drive.drive_id)
+    image = settings.drive_image_path(drive.drive_id)
     path = np.array([map_SE3_left(pair.pose, drive.rig)[:2, 3] for pair in drive.frame_pairs])
     draw_plan_view(
-        picture,
+        image,
         title=f"Drive {drive.drive_id}, {drive.captured_from:%Y-%m-%d %H:%M} UTC\n"
         f"map {settings.map_name}, EPSG:{drive.map_srid}",
         trajectory_m=path,
         deltas=changeset.deltas,
         untouched=untouched,
     )
-    encoded = base64.b64encode(picture.read_bytes()).decode()
+    encoded = base64.b64encode(image.read_bytes()).decode()
     create_image_artifact(
         f"data:image/png;base64,{encoded}", key="plan-view", description=f"Plan view of drive {drive.drive_id}"
     )
@@ -65,7 +65,7 @@ def publish_task(
         )
     show_around(report, settings)
     tell_changes(report, settings)
-    return [geojson, picture, page]
+    return [geojson, image, page]
 
 
 def _write_report(conn: Connection, changeset: Changeset, settings: Settings) -> Path:

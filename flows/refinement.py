@@ -23,11 +23,11 @@ from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.motion.stereo_tracks import StereoTracks, motions_of
 from conetl.model.params import IngestParams, params_sha256
 from conetl.model.records import Drive, FramePair, Rig, Side, StereoMatch
-from conetl.perception.allocator import keep_freed_pictures
+from conetl.perception.allocator import keep_freed_images
 from conetl.perception.rectified_image import read_hashed_rig_image, read_rig_image_again
 from conetl.perception.visual_odometry import follow_drive, follow_span
-from conetl.perception.working_size import PictureReader
-from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, picture_hashes, picture_paths
+from conetl.perception.working_size import ImageReader
+from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, image_hashes, image_paths
 from conetl.pipeline.progress import tell_progress
 from conetl.tracking.landmarks import refine_with_cones
 from conetl.tracking.self_calibration import SelfCalibration, choose_spans, self_calibrate, span_params, spread_spans
@@ -69,13 +69,13 @@ class Odometry(NamedTuple):
 @task(name="odometry", task_run_name="odometry {chunk.frame_pairs[0].frame_index}", **RETRY)
 def odometry_task(chunk: Chunk) -> Odometry:
     """Points followed between the frame pairs of a chunk, and its motions by the rig as it is."""
-    hashes = picture_hashes(picture_paths(chunk.frame_pairs))
+    hashes = image_hashes(image_paths(chunk.frame_pairs))
     key = _tracks_key(chunk, hashes.values())
     path, intervals = result_path(chunk.results_folder, key), len(chunk.frame_pairs) - 1
     if has_result(chunk.results_folder, key):
         tell_progress(chunk.drive_id, intervals)
         return Odometry(path, _motions(chunk, path))
-    keep_freed_pictures()
+    keep_freed_images()
     tracks: list[StereoTracks] = []
     for found in follow_drive(chunk.frame_pairs, chunk.rig, _reader(chunk.rig, hashes), chunk.params.trajectory):
         tracks.append(found)
@@ -123,7 +123,7 @@ def self_calibrate_task(drive: Drive, tracks: list[Path], motions: list[Path], c
     spans = choose_spans(measured, params.self_calibration_span_m)
     spans = spread_spans(spans, params.self_calibration_max_spans)
     if len(spans) < params.self_calibration_min_spans:
-        spans = []  # no picture needs to be read again
+        spans = []  # no image needs to be read again
     followed = [follow_span(pairs[s.first], pairs[s.last], s.last_SE3_first, drive.rig, read, wide) for s in spans]
     found = self_calibrate(drive.rig, spans, followed, params)
     save_result(chunk.results_folder, key, [found], [])
@@ -133,7 +133,7 @@ def self_calibrate_task(drive: Drive, tracks: list[Path], motions: list[Path], c
 
 @task(name="refine", **RETRY)
 def refine_task(drive: Drive, motions: list[Path], matches: list[Path], params: IngestParams) -> RefinedTrajectory:
-    """Refined poses of the whole drive; the logged ones, with the reason, where pictures or parameters do not allow it."""
+    """Refined poses of the whole drive; the logged ones, with the reason, where images or parameters do not allow it."""
     measured, _ = load_results(motions, RelativeMotion)
     found, _ = load_results(matches, StereoMatch)
     result = refine_with_cones(drive.frame_pairs, drive.rig, measured, found, params)
@@ -146,8 +146,8 @@ def _tracks_key(chunk: Chunk, hashes: Iterable[str]) -> str:
     return result_key(RESULTS_VERSION, "tracks", params_sha256(chunk.params.trajectory), geometry, *hashes)
 
 
-def _reader(rig: Rig, hashes: Mapping[Path, str]) -> PictureReader:
-    """Reads pictures that were hashed for the key of a result."""
+def _reader(rig: Rig, hashes: Mapping[Path, str]) -> ImageReader:
+    """Reads images that were hashed for the key of a result."""
 
     def read(pair: FramePair, side: Side) -> NDArray[np.uint8]:
         path = _path(pair, side)
@@ -156,8 +156,8 @@ def _reader(rig: Rig, hashes: Mapping[Path, str]) -> PictureReader:
     return read
 
 
-def reader_again(rig: Rig) -> PictureReader:
-    """Reads pictures between which motions were measured: they were there."""
+def reader_again(rig: Rig) -> ImageReader:
+    """Reads images between which motions were measured: they were there."""
     return lambda pair, side: read_rig_image_again(_path(pair, side), rig, side, grey=True)
 
 

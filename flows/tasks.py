@@ -37,9 +37,9 @@ from flows.retries import RETRY
 
 
 @task(name="read drive", task_run_name="read {folder}", **RETRY)
-def read_drive_task(folder: Path, map_srid: int | None, pictures_folder: Path) -> tuple[Drive, list[Rejection]]:
+def read_drive_task(folder: Path, map_srid: int | None, images_folder: Path) -> tuple[Drive, list[Rejection]]:
     """Understand a drive folder; see `io/drive_folder`."""
-    return read_drive(folder, map_srid=map_srid, pictures_folder=pictures_folder)
+    return read_drive(folder, map_srid=map_srid, images_folder=images_folder)
 
 
 @task(name="locate", **RETRY)

@@ -1,6 +1,6 @@
 """A drive while it is recorded: frame pairs as they arrive, in the order of recording, into provisional features.
 
-The pictures of the next pair are searched while the cones of this one are matched, located and committed. What a pair lacks is
+The images of the next pair are searched while the cones of this one are matched, located and committed. What a pair lacks is
 waited for. A pair that is not whole holds up those behind it for `PATIENCE_S` and is then left to the ingest, which takes the
 whole drive anyway; so are pairs for which the machine is too slow. Knows no Prefect.
 """
@@ -36,12 +36,12 @@ from conetl.readers.drives.pairs import PairError
 from conetl.readers.recording.drive import BEHIND, ArrivingDrive, ArrivingPair, open_arriving
 from flows.merge import database_url
 
-#: So long a pair that is not whole holds up those behind it; a picture that cannot be read may become whole for so long.
+#: So long a pair that is not whole holds up those behind it; a image that cannot be read may become whole for so long.
 PATIENCE_S = 2.0
 #: All folders are read again so often, in case the system did not tell of a file; but looks take no more than this share of time.
 _LOOK_EVERY_S, _LOOK_SHARE = 1.0, 0.02
 _WAIT_S, _GATHER_MS = 0.1, 4
-#: Older pairs are left out while newer ones wait: a picture of the road as it was a while ago is what the ingest is for.
+#: Older pairs are left out while newer ones wait: a image of the road as it was a while ago is what the ingest is for.
 MAX_BEHIND_S = 0.5
 
 
@@ -51,12 +51,12 @@ class PairTime:
 
     frame_index: int
     total_s: float
-    """From the last change of the later picture to the commit."""
+    """From the last change of the later image to the commit."""
     waited_s: float
     """Of it, without work on this pair: the system's word, a late pose, the pairs before it."""
     work: StepTimes
     backlog: bool
-    """Its pictures were there before the watch was ready: its total says nothing."""
+    """Its images were there before the watch was ready: its total says nothing."""
 
 
 @dataclass
@@ -81,7 +81,7 @@ class WatchReport:
 
 @dataclass(frozen=True)
 class _Begun:
-    """A pair whose pictures are being searched."""
+    """A pair whose images are being searched."""
 
     arriving: ArrivingPair
     since_s: float
@@ -121,7 +121,7 @@ class _Watch:
     unplaced: list[ArrivingPair] = field(default_factory=list)
     """The others, in any order."""
     begun: _Begun | None = None
-    """The one of them whose pictures are searched already."""
+    """The one of them whose images are searched already."""
 
 
 def watch_drive(
@@ -314,7 +314,7 @@ def _is_late(watch: _Watch, pair: ArrivingPair, newest_ns: int) -> bool:
 
 
 def _written_ns(pair: ArrivingPair) -> int:
-    """When the later picture of a pair changed last (inode time, which a rename sets too); 0 where one has vanished."""
+    """When the later image of a pair changed last (inode time, which a rename sets too); 0 where one has vanished."""
     try:
         return max(path.stat().st_ctime_ns for path in (pair.left_path, pair.right_path))
     except OSError:
@@ -322,7 +322,7 @@ def _written_ns(pair: ArrivingPair) -> int:
 
 
 def _take(watch: _Watch, drive: LiveDrive, begun: _Begun) -> None:
-    """Take a pair whose pictures are whole."""
+    """Take a pair whose images are whole."""
     pair, written_ns = begun.look.pair, _written_ns(begun.arriving)
     watch.drive, times = take_pair(watch.conn, watch.eyes, drive, begun.look)
     watch.report.standing = watch.drive.standing

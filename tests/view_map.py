@@ -1,4 +1,4 @@
-"""A small map with real pictures on disk, for the tests of the web view."""
+"""A small map with real images on disk, for the tests of the web view."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from conetl.model.records import utc_from_ns
 from conetl.web.app import create_app
 from conetl.web.writing import Writer
 
-#: Box of samples.detections() in both pictures.
+#: Box of samples.detections() in both images.
 BOX = (600, 180, 20, 30)
 
 
-def write_pictures(folder: Path, drive: Any) -> None:
+def write_images(folder: Path, drive: Any) -> None:
     """One grey PNG a path, with an orange block where the detections' box is."""
     for pair in drive.frame_pairs:
         for name in (pair.left_path, pair.right_path):
@@ -40,11 +40,11 @@ def write_pictures(folder: Path, drive: Any) -> None:
 
 
 def commit(conn: Any, samples: SimpleNamespace, folder: Path, key: str, day: int, *deltas: Delta) -> Any:
-    """Commit a drive of day `day` (from 0) with pictures under `folder`; system time is noon of that day."""
+    """Commit a drive of day `day` (from 0) with images under `folder`; system time is noon of that day."""
     start_ns = samples.START_NS + day * samples.DAY_NS
     source = folder / f"drive_{key}"
     drive = samples.drive(f"drive_{key}", start_ns=start_ns).model_copy(update={"source_path": str(source)})
-    write_pictures(source, drive)
+    write_images(source, drive)
     with map_transaction(conn):
         return commit_changeset(
             conn,

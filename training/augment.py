@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from dataset import Picture
+from dataset import Image
 
 MIN_CONE_PX = 7.0  # below this a labelled cone is neither taught nor forbidden
 # How far the sides of a source's boxes are believed; renders and cut-outs are exact, hand-drawn boxes leave a margin.
@@ -20,7 +20,7 @@ def pyramid(image: np.ndarray) -> list[np.ndarray]:
     return [image, half, cv2.resize(half, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)]
 
 
-def choose_scale(picture: Picture, rng: np.random.Generator, stretch: float) -> tuple[float, int]:
+def choose_scale(picture: Image, rng: np.random.Generator, stretch: float) -> tuple[float, int]:
     """Scale that brings one randomly chosen cone to a height drawn log-uniformly, most of them small; and its index."""
     if len(picture.boxes) == 0:
         return float(np.exp(rng.uniform(np.log(0.35), np.log(1.3)))), -1
@@ -39,7 +39,7 @@ def choose_scale(picture: Picture, rng: np.random.Generator, stretch: float) -> 
 
 def warp_into(
     canvas: np.ndarray,
-    picture: Picture,
+    picture: Image,
     levels: list[np.ndarray],
     area: tuple[int, int, int, int],
     rng: np.random.Generator,
@@ -308,7 +308,7 @@ def relight(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def make_sample(
     pick,
-    backgrounds: list[tuple[Picture, list[np.ndarray]]],
+    backgrounds: list[tuple[Image, list[np.ndarray]]],
     cutouts: list[CutOut],
     size: int,
     rng: np.random.Generator,

@@ -22,7 +22,7 @@ from scipy.optimize import isotonic_regression, least_squares, minimize, minimiz
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src"))
 
-from dataset import Picture, read_cones, read_renders
+from dataset import Image, read_cones, read_renders
 from looks import LEAST_SCORE, MATCH_IOU, SCALES, Looks, look_at_pictures
 from reliability import expected_calibration_error, write_reliability_figure
 
@@ -114,7 +114,7 @@ def apply(calibration: ScoreCalibration, scores: np.ndarray) -> np.ndarray:
     return np.array([calibrated_probability(calibration, float(s)) for s in scores])
 
 
-def folds_of(pictures: list[Picture]) -> np.ndarray:
+def folds_of(pictures: list[Image]) -> np.ndarray:
     """Fold (N,) of each picture: neighbours by name, which may be frames of one film or views of one scene, stay together."""
     folds = np.zeros(len(pictures), dtype=int)
     for source in sorted({p.source for p in pictures}):
@@ -200,7 +200,7 @@ def found_again(looks: Looks) -> tuple[int, list[float]]:
 
 
 def false_box_rates(looks: Looks) -> tuple[list[int], list[list[float]]]:
-    """Pictures, and boxes on no cone per picture by threshold and height (Gamma prior of half a box)."""
+    """Images, and boxes on no cone per picture by threshold and height (Gamma prior of half a box)."""
     exact = np.array(looks.exact)
     pictures = [int(exact.sum()) if low < 20 else len(exact) for low in HEIGHTS_PX]
     rows = np.array(looks.false_boxes).reshape(-1, 2)
@@ -215,8 +215,8 @@ def false_box_rates(looks: Looks) -> tuple[list[int], list[list[float]]]:
 
 
 def look_ratios(looks: Looks, evidence: DetectorEvidence) -> dict[str, list[np.ndarray]]:
-    """Per cone in plain view and per lookalike: (N, 2) log-likelihood ratio of each look, as `tracking/existence.py` takes it, and
-    the logarithm to base 2 of the apparent height."""
+    """Per cone in plain view and per lookalike: (N, 2) log-likelihood ratio of each look, as `tracking/existence.py` takes it,
+    and the logarithm to base 2 of the apparent height."""
     params = IngestParams()
     least, threshold = params.reconcile.visible_min_height_px, params.detection.score_threshold
     tables = {
@@ -369,9 +369,9 @@ def model_card_text(evidence: DetectorEvidence, figures: dict) -> str:
     return "\n".join((f"P(detect at {REFERENCE}) (looks)", *lines, json.dumps(figures, indent=1)))
 
 
-def read_cone_free(folder: Path) -> list[Picture]:
+def read_cone_free(folder: Path) -> list[Image]:
     images = ((path, cv2.imread(str(path))) for path in sorted(folder.iterdir()) if path.suffix in (".jpg", ".png"))
-    return [Picture(path.stem, "cone-free", image, np.zeros((0, 8))) for path, image in images if image is not None]
+    return [Image(path.stem, "cone-free", image, np.zeros((0, 8))) for path, image in images if image is not None]
 
 
 def main() -> None:

@@ -1,6 +1,6 @@
 """The training pictures: where they come from and how their labels are cleaned.
 
-A `Picture` is one image with its cones (N, 8) [x0, y0, x1, y1, foot x, foot y, tip x, tip y] in pixels, the last four NaN
+A `Image` is one image with its cones (N, 8) [x0, y0, x1, y1, foot x, foot y, tip x, tip y] in pixels, the last four NaN
 where they are not known (only renders and drawn cones know them), `fade` = regions where an unlabelled cone
 is likely, so that "background" is not taught there, and `tight` = whether its boxes can be trusted to the pixel.
 """
@@ -26,7 +26,7 @@ CLIP_NEGATIVES = (
 
 
 @dataclass
-class Picture:
+class Image:
     name: str
     source: str
     image: np.ndarray
@@ -71,7 +71,7 @@ def black_corner_angle(image: np.ndarray) -> float:
     return best_angle if best > 0.6 else 0.0
 
 
-def turn_upright(picture: Picture) -> Picture:
+def turn_upright(picture: Image) -> Image:
     """Undo the turn of a turned training copy and shrink its boxes to what they were before the turn.
 
     A box of w x h turned by t has the upright hull W = w cos t + h sin t, H = w sin t + h cos t; solved for w and h.
@@ -98,7 +98,7 @@ def turn_upright(picture: Picture) -> Picture:
             boxes.append((cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2))
     cones = np.full((len(boxes), 8), np.nan)
     cones[:, :4] = np.array(boxes).reshape(-1, 4)
-    return Picture(picture.name, picture.source, image, cones, np.array(fade).reshape(-1, 4))
+    return Image(picture.name, picture.source, image, cones, np.array(fade).reshape(-1, 4))
 
 
 def far_band(boxes: np.ndarray, width: int, height: int) -> np.ndarray:
@@ -110,7 +110,7 @@ def far_band(boxes: np.ndarray, width: int, height: int) -> np.ndarray:
     return np.array([[0.0, top, width, max(bottom, top + 0.06 * height)]])
 
 
-def read_cones(root: Path, split: str) -> list[Picture]:
+def read_cones(root: Path, split: str) -> list[Image]:
     """All pictures of one split of the labelled cone data, labels cleaned for training, untouched for validation."""
     pictures = []
     with (root / "manifest.csv").open() as lines:
@@ -121,7 +121,7 @@ def read_cones(root: Path, split: str) -> list[Picture]:
             raise SystemExit(f"unreadable training picture {row['file']}")
         height, width = image.shape[:2]
         boxes = read_labels((root / split / "labels" / row["file"]).with_suffix(".txt"), width, height)
-        picture = Picture(row["file"], row["source"], image, boxes)
+        picture = Image(row["file"], row["source"], image, boxes)
         if split == "train" and row["source"] == "rf_traffic_cones":
             picture = turn_upright(picture)
         if split == "train" and row["source"] == "fs_onboard":
@@ -130,7 +130,7 @@ def read_cones(root: Path, split: str) -> list[Picture]:
     return pictures
 
 
-def read_clip_negatives(root: Path, every_s: float = 0.5) -> list[Picture]:
+def read_clip_negatives(root: Path, every_s: float = 0.5) -> list[Image]:
     """Cone-free cuts of the work-zone clips (see CLIP_NEGATIVES)."""
     pictures = []
     for name, start_s, end_s, top, bottom in CLIP_NEGATIVES:
@@ -143,11 +143,11 @@ def read_clip_negatives(root: Path, every_s: float = 0.5) -> list[Picture]:
             if start_s <= index / rate <= end_s and index % max(round(rate * every_s), 1) == 0:
                 height = image.shape[0]
                 cut = image[round(top * height) : round(bottom * height)]
-                pictures.append(Picture(f"{name}_{index}", "roadwork_clips", cut, np.zeros((0, 8))))
+                pictures.append(Image(f"{name}_{index}", "roadwork_clips", cut, np.zeros((0, 8))))
     return pictures
 
 
-def read_labelled_clips(root: Path, labels: Path, every: int = 6) -> list[Picture]:
+def read_labelled_clips(root: Path, labels: Path, every: int = 6) -> list[Image]:
     """Every so many frames of the clips that `label_clips.py` labelled, with cones; boxes cut at the picture's edge."""
     pictures = []
     for name, frames in json.loads(labels.read_text())["clips"].items():
@@ -163,13 +163,13 @@ def read_labelled_clips(root: Path, labels: Path, every: int = 6) -> list[Pictur
             cones = np.full((len(label["boxes"]), 8), np.nan)
             cones[:, :4] = np.clip(label["boxes"], 0, (width, height, width, height))
             fades = np.array(label["fades"]).reshape(-1, 4)
-            pictures.append(Picture(f"{name}_{index}", "roadwork_clips", image, cones, fades))
+            pictures.append(Image(f"{name}_{index}", "roadwork_clips", image, cones, fades))
     return pictures
 
 
-def read_renders(root: Path, known: set[str], limit: int = 4000) -> list[Picture]:
+def read_renders(root: Path, known: set[str], limit: int = 4000) -> list[Image]:
     """Rendered pictures that are not in `known` yet: images/*.{jpg,png} with labels/*.txt beside them."""
-    pictures: list[Picture] = []
+    pictures: list[Image] = []
     for path in sorted((root / "images").glob("*")):
         label = root / "labels" / f"{path.stem}.txt"
         if path.stem in known or not label.exists() or path.suffix not in (".jpg", ".png"):
@@ -177,13 +177,13 @@ def read_renders(root: Path, known: set[str], limit: int = 4000) -> list[Picture
         image = cv2.imread(str(path))
         if image is None:
             continue  # still being written; the next look will find it
-        pictures.append(Picture(path.stem, "renders", image, read_labels(label, image.shape[1], image.shape[0])))
+        pictures.append(Image(path.stem, "renders", image, read_labels(label, image.shape[1], image.shape[0])))
         if len(pictures) >= limit:
             break
     return pictures
 
 
-def cut_out_cones(pictures: list[Picture]) -> list[tuple[np.ndarray, np.ndarray]]:
+def cut_out_cones(pictures: list[Image]) -> list[tuple[np.ndarray, np.ndarray]]:
     """GrabCut cut-outs (h, w, 4) BGRA of whole upright cones, trimmed to the cone's own outline: exact boxes for pasting.
 
     Each comes with its foot and tip (4,), here NaN: nobody marked them.

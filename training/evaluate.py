@@ -22,7 +22,7 @@ from pycocotools.cocoeval import COCOeval
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src"))
 
-from dataset import Picture, read_cones, read_renders
+from dataset import Image, read_cones, read_renders
 from looks import MATCH_IOU, unlabelled_places
 
 from conetl.perception.decoding import intersection_over_union
@@ -37,7 +37,7 @@ HEIGHTS_PX = {
 }
 
 
-def coco_tables(pictures: list[Picture], found: list[np.ndarray]) -> dict[str, dict[str, float]]:
+def coco_tables(pictures: list[Image], found: list[np.ndarray]) -> dict[str, dict[str, float]]:
     """AP50, AP75, AP50:95 by range of heights: COCO's areas are replaced by squared heights."""
     truth = COCO()
     annotations = []
@@ -80,7 +80,7 @@ def coco_tables(pictures: list[Picture], found: list[np.ndarray]) -> dict[str, d
     return tables
 
 
-def off_unlabelled(picture: Picture, found: np.ndarray, places: dict[str, np.ndarray]) -> np.ndarray:
+def off_unlabelled(picture: Image, found: np.ndarray, places: dict[str, np.ndarray]) -> np.ndarray:
     """Boxes (N, 5 or more) x, y, w, h, score of a picture without those on an unlabelled cone and on no labelled one.
 
     On one: as `calibrate_scores.py` asks of a box that is to be right, not that it touches it only.

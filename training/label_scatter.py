@@ -21,7 +21,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src"))
 
-from dataset import Picture, read_cones
+from dataset import Image, read_cones
 from evaluate import coco_tables
 
 from conetl.perception.decoding import intersection_over_union
@@ -46,7 +46,7 @@ def robust_scatter(values: np.ndarray) -> np.ndarray:
     return np.asarray(1.4826 * np.median(np.abs(values - np.median(values, axis=0)), axis=0))
 
 
-def pairs_of(picture: Picture, found: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+def pairs_of(picture: Image, found: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     """(box, label), both (4,) x0, y0, x1, y1, of the cones from FROM_PX on that lie whole in the picture and were found."""
     height, width = picture.image.shape[:2]
     pairs = []
@@ -86,7 +86,7 @@ def colour_box(image: np.ndarray, around: np.ndarray) -> np.ndarray | None:
     return np.array((left, top, left + width, top + height)) / COLOUR_SCALE + (x0, y0, x0, y0)
 
 
-def triples_of(picture: Picture, pairs: list[tuple[np.ndarray, np.ndarray]]) -> list[np.ndarray]:
+def triples_of(picture: Image, pairs: list[tuple[np.ndarray, np.ndarray]]) -> list[np.ndarray]:
     """(label, box, colour box) (3, 4) in shares of the height, of cones of which all three can be told."""
     triples = []
     for box, label in pairs:
@@ -112,7 +112,7 @@ def errors_of_three(values: np.ndarray) -> tuple[int, list[float]]:
     return int(kept.sum()), [float(np.sqrt(max(variance, 0.0))) for variance in variances]
 
 
-def moved_labels(picture: Picture, error: np.ndarray | float, rng: np.random.Generator) -> np.ndarray:
+def moved_labels(picture: Image, error: np.ndarray | float, rng: np.random.Generator) -> np.ndarray:
     """The labels as boxes (N, 5) x, y, w, h, score, each side moved by a normal error, (4,) or one, in shares of the height."""
     labels = picture.boxes[:, :4]
     moved = labels + rng.normal(size=labels.shape) * error * (labels[:, 3:4] - labels[:, 1:2])

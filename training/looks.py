@@ -13,7 +13,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from dataset import Picture
+from dataset import Image
 
 from conetl.perception.decoding import intersection_over_union
 
@@ -58,7 +58,7 @@ def unlabelled_places() -> dict[str, np.ndarray]:
     return {name: np.array(boxes) for name, boxes in places.items()}
 
 
-def look_at_pictures(pictures: list[Picture], exact: Callable[[Picture], bool], detect: Detect, seed: int = 5) -> Looks:
+def look_at_pictures(pictures: list[Image], exact: Callable[[Image], bool], detect: Detect, seed: int = 5) -> Looks:
     """All looks at all pictures. detect: image -> boxes (N, 5 or more) x, y, w, h, score down to LEAST_SCORE."""
     rng = np.random.default_rng(seed)
     looks, places = Looks(), unlabelled_places()
@@ -93,7 +93,7 @@ def _another_look(image: np.ndarray, scale: float, rng: np.random.Generator) -> 
 
 
 def _hide(
-    image: np.ndarray, cones: np.ndarray, share: float, pictures: list[Picture], rng: np.random.Generator
+    image: np.ndarray, cones: np.ndarray, share: float, pictures: list[Image], rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """The picture with something before each cone that covers `share` of its box, and what was pasted (N, 4).
 
@@ -132,7 +132,7 @@ def _corners(found: np.ndarray) -> np.ndarray:
 
 def _add_cones(
     looks: Looks, number: int, first: int, look: int, cones: np.ndarray, found: np.ndarray,
-    scale: float, covers: np.ndarray, picture: Picture,
+    scale: float, covers: np.ndarray, picture: Image,
 ) -> None:  # fmt: skip
     """Cones that lie wholly inside the picture, with the share of the box behind pasted things and behind nearer cones."""
     rows, columns = picture.image.shape[:2]
@@ -156,7 +156,7 @@ def hidden_share(box: np.ndarray, nearer: np.ndarray) -> float:
     return float(inside.mean())
 
 
-def _countable(found: np.ndarray, picture: Picture, places: dict[str, np.ndarray], exact: bool) -> np.ndarray:
+def _countable(found: np.ndarray, picture: Image, places: dict[str, np.ndarray], exact: bool) -> np.ndarray:
     """Boxes that can be judged: not cut by the picture's edge, not where an unlabelled cone stands or may stand."""
     rows, columns = picture.image.shape[:2]
     good = (found[:, :2] >= EDGE_PX).all(1) & (found[:, 2] <= columns - EDGE_PX) & (found[:, 3] <= rows - EDGE_PX)

@@ -27,7 +27,7 @@ from onnxruntime.quantization.shape_inference import quant_pre_process
 LEFT_IN_FP32 = ("Gemm", "MatMul")
 
 
-class Pictures(CalibrationDataReader):
+class Images(CalibrationDataReader):
     """Crops of training pictures, 640 x 384, one at a time."""
 
     def __init__(self, images: list[np.ndarray], seed: int = 3) -> None:
@@ -103,7 +103,7 @@ def main() -> None:
         quantize_static(
             str(prepared),
             str(args.out),
-            Pictures([picture.image for picture in pictures]),
+            Images([picture.image for picture in pictures]),
             quant_format=QuantFormat.QDQ,
             activation_type=QuantType.QUInt8,
             weight_type=QuantType.QInt8,

@@ -1,5 +1,5 @@
 -- Purpose: the tracks of a drive. Parameters: drive_uuid. Columns: as Track (metres, m^2, ns); members as (frame, match) pairs in a
--- two-dimensional array; at last calibrations and levers_m as PostgreSQL sends them, one after the other.
+-- two-dimensional array; at last calibrations and shared_jacobian_m as PostgreSQL sends them, one after the other.
 select
     t.track_index, t.category, ST_X(t.geom), ST_Y(t.geom), ST_Z(t.geom),
     t.cov_xx, t.cov_xy, t.cov_xz, t.cov_yy, t.cov_yz, t.cov_zz,
@@ -12,7 +12,7 @@ select
         from conetl.track_member m
         where m.drive_uuid = t.drive_uuid and m.track_index = t.track_index
     ),
-    array_send(t.calibrations) || array_send(t.levers_m)
+    array_send(t.calibrations) || array_send(t.shared_jacobian_m)
 from conetl.track t
 where t.drive_uuid = %(drive_uuid)s
 order by t.track_index;

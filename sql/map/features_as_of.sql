@@ -34,7 +34,7 @@ select
     v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz,
     ST_X(v.centre_geom), ST_Y(v.centre_geom), ST_Z(v.centre_geom),
     v.cone_height_m, v.cone_height_sigma_m, coalesce(e.existence_after, v.existence_probability), v.observation_count,
-    v.first_seen_ns, v.last_seen_ns, array_send(v.calibrations) || array_send(v.levers_m),
+    v.first_seen_ns, v.last_seen_ns, array_send(v.calibrations) || array_send(v.shared_jacobian_m),
     lower(v.valid_period), upper(v.valid_period), v.changeset_id,
     coalesce(e.seen_count, 0) as seen_count,
     coalesce(e.missed_count, 0) as missed_count

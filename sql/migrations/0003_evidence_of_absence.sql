@@ -6,8 +6,8 @@
 -- not); existence_after: belief after the drive; frames_seen, frames_empty: frame pairs in which it was seen, and in which its spot
 -- was in view without a cone. Null in rows of mergers, and in those written before this migration.
 
-alter table conetl.drive add column look_figures jsonb;
-comment on column conetl.drive.look_figures is
+alter table conetl.drive add column absence_figures jsonb;
+comment on column conetl.drive.absence_figures is
     'What is measured of the detector that looked (P(detect | height, hidden share)) and its score threshold; null: not kept.';
 
 alter table conetl.delta add column other_feature_id uuid;  -- of a split: what was both; of a merger: what is left

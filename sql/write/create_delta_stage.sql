@@ -25,7 +25,7 @@ create temporary table delta_stage (
     cov_yz                float8 not null,
     cov_zz                float8 not null,
     calibrations          uuid[],
-    levers_m              real[],
+    shared_jacobian_m              real[],
     centre_geom           geometry not null,
     cone_height_m         float8 not null,
     cone_height_sigma_m   float8 not null,

@@ -18,7 +18,7 @@ FRAMES = range(10, 22)
 
 
 def begin(folder: Path) -> Path:
-    """A plain folder before the first picture: folders, rig and the head of trajectory.csv."""
+    """A plain folder before the first image: folders, rig and the head of trajectory.csv."""
     for side in ("left", "right"):
         (folder / side).mkdir(parents=True)
     drive, _ = read_kitti_drive(SAMPLE, headers_only=True)
@@ -27,15 +27,15 @@ def begin(folder: Path) -> Path:
     return folder
 
 
-def picture(number: int, side: str) -> tuple[bytes, str]:
-    """Bytes and name of one picture."""
+def image(number: int, side: str) -> tuple[bytes, str]:
+    """Bytes and name of one image."""
     camera = {"left": "image_02", "right": "image_03"}[side]
     return (SAMPLE / camera / "data" / f"{number:010d}.jpg").read_bytes(), f"{number:06d}.jpg"
 
 
-def write_pictures(folder: Path, number: int) -> None:
+def write_images(folder: Path, number: int) -> None:
     for side in ("left", "right"):
-        data, name = picture(number, side)
+        data, name = image(number, side)
         (folder / side / name).write_bytes(data)
 
 
@@ -70,7 +70,7 @@ def append(folder: Path, text: str) -> None:
 
 
 def kitti_head(folder: Path) -> Path:
-    """A KITTI folder before the first picture."""
+    """A KITTI folder before the first image."""
     for name in ("image_02", "image_03", "oxts"):
         (folder / name / "data").mkdir(parents=True)
         (folder / name / "timestamps.txt").write_text("")

@@ -1,6 +1,6 @@
 """Run by the system's Python, which has QGIS: open a project, say what is in it as JSON, render it to a PNG.
 
-python3 qgis_render.py PROJECT PICTURE
+python3 qgis_render.py PROJECT IMAGE
 """
 
 import json

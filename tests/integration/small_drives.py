@@ -41,9 +41,9 @@ def processes_with(variable: str, value: object) -> set[int]:
     return found
 
 
-def spoil_huffman_table(picture: Path) -> None:
+def spoil_huffman_table(image: Path) -> None:
     """A JPEG with a whole header and a whole end that no decoder takes."""
-    data = bytearray(picture.read_bytes())
+    data = bytearray(image.read_bytes())
     lengths = data.index(b"\xff\xc4") + 5
     data[lengths : lengths + 16] = b"\xff" * 16
-    picture.write_bytes(data)
+    image.write_bytes(data)

@@ -50,10 +50,10 @@ FAILURES = pytest.mark.parametrize("failure", [stale, gone, half])
 
 
 @FAILURES
-def test_detections_are_not_kept_of_pictures_that_were_not_read(
+def test_detections_are_not_kept_of_images_that_were_not_read(
     chunk: Chunk, monkeypatch: pytest.MonkeyPatch, failure: Failure
 ) -> None:
-    """The hashes are those of the good pictures; only their second reading fails."""
+    """The hashes are those of the good images; only their second reading fails."""
     with monkeypatch.context() as failing:
         failing.setattr(Path, "read_bytes", failure)
         with pytest.raises(StorageError, match=r"\.jpg"):
@@ -65,7 +65,7 @@ def test_detections_are_not_kept_of_pictures_that_were_not_read(
 
 
 @FAILURES
-def test_points_are_not_kept_of_pictures_that_were_not_read(
+def test_points_are_not_kept_of_images_that_were_not_read(
     chunk: Chunk, monkeypatch: pytest.MonkeyPatch, failure: Failure
 ) -> None:
     with monkeypatch.context() as failing:
@@ -77,7 +77,7 @@ def test_points_are_not_kept_of_pictures_that_were_not_read(
     assert found[0].missing is None
 
 
-def test_a_picture_that_comes_back_after_its_hash_is_not_kept_under_no_picture(
+def test_a_image_that_comes_back_after_its_hash_is_not_kept_under_no_image(
     chunk: Chunk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as failing:
@@ -87,22 +87,22 @@ def test_a_picture_that_comes_back_after_its_hash_is_not_kept_under_no_picture(
     assert not chunk.results_folder.exists()
 
 
-def test_a_picture_that_is_gone_is_a_rejection_that_is_kept(chunk: Chunk) -> None:
+def test_a_image_that_is_gone_is_a_rejection_that_is_kept(chunk: Chunk) -> None:
     Path(chunk.frame_pairs[0].left_path).unlink()
     _, rejections = load_result(detection.detect_task.fn(chunk, 0, None), Detection)
     assert [rejection.reason for rejection in rejections] == ["image_missing"]
     found, _ = load_result(refinement.odometry_task.fn(chunk).tracks, refinement.StereoTracks)
-    assert found[0].missing == "picture_unreadable"
+    assert found[0].missing == "image_unreadable"
 
 
-def test_a_picture_that_is_bad_for_good_is_a_rejection_that_is_kept(chunk: Chunk) -> None:
-    picture = Path(chunk.frame_pairs[0].left_path)
-    picture.write_bytes(half(picture))
+def test_a_image_that_is_bad_for_good_is_a_rejection_that_is_kept(chunk: Chunk) -> None:
+    image = Path(chunk.frame_pairs[0].left_path)
+    image.write_bytes(half(image))
     _, rejections = load_result(detection.detect_task.fn(chunk, 0, None), Detection)
     assert [rejection.reason for rejection in rejections] == ["image_truncated"]
 
 
-def test_matches_and_calibration_are_not_worked_out_without_pictures_that_were_there(
+def test_matches_and_calibration_are_not_worked_out_without_images_that_were_there(
     chunk: Chunk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     detected = detection.detect_task.fn(chunk, 0, None)

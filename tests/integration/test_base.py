@@ -24,7 +24,7 @@ from tests.view_map import two_drives
 def conn(module_database_url, samples, tmp_path_factory):
     """A map with two drives, which no test changes."""
     conn = connect(module_database_url)
-    two_drives(conn, samples, tmp_path_factory.mktemp("pictures"))
+    two_drives(conn, samples, tmp_path_factory.mktemp("images"))
     yield conn
     conn.close()
 

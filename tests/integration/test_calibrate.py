@@ -1,4 +1,4 @@
-"""`conetl calibrate` on real chessboard pictures, where they are at hand (`../shared/data`, or `$CONETL_SHARED_DATA`)."""
+"""`conetl calibrate` on real chessboard images, where they are at hand (`../shared/data`, or `$CONETL_SHARED_DATA`)."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from conetl.model.errors import CalibrationError, InputError
 from conetl.readers.rigs import read_rig
 
 SHARED = Path(os.environ.get("CONETL_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data"))
-PICTURES = SHARED / "feb_stereo_chessboard" / "pairs"
+IMAGES = SHARED / "feb_stereo_chessboard" / "pairs"
 BOARD = "chessboard:9x6:37.8mm"
-real = pytest.mark.skipif(not PICTURES.is_dir(), reason=f"no chessboard pictures at {PICTURES}")
+real = pytest.mark.skipif(not IMAGES.is_dir(), reason=f"no chessboard images at {IMAGES}")
 
 app = typer.Typer()
 app.command()(calibrate)
@@ -29,7 +29,7 @@ def _folder(path: Path, pairs: list[int], *, swapped: bool = False) -> Path:
             (2 * pair, 2 * pair + 1), ("right", "left") if swapped else ("left", "right"), strict=True
         ):
             (path / side).mkdir(parents=True, exist_ok=True)
-            (path / side / f"{pair:02d}.jpg").symlink_to(PICTURES / f"pic{number:05d}.jpg")
+            (path / side / f"{pair:02d}.jpg").symlink_to(IMAGES / f"pic{number:05d}.jpg")
     return path
 
 
@@ -41,7 +41,7 @@ def _run(*words: object) -> str:
 
 @real
 def test_real_chessboards_give_a_rig_with_its_covariance(tmp_path: Path) -> None:
-    folder = _folder(tmp_path / "pictures", list(range(4, 36, 3)))
+    folder = _folder(tmp_path / "images", list(range(4, 36, 3)))
     out, report = tmp_path / "rig.yaml", tmp_path / "report"
     words = (
         "--board",
@@ -58,7 +58,7 @@ def test_real_chessboards_give_a_rig_with_its_covariance(tmp_path: Path) -> None
     )
     content = json.loads(_run(folder, *words))
     assert content["pairs_used"] >= 10
-    assert content["board_shape"] == "free"  # the board in these pictures is bent by 2 mm
+    assert content["board_shape"] == "free"  # the board in these images is bent by 2 mm
     assert content["rms_px"]["stereo"] < 0.12
     base = next(row for row in content["relative"] if row["name"] == "base")
     assert abs(base["value"] - 279.3) < 4 * base["sigma"] < 6.0
@@ -81,7 +81,7 @@ def test_swapped_cameras_are_told(tmp_path: Path) -> None:
 @real
 def test_a_board_of_another_size_is_told(tmp_path: Path) -> None:
     folder = _folder(tmp_path, [5])
-    with pytest.raises(CalibrationError, match=r"none of the pictures.*9 x 6 inner corners instead of 8 x 6"):
+    with pytest.raises(CalibrationError, match=r"none of the images.*9 x 6 inner corners instead of 8 x 6"):
         _run(folder, "--board", "chessboard:8x6:37.8mm", "--out", tmp_path / "rig.yaml")
 
 

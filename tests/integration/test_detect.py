@@ -1,4 +1,4 @@
-"""`conetl detect` on pictures as people have them, and on places where nothing can be written."""
+"""`conetl detect` on images as people have them, and on places where nothing can be written."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-PICTURE = next((ROOT / "data" / "drives").glob("*/image_02/data/*"))
+IMAGE = next((ROOT / "data" / "drives").glob("*/image_02/data/*"))
 
 
 def run(*arguments: object, folder: Path) -> subprocess.CompletedProcess[str]:
@@ -22,7 +22,7 @@ def run(*arguments: object, folder: Path) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.fixture
-def small_picture(tmp_path: Path) -> Path:
+def small_image(tmp_path: Path) -> Path:
     path = tmp_path / "in" / "small.png"
     path.parent.mkdir()
     cv2.imwrite(str(path), np.full((64, 96, 3), 120, np.uint8))
@@ -30,31 +30,29 @@ def small_picture(tmp_path: Path) -> Path:
 
 
 def test_boxes_and_annotated_copies_are_written_into_new_folders(tmp_path: Path) -> None:
-    done = run(
-        PICTURE, "--out", tmp_path / "new" / "found.json", "--draw", tmp_path / "drawn" / "deep", folder=tmp_path
-    )
+    done = run(IMAGE, "--out", tmp_path / "new" / "found.json", "--draw", tmp_path / "drawn" / "deep", folder=tmp_path)
     assert done.returncode == 0, done.stderr
     found = json.loads((tmp_path / "new" / "found.json").read_text())
     assert found
     assert {"file_name", "category", "bbox", "score", "foot", "tip"} <= set(found[0])
-    drawn = cv2.imread(str(tmp_path / "drawn" / "deep" / f"{PICTURE.stem}.jpg"))
+    drawn = cv2.imread(str(tmp_path / "drawn" / "deep" / f"{IMAGE.stem}.jpg"))
     assert drawn is not None
-    assert drawn.shape == cv2.imread(str(PICTURE)).shape
+    assert drawn.shape == cv2.imread(str(IMAGE)).shape
 
 
 @pytest.mark.parametrize("option", ["--out", "--draw"])
-def test_a_place_that_cannot_be_written_is_bad_input(tmp_path: Path, small_picture: Path, option: str) -> None:
+def test_a_place_that_cannot_be_written_is_bad_input(tmp_path: Path, small_image: Path, option: str) -> None:
     (tmp_path / "file").write_text("taken")
-    done = run(small_picture, option, tmp_path / "file" / "below", folder=tmp_path)
+    done = run(small_image, option, tmp_path / "file" / "below", folder=tmp_path)
     assert done.returncode == 2, done.stderr
     assert "cannot be written" in done.stderr
     assert "Traceback" not in done.stderr
     assert not (tmp_path / "detections.json").exists()
 
 
-def test_one_unreadable_picture_costs_only_itself(tmp_path: Path, small_picture: Path) -> None:
-    (small_picture.parent / "broken.jpg").write_bytes(b"\xff\xd8\xff\xe0 no picture")
-    done = run(small_picture.parent, "--json", folder=tmp_path)
+def test_one_unreadable_image_costs_only_itself(tmp_path: Path, small_image: Path) -> None:
+    (small_image.parent / "broken.jpg").write_bytes(b"\xff\xd8\xff\xe0 no image")
+    done = run(small_image.parent, "--json", folder=tmp_path)
     assert done.returncode == 1
     assert "broken.jpg" in done.stderr
     result = json.loads(done.stdout)
@@ -62,8 +60,8 @@ def test_one_unreadable_picture_costs_only_itself(tmp_path: Path, small_picture:
     assert [Path(name).name for name in result["refused"]] == ["broken.jpg"]
 
 
-def test_nothing_is_written_where_no_picture_can_be_read(tmp_path: Path) -> None:
-    (tmp_path / "broken.png").write_bytes(b"\x89PNG no picture")
+def test_nothing_is_written_where_no_image_can_be_read(tmp_path: Path) -> None:
+    (tmp_path / "broken.png").write_bytes(b"\x89PNG no image")
     done = run(tmp_path / "broken.png", "--out", tmp_path / "found.json", folder=tmp_path)
     assert done.returncode == 2
     assert not (tmp_path / "found.json").exists()

@@ -281,8 +281,8 @@ def test_what_cannot_be_decoded_was_not_looked_at(desk: Desk, small_drive: Path,
     for drive, day, whole in ((later, "2026-03-12", 4), (last, "2026-03-13", 0)):
         for stamps in drive.glob("*/timestamps.txt"):
             stamps.write_text(stamps.read_text().replace("2026-03-02", day))
-        for picture in sorted((drive / "image_02" / "data").iterdir())[whole:]:
-            spoil_huffman_table(picture)
+        for image in sorted((drive / "image_02" / "data").iterdir())[whole:]:
+            spoil_huffman_table(image)
     result = desk.run("ingest", later, "--json")
     (report,) = result.json
     assert result.code == 1
@@ -294,7 +294,7 @@ def test_what_cannot_be_decoded_was_not_looked_at(desk: Desk, small_drive: Path,
     before = desk.final_tables()
     result = desk.run("ingest", last)
     assert result.code == 2
-    assert "not one of 16 frame pairs has two pictures that can be decoded" in result.err
+    assert "not one of 16 frame pairs has two images that can be decoded" in result.err
     assert desk.final_tables() == before
 
 
@@ -502,8 +502,8 @@ def every_other_pair(folder: Path, first: int, *, days: int = 0, east_m: float =
     (folder / "oxts" / "data").mkdir(parents=True)
     for side in ("image_02", "image_03"):
         (folder / side / "data").mkdir(parents=True)
-        for picture in sorted((KITTI / side / "data").iterdir())[first::2]:
-            (folder / side / "data" / picture.name).symlink_to(picture)
+        for image in sorted((KITTI / side / "data").iterdir())[first::2]:
+            (folder / side / "data" / image.name).symlink_to(image)
     for times in KITTI.glob("*/timestamps.txt"):
         if (folder / times.parent.name).is_dir():
             moved = (

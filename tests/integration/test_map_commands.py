@@ -58,7 +58,7 @@ def test_differences_between_changesets_and_times(conetl, tmp_path):
 
 
 def test_a_miss_is_told_as_one(conetl, conn, samples, tmp_path):
-    """In the table, the GeoJSON and JSON; the picture has a mark of its own for it."""
+    """In the table, the GeoJSON and JSON; the image has a mark of its own for it."""
     there = cone(samples, "there", 400.0)
     commit(conn, samples, tmp_path, "a", 10, samples.added(there, changed_at_ns=START_NS + 10 * DAY_NS))
     commit(conn, samples, tmp_path, "b", 11, missed(there, START_NS + 11 * DAY_NS, 0.6))

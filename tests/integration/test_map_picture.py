@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 
 import pytest
+from conetl.cli.map.image import _ways
 from typer.testing import CliRunner
 
 from conetl.cli.app import app
-from conetl.cli.map.picture import _ways
 from conetl.db.map.map_store import list_changesets
 from conetl.model.errors import InputError
 from tests.integration.drives_of_days import merge, survey
@@ -17,9 +17,9 @@ from tests.view_map import two_drives
 
 @pytest.fixture
 def run(database_url, conn, samples, tmp_path):
-    two_drives(conn, samples, tmp_path / "pictures")
+    two_drives(conn, samples, tmp_path / "images")
     environment = {"CONETL_DATABASE_URL": database_url, "CONETL_HOME": str(tmp_path / "home")}
-    return lambda *words: CliRunner().invoke(app, ["map", "picture", *words], env=environment)
+    return lambda *words: CliRunner().invoke(app, ["map", "image", *words], env=environment)
 
 
 def test_the_map_of_a_time_changes_and_a_place_in_degrees(run, tmp_path):
@@ -51,7 +51,7 @@ def test_the_map_of_a_time_changes_and_a_place_in_degrees(run, tmp_path):
         assert not out.exists()
 
 
-def test_a_picture_shows_the_paths_that_its_state_knows_of(conn):
+def test_a_image_shows_the_paths_that_its_state_knows_of(conn):
     for day in (0, 1):
         merge(conn, survey(day))
     changesets = list_changesets(conn)  # newest first

@@ -40,7 +40,7 @@ BASE = "http://127.0.0.1"
 @pytest.fixture(scope="module")
 def features(module_database_url, samples, tmp_path_factory):
     conn = connect(module_database_url)
-    yield two_drives(conn, samples, tmp_path_factory.mktemp("pictures"))
+    yield two_drives(conn, samples, tmp_path_factory.mktemp("images"))
     conn.close()
 
 

@@ -23,7 +23,7 @@ from conetl.db.map.replay_store import affected_drives, write_replay
 from conetl.geometry.calibration.shared import calibration_id, unpack_all, with_covariance
 from conetl.geometry.packing import cov_matrix
 from conetl.model.map_records import DeltaKind
-from conetl.model.records import CalibrationCovariance, Levers
+from conetl.model.records import CalibrationCovariance, SharedErrorJacobian
 from conetl.pipeline.decisions import revert
 from conetl.pipeline.replay import replay_of
 from tests.conftest import cloned_database
@@ -49,8 +49,8 @@ def failed_audits(conn):
     return [result for result in run_audits(conn) if not result.passed]
 
 
-def levers_of(conn):
-    return [feature.levers for feature in read_current_features(conn)]
+def jacobian_of(conn):
+    return [feature.shared_jacobian for feature in read_current_features(conn)]
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +61,7 @@ def in_order(cluster_url, template_database):
         assert [m.replayed for m in merged] == [0, 0, 0]
         kinds = {delta.kind for m in merged for delta in m.changeset.deltas}
         assert kinds >= {DeltaKind.ADDED, DeltaKind.CONFIRMED, DeltaKind.MOVED, DeltaKind.REMOVED}
-        found = levers_of(conn)
+        found = jacobian_of(conn)
         assert len(found) == len(DAYS[2])
         ids = {calibration_id(CALIBRATED), calibration_id(AGAIN)}
         assert ids in [set(one.calibrations) for one in found if one], "some cones know both calibrations"
@@ -80,28 +80,28 @@ def test_all_orders_of_three_drives_give_the_same_map(conn, in_order, order):
         assert {moment: now[moment] for moment in believed} == believed, "an earlier belief was changed"
         believed = now
     assert valid_time_map(conn) == in_order
-    assert '"levers_m": [[[' in in_order["versions"][0]
+    assert '"shared_jacobian_m": [[[' in in_order["versions"][0]
 
 
 def test_levers_come_back_from_the_database_to_the_last_bit(conn):
     merged = [merge(conn, of_day(day)) for day in (0, 1, 2)]
-    written = {d.feature_id: d.new.levers for m in merged for d in m.changeset.deltas if d.is_change and d.new}
+    written = {d.feature_id: d.new.shared_jacobian for m in merged for d in m.changeset.deltas if d.is_change and d.new}
     standing = {feature.feature_id: feature for feature in read_current_features(conn)}
     assert standing
     for feature_id, feature in standing.items():
-        assert isinstance(feature.levers, Levers)
-        assert feature.levers == written[feature_id]
-        moved = unpack_all(feature.levers.calibrations, [feature.levers])[0]
+        assert isinstance(feature.shared_jacobian, SharedErrorJacobian)
+        assert feature.shared_jacobian == written[feature_id]
+        moved = unpack_all(feature.shared_jacobian.calibrations, [feature.shared_jacobian])[0]
         own = cov_matrix(feature.cov_m2) - sum(a @ a.T for a in moved)
         assert np.linalg.eigvalsh(own).min() > 0
     as_of = {version.feature.feature_id: version.feature for version in read_features_as_of(conn)}
-    assert {k: v.levers for k, v in as_of.items()} == {k: v.levers for k, v in standing.items()}
+    assert {k: v.shared_jacobian for k, v in as_of.items()} == {k: v.shared_jacobian for k, v in standing.items()}
     for day in range(3):
         [row] = execute(
             conn, "select drive_uuid from conetl.drive where drive_id = %(d)s", {"d": of_day(day).drive.drive_id}
         )
-        stored = {track.track_index: track.levers for track in read_drive(conn, row["drive_uuid"]).tracks}
-        assert stored == {track.track_index: track.levers for track in of_day(day).tracks}
+        stored = {track.track_index: track.shared_jacobian for track in read_drive(conn, row["drive_uuid"]).tracks}
+        assert stored == {track.track_index: track.shared_jacobian for track in of_day(day).tracks}
         assert None not in stored.values()
 
 
@@ -146,12 +146,14 @@ def test_a_reverted_drive_takes_its_calibration_along_and_brings_it_back(conn, c
     [target] = [c for c in list_changesets(conn) if c.drive_id == of_day(2).drive.drive_id]
     reverted = revert(conn, str(target.changeset_no), map_name="default")
     assert failed_audits(conn) == []
-    assert {one for levers in levers_of(conn) for one in levers.calibrations} == {calibration_id(CALIBRATED)}
+    assert {one for shared_jacobian in jacobian_of(conn) for one in shared_jacobian.calibrations} == {
+        calibration_id(CALIBRATED)
+    }
     with cloned_database(cluster_url, template_database) as url:
         other = connect(url)
         for day in range(2):
             merge(other, of_day(day))
-        assert levers_of(conn) == levers_of(other)
+        assert jacobian_of(conn) == jacobian_of(other)
         other.close()
     revert(conn, str(reverted.decision_id), map_name="default")
     assert valid_time_map(conn) == before
@@ -161,10 +163,10 @@ def test_a_reverted_drive_takes_its_calibration_along_and_brings_it_back(conn, c
 def test_a_map_from_before_levers_goes_on_with_those_that_come(conn, cluster_url, tmp_path):
     """Drives of before state none, whatever their calibration: they are fused, and played again, as they were."""
     names = [name.removeprefix("migrations/") for name in sql_names("migrations")]
-    [applied] = [number for number, name in enumerate(names) if name.endswith("levers")]
+    [applied] = [number for number, name in enumerate(names) if name.endswith("shared_jacobian")]
     for day in (0, 2):
         merge(conn, of_day(day))
-    assert any(levers_of(conn))
+    assert any(jacobian_of(conn))
     for name in names[:applied]:
         (tmp_path / f"{name}.sql").write_text(load_sql(f"migrations/{name}"))
     with cloned_database(cluster_url, "template0") as url:
@@ -179,12 +181,12 @@ def test_a_map_from_before_levers_goes_on_with_those_that_come(conn, cluster_url
         assert execute(old, file_of) == before, "ten million rows are not written anew"
         assert len(list(read_rows(old))) == rows
         assert failed_audits(old) == []
-        assert set(levers_of(old)) == {None}
+        assert set(jacobian_of(old)) == {None}
         places = {f.feature_id: f.xyz_m for f in read_current_features(conn)}
         assert {f.feature_id: f.xyz_m for f in read_current_features(old)} == places
-        assert merge(old, of_day(1)).replayed == 1  # late: day 2 is played again, without levers
+        assert merge(old, of_day(1)).replayed == 1  # late: day 2 is played again, without shared_jacobian
         assert failed_audits(old) == []
-        ids = {one for levers in levers_of(old) if levers for one in levers.calibrations}
+        ids = {one for shared_jacobian in jacobian_of(old) if shared_jacobian for one in shared_jacobian.calibrations}
         assert ids == {calibration_id(CALIBRATED)}
         old.close()
 

@@ -269,7 +269,7 @@ def test_every_changeset_is_an_event(desk: Desk) -> None:
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine (Debian: apt install chromium)")
 def test_the_desk_sees_it_in_prefect(desk: Desk, tmp_path: Path) -> None:
     playwright_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed (extra `dev`)")
-    pictures = Path(os.environ.get("CONETL_SCREENSHOTS", tmp_path))
+    images = Path(os.environ.get("CONETL_SCREENSHOTS", tmp_path))
     address = f"http://127.0.0.1:{desk.port}"
     runs = desk.post("/flow_runs/filter", {"sort": "START_TIME_DESC", "limit": 100})
     backfill = next(run for run in runs if run["deployment_id"] and run["name"].startswith("backfill"))
@@ -296,5 +296,5 @@ def test_the_desk_sees_it_in_prefect(desk: Desk, tmp_path: Path) -> None:
             page.get_by_text("Artifacts").first.click()
             for word in words:
                 page.get_by_text(word).first.wait_for()
-            page.screenshot(path=pictures / f"prefect-{name}.png", full_page=True)
+            page.screenshot(path=images / f"prefect-{name}.png", full_page=True)
         browser.close()

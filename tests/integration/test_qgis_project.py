@@ -55,11 +55,9 @@ def test_no_secret_and_nothing_half_written(surveyed, tmp_path):
 
 @pytest.mark.skipif(not has_qgis(), reason="python3-qgis is not installed for the system's Python")
 def test_qgis_opens_and_draws_it(surveyed, tmp_path):
-    project, picture = tmp_path / "cones.qgz", tmp_path / "cones.png"
+    project, image = tmp_path / "cones.qgz", tmp_path / "cones.png"
     write_qgis_project(surveyed, project, map_name="default")
-    done = subprocess.run(
-        [PYTHON, RENDER, project, picture], env=OFFSCREEN, capture_output=True, text=True, check=False
-    )
+    done = subprocess.run([PYTHON, RENDER, project, image], env=OFFSCREEN, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert found["read"] and found["errors"] == [] and found["crs"] == "EPSG:32632"
@@ -76,7 +74,7 @@ def test_qgis_opens_and_draws_it(surveyed, tmp_path):
     assert layers["cones_over_time"]["features"] == counts["over_time"] > counts["now"]
     assert layers["cones_over_time"]["temporal"] and layers["cones_over_time"]["fields"] == ["valid_from", "valid_to"]
     assert layers["cones_standing_now"]["renderer"] == "categorizedSymbol"
-    pixels = np.asarray(Image.open(picture).convert("RGB")).reshape(-1, 3).astype(int)
+    pixels = np.asarray(Image.open(image).convert("RGB")).reshape(-1, 3).astype(int)
     for kind, colour in {"confirmed": (127, 151, 178), "moved": (168, 50, 127), "removed": (31, 41, 51)}.items():
         near = (np.abs(pixels - colour).max(axis=1) < 24).sum()
         assert near > 20, f"{kind} is not to be seen"

@@ -45,10 +45,10 @@ EVIL = "<img src=x onerror=alert(1)>"
 def url(
     cluster_url: str, template_database: str, samples: Any, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[str]:
-    """Two drives with pictures; the second one with everything that a report may have to tell."""
+    """Two drives with images; the second one with everything that a report may have to tell."""
     with cloned_database(cluster_url, template_database) as found:
         with closing(connect(found)) as conn:
-            two_drives(conn, samples, tmp_path_factory.mktemp("pictures"))
+            two_drives(conn, samples, tmp_path_factory.mktemp("images"))
             latest = list_changesets(conn)[0]
             run_id = uuid4()
             execute(
@@ -124,18 +124,18 @@ def test_the_report_of_a_drive(conn: Any, latest: CommittedChangeset, samples: A
     assert [(line.reason, line.count) for line in facts.rejections] == [("never_near", 2), ("image_truncated", 1)]
     assert [(s.step, s.busy_s) for s in facts.steps] == [("detect", 3.0), ("merge", 0.25)]
     # moved: before and after; added: this drive; each with a left and a right crop
-    pictures = evidence.pictures_of(conn, facts, facts.changes)
-    assert {facts.changes[n - 1].kind: [len(p.crops) for p in pairs] for n, pairs in pictures.items()} == {
+    images = evidence.images_of(conn, facts, facts.changes)
+    assert {facts.changes[n - 1].kind: [len(p.crops) for p in pairs] for n, pairs in images.items()} == {
         DeltaKind.REMOVED: [2, 0], DeltaKind.MOVED: [2, 2], DeltaKind.ADDED: [2],
     }  # fmt: skip
-    assert pictures[1][1].missing  # its place was in no picture of the second drive
+    assert images[1][1].missing  # its place was in no image of the second drive
 
 
-def test_a_picture_that_is_gone_costs_itself(conn: Any, latest: CommittedChangeset) -> None:
+def test_a_image_that_is_gone_costs_itself(conn: Any, latest: CommittedChangeset) -> None:
     facts = read_drive_facts(conn, latest, map_name="default")
     gone = replace(facts, changeset=latest, source_path="/nowhere")
-    assert "no picture" in drive_page(conn, latest, map_name="default")  # of the cone that is gone
-    assert evidence.pictures_of(conn, gone, facts.changes)[2][0].crops  # the drive before still has its own
+    assert "no image" in drive_page(conn, latest, map_name="default")  # of the cone that is gone
+    assert evidence.images_of(conn, gone, facts.changes)[2][0].crops  # the drive before still has its own
 
 
 def test_what_a_person_should_look_at(conn: Any, latest: CommittedChangeset) -> None:
@@ -161,7 +161,7 @@ def test_drives_are_found_by_id_and_by_number(conn: Any, latest: CommittedChange
 
 
 def test_a_drive_without_anything_has_a_report_too(conn: Any, samples: Any) -> None:
-    """Committed by something else than the flow, nothing measured, its pictures nowhere."""
+    """Committed by something else than the flow, nothing measured, its images nowhere."""
     samples.commit(conn, key="abcd", map_name="bare")
     bare = list_changesets(conn, map_name="bare")[0]
     page = drive_page(conn, bare, map_name="bare")

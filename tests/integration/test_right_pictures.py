@@ -1,4 +1,4 @@
-"""The right pictures of a real network are searched in part: that must cost nothing, also where the left camera sees nothing."""
+"""The right images of a real network are searched in part: that must cost nothing, also where the left camera sees nothing."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 from conetl.cli.tools.drive_results import DriveResults, run_steps
 from conetl.mapping.changes import reconcile
 from conetl.mapping.visibility import look_at_spot, view_of_drive
-from conetl.model.detector_evidence import LookFigures
+from conetl.model.detector_evidence import AbsenceFigures
 from conetl.model.errors import DriveFolderError
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import DetectionParams, IngestParams, MatchParams, Params, ReconcileParams, TrackParams
@@ -59,10 +59,10 @@ def test_a_covered_lens_removes_nothing(
     assert _removed_by(drive, settings, results) == 0
 
 
-def test_a_covered_lens_removes_nothing_beside_broken_pictures(
+def test_a_covered_lens_removes_nothing_beside_broken_images(
     tmp_path: Path, settings: Settings, results: DriveResults
 ) -> None:
-    """Just those right pictures that were to tell whether the others need to be searched."""
+    """Just those right images that were to tell whether the others need to be searched."""
     drive = _with_covered("image_02", tmp_path)
     for frame_pairs in (results.drive.frame_pairs[:20], results.drive.frame_pairs[20:]):
         for middle, _ in blocks_of(len(frame_pairs), PARAMS):
@@ -70,10 +70,10 @@ def test_a_covered_lens_removes_nothing_beside_broken_pictures(
     assert _removed_by(drive, settings, results) == 0
 
 
-def test_a_drive_without_a_whole_right_picture_looks_at_nothing(
+def test_a_drive_without_a_whole_right_image_looks_at_nothing(
     tmp_path: Path, settings: Settings, results: DriveResults
 ) -> None:
-    """Not even at an empty street, where no right picture but those of some pairs would have to be searched."""
+    """Not even at an empty street, where no right image but those of some pairs would have to be searched."""
     drive = _with_covered("image_02", tmp_path)
     for path in (drive / "image_03" / "data").iterdir():
         spoil_huffman_table(path)
@@ -132,7 +132,7 @@ def _removed_by(drive: Path, settings: Settings, before: DriveResults) -> int:
         dark_drive.drive.frame_pairs,
         dark_drive.detections,
         [],
-        LookFigures(evidence=evidence, score_threshold=params.detection.score_threshold),
+        AbsenceFigures(evidence=evidence, score_threshold=params.detection.score_threshold),
     )
     deltas = reconcile(
         [],

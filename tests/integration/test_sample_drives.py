@@ -1,4 +1,4 @@
-"""The covariances of the sample drives hold: real pictures, detector, matching and adjustment, all three judged together."""
+"""The covariances of the sample drives hold: real images, detector, matching and adjustment, all three judged together."""
 
 from __future__ import annotations
 

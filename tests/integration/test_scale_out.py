@@ -78,7 +78,7 @@ def test_threads_processes_and_dask_write_the_same_bytes(home: Path, chunks: lis
             )
         finally:
             progress.ignore(listener)
-        assert heard[-1] == (8, 8), "6 pictures and 2 motions, whoever counted them"
+        assert heard[-1] == (8, 8), "6 images and 2 motions, whoever counted them"
         written[kind] = {path.name: path.read_bytes() for path in (tmp_path / kind).iterdir()}
     assert len(written["threads"]) == 13, (
         "3 of detections, 3 of their matches, 2 of a chunk's, 2 of positions; points followed, motions, self-calibration"
@@ -87,7 +87,7 @@ def test_threads_processes_and_dask_write_the_same_bytes(home: Path, chunks: lis
     assert written["dask"] == written["threads"]
 
 
-def test_matches_are_the_same_from_pictures_in_memory_and_read_again(chunks: list[Chunk], tmp_path: Path) -> None:
+def test_matches_are_the_same_from_images_in_memory_and_read_again(chunks: list[Chunk], tmp_path: Path) -> None:
     written: list[dict[str, bytes]] = []
     for early in (True, False):
         chunk = chunks[0].model_copy(update={"results_folder": tmp_path / str(early)})

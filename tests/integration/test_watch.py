@@ -29,7 +29,7 @@ from conetl.pipeline.settings import Settings
 from conetl.readers.recording.drive import ArrivingPair, ArrivingPlain
 from conetl.web.app import create_app
 from flows.watch import WatchReport, pause_s, watch_drive
-from tests.integration.arriving_drives import FRAMES, append, begin, picture, row, write_pictures
+from tests.integration.arriving_drives import FRAMES, append, begin, image, row, write_images
 
 #: A busy machine must not make a test fail: nothing is too old, and what is written late is waited for.
 PATIENT = {"max_behind_s": 600.0, "patience_s": 600.0}
@@ -54,16 +54,16 @@ def recorder(write: Callable[[], None]) -> Any:
 
 
 def test_pairs_become_provisional_features_as_they_arrive(settings: Settings, conn: Any, tmp_path: Path) -> None:
-    """Half a picture, half a line, and a pose that comes after everything else: all are waited for."""
+    """Half a image, half a line, and a pose that comes after everything else: all are waited for."""
     folder = begin(tmp_path / "drive")
     ready, seen, tried = threading.Event(), threading.Event(), threading.Event()
 
     def write() -> None:
         ready.wait(60)
         for number in FRAMES:
-            if number == 14:  # the right picture in two pieces
-                data, name = picture(number, "right")
-                (folder / "left" / name).write_bytes(picture(number, "left")[0])
+            if number == 14:  # the right image in two pieces
+                data, name = image(number, "right")
+                (folder / "left" / name).write_bytes(image(number, "left")[0])
                 (folder / "right" / name).write_bytes(data[: len(data) // 2])
                 append(folder, row(number))
                 tried.wait(60)
@@ -71,14 +71,14 @@ def test_pairs_become_provisional_features_as_they_arrive(settings: Settings, co
                 with (folder / "right" / name).open("ab") as file:
                     file.write(data[len(data) // 2 :])
             elif number == 16:  # the pose late, and in two pieces
-                write_pictures(folder, number)
+                write_images(folder, number)
                 line = row(number)
                 append(folder, line[:20])
                 time.sleep(0.3)
                 append(folder, line[20:])
             else:
                 append(folder, row(number))
-                write_pictures(folder, number)
+                write_images(folder, number)
         assert seen.wait(60)  # the features are there before the drive has ended
         (folder / "COMPLETE").touch()
 
@@ -109,7 +109,7 @@ def test_the_places_are_those_of_the_cones(settings: Settings, conn: Any, tmp_pa
     folder = begin(tmp_path / "drive")
     for number in FRAMES:
         append(folder, row(number))
-        write_pictures(folder, number)
+        write_images(folder, number)
     (folder / "COMPLETE").touch()
     watch(folder, settings)
     truth = np.loadtxt(
@@ -127,12 +127,12 @@ def test_what_cannot_be_used_costs_its_pair(settings: Settings, tmp_path: Path) 
     for number in FRAMES[:7]:
         wrong = {12: {"lat_deg": 95}, 14: {"lon_deg": 9.5}}.get(number, {})
         append(folder, row(number, **wrong) if number != 15 else "")
-        write_pictures(folder, number)
-    data, name = picture(13, "left")
+        write_images(folder, number)
+    data, name = image(13, "left")
     (folder / "left" / name).write_bytes(data[:500])
     (folder / "COMPLETE").touch()
     report = watch(folder, settings, patience_s=0.3)
-    # 12: no such latitude; 13: half a picture for ever; 14: far away; 15: never a row.
+    # 12: no such latitude; 13: half a image for ever; 14: far away; 15: never a row.
     assert report.refused == {"pose_invalid": 2, "image_truncated": 1}
     assert report.left_out == 1
     assert len(report.pairs) == 3
@@ -143,13 +143,13 @@ def test_old_pairs_are_left_out_only_while_newer_ones_wait(settings: Settings, t
     folder = begin(tmp_path / "drive")
     for number in FRAMES[:3]:
         append(folder, row(number))
-        write_pictures(folder, number)
+        write_images(folder, number)
 
     def tell(report: WatchReport) -> None:
         if len(report.pairs) == 3:  # during the work on the third pair four more arrive
             for number in FRAMES[3:7]:
                 append(folder, row(number))
-                write_pictures(folder, number)
+                write_images(folder, number)
             (folder / "COMPLETE").touch()
             time.sleep(0.3)  # so that the system tells of all of them at once
 
@@ -186,7 +186,7 @@ def test_a_pair_is_asked_for_its_place_until_it_has_one(
     """Not at every look: with 36,000 pairs of an hour waiting that took 9 ms for each that was taken."""
     folder = begin(tmp_path / "drive")
     for number in FRAMES:
-        write_pictures(folder, number)
+        write_images(folder, number)
     append(folder, "".join(row(number) for number in FRAMES[:3]))
     asked: Counter[str] = Counter()
     order = ArrivingPlain.order

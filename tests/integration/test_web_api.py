@@ -27,14 +27,14 @@ NOBODY = "00000000-0000-4000-8000-00000000dead"
 
 
 @pytest.fixture(scope="module")
-def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("pictures")
+def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("images")
 
 
 @pytest.fixture(scope="module")
-def features(module_database_url, samples, pictures):
+def features(module_database_url, samples, images):
     conn = connect(module_database_url)
-    yield two_drives(conn, samples, pictures)
+    yield two_drives(conn, samples, images)
     conn.close()
 
 
@@ -180,7 +180,7 @@ def test_trajectory(client):
 
 def picture_path(client, features, side="left"):
     s = get(client, f"{MAP}/features/{features['comes'].feature_id}/sightings")["sightings"][0]
-    return f"{MAP}/drives/{s['drive_uuid']}/pictures/{s['frame_index']}/{s['match_index']}/{side}.jpg"
+    return f"{MAP}/drives/{s['drive_uuid']}/images/{s['frame_index']}/{s['match_index']}/{side}.jpg"
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
@@ -197,23 +197,23 @@ def test_crop_shows_the_cone_in_its_box(client, features, side):
     assert cv2.imdecode(np.frombuffer(whole.content, np.uint8), cv2.IMREAD_COLOR).shape == (375, 1242, 3)
 
 
-def test_a_missing_picture_is_named(client, features, pictures):
-    hidden = pictures / "hidden"
-    shutil.move(pictures / "drive_2" / "image_03", hidden)
+def test_a_missing_image_is_named(client, features, images):
+    hidden = images / "hidden"
+    shutil.move(images / "drive_2" / "image_03", hidden)
     try:
         answer = get(client, picture_path(client, features, "right"), 404)
     finally:
-        shutil.move(hidden, pictures / "drive_2" / "image_03")
+        shutil.move(hidden, images / "drive_2" / "image_03")
     assert "image_03/data/0000000000.png" in answer["detail"]
     assert "put the drive back" in answer["detail"]
 
 
 @pytest.mark.parametrize("name", ["../secret.png", "/etc/passwd", "link.png", "image_02/data/0000000000.txt"])
-def test_only_pictures_inside_the_drive_are_served(client, features, module_database_url, pictures, name):
-    (pictures / "secret.png").write_bytes(b"\x89PNG")
-    link = pictures / "drive_2" / "link.png"
+def test_only_images_inside_the_drive_are_served(client, features, module_database_url, images, name):
+    (images / "secret.png").write_bytes(b"\x89PNG")
+    link = images / "drive_2" / "link.png"
     link.unlink(missing_ok=True)
-    link.symlink_to(pictures / "secret.png")
+    link.symlink_to(images / "secret.png")
     path = picture_path(client, features)
     where = (
         "where left_path like '%%' and drive_uuid = (select drive_uuid from conetl.drive where drive_id = 'drive_2')"
@@ -246,9 +246,9 @@ def test_only_pictures_inside_the_drive_are_served(client, features, module_data
         f"{MAP}/find?beginning=%25",
         f"{MAP}/find?beginning=' or 1=1 --",
         "/api/maps/x';drop table conetl.map--/features",
-        f"{MAP}/drives/{NOBODY}/pictures/-1/0/left.jpg",
-        f"{MAP}/drives/{NOBODY}/pictures/0/0/left.jpg?context=1e9",
-        f"{MAP}/drives/{NOBODY}/pictures/0/0/both.jpg",
+        f"{MAP}/drives/{NOBODY}/images/-1/0/left.jpg",
+        f"{MAP}/drives/{NOBODY}/images/0/0/left.jpg?context=1e9",
+        f"{MAP}/drives/{NOBODY}/images/0/0/both.jpg",
     ],
 )
 def test_bad_parameters_are_refused(client, path):
@@ -262,7 +262,7 @@ def test_bad_parameters_are_refused(client, path):
         "/api/maps/elsewhere/features",
         f"{MAP}/features/{NOBODY}",
         f"{MAP}/drives/{NOBODY}/trajectory",
-        f"{MAP}/drives/{NOBODY}/pictures/0/0/left.jpg",
+        f"{MAP}/drives/{NOBODY}/images/0/0/left.jpg",
         "/..%2f..%2f..%2f..%2fetc/passwd",
         "/assets/..%2f..%2fapp.py",
     ],

@@ -31,7 +31,7 @@ POLICY = "default-src 'none'"
 def server(module_database_url, samples, tmp_path_factory):
     """Port of a server over a small map; the tests leave the map as it was."""
     conn = connect(module_database_url)
-    two_drives(conn, samples, tmp_path_factory.mktemp("pictures"))
+    two_drives(conn, samples, tmp_path_factory.mktemp("images"))
     count = "select (select count(*) from conetl.delta) + (select count(*) from conetl.feature_version) as rows"
     before = execute(conn, count)
     conn.commit()

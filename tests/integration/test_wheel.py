@@ -44,7 +44,7 @@ def test_the_code_comes_from_the_wheel(installed: Path, tmp_path: Path) -> None:
 
 
 def test_the_model_and_the_sql_come_from_the_wheel(installed: Path, tmp_path: Path, database_url: str) -> None:
-    code = "from conetl.perception.detector import load_detector, shipped_model_path\nload_detector(); print(shipped_model_path())"
+    code = "from conetl.perception import detector as d\nd.load_detector(); print(d.shipped_model_path())"
     assert Path(run(installed, code, tmp_path)).is_relative_to(installed)
     command = "import sys; sys.argv = ['conetl', 'db', 'audit']; from conetl.cli import main; main()"
     assert "passed" in run(installed, command, tmp_path, CONETL_DATABASE_URL=database_url)

@@ -80,17 +80,17 @@ def test_a_work_zone_that_is_gone_on_the_third_day_ends(conn, samples, conetl, t
     assert "nothing" not in conetl("map", "check-layout", "--as-of", times[2])
 
 
-def test_the_layout_check_writes_table_layer_and_picture(conn, conetl, tmp_path):
+def test_the_layout_check_writes_table_layer_and_image(conn, conetl, tmp_path):
     for day in (0, 1):
         merge(conn, survey(day))
-    layer, picture = tmp_path / "layout.geojson", tmp_path / "new" / "layout.png"
-    table = conetl("map", "check-layout", "--speed-kmh", 50, "--out", layer, "--picture", picture)
+    layer, image = tmp_path / "layout.geojson", tmp_path / "new" / "layout.png"
+    table = conetl("map", "check-layout", "--speed-kmh", 50, "--out", layer, "--picture", image)
     assert "at most 9.5 m between cones in tapers, 18.9 m in tangents" in table
     found = json.loads(conetl("map", "check-layout", "--json"))
     assert found["work_zones"]
     features = json.loads(layer.read_text())["features"]
     assert [f["properties"]["rule"] for f in features] == [f["rule"] for f in found["findings"]]
-    assert picture.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    assert image.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     # Stricter rules of one's own, named in a file.
     rules = tmp_path / "rules.yaml"
     rules.write_text("layout: {taper_spacing_ft_per_mph: 0.2, tangent_spacing_ft_per_mph: 0.2}\n")

@@ -149,16 +149,21 @@ FAULTS = {
         ("update track set cov_xx = 1, cov_yy = 1, cov_zz = 1, cov_xy = 0.9, cov_xz = 0.9, cov_yz = -0.9",),
         ("update position set cov_yz = 'nan' where frame_index = 0",),
     ],
-    "levers": [
+    "shared_jacobian": [
         (f"update track set {OF_ONE}",),
-        (f"update feature_version set levers_m = {ONE_LEVER} where version = 2",),
-        (f"update feature_version set levers_m = {ONE_LEVER}, calibrations = array[null]::uuid[] where version = 2",),
-        (f"update feature_version set levers_m = {ONE_LEVER}, calibrations = array[some_id, some_id] from {A_UUID}",),
-        (f"update track set {OF_ONE}, levers_m = array[[[0.001::real], [0]]]",),
-        (f"update track set {OF_ONE}, levers_m = array[[[0::real], [0], ['nan'::real]]]",),
+        (f"update feature_version set shared_jacobian_m = {ONE_LEVER} where version = 2",),
+        (
+            f"update feature_version set shared_jacobian_m = {ONE_LEVER}, calibrations = array[null]::uuid[] where version = 2",
+        ),
+        (
+            f"update feature_version set shared_jacobian_m = {ONE_LEVER}, calibrations = array[some_id, some_id] from {A_UUID}",
+        ),
+        (f"update track set {OF_ONE}, shared_jacobian_m = array[[[0.001::real], [0]]]",),
+        (f"update track set {OF_ONE}, shared_jacobian_m = array[[[0::real], [0], ['nan'::real]]]",),
         # by two errors that are less, each by itself
         (
-            f"update track set {OF_ONE}, levers_m = array[[[0, 0], [0.8 * sqrt(cov_yy), -0.8 * sqrt(cov_yy)], [0, 0]]]::real[]",
+            f"update track set {OF_ONE}, shared_jacobian_m = "
+            "array[[[0, 0], [0.8 * sqrt(cov_yy), -0.8 * sqrt(cov_yy)], [0, 0]]]::real[]",
         ),
     ],
     "replay": [
@@ -210,7 +215,7 @@ def test_levers_within_their_covariance_pass(good_map):
     try:
         execute(
             good_map,
-            f"update track set {OF_ONE}, levers_m = array[[[0.8 * sqrt(cov_xx)], [0], [0.1 * sqrt(cov_zz)]]]::real[]",
+            f"update track set {OF_ONE}, shared_jacobian_m = array[[[0.8 * sqrt(cov_xx)], [0], [0.1 * sqrt(cov_zz)]]]::real[]",
         )
         failed = {result.name for result in audits_of_open_transaction(good_map) if not result.passed}
     finally:

@@ -29,18 +29,18 @@ from conetl.model.params import IngestParams
 from conetl.pipeline import backfill_plan as planning
 from conetl.pipeline.backfill_plan import Plan, analysis_of, plan_as_dict, plan_drives
 from conetl.pipeline.settings import Settings
-from conetl.readers.drives.header import DriveOutline
+from conetl.readers.drives.header import DriveHeader
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "drives"
 DAY = 86_400
 ROOT = Path("drives")
 
 
-def outlines(count: int) -> list[DriveOutline]:
+def outlines(count: int) -> list[DriveHeader]:
     """Simulated drives, one a day from 2026-01-01 on."""
     start_ns = int(datetime(2026, 1, 1, tzinfo=UTC).timestamp()) * 1_000_000_000
     return [
-        DriveOutline(
+        DriveHeader(
             ROOT / f"d{i:04d}",
             f"d{i:04d}",
             f"{i:064x}",
@@ -57,9 +57,9 @@ def outlines(count: int) -> list[DriveOutline]:
 def plan(conn: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
     """`plan(outlines, **options)`: a plan over drives that need not exist."""
 
-    def make(drives: list[DriveOutline], **options: Any) -> Plan:
+    def make(drives: list[DriveHeader], **options: Any) -> Plan:
         by_path = {drive.path: drive for drive in drives}
-        monkeypatch.setattr(planning, "outline_drive", by_path.__getitem__)
+        monkeypatch.setattr(planning, "read_header", by_path.__getitem__)
         return plan_drives(conn, ROOT, settings=Settings(), params=IngestParams(), folders=list(by_path), **options)
 
     return make
@@ -69,7 +69,7 @@ def plan(conn: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
 def receipt(conn: Any, tmp_path: Path) -> Any:
     """`receipt(outline, state, **values)`: writes a receipt, with the start before an end."""
 
-    def write(outline: DriveOutline, state: str, **values: Any) -> Receipt:
+    def write(outline: DriveHeader, state: str, **values: Any) -> Receipt:
         analysis = analysis_of(IngestParams(), Settings()).sha256
         started = Receipt(
             uuid4(), "default", str(outline.path), outline.drive_id, outline.header_sha256, analysis, None, "started", "", True,
@@ -134,20 +134,20 @@ def test_a_schedule_leaves_alone_what_failed_until_it_changes(plan: Any, receipt
     receipt(drives[1], "crashed", reason="signal 9", may_pass=True)
     for _ in range(3):
         receipt(drives[2], "crashed", reason="signal 9", may_pass=True)
-    made = plan([*drives[:3], replace(drives[3], problem="there are no pictures")], once=True)
+    made = plan([*drives[:3], replace(drives[3], problem="there are no images")], once=True)
     assert [action for _, action in actions(made)] == ["skip", "ingest", "skip", "refuse"]
     changed = replace(drives[0], header_sha256="f" * 64)
     assert plan([changed], once=True).lines[0].action == "ingest"
 
 
-def test_a_drive_that_was_ingested_by_hand_is_known(plan: Any, on_the_map: DriveOutline) -> None:
+def test_a_drive_that_was_ingested_by_hand_is_known(plan: Any, on_the_map: DriveHeader) -> None:
     known = on_the_map
     other = replace(known, path=ROOT / "other", header_sha256="e" * 64, captured_from_ns=known.captured_to_ns)
     assert [line.action for line in plan([known, other]).lines] == ["skip", "ingest"]
 
 
 @pytest.fixture
-def on_the_map(conn: Any, samples: Any) -> DriveOutline:
+def on_the_map(conn: Any, samples: Any) -> DriveHeader:
     """A recording of which a changeset with the present parameters and model was made; its receipts are the test's."""
     samples.commit(conn, samples.added(samples.feature()), key="a")
     analysis = analysis_of(IngestParams(), Settings())
@@ -165,7 +165,7 @@ def on_the_map(conn: Any, samples: Any) -> DriveOutline:
 
 @pytest.mark.parametrize("once", [True, False], ids=["drop folder", "backfill"])
 def test_a_drive_that_changed_since_it_was_brought_onto_the_map_is_taken_again(
-    plan: Any, receipt: Any, conn: Any, on_the_map: DriveOutline, once: bool
+    plan: Any, receipt: Any, conn: Any, on_the_map: DriveHeader, once: bool
 ) -> None:
     """Corrected poses, another calibration, or the rest of a drive that was taken half copied: another header."""
     receipt(on_the_map, "committed", changeset_id=changeset_id(conn), may_pass=False)
@@ -180,7 +180,7 @@ def test_a_drive_that_changed_since_it_was_brought_onto_the_map_is_taken_again(
 
 
 def test_parameters_of_earlier_do_not_make_a_drive_a_changed_one(
-    plan: Any, receipt: Any, conn: Any, on_the_map: DriveOutline
+    plan: Any, receipt: Any, conn: Any, on_the_map: DriveHeader
 ) -> None:
     receipt(on_the_map, "committed", changeset_id=changeset_id(conn), may_pass=False)
     receipt(on_the_map, "failed", analysis_sha256="ab" * 32, reason="stopped", may_pass=False)
@@ -225,16 +225,16 @@ def test_the_writer_may_add_receipts_and_not_change_them(database_url: str, rece
     writer.close()
 
 
-def test_a_thousand_drives_are_planned_without_opening_a_picture(
+def test_a_thousand_drives_are_planned_without_opening_a_image(
     conn: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Real folders of real small files; the pictures cannot be read at all."""
+    """Real folders of real small files; the images cannot be read at all."""
     template = tmp_path / "template"
     sample = next(SAMPLES.iterdir())
     for side in ("image_02", "image_03"):
         (template / side / "data").mkdir(parents=True)
         for number in range(3):
-            (template / side / "data" / f"{number:010d}.jpg").write_bytes(b"no picture")
+            (template / side / "data" / f"{number:010d}.jpg").write_bytes(b"no image")
         shutil.copy(sample / side / "timestamps.txt", template / side)
     (template / "oxts" / "data").mkdir(parents=True)
     shutil.copy(sample / "oxts" / "data" / f"{0:010d}.txt", template / "oxts" / "data")

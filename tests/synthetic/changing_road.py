@@ -20,8 +20,8 @@ from scipy.optimize import linear_sum_assignment
 from conetl.mapping.existence_update import doubt_after
 from conetl.mapping.fold import Evidence, Extension, extend
 from conetl.mapping.visibility import View, look_at_spot, looks_in_view, view_of_drive
-from conetl.model.detector_evidence import DetectorEvidence, LookFigures, detect_probability
-from conetl.model.map_records import BelievedVersion, Decisions, Delta, DeltaKind, Doubt, MapFeature
+from conetl.model.detector_evidence import AbsenceFigures, DetectorEvidence, detect_probability
+from conetl.model.map_records import Decisions, Delta, DeltaKind, Doubt, FeatureVersion, MapFeature
 from conetl.model.params import IngestParams, ReconcileParams
 from conetl.model.records import Detection, FramePair, Side
 from conetl.tracking.apparent_boxes import hidden_share
@@ -158,7 +158,7 @@ def fate_is_clear(place: Place, road: Road, fate: dict[int, str]) -> bool:
 
 
 def drive_boxes(
-    cones: Sequence[Cone], pairs: Sequence[FramePair], figures: LookFigures, rng: np.random.Generator
+    cones: Sequence[Cone], pairs: Sequence[FramePair], figures: AbsenceFigures, rng: np.random.Generator
 ) -> Boxes:
     """What the detector gives."""
     luck = rng.normal(size=len(cones))
@@ -214,7 +214,7 @@ def survey(
 ) -> tuple[Evidence, View]:
     """One drive, ready for the fold, and where it truly looked (without its GNSS offset)."""
     params = IngestParams()
-    figures = LookFigures(evidence=evidence, score_threshold=params.detection.score_threshold)
+    figures = AbsenceFigures(evidence=evidence, score_threshold=params.detection.score_threshold)
     true = make_path(FRAMES, first_ns=start_ns, sigma_m=0.3)[slice(*span)]
     offset = (*rng.normal(0, 0.2, 2).tolist(), 0.0)
     logged = [shifted(pair, offset) for pair in true]
@@ -240,7 +240,7 @@ def simulate(days: int, evidence: DetectorEvidence, *, seed: int = 5) -> Score:
     """Drive a changing road for so many days, three times each, and score the map."""
     rng = np.random.default_rng(seed)
     road, score = random_road(rng), Score()
-    standing: dict[UUID, BelievedVersion] = {}
+    standing: dict[UUID, FeatureVersion] = {}
     doubts: dict[UUID, Doubt] = {}
     for day in range(days + 1):
         before, known = dict(road.places), owners(standing, road.places)
@@ -277,7 +277,7 @@ def simulate(days: int, evidence: DetectorEvidence, *, seed: int = 5) -> Score:
     return score
 
 
-def take(extension: Extension, standing: dict[UUID, BelievedVersion], doubts: dict[UUID, Doubt]) -> None:
+def take(extension: Extension, standing: dict[UUID, FeatureVersion], doubts: dict[UUID, Doubt]) -> None:
     """Bring the map up to what a drive made of it."""
     for miss in extension.misses:
         earlier = doubts.get(miss.feature_id)
@@ -311,7 +311,7 @@ def in_view(place: Place, height_m: float, view: View, params: ReconcileParams) 
     return len(rows), plain
 
 
-def owners(standing: dict[UUID, BelievedVersion], places: dict[int, Place]) -> dict[int, UUID]:
+def owners(standing: dict[UUID, FeatureVersion], places: dict[int, Place]) -> dict[int, UUID]:
     """Cone -> the feature that is it, at most 0.5 m off after the map's own offset is taken out."""
     if not standing or not places:
         return {}

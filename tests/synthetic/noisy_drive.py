@@ -1,4 +1,4 @@
-"""Drives without pictures: image points with exactly the noise that they state, poses with stated errors, truth known.
+"""Drives without images: image points with exactly the noise that they state, poses with stated errors, truth known.
 
 Where `world.py` draws boxes and lets the matching make of them what it will, here every stated sigma is true by construction,
 so that positions and tracks must come out with covariances that hold, to a few per cent.
@@ -163,7 +163,7 @@ def _match(
     noise: float,
     outline_px: NDArray[np.float64],
 ) -> StereoMatch | None:
-    """Foot, centre and tip in both pictures, drawn; None where the cone is not wholly in view of both."""
+    """Foot, centre and tip in both images, drawn; None where the cone is not wholly in view of both."""
     boxes = {side: apparent_box(cone, pair, rig, side) for side in ("left", "right")}
     if boxes["left"] is None or boxes["right"] is None:
         return None

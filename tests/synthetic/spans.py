@@ -38,7 +38,7 @@ def make_span(
     nearest_m: float = 6.0,
     lorry: int = 0,
 ) -> SpanPoints:
-    """One span of a street: points at many depths, seen inside all four pictures; the first `lorry` drive ahead with the car."""
+    """One span of a street: points at many depths, seen inside all four images; the first `lorry` drive ahead with the car."""
     pose = motion(way_m, rng.normal(0, 0.02))
     kept: list[Floats] = []
     while sum(map(len, kept)) < points:

@@ -67,7 +67,7 @@ def test_nees_of_the_rig_lies_in_its_chi_square_band() -> None:
     assert not low < ratio * 4 < high
 
 
-def test_errors_that_a_picture_has_in_common_are_in_the_covariance() -> None:
+def test_errors_that_a_image_has_in_common_are_in_the_covariance() -> None:
     own, plain = _runs(0.15, 40)
     size = 18
     assert plain.mean() / size > 5  # independent errors would be a bad assumption here ...
@@ -140,7 +140,7 @@ def test_blunders_are_taken_out_and_named() -> None:
     assert np.all(np.abs(_error(result.bundle, true)) < 4.5 * np.sqrt(np.diag(result.covariance.matrix)))
 
 
-def test_a_picture_without_partner_counts_for_its_camera() -> None:
+def test_a_image_without_partner_counts_for_its_camera() -> None:
     rng = np.random.default_rng(10)
     true = true_bundle(10, rng, points_m=board_points(6, 4))
     views = observe(true, 0.1, rng)
@@ -157,11 +157,11 @@ def test_a_picture_without_partner_counts_for_its_camera() -> None:
 def test_too_few_pairs_are_refused() -> None:
     rng = np.random.default_rng(1)
     true = true_bundle(2, rng)
-    with pytest.raises(BundleError, match="2 pairs show the board in both pictures, at least 3"):
+    with pytest.raises(BundleError, match="2 pairs show the board in both images, at least 3"):
         calibrate_stereo(true.points_m, observe(true, 0.1, rng), start_near(true, rng))
 
 
-def test_pictures_paired_wrongly_are_refused() -> None:
+def test_images_paired_wrongly_are_refused() -> None:
     rng = np.random.default_rng(2)
     true = true_bundle(9, rng)
     views = observe(true, 0.1, rng)

@@ -1,6 +1,6 @@
 """The paper's rig with a calibration drawn from its sigmas: do the stated intervals cover the truth as often as they say?
 
-2,000 rigs as they may truly be take the picture, the intersection believes the calibration. Intervals are stated at each
+2,000 rigs as they may truly be take the image, the intersection believes the calibration. Intervals are stated at each
 estimate, as the pipeline would: it does not know the truth.
 """
 
@@ -79,11 +79,11 @@ def test_views_drawn_have_the_covariance_of_the_calibration() -> None:
 
 
 def test_the_rendered_cone_stands_where_it_is_said_to_stand() -> None:
-    """Outline of the lit left cheek in both pictures: its disparity is the axis's, to a fifth of a pixel, at every height."""
+    """Outline of the lit left cheek in both images: its disparity is the axis's, to a fifth of a pixel, at every height."""
     pytest.importorskip("mitsuba", reason="Mitsuba is not installed: pip install 'conetl[simulate]'")
     pair = render_pair(samples_per_pixel=2)
     truth = cases.project(cases.views_of(pair.rig), pair.foot_m)
-    orange = [(picture[..., 0] - picture[..., 2]).astype(float) for picture in (pair.left, pair.right)]
+    orange = [(image[..., 0] - image[..., 2]).astype(float) for image in (pair.left, pair.right)]
     edges = []
     for row in range(90, 180, 6):
         crossings = []

@@ -34,7 +34,7 @@ def fuse(
     drop: float = 0.0,
     seed: int = 1,
 ) -> tuple[list[Track], list[Rejection]]:
-    """Tracks of a drive: pictures are taken from the true poses, everything else knows only the logged ones."""
+    """Tracks of a drive: images are taken from the true poses, everything else knows only the logged ones."""
     rng = np.random.default_rng(seed)
     logged = list(logged_pairs or true_pairs)
     detections = detect(cones, true_pairs, RIG, noise_px=noise_px, rng=rng)

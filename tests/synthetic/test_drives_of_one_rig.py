@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from conetl.geometry.calibration.covariance import calibration_jacobian
-from conetl.geometry.calibration.shared import levers_of, shared_errors, unpack_all
+from conetl.geometry.calibration.shared import jacobian_of, shared_errors, unpack_all
 from conetl.geometry.packing import cov3, cov_matrix
 from conetl.geometry.rig import map_SE3_left
 from conetl.mapping.changes import reconcile
@@ -64,9 +64,9 @@ def one_track(
     turn = map_SE3_left(pair.pose, rig)[:3, :3]
     in_camera = turn.T @ np.array([before_m, cone_m[1], -1.6])
     by_calibration = turn @ calibration_jacobian(in_camera[None], rig)[0]
-    levers = levers_of(by_calibration, rig)
-    assert levers is not None
-    moved = unpack_all(levers.calibrations, [levers])[0, 0]
+    shared_jacobian = jacobian_of(by_calibration, rig)
+    assert shared_jacobian is not None
+    moved = unpack_all(shared_jacobian.calibrations, [shared_jacobian])[0, 0]
     half_m = np.array([0, 0, 0.35])
     at = ORIGIN_M + cone_m + off_m + moved @ z
     own = np.eye(3) * (DRIVE_M**2 + CONE_M**2)
@@ -75,8 +75,8 @@ def one_track(
         track_index=index, xyz_m=tuple(at.tolist()), cov_m2=cov3(own + moved @ moved.T),
         relative_cov_m2=cov3(np.eye(3) * CONE_M**2), centre_xyz_m=tuple((at + half_m).tolist()), cone_height_m=0.7,
         cone_height_sigma_m=0.02, existence_probability=0.95, observation_count=10, first_seen_ns=seen_ns,
-        last_seen_ns=seen_ns + 10**9, residual_rms_px=0.3, nearest_range_m=7.0, members=((index, 0),), levers=levers,
-    )  # fmt: skip
+        last_seen_ns=seen_ns + 10**9, residual_rms_px=0.3, nearest_range_m=7.0, members=((index, 0),),
+        shared_jacobian=shared_jacobian, )  # fmt: skip
 
 
 def after(drives: Sequence[Sequence[Track]]) -> list[MapFeature]:
@@ -115,7 +115,7 @@ def nees(
 ) -> tuple[float, float]:
     """Mean NEES over trials and cones (or of one), and the mean sigma along the road in metres.
 
-    known: False as if no drive told its levers. seen: whether a drive sees a cone. ranges_m: of even and odd drives.
+    known: False as if no drive told its shared_jacobian. seen: whether a drive sees a cone. ranges_m: of even and odd drives.
     """
     rng = np.random.default_rng(12)
     cones_m = np.array([[12.0 * k, 2.5 if k % 2 else -2.5, 0.0] for k in range(cones)])
@@ -133,7 +133,7 @@ def nees(
                 for k, cone_m in enumerate(cones_m)
                 if seen(drive, k)
             ]  # fmt: skip
-            drives.append(tracks if known else [track.model_copy(update={"levers": None}) for track in tracks])
+            drives.append(tracks if known else [track.model_copy(update={"shared_jacobian": None}) for track in tracks])
         features = after(drives)
         total.append(squared(features, cones_m, of_cone))
         sigma_m.append(np.mean([f.cov_m2[0] ** 0.5 for f in features]))
@@ -172,13 +172,14 @@ def test_near_and_far_looks_with_one_calibration() -> None:
 
 
 def test_a_cone_that_a_drive_from_the_other_side_adds_is_off_as_the_map_is() -> None:
-    """It is placed against the cones that were there: the levers of its own drive would be cancelled by the next ones."""
+    """It is placed against the cones that were there: the shared_jacobian of its own drive would be cancelled by the next
+    ones."""
     late = nees(to_and_fro, [RIG] * 5, cones=3, seen=lambda drive, cone: cone < 2 or drive >= 3, of_cone=2)[0]
     assert 0.8 < late < 1.25
 
 
-def test_pictures_of_a_rig_whose_calibration_is_wrong() -> None:
-    """From boxes to the map: a rig drawn from the calibration's sigmas takes the pictures, the calibration finds cones."""
+def test_images_of_a_rig_whose_calibration_is_wrong() -> None:
+    """From boxes to the map: a rig drawn from the calibration's sigmas takes the images, the calibration finds cones."""
     rng = np.random.default_rng(4)
     cone = Cone((18.0, 3.0, 0.0))
     honest, proud = [], []
@@ -186,14 +187,14 @@ def test_pictures_of_a_rig_whose_calibration_is_wrong() -> None:
         taken = wrong_rig(POOR_RIG, rng.normal(0, POOR))
         drives = [drive_past(cone, taken, rng, drive) for drive in range(6)]
         honest.append(squared(after(drives), np.array([cone.foot_m])))
-        unaware = [[track.model_copy(update={"levers": None}) for track in tracks] for tracks in drives]
+        unaware = [[track.model_copy(update={"shared_jacobian": None}) for track in tracks] for tracks in drives]
         proud.append(squared(after(unaware), np.array([cone.foot_m])))
     assert 0.6 < np.mean(honest) < 1.3
     assert np.mean(proud) > 1.8
 
 
 def drive_past(cone: Cone, taken: Rig, rng: np.random.Generator, drive: int) -> list[Track]:
-    """The tracks of one drive, with a GNSS error and picture noise of its own."""
+    """The tracks of one drive, with a GNSS error and image noise of its own."""
     true = make_path(12, first_ns=START_NS + drive * 86_400_000_000_000, sigma_m=DRIVE_M)
     gnss_m = rng.normal(0, DRIVE_M, 3) * [1, 1, 1.5]
     logged = [shifted(pair, gnss_m) for pair in true]
@@ -201,5 +202,8 @@ def drive_past(cone: Cone, taken: Rig, rng: np.random.Generator, drive: int) -> 
     tracks, _ = fuse_logged(logged, POOR_RIG, found, matches, positions)
     shared = shared_errors(POOR_RIG)
     assert shared is not None
-    assert all(track.levers is not None and track.levers.calibrations == (shared.calibration,) for track in tracks)
+    assert all(
+        track.shared_jacobian is not None and track.shared_jacobian.calibrations == (shared.calibration,)
+        for track in tracks
+    )
     return tracks

@@ -141,7 +141,7 @@ def test_the_joint_adjustment_holds_for_the_errors_that_it_knows(noise: float, h
 
 @pytest.mark.parametrize(("noise", "holds"), [(0.5, False), (1.0, True), (2.0, False)])
 def test_what_all_sightings_of_a_cone_share_is_common_to_them(noise: float, holds: bool) -> None:
-    """Feet that the detector puts wrongly, for each cone in all its pictures alike: single positions and tracks hold."""
+    """Feet that the detector puts wrongly, for each cone in all its images alike: single positions and tracks hold."""
     some = [
         draw_drive(np.random.default_rng(seed), RIG, CONES, RTK, frames=16, noise=noise, outline_px=0.6)
         for seed in range(16)

@@ -40,7 +40,7 @@ NUMBER = {"left": "02", "right": "03"}
 
 
 def raw_rig(rectified: Rig) -> Rig:
-    """Larger pictures than the rendered ones, so that these fit into them; the same projection centres."""
+    """Larger images than the rendered ones, so that these fit into them; the same projection centres."""
     cameras, body = {}, {}
     for side, f in (("left", 690.0), ("right", 684.0)):
         cameras[side] = Camera(
@@ -53,19 +53,19 @@ def raw_rig(rectified: Rig) -> Rig:
     })  # fmt: skip
 
 
-def take_raw(picture: np.ndarray, rectified: Rig, raw: Rig, side: str) -> np.ndarray:
-    """The raw camera's view of a rectified picture: for each raw pixel its ray, and where the rectified camera sees that."""
+def take_raw(image: np.ndarray, rectified: Rig, raw: Rig, side: str) -> np.ndarray:
+    """The raw camera's view of a rectified image: for each raw pixel its ray, and where the rectified camera sees that."""
     own, theirs = rigs.camera_of(raw, side), rigs.camera_of(rectified, side)  # type: ignore[arg-type]
     u, v = np.meshgrid(np.arange(own.width_px), np.arange(own.height_px))
     rays = cam.rays(own, np.stack([u, v], axis=-1)) @ np.array(Rotation.from_rotvec(TURNS[side]).as_matrix()).T
     assert np.isfinite(rays).all()
     uv = cam.project(theirs, rays).astype(np.float32)
-    return cv2.remap(picture, uv[..., 0], uv[..., 1], cv2.INTER_LANCZOS4, borderValue=(90, 90, 90))
+    return cv2.remap(image, uv[..., 0], uv[..., 1], cv2.INTER_LANCZOS4, borderValue=(90, 90, 90))
 
 
 @pytest.fixture(scope="module")
 def raw_drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The sample drive in KITTI's "synced only" form: raw pictures, and the lines of the raw cameras in the calibration."""
+    """The sample drive in KITTI's "synced only" form: raw images, and the lines of the raw cameras in the calibration."""
     root = tmp_path_factory.mktemp("raw") / "drive"
     for name in ("calib_velo_to_cam.txt", "calib_imu_to_velo.txt"):
         root.mkdir(exist_ok=True)
@@ -74,7 +74,7 @@ def raw_drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rectified = read_kitti_rig(DRIVE / "calib_cam_to_cam.txt", body_required=True)
     raw = raw_rig(rectified)
     lines = dict(line.split(": ", 1) for line in (DRIVE / "calib_cam_to_cam.txt").read_text().splitlines())
-    ideal = read_kitti_rig(DRIVE / "calib_cam_to_cam.txt", body_required=True, pictures="raw")
+    ideal = read_kitti_rig(DRIVE / "calib_cam_to_cam.txt", body_required=True, images="raw")
     camera_SE3_cam0 = se3.se3(
         *(np.array(lines[k].split(), dtype=float).reshape(s) for k, s in (("R_02", (3, 3)), ("T_02", 3)))
     )
@@ -91,8 +91,8 @@ def raw_drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / "data").mkdir(parents=True)
         shutil.copy(DRIVE / f"image_{number}" / "timestamps.txt", folder)
         for frame in FRAMES:
-            picture = cv2.imread(str(DRIVE / f"image_{number}" / "data" / f"{frame:010d}.jpg"))
-            cv2.imwrite(str(folder / "data" / f"{frame:010d}.png"), take_raw(picture, rectified, raw, side))
+            image = cv2.imread(str(DRIVE / f"image_{number}" / "data" / f"{frame:010d}.jpg"))
+            cv2.imwrite(str(folder / "data" / f"{frame:010d}.png"), take_raw(image, rectified, raw, side))
     (root / "calib_cam_to_cam.txt").write_text("".join(f"{key}: {value}\n" for key, value in lines.items()))
     return root
 
@@ -133,7 +133,7 @@ def test_near_cones_stand_where_the_rectified_drive_puts_them(raw_drive: Path) -
         assert min(offsets) < 0.02
 
 
-def test_the_same_pictures_taken_for_rectified_put_cones_elsewhere(raw_drive: Path) -> None:
+def test_the_same_images_taken_for_rectified_put_cones_elsewhere(raw_drive: Path) -> None:
     """The test above can fail: without the lenses and the turn of the cameras no cone comes out where it stands."""
     drive = read_drive(raw_drive)[0]
     raw = drive.rig.rectified_from
@@ -152,7 +152,7 @@ def test_the_same_pictures_taken_for_rectified_put_cones_elsewhere(raw_drive: Pa
 
 
 def uneven_rig(rectified: Rig) -> Rig:
-    """Two cameras of unlike sizes and principal points that see nothing but the rendered pictures."""
+    """Two cameras of unlike sizes and principal points that see nothing but the rendered images."""
     raw = raw_rig(rectified)
     cameras = {
         "left": raw.left.model_copy(
@@ -167,8 +167,8 @@ def uneven_rig(rectified: Rig) -> Rig:
 
 @pytest.mark.parametrize("max_width_px", [1280, 700])
 def test_a_raw_rig_of_unlike_cameras_moves_as_the_log_says(max_width_px: int) -> None:
-    """Rectified pictures of two widths with two principal points: every motion within 3 cm and 0.1 degrees of a log of RTK grade
-    (1.4 m a frame), as that of the rectified pictures themselves (tests/unit/io/test_visual_odometry.py)."""
+    """Rectified images of two widths with two principal points: every motion within 3 cm and 0.1 degrees of a log of RTK grade
+    (1.4 m a frame), as that of the rectified images themselves (tests/unit/perception/test_visual_odometry.py)."""
     original = read_drive(DRIVE)[0]
     raw = uneven_rig(original.rig)
     rig = rectify(raw)
@@ -177,8 +177,8 @@ def test_a_raw_rig_of_unlike_cameras_moves_as_the_log_says(max_width_px: int) ->
     pairs = original.frame_pairs[10:15]
 
     def read(pair: FramePair, side: Side) -> NDArray[np.uint8]:
-        picture = read_image(Path(pair.left_path if side == "left" else pair.right_path), grey=True)
-        return rectify_image(take_raw(picture, original.rig, raw, side), rig, side)
+        image = read_image(Path(pair.left_path if side == "left" else pair.right_path), grey=True)
+        return rectify_image(take_raw(image, original.rig, raw, side), rig, side)
 
     params = TrajectoryParams(max_width_px=max_width_px)
     for motion, first, second in zip(measure_motions(pairs, rig, read, params), pairs, pairs[1:], strict=False):

@@ -86,7 +86,7 @@ def test_rtk_grade_poses_are_not_harmed() -> None:
 
 def test_without_measurements_the_poses_are_those_of_the_log() -> None:
     _, log, motions = drive(1)
-    dark = [m.model_copy(update={"second_SE3_first": None, "cov": (), "reason": "picture_blank"}) for m in motions]
+    dark = [m.model_copy(update={"second_SE3_first": None, "cov": (), "reason": "image_blank"}) for m in motions]
     for nothing in ([], dark):
         result = refine_trajectory(log, RIG, nothing, PARAMS)
         assert result.outcome is RefinementOutcome.NO_MEASUREMENT
@@ -140,7 +140,7 @@ def test_one_wild_motion_is_refused_and_named(wild_m: float) -> None:
     assert slide(pose_errors(result.frame_pairs, truth)) < slide(pose_errors(clean.frame_pairs, truth)) + 0.15
 
 
-def test_a_jump_of_the_log_is_not_blamed_on_the_pictures() -> None:
+def test_a_jump_of_the_log_is_not_blamed_on_the_images() -> None:
     _, log, motions = drive(4)
     jumped = [
         pair
@@ -158,7 +158,7 @@ def test_a_jump_of_the_log_is_not_blamed_on_the_pictures() -> None:
     assert result.refused_intervals == ()
 
 
-def test_a_lorry_that_fills_the_pictures_is_not_followed() -> None:
+def test_a_lorry_that_fills_the_images_is_not_followed() -> None:
     """For 20 frames all that is seen drives along at 6 m/s beside us: the motion measured is that against the lorry."""
     truth, log, motions = drive(5)
     beside = [shifted(m, -0.6) if 20 <= k < 40 else m for k, m in enumerate(motions)]
@@ -187,7 +187,7 @@ def test_a_standing_car_stays_where_it_is() -> None:
     assert slide(pose_errors(result.frame_pairs, truth)) < 0.25
 
 
-def test_cones_as_landmarks_bridge_what_pictures_do_not_tell() -> None:
+def test_cones_as_landmarks_bridge_what_images_do_not_tell() -> None:
     """Twelve frames without visual odometry, but three cones in view: they hold the trajectory together."""
     before, after = [], []
     for seed in range(6):

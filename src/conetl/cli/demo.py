@@ -88,9 +88,7 @@ def demo(
     out.print("\n[bold]Where the results lie[/]")
     out.print(f"  {export}: the map (drop it into QGIS)", markup=False)
     for report in reports:
-        out.print(
-            f"  {settings.drive_picture_path(report.drive_id)}: plan view of drive {report.drive_id}", markup=False
-        )
+        out.print(f"  {settings.drive_image_path(report.drive_id)}: plan view of drive {report.drive_id}", markup=False)
     out.print(
         f"  {settings.reports_folder}: a report of each drive, one HTML page with pictures of its changes", markup=False
     )

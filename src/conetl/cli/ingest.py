@@ -29,7 +29,7 @@ from conetl.model.params import IngestParams
 from conetl.perception.model_card import read_model_card
 from conetl.pipeline.settings import Settings, prefect_environment, read_settings
 from conetl.readers.drives import drive_format, read_drive
-from conetl.readers.drives.header import outline_drive
+from conetl.readers.drives.header import read_header
 
 
 def ingest(
@@ -166,7 +166,7 @@ def _why_unusable(drive: Path) -> ConetlError | None:
     if is_remote(drive) or drive_format(drive) == "bag":
         return None
     with suppress(OSError):
-        if drive.exists() and outline_drive(drive).problem is None:
+        if drive.exists() and read_header(drive).problem is None:
             return None
         try:
             read_drive(drive, headers_only=True)

@@ -37,13 +37,11 @@ def inspect(
 ) -> None:
     """Say what is understood of a drive: format, rig, pairs and losses, rate, gaps, quality of the poses, extent, likely time.
 
-    Pictures are judged by their headers and ends only; nothing is decoded and nothing is written to the map. Exit code 2: the
+    Images are judged by their headers and ends only; nothing is decoded and nothing is written to the map. Exit code 2: the
     drive cannot be ingested; 1: it can, but too many of its pairs are lost.
     """
     settings = read_settings()
-    found, rejections = read_drive(
-        drive, map_srid=map_srid, pictures_folder=settings.pictures_folder, headers_only=True
-    )
+    found, rejections = read_drive(drive, map_srid=map_srid, images_folder=settings.images_folder, headers_only=True)
     kind = drive_format(drive) or "kitti"
     summary = summarise(found, rejections)
     seconds = estimated_seconds(summary, settings.workers)

@@ -12,7 +12,7 @@ import typer
 
 from conetl.cli.console import JsonOption, out, print_json, print_table
 from conetl.db.retention import parse_age, prunable_drives, prune_drives
-from conetl.files.expiry import old_pictures, old_publications, old_results, remove, size_bytes
+from conetl.files.expiry import old_images, old_publications, old_results, remove, size_bytes
 from conetl.files.partial_files import sweep
 from conetl.model.errors import InputError
 from conetl.pipeline.settings import read_settings
@@ -61,7 +61,7 @@ def prune(
         report |= {"drives": [asdict(drive) for drive in drives], "rows": rows}
     find = {
         "results": partial(old_results, settings.results_folder),
-        "pictures": partial(old_pictures, settings.pictures_folder),
+        "pictures": partial(old_images, settings.images_folder),
         "publications": partial(old_publications, settings.exports_folder),
     }
     files = {kind: find[kind](before) for kind, before in since.items()}

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from conetl.db.connection import Connection, database_errors, load_sql, stream
 from conetl.db.map.rows import version_of
-from conetl.model.map_records import BelievedVersion
+from conetl.model.map_records import FeatureVersion
 from conetl.model.work_zone_records import DrivePath, LaneLine
 from conetl.readers.base_layers.lines import bounds_lanes, full_kind
 
@@ -20,7 +20,7 @@ _PATH_TOLERANCE_M = 0.05
 _LANE_REACH_M = 60.0
 
 
-def read_versions(conn: Connection, *, map_name: str, until: datetime | None = None) -> list[BelievedVersion]:
+def read_versions(conn: Connection, *, map_name: str, until: datetime | None = None) -> list[FeatureVersion]:
     """Every believed version that began until then (None: all), by feature; [] where there is no such map."""
     parameters = {"map_name": map_name, "valid_until": until.isoformat() if until else "infinity"}
     with database_errors(f"The history of map {map_name} cannot be read"):

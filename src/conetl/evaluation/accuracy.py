@@ -135,9 +135,10 @@ def track_errors(
     """Errors of the tracks that were found.
 
     In common they have what the positions of the drive have (`position_errors`), each by its own lever: an error of the
-    heading is no mere shift of all cones. The levers of a track's sightings are put together as their adjustment puts the
-    sightings together, with the information of each (a (3, 3) share: one far ahead tells the side, one abeam the way along).
-    positions: single ones of the drive, those of the tracks among them. motion: of a refined trajectory, as tracks were fused.
+    heading is no mere shift of all cones. The shared_jacobian of a track's sightings are put together as their adjustment puts
+    the sightings together, with the information of each (a (3, 3) share: one far ahead tells the side, one abeam the way
+    along). positions: single ones of the drive, those of the tracks among them. motion: of a refined trajectory, as tracks were
+    fused.
     """
     found = [(line, line.feature) for line in lines if line.feature is not None]
     path_m = np.array([map_SE3_left(pair.pose, drive.rig)[:3, 3] for pair in drive.frame_pairs])

@@ -18,7 +18,7 @@ from conetl.tracking.self_calibration import SelfCalibration, choose_spans, self
 def calibrate_drive(
     drive: Drive, params: TrajectoryParams, tracks: list[StereoTracks] | None = None
 ) -> SelfCalibration:
-    """Self-calibration from the pictures of a drive; tracks: of its intervals, where they are known already."""
+    """Self-calibration from the images of a drive; tracks: of its intervals, where they are known already."""
     pairs = drive.frame_pairs
 
     def read(pair: FramePair, side: Side) -> NDArray[np.uint8]:

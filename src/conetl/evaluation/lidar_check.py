@@ -1,6 +1,6 @@
 """An independent range to every matched cone: the drive's own LiDAR, and what stereo says less what it says.
 
-Only the left picture's box and outline say where to look, never the stereo depth. Points in the cone's silhouette and above its
+Only the left image's box and outline say where to look, never the stereo depth. Points in the cone's silhouette and above its
 foot are taken; their nearest cluster must hold nearly all of them, else something stands in front and there is no statement.
 A beam ends on the surface: the cone's radius at its height, from the outline, leads from there to the axis.
 """

@@ -2,7 +2,7 @@
 
 Where stereo and LiDAR disagree on cones, they do so for one of three reasons: the match of the cone, the rig's calibration, or
 scanner and camera not being where or when they claim to be. The scene tells the last two: windows round projected LiDAR points
-are matched, and a smooth field of disparity errors over the picture (calibration) and one range offset (scanner against camera,
+are matched, and a smooth field of disparity errors over the image (calibration) and one range offset (scanner against camera,
 place and time) are fitted to what they disagree by. Cones take no part in the fit, so they can be judged after it.
 """
 
@@ -25,7 +25,7 @@ _MIN_SCORE = 0.85
 _MIN_CONTRAST = 6.0
 _MAX_POINTS = 600
 #: Field over x/z and y/z: what errors of relative orientation, focal lengths and radial distortion do to disparities; mostly
-#: across the picture, which is much wider than high.
+#: across the image, which is much wider than high.
 _POWERS = ((0, 0), (1, 0), (2, 0), (3, 0), (4, 0), (0, 1), (1, 1), (2, 1))
 _MIN_SAMPLES = 500
 
@@ -57,8 +57,8 @@ def scene_samples(
 ) -> Floats:
     """(n, 4): x/z, y/z, LiDAR's disparity from infinity (px), stereo's disparity less that, for windows that match well.
 
-    points_left_m: (N, 3) LiDAR points in the left camera's frame. left, right: rectified pictures (H, W, 3), uint8. At most 600
-    points are tried. Windows within the boxes of `detections` (left picture) are left out.
+    points_left_m: (N, 3) LiDAR points in the left camera's frame. left, right: rectified images (H, W, 3), uint8. At most 600
+    points are tried. Windows within the boxes of `detections` (left image) are left out.
     """
     camera, focal_base = rig.left, rig.left.fx_px * rig.baseline_m
     points = points_left_m[points_left_m[:, 2] > 3.0]
@@ -113,8 +113,8 @@ def _design(xy: Floats) -> Floats:
     return np.stack([xy[..., 0] ** i * xy[..., 1] ** j for i, j in _POWERS], axis=-1)
 
 
-def _grey(picture: NDArray[np.uint8]) -> Floats:
-    return np.asarray(picture.astype(np.float64).mean(axis=2))
+def _grey(image: NDArray[np.uint8]) -> Floats:
+    return np.asarray(image.astype(np.float64).mean(axis=2))
 
 
 def _match_windows(

@@ -1,4 +1,4 @@
-"""Who publishes a work-zone feed, and what no picture tells: a small `feed.yaml`, or flags of the command line."""
+"""Who publishes a work-zone feed, and what no image tells: a small `feed.yaml`, or flags of the command line."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def read_feed_info(path: Path | None, **flags: Any) -> FeedInfo:
     missing = [key for key in ("publisher", "road_names") if not values.get(key)]
     if missing:
         raise InputError(
-            f"{name}: WZDx wants {' and '.join(missing)}, which no picture tells: name them with --publisher and --road-name, "
+            f"{name}: WZDx wants {' and '.join(missing)}, which no image tells: name them with --publisher and --road-name, "
             f"or in a file for --feed:{_EXAMPLE}"
         )
     return validated(values, FeedInfo, name)

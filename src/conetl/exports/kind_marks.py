@@ -1,4 +1,4 @@
-"""How each kind of change looks in pictures and exports: the colours, words and, as near as can be, shapes of `conetl view`.
+"""How each kind of change looks in images and exports: the colours, words and, as near as can be, shapes of `conetl view`.
 
 The colour-blind can tell the colours apart (no red beside green, no orange), and each kind has a shape of its own as well. A test
 holds them against web/src/kinds.ts.

@@ -18,8 +18,8 @@ def old_results(folder: Path, before: datetime) -> list[Path]:
     return _older(folder.glob("*.parquet"), before)
 
 
-def old_pictures(folder: Path, before: datetime) -> list[Path]:
-    """Pictures unpacked from bags that no run has asked for since an instant; they are unpacked again when one does."""
+def old_images(folder: Path, before: datetime) -> list[Path]:
+    """Images unpacked from bags that no run has asked for since an instant; they are unpacked again when one does."""
     return _older((path for path in folder.glob("*/*") if path.is_file()), before)
 
 

@@ -102,7 +102,7 @@ def load_results(paths: Iterable[Path], record_type: type[R]) -> tuple[list[R], 
 
 
 def _read(path: Path) -> pa.Table:
-    # pq.read_table imports pandas, which takes as long as some hundred pictures.
+    # pq.read_table imports pandas, which takes as long as some hundred images.
     with pq.ParquetFile(path, page_checksum_verification=True) as file:
         return file.read()
 

@@ -2,7 +2,7 @@
 
 A drive may lie at `s3://bucket/drive`. Its readers use `pathlib` methods only, which `UPath` (universal-pathlib over fsspec)
 has for objects too. Objects are read when they are needed and never copied to disk; a bounded part of the bytes read last stays
-in memory, since a picture is hashed and then decoded. Credentials and endpoint come from the usual environment
+in memory, since a image is hashed and then decoded. Credentials and endpoint come from the usual environment
 (AWS_ACCESS_KEY_ID, AWS_PROFILE, AWS_ENDPOINT_URL ...) or the machine's role, never from conetl's own settings.
 """
 
@@ -23,7 +23,7 @@ from upath import UPath
 
 from conetl.model.errors import InputError, StorageError
 
-#: Bytes of objects that stay in memory for their next reader: the 256 pictures of half a chunk, of half a megabyte each, for two
+#: Bytes of objects that stay in memory for their next reader: the 256 images of half a chunk, of half a megabyte each, for two
 #: tasks. What is pushed out between its hash and its decoding is fetched twice.
 CACHE_BYTES = 256 * 2**20
 #: SHA-256 where there is no file: of nothing.

@@ -76,7 +76,7 @@ def horizon_row_px(camera: Camera, map_R_cam: ArrayLike, u_px: float | None = No
 
 
 def first_road_row(camera: Camera, map_R_cams: Iterable[ArrayLike], margin_rad: float) -> int:
-    """First row of a camera's pictures that lies at most `margin_rad` above the highest horizon of rotations (3, 3).
+    """First row of a camera's images that lies at most `margin_rad` above the highest horizon of rotations (3, 3).
 
     What stands on the road, and is no taller than the rig, shows at or below it; the margin is for slopes. 0 where a camera
     has no horizon row.

@@ -9,7 +9,7 @@ Each iteration linearises both equations of every view at the present X, weights
 3x3 normal equations; it stops when the sum of squares of the correction falls below 1e-10 m^2 (the paper's criterion).
 The start is the linear solution of the same equations multiplied by the depth. Coordinates are taken relative to a camera
 of each point, so that map coordinates of millions of metres cost no digits. Degenerate points get a status, never a number.
-With a lens, x/z and y/z are distorted before they are scaled, and the adjustment is made in the distorted picture, where the
+With a lens, x/z and y/z are distorted before they are scaled, and the adjustment is made in the distorted image, where the
 image sigmas hold: taking the distortion out first would weight the image points wrongly.
 """
 
@@ -70,7 +70,7 @@ class IntersectionResult:
     cov_m2: Array
     """(P, 3, 3) from the image sigmas alone, at the last linearisation."""
     residuals_px: Array
-    """(P, V, 2) observed minus computed, in the picture as given; NaN for views that were not used."""
+    """(P, V, 2) observed minus computed, in the image as given; NaN for views that were not used."""
     depth_m: Array
     """(P, V) along the optical axis of each view; NaN for views that were not used."""
     ray_angle_rad: Array

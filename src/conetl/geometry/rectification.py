@@ -1,9 +1,9 @@
-"""From the rig that took the pictures to the rig that the pictures are resampled to: no lens, parallel axes, equal rows.
+"""From the rig that took the images to the rig that the images are resampled to: no lens, parallel axes, equal rows.
 
 Rotation: x along the baseline, z the mean of both optical axes made square to it (Fusiello, Trucco & Verri 2000, with the mean
-axis as in Bouguet's toolbox, so that both pictures are turned equally). Focal length: the largest of the rig's four, so that
-no detail is lost where a lens is finest, its middle. Picture: the largest rectangle along the borders in which every pixel was
-really seen by the raw camera, so that there is no black margin to explain to a detector or to a visibility test; both pictures
+axis as in Bouguet's toolbox, so that both images are turned equally). Focal length: the largest of the rig's four, so that
+no detail is lost where a lens is finest, its middle. Image: the largest rectangle along the borders in which every pixel was
+really seen by the raw camera, so that there is no black margin to explain to a detector or to a visibility test; both images
 have the same rows.
 """
 
@@ -29,9 +29,9 @@ SIDES: tuple[Side, Side] = ("left", "right")
 PARALLEL_RAD = 1e-4
 #: ... whose baseline leaves the rows by less than this share (KITTI's own rectified pair: 0.005), ...
 BASELINE_SLOPE = 0.01
-#: ... and whose rows agree to this many pixels over the whole picture.
+#: ... and whose rows agree to this many pixels over the whole image.
 ROW_TOLERANCE_PX = 0.25
-#: A pinhole picture stretches what is far off the axis; rectified pictures end this far from it.
+#: A pinhole image stretches what is far off the axis; rectified images end this far from it.
 MAX_HALF_ANGLE_RAD = np.radians(60.0)
 #: ... and are at most this many times as wide and as high as the raw ones.
 MAX_GROWTH = 2.0
@@ -39,17 +39,17 @@ MAX_GROWTH = 2.0
 MAX_SLOPE = 0.5
 MIN_BASELINE_M = 0.01
 _BORDER_SAMPLES = 101
-#: A curved border lies this much further in between two samples of it at most (60 px apart in a 24-megapixel picture).
+#: A curved border lies this much further in between two samples of it at most (60 px apart in a 24-megapixel image).
 _INSET_PX = 0.1
 
 
 def is_rectified(rig: Rig) -> bool:
-    """True where a rig's pictures can be used as they are: no lens, parallel axes along the rows, equal rows."""
+    """True where a rig's images can be used as they are: no lens, parallel axes along the rows, equal rows."""
     if rig.left.lens.model != "none" or rig.right.lens.model != "none":
         return False
     relative = rigs.left_SE3_right(rig)
     slope = np.hypot(relative[1, 3], relative[2, 3]) / max(abs(float(relative[0, 3])), 1e-12)
-    # row difference = (fy_l - fy_r) y + ..., y up to half a picture off the principal point
+    # row difference = (fy_l - fy_r) y + ..., y up to half a image off the principal point
     stretch_px = abs(rig.left.fy_px / rig.right.fy_px - 1.0) * max(rig.left.height_px, rig.right.height_px) / 2
     return bool(
         _turn_rad(relative[:3, :3]) <= PARALLEL_RAD
@@ -62,7 +62,7 @@ def is_rectified(rig: Rig) -> bool:
 def rectify(rig: Rig) -> Rig:
     """The rectified rig of a raw one, with `rectified_from` set; a rig that is rectified already is returned as it is.
 
-    Raises ValueError where no picture is left: the cameras look in different directions, or one stands behind the other.
+    Raises ValueError where no image is left: the cameras look in different directions, or one stands behind the other.
     """
     if is_rectified(rig):
         return rig
@@ -107,19 +107,19 @@ def common_rotation(left_SE3_right: ArrayLike) -> tuple[Array, Array]:
     mean_axis = np.array([0.0, 0.0, 1.0]) + relative[:3, 2]
     z = mean_axis - (mean_axis @ x) * x
     if np.linalg.norm(z) < 0.5:
-        raise ValueError("the cameras look along their baseline or in different directions: no common picture plane")
+        raise ValueError("the cameras look along their baseline or in different directions: no common image plane")
     z /= np.linalg.norm(z)
     left_R_rect = np.column_stack([x, np.cross(z, x), z])
     return left_R_rect, relative[:3, :3].T @ left_R_rect
 
 
 def stored_camera(rig: Rig, side: Side) -> Camera:
-    """The camera of the pictures as they are stored: the raw one where a rig was rectified, else the rig's own."""
+    """The camera of the images as they are stored: the raw one where a rig was rectified, else the rig's own."""
     return rigs.camera_of(rig.rectified_from or rig, side)
 
 
 def raw_from_rectified(rig: Rig, side: Side, uv_px: ArrayLike) -> Array:
-    """Image points (..., 2) of the stored picture for image points (..., 2) of the rectified one; NaN where it saw nothing.
+    """Image points (..., 2) of the stored image for image points (..., 2) of the rectified one; NaN where it saw nothing.
 
     A rig without `rectified_from` gives the points back.
     """
@@ -131,7 +131,7 @@ def raw_from_rectified(rig: Rig, side: Side, uv_px: ArrayLike) -> Array:
 
 
 def rectified_from_raw(rig: Rig, side: Side, uv_px: ArrayLike) -> Array:
-    """The way back: image points (..., 2) of the rectified picture for those of the stored one; NaN where there is none."""
+    """The way back: image points (..., 2) of the rectified image for those of the stored one; NaN where there is none."""
     uv = np.asarray(uv_px, dtype=np.float64)
     if rig.rectified_from is None:
         return uv.copy()
@@ -151,7 +151,7 @@ def _raw_R_rectified(rig: Rig, side: Side) -> Array:
 
 
 def _seen_at(raw: Camera, raw_R_rect: Array, rays: Array) -> Array:
-    """Where the raw picture (..., 2) shows directions (..., 3) of the rectified camera; NaN where it does not."""
+    """Where the raw image (..., 2) shows directions (..., 3) of the rectified camera; NaN where it does not."""
     d = rays @ raw_R_rect.T
     ahead = d[..., 2:] > 1e-6
     xy = d[..., :2] / np.where(ahead, d[..., 2:], 1.0)
@@ -167,7 +167,7 @@ def _seen_at(raw: Camera, raw_R_rect: Array, rays: Array) -> Array:
 def _seen_box(raw: Camera, raw_R_rect: Array, focal_px: float) -> Box:
     """Normalised rectangle of the rectified camera in which the raw one saw everything.
 
-    Its sides are first put at the innermost point of each border of the raw picture, then drawn in until every sample of the
+    Its sides are first put at the innermost point of each border of the raw image, then drawn in until every sample of the
     rectangle's outline was seen.
     """
     w, h = raw.width_px - 1.0, raw.height_px - 1.0
@@ -184,7 +184,7 @@ def _seen_box(raw: Camera, raw_R_rect: Array, focal_px: float) -> Box:
     y0 = max(-cap_y, _extreme(raw, raw_R_rect, top, 1, np.nanmax, -cap_y))
     y1 = min(cap_y, _extreme(raw, raw_R_rect, bottom, 1, np.nanmin, cap_y))
     if not (x0 < x1 and y0 < y1):
-        raise ValueError("nothing is left of a picture after rectification: check the rotation between the cameras")
+        raise ValueError("nothing is left of a image after rectification: check the rotation between the cameras")
     middle = np.array([(x0 + x1) / 2, (y0 + y1) / 2])
     half = np.array([(x1 - x0) / 2, (y1 - y0) / 2])
     one, run = np.ones_like(t), 2 * t - 1
@@ -200,7 +200,7 @@ def _seen_box(raw: Camera, raw_R_rect: Array, focal_px: float) -> Box:
             share = (low + high) / 2
             low, high = (share, high) if all_seen(share) else (low, share)
         if low < 0.1:
-            raise ValueError("hardly anything is left of a picture after rectification: check lens and rotation")
+            raise ValueError("hardly anything is left of a image after rectification: check lens and rotation")
         half = low * half
     half -= _INSET_PX / focal_px
     return (
@@ -211,9 +211,9 @@ def _seen_box(raw: Camera, raw_R_rect: Array, focal_px: float) -> Box:
 def _extreme(
     raw: Camera, raw_R_rect: Array, uv: Array, axis: int, pick: Callable[[Array], float], otherwise: float
 ) -> float:
-    """Innermost x or y in the rectified camera of a border (n, 2) of the raw picture; `otherwise` where it has no ray.
+    """Innermost x or y in the rectified camera of a border (n, 2) of the raw image; `otherwise` where it has no ray.
 
-    A fisheye's border may lie beyond 90 degrees: then it does not limit the rectified picture.
+    A fisheye's border may lie beyond 90 degrees: then it does not limit the rectified image.
     """
     d = cameras.rays(raw, uv) @ raw_R_rect
     good = np.isfinite(d).all(axis=1) & (d[:, 2] > 1e-6)
@@ -224,7 +224,7 @@ def _camera(box: Box, focal_px: float, side: Side) -> Camera:
     """Camera whose pixel centres fill a normalised rectangle."""
     width, height = ((box[i + 2] - box[i]) * focal_px for i in (0, 1))
     if width < 16 or height < 16:
-        raise ValueError(f"the {side} picture would be {width:.0f} x {height:.0f} pixels after rectification")
+        raise ValueError(f"the {side} image would be {width:.0f} x {height:.0f} pixels after rectification")
     return Camera(
         width_px=int(width) + 1, height_px=int(height) + 1, fx_px=focal_px, fy_px=focal_px,
         cx_px=-box[0] * focal_px, cy_px=-box[1] * focal_px,

@@ -48,7 +48,7 @@ def left_SE3_right(rig: Rig) -> Array:
 
 
 def infinity_shift_px(rig: Rig, left_uv_px: Array) -> Array:
-    """(..., 2) image point in the left less that in the right picture of what is infinitely far, at points (..., 2) of the left.
+    """(..., 2) image point in the left less that in the right image of what is infinitely far, at points (..., 2) of the left.
 
     The difference of the principal points where the axes of a rectified rig are parallel; where the right camera is turned a
     little, as after self-calibration, it depends on the place. Cameras without a lens.
@@ -74,7 +74,7 @@ def body_is_left_camera(rig: Rig) -> bool:
 
 
 def stored_R_left(rig: Rig) -> Array:
-    """(3, 3) rotation from the rig's left camera to the one that took the pictures: identity where they are used as they are."""
+    """(3, 3) rotation from the rig's left camera to the one that took the images: identity where they are used as they are."""
     if rig.rectified_from is None:
         return np.eye(3)
     turn: Array = body_SE3_camera(rig.rectified_from, "left")[:3, :3].T @ body_SE3_camera(rig, "left")[:3, :3]
@@ -84,8 +84,8 @@ def stored_R_left(rig: Rig) -> Array:
 def up_in_left_camera(rig: Rig) -> Array:
     """(3,) unit vector in the left camera's frame that is up when the body stands level.
 
-    The body's +z where the rig has a body of its own, else minus the y axis of the camera that took the pictures (it is held
-    level: rectification turns pictures, not cameras).
+    The body's +z where the rig has a body of its own, else minus the y axis of the camera that took the images (it is held
+    level: rectification turns images, not cameras).
     """
     if body_is_left_camera(rig.rectified_from or rig):
         return np.array([0.0, -1.0, 0.0]) @ stored_R_left(rig)

@@ -141,5 +141,5 @@ def _as_track(statement: Statement, at_ns: int) -> Track:
         residual_rms_px=0.0,
         nearest_range_m=1.0,
         members=((0, 0),),
-        levers=None,
+        shared_jacobian=None,
     )

@@ -187,7 +187,7 @@ def _halves(
     params: ReconcileParams,
 ) -> dict[int, int]:
     """Track index -> feature index of cones that are half of a feature: it lies in the middle between this track and its own, and
-    one picture shows both."""
+    one image shows both."""
     if not free_tracks or not pairs:
         return {}
     seen_features = sorted(pairs)

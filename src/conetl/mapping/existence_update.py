@@ -1,10 +1,10 @@
 """Belief in a feature over drives: Bayes in log-odds, one term a drive.
 
 A drive that sees the cone adds the log-odds that its track had, an imported map those that it states. A drive that looks at the
-spot and does not see it adds the log-likelihood ratio of its empty frame pairs (`mapping/visibility.py`), but first allows for the
-cone having been taken away since: no number of earlier sightings holds more than ln((1 - v) / v) against it, v the chance that a
-cone vanishes from one drive to the next (a binary Bayes filter, Thrun, Burgard & Fox 2005, Probabilistic Robotics, section 4.2,
-with that transition).
+spot and does not see it adds the log-likelihood ratio of its empty frame pairs (`mapping/visibility.py`), but first allows for
+the cone having been taken away since: no number of earlier sightings holds more than ln((1 - v) / v) against it, v the chance
+that a cone vanishes from one drive to the next (a binary Bayes filter, Thrun, Burgard & Fox 2005, Probabilistic Robotics,
+section 4.2, with that transition).
 """
 
 from __future__ import annotations

@@ -53,8 +53,11 @@ def confirmations(
     if not pairs:
         return []
     old, new = [features[j] for j in pairs], [tracks[i] for i in pairs.values()]
-    gain, cov, levers = fuse(
-        [f.cov_m2 for f in old], [f.levers for f in old], [t.cov_m2 for t in new], [t.levers for t in new]
+    gain, cov, shared_jacobian = fuse(
+        [f.cov_m2 for f in old],
+        [f.shared_jacobian for f in old],
+        [t.cov_m2 for t in new],
+        [t.shared_jacobian for t in new],
     )
     old_xyz = np.array([f.xyz_m for f in old])
     fused = old_xyz + _times(gain, np.array([t.xyz_m for t in new]) - old_xyz)
@@ -80,7 +83,7 @@ def confirmations(
         (weights.sum(axis=1) ** -0.5).tolist(),
         [evidence[j] for j in pairs],
         shifts_m.tolist(),
-        levers,
+        shared_jacobian,
         strict=True,
     )
     return [
@@ -103,7 +106,7 @@ def confirmations(
                 observation_count=feature.observation_count + track.observation_count,
                 first_seen_ns=feature.first_seen_ns,
                 last_seen_ns=max(feature.last_seen_ns, track.last_seen_ns),
-                levers=own_levers,
+                shared_jacobian=own_jacobian,
             ),
             track_index=track.track_index,
             changed_at_ns=track.first_seen_ns,
@@ -111,7 +114,7 @@ def confirmations(
             other_feature_id=None,
             evidence=found,
         )
-        for feature, track, xyz_m, cov_m2, centre_m, height_m, height_sigma_m, found, shift_m, own_levers in columns
+        for feature, track, xyz_m, cov_m2, centre_m, height_m, height_sigma_m, found, shift_m, own_jacobian in columns
     ]
 
 
@@ -138,5 +141,5 @@ def feature_from_track(
         observation_count=track.observation_count,
         first_seen_ns=track.first_seen_ns,
         last_seen_ns=track.last_seen_ns,
-        levers=track.levers,
+        shared_jacobian=track.shared_jacobian,
     )

@@ -22,11 +22,11 @@ from conetl.mapping.adoption import adopt
 from conetl.mapping.changes import LookAt, reconcile
 from conetl.mapping.existence_update import doubt_after
 from conetl.model.map_records import (
-    BelievedVersion,
     Decisions,
     Delta,
     DeltaKind,
     Doubt,
+    FeatureVersion,
     FoldKey,
     MapFeature,
     Miss,
@@ -66,7 +66,7 @@ class Extension:
     """What one drive does to the map."""
 
     deltas: list[Delta]
-    versions: list[BelievedVersion]
+    versions: list[FeatureVersion]
     """One for each delta that changes anything, open."""
     misses: list[Miss]
     """One for each delta that is evidence against a feature and changes nothing."""
@@ -83,7 +83,7 @@ class Extension:
 class Folded:
     """The map in valid time."""
 
-    chains: dict[UUID, list[BelievedVersion]] = field(default_factory=dict)
+    chains: dict[UUID, list[FeatureVersion]] = field(default_factory=dict)
     """The versions of each feature, oldest first; the last one is open."""
     misses: list[Miss] = field(default_factory=list)
     """What was looked for and not seen but stands, in the order of the drives."""
@@ -95,7 +95,7 @@ def fold(
     drives: Iterable[Evidence],
     decisions: Decisions = Decisions(),  # noqa: B008 -- frozen
     *,
-    given: Iterable[tuple[FoldKey, BelievedVersion | Miss]] = (),
+    given: Iterable[tuple[FoldKey, FeatureVersion | Miss]] = (),
 ) -> Folded:
     """The map that the drives make, whatever order they are given in.
 
@@ -103,9 +103,9 @@ def fold(
     periods and the suppression of given versions are worked out anew.
     """
     folded = Folded()
-    standing: dict[UUID, BelievedVersion] = {}
+    standing: dict[UUID, FeatureVersion] = {}
     doubts: dict[UUID, Doubt] = {}
-    events: Iterable[tuple[FoldKey, str, BelievedVersion | Miss | Evidence]] = merge(
+    events: Iterable[tuple[FoldKey, str, FeatureVersion | Miss | Evidence]] = merge(
         sorted(((key, str(_feature_id(state)), state) for key, state in given), key=lambda e: e[:2]),
         sorted(((drive.key, "", drive) for drive in drives), key=lambda e: e[:2]),
         key=lambda event: event[:2],
@@ -144,7 +144,7 @@ def fold(
 
 
 def extend(
-    standing: Mapping[UUID, BelievedVersion],
+    standing: Mapping[UUID, FeatureVersion],
     drive: Evidence,
     decisions: Decisions,
     doubts: Mapping[UUID, Doubt],
@@ -192,7 +192,7 @@ def extend(
         state = delta.state_after
         versions.append(
             sound(
-                BelievedVersion,
+                FeatureVersion,
                 feature=state if state.version == number else state.model_copy(update={"version": number}),
                 changeset_id=drive.changeset_id,
                 standing=delta.new is not None,
@@ -225,11 +225,11 @@ def _miss(delta: Delta, changeset_id: UUID) -> Miss:
     )
 
 
-def _feature_id(state: BelievedVersion | Miss) -> UUID:
+def _feature_id(state: FeatureVersion | Miss) -> UUID:
     return state.feature_id if isinstance(state, Miss) else state.feature.feature_id
 
 
-def _around(standing: Mapping[UUID, BelievedVersion], drive: Evidence) -> list[MapFeature]:
+def _around(standing: Mapping[UUID, FeatureVersion], drive: Evidence) -> list[MapFeature]:
     """The features within the drive's influence, by feature id."""
     features = [standing[feature_id].feature for feature_id in sorted(standing)]
     if not features:

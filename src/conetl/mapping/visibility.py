@@ -1,7 +1,7 @@
 """What a drive can say about a spot at which it found no cone.
 
 'We looked and it was not there' needs both halves: a frame pair counts as a look only where a cone standing on the spot would be
-tall enough, wholly inside both pictures and not hidden behind something nearer that was detected. How much it means that no cone
+tall enough, wholly inside both images and not hidden behind something nearer that was detected. How much it means that no cone
 was found is told by the detector's measured P(detect | apparent height, hidden share) (`detector_evidence.py`).
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
-from conetl.model.detector_evidence import UNMEASURED_LOOKS, LookFigures, absence_log_ratio
+from conetl.model.detector_evidence import UNMEASURED_ABSENCE, AbsenceFigures, absence_log_ratio
 from conetl.model.map_records import MapFeature
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Detection, FramePair, Rig, Vec3
@@ -54,7 +54,7 @@ class View:
     """Of both images, by frame index."""
     places_m: Mapping[int, Floats]
     """(M, 3) in the drive's map frame, by frame index: where it saw cones."""
-    figures: LookFigures
+    figures: AbsenceFigures
     """Of the detector that looked."""
 
 
@@ -63,7 +63,7 @@ def view_of_drive(
     frame_pairs: Sequence[FramePair],
     detections: Sequence[Detection],
     spots: Sequence[tuple[int, Vec3]],
-    figures: LookFigures = UNMEASURED_LOOKS,
+    figures: AbsenceFigures = UNMEASURED_ABSENCE,
 ) -> View:
     """spots: frame index and place in the map frame of every position."""
     by_frame: dict[int, list[Detection]] = defaultdict(list)
@@ -157,7 +157,7 @@ def _is_shown(
     cone_height_m: float,
     view: View,
 ) -> bool:
-    """Whether a picture shows a box where the cone should be, which no other cone explains better: far cones are placed to a
+    """Whether a image shows a box where the cone should be, which no other cone explains better: far cones are placed to a
     metre, but their boxes to a pixel. boxes: left and right; number: row of the frame pair in `view`."""
     threshold = view.figures.evidence.match_iou
     for side, box in zip(("left", "right"), boxes, strict=True):

@@ -1,8 +1,9 @@
-"""What a box, or the lack of one, says about a cone: figures measured on labelled pictures for one detector.
+"""What a box, or the lack of one, says about a cone: figures measured on labelled images for one detector.
 
-`training/calibrate_scores.py` measures them and writes them into the model's sidecar (`perception/model_card.py`); `tracking/existence.py`
-reads them. A sidecar without them gives `UNMEASURED`. Cones are told apart from *lookalikes*: things that are no cone but got
-a box, and will get another (a tail lamp, a bollard). How many of them there are is told by the false boxes per picture.
+`training/calibrate_scores.py` measures them and writes them into the model's sidecar (`perception/model_card.py`);
+`tracking/existence.py` reads them. A sidecar without them gives `UNMEASURED`. Cones are told apart from *lookalikes*: things
+that are no cone but got a box, and will get another (a tail lamp, a bollard). How many of them there are is told by the false
+boxes per image.
 
 Scores are the network's own (`Detection.score`). The probability that a box holds a cone is another number and has
 another name: `calibrated_probability`.
@@ -65,7 +66,7 @@ class LookCorrelation(BaseModel):
 
 
 class DetectorEvidence(BaseModel):
-    """How a detector answers to cones, to lookalikes and to cone-free pictures.
+    """How a detector answers to cones, to lookalikes and to cone-free images.
 
     Thresholds, heights and hidden shares are the axes of the tables; a height or hidden share belongs to the band that begins
     at or below it, between thresholds the figures are interpolated.
@@ -82,7 +83,7 @@ class DetectorEvidence(BaseModel):
     """One of `score_thresholds`: boxes above it were counted in the two fields below."""
     true_boxes: int = Field(ge=1)
     false_boxes: int = Field(ge=1)
-    """Boxes on cones and beside them, of the pictures that the calibration was fitted on: what its probabilities start from."""
+    """Boxes on cones and beside them, of the images that the calibration was fitted on: what its probabilities start from."""
     score_thresholds: tuple[Share, ...] = Field(min_length=1)
     height_bands_px: tuple[Annotated[float, Field(gt=0)], ...] = Field(min_length=1)
     """Apparent height of the whole cone at which each band begins; the last has no end."""
@@ -98,7 +99,7 @@ class DetectorEvidence(BaseModel):
     found_again: tuple[Share, ...]
     """P(box at or above the threshold | lookalike that had boxes in two other looks at least), by threshold."""
     false_box_pictures: tuple[Count, ...]
-    """On how many pictures false boxes were counted, by height band."""
+    """On how many images false boxes were counted, by height band."""
     false_boxes_per_picture: tuple[tuple[Annotated[float, Field(gt=0)], ...], ...]
     """Boxes on no cone, at or above the threshold, by threshold and height band."""
     look_correlation: LookCorrelation
@@ -131,7 +132,7 @@ class DetectorEvidence(BaseModel):
         return self
 
 
-class LookFigures(BaseModel):
+class AbsenceFigures(BaseModel):
     """What is needed to tell how much it means that a drive looked at a spot and found no box: kept with each drive."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -142,7 +143,7 @@ class LookFigures(BaseModel):
 
 
 def absence_log_ratio(
-    figures: LookFigures,
+    figures: AbsenceFigures,
     heights_px: NDArray[np.float64],
     hidden: NDArray[np.float64],
     found: NDArray[np.bool_],
@@ -153,7 +154,7 @@ def absence_log_ratio(
     """ln P(what some frame pairs show of a spot | a cone stands there) / P(the same | nothing stands there); never positive.
 
     heights_px (N, 2), hidden (N, 2): apparent height of the cone, and share of it behind nearer detections, in the left and
-    right picture; found (N,): whether something was found there. A frame pair misses a cone unless both pictures show it; an
+    right image; found (N,): whether something was found there. A frame pair misses a cone unless both images show it; an
     empty spot gets a box with `stray_probability`. Frame pairs miss a cone together as often as looks do (`miss_correlation`),
     and with a small probability all of them miss it because of something in front that is no detection.
     """
@@ -176,7 +177,7 @@ def absence_log_ratio(
 
 
 def calibrated_probability(calibration: ScoreCalibration, score: float) -> float:
-    """P(cone | a box of this score) in pictures like those that the calibration was fitted on."""
+    """P(cone | a box of this score) in images like those that the calibration was fitted on."""
     return 1 / (1 + float(np.exp(-_log_odds(calibration, score))))
 
 
@@ -192,7 +193,7 @@ def found_again_probability(evidence: DetectorEvidence, threshold: float) -> flo
 
 
 def false_boxes_per_picture(evidence: DetectorEvidence, least_height_px: float, threshold: float) -> float:
-    """Expected number of boxes at or above the threshold in a picture without cones, of the bands from `least_height_px` on."""
+    """Expected number of boxes at or above the threshold in a image without cones, of the bands from `least_height_px` on."""
     first = _band(evidence.height_bands_px, least_height_px)
     return _at_threshold(evidence, threshold, [sum(row[first:]) for row in evidence.false_boxes_per_picture])
 
@@ -201,8 +202,8 @@ def box_log_ratio(evidence: DetectorEvidence, score: float, height_px: float, hi
     """ln p(box with this score | cone) / p(box with this score | lookalike).
 
     That a box at or above the reference score came at all, times how scores are spread over cones against the rest. The second
-    factor is the calibrated odds over the odds in the pictures of the calibration (Bayes); it is kept between doubt / (1 - doubt)
-    and its inverse, because no set of pictures holds all that stands on roads.
+    factor is the calibrated odds over the odds in the images of the calibration (Bayes); it is kept between doubt / (1 - doubt)
+    and its inverse, because no set of images holds all that stands on roads.
     """
     t = evidence.reference_score
     came = np.log(detect_probability(evidence, height_px, hidden, t) / found_again_probability(evidence, t))
@@ -305,4 +306,4 @@ UNMEASURED = DetectorEvidence(
     joint_scale=1.0,
 )
 #: The same with the default threshold of `DetectionParams`.
-UNMEASURED_LOOKS = LookFigures(evidence=UNMEASURED, score_threshold=0.3)
+UNMEASURED_ABSENCE = AbsenceFigures(evidence=UNMEASURED, score_threshold=0.3)

@@ -12,7 +12,7 @@ from uuid import UUID
 
 from pydantic import Field, model_validator
 
-from conetl.model.records import Cov3, Levers, NonNegative, Positive, Probability, Record, Vec2, Vec3
+from conetl.model.records import Cov3, NonNegative, Positive, Probability, Record, SharedErrorJacobian, Vec2, Vec3
 
 
 class MapFeature(Record):
@@ -30,7 +30,7 @@ class MapFeature(Record):
     observation_count: int = Field(ge=1)
     first_seen_ns: int
     last_seen_ns: int
-    levers: Levers | None = Field(default=None, exclude=True, repr=False)
+    shared_jacobian: SharedErrorJacobian | None = Field(default=None, exclude=True, repr=False)
     """What of `cov_m2` later drives of the same rig may share with it; None: nothing that is known. Left out of JSON."""
 
 
@@ -145,7 +145,7 @@ class FeatureChange(Record):
     """Horizontal distance between old and new place; None for added and removed."""
 
 
-class BelievedVersion(Record):
+class FeatureVersion(Record):
     """One version of one feature in valid time, as it is believed: what follows from a drive until the next drive changed it."""
 
     feature: MapFeature

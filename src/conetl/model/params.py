@@ -30,7 +30,7 @@ class DetectionParams(Params):
     horizon_margin_rad: Annotated[float, Field(ge=0, lt=1.57)] = 0.1
     """Rows farther than this above the horizon are not looked at: cones stand on the road. 0.1 rad is a slope of 10 %."""
     search_right: Literal["along_epipolar_lines", "everywhere"] = "along_epipolar_lines"
-    """Where the right camera's pictures are searched: only where the partner of a box of the left one can be
+    """Where the right camera's images are searched: only where the partner of a box of the left one can be
     (`tracking/matching/epipolar_search.py`), or everywhere, which takes up to half as long again for the same positions."""
 
 
@@ -71,15 +71,15 @@ class TrackParams(Params):
     """The same across the way (sideways and up), where the INS alone is good."""
     motion_sigma_m: Positive = 0.05
     join_gate_m: Positive = 0.6
-    """Two tracks never seen in one picture and nearer than this (plus drift) are one cone."""
+    """Two tracks never seen in one image and nearer than this (plus drift) are one cone."""
     min_observations: int = Field(default=3, ge=1)
     min_existence_probability: Fraction = 0.5
     """Rather a cone than not: such a track confirms a feature. It takes more to found one, see `reconcile`."""
     expected_cones_per_picture: Positive = 0.05
-    """Before anything was seen: against the detector's false boxes per picture it gives the odds that a group of boxes is a cone.
-    One picture in twenty suits an ordinary street; a road with works holds more."""
+    """Before anything was seen: against the detector's false boxes per image it gives the odds that a group of boxes is a cone.
+    One image in twenty suits an ordinary street; a road with works holds more."""
     score_doubt: Annotated[float, Field(gt=0, lt=0.5)] = 0.02
-    """No score is surer than this in favour of a cone or against it: no set of pictures holds all that stands on roads."""
+    """No score is surer than this in favour of a cone or against it: no set of images holds all that stands on roads."""
     hidden_run_probability: Annotated[float, Field(gt=0, lt=1)] = 0.1
     """That a cone is missed several times running because of something in front that is no detection (a parked van)."""
     min_cone_height_m: Positive = 0.25
@@ -120,14 +120,14 @@ class ReconcileParams(Params):
     visible_min_height_px: Positive = 22.0
     """A cone counts as visible when it would appear at least this tall ..."""
     visible_border_px: Positive = 12.0
-    """... and at least this far inside both pictures."""
+    """... and at least this far inside both images."""
 
 
 class TrajectoryParams(Params):
     refine: bool = True
     """Refine the logged poses by visual odometry; False takes them as they are."""
     self_calibrate: bool = True
-    """Turn the right camera where the drive's own pictures contradict the calibration; needs `refine`."""
+    """Turn the right camera where the drive's own images contradict the calibration; needs `refine`."""
     self_calibration_span_m: Positive = 2.0
     """Points are compared over this way: longer ones tell depth better, but fewer points survive."""
     self_calibration_min_spans: int = Field(default=8, ge=4)
@@ -138,7 +138,7 @@ class TrajectoryParams(Params):
     self_calibration_corners_per_cell: int = Field(default=3, ge=1)
     """As `corners_per_cell`, for these points: there are few spans."""
     self_calibration_prior_px: Positive = 1.0
-    """How far a calibration of unknown covariance may be off: sigma of a shift of disparities and of rows, and, at the picture's
+    """How far a calibration of unknown covariance may be off: sigma of a shift of disparities and of rows, and, at the image's
     side, of rows by a tilt and of disparities by a bend."""
     self_calibration_sigma_floor_px: Positive = 0.05
     """Of each of these, added to what the spans say: lenses and focal lengths are not turns of a camera."""
@@ -149,7 +149,7 @@ class TrajectoryParams(Params):
     self_calibration_max_chi2: Positive = 18.5
     """... nor one farther from the prior: chi-square of 4 degrees of freedom at 0.001."""
     max_width_px: int = Field(default=1280, ge=64)
-    """Wider pictures are reduced for following points."""
+    """Wider images are reduced for following points."""
     cell_px: int = Field(default=40, ge=8)
     corners_per_cell: int = Field(default=2, ge=1)
     """More of them sharpen a motion below the floors that follow, and cost time in proportion."""

@@ -100,7 +100,7 @@ class SharedErrors(Record):
 
 
 class CalibrationCovariance(Record):
-    """Covariance of a rig's calibration: errors that all pictures of the rig have in common.
+    """Covariance of a rig's calibration: errors that all images of the rig have in common.
 
     `names` are fields of the rig: left.fx_px, left.fy_px, left.cx_px, left.cy_px, left.lens.0, left.lens.1 ... (in the order of
     `Lens.coefficients`), right.* likewise, relative.rx_rad, relative.ry_rad, relative.rz_rad, relative.tx_m, relative.ty_m,
@@ -133,8 +133,8 @@ class CalibrationCovariance(Record):
 class Rig(Record):
     """Two cameras and where they sit on the body (the INS unit, or the left camera where there is none).
 
-    The rig of a `Drive` is rectified: no lens distortion, equal rows. Where the pictures as stored are not, `rectified_from`
-    is the rig that took them, and every picture is resampled from that one to this one when it is read.
+    The rig of a `Drive` is rectified: no lens distortion, equal rows. Where the images as stored are not, `rectified_from`
+    is the rig that took them, and every image is resampled from that one to this one when it is read.
 
     `body_SE3_left`/`body_SE3_right` map camera points (x right, y down, z forward) to body points; their translation is the
     lever arm, their rotation the boresight.
@@ -219,7 +219,7 @@ class Drive(Record):
 class Detection(Record):
     """A box from the network, in pixels of the original image; x_px, y_px is the top-left corner.
 
-    Box edges count from the picture's edge, so that a box over the first pixel is x 0, width 1 (COCO); the centre of that
+    Box edges count from the image's edge, so that a box over the first pixel is x 0, width 1 (COCO); the centre of that
     pixel is 0.5 in box edges and 0 as an image point. `tracking/matching/matches.py` is where one becomes the other.
     """
 
@@ -260,7 +260,7 @@ class StereoMatch(Record):
     sigma_v_px: Positive
     """Of each image point across the rows."""
     sigma_pointing_px: NonNegative
-    """Along the rows, common to both images: where the cone's axis was put in the picture. Moves the bearing, not the range."""
+    """Along the rows, common to both images: where the cone's axis was put in the image. Moves the bearing, not the range."""
     sigma_outline_px: NonNegative = 0.0
     """Along and across the rows, common to all sightings of one cone: what the detector takes for its foot and axis."""
     refined: bool
@@ -295,7 +295,7 @@ class Position(Record):
     score: Probability
 
 
-class Levers(NamedTuple):
+class SharedErrorJacobian(NamedTuple):
     """How a place moves for one sigma of each error that drives with the same calibration share."""
 
     calibrations: tuple[UUID, ...]
@@ -326,7 +326,7 @@ class Track(Record):
     nearest_range_m: Positive
     members: tuple[tuple[int, int], ...] = Field(min_length=1)
     """(frame_index, match_index) of every position in it."""
-    levers: Levers | None = Field(default=None, exclude=True, repr=False)
+    shared_jacobian: SharedErrorJacobian | None = Field(default=None, exclude=True, repr=False)
     """Of the calibration's part in `cov_m2`; None where that is not known. Kept in the database, left out of JSON."""
 
 

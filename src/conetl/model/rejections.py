@@ -36,7 +36,7 @@ class RejectionReason(StrEnum):
     TOO_FEW_OBSERVATIONS = "too_few_observations"
     NEVER_NEAR = "never_near"
     EXISTENCE_UNLIKELY = "existence_unlikely"
-    # pictures of a calibration board
+    # images of a calibration board
     PARTNER_MISSING = "partner_missing"
     BOARD_NOT_FOUND = "board_not_found"
     BOARD_CUT = "board_cut"

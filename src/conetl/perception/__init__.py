@@ -1,4 +1,5 @@
 """Images to detections and motions: decoding, the detector with its passes, calibration boards, visual odometry.
 
-It imports `files`, `geometry` and `model`; only `detector.py` imports onnxruntime. The story begins in `images.py` and `detector.py`.
+It imports `files`, `geometry` and `model`; only `detector.py` imports onnxruntime. The story begins in `images.py` and
+`detector.py`.
 """

@@ -1,4 +1,4 @@
-"""How this process's memory allocator treats pictures."""
+"""How this process's memory allocator treats images."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ _KEPT_BYTES = 128 * 2**20
 
 
 @cache
-def keep_freed_pictures() -> bool:
-    """Let the allocator use the memory of the last picture for the next one; False where it cannot be told so.
+def keep_freed_images() -> bool:
+    """Let the allocator use the memory of the last image for the next one; False where it cannot be told so.
 
     glibc gives arrays of more than 128 kB pages of their own, and hands them back to the kernel when they are freed. Each new
-    picture and each array computed from it then begins with thousands of page faults, which on virtual machines cost more than
+    image and each array computed from it then begins with thousands of page faults, which on virtual machines cost more than
     many a computation (half of the search for corners, a tenth of the detection). At most 128 MB a thread stay with the process.
     """
     if not sys.platform.startswith("linux"):

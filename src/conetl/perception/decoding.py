@@ -31,10 +31,10 @@ def decode_cells(
     *,
     foot_and_tip: bool = False,
 ) -> tuple[Floats, NDArray[np.int64]]:
-    """Cells of all strides -> candidates (N, 9) in pixels of the network's input, and in which of its pictures (N,) they are.
+    """Cells of all strides -> candidates (N, 9) in pixels of the network's input, and in which of its images (N,) they are.
 
     Columns: x0, y0, x1, y1, score, foot x, foot y, tip x, tip y. outputs: by turns values (K, 4*bins + 1), or (K, 4*bins + 5)
-    with `foot_and_tip`, of a stride's cells, and (K,) where these lie in the row-major maps of the pictures, one after the
+    with `foot_and_tip`, of a stride's cells, and (K,) where these lie in the row-major maps of the images, one after the
     other, each of `size_px` (height, width) over the stride; without `foot_and_tip` the last four columns are NaN. Each side
     (left, top, right, bottom) is a distribution over `bins` distances in strides from the cell's centre; its expectation is the
     distance (distribution focal loss, Li et al. 2020). Foot and tip are offsets in shares of the box from the middle of its
@@ -53,7 +53,7 @@ def decode_cells(
     stride_px = np.repeat(strides_px, counts)[kept]
     numbers = numbers[kept].astype(np.float64).T
     in_row, in_column = size_px[1] // stride_px, size_px[0] // stride_px
-    pictures, places = np.divmod(places, in_row * in_column)
+    images, places = np.divmod(places, in_row * in_column)
     rows, columns = np.divmod(places, in_row)
     logits = numbers[: 4 * bins].reshape(4, bins, -1)
     weights = np.exp(logits - logits.max(axis=1, keepdims=True))
@@ -65,20 +65,20 @@ def decode_cells(
         shares, middle = numbers[4 * bins : 4 * bins + 4], (x0 + x1) / 2
         ends[0], ends[1] = middle + shares[0] * (x1 - x0), y1 - shares[1] * (y1 - y0)
         ends[2], ends[3] = middle + shares[2] * (x1 - x0), y0 + shares[3] * (y1 - y0)
-    return np.stack((x0, y0, x1, y1, scores, *ends), axis=1), pictures
+    return np.stack((x0, y0, x1, y1, scores, *ends), axis=1), images
 
 
 def untold_below(
-    outputs: Sequence[NDArray[Any]], pictures_and_size: tuple[int, int, int], strides_px: Sequence[int]
+    outputs: Sequence[NDArray[Any]], images_and_size: tuple[int, int, int], strides_px: Sequence[int]
 ) -> float:
     """The best score that cells may have of which the network does not tell, because it gives its best cells of each stride only.
 
-    outputs: as of `decode_cells`. pictures_and_size: number of pictures, height and width in pixels. 0 where it gives all cells.
+    outputs: as of `decode_cells`. images_and_size: number of images, height and width in pixels. 0 where it gives all cells.
     """
-    pictures, height_px, width_px = pictures_and_size
+    images, height_px, width_px = images_and_size
     best = 0.0
     for values, stride_px in zip(outputs[::2], strides_px, strict=True):
-        if 0 < len(values) < pictures * (height_px // stride_px) * (width_px // stride_px):
+        if 0 < len(values) < images * (height_px // stride_px) * (width_px // stride_px):
             best = max(best, float(1.0 / (1.0 + np.exp(-float(values[:, -1].min())))))
     return best
 
@@ -113,7 +113,7 @@ def without_parts(candidates: Floats, larger: Floats, inside_share: float = 0.8)
     """Candidates (N, 5) without those that are but a part of a better box of `larger` (M, 5).
 
     A part lies by `inside_share` of its area inside a box that is at least twice as large and scores at least as well: the
-    band of a cone that fills the picture, taken for a cone of its own.
+    band of a cone that fills the image, taken for a cone of its own.
     """
     area = np.prod(candidates[:, 2:4] - candidates[:, :2], axis=1)
     part = np.zeros(len(candidates), dtype=bool)

@@ -46,7 +46,7 @@ LARGE_CONE_PX = 48.0
 #: So much around the boxes that are looked for in a part of a picture is shown to the network, in pixels of its input: they then
 #: are those of the whole picture to 0.08 px in the median (docs/decisions/detector.md).
 CONTEXT_PX = 64.0
-#: Pictures in one run of the network. It answers for its best cells only, of all of them together: with some twenty windows the
+#: Images in one run of the network. It answers for its best cells only, of all of them together: with some twenty windows the
 #: weaker ones begin to lose theirs.
 MOST_AT_ONCE = 8
 #: Two candidates that another look has moved on top of each other are one. Cones side by side overlap less.
@@ -64,7 +64,7 @@ class Detector:
     fixed_size: tuple[int, int] | None = None
     """Height and width in pixels where the network takes one size only; pictures are then scaled to fit in."""
     any_size: bool = True
-    """Whether the network takes pictures of any size; False also where it asks for one of the two sides only."""
+    """Whether the network takes images of any size; False also where it asks for one of the two sides only."""
     several: bool = False
     """Whether the network takes several pictures of one size at once."""
 
@@ -128,7 +128,7 @@ def load_detector(model_path: Path | None = None, *, threads: int = 1) -> Detect
     for key in ("closer_look", "enlarged_look"):
         if getattr(card, key) is not None and not any_size:
             raise ModelFileError(
-                f"{path}: the network takes pictures of {size[1]}x{size[0]} only: "
+                f"{path}: the network takes images of {size[1]}x{size[0]} only: "
                 f"{key} in its sidecar needs one that takes any size; leave that key out"
             )
     several = isinstance(card.head, SideDistributionHead) and not isinstance(inputs[0].shape[0], int)

@@ -1,7 +1,7 @@
 """What the networks of the YOLO family give, and how it becomes boxes: numpy and pydantic only.
 
 A model's sidecar names one of these heads under the key `head`, so that a network trained elsewhere is used as it was exported.
-Pixels are those of `detector_decode`: a picture W wide spans x = 0 .. W. In every head a box's score is the probability of the
+Pixels are those of `detector_decode`: a image W wide spans x = 0 .. W. In every head a box's score is the probability of the
 cone's class alone; other classes of the same box are not looked at. Candidates come before suppression of overlaps, which is the
 caller's (`detector_decode.suppress_overlaps`); only the end-to-end head has done it inside the network.
 """
@@ -140,10 +140,10 @@ def check_outputs(head: YoloHead, shapes: Sequence[Shape]) -> None:
 def decode_head(
     head: YoloHead, outputs: Sequence[Output], input_height_px: int, input_width_px: int, score_threshold: float
 ) -> Floats:
-    """Outputs of one run -> candidates (N, 5) [x0, y0, x1, y1, score] of the first picture, in pixels of the network's input.
+    """Outputs of one run -> candidates (N, 5) [x0, y0, x1, y1, score] of the first image, in pixels of the network's input.
 
     Only boxes whose score reaches the threshold are given, in the network's order. Boxes that are not finite or have no area
-    are dropped; boxes may reach beyond the picture. Raises ModelFileError where the outputs are not what the head reads: other
+    are dropped; boxes may reach beyond the image. Raises ModelFileError where the outputs are not what the head reads: other
     shapes, a grid that does not fit the input, or scores that are no probabilities.
     """
     check_outputs(head, [output.shape for output in outputs])

@@ -1,7 +1,7 @@
 """What a JPEG or PNG file says of itself, without decoding it: size and whether it is all there.
 
-A decoder cannot be asked: reading a truncated JPEG can yield pixels of the picture decoded before it (opencv#26488), and
-OpenCV takes pictures of up to 2^30 pixels. So the markers and the size are read first, from the bytes.
+A decoder cannot be asked: reading a truncated JPEG can yield pixels of the image decoded before it (opencv#26488), and
+OpenCV takes images of up to 2^30 pixels. So the markers and the size are read first, from the bytes.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ class ImageFormatError(ValueError):
 
 
 class ImageTruncatedError(ValueError):
-    """The file starts like a picture but ends too early."""
+    """The file starts like a image but ends too early."""
 
 
 class ImageHeader(NamedTuple):
@@ -32,7 +32,7 @@ class ImageHeader(NamedTuple):
 
 
 def inspect_image(data: bytes) -> ImageHeader:
-    """Header of a whole picture file.
+    """Header of a whole image file.
 
     Raises ImageFormatError for anything but JPEG and PNG, ImageTruncatedError where the end is missing.
     """
@@ -90,7 +90,7 @@ def _inspect_jpeg(data: bytes) -> ImageHeader:
             position += 2
             continue
         if marker == 0xD9:
-            raise ImageTruncatedError("the JPEG holds no picture data")
+            raise ImageTruncatedError("the JPEG holds no image data")
         length = int.from_bytes(data[position + 2 : position + 4], "big")
         if length < 2:
             raise ImageFormatError(f"the JPEG's header is damaged at byte {position}")

@@ -1,6 +1,6 @@
-"""Picture files -> arrays. Whatever is wrong with a file becomes an `ImageFileError` that callers turn into a rejection.
+"""Image files -> arrays. Whatever is wrong with a file becomes an `ImageFileError` that callers turn into a rejection.
 
-Whatever is wrong with the storage at this moment does not: it is no property of the picture, and as a rejection it would stay in
+Whatever is wrong with the storage at this moment does not: it is no property of the image, and as a rejection it would stay in
 the map and in results that are kept by content. It is a `StorageError`, tried again by tasks.
 """
 
@@ -25,14 +25,14 @@ from conetl.perception.image_headers import ImageFormatError, ImageHeader, Image
 
 #: Larger files are not read at all.
 MAX_FILE_BYTES = 256 * 2**20
-#: Larger pictures are not decoded where no size is expected (a 100-megapixel camera still fits).
+#: Larger images are not decoded where no size is expected (a 100-megapixel camera still fits).
 MAX_PIXELS = 2**27
 _HEAD_BYTES, _TAIL_BYTES = 2**16, 2**12
 _PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
 
 
 class ImageFileError(Exception):
-    """One picture cannot be used; `reason` says which kind of rejection it is."""
+    """One image cannot be used; `reason` says which kind of rejection it is."""
 
     def __init__(self, reason: RejectionReason, message: str) -> None:
         super().__init__(message)
@@ -45,7 +45,7 @@ class ImageFileError(Exception):
 
 
 def read_checked_bytes(path: Path, expected_size: tuple[int, int] | None) -> bytes:
-    """The bytes of a picture file whose header, size and end marker are as they should be; nothing is decoded.
+    """The bytes of a image file whose header, size and end marker are as they should be; nothing is decoded.
 
     expected_size: width and height in pixels, or None for any up to `MAX_PIXELS`. Raises ImageFileError.
     """
@@ -56,7 +56,7 @@ def read_checked_bytes(path: Path, expected_size: tuple[int, int] | None) -> byt
 
 
 def check_image_bytes(data: bytes, name: str, expected_size: tuple[int, int] | None) -> ImageHeader:
-    """Check header, size and end marker of a picture's bytes. Raises ImageFileError naming `name`."""
+    """Check header, size and end marker of a image's bytes. Raises ImageFileError naming `name`."""
     try:
         header = inspect_image(data)
     except ImageTruncatedError as error:
@@ -68,7 +68,7 @@ def check_image_bytes(data: bytes, name: str, expected_size: tuple[int, int] | N
         raise ImageFileError(
             RejectionReason.IMAGE_WRONG_SIZE,
             f"{name}: {found[0]} x {found[1]} pixels, but the calibration is for {expected_size[0]} x {expected_size[1]}; "
-            "use the calibration of these pictures",
+            "use the calibration of these images",
         )
     if expected_size is None and found[0] * found[1] > MAX_PIXELS:
         raise ImageFileError(RejectionReason.IMAGE_WRONG_SIZE, f"{name}: {found[0]} x {found[1]} pixels are too many")
@@ -95,7 +95,7 @@ def check_image_ends(path: Path, name: str, expected_size: tuple[int, int]) -> I
 
 
 def read_image(path: Path, expected_size: tuple[int, int] | None = None, *, grey: bool = False) -> NDArray[np.uint8]:
-    """Picture as (height, width, 3) uint8 in blue, green, red order; grey and 16-bit pictures are converted.
+    """Image as (height, width, 3) uint8 in blue, green, red order; grey and 16-bit images are converted.
 
     grey: as (height, width) of brightness; of a JPEG its own, which spares the decoder a third of its work.
 
@@ -116,20 +116,18 @@ def _decoded(data: bytes, path: Path, expected_size: tuple[int, int] | None, *, 
         raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, f"{path.name}: the decoder failed: {error}") from error
     if image is None:
         raise ImageFileError(
-            RejectionReason.IMAGE_UNREADABLE, f"{path.name}: the picture cannot be decoded; copy it again"
+            RejectionReason.IMAGE_UNREADABLE, f"{path.name}: the image cannot be decoded; copy it again"
         )
     if expected_size is not None and image.shape[:2] != (expected_size[1], expected_size[0]):
-        raise ImageFileError(
-            RejectionReason.IMAGE_UNREADABLE, f"{path.name}: header and decoded picture differ in size"
-        )
+        raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, f"{path.name}: header and decoded image differ in size")
     return np.asarray(image, dtype=np.uint8)
 
 
 def read_upright_image(path: Path) -> NDArray[np.uint8]:
-    """Any single picture as a person sees it: (height, width, 3) uint8 in blue, green, red order.
+    """Any single image as a person sees it: (height, width, 3) uint8 in blue, green, red order.
 
-    Orientation tags (EXIF) are applied; grey and CMYK become colour; transparent parts become grey; 16-bit pictures are
-    stretched to their own darkest and brightest permille, as many cameras fill only 10 or 12 of the 16 bits. For pictures
+    Orientation tags (EXIF) are applied; grey and CMYK become colour; transparent parts become grey; 16-bit images are
+    stretched to their own darkest and brightest permille, as many cameras fill only 10 or 12 of the 16 bits. For images
     without a calibration; drives are read by `read_image`. Raises ImageFileError.
     """
     raw = np.frombuffer(read_checked_bytes(path, None), dtype=np.uint8)
@@ -140,27 +138,27 @@ def read_upright_image(path: Path) -> NDArray[np.uint8]:
         raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, f"{path.name}: the decoder failed: {error}") from error
     if colour is None:
         raise ImageFileError(
-            RejectionReason.IMAGE_UNREADABLE, f"{path.name}: the picture cannot be decoded; copy it again"
+            RejectionReason.IMAGE_UNREADABLE, f"{path.name}: the image cannot be decoded; copy it again"
         )
-    # What IMREAD_COLOR lost: the depth of 16-bit pictures and transparency. Both decodings have the same orientation or they
+    # What IMREAD_COLOR lost: the depth of 16-bit images and transparency. Both decodings have the same orientation or they
     # cannot be put together (an orientation tag in such a PNG); then the plain one stays.
     if stored is None or stored.shape[:2] != colour.shape[:2]:
         return np.asarray(colour, dtype=np.uint8)
     opaque = 65535.0 if stored.dtype == np.uint16 else 255.0
     has_alpha = stored.ndim == 3 and stored.shape[2] == 4
-    picture: NDArray[np.float64] = colour.astype(np.float64)
+    image: NDArray[np.float64] = colour.astype(np.float64)
     if stored.dtype == np.uint16:
         deep = stored[..., :3] if stored.ndim == 3 else np.repeat(stored[..., None], 3, axis=2)
         low, high = np.percentile(deep, (0.1, 99.9))
-        picture = (deep.astype(np.float64) - low) / max(float(high - low), 1.0) * 255.0
+        image = (deep.astype(np.float64) - low) / max(float(high - low), 1.0) * 255.0
     if has_alpha:
         alpha = stored[..., 3:].astype(np.float64) / opaque
-        picture = picture * alpha + 128.0 * (1.0 - alpha)
-    return np.clip(np.round(picture), 0, 255).astype(np.uint8)
+        image = image * alpha + 128.0 * (1.0 - alpha)
+    return np.clip(np.round(image), 0, 255).astype(np.uint8)
 
 
 def read_bytes(path: Path) -> bytes:
-    """All bytes of a picture file, unchecked. Raises ImageFileError where there is no such file or it is not readable.
+    """All bytes of a image file, unchecked. Raises ImageFileError where there is no such file or it is not readable.
 
     Raises StorageError where another time may do.
     """
@@ -190,7 +188,7 @@ def _judging(data: bytes) -> Iterator[None]:
 
 @contextmanager
 def _asking(path: Path) -> Iterator[None]:
-    """Tell what the system says of the picture (ImageFileError) from what it says of the storage (StorageError)."""
+    """Tell what the system says of the image (ImageFileError) from what it says of the storage (StorageError)."""
     try:
         yield
     except FileNotFoundError as error:  # an object; or a file that vanished this moment
@@ -213,7 +211,7 @@ def _missing(name: str) -> ImageFileError:
 
 def _not_given(path: Path, error: OSError) -> StorageError:
     return StorageError(
-        f"{path}: the storage does not give this picture ({error.strerror or error}). Look at the disk, the network file system "
+        f"{path}: the storage does not give this image ({error.strerror or error}). Look at the disk, the network file system "
         "or its tickets, and run the same command again. Nothing was written."
     )
 

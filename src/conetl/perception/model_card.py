@@ -94,9 +94,9 @@ class ModelCard(BaseModel):
     pad_multiple_px: int = Field(ge=1)
     """Both sides of the input are padded to a multiple of it; of no account where the network's input has a fixed size."""
     closer_look: CloserLook | None = None
-    """None: every candidate is judged by one look. Only for networks that take pictures of any size."""
+    """None: every candidate is judged by one look. Only for networks that take images of any size."""
     enlarged_look: EnlargedLook | None = None
-    """None: what is small is judged at the picture's own size. Only for networks that take pictures of any size."""
+    """None: what is small is judged at the image's own size. Only for networks that take images of any size."""
     class_names: tuple[str, ...] = Field(min_length=1)
     score_scale: str
     licence: str

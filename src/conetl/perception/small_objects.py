@@ -1,6 +1,6 @@
-"""An enlarged look where small cones stand: the same network once more on those parts of the picture, twice as large.
+"""An enlarged look where small cones stand: the same network once more on those parts of the image, twice as large.
 
-Far cones stand in rows: beside one that is found others stand that are too small to be found at the picture's own size. What the
+Far cones stand in rows: beside one that is found others stand that are too small to be found at the image's own size. What the
 enlarged look sees is joined with what the first one saw, as in `closer_look.py`; what it alone sees is a candidate, too.
 """
 
@@ -22,7 +22,7 @@ Image = NDArray[np.uint8]
 #: Candidates of the first look below this are left as they are, and what it did not see counts as seen with it: so boxes above it
 #: do not hang on the score that a caller asks for.
 FAINTEST = 0.05
-#: The parts, enlarged, are no larger than the picture: where there are more of them, they are enlarged less.
+#: The parts, enlarged, are no larger than the image: where there are more of them, they are enlarged less.
 MOST_AREA = 1.0
 #: Less than this is not worth a look.
 LEAST_SCALE = 1.2

@@ -1,6 +1,6 @@
-"""Frame pairs whose pictures turned out to be broken when they were decoded.
+"""Frame pairs whose images turned out to be broken when they were decoded.
 
-A drive's reader looks at headers and ends only, so such a pair is part of the drive until its pictures are searched. From then on
+A drive's reader looks at headers and ends only, so such a pair is part of the drive until its images are searched. From then on
 it must not be: where nothing could be read nothing was looked at, and a cone that was not found there is not one that is gone.
 """
 
@@ -16,9 +16,9 @@ from conetl.model.rejections import INPUT_REASONS, Rejection
 def without_unread(
     drive: Drive, detections: Sequence[Detection], rejections: Iterable[Rejection]
 ) -> tuple[Drive, list[Detection]]:
-    """The drive and its detections without the frame pairs of which a picture could not be read.
+    """The drive and its detections without the frame pairs of which a image could not be read.
 
-    rejections: of the search for detections. A pair is lost where one of its pictures is, as it is when a drive is read. Raises
+    rejections: of the search for detections. A pair is lost where one of its images is, as it is when a drive is read. Raises
     DriveFolderError where no pair is left.
     """
     unread = [r for r in rejections if r.reason in INPUT_REASONS]
@@ -28,7 +28,7 @@ def without_unread(
     kept = tuple(pair for pair in drive.frame_pairs if pair.frame_index not in lost)
     if not kept:
         raise DriveFolderError(
-            f"{drive.source_path}: not one of {len(drive.frame_pairs)} frame pairs has two pictures that can be decoded; "
+            f"{drive.source_path}: not one of {len(drive.frame_pairs)} frame pairs has two images that can be decoded; "
             f"the first: {unread[0].record}: {unread[0].detail}"
         )
     return drive.model_copy(update={"frame_pairs": kept}), [d for d in detections if d.frame_index not in lost]

@@ -1,6 +1,6 @@
-"""Image points that stand still in the world, followed through the four pictures of two consecutive frame pairs.
+"""Image points that stand still in the world, followed through the four images of two consecutive frame pairs.
 
-Corners spread over the left picture are found at half its size and get a disparity by block matching at a quarter of it, since
+Corners spread over the left image are found at half its size and get a disparity by block matching at a quarter of it, since
 both only say where to begin. At full size they are then followed by pyramidal Lucas-Kanade (Bouguet 2001) round a circle:
 left -> right, left -> next left -> next right, and right -> next right must end at the same point, and the way back from the
 next left must lead home. Points without disparity (sky, clouds, far scenery) are left out.
@@ -20,10 +20,10 @@ from conetl.geometry.motion.stereo_tracks import NoMeasurement, StereoTracks, ca
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import FramePair, Rig, Side
 from conetl.perception.working_size import (
-    PictureReader,
-    WorkingPictures,
+    ImageReader,
+    WorkingImages,
     WorkingSize,
-    read_working_pictures,
+    read_working_images,
     working_size,
 )
 
@@ -42,12 +42,12 @@ _STOP_OF_CHECKS = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.05)
 _WEAK_SHARE = 0.004
 #: Side of what block matching compares, at a quarter of the size.
 _BLOCK_PX = 9
-#: Disparities are searched up to this share of a picture's width.
+#: Disparities are searched up to this share of a image's width.
 _WIDEST_DISPARITY = 0.12
 
 
 def measure_motions(
-    frame_pairs: Sequence[FramePair], rig: Rig, read: PictureReader, params: TrajectoryParams
+    frame_pairs: Sequence[FramePair], rig: Rig, read: ImageReader, params: TrajectoryParams
 ) -> Iterator[RelativeMotion]:
     """Motion between each frame pair and the next: len(frame_pairs) - 1 results, in order, each as soon as it is known.
 
@@ -57,38 +57,38 @@ def measure_motions(
 
 
 def follow_drive(
-    frame_pairs: Sequence[FramePair], rig: Rig, read: PictureReader, params: TrajectoryParams
+    frame_pairs: Sequence[FramePair], rig: Rig, read: ImageReader, params: TrajectoryParams
 ) -> Iterator[StereoTracks]:
     """Points between each frame pair and the next: len(frame_pairs) - 1 results, in order.
 
-    Dark, blank, frozen, missing or broken pictures give a result with `missing` set, never an exception.
+    Dark, blank, frozen, missing or broken images give a result with `missing` set, never an exception.
     """
     cameras, working = cameras_of(rig), working_size(rig, params.max_width_px)
-    previous: WorkingPictures | NoMeasurement | None = None
+    previous: WorkingImages | NoMeasurement | None = None
     guesses = expected_motions(frame_pairs, rig)
     for k, pair in enumerate(frame_pairs):
-        pictures = read_working_pictures(pair, read, working)
+        images = read_working_images(pair, read, working)
         if previous is not None:
-            found = _between(previous, pictures, working, cameras, guesses[k - 1], params)
+            found = _between(previous, images, working, cameras, guesses[k - 1], params)
             yield _tracks(frame_pairs[k - 1], pair, *found)
-        previous = pictures
+        previous = images
 
 
 def follow_span(
-    first: FramePair, last: FramePair, guess: Floats, rig: Rig, read: PictureReader, params: TrajectoryParams
+    first: FramePair, last: FramePair, guess: Floats, rig: Rig, read: ImageReader, params: TrajectoryParams
 ) -> StereoTracks:
     """Points between two frame pairs that need not be neighbours; guess (4, 4): last_SE3_first of the left camera.
 
     What is searched reaches a little farther than between neighbours (pyramid), the guess must be good to some pixels.
     """
     cameras, working = cameras_of(rig), working_size(rig, params.max_width_px)
-    start, end = (read_working_pictures(pair, read, working) for pair in (first, last))
+    start, end = (read_working_images(pair, read, working) for pair in (first, last))
     return _tracks(first, last, *_between(start, end, working, cameras, guess, params, _WINDOW_OF_SPANS_PX))
 
 
 def _between(
-    first: WorkingPictures | NoMeasurement,
-    second: WorkingPictures | NoMeasurement,
+    first: WorkingImages | NoMeasurement,
+    second: WorkingImages | NoMeasurement,
     working: WorkingSize,
     cameras: StereoCameras,
     expected: Floats,
@@ -101,23 +101,23 @@ def _between(
     if isinstance(second, NoMeasurement):
         return _nothing(second)
     if np.array_equal(first.left, second.left) or np.array_equal(first.right, second.right):
-        return _nothing(NoMeasurement.PICTURE_FROZEN)  # not even noise differs: a stuck camera, no standing car
+        return _nothing(NoMeasurement.IMAGE_FROZEN)  # not even noise differs: a stuck camera, no standing car
     try:
         return _round_the_circle(first, second, working, cameras, expected, params, window_px)
     except cv2.error:  # costs this interval, never the drive
-        return _nothing(NoMeasurement.PICTURE_UNFIT)
+        return _nothing(NoMeasurement.IMAGE_UNFIT)
 
 
 def _round_the_circle(
-    first: WorkingPictures,
-    second: WorkingPictures,
+    first: WorkingImages,
+    second: WorkingImages,
     working: WorkingSize,
     cameras: StereoCameras,
     expected: Floats,
     params: TrajectoryParams,
     window_px: int,
 ) -> _Found:
-    """As `_between`, for pictures that can be followed. Points are in working pixels until the end."""
+    """As `_between`, for images that can be followed. Points are in working pixels until the end."""
     left, right = _stereo_points(first, working, params, window_px)
     guess, usable = _where_expected(left, right, working, cameras, expected, window_px)
     left, right, guess = left[usable], right[usable], guess[usable]
@@ -147,17 +147,17 @@ def _round_the_circle(
 
 
 def _stereo_points(
-    pictures: WorkingPictures, working: WorkingSize, params: TrajectoryParams, window_px: int
+    images: WorkingImages, working: WorkingSize, params: TrajectoryParams, window_px: int
 ) -> tuple[Points, Points]:
-    """Corners (N, 2) of the left picture that are not too far away, and where they are (N, 2) in the right one."""
-    corners = _corners(pictures.half_left, params)
-    disparity, shift = _disparity(pictures, corners, working), working.infinity_shift(corners)
+    """Corners (N, 2) of the left image that are not too far away, and where they are (N, 2) in the right one."""
+    corners = _corners(images.half_left, params)
+    disparity, shift = _disparity(images, corners, working), working.infinity_shift(corners)
     known = np.isfinite(disparity) & (disparity - shift[:, 0] >= _least_disparity(working, params))
     if int(known.sum()) < params.min_points:
         return corners[:0], corners[:0]
     left, shift = corners[known], shift[known].astype(np.float32)
     beginning = left - _offset(disparity[known], shift[:, 1])
-    right, good = _flow(pictures.left, pictures.right, left, beginning, 0, window_px)
+    right, good = _flow(images.left, images.right, left, beginning, 0, window_px)
     good &= _on_equal_rows(left, right, shift, params) & _before_the_end(right, working, "right", window_px)
     return left[good], right[good]
 
@@ -177,13 +177,13 @@ def _where_expected(
 
 
 def _corners(half: Bytes, params: TrajectoryParams) -> Points:
-    """Corners (N, 2) of a picture that comes at half its size: the best few of each cell of a grid, so that no textured wall
+    """Corners (N, 2) of a image that comes at half its size: the best few of each cell of a grid, so that no textured wall
     takes them all."""
     response = cv2.cornerMinEigenVal(half, 5)
     highest = cv2.dilate(response, np.ones((5, 5), np.uint8))
     strong = float(np.quantile(response[::4, ::4], 0.99))
     border = 6
-    inner, around = (picture[border:-border, border:-border] for picture in (response, highest))
+    inner, around = (image[border:-border, border:-border] for image in (response, highest))
     # One row after the other: numpy finds the few set elements of a mask much faster in one dimension than in two.
     chosen = np.flatnonzero((inner == around) & (inner > max(_WEAK_SHARE * strong, 1e-9)))
     rows, columns = np.divmod(chosen, max(inner.shape[1], 1)) + np.array(border)
@@ -196,33 +196,33 @@ def _corners(half: Bytes, params: TrajectoryParams) -> Points:
     return 2 * np.stack([columns[chosen], rows[chosen]], axis=1).astype(np.float32) + np.float32(0.5)
 
 
-def _disparity(pictures: WorkingPictures, corners: Points, working: WorkingSize) -> Floats:
+def _disparity(images: WorkingImages, corners: Points, working: WorkingSize) -> Floats:
     """Rough difference (N,) px of the columns of corners by block matching at a quarter of the size; NaN where there is none.
 
     What is infinitely far begins the search: where the principal points differ that is neither column difference 0 nor the
     same row.
     """
-    height, width = pictures.quarter_left.shape
+    height, width = images.quarter_left.shape
     if not len(corners) or min(height, width) < _BLOCK_PX:
         return np.full(len(corners), np.nan)
     columns, rows = (working.infinity_shift(np.array(working.size_px) / 2) / 4).tolist()
     farthest = int(np.floor(columns))
-    steps = max(int(np.ceil(pictures.left.shape[1] / 4 * _WIDEST_DISPARITY / 16)) * 16, 16)
+    steps = max(int(np.ceil(images.left.shape[1] / 4 * _WIDEST_DISPARITY / 16)) * 16, 16)
     matcher = cv2.StereoBM.create(numDisparities=steps, blockSize=_BLOCK_PX)
     matcher.setMinDisparity(farthest)
     matcher.setUniquenessRatio(8)
-    table = matcher.compute(pictures.quarter_left, _lowered(pictures.quarter_right, rows))
+    table = matcher.compute(images.quarter_left, _lowered(images.quarter_right, rows))
     at = np.clip(((corners - 1.5) / 4).round().astype(int), 0, [width - 1, height - 1])
     raw = table[at[:, 1], at[:, 0]].astype(np.float64)
     return np.where(raw >= 16 * farthest, raw / 16 * 4, np.nan)
 
 
-def _lowered(picture: Bytes, rows: float) -> Bytes:
-    """A picture moved down by so many rows; by less than a twentieth, which no block of pixels tells, it is left alone."""
+def _lowered(image: Bytes, rows: float) -> Bytes:
+    """A image moved down by so many rows; by less than a twentieth, which no block of pixels tells, it is left alone."""
     if abs(rows) < 0.05:
-        return picture
+        return image
     down = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, rows]])
-    moved = cv2.warpAffine(picture, down, picture.shape[::-1], flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    moved = cv2.warpAffine(image, down, image.shape[::-1], flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(moved, dtype=np.uint8)
 
 
@@ -235,7 +235,7 @@ def _flow(
     window_px: int,
     stop: tuple[int, int, float] = _STOP,
 ) -> tuple[Points, NDArray[np.bool_]]:
-    """Where points (N, 2) of one picture are in another, beginning at a guess on the `levels`-th pyramid level."""
+    """Where points (N, 2) of one image are in another, beginning at a guess on the `levels`-th pyramid level."""
     if not len(points):
         return points, np.zeros(0, dtype=bool)
     start = np.ascontiguousarray(guess, dtype=np.float32)
@@ -247,7 +247,7 @@ def _flow(
 
 
 def _offset(columns: NDArray[np.floating], rows: NDArray[np.floating]) -> Points:
-    """(N, 2) from points of the right picture to those of the left."""
+    """(N, 2) from points of the right image to those of the left."""
     return np.stack([columns, rows], axis=1).astype(np.float32)
 
 
@@ -259,12 +259,12 @@ def _least_disparity(working: WorkingSize, params: TrajectoryParams) -> float:
 def _on_equal_rows(
     left: Points, right: Points, shift: NDArray[np.floating], params: TrajectoryParams
 ) -> NDArray[np.bool_]:
-    """Which points (N, 2) of both pictures lie on the same row of the rig; shift (N, 2): their shift at infinity."""
+    """Which points (N, 2) of both images lie on the same row of the rig; shift (N, 2): their shift at infinity."""
     return np.asarray(np.abs(right[:, 1] - left[:, 1] + shift[:, 1]) <= params.epipolar_tolerance_px)
 
 
 def _before_the_end(points: Points, working: WorkingSize, side: Side, window_px: int) -> NDArray[np.bool_]:
-    """Whose windows (N,) end before a picture's padding: it shows streaks that stand still however the car moves."""
+    """Whose windows (N,) end before a image's padding: it shows streaks that stand still however the car moves."""
     return np.asarray((points <= working.seen_px(side) - 0.5 - window_px / 2).all(axis=1))
 
 

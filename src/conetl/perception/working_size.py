@@ -1,10 +1,10 @@
-"""The pictures of a frame pair as points are followed through them: grey, of one size for both sides, not too wide.
+"""The images of a frame pair as points are followed through them: grey, of one size for both sides, not too wide.
 
-Rectification leaves both pictures the same rows but each its own columns, while matching and following demand equal sizes. So
-the smaller picture is padded at its right and lower border, and only then are both reduced, by one scale: what is measured
+Rectification leaves both images the same rows but each its own columns, while matching and following demand equal sizes. So
+the smaller image is padded at its right and lower border, and only then are both reduced, by one scale: what is measured
 between them would otherwise be two scales' difference. Padding shows nothing; `seen_px` tells where it begins.
 
-Frames: stored pixels are those of the rig's own (rectified) cameras, working pixels those of the reduced pictures. Both count
+Frames: stored pixels are those of the rig's own (rectified) cameras, working pixels those of the reduced images. Both count
 from the centre of their first pixel, so that a reduced pixel's centre is not a multiple of the stored one's.
 """
 
@@ -24,10 +24,10 @@ from conetl.perception.images import ImageFileError
 
 Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
-#: Reads one rectified picture of a frame pair, grey or in blue, green, red order; raises ImageFileError.
-PictureReader = Callable[[FramePair, Side], Bytes]
+#: Reads one rectified image of a frame pair, grey or in blue, green, red order; raises ImageFileError.
+ImageReader = Callable[[FramePair, Side], Bytes]
 
-#: Grey values of a picture must spread at least this much for anything to be followed.
+#: Grey values of a image must spread at least this much for anything to be followed.
 _LEAST_CONTRAST = 3.0
 #: What a product of poses leaves of a shift that is none, and far below what matching could tell. It must not decide about a
 #: disparity of block matching, which counts in quarters of a pixel and often equals the least one that is wanted.
@@ -36,11 +36,11 @@ _SHIFT_DECIMALS = 6
 
 @dataclass(frozen=True)
 class WorkingSize:
-    """How stored pictures of a rig become working ones. Sizes are width and height."""
+    """How stored images of a rig become working ones. Sizes are width and height."""
 
     rig: Rig
     common_px: tuple[int, int]
-    """Stored pixels that hold both pictures."""
+    """Stored pixels that hold both images."""
     size_px: tuple[int, int]
     """Working pixels of both."""
 
@@ -50,7 +50,7 @@ class WorkingSize:
         return np.asarray(np.array(self.size_px) / np.array(self.common_px))
 
     def seen_px(self, side: Side) -> Floats:
-        """(2,) number of working pixels of a picture before its padding begins, along u and v; infinite where there is none."""
+        """(2,) number of working pixels of a image before its padding begins, along u and v; infinite where there is none."""
         own = np.array(_stored_size(self.rig, side))
         return np.where(own < self.common_px, own * self.scale, np.inf)
 
@@ -63,15 +63,15 @@ class WorkingSize:
         return np.asarray((np.asarray(working_px, dtype=np.float64) - (self.scale - 1) / 2) / self.scale)
 
     def infinity_shift(self, left_px: ArrayLike) -> Floats:
-        """(..., 2) working pixels by which the left picture shows what is infinitely far further right and down than the right
+        """(..., 2) working pixels by which the left image shows what is infinitely far further right and down than the right
         one, at points (..., 2) of the left."""
         shift = infinity_shift_px(self.rig, self.to_stored(left_px)) * self.scale
         return np.asarray(shift.round(_SHIFT_DECIMALS) + 0.0)
 
 
 @dataclass(frozen=True)
-class WorkingPictures:
-    """Both pictures of one frame pair, grey, at working size; both at a quarter of it, the left one, without its padding, at
+class WorkingImages:
+    """Both images of one frame pair, grey, at working size; both at a quarter of it, the left one, without its padding, at
     half of it, too."""
 
     left: Bytes
@@ -82,7 +82,7 @@ class WorkingPictures:
 
 
 def working_size(rig: Rig, max_width_px: int) -> WorkingSize:
-    """The size at which pictures of a rectified rig are worked on: the larger of both sides, reduced where it is too wide."""
+    """The size at which images of a rectified rig are worked on: the larger of both sides, reduced where it is too wide."""
     (left_w, left_h), (right_w, right_h) = _stored_size(rig, "left"), _stored_size(rig, "right")
     common = max(left_w, right_w), max(left_h, right_h)
     scale = min(1.0, max_width_px / common[0])
@@ -90,28 +90,26 @@ def working_size(rig: Rig, max_width_px: int) -> WorkingSize:
     return WorkingSize(rig=rig, common_px=common, size_px=size)
 
 
-def read_working_pictures(
-    pair: FramePair, read: PictureReader, working: WorkingSize
-) -> WorkingPictures | NoMeasurement:
+def read_working_images(pair: FramePair, read: ImageReader, working: WorkingSize) -> WorkingImages | NoMeasurement:
     """One frame pair at working size, or why there is none; never an exception of the reader or of OpenCV."""
     grey: list[Bytes] = []
     try:
         for side in ("left", "right"):
-            picture = _grey(read(pair, side))
-            if picture.shape[::-1] != _stored_size(working.rig, side):
-                return NoMeasurement.PICTURE_UNREADABLE  # no picture of this rig
-            picture = _at_size(picture, working)
-            if float(cv2.meanStdDev(_seen(picture, working.seen_px(side)))[1][0, 0]) < _LEAST_CONTRAST:
-                return NoMeasurement.PICTURE_BLANK
-            grey.append(picture)
+            image = _grey(read(pair, side))
+            if image.shape[::-1] != _stored_size(working.rig, side):
+                return NoMeasurement.IMAGE_UNREADABLE  # no image of this rig
+            image = _at_size(image, working)
+            if float(cv2.meanStdDev(_seen(image, working.seen_px(side)))[1][0, 0]) < _LEAST_CONTRAST:
+                return NoMeasurement.IMAGE_BLANK
+            grey.append(image)
         left, right = grey
         half_left, half_right = _halved(left), _halved(right)
         seen = _seen(half_left, working.seen_px("left") / 2)
-        return WorkingPictures(left, right, seen, _halved(half_left), _halved(half_right))
+        return WorkingImages(left, right, seen, _halved(half_left), _halved(half_right))
     except ImageFileError:
-        return NoMeasurement.PICTURE_UNREADABLE
+        return NoMeasurement.IMAGE_UNREADABLE
     except cv2.error:
-        return NoMeasurement.PICTURE_UNFIT
+        return NoMeasurement.IMAGE_UNFIT
 
 
 def _stored_size(rig: Rig, side: Side) -> tuple[int, int]:
@@ -120,32 +118,32 @@ def _stored_size(rig: Rig, side: Side) -> tuple[int, int]:
     return camera.width_px, camera.height_px
 
 
-def _grey(picture: Bytes) -> Bytes:
-    return picture if picture.ndim == 2 else np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+def _grey(image: Bytes) -> Bytes:
+    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
 
 
-def _at_size(picture: Bytes, working: WorkingSize) -> Bytes:
-    """A grey picture padded to the common size, then reduced. The border is repeated: a step in brightness there would be a
-    line of corners that stand still in the picture."""
-    right, below = working.common_px[0] - picture.shape[1], working.common_px[1] - picture.shape[0]
+def _at_size(image: Bytes, working: WorkingSize) -> Bytes:
+    """A grey image padded to the common size, then reduced. The border is repeated: a step in brightness there would be a
+    line of corners that stand still in the image."""
+    right, below = working.common_px[0] - image.shape[1], working.common_px[1] - image.shape[0]
     if right or below:
-        padded = cv2.copyMakeBorder(picture, 0, below, 0, right, cv2.BORDER_REPLICATE)
-        picture = np.asarray(padded, dtype=np.uint8)
+        padded = cv2.copyMakeBorder(image, 0, below, 0, right, cv2.BORDER_REPLICATE)
+        image = np.asarray(padded, dtype=np.uint8)
     if working.size_px == working.common_px:
-        return picture
-    return np.asarray(cv2.resize(picture, working.size_px, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        return image
+    return np.asarray(cv2.resize(image, working.size_px, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def _seen(picture: Bytes, seen_px: Floats) -> Bytes:
-    """A picture without its padding: its whole pixels of the first `seen_px` along u and v."""
-    width, height = np.minimum(seen_px, picture.shape[::-1]).astype(int).tolist()
-    return picture[: max(height, 1), : max(width, 1)]
+def _seen(image: Bytes, seen_px: Floats) -> Bytes:
+    """A image without its padding: its whole pixels of the first `seen_px` along u and v."""
+    width, height = np.minimum(seen_px, image.shape[::-1]).astype(int).tolist()
+    return image[: max(height, 1), : max(width, 1)]
 
 
-def _halved(picture: Bytes) -> Bytes:
+def _halved(image: Bytes) -> Bytes:
     """Means of two by two pixels. A last odd row or column is left out: with a ratio of exactly two OpenCV is 30 times faster."""
-    height, width = (size // 2 for size in picture.shape)
+    height, width = (size // 2 for size in image.shape)
     if not height or not width:
-        return picture
-    half = cv2.resize(picture[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
+        return image
+    half = cv2.resize(image[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
     return np.asarray(half, dtype=np.uint8)

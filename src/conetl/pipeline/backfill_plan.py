@@ -1,6 +1,6 @@
 """What to do with many drives, before anything is done: which, why, how long, and what is on the map already. Knows no Prefect.
 
-A drive is known by its header (see `readers/drives/header.py`), so no picture is read; the exact content is compared when the
+A drive is known by its header (see `readers/drives/header.py`), so no image is read; the exact content is compared when the
 drive is ingested, and one that is on the map after all changes nothing.
 """
 
@@ -32,7 +32,7 @@ from conetl.model.errors import InputError
 from conetl.model.params import IngestParams, params_sha256
 from conetl.perception.model_card import read_model_card
 from conetl.pipeline.settings import Settings
-from conetl.readers.drives.header import DriveOutline, find_drives, outline_drive
+from conetl.readers.drives.header import DriveHeader, find_drives, read_header
 
 #: Work that ended without a word so often is not tried again unless a person asks for it.
 MAX_ATTEMPTS = 3
@@ -52,7 +52,7 @@ class Analysis:
 class PlanLine:
     """What to do with one drive. `wait`: another process is at it; `refuse`: the folder cannot be a drive."""
 
-    outline: DriveOutline
+    outline: DriveHeader
     action: Action
     why: str
 
@@ -124,7 +124,7 @@ def plan_drives(
             f"nothing is recorded from {since:%Y-%m-%d %H:%M} UTC on (--since) and before {until:%Y-%m-%d %H:%M} UTC (--until)"
         )
     started = time.monotonic()
-    outlines = [outline_drive(folder) for folder in (find_drives(root) if folders is None else folders)]
+    outlines = [read_header(folder) for folder in (find_drives(root) if folders is None else folders)]
     outlines = [o for o in outlines if _is_within(o, since, until)]
     analysis = analysis_of(params, settings)
     receipts = latest_receipts(conn, map_name=settings.map_name, headers=[o.header_sha256 for o in outlines])
@@ -159,7 +159,7 @@ def plan_drives(
 
 
 def _judge(
-    outline: DriveOutline,
+    outline: DriveHeader,
     receipt: Receipt | None,
     on_map: Sequence[DriveOnMap],
     analysis: Analysis,
@@ -199,14 +199,14 @@ def _judge(
     return "ingest", "new"
 
 
-def _is_same_recording(outline: DriveOutline, drive: DriveOnMap) -> bool:
+def _is_same_recording(outline: DriveHeader, drive: DriveOnMap) -> bool:
     """By id and time; a drive's first and last pair may have been refused."""
     if outline.captured_from_ns is None or outline.captured_to_ns is None:
         return False
     return outline.captured_from_ns <= drive.captured_from_ns and drive.captured_to_ns <= outline.captured_to_ns
 
 
-def _is_within(outline: DriveOutline, since: datetime | None, until: datetime | None) -> bool:
+def _is_within(outline: DriveHeader, since: datetime | None, until: datetime | None) -> bool:
     """Folders that do not tell their time are always looked at: nothing disappears without a word."""
     at = outline.captured_from
     return at is None or ((since is None or since <= at) and (until is None or at < until))

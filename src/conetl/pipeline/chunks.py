@@ -53,13 +53,13 @@ def parts_of(chunk: Chunk) -> list[slice]:
     return [slice(first, min(first + half, count)) for first in range(0, count, half)]
 
 
-def picture_paths(pairs: Sequence[FramePair]) -> list[Path]:
-    """Places of the pictures of frame pairs, left and right in turn."""
+def image_paths(pairs: Sequence[FramePair]) -> list[Path]:
+    """Places of the images of frame pairs, left and right in turn."""
     return [place(path) for pair in pairs for path in (pair.left_path, pair.right_path)]
 
 
-def picture_hashes(paths: Sequence[Path]) -> dict[Path, str]:
-    """SHA-256 of pictures as they are now, in order; of none where one is missing. Raises OSError where storage fails."""
+def image_hashes(paths: Sequence[Path]) -> dict[Path, str]:
+    """SHA-256 of images as they are now, in order; of none where one is missing. Raises OSError where storage fails."""
     return {path: file_sha256(path) for path in in_batches(paths, fresh=True)}
 
 

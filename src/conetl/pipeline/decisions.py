@@ -24,7 +24,7 @@ from conetl.db.map.replay_store import (
 from conetl.db.map.results import Decidable, MapInfo, Replay
 from conetl.mapping.fold import is_within
 from conetl.model.errors import ConflictError, InputError
-from conetl.model.map_records import BelievedVersion, MapFeature, Place
+from conetl.model.map_records import FeatureVersion, MapFeature, Place
 from conetl.pipeline.replay import replay_of
 
 SUPPRESS, PIN, REVERT, WITHDRAW = "suppress", "pin", "revert", "withdraw"
@@ -38,11 +38,11 @@ class Conflict(NamedTuple):
     feature_id: UUID
     kind: str
     """What the reverted changeset did to it."""
-    was: BelievedVersion | None
+    was: FeatureVersion | None
     """Before the reverted changeset; None where it founded the feature."""
-    changed_to: BelievedVersion | None
+    changed_to: FeatureVersion | None
     """By the reverted changeset."""
-    is_now: BelievedVersion | None
+    is_now: FeatureVersion | None
     """After the revert, as its changeset left it; None where without the reverted one it was never founded."""
 
 

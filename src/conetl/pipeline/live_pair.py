@@ -1,4 +1,4 @@
-"""One frame pair of a drive that is being recorded, from its pictures to the database. Knows no Prefect."""
+"""One frame pair of a drive that is being recorded, from its images to the database. Knows no Prefect."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from conetl.tracking.positions import locate_positions
 
 Image = NDArray[np.uint8]
 _SIDES: tuple[Side, Side] = ("left", "right")
-#: Pictures of this size are looked at before the first pair: the first look of a network takes several times as long.
+#: Images of this size are looked at before the first pair: the first look of a network takes several times as long.
 _WARM_UP_SHAPE = (320, 1242, 3)
 
 
@@ -66,7 +66,7 @@ class LiveDrive:
 
 
 class Sight(NamedTuple):
-    """What one picture of a pair shows."""
+    """What one image of a pair shows."""
 
     image: Image
     detections: list[Detection]
@@ -77,7 +77,7 @@ class Sight(NamedTuple):
 
 @dataclass(frozen=True)
 class Look:
-    """Both pictures of a pair while they are being searched."""
+    """Both images of a pair while they are being searched."""
 
     pair: FramePair
     began_s: float
@@ -105,7 +105,7 @@ class StepTimes:
 def open_eyes(settings: Settings, params: IngestParams) -> Iterator[Eyes]:
     """Load the detector once for each side and let it look at something. Raises ModelFileError.
 
-    Both pictures of a pair are searched everywhere: at the same time, so that waiting for the left one would only make it later.
+    Both images of a pair are searched everywhere: at the same time, so that waiting for the left one would only make it later.
     """
     everywhere: dict[str, object] = {"search_right": "everywhere"}
     params = params.model_copy(update={"detection": params.detection.model_copy(update=everywhere)})
@@ -132,13 +132,13 @@ def new_drive(drive_id: str, folder: Path, rig: Rig, srid: int, map_name: str, f
 
 
 def look_at(eyes: Eyes, rig: Rig, pair: FramePair) -> Look:
-    """Begin to search both pictures of a pair, in the threads of the eyes."""
+    """Begin to search both images of a pair, in the threads of the eyes."""
     left, right = (eyes.pool.submit(_look, eyes, rig, pair, side) for side in _SIDES)
     return Look(pair, time.monotonic(), (left, right))
 
 
 def take_pair(conn: Connection, eyes: Eyes, drive: LiveDrive, look: Look) -> tuple[LiveDrive, StepTimes]:
-    """Detections -> match -> locate -> tracks -> commit. Raises ImageFileError (a picture is not whole), DatabaseError."""
+    """Detections -> match -> locate -> tracks -> commit. Raises ImageFileError (a image is not whole), DatabaseError."""
     pair, sides = look.pair, look.seen()
     left, right = sides[0].detections, sides[1].detections
     started, processor_s = time.monotonic(), time.thread_time()

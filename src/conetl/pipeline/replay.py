@@ -30,12 +30,12 @@ from conetl.db.map.results import CommitResult, DriveRef, Replay, RunInfo
 from conetl.db.retention import require_comparable
 from conetl.mapping.fold import Evidence, Extension, Floats, Folded, extend, fold
 from conetl.mapping.visibility import Look, View, look_at_spot, view_of_drive
-from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence, LookFigures
+from conetl.model.detector_evidence import UNMEASURED, AbsenceFigures, DetectorEvidence
 from conetl.model.drive_records import DriveRecords
 from conetl.model.map_records import (
-    BelievedVersion,
     Changeset,
     Decisions,
+    FeatureVersion,
     FoldKey,
     MapFeature,
     Miss,
@@ -78,7 +78,7 @@ def merge_drive(
     the detector (None: nothing), which tells how much it means that it found no cone.
     """
     drive = records.drive
-    figures = LookFigures(evidence=evidence or UNMEASURED, score_threshold=params.detection.score_threshold)
+    figures = AbsenceFigures(evidence=evidence or UNMEASURED, score_threshold=params.detection.score_threshold)
     drive_uuid = place_drive(
         conn,
         drive,
@@ -143,7 +143,7 @@ def replay_of(
     versions = read_versions(conn, [*aside, *around])
     deltas = read_deltas(conn, aside)
     out = set(aside)
-    given: list[tuple[FoldKey, BelievedVersion | Miss]] = []
+    given: list[tuple[FoldKey, FeatureVersion | Miss]] = []
     given += [(stored.key, stored.version) for stored in versions if stored.drive_uuid not in out]
     given += [(s.key, s.miss) for s in read_misses(conn, [*aside, *around]) if s.drive_uuid not in out]
     folded = fold([*own, *stored_evidence(conn, again)], decisions, given=given)
@@ -168,7 +168,7 @@ def stored_evidence(conn: Connection, drives: Sequence[DriveRef]) -> list[Eviden
         return view_of_drive(rig, stored.frame_pairs, stored.detections, stored.spots, figures)
 
     require_comparable(conn, [ref.drive_uuid for ref in drives])
-    looked_with: dict[UUID, tuple[Rig, LookFigures]] = {}
+    looked_with: dict[UUID, tuple[Rig, AbsenceFigures]] = {}
     evidence = []
     for ref in drives:
         drive = read_drive(conn, ref.drive_uuid)

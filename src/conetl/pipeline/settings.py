@@ -56,9 +56,9 @@ class Settings(BaseSettings):
         return self.home / "results"
 
     @property
-    def pictures_folder(self) -> Path:
-        """Pictures unpacked from bags, by the hash of their bytes; may be deleted when no run is on."""
-        return self.home / "pictures"
+    def images_folder(self) -> Path:
+        """Images unpacked from bags, by the hash of their bytes; may be deleted when no run is on."""
+        return self.home / "images"
 
     @property
     def exports_folder(self) -> Path:
@@ -73,7 +73,7 @@ class Settings(BaseSettings):
         """Where the ingest writes the QA report of a drive; an id may hold anything, a file name not."""
         return self.reports_folder / f"{changeset_no:06d}-{file_name_part(drive_id, 120)}.html"
 
-    def drive_picture_path(self, drive_id: str) -> Path:
+    def drive_image_path(self, drive_id: str) -> Path:
         """Where the ingest draws the plan view of a drive and its changes: those on this map, another one has others."""
         return self.reports_folder / f"{file_name_part(drive_id, 120)}.png"
 

@@ -1,4 +1,4 @@
-"""One self-contained HTML page of a drive against truth: tables and embedded PNG pictures, no scripts, nothing to load."""
+"""One self-contained HTML page of a drive against truth: tables and embedded PNG images, no scripts, nothing to load."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ p.note { color: #9aa7ae; } img { background: white; } }
 
 @dataclass(frozen=True)
 class Section:
-    """Part of the page: a heading, words, a table, a picture; what is empty is left out."""
+    """Part of the page: a heading, words, a table, a image; what is empty is left out."""
 
     heading: str
     text: str = ""
     columns: Sequence[str] = ()
     rows: Sequence[Sequence[object]] = ()
-    picture: bytes | None = None
-    picture_words: str = ""
+    image: bytes | None = None
+    image_words: str = ""
 
 
 def write_accuracy_page(path: Path, *, title: str, summary: Sequence[str], sections: Sequence[Section]) -> Path:
-    """Write the page and return its path. All words are escaped; pictures are PNG bytes."""
+    """Write the page and return its path. All words are escaped; images are PNG bytes."""
     parts = [
         "<!doctype html>\n<html lang='en'><head><meta charset='utf-8'>",
         "<meta name='viewport' content='width=device-width, initial-scale=1'>",
@@ -60,7 +60,7 @@ def _section(section: Section) -> str:
             "<tr>" + "".join(f"<td>{html.escape(str(cell))}</td>" for cell in row) + "</tr>" for row in section.rows
         )
         parts.append(f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>")
-    if section.picture is not None:
-        data = base64.b64encode(section.picture).decode()
-        parts.append(f"<img alt='{html.escape(section.picture_words)}' src='data:image/png;base64,{data}'>")
+    if section.image is not None:
+        data = base64.b64encode(section.image).decode()
+        parts.append(f"<img alt='{html.escape(section.image_words)}' src='data:image/png;base64,{data}'>")
     return "\n".join(parts)

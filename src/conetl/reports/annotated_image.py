@@ -1,4 +1,4 @@
-"""Pictures with the detector's boxes drawn in, for people to judge."""
+"""Images with the detector's boxes drawn in, for people to judge."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def write_annotated_image(path: Path, image_bgr: NDArray[np.uint8], boxes: NDArr
 
 
 def pairs_jpeg(rows: Sequence[tuple[NDArray[np.uint8], NDArray[np.uint8], str]], *, width_px: int = 1400) -> bytes:
-    """Left and right pictures (H, W, 3) side by side, a row a pair with its title above, as one JPEG of the given width."""
+    """Left and right images (H, W, 3) side by side, a row a pair with its title above, as one JPEG of the given width."""
     strips = []
     for left, right, title in rows:
         pair = np.hstack([left, right[: left.shape[0]]]) if left.shape[0] == right.shape[0] else left
@@ -43,21 +43,21 @@ def pairs_jpeg(rows: Sequence[tuple[NDArray[np.uint8], NDArray[np.uint8], str]],
 
 def draw_boxes(image_bgr: NDArray[np.uint8], boxes: NDArray[np.float64]) -> NDArray[np.uint8]:
     """A copy of an image with boxes, scores, feet and tips; boxes as in `write_annotated_image`."""
-    picture = image_bgr.copy()
-    width = max(1, round(max(picture.shape[:2]) / 900))
+    image = image_bgr.copy()
+    width = max(1, round(max(image.shape[:2]) / 900))
     for x, y, w, h, score, *ends in boxes.tolist():
         corner, far = (round(x), round(y)), (round(x + w), round(y + h))
-        cv2.rectangle(picture, corner, far, _BOX, width)
+        cv2.rectangle(image, corner, far, _BOX, width)
         size = 0.4 * width
         (text_w, text_h), _ = cv2.getTextSize(f"{score:.2f}", cv2.FONT_HERSHEY_SIMPLEX, size, width)
-        left = min(corner[0], max(picture.shape[1] - text_w, 0))
+        left = min(corner[0], max(image.shape[1] - text_w, 0))
         base = corner[1] - 2 * width if corner[1] > text_h + 2 * width else far[1] + text_h + 2 * width
         # A dark rim keeps the number readable on a bright sky.
         for colour, thickness in (((0, 0, 0), 3 * width), (_BOX, width)):
             cv2.putText(
-                picture, f"{score:.2f}", (left, base), cv2.FONT_HERSHEY_SIMPLEX, size, colour, thickness, cv2.LINE_AA
+                image, f"{score:.2f}", (left, base), cv2.FONT_HERSHEY_SIMPLEX, size, colour, thickness, cv2.LINE_AA
             )
         if np.isfinite(ends).all():
             for (u, v), colour in ((ends[:2], _FOOT), (ends[2:], _TIP)):
-                cv2.circle(picture, (round(u), round(v)), 2 * width, colour, -1, cv2.LINE_AA)
-    return picture
+                cv2.circle(image, (round(u), round(v)), 2 * width, colour, -1, cv2.LINE_AA)
+    return image

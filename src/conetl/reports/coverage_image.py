@@ -1,4 +1,4 @@
-"""Where the corners of a calibration lie in the two pictures, and what is left of them: a PNG."""
+"""Where the corners of a calibration lie in the two images, and what is left of them: a PNG."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 def draw_coverage(path: Path, bundle: Bundle, views: Sequence[BoardView], title: str) -> Path:
-    """Write the picture to `path` and return it: corners of both cameras, their residuals as enlarged arrows."""
+    """Write the image to `path` and return it: corners of both cameras, their residuals as enlarged arrows."""
     figure = Figure(figsize=(13, 7.2), dpi=110, layout="constrained")
     panels = figure.subplots(1, 2)
     lengths = np.concatenate([np.hypot(*residuals_px(bundle, v).T) for v in views])
@@ -27,7 +27,7 @@ def draw_coverage(path: Path, bundle: Bundle, views: Sequence[BoardView], title:
         own = [v for v in views if v.side == side]
         uv = np.concatenate([v.uv_px for v in own])
         residuals = np.concatenate([residuals_px(bundle, v) for v in own])
-        # the median arrow is 1.5 % of the picture's width, whatever the size of the errors
+        # the median arrow is 1.5 % of the image's width, whatever the size of the errors
         enlarge = 0.015 * camera.width_px / max(typical, 1e-9)
         arrows = axes.quiver(
             uv[:, 0], uv[:, 1], residuals[:, 0] * enlarge, residuals[:, 1] * enlarge, np.hypot(*residuals.T),
@@ -39,7 +39,7 @@ def draw_coverage(path: Path, bundle: Bundle, views: Sequence[BoardView], title:
         axes.set_aspect("equal")
         axes.grid(color="#eeeeee")
         axes.set_axisbelow(True)
-        axes.set_title(f"{side}: {len(own)} pictures, {len(uv)} corners, arrows x {enlarge:.0f}")
+        axes.set_title(f"{side}: {len(own)} images, {len(uv)} corners, arrows x {enlarge:.0f}")
         axes.set_xlabel("u (px)")
         axes.set_ylabel("v (px)")
         axes.legend(loc="lower right", fontsize=8)

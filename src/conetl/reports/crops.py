@@ -1,4 +1,4 @@
-"""Cut the surroundings of one detection out of its picture, with the box drawn."""
+"""Cut the surroundings of one detection out of its image, with the box drawn."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from conetl.model.errors import InputError
 from conetl.model.records import Rig, Side
 from conetl.perception.rectified_image import read_rig_image
 
-PICTURE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
+IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
 #: Sky blue of Okabe & Ito, in OpenCV's order; seen on asphalt, orange cones and white stripes alike with its dark edge.
 _BOX_BGR = (233, 180, 86)
 _EDGE_BGR = (40, 30, 20)
@@ -22,32 +22,32 @@ _MIN_CROP_PX = 64
 _JPEG_QUALITY = 88
 
 Box = tuple[float, float, float, float]
-"""x, y (top-left corner), width, height in pixels of the rectified picture, counted from its edge."""
+"""x, y (top-left corner), width, height in pixels of the rectified image, counted from its edge."""
 
 
-class PictureMissingError(InputError):
-    """The picture of a sighting is not where the drive was ingested from."""
+class ImageMissingError(InputError):
+    """The image of a sighting is not where the drive was ingested from."""
 
 
 def picture_file(source_path: str, picture_path: str) -> Path:
-    """The file of a picture that the database names, which must lie in its drive's folder and be a picture.
+    """The file of a image that the database names, which must lie in its drive's folder and be a image.
 
-    Raises PictureMissingError where it is gone, leads out of the folder, or is no picture.
+    Raises ImageMissingError where it is gone, leads out of the folder, or is no image.
     """
     folder = Path(source_path).resolve()
     path = (folder / picture_path).resolve()  # an absolute path stays what it is
-    if path.suffix.lower() not in PICTURE_SUFFIXES or not path.is_relative_to(folder):
-        raise PictureMissingError(f"{Path(picture_path).name} is no picture inside the folder of its drive")
+    if path.suffix.lower() not in IMAGE_SUFFIXES or not path.is_relative_to(folder):
+        raise ImageMissingError(f"{Path(picture_path).name} is no image inside the folder of its drive")
     if not path.is_file():
         name = path.relative_to(folder).as_posix()
-        raise PictureMissingError(f"the picture {name} is not there any more: put the drive back to {folder}")
+        raise ImageMissingError(f"the image {name} is not there any more: put the drive back to {folder}")
     return path
 
 
 def crop_jpeg(path: Path, rig: Rig, side: Side, box: Box, *, context: float) -> bytes:
     """JPEG of the box's surroundings, `context` times as tall and wide as the box (pushed inside at the border), box drawn.
 
-    Small crops are enlarged to 300 pixels. Raises ImageFileError where the picture cannot be decoded.
+    Small crops are enlarged to 300 pixels. Raises ImageFileError where the image cannot be decoded.
     """
     image = read_rig_image(path, rig, side)
     left, top, right, bottom = _window(box, (image.shape[1], image.shape[0]), context)
@@ -61,14 +61,14 @@ def crop_jpeg(path: Path, rig: Rig, side: Side, box: Box, *, context: float) -> 
     _draw_box(shown, ((box[0] - left) * scale, (box[1] - top) * scale, box[2] * scale, box[3] * scale))
     done, data = cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
     if not done:
-        raise PictureMissingError(f"{path.name}: the crop could not be encoded")
+        raise ImageMissingError(f"{path.name}: the crop could not be encoded")
     return bytes(data.tobytes())
 
 
 def _window(box: Box, size_px: tuple[int, int], context: float) -> tuple[int, int, int, int]:
-    """Left, top, right, bottom of the part of a picture of `size_px` (width, height) that is shown; never empty.
+    """Left, top, right, bottom of the part of a image of `size_px` (width, height) that is shown; never empty.
 
-    A square around the box, pushed into the picture where it stands over the border, cut where the picture is too small.
+    A square around the box, pushed into the image where it stands over the border, cut where the image is too small.
     """
     x, y, w, h = box
     side = round(max(w * context, h * context, _MIN_CROP_PX))

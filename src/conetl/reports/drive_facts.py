@@ -75,7 +75,7 @@ class StepLine:
 
 @dataclass(frozen=True)
 class DriveFacts:
-    """Everything that the page of a drive shows, but the pictures."""
+    """Everything that the page of a drive shows, but the images."""
 
     map_name: str
     srid: int

@@ -1,4 +1,4 @@
-"""A drive as `conetl inspect` understood it, on one picture: its way with gaps and quality, and one pair with rows drawn."""
+"""A drive as `conetl inspect` understood it, on one image: its way with gaps and quality, and one pair with rows drawn."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _ROWS = 12
 
 
 def draw_drive(path: Path, drive: Drive, summary: DriveSummary) -> Path:
-    """Write the picture (PNG) to `path` and return it. Raises OSError where it cannot be written."""
+    """Write the image (PNG) to `path` and return it. Raises OSError where it cannot be written."""
     figure = Figure(figsize=(14, 7.5), dpi=110, layout="constrained")
     grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.25))
     _draw_way(figure.add_subplot(grid[:, 0]), figure, drive, summary)
@@ -30,7 +30,7 @@ def draw_drive(path: Path, drive: Drive, summary: DriveSummary) -> Path:
         axes = figure.add_subplot(grid[row, 1])
         axes.set_axis_off()
         if pair is None:
-            axes.text(0.5, 0.5, "no picture could be read", ha="center")
+            axes.text(0.5, 0.5, "no image could be read", ha="center")
             continue
         file = Path(pair.left_path if side == "left" else pair.right_path)
         image = read_rig_image(file, drive.rig, "left" if side == "left" else "right")
@@ -96,7 +96,7 @@ def _draw_way(axes: Axes, figure: Figure, drive: Drive, summary: DriveSummary) -
 
 
 def _shown_pair(drive: Drive) -> FramePair | None:
-    """The pair nearest to the middle whose pictures are there and can be decoded (of a bag only the first is unpacked)."""
+    """The pair nearest to the middle whose images are there and can be decoded (of a bag only the first is unpacked)."""
     pairs = drive.frame_pairs
     for i in sorted(range(len(pairs)), key=lambda i: abs(i - len(pairs) // 2)):
         pair = pairs[i]

@@ -15,7 +15,7 @@ from conetl.files.atomic import atomic_text_file
 from conetl.model.map_records import DeltaKind
 from conetl.reports import figures
 from conetl.reports.drive_facts import Change, DriveFacts, read_drive_facts
-from conetl.reports.evidence import MAX_PICTURED, pictures_of
+from conetl.reports.evidence import MAX_ILLUSTRATED, images_of
 from conetl.reports.render import data_uri, render
 
 #: Above it a residual deserves a look: the rays of a sound calibration meet within half a pixel.
@@ -59,8 +59,8 @@ def drive_page(conn: Connection, changeset: CommittedChangeset, *, map_name: str
         counts=_counts(facts),
         kinds=[(kind, sum(c.kind is kind for c in facts.changes)) for kind in DeltaKind],
         changed=changed,
-        pictures=pictures_of(conn, facts, facts.changes),
-        max_pictured=MAX_PICTURED,
+        images=images_of(conn, facts, facts.changes),
+        max_illustrated=MAX_ILLUSTRATED,
         confirmed=confirmed[:_MAX_CONFIRMED],
         confirmed_left_out=max(len(confirmed) - _MAX_CONFIRMED, 0),
         plan=data_uri(figures.plan(facts.path_m, facts.changes, facts.others_m), "png"),
@@ -121,7 +121,7 @@ def findings(facts: DriveFacts) -> list[Finding]:
         )
     if kinds[DeltaKind.REMOVED]:
         removed = [c for c in facts.changes if c.kind is DeltaKind.REMOVED]
-        found.append(Finding(False, f"{_cones(removed)} removed from the map: {_numbers(removed)}; see the pictures."))
+        found.append(Finding(False, f"{_cones(removed)} removed from the map: {_numbers(removed)}; see the images."))
     if str(facts.facts.get("trajectory_outcome", "refined")) not in _TOLD_OUTCOMES:
         found.append(Finding(False, f"The trajectory is the logged one: {facts.facts.get('trajectory', '')}."))
     if str(facts.facts.get("calibration_outcome", "insignificant")) not in _TOLD_CALIBRATIONS:

@@ -1,4 +1,4 @@
-"""Pictures of each changed cone: as the drive saw it, as it was seen before, and the empty place of one that is gone."""
+"""Images of each changed cone: as the drive saw it, as it was seen before, and the empty place of one that is gone."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from conetl.geometry.rig import camera_of, map_SE3_camera
 from conetl.model.errors import StorageError
 from conetl.model.records import FramePair, Rig, Side, utc_from_ns
 from conetl.perception.images import ImageFileError
-from conetl.reports.crops import Box, PictureMissingError, crop_jpeg, picture_file
+from conetl.reports.crops import Box, ImageMissingError, crop_jpeg, picture_file
 from conetl.reports.drive_facts import Change, DriveFacts
 from conetl.reports.render import data_uri
 
-#: Pictures of more changes would make a page that nobody opens; the table has them all.
-MAX_PICTURED = 120
+#: Images of more changes would make a page that nobody opens; the table has them all.
+MAX_ILLUSTRATED = 120
 _CONTEXT = 3.0
 _SIDES: tuple[Side, Side] = ("left", "right")
 #: A cone's box is about so many times as wide as it is tall.
@@ -33,16 +33,17 @@ _BORDER_PX, _LEAST_RANGE_M = 12.0, 2.5
 
 @dataclass(frozen=True)
 class PairOfCrops:
-    """Left and right crop with what they show; where a picture is gone, `missing` says why."""
+    """Left and right crop with what they show; where a image is gone, `missing` says why."""
 
     title: str
     crops: tuple[Markup, ...]
     missing: str = ""
 
 
-def pictures_of(conn: Connection, facts: DriveFacts, changes: Sequence[Change]) -> dict[int, list[PairOfCrops]]:
-    """Pairs of crops by a change's number, earlier ones first; of the first `MAX_PICTURED` changes that are no confirmations."""
-    shown = [change for change in changes if not change.is_confirmation][:MAX_PICTURED]
+def images_of(conn: Connection, facts: DriveFacts, changes: Sequence[Change]) -> dict[int, list[PairOfCrops]]:
+    """Pairs of crops by a change's number, earlier ones first; of the first `MAX_ILLUSTRATED` changes that are no
+    confirmations."""
+    shown = [change for change in changes if not change.is_confirmation][:MAX_ILLUSTRATED]
     return {change.number: _of_change(conn, facts, change) for change in shown}
 
 
@@ -82,7 +83,7 @@ def _empty_place(facts: DriveFacts, change: Change) -> PairOfCrops:
         if len(good) == len(boxes) and (best is None or good[0][3] > best[0]):
             best = good[0][3], pair, good
     if best is None:
-        return PairOfCrops("this drive", (), "its place is in no pair of pictures as a whole")
+        return PairOfCrops("this drive", (), "its place is in no pair of images as a whole")
     _, pair, boxes_in_view = best
     return _crops(
         f"this drive, frame {pair.frame_index}: where it should stand, by pose alone", facts.source_path, facts.rig,
@@ -115,7 +116,7 @@ def _crops(title: str, source_path: str, rig: Rig, paths: Sequence[str], boxes: 
             data_uri(crop_jpeg(picture_file(source_path, path), rig, side, box, context=_CONTEXT), "jpeg")
             for side, path, box in zip(_SIDES, paths, boxes, strict=True)
         ]
-    except (PictureMissingError, ImageFileError, StorageError, OSError) as error:
+    except (ImageMissingError, ImageFileError, StorageError, OSError) as error:
         return PairOfCrops(title, (), f"{Path(paths[0]).name}: {error}")
     return PairOfCrops(title, tuple(crops))
 

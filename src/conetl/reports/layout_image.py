@@ -1,4 +1,4 @@
-"""The layout of work zones along their roads, as a picture for a report: station to the right, offset upwards."""
+"""The layout of work zones along their roads, as a image for a report: station to the right, offset upwards."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def draw_layout(
     *,
     title: str,
 ) -> Path:
-    """Write one picture (PNG) with a panel for each zone and its findings, numbered as in the list below it; the path."""
+    """Write one image (PNG) with a panel for each zone and its findings, numbered as in the list below it; the path."""
     notes = [[_note(n, finding) for n, finding in enumerate(findings, 1)] for _, findings in zones]
     lines = [sum(len(note) for note in some) for some in notes]
     heights = [part for count in lines for part in (2.9, 0.3 + 0.2 * max(count, 1))]
@@ -41,12 +41,12 @@ def draw_layout(
     for k, (zone, findings) in enumerate(zones):
         _panel(axes[2 * k], zone, findings, paths)
         _list(axes[2 * k + 1], findings, notes[k])
-    picture = io.BytesIO()
-    figure.savefig(picture, format="png")
+    image = io.BytesIO()
+    figure.savefig(image, format="png")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         aside = path.with_suffix(f".{uuid4().hex}.tmp")
-        aside.write_bytes(picture.getvalue())
+        aside.write_bytes(image.getvalue())
         os.replace(aside, path)  # noqa: PTH105 - atomic on every platform, unlike Path.rename
     except OSError as error:
         raise InputError(f"{path} cannot be written ({error.strerror}): choose another file.") from error

@@ -69,13 +69,13 @@ def plan_extent(standing: Sequence[MapFeature], changes: Sequence[FeatureChange]
 def draw_map_picture(
     path: Path, content: PlanContent, bbox: Bbox, *, title: str, footer: str, size_mm: tuple[float, float] | None = None
 ) -> Path:
-    """Write the picture (PNG at 200 dpi, SVG or PDF by the name's ending) and return its path; all of it or nothing.
+    """Write the image (PNG at 200 dpi, SVG or PDF by the name's ending) and return its path; all of it or nothing.
 
     bbox: west, south, east, north. size_mm: width and height; None: 240 wide and as tall as the place asks for. footer: the line
     below (times). Raises InputError where the file cannot be written.
     """
     if path.suffix.lower() not in SUFFIXES:
-        raise InputError(f"{path}: a picture is one of {', '.join(SUFFIXES)}")
+        raise InputError(f"{path}: a image is one of {', '.join(SUFFIXES)}")
     west, south, east, north = bbox
     if size_mm is None:
         size_mm = (240.0, float(np.clip(240 * 0.78 * (north - south) / (east - west) + 34, 96, 300)))
@@ -168,7 +168,7 @@ def _cones(axes: Axes, content: PlanContent, box: Bbox) -> list[Line2D]:
 
 
 def _mark(axes: Axes, places: Array, style: KindMark, box: Bbox, level: int) -> Line2D | None:
-    """Markers of one kind; its line of the legend counts those that are in the picture."""
+    """Markers of one kind; its line of the legend counts those that are in the image."""
     inside = places[_inside(places, box)]
     if not len(inside):
         return None
@@ -230,7 +230,7 @@ def _frame(axes: Axes) -> None:
 
 
 def _scale_bar(axes: Axes, box: Bbox) -> None:
-    """In two pieces, a round length near a fifth of the picture's width, at the lower left."""
+    """In two pieces, a round length near a fifth of the image's width, at the lower left."""
     west, east, _, _ = box
     wish = (east - west) / 5
     power = 10.0 ** math.floor(math.log10(wish))

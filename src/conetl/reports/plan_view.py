@@ -27,7 +27,7 @@ def draw_plan_view(
     untouched: Sequence[MapFeature],
     untouched_label: str = "not in view",
 ) -> Path:
-    """Write the picture to `path` (PNG) and return it.
+    """Write the image to `path` (PNG) and return it.
 
     trajectory_m: (F, 2) easting, northing of the left camera in order of time, (0, 2) where there is none. untouched: features
     that the drive did not judge, or that are the same on both maps.

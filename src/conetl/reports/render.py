@@ -17,7 +17,7 @@ def render(template: str, **values: Any) -> str:
 
 
 def data_uri(data: bytes, kind: str) -> Markup:
-    """A picture as part of the page. kind: png or jpeg."""
+    """A image as part of the page. kind: png or jpeg."""
     return Markup(f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}")
 
 

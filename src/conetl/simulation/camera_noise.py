@@ -13,7 +13,7 @@ BLUR_SIGMA_PX = 0.45
 
 
 def exposure_gain(radiance: NDArray[np.float32], brightness: float = 1.0) -> float:
-    """Factor that brings the middle of a picture's lower two thirds (road and cones) to a mid grey."""
+    """Factor that brings the middle of a image's lower two thirds (road and cones) to a mid grey."""
     lower = radiance[radiance.shape[0] // 3 :].mean(axis=-1)
     return brightness * 0.15 / max(float(np.median(lower)), 1e-9)
 
@@ -21,7 +21,7 @@ def exposure_gain(radiance: NDArray[np.float32], brightness: float = 1.0) -> flo
 def develop(
     radiance: NDArray[np.float32], gain: float, rng: np.random.Generator, *, blur_sigma_px: float = BLUR_SIGMA_PX
 ) -> NDArray[np.uint8]:
-    """8-bit BGR picture (H, W, 3) of linear RGB radiance: blur, exposure, shot and read noise, soft shoulder, sRGB curve."""
+    """8-bit BGR image (H, W, 3) of linear RGB radiance: blur, exposure, shot and read noise, soft shoulder, sRGB curve."""
     light = cv2.GaussianBlur(np.maximum(radiance, 0.0) * np.float32(gain), (0, 0), blur_sigma_px).astype(np.float64)
     light = np.where(light < 0.6, light, 0.6 + 0.4 * (1.0 - np.exp(-(light - 0.6) / 0.4)))
     variance = light / FULL_WELL_ELECTRONS + (READ_NOISE_ELECTRONS / FULL_WELL_ELECTRONS) ** 2
@@ -30,9 +30,9 @@ def develop(
     return np.asarray(srgb[..., ::-1] * 255.0 + 0.5).astype(np.uint8)
 
 
-def encode_jpeg(picture: NDArray[np.uint8], quality: int) -> bytes:
-    """JPEG bytes of a BGR picture."""
-    done, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])
+def encode_jpeg(image: NDArray[np.uint8], quality: int) -> bytes:
+    """JPEG bytes of a BGR image."""
+    done, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
     if not done:
-        raise ValueError(f"a picture of shape {picture.shape} could not be written as JPEG")
+        raise ValueError(f"a image of shape {image.shape} could not be written as JPEG")
     return bytes(data.tobytes())

@@ -35,7 +35,7 @@ def write_calibration(folder: Path, rig: SimulatedRig, made_on: datetime) -> Non
     k, size = rig.k(), (rig.camera.width_px, rig.camera.height_px)
     lines = [head, "corner_dist: 9.950000e-02\n"]
     for number, t in rig.t_rect_m.items():
-        # What a calibration finds before rectification: here the pictures come out rectified, so there is no lens distortion.
+        # What a calibration finds before rectification: here the images come out rectified, so there is no lens distortion.
         r_rect = rig.rect_R_cam0
         matrices = {
             "S": np.array(size, dtype=float), "K": k, "D": np.zeros(5), "R": np.eye(3), "T": r_rect.T @ t,

@@ -21,7 +21,7 @@ class Mesh(NamedTuple):
 
 
 def lathe(radii_m: ArrayLike, heights_m: ArrayLike, sides: int = 40) -> Mesh:
-    """A profile turned about z; u runs around, v from 0 at the last ring to 1 at the first (rows of a picture, top first)."""
+    """A profile turned about z; u runs around, v from 0 at the last ring to 1 at the first (rows of a image, top first)."""
     radius, height = np.asarray(radii_m, dtype=float), np.asarray(heights_m, dtype=float)
     turn = np.linspace(0.0, 2.0 * np.pi, sides + 1)
     slope = np.stack([np.gradient(height), -np.gradient(radius)], axis=1)

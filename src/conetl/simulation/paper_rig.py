@@ -1,4 +1,4 @@
-"""The rig of Lagahit & Tseng as records and as rendered pictures: the case that every figure of theirs is compared with.
+"""The rig of Lagahit & Tseng as records and as rendered images: the case that every figure of theirs is compared with.
 
 Known of it: focal lengths 15.9004 and 15.8703 mm, a base of 274.5 mm, Sony a6000 sensors of 23.5 x 15.6 mm with 6000 x 4000
 pixels, a cone at 8.53 m ground distance, and that the angle phi between the cameras was known to 0.084 degrees. Of the other
@@ -56,7 +56,7 @@ SIGMAS: dict[str, float] = {
 
 @dataclass(frozen=True)
 class RenderedPair:
-    """Linear radiance (H, W, 3) of both cameras, cut out of the full pictures; the rig of the cut-outs is exact."""
+    """Linear radiance (H, W, 3) of both cameras, cut out of the full images; the rig of the cut-outs is exact."""
 
     left: NDArray[np.float32]
     right: NDArray[np.float32]
@@ -128,9 +128,9 @@ def render_pair(
     samples_per_pixel: int = 16,
     seed: int = 0,
 ) -> RenderedPair:
-    """One cone on the road at a ground distance from the left camera, side_m to the right of its axis; both pictures cut to it.
+    """One cone on the road at a ground distance from the left camera, side_m to the right of its axis; both images cut to it.
 
-    The window holds the cone in both pictures with `margin_px` around it. Raises InputError where Mitsuba is missing.
+    The window holds the cone in both images with `margin_px` around it. Raises InputError where Mitsuba is missing.
     """
     full = paper_rig(baseline_m=baseline_m)
     ahead = math.sqrt(ground_distance_m**2 - side_m**2)
@@ -153,7 +153,7 @@ def render_pair(
         sun_azimuth_deg=sun_azimuth_deg, turbidity=2.6, texture_seed=17,
     )  # fmt: skip
     scene = build_scene(world)
-    pictures = []
+    images = []
     for number, base in enumerate((0.0, baseline_m)):
         road_SE3_camera = np.eye(4)
         road_SE3_camera[:3, :3] = [
@@ -163,13 +163,13 @@ def render_pair(
         ]  # x right, y down, z ahead on x ahead, y left, z up
         road_SE3_camera[:3, 3] = (0.0, -base, CAMERA_HEIGHT_M)
         radiance = render(scene, square, road_SE3_camera, samples_per_pixel=samples_per_pixel, seed=2 * seed + number)
-        pictures.append(
+        images.append(
             cv2.warpAffine(radiance, rows, (width, height), flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP).astype(
                 np.float32
             )
         )
     rig = full.model_copy(update={"left": cut, "right": cut, "calibration_covariance": None})
-    return RenderedPair(pictures[0], pictures[1], rig, foot, CONE_HEIGHT_M)
+    return RenderedPair(images[0], images[1], rig, foot, CONE_HEIGHT_M)
 
 
 def _shift(x_m: float) -> Matrix4:

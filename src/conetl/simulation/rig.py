@@ -18,7 +18,7 @@ from conetl.simulation.scene import PinholeCamera
 Array = NDArray[np.float64]
 
 F_PX, CX_PX, CY_PX = 640.0, 478.35, 146.20
-"""For pictures of 960 x 320."""
+"""For images of 960 x 320."""
 DESIGN_SIZE = (960, 320)
 CAMERA_HEIGHT_M = 1.65
 BASELINE_M = 0.5402
@@ -57,7 +57,7 @@ class SimulatedRig:
 
 
 def simulated_rig(width_px: int = DESIGN_SIZE[0], height_px: int = DESIGN_SIZE[1]) -> SimulatedRig:
-    """The rig, with the field of view of the 960-pixel picture at any width; other shapes cut or add rows evenly."""
+    """The rig, with the field of view of the 960-pixel image at any width; other shapes cut or add rows evenly."""
     scale = width_px / DESIGN_SIZE[0]
     camera = PinholeCamera(
         width_px, height_px, F_PX * scale, (CX_PX + 0.5) * scale - 0.5,

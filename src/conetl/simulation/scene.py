@@ -1,4 +1,4 @@
-"""A `World` as a Mitsuba scene, and pictures of it. Mitsuba's world frame is the road frame.
+"""A `World` as a Mitsuba scene, and images of it. Mitsuba's world frame is the road frame.
 
 Pixel convention of the cameras: KITTI's and OpenCV's, an integer coordinate is the centre of a pixel.
 """
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PinholeCamera:
-    """Interior orientation and size of a picture, in pixels."""
+    """Interior orientation and size of a image, in pixels."""
 
     width_px: int
     height_px: int
@@ -65,21 +65,21 @@ def render(
     """
     mi = load_mitsuba()
     method = {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0} if fast else {"type": "path", "max_depth": 2}
-    picture = mi.render(
+    image = mi.render(
         scene,
         sensor=sensor(camera, road_SE3_camera, samples_per_pixel),
         integrator=mi.load_dict(method),
         spp=samples_per_pixel,
         seed=seed,
     )
-    return np.array(picture, dtype=np.float32)[..., :3]
+    return np.array(image, dtype=np.float32)[..., :3]
 
 
 def sensor(camera: PinholeCamera, road_SE3_camera: Array, samples_per_pixel: int = 16) -> Any:
     """Mitsuba's perspective camera of an exterior and interior orientation.
 
     Mitsuba counts from the edge of the film, so the centre of pixel 0 is at 0.5 there; its camera has x to the left and y up,
-    and its principal point offset moves the picture, not the axis.
+    and its principal point offset moves the image, not the axis.
     """
     mi = load_mitsuba()
     to_world = np.asarray(road_SE3_camera, dtype=float) @ np.diag([-1.0, -1.0, 1.0, 1.0])

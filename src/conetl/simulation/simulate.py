@@ -32,7 +32,7 @@ def simulate_drive(
     """Render pass 1, 2 or 3 into `out_dir` (new or empty) and return it.
 
     The true trajectory places the cameras; oxts/ holds the noisy one. `seed` governs the noise of cameras and GNSS/INS, not the
-    scene: equal arguments give equal files. progress: called with (pictures done, pictures in all).
+    scene: equal arguments give equal files. progress: called with (images done, images in all).
     Raises InputError where Mitsuba is missing, the folder is not empty, or a number makes no sense.
     """
     scenario = scenario_pass(pass_number)
@@ -70,11 +70,11 @@ def simulate_drive(
             radiance = render(
                 scene, rig.camera, road_SE3_camera, samples_per_pixel=samples_per_pixel, seed=int(rng.integers(1 << 31))
             )
-            if math.isnan(gain):  # one exposure for the whole drive, set on its first picture
+            if math.isnan(gain):  # one exposure for the whole drive, set on its first image
                 gain = camera_noise.exposure_gain(radiance, scenario.exposure)
-            picture = camera_noise.develop(radiance, gain, rng)
+            image = camera_noise.develop(radiance, gain, rng)
             path = out_dir / f"image_{number:02d}" / "data" / f"{frame:010d}.jpg"
-            path.write_bytes(camera_noise.encode_jpeg(picture, JPEG_QUALITY))
+            path.write_bytes(camera_noise.encode_jpeg(image, JPEG_QUALITY))
             if progress is not None:
                 progress(len(CAMERAS) * frame + CAMERAS.index(number) + 1, total)
     return out_dir

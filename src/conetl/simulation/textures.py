@@ -53,35 +53,35 @@ def mottled(seed: int, colour: Colour, contrast: float, size: int = 768, grain_p
 
 def slabs(seed: int, colour: Colour, size: int = 512, count: int = 6) -> Image:
     """Paving slabs with joints."""
-    picture = mottled(seed, colour, 0.10, size=size).astype(np.float64) / 255.0
+    image = mottled(seed, colour, 0.10, size=size).astype(np.float64) / 255.0
     step = size // count
     rng = np.random.default_rng([seed, 3])
     for row in range(count):
         for column in range(count):
-            picture[row * step : (row + 1) * step, column * step : (column + 1) * step] *= rng.uniform(0.88, 1.08)
+            image[row * step : (row + 1) * step, column * step : (column + 1) * step] *= rng.uniform(0.88, 1.08)
     for k in range(count):
-        picture[k * step : k * step + 3] *= 0.6
-        picture[:, k * step : k * step + 3] *= 0.6
-    return _to_bytes(picture)
+        image[k * step : k * step + 3] *= 0.6
+        image[:, k * step : k * step + 3] *= 0.6
+    return _to_bytes(image)
 
 
 def facade(seed: int, wall: Colour, columns: int, rows: int = 2) -> Image:
     """A house front with windows; image rows run from the roof down."""
     rng = np.random.default_rng([seed, 4])
     cell = 96
-    picture = mottled(seed, wall, 0.07, size=1024)[: rows * cell, :].astype(np.float64) / 255.0
-    repeats = -(-columns * cell // picture.shape[1])
-    picture = np.tile(picture, (1, repeats, 1))[:, : columns * cell].copy()
+    image = mottled(seed, wall, 0.07, size=1024)[: rows * cell, :].astype(np.float64) / 255.0
+    repeats = -(-columns * cell // image.shape[1])
+    image = np.tile(image, (1, repeats, 1))[:, : columns * cell].copy()
     frame, glass = np.array([0.85, 0.84, 0.8]), np.array([0.16, 0.19, 0.23])
     for row in range(rows):
         for column in range(columns):
             top, left = row * cell + 22, column * cell + 26 + int(rng.integers(-3, 4))
-            picture[top : top + 52, left : left + 42] = frame
-            picture[top + 4 : top + 48, left + 4 : left + 19] = glass * rng.uniform(0.6, 1.8)
-            picture[top + 4 : top + 48, left + 23 : left + 38] = glass * rng.uniform(0.6, 1.8)
+            image[top : top + 52, left : left + 42] = frame
+            image[top + 4 : top + 48, left + 4 : left + 19] = glass * rng.uniform(0.6, 1.8)
+            image[top + 4 : top + 48, left + 23 : left + 38] = glass * rng.uniform(0.6, 1.8)
             if rng.random() < 0.4:
-                picture[top + 4 : top + 24, left + 4 : left + 38] = np.array([0.7, 0.68, 0.62])
-    return _to_bytes(picture)
+                image[top + 4 : top + 24, left + 4 : left + 38] = np.array([0.7, 0.68, 0.62])
+    return _to_bytes(image)
 
 
 def cone_skin(cone: Cone, seed: int) -> Image:
@@ -103,11 +103,11 @@ def cone_skin(cone: Cone, seed: int) -> Image:
 def striped(colours: tuple[Colour, ...], seed: int, rows: int = 120) -> Image:
     """Rings of colour from top to bottom, for bollards and barriers."""
     rng = np.random.default_rng([seed, 6])
-    picture = np.zeros((rows, 32, 3))
+    image = np.zeros((rows, 32, 3))
     edges = np.linspace(0, rows, len(colours) + 1).astype(int)
     for colour, top, bottom in zip(colours, edges, edges[1:], strict=False):
-        picture[top:bottom] = colour
-    return _to_bytes(picture * (1.0 + 0.05 * _noise(rng, (rows, 32), 1.5))[..., None])
+        image[top:bottom] = colour
+    return _to_bytes(image * (1.0 + 0.05 * _noise(rng, (rows, 32), 1.5))[..., None])
 
 
 def round_sign(seed: int) -> Image:
@@ -116,10 +116,10 @@ def round_sign(seed: int) -> Image:
     axis = np.linspace(-1.0, 1.0, 128)
     xx, yy = np.meshgrid(axis, axis)
     radius = np.hypot(xx, yy)
-    picture = np.full((128, 128, 3), 0.92)
-    picture[radius > 0.72] = (0.80, 0.06, 0.08)
+    image = np.full((128, 128, 3), 0.92)
+    image[radius > 0.72] = (0.80, 0.06, 0.08)
     for centre in (-0.25, 0.25):
         bar = (np.abs(xx - centre) < 0.14) & (np.abs(yy) < 0.36)
         hole = (np.abs(xx - centre) < 0.05) & (np.abs(yy) < rng.uniform(0.1, 0.26))
-        picture[bar & ~hole] = 0.05
-    return _to_bytes(picture)
+        image[bar & ~hole] = 0.05
+    return _to_bytes(image)

@@ -33,7 +33,7 @@ def apparent_boxes(foot_m: Floats, tip_m: Floats, camera: Camera) -> Floats:
 
 
 def are_in_view(boxes: Floats, camera: Camera, params: ReconcileParams) -> NDArray[np.bool_]:
-    """(N,) whether boxes (N, 4) are tall enough to be found and wholly inside the picture; NaN boxes are not."""
+    """(N,) whether boxes (N, 4) are tall enough to be found and wholly inside the image; NaN boxes are not."""
     x0, y0, x1, y1 = boxes.T
     border = params.visible_border_px
     inside = (x0 >= border) & (y0 >= border) & (x1 <= camera.width_px - border) & (y1 <= camera.height_px - border)
@@ -61,7 +61,7 @@ def is_in_view(box: Box, camera: Camera, params: ReconcileParams) -> bool:
 
 
 def hidden_share(box: Box, detections: Sequence[Detection]) -> float:
-    """Share (0 to 1) of `box` behind detected boxes that stand nearer (their foot is lower in the picture).
+    """Share (0 to 1) of `box` behind detected boxes that stand nearer (their foot is lower in the image).
 
     Boxes that overlap each other are counted once, on a grid of 24 x 24 points, as `training/looks.py` counts them.
     """

@@ -1,4 +1,4 @@
-"""Positions of single frame pairs -> chains, one per physical cone, by following each cone from picture to picture.
+"""Positions of single frame pairs -> chains, one per physical cone, by following each cone from image to image.
 
 Absolute coordinates will not do: where GNSS has no fix they slide by more than a metre while the cones stand still, and any
 fixed radius then doubles or merges cones. So a chain lives in the left camera's frame. From one frame pair to the next it is

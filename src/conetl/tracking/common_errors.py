@@ -51,7 +51,7 @@ def common_cov(
 def moved_by_calibration(
     group: Sequence[Position], shares: Floats, rig: Rig, map_SE3_left: Mapping[int, Floats]
 ) -> Floats:
-    """Derivative (3, K) of the joint fit with respect to the rig's calibration, one error of all its pictures."""
+    """Derivative (3, K) of the joint fit with respect to the rig's calibration, one error of all its images."""
     map_R_left = np.stack([map_SE3_left[p.frame_index][:3, :3] for p in group])
     by_calibration = map_R_left @ calibration_jacobian(np.array([p.camera_xyz_m for p in group]), rig)
     return np.asarray(np.einsum("fij,fjk->ik", shares, by_calibration))
@@ -69,7 +69,7 @@ def outline_errors(position: Position, rig: Rig) -> Floats:
 
 
 def outline_cov(group: Sequence[Position], shares: Floats, map_SE3_left: Mapping[int, Floats], rig: Rig) -> Floats:
-    """Covariance (3, 3) m^2 of a joint fit by what is taken for this cone's foot, axis and shape, in all pictures alike.
+    """Covariance (3, 3) m^2 of a joint fit by what is taken for this cone's foot, axis and shape, in all images alike.
 
     Three errors (`outline_errors`), each as large at every sighting as it says. From one side they stay what they are, however
     many frames; seen from several sides, they work against each other. None where boxes alone tell feet (`sigma_outline_m` 0).

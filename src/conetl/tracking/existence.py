@@ -1,15 +1,15 @@
-"""How sure a drive is that something it saw is a cone: log-likelihood ratios of all pictures in which it should show.
+"""How sure a drive is that something it saw is a cone: log-likelihood ratios of all images in which it should show.
 
 Two explanations compete for the boxes of a group: a cone, and a lookalike, a thing that is no cone but gets boxes now and then.
 What each of them does was measured for the detector in use (`detector_evidence.py`, in the model's sidecar):
 
-- before any look, the odds are expected cones to false boxes, a picture;
+- before any look, the odds are expected cones to false boxes, a image;
 - a box where the cone should be: p(box with this score | cone, apparent height, hidden share) over the same for a lookalike;
 - no box there: (1 - P(detect | height, hidden)) over (1 - P(found again)) of a lookalike. Misses of one camera running may have
   one cause, something in front that is no detection: with a small probability the whole run says nothing;
 - a box that other positions are made of is another thing's: where only such a box covers the place, the look says nothing;
 - looks at one thing fail together, most where it appears equally tall (`detector_evidence.joint_log_ratio`), so that no number
-  of pictures makes up for what they have in common.
+  of images makes up for what they have in common.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Look:
-    """One picture in which the cone should show."""
+    """One image in which the cone should show."""
 
     height_px: float
     """Apparent height that the cone should have."""
@@ -60,7 +60,7 @@ def existence_probability(
 ) -> float:
     """Belief (0 to 1) that the positions of `group` are a cone.
 
-    Every left picture in which it should be in plain view speaks, and every right one that the left one had searched there. Where
+    Every left image in which it should be in plain view speaks, and every right one that the left one had searched there. Where
     it should be is carried over from the nearest frame of the group by the relative motion, so that a sliding trajectory does not
     turn hits into misses. map_SE3_left: (4, 4) by frame index; detections: of both images; evidence: the detector's figures;
     is_anothers: whether another group is made of a box.
@@ -70,7 +70,7 @@ def existence_probability(
         for frame_index, box in in_view:
             of_pair = detections.get(frame_index, ())
             if side == "right" and not is_within(*_middle(box), right_region(of_pair, rig, params)):
-                continue  # what is told by it must not depend on what it shows, only on what the left picture did
+                continue  # what is told by it must not depend on what it shows, only on what the left image did
             found = [d for d in of_pair if d.side == side]
             covering = [d for d in found if iou(box, d) >= evidence.match_iou]
             own = [d for d in covering if not is_anothers(d)]
@@ -132,7 +132,7 @@ def _boxes(
     map_SE3_left: Mapping[int, Floats],
     params: IngestParams,
 ) -> dict[Side, list[tuple[int, Box]]]:
-    """Frame indices, rising, in which the cone should show in a camera's picture, and where."""
+    """Frame indices, rising, in which the cone should show in a camera's image, and where."""
     frames = np.array(sorted(map_SE3_left))
     poses = np.array([map_SE3_left[n] for n in frames.tolist()])
     known = sorted(group, key=lambda p: p.frame_index)

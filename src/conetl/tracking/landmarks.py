@@ -21,7 +21,7 @@ from conetl.tracking.association import chain_positions
 from conetl.tracking.positions import locate_positions
 from conetl.tracking.trajectory import RefinedTrajectory, RefinementOutcome, motion_error, refine_trajectory
 
-#: Neighbouring sightings of a cone err alike (background, sun, calibration at its place in the picture): so many count as one.
+#: Neighbouring sightings of a cone err alike (background, sun, calibration at its place in the image): so many count as one.
 _ALIKE = 4.0
 
 

@@ -1,7 +1,7 @@
 """Tracks of a drive that goes on: one frame pair at a time, in bounded memory, by the functions for tracks of whole drives.
 
 What differs from `fuse_tracks`: poses are the logged ones; a group of positions that ended is joined only by one that begins (two
-long fragments of one cone stay two); of a group its nearest positions take part, and of the pictures the last ones and its own;
+long fragments of one cone stay two); of a group its nearest positions take part, and of the images the last ones and its own;
 whether it stands on the road like the others is not asked. The ingest of the whole drive replaces all of it.
 """
 

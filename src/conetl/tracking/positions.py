@@ -50,7 +50,7 @@ _REASONS = {
 class CameraPosition(Record):
     """One cone in the left camera's frame (x right, y down, z forward), from one pair without a trajectory: the paper's case.
 
-    The camera is the one that took the pictures, also where they were rectified. "Up" is the body's +z axis where the rig
+    The camera is the one that took the images, also where they were rectified. "Up" is the body's +z axis where the rig
     calibration has a body, else minus the camera's y axis (a camera held level).
     """
 
@@ -159,7 +159,7 @@ def locate_in_camera(
 ) -> tuple[list[CameraPosition], list[Rejection]]:
     """Positions of stereo matches where there is no trajectory (the paper's own case).
 
-    In the frame of the left camera that took the pictures, also where they are resampled to be rectified.
+    In the frame of the left camera that took the images, also where they are resampled to be rectified.
     """
     if not matches:
         return [], []
@@ -223,7 +223,7 @@ def _locate(matches: Sequence[StereoMatch], rig: Rig, params: PositionParams) ->
         min_ray_angle_rad=params.min_ray_angle_rad,
     )
     residuals = result.residuals_px.reshape(3, count, 4)[[0, 2]]
-    # Putting the cone's axis wrongly in both pictures alike moves the foot along the rows and leaves its depth alone.
+    # Putting the cone's axis wrongly in both images alike moves the foot along the rows and leaves its depth alone.
     foot_cov = result.cov_m2[:count].copy()
     pointing = np.array([m.sigma_pointing_px for m in matches])
     foot_cov[:, 0, 0] += (pointing * result.depth_m[:count, 0] / rig.left.fx_px) ** 2

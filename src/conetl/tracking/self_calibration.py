@@ -1,10 +1,10 @@
 """Does a drive contradict the calibration of its rig, and which rig agrees with it?
 
-The estimate itself is `geometry/calibration/self_calibration.py`. Here: which spans of the drive take part, whether what they say is
-significant and plausible, and the rig with its right camera corrected. A turn goes into `body_SE3_right`: it shifts the sides of
-the picture more than the middle, and intersection, odometry and tracks take the full orientation anyway (matching asks
+The estimate itself is `geometry/calibration/self_calibration.py`. Here: which spans of the drive take part, whether what they
+say is significant and plausible, and the rig with its right camera corrected. A turn goes into `body_SE3_right`: it shifts the
+sides of the image more than the middle, and intersection, odometry and tracks take the full orientation anyway (matching asks
 `geometry/rig.py` where infinity lies). Where the sides need something else, a bend, turn and principal point change together.
-Pictures are not resampled: of a rig with `rectified_from` the camera that took them is turned by the same angle, so that pictures
+Images are not resampled: of a rig with `rectified_from` the camera that took them is turned by the same angle, so that images
 stay as they are; a bend would change them, so that such rigs, whose lenses conetl knows itself, are only turned.
 """
 
@@ -70,9 +70,10 @@ class SelfCalibration(Record):
     detail: str
     """One sentence for a person."""
     rotation_rad: Vec3 | None
-    """rx, ry, rz of a camera that is only turned; None without an estimate (`geometry/calibration/self_calibration.py` has the signs)."""
+    """rx, ry, rz of a camera that is only turned; None without an estimate (`geometry/calibration/self_calibration.py` has the
+    signs)."""
     bend: float
-    """Shift of the right picture's columns at x = 1, in focal lengths; it grows as x squared."""
+    """Shift of the right image's columns at x = 1, in focal lengths; it grows as x squared."""
     cov: tuple[float, ...]
     """Upper triangle, row by row, of the (4, 4) covariance of (rx, ry, rz, bend), prior included; empty without an estimate."""
     model_gap: tuple[float, ...]
@@ -238,7 +239,7 @@ def _floor(rig: Rig, params: TrajectoryParams) -> Floats:
 
 
 def _pixels_a_unit(rig: Rig) -> Floats:
-    """(4,): rows for rx and disparity for ry in the middle of the picture, rows for rz and columns for the bend at its side."""
+    """(4,): rows for rx and disparity for ry in the middle of the image, rows for rz and columns for the bend at its side."""
     side = rig.right.width_px / 2 / rig.right.fx_px
     return np.array([rig.right.fy_px, rig.right.fx_px, rig.right.width_px / 2, rig.right.fx_px * side**2])
 
@@ -246,7 +247,7 @@ def _pixels_a_unit(rig: Rig) -> Floats:
 def _prior(rig: Rig, params: TrajectoryParams) -> tuple[tuple[str, ...], Floats, Floats]:
     """Names (K) and covariance (K, K) of the calibration before the drive, and (4, K) how its errors look like turn and bend.
 
-    A principal point that is off looks like a turn and a bend that cancel each other at the sides of the picture, decentring of a
+    A principal point that is off looks like a turn and a bend that cancel each other at the sides of the image, decentring of a
     lens like a bend; without them a calibration would seem to know less than it does. Other parameters do nothing there.
     """
     taken = rig.rectified_from or rig

@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.geometry.calibration.shared import levers_of
+from conetl.geometry.calibration.shared import jacobian_of
 from conetl.geometry.joint_fit import JointFit, fit_point
 from conetl.geometry.packing import cov3, vec3
 from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence
@@ -168,7 +168,7 @@ def fuse_group(
         residual_rms_px=float(np.sqrt(np.mean(foot.residuals_px**2))),
         nearest_range_m=nearest_m,
         members=tuple((p.frame_index, p.match_index) for p in group),
-        levers=levers_of(moved_by_calibration(group, foot.shares, rig, map_SE3_left), rig),
+        shared_jacobian=jacobian_of(moved_by_calibration(group, foot.shares, rig, map_SE3_left), rig),
     )
 
 

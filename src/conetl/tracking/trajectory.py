@@ -1,8 +1,8 @@
 """Logged poses and visual odometry -> refined poses with a covariance that also holds between frames.
 
 Errors of GNSS/INS change slowly: first-order Gauss-Markov processes with the stated sigmas, plus a small share that is new in
-every record. Visual odometry ties each frame pair to the next; the adjustment itself is `geometry/motion/pose_graph.py`. What visual
-odometry says is believed only as far as GNSS/INS may err.
+every record. Visual odometry ties each frame pair to the next; the adjustment itself is `geometry/motion/pose_graph.py`. What
+visual odometry says is believed only as far as GNSS/INS may err.
 """
 
 from __future__ import annotations
@@ -175,7 +175,7 @@ def motion_error(trajectory: RefinedTrajectory) -> MotionError | None:
     if trajectory.covariance is None:
         return None
     rank = {pair.frame_index: k for k, pair in enumerate(trajectory.frame_pairs)}
-    # All cones that were seen last in one picture are carried by one motion.
+    # All cones that were seen last in one image are carried by one motion.
     relative = lru_cache(maxsize=_MOTIONS_KEPT)(partial(relative_cov, trajectory))
 
     def carried_cov_m2(start: int, end: int, point_m: Floats) -> Floats:

@@ -1,15 +1,15 @@
 """How exact single sightings of one drive are, by what its adjusted tracks say of them: variance components.
 
-What a sighting states beforehand comes from single frame pairs: how much the two pictures disagree over the foot, and what the
-matching's residuals leave open. Errors that both pictures have alike show in neither; they show in the cones themselves,
+What a sighting states beforehand comes from single frame pairs: how much the two images disagree over the foot, and what the
+matching's residuals leave open. Errors that both images have alike show in neither; they show in the cones themselves,
 which stand still while the camera moves. So the residuals of all tracks are split into rows, columns and disparities, and each
 group of observations gets the factor on its variance under which its squared residuals are as large as they should be
 (Förstner 1979; Koch 1999, ch. 3.6). That is restricted maximum likelihood: each cone's place costs its degrees of freedom, and
 what all sightings of a cone share (`StereoMatch.sigma_outline_px`) is an unknown of its own, known beforehand to one sigma.
 
-What the poses err by while a cone is in view is no scatter of the pictures: each frame's pose errors are unknowns of their own,
+What the poses err by while a cone is in view is no scatter of the images: each frame's pose errors are unknowns of their own,
 known beforehand by their joint covariance from the adjustment of the trajectory. As independent noise of every frame they would
-take the scatter of the pictures upon themselves; as they are, they slide, and sightings jump.
+take the scatter of the images upon themselves; as they are, they slide, and sightings jump.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Floats = NDArray[np.float64]
 #: Weight of what the sightings state, in degrees of freedom: as far as factors differ from drive to drive. On rendered drives
 #: their logarithms scatter by 0.35 (standard deviation), and those of chi-square with n degrees of freedom by sqrt(2 / n).
 _STATED_DOF = 16.0
-#: Factors on sigma are held within these: beyond, not the pictures but poses or calibration would be what disagrees.
+#: Factors on sigma are held within these: beyond, not the images but poses or calibration would be what disagrees.
 _SIGMA_BOUNDS = (0.5, 2.0)
 #: Residuals beyond so many sigmas count as that many, and pull the cone's place no more than that (Huber 1964). Of normal errors
 #: it takes 0.5 % of the squares.
@@ -47,11 +47,11 @@ class SightingVariances(NamedTuple):
     """Factors on the variances that sightings state; 1 leaves them."""
 
     columns: float
-    """Of where the detector puts a cone's axis, in both pictures alike."""
+    """Of where the detector puts a cone's axis, in both images alike."""
     rows: float
     """Of where it puts its foot."""
     disparity: float
-    """Of what the matching of the pictures finds."""
+    """Of what the matching of the images finds."""
 
 
 class _Cone(NamedTuple):
@@ -77,7 +77,7 @@ def sighting_variances(
     """Factors for the sightings of one drive, from all its tracks.
 
     poses: by frame index, of a refined trajectory; pose_cov: of their errors, None where they have none. Only matches refined in
-    the pictures, of boxes with feet, take part; where few are left, the factors stay near 1.
+    the images, of boxes with feet, take part; where few are left, the factors stay near 1.
     """
     match_of = {(m.frame_index, m.match_index): m for m in matches}
     cones = []

@@ -16,14 +16,14 @@ from conetl.db.async_reader_pool import AsyncReaderPool
 from conetl.db.reader_pool import ReaderPool
 from conetl.model.errors import DatabaseError, StorageError
 from conetl.perception.images import ImageFileError
-from conetl.reports.crops import PictureMissingError
+from conetl.reports.crops import ImageMissingError
 from conetl.web import (
     routes_base,
     routes_decisions,
     routes_events,
     routes_features,
+    routes_images,
     routes_maps,
-    routes_pictures,
     routes_provisional,
     routes_reports,
 )
@@ -63,13 +63,13 @@ def create_app(
     app.state.writer = writer
     app.state.watcher = HeadWatcher(pool, closing=closing)
     for routes in (
-        routes_maps, routes_features, routes_pictures, routes_base, routes_decisions, routes_events, routes_reports,
+        routes_maps, routes_features, routes_images, routes_base, routes_decisions, routes_events, routes_reports,
         routes_provisional,
     ):  # fmt: skip
         app.include_router(routes.router, prefix="/api")
     app.add_exception_handler(DatabaseError, _refusal(503))
     app.add_exception_handler(StorageError, _refusal(503))
-    app.add_exception_handler(PictureMissingError, _refusal(404))
+    app.add_exception_handler(ImageMissingError, _refusal(404))
     app.add_exception_handler(ImageFileError, _refusal(404))
     app.mount("/ogc", create_ogc_app(ogc_pool, map_name), name="ogc")
     app.add_route("/ogc", lambda request: RedirectResponse(request.url.replace(path="/ogc/")), include_in_schema=False)

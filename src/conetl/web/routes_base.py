@@ -80,7 +80,8 @@ def base_lines(map_name: MapName, conn: Reader, request: Request, response: Resp
     responses={200: {"content": {"application/octet-stream": {}}}, 304: {"description": "The browser has it."}},
 )
 def base_tile(map_name: MapName, sha256: Sha256, conn: Reader, request: Request) -> Response:
-    """The points of one tile, 7 bytes a point (see readers/base_layers/point_tiles.py). The address tells the content: it never changes."""
+    """The points of one tile, 7 bytes a point (see readers/base_layers/point_tiles.py). The address tells the content: it never
+    changes."""
     headers = {"ETag": f'"{sha256}"', "Cache-Control": _FOR_EVER, "Vary": "Accept-Encoding"}
     payload = read_base_tile(conn, map_name, sha256)
     if payload is None:

@@ -16,7 +16,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from conetl.model.map_records import BelievedVersion, MapFeature
+from conetl.model.map_records import FeatureVersion, MapFeature
 from conetl.model.params import WorkZoneParams
 from conetl.model.work_zone_records import DrivePath, ZoneHistory
 from conetl.workzones.road_axes import Indices, Pass, axes_of, passes_beside
@@ -31,7 +31,7 @@ _CELL_M = 20.0
 
 
 def zones_over_time(
-    versions: Iterable[BelievedVersion],
+    versions: Iterable[FeatureVersion],
     paths: Sequence[DrivePath],
     params: WorkZoneParams,
     *,
@@ -94,7 +94,7 @@ def _both_sides(group: Indices, offsets_m: Floats) -> list[Indices]:
     return [right, left]
 
 
-def _neighbourhoods(versions: Sequence[BelievedVersion], params: WorkZoneParams) -> list[list[BelievedVersion]]:
+def _neighbourhoods(versions: Sequence[FeatureVersion], params: WorkZoneParams) -> list[list[FeatureVersion]]:
     """Versions in groups that are too far apart to concern each other at any time; by cells, as a place has many versions."""
     cells: dict[tuple[int, int], int] = {}
     of_version = []
@@ -111,7 +111,7 @@ def _neighbourhoods(versions: Sequence[BelievedVersion], params: WorkZoneParams)
     edges = np.concatenate([pairs.reshape(-1, 2), np.array(sorted(set(same)))])
     graph = coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(len(cells), len(cells)))
     labels = connected_components(graph, directed=False)[1]
-    groups: dict[int, list[BelievedVersion]] = defaultdict(list)
+    groups: dict[int, list[FeatureVersion]] = defaultdict(list)
     for cell, version in zip(of_version, versions, strict=True):
         groups[int(labels[cell])].append(version)
     return list(groups.values())
@@ -126,7 +126,7 @@ class _Live:
 
 
 def _zones_of_place(
-    versions: Sequence[BelievedVersion], paths: Sequence[DrivePath], params: WorkZoneParams, map_name: str
+    versions: Sequence[FeatureVersion], paths: Sequence[DrivePath], params: WorkZoneParams, map_name: str
 ) -> list[ZoneHistory]:
     since: dict[UUID, int] = {}
     steps: dict[UUID, int] = {}
@@ -137,7 +137,7 @@ def _zones_of_place(
     passes = passes_beside(paths, np.array([v.feature.xyz_m[:2] for v in versions]), params)
     begins = sorted((v for v in versions if v.standing and not v.suppressed), key=lambda v: v.valid_from_ns)
     next_begin = 0
-    shown: dict[UUID, BelievedVersion] = {}
+    shown: dict[UUID, FeatureVersion] = {}
     gone: dict[UUID, int] = {}
     live: list[_Live] = []
     ended: list[ZoneHistory] = []

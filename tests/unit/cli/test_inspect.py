@@ -38,14 +38,14 @@ def test_inspect_says_what_is_lost(
     monkeypatch.setenv("CONETL_HOME", str(tmp_path / "home"))
     damaged = changed(frames, 4, left=(frames[4].left or b"")[:-500])
     path = WRITERS["mcap file"](tmp_path / "run", damaged, rig)
-    picture = tmp_path / "shown" / "drive.png"
-    code, text, _ = run(["inspect", str(path), "--json", "--picture", str(picture)], capsys)
+    image = tmp_path / "shown" / "drive.png"
+    code, text, _ = run(["inspect", str(path), "--json", "--picture", str(image)], capsys)
     found = json.loads(text)
     assert code == 0
     assert (found["format"], found["usable_pairs"], found["expected_pairs"]) == ("bag", 9, 10)
     assert found["lost_by_reason"] == {"image_truncated": 1}
     assert found["estimated_seconds"] > 0
-    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert image.read_bytes().startswith(b"\x89PNG")
     damaged = changed(changed(damaged, 2, right=None), 3, right=None)
     code, text, _ = run(["inspect", str(write_kitti(tmp_path / "kitti", damaged, rig))], capsys)
     assert code == 1  # 3 of 10 are more than a tenth

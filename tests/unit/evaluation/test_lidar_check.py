@@ -19,7 +19,7 @@ HEIGHT_M, FOOT_RADIUS_M, TIP_RADIUS_M, CAMERA_HEIGHT_M = 0.70, 0.14, 0.04, 1.65
 
 
 def outline_of(x_m: float, z_m: float) -> Outline:
-    """What the left picture shows of a cone at (x, z)."""
+    """What the left image shows of a cone at (x, z)."""
     scale = CAMERA.fx_px / z_m
     axis, foot = CAMERA.cx_px + scale * x_m, CAMERA.cy_px + scale * CAMERA_HEIGHT_M
     return Outline(

@@ -28,22 +28,22 @@ class Wall(NamedTuple):
 
 
 def wall(z_m: float, seed: int, error_px: float, error_across_px: float, noise: float = 1.0) -> Wall:
-    """Both pictures of a wall, with an error of calibration of a + b x/z, and LiDAR points on it."""
+    """Both images of a wall, with an error of calibration of a + b x/z, and LiDAR points on it."""
     rng = np.random.default_rng(seed)
     left = cv2.GaussianBlur(rng.uniform(0, 255, SIZE).astype(np.float32), (0, 0), 1.5)
     left = (left - left.min()) / np.ptp(left) * 220 + 15
     v, u = np.mgrid[0 : SIZE[0], 0 : SIZE[1]].astype(np.float32)
-    # pixel u of the left picture is seen at u - d(u) in the right one; solved for the left column of a right pixel
+    # pixel u of the left image is seen at u - d(u) in the right one; solved for the left column of a right pixel
     source = u.copy()
     for _ in range(5):
         source = u + 400.0 * BASE_M / z_m + error_px + error_across_px * (source - 300.0) / 400.0
     right = cv2.remap(left, source.astype(np.float32), v, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
-    pictures = [
+    images = [
         np.repeat(np.clip(p + rng.normal(0, noise, SIZE), 0, 255).astype(np.uint8)[:, :, None], 3, axis=2)
         for p in (left, right)
     ]
     x, y = rng.uniform(-0.6, 0.6, 800), rng.uniform(-0.2, 0.2, 800)
-    return Wall(pictures[0], pictures[1], np.stack([x * z_m, y * z_m, np.full(800, z_m)], axis=1))
+    return Wall(images[0], images[1], np.stack([x * z_m, y * z_m, np.full(800, z_m)], axis=1))
 
 
 def test_errors_of_calibration_and_of_range_are_told_apart() -> None:

@@ -1,4 +1,4 @@
-"""Pictures, exports and the web view show a kind of change alike."""
+"""Images, exports and the web view show a kind of change alike."""
 
 from __future__ import annotations
 

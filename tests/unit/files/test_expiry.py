@@ -6,7 +6,7 @@ import os
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from conetl.files.expiry import LATEST, old_pictures, old_publications, old_results, remove, size_bytes
+from conetl.files.expiry import LATEST, old_images, old_publications, old_results, remove, size_bytes
 from conetl.readers.drives.bag_images import unpack
 
 NOW = datetime.now(UTC)
@@ -29,12 +29,12 @@ def test_results_go_by_age_and_nothing_else_in_their_folder(tmp_path: Path) -> N
     assert old_results(tmp_path / "missing", MONTH_AGO) == []
 
 
-def test_a_picture_that_a_run_asked_for_again_stays(tmp_path: Path) -> None:
+def test_a_image_that_a_run_asked_for_again_stays(tmp_path: Path) -> None:
     unused, used = (unpack(content, ".png", tmp_path) for content in (b"unused", b"used"))
     for path in (unused, used):
         write(path, age_days=40, content=path.read_bytes())
     assert unpack(b"used", ".png", tmp_path) == used
-    assert old_pictures(tmp_path, MONTH_AGO) == [unused]
+    assert old_images(tmp_path, MONTH_AGO) == [unused]
     assert (remove([unused, unused]), unused.exists(), used.exists()) == (6, False, True)
 
 

@@ -17,7 +17,7 @@ from conetl.model.rejections import RejectionReason
 from conetl.perception.images import ImageFileError, read_bytes
 from conetl.perception.rectified_image import read_rig_image
 from conetl.readers.drives import drive_format, read_drive
-from conetl.readers.drives.header import outline_drive
+from conetl.readers.drives.header import read_header
 from tests.object_storage import BUCKET, object_storage
 from tests.unit.readers.drive_formats import SAMPLE, Frame, sample_frames, write_kitti, write_plain
 
@@ -58,19 +58,19 @@ def test_a_drive_reads_as_it_does_from_disk(drive: tuple[str, Path], storage: py
     for mine, its in zip(ours.frame_pairs, theirs.frame_pairs, strict=True):
         assert (mine.frame_index, mine.captured_at_ns, mine.pose) == (its.frame_index, its.captured_at_ns, its.pose)
         assert its.left_path.startswith(f"s3://{BUCKET}/")
-        picture = place(its.left_path)
-        assert file_sha256(picture) == file_sha256(Path(mine.left_path))
+        image = place(its.left_path)
+        assert file_sha256(image) == file_sha256(Path(mine.left_path))
         assert (
-            read_rig_image(picture, theirs.rig, "left") == read_rig_image(Path(mine.left_path), ours.rig, "left")
+            read_rig_image(image, theirs.rig, "left") == read_rig_image(Path(mine.left_path), ours.rig, "left")
         ).all()
-    at_a_glance, there = outline_drive(folder), outline_drive(remote)
+    at_a_glance, there = read_header(folder), read_header(remote)
     assert there.problem is None
     assert (there.header_sha256, there.frame_pairs, there.captured_from) == (
         at_a_glance.header_sha256, at_a_glance.frame_pairs, at_a_glance.captured_from,
     )  # fmt: skip
 
 
-def test_a_missing_picture_costs_its_pair_and_is_named(tmp_path: Path, storage: pytest.MonkeyPatch) -> None:
+def test_a_missing_image_costs_its_pair_and_is_named(tmp_path: Path, storage: pytest.MonkeyPatch) -> None:
     folder = write_kitti(tmp_path / "gap", sample_frames()[:4], RIG)
     remote = upload(folder, "gap")
     read, _ = read_drive(remote)
@@ -114,8 +114,8 @@ def test_what_storage_says_of_itself_is_no_property_of_an_object(
     monkeypatch: pytest.MonkeyPatch, said: OSError
 ) -> None:
     """s3fs translates errors of the storage to Python's own."""
-    path = place("memory://storage/picture.jpg")
-    path.write_bytes(b"a picture")
+    path = place("memory://storage/image.jpg")
+    path.write_bytes(b"a image")
     places._kept.clear()
 
     def fail(*_: object, **__: object) -> bytes:
@@ -125,13 +125,13 @@ def test_what_storage_says_of_itself_is_no_property_of_an_object(
         failing.setattr(path.fs, "cat_file", fail)  # type: ignore[attr-defined]
         failing.setattr(path.fs, "open", fail)  # type: ignore[attr-defined]
         for read in (object_bytes, file_sha256, read_bytes):
-            with pytest.raises(ServiceError, match=f"picture.jpg: the storage does not give it: .*{said.args[-1]}"):
+            with pytest.raises(ServiceError, match=f"image.jpg: the storage does not give it: .*{said.args[-1]}"):
                 read(path)
-    assert read_bytes(path) == b"a picture"
+    assert read_bytes(path) == b"a image"
 
 
 def test_an_object_that_is_not_there_is_one(storage: pytest.MonkeyPatch) -> None:
-    path = place(f"s3://{BUCKET}/nowhere/picture.jpg")
+    path = place(f"s3://{BUCKET}/nowhere/image.jpg")
     assert file_sha256(path) == places.NO_FILE_SHA256
     with pytest.raises(FileNotFoundError):
         object_bytes(path)
@@ -153,7 +153,7 @@ def test_what_stays_in_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_an_object_that_was_written_anew_is_hashed_anew() -> None:
-    path = place("memory://changed/picture")
+    path = place("memory://changed/image")
     for data in (b"old", b"new"):
         path.write_bytes(data)
         assert [file_sha256(p) for p in in_batches([path], fresh=True)] == [hashlib.sha256(data).hexdigest()]

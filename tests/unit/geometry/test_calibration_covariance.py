@@ -106,7 +106,7 @@ def test_the_jacobian_is_what_wrong_calibrations_do(lens: Lens | None) -> None:
         np.testing.assert_allclose(jacobian[:, :, k], moved, atol=1e-4 * np.abs(moved).max() + 1e-9, err_msg=name)
 
 
-def test_a_rectified_rig_inherits_the_errors_of_the_rig_that_took_the_pictures() -> None:
+def test_a_rectified_rig_inherits_the_errors_of_the_rig_that_took_the_images() -> None:
     raw = a_rig(Lens(model="radial", coefficients=(-0.05, 0.01)), (0.004, -0.02, 0.003))
     rectified = rectify(raw)
     assert rectified.rectified_from is raw

@@ -1,4 +1,4 @@
-"""Rectified rigs: equal rows, the raw pictures' own directions, no pixel without a source."""
+"""Rectified rigs: equal rows, the raw images' own directions, no pixel without a source."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_every_rig_ends_with_equal_rows_and_the_same_points(turn: tuple[float, .
         size = np.array([rigs.camera_of(flat, side).width_px, rigs.camera_of(flat, side).height_px])
         shown = ((uv[side] >= 0) & (uv[side] <= size - 1)).all(axis=1)
         assert shown.sum() > 15
-        # The same object point in the raw picture, by the raw camera alone.
+        # The same object point in the raw image, by the raw camera alone.
         direct = cam.project(stored_camera(flat, side), in_camera(points[shown], raw, side))
         np.testing.assert_allclose(raw_from_rectified(flat, side, uv[side][shown]), direct, atol=1e-6)
         np.testing.assert_allclose(rectified_from_raw(flat, side, direct), uv[side][shown], atol=1e-6)
@@ -89,7 +89,7 @@ def test_every_rectified_pixel_was_seen_and_no_detail_is_lost(lens: Lens) -> Non
         outside = raw_from_rectified(flat, side, [[-3 * own.width_px, 10.0], [4 * own.width_px, 10.0]])
         assert np.isnan(outside).all()
     assert flat.left.height_px == flat.right.height_px and flat.left.cy_px == flat.right.cy_px
-    # A barrel's borders move outwards when it is straightened: the picture must not shrink much by the rotations.
+    # A barrel's borders move outwards when it is straightened: the image must not shrink much by the rotations.
     assert flat.left.width_px > 1250 and flat.left.height_px > 400
 
 
@@ -130,7 +130,7 @@ def test_what_is_rectified_stays_as_it_is() -> None:
 
 
 def test_another_row_of_the_axis_is_only_another_row() -> None:
-    """Rows may begin elsewhere in the right picture: the matcher knows the offset of the principal points."""
+    """Rows may begin elsewhere in the right image: the matcher knows the offset of the principal points."""
     assert is_rectified(rig((0, 0, 0), (0.5, 0, 0), left=camera(Lens()), right=camera(Lens(), cy_px=220.0)))
 
 
@@ -141,7 +141,7 @@ def test_another_row_of_the_axis_is_only_another_row() -> None:
         ((0, 2.6, 0), (0.5, 0, 0), "different directions|rectification"),
     ],
 )
-def test_cameras_without_a_common_picture_are_refused(
+def test_cameras_without_a_common_image_are_refused(
     turn: tuple[float, ...], t: tuple[float, ...], message: str
 ) -> None:
     with pytest.raises(ValueError, match=message):

@@ -20,7 +20,7 @@ CAMERAS = StereoCameras(INTRINSICS, INTRINSICS, BESIDE)
 LIMITS = MotionLimits(min_inliers=30, gate_m=0.5, gate_rad=0.02)
 #: 0.6 px of disparity, 0.3 px of row, 0.2 px of row at the side.
 TURN = np.array([0.3, -0.6, 0.3]) / FOCAL_PX
-#: 1.1 px of disparity at the sides of the picture.
+#: 1.1 px of disparity at the sides of the image.
 BEND = 1.5 / FOCAL_PX
 
 

@@ -10,7 +10,7 @@ from conetl.geometry import pose as se3
 from conetl.geometry.calibration.covariance import calibration_jacobian, shared_cov
 from conetl.geometry.calibration.shared import (
     calibration_id,
-    levers_of,
+    jacobian_of,
     pack_all,
     shared_errors,
     square_root,
@@ -64,7 +64,7 @@ def test_another_calibration_is_another_one() -> None:
     assert len({calibration_id(rig) for rig in [RIG, *others]}) == 5
 
 
-def test_the_calibration_of_a_rectified_rig_is_that_of_the_one_that_took_the_pictures() -> None:
+def test_the_calibration_of_a_rectified_rig_is_that_of_the_one_that_took_the_images() -> None:
     wider = make_rig().model_copy(update={"left": RIG.left.model_copy(update={"width_px": 2000})})
     rectified = wider.model_copy(update={"rectified_from": RIG})
     assert calibration_id(rectified) == calibration_id(RIG)
@@ -73,9 +73,9 @@ def test_the_calibration_of_a_rectified_rig_is_that_of_the_one_that_took_the_pic
 
 def test_levers_are_the_square_root_of_the_calibrations_part() -> None:
     jacobian = calibration_jacobian(np.array([[2.0, 1.0, 9.0]]), RIG)[0]
-    levers = levers_of(jacobian, RIG)
-    assert levers is not None and levers.calibrations == (calibration_id(RIG),)
-    moved = unpack_all(levers.calibrations, [levers])[0, 0]
+    shared_jacobian = jacobian_of(jacobian, RIG)
+    assert shared_jacobian is not None and shared_jacobian.calibrations == (calibration_id(RIG),)
+    moved = unpack_all(shared_jacobian.calibrations, [shared_jacobian])[0, 0]
     assert moved.shape == (3, 4)  # one of the five parameters is exact
     np.testing.assert_allclose(moved @ moved.T, shared_cov(jacobian, RIG), rtol=1e-5, atol=1e-9)
 
@@ -94,12 +94,12 @@ def test_the_square_root_does_not_depend_on_the_order_of_the_parameters() -> Non
 def test_a_rig_of_unknown_accuracy_has_no_levers() -> None:
     rig = make_rig()
     assert shared_errors(rig) is None
-    assert levers_of(np.zeros((3, 0)), rig) is None
+    assert jacobian_of(np.zeros((3, 0)), rig) is None
 
 
 def test_a_calibration_that_is_stated_to_be_exact_has_none_either() -> None:
     exact = CalibrationCovariance(names=("left.fx_px",), matrix=((0.0,),))
-    assert levers_of(np.ones((3, 1)), with_covariance(make_rig(), exact)) is None
+    assert jacobian_of(np.ones((3, 1)), with_covariance(make_rig(), exact)) is None
 
 
 @pytest.mark.parametrize("count", [0, 1, 3])

@@ -87,5 +87,5 @@ def test_tables_are_those_of_the_rig() -> None:
     assert millimetres["y0"].value == pytest.approx(-(pixels["cy"].value - 299.5) / 100)  # upwards
     rows = tables.epipolar_errors_px(rig, views)
     assert len(rows) == 8 * 35
-    # two rows of independent noise of 0.05 px, at about the scale of the raw pictures
+    # two rows of independent noise of 0.05 px, at about the scale of the raw images
     assert 0.9 * 0.05 * 2**0.5 < np.sqrt((rows**2).mean()) < 1.15 * 0.05 * 2**0.5

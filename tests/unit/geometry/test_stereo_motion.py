@@ -75,7 +75,7 @@ def test_covariance_is_honest() -> None:
     assert low < np.mean(nees) < 1.15 * high  # the sandwich estimate itself is a little short on 250 points
 
 
-def test_a_lorry_on_most_of_the_picture_is_outvoted_by_what_may_be_true() -> None:
+def test_a_lorry_on_most_of_the_image_is_outvoted_by_what_may_be_true() -> None:
     """60 % of the points drive along at the car's own speed: their motion lies outside the gate around INS."""
     rng = np.random.default_rng(1)
     points = scene(rng, 300)
@@ -126,7 +126,7 @@ def test_one_pose_moves_as_many_do(step: np.ndarray) -> None:
     assert np.allclose(stepped(TRUTH, step), together, rtol=1e-13, atol=1e-14)
 
 
-def test_a_lorry_on_all_of_the_picture_gives_no_motion() -> None:
+def test_a_lorry_on_all_of_the_image_gives_no_motion() -> None:
     rng = np.random.default_rng(2)
     first = seen(scene(rng, 200), rng)
     second = first + rng.normal(0, 0.3, first.shape)

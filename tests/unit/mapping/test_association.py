@@ -87,7 +87,7 @@ def together(tracks: Sequence[Track]) -> list[Track]:
     return [t.model_copy(update={"members": ((5, i), (6, i))}) for i, t in enumerate(tracks)]
 
 
-def test_a_feature_in_the_middle_of_two_cones_of_one_picture_is_split() -> None:
+def test_a_feature_in_the_middle_of_two_cones_of_one_image_is_split() -> None:
     two = [track(0, -0.3, 3.0), track(1, 0.3, 3.0)]
     found = changes(together(two), [feature(0, 0.0, 3.0)])
     assert kinds(found) == {DeltaKind.CONFIRMED: 1, DeltaKind.SPLIT: 1}
@@ -98,7 +98,7 @@ def test_a_feature_in_the_middle_of_two_cones_of_one_picture_is_split() -> None:
         "its place was that of neither, and is not averaged with either"
     )
     apart = changes(two, [feature(0, 0.0, 3.0)])
-    assert kinds(apart) == {DeltaKind.CONFIRMED: 1, DeltaKind.ADDED: 1}, "no picture shows both"
+    assert kinds(apart) == {DeltaKind.CONFIRMED: 1, DeltaKind.ADDED: 1}, "no image shows both"
     beside = changes(together([track(0, 0.02, 3.0), track(1, 0.6, 3.0)]), [feature(0, 0.0, 3.0)])
     assert kinds(beside) == {DeltaKind.CONFIRMED: 1, DeltaKind.ADDED: 1}, "the feature is one of them"
 

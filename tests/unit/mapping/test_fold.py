@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from conetl.mapping.existence_update import doubt_after
 from conetl.mapping.fold import Evidence, Folded, extend, fold
 from conetl.model.map_records import (
-    BelievedVersion,
     Decisions,
     DeltaKind,
     Doubt,
+    FeatureVersion,
     FoldKey,
     Miss,
     Place,
@@ -24,7 +24,7 @@ from conetl.model.map_records import (
 from tests.synthetic.road import HOUR_NS, SECOND_NS, random_drive, random_world
 from tests.synthetic.world import ORIGIN_M, START_NS
 
-Chains = dict[UUID, list[BelievedVersion]]
+Chains = dict[UUID, list[FeatureVersion]]
 DAYS = 5
 EVERYTHING = {DeltaKind.ADDED, DeltaKind.CONFIRMED, DeltaKind.MOVED, DeltaKind.REMOVED, DeltaKind.MISSED}
 
@@ -150,7 +150,7 @@ def test_all_120_orders_of_five_drives_give_the_same_map() -> None:
 
 def test_drives_in_order_extend_the_fold_by_one_each() -> None:
     drives = sorted(random_case(7, 5), key=lambda drive: drive.key)
-    standing: dict[UUID, BelievedVersion] = {}
+    standing: dict[UUID, FeatureVersion] = {}
     doubts: dict[UUID, Doubt] = {}
     deltas = {}
     for drive in drives:

@@ -1,4 +1,4 @@
-"""Fusion of two statements about one place: laws of the weights, covariances and levers."""
+"""Fusion of two statements about one place: laws of the weights, covariances and shared_jacobian."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from conetl.geometry.calibration.shared import pack_all, unpack_all
 from conetl.geometry.packing import cov3, cov_matrix
 from conetl.mapping.fusion import MOST_CALIBRATIONS, fuse
-from conetl.model.records import Cov3, Levers
+from conetl.model.records import Cov3, SharedErrorJacobian
 
 Floats = NDArray[np.float64]
 CALIBRATIONS = [UUID(int=k) for k in range(1, 20)]
 
 
 def rounded(values: Floats) -> Floats:
-    """As levers are kept."""
+    """As shared_jacobian are kept."""
     return values.astype(np.float32).astype(np.float64)
 
 
@@ -29,24 +29,26 @@ def spd(rng: np.random.Generator, size_m: float) -> Floats:
     return np.asarray(root @ root.T + 0.01 * size_m**2 * np.eye(3))
 
 
-def levers(moved_m: dict[UUID, Floats]) -> Levers | None:
+def shared_jacobian(moved_m: dict[UUID, Floats]) -> SharedErrorJacobian | None:
     ids = tuple(sorted(moved_m))
     return pack_all(ids, np.stack([moved_m[one] for one in ids])[None])[0] if ids else None
 
 
-def statement(own: Floats, moved_m: dict[UUID, Floats]) -> tuple[Cov3, Levers | None]:
-    return cov3(own + sum((a @ a.T for a in moved_m.values()), np.zeros((3, 3)))), levers(moved_m)
+def statement(own: Floats, moved_m: dict[UUID, Floats]) -> tuple[Cov3, SharedErrorJacobian | None]:
+    return cov3(own + sum((a @ a.T for a in moved_m.values()), np.zeros((3, 3)))), shared_jacobian(moved_m)
 
 
 def fused(
-    old: tuple[Cov3, Levers | None], new: tuple[Cov3, Levers | None]
-) -> tuple[Floats, Floats, tuple[Cov3, Levers | None]]:
+    old: tuple[Cov3, SharedErrorJacobian | None], new: tuple[Cov3, SharedErrorJacobian | None]
+) -> tuple[Floats, Floats, tuple[Cov3, SharedErrorJacobian | None]]:
     result = fuse([old[0]], [old[1]], [new[0]], [new[1]])
-    return result.gain[0], result.cov_m2[0], (cov3(result.cov_m2[0]), result.levers[0])
+    return result.gain[0], result.cov_m2[0], (cov3(result.cov_m2[0]), result.shared_jacobian[0])
 
 
-def by_formula(old: tuple[Cov3, Levers | None], new: tuple[Cov3, Levers | None]) -> tuple[Floats, Floats]:
-    """Weight and covariance as Bar-Shalom & Campo write them down, of levers one by one."""
+def by_formula(
+    old: tuple[Cov3, SharedErrorJacobian | None], new: tuple[Cov3, SharedErrorJacobian | None]
+) -> tuple[Floats, Floats]:
+    """Weight and covariance as Bar-Shalom & Campo write them down, of shared_jacobian one by one."""
     p1, p2 = cov_matrix(old[0]), cov_matrix(new[0])
     a, b = (
         dict(zip(s[1].calibrations, unpack_all(s[1].calibrations, [s[1]])[0], strict=True)) if s[1] else {}
@@ -63,7 +65,9 @@ def by_formula(old: tuple[Cov3, Levers | None], new: tuple[Cov3, Levers | None])
 
 
 @st.composite
-def statements(draw: st.DrawFn) -> tuple[tuple[Cov3, Levers | None], tuple[Cov3, Levers | None]]:
+def statements(
+    draw: st.DrawFn,
+) -> tuple[tuple[Cov3, SharedErrorJacobian | None], tuple[Cov3, SharedErrorJacobian | None]]:
     """Two statements of drives with up to three calibrations each, some of them the same, and not always as many errors."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     chosen = st.sets(st.sampled_from(CALIBRATIONS[:4]), max_size=3)
@@ -79,7 +83,7 @@ def statements(draw: st.DrawFn) -> tuple[tuple[Cov3, Levers | None], tuple[Cov3,
 @settings(max_examples=200, deadline=None)
 @given(statements())
 def test_weights_and_covariances_are_those_of_the_formula(
-    pair: tuple[tuple[Cov3, Levers | None], tuple[Cov3, Levers | None]],
+    pair: tuple[tuple[Cov3, SharedErrorJacobian | None], tuple[Cov3, SharedErrorJacobian | None]],
 ) -> None:
     gain, cov, (_, kept) = fused(*pair)
     wanted_gain, wanted = by_formula(*pair)
@@ -99,13 +103,13 @@ def test_weights_and_covariances_are_those_of_the_formula(
 @settings(max_examples=100, deadline=None)
 @given(statements())
 def test_where_nothing_is_shared_it_is_the_plain_fusion(
-    pair: tuple[tuple[Cov3, Levers | None], tuple[Cov3, Levers | None]],
+    pair: tuple[tuple[Cov3, SharedErrorJacobian | None], tuple[Cov3, SharedErrorJacobian | None]],
 ) -> None:
-    (old_cov, old_levers), (new_cov, new_levers) = pair
-    apart = None if new_levers is None else new_levers._replace(
-        calibrations=tuple(UUID(int=one.int + 100) for one in new_levers.calibrations)
+    (old_cov, old_jacobian), (new_cov, new_jacobian) = pair
+    apart = None if new_jacobian is None else new_jacobian._replace(
+        calibrations=tuple(UUID(int=one.int + 100) for one in new_jacobian.calibrations)
     )  # fmt: skip
-    gain, cov, _ = fused((old_cov, old_levers), (new_cov, apart))
+    gain, cov, _ = fused((old_cov, old_jacobian), (new_cov, apart))
     p1, p2 = cov_matrix(old_cov), cov_matrix(new_cov)
     plain = p1 @ np.linalg.inv(p1 + p2)
     np.testing.assert_allclose(gain, plain, rtol=1e-6, atol=1e-6)
@@ -122,7 +126,7 @@ def test_without_levers_not_a_bit_is_different() -> None:
     cov = (np.eye(3) - gain) @ p1
     np.testing.assert_array_equal(result.gain, gain)
     np.testing.assert_array_equal(result.cov_m2, (cov + np.swapaxes(cov, 1, 2)) / 2)
-    assert result.levers == [None] * 50
+    assert result.shared_jacobian == [None] * 50
 
 
 @settings(max_examples=50, deadline=None)
@@ -185,10 +189,10 @@ def test_rows_do_not_depend_on_the_rows_beside_them() -> None:
         alone = fuse([old[0]], [old[1]], [new[0]], [new[1]])
         np.testing.assert_array_equal(alone.gain[0], whole.gain[k])
         np.testing.assert_array_equal(alone.cov_m2[0], whole.cov_m2[k])
-        assert alone.levers[0] == whole.levers[k]
-    assert whole.levers[0] is None
+        assert alone.shared_jacobian[0] == whole.shared_jacobian[k]
+    assert whole.shared_jacobian[0] is None
 
 
 def test_no_pairs_give_nothing() -> None:
-    assert fuse([], [], [], []).levers == []
+    assert fuse([], [], [], []).shared_jacobian == []
     assert pytest.approx(fuse([], [], [], []).gain.shape) == (0, 3, 3)

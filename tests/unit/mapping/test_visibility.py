@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from conetl.mapping.visibility import Look, View, look_at_spot, looks_in_view, view_of_drive
-from conetl.model.detector_evidence import DetectorEvidence, LookFigures
+from conetl.model.detector_evidence import AbsenceFigures, DetectorEvidence
 from conetl.model.map_records import MapFeature
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Detection, Position, Side
@@ -67,7 +67,7 @@ def feature(cone: Cone) -> MapFeature:
     )
 
 
-def test_a_cone_ahead_is_in_view_until_it_leaves_the_picture() -> None:
+def test_a_cone_ahead_is_in_view_until_it_leaves_the_image() -> None:
     frames = in_view(SPOT)
     assert len(frames) > 8
     assert frames == list(range(frames[0], frames[-1] + 1))
@@ -93,7 +93,7 @@ def test_a_nearer_cone_makes_a_look_worth_less_and_a_farther_one_does_not() -> N
 def test_the_more_and_the_nearer_the_looks_the_surer_is_the_absence_but_never_certain() -> None:
     ratios = []
     for frames in (5, 8, 12, 30):
-        drive = view_of_drive(RIG, PAIRS[:frames], [], [], LookFigures(evidence=shipped(), score_threshold=0.3))
+        drive = view_of_drive(RIG, PAIRS[:frames], [], [], AbsenceFigures(evidence=shipped(), score_threshold=0.3))
         found = look_at_spot(feature(SPOT), np.zeros(3), NOBODY, drive, PARAMS)
         ratios.append(0.0 if found is None else found.log_likelihood_ratio)
     assert ratios == sorted(ratios, reverse=True)

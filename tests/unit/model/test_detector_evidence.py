@@ -11,9 +11,9 @@ from pydantic import ValidationError
 
 from conetl.model.detector_evidence import (
     UNMEASURED,
+    AbsenceFigures,
     DetectorEvidence,
     LookCorrelation,
-    LookFigures,
     ScoreCalibration,
     absence_log_ratio,
     box_log_ratio,
@@ -76,7 +76,7 @@ def test_a_knot_is_met_and_between_two_log_odds_run_straight() -> None:
 
 
 def test_the_ratio_of_a_box_is_bayes_rule() -> None:
-    """Odds in pictures like those of the calibration = ratio of the score times true over false boxes there."""
+    """Odds in images like those of the calibration = ratio of the score times true over false boxes there."""
     ratio = box_log_ratio(EVIDENCE, 0.5, 30.0, 0.0, 1e-6)
     p = calibrated_probability(EVIDENCE.calibration, 0.5)
     assert ratio == pytest.approx(np.log(0.9 / 0.4) + np.log(p / (1 - p)) - np.log(300 / 100))
@@ -93,7 +93,7 @@ def test_joint_ratio_is_kishs_for_one_correlation_and_near_looks_count_less_than
 
 
 def absent(evidence: DetectorEvidence, frames: int) -> float:
-    figures = LookFigures(evidence=evidence, score_threshold=0.3)
+    figures = AbsenceFigures(evidence=evidence, score_threshold=0.3)
     return absence_log_ratio(
         figures, np.full((frames, 2), 40.0), np.zeros((frames, 2)), np.zeros(frames, bool),
         stray_probability=0.02, unseen_occluder_probability=1e-60,

@@ -1,4 +1,4 @@
-"""Freed pictures stay with the process."""
+"""Freed images stay with the process."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ import pytest
 _COUNT = """
 import resource
 import numpy as np
-from conetl.perception.allocator import keep_freed_pictures
+from conetl.perception.allocator import keep_freed_images
 if {keep}:
-    assert keep_freed_pictures()
-def pictures():
+    assert keep_freed_images()
+def images():
     return [np.ones(1_500_000, dtype=np.uint8) for _ in range(6)]
 for _ in range(3):
-    pictures()
+    images()
 before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
 for _ in range(10):
-    pictures()
+    images()
 print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
 """
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="told to glibc's allocator only")
-def test_pages_of_a_freed_picture_serve_the_next_one() -> None:
+def test_pages_of_a_freed_image_serve_the_next_one() -> None:
     faults = {
         keep: int(
             subprocess.run(

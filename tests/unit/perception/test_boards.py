@@ -1,4 +1,4 @@
-"""Corners of drawn boards: chessboard, ChArUco, AprilGrid, warped into a picture by a known homography."""
+"""Corners of drawn boards: chessboard, ChArUco, AprilGrid, warped into a image by a known homography."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FINE = 4
 
 
 def _drawn(board: Board) -> tuple[Array, Array]:
-    """Picture of a flat board at PX_PER_M and the homography (3, 3) from board metres to its pixel edges."""
+    """Image of a flat board at PX_PER_M and the homography (3, 3) from board metres to its pixel edges."""
     margin = 60.0
     if board.kind == "aprilgrid":
         return _april_grid(board, margin)
@@ -37,9 +37,9 @@ def _drawn(board: Board) -> tuple[Array, Array]:
         y, x = np.mgrid[0 : round((board.rows + 1) * square), 0 : round((board.cols + 1) * square)]
         drawing = (255 * ((x // square + y // square) % 2)).astype(np.uint8)
         offset = margin + square
-    picture = cv2.copyMakeBorder(drawing, *(int(margin),) * 4, cv2.BORDER_CONSTANT, value=255)
+    image = cv2.copyMakeBorder(drawing, *(int(margin),) * 4, cv2.BORDER_CONSTANT, value=255)
     to_pixels = np.array([[PX_PER_M, 0, offset], [0, PX_PER_M, offset], [0, 0, 1.0]])
-    return picture.astype(np.float64), to_pixels
+    return image.astype(np.float64), to_pixels
 
 
 def _april_grid(board: Board, margin: float) -> tuple[Array, Array]:
@@ -48,21 +48,21 @@ def _april_grid(board: Board, margin: float) -> tuple[Array, Array]:
     tag, gap = round(board.size_m * PX_PER_M), round(board.size_m * board.spacing * PX_PER_M)
     step = tag + gap
     width, height = (round(2 * margin) + n * step + gap for n in (board.cols, board.rows))
-    picture = np.full((height, width), 255.0)
+    image = np.full((height, width), 255.0)
     left, bottom = round(margin) + gap, height - round(margin) - gap
     for row in range(board.rows):
         for col in range(board.cols):
             x, y = left + col * step, bottom - row * step - tag
-            picture[y : y + tag, x : x + tag] = cv2.aruco.generateImageMarker(words, row * board.cols + col, tag)
+            image[y : y + tag, x : x + tag] = cv2.aruco.generateImageMarker(words, row * board.cols + col, tag)
     for row in range(board.rows + 1):
         for col in range(board.cols + 1):
             x, y = left - gap + col * step, bottom - row * step
-            picture[y : y + gap, x : x + gap] = 0.0
-    return picture, np.array([[PX_PER_M, 0, left], [0, -PX_PER_M, bottom], [0, 0, 1.0]])
+            image[y : y + gap, x : x + gap] = 0.0
+    return image, np.array([[PX_PER_M, 0, left], [0, -PX_PER_M, bottom], [0, 0, 1.0]])
 
 
 def _seen(board: Board, corners: Array, blur: float = 0.8) -> tuple[NDArray[np.uint8], Array]:
-    """The board with its drawing's corners at `corners` (4, 2) px (clockwise), and where its points are in the picture."""
+    """The board with its drawing's corners at `corners` (4, 2) px (clockwise), and where its points are in the image."""
     drawing, to_pixels = _drawn(board)
     h, w = drawing.shape
     edges = np.array([[0, 0], [w, 0], [w, h], [0, h]], dtype=np.float32)
@@ -73,12 +73,12 @@ def _seen(board: Board, corners: Array, blur: float = 0.8) -> tuple[NDArray[np.u
     large = cv2.warpPerspective(
         drawing, np.linalg.inv(centre) @ enlarge @ warp @ centre, (SIZE[0] * FINE, SIZE[1] * FINE), borderValue=140
     )
-    picture = large.reshape(SIZE[1], FINE, SIZE[0], FINE).mean(axis=(1, 3))
-    picture = cv2.GaussianBlur(picture, (0, 0), blur)
-    picture = 30 + 0.75 * picture + np.random.default_rng(0).normal(0, 1.5, picture.shape)
+    image = large.reshape(SIZE[1], FINE, SIZE[0], FINE).mean(axis=(1, 3))
+    image = cv2.GaussianBlur(image, (0, 0), blur)
+    image = 30 + 0.75 * image + np.random.default_rng(0).normal(0, 1.5, image.shape)
     flat = board.points_m()[:, :2]
     true = cv2.perspectiveTransform(flat[None], warp @ to_pixels)[0] - 0.5
-    return np.clip(np.round(picture), 0, 255).astype(np.uint8), true
+    return np.clip(np.round(image), 0, 255).astype(np.uint8), true
 
 
 QUAD = np.array([[150.0, 90.0], [760.0, 60.0], [700.0, 610.0], [190.0, 560.0]])
@@ -135,13 +135,13 @@ def test_why_there_is_no_board() -> None:
         "empty": find_board(np.full((400, 400), 90, dtype=np.uint8), board),
     }
     assert all(isinstance(r, NotFound) for r in reasons.values())
-    assert reasons["cut"].reason == RejectionReason.BOARD_CUT and "out of the picture" in reasons["cut"].detail
+    assert reasons["cut"].reason == RejectionReason.BOARD_CUT and "out of the image" in reasons["cut"].detail
     assert reasons["blurred"].reason == RejectionReason.IMAGE_BLURRED
     assert "9 x 6 inner corners instead of 8 x 5" in reasons["smaller"].detail
     assert reasons["empty"].reason == RejectionReason.BOARD_NOT_FOUND
 
 
-def test_a_symmetric_board_is_numbered_alike_in_both_pictures() -> None:
+def test_a_symmetric_board_is_numbered_alike_in_both_images() -> None:
     board = Board("chessboard", 4, 4, 0.05)
     ids = np.arange(16)
     uv = board.points_m()[:, :2] * 1000 + 100
@@ -166,7 +166,7 @@ def _written(path: Path, image: NDArray[np.uint8]) -> None:
     cv2.imwrite(str(path), image)
 
 
-def test_pictures_are_paired(tmp_path: Path) -> None:
+def test_images_are_paired(tmp_path: Path) -> None:
     blank = np.zeros((20, 30), dtype=np.uint8)
     for name in (
         "a/left/x.png",
@@ -191,7 +191,7 @@ def test_pictures_are_paired(tmp_path: Path) -> None:
         pairs_by_pattern(tmp_path / "b", "left_*.png", "x_*.png")
 
 
-def test_each_picture_that_is_not_used_has_a_reason(tmp_path: Path) -> None:
+def test_each_image_that_is_not_used_has_a_reason(tmp_path: Path) -> None:
     board, _ = BOARDS["chessboard"]
     image, _ = _seen(board, QUAD)
     for name in ("0", "1", "2"):
@@ -200,19 +200,19 @@ def test_each_picture_that_is_not_used_has_a_reason(tmp_path: Path) -> None:
     _written(tmp_path / "right" / "1.png", np.ascontiguousarray(image[:400]))
     (tmp_path / "right" / "3.png").write_bytes((tmp_path / "left" / "0.png").read_bytes()[:5000])
     _written(tmp_path / "right" / "4.png", image)
-    pictures = find_boards(pairs_in_folders(tmp_path), board)
-    assert {(v.pair_index, v.side) for v in pictures.views} == {
+    images = find_boards(pairs_in_folders(tmp_path), board)
+    assert {(v.pair_index, v.side) for v in images.views} == {
         (0, "left"),
         (0, "right"),
         (1, "left"),
         (2, "left"),
         (4, "right"),
     }
-    reasons = {r.record: r.reason for r in pictures.rejections}
+    reasons = {r.record: r.reason for r in images.rejections}
     assert reasons == {
-        "right picture 1.png": RejectionReason.IMAGE_WRONG_SIZE,
-        "right picture of pair 2": RejectionReason.PARTNER_MISSING,
-        "left picture of pair 3": RejectionReason.PARTNER_MISSING,
-        "right picture 3.png": RejectionReason.IMAGE_TRUNCATED,
-        "left picture of pair 4": RejectionReason.PARTNER_MISSING,
+        "right image 1.png": RejectionReason.IMAGE_WRONG_SIZE,
+        "right image of pair 2": RejectionReason.PARTNER_MISSING,
+        "left image of pair 3": RejectionReason.PARTNER_MISSING,
+        "right image 3.png": RejectionReason.IMAGE_TRUNCATED,
+        "left image of pair 4": RejectionReason.PARTNER_MISSING,
     }

@@ -1,4 +1,4 @@
-"""The cone detector: decode and suppression by their laws, model files that must be refused, and real pictures."""
+"""The cone detector: decode and suppression by their laws, model files that must be refused, and real images."""
 
 from __future__ import annotations
 
@@ -87,12 +87,12 @@ def test_decode_drops_scores_below_the_threshold_and_keeps_the_order_of_cells() 
     assert decode_cells([values, np.array([0, 15, 5])], (16, 16), (4,), 4, 1.0)[0].shape == (0, 9)
 
 
-def test_decode_tells_pictures_and_strides_apart() -> None:
+def test_decode_tells_images_and_strides_apart() -> None:
     values = np.zeros((2, 17), np.float32)
     values[:, -1] = (2.0, 1.0)
-    fine, coarse = [values, np.array([9, 3])], [values[:1], np.array([2])]  # pictures of 2 x 4 and of 1 x 2 cells
-    found, pictures = decode_cells([*fine, *coarse], (8, 16), (4, 8), 4, 0.5)
-    np.testing.assert_array_equal(pictures, [1, 0, 1])
+    fine, coarse = [values, np.array([9, 3])], [values[:1], np.array([2])]  # images of 2 x 4 and of 1 x 2 cells
+    found, images = decode_cells([*fine, *coarse], (8, 16), (4, 8), 4, 0.5)
+    np.testing.assert_array_equal(images, [1, 0, 1])
     np.testing.assert_allclose((found[:, :2] + found[:, 2:4]) / 2, [[6, 2], [14, 2], [4, 4]], atol=1e-6)
     np.testing.assert_allclose(found[:, 2] - found[:, 0], [12, 12, 24], atol=1e-6)  # 1.5 strides to each side
 
@@ -113,7 +113,7 @@ def test_rows_above_the_road_can_be_left_out(detector: Detector) -> None:
     np.testing.assert_allclose(cropped[0, :4], whole[0, :4], atol=1.5)
 
 
-def test_a_part_of_the_picture_shows_what_the_whole_does_there(detector: Detector) -> None:
+def test_a_part_of_the_image_shows_what_the_whole_does_there(detector: Detector) -> None:
     image = np.full((376, 1200, 3), (110, 115, 118), np.uint8)
     image[:200] = (200, 180, 160)
     for x in (150.0, 640.0, 1050.0):
@@ -132,7 +132,7 @@ def test_a_part_of_the_picture_shows_what_the_whole_does_there(detector: Detecto
     assert len(detect_image(detector, image, score_threshold=0.3, within=(300.0, 280.0, 400.0, 310.0))) == 0
 
 
-def test_a_part_of_a_large_picture_is_scaled_as_the_whole(detector: Detector) -> None:
+def test_a_part_of_a_large_image_is_scaled_as_the_whole(detector: Detector) -> None:
     image = np.full((900, 3840, 3), (110, 115, 118), np.uint8)
     image[:300] = (200, 180, 160)
     draw_cone(image, 2112.0, 810.0, 216.0)
@@ -141,7 +141,7 @@ def test_a_part_of_a_large_picture_is_scaled_as_the_whole(detector: Detector) ->
     np.testing.assert_allclose(part[:4], whole[:4], atol=1.0)  # 0.4 px of the network's
 
 
-def test_a_part_of_a_tall_picture_still_shows_what_fills_it(detector: Detector) -> None:
+def test_a_part_of_a_tall_image_still_shows_what_fills_it(detector: Detector) -> None:
     image = np.full((900, 1600, 3), (110, 115, 118), np.uint8)
     image[:300] = (200, 180, 160)
     draw_cone(image, 700.0, 850.0, 360.0)
@@ -220,7 +220,7 @@ def copy_model(folder: Path) -> Path:
 @pytest.mark.parametrize("colours", ["RGB", "BGR"])
 @pytest.mark.parametrize("axes", ["NCHW", "NHWC"])
 @pytest.mark.parametrize("numbers", ["float32 {} 0..1", "float32 {} 0..255", "uint8 {} 0..255"])
-def test_every_layout_shows_the_same_picture(colours: str, axes: str, numbers: str) -> None:
+def test_every_layout_shows_the_same_image(colours: str, axes: str, numbers: str) -> None:
     image = np.random.default_rng(4).integers(0, 256, (32, 64, 3), dtype=np.uint8)
     blob, _, _ = network_input(image, 32, 1600, layout=f"{colours} {numbers.format(axes)}")
     assert blob.dtype == (np.uint8 if "uint8" in numbers else np.float32)
@@ -320,10 +320,10 @@ def test_a_network_of_another_family_runs_by_its_sidecar_alone(
     (tmp_path / "tiny.onnx.json").write_text(json.dumps(card))
     detector = load_detector(tmp_path / "tiny.onnx")
     found = detect_image(detector, np.zeros((320, 640, 3), np.uint8), score_threshold=0.5)
-    scale = 2.0 if fixed else 1.0  # the fixed network sees the picture at half its size
+    scale = 2.0 if fixed else 1.0  # the fixed network sees the image at half its size
     np.testing.assert_allclose(found[:, :5], [[90 * scale, 40 * scale, 20 * scale, 40 * scale, 0.9]], rtol=1e-6)
     assert np.isnan(found[:, 5:]).all()
-    if size != ("h", "w"):  # a part of the picture would come to it larger than the whole, or not fit
+    if size != ("h", "w"):  # a part of the image would come to it larger than the whole, or not fit
         x, y = 100 * scale, 60 * scale
         seen = detect_image(
             detector, np.zeros((320, 640, 3), np.uint8), score_threshold=0.5, within=(x - 10, y - 10, x + 10, y + 10)
@@ -332,7 +332,7 @@ def test_a_network_of_another_family_runs_by_its_sidecar_alone(
     if fixed:
         window = {"cone_px": 48, "window_px": 96, "scores": [0.2, 0.8], "share": 0.4}
         (tmp_path / "tiny.onnx.json").write_text(json.dumps(card | {"closer_look": window}))
-        with pytest.raises(ModelFileError, match=r"takes pictures of 320x160 only.*closer_look"):
+        with pytest.raises(ModelFileError, match=r"takes images of 320x160 only.*closer_look"):
             load_detector(tmp_path / "tiny.onnx")
 
 
@@ -357,7 +357,7 @@ def test_windows_looked_at_together_are_seen_as_each_alone(detector: Detector) -
 
 
 def test_a_faint_cone_keeps_its_box_among_many_clear_ones(detector: Detector) -> None:
-    """The network answers for its best cells only, of all pictures of a run together."""
+    """The network answers for its best cells only, of all images of a run together."""
     road = np.full((96, 96, 3), (110, 115, 118), np.uint8)
     clear = road.copy()
     draw_cone(clear, 48.0, 72.0, 48.0)
@@ -423,7 +423,7 @@ def test_padding_and_scale_do_not_move_a_cone(detector: Detector) -> None:
 
 
 @pytest.mark.parametrize("height_px", [220.0, 300.0, 360.0])
-def test_a_cone_that_fills_a_tall_picture_is_one_cone(detector: Detector, height_px: float) -> None:
+def test_a_cone_that_fills_a_tall_image_is_one_cone(detector: Detector, height_px: float) -> None:
     image = np.full((640, 640, 3), (110, 115, 118), np.uint8)
     image[:200] = (200, 180, 160)
     draw_cone(image, 320.0, 600.0, height_px)
@@ -450,4 +450,4 @@ def test_cone_free_real_frames_are_nearly_empty(detector: Detector) -> None:
     frames = range(0, 40, 8)
     images = [cv2.imread(str(KITTI_LEFT / f"{frame:010d}.jpg")) for frame in frames]
     count = sum(len(detect_image(detector, image, score_threshold=0.5)) for image in images)
-    assert count <= len(images)  # at most one false box a picture
+    assert count <= len(images)  # at most one false box a image

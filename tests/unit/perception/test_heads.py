@@ -39,7 +39,7 @@ Arrays = list[np.ndarray]
 
 
 def build_network(path: Path, outputs: Sequence[np.ndarray]) -> onnxruntime.InferenceSession:
-    """A network that reads a picture (1, 3, 64, 96) and gives the outputs plus 0 times the picture's mean."""
+    """A network that reads a image (1, 3, 64, 96) and gives the outputs plus 0 times the image's mean."""
     nodes = [
         helper.make_node("ReduceMean", ["images"], ["mean"], keepdims=0),
         helper.make_node("Mul", ["mean", "zero"], ["nothing"]),
@@ -59,11 +59,11 @@ def build_network(path: Path, outputs: Sequence[np.ndarray]) -> onnxruntime.Infe
 
 
 def run_network(tmp_path: Path, head: YoloHead, outputs: Sequence[np.ndarray]) -> Arrays:
-    """Outputs of the network for a noisy picture, after its declared shapes were found to fit the head."""
+    """Outputs of the network for a noisy image, after its declared shapes were found to fit the head."""
     session = build_network(tmp_path / "network.onnx", outputs)
     check_outputs(head, [output.shape for output in session.get_outputs()])
-    picture = np.random.default_rng(3).random((1, 3, HEIGHT_PX, WIDTH_PX), dtype=np.float32)
-    return [np.asarray(output) for output in session.run(None, {"images": picture})]
+    image = np.random.default_rng(3).random((1, 3, HEIGHT_PX, WIDTH_PX), dtype=np.float32)
+    return [np.asarray(output) for output in session.run(None, {"images": image})]
 
 
 def decode(head: YoloHead, outputs: Sequence[np.ndarray], score_threshold: float = 0.5) -> np.ndarray:
@@ -136,7 +136,7 @@ def test_yolov8_gives_the_known_boxes(tmp_path: Path) -> None:
     raw = np.zeros((1, 6, 9), np.float32)
     raw[0, :, 4] = (40, 30, 10, 24, 0.7, 0.2)
     raw[0, :, 5] = (41, 30, 10, 24, 0.2, 0.7)  # another class
-    raw[0, :, 8] = (94, 3, 8, 10, 0.55, 0.0)  # reaches beyond the picture
+    raw[0, :, 8] = (94, 3, 8, 10, 0.55, 0.0)  # reaches beyond the image
     outputs = run_network(tmp_path, head, [raw])
     expected = [[35, 18, 45, 42, 0.7], [90, -2, 98, 8, 0.55]]
     np.testing.assert_allclose(decode(head, outputs), expected, atol=1e-5)
@@ -203,7 +203,7 @@ def test_yolox_undoes_its_encoding_in_every_cell(
     np.testing.assert_allclose(found[2:4] - found[:2], size, atol=1e-9)
 
 
-def test_only_the_first_picture_of_a_batch_is_decoded() -> None:
+def test_only_the_first_image_of_a_batch_is_decoded() -> None:
     raw = np.zeros((2, 5, 3), np.float32)
     raw[0, :, 0] = (40, 30, 10, 24, 0.7)
     raw[1, :, 1] = (20, 30, 10, 24, 0.9)

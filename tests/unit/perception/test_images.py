@@ -1,4 +1,4 @@
-"""Picture files, whole and broken. A truncated one must never yield pixels."""
+"""Image files, whole and broken. A truncated one must never yield pixels."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ from conetl.perception.images import (
 )
 
 SIZE = (64, 48)
-PICTURE = np.random.default_rng(0).integers(0, 255, (48, 64, 3), dtype=np.uint8)
+IMAGE = np.random.default_rng(0).integers(0, 255, (48, 64, 3), dtype=np.uint8)
 
 
-def encoded(suffix: str, picture: np.ndarray = PICTURE, *flags: int) -> bytes:
-    good, data = cv2.imencode(suffix, picture, list(flags))
+def encoded(suffix: str, image: np.ndarray = IMAGE, *flags: int) -> bytes:
+    good, data = cv2.imencode(suffix, image, list(flags))
     assert good
     return bytes(data)
 
 
 JPEG, PNG = encoded(".jpg"), encoded(".png")
-PROGRESSIVE = encoded(".jpg", PICTURE, cv2.IMWRITE_JPEG_PROGRESSIVE, 1, cv2.IMWRITE_JPEG_RST_INTERVAL, 2)
+PROGRESSIVE = encoded(".jpg", IMAGE, cv2.IMWRITE_JPEG_PROGRESSIVE, 1, cv2.IMWRITE_JPEG_RST_INTERVAL, 2)
 
 
 def written(folder: Path, data: bytes, name: str = "0000000001.jpg") -> Path:
@@ -48,18 +48,18 @@ def written(folder: Path, data: bytes, name: str = "0000000001.jpg") -> Path:
 
 
 @pytest.mark.parametrize("data", [JPEG, PNG, PROGRESSIVE], ids=["jpeg", "png", "progressive with restarts"])
-def test_whole_pictures_are_read(tmp_path: Path, data: bytes) -> None:
+def test_whole_images_are_read(tmp_path: Path, data: bytes) -> None:
     header = inspect_image(data)
     assert (header.width_px, header.height_px) == SIZE
     image = read_image(written(tmp_path, data), SIZE)
     assert image.shape == (48, 64, 3)
     assert image.dtype == np.uint8
     if data is PNG:
-        np.testing.assert_array_equal(image, PICTURE)
+        np.testing.assert_array_equal(image, IMAGE)
 
 
-def test_grey_and_16_bit_pictures_become_three_channels(tmp_path: Path) -> None:
-    grey = PICTURE[:, :, 0]
+def test_grey_and_16_bit_images_become_three_channels(tmp_path: Path) -> None:
+    grey = IMAGE[:, :, 0]
     image = read_image(written(tmp_path, encoded(".png", grey), "grey.png"), SIZE)
     np.testing.assert_array_equal(image, np.repeat(grey[:, :, None], 3, axis=2))
     deep = read_image(written(tmp_path, encoded(".png", grey.astype(np.uint16) * 257), "deep.png"), SIZE)
@@ -68,14 +68,14 @@ def test_grey_and_16_bit_pictures_become_three_channels(tmp_path: Path) -> None:
 
 @settings(deadline=None, max_examples=150)
 @given(st.sampled_from([JPEG, PNG, PROGRESSIVE]), st.floats(0, 1, exclude_max=True))
-def test_a_picture_cut_anywhere_is_refused(data: bytes, share: float) -> None:
+def test_a_image_cut_anywhere_is_refused(data: bytes, share: float) -> None:
     cut = data[: int(share * len(data))]
     with pytest.raises((ImageTruncatedError, ImageFormatError)):
         inspect_image(cut)
 
 
 @pytest.mark.parametrize("data", [JPEG, PNG], ids=["jpeg", "png"])
-def test_a_cut_picture_never_shows_the_one_read_before(tmp_path: Path, data: bytes) -> None:
+def test_a_cut_image_never_shows_the_one_read_before(tmp_path: Path, data: bytes) -> None:
     read_image(written(tmp_path, data), SIZE)
     with pytest.raises(ImageFileError) as raised:
         read_image(written(tmp_path, data[: len(data) // 2]), SIZE)
@@ -107,7 +107,7 @@ def test_a_png_with_a_damaged_chunk_is_unreadable() -> None:
 
 
 @pytest.mark.parametrize("data", [b"", b"GIF89a" + bytes(100), b"<html>not found</html>", b"\xff\xd8\x00\x00" * 9])
-def test_what_is_no_picture_is_unreadable(tmp_path: Path, data: bytes) -> None:
+def test_what_is_no_image_is_unreadable(tmp_path: Path, data: bytes) -> None:
     with pytest.raises(ImageFileError) as raised:
         read_image(written(tmp_path, data), SIZE)
     assert raised.value.reason is RejectionReason.IMAGE_UNREADABLE
@@ -133,7 +133,7 @@ def test_missing_and_huge_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         read_image(written(tmp_path, JPEG), SIZE)
 
 
-def test_orientation_tags_do_not_turn_the_picture(tmp_path: Path) -> None:
+def test_orientation_tags_do_not_turn_the_image(tmp_path: Path) -> None:
     tiff = b"MM\0*\0\0\0\x08" + b"\0\x01" + b"\x01\x12\0\x03\0\0\0\x01\0\x06\0\0" + bytes(4)
     body = b"Exif\0\0" + tiff
     turned = JPEG[:2] + b"\xff\xe1" + (len(body) + 2).to_bytes(2, "big") + body + JPEG[2:]
@@ -142,13 +142,13 @@ def test_orientation_tags_do_not_turn_the_picture(tmp_path: Path) -> None:
     assert read_image(written(tmp_path, turned), SIZE).shape[:2] == (48, 64)
 
 
-def _encoded(picture: Image.Image, kind: str, **options: object) -> bytes:
+def _encoded(image: Image.Image, kind: str, **options: object) -> bytes:
     buffer = io.BytesIO()
-    picture.save(buffer, kind, **options)
+    image.save(buffer, kind, **options)
     return buffer.getvalue()
 
 
-def test_any_picture_is_read_as_a_person_sees_it(tmp_path: Path) -> None:
+def test_any_image_is_read_as_a_person_sees_it(tmp_path: Path) -> None:
     """Orange left half, black right half, in each way that a file can store it."""
     rgb = np.zeros((40, 60, 3), np.uint8)
     rgb[:, :30] = (230, 80, 20)
@@ -171,7 +171,7 @@ def test_any_picture_is_read_as_a_person_sees_it(tmp_path: Path) -> None:
         np.testing.assert_allclose(found[20, 50], 128 if name == "clear.png" else 0, atol=6, err_msg=name)
 
 
-def test_a_16_bit_picture_that_uses_12_bits_is_not_black(tmp_path: Path) -> None:
+def test_a_16_bit_image_that_uses_12_bits_is_not_black(tmp_path: Path) -> None:
     ramp = np.tile(np.linspace(0, 4095, 256).astype(np.uint16), (40, 1))
     (tmp_path / "deep.png").write_bytes(cv2.imencode(".png", ramp)[1].tobytes())
     found = read_upright_image(tmp_path / "deep.png")
@@ -180,7 +180,7 @@ def test_a_16_bit_picture_that_uses_12_bits_is_not_black(tmp_path: Path) -> None
 
 @pytest.mark.parametrize("number", [errno.EIO, errno.ESTALE, errno.EMFILE, errno.ETIMEDOUT])
 @pytest.mark.parametrize("call", ["stat", "read_bytes", "open"])
-def test_a_moment_of_bad_storage_is_no_property_of_the_picture(
+def test_a_moment_of_bad_storage_is_no_property_of_the_image(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, call: str
 ) -> None:
     path = written(tmp_path, JPEG * 400)
@@ -211,7 +211,7 @@ def test_a_refusal_lasts_where_the_files_own_mode_says_so(
         read_bytes(path)
 
 
-def test_no_file_and_a_folder_are_properties_of_the_picture(tmp_path: Path) -> None:
+def test_no_file_and_a_folder_are_properties_of_the_image(tmp_path: Path) -> None:
     (tmp_path / "folder.jpg").mkdir()
     (tmp_path / "loop.jpg").symlink_to(tmp_path / "loop.jpg")
     written(tmp_path, JPEG)
@@ -222,7 +222,7 @@ def test_no_file_and_a_folder_are_properties_of_the_picture(tmp_path: Path) -> N
         assert raised.value.sha256 == NO_FILE_SHA256
 
 
-def test_a_refused_picture_tells_which_bytes_were_judged(tmp_path: Path) -> None:
+def test_a_refused_image_tells_which_bytes_were_judged(tmp_path: Path) -> None:
     with pytest.raises(ImageFileError) as raised:
         read_image(written(tmp_path, JPEG[:-50]), SIZE)
     assert raised.value.sha256 == hashlib.sha256(JPEG[:-50]).hexdigest()

@@ -1,4 +1,4 @@
-"""Raw pictures through their rig: resampled where they must be, sharp, in the right place, and untouched where they need not."""
+"""Raw images through their rig: resampled where they must be, sharp, in the right place, and untouched where they need not."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def raw_rig() -> Rig:
     )  # fmt: skip
 
 
-def world_picture(rig: Rig, side: str) -> np.ndarray:
-    """A picture of a far wall (a smooth pattern over directions) as one raw camera takes it."""
+def world_image(rig: Rig, side: str) -> np.ndarray:
+    """A image of a far wall (a smooth pattern over directions) as one raw camera takes it."""
     camera = rigs.camera_of(rig, side)  # type: ignore[arg-type]
     u, v = np.meshgrid(np.arange(camera.width_px), np.arange(camera.height_px))
     d = cam.rays(camera, np.stack([u, v], axis=-1)) @ rigs.body_SE3_camera(rig, side)[:3, :3].T  # type: ignore[arg-type]
@@ -47,7 +47,7 @@ def test_every_pixel_shows_its_own_direction(side: str, tmp_path: Path) -> None:
     raw = raw_rig()
     flat = rectify(raw)
     path = tmp_path / "0.png"
-    cv2.imwrite(str(path), world_picture(raw, side))
+    cv2.imwrite(str(path), world_image(raw, side))
     image = read_rig_image(path, flat, side)  # type: ignore[arg-type]
     camera = rigs.camera_of(flat, side)  # type: ignore[arg-type]
     assert image.shape == (camera.height_px, camera.width_px, 3)
@@ -65,12 +65,12 @@ def test_a_rectified_rig_reads_the_file_as_it_is(tmp_path: Path) -> None:
         body_SE3_right=se3.to_matrix4(se3.se3(np.eye(3), [0.3, 0, 0])),
     )  # fmt: skip
     path = tmp_path / "0.png"
-    picture = np.random.default_rng(1).integers(0, 255, (400, 640, 3), dtype=np.uint8)
-    cv2.imwrite(str(path), picture)
+    image = np.random.default_rng(1).integers(0, 255, (400, 640, 3), dtype=np.uint8)
+    cv2.imwrite(str(path), image)
     np.testing.assert_array_equal(read_rig_image(path, rectify(rig), "left"), read_image(path))
 
 
-def test_the_size_asked_for_is_that_of_the_stored_picture(tmp_path: Path) -> None:
+def test_the_size_asked_for_is_that_of_the_stored_image(tmp_path: Path) -> None:
     flat = rectify(raw_rig())
     path = tmp_path / "0.png"
     cv2.imwrite(str(path), np.zeros((flat.left.height_px, flat.left.width_px, 3), np.uint8))
@@ -80,7 +80,7 @@ def test_the_size_asked_for_is_that_of_the_stored_picture(tmp_path: Path) -> Non
 
 def test_left_and_right_have_maps_of_their_own() -> None:
     flat = rectify(raw_rig())
-    picture = world_picture(raw_rig(), "left")
+    image = world_image(raw_rig(), "left")
     assert not np.array_equal(
-        rectify_image(picture, flat, "left")[:300, :500], rectify_image(picture, flat, "right")[:300, :500]
+        rectify_image(image, flat, "left")[:300, :500], rectify_image(image, flat, "right")[:300, :500]
     )

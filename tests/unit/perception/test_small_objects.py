@@ -33,13 +33,13 @@ DRIVES = Path(__file__).resolve().parents[3] / "data" / "drives"
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-boxes_in_a_picture = st.lists(
+boxes_in_a_image = st.lists(
     st.tuples(st.floats(0, 380), st.floats(0, 180), st.floats(2, 30), st.floats(2, 40)), min_size=0, max_size=12
 )
 
 
 def showing(boxes: list[Floats], row: Floats) -> Callable[[Image], Seen]:
-    """A look that sees these boxes (9,), in pixels of the picture, in the one part around a candidate (9,) of SETTINGS' scale."""
+    """A look that sees these boxes (9,), in pixels of the image, in the one part around a candidate (9,) of SETTINGS' scale."""
     x0, y0, *_ = parts_around(row[None], SETTINGS.around_px, 400, 200)[0]
 
     def look(part: Image) -> Seen:
@@ -56,7 +56,7 @@ def candidate(x0: float, y0: float, x1: float, y1: float, score: float) -> Float
     return np.array([x0, y0, x1, y1, score, (x0 + x1) / 2, y1, (x0 + x1) / 2, y0])
 
 
-@given(boxes_in_a_picture)
+@given(boxes_in_a_image)
 def test_each_box_lies_in_one_part_with_its_surroundings_and_parts_do_not_touch(
     given_boxes: list[tuple[float, float, float, float]],
 ) -> None:
@@ -78,8 +78,8 @@ def test_each_box_lies_in_one_part_with_its_surroundings_and_parts_do_not_touch(
             assert max(beside, below) >= CELL_PX
 
 
-@given(boxes_in_a_picture, st.floats(1.1, 4.0))
-def test_all_parts_enlarged_are_no_larger_than_the_picture(
+@given(boxes_in_a_image, st.floats(1.1, 4.0))
+def test_all_parts_enlarged_are_no_larger_than_the_image(
     given_boxes: list[tuple[float, float, float, float]], wanted: float
 ) -> None:
     boxes = np.array([(x, y, x + w, y + h) for x, y, w, h in given_boxes]).reshape(-1, 4)
@@ -100,7 +100,7 @@ def test_what_is_tall_or_faint_calls_for_nothing() -> None:
     np.testing.assert_array_equal(look_enlarged(look, np.zeros((200, 400, 3), np.uint8), empty, SETTINGS, 1.0), empty)
 
 
-def test_the_part_is_shown_enlarged_and_boxes_come_back_in_pixels_of_the_picture() -> None:
+def test_the_part_is_shown_enlarged_and_boxes_come_back_in_pixels_of_the_image() -> None:
     ramp = np.tile(np.linspace(0, 250, 400, dtype=np.float32)[None, :, None], (200, 1, 3)).astype(np.uint8)
     row = candidate(104, 80, 120, 104, 0.6)
     x0, y0, x1, y1 = parts_around(row[None], 24.0, 400, 200)[0]
@@ -118,7 +118,7 @@ def test_the_part_is_shown_enlarged_and_boxes_come_back_in_pixels_of_the_picture
     np.testing.assert_allclose(found[5:], 0.35 * row[5:] + 0.65 * np.array([113, 106, 113, 80]))
 
 
-def test_in_a_picture_that_is_scaled_down_the_part_keeps_more_of_its_own_pixels() -> None:
+def test_in_a_image_that_is_scaled_down_the_part_keeps_more_of_its_own_pixels() -> None:
     image = np.zeros((1200, 3200, 3), np.uint8)
     row = candidate(1000, 600, 1040, 660, 0.6)  # 30 px of the network's input
     x0, y0, x1, y1 = parts_around(row[None], 48.0, 3200, 1200)[0]
@@ -220,11 +220,11 @@ def test_another_enlarged_look_is_another_detector_and_none_is_that_of_before_th
 
 
 def far_street() -> Image:
-    """A picture of a sample drive at a third of its size, as from three times as far, in the lower middle of a grey one."""
-    pictures = sorted(DRIVES.glob("*/image_02/data/*"))
-    picture = cv2.imread(str(pictures[len(pictures) // 8]))
-    assert picture is not None
-    return np.asarray(cv2.resize(picture, None, fx=0.4, fy=0.4, interpolation=cv2.INTER_AREA), np.uint8)
+    """A image of a sample drive at a third of its size, as from three times as far, in the lower middle of a grey one."""
+    images = sorted(DRIVES.glob("*/image_02/data/*"))
+    image = cv2.imread(str(images[len(images) // 8]))
+    assert image is not None
+    return np.asarray(cv2.resize(image, None, fx=0.4, fy=0.4, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def without_enlarging(detector: Detector) -> Detector:

@@ -1,4 +1,4 @@
-"""Following points through pictures of a textured wall and floor whose geometry is known."""
+"""Following points through images of a textured wall and floor whose geometry is known."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from conetl.perception.visual_odometry import follow_drive, measure_motions
 from conetl.readers.drives import read_drive
 from tests.synthetic.world import make_path, make_rig
 
-Picture = NDArray[np.uint8]
+Image = NDArray[np.uint8]
 SAMPLE = Path(__file__).resolve().parents[3] / "data" / "drives" / "2026-03-02_taper_pass1"
 PARAMS = TrajectoryParams()
 RIG = make_rig()
@@ -30,7 +30,7 @@ PAIRS = make_path(3, step_m=0.4)
 WALL_M = 14.0
 
 
-def wall_picture(pair: FramePair, side: Side, rig: Rig = RIG) -> Picture:
+def wall_image(pair: FramePair, side: Side, rig: Rig = RIG) -> Image:
     """A wall across the road, WALL_M ahead of the first pair, painted with blobs."""
     rng = np.random.default_rng(11)
     texture = cv2.GaussianBlur(rng.integers(0, 255, (700, 2200)).astype(np.uint8), (0, 0), 2.0)
@@ -49,7 +49,7 @@ def wall_picture(pair: FramePair, side: Side, rig: Rig = RIG) -> Picture:
     return np.clip(warped + noise, 0, 255).astype(np.uint8)
 
 
-def reasons(read: Callable[[FramePair, Side], Picture], pairs: list[FramePair] = PAIRS, rig: Rig = RIG) -> list[str]:
+def reasons(read: Callable[[FramePair, Side], Image], pairs: list[FramePair] = PAIRS, rig: Rig = RIG) -> list[str]:
     return [motion.reason for motion in measure_motions(pairs, rig, read, PARAMS)]
 
 
@@ -69,7 +69,7 @@ def rig_with(*, left: dict[str, float] | None = None, right: dict[str, float] | 
 
 
 def assert_moved_before_the_wall(rig: Rig, params: TrajectoryParams = PARAMS) -> list[RelativeMotion]:
-    motions = list(measure_motions(PAIRS, rig, lambda pair, side: wall_picture(pair, side, rig), params))
+    motions = list(measure_motions(PAIRS, rig, lambda pair, side: wall_image(pair, side, rig), params))
     assert [m.reason for m in motions] == ["ok", "ok"]
     for motion in motions:
         found = np.array(motion.second_SE3_first)
@@ -109,10 +109,10 @@ def test_sides_may_differ_in_size_and_principal_point(rig: Rig, max_width_px: in
 
 
 def test_no_point_lies_in_the_padding() -> None:
-    """The narrower picture ends in the middle of the wall: what lies beyond is seen by the other side only."""
+    """The narrower image ends in the middle of the wall: what lies beyond is seen by the other side only."""
     for narrow in ("left", "right"):
         rig = rig_with(**{narrow: {"width_px": 700}})  # type: ignore[arg-type]
-        tracks = follow_drive(PAIRS, rig, lambda pair, side, rig=rig: wall_picture(pair, side, rig), PARAMS)
+        tracks = follow_drive(PAIRS, rig, lambda pair, side, rig=rig: wall_image(pair, side, rig), PARAMS)
         for points in tracks:
             assert points.missing is None
             column = 0 if narrow == "left" else 2
@@ -120,14 +120,14 @@ def test_no_point_lies_in_the_padding() -> None:
                 assert 600 < px[:, column].max() < 700 - 5.5
 
 
-def test_points_of_a_reduced_picture_come_back_to_the_stored_ones() -> None:
-    """Every pixel four by four times, reduced to a quarter, is the picture itself: points must agree but for the size."""
+def test_points_of_a_reduced_image_come_back_to_the_stored_ones() -> None:
+    """Every pixel four by four times, reduced to a quarter, is the image itself: points must agree but for the size."""
     params = PARAMS.model_copy(update={"max_width_px": RIG.left.width_px})
     large = RIG.model_copy(update={"left": enlarged(RIG.left), "right": enlarged(RIG.right)})
     wide = params.model_copy(update={"min_disparity_px": 4 * PARAMS.min_disparity_px})
     for found, own in zip(
-        follow_drive(PAIRS, large, lambda *which: wall_picture(*which).repeat(4, axis=0).repeat(4, axis=1), wide),
-        follow_drive(PAIRS, RIG, wall_picture, params),
+        follow_drive(PAIRS, large, lambda *which: wall_image(*which).repeat(4, axis=0).repeat(4, axis=1), wide),
+        follow_drive(PAIRS, RIG, wall_image, params),
         strict=True,
     ):
         for ours, theirs in zip(found.points()[:2], own.points()[:2], strict=True):
@@ -150,57 +150,57 @@ def test_what_opencv_refuses_costs_its_interval_only(monkeypatch: pytest.MonkeyP
         return whole(**settings) if len(asked) > 1 else whole(numDisparities=16, blockSize=4)  # even: an error
 
     monkeypatch.setattr(cv2, "StereoBM", SimpleNamespace(create=broken_once))
-    assert reasons(wall_picture) == ["picture_unfit", "ok"]
+    assert reasons(wall_image) == ["image_unfit", "ok"]
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (2, 3), (9, 70), (64, 64)])
-def test_tiny_pictures_give_no_measurement(shape: tuple[int, int]) -> None:
-    """Half and a quarter of their size hold no window, and below one pixel there is no picture."""
+def test_tiny_images_give_no_measurement(shape: tuple[int, int]) -> None:
+    """Half and a quarter of their size hold no window, and below one pixel there is no image."""
     noise = np.random.default_rng(0).integers(0, 255, (len(PAIRS), 2, *shape)).astype(np.uint8)
-    pictures = {
+    images = {
         (p.frame_index, side): noise[i, j] for i, p in enumerate(PAIRS) for j, side in enumerate(("left", "right"))
     }
     size = {"width_px": shape[1], "height_px": shape[0]}
     rig = rig_with(left=size, right=size)
-    found = reasons(lambda pair, side: pictures[pair.frame_index, side], rig=rig)
-    assert set(found) <= {"too_few_points", "picture_blank"}
+    found = reasons(lambda pair, side: images[pair.frame_index, side], rig=rig)
+    assert set(found) <= {"too_few_points", "image_blank"}
 
 
 def test_equal_input_gives_equal_output() -> None:
-    assert list(measure_motions(PAIRS, RIG, wall_picture, PARAMS)) == list(
-        measure_motions(PAIRS, RIG, wall_picture, PARAMS)
+    assert list(measure_motions(PAIRS, RIG, wall_image, PARAMS)) == list(
+        measure_motions(PAIRS, RIG, wall_image, PARAMS)
     )
 
 
-def test_dark_blank_and_frozen_pictures_say_so() -> None:
+def test_dark_blank_and_frozen_images_say_so() -> None:
     size = (RIG.left.height_px, RIG.left.width_px)
-    assert reasons(lambda pair, side: np.zeros(size, np.uint8)) == ["picture_blank"] * 2
-    assert reasons(lambda pair, side: np.full((*size, 3), 200, np.uint8)) == ["picture_blank"] * 2
-    assert reasons(lambda pair, side: wall_picture(PAIRS[0], side)) == ["picture_frozen"] * 2
+    assert reasons(lambda pair, side: np.zeros(size, np.uint8)) == ["image_blank"] * 2
+    assert reasons(lambda pair, side: np.full((*size, 3), 200, np.uint8)) == ["image_blank"] * 2
+    assert reasons(lambda pair, side: wall_image(PAIRS[0], side)) == ["image_frozen"] * 2
 
 
 def test_noise_alone_gives_no_measurement() -> None:
-    def noise(pair: FramePair, side: Side) -> Picture:
+    def noise(pair: FramePair, side: Side) -> Image:
         rng = np.random.default_rng([pair.frame_index, side == "left"])
         return rng.integers(0, 255, (RIG.left.height_px, RIG.left.width_px)).astype(np.uint8)
 
     assert set(reasons(noise)) <= {"too_few_points", "no_consensus", "degenerate"}
 
 
-def test_a_missing_picture_costs_its_two_intervals_only() -> None:
+def test_a_missing_image_costs_its_two_intervals_only() -> None:
     pairs = make_path(5, step_m=0.4)
 
-    def read(pair: FramePair, side: Side) -> Picture:
+    def read(pair: FramePair, side: Side) -> Image:
         if pair.frame_index == 2 and side == "right":
             raise ImageFileError(RejectionReason.IMAGE_MISSING, "2.jpg: there is no such file")
-        return wall_picture(pair, side)
+        return wall_image(pair, side)
 
-    assert reasons(read, pairs) == ["ok", "picture_unreadable", "picture_unreadable", "ok"]
+    assert reasons(read, pairs) == ["ok", "image_unreadable", "image_unreadable", "ok"]
 
 
 def test_a_standing_car_measures_that_it_stands() -> None:
-    def read(pair: FramePair, side: Side) -> Picture:
-        still = wall_picture(PAIRS[0], side).astype(np.float64)
+    def read(pair: FramePair, side: Side) -> Image:
+        still = wall_image(PAIRS[0], side).astype(np.float64)
         noise = np.random.default_rng([7, pair.frame_index, side == "left"]).normal(0, 2.0, still.shape)
         return np.clip(still + noise, 0, 255).astype(np.uint8)
 
@@ -211,11 +211,11 @@ def test_a_standing_car_measures_that_it_stands() -> None:
 
 
 def test_the_sample_drive_moves_as_its_log_says() -> None:
-    """Rendered pictures, poses of RTK grade: 1.4 m a frame, agreed within 2 cm."""
+    """Rendered images, poses of RTK grade: 1.4 m a frame, agreed within 2 cm."""
     found, _ = read_drive(SAMPLE)
     pairs = found.frame_pairs[10:14]
 
-    def read(pair: FramePair, side: Side) -> Picture:
+    def read(pair: FramePair, side: Side) -> Image:
         return read_image(Path(pair.left_path if side == "left" else pair.right_path))
 
     for motion, first, second in zip(measure_motions(pairs, found.rig, read, PARAMS), pairs, pairs[1:], strict=False):
@@ -228,4 +228,4 @@ def test_a_rig_with_a_lens_is_refused() -> None:
     lens = Lens(model="radial", coefficients=(0.1, 0.0))
     raw = RIG.model_copy(update={"left": RIG.left.model_copy(update={"lens": lens})})
     with pytest.raises(ValueError, match="rectified"):
-        list(measure_motions(PAIRS, raw, wall_picture, PARAMS))
+        list(measure_motions(PAIRS, raw, wall_image, PARAMS))

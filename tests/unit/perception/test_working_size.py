@@ -1,4 +1,4 @@
-"""Pictures of two sizes brought to one, and image points that keep their place through it."""
+"""Images of two sizes brought to one, and image points that keep their place through it."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from conetl.geometry.motion.stereo_tracks import NoMeasurement
 from conetl.geometry.rig import infinity_shift_px
 from conetl.model.records import Camera, Rig, Side
-from conetl.perception.working_size import WorkingPictures, read_working_pictures, working_size
+from conetl.perception.working_size import WorkingImages, read_working_images, working_size
 from tests.synthetic.world import make_path, make_rig
 
 PAIR = make_path(1)[0]
 
 
 def rig_of(left: tuple[int, int], right: tuple[int, int]) -> Rig:
-    """The synthetic rig with pictures of other sizes (width, height)."""
+    """The synthetic rig with images of other sizes (width, height)."""
     rig = make_rig()
 
     def camera(own: Camera, size: tuple[int, int]) -> Camera:
@@ -30,47 +30,47 @@ def noise(width: int, height: int) -> NDArray[np.uint8]:
     return np.random.default_rng(5).integers(0, 255, (height, width)).astype(np.uint8)
 
 
-def pictures_of(rig: Rig, max_width_px: int) -> WorkingPictures:
+def images_of(rig: Rig, max_width_px: int) -> WorkingImages:
     def read(_: object, side: Side) -> NDArray[np.uint8]:
         camera = rig.left if side == "left" else rig.right
         return noise(camera.width_px, camera.height_px)
 
-    found = read_working_pictures(PAIR, read, working_size(rig, max_width_px))
-    assert isinstance(found, WorkingPictures)
+    found = read_working_images(PAIR, read, working_size(rig, max_width_px))
+    assert isinstance(found, WorkingImages)
     return found
 
 
 @pytest.mark.parametrize("max_width_px", [1000, 320, 101])
 def test_both_sides_become_one_size_with_one_scale(max_width_px: int) -> None:
     rig = rig_of((353, 105), (392, 107))
-    working, pictures = working_size(rig, max_width_px), pictures_of(rig, max_width_px)
-    assert pictures.left.shape == pictures.right.shape == working.size_px[::-1]
+    working, images = working_size(rig, max_width_px), images_of(rig, max_width_px)
+    assert images.left.shape == images.right.shape == working.size_px[::-1]
     assert working.size_px[0] == min(max_width_px, 392)
-    assert pictures.quarter_left.shape == pictures.quarter_right.shape
+    assert images.quarter_left.shape == images.quarter_right.shape
     assert working.seen_px("left") == pytest.approx([353, 105] * working.scale)
     assert (working.seen_px("right") == np.inf).all(), "the larger side has no padding"
-    assert pictures.half_left.shape == tuple((working.seen_px("left") / 2).astype(int)[::-1])
+    assert images.half_left.shape == tuple((working.seen_px("left") / 2).astype(int)[::-1])
 
 
-def test_equal_pictures_that_are_not_too_wide_stay_as_they_are() -> None:
+def test_equal_images_that_are_not_too_wide_stay_as_they_are() -> None:
     rig = rig_of((352, 104), (352, 104))
-    working, pictures = working_size(rig, 352), pictures_of(rig, 352)
-    assert np.array_equal(pictures.left, noise(352, 104))
+    working, images = working_size(rig, 352), images_of(rig, 352)
+    assert np.array_equal(images.left, noise(352, 104))
     points = np.random.default_rng(0).uniform(0, 352, (50, 2))
     assert np.array_equal(working.to_working(points), points)
     assert np.array_equal(working.to_stored(points), points)
 
 
 @pytest.mark.parametrize("max_width_px", [1000, 100, 77])
-def test_a_point_of_the_reduced_picture_is_where_the_stored_one_has_it(max_width_px: int) -> None:
-    """Blobs at known places: their centroids in the reduced picture, taken back, are where they were drawn."""
+def test_a_point_of_the_reduced_image_is_where_the_stored_one_has_it(max_width_px: int) -> None:
+    """Blobs at known places: their centroids in the reduced image, taken back, are where they were drawn."""
     rig = rig_of((400, 203), (380, 203))
     v, u = np.mgrid[:203, :400]
     for place in ((100.0, 70.0), (251.5, 133.25)):
         blob = (250 * np.exp(-((u - place[0]) ** 2 + (v - place[1]) ** 2) / 2 / 15**2)).astype(np.uint8)
         working = working_size(rig, max_width_px)
-        found = read_working_pictures(PAIR, lambda _, side: blob[:, : 400 if side == "left" else 380], working)  # noqa: B023
-        assert isinstance(found, WorkingPictures)
+        found = read_working_images(PAIR, lambda _, side: blob[:, : 400 if side == "left" else 380], working)  # noqa: B023
+        assert isinstance(found, WorkingImages)
         moments = cv2.moments(found.left.astype(np.float32))
         centroid = np.array([moments["m10"], moments["m01"]]) / moments["m00"]
         assert working.to_stored(centroid) == pytest.approx(place, abs=0.02)
@@ -92,14 +92,14 @@ def test_a_shift_that_is_only_rounding_is_none() -> None:
     assert (working_size(rig, 1280).infinity_shift(np.random.default_rng(0).uniform(0, 300, (90, 2))) == 0.0).all()
 
 
-def test_pictures_of_another_size_than_the_rigs_are_not_used() -> None:
+def test_images_of_another_size_than_the_rigs_are_not_used() -> None:
     rig = rig_of((352, 104), (352, 104))
-    found = read_working_pictures(PAIR, lambda *_: noise(350, 104), working_size(rig, 1280))
-    assert found is NoMeasurement.PICTURE_UNREADABLE
+    found = read_working_images(PAIR, lambda *_: noise(350, 104), working_size(rig, 1280))
+    assert found is NoMeasurement.IMAGE_UNREADABLE
 
 
-def test_pictures_that_cannot_be_worked_on_say_so() -> None:
+def test_images_that_cannot_be_worked_on_say_so() -> None:
     """Two channels are neither grey nor a colour."""
     rig = rig_of((352, 104), (352, 104))
-    found = read_working_pictures(PAIR, lambda *_: np.zeros((104, 352, 2), np.uint8), working_size(rig, 1280))
-    assert found is NoMeasurement.PICTURE_UNFIT
+    found = read_working_images(PAIR, lambda *_: np.zeros((104, 352, 2), np.uint8), working_size(rig, 1280))
+    assert found is NoMeasurement.IMAGE_UNFIT

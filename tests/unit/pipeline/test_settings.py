@@ -24,5 +24,5 @@ def test_a_variable_that_cannot_be_used_is_named(monkeypatch: pytest.MonkeyPatch
 def test_what_is_told_of_a_drive_on_one_map_does_not_replace_what_is_told_of_it_on_another() -> None:
     """The same drive is new on one map and confirms another."""
     here, there = (Settings(map_name=name) for name in ("demo", "test"))
-    assert here.drive_picture_path("../d 1") != there.drive_picture_path("../d 1")
-    assert here.drive_picture_path("../d 1").parent == here.drive_report_path("../d 1", 1).parent == here.reports_folder
+    assert here.drive_image_path("../d 1") != there.drive_image_path("../d 1")
+    assert here.drive_image_path("../d 1").parent == here.drive_report_path("../d 1", 1).parent == here.reports_folder

@@ -36,7 +36,7 @@ ANTENNA_M = np.array([0.4, -0.2, 1.1])
 
 @dataclass(frozen=True)
 class Frame:
-    """One frame pair: picture files (None: not recorded), time, and pose record (None: not recorded)."""
+    """One frame pair: image files (None: not recorded), time, and pose record (None: not recorded)."""
 
     left: bytes | None
     right: bytes | None
@@ -262,7 +262,7 @@ def compressed(stamp_ns: int, frame_id: str, data: bytes) -> tuple[str, Any]:
     return kind, T[kind](header=header(stamp_ns, frame_id), format="jpeg", data=np.frombuffer(data, np.uint8))
 
 
-Picture = Callable[[int, str, bytes], tuple[str, Any]]
+Image = Callable[[int, str, bytes], tuple[str, Any]]
 
 
 def write_bag(
@@ -272,10 +272,10 @@ def write_bag(
     *,
     plugin: StoragePlugin = StoragePlugin.MCAP,
     odometry: bool = False,
-    picture: Picture = compressed,
+    image: Image = compressed,
     image_name: str = "image_raw/compressed",
     connected: bool = True,
-    recorder_as_pictures: bool = False,
+    recorder_as_images: bool = False,
     mangle: Callable[[str, int, bytes], bytes] = lambda topic, number, data: data,
 ) -> Path:
     messages: list[tuple[int, str, str, Any]] = []
@@ -291,11 +291,11 @@ def write_bag(
     ]  # fmt: skip
     messages.append((start, "/tf_static", "tf2_msgs/msg/TFMessage", T["tf2_msgs/msg/TFMessage"](transforms=links)))
     for i, frame in enumerate(frames):
-        at = frame.stamp_ns if recorder_as_pictures else start + i * 10**8
+        at = frame.stamp_ns if recorder_as_images else start + i * 10**8
         for side in ("left", "right"):
             data = getattr(frame, side)
             if data is not None:
-                kind, content = picture(frame.stamp_ns, f"{side}_optical", data)
+                kind, content = image(frame.stamp_ns, f"{side}_optical", data)
                 messages.append((at, f"/stereo/{side}/{image_name}", kind, content))
         if frame.oxts is not None:
             made = odometry_messages(origin_of(frames), frame) if odometry else fix_messages(frame)

@@ -21,7 +21,7 @@ from conetl.model.records import Drive, Rig
 from conetl.model.rejections import Rejection
 from conetl.model.rejections import RejectionReason as R
 from conetl.readers.drives import drive_format, read_drive
-from conetl.readers.drives.header import find_drives, outline_drive
+from conetl.readers.drives.header import find_drives, read_header
 from conetl.readers.rigs import write_rig_yaml
 from tests.unit.readers.drive_formats import (
     SAMPLE,
@@ -57,7 +57,7 @@ def reference(frames: list[Frame], rig: Rig, tmp_path_factory: pytest.TempPathFa
 
 
 def read(path: Path, cache: Path) -> tuple[Drive, list[Rejection]]:
-    return read_drive(path, pictures_folder=cache)
+    return read_drive(path, images_folder=cache)
 
 
 @pytest.mark.parametrize("name", OTHERS)
@@ -94,7 +94,7 @@ def test_every_format_gives_the_same_drive(
     assert read(other, tmp_path / "cache")[0].content_sha256 != drive.content_sha256
 
 
-def small_picture() -> bytes:
+def small_image() -> bytes:
     return bytes(cv2.imencode(".jpg", np.full((20, 30, 3), 9, np.uint8))[1].tobytes())
 
 
@@ -105,11 +105,11 @@ def without_poses(frames: list[Frame]) -> list[Frame]:
 
 
 FAULTS: dict[str, tuple[Callable[[list[Frame]], list[Frame]], dict[int, R]]] = {
-    "right picture missing": (lambda f: changed(f, 3, right=None), {3: R.IMAGE_MISSING}),
-    "left picture missing": (lambda f: changed(f, 0, left=None), {0: R.IMAGE_MISSING}),
-    "picture cut off": (lambda f: changed(f, 4, left=(f[4].left or b"")[:-500]), {4: R.IMAGE_TRUNCATED}),
-    "no picture at all": (lambda f: changed(f, 2, right=b"not a picture"), {2: R.IMAGE_UNREADABLE}),
-    "another size": (lambda f: changed(f, 5, right=small_picture()), {5: R.IMAGE_WRONG_SIZE}),
+    "right image missing": (lambda f: changed(f, 3, right=None), {3: R.IMAGE_MISSING}),
+    "left image missing": (lambda f: changed(f, 0, left=None), {0: R.IMAGE_MISSING}),
+    "image cut off": (lambda f: changed(f, 4, left=(f[4].left or b"")[:-500]), {4: R.IMAGE_TRUNCATED}),
+    "no image at all": (lambda f: changed(f, 2, right=b"not a image"), {2: R.IMAGE_UNREADABLE}),
+    "another size": (lambda f: changed(f, 5, right=small_image()), {5: R.IMAGE_WRONG_SIZE}),
     "time falls": (lambda f: changed(f, 6, stamp_ns=f[1].stamp_ns - 5 * 10**9), {6: R.TIMESTAMP_INVALID}),
     "clock not set at first": (
         lambda f: changed(f, 0, stamp_ns=5 * 10**9, pose_stamp_ns=5 * 10**9), {0: R.TIMESTAMP_INVALID},
@@ -140,7 +140,7 @@ def test_the_same_faults_cost_the_same_pairs(
         assert {r.payload["frame_index"] for r in rejections} == set(lost)
     assert all(r.step == "frames" and r.detail for r in rejections)
     if "clock" in fault and "bag" not in name and "mcap" not in name:  # whose times are the recorder's
-        outline = outline_drive(tmp_path / "run")
+        outline = read_header(tmp_path / "run")
         assert (outline.captured_from_ns, outline.captured_to_ns) == (kept[0], kept[-1])
 
 
@@ -148,11 +148,11 @@ def test_a_bag_whose_recorder_had_no_time_yet_is_placed_by_its_end(
     tmp_path: Path, frames: list[Frame], rig: Rig
 ) -> None:
     first = changed(frames, 0, stamp_ns=5 * 10**9, pose_stamp_ns=5 * 10**9)
-    outline = outline_drive(write_bag(tmp_path / "run", first, rig, recorder_as_pictures=True))
+    outline = read_header(write_bag(tmp_path / "run", first, rig, recorder_as_images=True))
     assert (outline.problem, outline.captured_from_ns) == (None, outline.captured_to_ns)
     assert outline.captured_to_ns == frames[-1].stamp_ns
     unset = [changed([f], 0, stamp_ns=f.stamp_ns % 10**15, pose_stamp_ns=f.stamp_ns % 10**15)[0] for f in frames]
-    outline = outline_drive(write_bag(tmp_path / "unset", unset, rig))
+    outline = read_header(write_bag(tmp_path / "unset", unset, rig))
     assert (outline.problem, outline.captured_from_ns) == (None, None)
 
 
@@ -161,7 +161,7 @@ def test_headers_only_understands_the_same(name: str, tmp_path: Path, frames: li
     damaged = changed(changed(frames, 3, right=None), 4, left=(frames[4].left or b"")[:-500])
     path = WRITERS[name](tmp_path / "run", damaged, rig)
     full, full_rejections = read(path, tmp_path / "cache")
-    quick, rejections = read_drive(path, pictures_folder=tmp_path / "quick", headers_only=True)
+    quick, rejections = read_drive(path, images_folder=tmp_path / "quick", headers_only=True)
     assert rejections == full_rejections
     assert [p.pose for p in quick.frame_pairs] == [p.pose for p in full.frame_pairs]
     assert Path(quick.frame_pairs[0].left_path).is_file()
@@ -217,9 +217,9 @@ def raw_image(stamp_ns: int, frame_id: str, data: bytes) -> tuple[str, Any]:
     )  # fmt: skip
 
 
-def test_raw_pictures_of_a_bag_lose_nothing(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+def test_raw_images_of_a_bag_lose_nothing(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
     few = frames[:3]
-    path = write_bag(tmp_path / "run", few, rig, picture=raw_image, image_name="image_raw")
+    path = write_bag(tmp_path / "run", few, rig, image=raw_image, image_name="image_raw")
     drive, rejections = read(path, tmp_path / "cache")
     assert rejections == []
     for pair, frame in zip(drive.frame_pairs, few, strict=True):
@@ -227,7 +227,7 @@ def test_raw_pictures_of_a_bag_lose_nothing(tmp_path: Path, frames: list[Frame],
         np.testing.assert_array_equal(cv2.imread(pair.left_path), true)
 
 
-def test_pictures_of_a_bag_are_unpacked_once(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+def test_images_of_a_bag_are_unpacked_once(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
     path = write_bag(tmp_path / "run", frames[:3], rig)
     cache = tmp_path / "cache"
     read(path, cache)
@@ -348,12 +348,12 @@ def test_a_plan_over_many_drives_finds_every_format(name: str, tmp_path: Path, f
 @pytest.mark.parametrize("name", WRITERS)
 def test_a_glance_knows_every_format(name: str, tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
     path = WRITERS[name](tmp_path / "day" / "run", frames, rig)
-    outline = outline_drive(path)
+    outline = read_header(path)
     assert (outline.problem, outline.drive_id, outline.frame_pairs) == (None, "run", len(frames))
     assert (outline.captured_from_ns, outline.captured_to_ns) == (frames[0].stamp_ns, frames[-1].stamp_ns)
-    assert outline_drive(path).header_sha256 == outline.header_sha256
+    assert read_header(path).header_sha256 == outline.header_sha256
     shorter = WRITERS[name](tmp_path / "other" / "run", frames[:-1], rig)
-    assert outline_drive(shorter).header_sha256 != outline.header_sha256
+    assert read_header(shorter).header_sha256 != outline.header_sha256
 
 
 def small_file_of(path: Path, name: str) -> Path:
@@ -366,19 +366,19 @@ def test_a_glance_and_the_reader_take_the_same_drive_yaml(
     name: str, tmp_path: Path, frames: list[Frame], rig: Rig
 ) -> None:
     path = WRITERS[name](tmp_path / "day" / "run", frames, rig)
-    before = outline_drive(path).header_sha256
+    before = read_header(path).header_sha256
     (path.parent / "drive.yaml").write_text("drive_id: of-somebody-else\n")
-    assert outline_drive(path).header_sha256 == before
+    assert read_header(path).header_sha256 == before
     settings = small_file_of(path, "drive.yaml")
     settings.write_text((settings.read_text() if settings.is_file() else "") + "drive_id: morning\n")
     whole, _ = read(path, tmp_path / "cache")
-    outline = outline_drive(path)
+    outline = read_header(path)
     assert outline.drive_id == whole.drive_id == "morning"
     assert outline.header_sha256 != before
     settings.write_text("no_such_key: 1\n")
     with pytest.raises(DriveFolderError) as refusal:
         read(path, tmp_path / "cache")
-    assert outline_drive(path).problem == str(refusal.value)
+    assert read_header(path).problem == str(refusal.value)
 
 
 @pytest.mark.parametrize("name", ["kitti", "plain", "euroc"])
@@ -386,7 +386,7 @@ def test_corrected_poses_are_another_header(name: str, tmp_path: Path, frames: l
     """Post-processing moves the poses and nothing else."""
     before, corrected = (frames, [replace(f, oxts=(f.oxts[0] + 5e-6, *f.oxts[1:])) for f in frames if f.oxts])
     first, then = (
-        outline_drive(WRITERS[name](tmp_path / part / "run", made, rig)).header_sha256
+        read_header(WRITERS[name](tmp_path / part / "run", made, rig)).header_sha256
         for part, made in (("before", before), ("after", corrected))
     )
     assert first != then
@@ -405,25 +405,25 @@ def test_corrected_poses_are_another_header(name: str, tmp_path: Path, frames: l
 def test_a_glance_tells_of_poses_that_are_not_there_yet_and_knows_when_they_came(
     name: str, late: str, tmp_path: Path, frames: list[Frame], rig: Rig
 ) -> None:
-    """Trajectories are computed later than pictures are copied. What was refused without one is another delivery with it."""
+    """Trajectories are computed later than images are copied. What was refused without one is another delivery with it."""
     path = WRITERS[name](tmp_path / "run", frames, rig)
     (path / late).rename(tmp_path / "late")
     with pytest.raises(DriveFolderError) as refusal:
         read_drive(path, headers_only=True)
-    before = outline_drive(path)
+    before = read_header(path)
     assert before.problem is not None
     assert str(refusal.value).startswith(before.problem)
     (tmp_path / "late").rename(path / late)
-    after = outline_drive(path)
+    after = read_header(path)
     assert after.problem is None
     assert after.header_sha256 != before.header_sha256
 
 
 def test_another_rig_beside_a_bare_bag_is_another_drive(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
     path = WRITERS["mcap file"](tmp_path / "run", frames[:2], rig)
-    before = outline_drive(path).header_sha256
+    before = read_header(path).header_sha256
     write_rig_yaml(rig, small_file_of(path, "rig.yaml"))
-    assert outline_drive(path).header_sha256 != before
+    assert read_header(path).header_sha256 != before
 
 
 @pytest.mark.parametrize("name", WRITERS)
@@ -433,7 +433,7 @@ def test_a_link_to_a_drive_of_any_format_is_that_drive(
     path = WRITERS[name](tmp_path / "run", frames[:2], rig)
     link = tmp_path / f"linked{path.suffix}"
     link.symlink_to(path)
-    direct, linked = outline_drive(path), outline_drive(link)
+    direct, linked = read_header(path), read_header(link)
     assert linked.problem is None
     assert (linked.drive_id, linked.header_sha256) == (direct.drive_id, direct.header_sha256)
     assert read(link, tmp_path / "cache")[0].drive_id == direct.drive_id
@@ -455,7 +455,7 @@ def test_a_glance_and_the_reader_refuse_what_lies_outside_of_a_euroc_drive(
         file.write(f"streams: {{{stream}: {named}}}\n")
     with pytest.raises(DriveFolderError, match=f"'{named}' leads out of the drive folder") as refusal:
         read(path, tmp_path / "cache")
-    assert outline_drive(path).problem == str(refusal.value)
+    assert read_header(path).problem == str(refusal.value)
 
 
 @pytest.mark.parametrize("name", ["../front", "{path}/front"])
@@ -467,7 +467,7 @@ def test_a_glance_and_the_reader_take_a_camera_anywhere_inside_of_a_euroc_drive(
     with (path / "drive.yaml").open("a") as file:
         file.write(f"streams: {{left: {name.format(path=path)}}}\n")
     drive, _ = read(path, tmp_path / "cache")
-    outline = outline_drive(path)
+    outline = read_header(path)
     assert (outline.problem, outline.frame_pairs, len(drive.frame_pairs)) == (None, 3, 3)
 
 
@@ -477,9 +477,9 @@ def test_a_glance_and_the_reader_refuse_a_named_kitti_camera_that_is_a_link_out_
     path = WRITERS["kitti"](tmp_path / "run", frames[:3], rig)
     (path / "image_02").rename(tmp_path / "elsewhere")
     (path / "image_02").symlink_to(tmp_path / "elsewhere")
-    assert outline_drive(path).problem is None
+    assert read_header(path).problem is None
     read(path, tmp_path / "cache")  # where nothing is named, links are the user's own layout
     (path / "drive.yaml").write_text("cameras: {left: image_02}\n")
     with pytest.raises(DriveFolderError, match="leads out of the drive folder") as refusal:
         read(path, tmp_path / "cache")
-    assert outline_drive(path).problem == str(refusal.value)
+    assert read_header(path).problem == str(refusal.value)

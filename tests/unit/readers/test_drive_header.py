@@ -1,4 +1,4 @@
-"""Drive folders at a glance: what is known of them without opening a picture."""
+"""Drive folders at a glance: what is known of them without opening a image."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 
 from conetl.model.errors import DriveFolderError
 from conetl.readers.drives import read_drive
-from conetl.readers.drives.header import find_drives, outline_drive, quiet_since
+from conetl.readers.drives.header import find_drives, quiet_since, read_header
 
 SAMPLES = Path(__file__).resolve().parents[3] / "data" / "drives"
 
@@ -25,7 +25,7 @@ def drive(tmp_path: Path) -> Path:
 
 
 def test_a_moment_of_bad_storage_is_no_property_of_the_drive(drive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    good = outline_drive(drive)
+    good = read_header(drive)
     read = Path.read_text
 
     def stale(path: Path, *arguments: Any, **options: Any) -> str:
@@ -35,17 +35,17 @@ def test_a_moment_of_bad_storage_is_no_property_of_the_drive(drive: Path, monkey
 
     with monkeypatch.context() as failing:
         failing.setattr(Path, "read_text", stale)
-        bad = outline_drive(drive)
+        bad = read_header(drive)
     assert bad.problem is not None
     assert "Stale file handle" in bad.problem
     assert bad.problem_may_pass
     assert not good.problem_may_pass
     (drive / "calib_cam_to_cam.txt").write_text("")
-    assert not outline_drive(drive).problem_may_pass
+    assert not read_header(drive).problem_may_pass
 
 
 def test_an_outline_agrees_with_the_whole_reading(drive: Path) -> None:
-    outline = outline_drive(drive)
+    outline = read_header(drive)
     whole, _ = read_drive(drive)
     assert outline.problem is None
     assert outline.drive_id == whole.drive_id
@@ -56,17 +56,17 @@ def test_an_outline_agrees_with_the_whole_reading(drive: Path) -> None:
 
 def test_the_header_goes_with_the_drive_and_not_with_its_place(drive: Path, tmp_path: Path) -> None:
     moved = Path(shutil.copytree(drive, tmp_path / "elsewhere" / "drive"))
-    assert outline_drive(moved).header_sha256 == outline_drive(drive).header_sha256
+    assert read_header(moved).header_sha256 == read_header(drive).header_sha256
 
 
 @pytest.mark.parametrize(
-    "change", ["a picture more", "another size", "another time", "another calibration", "other poses", "a pose more"]
+    "change", ["a image more", "another size", "another time", "another calibration", "other poses", "a pose more"]
 )
 def test_another_delivery_is_another_drive(drive: Path, change: str) -> None:
-    before = outline_drive(drive).header_sha256
-    picture = drive / "image_02" / "data" / "0000000000.jpg"
-    if change == "a picture more":
-        shutil.copy(picture, picture.with_name("0000009999.jpg"))
+    before = read_header(drive).header_sha256
+    image = drive / "image_02" / "data" / "0000000000.jpg"
+    if change == "a image more":
+        shutil.copy(image, image.with_name("0000009999.jpg"))
     elif change == "other poses":  # of as many digits
         for path in (drive / "oxts" / "data").iterdir():
             path.write_text(path.read_text().replace("4", "5", 1))
@@ -74,18 +74,18 @@ def test_another_delivery_is_another_drive(drive: Path, change: str) -> None:
         path = drive / "oxts" / "data" / "0000000000.txt"
         shutil.copy(path, path.with_name("0000009999.txt"))
     elif change == "another size":
-        picture.write_bytes(picture.read_bytes() + b"\0")
+        image.write_bytes(image.read_bytes() + b"\0")
     else:
         name = "image_02/timestamps.txt" if change == "another time" else "calib_cam_to_cam.txt"
         (drive / name).write_text((drive / name).read_text().replace("9", "8"))
-    assert outline_drive(drive).header_sha256 != before
+    assert read_header(drive).header_sha256 != before
 
 
 @pytest.mark.parametrize("missing", ["image_03", "image_02/timestamps.txt"])
 def test_what_is_missing_is_said_and_nothing_raised(drive: Path, missing: str) -> None:
     path = drive / missing
     shutil.rmtree(path) if path.is_dir() else path.unlink()
-    problem = outline_drive(drive).problem
+    problem = read_header(drive).problem
     assert problem is not None
     assert missing in problem
 
@@ -94,20 +94,20 @@ def test_a_calibration_that_cannot_be_used_is_said_too(drive: Path) -> None:
     calibration = drive / "calib_cam_to_cam.txt"
     whole = calibration.read_text()
     calibration.write_text("\n".join(line for line in whole.splitlines() if not line.startswith("P_rect_03")))
-    spoilt = outline_drive(drive)
+    spoilt = read_header(drive)
     assert spoilt.problem is not None
     assert "P_rect_03" in spoilt.problem
     assert spoilt.captured_from is not None
     calibration.unlink()
-    missing = outline_drive(drive)
+    missing = read_header(drive)
     assert "calib_cam_to_cam.txt" in (missing.problem or "")
     (drive / "drive.yaml").write_text("calibration: named/calib_cam_to_cam.txt\n")
     (drive / "named").mkdir()
     for name in ("calib_velo_to_cam.txt", "calib_imu_to_velo.txt"):
         (drive / name).rename(drive / "named" / name)
-    before = outline_drive(drive)
+    before = read_header(drive)
     (drive / "named" / "calib_cam_to_cam.txt").write_text(whole)
-    delivered = outline_drive(drive)
+    delivered = read_header(drive)
     assert delivered.problem is None
     # What was refused under one header must not stay refused once the file is there.
     assert delivered.header_sha256 not in (before.header_sha256, missing.header_sha256)
@@ -128,13 +128,13 @@ def test_a_linked_drive_is_the_drive_that_the_link_leads_to(
     drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whichever way leads to it: plan, job and reader must mean one drive, else it is ingested again and again."""
-    direct = outline_drive(drive)
+    direct = read_header(drive)
     (tmp_path / "links").mkdir()
     link = tmp_path / "links" / "another-name"
     link.symlink_to(drive)
     monkeypatch.chdir(drive)
     for way in (link, Path(), Path("../drive")):
-        outline = outline_drive(way)
+        outline = read_header(way)
         assert (outline.drive_id, outline.header_sha256) == (direct.drive_id, direct.header_sha256)
         assert read_drive(way, headers_only=True)[0].drive_id == direct.drive_id
 
@@ -145,9 +145,9 @@ def test_a_calibration_beside_the_link_is_found_by_plan_and_reader(drive: Path, 
     for path in drive.glob("calib*.txt"):
         path.rename(day / path.name)
     (day / "linked").symlink_to(drive)
-    assert outline_drive(drive).problem is not None
+    assert read_header(drive).problem is not None
     for [found] in (find_drives(day), find_drives(day / "linked")):
-        assert outline_drive(found).problem is None
+        assert read_header(found).problem is None
         assert read_drive(found, headers_only=True)[0].drive_id == "drive"
 
 
@@ -189,27 +189,27 @@ def test_a_folder_that_cannot_be_read_is_told_and_stops_no_other(
         monkeypatch.setattr(Path, "is_file", lambda path: Path.exists(path) and not Path.is_dir(path))
     found = list(find_drives(drive.parent))
     assert found == [drive, closed]
-    outline = outline_drive(closed)
+    outline = read_header(closed)
     assert os.strerror(code) in (outline.problem or "")
     assert outline.drive_id == "lost+found"
-    assert outline_drive(drive).problem is None
+    assert read_header(drive).problem is None
     other = drive.parent / "other" / "lost+found"
     other.mkdir(parents=True)
     failing(monkeypatch, os, "scandir", other, error)
-    assert outline_drive(other).header_sha256 != outline.header_sha256
+    assert read_header(other).header_sha256 != outline.header_sha256
 
 
 def test_a_drive_of_which_a_file_cannot_be_read_is_told(drive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     error = PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(drive / "image_03" / "data"))
     failing(monkeypatch, os, "scandir", drive / "image_03" / "data", error)
-    assert "Permission denied" in (outline_drive(drive).problem or "")
+    assert "Permission denied" in (read_header(drive).problem or "")
 
 
 def test_a_link_that_leads_to_itself_stops_nothing(drive: Path) -> None:
     (drive.parent / "round").symlink_to("round")
     round_, found = sorted(find_drives(drive.parent), reverse=True)
     assert found == drive
-    assert outline_drive(round_).problem is not None
+    assert read_header(round_).problem is not None
 
 
 def test_a_folder_that_is_gone_or_closed_is_not_quiet_for_an_error(
@@ -225,7 +225,7 @@ def test_a_folder_that_is_gone_or_closed_is_not_quiet_for_an_error(
 def test_a_name_that_is_not_utf8_is_refused_in_words_that_can_be_printed(drive: Path) -> None:
     odd = drive.rename(drive.parent / os.fsdecode(b"M\xfcnchen"))
     assert list(find_drives(drive.parent)) == [odd]
-    outline = outline_drive(odd)
+    outline = read_header(odd)
     assert outline.drive_id == "M\\xfcnchen"
     assert outline.shown_path == f"{drive.parent}/M\\xfcnchen"
     assert "not UTF-8" in (outline.problem or "")
@@ -233,27 +233,27 @@ def test_a_name_that_is_not_utf8_is_refused_in_words_that_can_be_printed(drive: 
     with pytest.raises(DriveFolderError, match="rename the folder"):
         read_drive(odd)
     again = Path(shutil.copytree(odd, drive.parent / "other day" / odd.name))
-    assert outline_drive(again).header_sha256 != outline.header_sha256, "each is told"
+    assert read_header(again).header_sha256 != outline.header_sha256, "each is told"
     link = drive.parent / "linked"
     link.symlink_to(odd)
-    assert "not UTF-8" in (outline_drive(link).problem or "")
+    assert "not UTF-8" in (read_header(link).problem or "")
     with pytest.raises(DriveFolderError, match="not UTF-8"):
         list(find_drives(odd))
 
 
 def test_an_id_that_no_database_can_hold_is_written_as_it_can_be(drive: Path) -> None:
     (drive / "drive.yaml").write_text('drive_id: "a\\0b"\n')
-    assert outline_drive(drive).drive_id == "a\\x00b"
-    assert read_drive(drive, headers_only=True)[0].drive_id == outline_drive(drive).drive_id
+    assert read_header(drive).drive_id == "a\\x00b"
+    assert read_drive(drive, headers_only=True)[0].drive_id == read_header(drive).drive_id
 
 
 def test_a_time_before_all_times_is_a_stamp_that_cannot_be_read(drive: Path) -> None:
     (drive / "drive.yaml").write_text("timestamps_timezone: Europe/Berlin\n")
-    whole = outline_drive(drive)
+    whole = read_header(drive)
     stamps = drive / "image_02" / "timestamps.txt"
     lines = stamps.read_text().splitlines()
     stamps.write_text("\n".join(["0001-01-01 00:00:00", *lines[1:]]) + "\n")
-    outline = outline_drive(drive)
+    outline = read_header(drive)
     assert outline.problem is None
     assert outline.captured_to_ns == whole.captured_to_ns
     _, rejections = read_drive(drive, headers_only=True)
@@ -265,4 +265,4 @@ def test_a_file_of_which_nobody_thought_stops_nothing(drive: Path, monkeypatch: 
         raise RecursionError("too deep")
 
     monkeypatch.setattr("conetl.readers.drives.header.read_drive_yaml", broken)
-    assert "RecursionError: too deep" in (outline_drive(drive).problem or "")
+    assert "RecursionError: too deep" in (read_header(drive).problem or "")

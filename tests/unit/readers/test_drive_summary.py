@@ -1,4 +1,4 @@
-"""The summary of drives with known gaps and jumps, and pictures judged by their ends."""
+"""The summary of drives with known gaps and jumps, and images judged by their ends."""
 
 from __future__ import annotations
 
@@ -59,11 +59,11 @@ def test_a_jump_is_told_once(sample: Drive, by_m: float, told: list[int]) -> Non
     assert all(jump.off_m == pytest.approx(by_m, abs=0.05) for jump in jumps)
 
 
-def test_the_ends_of_a_picture_tell_what_the_whole_tells(tmp_path: Path) -> None:
+def test_the_ends_of_a_image_tell_what_the_whole_tells(tmp_path: Path) -> None:
     noise = np.random.default_rng(1).integers(0, 255, (300, 400, 3), np.uint8)  # larger than what is read of it
     for suffix in (".png", ".jpg"):
         data = bytes(cv2.imencode(suffix, noise, [cv2.IMWRITE_JPEG_QUALITY, 100])[1].tobytes())
-        path = tmp_path / f"picture{suffix}"
+        path = tmp_path / f"image{suffix}"
         path.write_bytes(data)
         assert len(data) > 100_000
         header = check_image_ends(path, path.name, (400, 300))

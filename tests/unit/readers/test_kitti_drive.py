@@ -1,4 +1,4 @@
-"""KITTI drive folders made of small pictures: whole, and broken in every way that must cost one pair or the drive."""
+"""KITTI drive folders made of small images: whole, and broken in every way that must cost one pair or the drive."""
 
 from __future__ import annotations
 
@@ -54,14 +54,14 @@ def oxts_line(metres: float, *, yaw: float = YAW, accuracy: float = 0.3) -> str:
 
 @pytest.fixture
 def drive(tmp_path: Path) -> Path:
-    """Six pairs, 10 Hz, 10 m/s; poses are stamped 40 ms after the pictures. Calibration in the parent folder."""
+    """Six pairs, 10 Hz, 10 m/s; poses are stamped 40 ms after the images. Calibration in the parent folder."""
     root = tmp_path / "day" / "drive_0001"
     rng = np.random.default_rng(0)
     for camera in ("image_02", "image_03"):
         (root / camera / "data").mkdir(parents=True)
         for i in range(FRAMES):
-            picture = rng.integers(0, 255, (HEIGHT, WIDTH, 3), dtype=np.uint8)
-            assert cv2.imwrite(str(root / camera / "data" / f"{i:010d}.jpg"), picture)
+            image = rng.integers(0, 255, (HEIGHT, WIDTH, 3), dtype=np.uint8)
+            assert cv2.imwrite(str(root / camera / "data" / f"{i:010d}.jpg"), image)
         (root / camera / "timestamps.txt").write_text("".join(f"{stamp(1 + 0.1 * i)}\n" for i in range(FRAMES)))
     (root / "oxts" / "data").mkdir(parents=True)
     for i in range(FRAMES):
@@ -99,7 +99,7 @@ def test_poses_are_those_of_the_exposure_and_of_grid_north(drive: Path) -> None:
         if pair.frame_index == 0:
             assert np.linalg.norm(way) < 0.01
             continue
-        expected = SPEED_M_S * 0.1 * pair.frame_index  # at the picture's time, not 40 ms later
+        expected = SPEED_M_S * 0.1 * pair.frame_index  # at the image's time, not 40 ms later
         assert np.linalg.norm(way[:2]) == pytest.approx(expected, rel=0.01)
         assert way[2] == pytest.approx(0.01 * expected, abs=1e-6)
         roll, pitch, yaw = se3.rpy_from_rotation(np.array(pair.pose.map_R_body))
@@ -174,7 +174,7 @@ LOSSES: dict[str, tuple[Callable[[Path], object], int, RejectionReason, str]] = 
     "left image missing": (lambda d: (d / "image_02/data/0000000004.jpg").unlink(), 4, R.IMAGE_MISSING, "no left image"),
     "JPEG cut off": (lambda d: cut(d / "image_02/data/0000000002.jpg"), 2, R.IMAGE_TRUNCATED, "end marker"),
     "empty file": (lambda d: (d / "image_03/data/0000000001.jpg").write_bytes(b""), 1, R.IMAGE_UNREADABLE, "empty"),
-    "no picture": (lambda d: (d / "image_03/data/0000000001.jpg").write_text("<html>"), 1, R.IMAGE_UNREADABLE, "neither"),
+    "no image": (lambda d: (d / "image_03/data/0000000001.jpg").write_text("<html>"), 1, R.IMAGE_UNREADABLE, "neither"),
     "other size": (other_size, 2, R.IMAGE_WRONG_SIZE, "100 x 40 pixels, but the calibration is for 96 x 32"),
     "two images of one number": (
         lambda d: shutil.copy(d / "image_02/data/0000000002.jpg", d / "image_02/data/2.jpg"), 2, R.IMAGE_UNREADABLE, "keep one",
@@ -282,7 +282,7 @@ def test_several_broken_pairs_each_give_one_rejection(drive: Path) -> None:
     ]  # fmt: skip
 
 
-def test_a_picture_without_a_number_is_rejected_not_forgotten(drive: Path) -> None:
+def test_a_image_without_a_number_is_rejected_not_forgotten(drive: Path) -> None:
     shutil.copy(drive / "image_02/data/0000000002.jpg", drive / "image_02/data/extra.jpg")
     result, (rejection,) = read_drive(drive)
     assert len(result.frame_pairs) == FRAMES == result.expected_frame_count
@@ -309,13 +309,13 @@ FAILURES: dict[str, tuple[Callable[[Path], object], type[Exception], str]] = {
     ),
     "no OXTS": (lambda d: remove(d, "oxts"), DriveFolderError, "no poses in oxts/data"),
     "no right camera": (lambda d: remove(d, "image_03"), DriveFolderError, "image_03/data is missing"),
-    "no pictures": (
+    "no images": (
         lambda d: [p.unlink() for c in ("image_02", "image_03") for p in (d / c / "data").iterdir()],
-        DriveFolderError, "no pictures",
+        DriveFolderError, "no images",
     ),
     "no time stamps": (lambda d: remove(d, "image_02/timestamps.txt"), DriveFolderError, "image_02/timestamps.txt is missing"),
     "all poses bad": (lambda d: [change_oxts(i, 0, "nan")(d) for i in range(FRAMES)], DriveFolderError, "lat_deg is nan"),
-    "all pictures bad": (
+    "all images bad": (
         lambda d: [cut(p) for p in (d / "image_02/data").iterdir()], DriveFolderError, "not one of 6 frame pairs can be used",
     ),
     "drive.yaml with an unknown key": (

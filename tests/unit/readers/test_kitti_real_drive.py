@@ -83,7 +83,7 @@ def test_heights_and_horizon_are_plausible(
     assert all(se3.is_rotation(pose[:3, :3], 1e-9) for pose in map_SE3_left)
 
 
-def test_pictures_can_be_read(kitti: tuple[Drive, list[Rejection]]) -> None:
+def test_images_can_be_read(kitti: tuple[Drive, list[Rejection]]) -> None:
     pair = kitti[0].frame_pairs[80]
     for path in (pair.left_path, pair.right_path):
         assert read_image(Path(path), (1242, 375)).shape == (375, 1242, 3)

@@ -109,8 +109,8 @@ FAILURES: dict[str, tuple[Callable[[Path], object], type[Exception], str]] = {
     "column missing": (edit("trajectory.csv", ",sigma_yaw_deg", ",sigma_jaw_deg"), 
         DriveFolderError, "missing sigma_yaw_deg; not known sigma_jaw"),
     "no rows": (lambda d: (d / "trajectory.csv").write_text(HEADER + "\n"), DriveFolderError, "the file has no rows"),
-    "no pictures": (
-        lambda d: [p.unlink() for s in ("left", "right") for p in (d / s).iterdir()], DriveFolderError, "no pictures",
+    "no images": (
+        lambda d: [p.unlink() for s in ("left", "right") for p in (d / s).iterdir()], DriveFolderError, "no images",
     ),
     "right folder missing": (lambda d: (d / "right").rename(d / "wrong"), DriveFolderError, "the folder right is missing"),
 }  # fmt: skip

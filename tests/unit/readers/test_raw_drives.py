@@ -1,4 +1,4 @@
-"""Drive folders with raw pictures: which rig a reader takes, and what rig.yaml may say of lenses and sigmas."""
+"""Drive folders with raw images: which rig a reader takes, and what rig.yaml may say of lenses and sigmas."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from conetl.geometry import rig as rigs
 from conetl.geometry.rectification import is_rectified, rectified_from_raw, rectify
 from conetl.model.errors import CalibrationError
 from conetl.readers.drives import read_drive
-from conetl.readers.rigs import read_kitti_rig, read_rig, read_rig_for_pictures, write_rig_yaml
+from conetl.readers.rigs import read_kitti_rig, read_rig, read_rig_for_images, write_rig_yaml
 
 #: The numbers of KITTI's cameras 02 and 03, with few digits.
 CAM_TO_CAM = """S_02: 1392 512
@@ -45,7 +45,7 @@ BODY = "body_SE3_left: {R: [[0, 0, 1], [-1, 0, 0], [0, -1, 0]], t_m: [1.0, 0.2, 
 
 @pytest.fixture
 def kitti(tmp_path: Path) -> Path:
-    """Calibration of a KITTI day, with a drive of three frames without pictures in it."""
+    """Calibration of a KITTI day, with a drive of three frames without images in it."""
     root = tmp_path / "drive"
     shutil.copytree(SAMPLE / "oxts", root / "oxts")
     for name in ("calib_velo_to_cam.txt", "calib_imu_to_velo.txt"):
@@ -54,7 +54,7 @@ def kitti(tmp_path: Path) -> Path:
     return root
 
 
-def put_pictures(root: Path, width: int, height: int) -> None:
+def put_images(root: Path, width: int, height: int) -> None:
     for camera in ("image_02", "image_03"):
         (root / camera / "data").mkdir(parents=True)
         shutil.copy(SAMPLE / camera / "timestamps.txt", root / camera)
@@ -65,7 +65,7 @@ def put_pictures(root: Path, width: int, height: int) -> None:
 def test_kittis_raw_cameras_see_what_its_rectified_ones_see(kitti: Path) -> None:
     """The two halves of KITTI's file agree: a body point through K, D, R, T and through P_rect lies in one direction."""
     path = kitti / "calib_cam_to_cam.txt"
-    raw = read_kitti_rig(path, body_required=True, pictures="raw")
+    raw = read_kitti_rig(path, body_required=True, images="raw")
     own = read_kitti_rig(path, body_required=True)
     assert raw.left.lens.model == "brown" and raw.baseline_m == pytest.approx(own.baseline_m, abs=1e-4)
     point = np.array([9.0, 1.0, -0.8])
@@ -84,28 +84,28 @@ def test_kittis_raw_cameras_see_what_its_rectified_ones_see(kitti: Path) -> None
         np.testing.assert_allclose(cam.project(rigs.camera_of(raw, side), back), uv, atol=0.25)  # type: ignore[arg-type]
     flat = rectify(raw)
     assert is_rectified(flat) and flat.left.fx_px == pytest.approx(959.791)
-    assert flat.left.width_px >= 1392, "straightening a barrel at full resolution widens the picture"
+    assert flat.left.width_px >= 1392, "straightening a barrel at full resolution widens the image"
     assert np.isfinite(rectified_from_raw(flat, "left", [696.0, 256.0])).all()
 
 
 @pytest.mark.parametrize(("size", "raw"), [((1242, 375), False), ((1392, 512), True)])
-def test_kitti_pictures_tell_by_their_size_what_they_are(kitti: Path, size: tuple[int, int], raw: bool) -> None:
-    put_pictures(kitti, *size)
+def test_kitti_images_tell_by_their_size_what_they_are(kitti: Path, size: tuple[int, int], raw: bool) -> None:
+    put_images(kitti, *size)
     drive, rejections = read_drive(kitti)
     assert rejections == [] and len(drive.frame_pairs) == 3
     assert (drive.rig.rectified_from is not None) == raw
-    assert (read_rig_for_pictures(kitti, size).rectified_from is not None) == raw
+    assert (read_rig_for_images(kitti, size).rectified_from is not None) == raw
 
 
-def test_kitti_pictures_of_a_third_size_are_refused_as_before(kitti: Path) -> None:
-    put_pictures(kitti, 640, 200)
+def test_kitti_images_of_a_third_size_are_refused_as_before(kitti: Path) -> None:
+    put_images(kitti, 640, 200)
     with pytest.raises(Exception, match=r"640 x 200 pixels, but the calibration is for 1242 x 375"):
         read_drive(kitti)
 
 
 def test_a_swapped_raw_pair_is_told(kitti: Path) -> None:
     with pytest.raises(CalibrationError, match=r"T_03, T_02: .*swapped"):
-        read_kitti_rig(kitti / "calib_cam_to_cam.txt", left=3, right=2, body_required=True, pictures="raw")
+        read_kitti_rig(kitti / "calib_cam_to_cam.txt", left=3, right=2, body_required=True, images="raw")
 
 
 def plain(root: Path, rig: str) -> Path:
@@ -139,7 +139,7 @@ def test_a_plain_drive_with_a_turned_camera_is_rectified(tmp_path: Path) -> None
     assert read_drive(plain(tmp_path / "e", text))[0].rig.rectified_from is None
 
 
-def test_a_plain_drive_whose_cameras_share_no_picture_is_refused(tmp_path: Path) -> None:
+def test_a_plain_drive_whose_cameras_share_no_image_is_refused(tmp_path: Path) -> None:
     turn = se3.rotation_from_rpy(0.0, 2.6, 0.0).tolist()
     text = f"left: {{{PIXELS}}}\nright: {{{PIXELS}}}\nleft_SE3_right: {{R: {turn}, t_m: [0.3, 0, 0]}}\n{BODY}\n"
     with pytest.raises(CalibrationError, match=r"rig\.yaml: the cameras look"):

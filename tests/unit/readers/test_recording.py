@@ -16,7 +16,7 @@ from conetl.readers.recording import drive as arriving
 from conetl.readers.recording.drive import ArrivingPair, open_arriving
 from conetl.readers.recording.rows import ArrivingRows
 from conetl.readers.recording.stamps import ArrivingStamps
-from tests.integration.arriving_drives import SAMPLE, append, begin, kitti_head, picture, row, write_pictures
+from tests.integration.arriving_drives import SAMPLE, append, begin, image, kitti_head, row, write_images
 
 SRID = 32632
 
@@ -24,7 +24,7 @@ SRID = 32632
 def test_nothing_tells_what_it_is_yet(tmp_path: Path) -> None:
     assert open_arriving(tmp_path) is None
     (tmp_path / "drive.yaml").write_text("drive_id: morning\n")
-    assert open_arriving(tmp_path) is None  # plain or KITTI: only pictures or a trajectory tell
+    assert open_arriving(tmp_path) is None  # plain or KITTI: only images or a trajectory tell
 
 
 def test_a_format_that_cannot_be_watched_is_named(tmp_path: Path) -> None:
@@ -52,11 +52,11 @@ def test_rows_count_once_they_end(tmp_path: Path) -> None:
         ArrivingRows(folder / "trajectory.csv").read_on()
 
 
-def test_a_plain_pair_needs_both_pictures_and_its_row(tmp_path: Path) -> None:
+def test_a_plain_pair_needs_both_images_and_its_row(tmp_path: Path) -> None:
     folder = begin(tmp_path / "d")
     drive = open_arriving(folder)
     assert drive is not None and drive.drive_id == "d" and drive.rig() is not None
-    data, name = picture(10, "left")
+    data, name = image(10, "left")
     (folder / "left" / name).write_bytes(data)
     assert drive.look(None) == []
     (folder / "right" / name).write_bytes(data)
@@ -67,8 +67,8 @@ def test_a_plain_pair_needs_both_pictures_and_its_row(tmp_path: Path) -> None:
     drive.look([])
     found = drive.frame_pair(pair, None)
     assert found is not None and found[1] == SRID and found[0].frame_index == 0
-    write_pictures(folder, 12)
-    write_pictures(folder, 11)
+    write_images(folder, 12)
+    write_images(folder, 11)
     append(folder, row(11))
     pairs = drive.look(None)
     assert [p.key for p in sorted(pairs, key=drive.order)] == ["000011", "000012"]  # the one without a row comes last
@@ -78,20 +78,20 @@ def test_a_name_that_is_known_costs_a_look_nothing(tmp_path: Path, monkeypatch: 
     """An hour's drive is 72,000 names, looked at again and again."""
     folder = begin(tmp_path / "d")
     for number in (10, 11):
-        write_pictures(folder, number)
+        write_images(folder, number)
     (folder / "left" / ".000012.jpg.part").touch()
     drive = open_arriving(folder)
     assert drive is not None and len(drive.look(None)) == 2
     asked: list[str] = []
 
-    def is_picture(name: str) -> bool:
+    def is_image(name: str) -> bool:
         asked.append(name)
         return real(name)
 
-    real = arriving._is_picture
-    monkeypatch.setattr(arriving, "_is_picture", is_picture)
+    real = arriving._is_image
+    monkeypatch.setattr(arriving, "_is_image", is_image)
     assert drive.look(None) == [] and asked == []
-    write_pictures(folder, 12)
+    write_images(folder, 12)
     assert [pair.left_path for pair in drive.look(None)] == [folder.resolve() / "left" / "000012.jpg"]
     assert asked == ["000012.jpg"] * 2
 

@@ -315,7 +315,7 @@ BAD_KALIBR = {
     "no rotation": (change("cam1/T_cn_cnm1", np.diag([1, 2, 1, 1]).tolist()), "T_cn_cnm1.*not a rotation"),
     "words": (change("cam0/resolution", "big"), "'cam0.resolution' must be numbers"),
     "half pixels": (change("cam0/resolution", [640.5, 480]), "'cam0.resolution' must be whole numbers"),
-    "another picture": (change("cam0/resolution", [160, 120]), "'cam0.intrinsics' has the principal point"),
+    "another image": (change("cam0/resolution", [160, 120]), "'cam0.intrinsics' has the principal point"),
     "negative f": (change("cam0/intrinsics", [-900, 900, 640, 360]), "'cam0.intrinsics' must have positive focal"),
 }  # fmt: skip
 BAD_MATLAB = {
@@ -424,7 +424,7 @@ def test_size_and_unit_are_only_for_files_that_do_not_tell(tmp_path: Path) -> No
 def test_opencv_writes_no_rig_that_it_cannot_hold(tmp_path: Path) -> None:
     rig = make_rig(Lens())
     small = rig.model_copy(update={"right": rig.right.model_copy(update={"width_px": 640})})
-    with pytest.raises(CalibrationError, match="one picture size"):
+    with pytest.raises(CalibrationError, match="one image size"):
         WRITERS["opencv"](small, tmp_path / "a.yml")
     mixed = rig.model_copy(update={"right": rig.right.model_copy(update={"lens": LENSES["fisheye"]})})
     with pytest.raises(CalibrationError, match="two fisheye lenses or none"):

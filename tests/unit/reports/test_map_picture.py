@@ -1,4 +1,4 @@
-"""The plan picture: what is in it, where, in which colour; and that nothing is half-written."""
+"""The plan image: what is in it, where, in which colour; and that nothing is half-written."""
 
 from __future__ import annotations
 

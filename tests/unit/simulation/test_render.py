@@ -1,4 +1,4 @@
-"""The renderer: where things land in its pictures, and whole tiny drives. Needs the extra `conetl[simulate]`."""
+"""The renderer: where things land in its images, and whole tiny drives. Needs the extra `conetl[simulate]`."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ def _looking_along_x(height_m: float, pitch_rad: float) -> np.ndarray:
 def test_cone_is_rendered_where_its_place_projects(x_m: float, y_m: float) -> None:
     """Its orange pixels have their centre of gravity where the upright solid of revolution projects, to 0.3 px across."""
     cone = Cone("C01", x_m, y_m, 0.7, band_count=0, dirt=0.0)
-    pictures = [
+    images = [
         render(
             build_scene(World(cones=cones, objects=(), sun_elevation_deg=60.0, sun_azimuth_deg=180.0, sun_scale=0.0)),
             RIG, _looking_along_x(1.5, 0.1), samples_per_pixel=64, seed=4,
         )
         for cones in ((cone,), ())
     ]  # fmt: skip
-    orange = [p[..., 0] / p.sum(axis=-1) for p in pictures]
+    orange = [p[..., 0] / p.sum(axis=-1) for p in images]
     inside = (orange[0] - orange[1]) > 0.15
     assert inside.sum() > 30
     rows, columns = np.nonzero(inside)
@@ -113,22 +113,22 @@ def test_tiny_drive_is_whole_and_equal_seeds_give_equal_files(tiny_drive: Path, 
     assert digests[0] == digests[1]
     frames = scenario_pass(2).frame_count
     assert seen == [(n, 2 * frames) for n in range(1, 2 * frames + 1)]
-    assert len(digests[0]) == 2 * frames + frames + 3 + 3 + 1  # pictures, poses, time stamps, calibration, truth
+    assert len(digests[0]) == 2 * frames + frames + 3 + 3 + 1  # images, poses, time stamps, calibration, truth
     rows = read_truth(again / "truth.csv")
     assert [row.change for row in rows].count("removed") == 1
     assert all(row.present != (row.change == "removed") for row in rows)
 
 
-def test_road_picture_is_well_exposed_and_has_an_orange_cone() -> None:
+def test_road_image_is_well_exposed_and_has_an_orange_cone() -> None:
     scenario, rig = scenario_pass(1), simulated_rig(96, 64)
     poses = trajectory.true_poses(scenario, np.array([1.2]), float(rig.body_SE3_camera(2)[0, 3]), rig.imu_height_m)
     view = np.linalg.inv(trajectory.map_SE3_road()) @ poses[0] @ rig.body_SE3_camera(2)
     radiance = render(build_scene(scenario.world), rig.camera, view, samples_per_pixel=4, seed=1)
     assert radiance.shape == (64, 96, 3)
-    picture = camera_noise.develop(radiance, camera_noise.exposure_gain(radiance), np.random.default_rng(0))
-    assert 60 < np.median(picture) < 200
-    assert (picture == 255).mean() < 0.05
-    hue, saturation, value = cv2.split(cv2.cvtColor(picture, cv2.COLOR_BGR2HSV))
+    image = camera_noise.develop(radiance, camera_noise.exposure_gain(radiance), np.random.default_rng(0))
+    assert 60 < np.median(image) < 200
+    assert (image == 255).mean() < 0.05
+    hue, saturation, value = cv2.split(cv2.cvtColor(image, cv2.COLOR_BGR2HSV))
     assert ((hue > 4) & (hue < 16) & (saturation > 170) & (value > 110)).sum() >= 3
 
 

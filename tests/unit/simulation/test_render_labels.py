@@ -44,10 +44,10 @@ def _boxes(script: ModuleType, world: World) -> list[tuple[float, float, float, 
 
 def test_box_holds_exactly_the_pixels_that_the_cone_changes(script: ModuleType) -> None:
     (box,) = _boxes(script, WORLD)
-    pictures = [
+    images = [
         render(build_scene(w), CAMERA, _pose(), samples_per_pixel=32, seed=2) for w in (WORLD, replace(WORLD, cones=()))
     ]
-    change = np.abs(pictures[0] - pictures[1]).sum(axis=-1) / pictures[1].sum(axis=-1)
+    change = np.abs(images[0] - images[1]).sum(axis=-1) / images[1].sum(axis=-1)
     rows, columns = np.nonzero(change > 0.55)  # the cone itself, not its faint shadow under an overcast sky
     assert box[0] == pytest.approx(columns.min(), abs=1.5)
     assert box[1] == pytest.approx(rows.min(), abs=1.5)

@@ -66,18 +66,18 @@ def test_unknown_pass_is_refused() -> None:
 
 @pytest.mark.parametrize("pass_number", [1, 2, 3])
 def test_every_cone_and_every_left_spot_is_seen_by_both_cameras(pass_number: int) -> None:
-    """At least 8 frames nearer than 20 m, foot and tip inside both pictures."""
+    """At least 8 frames nearer than 20 m, foot and tip inside both images."""
     scenario, rig = scenario_pass(pass_number), simulated_rig()
     times = np.arange(scenario.frame_count) * trajectory.FRAME_PERIOD_S
     poses = trajectory.true_poses(scenario, times, float(rig.body_SE3_camera(2)[0, 3]), rig.imu_height_m)
     before = {cone.cone_id: cone for cone in scenario_pass(1).world.cones}
     old_places = [before[k] for k, change in scenario.changes.items() if change == "moved"]
     for cone in [*scenario.world.cones, *scenario.removed, *old_places]:
-        seen = [pose for pose in poses if all(_in_picture(cone, pose @ rig.body_SE3_camera(c)) for c in (2, 3))]
+        seen = [pose for pose in poses if all(_in_image(cone, pose @ rig.body_SE3_camera(c)) for c in (2, 3))]
         assert len(seen) >= 8, cone.cone_id
 
 
-def _in_picture(cone: Cone, map_SE3_camera: np.ndarray) -> bool:
+def _in_image(cone: Cone, map_SE3_camera: np.ndarray) -> bool:
     rig = simulated_rig()
     points = np.array([[cone.x_m, cone.y_m, 0.0, 1.0], [cone.x_m, cone.y_m, cone.height_m, 1.0]]).T
     local = (np.linalg.inv(map_SE3_camera) @ trajectory.map_SE3_road() @ points)[:3]

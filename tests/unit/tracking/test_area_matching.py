@@ -3,10 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from tests.synthetic.cone_images import F_PX, ConePair, cone_pair
 
 from conetl.tracking.matching.area_matching import AreaMatch, match_area
 from conetl.tracking.matching.cone_outline import find_outline
-from tests.synthetic.cone_pictures import F_PX, ConePair, cone_pair
 
 UP = np.array([0.0, -1.0, 0.0])
 
@@ -38,7 +38,7 @@ def test_sigma_is_that_of_the_errors() -> None:
         found = match(pair)
         assert found is not None
         squares.append(((found.disparity_px - pair.disparity_px) / found.sigma_px) ** 2)
-    # 0.31: these pictures know neither JPEG nor leaning cones, for which sigma allows; halved it would be 1.2, doubled 0.08
+    # 0.31: these images know neither JPEG nor leaning cones, for which sigma allows; halved it would be 1.2, doubled 0.08
     assert 0.15 < np.mean(squares) < 0.65
 
 
@@ -69,7 +69,7 @@ def test_a_row_offset_is_found_and_does_not_matter() -> None:
 
 
 def test_a_cone_half_behind_a_post_is_refused() -> None:
-    # the post stands 1.5 m in front and hides another half in the other picture: any match would be off by pixels
+    # the post stands 1.5 m in front and hides another half in the other image: any match would be off by pixels
     assert [match(cone_pair(10.0, seed, post=True)) for seed in range(6)] == [None] * 6
 
 
@@ -77,14 +77,14 @@ def test_no_texture_gives_no_match() -> None:
     assert match(cone_pair(9.0, 1, flat=True)) is None
 
 
-def test_another_picture_gives_no_match() -> None:
+def test_another_image_gives_no_match() -> None:
     pair = cone_pair(9.0, 1)
     rng = np.random.default_rng(0)
     other = rng.integers(0, 255, pair.right.shape).astype(np.uint8)
     assert match(pair, right=other) is None
 
 
-def test_a_search_beyond_the_picture_gives_no_match() -> None:
+def test_a_search_beyond_the_image_gives_no_match() -> None:
     pair = cone_pair(9.0, 1)
     assert match(pair, guess_off_px=120.0) is None
 

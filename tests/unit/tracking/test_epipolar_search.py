@@ -1,4 +1,4 @@
-"""Where the right picture is searched: nothing that could be a match lies outside, and one camera alone is never trusted."""
+"""Where the right image is searched: nothing that could be a match lies outside, and one camera alone is never trusted."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_whatever_matches_lies_in_the_region(
 
 
 def test_the_law_above_is_about_something() -> None:
-    """Matches do occur, and regions are small parts of the picture."""
+    """Matches do occur, and regions are small parts of the image."""
     (pair,) = make_path(1)
     found = detect([Cone((12.0, 1.0, 0.0))], [pair], RIG)
     matches, _ = match_pair(found[0, "left"], found[0, "right"], RIG, PARAMS.match, up_left=UP)
@@ -89,7 +89,7 @@ def test_nothing_on_the_left_is_nothing_to_search() -> None:
 
 
 def test_a_box_whose_partner_would_lie_outside_has_no_region() -> None:
-    assert right_region([box("left", 0.0, 150, 10, 40)], RIG, PARAMS) is None, "its partner is left of the picture"
+    assert right_region([box("left", 0.0, 150, 10, 40)], RIG, PARAMS) is None, "its partner is left of the image"
 
 
 @given(st.integers(1, 200), st.integers(1, 9))
@@ -115,7 +115,7 @@ def test_blocks_hold_every_pair_once_and_never_leave_too_many_out(count: int, le
         ([], False),
         ([box("right", 300, 150, 20, 40)], True),
         ([box("right", 300, 150, 8, 15)], False),  # too small to count as a look
-        ([box("right", 1200, 150, 20, 40)], False),  # the left picture ends before its place
+        ([box("right", 1200, 150, 20, 40)], False),  # the left image ends before its place
         ([box("left", 330, 150, 20, 40), box("right", 300, 150, 20, 40)], False),
         ([box("left", 330, 150, 20, 40), box("right", 700, 150, 20, 40)], True),
         ([box("left", 330, 150, 20, 40)], False),
@@ -123,6 +123,6 @@ def test_blocks_hold_every_pair_once_and_never_leave_too_many_out(count: int, le
         ([box("left", 230, 150, 20, 40), box("left", 930, 150, 20, 40), box("right", 600, 150, 20, 40)], True),
     ],
 )
-def test_what_the_left_picture_does_not_answer(boxes: list[Detection], unanswered: bool) -> None:
+def test_what_the_left_image_does_not_answer(boxes: list[Detection], unanswered: bool) -> None:
     assert is_unanswered(boxes, RIG, PARAMS) is unanswered
     assert is_unanswered(boxes, RIG, EVERYWHERE) is False, "nothing was left out"

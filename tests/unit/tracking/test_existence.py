@@ -135,8 +135,8 @@ def test_boxes_of_another_thing_speak_neither_for_nor_against() -> None:
     assert alone == pytest.approx(belief(pairs, pairs), abs=0.02), "as if nobody had looked where the other boxes are"
 
 
-def test_a_right_picture_that_was_not_searched_says_nothing() -> None:
-    """Of pairs whose left picture shows nothing, the right one neither misses the cone nor, searched all the same, shows it."""
+def test_a_right_image_that_was_not_searched_says_nothing() -> None:
+    """Of pairs whose left image shows nothing, the right one neither misses the cone nor, searched all the same, shows it."""
     pairs = make_path(40)
     found = detect([Cone((30.0, 2.5, 0.0))], pairs, RIG, score=0.6)
     blind = {index for index, _ in found if index % 3}

@@ -2,13 +2,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.synthetic.cone_images import BASE_M, F_PX, SIZE, cone_pair
 
 from conetl.geometry.pose import to_matrix4
 from conetl.model.params import MatchParams
 from conetl.model.records import Camera
 from conetl.model.rejections import RejectionReason
 from conetl.tracking.matching.matches import foot_image_point, match_pair, with_measured_spread
-from tests.synthetic.cone_pictures import BASE_M, F_PX, SIZE, cone_pair
 from tests.synthetic.world import Cone, camera_pose, detect, make_path, make_rig
 
 UP = np.array([0.0, -1.0, 0.0])
@@ -18,7 +18,7 @@ def test_every_cone_is_matched_with_itself_also_in_a_dense_row() -> None:
     rig, (pair,) = make_rig(), make_path(1)
     cones = [Cone((9.0 + 1.5 * k, -3.0 + 0.4 * k, 0.0)) for k in range(10)]
     found = detect(cones, [pair], rig, noise_px=0.5)
-    # detection k shows the same cone in both pictures: all ten are in view
+    # detection k shows the same cone in both images: all ten are in view
     assert len(found[0, "left"]) == len(found[0, "right"]) == 10
     matches, rejections = match_pair(found[0, "left"], found[0, "right"], rig, MatchParams(), up_left=UP)
     assert not rejections
@@ -92,7 +92,7 @@ def test_foot_and_tip_of_the_network_take_part() -> None:
     assert match.centre_left_uv_px[1] == pytest.approx(left.y_px + left.h_px / 2 - 0.5), "of the box, as in the paper"
 
 
-def test_pictures_fix_the_disparity_and_its_sigma() -> None:
+def test_images_fix_the_disparity_and_its_sigma() -> None:
     pair = cone_pair(9.0, 2)
     camera = Camera(width_px=SIZE[1], height_px=SIZE[0], fx_px=F_PX, fy_px=F_PX, cx_px=90.0, cy_px=30.0)
     right_pose = [[1.0, 0.0, 0.0, BASE_M], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
@@ -118,7 +118,7 @@ def test_pictures_fix_the_disparity_and_its_sigma() -> None:
 
 
 @pytest.mark.parametrize(("spread", "low", "high"), [(0.5, 0.55, 0.95), (1.0, 1.0, 1.6), (3.0, 2.0, 2.0)])
-def test_the_spread_of_feet_is_that_between_the_two_pictures(spread: float, low: float, high: float) -> None:
+def test_the_spread_of_feet_is_that_between_the_two_images(spread: float, low: float, high: float) -> None:
     """Whatever constant the calibration leaves between the rows; a few matches say little, and boxes without feet nothing."""
     rig, (pair,) = make_rig(), make_path(1)
     found = detect([Cone((10.0, 0.0, 0.0))], [pair], rig)

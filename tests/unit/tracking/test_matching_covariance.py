@@ -23,9 +23,9 @@ def draw(rng: np.random.Generator, contrast: float, noise: float, alike: float) 
     size = (ROWS + 2 * MARGIN, COLUMNS + 2 * MARGIN)
     texture = gaussian_filter(rng.normal(size=size), 1.2)
     texture *= contrast / texture.std()
-    pictures = [128 + texture[..., None] + noise * noisy(rng, size, alike) for _ in range(2)]
-    left, right = (np.clip(np.round(picture), 0, 255).astype(np.uint8) for picture in pictures)
-    patches = [SplinePatch.of(picture, 0, size[0] - 8, 4, size[1] - 8) for picture in (left, right)]
+    images = [128 + texture[..., None] + noise * noisy(rng, size, alike) for _ in range(2)]
+    left, right = (np.clip(np.round(image), 0, 255).astype(np.uint8) for image in images)
+    patches = [SplinePatch.of(image, 0, size[0] - 8, 4, size[1] - 8) for image in (left, right)]
     assert patches[0] is not None
     assert patches[1] is not None
     rows, columns = ROW_OF + MARGIN, COLUMN_OF + float(MARGIN)

@@ -172,7 +172,7 @@ def test_an_uncertain_calibration_widens_what_is_stated_in_the_map_and_not_what_
     positions, still_refused = locate_positions(matches, {7: PAIR}, rig, PARAMS)
     assert [r.reason for r in still_refused] == [r.reason for r in refused]
     assert positions[0].xyz_m == exact[0].xyz_m
-    assert positions[0].camera_cov_m2 == exact[0].camera_cov_m2, "pictures of one rig share the error"
+    assert positions[0].camera_cov_m2 == exact[0].camera_cov_m2, "images of one rig share the error"
     added = as_matrix(positions[0].cov_m2) - as_matrix(exact[0].cov_m2)
     values, vectors = np.linalg.eigh(added)
     depth = positions[0].camera_xyz_m[2]
@@ -214,7 +214,7 @@ def test_a_tilted_rig_measures_along_the_bodys_up() -> None:
 
 
 def test_a_raw_rig_without_a_body_measures_in_the_frame_of_its_own_left_camera() -> None:
-    """Rectification turns the picture, not the camera: up and the axes are those of the camera that took it."""
+    """Rectification turns the image, not the camera: up and the axes are those of the camera that took it."""
     turned = Rotation.from_euler("xyz", [0.4, -1.5, 0.8], degrees=True).as_matrix()
     raw = RIG.model_copy(
         update={

@@ -84,7 +84,7 @@ def test_a_turned_camera_is_found_and_applied() -> None:
 
 
 def test_a_bend_is_found_and_applied() -> None:
-    """Of a bent picture the sides are measured right afterwards too, and what is left open there is stated."""
+    """Of a bent image the sides are measured right afterwards too, and what is left open there is stated."""
     found = asked(bend_px=1.6)
     assert found.outcome is SelfCalibrationOutcome.APPLIED
     assert found.bend * FOCAL_PX == pytest.approx(1.6, abs=0.5)
@@ -116,7 +116,7 @@ def test_what_is_left_to_know_is_carried_as_an_error_of_the_calibration() -> Non
         "relative.rx_rad", "relative.ry_rad", "relative.rz_rad", "right.cx_px"
     )  # fmt: skip
     matrix = np.array(rig.calibration_covariance.matrix)
-    middle = np.array([0, FOCAL_PX, 0, -1])  # turn and principal point: only their sum moves the middle of the picture
+    middle = np.array([0, FOCAL_PX, 0, -1])  # turn and principal point: only their sum moves the middle of the image
     sigma_px = np.sqrt(middle @ matrix @ middle)
     assert 0.05 <= sigma_px < 0.2
     assert 0.05 <= np.sqrt(matrix[3, 3]) < 0.3  # and the bend tells the principal point
@@ -201,7 +201,7 @@ def test_a_calibration_of_unknown_accuracy_is_the_same_in_all_drives_that_correc
     assert np.linalg.eigvalsh(left_over / np.outer(scale, scale)).min() > -1e-9
 
 
-def test_the_camera_that_took_raw_pictures_is_turned_along_and_pictures_stay() -> None:
+def test_the_camera_that_took_raw_images_is_turned_along_and_images_stay() -> None:
     lens = Lens(model="radial", coefficients=(-0.1, 0.01))
     tilt = np.eye(4)
     tilt[:3, :3] = Rotation.from_rotvec([0.01, -0.02, 0.005]).as_matrix()
@@ -259,12 +259,12 @@ def test_a_car_that_stands_or_turns_on_the_spot_gives_no_estimate() -> None:
     assert self_calibrated_rig(RIG, SWITCHED_OFF, PARAMS) is RIG
 
 
-def test_pictures_without_texture_give_no_estimate() -> None:
+def test_images_without_texture_give_no_estimate() -> None:
     spans = [Span(k, k + 1, motion(2.0, 0.0)) for k in range(20)]
     blank = [
         StereoTracks(
             first_frame_index=k, second_frame_index=k + 1, first_px=(), second_px=(), sigma_px=1.0,
-            missing=NoMeasurement.PICTURE_BLANK,
+            missing=NoMeasurement.IMAGE_BLANK,
         )
         for k in range(20)
     ]  # fmt: skip

@@ -97,7 +97,7 @@ def test_what_was_drawn_is_found(sizes: tuple[float, float, float]) -> None:
     assert (factors.std(axis=0) / expected < 1.5 * (2 / count) ** 0.5).all()
 
 
-def test_poses_that_slide_are_no_scatter_of_the_pictures() -> None:
+def test_poses_that_slide_are_no_scatter_of_the_images() -> None:
     """A refined log of an RTK receiver: with the covariance of its poses the drawn factors are found, without it larger ones."""
     params, rng = TrajectoryParams(), np.random.default_rng(6)
     truth = np.stack([se3.map_SE3_body(pair.pose) for pair in PATH])

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from conetl.model.map_records import BelievedVersion
+from conetl.model.map_records import FeatureVersion
 from conetl.model.params import WorkZoneParams
 from conetl.model.work_zone_records import DrivePath
 from conetl.workzones.work_zones import chain, zones_over_time
@@ -36,7 +36,7 @@ def stand(number: int, x: float, y: float = -3.0, *, days: tuple[int, int | None
             "first_seen_ns": days[0] * DAY_NS + number,
         }
     )
-    return BelievedVersion(
+    return FeatureVersion(
         feature=feature,
         changeset_id=uuid5(NAMES, f"day {days[0]}"),
         standing=True,
@@ -46,7 +46,7 @@ def stand(number: int, x: float, y: float = -3.0, *, days: tuple[int, int | None
     )
 
 
-def gone(version: BelievedVersion, day: int) -> BelievedVersion:
+def gone(version: FeatureVersion, day: int) -> FeatureVersion:
     """The version that says that it is gone, as the map holds one."""
     return version.model_copy(
         update={

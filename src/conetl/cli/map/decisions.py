@@ -22,7 +22,7 @@ from conetl.db.map.map_store import find_map, list_changesets, read_features_as_
 from conetl.exports.diff_geojson import export_diff_geojson
 from conetl.mapping.map_diff import diff as diff_of
 from conetl.model.errors import InputError
-from conetl.model.map_records import BelievedVersion, FeatureChange, MapFeature
+from conetl.model.map_records import FeatureChange, FeatureVersion, MapFeature
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.reports.plan_view import draw_plan_view
 
@@ -195,7 +195,7 @@ def _print(decided: Decided, as_json: bool, numbers: Mapping[UUID, int]) -> None
     if as_json:
         conflicts = [
             {
-                name: v.model_dump(mode="json") if isinstance(v, BelievedVersion) else v
+                name: v.model_dump(mode="json") if isinstance(v, FeatureVersion) else v
                 for name, v in one._asdict().items()
             }
             for one in decided.conflicts
@@ -223,7 +223,7 @@ def _print(decided: Decided, as_json: bool, numbers: Mapping[UUID, int]) -> None
         print_table("", columns, rows, numbers_from=5)
 
 
-def _state_text(version: BelievedVersion | None, nothing: str) -> str:
+def _state_text(version: FeatureVersion | None, nothing: str) -> str:
     """Where a feature stands, in the map's CRS."""
     if version is None:
         return nothing

@@ -31,8 +31,8 @@ from conetl.model.rejections import Rejection, RejectionReason
 from conetl.perception.boards.boards import Board, parse_board
 from conetl.perception.boards.images import (
     SIDES,
-    BoardPictures,
-    PicturePair,
+    BoardImages,
+    ImagePair,
     find_boards,
     pairs_by_pattern,
     pairs_even_odd,
@@ -107,7 +107,7 @@ def calibrate(
     count = sum(pair.path(side) is not None for pair in pairs for side in SIDES)
     with progress_bar() as bars:
         task = bars.add_task("find corners", total=count)
-        pictures = find_boards(pairs, drawn, on_picture=lambda: bars.advance(task))
+        pictures = find_boards(pairs, drawn, on_image=lambda: bars.advance(task))
     _check_found(pictures, drawn)
     try:
         result = calibrate_stereo(
@@ -146,7 +146,7 @@ def calibrate(
 # --------------------------------------------------------------------------- input
 
 
-def _pairs(folder: Path, pairing: Pairing, left: str | None, right: str | None) -> list[PicturePair]:
+def _pairs(folder: Path, pairing: Pairing, left: str | None, right: str | None) -> list[ImagePair]:
     if not folder.is_dir():
         raise InputError(f"{folder}: there is no such folder")
     if (left is None) != (right is None):
@@ -177,7 +177,7 @@ def _shapes(choice: ShapeChoice) -> tuple[BoardShape, ...]:
     return shapes[choice]
 
 
-def _check_found(pictures: BoardPictures, board: Board) -> None:
+def _check_found(pictures: BoardImages, board: Board) -> None:
     """Raise CalibrationError where no picture shows the board, with what most of them show instead."""
     if pictures.views:
         return
@@ -194,7 +194,7 @@ def _check_found(pictures: BoardPictures, board: Board) -> None:
 def _report(
     rig: Rig,
     result: StereoCalibration,
-    pairs: list[PicturePair],
+    pairs: list[ImagePair],
     refused: list[Rejection],
     sensor: tuple[float, float] | None,
 ) -> dict[str, Any]:
@@ -240,11 +240,11 @@ def _report(
     return content
 
 
-def _residuals(pair: PicturePair, view: BoardView, rms: float) -> dict[str, Any]:
+def _residuals(pair: ImagePair, view: BoardView, rms: float) -> dict[str, Any]:
     return {"pair": pair.name, "side": view.side, "corners": len(view.point_ids), "rms_px": rms}
 
 
-def _corner(pair: PicturePair, corner: CornerRejection) -> dict[str, Any]:
+def _corner(pair: ImagePair, corner: CornerRejection) -> dict[str, Any]:
     place = {"pair": pair.name, "side": corner.side, "point": corner.point_id}
     return {**place, "uv_px": corner.uv_px, "residual_px": corner.residual_px}
 

@@ -69,7 +69,7 @@ def run_steps(folder: Path, settings: Settings, params: IngestParams, *, map_sri
     from flows.analysis import PlainRuns, analyse
     from flows.tasks import read_drive_task
 
-    drive, rejections = read_drive_task.fn(folder, map_srid, settings.pictures_folder.resolve())
+    drive, rejections = read_drive_task.fn(folder, map_srid, settings.images_folder.resolve())
     card = read_model_card(settings.model_path)
     note_unmeasured(card)
     chunks = chunks_of(drive, settings, params)

@@ -241,7 +241,7 @@ def _write(folder: Path, results: DriveResults, evaluation: _Evaluation, within_
     sections = [
         Section("Cones against truth", "Metres; range from the nearest point of the path.", _TABLE_3,
                 table_3_rows(evaluation.lines, missing="missed")),
-        Section("Where the errors point", picture=pictures["plan.png"], picture_words="plan view with error vectors"),
+        Section("Where the errors point", image=pictures["plan.png"], image_words="plan view with error vectors"),
         Section("Errors", "Metres. Bias is the mean error, estimate minus truth.", _STATISTICS, _statistics_rows(evaluation)),
         Section("Errors over range", "Single positions, one per frame pair; root mean square errors beside the stated sigmas.",
                 _BANDS, _band_rows(evaluation), pictures["errors_over_range.png"], "errors over range"),

@@ -18,7 +18,7 @@ from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_rig_image
 from conetl.pipeline.settings import read_settings
 from conetl.readers.drives.pairs import first_size
-from conetl.readers.rigs import read_rig_for_pictures
+from conetl.readers.rigs import read_rig_for_images
 from conetl.tracking.matching.matches import match_pair
 from conetl.tracking.positions import locate_in_camera
 
@@ -33,7 +33,7 @@ def locate(
     as_json: JsonOption = False,
 ) -> None:
     """Ground distance and height of each cone in one stereo pair: no trajectory, no map."""
-    rig = read_rig_for_pictures(calibration, first_size([left]))
+    rig = read_rig_for_images(calibration, first_size([left]))
     params = IngestParams()
     detector = load_detector(read_settings().model_path)
     images, detections = [], []

@@ -21,7 +21,7 @@ app = typer.Typer(no_args_is_help=True, help="Look at a calibration file, or tak
 
 SizeOption = Annotated[
     str | None,
-    typer.Option("--image-size", help="Picture size like 1242x375, where the file (OpenCV, MATLAB) has none."),
+    typer.Option("--image-size", help="Image size like 1242x375, where the file (OpenCV, MATLAB) has none."),
 ]
 UnitOption = Annotated[
     str | None, typer.Option("--unit", help="Unit of the baseline in an OpenCV or MATLAB file: m, cm, mm, in.")

@@ -16,8 +16,8 @@ def simulate(
         int, typer.Option("--pass", min=1, max=3, help="1 first survey, 2 next day, 3 opposite direction.")
     ] = 1,
     seed: Annotated[int, typer.Option(help="Noise of cameras and GNSS; equal seeds give equal drives.")] = 20260302,
-    width: Annotated[int, typer.Option(min=64, help="Picture width in pixels.")] = 960,
-    height: Annotated[int, typer.Option(min=32, help="Picture height in pixels.")] = 320,
+    width: Annotated[int, typer.Option(min=64, help="Image width in pixels.")] = 960,
+    height: Annotated[int, typer.Option(min=32, help="Image height in pixels.")] = 320,
     samples: Annotated[int, typer.Option(min=1, help="Light paths per pixel.")] = 9,
     base: Annotated[
         bool,

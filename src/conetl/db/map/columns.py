@@ -21,8 +21,8 @@ from conetl.db.copy_binary import (
     timestamps_from_ns,
     uuids,
 )
-from conetl.db.map.jacobian_arrays import lever_columns
-from conetl.model.map_records import BelievedVersion, Delta, MapFeature
+from conetl.db.map.jacobian_arrays import jacobian_columns
+from conetl.model.map_records import Delta, FeatureVersion, MapFeature
 from conetl.model.records import Detection, FramePair, Position, StereoMatch, Track
 from conetl.model.rejections import Rejection
 
@@ -153,7 +153,7 @@ def delta_columns(srid: int, deltas: Sequence[Delta], suppressed: Collection[UUI
     }
 
 
-def version_columns(srid: int, versions: Sequence[BelievedVersion]) -> Columns:
+def version_columns(srid: int, versions: Sequence[FeatureVersion]) -> Columns:
     """Temporary table version_stage: whole versions, as they are believed from now on."""
     return {
         "feature_id": uuids([v.feature.feature_id for v in versions]),
@@ -240,7 +240,7 @@ def cone_columns(srid: int, cones: Sequence[Track] | Sequence[MapFeature]) -> Co
         "observation_count": integers([c.observation_count for c in cones]),
         "first_seen_ns": bigints([c.first_seen_ns for c in cones]),
         "last_seen_ns": bigints([c.last_seen_ns for c in cones]),
-        **lever_columns([c.levers for c in cones]),
+        **jacobian_columns([c.shared_jacobian for c in cones]),
     }
 
 

@@ -1,4 +1,4 @@
-"""Drives out of the database: all that is needed to compare one with the map again, without its pictures.
+"""Drives out of the database: all that is needed to compare one with the map again, without its images.
 
 Numbers come back to the last bit, so a drive that is compared again from here gives what it gave when it was ingested.
 """
@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from conetl.db.connection import Connection, database_errors, execute, load_sql, stream
 from conetl.db.map.import_store import read_statements
-from conetl.db.map.jacobian_arrays import levers_from_wire
-from conetl.model.detector_evidence import UNMEASURED_LOOKS, LookFigures
+from conetl.db.map.jacobian_arrays import jacobian_from_wire
+from conetl.model.detector_evidence import UNMEASURED_ABSENCE, AbsenceFigures
 from conetl.model.errors import MapMismatchError
 from conetl.model.map_records import FoldKey, Statement
 from conetl.model.params import ReconcileParams
@@ -42,7 +42,7 @@ class StoredDrive:
     """None of an imported map."""
     reconcile: ReconcileParams
     influence_m: float
-    figures: LookFigures
+    figures: AbsenceFigures
     """Of the detector that looked."""
     path_m: Floats
     """(N, 2), a row per frame pair."""
@@ -84,7 +84,9 @@ def read_drive(conn: Connection, drive_uuid: UUID) -> StoredDrive:
             rig=rig,
             reconcile=ReconcileParams.model_validate(header["reconcile"]),
             influence_m=header["influence_m"],
-            figures=LookFigures.model_validate(header["look_figures"]) if header["look_figures"] else UNMEASURED_LOOKS,
+            figures=AbsenceFigures.model_validate(header["absence_figures"])
+            if header["absence_figures"]
+            else UNMEASURED_ABSENCE,
             path_m=np.array(list(path)).reshape(-1, 2),
             tracks=[_track(row) for row in stream(conn, load_sql("map/drive_tracks"), parameters)],
             statements=statements,
@@ -153,5 +155,5 @@ def _track(row: tuple[Any, ...]) -> Track:
         residual_rms_px=row[26],
         nearest_range_m=row[27],
         members=tuple((frame, match) for frame, match in row[28]),
-        levers=None if row[29] is None else levers_from_wire(row[29]),
+        shared_jacobian=None if row[29] is None else jacobian_from_wire(row[29]),
     )

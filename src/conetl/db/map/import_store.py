@@ -27,7 +27,7 @@ IMPORT_INFLUENCE_M = 10.0
 #: The area of an import is made of cells, at most so many.
 _MAX_CELLS = 2000
 #: Columns of cones that statements of other maps have no use for.
-_NOT_STATED = ("centre_geom", "calibrations", "levers_m")
+_NOT_STATED = ("centre_geom", "calibrations", "shared_jacobian_m")
 _NAMESPACE = uuid5(NAMESPACE_URL, "https://conetl.example/import")
 
 

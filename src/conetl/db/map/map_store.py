@@ -40,8 +40,8 @@ from conetl.db.map.replay_store import write_replay
 from conetl.db.map.results import (
     CommitResult,
     CommittedChangeset,
+    FeatureAtInstant,
     FeatureLogEntry,
-    FeatureVersion,
     MapInfo,
     MapSummary,
     RecordCounts,
@@ -49,7 +49,7 @@ from conetl.db.map.results import (
     RunInfo,
 )
 from conetl.db.map.rows import feature_of
-from conetl.model.detector_evidence import LookFigures
+from conetl.model.detector_evidence import AbsenceFigures
 from conetl.model.drive_records import DriveRecords
 from conetl.model.errors import MapMismatchError
 from conetl.model.map_records import Changeset, DeltaKind, MapFeature
@@ -62,7 +62,7 @@ from conetl.model.records import (
 Bbox = tuple[float, float, float, float]
 """west, south, east, north in metres of the map's CRS."""
 LOCK_TIMEOUT_S = 600.0
-#: From so many new versions on, if they are a tenth of the table, the planner's picture is renewed before autovacuum comes.
+#: From so many new versions on, if they are a tenth of the table, the planner's image is renewed before autovacuum comes.
 ANALYSE_FROM_VERSIONS = 10_000
 #: Features this far around the path may be seen by a drive: the farthest position plus the largest offset and move.
 INFLUENCE_M = 60.0
@@ -117,7 +117,7 @@ def read_features_as_of(
     known_at: datetime | None = None,
     map_name: str = "default",
     within: Bbox | None = None,
-) -> Iterator[FeatureVersion]:
+) -> Iterator[FeatureAtInstant]:
     """The features that stood on the road at `valid_at` (None: latest), as the database knew it at `known_at` (None: now).
 
     By feature id, read as they are consumed; both instants need a time zone (ValueError without).
@@ -131,7 +131,7 @@ def read_features_as_of(
     }
     with database_errors(f"The features of map {map_name} cannot be read"):
         for row in stream(conn, load_sql("map/features_as_of"), parameters):
-            yield FeatureVersion(feature_of(row), *row[22:27])
+            yield FeatureAtInstant(feature_of(row), *row[22:27])
 
 
 def find_changeset(conn: Connection, idempotency_key: str, *, map_name: str = "default") -> CommittedChangeset | None:
@@ -234,7 +234,7 @@ def place_drive(
     now: datetime | None = None,
     reconcile: ReconcileParams | None = None,
     influence_m: float = INFLUENCE_M,
-    figures: LookFigures | None = None,
+    figures: AbsenceFigures | None = None,
 ) -> UUID:
     """Make the drive known to the map unless it is, so that it can be asked what is around it; does not commit.
 
@@ -260,7 +260,7 @@ def place_drive(
         "expected_frame_count": drive.expected_frame_count,
         "reconcile": json_text((reconcile or ReconcileParams()).model_dump(mode="json")),
         "influence_m": influence_m,
-        "look_figures": None if figures is None else json_text(figures.model_dump(mode="json")),
+        "absence_figures": None if figures is None else json_text(figures.model_dump(mode="json")),
         "path_wkt": _path_wkt(drive),
     }
     execute(conn, load_sql("write/insert_drive"), parameters)

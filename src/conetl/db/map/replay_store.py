@@ -14,11 +14,11 @@ from conetl.db.connection import Connection, copy_columns, database_errors, exec
 from conetl.db.map import columns as map_columns
 from conetl.db.map.results import DriveRef, MapInfo, Replay, StoredDelta, StoredMiss, StoredVersion
 from conetl.db.map.rows import version_of
-from conetl.model.map_records import BelievedVersion, Delta, Doubt, Miss, Place
+from conetl.model.map_records import Delta, Doubt, FeatureVersion, Miss, Place
 from conetl.model.records import Drive
 
 
-def read_standing_around(conn: Connection, drive_uuid: UUID) -> dict[UUID, BelievedVersion]:
+def read_standing_around(conn: Connection, drive_uuid: UUID) -> dict[UUID, FeatureVersion]:
     """Open versions of the features that stand around a drive's path, suppressed ones too, by feature id."""
     with database_errors("The features around the drive cannot be read"):
         rows = stream(conn, load_sql("map/standing_around"), {"drive_uuid": drive_uuid})
@@ -144,7 +144,7 @@ def _delta_values(changeset_id: UUID, delta: Delta) -> tuple[Any, ...]:
     )
 
 
-def read_believed_feature(conn: Connection, map_name: str, feature_id: UUID) -> BelievedVersion | None:
+def read_believed_feature(conn: Connection, map_name: str, feature_id: UUID) -> FeatureVersion | None:
     """The open version of one feature, standing, suppressed or removed; None where it is not believed in."""
     with database_errors(f"Feature {feature_id} cannot be read"):
         parameters = {"map_name": map_name, "feature_id": feature_id}

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 from uuid import UUID
 
 from conetl.model.map_records import (
-    BelievedVersion,
     Delta,
     DeltaKind,
+    FeatureVersion,
     FoldKey,
     MapFeature,
     Miss,
@@ -97,7 +97,7 @@ class CommitResult:
 
 
 @dataclass(frozen=True)
-class FeatureVersion:
+class FeatureAtInstant:
     """A feature as it stood at an instant, and since when and until when it stood so."""
 
     feature: MapFeature
@@ -165,7 +165,7 @@ class StoredVersion:
     version_row_id: int
     drive_uuid: UUID
     key: FoldKey
-    version: BelievedVersion
+    version: FeatureVersion
 
 
 @dataclass(frozen=True)
@@ -191,7 +191,7 @@ class Replay:
 
     versions_before: Sequence[StoredVersion]
     deltas_before: Sequence[StoredDelta]
-    versions: Sequence[BelievedVersion]
+    versions: Sequence[FeatureVersion]
     deltas: Sequence[tuple[UUID, Delta]]
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from conetl.db.map.jacobian_arrays import levers_from_wire
-from conetl.model.map_records import BelievedVersion, MapFeature
+from conetl.db.map.jacobian_arrays import jacobian_from_wire
+from conetl.model.map_records import FeatureVersion, MapFeature
 from conetl.model.records import sound
 
 
@@ -25,14 +25,14 @@ def feature_of(row: tuple[Any, ...]) -> MapFeature:
         observation_count=row[18],
         first_seen_ns=row[19],
         last_seen_ns=row[20],
-        levers=None if row[21] is None else levers_from_wire(row[21]),
+        shared_jacobian=None if row[21] is None else jacobian_from_wire(row[21]),
     )
 
 
-def version_of(row: tuple[Any, ...]) -> BelievedVersion:
+def version_of(row: tuple[Any, ...]) -> FeatureVersion:
     """Columns as in `map/standing_around`, more may follow."""
     return sound(
-        BelievedVersion,
+        FeatureVersion,
         feature=feature_of(row),
         changeset_id=row[22],
         standing=row[23],

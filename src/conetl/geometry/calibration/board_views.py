@@ -1,4 +1,4 @@
-"""What a calibration sees: corners of a board in pictures, and the freedom that the board's own shape has.
+"""What a calibration sees: corners of a board in images, and the freedom that the board's own shape has.
 
 The board frame has its origin at the first corner and z = 0 on the nominal board. All lengths are metres.
 """
@@ -19,7 +19,7 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class BoardView:
-    """The corners of the board that one picture shows.
+    """The corners of the board that one image shows.
 
     point_ids: (n,) row numbers in the board's points. uv_px: (n, 2), origin at the centre of the top-left pixel.
     """

@@ -1,7 +1,7 @@
 """Covariance of a rig's calibration that stays honest where the corner errors of one pair belong together.
 
 Least squares takes all corner errors as independent. They are not: motion blur, light, a bent board and the detector move the
-corners of one picture together, and the covariance scaled by the variance factor alone comes out too small. Here each pair
+corners of one image together, and the covariance scaled by the variance factor alone comes out too small. Here each pair
 is one cluster: the pull of its residuals on the result is compared with the pull that independent errors of the same variance
 would have had, its own leverage taken off (the idea of the cluster-robust "sandwich" covariance, Liang & Zeger 1986, and of its
 correction by Bell & McCaffrey 2002). A few dozen pairs cannot determine a whole matrix of 20 and more unknowns, but they do
@@ -36,17 +36,17 @@ class RigCovariance:
 def rig_covariance(reduced: Reduced, rig_parameters: int, variance_factor: float) -> RigCovariance:
     """Covariance of the first `rig_parameters` unknowns, from the linearised system at the solution.
 
-    variance_factor: a-posteriori variance of one image coordinate, px^2. Raises BundleError where the pictures do not determine
+    variance_factor: a-posteriori variance of one image coordinate, px^2. Raises BundleError where the images do not determine
     the unknowns.
     """
     normal = reduced.normal
     diagonal = np.diag(normal)
     if not np.all(diagonal > 0):
-        raise BundleError("the pictures do not determine the calibration: an unknown has no influence on any corner")
+        raise BundleError("the images do not determine the calibration: an unknown has no influence on any corner")
     scale = 1.0 / np.sqrt(diagonal)
     values, vectors = np.linalg.eigh(normal * scale[:, None] * scale)
     if not values[0] > 1e-13 * values[-1]:
-        raise BundleError("the pictures do not determine the calibration: singular normal equations")
+        raise BundleError("the images do not determine the calibration: singular normal equations")
     half = (scale[:, None] * vectors) / np.sqrt(values)  # half half^T = normal^-1
     back = half[:rig_parameters]
     least_squares = variance_factor * back @ back.T

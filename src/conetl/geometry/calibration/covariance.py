@@ -3,7 +3,7 @@
 The image points stay, the calibration is wrong by dp, so the least-squares point moves by dX with A dX + B dp = 0 in the
 least-squares sense: dX = -(A^T A)^-1 A^T B dp, A and B being the derivatives of the collinearity equations with respect to point
 and calibration (implicit function theorem on the normal equations; e.g. Mikhail & Ackermann 1976, ch. 4). Such errors are
-common to all pictures of a rig: over the sightings of one cone the Jacobians are averaged, never the covariances.
+common to all images of a rig: over the sightings of one cone the Jacobians are averaged, never the covariances.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _RELATIVE = ("rx_rad", "ry_rad", "rz_rad", "tx_m", "ty_m", "tz_m")
 
 
 def known_covariance(rig: Rig) -> CalibrationCovariance | None:
-    """Covariance of the calibration that took the pictures: of the raw rig where there is one. None where it is not known."""
+    """Covariance of the calibration that took the images: of the raw rig where there is one. None where it is not known."""
     return (rig.rectified_from or rig).calibration_covariance
 
 

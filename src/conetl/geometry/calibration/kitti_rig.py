@@ -79,7 +79,7 @@ def kitti_raw_rig(
     rig_id: str,
     sigma_px: float = 0.5,
 ) -> Rig:
-    """Rig of the two KITTI cameras that took the pictures ("synced only"), with their lenses; flat arrays as in the files.
+    """Rig of the two KITTI cameras that took the images ("synced only"), with their lenses; flat arrays as in the files.
 
     cam_to_cam needs `S_0i` (2), `K_0i` (9), `D_0i` (5), `R_0i` (9), `T_0i` (3) of both cameras: `x_cam_i = R_0i x_cam0 + T_0i`.
     The body is as with `kitti_rig`. Raises ValueError, naming the key.

@@ -6,7 +6,7 @@ span and, common to the drive, one rotation of the right camera and one bend of 
 shifts all disparities, which points at many depths show once the rig has moved; turned up or down (rx) and about its axis (rz) it
 shifts and tilts rows. The bend shifts columns as x squared: what a principal point that is off, or the decentring of a lens,
 leaves over once a calibration has put it down as a turn. Without it the turn would be a compromise between the middle and the
-sides of the picture. Rows would tell ry too, by their shift in the corners (as x y), much more sharply than motion does, but
+sides of the image. Rows would tell ry too, by their shift in the corners (as x y), much more sharply than motion does, but
 only if nothing else shifted them: a parameter of rows alone takes that part away. Where disparities are off by yet another
 field, `model_gap` shows it: what would change if they might also follow the next even Legendre polynomial, the fourth.
 Points and motions are eliminated (Schur complement); what errors of one span have in common is taken from the scatter between
@@ -58,7 +58,7 @@ _LAGS = 3
 
 @dataclass(frozen=True)
 class SpanPoints:
-    """Points seen in all four pictures at the two ends of a span, in pixels of the rectified pictures."""
+    """Points seen in all four images at the two ends of a span, in pixels of the rectified images."""
 
     first_px: Floats
     """(N, 4): u_left, v_left, u_right, v_right at the beginning."""
@@ -200,7 +200,7 @@ def _image(cameras: StereoCameras, skew: float, points: Floats) -> tuple[Floats,
     by_shared[:, 2, _BEND] -= cameras.right_px[0]
     corner = (right_uv - cameras.right_px[2:]) / cameras.right_px[:2]
     by_shared[:, 3, _SKEW] = cameras.right_px[1] * corner[:, 0] * corner[:, 1]
-    side2 = (right_uv[:, 0] / cameras.right_px[2] - 1) ** 2  # about 1 at both sides of the picture
+    side2 = (right_uv[:, 0] / cameras.right_px[2] - 1) ** 2  # about 1 at both sides of the image
     by_shared[:, 2, _SHARED] = cameras.right_px[0] * (35 * side2**2 - 30 * side2 + 3) / 8
     right_uv[:, 1] += skew * by_shared[:, 3, _SKEW]
     return np.hstack([left_uv, right_uv]), np.concatenate([left_d, right_d @ turn], axis=1), by_shared

@@ -1,12 +1,13 @@
 """Errors of a calibration that several drives share, and how they move what the drives measured.
 
 A calibration is wrong by L z: z are independent errors of one sigma each, drawn once when the rig was calibrated, L L^T is the
-stated covariance. A place that was found with it is off by A z, A = J L being its levers (metres), J from
-`calibration_covariance.calibration_jacobian`. So two places with the levers A and B have the covariance A B^T in common, whatever
-drives they are from, as long as z means the same in both. Therefore L belongs to the calibration as it was given, and is the
-symmetric square root of its correlations, times the sigmas: there is one only, in whatever order the parameters stand.
+stated covariance. A place that was found with it is off by A z, A = J L being its shared_jacobian (metres), J from
+`calibration_covariance.calibration_jacobian`. So two places with the shared_jacobian A and B have the covariance A B^T in
+common, whatever drives they are from, as long as z means the same in both. Therefore L belongs to the calibration as it was
+given, and is the symmetric square root of its correlations, times the sigmas: there is one only, in whatever order the
+parameters stand.
 
-Levers are kept as float32 (`records.Levers`): 3 x K of them go with every version of every cone.
+SharedErrorJacobian are kept as float32 (`records.SharedErrorJacobian`): 3 x K of them go with every version of every cone.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from conetl.geometry import rig as rigs
 from conetl.geometry.calibration.covariance import known_covariance
-from conetl.model.records import CalibrationCovariance, Levers, Rig, SharedErrors
+from conetl.model.records import CalibrationCovariance, Rig, SharedErrorJacobian, SharedErrors
 
 Array = NDArray[np.float64]
 
@@ -76,16 +77,19 @@ def as_rows(matrix: Array) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(row) for row in matrix.tolist())
 
 
-def levers_of(jacobian: Array, rig: Rig) -> Levers | None:
-    """Levers of a place by its derivative (3, N) by the parameters of `known_covariance`; None where no covariance is known."""
+def jacobian_of(jacobian: Array, rig: Rig) -> SharedErrorJacobian | None:
+    """SharedErrorJacobian of a place by its derivative (3, N) by the parameters of `known_covariance`; None where no covariance
+    is known."""
     shared = shared_errors(rig)
     if shared is None:
         return None
-    [levers] = pack_all((shared.calibration,), (jacobian @ np.array(shared.matrix))[None, None])
-    return levers
+    [shared_jacobian] = pack_all((shared.calibration,), (jacobian @ np.array(shared.matrix))[None, None])
+    return shared_jacobian
 
 
-def pack_all(calibrations: tuple[UUID, ...], moved_m: Array, *, most: int | None = None) -> list[Levers | None]:
+def pack_all(
+    calibrations: tuple[UUID, ...], moved_m: Array, *, most: int | None = None
+) -> list[SharedErrorJacobian | None]:
     """(N, C, 3, K) metres -> N records, rounded to what is kept; None without any.
 
     calibrations: C, in rising order. most: so many at most, those that move a place most.
@@ -95,26 +99,26 @@ def pack_all(calibrations: tuple[UUID, ...], moved_m: Array, *, most: int | None
         return [None] * count
     wire = moved_m.astype(_WIRE)
     if most is None or number <= most:
-        return [Levers(calibrations, one.tobytes()) for one in wire]
+        return [SharedErrorJacobian(calibrations, one.tobytes()) for one in wire]
     size = np.square(moved_m).sum(axis=(2, 3))
     kept = np.sort(np.argsort(-size, axis=1, kind="stable")[:, :most], axis=1)
     return [
-        Levers(tuple(calibrations[k] for k in own), one[own].tobytes())
+        SharedErrorJacobian(tuple(calibrations[k] for k in own), one[own].tobytes())
         for own, one in zip(kept.tolist(), wire, strict=True)
     ]
 
 
-def unpack_all(calibrations: tuple[UUID, ...], levers: Sequence[Levers | None]) -> Array:
-    """N records, all without levers or all with those of the same calibrations -> (N, C, 3, K) metres.
+def unpack_all(calibrations: tuple[UUID, ...], shared_jacobian: Sequence[SharedErrorJacobian | None]) -> Array:
+    """N records, all without shared_jacobian or all with those of the same calibrations -> (N, C, 3, K) metres.
 
     calibrations: the C of the result, among which theirs are; 0 for the others.
     """
-    first = next((one for one in levers if one is not None), None)
+    first = next((one for one in shared_jacobian if one is not None), None)
     if first is None:
-        return np.zeros((len(levers), len(calibrations), 3, 0))
-    moved_m = np.frombuffer(b"".join(one.moved_m for one in levers if one is not None), _WIRE)
-    moved_m = moved_m.reshape(len(levers), len(first.calibrations), 3, -1)
-    result = np.zeros((len(levers), len(calibrations), 3, moved_m.shape[3]))
+        return np.zeros((len(shared_jacobian), len(calibrations), 3, 0))
+    moved_m = np.frombuffer(b"".join(one.moved_m for one in shared_jacobian if one is not None), _WIRE)
+    moved_m = moved_m.reshape(len(shared_jacobian), len(first.calibrations), 3, -1)
+    result = np.zeros((len(shared_jacobian), len(calibrations), 3, moved_m.shape[3]))
     result[:, [calibrations.index(one) for one in first.calibrations]] = moved_m
     return result
 
@@ -125,7 +129,7 @@ def with_shared(covariance: CalibrationCovariance, calibration: UUID, matrix: Ar
 
 
 def with_covariance(rig: Rig, covariance: CalibrationCovariance) -> Rig:
-    """The rig with another covariance of the calibration that took the pictures (`known_covariance`)."""
+    """The rig with another covariance of the calibration that took the images (`known_covariance`)."""
     if rig.rectified_from is None:
         return rig.model_copy(update={"calibration_covariance": covariance})
     taken = rig.rectified_from.model_copy(update={"calibration_covariance": covariance})

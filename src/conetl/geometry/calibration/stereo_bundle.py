@@ -35,7 +35,7 @@ _LIGHT = 1e-3
 
 
 class BundleError(ValueError):
-    """The adjustment has no answer: not converged, or the pictures do not determine the unknowns."""
+    """The adjustment has no answer: not converged, or the images do not determine the unknowns."""
 
 
 @dataclass(frozen=True)
@@ -239,7 +239,7 @@ def _stepped(bundle: Bundle, systems: dict[int, PairSystem], prior: Array, dampi
     try:
         step = scale * np.linalg.solve(normal * scale[:, None] * scale, scale * right)
     except np.linalg.LinAlgError as error:
-        raise BundleError("the pictures do not determine the calibration: singular normal equations") from error
+        raise BundleError("the images do not determine the calibration: singular normal equations") from error
     poses = {pair: inner[:, -1] - inner[:, :-1] @ step for pair, inner in kept.items()}
     return moved(bundle, step, poses)
 

@@ -45,7 +45,7 @@ MIN_PAIRS = 3
 CORNER_LIMIT = 4.5
 #: A view is taken out where its RMS is this many times that of the median view, or where it loses half of its corners.
 VIEW_LIMIT = 3.5
-#: Start: a pair whose own relative orientation moves the corners by more than this share of the picture's width is left out.
+#: Start: a pair whose own relative orientation moves the corners by more than this share of the image's width is left out.
 PAIR_LIMIT_RELATIVE = 0.05
 #: A view with fewer corners is not used.
 MIN_CORNERS = 6
@@ -76,7 +76,7 @@ class CornerRejection:
 
 @dataclass(frozen=True)
 class ViewRejection:
-    """One picture that was taken out, and why."""
+    """One image that was taken out, and why."""
 
     pair_index: int
     side: Side
@@ -150,7 +150,7 @@ def calibrate_stereo(
     best, chosen = min((tried[model, shape] for model in models), key=lambda pair: _bic_or_inf(pair[0]))
     if chosen is None:
         reasons = "; ".join(f"{c.model}: {c.problem}" for c in candidates if c.problem)
-        raise BundleError(f"no lens model fits the pictures ({reasons})")
+        raise BundleError(f"no lens model fits the images ({reasons})")
     covariance, factor, freedom = _judged(chosen, kept)
     return StereoCalibration(
         chosen, best.board, tuple(kept), covariance, factor, freedom, (*rejected, *more), corners, candidates
@@ -185,13 +185,13 @@ def rig_of(calibration: StereoCalibration, rig_id: str, *, scale_sigma_relative:
 def _assembled(
     points_m: Array, views: Sequence[BoardView], start: Start
 ) -> tuple[Bundle, list[BoardView], list[ViewRejection]]:
-    """A first bundle in one frame, without the pairs whose two pictures contradict the others."""
+    """A first bundle in one frame, without the pairs whose two images contradict the others."""
     by_key = {(view.pair_index, view.side): view for view in views}
     both = [p for p in pair_indices(views) if (p, "left") in by_key and (p, "right") in by_key]
     if len(both) < MIN_PAIRS:
         raise BundleError(
-            f"{len(both)} pairs show the board in both pictures, at least {MIN_PAIRS} are needed (20 to 40 are good): "
-            "take more pairs, near and far, tilted, and into the corners of the pictures"
+            f"{len(both)} pairs show the board in both images, at least {MIN_PAIRS} are needed (20 to 40 are good): "
+            "take more pairs, near and far, tilted, and into the corners of the images"
         )
     relatives = {p: se3.compose(start.left_SE3_board[p], se3.invert(start.right_SE3_board[p])) for p in both}
     relative = _central(np.array([relatives[p] for p in both]))
@@ -213,7 +213,7 @@ def _assembled(
             miss = float("inf")
         if miss > PAIR_LIMIT_RELATIVE * start.right.width_px:
             text = (
-                f"left and right picture contradict the other pairs by {miss:.0f} px: not the same instant, another board, "
+                f"left and right image contradict the other pairs by {miss:.0f} px: not the same instant, another board, "
                 "or the rig was touched"
             )
             rejected += [ViewRejection(p, side, text) for side in SIDES]
@@ -221,7 +221,7 @@ def _assembled(
     if len(both) - len(refused) < max(MIN_PAIRS, len(both) / 3):
         raise BundleError(
             f"only {len(both) - len(refused)} of {len(both)} pairs agree on where the right camera is: check that left and right "
-            "pictures are paired as they were taken, and that board size and pattern are those of the board"
+            "images are paired as they were taken, and that board size and pattern are those of the board"
         )
     poses = {p: relative @ pose for p, pose in start.right_SE3_board.items()} | start.left_SE3_board
     kept = [view for view in views if view.pair_index not in refused]
@@ -240,7 +240,7 @@ def _central(poses: Array) -> Array:
 
 
 def _remodelled(bundle: Bundle, model: LensModel, shape: BoardShape) -> Bundle:
-    """The bundle with another lens model, fitted to the old one over the picture, and another board shape."""
+    """The bundle with another lens model, fitted to the old one over the image, and another board shape."""
     basis = shape_basis(bundle.points_m) if shape == "free" else np.zeros((bundle.points_m.size, 0))
     start = bundle.shape if bundle.shape.size == basis.shape[1] else np.zeros(basis.shape[1])
     left, right = (
@@ -250,7 +250,7 @@ def _remodelled(bundle: Bundle, model: LensModel, shape: BoardShape) -> Bundle:
 
 
 def _refitted(camera: Camera, model: LensModel) -> Lens:
-    """Lens of another model that is nearest to a camera's own over its picture."""
+    """Lens of another model that is nearest to a camera's own over its image."""
     if camera.lens.model == model:
         return camera.lens
     family: LensModel = "brown" if model == "rational" else model  # the rational one begins as its numerator
@@ -270,7 +270,7 @@ def _refitted(camera: Camera, model: LensModel) -> Lens:
 
 
 def _grid(camera: Camera, steps: int) -> Array:
-    """(steps^2, 2) normalised, distorted coordinates spread over the picture, edges included."""
+    """(steps^2, 2) normalised, distorted coordinates spread over the image, edges included."""
     u, v = np.meshgrid(np.linspace(0, camera.width_px - 1, steps), np.linspace(0, camera.height_px - 1, steps))
     return np.stack([(u.ravel() - camera.cx_px) / camera.fx_px, (v.ravel() - camera.cy_px) / camera.fy_px], axis=1)
 
@@ -305,7 +305,7 @@ def _robust(
         rejected += [
             ViewRejection(
                 kept[n].pair_index, kept[n].side,
-                f"the corners do not fit: RMS {np.sqrt((misses[n] ** 2).mean()):.2f} px, the median picture has "
+                f"the corners do not fit: RMS {np.sqrt((misses[n] ** 2).mean()):.2f} px, the median image has "
                 f"{typical:.2f} px",
             )
             for n in bad
@@ -332,7 +332,7 @@ def _enough(views: Sequence[BoardView], rejected: Sequence[ViewRejection]) -> No
     left = sum((p, "left") in keys and (p, "right") in keys for p in pair_indices(views))
     if left < MIN_PAIRS:
         raise BundleError(
-            f"only {left} pairs are left after {len(rejected)} pictures that do not fit were taken out: check the board's "
+            f"only {left} pairs are left after {len(rejected)} images that do not fit were taken out: check the board's "
             "pattern, and that it does not bend while it is moved"
         )
 
@@ -389,7 +389,7 @@ def _check_invertible(bundle: Bundle) -> None:
         lost = ~np.isfinite(undistort(camera.lens, _grid(camera, 15))).all(axis=1)
         if lost.any():
             raise BundleError(
-                f"the lens of the {side} camera folds back inside the picture ({100 * lost.mean():.0f} % of it): the corners "
+                f"the lens of the {side} camera folds back inside the image ({100 * lost.mean():.0f} % of it): the corners "
                 "do not reach far enough out for this model"
             )
 

@@ -98,7 +98,7 @@ def rms_px(bundle: Bundle, views: Sequence[BoardView]) -> float:
 
 
 def epipolar_errors_px(rig: Rig, views: Sequence[BoardView]) -> Array:
-    """(n,) row of the left minus row of the right picture after rectification, of all corners that both show."""
+    """(n,) row of the left minus row of the right image after rectification, of all corners that both show."""
     rectified = rectify(rig)
     by_pair: dict[int, dict[Side, BoardView]] = defaultdict(dict)
     for view in views:
@@ -118,7 +118,7 @@ def epipolar_errors_px(rig: Rig, views: Sequence[BoardView]) -> Array:
 
 
 def coverage(rig: Rig, views: Sequence[BoardView], side: Side) -> float:
-    """Share of the cells of an 8 x 8 grid over the picture that hold a corner."""
+    """Share of the cells of an 8 x 8 grid over the image that hold a corner."""
     camera = rigs.camera_of(rig, side)
     uv = np.concatenate([v.uv_px for v in views if v.side == side]) + 0.5
     cells = np.floor(uv / (camera.width_px, camera.height_px) * COVERAGE_CELLS).astype(int).clip(0, COVERAGE_CELLS - 1)

@@ -1,4 +1,4 @@
-"""How a calibrated stereo rig moved between two frame pairs, from image points seen in all four pictures.
+"""How a calibrated stereo rig moved between two frame pairs, from image points seen in all four images.
 
 The motion minimises the reprojection error of (u_left, v_left, u_right) in the second pair of points that were intersected in
 the first (Geiger, Ziegler & Stiller 2011, "StereoScan", eq. 2-3). Unlike there, the image errors of the first pair are carried

@@ -1,7 +1,7 @@
 """Points followed between two frame pairs, and the motions that they tell.
 
-Following needs pictures and is slow (`perception/visual_odometry.py`), motions need only the points and the rig's geometry: kept
-apart, so that another calibration of the rig costs no second look at the pictures.
+Following needs images and is slow (`perception/visual_odometry.py`), motions need only the points and the rig's geometry: kept
+apart, so that another calibration of the rig costs no second look at the images.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ Floats = NDArray[np.float64]
 class NoMeasurement(StrEnum):
     """Why there are no points between two frame pairs."""
 
-    PICTURE_UNREADABLE = "picture_unreadable"
-    PICTURE_BLANK = "picture_blank"
-    PICTURE_FROZEN = "picture_frozen"
-    PICTURE_UNFIT = "picture_unfit"
-    """The picture library refused to work on what was read."""
+    IMAGE_UNREADABLE = "image_unreadable"
+    IMAGE_BLANK = "image_blank"
+    IMAGE_FROZEN = "image_frozen"
+    IMAGE_UNFIT = "image_unfit"
+    """The image library refused to work on what was read."""
     TOO_FEW_POINTS = "too_few_points"
 
 
 class StereoTracks(Record):
-    """Points between two frame pairs, in pixels of the rectified pictures; none, with the reason, where there are none."""
+    """Points between two frame pairs, in pixels of the rectified images; none, with the reason, where there are none."""
 
     first_frame_index: int = Field(ge=0)
     second_frame_index: int = Field(ge=0)

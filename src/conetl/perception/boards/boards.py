@@ -1,4 +1,4 @@
-"""Calibration boards in pictures: chessboard, ChArUco, AprilGrid -> corners with their numbers.
+"""Calibration boards in images: chessboard, ChArUco, AprilGrid -> corners with their numbers.
 
 Corners are pixels with the origin at the centre of the top-left pixel. A chessboard must be seen whole; of the other two any part
 will do, because their corners are told apart by markers. Points of the board lie in z = 0, in metres.
@@ -68,7 +68,7 @@ class Board:
 
 @dataclass(frozen=True)
 class Found:
-    """Corners in one picture: point_ids (n,), uv_px (n, 2)."""
+    """Corners in one image: point_ids (n,), uv_px (n, 2)."""
 
     point_ids: Ints
     uv_px: Array
@@ -76,7 +76,7 @@ class Found:
 
 @dataclass(frozen=True)
 class NotFound:
-    """Why a picture gives no corners."""
+    """Why a image gives no corners."""
 
     reason: RejectionReason
     detail: str
@@ -114,7 +114,7 @@ def parse_board(text: str) -> Board:
 
 
 def find_board(image: Grey, board: Board) -> Found | NotFound:
-    """Corners of the board in a grey picture (height, width), or why there are none."""
+    """Corners of the board in a grey image (height, width), or why there are none."""
     if board.kind == "chessboard":
         corners = _find_chessboard(image, (board.cols, board.rows))
         if corners is None:
@@ -200,7 +200,7 @@ def _find_chessboard(image: Grey, size: tuple[int, int]) -> Array | None:
     if fine is None:
         fine = _sectors(part, size, accurate, enlarge)
     if fine is None or np.hypot(*(_same_way(fine + top, rough, size) - rough).T).max() > 0.25 * length:
-        fine = rough - top  # seen in the whole picture only: rougher, and the adjustment will say whether it fits
+        fine = rough - top  # seen in the whole image only: rougher, and the adjustment will say whether it fits
     return _right_handed(np.asarray(fine + top), size)
 
 
@@ -240,7 +240,7 @@ def _why_no_chessboard(image: Grey, board: Board) -> NotFound:
     step = float(np.median(np.hypot(*np.diff(grid, axis=1).reshape(-1, 2).T)))
     low, high = grid.reshape(-1, 2).min(axis=0), grid.reshape(-1, 2).max(axis=0)
     near_edge = low.min() < 2 * step or (np.array(image.shape[::-1]) - high).min() < 2 * step
-    where = "the board reaches out of the picture" if near_edge else "a part is covered, glaring or in the shade"
+    where = "the board reaches out of the image" if near_edge else "a part is covered, glaring or in the shade"
     return NotFound(RejectionReason.BOARD_CUT, f"{sizes}: {where}")
 
 

@@ -1,4 +1,4 @@
-"""Pictures of a calibration board in a folder: which belong together, and the corners in each."""
+"""Images of a calibration board in a folder: which belong together, and the corners in each."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ Size = tuple[int, int]
 
 
 @dataclass(frozen=True)
-class PicturePair:
-    """Two pictures of one instant; None where one is missing. name: what they have in common."""
+class ImagePair:
+    """Two images of one instant; None where one is missing. name: what they have in common."""
 
     name: str
     left: Path | None
@@ -38,27 +38,27 @@ class PicturePair:
 
 
 @dataclass(frozen=True)
-class BoardPictures:
-    """Views of the board (pair_index counts `pairs`), size of the pictures by side, and what was refused."""
+class BoardImages:
+    """Views of the board (pair_index counts `pairs`), size of the images by side, and what was refused."""
 
-    pairs: tuple[PicturePair, ...]
+    pairs: tuple[ImagePair, ...]
     views: tuple[BoardView, ...]
     sizes: dict[Side, Size]
     rejections: tuple[Rejection, ...]
 
 
-def pairs_in_folders(folder: Path) -> list[PicturePair]:
+def pairs_in_folders(folder: Path) -> list[ImagePair]:
     """Pairs of `left/` and `right/` with equal stems. Raises InputError."""
-    found = {side: {p.stem: p for p in _pictures(folder / side)} for side in SIDES if (folder / side).is_dir()}
+    found = {side: {p.stem: p for p in _images(folder / side)} for side in SIDES if (folder / side).is_dir()}
     if len(found) != 2:
         raise InputError(
-            f"{folder}: expected the folders left/ and right/ in it. Pictures in one folder are paired by --left-pattern and "
+            f"{folder}: expected the folders left/ and right/ in it. Images in one folder are paired by --left-pattern and "
             "--right-pattern (left_*.png and right_*.png), or by --pairing even-odd where their numbers alternate"
         )
     return _joined(folder, found["left"], found["right"])
 
 
-def pairs_by_pattern(folder: Path, left_pattern: str, right_pattern: str) -> list[PicturePair]:
+def pairs_by_pattern(folder: Path, left_pattern: str, right_pattern: str) -> list[ImagePair]:
     """Pairs of files whose names agree in what the `*` of their patterns stands for. Raises InputError."""
     found = []
     for option, pattern in (("--left-pattern", left_pattern), ("--right-pattern", right_pattern)):
@@ -71,10 +71,10 @@ def pairs_by_pattern(folder: Path, left_pattern: str, right_pattern: str) -> lis
     return _joined(folder, *found)
 
 
-def pairs_even_odd(folder: Path) -> list[PicturePair]:
+def pairs_even_odd(folder: Path) -> list[ImagePair]:
     """Pairs of an even number (left) and the next one (right); the number is the last one in a file's stem. Raises InputError."""
     found: tuple[dict[str, Path], dict[str, Path]] = ({}, {})
-    for path in _pictures(folder):
+    for path in _images(folder):
         numbers = re.findall(r"\d+", path.stem)
         if not numbers:
             raise InputError(f"{path}: pairing even-odd needs a number in each name, and there is none")
@@ -87,17 +87,17 @@ def pairs_even_odd(folder: Path) -> list[PicturePair]:
 
 
 def find_boards(
-    pairs: Sequence[PicturePair],
+    pairs: Sequence[ImagePair],
     board: Board,
     *,
-    on_picture: Callable[[], None] = lambda: None,
-) -> BoardPictures:
-    """Corners in all pictures; each picture that gives none is a rejection. `on_picture` is called after each."""
+    on_image: Callable[[], None] = lambda: None,
+) -> BoardImages:
+    """Corners in all images; each image that gives none is a rejection. `on_image` is called after each."""
     jobs = [(i, side, path) for i, pair in enumerate(pairs) for side in SIDES if (path := pair.path(side)) is not None]
 
     def look(job: tuple[int, Side, Path]) -> tuple[Size | None, Found | NotFound]:
         size, result = _look(job[2], board)
-        on_picture()
+        on_image()
         return size, result
 
     with ThreadPoolExecutor(
@@ -116,9 +116,7 @@ def find_boards(
         for side in SIDES:
             size, result = looked.get((i, side), (None, _missing(pair, side)))
             if size is not None and size != sizes[side]:
-                text = (
-                    f"{size[0]} x {size[1]} pixels, the other {side} pictures have {sizes[side][0]} x {sizes[side][1]}"
-                )
+                text = f"{size[0]} x {size[1]} pixels, the other {side} images have {sizes[side][0]} x {sizes[side][1]}"
                 result = NotFound(RejectionReason.IMAGE_WRONG_SIZE, text)
             if isinstance(result, Found):
                 found[side] = result
@@ -127,19 +125,19 @@ def find_boards(
         if len(found) == 2:
             found["right"] = matched_orientation(found["left"], found["right"], board)
         views += [BoardView(i, side, corners.point_ids, corners.uv_px) for side, corners in found.items()]
-    return BoardPictures(tuple(pairs), tuple(views), sizes, tuple(rejections))
+    return BoardImages(tuple(pairs), tuple(views), sizes, tuple(rejections))
 
 
-def rejection(pair: PicturePair, side: Side, reason: RejectionReason, detail: str) -> Rejection:
-    """A picture that is not used."""
+def rejection(pair: ImagePair, side: Side, reason: RejectionReason, detail: str) -> Rejection:
+    """A image that is not used."""
     path = pair.path(side)
-    record = f"{side} picture of pair {pair.name}" if path is None else f"{side} picture {path.name}"
+    record = f"{side} image of pair {pair.name}" if path is None else f"{side} image {path.name}"
     return Rejection(
         step="calibration", reason=reason, record=record, detail=detail, payload={"pair": pair.name, "side": side}
     )
 
 
-def _missing(pair: PicturePair, side: Side) -> NotFound:
+def _missing(pair: ImagePair, side: Side) -> NotFound:
     other = pair.left or pair.right
     name = "" if other is None else other.name
     return NotFound(RejectionReason.PARTNER_MISSING, f"there is no such file; {name} counts for its own camera only")
@@ -154,14 +152,14 @@ def _look(path: Path, board: Board) -> tuple[Size | None, Found | NotFound]:
     return (grey.shape[1], grey.shape[0]), find_board(grey, board)
 
 
-def _pictures(folder: Path) -> list[Path]:
+def _images(folder: Path) -> list[Path]:
     return sorted(p for p in folder.iterdir() if p.is_file() and p.suffix.lower() in SUFFIXES)
 
 
-def _joined(folder: Path, left: dict[str, Path], right: dict[str, Path]) -> list[PicturePair]:
+def _joined(folder: Path, left: dict[str, Path], right: dict[str, Path]) -> list[ImagePair]:
     if not set(left) & set(right):
         raise InputError(
-            f"{folder}: found {len(left)} left and {len(right)} right pictures, but no pair: the names of two pictures that "
+            f"{folder}: found {len(left)} left and {len(right)} right images, but no pair: the names of two images that "
             "belong together must agree"
         )
-    return [PicturePair(name, left.get(name), right.get(name)) for name in sorted(set(left) | set(right))]
+    return [ImagePair(name, left.get(name), right.get(name)) for name in sorted(set(left) | set(right))]

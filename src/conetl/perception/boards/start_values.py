@@ -17,7 +17,7 @@ from conetl.model.records import Camera, Lens, Side
 
 Array = NDArray[np.float64]
 _FLAGS = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3
-#: OpenCV's time grows fast with the number of pictures; a start needs no more than this.
+#: OpenCV's time grows fast with the number of images; a start needs no more than this.
 _MAX_VIEWS = 40
 #: Views with this many times the median RMS are left out of the start; the adjustment judges them later.
 _OUTLIER = 5.0
@@ -34,7 +34,7 @@ def start_values(points_m: Array, views: Sequence[BoardView], sizes: Mapping[Sid
         own = [view for view in views if view.side == side]
         if len(own) < MIN_PAIRS:
             raise CalibrationError(
-                f"the board was found in {len(own)} {side} pictures, at least {MIN_PAIRS} are needed (20 to 40 are good)"
+                f"the board was found in {len(own)} {side} images, at least {MIN_PAIRS} are needed (20 to 40 are good)"
             )
         cameras[side], poses[side] = _one_camera(points_m, own, sizes[side], side)
     return Start(cameras["left"], cameras["right"], poses["left"], poses["right"])
@@ -59,7 +59,7 @@ def _one_camera(
         poses = {v.pair_index: _pose(points_m, v, matrix, coefficients) for v in views}
     except cv2.error as error:
         raise CalibrationError(
-            f"OpenCV finds no calibration of the {side} camera: {str(error).strip()}. Are the pictures all alike? Tilt the "
+            f"OpenCV finds no calibration of the {side} camera: {str(error).strip()}. Are the images all alike? Tilt the "
             "board, and bring it near and far"
         ) from error
     k1, k2 = (float(c) for c in coefficients.ravel()[:2])

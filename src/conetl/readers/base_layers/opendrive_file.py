@@ -1,4 +1,5 @@
-"""OpenDRIVE files (.xodr): reference lines and lane borders of every road. The geometry is in readers/base_layers/opendrive_geometry.py."""
+"""OpenDRIVE files (.xodr): reference lines and lane borders of every road. The geometry is in
+readers/base_layers/opendrive_geometry.py."""
 
 from __future__ import annotations
 

@@ -43,13 +43,13 @@ def _remote_format(path: Path) -> DriveFormat | None:
 
 
 def read_drive(
-    path: Path, *, map_srid: int | None = None, pictures_folder: Path | None = None, headers_only: bool = False
+    path: Path, *, map_srid: int | None = None, images_folder: Path | None = None, headers_only: bool = False
 ) -> tuple[Drive, list[Rejection]]:
     """A drive and the frame pairs that had to be refused.
 
     map_srid: EPSG code of the map that the drive is for; default drive.yaml's, else the UTM zone of the first pose.
-    pictures_folder: where the pictures of a bag are unpacked to, by the hash of their bytes; no other format needs it.
-    headers_only: pictures are judged by their first and last bytes; quick, but damage in between goes unseen and
+    images_folder: where the images of a bag are unpacked to, by the hash of their bytes; no other format needs it.
+    headers_only: images are judged by their first and last bytes; quick, but damage in between goes unseen and
     content_sha256 covers only the small files: for a look at a drive, not for one that is ingested.
     Raises DriveFolderError or CalibrationError where the folder as a whole cannot be used.
     """
@@ -60,15 +60,15 @@ def read_drive(
             raise DriveFolderError(f"{path}: there is no such folder; give the folder of one drive")
         if not is_remote(path):
             require_utf8(path)
-        return _read(path, map_srid, pictures_folder, headers_only)
+        return _read(path, map_srid, images_folder, headers_only)
 
 
 def _read(
-    path: Path, map_srid: int | None, pictures_folder: Path | None, headers_only: bool
+    path: Path, map_srid: int | None, images_folder: Path | None, headers_only: bool
 ) -> tuple[Drive, list[Rejection]]:
     match drive_format(path):
         case "bag":
-            return read_bag_drive(path, map_srid=map_srid, headers_only=headers_only, pictures_folder=pictures_folder)
+            return read_bag_drive(path, map_srid=map_srid, headers_only=headers_only, images_folder=images_folder)
         case "plain":
             return read_plain_drive(path, map_srid=map_srid, headers_only=headers_only)
         case "euroc":

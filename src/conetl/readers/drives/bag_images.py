@@ -1,6 +1,6 @@
-"""Pictures out of a bag: each unpacked once into a folder where it is called by the hash of its bytes, and never written twice.
+"""Images out of a bag: each unpacked once into a folder where it is called by the hash of its bytes, and never written twice.
 
-Compressed pictures are stored as they were recorded, byte for byte; raw ones as PNG, which loses nothing.
+Compressed images are stored as they were recorded, byte for byte; raw ones as PNG, which loses nothing.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _TO_BGR: dict[str, int | None] = {
 _CHANNELS = {"bgr8": 3, "8UC3": 3, "rgb8": 3, "rgba8": 4, "bgra8": 4}
 
 
-def picture_bytes(content: Any, name: str) -> bytes:
+def image_bytes(content: Any, name: str) -> bytes:
     """File bytes of a sensor_msgs CompressedImage (as they are) or Image (as PNG). Raises PairError."""
     data = np.asarray(content.data, dtype=np.uint8)
     if not hasattr(content, "encoding"):
@@ -54,12 +54,12 @@ def picture_bytes(content: Any, name: str) -> bytes:
     image = pixels if code is None else cv2.cvtColor(pixels, code)
     done, encoded = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
     if not done:
-        raise PairError(RejectionReason.IMAGE_UNREADABLE, f"{name}: the picture cannot be written as PNG")
+        raise PairError(RejectionReason.IMAGE_UNREADABLE, f"{name}: the image cannot be written as PNG")
     return bytes(encoded.tobytes())
 
 
-def check_picture(data: bytes, name: str, size: tuple[int, int]) -> str:
-    """Suffix of a whole picture of this width and height. Raises PairError."""
+def check_image(data: bytes, name: str, size: tuple[int, int]) -> str:
+    """Suffix of a whole image of this width and height. Raises PairError."""
     try:
         header = check_image_bytes(data, name, size)
     except ImageFileError as error:
@@ -68,12 +68,12 @@ def check_picture(data: bytes, name: str, size: tuple[int, int]) -> str:
 
 
 def unpack(data: bytes, suffix: str, folder: Path) -> Path:
-    """Path of the picture in the folder, written unless it is there. Raises DriveFolderError where it cannot be."""
+    """Path of the image in the folder, written unless it is there. Raises DriveFolderError where it cannot be."""
     digest = hashlib.sha256(data).hexdigest()
     path = (folder / digest[:2] / f"{digest}{suffix}").absolute()
     try:
         if path.is_file() and path.stat().st_size == len(data):
-            path.touch()  # in use: `old_files.old_pictures` goes by age
+            path.touch()  # in use: `old_files.old_images` goes by age
             return path
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, temporary = tempfile.mkstemp(prefix=f".{digest}.", dir=path.parent)
@@ -83,7 +83,7 @@ def unpack(data: bytes, suffix: str, folder: Path) -> Path:
         Path(temporary).replace(path)
     except OSError as error:
         raise DriveFolderError(
-            f"{path}: a picture of the bag cannot be unpacked there: {error.strerror or error}; free space or set CONETL_HOME to "
+            f"{path}: a image of the bag cannot be unpacked there: {error.strerror or error}; free space or set CONETL_HOME to "
             "a folder with more"
         ) from error
     return path

@@ -98,7 +98,7 @@ def _only(types: Mapping[str, str], kind: str, key: str, source: Path) -> str | 
 
 
 def _info_of(topic: str, infos: set[str]) -> str | None:
-    """The CameraInfo topic in the nearest namespace of a picture topic."""
+    """The CameraInfo topic in the nearest namespace of a image topic."""
     places = PurePosixPath(topic).parents
     return next((name for place in places if (name := str(place / "camera_info")) in infos), None)
 
@@ -108,18 +108,18 @@ def _listing(types: Mapping[str, str]) -> str:
 
 
 def rig_of_infos(topics: Topics, infos: Mapping[str, Any], source: Path) -> Rig:
-    """The rig as the pictures are stored; its body is the left camera. Raises CalibrationError.
+    """The rig as the images are stored; its body is the left camera. Raises CalibrationError.
 
-    Topics called image_rect... carry rectified pictures: P is their camera, and neither D nor R applies.
+    Topics called image_rect... carry rectified images: P is their camera, and neither D nor R applies.
     """
     found = []
-    for side, picture, info in (("left", topics.left, topics.left_info), ("right", topics.right, topics.right_info)):
+    for side, image, info in (("left", topics.left, topics.left_info), ("right", topics.right, topics.right_info)):
         if info is None or info not in infos:
             raise CalibrationError(
-                f"{source}: there is no CameraInfo for the {side} camera {picture}; name it in drive.yaml (streams.{side}_info) "
+                f"{source}: there is no CameraInfo for the {side} camera {image}; name it in drive.yaml (streams.{side}_info) "
                 "or put a rig.yaml beside the bag"
             )
-        found.append((Path(f"{source}:{info}"), _camera_info(infos[info], rectified=is_rectified_topic(picture))))
+        found.append((Path(f"{source}:{info}"), _camera_info(infos[info], rectified=is_rectified_topic(image))))
     return rig_of_camera_infos(*found[0], *found[1])
 
 

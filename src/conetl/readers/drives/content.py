@@ -9,7 +9,7 @@ class ContentHash:
     """Collects files by name relative to the drive folder, in any order."""
 
     def __init__(self, *, headers_only: bool = False) -> None:
-        """headers_only: pictures are judged by their ends and are not part of the hash, which then says little."""
+        """headers_only: images are judged by their ends and are not part of the hash, which then says little."""
         self.headers_only = headers_only
         self._files: dict[str, bytes] = {}
 

@@ -80,7 +80,7 @@ class DriveYaml(_Section):
     georeference: Georeference | None = None
     streams: Streams = Streams()
     pair_tolerance_ms: Positive = 5.0
-    """EuRoC and bags: left and right pictures farther apart in time are no pair."""
+    """EuRoC and bags: left and right images farther apart in time are no pair."""
     max_pose_gap_s: Positive = 0.5
     """EuRoC and bags: poses farther apart in time are not interpolated."""
     antenna_t_m: tuple[float, float, float] | None = None

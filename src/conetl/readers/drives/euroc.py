@@ -32,7 +32,7 @@ from conetl.readers.drives.body import add_settings, georeferenced, own_rig, rig
 from conetl.readers.drives.content import ContentHash
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside, read_drive_yaml
 from conetl.readers.drives.pairs import PairError, check_images
-from conetl.readers.drives.stamped_pairs import NS_PER_MS, Couple, Picture, alone, drive_of_couples, pair_by_stamp
+from conetl.readers.drives.stamped_pairs import NS_PER_MS, Couple, Image, alone, drive_of_couples, pair_by_stamp
 from conetl.readers.drives.trajectories import (
     Samples,
     at,
@@ -51,8 +51,8 @@ from conetl.readers.rigs.common import (
     fisheye_lens,
     numbers,
     opencv_lens,
-    picture_size,
     read_yaml,
+    size_of_images,
     stereo_rig,
 )
 
@@ -76,26 +76,26 @@ def read_euroc_drive(
     settings = read_drive_yaml(root)
     add_settings(content, root)
     names = camera_names(settings)
-    left, right = (_pictures(root, name, content) for name in names.values())
+    left, right = (_images(root, name, content) for name in names.values())
     rig, sensor_B = read_euroc_rig(root, settings, content)
     srid, track = _trajectory(root, settings, map_srid, content, sensor_B)
     tolerance_ns = round(settings.pair_tolerance_ms * NS_PER_MS)
     couples = pair_by_stamp(left, right, tolerance_ns)
     if not couples:
-        raise DriveFolderError(f"{folder}: there are no pictures in {names['left']}/data.csv")
+        raise DriveFolderError(f"{folder}: there are no images in {names['left']}/data.csv")
 
-    def pictures_of(couple: Couple) -> tuple[Path, Path]:
+    def images_of(couple: Couple) -> tuple[Path, Path]:
         if couple[0] is None or couple[1] is None:
             raise alone(couple, tolerance_ns, names)
-        for picture in couple:
-            if picture is not None and picture.problem is not None:
-                raise picture.problem
-        files = [[picture.path] if picture and picture.path.is_file() else [] for picture in couple]
+        for image in couple:
+            if image is not None and image.problem is not None:
+                raise image.problem
+        files = [[image.path] if image and image.path.is_file() else [] for image in couple]
         return check_images(files[0], files[1], rig, content, root)
 
     return drive_of_couples(
         couples, source=root, settings=settings, rig=rig, srid=srid, content=content,
-        pictures_of=pictures_of, pose_at=partial(_pose_at, track, settings),
+        images_of=images_of, pose_at=partial(_pose_at, track, settings),
     )  # fmt: skip
 
 
@@ -113,10 +113,10 @@ def _pose_at(track: Samples, settings: DriveYaml, time_ns: int) -> Pose:
     return to_pose(*at(track, time_ns, round(settings.max_pose_gap_s * 1e9)))
 
 
-def _pictures(root: Path, name: str, content: ContentHash) -> list[Picture]:
-    """Pictures of one camera in the order of its data.csv."""
+def _images(root: Path, name: str, content: ContentHash) -> list[Image]:
+    """Images of one camera in the order of its data.csv."""
     path = stream_folder(root, name) / "data.csv"
-    found: list[Picture] = []
+    found: list[Image] = []
     for line, words in _rows(path, root, content):
         stamp = _stamp(words[0], f"{name}/data.csv, line {line}")
         file = words[1].strip() if len(words) > 1 else ""
@@ -126,7 +126,7 @@ def _pictures(root: Path, name: str, content: ContentHash) -> list[Picture]:
             place, problem = path, PairError(
                 RejectionReason.IMAGE_MISSING, f"{name}/data.csv, line {line}: '{file}' is no file name inside the drive folder"
             )  # fmt: skip
-        found.append(Picture(stamp, place, problem))
+        found.append(Image(stamp, place, problem))
     return found
 
 
@@ -187,7 +187,7 @@ def _camera(path: Path, sensor: Any) -> Camera:
     fu, fv, cu, cv = numbers(path, "intrinsics", entry(path, sensor, "intrinsics"), (4,))
     k = np.array([[fu, 0.0, cu], [0.0, fv, cv], [0.0, 0.0, 1.0]])
     return camera_from_matrix(
-        path, "intrinsics", k, picture_size(path, "resolution", entry(path, sensor, "resolution")), lens
+        path, "intrinsics", k, size_of_images(path, "resolution", entry(path, sensor, "resolution")), lens
     )
 
 

@@ -1,4 +1,4 @@
-"""What a drive folder says of itself at a glance: when, how many pictures, which. No picture is opened.
+"""What a drive folder says of itself at a glance: when, how many images, which. No image is opened.
 
 For plans over many drives. What is found here is enough to know a drive again, not to trust it: the exact content is compared
 when the drive is ingested.
@@ -40,8 +40,8 @@ from conetl.readers.rigs import IMU_TO_VELO, RIG_YAML, VELO_TO_CAM
 
 #: A drive may lie in folders by month, day, vehicle; deeper ones are not looked for.
 MAX_DEPTH = 6
-#: Pictures a side whose size takes part in the header: a drive delivered again with other pictures is another one.
-SAMPLED_PICTURES = 16
+#: Images a side whose size takes part in the header: a drive delivered again with other images is another one.
+SAMPLED_IMAGES = 16
 #: Pose files whose content takes part: corrected poses are as many, and often of as many digits.
 SAMPLED_POSES = 16
 #: Bytes of a long trajectory that are looked at in one place, at its beginning, its end and between.
@@ -51,7 +51,7 @@ _Times = Callable[[ContentHash, Path, DriveYaml], tuple[int, int]]
 
 
 @dataclass(frozen=True)
-class DriveOutline:
+class DriveHeader:
     """A drive folder at a glance."""
 
     path: Path
@@ -115,7 +115,7 @@ def _may_be_folder(entry: os.DirEntry[str]) -> bool:
         return True
 
 
-def outline_drive(folder: Path) -> DriveOutline:
+def read_header(folder: Path) -> DriveHeader:
     """The outline of a drive folder or a bare bag; what is wrong with it stands in `problem`, nothing is raised for it."""
     content = ContentHash()
     drive_id, pairs = printable(folder.name)[:200] or "drive", 0
@@ -139,12 +139,12 @@ def outline_drive(folder: Path) -> DriveOutline:
         else:
             sides, times = _folder_format(found, folder, settings)
             streams = [*sides]
-            pairs = len(set.union(*(_add_pictures(content, folder, *side) for side in sides.items())))
+            pairs = len(set.union(*(_add_images(content, folder, *side) for side in sides.items())))
             first_ns, last_ns = times(content, folder, settings)
             _read_rig(found, folder, settings)
             _require_poses(found, folder, settings)
         if not pairs:
-            problem = f"there are no pictures in {' and '.join(streams)}"
+            problem = f"there are no images in {' and '.join(streams)}"
     except OSError as error:
         problem = f"this cannot be read: {error.strerror or error}: {error.filename or folder}"
         readable = False
@@ -158,7 +158,7 @@ def outline_drive(folder: Path) -> DriveOutline:
     if found is None or not readable:
         content.add("path", printable(folder).encode())  # nothing else may tell it from another one
     problem = None if problem is None else printable(problem)
-    return DriveOutline(folder, drive_id, content.hexdigest(), pairs, first_ns, last_ns, problem, passes)
+    return DriveHeader(folder, drive_id, content.hexdigest(), pairs, first_ns, last_ns, problem, passes)
 
 
 def _require_readable(folder: Path) -> None:
@@ -200,12 +200,12 @@ def _add_file(content: ContentHash, folder: Path, name: str) -> None:
         content.add(name, path.read_bytes())
 
 
-def _add_pictures(content: ContentHash, folder: Path, side: str, data: Path) -> set[str]:
-    """Names of all pictures of one side, which lie in `data`, and sizes of a few, into the header; the stems."""
+def _add_images(content: ContentHash, folder: Path, side: str, data: Path) -> set[str]:
+    """Names of all images of one side, which lie in `data`, and sizes of a few, into the header; the stems."""
     if not data.is_dir():
         raise DriveFolderError(f"{folder}: the folder {side} is missing")
     names = _names_in(data, IMAGE_SUFFIXES)
-    sample = names[:: max(1, len(names) // SAMPLED_PICTURES)]
+    sample = names[:: max(1, len(names) // SAMPLED_IMAGES)]
     sizes = [f"{name} {(data / name).stat().st_size}" for name in sample]
     content.add(side, "\n".join([*names, *sizes]).encode(errors="surrogateescape"))
     return {name.rsplit(".", 1)[0] for name in names}
@@ -245,7 +245,7 @@ def _add_trajectory(content: ContentHash, folder: Path, name: str) -> None:
 
 
 def _folder_format(found: DriveFormat | None, folder: Path, settings: DriveYaml) -> tuple[dict[str, Path], _Times]:
-    """Folders of both sides' pictures by their names, and what reads the times, of a drive that is a folder of pictures.
+    """Folders of both sides' images by their names, and what reads the times, of a drive that is a folder of images.
 
     Raises DriveFolderError where drive.yaml names one outside of the drive folder.
     """
@@ -310,7 +310,7 @@ def _euroc_times(content: ContentHash, folder: Path, settings: DriveYaml) -> tup
 
 
 def _bag(content: ContentHash, folder: Path, settings: DriveYaml) -> tuple[int, int | None, int | None]:
-    """Left pictures, first and last message by the recorder's clock (None: not set); the bag's index goes into the header."""
+    """Left images, first and last message by the recorder's clock (None: not set); the bag's index goes into the header."""
     path = bag_files(folder.resolve())  # a linked file by its own name, as the drive is called by it
     if path is None:
         raise DriveFolderError(f"{folder}: this is no bag")
@@ -322,7 +322,7 @@ def _bag(content: ContentHash, folder: Path, settings: DriveYaml) -> tuple[int, 
         topics = choose_topics(bag.types, settings.streams, folder)
         content.add("index", repr((sorted(bag.counts.items()), bag.recorded_ns)).encode())
         set_ns = [time_ns for time_ns in bag.recorded_ns if time_ns >= EARLIEST_NS]
-        # A recorder whose clock was set on the way knows the end; the pictures have stamps of their own.
+        # A recorder whose clock was set on the way knows the end; the images have stamps of their own.
         return bag.counts[topics.left], *((set_ns[0], set_ns[-1]) if set_ns else (None, None))
 
 

@@ -1,6 +1,6 @@
 """Drive folders in the KITTI raw layout (Geiger et al., IJRR 2013), as a `Drive` with its rejections.
 
-Pictures may be "synced and rectified" or "synced only": their size says which. Those of the latter are rectified when read.
+Images may be "synced and rectified" or "synced only": their size says which. Those of the latter are rectified when read.
 
     drive/image_02/data/0000000000.{png,jpg}   left images        drive/image_02/timestamps.txt
     drive/image_03/data/0000000000.{png,jpg}   right images
@@ -30,11 +30,11 @@ from conetl.readers.drives.pairs import (
     PairError,
     check_images,
     first_size,
-    pictures_ahead,
+    images_ahead,
     require_pairs,
 )
 from conetl.readers.drives.timestamps import misplaced, parse_timestamps
-from conetl.readers.rigs import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, kitti_rig_for_pictures
+from conetl.readers.rigs import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, kitti_rig_for_images
 
 MAX_CLOCK_DIFFERENCE_NS = 500_000_000
 """Image and OXTS record of one number that are farther apart in time do not belong together."""
@@ -48,7 +48,7 @@ def is_kitti_folder(folder: Path) -> bool:
 def read_kitti_drive(
     folder: Path, *, map_srid: int | None = None, headers_only: bool = False
 ) -> tuple[Drive, list[Rejection]]:
-    """Everything about a drive but its pixels; pictures are checked by header and end marker, not decoded.
+    """Everything about a drive but its pixels; images are checked by header and end marker, not decoded.
 
     map_srid: EPSG code of the map; wins over drive.yaml, and both over the UTM zone of the first pose. Raises DriveFolderError
     or CalibrationError where there is no drive to speak of.
@@ -62,7 +62,7 @@ def read_kitti_drive(
     right = _numbered_images(camera_folder(root, settings.cameras.right, settings), folder, rejections)
     numbers = sorted(left.keys() | right.keys())
     if not numbers:
-        raise DriveFolderError(f"{folder}: there are no pictures (*.png, *.jpg) in {settings.cameras.left}/data")
+        raise DriveFolderError(f"{folder}: there are no images (*.png, *.jpg) in {settings.cameras.left}/data")
     size = first_size(paths[0] for _, paths in sorted(left.items()))
     rig = read_rig_for(root, calibration, size, settings, content)
     zone = settings.timestamps_timezone
@@ -92,7 +92,7 @@ def read_kitti_drive(
     usable: dict[int, tuple[Path, Path, int]] = {}
     rising = {n: t for n in numbers if isinstance(t := stamps.get(n), int)}
     wrong_times = misplaced(rising)
-    for number in pictures_ahead(numbers, left, right, content):
+    for number in images_ahead(numbers, left, right, content):
         try:
             left_path, right_path = check_images(left.get(number, []), right.get(number, []), rig, content, root)
             captured = _captured_at(number, stamps, wrong_times, settings)
@@ -113,7 +113,7 @@ def read_kitti_drive(
 def _frame_pairs(
     usable: Mapping[int, tuple[Path, Path, int]], track: oxts.Trajectory, settings: DriveYaml
 ) -> list[FramePair]:
-    """Records of the frame pairs that can be used: number -> left and right picture, UTC nanoseconds."""
+    """Records of the frame pairs that can be used: number -> left and right image, UTC nanoseconds."""
     poses = oxts.poses_at(track, {number: captured for number, (_, _, captured) in usable.items()}, settings.sigmas)
     return [
         FramePair(
@@ -147,9 +147,9 @@ def calibration_path(folder: Path, settings: DriveYaml) -> Path:
 def read_rig_for(
     root: Path, path: Path, size: tuple[int, int] | None, settings: DriveYaml, content: ContentHash
 ) -> Rig:
-    """The rig for left pictures of this size, with the chain from the IMU; its files go into the content hash."""
+    """The rig for left images of this size, with the chain from the IMU; its files go into the content hash."""
     numbers = int(settings.cameras.left[-1]), int(settings.cameras.right[-1])
-    rig = kitti_rig_for_pictures(
+    rig = kitti_rig_for_images(
         path, size, left=numbers[0], right=numbers[1], body_required=True,
         rig_id=settings.rig_id, sigma_px=settings.sigmas.image_px,
     )  # fmt: skip
@@ -161,12 +161,12 @@ def read_rig_for(
 
 
 def camera_folder(root: Path, name: str, settings: DriveYaml) -> Path:
-    """Folder of one camera's pictures. Where drive.yaml names it, it must lie inside the drive folder."""
+    """Folder of one camera's images. Where drive.yaml names it, it must lie inside the drive folder."""
     return (inside(root, name, DRIVE_YAML) if "cameras" in settings.model_fields_set else root / name) / "data"
 
 
 def _numbered_images(data: Path, folder: Path, rejections: list[Rejection]) -> dict[int, list[Path]]:
-    """Pictures by the number that is their name; pictures without a number are rejected, hidden files do not count."""
+    """Images by the number that is their name; images without a number are rejected, hidden files do not count."""
     if not data.is_dir():
         raise DriveFolderError(
             f"{folder}: the folder {data.parent.name}/data is missing; expected KITTI's layout with left images in "

@@ -1,4 +1,4 @@
-"""What all drive readers do with one frame pair: judge its pictures, and make a rejection of what is wrong with it."""
+"""What all drive readers do with one frame pair: judge its images, and make a rejection of what is wrong with it."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ _Key = TypeVar("_Key", int, str)
 _PAIRS_AT_ONCE = 8
 
 
-def pictures_ahead(
+def images_ahead(
     keys: Sequence[_Key],
     left: Mapping[_Key, Sequence[Path]],
     right: Mapping[_Key, Sequence[Path]],
     content: ContentHash,
 ) -> Iterator[_Key]:
-    """The same keys of frame pairs; their pictures in object storage are asked for some pairs at a time."""
+    """The same keys of frame pairs; their images in object storage are asked for some pairs at a time."""
     for first in range(0, len(keys), _PAIRS_AT_ONCE):
         batch = keys[first : first + _PAIRS_AT_ONCE]
         if not content.headers_only:
@@ -56,7 +56,7 @@ def check_images(
 ) -> tuple[Path, Path]:
     """Paths of both images of a pair, given all files that claim to be them.
 
-    Header, size (of the pictures as stored: raw, where the rig was rectified) and end marker are checked, nothing is decoded.
+    Header, size (of the images as stored: raw, where the rig was rectified) and end marker are checked, nothing is decoded.
     Both are read (for the content hash) before either is judged.
     Raises PairError.
     """
@@ -90,7 +90,7 @@ def check_images(
 
 
 def first_size(paths: Iterable[Path]) -> tuple[int, int] | None:
-    """Width and height of the first picture whose header can be read; None where there is none."""
+    """Width and height of the first image whose header can be read; None where there is none."""
     for path in paths:
         try:
             header = inspect_image(read_bytes(path))

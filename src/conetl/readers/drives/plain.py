@@ -30,7 +30,7 @@ from conetl.model.rejections import Rejection, RejectionReason
 from conetl.readers.drives import oxts
 from conetl.readers.drives.content import ContentHash
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml
-from conetl.readers.drives.pairs import IMAGE_SUFFIXES, PairError, check_images, pictures_ahead, require_pairs
+from conetl.readers.drives.pairs import IMAGE_SUFFIXES, PairError, check_images, images_ahead, require_pairs
 from conetl.readers.drives.timestamps import misplaced, parse_timestamp
 from conetl.readers.rigs import RIG_YAML, read_rig_yaml
 from conetl.readers.rigs.common import rectified_rig
@@ -78,7 +78,7 @@ def read_plain_drive(
     left, right = _images(root / "left", folder), _images(root / "right", folder)
     stems = sorted(left.keys() | right.keys())
     if not stems:
-        raise DriveFolderError(f"{folder}: there are no pictures (*.jpg, *.png) in left and right")
+        raise DriveFolderError(f"{folder}: there are no images (*.jpg, *.png) in left and right")
     rows, numbers = _read_rows(root, folder, content)
     good = [row for row in rows.values() if isinstance(row, Row)]
     if not good:
@@ -94,7 +94,7 @@ def read_plain_drive(
 
     pairs: list[FramePair] = []
     rejections: list[Rejection] = []
-    for stem in pictures_ahead(sorted(stems, key=lambda stem: order[stem]), left, right, content):
+    for stem in images_ahead(sorted(stems, key=lambda stem: order[stem]), left, right, content):
         try:
             left_path, right_path = check_images(left.get(stem, []), right.get(stem, []), rig, content, root)
             if stem not in rows:
@@ -129,7 +129,7 @@ def read_plain_drive(
 def read_plain_rig(root: Path, settings: DriveYaml, content: ContentHash) -> Rig:
     """The rectified rig, which must tell how the left camera sits on the body; its file goes into the content hash.
 
-    A rig.yaml with lenses or turned cameras describes raw pictures: they are resampled when they are read.
+    A rig.yaml with lenses or turned cameras describes raw images: they are resampled when they are read.
     """
     path = root / RIG_YAML
     if not path.is_file():
@@ -172,7 +172,7 @@ def _jumps(poses: Mapping[str, Pose], times: Mapping[str, int | str]) -> dict[st
 
 
 def _images(data: Path, folder: Path) -> dict[str, list[Path]]:
-    """Pictures by stem."""
+    """Images by stem."""
     if not data.is_dir():
         raise DriveFolderError(
             f"{folder}: the folder {data.name} is missing; expected left/ and right/ with the same stems"

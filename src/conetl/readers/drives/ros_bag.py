@@ -29,7 +29,7 @@ from conetl.geometry.rectification import stored_camera
 from conetl.model.errors import CalibrationError, DriveFolderError
 from conetl.model.records import Drive, Pose, Rig, Side
 from conetl.model.rejections import Rejection
-from conetl.readers.drives.bag_images import check_picture, picture_bytes, unpack
+from conetl.readers.drives.bag_images import check_image, image_bytes, unpack
 from conetl.readers.drives.bag_messages import Bag, Message, bag_files, open_bag
 from conetl.readers.drives.bag_rig import (
     TF_STATIC,
@@ -44,7 +44,7 @@ from conetl.readers.drives.body import add_settings, checked_srid, georeferenced
 from conetl.readers.drives.content import ContentHash
 from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas, read_drive_yaml, small_file
 from conetl.readers.drives.pairs import PairError
-from conetl.readers.drives.stamped_pairs import NS_PER_MS, Couple, Picture, alone, drive_of_couples, pair_by_stamp
+from conetl.readers.drives.stamped_pairs import NS_PER_MS, Couple, Image, alone, drive_of_couples, pair_by_stamp
 from conetl.readers.drives.trajectories import (
     at,
     attitude_sigmas,
@@ -78,18 +78,18 @@ def is_bag(path: Path) -> bool:
 
 
 def read_bag_drive(
-    path: Path, *, map_srid: int | None = None, headers_only: bool = False, pictures_folder: Path | None = None
+    path: Path, *, map_srid: int | None = None, headers_only: bool = False, images_folder: Path | None = None
 ) -> tuple[Drive, list[Rejection]]:
     """The drive of a bag and its rejections; see `kitti.read_kitti_drive` for the rules that all formats share.
 
-    pictures_folder: where pictures are unpacked to. headers_only: only the first picture of each camera is.
+    images_folder: where images are unpacked to. headers_only: only the first image of each camera is.
     """
     source = path.resolve()
     file = bag_files(source)
     if file is None:
         raise DriveFolderError(f"{path}: this is no bag: neither a .mcap file nor a folder with metadata.yaml")
-    if pictures_folder is None:
-        raise DriveFolderError(f"{path}: a bag's pictures must be unpacked, but no folder was given for them")
+    if images_folder is None:
+        raise DriveFolderError(f"{path}: a bag's images must be unpacked, but no folder was given for them")
     settings = read_drive_yaml(source)
     content = ContentHash(headers_only=headers_only)
     add_settings(content, source)
@@ -98,24 +98,24 @@ def read_bag_drive(
         recorded = _read_small(bag, topics, settings, content)
         rig, sensor_R_body = _rig(small_file(source, RIG_YAML), topics, recorded, settings, path)
         srid, pose_at = _trajectory(topics, recorded, settings, map_srid, sensor_R_body, path)
-        pictures = _read_pictures(bag, topics, rig, content, pictures_folder, source)
+        images = _read_images(bag, topics, rig, content, images_folder, source)
     tolerance_ns = round(settings.pair_tolerance_ms * NS_PER_MS)
-    couples = pair_by_stamp(pictures[topics.left], pictures[topics.right], tolerance_ns)
+    couples = pair_by_stamp(images[topics.left], images[topics.right], tolerance_ns)
     if not couples:
-        raise DriveFolderError(f"{path}: there are no pictures on {topics.left} and {topics.right}")
+        raise DriveFolderError(f"{path}: there are no images on {topics.left} and {topics.right}")
     names: dict[Side, str] = {"left": topics.left, "right": topics.right}
 
-    def pictures_of(couple: Couple) -> tuple[Path, Path]:
+    def images_of(couple: Couple) -> tuple[Path, Path]:
         left, right = couple
         if left is None or right is None:
             raise alone(couple, tolerance_ns, names)
-        for picture in (left, right):
-            if picture.problem is not None:
-                raise picture.problem
+        for image in (left, right):
+            if image.problem is not None:
+                raise image.problem
         return left.path, right.path
 
     return drive_of_couples(
-        couples, source=source, settings=settings, rig=rig, srid=srid, content=content, pictures_of=pictures_of, pose_at=pose_at,
+        couples, source=source, settings=settings, rig=rig, srid=srid, content=content, images_of=images_of, pose_at=pose_at,
     )  # fmt: skip
 
 
@@ -129,7 +129,7 @@ def _stamp_ns(message: Message) -> int | str:
 
 
 def _read_small(bag: Bag, topics: Topics, settings: DriveYaml, content: ContentHash) -> _Recorded:
-    """All messages of the drive but its pictures."""
+    """All messages of the drive but its images."""
     readers: dict[str, Callable[[Any, Sigmas], tuple[Array, tuple[float, ...]]]] = {}
     for topic, reader in ((topics.fix, _fix), (topics.imu, _attitude), (topics.odometry, _odometry)):
         if topic is not None:
@@ -286,16 +286,16 @@ def _antenna(topics: Topics, found: _Recorded, settings: DriveYaml, source: Path
     return np.array(pose[:3, 3])
 
 
-def _read_pictures(
+def _read_images(
     bag: Bag, topics: Topics, rig: Rig, content: ContentHash, folder: Path, source: Path
-) -> dict[str, list[Picture]]:
-    """Pictures of both cameras by topic, in the order of recording; one is in memory at a time."""
+) -> dict[str, list[Image]]:
+    """Images of both cameras by topic, in the order of recording; one is in memory at a time."""
     sides: dict[str, Side] = {topics.left: "left", topics.right: "right"}
-    found: dict[str, list[Picture]] = {topic: [] for topic in sides}
+    found: dict[str, list[Image]] = {topic: [] for topic in sides}
     for message in bag.messages(list(sides)):
         topic = message.topic
         stamp = _stamp_ns(message)
-        name = f"{topic}, picture of {stamp} ns" if isinstance(stamp, int) else topic
+        name = f"{topic}, image of {stamp} ns" if isinstance(stamp, int) else topic
         path = Path(f"{source}#{topic}@{stamp}")
         problem: PairError | None = None
         if message.content is not None:
@@ -304,11 +304,11 @@ def _read_pictures(
                 if not content.headers_only:
                     content.add(f"{sides[topic]}/{len(found[topic])}", bytes(message.content.data))
                     content.add(f"{sides[topic]}/{len(found[topic])}/stamp", str(stamp).encode())
-                data = picture_bytes(message.content, name)
-                suffix = check_picture(data, name, (camera.width_px, camera.height_px))
+                data = image_bytes(message.content, name)
+                suffix = check_image(data, name, (camera.width_px, camera.height_px))
                 if not content.headers_only or not any(p.path.is_file() for p in found[topic][:1]):
                     path = unpack(data, suffix, folder)
             except PairError as error:
                 problem = error
-        found[topic].append(Picture(stamp, path, problem))
+        found[topic].append(Image(stamp, path, problem))
     return found

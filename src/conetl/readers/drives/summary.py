@@ -50,7 +50,7 @@ class Jump(_Part):
 
 
 class RigSummary(_Part):
-    """The rig as later steps see it (rectified) and the pictures as they are stored."""
+    """The rig as later steps see it (rectified) and the images as they are stored."""
 
     rig_id: str
     baseline_m: float
@@ -60,7 +60,7 @@ class RigSummary(_Part):
     stored_width_px: int
     stored_height_px: int
     lens: str
-    """Of the left camera as it took the pictures; "none" for rectified ones."""
+    """Of the left camera as it took the images; "none" for rectified ones."""
     rectified_on_reading: bool
     calibration_covariance_known: bool
 
@@ -117,7 +117,7 @@ class DriveSummary(_Part):
 
 
 def summarise(drive: Drive, rejections: Sequence[Rejection]) -> DriveSummary:
-    """The summary of a drive and its rejections. Costs no look at the pictures."""
+    """The summary of a drive and its rejections. Costs no look at the images."""
     pairs = drive.frame_pairs
     places = np.array([pair.pose.map_t_body_m for pair in pairs])
     sigmas = np.array([pair.pose.sigma_enu_m for pair in pairs])

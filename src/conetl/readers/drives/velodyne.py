@@ -103,7 +103,7 @@ def _read_rigid(path: Path) -> NDArray[np.float64]:
 def points_at_exposure(
     points: Floats, pair: FramePair, pairs: Mapping[int, FramePair], rig: Rig, velo: Floats, period_s: float
 ) -> Floats:
-    """Points (N, 3) of one turn of the scanner, in its frame, as at the instant of the picture.
+    """Points (N, 3) of one turn of the scanner, in its frame, as at the instant of the image.
 
     velo: (4, 4) left_SE3_velo; the car's motion comes from the poses of the frame pairs before and after.
     """

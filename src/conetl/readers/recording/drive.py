@@ -2,7 +2,7 @@
 
 Nothing here waits or sleeps. What is not there yet is None, what is there and wrong raises PairError. A recorder may write any
 file in any order and in pieces: a line counts once it ends with a newline, an OXTS record once it has all its numbers; whether a
-picture is whole is seen when it is read.
+image is whole is seen when it is read.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ BEHIND = 2**62
 
 
 class ArrivingPair(NamedTuple):
-    """A frame pair of which both picture files have appeared."""
+    """A frame pair of which both image files have appeared."""
 
     key: str
-    """Stem of the pictures."""
+    """Stem of the images."""
     left_path: Path
     right_path: Path
 
@@ -94,7 +94,7 @@ def open_arriving(folder: Path) -> ArrivingDrive | None:
 
 @dataclass
 class _Couples:
-    """Pictures of two folders by stem, and which couples were told already.
+    """Images of two folders by stem, and which couples were told already.
 
     Names only, and each is looked at once: an hour's drive has 72,000, and to make paths of them takes longer than a look may.
     """
@@ -102,9 +102,9 @@ class _Couples:
     left: Path
     right: Path
     seen: dict[Path, set[str]] = field(default_factory=dict)
-    """All names of a folder, pictures or not."""
-    pictures: dict[Path, dict[str, str]] = field(default_factory=dict)
-    """Names of a folder's pictures by stem."""
+    """All names of a folder, images or not."""
+    images: dict[Path, dict[str, str]] = field(default_factory=dict)
+    """Names of a folder's images by stem."""
     told: set[str] = field(default_factory=set)
 
     def new(self, changed: Iterable[Path] | None) -> list[ArrivingPair]:
@@ -114,21 +114,21 @@ class _Couples:
         for folder in (self.left, self.right):
             names = _names(folder) if paths is None else {path.name for path in paths if path.parent == folder}
             fresh |= self._take(folder, names)
-        left, right = self.pictures[self.left], self.pictures[self.right]
+        left, right = self.images[self.left], self.images[self.right]
         whole = sorted(stem for stem in fresh if stem in left and stem in right and stem not in self.told)
         self.told.update(whole)
         return [ArrivingPair(stem, self.left / left[stem], self.right / right[stem]) for stem in whole]
 
     def left_paths(self) -> Iterator[Path]:
-        """Left pictures so far, by stem."""
-        return (self.left / name for _, name in sorted(self.pictures.get(self.left, {}).items()))
+        """Left images so far, by stem."""
+        return (self.left / name for _, name in sorted(self.images.get(self.left, {}).items()))
 
     def _take(self, folder: Path, names: set[str]) -> set[str]:
-        """Take in names of a folder; the stems of pictures that are new."""
-        seen, known = self.seen.setdefault(folder, set()), self.pictures.setdefault(folder, {})
+        """Take in names of a folder; the stems of images that are new."""
+        seen, known = self.seen.setdefault(folder, set()), self.images.setdefault(folder, {})
         unseen = names - seen
         seen |= unseen
-        stems = {_parts(name)[0]: name for name in sorted(unseen, reverse=True) if _is_picture(name)}
+        stems = {_parts(name)[0]: name for name in sorted(unseen, reverse=True) if _is_image(name)}
         new = stems.keys() - known.keys()
         known |= {stem: stems[stem] for stem in new}
         return new
@@ -142,7 +142,7 @@ def _names(folder: Path) -> set[str]:
         return set()
 
 
-def _is_picture(name: str) -> bool:
+def _is_image(name: str) -> bool:
     return not name.startswith(".") and _parts(name)[1].lower() in IMAGE_SUFFIXES
 
 
@@ -215,7 +215,7 @@ class ArrivingKitti:
         return int(pair.key), pair.key
 
     def rig(self) -> Rig | None:
-        """Needs the size of a whole picture: it says whether the pictures are rectified."""
+        """Needs the size of a whole image: it says whether the images are rectified."""
         if self._rig is None:
             size = first_size(self.couples.left_paths())
             if size is not None:

@@ -1,6 +1,6 @@
 """Calibration files of many tools -> `Rig`, and back: one module a format, `read_rig` finds out which one it is.
 
-What is read is the rig of the pictures as they are stored: raw, with its lenses, unless the file describes a rectified pair
+What is read is the rig of the images as they are stored: raw, with its lenses, unless the file describes a rectified pair
 (`geometry/rectification.py` makes the other from it). Everything wrong with a file ends in one CalibrationError that names
 file, key, what was expected and what to do.
 """
@@ -20,7 +20,7 @@ from conetl.readers.rigs.kitti import (
     CAM_TO_CAM,
     IMU_TO_VELO,
     VELO_TO_CAM,
-    kitti_rig_for_pictures,
+    kitti_rig_for_images,
     read_kitti_rig,
 )
 from conetl.readers.rigs.matlab import looks_like_matlab, read_matlab_rig, write_matlab_rig
@@ -29,9 +29,9 @@ from conetl.readers.rigs.rig_yaml import RIG_YAML, read_rig_yaml, write_rig_yaml
 from conetl.readers.rigs.ros import looks_like_ros, read_ros_rig, write_ros_rig
 
 __all__ = [
-    "CAM_TO_CAM", "FORMAT_NAMES", "IMU_TO_VELO", "RIG_YAML", "VELO_TO_CAM", "WRITERS", "Format", "kitti_rig_for_pictures",
+    "CAM_TO_CAM", "FORMAT_NAMES", "IMU_TO_VELO", "RIG_YAML", "VELO_TO_CAM", "WRITERS", "Format", "kitti_rig_for_images",
     "read_kalibr_rig", "read_kitti_rig", "read_matlab_rig", "read_opencv_rig", "read_rig", "read_rig_and_format",
-    "read_rig_for_pictures", "read_rig_yaml", "read_ros_rig", "recognise", "write_kalibr_rig", "write_matlab_rig",
+    "read_rig_for_images", "read_rig_yaml", "read_ros_rig", "recognise", "write_kalibr_rig", "write_matlab_rig",
     "write_opencv_rig", "write_rig_yaml", "write_ros_rig",
 ]  # fmt: skip
 
@@ -69,7 +69,7 @@ def read_rig_and_format(
     path, found = recognise(path)
     if found not in ("opencv", "matlab") and (image_size is not None or length_unit is not None):
         raise CalibrationError(
-            f"{path}: a {FORMAT_NAMES[found]} tells its picture size and its unit itself; leave them out"
+            f"{path}: a {FORMAT_NAMES[found]} tells its image size and its unit itself; leave them out"
         )
     match found:
         case "kitti":
@@ -86,14 +86,14 @@ def read_rig_and_format(
             return read_rig_yaml(path), found
 
 
-def read_rig_for_pictures(path: Path, size: Size | None) -> Rig:
-    """The rectified rig for pictures of this width and height (None: not known), of a calibration file of any known format.
+def read_rig_for_images(path: Path, size: Size | None) -> Rig:
+    """The rectified rig for images of this width and height (None: not known), of a calibration file of any known format.
 
     Where they are raw, `rectified_from` is the rig that took them. Raises CalibrationError.
     """
     path, found = recognise(path)
     if found == "kitti":
-        return kitti_rig_for_pictures(path, size, body_required=False)
+        return kitti_rig_for_images(path, size, body_required=False)
     return rectified_rig(read_rig(path), path)
 
 

@@ -87,7 +87,7 @@ def numbers(path: Path, key: str, value: Any, shape: tuple[int, ...] | None = No
     return array
 
 
-def picture_size(path: Path, key: str, value: Any) -> Size:
+def size_of_images(path: Path, key: str, value: Any) -> Size:
     """Width and height in pixels. Raises CalibrationError."""
     size = numbers(path, key, value, (2,))
     if not np.all((size >= 1) & (size == np.round(size))):
@@ -105,7 +105,7 @@ def camera_from_matrix(path: Path, key: str, k: Array, size: Size, lens: Lens) -
     if not np.allclose([k[1, 0], *k[2]], [0.0, 0.0, 0.0, 1.0], atol=1e-9 * fx):
         raise bad(path, key, "must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
     width, height = size
-    # A principal point that is off the picture by its own size belongs to another picture size.
+    # A principal point that is off the image by its own size belongs to another image size.
     if not (-width < cx < 2 * width and -height < cy < 2 * height):
         raise bad(path, key, f"has the principal point ({cx:.1f}, {cy:.1f}), far outside {width} x {height} pixels")
     return Camera(width_px=width, height_px=height, fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy, lens=lens)
@@ -186,7 +186,7 @@ def rig_of(
 
 
 def rectified_rig(rig: Rig, path: Path) -> Rig:
-    """The rig that pictures are resampled to (`rectify`). Raises CalibrationError naming the file where there is none."""
+    """The rig that images are resampled to (`rectify`). Raises CalibrationError naming the file where there is none."""
     try:
         return rectify(rig)
     except ValueError as error:

@@ -27,8 +27,8 @@ from conetl.readers.rigs.common import (
     numbers,
     opencv_coefficients,
     opencv_lens,
-    picture_size,
     read_yaml,
+    size_of_images,
     stereo_rig,
 )
 
@@ -74,7 +74,7 @@ def _camera(path: Path, camera: Any, where: str) -> Camera:
                 path, f"{where}distortion_model", f"'{lens_model}' is not supported; known: radtan, equidistant, none"
             )
         lens = (opencv_lens if lens_model == "radtan" else fisheye_lens)(path, key, coefficients)
-    size = picture_size(path, f"{where}resolution", entry(path, camera, "resolution", where))
+    size = size_of_images(path, f"{where}resolution", entry(path, camera, "resolution", where))
     k = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     return camera_from_matrix(path, f"{where}intrinsics", k, size, lens)
 

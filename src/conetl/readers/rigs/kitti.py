@@ -16,7 +16,7 @@ from conetl.readers.rigs.common import Array, Size, first_message, read_text, re
 CAM_TO_CAM = "calib_cam_to_cam.txt"
 VELO_TO_CAM = "calib_velo_to_cam.txt"
 IMU_TO_VELO = "calib_imu_to_velo.txt"
-Pictures = Literal["rectified", "raw"]
+Images = Literal["rectified", "raw"]
 
 
 def read_kitti_rig(
@@ -25,19 +25,19 @@ def read_kitti_rig(
     left: int = 2,
     right: int = 3,
     body_required: bool,
-    pictures: Pictures = "rectified",
+    images: Images = "rectified",
     rig_id: str | None = None,
     sigma_px: float = 0.5,
 ) -> Rig:
     """Rig of two KITTI cameras from `calib_cam_to_cam.txt` and the two files beside it.
 
-    body_required: refuse the calibration where the chain from the IMU is missing. pictures: "rectified" for the pair of
-    P_rect_0i, "raw" for the cameras that took the pictures ("synced only": S_0i, K_0i, D_0i, R_0i, T_0i), lenses included.
+    body_required: refuse the calibration where the chain from the IMU is missing. images: "rectified" for the pair of
+    P_rect_0i, "raw" for the cameras that took the images ("synced only": S_0i, K_0i, D_0i, R_0i, T_0i), lenses included.
     rig_id: default "kitti-" and the start of a hash over the numbers. Raises CalibrationError.
     """
-    keys = {"R_rect_00": 9} if pictures == "rectified" else {}
+    keys = {"R_rect_00": 9} if images == "rectified" else {}
     for number in (left, right):
-        if pictures == "rectified":
+        if images == "rectified":
             keys |= {f"S_rect_{number:02d}": 2, f"P_rect_{number:02d}": 12}
         else:
             keys |= {f"{key}_{number:02d}": count for key, count in (("S", 2), ("K", 9), ("D", 5), ("R", 9), ("T", 3))}
@@ -55,8 +55,8 @@ def read_kitti_rig(
         for part in (cameras, velo or {}, imu or {}):
             for key in sorted(part):
                 digest.update(key.encode() + part[key].tobytes())
-        rig_id = f"kitti-{'raw-' if pictures == 'raw' else ''}{left:02d}-{right:02d}-{digest.hexdigest()[:8]}"
-    make = kitti_rig if pictures == "rectified" else kitti_raw_rig
+        rig_id = f"kitti-{'raw-' if images == 'raw' else ''}{left:02d}-{right:02d}-{digest.hexdigest()[:8]}"
+    make = kitti_rig if images == "rectified" else kitti_raw_rig
     try:
         return make(
             cameras, velo_to_cam=velo, imu_to_velo=imu, left=left, right=right, rig_id=rig_id, sigma_px=sigma_px
@@ -65,7 +65,7 @@ def read_kitti_rig(
         raise CalibrationError(f"{cam_to_cam}: {first_message(error)}") from error
 
 
-def kitti_rig_for_pictures(
+def kitti_rig_for_images(
     cam_to_cam: Path,
     size: Size | None,
     *,
@@ -75,10 +75,10 @@ def kitti_rig_for_pictures(
     rig_id: str | None = None,
     sigma_px: float = 0.5,
 ) -> Rig:
-    """Rectified rig for left pictures of this width and height, which tell whether they are KITTI's rectified or its raw ones.
+    """Rectified rig for left images of this width and height, which tell whether they are KITTI's rectified or its raw ones.
 
-    Raw pictures ("synced only") are those of the size S_0i; their rig has `rectified_from`. Where both sizes are equal, or the
-    size is neither or not known, the pictures are taken for rectified. Raises CalibrationError.
+    Raw images ("synced only") are those of the size S_0i; their rig has `rectified_from`. Where both sizes are equal, or the
+    size is neither or not known, the images are taken for rectified. Raises CalibrationError.
     """
     own = read_kitti_rig(
         cam_to_cam, left=left, right=right, body_required=body_required, rig_id=rig_id, sigma_px=sigma_px
@@ -90,7 +90,7 @@ def kitti_rig_for_pictures(
         left=left,
         right=right,
         body_required=body_required,
-        pictures="raw",
+        images="raw",
         rig_id=rig_id,
         sigma_px=sigma_px,
     )
@@ -98,7 +98,7 @@ def kitti_rig_for_pictures(
 
 
 def kitti_raw_size(cam_to_cam: Path, number: int) -> Size | None:
-    """Width and height of the raw pictures of a camera; None where the file does not tell. Raises CalibrationError."""
+    """Width and height of the raw images of a camera; None where the file does not tell. Raises CalibrationError."""
     key = f"S_{number:02d}"
     if not any(line.partition(":")[0].strip() == key for line in read_text(cam_to_cam).splitlines()):
         return None

@@ -32,8 +32,8 @@ from conetl.readers.rigs.common import (
     numbers,
     opencv_coefficients,
     opencv_lens,
-    picture_size,
     read_text,
+    size_of_images,
     stereo_rig,
 )
 
@@ -111,7 +111,7 @@ def _camera(path: Path, camera: Any, where: str, image_size: Size | None) -> Cam
                 f"{where}ImageSize",
                 "is missing or empty; make a rig.yaml of it: conetl rig convert with --image-size 6000x4000",
             )
-        rows_columns = picture_size(path, f"{where}ImageSize", camera["ImageSize"])
+        rows_columns = size_of_images(path, f"{where}ImageSize", camera["ImageSize"])
         image_size = rows_columns[1], rows_columns[0]
     return camera_from_matrix(path, key, k, image_size, lens)
 

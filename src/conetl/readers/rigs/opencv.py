@@ -31,9 +31,9 @@ from conetl.readers.rigs.common import (
     numbers,
     opencv_coefficients,
     opencv_lens,
-    picture_size,
     read_text,
     read_yaml,
+    size_of_images,
     stereo_rig,
 )
 
@@ -193,10 +193,10 @@ def _is_fisheye(path: Path, content: Mapping[str, Any], side: Side) -> bool:
 def _size(path: Path, content: Mapping[str, Any], side: Side) -> Size:
     width, height = _scalar(content, side, ("image_width", "width")), _scalar(content, side, ("image_height", "height"))
     if width is not None and height is not None:
-        return picture_size(path, f"{width[0]}, {height[0]}", [width[1], height[1]])
+        return size_of_images(path, f"{width[0]}, {height[0]}", [width[1], height[1]])
     whole = _scalar(content, side, _SIZE_NAMES)
     if whole is not None:
-        return picture_size(path, whole[0], whole[1])
+        return size_of_images(path, whole[0], whole[1])
     raise bad(
         path, "image_width, image_height", "are missing: OpenCV's stereo files do not always tell the size of the pictures. "
         "Add both keys to the file, or make a rig.yaml of it: conetl rig convert with --image-size 1242x375",
@@ -204,9 +204,9 @@ def _size(path: Path, content: Mapping[str, Any], side: Side) -> Size:
 
 
 def write_opencv_rig(rig: Rig, path: Path) -> None:
-    """Write M1, D1, M2, D2, R, T (metres) and the picture size for `cv2.FileStorage`; the suffix gives YAML, XML or JSON.
+    """Write M1, D1, M2, D2, R, T (metres) and the image size for `cv2.FileStorage`; the suffix gives YAML, XML or JSON.
 
-    A file of OpenCV holds one picture size and one kind of lens: raises CalibrationError for a rig that mixes them, or for
+    A file of OpenCV holds one image size and one kind of lens: raises CalibrationError for a rig that mixes them, or for
     another suffix, InputError where nothing can be written. The body's pose and the covariance have no place there.
     """
     if path.suffix.lower() not in SUFFIXES:
@@ -214,7 +214,7 @@ def write_opencv_rig(rig: Rig, path: Path) -> None:
     left, right = rig.left, rig.right
     if (left.width_px, left.height_px) != (right.width_px, right.height_px):
         raise CalibrationError(
-            f"{path}: OpenCV's stereo files hold one picture size, but the two cameras differ in theirs"
+            f"{path}: OpenCV's stereo files hold one image size, but the two cameras differ in theirs"
         )
     fisheyes = [camera.lens.model == "fisheye" for camera in (left, right)]
     if fisheyes[0] != fisheyes[1]:

@@ -219,7 +219,7 @@ def read_rig_yaml(path: Path) -> Rig:
 def write_rig_yaml(rig: Rig, path: Path) -> None:
     """Write a rig as a `rig.yaml`, every digit kept: `read_rig_yaml` gives it back.
 
-    The file describes the rig's own cameras; for the pictures as stored of a rectified rig write its `rectified_from`. Raises
+    The file describes the rig's own cameras; for the images as stored of a rectified rig write its `rectified_from`. Raises
     InputError where nothing can be written.
     """
     content: dict[str, Any] = {"rig_id": rig.rig_id}

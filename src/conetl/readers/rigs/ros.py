@@ -1,6 +1,6 @@
 """ROS `camera_info` YAML pairs (camera_calibration, camera_info_manager): `left.yaml` and `right.yaml`, read and written.
 
-The pair describes the raw pictures. `rectification_matrix` turns directions of the camera into the rectified frame, and
+The pair describes the raw images. `rectification_matrix` turns directions of the camera into the rectified frame, and
 `projection_matrix` of the right camera holds -fx baseline in its fourth column (REP 104, sensor_msgs/CameraInfo); both together
 are the relative pose. Where the two files were calibrated one by one (identity and no fourth column) the relative pose must be
 told: `extrinsics.yaml` beside them with `left_SE3_right: {R: [[...], [...], [...]], t_m: [x, y, z]}`, as in a rig.yaml.
@@ -31,8 +31,8 @@ from conetl.readers.rigs.common import (
     numbers,
     opencv_coefficients,
     opencv_lens,
-    picture_size,
     read_yaml,
+    size_of_images,
     stereo_rig,
 )
 
@@ -103,7 +103,7 @@ def _camera(path: Path, content: Any) -> tuple[Camera, Array, Array]:
     """Camera, its rectification matrix (3, 3) and its projection matrix (3, 4)."""
     if not isinstance(content, Mapping):
         raise CalibrationError(f"{path}: expected the YAML mapping of a ROS camera_info")
-    size = picture_size(
+    size = size_of_images(
         path, "image_width, image_height", [entry(path, content, "image_width"), entry(path, content, "image_height")]
     )
     model = entry(path, content, "distortion_model")

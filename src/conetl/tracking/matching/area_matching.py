@@ -1,18 +1,18 @@
-"""Area-based least-squares matching of one cone between the left and the right rectified picture.
+"""Area-based least-squares matching of one cone between the left and the right rectified image.
 
 A box from a network is loose by a pixel or more; range lives on the difference of two such boxes. Matching the grey values
 themselves fixes the disparity to a twentieth of a pixel. First a normalised cross-correlation over whole pixels, then
 least-squares matching (Ackermann 1984; Gruen 1985) by Gauss-Newton, with a gain and an offset for each colour.
 
 A cone is no plane: its outline lies at the depth of the axis, the surface between lies nearer by up to its radius. The left
-picture is therefore matched along a disparity *surface*, that of a body of revolution with the outline of `cone_outline.py`
+image is therefore matched along a disparity *surface*, that of a body of revolution with the outline of `cone_outline.py`
 standing upright (`cone_surface.py`), and what is looked for is the disparity of its axis at the foot. How far the cone leans,
 how near its surface is and how far each edge is seen off its place are unknowns as well, about which something is known
 beforehand; so neither the edges nor the texture of a large cone are believed too much, and sigma holds what such errors cost.
-Sigma is that of the residuals under slopes that both pictures share: noise makes slopes too, and they hold nothing.
+Sigma is that of the residuals under slopes that both images share: noise makes slopes too, and they hold nothing.
 
 Only pixels of the body and its edges take part. What stands behind is mixed into the edges by the blur, and is another thing in
-the other picture: that change is measured just beyond the edge and taken out. Both pictures are blurred alike by the B-spline of
+the other image: that change is measured just beyond the edge and taken out. Both images are blurred alike by the B-spline of
 the interpolation; without that noise draws disparities to half pixels. What does not fit (something in front) loses its weight.
 """
 
@@ -48,7 +48,7 @@ _SOFT_ITERATIONS = 3
 #: A change of background counts by half where its square is this many times its own uncertainty: noise, and what it may change
 #: by on the way from where it is seen to the edge, so many pixels (a random walk: its variance grows with the way).
 _BACKGROUND_NOISE, _BACKGROUND_WAY_PX = 3.0, 2.5
-#: Variance of grey values that even equal pictures have, by rounding to 8 bits in both.
+#: Variance of grey values that even equal images have, by rounding to 8 bits in both.
 _QUANTISATION = 0.17
 #: What is known beforehand, one sigma: lean of a cone towards the camera (rad), its surface's nearness (share), and how far an
 #: edge is seen off its place by what stands behind it (px). Nothing of disparity and row offset.
@@ -71,7 +71,7 @@ class AreaMatch:
     """Standard deviation of the disparity."""
     correlation: float
     row_offset_px: float
-    """How much lower the cone is in the right picture; 0 in a perfectly rectified pair with equal principal points."""
+    """How much lower the cone is in the right image; 0 in a perfectly rectified pair with equal principal points."""
 
 
 def match_area(
@@ -86,11 +86,11 @@ def match_area(
     at_infinity_px: float = 0.0,
     row_offset_px: float = 0.0,
 ) -> AreaMatch | None:
-    """Disparity of the cone with `outline` in the left picture, or None where the pictures do not settle it.
+    """Disparity of the cone with `outline` in the left image, or None where the images do not settle it.
 
-    left, right: rectified pictures, (H, W, 3) or (H, W), uint8. disparity_px: first guess; search_px: half width of the search.
+    left, right: rectified images, (H, W, 3) or (H, W), uint8. disparity_px: first guess; search_px: half width of the search.
     camera: the left one. up: unit vector (3,) in its frame (x right, y down, z forward). at_infinity_px: disparity of a point at
-    infinity. row_offset_px: how much lower all things are in the right picture by calibration.
+    infinity. row_offset_px: how much lower all things are in the right image by calibration.
     """
     if left.ndim == 2:
         left, right = left[:, :, None], right[:, :, None]
@@ -106,7 +106,7 @@ def match_area(
 def _whole_pixel_disparity(
     pixels: ConePixels, right: NDArray[np.uint8], guess: float, search_px: float, at_infinity_px: float, row_offset: int
 ) -> int | None:
-    """Disparity at which the pixels fit best; None at the search's end, below the bar, or where it leaves the picture."""
+    """Disparity at which the pixels fit best; None at the search's end, below the bar, or where it leaves the image."""
     reach = int(np.ceil(search_px)) + 1
     candidates = round(guess) + np.arange(-reach, reach + 1)
     shape = at_infinity_px + (candidates[:, None] - at_infinity_px) / pixels.depth
@@ -213,7 +213,7 @@ def _by_unknown(along: Floats, slope_u: Floats, slope_v: Floats) -> Floats:
 
 
 def _background(change: Floats, noise: Floats) -> Floats:
-    """(e, channels): how much the background changes between the pictures at e edges, as far as it can be told from beside them.
+    """(e, channels): how much the background changes between the images at e edges, as far as it can be told from beside them.
 
     change (e, 2, channels): at the two points beyond each edge; edges left and right in turn, row by row. noise (channels,).
     Beside a far cone a pixel is a large piece of the world, and what is seen two pixels off says little of the edge: where the
@@ -247,7 +247,7 @@ class _Linearised(NamedTuple):
     inverse: Floats
     """(p, p) of the normal matrix, what is known beforehand included"""
     normal: Floats
-    """(p, p) of the pictures alone, were the residuals white"""
+    """(p, p) of the images alone, were the residuals white"""
     pull: Floats
     """(p,)"""
     correlation: float
@@ -264,7 +264,7 @@ class _Linearised(NamedTuple):
 
 
 def _linearise(values: Floats, sample: Floats, slopes: Floats, unknown: Floats, weights: Floats) -> _Linearised | None:
-    """None where the right picture has nothing to hold on to, or is the negative of the left one.
+    """None where the right image has nothing to hold on to, or is the negative of the left one.
 
     values, sample (n, channels): grey values left and right. slopes (p, n, channels): of the sample with respect to the unknowns.
     """

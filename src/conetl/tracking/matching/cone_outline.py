@@ -1,4 +1,4 @@
-"""Where the body of a standing cone is in one picture: its axis, and how wide it is in each row.
+"""Where the body of a standing cone is in one image: its axis, and how wide it is in each row.
 
 A box says how wide the base plate is, not the body, and boxes are loose. What range needs is the body: its outline lies at
 the depth of the axis, the surface between lies nearer. Both edges of the body are straight lines; each is looked for by itself
@@ -74,7 +74,7 @@ def expected_outline(detection: Detection) -> Outline:
 
 
 def find_outline(image: NDArray[np.uint8], detection: Detection) -> Outline:
-    """The outline of a detection's cone in its picture (H, W, 3), uint8."""
+    """The outline of a detection's cone in its image (H, W, 3), uint8."""
     expected = expected_outline(detection)
     width = detection.w_px
     first = int(np.ceil(expected.tip_row + BODY_ROWS[0] * (expected.foot_row - expected.tip_row)))
@@ -134,7 +134,7 @@ def _settled(steps: Floats, share: Floats, start: Floats, expected: Floats, prio
     Each row says where its change is centred under a window about the line; the line through these, weighted by how much
     changes there, is the next one. The window narrows, so that the line ends on the edge itself and not between two of them.
     steps: in units of what changes everywhere; a row with no more than that says where its edge is to `_ROW_SIGMA_PX`. The
-    expected line counts with the weights `prior` (1/px^2): it decides where the picture shows no edge.
+    expected line counts with the weights `prior` (1/px^2): it decides where the image shows no edge.
     start, expected, and what is returned: (2, 2) columns at tip and foot of both edges.
     """
     columns = np.arange(steps.shape[1], dtype=np.float64)

@@ -1,4 +1,4 @@
-"""The pixels of the left picture that the matching of a cone looks at: its body, its edges, and what stands beside them."""
+"""The pixels of the left image that the matching of a cone looks at: its body, its edges, and what stands beside them."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ _BEYOND_PX = np.array([2.0, 3.0])
 
 
 class ConePixels(NamedTuple):
-    """The pixels of the left picture that take part; n of them."""
+    """The pixels of the left image that take part; n of them."""
 
     rows: Ints
-    """(n,) rows in the picture"""
+    """(n,) rows in the image"""
     columns: Ints
     values: Floats
     """(n, channels) grey values"""
@@ -61,9 +61,9 @@ class Beyond(NamedTuple):
     """(2e,)"""
     columns: Floats
     depth: Floats
-    """(2e,) of the edge: what is looked for is what the right picture shows beside the same edge"""
+    """(2e,) of the edge: what is looked for is what the right image shows beside the same edge"""
     values: Floats
-    """(e, 2, channels) grey values in the left picture"""
+    """(e, 2, channels) grey values in the left image"""
 
 
 def cone_pixels(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Floats) -> ConePixels | None:
@@ -107,7 +107,7 @@ def cone_pixels(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: F
 
 
 def _beyond(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Floats, rows: Ints) -> Beyond | None:
-    """Background beside both edges of every row; None where the picture ends there."""
+    """Background beside both edges of every row; None where the image ends there."""
     y = rows.astype(np.float64)
     axis, radius = outline.axis(y), outline.radius(y)
     columns = axis[:, None, None] + np.array([-1.0, 1.0])[None, :, None] * (radius[:, None, None] + _BEYOND_PX)
@@ -121,13 +121,13 @@ def _beyond(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Float
     return Beyond(v, columns, surface.limb, values.reshape(-1, len(_BEYOND_PX), values.shape[1]))
 
 
-def _smooth(picture: NDArray[np.uint8], rows: Ints, columns: Ints) -> tuple[Floats, Floats, Floats]:
-    """Grey values (rows, columns, channels) blurred as `SplinePatch` blurs the right picture at a whole pixel, and their slopes
+def _smooth(image: NDArray[np.uint8], rows: Ints, columns: Ints) -> tuple[Floats, Floats, Floats]:
+    """Grey values (rows, columns, channels) blurred as `SplinePatch` blurs the right image at a whole pixel, and their slopes
     along columns and rows.
     """
-    top = np.clip(np.arange(rows[0] - 1, rows[-1] + 2), 0, picture.shape[0] - 1)
-    aside = np.clip(np.arange(columns[0] - 1, columns[-1] + 2), 0, picture.shape[1] - 1)
-    part = picture[top[:, None], aside].astype(np.float64)
+    top = np.clip(np.arange(rows[0] - 1, rows[-1] + 2), 0, image.shape[0] - 1)
+    aside = np.clip(np.arange(columns[0] - 1, columns[-1] + 2), 0, image.shape[1] - 1)
+    part = image[top[:, None], aside].astype(np.float64)
     blurred, down = (part[:-2] + 4 * part[1:-1] + part[2:]) / 6, (part[2:] - part[:-2]) / 2
     return (
         np.asarray((blurred[:, :-2] + 4 * blurred[:, 1:-1] + blurred[:, 2:]) / 6),

@@ -1,4 +1,4 @@
-"""The visible surface of a standing cone, from its outline in one picture: how deep each pixel lies, up to one common scale.
+"""The visible surface of a standing cone, from its outline in one image: how deep each pixel lies, up to one common scale.
 
 Through each edge of the outline and the projection centre goes a plane that touches the cone. The plane midway between the two
 holds the axis; it stands upright in it, through the foot's row. Only one circular cone about that axis touches both planes, but
@@ -69,7 +69,7 @@ def cone_surface(outline: Outline, camera: Camera, up: Floats, rows: Floats, col
 
 
 def _plane(camera: Camera, top: tuple[float, float], foot: tuple[float, float], outwards: float) -> Floats:
-    """(3,) unit normal of the plane through the projection centre and a line of the picture, its x of the sign `outwards`."""
+    """(3,) unit normal of the plane through the projection centre and a line of the image, its x of the sign `outwards`."""
     (x0, y0), (x1, y1) = (
         ((u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px) for u, v in (top, foot)
     )

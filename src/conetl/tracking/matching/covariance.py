@@ -1,4 +1,4 @@
-"""How exact a least-squares matching is: the covariance of its unknowns, from what the pictures themselves say of their noise.
+"""How exact a least-squares matching is: the covariance of its unknowns, from what the images themselves say of their noise.
 
 Two things make the usual inverse of the normal matrix a bad judge. Noise errs alike in all colours and in neighbouring pixels:
 there are fewer observations than grey values. And noise has slopes of its own: in the normal matrix they count as if they held
@@ -40,9 +40,9 @@ def matching_cov(
 ) -> Floats:
     """Covariance (p, p) of the unknowns of a matching, at its solution.
 
-    jacobian (n, channels, p) of the modelled grey values, by the slopes of the right picture. residual (n, channels), and its
+    jacobian (n, channels, p) of the modelled grey values, by the slopes of the right image. residual (n, channels), and its
     variance noise (channels,). weights (n,) of the pixels. normal (p, p) = sum of weight times jacobian' jacobian over noise.
-    in_left (p, n, channels): the same slopes, seen in the left picture. place: rows and columns (n,) of the pixels.
+    in_left (p, n, channels): the same slopes, seen in the left image. place: rows and columns (n,) of the pixels.
     prior (p,): what the fit added to the diagonal of the normal matrix. prior_variance (p,): variances of the unknowns themselves
     where there is a prior.
 
@@ -83,10 +83,10 @@ def _neighbours(residual: Floats, rows: Ints, columns: Ints) -> float:
 
 
 def _inverse_of_signal(normal: Floats, crossed: Floats, prior: Floats) -> Floats:
-    """Inverse (p, p) of the normal matrix, prior included, without the noise that the slopes of the right picture hold.
+    """Inverse (p, p) of the normal matrix, prior included, without the noise that the slopes of the right image hold.
 
     Noise steepens slopes, and so the normal matrix promises a precision that is not there: errors in variables (Fuller 1987).
-    The noise of the left picture is another one, so the product of both pictures' slopes, `crossed`, is free of it on average.
+    The noise of the left image is another one, so the product of both images' slopes, `crossed`, is free of it on average.
     """
     # As shares of the matrix with the noise in it: no direction may end with nothing, or with more than there is.
     half = np.linalg.cholesky(normal + np.diag(prior))

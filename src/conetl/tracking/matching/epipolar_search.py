@@ -1,10 +1,10 @@
-"""Where in the right picture the partners of the left one's boxes can be: nothing else of it needs to be searched.
+"""Where in the right image the partners of the left one's boxes can be: nothing else of it needs to be searched.
 
-A position takes a box in both pictures. Where the left one shows something, its partner lies along the epipolar line, within the
+A position takes a box in both images. Where the left one shows something, its partner lies along the epipolar line, within the
 bounds of `matches.match_pair`; where the left one shows nothing, the right one could only say once more that nothing is there.
 
 That would make the map trust in one camera: what a dirty or covered left lens does not show would be gone. So every fifth pair is
-searched everywhere all the same, and where its right picture shows what the left one does not, its neighbours are, too.
+searched everywhere all the same, and where its right image shows what the left one does not, its neighbours are, too.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from conetl.model.params import IngestParams
 from conetl.model.records import Detection, Rig
 from conetl.tracking.matching.matches import HEIGHT_BOUNDS_M, LEAST_DISPARITY_PX, disparity_bounds_px, row_tolerance_px
 
-#: The rig may turn out to be turned by a little after its pictures were searched (`self_calibration.py`).
+#: The rig may turn out to be turned by a little after its images were searched (`self_calibration.py`).
 _SLACK_PX = 4.0
 
 
 class Region(NamedTuple):
-    """Part of a picture in which the middles of boxes lie; pixels."""
+    """Part of a image in which the middles of boxes lie; pixels."""
 
     x0: float
     y0: float
@@ -37,7 +37,7 @@ class Region(NamedTuple):
 def blocks_of(count: int, params: IngestParams) -> list[tuple[int, range]]:
     """So many frame pairs in blocks: the one in the middle, which is searched everywhere, and all of them.
 
-    A block is as long as the fewest frame pairs that can remove a cone, so these are never pairs of which all right pictures were
+    A block is as long as the fewest frame pairs that can remove a cone, so these are never pairs of which all right images were
     left out. And of pairs running that would have shown it on the right, so many lie in blocks where one did that
     what is found there outweighs what is not.
     """
@@ -47,9 +47,9 @@ def blocks_of(count: int, params: IngestParams) -> list[tuple[int, range]]:
 
 
 def is_unanswered(found: Sequence[Detection], rig: Rig, params: IngestParams) -> bool:
-    """Whether a pair that was searched everywhere shows something on the right of which the left picture says nothing.
+    """Whether a pair that was searched everywhere shows something on the right of which the left image says nothing.
 
-    It must be tall enough, and far enough inside the left picture if it were the tallest of cones, for that to mean anything.
+    It must be tall enough, and far enough inside the left image if it were the tallest of cones, for that to mean anything.
     """
     if params.detection.search_right == "everywhere":
         return False
@@ -69,9 +69,9 @@ def is_unanswered(found: Sequence[Detection], rig: Rig, params: IngestParams) ->
 
 
 def right_region(found: Iterable[Detection], rig: Rig, params: IngestParams) -> Region | None:
-    """The part of a frame pair's right picture that is searched, by the middle of boxes; None where none of it is.
+    """The part of a frame pair's right image that is searched, by the middle of boxes; None where none of it is.
 
-    found: detections of the pair, of which those of the left picture count. The smallest box around the places of all partners:
+    found: detections of the pair, of which those of the left image count. The smallest box around the places of all partners:
     the network is faster with one large part than with some small ones.
     """
     camera = rig.right

@@ -1,7 +1,7 @@
 """Detections of a frame pair -> stereo matches with image points.
 
 In rectified images the two boxes of one cone lie in the same rows. Candidates are gated by rows, disparity, size and by the
-height that the cone would have; the assignment that costs least over the whole picture is taken (one-to-one).
+height that the cone would have; the assignment that costs least over the whole image is taken (one-to-one).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Number = TypeVar("Number", float, NDArray[np.float64])
 HEIGHT_BOUNDS_M = (0.15, 1.8)
 #: Nearer to none at all, a disparity says nothing of how tall a thing is.
 LEAST_DISPARITY_PX = 0.5
-#: A box that ends this near to the picture's border (px, or share of the box) may go on behind it: the network seldom draws it
+#: A box that ends this near to the image's border (px, or share of the box) may go on behind it: the network seldom draws it
 #: right up to the edge.
 _BORDER_PX = 2.0
 _BORDER_SHARE = 0.15
@@ -36,10 +36,10 @@ _BORDER_SHARE = 0.15
 _EDGE_SIGMA_PX = 0.6
 _EDGE_SIGMA_SHARE = 0.025
 #: Where the network tells the foot: a floor (px), a share of the box's height or width, and what is divided by the height (px^2;
-#: of tiny boxes). Across the rows in each picture, along the rows in both alike, and what all sightings of one cone share.
+#: of tiny boxes). Across the rows in each image, along the rows in both alike, and what all sightings of one cone share.
 #: Measured on the sample drives (docs/accuracy.md).
 _FOOT_ACROSS, _FOOT_ALONG, _FOOT_OF_CONE = (0.8, 0.010, 11.0), (0.5, 0.007, 6.0), (0.2, 0.0035, 0.0)
-#: Feet scatter by so much more than the difference of the two pictures tells, because both err in part alike.
+#: Feet scatter by so much more than the difference of the two images tells, because both err in part alike.
 _BOTH_ALIKE = 1.5
 #: The spread of feet is measured on the matches themselves; what is usual counts as so many of them. Beyond so many sigmas a
 #: difference counts as that many.
@@ -54,13 +54,13 @@ class _Candidate:
 
 
 class _Sought(NamedTuple):
-    """What is looked for in the right picture, whatever it is compared with."""
+    """What is looked for in the right image, whatever it is compared with."""
 
     detection: Detection
     at_infinity_px: float
     """Disparity of what is infinitely far, at the middle of the box ..."""
     row_offset_px: float
-    """... and how much lower it is in the right picture."""
+    """... and how much lower it is in the right image."""
     outlines: list[Outline]
     """Of its cone: found when it is first asked for, so none or one."""
 
@@ -77,8 +77,8 @@ def match_pair(
     """Match the detections of one frame pair.
 
     up_left: unit vector (3,) pointing up, in the left camera's frame; (0, -1, 0) for a level camera. images: the two rectified
-    pictures, (H, W, 3) uint8; with them the correspondence is refined by area-based matching (`params.refine`).
-    A detection without a partner is no error and simply yields no match; a box cut by the picture's border has no foot or no
+    images, (H, W, 3) uint8; with them the correspondence is refined by area-based matching (`params.refine`).
+    A detection without a partner is no error and simply yields no match; a box cut by the image's border has no foot or no
     tip and is rejected.
     """
     rejections: list[Rejection] = []
@@ -108,13 +108,13 @@ def match_pair(
 
 
 def with_measured_spread(matches: Sequence[StereoMatch]) -> list[StereoMatch]:
-    """The matches of one drive, or of a part of it, with sigmas of their feet as the pictures show them.
+    """The matches of one drive, or of a part of it, with sigmas of their feet as the images show them.
 
-    Both pictures of a pair tell in which row a cone stands. How much they disagree from match to match is known without any
-    truth, and is the spread of one picture times the square root of two; a constant is the calibration's. Along the rows it
-    scales alike: it is the same network on the same pictures. Only for matches of boxes with feet of their own.
+    Both images of a pair tell in which row a cone stands. How much they disagree from match to match is known without any
+    truth, and is the spread of one image times the square root of two; a constant is the calibration's. Along the rows it
+    scales alike: it is the same network on the same images. Only for matches of boxes with feet of their own.
 
-    A first guess: what both pictures err by alike does not show in it. The tracks tell that afterwards (`sighting_variances.py`).
+    A first guess: what both images err by alike does not show in it. The tracks tell that afterwards (`sighting_variances.py`).
     """
     feet = [m for m in matches if m.left.foot_px is not None and m.right.foot_px is not None]
     if len(feet) < 2:
@@ -167,7 +167,7 @@ def _is_whole(detection: Detection, camera: Camera, rejections: list[Rejection])
             step="matches",
             reason=RejectionReason.BOX_CUT_BY_BORDER,
             record=f"{detection.side} detection {detection.detection_index} of frame pair {detection.frame_index}",
-            detail=f"box at the border of the {camera.width_px}x{camera.height_px} picture: its foot, tip or axis is unseen",
+            detail=f"box at the border of the {camera.width_px}x{camera.height_px} image: its foot, tip or axis is unseen",
             payload=detection.model_dump(mode="json"),
         )
     )
@@ -243,7 +243,7 @@ def _stereo_match(
     sigma_u = pointing_sigma
     if candidate.area is not None:
         disparity = candidate.area.disparity_px
-        # Both pictures say where the axis is; the matched disparity says how the two statements relate.
+        # Both images say where the axis is; the matched disparity says how the two statements relate.
         axis_left = (axis_left + axis_right + disparity) / 2
         axis_right = axis_left - disparity
         sigma_u = candidate.area.sigma_px / 2**0.5
@@ -270,7 +270,7 @@ def _stereo_match(
 def _foot_tip_centre(detection: Detection, camera: Camera, up: NDArray[np.float64]) -> tuple[Vec2, float, float]:
     """Image point of the foot, row of the tip, row of the box's centre.
 
-    Here box edges (0 = the picture's edge) become image points (0 = the centre of a pixel). Where the network tells the foot,
+    Here box edges (0 = the image's edge) become image points (0 = the centre of a pixel). Where the network tells the foot,
     the mean of that and of what the box says is taken: on rendered cones the one is too high where the other is too low.
     """
     axis, bottom = detection.x_px + detection.w_px / 2 - 0.5, detection.y_px + detection.h_px - 0.5

@@ -1,4 +1,4 @@
-"""A part of a picture, blurred and interpolated by cubic B-splines (Unser 1999), with its slopes.
+"""A part of a image, blurred and interpolated by cubic B-splines (Unser 1999), with its slopes.
 
 The grey values themselves serve as coefficients: that blurs by 0.58 px (sigma) at every sub-pixel place alike. An interpolating
 spline passes noise whole at whole pixels and half of it between them, and matching then prefers the places between.
@@ -16,7 +16,7 @@ Ints = NDArray[np.intp]
 
 
 class SplinePatch(NamedTuple):
-    """Cubic B-spline coefficients of a part of a picture."""
+    """Cubic B-spline coefficients of a part of a image."""
 
     rows_of_four: Floats
     """(4, channels * rows * columns): in [k] the coefficients from row k on, colour by colour. What is blended across the rows
@@ -27,16 +27,16 @@ class SplinePatch(NamedTuple):
     column0: int
 
     @staticmethod
-    def of(picture: NDArray[np.uint8], row0: float, row1: float, column0: float, column1: float) -> SplinePatch | None:
-        """The part that holds rows and columns between two ends; None where it would leave the picture at the sides."""
+    def of(image: NDArray[np.uint8], row0: float, row1: float, column0: float, column1: float) -> SplinePatch | None:
+        """The part that holds rows and columns between two ends; None where it would leave the image at the sides."""
         first, last = int(np.floor(column0)) - 2, int(np.floor(column1)) + 4
-        if first < 0 or last > picture.shape[1]:
+        if first < 0 or last > image.shape[1]:
             return None
         top = int(np.floor(row0)) - 2
         rows = np.arange(top, int(np.floor(row1)) + 4)
-        if top < 0 or rows[-1] >= picture.shape[0]:
-            rows = np.clip(rows, 0, picture.shape[0] - 1)
-        by_colour = picture[rows, first:last].transpose(2, 0, 1).astype(np.float64)
+        if top < 0 or rows[-1] >= image.shape[0]:
+            rows = np.clip(rows, 0, image.shape[0] - 1)
+        by_colour = image[rows, first:last].transpose(2, 0, 1).astype(np.float64)
         channels, count = by_colour.shape[0], len(rows) - 3
         rows_of_four = np.stack([by_colour[:, k : k + count].ravel() for k in range(4)])
         return SplinePatch(rows_of_four, (channels, count, last - first), top, first)

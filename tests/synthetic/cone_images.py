@@ -1,4 +1,4 @@
-"""Pictures of one cone in front of a wall, by ray casting: small enough for tests, with the true disparity of the axis."""
+"""Images of one cone in front of a wall, by ray casting: small enough for tests, with the true disparity of the axis."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FOOT_RADIUS_M, TIP_RADIUS_M, HEIGHT_M, PLATE_M = 0.14, 0.035, 0.70, 0.38
 
 
 class ConePair(NamedTuple):
-    """Left and right picture (H, W, 3), the left detection and what is true."""
+    """Left and right image (H, W, 3), the left detection and what is true."""
 
     left: NDArray[np.uint8]
     right: NDArray[np.uint8]
@@ -42,13 +42,13 @@ def cone_pair(
     wall = (wall - wall.min()) / np.ptp(wall)
     cx = SIZE[1] / 2 + F_PX * (BASE_M / 2) / range_m - F_PX * BASE_M / 2 / range_m
     cy = 50.0 - F_PX * (_CAMERA_HEIGHT_M - HEIGHT_M / 2) / range_m
-    pictures = []
+    images = []
     for camera_x in (0.0, BASE_M):
         fine = _render(range_m, aside - camera_x, camera_x, cx, cy, skin, wall, wall_m, post)
-        picture = cv2.resize(cv2.GaussianBlur(fine, (0, 0), 0.45 * _FINE), SIZE[::-1], interpolation=cv2.INTER_AREA)
+        image = cv2.resize(cv2.GaussianBlur(fine, (0, 0), 0.45 * _FINE), SIZE[::-1], interpolation=cv2.INTER_AREA)
         if flat:
-            picture = np.full_like(picture, 90.0)
-        pictures.append(np.clip(picture + rng.normal(0, 0 if flat else noise, picture.shape), 0, 255).astype(np.uint8))
+            image = np.full_like(image, 90.0)
+        images.append(np.clip(image + rng.normal(0, 0 if flat else noise, image.shape), 0, 255).astype(np.uint8))
     foot_u, foot_v = cx + F_PX * aside / range_m, cy + F_PX * _CAMERA_HEIGHT_M / range_m
     tip_v = cy + F_PX * (_CAMERA_HEIGHT_M - HEIGHT_M) / range_m
     width = F_PX * PLATE_M / range_m
@@ -59,7 +59,7 @@ def cone_pair(
         foot_px=(foot_u + 0.5 + jitter[1], foot_v + 0.5), tip_px=(foot_u + 0.5 + jitter[2], tip_v + 0.5),
     )  # fmt: skip
     camera = Camera(width_px=SIZE[1], height_px=SIZE[0], fx_px=F_PX, fy_px=F_PX, cx_px=cx, cy_px=cy)
-    return ConePair(pictures[0], pictures[1], detection, F_PX * BASE_M / range_m, camera)
+    return ConePair(images[0], images[1], detection, F_PX * BASE_M / range_m, camera)
 
 
 def _render(
@@ -84,9 +84,9 @@ def _render(
     cone = shade[..., None] * np.where(white, [200.0, 205.0, 210.0], [40.0, 90.0, 220.0])
     column = np.clip(((x * wall_m + camera_x) * 60 + 1200).astype(int), 0, wall.shape[1] - 1)
     row = np.clip((y * wall_m * 60 + 100).astype(int), 0, wall.shape[0] - 1)
-    picture = np.where(hit[..., None], cone, (60 + 90 * wall[row, column])[..., None])
+    image = np.where(hit[..., None], cone, (60 + 90 * wall[row, column])[..., None])
     if post:  # half a metre in front, over the right half of the cone
         near = range_m - 1.5
         before = np.abs(x * near - (x0 + 0.09)) < 0.07
-        picture[before] = 30.0
-    return np.asarray(picture)
+        image[before] = 30.0
+    return np.asarray(image)
