@@ -6,8 +6,9 @@ BIN := .venv/bin
 export PYTHON
 export PREFECT_SERVER_ANALYTICS_ENABLED := false
 export DO_NOT_TRACK := 1
+export NO_MKDOCS_2_WARNING := 1
 
-.PHONY: help setup demo up down test check web bench-detect bench-intersection bench-trajectory bench-calibration bench-rectification bench-changes bench-map bench-kills bench-export bench-ogc bench-overhead bench-ingest bench-view bench-watch lock
+.PHONY: help setup demo up down test check docs web bench-detect bench-intersection bench-trajectory bench-calibration bench-rectification bench-changes bench-map bench-kills bench-export bench-ogc bench-overhead bench-ingest bench-view bench-watch lock
 
 help:           ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -28,12 +29,17 @@ down:           ## end what make up started; the data stay
 test: setup     ## all tests
 	@$(BIN)/python -m pytest -n 2 --dist loadfile
 
-check: setup    ## lint, types, layer contracts and the fast tests
+check: setup    ## lint, types, import contracts, wording, documentation and the fast tests
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python -m pytest -q tests/unit
+	$(BIN)/python scripts/check_wording.py
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/mkdocs build --quiet --strict
+	$(BIN)/python -m pytest -q -n 2 --dist loadfile tests/unit
+
+docs: setup     ## the documentation as a site, in build/site
+	@PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/mkdocs build --strict
 
 web:            ## build the front end of `conetl view` into src/conetl/web/static (needs Node 20.19 or newer)
 	@cd web && npm ci --no-audit --no-fund && npm run build

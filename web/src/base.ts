@@ -11,7 +11,7 @@ interface Palette {
   bright: string;
   line: string;
 }
-/** Red points, green lines: as in Lagahit & Tseng. For people who do not see red and green: docs/decisions/web.md tells how it was checked. */
+/** Red points, green lines: as in Lagahit & Tseng. For people who do not see red and green: docs/explanation/decisions/web.md tells how it was checked. */
 export const PALETTES: Record<"paper" | "safe", Palette> = {
   paper: { dark: "#d34a4c", bright: "#fbc6be", line: "#0b8a3a" },
   safe: { dark: "#c68c3f", bright: "#e5cba8", line: "#644916" },

@@ -18,7 +18,7 @@ from conetl.reports.drive_image import draw_drive
 FORMAT_NAMES = {
     "kitti": "KITTI raw layout", "plain": "plain folder", "euroc": "EuRoC / ASL folder", "bag": "ROS 2 bag or MCAP",
 }  # fmt: skip
-#: Processor seconds of one whole `conetl ingest`, measured (docs/drives.md): to start, and for a million pixels of left and right
+#: Processor seconds of one whole `conetl ingest`, measured (docs/reference/drives.md): to start, and for a million pixels of left and right
 #: pictures.
 START_CPU_S = 28.0
 CPU_S_PER_MEGAPIXEL = 0.33
@@ -66,7 +66,7 @@ def inspect(
 
 
 def estimated_seconds(summary: DriveSummary, workers: int) -> float:
-    """What `conetl ingest` takes where nothing else runs, by processor times measured (docs/drives.md), on this many cores."""
+    """What `conetl ingest` takes where nothing else runs, by processor times measured (docs/reference/drives.md), on this many cores."""
     megapixels = 2e-6 * summary.rig.width_px * summary.rig.height_px * summary.usable_pairs
     return START_CPU_S + CPU_S_PER_MEGAPIXEL * megapixels / workers
 

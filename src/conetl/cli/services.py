@@ -62,7 +62,7 @@ def up(
     if host not in _LOOPBACK and not os.environ.get(SERVER_AUTH):
         raise InputError(
             f"--host {host} lets other machines start runs here: set {SERVER_AUTH} to user:password first (and put a proxy with "
-            "TLS before it, see docs/operations.md). Nothing was started."
+            "TLS before it, see docs/how-to/operations.md). Nothing was started."
         )
     home = settings.home.resolve()
     with services_lock(home), err.status("Starting") if err.is_terminal else nullcontext() as spinner:

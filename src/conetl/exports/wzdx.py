@@ -1,6 +1,6 @@
 """Work zones as WZDx 4.2 feeds (USDOT): WorkZoneFeed, and DeviceFeed with a location marker per cone.
 
-docs/work_zones.md tells of every field what it is derived from. A document is checked against the published schema before a file
+docs/how-to/work_zones.md tells of every field what it is derived from. A document is checked against the published schema before a file
 takes its name.
 """
 

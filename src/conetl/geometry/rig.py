@@ -1,4 +1,4 @@
-"""Where the two cameras of a rig are for a pose of the body. Frames as in docs/coordinates.md."""
+"""Where the two cameras of a rig are for a pose of the body. Frames as in docs/reference/coordinates.md."""
 
 from __future__ import annotations
 

@@ -4,7 +4,7 @@ The drive's common offset (GNSS without a fix puts the whole drive aside) is est
 out; then tracks and features are paired one-to-one (`map_association.py`). A feature without a track whose spot was in view is
 missed: evidence against it, and where the belief falls far enough (`belief.py`), it is gone. What is gone and a new track of like
 height near it are one cone that was moved; what is left is removed, and added. Features out of view are left alone. The rules of
-all kinds are written down in docs/changes.md.
+all kinds are written down in docs/explanation/changes.md.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 Every record checks itself when it is made (pydantic; unknown fields, NaN and infinity are refused), so whatever passes a
 border between two steps is known to be sound. Lengths are metres, image points pixels of the original (rectified)
 image with the origin at the centre of the top-left pixel, angles radians, times UTC nanoseconds since 1970.
-Map coordinates are easting, northing (of the map CRS) and ellipsoidal height. See docs/coordinates.md.
+Map coordinates are easting, northing (of the map CRS) and ellipsoidal height. See docs/reference/coordinates.md.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """From the output of the shipped network to boxes.
 
 Pixel convention: a box is [x, y, w, h] with x, y its top-left corner; the centre of the top-left pixel is (0.5, 0.5) in
-these box coordinates, that is, an image W wide spans x = 0 .. W. `docs/coordinates.md` says how observations use this.
+these box coordinates, that is, an image W wide spans x = 0 .. W. `docs/reference/coordinates.md` says how observations use this.
 """
 
 from __future__ import annotations

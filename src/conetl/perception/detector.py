@@ -44,7 +44,7 @@ LEAST_ROWS_PX = 120
 SMALLER_LOOKS_FROM_PX = 480
 LARGE_CONE_PX = 48.0
 #: So much around the boxes that are looked for in a part of a picture is shown to the network, in pixels of its input: they then
-#: are those of the whole picture to 0.08 px in the median (docs/decisions/detector.md).
+#: are those of the whole picture to 0.08 px in the median (docs/explanation/decisions/detector.md).
 CONTEXT_PX = 64.0
 #: Images in one run of the network. It answers for its best cells only, of all of them together: with some twenty windows the
 #: weaker ones begin to lose theirs.

@@ -16,7 +16,7 @@ DEFAULT_MODEL = "conetl-cone-2.onnx"
 #: What users are told of a model without `evidence` in its sidecar.
 NOT_MEASURED = (
     "the model's sidecar does not say what its scores mean (key `evidence`): existence probabilities rest on a general guess; "
-    "training/calibrate_scores.py measures it (docs/models.md)"
+    "training/calibrate_scores.py measures it (docs/how-to/models.md)"
 )
 
 

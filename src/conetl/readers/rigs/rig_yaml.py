@@ -1,4 +1,4 @@
-"""`rig.yaml`, conetl's own description of a rig (docs/coordinates.md shows one), read and written.
+"""`rig.yaml`, conetl's own description of a rig (docs/reference/coordinates.md shows one), read and written.
 
 Cameras in pixels or in millimetres with the sensor's size, with or without a lens; how the right one sits on the left, and the
 left one on the body; and, where known, how sure the calibration is: the covariance of any of its parameters, or their sigmas.

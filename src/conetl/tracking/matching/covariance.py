@@ -20,7 +20,7 @@ _NEIGHBOURS = 5.0
 #: How far neighbours are looked at, in pixels.
 _REACH_PX = 5
 #: What no residual shows, and all sightings of one cone have in common: its shape is not the matching's body of revolution.
-#: Cones' mean disparities of the sample drives scatter by so much more than their noise lets them (docs/accuracy.md).
+#: Cones' mean disparities of the sample drives scatter by so much more than their noise lets them (docs/explanation/accuracy.md).
 SHARED_DISPARITY_PX = 0.02
 #: Share of the slopes, squared, that is no noise, at least.
 _LEAST_SIGNAL = 0.1

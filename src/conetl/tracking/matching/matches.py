@@ -37,7 +37,7 @@ _EDGE_SIGMA_PX = 0.6
 _EDGE_SIGMA_SHARE = 0.025
 #: Where the network tells the foot: a floor (px), a share of the box's height or width, and what is divided by the height (px^2;
 #: of tiny boxes). Across the rows in each image, along the rows in both alike, and what all sightings of one cone share.
-#: Measured on the sample drives (docs/accuracy.md).
+#: Measured on the sample drives (docs/explanation/accuracy.md).
 _FOOT_ACROSS, _FOOT_ALONG, _FOOT_OF_CONE = (0.8, 0.010, 11.0), (0.5, 0.007, 6.0), (0.2, 0.0035, 0.0)
 #: Feet scatter by so much more than the difference of the two images tells, because both err in part alike.
 _BOTH_ALIKE = 1.5

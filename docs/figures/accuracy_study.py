@@ -1,4 +1,4 @@
-"""Makes the figures of docs/accuracy.md and the tables between its markers. Run: python docs/accuracy_study.py
+"""Makes the figures of docs/explanation/accuracy.md and the tables between its markers. Run: python docs/figures/accuracy_study.py
 
 Needs Mitsuba (pip install 'conetl[simulate]') for the rendered cone. Names of parts (range, calibration, frames, sides, render)
 make only those and leave the rest of the page as it is.
@@ -26,7 +26,7 @@ from conetl.simulation.paper_rig import BASELINE_M, SIGMAS, paper_rig
 from docs import accuracy_cases as cases
 from docs import accuracy_render as rendered
 
-HERE = Path(__file__).parent
+DOCS = Path(__file__).parents[1]
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00")
 RANGES_M = np.geomspace(3.0, 30.0, 25)
 DOTS_M = np.array([3.0, 5.0, 8.53, 15.0, 30.0])
@@ -235,7 +235,7 @@ def sides() -> str:
 
 def rendered_cone() -> str:
     """The paper's case through detector, matching and intersection."""
-    return rendered.study(HERE / "accuracy_render.png")
+    return rendered.study(DOCS / "images" / "accuracy_render.png")
 
 
 def _curve(ax: Axes, rig: cases.Rig, noise: float, colour: str, label: str) -> None:
@@ -266,7 +266,7 @@ def _table(head: list[str], rows: list[list[str]]) -> str:
 
 
 def _save(figure: plt.Figure, name: str) -> None:
-    figure.savefig(HERE / name, dpi=80)
+    figure.savefig(DOCS / "images" / name, dpi=80)
     plt.close(figure)
 
 
@@ -274,7 +274,7 @@ def fill(page: str, name: str, text: str) -> str:
     """The page with what stands between its markers `<!-- name -->` and `<!-- end name -->` replaced."""
     pattern = re.compile(rf"(<!-- {name} -->\n).*?(<!-- end {name} -->)", re.DOTALL)
     if not pattern.search(page):
-        raise ValueError(f"docs/accuracy.md has no markers for {name}")
+        raise ValueError(f"docs/explanation/accuracy.md has no markers for {name}")
     return pattern.sub(lambda found: f"{found[1]}\n{text}\n\n{found[2]}", page)
 
 
@@ -283,7 +283,7 @@ def main() -> None:
     parts = {"range": over_range, "calibration": calibration, "frames": frames, "sides": sides, "render": rendered_cone}
     parser.add_argument("parts", nargs="*", choices=[*parts, []], help="parts of the page; all of them unless given")
     wanted = parser.parse_args().parts or list(parts)
-    page = HERE / "accuracy.md"
+    page = DOCS / "explanation" / "accuracy.md"
     for name in wanted:
         started = time.monotonic()
         text = parts[name]()

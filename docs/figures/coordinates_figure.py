@@ -1,4 +1,4 @@
-"""Draws docs/coordinates.png: every frame of docs/coordinates.md. Run: python docs/coordinates_figure.py"""
+"""Draws docs/images/coordinates.png: every frame of docs/reference/coordinates.md. Run: python docs/figures/coordinates_figure.py"""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def main() -> None:
     side_view(figure.add_subplot(grid[0, :]))
     plan_view(figure.add_subplot(grid[1, 0]))
     pixel_view(figure.add_subplot(grid[1, 1]))
-    figure.savefig(Path(__file__).with_suffix("").with_name("coordinates.png"), bbox_inches="tight")
+    figure.savefig(Path(__file__).parents[1] / "images" / "coordinates.png", bbox_inches="tight")
 
 
 if __name__ == "__main__":
