@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
-from contextlib import closing
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,14 +16,17 @@ from prefect.runtime import flow_run
 from prefect.states import Completed
 from pydantic import Field
 
-from conetl.db.connection import Connection, connect
+from conetl.db.connection import Connection
 from conetl.db.receipt_store import Receipt, attempt_ends, end_crashed, latest_receipts, write_receipt
 from conetl.files.names import printable
 from conetl.model.params import IngestParams
 from conetl.pipeline.backfill_plan import Plan, PlanLine, plan_drives, write_plan
+from conetl.pipeline.database import MapDatabase
+from conetl.pipeline.publish import catch_up_all
+from conetl.pipeline.receipts import new_receipt
 from conetl.pipeline.settings import Settings
+from flows.artifacts import send_events
 from flows.batch_artifacts import Board, open_board, show_progress, show_summary
-from flows.changeset_events import tell_untold
 from flows.dispatch import (
     Flight,
     Where,
@@ -37,7 +39,7 @@ from flows.dispatch import (
     resolve_where,
     was_cancelled,
 )
-from flows.drive_job import MapName, MapSrid, alive, new_receipt, settings_for
+from flows.runs import MapName, MapSrid, alive, settings_for
 
 #: A drive whose process died is given to another one so often, then it counts as failed.
 TRIES = 2
@@ -111,18 +113,19 @@ def backfill(
 ) -> State[Any]:
     """Bring all drives below a folder onto the map that are not there yet. Run it again after a stop: it goes on."""
     settings = settings_for(map_name)
-    with alive(settings) as url, closing(connect(url)) as conn:
-        tell_untold(conn, settings)
-        plan = plan_drives(
-            conn, root, settings=settings, params=params, since=utc(since), until=utc(until), recheck=recheck
-        )
+    with alive(settings) as database:
+        catch_up_all(settings, database, send_events)
+        with database.connection() as conn:
+            plan = plan_drives(
+                conn, root, settings=settings, params=params, since=utc(since), until=utc(until), recheck=recheck
+            )
         if not plan.todo:  # started for what was left untold
             return Completed(name="NothingNew", message=f"nothing new: {len(plan.lines)} drives are done")
-        return run_batch(conn, plan, settings, params, map_srid=map_srid, max_parallel=max_parallel, where=where)
+        return run_batch(database, plan, settings, params, map_srid=map_srid, max_parallel=max_parallel, where=where)
 
 
 def run_batch(
-    conn: Connection,
+    database: MapDatabase,
     plan: Plan,
     settings: Settings,
     params: IngestParams,
@@ -146,13 +149,16 @@ def run_batch(
             while waiting and len(standing.flying) < parallel:
                 line, number = waiting.popleft()
                 if line.action == "refuse":
-                    standing.ended.append(_refused(conn, line, plan, settings))
+                    with database.connection() as conn:
+                        standing.ended.append(_refused(conn, line, plan, settings))
                     continue
                 flight = launch(line.outline, settings, params, map_srid, place, parallel)
                 standing.flying.append(flight)
                 tries[flight.attempt_id] = line, number
                 _tell(standing, board)
-            for flight, receipt, again in _landed(conn, standing.flying, plan, settings):
+            with database.connection() as conn:
+                landed = _landed(conn, standing.flying, plan, settings)
+            for flight, receipt, again in landed:
                 standing.flying.remove(flight)
                 line, number = tries.pop(flight.attempt_id)
                 if again and number < TRIES:

@@ -14,7 +14,7 @@ from typing import Any, Literal
 from uuid import UUID, uuid4
 
 from prefect import Task
-from prefect.client.orchestration import SyncPrefectClient, get_client
+from prefect.client.orchestration import SyncPrefectClient
 from prefect.client.schemas.objects import FlowRun, WorkerStatus
 from prefect.context import FlowRunContext
 from prefect.exceptions import ObjectNotFound
@@ -25,8 +25,8 @@ from conetl.model.errors import ServiceError
 from conetl.model.params import IngestParams
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives.header import DriveHeader
-from flows.drive_artifacts import drive_run_name
-from flows.drive_job import drive_tags, ingest_one
+from flows.ingest_drive import ingest_drive
+from flows.runs import client, drive_run_name, drive_tags
 
 POOL = "conetl"
 DRIVE_DEPLOYMENT = "ingest-drive/ingest-drive"
@@ -46,11 +46,6 @@ class Flight:
     outline: DriveHeader
     process: multiprocessing.process.BaseProcess | None
     """The child of this process; None where a worker has it."""
-
-
-def client() -> SyncPrefectClient:
-    """The Prefect server that this process talks to."""
-    return get_client(sync_client=True)
 
 
 def resolve_where(where: Where) -> Literal["workers", "here"]:
@@ -136,10 +131,10 @@ def launch(
             )
             return Flight(attempt_id, run.id, outline, None)
         run = api.create_flow_run(
-            ingest_one, name=name, parameters=parameters, tags=labels, parent_task_run_id=parent, state=Pending()
+            ingest_drive, name=name, parameters=parameters, tags=labels, parent_task_run_id=parent, state=Pending()
         )
     process = run_flow_in_subprocess(
-        ingest_one, flow_run=run, parameters=ingest_one.validate_parameters(parameters),
+        ingest_drive, flow_run=run, parameters=ingest_drive.validate_parameters(parameters),
         env={
             "CONETL_HOME": str(settings.home.resolve()),
             "CONETL_WORKERS": str(max(1, settings.workers // parallel)),

@@ -16,7 +16,8 @@ from prefect.exceptions import ObjectAlreadyExists
 from prefect.variables import Variable
 
 from conetl.model.errors import ServiceError
-from flows.dispatch import POOL, client
+from flows.dispatch import POOL
+from flows.runs import client
 
 _VARIABLE = "conetl_deployments"
 _TIMEOUT_S = 300

@@ -14,6 +14,7 @@ from uuid import uuid4
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
+from flows.watch import WatchReport, pause_s, watch_drive
 from typer.testing import CliRunner
 
 from conetl.cli.app import app
@@ -28,7 +29,6 @@ from conetl.model.params import IngestParams
 from conetl.pipeline.settings import Settings
 from conetl.readers.recording.drive import ArrivingPair, ArrivingPlain
 from conetl.web.app import create_app
-from flows.watch import WatchReport, pause_s, watch_drive
 from tests.integration.arriving_drives import FRAMES, append, begin, image, row, write_images
 
 #: A busy machine must not make a test fail: nothing is too old, and what is written late is waited for.

@@ -19,7 +19,7 @@ from conetl.model.errors import DriveFolderError
 from conetl.pipeline.settings import Settings, read_settings
 
 if TYPE_CHECKING:  # onnxruntime and the watcher are loaded when they are needed
-    from flows.watch import PairTime, WatchReport
+    from conetl.pipeline.watch import PairTime, WatchReport
 
 _TOLD_EVERY = 10
 _PARTS = (
@@ -52,7 +52,7 @@ def watch(
 
     They are no part of the map's history; `conetl ingest` of the same drive replaces them.
     """
-    from flows.watch import watch_drive
+    from conetl.pipeline.watch import watch_drive
 
     settings, stop = read_settings(), threading.Event()
     before = signal.signal(signal.SIGINT, lambda *_: stop.set())

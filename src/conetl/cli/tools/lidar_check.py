@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from conetl.cli.console import JsonOption, out, print_json, print_table, progress_bar
 from conetl.evaluation import lidar_check as steps
-from conetl.evaluation.calibrated_drive import calibrate_drive
 from conetl.evaluation.lidar_scene import SceneBias, fit_scene_bias, scene_samples
 from conetl.geometry import pose as se3
 from conetl.geometry.camera import first_road_row
@@ -25,6 +24,7 @@ from conetl.perception.detections import check_boxes
 from conetl.perception.detector import Detector, detect_image, load_detector
 from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_rig_image
+from conetl.pipeline.odometry import calibrate_drive
 from conetl.pipeline.settings import read_settings
 from conetl.readers.drives import read_drive
 from conetl.readers.drives.velodyne import (

@@ -13,9 +13,11 @@ class ContentHash:
         self.headers_only = headers_only
         self._files: dict[str, bytes] = {}
 
-    def add(self, name: str, data: bytes) -> None:
-        """One file that was read; names are posix paths relative to the drive folder."""
-        self._files[name] = hashlib.sha256(data).digest()
+    def add(self, name: str, data: bytes) -> str:
+        """Add one file that was read; its SHA-256. Names are posix paths relative to the drive folder."""
+        found = hashlib.sha256(data)
+        self._files[name] = found.digest()
+        return found.hexdigest()
 
     def hexdigest(self) -> str:
         """SHA-256 over sorted names and the hashes of their bytes."""

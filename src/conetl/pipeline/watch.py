@@ -28,13 +28,13 @@ from conetl.model.params import IngestParams
 from conetl.model.records import FramePair, Rig, Track
 from conetl.model.rejections import RejectionReason
 from conetl.perception.images import ImageFileError
+from conetl.pipeline.database import database_url
 from conetl.pipeline.live_pair import Eyes, LiveDrive, Look, StepTimes, look_at, new_drive, open_eyes, take_pair
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives.header import MARKER
 from conetl.readers.drives.oxts import MAX_SPEED_M_S
 from conetl.readers.drives.pairs import PairError
 from conetl.readers.recording.drive import BEHIND, ArrivingDrive, ArrivingPair, open_arriving
-from flows.merge import database_url
 
 #: So long a pair that is not whole holds up those behind it; a image that cannot be read may become whole for so long.
 PATIENCE_S = 2.0
