@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections import deque
 from collections.abc import Callable
@@ -11,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 from uuid import UUID, uuid4
 
-from prefect import State, flow, get_run_logger
+from prefect import State, flow
 from prefect.runtime import flow_run
 from prefect.states import Completed
 from pydantic import Field
@@ -41,6 +42,7 @@ from flows.dispatch import (
 )
 from flows.runs import MapName, MapSrid, alive, settings_for
 
+_log = logging.getLogger(__name__)
 #: A drive whose process died is given to another one so often, then it counts as failed.
 TRIES = 2
 _POLL_S = 1.0
@@ -169,7 +171,7 @@ def run_batch(
                 _tell(standing, board)
             if place == "workers" and standing.flying and (note := workers.complaint(time.monotonic())):
                 standing.note = note
-                get_run_logger().warning(note)
+                _log.warning(note)
                 _tell(standing, board)
             if standing.flying:
                 time.sleep(_POLL_S)
@@ -247,7 +249,7 @@ def _end(standing: Standing) -> State[Any]:
         f"{standing.done} on the map, {len(failed)} failed, {standing.plan.count('skip')} had nothing to do; "
         f"{standing.seconds:.0f} s"
     )
-    get_run_logger().info(message)
+    _log.info(message)
     if failed:
         first = failed[0]
         return Completed(name="SomeFailed", message=f"{message}. {first.drive_id}: {first.reason}")

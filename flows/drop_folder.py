@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 from typing import Annotated, Any
 
-from prefect import State, flow, get_run_logger
+from prefect import State, flow
 from prefect.artifacts import create_table_artifact
 from prefect.states import Completed
 from pydantic import Field
@@ -58,7 +58,6 @@ def ingest_drop_folder(
             message = (
                 f"nothing new: {len(complete)} complete drives are done, {len(arriving)} still arriving in {inbox}"
             )
-            get_run_logger().info(message)
             return Completed(name="NothingNew", message=message)
         return run_batch(database, plan, settings, params, map_srid=map_srid, max_parallel=max_parallel, where="auto")
 

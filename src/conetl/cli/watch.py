@@ -59,7 +59,7 @@ def watch(
     try:
         report = watch_drive(
             drive, settings, read_params(params), stop=stop, idle_s=idle_seconds, max_behind_s=max_behind, poll=poll,
-            tell=_tell_ready if as_json else _tell,
+            progress=_tell_ready if as_json else _tell,
         )  # fmt: skip
     finally:
         signal.signal(signal.SIGINT, before)

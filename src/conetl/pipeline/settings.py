@@ -100,7 +100,10 @@ def prefect_environment(home: Path) -> dict[str, str]:
         "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
         "DO_NOT_TRACK": "1",
         "PREFECT_LOGGING_LEVEL": "WARNING",
-        # The server keeps the warnings and the tracebacks; the terminal gets conetl's own one sentence.
+        # What conetl logs is shown with the flow run in which it is logged; outside of a run nothing is sent.
+        "PREFECT_LOGGING_EXTRA_LOGGERS": "conetl,flows",
+        "PREFECT_LOGGING_TO_API_WHEN_MISSING_FLOW": "ignore",
+        # The server keeps warnings and tracebacks; the terminal shows the one sentence of the command.
         "PREFECT_LOGGING_HANDLERS_CONSOLE_LEVEL": "CRITICAL",
         "PREFECT_SERVER_LOGGING_LEVEL": "ERROR",
         "PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS": "60",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from pathlib import Path
 
 
 class ContentHash:
@@ -11,6 +12,8 @@ class ContentHash:
     def __init__(self, *, headers_only: bool = False) -> None:
         """headers_only: images are judged by their ends and are not part of the hash, which then says little."""
         self.headers_only = headers_only
+        self.read_ahead: dict[Path, bytes] = {}
+        """Images that were read before their turn, for their size."""
         self._files: dict[str, bytes] = {}
 
     def add(self, name: str, data: bytes) -> str:

@@ -64,7 +64,7 @@ def read_kitti_drive(
     numbers = sorted(left.keys() | right.keys())
     if not numbers:
         raise DriveFolderError(f"{folder}: there are no images (*.png, *.jpg) in {settings.cameras.left}/data")
-    size = first_size(paths[0] for _, paths in sorted(left.items()))
+    size = first_size((paths[0] for _, paths in sorted(left.items())), content)
     rig = read_rig_for(root, calibration, size, settings, content)
     zone = settings.timestamps_timezone
     stamps = parse_timestamps(_text(root, f"{settings.cameras.left}/timestamps.txt", content, required=True), zone)

@@ -86,7 +86,7 @@ def check_images(
             if content.headers_only:
                 check_image_ends(paths[0], name, (camera.width_px, camera.height_px))
             else:
-                data = read_bytes(paths[0])
+                data = content.read_ahead.pop(paths[0], None) or read_bytes(paths[0])
                 sha256 = content.add(name, data)
                 remember(paths[0], sha256, data)
                 check_image_bytes(data, name, (camera.width_px, camera.height_px))
@@ -98,13 +98,19 @@ def check_images(
     return good[0], good[1]
 
 
-def first_size(paths: Iterable[Path]) -> tuple[int, int] | None:
-    """Width and height of the first image whose header can be read; None where there is none."""
+def first_size(paths: Iterable[Path], content: ContentHash | None = None) -> tuple[int, int] | None:
+    """Width and height of the first image whose header can be read; None where there is none.
+
+    content: of the drive that is read; its image need not be read again.
+    """
     for path in paths:
         try:
-            header = inspect_image(read_bytes(path))
+            data = read_bytes(path)
+            header = inspect_image(data)
         except (ImageFileError, ValueError):
             continue
+        if content is not None:
+            content.read_ahead[path] = data
         return header.width_px, header.height_px
     return None
 
