@@ -22,6 +22,7 @@ from prefect.events import emit_event
 from prefect.events.worker import EventsWorker
 
 from conetl.db.notification_store import VanishedCone
+from conetl.db.run_store import StepTime
 from conetl.model.drive_records import DriveRecords
 from conetl.model.errors import StorageError
 from conetl.model.ingest_report import ChangeLine, IngestReport
@@ -31,7 +32,7 @@ from conetl.perception.rectified_image import read_pair_image
 from conetl.pipeline.analysis import AnalysedDrive
 from conetl.pipeline.commit import CommittedDrive
 from conetl.pipeline.database import MapDatabase
-from conetl.pipeline.executor import Progress, StepTime
+from conetl.pipeline.executor import Progress
 from conetl.pipeline.publish import PublishedFiles, catch_up, notify, publish
 from conetl.pipeline.settings import Settings
 from conetl.reports.annotated_image import draw_boxes, pairs_jpeg

@@ -1,7 +1,7 @@
-"""New drives from the folder where they arrive: each complete one onto the map, once.
+"""New drives from the folder where they arrive: each complete one is ingested once.
 
 A drive is complete when its folder holds a file named COMPLETE, or when nothing in it has changed for `drop_quiet_minutes`
-(CONETL_DROP_QUIET_MINUTES, 10 unless given), by the time of the inode change, which copying tools cannot set back.
+(CONETL_DROP_QUIET_MINUTES, default 10), by the time of the inode change, which copying tools cannot set back.
 """
 
 import time
@@ -36,7 +36,7 @@ def ingest_drop_folder(
     map_srid: MapSrid = None,
     params: Annotated[IngestParams, Field(description="Parameters of all steps.")] = IngestParams(),  # noqa: B008 -- frozen
 ) -> State[Any]:
-    """Bring new drives onto the map. One that failed is left alone until it changes, or a person runs a backfill."""
+    """Ingest new drives. One that failed is skipped until it changes, or a person runs a backfill."""
     settings = settings_for(map_name)
     inbox = (folder or settings.inbox).absolute()
     quiet_s = 60.0 * (settings.drop_quiet_minutes if quiet_minutes is None else quiet_minutes)

@@ -13,9 +13,10 @@ from prefect.futures import PrefectFuture
 from prefect.task_runners import ProcessPoolTaskRunner, TaskRunner, ThreadPoolTaskRunner
 from prefect.utilities.annotations import opaque
 
+from conetl.db.run_store import StepTime
 from conetl.model.errors import InputError, is_of_storage
 from conetl.pipeline import analysis, commit, detect, ingest, odometry
-from conetl.pipeline.executor import StepClock, StepTime
+from conetl.pipeline.executor import StepClock
 from conetl.pipeline.settings import Settings
 from flows import artifacts
 

@@ -21,13 +21,12 @@ from conetl.db.connection import connect, execute
 from conetl.db.map.map_store import list_changesets
 from conetl.db.map.results import CommittedChangeset
 from conetl.db.receipt_store import Receipt, write_receipt
-from conetl.db.run_store import write_run_steps
+from conetl.db.run_store import StepTime, write_run_steps
 from conetl.model.errors import InputError
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import IngestParams
 from conetl.model.rejections import RejectionReason
 from conetl.pipeline.code_identity import code_facts, code_sha256
-from conetl.pipeline.executor import StepTime
 from conetl.pipeline.publication import write_publication
 from conetl.pipeline.settings import Settings
 from conetl.reports import evidence

@@ -8,24 +8,14 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from datetime import UTC, datetime
 from types import TracebackType
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
+
+from conetl.db.run_store import StepTime
 
 #: Called with the number of images and motions that are done, and of all of them.
 Progress = Callable[[int, int], None]
 #: Called with the number of images and motions that were done since the last call.
 Tick = Callable[[int], None]
-
-
-class StepTime(NamedTuple):
-    """One step, seconds by the clock."""
-
-    step: str
-    task_count: int
-    busy_s: float
-    """Summed over its calls, which may run beside each other."""
-    started_s: float
-    """Since the first step of the run began."""
-    ended_s: float
 
 
 class Submitted(Protocol):

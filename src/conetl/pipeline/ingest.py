@@ -12,6 +12,7 @@ from pathlib import Path
 import httpx
 
 from conetl.db.map.map_store import find_map
+from conetl.db.run_store import StepTime
 from conetl.files.storage import forget_all
 from conetl.model.errors import ConetlError, ServiceError, is_of_storage, storage_failed
 from conetl.model.ingest_report import IngestReport, TooManyRejectionsError
@@ -30,7 +31,7 @@ from conetl.pipeline.commit import (
     run_info,
 )
 from conetl.pipeline.database import MapDatabase
-from conetl.pipeline.executor import Executor, Progress, StepTime, ThreadExecutor
+from conetl.pipeline.executor import Executor, Progress, ThreadExecutor
 from conetl.pipeline.publish import publish
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.readers.drives import read_drive

@@ -26,13 +26,12 @@ from conetl.db.notification_store import (
     vanished_by_changeset,
     was_told,
 )
-from conetl.db.run_store import write_run_steps
+from conetl.db.run_store import StepTime, write_run_steps
 from conetl.exports.geojson import export_geojson
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.ingest_report import IngestReport
 from conetl.pipeline.commit import CommittedDrive, report_of
 from conetl.pipeline.database import MapDatabase
-from conetl.pipeline.executor import StepTime
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.reports.drive_page import write_drive_page
 from conetl.reports.plan_view import draw_plan_view
