@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -41,9 +41,11 @@ from conetl.evaluation.truth import TruthCone, TruthLine, compare_with_truth
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.errors import InputError
 from conetl.model.records import Track
-from conetl.pipeline.analysis import AnalysedDrive
 from conetl.pipeline.settings import read_settings
 from conetl.reports.accuracy_page import Section, write_accuracy_page
+
+if TYPE_CHECKING:
+    from conetl.pipeline.analysis import AnalysedDrive
 
 _STATISTICS = ("", "estimates", "median 3D", "RMSE 3D", "RMSE E", "N", "up", "bias E", "N", "up", "CE90", "LE90")
 _BANDS = (

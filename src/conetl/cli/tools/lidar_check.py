@@ -24,7 +24,6 @@ from conetl.perception.detections import check_boxes
 from conetl.perception.detector import Detector, detect_image, load_detector
 from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_rig_image
-from conetl.pipeline.odometry import calibrate_drive
 from conetl.pipeline.settings import read_settings
 from conetl.readers.drives import read_drive
 from conetl.readers.drives.velodyne import (
@@ -164,6 +163,8 @@ def lidar_check(
     as_json: JsonOption = False,
 ) -> None:
     """Stereo ranges of cones against the drive's own LiDAR, by range, with and without what the scene says of calibration."""
+    from conetl.pipeline.odometry import calibrate_drive
+
     with progress_bar() as bar:
         task = bar.add_task("LiDAR check", total=None)
         check = lidar_residuals(
