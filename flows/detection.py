@@ -21,7 +21,7 @@ from conetl.files.parquet_store import (
     result_path,
     save_result,
 )
-from conetl.files.storage import in_batches, place
+from conetl.files.storage import as_path, in_batches
 from conetl.geometry.camera import first_road_row
 from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left
 from conetl.model.errors import ModelFileError
@@ -219,7 +219,7 @@ def _match(
             images = {}  # images are dear: only where boxes alone say that something matches
         else:
             paths: dict[Side, str] = {"left": pair.left_path, "right": pair.right_path}
-            images = {side: read_rig_image_again(place(path), chunk.rig, side) for side, path in paths.items()}
+            images = {side: read_rig_image_again(as_path(path), chunk.rig, side) for side, path in paths.items()}
     both = (images["left"], images["right"]) if images and len(images) == len(_SIDES) else None
     return match_pair(ours, theirs, rig, params, up_left=up, images=both)
 

@@ -11,7 +11,7 @@ from prefect.artifacts import create_image_artifact, create_link_artifact, creat
 from prefect.runtime import flow_run
 
 from conetl.db.map.map_store import list_changesets
-from conetl.files.storage import place
+from conetl.files.storage import as_path
 from conetl.model.errors import StorageError
 from conetl.model.ingest_report import IngestReport
 from conetl.model.records import Detection, Drive, Position, Side, StereoMatch
@@ -35,7 +35,7 @@ def drive_run_name(outline: DriveHeader) -> str:
 def name_of_run() -> str:
     """Name of the present run of `ingest-drive`, whatever its parameter is called."""
     parameters = flow_run.parameters
-    return drive_run_name(read_header(place(str(parameters.get("drive") or parameters["folder"]))))
+    return drive_run_name(read_header(as_path(str(parameters.get("drive") or parameters["folder"]))))
 
 
 def show_around(report: IngestReport, settings: Settings) -> None:
@@ -86,7 +86,7 @@ def worst_frames_task(
                     for d in detections
                     if d.frame_index == index and d.side == side
                 ]
-                drawn.append(draw_boxes(read_rig_image(place(path), drive.rig, side), np.array(boxes).reshape(-1, 9)))
+                drawn.append(draw_boxes(read_rig_image(as_path(path), drive.rig, side), np.array(boxes).reshape(-1, 9)))
         except (ImageFileError, StorageError):  # vanished since it was read; the drive is on the map already
             continue
         count = sum(match.frame_index == index for match in matches)

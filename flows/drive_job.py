@@ -21,7 +21,7 @@ from pydantic import Field
 from conetl.db.connection import connect, migrate
 from conetl.db.receipt_store import Receipt, run_lock, write_receipt
 from conetl.db.session_locks import holding
-from conetl.files.storage import place
+from conetl.files.storage import as_path
 from conetl.model.errors import ConetlError, may_pass
 from conetl.model.ingest_report import IngestReport, TooManyRejectionsError
 from conetl.model.params import IngestParams
@@ -91,7 +91,7 @@ def ingest_one(
 ) -> State[Any]:
     """Ingest one drive: into the map once, whoever else tries at the same time, with a receipt of what became of it."""
     settings = settings_for(map_name)
-    outline = read_header(place(drive).absolute())  # links stay: a calibration may lie beside the link
+    outline = read_header(as_path(drive).absolute())  # links stay: a calibration may lie beside the link
     begun = new_receipt(outline, settings, analysis_of(params, settings).sha256, attempt_id or uuid4(), flow_run.id)
     with alive(settings) as url, holding(url, begun.drive_lock):
         keep(url, begun, settings)

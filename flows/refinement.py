@@ -18,7 +18,7 @@ from conetl.files.parquet_store import (
     result_path,
     save_result,
 )
-from conetl.files.storage import place
+from conetl.files.storage import as_path
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.motion.stereo_tracks import StereoTracks, motions_of
 from conetl.model.params import IngestParams, params_sha256
@@ -162,4 +162,4 @@ def reader_again(rig: Rig) -> ImageReader:
 
 
 def _path(pair: FramePair, side: Side) -> Path:
-    return place(pair.left_path if side == "left" else pair.right_path)
+    return as_path(pair.left_path if side == "left" else pair.right_path)

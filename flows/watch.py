@@ -31,8 +31,8 @@ from conetl.perception.images import ImageFileError
 from conetl.pipeline.live_pair import Eyes, LiveDrive, Look, StepTimes, look_at, new_drive, open_eyes, take_pair
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives.header import MARKER
-from conetl.readers.drives.oxts import MAX_SPEED_M_S
 from conetl.readers.drives.pairs import PairError
+from conetl.readers.drives.trajectories import MAX_SPEED_M_S
 from conetl.readers.recording.drive import BEHIND, ArrivingDrive, ArrivingPair, open_arriving
 from flows.merge import database_url
 
@@ -236,7 +236,7 @@ def _notice(watch: _Watch, source: ArrivingDrive, paths: list[Path] | None) -> N
     A pair is asked for its place until it has one, and not at every look: of a long drive that was there before, that took longer
     than to match its cones.
     """
-    new = source.look(paths)
+    new = source.new_pairs(paths)
     watch.waiting |= {pair.key: (pair, time.monotonic()) for pair in new}
     orders = [(source.order(pair), pair) for pair in (*watch.unplaced, *new) if pair.key in watch.waiting]
     watch.unplaced = [pair for order, pair in orders if order[0] == BEHIND]

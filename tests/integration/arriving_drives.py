@@ -8,7 +8,7 @@ import math
 import shutil
 from pathlib import Path
 
-from conetl.readers.drives.kitti import read_kitti_drive
+from conetl.readers.drives import read_drive
 from conetl.readers.drives.oxts import parse_oxts
 from conetl.readers.drives.plain import Row
 from conetl.readers.rigs.rig_yaml import write_rig_yaml
@@ -21,7 +21,7 @@ def begin(folder: Path) -> Path:
     """A plain folder before the first image: folders, rig and the head of trajectory.csv."""
     for side in ("left", "right"):
         (folder / side).mkdir(parents=True)
-    drive, _ = read_kitti_drive(SAMPLE, headers_only=True)
+    drive, _ = read_drive(SAMPLE, headers_only=True)
     write_rig_yaml(drive.rig, folder / "rig.yaml")
     (folder / "trajectory.csv").write_text(",".join(Row.model_fields) + "\n")
     return folder

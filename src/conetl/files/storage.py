@@ -38,7 +38,7 @@ _lock = threading.Lock()
 _kept: OrderedDict[str, bytes] = OrderedDict()
 
 
-def place(text: str | Path) -> Path:
+def as_path(text: str | Path) -> Path:
     """A file's path, or the place of an object where the text is an address such as s3://bucket/drive.
 
     The latter is no `pathlib.Path`, but has the methods of one that readers need. Raises InputError where what reads such

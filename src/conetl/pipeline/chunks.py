@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from conetl.files.parquet_store import file_sha256, result_key
-from conetl.files.storage import in_batches, place
+from conetl.files.storage import as_path, in_batches
 from conetl.model.params import IngestParams
 from conetl.model.records import Drive, FramePair, Record, Rig
 from conetl.perception.model_card import read_model_card
@@ -55,7 +55,7 @@ def parts_of(chunk: Chunk) -> list[slice]:
 
 def image_paths(pairs: Sequence[FramePair]) -> list[Path]:
     """Places of the images of frame pairs, left and right in turn."""
-    return [place(path) for pair in pairs for path in (pair.left_path, pair.right_path)]
+    return [as_path(path) for pair in pairs for path in (pair.left_path, pair.right_path)]
 
 
 def image_hashes(paths: Sequence[Path]) -> dict[Path, str]:

@@ -324,7 +324,7 @@ def test_a_euroc_row_without_a_time_costs_one_pair(tmp_path: Path, frames: list[
         file.write_text(file.read_text().replace(f"{frames[5].stamp_ns},", "soon,"))
     drive, rejections = read(path, tmp_path / "cache")
     assert [(r.reason, r.payload["frame_index"]) for r in rejections] == [(R.TIMESTAMP_INVALID, 5)]
-    assert "'soon' is no time stamp" in rejections[0].detail
+    assert "'soon' is not a time stamp" in rejections[0].detail
     assert len(drive.frame_pairs) == 9
 
 
@@ -335,7 +335,7 @@ def test_a_euroc_row_cannot_lead_out_of_the_drive(tmp_path: Path, frames: list[F
     file.write_text(file.read_text().replace("000001.jpg", "../../../../outside.jpg"))
     drive, rejections = read(path, tmp_path / "cache")
     assert [(r.reason, r.payload["frame_index"]) for r in rejections] == [(R.IMAGE_MISSING, 1)]
-    assert "no file name inside the drive folder" in rejections[0].detail
+    assert "not a file name inside the drive folder" in rejections[0].detail
     assert len(drive.frame_pairs) == 2
 
 
@@ -453,7 +453,7 @@ def test_a_glance_and_the_reader_refuse_what_lies_outside_of_a_euroc_drive(
     named = OUTSIDE[way].format(elsewhere=tmp_path / "elsewhere")
     with (path / "drive.yaml").open("a") as file:
         file.write(f"streams: {{{stream}: {named}}}\n")
-    with pytest.raises(DriveFolderError, match=f"'{named}' leads out of the drive folder") as refusal:
+    with pytest.raises(DriveFolderError, match=f"'{named}' is outside the drive folder") as refusal:
         read(path, tmp_path / "cache")
     assert read_header(path).problem == str(refusal.value)
 
@@ -480,6 +480,6 @@ def test_a_glance_and_the_reader_refuse_a_named_kitti_camera_that_is_a_link_out_
     assert read_header(path).problem is None
     read(path, tmp_path / "cache")  # where nothing is named, links are the user's own layout
     (path / "drive.yaml").write_text("cameras: {left: image_02}\n")
-    with pytest.raises(DriveFolderError, match="leads out of the drive folder") as refusal:
+    with pytest.raises(DriveFolderError, match="is outside the drive folder") as refusal:
         read(path, tmp_path / "cache")
     assert read_header(path).problem == str(refusal.value)

@@ -186,7 +186,7 @@ LOSSES: dict[str, tuple[Callable[[Path], object], int, RejectionReason, str]] = 
     "degrees for radians": (change_oxts(3, 4, "12.5"), 3, R.POSE_INVALID, "pitch_rad"),
     "no sigma": (change_oxts(3, 23, "0"), 3, R.POSE_INVALID, "pos_accuracy is 0"),
     "wild fix": (change_oxts(3, 0, "49.02"), 3, R.POSE_INVALID, "wild fix"),
-    "text in OXTS": (change_oxts(3, 7, "fast"), 3, R.POSE_INVALID, "text that is none"),
+    "text in OXTS": (change_oxts(3, 7, "fast"), 3, R.POSE_INVALID, "text that is not a number"),
     "short OXTS": (
         lambda d: (d / "oxts/data/0000000003.txt").write_text("49.0 8.4"), 3, R.POSE_INVALID, "expected 30 numbers, found 2",
     ),
@@ -319,18 +319,18 @@ FAILURES: dict[str, tuple[Callable[[Path], object], type[Exception], str]] = {
         lambda d: [cut(p) for p in (d / "image_02/data").iterdir()], DriveFolderError, "not one of 6 frame pairs can be used",
     ),
     "drive.yaml with an unknown key": (
-        lambda d: (d / "drive.yaml").write_text("drive: x"), DriveFolderError, "'drive' is not known. Known keys: drive_id",
+        lambda d: (d / "drive.yaml").write_text("drive: x"), DriveFolderError, "drive: there is no such key here; known are drive_id",
     ),
-    "drive.yaml that is no mapping": (lambda d: (d / "drive.yaml").write_text("- x"), DriveFolderError, "mapping"),
+    "drive.yaml that is no mapping": (lambda d: (d / "drive.yaml").write_text("- x"), DriveFolderError, "expected keys and values"),
     "drive.yaml that is no YAML": (lambda d: (d / "drive.yaml").write_text("a: ["), DriveFolderError, "YAML"),
     "unknown time zone": (
         lambda d: (d / "drive.yaml").write_text("timestamps_timezone: Mars/Olympus"), DriveFolderError, "not a time zone",
     ),
     "map CRS in degrees": (lambda d: (d / "drive.yaml").write_text("map_srid: 4326"), DriveFolderError, "not a projected CRS"),
     "Web Mercator": (lambda d: (d / "drive.yaml").write_text("map_srid: 3857"), DriveFolderError, "stretches lengths"),
-    "negative sigma": (lambda d: (d / "drive.yaml").write_text("sigmas: {yaw_deg: -1}"), DriveFolderError, "'sigmas.yaw_deg'"),
+    "negative sigma": (lambda d: (d / "drive.yaml").write_text("sigmas: {yaw_deg: -1}"), DriveFolderError, "sigmas.yaw_deg: "),
     "calibration outside by ..": (
-        lambda d: (d / "drive.yaml").write_text("calibration: ../calib_cam_to_cam.txt"), DriveFolderError, "leads out",
+        lambda d: (d / "drive.yaml").write_text("calibration: ../calib_cam_to_cam.txt"), DriveFolderError, "is outside",
     ),
     "camera folder by ..": (
         lambda d: (d / "drive.yaml").write_text("cameras: {left: ../x/image_02, right: image_03}"),
@@ -370,7 +370,7 @@ def test_a_link_in_drive_yaml_must_not_lead_out(drive: Path, tmp_path: Path) -> 
     shutil.move(drive / "image_02", outside)
     (drive / "image_02").symlink_to(outside)
     (drive / "drive.yaml").write_text("cameras: {left: image_02, right: image_03}")
-    with pytest.raises(DriveFolderError, match="leads out of the drive folder"):
+    with pytest.raises(DriveFolderError, match="is outside the drive folder"):
         read_drive(drive)
     (drive / "drive.yaml").unlink()
     assert len(read_drive(drive)[0].frame_pairs) == FRAMES, "a user's own link in the standard layout is no attack"

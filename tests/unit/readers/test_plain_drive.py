@@ -107,7 +107,7 @@ FAILURES: dict[str, tuple[Callable[[Path], object], type[Exception], str]] = {
     "rig without a body": (edit("rig.yaml", BODY, ""), CalibrationError, "'body_SE3_left' is missing"),
     "no trajectory": (lambda d: (d / "trajectory.csv").unlink(), DriveFolderError, "trajectory.csv is missing"),
     "column missing": (edit("trajectory.csv", ",sigma_yaw_deg", ",sigma_jaw_deg"), 
-        DriveFolderError, "missing sigma_yaw_deg; not known sigma_jaw"),
+        DriveFolderError, "missing sigma_yaw_deg; unknown sigma_jaw"),
     "no rows": (lambda d: (d / "trajectory.csv").write_text(HEADER + "\n"), DriveFolderError, "the file has no rows"),
     "no images": (
         lambda d: [p.unlink() for s in ("left", "right") for p in (d / s).iterdir()], DriveFolderError, "no images",

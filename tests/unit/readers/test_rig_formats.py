@@ -332,9 +332,9 @@ BAD_MATLAB = {
 }  # fmt: skip
 BAD_ROS = {
     "no projection": (change("projection_matrix", None), "'projection_matrix' is missing"),
-    "rows": (change("camera_matrix/rows", 4), "'camera_matrix' says 4 rows and 3 columns, but holds 9"),
+    "rows": (change("camera_matrix/rows", 4), "'camera_matrix' has 4 rows and 3 columns, but 9 numbers"),
     "model": (change("distortion_model", "double_sphere"), "'distortion_model' 'double_sphere' is not supported"),
-    "count": (change("distortion_coefficients/data", [1.0, 2.0, 3.0]), "'distortion_coefficients' says"),
+    "count": (change("distortion_coefficients/data", [1.0, 2.0, 3.0]), "'distortion_coefficients' has"),
     "rotation": (change("rectification_matrix/data", [1.0] * 9), "'rectification_matrix' is not a rotation"),
     "baseline": (change("projection_matrix/data", [900, 0, 640, 250, 0, 900, 360, 0, 0, 0, 1, 0]), "projection_matrix.*swapped"),
 }  # fmt: skip

@@ -103,10 +103,10 @@ def test_the_rig_id_follows_the_numbers(folder: Path) -> None:
             "calib_cam_to_cam.txt",
             "S_rect_02: 1.242000e+03",
             "S_rect_02: wide",
-            "'S_rect_02' must be 2 numbers, found 'wide'",
+            "'S_rect_02' must be numbers, found",
         ),
         ("calib_cam_to_cam.txt", P2, P2.rsplit(" ", 1)[0], "'P_rect_02' must be 12 numbers, found 11"),
-        ("calib_cam_to_cam.txt", P3, P3.replace("-3.4e+02", "nan"), "'P_rect_03' must be 12 finite numbers"),
+        ("calib_cam_to_cam.txt", P3, P3.replace("-3.4e+02", "nan"), "'P_rect_03' must be finite numbers"),
         ("calib_cam_to_cam.txt", P3, P3.replace("-3.4e+02", "3.4e+02"), "left and right swapped"),
         ("calib_cam_to_cam.txt", P3, P2, "left and right swapped"),
         ("calib_cam_to_cam.txt", P2, P2.replace("7.2e+02 0", "-7.2e+02 0", 1), "focal lengths must be positive"),
@@ -214,7 +214,7 @@ body_SE3_left: {{R: [[0, 0, 1], [-1, 0, 0], [0, -1, 0]], t_m: [1.0, 0.2, 0.7]}}
         (
             f"left: {PIXELS}\nright: {PIXELS}\nbaseline_m: 0.3\ncalibration_covariance: {{names: [left.fx_px], matrix: [[1.0]], "
             "shared: {calibration: 00000000-0000-0000-0000-000000000001, matrix: [[1.0]]}}",
-            "what drives share of it is worked out",
+            "what drives share of it is computed",
         ),
     ],
 )
