@@ -1,4 +1,4 @@
-"""One file -> one base layer: read, place, check, write. Nothing is written before the whole file was read."""
+"""One file -> one base layer: read, transform, check, write. Nothing is written before the complete file was read."""
 
 from __future__ import annotations
 
@@ -26,10 +26,9 @@ from conetl.geometry import pose as se3
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.errors import InputError
 from conetl.model.records import Drive
-from conetl.readers.base_layers import georeferencing as placing
-from conetl.readers.base_layers.georeferencing import MapPlace
+from conetl.readers.base_layers import georeferencing as geo
+from conetl.readers.base_layers.georeferencing import LayerCrs, MapGround, to_map
 from conetl.readers.base_layers.las_file import las_chunks, read_las_header
-from conetl.readers.base_layers.layer_crs import LayerCrs, to_map
 from conetl.readers.base_layers.line_files import LINE_READERS
 from conetl.readers.base_layers.lines import LineFile
 from conetl.readers.base_layers.point_tiles import Cloud, tiles_of, top_level
@@ -46,13 +45,13 @@ from conetl.readers.drives.velodyne import (
 from conetl.readers.rigs import IMU_TO_VELO
 
 POINT_SUFFIXES = (".las", ".laz")
-#: So many points tell where a file lies.
+#: Points of the sample whose heights are checked.
 _CHECKED = 20_000
 
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """What the user says about a file."""
+    """Options of the user."""
 
     map_name: str
     layer_name: str
@@ -63,7 +62,7 @@ class ImportOptions:
 
 @dataclass
 class Imported:
-    """What became of one file."""
+    """The result of one file."""
 
     file: str
     layer: str
@@ -72,42 +71,42 @@ class Imported:
     read: int = 0
     refused: int = 0
     unchanged: bool = False
-    """True where the very same import was there already."""
+    """True if the same import existed already."""
     warnings: list[str] = field(default_factory=list)
     refusals: list[str] = field(default_factory=list)
 
 
 def kind_of(path: Path) -> Kind:
-    """What a file or folder holds, by its name. Raises InputError."""
+    """The kind of a file or folder, by its name. Raises InputError."""
     suffix = path.suffix.lower()
     if path.is_dir() or suffix in POINT_SUFFIXES:
         return "points"
     if suffix in LINE_READERS:
         return "lines"
     raise InputError(
-        f"{path}: cannot tell what it is by its name; expected .las, .laz (also .copc.laz) or a drive folder with LiDAR for "
+        f"{path}: unknown kind of file; expected .las, .laz (also .copc.laz) or a drive folder with LiDAR for "
         f"points, {', '.join(LINE_READERS)} for lines"
     )
 
 
 def import_file(
-    conn: Connection, path: Path, place: MapPlace, options: ImportOptions, progress: Callable[[int, int], None]
+    conn: Connection, path: Path, ground: MapGround, options: ImportOptions, progress: Callable[[int, int], None]
 ) -> Imported:
-    """Import one file. progress: called with (done, in all) points or scans. Raises InputError, and then wrote nothing."""
+    """Import one file. progress: called with (done, total) points or scans. Raises InputError, with nothing written."""
     if not path.exists():
         raise InputError(f"{path}: there is no such file")
     if path.is_dir():
-        return _import_drive(conn, path, place, options, progress)
+        return _import_drive(conn, path, ground, options, progress)
     if kind_of(path) == "points":
-        return _import_las(conn, path, place, options, progress)
-    return _import_lines(conn, path, place, options)
+        return _import_las(conn, path, ground, options, progress)
+    return _import_lines(conn, path, ground, options)
 
 
 def _import_las(
-    conn: Connection, path: Path, place: MapPlace, options: ImportOptions, progress: Callable[[int, int], None]
+    conn: Connection, path: Path, ground: MapGround, options: ImportOptions, progress: Callable[[int, int], None]
 ) -> Imported:
     count, stated = read_las_header(path)
-    layer, warnings = placing.resolve_crs(path, stated, options.crs, place)
+    layer, warnings = geo.resolve_crs(path, stated, options.crs, ground)
     file = _base_file(path, "points", _sha256(path), options, layer.name)
     if (there := find_base_file(conn, file)) is not None:
         return _unchanged(file, there)
@@ -116,19 +115,19 @@ def _import_las(
         done = 0
         for cloud in las_chunks(path, count):
             if done == 0 and len(cloud.xyz_m):
-                warnings.extend(placing.check_coordinates(path, layer, cloud.xyz_m[:, :2], place))
+                warnings.extend(geo.check_coordinates(path, layer, cloud.xyz_m[:, :2], ground))
             done += len(cloud.xyz_m)
             yield Cloud(to_map(layer, cloud.xyz_m, options.height_offset_m), cloud.shade)
             progress(done, count)
 
-    return _write_cloud(conn, file, placed(), count, place, options, warnings)
+    return _write_cloud(conn, file, placed(), count, ground, options, warnings)
 
 
 def _import_drive(
-    conn: Connection, path: Path, place: MapPlace, options: ImportOptions, progress: Callable[[int, int], None]
+    conn: Connection, path: Path, ground: MapGround, options: ImportOptions, progress: Callable[[int, int], None]
 ) -> Imported:
     if options.crs:
-        raise InputError(f"{path}: a drive's LiDAR is placed by the drive's poses; --crs has no meaning for it")
+        raise InputError(f"{path}: a drive's LiDAR is georeferenced by the drive's poses; --crs does not apply")
     scans = list_scans(path)
     if not scans:
         raise InputError(
@@ -137,27 +136,29 @@ def _import_drive(
     folders = [f for f in (path, path.resolve().parent) if (f / IMU_TO_VELO).is_file()]
     if not folders:
         raise InputError(f"{path}: {IMU_TO_VELO} is neither in the drive folder nor in its parent")
-    drive, _ = read_drive(path, map_srid=place.srid)
+    drive, _ = read_drive(path, map_srid=ground.srid)
     poses = read_ingested_poses(conn, options.map_name, drive.content_sha256)
     content = hashlib.sha256(drive.content_sha256.encode())
     for pose in poses.values():
         content.update(pose.tobytes())
     for scan in scans.values():
         content.update(bytes.fromhex(_sha256(scan)))
-    file = _base_file(path, "points", content.hexdigest(), options, f"EPSG:{place.srid}")
+    file = _base_file(path, "points", content.hexdigest(), options, f"EPSG:{ground.srid}")
     if (there := find_base_file(conn, file)) is not None:
         return _unchanged(file, there)
     warnings = (
         []
         if poses
-        else [f"{path.name}: is not on the map: placed by its logged poses. Ingest it first, then its refined ones do"]
+        else [
+            f"{path.name}: is not on the map: georeferenced by its logged poses. Ingest it first to use its refined poses"
+        ]
     )
     refusals: list[str] = []
     read = [0]
     clouds = _drive_clouds(
         drive, poses, scans, left_SE3_velo(drive.rig, folders[0]), scan_period_s(path), refusals, read, progress
     )
-    done = _write_cloud(conn, file, clouds, None, place, options, warnings, read)
+    done = _write_cloud(conn, file, clouds, None, ground, options, warnings, read)
     done.refusals += refusals
     return done
 
@@ -166,7 +167,7 @@ def _drive_clouds(
     drive: Drive, poses: dict[int, Any], scans: dict[int, Path], velo: Any, period_s: float, refusals: list[str], read: list[int],
     progress: Callable[[int, int], None],
 ) -> Iterator[Cloud]:  # fmt: skip
-    """One cloud a scan, on the map. poses: (4, 4) map_SE3_body by frame that go before the drive's own."""
+    """One cloud per scan, on the map. poses: (4, 4) map_SE3_body by frame, used before the drive's own."""
     pairs = {}
     for pair in drive.frame_pairs:
         better = poses.get(pair.frame_index)
@@ -197,7 +198,7 @@ def _drive_clouds(
 
 
 def _write_cloud(
-    conn: Connection, file: BaseFile, clouds: Iterator[Cloud], count: int | None, place: MapPlace, options: ImportOptions,
+    conn: Connection, file: BaseFile, clouds: Iterator[Cloud], count: int | None, ground: MapGround, options: ImportOptions,
     warnings: list[str], read: list[int] | None = None,
 ) -> Imported:  # fmt: skip
     with tempfile.TemporaryDirectory(prefix="conetl-points-") as name:
@@ -206,52 +207,52 @@ def _write_cloud(
         total = count if count is not None else read[0] if read else spilled.kept
         low, high = np.array(spilled.low_m), np.array(spilled.high_m)
         label = Path(file.source_path).name
-        warnings += placing.check_near(label, low, high, place)
-        warnings += placing.check_heights(label, _some_points(folder, spilled), place)
+        warnings += geo.check_near(label, low, high, ground)
+        warnings += geo.check_heights(label, _some_points(folder, spilled), ground)
         extent_m = float((high - low).max())
         tiles = tiles_of(read_cells(folder, spilled.cells), top_level(extent_m), options.voxel_m)
         kept = write_points(conn, file, BaseCounts(total, spilled.refused, spilled.low_m, spilled.high_m), tiles)
     if kept is None:
         return _unchanged(file, 0)
-    refusals = [f"{spilled.refused:,} points are no numbers in the map's CRS"] if spilled.refused else []
+    refusals = [f"{spilled.refused:,} points have no coordinates in the map's CRS"] if spilled.refused else []
     return Imported(
         file.source_path, file.layer_name, "points", kept, total, spilled.refused, False, warnings, refusals
     )
 
 
 def _some_points(folder: Path, spilled: Spilled) -> Any:
-    """A thin sample of what was spilled, (N, 3)."""
+    """A sample of the spilled points, (N, 3)."""
     step = max(spilled.kept // _CHECKED, 1)
     cells = spilled.cells[:: max(len(spilled.cells) // 400, 1)]
     return np.concatenate([cloud.xyz_m[::step] for _, _, cloud in read_cells(folder, cells)])
 
 
-def _import_lines(conn: Connection, path: Path, place: MapPlace, options: ImportOptions) -> Imported:
+def _import_lines(conn: Connection, path: Path, ground: MapGround, options: ImportOptions) -> Imported:
     found = LINE_READERS[path.suffix.lower()](path)
-    layer, warnings = placing.resolve_crs(path, found.crs, options.crs, place)
+    layer, warnings = geo.resolve_crs(path, found.crs, options.crs, ground)
     everything = np.concatenate([line.xyz for line in found.lines])
-    warnings += placing.check_coordinates(path, layer, everything[:, :2], place)
+    warnings += geo.check_coordinates(path, layer, everything[:, :2], ground)
     flat = [bool(np.isnan(line.xyz[:, 2]).any()) for line in found.lines]
-    if any(flat) and len(place.ground_m) == 0:
+    if any(flat) and len(ground.ground_m) == 0:
         raise InputError(
-            f"{path}: its lines have no heights, and map {options.map_name} has no drive to take them from: ingest one first"
+            f"{path}: its lines have no heights, and map {options.map_name} has no drive for them: ingest one first"
         )
     file = _base_file(path, "lines", _sha256(path), options, layer.name, heights="drives" if any(flat) else "file")
     if (there := find_base_file(conn, file)) is not None:
         return _unchanged(file, there)
     refused = list(found.refused)
-    lines = _placed_lines(found, layer, place, options, refused)
+    lines = _placed_lines(found, layer, ground, options, refused)
     if not lines:
-        raise InputError(f"{path}: none of its lines can be placed on the map; {refused[0]}")
+        raise InputError(f"{path}: none of its lines is on the map; {refused[0]}")
     vertices = np.concatenate([line.xyz_m for line in lines])
     low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
-    warnings += placing.check_near(path.name, low, high, place)
+    warnings += geo.check_near(path.name, low, high, ground)
     if not all(flat):
-        warnings += placing.check_heights(path.name, vertices, place)
+        warnings += geo.check_heights(path.name, vertices, ground)
     counts = BaseCounts(
         len(lines) + len(refused), len(refused), (float(low[0]), float(low[1])), (float(high[0]), float(high[1]))
     )
-    kept = write_lines(conn, file, counts, lines, place.srid)
+    kept = write_lines(conn, file, counts, lines, ground.srid)
     if kept is None:
         return _unchanged(file, 0)
     return Imported(
@@ -260,17 +261,17 @@ def _import_lines(conn: Connection, path: Path, place: MapPlace, options: Import
 
 
 def _placed_lines(
-    found: LineFile, layer: LayerCrs, place: MapPlace, options: ImportOptions, refused: list[str]
+    found: LineFile, layer: LayerCrs, ground: MapGround, options: ImportOptions, refused: list[str]
 ) -> list[PlacedLine]:
     lines = []
     for number, line in enumerate(found.lines):
         xyz = to_map(layer, line.xyz, options.height_offset_m)
         if not np.isfinite(xyz[:, :2]).all():
-            refused.append(f"line {number} ({line.kind}): its coordinates cannot be expressed in EPSG:{place.srid}")
+            refused.append(f"line {number} ({line.kind}): its coordinates cannot be expressed in EPSG:{ground.srid}")
             continue
         missing = np.isnan(xyz[:, 2])
         if missing.any():
-            xyz[missing, 2] = placing.drape(xyz[missing, :2], place)
+            xyz[missing, 2] = geo.drape(xyz[missing, :2], ground)
         lines.append(PlacedLine(line.kind, xyz, line.attributes))
     return lines
 

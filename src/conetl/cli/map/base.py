@@ -12,7 +12,7 @@ import typer
 
 from conetl.cli.console import JsonOption, complain, err, out, print_json, print_table, progress_bar
 from conetl.cli.database import open_map
-from conetl.db.base_store import drop_base_layer, list_base_sources, read_place
+from conetl.db.base_store import drop_base_layer, list_base_sources, read_map_ground
 from conetl.db.map.map_store import find_map
 from conetl.model.errors import EXIT_BAD_INPUT, EXIT_TOO_MANY_REJECTIONS, InputError
 from conetl.pipeline.settings import Settings, read_settings
@@ -102,7 +102,7 @@ def import_one(
             raise InputError(f"there is no map {settings.map_name} to put {path} under: ingest a drive first")
         bar = bars.add_task(path.name, total=None)
         return import_file(
-            conn, path, read_place(conn, settings.map_name, info.srid), options,
+            conn, path, read_map_ground(conn, settings.map_name, info.srid), options,
             lambda so_far, total: bars.update(bar, completed=so_far, total=total),
         )  # fmt: skip
 

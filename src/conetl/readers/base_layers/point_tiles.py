@@ -1,9 +1,9 @@
 """Point clouds as tiles with levels of detail: thinning, levels, and the bytes of a tile.
 
 Tiles are squares in plan, aligned with the axes of the map's CRS: level 0 has ROOT_M, every further level half of that. A tile
-holds the points that are the first ones of their voxel of its level's spacing (side / GRID) and of no coarser level: the tiles of
-all levels together are the cloud, and those down to some level are an even sample of it (the additive scheme of Schuetz,
-*Potree*, 2016, and of COPC). A tile with few points holds all that is left and has no tiles below it.
+has the points that are the first ones in their voxel of its level's spacing (side / GRID) and in no coarser level: the tiles of
+all levels together are the cloud, and those down to any level are an even sample of it (the additive scheme of Schuetz,
+*Potree*, 2016, and of COPC). A tile with few points has all remaining ones and no tiles below it.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ Array = NDArray[np.float64]
 ROOT_M = 4096.0
 #: Spacings along a tile's side.
 GRID = 128
-#: Side of the cells that are tiled one after the other; CELL_LEVEL is the level whose tiles are as large.
+#: Side of the cells that are tiled one after the other; the tiles of CELL_LEVEL are as large.
 CELL_M = 64.0
 CELL_LEVEL = 6
-#: Tiles of this level, 8 m wide, take all that is left.
+#: Tiles of this level, 8 m wide, have all remaining points.
 LAST_LEVEL = 9
-#: From this level on a tile with so few points takes all that is left.
+#: From CELL_LEVEL on, tiles with at most this many points have all remaining ones.
 LEAF_POINTS = 20_000
 _STEPS = 65_535
-#: Places are rounded to this share of the voxel that the cloud was thinned by.
+#: Coordinates are rounded to this share of the voxel size.
 _ROUNDING = 1 / 16
 
 
@@ -44,7 +44,7 @@ class Cloud(NamedTuple):
 
 
 class Tile(NamedTuple):
-    """One tile; a point is origin_m + steps * scale_m. `payload` is what `encode_points` made, in gzip."""
+    """One tile; a point is origin_m + steps * scale_m. `payload` is the result of `encode_points`."""
 
     level: int
     ix: int
@@ -90,7 +90,7 @@ def cell_indices(xyz_m: Array, side_m: float) -> NDArray[np.int64]:
 
 
 def morton(ix: int, iy: int) -> int:
-    """Place of a cell on the Z-order curve: cells of one coarser tile follow each other, on every level."""
+    """Index of a cell on the Z-order curve: the cells of a coarser tile are consecutive, on every level."""
     key = 0
     x, y = ix + (1 << 31), iy + (1 << 31)
     for bit in range(33):
@@ -99,7 +99,7 @@ def morton(ix: int, iy: int) -> int:
 
 
 def top_level(extent_m: float) -> int:
-    """The level at which a cloud of this extent begins: the finest whose tiles are as large as the cloud."""
+    """The first level of a cloud of this extent: the finest whose tiles are as large as the cloud."""
     level = 0
     while level < CELL_LEVEL and tile_side_m(level + 1) >= extent_m:
         level += 1
@@ -109,7 +109,7 @@ def top_level(extent_m: float) -> int:
 def tiles_of(cells: Iterable[tuple[int, int, Cloud]], top: int, voxel_m: float) -> Iterator[Tile]:
     """Tiles from level `top` on, of cells (ix, iy, points) of CELL_M in Z-order.
 
-    Holds one cell, and one open tile a coarse level. The points of a cell are thinned by voxel_m first.
+    One cell and one open tile per coarse level are in memory. The points of a cell are thinned by voxel_m first.
     """
     coarse = range(top, CELL_LEVEL)
     keys: dict[int, tuple[int, int]] = {}
@@ -137,7 +137,7 @@ def tiles_of(cells: Iterable[tuple[int, int, Cloud]], top: int, voxel_m: float) 
 
 
 def _split(cloud: Cloud, level: int) -> tuple[Cloud, Cloud]:
-    """The points that a level takes, and the rest."""
+    """The points of a level, and the rest."""
     first = first_in_voxels(cloud.xyz_m, tile_side_m(level) / GRID)
     rest = np.ones(len(cloud.xyz_m), bool)
     rest[first] = False
@@ -160,7 +160,7 @@ def _fine_tiles(cloud: Cloud, level: int, ix: int, iy: int, voxel_m: float) -> I
 
 
 def encode_tile(level: int, ix: int, iy: int, cloud: Cloud, voxel_m: float) -> Tile:
-    """One tile of at least one point that lies inside it."""
+    """One tile of at least one point inside it."""
     side = tile_side_m(level)
     low, high = cloud.xyz_m.min(axis=0), cloud.xyz_m.max(axis=0)
     origin = np.array([ix * side, iy * side, low[2]])
@@ -176,7 +176,7 @@ def encode_tile(level: int, ix: int, iy: int, cloud: Cloud, voxel_m: float) -> T
 def encode_points(steps: NDArray[np.uint16], shade: NDArray[np.uint8]) -> bytes:
     """Gzip of: low bytes, then high bytes, of the zigzag differences of x; the same of y and z; then shades. N points, 7 N bytes.
 
-    steps (N, 3). The points are put along the Z-order curve first, so that differences are small; equal points give equal bytes.
+    steps (N, 3). Points are first sorted along the Z-order curve, so that differences are small; equal points give equal bytes.
     """
     order = np.lexsort((shade, steps[:, 2], steps[:, 1], steps[:, 0], _z_order(steps[:, 0], steps[:, 1])))
     planes: list[bytes] = []
