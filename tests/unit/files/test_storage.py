@@ -125,7 +125,7 @@ def test_what_storage_says_of_itself_is_no_property_of_an_object(
         failing.setattr(path.fs, "cat_file", fail)  # type: ignore[attr-defined]
         failing.setattr(path.fs, "open", fail)  # type: ignore[attr-defined]
         for read in (object_bytes, file_sha256, read_bytes):
-            with pytest.raises(ServiceError, match=f"image.jpg: the storage does not give it: .*{said.args[-1]}"):
+            with pytest.raises(ServiceError, match=f"image.jpg: cannot be read from the storage: .*{said.args[-1]}"):
                 read(path)
     assert read_bytes(path) == b"a image"
 

@@ -43,8 +43,8 @@ class LayerCrs(NamedTuple):
     height_factor: float
     height_note: str | None
     """The reference of the heights, where they are known not to be ellipsoidal."""
-    area_lonlat: tuple[float, float, float, float] | None
-    """West, south, east, north of the CRS's area of use."""
+    horizontal: CRS
+    """Without heights; its area of use is that of the layer."""
 
 
 def parse_crs(text: str) -> CRS:
@@ -72,9 +72,7 @@ def layer_crs(crs: CRS, map_srid: int) -> LayerCrs:
     note = None
     if vertical is not None and "ellips" not in vertical.name.lower():
         note = f"its heights are those of {vertical.name}, the map's are ellipsoidal"
-    area = flat.area_of_use
-    if area is None and (code := flat.to_epsg(_EPSG_CONFIDENCE)) is not None:  # WKT of older files has no area
-        area = CRS.from_epsg(code).area_of_use
+    code = flat.to_epsg(_EPSG_CONFIDENCE) if flat.area_of_use is None else None  # WKT of older files has no area
     try:
         return LayerCrs(
             crs.name,
@@ -83,7 +81,7 @@ def layer_crs(crs: CRS, map_srid: int) -> LayerCrs:
             bool(flat.is_geographic),
             float(units[0]),
             note,
-            None if area is None else (area.west, area.south, area.east, area.north),
+            flat if code is None else CRS.from_epsg(code),
         )
     except ProjError as error:
         raise ValueError(f"there is no transformation from {crs.name} to EPSG:{map_srid}: {error}") from error
@@ -111,15 +109,20 @@ def axes_seem_swapped(layer: LayerCrs, xy: Array, map_lonlat: tuple[float, float
 
 def outside_area(layer: LayerCrs, xy: Array) -> bool:
     """True where the median of coordinates (N, 2) is outside the area of use of their CRS."""
-    if layer.area_lonlat is None:
-        return False
-    lon, lat = layer.to_lonlat.transform(*np.median(xy, axis=0))
-    west, south, east, north = layer.area_lonlat
-    if not np.isfinite([lon, lat]).all():
-        return True
-    inside_lon = west <= lon <= east if west <= east else lon >= west or lon <= east
-    near_lon = inside_lon or min(abs(lon - west), abs(lon - east)) <= _AREA_MARGIN_DEG
-    return not (near_lon and south - _AREA_MARGIN_DEG <= lat <= north + _AREA_MARGIN_DEG)
+    lonlat = np.array([layer.to_lonlat.transform(*np.median(xy, axis=0))])
+    return layer.horizontal.area_of_use is not None and not in_area(layer.horizontal, lonlat, _AREA_MARGIN_DEG)[0]
+
+
+def in_area(crs: CRS, lonlat: Array, margin_deg: float) -> NDArray[np.bool_]:
+    """Whether positions (N, 2) are in the area of use of a CRS, if it has one, or at most this far outside."""
+    area = crs.area_of_use
+    if area is None:
+        return np.asarray(np.isfinite(lonlat).all(axis=1))
+    lon, lat = np.where(np.isfinite(lonlat), lonlat, np.nan).T
+    # The west of an area across the antimeridian is greater than its east, so longitudes count from its west.
+    width = (area.east - area.west) % 360 or 360.0
+    inside = (lon - area.west + margin_deg) % 360 <= width + 2 * margin_deg
+    return np.asarray(inside & (lat >= area.south - margin_deg) & (lat <= area.north + margin_deg))
 
 
 def _distance_deg(layer: LayerCrs, point: Array, map_lonlat: tuple[float, float]) -> float:

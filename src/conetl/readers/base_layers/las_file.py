@@ -6,7 +6,6 @@ import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import laspy
 import numpy as np
@@ -53,7 +52,7 @@ def las_chunks(path: Path, expected: int) -> Iterator[Cloud]:
         for chunk in reader.chunk_iterator(CHUNK_POINTS):
             read += len(chunk)
             xyz = np.column_stack([np.asarray(chunk.x), np.asarray(chunk.y), np.asarray(chunk.z)])
-            intensity = _intensity(chunk)
+            intensity = np.asarray(chunk.intensity, np.float64)
             if brightest is None:
                 brightest = float(np.percentile(intensity, 98)) if len(intensity) else 0.0
             keep = ~np.isin(np.asarray(chunk.classification), _NOISE)
@@ -71,10 +70,6 @@ def _shade(intensity: NDArray[np.float64], brightest: float) -> NDArray[np.uint8
     if brightest <= 0:
         return np.full(len(intensity), _PLAIN_SHADE, np.uint8)
     return np.clip(np.rint(intensity / brightest * 255), 0, 255).astype(np.uint8)
-
-
-def _intensity(chunk: Any) -> NDArray[np.float64]:
-    return np.asarray(chunk.intensity, np.float64)
 
 
 @contextmanager

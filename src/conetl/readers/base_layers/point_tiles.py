@@ -89,15 +89,6 @@ def cell_indices(xyz_m: Array, side_m: float) -> NDArray[np.int64]:
     return np.floor(xyz_m[:, :2] / side_m).astype(np.int64)
 
 
-def morton(ix: int, iy: int) -> int:
-    """Index of a cell on the Z-order curve: the cells of a coarser tile are consecutive, on every level."""
-    key = 0
-    x, y = ix + (1 << 31), iy + (1 << 31)
-    for bit in range(33):
-        key |= (x >> bit & 1) << (2 * bit) | (y >> bit & 1) << (2 * bit + 1)
-    return key
-
-
 def top_level(extent_m: float) -> int:
     """The first level of a cloud of this extent: the finest whose tiles are as large as the cloud."""
     level = 0
@@ -201,10 +192,17 @@ def decode_points(payload: bytes) -> tuple[NDArray[np.uint16], NDArray[np.uint8]
     return steps, data[6 * count :]
 
 
-def _z_order(x: NDArray[np.uint16], y: NDArray[np.uint16]) -> NDArray[np.uint64]:
+def in_z_order(cells: Iterable[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Cells (ix, iy) along the Z-order curve: those of a coarser tile are consecutive, on every level."""
+    index = np.array(list(cells), np.int64)
+    shifted = (index + 2**31).astype(np.uint32)  # cells may have negative indices
+    return [(ix, iy) for ix, iy in index[np.argsort(_z_order(*shifted.T))].tolist()]
+
+
+def _z_order(x: NDArray[np.unsignedinteger], y: NDArray[np.unsignedinteger]) -> NDArray[np.uint64]:
     key = np.zeros(len(x), np.uint64)
     wide_x, wide_y = x.astype(np.uint64), y.astype(np.uint64)
-    for bit in range(16):
+    for bit in range(8 * x.dtype.itemsize):
         shift, one = np.uint64(bit), np.uint64(1)
         key |= (wide_x >> shift & one) << np.uint64(2 * bit) | (wide_y >> shift & one) << np.uint64(2 * bit + 1)
     return key

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from conetl.model.errors import InputError
-from conetl.readers.base_layers.point_tiles import CELL_M, Cloud, cell_indices, first_in_voxels, morton
+from conetl.readers.base_layers.point_tiles import CELL_M, Cloud, cell_indices, first_in_voxels, in_z_order
 
 #: More cells than this (800 km^2 all covered) are stray points, not a base layer.
 MAX_CELLS = 200_000
@@ -57,8 +57,7 @@ def spill(clouds: Iterable[Cloud], folder: Path, voxel_m: float, name: str) -> S
         raise InputError(
             f"{name}: none of its points is on the map ({refused:,} have no coordinates in its CRS). Is the CRS right?"
         )
-    cells = sorted(limits, key=lambda cell: morton(*cell))
-    return Spilled(cells, kept, refused, (float(low[0]), float(low[1])), (float(high[0]), float(high[1])))
+    return Spilled(in_z_order(limits), kept, refused, (float(low[0]), float(low[1])), (float(high[0]), float(high[1])))
 
 
 def read_cells(folder: Path, cells: Iterable[tuple[int, int]]) -> Iterator[tuple[int, int, Cloud]]:

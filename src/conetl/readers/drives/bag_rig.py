@@ -46,21 +46,20 @@ def choose_topics(types: Mapping[str, str], streams: Streams, source: Path) -> T
             )
     left, right = _cameras(types, streams, source)
     infos = {t for t, kind in types.items() if kind == CAMERA_INFO}
-    fix = odometry = imu = None
-    if streams.trajectory is not None:
-        kind = types[streams.trajectory]
-        if kind not in (FIX, ODOMETRY):
-            raise DriveFolderError(
-                f"{source}: drive.yaml: streams.trajectory: {streams.trajectory} is a {kind}, expected {FIX} or {ODOMETRY}"
-            )
-        fix, odometry = (streams.trajectory, None) if kind == FIX else (None, streams.trajectory)
-    else:
-        fix = _only(types, FIX, "trajectory", source)
-        odometry = None if fix else _only(types, ODOMETRY, "trajectory", source)
-        if fix is None and odometry is None:
-            raise DriveFolderError(
-                f"{source}: the bag has no trajectory ({FIX} with {IMU}, or {ODOMETRY}); {_listing(types)}"
-            )
+    imu = None
+    trajectory = (
+        streams.trajectory or _only(types, FIX, "trajectory", source) or _only(types, ODOMETRY, "trajectory", source)
+    )
+    if trajectory is None:
+        raise DriveFolderError(
+            f"{source}: the bag has no trajectory ({FIX} with {IMU}, or {ODOMETRY}); {_listing(types)}"
+        )
+    kind = types[trajectory]
+    if kind not in (FIX, ODOMETRY):
+        raise DriveFolderError(
+            f"{source}: drive.yaml: streams.trajectory: {trajectory} is a {kind}, expected {FIX} or {ODOMETRY}"
+        )
+    fix, odometry = (trajectory, None) if kind == FIX else (None, trajectory)
     if fix is not None:
         imu = streams.imu or _only(types, IMU, "imu", source)
         if imu is None:

@@ -109,6 +109,11 @@ def names_in(data: Path, suffixes: Collection[str]) -> list[str]:
         return sorted(name for name in found if os.path.splitext(name)[1].lower() in suffixes)  # noqa: PTH122 -- many
 
 
+def image_files(data: Path) -> list[Path]:
+    """Sorted paths of the images in a folder, without hidden files."""
+    return [p for p in sorted(data.iterdir()) if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".")]
+
+
 def every_nth(names: Sequence[str], count: int) -> Sequence[str]:
     """About `count` names, evenly distributed."""
     return names[:: max(1, len(names) // count)]

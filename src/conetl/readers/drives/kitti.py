@@ -31,9 +31,10 @@ from conetl.readers.drives.formats import (
     ReadOptions,
     drive_of_pairs,
     every_nth,
+    image_files,
     names_in,
 )
-from conetl.readers.drives.pairs import IMAGE_SUFFIXES, PairError, check_images, first_size, images_ahead
+from conetl.readers.drives.pairs import PairError, check_images, first_size, images_ahead
 from conetl.readers.drives.timestamps import misplaced, parse_timestamps
 from conetl.readers.drives.trajectories import checked_srid
 from conetl.readers.rigs import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, kitti_rig_for_images
@@ -173,7 +174,7 @@ def _numbered_images(data: Path, folder: Path, rejections: list[Rejection]) -> d
             f"{folder}: the folder {data.parent.name}/data is missing; expected KITTI's layout with left images in "
             "image_02/data and right images in image_03/data"
         )
-    paths = [p for p in sorted(data.iterdir()) if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".")]
+    paths = image_files(data)
     for path in paths:
         if not is_number(path.stem):
             name = f"{data.parent.name}/data/{path.name}"

@@ -31,8 +31,8 @@ from conetl.model.rejections import Rejection, RejectionReason
 from conetl.readers.drives.body import add_settings, overrides, own_rig
 from conetl.readers.drives.content import ContentHash
 from conetl.readers.drives.drive_yaml import DriveYaml, read_drive_yaml
-from conetl.readers.drives.formats import HeaderFacts, ReadOptions, drive_of_pairs
-from conetl.readers.drives.pairs import IMAGE_SUFFIXES, PairError, check_images, images_ahead
+from conetl.readers.drives.formats import HeaderFacts, ReadOptions, drive_of_pairs, image_files
+from conetl.readers.drives.pairs import PairError, check_images, images_ahead
 from conetl.readers.drives.timestamps import misplaced, parse_timestamp
 from conetl.readers.drives.trajectories import checked_srid, to_pose, wild_fixes
 from conetl.readers.rigs import RIG_YAML
@@ -209,9 +209,8 @@ def _images(data: Path, folder: Path) -> dict[str, list[Path]]:
             f"{folder}: the folder {data.name} is missing; expected left/ and right/ with the same stems"
         )
     found: dict[str, list[Path]] = {}
-    for path in sorted(data.iterdir()):
-        if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith("."):
-            found.setdefault(path.stem, []).append(path)
+    for path in image_files(data):
+        found.setdefault(path.stem, []).append(path)
     return found
 
 

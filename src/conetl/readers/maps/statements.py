@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import unicodedata
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
@@ -18,10 +18,12 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError
 
 from conetl.files.parquet_store import file_sha256
+from conetl.geometry.geodesy import utm_srid
 from conetl.model.errors import InputError
 from conetl.model.map_records import ImportedMap, MapFeature, Statement
 from conetl.model.params import ImportParams
 from conetl.model.records import Cov3
+from conetl.readers.base_layers.georeferencing import in_area
 from conetl.readers.maps.tables import MapTable, read_table
 
 _NAMESPACE = UUID("5f0f6f0a-1c1b-4a53-9d0e-3c7a4a5be9a1")
@@ -265,70 +267,53 @@ def _map_srid(table: MapTable, crs: CRS, map_srid: int | None) -> int:
 def _zone_hint(table: MapTable, crs: CRS) -> str:
     """The UTM zone of the first cone; empty outside of UTM."""
     lon, lat = _to_wgs84(crs, table.xyz[:1])[0]
-    if not (-180 <= lon <= 180 and -80 <= lat <= 84):
+    try:
+        srid = utm_srid(float(lat), float(lon))
+    except ValueError:
         return ""
-    zone = min(int((lon + 180) // 6) + 1, 60) + (32600 if lat >= 0 else 32700)
-    return f"; the first cone, at longitude {lon:.4f}, latitude {lat:.4f}, would be in EPSG:{zone}"
+    return f"; the first cone, at longitude {lon:.4f}, latitude {lat:.4f}, would be in EPSG:{srid}"
 
 
 def _positions(table: MapTable, crs: CRS, srid: int, params: ImportParams) -> NDArray[np.float64]:
-    """(n, 3) in the map's CRS. Raises InputError for a position outside of its area of use."""
-    path, xyz = table.path, table.xyz.copy()
+    """(n, 3) in the map's CRS. Raises InputError naming the first row whose position is invalid or outside its area of use."""
+
+    def require(good: Any, problem: Callable[[int], str]) -> None:
+        for index in np.flatnonzero(~np.asarray(good, bool))[:1].tolist():
+            raise InputError(f"{table.path}, row {index + 1}: {problem(index)}; nothing was written")
+
+    xyz = table.xyz.copy()
     if params.ground_height_m is not None:
         xyz[np.isnan(xyz[:, 2]), 2] = params.ground_height_m
-    for index in np.flatnonzero(~np.isfinite(xyz).all(axis=1))[:1]:
-        if np.isfinite(xyz[index, :2]).all() and np.isnan(table.xyz[index, 2]):
-            raise InputError(
-                f"{path}, row {index + 1}: the cone has no height; state the ground's ellipsoidal one (--ground-height-m)"
-            )
-        raise InputError(
-            f"{path}, row {index + 1}: the position {_text(xyz[index])} is not finite; nothing was written"
-        )
+    no_height = np.isfinite(xyz[:, :2]).all(axis=1) & np.isnan(xyz[:, 2])
+    require(~no_height, lambda _: "the cone has no height; state the ground's ellipsoidal one (--ground-height-m)")
+    require(np.isfinite(xyz).all(axis=1), lambda i: f"the position {_text(xyz[i])} is not finite")
     if crs.is_geographic:
-        for index in np.flatnonzero((np.abs(xyz[:, 1]) > 90) | (np.abs(xyz[:, 0]) > 180))[:1]:
-            hint = (
-                " (longitude and latitude look swapped)"
-                if abs(xyz[index, 0]) <= 90 and abs(xyz[index, 1]) <= 180
-                else ""
-            )
-            raise InputError(
-                f"{path}, row {index + 1}: {_text(xyz[index, :2])} is not longitude, latitude in degrees{hint}: "
-                "swapped, or is --crs wrong?"
-            )
+        require(
+            (np.abs(xyz[:, 1]) <= 90) & (np.abs(xyz[:, 0]) <= 180),
+            lambda i: f"{_text(xyz[i, :2])} is not longitude, latitude in degrees: swapped, or is --crs wrong?",
+        )
     target = CRS.from_epsg(srid)
     lon_lat = _to_wgs84(crs, xyz)
-    outside = np.flatnonzero(~_within_use(target, lon_lat))
-    if len(outside):
-        index = outside[0]
-        swapped = crs.is_geographic and bool(_within_use(target, lon_lat[index : index + 1, ::-1])[0])
-        hint = ": longitude and latitude are swapped" if swapped else ": is --crs the CRS of the file's coordinates?"
-        raise InputError(
-            f"{path}, row {index + 1}: {_text(xyz[index, :2])} is outside the area of use of the "
-            f"map's CRS EPSG:{srid} ({target.name}){hint}"
-        )
+
+    def outside(index: int) -> str:
+        swapped = crs.is_geographic and in_area(target, lon_lat[[index], ::-1], _MARGIN_DEG)[0]
+        hint = "longitude and latitude are swapped" if swapped else "is --crs the CRS of the file's coordinates?"
+        name = f"EPSG:{srid} ({target.name})"
+        return f"{_text(xyz[index, :2])} is outside the area of use of the map's CRS {name}: {hint}"
+
+    require(in_area(target, lon_lat, _MARGIN_DEG), outside)
     east, north = Transformer.from_crs(crs, target, always_xy=True).transform(xyz[:, 0], xyz[:, 1])
+    require(np.isfinite(east) & np.isfinite(north), lambda i: f"{_text(xyz[i])} cannot be expressed in EPSG:{srid}")
     heights = xyz[:, 2]
-    if not (np.isfinite(east).all() and np.isfinite(north).all()):
-        raise InputError(f"{path}: not all positions can be expressed in EPSG:{srid}")
-    for index in np.flatnonzero((heights < -500) | (heights > 9000))[:1]:
-        raise InputError(f"{path}, row {index + 1}: a height of {heights[index]:g} m is not on this earth's roads")
+    require(
+        (heights >= -500) & (heights <= 9000), lambda i: f"a height of {heights[i]:g} m is not on this earth's roads"
+    )
     return np.stack([east, north, heights], axis=1)
 
 
 def _to_wgs84(crs: CRS, xyz: NDArray[np.float64]) -> NDArray[np.float64]:
     lon, lat = Transformer.from_crs(crs, _WGS84, always_xy=True).transform(xyz[:, 0], xyz[:, 1])
     return np.stack([np.asarray(lon), np.asarray(lat)], axis=1)
-
-
-def _within_use(crs: CRS, lon_lat: NDArray[np.float64]) -> NDArray[np.bool_]:
-    area = crs.area_of_use
-    if area is None:
-        return np.asarray(np.isfinite(lon_lat).all(axis=1))
-    lon, lat = np.where(np.isfinite(lon_lat), lon_lat, np.nan).T
-    # The west of an area across the antimeridian is greater than its east, so longitudes count from its west.
-    width = (area.east - area.west) % 360 or 360.0
-    inside = (lon - area.west + _MARGIN_DEG) % 360 <= width + 2 * _MARGIN_DEG
-    return np.asarray(inside & (lat >= area.south - _MARGIN_DEG) & (lat <= area.north + _MARGIN_DEG))
 
 
 def _require_different_positions(path: Path, xyz_m: NDArray[np.float64]) -> None:
