@@ -86,7 +86,7 @@ def test_a_broken_las_file_is_refused_by_name(tmp_path, suffix, damage):
         read_all(path)
 
 
-def test_points_that_are_no_numbers_are_left_out_and_cells_keep_places(tmp_path):
+def test_invalid_points_are_left_out_and_cells_keep_positions(tmp_path):
     rng = np.random.default_rng(5)
     xyz = np.array(CENTRE) + rng.uniform(-150, 150, (4_000, 3))
     xyz[::100, 1] = np.nan
@@ -151,7 +151,7 @@ def test_swapped_axes_are_found():
     assert not outside_area(layer_crs(parse_crs("2994"), 32610), np.array([[636_000.0, 849_000.0]]))
 
 
-def test_a_layer_far_away_or_at_other_heights_is_warned_of():
+def test_warnings_of_a_layer_far_away_or_at_other_heights():
     low, high = np.array(CENTRE[:2]), np.array(CENTRE[:2]) + 50
     assert geo.check_near("a", low, high, GROUND) == []
     assert "is 9 km" in geo.check_near("a", low + 9_000 / 2**0.5, high + 9_000, GROUND)[0]
@@ -160,7 +160,7 @@ def test_a_layer_far_away_or_at_other_heights_is_warned_of():
     assert "--height-offset 47.6" in geo.check_heights("a", road - [0.0, 0.0, 47.62], GROUND)[0]
 
 
-def test_the_road_lies_as_far_below_the_poses_as_the_cones_feet():
+def test_the_road_is_as_far_below_the_poses_as_the_feet_of_cones():
     poses = np.column_stack([np.arange(20.0), np.zeros(20), np.full(20, 10.0)])
     feet = np.array([[3.0, 2.0, 9.1], [8.0, -2.0, 9.0], [12.0, 2.0, 9.05]])
     assert geo.ground_under(poses, feet)[:, 2] == pytest.approx([9.05] * 20)
@@ -211,7 +211,7 @@ def test_geojson_lines_with_kind_heights_and_refusals(tmp_path):
     "text", ["", "{", '{"type": "FeatureCollection", "features": []}', "[1, 2", '{"a": 1}', "<osm>"]
 )
 @pytest.mark.parametrize("name", ["a.geojson", "a.gpkg", "a.osm", "a.xodr"])
-def test_what_is_no_line_file_is_refused_by_name(tmp_path, text, name):
+def test_other_files_are_rejected_by_name(tmp_path, text, name):
     path = tmp_path / name
     path.write_text(text)
     reader = {".osm": read_lanelet2, ".xodr": read_opendrive}.get(path.suffix, read_vector_file)
@@ -242,7 +242,7 @@ OSM = """<osm><node id="1" lat="49.0" lon="8.4"><tag k="ele" v="110"/></node><no
 </osm>"""
 
 
-def test_lanelet2_gives_what_bounds_lanelets_and_what_is_painted(tmp_path):
+def test_lanelet2_bounds_and_markings(tmp_path):
     path = tmp_path / "a.osm"
     path.write_text(OSM)
     found = read_lanelet2(path)

@@ -21,10 +21,10 @@ from tests.integration.arriving_drives import SAMPLE, append, begin, image, kitt
 SRID = 32632
 
 
-def test_nothing_tells_what_it_is_yet(tmp_path: Path) -> None:
+def test_the_format_is_not_known_yet(tmp_path: Path) -> None:
     assert open_arriving(tmp_path) is None
     (tmp_path / "drive.yaml").write_text("drive_id: morning\n")
-    assert open_arriving(tmp_path) is None  # plain or KITTI: only images or a trajectory tell
+    assert open_arriving(tmp_path) is None  # plain or KITTI: images or a trajectory decide
 
 
 def test_a_format_that_cannot_be_watched_is_named(tmp_path: Path) -> None:
@@ -61,7 +61,7 @@ def test_a_plain_pair_needs_both_images_and_its_row(tmp_path: Path) -> None:
     assert drive.new_pairs(None) == []
     (folder / "right" / name).write_bytes(data)
     (pair,) = drive.new_pairs([folder / "right" / name])
-    assert drive.new_pairs(None) == []  # told once
+    assert drive.new_pairs(None) == []  # returned once
     assert drive.frame_pair(pair, SRID) is None
     append(folder, row(10))
     drive.new_pairs([])
@@ -74,8 +74,8 @@ def test_a_plain_pair_needs_both_images_and_its_row(tmp_path: Path) -> None:
     assert [p.key for p in sorted(pairs, key=drive.order)] == ["000011", "000012"]  # the one without a row comes last
 
 
-def test_a_name_that_is_known_costs_a_look_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An hour's drive is 72,000 names, looked at again and again."""
+def test_a_known_name_costs_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An hour's drive has 72,000 names, listed again and again."""
     folder = begin(tmp_path / "d")
     for number in (10, 11):
         write_images(folder, number)

@@ -116,7 +116,7 @@ def test_the_rig_id_follows_the_numbers(folder: Path) -> None:
         ("calib_imu_to_velo.txt", "T: -0.81", "T:", "calib_imu_to_velo.txt: 'T' must be 3 numbers, found 2"),
     ],
 )
-def test_a_broken_kitti_file_is_told_in_one_sentence(folder: Path, name: str, old: str, new: str, message: str) -> None:
+def test_a_broken_kitti_file_raises_one_message(folder: Path, name: str, old: str, new: str, message: str) -> None:
     text = (folder / name).read_text()
     assert old in text
     (folder / name).write_text(text.replace(old, new))
@@ -135,7 +135,7 @@ def test_a_broken_kitti_file_is_told_in_one_sentence(folder: Path, name: str, ol
         (lambda p: p / "binary.txt", "not a text file"),
     ],
 )
-def test_what_is_no_calibration(tmp_path: Path, make, message: str) -> None:  # type: ignore[no-untyped-def]
+def test_files_that_are_not_calibrations(tmp_path: Path, make, message: str) -> None:  # type: ignore[no-untyped-def]
     (tmp_path / "rig.json").write_text("{}")
     (tmp_path / "rig.toml").write_text("a = 1")
     (tmp_path / "binary.txt").write_bytes(b"\xff\xfe\x00\x81")
@@ -218,7 +218,7 @@ body_SE3_left: {{R: [[0, 0, 1], [-1, 0, 0], [0, -1, 0]], t_m: [1.0, 0.2, 0.7]}}
         ),
     ],
 )
-def test_a_broken_rig_yaml_is_told_in_one_sentence(tmp_path: Path, text: str, message: str) -> None:
+def test_a_broken_rig_yaml_raises_one_message(tmp_path: Path, text: str, message: str) -> None:
     path = yaml_rig(tmp_path, text)
     with pytest.raises(CalibrationError, match=message) as raised:
         read_rig(path)
