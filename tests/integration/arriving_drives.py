@@ -44,20 +44,8 @@ def row(number: int, **changes: object) -> str:
     record = parse_oxts((SAMPLE / "oxts" / "data" / f"{number:010d}.txt").read_text())
     stamp = (SAMPLE / "image_02" / "timestamps.txt").read_text().splitlines()[number]
     degrees = [math.degrees(angle) for angle in (record.roll_rad, record.pitch_rad, record.yaw_rad)]
-    values = [
-        f"{number:06d}",
-        stamp,
-        record.lon_deg,
-        record.lat_deg,
-        record.height_m,
-        *degrees,
-        0.02,
-        0.02,
-        0.03,
-        0.05,
-        0.05,
-        0.15,
-    ]
+    sigmas = ["0.02", "0.02", "0.03", "0.05", "0.05", "0.15"]
+    values = [f"{number:06d}", stamp, record.lon_deg, record.lat_deg, record.height_m, *degrees, *sigmas]
     named = dict(zip(Row.model_fields, values, strict=True)) | changes
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerow(named.values())

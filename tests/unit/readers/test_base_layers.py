@@ -91,12 +91,8 @@ def test_invalid_points_are_left_out_and_cells_keep_positions(tmp_path):
     xyz = np.array(CENTRE) + rng.uniform(-150, 150, (4_000, 3))
     xyz[::100, 1] = np.nan
     xyz[1::100, 0] = np.inf
-    spilled = spill(
-        [Cloud(xyz[:2_000], np.full(2_000, 9, np.uint8)), Cloud(xyz[2_000:], np.full(2_000, 8, np.uint8))],
-        tmp_path,
-        0.01,
-        "x",
-    )
+    clouds = [Cloud(part, np.full(2_000, 9, np.uint8)) for part in (xyz[:2_000], xyz[2_000:])]
+    spilled = spill(clouds, tmp_path, 0.01, "x")
     assert (spilled.kept, spilled.refused) == (3_920, 80)
     back = np.concatenate([c.xyz_m for _, _, c in read_cells(tmp_path, spilled.cells)])
     good = xyz[np.isfinite(xyz).all(axis=1)]
@@ -145,9 +141,7 @@ def test_swapped_axes_are_found():
     assert axes_seem_swapped(utm, np.array([[5_428_000.0, 458_000.0]]), GROUND.lonlat())
     with pytest.raises(InputError, match="longitude and latitude are swapped"):
         geo.check_coordinates(Path("a.geojson"), wgs84, wrong, GROUND)
-    assert outside_area(
-        layer_crs(parse_crs("2993"), 32610), np.array([[636_000.0, 849_000.0]])
-    )  # feet said to be metres
+    assert outside_area(layer_crs(parse_crs("2993"), 32610), np.array([[636_000.0, 849_000.0]]))  # feet for metres
     assert not outside_area(layer_crs(parse_crs("2994"), 32610), np.array([[636_000.0, 849_000.0]]))
 
 
@@ -181,11 +175,8 @@ def geojson(path, *features, crs=None):
 
 
 def line(*places, **properties):
-    return {
-        "type": "Feature",
-        "properties": properties,
-        "geometry": {"type": "LineString", "coordinates": list(places)},
-    }
+    geometry = {"type": "LineString", "coordinates": list(places)}
+    return {"type": "Feature", "properties": properties, "geometry": geometry}
 
 
 def test_geojson_lines_with_kind_heights_and_refusals(tmp_path):
@@ -250,9 +241,7 @@ def test_lanelet2_bounds_and_markings(tmp_path):
         ("line_thin", "10", True), ("odd", "11", True),
     ]  # fmt: skip
     assert found.lines[0].xyz[0].tolist() == [8.4, 49.0, 110.0]
-    assert any("node 9 is missing" in text for text in found.refused) and any(
-        "node 3" in text for text in found.refused
-    )
+    assert all(any(words in text for text in found.refused) for words in ("node 9 is missing", "node 3"))
 
 
 @pytest.mark.skipif(not (SHARED / "lanelet2").is_dir(), reason=f"no real Lanelet2 map in {SHARED}")

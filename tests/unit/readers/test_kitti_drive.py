@@ -367,12 +367,8 @@ sigmas: {horizontal_m: 0.05, vertical_m: 0.1, roll_deg: 0.1, pitch_deg: 0.2, yaw
     )
     result, rejections = read_drive(drive)
     assert rejections == []
-    assert (result.drive_id, result.rig.rig_id, result.map_srid, result.rig.sigma_px) == (
-        "morning run",
-        "van-3",
-        25832,
-        0.7,
-    )
+    found = (result.drive_id, result.rig.rig_id, result.map_srid, result.rig.sigma_px)
+    assert found == ("morning run", "van-3", 25832, 0.7)
     assert result.frame_pairs[0].captured_at_ns == 1_772_362_801_000_000_000, "12:00 in Berlin in March is 11:00 UTC"
     assert result.frame_pairs[0].pose.sigma_enu_m == (0.05, 0.05, 0.1)
     np.testing.assert_allclose(result.frame_pairs[0].pose.sigma_rpy_rad, np.radians([0.1, 0.2, 0.3]))

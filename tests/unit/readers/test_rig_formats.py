@@ -122,14 +122,7 @@ def test_opencv_single_camera_files(tmp_path: Path) -> None:
 
 def test_plain_yaml_with_opencvs_names(tmp_path: Path) -> None:
     path = tmp_path / "stereo.yaml"
-    values = {
-        "K1": K1.tolist(),
-        "D1": D1.tolist(),
-        "K2": K2.tolist(),
-        "D2": D2.tolist(),
-        "R": R.tolist(),
-        "T": T.tolist(),
-    }
+    values = {name: value.tolist() for name, value in {"K1": K1, "D1": D1, "K2": K2, "D2": D2, "R": R, "T": T}.items()}
     path.write_text(yaml.safe_dump({**values, "image_size": list(SIZE)}))
     agrees_with_opencv(read_rig(path))
 
@@ -414,7 +407,7 @@ def test_a_folder_with_two_calibrations_is_not_guessed_at(tmp_path: Path) -> Non
     complaint(tmp_path, "found camchain.yaml and ROS camera_info pair")
 
 
-def test_size_and_unit_are_only_for_files_that_do_not_tell(tmp_path: Path) -> None:
+def test_size_and_unit_are_only_for_files_without_them(tmp_path: Path) -> None:
     path = tmp_path / "camchain.yaml"
     path.write_text(yaml.safe_dump(kalibr_content()))
     with pytest.raises(CalibrationError, match="leave them out"):

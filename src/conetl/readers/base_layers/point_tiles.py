@@ -85,7 +85,7 @@ def first_in_voxels(xyz_m: Array, voxel_m: float) -> NDArray[np.intp]:
 
 
 def cell_indices(xyz_m: Array, side_m: float) -> NDArray[np.int64]:
-    """(N, 2) index of the square of this side in which each point lies."""
+    """(N, 2) index of the square of this side around each point."""
     return np.floor(xyz_m[:, :2] / side_m).astype(np.int64)
 
 

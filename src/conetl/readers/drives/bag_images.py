@@ -73,7 +73,7 @@ def unpack(data: bytes, suffix: str, folder: Path) -> Path:
     path = (folder / digest[:2] / f"{digest}{suffix}").absolute()
     try:
         if path.is_file() and path.stat().st_size == len(data):
-            path.touch()  # in use: `expiry.old_images` goes by age
+            path.touch()  # in use: `expiry.old_images` checks its age
             return path
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, temporary = tempfile.mkstemp(prefix=f".{digest}.", dir=path.parent)
