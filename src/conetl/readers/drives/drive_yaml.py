@@ -75,7 +75,7 @@ class DriveYaml(_Section):
     """IANA name of the time stamps' zone."""
     cameras: Cameras = Cameras()
     calibration: str | None = Field(default=None, min_length=1)
-    """KITTI calib_cam_to_cam.txt, relative to the drive folder and inside it; the other two lie beside it."""
+    """KITTI calib_cam_to_cam.txt, relative to the drive folder and inside it; the other two are beside it."""
     sigmas: Sigmas = Sigmas()
     georeference: Georeference | None = None
     streams: Streams = Streams()

@@ -83,7 +83,11 @@ def read(path: Path, options: ReadOptions) -> tuple[Drive, list[Rejection]]:
             rejections.append(error.rejection(f"frame pair {number}", number))
         else:
             usable[number] = left_path, right_path, captured
-    pairs = _frame_pairs(usable, track, settings)
+    poses = oxts.poses_at(track, {number: captured for number, (_, _, captured) in usable.items()}, settings.sigmas)
+    pairs = [
+        FramePair(frame_index=n, left_path=str(left), right_path=str(right), captured_at_ns=captured, pose=poses[n])
+        for n, (left, right, captured) in usable.items()
+    ]
     return drive_of_pairs(
         pairs, rejections, len(numbers), source=root, settings=settings, rig=rig, srid=srid, content=content
     )
@@ -110,19 +114,6 @@ def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
     read_rig_for(path, calibration_path(path, settings), None, settings, ContentHash())
     if not any(is_number(Path(name).stem) for name in records):
         raise _no_poses(path)
-
-
-def _frame_pairs(
-    usable: Mapping[int, tuple[Path, Path, int]], track: oxts.Trajectory, settings: DriveYaml
-) -> list[FramePair]:
-    """Records of the usable frame pairs: number -> left and right image, UTC nanoseconds."""
-    poses = oxts.poses_at(track, {number: captured for number, (_, _, captured) in usable.items()}, settings.sigmas)
-    return [
-        FramePair(
-            frame_index=number, left_path=str(left), right_path=str(right), captured_at_ns=captured, pose=poses[number]
-        )
-        for number, (left, right, captured) in usable.items()
-    ]
 
 
 def calibration_path(folder: Path, settings: DriveYaml) -> Path:

@@ -197,7 +197,7 @@ class ArrivingKitti:
 
     root: Path
     folder: Path
-    """As the user named it: the calibration may lie beside it."""
+    """As the user named it: the calibration may be beside it."""
     settings: DriveYaml
     couples: _Couples
     _rig: Rig | None = None
