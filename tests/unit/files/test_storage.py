@@ -63,10 +63,10 @@ def test_a_drive_reads_as_it_does_from_disk(drive: tuple[str, Path], storage: py
         assert (
             read_rig_image(image, theirs.rig, "left") == read_rig_image(Path(mine.left_path), ours.rig, "left")
         ).all()
-    at_a_glance, there = read_header(folder), read_header(remote)
+    local, there = read_header(folder), read_header(remote)
     assert there.problem is None
     assert (there.header_sha256, there.frame_pairs, there.captured_from) == (
-        at_a_glance.header_sha256, at_a_glance.frame_pairs, at_a_glance.captured_from,
+        local.header_sha256, local.frame_pairs, local.captured_from,
     )  # fmt: skip
 
 
@@ -81,12 +81,12 @@ def test_a_missing_image_costs_its_pair_and_is_named(tmp_path: Path, storage: py
     assert [rejection.reason for rejection in refused] == [RejectionReason.IMAGE_MISSING]
 
 
-def test_what_is_not_there_is_named(storage: pytest.MonkeyPatch) -> None:
+def test_a_missing_object_is_named(storage: pytest.MonkeyPatch) -> None:
     with pytest.raises(DriveFolderError, match=f"s3://{BUCKET}/nowhere"):
         read_drive(as_path(f"s3://{BUCKET}/nowhere"))
 
 
-def test_storage_that_does_not_answer_is_a_missing_service(storage: pytest.MonkeyPatch) -> None:
+def test_unavailable_storage_is_a_missing_service(storage: pytest.MonkeyPatch) -> None:
     import s3fs
 
     with pytest.MonkeyPatch.context() as environment:

@@ -8,10 +8,11 @@ checked when it is read.
 from __future__ import annotations
 
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,27 +53,6 @@ class ArrivingPair(NamedTuple):
     right_path: Path
 
 
-class ArrivingDrive(Protocol):
-    """One drive that is being recorded."""
-
-    @property
-    def drive_id(self) -> str: ...
-    def new_pairs(self, changed: Iterable[Path] | None) -> list[ArrivingPair]:
-        """Pairs that have arrived since the last call. changed: changed files; None: list all folders."""
-
-    def order(self, pair: ArrivingPair) -> tuple[int, str]:
-        """Sort key in the order of recording; the number is BEHIND until it is known, and then does not change."""
-
-    def rig(self) -> Rig | None:
-        """The rectified rig; None until its files exist."""
-
-    def frame_pair(self, pair: ArrivingPair, map_srid: int | None) -> tuple[FramePair, int] | None:
-        """The pair with its pose, and the EPSG code of its map; None until its pose exists.
-
-        map_srid: of the map, if it exists. Raises PairError where pose or time are wrong.
-        """
-
-
 def open_arriving(folder: Path) -> ArrivingDrive | None:
     """The drive that arrives in a folder; None until its format is known. Raises DriveFolderError."""
     root = folder.resolve()
@@ -83,13 +63,14 @@ def open_arriving(folder: Path) -> ArrivingDrive | None:
             "ingest it when it is complete"
         )
     if found == "plain":
+        couples = _Couples(root / "left", root / "right")
         rows = ArrivingRows(Rows(root / TRAJECTORY))
-        return ArrivingPlain(root, read_drive_yaml(root), rows, _Couples(root / "left", root / "right"))
+        return ArrivingPlain(root=root, settings=read_drive_yaml(root), couples=couples, rows=rows)
     settings = read_drive_yaml(root)
     if not (root / settings.cameras.left).is_dir():
         return None
     left, right = (camera_folder(root, name, settings) for name in (settings.cameras.left, settings.cameras.right))
-    return ArrivingKitti(root, folder, settings, _Couples(left, right))
+    return ArrivingKitti(root=root, settings=settings, couples=_Couples(left, right), folder=folder)
 
 
 @dataclass
@@ -151,19 +132,44 @@ def _parts(name: str) -> tuple[str, str]:
     return os.path.splitext(name)  # noqa: PTH122 -- as above
 
 
-@dataclass
-class ArrivingPlain:
-    """A plain folder; its pairs are ordered by the rows of trajectory.csv, those without a row come last."""
+@dataclass(kw_only=True)
+class ArrivingDrive(ABC):
+    """One drive that is being recorded."""
 
     root: Path
     settings: DriveYaml
-    rows: ArrivingRows
     couples: _Couples
     _rig: Rig | None = None
 
     @property
     def drive_id(self) -> str:
         return self.settings.id_of(self.root)
+
+    @abstractmethod
+    def new_pairs(self, changed: Iterable[Path] | None) -> list[ArrivingPair]:
+        """Pairs that have arrived since the last call. changed: changed files; None: list all folders."""
+
+    @abstractmethod
+    def order(self, pair: ArrivingPair) -> tuple[int, str]:
+        """Sort key in the order of recording; the number is BEHIND until it is known, and then does not change."""
+
+    @abstractmethod
+    def rig(self) -> Rig | None:
+        """The rectified rig; None until its files exist."""
+
+    @abstractmethod
+    def frame_pair(self, pair: ArrivingPair, map_srid: int | None) -> tuple[FramePair, int] | None:
+        """The pair with its pose, and the EPSG code of its map; None until its pose exists.
+
+        map_srid: of the map, if it exists. Raises PairError where pose or time are wrong.
+        """
+
+
+@dataclass(kw_only=True)
+class ArrivingPlain(ArrivingDrive):
+    """A plain folder; its pairs are ordered by the rows of trajectory.csv, those without a row come last."""
+
+    rows: ArrivingRows
 
     def new_pairs(self, changed: Iterable[Path] | None) -> list[ArrivingPair]:
         self.rows.read_on()
@@ -191,22 +197,14 @@ class ArrivingPlain:
         return _record(self.rows.rows.numbers[pair.key], pair, captured, pose_of_row(row, srid)), srid
 
 
-@dataclass
-class ArrivingKitti:
+@dataclass(kw_only=True)
+class ArrivingKitti(ArrivingDrive):
     """A folder in KITTI's layout."""
 
-    root: Path
     folder: Path
     """As the user named it: the calibration may be beside it."""
-    settings: DriveYaml
-    couples: _Couples
-    _rig: Rig | None = None
     _stamps: dict[str, ArrivingStamps] = field(default_factory=dict)
     """By the file's name."""
-
-    @property
-    def drive_id(self) -> str:
-        return self.settings.id_of(self.root)
 
     def new_pairs(self, changed: Iterable[Path] | None) -> list[ArrivingPair]:
         return [pair for pair in self.couples.new(changed) if is_number(pair.key)]
