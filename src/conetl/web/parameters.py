@@ -31,7 +31,9 @@ def _utc(time: datetime) -> datetime:
 def dated(text: str | None) -> str | None:
     """The text of an instant, which begins with a date: pydantic would take a number for seconds since 1970, a year too."""
     if text is not None and not re.match(r"\d{4}-\d\d-\d\d", text, re.ASCII):
-        raise PydanticCustomError("instant", "{text} is no instant such as 2026-03-02T12:00:00Z", {"text": repr(text)})
+        raise PydanticCustomError(
+            "instant", "{text} is not an instant such as 2026-03-02T12:00:00Z", {"text": repr(text)}
+        )
     return text
 
 
