@@ -21,7 +21,7 @@ from conetl.model.drive_records import DriveRecords
 from conetl.model.map_records import Delta, DeltaKind, MapFeature, SightingEvidence
 from conetl.model.records import utc_from_ns
 from conetl.web.app import create_app
-from conetl.web.writing import Writer
+from conetl.web.decisions import Writer
 
 #: Box of samples.detections() in both images.
 BOX = (600, 180, 20, 30)

@@ -180,7 +180,7 @@ def test_trajectory(client):
 
 def picture_path(client, features, side="left"):
     s = get(client, f"{MAP}/features/{features['comes'].feature_id}/sightings")["sightings"][0]
-    return f"{MAP}/drives/{s['drive_uuid']}/images/{s['frame_index']}/{s['match_index']}/{side}.jpg"
+    return f"{MAP}/drives/{s['drive_uuid']}/pictures/{s['frame_index']}/{s['match_index']}/{side}.jpg"
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
@@ -246,9 +246,9 @@ def test_only_images_inside_the_drive_are_served(client, features, module_databa
         f"{MAP}/find?beginning=%25",
         f"{MAP}/find?beginning=' or 1=1 --",
         "/api/maps/x';drop table conetl.map--/features",
-        f"{MAP}/drives/{NOBODY}/images/-1/0/left.jpg",
-        f"{MAP}/drives/{NOBODY}/images/0/0/left.jpg?context=1e9",
-        f"{MAP}/drives/{NOBODY}/images/0/0/both.jpg",
+        f"{MAP}/drives/{NOBODY}/pictures/-1/0/left.jpg",
+        f"{MAP}/drives/{NOBODY}/pictures/0/0/left.jpg?context=1e9",
+        f"{MAP}/drives/{NOBODY}/pictures/0/0/both.jpg",
     ],
 )
 def test_bad_parameters_are_refused(client, path):
@@ -262,7 +262,7 @@ def test_bad_parameters_are_refused(client, path):
         "/api/maps/elsewhere/features",
         f"{MAP}/features/{NOBODY}",
         f"{MAP}/drives/{NOBODY}/trajectory",
-        f"{MAP}/drives/{NOBODY}/images/0/0/left.jpg",
+        f"{MAP}/drives/{NOBODY}/pictures/0/0/left.jpg",
         "/..%2f..%2f..%2f..%2fetc/passwd",
         "/assets/..%2f..%2fapp.py",
     ],

@@ -17,8 +17,8 @@ from conetl.db.connection import connect, execute
 from conetl.model.errors import InputError
 from conetl.pipeline.settings import Settings
 from conetl.web.app import create_app
-from conetl.web.writer_token import checked_token, make_writer_token, read_writer_token
-from conetl.web.writing import MAX_BODY_BYTES, Writer
+from conetl.web.decisions import Writer
+from conetl.web.security import MAX_BODY_BYTES, checked_token, make_writer_token, read_writer_token
 from tests.integration.drives_of_days import merge, survey
 
 TOKEN = "a-token-that-nobody-guesses"

@@ -17,8 +17,8 @@ from schemathesis import GenerationMode
 from schemathesis.checks import CHECKS
 
 from conetl.db.connection import connect, execute
-from conetl.web.guard import MAX_URL_BYTES
 from conetl.web.live import MAX_STREAMS
+from conetl.web.security import MAX_URL_BYTES
 from tests.view_map import serving, two_drives
 
 MAP = "/api/maps/default"

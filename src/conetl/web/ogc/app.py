@@ -38,7 +38,7 @@ _CONFORMS_TO = [
         "tiles-1/1.0/conf/core", "tiles-1/1.0/conf/mvt", "tiles-1/1.0/conf/tileset", "tiles-1/1.0/conf/tilesets-list",
     )
 ]  # fmt: skip
-#: Parameters of tipg that are not offered: filter expressions could call any database function, the others mean nothing for points.
+#: Parameters of tipg that are not offered: a filter could call any database function, the others mean nothing for points.
 _NOT_OFFERED = frozenset({"filter", "filter-lang", "geom-column", "datetime-column", "simplify", "bbox-only", "type"})
 #: Operations with a filter for each property.
 _FILTERED = (ITEMS, "/collections/{collectionId}/tiles/{tileMatrixSetId}/{z}/{x}/{y}")

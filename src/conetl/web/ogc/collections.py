@@ -16,19 +16,8 @@ from tipg.collections import Column, ItemList, Parameter, PgCollection
 from tipg.errors import NotFound
 from tipg.model import Extent, Spatial, Temporal
 
-from conetl.db.ogc_store import (
-    ALL_ROWS,
-    EVERYWHERE,
-    Degrees,
-    ServedMap,
-    count_features,
-    find_versions,
-    part_of_map,
-    read_page,
-    rows_near,
-    rows_within,
-    warm_session,
-)
+from conetl.db import ogc_store as store
+from conetl.db.ogc_store import Degrees, ServedMap
 from conetl.model.params import ReconcileParams
 from conetl.web.ogc.values import BadParameterError, Interval, check_value
 
@@ -186,7 +175,7 @@ class AsOfCollection(PgCollection):
         }  # fmt: skip
         if by_place is not None:
             return await self._page_of_many(conn, text | {"by_place": by_place}, arguments, limit, offset, links)
-        items, returned = await read_page(conn, self.table, text, [limit, offset, *links, *arguments.values()])
+        items, returned = await store.read_page(conn, self.table, text, [limit, offset, *links, *arguments.values()])
         if returned < limit and (returned or not offset):  # the last page gives the number of all
             return Page(items, returned, offset + returned)
         if self.table == "features":
@@ -196,7 +185,7 @@ class AsOfCollection(PgCollection):
 
     def _by_place_of_many(self, box: Degrees | None) -> str | None:
         """For a large part of a large map: whether to use the spatial index, in SQL. None for smaller parts."""
-        part = part_of_map(box, self.served)
+        part = store.part_of_map(box, self.served)
         if part * self.served.version_count < MANY_VERSIONS:
             return None
         return "false" if part * self.served.share >= MOST_VERSIONS else "true"
@@ -207,18 +196,18 @@ class AsOfCollection(PgCollection):
     ) -> Page:  # fmt: skip
         """A page out of a large part of a large map: first the versions that are on it, then their items."""
         found_text = {**text, "box": _named(arguments, 3)}
-        versions, matched = await find_versions(conn, found_text, [limit, offset, *arguments.values()])
+        versions, matched = await store.find_versions(conn, found_text, [limit, offset, *arguments.values()])
         if matched is None:
             return Page(b"", 0, await self._count(conn, text, arguments) if offset else 0)
         own = [value for name, value in arguments.items() if name not in _BOX]
         page_text = {**text, "box": "", "where": f"where version_row_id = any(${5 + len(own)}::bigint[])"}
-        items, returned = await read_page(conn, self.table, page_text, [limit, 0, *links, *own, versions])
+        items, returned = await store.read_page(conn, self.table, page_text, [limit, 0, *links, *own, versions])
         return Page(items, returned, matched)
 
     async def _count(
         self, conn: asyncpg.Connection, text: Mapping[str, str], arguments: Mapping[str, str | float]
     ) -> int:
-        return await count_features(conn, {**text, "box": _named(arguments, 1)}, [*arguments.values()])
+        return await store.count_features(conn, {**text, "box": _named(arguments, 1)}, [*arguments.values()])
 
     async def features(  # type: ignore[override]  # of tipg's parameters, those of one item
         self,
@@ -245,9 +234,9 @@ class AsOfCollection(PgCollection):
         box = asked.pop("bbox_filter", None)
         edges = tms.bounds(tile)
         arguments = self._arguments(box, asked.pop("datetime_filter", None))
-        near = rows_near((edges.left, edges.bottom, edges.right, edges.top), self.served)
-        if box is None and near != ALL_ROWS:
-            arguments |= dict(zip((*_EDGES, *_NEAR), (*EVERYWHERE, *near), strict=True))
+        near = store.rows_near((edges.left, edges.bottom, edges.right, edges.top), self.served)
+        if box is None and near != store.ALL_ROWS:
+            arguments |= dict(zip((*_EDGES, *_NEAR), (*store.EVERYWHERE, *near), strict=True))
         asked["function_parameters"] = _texts(arguments)
         tile_bytes: bytes = await super().get_tile(conn, tms=tms, tile=tile, **asked)
         return tile_bytes
@@ -257,12 +246,12 @@ class AsOfCollection(PgCollection):
 
         Without a box where all of the map is requested: that is a statement of its own, with a plan of its own.
         """
-        near = ALL_ROWS if box is None else rows_near(box, self.served)
+        near = store.ALL_ROWS if box is None else store.rows_near(box, self.served)
         arguments = {"map_name": self.served.map_name} | self._times(interval)
-        if box is None or near == ALL_ROWS:
+        if box is None or near == store.ALL_ROWS:
             return arguments
         edges = dict(zip((*_EDGES, *_NEAR), (*box, *near), strict=True))
-        inner = dict(zip(_INNER, rows_within(box, self.served), strict=True)) if self.table == "features" else {}
+        inner = dict(zip(_INNER, store.rows_within(box, self.served), strict=True)) if self.table == "features" else {}
         return arguments | edges | inner
 
     def _times(self, interval: Interval | None) -> dict[str, str | float]:
@@ -319,7 +308,7 @@ def _collection(
 
 async def warm(conn: asyncpg.Connection) -> None:
     """Read an empty page, so that the first page of a session takes no longer than the next ones."""
-    await warm_session(conn)
+    await store.warm_session(conn)
     never = datetime.min.replace(tzinfo=UTC)
     nowhere = ServedMap("", 0, 0, never, (0.0, 0.0, 0.0, 0.0), never)
     await features_of(nowhere, Instants()).page(conn, box=(90.0, 45.0, 90.0, 45.0), limit=1)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Annotated, Any
 from urllib.parse import urlencode
 
@@ -21,19 +19,8 @@ from tipg.resources.enums import MediaType
 from tipg.resources.response import GeoJSONResponse, ORJSONResponse
 
 from conetl.db.ogc_store import Degrees
+from conetl.web.ogc import parameters as p
 from conetl.web.ogc.collections import AsOfCollection, Page, as_ewkt
-from conetl.web.ogc.parameters import (
-    MAX_LIMIT,
-    MAX_OFFSET,
-    ItemForm,
-    all_collections,
-    one_collection,
-    read_box,
-    read_form,
-    read_interval,
-    read_json_only,
-    refuse_filter,
-)
 from conetl.web.ogc.values import Interval
 
 ITEMS = "/collections/{collectionId}/items"
@@ -47,9 +34,9 @@ _FORMS = (MediaType.geojson, MediaType.csv, MediaType.json, MediaType.geojsonseq
 
 async def items(
     request: Request,
-    collection: Annotated[AsOfCollection, Depends(one_collection)],
-    box: Annotated[Degrees | None, Depends(read_box)],
-    interval: Annotated[Interval | None, Depends(read_interval)],
+    collection: Annotated[AsOfCollection, Depends(p.one_collection)],
+    box: Annotated[Degrees | None, Depends(p.read_box)],
+    interval: Annotated[Interval | None, Depends(p.read_interval)],
     ids: Annotated[str | None, Query(description="Only these items, comma-separated.")] = None,
     properties: Annotated[
         str | None, Query(description="Only these properties, comma-separated; empty: none. By default all.")
@@ -58,13 +45,13 @@ async def items(
         str | None, Query(description="Properties, comma-separated; - before one sorts it in descending order.")
     ] = None,
     limit: Annotated[
-        int, Query(ge=1, json_schema_extra={"maximum": MAX_LIMIT}, description="At most this number of items.")
+        int, Query(ge=1, json_schema_extra={"maximum": p.MAX_LIMIT}, description="At most this number of items.")
     ] = 10,
-    offset: Annotated[int, Query(ge=0, le=MAX_OFFSET, description="Number of items to skip.")] = 0,
-    f: ItemForm = "geojson",
+    offset: Annotated[int, Query(ge=0, le=p.MAX_OFFSET, description="Number of items to skip.")] = 0,
+    f: p.ItemForm = "geojson",
 ) -> Response:
     """Items of a collection."""
-    limit = min(limit, MAX_LIMIT)  # a larger one is not an error (17-069r4, 7.15.2)
+    limit = min(limit, p.MAX_LIMIT)  # a larger one is not an error (17-069r4, 7.15.2)
     wanted = None if properties is None else [name.strip() for name in properties.split(",")]
     asked = _pinned(request, collection)
     before, after = orjson.dumps(_item_links(request, collection, asked)).decode().split(_ID)
@@ -166,31 +153,25 @@ class _Features(OGCFeaturesFactory):
         return f"{url}?{carried}" if carried else url
 
 
-@contextmanager
-def _our_dependencies() -> Iterator[None]:
-    """While tipg declares its routes, its dependencies are ours. (FastAPI's dependency_overrides would resolve them for every
-    request, which takes 20 ms of processor time.)"""
+def endpoints() -> list[EndpointsFactory]:
+    """The routers of the API.
+
+    While tipg declares its routes, its dependencies are ours: FastAPI's dependency_overrides would resolve them for every
+    request, which takes 20 ms of processor time.
+    """
     ours = {
-        "bbox_query": read_box, "datetime_query": read_interval, "filter_query": refuse_filter, "ItemsOutputType": read_form,
-        "OutputType": read_json_only, "QueryablesOutputType": read_json_only,
+        "bbox_query": p.read_box, "datetime_query": p.read_interval, "filter_query": p.refuse_filter,
+        "ItemsOutputType": p.read_form, "OutputType": p.read_json_only, "QueryablesOutputType": p.read_json_only,
     }  # fmt: skip
     theirs = {name: getattr(tipg.factory, name) for name in ours}
-    try:
-        for name, dependency in ours.items():
-            setattr(tipg.factory, name, dependency)
-        yield
-    finally:
-        for name, dependency in theirs.items():
-            setattr(tipg.factory, name, dependency)
-
-
-def endpoints() -> list[EndpointsFactory]:
-    """The routers of the API."""
     tilings = TileMatrixSets({_TILING: all_tilings.get(_TILING)})
-    one: Any = one_collection  # tipg's types allow no coroutines here, FastAPI does
-    every: Any = all_collections
-    with _our_dependencies():
+    one: Any = p.one_collection  # tipg's types allow no coroutines here, FastAPI does
+    every: Any = p.all_collections
+    try:
+        vars(tipg.factory).update(ours)
         return [
             _Features(collection_dependency=one, collections_dependency=every, with_common=False),
             OGCTilesFactory(collection_dependency=one, supported_tms=tilings, with_viewer=False, with_common=False),
         ]
+    finally:
+        vars(tipg.factory).update(theirs)
