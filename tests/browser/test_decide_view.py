@@ -100,8 +100,8 @@ def test_a_cone_is_suppressed_and_comes_back(page, conn):  # noqa: F811
     page.click("text=Drive by drive")
     page.wait_for_selector(".legend label[data-kind=suppressed]")
     assert TOKEN not in page.url + page.content()
-    fill_form(page, "Take back", "it is a cone")  # name and token are known by now
-    page.wait_for_selector(".decide-status.good >> text=Taken back.")
+    fill_form(page, "Withdraw", "it is a cone")  # name and token are known by now
+    page.wait_for_selector(".decide-status.good >> text=Withdrawn.")
     page.wait_for_selector(".legend label[data-kind=suppressed]", state="detached")
     conn.rollback()
     assert list_decisions(conn) == [] and one in {str(f.feature_id) for f in read_current_features(conn)}

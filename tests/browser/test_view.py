@@ -194,7 +194,7 @@ def test_compare_and_any_time(page, address, samples):
     time_input.fill(f"{utc_from_ns(samples.START_NS):%Y-%m-%d} 07:00:00")
     time_input.press("Enter")
     page.wait_for_selector('html[data-cones="0"]', state="attached")
-    assert "No cone stood on the road then" in page.locator(".legend").inner_text()
+    assert "No cones on the road at this time" in page.locator(".legend").inner_text()
 
 
 def test_click_shows_history_and_pictures(page, address, features):
@@ -325,15 +325,13 @@ def test_a_new_changeset_appears_by_itself(page, address, conn, samples, picture
     page.wait_for_selector(".drive-text >> text=drive_3")
     print(f"from commit to picture: {time.monotonic() - committed:.1f} s")
     assert page.evaluate("window.notReloaded") is True
-    page.wait_for_selector(".legend label >> text=looked for in vain")  # the changes come a request after the drive
-    assert page.locator(".legend label").all_inner_texts() == ["new\n1", "looked for in vain\n1", "not judged\n2"]
+    page.wait_for_selector(".legend label >> text=not observed")  # the changes come a request after the drive
+    assert page.locator(".legend label").all_inner_texts() == ["new\n1", "not observed\n1", "not evaluated\n2"]
     settle(page)
     assert pixels_of(picture(page), MISSED) > 40
     click_cone(page, features["stays"])
-    page.wait_for_selector(".panel >> text=seen by 2 drives, looked in vain by 1")
+    page.wait_for_selector(".panel >> text=observed by 2 drives, not observed by 1 drive")
     assert [row.splitlines()[0] for row in page.locator(".history button").all_inner_texts()] == [
-        "new · version 1", "confirmed · version 2", "looked for in vain in 5 frame pairs",
+        "new · version 1", "confirmed · version 2", "not observed in 5 frame pairs",
     ]  # fmt: skip
-    assert (
-        "drive_3 looked for it in vain in 5 frame pairs, but not surely enough" in page.locator(".notice").inner_text()
-    )
+    assert "drive_3 did not observe it in 5 frame pairs although it was visible" in page.locator(".notice").inner_text()

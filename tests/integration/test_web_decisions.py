@@ -167,7 +167,7 @@ def test_a_server_without_a_token_writes_nothing(client, module_database_url):
     with TestClient(create_app(module_database_url, "default"), base_url=OWN) as reading:
         assert reading.get(PATH).json()["writable"] is False
         for token in ("", TOKEN, "None"):
-            assert "takes no decisions" in post(reading, wish_for(standing(client)[0]), 403, token=token)["detail"]
+            assert "is read-only" in post(reading, wish_for(standing(client)[0]), 403, token=token)["detail"]
         paths = reading.get("/api/openapi.json").json()["paths"]
         writing = [
             (path, method) for path, methods in paths.items() for method in methods if method not in {"get", "head"}
