@@ -14,7 +14,6 @@ from fastapi import APIRouter, HTTPException, Request
 from fastapi.responses import StreamingResponse
 from starlette.concurrency import run_in_threadpool
 
-from conetl.db.connection import Connection
 from conetl.db.reader_pool import ReaderPool, wait_for_news
 from conetl.db.serve_store import Head, read_heads
 from conetl.model.errors import DatabaseError
@@ -91,28 +90,30 @@ class HeadWatcher:
                 self._listener = None
 
     async def _listen(self) -> None:
-        conn: Connection | None = None
-        since_read_s = POLL_S
         with suppress(asyncio.CancelledError):
-            try:
-                while True:
-                    try:
-                        if conn is None:
-                            conn = await run_in_threadpool(self._pool.listener)
-                        if since_read_s >= POLL_S:
-                            self._heads, since_read_s = await run_in_threadpool(self._read), 0.0
-                        self._problem = None
-                        await self._wake_streams()
-                        notified = await run_in_threadpool(wait_for_news, conn, ROUND_S)
-                        since_read_s = POLL_S if notified else since_read_s + ROUND_S
-                    except DatabaseError as error:
-                        self._problem, since_read_s = str(error), POLL_S
-                        _close(conn)
-                        conn = None
-                        await self._wake_streams()
-                        await asyncio.sleep(RETRY_S)
-            finally:
-                _close(conn)
+            while True:
+                try:
+                    await self._follow()
+                except DatabaseError as error:
+                    self._problem = str(error)
+                    await self._wake_streams()
+                    await asyncio.sleep(RETRY_S)
+
+    async def _follow(self) -> None:
+        """Read the heads at every notification. Raises DatabaseError when the database becomes unavailable."""
+        conn = await run_in_threadpool(self._pool.listener)
+        since_read_s = POLL_S
+        try:
+            while True:
+                if since_read_s >= POLL_S:
+                    self._heads, since_read_s = await run_in_threadpool(self._read), 0.0
+                self._problem = None
+                await self._wake_streams()
+                notified = await run_in_threadpool(wait_for_news, conn, ROUND_S)
+                since_read_s = POLL_S if notified else since_read_s + ROUND_S
+        finally:
+            with suppress(Exception):  # it may be broken already
+                conn.close()
 
     async def _wake_streams(self) -> None:
         async with self._round:
@@ -121,12 +122,6 @@ class HeadWatcher:
     def _read(self) -> dict[str, Head]:
         with self._pool.reading() as conn:
             return read_heads(conn)
-
-
-def _close(conn: Connection | None) -> None:
-    if conn is not None:
-        with suppress(Exception):  # it may be broken already
-            conn.close()
 
 
 def _news(sent: Head | None, head: Head) -> list[str]:

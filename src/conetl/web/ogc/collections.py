@@ -210,16 +210,10 @@ class AsOfCollection(PgCollection):
         return await store.count_features(conn, {**text, "box": _named(arguments, 1)}, [*arguments.values()])
 
     async def features(  # type: ignore[override]  # of tipg's parameters, those of one item
-        self,
-        conn: asyncpg.Connection,
-        *,
-        ids_filter: list[str],
-        properties: list[str] | None,
-        geom_as_wkt: bool,
-        **_: Any,
-    ) -> ItemList:
+        self, conn: asyncpg.Connection, *, ids_filter: list[str], properties: list[str] | None, geom_as_wkt: bool, **_: Any
+    ) -> ItemList:  # fmt: skip
         """The item of an id, for tipg's route."""
-        page = await self.page(conn, ids=ids_filter, properties=properties, limit=1)
+        page = await self.page(conn, ids=ids_filter, properties=properties, limit=2)  # not full: not counted
         items: list[Any] = page.parsed()
         for item in items:
             del item["links"]
@@ -257,12 +251,9 @@ class AsOfCollection(PgCollection):
     def _times(self, interval: Interval | None) -> dict[str, str | float]:
         asked = self.instants
         if self.table == "features":
-            start, end = interval or (asked.at or "infinity", asked.at or "infinity")
-            return {
-                "from_at": "-infinity" if start is None else _text(start),
-                "to_at": "infinity" if end is None else _text(end),
-                "known_at": _text(asked.known_at or "infinity"),
-            }
+            start, end = interval or (asked.at or "infinity", asked.at)
+            known_at = _text(asked.known_at or "infinity")
+            return {"from_at": _text(start or "-infinity"), "to_at": _text(end or "infinity"), "known_at": known_at}
         if interval is not None:  # changes at its two ends are within it
             asked = replace(asked, start=None if interval[0] is None else interval[0] - _TICK, end=interval[1])
         return {
