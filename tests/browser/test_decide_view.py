@@ -107,7 +107,7 @@ def test_a_cone_is_suppressed_and_comes_back(page, conn):  # noqa: F811
     assert list_decisions(conn) == [] and one in {str(f.feature_id) for f in read_current_features(conn)}
 
 
-def test_what_somebody_else_decided_meanwhile_appears_and_is_a_conflict(page, conn):  # noqa: F811
+def test_a_concurrent_decision_appears_and_is_a_conflict(page, conn):  # noqa: F811
     one = the_one(conn, 3)
     click_cone(page, one)
     page.wait_for_selector(".decide-section button:text('Pin')")
@@ -148,7 +148,7 @@ def test_news_come_without_a_reload(page, conn, module_database_url, tmp_path: P
         while not (at := page.evaluate("(name) => window.seen[name]?.at", name)):
             assert time.monotonic() < deadline, f"{name} did not come: {page.evaluate('Object.keys(window.seen)')}"
             page.wait_for_timeout(20)
-        print(f"from commit to picture, {name}: {at / 1000 - committed:.2f} s")
+        print(f"from commit to view, {name}: {at / 1000 - committed:.2f} s")
 
     second = survey(1)
     conn.rollback()

@@ -92,18 +92,17 @@ def decide_on(url: str) -> Decide:
     """The function by which the web view writes decisions, as `conetl map suppress|pin|revert` do."""
     from conetl.pipeline.decisions import decide_place, revert
 
-    def decide(map_name: str, request: PlaceRequest | RevertRequest | WithdrawRequest, /) -> Decided:
+    def decide(map_name: str, wish: PlaceRequest | RevertRequest | WithdrawRequest, /) -> Decided:
         with closing(connect(url)) as conn:
-            if isinstance(request, PlaceRequest):
+            if isinstance(wish, PlaceRequest):
                 done = decide_place(
-                    conn, request.kind, str(request.feature_id), map_name=map_name, radius_m=request.radius_m,
-                    note=request.reason, decided_by=request.decided_by,
-                    expected_version=request.expected_version, lock_timeout_s=_LOCK_TIMEOUT_S,
+                    conn, wish.kind, str(wish.feature_id), map_name=map_name, radius_m=wish.radius_m, note=wish.reason,
+                    decided_by=wish.decided_by, expected_version=wish.expected_version, lock_timeout_s=_LOCK_TIMEOUT_S,
                 )  # fmt: skip
             else:
-                what = request.changeset_id if isinstance(request, RevertRequest) else request.decision_id
+                what = wish.changeset_id if isinstance(wish, RevertRequest) else wish.decision_id
                 done = revert(
-                    conn, str(what), map_name=map_name, note=request.reason, decided_by=request.decided_by,
+                    conn, str(what), map_name=map_name, note=wish.reason, decided_by=wish.decided_by,
                     lock_timeout_s=_LOCK_TIMEOUT_S,
                 )  # fmt: skip
         return Decided(
