@@ -184,7 +184,7 @@ async function ask(path: string, init: RequestInit = {}): Promise<Response> {
     body = await response.json();
     if (typeof body === "object" && body !== null && "detail" in body && typeof body.detail === "string") detail = body.detail;
   } catch {
-    // not JSON: the status says it
+    // not JSON: the status is the message
   }
   throw new ApiError(detail, response.status, body);
 }

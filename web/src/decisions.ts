@@ -79,7 +79,7 @@ export function createDecider(host: HTMLElement) {
   let key = "";
   let busy = false;
 
-  function say(text: string, bad: boolean): void {
+  function report(text: string, bad: boolean): void {
     status.hidden = !text;
     status.textContent = text;
     status.classList.toggle("bad", bad);
@@ -90,7 +90,7 @@ export function createDecider(host: HTMLElement) {
     if (about === key) return;
     const sameThing = about.split(" ")[0] === key.split(" ")[0];
     key = about;
-    if (!sameThing) say("", false);
+    if (!sameThing) report("", false);
     fill(formHost);
     const focused = buttons.contains(document.activeElement);
     fill(buttons, ...choices.map((choice) => {
@@ -110,7 +110,7 @@ export function createDecider(host: HTMLElement) {
   function toggle(choice: Choice, button: HTMLElement, context: DecideContext): void {
     const wasOpen = button.getAttribute("aria-expanded") === "true";
     close(null);
-    say("", false);
+    report("", false);
     if (wasOpen) return;
     button.setAttribute("aria-expanded", "true");
     const form = makeForm(choice, context, () => close(button));
@@ -154,12 +154,12 @@ export function createDecider(host: HTMLElement) {
       for (const input of [name, reason, radius, token, abort]) input.disabled = true;
       submit.disabled = true;
       submit.textContent = "Writing …";
-      say("", false);
+      report("", false);
       try {
         const done = await api.decide(context.map, choice.request(by), secret);
         remember();
         cancel();
-        say(`${choice.done} ${plural(done.versions_written, "feature version")} written, ${plural(done.replayed, "drive")} replayed.`, false); // prettier-ignore
+        report(`${choice.done} ${plural(done.versions_written, "feature version")} written, ${plural(done.replayed, "drive")} replayed.`, false); // prettier-ignore
         context.changed();
       } catch (error) {
         refused(error);
@@ -186,15 +186,15 @@ export function createDecider(host: HTMLElement) {
         token.required = true;
         token.value = "";
         token.focus();
-        return say(`Nothing was written. ${message}`, true);
+        return report(`Nothing was written. ${message}`, true);
       }
       if (error instanceof ApiError && error.status === 409) {
         cancel();
-        say(`Nothing was written. ${message}${currentState(error.body)}`, true);
+        report(`Nothing was written. ${message}${currentState(error.body)}`, true);
         return context.changed();
       }
       submit.focus();
-      say(`Nothing was written. ${message}`, true);
+      report(`Nothing was written. ${message}`, true);
     }
 
     return form;

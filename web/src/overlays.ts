@@ -1,6 +1,6 @@
 // Overlays: camera paths, the camera of a sighting, the error ellipse of the selected cone, labels.
 import {
-  BufferAttribute, BufferGeometry, CircleGeometry, DoubleSide, Float32BufferAttribute, Group, InstancedMesh, Line, LineBasicMaterial,
+  BufferGeometry, CircleGeometry, DoubleSide, Float32BufferAttribute, Group, InstancedMesh, Line, LineBasicMaterial,
   LineLoop, LineSegments, Matrix4, Mesh, MeshBasicMaterial, Object3D, Shape, ShapeGeometry, Vector3,
 } from "three";
 import type { HistoryItem, Sighting, Trajectory, Vec3 } from "./api";
@@ -74,11 +74,9 @@ export function createOverlays(stage: Stage, host: HTMLElement) {
       empty(selection);
       if (at && ellipse) {
         const circle = new CircleGeometry(1, 72);
-        const rim = new LineLoop(rimOf(circle), new LineBasicMaterial({ color: ELLIPSE, depthTest: false }));
-        const fill = new Mesh(
-          circle,
-          new MeshBasicMaterial({ color: ELLIPSE, transparent: true, opacity: 0.22, depthTest: false, side: DoubleSide }),
-        );
+        const points = Array.from({ length: 72 }, (_, i) => new Vector3(Math.cos((i * Math.PI) / 36), Math.sin((i * Math.PI) / 36), 0));
+        const rim = new LineLoop(new BufferGeometry().setFromPoints(points), new LineBasicMaterial({ color: ELLIPSE, depthTest: false }));
+        const fill = new Mesh(circle, new MeshBasicMaterial({ color: ELLIPSE, transparent: true, opacity: 0.22, depthTest: false, side: DoubleSide }));
         for (const part of [fill, rim]) {
           part.scale.set(ellipse.major_m * factor, ellipse.minor_m * factor, 1);
           part.rotation.z = ellipse.angle_rad;
@@ -140,13 +138,6 @@ function empty(group: Group): void {
 
 function geometry(points: Vec3[]): BufferGeometry {
   return new BufferGeometry().setAttribute("position", new Float32BufferAttribute(points.flat(), 3));
-}
-
-function rimOf(circle: CircleGeometry): BufferGeometry {
-  const all = circle.getAttribute("position");
-  const rim = new Float32Array((all.count - 2) * 3);
-  for (let i = 1; i < all.count - 1; i++) rim.set([all.getX(i), all.getY(i), 0], (i - 1) * 3);
-  return new BufferGeometry().setAttribute("position", new BufferAttribute(rim, 3));
 }
 
 function rotate(R: [Vec3, Vec3, Vec3], v: Vec3): Vector3 {

@@ -43,6 +43,8 @@ export function initialState(): State {
 
 const MODES: Mode[] = ["drive", "compare", "instant"];
 const SIDES: Side[] = ["before", "changes", "after"];
+/** Names in the address and fields of what is shown unless it is "0". */
+const SWITCHES = [["way", "trajectory"], ["points", "points"], ["lines", "lines"]] as const;
 
 function natural(text: string | null): number | null {
   return text !== null && /^\d{1,15}$/.test(text) ? Number(text) : null;
@@ -67,9 +69,7 @@ export function parseState(hash: string): State {
   const feature = p.get("feature");
   state.feature = feature !== null && /^[0-9a-f-]{36}$/.test(feature) ? feature : null;
   state.sighting = natural(p.get("sighting"));
-  state.trajectory = p.get("way") !== "0";
-  state.points = p.get("points") !== "0";
-  state.lines = p.get("lines") !== "0";
+  for (const [name, field] of SWITCHES) state[field] = p.get(name) !== "0";
   state.safeColours = p.get("colours") === "safe";
   const camera = (p.get("cam") ?? "").split(",").map(Number);
   if (camera.length === 6 && camera.every(Number.isFinite) && (camera[5] ?? 0) > 0) state.camera = camera as CameraPose;
@@ -95,9 +95,7 @@ export function formatState(state: State): string {
   if (state.minProbability > 0) p.set("p", String(state.minProbability));
   if (state.feature) p.set("feature", state.feature);
   if (state.feature && state.sighting !== null) p.set("sighting", String(state.sighting));
-  if (!state.trajectory) p.set("way", "0");
-  if (!state.points) p.set("points", "0");
-  if (!state.lines) p.set("lines", "0");
+  for (const [name, field] of SWITCHES) if (!state[field]) p.set(name, "0");
   if (state.safeColours) p.set("colours", "safe");
   if (state.camera) p.set("cam", state.camera.map((v) => v.toFixed(3).replace(/\.?0+$/, "")).join(","));
   return p.toString().replaceAll("%2C", ",").replaceAll("%3A", ":");
