@@ -46,7 +46,7 @@ def _free_port() -> int:
 
 def _wait_until_up(url: str, server: subprocess.Popen[bytes]) -> None:
     for _ in range(900):  # a busy machine imports slowly
-        assert server.poll() is None, "conetl view ended by itself"
+        assert server.poll() is None, "conetl view stopped"
         try:
             urllib.request.urlopen(url, timeout=1).close()
             return
