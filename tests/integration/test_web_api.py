@@ -178,14 +178,14 @@ def test_trajectory(client):
     assert way["xyz_m"] == [[0.5, 0.25, 15.125]] * 3
 
 
-def picture_path(client, features, side="left"):
+def image_path(client, features, side="left"):
     s = get(client, f"{MAP}/features/{features['comes'].feature_id}/sightings")["sightings"][0]
     return f"{MAP}/drives/{s['drive_uuid']}/pictures/{s['frame_index']}/{s['match_index']}/{side}.jpg"
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_crop_shows_the_cone_in_its_box(client, features, side):
-    answer = client.get(picture_path(client, features, side))
+    answer = client.get(image_path(client, features, side))
     assert answer.headers["content-type"] == "image/jpeg"
     crop = cv2.imdecode(np.frombuffer(answer.content, np.uint8), cv2.IMREAD_COLOR)
     assert crop.shape[0] == crop.shape[1] >= 300
@@ -193,7 +193,7 @@ def test_crop_shows_the_cone_in_its_box(client, features, side):
     assert middle[2] > 200  # the orange block
     assert middle[0] < 60
     assert abs(crop[5, 5].astype(int) - 128).max() < 12  # the grey around it
-    whole = client.get(picture_path(client, features, side), params={"context": 100})
+    whole = client.get(image_path(client, features, side), params={"context": 100})
     assert cv2.imdecode(np.frombuffer(whole.content, np.uint8), cv2.IMREAD_COLOR).shape == (375, 1242, 3)
 
 
@@ -201,7 +201,7 @@ def test_a_missing_image_is_named(client, features, images):
     hidden = images / "hidden"
     shutil.move(images / "drive_2" / "image_03", hidden)
     try:
-        answer = get(client, picture_path(client, features, "right"), 404)
+        answer = get(client, image_path(client, features, "right"), 404)
     finally:
         shutil.move(hidden, images / "drive_2" / "image_03")
     assert "image_03/data/0000000000.png" in answer["detail"]
@@ -214,7 +214,7 @@ def test_only_images_inside_the_drive_are_served(client, features, module_databa
     link = images / "drive_2" / "link.png"
     link.unlink(missing_ok=True)
     link.symlink_to(images / "secret.png")
-    path = picture_path(client, features)
+    path = image_path(client, features)
     where = (
         "where left_path like '%%' and drive_uuid = (select drive_uuid from conetl.drive where drive_id = 'drive_2')"
     )
