@@ -84,7 +84,7 @@ def test_pin_and_unpin_every_cone_that_stands_by_the_version_of_its_history(clie
     again = post(client, request_for(feature, "pin"), 409)
     assert "already" in again["detail"] and again["now"]["version"] == feature["version"]
     withdrawn(client, done)
-    assert "does not hold any more" in post(
+    assert "is not in force any more" in post(
         client, {"kind": "withdraw", "decision_id": done["decision_id"], "decided_by": "Ada", "reason": "again"}, 409
     )["detail"]  # fmt: skip
 
@@ -155,7 +155,7 @@ def test_invalid_decisions_are_refused(client, changes):
 
 def test_an_unknown_feature_is_not_found(client):
     answer = post(client, request_for({"feature_id": str(uuid4()), "version": 1}), 404)
-    assert "there is no feature" in answer["detail"]
+    assert "There is no feature" in answer["detail"]
 
 
 def test_a_server_without_a_token_writes_nothing(client, module_database_url):
