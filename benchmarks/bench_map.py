@@ -48,7 +48,7 @@ from benchmarks.made_up_map import (
 )
 from conetl.db.audits import run_audits
 from conetl.db.cluster.cluster import cluster_down, cluster_remove, cluster_up
-from conetl.db.connection import Connection, connect, execute, load_sql, migrate
+from conetl.db.connection import Connection, connect, execute, migrate
 from conetl.db.map.map_store import commit_changeset, map_transaction, place_drive, read_features_as_of
 from conetl.db.map.replay_store import (
     affected_drives,
@@ -56,6 +56,7 @@ from conetl.db.map.replay_store import (
     read_standing_around,
     superseded_drives,
 )
+from conetl.db.statements import load_sql
 from conetl.mapping.fold import Evidence, extend
 from conetl.model.drive_records import DriveRecords
 from conetl.model.map_records import Changeset, Decisions
@@ -170,7 +171,7 @@ def executed_ms(conn: Connection, count: int) -> np.ndarray:
     for x, y, _ in place_of(rng.integers(0, count, LOOKS)).tolist():
         box = {"west_m": x - 250, "south_m": y - 250, "east_m": x + 250, "north_m": y + 250, "srid": SRID}
         parameters = box | {"map_name": MAP_NAME, "valid_at": at, "known_at": "infinity"}
-        [plan] = execute(conn, f"explain (analyze, format json) {load_sql('map/features_as_of')}", parameters)
+        [plan] = execute(conn, f"explain (analyze, format json) {load_sql('map.features_as_of')}", parameters)
         top = plan["QUERY PLAN"][0]
         times.append(top["Planning Time"] + top["Execution Time"])
     conn.rollback()

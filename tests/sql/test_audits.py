@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from conetl.db.audits import audits_of_open_transaction, run_audits
-from conetl.db.connection import connect, execute, sql_names
+from conetl.db.connection import connect, execute
+from conetl.db.statements import statements
 
 #: audit -> statements that plant one fault, past the constraints that would refuse it.
 DROP_EXCLUDE = "alter table feature_version drop constraint no_overlap"
@@ -234,7 +235,7 @@ def test_a_suppressed_place_as_people_make_it_passes(good_map):
 
 
 def test_every_audit_has_faults_to_find():
-    assert {name.removeprefix("audit/") for name in sql_names("audit")} == set(FAULTS)
+    assert set(statements("audits")) == set(FAULTS)
 
 
 @pytest.mark.parametrize(

@@ -10,9 +10,10 @@ from uuid import uuid4
 import psycopg2
 import pytest
 
-from conetl.db.connection import connect, database_status, execute, load_sql, migrate, sql_directory, sql_names
+from conetl.db.connection import connect, database_status, execute, migrate
 from conetl.db.map.import_store import read_licence, set_licence
 from conetl.db.map.map_store import read_current_features
+from conetl.db.statements import load_sql, sql_directory, statements
 from conetl.model.errors import DatabaseError
 
 
@@ -374,22 +375,25 @@ def test_two_features_with_one_place_number_do_not_exclude_each_other(map_of_one
     conn.rollback()
 
 
-FILES = [name for folder in ("map", "write", "audit", "schema") for name in sql_names(folder)]
+TOPICS = sorted(path.stem for path in sql_directory().glob("*.sql"))
 
 
-@pytest.mark.parametrize("name", FILES)
-def test_every_file_says_its_purpose_and_names_its_parameters(name):
+@pytest.mark.parametrize("name", [f"{topic}.{name}" for topic in TOPICS for name in statements(topic)])
+def test_every_statement_says_its_purpose_and_names_its_parameters(name):
     text = load_sql(name)
     header = re.match(r"(--.*\n)+", text)
-    assert text.startswith("-- Purpose: ")
-    for parameter in set(re.findall(r"%\((\w+)\)s", text[header.end() :])) - {"srid"}:
-        if not name.endswith("insert_drive") and not name.endswith("insert_changeset"):
-            assert parameter in header[0], f"{name}.sql does not explain {parameter}"
-    if name.startswith(("map/", "write/", "audit/")):
+    assert header and header[0][3].isupper(), f"{name} has no purpose"
+    if "Parameters: as the columns" not in header[0]:
+        for parameter in set(re.findall(r"%\((\w+)\)s", text[header.end() :])):
+            assert parameter in header[0], f"{name} does not explain {parameter}"
+    if not name.startswith("schema."):
         body = re.sub(r"'[^']*'|--.*", "", text[header.end() :])
-        assert body.count(";") == 1, f"{name}.sql should hold one statement"
+        assert body.count(";") == 1 and body.endswith(";"), f"{name} should hold one statement"
 
 
-def test_a_file_that_is_not_there_is_reported():
-    with pytest.raises(DatabaseError, match=r"no_such\.sql cannot be read"):
-        load_sql("map/no_such")
+@pytest.mark.parametrize(
+    ("name", "message"), [("no_such.thing", "cannot be read"), ("map.no_such", "has no statement no_such")]
+)
+def test_a_statement_that_is_not_there_is_reported(name, message):
+    with pytest.raises(DatabaseError, match=message):
+        load_sql(name)

@@ -10,8 +10,9 @@ from urllib.parse import quote, urlencode
 
 import asyncpg
 
-from conetl.db.connection import CONNECT_TIMEOUT_S, address_parts, load_sql
+from conetl.db.connection import CONNECT_TIMEOUT_S, address_parts
 from conetl.db.reader_pool import STATEMENT_TIMEOUT, WAIT_S
+from conetl.db.statements import load_sql
 from conetl.model.errors import DatabaseError
 
 #: More at one time do not make two processors answer sooner.
@@ -100,8 +101,8 @@ async def _touch(pool: asyncpg.Pool) -> None:
 
 
 async def _only_read(conn: asyncpg.Connection) -> None:
-    await conn.execute(load_sql("schema/search_path"))
-    await conn.fetch(load_sql("serve/session").replace("%(timeout)s", "$1"), STATEMENT_TIMEOUT)
+    await conn.execute(load_sql("schema.search_path"))
+    await conn.fetch(load_sql("schema.reader_session").replace("%(timeout)s", "$1"), STATEMENT_TIMEOUT)
     for name in ("json", "jsonb"):
         await conn.set_type_codec(name, encoder=json.dumps, decoder=json.loads, schema="pg_catalog")
 

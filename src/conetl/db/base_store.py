@@ -14,7 +14,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from conetl.db.connection import Connection, copy_columns, database_errors, execute, load_sql, transaction
+from conetl.db.connection import Connection, copy_columns, database_errors, execute, transaction
 from conetl.db.copy_binary import (
     Column,
     byteas,
@@ -27,6 +27,7 @@ from conetl.db.copy_binary import (
     jsons,
     texts,
 )
+from conetl.db.statements import load_sql
 from conetl.readers.base_layers.georeferencing import MapPlace, ground_under
 from conetl.readers.base_layers.point_tiles import Tile
 
@@ -96,8 +97,8 @@ class PlacedLine:
 def read_place(conn: Connection, map_name: str, srid: int) -> MapPlace:
     """Where a map's drives were, and how high the road is there."""
     with database_errors(f"The drives of map {map_name} cannot be read"):
-        poses = _places(conn, "map/base_poses", {"map_name": map_name, "max_rows": _MAX_POSES})
-        feet = _places(conn, "map/base_feet", {"map_name": map_name, "max_rows": _MAX_FEET})
+        poses = _places(conn, "base_layers.poses", {"map_name": map_name, "max_rows": _MAX_POSES})
+        feet = _places(conn, "base_layers.feet", {"map_name": map_name, "max_rows": _MAX_FEET})
     return MapPlace(srid, ground_under(poses, feet))
 
 
@@ -105,7 +106,7 @@ def read_ingested_poses(conn: Connection, map_name: str, content_sha256: str) ->
     """Frame index -> (4, 4) map_SE3_body that the drive of this content was placed by; {} where the map does not have it."""
     parameters = {"map_name": map_name, "content_sha256": content_sha256}
     with database_errors(f"The poses of a drive of map {map_name} cannot be read"):
-        rows = execute(conn, load_sql("map/ingested_poses"), parameters)
+        rows = execute(conn, load_sql("base_layers.ingested_poses"), parameters)
     poses = {}
     for row in rows:
         pose = np.eye(4)
@@ -118,7 +119,7 @@ def read_ingested_poses(conn: Connection, map_name: str, content_sha256: str) ->
 def find_base_file(conn: Connection, file: BaseFile) -> int | None:
     """How many points or lines an earlier import of this very file keeps; None where there was none."""
     with database_errors(f"The base layers of map {file.map_name} cannot be read"):
-        rows = execute(conn, load_sql("map/find_base_source"), asdict(file) | {"params": json_text(file.params)})
+        rows = execute(conn, load_sql("base_layers.find_source"), asdict(file) | {"params": json_text(file.params)})
     return int(rows[0]["kept_count"]) if rows else None
 
 
@@ -149,13 +150,13 @@ def write_lines(
 def list_base_sources(conn: Connection, map_name: str) -> list[BaseSource]:
     """All imported files of a map, by layer."""
     with database_errors(f"The base layers of map {map_name} cannot be read"):
-        return [BaseSource(**row) for row in execute(conn, load_sql("map/base_sources"), {"map_name": map_name})]
+        return [BaseSource(**row) for row in execute(conn, load_sql("base_layers.sources"), {"map_name": map_name})]
 
 
 def drop_base_layer(conn: Connection, map_name: str, layer_name: str) -> list[int]:
     """Drop a layer; points or lines of each of its files, [] where there was no such layer."""
     with transaction(conn, f"The base layer {layer_name} of map {map_name} was not dropped"):
-        rows = execute(conn, load_sql("write/drop_base_layer"), {"map_name": map_name, "layer_name": layer_name})
+        rows = execute(conn, load_sql("base_layers.drop_layer"), {"map_name": map_name, "layer_name": layer_name})
     return [int(row["kept_count"]) for row in rows]
 
 
@@ -166,10 +167,10 @@ def _finish(conn: Connection, source_id: UUID, file: BaseFile, counts: BaseCount
         "params": json_text(file.params), "source_id": source_id, "read_count": counts.read_count, "kept_count": kept,
         "refused_count": counts.refused_count, "west_m": west_m, "south_m": south_m, "east_m": east_m, "north_m": north_m,
     }  # fmt: skip
-    if not execute(conn, load_sql("write/insert_base_source"), parameters):
+    if not execute(conn, load_sql("base_layers.insert_source"), parameters):
         conn.rollback()
         return None
-    execute(conn, load_sql("write/drop_older_base_source"), parameters)
+    execute(conn, load_sql("base_layers.drop_older_source"), parameters)
     return kept
 
 

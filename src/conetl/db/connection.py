@@ -7,7 +7,6 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
-from functools import cache
 from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
@@ -20,6 +19,7 @@ import psycopg2.extras
 
 from conetl.db.copy_binary import Column, copy_statement, encode, row_count, sliced
 from conetl.db.read_ahead import read_ahead
+from conetl.db.statements import load_sql, sql_directory
 from conetl.model.errors import DatabaseError
 
 Connection: TypeAlias = psycopg2.extensions.connection
@@ -85,8 +85,8 @@ def prefect_database(url: str) -> str:
         ),
     ):
         conn.autocommit = True
-        if not execute(conn, load_sql("schema/database_exists"), {"name": PREFECT_DATABASE})[0]["found"]:
-            execute(conn, load_sql("schema/create_prefect_database"))
+        if not execute(conn, load_sql("schema.database_exists"), {"name": PREFECT_DATABASE})[0]["found"]:
+            execute(conn, load_sql("schema.create_prefect_database"))
     return sqlalchemy_url(url, PREFECT_DATABASE)
 
 
@@ -129,7 +129,7 @@ def connect(url: str) -> Connection:
     psycopg2.extras.register_uuid(conn_or_curs=conn)
     with database_errors("The connection could not be prepared"):
         conn.autocommit = True
-        execute(conn, load_sql("schema/search_path"))
+        execute(conn, load_sql("schema.search_path"))
         conn.autocommit = False
     return conn
 
@@ -242,31 +242,6 @@ def copy_block(conn: Connection, block: CopyBlock) -> None:
         cursor.copy_expert(block.statement, block.data, COPY_CHUNK_BYTES)
 
 
-@cache
-def sql_directory() -> Path:
-    """The folder of .sql files: `conetl/sql` in an installed wheel, `sql/` at the top of a clone."""
-    package = Path(__file__).resolve().parents[1]
-    for directory in (package / "sql", package.parents[1] / "sql"):
-        if (directory / "migrations").is_dir():
-            return directory
-    raise DatabaseError(f"conetl's .sql files are missing beside {package}: install it again.")
-
-
-@cache
-def load_sql(name: str) -> str:
-    """Text of `sql/<name>.sql`, for example load_sql("map/current_features")."""
-    path = sql_directory() / f"{name}.sql"
-    try:
-        return path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise DatabaseError(f"{path} cannot be read ({error.strerror}): install conetl again.") from error
-
-
-def sql_names(folder: str) -> list[str]:
-    """Names of all files of one folder, in order, as `load_sql` takes them."""
-    return sorted(f"{folder}/{path.stem}" for path in (sql_directory() / folder).glob("*.sql"))
-
-
 def migrate(conn: Connection, *, directory: Path | None = None) -> list[str]:
     """Bring the schema up to date, all or nothing; the names of the migrations that were applied now.
 
@@ -285,7 +260,7 @@ def migrate(conn: Connection, *, directory: Path | None = None) -> list[str]:
     with transaction(conn, "The database could not be migrated, and is as it was before"):
         with conn.cursor() as cursor:
             cursor.execute("select pg_advisory_xact_lock(%s)", (MIGRATION_LOCK,))
-        execute(conn, load_sql("schema/schema_migration"))
+        execute(conn, load_sql("schema.schema_migration"))
         applied = _applied(conn)
         _check_history(applied, wanted)
         for name, text in wanted.items():
@@ -293,19 +268,19 @@ def migrate(conn: Connection, *, directory: Path | None = None) -> list[str]:
                 _create_extensions_first(conn, name)
                 with conn.cursor() as cursor:
                     cursor.execute(text)
-                    cursor.execute(load_sql("write/insert_migration"), {"name": name, "sha256": _sha256(text)})
+                    cursor.execute(load_sql("schema.insert_migration"), {"name": name, "sha256": _sha256(text)})
                 done.append(name)
         if _may_create_roles(conn):
-            execute(conn, load_sql("schema/roles"))
+            execute(conn, load_sql("schema.roles"))
     return done
 
 
 def database_status(conn: Connection) -> DatabaseStatus:
     """What the database holds; changes nothing."""
     with transaction(conn, "The state of the database cannot be read"):
-        facts = execute(conn, load_sql("schema/status"))[0]
+        facts = execute(conn, load_sql("schema.status"))[0]
         applied = _applied(conn) if facts["has_schema"] else {}
-        maps = execute(conn, load_sql("map/maps")) if facts["has_map"] else []
+        maps = execute(conn, load_sql("map.maps")) if facts["has_map"] else []
         wanted = _migration_files(sql_directory() / "migrations")
         return DatabaseStatus(
             database=facts["database"],
@@ -330,7 +305,7 @@ def _migration_files(directory: Path) -> dict[str, str]:
 
 
 def _applied(conn: Connection) -> dict[str, str]:
-    return {row["name"]: row["sha256"] for row in execute(conn, load_sql("map/applied_migrations"))}
+    return {row["name"]: row["sha256"] for row in execute(conn, load_sql("schema.applied_migrations"))}
 
 
 def _check_history(applied: Mapping[str, str], wanted: Mapping[str, str]) -> None:
@@ -347,7 +322,7 @@ def _check_history(applied: Mapping[str, str], wanted: Mapping[str, str]) -> Non
 
 def _create_extensions_first(conn: Connection, migration: str) -> None:
     """Say which extension is missing in words, where PostgreSQL would only name a control file."""
-    missing: Sequence[str] = [row["name"] for row in execute(conn, load_sql("schema/missing_extensions"))]
+    missing: Sequence[str] = [row["name"] for row in execute(conn, load_sql("schema.missing_extensions"))]
     if missing:
         raise DatabaseError(
             f"migration {migration} needs the extension(s) {', '.join(missing)}, which this server does not offer: install "
@@ -356,16 +331,16 @@ def _create_extensions_first(conn: Connection, migration: str) -> None:
 
 
 def _has_schema(conn: Connection) -> bool:
-    return bool(execute(conn, load_sql("schema/status"))[0]["has_schema"])
+    return bool(execute(conn, load_sql("schema.status"))[0]["has_schema"])
 
 
 def _missing_roles(conn: Connection) -> tuple[str, ...]:
-    ready = {row["rolname"] for row in execute(conn, load_sql("schema/ready_roles"), {"names": list(ROLES)})}
+    ready = {row["rolname"] for row in execute(conn, load_sql("schema.ready_roles"), {"names": list(ROLES)})}
     return tuple(name for name in ROLES if name not in ready)
 
 
 def _may_create_roles(conn: Connection) -> bool:
-    return bool(execute(conn, load_sql("schema/may_create_roles"))[0]["may_create_roles"])
+    return bool(execute(conn, load_sql("schema.may_create_roles"))[0]["may_create_roles"])
 
 
 def _sha256(text: str) -> str:

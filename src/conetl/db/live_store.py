@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 from uuid import UUID
 
-from conetl.db.connection import Connection, database_errors, execute, execute_count, load_sql, transaction
+from conetl.db.connection import Connection, database_errors, execute, execute_count, transaction
 from conetl.db.copy_binary import clean_text
 from conetl.db.receipt_store import held_locks
+from conetl.db.statements import load_sql
 from conetl.model.records import Drive, Track
 
 #: Watched drives that nobody ingested are forgotten after so long, when the next watch begins.
@@ -40,12 +41,12 @@ def clear_watches(conn: Connection, *, map_name: str, drive_id: str) -> int:
     """
     with transaction(conn, "The watched drives cannot be read"):
         parameters = {"map_name": map_name, "drive_id": clean_text(drive_id), "keep_days": KEEP_DAYS}
-        found = execute(conn, load_sql("map/watches_to_drop"), parameters)
+        found = execute(conn, load_sql("live.watches_to_drop"), parameters)
     others = {watch_lock(map_name, row["drive_id"]) for row in found if row["drive_id"] != clean_text(drive_id)}
     alive = held_locks(conn, sorted(others))
     dead = [row["watch_id"] for row in found if watch_lock(map_name, row["drive_id"]) not in alive]
     with transaction(conn, "The watched drives cannot be cleared"):
-        return execute_count(conn, load_sql("write/drop_watches"), {"watch_ids": dead}) if dead else 0
+        return execute_count(conn, load_sql("live.drop_watches"), {"watch_ids": dead}) if dead else 0
 
 
 def write_live(
@@ -68,7 +69,7 @@ def write_live(
             "drive_id": clean_text(watch.drive_id), "source_path": clean_text(watch.source_path),
             "captured_from_ns": captured_ns[0], "captured_to_ns": captured_ns[1], "frame_pair_count": frame_pair_count,
         }  # fmt: skip
-        execute(conn, load_sql("write/upsert_watched_drive"), named | drive)
+        execute(conn, load_sql("live.upsert_watched_drive"), named | drive)
         for index, track in tracks.items():
             sigma_m = ((track.cov_m2[0] + track.cov_m2[3]) / 2) ** 0.5
             row = {
@@ -77,17 +78,17 @@ def write_live(
                 "existence_probability": track.existence_probability, "observation_count": track.observation_count,
                 "first_seen_ns": track.first_seen_ns, "last_seen_ns": track.last_seen_ns, "reach_m": least_reach_m + 3 * sigma_m,
             }  # fmt: skip
-            execute(conn, load_sql("write/upsert_provisional_feature"), named | row)
+            execute(conn, load_sql("live.upsert_provisional_feature"), named | row)
         for index in taken_back:
             execute(
-                conn, load_sql("write/drop_provisional_feature"), {"watch_id": watch.watch_id, "feature_index": index}
+                conn, load_sql("live.drop_provisional_feature"), {"watch_id": watch.watch_id, "feature_index": index}
             )
 
 
 def end_watch(conn: Connection, watch: WatchedDrive) -> None:
     """Say that the watch ended by itself; what it shows stays until the drive is ingested."""
     with transaction(conn, f"The end of drive {watch.drive_id} cannot be written"):
-        execute(conn, load_sql("write/end_watch"), {"watch_id": watch.watch_id})
+        execute(conn, load_sql("live.end_watch"), {"watch_id": watch.watch_id})
 
 
 def drop_watched_recording(conn: Connection, drive: Drive, *, map_name: str) -> int:
@@ -97,10 +98,10 @@ def drop_watched_recording(conn: Connection, drive: Drive, *, map_name: str) -> 
         "map_name": map_name, "drive_id": clean_text(drive.drive_id),
         "captured_from_ns": min(times_ns), "captured_to_ns": max(times_ns),
     }  # fmt: skip
-    return execute_count(conn, load_sql("write/drop_watched_recording"), parameters)
+    return execute_count(conn, load_sql("live.drop_watched_recording"), parameters)
 
 
 def read_provisional(conn: Connection, *, map_name: str) -> list[dict[str, Any]]:
     """Provisional features of a map, drive by drive; columns as in sql/map/provisional_features.sql."""
     with database_errors(f"The map {map_name} cannot be read"):
-        return execute(conn, load_sql("map/provisional_features"), {"map_name": map_name})
+        return execute(conn, load_sql("live.provisional_features"), {"map_name": map_name})

@@ -10,7 +10,7 @@ from datetime import datetime
 import asyncpg
 import numpy as np
 
-from conetl.db.connection import load_sql
+from conetl.db.statements import load_sql
 from conetl.geometry.geodesy import Array, to_geodetic, to_map
 
 #: West, south, east, north in degrees.
@@ -57,13 +57,13 @@ class MapDirectory:
 
     async def maps(self, conn: asyncpg.Connection, map_name: str | None = None) -> list[ServedMap]:
         """All maps by name, or the one that is named; [] where there is no such map or it is empty."""
-        rows = await conn.fetch(load_sql("serve/ogc_maps"), map_name)
+        rows = await conn.fetch(load_sql("ogc.maps"), map_name)
         return [await self._described(conn, row) for row in rows]
 
     async def _described(self, conn: asyncpg.Connection, row: asyncpg.Record) -> ServedMap:
         known = self._known.get(row["map_name"])
         if known is None or known.srid != row["srid"] or known.changeset_no != row["changeset_no"]:
-            found = await conn.fetchrow(load_sql("serve/ogc_extent"), row["map_name"])
+            found = await conn.fetchrow(load_sql("ogc.extent"), row["map_name"])
             extent = (found["west"], found["south"], found["east"], found["north"])
             sizes = {"share": found["share"], "version_count": found["version_count"]}
             known = ServedMap(**row, extent=extent, since=found["since"], **sizes)
@@ -76,7 +76,7 @@ async def read_page(
 ) -> tuple[bytes, int]:
     """Items of one page as JSON with commas between them, and how many; `kind` is features or changes, `text` what the statement
     wants put in."""
-    row = await conn.fetchrow(_put_in(text, f"serve/ogc_{kind}_page"), *arguments)
+    row = await conn.fetchrow(_put_in(text, f"ogc.{kind}_page"), *arguments)
     return (row["items"] or "").encode(), row["returned"]
 
 
@@ -85,18 +85,18 @@ async def find_versions(
 ) -> tuple[list[int], int | None]:
     """The rows of the versions on one page of features in order, and how many features there are on all pages (None: the page is
     empty and does not tell)."""
-    rows = await conn.fetch(_put_in(text, "serve/ogc_features_found"), *arguments)
+    rows = await conn.fetch(_put_in(text, "ogc.features_found"), *arguments)
     return [row["version_row_id"] for row in rows], rows[0]["matched"] if rows else None
 
 
 def rows_of_versions() -> str:
     """A query for features by the rows of their versions, to be put into another one; see the file for its parameters."""
-    return load_sql("serve/ogc_features_rows").rstrip().removesuffix(";")
+    return load_sql("ogc.features_rows").removesuffix(";")
 
 
 async def count_features(conn: asyncpg.Connection, text: Mapping[str, str], arguments: Sequence[str | float]) -> int:
     """How many features there are on all pages."""
-    matched: int = await conn.fetchval(_put_in(text, "serve/ogc_features_count"), *arguments)
+    matched: int = await conn.fetchval(_put_in(text, "ogc.features_count"), *arguments)
     return matched
 
 
@@ -107,8 +107,8 @@ def _put_in(text: Mapping[str, str], name: str) -> str:
 
 async def warm_session(conn: asyncpg.Connection) -> None:
     """Read what the first question of a session would read: what maps there are, and their coordinate reference systems."""
-    await conn.fetch(load_sql("serve/ogc_warm"))
-    await conn.fetch(load_sql("serve/ogc_maps"), "")
+    await conn.fetch(load_sql("ogc.warm"))
+    await conn.fetch(load_sql("ogc.maps"), "")
 
 
 def rows_near(box: Degrees, served: ServedMap) -> Metres:

@@ -7,7 +7,8 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-from conetl.db.connection import Connection, connect, database_errors, execute, load_sql
+from conetl.db.connection import Connection, connect, database_errors, execute
+from conetl.db.statements import load_sql
 from conetl.model.errors import DatabaseError
 
 #: Queries of the web view that take longer are ended by the server.
@@ -54,7 +55,7 @@ def open_listener(url: str) -> Connection:
     conn = open_reader(url)
     with database_errors("The connection could not listen for news"):
         conn.autocommit = True
-        execute(conn, load_sql("serve/listen"))
+        execute(conn, load_sql("schema.listen"))
     return conn
 
 
@@ -75,6 +76,6 @@ def open_reader(url: str) -> Connection:
     conn = connect(url)
     with database_errors("The connection could not be made read-only"):
         conn.autocommit = True
-        execute(conn, load_sql("serve/session"), {"timeout": STATEMENT_TIMEOUT})
+        execute(conn, load_sql("schema.reader_session"), {"timeout": STATEMENT_TIMEOUT})
         conn.autocommit = False
     return conn

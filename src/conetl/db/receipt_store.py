@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import Literal
 from uuid import UUID
 
-from conetl.db.connection import Connection, database_errors, execute, load_sql, transaction
+from conetl.db.connection import Connection, database_errors, execute, transaction
+from conetl.db.statements import load_sql
 from conetl.files.atomic import atomic_text_file
 from conetl.files.names import file_name_part, printable
 from conetl.model.errors import DatabaseError, InputError, StorageError
@@ -93,8 +94,8 @@ def write_receipt(conn: Connection, receipt: Receipt, folder: Path) -> None:
     """
     parameters = {k: printable(v) if isinstance(v, str) else v for k, v in asdict(receipt).items()}
     with transaction(conn, f"The receipt of drive {receipt.drive_id} cannot be written"):
-        execute(conn, load_sql("write/insert_receipt"), parameters)
-        written = list(_receipts(conn, "map/latest_receipts", receipt.map_name, [receipt.header_sha256]))
+        execute(conn, load_sql("receipts.insert_receipt"), parameters)
+        written = list(_receipts(conn, "receipts.latest_receipts", receipt.map_name, [receipt.header_sha256]))
     name = f"{file_name_part(receipt.drive_id)}-{receipt.header_sha256[:12]}.json"
     try:
         with atomic_text_file(folder / receipt.map_name / name) as file:
@@ -107,34 +108,34 @@ def write_receipt(conn: Connection, receipt: Receipt, folder: Path) -> None:
 def latest_receipts(conn: Connection, *, map_name: str, headers: Sequence[str] | None = None) -> dict[str, Receipt]:
     """The last word on every drive of a map, by header_sha256."""
     with transaction(conn, "The receipts cannot be read"):
-        return {r.header_sha256: r for r in _receipts(conn, "map/latest_receipts", map_name, headers)}
+        return {r.header_sha256: r for r in _receipts(conn, "receipts.latest_receipts", map_name, headers)}
 
 
 def attempt_ends(conn: Connection, attempt_ids: Sequence[UUID]) -> dict[UUID, Receipt]:
     """How attempts ended; those that have not are left out."""
     with transaction(conn, "The receipts cannot be read"):
-        rows = execute(conn, load_sql("map/receipt_ends"), {"attempt_ids": [str(a) for a in attempt_ids]})
+        rows = execute(conn, load_sql("receipts.receipt_ends"), {"attempt_ids": [str(a) for a in attempt_ids]})
     return {row["attempt_id"]: Receipt(**row) for row in rows}
 
 
 def drives_on_map(conn: Connection, *, map_name: str) -> list[DriveOnMap]:
     """Every recording that was committed, oldest changeset first."""
     with transaction(conn, "The drives of the map cannot be read"):
-        rows = execute(conn, load_sql("map/drives_on_map"), {"map_name": map_name})
+        rows = execute(conn, load_sql("drives.committed_drives"), {"map_name": map_name})
         return [DriveOnMap(**{**row, "headers": tuple(row["headers"])}) for row in rows]
 
 
 def pairs_per_second(conn: Connection, *, map_name: str) -> float | None:
     """How many frame pairs a second drives took of late, each by itself; None where none was timed."""
     with transaction(conn, "The receipts cannot be read"):
-        rate = execute(conn, load_sql("map/pairs_per_second"), {"map_name": map_name})[0]["pairs_per_second"]
+        rate = execute(conn, load_sql("receipts.pairs_per_second"), {"map_name": map_name})[0]["pairs_per_second"]
     return None if rate is None else float(rate)
 
 
 def held_locks(conn: Connection, names: Sequence[str]) -> set[str]:
     """Those of the locks that some living process holds."""
     with transaction(conn, "The locks cannot be read"):
-        return {row["name"] for row in execute(conn, load_sql("map/held_locks"), {"names": list(names)})}
+        return {row["name"] for row in execute(conn, load_sql("locks.held_locks"), {"names": list(names)})}
 
 
 @contextmanager
@@ -142,7 +143,7 @@ def held_if_free(conn: Connection, name: str) -> Iterator[bool]:
     """Hold a lock in a session that is used for the work too, if nobody has it; yields whether it was free."""
     with database_errors("A lock could not be had"):
         conn.rollback()
-        taken = bool(execute(conn, load_sql("write/try_lock"), {"name": name})[0]["taken"])
+        taken = bool(execute(conn, load_sql("locks.try_lock"), {"name": name})[0]["taken"])
         conn.commit()
     try:
         yield taken
@@ -151,7 +152,7 @@ def held_if_free(conn: Connection, name: str) -> Iterator[bool]:
             # A session that is lost holds nothing.
             with suppress(DatabaseError), database_errors("A lock could not be freed"):
                 conn.rollback()
-                execute(conn, load_sql("write/free_lock"), {"name": name})
+                execute(conn, load_sql("locks.free_lock"), {"name": name})
                 conn.commit()
 
 

@@ -14,8 +14,9 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from uuid import UUID
 
-from conetl.db.connection import Connection, database_errors, execute, execute_count, load_sql
+from conetl.db.connection import Connection, database_errors, execute, execute_count
 from conetl.db.map.map_store import map_transaction
+from conetl.db.statements import load_sql
 from conetl.model.errors import InputError
 
 
@@ -35,7 +36,9 @@ class PrunableDrive:
 def prunable_drives(conn: Connection, before: datetime) -> list[PrunableDrive]:
     """Drives of all maps that were recorded and committed before an instant and still have their raw records."""
     with database_errors("The drives cannot be read"):
-        found = [PrunableDrive(**row) for row in execute(conn, load_sql("map/prunable_drives"), {"before": before})]
+        found = [
+            PrunableDrive(**row) for row in execute(conn, load_sql("retention.prunable_drives"), {"before": before})
+        ]
         conn.rollback()
     return found
 
@@ -47,14 +50,14 @@ def prune_drives(conn: Connection, drives: Sequence[PrunableDrive], *, now: date
         own = {"drive_uuids": [drive.drive_uuid for drive in drives if drive.map_name == map_name]}
         with map_transaction(conn, map_name):
             for table in ("stereo_match", "detection", "position"):
-                deleted += execute_count(conn, load_sql(f"write/prune_{table}"), own)
-            execute(conn, load_sql("write/mark_pruned"), own | {"pruned_at": now or datetime.now(UTC)})
+                deleted += execute_count(conn, load_sql(f"retention.prune_{table}"), own)
+            execute(conn, load_sql("retention.mark_pruned"), own | {"pruned_at": now or datetime.now(UTC)})
     return deleted
 
 
 def require_comparable(conn: Connection, drive_uuids: Sequence[UUID]) -> None:
     """Raise InputError where one of the drives has to be compared with the map again, but has no raw records any more."""
-    pruned = execute(conn, load_sql("map/pruned_drives"), {"drive_uuids": list(drive_uuids)})
+    pruned = execute(conn, load_sql("retention.pruned_drives"), {"drive_uuids": list(drive_uuids)})
     if pruned:
         first = pruned[0]
         more = f" and {len(pruned) - 1} more" if len(pruned) > 1 else ""

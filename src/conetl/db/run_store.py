@@ -6,7 +6,8 @@ from collections.abc import Iterable
 from typing import Protocol
 from uuid import UUID
 
-from conetl.db.connection import Connection, execute, load_sql, transaction
+from conetl.db.connection import Connection, execute, transaction
+from conetl.db.statements import load_sql
 
 
 class StepTime(Protocol):
@@ -30,7 +31,7 @@ def write_run_steps(conn: Connection, changeset_id: UUID, steps: Iterable[StepTi
         for time in steps:
             execute(
                 conn,
-                load_sql("write/insert_run_step"),
+                load_sql("commit.insert_run_step"),
                 {
                     "changeset_id": changeset_id, "step": time.step, "task_count": time.task_count, "busy_s": time.busy_s,
                     "started_s": time.started_s, "ended_s": max(time.ended_s, time.started_s),

@@ -7,8 +7,8 @@ from datetime import datetime
 from typing import Any, NamedTuple
 from uuid import UUID
 
-from conetl.db.connection import Connection, database_errors, execute, load_sql
-from conetl.db.copy_binary import clean_text
+from conetl.db.connection import Connection, database_errors, execute
+from conetl.db.statements import load_sql
 from conetl.model.records import Side
 
 Row = dict[str, Any]
@@ -16,7 +16,7 @@ Row = dict[str, Any]
 
 def read_maps(conn: Connection) -> list[Row]:
     """All maps, by name."""
-    return _rows(conn, "maps", {})
+    return _rows(conn, "serving.maps", {})
 
 
 class Head(NamedTuple):
@@ -29,17 +29,17 @@ class Head(NamedTuple):
 
 def read_heads(conn: Connection) -> dict[str, Head]:
     """The head of every map."""
-    return {row.pop("map_name"): Head(**row) for row in _rows(conn, "heads", {})}
+    return {row.pop("map_name"): Head(**row) for row in _rows(conn, "serving.heads", {})}
 
 
 def read_decisions(conn: Connection, map_name: str, max_rows: int) -> list[Row]:
     """The decisions that hold, newest first."""
-    return _rows(conn, "decisions", {"map_name": map_name, "max_rows": max_rows})
+    return _rows(conn, "serving.decisions", {"map_name": map_name, "max_rows": max_rows})
 
 
 def read_origin(conn: Connection, map_name: str) -> tuple[float, float, float] | None:
     """Easting, northing, height from which the browser counts, in whole 100 m; None where the map is empty or missing."""
-    rows = _rows(conn, "origin", {"map_name": map_name})
+    rows = _rows(conn, "serving.origin", {"map_name": map_name})
     if not rows:
         return None
     easting, northing, height = (round(rows[0][name], -2) for name in ("easting_m", "northing_m", "height_m"))
@@ -51,13 +51,15 @@ def read_features(
 ) -> list[Row]:
     """Standing features at `valid_at` (None: latest) as known at `known_at` (None: now), by id."""
     parameters = {"map_name": map_name, "valid_at": _instant(valid_at), "known_at": _instant(known_at)}
-    return _rows(conn, "features", {**parameters, "max_rows": max_rows})
+    return _rows(conn, "serving.features", {**parameters, "max_rows": max_rows})
 
 
 def read_changeset_changes(conn: Connection, map_name: str, changeset_no: int) -> list[Row]:
     """What one changeset did, by feature id."""
     with database_errors(f"The map {map_name} cannot be read"):
-        return execute(conn, load_sql("map/changes_of_changeset"), {"map_name": map_name, "changeset_no": changeset_no})
+        return execute(
+            conn, load_sql("history.changes_of_changeset"), {"map_name": map_name, "changeset_no": changeset_no}
+        )
 
 
 def read_changes_between(
@@ -79,17 +81,17 @@ def read_changes_between(
         "moved_from_m": moved_from_m,
         "max_rows": max_rows,
     }
-    return _rows(conn, "changes_between", parameters)
+    return _rows(conn, "serving.changes_between", parameters)
 
 
 def read_feature_history(conn: Connection, map_name: str, feature_id: UUID) -> list[Row]:
     """Every delta of a feature with the state after it, in the order of the road; [] where the map has no such feature."""
-    return _rows(conn, "feature_history", {"map_name": map_name, "feature_id": feature_id})
+    return _rows(conn, "serving.feature_history", {"map_name": map_name, "feature_id": feature_id})
 
 
 def read_sightings(conn: Connection, map_name: str, feature_id: UUID, max_rows: int) -> list[Row]:
     """The frame pairs in which a feature was seen, oldest first."""
-    return _rows(conn, "sightings", {"map_name": map_name, "feature_id": feature_id, "max_rows": max_rows})
+    return _rows(conn, "serving.sightings", {"map_name": map_name, "feature_id": feature_id, "max_rows": max_rows})
 
 
 def read_sighting_picture(
@@ -103,54 +105,48 @@ def read_sighting_picture(
         "match_index": match_index,
         "side": side,
     }
-    rows = _rows(conn, "sighting_picture", parameters)
+    rows = _rows(conn, "serving.sighting_image", parameters)
     return rows[0] if rows else None
 
 
 def read_trajectory(conn: Connection, map_name: str, drive_uuid: UUID, max_rows: int) -> list[Row]:
     """Poses of a drive in order of time; [] where the map has no such drive."""
-    return _rows(conn, "trajectory", {"map_name": map_name, "drive_uuid": drive_uuid, "max_rows": max_rows})
+    return _rows(conn, "serving.trajectory", {"map_name": map_name, "drive_uuid": drive_uuid, "max_rows": max_rows})
 
 
 def read_rigs(conn: Connection, map_name: str, drive_uuids: set[UUID]) -> dict[UUID, Any]:
     """The rig (JSON) of each drive."""
     found: dict[UUID, Any] = {}
     for drive_uuid in drive_uuids:
-        for row in _rows(conn, "rig", {"map_name": map_name, "drive_uuid": drive_uuid}):
+        for row in _rows(conn, "serving.rig", {"map_name": map_name, "drive_uuid": drive_uuid}):
             found[drive_uuid] = row["rig"]
     return found
 
 
-def find_features(conn: Connection, map_name: str, beginning: str, max_rows: int) -> list[UUID]:
-    """Ids of standing and removed features that begin so."""
-    parameters = {"map_name": map_name, "beginning": clean_text(beginning).lower(), "max_rows": max_rows}
-    return [row["feature_id"] for row in _rows(conn, "find_features", parameters)]
-
-
 def read_base_sources(conn: Connection, map_name: str) -> list[Row]:
     """The imported files of a map's base layers, by layer."""
-    return _rows(conn, "base_sources", {"map_name": map_name})
+    return _rows(conn, "base_layers.sources", {"map_name": map_name})
 
 
 def read_base_tiles(conn: Connection, map_name: str, max_rows: int) -> list[Row]:
     """Which tiles of points a map has, coarse ones first."""
-    return _rows(conn, "base_tiles", {"map_name": map_name, "max_rows": max_rows})
+    return _rows(conn, "base_layers.tiles", {"map_name": map_name, "max_rows": max_rows})
 
 
 def read_base_tile(conn: Connection, map_name: str, sha256: str) -> bytes | None:
     """The bytes of one tile, in gzip; None where the map has no such tile."""
-    rows = _rows(conn, "base_tile", {"map_name": map_name, "sha256": sha256})
+    rows = _rows(conn, "base_layers.tile", {"map_name": map_name, "sha256": sha256})
     return bytes(rows[0]["payload"]) if rows else None
 
 
 def read_base_lines(conn: Connection, map_name: str, max_rows: int) -> list[Row]:
     """Lines of a map's base layers; `geom` is well-known binary."""
-    return _rows(conn, "base_lines", {"map_name": map_name, "max_rows": max_rows})
+    return _rows(conn, "base_layers.lines", {"map_name": map_name, "max_rows": max_rows})
 
 
 def _rows(conn: Connection, name: str, parameters: Mapping[str, Any]) -> list[Row]:
     with database_errors("The map cannot be read"):
-        return execute(conn, load_sql(f"serve/{name}"), parameters)
+        return execute(conn, load_sql(name), parameters)
 
 
 def _instant(time: datetime | None) -> str:

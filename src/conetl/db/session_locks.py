@@ -14,7 +14,8 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-from conetl.db.connection import Connection, connect, database_errors, execute, load_sql
+from conetl.db.connection import Connection, connect, database_errors, execute
+from conetl.db.statements import load_sql
 from conetl.model.errors import DatabaseError
 
 #: Between two tries to have a lost lock again. The server may hold it for the lost session until that one's time is over.
@@ -56,7 +57,7 @@ class _HeldLocks:
             with suppress(DatabaseError), database_errors("A lock could not be freed"):
                 for name in self._names:
                     if name not in self._missing:
-                        execute(self._conn, load_sql("write/free_lock"), {"name": name})
+                        execute(self._conn, load_sql("locks.free_lock"), {"name": name})
             self._conn.close()
 
     def _take_all(self) -> Connection:
@@ -65,7 +66,7 @@ class _HeldLocks:
             with database_errors("A lock could not be had"):
                 conn.autocommit = True
                 for name in self._names:
-                    execute(conn, load_sql("write/take_lock"), {"name": name})
+                    execute(conn, load_sql("locks.take_lock"), {"name": name})
         except BaseException:
             conn.close()
             raise
@@ -98,7 +99,7 @@ class _HeldLocks:
             with database_errors("A lock could not be had"):
                 self._conn.autocommit = True
                 for name in tuple(self._missing):
-                    if execute(self._conn, load_sql("write/try_lock"), {"name": name})[0]["taken"]:
+                    if execute(self._conn, load_sql("locks.try_lock"), {"name": name})[0]["taken"]:
                         self._missing.remove(name)
         except DatabaseError:  # tried again, but not at once: the server may be starting
             if self._conn is not None:

@@ -9,8 +9,9 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from conetl.db.connection import Connection, database_errors, load_sql, stream
+from conetl.db.connection import Connection, database_errors, stream
 from conetl.db.map.rows import version_of
+from conetl.db.statements import load_sql
 from conetl.model.map_records import FeatureVersion
 from conetl.model.work_zone_records import DrivePath, LaneLine
 from conetl.readers.base_layers.lines import bounds_lanes, full_kind
@@ -24,7 +25,7 @@ def read_versions(conn: Connection, *, map_name: str, until: datetime | None = N
     """Every believed version that began until then (None: all), by feature; [] where there is no such map."""
     parameters = {"map_name": map_name, "valid_until": until.isoformat() if until else "infinity"}
     with database_errors(f"The history of map {map_name} cannot be read"):
-        return [version_of(row) for row in stream(conn, load_sql("map/believed_versions"), parameters)]
+        return [version_of(row) for row in stream(conn, load_sql("map.current_versions"), parameters)]
 
 
 def read_paths(conn: Connection, *, map_name: str, until: datetime | None = None) -> list[DrivePath]:
@@ -37,7 +38,7 @@ def read_paths(conn: Connection, *, map_name: str, until: datetime | None = None
     with database_errors(f"The drives of map {map_name} cannot be read"):
         return [
             DrivePath(row[0], row[1], np.stack([np.array(row[2]), np.array(row[3])], axis=1))
-            for row in stream(conn, load_sql("map/drive_paths"), parameters)
+            for row in stream(conn, load_sql("drives.paths_of_map"), parameters)
         ]
 
 
@@ -60,7 +61,7 @@ def read_lanes_near(
         "north_m": [float(corner[1]) for corner in high],
     }
     with database_errors(f"The base layers of map {map_name} cannot be read"):
-        for box, layer, kind, attributes, wkb in stream(conn, load_sql("map/base_lines_near"), parameters):
+        for box, layer, kind, attributes, wkb in stream(conn, load_sql("base_layers.lines_near"), parameters):
             if bounds_lanes(kind, attributes):
                 line = shapely.get_coordinates(shapely.from_wkb(bytes(wkb)))
                 found[box].append(LaneLine(line, full_kind(kind, attributes)))

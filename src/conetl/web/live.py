@@ -1,6 +1,6 @@
 """Tells open pages about news: one listener for all of them, and only while somebody listens.
 
-PostgreSQL tells of each commit (LISTEN, see sql/serve/listen.sql); then, and every `LOOK_S` in case a connection pool swallows
+PostgreSQL notifies of each commit (`listen` in sql/schema.sql); then, and every `LOOK_S` in case a connection pool swallows
 notices, the heads of all maps are read once for all pages.
 """
 

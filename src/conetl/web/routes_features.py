@@ -7,8 +7,8 @@ from uuid import UUID
 
 from fastapi import APIRouter, HTTPException, Query
 
+from conetl.db.map.map_store import find_features
 from conetl.db.serve_store import (
-    find_features,
     read_changes_between,
     read_changeset_changes,
     read_feature_history,
@@ -86,7 +86,7 @@ def find(
 ) -> FoundFeatures:
     """Features whose id begins so, standing or removed."""
     origin_of(conn, map_name)
-    ids = find_features(conn, map_name, beginning, _MAX_FOUND + 1)
+    ids = find_features(conn, beginning, map_name=map_name, max_rows=_MAX_FOUND + 1)
     return FoundFeatures(feature_ids=ids[:_MAX_FOUND], truncated=len(ids) > _MAX_FOUND)
 
 

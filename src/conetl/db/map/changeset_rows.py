@@ -6,9 +6,10 @@ from collections import Counter
 from datetime import datetime
 from uuid import UUID
 
-from conetl.db.connection import Connection, execute, load_sql
+from conetl.db.connection import Connection, execute
 from conetl.db.copy_binary import json_text
 from conetl.db.map.results import MapInfo, RecordCounts, RunInfo
+from conetl.db.statements import load_sql
 from conetl.model.map_records import Changeset, DeltaKind
 
 
@@ -27,7 +28,7 @@ def insert_changeset(
     kinds = Counter(delta.kind for delta in changeset.deltas)
     execute(
         conn,
-        load_sql("write/insert_changeset"),
+        load_sql("commit.insert_changeset"),
         {
             "changeset_id": changeset.changeset_id,
             "map_id": info.map_id,
@@ -54,4 +55,4 @@ def _insert_run(conn: Connection, run: RunInfo, finished_at: datetime) -> None:
         "flow_run_id": run.flow_run_id,
         "facts": None if run.facts is None else json_text(dict(run.facts)),
     }
-    execute(conn, load_sql("write/insert_run"), parameters)
+    execute(conn, load_sql("commit.insert_run"), parameters)

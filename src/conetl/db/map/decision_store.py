@@ -5,9 +5,10 @@ from __future__ import annotations
 from datetime import datetime
 from uuid import UUID, uuid4
 
-from conetl.db.connection import Connection, database_errors, execute, load_sql
+from conetl.db.connection import Connection, database_errors, execute
 from conetl.db.copy_binary import clean_text
 from conetl.db.map.results import Decidable, MapInfo, StoredDecision
+from conetl.db.statements import load_sql
 from conetl.model.map_records import Decisions, Place
 
 
@@ -15,7 +16,8 @@ def list_decisions(conn: Connection, *, map_name: str = "default") -> list[Store
     """The decisions that hold, oldest first."""
     with database_errors(f"The decisions about map {map_name} cannot be read"):
         return [
-            StoredDecision(**row) for row in execute(conn, load_sql("map/active_decisions"), {"map_name": map_name})
+            StoredDecision(**row)
+            for row in execute(conn, load_sql("decisions.active_decisions"), {"map_name": map_name})
         ]
 
 
@@ -32,7 +34,7 @@ def find_decisions(conn: Connection, beginning: str, *, map_name: str = "default
     """Changesets and decisions whose id begins so, or the changeset of that number; at most two."""
     parameters = {"map_name": map_name, "beginning": clean_text(beginning).lower()}
     with database_errors(f"The map {map_name} cannot be read"):
-        return [Decidable(**row) for row in execute(conn, load_sql("map/find_decisions"), parameters)]
+        return [Decidable(**row) for row in execute(conn, load_sql("decisions.find_decisions"), parameters)]
 
 
 def insert_decision(
@@ -66,5 +68,5 @@ def insert_decision(
         "decided_by": clean_text(decided_by) if decided_by else None,
         "decided_at": decided_at,
     }
-    execute(conn, load_sql("write/insert_decision"), parameters)
+    execute(conn, load_sql("decisions.insert_decision"), parameters)
     return decision_id

@@ -12,9 +12,10 @@ from uuid import UUID
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.db.connection import Connection, database_errors, execute, load_sql, stream
+from conetl.db.connection import Connection, database_errors, execute, stream
 from conetl.db.map.import_store import read_statements
 from conetl.db.map.jacobian_arrays import jacobian_from_wire
+from conetl.db.statements import load_sql
 from conetl.model.detector_evidence import UNMEASURED_ABSENCE, AbsenceFigures
 from conetl.model.errors import MapMismatchError
 from conetl.model.map_records import FoldKey, Statement
@@ -68,15 +69,13 @@ def read_drive(conn: Connection, drive_uuid: UUID) -> StoredDrive:
     """Header, path and tracks of an ingested drive. Raises MapMismatchError where there is no such drive."""
     parameters = {"drive_uuid": drive_uuid}
     with database_errors(f"Drive {drive_uuid} cannot be read"):
-        headers = execute(conn, load_sql("map/drive_header"), parameters)
+        headers = execute(conn, load_sql("drives.header"), parameters)
         if not headers:
             raise MapMismatchError(f"there is no drive {drive_uuid} in this database")
         header = headers[0]
         rig = None if header["rig"] is None else Rig.model_validate(header["rig"])
         statements = read_statements(conn, drive_uuid) if rig is None else []
-        path = (
-            stream(conn, load_sql("map/drive_path"), parameters) if rig else (s.feature.xyz_m[:2] for s in statements)
-        )
+        path = stream(conn, load_sql("drives.path"), parameters) if rig else (s.feature.xyz_m[:2] for s in statements)
         return StoredDrive(
             map_name=header["map_name"],
             content_sha256=header["content_sha256"],
@@ -88,7 +87,7 @@ def read_drive(conn: Connection, drive_uuid: UUID) -> StoredDrive:
             if header["absence_figures"]
             else UNMEASURED_ABSENCE,
             path_m=np.array(list(path)).reshape(-1, 2),
-            tracks=[_track(row) for row in stream(conn, load_sql("map/drive_tracks"), parameters)],
+            tracks=[_track(row) for row in stream(conn, load_sql("drives.tracks"), parameters)],
             statements=statements,
         )
 
@@ -111,16 +110,16 @@ def read_view(conn: Connection, drive_uuid: UUID) -> StoredView:
                     h_px=row[7],
                     score=row[8],
                 )
-                for row in stream(conn, load_sql("map/drive_detections"), parameters)
+                for row in stream(conn, load_sql("drives.detections"), parameters)
             ],
-            spots=[(row[0], row[1:]) for row in stream(conn, load_sql("map/drive_spots"), parameters)],
+            spots=[(row[0], row[1:]) for row in stream(conn, load_sql("drives.positions"), parameters)],
         )
 
 
 def read_frame_pairs(conn: Connection, drive_uuid: UUID) -> list[FramePair]:
     """Frame pairs with their poses, in order."""
     with database_errors(f"Drive {drive_uuid} cannot be read"):
-        return [_frame_pair(row) for row in stream(conn, load_sql("map/drive_frame_pairs"), {"drive_uuid": drive_uuid})]
+        return [_frame_pair(row) for row in stream(conn, load_sql("drives.frame_pairs"), {"drive_uuid": drive_uuid})]
 
 
 def _frame_pair(row: tuple[Any, ...]) -> FramePair:

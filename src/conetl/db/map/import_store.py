@@ -9,7 +9,7 @@ from uuid import NAMESPACE_URL, UUID, uuid5
 
 import numpy as np
 
-from conetl.db.connection import Connection, copy_columns, database_errors, execute, load_sql, stream, transaction
+from conetl.db.connection import Connection, copy_columns, database_errors, execute, stream, transaction
 from conetl.db.copy_binary import bigints, clean_text, constant_uuid, integers, json_text, uuids
 from conetl.db.map import columns as map_columns
 from conetl.db.map.changeset_rows import insert_changeset
@@ -17,6 +17,7 @@ from conetl.db.map.map_store import find_changeset, map_for, system_time
 from conetl.db.map.replay_store import write_replay
 from conetl.db.map.results import CommitResult, RecordCounts, Replay, RunInfo
 from conetl.db.map.rows import feature_of
+from conetl.db.statements import load_sql
 from conetl.model.errors import MapMismatchError
 from conetl.model.map_records import Changeset, ImportedMap, Statement
 from conetl.model.params import ReconcileParams
@@ -42,7 +43,7 @@ class KnownId(NamedTuple):
 def known_ids(conn: Connection, feature_ids: Sequence[UUID]) -> dict[UUID, KnownId]:
     """Those of the ids that are taken in this database, in any map."""
     with database_errors("The features of the database cannot be read"):
-        rows = execute(conn, load_sql("map/known_ids"), {"feature_ids": list(feature_ids)})
+        rows = execute(conn, load_sql("map.known_ids"), {"feature_ids": list(feature_ids)})
     return {
         row["feature_id"]: KnownId(
             row["map_name"], None if row["easting_m"] is None else (row["easting_m"], row["northing_m"])
@@ -73,7 +74,7 @@ def place_import(
         "cells_wkt": "MULTIPOINT(" + ", ".join(f"({x!r} {y!r})" for x, y in cells) + ")",
         "cell_m": cell_m,
     }
-    execute(conn, load_sql("write/insert_import"), parameters)
+    execute(conn, load_sql("imports.insert_import"), parameters)
     return drive_uuid
 
 
@@ -105,14 +106,14 @@ def commit_import(
 
 def read_statements(conn: Connection, drive_uuid: UUID) -> list[Statement]:
     """What an imported map states, in the order of its file."""
-    rows = stream(conn, load_sql("map/statements"), {"drive_uuid": drive_uuid})
+    rows = stream(conn, load_sql("imports.statements"), {"drive_uuid": drive_uuid})
     return [Statement.model_construct(feature=feature_of(row), valid_from_ns=row[22]) for row in rows]
 
 
 def read_licence(conn: Connection, map_name: str) -> str | None:
     """Licence of a map's data, None where none was set. Raises MapMismatchError where there is no such map."""
     with database_errors(f"The map {map_name} cannot be read"):
-        rows = execute(conn, load_sql("export/facts"), {"map_name": map_name})
+        rows = execute(conn, load_sql("exports.facts"), {"map_name": map_name})
     if not rows:
         raise MapMismatchError(
             f"there is no map named {map_name} in this database: ingest a drive or import a map first."
@@ -125,7 +126,7 @@ def set_licence(conn: Connection, map_name: str, licence: str) -> None:
     """Set the licence of a map's data; an empty text takes it away."""
     with transaction(conn, f"The licence of the map {map_name} could not be set"):
         execute(
-            conn, load_sql("write/set_licence"), {"map_name": map_name, "licence": clean_text(licence).strip() or None}
+            conn, load_sql("map.set_licence"), {"map_name": map_name, "licence": clean_text(licence).strip() or None}
         )
 
 

@@ -19,16 +19,7 @@ from datetime import UTC, datetime
 from typing import Any
 from uuid import NAMESPACE_URL, UUID, uuid5
 
-from conetl.db.connection import (
-    Connection,
-    copy_columns,
-    database_errors,
-    execute,
-    execute_count,
-    load_sql,
-    stream,
-    transaction,
-)
+from conetl.db.connection import Connection, copy_columns, database_errors, execute, execute_count, stream, transaction
 from conetl.db.copy_binary import clean_text, json_text
 from conetl.db.live_store import drop_watched_recording
 from conetl.db.map import columns as map_columns
@@ -49,6 +40,7 @@ from conetl.db.map.results import (
     RunInfo,
 )
 from conetl.db.map.rows import feature_of
+from conetl.db.statements import load_sql
 from conetl.model.detector_evidence import AbsenceFigures
 from conetl.model.drive_records import DriveRecords
 from conetl.model.errors import MapMismatchError
@@ -84,20 +76,20 @@ def map_transaction(
     `lock_timeout_s`; nothing was written then (a commit whose answer was lost is found by its idempotency key).
     """
     with transaction(conn, f"The map {map_name} could not be changed, and is as it was before"):
-        execute(conn, load_sql("write/set_lock_timeout"), {"timeout": f"{lock_timeout_s * 1000:.0f}ms"})
+        execute(conn, load_sql("commit.set_lock_timeout"), {"timeout": f"{lock_timeout_s * 1000:.0f}ms"})
         map_lock(conn, map_name)
         yield
 
 
 def map_lock(conn: Connection, map_name: str = "default") -> None:
     """Take the map's lock until the end of the open transaction; other ingests into the same map wait."""
-    execute(conn, load_sql("write/lock_map"), {"map_name": map_name})
+    execute(conn, load_sql("commit.lock_map"), {"map_name": map_name})
 
 
 def find_map(conn: Connection, map_name: str = "default") -> MapInfo | None:
     """The map, None where no drive was ever committed to it."""
     with database_errors(f"The map {map_name} cannot be read"):
-        rows = execute(conn, load_sql("map/find_map"), {"map_name": map_name})
+        rows = execute(conn, load_sql("map.find_map"), {"map_name": map_name})
     return MapInfo(**rows[0]) if rows else None
 
 
@@ -107,7 +99,7 @@ def read_current_features(
     """The features that stand on the map now, by feature id; `within` in the map's CRS. [] where there is no such map."""
     parameters = _box(conn, map_name, within)
     with database_errors(f"The features of map {map_name} cannot be read"):
-        return [feature_of(row) for row in stream(conn, load_sql("map/current_features"), parameters)]
+        return [feature_of(row) for row in stream(conn, load_sql("map.current_features"), parameters)]
 
 
 def read_features_as_of(
@@ -130,7 +122,7 @@ def read_features_as_of(
         "known_at": known_at.isoformat() if known_at else "infinity",
     }
     with database_errors(f"The features of map {map_name} cannot be read"):
-        for row in stream(conn, load_sql("map/features_as_of"), parameters):
+        for row in stream(conn, load_sql("map.features_as_of"), parameters):
             yield FeatureAtInstant(feature_of(row), *row[22:27])
 
 
@@ -150,21 +142,21 @@ def list_changesets(
 def feature_log(conn: Connection, feature_id: UUID) -> list[FeatureLogEntry]:
     """Everything that happened to a feature, oldest first; [] where there is no such feature."""
     with database_errors(f"The history of feature {feature_id} cannot be read"):
-        rows = execute(conn, load_sql("map/feature_log"), {"feature_id": feature_id})
+        rows = execute(conn, load_sql("history.feature_log"), {"feature_id": feature_id})
     return [FeatureLogEntry(**row | {"kind": DeltaKind(row["kind"])}) for row in rows]
 
 
-def find_features(conn: Connection, beginning: str, *, map_name: str = "default") -> list[UUID]:
-    """Ids that begin with `beginning`, of standing and removed features; at most two."""
-    parameters = {"map_name": map_name, "beginning": clean_text(beginning).lower()}
+def find_features(conn: Connection, beginning: str, *, map_name: str = "default", max_rows: int = 2) -> list[UUID]:
+    """Ids that begin with `beginning`, of standing and removed features; two show that it is ambiguous."""
+    parameters = {"map_name": map_name, "beginning": clean_text(beginning).lower(), "max_rows": max_rows}
     with database_errors(f"The map {map_name} cannot be read"):
-        return [row["feature_id"] for row in execute(conn, load_sql("map/find_features"), parameters)]
+        return [row["feature_id"] for row in execute(conn, load_sql("map.find_features"), parameters)]
 
 
 def map_summary(conn: Connection, map_name: str = "default") -> MapSummary | None:
     """The map in figures, None where there is no such map."""
     with database_errors(f"The map {map_name} cannot be read"):
-        rows = execute(conn, load_sql("map/summary"), {"map_name": map_name})
+        rows = execute(conn, load_sql("map.summary"), {"map_name": map_name})
     return MapSummary(**rows[0]) if rows else None
 
 
@@ -263,14 +255,14 @@ def place_drive(
         "absence_figures": None if figures is None else json_text(figures.model_dump(mode="json")),
         "path_wkt": _path_wkt(drive),
     }
-    execute(conn, load_sql("write/insert_drive"), parameters)
+    execute(conn, load_sql("drives.insert_drive"), parameters)
     return drive_uuid
 
 
 def system_time(conn: Connection, info: MapInfo, now: datetime | None = None) -> datetime:
     """The instant of a new changeset or decision: now (None: the server's clock), but later than the map's last one."""
     clock = {"now": now, "last_committed_at": info.last_committed_at}
-    instant: datetime = execute(conn, load_sql("write/system_time"), clock)[0]["committed_at"]
+    instant: datetime = execute(conn, load_sql("commit.system_time"), clock)[0]["committed_at"]
     return instant
 
 
@@ -287,7 +279,7 @@ def _path_wkt(drive: Drive) -> str:
 
 def _stage_deltas(conn: Connection, info: MapInfo, changeset: Changeset, suppressed: Collection[UUID]) -> None:
     """All deltas into a table of the transaction's own."""
-    execute(conn, load_sql("write/create_delta_stage"))
+    execute(conn, load_sql("commit.create_delta_stage"))
     copy_columns(conn, "delta_stage", map_columns.delta_columns(info.srid, changeset.deltas, suppressed))
     execute(conn, "analyze delta_stage (feature_id, kind, is_change)")
 
@@ -296,10 +288,10 @@ def _merge_deltas(
     conn: Connection, info: MapInfo, drive_uuid: UUID, changeset: Changeset, committed_at: datetime
 ) -> int:
     """Set-based: check the staged deltas against the map, close what they replace, write what they bring."""
-    execute(conn, load_sql("write/create_open_version"), {"drive_uuid": drive_uuid})
+    execute(conn, load_sql("commit.create_open_version"), {"drive_uuid": drive_uuid})
     execute(conn, "analyze open_version")
-    execute(conn, load_sql("write/add_open_versions"))
-    conflicts = execute(conn, load_sql("map/delta_conflicts"), {"map_id": info.map_id})
+    execute(conn, load_sql("commit.add_open_versions"))
+    conflicts = execute(conn, load_sql("commit.delta_conflicts"), {"map_id": info.map_id})
     if conflicts:
         raise MapMismatchError(_conflict_text(info.map_name, conflicts))
     parameters = {
@@ -308,15 +300,15 @@ def _merge_deltas(
         "changeset_id": changeset.changeset_id,
         "committed_at": committed_at,
     }
-    execute(conn, load_sql("write/insert_features"), parameters)
-    execute(conn, load_sql("write/close_versions"), parameters)
-    execute(conn, load_sql("write/insert_ended_versions"), parameters)
-    versions = execute_count(conn, load_sql("write/insert_versions"), parameters)
-    execute(conn, load_sql("write/insert_deltas"), parameters)
+    execute(conn, load_sql("commit.insert_features"), parameters)
+    execute(conn, load_sql("commit.close_versions"), parameters)
+    execute(conn, load_sql("commit.insert_ended_versions"), parameters)
+    versions = execute_count(conn, load_sql("commit.insert_versions"), parameters)
+    execute(conn, load_sql("commit.insert_deltas"), parameters)
     execute(conn, "drop table delta_stage, open_version")
     if (
         versions >= ANALYSE_FROM_VERSIONS
-        and execute(conn, load_sql("map/has_outgrown"), {"versions": versions})[0]["outgrown"]
+        and execute(conn, load_sql("commit.has_outgrown"), {"versions": versions})[0]["outgrown"]
     ):
         execute(conn, "analyze conetl.feature, conetl.feature_version")
     return versions
@@ -338,7 +330,7 @@ def map_for(conn: Connection, map_name: str, srid: int, what: str, now: datetime
     info = find_map(conn, map_name)
     if info is None:
         created = {"map_name": map_name, "srid": srid, "created_at": now or datetime.now(UTC)}
-        execute(conn, load_sql("write/insert_map"), created)
+        execute(conn, load_sql("map.insert_map"), created)
         info = find_map(conn, map_name)
     if info is None or info.srid != srid:
         raise MapMismatchError(
@@ -351,7 +343,7 @@ def map_for(conn: Connection, map_name: str, srid: int, what: str, now: datetime
 def _changesets(conn: Connection, map_name: str, key: str | None, limit: int | None) -> list[CommittedChangeset]:
     parameters = {"map_name": map_name, "idempotency_key": key, "max_rows": limit}
     with database_errors(f"The changesets of map {map_name} cannot be read"):
-        return [CommittedChangeset(**row) for row in execute(conn, load_sql("map/changesets"), parameters)]
+        return [CommittedChangeset(**row) for row in execute(conn, load_sql("history.changesets"), parameters)]
 
 
 def _box(conn: Connection, map_name: str, within: Bbox | None) -> dict[str, Any]:
