@@ -33,8 +33,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from conetl.db.audits import run_audits
 from conetl.db.cluster.cluster import cluster_remove, cluster_up
-from conetl.db.connection import Connection, connect, execute, migrate
+from conetl.db.connection import Connection, connect, execute
 from conetl.db.map.map_store import find_changeset, map_transaction
+from conetl.db.schema import migrate
 from conetl.exports.geojson import export_geojson
 from conetl.files.parquet_store import load_results
 from conetl.files.partial_files import sweep

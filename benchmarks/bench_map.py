@@ -48,7 +48,7 @@ from benchmarks.made_up_map import (
 )
 from conetl.db.audits import run_audits
 from conetl.db.cluster.cluster import cluster_down, cluster_remove, cluster_up
-from conetl.db.connection import Connection, connect, execute, migrate
+from conetl.db.connection import Connection, connect, execute
 from conetl.db.map.map_store import commit_changeset, map_transaction, place_drive, read_features_as_of
 from conetl.db.map.replay_store import (
     affected_drives,
@@ -56,6 +56,7 @@ from conetl.db.map.replay_store import (
     read_standing_around,
     superseded_drives,
 )
+from conetl.db.schema import migrate
 from conetl.db.statements import load_sql
 from conetl.mapping.fold import Evidence, extend
 from conetl.model.drive_records import DriveRecords

@@ -18,8 +18,9 @@ from prefect.runtime import flow_run
 from prefect.states import Completed
 from pydantic import Field
 
-from conetl.db.connection import connect, migrate
+from conetl.db.connection import connect
 from conetl.db.receipt_store import Receipt, run_lock, write_receipt
+from conetl.db.schema import migrate_once
 from conetl.db.session_locks import holding
 from conetl.files.storage import place
 from conetl.model.errors import ConetlError, may_pass
@@ -72,7 +73,7 @@ def alive(settings: Settings) -> Iterator[str]:
     """Hold the lock that says that this flow run's process lives; the database's address."""
     url = database_url(settings)
     with closing(connect(url)) as conn:
-        migrate(conn)
+        migrate_once(conn)
     with holding(url, run_lock(str(flow_run.id))):
         yield url
 

@@ -14,7 +14,7 @@ from prefect.context import get_run_context
 from prefect.runtime import flow_run
 
 from conetl.db.cluster.cluster import cluster_up
-from conetl.db.connection import Connection, connect, migrate, transaction
+from conetl.db.connection import Connection, connect, transaction
 from conetl.db.live_store import drop_watched_recording
 from conetl.db.map.map_store import (
     find_changeset,
@@ -23,6 +23,7 @@ from conetl.db.map.map_store import (
 )
 from conetl.db.map.replay_store import other_deliveries
 from conetl.db.map.results import CommittedChangeset, RunInfo
+from conetl.db.schema import migrate_once
 from conetl.files.parquet_store import result_key
 from conetl.model.detector_evidence import DetectorEvidence, evidence_sha256
 from conetl.model.drive_records import DriveRecords
@@ -80,7 +81,7 @@ def open_map(settings: Settings) -> Iterator[Connection]:
     """A connection to the map's database, started and migrated where needed."""
     url = database_url(settings)
     with closing(connect(url)) as conn:
-        migrate(conn)
+        migrate_once(conn)
         yield conn
 
 

@@ -150,8 +150,8 @@ limit 10;
 -- name: insert_features
 -- Add the features that are new.
 -- Parameters: map_id; srid; changeset_id.
-insert into conetl.feature (feature_id, map_id, srid, founded_by, cell)
-select s.feature_id, %(map_id)s, %(srid)s, %(changeset_id)s, conetl.place_cell(s.geom)
+insert into conetl.feature (feature_id, map_id, srid, created_by, cell)
+select s.feature_id, %(map_id)s, %(srid)s, %(changeset_id)s, conetl.cell_at(s.geom)
 from delta_stage s
 where s.kind in ('added', 'split')
 on conflict (feature_id) where map_id > 0 do nothing;
@@ -238,12 +238,12 @@ where c.oid = 'conetl.feature_version'::regclass;
 -- name: is_published
 -- Whether a changeset's events were handed to Prefect.
 -- Parameters: changeset_id. Columns: is_published.
-select exists (select 1 from conetl.changeset_told t where t.changeset_id = %(changeset_id)s) as is_published;
+select exists (select 1 from conetl.changeset_published t where t.changeset_id = %(changeset_id)s) as is_published;
 
 -- name: mark_published
 -- Remember that a changeset's events were handed to Prefect.
 -- Parameters: changeset_id.
-insert into conetl.changeset_told (changeset_id) values (%(changeset_id)s) on conflict do nothing;
+insert into conetl.changeset_published (changeset_id) values (%(changeset_id)s) on conflict do nothing;
 
 -- name: pending_changesets
 -- Changesets of drives whose events were not handed to Prefect, oldest first. An import or a decision has no events.
@@ -255,7 +255,7 @@ join conetl.map m using (map_id)
 join conetl.drive d using (drive_uuid)
 where m.map_name = %(map_name)s and d.kind = 'drive'
   and c.committed_at <= clock_timestamp() - make_interval(secs => %(quiet_s)s)
-  and not exists (select from conetl.changeset_told t where t.changeset_id = c.changeset_id)
+  and not exists (select from conetl.changeset_published t where t.changeset_id = c.changeset_id)
 order by c.changeset_no;
 
 -- name: removed_features

@@ -199,8 +199,8 @@ create temporary table replayed_delta_stage (
 -- name: insert_staged_features
 -- Add the features of staged versions that did not exist.
 -- Parameters: map_id; srid.
-insert into conetl.feature (feature_id, map_id, srid, founded_by, cell)
-select s.feature_id, %(map_id)s, %(srid)s, s.changeset_id, conetl.place_cell(s.geom)
+insert into conetl.feature (feature_id, map_id, srid, created_by, cell)
+select s.feature_id, %(map_id)s, %(srid)s, s.changeset_id, conetl.cell_at(s.geom)
 from version_stage s
 where s.version = 1
 on conflict (feature_id) where map_id > 0 do nothing;

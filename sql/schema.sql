@@ -124,4 +124,4 @@ select
 
 -- name: listen
 -- Receive a notification when a map or its base layers change (see conetl.notify_change).
-listen conetl_news;
+listen conetl_change;

@@ -93,7 +93,8 @@ def services_home(pytestconfig: pytest.Config) -> Path:
 @pytest.fixture(scope="session")
 def template_database(cluster_url: str, pytestconfig: pytest.Config) -> str:
     """A migrated database that each test clones."""
-    from conetl.db.connection import connect, execute, migrate
+    from conetl.db.connection import connect, execute
+    from conetl.db.schema import migrate
 
     with (_test_home(pytestconfig) / "template.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)

@@ -141,7 +141,7 @@ def test_a_feature_keeps_its_cell_wherever_it_is_moved(conn, samples):
     samples.commit(conn, samples.removed(away.new, samples.START_NS + 3 * day), key="4")
     [found] = execute(
         conn,
-        "select place_cell(ST_MakePoint(458239.5, 5428010)) as cell, (select cell from feature) as own, "
+        "select cell_at(ST_MakePoint(458239.5, 5428010)) as cell, (select cell from feature) as own, "
         "(select array_agg(distinct cell) from feature_version) as versions, "
         "(select array_agg(distinct cell) from delta) as deltas",
     )

@@ -10,7 +10,7 @@ from conetl.db.statements import statements
 
 #: audit -> statements that plant one fault, past the constraints that would refuse it.
 DROP_EXCLUDE = "alter table feature_version drop constraint no_overlap"
-DROP_BELIEVED = "drop index feature_version_believed"
+DROP_BELIEVED = "drop index feature_version_current"
 DROP_DELTA_KEY = "alter table delta drop constraint feature_of_delta"
 DROP_FEATURE_KEY = "alter table feature_version drop constraint feature_of_version"
 DROP_CHECKS = """

@@ -11,8 +11,9 @@ from conetl.cli.console import JsonOption, out, print_json, print_table
 from conetl.cli.prune import prune
 from conetl.db.audits import run_audits
 from conetl.db.cluster.cluster import cluster_down, cluster_status, cluster_up
-from conetl.db.connection import Connection, connect, database_status
-from conetl.db.connection import migrate as apply_migrations
+from conetl.db.connection import Connection, connect
+from conetl.db.schema import database_status
+from conetl.db.schema import migrate as apply_migrations
 from conetl.model.errors import ConetlError, DatabaseError
 from conetl.pipeline.settings import Settings, read_settings
 

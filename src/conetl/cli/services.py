@@ -18,7 +18,8 @@ import typer
 
 from conetl.cli.console import JsonOption, err, out, print_json, print_table
 from conetl.db.cluster.cluster import cluster_down, cluster_status, cluster_up
-from conetl.db.connection import connect, migrate, prefect_database, sqlalchemy_url
+from conetl.db.connection import connect, sqlalchemy_url
+from conetl.db.schema import migrate_once, prefect_database
 from conetl.model.errors import EXIT_SERVICE_MISSING, InputError, ServiceError
 from conetl.pipeline.settings import SERVER_AUTH, Settings, prefect_auth_string, prefect_environment, read_settings
 from conetl.services.prefect_api import is_healthy, require_access
@@ -114,7 +115,7 @@ def _start_all(
     say("Starting PostGIS")
     url = settings.database_url.get_secret_value() if settings.database_url else cluster_up(home)
     with closing(connect(url)) as conn:
-        migrate(conn)
+        migrate_once(conn)
     settings.inbox.mkdir(parents=True, exist_ok=True)
     address = _reach(host, port) if "prefect" not in services else str(services["prefect"].address)
     view = f"http://127.0.0.1:{view_port}" if "view" not in services else str(services["view"].address)

@@ -12,7 +12,8 @@ import uvicorn
 
 from conetl.cli.console import JsonOption, err, out, print_json
 from conetl.db.cluster.cluster import cluster_up
-from conetl.db.connection import connect, migrate
+from conetl.db.connection import connect
+from conetl.db.schema import migrate_once
 from conetl.model.errors import InputError
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.web.app import STATIC, create_app
@@ -50,7 +51,7 @@ def view(
         raise InputError(f"the front end is missing in {STATIC}: build it with `make web`, or install conetl again")
     url = _database_url(settings)
     with closing(connect(url)) as conn:
-        migrate(conn)
+        migrate_once(conn)
     writer = writer_of(settings, url, on_request=decisions, token_file=writer_token_file)
     address = f"http://127.0.0.1:{port}/"
     with closing(_listen(port)) as listener:

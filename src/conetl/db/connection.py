@@ -1,14 +1,11 @@
-"""Connections, migrations and the .sql files: how conetl talks to PostGIS."""
+"""Connections to PostGIS: errors, transactions, statements, COPY. The only module that imports psycopg2."""
 
 from __future__ import annotations
 
-import hashlib
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from io import BytesIO
-from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 from urllib.parse import quote, urlencode
 
@@ -19,7 +16,7 @@ import psycopg2.extras
 
 from conetl.db.copy_binary import Column, copy_statement, encode, row_count, sliced
 from conetl.db.read_ahead import read_ahead
-from conetl.db.statements import load_sql, sql_directory
+from conetl.db.statements import load_sql
 from conetl.model.errors import DatabaseError
 
 Connection: TypeAlias = psycopg2.extensions.connection
@@ -44,50 +41,6 @@ SESSION_OPTIONS = (
 COPY_BATCH_ROWS = 200_000
 #: Sent at once; psycopg2's own 8 kB cost a call of Python for every few rows.
 COPY_CHUNK_BYTES = 1 << 20
-#: Key of the advisory lock that keeps two migrations apart.
-MIGRATION_LOCK = 0x636F6E65
-ROLES = ("conetl_reader", "conetl_writer")
-
-
-@dataclass(frozen=True)
-class DatabaseStatus:
-    """What a database holds and whether this conetl can work with it."""
-
-    database: str
-    user: str
-    postgres_version: str
-    postgis_version: str | None
-    applied_migrations: tuple[str, ...]
-    pending_migrations: tuple[str, ...]
-    missing_roles: tuple[str, ...]
-    """Of conetl_reader and conetl_writer those that do not exist or have no rights here; `migrate` makes them where ..."""
-    may_create_roles: bool
-    """... the connected user may create roles; otherwise a superuser has to run `migrate` once."""
-    size_bytes: int
-    maps: tuple[tuple[str, int], ...]
-    """Name and SRID."""
-
-    @property
-    def ready(self) -> bool:
-        return bool(self.applied_migrations) and not self.pending_migrations
-
-
-PREFECT_DATABASE = "prefect"
-
-
-def prefect_database(url: str) -> str:
-    """Make the Prefect server's database on the server of `url` where there is none; its address as SQLAlchemy writes it."""
-    with (
-        closing(connect(url)) as conn,
-        database_errors(
-            f"The database {PREFECT_DATABASE} for the Prefect server cannot be made: make it by hand, or name one in "
-            "CONETL_PREFECT_DATABASE_URL"
-        ),
-    ):
-        conn.autocommit = True
-        if not execute(conn, load_sql("schema.database_exists"), {"name": PREFECT_DATABASE})[0]["found"]:
-            execute(conn, load_sql("schema.create_prefect_database"))
-    return sqlalchemy_url(url, PREFECT_DATABASE)
 
 
 def sqlalchemy_url(url: str, database: str | None = None) -> str:
@@ -240,111 +193,6 @@ def copy_block(conn: Connection, block: CopyBlock) -> None:
     """Send one block, inside the open transaction."""
     with conn.cursor() as cursor:
         cursor.copy_expert(block.statement, block.data, COPY_CHUNK_BYTES)
-
-
-def migrate(conn: Connection, *, directory: Path | None = None) -> list[str]:
-    """Bring the schema up to date, all or nothing; the names of the migrations that were applied now.
-
-    Migrations only go forwards. Raises `DatabaseError` where an applied one was changed afterwards, the database is newer than
-    this conetl, PostGIS is missing or may not be created. Two calls at once wait for each other; where nothing is to be done
-    nothing is locked or written, so that it may be called before every use, and by users who may not change the schema.
-    """
-    wanted = _migration_files(directory or sql_directory() / "migrations")
-    done: list[str] = []
-    with transaction(conn, "The state of the database cannot be read"):
-        if _has_schema(conn):
-            applied = _applied(conn)
-            _check_history(applied, wanted)
-            if not wanted.keys() - applied.keys() and (not _missing_roles(conn) or not _may_create_roles(conn)):
-                return done
-    with transaction(conn, "The database could not be migrated, and is as it was before"):
-        with conn.cursor() as cursor:
-            cursor.execute("select pg_advisory_xact_lock(%s)", (MIGRATION_LOCK,))
-        execute(conn, load_sql("schema.schema_migration"))
-        applied = _applied(conn)
-        _check_history(applied, wanted)
-        for name, text in wanted.items():
-            if name not in applied:
-                _create_extensions_first(conn, name)
-                with conn.cursor() as cursor:
-                    cursor.execute(text)
-                    cursor.execute(load_sql("schema.insert_migration"), {"name": name, "sha256": _sha256(text)})
-                done.append(name)
-        if _may_create_roles(conn):
-            execute(conn, load_sql("schema.roles"))
-    return done
-
-
-def database_status(conn: Connection) -> DatabaseStatus:
-    """What the database holds; changes nothing."""
-    with transaction(conn, "The state of the database cannot be read"):
-        facts = execute(conn, load_sql("schema.status"))[0]
-        applied = _applied(conn) if facts["has_schema"] else {}
-        maps = execute(conn, load_sql("map.maps")) if facts["has_map"] else []
-        wanted = _migration_files(sql_directory() / "migrations")
-        return DatabaseStatus(
-            database=facts["database"],
-            user=facts["username"],
-            postgres_version=facts["postgres_version"],
-            postgis_version=facts["postgis_version"],
-            applied_migrations=tuple(sorted(applied)),
-            pending_migrations=tuple(name for name in wanted if name not in applied),
-            missing_roles=_missing_roles(conn) if facts["has_map"] else ROLES,
-            may_create_roles=_may_create_roles(conn),
-            size_bytes=facts["size_bytes"],
-            maps=tuple((row["map_name"], row["srid"]) for row in maps),
-        )
-
-
-def _migration_files(directory: Path) -> dict[str, str]:
-    files = {path.stem: path.read_text(encoding="utf-8") for path in sorted(directory.glob("*.sql"))}
-    for number, name in enumerate(files, start=1):
-        if not re.fullmatch(rf"{number:04d}_[a-z0-9_]+", name):
-            raise DatabaseError(f"migration {name}.sql in {directory} should be named {number:04d}_<what it does>.sql")
-    return files
-
-
-def _applied(conn: Connection) -> dict[str, str]:
-    return {row["name"]: row["sha256"] for row in execute(conn, load_sql("schema.applied_migrations"))}
-
-
-def _check_history(applied: Mapping[str, str], wanted: Mapping[str, str]) -> None:
-    unknown = [name for name in applied if name not in wanted]
-    if unknown:
-        raise DatabaseError(f"The database was migrated by a newer conetl ({', '.join(unknown)}): install that one.")
-    for name, sha256 in applied.items():
-        if _sha256(wanted[name]) != sha256:
-            raise DatabaseError(
-                f"sql/migrations/{name}.sql was changed after it was applied to this database: restore the file and put the "
-                "change into a new migration."
-            )
-
-
-def _create_extensions_first(conn: Connection, migration: str) -> None:
-    """Say which extension is missing in words, where PostgreSQL would only name a control file."""
-    missing: Sequence[str] = [row["name"] for row in execute(conn, load_sql("schema.missing_extensions"))]
-    if missing:
-        raise DatabaseError(
-            f"migration {migration} needs the extension(s) {', '.join(missing)}, which this server does not offer: install "
-            "PostGIS on the server (Debian: postgresql-<version>-postgis-3) or set CONETL_DATABASE_URL to another one."
-        )
-
-
-def _has_schema(conn: Connection) -> bool:
-    return bool(execute(conn, load_sql("schema.status"))[0]["has_schema"])
-
-
-def _missing_roles(conn: Connection) -> tuple[str, ...]:
-    ready = {row["rolname"] for row in execute(conn, load_sql("schema.ready_roles"), {"names": list(ROLES)})}
-    return tuple(name for name in ROLES if name not in ready)
-
-
-def _may_create_roles(conn: Connection) -> bool:
-    return bool(execute(conn, load_sql("schema.may_create_roles"))[0]["may_create_roles"])
-
-
-def _sha256(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _first_line(error: Exception) -> str:
