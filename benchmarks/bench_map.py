@@ -49,7 +49,8 @@ from benchmarks.made_up_map import (
 from conetl.db.audits import run_audits
 from conetl.db.cluster.cluster import cluster_down, cluster_remove, cluster_up
 from conetl.db.connection import Connection, connect, execute
-from conetl.db.map.map_store import commit_changeset, map_transaction, place_drive, read_features_as_of
+from conetl.db.map.commit import commit_changeset, place_drive
+from conetl.db.map.map_store import map_transaction, read_features_as_of
 from conetl.db.map.replay_store import (
     affected_drives,
     read_doubts_around,

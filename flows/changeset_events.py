@@ -18,7 +18,7 @@ from prefect.logging import get_logger
 
 from conetl.db.connection import Connection
 from conetl.db.map.map_store import find_changeset, list_changesets
-from conetl.db.notification_store import QUIET, mark_told, untold_changesets, vanished_by_changeset, was_told
+from conetl.db.notification_store import QUIET, is_published, mark_published, pending_changesets, removed_by_changeset
 from conetl.exports.geojson import export_geojson
 from conetl.model.ingest_report import IngestReport
 from conetl.pipeline.settings import Settings
@@ -33,9 +33,9 @@ _PATIENCE_S = 60.0
 def tell_changes(report: IngestReport, settings: Settings) -> bool:
     """One event for the changeset, and one for each cone that vanished, which an automation can count; whether any was due."""
     with open_map(settings) as conn:
-        if was_told(conn, report.changeset_id):
+        if is_published(conn, report.changeset_id):
             return False
-        vanished = vanished_by_changeset(conn, report.changeset_id)
+        vanished = removed_by_changeset(conn, report.changeset_id)
         map_resource = f"conetl.map.{report.map_name}"
         changeset_resource = f"{map_resource}.changeset.{report.changeset_id}"
         related = [{"prefect.resource.id": map_resource, "prefect.resource.role": "map"}]
@@ -66,7 +66,7 @@ def tell_changes(report: IngestReport, settings: Settings) -> bool:
             )
         # Events leave in a thread of their own: "told" is true only once they have left.
         EventsWorker.drain_all(timeout=_PATIENCE_S, at_exit=False)
-        mark_told(conn, report.changeset_id)
+        mark_published(conn, report.changeset_id)
     return True
 
 
@@ -79,7 +79,7 @@ def catch_up_task(report: IngestReport, settings: Settings) -> None:
 def catch_up(report: IngestReport, settings: Settings) -> None:
     """Write the map's file and the drive's report, then tell: "told" is true of all of it. Nothing where it was told."""
     with open_map(settings) as conn:
-        if was_told(conn, report.changeset_id):
+        if is_published(conn, report.changeset_id):
             return
         settings.exports_folder.mkdir(parents=True, exist_ok=True)
         export_geojson(conn, settings.exports_folder / f"{settings.map_name}.geojson", map_name=settings.map_name)
@@ -95,7 +95,7 @@ def tell_untold(conn: Connection, settings: Settings, *, quiet: timedelta = QUIE
 
     What does not work is logged and left to the next one: those who call this have drives to see to.
     """
-    for found in untold_changesets(conn, map_name=settings.map_name, quiet=quiet):
+    for found in pending_changesets(conn, map_name=settings.map_name, quiet=quiet):
         known = find_changeset(conn, found.idempotency_key, map_name=settings.map_name)
         conn.rollback()
         if known is None:

@@ -220,13 +220,13 @@ where m.map_name = %(map_name)s and d.drive_uuid = %(drive_uuid)s
 order by f.captured_at_ns
 limit %(max_rows)s;
 
--- name: rig
--- The rig of one drive of a map.
--- Parameters: map_name; drive_uuid. Columns: rig (JSON).
-select d.rig
+-- name: rigs
+-- The rigs of some drives of a map.
+-- Parameters: map_name; drive_uuids (uuid[]). Columns: drive_uuid, rig (JSON).
+select d.drive_uuid, d.rig
 from conetl.drive d
 join conetl.map m using (map_id)
-where m.map_name = %(map_name)s and d.drive_uuid = %(drive_uuid)s;
+where m.map_name = %(map_name)s and d.drive_uuid = any(%(drive_uuids)s::uuid[]);
 
 -- name: decisions
 -- The decisions about a map that were not withdrawn, newest first.

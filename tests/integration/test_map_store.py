@@ -19,9 +19,9 @@ import pytest
 
 from conetl.db.audits import run_audits
 from conetl.db.connection import connect, execute
+from conetl.db.map.commit import commit_changeset
 from conetl.db.map.decision_store import find_decisions
 from conetl.db.map.map_store import (
-    commit_changeset,
     feature_log,
     find_changeset,
     find_map,

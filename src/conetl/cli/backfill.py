@@ -13,7 +13,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from conetl.cli.console import JsonOption, counted, err, out, parse_time, print_json, print_table
 from conetl.cli.database import open_map
 from conetl.cli.ingest import read_params
-from conetl.db.notification_store import QUIET, untold_changesets
+from conetl.db.notification_store import QUIET, pending_changesets
 from conetl.model.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_SERVICE_MISSING, EXIT_TOO_MANY_REJECTIONS
 from conetl.pipeline.settings import prefect_environment, read_settings
 
@@ -60,7 +60,7 @@ def backfill(
             until=parse_time(until),
             recheck=recheck,
         )
-        untold = untold_changesets(conn, map_name=settings.map_name, quiet=QUIET)
+        untold = pending_changesets(conn, map_name=settings.map_name, quiet=QUIET)
     if dry_run or not (plan.todo or untold):
         if as_json:
             print_json({"plan": plan_as_dict(plan, max_parallel or 1), "drives": []})

@@ -23,7 +23,7 @@ class AuditResult:
     rows: tuple[dict[str, Any], ...]
     """The first 100 offending rows; every one has a column `problem`."""
     seconds: float = 0.0
-    """How long it took."""
+    """Duration."""
 
     @property
     def passed(self) -> bool:
@@ -38,7 +38,7 @@ def run_audits(conn: Connection) -> list[AuditResult]:
 
 
 def audits_of_open_transaction(conn: Connection) -> list[AuditResult]:
-    """Run all audits on what the caller's open transaction sees, its own uncommitted changes included."""
+    """Run all audits inside the caller's open transaction, its own uncommitted changes included."""
     return [_run(conn, name, text) for name, text in statements("audits").items()]
 
 

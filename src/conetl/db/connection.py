@@ -14,16 +14,16 @@ import psycopg2.errors
 import psycopg2.extensions
 import psycopg2.extras
 
+from conetl.db.ahead import read_ahead
 from conetl.db.copy_binary import Column, copy_statement, encode, row_count, sliced
-from conetl.db.read_ahead import read_ahead
 from conetl.db.statements import load_sql
 from conetl.model.errors import DatabaseError
 
 Connection: TypeAlias = psycopg2.extensions.connection
 
 CONNECT_TIMEOUT_S = 10
-#: Many sessions are idle while a drive is computed. Over TCP, both ends ask for the other one after `_IDLE_S` and know after a
-#: minute that it is gone; firewalls in between see traffic. Without effect on unix sockets; what the address names itself counts.
+#: Many sessions are idle while a drive is computed. Over TCP, both ends probe the other one after `_IDLE_S` and know within a
+#: minute that it is gone; firewalls see traffic. Without effect on unix sockets; settings in the address take precedence.
 _IDLE_S, _INTERVAL_S, _COUNT = 30, 10, 3
 _GONE_MS = 1000 * (_IDLE_S + _COUNT * _INTERVAL_S)
 CLIENT_KEEPALIVES = {
@@ -39,16 +39,21 @@ SESSION_OPTIONS = (
     f"-c tcp_keepalives_count={_COUNT} -c tcp_user_timeout={_GONE_MS}"
 )
 COPY_BATCH_ROWS = 200_000
-#: Sent at once; psycopg2's own 8 kB cost a call of Python for every few rows.
+#: Sent at once; psycopg2's own 8 kB cost a Python call for every few rows.
 COPY_CHUNK_BYTES = 1 << 20
 
 
+class CopyBlock(NamedTuple):
+    """Rows that are ready to be sent."""
+
+    statement: str
+    data: BytesIO
+
+
 def sqlalchemy_url(url: str, database: str | None = None) -> str:
-    """A libpq address, of either form, as SQLAlchemy's asyncpg dialect wants it; for another database where one is named."""
+    """A libpq address, of either form, for SQLAlchemy's asyncpg dialect; database: another one on the same server."""
     parts = address_parts(url)
-    login = quote(parts.get("user", ""), safe="") + (
-        f":{quote(parts['password'], safe='')}" if "password" in parts else ""
-    )
+    login = ":".join(quote(parts[name], safe="") for name in ("user", "password") if name in parts)
     query: dict[str, str] = {name: parts[name] for name in ("host", "port") if name in parts}
     if "sslmode" in parts:
         query["ssl"] = parts["sslmode"]
@@ -57,12 +62,12 @@ def sqlalchemy_url(url: str, database: str | None = None) -> str:
 
 
 def address_parts(url: str) -> dict[str, str]:
-    """Keywords of a libpq address of either form (host, port, dbname, user, ...). Raises `DatabaseError` where it is none."""
+    """Keywords of a libpq address of either form (host, port, dbname, user, ...). Raises `DatabaseError` if it is invalid."""
     try:
         return dict(psycopg2.extensions.parse_dsn(url))
     except psycopg2.Error as error:
         raise DatabaseError(
-            f"The address {_without_password(url)} is no libpq address: {_first_line(error)}"
+            f"The address {_without_password(url)} is not a libpq address: {_first_line(error)}"
         ) from error
 
 
@@ -89,7 +94,7 @@ def connect(url: str) -> Connection:
 
 @contextmanager
 def database_errors(what: str) -> Iterator[None]:
-    """Turn psycopg2's errors into one `DatabaseError` that says `what` went wrong."""
+    """Turn psycopg2's errors into one `DatabaseError` that says `what` failed."""
     try:
         yield
     except (
@@ -119,14 +124,14 @@ def transaction(conn: Connection, what: str) -> Iterator[None]:
 
 
 def execute(conn: Connection, sql: str, parameters: Mapping[str, Any] | None = None) -> list[dict[str, Any]]:
-    """Run one statement; its rows as dictionaries, [] where it returns none."""
+    """Run one statement; its rows as dictionaries, [] if it returns none."""
     with conn.cursor(cursor_factory=psycopg2.extras.RealDictCursor) as cursor:
         cursor.execute(sql, parameters)
         return [dict(row) for row in cursor.fetchall()] if cursor.description else []
 
 
 def execute_count(conn: Connection, sql: str, parameters: Mapping[str, Any] | None = None) -> int:
-    """Run one statement; the number of rows it touched."""
+    """Run one statement; the number of rows it affected."""
     with conn.cursor() as cursor:
         cursor.execute(sql, parameters)
         return int(cursor.rowcount)
@@ -146,9 +151,9 @@ def stream(
 def copied_rows(
     conn: Connection, sql: str, parameters: Mapping[str, Any], *, batch: int
 ) -> Iterator[Iterator[list[bytes]]]:
-    """Rows of a query (without its final semicolon) as COPY BINARY has them, `batch` in a list, read ahead by a thread.
+    """Rows of a query (without its final semicolon) in COPY BINARY, `batch` in a list, read ahead by a thread.
 
-    Inside the open transaction; nothing else may be asked of the connection until the block ends.
+    Inside the open transaction; the connection cannot be used otherwise until the block ends.
     """
     with conn.cursor() as cursor:
         copy = f"copy ({cursor.mogrify(sql, parameters).decode()}) to stdout (format binary)"
@@ -157,7 +162,7 @@ def copied_rows(
 
 
 def address(conn: Connection) -> dict[str, str]:
-    """Where a connection leads: host (a folder for a unix socket), port, dbname, user. Never a password."""
+    """Address of a connection: host (a folder for a unix socket), port, dbname, user. Never a password."""
     known = conn.get_dsn_parameters()
     return {name: known[name] for name in ("host", "port", "dbname", "user") if known.get(name)}
 
@@ -170,22 +175,13 @@ def query_columns(conn: Connection, sql: str, parameters: Mapping[str, Any]) -> 
 
 
 def copy_columns(conn: Connection, table: str, columns: Mapping[str, Column]) -> None:
-    """Load columns into a table by COPY BINARY, so many rows at a time that the encoded bytes stay below some 100 MB."""
-    with conn.cursor() as cursor:
-        for start in range(0, row_count(columns), COPY_BATCH_ROWS):
-            block = encoded_block(table, sliced(columns, start, start + COPY_BATCH_ROWS))
-            cursor.copy_expert(block.statement, block.data, COPY_CHUNK_BYTES)
-
-
-class CopyBlock(NamedTuple):
-    """Rows that are ready to be sent."""
-
-    statement: str
-    data: BytesIO
+    """Load columns into a table by COPY BINARY, in batches whose encoded bytes stay below about 100 MB."""
+    for start in range(0, row_count(columns), COPY_BATCH_ROWS):
+        copy_block(conn, encoded_block(table, sliced(columns, start, start + COPY_BATCH_ROWS)))
 
 
 def encoded_block(table: str, columns: Mapping[str, Column]) -> CopyBlock:
-    """Rows of columns as COPY BINARY takes them; needs no connection."""
+    """Rows of columns encoded for COPY BINARY; needs no connection."""
     return CopyBlock(copy_statement(table, columns), encode(columns))
 
 

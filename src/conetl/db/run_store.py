@@ -1,4 +1,4 @@
-"""How long the steps of a run took, kept beside the changeset that it made."""
+"""Durations of the steps of a run, stored with its changeset."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from conetl.db.statements import load_sql
 
 
 class StepTime(Protocol):
-    """One step; seconds by the clock."""
+    """One step; seconds of wall clock."""
 
     @property
     def step(self) -> str: ...
@@ -26,7 +26,7 @@ class StepTime(Protocol):
 
 
 def write_run_steps(conn: Connection, changeset_id: UUID, steps: Iterable[StepTime]) -> None:
-    """Keep the times of the run that made a changeset, in a transaction of their own; what is there already stays."""
+    """Write the durations of a changeset's run, in a transaction of their own; existing ones stay."""
     with transaction(conn, "The times of the run cannot be written"):
         for time in steps:
             execute(

@@ -1,4 +1,4 @@
-"""What work zones are made from: the map's versions over time, and the paths of the drives that made them."""
+"""Input of work zones: the map's versions over time, and the paths of its drives."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from conetl.model.work_zone_records import DrivePath, LaneLine
 from conetl.readers.base_layers.lines import bounds_lanes, full_kind
 
 _PATH_TOLERANCE_M = 0.05
-#: Lane lines are looked for so far around the cones of a work zone; a road is not as wide.
+#: Distance around the cones of a work zone for lane lines, more than the width of a road.
 _LANE_REACH_M = 60.0
 
 
 def read_versions(conn: Connection, *, map_name: str, until: datetime | None = None) -> list[FeatureVersion]:
-    """Every believed version that began until then (None: all), by feature; [] where there is no such map."""
+    """Every current version that began until then (None: all), by feature; [] without such a map."""
     parameters = {"map_name": map_name, "valid_until": until.isoformat() if until else "infinity"}
     with database_errors(f"The history of map {map_name} cannot be read"):
         return [version_of(row) for row in stream(conn, load_sql("map.current_versions"), parameters)]
 
 
 def read_paths(conn: Connection, *, map_name: str, until: datetime | None = None) -> list[DrivePath]:
-    """The paths of the drives that count and began until then (None: all), by time."""
+    """The paths of the active drives that began until then (None: all), by time."""
     parameters = {
         "map_name": map_name,
         "valid_until": until.isoformat() if until else "infinity",
@@ -45,9 +45,9 @@ def read_paths(conn: Connection, *, map_name: str, until: datetime | None = None
 def read_lanes_near(
     conn: Connection, places_m: Sequence[NDArray[np.float64]], *, map_name: str
 ) -> tuple[list[list[LaneLine]], list[str]]:
-    """Lane lines that the map's base layers have near each of the places, and the names of these layers.
+    """Lane lines of the map's base layers near each set of positions, and the names of these layers.
 
-    places_m: (N, 2) each, in the map's CRS. Near: in their box, widened by `_LANE_REACH_M`.
+    places_m: (N, 2) each, in the map's CRS. Near: inside their box, widened by `_LANE_REACH_M`.
     """
     found: list[list[LaneLine]] = [[] for _ in places_m]
     layers: set[str] = set()

@@ -1,4 +1,4 @@
-"""What people decided about a map. Append-only: what is taken back is withdrawn by another decision."""
+"""Decisions of people about a map. Append-only: a decision is withdrawn by another one."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from conetl.model.map_records import Decisions, Place
 
 
 def list_decisions(conn: Connection, *, map_name: str = "default") -> list[StoredDecision]:
-    """The decisions that hold, oldest first."""
+    """The decisions that were not withdrawn, oldest first."""
     with database_errors(f"The decisions about map {map_name} cannot be read"):
         return [
             StoredDecision(**row)
@@ -22,7 +22,7 @@ def list_decisions(conn: Connection, *, map_name: str = "default") -> list[Store
 
 
 def read_decisions(conn: Connection, *, map_name: str = "default") -> Decisions:
-    """The decisions about places that hold, as the comparison of drives takes them."""
+    """The decisions about places, in the form for the comparison of drives."""
     places: dict[str, list[Place]] = {"suppress": [], "pin": [], "revert": []}
     for decision in list_decisions(conn, map_name=map_name):
         if decision.place is not None:
@@ -31,7 +31,7 @@ def read_decisions(conn: Connection, *, map_name: str = "default") -> Decisions:
 
 
 def find_decisions(conn: Connection, beginning: str, *, map_name: str = "default") -> list[Decidable]:
-    """Changesets and decisions whose id begins so, or the changeset of that number; at most two."""
+    """Changesets and decisions whose id begins with a text, or the changeset of that number; at most two."""
     parameters = {"map_name": map_name, "beginning": clean_text(beginning).lower()}
     with database_errors(f"The map {map_name} cannot be read"):
         return [Decidable(**row) for row in execute(conn, load_sql("decisions.find_decisions"), parameters)]
