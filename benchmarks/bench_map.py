@@ -172,7 +172,7 @@ def executed_ms(conn: Connection, count: int) -> np.ndarray:
     times = []
     for x, y, _ in place_of(rng.integers(0, count, LOOKS)).tolist():
         box = {"west_m": x - 250, "south_m": y - 250, "east_m": x + 250, "north_m": y + 250, "srid": SRID}
-        parameters = box | {"map_name": MAP_NAME, "valid_at": at, "known_at": "infinity"}
+        parameters = box | {"map_name": MAP_NAME, "valid_at": at, "known_at": "infinity", "max_rows": None}
         [plan] = execute(conn, f"explain (analyze, format json) {load_sql('map.features_as_of')}", parameters)
         top = plan["QUERY PLAN"][0]
         times.append(top["Planning Time"] + top["Execution Time"])

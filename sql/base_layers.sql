@@ -10,9 +10,7 @@ where m.map_name = %(map_name)s and s.layer_name = %(layer_name)s and s.content_
 and s.params = %(params)s::jsonb;
 
 -- name: insert_source
--- One imported file of a base layer, unless it exists.
--- Parameters: source_id; map_name; layer_name; kind; source_path; content_sha256; params (JSON); source_crs;
--- read_count; kept_count; refused_count; heights; west_m, south_m, east_m, north_m.
+-- One imported file of a base layer, unless it exists. Parameters: as the columns; map_name; corners of the extent (map CRS).
 -- Columns: source_id (no row where another import was faster).
 insert into conetl.base_source (
     source_id, map_id, srid, layer_name, kind, source_path, content_sha256, params, source_crs, read_count, kept_count,
@@ -36,16 +34,14 @@ where m.map_id = s.map_id and m.map_name = %(map_name)s and s.layer_name = %(lay
 and s.source_path = %(source_path)s and s.source_id <> %(source_id)s;
 
 -- name: drop_layer
--- Drop a base layer with all its files.
--- Parameters: map_name; layer_name. Columns: kept_count of each file.
+-- Drop a base layer with all its files. Parameters: map_name; layer_name. Columns: kept_count of each file.
 delete from conetl.base_source s
 using conetl.map m
 where m.map_id = s.map_id and m.map_name = %(map_name)s and s.layer_name = %(layer_name)s
 returning s.kept_count;
 
 -- name: sources
--- The imported files of a map's base layers.
--- Parameters: map_name.
+-- The imported files of a map's base layers. Parameters: map_name.
 -- Columns: source_id, layer_name, kind, source_path, content_sha256, params, source_crs, read_count, kept_count,
 -- refused_count, heights, imported_at, west_m, south_m, east_m, north_m (map's CRS), bytes (of tiles, compressed).
 select
@@ -137,8 +133,7 @@ order by t.level, s.source_id, t.ix, t.iy
 limit %(max_rows)s;
 
 -- name: tile
--- The bytes of one point tile of a map.
--- Parameters: map_name; sha256. Columns: payload.
+-- The bytes of one point tile of a map. Parameters: map_name; sha256. Columns: payload.
 select t.payload
 from conetl.base_tile t
 join conetl.base_source s using (source_id)

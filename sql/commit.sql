@@ -1,13 +1,11 @@
 -- Writing a changeset: its row, its deltas merged into the map, the run that it came from, and its publication.
 
 -- name: set_lock_timeout
--- How long this transaction waits for a lock.
--- Parameters: timeout (for example '600s').
+-- How long this transaction waits for a lock. Parameters: timeout (for example '600s').
 select set_config('lock_timeout', %(timeout)s, true);
 
 -- name: lock_map
--- Let only one transaction at a time read and change this map; held until the transaction ends.
--- Parameters: map_name.
+-- Let only one transaction at a time read and change this map; held until the transaction ends. Parameters: map_name.
 select pg_advisory_xact_lock(hashtextextended('conetl.map/' || %(map_name)s, 0));
 
 -- name: system_time
@@ -21,7 +19,7 @@ select greatest(
 
 -- name: insert_run
 -- The run that made a changeset.
--- Parameters: run_id; started_at; finished_at; params (JSON); flow_run_id; facts (JSON or null).
+-- Parameters: as the columns.
 insert into conetl.run (run_id, started_at, finished_at, params, flow_run_id, facts)
 values (%(run_id)s, %(started_at)s, greatest(%(finished_at)s, %(started_at)s), %(params)s, %(flow_run_id)s, %(facts)s);
 
@@ -54,40 +52,16 @@ returning changeset_no;
 -- name: create_delta_stage
 -- Where the deltas of one changeset are loaded, each with the resulting state of the feature (units as in
 -- feature_version). is_change: false where a confirmation changes nothing. present: neither removed nor suppressed.
-create temporary table delta_stage (
-    feature_id            uuid not null primary key,
-    kind                  text not null,
-    old_version           integer,
-    is_change             boolean not null,
-    track_index           integer,
-    changed_at_ns         bigint not null,
-    changed_at            timestamptz not null,
-    shift_m               float8,
-    other_feature_id      uuid,
-    log_likelihood_ratio  float8,
-    existence_after       float8,
-    frames_seen           integer,
-    frames_empty          integer,
-    present               boolean not null,
-    suppressed            boolean not null,
-    category              text not null,
-    geom                  geometry not null,
-    cov_xx                float8 not null,
-    cov_xy                float8 not null,
-    cov_xz                float8 not null,
-    cov_yy                float8 not null,
-    cov_yz                float8 not null,
-    cov_zz                float8 not null,
-    calibrations          uuid[],
-    shared_jacobian_m     real[],
-    centre_geom           geometry not null,
-    cone_height_m         float8 not null,
-    cone_height_sigma_m   float8 not null,
-    existence_probability float8 not null,
-    observation_count     integer not null,
-    first_seen_ns         bigint not null,
-    last_seen_ns          bigint not null
-) on commit drop;
+create temporary table delta_stage on commit drop as
+select
+    feature_id, kind, old_version, true as is_change, track_index, changed_at_ns, changed_at, shift_m,
+    other_feature_id, log_likelihood_ratio, existence_after, frames_seen, frames_empty,
+    present, suppressed, category, geom, cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz,
+    centre_geom, cone_height_m, cone_height_sigma_m, existence_probability, observation_count, first_seen_ns, last_seen_ns,
+    calibrations, shared_jacobian_m
+from conetl.delta
+join conetl.feature_version using (cell, feature_id)
+with no data;
 
 -- name: create_open_version
 -- The current open version of each staged feature that stands around the drive, found by position, where neighbours are
@@ -133,8 +107,7 @@ cross join lateral (
 where not exists (select from open_version o where o.feature_id = s.feature_id);
 
 -- name: delta_conflicts
--- Staged deltas that do not fit the map because it was changed since it was read. No rows: all fit.
--- Parameters: map_id.
+-- Staged deltas that do not fit the map because it was changed since it was read. No rows: all fit. Parameters: map_id.
 -- Columns: feature_id, kind, old_version (expected), version (found), present (found; true for suppressed features too,
 -- which take part in the comparison of drives).
 select s.feature_id, s.kind, s.old_version, o.version, o.present
@@ -148,8 +121,7 @@ end
 limit 10;
 
 -- name: insert_features
--- Add the features that are new.
--- Parameters: map_id; srid; changeset_id.
+-- Add the features that are new. Parameters: map_id; srid; changeset_id.
 insert into conetl.feature (feature_id, map_id, srid, created_by, cell)
 select s.feature_id, %(map_id)s, %(srid)s, %(changeset_id)s, conetl.cell_at(s.geom)
 from delta_stage s
@@ -159,8 +131,7 @@ on conflict (feature_id) where map_id > 0 do nothing;
 -- name: close_versions
 -- End the system period of the versions that this changeset replaces.
 -- any(array(...)): one lookup in the primary key each; a join would read the primary key from its start to the last of
--- them.
--- Parameters: committed_at (timestamptz).
+-- them. Parameters: committed_at (timestamptz).
 update conetl.feature_version v
 set system_period = tstzrange(lower(v.system_period), %(committed_at)s)
 where v.version_row_id = any(
@@ -211,8 +182,7 @@ where s.is_change
 order by 1, s.feature_id;
 
 -- name: insert_deltas
--- Write the staged deltas, in the order of cells.
--- Parameters: changeset_id; committed_at (timestamptz).
+-- Write the staged deltas, in the order of cells. Parameters: changeset_id; committed_at (timestamptz).
 insert into conetl.delta (
     cell, changeset_id, feature_id, kind, old_version, new_version, track_index, changed_at_ns, changed_at, shift_m,
     other_feature_id, log_likelihood_ratio, existence_after, frames_seen, frames_empty, system_period
@@ -236,13 +206,11 @@ from pg_class c
 where c.oid = 'conetl.feature_version'::regclass;
 
 -- name: is_published
--- Whether a changeset's events were handed to Prefect.
--- Parameters: changeset_id. Columns: is_published.
+-- Whether a changeset's events were handed to Prefect. Parameters: changeset_id. Columns: is_published.
 select exists (select 1 from conetl.changeset_published t where t.changeset_id = %(changeset_id)s) as is_published;
 
 -- name: mark_published
--- Remember that a changeset's events were handed to Prefect.
--- Parameters: changeset_id.
+-- Remember that a changeset's events were handed to Prefect. Parameters: changeset_id.
 insert into conetl.changeset_published (changeset_id) values (%(changeset_id)s) on conflict do nothing;
 
 -- name: pending_changesets
@@ -259,8 +227,7 @@ where m.map_name = %(map_name)s and d.kind = 'drive'
 order by c.changeset_no;
 
 -- name: removed_features
--- Features that a changeset removed, as committed.
--- Parameters: changeset_id.
+-- Features that a changeset removed, as committed. Parameters: changeset_id.
 -- Columns: feature_id; easting_m, northing_m, height_m (map CRS), cone_height_m: the last known ones.
 select x.feature_id, ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m, ST_Z(v.geom) as height_m, v.cone_height_m
 from conetl.delta x

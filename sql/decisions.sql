@@ -1,8 +1,7 @@
 -- What people decided about a map. Append-only.
 
 -- name: active_decisions
--- The decisions about a map that were not withdrawn, oldest first.
--- Parameters: map_name.
+-- The decisions about a map that were not withdrawn, oldest first. Parameters: map_name.
 -- Columns: decision_id, decision_no, kind, easting_m, northing_m, radius_m, feature_id, changeset_id, note, decided_by,
 -- decided_at.
 select
@@ -46,9 +45,7 @@ order by n.id
 limit 2;
 
 -- name: insert_decision
--- What a person decided.
--- Parameters: decision_id, map_id, srid, kind, easting_m, northing_m, radius_m (null of a revert or withdrawal),
--- feature_id, changeset_id, withdraws, note, decided_by, decided_at.
+-- What a person decided. Parameters: as the columns; easting_m, northing_m (null of a revert or withdrawal).
 insert into conetl.decision (
     decision_id, map_id, srid, kind, geom, radius_m, feature_id, changeset_id, withdraws, note, decided_by, decided_at
 ) values (

@@ -19,8 +19,7 @@ where not exists (select from conetl.drive d where d.drive_uuid = %(drive_uuid)s
 on conflict (drive_uuid) do nothing;
 
 -- name: header
--- One ingested drive.
--- Parameters: drive_uuid.
+-- One ingested drive. Parameters: drive_uuid.
 -- Columns: map_name, srid, drive_id, source_path, content_sha256, rig (null for an imported map), captured_from_ns,
 -- expected_frame_count, reconcile, influence_m, absence_figures.
 select
@@ -31,16 +30,14 @@ join conetl.map m using (map_id)
 where d.drive_uuid = %(drive_uuid)s;
 
 -- name: path
--- The path of a drive.
--- Parameters: drive_uuid. Columns: easting, northing (metres of the map's CRS), by frame.
+-- The path of a drive. Parameters: drive_uuid. Columns: easting, northing (metres of the map's CRS), by frame.
 select ST_X(p.geom), ST_Y(p.geom)
 from conetl.frame_pair p
 where p.drive_uuid = %(drive_uuid)s
 order by p.frame_index;
 
 -- name: frame_pairs
--- The frame pairs of a drive.
--- Parameters: drive_uuid. Columns: as FramePair and its Pose.
+-- The frame pairs of a drive. Parameters: drive_uuid. Columns: as FramePair and its Pose.
 select
     p.frame_index, p.left_path, p.right_path, p.captured_at_ns, ST_X(p.geom), ST_Y(p.geom), ST_Z(p.geom),
     p.map_r_body, p.sigma_enu_m, p.sigma_rpy_rad
@@ -49,8 +46,7 @@ where p.drive_uuid = %(drive_uuid)s
 order by p.frame_index;
 
 -- name: detections
--- The detections of a drive.
--- Parameters: drive_uuid. Columns: as Detection (pixels of the original image).
+-- The detections of a drive. Parameters: drive_uuid. Columns: as Detection (pixels of the original image).
 select d.frame_index, d.side, d.detection_index, d.category, d.x_px, d.y_px, d.w_px, d.h_px, d.score
 from conetl.detection d
 where d.drive_uuid = %(drive_uuid)s
@@ -65,8 +61,7 @@ where p.drive_uuid = %(drive_uuid)s
 order by p.frame_index, p.match_index;
 
 -- name: tracks
--- The tracks of a drive.
--- Parameters: drive_uuid.
+-- The tracks of a drive. Parameters: drive_uuid.
 -- Columns: as Track (metres, m^2, ns); members as (frame, match) pairs in a two-dimensional array; last, calibrations
 -- and shared_jacobian_m as PostgreSQL sends them, concatenated.
 select
@@ -109,8 +104,7 @@ group by d.drive_uuid, d.drive_id, d.captured_from_ns
 order by d.captured_from_ns, d.drive_id;
 
 -- name: committed_drives
--- The recordings that were committed to a map, reverted ones included.
--- Parameters: map_name.
+-- The recordings that were committed to a map, reverted ones included. Parameters: map_name.
 -- Columns: drive_id, captured_from_ns, captured_to_ns (UTC), params_sha256, model_sha256, changeset_no, committed_at,
 -- headers (text[]: header hashes of its folders according to receipts; empty: ingested by hand).
 select

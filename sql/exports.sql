@@ -10,8 +10,7 @@ set transaction isolation level repeatable read, read only;
 set local work_mem = %(work_mem)s;
 
 -- name: facts
--- What a manifest states about a map.
--- Parameters: map_name.
+-- What a manifest states about a map. Parameters: map_name.
 -- Columns: licence (null where none was set), last_committed_at (of changesets and decisions), changeset_count,
 -- schema_version (the last migration).
 select
@@ -87,35 +86,16 @@ doubts_of_versions as (
     order by version_row_id, captured_from_ns desc, content_sha256 collate "C" desc, idempotency_key collate "C" desc
 )
 select
-    v.feature_id,
-    v.version,
-    v.category,
+    v.feature_id, v.version, v.category,
     coalesce(b.existence_after, vb.existence_after, v.existence_probability) as existence_probability,
-    v.cone_height_m as height_m,
-    sqrt(v.cov_xx) as sigma_e_m,
-    sqrt(v.cov_yy) as sigma_n_m,
-    sqrt(v.cov_zz) as sigma_u_m,
-    v.first_seen_ns,
-    v.last_seen_ns,
-    v.observation_count,
-    lower(v.valid_period) as valid_from,
-    upper(v.valid_period) as valid_to,
-    v.changeset_id,
-    coalesce(n.seen_count, vn.seen_count, 0) as seen_count,
-    coalesce(n.missed_count, vn.missed_count, 0) as missed_count,
-    v.cone_height_sigma_m as height_sigma_m,
-    v.cov_xy as cov_en_m2,
-    v.cov_xz as cov_eu_m2,
-    v.cov_yz as cov_nu_m2,
-    x.kind as change,
-    x.shift_m,
-    v.present,
-    v.suppressed,
-    lower(v.system_period) as system_from,
-    upper(v.system_period) as system_to,
-    ST_X(v.geom) as easting_m,
-    ST_Y(v.geom) as northing_m,
-    ST_Z(v.geom) as ellipsoidal_height_m
+    v.cone_height_m as height_m, sqrt(v.cov_xx) as sigma_e_m, sqrt(v.cov_yy) as sigma_n_m, sqrt(v.cov_zz) as sigma_u_m,
+    v.first_seen_ns, v.last_seen_ns, v.observation_count,
+    lower(v.valid_period) as valid_from, upper(v.valid_period) as valid_to, v.changeset_id,
+    coalesce(n.seen_count, vn.seen_count, 0) as seen_count, coalesce(n.missed_count, vn.missed_count, 0) as missed_count,
+    v.cone_height_sigma_m as height_sigma_m, v.cov_xy as cov_en_m2, v.cov_xz as cov_eu_m2, v.cov_yz as cov_nu_m2,
+    x.kind as change, x.shift_m, v.present, v.suppressed,
+    lower(v.system_period) as system_from, upper(v.system_period) as system_to,
+    ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m, ST_Z(v.geom) as ellipsoidal_height_m
 from conetl.feature_version v
 left join conetl.delta x on %(with_change)s and x.changeset_id = v.changeset_id and x.feature_id = v.feature_id
     and x.new_version = v.version and x.system_period @> lower(v.system_period)
@@ -156,17 +136,10 @@ both_states as (
     where b.feature_id is null or a.feature_id is null or (a.state).version_row_id <> (b.state).version_row_id
 )
 select
-    (c.state).feature_id,
-    (c.state).version,
-    (c.state).category,
+    (c.state).feature_id, (c.state).version, (c.state).category,
     coalesce(e.existence_after, (c.state).existence_probability) as existence_probability,
-    (c.state).cone_height_m as height_m,
-    sqrt((c.state).cov_xx) as sigma_e_m,
-    sqrt((c.state).cov_yy) as sigma_n_m,
-    sqrt((c.state).cov_zz) as sigma_u_m,
-    (c.state).first_seen_ns,
-    (c.state).last_seen_ns,
-    (c.state).observation_count,
+    (c.state).cone_height_m as height_m, sqrt((c.state).cov_xx) as sigma_e_m, sqrt((c.state).cov_yy) as sigma_n_m,
+    sqrt((c.state).cov_zz) as sigma_u_m, (c.state).first_seen_ns, (c.state).last_seen_ns, (c.state).observation_count,
     lower((c.state).valid_period) as valid_from,
     case
         when (c.new).feature_id is null then (
@@ -177,27 +150,17 @@ select
         )
         else upper((c.state).valid_period)
     end as valid_to,
-    (c.state).changeset_id,
-    e.seen_count,
-    e.missed_count,
-    (c.state).cone_height_sigma_m as height_sigma_m,
-    (c.state).cov_xy as cov_en_m2,
-    (c.state).cov_xz as cov_eu_m2,
-    (c.state).cov_yz as cov_nu_m2,
+    (c.state).changeset_id, e.seen_count, e.missed_count, (c.state).cone_height_sigma_m as height_sigma_m,
+    (c.state).cov_xy as cov_en_m2, (c.state).cov_xz as cov_eu_m2, (c.state).cov_yz as cov_nu_m2,
     case
         when (c.old).feature_id is null then 'added'
         when (c.new).feature_id is null then 'removed'
         when ST_Distance((c.old).geom, (c.new).geom) > %(moved_from_m)s then 'moved'
         else 'confirmed'
     end as change,
-    ST_Distance((c.old).geom, (c.new).geom) as shift_m,
-    (c.old).version as old_version,
-    ST_X((c.old).geom) as old_easting_m,
-    ST_Y((c.old).geom) as old_northing_m,
-    ST_Z((c.old).geom) as old_height_m,
-    ST_X((c.state).geom) as easting_m,
-    ST_Y((c.state).geom) as northing_m,
-    ST_Z((c.state).geom) as ellipsoidal_height_m
+    ST_Distance((c.old).geom, (c.new).geom) as shift_m, (c.old).version as old_version,
+    ST_X((c.old).geom) as old_easting_m, ST_Y((c.old).geom) as old_northing_m, ST_Z((c.old).geom) as old_height_m,
+    ST_X((c.state).geom) as easting_m, ST_Y((c.state).geom) as northing_m, ST_Z((c.state).geom) as ellipsoidal_height_m
 from both_states c
 cross join lateral conetl.feature_evidence(
     (c.state).feature_id, (c.state).version, %(to_valid_at)s::timestamptz, %(known_at)s::timestamptz
@@ -208,8 +171,7 @@ order by
     (c.state).feature_id;
 
 -- name: qgis_extent
--- Extent in space and time of a map's current versions.
--- Parameters: map_name.
+-- Extent in space and time of a map's current versions. Parameters: map_name.
 -- Columns: west_m, south_m, east_m, north_m (map CRS), first_at, last_at (timestamptz); null for an empty map.
 select
     min(ST_X(v.geom)) as west_m, min(ST_Y(v.geom)) as south_m, max(ST_X(v.geom)) as east_m, max(ST_Y(v.geom)) as north_m,
@@ -220,8 +182,7 @@ where m.map_name = %(map_name)s and upper_inf(v.system_period);
 
 -- name: qgis_now
 -- Layer of a QGIS project: the standing features, and the last state of removed and merged ones, with the last change
--- of each.
--- Parameters: map_name.
+-- of each. Parameters: map_name.
 -- Columns: as below (metres, UTC); sigma_m is the mean horizontal one; seen_count, missed_count: drives that saw and
 -- that missed it, existence_probability is the value after them.
 select

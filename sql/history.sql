@@ -2,8 +2,7 @@
 
 -- name: changesets
 -- Changesets of a map, newest first, or the one of an idempotency key.
--- Parameters: map_name; idempotency_key (null: all); max_rows (null: all).
--- Columns: as CommittedChangeset.
+-- Parameters: map_name; idempotency_key (null: all); max_rows (null: all). Columns: as CommittedChangeset.
 select
     c.changeset_no, c.changeset_id, d.drive_id, c.drive_uuid, c.idempotency_key, c.params_sha256, c.model_sha256, c.code_version,
     c.committed_at, c.added_count, c.confirmed_count, c.moved_count, c.removed_count,
@@ -20,8 +19,7 @@ limit %(max_rows)s;
 
 -- name: changes_of_changeset
 -- What one changeset did to each feature that it judged, as committed: an earlier drive that arrived later may have
--- replaced it since, see feature_log.
--- Parameters: map_name; changeset_no.
+-- replaced it since, see feature_log. Parameters: map_name; changeset_no.
 -- Columns: feature_id, kind ('missed': visible but not observed, and still standing), changed_at, shift_m, track_index
 -- (null: not seen), frames_seen, frames_empty, old_easting_m, old_northing_m, old_height_m (null for added); easting_m,
 -- northing_m, height_m (after the change; of a removed feature the last position), cov_xx, cov_xy, cov_yy (m^2),

@@ -17,8 +17,7 @@ insert into conetl.drive (
 on conflict (drive_uuid) do nothing;
 
 -- name: statements
--- What an imported map states.
--- Parameters: drive_uuid. Columns: as MapFeature of version 1, then valid_from_ns.
+-- What an imported map states. Parameters: drive_uuid. Columns: as MapFeature of version 1, then valid_from_ns.
 select
     s.feature_id, 1, s.category, ST_X(s.geom), ST_Y(s.geom), ST_Z(s.geom),
     s.cov_xx, s.cov_xy, s.cov_xz, s.cov_yy, s.cov_yz, s.cov_zz,

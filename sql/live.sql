@@ -1,9 +1,7 @@
 -- Watched drives and their provisional features, which are not part of the map.
 
 -- name: upsert_watched_drive
--- A drive that is being watched, with the frame pairs processed so far.
--- Parameters: watch_id, map_name, srid, drive_id, source_path, captured_from_ns, captured_to_ns (UTC ns, of the pairs
--- processed), frame_pair_count.
+-- A drive that is being watched, with the frame pairs processed so far. Parameters: as the columns.
 insert into conetl.watched_drive (
     watch_id, map_name, srid, drive_id, source_path, captured_from_ns, captured_to_ns, frame_pair_count
 )
@@ -15,10 +13,8 @@ on conflict (watch_id) do update
 set captured_to_ns = excluded.captured_to_ns, frame_pair_count = excluded.frame_pair_count, updated_at = clock_timestamp();
 
 -- name: upsert_provisional_feature
--- A cone as the watched drive shows it now.
--- Parameters: watch_id, feature_index, map_name, srid, east_m, north_m, height_m, cov_xx, cov_xy, cov_xz, cov_yy,
--- cov_yz, cov_zz (m^2), cone_height_m, existence_probability, observation_count, first_seen_ns, last_seen_ns; reach_m:
--- the nearest standing feature of the map within it may be the same cone.
+-- A cone as the watched drive shows it now. Parameters: as the columns; map_name; east_m, north_m, height_m; reach_m: the
+-- nearest standing feature of the map within it may be the same cone.
 insert into conetl.provisional_feature (
     watch_id, feature_index, srid, geom, cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz, cone_height_m, existence_probability,
     observation_count, first_seen_ns, last_seen_ns, near_feature_id
@@ -43,18 +39,15 @@ set geom = excluded.geom, cov_xx = excluded.cov_xx, cov_xy = excluded.cov_xy, co
     updated_at = clock_timestamp();
 
 -- name: drop_provisional_feature
--- Withdraw a cone that the watched drive does not show any more.
--- Parameters: watch_id; feature_index.
+-- Withdraw a cone that the watched drive does not show any more. Parameters: watch_id; feature_index.
 delete from conetl.provisional_feature where watch_id = %(watch_id)s and feature_index = %(feature_index)s;
 
 -- name: end_watch
--- Mark a watched drive as ended; its provisional features stay until it is ingested.
--- Parameters: watch_id.
+-- Mark a watched drive as ended; its provisional features stay until it is ingested. Parameters: watch_id.
 update conetl.watched_drive set ended_at = clock_timestamp() where watch_id = %(watch_id)s;
 
 -- name: provisional_features
--- What drives show that are being recorded, or are not ingested yet.
--- Parameters: map_name.
+-- What drives show that are being recorded, or are not ingested yet. Parameters: map_name.
 -- Columns: drive_id, watch_id, ended_at (null: being watched, or its watcher died), feature_index, srid, easting_m,
 -- northing_m, height_m, cov_xx, cov_xy, cov_yy (m^2), cone_height_m, existence_probability, observation_count,
 -- first_seen_ns, last_seen_ns, near_feature_id (null: no standing feature near), updated_at.
@@ -76,8 +69,7 @@ where w.map_name = %(map_name)s
 and (w.drive_id = %(drive_id)s or w.ended_at is null or w.updated_at < now() - make_interval(days => %(keep_days)s));
 
 -- name: drop_watches
--- Remove watched drives with their provisional features.
--- Parameters: watch_ids (uuid[]).
+-- Remove watched drives with their provisional features. Parameters: watch_ids (uuid[]).
 delete from conetl.watched_drive where watch_id = any(%(watch_ids)s::uuid[]);
 
 -- name: drop_watched_recording

@@ -1,13 +1,11 @@
 -- Maps and their features: the map now, and at any instant on the road and in the database.
 
 -- name: maps
--- All maps of this database.
--- Columns: map_name, srid.
+-- All maps of this database. Columns: map_name, srid.
 select map_name, srid from conetl.map order by map_name;
 
 -- name: find_map
--- One map.
--- Parameters: map_name.
+-- One map. Parameters: map_name.
 -- Columns: map_id, map_name, srid, last_committed_at (of changesets and decisions; null while empty).
 select
     m.map_id, m.map_name, m.srid,
@@ -19,19 +17,16 @@ from conetl.map m
 where m.map_name = %(map_name)s;
 
 -- name: insert_map
--- Create a map unless it exists.
--- Parameters: map_name; srid; created_at.
+-- Create a map unless it exists. Parameters: map_name; srid; created_at.
 insert into conetl.map (map_name, srid, created_at) values (%(map_name)s, %(srid)s, %(created_at)s)
 on conflict (map_name) do nothing;
 
 -- name: set_licence
--- The licence of a map's data.
--- Parameters: map_name; licence (null: none).
+-- The licence of a map's data. Parameters: map_name; licence (null: none).
 update conetl.map set licence = %(licence)s where map_name = %(map_name)s;
 
 -- name: summary
--- One map in figures.
--- Parameters: map_name.
+-- One map in figures. Parameters: map_name.
 -- Columns: map_name, srid, feature_count (standing now), removed_count, version_count (current), changeset_count,
 -- last_committed_at (of changesets and decisions), last_captured_to_ns, west_m, south_m, east_m, north_m (null where
 -- empty).
@@ -77,7 +72,7 @@ order by v.feature_id;
 -- name: features_as_of
 -- The features that stood on a map at one instant on the road, as the database knew it at another instant.
 -- Parameters: map_name; valid_at, known_at (timestamptz; 'infinity' = latest); west_m, south_m, east_m, north_m (map
--- CRS; all null: everywhere); srid.
+-- CRS; all null: everywhere); srid; max_rows (null: all).
 -- Columns: as MapFeature (metres, m^2, UTC nanoseconds), then valid_from, valid_to (null while open), changeset_id,
 -- seen_count, missed_count (drives until then; an import saw nothing). existence_probability is the value after the
 -- last drive to which the feature was visible.
@@ -109,22 +104,21 @@ evidence as (
     group by v.feature_id
 )
 select
-    v.feature_id, v.version, v.category, ST_X(v.geom), ST_Y(v.geom), ST_Z(v.geom),
+    v.feature_id, v.version, v.category, ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m, ST_Z(v.geom) as height_m,
     v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz,
     ST_X(v.centre_geom), ST_Y(v.centre_geom), ST_Z(v.centre_geom),
-    v.cone_height_m, v.cone_height_sigma_m, coalesce(e.existence_after, v.existence_probability), v.observation_count,
-    v.first_seen_ns, v.last_seen_ns, array_send(v.calibrations) || array_send(v.shared_jacobian_m),
-    lower(v.valid_period), upper(v.valid_period), v.changeset_id,
-    coalesce(e.seen_count, 0) as seen_count,
-    coalesce(e.missed_count, 0) as missed_count
+    v.cone_height_m, v.cone_height_sigma_m, coalesce(e.existence_after, v.existence_probability) as existence_probability,
+    v.observation_count, v.first_seen_ns, v.last_seen_ns, array_send(v.calibrations) || array_send(v.shared_jacobian_m),
+    lower(v.valid_period) as valid_from, upper(v.valid_period) as valid_to, v.changeset_id,
+    coalesce(e.seen_count, 0) as seen_count, coalesce(e.missed_count, 0) as missed_count
 from v
 left join evidence e using (feature_id)
-order by v.feature_id;
+order by v.feature_id
+limit %(max_rows)s;
 
 -- name: find_features
 -- Features of a map by the beginning of their id, standing or removed. Two rows are enough to see that a beginning is
--- ambiguous.
--- Parameters: map_name; beginning (lower case, no wildcard characters); max_rows. Columns: feature_id.
+-- ambiguous. Parameters: map_name; beginning (lower case, no wildcard characters); max_rows. Columns: feature_id.
 select f.feature_id
 from conetl.feature f
 join conetl.map m using (map_id)
@@ -145,8 +139,7 @@ where f.feature_id = any(%(feature_ids)s) and f.map_id > 0
 order by f.feature_id;
 
 -- name: open_version
--- The current open version of one feature.
--- Parameters: map_name; feature_id. Columns: as FeatureVersion.
+-- The current open version of one feature. Parameters: map_name; feature_id. Columns: as FeatureVersion.
 select
     v.feature_id, v.version, v.category, ST_X(v.geom), ST_Y(v.geom), ST_Z(v.geom),
     v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz,

@@ -1,8 +1,7 @@
 -- What OGC API Features reads beside tipg's own queries. Parameters are those of asyncpg.
 
 -- name: maps
--- Maps that hold something, for the collections.
--- Parameters: $1 name of one map, null for all.
+-- Maps that hold something, for the collections. Parameters: $1 name of one map, null for all.
 -- Columns: map_name, srid, changeset_no (the newest), last_committed_at (of changesets and decisions, as map.find_map:
 -- both change the map).
 select
@@ -20,8 +19,7 @@ where $1::text is null or m.map_name = $1
 order by m.map_name;
 
 -- name: extent
--- Extent and beginning of a map.
--- Parameters: $1 map name.
+-- Extent and beginning of a map. Parameters: $1 map name.
 -- Columns: west, south, east, north (degrees; around the areas of all drives), since (beginning of the first drive),
 -- share (of this map in all versions of features of the database), version_count (of this map): both as PostgreSQL last
 -- estimated them for its plans, 0 without an estimate.
@@ -49,8 +47,7 @@ left join (
 ) s on true;
 
 -- name: warm
--- Let a new session load what PROJ needs for the maps' coordinate reference systems.
--- Columns: place (text, any).
+-- Let a new session load what PROJ needs for the maps' coordinate reference systems. Columns: place (text, any).
 select ST_AsGeoJSON(ST_Transform(ST_Centroid(d.area), 4326)) as n
 from (select distinct on (srid) area from conetl.drive order by srid) d;
 
@@ -61,8 +58,7 @@ from (select distinct on (srid) area from conetl.drive order by srid) d;
 -- versions that {{where}} names.
 -- Placeholders: {{source}} (conetl_ogc.standing, or conetl_ogc.features where the condition or the order needs its
 -- evidence), {{box}} (its named arguments, each after a comma), {{where}}, {{order}}, {{properties}} (columns of p, n
--- and e).
--- Columns: items (with commas, in order; null: none), returned (number of items).
+-- and e). Columns: items (with commas, in order; null: none), returned (number of items).
 -- Evidence is that of conetl.feature_evidence, looked up after the limit and for all items at once; existence after a
 -- miss only where there is a miss. The full join finds what a left join would, because n has no other features, but it
 -- is always hashed or merged, where a planner who expects one item would read n once per item.

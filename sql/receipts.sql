@@ -1,9 +1,7 @@
 -- What became of every drive that was handed over.
 
 -- name: insert_receipt
--- One receipt; nothing where the attempt already has one of this kind.
--- Parameters: attempt_id, map_name, drive_path, drive_id, header_sha256, analysis_sha256, content_sha256, state,
--- reason, may_pass, changeset_id, frame_pairs, seconds, flow_run_id, host.
+-- One receipt; nothing where the attempt already has one of this kind. Parameters: as the columns.
 insert into conetl.receipt (
     attempt_id, map_name, drive_path, drive_id, header_sha256, analysis_sha256, content_sha256, state, reason, may_pass,
     changeset_id, frame_pairs, seconds, flow_run_id, host
@@ -15,8 +13,7 @@ values (
 on conflict (attempt_id, (state = 'started')) do nothing;
 
 -- name: latest_receipts
--- The last receipt of every drive of a map.
--- Parameters: map_name; headers (text[], null: all).
+-- The last receipt of every drive of a map. Parameters: map_name; headers (text[], null: all).
 -- Columns: as Receipt; attempts counts how often work on the drive was started.
 select
     r.attempt_id, r.map_name, r.drive_path, r.drive_id, r.header_sha256, r.analysis_sha256, r.content_sha256, r.state, r.reason,
@@ -31,8 +28,7 @@ where r.map_name = %(map_name)s and (%(headers)s::text[] is null or r.header_sha
 order by r.receipt_no;
 
 -- name: receipt_ends
--- How attempts ended.
--- Parameters: attempt_ids (uuid[]). Columns: as Receipt.
+-- How attempts ended. Parameters: attempt_ids (uuid[]). Columns: as Receipt.
 select
     r.attempt_id, r.map_name, r.drive_path, r.drive_id, r.header_sha256, r.analysis_sha256, r.content_sha256, r.state, r.reason,
     r.may_pass, r.changeset_id, r.frame_pairs, r.seconds, r.flow_run_id, r.host, r.at

@@ -38,8 +38,7 @@ and ST_DWithin(d.area, ST_SetSRID(ST_MakePoint(%(easting_m)s::float8, %(northing
 
 -- name: standing_around
 -- The features that stand around a drive's path now, suppressed ones included: what the drive is compared with where no
--- later drive has been.
--- Parameters: drive_uuid. Columns: as FeatureVersion.
+-- later drive has been. Parameters: drive_uuid. Columns: as FeatureVersion.
 select distinct on (v.feature_id)
     v.feature_id, v.version, v.category, ST_X(v.geom), ST_Y(v.geom), ST_Z(v.geom),
     v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz,
@@ -113,8 +112,7 @@ order by v.feature_id, lower(v.valid_period);
 
 -- name: misses_around
 -- Every current miss (a drive to which the feature was visible did not observe it) of features that ever stood around
--- the paths of some drives.
--- Parameters: drive_uuids (uuid[], of one map).
+-- the paths of some drives. Parameters: drive_uuids (uuid[], of one map).
 -- Columns: as Miss, then drive_uuid and the drive's fold key: captured_from_ns, content_sha256, idempotency_key.
 select
     x.feature_id, x.changeset_id, x.old_version, x.existence_after, x.changed_at_ns,
@@ -133,8 +131,7 @@ and (x.cell, x.feature_id) in (
 order by x.feature_id, x.changeset_id;
 
 -- name: current_deltas
--- What some drives did, as it holds now.
--- Parameters: drive_uuids (uuid[]).
+-- What some drives did, as it holds now. Parameters: drive_uuids (uuid[]).
 -- Columns: delta_row_id, changeset_id, feature_id, kind, old_version, new_version, track_index, changed_at_ns, shift_m,
 -- other_feature_id, log_likelihood_ratio, existence_after, frames_seen, frames_empty.
 select
@@ -148,57 +145,25 @@ order by x.changeset_id, x.feature_id;
 -- name: create_version_stage
 -- Where whole versions are loaded that hold from now on (units as in feature_version). valid_to counts only where
 -- is_open is false.
-create temporary table version_stage (
-    feature_id            uuid not null,
-    version               integer not null,
-    changeset_id          uuid not null,
-    present               boolean not null,
-    suppressed            boolean not null,
-    category              text not null,
-    geom                  geometry not null,
-    cov_xx                float8 not null,
-    cov_xy                float8 not null,
-    cov_xz                float8 not null,
-    cov_yy                float8 not null,
-    cov_yz                float8 not null,
-    cov_zz                float8 not null,
-    calibrations          uuid[],
-    shared_jacobian_m     real[],
-    centre_geom           geometry not null,
-    cone_height_m         float8 not null,
-    cone_height_sigma_m   float8 not null,
-    existence_probability float8 not null,
-    observation_count     integer not null,
-    first_seen_ns         bigint not null,
-    last_seen_ns          bigint not null,
-    valid_from_ns         bigint not null,
-    valid_from            timestamptz not null,
-    valid_to              timestamptz not null,
-    is_open               boolean not null
-) on commit drop;
+create temporary table version_stage on commit drop as
+select
+    feature_id, version, changeset_id, present, suppressed, category, geom, cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz,
+    centre_geom, cone_height_m, cone_height_sigma_m, existence_probability, observation_count, first_seen_ns, last_seen_ns,
+    calibrations, shared_jacobian_m,
+    valid_from_ns, lower(valid_period) as valid_from, upper(valid_period) as valid_to, true as is_open
+from conetl.feature_version
+with no data;
 
 -- name: create_replayed_delta_stage
 -- Where the deltas are loaded that hold from now on, of drives that were compared with the map again.
-create temporary table replayed_delta_stage (
-    changeset_id         uuid not null,
-    feature_id           uuid not null,
-    kind                 text not null,
-    old_version          integer,
-    new_version          integer not null,
-    track_index          integer,
-    changed_at_ns        bigint not null,
-    changed_at           timestamptz not null,
-    shift_m              float8,
-    other_feature_id     uuid,
-    log_likelihood_ratio float8,
-    existence_after      float8,
-    frames_seen          integer,
-    frames_empty         integer
-) on commit drop;
+create temporary table replayed_delta_stage on commit drop as
+select changeset_id, feature_id, kind, old_version, new_version, track_index, changed_at_ns, changed_at, shift_m,
+    other_feature_id, log_likelihood_ratio, existence_after, frames_seen, frames_empty
+from conetl.delta
+with no data;
 
 -- name: insert_staged_features
--- Add the features of staged versions that did not exist.
--- Parameters: map_id; srid.
+-- Add the features of staged versions that did not exist. Parameters: map_id; srid.
 insert into conetl.feature (feature_id, map_id, srid, created_by, cell)
 select s.feature_id, %(map_id)s, %(srid)s, s.changeset_id, conetl.cell_at(s.geom)
 from version_stage s
@@ -206,22 +171,19 @@ where s.version = 1
 on conflict (feature_id) where map_id > 0 do nothing;
 
 -- name: close_version_rows
--- End the system period of some versions.
--- Parameters: committed_at (timestamptz); row_ids (bigint[]).
+-- End the system period of some versions. Parameters: committed_at (timestamptz); row_ids (bigint[]).
 update conetl.feature_version v
 set system_period = tstzrange(lower(v.system_period), %(committed_at)s)
 where v.version_row_id = any(%(row_ids)s);
 
 -- name: close_delta_rows
--- End the system period of some deltas.
--- Parameters: committed_at (timestamptz); row_ids (bigint[]).
+-- End the system period of some deltas. Parameters: committed_at (timestamptz); row_ids (bigint[]).
 update conetl.delta x
 set system_period = tstzrange(lower(x.system_period), %(committed_at)s)
 where x.delta_row_id = any(%(row_ids)s);
 
 -- name: insert_staged_versions
--- Write the staged versions with a system period from now on.
--- Parameters: map_id; srid; committed_at (timestamptz).
+-- Write the staged versions with a system period from now on. Parameters: map_id; srid; committed_at (timestamptz).
 insert into conetl.feature_version (
     cell, feature_id, version, map_id, srid, changeset_id, present, category, geom, cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz,
     centre_geom, cone_height_m, cone_height_sigma_m, existence_probability, observation_count,
@@ -239,8 +201,7 @@ left join conetl.feature f on f.feature_id = s.feature_id and f.map_id > 0  -- a
 order by f.cell, s.feature_id, s.version;
 
 -- name: insert_replayed_deltas
--- Write the staged deltas with a system period from now on.
--- Parameters: committed_at (timestamptz).
+-- Write the staged deltas with a system period from now on. Parameters: committed_at (timestamptz).
 insert into conetl.delta (
     cell, changeset_id, feature_id, kind, old_version, new_version, track_index, changed_at_ns, changed_at, shift_m,
     other_feature_id, log_likelihood_ratio, existence_after, frames_seen, frames_empty, system_period

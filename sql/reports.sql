@@ -1,8 +1,7 @@
 -- What reports of drives and nights read.
 
 -- name: changeset
--- What a report of one changeset needs beyond the list of changesets.
--- Parameters: changeset_id.
+-- What a report of one changeset needs beyond the list of changesets. Parameters: changeset_id.
 -- Columns: source_path, srid, rig (JSON, null for an imported map), expected_frame_count, content_sha256, pruned_at,
 -- params, facts (JSON or null), started_at, finished_at (of the merge), steps (JSON list of step, task_count, busy_s,
 -- started_s, ended_s; null: not kept).
@@ -21,8 +20,7 @@ where c.changeset_id = %(changeset_id)s;
 
 -- name: rejections
 -- Rejected records of a changeset by step and reason, the most frequent first, each with its first record as an
--- example.
--- Parameters: changeset_id. Columns: step, reason, count, record, detail.
+-- example. Parameters: changeset_id. Columns: step, reason, count, record, detail.
 select step, reason, count(*) as count,
     (array_agg(record order by quarantine_id))[1] as record, (array_agg(detail order by quarantine_id))[1] as detail
 from conetl.quarantine
@@ -31,16 +29,14 @@ group by step, reason
 order by count desc, step, reason;
 
 -- name: residuals
--- Residuals of a drive's positions.
--- Parameters: drive_uuid. Columns: frame_index, range_m, residual_rms_px.
+-- Residuals of a drive's positions. Parameters: drive_uuid. Columns: frame_index, range_m, residual_rms_px.
 select frame_index, range_m, residual_rms_px
 from conetl.position
 where drive_uuid = %(drive_uuid)s
 order by frame_index, match_index;
 
 -- name: sighting
--- The image pair that shows a cone best: the nearest position of a track.
--- Parameters: drive_uuid; track_index.
+-- The image pair that shows a cone best: the nearest position of a track. Parameters: drive_uuid; track_index.
 -- Columns: frame_index, range_m, source_path, rig (JSON), left_path, right_path, left_* and right_* boxes in pixels of
 -- the rectified image.
 select

@@ -2,8 +2,7 @@
 
 -- name: prunable_drives
 -- The drives whose raw records may be deleted: recorded and committed before an instant, and not pruned yet; oldest
--- first. Imported maps have none.
--- Parameters: before (timestamptz).
+-- first. Imported maps have none. Parameters: before (timestamptz).
 -- Columns: map_name, drive_uuid, drive_id, captured_to (timestamptz), detection_count, match_count, position_count.
 select
     m.map_name, d.drive_uuid, d.drive_id, upper(d.captured_period) as captured_to,
@@ -18,26 +17,22 @@ having upper(d.captured_period) < %(before)s and max(c.committed_at) < %(before)
 order by d.captured_from_ns, d.drive_uuid;
 
 -- name: prune_stereo_match
--- Delete the stereo matches of some drives.
--- Parameters: drive_uuids (uuid[]).
+-- Delete the stereo matches of some drives. Parameters: drive_uuids (uuid[]).
 delete from conetl.stereo_match r
 where r.drive_uuid = any(%(drive_uuids)s);
 
 -- name: prune_detection
--- Delete the detections of some drives.
--- Parameters: drive_uuids (uuid[]).
+-- Delete the detections of some drives. Parameters: drive_uuids (uuid[]).
 delete from conetl.detection r
 where r.drive_uuid = any(%(drive_uuids)s);
 
 -- name: prune_position
--- Delete the positions of some drives.
--- Parameters: drive_uuids (uuid[]).
+-- Delete the positions of some drives. Parameters: drive_uuids (uuid[]).
 delete from conetl.position r
 where r.drive_uuid = any(%(drive_uuids)s);
 
 -- name: mark_pruned
--- Remember that some drives have no raw records any more.
--- Parameters: drive_uuids (uuid[]); pruned_at (timestamptz).
+-- Remember that some drives have no raw records any more. Parameters: drive_uuids (uuid[]); pruned_at (timestamptz).
 update conetl.drive d
 set pruned_at = %(pruned_at)s
 where d.drive_uuid = any(%(drive_uuids)s);

@@ -10,13 +10,11 @@ create table if not exists conetl.schema_migration (
 );
 
 -- name: applied_migrations
--- Migrations of this database.
--- Columns: name, sha256.
+-- Migrations of this database. Columns: name, sha256.
 select name, sha256 from conetl.schema_migration order by name;
 
 -- name: insert_migration
--- Remember an applied migration.
--- Parameters: name; sha256 (hex, of the file).
+-- Remember an applied migration. Parameters: name; sha256 (hex, of the file).
 insert into conetl.schema_migration (name, sha256) values (%(name)s, %(sha256)s);
 
 -- name: search_path
@@ -46,8 +44,7 @@ select
     pg_database_size(current_database()) as size_bytes;
 
 -- name: missing_extensions
--- Extensions that conetl needs and the server does not offer.
--- Columns: name.
+-- Extensions that conetl needs and the server does not offer. Columns: name.
 select needed.name
 from (values ('postgis'), ('btree_gist')) as needed (name)
 where not exists (select from pg_available_extensions a where a.name = needed.name);
@@ -90,21 +87,18 @@ end
 $$;
 
 -- name: ready_roles
--- Which of the named roles exist and may read the map.
--- Parameters: names (text[]). Columns: rolname.
+-- Which of the named roles exist and may read the map. Parameters: names (text[]). Columns: rolname.
 select rolname::text as rolname
 from pg_roles
 where rolname = any(%(names)s)
 and has_schema_privilege(oid, 'conetl', 'usage') and has_table_privilege(oid, 'conetl.feature_version', 'select');
 
 -- name: may_create_roles
--- Whether the connected user may create roles.
--- Columns: may_create_roles.
+-- Whether the connected user may create roles. Columns: may_create_roles.
 select rolsuper or rolcreaterole as may_create_roles from pg_roles where rolname = current_user;
 
 -- name: database_exists
--- Whether this server has a database of this name.
--- Parameters: name. Columns: found.
+-- Whether this server has a database of this name. Parameters: name. Columns: found.
 select exists (select from pg_database where datname = %(name)s) as found;
 
 -- name: create_prefect_database

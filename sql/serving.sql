@@ -31,8 +31,7 @@ from conetl.map m;
 
 -- name: origin
 -- A point of the map's CRS near everything, from which the browser counts in metres (float32 cannot hold eastings). It
--- never changes while the map grows.
--- Parameters: map_name.
+-- never changes while the map grows. Parameters: map_name.
 -- Columns: easting_m, northing_m, height_m (body of the first frame pair, or the first cone of a map that began with an
 -- import).
 select ST_X(p.geom) as easting_m, ST_Y(p.geom) as northing_m, ST_Z(p.geom) as height_m
@@ -46,27 +45,6 @@ cross join lateral (
 where m.map_name = %(map_name)s
 order by c.changeset_no
 limit 1;
-
--- name: features
--- The features that stood on a map at one instant on the road, as the database knew it at another instant.
--- Parameters: map_name; valid_at, known_at (timestamptz; 'infinity' = latest); max_rows.
--- Columns: feature_id, version, category, easting_m, northing_m, height_m, cov_* (m^2), cone_height_m,
--- cone_height_sigma_m, existence_probability (after the last drive to which it was visible), observation_count,
--- first_seen_ns, last_seen_ns, valid_from, valid_to (null while open), seen_count, missed_count (drives until then).
-select
-    v.feature_id, v.version, v.category,
-    ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m, ST_Z(v.geom) as height_m,
-    v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz,
-    v.cone_height_m, v.cone_height_sigma_m,
-    coalesce(e.existence_after, v.existence_probability) as existence_probability,
-    v.observation_count, v.first_seen_ns, v.last_seen_ns,
-    lower(v.valid_period) as valid_from,
-    upper(v.valid_period) as valid_to,
-    e.seen_count, e.missed_count
-from conetl.map_as_of(%(map_name)s, %(valid_at)s::timestamptz, %(known_at)s::timestamptz) v
-cross join lateral conetl.feature_evidence(v.feature_id, v.version, %(valid_at)s::timestamptz, %(known_at)s::timestamptz) e
-order by v.feature_id
-limit %(max_rows)s;
 
 -- name: changes_between
 -- How the map of one instant differs from that of another, each as the database knew it at its own instant.
@@ -89,21 +67,14 @@ select
         when a.version <> b.version or not ST_Equals(a.geom, b.geom) then 'confirmed'
         else 'unchanged'
     end as kind,
-    lower(a.valid_period) as changed_at,
-    ST_Distance(a.geom, b.geom) as shift_m,
-    ST_X(b.geom) as old_easting_m,
-    ST_Y(b.geom) as old_northing_m,
-    ST_Z(b.geom) as old_height_m,
-    ST_X(coalesce(a.geom, b.geom)) as easting_m,
-    ST_Y(coalesce(a.geom, b.geom)) as northing_m,
+    lower(a.valid_period) as changed_at, ST_Distance(a.geom, b.geom) as shift_m,
+    ST_X(b.geom) as old_easting_m, ST_Y(b.geom) as old_northing_m, ST_Z(b.geom) as old_height_m,
+    ST_X(coalesce(a.geom, b.geom)) as easting_m, ST_Y(coalesce(a.geom, b.geom)) as northing_m,
     ST_Z(coalesce(a.geom, b.geom)) as height_m,
-    coalesce(a.cov_xx, b.cov_xx) as cov_xx,
-    coalesce(a.cov_xy, b.cov_xy) as cov_xy,
-    coalesce(a.cov_yy, b.cov_yy) as cov_yy,
+    coalesce(a.cov_xx, b.cov_xx) as cov_xx, coalesce(a.cov_xy, b.cov_xy) as cov_xy, coalesce(a.cov_yy, b.cov_yy) as cov_yy,
     coalesce(a.cone_height_m, b.cone_height_m) as cone_height_m,
     coalesce(a.existence_probability, b.existence_probability) as existence_probability,
-    coalesce(a.observation_count, b.observation_count) as observation_count,
-    coalesce(a.version, b.version) as version
+    coalesce(a.observation_count, b.observation_count) as observation_count, coalesce(a.version, b.version) as version
 from before b
 full outer join after a using (feature_id)
 order by 1
@@ -151,8 +122,7 @@ window on_the_road as (
 order by d.captured_from_ns, d.content_sha256 collate "C", c.idempotency_key collate "C";
 
 -- name: sightings
--- The frame pairs in which a feature was seen, with the pose of the body.
--- Parameters: map_name; feature_id; max_rows.
+-- The frame pairs in which a feature was seen, with the pose of the body. Parameters: map_name; feature_id; max_rows.
 -- Columns: changeset_no, drive_id, drive_uuid, frame_index, match_index, captured_at_ns, easting_m, northing_m,
 -- height_m (position from this frame pair alone), cov_xx, cov_xy, cov_yy (m^2), range_m, residual_rms_px, score; body_*
 -- position and map_r_body of the body; left_*_px, right_*_px boxes in pixels of the rectified image.
@@ -206,8 +176,7 @@ where m.map_name = %(map_name)s and d.drive_uuid = %(drive_uuid)s
 and s.frame_index = %(frame_index)s and s.match_index = %(match_index)s;
 
 -- name: trajectory
--- The poses of one drive, in order of time.
--- Parameters: map_name; drive_uuid; max_rows.
+-- The poses of one drive, in order of time. Parameters: map_name; drive_uuid; max_rows.
 -- Columns: drive_id, rig (JSON), frame_index, captured_at_ns, easting_m, northing_m, height_m (of the body), map_r_body
 -- (9).
 select
@@ -221,16 +190,14 @@ order by f.captured_at_ns
 limit %(max_rows)s;
 
 -- name: rigs
--- The rigs of some drives of a map.
--- Parameters: map_name; drive_uuids (uuid[]). Columns: drive_uuid, rig (JSON).
+-- The rigs of some drives of a map. Parameters: map_name; drive_uuids (uuid[]). Columns: drive_uuid, rig (JSON).
 select d.drive_uuid, d.rig
 from conetl.drive d
 join conetl.map m using (map_id)
 where m.map_name = %(map_name)s and d.drive_uuid = any(%(drive_uuids)s::uuid[]);
 
 -- name: decisions
--- The decisions about a map that were not withdrawn, newest first.
--- Parameters: map_name; max_rows.
+-- The decisions about a map that were not withdrawn, newest first. Parameters: map_name; max_rows.
 -- Columns: decision_id, kind ('suppress', 'pin', 'revert'), easting_m, northing_m, radius_m (null of a revert),
 -- feature_id, changeset_id, drive_id (of a reverted changeset), decided_by (null: no name was kept), note, decided_at.
 select

@@ -150,7 +150,7 @@ def cluster_status(home: Path) -> ClusterStatus:
         directory=location.directory,
         socket_directory=location.socket_directory,
         log_directory=location.directory / "log",
-        server_user=location.user.name,
+        server_user=location.user.pw_name,
         postgres_major=location.data_major,
         pid=pid,
         host=host,
@@ -186,7 +186,7 @@ def _initialise(location: ClusterLocation, install: PostgresInstall) -> None:
     new = f"{NEW_DATA_PREFIX}{uuid4().hex}"
     initdb = [install.program("initdb"), "-D", new, "-U", SUPERUSER, "-A", "peer", "-E", "UTF8", "--locale=C", "-k"]
     _must(run_as(location, initdb, timeout_s=120), "PostgreSQL could not create a new cluster", location)
-    allowed = dict.fromkeys([location.user.name, location.caller_name, "root"])
+    allowed = dict.fromkeys([location.user.pw_name, location.caller_name, "root"])
     _write_as(location, f"{new}/pg_hba.conf", f"local all all peer map={SUPERUSER}\n")
     _write_as(location, f"{new}/pg_ident.conf", "".join(f'{SUPERUSER} "{n}" {SUPERUSER}\n' for n in allowed if n))
     single = [install.program("postgres"), "--single", "-D", new, "postgres"]
@@ -298,7 +298,7 @@ def _write_as(location: ClusterLocation, relative_path: str, text: str) -> None:
 
 def _must(done: Done, what: str, location: ClusterLocation) -> None:
     if done.code != 0:
-        raise DatabaseError(f"{what} in {location.directory} (as user {location.user.name}): {done.output.strip()}")
+        raise DatabaseError(f"{what} in {location.directory} (as user {location.user.pw_name}): {done.output.strip()}")
 
 
 def _log_files(location: ClusterLocation) -> list[Path]:

@@ -26,21 +26,13 @@ LOCK_NAME, POINTER_NAME, HOME_NAME = "cluster.lock", "postgres.location", "home.
 
 
 @dataclass(frozen=True)
-class ServerUser:
-    """The operating-system user that runs the server."""
-
-    name: str
-    uid: int
-    gid: int
-
-
-@dataclass(frozen=True)
 class ClusterLocation:
     """One cluster: its folder, its socket's folder and its user."""
 
     directory: Path
     socket_directory: Path
-    user: ServerUser
+    user: pwd.struct_passwd
+    """The operating-system user that runs the server."""
     caller_name: str | None
     """Name of the calling user, None if that uid has no passwd entry."""
 
@@ -57,7 +49,7 @@ class ClusterLocation:
             return None
         except PermissionError as error:
             raise DatabaseError(
-                f"The private cluster in {self.directory} belongs to user {self.user.name}: run as that user or as root, "
+                f"The private cluster in {self.directory} belongs to user {self.user.pw_name}: run as that user or as root, "
                 f"choose another home folder (CONETL_HOME), {OWN_DATABASE_HINT}."
             ) from error
 
@@ -98,19 +90,13 @@ def find_location(home: Path) -> ClusterLocation | None:
         return None
     if pointer.is_file() and (directory.parent != SYSTEM_DIRECTORY or not _belongs_to(directory, home)):
         return None  # a copied home: its pointer names the cluster of the original
-    owner = directory.stat().st_uid
-    name = _name_of(owner)
-    if name is None:
+    owner = _user_of(directory.stat().st_uid, f"The private cluster in {directory} belongs to ")
+    if os.geteuid() not in (0, owner.pw_uid):
         raise DatabaseError(
-            f"The private cluster in {directory} belongs to uid {owner}, which has no entry in the passwd file; "
-            f"PostgreSQL needs one: add it, {OWN_DATABASE_HINT}."
-        )
-    if os.geteuid() not in (0, owner):
-        raise DatabaseError(
-            f"The private cluster in {directory} belongs to user {name}: run as that user or as root, "
+            f"The private cluster in {directory} belongs to user {owner.pw_name}: run as that user or as root, "
             f"choose another home folder (CONETL_HOME), {OWN_DATABASE_HINT}."
         )
-    return _location(directory, ServerUser(name, owner, pwd.getpwuid(owner).pw_gid))
+    return _location(directory, owner)
 
 
 def make_location(home: Path) -> ClusterLocation:
@@ -125,7 +111,7 @@ def make_location(home: Path) -> ClusterLocation:
             raise DatabaseError(f"{directory} belongs to another project: remove it, {OWN_DATABASE_HINT}.")
         if not _prepare(directory, user):
             raise DatabaseError(
-                f"Neither {home / 'postgres'} nor {directory} can be reached by user {user.name}, who would run PostgreSQL "
+                f"Neither {home / 'postgres'} nor {directory} can be reached by user {user.pw_name}, who would run PostgreSQL "
                 f"for root: choose another home folder (CONETL_HOME), {OWN_DATABASE_HINT}."
             )
         (directory / HOME_NAME).write_text(f"{home}\n")
@@ -143,17 +129,17 @@ def make_socket_directory(location: ClusterLocation) -> None:
     path = location.socket_directory
     try:
         path.mkdir(mode=0o700)
-        os.chown(path, location.user.uid, location.user.gid, follow_symlinks=False)
+        os.chown(path, location.user.pw_uid, location.user.pw_gid, follow_symlinks=False)
     except FileExistsError:
         found = path.lstat()
-        mine = found.st_uid in (location.user.uid, os.geteuid())
+        mine = found.st_uid in (location.user.pw_uid, os.geteuid())
         if not stat.S_ISDIR(found.st_mode) or not mine or stat.S_IMODE(found.st_mode) & 0o077:
             raise DatabaseError(
-                f"{path} should be a folder of user {location.user.name} with mode 0700 for the database's socket, but is not: "
+                f"{path} should be a folder of user {location.user.pw_name} with mode 0700 for the socket, but is not: "
                 f"remove it, {OWN_DATABASE_HINT}."
             ) from None
-        if found.st_uid != location.user.uid:
-            os.chown(path, location.user.uid, location.user.gid, follow_symlinks=False)
+        if found.st_uid != location.user.pw_uid:
+            os.chown(path, location.user.pw_uid, location.user.pw_gid, follow_symlinks=False)
 
 
 def run_as(
@@ -164,7 +150,7 @@ def run_as(
     No PG* variable may lead PostgreSQL's programs to another server; messages are in English. inherit: open files that the
     command and its children keep.
     """
-    other = os.geteuid() != location.user.uid
+    other = os.geteuid() != location.user.pw_uid
     try:
         done = subprocess.run(
             command,
@@ -178,8 +164,8 @@ def run_as(
             start_new_session=True,
             timeout=timeout_s,
             check=False,
-            user=location.user.uid if other else None,
-            group=location.user.gid if other else None,
+            user=location.user.pw_uid if other else None,
+            group=location.user.pw_gid if other else None,
             extra_groups=[] if other else None,
             umask=0o077,
             pass_fds=inherit,
@@ -197,7 +183,7 @@ def working_folder(location: ClusterLocation, pid: int) -> str | None:
     Read as that user: root in a container may lack the right to inspect other users' processes.
     """
     link = f"/proc/{pid}/cwd"
-    if os.geteuid() == location.user.uid:
+    if os.geteuid() == location.user.pw_uid:
         try:
             return os.readlink(link)  # noqa: PTH115 -- Path would not distinguish a dead process from a strange path
         except OSError:
@@ -206,40 +192,40 @@ def working_folder(location: ClusterLocation, pid: int) -> str | None:
     return done.output if done.code == 0 else None
 
 
-def _location(directory: Path, user: ServerUser) -> ClusterLocation:
+def _location(directory: Path, user: pwd.struct_passwd) -> ClusterLocation:
     socket_directory = directory / "socket"
     if len(os.fsencode(socket_directory / ".s.PGSQL.00000")) > MAX_SOCKET_PATH_BYTES:
         socket_directory = Path("/tmp") / f"conetl-{_digest(directory)}"
     return ClusterLocation(directory, socket_directory, user, _name_of(os.geteuid()))
 
 
-def _server_user() -> ServerUser:
-    uid = os.geteuid()
-    if uid != 0:
-        name = _name_of(uid)
-        if name is None:
-            raise DatabaseError(
-                f"uid {uid} has no entry in the passwd file and PostgreSQL needs one: add it, {OWN_DATABASE_HINT}."
-            )
-        return ServerUser(name, uid, os.getegid())
+def _server_user() -> pwd.struct_passwd:
+    if os.geteuid() != 0:
+        return _user_of(os.geteuid())
     for name in UNPRIVILEGED_USERS:
-        try:
-            entry = pwd.getpwnam(name)
-        except KeyError:
-            continue
-        return ServerUser(name, entry.pw_uid, entry.pw_gid)
+        with suppress(KeyError):
+            return pwd.getpwnam(name)
     raise DatabaseError(
         f"PostgreSQL refuses to run as root and there is neither a user {' nor a user '.join(UNPRIVILEGED_USERS)}: "
         f"run as an ordinary user, {OWN_DATABASE_HINT}."
     )
 
 
-def _prepare(directory: Path, user: ServerUser) -> bool:
+def _user_of(uid: int, what: str = "") -> pwd.struct_passwd:
+    try:
+        return pwd.getpwuid(uid)
+    except KeyError:
+        raise DatabaseError(
+            f"{what}uid {uid}, which has no entry in the passwd file; PostgreSQL requires one: add it, {OWN_DATABASE_HINT}."
+        ) from None
+
+
+def _prepare(directory: Path, user: pwd.struct_passwd) -> bool:
     """Create the folder, mode 0700, owned by `user`; False if that user cannot use it."""
     try:
         directory.mkdir(mode=0o700, parents=True, exist_ok=True)
         if os.geteuid() == 0:
-            os.chown(directory, user.uid, user.gid, follow_symlinks=False)
+            os.chown(directory, user.pw_uid, user.pw_gid, follow_symlinks=False)
     except OSError:
         return False
     probe = ["sh", "-c", 'test -w "$0" && test -x "$0"', str(directory)]

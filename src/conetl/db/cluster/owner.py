@@ -136,7 +136,7 @@ def _write_host(location: ClusterLocation, host: ServerHost) -> None:
     done = run_as(location, command, stdin=json.dumps(asdict(host)) + "\n", timeout_s=10)
     if done.code != 0:
         raise DatabaseError(
-            f"{location.directory / HOST_NAME} could not be written (as user {location.user.name}): {done.output.strip()}"
+            f"{location.directory / HOST_NAME} could not be written (as user {location.user.pw_name}): {done.output.strip()}"
         )
 
 

@@ -75,6 +75,7 @@ def read_features_as_of(
     parameters = _box(conn, map_name, within) | {
         "valid_at": valid_at.isoformat() if valid_at else "infinity",
         "known_at": known_at.isoformat() if known_at else "infinity",
+        "max_rows": None,
     }
     with database_errors(f"The features of map {map_name} cannot be read"):
         for row in stream(conn, load_sql("map.features_as_of"), parameters):
