@@ -129,7 +129,7 @@ def test_what_a_pid_file_means_depends_on_where_it_was_written(home: Path) -> No
 
     killed_there()
     host_file.write_text("?")
-    with pytest.raises(DatabaseError, match=r"server\.host should say where"):
+    with pytest.raises(DatabaseError, match=r"server\.host should name the host"):
         cluster_up(home)
     host_file.unlink()
     assert is_up()

@@ -169,11 +169,12 @@ def version_after(delta: Delta) -> int:
 
 
 def rejection_columns(changeset_id: UUID, rejections: Sequence[Rejection]) -> Columns:
-    """Table quarantine."""
+    """Table quarantine; the order of the columns determines that of the rows, see `copy_binary.encode`."""
     return {
         "changeset_id": constant_uuid(changeset_id, len(rejections)),
+        **_attributes(rejections, texts, "step"),
         "reason": texts([r.reason.value for r in rejections]),
-        **_attributes(rejections, texts, "step", "record", "detail"),
+        **_attributes(rejections, texts, "record", "detail"),
         **_attributes(rejections, jsons, "payload"),
     }
 
