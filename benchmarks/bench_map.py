@@ -63,7 +63,7 @@ from conetl.mapping.fold import Evidence, extend
 from conetl.model.drive_records import DriveRecords
 from conetl.model.map_records import Changeset, Decisions
 from conetl.model.params import ReconcileParams
-from conetl.pipeline.gc_pause import no_cycle_search
+from conetl.pipeline.replay import no_cycle_search
 
 LOOKS = 60
 BOX_M = 500.0

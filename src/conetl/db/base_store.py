@@ -28,7 +28,7 @@ from conetl.db.copy_binary import (
     texts,
 )
 from conetl.db.statements import load_sql
-from conetl.readers.base_layers.georeferencing import MapPlace, ground_under
+from conetl.readers.base_layers.georeferencing import MapGround, ground_under
 from conetl.readers.base_layers.point_tiles import Tile
 
 Kind = Literal["points", "lines"]
@@ -94,12 +94,12 @@ class PlacedLine:
     attributes: Mapping[str, Any]
 
 
-def read_place(conn: Connection, map_name: str, srid: int) -> MapPlace:
+def read_map_ground(conn: Connection, map_name: str, srid: int) -> MapGround:
     """Location of a map's drives and the height of the road there."""
     with database_errors(f"The drives of map {map_name} cannot be read"):
         poses = _points(conn, "base_layers.poses", {"map_name": map_name, "max_rows": _MAX_POSES})
         feet = _points(conn, "base_layers.feet", {"map_name": map_name, "max_rows": _MAX_FEET})
-    return MapPlace(srid, ground_under(poses, feet))
+    return MapGround(srid, ground_under(poses, feet))
 
 
 def read_ingested_poses(conn: Connection, map_name: str, content_sha256: str) -> dict[int, NDArray[np.float64]]:

@@ -2,7 +2,8 @@
 
 A drive may lie at `s3://bucket/drive`. Its readers use `pathlib` methods only, which `UPath` (universal-pathlib over fsspec)
 has for objects too. Objects are read when they are needed and never copied to disk; a bounded part of the bytes read last stays
-in memory, since a image is hashed and then decoded. Credentials and endpoint come from the usual environment
+in memory, since a image is hashed and then decoded. So do images of files, by their hash, until the drive is done: a drive
+whose images are larger than the bound is read again. Credentials and endpoint come from the usual environment
 (AWS_ACCESS_KEY_ID, AWS_PROFILE, AWS_ENDPOINT_URL ...) or the machine's role, never from conetl's own settings.
 """
 
@@ -23,29 +24,62 @@ from upath import UPath
 
 from conetl.model.errors import InputError, StorageError
 
-#: Bytes of objects that stay in memory for their next reader: the 256 images of half a chunk, of half a megabyte each, for two
-#: tasks. What is pushed out between its hash and its decoding is fetched twice.
+#: Bytes that stay in memory for their next reader: the 256 images of half a chunk, of a megabyte each. What is pushed out
+#: between its hash and its decoding is read twice.
 CACHE_BYTES = 256 * 2**20
-#: SHA-256 where there is no file: of nothing.
+#: SHA-256 of a missing file: that of no bytes.
 NO_FILE_SHA256 = hashlib.sha256().hexdigest()
-#: What the system says where there is no such file; whatever else it says is about the storage.
+#: Errors of a missing file; all others are about the storage.
 _NO_SUCH_FILE = frozenset({errno.ENOENT, errno.ENOTDIR, errno.ELOOP})
-#: Objects asked for at the same time.
+#: Objects fetched at the same time.
 _AT_ONCE = 16
-#: `Path` makes one slash of two.
+#: `Path` replaces two slashes by one.
 _ADDRESS = re.compile(r"^(s3|memory):/{1,2}(?=[^/])")
-_lock = threading.Lock()
-_kept: OrderedDict[str, bytes] = OrderedDict()
 
 
-def place(text: str | Path) -> Path:
-    """A file's path, or the place of an object where the text is an address such as s3://bucket/drive.
+class _Memory:
+    """Bytes by address (objects) or SHA-256, at most `CACHE_BYTES` of them; those used last stay."""
 
-    The latter is no `pathlib.Path`, but has the methods of one that readers need. Raises InputError where what reads such
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._data: OrderedDict[str, bytes] = OrderedDict()
+        self.size = 0
+
+    def get(self, key: str) -> bytes | None:
+        with self._lock:
+            if key in self._data:
+                self._data.move_to_end(key)
+            return self._data.get(key)
+
+    def keep(self, key: str, data: bytes) -> None:
+        self.drop(key)
+        with self._lock:
+            self._data[key] = data
+            self.size += len(data)
+            while len(self._data) > 1 and self.size > CACHE_BYTES:
+                self.size -= len(self._data.popitem(last=False)[1])
+
+    def drop(self, key: str) -> None:
+        with self._lock:
+            self.size -= len(self._data.pop(key, b""))
+
+    def clear(self) -> None:
+        with self._lock:
+            self._data.clear()
+            self.size = 0
+
+
+_kept = _Memory()
+
+
+def as_path(text: str | Path) -> Path:
+    """The path of a file, or of an object if the text is an address such as s3://bucket/drive.
+
+    The latter is not a `pathlib.Path`, but has the methods that readers use. Raises InputError where the package that reads such
     addresses is not installed.
     """
     if not isinstance(text, str | Path):
-        return text  # an object's place already
+        return text  # an object's path
     found = _ADDRESS.match(str(text))
     if found is None:
         return Path(text)
@@ -59,12 +93,12 @@ def place(text: str | Path) -> Path:
 
 
 def is_remote(path: Path) -> bool:
-    """Whether a place is an object's."""
+    """Whether a path is an object's."""
     return not isinstance(path, Path)
 
 
 def is_present(path: Path) -> bool:
-    """Whether there is a file on this machine. `Path.is_file` says no where the storage does not answer, this raises OSError."""
+    """Whether a file exists on this machine. Raises OSError where the storage fails (`Path.is_file` returns False)."""
     try:
         return stat.S_ISREG(path.stat().st_mode)
     except OSError as error:
@@ -75,9 +109,9 @@ def is_present(path: Path) -> bool:
 
 @contextmanager
 def reached(path: Path) -> Iterator[None]:
-    """Storage that does not answer, or refuses, becomes one error that names the object. Files of this machine raise as ever.
+    """Errors of the object storage become one StorageError that names the object. Errors of local files do not change.
 
-    That there is no such object is a property of the drive, and stays a FileNotFoundError.
+    A missing object is a property of the drive and remains a FileNotFoundError.
     """
     try:
         yield
@@ -85,13 +119,13 @@ def reached(path: Path) -> Iterator[None]:
         if not is_remote(path) or not _is_of_storage(error):
             raise
         raise StorageError(
-            f"{path}: the storage does not give it: {error}. Look at the address, at AWS_ENDPOINT_URL and at the credentials "
+            f"{path}: cannot be read from the storage: {error}. Check the address, AWS_ENDPOINT_URL and the credentials "
             "(AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, AWS_PROFILE, or the machine's role). Nothing was written."
         ) from error
 
 
 def _is_of_storage(error: Exception) -> bool:
-    """s3fs makes Python's own errors of what the storage says of itself (too busy, internal error, expired token, no access)."""
+    """s3fs raises Python's own errors for those of the storage (too busy, internal error, expired token, no access)."""
     if isinstance(error, OSError):
         return not isinstance(error, FileNotFoundError)
     return type(error).__module__.split(".")[0] in _STORAGE_ERRORS
@@ -101,35 +135,31 @@ _STORAGE_ERRORS = frozenset({"botocore", "aiobotocore", "aiohttp", "s3fs"})
 
 
 def forget_listing(path: Path) -> None:
-    """Look at the storage again: what was listed earlier in this process may have changed. Nothing to do for files."""
+    """Forget cached listings of the storage, which may have changed. No effect for files."""
     if is_remote(path):
         cast(Any, path).fs.invalidate_cache()
 
 
 def object_bytes(path: Path) -> bytes:
     """All bytes of an object, from memory where they were read lately. Raises OSError like `Path.read_bytes`."""
-    key = str(path)
-    with _lock:
-        if key in _kept:
-            _kept.move_to_end(key)
-            return _kept[key]
-    with reached(path):
-        data = path.read_bytes()
-    _keep(key, data)
+    data = _kept.get(str(path))
+    if data is None:
+        with reached(path):
+            data = path.read_bytes()
+        _kept.keep(str(path), data)
     return data
 
 
 def fetch(paths: Sequence[Path], *, fresh: bool = False) -> None:
-    """Ask for several objects at once, for `object_bytes` to find; what is missing is left to it. Nothing to do for files.
+    """Fetch several objects at once into the cache of `object_bytes`, without missing ones. No effect for files.
 
-    fresh: also for those that are in memory, as somebody may have written them anew since. More than `CACHE_BYTES` of them push
-    each other out: ask for as many as will be read next.
+    fresh: fetch cached ones again, as they may have changed. The cache has `CACHE_BYTES`: fetch as many as will be read next.
     """
-    with _lock:
-        if fresh:
-            for path in paths:
-                _kept.pop(str(path), None)
-        wanted = [path for path in paths if is_remote(path) and str(path) not in _kept]
+    objects = [path for path in paths if is_remote(path)]
+    if fresh:
+        for path in objects:
+            _kept.drop(str(path))
+    wanted = [path for path in objects if _kept.get(str(path)) is None]
     if not wanted:
         return
     storage = cast(Any, wanted[0]).fs
@@ -138,20 +168,29 @@ def fetch(paths: Sequence[Path], *, fresh: bool = False) -> None:
     for path in wanted:
         data = found.get(cast(Any, path).path)
         if isinstance(data, bytes):
-            _keep(str(path), data)
+            _kept.keep(str(path), data)
 
 
 def in_batches(paths: Sequence[Path], *, fresh: bool = False) -> Iterator[Path]:
-    """The same paths; objects are asked for some at a time, before they are handed out. fresh: see `fetch`."""
+    """The same paths; objects are fetched in batches before they are yielded. fresh: see `fetch`."""
     for first in range(0, len(paths), _AT_ONCE):
         batch = paths[first : first + _AT_ONCE]
         fetch(batch, fresh=fresh)
         yield from batch
 
 
-def _keep(key: str, data: bytes) -> None:
-    with _lock:
-        _kept[key] = data
-        _kept.move_to_end(key)
-        while len(_kept) > 1 and sum(map(len, _kept.values())) > CACHE_BYTES:
-            _kept.popitem(last=False)
+def remember(path: Path, sha256: str, data: bytes) -> None:
+    """Keep the bytes of a file or an object under their hash for `recall`, in this process."""
+    if is_remote(path):
+        _kept.drop(str(path))
+    _kept.keep(sha256, data)
+
+
+def recall(sha256: str) -> bytes | None:
+    """Bytes with this hash that `remember` kept; None where they were pushed out, or another process read them."""
+    return _kept.get(sha256)
+
+
+def forget_all() -> None:
+    """Free the memory of `remember` and `object_bytes`."""
+    _kept.clear()
