@@ -21,8 +21,9 @@ from pathlib import Path
 from synthetic_map import make_map
 
 from conetl.db.cluster.cluster import cluster_remove, cluster_up
-from conetl.db.connection import Connection, connect, execute, migrate
+from conetl.db.connection import Connection, connect, execute
 from conetl.db.map.map_store import find_map
+from conetl.db.schema import migrate
 from conetl.exports import FORMATS
 from conetl.exports.export import export_map
 from conetl.exports.source import ExportRequest, What

@@ -34,7 +34,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks.whole_job import params_with
 from conetl.db.audits import run_audits
 from conetl.db.cluster.cluster import cluster_remove, cluster_up
-from conetl.db.connection import Connection, connect, execute, migrate
+from conetl.db.connection import Connection, connect, execute
+from conetl.db.schema import migrate
 from conetl.files.partial_files import sweep
 from conetl.model.params import IngestParams
 from conetl.pipeline.ingest import ingest as pipeline_ingest

@@ -48,14 +48,17 @@ from benchmarks.made_up_map import (
 )
 from conetl.db.audits import run_audits
 from conetl.db.cluster.cluster import cluster_down, cluster_remove, cluster_up
-from conetl.db.connection import Connection, connect, execute, load_sql, migrate
-from conetl.db.map.map_store import commit_changeset, map_transaction, place_drive, read_features_as_of
+from conetl.db.connection import Connection, connect, execute
+from conetl.db.map.commit import commit_changeset, place_drive
+from conetl.db.map.map_store import map_transaction, read_features_as_of
 from conetl.db.map.replay_store import (
     affected_drives,
     read_doubts_around,
     read_standing_around,
     superseded_drives,
 )
+from conetl.db.schema import migrate
+from conetl.db.statements import load_sql
 from conetl.mapping.fold import Evidence, extend
 from conetl.model.drive_records import DriveRecords
 from conetl.model.map_records import Changeset, Decisions
@@ -169,8 +172,8 @@ def executed_ms(conn: Connection, count: int) -> np.ndarray:
     times = []
     for x, y, _ in place_of(rng.integers(0, count, LOOKS)).tolist():
         box = {"west_m": x - 250, "south_m": y - 250, "east_m": x + 250, "north_m": y + 250, "srid": SRID}
-        parameters = box | {"map_name": MAP_NAME, "valid_at": at, "known_at": "infinity"}
-        [plan] = execute(conn, f"explain (analyze, format json) {load_sql('map/features_as_of')}", parameters)
+        parameters = box | {"map_name": MAP_NAME, "valid_at": at, "known_at": "infinity", "max_rows": None}
+        [plan] = execute(conn, f"explain (analyze, format json) {load_sql('map.features_as_of')}", parameters)
         top = plan["QUERY PLAN"][0]
         times.append(top["Planning Time"] + top["Execution Time"])
     conn.rollback()

@@ -41,9 +41,10 @@ import numpy as np
 from synthetic_map import SRID, make_map
 
 from conetl.db.cluster.cluster import cluster_remove, cluster_status, cluster_up
-from conetl.db.connection import Connection, connect, execute, migrate
+from conetl.db.connection import Connection, connect, execute
 from conetl.db.map.map_store import find_map
 from conetl.db.reader_pool import open_reader
+from conetl.db.schema import migrate
 from conetl.geometry.geodesy import to_geodetic
 
 MAP = "bench"

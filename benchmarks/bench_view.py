@@ -37,8 +37,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.made_up_map import DAY_NS, MAP_NAME, SPACING_M, SRID, drive_along, place_of
 from conetl.db.cluster.cluster import cluster_remove, cluster_up
-from conetl.db.connection import connect, migrate
-from conetl.db.map.map_store import commit_changeset, map_transaction
+from conetl.db.connection import connect
+from conetl.db.map.commit import commit_changeset
+from conetl.db.map.map_store import map_transaction
+from conetl.db.schema import migrate
 from conetl.model.drive_records import DriveRecords
 from conetl.model.map_records import Changeset, Delta, DeltaKind, MapFeature
 

@@ -46,7 +46,7 @@ _PLACE = f"""ST_SetSRID(ST_MakePoint(
     {WEST_M} + {SPACING_M} * (i %% {ROAD_CONES}),
     {SOUTH_M} + {ROAD_DISTANCE_M} * (i / {ROAD_CONES}) + 8 * sin({SPACING_M} * (i %% {ROAD_CONES}) / 300.0),
     100 + {{up}}), {SRID})"""
-_CELL = f"conetl.place_cell({_PLACE.format(up=0)})"
+_CELL = f"conetl.cell_at({_PLACE.format(up=0)})"
 _ID = "uuid_in(md5('cone ' || i)::cstring)"
 
 
@@ -118,7 +118,7 @@ insert into conetl.changeset (changeset_id, map_id, drive_uuid, idempotency_key,
 values (%(changeset)s, %(map_id)s, %(drive)s, %(key)s, '', '', 'bench', to_timestamp(%(committed_s)s), %(added)s, %(confirmed)s,
     0, 0, 0, 0, 0, 0, 0, 0)"""
 _FEATURES = f"""
-insert into conetl.feature (feature_id, map_id, srid, founded_by, cell)
+insert into conetl.feature (feature_id, map_id, srid, created_by, cell)
 select {_ID}, %(map_id)s, %(srid)s, %(changeset)s, {_CELL} from generate_series(%(start)s, %(stop)s) i"""
 _VERSIONS = f"""
 insert into conetl.feature_version (cell, feature_id, version, map_id, srid, changeset_id, present, category, geom,

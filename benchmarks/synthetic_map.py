@@ -34,9 +34,9 @@ _STATEMENTS = (
     where m.map_name = %(map)s
     """,
     """
-    insert into conetl.feature (feature_id, map_id, srid, founded_by, cell)
+    insert into conetl.feature (feature_id, map_id, srid, created_by, cell)
     select md5(%(map)s || k)::uuid, m.map_id, 32632, md5(%(map)s || 'changeset0')::uuid,
-        conetl.place_cell(ST_MakePoint(450000 + mod((k / 100) * 7919, 40000), 5420000 + mod((k / 100) * 104729, 40000)))
+        conetl.cell_at(ST_MakePoint(450000 + mod((k / 100) * 7919, 40000), 5420000 + mod((k / 100) * 104729, 40000)))
     from conetl.map m, generate_series(1, %(features)s) k
     where m.map_name = %(map)s
     """,
@@ -44,7 +44,7 @@ _STATEMENTS = (
     insert into conetl.feature_version (cell, feature_id, version, map_id, srid, changeset_id, present, suppressed, category, geom,
         cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz, centre_geom, cone_height_m, cone_height_sigma_m, existence_probability,
         observation_count, first_seen_ns, last_seen_ns, valid_from_ns, valid_period, system_period)
-    select conetl.place_cell(ST_MakePoint(450000 + mod((k / 100) * 7919, 40000), 5420000 + mod((k / 100) * 104729, 40000))),
+    select conetl.cell_at(ST_MakePoint(450000 + mod((k / 100) * 7919, 40000), 5420000 + mod((k / 100) * 104729, 40000))),
         md5(%(map)s || k)::uuid, d + 1, m.map_id, 32632, md5(%(map)s || 'changeset' || d)::uuid, true, false, 'traffic_cone',
         ST_SetSRID(ST_MakePoint(x, y, z), 32632), 0.0004 + s, s / 10, 0, 0.0005 + s, 0, 0.0009 + s,
         ST_SetSRID(ST_MakePoint(x, y, z + 0.35), 32632), case k %% 2 when 0 then 0.5 else 0.75 end, 0.02, 0.9 + (k %% 97) * 0.001,

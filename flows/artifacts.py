@@ -21,7 +21,7 @@ from prefect.artifacts import (
 from prefect.events import emit_event
 from prefect.events.worker import EventsWorker
 
-from conetl.db.notification_store import VanishedCone
+from conetl.db.notification_store import RemovedCone
 from conetl.db.run_store import StepTime
 from conetl.model.drive_records import DriveRecords
 from conetl.model.errors import StorageError
@@ -96,7 +96,7 @@ def publish_pending(report: IngestReport, settings: Settings, database: MapDatab
     catch_up(report, settings, database, send_events)
 
 
-def send_events(report: IngestReport, vanished: Sequence[VanishedCone]) -> None:
+def send_events(report: IngestReport, vanished: Sequence[RemovedCone]) -> None:
     """One event for the changeset, and one for each cone that vanished, which an automation can count.
 
     The ids of the events follow from the changeset: one that is sent twice is stored once.

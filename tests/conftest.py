@@ -93,7 +93,8 @@ def services_home(pytestconfig: pytest.Config) -> Path:
 @pytest.fixture(scope="session")
 def template_database(cluster_url: str, pytestconfig: pytest.Config) -> str:
     """A migrated database that each test clones."""
-    from conetl.db.connection import connect, execute, migrate
+    from conetl.db.connection import connect, execute
+    from conetl.db.schema import migrate
 
     with (_test_home(pytestconfig) / "template.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
@@ -331,7 +332,8 @@ def commit_deltas(
     conn: Any, *deltas: Delta, key: str, start_ns: int = START_NS, map_name: str = "default", **options: Any
 ) -> Any:
     """Commit a small drive with these deltas; `key` is one or more hex digits, different for every drive."""
-    from conetl.db.map.map_store import commit_changeset, map_transaction
+    from conetl.db.map.commit import commit_changeset
+    from conetl.db.map.map_store import map_transaction
 
     # Recorded at the same instant; the content puts them into the order of their keys.
     drive = sample_drive(f"drive_{key}", start_ns=start_ns, content_sha256=f"{int(key, 16):064x}")

@@ -16,7 +16,8 @@ import cv2
 import numpy as np
 import uvicorn
 
-from conetl.db.map.map_store import commit_changeset, map_transaction
+from conetl.db.map.commit import commit_changeset
+from conetl.db.map.map_store import map_transaction
 from conetl.model.drive_records import DriveRecords
 from conetl.model.map_records import Delta, DeltaKind, MapFeature, SightingEvidence
 from conetl.model.records import utc_from_ns

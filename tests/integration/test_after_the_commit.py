@@ -17,7 +17,7 @@ import pytest
 
 from conetl.db.connection import execute
 from conetl.db.map.map_store import list_changesets
-from conetl.db.notification_store import untold_changesets, was_told
+from conetl.db.notification_store import is_published, pending_changesets
 from conetl.model.errors import CalibrationError, StorageError
 from conetl.model.ingest_report import IngestReport, TooManyRejectionsError
 from conetl.pipeline.database import MapDatabase
@@ -128,7 +128,7 @@ def test_what_was_left_untold_is_told_without_the_drive(
     settings.exports_folder.mkdir(parents=True)
     (settings.exports_folder / "default.geojson").mkdir()
     tell_untold(quiet=timedelta(0))  # does not stop those who call it
-    assert len(untold_changesets(conn, map_name="default", quiet=timedelta(0))) == 2, "files come before the mark"
+    assert len(pending_changesets(conn, map_name="default", quiet=timedelta(0))) == 2, "files come before the mark"
 
     (settings.exports_folder / "default.geojson").rmdir()
     tell_untold(quiet=timedelta(0))
@@ -137,7 +137,7 @@ def test_what_was_left_untold_is_told_without_the_drive(
     ]  # fmt: skip
     assert [resource["prefect.resource.name"] for _, resource in events[:2]] == ["drive_a", "drive_b"]
     assert events[1][1]["conetl.removed"] == "1"
-    assert all(was_told(conn, changeset.changeset_id) for changeset in list_changesets(conn))
+    assert all(is_published(conn, changeset.changeset_id) for changeset in list_changesets(conn))
     assert (settings.exports_folder / "default.geojson").is_file()
     tell_untold(quiet=timedelta(0))
     assert len(events) == 3
@@ -164,13 +164,13 @@ def test_a_batch_tells_what_an_earlier_one_could_not(tmp_path: Path, conn: Any, 
     assert "default.geojson" in drive["reason"]
     assert done.returncode == 1
     (changeset,) = list_changesets(conn)
-    assert not was_told(conn, changeset.changeset_id)
+    assert not is_published(conn, changeset.changeset_id)
     shutil.rmtree(in_the_way)
     execute(conn, "update conetl.changeset set committed_at = committed_at - interval '1 hour'")
     conn.commit()
     done = command(home, database_url, "backfill", tmp_path / "drives", "--here")
     assert done.returncode == 0, done.stderr
-    assert was_told(conn, changeset.changeset_id)
+    assert is_published(conn, changeset.changeset_id)
     assert in_the_way.is_file()
 
 
@@ -187,7 +187,7 @@ def test_an_ingest_that_cannot_publish_says_that_it_committed(tmp_path: Path, co
     assert "run the same command again" in said["unpublished"]
     assert said["unpublished"] in " ".join(done.stderr.split())
     (changeset,) = list_changesets(conn)
-    assert not was_told(conn, changeset.changeset_id)
+    assert not is_published(conn, changeset.changeset_id)
     conn.rollback()
 
     again = command(home, database_url, "ingest", drive)
@@ -197,7 +197,7 @@ def test_an_ingest_that_cannot_publish_says_that_it_committed(tmp_path: Path, co
     again = command(home, database_url, "ingest", drive)
     assert again.returncode == 0, again.stderr
     assert json.loads(again.stdout)[0]["unpublished"] is None
-    assert was_told(conn, changeset.changeset_id)
+    assert is_published(conn, changeset.changeset_id)
     assert in_the_way.is_file()
     assert list((home / "exports" / "reports").rglob("*.html"))
 
@@ -223,7 +223,7 @@ def test_a_commit_whose_answer_was_lost_is_a_commit(tmp_path: Path, conn: Any, d
     assert done.returncode == 0, done.stderr
     (changeset,) = list_changesets(conn)
     assert json.loads(done.stdout)[0]["changeset_id"] == str(changeset.changeset_id)
-    assert was_told(conn, changeset.changeset_id)
+    assert is_published(conn, changeset.changeset_id)
 
 
 _FAILING_DISK = """

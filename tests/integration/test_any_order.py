@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import io
-import json
 import os
 import random
 import signal
@@ -18,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from conetl.db.audits import run_audits
-from conetl.db.connection import connect, execute, load_sql, migrate, sql_directory, sql_names
+from conetl.db.connection import connect, execute
 from conetl.db.map.decision_store import read_decisions
 from conetl.db.map.map_store import (
     feature_log,
@@ -203,103 +200,6 @@ def test_a_drive_of_a_later_day_does_not_replay_the_earlier_ones(conn):
     merged = merge(conn, survey(2))
     assert merged.replayed == 1
     assert merged.changeset.deltas[0].changed_at_ns >= 2 * DAY_NS
-
-
-EVIDENCE = ("log_likelihood_ratio", "existence_after", "frames_seen", "frames_empty")
-
-
-def without_evidence(lines):
-    """The first schema kept none of it with what drives did."""
-    rows = {name: [json.loads(line) for line in found] for name, found in lines.items()}
-    return {
-        name: sorted(json.dumps({k: v for k, v in row.items() if k not in EVIDENCE}, sort_keys=True) for row in found)
-        for name, found in rows.items()
-    }
-
-
-OLD_TABLES = (
-    "map",
-    "run",
-    "drive",
-    "frame_pair",
-    "detection",
-    "stereo_match",
-    "position",
-    "track",
-    "track_member",
-    "changeset",
-    "quarantine",
-    "feature",
-    "feature_version",
-    "delta",
-)
-
-
-def copy_tables(source_conn, target_conn, tables):
-    """The columns that the target knows, and the sequences behind them."""
-    for table in tables:
-        sql = (
-            "select string_agg(quote_ident(attname), ', ' order by attnum) as names from pg_attribute where attrelid = "
-        )
-        sql += f"'conetl.{table}'::regclass and attnum > 0 and not attisdropped"
-        names = execute(target_conn, sql)[0]["names"]
-        rows = io.BytesIO()
-        with source_conn.cursor() as source, target_conn.cursor() as target:
-            source.copy_expert(f"copy (select {names} from conetl.{table}) to stdout (format binary)", rows)
-            rows.seek(0)
-            target.copy_expert(f"copy conetl.{table} ({names}) from stdin (format binary)", rows)
-    for table, column in (("map", "map_id"), ("changeset", "changeset_no"), ("feature_version", "version_row_id")):
-        sequence = f"pg_get_serial_sequence('conetl.{table}', '{column}')"
-        execute(target_conn, f"select setval({sequence}, (select max({column}) from conetl.{table}))")
-
-
-@pytest.mark.parametrize("without", ["place_cells", "overlap_boxes"])
-def test_an_older_map_is_brought_up_to_date_and_goes_on(conn, cluster_url, tmp_path, in_order, without):
-    """With closed and replayed rows: after the migrations every row is what the present code would have written."""
-    names = [name.removeprefix("migrations/") for name in sql_names("migrations")]
-    [applied] = [number for number, name in enumerate(names) if name.endswith(without)]
-    for day in (2, 0, 1):
-        merge(conn, survey(day))
-    for name in names[:applied]:
-        (tmp_path / f"{name}.sql").write_text(load_sql(f"migrations/{name}"))
-    with cloned_database(cluster_url, "template0") as url:
-        old = connect(url)
-        migrate(old, directory=tmp_path)
-        copy_tables(conn, old, OLD_TABLES)
-        execute(old, "select setval(pg_get_serial_sequence('conetl.delta', 'delta_row_id'), 1000)")
-        old.commit()
-        assert migrate(old) == names[applied:]
-        for table in ("feature", "feature_version", "delta"):
-            sql = f"select (to_jsonb(t))::text as line from conetl.{table} t order by 1"
-            assert execute(old, sql) == execute(conn, sql)
-        assert valid_time_map(old) == in_order
-        assert failed_audits(old) == []
-        for map_conn in (conn, old):
-            merge(map_conn, survey(3))
-        assert valid_time_map(old) == valid_time_map(conn)
-        assert failed_audits(old) == []
-        old.close()
-
-
-def test_a_map_of_the_first_schema_is_brought_up_to_date_and_takes_late_drives(conn, cluster_url, in_order):
-    """The rows of a map made in order, in the tables of migration 1; then all migrations, and the drive that was missing."""
-    for day in (0, 2):
-        merge(conn, survey(day))
-    with cloned_database(cluster_url, "template0") as url:
-        old = connect(url)
-        first = (sql_directory() / "migrations" / "0001_schema.sql").read_text()
-        execute(old, load_sql("schema/schema_migration"))
-        execute(old, first)
-        applied = {"name": "0001_schema", "sha256": hashlib.sha256(first.encode()).hexdigest()}
-        execute(old, load_sql("write/insert_migration"), applied)
-        copy_tables(conn, old, OLD_TABLES)
-        old.commit()
-        assert migrate(old) == [name.removeprefix("migrations/") for name in sql_names("migrations")[1:]]
-        assert failed_audits(old) == []
-        assert merge(old, survey(1)).replayed == 1
-        assert failed_audits(old) == []
-        assert without_evidence(valid_time_map(old)) == without_evidence(in_order)
-        old.close()
 
 
 LATE = """

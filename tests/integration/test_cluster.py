@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from conetl.db.cluster.cluster import cluster_down, cluster_remove, cluster_status, cluster_up
-from conetl.db.cluster.location import find_place
+from conetl.db.cluster.location import find_location
 from conetl.db.cluster.postgres_install import find_installs
 from conetl.db.connection import connect, execute
 from conetl.model.errors import DatabaseError
@@ -87,7 +87,7 @@ def test_life_of_a_cluster(used_home):
     assert count_notes(cluster_up(home)) == 1
 
     # power cut: the pid file stays behind, and its number now belongs to somebody else
-    place = find_place(home)
+    place = find_location(home)
     os.kill(cluster_status(home).pid, signal.SIGKILL)
     pid_file = place.data / "postmaster.pid"
     other = subprocess.Popen(["sleep", "600"], user=place.user.uid if AS_ROOT else None)
@@ -117,7 +117,7 @@ def test_settings_are_safe(cluster_url):
 def test_only_the_owner_and_root_are_let_in(used_home):
     home = used_home
     url = cluster_up(home)
-    place = find_place(home)
+    place = find_location(home)
     for path in (place.directory, place.socket_directory):
         assert path.stat().st_mode & 0o077 == 0
         assert path.stat().st_uid == place.user.uid
@@ -160,7 +160,7 @@ def test_two_homes_and_a_home_too_deep_for_a_socket(home, cluster_url):
     deep.mkdir(parents=True)
     try:
         url = cluster_up(deep)
-        place = find_place(deep)
+        place = find_location(deep)
         assert place.socket_directory.parent == Path("/tmp")
         assert place.socket_directory.stat().st_mode & 0o777 == 0o700
         write_note(url)
@@ -189,7 +189,7 @@ def test_root_with_a_private_home(home, tmp_path):
     try:
         url = cluster_up(hidden)
         write_note(url)
-        place = find_place(hidden)
+        place = find_location(hidden)
         assert place.directory.parent == Path("/var/lib/conetl")
         assert (hidden / "postgres.location").read_text().strip() == str(place.directory)
         assert cluster_status(hidden).url == url
@@ -209,7 +209,7 @@ def test_a_server_that_cannot_start_says_why(used_home):
     home = used_home
     cluster_up(home)
     cluster_down(home)
-    place = find_place(home)
+    place = find_location(home)
     control, away = place.data / "global" / "pg_control", place.directory / "pg_control.away"
     control.rename(away)
     with pytest.raises(DatabaseError, match=r"does not start[\s\S]*pg_control[\s\S]*CONETL_DATABASE_URL"):

@@ -396,7 +396,7 @@ def test_what_a_run_that_was_killed_after_its_commit_left_untold_is_told_by_the_
     drive = part_of(DRIVES[0], tmp_path / "untold", 8, skip=6)
     url = desk.environment["CONETL_DATABASE_URL"]
     with closing(connect(url)) as holder, closing(connect(url)) as watcher:
-        execute(holder, "lock table conetl.changeset_told in access exclusive mode")
+        execute(holder, "lock table conetl.changeset_published in access exclusive mode")
         with subprocess.Popen(
             desk.command("ingest", drive), env=desk.environment, cwd=ROOT, stderr=subprocess.DEVNULL
         ) as process:
@@ -418,7 +418,7 @@ def test_what_a_run_that_was_killed_after_its_commit_left_untold_is_told_by_the_
             time.sleep(0.2)
         assert found == ["conetl.changeset.committed"]
     with closing(connect(url)) as conn:
-        assert execute(conn, "select changeset_id::text as id from conetl.changeset_told") == committed
+        assert execute(conn, "select changeset_id::text as id from conetl.changeset_published") == committed
 
 
 def wait_for(point: str, home: Path, database_url: str, process: subprocess.Popen[bytes]) -> None:

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -18,9 +19,9 @@ import pytest
 
 from conetl.db.audits import run_audits
 from conetl.db.connection import connect, execute
+from conetl.db.map.commit import commit_changeset
 from conetl.db.map.decision_store import find_decisions
 from conetl.db.map.map_store import (
-    commit_changeset,
     feature_log,
     find_changeset,
     find_map,
@@ -30,7 +31,6 @@ from conetl.db.map.map_store import (
     read_current_features,
     read_features_as_of,
 )
-from conetl.db.map.quarantine_store import count_rejections, read_rejections
 from conetl.db.map.results import RunInfo
 from conetl.model.drive_records import DriveRecords
 from conetl.model.errors import DatabaseError, MapMismatchError
@@ -141,7 +141,7 @@ def test_a_feature_keeps_its_cell_wherever_it_is_moved(conn, samples):
     samples.commit(conn, samples.removed(away.new, samples.START_NS + 3 * day), key="4")
     [found] = execute(
         conn,
-        "select place_cell(ST_MakePoint(458239.5, 5428010)) as cell, (select cell from feature) as own, "
+        "select cell_at(ST_MakePoint(458239.5, 5428010)) as cell, (select cell from feature) as own, "
         "(select array_agg(distinct cell) from feature_version) as versions, "
         "(select array_agg(distinct cell) from delta) as deltas",
     )
@@ -292,19 +292,20 @@ def test_rejections_come_back_whatever_they_hold(conn, samples):
     changeset = samples.changeset()
     with map_transaction(conn):
         commit_changeset(conn, DriveRecords(samples.drive(), rejections=rejections), changeset)
-    read = {r.record: r for r in read_rejections(conn, changeset.changeset_id)}
+    sql = "select * from quarantine where changeset_id = %(changeset_id)s"
+    rows = execute(conn, sql, {"changeset_id": changeset.changeset_id})
+    read = {row["record"]: row for row in rows}
     assert set(read) == {"frame pair 4\ufffd", "frame pair 5", "track 1"}
-    assert read["frame pair 4\ufffd"].detail == "näh"
-    assert read["frame pair 4\ufffd"].payload == {
+    assert read["frame pair 4\ufffd"]["detail"] == "näh"
+    assert read["frame pair 4\ufffd"]["payload"] == {
         "yaw": "nan",
         "up": "inf",
         "name": "a\ufffdb\ufffd",
         "path": "x",
         "rows": [[1, 2], None],
     }
-    counts = [(c.step, c.reason, c.count) for c in count_rejections(conn, changeset.changeset_id)]
-    assert counts == [("frames", RejectionReason.POSE_INVALID, 2), ("tracks", RejectionReason.NOT_ON_GROUND, 1)]
-    assert len(read_rejections(conn, changeset.changeset_id, limit=1)) == 1
+    reasons = Counter((row["step"], row["reason"]) for row in rows)
+    assert reasons == {("frames", "pose_invalid"): 2, ("tracks", "not_on_ground"): 1}
 
 
 def test_the_run_is_kept_with_its_parameters(conn, samples):

@@ -47,15 +47,15 @@ _MAKE = (
     from map where map_name = %(map)s
     """,
     """
-    insert into feature (feature_id, map_id, srid, founded_by, cell)
-    select md5(%(map)s || k)::uuid, map_id, srid, md5(%(map)s)::uuid, place_cell(ST_MakePoint(x, y))
+    insert into feature (feature_id, map_id, srid, created_by, cell)
+    select md5(%(map)s || k)::uuid, map_id, srid, md5(%(map)s)::uuid, cell_at(ST_MakePoint(x, y))
     from map, unnest(%(x)s, %(y)s) with ordinality p (x, y, k) where map_name = %(map)s
     """,
     """
     insert into feature_version (cell, feature_id, version, map_id, srid, changeset_id, present, category, geom, centre_geom,
         cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz, cone_height_m, cone_height_sigma_m, existence_probability,
         observation_count, first_seen_ns, last_seen_ns, valid_from_ns, valid_period, system_period)
-    select place_cell(ST_MakePoint(x, y)), md5(%(map)s || k)::uuid, 1, map_id, srid, md5(%(map)s)::uuid, true, 'traffic_cone',
+    select cell_at(ST_MakePoint(x, y)), md5(%(map)s || k)::uuid, 1, map_id, srid, md5(%(map)s)::uuid, true, 'traffic_cone',
         ST_SetSRID(ST_MakePoint(x, y, k), srid), ST_SetSRID(ST_MakePoint(x, y, k), srid), 1, 0, 0, 1, 0, 1, 0.7, 0.02, 0.9,
         3, 0, 1, 0, tstzrange('2026-03-01T08:00Z', null), tstzrange('2026-03-01T20:00Z', null)
     from map, unnest(%(x)s, %(y)s) with ordinality p (x, y, k) where map_name = %(map)s

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from conetl.db.audits import run_audits
-from conetl.db.connection import connect, execute, load_sql, migrate, sql_names
+from conetl.db.connection import connect, execute
 from conetl.db.map.decision_store import read_decisions
 from conetl.db.map.drive_store import read_drive
 from conetl.db.map.map_store import (
@@ -28,7 +28,6 @@ from conetl.pipeline.decisions import revert
 from conetl.pipeline.replay import replay_of
 from tests.conftest import cloned_database
 from tests.integration.drives_of_days import CALIBRATED, DAYS, RIG, known_maps, merge, survey, valid_time_map
-from tests.integration.test_any_order import OLD_TABLES, copy_tables
 
 #: Calibrated another time, with more parameters open.
 AGAIN = with_covariance(
@@ -158,38 +157,3 @@ def test_a_reverted_drive_takes_its_calibration_along_and_brings_it_back(conn, c
     revert(conn, str(reverted.decision_id), map_name="default")
     assert valid_time_map(conn) == before
     assert failed_audits(conn) == []
-
-
-def test_a_map_from_before_levers_goes_on_with_those_that_come(conn, cluster_url, tmp_path):
-    """Drives of before state none, whatever their calibration: they are fused, and played again, as they were."""
-    names = [name.removeprefix("migrations/") for name in sql_names("migrations")]
-    [applied] = [number for number, name in enumerate(names) if name.endswith("shared_jacobian")]
-    for day in (0, 2):
-        merge(conn, of_day(day))
-    assert any(jacobian_of(conn))
-    for name in names[:applied]:
-        (tmp_path / f"{name}.sql").write_text(load_sql(f"migrations/{name}"))
-    with cloned_database(cluster_url, "template0") as url:
-        old = connect(url)
-        migrate(old, directory=tmp_path)
-        copy_tables(conn, old, OLD_TABLES)
-        execute(old, "select setval(pg_get_serial_sequence('conetl.delta', 'delta_row_id'), 1000)")
-        old.commit()
-        file_of = "select relfilenode as file from pg_class where oid = 'conetl.feature_version'::regclass"
-        before, rows = execute(old, file_of), len(list(read_rows(old)))
-        assert migrate(old) == names[applied:]
-        assert execute(old, file_of) == before, "ten million rows are not written anew"
-        assert len(list(read_rows(old))) == rows
-        assert failed_audits(old) == []
-        assert set(jacobian_of(old)) == {None}
-        places = {f.feature_id: f.xyz_m for f in read_current_features(conn)}
-        assert {f.feature_id: f.xyz_m for f in read_current_features(old)} == places
-        assert merge(old, of_day(1)).replayed == 1  # late: day 2 is played again, without shared_jacobian
-        assert failed_audits(old) == []
-        ids = {one for shared_jacobian in jacobian_of(old) if shared_jacobian for one in shared_jacobian.calibrations}
-        assert ids == {calibration_id(CALIBRATED)}
-        old.close()
-
-
-def read_rows(conn):
-    return execute(conn, "select (to_jsonb(f))::text as line from conetl.map_as_of('default', 'infinity') f")

@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 
 from conetl.cli.app import app
 from conetl.db.cluster.cluster import cluster_down, cluster_remove, cluster_status, cluster_up
-from conetl.db.cluster.location import find_place
+from conetl.db.cluster.location import find_location
 from conetl.db.connection import connect, execute
 from conetl.model.errors import DatabaseError, ServiceError
 from conetl.services.processes import Service, read_services, write_services
@@ -96,7 +96,7 @@ def test_a_server_in_another_container_is_left_alone(home: Path) -> None:
 
 def test_what_a_pid_file_means_depends_on_where_it_was_written(home: Path) -> None:
     write_note(cluster_up(home))
-    place = find_place(home)
+    place = find_location(home)
     assert place is not None
     host_file, pid_file = place.directory / "server.host", place.data / "postmaster.pid"
     written = json.loads(host_file.read_text())
@@ -129,7 +129,7 @@ def test_what_a_pid_file_means_depends_on_where_it_was_written(home: Path) -> No
 
     killed_there()
     host_file.write_text("?")
-    with pytest.raises(DatabaseError, match=r"server\.host should say where"):
+    with pytest.raises(DatabaseError, match=r"server\.host should name the host"):
         cluster_up(home)
     host_file.unlink()
     assert is_up()
@@ -138,7 +138,7 @@ def test_what_a_pid_file_means_depends_on_where_it_was_written(home: Path) -> No
 def test_status_and_down_tell_of_what_runs_on_another_host(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing there may be called stopped, or be forgotten."""
     write_note(cluster_up(home))
-    place = find_place(home)
+    place = find_location(home)
     assert place is not None
     host_file = place.directory / "server.host"
     written = json.loads(host_file.read_text())

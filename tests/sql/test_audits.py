@@ -5,11 +5,12 @@ from __future__ import annotations
 import pytest
 
 from conetl.db.audits import audits_of_open_transaction, run_audits
-from conetl.db.connection import connect, execute, sql_names
+from conetl.db.connection import connect, execute
+from conetl.db.statements import statements
 
 #: audit -> statements that plant one fault, past the constraints that would refuse it.
 DROP_EXCLUDE = "alter table feature_version drop constraint no_overlap"
-DROP_BELIEVED = "drop index feature_version_believed"
+DROP_BELIEVED = "drop index feature_version_current"
 DROP_DELTA_KEY = "alter table delta drop constraint feature_of_delta"
 DROP_FEATURE_KEY = "alter table feature_version drop constraint feature_of_version"
 DROP_CHECKS = """
@@ -234,7 +235,7 @@ def test_a_suppressed_place_as_people_make_it_passes(good_map):
 
 
 def test_every_audit_has_faults_to_find():
-    assert {name.removeprefix("audit/") for name in sql_names("audit")} == set(FAULTS)
+    assert set(statements("audits")) == set(FAULTS)
 
 
 @pytest.mark.parametrize(

@@ -10,9 +10,12 @@ from uuid import uuid4
 import psycopg2
 import pytest
 
-from conetl.db.connection import connect, database_status, execute, load_sql, migrate, sql_directory, sql_names
+from conetl.db import schema
+from conetl.db.connection import connect, execute
 from conetl.db.map.import_store import read_licence, set_licence
 from conetl.db.map.map_store import read_current_features
+from conetl.db.schema import database_status, migrate, migrate_once
+from conetl.db.statements import load_sql, sql_directory, statements
 from conetl.model.errors import DatabaseError
 
 
@@ -32,7 +35,7 @@ def test_an_empty_database_becomes_ready(empty_url):
     conn = connect(empty_url)
     before = database_status(conn)
     assert (before.ready, before.postgis_version, before.applied_migrations) == (False, None, ())
-    assert before.pending_migrations[0] == "0001_schema"
+    assert before.pending_migrations[0] == "0001_baseline"
     assert migrate(conn) == list(before.pending_migrations)
     after = database_status(conn)
     assert after.ready
@@ -68,9 +71,9 @@ def test_a_changed_old_migration_is_an_error(empty_url, tmp_path):
     shutil.copytree(sql_directory() / "migrations", folder)
     conn = connect(empty_url)
     migrate(conn, directory=folder)
-    file = folder / "0001_schema.sql"
+    file = folder / "0001_baseline.sql"
     file.write_text(file.read_text() + "-- changed\n")
-    with pytest.raises(DatabaseError, match=r"0001_schema\.sql was changed"):
+    with pytest.raises(DatabaseError, match=r"0001_baseline\.sql was changed"):
         migrate(conn, directory=folder)
     conn.close()
 
@@ -85,6 +88,25 @@ def test_a_failing_migration_leaves_the_database_as_it_was(empty_url, tmp_path):
         migrate(conn, directory=folder)
     assert database_status(conn).applied_migrations == ()
     assert execute(conn, "select to_regclass('conetl.half') as half") == [{"half": None}]
+    conn.close()
+
+
+def test_a_database_from_before_the_baseline_is_refused_and_left_alone(empty_url):
+    conn = connect(empty_url)
+    execute(conn, load_sql("schema.schema_migration"))
+    execute(conn, load_sql("schema.insert_migration"), {"name": "0001_schema", "sha256": "x"})
+    conn.commit()
+    with pytest.raises(DatabaseError, match=r"before the schema's baseline.*conetl map export.*Nothing was changed"):
+        migrate(conn)
+    assert database_status(conn).applied_migrations == ("0001_schema",)
+    conn.close()
+
+
+def test_one_process_checks_a_database_once(empty_url, monkeypatch):
+    conn = connect(empty_url)
+    migrate_once(conn)
+    monkeypatch.setattr(schema, "migrate", pytest.fail)
+    migrate_once(conn)
     conn.close()
 
 
@@ -232,8 +254,8 @@ def test_one_id_is_one_feature_whatever_its_cell(map_of_one):
     with pytest.raises(psycopg2.errors.UniqueViolation, match="feature_by_id"):
         execute(
             map_of_one,
-            "insert into feature (feature_id, map_id, srid, founded_by, cell) "
-            "select feature_id, map_id, srid, founded_by, cell + 1 from feature",
+            "insert into feature (feature_id, map_id, srid, created_by, cell) "
+            "select feature_id, map_id, srid, created_by, cell + 1 from feature",
         )
     map_of_one.rollback()
 
@@ -251,7 +273,7 @@ def test_one_id_is_one_feature_whatever_its_cell(map_of_one):
 )
 def test_a_place_has_one_cell_of_256_m(map_of_one, place, cell):
     row, column = cell
-    found = execute(map_of_one, f"select place_cell(ST_SetSRID(ST_MakePoint({place}), 32632)) as cell")
+    found = execute(map_of_one, f"select cell_at(ST_SetSRID(ST_MakePoint({place}), 32632)) as cell")
     assert found == [{"cell": (row << 32) + column}]
 
 
@@ -332,8 +354,8 @@ def test_boxes_of_a_feature_overlap_where_its_valid_periods_do(map_of_one):
             select tstzrange(a.t, null) from instant a where a.t < 'infinity'
         ),
         feature (id, cell) as (
-            values ('11111111-1111-1111-1111-111111111111'::uuid, place_cell(ST_MakePoint(458001, 5428010))),
-                ('22222222-1111-1111-1111-111111111111', place_cell(ST_MakePoint(-1e30, 1e30)))
+            values ('11111111-1111-1111-1111-111111111111'::uuid, cell_at(ST_MakePoint(458001, 5428010))),
+                ('22222222-1111-1111-1111-111111111111', cell_at(ST_MakePoint(-1e30, 1e30)))
         )
         select
             count(*) as pairs,
@@ -350,13 +372,13 @@ def test_two_features_with_one_place_number_do_not_exclude_each_other(map_of_one
     twins = execute(
         conn,
         "with id as (select gen_random_uuid() as id from generate_series(1, 30000)) "
-        "select (array_agg(id))[1:2]::text[] as ids from id group by place_number(7, id) having count(*) > 1 limit 1",
+        "select (array_agg(id))[1:2]::text[] as ids from id group by feature_number(7, id) having count(*) > 1 limit 1",
     )[0]["ids"]
     parameters = {"ids": twins}
     execute(
         conn,
-        "insert into feature (feature_id, map_id, srid, founded_by, cell) "
-        "select id, map_id, srid, founded_by, 7 from feature, unnest(%(ids)s::uuid[]) id",
+        "insert into feature (feature_id, map_id, srid, created_by, cell) "
+        "select id, map_id, srid, created_by, 7 from feature, unnest(%(ids)s::uuid[]) id",
         parameters,
     )
     execute(conn, "create temp table copy as select v.*, 0 as twin from feature_version v")
@@ -369,27 +391,30 @@ def test_two_features_with_one_place_number_do_not_exclude_each_other(map_of_one
     execute(conn, "alter table copy drop column twin")
     execute(conn, "insert into feature_version overriding system value select * from copy")
     assert execute(
-        conn, "select count(distinct place_number(cell, feature_id)) as n from feature_version where cell = 7"
+        conn, "select count(distinct feature_number(cell, feature_id)) as n from feature_version where cell = 7"
     ) == [{"n": 1}]
     conn.rollback()
 
 
-FILES = [name for folder in ("map", "write", "audit", "schema") for name in sql_names(folder)]
+TOPICS = sorted(path.stem for path in sql_directory().glob("*.sql"))
 
 
-@pytest.mark.parametrize("name", FILES)
-def test_every_file_says_its_purpose_and_names_its_parameters(name):
+@pytest.mark.parametrize("name", [f"{topic}.{name}" for topic in TOPICS for name in statements(topic)])
+def test_every_statement_says_its_purpose_and_names_its_parameters(name):
     text = load_sql(name)
     header = re.match(r"(--.*\n)+", text)
-    assert text.startswith("-- Purpose: ")
-    for parameter in set(re.findall(r"%\((\w+)\)s", text[header.end() :])) - {"srid"}:
-        if not name.endswith("insert_drive") and not name.endswith("insert_changeset"):
-            assert parameter in header[0], f"{name}.sql does not explain {parameter}"
-    if name.startswith(("map/", "write/", "audit/")):
+    assert header and header[0][3].isupper(), f"{name} has no purpose"
+    if "Parameters: as the columns" not in header[0]:
+        for parameter in set(re.findall(r"%\((\w+)\)s", text[header.end() :])):
+            assert parameter in header[0], f"{name} does not explain {parameter}"
+    if not name.startswith("schema."):
         body = re.sub(r"'[^']*'|--.*", "", text[header.end() :])
-        assert body.count(";") == 1, f"{name}.sql should hold one statement"
+        assert body.count(";") == 1 and body.endswith(";"), f"{name} should hold one statement"
 
 
-def test_a_file_that_is_not_there_is_reported():
-    with pytest.raises(DatabaseError, match=r"no_such\.sql cannot be read"):
-        load_sql("map/no_such")
+@pytest.mark.parametrize(
+    ("name", "message"), [("no_such.thing", "cannot be read"), ("map.no_such", "has no statement no_such")]
+)
+def test_a_statement_that_is_not_there_is_reported(name, message):
+    with pytest.raises(DatabaseError, match=message):
+        load_sql(name)

@@ -12,9 +12,10 @@ import psycopg2
 import pytest
 
 from conetl.db import session_locks
-from conetl.db.connection import CLIENT_KEEPALIVES, Connection, connect, execute, load_sql
+from conetl.db.connection import CLIENT_KEEPALIVES, Connection, connect, execute
 from conetl.db.receipt_store import held_if_free, held_locks
 from conetl.db.session_locks import holding
+from conetl.db.statements import load_sql
 from conetl.model.errors import DatabaseError
 
 NAMES = ("conetl.drive/a", "conetl.flow_run/b")
@@ -74,7 +75,7 @@ def test_who_took_a_lost_lock_keeps_it(database_url: str, asking: Connection, fr
     """Both go on; the lock says of one of them that it lives, and of the other as soon as it is free."""
     with closing(connect(database_url)) as other:
         other.autocommit = True
-        waits = threading.Thread(target=execute, args=(other, load_sql("write/take_lock"), {"name": NAMES[0]}))
+        waits = threading.Thread(target=execute, args=(other, load_sql("locks.take_lock"), {"name": NAMES[0]}))
         with holding(database_url, *NAMES):
             mine = owners(asking)
             waits.start()
@@ -84,7 +85,7 @@ def test_who_took_a_lost_lock_keeps_it(database_url: str, asking: Connection, fr
             until(lambda: held_locks(asking, NAMES) == set(NAMES))
             assert other.info.backend_pid in owners(asking)
             if freed_first:
-                execute(other, load_sql("write/free_lock"), {"name": NAMES[0]})
+                execute(other, load_sql("locks.free_lock"), {"name": NAMES[0]})
                 until(lambda: held_locks(asking, NAMES) == set(NAMES))
                 assert other.info.backend_pid not in owners(asking)
         assert held_locks(asking, NAMES) == (set() if freed_first else {NAMES[0]}), "nobody frees another's lock"

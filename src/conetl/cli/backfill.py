@@ -27,7 +27,7 @@ from conetl.cli.console import (
 )
 from conetl.cli.database import open_map
 from conetl.cli.ingest import read_params
-from conetl.db.notification_store import QUIET, untold_changesets
+from conetl.db.notification_store import QUIET, pending_changesets
 from conetl.model.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_SERVICE_MISSING, EXIT_TOO_MANY_REJECTIONS
 from conetl.pipeline.settings import prefect_environment, read_settings
 
@@ -66,7 +66,7 @@ def backfill(
     begin, end = parse_time(since), parse_time(until)
     with open_map(settings) as conn, spinner("Planning"):
         plan = plan_drives(conn, root, settings=settings, params=parameters, since=begin, until=end, recheck=recheck)
-        untold = untold_changesets(conn, map_name=settings.map_name, quiet=QUIET)
+        untold = pending_changesets(conn, map_name=settings.map_name, quiet=QUIET)
     if not as_json:
         _print_plan(plan, max_parallel or 1)
     if dry_run or not (plan.todo or untold):

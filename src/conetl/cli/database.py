@@ -10,8 +10,9 @@ from dataclasses import asdict
 from conetl.cli.console import Columns, JsonOption, answer, print_json, print_records, print_table, say
 from conetl.db.audits import run_audits
 from conetl.db.cluster.cluster import cluster_down, cluster_status, cluster_up
-from conetl.db.connection import Connection, connect, database_status
-from conetl.db.connection import migrate as apply_migrations
+from conetl.db.connection import Connection, connect
+from conetl.db.schema import database_status
+from conetl.db.schema import migrate as apply_migrations
 from conetl.model.errors import ConetlError
 from conetl.pipeline.settings import Settings, read_settings
 

@@ -18,7 +18,8 @@ import typer
 from conetl.cli.console import JsonOption, answer, counted, print_json, print_table, say, spinner
 from conetl.cli.database import database_url
 from conetl.db.cluster.cluster import cluster_down, cluster_status
-from conetl.db.connection import connect, migrate, prefect_database, sqlalchemy_url
+from conetl.db.connection import connect, sqlalchemy_url
+from conetl.db.schema import migrate_once, prefect_database
 from conetl.model.errors import EXIT_SERVICE_MISSING, InputError, ServiceError
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.settings import SERVER_AUTH, Settings, prefect_auth_string, prefect_environment, read_settings
@@ -77,7 +78,7 @@ def up(
         show("Starting PostGIS")
         url = database_url(settings)
         with closing(connect(url)) as conn:
-            migrate(conn)
+            migrate_once(conn)
         settings.inbox.mkdir(parents=True, exist_ok=True)
         done = _start_services(settings, home, services, url, workers, (host, port), view_port, decisions, show)
     if as_json:

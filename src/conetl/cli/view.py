@@ -12,7 +12,8 @@ import uvicorn
 
 from conetl.cli.console import JsonOption, answer, err
 from conetl.cli.database import database_url
-from conetl.db.connection import connect, migrate
+from conetl.db.connection import connect
+from conetl.db.schema import migrate_once
 from conetl.model.errors import InputError
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.web.app import STATIC, create_app
@@ -48,7 +49,7 @@ def view(
         raise InputError(f"the front end is missing in {STATIC}: build it with `make web`, or install conetl again")
     url = database_url(settings)
     with closing(connect(url)) as conn:
-        migrate(conn)
+        migrate_once(conn)
     writer = writer_of(settings, url, on_request=decisions, token_file=writer_token_file)
     address = f"http://127.0.0.1:{port}/"
     with closing(_listen(port)) as listener:

@@ -1,4 +1,4 @@
-"""Connections for `asyncio` that can only read: what OGC API Features is served from (tipg speaks to asyncpg)."""
+"""Read-only connections for `asyncio`, for OGC API Features (tipg uses asyncpg)."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from urllib.parse import quote, urlencode
 
 import asyncpg
 
-from conetl.db.connection import CONNECT_TIMEOUT_S, address_parts, load_sql
+from conetl.db.connection import CONNECT_TIMEOUT_S, address_parts
 from conetl.db.reader_pool import STATEMENT_TIMEOUT, WAIT_S
+from conetl.db.statements import load_sql
 from conetl.model.errors import DatabaseError
 
-#: More at one time do not make two processors answer sooner.
+#: Two processors do not answer sooner with more.
 MAX_CONNECTIONS = 6
-#: Keywords of a libpq address that asyncpg knows; others (such as keepalives) concern the kind of connection only.
+#: Keywords of a libpq address that asyncpg supports; others (such as keepalives) concern the kind of connection only.
 _KEYWORDS = (
     "host", "port", "user", "password", "passfile", "sslmode", "sslcert", "sslkey", "sslrootcert", "sslcrl",
 )  # fmt: skip
@@ -24,16 +25,15 @@ _SESSION = {
     "application_name": "conetl ogc",
     "TimeZone": "UTC",
     "jit": "off",
-    "plan_cache_mode": "force_generic_plan",  # planning is a fifth of a page; a question for a whole map is another statement
+    "plan_cache_mode": "force_generic_plan",  # planning is a fifth of a page; a query for a whole map is another statement
 }
-_BUSY = "The database is busy: all connections of the OGC API are in use. Try again."
 
 
 class AsyncReaderPool:
-    """`MAX_CONNECTIONS` read-only connections, as role conetl_reader where the user may take it.
+    """`MAX_CONNECTIONS` read-only connections, as role conetl_reader if the user is a member of it.
 
-    All are opened with the first request and stay open: a new session plans its first question for 30 ms and more, and at busy
-    times those would be the slowest answers. `warm` asks each session such a question.
+    All are opened with the first request and stay open: a new session plans its first statement for 30 ms and more, which
+    would be the slowest answers at busy times. `warm` runs such a statement in each session.
     """
 
     def __init__(self, url: str, warm: Callable[[asyncpg.Connection], Awaitable[None]] | None = None) -> None:
@@ -45,12 +45,14 @@ class AsyncReaderPool:
 
     @asynccontextmanager
     async def acquire(self) -> AsyncIterator[asyncpg.Connection]:
-        """One connection whose transactions only read. Raises DatabaseError where none is to be had, or it is lost."""
+        """One connection whose transactions only read. Raises DatabaseError if none is available, or it is lost."""
         pool = await self._opened()
         try:
             conn = await pool.acquire(timeout=WAIT_S)
         except TimeoutError as error:
-            raise DatabaseError(_BUSY) from error
+            raise DatabaseError(
+                "The database is busy: all connections of the OGC API are in use. Try again."
+            ) from error
         except (OSError, asyncpg.PostgresError, asyncpg.InterfaceError) as error:
             raise DatabaseError(f"The database cannot be reached: {error}. Start it (`conetl db up`).") from error
         try:
@@ -61,7 +63,7 @@ class AsyncReaderPool:
             await pool.release(conn)
 
     async def close(self) -> None:
-        """End all connections; the next request opens new ones."""
+        """Close all connections; the next request opens new ones."""
         pool, self._pool = self._pool, None
         if self._filling is not None:
             self._filling.cancel()
@@ -84,13 +86,16 @@ class AsyncReaderPool:
                     server_settings=_SESSION,
                 )
                 touches = [_touch(self._pool) for _ in range(MAX_CONNECTIONS)]
-                self._filling = asyncio.gather(*touches, return_exceptions=True)  # whoever asks will be told
+                self._filling = asyncio.gather(*touches, return_exceptions=True)  # requests get the error
             return self._pool
 
     async def _prepare(self, conn: asyncpg.Connection) -> None:
-        await _only_read(conn)
+        await conn.execute(load_sql("schema.search_path"))
+        await conn.fetch(load_sql("schema.reader_session").replace("%(timeout)s", "$1"), STATEMENT_TIMEOUT)
+        for name in ("json", "jsonb"):
+            await conn.set_type_codec(name, encoder=json.dumps, decoder=json.loads, schema="pg_catalog")
         if self._warm is not None:
-            with suppress(asyncpg.PostgresError):  # whoever asks will be told
+            with suppress(asyncpg.PostgresError):  # the request gets the error
                 await self._warm(conn)
 
 
@@ -99,12 +104,5 @@ async def _touch(pool: asyncpg.Pool) -> None:
         pass
 
 
-async def _only_read(conn: asyncpg.Connection) -> None:
-    await conn.execute(load_sql("schema/search_path"))
-    await conn.fetch(load_sql("serve/session").replace("%(timeout)s", "$1"), STATEMENT_TIMEOUT)
-    for name in ("json", "jsonb"):
-        await conn.set_type_codec(name, encoder=json.dumps, decoder=json.loads, schema="pg_catalog")
-
-
 async def _keep(_: asyncpg.Connection) -> None:
-    """Between two requests a session stays as it is: the usual reset would give it its user and its right to write back."""
+    """Between two requests a session stays as it is: the usual reset would restore its user and its right to write."""

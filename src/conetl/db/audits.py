@@ -1,13 +1,13 @@
-"""Audits: one query per file of `sql/audit/`, each returns the rows that offend; no rows, no fault."""
+"""Audits: one statement each in `sql/audits.sql`, which returns the rows that offend; no rows, no fault."""
 
 from __future__ import annotations
 
-import re
 import time
 from dataclasses import dataclass
 from typing import Any
 
-from conetl.db.connection import Connection, execute, load_sql, sql_names, transaction
+from conetl.db.connection import Connection, execute, transaction
+from conetl.db.statements import statements
 
 SHOWN_ROWS = 100
 
@@ -18,12 +18,12 @@ class AuditResult:
 
     name: str
     purpose: str
-    """One sentence, from the head of its file."""
+    """The comment of its statement."""
     row_count: int
     rows: tuple[dict[str, Any], ...]
     """The first 100 offending rows; every one has a column `problem`."""
     seconds: float = 0.0
-    """How long it took."""
+    """Duration."""
 
     @property
     def passed(self) -> bool:
@@ -38,15 +38,13 @@ def run_audits(conn: Connection) -> list[AuditResult]:
 
 
 def audits_of_open_transaction(conn: Connection) -> list[AuditResult]:
-    """Run all audits on what the caller's open transaction sees, its own uncommitted changes included."""
-    return [_run(conn, name) for name in sql_names("audit")]
+    """Run all audits inside the caller's open transaction, its own uncommitted changes included."""
+    return [_run(conn, name, text) for name, text in statements("audits").items()]
 
 
-def _run(conn: Connection, name: str) -> AuditResult:
-    text = load_sql(name)
-    purpose = re.match(r"-- Purpose: ((?:.*\n)(?:-- (?!Columns).*\n)*)", text)
-    sentence = re.sub(r"\s*\n(-- )?", " ", purpose[1]).strip() if purpose else name
+def _run(conn: Connection, name: str, text: str) -> AuditResult:
+    purpose = text.partition("\n-- Columns:")[0].removeprefix("-- ").replace("\n-- ", " ")
     start = time.monotonic()
     rows = execute(conn, text)
     seconds = time.monotonic() - start
-    return AuditResult(name.removeprefix("audit/"), sentence, len(rows), tuple(rows[:SHOWN_ROWS]), seconds)
+    return AuditResult(name, purpose, len(rows), tuple(rows[:SHOWN_ROWS]), seconds)

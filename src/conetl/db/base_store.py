@@ -1,4 +1,4 @@
-"""Base layers in PostGIS: one transaction a file, all of it or nothing."""
+"""Base layers in PostGIS: one transaction per file, all or nothing."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from conetl.db.connection import Connection, copy_columns, database_errors, execute, load_sql, transaction
+from conetl.db.connection import Connection, copy_columns, database_errors, execute, transaction
 from conetl.db.copy_binary import (
     Column,
     byteas,
@@ -27,6 +27,7 @@ from conetl.db.copy_binary import (
     jsons,
     texts,
 )
+from conetl.db.statements import load_sql
 from conetl.readers.base_layers.georeferencing import MapGround, ground_under
 from conetl.readers.base_layers.point_tiles import Tile
 
@@ -39,7 +40,7 @@ _LINES_AT_ONCE = 5_000
 
 @dataclass(frozen=True)
 class BaseFile:
-    """What identifies an import: the same file into the same layer with the same parameters is imported once."""
+    """Identity of an import: the same file is imported once into a layer with the same parameters."""
 
     map_name: str
     layer_name: str
@@ -53,7 +54,7 @@ class BaseFile:
 
 @dataclass(frozen=True)
 class BaseCounts:
-    """How many points or lines a file had, how many of them could not be used, and where they lie (map's CRS)."""
+    """Numbers of points or lines of a file, of unusable ones, and their bounding box (map's CRS)."""
 
     read_count: int
     refused_count: int
@@ -94,18 +95,18 @@ class PlacedLine:
 
 
 def read_map_ground(conn: Connection, map_name: str, srid: int) -> MapGround:
-    """Where a map's drives were, and how high the road is there."""
+    """Location of a map's drives and the height of the road there."""
     with database_errors(f"The drives of map {map_name} cannot be read"):
-        poses = _places(conn, "map/base_poses", {"map_name": map_name, "max_rows": _MAX_POSES})
-        feet = _places(conn, "map/base_feet", {"map_name": map_name, "max_rows": _MAX_FEET})
+        poses = _points(conn, "base_layers.poses", {"map_name": map_name, "max_rows": _MAX_POSES})
+        feet = _points(conn, "base_layers.feet", {"map_name": map_name, "max_rows": _MAX_FEET})
     return MapGround(srid, ground_under(poses, feet))
 
 
 def read_ingested_poses(conn: Connection, map_name: str, content_sha256: str) -> dict[int, NDArray[np.float64]]:
-    """Frame index -> (4, 4) map_SE3_body that the drive of this content was placed by; {} where the map does not have it."""
+    """Frame index -> (4, 4) map_SE3_body of the ingested drive with this content; {} if the map does not have it."""
     parameters = {"map_name": map_name, "content_sha256": content_sha256}
     with database_errors(f"The poses of a drive of map {map_name} cannot be read"):
-        rows = execute(conn, load_sql("map/ingested_poses"), parameters)
+        rows = execute(conn, load_sql("base_layers.ingested_poses"), parameters)
     poses = {}
     for row in rows:
         pose = np.eye(4)
@@ -116,61 +117,67 @@ def read_ingested_poses(conn: Connection, map_name: str, content_sha256: str) ->
 
 
 def find_base_file(conn: Connection, file: BaseFile) -> int | None:
-    """How many points or lines an earlier import of this very file keeps; None where there was none."""
+    """Number of points or lines kept by an earlier import of this file; None if there was none."""
     with database_errors(f"The base layers of map {file.map_name} cannot be read"):
-        rows = execute(conn, load_sql("map/find_base_source"), asdict(file) | {"params": json_text(file.params)})
+        rows = execute(conn, load_sql("base_layers.find_source"), asdict(file) | {"params": json_text(file.params)})
     return int(rows[0]["kept_count"]) if rows else None
 
 
 def write_points(conn: Connection, file: BaseFile, counts: BaseCounts, tiles: Iterable[Tile]) -> int | None:
-    """Write a file's tiles; the number of points kept, None where another import of the same file was faster."""
+    """Write a file's tiles; the number of points kept, None if another import of the same file was faster."""
     source_id = uuid4()
-    kept = 0
-    with transaction(conn, f"{file.source_path} was not imported, nothing was written"):
-        for batch in _batches(tiles, _TILES_AT_ONCE):
-            copy_columns(conn, "conetl.base_tile", _tile_columns(source_id, batch))
-            kept += sum(tile.points for tile in batch)
-        return _finish(conn, source_id, file, counts, kept)
+    blocks = (
+        (_tile_columns(source_id, batch), sum(t.points for t in batch)) for batch in _batches(tiles, _TILES_AT_ONCE)
+    )
+    return _write(conn, source_id, file, counts, "conetl.base_tile", blocks)
 
 
 def write_lines(
     conn: Connection, file: BaseFile, counts: BaseCounts, lines: Iterable[PlacedLine], srid: int
 ) -> int | None:
-    """Write a file's lines; their number, None where another import of the same file was faster."""
+    """Write a file's lines; their number, None if another import of the same file was faster."""
     source_id = uuid4()
-    kept = 0
-    with transaction(conn, f"{file.source_path} was not imported, nothing was written"):
-        for batch in _batches(lines, _LINES_AT_ONCE):
-            copy_columns(conn, "conetl.base_line", _line_columns(source_id, batch, srid))
-            kept += len(batch)
-        return _finish(conn, source_id, file, counts, kept)
+    blocks = ((_line_columns(source_id, batch, srid), len(batch)) for batch in _batches(lines, _LINES_AT_ONCE))
+    return _write(conn, source_id, file, counts, "conetl.base_line", blocks)
 
 
 def list_base_sources(conn: Connection, map_name: str) -> list[BaseSource]:
     """All imported files of a map, by layer."""
     with database_errors(f"The base layers of map {map_name} cannot be read"):
-        return [BaseSource(**row) for row in execute(conn, load_sql("map/base_sources"), {"map_name": map_name})]
+        return [BaseSource(**row) for row in execute(conn, load_sql("base_layers.sources"), {"map_name": map_name})]
 
 
 def drop_base_layer(conn: Connection, map_name: str, layer_name: str) -> list[int]:
-    """Drop a layer; points or lines of each of its files, [] where there was no such layer."""
+    """Drop a layer; numbers of points or lines of its files, [] if there was no such layer."""
     with transaction(conn, f"The base layer {layer_name} of map {map_name} was not dropped"):
-        rows = execute(conn, load_sql("write/drop_base_layer"), {"map_name": map_name, "layer_name": layer_name})
+        rows = execute(conn, load_sql("base_layers.drop_layer"), {"map_name": map_name, "layer_name": layer_name})
     return [int(row["kept_count"]) for row in rows]
 
 
-def _finish(conn: Connection, source_id: UUID, file: BaseFile, counts: BaseCounts, kept: int) -> int | None:
+def _write(
+    conn: Connection,
+    source_id: UUID,
+    file: BaseFile,
+    counts: BaseCounts,
+    table: str,
+    blocks: Iterable[tuple[dict[str, Column], int]],
+) -> int | None:
     west_m, south_m = counts.low_m
     east_m, north_m = counts.high_m
-    parameters = asdict(file) | {
-        "params": json_text(file.params), "source_id": source_id, "read_count": counts.read_count, "kept_count": kept,
-        "refused_count": counts.refused_count, "west_m": west_m, "south_m": south_m, "east_m": east_m, "north_m": north_m,
-    }  # fmt: skip
-    if not execute(conn, load_sql("write/insert_base_source"), parameters):
-        conn.rollback()
-        return None
-    execute(conn, load_sql("write/drop_older_base_source"), parameters)
-    return kept
+    with transaction(conn, f"{file.source_path} was not imported, nothing was written"):
+        kept = 0
+        for columns, count in blocks:
+            copy_columns(conn, table, columns)
+            kept += count
+        parameters = asdict(file) | {
+            "params": json_text(file.params), "source_id": source_id, "read_count": counts.read_count, "kept_count": kept,
+            "refused_count": counts.refused_count, "west_m": west_m, "south_m": south_m, "east_m": east_m, "north_m": north_m,
+        }  # fmt: skip
+        if not execute(conn, load_sql("base_layers.insert_source"), parameters):
+            conn.rollback()
+            return None
+        execute(conn, load_sql("base_layers.drop_older_source"), parameters)
+        return kept
 
 
 def _tile_columns(source_id: UUID, tiles: list[Tile]) -> dict[str, Column]:
@@ -198,7 +205,7 @@ def _line_columns(source_id: UUID, lines: list[PlacedLine], srid: int) -> dict[s
     }
 
 
-def _places(conn: Connection, name: str, parameters: Mapping[str, Any]) -> NDArray[np.float64]:
+def _points(conn: Connection, name: str, parameters: Mapping[str, Any]) -> NDArray[np.float64]:
     rows = execute(conn, load_sql(name), parameters)
     return np.array([(r["easting_m"], r["northing_m"], r["height_m"]) for r in rows], np.float64).reshape(-1, 3)
 

@@ -1,15 +1,11 @@
-"""Connections, migrations and the .sql files: how conetl talks to PostGIS."""
+"""Connections to PostGIS: errors, transactions, statements, COPY. The only module that imports psycopg2."""
 
 from __future__ import annotations
 
-import hashlib
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
-from dataclasses import dataclass
-from functools import cache
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from io import BytesIO
-from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 from urllib.parse import quote, urlencode
 
@@ -18,15 +14,16 @@ import psycopg2.errors
 import psycopg2.extensions
 import psycopg2.extras
 
+from conetl.db.ahead import read_ahead
 from conetl.db.copy_binary import Column, copy_statement, encode, row_count, sliced
-from conetl.db.read_ahead import read_ahead
+from conetl.db.statements import load_sql
 from conetl.model.errors import DatabaseError
 
 Connection: TypeAlias = psycopg2.extensions.connection
 
 CONNECT_TIMEOUT_S = 10
-#: Many sessions are idle while a drive is computed. Over TCP, both ends ask for the other one after `_IDLE_S` and know after a
-#: minute that it is gone; firewalls in between see traffic. Without effect on unix sockets; what the address names itself counts.
+#: Many sessions are idle while a drive is computed. Over TCP, both ends probe the other one after `_IDLE_S` and know within a
+#: minute that it is gone; firewalls see traffic. Without effect on unix sockets; settings in the address take precedence.
 _IDLE_S, _INTERVAL_S, _COUNT = 30, 10, 3
 _GONE_MS = 1000 * (_IDLE_S + _COUNT * _INTERVAL_S)
 CLIENT_KEEPALIVES = {
@@ -42,60 +39,21 @@ SESSION_OPTIONS = (
     f"-c tcp_keepalives_count={_COUNT} -c tcp_user_timeout={_GONE_MS}"
 )
 COPY_BATCH_ROWS = 200_000
-#: Sent at once; psycopg2's own 8 kB cost a call of Python for every few rows.
+#: Sent at once; psycopg2's own 8 kB cost a Python call for every few rows.
 COPY_CHUNK_BYTES = 1 << 20
-#: Key of the advisory lock that keeps two migrations apart.
-MIGRATION_LOCK = 0x636F6E65
-ROLES = ("conetl_reader", "conetl_writer")
 
 
-@dataclass(frozen=True)
-class DatabaseStatus:
-    """What a database holds and whether this conetl can work with it."""
+class CopyBlock(NamedTuple):
+    """Rows that are ready to be sent."""
 
-    database: str
-    user: str
-    postgres_version: str
-    postgis_version: str | None
-    applied_migrations: tuple[str, ...]
-    pending_migrations: tuple[str, ...]
-    missing_roles: tuple[str, ...]
-    """Of conetl_reader and conetl_writer those that do not exist or have no rights here; `migrate` makes them where ..."""
-    may_create_roles: bool
-    """... the connected user may create roles; otherwise a superuser has to run `migrate` once."""
-    size_bytes: int
-    maps: tuple[tuple[str, int], ...]
-    """Name and SRID."""
-
-    @property
-    def ready(self) -> bool:
-        return bool(self.applied_migrations) and not self.pending_migrations
-
-
-PREFECT_DATABASE = "prefect"
-
-
-def prefect_database(url: str) -> str:
-    """Make the Prefect server's database on the server of `url` where there is none; its address as SQLAlchemy writes it."""
-    with (
-        closing(connect(url)) as conn,
-        database_errors(
-            f"The database {PREFECT_DATABASE} for the Prefect server cannot be made: make it by hand, or name one in "
-            "CONETL_PREFECT_DATABASE_URL"
-        ),
-    ):
-        conn.autocommit = True
-        if not execute(conn, load_sql("schema/database_exists"), {"name": PREFECT_DATABASE})[0]["found"]:
-            execute(conn, load_sql("schema/create_prefect_database"))
-    return sqlalchemy_url(url, PREFECT_DATABASE)
+    statement: str
+    data: BytesIO
 
 
 def sqlalchemy_url(url: str, database: str | None = None) -> str:
-    """A libpq address, of either form, as SQLAlchemy's asyncpg dialect wants it; for another database where one is named."""
+    """A libpq address, of either form, for SQLAlchemy's asyncpg dialect; database: another one on the same server."""
     parts = address_parts(url)
-    login = quote(parts.get("user", ""), safe="") + (
-        f":{quote(parts['password'], safe='')}" if "password" in parts else ""
-    )
+    login = ":".join(quote(parts[name], safe="") for name in ("user", "password") if name in parts)
     query: dict[str, str] = {name: parts[name] for name in ("host", "port") if name in parts}
     if "sslmode" in parts:
         query["ssl"] = parts["sslmode"]
@@ -104,12 +62,12 @@ def sqlalchemy_url(url: str, database: str | None = None) -> str:
 
 
 def address_parts(url: str) -> dict[str, str]:
-    """Keywords of a libpq address of either form (host, port, dbname, user, ...). Raises `DatabaseError` where it is none."""
+    """Keywords of a libpq address of either form (host, port, dbname, user, ...). Raises `DatabaseError` if it is invalid."""
     try:
         return dict(psycopg2.extensions.parse_dsn(url))
     except psycopg2.Error as error:
         raise DatabaseError(
-            f"The address {_without_password(url)} is no libpq address: {_first_line(error)}"
+            f"The address {_without_password(url)} is not a libpq address: {_first_line(error)}"
         ) from error
 
 
@@ -129,14 +87,14 @@ def connect(url: str) -> Connection:
     psycopg2.extras.register_uuid(conn_or_curs=conn)
     with database_errors("The connection could not be prepared"):
         conn.autocommit = True
-        execute(conn, load_sql("schema/search_path"))
+        execute(conn, load_sql("schema.search_path"))
         conn.autocommit = False
     return conn
 
 
 @contextmanager
 def database_errors(what: str) -> Iterator[None]:
-    """Turn psycopg2's errors into one `DatabaseError` that says `what` went wrong."""
+    """Turn psycopg2's errors into one `DatabaseError` that says `what` failed."""
     try:
         yield
     except (
@@ -166,14 +124,14 @@ def transaction(conn: Connection, what: str) -> Iterator[None]:
 
 
 def execute(conn: Connection, sql: str, parameters: Mapping[str, Any] | None = None) -> list[dict[str, Any]]:
-    """Run one statement; its rows as dictionaries, [] where it returns none."""
+    """Run one statement; its rows as dictionaries, [] if it returns none."""
     with conn.cursor(cursor_factory=psycopg2.extras.RealDictCursor) as cursor:
         cursor.execute(sql, parameters)
         return [dict(row) for row in cursor.fetchall()] if cursor.description else []
 
 
 def execute_count(conn: Connection, sql: str, parameters: Mapping[str, Any] | None = None) -> int:
-    """Run one statement; the number of rows it touched."""
+    """Run one statement; the number of rows it affected."""
     with conn.cursor() as cursor:
         cursor.execute(sql, parameters)
         return int(cursor.rowcount)
@@ -193,9 +151,9 @@ def stream(
 def copied_rows(
     conn: Connection, sql: str, parameters: Mapping[str, Any], *, batch: int
 ) -> Iterator[Iterator[list[bytes]]]:
-    """Rows of a query (without its final semicolon) as COPY BINARY has them, `batch` in a list, read ahead by a thread.
+    """Rows of a query (without its final semicolon) in COPY BINARY, `batch` in a list, read ahead by a thread.
 
-    Inside the open transaction; nothing else may be asked of the connection until the block ends.
+    Inside the open transaction; the connection cannot be used otherwise until the block ends.
     """
     with conn.cursor() as cursor:
         copy = f"copy ({cursor.mogrify(sql, parameters).decode()}) to stdout (format binary)"
@@ -204,7 +162,7 @@ def copied_rows(
 
 
 def address(conn: Connection) -> dict[str, str]:
-    """Where a connection leads: host (a folder for a unix socket), port, dbname, user. Never a password."""
+    """Address of a connection: host (a folder for a unix socket), port, dbname, user. Never a password."""
     known = conn.get_dsn_parameters()
     return {name: known[name] for name in ("host", "port", "dbname", "user") if known.get(name)}
 
@@ -217,22 +175,13 @@ def query_columns(conn: Connection, sql: str, parameters: Mapping[str, Any]) -> 
 
 
 def copy_columns(conn: Connection, table: str, columns: Mapping[str, Column]) -> None:
-    """Load columns into a table by COPY BINARY, so many rows at a time that the encoded bytes stay below some 100 MB."""
-    with conn.cursor() as cursor:
-        for start in range(0, row_count(columns), COPY_BATCH_ROWS):
-            block = encoded_block(table, sliced(columns, start, start + COPY_BATCH_ROWS))
-            cursor.copy_expert(block.statement, block.data, COPY_CHUNK_BYTES)
-
-
-class CopyBlock(NamedTuple):
-    """Rows that are ready to be sent."""
-
-    statement: str
-    data: BytesIO
+    """Load columns into a table by COPY BINARY, in batches whose encoded bytes stay below about 100 MB."""
+    for start in range(0, row_count(columns), COPY_BATCH_ROWS):
+        copy_block(conn, encoded_block(table, sliced(columns, start, start + COPY_BATCH_ROWS)))
 
 
 def encoded_block(table: str, columns: Mapping[str, Column]) -> CopyBlock:
-    """Rows of columns as COPY BINARY takes them; needs no connection."""
+    """Rows of columns encoded for COPY BINARY; needs no connection."""
     return CopyBlock(copy_statement(table, columns), encode(columns))
 
 
@@ -240,136 +189,6 @@ def copy_block(conn: Connection, block: CopyBlock) -> None:
     """Send one block, inside the open transaction."""
     with conn.cursor() as cursor:
         cursor.copy_expert(block.statement, block.data, COPY_CHUNK_BYTES)
-
-
-@cache
-def sql_directory() -> Path:
-    """The folder of .sql files: `conetl/sql` in an installed wheel, `sql/` at the top of a clone."""
-    package = Path(__file__).resolve().parents[1]
-    for directory in (package / "sql", package.parents[1] / "sql"):
-        if (directory / "migrations").is_dir():
-            return directory
-    raise DatabaseError(f"conetl's .sql files are missing beside {package}: install it again.")
-
-
-@cache
-def load_sql(name: str) -> str:
-    """Text of `sql/<name>.sql`, for example load_sql("map/current_features")."""
-    path = sql_directory() / f"{name}.sql"
-    try:
-        return path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise DatabaseError(f"{path} cannot be read ({error.strerror}): install conetl again.") from error
-
-
-def sql_names(folder: str) -> list[str]:
-    """Names of all files of one folder, in order, as `load_sql` takes them."""
-    return sorted(f"{folder}/{path.stem}" for path in (sql_directory() / folder).glob("*.sql"))
-
-
-def migrate(conn: Connection, *, directory: Path | None = None) -> list[str]:
-    """Bring the schema up to date, all or nothing; the names of the migrations that were applied now.
-
-    Migrations only go forwards. Raises `DatabaseError` where an applied one was changed afterwards, the database is newer than
-    this conetl, PostGIS is missing or may not be created. Two calls at once wait for each other; where nothing is to be done
-    nothing is locked or written, so that it may be called before every use, and by users who may not change the schema.
-    """
-    wanted = _migration_files(directory or sql_directory() / "migrations")
-    done: list[str] = []
-    with transaction(conn, "The state of the database cannot be read"):
-        if _has_schema(conn):
-            applied = _applied(conn)
-            _check_history(applied, wanted)
-            if not wanted.keys() - applied.keys() and (not _missing_roles(conn) or not _may_create_roles(conn)):
-                return done
-    with transaction(conn, "The database could not be migrated, and is as it was before"):
-        with conn.cursor() as cursor:
-            cursor.execute("select pg_advisory_xact_lock(%s)", (MIGRATION_LOCK,))
-        execute(conn, load_sql("schema/schema_migration"))
-        applied = _applied(conn)
-        _check_history(applied, wanted)
-        for name, text in wanted.items():
-            if name not in applied:
-                _create_extensions_first(conn, name)
-                with conn.cursor() as cursor:
-                    cursor.execute(text)
-                    cursor.execute(load_sql("write/insert_migration"), {"name": name, "sha256": _sha256(text)})
-                done.append(name)
-        if _may_create_roles(conn):
-            execute(conn, load_sql("schema/roles"))
-    return done
-
-
-def database_status(conn: Connection) -> DatabaseStatus:
-    """What the database holds; changes nothing."""
-    with transaction(conn, "The state of the database cannot be read"):
-        facts = execute(conn, load_sql("schema/status"))[0]
-        applied = _applied(conn) if facts["has_schema"] else {}
-        maps = execute(conn, load_sql("map/maps")) if facts["has_map"] else []
-        wanted = _migration_files(sql_directory() / "migrations")
-        return DatabaseStatus(
-            database=facts["database"],
-            user=facts["username"],
-            postgres_version=facts["postgres_version"],
-            postgis_version=facts["postgis_version"],
-            applied_migrations=tuple(sorted(applied)),
-            pending_migrations=tuple(name for name in wanted if name not in applied),
-            missing_roles=_missing_roles(conn) if facts["has_map"] else ROLES,
-            may_create_roles=_may_create_roles(conn),
-            size_bytes=facts["size_bytes"],
-            maps=tuple((row["map_name"], row["srid"]) for row in maps),
-        )
-
-
-def _migration_files(directory: Path) -> dict[str, str]:
-    files = {path.stem: path.read_text(encoding="utf-8") for path in sorted(directory.glob("*.sql"))}
-    for number, name in enumerate(files, start=1):
-        if not re.fullmatch(rf"{number:04d}_[a-z0-9_]+", name):
-            raise DatabaseError(f"migration {name}.sql in {directory} should be named {number:04d}_<what it does>.sql")
-    return files
-
-
-def _applied(conn: Connection) -> dict[str, str]:
-    return {row["name"]: row["sha256"] for row in execute(conn, load_sql("map/applied_migrations"))}
-
-
-def _check_history(applied: Mapping[str, str], wanted: Mapping[str, str]) -> None:
-    unknown = [name for name in applied if name not in wanted]
-    if unknown:
-        raise DatabaseError(f"The database was migrated by a newer conetl ({', '.join(unknown)}): install that one.")
-    for name, sha256 in applied.items():
-        if _sha256(wanted[name]) != sha256:
-            raise DatabaseError(
-                f"sql/migrations/{name}.sql was changed after it was applied to this database: restore the file and put the "
-                "change into a new migration."
-            )
-
-
-def _create_extensions_first(conn: Connection, migration: str) -> None:
-    """Say which extension is missing in words, where PostgreSQL would only name a control file."""
-    missing: Sequence[str] = [row["name"] for row in execute(conn, load_sql("schema/missing_extensions"))]
-    if missing:
-        raise DatabaseError(
-            f"migration {migration} needs the extension(s) {', '.join(missing)}, which this server does not offer: install "
-            "PostGIS on the server (Debian: postgresql-<version>-postgis-3) or set CONETL_DATABASE_URL to another one."
-        )
-
-
-def _has_schema(conn: Connection) -> bool:
-    return bool(execute(conn, load_sql("schema/status"))[0]["has_schema"])
-
-
-def _missing_roles(conn: Connection) -> tuple[str, ...]:
-    ready = {row["rolname"] for row in execute(conn, load_sql("schema/ready_roles"), {"names": list(ROLES)})}
-    return tuple(name for name in ROLES if name not in ready)
-
-
-def _may_create_roles(conn: Connection) -> bool:
-    return bool(execute(conn, load_sql("schema/may_create_roles"))[0]["may_create_roles"])
-
-
-def _sha256(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _first_line(error: Exception) -> str:

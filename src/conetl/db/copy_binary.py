@@ -2,7 +2,7 @@
 
 Format: https://www.postgresql.org/docs/current/sql-copy.html (signature, then per row a field count and per field a length
 and big-endian bytes). Rows whose fields have the same lengths share one numpy structured type, so whole blocks are filled
-column by column; columns with NULLs or text make a few such blocks.
+column by column; NULLs and texts split the rows into a few such blocks.
 """
 
 from __future__ import annotations
@@ -103,17 +103,12 @@ def double_arrays(values: Any) -> Column:
 
 
 def texts(values: Sequence[str | None]) -> Column:
-    """text; None becomes NULL. What PostgreSQL cannot hold (NUL, half surrogate pairs of broken file names) becomes U+FFFD."""
+    """text; None becomes NULL. Characters that PostgreSQL cannot hold (NUL, lone surrogates of file names) become U+FFFD."""
     return _variable([None if value is None else clean_text(value).encode() for value in values])
 
 
-def byteas(values: Sequence[bytes]) -> Column:
-    """bytea, or geometry as extended well-known binary."""
-    return _variable(list(values))
-
-
-def wires(values: Sequence[bytes | None]) -> Column:
-    """What is in PostgreSQL's binary format already; None becomes NULL."""
+def byteas(values: Sequence[bytes | None]) -> Column:
+    """bytea, geometry as extended well-known binary, or values in PostgreSQL's binary format; None becomes NULL."""
     return _variable(list(values))
 
 
@@ -133,7 +128,7 @@ def clean_text(text: str) -> str:
 
 
 def json_text(value: Any) -> str:
-    """JSON that jsonb accepts, whatever a broken record holds."""
+    """JSON that jsonb accepts, whatever a broken record contains."""
     return json.dumps(_json_safe(value), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
 
 
@@ -148,19 +143,13 @@ def sliced(columns: Mapping[str, Column], start: int, stop: int) -> dict[str, Co
 
 
 def copy_statement(table: str, columns: Mapping[str, Column]) -> str:
-    """The COPY statement that takes `encode(columns)`."""
+    """The COPY statement for `encode(columns)`."""
     return f"copy {table} ({', '.join(columns)}) from stdin (format binary)"
 
 
 def encode(columns: Mapping[str, Column]) -> io.BytesIO:
-    """All rows in COPY's binary format; rows may come out in another order."""
-    stream = io.BytesIO()
-    stream.write(SIGNATURE)
-    for block in _encoded_blocks(columns):
-        stream.write(block)
-    stream.write(TRAILER)
-    stream.seek(0)
-    return stream
+    """All rows in COPY's binary format, possibly in another order."""
+    return io.BytesIO(b"".join([SIGNATURE, *_encoded_blocks(columns), TRAILER]))
 
 
 def _encoded_blocks(columns: Mapping[str, Column]) -> Iterator[bytes]:
@@ -168,7 +157,7 @@ def _encoded_blocks(columns: Mapping[str, Column]) -> Iterator[bytes]:
     lengths = np.stack([part.lengths for part in parts], axis=1)
     if not len(lengths):
         return
-    # Only the few columns whose lengths differ from row to row are looked through: it is several times as fast.
+    # Only the few columns whose lengths differ between rows are searched, which is several times as fast.
     varying = np.flatnonzero((lengths != lengths[0]).any(axis=0))
     constant = len(varying) == 0
     for own in lengths[:1, varying] if constant else np.unique(lengths[:, varying], axis=0):

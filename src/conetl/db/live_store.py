@@ -1,4 +1,4 @@
-"""Provisional features: what a drive shows while it is recorded. No part of the map; the ingest of the drive removes them."""
+"""Provisional features of a drive that is being recorded. Not part of the map; the ingest of the drive removes them."""
 
 from __future__ import annotations
 
@@ -7,19 +7,20 @@ from dataclasses import dataclass
 from typing import Any
 from uuid import UUID
 
-from conetl.db.connection import Connection, database_errors, execute, execute_count, load_sql, transaction
+from conetl.db.connection import Connection, database_errors, execute, execute_count, transaction
 from conetl.db.copy_binary import clean_text
 from conetl.db.receipt_store import held_locks
+from conetl.db.statements import load_sql
 from conetl.model.records import Drive, Track
 
-#: Watched drives that nobody ingested are forgotten after so long, when the next watch begins.
+#: Watched drives that nobody ingested are deleted after this time, when the next watch begins.
 KEEP_DAYS = 7
 _COV = ("cov_xx", "cov_xy", "cov_xz", "cov_yy", "cov_yz", "cov_zz")
 
 
 @dataclass(frozen=True)
 class WatchedDrive:
-    """The drive that a watch is about."""
+    """A drive that is being watched."""
 
     watch_id: UUID
     map_name: str
@@ -34,18 +35,18 @@ def watch_lock(map_name: str, drive_id: str) -> str:
 
 
 def clear_watches(conn: Connection, *, map_name: str, drive_id: str) -> int:
-    """Remove what earlier watches of this drive left, what died in the middle, and what is older than a week; how many watches.
+    """Remove earlier watches of this drive, interrupted ones, and those older than a week; the number of watches removed.
 
-    The caller holds the drive's own `watch_lock`; those whose lock somebody else holds are alive and stay.
+    The caller holds the drive's own `watch_lock`; watches whose lock another process holds are running and stay.
     """
     with transaction(conn, "The watched drives cannot be read"):
         parameters = {"map_name": map_name, "drive_id": clean_text(drive_id), "keep_days": KEEP_DAYS}
-        found = execute(conn, load_sql("map/watches_to_drop"), parameters)
+        found = execute(conn, load_sql("live.watches_to_drop"), parameters)
     others = {watch_lock(map_name, row["drive_id"]) for row in found if row["drive_id"] != clean_text(drive_id)}
     alive = held_locks(conn, sorted(others))
     dead = [row["watch_id"] for row in found if watch_lock(map_name, row["drive_id"]) not in alive]
     with transaction(conn, "The watched drives cannot be cleared"):
-        return execute_count(conn, load_sql("write/drop_watches"), {"watch_ids": dead}) if dead else 0
+        return execute_count(conn, load_sql("live.drop_watches"), {"watch_ids": dead}) if dead else 0
 
 
 def write_live(
@@ -58,17 +59,17 @@ def write_live(
     taken_back: Iterable[int],
     least_reach_m: float,
 ) -> None:
-    """Commit what one frame pair changed, in one transaction. captured_ns: of the first and the last pair taken.
+    """Commit the changes by one frame pair, in one transaction. captured_ns: of the first and the last pair processed.
 
-    A standing feature of the map nearer than `least_reach_m` plus three sigmas is named as the same cone.
+    A standing feature of the map nearer than `least_reach_m` plus three sigmas is recorded as the same cone.
     """
-    with transaction(conn, f"What drive {watch.drive_id} shows cannot be written"):
+    with transaction(conn, f"The provisional features of drive {watch.drive_id} cannot be written"):
         named = {"watch_id": watch.watch_id, "map_name": watch.map_name, "srid": watch.srid}
         drive = {
             "drive_id": clean_text(watch.drive_id), "source_path": clean_text(watch.source_path),
             "captured_from_ns": captured_ns[0], "captured_to_ns": captured_ns[1], "frame_pair_count": frame_pair_count,
         }  # fmt: skip
-        execute(conn, load_sql("write/upsert_watched_drive"), named | drive)
+        execute(conn, load_sql("live.upsert_watched_drive"), named | drive)
         for index, track in tracks.items():
             sigma_m = ((track.cov_m2[0] + track.cov_m2[3]) / 2) ** 0.5
             row = {
@@ -77,30 +78,30 @@ def write_live(
                 "existence_probability": track.existence_probability, "observation_count": track.observation_count,
                 "first_seen_ns": track.first_seen_ns, "last_seen_ns": track.last_seen_ns, "reach_m": least_reach_m + 3 * sigma_m,
             }  # fmt: skip
-            execute(conn, load_sql("write/upsert_provisional_feature"), named | row)
+            execute(conn, load_sql("live.upsert_provisional_feature"), named | row)
         for index in taken_back:
             execute(
-                conn, load_sql("write/drop_provisional_feature"), {"watch_id": watch.watch_id, "feature_index": index}
+                conn, load_sql("live.drop_provisional_feature"), {"watch_id": watch.watch_id, "feature_index": index}
             )
 
 
 def end_watch(conn: Connection, watch: WatchedDrive) -> None:
-    """Say that the watch ended by itself; what it shows stays until the drive is ingested."""
+    """Mark a watch as ended regularly; its features stay until the drive is ingested."""
     with transaction(conn, f"The end of drive {watch.drive_id} cannot be written"):
-        execute(conn, load_sql("write/end_watch"), {"watch_id": watch.watch_id})
+        execute(conn, load_sql("live.end_watch"), {"watch_id": watch.watch_id})
 
 
 def drop_watched_recording(conn: Connection, drive: Drive, *, map_name: str) -> int:
-    """Remove what was shown of a drive while it was recorded, inside the caller's transaction; how many watches."""
+    """Remove the watches of a drive that was recorded, inside the caller's transaction; how many."""
     times_ns = [pair.captured_at_ns for pair in drive.frame_pairs]
     parameters = {
         "map_name": map_name, "drive_id": clean_text(drive.drive_id),
         "captured_from_ns": min(times_ns), "captured_to_ns": max(times_ns),
     }  # fmt: skip
-    return execute_count(conn, load_sql("write/drop_watched_recording"), parameters)
+    return execute_count(conn, load_sql("live.drop_watched_recording"), parameters)
 
 
 def read_provisional(conn: Connection, *, map_name: str) -> list[dict[str, Any]]:
-    """Provisional features of a map, drive by drive; columns as in sql/map/provisional_features.sql."""
+    """Provisional features of a map, drive by drive; columns as in `live.provisional_features`."""
     with database_errors(f"The map {map_name} cannot be read"):
-        return execute(conn, load_sql("map/provisional_features"), {"map_name": map_name})
+        return execute(conn, load_sql("live.provisional_features"), {"map_name": map_name})

@@ -1,4 +1,4 @@
-"""What the OGC API asks of the database beside tipg's own queries: which maps there are, where they lie, boxes, pages."""
+"""Queries of the OGC API beside tipg's own: maps and their extents, boxes, pages."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from datetime import datetime
 import asyncpg
 import numpy as np
 
-from conetl.db.connection import load_sql
+from conetl.db.statements import load_sql
 from conetl.geometry.geodesy import Array, to_geodetic, to_map
 
 #: West, south, east, north in degrees.
@@ -18,22 +18,22 @@ Degrees = tuple[float, float, float, float]
 #: Smallest and largest easting and northing: min x, min y, max x, max y.
 Metres = tuple[float, float, float, float]
 EVERYWHERE: Degrees = (-180.0, -90.0, 180.0, 90.0)
-#: A box around all that any CRS can say, and one around nothing.
+#: A box around all coordinates of any CRS, and one around nothing.
 ALL_ROWS: Metres = (-1e30, -1e30, 1e30, 1e30)
 NO_ROWS: Metres = (1e30, 1e30, 1e30, 1e30)
-#: An inner box that holds nothing: every row is looked at in degrees.
+#: An inner box that contains nothing: every row is tested in degrees.
 NOTHING_INSIDE: Metres = (1e30, 1e30, -1e30, -1e30)
-#: Features of a map lie this near to what its drives looked at (about 2 km; they lie inside, but for the rounding of PROJ).
+#: Margin around the areas of a map's drives that contains all its features (about 2 km; rounding of PROJ).
 _SPARE_DEG = 0.02
-#: An inner box ends so far within the box in degrees, beside what its edges bulge: versions of PROJ may differ by metres.
+#: Distance of an inner box from the box in degrees, beside the bulge of its edges: versions of PROJ may differ by metres.
 _INNER_SPARE_M = 100.0
-#: A projection is only believed to bend edges, and not to fold the earth, in parts that are no larger.
+#: In larger parts a projection may fold the earth, not only bend edges.
 _LARGEST_INNER_DEG = 20.0
 
 
 @dataclass(frozen=True)
 class ServedMap:
-    """One map as it stands."""
+    """One map in its present state."""
 
     map_name: str
     srid: int
@@ -44,26 +44,26 @@ class ServedMap:
     since: datetime
     """Beginning of the first drive."""
     share: float = 0.0
-    """Of all versions of features in the database, about so many are this map's; 0 where nobody estimated it yet."""
+    """Estimated share of this map in all versions of features of the database; 0 without an estimate."""
     version_count: float = 0.0
-    """Versions of its features, about; 0 where nobody estimated it yet."""
+    """Estimated number of versions of its features; 0 without an estimate."""
 
 
 class MapDirectory:
-    """The maps of a database that hold something, asked anew for every request; extents are computed once a changeset."""
+    """The non-empty maps of a database, read for every request; extents are computed once per changeset."""
 
     def __init__(self) -> None:
         self._known: dict[str, ServedMap] = {}
 
     async def maps(self, conn: asyncpg.Connection, map_name: str | None = None) -> list[ServedMap]:
-        """All maps by name, or the one that is named; [] where there is no such map or it is empty."""
-        rows = await conn.fetch(load_sql("serve/ogc_maps"), map_name)
+        """All maps by name, or the named one; [] if it does not exist or is empty."""
+        rows = await conn.fetch(load_sql("ogc.maps"), map_name)
         return [await self._described(conn, row) for row in rows]
 
     async def _described(self, conn: asyncpg.Connection, row: asyncpg.Record) -> ServedMap:
         known = self._known.get(row["map_name"])
         if known is None or known.srid != row["srid"] or known.changeset_no != row["changeset_no"]:
-            found = await conn.fetchrow(load_sql("serve/ogc_extent"), row["map_name"])
+            found = await conn.fetchrow(load_sql("ogc.extent"), row["map_name"])
             extent = (found["west"], found["south"], found["east"], found["north"])
             sizes = {"share": found["share"], "version_count": found["version_count"]}
             known = ServedMap(**row, extent=extent, since=found["since"], **sizes)
@@ -74,42 +74,40 @@ class MapDirectory:
 async def read_page(
     conn: asyncpg.Connection, kind: str, text: Mapping[str, str], arguments: Sequence[object]
 ) -> tuple[bytes, int]:
-    """Items of one page as JSON with commas between them, and how many; `kind` is features or changes, `text` what the statement
-    wants put in."""
-    row = await conn.fetchrow(_put_in(text, f"serve/ogc_{kind}_page"), *arguments)
+    """Items of one page as JSON with commas between them, and how many; kind: features or changes; text: its placeholders."""
+    row = await conn.fetchrow(_filled(text, f"ogc.{kind}_page"), *arguments)
     return (row["items"] or "").encode(), row["returned"]
 
 
 async def find_versions(
     conn: asyncpg.Connection, text: Mapping[str, str], arguments: Sequence[str | float]
 ) -> tuple[list[int], int | None]:
-    """The rows of the versions on one page of features in order, and how many features there are on all pages (None: the page is
-    empty and does not tell)."""
-    rows = await conn.fetch(_put_in(text, "serve/ogc_features_found"), *arguments)
+    """Rows of the versions on one page of features in order, and the number on all pages (None: the page is empty)."""
+    rows = await conn.fetch(_filled(text, "ogc.features_found"), *arguments)
     return [row["version_row_id"] for row in rows], rows[0]["matched"] if rows else None
 
 
 async def count_features(conn: asyncpg.Connection, text: Mapping[str, str], arguments: Sequence[str | float]) -> int:
     """How many features there are on all pages."""
-    matched: int = await conn.fetchval(_put_in(text, "serve/ogc_features_count"), *arguments)
+    matched: int = await conn.fetchval(_filled(text, "ogc.features_count"), *arguments)
     return matched
 
 
-def _put_in(text: Mapping[str, str], name: str) -> str:
-    """In one go: a condition may hold the text of a client, in which nothing is put in."""
+def _filled(text: Mapping[str, str], name: str) -> str:
+    """In one pass: a condition may contain the text of a client, in which nothing is replaced."""
     return re.sub(r"\{\{(\w+)\}\}", lambda found: text[found[1]], load_sql(name))
 
 
 async def warm_session(conn: asyncpg.Connection) -> None:
-    """Read what the first question of a session would read: what maps there are, and their coordinate reference systems."""
-    await conn.fetch(load_sql("serve/ogc_warm"))
-    await conn.fetch(load_sql("serve/ogc_maps"), "")
+    """Read what the first request of a session would read: the maps and their coordinate reference systems."""
+    await conn.fetch(load_sql("ogc.warm"))
+    await conn.fetch(load_sql("ogc.maps"), "")
 
 
 def rows_near(box: Degrees, served: ServedMap) -> Metres:
-    """A box in the map's CRS that holds all features of the map in `box` (west > east: across 180 degrees), for the index.
+    """A box in the map's CRS that contains all features of the map in `box` (west > east: across 180 degrees), for the index.
 
-    Only the part of it that the map reaches is looked at: far from its zone a projection says nothing.
+    Only its intersection with the map's extent is used: far from its zone a projection is meaningless.
     """
     reach = _grown(served.extent)
     parts = _parts(box, reach)
@@ -122,19 +120,19 @@ def rows_near(box: Degrees, served: ServedMap) -> Metres:
 
 
 def rows_within(box: Degrees, served: ServedMap) -> Metres:
-    """The largest box in the map's CRS that surely lies in `box`: nobody needs the degrees of what it holds."""
+    """The largest box in the map's CRS that is certainly inside `box`: its features need no test in degrees."""
     inner = [_inside(part, served.srid) for part in _parts(box, _grown(served.extent))]
     return max(inner, key=_area, default=NOTHING_INSIDE)
 
 
 def part_of_map(box: Degrees | None, served: ServedMap) -> float:
-    """Which part of what the map reaches lies in `box`, 0 to 1 by area in degrees."""
+    """Share of the map's extent inside `box`, 0 to 1 by area in degrees."""
     reach = _grown(served.extent)
     return 1.0 if box is None else sum(_area(part) for part in _parts(box, reach)) / _area(reach)
 
 
 def _parts(box: Degrees, reach: Degrees) -> list[Degrees]:
-    """The parts of a box (two where it goes across 180 degrees) that lie in another one."""
+    """The parts of a box (two if it crosses 180 degrees) inside another one."""
     west, south, east, north = box
     low_x, low_y, high_x, high_y = reach
     pieces = [(west, east)] if west <= east else [(west, 180.0), (-180.0, east)]
@@ -147,9 +145,9 @@ def _area(box: Degrees | Metres) -> float:
 
 
 def _around(box: Degrees, srid: int) -> Metres:
-    """A box in a CRS that surely holds a box in degrees.
+    """A box in a CRS that certainly contains a box in degrees.
 
-    Its edges are bent there, so they are looked at in 16 pieces each; what they bulge between is far below the hundredth (and the
+    Its edges are bent there, so they are sampled in 16 pieces each; their bulge in between is far below the hundredth (and the
     metre) that is added.
     """
     places = _edges(box, srid).reshape(-1, 2)
@@ -159,9 +157,9 @@ def _around(box: Degrees, srid: int) -> Metres:
 
 
 def _inside(box: Degrees, srid: int) -> Metres:
-    """A box in a CRS that surely lies in a box in degrees; NOTHING_INSIDE where none is found.
+    """A box in a CRS that is certainly inside a box in degrees; NOTHING_INSIDE if none is found.
 
-    No edge of the box in degrees, as it is bent in the CRS, reaches into it, and its middle lies in the box: so all of it does.
+    No edge of the box in degrees, bent in the CRS, reaches into it, and its centre is inside: so all of it is.
     """
     west, south, east, north = box
     if max(east - west, north - south) > _LARGEST_INNER_DEG:
@@ -190,8 +188,6 @@ def _edges(box: Degrees, srid: int) -> Array:
 
 def _grown(extent: Degrees) -> Degrees:
     west, south, east, north = extent
-    if (
-        east - west > 180
-    ):  # of a map across 180 degrees corners are known on both sides, and not how near to it they come
+    if east - west > 180:  # a map across 180 degrees: its corners are on both sides, at unknown distance
         west, east = -180.0, 180.0
     return west - _SPARE_DEG, south - _SPARE_DEG, east + _SPARE_DEG, north + _SPARE_DEG

@@ -1,4 +1,4 @@
-"""Connections that can only read, lent to one request at a time."""
+"""Read-only connections, lent to one request at a time."""
 
 from __future__ import annotations
 
@@ -7,16 +7,17 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-from conetl.db.connection import Connection, connect, database_errors, execute, load_sql
+from conetl.db.connection import Connection, connect, database_errors, execute
+from conetl.db.statements import load_sql
 from conetl.model.errors import DatabaseError
 
-#: Queries of the web view that take longer are ended by the server.
+#: The server cancels statements of the web view that take longer.
 STATEMENT_TIMEOUT = "10s"
 WAIT_S = 5.0
 
 
 class ReaderPool:
-    """At most `size` read-only connections, opened when first needed and opened anew where the database went away."""
+    """At most `size` read-only connections, opened when first needed and again after they were lost."""
 
     def __init__(self, url: str, size: int = 6) -> None:
         self._url = url
@@ -25,7 +26,7 @@ class ReaderPool:
 
     @contextmanager
     def reading(self) -> Iterator[Connection]:
-        """One read-only transaction. Raises DatabaseError where none is to be had within some seconds."""
+        """One read-only transaction. Raises DatabaseError if none is available within some seconds."""
         if not self._slots.acquire(timeout=WAIT_S):
             raise DatabaseError("The database is busy: all connections of the view are in use. Try again.")
         try:
@@ -40,41 +41,36 @@ class ReaderPool:
             self._slots.release()
 
     def listener(self) -> Connection:
-        """One more connection, which is told of changes; the caller closes it. Raises DatabaseError."""
-        return open_listener(self._url)
+        """One more connection, which receives notifications of changes; the caller closes it. Raises DatabaseError."""
+        conn = open_reader(self._url)
+        with database_errors("The connection could not listen for changes"):
+            conn.autocommit = True
+            execute(conn, load_sql("schema.listen"))
+        return conn
 
     def close(self) -> None:
-        """Close what is not lent."""
+        """Close the connections that are not lent."""
         while self._free:
             self._free.pop().close()
 
 
-def open_listener(url: str) -> Connection:
-    """A connection that is told of every change of a map or its base layers. Raises DatabaseError."""
-    conn = open_reader(url)
-    with database_errors("The connection could not listen for news"):
-        conn.autocommit = True
-        execute(conn, load_sql("serve/listen"))
-    return conn
-
-
 def wait_for_news(conn: Connection, timeout_s: float) -> bool:
-    """Block until the database tells of a change, True, or the time is over, False. Raises DatabaseError where it went away."""
-    waiting = select.poll()  # takes file numbers beyond select's 1024
+    """Wait for a notification of a change; False if none came in time. Raises DatabaseError if the connection was lost."""
+    waiting = select.poll()  # supports file numbers beyond select's 1024
     waiting.register(conn.fileno(), select.POLLIN)
     waiting.poll(timeout_s * 1000)
-    with database_errors("The database went away"):
+    with database_errors("The connection to the database was lost"):
         conn.poll()
-    told = bool(conn.notifies)
+    notified = bool(conn.notifies)
     conn.notifies.clear()
-    return told
+    return notified
 
 
 def open_reader(url: str) -> Connection:
-    """A connection whose transactions only read, as role conetl_reader where the user may take it. Raises DatabaseError."""
+    """A connection whose transactions only read, as role conetl_reader if the user is a member of it. Raises DatabaseError."""
     conn = connect(url)
     with database_errors("The connection could not be made read-only"):
         conn.autocommit = True
-        execute(conn, load_sql("serve/session"), {"timeout": STATEMENT_TIMEOUT})
+        execute(conn, load_sql("schema.reader_session"), {"timeout": STATEMENT_TIMEOUT})
         conn.autocommit = False
     return conn

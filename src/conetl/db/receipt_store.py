@@ -1,8 +1,7 @@
-"""Receipts: what became of every drive that was handed over, in the database and, for people, as files.
+"""Receipts: the outcome of every drive that was handed over, in the database and, for people, as files.
 
-The locks (held by `session_locks.py`) are PostgreSQL's session locks: the server frees them when the process that holds them is
-gone, on whatever machine and however it ended. So a crash is known and not guessed from a clock. (A pooler in transaction mode
-would break them.)
+The locks (held by `session_locks.py`) are PostgreSQL's session locks: the server frees them when their process ends, on any
+machine and for any reason, so a crash is detected and not guessed from a clock. (A pooler in transaction mode would break them.)
 """
 
 from __future__ import annotations
@@ -17,7 +16,8 @@ from pathlib import Path
 from typing import Literal
 from uuid import UUID
 
-from conetl.db.connection import Connection, database_errors, execute, load_sql, transaction
+from conetl.db.connection import Connection, database_errors, execute, transaction
+from conetl.db.statements import load_sql
 from conetl.files.atomic import atomic_text_file
 from conetl.files.names import file_name_part, printable
 from conetl.model.errors import DatabaseError, InputError, StorageError
@@ -47,9 +47,9 @@ class Receipt:
     flow_run_id: str | None
     host: str
     at: datetime | None = None
-    """When; None until it is written."""
+    """Time of writing; None before."""
     attempts: int = 0
-    """How often work on the drive was started, this time included; 0 where nobody counted."""
+    """Number of starts of work on the drive, this one included; 0 if not counted."""
 
     @property
     def done(self) -> bool:
@@ -63,7 +63,7 @@ class Receipt:
 
 @dataclass(frozen=True)
 class DriveOnMap:
-    """A recording that was committed, by whatever way."""
+    """A recording that was committed, with or without receipts."""
 
     drive_id: str
     captured_from_ns: int
@@ -73,7 +73,7 @@ class DriveOnMap:
     changeset_no: int
     committed_at: datetime
     headers: tuple[str, ...]
-    """Of the folders that receipts say it came from; empty where it was ingested by hand."""
+    """Header hashes of its folders according to receipts; empty if it was ingested by hand."""
 
 
 def drive_lock(map_name: str, header_sha256: str) -> str:
@@ -82,19 +82,19 @@ def drive_lock(map_name: str, header_sha256: str) -> str:
 
 
 def run_lock(flow_run_id: str) -> str:
-    """Name of the lock that a flow run holds as long as its process lives."""
+    """Name of the lock that a flow run holds while its process runs."""
     return f"conetl.flow_run/{flow_run_id}"
 
 
 def write_receipt(conn: Connection, receipt: Receipt, folder: Path) -> None:
-    """Keep a receipt: a row, and `folder/<drive>-<header>.json` with the drive's last word (a copy; the row is what counts).
+    """Write a receipt: a row, and its copy `folder/<drive>-<header>.json` with the drive's last receipt.
 
-    Names of files may be any bytes, and stand in reasons too, so texts are stored as they can be printed.
+    File names may contain any bytes, also within reasons, so texts are stored in printable form.
     """
     parameters = {k: printable(v) if isinstance(v, str) else v for k, v in asdict(receipt).items()}
     with transaction(conn, f"The receipt of drive {receipt.drive_id} cannot be written"):
-        execute(conn, load_sql("write/insert_receipt"), parameters)
-        written = list(_receipts(conn, "map/latest_receipts", receipt.map_name, [receipt.header_sha256]))
+        execute(conn, load_sql("receipts.insert_receipt"), parameters)
+        written = list(_receipts(conn, "receipts.latest_receipts", receipt.map_name, [receipt.header_sha256]))
     name = f"{file_name_part(receipt.drive_id)}-{receipt.header_sha256[:12]}.json"
     try:
         with atomic_text_file(folder / receipt.map_name / name) as file:
@@ -105,58 +105,58 @@ def write_receipt(conn: Connection, receipt: Receipt, folder: Path) -> None:
 
 
 def latest_receipts(conn: Connection, *, map_name: str, headers: Sequence[str] | None = None) -> dict[str, Receipt]:
-    """The last word on every drive of a map, by header_sha256."""
+    """The last receipt of every drive of a map, by header_sha256."""
     with transaction(conn, "The receipts cannot be read"):
-        return {r.header_sha256: r for r in _receipts(conn, "map/latest_receipts", map_name, headers)}
+        return {r.header_sha256: r for r in _receipts(conn, "receipts.latest_receipts", map_name, headers)}
 
 
 def attempt_ends(conn: Connection, attempt_ids: Sequence[UUID]) -> dict[UUID, Receipt]:
-    """How attempts ended; those that have not are left out."""
+    """The receipts of attempts that ended, by attempt."""
     with transaction(conn, "The receipts cannot be read"):
-        rows = execute(conn, load_sql("map/receipt_ends"), {"attempt_ids": [str(a) for a in attempt_ids]})
+        rows = execute(conn, load_sql("receipts.receipt_ends"), {"attempt_ids": [str(a) for a in attempt_ids]})
     return {row["attempt_id"]: Receipt(**row) for row in rows}
 
 
 def drives_on_map(conn: Connection, *, map_name: str) -> list[DriveOnMap]:
     """Every recording that was committed, oldest changeset first."""
     with transaction(conn, "The drives of the map cannot be read"):
-        rows = execute(conn, load_sql("map/drives_on_map"), {"map_name": map_name})
+        rows = execute(conn, load_sql("drives.committed_drives"), {"map_name": map_name})
         return [DriveOnMap(**{**row, "headers": tuple(row["headers"])}) for row in rows]
 
 
 def pairs_per_second(conn: Connection, *, map_name: str) -> float | None:
-    """How many frame pairs a second drives took of late, each by itself; None where none was timed."""
+    """Median frame pairs per second of recent drives; None if none was timed."""
     with transaction(conn, "The receipts cannot be read"):
-        rate = execute(conn, load_sql("map/pairs_per_second"), {"map_name": map_name})[0]["pairs_per_second"]
+        rate = execute(conn, load_sql("receipts.pairs_per_second"), {"map_name": map_name})[0]["pairs_per_second"]
     return None if rate is None else float(rate)
 
 
 def held_locks(conn: Connection, names: Sequence[str]) -> set[str]:
-    """Those of the locks that some living process holds."""
+    """Those of the locks that a running process holds."""
     with transaction(conn, "The locks cannot be read"):
-        return {row["name"] for row in execute(conn, load_sql("map/held_locks"), {"names": list(names)})}
+        return {row["name"] for row in execute(conn, load_sql("locks.held_locks"), {"names": list(names)})}
 
 
 @contextmanager
 def held_if_free(conn: Connection, name: str) -> Iterator[bool]:
-    """Hold a lock in a session that is used for the work too, if nobody has it; yields whether it was free."""
-    with database_errors("A lock could not be had"):
+    """Hold a lock in a session that is also used for the work, if it is free; yields whether it was."""
+    with database_errors("A lock could not be taken"):
         conn.rollback()
-        taken = bool(execute(conn, load_sql("write/try_lock"), {"name": name})[0]["taken"])
+        taken = bool(execute(conn, load_sql("locks.try_lock"), {"name": name})[0]["taken"])
         conn.commit()
     try:
         yield taken
     finally:
         if taken:
-            # A session that is lost holds nothing.
+            # A lost session holds nothing.
             with suppress(DatabaseError), database_errors("A lock could not be freed"):
                 conn.rollback()
-                execute(conn, load_sql("write/free_lock"), {"name": name})
+                execute(conn, load_sql("locks.free_lock"), {"name": name})
                 conn.commit()
 
 
 def end_crashed(conn: Connection, started: Receipt, reason: str, folder: Path) -> Receipt | None:
-    """Write that an attempt was interrupted; None where its process lives, or it has ended after all."""
+    """Record that an attempt was interrupted; None if its process is running, or it ended meanwhile."""
     with held_if_free(conn, started.drive_lock) as free:
         if not free or attempt_ends(conn, [started.attempt_id]):
             return None

@@ -1,9 +1,9 @@
-"""What may go from the database when it is old: raw records of drives.
+"""Deletion of raw records of old drives.
 
-Of a drive go its detections, stereo matches and positions. Its path, its tracks, its changeset and all that it did to the map
-stay, so the history of the map and every audit hold. What is lost: its single sightings, and that it can be compared with the
-map again. A drive or a decision that would need that is refused (`require_comparable`) instead of being answered from half of
-the evidence, so the map stays the same whatever the order of the drives that were accepted.
+The detections, stereo matches and positions of a drive are deleted. Its path, tracks, changeset and deltas stay, so the history
+of the map and every audit remain valid. Lost are its single sightings, and the possibility to compare it with the map again. A
+drive or a decision that requires that is rejected (`require_comparable`) instead of using half of the evidence, so the map does
+not depend on the order of the drives that were accepted.
 """
 
 from __future__ import annotations
@@ -14,14 +14,15 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from uuid import UUID
 
-from conetl.db.connection import Connection, database_errors, execute, execute_count, load_sql
+from conetl.db.connection import Connection, database_errors, execute, execute_count
 from conetl.db.map.map_store import map_transaction
+from conetl.db.statements import load_sql
 from conetl.model.errors import InputError
 
 
 @dataclass(frozen=True)
 class PrunableDrive:
-    """A drive whose raw records may go, and how many they are."""
+    """A drive whose raw records may be deleted, and their numbers."""
 
     map_name: str
     drive_uuid: UUID
@@ -35,7 +36,9 @@ class PrunableDrive:
 def prunable_drives(conn: Connection, before: datetime) -> list[PrunableDrive]:
     """Drives of all maps that were recorded and committed before an instant and still have their raw records."""
     with database_errors("The drives cannot be read"):
-        found = [PrunableDrive(**row) for row in execute(conn, load_sql("map/prunable_drives"), {"before": before})]
+        found = [
+            PrunableDrive(**row) for row in execute(conn, load_sql("retention.prunable_drives"), {"before": before})
+        ]
         conn.rollback()
     return found
 
@@ -47,14 +50,14 @@ def prune_drives(conn: Connection, drives: Sequence[PrunableDrive], *, now: date
         own = {"drive_uuids": [drive.drive_uuid for drive in drives if drive.map_name == map_name]}
         with map_transaction(conn, map_name):
             for table in ("stereo_match", "detection", "position"):
-                deleted += execute_count(conn, load_sql(f"write/prune_{table}"), own)
-            execute(conn, load_sql("write/mark_pruned"), own | {"pruned_at": now or datetime.now(UTC)})
+                deleted += execute_count(conn, load_sql(f"retention.prune_{table}"), own)
+            execute(conn, load_sql("retention.mark_pruned"), own | {"pruned_at": now or datetime.now(UTC)})
     return deleted
 
 
 def require_comparable(conn: Connection, drive_uuids: Sequence[UUID]) -> None:
-    """Raise InputError where one of the drives has to be compared with the map again, but has no raw records any more."""
-    pruned = execute(conn, load_sql("map/pruned_drives"), {"drive_uuids": list(drive_uuids)})
+    """Raise InputError if one of the drives must be compared with the map again, but was pruned."""
+    pruned = execute(conn, load_sql("retention.pruned_drives"), {"drive_uuids": list(drive_uuids)})
     if pruned:
         first = pruned[0]
         more = f" and {len(pruned) - 1} more" if len(pruned) > 1 else ""
@@ -70,5 +73,5 @@ def parse_age(text: str) -> float:
     units = {"h": 3600.0, "d": 86400.0, "w": 7 * 86400.0}
     number, unit = text[:-1], text[-1:]
     if not number.isdigit() or unit not in units or not 0 < int(number) * units[unit] < time.time():
-        raise InputError(f"{text!r} is no age: write it like 90d, 12w or 36h")
+        raise InputError(f"{text!r} is not an age: write it like 90d, 12w or 36h")
     return int(number) * units[unit]

@@ -1,4 +1,4 @@
-"""How long the steps of a run took, kept beside the changeset that it made."""
+"""Durations of the steps of a run, stored with its changeset."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from collections.abc import Iterable
 from typing import NamedTuple
 from uuid import UUID
 
-from conetl.db.connection import Connection, execute, load_sql, transaction
+from conetl.db.connection import Connection, execute, transaction
+from conetl.db.statements import load_sql
 
 
 class StepTime(NamedTuple):
@@ -22,12 +23,12 @@ class StepTime(NamedTuple):
 
 
 def write_run_steps(conn: Connection, changeset_id: UUID, steps: Iterable[StepTime]) -> None:
-    """Keep the times of the run that made a changeset, in a transaction of their own; what is there already stays."""
+    """Write the durations of a changeset's run, in a transaction of their own; existing ones stay."""
     with transaction(conn, "The times of the run cannot be written"):
         for time in steps:
             execute(
                 conn,
-                load_sql("write/insert_run_step"),
+                load_sql("commit.insert_run_step"),
                 {
                     "changeset_id": changeset_id, "step": time.step, "task_count": time.task_count, "busy_s": time.busy_s,
                     "started_s": time.started_s, "ended_s": max(time.ended_s, time.started_s),

@@ -1,14 +1,13 @@
-"""What the web view reads, one function a query of sql/serve; rows come as dictionaries in the units of the file's header."""
+"""What the web view reads, one function per statement of sql/serving.sql; rows are dictionaries in the units of its comments."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from datetime import datetime
 from typing import Any, NamedTuple
 from uuid import UUID
 
-from conetl.db.connection import Connection, database_errors, execute, load_sql
-from conetl.db.copy_binary import clean_text
+from conetl.db.connection import Connection, database_errors, execute
+from conetl.db.statements import load_sql
 from conetl.model.records import Side
 
 Row = dict[str, Any]
@@ -16,11 +15,11 @@ Row = dict[str, Any]
 
 def read_maps(conn: Connection) -> list[Row]:
     """All maps, by name."""
-    return _rows(conn, "maps", {})
+    return _rows(conn, "serving.maps")
 
 
 class Head(NamedTuple):
-    """How far a map has come; each part differs where there is news of its kind."""
+    """The latest state of a map; each part differs after a change of its kind."""
 
     changeset_no: int = 0
     decision_no: int = 0
@@ -29,17 +28,17 @@ class Head(NamedTuple):
 
 def read_heads(conn: Connection) -> dict[str, Head]:
     """The head of every map."""
-    return {row.pop("map_name"): Head(**row) for row in _rows(conn, "heads", {})}
+    return {row.pop("map_name"): Head(**row) for row in _rows(conn, "serving.heads")}
 
 
 def read_decisions(conn: Connection, map_name: str, max_rows: int) -> list[Row]:
-    """The decisions that hold, newest first."""
-    return _rows(conn, "decisions", {"map_name": map_name, "max_rows": max_rows})
+    """The decisions that were not withdrawn, newest first."""
+    return _rows(conn, "serving.decisions", map_name=map_name, max_rows=max_rows)
 
 
 def read_origin(conn: Connection, map_name: str) -> tuple[float, float, float] | None:
-    """Easting, northing, height from which the browser counts, in whole 100 m; None where the map is empty or missing."""
-    rows = _rows(conn, "origin", {"map_name": map_name})
+    """Easting, northing, height from which the browser counts, in whole 100 m; None if the map is empty or missing."""
+    rows = _rows(conn, "serving.origin", map_name=map_name)
     if not rows:
         return None
     easting, northing, height = (round(rows[0][name], -2) for name in ("easting_m", "northing_m", "height_m"))
@@ -50,14 +49,14 @@ def read_features(
     conn: Connection, map_name: str, valid_at: datetime | None, known_at: datetime | None, max_rows: int
 ) -> list[Row]:
     """Standing features at `valid_at` (None: latest) as known at `known_at` (None: now), by id."""
-    parameters = {"map_name": map_name, "valid_at": _instant(valid_at), "known_at": _instant(known_at)}
-    return _rows(conn, "features", {**parameters, "max_rows": max_rows})
+    box = dict.fromkeys(("west_m", "south_m", "east_m", "north_m", "srid"))
+    instants = {"valid_at": _instant(valid_at), "known_at": _instant(known_at)}
+    return _rows(conn, "map.features_as_of", map_name=map_name, max_rows=max_rows, **instants, **box)
 
 
 def read_changeset_changes(conn: Connection, map_name: str, changeset_no: int) -> list[Row]:
     """What one changeset did, by feature id."""
-    with database_errors(f"The map {map_name} cannot be read"):
-        return execute(conn, load_sql("map/changes_of_changeset"), {"map_name": map_name, "changeset_no": changeset_no})
+    return _rows(conn, "history.changes_of_changeset", map_name=map_name, changeset_no=changeset_no)
 
 
 def read_changes_between(
@@ -69,88 +68,72 @@ def read_changes_between(
     moved_from_m: float,
     max_rows: int,
 ) -> list[Row]:
-    """How the map differs between two (valid, known) instants, None meaning latest; from `moved_from_m` on it moved."""
-    parameters = {
-        "map_name": map_name,
+    """How the map differs between two (valid, known) instants (None: latest); from `moved_from_m` on a feature was moved."""
+    instants = {
         "from_valid_at": _instant(before[0]),
         "from_known_at": _instant(before[1]),
         "to_valid_at": _instant(after[0]),
         "to_known_at": _instant(after[1]),
-        "moved_from_m": moved_from_m,
-        "max_rows": max_rows,
     }
-    return _rows(conn, "changes_between", parameters)
+    return _rows(
+        conn, "serving.changes_between", map_name=map_name, moved_from_m=moved_from_m, max_rows=max_rows, **instants
+    )
 
 
 def read_feature_history(conn: Connection, map_name: str, feature_id: UUID) -> list[Row]:
-    """Every delta of a feature with the state after it, in the order of the road; [] where the map has no such feature."""
-    return _rows(conn, "feature_history", {"map_name": map_name, "feature_id": feature_id})
+    """Every delta of a feature with the state after it, in the order of the drives; [] if the map has no such feature."""
+    return _rows(conn, "serving.feature_history", map_name=map_name, feature_id=feature_id)
 
 
 def read_sightings(conn: Connection, map_name: str, feature_id: UUID, max_rows: int) -> list[Row]:
     """The frame pairs in which a feature was seen, oldest first."""
-    return _rows(conn, "sightings", {"map_name": map_name, "feature_id": feature_id, "max_rows": max_rows})
+    return _rows(conn, "serving.sightings", map_name=map_name, feature_id=feature_id, max_rows=max_rows)
 
 
 def read_sighting_picture(
     conn: Connection, map_name: str, drive_uuid: UUID, frame_index: int, match_index: int, side: Side
 ) -> Row | None:
-    """Where the picture of one side of a stereo match lies, and the box in it; None where there is no such match."""
-    parameters = {
-        "map_name": map_name,
-        "drive_uuid": drive_uuid,
-        "frame_index": frame_index,
-        "match_index": match_index,
-        "side": side,
-    }
-    rows = _rows(conn, "sighting_picture", parameters)
+    """Path of the image of one side of a stereo match, and the box in it; None if there is no such match."""
+    match = {"drive_uuid": drive_uuid, "frame_index": frame_index, "match_index": match_index, "side": side}
+    rows = _rows(conn, "serving.sighting_image", map_name=map_name, **match)
     return rows[0] if rows else None
 
 
 def read_trajectory(conn: Connection, map_name: str, drive_uuid: UUID, max_rows: int) -> list[Row]:
-    """Poses of a drive in order of time; [] where the map has no such drive."""
-    return _rows(conn, "trajectory", {"map_name": map_name, "drive_uuid": drive_uuid, "max_rows": max_rows})
+    """Poses of a drive in order of time; [] if the map has no such drive."""
+    return _rows(conn, "serving.trajectory", map_name=map_name, drive_uuid=drive_uuid, max_rows=max_rows)
 
 
 def read_rigs(conn: Connection, map_name: str, drive_uuids: set[UUID]) -> dict[UUID, Any]:
     """The rig (JSON) of each drive."""
-    found: dict[UUID, Any] = {}
-    for drive_uuid in drive_uuids:
-        for row in _rows(conn, "rig", {"map_name": map_name, "drive_uuid": drive_uuid}):
-            found[drive_uuid] = row["rig"]
-    return found
-
-
-def find_features(conn: Connection, map_name: str, beginning: str, max_rows: int) -> list[UUID]:
-    """Ids of standing and removed features that begin so."""
-    parameters = {"map_name": map_name, "beginning": clean_text(beginning).lower(), "max_rows": max_rows}
-    return [row["feature_id"] for row in _rows(conn, "find_features", parameters)]
+    rows = _rows(conn, "serving.rigs", map_name=map_name, drive_uuids=list(drive_uuids))
+    return {row["drive_uuid"]: row["rig"] for row in rows}
 
 
 def read_base_sources(conn: Connection, map_name: str) -> list[Row]:
     """The imported files of a map's base layers, by layer."""
-    return _rows(conn, "base_sources", {"map_name": map_name})
+    return _rows(conn, "base_layers.sources", map_name=map_name)
 
 
 def read_base_tiles(conn: Connection, map_name: str, max_rows: int) -> list[Row]:
-    """Which tiles of points a map has, coarse ones first."""
-    return _rows(conn, "base_tiles", {"map_name": map_name, "max_rows": max_rows})
+    """The point tiles of a map, coarse ones first."""
+    return _rows(conn, "base_layers.tiles", map_name=map_name, max_rows=max_rows)
 
 
 def read_base_tile(conn: Connection, map_name: str, sha256: str) -> bytes | None:
-    """The bytes of one tile, in gzip; None where the map has no such tile."""
-    rows = _rows(conn, "base_tile", {"map_name": map_name, "sha256": sha256})
+    """The bytes of one tile, in gzip; None if the map has no such tile."""
+    rows = _rows(conn, "base_layers.tile", map_name=map_name, sha256=sha256)
     return bytes(rows[0]["payload"]) if rows else None
 
 
 def read_base_lines(conn: Connection, map_name: str, max_rows: int) -> list[Row]:
     """Lines of a map's base layers; `geom` is well-known binary."""
-    return _rows(conn, "base_lines", {"map_name": map_name, "max_rows": max_rows})
+    return _rows(conn, "base_layers.lines", map_name=map_name, max_rows=max_rows)
 
 
-def _rows(conn: Connection, name: str, parameters: Mapping[str, Any]) -> list[Row]:
+def _rows(conn: Connection, statement: str, **parameters: Any) -> list[Row]:
     with database_errors("The map cannot be read"):
-        return execute(conn, load_sql(f"serve/{name}"), parameters)
+        return execute(conn, load_sql(statement), parameters)
 
 
 def _instant(time: datetime | None) -> str:

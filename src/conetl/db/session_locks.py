@@ -1,9 +1,9 @@
-"""Locks that say who lives, held in sessions of their own while the work goes on elsewhere.
+"""Session locks that show which processes are alive, each held in a session of its own during the work.
 
-Such a session is idle for as long as the work takes, and may be lost on the way: a server that was restarted, a firewall that
-forgets, an administrator. That ends nobody's work. A thread sees the loss and takes the locks again. Where another has one of
-them meanwhile, both go on, and this process asks for it again until it ends: what comes onto the map once does not rest on these
-locks, but on the map's own and on the second look under it.
+Such a session is idle as long as the work takes, and may be lost: a restarted server, a firewall, an administrator. The work
+continues. A thread notices the loss and takes the locks again; if another process has one of them meanwhile, both continue, and
+this one retries until it ends. That nothing is committed twice does not depend on these locks, but on the map's lock and the
+check under it.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-from conetl.db.connection import Connection, connect, database_errors, execute, load_sql
+from conetl.db.connection import Connection, connect, database_errors, execute
+from conetl.db.statements import load_sql
 from conetl.model.errors import DatabaseError
 
-#: Between two tries to have a lost lock again. The server may hold it for the lost session until that one's time is over.
+#: Between two attempts to take a lost lock again. The server may keep it for the lost session until that one times out.
 RETAKE_EVERY_S = 5.0
 
 
 @contextmanager
 def holding(url: str, *names: str) -> Iterator[None]:
-    """Hold locks in a session of their own; waits for whoever has them. Always give several in the same order.
+    """Hold locks in a session of their own; waits for other holders. Always give several in the same order.
 
-    Raises `DatabaseError` where they cannot be had at first. Losing them later, and freeing them, raises nothing: neither says
-    anything about the work.
+    Raises `DatabaseError` if they cannot be taken at first. Losing or freeing them later raises nothing.
     """
     locks = _HeldLocks(url, names)
     try:
@@ -36,7 +36,7 @@ def holding(url: str, *names: str) -> Iterator[None]:
 
 
 class _HeldLocks:
-    """Locks of one session, and the thread that takes them again in another where that one is lost."""
+    """Locks of one session, and the thread that takes them again in another one if that is lost."""
 
     def __init__(self, url: str, names: tuple[str, ...]) -> None:
         self._url = url
@@ -52,20 +52,20 @@ class _HeldLocks:
         self._thread.join()
         self._ending.close()
         if self._conn is not None:
-            # Said, because the server would notice the closed session only a moment later.
+            # Explicitly: the server notices a closed session only a moment later.
             with suppress(DatabaseError), database_errors("A lock could not be freed"):
                 for name in self._names:
                     if name not in self._missing:
-                        execute(self._conn, load_sql("write/free_lock"), {"name": name})
+                        execute(self._conn, load_sql("locks.free_lock"), {"name": name})
             self._conn.close()
 
     def _take_all(self) -> Connection:
         conn = connect(self._url)
         try:
-            with database_errors("A lock could not be had"):
+            with database_errors("A lock could not be taken"):
                 conn.autocommit = True
                 for name in self._names:
-                    execute(conn, load_sql("write/take_lock"), {"name": name})
+                    execute(conn, load_sql("locks.take_lock"), {"name": name})
         except BaseException:
             conn.close()
             raise
@@ -80,8 +80,8 @@ class _HeldLocks:
                 self._retake()
 
     def _must_end(self) -> bool:
-        """Wait until the session has something to tell, a lost lock is to be tried again, or the work ends (True)."""
-        waiting = select.poll()  # takes file numbers beyond select's 1024
+        """Wait for an event of the session, the next attempt to take a lost lock, or the end of the work (True)."""
+        waiting = select.poll()  # supports file numbers beyond select's 1024
         waiting.register(self._ending.fileno(), select.POLLIN)
         if self._conn is not None:
             waiting.register(self._conn.fileno(), select.POLLIN)
@@ -90,24 +90,24 @@ class _HeldLocks:
         return any(number == self._ending.fileno() for number, _ in ready)
 
     def _retake(self) -> None:
-        """Take what is free of the missing locks, in a new session where the old one is lost."""
+        """Take the missing locks that are free, in a new session if the old one is lost."""
         try:
             if self._conn is None:
                 self._missing = list(self._names)
                 self._conn = connect(self._url)
-            with database_errors("A lock could not be had"):
+            with database_errors("A lock could not be taken"):
                 self._conn.autocommit = True
                 for name in tuple(self._missing):
-                    if execute(self._conn, load_sql("write/try_lock"), {"name": name})[0]["taken"]:
+                    if execute(self._conn, load_sql("locks.try_lock"), {"name": name})[0]["taken"]:
                         self._missing.remove(name)
-        except DatabaseError:  # tried again, but not at once: the server may be starting
+        except DatabaseError:  # retried, but not immediately: the server may be starting
             if self._conn is not None:
                 self._conn.close()
             self._conn = None
 
 
 def is_alive(conn: Connection) -> bool:
-    """False where the server, or the kernel by its keepalives, has ended the session. Sends nothing, so it never waits."""
+    """False if the server, or the kernel by its keepalives, has ended the session. Sends nothing, so it never waits."""
     with suppress(DatabaseError), database_errors("The session of the locks is lost"):
         conn.poll()
         return not conn.closed

@@ -1,4 +1,4 @@
-"""What work zones are made from: the map's versions over time, and the paths of the drives that made them."""
+"""Input of work zones: the map's versions over time, and the paths of its drives."""
 
 from __future__ import annotations
 
@@ -9,26 +9,27 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from conetl.db.connection import Connection, database_errors, load_sql, stream
+from conetl.db.connection import Connection, database_errors, stream
 from conetl.db.map.rows import version_of
+from conetl.db.statements import load_sql
 from conetl.model.map_records import FeatureVersion
 from conetl.model.work_zone_records import DrivePath, LaneLine
 from conetl.readers.base_layers.lines import bounds_lanes, full_kind
 
 _PATH_TOLERANCE_M = 0.05
-#: Lane lines are looked for so far around the cones of a work zone; a road is not as wide.
+#: Distance around the cones of a work zone for lane lines, more than the width of a road.
 _LANE_REACH_M = 60.0
 
 
 def read_versions(conn: Connection, *, map_name: str, until: datetime | None = None) -> list[FeatureVersion]:
-    """Every believed version that began until then (None: all), by feature; [] where there is no such map."""
+    """Every current version that began until then (None: all), by feature; [] without such a map."""
     parameters = {"map_name": map_name, "valid_until": until.isoformat() if until else "infinity"}
     with database_errors(f"The history of map {map_name} cannot be read"):
-        return [version_of(row) for row in stream(conn, load_sql("map/believed_versions"), parameters)]
+        return [version_of(row) for row in stream(conn, load_sql("map.current_versions"), parameters)]
 
 
 def read_paths(conn: Connection, *, map_name: str, until: datetime | None = None) -> list[DrivePath]:
-    """The paths of the drives that count and began until then (None: all), by time."""
+    """The paths of the active drives that began until then (None: all), by time."""
     parameters = {
         "map_name": map_name,
         "valid_until": until.isoformat() if until else "infinity",
@@ -37,16 +38,16 @@ def read_paths(conn: Connection, *, map_name: str, until: datetime | None = None
     with database_errors(f"The drives of map {map_name} cannot be read"):
         return [
             DrivePath(row[0], row[1], np.stack([np.array(row[2]), np.array(row[3])], axis=1))
-            for row in stream(conn, load_sql("map/drive_paths"), parameters)
+            for row in stream(conn, load_sql("drives.paths_of_map"), parameters)
         ]
 
 
 def read_lanes_near(
     conn: Connection, places_m: Sequence[NDArray[np.float64]], *, map_name: str
 ) -> tuple[list[list[LaneLine]], list[str]]:
-    """Lane lines that the map's base layers have near each of the places, and the names of these layers.
+    """Lane lines of the map's base layers near each set of positions, and the names of these layers.
 
-    places_m: (N, 2) each, in the map's CRS. Near: in their box, widened by `_LANE_REACH_M`.
+    places_m: (N, 2) each, in the map's CRS. Near: inside their box, widened by `_LANE_REACH_M`.
     """
     found: list[list[LaneLine]] = [[] for _ in places_m]
     layers: set[str] = set()
@@ -60,7 +61,7 @@ def read_lanes_near(
         "north_m": [float(corner[1]) for corner in high],
     }
     with database_errors(f"The base layers of map {map_name} cannot be read"):
-        for box, layer, kind, attributes, wkb in stream(conn, load_sql("map/base_lines_near"), parameters):
+        for box, layer, kind, attributes, wkb in stream(conn, load_sql("base_layers.lines_near"), parameters):
             if bounds_lanes(kind, attributes):
                 line = shapely.get_coordinates(shapely.from_wkb(bytes(wkb)))
                 found[box].append(LaneLine(line, full_kind(kind, attributes)))

@@ -9,7 +9,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from conetl.db.connection import Connection, execute, load_sql, transaction
+from conetl.db.connection import Connection, execute, transaction
+from conetl.db.statements import load_sql
 from conetl.exports import FORMATS, Format, writer_of
 from conetl.exports.feature_rows import iso_utc
 from conetl.exports.source import ExportRequest, Source, What, open_source
@@ -33,8 +34,8 @@ def export_map(conn: Connection, path: Path, file_format: str, request: ExportRe
     chosen = FORMATS[file_format]
     manifest_path = path.with_name(path.name + ".manifest.json")
     with transaction(conn, f"The map {request.map_name} cannot be read"):
-        execute(conn, load_sql("export/snapshot"))
-        execute(conn, load_sql("export/memory"), {"work_mem": _WORK_MEM[request.what]})
+        execute(conn, load_sql("exports.snapshot"))
+        execute(conn, load_sql("exports.memory"), {"work_mem": _WORK_MEM[request.what]})
         with (
             open_source(conn, request, order=chosen.order, with_change=chosen.with_change) as source,
             atomic_files(path, manifest_path) as (file, manifest_file),
@@ -47,7 +48,7 @@ def export_map(conn: Connection, path: Path, file_format: str, request: ExportRe
 
 def _manifest(source: Source, file_format: str, chosen: Format, file: Path, rows: int) -> dict[str, Any]:
     request = source.request
-    facts = execute(source.conn, load_sql("export/facts"), {"map_name": request.map_name})[0]
+    facts = execute(source.conn, load_sql("exports.facts"), {"map_name": request.map_name})[0]
     return {
         "manifest_version": MANIFEST_VERSION,
         "file": file.name,

@@ -15,8 +15,9 @@ from xml.sax.saxutils import escape, quoteattr
 
 from pyproj import CRS
 
-from conetl.db.connection import Connection, address, database_errors, execute, load_sql
+from conetl.db.connection import Connection, address, database_errors, execute
 from conetl.db.map.map_store import find_map
+from conetl.db.statements import load_sql
 from conetl.exports.kind_marks import KIND_MARKS
 from conetl.files.atomic import atomic_files
 from conetl.model.errors import InputError
@@ -52,7 +53,7 @@ def write_qgis_project(conn: Connection, path: Path, *, map_name: str, user: str
     if info is None:
         raise InputError(f"there is no map named {map_name} in this database: ingest a drive or import a map first.")
     with database_errors(f"The map {map_name} cannot be read"):
-        extent = execute(conn, load_sql("export/qgis_extent"), {"map_name": map_name})[0]
+        extent = execute(conn, load_sql("exports.qgis_extent"), {"map_name": map_name})[0]
     text = _project(address(conn) | ({"user": user} if user else {}), map_name, info.srid, extent)
     with atomic_files(path) as (file,):
         if path.suffix.lower() == ".qgs":
@@ -101,7 +102,7 @@ def _project(server: dict[str, str], map_name: str, srid: int, extent: dict[str,
 
 def _source(server: dict[str, str], map_name: str, srid: int, query: str) -> str:
     """QGIS's way to name a query as a table. map_name is letters, digits, - and _ (a rule of the table `map`)."""
-    lines = load_sql(f"export/{query}").splitlines()
+    lines = load_sql(f"exports.{query}").splitlines()
     sql = " ".join(line.strip() for line in lines if not line.startswith("--")).rstrip("; ")
     sql = sql.replace("%(map_name)s", f"'{map_name}'")
     parts = " ".join(f"{key}='{value}'" for key, value in server.items())

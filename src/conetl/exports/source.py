@@ -15,9 +15,10 @@ import pyarrow as pa
 from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 
-from conetl.db.connection import Connection, copied_rows, database_errors, load_sql, query_columns
+from conetl.db.connection import Connection, copied_rows, database_errors, query_columns
 from conetl.db.map.map_store import find_map
 from conetl.db.map.results import MapInfo
+from conetl.db.statements import load_sql
 from conetl.exports import Order
 from conetl.exports.wire import arrow_type, decode_rows
 from conetl.model.errors import InputError
@@ -125,7 +126,7 @@ class Source:
     @property
     def _sql(self) -> str:
         name = "changes" if self.request.what is What.CHANGES else "versions"
-        return load_sql(f"export/{name}").rstrip().rstrip(";")
+        return load_sql(f"exports.{name}").rstrip(";")
 
     @cached_property
     def _columns(self) -> list[tuple[str, int]]:

@@ -10,7 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from conetl.db.connection import sql_directory
+from conetl.db.statements import sql_directory
 
 #: Libraries that numbers come from.
 _LIBRARIES = ("numpy", "scipy", "opencv-python-headless", "onnxruntime", "pyproj", "prefect")

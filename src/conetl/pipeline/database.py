@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from conetl.db.cluster.cluster import cluster_up
-from conetl.db.connection import Connection, connect, migrate
+from conetl.db.connection import Connection, connect
+from conetl.db.schema import migrate_once
 from conetl.db.session_locks import is_alive
 from conetl.pipeline.settings import Settings
 
@@ -40,7 +41,7 @@ class MapDatabase:
         if self._url is None:
             url = database_url(self._settings)
             self._conn = connect(url)
-            migrate(self._conn)
+            migrate_once(self._conn)
             self._url = url
         return self._url
 

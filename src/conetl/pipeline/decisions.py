@@ -17,7 +17,7 @@ from conetl.db.map.map_store import LOCK_TIMEOUT_S, find_features, find_map, map
 from conetl.db.map.replay_store import (
     affected_drives,
     drives_at,
-    read_believed_feature,
+    read_open_version,
     superseded_drives,
     write_replay,
 )
@@ -210,7 +210,7 @@ def _feature(conn: Connection, map_name: str, beginning: str) -> MapFeature:
         raise InputError(f"there is no feature {beginning} on the map {map_name}: `conetl map show` lists them")
     if len(found) > 1:
         raise InputError(f"{beginning} is the beginning of several features' ids: give more of it")
-    version = read_believed_feature(conn, map_name, found[0])
+    version = read_open_version(conn, map_name, found[0])
     if version is None:
         raise InputError(f"feature {found[0]} was on the map once, and was removed since: see `conetl map log`")
     return version.feature

@@ -20,11 +20,11 @@ from conetl.db.map.map_store import find_changeset, list_changesets
 from conetl.db.map.results import CommittedChangeset
 from conetl.db.notification_store import (
     QUIET,
-    VanishedCone,
-    mark_told,
-    untold_changesets,
-    vanished_by_changeset,
-    was_told,
+    RemovedCone,
+    is_published,
+    mark_published,
+    pending_changesets,
+    removed_by_changeset,
 )
 from conetl.db.run_store import StepTime, write_run_steps
 from conetl.exports.geojson import export_geojson
@@ -38,7 +38,7 @@ from conetl.reports.plan_view import draw_plan_view
 
 _log = logging.getLogger(__name__)
 #: Hands the report of a changeset and the cones that it removed to whoever wants to know; returns when they have left.
-Notify = Callable[[IngestReport, Sequence[VanishedCone]], None]
+Notify = Callable[[IngestReport, Sequence[RemovedCone]], None]
 
 
 class PublishedFiles(NamedTuple):
@@ -83,16 +83,16 @@ def publish(
 def notify(report: IngestReport, database: MapDatabase, send: Notify) -> None:
     """Send what a changeset did, unless that was done before, and remember it."""
     with database.connection() as conn:
-        if was_told(conn, report.changeset_id):
+        if is_published(conn, report.changeset_id):
             return
-        send(report, vanished_by_changeset(conn, report.changeset_id))
-        mark_told(conn, report.changeset_id)
+        send(report, removed_by_changeset(conn, report.changeset_id))
+        mark_published(conn, report.changeset_id)
 
 
 def catch_up(report: IngestReport, settings: Settings, database: MapDatabase, send: Notify) -> None:
     """Write the map's file and the drive's report, then notify: what the run that committed a drive left pending, if anything."""
     with database.connection() as conn:
-        if was_told(conn, report.changeset_id):
+        if is_published(conn, report.changeset_id):
             return
         _write_map(conn, settings)
         for known in list_changesets(conn, map_name=settings.map_name):
@@ -107,7 +107,7 @@ def catch_up_all(settings: Settings, database: MapDatabase, send: Notify, *, qui
     What fails is logged and left to the next caller: this one has drives to ingest.
     """
     with database.connection() as conn:
-        pending = untold_changesets(conn, map_name=settings.map_name, quiet=quiet)
+        pending = pending_changesets(conn, map_name=settings.map_name, quiet=quiet)
     for found in pending:
         with database.connection() as conn:
             known = find_changeset(conn, found.idempotency_key, map_name=settings.map_name)

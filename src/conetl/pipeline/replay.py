@@ -16,9 +16,9 @@ from uuid import UUID
 import numpy as np
 
 from conetl.db.connection import Connection
+from conetl.db.map.commit import INFLUENCE_M, commit_changeset, place_drive
 from conetl.db.map.decision_store import read_decisions
 from conetl.db.map.drive_store import read_drive, read_view
-from conetl.db.map.map_store import INFLUENCE_M, commit_changeset, place_drive
 from conetl.db.map.replay_store import (
     affected_drives,
     read_deltas,

@@ -19,10 +19,11 @@ from queue import Empty, SimpleQueue
 import numpy as np
 from watchfiles import watch as watch_files
 
-from conetl.db.connection import Connection, connect, migrate
+from conetl.db.connection import Connection, connect
 from conetl.db.live_store import clear_watches, end_watch, watch_lock
 from conetl.db.map.map_store import find_map
 from conetl.db.receipt_store import held_if_free
+from conetl.db.schema import migrate_once
 from conetl.model.errors import DriveFolderError, InputError
 from conetl.model.params import IngestParams
 from conetl.model.records import FramePair, Rig, Track
@@ -158,7 +159,7 @@ def watch_drive(
     report = WatchReport(map_name=settings.map_name)
     with ExitStack() as stack:
         conn = stack.enter_context(closing(connect(database_url(settings))))
-        migrate(conn)
+        migrate_once(conn)
         detectors = stack.enter_context(open_detectors(settings, params))
         changes = stack.enter_context(_changes_of(folder.resolve(), poll=poll))
         watch = _Watch(

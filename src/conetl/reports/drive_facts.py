@@ -10,11 +10,12 @@ from uuid import UUID
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.db.connection import Connection, database_errors, execute, load_sql, stream
+from conetl.db.connection import Connection, database_errors, execute, stream
 from conetl.db.map.drive_store import read_drive, read_frame_pairs
 from conetl.db.map.map_store import list_changesets, read_features_as_of
 from conetl.db.map.results import CommittedChangeset
 from conetl.db.serve_store import read_changeset_changes
+from conetl.db.statements import load_sql
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.errors import InputError
 from conetl.model.map_records import DeltaKind
@@ -128,13 +129,13 @@ def read_drive_facts(conn: Connection, changeset: CommittedChangeset, *, map_nam
     """Facts of one changeset. Raises InputError for an imported map, which is no drive; changes nothing."""
     parameters = {"changeset_id": changeset.changeset_id}
     with database_errors(f"Drive {changeset.drive_id} cannot be read"):
-        header = execute(conn, load_sql("report/changeset"), parameters)[0]
+        header = execute(conn, load_sql("reports.changeset"), parameters)[0]
         if header["rig"] is None:
             raise InputError(f"changeset {changeset.changeset_no} is an imported map, not a drive: it has no report")
         rig = Rig.model_validate(header["rig"])
         rows = [_change(row) for row in read_changeset_changes(conn, map_name, changeset.changeset_no)]
-        rejections = execute(conn, load_sql("report/rejections"), parameters)
-        residuals = np.array(list(stream(conn, load_sql("report/residuals"), {"drive_uuid": changeset.drive_uuid})))
+        rejections = execute(conn, load_sql("reports.rejections"), parameters)
+        residuals = np.array(list(stream(conn, load_sql("reports.residuals"), {"drive_uuid": changeset.drive_uuid})))
     frame_pairs = read_frame_pairs(conn, changeset.drive_uuid)
     path_m = np.array([map_SE3_left(pair.pose, rig)[:2, 3] for pair in frame_pairs])
     residuals = residuals.reshape(-1, 3).astype(np.float64)

@@ -11,7 +11,8 @@ from uuid import UUID
 import numpy as np
 from markupsafe import Markup
 
-from conetl.db.connection import Connection, database_errors, execute, load_sql
+from conetl.db.connection import Connection, database_errors, execute
+from conetl.db.statements import load_sql
 from conetl.geometry import camera as cameras
 from conetl.geometry import pose as se3
 from conetl.geometry.rig import camera_of, map_SE3_camera
@@ -123,4 +124,4 @@ def _crops(title: str, source_path: str, rig: Rig, paths: Sequence[str], boxes: 
 
 def _rows(conn: Connection, name: str, **parameters: Any) -> list[dict[str, Any]]:
     with database_errors("The sightings cannot be read"):
-        return execute(conn, load_sql(f"report/{name}"), parameters)
+        return execute(conn, load_sql(f"reports.{name}"), parameters)

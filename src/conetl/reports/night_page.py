@@ -8,8 +8,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from conetl.db.connection import Connection, database_errors, execute, load_sql
+from conetl.db.connection import Connection, database_errors, execute
 from conetl.db.map.map_store import find_map
+from conetl.db.statements import load_sql
 from conetl.files.atomic import atomic_text_file
 from conetl.model.errors import InputError
 from conetl.model.map_records import DeltaKind
@@ -31,7 +32,7 @@ class NightFacts:
     since: datetime
     until: datetime
     drives: list[Row]
-    """Committed changesets, oldest first (`sql/report/night_drives.sql`), with lost_pairs and lost_share."""
+    """Committed changesets, oldest first (`night_drives` in `sql/reports.sql`), with lost_pairs and lost_share."""
     failures: list[Row]
     vanished: list[Row]
     """At most `_MAX_ROWS`; each with the `total`."""
@@ -52,13 +53,13 @@ def read_night(conn: Connection, *, map_name: str, since: datetime, until: datet
         raise InputError(f"there is no map {map_name}: ingest a drive first")
     span = {"map_name": map_name, "since": since, "until": until}
     with database_errors(f"The map {map_name} cannot be read"):
-        drives = execute(conn, load_sql("report/night_drives"), span)
-        sizes = execute(conn, load_sql("report/map_size"), {"map_name": map_name})
+        drives = execute(conn, load_sql("reports.night_drives"), span)
+        sizes = execute(conn, load_sql("reports.map_size"), {"map_name": map_name})
         facts = NightFacts(
             map_name, since, until, drives,
-            failures=execute(conn, load_sql("report/night_failures"), span),
-            vanished=execute(conn, load_sql("report/night_vanished"), span | {"max_rows": _MAX_ROWS}),
-            rejections=execute(conn, load_sql("report/night_rejections"), span),
+            failures=execute(conn, load_sql("reports.night_failures"), span),
+            vanished=execute(conn, load_sql("reports.night_removed"), span | {"max_rows": _MAX_ROWS}),
+            rejections=execute(conn, load_sql("reports.night_rejections"), span),
             sizes=[(row["at"], int(row["standing"])) for row in sizes],
         )  # fmt: skip
         conn.rollback()

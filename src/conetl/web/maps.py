@@ -8,7 +8,7 @@ from uuid import UUID
 from fastapi import APIRouter, HTTPException, Query, Request
 
 from conetl.db import serve_store as store
-from conetl.db.map.map_store import find_map, list_changesets
+from conetl.db.map.map_store import find_features, find_map, list_changesets
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Rig, utc_from_ns
 from conetl.web import models as m
@@ -83,9 +83,9 @@ def changes_between(
 def find(
     map_name: MapName, conn: Reader, beginning: Annotated[str, Query(pattern=r"^[0-9a-fA-F-]{1,36}$")]
 ) -> m.FoundFeatures:
-    """m.Features, standing or removed, whose id begins with `beginning`."""
+    """Features, present or removed, whose id begins with `beginning`."""
     origin_of(conn, map_name)
-    ids, truncated = cut(store.find_features(conn, map_name, beginning, _MAX_FOUND + 1), _MAX_FOUND)
+    ids, truncated = cut(find_features(conn, beginning, map_name=map_name, max_rows=_MAX_FOUND + 1), _MAX_FOUND)
     return m.FoundFeatures(feature_ids=ids, truncated=truncated)
 
 

@@ -1,4 +1,4 @@
-"""Where a private cluster lies, which user runs it, and how commands run as that user. See `cluster.py`."""
+"""Location of a private cluster, the user who runs it, and commands run as that user. See `cluster.py`."""
 
 from __future__ import annotations
 
@@ -26,23 +26,15 @@ LOCK_NAME, POINTER_NAME, HOME_NAME = "cluster.lock", "postgres.location", "home.
 
 
 @dataclass(frozen=True)
-class ServerUser:
-    """The operating-system user that runs the server."""
-
-    name: str
-    uid: int
-    gid: int
-
-
-@dataclass(frozen=True)
-class ClusterPlace:
+class ClusterLocation:
     """One cluster: its folder, its socket's folder and its user."""
 
     directory: Path
     socket_directory: Path
-    user: ServerUser
+    user: pwd.struct_passwd
+    """The operating-system user that runs the server."""
     caller_name: str | None
-    """Name of the user who calls, None where that uid has no passwd entry."""
+    """Name of the calling user, None if that uid has no passwd entry."""
 
     @property
     def data(self) -> Path:
@@ -50,21 +42,21 @@ class ClusterPlace:
 
     @property
     def data_major(self) -> int | None:
-        """Major version of the PostgreSQL that made the data; None where there are none yet."""
+        """Major version of the PostgreSQL that created the data; None without data."""
         try:
             return int((self.data / "PG_VERSION").read_text().strip())
         except FileNotFoundError:
             return None
         except PermissionError as error:
             raise DatabaseError(
-                f"The private cluster in {self.directory} belongs to user {self.user.name}: run as that user or as root, "
+                f"The private cluster in {self.directory} belongs to user {self.user.pw_name}: run as that user or as root, "
                 f"choose another home folder (CONETL_HOME), {OWN_DATABASE_HINT}."
             ) from error
 
 
 @dataclass(frozen=True)
 class Done:
-    """How a command ended, and what it said on both channels."""
+    """Exit code of a command, and its output on both channels."""
 
     code: int
     output: str
@@ -72,7 +64,7 @@ class Done:
 
 @contextmanager
 def cluster_lock(home: Path) -> Iterator[None]:
-    """Hold the home folder's cluster lock; waits for other processes, and is freed by the kernel when this one dies."""
+    """Hold the home folder's cluster lock; waits for other processes; the kernel frees it when this one dies."""
     try:
         if not home.is_dir():
             home.mkdir(parents=True, exist_ok=True)
@@ -89,32 +81,26 @@ def cluster_lock(home: Path) -> Iterator[None]:
         os.close(handle)
 
 
-def find_place(home: Path) -> ClusterPlace | None:
-    """The cluster that belongs to `home`, None where none was made."""
+def find_location(home: Path) -> ClusterLocation | None:
+    """The cluster of `home`, None if none was created."""
     home = home.resolve()
     pointer = home / POINTER_NAME
     directory = Path(pointer.read_text().strip()) if pointer.is_file() else home / "postgres"
     if not directory.is_dir():
         return None
     if pointer.is_file() and (directory.parent != SYSTEM_DIRECTORY or not _belongs_to(directory, home)):
-        return None  # a copied home: its pointer leads to somebody else's cluster
-    owner = directory.stat().st_uid
-    name = _name_of(owner)
-    if name is None:
+        return None  # a copied home: its pointer names the cluster of the original
+    owner = _user_of(directory.stat().st_uid, f"The private cluster in {directory} belongs to ")
+    if os.geteuid() not in (0, owner.pw_uid):
         raise DatabaseError(
-            f"The private cluster in {directory} belongs to uid {owner}, which has no entry in the passwd file; "
-            f"PostgreSQL needs one: add it, {OWN_DATABASE_HINT}."
-        )
-    if os.geteuid() not in (0, owner):
-        raise DatabaseError(
-            f"The private cluster in {directory} belongs to user {name}: run as that user or as root, "
+            f"The private cluster in {directory} belongs to user {owner.pw_name}: run as that user or as root, "
             f"choose another home folder (CONETL_HOME), {OWN_DATABASE_HINT}."
         )
-    return _place(directory, ServerUser(name, owner, pwd.getpwuid(owner).pw_gid))
+    return _location(directory, owner)
 
 
-def make_place(home: Path) -> ClusterPlace:
-    """Choose and make the folder of a new cluster."""
+def make_location(home: Path) -> ClusterLocation:
+    """Choose and create the folder of a new cluster."""
     home = home.resolve()
     user = _server_user()
     directory = home / "postgres"
@@ -125,46 +111,46 @@ def make_place(home: Path) -> ClusterPlace:
             raise DatabaseError(f"{directory} belongs to another project: remove it, {OWN_DATABASE_HINT}.")
         if not _prepare(directory, user):
             raise DatabaseError(
-                f"Neither {home / 'postgres'} nor {directory} can be reached by user {user.name}, who would run PostgreSQL "
+                f"Neither {home / 'postgres'} nor {directory} can be reached by user {user.pw_name}, who would run PostgreSQL "
                 f"for root: choose another home folder (CONETL_HOME), {OWN_DATABASE_HINT}."
             )
         (directory / HOME_NAME).write_text(f"{home}\n")
         (home / POINTER_NAME).write_text(f"{directory}\n")
-    return _place(directory, user)
+    return _location(directory, user)
 
 
-def forget_place(home: Path) -> None:
-    """Remove what points from `home` to its cluster."""
+def forget_location(home: Path) -> None:
+    """Remove the pointer from `home` to its cluster."""
     (home.resolve() / POINTER_NAME).unlink(missing_ok=True)
 
 
-def make_socket_directory(place: ClusterPlace) -> None:
-    """Make the socket's folder, mode 0700, owned by the server's user; refuse one that somebody else prepared in /tmp."""
-    path = place.socket_directory
+def make_socket_directory(location: ClusterLocation) -> None:
+    """Create the socket's folder, mode 0700, owned by the server's user; refuse one that another user prepared in /tmp."""
+    path = location.socket_directory
     try:
         path.mkdir(mode=0o700)
-        os.chown(path, place.user.uid, place.user.gid, follow_symlinks=False)
+        os.chown(path, location.user.pw_uid, location.user.pw_gid, follow_symlinks=False)
     except FileExistsError:
         found = path.lstat()
-        mine = found.st_uid in (place.user.uid, os.geteuid())
+        mine = found.st_uid in (location.user.pw_uid, os.geteuid())
         if not stat.S_ISDIR(found.st_mode) or not mine or stat.S_IMODE(found.st_mode) & 0o077:
             raise DatabaseError(
-                f"{path} should be a folder of user {place.user.name} with mode 0700 for the database's socket, but it is not: "
+                f"{path} should be a folder of user {location.user.pw_name} with mode 0700 for the socket, but is not: "
                 f"remove it, {OWN_DATABASE_HINT}."
             ) from None
-        if found.st_uid != place.user.uid:
-            os.chown(path, place.user.uid, place.user.gid, follow_symlinks=False)
+        if found.st_uid != location.user.pw_uid:
+            os.chown(path, location.user.pw_uid, location.user.pw_gid, follow_symlinks=False)
 
 
 def run_as(
-    place: ClusterPlace, command: list[str], *, timeout_s: float, stdin: str = "", inherit: tuple[int, ...] = ()
+    location: ClusterLocation, command: list[str], *, timeout_s: float, stdin: str = "", inherit: tuple[int, ...] = ()
 ) -> Done:
-    """Run a command as the cluster's user inside the cluster's folder, with an environment that holds nothing of the caller's.
+    """Run a command as the cluster's user in the cluster's folder, with an environment of its own.
 
     No PG* variable may lead PostgreSQL's programs to another server; messages are in English. inherit: open files that the
-    command and what it starts get.
+    command and its children keep.
     """
-    other = os.geteuid() != place.user.uid
+    other = os.geteuid() != location.user.pw_uid
     try:
         done = subprocess.run(
             command,
@@ -173,77 +159,77 @@ def run_as(
             stderr=subprocess.STDOUT,
             text=True,
             errors="replace",
-            cwd=place.directory,
+            cwd=location.directory,
             env={"PATH": os.defpath, "LC_ALL": "C"},
             start_new_session=True,
             timeout=timeout_s,
             check=False,
-            user=place.user.uid if other else None,
-            group=place.user.gid if other else None,
+            user=location.user.pw_uid if other else None,
+            group=location.user.pw_gid if other else None,
             extra_groups=[] if other else None,
             umask=0o077,
             pass_fds=inherit,
         )
     except subprocess.TimeoutExpired:
-        return Done(124, f"{Path(command[0]).name} did not end within {timeout_s:.0f} s")
+        return Done(124, f"{Path(command[0]).name} did not finish within {timeout_s:.0f} s")
     except OSError as error:
         return Done(126, f"{command[0]}: {error.strerror}")
     return Done(done.returncode, done.stdout)
 
 
-def working_folder(place: ClusterPlace, pid: int) -> str | None:
-    """Working folder of a process of the cluster's user; None where it is dead, a zombie, or another user's.
+def working_folder(location: ClusterLocation, pid: int) -> str | None:
+    """Working folder of a process of the cluster's user; None if it is dead, a zombie, or another user's.
 
-    Looked up as that user: root in a container may lack the right to look into other users' processes.
+    Read as that user: root in a container may lack the right to inspect other users' processes.
     """
     link = f"/proc/{pid}/cwd"
-    if os.geteuid() == place.user.uid:
+    if os.geteuid() == location.user.pw_uid:
         try:
-            return os.readlink(link)  # noqa: PTH115 -- Path would not tell a dead process from a strange path
+            return os.readlink(link)  # noqa: PTH115 -- Path would not distinguish a dead process from a strange path
         except OSError:
             return None
-    looked = run_as(place, ["readlink", "-n", link], timeout_s=10)
-    return looked.output if looked.code == 0 else None
+    done = run_as(location, ["readlink", "-n", link], timeout_s=10)
+    return done.output if done.code == 0 else None
 
 
-def _place(directory: Path, user: ServerUser) -> ClusterPlace:
+def _location(directory: Path, user: pwd.struct_passwd) -> ClusterLocation:
     socket_directory = directory / "socket"
     if len(os.fsencode(socket_directory / ".s.PGSQL.00000")) > MAX_SOCKET_PATH_BYTES:
         socket_directory = Path("/tmp") / f"conetl-{_digest(directory)}"
-    return ClusterPlace(directory, socket_directory, user, _name_of(os.geteuid()))
+    return ClusterLocation(directory, socket_directory, user, _name_of(os.geteuid()))
 
 
-def _server_user() -> ServerUser:
-    uid = os.geteuid()
-    if uid != 0:
-        name = _name_of(uid)
-        if name is None:
-            raise DatabaseError(
-                f"uid {uid} has no entry in the passwd file and PostgreSQL needs one: add it, {OWN_DATABASE_HINT}."
-            )
-        return ServerUser(name, uid, os.getegid())
+def _server_user() -> pwd.struct_passwd:
+    if os.geteuid() != 0:
+        return _user_of(os.geteuid())
     for name in UNPRIVILEGED_USERS:
-        try:
-            entry = pwd.getpwnam(name)
-        except KeyError:
-            continue
-        return ServerUser(name, entry.pw_uid, entry.pw_gid)
+        with suppress(KeyError):
+            return pwd.getpwnam(name)
     raise DatabaseError(
         f"PostgreSQL refuses to run as root and there is neither a user {' nor a user '.join(UNPRIVILEGED_USERS)}: "
         f"run as an ordinary user, {OWN_DATABASE_HINT}."
     )
 
 
-def _prepare(directory: Path, user: ServerUser) -> bool:
-    """Make the folder, mode 0700, owned by `user`; False where that user cannot work in it."""
+def _user_of(uid: int, what: str = "") -> pwd.struct_passwd:
+    try:
+        return pwd.getpwuid(uid)
+    except KeyError:
+        raise DatabaseError(
+            f"{what}uid {uid}, which has no entry in the passwd file; PostgreSQL requires one: add it, {OWN_DATABASE_HINT}."
+        ) from None
+
+
+def _prepare(directory: Path, user: pwd.struct_passwd) -> bool:
+    """Create the folder, mode 0700, owned by `user`; False if that user cannot use it."""
     try:
         directory.mkdir(mode=0o700, parents=True, exist_ok=True)
         if os.geteuid() == 0:
-            os.chown(directory, user.uid, user.gid, follow_symlinks=False)
+            os.chown(directory, user.pw_uid, user.pw_gid, follow_symlinks=False)
     except OSError:
         return False
     probe = ["sh", "-c", 'test -w "$0" && test -x "$0"', str(directory)]
-    works = run_as(ClusterPlace(Path("/"), directory, user, None), probe, timeout_s=10).code == 0
+    works = run_as(ClusterLocation(Path("/"), directory, user, None), probe, timeout_s=10).code == 0
     if not works:
         with suppress(OSError):
             directory.rmdir()
@@ -251,7 +237,7 @@ def _prepare(directory: Path, user: ServerUser) -> bool:
 
 
 def _belongs_to(directory: Path, home: Path) -> bool:
-    """True where the cluster was made for `home`, or for a home that was moved here."""
+    """Whether the cluster was created for `home`, or for a home that was moved here."""
     marker = directory / HOME_NAME
     if not marker.is_file():
         return False

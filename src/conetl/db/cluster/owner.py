@@ -1,9 +1,9 @@
 """Where the server of a private cluster runs: in this PID namespace, in another container, or on another machine.
 
-A process id says nothing outside of its namespace, so where a home folder is shared, the server of another container looks like
-a dead one; and two servers on one data folder destroy it. Beside the data lie `server.host`, which says where the server was
-started, and `server.lock`, which every process of the server holds locked by a file that it inherited: the kernel knows by it
-across all containers of one machine whether the server lives, however it ended.
+A process id means nothing outside its namespace, so in a shared home folder the server of another container looks like a dead
+one; and two servers on one data folder destroy it. Beside the data are `server.host`, the host where the server was started, and
+`server.lock`, which every process of the server keeps locked through an inherited file: by it the kernel knows in all containers
+of one machine whether the server is running, however it ended.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from conetl.db.cluster.location import ClusterPlace, run_as
+from conetl.db.cluster.location import ClusterLocation, run_as
 from conetl.model.errors import DatabaseError
 
 HOST_NAME, LOCK_NAME = "server.host", "server.lock"
@@ -36,78 +36,73 @@ class ServerHost:
 
 
 def this_host() -> ServerHost:
-    """Where this process runs; empty what the kernel does not tell (some sandboxes), so that it makes no difference."""
+    """Where this process runs; fields that the kernel does not provide (some sandboxes) are empty."""
     boot_id = namespace = ""
     with suppress(OSError):
         boot_id = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
     with suppress(OSError):
-        namespace = os.readlink("/proc/self/ns/pid")  # noqa: PTH115 -- no path, but a name of the kernel's
+        namespace = os.readlink("/proc/self/ns/pid")  # noqa: PTH115 -- not a path, but a name of the kernel
     return ServerHost(socket.gethostname(), boot_id, namespace)
 
 
-def require_no_server_elsewhere(place: ClusterPlace) -> None:
-    """Call where no process here is the server. Raises DatabaseError where one of another container or machine may be."""
-    host = host_elsewhere(place)
+def require_no_server_elsewhere(location: ClusterLocation, *, to_stop: bool = False) -> None:
+    """Raises DatabaseError if a server of another container or machine may be running. Call if no local process is the server."""
+    host = host_elsewhere(location)
     if host is None:
         return
+    remedy = (
+        "stop it there. Nothing was stopped."
+        if to_stop
+        else "a second server would destroy its data. Give this one its own home folder (CONETL_HOME), or let both use "
+        "one PostGIS by CONETL_DATABASE_URL."
+    )
     raise DatabaseError(
-        f"The private PostGIS cluster in {place.directory} is used by another machine or container (host {host}), and a "
-        "second server would destroy its data. Give this one a home folder of its own (CONETL_HOME), or let both use one "
-        f"PostGIS by CONETL_DATABASE_URL. Where that server is known to be dead, remove {_pid_file(place)}."
+        f"The private PostGIS cluster in {location.directory} is used by another machine or container (host {host}): {remedy} If "
+        f"that server is known to be dead, remove {_pid_file(location)}."
     )
 
 
-def require_stopped_elsewhere(place: ClusterPlace) -> None:
-    """Call where no process here is the server and none is to be. Raises DatabaseError where another place has it to stop."""
-    host = host_elsewhere(place)
-    if host is not None:
-        raise DatabaseError(
-            f"The private PostGIS cluster in {place.directory} runs on another machine or container (host {host}): stop it "
-            f"there. Nothing was stopped. Where that server is known to be dead, remove {_pid_file(place)}."
-        )
+def host_elsewhere(location: ClusterLocation) -> str | None:
+    """Name of the other machine or container that may run the server; None if certainly none does.
 
-
-def host_elsewhere(place: ClusterPlace) -> str | None:
-    """The other machine or container whose process may be the server, by its name; None where there is none for certain.
-
-    Call where no process here is the server.
+    Call if no local process is the server.
     """
-    if not _pid_file(place).exists():
+    if not _pid_file(location).exists():
         return None
-    started = _read_host(place)
-    return None if started is None or _is_gone(place, started, this_host()) else started.host
+    started = _read_host(location)
+    return None if started is None or _is_gone(location, started, this_host()) else started.host
 
 
 @contextmanager
-def lock_for_server(place: ClusterPlace) -> Iterator[int]:
-    """A file for the server to inherit, and to hold as long as any of its processes lives. Writes down where it is started."""
-    _write_host(place, this_host())
-    handle = os.open(_lock_file(place), os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
+def lock_for_server(location: ClusterLocation) -> Iterator[int]:
+    """A file for the server to inherit, and to keep while any of its processes runs. Records the server's host."""
+    _write_host(location, this_host())
+    handle = os.open(_lock_file(location), os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
     try:
-        # Shared: what is left of a server that was killed may hold it for a moment still.
+        # Shared: processes of a server that was killed may hold it for another moment.
         fcntl.flock(handle, fcntl.LOCK_SH)
         yield handle
     finally:
         os.close(handle)
-    # A shell may have closed it on the way to the server: then a free lock proves nothing.
-    _write_host(place, replace(this_host(), locked=_is_locked(place)))
+    # A shell may have closed it before the server started: then a free lock proves nothing.
+    _write_host(location, replace(this_host(), locked=_is_locked(location)))
 
 
-def _is_gone(place: ClusterPlace, started: ServerHost, here: ServerHost) -> bool:
-    """Whether a server that is no process here is dead for certain."""
+def _is_gone(location: ClusterLocation, started: ServerHost, here: ServerHost) -> bool:
+    """Whether a server that is not a local process is certainly dead."""
     if started.boot_id == here.boot_id and started.pid_namespace == here.pid_namespace:
         return True
-    if started.locked and _is_locked(place):
+    if started.locked and _is_locked(location):
         return False
     if started.boot_id == here.boot_id:  # another container: the same kernel keeps its locks
         return started.locked
     return started.host == here.host  # the machine was started again
 
 
-def _is_locked(place: ClusterPlace) -> bool:
-    """Whether any process holds the lock; also where that cannot be known."""
+def _is_locked(location: ClusterLocation) -> bool:
+    """Whether any process holds the lock; True if that cannot be determined."""
     try:
-        handle = os.open(_lock_file(place), os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
+        handle = os.open(_lock_file(location), os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
     except FileNotFoundError:
         return False
     except OSError:
@@ -121,33 +116,33 @@ def _is_locked(place: ClusterPlace) -> bool:
     return False
 
 
-def _read_host(place: ClusterPlace) -> ServerHost | None:
-    """None where nothing was written down: an older conetl started the server."""
+def _read_host(location: ClusterLocation) -> ServerHost | None:
+    """None if nothing was recorded."""
     try:
-        return ServerHost(**json.loads((place.directory / HOST_NAME).read_text(encoding="utf-8")))
+        return ServerHost(**json.loads((location.directory / HOST_NAME).read_text(encoding="utf-8")))
     except FileNotFoundError:
         return None
     except (OSError, ValueError, TypeError) as error:
         raise DatabaseError(
-            f"{place.directory / HOST_NAME} should say where the private cluster's server was started, but cannot be understood "
-            f"({error}): remove it once no server of these data runs on any machine."
+            f"{location.directory / HOST_NAME} should name the host of the private cluster's server, but is invalid ({error}): "
+            "remove it once no server of these data runs on any machine."
         ) from error
 
 
-def _write_host(place: ClusterPlace, host: ServerHost) -> None:
+def _write_host(location: ClusterLocation, host: ServerHost) -> None:
     """As the server's user, who owns the folder: all of it or nothing."""
     script = 'cat > "$0.new" && mv -T "$0.new" "$0" && touch "$1"'
     command = ["sh", "-c", script, HOST_NAME, LOCK_NAME]
-    done = run_as(place, command, stdin=json.dumps(asdict(host)) + "\n", timeout_s=10)
+    done = run_as(location, command, stdin=json.dumps(asdict(host)) + "\n", timeout_s=10)
     if done.code != 0:
         raise DatabaseError(
-            f"{place.directory / HOST_NAME} could not be written (as user {place.user.name}): {done.output.strip()}"
+            f"{location.directory / HOST_NAME} could not be written (as user {location.user.pw_name}): {done.output.strip()}"
         )
 
 
-def _pid_file(place: ClusterPlace) -> Path:
-    return place.data / "postmaster.pid"
+def _pid_file(location: ClusterLocation) -> Path:
+    return location.data / "postmaster.pid"
 
 
-def _lock_file(place: ClusterPlace) -> Path:
-    return place.directory / LOCK_NAME
+def _lock_file(location: ClusterLocation) -> Path:
+    return location.directory / LOCK_NAME

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from conetl.model.errors import DatabaseError
 
-#: Where distributions put the server's programs; PATH is looked at as well.
+#: Where distributions install the server's programs, beside PATH.
 BIN_DIRECTORY_GLOBS = (
     "usr/lib/postgresql/*/bin",
     "usr/lib/postgresql*/bin",
@@ -53,9 +53,9 @@ def find_installs(root: Path = Path("/")) -> list[PostgresInstall]:
 
 
 def choose_install(installs: Iterable[PostgresInstall], *, data_major: int | None) -> PostgresInstall:
-    """The newest server with PostGIS; where data exist already, one of the major version that made them.
+    """The newest server with PostGIS; for existing data, one of the major version that created them.
 
-    Raises `DatabaseError` with one sentence that says what to install.
+    Raises `DatabaseError` with one sentence about what to install.
     """
     installs = list(installs)
     usable = [i for i in installs if not i.missing_extensions]
@@ -64,7 +64,7 @@ def choose_install(installs: Iterable[PostgresInstall], *, data_major: int | Non
             if install.major == data_major:
                 return install
         raise DatabaseError(
-            f"The map's data were made by PostgreSQL {data_major}, but PostgreSQL {data_major} with PostGIS is not "
+            f"The map's data were created by PostgreSQL {data_major}, but PostgreSQL {data_major} with PostGIS is not "
             f"installed: run `sudo apt-get install postgresql-{data_major}-postgis-3`, {OWN_DATABASE_HINT}."
         )
     if usable:
@@ -77,7 +77,7 @@ def choose_install(installs: Iterable[PostgresInstall], *, data_major: int | Non
 
 
 def probe_install(directory: Path) -> PostgresInstall | None:
-    """The server whose programs lie in `directory`, or None where some of them are missing or do not run."""
+    """The server whose programs are in `directory`, or None if some of them are missing or do not run."""
     if not all((directory / name).is_file() for name in NEEDED_PROGRAMS):
         return None
     version = re.search(r"(\d+(?:\.\d+)*)", _output([str(directory / "postgres"), "--version"]))

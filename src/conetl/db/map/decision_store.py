@@ -1,26 +1,28 @@
-"""What people decided about a map. Append-only: what is taken back is withdrawn by another decision."""
+"""Decisions of people about a map. Append-only: a decision is withdrawn by another one."""
 
 from __future__ import annotations
 
 from datetime import datetime
 from uuid import UUID, uuid4
 
-from conetl.db.connection import Connection, database_errors, execute, load_sql
+from conetl.db.connection import Connection, database_errors, execute
 from conetl.db.copy_binary import clean_text
 from conetl.db.map.results import Decidable, MapInfo, StoredDecision
+from conetl.db.statements import load_sql
 from conetl.model.map_records import Decisions, Place
 
 
 def list_decisions(conn: Connection, *, map_name: str = "default") -> list[StoredDecision]:
-    """The decisions that hold, oldest first."""
+    """The decisions that were not withdrawn, oldest first."""
     with database_errors(f"The decisions about map {map_name} cannot be read"):
         return [
-            StoredDecision(**row) for row in execute(conn, load_sql("map/active_decisions"), {"map_name": map_name})
+            StoredDecision(**row)
+            for row in execute(conn, load_sql("decisions.active_decisions"), {"map_name": map_name})
         ]
 
 
 def read_decisions(conn: Connection, *, map_name: str = "default") -> Decisions:
-    """The decisions about places that hold, as the comparison of drives takes them."""
+    """The decisions about places, in the form for the comparison of drives."""
     places: dict[str, list[Place]] = {"suppress": [], "pin": [], "revert": []}
     for decision in list_decisions(conn, map_name=map_name):
         if decision.place is not None:
@@ -29,10 +31,10 @@ def read_decisions(conn: Connection, *, map_name: str = "default") -> Decisions:
 
 
 def find_decisions(conn: Connection, beginning: str, *, map_name: str = "default") -> list[Decidable]:
-    """Changesets and decisions whose id begins so, or the changeset of that number; at most two."""
+    """Changesets and decisions whose id begins with a text, or the changeset of that number; at most two."""
     parameters = {"map_name": map_name, "beginning": clean_text(beginning).lower()}
     with database_errors(f"The map {map_name} cannot be read"):
-        return [Decidable(**row) for row in execute(conn, load_sql("map/find_decisions"), parameters)]
+        return [Decidable(**row) for row in execute(conn, load_sql("decisions.find_decisions"), parameters)]
 
 
 def insert_decision(
@@ -66,5 +68,5 @@ def insert_decision(
         "decided_by": clean_text(decided_by) if decided_by else None,
         "decided_at": decided_at,
     }
-    execute(conn, load_sql("write/insert_decision"), parameters)
+    execute(conn, load_sql("decisions.insert_decision"), parameters)
     return decision_id

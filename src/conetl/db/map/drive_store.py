@@ -1,6 +1,6 @@
-"""Drives out of the database: all that is needed to compare one with the map again, without its images.
+"""Drives read back from the database: everything needed to compare one with the map again, except its images.
 
-Numbers come back to the last bit, so a drive that is compared again from here gives what it gave when it was ingested.
+Numbers come back to the last bit, so the result of another comparison is that of the first one.
 """
 
 from __future__ import annotations
@@ -12,28 +12,22 @@ from uuid import UUID
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.db.connection import Connection, database_errors, execute, load_sql, stream
+from conetl.db.connection import Connection, database_errors, execute, stream
 from conetl.db.map.import_store import read_statements
-from conetl.db.map.jacobian_arrays import jacobian_from_wire
+from conetl.db.map.rows import jacobian_from_wire
+from conetl.db.statements import load_sql
 from conetl.model.detector_evidence import UNMEASURED_ABSENCE, AbsenceFigures
 from conetl.model.errors import MapMismatchError
 from conetl.model.map_records import FoldKey, Statement
 from conetl.model.params import ReconcileParams
-from conetl.model.records import (
-    Detection,
-    FramePair,
-    Pose,
-    Rig,
-    Track,
-    Vec3,
-)
+from conetl.model.records import Detection, FramePair, Pose, Rig, Track, Vec3
 
-Floats = NDArray[np.float64]
+_DETECTION = ("frame_index", "side", "detection_index", "category", "x_px", "y_px", "w_px", "h_px", "score")
 
 
 @dataclass(frozen=True)
 class StoredDrive:
-    """What of a drive is small: its header, its path and its tracks."""
+    """The small part of a drive: its header, its path and its tracks."""
 
     map_name: str
     content_sha256: str
@@ -43,12 +37,12 @@ class StoredDrive:
     reconcile: ReconcileParams
     influence_m: float
     figures: AbsenceFigures
-    """Of the detector that looked."""
-    path_m: Floats
-    """(N, 2), a row per frame pair."""
+    """Of the drive's detector."""
+    path_m: NDArray[np.float64]
+    """(N, 2), a row per frame pair; of an imported map, its stated positions."""
     tracks: list[Track]
     statements: list[Statement]
-    """Of an imported map, instead of tracks; `path_m` is where its cones stand then."""
+    """Of an imported map, instead of tracks."""
 
     def key(self, idempotency_key: str) -> FoldKey:
         return self.captured_from_ns, self.content_sha256, idempotency_key
@@ -56,27 +50,26 @@ class StoredDrive:
 
 @dataclass(frozen=True)
 class StoredView:
-    """What of a drive is large: where it looked and what it saw there."""
+    """The large part of a drive: what was visible, and what was seen."""
 
     frame_pairs: list[FramePair]
     detections: list[Detection]
     spots: list[tuple[int, Vec3]]
-    """Frame index and place of every position."""
+    """Frame index and xyz of every position."""
 
 
 def read_drive(conn: Connection, drive_uuid: UUID) -> StoredDrive:
-    """Header, path and tracks of an ingested drive. Raises MapMismatchError where there is no such drive."""
+    """Header, path and tracks of an ingested drive. Raises MapMismatchError if it does not exist."""
     parameters = {"drive_uuid": drive_uuid}
     with database_errors(f"Drive {drive_uuid} cannot be read"):
-        headers = execute(conn, load_sql("map/drive_header"), parameters)
+        headers = execute(conn, load_sql("drives.header"), parameters)
         if not headers:
             raise MapMismatchError(f"there is no drive {drive_uuid} in this database")
         header = headers[0]
         rig = None if header["rig"] is None else Rig.model_validate(header["rig"])
         statements = read_statements(conn, drive_uuid) if rig is None else []
-        path = (
-            stream(conn, load_sql("map/drive_path"), parameters) if rig else (s.feature.xyz_m[:2] for s in statements)
-        )
+        path = stream(conn, load_sql("drives.path"), parameters) if rig else (s.feature.xyz_m[:2] for s in statements)
+        figures = header["absence_figures"]
         return StoredDrive(
             map_name=header["map_name"],
             content_sha256=header["content_sha256"],
@@ -84,43 +77,31 @@ def read_drive(conn: Connection, drive_uuid: UUID) -> StoredDrive:
             rig=rig,
             reconcile=ReconcileParams.model_validate(header["reconcile"]),
             influence_m=header["influence_m"],
-            figures=AbsenceFigures.model_validate(header["absence_figures"])
-            if header["absence_figures"]
-            else UNMEASURED_ABSENCE,
+            figures=AbsenceFigures.model_validate(figures) if figures else UNMEASURED_ABSENCE,
             path_m=np.array(list(path)).reshape(-1, 2),
-            tracks=[_track(row) for row in stream(conn, load_sql("map/drive_tracks"), parameters)],
+            tracks=[_track(row) for row in stream(conn, load_sql("drives.tracks"), parameters)],
             statements=statements,
         )
 
 
 def read_view(conn: Connection, drive_uuid: UUID) -> StoredView:
-    """Frame pairs with their poses, detections and the places of positions."""
+    """Frame pairs with their poses, detections and positions."""
     parameters = {"drive_uuid": drive_uuid}
     with database_errors(f"Drive {drive_uuid} cannot be read"):
         return StoredView(
             frame_pairs=read_frame_pairs(conn, drive_uuid),
             detections=[
-                Detection.model_construct(
-                    frame_index=row[0],
-                    side=row[1],
-                    detection_index=row[2],
-                    category=row[3],
-                    x_px=row[4],
-                    y_px=row[5],
-                    w_px=row[6],
-                    h_px=row[7],
-                    score=row[8],
-                )
-                for row in stream(conn, load_sql("map/drive_detections"), parameters)
+                Detection.model_construct(**dict(zip(_DETECTION, row, strict=True)))
+                for row in stream(conn, load_sql("drives.detections"), parameters)
             ],
-            spots=[(row[0], row[1:]) for row in stream(conn, load_sql("map/drive_spots"), parameters)],
+            spots=[(row[0], row[1:]) for row in stream(conn, load_sql("drives.positions"), parameters)],
         )
 
 
 def read_frame_pairs(conn: Connection, drive_uuid: UUID) -> list[FramePair]:
     """Frame pairs with their poses, in order."""
     with database_errors(f"Drive {drive_uuid} cannot be read"):
-        return [_frame_pair(row) for row in stream(conn, load_sql("map/drive_frame_pairs"), {"drive_uuid": drive_uuid})]
+        return [_frame_pair(row) for row in stream(conn, load_sql("drives.frame_pairs"), {"drive_uuid": drive_uuid})]
 
 
 def _frame_pair(row: tuple[Any, ...]) -> FramePair:

@@ -9,40 +9,41 @@ from uuid import NAMESPACE_URL, UUID, uuid5
 
 import numpy as np
 
-from conetl.db.connection import Connection, copy_columns, database_errors, execute, load_sql, stream, transaction
+from conetl.db.connection import Connection, copy_columns, database_errors, execute, stream, transaction
 from conetl.db.copy_binary import bigints, clean_text, constant_uuid, integers, json_text, uuids
 from conetl.db.map import columns as map_columns
-from conetl.db.map.changeset_rows import insert_changeset
-from conetl.db.map.map_store import find_changeset, map_for, system_time
+from conetl.db.map.commit import committed_result, insert_changeset
+from conetl.db.map.map_store import map_for, system_time
 from conetl.db.map.replay_store import write_replay
 from conetl.db.map.results import CommitResult, RecordCounts, Replay, RunInfo
 from conetl.db.map.rows import feature_of
+from conetl.db.statements import load_sql
 from conetl.model.errors import MapMismatchError
 from conetl.model.map_records import Changeset, ImportedMap, Statement
 from conetl.model.params import ReconcileParams
 from conetl.model.records import utc_from_ns
 
-#: How far from a stated place an import judges: what it may pair or move, with room to spare.
+#: An import judges features this far around a stated position: what it may pair or move, with a margin.
 IMPORT_INFLUENCE_M = 10.0
-#: The area of an import is made of cells, at most so many.
+#: Largest number of cells that make the area of an import.
 _MAX_CELLS = 2000
-#: Columns of cones that statements of other maps have no use for.
+#: Columns of cones that an imported map does not state.
 _NOT_STATED = ("centre_geom", "calibrations", "shared_jacobian_m")
 _NAMESPACE = uuid5(NAMESPACE_URL, "https://conetl.example/import")
 
 
 class KnownId(NamedTuple):
-    """An id that a feature of this database has."""
+    """A feature of this database, by its id."""
 
     map_name: str
     xy_m: tuple[float, float] | None
-    """Where it stands or stood last; None where it is not believed in any more."""
+    """Its present or last position; None if it has no current version."""
 
 
 def known_ids(conn: Connection, feature_ids: Sequence[UUID]) -> dict[UUID, KnownId]:
-    """Those of the ids that are taken in this database, in any map."""
+    """Those of the ids that features of this database have, in any map."""
     with database_errors("The features of the database cannot be read"):
-        rows = execute(conn, load_sql("map/known_ids"), {"feature_ids": list(feature_ids)})
+        rows = execute(conn, load_sql("map.known_ids"), {"feature_ids": list(feature_ids)})
     return {
         row["feature_id"]: KnownId(
             row["map_name"], None if row["easting_m"] is None else (row["easting_m"], row["northing_m"])
@@ -54,8 +55,10 @@ def known_ids(conn: Connection, feature_ids: Sequence[UUID]) -> dict[UUID, Known
 def place_import(
     conn: Connection, imported: ImportedMap, idempotency_key: str, *, map_name: str, reconcile: ReconcileParams
 ) -> UUID:
-    """Make an imported map known, so that it can be asked what is around it; does not commit. It counts once its changeset is
-    there. Raises MapMismatchError where the map is in another CRS."""
+    """Add an imported map as an event, so that its neighbourhood can be read; does not commit.
+
+    It counts once its changeset exists. Raises MapMismatchError if the map is in another CRS.
+    """
     info = map_for(conn, map_name, imported.srid, imported.name)
     drive_uuid = uuid5(_NAMESPACE, f"{map_name}/{idempotency_key}")
     cells, cell_m = _cells(imported.statements)
@@ -73,7 +76,7 @@ def place_import(
         "cells_wkt": "MULTIPOINT(" + ", ".join(f"({x!r} {y!r})" for x, y in cells) + ")",
         "cell_m": cell_m,
     }
-    execute(conn, load_sql("write/insert_import"), parameters)
+    execute(conn, load_sql("imports.insert_import"), parameters)
     return drive_uuid
 
 
@@ -88,8 +91,7 @@ def commit_import(
     run: RunInfo,
     now: datetime | None = None,
 ) -> CommitResult:
-    """Write what an import states and what follows from it, inside the caller's `map_transaction`. drive_uuid: of
-    `place_import`."""
+    """Write an import's statements and changeset, inside the caller's `map_transaction`. drive_uuid: of `place_import`."""
     info = map_for(conn, map_name, imported.srid, imported.name)
     committed_at = system_time(conn, info, now)
     insert_changeset(conn, info, drive_uuid, changeset, RecordCounts(), run, committed_at)
@@ -97,22 +99,19 @@ def commit_import(
     versions_written = write_replay(conn, info, replay, committed_at)
     if versions_written:
         execute(conn, "analyze conetl.feature, conetl.feature_version")
-    written = find_changeset(conn, changeset.idempotency_key, map_name=map_name)
-    if written is None:
-        raise MapMismatchError(f"changeset {changeset.changeset_id} was written but cannot be found again")
-    return CommitResult(committed=True, changeset=written, versions_written=versions_written)
+    return committed_result(conn, changeset, versions_written, map_name=map_name)
 
 
 def read_statements(conn: Connection, drive_uuid: UUID) -> list[Statement]:
     """What an imported map states, in the order of its file."""
-    rows = stream(conn, load_sql("map/statements"), {"drive_uuid": drive_uuid})
+    rows = stream(conn, load_sql("imports.statements"), {"drive_uuid": drive_uuid})
     return [Statement.model_construct(feature=feature_of(row), valid_from_ns=row[22]) for row in rows]
 
 
 def read_licence(conn: Connection, map_name: str) -> str | None:
-    """Licence of a map's data, None where none was set. Raises MapMismatchError where there is no such map."""
+    """Licence of a map's data, None if none was set. Raises MapMismatchError without such a map."""
     with database_errors(f"The map {map_name} cannot be read"):
-        rows = execute(conn, load_sql("export/facts"), {"map_name": map_name})
+        rows = execute(conn, load_sql("exports.facts"), {"map_name": map_name})
     if not rows:
         raise MapMismatchError(
             f"there is no map named {map_name} in this database: ingest a drive or import a map first."
@@ -122,10 +121,10 @@ def read_licence(conn: Connection, map_name: str) -> str | None:
 
 
 def set_licence(conn: Connection, map_name: str, licence: str) -> None:
-    """Set the licence of a map's data; an empty text takes it away."""
+    """Set the licence of a map's data; an empty text removes it."""
     with transaction(conn, f"The licence of the map {map_name} could not be set"):
         execute(
-            conn, load_sql("write/set_licence"), {"map_name": map_name, "licence": clean_text(licence).strip() or None}
+            conn, load_sql("map.set_licence"), {"map_name": map_name, "licence": clean_text(licence).strip() or None}
         )
 
 
@@ -142,11 +141,11 @@ def _statement_columns(drive_uuid: UUID, srid: int, statements: Sequence[Stateme
 
 
 def _cells(statements: Sequence[Statement]) -> tuple[list[tuple[float, float]], float]:
-    """Centres of the cells of a grid that hold the stated places, and how far a place may be from its centre (m)."""
-    places = np.array([statement.feature.xyz_m[:2] for statement in statements])
+    """Centres of the grid cells that contain the stated positions, and the largest distance of a position from its centre (m)."""
+    positions = np.array([statement.feature.xyz_m[:2] for statement in statements])
     side_m = IMPORT_INFLUENCE_M
     while True:
-        cells = np.unique(np.floor(places / side_m), axis=0)
+        cells = np.unique(np.floor(positions / side_m), axis=0)
         if len(cells) <= _MAX_CELLS:
             return [(float(x), float(y)) for x, y in (cells + 0.5) * side_m], side_m * 0.7072
         side_m *= 2

@@ -1,6 +1,6 @@
-"""Which drives must be compared with the map again, what is believed about their neighbourhood, and the new belief.
+"""Which drives must be compared with the map again, the current state of their neighbourhood, and its new state.
 
-No row is changed but for its system period being closed; versions and deltas that come out as they were stay as they are.
+Rows are only changed by closing their system period; versions and deltas with the same result stay as they are.
 """
 
 from __future__ import annotations
@@ -10,10 +10,11 @@ from datetime import datetime
 from typing import Any
 from uuid import UUID
 
-from conetl.db.connection import Connection, copy_columns, database_errors, execute, execute_count, load_sql, stream
+from conetl.db.connection import Connection, copy_columns, database_errors, execute, execute_count, stream
 from conetl.db.map import columns as map_columns
 from conetl.db.map.results import DriveRef, MapInfo, Replay, StoredDelta, StoredMiss, StoredVersion
 from conetl.db.map.rows import version_of
+from conetl.db.statements import load_sql
 from conetl.model.map_records import Delta, Doubt, FeatureVersion, Miss, Place
 from conetl.model.records import Drive
 
@@ -21,26 +22,28 @@ from conetl.model.records import Drive
 def read_standing_around(conn: Connection, drive_uuid: UUID) -> dict[UUID, FeatureVersion]:
     """Open versions of the features that stand around a drive's path, suppressed ones too, by feature id."""
     with database_errors("The features around the drive cannot be read"):
-        rows = stream(conn, load_sql("map/standing_around"), {"drive_uuid": drive_uuid})
+        rows = stream(conn, load_sql("replay.standing_around"), {"drive_uuid": drive_uuid})
         return {row[0]: version_of(row) for row in rows}
 
 
 def affected_drives(conn: Connection, drive_uuids: Sequence[UUID]) -> list[DriveRef]:
-    """The drives that must be compared again when these come, go or are judged otherwise, in the order of the fold.
+    """The drives that must be compared again when these come, go or are judged differently, in the order of the fold.
 
-    Those of `drive_uuids` that count, and all later ones that they touch, directly or through others.
+    The active ones of `drive_uuids`, and all later ones whose areas they meet, directly or through others.
     """
-    rows = execute(conn, load_sql("map/affected_drives"), {"drive_uuids": list(drive_uuids)})
+    rows = execute(conn, load_sql("replay.affected_drives"), {"drive_uuids": list(drive_uuids)})
     return [DriveRef(**row) for row in rows]
 
 
 def superseded_drives(conn: Connection, drive_uuid: UUID) -> list[UUID]:
-    """Another analysis of the same recording, which gives way to this one."""
-    return [row["drive_uuid"] for row in execute(conn, load_sql("map/superseded_drives"), {"drive_uuid": drive_uuid})]
+    """Other analyses of the same recording, which this one replaces."""
+    return [
+        row["drive_uuid"] for row in execute(conn, load_sql("replay.superseded_drives"), {"drive_uuid": drive_uuid})
+    ]
 
 
 def other_deliveries(conn: Connection, drive: Drive, *, map_name: str) -> list[int]:
-    """Numbers of the changesets that count and were made of the same recording with other content: poses corrected since, say."""
+    """Numbers of active changesets of the same recording with other content, for example with corrected poses."""
     instants_ns = [pair.captured_at_ns for pair in drive.frame_pairs]
     parameters = {
         "map_name": map_name,
@@ -49,36 +52,36 @@ def other_deliveries(conn: Connection, drive: Drive, *, map_name: str) -> list[i
         "captured_to_ns": max(instants_ns),
         "content_sha256": drive.content_sha256,
     }
-    with database_errors("Other deliveries of the drive cannot be looked for"):
-        return [row["changeset_no"] for row in execute(conn, load_sql("map/other_deliveries"), parameters)]
+    with database_errors("Other deliveries of the drive cannot be read"):
+        return [row["changeset_no"] for row in execute(conn, load_sql("drives.other_deliveries"), parameters)]
 
 
 def drives_at(conn: Connection, map_name: str, place: Place) -> list[UUID]:
-    """The drives that count and may have something to say about what stands at a place (map CRS), anywhere within its radius."""
+    """The active drives that may judge features at a place (map CRS), anywhere within its radius."""
     easting_m, northing_m = place.xy_m
     parameters = {"map_name": map_name, "easting_m": easting_m, "northing_m": northing_m, "radius_m": place.radius_m}
-    return [row["drive_uuid"] for row in execute(conn, load_sql("map/drives_at"), parameters)]
+    return [row["drive_uuid"] for row in execute(conn, load_sql("replay.drives_at"), parameters)]
 
 
 def read_versions(conn: Connection, drive_uuids: Sequence[UUID]) -> list[StoredVersion]:
-    """All that is believed about the features that ever stood around the drives."""
-    with database_errors("What is believed about the neighbourhood cannot be read"):
+    """All current versions of the features that ever stood around the drives."""
+    with database_errors("The neighbourhood of the drives cannot be read"):
         return [
             StoredVersion(version_row_id=row[27], drive_uuid=row[28], key=row[29:32], version=version_of(row))
-            for row in stream(conn, load_sql("map/belief_around"), {"drive_uuids": list(drive_uuids)})
+            for row in stream(conn, load_sql("replay.versions_around"), {"drive_uuids": list(drive_uuids)})
         ]
 
 
 def read_doubts_around(conn: Connection, drive_uuid: UUID) -> dict[UUID, Doubt]:
-    """What drives that looked in vain make of the features that stand around a drive's path, by feature id."""
+    """Doubts of drives that missed them about the features that stand around a drive's path, by feature id."""
     with database_errors("The doubts about the features around the drive cannot be read"):
-        rows = stream(conn, load_sql("map/doubts_around"), {"drive_uuid": drive_uuid})
+        rows = stream(conn, load_sql("replay.doubts_around"), {"drive_uuid": drive_uuid})
         return {row[0]: Doubt(existence_probability=row[1], first_missed_ns=row[2]) for row in rows}
 
 
 def read_misses(conn: Connection, drive_uuids: Sequence[UUID]) -> list[StoredMiss]:
-    """Every drive that looked in vain for features that ever stood around the drives, as it is believed now."""
-    with database_errors("What is believed about the neighbourhood cannot be read"):
+    """Every current miss of features that ever stood around the drives."""
+    with database_errors("The neighbourhood of the drives cannot be read"):
         return [
             StoredMiss(
                 drive_uuid=row[5],
@@ -91,19 +94,19 @@ def read_misses(conn: Connection, drive_uuids: Sequence[UUID]) -> list[StoredMis
                     first_missed_ns=row[4],
                 ),
             )
-            for row in stream(conn, load_sql("map/misses_around"), {"drive_uuids": list(drive_uuids)})
+            for row in stream(conn, load_sql("replay.misses_around"), {"drive_uuids": list(drive_uuids)})
         ]
 
 
 def read_deltas(conn: Connection, drive_uuids: Sequence[UUID]) -> list[StoredDelta]:
-    """What the drives did, as it is believed now."""
-    with database_errors("What the drives did cannot be read"):
-        rows = stream(conn, load_sql("map/believed_deltas"), {"drive_uuids": list(drive_uuids)})
+    """The current deltas of the drives."""
+    with database_errors("The deltas of the drives cannot be read"):
+        rows = stream(conn, load_sql("replay.current_deltas"), {"drive_uuids": list(drive_uuids)})
         return [StoredDelta(row[0], row[1:]) for row in rows]
 
 
 def write_replay(conn: Connection, info: MapInfo, replay: Replay, committed_at: datetime) -> int:
-    """Write the new belief where it differs from the old one; the number of versions written. Does not commit."""
+    """Write the new state where it differs from the old one; the number of versions written. Does not commit."""
     kept = {stored.version: stored.version_row_id for stored in replay.versions_before}
     wanted = set(replay.versions)
     closed = [row_id for version, row_id in kept.items() if version not in wanted]
@@ -114,16 +117,16 @@ def write_replay(conn: Connection, info: MapInfo, replay: Replay, committed_at: 
     new_deltas = [change for value, change in values.items() if value not in known]
 
     parameters = {"map_id": info.map_id, "srid": info.srid, "committed_at": committed_at}
-    execute(conn, load_sql("write/create_version_stage"))
+    execute(conn, load_sql("replay.create_version_stage"))
     copy_columns(conn, "version_stage", map_columns.version_columns(info.srid, new))
-    execute(conn, load_sql("write/create_replayed_delta_stage"))
+    execute(conn, load_sql("replay.create_replayed_delta_stage"))
     copy_columns(conn, "replayed_delta_stage", map_columns.replayed_delta_columns(new_deltas))
     execute(conn, "analyze version_stage, replayed_delta_stage")
-    execute(conn, load_sql("write/insert_staged_features"), parameters)
-    execute(conn, load_sql("write/close_version_rows"), parameters | {"row_ids": closed})
-    execute(conn, load_sql("write/close_delta_rows"), parameters | {"row_ids": closed_deltas})
-    written = execute_count(conn, load_sql("write/insert_staged_versions"), parameters)
-    execute(conn, load_sql("write/insert_replayed_deltas"), parameters)
+    execute(conn, load_sql("replay.insert_staged_features"), parameters)
+    execute(conn, load_sql("replay.close_version_rows"), parameters | {"row_ids": closed})
+    execute(conn, load_sql("replay.close_delta_rows"), parameters | {"row_ids": closed_deltas})
+    written = execute_count(conn, load_sql("replay.insert_staged_versions"), parameters)
+    execute(conn, load_sql("replay.insert_replayed_deltas"), parameters)
     execute(conn, "drop table version_stage, replayed_delta_stage")
     return written
 
@@ -144,9 +147,9 @@ def _delta_values(changeset_id: UUID, delta: Delta) -> tuple[Any, ...]:
     )
 
 
-def read_believed_feature(conn: Connection, map_name: str, feature_id: UUID) -> FeatureVersion | None:
-    """The open version of one feature, standing, suppressed or removed; None where it is not believed in."""
+def read_open_version(conn: Connection, map_name: str, feature_id: UUID) -> FeatureVersion | None:
+    """The current open version of one feature, standing, suppressed or removed; None if it has none."""
     with database_errors(f"Feature {feature_id} cannot be read"):
         parameters = {"map_name": map_name, "feature_id": feature_id}
-        rows = list(stream(conn, load_sql("map/believed_feature"), parameters))
+        rows = list(stream(conn, load_sql("map.open_version"), parameters))
     return version_of(rows[0]) if rows else None

@@ -1,4 +1,4 @@
-"""What the map store answers with: frozen values, times in UTC, lengths in metres of the map's CRS."""
+"""Results of the map store: frozen values, times in UTC, lengths in metres of the map's CRS."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class MapInfo:
 
 
 class RecordCounts(NamedTuple):
-    """How many records of each kind a drive gave; an imported map has none."""
+    """Numbers of records of a drive; an imported map has none."""
 
     frame_pair_count: int = 0
     detection_count: int = 0
@@ -49,7 +49,7 @@ class RunInfo:
     params: Mapping[str, Any]
     flow_run_id: str | None = None
     facts: Mapping[str, Any] | None = None
-    """What became of trajectory and calibration, in words, and what code did it (`pipeline/code_identity.py`)."""
+    """Sentences about trajectory and calibration, and the identity of the code (`pipeline/code_identity.py`)."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class CommittedChangeset:
     captured_from_ns: int
     captured_to_ns: int
     counts: bool
-    """False where the drive was reverted, or another analysis of the same recording took its place."""
+    """False if the drive was reverted, or another analysis of the same recording replaced it."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class CommitResult:
     """What `commit_changeset` did."""
 
     committed: bool
-    """False where this idempotency key was committed before: nothing was written."""
+    """False if this idempotency key was committed before: nothing was written."""
     changeset: CommittedChangeset
     versions_written: int
     """New feature versions; a confirmation that changes nothing makes none."""
@@ -98,7 +98,7 @@ class CommitResult:
 
 @dataclass(frozen=True)
 class FeatureAtInstant:
-    """A feature as it stood at an instant, and since when and until when it stood so."""
+    """A feature as it stood at an instant, with the valid period of that version."""
 
     feature: MapFeature
     valid_from: datetime
@@ -106,17 +106,16 @@ class FeatureAtInstant:
     """None while open."""
     changeset_id: UUID
     seen_count: int
-    """Drives that saw it, until that instant."""
+    """Drives that observed it, until that instant."""
     missed_count: int
-    """Drives that looked at its spot in vain."""
+    """Drives to which it was visible and that did not observe it."""
 
 
 @dataclass(frozen=True)
 class FeatureLogEntry:
     """One delta of one feature; the values are those after it (of a removed feature, the last ones).
 
-    What one drive did to a feature may stand here several times: what is believed now, and what was believed before a drive came
-    late or was taken back.
+    A drive may have several: the current one, and those that were replaced when a drive arrived late or was reverted.
     """
 
     changeset_no: int
@@ -126,9 +125,9 @@ class FeatureLogEntry:
     kind: DeltaKind
     changed_at: datetime
     committed_at: datetime
-    """Since when it was believed (system time)."""
+    """Start of its system period."""
     believed_until: datetime | None
-    """None where it is believed now."""
+    """End of its system period; None if it is current."""
     old_version: int | None
     new_version: int
     track_index: int | None
@@ -139,11 +138,11 @@ class FeatureLogEntry:
     height_m: float
     cone_height_m: float
     existence_probability: float
-    """Belief after this drive, also of one that changed nothing."""
+    """After this drive, also if it changed nothing."""
     observation_count: int
     suppressed: bool
     other_feature_id: UUID | None
-    """Of a split, the feature that was both; of a merger, the one that is left."""
+    """Of a split, the common origin; of a merger, the feature that is left."""
     log_likelihood_ratio: float | None
     frames_seen: int | None
     frames_empty: int | None
@@ -151,7 +150,7 @@ class FeatureLogEntry:
 
 @dataclass(frozen=True)
 class DriveRef:
-    """A drive that counts, and its place in the fold."""
+    """An active drive; in the order of the fold."""
 
     drive_uuid: UUID
     changeset_id: UUID
@@ -160,7 +159,7 @@ class DriveRef:
 
 @dataclass(frozen=True)
 class StoredVersion:
-    """A version that is believed now."""
+    """A current version."""
 
     version_row_id: int
     drive_uuid: UUID
@@ -170,7 +169,7 @@ class StoredVersion:
 
 @dataclass(frozen=True)
 class StoredMiss:
-    """A drive that looked for a feature in vain, as it is believed now."""
+    """A current miss of a feature by a drive."""
 
     drive_uuid: UUID
     key: FoldKey
@@ -179,7 +178,7 @@ class StoredMiss:
 
 @dataclass(frozen=True)
 class StoredDelta:
-    """A delta that is believed now, as the values of its columns from changeset_id to frames_empty."""
+    """A current delta, as the values of its columns from changeset_id to frames_empty."""
 
     delta_row_id: int
     values: tuple[Any, ...]
@@ -187,7 +186,7 @@ class StoredDelta:
 
 @dataclass(frozen=True)
 class Replay:
-    """What is believed about a neighbourhood, and what is to be believed from now on; features by id, deltas with changeset."""
+    """The state of a neighbourhood before and after a replay; deltas after it with their changesets."""
 
     versions_before: Sequence[StoredVersion]
     deltas_before: Sequence[StoredDelta]
@@ -197,7 +196,7 @@ class Replay:
 
 @dataclass(frozen=True)
 class StoredDecision:
-    """What a person decided about a map."""
+    """A person's decision about a map."""
 
     decision_id: UUID
     decision_no: int
@@ -210,12 +209,12 @@ class StoredDecision:
     changeset_id: UUID | None
     note: str
     decided_by: str | None
-    """None of decisions from before names were kept."""
+    """None if no name was given."""
     decided_at: datetime
 
     @property
     def place(self) -> Place | None:
-        """What it is about; None of a revert."""
+        """The place that it is about; None of a revert."""
         if self.easting_m is None or self.northing_m is None or self.radius_m is None:
             return None
         return Place(xy_m=(self.easting_m, self.northing_m), radius_m=self.radius_m)
@@ -229,7 +228,7 @@ class Decidable:
     kind: str
     """changeset, or the decision's kind."""
     drive_uuid: UUID | None
-    """Of a changeset, and of the one that a decision reverts."""
+    """Of a changeset, and of the changeset that a decision reverts."""
     changeset_id: UUID | None
     active: bool
     """False for a decision that was withdrawn."""

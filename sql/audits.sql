@@ -1,0 +1,371 @@
+-- Audits: each statement returns the rows that offend, with a column `problem`; no rows, no fault.
+
+-- name: changeset_counts
+-- Every changeset holds as many deltas and records as it states (deltas as committed, not as replayed since; a pruned
+-- drive has no detections, stereo matches and positions).
+-- Columns: changeset_id, what, stated, found, problem.
+with delta_counts as (
+    select
+        x.changeset_id,
+        count(*) filter (where x.kind = 'added') as added,
+        count(*) filter (where x.kind = 'confirmed') as confirmed,
+        count(*) filter (where x.kind = 'moved') as moved,
+        count(*) filter (where x.kind = 'removed') as removed,
+        count(*) filter (where x.kind = 'missed') as missed,
+        count(*) filter (where x.kind = 'height_changed') as height_changed,
+        count(*) filter (where x.kind = 'split') as split,
+        count(*) filter (where x.kind = 'merged') as merged
+    from conetl.delta x
+    join conetl.changeset c on c.changeset_id = x.changeset_id and c.committed_at = lower(x.system_period)
+    group by x.changeset_id
+)
+select c.changeset_id, counted.what, counted.stated, counted.found, 'the numbers differ' as problem
+from conetl.changeset c
+join conetl.drive d using (drive_uuid)
+left join delta_counts x on x.changeset_id = c.changeset_id
+cross join lateral (
+    values
+        ('added', c.added_count, coalesce(x.added, 0)),
+        ('confirmed', c.confirmed_count, coalesce(x.confirmed, 0)),
+        ('moved', c.moved_count, coalesce(x.moved, 0)),
+        ('removed', c.removed_count, coalesce(x.removed, 0)),
+        ('missed', c.missed_count, coalesce(x.missed, 0)),
+        ('height changed', c.height_changed_count, coalesce(x.height_changed, 0)),
+        ('split', c.split_count, coalesce(x.split, 0)),
+        ('merged', c.merged_count, coalesce(x.merged, 0)),
+        ('frame pairs', c.frame_pair_count, (select count(*) from conetl.frame_pair r where r.drive_uuid = c.drive_uuid)),
+        ('detections', case when d.pruned_at is null then c.detection_count else 0 end,
+            (select count(*) from conetl.detection r where r.drive_uuid = c.drive_uuid)),
+        ('stereo matches', case when d.pruned_at is null then c.match_count else 0 end,
+            (select count(*) from conetl.stereo_match r where r.drive_uuid = c.drive_uuid)),
+        ('positions', case when d.pruned_at is null then c.position_count else 0 end,
+            (select count(*) from conetl.position r where r.drive_uuid = c.drive_uuid)),
+        ('tracks', c.track_count, (select count(*) from conetl.track r where r.drive_uuid = c.drive_uuid)),
+        ('rejections', c.rejection_count, (select count(*) from conetl.quarantine r where r.changeset_id = c.changeset_id))
+) counted (what, stated, found)
+where counted.stated <> counted.found;
+
+-- name: decisions
+-- Every decision refers to its own map: to a feature and a changeset of that map and to an earlier decision about it,
+-- and no changeset is reverted twice at once.
+-- Columns: decision_id, kind, problem.
+select d.decision_id, d.kind, p.problem
+from conetl.decision d
+left join conetl.feature f on f.feature_id = d.feature_id
+left join conetl.changeset c on c.changeset_id = d.changeset_id
+left join conetl.decision w on w.decision_id = d.withdraws
+cross join lateral (
+    select case
+        when d.feature_id is not null and f.feature_id is null then 'its feature does not exist'
+        when f.map_id <> d.map_id then 'its feature is of another map'
+        when d.changeset_id is not null and c.changeset_id is null then 'its changeset does not exist'
+        when c.map_id <> d.map_id then 'its changeset is of another map'
+        when d.withdraws is not null and w.decision_id is null then 'it withdraws a decision that does not exist'
+        when w.map_id <> d.map_id then 'it withdraws a decision of another map'
+        when w.kind = 'withdraw' then 'it withdraws a withdrawal'
+        when w.decided_at >= d.decided_at then 'it withdraws a decision that was not made before it'
+        when c.committed_at >= d.decided_at then 'it reverts a changeset that was not committed before it'
+        when d.kind = 'revert' and exists (select from conetl.active_decision a where a.decision_id = d.decision_id) and exists (
+            select from conetl.active_decision a
+            where a.kind = 'revert' and a.changeset_id = d.changeset_id and a.decision_id <> d.decision_id
+        ) then 'another decision reverts the same changeset'
+    end as problem
+) p
+where p.problem is not null;
+
+-- name: gaps_in_valid_periods
+-- The current versions of a feature have no gap in time from the first one on.
+-- Columns: feature_id, version, valid_period, problem.
+select feature_id, version, valid_period::text as valid_period, 'does not begin where the one before it ends' as problem
+from (
+    select
+        feature_id, version, valid_period,
+        lag(upper(valid_period)) over w as previous_end,
+        row_number() over w as n
+    from conetl.feature_version
+    where upper_inf(system_period)
+    window w as (partition by feature_id order by lower(valid_period))
+) current
+where n > 1 and previous_end is distinct from lower(valid_period);
+
+-- name: invalid_covariance
+-- Every covariance matrix is finite and positive definite (variances positive, correlations possible).
+-- Columns: table_name, record, problem.
+with matrix as (
+    select 'feature_version' as table_name, feature_id || ' version ' || version as record,
+        cov_xx as xx, cov_xy as xy, cov_xz as xz, cov_yy as yy, cov_yz as yz, cov_zz as zz
+    from conetl.feature_version
+    union all
+    select 'track', drive_uuid || ' track ' || track_index, cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz
+    from conetl.track
+    union all
+    select 'position', drive_uuid || ' frame ' || frame_index || ' match ' || match_index,
+        cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz
+    from conetl.position
+)
+select table_name, record, 'is not positive definite' as problem
+from matrix
+where not (xx > 0 and yy > 0 and zz > 0 and xx < 'infinity' and yy < 'infinity' and zz < 'infinity')
+or case
+    when xx > 0 and yy > 0 and zz > 0 and xx < 'infinity' and yy < 'infinity' and zz < 'infinity' then
+        -- Scaled to correlations, so that small variances do not drown in rounding.
+        abs(xy / sqrt(xx) / sqrt(yy)) >= 1
+        or 1 + 2 * (xy / sqrt(xx) / sqrt(yy)) * (xz / sqrt(xx) / sqrt(zz)) * (yz / sqrt(yy) / sqrt(zz))
+            - (xy / sqrt(xx) / sqrt(yy)) ^ 2 - (xz / sqrt(xx) / sqrt(zz)) ^ 2 - (yz / sqrt(yy) / sqrt(zz)) ^ 2 <= 0
+        or xy = 'nan' or xz = 'nan' or yz = 'nan'
+    else false
+end;
+
+-- name: invalid_geometry
+-- Every point is finite, three-dimensional and in the CRS of its map.
+-- Columns: table_name, record, geometry, problem.
+with point as (
+    select
+        'feature_version' as table_name, v.feature_id || ' version ' || v.version as record, m.srid, g.geom
+    from conetl.feature_version v
+    join conetl.map m using (map_id)
+    cross join lateral (values (v.geom), (v.centre_geom)) g (geom)
+    union all
+    select 'position', p.drive_uuid || ' frame ' || p.frame_index || ' match ' || p.match_index, d.srid, g.geom
+    from conetl.position p
+    join conetl.drive d using (drive_uuid)
+    cross join lateral (values (p.geom), (p.centre_geom)) g (geom)
+    union all
+    select 'track', t.drive_uuid || ' track ' || t.track_index, d.srid, g.geom
+    from conetl.track t
+    join conetl.drive d using (drive_uuid)
+    cross join lateral (values (t.geom), (t.centre_geom)) g (geom)
+    union all
+    select 'frame_pair', f.drive_uuid || ' frame ' || f.frame_index, d.srid, f.geom
+    from conetl.frame_pair f
+    join conetl.drive d using (drive_uuid)
+)
+select table_name, record, ST_AsEWKT(geom) as geometry,
+    case when ST_SRID(geom) <> srid then 'should have SRID ' || srid else 'is not a finite point' end as problem
+from point
+where ST_SRID(geom) <> srid
+or ST_IsEmpty(geom)
+or not (ST_X(geom) between -1e9 and 1e9 and ST_Y(geom) between -1e9 and 1e9 and ST_Z(geom) between -1e6 and 1e6);
+
+-- name: open_versions
+-- Every feature with current versions has exactly one open version, and every feature has a version.
+-- Columns: feature_id, open_count, problem.
+select f.feature_id, count(v.*) filter (where upper_inf(v.system_period) and upper_inf(v.valid_period)) as open_count,
+    case when count(v.*) = 0 then 'has no version' else 'should have one open version' end as problem
+from conetl.feature f
+left join conetl.feature_version v using (feature_id)
+group by f.feature_id
+having count(v.*) = 0
+or count(v.*) filter (where upper_inf(v.system_period)) > 0
+    and count(v.*) filter (where upper_inf(v.system_period) and upper_inf(v.valid_period)) <> 1;
+
+-- name: orphan_deltas
+-- Every delta belongs to a changeset and a feature of the same map, and the versions and the track that it names exist.
+-- Columns: changeset_id, feature_id, kind, problem.
+select x.changeset_id, x.feature_id, x.kind, p.problem
+from conetl.delta x
+left join conetl.changeset c on c.changeset_id = x.changeset_id
+left join conetl.feature f on f.feature_id = x.feature_id
+cross join lateral (
+    select case
+        when c.changeset_id is null then 'has no changeset'
+        when f.feature_id is null then 'has no feature'
+        when f.cell <> x.cell then 'its cell is not the one of its feature'
+        when f.map_id <> c.map_id then 'its feature and its changeset are of different maps'
+        when not exists (
+            select from conetl.feature_version v
+            where v.cell = x.cell and v.feature_id = x.feature_id and v.version = x.new_version and (v.system_period && x.system_period)
+        ) then 'its new version does not exist'
+        when x.old_version is not null and not exists (
+            select from conetl.feature_version v
+            where v.cell = x.cell and v.feature_id = x.feature_id and v.version = x.old_version and (v.system_period && x.system_period)
+        ) then 'its old version does not exist'
+        when x.track_index is not null and not exists (
+            select from conetl.track t where t.drive_uuid = c.drive_uuid and t.track_index = x.track_index
+        ) then 'its track does not exist'
+    end as problem
+) p
+where p.problem is not null;
+
+-- name: orphan_records
+-- Every raw record belongs to its drive, frame pair, stereo match, position and track (the positions of a pruned drive
+-- are deleted), and every drive to a changeset.
+-- Columns: table_name, drive_uuid, row_count, problem.
+select 'drive' as table_name, d.drive_uuid, count(*) as row_count, 'has no changeset' as problem
+from conetl.drive d
+where not exists (select from conetl.changeset c where c.drive_uuid = d.drive_uuid)
+group by d.drive_uuid
+union all
+select 'frame_pair', p.drive_uuid, count(*), 'has no drive'
+from conetl.frame_pair p
+where not exists (select from conetl.drive d where d.drive_uuid = p.drive_uuid)
+group by p.drive_uuid
+union all
+select 'detection', x.drive_uuid, count(*), 'has no frame pair'
+from conetl.detection x
+where not exists (
+    select from conetl.frame_pair p where p.drive_uuid = x.drive_uuid and p.frame_index = x.frame_index
+)
+group by x.drive_uuid
+union all
+select 'stereo_match', s.drive_uuid, count(*), 'has no left or no right detection'
+from conetl.stereo_match s
+where not exists (
+    select from conetl.detection l
+    where l.drive_uuid = s.drive_uuid and l.frame_index = s.frame_index
+    and l.side = 'left' and l.detection_index = s.left_detection_index
+) or not exists (
+    select from conetl.detection r
+    where r.drive_uuid = s.drive_uuid and r.frame_index = s.frame_index
+    and r.side = 'right' and r.detection_index = s.right_detection_index
+)
+group by s.drive_uuid
+union all
+select 'position', x.drive_uuid, count(*), 'has no frame pair'
+from conetl.position x
+where not exists (
+    select from conetl.frame_pair p where p.drive_uuid = x.drive_uuid and p.frame_index = x.frame_index
+)
+group by x.drive_uuid
+union all
+select 'track_member', t.drive_uuid, count(*), 'has no track or no position'
+from conetl.track_member t
+where not exists (
+    select from conetl.position p
+    where p.drive_uuid = t.drive_uuid and p.frame_index = t.frame_index and p.match_index = t.match_index
+) and not exists (
+    select from conetl.drive d where d.drive_uuid = t.drive_uuid and d.pruned_at is not null
+) or not exists (
+    select from conetl.track k where k.drive_uuid = t.drive_uuid and k.track_index = t.track_index
+)
+group by t.drive_uuid;
+
+-- name: orphan_versions
+-- Every feature version belongs to a feature and to a changeset of the same map.
+-- Columns: feature_id, version, changeset_id, problem.
+select
+    v.feature_id, v.version, v.changeset_id,
+    case
+        when f.feature_id is null then 'has no feature'
+        when c.changeset_id is null then 'has no changeset'
+        when f.cell <> v.cell then 'its cell is not the one of its feature'
+        else 'feature, changeset and version are of different maps'
+    end as problem
+from conetl.feature_version v
+left join conetl.feature f on f.feature_id = v.feature_id
+left join conetl.changeset c on c.changeset_id = v.changeset_id
+where f.feature_id is null or c.changeset_id is null or f.map_id <> c.map_id or v.map_id <> f.map_id or v.cell <> f.cell;
+
+-- name: overlapping_periods
+-- No two versions of a feature are valid for the same instant at the same system time.
+-- Columns: feature_id, version, other_version, valid_period, other_valid_period, problem.
+select
+    a.feature_id, a.version, b.version as other_version,
+    a.valid_period::text as valid_period, b.valid_period::text as other_valid_period,
+    'two versions at once' as problem
+from conetl.feature_version a
+join conetl.feature_version b
+    on b.feature_id = a.feature_id and b.version_row_id > a.version_row_id
+    and b.valid_period && a.valid_period and b.system_period && a.system_period;
+
+-- name: replay
+-- Replaying all current deltas in the order in which their drives were recorded gives the map as it is, every delta
+-- starts from the result of the one before, and only active drives have current deltas.
+-- Columns: feature_id, problem, expected, found.
+with chain as (
+    select
+        x.feature_id, x.kind, x.old_version, x.new_version,
+        lag(x.new_version) over w as left_version,
+        lag(x.kind) over w as left_kind,
+        lead(x.kind) over w is null as is_last
+    from conetl.delta x
+    join conetl.changeset c using (changeset_id)
+    join conetl.drive d using (drive_uuid)
+    where upper_inf(x.system_period)
+    window w as (partition by x.feature_id order by d.captured_from_ns, d.content_sha256 collate "C", c.idempotency_key collate "C")
+),
+current as (
+    select feature_id, version, present or suppressed as present
+    from conetl.feature_version
+    where upper_inf(system_period) and upper_inf(valid_period)
+)
+select
+    feature_id, 'the delta does not start from what the one before it left' as problem,
+    coalesce(left_version::text, 'nothing') as expected, coalesce(old_version::text, 'nothing') as found
+from chain
+where case
+    when kind in ('added', 'split') then old_version is not null or not coalesce(left_kind in ('removed', 'merged'), true)
+    else left_version is distinct from old_version or left_kind in ('removed', 'merged')
+end
+union all
+select
+    coalesce(l.feature_id, v.feature_id), 'the map is not what its deltas make',
+    coalesce('version ' || l.new_version || case when l.kind in ('removed', 'merged') then ', gone' else ', standing' end, 'nothing'),
+    coalesce('version ' || v.version || case when v.present then ', standing' else ', gone' end, 'nothing')
+from (select * from chain where is_last) l
+full join current v using (feature_id)
+where l.new_version is distinct from v.version or (l.kind not in ('removed', 'merged')) is distinct from v.present
+union all
+select x.feature_id, 'is still changed by a drive that does not count', 'nothing', x.kind
+from conetl.delta x
+where upper_inf(x.system_period) and exists (select from conetl.changeset c where c.changeset_id = x.changeset_id)
+and not exists (select from conetl.active_drive a where a.changeset_id = x.changeset_id);
+
+-- name: shared_jacobian
+-- Shared-error Jacobians fit their calibrations, have three axes each, and do not exceed the covariance that they are
+-- part of.
+-- Columns: table_name, record, problem.
+with jacobian as (
+    select 'feature_version' as table_name, feature_id || ' version ' || version as record, calibrations, shared_jacobian_m,
+        cov_xx, cov_yy, cov_zz
+    from conetl.feature_version
+    where calibrations is not null or shared_jacobian_m is not null
+    union all
+    select 'track', drive_uuid || ' track ' || track_index, calibrations, shared_jacobian_m, cov_xx, cov_yy, cov_zz
+    from conetl.track
+    where calibrations is not null or shared_jacobian_m is not null
+),
+shaped as (
+    select
+        l.*,
+        coalesce(
+            array_ndims(calibrations) = 1 and array_position(calibrations, null) is null
+            and array_ndims(shared_jacobian_m) = 3 and array_length(shared_jacobian_m, 1) = array_length(calibrations, 1)
+            and array_length(shared_jacobian_m, 2) = 3,
+            false
+        ) as fits
+    from jacobian l
+)
+select table_name, record, 'has a shared_jacobian_m that does not fit its calibrations' as problem
+from shaped
+where not fits
+union all
+select table_name, record, 'has a shared_jacobian_m that exceeds its covariance'
+from shaped
+cross join lateral (
+    -- Numbered as arrays are stored: by calibration, axis and error.
+    select
+        sum(u.metres::float8 ^ 2) filter (where mod((u.number - 1) / array_length(shared_jacobian_m, 3), 3) = 0) as xx,
+        sum(u.metres::float8 ^ 2) filter (where mod((u.number - 1) / array_length(shared_jacobian_m, 3), 3) = 1) as yy,
+        sum(u.metres::float8 ^ 2) filter (where mod((u.number - 1) / array_length(shared_jacobian_m, 3), 3) = 2) as zz
+    from unnest(shared_jacobian_m) with ordinality u (metres, number)
+) stated
+-- Jacobians are rounded to 1e-7 of their values.
+where fits and not coalesce(xx <= 1.0001 * cov_xx and yy <= 1.0001 * cov_yy and zz <= 1.0001 * cov_zz, false);
+
+-- name: suppressed_places
+-- Every current version that stands at a place which a person suppressed is suppressed, and no other one is.
+-- Columns: feature_id, version, problem.
+-- A micrometre around the edge of a place is ignored: two programs compare distances with radii there.
+with place as (
+    select map_id, geom, radius_m from conetl.active_decision where kind = 'suppress'
+)
+select v.feature_id, v.version, 'is suppressed, but at no suppressed place' as problem
+from conetl.feature_version v
+where v.suppressed and upper_inf(v.system_period)
+and not exists (select from place p where p.map_id = v.map_id and ST_DWithin(v.geom, p.geom, p.radius_m + 1e-6))
+union
+select v.feature_id, v.version, 'stands at a suppressed place, but is not suppressed'
+from place p
+join conetl.feature_version v on v.map_id = p.map_id and ST_DWithin(v.geom, p.geom, greatest(p.radius_m - 1e-6, 0))
+where v.present and upper_inf(v.system_period);

@@ -1,0 +1,55 @@
+-- What people decided about a map. Append-only.
+
+-- name: active_decisions
+-- The decisions about a map that were not withdrawn, oldest first. Parameters: map_name.
+-- Columns: decision_id, decision_no, kind, easting_m, northing_m, radius_m, feature_id, changeset_id, note, decided_by,
+-- decided_at.
+select
+    d.decision_id, d.decision_no, d.kind, ST_X(d.geom) as easting_m, ST_Y(d.geom) as northing_m, d.radius_m, d.feature_id,
+    d.changeset_id, d.note, d.decided_by, d.decided_at
+from conetl.active_decision d
+join conetl.map m using (map_id)
+where m.map_name = %(map_name)s
+order by d.decision_no;
+
+-- name: find_decisions
+-- The changeset of a number, or decisions and changesets whose id begins with a text; at most two.
+-- Parameters: map_name; beginning (lower case). The number of a changeset of this map always means that changeset,
+-- whatever ids begin with it. Digits alone are the beginning of an id from eight characters on, as lists show ids;
+-- fewer are a number, possibly of another map. Other texts need at least four characters.
+-- Columns: id, kind ('changeset', or the decision's), drive_uuid, active (a decision that was not withdrawn),
+-- changeset_id.
+with named as (
+    select d.decision_id as id, d.kind, c.drive_uuid, d.changeset_id,
+        exists (select from conetl.active_decision a where a.decision_id = d.decision_id) as active,
+        false as is_number
+    from conetl.decision d
+    join conetl.map m using (map_id)
+    left join conetl.changeset c on c.changeset_id = d.changeset_id
+    where m.map_name = %(map_name)s
+    union all
+    select c.changeset_id, 'changeset', c.drive_uuid, c.changeset_id, true, c.changeset_no::text = %(beginning)s
+    from conetl.changeset c
+    join conetl.map m using (map_id)
+    where m.map_name = %(map_name)s
+)
+select n.id, n.kind, n.drive_uuid, n.changeset_id, n.active
+from named n
+where n.is_number
+or (
+    starts_with(n.id::text, %(beginning)s)
+    and length(%(beginning)s) >= case when %(beginning)s ~ '^[0-9]+$' then 8 else 4 end
+    and not exists (select from named x where x.is_number)
+)
+order by n.id
+limit 2;
+
+-- name: insert_decision
+-- What a person decided. Parameters: as the columns; easting_m, northing_m (null of a revert or withdrawal).
+insert into conetl.decision (
+    decision_id, map_id, srid, kind, geom, radius_m, feature_id, changeset_id, withdraws, note, decided_by, decided_at
+) values (
+    %(decision_id)s, %(map_id)s, %(srid)s, %(kind)s,
+    ST_SetSRID(ST_MakePoint(%(easting_m)s::float8, %(northing_m)s::float8), %(srid)s), %(radius_m)s,
+    %(feature_id)s, %(changeset_id)s, %(withdraws)s, %(note)s, %(decided_by)s, %(decided_at)s
+);

@@ -1,0 +1,133 @@
+-- Ingested drives: header, path, tracks and raw records.
+
+-- name: insert_drive
+-- A drive, unless it exists.
+-- Parameters: as the columns; captured_from, captured_to are the *_ns cut to microseconds; path_wkt: its path (line,
+-- map CRS), which the area covers with a margin, because circles are drawn as polygons inside.
+insert into conetl.drive (
+    drive_uuid, map_id, srid, drive_id, source_path, content_sha256, rig,
+    captured_from_ns, captured_to_ns, captured_period, expected_frame_count,
+    reconcile, influence_m, absence_figures, area
+)
+select
+    %(drive_uuid)s, %(map_id)s, %(srid)s, %(drive_id)s, %(source_path)s, %(content_sha256)s, %(rig)s,
+    %(captured_from_ns)s, %(captured_to_ns)s,
+    tstzrange(%(captured_from)s, %(captured_to)s, '[]'), %(expected_frame_count)s,
+    %(reconcile)s, %(influence_m)s, %(absence_figures)s,
+    ST_Buffer(ST_GeomFromText(%(path_wkt)s, %(srid)s), 1.05 * %(influence_m)s + 5)
+where not exists (select from conetl.drive d where d.drive_uuid = %(drive_uuid)s)
+on conflict (drive_uuid) do nothing;
+
+-- name: header
+-- One ingested drive. Parameters: drive_uuid.
+-- Columns: map_name, srid, drive_id, source_path, content_sha256, rig (null for an imported map), captured_from_ns,
+-- expected_frame_count, reconcile, influence_m, absence_figures.
+select
+    m.map_name, d.srid, d.drive_id, d.source_path, d.content_sha256, d.rig, d.captured_from_ns, d.expected_frame_count,
+    d.reconcile, d.influence_m, d.absence_figures
+from conetl.drive d
+join conetl.map m using (map_id)
+where d.drive_uuid = %(drive_uuid)s;
+
+-- name: path
+-- The path of a drive. Parameters: drive_uuid. Columns: easting, northing (metres of the map's CRS), by frame.
+select ST_X(p.geom), ST_Y(p.geom)
+from conetl.frame_pair p
+where p.drive_uuid = %(drive_uuid)s
+order by p.frame_index;
+
+-- name: frame_pairs
+-- The frame pairs of a drive. Parameters: drive_uuid. Columns: as FramePair and its Pose.
+select
+    p.frame_index, p.left_path, p.right_path, p.captured_at_ns, ST_X(p.geom), ST_Y(p.geom), ST_Z(p.geom),
+    p.map_r_body, p.sigma_enu_m, p.sigma_rpy_rad
+from conetl.frame_pair p
+where p.drive_uuid = %(drive_uuid)s
+order by p.frame_index;
+
+-- name: detections
+-- The detections of a drive. Parameters: drive_uuid. Columns: as Detection (pixels of the original image).
+select d.frame_index, d.side, d.detection_index, d.category, d.x_px, d.y_px, d.w_px, d.h_px, d.score
+from conetl.detection d
+where d.drive_uuid = %(drive_uuid)s
+order by d.frame_index, d.side, d.detection_index;
+
+-- name: positions
+-- The positions of a drive, frame by frame.
+-- Parameters: drive_uuid. Columns: frame_index, easting, northing, height (metres).
+select p.frame_index, ST_X(p.geom), ST_Y(p.geom), ST_Z(p.geom)
+from conetl.position p
+where p.drive_uuid = %(drive_uuid)s
+order by p.frame_index, p.match_index;
+
+-- name: tracks
+-- The tracks of a drive. Parameters: drive_uuid.
+-- Columns: as Track (metres, m^2, ns); members as (frame, match) pairs in a two-dimensional array; last, calibrations
+-- and shared_jacobian_m as PostgreSQL sends them, concatenated.
+select
+    t.track_index, t.category, ST_X(t.geom), ST_Y(t.geom), ST_Z(t.geom),
+    t.cov_xx, t.cov_xy, t.cov_xz, t.cov_yy, t.cov_yz, t.cov_zz,
+    t.relative_cov_xx, t.relative_cov_xy, t.relative_cov_xz, t.relative_cov_yy, t.relative_cov_yz, t.relative_cov_zz,
+    ST_X(t.centre_geom), ST_Y(t.centre_geom), ST_Z(t.centre_geom),
+    t.cone_height_m, t.cone_height_sigma_m, t.existence_probability, t.observation_count, t.first_seen_ns, t.last_seen_ns,
+    t.residual_rms_px, t.nearest_range_m,
+    (
+        select array_agg(array[m.frame_index, m.match_index] order by m.frame_index, m.match_index)
+        from conetl.track_member m
+        where m.drive_uuid = t.drive_uuid and m.track_index = t.track_index
+    ),
+    array_send(t.calibrations) || array_send(t.shared_jacobian_m)
+from conetl.track t
+where t.drive_uuid = %(drive_uuid)s
+order by t.track_index;
+
+-- name: paths_of_map
+-- The paths of the active drives of a map, without points on straight lines.
+-- Parameters: map_name; valid_until (timestamptz; 'infinity' = all): drives that began later are left out; tolerance_m.
+-- Columns: drive_id, captured_from_ns, eastings_m, northings_m (arrays, map CRS, in order of time). A drive that did
+-- not move has no row.
+select
+    d.drive_id, d.captured_from_ns,
+    array_agg(ST_X(p.geom) order by p.path[1]) as eastings_m,
+    array_agg(ST_Y(p.geom) order by p.path[1]) as northings_m
+from conetl.active_drive d
+join conetl.map m using (map_id)
+cross join lateral (
+    select ST_Simplify(ST_MakeLine(ST_Force2D(f.geom) order by f.frame_index), %(tolerance_m)s::float8) as line
+    from conetl.frame_pair f
+    where f.drive_uuid = d.drive_uuid
+) l
+cross join lateral ST_DumpPoints(l.line) p
+where m.map_name = %(map_name)s and lower(d.captured_period) <= %(valid_until)s::timestamptz
+and ST_NPoints(l.line) > 1
+group by d.drive_uuid, d.drive_id, d.captured_from_ns
+order by d.captured_from_ns, d.drive_id;
+
+-- name: committed_drives
+-- The recordings that were committed to a map, reverted ones included. Parameters: map_name.
+-- Columns: drive_id, captured_from_ns, captured_to_ns (UTC), params_sha256, model_sha256, changeset_no, committed_at,
+-- headers (text[]: header hashes of its folders according to receipts; empty: ingested by hand).
+select
+    d.drive_id, d.captured_from_ns, d.captured_to_ns, c.params_sha256, c.model_sha256, c.changeset_no, c.committed_at,
+    array(
+        select distinct r.header_sha256
+        from conetl.receipt r
+        where r.map_name = m.map_name and r.changeset_id = c.changeset_id
+    ) as headers
+from conetl.changeset c
+join conetl.drive d using (drive_uuid)
+join conetl.map m on m.map_id = d.map_id
+where m.map_name = %(map_name)s
+order by c.changeset_no;
+
+-- name: other_deliveries
+-- Active changesets of the same recording with other content: equal id, and the first or the last frame pair at the
+-- same nanosecond. Imported maps, which have no rig, are not recordings.
+-- Parameters: map_name; drive_id; captured_from_ns, captured_to_ns (UTC); content_sha256. Columns: changeset_no.
+select d.changeset_no
+from conetl.active_drive d
+join conetl.map m on m.map_id = d.map_id
+where m.map_name = %(map_name)s and d.rig is not null and d.drive_id = %(drive_id)s
+and (d.captured_from_ns = %(captured_from_ns)s or d.captured_to_ns = %(captured_to_ns)s)
+and d.content_sha256 <> %(content_sha256)s
+order by d.changeset_no;

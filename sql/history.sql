@@ -1,0 +1,72 @@
+-- What changesets did to features.
+
+-- name: changesets
+-- Changesets of a map, newest first, or the one of an idempotency key.
+-- Parameters: map_name; idempotency_key (null: all); max_rows (null: all). Columns: as CommittedChangeset.
+select
+    c.changeset_no, c.changeset_id, d.drive_id, c.drive_uuid, c.idempotency_key, c.params_sha256, c.model_sha256, c.code_version,
+    c.committed_at, c.added_count, c.confirmed_count, c.moved_count, c.removed_count,
+    c.missed_count, c.height_changed_count, c.split_count, c.merged_count,
+    c.frame_pair_count, c.detection_count, c.match_count, c.position_count, c.track_count, c.rejection_count,
+    d.captured_from_ns, d.captured_to_ns,
+    exists (select from conetl.active_drive a where a.changeset_id = c.changeset_id) as counts
+from conetl.changeset c
+join conetl.map m using (map_id)
+join conetl.drive d using (drive_uuid)
+where m.map_name = %(map_name)s and (%(idempotency_key)s::text is null or c.idempotency_key = %(idempotency_key)s)
+order by c.changeset_no desc
+limit %(max_rows)s;
+
+-- name: changes_of_changeset
+-- What one changeset did to each feature that it judged, as committed: an earlier drive that arrived later may have
+-- replaced it since, see feature_log. Parameters: map_name; changeset_no.
+-- Columns: feature_id, kind ('missed': visible but not observed, and still standing), changed_at, shift_m, track_index
+-- (null: not seen), frames_seen, frames_empty, old_easting_m, old_northing_m, old_height_m (null for added); easting_m,
+-- northing_m, height_m (after the change; of a removed feature the last position), cov_xx, cov_xy, cov_yy (m^2),
+-- cone_height_m, existence_probability (after this drive), observation_count, version.
+select
+    x.feature_id, x.kind, x.changed_at, x.shift_m, x.track_index, x.frames_seen, x.frames_empty,
+    ST_X(o.geom) as old_easting_m, ST_Y(o.geom) as old_northing_m, ST_Z(o.geom) as old_height_m,
+    ST_X(n.geom) as easting_m, ST_Y(n.geom) as northing_m, ST_Z(n.geom) as height_m,
+    n.cov_xx, n.cov_xy, n.cov_yy, n.cone_height_m,
+    coalesce(x.existence_after, n.existence_probability) as existence_probability, n.observation_count, n.version
+from conetl.delta x
+join conetl.changeset c using (changeset_id)
+join conetl.map m using (map_id)
+join lateral (
+    select v.* from conetl.feature_version v
+    where v.cell = x.cell and v.feature_id = x.feature_id and v.version = x.new_version
+    order by v.system_period @> c.committed_at desc, v.version_row_id desc
+    limit 1
+) n on true
+left join lateral (
+    select v.geom from conetl.feature_version v
+    where v.cell = x.cell and v.feature_id = x.feature_id and v.version = x.old_version
+    order by v.system_period @> c.committed_at desc, v.version_row_id desc
+    limit 1
+) o on true
+where m.map_name = %(map_name)s and c.changeset_no = %(changeset_no)s and x.system_period @> c.committed_at
+order by x.feature_id;
+
+-- name: feature_log
+-- What happened to one feature, in the order of the drives on the road; superseded deltas included.
+-- Parameters: feature_id.
+-- Columns: as FeatureLogEntry; position and values are those after the change, of a removed feature the last ones.
+select
+    c.changeset_no, c.changeset_id, d.drive_id, m.map_name, x.kind, x.changed_at, lower(x.system_period) as committed_at,
+    upper(x.system_period) as believed_until, x.old_version, x.new_version,
+    x.track_index, x.shift_m, v.category, ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m, ST_Z(v.geom) as height_m,
+    v.cone_height_m, coalesce(x.existence_after, v.existence_probability) as existence_probability, v.observation_count, v.suppressed,
+    x.other_feature_id, x.log_likelihood_ratio, x.frames_seen, x.frames_empty
+from conetl.delta x
+join conetl.changeset c using (changeset_id)
+join conetl.drive d using (drive_uuid)
+join conetl.map m on m.map_id = c.map_id
+join lateral (
+    select * from conetl.feature_version v
+    where v.cell = x.cell and v.feature_id = x.feature_id and v.version = x.new_version and v.system_period && x.system_period
+    order by v.system_period desc, v.version_row_id
+    limit 1
+) v on true
+where x.cell = conetl.cell_of(%(feature_id)s) and x.feature_id = %(feature_id)s
+order by d.captured_from_ns, d.content_sha256 collate "C", c.idempotency_key collate "C", x.system_period;

@@ -1,0 +1,173 @@
+-- Maps and their features: the map now, and at any instant on the road and in the database.
+
+-- name: maps
+-- All maps of this database. Columns: map_name, srid.
+select map_name, srid from conetl.map order by map_name;
+
+-- name: find_map
+-- One map. Parameters: map_name.
+-- Columns: map_id, map_name, srid, last_committed_at (of changesets and decisions; null while empty).
+select
+    m.map_id, m.map_name, m.srid,
+    greatest(
+        (select max(c.committed_at) from conetl.changeset c where c.map_id = m.map_id),
+        (select max(d.decided_at) from conetl.decision d where d.map_id = m.map_id)
+    ) as last_committed_at
+from conetl.map m
+where m.map_name = %(map_name)s;
+
+-- name: insert_map
+-- Create a map unless it exists. Parameters: map_name; srid; created_at.
+insert into conetl.map (map_name, srid, created_at) values (%(map_name)s, %(srid)s, %(created_at)s)
+on conflict (map_name) do nothing;
+
+-- name: set_licence
+-- The licence of a map's data. Parameters: map_name; licence (null: none).
+update conetl.map set licence = %(licence)s where map_name = %(map_name)s;
+
+-- name: summary
+-- One map in figures. Parameters: map_name.
+-- Columns: map_name, srid, feature_count (standing now), removed_count, version_count (current), changeset_count,
+-- last_committed_at (of changesets and decisions), last_captured_to_ns, west_m, south_m, east_m, north_m (null where
+-- empty).
+select
+    m.map_name, m.srid,
+    count(v.*) filter (where v.present and upper_inf(v.valid_period)) as feature_count,
+    count(v.*) filter (where not v.present and not v.suppressed and upper_inf(v.valid_period)) as removed_count,
+    count(v.*) as version_count,
+    (select count(*) from conetl.changeset c where c.map_id = m.map_id) as changeset_count,
+    greatest(
+        (select max(c.committed_at) from conetl.changeset c where c.map_id = m.map_id),
+        (select max(d.decided_at) from conetl.decision d where d.map_id = m.map_id)
+    ) as last_committed_at,
+    (select max(d.captured_to_ns) from conetl.drive d where d.map_id = m.map_id) as last_captured_to_ns,
+    min(ST_X(v.geom)) filter (where v.present and upper_inf(v.valid_period)) as west_m,
+    min(ST_Y(v.geom)) filter (where v.present and upper_inf(v.valid_period)) as south_m,
+    max(ST_X(v.geom)) filter (where v.present and upper_inf(v.valid_period)) as east_m,
+    max(ST_Y(v.geom)) filter (where v.present and upper_inf(v.valid_period)) as north_m
+from conetl.map m
+left join conetl.feature_version v on v.map_id = m.map_id and upper_inf(v.system_period)
+where m.map_name = %(map_name)s
+group by m.map_id;
+
+-- name: current_features
+-- The features that stand on a map now.
+-- Parameters: map_name; west_m, south_m, east_m, north_m (map CRS; all null: everywhere); srid.
+-- Columns: as MapFeature: metres, m^2, UTC nanoseconds; last, calibrations and shared_jacobian_m as PostgreSQL sends
+-- them, concatenated.
+select
+    v.feature_id, v.version, v.category, ST_X(v.geom), ST_Y(v.geom), ST_Z(v.geom),
+    v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz,
+    ST_X(v.centre_geom), ST_Y(v.centre_geom), ST_Z(v.centre_geom),
+    v.cone_height_m, v.cone_height_sigma_m, v.existence_probability, v.observation_count, v.first_seen_ns, v.last_seen_ns,
+    array_send(v.calibrations) || array_send(v.shared_jacobian_m)
+from conetl.current_feature v
+where v.map_name = %(map_name)s
+and (
+    %(west_m)s::float8 is null
+    or v.geom && ST_MakeEnvelope(%(west_m)s::float8, %(south_m)s::float8, %(east_m)s::float8, %(north_m)s::float8, %(srid)s)
+)
+order by v.feature_id;
+
+-- name: features_as_of
+-- The features that stood on a map at one instant on the road, as the database knew it at another instant.
+-- Parameters: map_name; valid_at, known_at (timestamptz; 'infinity' = latest); west_m, south_m, east_m, north_m (map
+-- CRS; all null: everywhere); srid; max_rows (null: all).
+-- Columns: as MapFeature (metres, m^2, UTC nanoseconds), then valid_from, valid_to (null while open), changeset_id,
+-- seen_count, missed_count (drives until then; an import saw nothing). existence_probability is the value after the
+-- last drive to which the feature was visible.
+-- Evidence is counted for all features at once: calling conetl.feature_evidence per feature takes several times as
+-- long.
+with v as materialized (
+    select v.*
+    from conetl.map_as_of(%(map_name)s, %(valid_at)s::timestamptz, %(known_at)s::timestamptz) v
+    where
+        %(west_m)s::float8 is null
+        or v.geom && ST_MakeEnvelope(%(west_m)s::float8, %(south_m)s::float8, %(east_m)s::float8, %(north_m)s::float8, %(srid)s)
+),
+evidence as (
+    select
+        v.feature_id,
+        count(*) filter (where x.kind not in ('missed', 'removed', 'merged') and d.kind = 'drive')::integer as seen_count,
+        count(*) filter (where x.kind in ('missed', 'removed'))::integer as missed_count,
+        (
+            array_agg(
+                x.existence_after
+                order by d.captured_from_ns desc, d.content_sha256 collate "C" desc, c.idempotency_key collate "C" desc
+            ) filter (where x.kind = 'missed' and x.old_version = v.version)
+        )[1] as existence_after
+    from v
+    join conetl.delta x using (cell, feature_id)
+    join conetl.changeset c on c.changeset_id = x.changeset_id
+    join conetl.drive d on d.drive_uuid = c.drive_uuid
+    where x.changed_at <= %(valid_at)s::timestamptz and x.system_period @> %(known_at)s::timestamptz
+    group by v.feature_id
+)
+select
+    v.feature_id, v.version, v.category, ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m, ST_Z(v.geom) as height_m,
+    v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz,
+    ST_X(v.centre_geom), ST_Y(v.centre_geom), ST_Z(v.centre_geom),
+    v.cone_height_m, v.cone_height_sigma_m, coalesce(e.existence_after, v.existence_probability) as existence_probability,
+    v.observation_count, v.first_seen_ns, v.last_seen_ns, array_send(v.calibrations) || array_send(v.shared_jacobian_m),
+    lower(v.valid_period) as valid_from, upper(v.valid_period) as valid_to, v.changeset_id,
+    coalesce(e.seen_count, 0) as seen_count, coalesce(e.missed_count, 0) as missed_count
+from v
+left join evidence e using (feature_id)
+order by v.feature_id
+limit %(max_rows)s;
+
+-- name: find_features
+-- Features of a map by the beginning of their id, standing or removed. Two rows are enough to see that a beginning is
+-- ambiguous. Parameters: map_name; beginning (lower case, no wildcard characters); max_rows. Columns: feature_id.
+select f.feature_id
+from conetl.feature f
+join conetl.map m using (map_id)
+where m.map_name = %(map_name)s and starts_with(f.feature_id::text, %(beginning)s)
+order by f.feature_id
+limit %(max_rows)s;
+
+-- name: known_ids
+-- Which of these ids are features of this database, and where each stands or last stood.
+-- Parameters: feature_ids (uuid[]).
+-- Columns: feature_id, map_name, easting_m, northing_m (of the open current version; null where there is none).
+select f.feature_id, m.map_name, ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m
+from conetl.feature f
+join conetl.map m using (map_id)
+left join conetl.feature_version v
+    on v.cell = f.cell and v.feature_id = f.feature_id and upper_inf(v.system_period) and upper_inf(v.valid_period)
+where f.feature_id = any(%(feature_ids)s) and f.map_id > 0
+order by f.feature_id;
+
+-- name: open_version
+-- The current open version of one feature. Parameters: map_name; feature_id. Columns: as FeatureVersion.
+select
+    v.feature_id, v.version, v.category, ST_X(v.geom), ST_Y(v.geom), ST_Z(v.geom),
+    v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz,
+    ST_X(v.centre_geom), ST_Y(v.centre_geom), ST_Z(v.centre_geom),
+    v.cone_height_m, v.cone_height_sigma_m, v.existence_probability, v.observation_count, v.first_seen_ns, v.last_seen_ns,
+    array_send(v.calibrations) || array_send(v.shared_jacobian_m),
+    v.changeset_id, v.present or v.suppressed, v.suppressed, v.valid_from_ns, null::bigint
+from conetl.feature_version v
+join conetl.map m using (map_id)
+where v.cell = conetl.cell_of(%(feature_id)s) and v.feature_id = %(feature_id)s and m.map_name = %(map_name)s
+and upper_inf(v.system_period) and upper_inf(v.valid_period);
+
+-- name: current_versions
+-- Every current version of every feature of a map that began no later than an instant, ended versions included.
+-- Parameters: map_name; valid_until (timestamptz; 'infinity' = all). Columns: as FeatureVersion, valid_to_ns to the
+-- microsecond.
+select
+    v.feature_id, v.version, v.category, ST_X(v.geom), ST_Y(v.geom), ST_Z(v.geom),
+    v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz,
+    ST_X(v.centre_geom), ST_Y(v.centre_geom), ST_Z(v.centre_geom),
+    v.cone_height_m, v.cone_height_sigma_m, v.existence_probability, v.observation_count, v.first_seen_ns, v.last_seen_ns,
+    array_send(v.calibrations) || array_send(v.shared_jacobian_m),
+    v.changeset_id, v.present or v.suppressed, v.suppressed, v.valid_from_ns,
+    case
+        when upper_inf(v.valid_period) then null
+        else (extract(epoch from upper(v.valid_period)) * 1000000)::bigint * 1000
+    end
+from conetl.feature_version v
+join conetl.map m using (map_id)
+where m.map_name = %(map_name)s and upper_inf(v.system_period) and lower(v.valid_period) <= %(valid_until)s::timestamptz
+order by v.feature_id, v.version;

@@ -1,2 +1,0 @@
--- Purpose: all maps of this database. Columns: map_name, srid.
-select map_name, srid from conetl.map order by map_name;

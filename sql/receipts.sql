@@ -1,0 +1,51 @@
+-- What became of every drive that was handed over.
+
+-- name: insert_receipt
+-- One receipt; nothing where the attempt already has one of this kind. Parameters: as the columns.
+insert into conetl.receipt (
+    attempt_id, map_name, drive_path, drive_id, header_sha256, analysis_sha256, content_sha256, state, reason, may_pass,
+    changeset_id, frame_pairs, seconds, flow_run_id, host
+)
+values (
+    %(attempt_id)s, %(map_name)s, %(drive_path)s, %(drive_id)s, %(header_sha256)s, %(analysis_sha256)s, %(content_sha256)s,
+    %(state)s, %(reason)s, %(may_pass)s, %(changeset_id)s, %(frame_pairs)s, %(seconds)s, %(flow_run_id)s, %(host)s
+)
+on conflict (attempt_id, (state = 'started')) do nothing;
+
+-- name: latest_receipts
+-- The last receipt of every drive of a map. Parameters: map_name; headers (text[], null: all).
+-- Columns: as Receipt; attempts counts how often work on the drive was started.
+select
+    r.attempt_id, r.map_name, r.drive_path, r.drive_id, r.header_sha256, r.analysis_sha256, r.content_sha256, r.state, r.reason,
+    r.may_pass, r.changeset_id, r.frame_pairs, r.seconds, r.flow_run_id, r.host, r.at,
+    (
+        select count(*)
+        from conetl.receipt s
+        where s.map_name = r.map_name and s.header_sha256 = r.header_sha256 and s.state = 'started'
+    ) as attempts
+from conetl.latest_receipt r
+where r.map_name = %(map_name)s and (%(headers)s::text[] is null or r.header_sha256 = any(%(headers)s::text[]))
+order by r.receipt_no;
+
+-- name: receipt_ends
+-- How attempts ended. Parameters: attempt_ids (uuid[]). Columns: as Receipt.
+select
+    r.attempt_id, r.map_name, r.drive_path, r.drive_id, r.header_sha256, r.analysis_sha256, r.content_sha256, r.state, r.reason,
+    r.may_pass, r.changeset_id, r.frame_pairs, r.seconds, r.flow_run_id, r.host, r.at
+from conetl.receipt r
+where r.attempt_id = any(%(attempt_ids)s::uuid[]) and r.state <> 'started'
+order by r.receipt_no;
+
+-- name: pairs_per_second
+-- How fast recent drives were ingested: the median of the last 200 that were committed.
+-- Parameters: map_name. Columns: pairs_per_second (null: none was timed), drives.
+select
+    percentile_cont(0.5) within group (order by timed.frame_pairs / timed.seconds) as pairs_per_second,
+    count(*) as drives
+from (
+    select r.frame_pairs, r.seconds
+    from conetl.receipt r
+    where r.map_name = %(map_name)s and r.state = 'committed' and r.seconds > 0 and r.frame_pairs > 0
+    order by r.receipt_no desc
+    limit 200
+) as timed;

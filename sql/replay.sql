@@ -1,0 +1,215 @@
+-- Reading and writing the neighbourhood of drives: which drives must be compared with the map again, and with what.
+
+-- name: affected_drives
+-- The drives that must be compared with the map again when some drives come, go or are judged differently: the active
+-- ones among them, every later one whose area meets one of theirs, and so on.
+-- Parameters: drive_uuids (uuid[], of one map). Columns: drive_uuid, changeset_id, idempotency_key, in the order of the
+-- fold.
+with recursive affected (drive_uuid) as (
+    select unnest(%(drive_uuids)s::uuid[])
+    union
+    select later.drive_uuid
+    from affected a
+    join conetl.drive d using (drive_uuid)
+    join conetl.active_drive later on later.map_id = d.map_id and later.area && d.area and ST_Intersects(later.area, d.area)
+        and (later.captured_from_ns, later.content_sha256 collate "C") > (d.captured_from_ns, d.content_sha256 collate "C")
+)
+select d.drive_uuid, d.changeset_id, d.idempotency_key
+from affected a
+join conetl.active_drive d using (drive_uuid)
+order by d.captured_from_ns, d.content_sha256 collate "C", d.idempotency_key collate "C";
+
+-- name: superseded_drives
+-- The other analysis of the same recording that is active now; this drive replaces it.
+-- Parameters: drive_uuid. Columns: drive_uuid.
+select other.drive_uuid
+from conetl.drive d
+join conetl.active_drive other on other.map_id = d.map_id and other.content_sha256 = d.content_sha256
+where d.drive_uuid = %(drive_uuid)s and other.drive_uuid <> d.drive_uuid;
+
+-- name: drives_at
+-- The active drives whose area comes within a radius of a position.
+-- Parameters: map_name; easting_m, northing_m, radius_m (map CRS, which is in metres). Columns: drive_uuid.
+select d.drive_uuid
+from conetl.map m
+join conetl.active_drive d on d.map_id = m.map_id
+where m.map_name = %(map_name)s
+and ST_DWithin(d.area, ST_SetSRID(ST_MakePoint(%(easting_m)s::float8, %(northing_m)s::float8), m.srid), %(radius_m)s);
+
+-- name: standing_around
+-- The features that stand around a drive's path now, suppressed ones included: what the drive is compared with where no
+-- later drive has been. Parameters: drive_uuid. Columns: as FeatureVersion.
+select distinct on (v.feature_id)
+    v.feature_id, v.version, v.category, ST_X(v.geom), ST_Y(v.geom), ST_Z(v.geom),
+    v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz,
+    ST_X(v.centre_geom), ST_Y(v.centre_geom), ST_Z(v.centre_geom),
+    v.cone_height_m, v.cone_height_sigma_m, v.existence_probability, v.observation_count, v.first_seen_ns, v.last_seen_ns,
+    array_send(v.calibrations) || array_send(v.shared_jacobian_m),
+    v.changeset_id, true, v.suppressed, v.valid_from_ns, null::bigint
+from conetl.drive d
+cross join lateral conetl.pieces(d.area) piece
+join conetl.feature_version v on v.map_id = d.map_id and v.geom && piece and ST_Intersects(v.geom, piece)
+where d.drive_uuid = %(drive_uuid)s
+and upper_inf(v.system_period) and upper_inf(v.valid_period) and (v.present or v.suppressed)
+order by v.feature_id;
+
+-- name: doubts_around
+-- What drives that missed features conclude about those that stand around a drive's path now.
+-- Parameters: drive_uuid. Columns: feature_id, existence_probability (after the latest of them), first_missed_ns (the
+-- earliest).
+-- around is materialized: starting with the deltas, the planner would subdivide the drive's area once per delta.
+with around as materialized (
+    select v.cell, v.feature_id, v.version
+    from conetl.drive d
+    cross join lateral conetl.pieces(d.area) piece
+    join conetl.feature_version v on v.map_id = d.map_id and v.geom && piece and ST_Intersects(v.geom, piece)
+    where d.drive_uuid = %(drive_uuid)s
+    and upper_inf(v.system_period) and upper_inf(v.valid_period) and (v.present or v.suppressed)
+)
+select
+    v.feature_id,
+    (
+        array_agg(
+            x.existence_after
+            order by m.captured_from_ns desc, m.content_sha256 collate "C" desc, c.idempotency_key collate "C" desc
+        )
+    )[1],
+    min(x.changed_at_ns)
+from around v
+join conetl.delta x on x.cell = v.cell and x.feature_id = v.feature_id and x.old_version = v.version
+join conetl.changeset c on c.changeset_id = x.changeset_id
+join conetl.drive m on m.drive_uuid = c.drive_uuid
+where x.kind = 'missed' and upper_inf(x.system_period)
+group by v.feature_id
+order by v.feature_id;
+
+-- name: versions_around
+-- All current versions of the features that ever stood around the paths of some drives.
+-- Parameters: drive_uuids (uuid[], of one map).
+-- Columns: as FeatureVersion, then version_row_id, drive_uuid, and the drive's fold key: captured_from_ns,
+-- content_sha256, idempotency_key.
+select
+    v.feature_id, v.version, v.category, ST_X(v.geom), ST_Y(v.geom), ST_Z(v.geom),
+    v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz,
+    ST_X(v.centre_geom), ST_Y(v.centre_geom), ST_Z(v.centre_geom),
+    v.cone_height_m, v.cone_height_sigma_m, v.existence_probability, v.observation_count, v.first_seen_ns, v.last_seen_ns,
+    array_send(v.calibrations) || array_send(v.shared_jacobian_m),
+    v.changeset_id, v.present or v.suppressed, v.suppressed, v.valid_from_ns,
+    lead(v.valid_from_ns) over (partition by v.feature_id order by lower(v.valid_period)),
+    v.version_row_id, d.drive_uuid, d.captured_from_ns, d.content_sha256, c.idempotency_key
+from conetl.feature_version v
+join conetl.changeset c on c.changeset_id = v.changeset_id
+join conetl.drive d on d.drive_uuid = c.drive_uuid
+where upper_inf(v.system_period)
+and (v.cell, v.feature_id) in (
+    select w.cell, w.feature_id
+    from conetl.drive a
+    cross join lateral conetl.pieces(a.area) piece
+    join conetl.feature_version w on w.map_id = a.map_id and w.geom && piece and ST_Intersects(w.geom, piece)
+    where a.drive_uuid = any(%(drive_uuids)s) and upper_inf(w.system_period)
+)
+order by v.feature_id, lower(v.valid_period);
+
+-- name: misses_around
+-- Every current miss (a drive to which the feature was visible did not observe it) of features that ever stood around
+-- the paths of some drives. Parameters: drive_uuids (uuid[], of one map).
+-- Columns: as Miss, then drive_uuid and the drive's fold key: captured_from_ns, content_sha256, idempotency_key.
+select
+    x.feature_id, x.changeset_id, x.old_version, x.existence_after, x.changed_at_ns,
+    d.drive_uuid, d.captured_from_ns, d.content_sha256, c.idempotency_key
+from conetl.delta x
+join conetl.changeset c on c.changeset_id = x.changeset_id
+join conetl.drive d on d.drive_uuid = c.drive_uuid
+where x.kind = 'missed' and upper_inf(x.system_period)
+and (x.cell, x.feature_id) in (
+    select w.cell, w.feature_id
+    from conetl.drive a
+    cross join lateral conetl.pieces(a.area) piece
+    join conetl.feature_version w on w.map_id = a.map_id and w.geom && piece and ST_Intersects(w.geom, piece)
+    where a.drive_uuid = any(%(drive_uuids)s) and upper_inf(w.system_period)
+)
+order by x.feature_id, x.changeset_id;
+
+-- name: current_deltas
+-- What some drives did, as it holds now. Parameters: drive_uuids (uuid[]).
+-- Columns: delta_row_id, changeset_id, feature_id, kind, old_version, new_version, track_index, changed_at_ns, shift_m,
+-- other_feature_id, log_likelihood_ratio, existence_after, frames_seen, frames_empty.
+select
+    x.delta_row_id, x.changeset_id, x.feature_id, x.kind, x.old_version, x.new_version, x.track_index, x.changed_at_ns, x.shift_m,
+    x.other_feature_id, x.log_likelihood_ratio, x.existence_after, x.frames_seen, x.frames_empty
+from conetl.changeset c
+join conetl.delta x on x.changeset_id = c.changeset_id
+where c.drive_uuid = any(%(drive_uuids)s) and upper_inf(x.system_period)
+order by x.changeset_id, x.feature_id;
+
+-- name: create_version_stage
+-- Where whole versions are loaded that hold from now on (units as in feature_version). valid_to counts only where
+-- is_open is false.
+create temporary table version_stage on commit drop as
+select
+    feature_id, version, changeset_id, present, suppressed, category, geom, cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz,
+    centre_geom, cone_height_m, cone_height_sigma_m, existence_probability, observation_count, first_seen_ns, last_seen_ns,
+    calibrations, shared_jacobian_m,
+    valid_from_ns, lower(valid_period) as valid_from, upper(valid_period) as valid_to, true as is_open
+from conetl.feature_version
+with no data;
+
+-- name: create_replayed_delta_stage
+-- Where the deltas are loaded that hold from now on, of drives that were compared with the map again.
+create temporary table replayed_delta_stage on commit drop as
+select changeset_id, feature_id, kind, old_version, new_version, track_index, changed_at_ns, changed_at, shift_m,
+    other_feature_id, log_likelihood_ratio, existence_after, frames_seen, frames_empty
+from conetl.delta
+with no data;
+
+-- name: insert_staged_features
+-- Add the features of staged versions that did not exist. Parameters: map_id; srid.
+insert into conetl.feature (feature_id, map_id, srid, created_by, cell)
+select s.feature_id, %(map_id)s, %(srid)s, s.changeset_id, conetl.cell_at(s.geom)
+from version_stage s
+where s.version = 1
+on conflict (feature_id) where map_id > 0 do nothing;
+
+-- name: close_version_rows
+-- End the system period of some versions. Parameters: committed_at (timestamptz); row_ids (bigint[]).
+update conetl.feature_version v
+set system_period = tstzrange(lower(v.system_period), %(committed_at)s)
+where v.version_row_id = any(%(row_ids)s);
+
+-- name: close_delta_rows
+-- End the system period of some deltas. Parameters: committed_at (timestamptz); row_ids (bigint[]).
+update conetl.delta x
+set system_period = tstzrange(lower(x.system_period), %(committed_at)s)
+where x.delta_row_id = any(%(row_ids)s);
+
+-- name: insert_staged_versions
+-- Write the staged versions with a system period from now on. Parameters: map_id; srid; committed_at (timestamptz).
+insert into conetl.feature_version (
+    cell, feature_id, version, map_id, srid, changeset_id, present, category, geom, cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz,
+    centre_geom, cone_height_m, cone_height_sigma_m, existence_probability, observation_count,
+    first_seen_ns, last_seen_ns, valid_from_ns, valid_period, system_period, suppressed, calibrations, shared_jacobian_m
+)
+select
+    f.cell, s.feature_id, s.version, %(map_id)s, %(srid)s, s.changeset_id, s.present, s.category, s.geom,
+    s.cov_xx, s.cov_xy, s.cov_xz, s.cov_yy, s.cov_yz, s.cov_zz,
+    s.centre_geom, s.cone_height_m, s.cone_height_sigma_m, s.existence_probability, s.observation_count,
+    s.first_seen_ns, s.last_seen_ns, s.valid_from_ns,
+    tstzrange(s.valid_from, case when not s.is_open then s.valid_to end), tstzrange(%(committed_at)s, null),
+    s.suppressed, s.calibrations, s.shared_jacobian_m
+from version_stage s
+left join conetl.feature f on f.feature_id = s.feature_id and f.map_id > 0  -- a missing one is an error, not a row less
+order by f.cell, s.feature_id, s.version;
+
+-- name: insert_replayed_deltas
+-- Write the staged deltas with a system period from now on. Parameters: committed_at (timestamptz).
+insert into conetl.delta (
+    cell, changeset_id, feature_id, kind, old_version, new_version, track_index, changed_at_ns, changed_at, shift_m,
+    other_feature_id, log_likelihood_ratio, existence_after, frames_seen, frames_empty, system_period
+)
+select
+    f.cell, s.changeset_id, s.feature_id, s.kind, s.old_version, s.new_version, s.track_index, s.changed_at_ns, s.changed_at,
+    s.shift_m, s.other_feature_id, s.log_likelihood_ratio, s.existence_after, s.frames_seen, s.frames_empty,
+    tstzrange(%(committed_at)s, null)
+from replayed_delta_stage s
+left join conetl.feature f on f.feature_id = s.feature_id and f.map_id > 0  -- a missing one is an error, not a row less
+order by f.cell, s.feature_id, s.changed_at_ns;

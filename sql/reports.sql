@@ -1,0 +1,175 @@
+-- What reports of drives and nights read.
+
+-- name: changeset
+-- What a report of one changeset needs beyond the list of changesets. Parameters: changeset_id.
+-- Columns: source_path, srid, rig (JSON, null for an imported map), expected_frame_count, content_sha256, pruned_at,
+-- params, facts (JSON or null), started_at, finished_at (of the merge), steps (JSON list of step, task_count, busy_s,
+-- started_s, ended_s; null: not kept).
+select
+    d.source_path, d.srid, d.rig, d.expected_frame_count, d.content_sha256, d.pruned_at,
+    r.params, r.facts, r.started_at, r.finished_at,
+    (
+        select jsonb_agg(to_jsonb(s) - 'run_id' order by s.started_s, s.step)
+        from conetl.run_step s
+        where s.run_id = c.run_id
+    ) as steps
+from conetl.changeset c
+join conetl.drive d using (drive_uuid)
+left join conetl.run r using (run_id)
+where c.changeset_id = %(changeset_id)s;
+
+-- name: rejections
+-- Rejected records of a changeset by step and reason, the most frequent first, each with its first record as an
+-- example. Parameters: changeset_id. Columns: step, reason, count, record, detail.
+select step, reason, count(*) as count,
+    (array_agg(record order by quarantine_id))[1] as record, (array_agg(detail order by quarantine_id))[1] as detail
+from conetl.quarantine
+where changeset_id = %(changeset_id)s
+group by step, reason
+order by count desc, step, reason;
+
+-- name: residuals
+-- Residuals of a drive's positions. Parameters: drive_uuid. Columns: frame_index, range_m, residual_rms_px.
+select frame_index, range_m, residual_rms_px
+from conetl.position
+where drive_uuid = %(drive_uuid)s
+order by frame_index, match_index;
+
+-- name: sighting
+-- The image pair that shows a cone best: the nearest position of a track. Parameters: drive_uuid; track_index.
+-- Columns: frame_index, range_m, source_path, rig (JSON), left_path, right_path, left_* and right_* boxes in pixels of
+-- the rectified image.
+select
+    p.frame_index, p.range_m, d.source_path, d.rig, f.left_path, f.right_path,
+    l.x_px as left_x_px, l.y_px as left_y_px, l.w_px as left_w_px, l.h_px as left_h_px,
+    r.x_px as right_x_px, r.y_px as right_y_px, r.w_px as right_w_px, r.h_px as right_h_px
+from conetl.track_member t
+join conetl.drive d using (drive_uuid)
+join conetl.position p using (drive_uuid, frame_index, match_index)
+join conetl.stereo_match s using (drive_uuid, frame_index, match_index)
+join conetl.frame_pair f using (drive_uuid, frame_index)
+join conetl.detection l
+    on l.drive_uuid = t.drive_uuid and l.frame_index = t.frame_index
+    and l.side = 'left' and l.detection_index = s.left_detection_index
+join conetl.detection r
+    on r.drive_uuid = t.drive_uuid and r.frame_index = t.frame_index
+    and r.side = 'right' and r.detection_index = s.right_detection_index
+where t.drive_uuid = %(drive_uuid)s and t.track_index = %(track_index)s
+order by p.range_m, p.frame_index
+limit 1;
+
+-- name: seen_before
+-- The last drive that saw a feature among those recorded before another one.
+-- Parameters: feature_id; before_ns (UTC ns). Columns: drive_uuid, track_index, drive_id, captured_from_ns.
+select d.drive_uuid, x.track_index, d.drive_id, d.captured_from_ns
+from conetl.delta x
+join conetl.changeset c using (changeset_id)
+join conetl.drive d using (drive_uuid)
+where x.cell = conetl.cell_of(%(feature_id)s) and x.feature_id = %(feature_id)s
+and x.track_index is not null and upper_inf(x.system_period)
+and d.kind = 'drive' and d.captured_from_ns < %(before_ns)s
+order by d.captured_from_ns desc, c.changeset_no desc
+limit 1;
+
+-- name: map_size
+-- Number of cones on a map after each instant at which it changed, as the database knew it then.
+-- Parameters: map_name. Columns: at, standing.
+-- A present version that is open on the road is on the map during its system period.
+with steps as (
+    select e.at, sum(e.change) as change
+    from conetl.feature_version v
+    join conetl.map m using (map_id)
+    cross join lateral (
+        values (lower(v.system_period), 1), (upper(v.system_period), -1)
+    ) e (at, change)
+    where m.map_name = %(map_name)s and v.present and upper_inf(v.valid_period) and e.at is not null
+    group by e.at
+)
+select at, sum(change) over (order by at)::bigint as standing
+from steps
+order by at;
+
+-- name: night_drives
+-- Changesets of a map that were committed in a time span, oldest first, with figures for a report.
+-- Parameters: map_name; since; until.
+-- Columns: changeset_no, changeset_id, drive_id, kind (drive or import), captured_from_ns, committed_at, counts (false:
+-- reverted or superseded), added_count ... rejection_count as in conetl.changeset, expected_frame_count, residual_px
+-- (median of its cones; null without cones), sigma_m (median horizontal sigma of its cones), seconds (of its ingest;
+-- null without a receipt).
+select
+    c.changeset_no, c.changeset_id, d.drive_id, d.kind, d.captured_from_ns, c.committed_at,
+    exists (select from conetl.active_drive a where a.changeset_id = c.changeset_id) as counts,
+    c.added_count, c.confirmed_count, c.moved_count, c.removed_count, c.missed_count, c.height_changed_count, c.split_count,
+    c.merged_count, c.frame_pair_count, c.position_count, c.track_count, c.rejection_count, d.expected_frame_count,
+    t.residual_px, t.sigma_m,
+    (
+        select r.seconds from conetl.receipt r
+        where r.changeset_id = c.changeset_id and r.state = 'committed'
+        order by r.receipt_no
+        limit 1
+    ) as seconds
+from conetl.changeset c
+join conetl.map m using (map_id)
+join conetl.drive d using (drive_uuid)
+cross join lateral (
+    select
+        percentile_cont(0.5) within group (order by k.residual_rms_px) as residual_px,
+        percentile_cont(0.5) within group (order by sqrt((k.cov_xx + k.cov_yy) / 2)) as sigma_m
+    from conetl.track k
+    where k.drive_uuid = c.drive_uuid
+) t
+where m.map_name = %(map_name)s and c.committed_at >= %(since)s and c.committed_at < %(until)s
+order by c.changeset_no;
+
+-- name: night_failures
+-- Drives whose last receipt in a time span is not a success, and those that were started and did not end, oldest first.
+-- Parameters: map_name; since; until.
+-- Columns: drive_id, drive_path, state (failed, crashed, started), reason, at, host, frame_pairs, attempts (in the
+-- span).
+with last_receipt as (
+    select distinct on (r.header_sha256) r.*
+    from conetl.receipt r
+    where r.map_name = %(map_name)s and r.at >= %(since)s and r.at < %(until)s
+    order by r.header_sha256, r.receipt_no desc
+)
+select
+    w.drive_id, w.drive_path, w.state, w.reason, w.at, w.host, w.frame_pairs,
+    (
+        select count(*) from conetl.receipt s
+        where s.map_name = w.map_name and s.header_sha256 = w.header_sha256 and s.state = 'started'
+        and s.at >= %(since)s and s.at < %(until)s
+    ) as attempts
+from last_receipt w
+where w.state in ('failed', 'crashed', 'started')
+order by w.receipt_no;
+
+-- name: night_removed
+-- Cones that drives committed in a time span removed, as the database knows it now.
+-- Parameters: map_name; since; until; max_rows.
+-- Columns: feature_id, kind (removed, merged), changeset_no, drive_id, changed_at, easting_m, northing_m, height_m,
+-- cone_height_m, existence_after, frames_empty, first_seen_ns, total (of all rows).
+select
+    x.feature_id, x.kind, c.changeset_no, d.drive_id, x.changed_at, ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m,
+    ST_Z(v.geom) as height_m, v.cone_height_m, x.existence_after, x.frames_empty, v.first_seen_ns, count(*) over () as total
+from conetl.delta x
+join conetl.changeset c using (changeset_id)
+join conetl.map m using (map_id)
+join conetl.drive d using (drive_uuid)
+join conetl.feature_version v
+    on v.cell = x.cell and v.feature_id = x.feature_id and v.version = x.new_version
+    and upper_inf(v.system_period) and upper_inf(v.valid_period)
+where m.map_name = %(map_name)s and c.committed_at >= %(since)s and c.committed_at < %(until)s
+and x.kind in ('removed', 'merged') and upper_inf(x.system_period)
+order by c.changeset_no, x.feature_id
+limit %(max_rows)s;
+
+-- name: night_rejections
+-- Rejected records of all drives committed in a time span, by step and reason.
+-- Parameters: map_name; since; until. Columns: step, reason, count, drives.
+select q.step, q.reason, count(*) as count, count(distinct c.changeset_id) as drives
+from conetl.quarantine q
+join conetl.changeset c using (changeset_id)
+join conetl.map m using (map_id)
+where m.map_name = %(map_name)s and c.committed_at >= %(since)s and c.committed_at < %(until)s
+group by q.step, q.reason
+order by count desc, q.step, q.reason;

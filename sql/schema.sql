@@ -1,0 +1,121 @@
+-- The schema's own bookkeeping: migrations, roles, extensions, session settings.
+
+-- name: schema_migration
+-- The table that remembers which migrations were applied. Runs before every migration; harmless where it exists.
+create schema if not exists conetl;
+create table if not exists conetl.schema_migration (
+    name       text primary key,
+    sha256     text not null,
+    applied_at timestamptz not null default clock_timestamp()
+);
+
+-- name: applied_migrations
+-- Migrations of this database. Columns: name, sha256.
+select name, sha256 from conetl.schema_migration order by name;
+
+-- name: insert_migration
+-- Remember an applied migration. Parameters: name; sha256 (hex, of the file).
+insert into conetl.schema_migration (name, sha256) values (%(name)s, %(sha256)s);
+
+-- name: search_path
+-- Let the session find conetl's tables and PostGIS's functions, in whichever schema PostGIS is installed.
+select set_config(
+    'search_path',
+    'conetl, public' || coalesce((
+        select string_agg(distinct ', ' || quote_ident(n.nspname), '')
+        from pg_extension e
+        join pg_namespace n on n.oid = e.extnamespace
+        where e.extname in ('postgis', 'btree_gist') and n.nspname <> 'public'
+    ), ''),
+    false
+) as search_path;
+
+-- name: status
+-- Facts about the server and the database.
+-- Columns: database, username, postgres_version, postgis_version (null: not installed), has_schema, has_map,
+-- size_bytes.
+select
+    current_database()::text as database,
+    current_user::text as username,
+    current_setting('server_version') as postgres_version,
+    (select extversion from pg_extension where extname = 'postgis') as postgis_version,
+    to_regclass('conetl.schema_migration') is not null as has_schema,
+    to_regclass('conetl.map') is not null as has_map,
+    pg_database_size(current_database()) as size_bytes;
+
+-- name: missing_extensions
+-- Extensions that conetl needs and the server does not offer. Columns: name.
+select needed.name
+from (values ('postgis'), ('btree_gist')) as needed (name)
+where not exists (select from pg_available_extensions a where a.name = needed.name);
+
+-- name: roles
+-- The two group roles and their rights; grant one of them to a login. Runs again after every migration.
+-- conetl_reader may only SELECT. conetl_writer may add rows, close system periods and set a map's licence; it may
+-- neither change nor delete history. Base layers and provisional features are not history, so conetl_writer may drop
+-- them.
+-- Needs the right to create roles (superuser or CREATEROLE).
+do $$
+declare
+    role_name text;
+begin
+    foreach role_name in array array['conetl_reader', 'conetl_writer'] loop
+        begin
+            if not exists (select from pg_roles where rolname = role_name) then
+                execute format('create role %I nologin', role_name);
+            end if;
+        exception when duplicate_object or unique_violation then
+            null;  -- made by another database of this server at the same moment
+        end;
+    end loop;
+end
+$$;
+revoke all on all tables in schema conetl from conetl_reader, conetl_writer;
+grant usage on schema conetl, conetl_ogc to conetl_reader, conetl_writer;
+grant select on all tables in schema conetl to conetl_reader, conetl_writer;
+grant insert on all tables in schema conetl to conetl_writer;
+grant update (system_period) on conetl.feature_version, conetl.delta to conetl_writer;
+grant update (licence) on conetl.map to conetl_writer;  -- terms of use, not a state of the road
+grant delete on conetl.base_source, conetl.base_tile, conetl.base_line to conetl_writer;  -- see the baseline
+-- What a drive shows while it is recorded is not history either, see conetl.watched_drive.
+grant update, delete on conetl.watched_drive, conetl.provisional_feature to conetl_writer;
+revoke insert on conetl.schema_migration from conetl_writer;
+do $$
+begin
+    execute format('grant temporary on database %I to conetl_writer', current_database());
+end
+$$;
+
+-- name: ready_roles
+-- Which of the named roles exist and may read the map. Parameters: names (text[]). Columns: rolname.
+select rolname::text as rolname
+from pg_roles
+where rolname = any(%(names)s)
+and has_schema_privilege(oid, 'conetl', 'usage') and has_table_privilege(oid, 'conetl.feature_version', 'select');
+
+-- name: may_create_roles
+-- Whether the connected user may create roles. Columns: may_create_roles.
+select rolsuper or rolcreaterole as may_create_roles from pg_roles where rolname = current_user;
+
+-- name: database_exists
+-- Whether this server has a database of this name. Parameters: name. Columns: found.
+select exists (select from pg_database where datname = %(name)s) as found;
+
+-- name: create_prefect_database
+-- A separate database for the Prefect server. Needs the right to create databases.
+create database prefect;
+
+-- name: reader_session
+-- Make a session read-only with a time limit per statement, as conetl_reader where the user is a member of it.
+-- Parameters: timeout (interval text). Columns: role (null where the session keeps its user).
+select
+    set_config('default_transaction_read_only', 'on', false) as read_only,
+    set_config('statement_timeout', %(timeout)s, false) as timeout,
+    (
+        select set_config('role', r.rolname, false) from pg_roles r
+        where r.rolname = 'conetl_reader' and pg_has_role(current_user, r.oid, 'MEMBER')
+    ) as role;
+
+-- name: listen
+-- Receive a notification when a map or its base layers change (see conetl.notify_change).
+listen conetl_change;

@@ -1,2 +1,0 @@
--- Purpose: a database of its own for the Prefect server, beside the map's. Needs the right to create databases.
-create database prefect;

@@ -1,0 +1,212 @@
+-- What the web view reads.
+
+-- name: maps
+-- All maps with the figures by which a person chooses one.
+-- Columns: map_name, srid, changeset_count, feature_count (standing now), last_committed_at (of changesets and
+-- decisions, as map.find_map; null while empty).
+select
+    m.map_name, m.srid,
+    (select count(*) from conetl.changeset c where c.map_id = m.map_id) as changeset_count,
+    (select count(*) from conetl.current_feature f where f.map_id = m.map_id) as feature_count,
+    greatest(
+        (select max(c.committed_at) from conetl.changeset c where c.map_id = m.map_id),
+        (select max(d.decided_at) from conetl.decision d where d.map_id = m.map_id)
+    ) as last_committed_at
+from conetl.map m
+order by m.map_name;
+
+-- name: heads
+-- The latest state of every map, cheap enough to be read several times a second.
+-- Columns: map_name; changeset_no, decision_no (the newest ones of the map, 0 where there is none); base (a text that
+-- differs where the imported base layers differ).
+select
+    m.map_name,
+    coalesce((select max(c.changeset_no) from conetl.changeset c where c.map_id = m.map_id), 0) as changeset_no,
+    coalesce((select max(d.decision_no) from conetl.decision d where d.map_id = m.map_id), 0) as decision_no,
+    coalesce(
+        (select md5(string_agg(s.source_id::text, ' ' order by s.source_id)) from conetl.base_source s where s.map_id = m.map_id),
+        'none'
+    ) as base
+from conetl.map m;
+
+-- name: origin
+-- A point of the map's CRS near everything, from which the browser counts in metres (float32 cannot hold eastings). It
+-- never changes while the map grows. Parameters: map_name.
+-- Columns: easting_m, northing_m, height_m (body of the first frame pair, or the first cone of a map that began with an
+-- import).
+select ST_X(p.geom) as easting_m, ST_Y(p.geom) as northing_m, ST_Z(p.geom) as height_m
+from conetl.changeset c
+join conetl.map m using (map_id)
+cross join lateral (
+    (select f.geom from conetl.frame_pair f where f.drive_uuid = c.drive_uuid order by f.frame_index limit 1)
+    union all
+    (select s.geom from conetl.statement s where s.drive_uuid = c.drive_uuid order by s.statement_index limit 1)
+) p
+where m.map_name = %(map_name)s
+order by c.changeset_no
+limit 1;
+
+-- name: changes_between
+-- How the map of one instant differs from that of another, each as the database knew it at its own instant.
+-- Parameters: map_name; from_valid_at, from_known_at, to_valid_at, to_known_at (timestamptz; 'infinity' = latest);
+-- moved_from_m: horizontal distance (m) from which a feature counts as moved; max_rows.
+-- Columns: as history.changes_of_changeset; changed_at is the beginning of the later state (null for removed); kind
+-- 'confirmed' means the same position with other values, 'unchanged' the same version.
+with before as (
+    select * from conetl.map_as_of(%(map_name)s, %(from_valid_at)s::timestamptz, %(from_known_at)s::timestamptz)
+),
+after as (
+    select * from conetl.map_as_of(%(map_name)s, %(to_valid_at)s::timestamptz, %(to_known_at)s::timestamptz)
+)
+select
+    coalesce(a.feature_id, b.feature_id) as feature_id,
+    case
+        when b.feature_id is null then 'added'
+        when a.feature_id is null then 'removed'
+        when ST_Distance(a.geom, b.geom) >= %(moved_from_m)s then 'moved'
+        when a.version <> b.version or not ST_Equals(a.geom, b.geom) then 'confirmed'
+        else 'unchanged'
+    end as kind,
+    lower(a.valid_period) as changed_at, ST_Distance(a.geom, b.geom) as shift_m,
+    ST_X(b.geom) as old_easting_m, ST_Y(b.geom) as old_northing_m, ST_Z(b.geom) as old_height_m,
+    ST_X(coalesce(a.geom, b.geom)) as easting_m, ST_Y(coalesce(a.geom, b.geom)) as northing_m,
+    ST_Z(coalesce(a.geom, b.geom)) as height_m,
+    coalesce(a.cov_xx, b.cov_xx) as cov_xx, coalesce(a.cov_xy, b.cov_xy) as cov_xy, coalesce(a.cov_yy, b.cov_yy) as cov_yy,
+    coalesce(a.cone_height_m, b.cone_height_m) as cone_height_m,
+    coalesce(a.existence_probability, b.existence_probability) as existence_probability,
+    coalesce(a.observation_count, b.observation_count) as observation_count, coalesce(a.version, b.version) as version
+from before b
+full outer join after a using (feature_id)
+order by 1
+limit %(max_rows)s;
+
+-- name: feature_history
+-- What every drive did to one feature of a map, in the order of the drives on the road.
+-- Parameters: map_name; feature_id.
+-- Columns: changeset_no, drive_id, drive_uuid, captured_from_ns, kind ('missed': visible but not observed, still
+-- standing), changed_at, committed_at, version, shift_m, other_feature_id (of a split the common origin, of a merger
+-- the feature that is left), frames_empty (frame pairs in which it was visible but not observed); then position,
+-- covariance (m^2) and values after the drive, of a removed feature the last ones, existence_probability with this
+-- drive's evidence; sighting_count: frame pairs of this drive that it is based on; seen_count, missed_count: drives
+-- (not imported maps) that saw and that missed the feature, up to and including this one.
+select
+    c.changeset_no, d.drive_id, d.drive_uuid, d.captured_from_ns, x.kind, x.changed_at, c.committed_at,
+    x.new_version as version, x.shift_m, x.other_feature_id, x.frames_empty, v.category,
+    ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m, ST_Z(v.geom) as height_m,
+    v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz,
+    v.cone_height_m, v.cone_height_sigma_m,
+    coalesce(x.existence_after, v.existence_probability) as existence_probability,
+    v.observation_count, v.first_seen_ns, v.last_seen_ns,
+    (
+        select count(*) from conetl.track_member t
+        where t.drive_uuid = d.drive_uuid and t.track_index = x.track_index
+    ) as sighting_count,
+    count(*) filter (where x.kind not in ('missed', 'removed', 'merged') and d.kind = 'drive') over on_the_road as seen_count,
+    count(*) filter (where x.kind in ('missed', 'removed')) over on_the_road as missed_count
+from conetl.delta x
+join conetl.changeset c using (changeset_id)
+join conetl.drive d using (drive_uuid)
+join conetl.map m on m.map_id = c.map_id
+join lateral (
+    select * from conetl.feature_version v
+    where v.cell = x.cell and v.feature_id = x.feature_id and v.version = x.new_version
+    order by upper_inf(v.system_period) desc, v.version_row_id desc  -- the current one
+    limit 1
+) v on true
+where x.cell = conetl.cell_of(%(feature_id)s) and x.feature_id = %(feature_id)s and m.map_name = %(map_name)s
+and upper_inf(x.system_period)
+window on_the_road as (
+    order by d.captured_from_ns, d.content_sha256 collate "C", c.idempotency_key collate "C"
+    rows unbounded preceding
+)
+order by d.captured_from_ns, d.content_sha256 collate "C", c.idempotency_key collate "C";
+
+-- name: sightings
+-- The frame pairs in which a feature was seen, with the pose of the body. Parameters: map_name; feature_id; max_rows.
+-- Columns: changeset_no, drive_id, drive_uuid, frame_index, match_index, captured_at_ns, easting_m, northing_m,
+-- height_m (position from this frame pair alone), cov_xx, cov_xy, cov_yy (m^2), range_m, residual_rms_px, score; body_*
+-- position and map_r_body of the body; left_*_px, right_*_px boxes in pixels of the rectified image.
+-- In two steps, because planning one join of ten tables takes a hundred times as long as running it.
+with seen as materialized (
+    select c.changeset_no, d.drive_id, d.drive_uuid, t.frame_index, t.match_index
+    from conetl.delta x
+    join conetl.changeset c using (changeset_id)
+    join conetl.map m using (map_id)
+    join conetl.drive d using (drive_uuid)
+    join conetl.track_member t on t.drive_uuid = d.drive_uuid and t.track_index = x.track_index
+    where x.cell = conetl.cell_of(%(feature_id)s) and x.feature_id = %(feature_id)s and m.map_name = %(map_name)s
+    and upper_inf(x.system_period)
+    order by c.changeset_no, t.frame_index
+    limit %(max_rows)s
+)
+select
+    t.changeset_no, t.drive_id, t.drive_uuid, t.frame_index, t.match_index, f.captured_at_ns,
+    ST_X(p.geom) as easting_m, ST_Y(p.geom) as northing_m, ST_Z(p.geom) as height_m,
+    p.cov_xx, p.cov_xy, p.cov_yy, p.range_m, p.residual_rms_px, p.score,
+    ST_X(f.geom) as body_easting_m, ST_Y(f.geom) as body_northing_m, ST_Z(f.geom) as body_height_m, f.map_r_body,
+    l.x_px as left_x_px, l.y_px as left_y_px, l.w_px as left_w_px, l.h_px as left_h_px, l.score as left_score,
+    r.x_px as right_x_px, r.y_px as right_y_px, r.w_px as right_w_px, r.h_px as right_h_px, r.score as right_score
+from seen t
+join conetl.stereo_match s using (drive_uuid, frame_index, match_index)
+join conetl.position p using (drive_uuid, frame_index, match_index)
+join conetl.frame_pair f using (drive_uuid, frame_index)
+join conetl.detection l
+    on l.drive_uuid = t.drive_uuid and l.frame_index = t.frame_index
+    and l.side = 'left' and l.detection_index = s.left_detection_index
+join conetl.detection r
+    on r.drive_uuid = t.drive_uuid and r.frame_index = t.frame_index
+    and r.side = 'right' and r.detection_index = s.right_detection_index
+order by t.changeset_no, f.captured_at_ns, t.frame_index;
+
+-- name: sighting_image
+-- The image file and the box of one side of one stereo match.
+-- Parameters: map_name; drive_uuid; frame_index; match_index; side ('left' or 'right').
+-- Columns: source_path (folder of the drive), picture_path, rig (JSON), x_px, y_px, w_px, h_px (rectified image).
+select
+    d.source_path, d.rig, case b.side when 'left' then f.left_path else f.right_path end as picture_path,
+    b.x_px, b.y_px, b.w_px, b.h_px
+from conetl.drive d
+join conetl.map m using (map_id)
+join conetl.stereo_match s using (drive_uuid)
+join conetl.frame_pair f using (drive_uuid, frame_index)
+join conetl.detection b
+    on b.drive_uuid = d.drive_uuid and b.frame_index = f.frame_index and b.side = %(side)s
+    and b.detection_index = case b.side when 'left' then s.left_detection_index else s.right_detection_index end
+where m.map_name = %(map_name)s and d.drive_uuid = %(drive_uuid)s
+and s.frame_index = %(frame_index)s and s.match_index = %(match_index)s;
+
+-- name: trajectory
+-- The poses of one drive, in order of time. Parameters: map_name; drive_uuid; max_rows.
+-- Columns: drive_id, rig (JSON), frame_index, captured_at_ns, easting_m, northing_m, height_m (of the body), map_r_body
+-- (9).
+select
+    d.drive_id, d.rig, f.frame_index, f.captured_at_ns,
+    ST_X(f.geom) as easting_m, ST_Y(f.geom) as northing_m, ST_Z(f.geom) as height_m, f.map_r_body
+from conetl.drive d
+join conetl.map m using (map_id)
+join conetl.frame_pair f using (drive_uuid)
+where m.map_name = %(map_name)s and d.drive_uuid = %(drive_uuid)s
+order by f.captured_at_ns
+limit %(max_rows)s;
+
+-- name: rigs
+-- The rigs of some drives of a map. Parameters: map_name; drive_uuids (uuid[]). Columns: drive_uuid, rig (JSON).
+select d.drive_uuid, d.rig
+from conetl.drive d
+join conetl.map m using (map_id)
+where m.map_name = %(map_name)s and d.drive_uuid = any(%(drive_uuids)s::uuid[]);
+
+-- name: decisions
+-- The decisions about a map that were not withdrawn, newest first. Parameters: map_name; max_rows.
+-- Columns: decision_id, kind ('suppress', 'pin', 'revert'), easting_m, northing_m, radius_m (null of a revert),
+-- feature_id, changeset_id, drive_id (of a reverted changeset), decided_by (null: no name was kept), note, decided_at.
+select
+    d.decision_id, d.kind, ST_X(d.geom) as easting_m, ST_Y(d.geom) as northing_m, d.radius_m, d.feature_id, d.changeset_id,
+    r.drive_id, d.decided_by, d.note, d.decided_at
+from conetl.active_decision d
+join conetl.map m using (map_id)
+left join conetl.changeset c on c.changeset_id = d.changeset_id
+left join conetl.drive r on r.drive_uuid = c.drive_uuid
+where m.map_name = %(map_name)s
+order by d.decision_no desc
+limit %(max_rows)s;

@@ -1,0 +1,293 @@
+"""Write a drive, its records and its changeset into the map.
+
+One drive is one atomic changeset. The caller holds the map's lock from reading the features to the commit:
+
+    with map_transaction(conn, map_name):
+        if find_changeset(conn, key, map_name=map_name) is None:
+            drive_uuid = place_drive(conn, drive, key, ...)
+            ...                                       # compare in Python: in pipeline/replay.py
+            commit_changeset(conn, records, changeset, map_name=map_name)
+
+Everything is committed at the end of the block, or nothing.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from datetime import datetime
+from functools import partial
+from itertools import chain
+from typing import Any, TypeVar
+from uuid import NAMESPACE_URL, UUID, uuid5
+
+from conetl.db.ahead import made_ahead
+from conetl.db.connection import Connection, CopyBlock, copy_block, copy_columns, encoded_block, execute, execute_count
+from conetl.db.copy_binary import clean_text, json_text
+from conetl.db.live_store import drop_watched_recording
+from conetl.db.map import columns as map_columns
+from conetl.db.map.map_store import find_changeset, map_for, map_lock, system_time
+from conetl.db.map.replay_store import write_replay
+from conetl.db.map.results import CommitResult, MapInfo, RecordCounts, Replay, RunInfo
+from conetl.db.statements import load_sql
+from conetl.model.detector_evidence import AbsenceFigures
+from conetl.model.drive_records import DriveRecords
+from conetl.model.errors import MapMismatchError
+from conetl.model.map_records import Changeset, DeltaKind
+from conetl.model.params import ReconcileParams
+from conetl.model.records import Drive, utc_from_ns
+
+#: A drive may see features this far around its path: the farthest position plus the largest offset and move.
+INFLUENCE_M = 60.0
+#: From this number of new versions on, if they are a tenth of the table, its statistics are renewed before autovacuum comes.
+ANALYSE_FROM_VERSIONS = 10_000
+#: Records per block, and blocks that wait at most: about 100 MB of positions, which are the longest rows.
+BLOCK_RECORDS = 25_000
+BLOCKS_AHEAD = 12
+#: `drives.insert_drive` makes the area larger by more than this.
+_PATH_STEP_M = 3.0
+_NAMESPACE = uuid5(NAMESPACE_URL, "https://conetl.example/drive")
+
+R = TypeVar("R")
+
+
+def place_drive(
+    conn: Connection,
+    drive: Drive,
+    idempotency_key: str,
+    *,
+    map_name: str = "default",
+    now: datetime | None = None,
+    reconcile: ReconcileParams | None = None,
+    influence_m: float = INFLUENCE_M,
+    figures: AbsenceFigures | None = None,
+) -> UUID:
+    """Add a drive to the map unless it exists, so that its neighbourhood can be read; does not commit.
+
+    It counts only once its changeset exists. reconcile (None: the defaults), influence_m and figures (of the detector; None: not
+    measured) are kept for later comparisons of the drive with the map. Raises MapMismatchError if the map is in another CRS.
+    """
+    info = map_for(conn, map_name, drive.map_srid, f"drive {drive.drive_id}", now)
+    drive_uuid = uuid5(_NAMESPACE, f"{map_name}/{idempotency_key}")
+    times_ns = [pair.captured_at_ns for pair in drive.frame_pairs]
+    parameters = {
+        "drive_uuid": drive_uuid,
+        "map_id": info.map_id,
+        "srid": info.srid,
+        "drive_id": clean_text(drive.drive_id),
+        "source_path": clean_text(drive.source_path),
+        "content_sha256": drive.content_sha256,
+        "rig": json_text(drive.rig.model_dump(mode="json")),
+        "captured_from_ns": min(times_ns),
+        "captured_to_ns": max(times_ns),
+        "captured_from": utc_from_ns(min(times_ns)),
+        "captured_to": utc_from_ns(max(times_ns)),
+        "expected_frame_count": drive.expected_frame_count,
+        "reconcile": json_text((reconcile or ReconcileParams()).model_dump(mode="json")),
+        "influence_m": influence_m,
+        "absence_figures": None if figures is None else json_text(figures.model_dump(mode="json")),
+        "path_wkt": _path_wkt(drive),
+    }
+    execute(conn, load_sql("drives.insert_drive"), parameters)
+    return drive_uuid
+
+
+def commit_changeset(
+    conn: Connection,
+    records: DriveRecords,
+    changeset: Changeset,
+    *,
+    map_name: str = "default",
+    now: datetime | None = None,
+    run: RunInfo | None = None,
+    suppressed: Collection[UUID] = (),
+    replay: Replay | None = None,
+) -> CommitResult:
+    """Write a drive, everything made from it, and its changeset, inside the caller's `map_transaction`.
+
+    The map is created by its first changeset with the drive's SRID. `now` is the system time of the changeset (None: the server's
+    clock); it is moved behind the map's last one. Versions are numbered here: the open one's plus one. suppressed: features that
+    end where a person decided that nothing stands. replay: for a drive that is older than others around it, the new state of the
+    whole neighbourhood, the changeset's own deltas included. Raises MapMismatchError if the drive is in another CRS, the records
+    do not fit together, or a delta's `old` is not what the map holds now; DatabaseError from the surrounding `map_transaction`.
+    """
+    map_lock(conn, map_name)
+    known = find_changeset(conn, changeset.idempotency_key, map_name=map_name)
+    if known is not None:
+        return CommitResult(committed=False, changeset=known, versions_written=0)
+    _require_consistent(records, changeset)
+    drive = records.drive
+    drive_uuid = place_drive(conn, drive, changeset.idempotency_key, map_name=map_name, now=now)
+    info = map_for(conn, map_name, drive.map_srid, f"drive {drive.drive_id}", now)
+    committed_at = system_time(conn, info, now)
+    counts = RecordCounts(len(drive.frame_pairs), *(len(kind) for kind in records[1:]))
+    insert_changeset(conn, info, drive_uuid, changeset, counts, run, committed_at)
+    copy_columns(conn, "conetl.quarantine", map_columns.rejection_columns(changeset.changeset_id, records.rejections))
+    drop_watched_recording(conn, drive, map_name=map_name)
+    if replay is None:
+        _stage_deltas(conn, info, changeset, suppressed)
+    # Encoding takes nearly as long as the merge, during which this process would only wait.
+    with made_ahead(_encoded_records(drive_uuid, info.srid, records), ahead=BLOCKS_AHEAD) as blocks:
+        if replay is None:
+            versions_written = _merge_deltas(conn, info, drive_uuid, changeset, committed_at)
+        else:
+            versions_written = write_replay(conn, info, replay, committed_at)
+        for block in blocks:
+            copy_block(conn, block)
+    return committed_result(conn, changeset, versions_written, map_name=map_name)
+
+
+def insert_changeset(
+    conn: Connection,
+    info: MapInfo,
+    drive_uuid: UUID,
+    changeset: Changeset,
+    counts: RecordCounts,
+    run: RunInfo | None,
+    committed_at: datetime,
+) -> None:
+    """Write a changeset's own row, and the run that it came from; not its deltas."""
+    if run is not None:
+        facts = None if run.facts is None else json_text(dict(run.facts))
+        kept = {"finished_at": committed_at, "params": json_text(dict(run.params)), "facts": facts}
+        execute(conn, load_sql("commit.insert_run"), vars(run) | kept)
+    kinds = Counter(delta.kind for delta in changeset.deltas)
+    parameters = {
+        "changeset_id": changeset.changeset_id,
+        "map_id": info.map_id,
+        "drive_uuid": drive_uuid,
+        "run_id": run.run_id if run else None,
+        "idempotency_key": changeset.idempotency_key,
+        "params_sha256": changeset.params_sha256,
+        "model_sha256": changeset.model_sha256,
+        "code_version": changeset.code_version,
+        "committed_at": committed_at,
+        **{f"{kind.value}_count": kinds[kind] for kind in DeltaKind},
+        **counts._asdict(),
+    }
+    execute(conn, load_sql("commit.insert_changeset"), parameters)
+
+
+def committed_result(conn: Connection, changeset: Changeset, versions_written: int, *, map_name: str) -> CommitResult:
+    """The changeset as the database holds it."""
+    written = find_changeset(conn, changeset.idempotency_key, map_name=map_name)
+    if written is None:
+        raise MapMismatchError(f"changeset {changeset.changeset_id} was written but cannot be found again")
+    return CommitResult(committed=True, changeset=written, versions_written=versions_written)
+
+
+def _require_consistent(records: DriveRecords, changeset: Changeset) -> None:
+    """Checks that foreign keys would make row by row, at a tenth of their cost. Raises MapMismatchError."""
+    drive, detections, matches, positions, tracks, _ = records
+    frames = {pair.frame_index for pair in drive.frame_pairs}
+    boxes = {(d.frame_index, d.side, d.detection_index) for d in detections}
+    positioned = {(p.frame_index, p.match_index) for p in positions}
+    matched = {(m.frame_index, m.match_index) for m in matches}
+    numbered = {track.track_index for track in tracks}
+    problems = [
+        *([f"a changeset of drive {changeset.drive_id}"] if changeset.drive_id != drive.drive_id else ()),
+        *(f"detection of frame {f}, which the drive lacks" for f in {d.frame_index for d in detections} - frames),
+        *(f"position of frame {f}, which the drive lacks" for f in {p.frame_index for p in positions} - frames),
+        *(
+            f"stereo match {m.match_index} of frame {m.frame_index} without its detections"
+            for m in matches
+            if not {(m.frame_index, b.side, b.detection_index) for b in (m.left, m.right)} <= boxes
+        ),
+        *(f"position {p} without its stereo match" for p in (positioned - matched if matches else ())),
+        *(
+            f"track {track.track_index} with the unknown position {member}"
+            for track in tracks
+            for member in track.members
+            if member not in positioned
+        ),
+        *(
+            f"delta of feature {d.feature_id} with the unknown track {d.track_index}"
+            for d in changeset.deltas
+            if d.track_index is not None and d.track_index not in numbered
+        ),
+        *(
+            f"{count} deltas of feature {feature_id}, where one is allowed"
+            for feature_id, count in Counter(d.feature_id for d in changeset.deltas).items()
+            if count > 1
+        ),
+    ]
+    if problems:
+        more = f" and {len(problems) - 1} more problems" if len(problems) > 1 else ""
+        raise MapMismatchError(f"drive {drive.drive_id} comes with {problems[0]}{more}: nothing was written.")
+
+
+def _path_wkt(drive: Drive) -> str:
+    """The drive's path as a line, without points nearer than `_PATH_STEP_M` to the one before."""
+    points = [drive.frame_pairs[0].pose.map_t_body_m]
+    for pair in drive.frame_pairs:
+        at = pair.pose.map_t_body_m
+        if max(abs(at[0] - points[-1][0]), abs(at[1] - points[-1][1])) >= _PATH_STEP_M:
+            points.append(at)
+    points.append((points[-1][0] + 0.1, *points[-1][1:]))  # a line requires two points
+    return "LINESTRING(" + ", ".join(f"{x!r} {y!r}" for x, y, _ in points) + ")"
+
+
+def _encoded_records(drive_uuid: UUID, srid: int, records: DriveRecords) -> Iterator[CopyBlock]:
+    columns = map_columns
+    return chain(
+        _blocks("conetl.frame_pair", records.drive.frame_pairs, partial(columns.frame_pair_columns, drive_uuid, srid)),
+        _blocks("conetl.detection", records.detections, partial(columns.detection_columns, drive_uuid)),
+        _blocks("conetl.stereo_match", records.matches, partial(columns.match_columns, drive_uuid)),
+        _blocks("conetl.position", records.positions, partial(columns.position_columns, drive_uuid, srid)),
+        _blocks("conetl.track", records.tracks, partial(columns.track_columns, drive_uuid, srid)),
+        _blocks("conetl.track_member", records.tracks, partial(columns.track_member_columns, drive_uuid)),
+    )
+
+
+def _blocks(
+    table: str, records: Sequence[R], columns_of: Callable[[Sequence[R]], map_columns.Columns]
+) -> Iterator[CopyBlock]:
+    for start in range(0, len(records), BLOCK_RECORDS):
+        yield encoded_block(table, columns_of(records[start : start + BLOCK_RECORDS]))
+
+
+def _stage_deltas(conn: Connection, info: MapInfo, changeset: Changeset, suppressed: Collection[UUID]) -> None:
+    """All deltas into a table of the transaction's own."""
+    execute(conn, load_sql("commit.create_delta_stage"))
+    copy_columns(conn, "delta_stage", map_columns.delta_columns(info.srid, changeset.deltas, suppressed))
+    execute(conn, "analyze delta_stage (feature_id, kind, is_change)")
+
+
+def _merge_deltas(
+    conn: Connection, info: MapInfo, drive_uuid: UUID, changeset: Changeset, committed_at: datetime
+) -> int:
+    """Check the staged deltas against the map, close what they replace, write what they bring; new versions."""
+    execute(conn, load_sql("commit.create_open_version"), {"drive_uuid": drive_uuid})
+    execute(conn, "analyze open_version")
+    execute(conn, load_sql("commit.add_open_versions"))
+    conflicts = execute(conn, load_sql("commit.delta_conflicts"), {"map_id": info.map_id})
+    if conflicts:
+        raise MapMismatchError(_conflict_text(info.map_name, conflicts[0]))
+    parameters = {
+        "map_id": info.map_id,
+        "srid": info.srid,
+        "changeset_id": changeset.changeset_id,
+        "committed_at": committed_at,
+    }
+    execute(conn, load_sql("commit.insert_features"), parameters)
+    execute(conn, load_sql("commit.close_versions"), parameters)
+    execute(conn, load_sql("commit.insert_ended_versions"), parameters)
+    versions = execute_count(conn, load_sql("commit.insert_versions"), parameters)
+    execute(conn, load_sql("commit.insert_deltas"), parameters)
+    execute(conn, "drop table delta_stage, open_version")
+    if (
+        versions >= ANALYSE_FROM_VERSIONS
+        and execute(conn, load_sql("commit.has_outgrown"), {"versions": versions})[0]["outgrown"]
+    ):
+        execute(conn, "analyze conetl.feature, conetl.feature_version")
+    return versions
+
+
+def _conflict_text(map_name: str, conflict: Mapping[str, Any]) -> str:
+    found = "nothing" if conflict["version"] is None else f"version {conflict['version']}"
+    state = "" if conflict["present"] is None else (" (standing)" if conflict["present"] else " (removed)")
+    return (
+        f"The map {map_name} changed since this drive was compared with it: feature {conflict['feature_id']} should be "
+        f"{conflict['kind']} from version {conflict['old_version']}, but the map holds {found}{state}. Nothing was written; "
+        "ingest the drive again."
+    )

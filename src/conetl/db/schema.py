@@ -1,0 +1,172 @@
+"""The schema: migrations, roles, the state of a database, and the Prefect server's own database."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+from conetl.db.connection import Connection, address, connect, database_errors, execute, sqlalchemy_url, transaction
+from conetl.db.statements import load_sql, sql_directory
+from conetl.model.errors import DatabaseError
+
+#: Key of the advisory lock that keeps two migrations apart.
+MIGRATION_LOCK = 0x636F6E65
+ROLES = ("conetl_reader", "conetl_writer")
+PREFECT_DATABASE = "prefect"
+#: First migration of the databases of conetl 0.1, which had no release.
+_BEFORE_BASELINE = "0001_schema"
+_checked: set[frozenset[tuple[str, str]]] = set()
+
+
+@dataclass(frozen=True)
+class DatabaseStatus:
+    """What a database holds and whether this conetl can work with it."""
+
+    database: str
+    user: str
+    postgres_version: str
+    postgis_version: str | None
+    applied_migrations: tuple[str, ...]
+    pending_migrations: tuple[str, ...]
+    missing_roles: tuple[str, ...]
+    """Of conetl_reader and conetl_writer those that do not exist or have no rights here; `migrate` makes them where ..."""
+    may_create_roles: bool
+    """... the connected user may create roles; otherwise a superuser has to run `migrate` once."""
+    size_bytes: int
+    maps: tuple[tuple[str, int], ...]
+    """Name and SRID."""
+
+    @property
+    def ready(self) -> bool:
+        return bool(self.applied_migrations) and not self.pending_migrations
+
+
+def migrate_once(conn: Connection) -> None:
+    """`migrate`, but only the first time that this process calls it for the same database."""
+    database = frozenset(address(conn).items())
+    if database not in _checked:
+        migrate(conn)
+        _checked.add(database)
+
+
+def migrate(conn: Connection, *, directory: Path | None = None) -> list[str]:
+    """Bring the schema up to date, all or nothing; the names of the migrations that were applied now.
+
+    Migrations only go forwards. Raises `DatabaseError` if an applied one was changed afterwards, the database is newer than this
+    conetl or older than its baseline, PostGIS is missing or cannot be created. Two calls at once wait for each other; if nothing
+    is to be done, nothing is locked or written, so users without rights on the schema may call it too.
+    """
+    wanted = _migration_files(directory or sql_directory() / "migrations")
+    with transaction(conn, "The state of the database cannot be read"):
+        if execute(conn, load_sql("schema.status"))[0]["has_schema"]:
+            applied = _applied(conn)
+            _check_history(applied, wanted)
+            if not wanted.keys() - applied.keys() and (not _missing_roles(conn) or not _may_create_roles(conn)):
+                return []
+    done: list[str] = []
+    with transaction(conn, "The database could not be migrated, and is as it was before"):
+        execute(conn, "select pg_advisory_xact_lock(%(key)s)", {"key": MIGRATION_LOCK})
+        execute(conn, load_sql("schema.schema_migration"))
+        applied = _applied(conn)
+        _check_history(applied, wanted)
+        for name in [name for name in wanted if name not in applied]:
+            _require_extensions(conn, name)
+            execute(conn, wanted[name])
+            execute(conn, load_sql("schema.insert_migration"), {"name": name, "sha256": _sha256(wanted[name])})
+            done.append(name)
+        if _may_create_roles(conn):
+            execute(conn, load_sql("schema.roles"))
+    return done
+
+
+def database_status(conn: Connection) -> DatabaseStatus:
+    """What the database holds; changes nothing."""
+    with transaction(conn, "The state of the database cannot be read"):
+        facts = execute(conn, load_sql("schema.status"))[0]
+        applied = _applied(conn) if facts["has_schema"] else {}
+        maps = execute(conn, load_sql("map.maps")) if facts["has_map"] else []
+        wanted = _migration_files(sql_directory() / "migrations")
+        return DatabaseStatus(
+            database=facts["database"],
+            user=facts["username"],
+            postgres_version=facts["postgres_version"],
+            postgis_version=facts["postgis_version"],
+            applied_migrations=tuple(sorted(applied)),
+            pending_migrations=tuple(name for name in wanted if name not in applied),
+            missing_roles=_missing_roles(conn) if facts["has_map"] else ROLES,
+            may_create_roles=_may_create_roles(conn),
+            size_bytes=facts["size_bytes"],
+            maps=tuple((row["map_name"], row["srid"]) for row in maps),
+        )
+
+
+def prefect_database(url: str) -> str:
+    """Create the Prefect server's database on the server of `url` if it is missing; its address in SQLAlchemy's form."""
+    with (
+        closing(connect(url)) as conn,
+        database_errors(
+            f"The database {PREFECT_DATABASE} for the Prefect server cannot be created: create it manually, or name one in "
+            "CONETL_PREFECT_DATABASE_URL"
+        ),
+    ):
+        conn.autocommit = True
+        if not execute(conn, load_sql("schema.database_exists"), {"name": PREFECT_DATABASE})[0]["found"]:
+            execute(conn, load_sql("schema.create_prefect_database"))
+    return sqlalchemy_url(url, PREFECT_DATABASE)
+
+
+def _migration_files(directory: Path) -> dict[str, str]:
+    files = {path.stem: path.read_text(encoding="utf-8") for path in sorted(directory.glob("*.sql"))}
+    for number, name in enumerate(files, start=1):
+        if not re.fullmatch(rf"{number:04d}_[a-z0-9_]+", name):
+            raise DatabaseError(f"migration {name}.sql in {directory} should be named {number:04d}_<what it does>.sql")
+    return files
+
+
+def _applied(conn: Connection) -> dict[str, str]:
+    return {row["name"]: row["sha256"] for row in execute(conn, load_sql("schema.applied_migrations"))}
+
+
+def _check_history(applied: Mapping[str, str], wanted: Mapping[str, str]) -> None:
+    unknown = [name for name in applied if name not in wanted]
+    if _BEFORE_BASELINE in unknown:
+        raise DatabaseError(
+            "This database was made by a conetl from before the schema's baseline and cannot be migrated: export its maps with "
+            "that version and import them into a new database (`conetl map export`, `conetl map import`), or ingest the "
+            "drives again. Nothing was changed."
+        )
+    if unknown:
+        raise DatabaseError(f"The database was migrated by a newer conetl ({', '.join(unknown)}): install that one.")
+    for name, sha256 in applied.items():
+        if _sha256(wanted[name]) != sha256:
+            raise DatabaseError(
+                f"sql/migrations/{name}.sql was changed after it was applied to this database: restore the file and put the "
+                "change into a new migration."
+            )
+
+
+def _require_extensions(conn: Connection, migration: str) -> None:
+    """Name the missing extension, where PostgreSQL would only name a control file."""
+    missing = [row["name"] for row in execute(conn, load_sql("schema.missing_extensions"))]
+    if missing:
+        raise DatabaseError(
+            f"migration {migration} requires the extension(s) {', '.join(missing)}, which this server does not offer: install "
+            "PostGIS on the server (Debian: postgresql-<version>-postgis-3) or set CONETL_DATABASE_URL to another one."
+        )
+
+
+def _missing_roles(conn: Connection) -> tuple[str, ...]:
+    ready = {row["rolname"] for row in execute(conn, load_sql("schema.ready_roles"), {"names": list(ROLES)})}
+    return tuple(name for name in ROLES if name not in ready)
+
+
+def _may_create_roles(conn: Connection) -> bool:
+    return bool(execute(conn, load_sql("schema.may_create_roles"))[0]["may_create_roles"])
+
+
+def _sha256(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
