@@ -9,7 +9,7 @@ Which of the points belong to moving objects is found later (`geometry/motion/st
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import cv2
 import numpy as np
@@ -74,16 +74,25 @@ def follow_drive(
         previous = images
 
 
-def follow_span(
-    first: FramePair, last: FramePair, guess: Floats, rig: Rig, read: ImageReader, params: TrajectoryParams
-) -> StereoTracks:
-    """Points between two frame pairs that need not be neighbours; guess (4, 4): last_SE3_first of the left camera.
+def follow_spans(
+    spans: Iterable[tuple[int, int, Floats]],
+    frame_pairs: Sequence[FramePair],
+    rig: Rig,
+    read: ImageReader,
+    params: TrajectoryParams,
+) -> Iterator[StereoTracks]:
+    """Points between two frame pairs that need not be neighbours, for each span in order.
 
-    What is searched reaches a little farther than between neighbours (pyramid), the guess must be good to some pixels.
+    spans: positions of the first and last pair in `frame_pairs`, and a guess (4, 4) of last_SE3_first of the left camera, which
+    must be good to some pixels. Images of a pair that ends one span and begins the next are read once.
     """
     cameras, working = cameras_of(rig), working_size(rig, params.max_width_px)
-    start, end = (read_working_images(pair, read, working) for pair in (first, last))
-    return _tracks(first, last, *_between(start, end, working, cameras, guess, params, _WINDOW_OF_SPANS_PX))
+    at, end = -1, None
+    for first, last, guess in spans:
+        start = end if end is not None and at == first else read_working_images(frame_pairs[first], read, working)
+        at, end = last, read_working_images(frame_pairs[last], read, working)
+        found = _between(start, end, working, cameras, guess, params, _WINDOW_OF_SPANS_PX)
+        yield _tracks(frame_pairs[first], frame_pairs[last], *found)
 
 
 def _between(
@@ -287,6 +296,5 @@ def _tracks(
 ) -> StereoTracks:
     return StereoTracks(
         first_frame_index=first.frame_index, second_frame_index=second.frame_index,
-        first_px=tuple(first_px.ravel().tolist()), second_px=tuple(second_px.ravel().tolist()), sigma_px=sigma_px,
-        missing=missing,
+        first_px=first_px, second_px=second_px, sigma_px=sigma_px, missing=missing,
     )  # fmt: skip

@@ -12,13 +12,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from conetl.geometry.motion.stereo_tracks import NoMeasurement
-from conetl.geometry.rig import camera_of, infinity_shift_px
+from conetl.geometry.rig import camera_of, infinity_shift_px, left_SE3_right
 from conetl.model.records import FramePair, Rig, Side
 from conetl.perception.images import ImageFileError
 
@@ -44,7 +45,7 @@ class WorkingSize:
     size_px: tuple[int, int]
     """Working pixels of both."""
 
-    @property
+    @cached_property
     def scale(self) -> Floats:
         """(2,) working pixels a stored one, along the columns' and the rows' axis: whole sizes make them differ a little."""
         return np.asarray(np.array(self.size_px) / np.array(self.common_px))
@@ -65,8 +66,12 @@ class WorkingSize:
     def infinity_shift(self, left_px: ArrayLike) -> Floats:
         """(..., 2) working pixels by which the left image shows what is infinitely far further right and down than the right
         one, at points (..., 2) of the left."""
-        shift = infinity_shift_px(self.rig, self.to_stored(left_px)) * self.scale
+        shift = infinity_shift_px(self.rig, self.to_stored(left_px), self._left_R_right) * self.scale
         return np.asarray(shift.round(_SHIFT_DECIMALS) + 0.0)
+
+    @cached_property
+    def _left_R_right(self) -> Floats:
+        return left_SE3_right(self.rig)[:3, :3]
 
 
 @dataclass(frozen=True)

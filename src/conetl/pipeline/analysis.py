@@ -42,9 +42,6 @@ from conetl.tracking.tracks import fuse_tracks
 from conetl.tracking.trajectory import RefinedTrajectory, motion_error
 from conetl.tracking.variance_components import sighting_variances, with_variances
 
-#: While the calibration is worked out, detections of so many parts of chunks more keep the cores busy.
-_PARTS_MEANWHILE = 2
-
 
 @dataclass(frozen=True)
 class AnalysedDrive:
@@ -163,7 +160,6 @@ def _run_chunks(
     calibration: SelfCalibration = SWITCHED_OFF
     found: list[Odometry] = []
     if params.self_calibrate:
-        submit_detections(_PARTS_MEANWHILE, None)
         found = results(followed)
         tracks, measured = [each.tracks for each in found], [each.motions for each in found]
         calibration = executor.run(self_calibrate, drive, tracks, measured, chunks[0])

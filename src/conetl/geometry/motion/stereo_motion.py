@@ -300,12 +300,13 @@ def _refine(
     chosen = np.flatnonzero(usable)
     at, seen = points[chosen].T.copy(), second_px[chosen].T.copy()
     d_at, variance = np.ascontiguousarray(d_points[chosen].transpose(1, 2, 0)), sigma_px[chosen] ** 2
+    reach_px = reach_px[chosen]
     for iteration in range(_MAX_ITERATIONS):
         turned = pose[:3, :3] @ at
         image, jacobian, valid = _image_of(cameras, turned + pose[:3, 3:])
         r, spread_of, var = seen - image, d_at, variance
         if iteration < _CHOOSING_ITERATIONS:  # later a point at the bound could come and go for ever
-            good = np.flatnonzero(valid & (np.abs(r).max(axis=0) <= reach_px[chosen]))
+            good = np.flatnonzero(valid & (np.abs(r).max(axis=0) <= reach_px))
             inliers = np.zeros(len(points), dtype=bool)
             inliers[chosen[good]] = True
             if len(good) < limits.min_inliers:
@@ -316,14 +317,18 @@ def _refine(
                 at, seen, d_at, variance = at.take(good, -1), seen.take(good, -1), spread_of, var
         # Error of the residual: the second pair's image errors, and the first pair's carried through intersection and motion.
         carried = np.einsum("ikn,kjn->ijn", np.einsum("ikn,kj->ijn", jacobian, pose[:3, :3]), spread_of)
-        information = inverse_of_symmetric(var * (np.eye(3)[:, :, None] + np.einsum("ikn,jkn->ijn", carried, carried)))
+        spread = np.einsum("ikn,jkn->ijn", carried, carried)
+        spread.reshape(9, -1)[::4] += 1.0  # the diagonals
+        information = inverse_of_symmetric(var * spread)
         misfit2 = np.einsum("in,ijn,jn->n", r, information, r) / 3
         factor2 = max(median(misfit2) / 0.7887, 1e-6)  # median of chi-square(3) / 3
         information *= 1 / (1 + misfit2 / factor2 / _CAUCHY_SIGMAS**2)
         # By (w, d), as in `_point_jacobian`: the rows' cross products with the turned point, and the rows.
-        by_x, by_y, by_z = jacobian.transpose(1, 0, 2)
-        x, y, z = turned
-        design = np.stack([y * by_z - z * by_y, z * by_x - x * by_z, x * by_y - y * by_x, by_x, by_y, by_z])
+        design = np.empty((6, 3, turned.shape[1]))
+        rows, at_point = jacobian.transpose(1, 0, 2), turned[:, None]
+        design[:3] = at_point.take((1, 2, 0), 0) * rows.take((2, 0, 1), 0)
+        design[:3] -= at_point.take((2, 0, 1), 0) * rows.take((1, 2, 0), 0)
+        design[3:] = rows
         weighted = np.einsum("ijn,ajn->ain", information, design)  # (6, 3, N): the information is symmetric
         wide = weighted.reshape(6, -1)
         normal = wide @ design.reshape(6, -1).T
@@ -361,22 +366,24 @@ def _image_of(cameras: StereoCameras, points_m: Floats) -> tuple[Floats, Floats,
 
 def inverse_of_symmetric(matrices: Floats) -> Floats:
     """Inverses of N symmetric matrices (3, 3, N), by their cofactors."""
-    (a, b, c), (_, d, e), (_, _, f) = matrices
-    inverse = np.empty_like(matrices)
-    inverse[0, 0], inverse[1, 1], inverse[2, 2] = d * f - e * e, a * f - c * c, a * d - b * b
-    inverse[0, 1] = inverse[1, 0] = c * e - b * f
-    inverse[0, 2] = inverse[2, 0] = b * e - c * d
-    inverse[1, 2] = inverse[2, 1] = b * c - a * e
-    inverse /= a * inverse[0, 0] + b * inverse[0, 1] + c * inverse[0, 2]
-    return inverse
+    entries = matrices.reshape(9, -1)
+    cofactors = entries.take((4, 0, 0, 2, 1, 1), 0) * entries.take((8, 8, 4, 5, 5, 2), 0)
+    cofactors -= entries.take((5, 2, 1, 1, 2, 0), 0) * entries.take((5, 2, 1, 8, 4, 5), 0)
+    cofactors /= entries[0] * cofactors[0] + entries[1] * cofactors[3] + entries[2] * cofactors[4]
+    return cofactors.take((0, 3, 4, 3, 1, 5, 4, 5, 2), 0).reshape(matrices.shape)
 
 
 def _spread_px(cameras: StereoCameras, points: Floats, d_points: Floats, sigma_px: Floats, pose: Floats) -> Floats:
     """Expected sigma (N,) of a residual, the largest of its three coordinates."""
-    _, jacobian, _ = project(cameras, points @ pose[:3, :3].T + pose[:3, 3])
-    carried = jacobian @ pose[:3, :3] @ d_points
-    variance = 1 + np.einsum("nij,nij->ni", carried, carried).max(axis=1)
+    _, jacobian, _ = _image_of(cameras, pose[:3, :3] @ points.T + pose[:3, 3:])
+    carried = _by_point(_by_point(jacobian, pose[:3, :3, None]), d_points.transpose(1, 2, 0))
+    variance = 1 + (carried * carried).sum(axis=1).max(axis=0)
     return np.asarray(sigma_px * np.sqrt(np.clip(np.nan_to_num(variance, nan=2.0), 2.0, 50.0)))
+
+
+def _by_point(a: Floats, b: Floats) -> Floats:
+    """Products (3, 3, N) of N matrices each, (3, 3, N); a last axis of length 1 is one matrix for all."""
+    return np.asarray(a[:, 0, None] * b[0] + a[:, 1, None] * b[1] + a[:, 2, None] * b[2])
 
 
 def _point_jacobian(turned: Floats) -> Floats:
