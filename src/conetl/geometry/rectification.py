@@ -49,7 +49,7 @@ def is_rectified(rig: Rig) -> bool:
         return False
     relative = rigs.left_SE3_right(rig)
     slope = np.hypot(relative[1, 3], relative[2, 3]) / max(abs(float(relative[0, 3])), 1e-12)
-    # row difference = (fy_l - fy_r) y + ..., y up to half a image off the principal point
+    # row difference = (fy_l - fy_r) y + ..., y up to half an image off the principal point
     stretch_px = abs(rig.left.fy_px / rig.right.fy_px - 1.0) * max(rig.left.height_px, rig.right.height_px) / 2
     return bool(
         _turn_rad(relative[:3, :3]) <= PARALLEL_RAD
@@ -184,7 +184,7 @@ def _seen_box(raw: Camera, raw_R_rect: Array, focal_px: float) -> Box:
     y0 = max(-cap_y, _extreme(raw, raw_R_rect, top, 1, np.nanmax, -cap_y))
     y1 = min(cap_y, _extreme(raw, raw_R_rect, bottom, 1, np.nanmin, cap_y))
     if not (x0 < x1 and y0 < y1):
-        raise ValueError("nothing is left of a image after rectification: check the rotation between the cameras")
+        raise ValueError("nothing is left of an image after rectification: check the rotation between the cameras")
     middle = np.array([(x0 + x1) / 2, (y0 + y1) / 2])
     half = np.array([(x1 - x0) / 2, (y1 - y0) / 2])
     one, run = np.ones_like(t), 2 * t - 1
@@ -200,7 +200,7 @@ def _seen_box(raw: Camera, raw_R_rect: Array, focal_px: float) -> Box:
             share = (low + high) / 2
             low, high = (share, high) if all_seen(share) else (low, share)
         if low < 0.1:
-            raise ValueError("hardly anything is left of a image after rectification: check lens and rotation")
+            raise ValueError("hardly anything is left of an image after rectification: check lens and rotation")
         half = low * half
     half -= _INSET_PX / focal_px
     return (

@@ -43,7 +43,7 @@ class ImageFileError(Exception):
 
 
 def read_checked_bytes(path: Path, expected_size: tuple[int, int] | None) -> bytes:
-    """The bytes of a image file whose header, size and end marker are as they should be; nothing is decoded.
+    """The bytes of an image file whose header, size and end marker are as they should be; nothing is decoded.
 
     expected_size: width and height in pixels, or None for any up to `MAX_PIXELS`. Raises ImageFileError.
     """
@@ -53,7 +53,7 @@ def read_checked_bytes(path: Path, expected_size: tuple[int, int] | None) -> byt
 
 
 def check_image_bytes(data: bytes, name: str, expected_size: tuple[int, int] | None) -> ImageHeader:
-    """Check header, size and end marker of a image's bytes. Raises ImageFileError naming `name`."""
+    """Check header, size and end marker of an image's bytes. Raises ImageFileError naming `name`."""
     try:
         header = inspect_image(data)
     except ImageTruncatedError as error:
@@ -155,7 +155,7 @@ def read_upright_image(path: Path) -> NDArray[np.uint8]:
 
 
 def read_bytes(path: Path) -> bytes:
-    """All bytes of a image file, unchecked. Raises ImageFileError where there is no such file or it is not readable.
+    """All bytes of an image file, unchecked. Raises ImageFileError where there is no such file or it is not readable.
 
     Raises StorageError where another time may do.
     """

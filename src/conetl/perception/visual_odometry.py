@@ -42,7 +42,7 @@ _STOP_OF_CHECKS = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.05)
 _WEAK_SHARE = 0.004
 #: Side of what block matching compares, at a quarter of the size.
 _BLOCK_PX = 9
-#: Disparities are searched up to this share of a image's width.
+#: Disparities are searched up to this share of an image's width.
 _WIDEST_DISPARITY = 0.12
 
 
@@ -186,7 +186,7 @@ def _where_expected(
 
 
 def _corners(half: Bytes, params: TrajectoryParams) -> Points:
-    """Corners (N, 2) of a image that comes at half its size: the best few of each cell of a grid, so that no textured wall
+    """Corners (N, 2) of an image that comes at half its size: the best few of each cell of a grid, so that no textured wall
     takes them all."""
     response = cv2.cornerMinEigenVal(half, 5)
     highest = cv2.dilate(response, np.ones((5, 5), np.uint8))
@@ -227,7 +227,7 @@ def _disparity(images: WorkingImages, corners: Points, working: WorkingSize) -> 
 
 
 def _lowered(image: Bytes, rows: float) -> Bytes:
-    """A image moved down by so many rows; by less than a twentieth, which no block of pixels tells, it is left alone."""
+    """An image moved down by so many rows; by less than a twentieth, which no block of pixels tells, it is left alone."""
     if abs(rows) < 0.05:
         return image
     down = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, rows]])
@@ -273,7 +273,7 @@ def _on_equal_rows(
 
 
 def _before_the_end(points: Points, working: WorkingSize, side: Side, window_px: int) -> NDArray[np.bool_]:
-    """Whose windows (N,) end before a image's padding: it shows streaks that stand still however the car moves."""
+    """Whose windows (N,) end before an image's padding: it shows streaks that stand still however the car moves."""
     return np.asarray((points <= working.seen_px(side) - 0.5 - window_px / 2).all(axis=1))
 
 

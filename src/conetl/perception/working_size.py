@@ -28,7 +28,7 @@ Bytes = NDArray[np.uint8]
 #: Reads one rectified image of a frame pair, grey or in blue, green, red order; raises ImageFileError.
 ImageReader = Callable[[FramePair, Side], Bytes]
 
-#: Grey values of a image must spread at least this much for anything to be followed.
+#: Grey values of an image must spread at least this much for anything to be followed.
 _LEAST_CONTRAST = 3.0
 #: What a product of poses leaves of a shift that is none, and far below what matching could tell. It must not decide about a
 #: disparity of block matching, which counts in quarters of a pixel and often equals the least one that is wanted.
@@ -51,7 +51,7 @@ class WorkingSize:
         return np.asarray(np.array(self.size_px) / np.array(self.common_px))
 
     def seen_px(self, side: Side) -> Floats:
-        """(2,) number of working pixels of a image before its padding begins, along u and v; infinite where there is none."""
+        """(2,) number of working pixels of an image before its padding begins, along u and v; infinite where there is none."""
         own = np.array(_stored_size(self.rig, side))
         return np.where(own < self.common_px, own * self.scale, np.inf)
 
@@ -140,7 +140,7 @@ def _at_size(image: Bytes, working: WorkingSize) -> Bytes:
 
 
 def _seen(image: Bytes, seen_px: Floats) -> Bytes:
-    """A image without its padding: its whole pixels of the first `seen_px` along u and v."""
+    """An image without its padding: its whole pixels of the first `seen_px` along u and v."""
     width, height = np.minimum(seen_px, image.shape[::-1]).astype(int).tolist()
     return image[: max(height, 1), : max(width, 1)]
 

@@ -235,7 +235,7 @@ def _detector(chunk: Chunk) -> detector_io.Detector:
         if detector.card.detections_sha256 != chunk.detections_sha256:  # on another machine, perhaps
             raise ModelFileError(
                 f"{detector.path} on {socket.gethostname()} is another model, or its sidecar another, than that of this run "
-                f"(SHA-256 {detector.sha256}); all machines need the same version of conetl and the same CONETL_MODEL_PATH"
+                f"(SHA-256 {detector.card.sha256}); all machines need the same version of conetl and the same CONETL_MODEL_PATH"
             )
         loaded = (chunk.detections_sha256, detector)
         _per_thread.detector = loaded

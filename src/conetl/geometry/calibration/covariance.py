@@ -1,4 +1,4 @@
-"""What the errors of a rig's calibration do to the points that are intersected with it.
+"""How errors of a rig's calibration move the points that are intersected with it.
 
 The image points stay, the calibration is wrong by dp, so the least-squares point moves by dX with A dX + B dp = 0 in the
 least-squares sense: dX = -(A^T A)^-1 A^T B dp, A and B being the derivatives of the collinearity equations with respect to point
@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from conetl.geometry import rig as rigs
-from conetl.geometry.projection import cross_matrix, project_with_jacobian
+from conetl.geometry.jacobians import project_with_jacobian
+from conetl.geometry.small_arrays import cross_matrix
 from conetl.model.records import CalibrationCovariance, Rig
 
 Array = NDArray[np.float64]
 
-_INTERIOR = ("fx_px", "fy_px", "cx_px", "cy_px")
-_RELATIVE = ("rx_rad", "ry_rad", "rz_rad", "tx_m", "ty_m", "tz_m")
+INTERIOR = ("fx_px", "fy_px", "cx_px", "cy_px")
+RELATIVE = ("rx_rad", "ry_rad", "rz_rad", "tx_m", "ty_m", "tz_m")
 
 
 def known_covariance(rig: Rig) -> CalibrationCovariance | None:
@@ -80,12 +81,12 @@ def _column(name: str, left: Array, right: Array, relative: Array) -> Array:
     """(P, 4) derivative of u_left, v_left, u_right, v_right with respect to one named parameter."""
     column = np.zeros((len(left), 4))
     part, _, field = name.partition(".")
-    if part == "relative" and field in _RELATIVE:
-        column[:, 2:] = relative[:, :, _RELATIVE.index(field)]
+    if part == "relative" and field in RELATIVE:
+        column[:, 2:] = relative[:, :, RELATIVE.index(field)]
         return column
     interior, rows = (left, slice(0, 2)) if part == "left" else (right, slice(2, 4))
-    if part in ("left", "right") and field in _INTERIOR:
-        column[:, rows] = interior[:, :, _INTERIOR.index(field)]
+    if part in ("left", "right") and field in INTERIOR:
+        column[:, rows] = interior[:, :, INTERIOR.index(field)]
         return column
     number = field.removeprefix("lens.")
     if part in ("left", "right") and field != number and number.isdigit() and 4 + int(number) < interior.shape[2]:

@@ -27,16 +27,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from conetl.geometry.medians import median
 from conetl.geometry.motion.stereo_motion import (
     MotionLimits,
     MotionStatus,
     StereoCameras,
     estimate_motion,
-    inverse_of_symmetric,
     triangulate,
 )
-from conetl.geometry.projection import cross_matrix
+from conetl.geometry.small_arrays import cross_matrix, inverse_of_symmetric, median
 
 Floats = NDArray[np.float64]
 

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from conetl.geometry import pose as se3
 from conetl.geometry.motion import chain_solver
 from conetl.geometry.motion.chain_solver import ChainNormal
-from conetl.geometry.projection import cross_matrix
+from conetl.geometry.small_arrays import cross_matrix
 
 Floats = NDArray[np.float64]
 #: Unknowns of a frame: six of the pose come first, then six of the log's slow error.

@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from conetl.geometry.medians import median
-from conetl.geometry.pose_steps import all_stepped, apart, stepped
+from conetl.geometry.small_arrays import all_stepped, apart, inverse_of_symmetric, median, stepped
 from conetl.model.records import Matrix4, Record
 
 Floats = NDArray[np.float64]
@@ -362,15 +361,6 @@ def _image_of(cameras: StereoCameras, points_m: Floats) -> tuple[Floats, Floats,
     jacobian[0, 2], jacobian[1, 2] = -jacobian[0, 0] * x, -jacobian[1, 1] * y
     jacobian[2] = focal * (rotation[0][:, None] - rotation[2][:, None] * xr)
     return image, jacobian, valid
-
-
-def inverse_of_symmetric(matrices: Floats) -> Floats:
-    """Inverses of N symmetric matrices (3, 3, N), by their cofactors."""
-    entries = matrices.reshape(9, -1)
-    cofactors = entries.take((4, 0, 0, 2, 1, 1), 0) * entries.take((8, 8, 4, 5, 5, 2), 0)
-    cofactors -= entries.take((5, 2, 1, 1, 2, 0), 0) * entries.take((5, 2, 1, 8, 4, 5), 0)
-    cofactors /= entries[0] * cofactors[0] + entries[1] * cofactors[3] + entries[2] * cofactors[4]
-    return cofactors.take((0, 3, 4, 3, 1, 5, 4, 5, 2), 0).reshape(matrices.shape)
 
 
 def _spread_px(cameras: StereoCameras, points: Floats, d_points: Floats, sigma_px: Floats, pose: Floats) -> Floats:

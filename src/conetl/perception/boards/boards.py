@@ -76,7 +76,7 @@ class Found:
 
 @dataclass(frozen=True)
 class NotFound:
-    """Why a image gives no corners."""
+    """Why an image gives no corners."""
 
     reason: RejectionReason
     detail: str

@@ -129,7 +129,7 @@ def find_boards(
 
 
 def rejection(pair: ImagePair, side: Side, reason: RejectionReason, detail: str) -> Rejection:
-    """A image that is not used."""
+    """An image that is not used."""
     path = pair.path(side)
     record = f"{side} image of pair {pair.name}" if path is None else f"{side} image {path.name}"
     return Rejection(

@@ -1,11 +1,49 @@
-"""What the error of the body's pose adds to the covariance of a point that was intersected from it."""
+"""Derivatives: of image points by point and camera (collinearity equations), of map points by the pose of the body."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from conetl.geometry.lens import distort, distort_jacobian
+from conetl.model.records import Camera
+
 Array = NDArray[np.float64]
+
+
+class Projection(NamedTuple):
+    """Image points of points in one camera's frame, with their derivatives."""
+
+    uv_px: Array
+    """(..., 2)"""
+    by_point: Array
+    """(..., 2, 3) px/m, with respect to the point in the camera's frame."""
+    by_interior: Array
+    """(..., 2, 4 + n) with respect to fx, fy, cx, cy and the lens's n coefficients."""
+
+
+def project_with_jacobian(camera: Camera, points_cam_m: ArrayLike) -> Projection:
+    """Project points (..., 3) of the camera's frame (x right, y down, z forward) and differentiate.
+
+    Points that are not in front of the camera give NaN.
+    """
+    points = np.asarray(points_cam_m, dtype=np.float64)
+    z = np.where(points[..., 2] > 0, points[..., 2], np.nan)
+    xy = points[..., :2] / z[..., None]
+    bent = distort(camera.lens, xy)
+    by_xy, by_lens = distort_jacobian(camera.lens, xy)
+    focal = np.array([camera.fx_px, camera.fy_px])
+    xy_by_point = np.zeros((*xy.shape, 3))
+    xy_by_point[..., 0, 0] = xy_by_point[..., 1, 1] = 1.0
+    xy_by_point[..., 2] = -xy
+    by_point = focal[:, None] * (by_xy @ xy_by_point) / z[..., None, None]
+    by_interior = np.zeros((*xy.shape, 4 + len(camera.lens.coefficients)))
+    by_interior[..., 0, 0], by_interior[..., 1, 1] = bent[..., 0], bent[..., 1]
+    by_interior[..., 0, 2] = by_interior[..., 1, 3] = 1.0
+    by_interior[..., 4:] = focal[:, None] * by_lens
+    return Projection(bent * focal + (camera.cx_px, camera.cy_px), by_point, by_interior)
 
 
 def pose_jacobian(xyz_m: ArrayLike, map_R_body: ArrayLike, map_t_body_m: ArrayLike) -> Array:
