@@ -1,16 +1,14 @@
 """Forward intersection of image rays: the collinearity equations for any number of views, by iterated least squares.
 
-This is Equation 1 of Lagahit & Tseng ("A preliminary study on updating a detected traffic cone's coordinates obtained from
-a stereo camera on a pseudo high definition map database"), written for V views and solved for P points at once:
+Equation 1 of Lagahit & Tseng ("A preliminary study on updating a detected traffic cone's coordinates obtained from a stereo
+camera on a pseudo high definition map database"), for V views and P points at once:
 
     u = cx + fx * x/z,  v = cy + fy * y/z,  (x, y, z) = map_R_cam.T @ (X - C)
 
-Each iteration linearises both equations of every view at the present X, weights them with the image sigmas and solves the
-3x3 normal equations; it stops when the sum of squares of the correction falls below 1e-10 m^2 (the paper's criterion).
-The start is the linear solution of the same equations multiplied by the depth. Coordinates are taken relative to a camera
-of each point, so that map coordinates of millions of metres cost no digits. Degenerate points get a status, never a number.
-With a lens, x/z and y/z are distorted before they are scaled, and the adjustment is made in the distorted image, where the
-image sigmas hold: taking the distortion out first would weight the image points wrongly.
+Iterated until the sum of squares of the correction is below 1e-10 m^2 (the paper's criterion), from the linear solution of the
+same equations multiplied by the depth. Coordinates are relative to a camera of each point, so that large map coordinates cost no
+digits. Degenerate points get a status, never a number. With a lens the adjustment is made in the distorted image, where the image
+sigmas hold.
 """
 
 from __future__ import annotations
@@ -40,7 +38,7 @@ from conetl.model.records import Lens
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-#: Points per chunk with two views: enough that calls of numpy cost little, few enough to stay near the processor.
+#: Points per chunk with two views: a compromise between numpy overhead and cache size.
 CHUNK_POINTS = 8192
 
 
@@ -186,7 +184,7 @@ def _intersect_chunk(
 def _sound(uv: Array, k: Array, rot: Array, centre: Array, sigma: Array) -> Bools:
     """(n, V) True where image point, sigma and camera can be used."""
     if np.isfinite(sum(float(a.sum()) for a in (uv, k, rot, centre, sigma))) and min(sigma.min(), k[..., :2].min()) > 0:
-        return np.ones(uv.shape[:2], dtype=bool)  # one infinity or NaN anywhere would show in the sum
+        return np.ones(uv.shape[:2], dtype=bool)  # any infinity or NaN would show in the sum
     per_view = np.isfinite(k).all(axis=-1) & (k[..., :2] > 0).all(axis=-1)
     per_view = per_view & np.isfinite(rot).all(axis=(-2, -1)) & np.isfinite(centre).all(axis=-1)
     s0, s1 = sigma[..., 0], sigma[..., 1]

@@ -2,9 +2,8 @@
 
 Rotation: x along the baseline, z the mean of both optical axes made square to it (Fusiello, Trucco & Verri 2000, with the mean
 axis as in Bouguet's toolbox, so that both images are turned equally). Focal length: the largest of the rig's four, so that
-no detail is lost where a lens is finest, its middle. Image: the largest rectangle along the borders in which every pixel was
-really seen by the raw camera, so that there is no black margin to explain to a detector or to a visibility test; both images
-have the same rows.
+no detail is lost. Image: the largest rectangle in which the raw camera saw every pixel, without black margins; both images have
+the same rows.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ ROW_TOLERANCE_PX = 0.25
 MAX_HALF_ANGLE_RAD = np.radians(60.0)
 #: ... and are at most this many times as wide and as high as the raw ones.
 MAX_GROWTH = 2.0
-#: A baseline that leaves the left camera's rows by more than this share is no stereo rig that could be rectified well.
+#: Rigs whose baseline leaves the left camera's rows by more than this share are refused.
 MAX_SLOPE = 0.5
 MIN_BASELINE_M = 0.01
 _BORDER_SAMPLES = 101
@@ -60,7 +59,7 @@ def is_rectified(rig: Rig) -> bool:
 
 
 def rectify(rig: Rig) -> Rig:
-    """The rectified rig of a raw one, with `rectified_from` set; a rig that is rectified already is returned as it is.
+    """The rectified rig of a raw one, with `rectified_from` set; a rectified rig is returned unchanged.
 
     Raises ValueError where no image is left: the cameras look in different directions, or one stands behind the other.
     """
@@ -131,7 +130,7 @@ def raw_from_rectified(rig: Rig, side: Side, uv_px: ArrayLike) -> Array:
 
 
 def rectified_from_raw(rig: Rig, side: Side, uv_px: ArrayLike) -> Array:
-    """The way back: image points (..., 2) of the rectified image for those of the stored one; NaN where there is none."""
+    """Inverse of `raw_from_rectified`: (..., 2) in the rectified image for points of the stored one; NaN where there is none."""
     uv = np.asarray(uv_px, dtype=np.float64)
     if rig.rectified_from is None:
         return uv.copy()

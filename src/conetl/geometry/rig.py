@@ -1,4 +1,4 @@
-"""Where the two cameras of a rig are for a pose of the body. Frames as in docs/reference/coordinates.md."""
+"""Poses of the two cameras of a rig on the body and in the map. Frames as in docs/reference/coordinates.md."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def left_SE3_right(rig: Rig) -> Array:
 
 
 def infinity_shift_px(rig: Rig, left_uv_px: Array, left_R_right: Array | None = None) -> Array:
-    """(..., 2) image point in the left less that in the right image of what is infinitely far, at points (..., 2) of the left.
+    """(..., 2) left minus right image point of an infinitely far point, at points (..., 2) of the left image.
 
     The difference of the principal points where the axes of a rectified rig are parallel; where the right camera is turned a
     little, as after self-calibration, it depends on the image point. Cameras without a lens.

@@ -1,20 +1,18 @@
-"""How far the right camera of a rig departs from its calibration, from points that stand still while the rig drives.
+"""Deviation of the right camera of a rig from its calibration, from static points that the rig passes.
 
-A small bundle adjustment with additional parameters (e.g. Luhmann et al. 2013, "Close-range photogrammetry", ch. 4.4): over
-spans of a few metres, points seen by both cameras at both ends must fit one rigid motion. Unknown are the points, one motion a
-span and, common to the drive, one rotation of the right camera and one bend of its columns. Turned to the side (ry) the camera
-shifts all disparities, which points at many depths show once the rig has moved; turned up or down (rx) and about its axis (rz) it
-shifts and tilts rows. The bend shifts columns as x squared: what a principal point that is off, or the decentring of a lens,
-leaves over once a calibration has put it down as a turn. Without it the turn would be a compromise between the middle and the
-sides of the image. Rows would tell ry too, by their shift in the corners (as x y), much more sharply than motion does, but
-only if nothing else shifted them: a parameter of rows alone takes that part away. Where disparities are off by yet another
-field, `model_gap` shows it: what would change if they might also follow the next even Legendre polynomial, the fourth.
-Points and motions are eliminated (Schur complement); what errors of one span have in common is taken from the scatter between
-spans (covariance of M-estimates with clusters: Huber 1981, ch. 6; Liang & Zeger 1986; neighbours: Newey & West 1987).
+A small bundle adjustment with additional parameters (e.g. Luhmann et al. 2013, "Close-range photogrammetry", ch. 4.4): over spans
+of a few metres, points seen by both cameras at both ends must fit one rigid motion. Unknown are the points, one motion per span
+and, common to the drive, one rotation of the right camera, one bend of its columns and one skew of its rows. A turn to the side
+(ry) shifts all disparities, which points at many depths show once the rig has moved; turns up (rx) and about the axis (rz) shift
+and tilt rows. The bend shifts columns as x squared: the effect of a wrong principal point or of decentring that a
+calibration has modelled as a turn. Rows would determine ry more sharply by their shift in the corners (as x y), but only without
+other row errors: the skew absorbs that part. `model_gap` is the change of the result if disparities may also follow the next even
+Legendre polynomial, the fourth. Points and motions are eliminated (Schur complement); the covariance is taken from the scatter
+between spans (M-estimates with clusters: Huber 1981, ch. 6; Liang & Zeger 1986; neighbours: Newey & West 1987).
 
 The rotation r = (rx, ry, rz) in radians perturbs left_SE3_right = (R, t) as (R exp([r]x), t), as in `CalibrationCovariance`. The
 bend b adds b x^2 to the column, in units of the focal length. A turn moves columns by -ry (1 + x^2), so turn and bend together
-are a camera turned by (rx, ry - b, rz) whose principal point lies b focal lengths further to the left (`corrected`).
+are a camera turned by (rx, ry - b, rz) whose principal point is b focal lengths further to the left (`corrected`).
 """
 
 from __future__ import annotations
@@ -51,7 +49,7 @@ _MEDIAN_SCORE2 = 0.8703
 _NEAREST_M = 0.3
 #: The last step, squared and in sigmas, must be smaller than this.
 _CONVERGED = 0.01
-#: Neighbouring spans see much of the same scenery: their errors go together over this many spans (Newey & West 1987).
+#: Neighbouring spans see the same scenery: their errors are correlated over this many spans (Newey & West 1987).
 _LAGS = 3
 
 
@@ -66,19 +64,19 @@ class SpanPoints:
     sigma_px: Floats
     """(N,) of each coordinate."""
     last_SE3_first: Floats
-    """(4, 4) about how the left camera moved, as in `estimate_motion`."""
+    """(4, 4) approximate motion of the left camera, as in `estimate_motion`."""
 
 
 @dataclass(frozen=True)
 class RightCameraError:
-    """What the spans say, without any prior."""
+    """Estimate from the spans, without any prior."""
 
     turn_and_bend: Floats
     """(4,) rx, ry, rz in radians and the bend in focal lengths."""
     cov: Floats
     """(4, 4), from the scatter between spans."""
     model_gap: Floats
-    """(4,): by how much they would be others if disparities might also follow a fourth-order field."""
+    """(4,): change of the estimate if disparities may also follow a fourth-order field."""
     point_count: int
 
 
@@ -92,7 +90,7 @@ def corrected(cameras: StereoCameras, turn_and_bend: Floats) -> StereoCameras:
 
 
 def as_camera(turn_and_bend: Floats, focal_px: float) -> tuple[Floats, float]:
-    """Rotation vector (3,) of the camera and shift of its principal point in columns, px, that (4,) turn and bend amount to."""
+    """Rotation vector (3,) of the camera and shift of its principal point in columns, px, equivalent to (4,) turn and bend."""
     rx, ry, rz, bend = turn_and_bend
     return np.array([rx, ry - bend, rz]), float(-focal_px * bend)
 
@@ -100,9 +98,9 @@ def as_camera(turn_and_bend: Floats, focal_px: float) -> tuple[Floats, float]:
 def estimate_right_camera(
     cameras: StereoCameras, spans: Sequence[SpanPoints], limits: MotionLimits, min_spans: int
 ) -> RightCameraError | None:
-    """Turn and bend of the right camera that make the points of all spans stand still; None where the spans cannot tell.
+    """Turn and bend of the right camera under which the points of all spans are static; None where they are not determined.
 
-    min_spans: with fewer usable spans there is no scatter to speak of. Points on moving objects are outvoted within each span.
+    min_spans: fewer usable spans give no scatter. Points on moving objects are outvoted within each span.
     """
     state = np.zeros(_SHARED)
     starts: list[Floats | None] = [None] * len(spans)
@@ -187,7 +185,7 @@ def _step_spans(cameras: StereoCameras, skew: float, spans: _JointSpans) -> tupl
     normals = np.swapaxes(by_point, 1, 2) @ by_point
     inverses = inverse_of_symmetric(np.ascontiguousarray(normals.transpose(1, 2, 0))).transpose(2, 0, 1)
     own = inverses @ np.swapaxes(by_point, 1, 2)  # (N, 3, 8)
-    # Residuals and what all share, less the part that each point takes up by moving.
+    # Residuals and shared derivatives, less the part that each point absorbs.
     free = np.concatenate([shared, residual[:, :, None]], axis=2)
     free -= by_point @ (own @ free)
     rest = free[:, :, -1]
@@ -213,7 +211,7 @@ def _step_spans(cameras: StereoCameras, skew: float, spans: _JointSpans) -> tupl
 
 
 def _image(cameras: StereoCameras, skew: float, points: Floats) -> tuple[Floats, Floats, Floats]:
-    """Image points (N, 4) of points (N, 3), derivatives (N, 4, 3) by the point, (N, 4, 6) by what all share."""
+    """Image points (N, 4) of points (N, 3), derivatives (N, 4, 3) by the point, (N, 4, 6) by the shared unknowns."""
     turn = cameras.right_SE3_left[:3, :3]
     right = points @ turn.T + cameras.right_SE3_left[:3, 3]
     left_uv, left_d = _pinhole(cameras.left_px, points)
@@ -250,7 +248,7 @@ def _combine(all_normals: Floats, all_scores: Floats) -> tuple[Floats, Floats, F
         inverse = np.linalg.inv(normal)
         step = inverse @ np.einsum("s,si->i", weight, scores)
         rest = scores - normals @ step
-        # A span's score is as uncertain as its information says, times what spans scatter more than that.
+        # Covariance of a span's score: its information times the excess scatter between spans.
         score2 = np.einsum("si,sij,sj->s", rest, inverses, rest) / _SHARED
         spread = max(float(np.median(score2)) / _MEDIAN_SCORE2, 1e-12)
         weight = np.minimum(1.0, _HUBER_SIGMAS / np.sqrt(score2 / spread + 1e-300))
@@ -260,7 +258,7 @@ def _combine(all_normals: Floats, all_scores: Floats) -> tuple[Floats, Floats, F
     for lag in range(1, min(_LAGS, count - 1) + 1):
         along = weighted[lag:].T @ weighted[:-lag]
         middle += (1 - lag / (_LAGS + 1)) * (along + along.T)
-    # Few spans make this a vague estimate, never a small one: at least what spans would say that know nothing of each other.
+    # With few spans this is uncertain: take at least the covariance of independent spans.
     values, vectors = np.linalg.eigh(inverse @ middle @ inverse * count / max(count - _SHARED, 1))
     alone = inverse @ (weighted.T @ weighted) @ inverse * count / max(count - _SHARED, 1)
     least = np.einsum("ij,ik,kj->j", vectors, alone, vectors)

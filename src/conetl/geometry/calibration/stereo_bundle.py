@@ -1,9 +1,8 @@
 """Bundle adjustment of a two-camera rig over views of one board.
 
-Unknowns are the interior orientation and lens of both cameras, the pose of the right camera in the left one, optionally the
-shape of the board, and one board pose a pair. A pair that only one camera sees still counts for that camera. Least squares by
-Levenberg-Marquardt; the board poses are eliminated pair by pair (Schur complement; Brown 1958, Triggs et al. 2000), so
-the system that is solved has only the common ("global") unknowns. Lengths are metres, image points pixels, angles radians.
+Unknowns are the interior orientation and lens of both cameras, the pose of the right camera in the left one, optionally the shape
+of the board, and one board pose per pair; a pair that only one camera sees counts for that camera. Levenberg-Marquardt; board
+poses are eliminated pair by pair (Schur complement; Brown 1958, Triggs et al. 2000). Metres, pixels, radians.
 """
 
 from __future__ import annotations
@@ -28,8 +27,8 @@ Array = NDArray[np.float64]
 #: Sides in the order of the unknowns.
 SIDES: tuple[Side, Side] = ("left", "right")
 
-#: What is known of a free board beforehand, as a share of its diagonal: paper and plates buckle, but are printed well. Without it
-#: a board that is always held upright could not tell its own aspect ratio from that of the pixels.
+#: Prior sigmas of a free board's shape, as a share of its diagonal: paper and plates buckle, but are printed well. Without them
+#: the aspect ratios of a board that is always upright and of the pixels could not be separated.
 SHAPE_SIGMA_ACROSS = 0.001
 SHAPE_SIGMA_OUT_OF_PLANE = 0.01
 #: A step that changes the sum of squares by less than this share ends the iteration.
@@ -57,7 +56,7 @@ class Bundle:
     basis: Array
     shape: Array
     sigma_px: float = 0.1
-    """Of one image coordinate: what the knowledge about the board's shape is weighed against."""
+    """Of one image coordinate: the weight of the prior of the board's shape is relative to it."""
 
     @property
     def lens_model(self) -> LensModel:
@@ -90,7 +89,7 @@ class Reduced:
     normals: Array
     gradients: Array
     prior: Array
-    """(g, g) normal matrix of what is known of the board's shape beforehand."""
+    """(g, g) normal matrix of the prior of the board's shape."""
 
     @property
     def normal(self) -> Array:
@@ -140,10 +139,10 @@ def adjust(
                 break
             damping *= 10.0
             if damping > 1e10:
-                return bundle  # no direction leads down: this is the minimum within rounding
+                return bundle  # no step reduces the cost: the minimum within rounding
         gain = best - cost
         if gain < _CONVERGENCE * best and damping > _LIGHT:
-            # a heavily damped step is short anywhere: it is the minimum only if the full step finds no more either
+            # a heavily damped step is always short: converged only if the full step gains nothing either
             full = _stepped(bundle, systems, prior, 0.0)
             gain = max(gain, best - _cost_or_inf(full, prior, by_pair))
             damping = _LIGHT
@@ -163,7 +162,7 @@ def reduce(bundle: Bundle, views: Sequence[BoardView]) -> Reduced:
         system = pair_system(bundle, by_pair[pair])
         a, b, r = system.by_global, system.by_pose, system.residuals_px
         inner = np.linalg.solve(b.T @ b, np.column_stack([b.T @ a, b.T @ r]))
-        free = np.column_stack([a, r]) - b @ inner  # the parts that no change of this board pose explains
+        free = np.column_stack([a, r]) - b @ inner  # the part that the board pose does not explain
         normals.append(free[:, :-1].T @ free[:, :-1])
         gradients.append(free[:, :-1].T @ free[:, -1])
     return Reduced(pairs, np.array(normals), np.array(gradients), _prior(bundle))
@@ -259,12 +258,12 @@ def _moved_camera(camera: Camera, step: Array) -> Camera:
     fx, fy, cx, cy = (float(v) for v in np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px]) + step[:4])
     coefficients = tuple(float(v) for v in np.array(camera.lens.coefficients) + step[4:])
     lens = Lens.model_construct(model=camera.lens.model, coefficients=coefficients)
-    # unchecked on purpose: a trial step may be nonsense, its cost then is infinite and the step is taken back
+    # unchecked: a trial step may be invalid; its cost is infinite then and the step is rejected
     return camera.model_copy(update={"fx_px": fx, "fy_px": fy, "cx_px": cx, "cy_px": cy, "lens": lens})
 
 
 def _prior(bundle: Bundle) -> Array:
-    """(g, g): nothing is known of the rig beforehand, a little of the board's shape (each corner by itself)."""
+    """(g, g): no prior of the rig; one of the board's shape, independent for each corner."""
     first = bundle.rig_parameters
     prior = np.zeros((first + len(bundle.shape),) * 2)
     if len(bundle.shape):

@@ -1,7 +1,7 @@
-"""Interior and relative orientation of a calibrated rig with their sigmas, in the units that photogrammetrists print.
+"""Interior and relative orientation of a calibrated rig with their sigmas, as in Tables 1 and 2 of Lagahit & Tseng.
 
-These are Tables 1 and 2 of Lagahit & Tseng: focal lengths and principal point in millimetres on the sensor, and omega, phi, kappa
-with the base components. The principal point counts from the sensor's centre, x0 to the right and y0 upwards.
+Focal lengths and principal point in millimetres on the sensor, omega, phi, kappa and base components. The principal point counts
+from the sensor's centre, x0 to the right and y0 upwards.
 """
 
 from __future__ import annotations

@@ -1,13 +1,11 @@
-"""How a calibrated stereo rig moved between two frame pairs, from image points seen in all four images.
+"""Motion of a calibrated stereo rig between two frame pairs, from image points in all four images.
 
-The motion minimises the reprojection error of (u_left, v_left, u_right) in the second pair of points that were intersected in
-the first (Geiger, Ziegler & Stiller 2011, "StereoScan", eq. 2-3). Unlike there, the image errors of the first pair are carried
-through intersection and motion into the weight of each point, so that near points, whose depth the motion magnifies, do not
-count for more than they know. Moving objects are outvoted by RANSAC over three-point hypotheses (Fischler & Bolles 1981), what is
-left of them is weighted down by Cauchy's weights.
+It minimises the reprojection error of (u_left, v_left, u_right) in the second pair of points intersected in the first (Geiger,
+Ziegler & Stiller 2011, "StereoScan", eq. 2-3), weighted with the image errors of both pairs. RANSAC over three-point
+hypotheses (Fischler & Bolles 1981) and Cauchy's weights keep moving objects out.
 
-Frames: `next_SE3_first` turns points of the left camera's frame at the first exposure into that of the second. A small motion
-error is (w, d): R = exp([w]x) R_true, t = t_true + d; w in radians, d in metres, both in the second frame.
+`next_SE3_first` transforms points of the left camera's frame at the first exposure to that of the second. A small motion error is
+(w, d): R = exp([w]x) R_true, t = t_true + d; w in radians, d in metres, both in the second frame.
 """
 
 from __future__ import annotations
@@ -32,16 +30,16 @@ _MAX_ITERATIONS = 20
 _CHOOSING_ITERATIONS = 4
 _CAUCHY_SIGMAS = 2.385  # 95 % efficiency on normal errors (Rey 1983)
 _NEAREST_M = 0.3
-#: Points whose depth has a sigma above this share of it take no part.
+#: Points whose depth has a relative sigma above this are left out.
 _VAGUE_SHARE = 0.25
-#: A guess that more than this share of the usable points follow needs no search: whatever else moves is outvoted.
+#: A guess that this share of the usable points follow needs no search.
 _MAJORITY = 0.5
 #: Largest step, squared and in sigmas, that ends the iteration.
 _CONVERGED = 1e-3
 
 
 class RelativeMotion(Record):
-    """What visual odometry measured between two consecutive frame pairs of a drive."""
+    """Measurement of visual odometry between two consecutive frame pairs of a drive."""
 
     first_frame_index: int = Field(ge=0)
     second_frame_index: int = Field(ge=0)
@@ -102,7 +100,7 @@ class MotionLimits:
 
 @dataclass(frozen=True)
 class StereoMotion:
-    """Result of `estimate_motion`; where `status` is not OK the motion is the expected one and means nothing."""
+    """Result of `estimate_motion`; unless `status` is OK the motion is the expected one."""
 
     status: MotionStatus
     next_SE3_first: Floats
@@ -118,7 +116,7 @@ def triangulate(cameras: StereoCameras, observed_px: Floats) -> tuple[Floats, Fl
     """Points (N, 3) m in the left camera's frame of observations (N, 3) u_left, v_left, u_right.
 
     Three numbers fix three coordinates exactly: the left ray meets the plane of the right column. Also returns the
-    derivatives (N, 3, 3) m/px and which points lie in front of the rig (False: the values mean nothing).
+    derivatives (N, 3, 3) m/px and which points lie in front of the rig (False: the values are invalid).
     """
     fx, fy, cx, cy = cameras.left_px
     rotation, shift = cameras.right_SE3_left[:3, :3], cameras.right_SE3_left[:3, 3]
@@ -191,15 +189,14 @@ def estimate_motion(
     """Motion of the rig between two frame pairs.
 
     first_px, second_px (N, 3): u_left, v_left, u_right of the same points; sigma_px (N,) of each of their coordinates; expected
-    (4, 4): a guess of next_SE3_first (from INS), whose only use is to bound and start the search; start (4, 4): a motion that is
-    nearly right already, such as that of the same points with another calibration, in place of a search among hypotheses; guess
-    (4, 4): one that may be, such as that of the interval before, which is searched for only where most points do not follow it.
-    Never raises on bad points.
+    (4, 4): guess of next_SE3_first (from INS), which bounds and starts the search; start (4, 4): nearly the result, such as the
+    motion of the same points with another calibration, in place of a search; guess (4, 4): possibly the result, such as the
+    motion of the interval before, used where most points follow it. Never raises on bad points.
     """
     count = len(first_px)
     points, d_points, usable = triangulate(cameras, first_px)
     usable &= np.isfinite(first_px).all(axis=1) & np.isfinite(second_px).all(axis=1)
-    # A depth that is hardly known is biased as well: noise makes far points look near.
+    # An uncertain depth is biased as well: noise makes far points appear near.
     usable &= sigma_px * np.linalg.norm(d_points[:, 2, :], axis=1) <= _VAGUE_SHARE * points[:, 2]
     nobody = np.zeros(count, dtype=bool)
     if int(usable.sum()) < limits.min_inliers:
@@ -231,7 +228,7 @@ def _majority(
     guess: Floats | None,
     limits: MotionLimits,
 ) -> tuple[Floats, Bools] | None:
-    """A guess, or the expected motion, where most usable points follow it; and who does."""
+    """A guess, or the expected motion, where most usable points follow it, and which do."""
     poses = expected[None] if guess is None else np.stack([guess, expected])
     turn, shift = apart(poses, expected)
     poses = poses[(shift <= limits.gate_m) & (turn <= limits.gate_rad)]
@@ -253,7 +250,7 @@ def _consensus(
     limits: MotionLimits,
     seed: int,
 ) -> tuple[Floats, Bools] | None:
-    """The three-point motion that most points follow, among those near the expected one; and who follows it."""
+    """The three-point motion that most points follow, among those near the expected one; and which do."""
     rng = np.random.default_rng(seed)
     index = np.flatnonzero(usable)
     draws = index[
@@ -304,7 +301,7 @@ def _refine(
         turned = pose[:3, :3] @ at
         image, jacobian, valid = _image_of(cameras, turned + pose[:3, 3:])
         r, spread_of, var = seen - image, d_at, variance
-        if iteration < _CHOOSING_ITERATIONS:  # later a point at the bound could come and go for ever
+        if iteration < _CHOOSING_ITERATIONS:  # later a point at the bound could alternate
             good = np.flatnonzero(valid & (np.abs(r).max(axis=0) <= reach_px))
             inliers = np.zeros(len(points), dtype=bool)
             inliers[chosen[good]] = True

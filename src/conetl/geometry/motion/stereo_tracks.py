@@ -1,7 +1,7 @@
-"""Points followed between two frame pairs, and the motions that they tell.
+"""Points followed between two frame pairs, and the motions computed from them.
 
-Following needs images and is slow (`perception/visual_odometry.py`), motions need only the points and the rig's geometry: kept
-apart, so that another calibration of the rig costs no second look at the images.
+Points need images (`perception/visual_odometry.py`), motions only the points and the rig, so that another calibration of the rig
+needs no images.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ PackedPoints = Annotated[
 
 
 class StereoTracks(Record):
-    """Points followed between two frame pairs, in pixels of the rectified images; none, with the reason, where there are none."""
+    """Points followed between two frame pairs, in pixels of the rectified images; with the reason where there are none."""
 
     first_frame_index: int = Field(ge=0)
     second_frame_index: int = Field(ge=0)
@@ -87,7 +87,7 @@ class StereoTracks(Record):
 
 
 def cameras_of(rig: Rig) -> StereoCameras:
-    """The numbers of a rectified rig that intersection needs; its right camera may be turned. ValueError with a lens."""
+    """Cameras of a rectified rig, whose right camera may be turned. Raises ValueError for a rig with lenses."""
     if any(camera.lens.model != "none" for camera in (rig.left, rig.right)):
         raise ValueError("cameras_of: the rig must be rectified")
     return StereoCameras(intrinsics(rig.left), intrinsics(rig.right), se3.invert(left_SE3_right(rig)))
@@ -100,7 +100,7 @@ def expected_motions(frame_pairs: Sequence[FramePair], rig: Rig) -> list[Floats]
 
 
 def motion_limits(params: TrajectoryParams) -> MotionLimits:
-    """The parameters in the form that `estimate_motion` takes."""
+    """The parameters of `estimate_motion`."""
     return MotionLimits(
         inlier_px=params.inlier_px,
         min_inliers=params.min_points,
@@ -119,8 +119,8 @@ def motions_of(
 ) -> Iterator[RelativeMotion]:
     """Motion of every interval of `tracks`, in their order; tracks[k] runs from frame_pairs[k] to frame_pairs[k + 1].
 
-    earlier: motions of the same tracks by a slightly other rig, which spare the search among hypotheses. So does, mostly, the
-    motion of the interval before: cars change their speed little within a tenth of a second.
+    earlier: motions of the same tracks by a slightly other rig, as start values in place of the search among hypotheses. Without
+    them the motion of the interval before is tried first.
     """
     cameras, limits = cameras_of(rig), motion_limits(params)
     before: Floats | None = None
