@@ -50,14 +50,14 @@ def pose_jacobian(xyz_m: ArrayLike, map_R_body: ArrayLike, map_t_body_m: ArrayLi
     """(N, 3, 6): how map points move with errors of the body's easting, northing, height, roll, pitch and yaw.
 
     xyz_m (N, 3); the poses (3, 3) and (3,), or one per point. Roll turns the lever from body to point about the body's x axis,
-    pitch about the level axis across it, yaw about the vertical, to first order. Raises ValueError for a body on its nose.
+    pitch about the level axis across it, yaw about the vertical, to first order. Raises ValueError where the body points straight up or down.
     """
     rotation = np.asarray(map_R_body, dtype=np.float64)
     lever = np.asarray(xyz_m, dtype=np.float64) - np.asarray(map_t_body_m, dtype=np.float64)
     ahead = np.broadcast_to(rotation[..., :, 0], lever.shape)
     level = np.hypot(ahead[..., 0], ahead[..., 1])
     if np.any(level < 1e-9):
-        raise ValueError("pose_jacobian: the body stands on its nose, roll and yaw cannot be told apart")
+        raise ValueError("pose_jacobian: the body points straight up or down: roll and yaw are not separable")
     across = np.stack([-ahead[..., 1] / level, ahead[..., 0] / level, np.zeros_like(level)], axis=-1)
     vertical = np.broadcast_to([0.0, 0.0, 1.0], lever.shape)
     jacobian = np.zeros((*lever.shape, 6))

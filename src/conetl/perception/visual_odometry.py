@@ -99,7 +99,7 @@ def _between(
     params: TrajectoryParams,
     window_px: int = _WINDOW_PX,
 ) -> _Found:
-    """Points (N, 4) in stored pixels (u and v left, u and v right) of both pairs, their sigma, the reason where there are none."""
+    """Points (N, 4) in stored pixels of the first and second pair, their sigma, and the reason where there are none."""
     if isinstance(first, NoMeasurement):
         return _nothing(first)
     if isinstance(second, NoMeasurement):

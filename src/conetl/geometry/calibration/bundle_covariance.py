@@ -1,8 +1,8 @@
 """Covariance of a rig's calibration for corner errors that are correlated within one pair.
 
 Least squares assumes independent corner errors, but motion blur, light, a bent board and the detector move the corners of one
-image together. Each pair is a cluster: the influence of its residuals on the result is compared with that of independent errors of
-the same variance, its leverage removed (cluster-robust "sandwich", Liang & Zeger 1986; correction by Bell & McCaffrey 2002). The
+image together. Each pair is a cluster: the influence of its residuals is compared with that of independent errors of the same
+variance, its leverage removed (cluster-robust "sandwich", Liang & Zeger 1986; correction by Bell & McCaffrey 2002). The
 least-squares covariance is multiplied by the ratio of the two sums over all pairs and directions, the design effect (Kish 1965),
 drawn towards 1 where it differs by no more than chance.
 """

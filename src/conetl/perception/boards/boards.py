@@ -1,7 +1,7 @@
 """Calibration boards in images: chessboard, ChArUco, AprilGrid -> corners with their numbers.
 
 Corners are pixels with the origin at the centre of the top-left pixel. A chessboard must be seen whole; of the other two any part
-will do, because their corners are told apart by markers. Points of the board lie in z = 0, in metres.
+suffices, because markers number their corners. Points of the board lie in z = 0, in metres.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def parse_board(text: str) -> Board:
     if kind == "charuco":
         dictionary = fields[3].upper().removeprefix("DICT_") if len(fields) > 3 else "4X4_50"
         if not hasattr(cv2.aruco, f"DICT_{dictionary}"):
-            raise InputError(f"board '{text}': OpenCV knows no dictionary DICT_{dictionary}; one is 5X5_100")
+            raise InputError(f"board '{text}': OpenCV has no dictionary DICT_{dictionary}; one is 5X5_100")
         marker_m = _length_m(fields[2], text)
         if not marker_m < size_m:
             raise InputError(f"board '{text}': a marker is smaller than its square, found {fields[2]} in {fields[1]}")

@@ -1,4 +1,4 @@
-"""Boards whose corners are told apart by markers: ChArUco and Kalibr's AprilGrid."""
+"""Boards with numbered markers: ChArUco and Kalibr's AprilGrid."""
 
 from __future__ import annotations
 
