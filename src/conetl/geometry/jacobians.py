@@ -50,7 +50,7 @@ def pose_jacobian(xyz_m: ArrayLike, map_R_body: ArrayLike, map_t_body_m: ArrayLi
     """(N, 3, 6): how map points move with errors of the body's easting, northing, height, roll, pitch and yaw.
 
     xyz_m (N, 3); the poses (3, 3) and (3,), or one per point. Roll turns the lever from body to point about the body's x axis,
-    pitch about the level axis across it, yaw about the vertical, to first order. Raises ValueError where the body points straight up or down.
+    pitch about the level axis across it, yaw about the vertical, to first order. ValueError where the body points straight up.
     """
     rotation = np.asarray(map_R_body, dtype=np.float64)
     lever = np.asarray(xyz_m, dtype=np.float64) - np.asarray(map_t_body_m, dtype=np.float64)
