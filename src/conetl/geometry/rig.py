@@ -36,12 +36,6 @@ def map_SE3_right(pose: Pose, rig: Rig) -> Array:
     return map_SE3_camera(pose, rig, "right")
 
 
-def camera_centre_m(pose: Pose, rig: Rig, side: Side) -> Array:
-    """(3,) projection centre in the map frame."""
-    centre: Array = map_SE3_camera(pose, rig, side)[:3, 3]
-    return centre
-
-
 def left_SE3_right(rig: Rig) -> Array:
     """(4, 4) relative orientation of the rig; its translation is the baseline vector in the left camera's frame."""
     return se3.compose(se3.invert(body_SE3_camera(rig, "left")), body_SE3_camera(rig, "right"))
