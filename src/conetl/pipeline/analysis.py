@@ -18,8 +18,8 @@ from conetl.model.drive_records import DriveRecords
 from conetl.model.params import IngestParams, params_sha256
 from conetl.model.records import Detection, Drive, Position, Rig, StereoMatch, Track
 from conetl.model.rejections import Rejection
-from conetl.perception.model_card import read_model_card
 from conetl.perception.detections import without_unread
+from conetl.perception.model_card import read_model_card
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, chunks_of, geometry_key, parts_of
 from conetl.pipeline.detect import detect, match
 from conetl.pipeline.executor import Executor, Progress, ProgressCount, ThreadExecutor, results

@@ -24,8 +24,8 @@ from conetl.model.params import IngestParams, TrajectoryParams, params_sha256
 from conetl.model.records import Drive, FramePair, Rig, Side, StereoMatch
 from conetl.perception.rectified_image import fetch_pairs, read_pair_image
 from conetl.perception.visual_odometry import follow_drive, follow_spans
-from conetl.perception.working_size import ImageReader
 from conetl.perception.worker_setup import set_up_worker
+from conetl.perception.working_size import ImageReader
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, geometry_key
 from conetl.pipeline.executor import Tick, ignore
 from conetl.tracking.landmarks import refine_with_cones
