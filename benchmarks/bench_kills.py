@@ -38,9 +38,8 @@ from conetl.db.map.map_store import find_changeset, map_transaction
 from conetl.exports.geojson import export_geojson
 from conetl.files.parquet_store import load_results
 from conetl.files.partial_files import sweep
-from conetl.model.drive_records import DriveRecords
 from conetl.model.params import IngestParams
-from conetl.model.records import Detection, Position, StereoMatch
+from conetl.model.records import Detection, DriveRecords, Position, StereoMatch
 from conetl.pipeline.chunks import chunks_of, parts_of
 from conetl.pipeline.replay import merge_drive
 from conetl.pipeline.settings import Settings, prefect_environment

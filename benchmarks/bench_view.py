@@ -39,8 +39,8 @@ from benchmarks.made_up_map import DAY_NS, MAP_NAME, SPACING_M, SRID, drive_alon
 from conetl.db.cluster.cluster import cluster_remove, cluster_up
 from conetl.db.connection import connect, migrate
 from conetl.db.map.map_store import commit_changeset, map_transaction
-from conetl.model.drive_records import DriveRecords
 from conetl.model.map_records import Changeset, Delta, DeltaKind, MapFeature
+from conetl.model.records import DriveRecords
 
 ROOT = Path(__file__).resolve().parents[1]
 FLAGS = [

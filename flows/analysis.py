@@ -14,9 +14,8 @@ from prefect.utilities.annotations import opaque
 
 from conetl.files.parquet_store import load_results
 from conetl.model.detector_evidence import DetectorEvidence
-from conetl.model.drive_records import DriveRecords
 from conetl.model.params import IngestParams
-from conetl.model.records import Detection, Drive, Position, Rig, StereoMatch, Track
+from conetl.model.records import Detection, Drive, DriveRecords, Position, Rig, StereoMatch, Track
 from conetl.model.rejections import Rejection
 from conetl.perception.unreadable import without_unread
 from conetl.pipeline.chunks import Chunk, parts_of

@@ -25,12 +25,11 @@ from conetl.db.map.replay_store import other_deliveries
 from conetl.db.map.results import CommittedChangeset, RunInfo
 from conetl.files.parquet_store import result_key
 from conetl.model.detector_evidence import DetectorEvidence, evidence_sha256
-from conetl.model.drive_records import DriveRecords
 from conetl.model.errors import MapMismatchError
 from conetl.model.ingest_report import ChangeLine, IngestReport
 from conetl.model.map_records import Changeset, Delta, DeltaKind, MapFeature
 from conetl.model.params import IngestParams, params_sha256
-from conetl.model.records import Drive, Record, utc_from_ns
+from conetl.model.records import Drive, DriveRecords, Record, utc_from_ns
 from conetl.model.rejections import INPUT_REASONS
 from conetl.perception.model_card import read_model_card
 from conetl.pipeline.code_identity import code_facts

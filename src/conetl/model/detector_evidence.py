@@ -46,7 +46,7 @@ class ScoreCalibration(BaseModel):
         return self
 
 
-class LookCorrelation(BaseModel):
+class ImageCorrelation(BaseModel):
     """How much two looks at one object have in common: a correlation over the ratio of the object's apparent heights,
     far + (near - far) exp(-|octaves| / decay)."""
 
@@ -102,9 +102,9 @@ class DetectorEvidence(BaseModel):
     """On how many images false boxes were counted, by height band."""
     false_boxes_per_picture: tuple[tuple[Annotated[float, Field(gt=0)], ...], ...]
     """Boxes on no cone, at or above the threshold, by threshold and height band."""
-    look_correlation: LookCorrelation
+    look_correlation: ImageCorrelation
     """Of the log-likelihood ratios, cone against lookalike, of two looks at one thing."""
-    miss_correlation: LookCorrelation | None = None
+    miss_correlation: ImageCorrelation | None = None
     """Of the misses of two looks at one cone in plain view. None, in figures from before these were told apart:
     `look_correlation` and `joint_scale` stand for it."""
     joint_scale: Annotated[float, Field(gt=0)]
@@ -192,7 +192,7 @@ def found_again_probability(evidence: DetectorEvidence, threshold: float) -> flo
     return _at_threshold(evidence, threshold, evidence.found_again)
 
 
-def false_boxes_per_picture(evidence: DetectorEvidence, least_height_px: float, threshold: float) -> float:
+def false_boxes_per_image(evidence: DetectorEvidence, least_height_px: float, threshold: float) -> float:
     """Expected number of boxes at or above the threshold in a image without cones, of the bands from `least_height_px` on."""
     first = _band(evidence.height_bands_px, least_height_px)
     return _at_threshold(evidence, threshold, [sum(row[first:]) for row in evidence.false_boxes_per_picture])
@@ -226,7 +226,7 @@ def joint_log_ratio(evidence: DetectorEvidence, ratios: NDArray[np.float64], hei
     return evidence.joint_scale * _sum_of_like(evidence.look_correlation, ratios, heights_px)
 
 
-def _sum_of_like(correlation: LookCorrelation, ratios: NDArray[np.float64], heights_px: NDArray[np.float64]) -> float:
+def _sum_of_like(correlation: ImageCorrelation, ratios: NDArray[np.float64], heights_px: NDArray[np.float64]) -> float:
     """Sum of log-likelihood ratios (N,) over the design effect of their correlation, which apparent heights (N,) tell.
 
     Design effect (Kish 1965, Survey Sampling, section 5.4): 1 + (N - 1) r with one correlation r for all, here the mean row sum
@@ -302,7 +302,7 @@ UNMEASURED = DetectorEvidence(
     found_again=(0.8,),
     false_box_pictures=(0,),
     false_boxes_per_picture=((0.3,),),
-    look_correlation=LookCorrelation(near=1 / 6, far=1 / 6, decay_octaves=1.0),
+    look_correlation=ImageCorrelation(near=1 / 6, far=1 / 6, decay_octaves=1.0),
     joint_scale=1.0,
 )
 #: The same with the default threshold of `DetectionParams`.

@@ -8,12 +8,15 @@ Map coordinates are easting, northing (of the map CRS) and ellipsoidal height. S
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 from uuid import UUID
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from conetl.model.rejections import Rejection
 
 Side = Literal["left", "right"]
 Vec2 = tuple[float, float]
@@ -328,6 +331,18 @@ class Track(Record):
     """(frame_index, match_index) of every position in it."""
     shared_jacobian: SharedErrorJacobian | None = Field(default=None, exclude=True, repr=False)
     """Of the calibration's part in `cov_m2`; None where that is not known. Kept in the database, left out of JSON."""
+
+
+class DriveRecords(NamedTuple):
+    """One drive with the records of every step, in the order of processing."""
+
+    drive: Drive
+    """With refined poses and the corrected right camera, if any."""
+    detections: Sequence[Detection] = ()
+    matches: Sequence[StereoMatch] = ()
+    positions: Sequence[Position] = ()
+    tracks: Sequence[Track] = ()
+    rejections: Sequence[Rejection] = ()
 
 
 def utc_from_ns(nanoseconds: int) -> datetime:

@@ -24,7 +24,7 @@ from conetl.geometry.rig import camera_of, left_SE3_right
 from conetl.model.detector_evidence import (
     DetectorEvidence,
     box_log_ratio,
-    false_boxes_per_picture,
+    false_boxes_per_image,
     joint_log_ratio,
     miss_log_ratio,
 )
@@ -79,13 +79,13 @@ def existence_probability(
             hidden = hidden_share(box, [d for d in found if d not in own])
             score = max((d.score for d in own), default=None)
             looks[side].append(Look(height_px=box[3] - box[1], hidden=hidden, score=score))
-    return probability_from_looks(looks.values(), params, evidence)
+    return existence_from_images(looks.values(), params, evidence)
 
 
-def probability_from_looks(looks: Iterable[Sequence[Look]], params: IngestParams, evidence: DetectorEvidence) -> float:
+def existence_from_images(looks: Iterable[Sequence[Look]], params: IngestParams, evidence: DetectorEvidence) -> float:
     """Belief (0 to 1) in a cone from the looks of each camera, in the order in which they were taken."""
     threshold, limits = params.detection.score_threshold, params.track
-    lookalikes = false_boxes_per_picture(evidence, params.reconcile.visible_min_height_px, threshold)
+    lookalikes = false_boxes_per_image(evidence, params.reconcile.visible_min_height_px, threshold)
     prior = float(np.log(limits.expected_cones_per_picture / lookalikes))
     parts = [part for side in looks for part in _ratios(side, params, evidence)]
     ratios, heights_px = np.array(parts, dtype=np.float64).reshape(-1, 2).T

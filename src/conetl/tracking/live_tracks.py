@@ -52,7 +52,7 @@ class LiveTracks:
     """Number of a track by the (frame, match) of its first position; it stays the same for the whole drive."""
 
 
-def take_frame(
+def add_frame(
     tracks: LiveTracks, frame: Frame, rig: Rig, params: IngestParams, evidence: DetectorEvidence
 ) -> tuple[LiveTracks, dict[int, Track | Rejection]]:
     """The tracks after one more frame pair, and those that it changed, by number: as they are now, or why they are none (yet).

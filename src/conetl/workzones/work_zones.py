@@ -135,7 +135,7 @@ def _zones_of_place(
         since[key] = min(since.get(key, version.valid_from_ns), version.valid_from_ns)
         steps[version.changeset_id] = max(steps.get(version.changeset_id, 0), version.valid_from_ns)
     passes = passes_beside(paths, np.array([v.feature.xyz_m[:2] for v in versions]), params)
-    begins = sorted((v for v in versions if v.standing and not v.suppressed), key=lambda v: v.valid_from_ns)
+    begins = sorted((v for v in versions if v.present and not v.suppressed), key=lambda v: v.valid_from_ns)
     next_begin = 0
     shown: dict[UUID, FeatureVersion] = {}
     gone: dict[UUID, int] = {}

@@ -9,9 +9,9 @@ import pytest
 
 from conetl.mapping.association import common_offset
 from conetl.mapping.changes import reconcile
-from conetl.mapping.existence_update import seen
-from conetl.mapping.feature_states import confirmations
-from conetl.mapping.visibility import Look
+from conetl.mapping.deltas import confirmed
+from conetl.mapping.existence_update import observed
+from conetl.mapping.visibility import NotObserved
 from conetl.model.map_records import Delta, DeltaKind, MapFeature
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Track
@@ -72,8 +72,8 @@ def changes(
     ratio: float = -3.5,
     hidden: Sequence[int] = (),
 ) -> dict[DeltaKind, list[Delta]]:
-    def look(seen: MapFeature, _offset: object, _others: object) -> Look | None:
-        return None if seen.feature_id.int in hidden else Look(frames_empty, START_NS + DAY_NS, ratio)
+    def look(seen: MapFeature, _offset: object, _others: object) -> NotObserved | None:
+        return None if seen.feature_id.int in hidden else NotObserved(frames_empty, START_NS + DAY_NS, ratio)
 
     deltas = reconcile(tracks, features, look, PARAMS, founding_key="d")
     return {kind: [d for d in deltas if d.kind == kind] for kind in DeltaKind}
@@ -151,8 +151,8 @@ def test_a_pinned_cone_is_neither_removed_nor_moved() -> None:
     features = [feature(0, *ROW[0]), feature(1, *ROW[1])]
     tracks = [track(0, ROW[1][0], ROW[1][1] + 1.5)]
 
-    def look(_feature: MapFeature, _offset: object, _others: object) -> Look:
-        return Look(20, START_NS + DAY_NS, -3.5)
+    def look(_feature: MapFeature, _offset: object, _others: object) -> NotObserved:
+        return NotObserved(20, START_NS + DAY_NS, -3.5)
 
     free = reconcile(tracks, features, look, PARAMS, founding_key="d")
     pinned = reconcile(tracks, features, look, PARAMS, founding_key="d", pinned={UUID(int=0), UUID(int=1)})
@@ -164,8 +164,8 @@ def test_the_order_of_tracks_and_features_does_not_matter() -> None:
     features = [feature(i, *at) for i, at in enumerate(ROW)]
     tracks = [track(i, x + 0.05, y) for i, (x, y) in enumerate(ROW[1:])]
 
-    def look(_feature: MapFeature, _offset: object, _others: object) -> Look:
-        return Look(20, START_NS + DAY_NS, -3.5)
+    def look(_feature: MapFeature, _offset: object, _others: object) -> NotObserved:
+        return NotObserved(20, START_NS + DAY_NS, -3.5)
 
     one = reconcile(tracks, features, look, PARAMS, founding_key="d")
     other = reconcile(tracks[::-1], features[::-1], look, PARAMS, founding_key="d")
@@ -217,9 +217,9 @@ def test_a_box_beside_a_far_cone_founds_no_second_one(along_sigma_m: float, cone
 def test_covariances_that_cannot_be_fused_are_refused() -> None:
     broken = feature(0, *ROW[0]).model_copy(update={"cov_m2": (float("inf"), 0.0, 0.0, 1.0, 0.0, 1.0)})
     with pytest.raises(ValueError, match="cannot be fused"):
-        confirmations(
+        confirmed(
             {0: 0},
             [broken],
             [track(0, *ROW[0])],
-            {0: seen(broken, None, track(0, *ROW[0]))},
+            {0: observed(broken, None, track(0, *ROW[0]))},
         )

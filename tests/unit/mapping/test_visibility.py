@@ -6,7 +6,13 @@ from uuid import UUID
 import numpy as np
 import pytest
 
-from conetl.mapping.visibility import Look, View, look_at_spot, looks_in_view, view_of_drive
+from conetl.mapping.visibility import (
+    DriveObservations,
+    NotObserved,
+    check_visibility,
+    observations_of_drive,
+    pairs_in_view,
+)
 from conetl.model.detector_evidence import AbsenceFigures, DetectorEvidence
 from conetl.model.map_records import MapFeature
 from conetl.model.params import ReconcileParams
@@ -37,16 +43,16 @@ def boxes(cones: list[Cone]) -> list[Detection]:
 
 def in_view(cone: Cone) -> list[int]:
     drive = view([])
-    rows, heights_px, found = looks_in_view(ORIGIN_M + np.array(cone.foot_m), cone.height_m, drive, PARAMS)
+    rows, heights_px, found = pairs_in_view(ORIGIN_M + np.array(cone.foot_m), cone.height_m, drive, PARAMS)
     assert heights_px.shape == (len(rows), 2)
     assert len(found) == len(rows)
     return [drive.frames[row] for row in rows]
 
 
-def look_with(others: list[Cone]) -> Look | None:
+def look_with(others: list[Cone]) -> NotObserved | None:
     """What is seen of the spot when other cones stand there, but are not taken for it."""
-    seen = view_of_drive(RIG, PAIRS, boxes(others), [])
-    return look_at_spot(feature(SPOT), np.zeros(3), NOBODY, seen, PARAMS)
+    seen = observations_of_drive(RIG, PAIRS, boxes(others), [])
+    return check_visibility(feature(SPOT), np.zeros(3), NOBODY, seen, PARAMS)
 
 
 def feature(cone: Cone) -> MapFeature:
@@ -93,8 +99,10 @@ def test_a_nearer_cone_makes_a_look_worth_less_and_a_farther_one_does_not() -> N
 def test_the_more_and_the_nearer_the_looks_the_surer_is_the_absence_but_never_certain() -> None:
     ratios = []
     for frames in (5, 8, 12, 30):
-        drive = view_of_drive(RIG, PAIRS[:frames], [], [], AbsenceFigures(evidence=shipped(), score_threshold=0.3))
-        found = look_at_spot(feature(SPOT), np.zeros(3), NOBODY, drive, PARAMS)
+        drive = observations_of_drive(
+            RIG, PAIRS[:frames], [], [], AbsenceFigures(evidence=shipped(), score_threshold=0.3)
+        )
+        found = check_visibility(feature(SPOT), np.zeros(3), NOBODY, drive, PARAMS)
         ratios.append(0.0 if found is None else found.log_likelihood_ratio)
     assert ratios == sorted(ratios, reverse=True)
     # A feature of some drives' standing (odds of 9 at most) is then removed, and is not after the five first and smallest views.
@@ -116,12 +124,12 @@ def test_one_box_is_that_of_many() -> None:
         assert one is None or (one == pytest.approx(many[i]) and is_in_view(one, RIG.left, PARAMS) == inside[i])
 
 
-def view(positions: list[Position]) -> View:
-    return view_of_drive(RIG, PAIRS, [], [(p.frame_index, p.xyz_m) for p in positions])
+def view(positions: list[Position]) -> DriveObservations:
+    return observations_of_drive(RIG, PAIRS, [], [(p.frame_index, p.xyz_m) for p in positions])
 
 
 def look(positions: list[Position], offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> int:
-    found = look_at_spot(feature(SPOT), np.array(offset_m), NOBODY, view(positions), PARAMS)
+    found = check_visibility(feature(SPOT), np.array(offset_m), NOBODY, view(positions), PARAMS)
     return 0 if found is None else found.frames
 
 
@@ -139,7 +147,7 @@ def test_the_offset_of_the_drive_moves_the_spot() -> None:
 
 
 def test_the_time_of_the_look_is_that_of_the_first_empty_frame() -> None:
-    found = look_at_spot(feature(SPOT), np.zeros(3), NOBODY, view([]), PARAMS)
+    found = check_visibility(feature(SPOT), np.zeros(3), NOBODY, view([]), PARAMS)
     assert found is not None
     assert found.first_ns == TIMES[in_view(SPOT)[0]]
 
@@ -148,7 +156,7 @@ def test_frames_from_before_the_cone_was_last_seen_say_nothing() -> None:
     """Another drive, which began earlier and overlaps this one, saw the cone in the midst of it."""
     frames = in_view(SPOT)
     seen = feature(SPOT).model_copy(update={"last_seen_ns": TIMES[frames[3]]})
-    found = look_at_spot(seen, np.zeros(3), NOBODY, view([]), PARAMS)
+    found = check_visibility(seen, np.zeros(3), NOBODY, view([]), PARAMS)
     assert found is not None
     assert (found.frames, found.first_ns) == (len(frames) - 4, TIMES[frames[4]])
 
@@ -157,9 +165,9 @@ def test_a_neighbour_does_not_stand_in_for_a_cone_that_is_gone() -> None:
     """Cones 0.5 m apart: what is seen near the spot is the other one."""
     neighbour = Cone((25.0, 2.45, 0.0))
     _, _, positions = observe([neighbour], PAIRS, RIG)
-    alone = look_at_spot(feature(SPOT), np.zeros(3), NOBODY, view(positions), PARAMS)
+    alone = check_visibility(feature(SPOT), np.zeros(3), NOBODY, view(positions), PARAMS)
     assert alone is None
     others = (ORIGIN_M + np.array(neighbour.foot_m))[None]
-    known = look_at_spot(feature(SPOT), np.zeros(3), others, view(positions), PARAMS)
+    known = check_visibility(feature(SPOT), np.zeros(3), others, view(positions), PARAMS)
     assert known is not None
     assert known.occupied == 0

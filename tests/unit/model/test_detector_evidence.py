@@ -13,14 +13,14 @@ from conetl.model.detector_evidence import (
     UNMEASURED,
     AbsenceFigures,
     DetectorEvidence,
-    LookCorrelation,
+    ImageCorrelation,
     ScoreCalibration,
     absence_log_ratio,
     box_log_ratio,
     calibrated_probability,
     detect_probability,
     evidence_sha256,
-    false_boxes_per_picture,
+    false_boxes_per_image,
     found_again_probability,
     joint_log_ratio,
     miss_log_ratio,
@@ -56,8 +56,8 @@ def test_bands_begin_where_they_say_and_thresholds_are_interpolated() -> None:
     assert detect_probability(EVIDENCE, 20.0, 0.0, 0.4) == pytest.approx(0.85)
     assert detect_probability(EVIDENCE, 3.0, 0.0, 0.3) == pytest.approx(0.6), "below the first band the first holds"
     assert found_again_probability(EVIDENCE, 0.4) == pytest.approx(0.3)
-    assert false_boxes_per_picture(EVIDENCE, 8.0, 0.3) == pytest.approx(0.3)
-    assert false_boxes_per_picture(EVIDENCE, 22.0, 0.5) == pytest.approx(0.04)
+    assert false_boxes_per_image(EVIDENCE, 8.0, 0.3) == pytest.approx(0.3)
+    assert false_boxes_per_image(EVIDENCE, 22.0, 0.5) == pytest.approx(0.04)
 
 
 @given(st.floats(0, 1), st.floats(0, 1))
@@ -83,7 +83,7 @@ def test_the_ratio_of_a_box_is_bayes_rule() -> None:
 
 
 def test_joint_ratio_is_kishs_for_one_correlation_and_near_looks_count_less_than_far_ones() -> None:
-    one_for_all = LookCorrelation(near=0.5, far=0.5, decay_octaves=1.0)
+    one_for_all = ImageCorrelation(near=0.5, far=0.5, decay_octaves=1.0)
     even = EVIDENCE.model_copy(update={"look_correlation": one_for_all, "joint_scale": 1.5})
     ratios, heights = np.array([1.0, 2.0, 3.0]), np.array([20.0, 40.0, 80.0])
     assert joint_log_ratio(even, ratios, heights) == pytest.approx(1.5 * 6.0 / (1 + 2 * 0.5))
@@ -102,7 +102,7 @@ def absent(evidence: DetectorEvidence, frames: int) -> float:
 
 @given(st.integers(1, 40), st.floats(0.05, 0.8))
 def test_empty_frames_weigh_by_how_cones_are_missed_and_not_by_how_alike_things_are_judged(n: int, r: float) -> None:
-    alike = LookCorrelation(near=r, far=r, decay_octaves=1.0)
+    alike = ImageCorrelation(near=r, far=r, decay_octaves=1.0)
     told_apart = EVIDENCE.model_copy(update={"miss_correlation": alike, "joint_scale": 7.0})
     one = np.log((1 - 0.9 * 0.9) / (1 - 0.02))
     assert absent(told_apart, n) == pytest.approx(n * one / (1 + (n - 1) * r), rel=1e-4)

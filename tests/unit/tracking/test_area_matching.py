@@ -3,10 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tests.synthetic.cone_images import F_PX, ConePair, cone_pair
 
 from conetl.tracking.matching.area_matching import AreaMatch, match_area
 from conetl.tracking.matching.cone_outline import find_outline
+from tests.synthetic.cone_images import F_PX, ConePair, cone_pair
 
 UP = np.array([0.0, -1.0, 0.0])
 

@@ -13,7 +13,7 @@ from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence
 from conetl.model.params import DetectionParams, IngestParams
 from conetl.model.records import Detection, Position
 from conetl.perception.model_card import read_model_card
-from conetl.tracking.existence import Look, existence_probability, probability_from_looks
+from conetl.tracking.existence import Look, existence_from_images, existence_probability
 from tests.synthetic.world import Cone, camera_poses, detect, locate, make_path, make_rig
 
 PARAMS = IngestParams()
@@ -37,7 +37,7 @@ def approach(*scores: float | None) -> list[Look]:
 
 
 def belief(left: list[Look], right: list[Look] | None = None, evidence: DetectorEvidence | None = None) -> float:
-    return probability_from_looks([left, right or []], PARAMS, evidence or shipped())
+    return existence_from_images([left, right or []], PARAMS, evidence or shipped())
 
 
 def test_good_boxes_make_a_cone_and_weak_ones_with_misses_make_none() -> None:

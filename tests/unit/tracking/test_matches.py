@@ -2,13 +2,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.synthetic.cone_images import BASE_M, F_PX, SIZE, cone_pair
 
 from conetl.geometry.pose import to_matrix4
 from conetl.model.params import MatchParams
 from conetl.model.records import Camera
 from conetl.model.rejections import RejectionReason
 from conetl.tracking.matching.matches import foot_image_point, match_pair, with_measured_spread
+from tests.synthetic.cone_images import BASE_M, F_PX, SIZE, cone_pair
 from tests.synthetic.world import Cone, camera_pose, detect, make_path, make_rig
 
 UP = np.array([0.0, -1.0, 0.0])

@@ -227,7 +227,7 @@ def _state_text(version: FeatureVersion | None, nothing: str) -> str:
     """Where a feature stands, in the map's CRS."""
     if version is None:
         return nothing
-    if not version.standing:
+    if not version.present:
         return "gone"
     x, y, _ = version.feature.xyz_m
     return f"{x:.2f} {y:.2f}" + (" (suppressed)" if version.suppressed else "")

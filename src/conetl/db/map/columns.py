@@ -159,7 +159,7 @@ def version_columns(srid: int, versions: Sequence[FeatureVersion]) -> Columns:
         "feature_id": uuids([v.feature.feature_id for v in versions]),
         "version": integers([v.feature.version for v in versions]),
         "changeset_id": uuids([v.changeset_id for v in versions]),
-        "present": booleans([v.standing and not v.suppressed for v in versions]),
+        "present": booleans([v.present and not v.suppressed for v in versions]),
         "suppressed": booleans([v.suppressed for v in versions]),
         **cone_columns(srid, [v.feature for v in versions]),
         "valid_from_ns": bigints([v.valid_from_ns for v in versions]),

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 
-from conetl.model.drive_records import DriveRecords
 from conetl.model.errors import MapMismatchError
 from conetl.model.map_records import Changeset
+from conetl.model.records import DriveRecords
 
 
 def require_consistent(

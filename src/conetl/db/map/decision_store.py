@@ -8,7 +8,7 @@ from uuid import UUID, uuid4
 from conetl.db.connection import Connection, database_errors, execute, load_sql
 from conetl.db.copy_binary import clean_text
 from conetl.db.map.results import Decidable, MapInfo, StoredDecision
-from conetl.model.map_records import Decisions, Place
+from conetl.model.map_records import Decisions, Location
 
 
 def list_decisions(conn: Connection, *, map_name: str = "default") -> list[StoredDecision]:
@@ -21,7 +21,7 @@ def list_decisions(conn: Connection, *, map_name: str = "default") -> list[Store
 
 def read_decisions(conn: Connection, *, map_name: str = "default") -> Decisions:
     """The decisions about places that hold, as the comparison of drives takes them."""
-    places: dict[str, list[Place]] = {"suppress": [], "pin": [], "revert": []}
+    places: dict[str, list[Location]] = {"suppress": [], "pin": [], "revert": []}
     for decision in list_decisions(conn, map_name=map_name):
         if decision.place is not None:
             places[decision.kind].append(decision.place)
@@ -43,7 +43,7 @@ def insert_decision(
     decided_at: datetime,
     note: str,
     decided_by: str | None = None,
-    place: Place | None = None,
+    place: Location | None = None,
     feature_id: UUID | None = None,
     changeset_id: UUID | None = None,
     withdraws: UUID | None = None,

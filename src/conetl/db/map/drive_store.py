@@ -17,7 +17,7 @@ from conetl.db.map.import_store import read_statements
 from conetl.db.map.jacobian_arrays import jacobian_from_wire
 from conetl.model.detector_evidence import UNMEASURED_ABSENCE, AbsenceFigures
 from conetl.model.errors import MapMismatchError
-from conetl.model.map_records import FoldKey, Statement
+from conetl.model.map_records import DriveOrder, ImportedFeature
 from conetl.model.params import ReconcileParams
 from conetl.model.records import (
     Detection,
@@ -47,10 +47,10 @@ class StoredDrive:
     path_m: Floats
     """(N, 2), a row per frame pair."""
     tracks: list[Track]
-    statements: list[Statement]
+    statements: list[ImportedFeature]
     """Of an imported map, instead of tracks; `path_m` is where its cones stand then."""
 
-    def key(self, idempotency_key: str) -> FoldKey:
+    def key(self, idempotency_key: str) -> DriveOrder:
         return self.captured_from_ns, self.content_sha256, idempotency_key
 
 

@@ -50,12 +50,12 @@ from conetl.db.map.results import (
 )
 from conetl.db.map.rows import feature_of
 from conetl.model.detector_evidence import AbsenceFigures
-from conetl.model.drive_records import DriveRecords
 from conetl.model.errors import MapMismatchError
 from conetl.model.map_records import Changeset, DeltaKind, MapFeature
 from conetl.model.params import ReconcileParams
 from conetl.model.records import (
     Drive,
+    DriveRecords,
     utc_from_ns,
 )
 

@@ -16,7 +16,7 @@ from uuid import UUID
 from conetl.db.connection import Connection, CopyBlock, copy_block, encoded_block
 from conetl.db.made_ahead import made_ahead
 from conetl.db.map import columns as map_columns
-from conetl.model.drive_records import DriveRecords
+from conetl.model.records import DriveRecords
 
 #: Records of a block, and blocks that wait at most: some 100 MB of positions, which are the longest rows.
 BLOCK_RECORDS = 25_000

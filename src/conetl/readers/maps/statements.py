@@ -19,7 +19,7 @@ from pyproj.exceptions import CRSError
 
 from conetl.files.parquet_store import file_sha256
 from conetl.model.errors import InputError
-from conetl.model.map_records import ImportedMap, MapFeature, Statement
+from conetl.model.map_records import ImportedFeature, ImportedMap, MapFeature
 from conetl.model.params import ImportParams
 from conetl.model.records import Cov3
 from conetl.readers.maps.tables import MapTable, read_table
@@ -123,7 +123,7 @@ class _RowReader:
             )
         return max(known)
 
-    def statement(self, index: int, feature_id: UUID, xyz_m: NDArray[np.float64], stated_ns: int) -> Statement:
+    def statement(self, index: int, feature_id: UUID, xyz_m: NDArray[np.float64], stated_ns: int) -> ImportedFeature:
         params = self.params
         height_m = self.number(
             index, "height_m", params.cone_height_m, lambda v: 0 < v <= _MAX_CONE_HEIGHT_M, "between 0 and 10 m"
@@ -166,7 +166,7 @@ class _RowReader:
             first_seen_ns=first_ns,
             last_seen_ns=last_ns,
         )
-        return Statement(feature=feature, valid_from_ns=valid_from_ns)
+        return ImportedFeature(feature=feature, valid_from_ns=valid_from_ns)
 
     def category(self, index: int) -> str:
         """A word or a few. What begins otherwise is a formula to the programs in which people open a map's CSV."""

@@ -6,9 +6,9 @@ from uuid import UUID
 
 import pytest
 
-from conetl.mapping.adoption import adopt
 from conetl.mapping.existence_update import MAX_LOG_ODDS, log_odds, probability
-from conetl.model.map_records import DeltaKind, Doubt, MapFeature, Statement
+from conetl.mapping.imported_maps import reconcile_imported
+from conetl.model.map_records import DeltaKind, ImportedFeature, MapFeature, MissSummary
 from conetl.model.params import ReconcileParams
 
 PARAMS = ReconcileParams()
@@ -32,16 +32,16 @@ def cone(number: int, x_m: float, *, height_m: float = 0.5, exists: float = 0.9)
 
 
 def deltas_of(stated, standing, **options):
-    statements = [Statement(feature=feature, valid_from_ns=5) for feature in stated]
-    return {d.kind: d for d in adopt(statements, standing, PARAMS, at_ns=9, founding_key="k", **options)}
+    statements = [ImportedFeature(feature=feature, valid_from_ns=5) for feature in stated]
+    return {d.kind: d for d in reconcile_imported(statements, standing, PARAMS, at_ns=9, founding_key="k", **options)}
 
 
 def test_a_statement_adds_to_what_drives_believe_after_misses():
     """The belief that counts is the one after the drives that looked in vain, as for a sighting."""
-    doubt = Doubt(existence_probability=0.3, first_missed_ns=4)
+    doubt = MissSummary(existence_probability=0.3, first_missed_ns=4)
     feature = cone(1, 0.0)
-    for doubts, before in (({}, 0.9), ({feature.feature_id: doubt}, 0.3)):
-        [delta] = deltas_of([cone(2, 0.05, exists=0.8)], [feature], doubts=doubts).values()
+    for summaries, before in (({}, 0.9), ({feature.feature_id: doubt}, 0.3)):
+        [delta] = deltas_of([cone(2, 0.05, exists=0.8)], [feature], summaries=summaries).values()
         assert delta.kind is DeltaKind.CONFIRMED
         wanted = probability(log_odds(before) + log_odds(0.8))
         assert delta.evidence.existence_probability == pytest.approx(wanted)
