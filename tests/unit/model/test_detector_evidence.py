@@ -21,8 +21,8 @@ from conetl.model.detector_evidence import (
     detect_probability,
     evidence_sha256,
     false_boxes_per_image,
-    found_again_probability,
     joint_log_ratio,
+    lookalike_box_probability,
     miss_log_ratio,
 )
 
@@ -55,7 +55,7 @@ def test_bands_begin_where_they_say_and_thresholds_are_interpolated() -> None:
     assert detect_probability(EVIDENCE, 500.0, 0.3, 0.3) == pytest.approx(0.7)
     assert detect_probability(EVIDENCE, 20.0, 0.0, 0.4) == pytest.approx(0.85)
     assert detect_probability(EVIDENCE, 3.0, 0.0, 0.3) == pytest.approx(0.6), "below the first band the first holds"
-    assert found_again_probability(EVIDENCE, 0.4) == pytest.approx(0.3)
+    assert lookalike_box_probability(EVIDENCE, 0.4) == pytest.approx(0.3)
     assert false_boxes_per_image(EVIDENCE, 8.0, 0.3) == pytest.approx(0.3)
     assert false_boxes_per_image(EVIDENCE, 22.0, 0.5) == pytest.approx(0.04)
 
@@ -125,7 +125,7 @@ def test_doubt_bounds_what_one_score_can_say() -> None:
 
 @given(st.floats(8, 300), st.floats(0, 0.6), st.floats(0.3, 0.5))
 def test_a_miss_speaks_against_a_cone_where_cones_are_found_more_often(height: float, hidden: float, t: float) -> None:
-    found, again = detect_probability(EVIDENCE, height, hidden, t), found_again_probability(EVIDENCE, t)
+    found, again = detect_probability(EVIDENCE, height, hidden, t), lookalike_box_probability(EVIDENCE, t)
     assert (miss_log_ratio(EVIDENCE, height, hidden, t) < 0) == (found > again)
 
 

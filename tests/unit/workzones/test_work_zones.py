@@ -50,7 +50,7 @@ def gone(version: FeatureVersion, day: int) -> FeatureVersion:
     """The version that says that it is gone, as the map holds one."""
     return version.model_copy(
         update={
-            "standing": False,
+            "present": False,
             "changeset_id": uuid5(NAMES, f"day {day}"),
             "valid_from_ns": version.valid_to_ns,
             "valid_to_ns": None,
