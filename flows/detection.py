@@ -41,7 +41,7 @@ from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_hashed_rig_image, read_rig_image_again
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, image_hashes, image_paths, parts_of, rig_and_poses
 from conetl.pipeline.progress import tell_progress
-from conetl.tracking.matching.epipolar_search import Region, blocks_of, is_unanswered, right_region
+from conetl.tracking.matching.epipolar_search import Region, blocks_of, has_right_only_cone, right_region
 from conetl.tracking.matching.matches import match_pair, with_measured_spread
 from flows.retries import RETRY
 
@@ -87,7 +87,7 @@ def detect_task(chunk: Chunk, part: int, rig: Rig | None) -> Path:
         hashed = {k: [(path, hashes[path]) for path in (next(at), next(at))] for k in block}
         seen = {middle: _search(chunk, pairs[middle], hashed[middle], first_rows, rig, everywhere=True)}
         # A pair of which a image is broken answers nothing.
-        everywhere = _is_broken(seen[middle]) or is_unanswered(seen[middle].detections, chunk.rig, chunk.params)
+        everywhere = _is_broken(seen[middle]) or has_right_only_cone(seen[middle].detections, chunk.rig, chunk.params)
         for k in block:
             if k != middle:
                 seen[k] = _search(chunk, pairs[k], hashed[k], first_rows, rig, everywhere=everywhere)

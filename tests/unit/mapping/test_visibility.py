@@ -4,7 +4,6 @@ import math
 from uuid import UUID
 
 import numpy as np
-import pytest
 
 from conetl.mapping.visibility import (
     DriveObservations,
@@ -18,7 +17,6 @@ from conetl.model.map_records import MapFeature
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Detection, Position, Side
 from conetl.perception.model_card import read_model_card
-from conetl.tracking.apparent_boxes import apparent_box, apparent_boxes, are_in_view, is_in_view
 from tests.synthetic.world import ORIGIN_M, Cone, detect, make_path, make_rig, observe
 
 RIG = make_rig()
@@ -109,19 +107,6 @@ def test_the_more_and_the_nearer_the_looks_the_surer_is_the_absence_but_never_ce
     after = [1 / (1 + math.exp(-(math.log(9) + ratio))) for ratio in (ratios[0], ratios[-1])]
     assert after[0] > PARAMS.removal_existence_probability + 0.05 > after[1] + 0.1
     assert ratios[-1] > math.log(PARAMS.unseen_occluder_probability)
-
-
-def test_one_box_is_that_of_many() -> None:
-    rng = np.random.default_rng(1)
-    feet = rng.uniform([-6, 0.5, -2], [6, 2.0, 40], (200, 3))
-    tips = feet - [0.0, 0.7, 0.0]
-    many = apparent_boxes(feet, tips, RIG.left)
-    inside = are_in_view(many, RIG.left, PARAMS)
-    assert 10 < inside.sum() < 150
-    for i in range(len(feet)):
-        one = apparent_box(feet[i], tips[i], RIG.left)
-        assert (one is None) == np.isnan(many[i]).any()
-        assert one is None or (one == pytest.approx(many[i]) and is_in_view(one, RIG.left, PARAMS) == inside[i])
 
 
 def view(positions: list[Position]) -> DriveObservations:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from conetl.model.params import DetectionParams, IngestParams, ReconcileParams
 from conetl.model.records import Detection, Rig, Side
-from conetl.tracking.matching.epipolar_search import blocks_of, is_unanswered, is_within, right_region
+from conetl.tracking.matching.epipolar_search import blocks_of, has_right_only_cone, is_within, right_region
 from conetl.tracking.matching.matches import match_pair
 from tests.synthetic.world import Cone, detect, make_path, make_rig
 
@@ -124,5 +124,5 @@ def test_blocks_hold_every_pair_once_and_never_leave_too_many_out(count: int, le
     ],
 )
 def test_what_the_left_image_does_not_answer(boxes: list[Detection], unanswered: bool) -> None:
-    assert is_unanswered(boxes, RIG, PARAMS) is unanswered
-    assert is_unanswered(boxes, RIG, EVERYWHERE) is False, "nothing was left out"
+    assert has_right_only_cone(boxes, RIG, PARAMS) is unanswered
+    assert has_right_only_cone(boxes, RIG, EVERYWHERE) is False, "nothing was left out"

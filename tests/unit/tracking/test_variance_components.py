@@ -11,7 +11,7 @@ from conetl.model.records import Detection, FramePair, Side, StereoMatch, Track
 from conetl.tracking.matching.covariance import SHARED_DISPARITY_PX
 from conetl.tracking.pose_errors import PoseCov, pose_cov
 from conetl.tracking.trajectory import refine_trajectory
-from conetl.tracking.variance_components import SightingVariances, sighting_variances, with_variances
+from conetl.tracking.variance_components import VarianceFactors, estimate_variance_factors, with_variance_factors
 from tests.conftest import sample_matches, sample_track
 from tests.synthetic.odometry import log_of, motions_of
 from tests.synthetic.world import ORIGIN_M, camera_pose, make_path, make_rig
@@ -80,8 +80,8 @@ def found(
     tracks: list[Track],
     pairs: list[FramePair] = PATH,
     pose_cov: PoseCov | None = None,
-) -> SightingVariances:
-    return sighting_variances(tracks, matches, RIG, {pair.frame_index: pair.pose for pair in pairs}, pose_cov)
+) -> VarianceFactors:
+    return estimate_variance_factors(tracks, matches, RIG, {pair.frame_index: pair.pose for pair in pairs}, pose_cov)
 
 
 @pytest.mark.parametrize("sizes", [(1.0, 1.0, 1.0), (1.5, 0.7, 1.3), (0.7, 1.6, 0.6)])
@@ -137,7 +137,7 @@ def test_only_sightings_that_took_part_change() -> None:
     rough = matches[0].model_copy(update={"refined": False})
     no_foot = matches[1].model_copy(update={"left": matches[1].left.model_copy(update={"foot_px": None})})
     matches[:2] = [rough, no_foot]
-    changed = with_variances(matches, SightingVariances(columns=4.0, rows=0.25, disparity=0.25))
+    changed = with_variance_factors(matches, VarianceFactors(columns=4.0, rows=0.25, disparity=0.25))
     assert changed[:2] == [rough, no_foot]
     for old, new in zip(matches[2:], changed[2:], strict=True):
         assert new.sigma_pointing_px == pytest.approx(2 * old.sigma_pointing_px)
