@@ -1,4 +1,4 @@
-"""Tracks of one drive against the map -> deltas; docs/changes.md has the rules of each kind.
+"""Tracks of one drive against the map -> deltas; docs/explanation/changes.md has the rules of each kind.
 
 The drive's common offset is estimated from all shared cones and taken out, then tracks and features are paired one-to-one
 (`association.py`). A feature without a track whose location was visible is missed, and removed where its existence probability

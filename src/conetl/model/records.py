@@ -2,7 +2,7 @@
 
 Pydantic refuses unknown fields, NaN and infinity. Lengths are metres, image points pixels of the original (rectified) image
 with the origin at the centre of the top-left pixel, angles radians, times UTC nanoseconds since 1970. Map coordinates are
-easting, northing (of the map CRS) and ellipsoidal height. See docs/coordinates.md.
+easting, northing (of the map CRS) and ellipsoidal height. See docs/reference/coordinates.md.
 """
 
 from __future__ import annotations

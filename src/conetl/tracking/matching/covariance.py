@@ -19,7 +19,7 @@ _NEIGHBOURS = 5.0
 #: Largest distance of correlated neighbours, in pixels.
 _REACH_PX = 5
 #: Sigma of the disparity common to all observations of one cone: its shape differs from a body of revolution. Measured as
-#: scatter of the cones' mean disparities beyond noise on the sample drives (docs/accuracy.md).
+#: scatter of the cones' mean disparities beyond noise on the sample drives (docs/explanation/accuracy.md).
 SHARED_DISPARITY_PX = 0.02
 #: Least share of the squared slopes that is signal.
 _LEAST_SIGNAL = 0.1
