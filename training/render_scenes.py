@@ -21,6 +21,9 @@ from conetl.simulation.parts import cone_parts
 from conetl.simulation.scene import (
     PinholeCamera,
     build_scene,
+    develop,
+    encode_jpeg,
+    exposure_gain,
     load_mitsuba,
     render,
 )

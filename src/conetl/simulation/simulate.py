@@ -13,7 +13,7 @@ from conetl.model.errors import InputError
 from conetl.simulation import kitti_writer, trajectory
 from conetl.simulation.rig import simulated_rig
 from conetl.simulation.scenario import scenario_pass
-from conetl.simulation.scene import build_scene, load_mitsuba, render
+from conetl.simulation.scene import build_scene, develop, encode_jpeg, exposure_gain, load_mitsuba, render
 
 JPEG_QUALITY = 74
 CAMERAS = (2, 3)
