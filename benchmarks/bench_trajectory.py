@@ -32,9 +32,9 @@ from conetl.perception.detector import detect_image, load_detector
 from conetl.perception.images import read_image
 from conetl.perception.visual_odometry import follow_drive
 from conetl.readers.drives import read_drive
+from conetl.tracking.error_propagation import pose_cov
 from conetl.tracking.landmarks import refine_with_cones
 from conetl.tracking.matching.matches import match_pair, with_measured_spread
-from conetl.tracking.pose_errors import pose_cov
 from conetl.tracking.positions import locate_positions
 from conetl.tracking.self_calibration import self_calibrated_rig
 from conetl.tracking.tracks import fuse_tracks

@@ -26,7 +26,7 @@ from conetl.model.records import (
 from conetl.model.rejections import Rejection
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, rig_and_poses
 from conetl.readers.drives import read_drive
-from conetl.tracking.pose_errors import pose_cov
+from conetl.tracking.error_propagation import pose_cov
 from conetl.tracking.positions import locate_positions
 from conetl.tracking.tracks import fuse_tracks
 from conetl.tracking.trajectory import RefinedTrajectory, motion_error

@@ -18,7 +18,7 @@ from conetl.model.params import IngestParams, TrackParams
 from conetl.model.records import Detection, FramePair, Position, Rig, Side, StereoMatch, Track
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.tracking.association import MotionError, chain_positions
-from conetl.tracking.common_errors import common_cov, moved_by_calibration, outline_cov
+from conetl.tracking.error_propagation import common_cov, moved_by_calibration, outline_cov
 from conetl.tracking.existence import existence_probability
 
 Floats = NDArray[np.float64]

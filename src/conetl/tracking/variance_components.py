@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from conetl.geometry.joint_fit import pair_jacobian
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
 from conetl.model.records import Pose, Rig, StereoMatch, Track
+from conetl.tracking.error_propagation import PoseCov, moved_by_poses, moved_cov
 from conetl.tracking.matching.covariance import SHARED_DISPARITY_PX
-from conetl.tracking.pose_errors import PoseCov, moved_by_poses, moved_cov
 
 Floats = NDArray[np.float64]
 

@@ -21,7 +21,7 @@ from conetl.model.rejections import Rejection
 from conetl.perception.model_card import read_model_card
 from conetl.pipeline.settings import Settings, prefect_environment
 from conetl.tracking.association import MotionError
-from conetl.tracking.pose_errors import PoseCov, pose_cov
+from conetl.tracking.error_propagation import PoseCov, pose_cov
 from conetl.tracking.trajectory import motion_error
 
 
