@@ -73,7 +73,6 @@ class DetectorEvidence(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     model_sha256: str = Field(pattern="^[0-9a-f]{64}$")
-    """Of the measured model file."""
     match_iou: Share
     """Least overlap (IoU) of a box with a cone's box to count as its detection."""
     calibration: ScoreCalibration
@@ -92,7 +91,6 @@ class DetectorEvidence(BaseModel):
     looks: tuple[tuple[Count, ...], ...]
     """Number of cones, by height and hidden band."""
     detected: tuple[tuple[tuple[Share, ...], ...], ...]
-    """P(box at or above the threshold | cone), by threshold, height and hidden band."""
     lookalikes: Count
     found_again: tuple[Share, ...]
     """P(box at or above the threshold | lookalike with boxes in at least two other images), by threshold."""
@@ -136,7 +134,6 @@ class AbsenceFigures(BaseModel):
 
     evidence: DetectorEvidence
     score_threshold: Share
-    """Boxes below it were not kept."""
 
 
 def absence_log_ratio(
@@ -268,14 +265,11 @@ def _logit(probability: float) -> float:
 
 
 def _shape(table: object) -> tuple[int, ...] | None:
-    """Shape of nested tuples; None where rows differ in length."""
-    if not isinstance(table, tuple):
-        return ()
-    inner = {_shape(row) for row in table}
-    if len(inner) != 1 or None in inner:
+    """Shape of nested tuples; None if rows differ in length."""
+    try:
+        return np.shape(np.array(table))
+    except ValueError:
         return None
-    (only,) = inner
-    return (len(table), *(only or ()))
 
 
 #: For a detector of which nothing was measured; no statement about any network. Scores are read as they were for the first

@@ -43,21 +43,18 @@ class IngestReport(Record):
     positions: int
     tracks: int
     counts: dict[DeltaKind, int]
-    """Changes by kind; of a known drive, those of its commit."""
     changes: tuple[ChangeLine, ...]
     """Changes of this run; empty for a known drive."""
     rejections: dict[RejectionReason, int]
     params_sha256: str
     model_sha256: str
     content_sha256: str
-    """Of all files read from the drive folder."""
     seconds: float
     trajectory: str | None = None
     """Outcome of the trajectory refinement, as a sentence; None for a known drive."""
     calibration: str | None = None
     """Outcome of the self-calibration, as a sentence; None for a known drive."""
     committed_at: datetime | None
-    """Commit time of a known drive; None if committed by this run."""
     counts_on_map: bool = True
     """False for a known drive that was reverted or analysed again."""
     unpublished: str | None = None

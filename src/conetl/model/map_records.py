@@ -64,7 +64,6 @@ class ExistenceEvidence(Record):
     log_likelihood_ratio: float
     """ln p(observations of the drive | the cone exists) / p(the same | it does not)."""
     existence_probability: Probability
-    """After the drive."""
     frames_seen: int = Field(ge=0)
     """Frame pairs in which it was observed."""
     frames_empty: int = Field(ge=0)
@@ -82,7 +81,6 @@ class Delta(Record):
     changed_at_ns: int
     """When this became true on the road, as far as the drive shows."""
     shift_m: NonNegative | None = None
-    """Horizontal distance between old and new position."""
     other_feature_id: UUID | None = None
     """Of a split, the feature that was both cones; of a merger, the one that remains."""
     evidence: ExistenceEvidence | None = None
@@ -125,7 +123,6 @@ class ImportedFeature(Record):
     """One feature of an imported map."""
 
     feature: MapFeature
-    """As in that map, version 1."""
     valid_from_ns: int
 
 
@@ -140,7 +137,6 @@ class FeatureChange(Record):
     old: MapFeature | None
     new: MapFeature | None
     shift_m: NonNegative | None
-    """Horizontal distance between old and new position; None for added and removed."""
 
 
 class FeatureVersion(Record):
@@ -156,7 +152,6 @@ class FeatureVersion(Record):
     """A person decided that no cone stands at this location: on no map, but still compared with drives."""
     valid_from_ns: int
     valid_to_ns: int | None
-    """None while open."""
 
     @property
     def feature_id(self) -> UUID:
@@ -169,9 +164,7 @@ class MissedObservation(Record):
     feature_id: UUID
     changeset_id: UUID
     version: int
-    """Current version at the time."""
     existence_probability: Probability
-    """After the miss."""
     first_missed_ns: int
 
 

@@ -149,7 +149,6 @@ class Rig(Record):
     body_SE3_left: Matrix4
     body_SE3_right: Matrix4
     sigma_px: Positive = 0.5
-    """Default sigma of an observation without its own."""
     calibration_covariance: CalibrationCovariance | None = None
     """Of this rig's own parameters; None where unknown. A rectified rig has that of `rectified_from`."""
     rectified_from: Rig | None = None
@@ -166,9 +165,8 @@ class Pose(Record):
     map_R_body: Matrix3
     map_t_body_m: Vec3
     sigma_enu_m: tuple[NonNegative, NonNegative, NonNegative]
-    """Of the body's position, absolute (GNSS/INS); strongly correlated from frame to frame of one drive."""
+    """Of the body's position (GNSS/INS), absolute; strongly correlated between the frames of one drive."""
     sigma_rpy_rad: tuple[NonNegative, NonNegative, NonNegative]
-    """Of roll, pitch, yaw."""
 
 
 class FramePair(Record):
@@ -259,9 +257,9 @@ class StereoMatch(Record):
     tip_left_uv_px: Vec2
     tip_right_uv_px: Vec2
     sigma_u_px: Positive
-    """Of each image point along the rows, independent in both images: sigma of disparity over sqrt(2)."""
+    """Of each image point along the rows, independent in both images: sigma of disparity over sqrt(2). sigma_v_px: across
+    them."""
     sigma_v_px: Positive
-    """Of each image point across the rows."""
     sigma_pointing_px: NonNegative
     """Along the rows, common to both images: position of the cone's axis. Affects the bearing, not the range."""
     sigma_outline_px: NonNegative = 0.0
@@ -283,7 +281,6 @@ class Position(Record):
     """Foot centre on the ground; `geom` of the map."""
     cov_m2: Cov3
     centre_xyz_m: Vec3
-    """Box centre, the paper's point."""
     cone_height_m: float
     camera_xyz_m: Vec3
     """The foot in the left camera's frame (x right, y down, z forward), free of GNSS error."""
@@ -314,7 +311,6 @@ class Track(Record):
     track_index: int = Field(ge=0)
     category: str = "traffic_cone"
     xyz_m: Vec3
-    """Foot centre in the map frame."""
     cov_m2: Cov3
     """Absolute, with the errors of pose and calibration that all observations share."""
     relative_cov_m2: Cov3

@@ -35,7 +35,6 @@ class DrivePath:
     drive_id: str
     captured_from_ns: int
     xy_m: Floats
-    """(N, 2), by time."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +44,6 @@ class ZoneHistory:
     zone_id: UUID
     founding_feature_id: UUID
     start_ns: int
-    """Valid time of its first cone."""
     end_ns: int | None
     """When its last cone was removed; None while one stands."""
     merged_into: UUID | None
@@ -65,7 +63,6 @@ class Taper:
     end_m: float
     """Stations."""
     shift_m: float
-    """Lateral shift over its length, positive."""
     shift_sigma_m: float
     """Of the cones alone, without the error of the axis."""
     start_sigmas_m: tuple[float, float]
@@ -145,7 +142,6 @@ class WorkZone:
     last: MapFeature
     impact: VehicleImpact
     closed_side: Side | None
-    """In the direction of travel."""
     closed_lane_count: int | None
     """None without known lane boundaries."""
     updated_ns: int
