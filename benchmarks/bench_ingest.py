@@ -14,7 +14,6 @@ import json
 import os
 import sys
 import time
-from collections import defaultdict
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -82,11 +81,9 @@ def main() -> None:  # noqa: PLR0915 -- a list of measurements
     arguments = parser.parse_args()
     with own_home() as home, ExitStack() as stack:
         from benchmarks import whole_job as job
-        from benchmarks.whole_job import params_with, plain_ingest, processor_s, settings_in
+        from benchmarks.whole_job import params_with, plain_ingest, prefect_ingest, processor_s, settings_in
         from conetl.model.params import DetectionParams
-        from flows.ingest_drive import ingest_drive
-        from flows.merge import open_map
-        from flows.runners import with_runner
+        from conetl.pipeline.database import MapDatabase
         from flows.server import prefect_server
 
         source, pairs = job.source_drive(arguments.drive), arguments.pairs
@@ -112,8 +109,8 @@ def main() -> None:  # noqa: PLR0915 -- a list of measurements
         print(
             f"{pairs} pairs of {source.name}, {workers} threads\n{'':28}" + "".join(f"{text:>12}" for text in columns)
         )
-        with open_map(settings_in(home)):
-            pass  # the tables are made once in the life of a database
+        with MapDatabase(settings_in(home)) as map_database:
+            assert map_database.url  # the tables are made once in the life of a database
         take("decode + network", decode_and_run(drive, workers))
         ways = [
             ("refined", "whole job, refined", params_with(True)),
@@ -128,24 +125,25 @@ def main() -> None:  # noqa: PLR0915 -- a list of measurements
             if arguments.only not in (None, way) and way != "everywhere":
                 continue
             settings = settings_in(home, way)
-            run = with_runner(ingest_drive, settings_in(home))
             settings_in(home).results_folder.mkdir(exist_ok=True)
             for old in settings_in(home).results_folder.iterdir():
                 old.unlink()
             before = job.database_bytes(settings)
-            take(name, lambda run=run, settings=settings, params=params: run(drive, settings, params, map_srid=None))
+            take(name, lambda settings=settings, params=params: prefect_ingest(drive, settings, params))
             share = figures["decode + network"]["processor_ms_a_pair"] / figures[name]["processor_ms_a_pair"]
             stored = sum(path.stat().st_size for path in settings.results_folder.iterdir())
             grown = job.database_bytes(settings) - before
             print(f"  {share:.2f} of decode + network alone; a pair takes {stored / 1e3 / pairs:.1f} kB of results and "
                   f"{grown / 1e3 / pairs:.1f} kB in the database")  # fmt: skip
             if arguments.stages:
-                spent: dict[str, float] = defaultdict(float)
+                spent: dict[str, float] = {}
                 for old in settings.results_folder.iterdir():
                     old.unlink()
                 again = settings_in(home, f"{settings.map_name}_stages")
-                with plain_ingest(workers, spent) as plain:
-                    take("  the same without Prefect", lambda p=plain, s=again, q=params: p(drive, s, q, map_srid=None))
+                take(
+                    "  the same without Prefect",
+                    lambda s=again, q=params, spent=spent: spent.update(plain_ingest(drive, s, q)),
+                )
                 for task, seconds in sorted(spent.items(), key=lambda item: -item[1]):
                     print(f"    {task:20} {1e3 * seconds / pairs:8.2f} ms a pair")
         if arguments.json:

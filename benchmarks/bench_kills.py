@@ -31,21 +31,14 @@ import cv2
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.whole_job import params_with
 from conetl.db.audits import run_audits
 from conetl.db.cluster.cluster import cluster_remove, cluster_up
 from conetl.db.connection import Connection, connect, execute, migrate
-from conetl.db.map.map_store import find_changeset, map_transaction
-from conetl.exports.geojson import export_geojson
-from conetl.files.parquet_store import load_results
 from conetl.files.partial_files import sweep
 from conetl.model.params import IngestParams
-from conetl.model.records import Detection, DriveRecords, Position, StereoMatch
-from conetl.pipeline.chunks import chunks_of, parts_of
-from conetl.pipeline.replay import merge_drive
+from conetl.pipeline.ingest import ingest as pipeline_ingest
 from conetl.pipeline.settings import Settings, prefect_environment
-from flows import merge as merging
-from flows import tasks
-from flows.detection import detect_task, match_task
 from tests.integration.test_ingest import DRIVES, FINAL_TABLES, part_of
 
 FRAMES = 4
@@ -63,36 +56,11 @@ def with_prefect(drives: list[Path], settings: Settings) -> int:
 
 
 def without_prefect(drives: list[Path], settings: Settings) -> int:
-    """What the flow does, without poses refined."""
-    params = IngestParams()
+    """The pipeline, without poses refined."""
+    params = params_with(False)
     sweep((settings.results_folder, settings.exports_folder))
     for folder in drives:
-        drive, refused = tasks.read_drive_task.fn(folder, merging.map_srid(settings), settings.images_folder)
-        identity = merging.identify(drive, params, settings)
-        if merging.already_committed(drive, identity, settings) is None:
-            (chunk,) = chunks_of(
-                drive,
-                settings,
-                params.model_copy(update={"chunk_pairs": len(drive.frame_pairs)}),
-            )
-            parts = [detect_task.fn(chunk, part, drive.rig) for part in range(len(parts_of(chunk)))]
-            found = match_task.fn(chunk, drive.rig, *parts)
-            placed = tasks.locate_task.fn([chunk], [found])
-            detections, matches = load_results(parts, Detection)[0], load_results([found], StereoMatch)[0]
-            positions = load_results(placed, Position)[0]
-            tracks, _ = tasks.fuse_task.fn(drive, detections, matches, positions, params, identity.evidence)
-            changeset = merging._changeset(drive, settings.map_name, identity, ())
-            with merging.open_map(settings) as conn, map_transaction(conn, settings.map_name):
-                if find_changeset(conn, identity.idempotency_key, map_name=settings.map_name) is None:
-                    merge_drive(
-                        conn,
-                        DriveRecords(drive, detections, matches, positions, tracks, refused),
-                        changeset,
-                        params,
-                        map_name=settings.map_name,
-                    )
-        with merging.open_map(settings) as conn:
-            export_geojson(conn, settings.exports_folder / "default.geojson", map_name=settings.map_name)
+        pipeline_ingest(folder, params, settings)
     return 0
 
 

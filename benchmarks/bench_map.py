@@ -60,7 +60,7 @@ from conetl.mapping.history import DriveEvidence, apply_drive
 from conetl.model.map_records import Changeset, Decisions
 from conetl.model.params import ReconcileParams
 from conetl.model.records import DriveRecords
-from conetl.pipeline.gc_pause import no_cycle_search
+from conetl.pipeline.replay import no_cycle_search
 
 LOOKS = 60
 BOX_M = 500.0

@@ -25,7 +25,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks.own_home import own_home
 
 IMPORTS = {
-    "the steps alone": "import conetl.perception.detector, conetl.db.map.map_store, conetl.tracking.tracks",
+    "the steps alone": "import conetl.pipeline.ingest",
     "the flow, with Prefect": "import flows.ingest_drive",
 }
 
@@ -52,9 +52,7 @@ def main() -> None:
     arguments = parser.parse_args()
     with own_home() as home, ExitStack() as stack:
         from benchmarks import whole_job as job
-        from benchmarks.whole_job import params_with, plain_ingest, processor_s, settings_in
-        from flows.ingest_drive import ingest_drive
-        from flows.runners import with_runner
+        from benchmarks.whole_job import params_with, plain_ingest, prefect_ingest, processor_s, settings_in
         from flows.server import prefect_server
 
         source = job.source_drive(arguments.drive)
@@ -69,21 +67,18 @@ def main() -> None:
 
         def took(run: Callable[..., object], map_name: str) -> tuple[float, float]:
             cpu, wall = processor_s(os.getpid(), database), time.monotonic()
-            run(drive, settings_in(home, map_name), params, map_srid=None)
+            run(drive, settings_in(home, map_name), params)
             return processor_s(os.getpid(), database) - cpu, time.monotonic() - wall
 
-        through_prefect = with_runner(ingest_drive, settings_in(home))
         cold: dict[str, tuple[float, float]] = {}
-        with plain_ingest(workers) as plain:
-            cold["plain"] = took(plain, "cold_plain")
+        cold["plain"] = took(plain_ingest, "cold_plain")
         if not arguments.no_cold:
             shutil.rmtree(settings_in(home).results_folder)
-            cold["prefect"] = took(through_prefect, "cold_prefect")
+            cold["prefect"] = took(prefect_ingest, "cold_prefect")
         warm: dict[str, list[float]] = {"plain": [], "prefect": []}
         for k in range(arguments.rounds):
-            with plain_ingest(workers) as plain:
-                warm["plain"].append(took(plain, f"warm_plain_{k}")[0])
-            warm["prefect"].append(took(through_prefect, f"warm_prefect_{k}")[0])
+            warm["plain"].append(took(plain_ingest, f"warm_plain_{k}")[0])
+            warm["prefect"].append(took(prefect_ingest, f"warm_prefect_{k}")[0])
         print(f"{arguments.pairs} pairs of {source.name}, refinement {params.trajectory.refine}, "
               f"{workers} detection tasks at a time, load {os.getloadavg()[0]:.1f}")  # fmt: skip
         for way, (cpu, wall) in cold.items():

@@ -21,7 +21,6 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from conetl.evaluation.calibrated_drive import calibrate_drive
 from conetl.geometry.joint_fit import fit_point
 from conetl.geometry.motion.stereo_tracks import motions_of
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
@@ -31,6 +30,7 @@ from conetl.perception.detections import check_boxes
 from conetl.perception.detector import detect_image, load_detector
 from conetl.perception.images import read_image
 from conetl.perception.visual_odometry import follow_drive
+from conetl.pipeline.odometry import calibrate_drive
 from conetl.readers.drives import read_drive
 from conetl.tracking.error_propagation import pose_cov
 from conetl.tracking.landmarks import refine_with_cones

@@ -1,34 +1,32 @@
 """What the benchmarks of the whole job share: a long drive made of a short one, processor time and memory of process trees,
-and the flow with Prefect taken out of it.
+and an ingest with and without Prefect.
 """
 
 from __future__ import annotations
 
-import logging
 import os
 import shutil
 import threading
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from contextlib import closing, contextmanager
 from datetime import datetime, timedelta
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
 from typing import Any
-from unittest.mock import patch
-from uuid import uuid4
 
 import psutil
-from prefect import Flow, Task
-from prefect.utilities.annotations import opaque
 
 from conetl.db.cluster.cluster import cluster_remove, cluster_up
 from conetl.db.connection import connect, execute
 from conetl.model.ingest_report import IngestReport
 from conetl.model.params import IngestParams
+from conetl.pipeline.database import MapDatabase
+from conetl.pipeline.executor import ThreadExecutor
+from conetl.pipeline.ingest import ingest
 from conetl.pipeline.settings import Settings
+from conetl.readers.drives.header import read_header
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = Path(os.environ.get("CONETL_SHARED_DATA", ROOT.parent / "shared" / "data"))
@@ -133,70 +131,35 @@ class Peak:
             self.bytes, self.own_bytes = max(self.bytes, sum(sizes)), max(self.own_bytes, sizes[0])
 
 
-class _PlainTask:
-    """A task's function, in the caller's thread or in one of the pool's; keeps the processor time of its threads by name."""
+class TimedExecutor(ThreadExecutor):
+    """Steps on a plain pool of threads; keeps the processor time of each (OpenCV's own threads go uncounted)."""
 
-    def __init__(self, task: Task[..., Any], pool: ThreadPoolExecutor, spent_s: dict[str, float]) -> None:
-        self._task, self._pool, self._spent_s = task, pool, spent_s
+    def __init__(self, workers: int) -> None:
+        super().__init__(workers)
+        self.spent_s: dict[str, float] = defaultdict(float)
 
-    def __call__(self, *arguments: Any, **named: Any) -> Any:
+    def run(self, step: Callable[..., Any], *arguments: Any) -> Any:
+        given = [argument.result() if isinstance(argument, Future) else argument for argument in arguments]
         before = time.thread_time()
         try:
-            return self._task.fn(*(a.unwrap() if isinstance(a, opaque) else a for a in arguments), **named)
+            return super().run(step, *given)
         finally:
-            self._spent_s[self._task.name] += time.thread_time() - before
-
-    def submit(self, *arguments: Any, **named: Any) -> Future[Any]:
-        def work() -> (
-            Any
-        ):  # like Prefect's tasks, it waits for what it is given; what it waits for was submitted before it
-            return self(*(a.result() if isinstance(a, Future) else a for a in arguments), **named)
-
-        return self._pool.submit(work)
+            self.spent_s[step.__name__] += time.thread_time() - before
 
 
-@contextmanager
-def plain_ingest(workers: int, spent_s: dict[str, float] | None = None) -> Iterator[Callable[..., IngestReport]]:
-    """The body of `ingest-drive` as it stands, on a plain pool of threads: no task, run, artifact, event or log of Prefect.
+def plain_ingest(drive: Path, settings: Settings, params: IngestParams) -> dict[str, float]:
+    """Ingest without Prefect; processor seconds of each step."""
+    with TimedExecutor(settings.workers) as executor:
+        ingest(drive, params, settings, executor=executor)
+    return executor.spent_s
 
-    spent_s: processor time of each task's threads is added here (OpenCV's own threads go uncounted).
-    """
-    from flows import analysis, changeset_events, ingest_drive, merge, publish, refinement
-    from flows import drive_artifacts as control_room
 
-    def nothing(*_: Any, **__: Any) -> Any:
-        return uuid4()
+def prefect_ingest(drive: Path, settings: Settings, params: IngestParams) -> IngestReport:
+    """Ingest as `conetl ingest` does, with the Prefect server that runs."""
+    from flows.ingest_drive import ingest_by_command
 
-    modules: tuple[ModuleType, ...] = (
-        analysis,
-        changeset_events,
-        control_room,
-        ingest_drive,
-        merge,
-        publish,
-        refinement,
-    )
-    named = {"get_run_logger": lambda: logging.getLogger("plain"), "emit_event": nothing}
-    named["get_run_context"] = lambda: SimpleNamespace(task_run=SimpleNamespace(id=uuid4()))
-    times = defaultdict(float) if spent_s is None else spent_s
-    patches = []
-    with ThreadPoolExecutor(workers) as pool:
-        for module in modules:
-            for name, value in vars(module).items():
-                if isinstance(value, Task):
-                    patches.append(patch.object(module, name, _PlainTask(value, pool, times)))
-                elif name in named:
-                    patches.append(patch.object(module, name, named[name]))
-                elif name.endswith("_artifact"):
-                    patches.append(patch.object(module, name, nothing))
-        for each in patches:
-            each.start()
-        try:
-            flow: Flow[..., IngestReport] = ingest_drive.ingest_drive
-            yield flow.fn
-        finally:
-            for each in patches:
-                each.stop()
+    with MapDatabase(settings) as database:
+        return ingest_by_command(read_header(drive), settings, params, map_srid=None, database=database)
 
 
 def settings_in(home: Path, map_name: str = "default") -> Settings:

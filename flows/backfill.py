@@ -2,31 +2,34 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections import deque
 from collections.abc import Callable
-from contextlib import closing
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
 from uuid import UUID, uuid4
 
-from prefect import State, flow, get_run_logger
+from prefect import State, flow
 from prefect.runtime import flow_run
 from prefect.states import Completed
 from pydantic import Field
 
-from conetl.db.connection import Connection, connect
+from conetl.db.connection import Connection
 from conetl.db.receipt_store import Receipt, attempt_ends, end_crashed, latest_receipts, write_receipt
 from conetl.files.names import printable
 from conetl.model.params import IngestParams
 from conetl.pipeline.backfill_plan import Plan, PlanLine, plan_drives, write_plan
+from conetl.pipeline.database import MapDatabase
+from conetl.pipeline.publish import catch_up_all
+from conetl.pipeline.receipts import new_receipt
 from conetl.pipeline.settings import Settings
-from flows.batch_artifacts import Board, open_board, show_progress, show_summary
-from flows.changeset_events import tell_untold
+from flows.artifacts import send_events
+from flows.batch_artifacts import BatchBoard, open_board, show_progress, show_summary
 from flows.dispatch import (
-    Flight,
+    DriveRun,
     Where,
     WorkerWatch,
     abandon,
@@ -37,9 +40,10 @@ from flows.dispatch import (
     resolve_where,
     was_cancelled,
 )
-from flows.drive_job import MapName, MapSrid, alive, new_receipt, settings_for
+from flows.runs import MapName, MapSrid, alive, settings_for
 
-#: A drive whose process died is given to another one so often, then it counts as failed.
+_log = logging.getLogger(__name__)
+#: A drive whose process died is started so often in all, then it counts as failed.
 TRIES = 2
 _POLL_S = 1.0
 Parallel = Annotated[
@@ -53,18 +57,18 @@ Watcher = Callable[["Standing"], None]
 
 @dataclass
 class Standing:
-    """How far a batch is."""
+    """The state of a batch."""
 
     plan: Plan
     parallel: int
     where: Literal["workers", "here"]
     started: float
-    flying: list[Flight]
+    running: list[DriveRun]
     ended: list[Receipt]
     pairs_todo: int
     pairs_done: int = 0
     note: str = ""
-    """What a person has to look at while the batch waits."""
+    """What a person has to correct while the batch waits."""
 
     @property
     def todo(self) -> int:
@@ -109,20 +113,21 @@ def backfill(
     recheck: Annotated[bool, Field(description="Compare drives that are on the map by their content as well.")] = False,
     where: Annotated[Where, Field(description="Where drives are worked on.")] = "auto",
 ) -> State[Any]:
-    """Bring all drives below a folder onto the map that are not there yet. Run it again after a stop: it goes on."""
+    """Ingest all drives below a folder that are not on the map yet. Run it again after a stop: it continues."""
     settings = settings_for(map_name)
-    with alive(settings) as url, closing(connect(url)) as conn:
-        tell_untold(conn, settings)
-        plan = plan_drives(
-            conn, root, settings=settings, params=params, since=utc(since), until=utc(until), recheck=recheck
-        )
-        if not plan.todo:  # started for what was left untold
+    with alive(settings) as database:
+        catch_up_all(settings, database, send_events)
+        with database.connection() as conn:
+            plan = plan_drives(
+                conn, root, settings=settings, params=params, since=utc(since), until=utc(until), recheck=recheck
+            )
+        if not plan.todo:  # started for what was pending
             return Completed(name="NothingNew", message=f"nothing new: {len(plan.lines)} drives are done")
-        return run_batch(conn, plan, settings, params, map_srid=map_srid, max_parallel=max_parallel, where=where)
+        return run_batch(database, plan, settings, params, map_srid=map_srid, max_parallel=max_parallel, where=where)
 
 
 def run_batch(
-    conn: Connection,
+    database: MapDatabase,
     plan: Plan,
     settings: Settings,
     params: IngestParams,
@@ -131,7 +136,7 @@ def run_batch(
     max_parallel: int | None,
     where: Where,
 ) -> State[Any]:
-    """Do what a plan says, inside a flow run. The state says how many failed; the receipts say which and why."""
+    """Execute a plan inside a flow run. The state says how many drives failed; the receipts say which and why."""
     place = resolve_where(where)
     parallel = max_parallel or (max(1, online_workers()) if place == "workers" else 1)
     write_plan(plan, parallel, settings.home / "plans")
@@ -142,76 +147,77 @@ def run_batch(
     _tell(standing, board)
     try:
         tries: dict[UUID, tuple[PlanLine, int]] = {}
-        while waiting or standing.flying:
-            while waiting and len(standing.flying) < parallel:
+        while waiting or standing.running:
+            while waiting and len(standing.running) < parallel:
                 line, number = waiting.popleft()
                 if line.action == "refuse":
-                    standing.ended.append(_refused(conn, line, plan, settings))
+                    with database.connection() as conn:
+                        standing.ended.append(_refused(conn, line, plan, settings))
                     continue
-                flight = launch(line.outline, settings, params, map_srid, place, parallel)
-                standing.flying.append(flight)
-                tries[flight.attempt_id] = line, number
+                run = launch(line.header, settings, params, map_srid, place, parallel)
+                standing.running.append(run)
+                tries[run.attempt_id] = line, number
                 _tell(standing, board)
-            for flight, receipt, again in _landed(conn, standing.flying, plan, settings):
-                standing.flying.remove(flight)
-                line, number = tries.pop(flight.attempt_id)
+            with database.connection() as conn:
+                landed = _landed(conn, standing.running, plan, settings)
+            for run, receipt, again in landed:
+                standing.running.remove(run)
+                line, number = tries.pop(run.attempt_id)
                 if again and number < TRIES:
                     waiting.append((line, number + 1))
                     continue
                 standing.ended.append(receipt)
-                standing.pairs_done += line.outline.frame_pairs
+                standing.pairs_done += line.header.frame_pairs
                 _tell(standing, board)
-            if place == "workers" and standing.flying and (note := workers.complaint(time.monotonic())):
+            if place == "workers" and standing.running and (note := workers.complaint(time.monotonic())):
                 standing.note = note
-                get_run_logger().warning(note)
+                _log.warning(note)
                 _tell(standing, board)
-            if standing.flying:
+            if standing.running:
                 time.sleep(_POLL_S)
     finally:
-        abandon(standing.flying)
+        abandon(standing.running)
     show_summary(standing, board)
     return _end(standing)
 
 
 def _landed(
-    conn: Connection, flying: list[Flight], plan: Plan, settings: Settings
-) -> list[tuple[Flight, Receipt, bool]]:
-    """Flights that are over, with their receipts, and whether another try may help."""
-    # Asked first: what ended before this has its receipt by now.
-    ends_of_processes = {flight.attempt_id: over(flight) for flight in flying}
-    ends = attempt_ends(conn, [flight.attempt_id for flight in flying])
-    landed: list[tuple[Flight, Receipt, bool]] = []
-    latest = latest_receipts(conn, map_name=settings.map_name, headers=[f.outline.header_sha256 for f in flying])
-    for flight in flying:
-        if flight.attempt_id in ends:
-            if flight.process is not None:
-                flight.process.join()
-            landed.append((flight, ends[flight.attempt_id], False))
+    conn: Connection, running: list[DriveRun], plan: Plan, settings: Settings
+) -> list[tuple[DriveRun, Receipt, bool]]:
+    """Runs that ended, with their receipts, and whether another try may help."""
+    # Read first: what ended before this has its receipt by now.
+    ends_of_processes = {run.attempt_id: over(run) for run in running}
+    ends = attempt_ends(conn, [run.attempt_id for run in running])
+    landed: list[tuple[DriveRun, Receipt, bool]] = []
+    latest = latest_receipts(conn, map_name=settings.map_name, headers=[f.header.header_sha256 for f in running])
+    for run in running:
+        if run.attempt_id in ends:
+            if run.process is not None:
+                run.process.join()
+            landed.append((run, ends[run.attempt_id], False))
             continue
-        reason = ends_of_processes[flight.attempt_id]
-        begun = latest.get(flight.outline.header_sha256)
-        if begun is not None and begun.attempt_id == flight.attempt_id and begun.state == "started":
-            # It began. Whether it lives is not a question of Prefect's state, but of its lock.
+        reason = ends_of_processes[run.attempt_id]
+        begun = latest.get(run.header.header_sha256)
+        if begun is not None and begun.attempt_id == run.attempt_id and begun.state == "started":
+            # It began. Whether it lives is shown by its lock, not by Prefect's state.
             crashed = end_crashed(conn, begun, reason or "its process is gone", settings.receipts_folder)
             if crashed is not None:
-                mark_crashed(flight.flow_run_id, crashed.reason)
-                landed.append((flight, crashed, not was_cancelled(flight)))
-        elif reason is not None:  # it ended before it began: could not be started, or a person cancelled it
-            never = new_receipt(
-                flight.outline, settings, plan.analysis.sha256, flight.attempt_id, str(flight.flow_run_id)
-            )
+                mark_crashed(run.flow_run_id, crashed.reason)
+                landed.append((run, crashed, not was_cancelled(run)))
+        elif reason is not None:  # it could not be started, or a person cancelled it
+            never = new_receipt(run.header, settings, plan.analysis.sha256, run.attempt_id, str(run.flow_run_id))
             lost = replace(never, state="crashed", reason=reason)
             write_receipt(conn, lost, settings.receipts_folder)
-            mark_crashed(flight.flow_run_id, reason)
-            landed.append((flight, lost, not was_cancelled(flight)))
+            mark_crashed(run.flow_run_id, reason)
+            landed.append((run, lost, not was_cancelled(run)))
     return landed
 
 
 def _refused(conn: Connection, line: PlanLine, plan: Plan, settings: Settings) -> Receipt:
     """The receipt of a folder that cannot be a drive."""
-    begun = new_receipt(line.outline, settings, plan.analysis.sha256, uuid4(), flow_run.id)
+    begun = new_receipt(line.header, settings, plan.analysis.sha256, uuid4(), flow_run.id)
     receipt = replace(
-        begun, state="failed", reason=line.why, may_pass=line.outline.problem_may_pass, at=datetime.now(UTC)
+        begun, state="failed", reason=line.why, may_pass=line.header.problem_may_pass, at=datetime.now(UTC)
     )
     write_receipt(conn, replace(receipt, at=None), settings.receipts_folder)
     return receipt
@@ -229,7 +235,7 @@ def unwatch(watcher: Watcher) -> None:
     _watchers.remove(watcher)
 
 
-def _tell(standing: Standing, board: Board) -> None:
+def _tell(standing: Standing, board: BatchBoard) -> None:
     show_progress(standing, board)
     for watcher in _watchers:
         watcher(standing)
@@ -241,7 +247,7 @@ def _end(standing: Standing) -> State[Any]:
         f"{standing.done} on the map, {len(failed)} failed, {standing.plan.count('skip')} had nothing to do; "
         f"{standing.seconds:.0f} s"
     )
-    get_run_logger().info(message)
+    _log.info(message)
     if failed:
         first = failed[0]
         return Completed(name="SomeFailed", message=f"{message}. {first.drive_id}: {first.reason}")

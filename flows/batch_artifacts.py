@@ -19,28 +19,28 @@ from conetl.pipeline.backfill_plan import reasons
 if TYPE_CHECKING:
     from flows.backfill import Standing
 
-#: The table is written anew at most so often: each time is another artifact, and a thousand drives make it large.
+#: The table is written again at most so often: each time is another artifact, and a thousand drives make it large.
 _TABLE_EVERY_S = 600.0
 _SHOWN_ROWS = 300
 
 
 @dataclass
-class Board:
+class BatchBoard:
     """What was shown last."""
 
     progress_id: UUID | None
     table_at: float
 
 
-def open_board(standing: Standing) -> Board:
-    """The artifacts of a batch that begins; no bar where there is nothing to do."""
+def open_board(standing: Standing) -> BatchBoard:
+    """The artifacts of a batch that begins; no progress bar where there is nothing to do."""
     if not standing.todo:
-        return Board(None, 0.0)
+        return BatchBoard(None, 0.0)
     progress = create_progress_artifact(0.0, key="batch-progress", description=sentence(standing))
-    return Board(cast(UUID, progress), 0.0)
+    return BatchBoard(cast(UUID, progress), 0.0)
 
 
-def show_progress(standing: Standing, board: Board) -> None:
+def show_progress(standing: Standing, board: BatchBoard) -> None:
     """Move the bar; from time to time write the table."""
     if board.progress_id is None:
         return
@@ -50,15 +50,15 @@ def show_progress(standing: Standing, board: Board) -> None:
         board.table_at = time.monotonic()
 
 
-def show_summary(standing: Standing, board: Board) -> None:
-    """The last word on a batch."""
+def show_summary(standing: Standing, board: BatchBoard) -> None:
+    """Write the summary of a batch."""
     if board.progress_id is not None:
         _write_table(standing)
     plan = standing.plan
     lines = [
-        f"## {standing.done} drives came onto map {plan.map_name}, {len(standing.failed)} failed",
+        f"## {standing.done} drives committed to map {plan.map_name}, {len(standing.failed)} failed",
         "",
-        f"{len(plan.lines)} drives below `{plan.root}`, planned in {plan.seconds:.1f} s; worked on for {standing.seconds:.0f} s, "
+        f"{len(plan.lines)} drives below `{plan.root}`, planned in {plan.seconds:.1f} s, done in {standing.seconds:.0f} s, "
         f"{standing.parallel} at a time ({'by workers' if standing.where == 'workers' else 'in this process'}).",
         "",
         "| plan | drives |",
@@ -79,22 +79,22 @@ def show_summary(standing: Standing, board: Board) -> None:
 
 def _write_table(standing: Standing) -> None:
     ended = {receipt.header_sha256: receipt for receipt in standing.ended}
-    flying = {flight.outline.header_sha256 for flight in standing.flying}
+    running = {run.header.header_sha256 for run in standing.running}
     rows: list[dict[str, Any]] = []
     for line in standing.plan.lines:
-        receipt = ended.get(line.outline.header_sha256) if line.action != "skip" else None
+        receipt = ended.get(line.header.header_sha256) if line.action != "skip" else None
         state: str
         if receipt is not None:
             state, why = receipt.state, receipt.reason
         elif line.action == "skip":
             state, why = "nothing to do", line.why
         else:
-            state, why = ("in work" if line.outline.header_sha256 in flying else "waiting"), line.why
+            state, why = ("in work" if line.header.header_sha256 in running else "waiting"), line.why
         rows.append(
             {
-                "drive": line.outline.drive_id,
-                "recorded": f"{line.outline.captured_from:%Y-%m-%d %H:%M}" if line.outline.captured_from else "",
-                "frame pairs": line.outline.frame_pairs,
+                "drive": line.header.drive_id,
+                "recorded": f"{line.header.captured_from:%Y-%m-%d %H:%M}" if line.header.captured_from else "",
+                "frame pairs": line.header.frame_pairs,
                 "state": state,
                 "seconds": round(receipt.seconds, 1) if receipt is not None and receipt.seconds else None,
                 "why": why,
@@ -114,14 +114,14 @@ def percent(standing: Standing) -> float:
 
 def sentence(standing: Standing) -> str:
     left = standing.left_s
-    rate = f", {standing.pairs_done / standing.seconds:.1f} frame pairs a second" if standing.pairs_done else ""
+    rate = f", {standing.pairs_done / standing.seconds:.1f} frame pairs per second" if standing.pairs_done else ""
     when = "" if left is None else f", about {minutes(left)} left"
-    counts = f"{len(standing.ended)} of {standing.todo} drives ({len(standing.failed)} failed), {len(standing.flying)} in work"
+    counts = f"{len(standing.ended)} of {standing.todo} drives ({len(standing.failed)} failed), {len(standing.running)} in work"
     return counts + rate + when
 
 
 def minutes(seconds: float) -> str:
-    """A time span as a person says it."""
+    """A time span in words."""
     if seconds < 90:
         return f"{seconds:.0f} s"
     if seconds < 5400:

@@ -1,6 +1,6 @@
-"""Hand one drive to a process of its own: to a worker of the pool where there are some, else to a child of this process.
+"""Start one drive in a process of its own: on a worker of the pool where there is one, else as a child of this process.
 
-Either way it is a sub-flow of the run that asks, and a drive that kills its process costs only itself.
+Either way it is a sub-flow of the present run, and a drive that kills its process costs only itself.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any, Literal
 from uuid import UUID, uuid4
 
 from prefect import Task
-from prefect.client.orchestration import SyncPrefectClient, get_client
+from prefect.client.orchestration import SyncPrefectClient
 from prefect.client.schemas.objects import FlowRun, WorkerStatus
 from prefect.context import FlowRunContext
 from prefect.exceptions import ObjectNotFound
@@ -25,38 +25,33 @@ from conetl.model.errors import ServiceError
 from conetl.model.params import IngestParams
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives.header import DriveHeader
-from flows.drive_artifacts import drive_run_name
-from flows.drive_job import drive_tags, ingest_one
+from flows.ingest_drive import ingest_drive
+from flows.runs import client, drive_run_name, drive_tags
 
 POOL = "conetl"
 DRIVE_DEPLOYMENT = "ingest-drive/ingest-drive"
 DRIVE_QUEUE = "drives"
-#: Workers are started anew, and Prefect takes a minute or two to notice that one is gone.
+#: Workers are restarted, and Prefect takes a minute or two to notice that one is gone.
 WORKERS_GONE_S = 180.0
-_ASK_EVERY_S = 30.0
+_CHECK_EVERY_S = 30.0
 Where = Literal["auto", "workers", "here"]
 
 
 @dataclass(frozen=True)
-class Flight:
-    """A drive that is being worked on, or waits for a worker."""
+class DriveRun:
+    """The run of a drive, which may still wait for a worker."""
 
     attempt_id: UUID
     flow_run_id: UUID
-    outline: DriveHeader
+    header: DriveHeader
     process: multiprocessing.process.BaseProcess | None
-    """The child of this process; None where a worker has it."""
-
-
-def client() -> SyncPrefectClient:
-    """The Prefect server that this process talks to."""
-    return get_client(sync_client=True)
+    """The child of this process; None where a worker runs it."""
 
 
 def resolve_where(where: Where) -> Literal["workers", "here"]:
     """`auto`: workers where `conetl up` has made the deployment and one is online, else children of this process.
 
-    Without a worker a drive that is handed over waits for ever. Raises ServiceError.
+    Without a worker a drive would wait for ever. Raises ServiceError.
     """
     if where == "here":
         return where
@@ -71,7 +66,7 @@ def resolve_where(where: Where) -> Literal["workers", "here"]:
 
 
 def online_workers() -> int:
-    """Workers of the pool that take drives and were heard of lately."""
+    """Number of workers of the pool that ingest drives and are online."""
     with client() as api:
         workers = api.read_workers_for_work_pool(POOL)
     return sum(w.status == WorkerStatus.ONLINE and DRIVE_QUEUE in w.name for w in workers)
@@ -79,49 +74,49 @@ def online_workers() -> int:
 
 @dataclass
 class WorkerWatch:
-    """Whether anybody is there to take the drives that wait."""
+    """Whether there is a worker for the drives that wait."""
 
-    asked_at: float = -math.inf
+    checked_at: float = -math.inf
     gone_since: float | None = None
-    told: bool = False
+    reported: bool = False
 
     def complaint(self, now: float) -> str | None:
         """A sentence, once, where no worker has been online for WORKERS_GONE_S; now: monotonic seconds."""
-        if self.told or now - self.asked_at < _ASK_EVERY_S:
+        if self.reported or now - self.checked_at < _CHECK_EVERY_S:
             return None
-        self.asked_at = now
+        self.checked_at = now
         if online_workers():
             self.gone_since = None
         elif self.gone_since is None:
             self.gone_since = now
         elif now - self.gone_since >= WORKERS_GONE_S:
-            self.told = True
+            self.reported = True
             return (
                 f"no worker of the queue '{DRIVE_QUEUE}' has been online for {WORKERS_GONE_S / 60:.0f} minutes, so the drives "
-                "wait: `conetl status` tells what runs, `conetl up` starts what is missing, and `conetl backfill --here` does "
-                "without workers"
+                "wait: `conetl status` shows what runs, `conetl up` starts what is missing, and `conetl backfill --here` needs "
+                "no workers"
             )
         return None
 
 
 def launch(
-    outline: DriveHeader,
+    header: DriveHeader,
     settings: Settings,
     params: IngestParams,
     map_srid: int | None,
     where: Literal["workers", "here"],
     parallel: int,
-) -> Flight:
-    """Start work on one drive as a sub-flow of the present flow run."""
+) -> DriveRun:
+    """Start the ingest of one drive as a sub-flow of the present flow run."""
     attempt_id = uuid4()
     parameters: dict[str, Any] = {
-        "drive": str(outline.path),
+        "drive": str(header.path),
         "map_name": settings.map_name,
         "map_srid": map_srid,
         "params": params.model_dump(mode="json"),
         "attempt_id": str(attempt_id),
     }
-    name, labels = drive_run_name(outline), drive_tags(outline, settings.map_name)
+    name, labels = drive_run_name(header), drive_tags(header, settings.map_name)
     with client() as api:
         parent = _parent_task_run(api, name, attempt_id)
         if where == "workers":
@@ -134,37 +129,37 @@ def launch(
                 tags=labels,
                 parent_task_run_id=parent,
             )
-            return Flight(attempt_id, run.id, outline, None)
+            return DriveRun(attempt_id, run.id, header, None)
         run = api.create_flow_run(
-            ingest_one, name=name, parameters=parameters, tags=labels, parent_task_run_id=parent, state=Pending()
+            ingest_drive, name=name, parameters=parameters, tags=labels, parent_task_run_id=parent, state=Pending()
         )
     process = run_flow_in_subprocess(
-        ingest_one, flow_run=run, parameters=ingest_one.validate_parameters(parameters),
+        ingest_drive, flow_run=run, parameters=ingest_drive.validate_parameters(parameters),
         env={
             "CONETL_HOME": str(settings.home.resolve()),
             "CONETL_WORKERS": str(max(1, settings.workers // parallel)),
         },
     )  # fmt: skip
-    return Flight(attempt_id, run.id, outline, process)
+    return DriveRun(attempt_id, run.id, header, process)
 
 
-def over(flight: Flight) -> str | None:
-    """Why nothing more will come of a flight, None while something may. The receipts say what came of it."""
-    if flight.process is not None:
-        if flight.process.is_alive():
+def over(run: DriveRun) -> str | None:
+    """Why a run ended, None while it may go on. What it did is in the receipts."""
+    if run.process is not None:
+        if run.process.is_alive():
             return None
-        code = flight.process.exitcode or 0
+        code = run.process.exitcode or 0
         if code < 0:
             return f"its process was ended by signal {-code}"
-    state = read_run(flight.flow_run_id).state
+    state = read_run(run.flow_run_id).state
     if state is None or not state.is_final():
-        return None if flight.process is None else "its process ended without a word"
+        return None if run.process is None else "its process ended without a message"
     return f"{state.name}: {state.message or 'without a message'}"
 
 
-def was_cancelled(flight: Flight) -> bool:
-    """A person cancelled it."""
-    state = read_run(flight.flow_run_id).state
+def was_cancelled(run: DriveRun) -> bool:
+    """Whether a person cancelled it."""
+    state = read_run(run.flow_run_id).state
     return state is not None and state.is_cancelled()
 
 
@@ -174,16 +169,16 @@ def read_run(flow_run_id: UUID) -> FlowRun:
 
 
 def mark_crashed(flow_run_id: UUID, reason: str) -> None:
-    """Tell Prefect what the receipts know; a run that has ended is left as it is."""
+    """Mark a run as crashed in Prefect; one that has ended is left as it is."""
     with client() as api:
         run = api.read_flow_run(flow_run_id)
         if run.state is None or not run.state.is_final():
             api.set_flow_run_state(flow_run_id, Crashed(message=reason), force=True)
 
 
-def abandon(flights: Sequence[Flight]) -> None:
-    """End the children of this process; what workers have goes on."""
-    children = [flight.process for flight in flights if flight.process is not None and flight.process.is_alive()]
+def abandon(runs: Sequence[DriveRun]) -> None:
+    """End the children of this process; what workers run goes on."""
+    children = [run.process for run in runs if run.process is not None and run.process.is_alive()]
     for child in children:
         child.terminate()
     deadline = time.monotonic() + 10
@@ -195,7 +190,7 @@ def abandon(flights: Sequence[Flight]) -> None:
 
 
 def _parent_task_run(api: SyncPrefectClient, name: str, attempt_id: UUID) -> UUID | None:
-    """A task run of the present flow run that stands for the sub-flow, as Prefect's own `run_deployment` makes one."""
+    """A task run of the present flow run that represents the sub-flow, as `prefect.deployments.run_deployment` makes one."""
     context = FlowRunContext.get()
     if context is None or context.flow_run is None:
         return None
@@ -207,4 +202,4 @@ def _parent_task_run(api: SyncPrefectClient, name: str, attempt_id: UUID) -> UUI
 
 
 def _nothing() -> None:
-    """What a stand-in does."""
+    """The body of a task run that represents a sub-flow."""

@@ -1,28 +1,26 @@
-"""New drives from the folder where they arrive: each complete one onto the map, once.
+"""New drives from the folder where they arrive: each complete one is ingested once.
 
 A drive is complete when its folder holds a file named COMPLETE, or when nothing in it has changed for `drop_quiet_minutes`
-(CONETL_DROP_QUIET_MINUTES, 10 unless given), by the time of the inode change, which copying tools cannot set back.
+(CONETL_DROP_QUIET_MINUTES, default 10), by the time of the inode change, which copying tools cannot set back.
 """
 
 import time
-from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Any
 
-from prefect import State, flow, get_run_logger
+from prefect import State, flow
 from prefect.artifacts import create_table_artifact
 from prefect.states import Completed
 from pydantic import Field
 
-from conetl.db.connection import connect
 from conetl.files.names import printable
 from conetl.model.params import IngestParams
 from conetl.pipeline.backfill_plan import plan_drives
+from conetl.pipeline.publish import catch_up_all
 from conetl.readers.drives.header import MARKER, find_drives, quiet_since
+from flows.artifacts import send_events
 from flows.backfill import Parallel, run_batch
-from flows.changeset_events import tell_untold
-from flows.drive_job import MapName, MapSrid, alive, settings_for
-from flows.recovery import recover
+from flows.runs import MapName, MapSrid, alive, recover, settings_for
 
 
 @flow(name="ingest-drop-folder", flow_run_name="new drives")
@@ -38,15 +36,16 @@ def ingest_drop_folder(
     map_srid: MapSrid = None,
     params: Annotated[IngestParams, Field(description="Parameters of all steps.")] = IngestParams(),  # noqa: B008 -- frozen
 ) -> State[Any]:
-    """Bring new drives onto the map. One that failed is left alone until it changes, or a person runs a backfill."""
+    """Ingest new drives. One that failed is skipped until it changes, or a person runs a backfill."""
     settings = settings_for(map_name)
     inbox = (folder or settings.inbox).absolute()
     quiet_s = 60.0 * (settings.drop_quiet_minutes if quiet_minutes is None else quiet_minutes)
-    with alive(settings) as url, closing(connect(url)) as conn:
-        recover(conn)
-        tell_untold(conn, settings)
+    with alive(settings) as database:
+        recover(database)
+        catch_up_all(settings, database, send_events)
         complete, arriving = split_by_completeness(inbox, quiet_s)
-        plan = plan_drives(conn, inbox, settings=settings, params=params, once=True, folders=complete)
+        with database.connection() as conn:
+            plan = plan_drives(conn, inbox, settings=settings, params=params, once=True, folders=complete)
         if arriving:
             rows = [
                 {"drive": printable(path.name), "quiet for s": round(quiet, 1), "needed s": quiet_s}
@@ -59,9 +58,8 @@ def ingest_drop_folder(
             message = (
                 f"nothing new: {len(complete)} complete drives are done, {len(arriving)} still arriving in {inbox}"
             )
-            get_run_logger().info(message)
             return Completed(name="NothingNew", message=message)
-        return run_batch(conn, plan, settings, params, map_srid=map_srid, max_parallel=max_parallel, where="auto")
+        return run_batch(database, plan, settings, params, map_srid=map_srid, max_parallel=max_parallel, where="auto")
 
 
 def split_by_completeness(inbox: Path, quiet_s: float) -> tuple[list[Path], list[tuple[Path, float]]]:

@@ -16,7 +16,8 @@ from prefect.exceptions import ObjectAlreadyExists
 from prefect.variables import Variable
 
 from conetl.model.errors import ServiceError
-from flows.dispatch import POOL, client
+from flows.dispatch import POOL
+from flows.runs import client
 
 _VARIABLE = "conetl_deployments"
 _TIMEOUT_S = 300
@@ -29,7 +30,7 @@ def deployments_file() -> Path:
 
 
 def ensure_pool() -> None:
-    """The work pool of processes, made where it is missing; what was set in the UI stays."""
+    """The work pool of processes, created where it is missing; what was set in the UI stays."""
     with client() as api:
         try:
             api.create_work_pool(WorkPoolCreate(name=POOL, type="process", description="Machines that run conetl"))
@@ -38,9 +39,10 @@ def ensure_pool() -> None:
 
 
 def ensure_deployments() -> bool:
-    """Register what `prefect.yaml` says, unless just that was registered before: changes made in the UI stay until an upgrade.
+    """Register the deployments of `prefect.yaml`, unless this version of it is registered: changes made in the UI stay until an
+    upgrade.
 
-    True where it was registered now. Raises ServiceError with what Prefect said.
+    True where they were registered now. Raises ServiceError with Prefect's message.
     """
     path = deployments_file()
     wanted = f"{version('conetl')} {hashlib.sha256(path.read_bytes()).hexdigest()}"
@@ -62,7 +64,7 @@ def ensure_deployments() -> bool:
 
 
 def worker_is_online(name: str, since: datetime) -> bool:
-    """A worker of this name was heard of since then."""
+    """Whether a worker of this name sent a heartbeat since then."""
     with client() as api:
         workers = api.read_workers_for_work_pool(POOL)
     return any(

@@ -34,7 +34,7 @@ from conetl.services.processes import is_running, read_services
 
 _START_TIMEOUT_S = 180
 _LOG = "server.log"
-#: Loops of a server that serves one command: nothing is scheduled, late, paused or waited for by an automation.
+#: Services that the server of one command does not need: nothing is scheduled, late, paused or awaited by an automation.
 _NOT_NEEDED = ("SCHEDULER", "LATE_RUNS", "FOREMAN", "PAUSE_EXPIRATIONS", "REPOSSESSOR", "TRIGGERS")
 _DRAIN_TIMEOUT_S = 5
 _PR_SET_PDEATHSIG = 1
@@ -45,12 +45,12 @@ def prefect_server(home: Path) -> Iterator[str]:
     """Address of a Prefect API: the configured one (PREFECT_API_URL), that of `conetl up`, or one started here and stopped at the
     end.
 
-    Raises ServiceError where it does not answer, or asks for a password that is not known here.
+    Raises ServiceError where it does not answer, or requires a password that is not known here.
     """
     configured = os.environ.get("PREFECT_API_URL")
     own = None if configured else read_services(home).get("prefect")
     if own is not None and own.address and is_running(own) and is_healthy(f"{own.address}/api"):
-        with _talking_to(f"{own.address}/api"):  # of `conetl up`
+        with _settings_for(f"{own.address}/api"):  # of `conetl up`
             yield f"{own.address}/api"
         return
     if configured:
@@ -63,7 +63,7 @@ def prefect_server(home: Path) -> Iterator[str]:
         require_access(configured, given.get_secret_value() if given else None, PREFECT_API_AUTH_STRING.name)
         yield configured
         return
-    with _own_server(home / "prefect") as url, _talking_to(url):
+    with _own_server(home / "prefect") as url, _settings_for(url):
         try:
             yield url
         finally:  # the last log lines and events are still on their way
@@ -73,7 +73,7 @@ def prefect_server(home: Path) -> Iterator[str]:
 
 @contextlib.contextmanager
 def _own_server(state: Path) -> Iterator[str]:
-    """Address of a server that is started here, with its state in a folder, and stopped at the end."""
+    """Address of a server that runs while the block does, with its state in a folder."""
     state.mkdir(parents=True, exist_ok=True)
     url, process = _start(state)
     try:
@@ -83,11 +83,10 @@ def _own_server(state: Path) -> Iterator[str]:
 
 
 def _start(state: Path) -> tuple[str, subprocess.Popen[bytes]]:
-    """Start a server and wait until it answers; once more where it stops meanwhile. Raises ServiceError.
+    """Start a server and wait until it answers; try once more where it stops meanwhile. Raises ServiceError.
 
-    One after the other in a home: until it answers, a server makes and fills the tables of a SQLite file that all of them share,
-    and finding it locked it gives up. Servers that run already, or a port that was taken meanwhile, may still be in the way:
-    hence once more.
+    One at a time in a home: until it answers, a server fills the tables of a SQLite file that all of them share, and finding it
+    locked it gives up. Servers that run already, or a port that is in use by now, may still be in the way: hence once more.
     """
     with _start_lock(state):
         for _ in range(2):
@@ -141,10 +140,10 @@ def _end(process: subprocess.Popen[bytes]) -> None:
         process.wait()
 
 
-def _talking_to(url: str) -> contextlib.AbstractContextManager[object]:
+def _settings_for(url: str) -> contextlib.AbstractContextManager[object]:
     """Prefect's settings for runs of this command. It read its environment when it was imported: a variable comes too late.
 
-    No heartbeats: every flow would wait a second for their thread to end, and who is alive the locks tell (`recovery.py`).
+    No heartbeats: every flow would wait a second for their thread to end, and locks show which runs live (`runs.py`).
     """
     auth = prefect_auth_string()
     require_access(url, auth, SERVER_AUTH)

@@ -1,91 +1,132 @@
-"""Thin Prefect tasks: read, call a step, write. Chunks travel between tasks as paths of Parquet files."""
+"""The steps of the pipeline as Prefect tasks, on threads, processes or a Dask cluster. The results are the same."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Callable
+from functools import partial
+from typing import Any
 
-from prefect import task
+from prefect import Task, task
+from prefect.cache_policies import NO_CACHE
+from prefect.context import FlowRunContext
+from prefect.futures import PrefectFuture
+from prefect.task_runners import ProcessPoolTaskRunner, TaskRunner, ThreadPoolTaskRunner
+from prefect.utilities.annotations import opaque
 
-from conetl.files.parquet_store import (
-    has_result,
-    load_result,
-    result_key,
-    result_path,
-    save_result,
-)
-from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence
-from conetl.model.params import IngestParams, params_sha256
-from conetl.model.records import (
-    Detection,
-    Drive,
-    Position,
-    StereoMatch,
-    Track,
-)
-from conetl.model.rejections import Rejection
-from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, rig_and_poses
-from conetl.readers.drives import read_drive
-from conetl.tracking.error_propagation import pose_cov
-from conetl.tracking.positions import locate_positions
-from conetl.tracking.tracks import fuse_tracks
-from conetl.tracking.trajectory import RefinedTrajectory, motion_error
-from conetl.tracking.variance_components import estimate_variance_factors, with_variance_factors
-from flows.retries import RETRY
+from conetl.db.run_store import StepTime
+from conetl.model.errors import InputError, is_of_storage
+from conetl.pipeline import analysis, commit, detect, ingest, odometry
+from conetl.pipeline.executor import StepClock
+from conetl.pipeline.settings import Settings
+from flows import artifacts
 
-
-@task(name="read drive", task_run_name="read {folder}", **RETRY)
-def read_drive_task(folder: Path, map_srid: int | None, images_folder: Path) -> tuple[Drive, list[Rejection]]:
-    """Understand a drive folder; see `io/drive_folder`."""
-    return read_drive(folder, map_srid=map_srid, images_folder=images_folder)
+#: Name of each step's task, and of its runs.
+_NAMES: dict[Callable[..., Any], tuple[str, str | None]] = {
+    ingest.read: ("read drive", "read {folder}"),
+    odometry.odometry: ("odometry", "odometry {chunk.frame_pairs[0].frame_index}"),
+    odometry.motions: ("motions", None),
+    odometry.self_calibrate: ("self-calibrate", None),
+    odometry.refine: ("refine", None),
+    detect.detect: ("detect", "detect {chunk.frame_pairs[0].frame_index} {part}"),
+    detect.match: ("match", "match {chunk.frame_pairs[0].frame_index}"),
+    analysis.locate: ("locate", None),
+    analysis.fuse: ("fuse", None),
+    analysis.weigh: ("weigh", None),
+    commit.commit: ("merge", None),
+    artifacts.publish_drive: ("publish", None),
+    artifacts.publish_pending: ("publish what is pending", None),
+}
 
 
-@task(name="locate", **RETRY)
-def locate_task(chunks: Sequence[Chunk], matches: Sequence[Path]) -> list[Path]:
-    """Positions of a drive by forward intersection, chunk by chunk; returns the Parquet files."""
-    return [_locate(chunk, path) for chunk, path in zip(chunks, matches, strict=True)]
+class PrefectExecutor:
+    """Runs steps as tasks of the present flow run, with retries."""
+
+    def __init__(self) -> None:
+        context = FlowRunContext.get()
+        runner = context.task_runner if context is not None else None
+        self.shares_memory = isinstance(runner, ThreadPoolTaskRunner)
+        # Dask makes a plain tuple of Prefect's mark.
+        self._marks = isinstance(runner, ThreadPoolTaskRunner | ProcessPoolTaskRunner)
+        self._clock = StepClock()
+        self._tasks: dict[Callable[..., Any], Task[..., Any]] = {}
+
+    def run(self, step: Callable[..., Any], *arguments: Any) -> Any:
+        return self._task(step)(*map(self._whole, arguments))
+
+    def submit(self, step: Callable[..., Any], *arguments: Any) -> PrefectFuture[Any]:
+        return self._task(step).submit(*map(self._whole, arguments))
+
+    def times(self) -> list[StepTime]:
+        """Steps that ran in processes of their own are missing: their clock is a copy."""
+        return self._clock.times()
+
+    def _task(self, step: Callable[..., Any]) -> Task[..., Any]:
+        if step not in self._tasks:
+            name, run_name = _NAMES[step]
+            self._tasks[step] = task(
+                step, name=name, task_run_name=run_name, retries=2, retry_delay_seconds=[1, 5],
+                retry_condition_fn=_may_pass, on_completion=[partial(_note, self._clock)],
+                cache_policy=NO_CACHE,  # results are kept by content in Parquet files, see files/parquet_store.py
+            )  # fmt: skip
+        return self._tasks[step]
+
+    def _whole(self, argument: Any) -> Any:
+        """An argument that Prefect passes on as it is.
+
+        Prefect searches all arguments for futures and states, twice for each task: every number of every record of a list. With a
+        chunk of 128 frame pairs that costs many times what the task's run itself costs, with the records of a drive seconds.
+        """
+        return opaque(argument) if self._marks and not isinstance(argument, PrefectFuture) else argument
 
 
-def _locate(chunk: Chunk, matches: Path) -> Path:
-    key = result_key(
-        RESULTS_VERSION, "locate", matches.stem, params_sha256(chunk.params.position), rig_and_poses(chunk)
-    )
-    if has_result(chunk.results_folder, key):
-        return result_path(chunk.results_folder, key)
-    pairs = {pair.frame_index: pair for pair in chunk.frame_pairs}
-    positions, rejections = locate_positions(
-        load_result(matches, StereoMatch)[0], pairs, chunk.rig, chunk.params.position
-    )
-    return save_result(chunk.results_folder, key, positions, rejections)
+def _may_pass(_task: Any, _run: Any, state: Any) -> bool:
+    """Disk, network and database may be better in a second; bad input stays bad."""
+    try:
+        state.result()
+    except InputError as error:
+        return is_of_storage(error.__cause__)
+    except Exception:
+        return True
+    return False
 
 
-@task(name="fuse", **RETRY)
-def fuse_task(
-    drive: Drive,
-    detections: list[Detection],
-    matches: list[StereoMatch],
-    positions: list[Position],
-    params: IngestParams,
-    evidence: DetectorEvidence | None,
-    trajectory: RefinedTrajectory | None = None,
-) -> tuple[list[Track], list[Rejection]]:
-    """Tracks of the whole drive. evidence: what the model's sidecar says of its boxes; None where nothing was measured.
+def _note(clock: StepClock, step: Any, run: Any, _state: Any) -> None:
+    """Prefect calls this when a task has completed."""
+    if run.start_time is not None and run.end_time is not None:
+        clock.note(step.name, run.start_time, run.end_time)
 
-    trajectory: the refined one, whose poses `drive` has; without it relative motion errs by fixed shares of the way.
+
+def task_runner(settings: Settings) -> TaskRunner[Any]:
+    """What CONETL_TASK_RUNNER names, not yet started. Raises InputError where it is unavailable.
+
+    Threads or processes: `workers` of them. Dask: the cluster at CONETL_DASK_ADDRESS, else `workers` processes of this machine
+    for the time of one run, on loopback only.
     """
-    motion = None if trajectory is None else motion_error(trajectory)
-    return fuse_tracks(
-        positions, matches, detections, drive.frame_pairs, drive.rig, params, evidence or UNMEASURED, motion
-    )
+    if settings.dask_address and settings.task_runner != "dask":
+        raise InputError(
+            f"CONETL_DASK_ADDRESS is {settings.dask_address}, but CONETL_TASK_RUNNER is {settings.task_runner}: set it to "
+            "dask, or remove the address"
+        )
+    match settings.task_runner:
+        case "threads":
+            return ThreadPoolTaskRunner(max_workers=settings.workers)
+        case "processes":
+            return ProcessPoolTaskRunner(max_workers=settings.workers)
+        case "dask":
+            return _dask(settings)
 
 
-@task(name="weigh", **RETRY)
-def weigh_task(
-    drive: Drive, matches: list[StereoMatch], tracks: list[Track], params: IngestParams, trajectory: RefinedTrajectory
-) -> tuple[list[StereoMatch], list[Position], list[Rejection]]:
-    """Matches of the whole drive with sigmas as its tracks show them, and their positions; see `estimate_variance_factors`."""
-    pairs = {pair.frame_index: pair for pair in drive.frame_pairs}
-    poses = {index: pair.pose for index, pair in pairs.items()}
-    errors = pose_cov(trajectory, params.trajectory)
-    weighed = with_variance_factors(matches, estimate_variance_factors(tracks, matches, drive.rig, poses, errors))
-    return weighed, *locate_positions(weighed, pairs, drive.rig, params.position)
+def _dask(settings: Settings) -> TaskRunner[Any]:
+    try:
+        from prefect_dask.task_runners import DaskTaskRunner
+    except ImportError as error:
+        raise InputError("CONETL_TASK_RUNNER is dask, which is not installed: pip install 'conetl[dask]'") from error
+    if settings.dask_address:
+        return DaskTaskRunner(address=settings.dask_address)
+    here = {
+        "n_workers": settings.workers,
+        "threads_per_worker": 1,
+        "host": "127.0.0.1",
+        "dashboard_address": "127.0.0.1:0",
+    }
+    return DaskTaskRunner(cluster_class="distributed.LocalCluster", cluster_kwargs=here)

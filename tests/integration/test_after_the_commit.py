@@ -10,7 +10,6 @@ import sys
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import httpx
@@ -21,9 +20,10 @@ from conetl.db.map.map_store import list_changesets
 from conetl.db.notification_store import untold_changesets, was_told
 from conetl.model.errors import CalibrationError, StorageError
 from conetl.model.ingest_report import IngestReport, TooManyRejectionsError
+from conetl.pipeline.database import MapDatabase
+from conetl.pipeline.publish import catch_up_all
 from conetl.pipeline.settings import Settings
-from flows import changeset_events, drive_job
-from flows.changeset_events import tell_untold
+from flows import artifacts, ingest_drive
 from tests.integration.small_drives import SAMPLES, cut_drive
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -50,12 +50,12 @@ def attempt(
     samples.commit(conn, samples.added(samples.feature()), key="a")
     monkeypatch.setenv("CONETL_HOME", str(tmp_path / "home"))
     monkeypatch.setenv("CONETL_DATABASE_URL", database_url)
-    monkeypatch.setattr(drive_job, "put_tags", lambda *_: None)
+    monkeypatch.setattr(ingest_drive, "_describe_run", lambda *_: None)
 
     def receipt_of(work: Callable[..., Any]) -> dict[str, Any]:
-        monkeypatch.setattr(drive_job, "ingest_drive", SimpleNamespace(fn=work))
+        monkeypatch.setattr(ingest_drive, "ingest_in_run", work)
         try:
-            drive_job.ingest_one.fn(drive)
+            ingest_drive.ingest_drive.fn(drive)
         except Exception as error:
             assert str(error)
         conn.rollback()
@@ -103,8 +103,8 @@ def test_a_failure_after_the_commit_leaves_a_receipt_that_says_committed(attempt
 def events(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, dict[str, str]]]:
     """Events that would have gone to Prefect."""
     sent: list[tuple[str, dict[str, str]]] = []
-    monkeypatch.setattr(changeset_events, "emit_event", lambda event, resource, **_: sent.append((event, resource)))
-    monkeypatch.setattr(changeset_events.EventsWorker, "drain_all", lambda **_: None)
+    monkeypatch.setattr(artifacts, "emit_event", lambda event, resource, **_: sent.append((event, resource)))
+    monkeypatch.setattr(artifacts.EventsWorker, "drain_all", lambda **_: None)
     return sent
 
 
@@ -116,16 +116,22 @@ def test_what_was_left_untold_is_told_without_the_drive(
     samples.commit(conn, samples.added(cone), key="a")
     later_ns = samples.START_NS + samples.DAY_NS
     samples.commit(conn, samples.removed(cone, later_ns), key="b", start_ns=later_ns)
-    tell_untold(conn, settings)
+
+    def tell_untold(**quiet: timedelta) -> None:
+        with MapDatabase(settings) as database:
+            catch_up_all(settings, database, artifacts.send_events, **quiet)
+        conn.rollback()
+
+    tell_untold()
     assert not events, "the runs that committed them have time to tell them"
 
     settings.exports_folder.mkdir(parents=True)
     (settings.exports_folder / "default.geojson").mkdir()
-    tell_untold(conn, settings, quiet=timedelta(0))  # does not stop those who call it
+    tell_untold(quiet=timedelta(0))  # does not stop those who call it
     assert len(untold_changesets(conn, map_name="default", quiet=timedelta(0))) == 2, "files come before the mark"
 
     (settings.exports_folder / "default.geojson").rmdir()
-    tell_untold(conn, settings, quiet=timedelta(0))
+    tell_untold(quiet=timedelta(0))
     assert [name for name, _ in events] == [
         "conetl.changeset.committed", "conetl.changeset.committed", "conetl.cone.vanished",
     ]  # fmt: skip
@@ -133,7 +139,7 @@ def test_what_was_left_untold_is_told_without_the_drive(
     assert events[1][1]["conetl.removed"] == "1"
     assert all(was_told(conn, changeset.changeset_id) for changeset in list_changesets(conn))
     assert (settings.exports_folder / "default.geojson").is_file()
-    tell_untold(conn, settings, quiet=timedelta(0))
+    tell_untold(quiet=timedelta(0))
     assert len(events) == 3
 
 
@@ -200,12 +206,14 @@ _LOST_ANSWER = """
 import os, httpx
 from conetl.pipeline.settings import prefect_environment, read_settings
 os.environ.update(prefect_environment(read_settings().home))
-from flows import ingest_drive as flow
-merge = flow.merge_task
-def merge_and_lose_the_answer(*arguments):
-    merge(*arguments)
-    raise httpx.ConnectError("Prefect restarts")
-flow.merge_task = merge_and_lose_the_answer
+from flows.tasks import PrefectExecutor
+run = PrefectExecutor.run
+def run_and_lose_the_answer(self, step, *arguments):
+    result = run(self, step, *arguments)
+    if step.__name__ == "commit":
+        raise httpx.ConnectError("Prefect restarts")
+    return result
+PrefectExecutor.run = run_and_lose_the_answer
 """
 
 

@@ -9,28 +9,34 @@ from pathlib import Path
 import pytest
 
 from conetl.files.parquet_store import load_result
+from conetl.files.storage import forget_all
+from conetl.geometry.motion.stereo_tracks import StereoTracks
 from conetl.model.errors import StorageError
 from conetl.model.params import IngestParams
-from conetl.model.records import Detection
-from conetl.perception import images
+from conetl.model.records import Detection, StereoMatch
 from conetl.perception.model_card import read_model_card
-from conetl.pipeline import chunks
 from conetl.pipeline.chunks import Chunk
+from conetl.pipeline.detect import detect, match
+from conetl.pipeline.odometry import grey_reader, odometry
 from conetl.readers.drives import read_drive
-from flows import detection, refinement
-from tests.integration.small_drives import SAMPLES, cut_drive
+from tests.integration.small_drives import SAMPLES, cut_drive, spoil_huffman_table
 
 Failure = Callable[[Path], bytes]
 
 
-@pytest.fixture
-def chunk(tmp_path: Path) -> Chunk:
-    drive, _ = read_drive(cut_drive(SAMPLES[0], tmp_path / "drive", "2026-04-01"))
+def chunk_of(drive: Path, results: Path) -> Chunk:
+    """The first two pairs of a drive, of whose images nothing is in memory."""
+    read, _ = read_drive(drive)
+    forget_all()
     return Chunk(
-        drive_id=drive.drive_id, rig=drive.rig, frame_pairs=drive.frame_pairs[:2],
-        results_folder=tmp_path / "results", model_path=None,
+        drive_id=read.drive_id, rig=read.rig, frame_pairs=read.frame_pairs[:2], results_folder=results, model_path=None,
         detections_sha256=read_model_card(None).detections_sha256, params=IngestParams(),
     )  # fmt: skip
+
+
+@pytest.fixture
+def chunk(tmp_path: Path) -> Chunk:
+    return chunk_of(cut_drive(SAMPLES[0], tmp_path / "drive", "2026-04-01"), tmp_path / "results")
 
 
 def stale(path: Path) -> bytes:
@@ -57,9 +63,9 @@ def test_detections_are_not_kept_of_images_that_were_not_read(
     with monkeypatch.context() as failing:
         failing.setattr(Path, "read_bytes", failure)
         with pytest.raises(StorageError, match=r"\.jpg"):
-            detection.detect_task.fn(chunk, 0, None)
+            detect(chunk, 0, None)
     assert not chunk.results_folder.exists()
-    found, rejections = load_result(detection.detect_task.fn(chunk, 0, None), Detection)
+    found, rejections = load_result(detect(chunk, 0, None), Detection)
     assert found
     assert not rejections
 
@@ -71,47 +77,45 @@ def test_points_are_not_kept_of_images_that_were_not_read(
     with monkeypatch.context() as failing:
         failing.setattr(Path, "read_bytes", failure)
         with pytest.raises(StorageError, match=r"\.jpg"):
-            refinement.odometry_task.fn(chunk)
+            odometry(chunk)
     assert not chunk.results_folder.exists()
-    found, _ = load_result(refinement.odometry_task.fn(chunk).tracks, refinement.StereoTracks)
+    found, _ = load_result(odometry(chunk).tracks, StereoTracks)
     assert found[0].missing is None
 
 
-def test_a_image_that_comes_back_after_its_hash_is_not_kept_under_no_image(
-    chunk: Chunk, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with monkeypatch.context() as failing:
-        failing.setattr(chunks, "file_sha256", lambda _: images.NO_FILE_SHA256)
+def test_an_image_that_changed_since_it_was_hashed_is_not_used(chunk: Chunk) -> None:
+    image = Path(chunk.frame_pairs[0].left_path)
+    image.write_bytes(half(image))
+    for work in (lambda: detect(chunk, 0, None), lambda: odometry(chunk)):
         with pytest.raises(StorageError, match="changed"):
-            detection.detect_task.fn(chunk, 0, None)
+            work()
+    image.unlink()
+    with pytest.raises(StorageError, match="there is no such file"):
+        detect(chunk, 0, None)
     assert not chunk.results_folder.exists()
 
 
-def test_a_image_that_is_gone_is_a_rejection_that_is_kept(chunk: Chunk) -> None:
-    Path(chunk.frame_pairs[0].left_path).unlink()
-    _, rejections = load_result(detection.detect_task.fn(chunk, 0, None), Detection)
-    assert [rejection.reason for rejection in rejections] == ["image_missing"]
-    found, _ = load_result(refinement.odometry_task.fn(chunk).tracks, refinement.StereoTracks)
+def test_an_image_that_no_decoder_accepts_is_a_rejection_that_is_kept(tmp_path: Path) -> None:
+    drive = cut_drive(SAMPLES[0], tmp_path / "drive", "2026-04-01")
+    spoil_huffman_table(sorted((drive / "image_02" / "data").iterdir())[0])
+    chunk = chunk_of(drive, tmp_path / "results")
+    _, rejections = load_result(detect(chunk, 0, None), Detection)
+    assert [rejection.reason for rejection in rejections] == ["image_unreadable"]
+    found, _ = load_result(odometry(chunk).tracks, StereoTracks)
     assert found[0].missing == "image_unreadable"
-
-
-def test_a_image_that_is_bad_for_good_is_a_rejection_that_is_kept(chunk: Chunk) -> None:
-    image = Path(chunk.frame_pairs[0].left_path)
-    image.write_bytes(half(image))
-    _, rejections = load_result(detection.detect_task.fn(chunk, 0, None), Detection)
-    assert [rejection.reason for rejection in rejections] == ["image_truncated"]
 
 
 def test_matches_and_calibration_are_not_worked_out_without_images_that_were_there(
     chunk: Chunk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    detected = detection.detect_task.fn(chunk, 0, None)
+    detected = detect(chunk, 0, None)
     kept = set(chunk.results_folder.iterdir())
-    read = refinement.reader_again(chunk.rig)
+    forget_all()
     with monkeypatch.context() as failing:
         failing.setattr(Path, "read_bytes", gone)
-        with pytest.raises(StorageError, match="was read before"):
-            detection.match_task.fn(chunk, chunk.rig, detected)
-        with pytest.raises(StorageError, match="was read before"):
-            read(chunk.frame_pairs[0], "left")
+        with pytest.raises(StorageError, match="changed"):
+            match(chunk, chunk.rig, detected)
+        with pytest.raises(StorageError, match="changed"):
+            grey_reader(chunk.rig)(chunk.frame_pairs[0], "left")
     assert set(chunk.results_folder.iterdir()) == kept
+    assert load_result(match(chunk, chunk.rig, detected, detect(chunk, 1, None)), StereoMatch)[0]

@@ -30,8 +30,8 @@ from conetl.exports.kind_marks import KIND_MARKS
 from conetl.exports.source import ExportRequest, What
 from conetl.model.errors import InputError
 from conetl.model.map_records import DeltaKind
+from conetl.pipeline.publication import write_publication
 from conetl.pipeline.settings import Settings
-from flows.publish_map import write_publication
 from tests.conftest import cloned_database
 from tests.integration.drives_of_days import DAY_NS, START_NS, merge, survey
 

@@ -21,20 +21,19 @@ from conetl.db.connection import connect, execute
 from conetl.db.map.map_store import list_changesets
 from conetl.db.map.results import CommittedChangeset
 from conetl.db.receipt_store import Receipt, write_receipt
-from conetl.db.run_store import write_run_steps
+from conetl.db.run_store import StepTime, write_run_steps
 from conetl.model.errors import InputError
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import IngestParams
 from conetl.model.rejections import RejectionReason
 from conetl.pipeline.code_identity import code_facts, code_sha256
+from conetl.pipeline.publication import write_publication
 from conetl.pipeline.settings import Settings
 from conetl.reports import evidence
 from conetl.reports.drive_facts import find_drive, read_drive_facts
 from conetl.reports.drive_page import drive_page, findings, write_drive_page
 from conetl.reports.night_page import night_page, read_night, write_night_page
 from conetl.web.app import create_app
-from flows.publish_map import write_publication
-from flows.timing import StepTime
 from tests.conftest import cloned_database
 from tests.view_map import two_drives
 

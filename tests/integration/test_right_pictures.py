@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from conetl.cli.tools.drive_results import DriveResults, run_steps
+from conetl.cli.tools.drive_results import analyse_folder
 from conetl.mapping.changes import reconcile
 from conetl.mapping.visibility import check_visibility, observations_of_drive
 from conetl.model.detector_evidence import AbsenceFigures
@@ -17,10 +17,11 @@ from conetl.model.errors import DriveFolderError
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import DetectionParams, IngestParams, MatchParams, Params, ReconcileParams, TrackParams
 from conetl.perception.model_card import read_model_card
+from conetl.pipeline.analysis import AnalysedDrive
 from conetl.pipeline.chunks import Chunk
+from conetl.pipeline.detect import detect
 from conetl.pipeline.settings import Settings
 from conetl.tracking.matching.epipolar_search import blocks_of
-from flows.detection import detect_task
 from tests.integration.small_drives import spoil_huffman_table
 
 DRIVE = Path(__file__).resolve().parents[2] / "data" / "drives" / "2026-03-02_taper_pass1"
@@ -34,16 +35,19 @@ def settings(tmp_path_factory: pytest.TempPathFactory) -> Settings:
 
 
 @pytest.fixture(scope="module")
-def results(settings: Settings) -> DriveResults:
-    return run_steps(DRIVE, settings, PARAMS, map_srid=None)
+def results(settings: Settings) -> AnalysedDrive:
+    return analyse_folder(DRIVE, settings, PARAMS)
 
 
-def test_the_same_cones_at_the_same_places(settings: Settings, results: DriveResults) -> None:
-    whole = run_steps(DRIVE, settings, EVERYWHERE, map_srid=None)
-    count = {side: [sum(d.side == side for d in r.detections) for r in (whole, results)] for side in ("left", "right")}
+def test_the_same_cones_at_the_same_places(settings: Settings, results: AnalysedDrive) -> None:
+    whole = analyse_folder(DRIVE, settings, EVERYWHERE)
+    count = {
+        side: [sum(d.side == side for d in r.records.detections) for r in (whole, results)]
+        for side in ("left", "right")
+    }
     assert count["left"][0] == count["left"][1]
     assert count["right"][1] == pytest.approx(count["right"][0], rel=0.05)
-    assert len(results.matches) == pytest.approx(len(whole.matches), rel=0.02)
+    assert len(results.records.matches) == pytest.approx(len(whole.records.matches), rel=0.02)
     ours, theirs = (np.array([t.xyz_m for t in r.tracks]) for r in (results, whole))
     assert len(ours) == len(theirs)
     apart = np.linalg.norm(ours[:, None] - theirs[None], axis=2).min(axis=1)
@@ -52,7 +56,7 @@ def test_the_same_cones_at_the_same_places(settings: Settings, results: DriveRes
 
 @pytest.mark.parametrize("covered", ["image_02", "image_03"])
 def test_a_covered_lens_removes_nothing(
-    tmp_path: Path, settings: Settings, results: DriveResults, covered: str
+    tmp_path: Path, settings: Settings, results: AnalysedDrive, covered: str
 ) -> None:
     """What one camera still shows is not gone, whichever it is: a drive with one of them covered tells nothing."""
     drive = _with_covered(covered, tmp_path)
@@ -60,7 +64,7 @@ def test_a_covered_lens_removes_nothing(
 
 
 def test_a_covered_lens_removes_nothing_beside_broken_images(
-    tmp_path: Path, settings: Settings, results: DriveResults
+    tmp_path: Path, settings: Settings, results: AnalysedDrive
 ) -> None:
     """Just those right images that were to tell whether the others need to be searched."""
     drive = _with_covered("image_02", tmp_path)
@@ -71,7 +75,7 @@ def test_a_covered_lens_removes_nothing_beside_broken_images(
 
 
 def test_a_drive_without_a_whole_right_image_looks_at_nothing(
-    tmp_path: Path, settings: Settings, results: DriveResults
+    tmp_path: Path, settings: Settings, results: AnalysedDrive
 ) -> None:
     """Not even at an empty street, where no right image but those of some pairs would have to be searched."""
     drive = _with_covered("image_02", tmp_path)
@@ -93,14 +97,14 @@ def test_a_drive_without_a_whole_right_image_looks_at_nothing(
     ],
 )
 def test_detections_are_known_by_all_that_says_what_is_searched(
-    tmp_path: Path, results: DriveResults, changed: dict[str, Params]
+    tmp_path: Path, results: AnalysedDrive, changed: dict[str, Params]
 ) -> None:
     chunk = Chunk(
         drive_id=results.drive.drive_id, rig=results.drive.rig, frame_pairs=results.drive.frame_pairs[:1],
         results_folder=tmp_path, model_path=None, detections_sha256=read_model_card(None).detections_sha256, params=PARAMS,
     )  # fmt: skip
     other = chunk.model_copy(update={"params": PARAMS.model_copy(update=changed)})
-    assert detect_task.fn(chunk, 0, None) != detect_task.fn(other, 0, None)
+    assert detect(chunk, 0, None) != detect(other, 0, None)
 
 
 def _with_covered(covered: str, folder: Path) -> Path:
@@ -112,7 +116,7 @@ def _with_covered(covered: str, folder: Path) -> Path:
     return drive
 
 
-def _removed_by(drive: Path, settings: Settings, before: DriveResults) -> int:
+def _removed_by(drive: Path, settings: Settings, before: AnalysedDrive) -> int:
     """How many of the cones that `before` put on the map a drive, which finds none, takes from it."""
     features = [
         delta.new.model_copy(update={"last_seen_ns": 1, "first_seen_ns": 0})
@@ -123,14 +127,14 @@ def _removed_by(drive: Path, settings: Settings, before: DriveResults) -> int:
     # Poses as they are logged: odometry has nothing to go by.
     trajectory = PARAMS.trajectory.model_copy(update={"refine": False})
     params = PARAMS.model_copy(update={"trajectory": trajectory})
-    dark_drive = run_steps(drive, settings, params, map_srid=None)
+    dark_drive = analyse_folder(drive, settings, params)
     assert dark_drive.tracks == []
     evidence = read_model_card(None).evidence
     assert evidence is not None
     view = observations_of_drive(
         dark_drive.drive.rig,
         dark_drive.drive.frame_pairs,
-        dark_drive.detections,
+        dark_drive.records.detections,
         [],
         AbsenceFigures(evidence=evidence, score_threshold=params.detection.score_threshold),
     )

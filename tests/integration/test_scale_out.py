@@ -17,14 +17,13 @@ from conetl.model.errors import InputError, ModelFileError
 from conetl.model.params import IngestParams
 from conetl.model.records import StereoMatch
 from conetl.perception.model_card import read_model_card
-from conetl.pipeline import progress
+from conetl.pipeline.analysis import analyse
 from conetl.pipeline.chunks import Chunk, parts_of
+from conetl.pipeline.detect import detect, match
 from conetl.pipeline.settings import Settings, prefect_environment
 from conetl.readers.drives import read_drive
-from flows import detection
-from flows.analysis import PrefectRuns, analyse
-from flows.runners import task_runner
 from flows.server import prefect_server
+from flows.tasks import PrefectExecutor, task_runner
 from tests.integration.small_drives import SAMPLES, cut_drive
 from tests.object_storage import BUCKET, object_storage
 
@@ -60,26 +59,24 @@ def chunks(tmp_path_factory: pytest.TempPathFactory) -> list[Chunk]:
 
 def test_threads_processes_and_dask_write_the_same_bytes(home: Path, chunks: list[Chunk], tmp_path: Path) -> None:
     drive, _ = read_drive(Path(chunks[0].frame_pairs[0].left_path).parents[2])
+    heard: list[tuple[int, int]] = []
 
     def work(folder: Path) -> None:
-        here = [chunk.model_copy(update={"results_folder": folder}) for chunk in chunks]
-        analyse(drive, [], here, chunks[0].params, None, PrefectRuns())
+        analyse(
+            drive, chunks[0].params, settings=Settings(home=folder), executor=PrefectExecutor(),
+            progress=lambda done, total: heard.append((done, total)),
+        )  # fmt: skip
 
     written: dict[str, dict[str, bytes]] = {}
     for kind in ("threads", "processes", "dask"):
         runner = task_runner(Settings(home=home, workers=1, task_runner=kind))
         assert cloudpickle.loads(cloudpickle.dumps(runner)) == runner  # a flow travels to its process with its runner
-        heard: list[tuple[int, int]] = []
-        listener = lambda _, done, total, heard=heard: heard.append((done, total))  # noqa: E731
-        progress.listen(listener)
-        try:
-            flow(work, name=f"chunks by {kind}", validate_parameters=False).with_options(task_runner=runner)(
-                tmp_path / kind
-            )
-        finally:
-            progress.ignore(listener)
+        heard.clear()
+        flow(work, name=f"chunks by {kind}", validate_parameters=False).with_options(task_runner=runner)(
+            tmp_path / kind
+        )
         assert heard[-1] == (8, 8), "6 images and 2 motions, whoever counted them"
-        written[kind] = {path.name: path.read_bytes() for path in (tmp_path / kind).iterdir()}
+        written[kind] = {path.name: path.read_bytes() for path in (tmp_path / kind / "results").iterdir()}
     assert len(written["threads"]) == 13, (
         "3 of detections, 3 of their matches, 2 of a chunk's, 2 of positions; points followed, motions, self-calibration"
     )
@@ -91,12 +88,10 @@ def test_matches_are_the_same_from_images_in_memory_and_read_again(chunks: list[
     written: list[dict[str, bytes]] = []
     for early in (True, False):
         chunk = chunks[0].model_copy(update={"results_folder": tmp_path / str(early)})
-        parts = [
-            detection.detect_task.fn(chunk, part, chunk.rig if early else None) for part in range(len(parts_of(chunk)))
-        ]
+        parts = [detect(chunk, part, chunk.rig if early else None) for part in range(len(parts_of(chunk)))]
         before = len(list(chunk.results_folder.iterdir()))
         assert before == (4 if early else 2), "with the rig at hand, matches come along with the detections"
-        matches, _ = load_result(detection.match_task.fn(chunk, chunk.rig, *parts), StereoMatch)
+        matches, _ = load_result(match(chunk, chunk.rig, *parts), StereoMatch)
         assert any(match.refined for match in matches)
         written.append({path.name: path.read_bytes() for path in chunk.results_folder.iterdir()})
     assert written[0] == written[1]
@@ -105,7 +100,7 @@ def test_matches_are_the_same_from_images_in_memory_and_read_again(chunks: list[
 def test_another_machines_model_is_no_answer(chunks: list[Chunk], tmp_path: Path) -> None:
     other = chunks[0].model_copy(update={"results_folder": tmp_path, "detections_sha256": "0" * 64})
     with pytest.raises(ModelFileError, match="all machines need the same version"):
-        detection.detect_task.fn(other, 0, other.rig)
+        detect(other, 0, other.rig)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -26,9 +26,9 @@ from conetl.db.receipt_store import held_if_free
 from conetl.model.errors import DriveFolderError, InputError
 from conetl.model.params import IngestParams
 from conetl.pipeline.settings import Settings
+from conetl.pipeline.watch import WatchReport, pause_s, watch_drive
 from conetl.readers.recording.drive import ArrivingPair, ArrivingPlain
 from conetl.web.app import create_app
-from flows.watch import WatchReport, pause_s, watch_drive
 from tests.integration.arriving_drives import FRAMES, append, begin, image, row, write_images
 
 #: A busy machine must not make a test fail: nothing is too old, and what is written late is waited for.
@@ -90,7 +90,7 @@ def test_pairs_become_provisional_features_as_they_arrive(settings: Settings, co
             seen.set()
 
     with recorder(write):
-        report = watch(folder, settings, tell=tell)
+        report = watch(folder, settings, progress=tell)
     assert [p.frame_index for p in report.pairs] == list(range(len(FRAMES)))  # rows of trajectory.csv, in order
     assert (report.ended_by, report.left_out, dict(report.refused)) == ("COMPLETE", 0, {})
     assert all(p.total_s > 0 and p.waited_s < p.total_s for p in report.pairs)
@@ -153,7 +153,7 @@ def test_old_pairs_are_left_out_only_while_newer_ones_wait(settings: Settings, t
             (folder / "COMPLETE").touch()
             time.sleep(0.3)  # so that the system tells of all of them at once
 
-    report = watch(folder, settings, tell=tell, max_behind_s=1e-9)
+    report = watch(folder, settings, progress=tell, max_behind_s=1e-9)
     assert [p.frame_index for p in report.pairs[:3]] == [0, 1, 2]
     assert all(p.backlog for p in report.pairs[:3]) and not any(p.backlog for p in report.pairs[3:])
     assert report.pairs[-1].frame_index == 6  # the newest is always taken

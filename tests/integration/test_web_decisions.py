@@ -160,7 +160,7 @@ def test_a_decision_that_says_too_little_or_too_much_is_refused(client, changes)
 
 def test_what_is_not_known_is_not_found(client):
     answer = post(client, wish_for({"feature_id": str(uuid4()), "version": 1}), 404)
-    assert "knows no feature" in answer["detail"]
+    assert "there is no feature" in answer["detail"]
 
 
 def test_a_server_without_a_token_writes_nothing(client, module_database_url):

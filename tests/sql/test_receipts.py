@@ -36,7 +36,7 @@ DAY = 86_400
 ROOT = Path("drives")
 
 
-def outlines(count: int) -> list[DriveHeader]:
+def headers(count: int) -> list[DriveHeader]:
     """Simulated drives, one a day from 2026-01-01 on."""
     start_ns = int(datetime(2026, 1, 1, tzinfo=UTC).timestamp()) * 1_000_000_000
     return [
@@ -55,7 +55,7 @@ def outlines(count: int) -> list[DriveHeader]:
 
 @pytest.fixture
 def plan(conn: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """`plan(outlines, **options)`: a plan over drives that need not exist."""
+    """`plan(headers, **options)`: a plan over drives that need not exist."""
 
     def make(drives: list[DriveHeader], **options: Any) -> Plan:
         by_path = {drive.path: drive for drive in drives}
@@ -67,12 +67,12 @@ def plan(conn: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 @pytest.fixture
 def receipt(conn: Any, tmp_path: Path) -> Any:
-    """`receipt(outline, state, **values)`: writes a receipt, with the start before an end."""
+    """`receipt(header, state, **values)`: writes a receipt, with the start before an end."""
 
-    def write(outline: DriveHeader, state: str, **values: Any) -> Receipt:
+    def write(header: DriveHeader, state: str, **values: Any) -> Receipt:
         analysis = analysis_of(IngestParams(), Settings()).sha256
         started = Receipt(
-            uuid4(), "default", str(outline.path), outline.drive_id, outline.header_sha256, analysis, None, "started", "", True,
+            uuid4(), "default", str(header.path), header.drive_id, header.header_sha256, analysis, None, "started", "", True,
             None, 100, None, None, "here",
         )  # fmt: skip
         started = replace(started, **{k: v for k, v in values.items() if k == "analysis_sha256"})
@@ -85,11 +85,11 @@ def receipt(conn: Any, tmp_path: Path) -> Any:
 
 
 def actions(plan: Plan) -> list[tuple[str, str]]:
-    return [(line.outline.drive_id, line.action) for line in plan.lines]
+    return [(line.header.drive_id, line.action) for line in plan.lines]
 
 
 def test_new_drives_are_planned_in_the_order_of_their_recording(plan: Any) -> None:
-    made = plan(list(reversed(outlines(3))))
+    made = plan(list(reversed(headers(3))))
     assert actions(made) == [("d0000", "ingest"), ("d0001", "ingest"), ("d0002", "ingest")]
     assert made.frame_pairs == 300
     assert made.estimate_s(1) is None
@@ -97,21 +97,21 @@ def test_new_drives_are_planned_in_the_order_of_their_recording(plan: Any) -> No
 
 
 def test_since_belongs_to_the_span_and_until_does_not(plan: Any) -> None:
-    made = plan(outlines(5), since=datetime(2026, 1, 2, tzinfo=UTC), until=datetime(2026, 1, 4, tzinfo=UTC))
+    made = plan(headers(5), since=datetime(2026, 1, 2, tzinfo=UTC), until=datetime(2026, 1, 4, tzinfo=UTC))
     assert [name for name, _ in actions(made)] == ["d0001", "d0002"]
 
 
 def test_a_span_that_ends_before_it_begins_is_refused(plan: Any) -> None:
     """Such a plan was one of no drives, as where there are none."""
     with pytest.raises(InputError, match=r"2026-01-04 00:00 UTC on \(--since\) and before 2026-01-02"):
-        plan(outlines(5), since=datetime(2026, 1, 4, tzinfo=UTC), until=datetime(2026, 1, 2, tzinfo=UTC))
+        plan(headers(5), since=datetime(2026, 1, 4, tzinfo=UTC), until=datetime(2026, 1, 2, tzinfo=UTC))
 
 
 def test_what_is_done_is_left_alone_and_only_what_failed_is_tried_again(
     plan: Any, receipt: Any, conn: Any, samples: Any
 ) -> None:
     samples.commit(conn, samples.added(samples.feature()), key="a")
-    drives = outlines(5)
+    drives = headers(5)
     receipt(drives[0], "committed", changeset_id=changeset_id(conn), seconds=50.0, may_pass=False)
     receipt(drives[1], "failed", reason="not one usable pose", may_pass=False)
     receipt(drives[2], "started")
@@ -129,7 +129,7 @@ def test_what_is_done_is_left_alone_and_only_what_failed_is_tried_again(
 
 
 def test_a_schedule_leaves_alone_what_failed_until_it_changes(plan: Any, receipt: Any) -> None:
-    drives = outlines(4)
+    drives = headers(4)
     receipt(drives[0], "failed", reason="not one usable pose", may_pass=False)
     receipt(drives[1], "crashed", reason="signal 9", may_pass=True)
     for _ in range(3):
@@ -159,7 +159,7 @@ def on_the_map(conn: Any, samples: Any) -> DriveHeader:
     )
     conn.commit()
     return replace(
-        outlines(1)[0], drive_id="drive_a", captured_from_ns=samples.START_NS, captured_to_ns=samples.START_NS + 10**10
+        headers(1)[0], drive_id="drive_a", captured_from_ns=samples.START_NS, captured_to_ns=samples.START_NS + 10**10
     )
 
 
@@ -189,13 +189,13 @@ def test_parameters_of_earlier_do_not_make_a_drive_a_changed_one(
 
 
 def test_the_same_recording_twice_is_ingested_once(plan: Any) -> None:
-    first = outlines(1)[0]
+    first = headers(1)[0]
     made = plan([first, replace(first, path=ROOT / "copy")])
     assert sorted(line.action for line in made.lines) == ["ingest", "skip"]
 
 
 def test_a_lock_says_who_lives(conn: Any, database_url: str, plan: Any, receipt: Any, tmp_path: Path) -> None:
-    drive = outlines(1)[0]
+    drive = headers(1)[0]
     started = receipt(drive, "started")
     names = [started.drive_lock, run_lock("a"), run_lock("b")]
     with holding(database_url, started.drive_lock, run_lock("a")):
@@ -210,14 +210,14 @@ def test_a_lock_says_who_lives(conn: Any, database_url: str, plan: Any, receipt:
 
 
 def test_receipts_are_files_too(receipt: Any, tmp_path: Path) -> None:
-    receipt(outlines(1)[0], "failed", reason="not one usable pose", may_pass=False)
+    receipt(headers(1)[0], "failed", reason="not one usable pose", may_pass=False)
     (path,) = (tmp_path / "default").glob("d0000-*.json")
     kept = json.loads(path.read_text())
     assert (kept["state"], kept["reason"], kept["attempts"]) == ("failed", "not one usable pose", 1)
 
 
 def test_the_writer_may_add_receipts_and_not_change_them(database_url: str, receipt: Any) -> None:
-    receipt(outlines(1)[0], "started")
+    receipt(headers(1)[0], "started")
     writer = connect(database_url)
     execute(writer, "set role conetl_writer")
     with pytest.raises(Exception, match="permission denied"):
@@ -259,7 +259,7 @@ def changeset_id(conn: Any) -> Any:
 @pytest.mark.parametrize("drive_id", ["\u6f22" * 200, "M\udcfcnchen"])
 def test_any_id_has_a_receipt(drive_id: str, receipt: Any, conn: Any, tmp_path: Path) -> None:
     """File systems count bytes; and names of files may be bytes that are not UTF-8."""
-    drive = replace(outlines(1)[0], drive_id=drive_id)
+    drive = replace(headers(1)[0], drive_id=drive_id)
     receipt(drive, "failed", reason=f"{drive_id} is wrong", may_pass=False)
     kept = latest_receipts(conn, map_name="default")[drive.header_sha256]
     assert kept.reason.startswith("M\\xfcnchen" if "M" in drive_id else drive_id)
@@ -271,7 +271,7 @@ def test_a_copy_that_cannot_be_written_does_not_undo_the_receipt(
     receipt: Any, conn: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     (tmp_path / "default").write_text("a file where the folder should be")
-    drive = outlines(1)[0]
+    drive = headers(1)[0]
     receipt(drive, "failed", reason="not one usable pose", may_pass=False)
     assert latest_receipts(conn, map_name="default")[drive.header_sha256].state == "failed"
     assert "its copy is not" in caplog.text
@@ -289,7 +289,7 @@ def test_a_full_disk_costs_the_copy_of_a_receipt_and_nothing_else(
     receipt: Any, conn: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """The row is what counts; of the copy there is the earlier one, and no half one beside it."""
-    [drive] = outlines(1)
+    [drive] = headers(1)
     receipt(drive, "started")
     [copy] = tmp_path.rglob("*.json")
     before = copy.read_bytes()

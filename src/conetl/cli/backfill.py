@@ -156,11 +156,11 @@ def _print_plan(plan: Plan, parallel: int) -> None:
     )
     rows = [
         (
-            line.outline.drive_id[:60],
-            f"{line.outline.captured_from:%Y-%m-%d %H:%M}" if line.outline.captured_from else "?",
+            line.header.drive_id[:60],
+            f"{line.header.captured_from:%Y-%m-%d %H:%M}" if line.header.captured_from else "?",
             {"ingest": "ingest", "wait": "wait", "skip": "-", "refuse": "not usable"}[line.action],
             line.why[:110],
-            line.outline.frame_pairs,
+            line.header.frame_pairs,
         )
         for line in plan.lines
     ]

@@ -29,7 +29,7 @@ from conetl.model.params import IngestParams
 from conetl.perception.model_card import read_model_card
 from conetl.pipeline.settings import Settings, prefect_environment, read_settings
 from conetl.readers.drives import drive_format, read_drive
-from conetl.readers.drives.header import read_header
+from conetl.readers.drives.header import DriveHeader, read_header
 
 
 def ingest(
@@ -78,7 +78,8 @@ def ingest_drives(
     missing = [str(drive) for drive in drives if not drive.is_dir() and drive_format(drive) is None]
     if len(missing) == len(drives):  # before any service is started
         raise InputError(f"no such drive folder: {', '.join(missing)}")
-    reasons = [reason for drive in drives if (reason := _why_unusable(drive))]
+    headers = [read_header(drive) for drive in drives]
+    reasons = [reason for header in headers if (reason := _why_unusable(header))]
     if len(reasons) == len(drives):
         for reason in reasons:
             complain(reason)
@@ -92,39 +93,37 @@ def ingest_drives(
     with ExitStack() as running:
         with err.status("Starting Prefect") if err.is_terminal else nullcontext():
             # Prefect reads its environment when it is imported, and takes two seconds for it: not at the top of the file.
-            from conetl.pipeline import progress
-            from flows.ingest_drive import ingest_drive
-            from flows.retries import as_known
-            from flows.runners import with_runner
+            from conetl.pipeline.database import MapDatabase
+            from conetl.pipeline.ingest import as_known
+            from flows.ingest_drive import ingest_by_command
             from flows.server import prefect_server
 
             running.enter_context(prefect_server(settings.home))
         bars = running.enter_context(progress_bar())
         bar = bars.add_task("", total=None)
-        listener = lambda drive_id, done, total: bars.update(bar, description=drive_id, completed=done, total=total)  # noqa: E731
-        progress.listen(listener)
-        try:
-            run = with_runner(ingest_drive, settings)
-            for drive in drives:
-                try:
-                    report = run(drive, settings, params, map_srid=map_srid)
-                except TooManyRejectionsError as error:
-                    _take(error.report, reports, show, error)
+        database = running.enter_context(MapDatabase(settings))
+        for header in headers:
+            bars.update(bar, description=header.drive_id, completed=0, total=None)
+            try:
+                report = ingest_by_command(
+                    header, settings, params, map_srid=map_srid, database=database,
+                    progress=lambda done, total: bars.update(bar, completed=done, total=total),
+                )  # fmt: skip
+            except TooManyRejectionsError as error:
+                _take(error.report, reports, show, error)
+                exit_code = max(exit_code, EXIT_TOO_MANY_REJECTIONS)
+            except Exception as raised:
+                failure = as_known(raised)
+                if not isinstance(failure, ConetlError):
+                    raise
+                complain(failure)
+                if isinstance(failure, ServiceError):
+                    return reports, failure.exit_code
+                exit_code = EXIT_BAD_INPUT
+            else:
+                _take(report, reports, show)
+                if report.unpublished:
                     exit_code = max(exit_code, EXIT_TOO_MANY_REJECTIONS)
-                except Exception as raised:
-                    failure = as_known(raised)
-                    if not isinstance(failure, ConetlError):
-                        raise
-                    complain(failure)
-                    if isinstance(failure, ServiceError):
-                        return reports, failure.exit_code
-                    exit_code = EXIT_BAD_INPUT
-                else:
-                    _take(report, reports, show)
-                    if report.unpublished:
-                        exit_code = max(exit_code, EXIT_TOO_MANY_REJECTIONS)
-        finally:
-            progress.ignore(listener)
     return reports, exit_code
 
 
@@ -158,18 +157,16 @@ def _make_home(settings: Settings) -> None:
         ) from error
 
 
-def _why_unusable(drive: Path) -> ConetlError | None:
-    """What reading would say of a drive of which a glance shows that it cannot be used; None where a glance is not enough.
+def _why_unusable(header: DriveHeader) -> ConetlError | None:
+    """Why a drive cannot be read where its header has a problem; None where the header is not enough to say so.
 
-    Bags have to be unpacked to be read, and what lies elsewhere may be out of reach for a while: the flow judges them.
+    Bags have to be unpacked to be read, and remote drives may be unavailable for a while: the flow judges them.
     """
-    if is_remote(drive) or drive_format(drive) == "bag":
+    if header.problem is None or is_remote(header.path) or drive_format(header.path) == "bag":
         return None
     with suppress(OSError):
-        if drive.exists() and read_header(drive).problem is None:
-            return None
         try:
-            read_drive(drive, headers_only=True)
+            read_drive(header.path, headers_only=True)
         except InputError as error:
             return error
     return None

@@ -20,6 +20,7 @@ from conetl.cli.console import JsonOption, err, out, print_json, print_table
 from conetl.db.cluster.cluster import cluster_down, cluster_status, cluster_up
 from conetl.db.connection import connect, migrate, prefect_database, sqlalchemy_url
 from conetl.model.errors import EXIT_SERVICE_MISSING, InputError, ServiceError
+from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.settings import SERVER_AUTH, Settings, prefect_auth_string, prefect_environment, read_settings
 from conetl.services.prefect_api import is_healthy, require_access
 from conetl.services.processes import (
@@ -145,7 +146,7 @@ def _start_all(
     ensure("view", [*conetl, "view", "--port", str(view_port), *(["--decisions"] if decisions else [])], view)
     os.environ.update(environment)  # Prefect reads its environment when it is imported, below
     from flows import register
-    from flows.recovery import recover
+    from flows.runs import recover
 
     wait_healthy(services["prefect"], lambda: is_healthy(f"{address}/api"), _TIMEOUT_S)
     require_access(f"{address}/api", prefect_auth_string(), SERVER_AUTH)
@@ -158,8 +159,8 @@ def _start_all(
         ensure(name, command, None)
     say("Registering deployments")
     registered = register.ensure_deployments()
-    with closing(connect(url)) as conn:
-        recovered = [run.id for run in recover(conn)]
+    with MapDatabase(settings) as database:
+        recovered = [run.id for run in recover(database)]
 
     def is_online(name: str) -> bool:
         return register.worker_is_online(_worker_name(name), datetime.fromisoformat(services[name].started_at))

@@ -19,7 +19,7 @@ from conetl.model.errors import DriveFolderError
 from conetl.pipeline.settings import Settings, read_settings
 
 if TYPE_CHECKING:  # onnxruntime and the watcher are loaded when they are needed
-    from flows.watch import PairTime, WatchReport
+    from conetl.pipeline.watch import PairTime, WatchReport
 
 _TOLD_EVERY = 10
 _PARTS = (
@@ -52,14 +52,14 @@ def watch(
 
     They are no part of the map's history; `conetl ingest` of the same drive replaces them.
     """
-    from flows.watch import watch_drive
+    from conetl.pipeline.watch import watch_drive
 
     settings, stop = read_settings(), threading.Event()
     before = signal.signal(signal.SIGINT, lambda *_: stop.set())
     try:
         report = watch_drive(
             drive, settings, read_params(params), stop=stop, idle_s=idle_seconds, max_behind_s=max_behind, poll=poll,
-            tell=_tell_ready if as_json else _tell,
+            progress=_tell_ready if as_json else _tell,
         )  # fmt: skip
     finally:
         signal.signal(signal.SIGINT, before)

@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Protocol
+from typing import NamedTuple
 from uuid import UUID
 
 from conetl.db.connection import Connection, execute, load_sql, transaction
 
 
-class StepTime(Protocol):
-    """One step; seconds by the clock."""
+class StepTime(NamedTuple):
+    """One step of a run; seconds by the clock."""
 
-    @property
-    def step(self) -> str: ...
-    @property
-    def task_count(self) -> int: ...
-    @property
-    def busy_s(self) -> float: ...
-    @property
-    def started_s(self) -> float: ...
-    @property
-    def ended_s(self) -> float: ...
+    step: str
+    task_count: int
+    busy_s: float
+    """Summed over its calls, which may run beside each other."""
+    started_s: float
+    """Since the first step of the run began."""
+    ended_s: float
 
 
 def write_run_steps(conn: Connection, changeset_id: UUID, steps: Iterable[StepTime]) -> None:

@@ -73,7 +73,7 @@ class _HeldLocks:
 
     def _watch(self) -> None:
         while not self._must_end():
-            if self._conn is not None and not _lives(self._conn):
+            if self._conn is not None and not is_alive(self._conn):
                 self._conn.close()
                 self._conn = None
             if self._conn is None or self._missing:
@@ -106,7 +106,7 @@ class _HeldLocks:
             self._conn = None
 
 
-def _lives(conn: Connection) -> bool:
+def is_alive(conn: Connection) -> bool:
     """False where the server, or the kernel by its keepalives, has ended the session. Sends nothing, so it never waits."""
     with suppress(DatabaseError), database_errors("The session of the locks is lost"):
         conn.poll()

@@ -2,7 +2,8 @@
 
 A drive may lie at `s3://bucket/drive`. Its readers use `pathlib` methods only, which `UPath` (universal-pathlib over fsspec)
 has for objects too. Objects are read when they are needed and never copied to disk; a bounded part of the bytes read last stays
-in memory, since a image is hashed and then decoded. Credentials and endpoint come from the usual environment
+in memory, since a image is hashed and then decoded. So do images of files, by their hash, until the drive is done: a drive
+whose images are larger than the bound is read again. Credentials and endpoint come from the usual environment
 (AWS_ACCESS_KEY_ID, AWS_PROFILE, AWS_ENDPOINT_URL ...) or the machine's role, never from conetl's own settings.
 """
 
@@ -23,8 +24,8 @@ from upath import UPath
 
 from conetl.model.errors import InputError, StorageError
 
-#: Bytes of objects that stay in memory for their next reader: the 256 images of half a chunk, of half a megabyte each, for two
-#: tasks. What is pushed out between its hash and its decoding is fetched twice.
+#: Bytes that stay in memory for their next reader: the 256 images of half a chunk, of a megabyte each. What is pushed out
+#: between its hash and its decoding is read twice.
 CACHE_BYTES = 256 * 2**20
 #: SHA-256 where there is no file: of nothing.
 NO_FILE_SHA256 = hashlib.sha256().hexdigest()
@@ -34,8 +35,41 @@ _NO_SUCH_FILE = frozenset({errno.ENOENT, errno.ENOTDIR, errno.ELOOP})
 _AT_ONCE = 16
 #: `Path` makes one slash of two.
 _ADDRESS = re.compile(r"^(s3|memory):/{1,2}(?=[^/])")
-_lock = threading.Lock()
-_kept: OrderedDict[str, bytes] = OrderedDict()
+
+
+class _Memory:
+    """Bytes by address (objects) or SHA-256, at most `CACHE_BYTES` of them; those used last stay."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._data: OrderedDict[str, bytes] = OrderedDict()
+        self.size = 0
+
+    def get(self, key: str) -> bytes | None:
+        with self._lock:
+            if key in self._data:
+                self._data.move_to_end(key)
+            return self._data.get(key)
+
+    def keep(self, key: str, data: bytes) -> None:
+        self.drop(key)
+        with self._lock:
+            self._data[key] = data
+            self.size += len(data)
+            while len(self._data) > 1 and self.size > CACHE_BYTES:
+                self.size -= len(self._data.popitem(last=False)[1])
+
+    def drop(self, key: str) -> None:
+        with self._lock:
+            self.size -= len(self._data.pop(key, b""))
+
+    def clear(self) -> None:
+        with self._lock:
+            self._data.clear()
+            self.size = 0
+
+
+_kept = _Memory()
 
 
 def place(text: str | Path) -> Path:
@@ -108,14 +142,11 @@ def forget_listing(path: Path) -> None:
 
 def object_bytes(path: Path) -> bytes:
     """All bytes of an object, from memory where they were read lately. Raises OSError like `Path.read_bytes`."""
-    key = str(path)
-    with _lock:
-        if key in _kept:
-            _kept.move_to_end(key)
-            return _kept[key]
-    with reached(path):
-        data = path.read_bytes()
-    _keep(key, data)
+    data = _kept.get(str(path))
+    if data is None:
+        with reached(path):
+            data = path.read_bytes()
+        _kept.keep(str(path), data)
     return data
 
 
@@ -125,11 +156,11 @@ def fetch(paths: Sequence[Path], *, fresh: bool = False) -> None:
     fresh: also for those that are in memory, as somebody may have written them anew since. More than `CACHE_BYTES` of them push
     each other out: ask for as many as will be read next.
     """
-    with _lock:
-        if fresh:
-            for path in paths:
-                _kept.pop(str(path), None)
-        wanted = [path for path in paths if is_remote(path) and str(path) not in _kept]
+    objects = [path for path in paths if is_remote(path)]
+    if fresh:
+        for path in objects:
+            _kept.drop(str(path))
+    wanted = [path for path in objects if _kept.get(str(path)) is None]
     if not wanted:
         return
     storage = cast(Any, wanted[0]).fs
@@ -138,7 +169,7 @@ def fetch(paths: Sequence[Path], *, fresh: bool = False) -> None:
     for path in wanted:
         data = found.get(cast(Any, path).path)
         if isinstance(data, bytes):
-            _keep(str(path), data)
+            _kept.keep(str(path), data)
 
 
 def in_batches(paths: Sequence[Path], *, fresh: bool = False) -> Iterator[Path]:
@@ -149,9 +180,18 @@ def in_batches(paths: Sequence[Path], *, fresh: bool = False) -> Iterator[Path]:
         yield from batch
 
 
-def _keep(key: str, data: bytes) -> None:
-    with _lock:
-        _kept[key] = data
-        _kept.move_to_end(key)
-        while len(_kept) > 1 and sum(map(len, _kept.values())) > CACHE_BYTES:
-            _kept.popitem(last=False)
+def remember(path: Path, sha256: str, data: bytes) -> None:
+    """Keep the bytes of a file or an object under their hash for `recall`, in this process."""
+    if is_remote(path):
+        _kept.drop(str(path))
+    _kept.keep(sha256, data)
+
+
+def recall(sha256: str) -> bytes | None:
+    """Bytes with this hash that `remember` kept; None where they were pushed out, or another process read them."""
+    return _kept.get(sha256)
+
+
+def forget_all() -> None:
+    """Free the memory of `remember` and `object_bytes`."""
+    _kept.clear()

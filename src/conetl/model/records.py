@@ -179,6 +179,13 @@ class FramePair(Record):
     captured_at_ns: int
     """UTC, nanoseconds since 1970-01-01, of the left image."""
     pose: Pose
+    left_sha256: str = ""
+    right_sha256: str = ""
+    """Of the image files, as they were read with the drive; empty where only their headers were."""
+
+    def image(self, side: Side) -> tuple[str, str]:
+        """Path and SHA-256 of the image of one side."""
+        return (self.left_path, self.left_sha256) if side == "left" else (self.right_path, self.right_sha256)
 
     @property
     def captured_at(self) -> datetime:

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.files.storage import NO_FILE_SHA256, is_present, is_remote, object_bytes
+from conetl.files.storage import is_present, is_remote, object_bytes, recall, remember
 from conetl.model.errors import StorageError
 from conetl.model.rejections import RejectionReason
 from conetl.perception.image_headers import ImageFormatError, ImageHeader, ImageTruncatedError, inspect_image
@@ -37,11 +37,9 @@ class ImageFileError(Exception):
     def __init__(self, reason: RejectionReason, message: str) -> None:
         super().__init__(message)
         self.reason = reason
-        self.sha256: str | None = None
-        """Of the bytes that were judged; `NO_FILE_SHA256` where there was no file, None where none were read."""
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.reason, str(self)), self.__dict__  # from a process of its own
+        return type(self), (self.reason, str(self))  # from a process of its own
 
 
 def read_checked_bytes(path: Path, expected_size: tuple[int, int] | None) -> bytes:
@@ -50,8 +48,7 @@ def read_checked_bytes(path: Path, expected_size: tuple[int, int] | None) -> byt
     expected_size: width and height in pixels, or None for any up to `MAX_PIXELS`. Raises ImageFileError.
     """
     data = read_bytes(path)
-    with _judging(data):
-        check_image_bytes(data, path.name, expected_size)
+    check_image_bytes(data, path.name, expected_size)
     return data
 
 
@@ -103,23 +100,23 @@ def read_image(path: Path, expected_size: tuple[int, int] | None = None, *, grey
     sees the file, so that a truncated file never yields pixels. Orientation tags (EXIF) are not applied: calibrations are for
     the pixels as stored. Raises ImageFileError.
     """
-    data = read_checked_bytes(path, expected_size)
-    with _judging(data):
-        return _decoded(data, path, expected_size, grey=grey)
+    return decode_image(read_bytes(path), path.name, expected_size, grey=grey)
 
 
-def _decoded(data: bytes, path: Path, expected_size: tuple[int, int] | None, *, grey: bool) -> NDArray[np.uint8]:
+def decode_image(
+    data: bytes, name: str, expected_size: tuple[int, int] | None = None, *, grey: bool = False
+) -> NDArray[np.uint8]:
+    """Like `read_image`, of a file's bytes; `name` is for ImageFileError."""
+    check_image_bytes(data, name, expected_size)
     flags = (cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR) | cv2.IMREAD_IGNORE_ORIENTATION
     try:
         image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
     except cv2.error as error:
-        raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, f"{path.name}: the decoder failed: {error}") from error
+        raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, f"{name}: the decoder failed: {error}") from error
     if image is None:
-        raise ImageFileError(
-            RejectionReason.IMAGE_UNREADABLE, f"{path.name}: the image cannot be decoded; copy it again"
-        )
+        raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, f"{name}: the image cannot be decoded; copy it again")
     if expected_size is not None and image.shape[:2] != (expected_size[1], expected_size[0]):
-        raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, f"{path.name}: header and decoded image differ in size")
+        raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, f"{name}: header and decoded image differ in size")
     return np.asarray(image, dtype=np.uint8)
 
 
@@ -176,14 +173,28 @@ def read_bytes(path: Path) -> bytes:
         return path.read_bytes()
 
 
-@contextmanager
-def _judging(data: bytes) -> Iterator[None]:
-    """Note in an ImageFileError of which bytes it speaks."""
-    try:
-        yield
-    except ImageFileError as error:
-        error.sha256 = hashlib.sha256(data).hexdigest()
-        raise
+def read_hashed_bytes(path: Path, sha256: str) -> bytes:
+    """The bytes of an image as they were when its drive was read: from memory, or read again where they are not there any more.
+
+    Raises StorageError where they cannot be read again, or are others by now: neither is a property of the drive.
+    """
+    data = recall(sha256)
+    if data is None:
+        try:
+            data = read_bytes(path)
+        except ImageFileError as error:
+            raise _changed(path, error) from error
+        if hashlib.sha256(data).hexdigest() != sha256:
+            raise _changed(path, "its bytes are others")
+        remember(path, sha256, data)
+    return data
+
+
+def _changed(path: Path, why: object) -> StorageError:
+    return StorageError(
+        f"{path}: the image changed while it was worked on ({why}). Run the same command again when nobody writes to the drive. "
+        "Nothing was written."
+    )
 
 
 @contextmanager
@@ -204,9 +215,7 @@ def _asking(path: Path) -> Iterator[None]:
 
 
 def _missing(name: str) -> ImageFileError:
-    error = ImageFileError(RejectionReason.IMAGE_MISSING, f"{name}: there is no such file")
-    error.sha256 = NO_FILE_SHA256
-    return error
+    return ImageFileError(RejectionReason.IMAGE_MISSING, f"{name}: there is no such file")
 
 
 def _not_given(path: Path, error: OSError) -> StorageError:

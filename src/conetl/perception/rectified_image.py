@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 
@@ -9,12 +10,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.files.storage import NO_FILE_SHA256
+from conetl.files.storage import fetch, place, recall
 from conetl.geometry.rectification import raw_from_rectified, stored_camera
 from conetl.geometry.rig import camera_of
-from conetl.model.errors import StorageError
-from conetl.model.records import Rig, Side
-from conetl.perception.images import ImageFileError, read_image
+from conetl.model.records import FramePair, Rig, Side
+from conetl.perception.images import decode_image, read_hashed_bytes, read_image
 
 #: Bicubic: bilinear resampling blurs by how far a pixel falls between its neighbours, and area-based matching sees that as shift.
 _INTERPOLATION = cv2.INTER_CUBIC
@@ -35,41 +35,22 @@ def read_rig_image(path: Path, rig: Rig, side: Side, *, grey: bool = False) -> N
     return image if rig.rectified_from is None else rectify_image(image, rig, side)
 
 
-def read_hashed_rig_image(path: Path, sha256: str, rig: Rig, side: Side, *, grey: bool = False) -> NDArray[np.uint8]:
-    """Like `read_rig_image`, for results that are kept under the image's hash: what is wrong with it has to be true of the
-    bytes with that hash (`NO_FILE_SHA256`: of there being none).
+def read_pair_image(pair: FramePair, side: Side, rig: Rig, *, grey: bool = False) -> NDArray[np.uint8]:
+    """Like `read_rig_image`, of the image of a frame pair as it was when its drive was read; from memory where its bytes are.
 
-    Raises ImageFileError where it is, and StorageError where storage failed or somebody wrote to the image meanwhile.
+    Raises ImageFileError where these bytes are no image of the rig, StorageError where they cannot be read any more.
     """
-    try:
-        image = read_rig_image(path, rig, side, grey=grey)
-    except ImageFileError as error:
-        if error.sha256 == sha256:
-            raise
-        raise StorageError(
-            f"{path}: the image changed while it was worked on ({error}). Run the same command again when nobody writes to the "
-            "drive. Nothing was written."
-        ) from error
-    if sha256 == NO_FILE_SHA256:
-        raise StorageError(
-            f"{path}: the image changed while it was worked on: it was not there, and is now. Run the same command again when "
-            "the drive is complete. Nothing was written."
-        )
-    return image
+    path, sha256 = pair.image(side)
+    stored = stored_camera(rig, side)
+    data = read_hashed_bytes(place(path), sha256)
+    image = decode_image(data, Path(path).name, (stored.width_px, stored.height_px), grey=grey)
+    return image if rig.rectified_from is None else rectify_image(image, rig, side)
 
 
-def read_rig_image_again(path: Path, rig: Rig, side: Side, *, grey: bool = False) -> NDArray[np.uint8]:
-    """Like `read_rig_image`, of a image that an earlier step read: that it is not there any more is no property of the drive.
-
-    Raises StorageError.
-    """
-    try:
-        return read_rig_image(path, rig, side, grey=grey)
-    except ImageFileError as error:
-        raise StorageError(
-            f"{path}: the image was read before, but now: {error}. Run the same command again when it is back. "
-            "Nothing was written."
-        ) from error
+def fetch_pairs(pairs: Sequence[FramePair]) -> None:
+    """Ask for the images of some frame pairs at once where they are in object storage and not in memory."""
+    images = [pair.image(side) for pair in pairs for side in ("left", "right")]
+    fetch([place(path) for path, sha256 in images if recall(sha256) is None])
 
 
 def rectify_image(image: NDArray[np.uint8], rig: Rig, side: Side) -> NDArray[np.uint8]:

@@ -1,4 +1,5 @@
-"""The Python API: what conetl does with a drive and a map, as plain functions. No Prefect, no server.
+"""The Python API: read_drive -> analyse -> commit -> publish as plain functions. No Prefect, no server.
 
-It imports every package above `web` and `cli`. The story begins in `analysis.py`.
+It may import every package but `cli`, `web`, `evaluation` and `simulation`. The story begins in `ingest.py`, which calls
+`analysis.py`, `commit.py` and `publish.py` in this order.
 """

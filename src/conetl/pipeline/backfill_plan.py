@@ -1,7 +1,7 @@
-"""What to do with many drives, before anything is done: which, why, how long, and what is on the map already. Knows no Prefect.
+"""The plan of a backfill: which drives to ingest, why, how long it takes, and which are on the map already.
 
-A drive is known by its header (see `readers/drives/header.py`), so no image is read; the exact content is compared when the
-drive is ingested, and one that is on the map after all changes nothing.
+A drive is identified by its header (`readers/drives/header.py`), so no image is read; the exact content is compared when
+the drive is ingested, and one that is on the map after all changes nothing.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ from conetl.perception.model_card import read_model_card
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives.header import DriveHeader, find_drives, read_header
 
-#: Work that ended without a word so often is not tried again unless a person asks for it.
+#: Work that crashed so often is not tried again on a schedule.
 MAX_ATTEMPTS = 3
 Action = Literal["ingest", "wait", "skip", "refuse"]
 
 
 @dataclass(frozen=True)
 class Analysis:
-    """With what a drive is analysed."""
+    """Hashes of what a drive is analysed with."""
 
     params_sha256: str
     model_sha256: str
@@ -50,9 +50,9 @@ class Analysis:
 
 @dataclass(frozen=True)
 class PlanLine:
-    """What to do with one drive. `wait`: another process is at it; `refuse`: the folder cannot be a drive."""
+    """What to do with one drive. `wait`: another process ingests it; `refuse`: the folder cannot be a drive."""
 
-    outline: DriveHeader
+    header: DriveHeader
     action: Action
     why: str
 
@@ -68,22 +68,22 @@ class Plan:
     analysis: Analysis
     lines: tuple[PlanLine, ...]
     pairs_per_second: float | None
-    """Of drives that were committed before, each by itself; None where none was timed."""
+    """Of drives that were committed before, one at a time; None where none was timed."""
     made_at: datetime
     seconds: float
-    """What making the plan took."""
+    """How long making the plan took."""
 
     def count(self, action: Action) -> int:
         return sum(line.action == action for line in self.lines)
 
     @property
     def todo(self) -> list[PlanLine]:
-        """What has to be done; drives that others are at come last."""
+        """What has to be done; drives that others ingest come last."""
         return sorted((line for line in self.lines if line.action != "skip"), key=lambda line: line.action == "wait")
 
     @property
     def frame_pairs(self) -> int:
-        return sum(line.outline.frame_pairs for line in self.lines if line.action == "ingest")
+        return sum(line.header.frame_pairs for line in self.lines if line.action == "ingest")
 
     def estimate_s(self, parallel: int) -> float | None:
         """How long the work will take, None where nothing was measured yet."""
@@ -116,35 +116,35 @@ def plan_drives(
     """Plan the drives below `root` that were recorded in [since, until).
 
     once: what failed for good or crashed repeatedly is left alone until the drive changes (for schedules). recheck: drives whose
-    header is known are compared by content as well. folders: drive folders, where they were looked for already. Raises
-    InputError where `since` does not lie before `until`, DriveFolderError where there is no `root`.
+    header is known are compared by content as well. folders: drive folders, if they are known already. Raises InputError where
+    `since` is not before `until`, DriveFolderError where there is no `root`.
     """
     if since is not None and until is not None and until <= since:
         raise InputError(
             f"nothing is recorded from {since:%Y-%m-%d %H:%M} UTC on (--since) and before {until:%Y-%m-%d %H:%M} UTC (--until)"
         )
     started = time.monotonic()
-    outlines = [read_header(folder) for folder in (find_drives(root) if folders is None else folders)]
-    outlines = [o for o in outlines if _is_within(o, since, until)]
+    headers = [read_header(folder) for folder in (find_drives(root) if folders is None else folders)]
+    headers = [o for o in headers if _is_within(o, since, until)]
     analysis = analysis_of(params, settings)
-    receipts = latest_receipts(conn, map_name=settings.map_name, headers=[o.header_sha256 for o in outlines])
+    receipts = latest_receipts(conn, map_name=settings.map_name, headers=[o.header_sha256 for o in headers])
     held = held_locks(conn, [receipt.drive_lock for receipt in receipts.values() if receipt.state == "started"])
     known: dict[str, list[DriveOnMap]] = {}
     for drive in drives_on_map(conn, map_name=settings.map_name):
         known.setdefault(drive.drive_id, []).append(drive)
     lines: list[PlanLine] = []
     seen: dict[str, Path] = {}
-    for outline in sorted(outlines, key=lambda o: (o.captured_from_ns or 0, str(o.path))):
-        receipt = receipts.get(outline.header_sha256)
-        if outline.header_sha256 in seen:
-            action, why = "skip", f"the same recording as {printable(seen[outline.header_sha256])}"
+    for header in sorted(headers, key=lambda o: (o.captured_from_ns or 0, str(o.path))):
+        receipt = receipts.get(header.header_sha256)
+        if header.header_sha256 in seen:
+            action, why = "skip", f"the same recording as {printable(seen[header.header_sha256])}"
         else:
             action, why = _judge(
-                outline, receipt, known.get(outline.drive_id, []), analysis,
+                header, receipt, known.get(header.drive_id, []), analysis,
                 working=receipt is not None and receipt.drive_lock in held, once=once, recheck=recheck,
             )  # fmt: skip
-        seen.setdefault(outline.header_sha256, outline.path)
-        lines.append(PlanLine(outline, action, why))  # type: ignore[arg-type]
+        seen.setdefault(header.header_sha256, header.path)
+        lines.append(PlanLine(header, action, why))  # type: ignore[arg-type]
     return Plan(
         root=root,
         map_name=settings.map_name,
@@ -159,7 +159,7 @@ def plan_drives(
 
 
 def _judge(
-    outline: DriveHeader,
+    header: DriveHeader,
     receipt: Receipt | None,
     on_map: Sequence[DriveOnMap],
     analysis: Analysis,
@@ -170,7 +170,7 @@ def _judge(
 ) -> tuple[Action, str]:
     """What to do with one drive, and why."""
     if working and receipt is not None:
-        return "wait", f"{receipt.host} is at it since {_when(receipt.at)}"
+        return "wait", f"{receipt.host} ingests it since {_when(receipt.at)}"
     same = receipt is not None and receipt.analysis_sha256 == analysis.sha256
     if receipt is not None and same and receipt.done:
         return ("ingest", "asked to compare it again") if recheck else ("skip", f"on the map since {_when(receipt.at)}")
@@ -178,18 +178,18 @@ def _judge(
         return "skip", f"failed on {_when(receipt.at)} and has not changed since: {receipt.reason}"
     if receipt is not None and same and once and receipt.attempts >= MAX_ATTEMPTS and not receipt.done:
         return "skip", f"tried {receipt.attempts} times; last: {receipt.reason or 'interrupted'}"
-    if outline.problem is not None:
-        return "refuse", outline.problem
+    if header.problem is not None:
+        return "refuse", header.problem
     if receipt is not None and same:
         what = "failed" if receipt.state == "failed" else "was interrupted"
         return "ingest", f"{what} on {_when(receipt.at)}" + (f": {receipt.reason}" if receipt.reason else "")
-    found = [drive for drive in on_map if _is_same_recording(outline, drive)]
+    found = [drive for drive in on_map if _is_same_recording(header, drive)]
     alike = [d for d in found if (d.params_sha256, d.model_sha256) == (analysis.params_sha256, analysis.model_sha256)]
     if alike:
         if recheck:
             return "ingest", "asked to compare it again"
-        # By hand it comes without a receipt, so nobody knows from which header: id and time have to do.
-        same_folder = [d for d in alike if not d.headers or outline.header_sha256 in d.headers]
+        # `conetl ingest` writes no receipt, so the header is unknown: id and time have to do.
+        same_folder = [d for d in alike if not d.headers or header.header_sha256 in d.headers]
         if not same_folder:
             return "ingest", f"changed since it was brought onto the map (changeset {alike[-1].changeset_no})"
         drive = same_folder[-1]
@@ -199,16 +199,16 @@ def _judge(
     return "ingest", "new"
 
 
-def _is_same_recording(outline: DriveHeader, drive: DriveOnMap) -> bool:
+def _is_same_recording(header: DriveHeader, drive: DriveOnMap) -> bool:
     """By id and time; a drive's first and last pair may have been refused."""
-    if outline.captured_from_ns is None or outline.captured_to_ns is None:
+    if header.captured_from_ns is None or header.captured_to_ns is None:
         return False
-    return outline.captured_from_ns <= drive.captured_from_ns and drive.captured_to_ns <= outline.captured_to_ns
+    return header.captured_from_ns <= drive.captured_from_ns and drive.captured_to_ns <= header.captured_to_ns
 
 
-def _is_within(outline: DriveHeader, since: datetime | None, until: datetime | None) -> bool:
-    """Folders that do not tell their time are always looked at: nothing disappears without a word."""
-    at = outline.captured_from
+def _is_within(header: DriveHeader, since: datetime | None, until: datetime | None) -> bool:
+    """Folders without a time are always part of the plan: nothing is left out silently."""
+    at = header.captured_from
     return at is None or ((since is None or since <= at) and (until is None or at < until))
 
 
@@ -217,7 +217,7 @@ def _when(at: datetime | None) -> str:
 
 
 def plan_as_dict(plan: Plan, parallel: int) -> dict[str, Any]:
-    """The plan as values that JSON knows."""
+    """The plan as JSON values."""
     return {
         "root": printable(plan.root),
         "map": plan.map_name,
@@ -238,11 +238,11 @@ def plan_as_dict(plan: Plan, parallel: int) -> dict[str, Any]:
         "max_parallel": parallel,
         "lines": [
             {
-                "drive": line.outline.shown_path,
-                "drive_id": line.outline.drive_id,
-                "captured_from": line.outline.captured_from and line.outline.captured_from.isoformat(),
-                "frame_pairs": line.outline.frame_pairs,
-                "header_sha256": line.outline.header_sha256,
+                "drive": line.header.shown_path,
+                "drive_id": line.header.drive_id,
+                "captured_from": line.header.captured_from and line.header.captured_from.isoformat(),
+                "frame_pairs": line.header.frame_pairs,
+                "header_sha256": line.header.header_sha256,
                 "action": line.action,
                 "why": line.why,
             }
@@ -262,7 +262,7 @@ def write_plan(plan: Plan, parallel: int, folder: Path) -> Path:
 
 def reasons(plan: Plan) -> list[tuple[str, int]]:
     """How many drives there are for each action and kind of reason, the most frequent first."""
-    words = {"ingest": "to ingest", "wait": "others are at it", "skip": "nothing to do", "refuse": "not usable"}
+    words = {"ingest": "to ingest", "wait": "ingested by others", "skip": "nothing to do", "refuse": "not usable"}
     counted = Counter(
         f"{words[line.action]}: {line.why.split(':')[0].split(' on ')[0].split(' since ')[0]}" for line in plan.lines
     )

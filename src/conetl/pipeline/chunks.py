@@ -1,19 +1,17 @@
-"""A drive is worked on in chunks of frame pairs: what a task is given, and what its results are known by."""
+"""A drive is analysed in chunks of frame pairs: what a step is given, and what its results are named by."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
-from conetl.files.parquet_store import file_sha256, result_key
-from conetl.files.storage import in_batches, place
+from conetl.files.parquet_store import result_key
 from conetl.model.params import IngestParams
 from conetl.model.records import Drive, FramePair, Record, Rig
 from conetl.perception.model_card import read_model_card
 from conetl.pipeline.settings import Settings
 
 #: Part of every result key: raise it when a step computes something else from the same inputs.
-RESULTS_VERSION = "11"
+RESULTS_VERSION = "12"
 
 
 class Chunk(Record):
@@ -30,7 +28,12 @@ class Chunk(Record):
 
 
 def chunks_of(drive: Drive, settings: Settings, params: IngestParams) -> list[Chunk]:
-    """A drive cut into chunks of `params.chunk_pairs` frame pairs; the last may be shorter. Raises ModelFileError."""
+    """A drive cut into chunks of `params.chunk_pairs` frame pairs; the last may be shorter. Raises ModelFileError.
+
+    Raises ValueError where only the headers of the drive's images were read: their hashes are part of every key.
+    """
+    if not all(pair.left_sha256 and pair.right_sha256 for pair in drive.frame_pairs):
+        raise ValueError(f"drive {drive.drive_id} was read with headers_only: its images have no hashes")
     card = read_model_card(settings.model_path)
     return [
         Chunk(
@@ -47,22 +50,12 @@ def chunks_of(drive: Drive, settings: Settings, params: IngestParams) -> list[Ch
 
 
 def parts_of(chunk: Chunk) -> list[slice]:
-    """The frame pairs of a chunk that one detection task takes: halves, so that the last ones keep all cores busy."""
+    """The frame pairs of a chunk that one detection step searches: halves, so that the last ones keep all cores busy."""
     count = len(chunk.frame_pairs)
     half = (count + 1) // 2
     return [slice(first, min(first + half, count)) for first in range(0, count, half)]
 
 
-def image_paths(pairs: Sequence[FramePair]) -> list[Path]:
-    """Places of the images of frame pairs, left and right in turn."""
-    return [place(path) for pair in pairs for path in (pair.left_path, pair.right_path)]
-
-
-def image_hashes(paths: Sequence[Path]) -> dict[Path, str]:
-    """SHA-256 of images as they are now, in order; of none where one is missing. Raises OSError where storage fails."""
-    return {path: file_sha256(path) for path in in_batches(paths, fresh=True)}
-
-
-def rig_and_poses(chunk: Chunk, rig: Rig | None = None) -> str:
-    """Hash of all geometry that a chunk's matches and positions depend on, by the chunk's rig or another one."""
+def geometry_key(chunk: Chunk, rig: Rig | None = None) -> str:
+    """Hash of the images, poses and rig (the chunk's own or another one) that results of a chunk depend on."""
     return result_key((rig or chunk.rig).model_dump_json(), *(pair.model_dump_json() for pair in chunk.frame_pairs))

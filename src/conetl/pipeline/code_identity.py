@@ -1,4 +1,4 @@
-"""What code computed something: a hash over conetl's own files, and the versions of what it computes with."""
+"""Which code computed something: a hash over conetl's files, and the versions of its libraries."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _LIBRARIES = ("numpy", "scipy", "opencv-python-headless", "onnxruntime", "pyproj
 
 
 def code_facts() -> dict[str, Any]:
-    """Version, hash of the code, Python and the libraries that numbers come from, as values that JSON knows."""
+    """Version, hash of the code, Python and the libraries that numbers come from, as JSON values."""
     return {
         "code_version": version("conetl"),
         "code_sha256": code_sha256(),

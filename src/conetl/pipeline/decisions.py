@@ -1,7 +1,7 @@
-"""What people decide about the map: nothing stands here, this cone stays, that drive does not count. Knows no Prefect.
+"""Decisions of people about the map: there is no cone here, this cone stays, that drive does not count.
 
-A decision is a row of its own and takes part in every comparison of drives, those that come later and those that come late. What
-follows from it is worked out at once, in the same transaction.
+A decision is a row and takes part in every comparison of drives from then on. Its consequences are computed in the same
+transaction.
 """
 
 from __future__ import annotations
@@ -28,26 +28,26 @@ from conetl.model.map_records import FeatureVersion, Location, MapFeature
 from conetl.pipeline.replay import replay_of
 
 SUPPRESS, PIN, REVERT, WITHDRAW = "suppress", "pin", "revert", "withdraw"
-#: Larger places are no statement about one cone.
+#: A larger area is no statement about one cone.
 MAX_RADIUS_M = 20.0
 
 
-class Conflict(NamedTuple):
-    """A feature that a reverted changeset changed, and other changesets after it: three ways."""
+class RevertConflict(NamedTuple):
+    """A feature that a reverted changeset changed, and other changesets after it."""
 
     feature_id: UUID
     kind: str
-    """What the reverted changeset did to it."""
+    """Of the reverted changeset's change."""
     was: FeatureVersion | None
     """Before the reverted changeset; None where it founded the feature."""
     changed_to: FeatureVersion | None
     """By the reverted changeset."""
     is_now: FeatureVersion | None
-    """After the revert, as its changeset left it; None where without the reverted one it was never founded."""
+    """After the revert; None where without the reverted changeset it was never founded."""
 
 
-class Decided(NamedTuple):
-    """A decision and what followed from it."""
+class DecisionOutcome(NamedTuple):
+    """A decision and its consequences."""
 
     decision_id: UUID
     kind: str
@@ -55,8 +55,8 @@ class Decided(NamedTuple):
     versions_written: int
     replayed: int
     """Drives that were compared with the map again."""
-    conflicts: tuple[Conflict, ...]
-    """Of a reverted changeset: features that other drives changed after it; what they saw is kept."""
+    conflicts: tuple[RevertConflict, ...]
+    """Of a reverted changeset: features that other drives changed after it; these changes are kept."""
 
 
 def decide_place(
@@ -71,9 +71,9 @@ def decide_place(
     expected_version: int | None = None,
     lock_timeout_s: float = LOCK_TIMEOUT_S,
     now: datetime | None = None,
-) -> Decided:
-    """Suppress or pin the place of a feature. feature: its id, or how that begins. Raises InputError, and ConflictError where the
-    same was decided already, or the feature's version is another one than `expected_version`, on which the person decided."""
+) -> DecisionOutcome:
+    """Suppress or pin the position of a feature. feature: its id, or the beginning of it. Raises InputError, and ConflictError
+    where the same was decided already, or the feature's version is not `expected_version`, on which the person decided."""
     if not 0 < radius_m <= MAX_RADIUS_M:
         raise InputError(f"a radius of {radius_m} m is not between 0 and {MAX_RADIUS_M:g} m")
     with map_transaction(conn, map_name, lock_timeout_s=lock_timeout_s):
@@ -81,7 +81,7 @@ def decide_place(
         state = _feature(conn, map_name, feature)
         before = read_decisions(conn, map_name=map_name)
         if is_within(state, before.suppressed if kind == SUPPRESS else before.pinned):
-            raise ConflictError(f"there is a decision to {kind} this place already: see `conetl map decisions`")
+            raise ConflictError(f"there is a decision to {kind} this position already: see `conetl map decisions`")
         if expected_version is not None and state.version != expected_version:
             raise ConflictError(
                 f"feature {state.feature_id} changed meanwhile: you decided on version {expected_version}, it is at version "
@@ -100,7 +100,7 @@ def decide_place(
             feature_id=state.feature_id,
         )
         written, replayed = _judge_place(conn, info, kind, place, decided_at)
-    return Decided(decision_id, kind, decided_at, written, replayed, ())
+    return DecisionOutcome(decision_id, kind, decided_at, written, replayed, ())
 
 
 def revert(
@@ -112,9 +112,9 @@ def revert(
     decided_by: str | None = None,
     lock_timeout_s: float = LOCK_TIMEOUT_S,
     now: datetime | None = None,
-) -> Decided:
-    """Take back a changeset (its drive does not count any more), or a decision. what: its id, how that begins, or the changeset's
-    number. Nothing is lost: taking the decision back brings everything back. Raises InputError, ConflictError where that was done
+) -> DecisionOutcome:
+    """Revert a changeset (its drive does not count any more) or a decision. what: its id, the beginning of it, or the changeset's
+    number. Nothing is lost: reverting the decision brings everything back. Raises InputError, ConflictError where that was done
     already."""
     with map_transaction(conn, map_name, lock_timeout_s=lock_timeout_s):
         info = _map(conn, map_name)
@@ -125,7 +125,7 @@ def revert(
                 raise ConflictError(f"changeset {target.id} is reverted already: see `conetl map decisions`")
             kind, withdraws, changeset_id = REVERT, None, target.changeset_id
         elif target.kind == WITHDRAW or not target.active:
-            raise ConflictError(f"decision {target.id} does not hold any more: make it again instead")
+            raise ConflictError(f"decision {target.id} is not in force any more: make it again instead")
         else:
             kind, withdraws, changeset_id = WITHDRAW, target.id, None
         decision = next((d for d in list_decisions(conn, map_name=map_name) if d.decision_id == target.id), None)
@@ -140,7 +140,7 @@ def revert(
             changeset_id=changeset_id,
             withdraws=withdraws,
         )
-        conflicts: tuple[Conflict, ...] = ()
+        conflicts: tuple[RevertConflict, ...] = ()
         if target.drive_uuid is not None:
             counted_now = superseded_drives(conn, target.drive_uuid)
             seeds = list(dict.fromkeys([target.drive_uuid, *counted_before, *counted_now]))
@@ -148,14 +148,14 @@ def revert(
         elif decision is not None and (place := decision.place) is not None:
             written, replayed = _judge_place(conn, info, decision.kind, place, decided_at)
         else:
-            raise InputError(f"decision {target.id} can not be taken back")
-    return Decided(decision_id, kind, decided_at, written, replayed, conflicts)
+            raise InputError(f"decision {target.id} cannot be reverted")
+    return DecisionOutcome(decision_id, kind, decided_at, written, replayed, conflicts)
 
 
 def _judge_place(conn: Connection, info: MapInfo, kind: str, place: Location, decided_at: datetime) -> tuple[int, int]:
-    """Work out what follows from a decision about a place; versions written, drives compared again."""
+    """Compute the consequences of a decision about a position; versions written, drives compared again."""
     around = drives_at(conn, info.map_name, place)
-    # Suppression hides what drives see and changes nothing that they are compared with; a pin does.
+    # Suppression hides detections and changes nothing that drives are compared with; a pin does.
     again = affected_drives(conn, around) if kind == PIN else []
     aside = [ref.drive_uuid for ref in again]
     decisions = read_decisions(conn, map_name=info.map_name)
@@ -165,15 +165,15 @@ def _judge_place(conn: Connection, info: MapInfo, kind: str, place: Location, de
 
 def _judge_drives(
     conn: Connection, info: MapInfo, seeds: Sequence[UUID], decided_at: datetime, changeset_id: UUID | None
-) -> tuple[int, int, tuple[Conflict, ...]]:
-    """Work out what follows when drives come to count or cease to."""
+) -> tuple[int, int, tuple[RevertConflict, ...]]:
+    """Compute what changes when drives start or cease to count."""
     again = affected_drives(conn, seeds)
     aside = list(dict.fromkeys([*seeds, *(ref.drive_uuid for ref in again)]))
     _, replay = replay_of(conn, aside, again, read_decisions(conn, map_name=info.map_name))
     return write_replay(conn, info, replay, decided_at), len(again), _conflicts(replay, changeset_id)
 
 
-def _conflicts(replay: Replay, changeset_id: UUID | None) -> tuple[Conflict, ...]:
+def _conflicts(replay: Replay, changeset_id: UUID | None) -> tuple[RevertConflict, ...]:
     """The features that this changeset and others changed, by feature id."""
     own: dict[UUID, tuple[str, int | None, int]] = {}
     others = set()
@@ -185,7 +185,7 @@ def _conflicts(replay: Replay, changeset_id: UUID | None) -> tuple[Conflict, ...
     before = {(s.version.feature.feature_id, s.version.feature.version): s.version for s in replay.versions_before}
     now = {version.feature.feature_id: version for version in replay.versions if version.valid_to_ns is None}
     return tuple(
-        Conflict(
+        RevertConflict(
             feature_id=feature_id,
             kind=kind,
             was=None if old is None else before.get((feature_id, old)),
@@ -207,12 +207,12 @@ def _map(conn: Connection, map_name: str) -> MapInfo:
 def _feature(conn: Connection, map_name: str, beginning: str) -> MapFeature:
     found = find_features(conn, beginning, map_name=map_name)
     if not found:
-        raise InputError(f"the map {map_name} knows no feature {beginning}: `conetl map show` lists them")
+        raise InputError(f"there is no feature {beginning} on the map {map_name}: `conetl map show` lists them")
     if len(found) > 1:
-        raise InputError(f"{beginning} is the beginning of several features' ids: write more of it")
+        raise InputError(f"{beginning} is the beginning of several features' ids: give more of it")
     version = read_believed_feature(conn, map_name, found[0])
     if version is None:
-        raise InputError(f"feature {found[0]} was known once, but is not believed in any more: see `conetl map log`")
+        raise InputError(f"feature {found[0]} was on the map once, and was removed since: see `conetl map log`")
     return version.feature
 
 
@@ -220,8 +220,8 @@ def _target(conn: Connection, map_name: str, beginning: str) -> Decidable:
     found = find_decisions(conn, beginning, map_name=map_name)
     if not found:
         raise InputError(
-            f"the map {map_name} knows no changeset and no decision {beginning}: see `conetl map log` and `conetl map decisions`"
+            f"the map {map_name} has no changeset or decision {beginning}: see `conetl map log` and `conetl map decisions`"
         )
     if len(found) > 1:
-        raise InputError(f"{beginning} is the beginning of several ids: write more of it")
+        raise InputError(f"{beginning} is the beginning of several ids: give more of it")
     return found[0]

@@ -1,4 +1,4 @@
-"""One file -> one base layer: read, place, check, write. Nothing is written before the whole file was read."""
+"""One file -> one base layer: read, georeference, check, write. Nothing is written before the whole file was read."""
 
 from __future__ import annotations
 
@@ -46,13 +46,13 @@ from conetl.readers.drives.velodyne import (
 from conetl.readers.rigs import IMU_TO_VELO
 
 POINT_SUFFIXES = (".las", ".laz")
-#: So many points tell where a file lies.
+#: Number of points whose position is checked.
 _CHECKED = 20_000
 
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """What the user says about a file."""
+    """The user's options for a file."""
 
     map_name: str
     layer_name: str
@@ -62,8 +62,8 @@ class ImportOptions:
 
 
 @dataclass
-class Imported:
-    """What became of one file."""
+class ImportedLayerFile:
+    """The result for one file."""
 
     file: str
     layer: str
@@ -72,28 +72,28 @@ class Imported:
     read: int = 0
     refused: int = 0
     unchanged: bool = False
-    """True where the very same import was there already."""
+    """True where the same import was there already."""
     warnings: list[str] = field(default_factory=list)
     refusals: list[str] = field(default_factory=list)
 
 
 def kind_of(path: Path) -> Kind:
-    """What a file or folder holds, by its name. Raises InputError."""
+    """Kind of layer of a file or folder, by its name. Raises InputError."""
     suffix = path.suffix.lower()
     if path.is_dir() or suffix in POINT_SUFFIXES:
         return "points"
     if suffix in LINE_READERS:
         return "lines"
     raise InputError(
-        f"{path}: cannot tell what it is by its name; expected .las, .laz (also .copc.laz) or a drive folder with LiDAR for "
+        f"{path}: unknown kind of file; expected .las, .laz (also .copc.laz) or a drive folder with LiDAR for "
         f"points, {', '.join(LINE_READERS)} for lines"
     )
 
 
 def import_file(
     conn: Connection, path: Path, place: MapPlace, options: ImportOptions, progress: Callable[[int, int], None]
-) -> Imported:
-    """Import one file. progress: called with (done, in all) points or scans. Raises InputError, and then wrote nothing."""
+) -> ImportedLayerFile:
+    """Import one file. progress: called with (done, all) points or scans. Raises InputError, and then wrote nothing."""
     if not path.exists():
         raise InputError(f"{path}: there is no such file")
     if path.is_dir():
@@ -105,7 +105,7 @@ def import_file(
 
 def _import_las(
     conn: Connection, path: Path, place: MapPlace, options: ImportOptions, progress: Callable[[int, int], None]
-) -> Imported:
+) -> ImportedLayerFile:
     count, stated = read_las_header(path)
     layer, warnings = placing.resolve_crs(path, stated, options.crs, place)
     file = _base_file(path, "points", _sha256(path), options, layer.name)
@@ -126,7 +126,7 @@ def _import_las(
 
 def _import_drive(
     conn: Connection, path: Path, place: MapPlace, options: ImportOptions, progress: Callable[[int, int], None]
-) -> Imported:
+) -> ImportedLayerFile:
     if options.crs:
         raise InputError(f"{path}: a drive's LiDAR is placed by the drive's poses; --crs has no meaning for it")
     scans = list_scans(path)
@@ -199,7 +199,7 @@ def _drive_clouds(
 def _write_cloud(
     conn: Connection, file: BaseFile, clouds: Iterator[Cloud], count: int | None, place: MapPlace, options: ImportOptions,
     warnings: list[str], read: list[int] | None = None,
-) -> Imported:  # fmt: skip
+) -> ImportedLayerFile:  # fmt: skip
     with tempfile.TemporaryDirectory(prefix="conetl-points-") as name:
         folder = Path(name)
         spilled = spill(clouds, folder, options.voxel_m, file.source_path)
@@ -214,7 +214,7 @@ def _write_cloud(
     if kept is None:
         return _unchanged(file, 0)
     refusals = [f"{spilled.refused:,} points are no numbers in the map's CRS"] if spilled.refused else []
-    return Imported(
+    return ImportedLayerFile(
         file.source_path, file.layer_name, "points", kept, total, spilled.refused, False, warnings, refusals
     )
 
@@ -226,7 +226,7 @@ def _some_points(folder: Path, spilled: Spilled) -> Any:
     return np.concatenate([cloud.xyz_m[::step] for _, _, cloud in read_cells(folder, cells)])
 
 
-def _import_lines(conn: Connection, path: Path, place: MapPlace, options: ImportOptions) -> Imported:
+def _import_lines(conn: Connection, path: Path, place: MapPlace, options: ImportOptions) -> ImportedLayerFile:
     found = LINE_READERS[path.suffix.lower()](path)
     layer, warnings = placing.resolve_crs(path, found.crs, options.crs, place)
     everything = np.concatenate([line.xyz for line in found.lines])
@@ -254,7 +254,7 @@ def _import_lines(conn: Connection, path: Path, place: MapPlace, options: Import
     kept = write_lines(conn, file, counts, lines, place.srid)
     if kept is None:
         return _unchanged(file, 0)
-    return Imported(
+    return ImportedLayerFile(
         file.source_path, file.layer_name, "lines", kept, counts.read_count, len(refused), False, warnings, refused
     )
 
@@ -284,8 +284,8 @@ def _base_file(
     return BaseFile(options.map_name, options.layer_name, kind, str(path.resolve()), sha256, params, crs, heights)
 
 
-def _unchanged(file: BaseFile, kept: int) -> Imported:
-    return Imported(file.source_path, file.layer_name, file.kind, kept, unchanged=True)
+def _unchanged(file: BaseFile, kept: int) -> ImportedLayerFile:
+    return ImportedLayerFile(file.source_path, file.layer_name, file.kind, kept, unchanged=True)
 
 
 def _sha256(path: Path) -> str:

@@ -1,4 +1,4 @@
-"""A map that was made elsewhere onto this one: an event of the replay_drives, early or late. Knows no Prefect."""
+"""A map that was made elsewhere, merged into this one: an event of the replay_drives, like a drive."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from conetl.model.params import ImportParams, params_sha256
 from conetl.pipeline.replay import founding_key, replay_of
 
 _NAMESPACE = UUID("9d5b6a0c-3d0f-4b0e-8e4f-0a6f2c9b7d13")
-#: Of a network there is none.
+#: No network took part.
 _NO_MODEL = ""
 _MS_NS = 1_000_000
 
 
-class Imported(NamedTuple):
+class ImportResult(NamedTuple):
     """What an import did."""
 
     changeset_id: UUID
@@ -45,7 +45,7 @@ class Imported(NamedTuple):
 
 def import_map(
     conn: Connection, imported: ImportedMap, params: ImportParams, *, map_name: str, now: datetime | None = None
-) -> Imported:
+) -> ImportResult:
     """Compare an imported map with this one as the drives recorded before it left it, and commit what follows, or nothing.
 
     The same file with other parameters takes the place of its first import. Raises InputError for ids that are taken.
@@ -56,7 +56,7 @@ def import_map(
         taken = [known for one in keys if (known := find_changeset(conn, one, map_name=map_name)) is not None]
         for known in taken:
             if _states_the_same_places(conn, known.drive_uuid, imported):
-                return Imported(known.changeset_id, False, dict.fromkeys(DeltaKind, 0), 0)
+                return ImportResult(known.changeset_id, False, dict.fromkeys(DeltaKind, 0), 0)
         key = keys[-1] if taken else keys[0]
         changeset = Changeset(
             changeset_id=uuid5(_NAMESPACE, f"{map_name}/{key}"),
@@ -98,7 +98,7 @@ def import_map(
         )
         commit_import(conn, imported, drive_uuid, changeset, replay, map_name=map_name, run=run, now=now)
     counts = {kind: sum(delta.kind is kind for delta in deltas) for kind in DeltaKind}
-    return Imported(changeset.changeset_id, True, counts, len(later))
+    return ImportResult(changeset.changeset_id, True, counts, len(later))
 
 
 def _keys(imported: ImportedMap, params: ImportParams) -> list[str]:

@@ -1,4 +1,4 @@
-"""One frame pair of a drive that is being recorded, from its images to the database. Knows no Prefect."""
+"""One frame pair of a drive that is being recorded, from its images to the database."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ from conetl.tracking.positions import locate_positions
 
 Image = NDArray[np.uint8]
 _SIDES: tuple[Side, Side] = ("left", "right")
-#: Images of this size are looked at before the first pair: the first look of a network takes several times as long.
+#: An image of this size is searched before the first pair: the first run of a network takes several times as long.
 _WARM_UP_SHAPE = (320, 1242, 3)
 
 
 @dataclass(frozen=True)
-class Eyes:
-    """Two threads, each with a detector of its own, and what the network's answers mean."""
+class Detectors:
+    """Two threads, each with a detector of its own, and what the network's scores mean."""
 
     pool: ThreadPoolExecutor
     per_thread: threading.local
@@ -53,7 +53,7 @@ class Eyes:
 
 @dataclass(frozen=True)
 class LiveDrive:
-    """What is known of a drive so far; every pair makes the next one."""
+    """What is known of a drive so far; every pair makes a new one."""
 
     watch: WatchedDrive
     rig: Rig
@@ -65,26 +65,26 @@ class LiveDrive:
     """Provisional features by number."""
 
 
-class Sight(NamedTuple):
+class SearchedImage(NamedTuple):
     """What one image of a pair shows."""
 
     image: Image
     detections: list[Detection]
     ended_s: float
-    """When it was known (monotonic s)."""
+    """Monotonic s."""
     processor_s: float
 
 
 @dataclass(frozen=True)
-class Look:
+class PairSearch:
     """Both images of a pair while they are being searched."""
 
     pair: FramePair
     began_s: float
-    sides: tuple[Future[Sight], Future[Sight]]
+    sides: tuple[Future[SearchedImage], Future[SearchedImage]]
 
-    def seen(self) -> tuple[Sight, Sight]:
-        """What both show, once they have been searched. Raises ImageFileError where one is not whole."""
+    def images(self) -> tuple[SearchedImage, SearchedImage]:
+        """What both show, once they have been searched. Raises ImageFileError where one is incomplete."""
         return self.sides[0].result(), self.sides[1].result()
 
 
@@ -97,32 +97,31 @@ class StepTimes:
     """Match, locate, tracks."""
     commit_s: float
     processor_s: float
-    """Processor time on the pair's way: of the side that took longer, and of all after it. What a machine with nothing else to do
-    would need, without the database."""
+    """Of the side that took longer, and of all after it: the time that an idle machine would need, without the database."""
 
 
 @contextmanager
-def open_eyes(settings: Settings, params: IngestParams) -> Iterator[Eyes]:
-    """Load the detector once for each side and let it look at something. Raises ModelFileError.
+def open_detectors(settings: Settings, params: IngestParams) -> Iterator[Detectors]:
+    """Load the detector once for each side and run it once. Raises ModelFileError.
 
-    Both images of a pair are searched everywhere: at the same time, so that waiting for the left one would only make it later.
+    Both images of a pair are searched everywhere, at the same time: the right one does not wait for what the left one shows.
     """
     everywhere: dict[str, object] = {"search_right": "everywhere"}
     params = params.model_copy(update={"detection": params.detection.model_copy(update=everywhere)})
     card = read_model_card(settings.model_path)
     ready = threading.Barrier(len(_SIDES))
     with ThreadPoolExecutor(len(_SIDES)) as pool:
-        eyes = Eyes(pool, threading.local(), settings.model_path, card.evidence or UNMEASURED, params)
+        detectors = Detectors(pool, threading.local(), settings.model_path, card.evidence or UNMEASURED, params)
 
         def warm_up() -> None:
             try:
-                _boxes(eyes, np.full(_WARM_UP_SHAPE, 127, np.uint8), 0)
+                _boxes(detectors, np.full(_WARM_UP_SHAPE, 127, np.uint8), 0)
             finally:
-                ready.wait()  # so that the other thread, and not this one again, takes the other call
+                ready.wait()  # so that the other thread takes the other call
 
         for future in [pool.submit(warm_up) for _ in _SIDES]:
             future.result()
-        yield eyes
+        yield detectors
 
 
 def new_drive(drive_id: str, folder: Path, rig: Rig, srid: int, map_name: str, first: FramePair) -> LiveDrive:
@@ -131,24 +130,26 @@ def new_drive(drive_id: str, folder: Path, rig: Rig, srid: int, map_name: str, f
     return LiveDrive(watch, rig, (first.captured_at_ns, first.captured_at_ns))
 
 
-def look_at(eyes: Eyes, rig: Rig, pair: FramePair) -> Look:
-    """Begin to search both images of a pair, in the threads of the eyes."""
-    left, right = (eyes.pool.submit(_look, eyes, rig, pair, side) for side in _SIDES)
-    return Look(pair, time.monotonic(), (left, right))
+def search_pair(detectors: Detectors, rig: Rig, pair: FramePair) -> PairSearch:
+    """Begin to search both images of a pair."""
+    left, right = (detectors.pool.submit(_search, detectors, rig, pair, side) for side in _SIDES)
+    return PairSearch(pair, time.monotonic(), (left, right))
 
 
-def take_pair(conn: Connection, eyes: Eyes, drive: LiveDrive, look: Look) -> tuple[LiveDrive, StepTimes]:
-    """Detections -> match -> locate -> tracks -> commit. Raises ImageFileError (a image is not whole), DatabaseError."""
-    pair, sides = look.pair, look.seen()
+def take_pair(
+    conn: Connection, detectors: Detectors, drive: LiveDrive, search: PairSearch
+) -> tuple[LiveDrive, StepTimes]:
+    """Detections -> match -> locate -> tracks -> commit. Raises ImageFileError (an image is incomplete), DatabaseError."""
+    pair, sides = search.pair, search.images()
     left, right = sides[0].detections, sides[1].detections
     started, processor_s = time.monotonic(), time.thread_time()
-    params = eyes.params
+    params = detectors.params
     up = map_SE3_left(pair.pose, drive.rig)[2, :3]
     images = sides[0].image, sides[1].image
     matches, _ = match_pair(left, right, drive.rig, params.match, up_left=up, images=images)
     positions, _ = locate_positions(matches, {pair.frame_index: pair}, drive.rig, params.position)
     frame = Frame(pair, (*left, *right), tuple(matches), tuple(positions))
-    tracks, changed = add_frame(drive.tracks, frame, drive.rig, params, eyes.evidence)
+    tracks, changed = add_frame(drive.tracks, frame, drive.rig, params, detectors.evidence)
     cones = {number: found for number, found in changed.items() if isinstance(found, Track)}
     taken_back = [number for number in changed if number not in cones and number in drive.standing]
     standing = {n: t for n, t in (drive.standing | cones).items() if n not in taken_back}
@@ -161,31 +162,31 @@ def take_pair(conn: Connection, eyes: Eyes, drive: LiveDrive, look: Look) -> tup
         conn, after.watch, captured_ns=after.captured_ns, frame_pair_count=after.frame_pair_count, tracks=cones,
         taken_back=taken_back, least_reach_m=params.reconcile.min_gate_m,
     )  # fmt: skip
-    on_the_way_s = max(side.processor_s for side in sides) + time.thread_time() - processor_s
-    detect_s = max(side.ended_s for side in sides) - look.began_s
-    return after, StepTimes(detect_s, tracked - started, time.monotonic() - tracked, on_the_way_s)
+    processor_s_all = max(side.processor_s for side in sides) + time.thread_time() - processor_s
+    detect_s = max(side.ended_s for side in sides) - search.began_s
+    return after, StepTimes(detect_s, tracked - started, time.monotonic() - tracked, processor_s_all)
 
 
-def _look(eyes: Eyes, rig: Rig, pair: FramePair, side: Side) -> Sight:
+def _search(detectors: Detectors, rig: Rig, pair: FramePair, side: Side) -> SearchedImage:
     started_s = time.thread_time()
     path = Path(pair.left_path if side == "left" else pair.right_path)
     try:
         image = read_rig_image(path, rig, side)
-    except StorageError as error:  # nothing is kept of it: the watch looks again, and in time leaves the pair out
+    except StorageError as error:  # the watch tries again, and leaves the pair out in time
         raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, str(error)) from error
     rotation = map_SE3_camera(pair.pose, rig, side)[:3, :3]
-    first_row = first_road_row(camera_of(rig, side), [rotation], eyes.params.detection.horizon_margin_rad)
+    first_row = first_road_row(camera_of(rig, side), [rotation], detectors.params.detection.horizon_margin_rad)
     found, _ = check_boxes(
-        _boxes(eyes, image, first_row), frame_index=pair.frame_index, side=side, params=eyes.params.detection
+        _boxes(detectors, image, first_row), frame_index=pair.frame_index, side=side, params=detectors.params.detection
     )
-    return Sight(image, found, time.monotonic(), time.thread_time() - started_s)
+    return SearchedImage(image, found, time.monotonic(), time.thread_time() - started_s)
 
 
-def _boxes(eyes: Eyes, image: Image, first_row: int) -> NDArray[np.float64]:
-    loaded: detector_io.Detector | None = getattr(eyes.per_thread, "detector", None)
+def _boxes(detectors: Detectors, image: Image, first_row: int) -> NDArray[np.float64]:
+    loaded: detector_io.Detector | None = getattr(detectors.per_thread, "detector", None)
     if loaded is None:
-        loaded = eyes.per_thread.detector = detector_io.load_detector(eyes.model_path, threads=1)
-    params = eyes.params.detection
+        loaded = detectors.per_thread.detector = detector_io.load_detector(detectors.model_path, threads=1)
+    params = detectors.params.detection
     return detector_io.detect_image(
         loaded, image, score_threshold=params.score_threshold, nms_iou=params.nms_iou, first_row=first_row
     )

@@ -1,11 +1,13 @@
-"""One drive onto the map, early or late: between the fold (`mapping/history.py`) and the tables. Knows no Prefect.
+"""One drive into the map, in the order of recording or later: between the fold (`mapping/history.py`) and the tables.
 
 All of it runs inside the caller's `map_transaction`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import gc
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from datetime import datetime
 from functools import lru_cache
 from typing import NamedTuple
@@ -44,10 +46,27 @@ from conetl.model.records import (
     DriveRecords,
     Rig,
 )
-from conetl.pipeline.gc_pause import no_cycle_search
 
-#: Views of drives are large; the fold asks for one after the other.
+#: Views of drives are large; the fold needs one after the other.
 _VIEWS_IN_MEMORY = 2
+
+
+@contextmanager
+def no_cycle_search() -> Iterator[None]:
+    """Pause the search for reference cycles while many records are made.
+
+    Records have none, and with millions of them the search takes a quarter of the whole time. Memory is freed by reference counts
+    as always. What is left afterwards counts as old, as if it had been searched: the first search would go through all of it.
+    """
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.freeze()
+            gc.unfreeze()  # into the oldest generation
+            gc.enable()
 
 
 class Merged(NamedTuple):
@@ -72,10 +91,10 @@ def merge_drive(
     run: RunInfo | None = None,
     now: datetime | None = None,
 ) -> Merged:
-    """Compare a drive with the map as the drives recorded before it left it, and commit what follows.
+    """Compare a drive with the map as the drives recorded before it left it, and commit the differences.
 
-    changeset: without deltas; they are worked out here. Later drives around it are compared again. evidence: what is measured of
-    the detector (None: nothing), which tells how much it means that it found no cone.
+    changeset: without deltas; they are computed here. Later drives around it are compared again. evidence: what is measured of
+    the detector (None: nothing); the weight of a cone that it did not find follows from it.
     """
     drive = records.drive
     figures = AbsenceFigures(evidence=evidence or UNMEASURED, score_threshold=params.detection.score_threshold)
@@ -136,11 +155,11 @@ def replay_of(
     own: Sequence[DriveEvidence] = (),
     around: Sequence[UUID] = (),
 ) -> tuple[MapHistory, Replay]:
-    """A neighbourhood of the map, computed anew.
+    """A neighbourhood of the map, computed again.
 
-    aside: the drives whose part in the map is put aside; again: those of them that are compared again, from what is stored; own:
-    drives that are compared for the first time. What all other drives left of the features around `aside` and `around` stays,
-    but for their suppression.
+    aside: the drives whose changes are set aside; again: those of them that are compared again, from what is stored; own: drives
+    that are compared for the first time. What all other drives did to the features around `aside` and `around` stays, except for
+    their suppression.
     """
     versions = read_versions(conn, [*aside, *around])
     deltas = read_deltas(conn, aside)
@@ -161,21 +180,21 @@ def replay_of(
 
 
 def stored_evidence(conn: Connection, drives: Sequence[DriveRef]) -> list[DriveEvidence]:
-    """What ingested drives told the map; where they looked is read when it is asked for. InputError where it was pruned."""
+    """The evidence of ingested drives; what they had in view is read when it is needed. InputError where it was pruned."""
 
     @lru_cache(maxsize=_VIEWS_IN_MEMORY)
     def view_of(drive_uuid: UUID) -> DriveObservations:
         stored = read_view(conn, drive_uuid)
-        rig, figures = looked_with[drive_uuid]
+        rig, figures = view_params[drive_uuid]
         return observations_of_drive(rig, stored.frame_pairs, stored.detections, stored.spots, figures)
 
     require_comparable(conn, [ref.drive_uuid for ref in drives])
-    looked_with: dict[UUID, tuple[Rig, AbsenceFigures]] = {}
+    view_params: dict[UUID, tuple[Rig, AbsenceFigures]] = {}
     evidence = []
     for ref in drives:
         drive = read_drive(conn, ref.drive_uuid)
-        if drive.rig is not None:  # an imported map looked nowhere
-            looked_with[ref.drive_uuid] = drive.rig, drive.figures
+        if drive.rig is not None:  # an imported map had nothing in view
+            view_params[ref.drive_uuid] = drive.rig, drive.figures
         evidence.append(
             DriveEvidence(
                 key=drive.key(ref.idempotency_key),
@@ -199,7 +218,7 @@ def influence_m(params: IngestParams) -> float:
 
 
 def founding_key(map_name: str, content_sha256: str) -> str:
-    """What the ids of the features that a drive founds follow from, with their first sighting."""
+    """What the ids of the features that a drive founds are derived from, with their first sighting."""
     return f"{map_name}/{content_sha256}"
 
 

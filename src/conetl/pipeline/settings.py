@@ -1,4 +1,4 @@
-"""Where things are on this machine. The only reader of environment variables (`CONETL_*`)."""
+"""Settings of this machine: the only reader of environment variables (`CONETL_*`)."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ class Settings(BaseSettings):
     prefect_database_url: SecretStr | None = None
     """Database of the Prefect server that `conetl up` starts; `prefect` beside the map's unless given."""
     writer_token: SecretStr | None = None
-    """With it the web view takes decisions from whoever sends it; see also `conetl view --writer-token-file`."""
+    """The web view accepts decisions with this token; see also `conetl view --writer-token-file`."""
     view_url: str | None = None
-    """Where `conetl view` is reached, for links in Prefect; `conetl up` sets it for its workers."""
+    """Address of `conetl view`, for links in Prefect; `conetl up` sets it for its workers."""
 
     @property
     def inbox(self) -> Path:
@@ -57,7 +57,7 @@ class Settings(BaseSettings):
 
     @property
     def images_folder(self) -> Path:
-        """Images unpacked from bags, by the hash of their bytes; may be deleted when no run is on."""
+        """Images unpacked from bags, by the hash of their bytes; may be deleted while nothing runs."""
         return self.home / "images"
 
     @property
@@ -70,11 +70,11 @@ class Settings(BaseSettings):
         return self.exports_folder / "reports" / self.map_name
 
     def drive_report_path(self, drive_id: str, changeset_no: int) -> Path:
-        """Where the ingest writes the QA report of a drive; an id may hold anything, a file name not."""
+        """Where the ingest writes the QA report of a drive."""
         return self.reports_folder / f"{changeset_no:06d}-{file_name_part(drive_id, 120)}.html"
 
     def drive_image_path(self, drive_id: str) -> Path:
-        """Where the ingest draws the plan view of a drive and its changes: those on this map, another one has others."""
+        """Where the ingest draws the plan view of a drive and its changes on this map."""
         return self.reports_folder / f"{file_name_part(drive_id, 120)}.png"
 
 
@@ -93,32 +93,34 @@ def read_settings() -> Settings:
 def prefect_environment(home: Path) -> dict[str, str]:
     """Defaults for Prefect, as environment variables that the caller sets unless they are set already.
 
-    Prefect's own state lies under `home`; nothing is sent to anybody; only warnings reach the terminal.
+    Prefect's own state is under `home`; no analytics are sent; only warnings are logged.
     """
     defaults = {
         "PREFECT_HOME": str((home / "prefect").resolve()),
         "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
         "DO_NOT_TRACK": "1",
         "PREFECT_LOGGING_LEVEL": "WARNING",
-        # The server keeps the warnings and the tracebacks; the terminal gets conetl's own one sentence.
+        # What conetl logs is shown with the flow run in which it is logged; outside of a run nothing is sent.
+        "PREFECT_LOGGING_EXTRA_LOGGERS": "conetl,flows",
+        "PREFECT_LOGGING_TO_API_WHEN_MISSING_FLOW": "ignore",
+        # The server keeps warnings and tracebacks; the terminal shows the one sentence of the command.
         "PREFECT_LOGGING_HANDLERS_CONSOLE_LEVEL": "CRITICAL",
         "PREFECT_SERVER_LOGGING_LEVEL": "ERROR",
         "PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS": "60",
-        # States of task runs are written together, once a second: one by one they cost as much as all else that a server does.
+        # States of task runs are written together, once a second: one by one they cost as much as everything else.
         "PREFECT_SERVER_SERVICES_TASK_RUN_RECORDER_BATCH_SIZE": "100",
         "PREFECT_SERVER_SERVICES_TASK_RUN_RECORDER_FLUSH_INTERVAL": "1",
     }
     return {name: value for name, value in defaults.items() if name not in os.environ}
 
 
-#: What a Prefect server wants of its clients, user:password; Prefect's own name.
+#: Login that a Prefect server requires of its clients, user:password; Prefect's name of the variable.
 SERVER_AUTH = "PREFECT_SERVER_API_AUTH_STRING"
 
 
 def prefect_auth_string() -> str | None:
-    """user:password of a Prefect server of conetl's own, None without one: what the server is given, else what clients are.
+    """user:password of the Prefect server that conetl starts, None without one: the server's variable, else that of clients.
 
-    Only for such a server: where PREFECT_API_URL names another, Prefect takes PREFECT_API_AUTH_STRING by itself, and the password
-    of the own one is none of its business.
+    Only for that server: where PREFECT_API_URL names another, Prefect reads PREFECT_API_AUTH_STRING itself.
     """
     return os.environ.get(SERVER_AUTH) or os.environ.get("PREFECT_API_AUTH_STRING") or None

@@ -116,7 +116,7 @@ def test_what_storage_says_of_itself_is_no_property_of_an_object(
     """s3fs translates errors of the storage to Python's own."""
     path = place("memory://storage/image.jpg")
     path.write_bytes(b"a image")
-    places._kept.clear()
+    places.forget_all()
 
     def fail(*_: object, **__: object) -> bytes:
         raise said
@@ -142,14 +142,14 @@ def test_an_object_that_is_not_there_is_one(storage: pytest.MonkeyPatch) -> None
 
 def test_what_stays_in_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(places, "CACHE_BYTES", 2_500)
-    places._kept.clear()
+    places.forget_all()
     paths = [place(f"memory://bounded/{k}") for k in range(10)]
     for k, path in enumerate(paths):
         path.write_bytes(bytes([k]) * 1_000)
     for k, path in enumerate(in_batches(paths)):
         assert object_bytes(path) == bytes([k]) * 1_000
-        assert sum(map(len, places._kept.values())) <= 2_500
-    places._kept.clear()
+        assert places._kept.size <= 2_500
+    places.forget_all()
 
 
 def test_an_object_that_was_written_anew_is_hashed_anew() -> None:

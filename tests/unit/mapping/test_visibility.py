@@ -48,7 +48,7 @@ def in_view(cone: Cone) -> list[int]:
 
 
 def absence_with(others: list[Cone]) -> NotObserved | None:
-    """Evidence of absence beside other cones."""
+    """DriveEvidence of absence beside other cones."""
     seen = observations_of_drive(RIG, PAIRS, boxes(others), [])
     return check_visibility(feature(CONE), np.zeros(3), NO_OTHERS, seen, PARAMS)
 

@@ -18,7 +18,7 @@ from conetl.model.errors import EXIT_BAD_INPUT, EXIT_TOO_MANY_REJECTIONS, InputE
 from conetl.pipeline.settings import Settings, read_settings
 
 if TYPE_CHECKING:  # GDAL and the LAS libraries take seconds to load: only where a file is imported
-    from conetl.pipeline.import_base_layer import Imported
+    from conetl.pipeline.import_base_layer import ImportedLayerFile
 
 app = typer.Typer(help="Base layers under the cones: LiDAR points and lane boundaries.", no_args_is_help=True)
 _LAYER_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,59}")
@@ -60,7 +60,7 @@ def import_files(
     if kind not in (None, "points", "lines"):
         raise InputError(f"--kind {kind}: it is points or lines")
     settings = read_settings()
-    done: list[Imported] = []
+    done: list[ImportedLayerFile] = []
     failed = False
     for path in files:
         try:
@@ -86,7 +86,7 @@ def import_files(
 def import_one(
     settings: Settings, path: Path, *, kind: str | None = None, crs: str | None = None, layer: str | None = None,
     voxel_m: float = 0.05, height_offset_m: float = 0.0,
-) -> Imported:  # fmt: skip
+) -> ImportedLayerFile:  # fmt: skip
     """Import one file into the map of the settings. Raises InputError, and then wrote nothing."""
     from conetl.pipeline.import_base_layer import ImportOptions, import_file, kind_of
 
@@ -107,7 +107,7 @@ def import_one(
         )  # fmt: skip
 
 
-def print_imported(item: Imported) -> None:
+def print_imported(item: ImportedLayerFile) -> None:
     """What became of one file, in a few lines."""
     for warning in item.warnings:
         err.print(f"[yellow]conetl: note:[/] {warning}".replace("[E", "\\[E"), soft_wrap=True)

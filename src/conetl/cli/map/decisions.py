@@ -27,7 +27,7 @@ from conetl.pipeline.settings import Settings, read_settings
 from conetl.reports.plan_view import draw_plan_view
 
 if TYPE_CHECKING:
-    from conetl.pipeline.decisions import Decided
+    from conetl.pipeline.decisions import DecisionOutcome
 
 Feature = Annotated[str, typer.Argument(help="A feature's id, or how it begins.")]
 Radius = Annotated[float, typer.Option("--radius", help="Radius of the place in metres, at most 20.")]
@@ -190,7 +190,7 @@ def _who(by: str | None) -> str:
         raise InputError("this system does not know your name: say who decides with --by NAME") from error
 
 
-def _print(decided: Decided, as_json: bool, numbers: Mapping[UUID, int]) -> None:
+def _print(decided: DecisionOutcome, as_json: bool, numbers: Mapping[UUID, int]) -> None:
     """numbers: of changesets, by id."""
     if as_json:
         conflicts = [

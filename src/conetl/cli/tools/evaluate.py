@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
 
 from conetl.cli.console import JsonOption, out, print_json, print_table
 from conetl.cli.ingest import read_params
-from conetl.cli.tools.drive_results import DriveResults, run_steps
+from conetl.cli.tools.drive_results import analyse_folder
 from conetl.cli.tools.pooled_drives import (
     NEES_COLUMNS,
     DriveErrors,
@@ -43,6 +43,9 @@ from conetl.model.errors import InputError
 from conetl.model.records import Track
 from conetl.pipeline.settings import read_settings
 from conetl.reports.accuracy_page import Section, write_accuracy_page
+
+if TYPE_CHECKING:
+    from conetl.pipeline.analysis import AnalysedDrive
 
 _STATISTICS = ("", "estimates", "median 3D", "RMSE 3D", "RMSE E", "N", "up", "bias E", "N", "up", "CE90", "LE90")
 _BANDS = (
@@ -105,7 +108,7 @@ def evaluate(
     folder = output or settings.exports_folder / "evaluate"
     done: dict[str, tuple[Path, _Evaluation, dict[str, object]]] = {}
     for drive, (file, cones, srid) in truths.items():
-        results = run_steps(drive, settings, chosen, map_srid=srid)
+        results = analyse_folder(drive, settings, chosen, map_srid=srid)
         name = results.drive.drive_id
         if name in done:
             raise InputError(f"{drive} and {done[name][0]} are both drive {name}: a drive counts once")
@@ -154,7 +157,7 @@ def _truths_of(drives: Sequence[Path], truth: Path | None) -> dict[Path, tuple[P
     return truths
 
 
-def _compare(drive: Path, file: Path, cones: list[TruthCone], results: DriveResults, within_m: float) -> _Evaluation:
+def _compare(drive: Path, file: Path, cones: list[TruthCone], results: AnalysedDrive, within_m: float) -> _Evaluation:
     path_m = np.array([map_SE3_left(pair.pose, results.drive.rig)[:3, 3] for pair in results.drive.frame_pairs])
     lines, false = compare_with_truth(cones, results.tracks, path_m, within_m=within_m)
     if not lines:
@@ -165,7 +168,7 @@ def _compare(drive: Path, file: Path, cones: list[TruthCone], results: DriveResu
     return _evaluate(results, lines, false, path_m)
 
 
-def _print(truth: Path, results: DriveResults, evaluation: _Evaluation, files: list[Path], within_m: float) -> None:
+def _print(truth: Path, results: AnalysedDrive, evaluation: _Evaluation, files: list[Path], within_m: float) -> None:
     out.print(f"[bold]{results.drive.drive_id}[/] against {truth}, in metres\n")
     print_table_3(evaluation.lines, missing="missed")
     out.print()
@@ -183,13 +186,13 @@ def _print(truth: Path, results: DriveResults, evaluation: _Evaluation, files: l
 
 
 def _evaluate(
-    results: DriveResults,
+    results: AnalysedDrive,
     lines: list[TruthLine[Track]],
     false: list[Track],
     path_m: np.ndarray[Any, np.dtype[np.float64]],
 ) -> _Evaluation:
-    tracks = track_errors(lines, results.drive, results.positions, results.motion)
-    singles = position_errors(members_of(lines), results.positions, results.drive, results.poses)
+    tracks = track_errors(lines, results.drive, results.records.positions, results.motion)
+    singles = position_errors(members_of(lines), results.records.positions, results.drive, results.poses)
     figures = {
         name: figure
         for name, errors in (("tracks", tracks), ("single positions", singles))
@@ -202,7 +205,7 @@ def _evaluate(
     return _Evaluation(lines, false, path_m, tracks, singles, figures, by_range(singles), nees)
 
 
-def _write(folder: Path, results: DriveResults, evaluation: _Evaluation, within_m: float) -> list[Path]:
+def _write(folder: Path, results: AnalysedDrive, evaluation: _Evaluation, within_m: float) -> list[Path]:
     """The plots and, last, the page. Raises InputError where the folder cannot be written."""
     from conetl.reports import accuracy_plots
 
@@ -258,14 +261,14 @@ def _write(folder: Path, results: DriveResults, evaluation: _Evaluation, within_
     return [*(folder / file for file in pictures), page]
 
 
-def _summary(results: DriveResults, evaluation: _Evaluation, within_m: float) -> list[str]:
+def _summary(results: AnalysedDrive, evaluation: _Evaluation, within_m: float) -> list[str]:
     missed = [line.truth.cone_id for line in evaluation.lines if line.feature is None]
     words = [
         f"{evaluation.found} of {len(evaluation.lines)} cones within {within_m:g} m of the path found, "
         f"{len(evaluation.false)} false ones.",
-        f"{len(results.drive.frame_pairs)} frame pairs, {len(results.positions)} positions, "
-        f"{len(results.rejections)} rejections.",
-        results.trajectory,
+        f"{len(results.drive.frame_pairs)} frame pairs, {len(results.records.positions)} positions, "
+        f"{len(results.records.rejections)} rejections.",
+        results.trajectory.detail,
     ]
     if missed:
         words.append(f"Missed: {', '.join(missed)}.")
@@ -295,12 +298,12 @@ def _band_rows(evaluation: _Evaluation) -> list[tuple[object, ...]]:
     ]  # fmt: skip
 
 
-def _as_dict(results: DriveResults, evaluation: _Evaluation, files: Sequence[Path]) -> dict[str, object]:
+def _as_dict(results: AnalysedDrive, evaluation: _Evaluation, files: Sequence[Path]) -> dict[str, object]:
     return {
         "drive_id": results.drive.drive_id,
         "map_srid": results.drive.map_srid,
         "frame_pairs": len(results.drive.frame_pairs),
-        "trajectory": results.trajectory,
+        "trajectory": results.trajectory.detail,
         "cones": [
             {"track_index": line.feature.track_index if line.feature else None, **line_as_dict(line)}
             for line in evaluation.lines

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from conetl.cli.console import JsonOption, out, print_json, print_table, progress_bar
 from conetl.evaluation import lidar_check as steps
-from conetl.evaluation.calibrated_drive import calibrate_drive
 from conetl.evaluation.lidar_scene import SceneBias, fit_scene_bias, scene_samples
 from conetl.geometry import pose as se3
 from conetl.geometry.camera import first_road_row
@@ -164,6 +163,8 @@ def lidar_check(
     as_json: JsonOption = False,
 ) -> None:
     """Stereo ranges of cones against the drive's own LiDAR, by range, with and without what the scene says of calibration."""
+    from conetl.pipeline.odometry import calibrate_drive
+
     with progress_bar() as bar:
         task = bar.add_task("LiDAR check", total=None)
         check = lidar_residuals(

@@ -135,6 +135,8 @@ def _frame_pair(row: tuple[Any, ...]) -> FramePair:
             sigma_enu_m=tuple(row[8]),
             sigma_rpy_rad=tuple(row[9]),
         ),
+        left_sha256="",
+        right_sha256="",
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from pathlib import Path
 
 
 class ContentHash:
@@ -11,11 +12,15 @@ class ContentHash:
     def __init__(self, *, headers_only: bool = False) -> None:
         """headers_only: images are judged by their ends and are not part of the hash, which then says little."""
         self.headers_only = headers_only
+        self.read_ahead: dict[Path, bytes] = {}
+        """Images that were read before their turn, for their size."""
         self._files: dict[str, bytes] = {}
 
-    def add(self, name: str, data: bytes) -> None:
-        """One file that was read; names are posix paths relative to the drive folder."""
-        self._files[name] = hashlib.sha256(data).digest()
+    def add(self, name: str, data: bytes) -> str:
+        """Add one file that was read; its SHA-256. Names are posix paths relative to the drive folder."""
+        found = hashlib.sha256(data)
+        self._files[name] = found.digest()
+        return found.hexdigest()
 
     def hexdigest(self) -> str:
         """SHA-256 over sorted names and the hashes of their bytes."""

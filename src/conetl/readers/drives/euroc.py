@@ -31,7 +31,7 @@ from conetl.model.rejections import Rejection, RejectionReason
 from conetl.readers.drives.body import add_settings, georeferenced, own_rig, rig_on_body
 from conetl.readers.drives.content import ContentHash
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside, read_drive_yaml
-from conetl.readers.drives.pairs import PairError, check_images
+from conetl.readers.drives.pairs import ImageFile, PairError, check_images
 from conetl.readers.drives.stamped_pairs import NS_PER_MS, Couple, Image, alone, drive_of_couples, pair_by_stamp
 from conetl.readers.drives.trajectories import (
     Samples,
@@ -84,7 +84,7 @@ def read_euroc_drive(
     if not couples:
         raise DriveFolderError(f"{folder}: there are no images in {names['left']}/data.csv")
 
-    def images_of(couple: Couple) -> tuple[Path, Path]:
+    def images_of(couple: Couple) -> tuple[ImageFile, ImageFile]:
         if couple[0] is None or couple[1] is None:
             raise alone(couple, tolerance_ns, names)
         for image in couple:

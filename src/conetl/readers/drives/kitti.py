@@ -27,6 +27,7 @@ from conetl.readers.drives.content import ContentHash
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside, read_drive_yaml
 from conetl.readers.drives.pairs import (
     IMAGE_SUFFIXES,
+    ImageFile,
     PairError,
     check_images,
     first_size,
@@ -63,7 +64,7 @@ def read_kitti_drive(
     numbers = sorted(left.keys() | right.keys())
     if not numbers:
         raise DriveFolderError(f"{folder}: there are no images (*.png, *.jpg) in {settings.cameras.left}/data")
-    size = first_size(paths[0] for _, paths in sorted(left.items()))
+    size = first_size((paths[0] for _, paths in sorted(left.items())), content)
     rig = read_rig_for(root, calibration, size, settings, content)
     zone = settings.timestamps_timezone
     stamps = parse_timestamps(_text(root, f"{settings.cameras.left}/timestamps.txt", content, required=True), zone)
@@ -89,18 +90,18 @@ def read_kitti_drive(
     except ValueError as error:
         raise DriveFolderError(f"{folder}: {error}") from error
 
-    usable: dict[int, tuple[Path, Path, int]] = {}
+    usable: dict[int, tuple[ImageFile, ImageFile, int]] = {}
     rising = {n: t for n in numbers if isinstance(t := stamps.get(n), int)}
     wrong_times = misplaced(rising)
     for number in images_ahead(numbers, left, right, content):
         try:
-            left_path, right_path = check_images(left.get(number, []), right.get(number, []), rig, content, root)
+            images = check_images(left.get(number, []), right.get(number, []), rig, content, root)
             captured = _captured_at(number, stamps, wrong_times, settings)
             _check_pose(number, captured, bad_records, track, root)
         except PairError as error:
             rejections.append(error.rejection(f"frame pair {number}", number))
         else:
-            usable[number] = left_path, right_path, captured
+            usable[number] = *images, captured
     pairs = _frame_pairs(usable, track, settings)
     require_pairs(pairs, rejections, len(numbers), folder)
     drive = Drive(
@@ -111,13 +112,19 @@ def read_kitti_drive(
 
 
 def _frame_pairs(
-    usable: Mapping[int, tuple[Path, Path, int]], track: oxts.Trajectory, settings: DriveYaml
+    usable: Mapping[int, tuple[ImageFile, ImageFile, int]], track: oxts.Trajectory, settings: DriveYaml
 ) -> list[FramePair]:
     """Records of the frame pairs that can be used: number -> left and right image, UTC nanoseconds."""
     poses = oxts.poses_at(track, {number: captured for number, (_, _, captured) in usable.items()}, settings.sigmas)
     return [
         FramePair(
-            frame_index=number, left_path=str(left), right_path=str(right), captured_at_ns=captured, pose=poses[number]
+            frame_index=number,
+            left_path=str(left.path),
+            right_path=str(right.path),
+            captured_at_ns=captured,
+            pose=poses[number],
+            left_sha256=left.sha256,
+            right_sha256=right.sha256,
         )
         for number, (left, right, captured) in usable.items()
     ]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
-from conetl.files.storage import fetch
+from conetl.files.storage import fetch, remember
 from conetl.geometry.rectification import stored_camera
 from conetl.model.errors import DriveFolderError
 from conetl.model.records import FramePair, Rig, Side
@@ -16,6 +16,14 @@ from conetl.perception.images import ImageFileError, check_image_bytes, check_im
 from conetl.readers.drives.content import ContentHash
 
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
+
+
+class ImageFile(NamedTuple):
+    """One image of a drive."""
+
+    path: Path
+    sha256: str
+    """Of its bytes; empty where only its header was read."""
 
 
 class PairError(Exception):
@@ -53,15 +61,15 @@ def images_ahead(
 
 def check_images(
     left: Sequence[Path], right: Sequence[Path], rig: Rig, content: ContentHash, root: Path
-) -> tuple[Path, Path]:
-    """Paths of both images of a pair, given all files that claim to be them.
+) -> tuple[ImageFile, ImageFile]:
+    """Both images of a pair, given all files that claim to be them.
 
     Header, size (of the images as stored: raw, where the rig was rectified) and end marker are checked, nothing is decoded.
-    Both are read (for the content hash) before either is judged.
+    Both are read (for the content hash) before either is judged, and their bytes stay in memory for the steps to come.
     Raises PairError.
     """
     problem: PairError | None = None
-    good: list[Path] = []
+    good: list[ImageFile] = []
     sides: tuple[tuple[Side, Sequence[Path]], ...] = (("left", left), ("right", right))
     for side, paths in sides:
         camera = stored_camera(rig, side)
@@ -73,29 +81,36 @@ def check_images(
             )
             problem = problem or PairError(reason, detail, side=side)
             continue
-        name = paths[0].relative_to(root).as_posix()
+        name, sha256 = paths[0].relative_to(root).as_posix(), ""
         try:
             if content.headers_only:
                 check_image_ends(paths[0], name, (camera.width_px, camera.height_px))
             else:
-                data = read_bytes(paths[0])
-                content.add(name, data)
+                data = content.read_ahead.pop(paths[0], None) or read_bytes(paths[0])
+                sha256 = content.add(name, data)
+                remember(paths[0], sha256, data)
                 check_image_bytes(data, name, (camera.width_px, camera.height_px))
         except ImageFileError as error:
             problem = problem or PairError(error.reason, str(error), side=side, path=name)
-        good.append(paths[0])
+        good.append(ImageFile(paths[0], sha256))
     if problem is not None:
         raise problem
     return good[0], good[1]
 
 
-def first_size(paths: Iterable[Path]) -> tuple[int, int] | None:
-    """Width and height of the first image whose header can be read; None where there is none."""
+def first_size(paths: Iterable[Path], content: ContentHash | None = None) -> tuple[int, int] | None:
+    """Width and height of the first image whose header can be read; None where there is none.
+
+    content: of the drive that is read; its image need not be read again.
+    """
     for path in paths:
         try:
-            header = inspect_image(read_bytes(path))
+            data = read_bytes(path)
+            header = inspect_image(data)
         except (ImageFileError, ValueError):
             continue
+        if content is not None:
+            content.read_ahead[path] = data
         return header.width_px, header.height_px
     return None
 

@@ -96,7 +96,7 @@ def read_plain_drive(
     rejections: list[Rejection] = []
     for stem in images_ahead(sorted(stems, key=lambda stem: order[stem]), left, right, content):
         try:
-            left_path, right_path = check_images(left.get(stem, []), right.get(stem, []), rig, content, root)
+            images = check_images(left.get(stem, []), right.get(stem, []), rig, content, root)
             if stem not in rows:
                 raise PairError(RejectionReason.POSE_MISSING, f"{TRAJECTORY} has no row with the stem '{stem}'")
             if not isinstance(rows[stem], Row):
@@ -114,8 +114,9 @@ def read_plain_drive(
         else:
             pairs.append(
                 FramePair(
-                    frame_index=order[stem], left_path=str(left_path), right_path=str(right_path),
+                    frame_index=order[stem], left_path=str(images[0].path), right_path=str(images[1].path),
                     captured_at_ns=captured, pose=poses[stem],
+                    left_sha256=images[0].sha256, right_sha256=images[1].sha256,
                 )
             )  # fmt: skip
     require_pairs(pairs, rejections, len(stems), folder)

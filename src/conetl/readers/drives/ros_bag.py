@@ -43,7 +43,7 @@ from conetl.readers.drives.bag_rig import (
 from conetl.readers.drives.body import add_settings, checked_srid, georeferenced, own_rig, rig_on_body
 from conetl.readers.drives.content import ContentHash
 from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas, read_drive_yaml, small_file
-from conetl.readers.drives.pairs import PairError
+from conetl.readers.drives.pairs import ImageFile, PairError
 from conetl.readers.drives.stamped_pairs import NS_PER_MS, Couple, Image, alone, drive_of_couples, pair_by_stamp
 from conetl.readers.drives.trajectories import (
     at,
@@ -105,14 +105,16 @@ def read_bag_drive(
         raise DriveFolderError(f"{path}: there are no images on {topics.left} and {topics.right}")
     names: dict[Side, str] = {"left": topics.left, "right": topics.right}
 
-    def images_of(couple: Couple) -> tuple[Path, Path]:
+    def images_of(couple: Couple) -> tuple[ImageFile, ImageFile]:
         left, right = couple
         if left is None or right is None:
             raise alone(couple, tolerance_ns, names)
         for image in (left, right):
             if image.problem is not None:
                 raise image.problem
-        return left.path, right.path
+        # An unpacked image is named by its hash.
+        hashes = ("", "") if content.headers_only else (left.path.stem, right.path.stem)
+        return ImageFile(left.path, hashes[0]), ImageFile(right.path, hashes[1])
 
     return drive_of_couples(
         couples, source=source, settings=settings, rig=rig, srid=srid, content=content, images_of=images_of, pose_at=pose_at,

@@ -10,7 +10,7 @@ from conetl.model.records import Drive, FramePair, Pose, Rig, Side
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.readers.drives.content import ContentHash
 from conetl.readers.drives.drive_yaml import DriveYaml
-from conetl.readers.drives.pairs import PairError, require_pairs
+from conetl.readers.drives.pairs import ImageFile, PairError, require_pairs
 from conetl.readers.drives.timestamps import misplaced, wrong_clocks
 from conetl.readers.drives.trajectories import nearest_index
 
@@ -81,12 +81,12 @@ def drive_of_couples(
     rig: Rig,
     srid: int,
     content: ContentHash,
-    images_of: Callable[[Couple], tuple[Path, Path]],
+    images_of: Callable[[Couple], tuple[ImageFile, ImageFile]],
     pose_at: Callable[[int], Pose],
 ) -> tuple[Drive, list[Rejection]]:
     """The drive and the rejections of its pairs. frame_index is the number of the couple, from 0.
 
-    images_of: paths of a couple's images, or PairError; pose_at: pose of the body at a time (UTC ns), or PairError. Raises
+    images_of: a couple's images, or PairError; pose_at: pose of the body at a time (UTC ns), or PairError. Raises
     DriveFolderError where not one pair is left.
     """
     stamps = {n: t for n, couple in enumerate(couples) if (t := _stamp(couple)) is not None}
@@ -103,9 +103,10 @@ def drive_of_couples(
         else:
             pairs.append(
                 FramePair(
-                    frame_index=number, left_path=str(left), right_path=str(right), captured_at_ns=captured, pose=pose
+                    frame_index=number, left_path=str(left.path), right_path=str(right.path), captured_at_ns=captured,
+                    pose=pose, left_sha256=left.sha256, right_sha256=right.sha256,
                 )
-            )
+            )  # fmt: skip
     require_pairs(pairs, rejections, len(couples), source)
     drive = Drive(
         drive_id=settings.id_of(source), source_path=str(source), rig=rig, map_srid=srid,

@@ -1,4 +1,4 @@
-"""The map as files for others, every night: a folder a publication, and a pointer to the last one.
+"""The map as files for others: a folder for each publication, and a pointer to the last one.
 
     folder/
       2026-03-04T020000.000000Z/    one publication: files, each with its manifest, report.html and publication.json
@@ -8,16 +8,14 @@ A publication appears whole or not at all: it is written beside the others under
 at the end, in one step.
 """
 
+from __future__ import annotations
+
 import json
 import shutil
+from contextlib import ExitStack
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Annotated, Any
-
-from prefect import State, flow
-from prefect.artifacts import create_link_artifact, create_table_artifact
-from prefect.states import Completed
-from pydantic import Field
+from typing import Any
 
 from conetl.db.map.map_store import find_map
 from conetl.exports import FORMATS
@@ -26,56 +24,21 @@ from conetl.exports.source import ExportRequest
 from conetl.files.expiry import LATEST
 from conetl.files.partial_files import aside, sweep
 from conetl.model.errors import InputError
+from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.settings import Settings
 from conetl.reports.night_page import write_night_page
-from flows.drive_job import MapName, alive, settings_for
-from flows.merge import open_map
 
 REPORT = "report.html"
 REPORTED = timedelta(days=1)
 
 
-@flow(name="publish-map", flow_run_name="publish map")
-def publish_map(
-    map_name: MapName = None,
-    formats: Annotated[
-        list[str] | None, Field(description=f"Some of {', '.join(FORMATS)}; all of them unless given.")
-    ] = None,
-    folder: Annotated[
-        Path | None, Field(description="Where publications go; `exports` of CONETL_HOME unless given.")
-    ] = None,
-    as_of: Annotated[datetime | None, Field(description="Instant on the road; as the map stands unless given.")] = None,
-) -> State[Any]:
-    """Write the map in several formats to a new folder, and point `latest` at it.
-
-    All files tell the map as it was believed at one instant; `report.html` tells of the last 24 hours. Fails for an unknown
-    format or a folder that cannot be written; the last publication stays then.
-    """
-    settings = settings_for(map_name)
-    with alive(settings):
-        with open_map(settings) as conn:
-            if find_map(conn, settings.map_name) is None:
-                return Completed(name="NothingToPublish", message=f"the map {settings.map_name} is empty")
-        published, manifests = write_publication(
-            settings, list(FORMATS) if formats is None else formats, folder or settings.exports_folder, as_of
-        )
-    create_table_artifact(
-        [{name: manifest[name] for name in ("file", "rows", "bytes", "sha256")} for manifest in manifests],
-        key="publication",
-        description=f"Map {settings.map_name} -> {published}",
-    )
-    page = published / REPORT
-    create_link_artifact(
-        page.resolve().as_uri(),
-        key="qa-report-night",
-        link_text="QA report of the last 24 hours",
-        description=f"The file: {page}",
-    )
-    return Completed(message=f"{len(manifests)} files in {published}")
-
-
 def write_publication(
-    settings: Settings, formats: list[str], folder: Path, as_of: datetime | None = None
+    settings: Settings,
+    formats: list[str],
+    folder: Path,
+    as_of: datetime | None = None,
+    *,
+    database: MapDatabase | None = None,
 ) -> tuple[Path, list[dict[str, Any]]]:
     """Write the map of `as_of` (None: latest) in `formats` to a new folder in `folder`; that folder, and its files' manifests.
 
@@ -92,10 +55,12 @@ def write_publication(
         raise InputError(f"{folder} cannot be written ({error.strerror}): choose another folder") from error
     sweep([folder])
     try:
-        with open_map(settings) as conn:
+        with ExitStack() as stack:
+            database = database or stack.enter_context(MapDatabase(settings))
+            conn = stack.enter_context(database.connection())
             info = find_map(conn, settings.map_name)
             conn.rollback()
-            # The belief of the last changeset: what is committed from now on is left out of every file alike.
+            # The map after its last changeset: what is committed from now on is left out of every file alike.
             believed_at = info.last_committed_at if info else None
             request = ExportRequest(settings.map_name, as_of=as_of, believed_at=believed_at)
             manifests = [

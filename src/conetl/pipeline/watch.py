@@ -1,8 +1,8 @@
 """A drive while it is recorded: frame pairs as they arrive, in the order of recording, into provisional features.
 
-The images of the next pair are searched while the cones of this one are matched, located and committed. What a pair lacks is
-waited for. A pair that is not whole holds up those behind it for `PATIENCE_S` and is then left to the ingest, which takes the
-whole drive anyway; so are pairs for which the machine is too slow. Knows no Prefect.
+The images of the next pair are searched while the cones of this one are matched, located and committed. An incomplete pair holds
+up those behind it for `PATIENCE_S` and is then left to the ingest, which takes the whole drive anyway; so are pairs for which the
+machine is too slow.
 """
 
 from __future__ import annotations
@@ -28,40 +28,49 @@ from conetl.model.params import IngestParams
 from conetl.model.records import FramePair, Rig, Track
 from conetl.model.rejections import RejectionReason
 from conetl.perception.images import ImageFileError
-from conetl.pipeline.live_pair import Eyes, LiveDrive, Look, StepTimes, look_at, new_drive, open_eyes, take_pair
+from conetl.pipeline.database import database_url
+from conetl.pipeline.live_pair import (
+    Detectors,
+    LiveDrive,
+    PairSearch,
+    StepTimes,
+    new_drive,
+    open_detectors,
+    search_pair,
+    take_pair,
+)
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives.header import MARKER
 from conetl.readers.drives.oxts import MAX_SPEED_M_S
 from conetl.readers.drives.pairs import PairError
 from conetl.readers.recording.drive import BEHIND, ArrivingDrive, ArrivingPair, open_arriving
-from flows.merge import database_url
 
-#: So long a pair that is not whole holds up those behind it; a image that cannot be read may become whole for so long.
+#: How long an incomplete pair holds up those behind it.
 PATIENCE_S = 2.0
-#: All folders are read again so often, in case the system did not tell of a file; but looks take no more than this share of time.
-_LOOK_EVERY_S, _LOOK_SHARE = 1.0, 0.02
+#: All folders are listed again so often, in case the system did not report a file; but at most for this share of the time.
+_LIST_EVERY_S, _LIST_SHARE = 1.0, 0.02
 _WAIT_S, _GATHER_MS = 0.1, 4
-#: Older pairs are left out while newer ones wait: a image of the road as it was a while ago is what the ingest is for.
+#: Older pairs are left out while newer ones wait: the ingest is for those.
 MAX_BEHIND_S = 0.5
 
 
 @dataclass(frozen=True)
 class PairTime:
-    """One frame pair on its way; seconds."""
+    """How long one frame pair took; seconds."""
 
     frame_index: int
     total_s: float
     """From the last change of the later image to the commit."""
     waited_s: float
-    """Of it, without work on this pair: the system's word, a late pose, the pairs before it."""
+    """Of it, without work on this pair: notice of the file, a late pose, the pairs before it."""
     work: StepTimes
     backlog: bool
-    """Its images were there before the watch was ready: its total says nothing."""
+    """Its images were there before the watch was ready: its total means nothing."""
 
 
 @dataclass
 class WatchReport:
-    """What a watch did; grows while it goes on."""
+    """What a watch did so far."""
 
     drive_id: str = ""
     map_name: str = ""
@@ -69,7 +78,7 @@ class WatchReport:
     refused: Counter[str] = field(default_factory=Counter)
     """Frame pairs that cannot be used, by reason."""
     left_out: int = 0
-    """Frame pairs that were not whole, or too old, when their turn came."""
+    """Frame pairs that were incomplete, or too old, when their turn came."""
     standing: dict[int, Track] = field(default_factory=dict)
     """Provisional features by number."""
     cleared: int = 0
@@ -85,39 +94,39 @@ class _Begun:
 
     arriving: ArrivingPair
     since_s: float
-    """Of its first sight (monotonic s)."""
+    """When it was noticed (monotonic s)."""
     srid: int
     rig: Rig
-    look: Look
+    search: PairSearch
 
 
 @dataclass
 class _Watch:
-    """A watch in work."""
+    """The state of a watch."""
 
     conn: Connection
-    eyes: Eyes
+    detectors: Detectors
     folder: Path
     settings: Settings
     report: WatchReport
     stop: threading.Event
-    tell: Callable[[WatchReport], None]
+    progress: Callable[[WatchReport], None]
     max_behind_s: float
     patience_s: float
     ready_ns: int
     changes: SimpleQueue[Path]
-    """Files that changed, as the system tells of them."""
+    """Files that changed, as the system reports them."""
     source: ArrivingDrive | None = None
     drive: LiveDrive | None = None
     last: FramePair | None = None
-    """The pair whose place and time the next one is judged by ..."""
+    """The pair that the next one's position and time are compared with ..."""
     jumped: FramePair | None = None
-    """... or the one that was refused since for its place: two that agree are believed."""
+    """... or the one that was rejected since for its position: two that agree are accepted."""
     taken_index: int = -1
     waiting: dict[str, tuple[ArrivingPair, float]] = field(default_factory=dict)
-    """Pairs that are not done, with the time of their first sight (monotonic s)."""
+    """Pairs that are not done, with the time when they were noticed (monotonic s)."""
     turn: list[tuple[int, str]] = field(default_factory=list)
-    """The order of those of them whose place in the recording is known, rising; of some that are done, too."""
+    """The order of those whose number in the recording is known, rising; of some that are done, too."""
     unplaced: list[ArrivingPair] = field(default_factory=list)
     """The others, in any order."""
     begun: _Begun | None = None
@@ -134,13 +143,13 @@ def watch_drive(
     max_behind_s: float = MAX_BEHIND_S,
     patience_s: float = PATIENCE_S,
     poll: bool = False,
-    tell: Callable[[WatchReport], None] = lambda _: None,
+    progress: Callable[[WatchReport], None] = lambda _: None,
 ) -> WatchReport:
     """Watch a drive folder until it holds `COMPLETE`, `stop` is set, or nothing came for `idle_s`.
 
-    max_behind_s: pairs older than this are left out while newer ones wait. patience_s: so long a pair that is not whole is waited
-    for. poll: ask the file system instead of waiting for its word (network file systems). tell: called when the watch is ready,
-    and after every pair. Raises InputError where the folder is missing, cannot be a drive, or is being watched already;
+    max_behind_s: pairs older than this are left out while newer ones wait. patience_s: how long an incomplete pair is waited for.
+    poll: list the files again and again instead of waiting for notices (network file systems). progress: called when the watch is
+    ready, and after every pair. Raises InputError where the folder is missing, cannot be a drive, or is being watched already;
     DatabaseError.
     """
     if not folder.is_dir():
@@ -150,23 +159,23 @@ def watch_drive(
     with ExitStack() as stack:
         conn = stack.enter_context(closing(connect(database_url(settings))))
         migrate(conn)
-        eyes = stack.enter_context(open_eyes(settings, params))
+        detectors = stack.enter_context(open_detectors(settings, params))
         changes = stack.enter_context(_changes_of(folder.resolve(), poll=poll))
         watch = _Watch(
-            conn, eyes, folder, settings, report, stop, tell, max_behind_s, patience_s, time.time_ns(), changes
+            conn, detectors, folder, settings, report, stop, progress, max_behind_s, patience_s, time.time_ns(), changes
         )
-        processor_s, heard_s, look_s, took = time.process_time(), time.monotonic(), -np.inf, False
-        tell(report)
+        processor_s, heard_s, list_s, took = time.process_time(), time.monotonic(), -np.inf, False
+        progress(report)
         while not stop.is_set():
-            paths = _told(changes, 0.0 if took else _WAIT_S)
-            complete = (folder / MARKER).exists()  # before the look, which then finds all there is
+            paths = _noticed(changes, 0.0 if took else _WAIT_S)
+            complete = (folder / MARKER).exists()  # before the listing, which then finds everything
             if watch.source is None and (source := open_arriving(folder)) is not None:
                 _begin(watch, source, stack)
             if watch.source is not None:
                 begun_s = time.monotonic()
-                everything = (complete and not took) or begun_s >= look_s
+                everything = (complete and not took) or begun_s >= list_s
                 _notice(watch, watch.source, None if everything else paths)
-                look_s = time.monotonic() + pause_s(time.monotonic() - begun_s) if everything else look_s
+                list_s = time.monotonic() + pause_s(time.monotonic() - begun_s) if everything else list_s
             took = _take_next(watch)
             heard_s = time.monotonic() if paths or took else heard_s
             report.processor_s = time.process_time() - processor_s
@@ -183,14 +192,14 @@ def watch_drive(
     return report
 
 
-def pause_s(look_s: float) -> float:
-    """So long the folders are left alone after a look at all of them that took so long."""
-    return max(_LOOK_EVERY_S, look_s / _LOOK_SHARE)
+def pause_s(listing_s: float) -> float:
+    """How long to wait before all folders are listed again, where listing them took so long."""
+    return max(_LIST_EVERY_S, listing_s / _LIST_SHARE)
 
 
 @contextmanager
 def _changes_of(folder: Path, *, poll: bool) -> Iterator[SimpleQueue[Path]]:
-    """Files below a folder that changed, as the system tells of them, by a thread of its own."""
+    """Files below a folder that changed, as the system reports them to a thread."""
     queue: SimpleQueue[Path] = SimpleQueue()
     stop = threading.Event()
 
@@ -211,8 +220,8 @@ def _changes_of(folder: Path, *, poll: bool) -> Iterator[SimpleQueue[Path]]:
         thread.join()
 
 
-def _told(changes: SimpleQueue[Path], wait_s: float) -> list[Path]:
-    """What changed since the last time; waits for the first word."""
+def _noticed(changes: SimpleQueue[Path], wait_s: float) -> list[Path]:
+    """What changed since the last call; waits for the first notice."""
     paths: list[Path] = []
     with suppress(Empty):
         paths.append(changes.get(timeout=wait_s) if wait_s else changes.get_nowait())
@@ -222,7 +231,7 @@ def _told(changes: SimpleQueue[Path], wait_s: float) -> list[Path]:
 
 
 def _begin(watch: _Watch, source: ArrivingDrive, stack: ExitStack) -> None:
-    """The folder has told what it is: nobody else may watch it, and what earlier watches left goes."""
+    """The drive is known: nobody else may watch it, and what earlier watches left is removed."""
     name = watch_lock(watch.settings.map_name, source.drive_id)
     if not stack.enter_context(held_if_free(watch.conn, name)):
         raise InputError(f"{watch.folder}: the drive {source.drive_id} is being watched already")
@@ -231,11 +240,7 @@ def _begin(watch: _Watch, source: ArrivingDrive, stack: ExitStack) -> None:
 
 
 def _notice(watch: _Watch, source: ArrivingDrive, paths: list[Path] | None) -> None:
-    """Take in pairs that came, and the place in the recording of those that have one by now.
-
-    A pair is asked for its place until it has one, and not at every look: of a long drive that was there before, that took longer
-    than to match its cones.
-    """
+    """Take in pairs that came, and the number in the recording of those that have one by now: finding it costs time."""
     new = source.look(paths)
     watch.waiting |= {pair.key: (pair, time.monotonic()) for pair in new}
     orders = [(source.order(pair), pair) for pair in (*watch.unplaced, *new) if pair.key in watch.waiting]
@@ -246,7 +251,7 @@ def _notice(watch: _Watch, source: ArrivingDrive, paths: list[Path] | None) -> N
 
 
 def _take_next(watch: _Watch) -> bool:
-    """Take the next pair whose turn has come, and begin with the one behind it; False where there is nothing to do by now."""
+    """Take the next pair whose turn has come, and begin with the one behind it; False where there is nothing to do yet."""
     if watch.source is None:
         return False
     ahead = watch.begun is not None
@@ -254,27 +259,27 @@ def _take_next(watch: _Watch) -> bool:
     if begun is None:
         return False
     try:
-        begun.look.seen()
+        begun.search.images()
     except ImageFileError as error:
         done = _is_overdue(watch, begun.since_s)
         if done:
             watch.report.refused[error.reason.value] += 1
             del watch.waiting[begun.arriving.key]
-        return done or ahead  # begun ahead: it may have become whole since
+        return done or ahead  # begun ahead: it may be complete by now
     del watch.waiting[begun.arriving.key]
-    pair = begun.look.pair
+    pair = begun.search.pair
     watch.last, watch.jumped, watch.taken_index = pair, None, pair.frame_index
     if watch.drive is None:
         name = watch.settings.map_name
         watch.drive = new_drive(watch.source.drive_id, watch.folder, begun.rig, begun.srid, name, pair)
-    _notice(watch, watch.source, _told(watch.changes, 0.0))
+    _notice(watch, watch.source, _noticed(watch.changes, 0.0))
     watch.begun = _begin_next(watch, watch.source)
     _take(watch, watch.drive, begun)
     return True
 
 
 def _begin_next(watch: _Watch, source: ArrivingDrive) -> _Begun | None:
-    """Begin with the next pair whose turn has come, if any. One that is not whole holds up the rest for a while."""
+    """Begin with the next pair whose turn has come, if any. An incomplete one holds up the rest for a while."""
     watch.turn = [order for order in watch.turn if order[1] in watch.waiting]
     turn = [*watch.turn, *sorted((BEHIND, pair.key) for pair in watch.unplaced if pair.key in watch.waiting)]
     newest_ns = max((_written_ns(watch.waiting[key][0]) for _, key in turn[-2:]), default=0)
@@ -292,7 +297,7 @@ def _begin_next(watch: _Watch, source: ArrivingDrive) -> _Begun | None:
                     del watch.waiting[pair.key]
                     continue
                 _check_motion(watch, posed[0])
-                return _Begun(pair, since, posed[1], rig, look_at(watch.eyes, rig, posed[0]))
+                return _Begun(pair, since, posed[1], rig, search_pair(watch.detectors, rig, posed[0]))
         except PairError as error:
             watch.report.refused[error.reason.value] += 1
             del watch.waiting[pair.key]
@@ -322,16 +327,16 @@ def _written_ns(pair: ArrivingPair) -> int:
 
 
 def _take(watch: _Watch, drive: LiveDrive, begun: _Begun) -> None:
-    """Take a pair whose images are whole."""
-    pair, written_ns = begun.look.pair, _written_ns(begun.arriving)
-    watch.drive, times = take_pair(watch.conn, watch.eyes, drive, begun.look)
+    """Take a pair whose images are complete."""
+    pair, written_ns = begun.search.pair, _written_ns(begun.arriving)
+    watch.drive, times = take_pair(watch.conn, watch.detectors, drive, begun.search)
     watch.report.standing = watch.drive.standing
     total_s = (time.time_ns() - written_ns) * 1e-9
     worked_s = times.detect_s + times.track_s + times.commit_s
     watch.report.pairs.append(
         PairTime(pair.frame_index, total_s, total_s - worked_s, times, backlog=written_ns < watch.ready_ns)
     )
-    watch.tell(watch.report)
+    watch.progress(watch.report)
 
 
 def _srid(watch: _Watch) -> int | None:
@@ -344,7 +349,7 @@ def _srid(watch: _Watch) -> int | None:
 
 
 def _check_motion(watch: _Watch, pair: FramePair) -> None:
-    """Time must rise, and nobody drives at 100 m/s from where the drive was, or where a refused pair put it. Raises PairError."""
+    """Time must rise, and nobody drives at 100 m/s from the last pair, or one that was rejected for that. Raises PairError."""
     if watch.last is not None and pair.captured_at_ns <= watch.last.captured_at_ns:
         raise PairError(RejectionReason.TIMESTAMP_INVALID, f"frame pair {pair.frame_index}: the time does not rise")
     known = [other for other in (watch.last, watch.jumped) if other is not None]

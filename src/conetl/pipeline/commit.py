@@ -1,26 +1,18 @@
-"""The last arrow: tracks of one drive into the map, as one atomic changeset under the map's lock."""
+"""Tracks of one drive into the map, as one atomic changeset under the map's lock."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Iterable
+from contextlib import ExitStack
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
-from uuid import UUID, uuid5
+from uuid import UUID, uuid4, uuid5
 
-from prefect import task
-from prefect.context import get_run_context
-from prefect.runtime import flow_run
-
-from conetl.db.cluster.cluster import cluster_up
-from conetl.db.connection import Connection, connect, migrate, transaction
+from conetl.db.connection import transaction
 from conetl.db.live_store import drop_watched_recording
-from conetl.db.map.map_store import (
-    find_changeset,
-    find_map,
-    map_transaction,
-)
+from conetl.db.map.map_store import find_changeset, map_transaction
 from conetl.db.map.replay_store import other_deliveries
 from conetl.db.map.results import CommittedChangeset, RunInfo
 from conetl.files.parquet_store import result_key
@@ -29,13 +21,14 @@ from conetl.model.errors import MapMismatchError
 from conetl.model.ingest_report import ChangeLine, IngestReport
 from conetl.model.map_records import Changeset, Delta, DeltaKind, MapFeature
 from conetl.model.params import IngestParams, params_sha256
-from conetl.model.records import Drive, DriveRecords, Record, utc_from_ns
-from conetl.model.rejections import INPUT_REASONS
+from conetl.model.records import Drive, Record, utc_from_ns
+from conetl.model.rejections import INPUT_REASONS, Rejection, RejectionReason
 from conetl.perception.model_card import read_model_card
+from conetl.pipeline.analysis import AnalysedDrive
 from conetl.pipeline.code_identity import code_facts
+from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.replay import merge_drive
-from conetl.pipeline.settings import Settings
-from flows.retries import RETRY, lost_frame_pairs
+from conetl.pipeline.settings import Settings, read_settings
 
 _NAMESPACE = UUID("0b9b3a5e-9c1f-4d0e-8b55-2f7d9a1c6e42")
 
@@ -47,13 +40,16 @@ class Identity(Record):
     params_sha256: str
     model_sha256: str
     evidence: DetectorEvidence | None
-    """What the model's sidecar says of its boxes."""
+    """What is measured of the model's boxes."""
 
 
-class Merged(Record):
-    """What `merge_task` hands on."""
+@dataclass(frozen=True)
+class CommittedDrive:
+    """What a drive did to the map."""
 
-    changeset: Changeset
+    changeset: CommittedChangeset
+    drive: Drive
+    deltas: tuple[Delta, ...]
     untouched: tuple[MapFeature, ...]
     """Features around the path that the drive did not judge."""
     report: IngestReport
@@ -69,30 +65,11 @@ def identify(drive: Drive, params: IngestParams, settings: Settings) -> Identity
     return Identity(idempotency_key=key, params_sha256=parameters, model_sha256=card.sha256, evidence=card.evidence)
 
 
-def database_url(settings: Settings) -> str:
-    """Address of the map's database; the private cluster is started where it does not run."""
-    return settings.database_url.get_secret_value() if settings.database_url else cluster_up(settings.home)
-
-
-@contextmanager
-def open_map(settings: Settings) -> Iterator[Connection]:
-    """A connection to the map's database, started and migrated where needed."""
-    url = database_url(settings)
-    with closing(connect(url)) as conn:
-        migrate(conn)
-        yield conn
-
-
-def map_srid(settings: Settings) -> int | None:
-    """CRS of the map as it is, None where it does not exist yet: later drives are placed in the map's own CRS."""
-    with open_map(settings) as conn:
-        info = find_map(conn, settings.map_name)
-    return info.srid if info else None
-
-
-def already_committed(drive: Drive, identity: Identity, settings: Settings) -> IngestReport | None:
-    """The report 'no changes' where this very drive is on the map already."""
-    with open_map(settings) as conn:
+def already_committed(
+    drive: Drive, identity: Identity, settings: Settings, database: MapDatabase
+) -> IngestReport | None:
+    """The report "no changes" where this very drive is on the map already."""
+    with database.connection() as conn:
         known = find_changeset(conn, identity.idempotency_key, map_name=settings.map_name)
         if known is not None:  # it may have been watched again since
             with transaction(conn, "Provisional features cannot be removed"):
@@ -100,82 +77,94 @@ def already_committed(drive: Drive, identity: Identity, settings: Settings) -> I
     return _no_changes(drive, identity, known, settings) if known else None
 
 
-def refuse_other_delivery(drive: Drive, settings: Settings) -> None:
+def refuse_other_delivery(drive: Drive, settings: Settings, database: MapDatabase) -> None:
     """Raise MapMismatchError where the recording is on the map with other content: one drive would count as two surveys."""
-    with open_map(settings) as conn, transaction(conn, "The map cannot be read"):
+    with database.connection() as conn, transaction(conn, "The map cannot be read"):
         numbers = other_deliveries(conn, drive, map_name=settings.map_name)
     if numbers:
         number = numbers[-1]
         raise MapMismatchError(
             f"{drive.source_path}: drive {drive.drive_id} is on the map already, with other content (changeset {number}); the "
-            f"two would count as two surveys. Take that back with `conetl map revert {number}` and ingest the drive again, or "
-            "give it a drive_id of its own in drive.yaml if it is another drive. Nothing was written."
+            f"two would count as two surveys. Revert that changeset with `conetl map revert {number}` and ingest the drive "
+            "again, or give it a drive_id of its own in drive.yaml if it is another drive. Nothing was written."
         )
 
 
-@task(name="merge", **RETRY)
-def merge_task(
-    records: DriveRecords,
-    identity: Identity,
-    settings: Settings,
-    params: IngestParams,
-    told: dict[str, str],
-) -> Merged:
-    """Compare the tracks with the map and commit the differences: all of them, or none."""
-    drive = records.drive
-    run = RunInfo(
-        run_id=UUID(str(get_run_context().task_run.id)),  # type: ignore[union-attr]
-        started_at=datetime.now(UTC),
-        params=params.model_dump(mode="json"),
-        flow_run_id=flow_run.get_id(),
-        facts={**told, **code_facts()},
-    )
-    with open_map(settings) as conn, map_transaction(conn, settings.map_name):
+def commit(
+    analysed: AnalysedDrive,
+    settings: Settings | None = None,
+    database: MapDatabase | None = None,
+    run: RunInfo | None = None,
+) -> CommittedDrive:
+    """Compare the tracks of a drive with the map and commit the differences: all of them, or none.
+
+    settings: database and name of the map; CONETL_* of the environment unless given. database: an open one to use. run: what is
+    stored of the run. The report says "no changes" where the same drive was committed before. Raises MapMismatchError,
+    DatabaseError.
+    """
+    settings = settings or read_settings()
+    drive, records, params = analysed.drive, analysed.records, analysed.params
+    identity = identify(drive, params, settings)
+    run = run or run_info(analysed)
+    with ExitStack() as stack:
+        database = database or stack.enter_context(MapDatabase(settings))
+        conn = stack.enter_context(database.connection())
+        stack.enter_context(map_transaction(conn, settings.map_name))
         known = find_changeset(conn, identity.idempotency_key, map_name=settings.map_name)
         if known is not None:  # another ingest of the same drive was faster
-            changeset = _changeset(drive, settings.map_name, identity, ())
-            return Merged(changeset=changeset, untouched=(), report=_no_changes(drive, identity, known, settings))
+            return CommittedDrive(known, drive, (), (), _no_changes(drive, identity, known, settings))
+        changeset = _changeset(drive, settings.map_name, identity)
         merged = merge_drive(
-            conn,
-            records,
-            _changeset(drive, settings.map_name, identity, ()),
-            params,
-            map_name=settings.map_name,
-            evidence=identity.evidence,
-            run=run,
+            conn, records, changeset, params, map_name=settings.map_name, evidence=identity.evidence, run=run
         )
     deltas = merged.changeset.deltas
-    return Merged(
-        changeset=merged.changeset,
-        untouched=tuple(merged.extension.untouched),
-        report=IngestReport(
-            drive_id=drive.drive_id,
-            status="committed",
-            changeset_id=merged.changeset.changeset_id,
-            captured_from=drive.captured_from,
-            captured_to=drive.captured_to,
-            map_name=settings.map_name,
-            map_srid=drive.map_srid,
-            frame_pairs=len(drive.frame_pairs),
-            frame_pairs_rejected=len(lost_frame_pairs(records.rejections, INPUT_REASONS)),
-            detections=len(records.detections),
-            matches=len(records.matches),
-            positions=len(records.positions),
-            tracks=len(records.tracks),
-            counts={kind: sum(d.kind == kind for d in deltas) for kind in DeltaKind},
-            changes=tuple(_line(delta) for delta in deltas),
-            rejections=dict(sorted(Counter(r.reason for r in records.rejections).items())),
-            params_sha256=identity.params_sha256,
-            model_sha256=identity.model_sha256,
-            content_sha256=drive.content_sha256,
-            seconds=0.0,
-            committed_at=None,
-            replayed_drives=merged.replayed,
-        ),
+    report = IngestReport(
+        drive_id=drive.drive_id,
+        status="committed",
+        changeset_id=merged.changeset.changeset_id,
+        captured_from=drive.captured_from,
+        captured_to=drive.captured_to,
+        map_name=settings.map_name,
+        map_srid=drive.map_srid,
+        frame_pairs=len(drive.frame_pairs),
+        frame_pairs_rejected=len(lost_frame_pairs(records.rejections, INPUT_REASONS)),
+        detections=len(records.detections),
+        matches=len(records.matches),
+        positions=len(records.positions),
+        tracks=len(records.tracks),
+        counts={kind: sum(d.kind == kind for d in deltas) for kind in DeltaKind},
+        changes=tuple(_line(delta) for delta in deltas),
+        rejections=dict(sorted(Counter(r.reason for r in records.rejections).items())),
+        params_sha256=identity.params_sha256,
+        model_sha256=identity.model_sha256,
+        content_sha256=drive.content_sha256,
+        seconds=0.0,
+        trajectory=analysed.trajectory.detail,
+        calibration=analysed.calibration.detail,
+        committed_at=None,
+        replayed_drives=merged.replayed,
     )
+    return CommittedDrive(merged.result.changeset, drive, deltas, tuple(merged.extension.untouched), report)
 
 
-def _changeset(drive: Drive, map_name: str, identity: Identity, deltas: tuple[Delta, ...]) -> Changeset:
+def run_info(analysed: AnalysedDrive, flow_run_id: str | None = None) -> RunInfo:
+    """What is stored of the run that commits an analysed drive."""
+    facts = {
+        "trajectory": analysed.trajectory.detail,
+        "calibration": analysed.calibration.detail,
+        "trajectory_outcome": analysed.trajectory.outcome.value,
+        "calibration_outcome": analysed.calibration.outcome.value,
+        **code_facts(),
+    }
+    return RunInfo(uuid4(), datetime.now(UTC), analysed.params.model_dump(mode="json"), flow_run_id, facts)
+
+
+def lost_frame_pairs(rejections: Iterable[Rejection], reasons: frozenset[RejectionReason]) -> set[str]:
+    """Frame pairs that were rejected for one of the reasons, each once even where both its images are bad."""
+    return {rejection.record for rejection in rejections if rejection.reason in reasons}
+
+
+def _changeset(drive: Drive, map_name: str, identity: Identity) -> Changeset:
     return Changeset(
         changeset_id=uuid5(_NAMESPACE, f"{map_name}/{identity.idempotency_key}"),
         drive_id=drive.drive_id,
@@ -183,7 +172,7 @@ def _changeset(drive: Drive, map_name: str, identity: Identity, deltas: tuple[De
         params_sha256=identity.params_sha256,
         model_sha256=identity.model_sha256,
         code_version=version("conetl"),
-        deltas=deltas,
+        deltas=(),
     )
 
 

@@ -1,4 +1,4 @@
-"""Tasks that look at images for cones: detections of parts of a chunk, and stereo matches while the images are in memory."""
+"""Steps that search images for cones: detections of parts of a chunk, and stereo matches while the images are in memory."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from prefect import task
 
 from conetl.files.parquet_store import (
     has_result,
@@ -21,7 +20,6 @@ from conetl.files.parquet_store import (
     result_path,
     save_result,
 )
-from conetl.files.storage import in_batches, place
 from conetl.geometry.camera import first_road_row
 from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left
 from conetl.model.errors import ModelFileError
@@ -38,28 +36,24 @@ from conetl.perception import detector as detector_io
 from conetl.perception.allocator import keep_freed_images
 from conetl.perception.detections import check_boxes
 from conetl.perception.images import ImageFileError
-from conetl.perception.rectified_image import read_hashed_rig_image, read_rig_image_again
-from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, image_hashes, image_paths, parts_of, rig_and_poses
-from conetl.pipeline.progress import tell_progress
+from conetl.perception.rectified_image import fetch_pairs, read_pair_image
+from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, geometry_key, parts_of
+from conetl.pipeline.executor import Tick, ignore
 from conetl.tracking.matching.epipolar_search import Region, blocks_of, has_right_only_cone, right_region
 from conetl.tracking.matching.matches import match_pair, with_measured_spread
-from flows.retries import RETRY
 
 _SIDES: tuple[Side, Side] = ("left", "right")
 _per_thread = threading.local()
 
 
-@task(name="detect", task_run_name="detect {chunk.frame_pairs[0].frame_index} {part}", **RETRY)
-def detect_task(chunk: Chunk, part: int, rig: Rig | None) -> Path:
+def detect(chunk: Chunk, part: int, rig: Rig | None, tick: Tick | None = None) -> Path:
     """Detections in both images of one of the parts of a chunk; returns the Parquet file.
 
     The right image is searched along epipolar lines, and everywhere in some pairs of every block (`epipolar_search.py`).
     rig: of the drive after its self-calibration, None where that is not known yet. Where it is, the matches are computed along
-    with the detections, while the images are in memory, and lie where `match_task` looks for them.
+    with the detections, while the images are in memory, and stored where `match` finds them. tick: called for every image.
     """
-    pairs = chunk.frame_pairs[parts_of(chunk)[part]]
-    paths = image_paths(pairs)
-    hashes = image_hashes(paths)
+    pairs, tick = chunk.frame_pairs[parts_of(chunk)[part]], tick or ignore
     params, reconcile = chunk.params.detection, chunk.params.reconcile
     key = result_key(
         RESULTS_VERSION,
@@ -69,28 +63,26 @@ def detect_task(chunk: Chunk, part: int, rig: Rig | None) -> Path:
         params_sha256(chunk.params.match),
         f"{reconcile.removal_min_frames} pairs, {reconcile.visible_min_height_px} px, {reconcile.visible_border_px} px, "
         f"{chunk.params.track.max_cone_height_m} m",
-        rig_and_poses(chunk),
+        geometry_key(chunk),
         str(part),
-        *hashes.values(),
     )
     if has_result(chunk.results_folder, key):
         detected = result_path(chunk.results_folder, key)
-        tell_progress(chunk.drive_id, len(paths))
+        tick(2 * len(pairs))
         if rig is not None:
             _match_part(chunk, part, detected, rig)
         return detected
     keep_freed_images()
     first_rows = _first_rows(chunk)
     found: list[_PairFound] = []
-    at = in_batches(paths)
     for middle, block in blocks_of(len(pairs), chunk.params):
-        hashed = {k: [(path, hashes[path]) for path in (next(at), next(at))] for k in block}
-        seen = {middle: _search(chunk, pairs[middle], hashed[middle], first_rows, rig, everywhere=True)}
-        # A pair of which a image is broken answers nothing.
+        fetch_pairs([pairs[k] for k in block])
+        seen = {middle: _search(chunk, pairs[middle], first_rows, rig, tick, everywhere=True)}
+        # A pair of which an image is broken says nothing about the others.
         everywhere = _is_broken(seen[middle]) or has_right_only_cone(seen[middle].detections, chunk.rig, chunk.params)
         for k in block:
             if k != middle:
-                seen[k] = _search(chunk, pairs[k], hashed[k], first_rows, rig, everywhere=everywhere)
+                seen[k] = _search(chunk, pairs[k], first_rows, rig, tick, everywhere=everywhere)
         found += [seen[k] for k in block]
     detected = save_result(
         chunk.results_folder, key, [d for f in found for d in f.detections], [r for f in found for r in f.rejections]
@@ -117,27 +109,24 @@ def _is_broken(found: _PairFound) -> bool:
 def _search(
     chunk: Chunk,
     pair: FramePair,
-    hashed: Sequence[tuple[Path, str]],
     first_rows: Mapping[Side, int],
     rig: Rig | None,
+    tick: Tick,
     *,
     everywhere: bool,
 ) -> _PairFound:
-    """Detections, and matches where the rig is known, of one frame pair; the right image where partners can be, or everywhere.
-
-    hashed: the left and the right image's place, and SHA-256 as it was hashed for the key.
-    """
+    """Detections, and matches where the rig is known, of one frame pair; the right image where partners can be, or everywhere."""
     images: dict[Side, NDArray[np.uint8]] = {}
     by_side: dict[Side, list[Detection]] = {"left": [], "right": []}
     rejections: list[Rejection] = []
-    for side, (path, sha256) in zip(_SIDES, hashed, strict=True):
-        tell_progress(chunk.drive_id, 1)
+    for side in _SIDES:
+        tick(1)
         region = None
         if side == "right" and not everywhere:
             region = right_region(by_side["left"], chunk.rig, chunk.params)
             if region is None:
                 continue
-        image, by_side[side], refused = _detect(chunk, pair.frame_index, side, path, sha256, first_rows[side], region)
+        image, by_side[side], refused = _detect(chunk, pair, side, first_rows[side], region)
         if image is not None:
             images[side] = image
         rejections += refused
@@ -146,33 +135,29 @@ def _search(
 
 
 def _detect(
-    chunk: Chunk, frame_index: int, side: Side, path: Path, sha256: str, first_row: int, region: Region | None
+    chunk: Chunk, pair: FramePair, side: Side, first_row: int, region: Region | None
 ) -> tuple[NDArray[np.uint8] | None, list[Detection], list[Rejection]]:
-    """One image, None where it cannot be read, and what was found in it from a row on, in a part of it (None: everywhere).
-
-    sha256: as it was hashed for the key.
-    """
+    """One image, None where it cannot be decoded, and what was found in it from a row on, in a part of it (None: everywhere)."""
     params = chunk.params.detection
     try:
-        image = read_hashed_rig_image(path, sha256, chunk.rig, side)
+        image = read_pair_image(pair, side, chunk.rig)
     except ImageFileError as error:
         unread = Rejection(
             step="detections",
             reason=error.reason,
-            record=f"frame pair {frame_index}",
+            record=f"frame pair {pair.frame_index}",
             detail=str(error),
-            payload={"frame_index": frame_index, "side": side, "path": str(path)},
+            payload={"frame_index": pair.frame_index, "side": side, "path": pair.image(side)[0]},
         )
         return None, [], [unread]
     boxes = detector_io.detect_image(
         _detector(chunk), image, score_threshold=params.score_threshold, nms_iou=params.nms_iou, first_row=first_row,
         within=None if region is None else region[:4], reach_px=0.0 if region is None else region.reach_px,
     )  # fmt: skip
-    return image, *check_boxes(boxes, frame_index=frame_index, side=side, params=params)
+    return image, *check_boxes(boxes, frame_index=pair.frame_index, side=side, params=params)
 
 
-@task(name="match", task_run_name="match {chunk.frame_pairs[0].frame_index}", **RETRY)
-def match_task(chunk: Chunk, rig: Rig, *detected: Path) -> Path:
+def match(chunk: Chunk, rig: Rig, *detected: Path) -> Path:
     """Stereo matches of a chunk from the detections of its parts; returns the Parquet file.
 
     chunk: with the rig by which its images were read; rig: the same after self-calibration.
@@ -216,10 +201,9 @@ def _match(
     up = map_SE3_left(pair.pose, rig)[2, :3]
     if params.refine and images is None:
         if not match_pair(ours, theirs, rig, params, up_left=up)[0]:
-            images = {}  # images are dear: only where boxes alone say that something matches
+            images = {}  # decoding costs time: only where boxes alone say that something matches
         else:
-            paths: dict[Side, str] = {"left": pair.left_path, "right": pair.right_path}
-            images = {side: read_rig_image_again(place(path), chunk.rig, side) for side, path in paths.items()}
+            images = {side: read_pair_image(pair, side, chunk.rig) for side in _SIDES}
     both = (images["left"], images["right"]) if images and len(images) == len(_SIDES) else None
     return match_pair(ours, theirs, rig, params, up_left=up, images=both)
 
@@ -227,7 +211,7 @@ def _match(
 def _match_key(chunk: Chunk, detected: Path, rig: Rig) -> str:
     """Of the matches of one part by themselves."""
     return result_key(
-        RESULTS_VERSION, "match", detected.stem, params_sha256(chunk.params.match), rig_and_poses(chunk, rig)
+        RESULTS_VERSION, "match", detected.stem, params_sha256(chunk.params.match), geometry_key(chunk, rig)
     )
 
 

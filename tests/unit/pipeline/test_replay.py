@@ -1,10 +1,10 @@
-"""Memory while millions of records are made."""
+"""The search for reference cycles is paused while millions of records are made."""
 
 from __future__ import annotations
 
 import gc
 
-from conetl.pipeline.gc_pause import no_cycle_search
+from conetl.pipeline.replay import no_cycle_search
 
 
 def test_what_was_made_meanwhile_is_not_searched_right_afterwards():

@@ -1,0 +1,210 @@
+"""What Prefect's UI shows of one drive: progress, plan view, changes, rejections, worst images, links; and its events."""
+
+from __future__ import annotations
+
+import base64
+import time
+from collections import defaultdict
+from collections.abc import Sequence
+from typing import Any
+from uuid import UUID, uuid5
+
+import numpy as np
+from numpy.typing import NDArray
+from prefect.artifacts import (
+    create_image_artifact,
+    create_link_artifact,
+    create_progress_artifact,
+    create_table_artifact,
+    update_progress_artifact,
+)
+from prefect.events import emit_event
+from prefect.events.worker import EventsWorker
+
+from conetl.db.notification_store import VanishedCone
+from conetl.db.run_store import StepTime
+from conetl.model.errors import StorageError
+from conetl.model.ingest_report import ChangeLine, IngestReport
+from conetl.model.records import DriveRecords, Side
+from conetl.perception.images import ImageFileError
+from conetl.perception.rectified_image import read_pair_image
+from conetl.pipeline.analysis import AnalysedDrive
+from conetl.pipeline.commit import CommittedDrive
+from conetl.pipeline.database import MapDatabase
+from conetl.pipeline.executor import Progress
+from conetl.pipeline.publish import PublishedFiles, catch_up, notify, publish
+from conetl.pipeline.settings import Settings
+from conetl.reports.annotated_image import draw_boxes, pairs_jpeg
+
+#: A request to the server costs about 30 ms of processor time.
+_SHOWN_EVERY_S = 10.0
+_SHOWN_FRAMES = 3
+_NAMESPACE = UUID("7d0b6f2e-54c3-4f0d-9a53-0d2f7c1be9aa")
+_PATIENCE_S = 60.0
+
+
+def progress_artifact(drive_id: str, progress: Progress | None = None) -> Progress:
+    """A callback that shows in Prefect how many of the drive's images and motions are done, and calls `progress` too."""
+    shown: UUID | None = None
+    shown_at = 0.0
+
+    def show(done: int, total: int) -> None:
+        nonlocal shown, shown_at
+        if progress is not None:
+            progress(done, total)
+        now = time.monotonic()
+        if shown is None:
+            made = create_progress_artifact(0.0, key="progress", description=f"Images and motions of drive {drive_id}")
+            assert isinstance(made, UUID)  # a coroutine only where an event loop runs
+            shown, shown_at = made, now
+        elif now - shown_at >= _SHOWN_EVERY_S or done == total:
+            update_progress_artifact(shown, 100.0 * done / total)
+            shown_at = now
+
+    return show
+
+
+def publish_drive(
+    committed: CommittedDrive,
+    analysed: AnalysedDrive,
+    settings: Settings,
+    database: MapDatabase,
+    times: list[StepTime],
+) -> None:
+    """Write the files of a drive that was committed now, show them as artifacts, and send its events."""
+    files, report = publish(committed, settings, database, times), committed.report
+    _show_files(committed, files, settings)
+    create_table_artifact(summary_rows(report), key="summary", description=f"Drive {report.drive_id}: {report.status}")
+    if report.changes:
+        rows = [_change_row(line) for line in report.changes]
+        create_table_artifact(rows, key="changes", description=f"Changes by drive {report.drive_id}")
+    if report.rejections:
+        reasons = [
+            {"reason": str(reason).replace("_", " "), "records": count} for reason, count in report.rejections.items()
+        ]
+        total = sum(report.rejections.values())
+        create_table_artifact(
+            reasons, key="rejections", description=f"{total} records of drive {report.drive_id} are in quarantine"
+        )
+    _show_worst_frames(analysed.records)
+    notify(report, database, send_events)
+
+
+def publish_pending(report: IngestReport, settings: Settings, database: MapDatabase) -> None:
+    """Publish what an earlier run left pending of a drive that is on the map."""
+    catch_up(report, settings, database, send_events)
+
+
+def send_events(report: IngestReport, vanished: Sequence[VanishedCone]) -> None:
+    """One event for the changeset, and one for each cone that vanished, which an automation can count.
+
+    The ids of the events follow from the changeset: one that is sent twice is stored once.
+    """
+    map_resource = f"conetl.map.{report.map_name}"
+    changeset_resource = f"{map_resource}.changeset.{report.changeset_id}"
+    related = [{"prefect.resource.id": map_resource, "prefect.resource.role": "map"}]
+    emit_event(
+        "conetl.changeset.committed",
+        resource={
+            "prefect.resource.id": changeset_resource,
+            "prefect.resource.name": report.drive_id,
+            "conetl.map": report.map_name,
+            **{f"conetl.{kind}": str(count) for kind, count in report.counts.items()},
+        },
+        related=related,
+        payload=report.model_dump(mode="json", exclude={"changes"}),
+        id=uuid5(_NAMESPACE, changeset_resource),
+    )
+    for cone in vanished:
+        emit_event(
+            "conetl.cone.vanished",
+            resource={
+                "prefect.resource.id": f"{map_resource}.feature.{cone.feature_id}",
+                "conetl.map": report.map_name,
+                "conetl.changeset": str(report.changeset_id),
+                "conetl.drive": report.drive_id,
+            },
+            related=related,
+            payload={"xyz_m": cone.xyz_m, "srid": report.map_srid, "cone_height_m": cone.cone_height_m},
+            id=uuid5(_NAMESPACE, f"{changeset_resource}/{cone.feature_id}"),
+        )
+    EventsWorker.drain_all(timeout=_PATIENCE_S, at_exit=False)  # a thread sends them
+
+
+def _show_files(committed: CommittedDrive, files: PublishedFiles, settings: Settings) -> None:
+    """The plan view; links to the QA report and the map, in the web view if there is one: browsers open no file from a page."""
+    drive_id, changeset_no = committed.changeset.drive_id, committed.changeset.changeset_no
+    encoded = base64.b64encode(files.plan_view.read_bytes()).decode()
+    create_image_artifact(
+        f"data:image/png;base64,{encoded}", key="plan-view", description=f"Plan view of drive {drive_id}"
+    )
+    view = (settings.view_url or "").rstrip("/")
+    served = f"{view}/api/maps/{settings.map_name}/changesets/{changeset_no}/report"
+    create_link_artifact(
+        served if view else files.page.as_uri(),
+        link_text=f"QA report of drive {drive_id}", key="qa-report", description=f"The file: {files.page}",
+    )  # fmt: skip
+    if view:
+        create_link_artifact(
+            f"{view}/#map={settings.map_name}&changeset={changeset_no}",
+            link_text=f"Drive {drive_id} on the map", key="map", description="The web view",
+        )  # fmt: skip
+
+
+def _show_worst_frames(records: DriveRecords) -> None:
+    """Show the pairs whose rays fit worst, with the boxes that were found; nothing where no cone was measured."""
+    worst: dict[int, float] = defaultdict(float)
+    for position in records.positions:
+        worst[position.frame_index] = max(worst[position.frame_index], position.residual_rms_px)
+    chosen = sorted(worst, key=lambda index: -worst[index])[:_SHOWN_FRAMES]
+    pairs = {pair.frame_index: pair for pair in records.drive.frame_pairs}
+    rows: list[tuple[NDArray[np.uint8], NDArray[np.uint8], str]] = []
+    sides: tuple[Side, Side] = ("left", "right")
+    for index in chosen:
+        drawn: list[NDArray[np.uint8]] = []
+        try:
+            for side in sides:
+                boxes = [
+                    (d.x_px, d.y_px, d.w_px, d.h_px, d.score, *(np.nan,) * 4)
+                    for d in records.detections
+                    if d.frame_index == index and d.side == side
+                ]
+                image = read_pair_image(pairs[index], side, records.drive.rig)
+                drawn.append(draw_boxes(image, np.array(boxes).reshape(-1, 9)))
+        except (ImageFileError, StorageError):  # vanished since it was read; the drive is on the map already
+            continue
+        count = sum(match.frame_index == index for match in records.matches)
+        rows.append((drawn[0], drawn[1], f"frame pair {index}: {worst[index]:.2f} px residual, {count} cones matched"))
+    if rows:
+        encoded = base64.b64encode(pairs_jpeg(rows)).decode()
+        create_image_artifact(
+            f"data:image/jpeg;base64,{encoded}", key="worst-frames",
+            description=f"Drive {records.drive.drive_id}: the pairs whose rays fit worst, left and right",
+        )  # fmt: skip
+
+
+def _change_row(line: ChangeLine) -> dict[str, Any]:
+    """One change, rounded to what is meant."""
+    east_m, north_m, height_m = line.xyz_m
+    return {
+        "change": str(line.kind),
+        "feature": str(line.feature_id),
+        "easting_m": round(east_m, 3),
+        "northing_m": round(north_m, 3),
+        "height_m": round(height_m, 3),
+        "cone_height_m": round(line.cone_height_m, 2),
+        "sigma_m": round(line.sigma_horizontal_m, 3),
+        "existence_probability": round(line.existence_probability, 3),
+        "observations": line.observation_count,
+        "shift_m": None if line.shift_m is None else round(line.shift_m, 3),
+    }
+
+
+def summary_rows(report: IngestReport) -> list[dict[str, Any]]:
+    """The figures of one ingest, a row each."""
+    rows: list[dict[str, Any]] = [
+        {"what": name.replace("_", " "), "count": getattr(report, name)}
+        for name in ("frame_pairs", "frame_pairs_rejected", "detections", "matches", "positions", "tracks")
+    ]
+    rows += [{"what": f"rejected: {reason}", "count": count} for reason, count in report.rejections.items()]
+    return rows

@@ -1,0 +1,99 @@
+"""What all flows of deployments share: their parameters, the lock that shows that they live, and recovery of dead runs.
+
+Prefect takes a run to be running until somebody says otherwise. Every run of ours holds a lock in the database as long as its
+process lives (`db/receipt_store.py`), so one that runs without its lock is dead, on whatever machine it was.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
+from typing import Annotated
+
+from prefect.client.orchestration import SyncPrefectClient, get_client
+from prefect.client.schemas.filters import (
+    FlowFilter,
+    FlowFilterName,
+    FlowRunFilter,
+    FlowRunFilterState,
+    FlowRunFilterStateType,
+)
+from prefect.client.schemas.objects import FlowRun, StateType
+from prefect.runtime import flow_run
+from prefect.states import Crashed, Scheduled
+from pydantic import Field
+
+from conetl.db.receipt_store import held_locks, run_lock
+from conetl.db.session_locks import holding
+from conetl.pipeline.database import MapDatabase
+from conetl.pipeline.settings import Settings, read_settings
+from conetl.readers.drives.header import DriveHeader
+
+FLOWS = ("ingest-drive", "backfill", "ingest-drop-folder", "publish-map", "audit")
+#: Between the state "running" and its lock a run imports and connects.
+GRACE = timedelta(seconds=30)
+#: A run that a worker took and never started.
+PENDING_GRACE = timedelta(minutes=5)
+MAX_RUNS = 3
+_REASON = "its process is gone: nobody holds its lock in the database"
+
+MapName = Annotated[
+    str | None,
+    Field(pattern=r"^[a-z0-9_-]{1,40}$", description="Map to work on; CONETL_MAP_NAME of the worker unless given."),
+]
+MapSrid = Annotated[
+    int | None, Field(gt=0, description="EPSG code of the map; the first drive's UTM zone unless given.")
+]
+
+
+def client() -> SyncPrefectClient:
+    """The Prefect server that this process uses."""
+    return get_client(sync_client=True)
+
+
+def settings_for(map_name: str | None) -> Settings:
+    """Settings of this process, for another map where one is named."""
+    settings = read_settings()
+    return settings.model_copy(update={"map_name": map_name}) if map_name else settings
+
+
+@contextmanager
+def alive(settings: Settings, *more_locks: str) -> Iterator[MapDatabase]:
+    """Hold the lock that shows that this flow run's process lives, and others after it; the map's database."""
+    with MapDatabase(settings) as database, holding(database.url, run_lock(str(flow_run.id)), *more_locks):
+        yield database
+
+
+def drive_run_name(header: DriveHeader) -> str:
+    """Drive and date, as Prefect's lists show them."""
+    at = header.captured_from
+    return f"{header.drive_id} ({at:%Y-%m-%d %H:%M})" if at else header.drive_id
+
+
+def drive_tags(header: DriveHeader, map_name: str) -> list[str]:
+    """By what a run is found again in Prefect."""
+    day = [f"day:{header.captured_from:%Y-%m-%d}"] if header.captured_from else []
+    return [f"drive:{header.drive_id}", f"map:{map_name}", *day]
+
+
+def recover(database: MapDatabase) -> list[FlowRun]:
+    """Mark dead runs as crashed and queue those again that belong to no other run and were not tried too often; all the dead."""
+    states = [StateType.RUNNING, StateType.PENDING, StateType.CANCELLING]
+    with client() as api, database.connection() as conn:
+        runs = api.read_flow_runs(
+            flow_filter=FlowFilter(name=FlowFilterName(any_=list(FLOWS))),
+            flow_run_filter=FlowRunFilter(state=FlowRunFilterState(type=FlowRunFilterStateType(any_=states))),
+        )
+        held = held_locks(conn, [run_lock(str(run.id)) for run in runs])
+        dead = [run for run in runs if run_lock(str(run.id)) not in held and _is_overdue(run)]
+        for run in dead:
+            api.set_flow_run_state(run.id, Crashed(message=_REASON), force=True)
+            again = run.deployment_id and not run.parent_task_run_id and run.run_count < MAX_RUNS
+            if again and run.state and not run.state.is_cancelling():
+                api.set_flow_run_state(run.id, Scheduled(message="taken up again after a crash"), force=True)
+    return dead
+
+
+def _is_overdue(run: FlowRun) -> bool:
+    if run.state is None:
+        return False
+    return datetime.now(UTC) - run.state.timestamp > (PENDING_GRACE if run.state.is_pending() else GRACE)

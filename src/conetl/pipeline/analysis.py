@@ -1,0 +1,221 @@
+"""From a drive that was read to its cones: the steps in the order in which data flows through them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from conetl.files.parquet_store import has_result, load_result, load_results, result_key, result_path, save_result
+from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence
+from conetl.model.params import IngestParams, params_sha256
+from conetl.model.records import Detection, Drive, DriveRecords, Position, Rig, StereoMatch, Track
+from conetl.model.rejections import Rejection
+from conetl.perception.model_card import read_model_card
+from conetl.perception.unreadable import without_unread
+from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, chunks_of, geometry_key, parts_of
+from conetl.pipeline.detect import detect, match
+from conetl.pipeline.executor import Executor, Progress, ProgressCount, ThreadExecutor, results
+from conetl.pipeline.odometry import (
+    Odometry,
+    motions,
+    moved,
+    odometry,
+    odometry_chunks,
+    refine,
+    self_calibrate,
+    with_rig,
+)
+from conetl.pipeline.settings import Settings, read_settings
+from conetl.tracking.association import MotionError
+from conetl.tracking.error_propagation import PoseCov, pose_cov
+from conetl.tracking.positions import locate_positions
+from conetl.tracking.self_calibration import SWITCHED_OFF, SelfCalibration, self_calibrated_rig
+from conetl.tracking.tracks import fuse_tracks
+from conetl.tracking.trajectory import RefinedTrajectory, motion_error
+from conetl.tracking.variance_components import estimate_variance_factors, with_variance_factors
+
+#: While the calibration is worked out, detections of so many parts of chunks more keep the cores busy.
+_PARTS_MEANWHILE = 2
+
+
+@dataclass(frozen=True)
+class AnalysedDrive:
+    """The records of every step, and how the drive's poses and its calibration were refined."""
+
+    records: DriveRecords
+    trajectory: RefinedTrajectory
+    calibration: SelfCalibration
+    params: IngestParams
+
+    @property
+    def drive(self) -> Drive:
+        """With the refined poses and the turned right camera, where trajectory and calibration were refined."""
+        return self.records.drive
+
+    @property
+    def tracks(self) -> Sequence[Track]:
+        """The cones, in the map's CRS, with their covariances."""
+        return self.records.tracks
+
+    @property
+    def motion(self) -> MotionError | None:
+        """Error of the motion between frames; None where the trajectory was not refined."""
+        return motion_error(self.trajectory)
+
+    @property
+    def poses(self) -> PoseCov:
+        """Covariance of the drive's poses, between frames too."""
+        return pose_cov(self.trajectory, self.params.trajectory)
+
+
+def analyse(
+    drive: Drive,
+    params: IngestParams | None = None,
+    *,
+    rejections: Sequence[Rejection] = (),
+    settings: Settings | None = None,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+) -> AnalysedDrive:
+    """Detect and odometry -> self-calibrate -> match -> refine -> locate -> fuse. Needs no database and no server.
+
+    Where the trajectory was refined, locate and fuse run once more with sigmas as the tracks show them.
+
+    drive, rejections: as `read_drive` returns them. settings: the model, the number of threads, and the folder where results of
+    finished chunks are kept; CONETL_* of the environment unless given. executor: runs the steps; `settings.workers` threads
+    unless given. progress: called with the number of images and motions that are done, and of all. Raises ConetlError.
+    """
+    params, settings = params or IngestParams(), settings or read_settings()
+    with ExitStack() as stack:
+        executor = executor or stack.enter_context(ThreadExecutor(settings.workers))
+        evidence = read_model_card(settings.model_path).evidence
+        return _analyse(drive, chunks_of(drive, settings, params), rejections, params, evidence, executor, progress)
+
+
+def _analyse(
+    drive: Drive,
+    chunks: Sequence[Chunk],
+    rejections: Sequence[Rejection],
+    params: IngestParams,
+    evidence: DetectorEvidence | None,
+    executor: Executor,
+    progress: Progress | None,
+) -> AnalysedDrive:
+    """evidence: what is measured of the detector; None where nothing was."""
+    detection_paths, match_paths, motion_paths, calibration, rig = _run_chunks(drive, chunks, executor, progress)
+    chunks = with_rig(chunks, rig)
+    drive = drive.model_copy(update={"rig": rig})
+    trajectory: RefinedTrajectory = executor.run(refine, drive, motion_paths, match_paths, params)
+    drive = drive.model_copy(update={"frame_pairs": trajectory.frame_pairs})
+    position_paths = executor.run(locate, moved(chunks, trajectory), match_paths)
+    detections, refused_detections = load_results(detection_paths, Detection)
+    drive, detections = without_unread(drive, detections, refused_detections)
+    matches, refused_matches = load_results(match_paths, StereoMatch)
+    positions, refused_positions = load_results(position_paths, Position)
+    tracks, refused_tracks = executor.run(fuse, drive, detections, matches, positions, params, evidence, trajectory)
+    if trajectory.covariance is not None:
+        # What sightings state by themselves made these tracks; what the tracks say of that makes the last ones.
+        matches, positions, refused_positions = executor.run(weigh, drive, matches, tracks, params, trajectory)
+        tracks, refused_tracks = executor.run(fuse, drive, detections, matches, positions, params, evidence, trajectory)
+    refused = [*rejections, *refused_detections, *refused_matches, *refused_positions, *refused_tracks]
+    records = DriveRecords(drive, detections, matches, positions, tracks, refused)
+    return AnalysedDrive(records, trajectory, calibration, params)
+
+
+def _run_chunks(
+    drive: Drive, chunks: Sequence[Chunk], executor: Executor, progress: Progress | None
+) -> tuple[list[Path], list[Path], list[Path], SelfCalibration, Rig]:
+    """Detections, matches and motions of all chunks; what the drive says about its calibration, and its rig after that.
+
+    Matching waits for the calibration, which needs the odometry of the whole drive. So the odometry comes first, and while Python
+    itself works out the calibration in the caller's own thread, detections, which leave the interpreter to others, keep
+    the cores busy. Once the rig is known, matches are computed along with the detections, from images that are in memory; only
+    for those that were found meanwhile are images decoded again.
+    """
+    params = chunks[0].params.trajectory
+    overlapping = list(odometry_chunks(chunks)) if params.refine else []
+    steps = 2 * sum(len(chunk.frame_pairs) for chunk in chunks) + sum(len(o.frame_pairs) - 1 for o in overlapping)
+    count = ProgressCount(executor, steps, progress)
+    followed = [executor.submit(odometry, chunk, count.tick) for chunk in overlapping]
+    for chunk, step in zip(overlapping, followed, strict=True):
+        count.follow(step, len(chunk.frame_pairs) - 1)
+    parts = iter([(k, part) for k, chunk in enumerate(chunks) for part in range(len(parts_of(chunk)))])
+    detected: list[list[Any]] = [[] for _ in chunks]
+
+    def submit_detections(number: int, rig: Rig | None) -> None:
+        """Of so many parts more."""
+        for k, part in islice(parts, number):
+            step = executor.submit(detect, chunks[k], part, rig, count.tick)
+            count.follow(step, 2 * len(chunks[k].frame_pairs[parts_of(chunks[k])[part]]))
+            detected[k].append(step)
+
+    # Steps begin in the order in which they are submitted: one part for every core, and matching as many parts later, which so
+    # waits for nothing.
+    submit_detections(os.cpu_count() or 1, None if params.self_calibrate else drive.rig)
+    calibration: SelfCalibration = SWITCHED_OFF
+    found: list[Odometry] = []
+    if params.self_calibrate:
+        submit_detections(_PARTS_MEANWHILE, None)
+        found = results(followed)
+        tracks, measured = [each.tracks for each in found], [each.motions for each in found]
+        calibration = executor.run(self_calibrate, drive, tracks, measured, chunks[0])
+    rig = self_calibrated_rig(drive.rig, calibration, params)
+    moving = executor.submit(motions, with_rig(overlapping, rig), found) if rig != drive.rig else None
+    matched = []
+    for k, chunk in enumerate(chunks):
+        submit_detections(len(parts_of(chunk)), rig)
+        matched.append(executor.submit(match, chunk, rig, *detected[k]))
+    paths = results([step for halves in detected for step in halves])
+    motion_paths = [step.result().motions for step in followed] if moving is None else moving.result()
+    return paths, results(matched), motion_paths, calibration, rig
+
+
+def locate(chunks: Sequence[Chunk], matches: Sequence[Path]) -> list[Path]:
+    """Positions of a drive by forward intersection, chunk by chunk; returns the Parquet files."""
+    return [_locate(chunk, path) for chunk, path in zip(chunks, matches, strict=True)]
+
+
+def _locate(chunk: Chunk, matches: Path) -> Path:
+    key = result_key(RESULTS_VERSION, "locate", matches.stem, params_sha256(chunk.params.position), geometry_key(chunk))
+    if has_result(chunk.results_folder, key):
+        return result_path(chunk.results_folder, key)
+    pairs = {pair.frame_index: pair for pair in chunk.frame_pairs}
+    positions, rejections = locate_positions(
+        load_result(matches, StereoMatch)[0], pairs, chunk.rig, chunk.params.position
+    )
+    return save_result(chunk.results_folder, key, positions, rejections)
+
+
+def fuse(
+    drive: Drive,
+    detections: list[Detection],
+    matches: list[StereoMatch],
+    positions: list[Position],
+    params: IngestParams,
+    evidence: DetectorEvidence | None,
+    trajectory: RefinedTrajectory | None = None,
+) -> tuple[list[Track], list[Rejection]]:
+    """Tracks of the whole drive. evidence: what is measured of the model's boxes; None where nothing was.
+
+    trajectory: the refined one, whose poses `drive` has; without it relative motion errs by fixed shares of the distance.
+    """
+    motion = None if trajectory is None else motion_error(trajectory)
+    return fuse_tracks(
+        positions, matches, detections, drive.frame_pairs, drive.rig, params, evidence or UNMEASURED, motion
+    )
+
+
+def weigh(
+    drive: Drive, matches: list[StereoMatch], tracks: list[Track], params: IngestParams, trajectory: RefinedTrajectory
+) -> tuple[list[StereoMatch], list[Position], list[Rejection]]:
+    """Matches of the whole drive with sigmas as its tracks show them, and their positions; see `estimate_variance_factors`."""
+    pairs = {pair.frame_index: pair for pair in drive.frame_pairs}
+    poses = {index: pair.pose for index, pair in pairs.items()}
+    errors = pose_cov(trajectory, params.trajectory)
+    weighed = with_variance_factors(matches, estimate_variance_factors(tracks, matches, drive.rig, poses, errors))
+    return weighed, *locate_positions(weighed, pairs, drive.rig, params.position)

@@ -1,0 +1,128 @@
+"""How the steps of an analysis are run: in the caller's thread or beside it, and how long each of them took."""
+
+from __future__ import annotations
+
+import threading
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from datetime import UTC, datetime
+from types import TracebackType
+from typing import Any, Protocol
+
+from conetl.db.run_store import StepTime
+
+#: Called with the number of images and motions that are done, and of all of them.
+Progress = Callable[[int, int], None]
+#: Called with the number of images and motions that were done since the last call.
+Tick = Callable[[int], None]
+
+
+class Submitted(Protocol):
+    """A step that runs beside the caller."""
+
+    def result(self) -> Any: ...
+    def add_done_callback(self, fn: Callable[[Any], Any]) -> None: ...
+
+
+class Executor(Protocol):
+    """Runs steps: plain functions of this package. Their arguments may be what `submit` returned."""
+
+    shares_memory: bool
+    """Whether submitted steps run in this process, where they can call back."""
+
+    def run(self, step: Callable[..., Any], *arguments: Any) -> Any:
+        """Run a step in the caller's thread; its result."""
+
+    def submit(self, step: Callable[..., Any], *arguments: Any) -> Submitted:
+        """Run a step beside the caller."""
+
+    def times(self) -> list[StepTime]:
+        """The steps that have ended, in the order in which they began."""
+
+
+class StepClock:
+    """Begin and end of every step of one run."""
+
+    def __init__(self) -> None:
+        self._spans: list[tuple[str, datetime, datetime]] = []
+
+    def note(self, step: str, began: datetime, ended: datetime) -> None:
+        self._spans.append((step, began, ended))
+
+    def times(self) -> list[StepTime]:
+        spans: dict[str, list[tuple[float, float]]] = defaultdict(list)
+        zero = min((began for _, began, _ in self._spans), default=datetime.now(UTC))
+        for step, began, ended in self._spans:
+            spans[step].append(((began - zero).total_seconds(), (ended - zero).total_seconds()))
+        found = [
+            StepTime(
+                step, len(parts), sum(max(end - start, 0.0) for start, end in parts),
+                min(start for start, _ in parts), max(end for _, end in parts),
+            )
+            for step, parts in spans.items()
+        ]  # fmt: skip
+        return sorted(found, key=lambda time: time.started_s)
+
+
+class ThreadExecutor:
+    """Steps as plain calls, those that are submitted on a pool of threads. No server, no other process."""
+
+    shares_memory = True
+
+    def __init__(self, workers: int) -> None:
+        self._pool = ThreadPoolExecutor(workers)
+        self._clock = StepClock()
+
+    def __enter__(self) -> ThreadExecutor:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._pool.shutdown(cancel_futures=error is not None)
+
+    def run(self, step: Callable[..., Any], *arguments: Any) -> Any:
+        given = [argument.result() if isinstance(argument, Future) else argument for argument in arguments]
+        began = datetime.now(UTC)
+        result = step(*given)
+        self._clock.note(step.__name__.replace("_", " "), began, datetime.now(UTC))
+        return result
+
+    def submit(self, step: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        # What a step waits for was submitted before it, so a pool of any size makes progress.
+        return self._pool.submit(self.run, step, *arguments)
+
+    def times(self) -> list[StepTime]:
+        return self._clock.times()
+
+
+class ProgressCount:
+    """Counts images and motions of one drive, from any thread, and calls `progress` with them one at a time."""
+
+    def __init__(self, executor: Executor, total: int, progress: Progress | None) -> None:
+        self._total, self._done = total, 0
+        self._progress = progress or (lambda *_: None)
+        self._lock = threading.Lock()
+        self.tick: Tick | None = self.add if executor.shares_memory else None
+        """For steps to call as they go on; None where they run in other processes and are counted when they are done."""
+        self.add(0)
+
+    def add(self, count: int) -> None:
+        with self._lock:
+            self._done += count
+            self._progress(self._done, self._total)
+
+    def follow(self, step: Submitted, count: int) -> None:
+        """Count a step of another process when it is done."""
+        if self.tick is None:
+            step.add_done_callback(lambda _: self.add(count))
+
+
+def ignore(_: int) -> None:
+    """A tick that nobody counts."""
+
+
+def results(steps: Sequence[Submitted]) -> list[Any]:
+    """Results of submitted steps, in order."""
+    return [step.result() for step in steps]

@@ -1,0 +1,152 @@
+"""One drive folder becomes one changeset of the map, and everything that shows it."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+
+import httpx
+
+from conetl.db.map.map_store import find_map
+from conetl.db.run_store import StepTime
+from conetl.files.storage import forget_all
+from conetl.model.errors import ConetlError, ServiceError, is_of_storage, storage_failed
+from conetl.model.ingest_report import IngestReport, TooManyRejectionsError
+from conetl.model.params import IngestParams
+from conetl.model.records import Drive
+from conetl.model.rejections import INPUT_REASONS, Rejection
+from conetl.perception.model_card import NOT_MEASURED
+from conetl.pipeline.analysis import AnalysedDrive, analyse
+from conetl.pipeline.commit import (
+    CommittedDrive,
+    already_committed,
+    commit,
+    identify,
+    lost_frame_pairs,
+    refuse_other_delivery,
+    run_info,
+)
+from conetl.pipeline.database import MapDatabase
+from conetl.pipeline.executor import Executor, Progress, ThreadExecutor
+from conetl.pipeline.publish import publish
+from conetl.pipeline.settings import Settings, read_settings
+from conetl.readers.drives import read_drive
+
+_log = logging.getLogger(__name__)
+#: Steps that publish a drive that was committed now, and one that was on the map already.
+PublishNew = Callable[[CommittedDrive, AnalysedDrive, Settings, MapDatabase, list[StepTime]], object]
+PublishKnown = Callable[[IngestReport, Settings, MapDatabase], object]
+
+
+def publish_files(
+    committed: CommittedDrive, _: AnalysedDrive, settings: Settings, database: MapDatabase, times: list[StepTime]
+) -> None:
+    """Write the files of a drive that was committed now; its notification stays pending."""
+    publish(committed, settings, database, times)
+
+
+def read(folder: Path, map_srid: int | None, images_folder: Path) -> tuple[Drive, list[Rejection]]:
+    """Read a drive folder."""
+    return read_drive(folder, map_srid=map_srid, images_folder=images_folder)
+
+
+def ingest(
+    folder: Path,
+    params: IngestParams | None = None,
+    settings: Settings | None = None,
+    *,
+    map_srid: int | None = None,
+    database: MapDatabase | None = None,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+    publish_new: PublishNew = publish_files,
+    publish_known: PublishKnown | None = None,
+    flow_run_id: str | None = None,
+) -> IngestReport:
+    """Read -> analyse -> commit -> publish one drive.
+
+    folder: a drive folder. map_srid: EPSG code of the map if it is not the UTM zone of the drive. settings, executor, progress:
+    as for `analyse`; database: as for `commit`. publish_new, publish_known: what to do with a drive that was committed now, and
+    with one that was before. The images of the drive are read once where they fit into `files.storage.CACHE_BYTES`; those of a
+    larger drive are read again.
+
+    Raises ConetlError (bad input, service unavailable: nothing was written) and TooManyRejectionsError (committed, but too many
+    frame pairs were rejected). What fails after the commit is in the report (`unpublished`).
+    """
+    params, settings, started = params or IngestParams(), settings or read_settings(), time.monotonic()
+    with ExitStack() as stack:
+        stack.callback(forget_all)
+        db = database or stack.enter_context(MapDatabase(settings))
+        steps = executor or stack.enter_context(ThreadExecutor(settings.workers))
+        with db.connection() as conn:
+            info = find_map(conn, settings.map_name)
+        srid = map_srid or (info.srid if info else None)  # later drives use the map's own CRS
+        drive, rejections = steps.run(read, folder, srid, settings.images_folder.resolve())
+        identity = identify(drive, params, settings)
+        if identity.evidence is None:
+            _log.warning(NOT_MEASURED)
+
+        def known() -> IngestReport | None:
+            """The report of a drive that is on the map already, once what was left pending is published."""
+            report = already_committed(drive, identity, settings, db)
+            if report is None or publish_known is None:
+                return report
+            return _after_commit(report, lambda: steps.run(publish_known, report, settings, db))
+
+        if (report := known()) is not None:
+            return report
+        refuse_other_delivery(drive, settings, db)
+        analysed = analyse(drive, params, rejections=rejections, settings=settings, executor=steps, progress=progress)
+        try:
+            committed: CommittedDrive = steps.run(commit, analysed, settings, db, run_info(analysed, flow_run_id))
+        except Exception:  # the commit may have succeeded, and the database's or Prefect's answer have been lost
+            if (report := known()) is None:
+                raise
+            return report
+        if committed.report.status != "committed":  # another ingest of the same drive was faster
+            return known() or committed.report
+        report = committed.report.model_copy(update={"seconds": time.monotonic() - started})
+        committed = replace(committed, report=report)
+        report = _after_commit(report, lambda: steps.run(publish_new, committed, analysed, settings, db, steps.times()))
+    lost = len(lost_frame_pairs(analysed.records.rejections, INPUT_REASONS))
+    if lost > params.max_rejected_fraction * analysed.drive.expected_frame_count:
+        raise TooManyRejectionsError(report, params.max_rejected_fraction)
+    return report
+
+
+def _after_commit(report: IngestReport, publish: Callable[[], object]) -> IngestReport:
+    """Publish what is on the map; the report, with a note where that failed. What is committed stays committed."""
+    try:
+        publish()
+    except Exception as error:
+        _log.exception("Drive %s is on the map, but not all of it was published", report.drive_id)
+        note = (
+            f"Drive {report.drive_id} is on the map, but its files, report and events could not all be made: "
+            f"{reason_of(error).rstrip('.')}. Correct that, and run the same command again: it makes up for them and changes "
+            "nothing on the map."
+        )
+        return report.model_copy(update={"unpublished": note})
+    return report
+
+
+def reason_of(error: Exception) -> str:
+    """Why something failed, for a person."""
+    known = as_known(error)
+    return str(known) if isinstance(known, ConetlError) else f"{type(error).__name__}: {error}"
+
+
+def as_known(error: Exception) -> Exception:
+    """A service or a storage that failed with an error of a library or the system, as conetl's error; others as they are."""
+    refused = isinstance(error, PermissionError) or (is_of_storage(error) and not isinstance(error, ConnectionError))
+    if isinstance(error, OSError) and refused:
+        return storage_failed(error)
+    if isinstance(error, httpx.HTTPError):
+        return ServiceError(
+            f"Prefect does not answer ({type(error).__name__}: {error}): see whether its server runs (`conetl status`, "
+            "PREFECT_API_URL), and run the same command again."
+        )
+    return error

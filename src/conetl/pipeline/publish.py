@@ -1,0 +1,138 @@
+"""After the commit: the map and the drive's changes as files, and what is to be notified of them.
+
+A run may be killed between its commit and its notifications, or be unable to write its files. What it left pending is made up for
+by the run that ingests the same drive again and finds it on the map, or by the next backfill or look at the drop folder.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from datetime import timedelta
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from conetl.db.connection import Connection
+from conetl.db.map.map_store import find_changeset, list_changesets
+from conetl.db.map.results import CommittedChangeset
+from conetl.db.notification_store import (
+    QUIET,
+    VanishedCone,
+    mark_told,
+    untold_changesets,
+    vanished_by_changeset,
+    was_told,
+)
+from conetl.db.run_store import StepTime, write_run_steps
+from conetl.exports.geojson import export_geojson
+from conetl.geometry.rig import map_SE3_left
+from conetl.model.ingest_report import IngestReport
+from conetl.pipeline.commit import CommittedDrive, report_of
+from conetl.pipeline.database import MapDatabase
+from conetl.pipeline.settings import Settings, read_settings
+from conetl.reports.drive_page import write_drive_page
+from conetl.reports.plan_view import draw_plan_view
+
+_log = logging.getLogger(__name__)
+#: Hands the report of a changeset and the cones that it removed to whoever wants to know; returns when they have left.
+Notify = Callable[[IngestReport, Sequence[VanishedCone]], None]
+
+
+class PublishedFiles(NamedTuple):
+    """What was written of one drive."""
+
+    geojson: Path
+    """The whole map."""
+    plan_view: Path
+    page: Path
+    """The QA report."""
+
+
+def publish(
+    committed: CommittedDrive,
+    settings: Settings | None = None,
+    database: MapDatabase | None = None,
+    times: Sequence[StepTime] = (),
+) -> PublishedFiles:
+    """Write the map as GeoJSON, and the plan view (PNG) and QA report of a drive. Notifies nobody: see `notify`.
+
+    settings: folders, database and name of the map; CONETL_* of the environment unless given. times: of the steps, for the page.
+    """
+    settings = settings or read_settings()
+    drive, changeset = committed.drive, committed.changeset
+    with ExitStack() as stack:
+        database = database or stack.enter_context(MapDatabase(settings))
+        conn = stack.enter_context(database.connection())
+        geojson = _write_map(conn, settings)
+        write_run_steps(conn, changeset.changeset_id, times)
+        page = _write_page(conn, changeset, settings)
+    plan_view = draw_plan_view(
+        settings.drive_image_path(drive.drive_id),
+        title=f"Drive {drive.drive_id}, {drive.captured_from:%Y-%m-%d %H:%M} UTC\n"
+        f"map {settings.map_name}, EPSG:{drive.map_srid}",
+        trajectory_m=np.array([map_SE3_left(pair.pose, drive.rig)[:2, 3] for pair in drive.frame_pairs]),
+        deltas=committed.deltas,
+        untouched=committed.untouched,
+    )
+    return PublishedFiles(geojson, plan_view, page)
+
+
+def notify(report: IngestReport, database: MapDatabase, send: Notify) -> None:
+    """Send what a changeset did, unless that was done before, and remember it."""
+    with database.connection() as conn:
+        if was_told(conn, report.changeset_id):
+            return
+        send(report, vanished_by_changeset(conn, report.changeset_id))
+        mark_told(conn, report.changeset_id)
+
+
+def catch_up(report: IngestReport, settings: Settings, database: MapDatabase, send: Notify) -> None:
+    """Write the map's file and the drive's report, then notify: what the run that committed a drive left pending, if anything."""
+    with database.connection() as conn:
+        if was_told(conn, report.changeset_id):
+            return
+        _write_map(conn, settings)
+        for known in list_changesets(conn, map_name=settings.map_name):
+            if known.changeset_id == report.changeset_id:
+                _write_page(conn, known, settings)
+    notify(report, database, send)
+
+
+def catch_up_all(settings: Settings, database: MapDatabase, send: Notify, *, quiet: timedelta = QUIET) -> None:
+    """Catch up on every drive of the map that was committed longer ago than `quiet` and is still pending.
+
+    What fails is logged and left to the next caller: this one has drives to ingest.
+    """
+    with database.connection() as conn:
+        pending = untold_changesets(conn, map_name=settings.map_name, quiet=quiet)
+    for found in pending:
+        with database.connection() as conn:
+            known = find_changeset(conn, found.idempotency_key, map_name=settings.map_name)
+        if known is None:
+            continue
+        report = report_of(
+            known,
+            map_name=settings.map_name,
+            map_srid=found.map_srid,
+            content_sha256=found.content_sha256,
+            expected_frame_count=found.expected_frame_count,
+        )
+        try:
+            catch_up(report, settings, database, send)
+        except Exception as error:
+            _log.warning("Changes by drive %s are on the map, but not published: %s", known.drive_id, error)
+
+
+def _write_map(conn: Connection, settings: Settings) -> Path:
+    settings.exports_folder.mkdir(parents=True, exist_ok=True)
+    path = settings.exports_folder / f"{settings.map_name}.geojson"
+    export_geojson(conn, path, map_name=settings.map_name)
+    return path
+
+
+def _write_page(conn: Connection, changeset: CommittedChangeset, settings: Settings) -> Path:
+    path = settings.drive_report_path(changeset.drive_id, changeset.changeset_no).resolve()
+    return write_drive_page(conn, changeset, path, map_name=settings.map_name)
