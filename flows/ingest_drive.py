@@ -15,7 +15,7 @@ from prefect.states import Completed
 from pydantic import Field
 
 from conetl.db.receipt_store import drive_lock
-from conetl.files.storage import place
+from conetl.files.storage import as_path
 from conetl.model.ingest_report import IngestReport, TooManyRejectionsError
 from conetl.model.params import IngestParams
 from conetl.pipeline.backfill_plan import analysis_of
@@ -75,7 +75,7 @@ def ingest_drive(
 ) -> State[Any]:
     """Ingest one drive: into the map once, whoever else tries at the same time, with a receipt of what became of it."""
     settings = settings_for(map_name)
-    header = read_header(place(drive).absolute())  # links stay: a calibration may lie beside the link
+    header = read_header(as_path(drive).absolute())  # links stay: a calibration may lie beside the link
     with alive(settings, drive_lock(settings.map_name, header.header_sha256)) as database:
         analysis = analysis_of(params, settings).sha256
         begun = new_receipt(header, settings, analysis, attempt_id or uuid4(), flow_run.id)

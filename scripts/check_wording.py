@@ -31,7 +31,8 @@ RETIRED = {
 }
 #: Files whose text is not ours, or that must name what is retired.
 EXEMPT = (
-    "scripts/check_wording.py", "requirements.txt", "web/package-lock.json", "src/conetl/web/static/", "src/conetl/exports/wzdx_schemas/",
+    "scripts/check_wording.py", "requirements.txt", "web/package-lock.json", "src/conetl/web/static/",
+    "src/conetl/exports/wzdx_schemas/",
     "data/", "CHANGELOG.md",
 )  # fmt: skip
 SUFFIXES = {".py", ".md", ".sql", ".ts", ".html", ".css", ".j2", ".toml", ".yaml", ".yml", ".sh", ""}
@@ -52,7 +53,9 @@ def findings(path: Path) -> list[str]:
 
 def main(arguments: list[str]) -> int:
     """Check the files, all tracked ones where none is given; exit code."""
-    names = arguments or subprocess.run(["git", "ls-files"], capture_output=True, text=True, check=True).stdout.split("\n")
+    names = arguments or subprocess.run(["git", "ls-files"], capture_output=True, text=True, check=True).stdout.split(
+        "\n"
+    )
     paths = [Path(n) for n in names if n and not n.startswith(EXEMPT) and Path(n).suffix in SUFFIXES]
     found = [line for path in paths for line in findings(path)]
     print("\n".join(found) if found else "No retired wording.")

@@ -10,7 +10,7 @@ import pytest
 import s3fs
 from moto.server import ThreadedMotoServer
 
-from conetl.files.storage import place
+from conetl.files.storage import as_path
 
 BUCKET = "survey"
 
@@ -28,7 +28,7 @@ def object_storage() -> Iterator[pytest.MonkeyPatch]:
             environment.setenv("AWS_SECRET_ACCESS_KEY", "something")
             environment.setenv("AWS_DEFAULT_REGION", "us-east-1")
             s3fs.S3FileSystem.clear_instance_cache()  # those of an earlier test know another server
-            place(f"s3://{BUCKET}").mkdir()
+            as_path(f"s3://{BUCKET}").mkdir()
             yield environment
     finally:
         # All servers of a process have their objects in common.

@@ -1,4 +1,4 @@
-"""Makes the figures of docs/explanation/accuracy.md and the tables between its markers. Run: python docs/figures/accuracy_study.py
+"""Makes the figures of docs/explanation/accuracy.md and the tables between its markers: python docs/figures/accuracy_study.py
 
 Needs Mitsuba (pip install 'conetl[simulate]') for the rendered cone. Names of parts (range, calibration, frames, sides, render)
 make only those and leave the rest of the page as it is.

@@ -1,4 +1,4 @@
-"""Draws docs/images/coordinates.png: every frame of docs/reference/coordinates.md. Run: python docs/figures/coordinates_figure.py"""
+"""Draws docs/images/coordinates.png, every frame of docs/reference/coordinates.md: python docs/figures/coordinates_figure.py"""
 
 from __future__ import annotations
 

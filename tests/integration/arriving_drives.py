@@ -8,7 +8,7 @@ import math
 import shutil
 from pathlib import Path
 
-from conetl.readers.drives.kitti import read_kitti_drive
+from conetl.readers.drives import read_drive
 from conetl.readers.drives.oxts import parse_oxts
 from conetl.readers.drives.plain import Row
 from conetl.readers.rigs.rig_yaml import write_rig_yaml
@@ -21,7 +21,7 @@ def begin(folder: Path) -> Path:
     """A plain folder before the first image: folders, rig and the head of trajectory.csv."""
     for side in ("left", "right"):
         (folder / side).mkdir(parents=True)
-    drive, _ = read_kitti_drive(SAMPLE, headers_only=True)
+    drive, _ = read_drive(SAMPLE, headers_only=True)
     write_rig_yaml(drive.rig, folder / "rig.yaml")
     (folder / "trajectory.csv").write_text(",".join(Row.model_fields) + "\n")
     return folder
@@ -44,20 +44,8 @@ def row(number: int, **changes: object) -> str:
     record = parse_oxts((SAMPLE / "oxts" / "data" / f"{number:010d}.txt").read_text())
     stamp = (SAMPLE / "image_02" / "timestamps.txt").read_text().splitlines()[number]
     degrees = [math.degrees(angle) for angle in (record.roll_rad, record.pitch_rad, record.yaw_rad)]
-    values = [
-        f"{number:06d}",
-        stamp,
-        record.lon_deg,
-        record.lat_deg,
-        record.height_m,
-        *degrees,
-        0.02,
-        0.02,
-        0.03,
-        0.05,
-        0.05,
-        0.15,
-    ]
+    sigmas = ["0.02", "0.02", "0.03", "0.05", "0.05", "0.15"]
+    values = [f"{number:06d}", stamp, record.lon_deg, record.lat_deg, record.height_m, *degrees, *sigmas]
     named = dict(zip(Row.model_fields, values, strict=True)) | changes
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerow(named.values())

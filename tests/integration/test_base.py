@@ -54,22 +54,14 @@ def world(conn, module_database_url, tmp_path, monkeypatch):
 
 
 def counts(world):
-    return [
-        world.rows(f"select count(*) as n from conetl.{table}")[0]["n"]
-        for table in ("base_source", "base_tile", "base_line")
-    ]
+    tables = ("base_source", "base_tile", "base_line")
+    return [world.rows(f"select count(*) as n from conetl.{table}")[0]["n"] for table in tables]
 
 
 def test_points_come_back_as_tiles_and_again_changes_nothing(world):
     path = write_las(world.folder / "street.laz", 6_000)
     done = world.run("import", path, "--json").json[0]
-    assert (done["layer"], done["kind"], done["read"], done["refused"], done["warnings"]) == (
-        "street",
-        "points",
-        6_000,
-        0,
-        [],
-    )
+    assert [done[key] for key in ("layer", "kind", "read", "refused", "warnings")] == ["street", "points", 6_000, 0, []]
     tiles = world.rows("select * from conetl.base_tile")
     back = np.concatenate(
         [decode_points(bytes(t["payload"]))[0] * np.array(t["scale_m"]) + t["origin_m"] for t in tiles]
@@ -103,7 +95,7 @@ def test_broken_files_write_nothing_and_good_ones_beside_them_count(world):
     assert world.run("import", good, "--kind", "points").code == 2
 
 
-def test_lines_without_heights_lie_on_the_road(world):
+def test_lines_without_heights_get_those_of_the_road(world):
     osm = world.folder / "map.osm"
     osm.write_text(OSM)
     done = world.run("import", osm, "--json")
@@ -117,15 +109,10 @@ def test_lines_without_heights_lie_on_the_road(world):
     assert world.rows("select heights from conetl.base_source")[0]["heights"] == "drives"
 
 
-def test_the_server_tells_tiles_lines_and_what_did_not_change(world):
+def test_the_server_returns_tiles_lines_and_not_modified(world):
     world.run("import", write_las(world.folder / "street.laz", 3_000))
-    world.run(
-        "import",
-        geojson(
-            world.folder / "lanes.geojson",
-            line([LON, LAT, 115.0], [LON, LAT + 1e-4, 115.0], kind="line_thin", subtype="dashed"),
-        ),
-    )
+    lane = line([LON, LAT, 115.0], [LON, LAT + 1e-4, 115.0], kind="line_thin", subtype="dashed")
+    world.run("import", geojson(world.folder / "lanes.geojson", lane))
     with TestClient(create_app(world.url, "default"), base_url="http://127.0.0.1") as client:
         first = client.get("/api/maps/default/base")
         base = first.json()
@@ -148,10 +135,8 @@ def test_the_server_tells_tiles_lines_and_what_did_not_change(world):
         plain = client.get(url, headers={"Accept-Encoding": "identity"})
         assert "content-encoding" not in plain.headers and plain.content == answer.content
         stored = world.rows(f"select payload from conetl.base_tile where sha256 = '{tile['sha256']}'")[0]["payload"]
-        assert (
-            hashlib.sha256(bytes(stored)).hexdigest() == tile["sha256"]
-            and gzip.decompress(bytes(stored)) == plain.content
-        )
+        assert hashlib.sha256(bytes(stored)).hexdigest() == tile["sha256"]
+        assert gzip.decompress(bytes(stored)) == plain.content
         assert client.get(url, headers={"If-None-Match": answer.headers["etag"]}).status_code == 304
         for wrong in ("0" * 64, "../../etc/passwd", "0" * 63 + "g"):
             assert client.get(f"/api/maps/default/base/tiles/{wrong}.bin").status_code in (404, 422)
@@ -161,7 +146,7 @@ def test_the_server_tells_tiles_lines_and_what_did_not_change(world):
         assert client.get("/api/maps/default/base", headers={"If-None-Match": first.headers["etag"]}).status_code == 200
 
 
-def test_roles_read_and_drop_as_they_should(world):
+def test_rights_of_the_roles(world):
     world.run("import", write_las(world.folder / "street.laz", 1_000))
     allowed = world.rows(
         "select r, t, has_table_privilege(r, 'conetl.' || t, 'select') as s,"

@@ -150,8 +150,8 @@ def test_a_sequence_of_features_says_what_the_collection_says(tmp_path, mark, in
 @pytest.mark.parametrize(
     ("row", "text", "message"),
     [
-        (1, '{"type": "Feature", "geom', "row 2: this is no GeoJSON feature"),
-        (2, '{"type": "Feature", "geom', "row 3: this is no GeoJSON feature"),
+        (1, '{"type": "Feature", "geom', "row 2: this is not a GeoJSON feature"),
+        (2, '{"type": "Feature", "geom', "row 3: this is not a GeoJSON feature"),
         (1, "3", "row 2: expected a GeoJSON Feature"),
         (1, "{}", "row 2: expected a GeoJSON Feature"),
     ],
@@ -370,7 +370,7 @@ def two_layers(path, **more):
 
 def test_a_file_of_several_layers_is_not_taken_in_part(conn, tmp_path):
     path = two_layers(tmp_path / "two.gpkg")
-    with pytest.raises(InputError, match=r"two\.gpkg holds 2 layers of places: west, east; .*--layer"):
+    with pytest.raises(InputError, match=r"two\.gpkg has 2 layers with geometry: west, east; .*--layer"):
         take(conn, path)
     with pytest.raises(InputError, match=r"two\.gpkg has no layer north .*: west, east"):
         take(conn, path, layer="north")
@@ -435,18 +435,18 @@ OTHER = [8.431, 49.01, 115.0]
 SEEN = GOOD[1]
 ID = "7d0f4a53-29c9-4f3b-8f0e-0c1f3e0f2d11"
 BAD = {
-    "not a number": ([math.nan, 49.01, 115.0], SEEN, "row 2: no numbers where a point is expected"),
+    "not a number": ([math.nan, 49.01, 115.0], SEEN, "row 2: an empty point where a point is expected"),
     "swapped": ([49.01, 8.431, 115.0], SEEN, r"row 2: .*swapped"),
     "swapped, out of range": ([-33.0, 151.2, 20.0], SEEN, r"row 2: .*swapped"),
     "no degrees": ([458000.0, 5428000.0, 115.0], SEEN, r"row 2: .*--crs wrong"),
-    "elsewhere": ([120.0, 49.01, 115.0], SEEN, r"row 2: .*outside the area of the map's CRS EPSG:32632"),
+    "elsewhere": ([120.0, 49.01, 115.0], SEEN, r"row 2: .*outside the area of use of the map's CRS EPSG:32632"),
     "no height": (OTHER[:2], SEEN, r"row 2: .*--ground-height-m"),
     "existence": (OTHER, SEEN | {"existence_probability": 1.2}, r"row 2: existence_probability is 1.2"),
     "negative sigma": (OTHER, SEEN | {"sigma_e_m": -0.1}, r"row 2: sigma_e_m is -0.1"),
     "no sigma": (OTHER, SEEN | {"sigma_u_m": 0.0}, r"row 2: sigma_u_m is 0"),
     "no time": (OTHER, SEEN | {"first_seen_at": "yesterday"}, r"row 2: first_seen_at is 'yesterday'"),
     "times crossed": (OTHER, SEEN | {"first_seen_at": "2026-03-02T08:00:00Z"}, "row 2: first_seen_at, last_seen_at"),
-    "same place": (GOOD[0], SEEN, "row 2: the same place as row 1"),
+    "same place": (GOOD[0], SEEN, "row 2: the same position as row 1"),
     "a formula": (OTHER, SEEN | {"category": "=1+1"}, r"row 2: category is '=1\+1', expected .*letters, digits"),
     "a formula of names": (OTHER, SEEN | {"category": "-A1"}, r"row 2: category is '-A1'"),
     "a formula that looks blank": (OTHER, SEEN | {"category": "\t@A1"}, r"row 2: category is '\\t@A1'"),
@@ -486,7 +486,7 @@ def test_places_at_the_antimeridian_are_taken(tmp_path, srid, places):
 )  # fmt: skip
 def test_places_beyond_an_area_are_refused_at_the_antimeridian_too(tmp_path, srid, place):
     path = geojson(tmp_path / "far.geojson", [([*place, 20.0], SEEN)])
-    with pytest.raises(InputError, match=f"row 1: .* lies outside the area of the map's CRS EPSG:{srid}"):
+    with pytest.raises(InputError, match=f"row 1: .* is outside the area of use of the map's CRS EPSG:{srid}"):
         read_map_file(path, PARAMS, map_srid=srid)
 
 
@@ -519,7 +519,7 @@ def test_categories_are_words_of_any_script(tmp_path, category):
 
 def test_ids_that_come_twice_are_named(conn, tmp_path):
     path = geojson(tmp_path / "bad.geojson", [(GOOD[0], SEEN | {"feature_id": ID}), (OTHER, SEEN | {"feature_id": ID})])
-    with pytest.raises(InputError, match=f"row 2: feature_id {ID} stands in row 1 already"):
+    with pytest.raises(InputError, match=f"row 2: feature_id {ID} is in row 1 already"):
         take(conn, path)
     assert nothing_written(conn)
 
@@ -537,14 +537,14 @@ def test_files_that_are_none(conn, tmp_path, surveyed):
     refused("none.geojson", b'{"type": "FeatureCollection", "features": []}', "no features|cannot be read")
     refused("cut.gpkg", (folder / "map.gpkg").read_bytes()[:3000], "cannot be read")
     refused("cut.parquet", (folder / "map.parquet").read_bytes()[:-100], "cannot be read as GeoParquet")
-    refused("text.fgb", b"no FlatGeobuf at all", "no FlatGeobuf")
+    refused("text.fgb", b"no FlatGeobuf at all", "not a FlatGeobuf")
     header = (folder / "map.fgb").read_bytes()
     refused(
-        "claim.fgb", header[:8] + struct.pack("<I", 0xFFFFFFF0) + header[12:], "claims a header of 4294967280 bytes"
+        "claim.fgb", header[:8] + struct.pack("<I", 0xFFFFFFF0) + header[12:], "states a header of 4294967280 bytes"
     )
     refused("noheader.csv", b"a,b\n1,2\n", "no columns lon_deg")
-    refused("two.csv", b"lon;lat\n8.4;49\n", "height of the ground .* and for which time it speaks")
-    refused("comma.csv", b"Longitude;Latitude\n8,4;49\n", "row 1: lon_deg is '8,4', which is no number")
+    refused("two.csv", b"lon;lat\n8.4;49\n", "height of the ground .* and the time of the survey")
+    refused("comma.csv", b"Longitude;Latitude\n8,4;49\n", "row 1: lon_deg is '8,4', which is not a number")
     refused("ragged.csv", b"lon_deg,lat_deg\n8.4,49\n8.4\n", "row 2: 1 values where the header has 2")
     refused("crs.csv", b"easting_m,northing_m\n458000,5428000\n", "state it")
     refused("map.kml", b"<kml/>", "can be imported from")
@@ -563,7 +563,7 @@ def test_a_file_that_claims_gigabytes_is_not_believed(tmp_path):
         for _ in range(40):
             writer.write_table(page)
     assert (tmp_path / "bomb.parquet").stat().st_size < 1 << 20
-    with pytest.raises(InputError, match="claims to hold more than 2 GiB"):
+    with pytest.raises(InputError, match="states more than 2 GiB"):
         read_map_file(tmp_path / "bomb.parquet", PARAMS, map_srid=32632)
 
 
@@ -610,7 +610,7 @@ def test_the_command_line(database_url, tmp_path, surveyed):
     done = json.loads(conetl("map", "import", folder / "map.gpkg", "--json"))
     assert (done["counts"]["added"], done["srid"], done["committed"]) == (len(features), 32632, True)
     layers = two_layers(tmp_path / "two.gpkg")
-    assert "2 layers of places: west, east" in conetl("map", "import", layers, code=2).replace("\n", " ")
+    assert "2 layers with geometry: west, east" in conetl("map", "import", layers, code=2).replace("\n", " ")
     assert json.loads(conetl("map", "import", layers, "--layer", "west", "--json"))["committed"]
     assert "CC0" in conetl("map", "licence", "CC0")
     written = json.loads(conetl("map", "export", "--format", "geoparquet", "--out", tmp_path / "a.parquet", "--json"))

@@ -12,7 +12,7 @@ from prefect import flow
 from conetl.cli.ingest import ingest_drives
 from conetl.db.connection import connect, execute
 from conetl.files.parquet_store import load_result
-from conetl.files.storage import place
+from conetl.files.storage import as_path
 from conetl.model.errors import InputError, ModelFileError
 from conetl.model.params import IngestParams
 from conetl.model.records import StereoMatch
@@ -120,7 +120,7 @@ def test_a_drive_in_object_storage_makes_the_same_map(
     home: Path, chunks: list[Chunk], database_url: str, storage: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = Path(chunks[0].frame_pairs[0].left_path).parents[2]
-    remote = place(f"{storage}/{folder.name}")
+    remote = as_path(f"{storage}/{folder.name}")
     remote.fs.put(f"{folder}/", f"{BUCKET}/{folder.name}/", recursive=True)  # type: ignore[attr-defined]
     features = []
     for name, drive in (("disk", folder), ("storage", Path(str(remote)))):

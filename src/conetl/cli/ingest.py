@@ -13,7 +13,7 @@ import typer
 
 from conetl.cli.console import JsonOption, complain, err, note_unmeasured, out, print_json, print_table, progress_bar
 from conetl.files.partial_files import sweep
-from conetl.files.storage import is_remote, place
+from conetl.files.storage import as_path, is_remote
 from conetl.files.yaml_model import read_yaml_model
 from conetl.model.errors import (
     EXIT_BAD_INPUT,
@@ -74,7 +74,7 @@ def ingest_drives(
     show: Callable[[IngestReport], None],
 ) -> tuple[list[IngestReport], int]:
     """Ingest drives one after the other; the reports and the exit code of the worst of them."""
-    drives = [place(drive) for drive in drives]
+    drives = [as_path(drive) for drive in drives]
     missing = [str(drive) for drive in drives if not drive.is_dir() and drive_format(drive) is None]
     if len(missing) == len(drives):  # before any service is started
         raise InputError(f"no such drive folder: {', '.join(missing)}")

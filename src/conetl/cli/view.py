@@ -16,9 +16,9 @@ from conetl.db.connection import connect, migrate
 from conetl.model.errors import InputError
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.web.app import STATIC, create_app
+from conetl.web.decisions import Decide, PlaceRequest, RevertRequest, WithdrawRequest, Writer
 from conetl.web.models import Decided
-from conetl.web.writer_token import checked_token, make_writer_token, read_writer_token
-from conetl.web.writing import Decide, PlaceWish, RevertWish, WithdrawWish, Writer
+from conetl.web.security import checked_token, make_writer_token, read_writer_token
 
 #: Requests that are served at one time; more are answered 503 at once.
 _MAX_CONNECTIONS = 256
@@ -92,15 +92,15 @@ def decide_on(url: str) -> Decide:
     """The function by which the web view writes decisions, as `conetl map suppress|pin|revert` do."""
     from conetl.pipeline.decisions import decide_place, revert
 
-    def decide(map_name: str, wish: PlaceWish | RevertWish | WithdrawWish, /) -> Decided:
+    def decide(map_name: str, wish: PlaceRequest | RevertRequest | WithdrawRequest, /) -> Decided:
         with closing(connect(url)) as conn:
-            if isinstance(wish, PlaceWish):
+            if isinstance(wish, PlaceRequest):
                 done = decide_place(
                     conn, wish.kind, str(wish.feature_id), map_name=map_name, radius_m=wish.radius_m, note=wish.reason,
                     decided_by=wish.decided_by, expected_version=wish.expected_version, lock_timeout_s=_LOCK_TIMEOUT_S,
                 )  # fmt: skip
             else:
-                what = wish.changeset_id if isinstance(wish, RevertWish) else wish.decision_id
+                what = wish.changeset_id if isinstance(wish, RevertRequest) else wish.decision_id
                 done = revert(
                     conn, str(what), map_name=map_name, note=wish.reason, decided_by=wish.decided_by,
                     lock_timeout_s=_LOCK_TIMEOUT_S,

@@ -27,7 +27,7 @@ from conetl.db.copy_binary import (
     jsons,
     texts,
 )
-from conetl.readers.base_layers.georeferencing import MapPlace, ground_under
+from conetl.readers.base_layers.georeferencing import MapGround, ground_under
 from conetl.readers.base_layers.point_tiles import Tile
 
 Kind = Literal["points", "lines"]
@@ -93,12 +93,12 @@ class PlacedLine:
     attributes: Mapping[str, Any]
 
 
-def read_place(conn: Connection, map_name: str, srid: int) -> MapPlace:
+def read_map_ground(conn: Connection, map_name: str, srid: int) -> MapGround:
     """Where a map's drives were, and how high the road is there."""
     with database_errors(f"The drives of map {map_name} cannot be read"):
         poses = _places(conn, "map/base_poses", {"map_name": map_name, "max_rows": _MAX_POSES})
         feet = _places(conn, "map/base_feet", {"map_name": map_name, "max_rows": _MAX_FEET})
-    return MapPlace(srid, ground_under(poses, feet))
+    return MapGround(srid, ground_under(poses, feet))
 
 
 def read_ingested_poses(conn: Connection, map_name: str, content_sha256: str) -> dict[int, NDArray[np.float64]]:

@@ -15,10 +15,10 @@ from conetl.model.errors import cannot_write
 
 @contextmanager
 def atomic_text_file(path: Path) -> Iterator[TextIO]:
-    """A UTF-8 text file that takes the name `path` only when the block ends well; readers never see half of it.
+    """A UTF-8 text file that gets the name `path` only when the block succeeds; readers never see half of it.
 
-    The folder is made where it is missing. Raises InputError where that is no place to write to,
-    StorageError where the disk is full or fails.
+    A missing folder is created. Raises InputError where the path cannot be written to, StorageError where the disk is full or
+    fails.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -41,12 +41,10 @@ def atomic_text_file(path: Path) -> Iterator[TextIO]:
 
 @contextmanager
 def atomic_files(*paths: Path) -> Iterator[list[Path]]:
-    """Files to write that take the names `paths` (in one folder) only when the block ends well, the last one last.
+    """Files to write that get the names `paths` (in one folder) only when the block succeeds, the last one last.
 
-    They lie in a hidden folder beside `paths` meanwhile, so that whatever a library writes beside its file (journals,
-    indices) goes
-    with it. Everything is on the disk before the first name changes. The folder is made where it is missing. Raises InputError
-    where that is no place to write to, StorageError where the disk is full or fails.
+    Until then they are in a hidden folder beside `paths`, with whatever a library writes beside its file (journals, indices).
+    Everything is on the disk before the first rename. Errors are those of `atomic_text_file`.
     """
     folder = paths[0].parent
     try:

@@ -1,4 +1,4 @@
-"""What may go from the disk when it is old: files that conetl can make again, and publications of long ago."""
+"""Old files that may be deleted: those that conetl can make again, and old publications."""
 
 from __future__ import annotations
 
@@ -9,35 +9,35 @@ from pathlib import Path
 
 from conetl.model.errors import InputError
 
-#: The link beside the publications that names the newest one.
+#: Name of the link to the newest publication.
 LATEST = "latest"
 
 
 def old_results(folder: Path, before: datetime) -> list[Path]:
-    """Intermediate results that were written before an instant; they can be computed again from the drives."""
+    """Intermediate results written before a time; they can be computed again from the drives."""
     return _older(folder.glob("*.parquet"), before)
 
 
 def old_images(folder: Path, before: datetime) -> list[Path]:
-    """Images unpacked from bags that no run has asked for since an instant; they are unpacked again when one does."""
+    """Images unpacked from bags and not used since a time; they are unpacked again when needed."""
     return _older((path for path in folder.glob("*/*") if path.is_file()), before)
 
 
 def old_publications(folder: Path, before: datetime) -> list[Path]:
-    """Folders of publications that were finished before an instant, without the newest."""
+    """Folders of publications finished before a time, without the newest."""
     newest = (folder / LATEST).resolve()
     finished = _older(folder.glob("*/publication.json"), before)
     return [path.parent for path in finished if not path.parent.is_symlink() and path.parent.resolve() != newest]
 
 
 def size_bytes(paths: Sequence[Path]) -> int:
-    """Of files, and of all files in folders; what vanished meanwhile counts nothing."""
+    """Size of files, and of all files in folders; 0 for missing ones."""
     files = (file for path in paths for file in (path.rglob("*") if path.is_dir() else (path,)))
     return sum(file.stat().st_size for file in files if file.is_file())
 
 
 def remove(paths: Sequence[Path]) -> int:
-    """Delete files and folders; the number of bytes freed. One that vanished meanwhile is passed over. Raises InputError."""
+    """Delete files and folders, skipping missing ones; the number of bytes freed. Raises InputError."""
     freed = 0
     for path in paths:
         size = size_bytes([path])

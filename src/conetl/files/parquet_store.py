@@ -33,9 +33,9 @@ def result_key(*parts: str) -> str:
 
 
 def file_sha256(path: Path) -> str:
-    """SHA-256 of a file's bytes; `NO_FILE_SHA256` where the file is missing, which is a state of the input like any other.
+    """SHA-256 of a file's bytes; `NO_FILE_SHA256` where the file is missing.
 
-    Storage that fails is none: raises OSError, StorageError of an object.
+    Raises OSError where the storage fails, StorageError for an object.
     """
     if is_remote(path):
         try:
@@ -60,7 +60,7 @@ def has_result(folder: Path, key: str) -> bool:
 def save_result(folder: Path, key: str, records: Sequence[R], rejections: Sequence[Rejection]) -> Path:
     """Write the records and rejections of one finished chunk; the Parquet file is the last to appear.
 
-    Raises StorageError where it cannot be written, whatever the reason: no drive is to blame for it.
+    Raises StorageError where it cannot be written.
     """
     refused = TypeAdapter(list[Rejection]).dump_json(list(rejections)).decode()
     table = pa.Table.from_pylist([record.model_dump(mode="json") for record in records])
@@ -83,7 +83,7 @@ def save_result(folder: Path, key: str, records: Sequence[R], rejections: Sequen
 
 
 def load_result(path: Path, record_type: type[R]) -> tuple[list[R], list[Rejection]]:
-    """Records and rejections of one chunk, validated again: a file is a border."""
+    """Records and rejections of one chunk, validated again."""
     table = _read(path)
     metadata = table.schema.metadata or {}
     rejections = TypeAdapter(list[Rejection]).validate_json(metadata[_REJECTIONS])
@@ -102,11 +102,11 @@ def load_results(paths: Iterable[Path], record_type: type[R]) -> tuple[list[R], 
 
 
 def _read(path: Path) -> pa.Table:
-    # pq.read_table imports pandas, which takes as long as some hundred images.
+    # pq.read_table imports pandas, which takes as long as a few hundred images.
     with pq.ParquetFile(path, page_checksum_verification=True) as file:
         return file.read()
 
 
 def result_path(folder: Path, key: str) -> Path:
-    """Where the result of a key lies, whether it exists or not."""
+    """Path of the result of a key, whether it exists or not."""
     return folder / f"{key}.parquet"

@@ -1,8 +1,8 @@
-"""Names for files that are being written, and what becomes of those whose writer was killed.
+"""Names of files that are being written, and removal of those of killed processes.
 
-A file, or a folder of files that belong together, appears under its own name only when it is whole; until then it is called
-`.<name>.<host>.<pid>.<random>.tmp` beside it. A process that is killed leaves such
-a file behind. The name says whose it is, so the next run can tell it from one that another process is writing at this moment.
+A file, or a folder of files that belong together, gets its own name only when it is complete; until then its name is
+`.<name>.<host>.<pid>.<random>.tmp` beside it. Host and process number distinguish the files of a killed process from those that
+another process is writing.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ _NAME = re.compile(r"\.(?P<host>[A-Za-z0-9-]+)\.(?P<pid>[0-9]+)\.[0-9a-f]{32}\.t
 
 
 def aside(path: Path) -> Path:
-    """Where to write a file before it takes the name `path`."""
+    """Temporary path of a file that is to get the name `path`."""
     return path.with_name(f".{cut_to_bytes(path.name, 100)}.{_host()}.{os.getpid()}.{uuid4().hex}.tmp")
 
 
 def sweep(folders: Iterable[Path]) -> list[Path]:
-    """Remove what killed processes of this machine left in the folders (not below them), also whole folders; the paths removed.
+    """Remove temporary files and folders of killed processes of this machine in the folders, not below; the removed paths.
 
-    A file whose process number is in use again is kept until the next time; one that cannot be removed is left.
+    A file whose process number is in use again is kept; one that cannot be removed is skipped.
     """
     removed = []
     for folder in folders:

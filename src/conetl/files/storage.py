@@ -27,13 +27,13 @@ from conetl.model.errors import InputError, StorageError
 #: Bytes that stay in memory for their next reader: the 256 images of half a chunk, of a megabyte each. What is pushed out
 #: between its hash and its decoding is read twice.
 CACHE_BYTES = 256 * 2**20
-#: SHA-256 where there is no file: of nothing.
+#: SHA-256 of a missing file: that of no bytes.
 NO_FILE_SHA256 = hashlib.sha256().hexdigest()
-#: What the system says where there is no such file; whatever else it says is about the storage.
+#: Errors of a missing file; all others are about the storage.
 _NO_SUCH_FILE = frozenset({errno.ENOENT, errno.ENOTDIR, errno.ELOOP})
-#: Objects asked for at the same time.
+#: Objects fetched at the same time.
 _AT_ONCE = 16
-#: `Path` makes one slash of two.
+#: `Path` replaces two slashes by one.
 _ADDRESS = re.compile(r"^(s3|memory):/{1,2}(?=[^/])")
 
 
@@ -72,14 +72,14 @@ class _Memory:
 _kept = _Memory()
 
 
-def place(text: str | Path) -> Path:
-    """A file's path, or the place of an object where the text is an address such as s3://bucket/drive.
+def as_path(text: str | Path) -> Path:
+    """The path of a file, or of an object if the text is an address such as s3://bucket/drive.
 
-    The latter is no `pathlib.Path`, but has the methods of one that readers need. Raises InputError where what reads such
+    The latter is not a `pathlib.Path`, but has the methods that readers use. Raises InputError where the package that reads such
     addresses is not installed.
     """
     if not isinstance(text, str | Path):
-        return text  # an object's place already
+        return text  # an object's path
     found = _ADDRESS.match(str(text))
     if found is None:
         return Path(text)
@@ -93,12 +93,12 @@ def place(text: str | Path) -> Path:
 
 
 def is_remote(path: Path) -> bool:
-    """Whether a place is an object's."""
+    """Whether a path is an object's."""
     return not isinstance(path, Path)
 
 
 def is_present(path: Path) -> bool:
-    """Whether there is a file on this machine. `Path.is_file` says no where the storage does not answer, this raises OSError."""
+    """Whether a file exists on this machine. Raises OSError where the storage fails (`Path.is_file` returns False)."""
     try:
         return stat.S_ISREG(path.stat().st_mode)
     except OSError as error:
@@ -109,9 +109,9 @@ def is_present(path: Path) -> bool:
 
 @contextmanager
 def reached(path: Path) -> Iterator[None]:
-    """Storage that does not answer, or refuses, becomes one error that names the object. Files of this machine raise as ever.
+    """Errors of the object storage become one StorageError that names the object. Errors of local files do not change.
 
-    That there is no such object is a property of the drive, and stays a FileNotFoundError.
+    A missing object is a property of the drive and remains a FileNotFoundError.
     """
     try:
         yield
@@ -119,13 +119,13 @@ def reached(path: Path) -> Iterator[None]:
         if not is_remote(path) or not _is_of_storage(error):
             raise
         raise StorageError(
-            f"{path}: the storage does not give it: {error}. Look at the address, at AWS_ENDPOINT_URL and at the credentials "
+            f"{path}: cannot be read from the storage: {error}. Check the address, AWS_ENDPOINT_URL and the credentials "
             "(AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, AWS_PROFILE, or the machine's role). Nothing was written."
         ) from error
 
 
 def _is_of_storage(error: Exception) -> bool:
-    """s3fs makes Python's own errors of what the storage says of itself (too busy, internal error, expired token, no access)."""
+    """s3fs raises Python's own errors for those of the storage (too busy, internal error, expired token, no access)."""
     if isinstance(error, OSError):
         return not isinstance(error, FileNotFoundError)
     return type(error).__module__.split(".")[0] in _STORAGE_ERRORS
@@ -135,7 +135,7 @@ _STORAGE_ERRORS = frozenset({"botocore", "aiobotocore", "aiohttp", "s3fs"})
 
 
 def forget_listing(path: Path) -> None:
-    """Look at the storage again: what was listed earlier in this process may have changed. Nothing to do for files."""
+    """Forget cached listings of the storage, which may have changed. No effect for files."""
     if is_remote(path):
         cast(Any, path).fs.invalidate_cache()
 
@@ -151,10 +151,9 @@ def object_bytes(path: Path) -> bytes:
 
 
 def fetch(paths: Sequence[Path], *, fresh: bool = False) -> None:
-    """Ask for several objects at once, for `object_bytes` to find; what is missing is left to it. Nothing to do for files.
+    """Fetch several objects at once into the cache of `object_bytes`, without missing ones. No effect for files.
 
-    fresh: also for those that are in memory, as somebody may have written them anew since. More than `CACHE_BYTES` of them push
-    each other out: ask for as many as will be read next.
+    fresh: fetch cached ones again, as they may have changed. The cache has `CACHE_BYTES`: fetch as many as will be read next.
     """
     objects = [path for path in paths if is_remote(path)]
     if fresh:
@@ -173,7 +172,7 @@ def fetch(paths: Sequence[Path], *, fresh: bool = False) -> None:
 
 
 def in_batches(paths: Sequence[Path], *, fresh: bool = False) -> Iterator[Path]:
-    """The same paths; objects are asked for some at a time, before they are handed out. fresh: see `fetch`."""
+    """The same paths; objects are fetched in batches before they are yielded. fresh: see `fetch`."""
     for first in range(0, len(paths), _AT_ONCE):
         batch = paths[first : first + _AT_ONCE]
         fetch(batch, fresh=fresh)

@@ -1,4 +1,4 @@
-"""A small YAML file of the user's, read into a pydantic model: parameters, rules, the description of a feed."""
+"""YAML files of the user as pydantic models: parameters, rules, the description of a feed."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ Model = TypeVar("Model", bound=BaseModel)
 def read_yaml_model(path: Path | None, model: type[Model], what: str) -> Model:
     """The file's values as a model; the model's defaults without a file, or where it is empty.
 
-    what: the word for such a file in messages. Raises InputError naming the file, the key and what was expected.
+    what: name of the kind of file in messages. Raises InputError naming the file, the key and what was expected.
     """
     return model() if path is None else validated(read_yaml_mapping(path, what), model, f"{what} {path}")
 
 
 def read_yaml_mapping(path: Path, what: str, example: str = "") -> dict[str, Any]:
-    """Keys and values of a YAML file; none where it is empty. Raises InputError."""
+    """Keys and values of a YAML file, none if it is empty. Raises InputError."""
     name = f"{what} {path}"
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -40,7 +40,7 @@ def read_yaml_mapping(path: Path, what: str, example: str = "") -> dict[str, Any
 
 
 def validated(values: Mapping[str, Any], model: type[Model], name: str) -> Model:
-    """Values as a model. Raises InputError that begins with `name` and says which value is wrong, and which would not be."""
+    """Values as a model. Raises InputError that starts with `name` and states the wrong value and what was expected."""
     try:
         return model.model_validate(values)
     except ValidationError as error:
@@ -52,9 +52,9 @@ def validated(values: Mapping[str, Any], model: type[Model], name: str) -> Model
         raise InputError(f"{name}: {where}: {first['msg']}; found {first['input']!r}") from error
 
 
-def _fields_at(model: type[BaseModel], way: tuple[int | str, ...]) -> list[str]:
-    """Names of the fields of the model that `way` leads to through fields that are models."""
-    for part in way:
+def _fields_at(model: type[BaseModel], path: tuple[int | str, ...]) -> list[str]:
+    """Names of the fields of the nested model at `path`."""
+    for part in path:
         inner = model.model_fields[str(part)].annotation
         if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
             return []

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.files.storage import fetch, place, recall
+from conetl.files.storage import as_path, fetch, recall
 from conetl.geometry.rectification import raw_from_rectified, stored_camera
 from conetl.geometry.rig import camera_of
 from conetl.model.records import FramePair, Rig, Side
@@ -42,7 +42,7 @@ def read_pair_image(pair: FramePair, side: Side, rig: Rig, *, grey: bool = False
     """
     path, sha256 = pair.image(side)
     stored = stored_camera(rig, side)
-    data = read_hashed_bytes(place(path), sha256)
+    data = read_hashed_bytes(as_path(path), sha256)
     image = decode_image(data, Path(path).name, (stored.width_px, stored.height_px), grey=grey)
     return image if rig.rectified_from is None else rectify_image(image, rig, side)
 
@@ -50,7 +50,7 @@ def read_pair_image(pair: FramePair, side: Side, rig: Rig, *, grey: bool = False
 def fetch_pairs(pairs: Sequence[FramePair]) -> None:
     """Ask for the images of some frame pairs at once where they are in object storage and not in memory."""
     images = [pair.image(side) for pair in pairs for side in ("left", "right")]
-    fetch([place(path) for path, sha256 in images if recall(sha256) is None])
+    fetch([as_path(path) for path, sha256 in images if recall(sha256) is None])
 
 
 def rectify_image(image: NDArray[np.uint8], rig: Rig, side: Side) -> NDArray[np.uint8]:

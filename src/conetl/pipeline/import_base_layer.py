@@ -1,13 +1,13 @@
-"""One file -> one base layer: read, georeference, check, write. Nothing is written before the whole file was read."""
+"""One file -> one base layer: read, transform, check, write. Nothing is written before the complete file was read."""
 
 from __future__ import annotations
 
 import hashlib
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,11 +25,10 @@ from conetl.db.connection import Connection
 from conetl.geometry import pose as se3
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.errors import InputError
-from conetl.model.records import Drive
-from conetl.readers.base_layers import georeferencing as placing
-from conetl.readers.base_layers.georeferencing import MapPlace
+from conetl.model.records import Drive, FramePair
+from conetl.readers.base_layers import georeferencing as geo
+from conetl.readers.base_layers.georeferencing import LayerCrs, MapGround, to_map
 from conetl.readers.base_layers.las_file import las_chunks, read_las_header
-from conetl.readers.base_layers.layer_crs import LayerCrs, to_map
 from conetl.readers.base_layers.line_files import LINE_READERS
 from conetl.readers.base_layers.lines import LineFile
 from conetl.readers.base_layers.point_tiles import Cloud, tiles_of, top_level
@@ -46,13 +45,13 @@ from conetl.readers.drives.velodyne import (
 from conetl.readers.rigs import IMU_TO_VELO
 
 POINT_SUFFIXES = (".las", ".laz")
-#: Number of points whose position is checked.
+#: Points of the sample whose heights are checked.
 _CHECKED = 20_000
 
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """The user's options for a file."""
+    """Options of the user."""
 
     map_name: str
     layer_name: str
@@ -62,8 +61,8 @@ class ImportOptions:
 
 
 @dataclass
-class ImportedLayerFile:
-    """The result for one file."""
+class ImportedFile:
+    """The result of one file."""
 
     file: str
     layer: str
@@ -72,13 +71,31 @@ class ImportedLayerFile:
     read: int = 0
     refused: int = 0
     unchanged: bool = False
-    """True where the same import was there already."""
+    """True if the same import existed already."""
     warnings: list[str] = field(default_factory=list)
     refusals: list[str] = field(default_factory=list)
 
 
+class _Job(NamedTuple):
+    """The arguments of `import_file`."""
+
+    conn: Connection
+    path: Path
+    ground: MapGround
+    options: ImportOptions
+    progress: Callable[[int, int], None]
+
+    def base_file(self, kind: Kind, sha256: str, crs: str, heights: Any = "file") -> BaseFile:
+        options = self.options
+        params: dict[str, Any] = {"crs": options.crs, "height_offset_m": options.height_offset_m}
+        if kind == "points":
+            params["voxel_m"] = options.voxel_m
+        source = str(self.path.resolve())
+        return BaseFile(options.map_name, options.layer_name, kind, source, sha256, params, crs, heights)
+
+
 def kind_of(path: Path) -> Kind:
-    """Kind of layer of a file or folder, by its name. Raises InputError."""
+    """The kind of a file or folder, by its name. Raises InputError."""
     suffix = path.suffix.lower()
     if path.is_dir() or suffix in POINT_SUFFIXES:
         return "points"
@@ -91,44 +108,41 @@ def kind_of(path: Path) -> Kind:
 
 
 def import_file(
-    conn: Connection, path: Path, place: MapPlace, options: ImportOptions, progress: Callable[[int, int], None]
-) -> ImportedLayerFile:
-    """Import one file. progress: called with (done, all) points or scans. Raises InputError, and then wrote nothing."""
+    conn: Connection, path: Path, ground: MapGround, options: ImportOptions, progress: Callable[[int, int], None]
+) -> ImportedFile:
+    """Import one file. progress: called with (done, total) points or scans. Raises InputError, with nothing written."""
     if not path.exists():
         raise InputError(f"{path}: there is no such file")
+    job = _Job(conn, path, ground, options, progress)
     if path.is_dir():
-        return _import_drive(conn, path, place, options, progress)
-    if kind_of(path) == "points":
-        return _import_las(conn, path, place, options, progress)
-    return _import_lines(conn, path, place, options)
+        return _import_drive(job)
+    return _import_las(job) if kind_of(path) == "points" else _import_lines(job)
 
 
-def _import_las(
-    conn: Connection, path: Path, place: MapPlace, options: ImportOptions, progress: Callable[[int, int], None]
-) -> ImportedLayerFile:
+def _import_las(job: _Job) -> ImportedFile:
+    path, ground = job.path, job.ground
     count, stated = read_las_header(path)
-    layer, warnings = placing.resolve_crs(path, stated, options.crs, place)
-    file = _base_file(path, "points", _sha256(path), options, layer.name)
-    if (there := find_base_file(conn, file)) is not None:
-        return _unchanged(file, there)
+    layer, warnings = geo.resolve_crs(path, stated, job.options.crs, ground)
+    file = job.base_file("points", _sha256(path), layer.name)
+    if (kept := find_base_file(job.conn, file)) is not None:
+        return _unchanged(file, kept)
 
-    def placed() -> Iterator[Cloud]:
+    def on_map() -> Iterator[Cloud]:
         done = 0
         for cloud in las_chunks(path, count):
             if done == 0 and len(cloud.xyz_m):
-                warnings.extend(placing.check_coordinates(path, layer, cloud.xyz_m[:, :2], place))
+                warnings.extend(geo.check_coordinates(path, layer, cloud.xyz_m[:, :2], ground))
             done += len(cloud.xyz_m)
-            yield Cloud(to_map(layer, cloud.xyz_m, options.height_offset_m), cloud.shade)
-            progress(done, count)
+            yield Cloud(to_map(layer, cloud.xyz_m, job.options.height_offset_m), cloud.shade)
+            job.progress(done, count)
 
-    return _write_cloud(conn, file, placed(), count, place, options, warnings)
+    return _write_cloud(job, file, on_map(), warnings, [count])
 
 
-def _import_drive(
-    conn: Connection, path: Path, place: MapPlace, options: ImportOptions, progress: Callable[[int, int], None]
-) -> ImportedLayerFile:
-    if options.crs:
-        raise InputError(f"{path}: a drive's LiDAR is placed by the drive's poses; --crs has no meaning for it")
+def _import_drive(job: _Job) -> ImportedFile:
+    path = job.path
+    if job.options.crs:
+        raise InputError(f"{path}: a drive's LiDAR is georeferenced by the drive's poses; --crs does not apply")
     scans = list_scans(path)
     if not scans:
         raise InputError(
@@ -137,52 +151,46 @@ def _import_drive(
     folders = [f for f in (path, path.resolve().parent) if (f / IMU_TO_VELO).is_file()]
     if not folders:
         raise InputError(f"{path}: {IMU_TO_VELO} is neither in the drive folder nor in its parent")
-    drive, _ = read_drive(path, map_srid=place.srid)
-    poses = read_ingested_poses(conn, options.map_name, drive.content_sha256)
+    drive, _ = read_drive(path, map_srid=job.ground.srid)
+    poses = read_ingested_poses(job.conn, job.options.map_name, drive.content_sha256)
     content = hashlib.sha256(drive.content_sha256.encode())
     for pose in poses.values():
         content.update(pose.tobytes())
     for scan in scans.values():
         content.update(bytes.fromhex(_sha256(scan)))
-    file = _base_file(path, "points", content.hexdigest(), options, f"EPSG:{place.srid}")
-    if (there := find_base_file(conn, file)) is not None:
-        return _unchanged(file, there)
-    warnings = (
-        []
-        if poses
-        else [f"{path.name}: is not on the map: placed by its logged poses. Ingest it first, then its refined ones do"]
-    )
+    file = job.base_file("points", content.hexdigest(), f"EPSG:{job.ground.srid}")
+    if (kept := find_base_file(job.conn, file)) is not None:
+        return _unchanged(file, kept)
+    advice = "Ingest it first to use its refined poses"
+    warnings = [] if poses else [f"{path.name}: is not on the map: georeferenced by its logged poses. {advice}"]
     refusals: list[str] = []
     read = [0]
-    clouds = _drive_clouds(
-        drive, poses, scans, left_SE3_velo(drive.rig, folders[0]), scan_period_s(path), refusals, read, progress
-    )
-    done = _write_cloud(conn, file, clouds, None, place, options, warnings, read)
+    pairs = {pair.frame_index: _with_pose(pair, poses.get(pair.frame_index)) for pair in drive.frame_pairs}
+    clouds = _drive_clouds(job, drive, pairs, scans, left_SE3_velo(drive.rig, folders[0]), refusals, read)
+    done = _write_cloud(job, file, clouds, warnings, read)
     done.refusals += refusals
     return done
 
 
+def _with_pose(pair: FramePair, map_SE3_body: Any | None) -> FramePair:
+    """The pair with another pose (4, 4), or as it is."""
+    if map_SE3_body is None:
+        return pair
+    x, y, z = map_SE3_body[:3, 3].tolist()
+    pose = pair.pose.model_copy(update={"map_R_body": se3.to_matrix3(map_SE3_body[:3, :3]), "map_t_body_m": (x, y, z)})
+    return pair.model_copy(update={"pose": pose})
+
+
 def _drive_clouds(
-    drive: Drive, poses: dict[int, Any], scans: dict[int, Path], velo: Any, period_s: float, refusals: list[str], read: list[int],
-    progress: Callable[[int, int], None],
+    job: _Job, drive: Drive, pairs: Mapping[int, FramePair], scans: Mapping[int, Path], velo: Any, refusals: list[str],
+    read: list[int],
 ) -> Iterator[Cloud]:  # fmt: skip
-    """One cloud a scan, on the map. poses: (4, 4) map_SE3_body by frame that go before the drive's own."""
-    pairs = {}
-    for pair in drive.frame_pairs:
-        better = poses.get(pair.frame_index)
-        pairs[pair.frame_index] = pair
-        if better is not None:
-            pose = pair.pose.model_copy(
-                update={
-                    "map_R_body": tuple(map(tuple, better[:3, :3].tolist())),
-                    "map_t_body_m": tuple(better[:3, 3].tolist()),
-                }
-            )
-            pairs[pair.frame_index] = pair.model_copy(update={"pose": pose})
+    """One cloud per scan, on the map. velo: (4, 4) left_SE3_velo. read[0] counts the points."""
+    period_s = scan_period_s(job.path)
     for done, (number, path) in enumerate(scans.items(), 1):
-        progress(done, len(scans))
-        placed_pair = pairs.get(number)
-        if placed_pair is None:
+        job.progress(done, len(scans))
+        pair = pairs.get(number)
+        if pair is None:
             refusals.append(f"scan {path.name}: there is no usable frame pair {number}")
             continue
         try:
@@ -191,101 +199,92 @@ def _drive_clouds(
             refusals.append(str(error))
             continue
         read[0] += len(scan)
-        points = points_at_exposure(scan[:, :3].astype(np.float64), placed_pair, pairs, drive.rig, velo, period_s)
+        points = points_at_exposure(scan[:, :3].astype(np.float64), pair, pairs, drive.rig, velo, period_s)
         shade = np.clip(np.rint(scan[:, 3] * 255.0), 0, 255).astype(np.uint8)
-        yield Cloud(se3.apply(se3.compose(map_SE3_left(placed_pair.pose, drive.rig), velo), points), shade)
+        yield Cloud(se3.apply(se3.compose(map_SE3_left(pair.pose, drive.rig), velo), points), shade)
 
 
 def _write_cloud(
-    conn: Connection, file: BaseFile, clouds: Iterator[Cloud], count: int | None, place: MapPlace, options: ImportOptions,
-    warnings: list[str], read: list[int] | None = None,
-) -> ImportedLayerFile:  # fmt: skip
+    job: _Job, file: BaseFile, clouds: Iterator[Cloud], warnings: list[str], read: list[int]
+) -> ImportedFile:
+    """Write the tiles. read[0]: number of points before thinning, known when all clouds were read."""
+    voxel_m = job.options.voxel_m
     with tempfile.TemporaryDirectory(prefix="conetl-points-") as name:
         folder = Path(name)
-        spilled = spill(clouds, folder, options.voxel_m, file.source_path)
-        total = count if count is not None else read[0] if read else spilled.kept
+        spilled = spill(clouds, folder, voxel_m, file.source_path)
         low, high = np.array(spilled.low_m), np.array(spilled.high_m)
         label = Path(file.source_path).name
-        warnings += placing.check_near(label, low, high, place)
-        warnings += placing.check_heights(label, _some_points(folder, spilled), place)
-        extent_m = float((high - low).max())
-        tiles = tiles_of(read_cells(folder, spilled.cells), top_level(extent_m), options.voxel_m)
-        kept = write_points(conn, file, BaseCounts(total, spilled.refused, spilled.low_m, spilled.high_m), tiles)
+        warnings += geo.check_near(label, low, high, job.ground)
+        warnings += geo.check_heights(label, _some_points(folder, spilled), job.ground)
+        tiles = tiles_of(read_cells(folder, spilled.cells), top_level(float((high - low).max())), voxel_m)
+        counts = BaseCounts(read[0], spilled.refused, spilled.low_m, spilled.high_m)
+        kept = write_points(job.conn, file, counts, tiles)
     if kept is None:
         return _unchanged(file, 0)
-    refusals = [f"{spilled.refused:,} points are no numbers in the map's CRS"] if spilled.refused else []
-    return ImportedLayerFile(
-        file.source_path, file.layer_name, "points", kept, total, spilled.refused, False, warnings, refusals
+    refusals = [f"{spilled.refused:,} points have no coordinates in the map's CRS"] if spilled.refused else []
+    return ImportedFile(
+        file.source_path, file.layer_name, "points", kept, read[0], spilled.refused, False, warnings, refusals
     )
 
 
 def _some_points(folder: Path, spilled: Spilled) -> Any:
-    """A thin sample of what was spilled, (N, 3)."""
+    """A sample of the spilled points, (N, 3)."""
     step = max(spilled.kept // _CHECKED, 1)
     cells = spilled.cells[:: max(len(spilled.cells) // 400, 1)]
     return np.concatenate([cloud.xyz_m[::step] for _, _, cloud in read_cells(folder, cells)])
 
 
-def _import_lines(conn: Connection, path: Path, place: MapPlace, options: ImportOptions) -> ImportedLayerFile:
+def _import_lines(job: _Job) -> ImportedFile:
+    path, ground = job.path, job.ground
     found = LINE_READERS[path.suffix.lower()](path)
-    layer, warnings = placing.resolve_crs(path, found.crs, options.crs, place)
+    layer, warnings = geo.resolve_crs(path, found.crs, job.options.crs, ground)
     everything = np.concatenate([line.xyz for line in found.lines])
-    warnings += placing.check_coordinates(path, layer, everything[:, :2], place)
+    warnings += geo.check_coordinates(path, layer, everything[:, :2], ground)
     flat = [bool(np.isnan(line.xyz[:, 2]).any()) for line in found.lines]
-    if any(flat) and len(place.ground_m) == 0:
+    if any(flat) and len(ground.ground_m) == 0:
         raise InputError(
-            f"{path}: its lines have no heights, and map {options.map_name} has no drive to take them from: ingest one first"
+            f"{path}: its lines have no heights, and map {job.options.map_name} has no drive for them: ingest one first"
         )
-    file = _base_file(path, "lines", _sha256(path), options, layer.name, heights="drives" if any(flat) else "file")
-    if (there := find_base_file(conn, file)) is not None:
-        return _unchanged(file, there)
+    file = job.base_file("lines", _sha256(path), layer.name, "drives" if any(flat) else "file")
+    if (kept := find_base_file(job.conn, file)) is not None:
+        return _unchanged(file, kept)
     refused = list(found.refused)
-    lines = _placed_lines(found, layer, place, options, refused)
+    lines = _lines_on_map(job, found, layer, refused)
     if not lines:
-        raise InputError(f"{path}: none of its lines can be placed on the map; {refused[0]}")
+        raise InputError(f"{path}: none of its lines is on the map; {refused[0]}")
     vertices = np.concatenate([line.xyz_m for line in lines])
     low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
-    warnings += placing.check_near(path.name, low, high, place)
+    warnings += geo.check_near(path.name, low, high, ground)
     if not all(flat):
-        warnings += placing.check_heights(path.name, vertices, place)
-    counts = BaseCounts(
-        len(lines) + len(refused), len(refused), (float(low[0]), float(low[1])), (float(high[0]), float(high[1]))
-    )
-    kept = write_lines(conn, file, counts, lines, place.srid)
-    if kept is None:
+        warnings += geo.check_heights(path.name, vertices, ground)
+    corners = [(float(east), float(north)) for east, north in (low, high)]
+    counts = BaseCounts(len(lines) + len(refused), len(refused), corners[0], corners[1])
+    written = write_lines(job.conn, file, counts, lines, ground.srid)
+    if written is None:
         return _unchanged(file, 0)
-    return ImportedLayerFile(
-        file.source_path, file.layer_name, "lines", kept, counts.read_count, len(refused), False, warnings, refused
+    return ImportedFile(
+        file.source_path, file.layer_name, "lines", written, counts.read_count, len(refused), False, warnings, refused
     )
 
 
-def _placed_lines(
-    found: LineFile, layer: LayerCrs, place: MapPlace, options: ImportOptions, refused: list[str]
-) -> list[PlacedLine]:
+def _lines_on_map(job: _Job, found: LineFile, layer: LayerCrs, refused: list[str]) -> list[PlacedLine]:
     lines = []
     for number, line in enumerate(found.lines):
-        xyz = to_map(layer, line.xyz, options.height_offset_m)
+        xyz = to_map(layer, line.xyz, job.options.height_offset_m)
         if not np.isfinite(xyz[:, :2]).all():
-            refused.append(f"line {number} ({line.kind}): its coordinates cannot be expressed in EPSG:{place.srid}")
+            refused.append(
+                f"line {number} ({line.kind}): its coordinates cannot be expressed in EPSG:{job.ground.srid}"
+            )
             continue
         missing = np.isnan(xyz[:, 2])
         if missing.any():
-            xyz[missing, 2] = placing.drape(xyz[missing, :2], place)
+            xyz[missing, 2] = geo.drape(xyz[missing, :2], job.ground)
         lines.append(PlacedLine(line.kind, xyz, line.attributes))
     return lines
 
 
-def _base_file(
-    path: Path, kind: Kind, sha256: str, options: ImportOptions, crs: str, heights: Any = "file"
-) -> BaseFile:
-    params: dict[str, Any] = {"crs": options.crs, "height_offset_m": options.height_offset_m}
-    if kind == "points":
-        params["voxel_m"] = options.voxel_m
-    return BaseFile(options.map_name, options.layer_name, kind, str(path.resolve()), sha256, params, crs, heights)
-
-
-def _unchanged(file: BaseFile, kept: int) -> ImportedLayerFile:
-    return ImportedLayerFile(file.source_path, file.layer_name, file.kind, kept, unchanged=True)
+def _unchanged(file: BaseFile, kept: int) -> ImportedFile:
+    return ImportedFile(file.source_path, file.layer_name, file.kind, kept, unchanged=True)
 
 
 def _sha256(path: Path) -> str:

@@ -41,8 +41,8 @@ from conetl.pipeline.live_pair import (
 )
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives.header import MARKER
-from conetl.readers.drives.oxts import MAX_SPEED_M_S
 from conetl.readers.drives.pairs import PairError
+from conetl.readers.drives.trajectories import MAX_SPEED_M_S
 from conetl.readers.recording.drive import BEHIND, ArrivingDrive, ArrivingPair, open_arriving
 
 #: How long an incomplete pair holds up those behind it.
@@ -241,7 +241,7 @@ def _begin(watch: _Watch, source: ArrivingDrive, stack: ExitStack) -> None:
 
 def _notice(watch: _Watch, source: ArrivingDrive, paths: list[Path] | None) -> None:
     """Take in pairs that came, and the number in the recording of those that have one by now: finding it costs time."""
-    new = source.look(paths)
+    new = source.new_pairs(paths)
     watch.waiting |= {pair.key: (pair, time.monotonic()) for pair in new}
     orders = [(source.order(pair), pair) for pair in (*watch.unplaced, *new) if pair.key in watch.waiting]
     watch.unplaced = [pair for order, pair in orders if order[0] == BEHIND]

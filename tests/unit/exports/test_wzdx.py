@@ -14,7 +14,7 @@ from conetl.exports import wzdx_schema
 from conetl.exports.feed_info import read_feed_info
 from conetl.exports.wzdx_schema import schema_faults
 from conetl.model.errors import InputError
-from conetl.readers.lane_lines import read_lane_lines
+from conetl.readers.base_layers.line_files import read_lane_lines
 
 ROOT = Path(__file__).resolve().parents[3]
 DATA = Path(os.environ.get("CONETL_SHARED_DATA", ROOT.parent / "shared" / "data"))
@@ -136,7 +136,7 @@ def test_lane_lines_of_geojson_come_in_the_maps_crs(tmp_path):
 def test_files_without_lines_are_refused(tmp_path):
     with pytest.raises(InputError, match="no such file"):
         read_lane_lines(tmp_path / "none.gpkg", srid=32632)
-    with pytest.raises(InputError, match="holds no line"):
+    with pytest.raises(InputError, match="there is no line"):
         read_lane_lines(geojson(tmp_path, {"type": "Point", "coordinates": [8.4, 49.0]}), srid=32632)
     other = tmp_path / "lanes.gpkg"
     other.write_text("nothing of the kind")

@@ -11,7 +11,7 @@ import pytest
 
 from conetl.files import storage as places
 from conetl.files.parquet_store import file_sha256
-from conetl.files.storage import in_batches, is_remote, object_bytes, place
+from conetl.files.storage import as_path, in_batches, is_remote, object_bytes
 from conetl.model.errors import DriveFolderError, ServiceError
 from conetl.model.rejections import RejectionReason
 from conetl.perception.images import ImageFileError, read_bytes
@@ -34,7 +34,7 @@ def storage() -> Iterator[pytest.MonkeyPatch]:
 
 def upload(folder: Path, name: str) -> Path:
     """A drive folder as objects."""
-    target = place(f"s3://{BUCKET}/{name}")
+    target = as_path(f"s3://{BUCKET}/{name}")
     target.fs.put(f"{folder}/", f"{BUCKET}/{name}/", recursive=True)  # type: ignore[attr-defined]
     return target
 
@@ -58,15 +58,15 @@ def test_a_drive_reads_as_it_does_from_disk(drive: tuple[str, Path], storage: py
     for mine, its in zip(ours.frame_pairs, theirs.frame_pairs, strict=True):
         assert (mine.frame_index, mine.captured_at_ns, mine.pose) == (its.frame_index, its.captured_at_ns, its.pose)
         assert its.left_path.startswith(f"s3://{BUCKET}/")
-        image = place(its.left_path)
+        image = as_path(its.left_path)
         assert file_sha256(image) == file_sha256(Path(mine.left_path))
         assert (
             read_rig_image(image, theirs.rig, "left") == read_rig_image(Path(mine.left_path), ours.rig, "left")
         ).all()
-    at_a_glance, there = read_header(folder), read_header(remote)
+    local, there = read_header(folder), read_header(remote)
     assert there.problem is None
     assert (there.header_sha256, there.frame_pairs, there.captured_from) == (
-        at_a_glance.header_sha256, at_a_glance.frame_pairs, at_a_glance.captured_from,
+        local.header_sha256, local.frame_pairs, local.captured_from,
     )  # fmt: skip
 
 
@@ -74,19 +74,19 @@ def test_a_missing_image_costs_its_pair_and_is_named(tmp_path: Path, storage: py
     folder = write_kitti(tmp_path / "gap", sample_frames()[:4], RIG)
     remote = upload(folder, "gap")
     read, _ = read_drive(remote)
-    gone = place(read.frame_pairs[2].right_path)
+    gone = as_path(read.frame_pairs[2].right_path)
     gone.unlink()
     again, refused = read_drive(remote)
     assert len(again.frame_pairs) == 3
     assert [rejection.reason for rejection in refused] == [RejectionReason.IMAGE_MISSING]
 
 
-def test_what_is_not_there_is_named(storage: pytest.MonkeyPatch) -> None:
+def test_a_missing_object_is_named(storage: pytest.MonkeyPatch) -> None:
     with pytest.raises(DriveFolderError, match=f"s3://{BUCKET}/nowhere"):
-        read_drive(place(f"s3://{BUCKET}/nowhere"))
+        read_drive(as_path(f"s3://{BUCKET}/nowhere"))
 
 
-def test_storage_that_does_not_answer_is_a_missing_service(storage: pytest.MonkeyPatch) -> None:
+def test_unavailable_storage_is_a_missing_service(storage: pytest.MonkeyPatch) -> None:
     import s3fs
 
     with pytest.MonkeyPatch.context() as environment:
@@ -94,7 +94,7 @@ def test_storage_that_does_not_answer_is_a_missing_service(storage: pytest.Monke
         s3fs.S3FileSystem.clear_instance_cache()
         try:
             with pytest.raises(ServiceError, match="s3://elsewhere/drive"):
-                read_drive(place("s3://elsewhere/drive"))
+                read_drive(as_path("s3://elsewhere/drive"))
         finally:
             s3fs.S3FileSystem.clear_instance_cache()
 
@@ -114,7 +114,7 @@ def test_what_storage_says_of_itself_is_no_property_of_an_object(
     monkeypatch: pytest.MonkeyPatch, said: OSError
 ) -> None:
     """s3fs translates errors of the storage to Python's own."""
-    path = place("memory://storage/image.jpg")
+    path = as_path("memory://storage/image.jpg")
     path.write_bytes(b"a image")
     places.forget_all()
 
@@ -125,13 +125,13 @@ def test_what_storage_says_of_itself_is_no_property_of_an_object(
         failing.setattr(path.fs, "cat_file", fail)  # type: ignore[attr-defined]
         failing.setattr(path.fs, "open", fail)  # type: ignore[attr-defined]
         for read in (object_bytes, file_sha256, read_bytes):
-            with pytest.raises(ServiceError, match=f"image.jpg: the storage does not give it: .*{said.args[-1]}"):
+            with pytest.raises(ServiceError, match=f"image.jpg: cannot be read from the storage: .*{said.args[-1]}"):
                 read(path)
     assert read_bytes(path) == b"a image"
 
 
 def test_an_object_that_is_not_there_is_one(storage: pytest.MonkeyPatch) -> None:
-    path = place(f"s3://{BUCKET}/nowhere/image.jpg")
+    path = as_path(f"s3://{BUCKET}/nowhere/image.jpg")
     assert file_sha256(path) == places.NO_FILE_SHA256
     with pytest.raises(FileNotFoundError):
         object_bytes(path)
@@ -143,7 +143,7 @@ def test_an_object_that_is_not_there_is_one(storage: pytest.MonkeyPatch) -> None
 def test_what_stays_in_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(places, "CACHE_BYTES", 2_500)
     places.forget_all()
-    paths = [place(f"memory://bounded/{k}") for k in range(10)]
+    paths = [as_path(f"memory://bounded/{k}") for k in range(10)]
     for k, path in enumerate(paths):
         path.write_bytes(bytes([k]) * 1_000)
     for k, path in enumerate(in_batches(paths)):
@@ -153,7 +153,7 @@ def test_what_stays_in_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_an_object_that_was_written_anew_is_hashed_anew() -> None:
-    path = place("memory://changed/image")
+    path = as_path("memory://changed/image")
     for data in (b"old", b"new"):
         path.write_bytes(data)
         assert [file_sha256(p) for p in in_batches([path], fresh=True)] == [hashlib.sha256(data).hexdigest()]
@@ -161,5 +161,5 @@ def test_an_object_that_was_written_anew_is_hashed_anew() -> None:
 
 
 def test_files_stay_files() -> None:
-    assert place("drives/s3:/x") == Path("drives/s3:/x")
-    assert not is_remote(place(Path("/data/drive")))
+    assert as_path("drives/s3:/x") == Path("drives/s3:/x")
+    assert not is_remote(as_path(Path("/data/drive")))

@@ -13,10 +13,10 @@ import pytest
 from pyproj import CRS
 
 from conetl.model.errors import InputError
-from conetl.readers.base_layers import georeferencing as placing
+from conetl.readers.base_layers import georeferencing as geo
+from conetl.readers.base_layers.georeferencing import axes_seem_swapped, layer_crs, outside_area, parse_crs, to_map
 from conetl.readers.base_layers.lanelet2 import read_lanelet2
 from conetl.readers.base_layers.las_file import las_chunks, read_las_header
-from conetl.readers.base_layers.layer_crs import axes_seem_swapped, layer_crs, outside_area, parse_crs, to_map
 from conetl.readers.base_layers.opendrive_file import read_opendrive
 from conetl.readers.base_layers.point_tiles import Cloud
 from conetl.readers.base_layers.spill import read_cells, spill
@@ -25,7 +25,7 @@ from conetl.readers.base_layers.vector_file import read_vector_file
 ROOT = Path(__file__).resolve().parents[3]
 SHARED = Path(os.environ.get("CONETL_SHARED_DATA", ROOT.parent / "shared" / "data"))
 CENTRE = (458_000.0, 5_428_000.0, 115.0)
-PLACE = placing.MapPlace(32632, np.array(CENTRE) + np.column_stack([np.arange(50.0), np.zeros(50), np.zeros(50)]))
+GROUND = geo.MapGround(32632, np.array(CENTRE) + np.column_stack([np.arange(50.0), np.zeros(50), np.zeros(50)]))
 LON, LAT = 8.4262, 49.0037
 
 
@@ -86,17 +86,13 @@ def test_a_broken_las_file_is_refused_by_name(tmp_path, suffix, damage):
         read_all(path)
 
 
-def test_points_that_are_no_numbers_are_left_out_and_cells_keep_places(tmp_path):
+def test_invalid_points_are_left_out_and_cells_keep_positions(tmp_path):
     rng = np.random.default_rng(5)
     xyz = np.array(CENTRE) + rng.uniform(-150, 150, (4_000, 3))
     xyz[::100, 1] = np.nan
     xyz[1::100, 0] = np.inf
-    spilled = spill(
-        [Cloud(xyz[:2_000], np.full(2_000, 9, np.uint8)), Cloud(xyz[2_000:], np.full(2_000, 8, np.uint8))],
-        tmp_path,
-        0.01,
-        "x",
-    )
+    clouds = [Cloud(part, np.full(2_000, 9, np.uint8)) for part in (xyz[:2_000], xyz[2_000:])]
+    spilled = spill(clouds, tmp_path, 0.01, "x")
     assert (spilled.kept, spilled.refused) == (3_920, 80)
     back = np.concatenate([c.xyz_m for _, _, c in read_cells(tmp_path, spilled.cells)])
     good = xyz[np.isfinite(xyz).all(axis=1)]
@@ -122,51 +118,49 @@ def test_feet_become_metres():
 
 
 def test_a_file_without_crs_is_refused_unless_it_is_stated():
-    with pytest.raises(InputError, match=r"does not say in which CRS.*--crs 32632"):
-        placing.resolve_crs(Path("a.las"), None, None, PLACE)
-    layer, warnings = placing.resolve_crs(Path("a.las"), None, "25832", PLACE)
+    with pytest.raises(InputError, match=r"has no CRS.*--crs 32632"):
+        geo.resolve_crs(Path("a.las"), None, None, GROUND)
+    layer, warnings = geo.resolve_crs(Path("a.las"), None, "25832", GROUND)
     assert (layer.name, warnings) == ("ETRS89 / UTM zone 32N", [])
-    _, warnings = placing.resolve_crs(Path("a.las"), CRS.from_epsg(4326), "25832", PLACE)
+    _, warnings = geo.resolve_crs(Path("a.las"), CRS.from_epsg(4326), "25832", GROUND)
     assert "the file itself states WGS 84" in warnings[0]
-    with pytest.raises(InputError, match="is no coordinate reference system"):
-        placing.resolve_crs(Path("a.las"), None, "moon", PLACE)
-    _, warnings = placing.resolve_crs(Path("a.las"), parse_crs("EPSG:25832+7837"), None, PLACE)
+    with pytest.raises(InputError, match="is not a coordinate reference system"):
+        geo.resolve_crs(Path("a.las"), None, "moon", GROUND)
+    _, warnings = geo.resolve_crs(Path("a.las"), parse_crs("EPSG:25832+7837"), None, GROUND)
     assert "--height-offset" in warnings[0]
 
 
 def test_swapped_axes_are_found():
     wgs84 = layer_crs(parse_crs("4326"), 32632)
     right, wrong = np.array([[LON, LAT]]), np.array([[LAT, LON]])
-    assert not axes_seem_swapped(wgs84, right, PLACE.lonlat())
-    assert axes_seem_swapped(wgs84, wrong, PLACE.lonlat())
+    assert not axes_seem_swapped(wgs84, right, GROUND.lonlat())
+    assert axes_seem_swapped(wgs84, wrong, GROUND.lonlat())
     assert axes_seem_swapped(wgs84, np.array([[30.0, 120.0]]), None)  # no such latitude
-    assert not axes_seem_swapped(wgs84, np.array([[-122.0, 37.0]]), PLACE.lonlat())  # far away, but right
+    assert not axes_seem_swapped(wgs84, np.array([[-122.0, 37.0]]), GROUND.lonlat())  # far away, but right
     utm = layer_crs(parse_crs("32632"), 32632)
-    assert axes_seem_swapped(utm, np.array([[5_428_000.0, 458_000.0]]), PLACE.lonlat())
+    assert axes_seem_swapped(utm, np.array([[5_428_000.0, 458_000.0]]), GROUND.lonlat())
     with pytest.raises(InputError, match="longitude and latitude are swapped"):
-        placing.check_coordinates(Path("a.geojson"), wgs84, wrong, PLACE)
-    assert outside_area(
-        layer_crs(parse_crs("2993"), 32610), np.array([[636_000.0, 849_000.0]])
-    )  # feet said to be metres
+        geo.check_coordinates(Path("a.geojson"), wgs84, wrong, GROUND)
+    assert outside_area(layer_crs(parse_crs("2993"), 32610), np.array([[636_000.0, 849_000.0]]))  # feet for metres
     assert not outside_area(layer_crs(parse_crs("2994"), 32610), np.array([[636_000.0, 849_000.0]]))
 
 
-def test_a_layer_far_away_or_at_other_heights_is_warned_of():
+def test_warnings_of_a_layer_far_away_or_at_other_heights():
     low, high = np.array(CENTRE[:2]), np.array(CENTRE[:2]) + 50
-    assert placing.check_near("a", low, high, PLACE) == []
-    assert "lies 9 km" in placing.check_near("a", low + 9_000 / 2**0.5, high + 9_000, PLACE)[0]
-    road = PLACE.ground_m + np.array([0.0, 1.0, 0.02])
-    assert placing.check_heights("a", road, PLACE) == []
-    assert "--height-offset 47.6" in placing.check_heights("a", road - [0.0, 0.0, 47.62], PLACE)[0]
+    assert geo.check_near("a", low, high, GROUND) == []
+    assert "is 9 km" in geo.check_near("a", low + 9_000 / 2**0.5, high + 9_000, GROUND)[0]
+    road = GROUND.ground_m + np.array([0.0, 1.0, 0.02])
+    assert geo.check_heights("a", road, GROUND) == []
+    assert "--height-offset 47.6" in geo.check_heights("a", road - [0.0, 0.0, 47.62], GROUND)[0]
 
 
-def test_the_road_lies_as_far_below_the_poses_as_the_cones_feet():
+def test_the_road_is_as_far_below_the_poses_as_the_feet_of_cones():
     poses = np.column_stack([np.arange(20.0), np.zeros(20), np.full(20, 10.0)])
     feet = np.array([[3.0, 2.0, 9.1], [8.0, -2.0, 9.0], [12.0, 2.0, 9.05]])
-    assert placing.ground_under(poses, feet)[:, 2] == pytest.approx([9.05] * 20)
-    assert placing.drape(
-        np.array([[5.0, 30.0]]), placing.MapPlace(32632, placing.ground_under(poses, feet))
-    ) == pytest.approx([9.05])
+    assert geo.ground_under(poses, feet)[:, 2] == pytest.approx([9.05] * 20)
+    assert geo.drape(np.array([[5.0, 30.0]]), geo.MapGround(32632, geo.ground_under(poses, feet))) == pytest.approx(
+        [9.05]
+    )
 
 
 # --------------------------------------------------------------------------- lines
@@ -181,11 +175,8 @@ def geojson(path, *features, crs=None):
 
 
 def line(*places, **properties):
-    return {
-        "type": "Feature",
-        "properties": properties,
-        "geometry": {"type": "LineString", "coordinates": list(places)},
-    }
+    geometry = {"type": "LineString", "coordinates": list(places)}
+    return {"type": "Feature", "properties": properties, "geometry": geometry}
 
 
 def test_geojson_lines_with_kind_heights_and_refusals(tmp_path):
@@ -211,7 +202,7 @@ def test_geojson_lines_with_kind_heights_and_refusals(tmp_path):
     "text", ["", "{", '{"type": "FeatureCollection", "features": []}', "[1, 2", '{"a": 1}', "<osm>"]
 )
 @pytest.mark.parametrize("name", ["a.geojson", "a.gpkg", "a.osm", "a.xodr"])
-def test_what_is_no_line_file_is_refused_by_name(tmp_path, text, name):
+def test_other_files_are_rejected_by_name(tmp_path, text, name):
     path = tmp_path / name
     path.write_text(text)
     reader = {".osm": read_lanelet2, ".xodr": read_opendrive}.get(path.suffix, read_vector_file)
@@ -242,7 +233,7 @@ OSM = """<osm><node id="1" lat="49.0" lon="8.4"><tag k="ele" v="110"/></node><no
 </osm>"""
 
 
-def test_lanelet2_gives_what_bounds_lanelets_and_what_is_painted(tmp_path):
+def test_lanelet2_bounds_and_markings(tmp_path):
     path = tmp_path / "a.osm"
     path.write_text(OSM)
     found = read_lanelet2(path)
@@ -250,9 +241,7 @@ def test_lanelet2_gives_what_bounds_lanelets_and_what_is_painted(tmp_path):
         ("line_thin", "10", True), ("odd", "11", True),
     ]  # fmt: skip
     assert found.lines[0].xyz[0].tolist() == [8.4, 49.0, 110.0]
-    assert any("node 9 is missing" in text for text in found.refused) and any(
-        "node 3" in text for text in found.refused
-    )
+    assert all(any(words in text for text in found.refused) for words in ("node 9 is missing", "node 3"))
 
 
 @pytest.mark.skipif(not (SHARED / "lanelet2").is_dir(), reason=f"no real Lanelet2 map in {SHARED}")

@@ -108,7 +108,7 @@ FAULTS: dict[str, tuple[Callable[[list[Frame]], list[Frame]], dict[int, R]]] = {
     "right image missing": (lambda f: changed(f, 3, right=None), {3: R.IMAGE_MISSING}),
     "left image missing": (lambda f: changed(f, 0, left=None), {0: R.IMAGE_MISSING}),
     "image cut off": (lambda f: changed(f, 4, left=(f[4].left or b"")[:-500]), {4: R.IMAGE_TRUNCATED}),
-    "no image at all": (lambda f: changed(f, 2, right=b"not a image"), {2: R.IMAGE_UNREADABLE}),
+    "no image at all": (lambda f: changed(f, 2, right=b"not an image"), {2: R.IMAGE_UNREADABLE}),
     "another size": (lambda f: changed(f, 5, right=small_image()), {5: R.IMAGE_WRONG_SIZE}),
     "time falls": (lambda f: changed(f, 6, stamp_ns=f[1].stamp_ns - 5 * 10**9), {6: R.TIMESTAMP_INVALID}),
     "clock not set at first": (
@@ -140,20 +140,20 @@ def test_the_same_faults_cost_the_same_pairs(
         assert {r.payload["frame_index"] for r in rejections} == set(lost)
     assert all(r.step == "frames" and r.detail for r in rejections)
     if "clock" in fault and "bag" not in name and "mcap" not in name:  # whose times are the recorder's
-        outline = read_header(tmp_path / "run")
-        assert (outline.captured_from_ns, outline.captured_to_ns) == (kept[0], kept[-1])
+        found = read_header(tmp_path / "run")
+        assert (found.captured_from_ns, found.captured_to_ns) == (kept[0], kept[-1])
 
 
-def test_a_bag_whose_recorder_had_no_time_yet_is_placed_by_its_end(
+def test_a_bag_whose_recorder_had_no_time_at_first_has_the_time_of_its_end(
     tmp_path: Path, frames: list[Frame], rig: Rig
 ) -> None:
     first = changed(frames, 0, stamp_ns=5 * 10**9, pose_stamp_ns=5 * 10**9)
-    outline = read_header(write_bag(tmp_path / "run", first, rig, recorder_as_images=True))
-    assert (outline.problem, outline.captured_from_ns) == (None, outline.captured_to_ns)
-    assert outline.captured_to_ns == frames[-1].stamp_ns
+    found = read_header(write_bag(tmp_path / "run", first, rig, recorder_as_images=True))
+    assert (found.problem, found.captured_from_ns) == (None, found.captured_to_ns)
+    assert found.captured_to_ns == frames[-1].stamp_ns
     unset = [changed([f], 0, stamp_ns=f.stamp_ns % 10**15, pose_stamp_ns=f.stamp_ns % 10**15)[0] for f in frames]
-    outline = read_header(write_bag(tmp_path / "unset", unset, rig))
-    assert (outline.problem, outline.captured_from_ns) == (None, None)
+    found = read_header(write_bag(tmp_path / "unset", unset, rig))
+    assert (found.problem, found.captured_from_ns) == (None, None)
 
 
 @pytest.mark.parametrize("name", WRITERS)
@@ -259,7 +259,7 @@ def test_a_bag_that_was_cut_off_is_refused(tmp_path: Path, frames: list[Frame], 
         read(file, tmp_path / "cache")
 
 
-def test_streams_name_what_types_do_not_tell(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+def test_streams_are_named_in_drive_yaml(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
     path = write_bag(tmp_path / "run", frames[:3], rig)
     (path / "drive.yaml").write_text("streams: {trajectory: /nothing}\n")
     with pytest.raises(DriveFolderError, match="no topic /nothing; found /gnss/fix"):
@@ -275,7 +275,7 @@ def test_streams_name_what_types_do_not_tell(tmp_path: Path, frames: list[Frame]
         read(path, tmp_path / "cache")
 
 
-def test_a_bag_needs_to_know_where_the_cameras_sit(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+def test_a_bag_requires_the_poses_of_cameras_and_antenna(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
     path = write_bag(tmp_path / "run", frames[:3], rig, connected=False)
     with pytest.raises(CalibrationError, match=r"rig\.yaml with body_SE3_left"):
         read(path, tmp_path / "cache")
@@ -324,18 +324,18 @@ def test_a_euroc_row_without_a_time_costs_one_pair(tmp_path: Path, frames: list[
         file.write_text(file.read_text().replace(f"{frames[5].stamp_ns},", "soon,"))
     drive, rejections = read(path, tmp_path / "cache")
     assert [(r.reason, r.payload["frame_index"]) for r in rejections] == [(R.TIMESTAMP_INVALID, 5)]
-    assert "'soon' is no time stamp" in rejections[0].detail
+    assert "'soon' is not a time stamp" in rejections[0].detail
     assert len(drive.frame_pairs) == 9
 
 
-def test_a_euroc_row_cannot_lead_out_of_the_drive(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+def test_a_euroc_row_must_stay_inside_the_drive(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
     path = write_euroc(tmp_path / "run", frames[:3], rig)
     (tmp_path / "outside.jpg").write_bytes(frames[1].left or b"")
     file = path / "mav0/cam0/data.csv"
     file.write_text(file.read_text().replace("000001.jpg", "../../../../outside.jpg"))
     drive, rejections = read(path, tmp_path / "cache")
     assert [(r.reason, r.payload["frame_index"]) for r in rejections] == [(R.IMAGE_MISSING, 1)]
-    assert "no file name inside the drive folder" in rejections[0].detail
+    assert "not a file name inside the drive folder" in rejections[0].detail
     assert len(drive.frame_pairs) == 2
 
 
@@ -346,14 +346,14 @@ def test_a_plan_over_many_drives_finds_every_format(name: str, tmp_path: Path, f
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_a_glance_knows_every_format(name: str, tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
+def test_every_format_has_a_header(name: str, tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
     path = WRITERS[name](tmp_path / "day" / "run", frames, rig)
-    outline = read_header(path)
-    assert (outline.problem, outline.drive_id, outline.frame_pairs) == (None, "run", len(frames))
-    assert (outline.captured_from_ns, outline.captured_to_ns) == (frames[0].stamp_ns, frames[-1].stamp_ns)
-    assert read_header(path).header_sha256 == outline.header_sha256
+    found = read_header(path)
+    assert (found.problem, found.drive_id, found.frame_pairs) == (None, "run", len(frames))
+    assert (found.captured_from_ns, found.captured_to_ns) == (frames[0].stamp_ns, frames[-1].stamp_ns)
+    assert read_header(path).header_sha256 == found.header_sha256
     shorter = WRITERS[name](tmp_path / "other" / "run", frames[:-1], rig)
-    assert read_header(shorter).header_sha256 != outline.header_sha256
+    assert read_header(shorter).header_sha256 != found.header_sha256
 
 
 def small_file_of(path: Path, name: str) -> Path:
@@ -362,9 +362,7 @@ def small_file_of(path: Path, name: str) -> Path:
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_a_glance_and_the_reader_take_the_same_drive_yaml(
-    name: str, tmp_path: Path, frames: list[Frame], rig: Rig
-) -> None:
+def test_header_and_reader_use_the_same_drive_yaml(name: str, tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
     path = WRITERS[name](tmp_path / "day" / "run", frames, rig)
     before = read_header(path).header_sha256
     (path.parent / "drive.yaml").write_text("drive_id: of-somebody-else\n")
@@ -372,9 +370,9 @@ def test_a_glance_and_the_reader_take_the_same_drive_yaml(
     settings = small_file_of(path, "drive.yaml")
     settings.write_text((settings.read_text() if settings.is_file() else "") + "drive_id: morning\n")
     whole, _ = read(path, tmp_path / "cache")
-    outline = read_header(path)
-    assert outline.drive_id == whole.drive_id == "morning"
-    assert outline.header_sha256 != before
+    found = read_header(path)
+    assert found.drive_id == whole.drive_id == "morning"
+    assert found.header_sha256 != before
     settings.write_text("no_such_key: 1\n")
     with pytest.raises(DriveFolderError) as refusal:
         read(path, tmp_path / "cache")
@@ -402,7 +400,7 @@ def test_corrected_poses_are_another_header(name: str, tmp_path: Path, frames: l
         ("euroc", "mav0/cam1/data.csv"),
     ],
 )
-def test_a_glance_tells_of_poses_that_are_not_there_yet_and_knows_when_they_came(
+def test_missing_poses_are_the_problem_until_they_arrive(
     name: str, late: str, tmp_path: Path, frames: list[Frame], rig: Rig
 ) -> None:
     """Trajectories are computed later than images are copied. What was refused without one is another delivery with it."""
@@ -442,24 +440,24 @@ def test_a_link_to_a_drive_of_any_format_is_that_drive(
 OUTSIDE = {"upwards": "../../elsewhere/cam0", "absolute": "{elsewhere}/cam0", "by a link": "linked"}
 
 
-@pytest.mark.parametrize("way", OUTSIDE)
+@pytest.mark.parametrize("kind", OUTSIDE)
 @pytest.mark.parametrize("stream", ["left", "right", "trajectory"])
-def test_a_glance_and_the_reader_refuse_what_lies_outside_of_a_euroc_drive(
-    way: str, stream: str, tmp_path: Path, frames: list[Frame], rig: Rig
+def test_paths_outside_of_a_euroc_drive_are_rejected(
+    kind: str, stream: str, tmp_path: Path, frames: list[Frame], rig: Rig
 ) -> None:
     (write_euroc(tmp_path / "other", frames[:3], rig) / "mav0").rename(tmp_path / "elsewhere")
     path = write_euroc(tmp_path / "run", frames[:3], rig)
     (path / "mav0" / "linked").symlink_to(tmp_path / "elsewhere" / "cam0")
-    named = OUTSIDE[way].format(elsewhere=tmp_path / "elsewhere")
+    named = OUTSIDE[kind].format(elsewhere=tmp_path / "elsewhere")
     with (path / "drive.yaml").open("a") as file:
         file.write(f"streams: {{{stream}: {named}}}\n")
-    with pytest.raises(DriveFolderError, match=f"'{named}' leads out of the drive folder") as refusal:
+    with pytest.raises(DriveFolderError, match=f"'{named}' is outside the drive folder") as refusal:
         read(path, tmp_path / "cache")
     assert read_header(path).problem == str(refusal.value)
 
 
 @pytest.mark.parametrize("name", ["../front", "{path}/front"])
-def test_a_glance_and_the_reader_take_a_camera_anywhere_inside_of_a_euroc_drive(
+def test_a_camera_may_be_anywhere_inside_of_a_euroc_drive(
     name: str, tmp_path: Path, frames: list[Frame], rig: Rig
 ) -> None:
     path = write_euroc(tmp_path / "run", frames[:3], rig)
@@ -467,19 +465,17 @@ def test_a_glance_and_the_reader_take_a_camera_anywhere_inside_of_a_euroc_drive(
     with (path / "drive.yaml").open("a") as file:
         file.write(f"streams: {{left: {name.format(path=path)}}}\n")
     drive, _ = read(path, tmp_path / "cache")
-    outline = read_header(path)
-    assert (outline.problem, outline.frame_pairs, len(drive.frame_pairs)) == (None, 3, 3)
+    found = read_header(path)
+    assert (found.problem, found.frame_pairs, len(drive.frame_pairs)) == (None, 3, 3)
 
 
-def test_a_glance_and_the_reader_refuse_a_named_kitti_camera_that_is_a_link_out_of_the_drive(
-    tmp_path: Path, frames: list[Frame], rig: Rig
-) -> None:
+def test_a_named_kitti_camera_must_not_be_a_link_to_the_outside(tmp_path: Path, frames: list[Frame], rig: Rig) -> None:
     path = WRITERS["kitti"](tmp_path / "run", frames[:3], rig)
     (path / "image_02").rename(tmp_path / "elsewhere")
     (path / "image_02").symlink_to(tmp_path / "elsewhere")
     assert read_header(path).problem is None
     read(path, tmp_path / "cache")  # where nothing is named, links are the user's own layout
     (path / "drive.yaml").write_text("cameras: {left: image_02}\n")
-    with pytest.raises(DriveFolderError, match="leads out of the drive folder") as refusal:
+    with pytest.raises(DriveFolderError, match="is outside the drive folder") as refusal:
         read(path, tmp_path / "cache")
     assert read_header(path).problem == str(refusal.value)

@@ -34,9 +34,9 @@ def test_a_clean_drive(sample: Drive) -> None:
     summary = summarise(sample, [])
     assert summary.rate_hz == pytest.approx(10.0)
     assert (summary.usable_pairs, summary.expected_pairs, summary.gaps, summary.poses.jumps) == (39, 39, (), ())
-    places = np.array([p.pose.map_t_body_m for p in sample.frame_pairs])
-    assert summary.length_m == pytest.approx(np.linalg.norm(np.diff(places[:, :2], axis=0), axis=1).sum())
-    assert summary.extent.east_m == (places[:, 0].min(), places[:, 0].max())
+    positions = np.array([p.pose.map_t_body_m for p in sample.frame_pairs])
+    assert summary.length_m == pytest.approx(np.linalg.norm(np.diff(positions[:, :2], axis=0), axis=1).sum())
+    assert summary.extent.east_m == (positions[:, 0].min(), positions[:, 0].max())
     assert (summary.poses.horizontal_sigma_median_m, summary.poses.vertical_sigma_median_m) == (0.02, 0.03)
     assert not summary.rig.calibration_covariance_known
 
@@ -50,16 +50,16 @@ def test_gaps_in_time_and_space(sample: Drive) -> None:
     assert 6.0 < gap.metres < 7.5
 
 
-@pytest.mark.parametrize(("by_m", "told"), [(0.3, []), (1.5, [20]), (6.0, [20])])
-def test_a_jump_is_told_once(sample: Drive, by_m: float, told: list[int]) -> None:
+@pytest.mark.parametrize(("by_m", "reported"), [(0.3, []), (1.5, [20]), (6.0, [20])])
+def test_a_jump_is_reported_once(sample: Drive, by_m: float, reported: list[int]) -> None:
     summary = summarise(moved(sample, 20, by_m), [])
-    assert summary.gaps == ()  # the same mistake is not told as a gap as well
+    assert summary.gaps == ()  # the same error is not a gap as well
     jumps = summary.poses.jumps
-    assert [jump.frame for jump in jumps] == told
+    assert [jump.frame for jump in jumps] == reported
     assert all(jump.off_m == pytest.approx(by_m, abs=0.05) for jump in jumps)
 
 
-def test_the_ends_of_a_image_tell_what_the_whole_tells(tmp_path: Path) -> None:
+def test_the_ends_of_an_image_suffice_for_its_checks(tmp_path: Path) -> None:
     noise = np.random.default_rng(1).integers(0, 255, (300, 400, 3), np.uint8)  # larger than what is read of it
     for suffix in (".png", ".jpg"):
         data = bytes(cv2.imencode(suffix, noise, [cv2.IMWRITE_JPEG_QUALITY, 100])[1].tobytes())

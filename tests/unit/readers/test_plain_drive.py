@@ -75,13 +75,8 @@ def add_row(text: str) -> Callable[[Path], None]:
 
 
 LOSSES: dict[str, tuple[Callable[[Path], object], str, R]] = {
-    "right image missing": (lambda d: (d / "right/a20.jpg").unlink(), "a20", R.IMAGE_MISSING),
-    "cut image": (
-        lambda d: (d / "left/b05.jpg").write_bytes((d / "left/b05.jpg").read_bytes()[:-9]), "b05", R.IMAGE_TRUNCATED,
-    ),
     "no row": (edit("trajectory.csv", row(3, "b06"), ""), "b06", R.POSE_MISSING),
     "NaN": (edit("trajectory.csv", row(1, "a20"), row(1, "a20", lat="nan")), "a20", R.POSE_INVALID),
-    "latitude 100": (edit("trajectory.csv", row(1, "a20"), row(1, "a20", lat="100")), "a20", R.POSE_INVALID),
     "short row": (edit("trajectory.csv", ",0.1,0.1,0.2\n", "\n"), "a10", R.POSE_INVALID),
     "zero sigma": (edit("trajectory.csv", "0.02,0.03", "0,0.03"), "a10", R.POSE_INVALID),
     "two rows of one stem": (add_row(row(9, "a20")), "a20", R.POSE_INVALID),
@@ -107,7 +102,7 @@ FAILURES: dict[str, tuple[Callable[[Path], object], type[Exception], str]] = {
     "rig without a body": (edit("rig.yaml", BODY, ""), CalibrationError, "'body_SE3_left' is missing"),
     "no trajectory": (lambda d: (d / "trajectory.csv").unlink(), DriveFolderError, "trajectory.csv is missing"),
     "column missing": (edit("trajectory.csv", ",sigma_yaw_deg", ",sigma_jaw_deg"), 
-        DriveFolderError, "missing sigma_yaw_deg; not known sigma_jaw"),
+        DriveFolderError, "missing sigma_yaw_deg; unknown sigma_jaw"),
     "no rows": (lambda d: (d / "trajectory.csv").write_text(HEADER + "\n"), DriveFolderError, "the file has no rows"),
     "no images": (
         lambda d: [p.unlink() for s in ("left", "right") for p in (d / s).iterdir()], DriveFolderError, "no images",
@@ -117,7 +112,7 @@ FAILURES: dict[str, tuple[Callable[[Path], object], type[Exception], str]] = {
 
 
 @pytest.mark.parametrize("name", FAILURES)
-def test_a_drive_that_cannot_be_used_is_told_in_one_sentence(drive: Path, name: str) -> None:
+def test_an_unusable_drive_raises_one_message(drive: Path, name: str) -> None:
     damage, error, words = FAILURES[name]
     damage(drive)
     with pytest.raises(error) as raised:

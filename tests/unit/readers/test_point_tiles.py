@@ -16,8 +16,8 @@ from conetl.readers.base_layers.point_tiles import (
     decode_points,
     encode_points,
     first_in_voxels,
+    in_z_order,
     join,
-    morton,
     tile_side_m,
     tiles_of,
     top_level,
@@ -28,7 +28,7 @@ ORIGIN = np.array([458_000.0, 5_428_000.0, 110.0])
 
 def cells_of(cloud):
     index = cell_indices(cloud.xyz_m, CELL_M)
-    keys = sorted({(int(ix), int(iy)) for ix, iy in index}, key=lambda key: morton(*key))
+    keys = in_z_order({(int(ix), int(iy)) for ix, iy in index})
     return [(ix, iy, cloud.take((index[:, 0] == ix) & (index[:, 1] == iy))) for ix, iy in keys]
 
 

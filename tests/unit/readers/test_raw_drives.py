@@ -89,7 +89,7 @@ def test_kittis_raw_cameras_see_what_its_rectified_ones_see(kitti: Path) -> None
 
 
 @pytest.mark.parametrize(("size", "raw"), [((1242, 375), False), ((1392, 512), True)])
-def test_kitti_images_tell_by_their_size_what_they_are(kitti: Path, size: tuple[int, int], raw: bool) -> None:
+def test_the_size_of_kitti_images_decides_whether_they_are_raw(kitti: Path, size: tuple[int, int], raw: bool) -> None:
     put_images(kitti, *size)
     drive, rejections = read_drive(kitti)
     assert rejections == [] and len(drive.frame_pairs) == 3
@@ -97,13 +97,13 @@ def test_kitti_images_tell_by_their_size_what_they_are(kitti: Path, size: tuple[
     assert (read_rig_for_images(kitti, size).rectified_from is not None) == raw
 
 
-def test_kitti_images_of_a_third_size_are_refused_as_before(kitti: Path) -> None:
+def test_kitti_images_of_a_third_size_are_rejected(kitti: Path) -> None:
     put_images(kitti, 640, 200)
     with pytest.raises(Exception, match=r"640 x 200 pixels, but the calibration is for 1242 x 375"):
         read_drive(kitti)
 
 
-def test_a_swapped_raw_pair_is_told(kitti: Path) -> None:
+def test_a_swapped_raw_pair_is_rejected(kitti: Path) -> None:
     with pytest.raises(CalibrationError, match=r"T_03, T_02: .*swapped"):
         read_kitti_rig(kitti / "calib_cam_to_cam.txt", left=3, right=2, body_required=True, images="raw")
 
@@ -188,7 +188,7 @@ def test_covariance_survives_the_file(tmp_path: Path) -> None:
         ("lens: {}", "'lens'"),
     ],
 )
-def test_a_covariance_that_is_none_is_told(tmp_path: Path, extra: str, message: str) -> None:
+def test_an_invalid_covariance_is_rejected(tmp_path: Path, extra: str, message: str) -> None:
     (tmp_path / "rig.yaml").write_text(HEAD + extra)
     with pytest.raises(CalibrationError, match=message):
         read_rig(tmp_path)
@@ -202,7 +202,7 @@ def test_a_covariance_that_is_none_is_told(tmp_path: Path, extra: str, message: 
         ("{model: radial, coefficients: [.nan, 0]}", "'left.lens.coefficients.0'"),
     ],
 )
-def test_a_lens_that_is_none_is_told(tmp_path: Path, lens: str, message: str) -> None:
+def test_an_invalid_lens_is_rejected(tmp_path: Path, lens: str, message: str) -> None:
     text = HEAD.replace("cy_px: 172.9}", f"cy_px: 172.9, lens: {lens}}}", 1)
     (tmp_path / "rig.yaml").write_text(text)
     with pytest.raises(CalibrationError, match=message):

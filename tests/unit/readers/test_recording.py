@@ -10,21 +10,21 @@ import pytest
 
 from conetl.model.errors import DriveFolderError
 from conetl.model.rejections import RejectionReason
-from conetl.readers.drives.kitti import read_kitti_drive
+from conetl.readers.drives import read_drive
 from conetl.readers.drives.pairs import PairError
+from conetl.readers.drives.plain import Rows
 from conetl.readers.recording import drive as arriving
+from conetl.readers.recording.appended import ArrivingRows, ArrivingStamps
 from conetl.readers.recording.drive import ArrivingPair, open_arriving
-from conetl.readers.recording.rows import ArrivingRows
-from conetl.readers.recording.stamps import ArrivingStamps
 from tests.integration.arriving_drives import SAMPLE, append, begin, image, kitti_head, row, write_images
 
 SRID = 32632
 
 
-def test_nothing_tells_what_it_is_yet(tmp_path: Path) -> None:
+def test_the_format_is_not_known_yet(tmp_path: Path) -> None:
     assert open_arriving(tmp_path) is None
     (tmp_path / "drive.yaml").write_text("drive_id: morning\n")
-    assert open_arriving(tmp_path) is None  # plain or KITTI: only images or a trajectory tell
+    assert open_arriving(tmp_path) is None  # plain or KITTI: images or a trajectory decide
 
 
 def test_a_format_that_cannot_be_watched_is_named(tmp_path: Path) -> None:
@@ -36,20 +36,20 @@ def test_a_format_that_cannot_be_watched_is_named(tmp_path: Path) -> None:
 
 def test_rows_count_once_they_end(tmp_path: Path) -> None:
     folder = begin(tmp_path / "d")
-    rows = ArrivingRows(folder / "trajectory.csv")
+    rows = ArrivingRows(Rows(folder / "trajectory.csv"))
     line = row(10)
     for end in (5, len(line) - 1):
         append(folder, line[:end] if end == 5 else line[5:end])
         rows.read_on()
-        assert rows.by_stem == {}
+        assert rows.rows.by_stem == {}
     append(folder, line[-1] + row(11, lat_deg="north") + row(10))
     rows.read_on()
-    assert rows.numbers == {"000010": 0, "000011": 1}
-    assert "stands in two rows" in str(rows.by_stem["000010"])
-    assert "lat_deg" in str(rows.by_stem["000011"])
+    assert rows.rows.numbers == {"000010": 0, "000011": 1}
+    assert "in two rows" in str(rows.rows.by_stem["000010"])
+    assert "lat_deg" in str(rows.rows.by_stem["000011"])
     (folder / "trajectory.csv").write_text("stem,when\n")
-    with pytest.raises(DriveFolderError, match="columns do not fit"):
-        ArrivingRows(folder / "trajectory.csv").read_on()
+    with pytest.raises(DriveFolderError, match="wrong columns"):
+        ArrivingRows(Rows(folder / "trajectory.csv")).read_on()
 
 
 def test_a_plain_pair_needs_both_images_and_its_row(tmp_path: Path) -> None:
@@ -58,30 +58,30 @@ def test_a_plain_pair_needs_both_images_and_its_row(tmp_path: Path) -> None:
     assert drive is not None and drive.drive_id == "d" and drive.rig() is not None
     data, name = image(10, "left")
     (folder / "left" / name).write_bytes(data)
-    assert drive.look(None) == []
+    assert drive.new_pairs(None) == []
     (folder / "right" / name).write_bytes(data)
-    (pair,) = drive.look([folder / "right" / name])
-    assert drive.look(None) == []  # told once
+    (pair,) = drive.new_pairs([folder / "right" / name])
+    assert drive.new_pairs(None) == []  # returned once
     assert drive.frame_pair(pair, SRID) is None
     append(folder, row(10))
-    drive.look([])
+    drive.new_pairs([])
     found = drive.frame_pair(pair, None)
     assert found is not None and found[1] == SRID and found[0].frame_index == 0
     write_images(folder, 12)
     write_images(folder, 11)
     append(folder, row(11))
-    pairs = drive.look(None)
+    pairs = drive.new_pairs(None)
     assert [p.key for p in sorted(pairs, key=drive.order)] == ["000011", "000012"]  # the one without a row comes last
 
 
-def test_a_name_that_is_known_costs_a_look_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An hour's drive is 72,000 names, looked at again and again."""
+def test_a_known_name_costs_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An hour's drive has 72,000 names, listed again and again."""
     folder = begin(tmp_path / "d")
     for number in (10, 11):
         write_images(folder, number)
     (folder / "left" / ".000012.jpg.part").touch()
     drive = open_arriving(folder)
-    assert drive is not None and len(drive.look(None)) == 2
+    assert drive is not None and len(drive.new_pairs(None)) == 2
     asked: list[str] = []
 
     def is_image(name: str) -> bool:
@@ -90,9 +90,9 @@ def test_a_name_that_is_known_costs_a_look_nothing(tmp_path: Path, monkeypatch: 
 
     real = arriving._is_image
     monkeypatch.setattr(arriving, "_is_image", is_image)
-    assert drive.look(None) == [] and asked == []
+    assert drive.new_pairs(None) == [] and asked == []
     write_images(folder, 12)
-    assert [pair.left_path for pair in drive.look(None)] == [folder.resolve() / "left" / "000012.jpg"]
+    assert [pair.left_path for pair in drive.new_pairs(None)] == [folder.resolve() / "left" / "000012.jpg"]
     assert asked == ["000012.jpg"] * 2
 
 
@@ -122,7 +122,7 @@ def arriving_kitti(folder: Path, numbers: range) -> tuple[object, list[ArrivingP
             shutil.copy(SAMPLE / name / "data" / f"{number:010d}.jpg", folder / name / "data")
     drive = open_arriving(folder)
     assert drive is not None
-    return drive, sorted(drive.look(None), key=drive.order)
+    return drive, sorted(drive.new_pairs(None), key=drive.order)
 
 
 def test_a_kitti_pair_needs_its_record_and_both_time_stamps(tmp_path: Path) -> None:
@@ -151,7 +151,7 @@ def test_poses_are_those_of_the_whole_drive(tmp_path: Path) -> None:
     drive, pairs = arriving_kitti(tmp_path / "k", range(6))
     for name in ("image_02", "oxts"):
         shutil.copy(SAMPLE / name / "timestamps.txt", tmp_path / "k" / name)
-    whole, _ = read_kitti_drive(SAMPLE, map_srid=SRID, headers_only=True)
+    whole, _ = read_drive(SAMPLE, map_srid=SRID, headers_only=True)
     for number, pair in enumerate(pairs):
         shutil.copy(SAMPLE / "oxts" / "data" / f"{number:010d}.txt", tmp_path / "k" / "oxts" / "data")
         found = drive.frame_pair(pair, SRID)

@@ -122,14 +122,7 @@ def test_opencv_single_camera_files(tmp_path: Path) -> None:
 
 def test_plain_yaml_with_opencvs_names(tmp_path: Path) -> None:
     path = tmp_path / "stereo.yaml"
-    values = {
-        "K1": K1.tolist(),
-        "D1": D1.tolist(),
-        "K2": K2.tolist(),
-        "D2": D2.tolist(),
-        "R": R.tolist(),
-        "T": T.tolist(),
-    }
+    values = {name: value.tolist() for name, value in {"K1": K1, "D1": D1, "K2": K2, "D2": D2, "R": R, "T": T}.items()}
     path.write_text(yaml.safe_dump({**values, "image_size": list(SIZE)}))
     agrees_with_opencv(read_rig(path))
 
@@ -332,9 +325,9 @@ BAD_MATLAB = {
 }  # fmt: skip
 BAD_ROS = {
     "no projection": (change("projection_matrix", None), "'projection_matrix' is missing"),
-    "rows": (change("camera_matrix/rows", 4), "'camera_matrix' says 4 rows and 3 columns, but holds 9"),
+    "rows": (change("camera_matrix/rows", 4), "'camera_matrix' has 4 rows and 3 columns, but 9 numbers"),
     "model": (change("distortion_model", "double_sphere"), "'distortion_model' 'double_sphere' is not supported"),
-    "count": (change("distortion_coefficients/data", [1.0, 2.0, 3.0]), "'distortion_coefficients' says"),
+    "count": (change("distortion_coefficients/data", [1.0, 2.0, 3.0]), "'distortion_coefficients' has"),
     "rotation": (change("rectification_matrix/data", [1.0] * 9), "'rectification_matrix' is not a rotation"),
     "baseline": (change("projection_matrix/data", [900, 0, 640, 250, 0, 900, 360, 0, 0, 0, 1, 0]), "projection_matrix.*swapped"),
 }  # fmt: skip
@@ -414,7 +407,7 @@ def test_a_folder_with_two_calibrations_is_not_guessed_at(tmp_path: Path) -> Non
     complaint(tmp_path, "found camchain.yaml and ROS camera_info pair")
 
 
-def test_size_and_unit_are_only_for_files_that_do_not_tell(tmp_path: Path) -> None:
+def test_size_and_unit_are_only_for_files_without_them(tmp_path: Path) -> None:
     path = tmp_path / "camchain.yaml"
     path.write_text(yaml.safe_dump(kalibr_content()))
     with pytest.raises(CalibrationError, match="leave them out"):

@@ -91,35 +91,24 @@ def test_the_rig_id_follows_the_numbers(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "old", "new", "message"),
+    ("old", "new", "message"),
     [
-        (
-            "calib_cam_to_cam.txt",
-            "P_rect_03:",
-            "P_rekt_03:",
-            r"calib_cam_to_cam.txt: the key 'P_rect_03' is missing.*12 numbers",
-        ),
-        (
-            "calib_cam_to_cam.txt",
-            "S_rect_02: 1.242000e+03",
-            "S_rect_02: wide",
-            "'S_rect_02' must be 2 numbers, found 'wide'",
-        ),
-        ("calib_cam_to_cam.txt", P2, P2.rsplit(" ", 1)[0], "'P_rect_02' must be 12 numbers, found 11"),
-        ("calib_cam_to_cam.txt", P3, P3.replace("-3.4e+02", "nan"), "'P_rect_03' must be 12 finite numbers"),
-        ("calib_cam_to_cam.txt", P3, P3.replace("-3.4e+02", "3.4e+02"), "left and right swapped"),
-        ("calib_cam_to_cam.txt", P3, P2, "left and right swapped"),
-        ("calib_cam_to_cam.txt", P2, P2.replace("7.2e+02 0", "-7.2e+02 0", 1), "focal lengths must be positive"),
-        ("calib_cam_to_cam.txt", "R_rect_00: 1 0", "R_rect_00: 2 0", "R_rect_00: the matrix is not a rotation"),
-        ("calib_cam_to_cam.txt", "S_rect_02: 1.242000e+03", "S_rect_02: 1242.5", "whole numbers of pixels"),
-        ("calib_velo_to_cam.txt", "R: 0 -1", "R: 0 1", "R of calib_velo_to_cam: the matrix is not a rotation"),
-        ("calib_imu_to_velo.txt", "T: -0.81", "T:", "calib_imu_to_velo.txt: 'T' must be 3 numbers, found 2"),
+        ("P_rect_03:", "P_rekt_03:", r"calib_cam_to_cam.txt: the key 'P_rect_03' is missing.*12 numbers"),
+        ("S_rect_02: 1.242000e+03", "S_rect_02: wide", "'S_rect_02' must be numbers, found"),
+        (P2, P2.rsplit(" ", 1)[0], "'P_rect_02' must be 12 numbers, found 11"),
+        (P3, P3.replace("-3.4e+02", "nan"), "'P_rect_03' must be finite numbers"),
+        (P3, P3.replace("-3.4e+02", "3.4e+02"), "left and right swapped"),
+        (P3, P2, "left and right swapped"),
+        (P2, P2.replace("7.2e+02 0", "-7.2e+02 0", 1), "focal lengths must be positive"),
+        ("R_rect_00: 1 0", "R_rect_00: 2 0", "R_rect_00: the matrix is not a rotation"),
+        ("S_rect_02: 1.242000e+03", "S_rect_02: 1242.5", "whole numbers of pixels"),
+        ("R: 0 -1", "R: 0 1", "R of calib_velo_to_cam: the matrix is not a rotation"),
+        ("T: -0.81", "T:", "calib_imu_to_velo.txt: 'T' must be 3 numbers, found 2"),
     ],
 )
-def test_a_broken_kitti_file_is_told_in_one_sentence(folder: Path, name: str, old: str, new: str, message: str) -> None:
-    text = (folder / name).read_text()
-    assert old in text
-    (folder / name).write_text(text.replace(old, new))
+def test_a_broken_kitti_file_raises_one_message(folder: Path, old: str, new: str, message: str) -> None:
+    (path,) = (path for path in folder.iterdir() if old in path.read_text())
+    path.write_text(path.read_text().replace(old, new))
     with pytest.raises(CalibrationError, match=message) as raised:
         read_rig(folder)
     assert str(folder) in str(raised.value)
@@ -135,7 +124,7 @@ def test_a_broken_kitti_file_is_told_in_one_sentence(folder: Path, name: str, ol
         (lambda p: p / "binary.txt", "not a text file"),
     ],
 )
-def test_what_is_no_calibration(tmp_path: Path, make, message: str) -> None:  # type: ignore[no-untyped-def]
+def test_files_that_are_not_calibrations(tmp_path: Path, make, message: str) -> None:  # type: ignore[no-untyped-def]
     (tmp_path / "rig.json").write_text("{}")
     (tmp_path / "rig.toml").write_text("a = 1")
     (tmp_path / "binary.txt").write_bytes(b"\xff\xfe\x00\x81")
@@ -201,7 +190,7 @@ body_SE3_left: {{R: [[0, 0, 1], [-1, 0, 0], [0, -1, 0]], t_m: [1.0, 0.2, 0.7]}}
         (f"left: {PIXELS}\nright: {PIXELS}\nbaseline_m: .nan", "'baseline_m'"),
         (f"left: {PIXELS}\nright: {PIXELS}\nbaseline_m: 0.3\nbase: 1", "'base'"),
         (
-            f"left: {PIXELS}\nright: {{width_px: 1242, height_px: 375, fx_px: 700}}\nbaseline_m: 0.3",
+            f"left: {PIXELS}\nright: {{width_px: 9, height_px: 5, fx_px: 7}}\nbaseline_m: 0.3",
             "'right': .*give either fx_px",
         ),
         (f"left: {PIXELS}\nright: {PAPER}, fx_px: 3000}}\nbaseline_m: 0.3", "'right': .*give either fx_px"),
@@ -214,11 +203,11 @@ body_SE3_left: {{R: [[0, 0, 1], [-1, 0, 0], [0, -1, 0]], t_m: [1.0, 0.2, 0.7]}}
         (
             f"left: {PIXELS}\nright: {PIXELS}\nbaseline_m: 0.3\ncalibration_covariance: {{names: [left.fx_px], matrix: [[1.0]], "
             "shared: {calibration: 00000000-0000-0000-0000-000000000001, matrix: [[1.0]]}}",
-            "what drives share of it is worked out",
+            "what drives share of it is computed",
         ),
     ],
 )
-def test_a_broken_rig_yaml_is_told_in_one_sentence(tmp_path: Path, text: str, message: str) -> None:
+def test_a_broken_rig_yaml_raises_one_message(tmp_path: Path, text: str, message: str) -> None:
     path = yaml_rig(tmp_path, text)
     with pytest.raises(CalibrationError, match=message) as raised:
         read_rig(path)

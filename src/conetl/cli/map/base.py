@@ -12,13 +12,13 @@ import typer
 
 from conetl.cli.console import JsonOption, complain, err, out, print_json, print_table, progress_bar
 from conetl.cli.database import open_map
-from conetl.db.base_store import drop_base_layer, list_base_sources, read_place
+from conetl.db.base_store import drop_base_layer, list_base_sources, read_map_ground
 from conetl.db.map.map_store import find_map
 from conetl.model.errors import EXIT_BAD_INPUT, EXIT_TOO_MANY_REJECTIONS, InputError
 from conetl.pipeline.settings import Settings, read_settings
 
 if TYPE_CHECKING:  # GDAL and the LAS libraries take seconds to load: only where a file is imported
-    from conetl.pipeline.import_base_layer import ImportedLayerFile
+    from conetl.pipeline.import_base_layer import ImportedFile
 
 app = typer.Typer(help="Base layers under the cones: LiDAR points and lane boundaries.", no_args_is_help=True)
 _LAYER_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,59}")
@@ -60,7 +60,7 @@ def import_files(
     if kind not in (None, "points", "lines"):
         raise InputError(f"--kind {kind}: it is points or lines")
     settings = read_settings()
-    done: list[ImportedLayerFile] = []
+    done: list[ImportedFile] = []
     failed = False
     for path in files:
         try:
@@ -86,7 +86,7 @@ def import_files(
 def import_one(
     settings: Settings, path: Path, *, kind: str | None = None, crs: str | None = None, layer: str | None = None,
     voxel_m: float = 0.05, height_offset_m: float = 0.0,
-) -> ImportedLayerFile:  # fmt: skip
+) -> ImportedFile:  # fmt: skip
     """Import one file into the map of the settings. Raises InputError, and then wrote nothing."""
     from conetl.pipeline.import_base_layer import ImportOptions, import_file, kind_of
 
@@ -102,12 +102,12 @@ def import_one(
             raise InputError(f"there is no map {settings.map_name} to put {path} under: ingest a drive first")
         bar = bars.add_task(path.name, total=None)
         return import_file(
-            conn, path, read_place(conn, settings.map_name, info.srid), options,
+            conn, path, read_map_ground(conn, settings.map_name, info.srid), options,
             lambda so_far, total: bars.update(bar, completed=so_far, total=total),
         )  # fmt: skip
 
 
-def print_imported(item: ImportedLayerFile) -> None:
+def print_imported(item: ImportedFile) -> None:
     """What became of one file, in a few lines."""
     for warning in item.warnings:
         err.print(f"[yellow]conetl: note:[/] {warning}".replace("[E", "\\[E"), soft_wrap=True)

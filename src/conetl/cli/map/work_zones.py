@@ -118,7 +118,7 @@ def _lane_lines(
 ) -> tuple[list[list[LaneLine]], str | None]:
     """Lane lines beside each zone, and where they come from: the file where one is named, else the map's base layers."""
     if lanes is not None:
-        from conetl.readers.lane_lines import read_lane_lines  # GDAL takes seconds to load
+        from conetl.readers.base_layers.line_files import read_lane_lines  # GDAL takes seconds to load
 
         return [read_lane_lines(lanes, srid=srid)] * len(histories), str(lanes)
     places = [np.array([cone.xyz_m[:2] for cone in history.cones]) for history in histories]

@@ -1,1 +1,1 @@
-"""Readers of base layers: what a map lies on. Point clouds (LAS, LAZ, COPC, a drive's own LiDAR) and lane boundaries."""
+"""Readers of base layers, the background of a map: point clouds (LAS, LAZ, COPC) and lane boundaries."""

@@ -1,4 +1,9 @@
-"""Where a layer lies: into the map's CRS, with a word on everything that looks wrong."""
+"""Coordinates of foreign layers (point clouds, lane boundaries) -> the map's CRS, with the checks that such files need.
+
+Easting and northing are transformed by PROJ in two dimensions. Heights are only converted to metres: converting heights above a
+geoid to ellipsoidal ones requires a geoid model, which PROJ lacks without its grid files. The user gives the difference
+(`--height-offset`), and it is compared with the drives.
+"""
 
 from __future__ import annotations
 
@@ -7,32 +12,137 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pyproj import CRS
+from pyproj import CRS, Transformer
+from pyproj.exceptions import CRSError, ProjError
 from scipy.spatial import cKDTree
 
 from conetl.geometry.geodesy import to_geodetic
 from conetl.model.errors import InputError
-from conetl.readers.base_layers.layer_crs import LayerCrs, axes_seem_swapped, layer_crs, outside_area, parse_crs
 
 Array = NDArray[np.float64]
 
-#: A layer farther from every drive than this is warned of.
+#: Coordinates farther outside the CRS's area of use are warned of.
+_AREA_MARGIN_DEG = 0.5
+#: PROJ's confidence (percent) that a CRS is one of EPSG's.
+_EPSG_CONFIDENCE = 25
+#: Layers farther from every drive are warned of.
 FAR_M = 1_000.0
-#: Points so near to the path tell the height of the road, ...
+#: Points within this distance of the path give the height of the road, ...
 _ROAD_WITHIN_M = 6.0
-#: ... and are compared with the drives' from this difference on.
+#: ... and are warned of from this difference to the drives' heights.
 _HEIGHT_DIFFERS_M = 2.0
 
 
-class MapPlace(NamedTuple):
-    """What the drives of a map say of where it is. All in the map's CRS, metres."""
+class LayerCrs(NamedTuple):
+    """A layer's CRS and its transformation to the map's."""
+
+    name: str
+    to_map: Transformer
+    to_lonlat: Transformer
+    geographic: bool
+    height_factor: float
+    height_note: str | None
+    """The reference of the heights, where they are known not to be ellipsoidal."""
+    horizontal: CRS
+    """Without heights; its area of use is that of the layer."""
+
+
+def parse_crs(text: str) -> CRS:
+    """A CRS from `EPSG:25832`, `25832`, WKT or a PROJ string. Raises ValueError."""
+    try:
+        return CRS.from_user_input(int(text) if text.strip().isdigit() else text)
+    except CRSError as error:
+        raise ValueError(f"{text!r} is not a coordinate reference system; write it like 25832 or EPSG:25832") from error
+
+
+def layer_crs(crs: CRS, map_srid: int) -> LayerCrs:
+    """The transformation from `crs` to the map. Raises ValueError for local and engineering CRSs."""
+    parts = crs.sub_crs_list if crs.is_compound else []
+    flat, vertical = (parts[0], parts[1]) if len(parts) > 1 else (crs, None)
+    while flat.is_bound and flat.source_crs is not None:
+        flat = flat.source_crs
+    if not (flat.is_projected or flat.is_geographic):
+        raise ValueError(f"{crs.name} is neither a projected nor a geographic coordinate reference system")
+    target = CRS.from_epsg(map_srid)
+    axes = vertical.axis_info if vertical is not None else flat.axis_info[2:]
+    # Without a vertical CRS, heights are in the horizontal unit (LAS 1.4, and common practice), with degrees in metres.
+    units = [axis.unit_conversion_factor for axis in axes] or (
+        [flat.axis_info[0].unit_conversion_factor] if flat.is_projected else [1.0]
+    )
+    note = None
+    if vertical is not None and "ellips" not in vertical.name.lower():
+        note = f"its heights are those of {vertical.name}, the map's are ellipsoidal"
+    code = flat.to_epsg(_EPSG_CONFIDENCE) if flat.area_of_use is None else None  # WKT of older files has no area
+    try:
+        return LayerCrs(
+            crs.name,
+            Transformer.from_crs(flat, target, always_xy=True),
+            Transformer.from_crs(flat, CRS.from_epsg(4326), always_xy=True),
+            bool(flat.is_geographic),
+            float(units[0]),
+            note,
+            flat if code is None else CRS.from_epsg(code),
+        )
+    except ProjError as error:
+        raise ValueError(f"there is no transformation from {crs.name} to EPSG:{map_srid}: {error}") from error
+
+
+def to_map(layer: LayerCrs, xyz: Array, height_offset_m: float = 0.0) -> Array:
+    """(N, 3) of the layer's file -> (N, 3) easting, northing, height in metres; inf where the map's CRS has no such point."""
+    east, north = layer.to_map.transform(xyz[:, 0], xyz[:, 1])
+    return np.column_stack([east, north, xyz[:, 2] * layer.height_factor + height_offset_m])
+
+
+def axes_seem_swapped(layer: LayerCrs, xy: Array, map_lonlat: tuple[float, float] | None) -> bool:
+    """True where coordinates (N, 2) only make sense in the other order: invalid latitudes, or far from the map else.
+
+    map_lonlat: position of the map. Projected coordinates are compared with it only.
+    """
+    middle = np.median(xy, axis=0)
+    if layer.geographic and abs(middle[1]) > 90.0 >= abs(middle[0]):
+        return True
+    if map_lonlat is None:
+        return False
+    as_is, swapped = (_distance_deg(layer, point, map_lonlat) for point in (middle, middle[::-1]))
+    return bool(swapped < 1.0 and as_is > 2.0 + swapped)
+
+
+def outside_area(layer: LayerCrs, xy: Array) -> bool:
+    """True where the median of coordinates (N, 2) is outside the area of use of their CRS."""
+    lonlat = np.array([layer.to_lonlat.transform(*np.median(xy, axis=0))])
+    return layer.horizontal.area_of_use is not None and not in_area(layer.horizontal, lonlat, _AREA_MARGIN_DEG)[0]
+
+
+def in_area(crs: CRS, lonlat: Array, margin_deg: float) -> NDArray[np.bool_]:
+    """Whether positions (N, 2) are in the area of use of a CRS, if it has one, or at most this far outside."""
+    area = crs.area_of_use
+    if area is None:
+        return np.asarray(np.isfinite(lonlat).all(axis=1))
+    lon, lat = np.where(np.isfinite(lonlat), lonlat, np.nan).T
+    # The west of an area across the antimeridian is greater than its east, so longitudes count from its west.
+    width = (area.east - area.west) % 360 or 360.0
+    inside = (lon - area.west + margin_deg) % 360 <= width + 2 * margin_deg
+    return np.asarray(inside & (lat >= area.south - margin_deg) & (lat <= area.north + margin_deg))
+
+
+def _distance_deg(layer: LayerCrs, point: Array, map_lonlat: tuple[float, float]) -> float:
+    if layer.geographic and abs(point[1]) > 90.0:
+        return float("inf")
+    lon, lat = layer.to_lonlat.transform(*point)
+    if not np.isfinite([lon, lat]).all():
+        return float("inf")
+    return float(max(abs((lon - map_lonlat[0] + 180.0) % 360.0 - 180.0), abs(lat - map_lonlat[1])))
+
+
+class MapGround(NamedTuple):
+    """The road under the drives of a map, in the map's CRS, metres."""
 
     srid: int
     ground_m: Array
-    """(N, 3) places on the road under the poses of its drives; empty where nothing was ingested."""
+    """(N, 3) points on the road under the poses of its drives; empty where nothing was ingested."""
 
     def lonlat(self) -> tuple[float, float] | None:
-        """Somewhere in the middle of the map."""
+        """The median position; None without drives."""
         if len(self.ground_m) == 0:
             return None
         lat, lon, _ = to_geodetic(self.srid, np.median(self.ground_m, axis=0))
@@ -40,9 +150,9 @@ class MapPlace(NamedTuple):
 
 
 def ground_under(poses_m: Array, feet_m: Array) -> Array:
-    """(N, 3) places on the road: poses of the body (N, 3), lowered by what lies between it and the feet of cones (M, 3) nearby.
+    """(N, 3) points on the road: positions of the body (N, 3), lowered by the median height above the feet of cones (M, 3).
 
-    Without cones the poses themselves.
+    Without cones the positions themselves.
     """
     if len(poses_m) == 0 or len(feet_m) == 0:
         return poses_m
@@ -51,19 +161,18 @@ def ground_under(poses_m: Array, feet_m: Array) -> Array:
     return np.asarray(poses_m + np.array([0.0, 0.0, down]))
 
 
-def resolve_crs(path: Path, stated: CRS | None, given: str | None, place: MapPlace) -> tuple[LayerCrs, list[str]]:
-    """The CRS to read a file in: `given` by the user, else the one that it states. Raises InputError where there is none."""
+def resolve_crs(path: Path, stated: CRS | None, given: str | None, ground: MapGround) -> tuple[LayerCrs, list[str]]:
+    """The CRS of a file: `given` by the user, else the one it states, and warnings. Raises InputError without a usable one."""
     warnings: list[str] = []
     try:
         crs = parse_crs(given) if given else stated
         if crs is None:
             raise InputError(
-                f"{path}: the file does not say in which CRS its coordinates are. State it, e.g. --crs {place.srid} for the "
-                "map's"
+                f"{path}: the file has no CRS. State that of its coordinates, e.g. --crs {ground.srid} for the map's"
             )
         if given and stated is not None and not crs.equals(stated, ignore_axis_order=True):
-            warnings.append(f"{path.name}: read as {crs.name} as you say; the file itself states {stated.name}")
-        layer = layer_crs(crs, place.srid)
+            warnings.append(f"{path.name}: read as {crs.name} as given; the file itself states {stated.name}")
+        layer = layer_crs(crs, ground.srid)
     except ValueError as error:
         raise InputError(f"{path}: {error}") from error
     if layer.height_note:
@@ -71,61 +180,61 @@ def resolve_crs(path: Path, stated: CRS | None, given: str | None, place: MapPla
     return layer, warnings
 
 
-def check_coordinates(path: Path, layer: LayerCrs, xy: Array, place: MapPlace) -> list[str]:
-    """Refuse swapped coordinates, warn of ones outside the area of their CRS. xy: (N, 2) of the file, some of it."""
+def check_coordinates(path: Path, layer: LayerCrs, xy: Array, ground: MapGround) -> list[str]:
+    """Reject swapped coordinates, warn of ones outside their CRS's area of use. xy: (N, 2), a sample of the file."""
     finite = xy[np.isfinite(xy).all(axis=1)]
     if len(finite) == 0:
-        raise InputError(f"{path}: its coordinates are no numbers")
-    if axes_seem_swapped(layer, finite, place.lonlat()):
+        raise InputError(f"{path}: its coordinates are not numbers")
+    if axes_seem_swapped(layer, finite, ground.lonlat()):
         first, second = ("longitude", "latitude") if layer.geographic else ("easting", "northing")
         x, y = np.median(finite, axis=0)
         raise InputError(
-            f"{path}: {first} and {second} are swapped: expected {first} first, the file has {x:.6g}, {y:.6g} or so. "
+            f"{path}: {first} and {second} are swapped: expected {first} first, the file has about {x:.6g}, {y:.6g}. "
             "Write it in that order"
         )
     if layer.geographic and np.abs(finite[:, 1]).max() > 90.0:
         raise InputError(
-            f"{path}: latitudes up to {np.abs(finite[:, 1]).max():.6g} in {layer.name}: no degrees. State the CRS with --crs"
+            f"{path}: latitudes up to {np.abs(finite[:, 1]).max():.6g} in {layer.name}: not degrees. State the CRS with --crs"
         )
     if outside_area(layer, finite):
-        return [f"{path.name}: its coordinates lie outside the area that {layer.name} is made for: is that its CRS?"]
+        return [f"{path.name}: its coordinates are outside the area of use of {layer.name}: is that its CRS?"]
     return []
 
 
-def check_near(name: str, low_m: Array, high_m: Array, place: MapPlace) -> list[str]:
-    """Warn of a layer whose extent (low and high corner, 2 each) lies far from every drive."""
-    if len(place.ground_m) == 0:
+def check_near(name: str, low_m: Array, high_m: Array, ground: MapGround) -> list[str]:
+    """Warn of a layer whose extent (low and high corner, 2 each) is far from every drive."""
+    if len(ground.ground_m) == 0:
         return []
-    xy = place.ground_m[:, :2]
+    xy = ground.ground_m[:, :2]
     distance = float(np.linalg.norm(np.maximum(np.maximum(low_m - xy, xy - high_m), 0.0), axis=1).min())
     if distance <= FAR_M:
         return []
     return [
-        f"{name}: lies {distance / 1000:,.0f} km from the nearest drive of this map. Is it the right file, CRS and map?"
+        f"{name}: is {distance / 1000:,.0f} km from the nearest drive of this map. Is it the right file, CRS and map?"
     ]
 
 
-def check_heights(name: str, xyz_m: Array, place: MapPlace) -> list[str]:
-    """Warn where points or vertices (N, 3) along the drives lie well above or below the road."""
-    if len(place.ground_m) == 0 or len(xyz_m) == 0:
+def check_heights(name: str, xyz_m: Array, ground: MapGround) -> list[str]:
+    """Warn where points or vertices (N, 3) along the drives are well above or below the road."""
+    if len(ground.ground_m) == 0 or len(xyz_m) == 0:
         return []
-    found = cKDTree(place.ground_m[:, :2]).query(xyz_m[:, :2], distance_upper_bound=_ROAD_WITHIN_M)
+    found = cKDTree(ground.ground_m[:, :2]).query(xyz_m[:, :2], distance_upper_bound=_ROAD_WITHIN_M)
     distance, nearest = np.asarray(found[0]), np.asarray(found[1])
     near = np.isfinite(distance)
     if np.count_nonzero(near) < 10:
         return []
-    difference = float(np.percentile(xyz_m[near, 2] - place.ground_m[nearest[near], 2], 20))
+    difference = float(np.percentile(xyz_m[near, 2] - ground.ground_m[nearest[near], 2], 20))
     if abs(difference) < _HEIGHT_DIFFERS_M:
         return []
     return [
-        f"{name}: along the drives it lies {abs(difference):.1f} m {'above' if difference > 0 else 'below'} the road. The map's "
-        f"heights are ellipsoidal; if the file's count from a geoid, import it with --height-offset {-difference:.1f}"
+        f"{name}: along the drives it is {abs(difference):.1f} m {'above' if difference > 0 else 'below'} the road. The map's "
+        f"heights are ellipsoidal; if the file's are above a geoid, import it with --height-offset {-difference:.1f}"
     ]
 
 
-def drape(xy_m: Array, place: MapPlace) -> Array:
-    """Heights (N,) of the road for vertices (N, 2): those under the nearest pose. 0 in a map without drives."""
-    if len(place.ground_m) == 0:
+def drape(xy_m: Array, ground: MapGround) -> Array:
+    """Heights (N,) of the road at vertices (N, 2): those under the nearest pose; 0 in a map without drives."""
+    if len(ground.ground_m) == 0:
         return np.zeros(len(xy_m))
-    _, nearest = cKDTree(place.ground_m[:, :2]).query(xy_m)
-    return np.asarray(place.ground_m[nearest, 2])
+    _, nearest = cKDTree(ground.ground_m[:, :2]).query(xy_m)
+    return np.asarray(ground.ground_m[nearest, 2])

@@ -1,4 +1,4 @@
-"""Lanelet2 maps (OSM XML): the ways that bound lanelets, and what else is painted or built along roads.
+"""Lanelet2 maps (OSM XML): the ways that bound lanelets, and other markings and barriers along roads.
 
 Format: Poggenhans et al., *Lanelet2*, ITSC 2018, and its documentation (LinestringTagging). Nodes are WGS 84.
 """
@@ -16,12 +16,11 @@ from pyproj import CRS
 from conetl.model.errors import InputError
 from conetl.readers.base_layers.lines import Line, LineFile, usable
 
-#: Ways of these types are lane boundaries even where no lanelet uses them.
+#: Ways of these types are lane boundaries even without a lanelet.
 BOUNDARIES = frozenset(
     {"line_thin", "line_thick", "curbstone", "road_border", "guard_rail", "wall", "fence", "virtual", "bike_marking",
      "pedestrian_marking"}
 )  # fmt: skip
-_WGS84 = 4326
 
 
 class _Osm(NamedTuple):
@@ -37,11 +36,11 @@ class _Osm(NamedTuple):
 
 
 def read_lanelet2(path: Path) -> LineFile:
-    """Boundaries of a Lanelet2 file. Raises InputError where it is no such file or holds none."""
+    """Boundaries of a Lanelet2 file. Raises InputError where it is not one or has none."""
     try:
         osm = _read(path)
     except ElementTree.ParseError as error:
-        raise InputError(f"{path}: is no OSM XML ({error}); expected a Lanelet2 map") from error
+        raise InputError(f"{path}: is not OSM XML ({error}); expected a Lanelet2 map") from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
     if osm.local_count and all(lon == 0 and lat == 0 for lon, lat, _ in osm.nodes.values()):
@@ -66,8 +65,10 @@ def read_lanelet2(path: Path) -> LineFile:
             osm.refused.append(problem)
     if not lines:
         wanted = ", ".join(sorted(BOUNDARIES))
-        raise InputError(f"{path}: no lane boundaries in it; expected ways that lanelets refer to, or of type {wanted}")
-    return LineFile(lines, CRS.from_epsg(_WGS84), osm.refused)
+        raise InputError(
+            f"{path}: there are no lane boundaries; expected ways that lanelets refer to, or of type {wanted}"
+        )
+    return LineFile(lines, CRS.from_epsg(4326), osm.refused)
 
 
 def _read(path: Path) -> _Osm:
@@ -81,14 +82,14 @@ def _read(path: Path) -> _Osm:
                 height = float(tags["ele"]) if "ele" in tags else math.nan
                 osm.nodes[identity] = (float(item.get("lon", "")), float(item.get("lat", "")), height)
             except ValueError:
-                osm.refused.append(f"node {identity}: longitude, latitude or height is no number")
+                osm.refused.append(f"node {identity}: longitude, latitude or height is not a number")
         elif item.tag == "way":
             osm.ways[identity] = ([n.get("ref", "") for n in item.iter("nd")], _tags(item))
         elif item.tag == "relation":
             if _tags(item).get("type") == "lanelet":
                 osm.bounding.update(m.get("ref", "") for m in item.iter("member") if m.get("role") in ("left", "right"))
         else:
-            continue  # parts of one of these: they are read with it
+            continue  # a part of one of these, read with it
         item.clear()
     return osm._replace(local_count=local)
 

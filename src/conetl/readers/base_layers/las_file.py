@@ -1,4 +1,4 @@
-"""LAS, LAZ and COPC files, chunk by chunk: a file of any size takes the memory of one chunk."""
+"""LAS, LAZ and COPC files, chunk by chunk: the memory needed is that of one chunk."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import laspy
 import numpy as np
@@ -17,27 +16,27 @@ from conetl.model.errors import InputError
 from conetl.readers.base_layers.point_tiles import Cloud
 
 CHUNK_POINTS = 400_000
-#: ASPRS classes of noise (low and high) and of points that were withheld.
+#: ASPRS classes of low and high noise.
 _NOISE = (7, 18)
 _PLAIN_SHADE = 170
 _VLR_HEADER_BYTES = 54
 
 
 def read_las_header(path: Path) -> tuple[int, CRS | None]:
-    """Number of points, as the header states it, and the CRS that the file names. Raises InputError."""
+    """Number of points stated in the header, and the CRS of the file. Raises InputError."""
     _check_header(path)
     with _reading(path), laspy.open(path) as reader:
         header = reader.header
         numbers = np.concatenate([header.scales, header.offsets])
         if not np.isfinite(numbers).all() or not (np.asarray(header.scales) > 0).all():
             raise InputError(
-                f"{path}: the header's scales {header.scales} and offsets {header.offsets} are no usable numbers"
+                f"{path}: the header's scales {header.scales} and offsets {header.offsets} are not usable numbers"
             )
         if header.point_count == 0:
-            raise InputError(f"{path}: the file holds no points")
+            raise InputError(f"{path}: the file has no points")
         try:
             crs = header.parse_crs()
-        except Exception:  # whatever pyproj or laspy trips over: the file then names no CRS that could be used
+        except Exception:  # of many types, from pyproj and laspy: the file has no usable CRS
             crs = None
         return int(header.point_count), crs
 
@@ -45,7 +44,7 @@ def read_las_header(path: Path) -> tuple[int, CRS | None]:
 def las_chunks(path: Path, expected: int) -> Iterator[Cloud]:
     """All points in the file's own coordinates and units, without noise and withheld points. Raises InputError.
 
-    A file that ends before `expected` points, or holds damaged ones, is an error after the good chunks: write nothing before.
+    A truncated or damaged file is an error after its good chunks: write nothing before the end.
     """
     read = 0
     brightest: float | None = None
@@ -53,7 +52,7 @@ def las_chunks(path: Path, expected: int) -> Iterator[Cloud]:
         for chunk in reader.chunk_iterator(CHUNK_POINTS):
             read += len(chunk)
             xyz = np.column_stack([np.asarray(chunk.x), np.asarray(chunk.y), np.asarray(chunk.z)])
-            intensity = _intensity(chunk)
+            intensity = np.asarray(chunk.intensity, np.float64)
             if brightest is None:
                 brightest = float(np.percentile(intensity, 98)) if len(intensity) else 0.0
             keep = ~np.isin(np.asarray(chunk.classification), _NOISE)
@@ -63,7 +62,7 @@ def las_chunks(path: Path, expected: int) -> Iterator[Cloud]:
             yield Cloud(xyz[keep], _shade(intensity, brightest)[keep])
     if read != expected:
         raise InputError(
-            f"{path}: the header states {expected:,} points, the file holds {read:,}. It is cut off or damaged: copy it again"
+            f"{path}: the header states {expected:,} points, the file has {read:,}. It is cut off or damaged: copy it again"
         )
 
 
@@ -73,26 +72,22 @@ def _shade(intensity: NDArray[np.float64], brightest: float) -> NDArray[np.uint8
     return np.clip(np.rint(intensity / brightest * 255), 0, 255).astype(np.uint8)
 
 
-def _intensity(chunk: Any) -> NDArray[np.float64]:
-    return np.asarray(chunk.intensity, np.float64)
-
-
 @contextmanager
 def _reading(path: Path) -> Iterator[None]:
-    """Whatever the LAS libraries trip over in a broken file becomes one InputError; also panics of the Rust decoder."""
+    """All errors of the LAS libraries in a broken file become one InputError, panics of the Rust decoder included."""
     try:
         yield
     except (InputError, GeneratorExit, KeyboardInterrupt, SystemExit):
         raise
-    except BaseException as error:  # pyo3's PanicException is no Exception
+    except BaseException as error:  # pyo3's PanicException is not an Exception
         raise InputError(
-            f"{path}: the points cannot be read ({error}). Expected a whole LAS or LAZ file; this one is cut off or damaged: "
+            f"{path}: the points cannot be read ({error}). Expected a complete LAS or LAZ file; this one is cut off or damaged: "
             "copy it again"
         ) from error
 
 
 def _check_header(path: Path) -> None:
-    """Refuse what cannot be a LAS file before a library allocates what its header claims."""
+    """Reject what cannot be a LAS file before a library allocates memory for what its header states."""
     try:
         size = path.stat().st_size
         with path.open("rb") as file:
@@ -100,9 +95,7 @@ def _check_header(path: Path) -> None:
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
     if head[:4] != b"LASF" or len(head) < 227:
-        raise InputError(
-            f"{path}: this is no LAS or LAZ file (expected it to begin with LASF and a header of 227 bytes or more)"
-        )
+        raise InputError(f"{path}: this is not a LAS or LAZ file (expected LASF and a header of at least 227 bytes)")
     header_size, points_at, vlr_count = struct.unpack_from("<HII", head, 94)
     point_format, record_bytes, count = struct.unpack_from("<BHI", head, 104)
     if head[25] >= 4 and len(head) >= 255:
@@ -113,7 +106,9 @@ def _check_header(path: Path) -> None:
             f"{size:,} bytes. It is cut off or damaged: copy it again"
         )
     compressed = bool(point_format & 0x80)
-    least_bytes = count if not compressed else count // 1000  # LAZ reaches a fifteenth or so, never a thousandth
+    least_bytes = (
+        count if not compressed else count // 1000
+    )  # LAZ compresses to about a fifteenth, never to a thousandth
     if (not compressed and points_at + count * record_bytes > size) or (compressed and least_bytes > size):
         raise InputError(
             f"{path}: the header states {count:,} points of {record_bytes} bytes, which do not fit into {size:,} bytes. The file "

@@ -1,4 +1,4 @@
-"""What every reader of lane boundaries gives."""
+"""Lines of a file, the result of every reader of lane boundaries."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Line(NamedTuple):
     """One boundary, marking, kerb or reference line."""
 
     kind: str
-    """The file's own word: line_thin, curbstone, road_border, solid, ..."""
+    """As in the file: line_thin, curbstone, road_border, solid, ..."""
     xyz: NDArray[np.float64]
     """(N, 3) in the file's CRS and units, N >= 2; heights are NaN where the file has none."""
     attributes: Mapping[str, Any]
@@ -30,7 +30,7 @@ class LineFile(NamedTuple):
     lines: list[Line]
     crs: CRS | None
     refused: list[str]
-    """What could not be used, one sentence each."""
+    """What could not be used, one message each."""
 
 
 def usable(line: Line, what: str) -> str | None:
@@ -39,14 +39,14 @@ def usable(line: Line, what: str) -> str | None:
     if len(line.xyz) < 2 or not np.any(np.ptp(xy[np.isfinite(xy).all(axis=1)], axis=0) if len(xy) else 0):
         return f"{what}: fewer than two different points"
     if not np.isfinite(xy).all():
-        return f"{what}: a coordinate is no number"
+        return f"{what}: a coordinate is not a number"
     if np.isinf(line.xyz[:, 2]).any():
-        return f"{what}: a height is no number"
+        return f"{what}: a height is not a number"
     return None
 
 
 def bounds_lanes(kind: str, attributes: Mapping[str, Any]) -> bool:
-    """Whether a line is one beside which lanes lie: of Lanelet2 by its type, of other files always."""
+    """Whether lanes are beside a line: in Lanelet2 by its type, in other files always."""
     return "bounds_a_lanelet" not in attributes or kind in LANELET2_BOUNDARIES
 
 

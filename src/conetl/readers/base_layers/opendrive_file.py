@@ -1,5 +1,4 @@
-"""OpenDRIVE files (.xodr): reference lines and lane borders of every road. The geometry is in
-readers/base_layers/opendrive_geometry.py."""
+"""OpenDRIVE files (.xodr): reference lines and lane borders of every road."""
 
 from __future__ import annotations
 
@@ -14,21 +13,21 @@ from pyproj import CRS
 
 from conetl.model.errors import InputError
 from conetl.readers.base_layers import opendrive_geometry as od
-from conetl.readers.base_layers.layer_crs import parse_crs
+from conetl.readers.base_layers.georeferencing import parse_crs
 from conetl.readers.base_layers.lines import Line, LineFile, usable
 
 Element = ElementTree.Element
-#: How far a vertex may be left out beside the line through its neighbours.
+#: Largest deviation of omitted vertices from the line.
 TOLERANCE_M = 0.01
 _MAX_ROAD_M = 1_000_000.0
 
 
 def read_opendrive(path: Path) -> LineFile:
-    """Lines of an OpenDRIVE file, in the CRS of its geoReference. Raises InputError where it is none, or no road can be used."""
+    """Lines of an OpenDRIVE file, in the CRS of its geoReference. Raises InputError without a usable road."""
     try:
         root = ElementTree.parse(path).getroot()
     except ElementTree.ParseError as error:
-        raise InputError(f"{path}: is no XML ({error}); expected an OpenDRIVE file") from error
+        raise InputError(f"{path}: is not XML ({error}); expected an OpenDRIVE file") from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
     if root.tag != "OpenDRIVE":
@@ -49,7 +48,7 @@ def read_opendrive(path: Path) -> LineFile:
         except (ValueError, KeyError) as error:
             refused.append(f"{what}: {error}")
     if not lines:
-        raise InputError(f"{path}: no road of it can be used{'; ' + refused[0] if refused else ''}")
+        raise InputError(f"{path}: none of its roads can be used{'; ' + refused[0] if refused else ''}")
     reference = (root.findtext("header/geoReference") or "").strip()
     crs: CRS | None = None
     if reference:
@@ -150,7 +149,7 @@ def _number(element: Element, name: str) -> float:
 
 
 def _header_offset(root: Element) -> tuple[od.Array, od.Array]:
-    """Rotation (3, 3) and shift (3,) of header/offset, from the file's coordinates to those of its CRS."""
+    """Rotation (3, 3) and translation (3,) of header/offset, from the file's coordinates to those of its CRS."""
     offset = root.find("header/offset")
     values = {
         name: _number(offset, name) if offset is not None and offset.get(name) else 0.0
@@ -163,7 +162,7 @@ def _header_offset(root: Element) -> tuple[od.Array, od.Array]:
 
 
 def _simplified(xyz: od.Array) -> od.Array:
-    """The vertices that plan or height needs, to TOLERANCE_M."""
+    """The vertices required by plan or height within TOLERANCE_M."""
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xyz[:, :2], axis=0), axis=1))])
     keep = np.zeros(len(xyz), bool)
     keep[[0, -1]] = True

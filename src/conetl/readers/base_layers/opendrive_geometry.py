@@ -75,7 +75,7 @@ def samples_m(pieces: Sequence[Piece], from_m: float, to_m: float) -> Array:
 
 
 def reference_line(pieces: Sequence[Piece], s_m: Array) -> tuple[Array, Array]:
-    """Places (N, 2) and headings (N,) of the reference line at s; of its nearest end beyond the pieces."""
+    """Positions (N, 2) and headings (N,) of the reference line at s; of its nearest end outside of the pieces."""
     ordered = sorted(pieces, key=lambda p: p.start_m)
     starts = np.array([p.start_m for p in ordered])
     s = np.asarray(s_m, np.float64)
@@ -104,7 +104,7 @@ def lane_borders(
             if lane.widths or not lane.borders:
                 t = t + side * np.maximum(cubic_at(lane.widths, ds), 0.0)
             else:
-                t = cubic_at(lane.borders, ds)  # a border counts from the reference line and is signed
+                t = cubic_at(lane.borders, ds)  # borders are signed distances from the reference line
             found[lane.lane_id] = t
     return found
 

@@ -1,9 +1,9 @@
 """Point clouds as tiles with levels of detail: thinning, levels, and the bytes of a tile.
 
 Tiles are squares in plan, aligned with the axes of the map's CRS: level 0 has ROOT_M, every further level half of that. A tile
-holds the points that are the first ones of their voxel of its level's spacing (side / GRID) and of no coarser level: the tiles of
-all levels together are the cloud, and those down to some level are an even sample of it (the additive scheme of Schuetz,
-*Potree*, 2016, and of COPC). A tile with few points holds all that is left and has no tiles below it.
+has the points that are the first ones in their voxel of its level's spacing (side / GRID) and in no coarser level: the tiles of
+all levels together are the cloud, and those down to any level are an even sample of it (the additive scheme of Schuetz,
+*Potree*, 2016, and of COPC). A tile with few points has all remaining ones and no tiles below it.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ Array = NDArray[np.float64]
 ROOT_M = 4096.0
 #: Spacings along a tile's side.
 GRID = 128
-#: Side of the cells that are tiled one after the other; CELL_LEVEL is the level whose tiles are as large.
+#: Side of the cells that are tiled one after the other; the tiles of CELL_LEVEL are as large.
 CELL_M = 64.0
 CELL_LEVEL = 6
-#: Tiles of this level, 8 m wide, take all that is left.
+#: Tiles of this level, 8 m wide, have all remaining points.
 LAST_LEVEL = 9
-#: From this level on a tile with so few points takes all that is left.
+#: From CELL_LEVEL on, tiles with at most this many points have all remaining ones.
 LEAF_POINTS = 20_000
 _STEPS = 65_535
-#: Places are rounded to this share of the voxel that the cloud was thinned by.
+#: Coordinates are rounded to this share of the voxel size.
 _ROUNDING = 1 / 16
 
 
@@ -44,7 +44,7 @@ class Cloud(NamedTuple):
 
 
 class Tile(NamedTuple):
-    """One tile; a point is origin_m + steps * scale_m. `payload` is what `encode_points` made, in gzip."""
+    """One tile; a point is origin_m + steps * scale_m. `payload` is the result of `encode_points`."""
 
     level: int
     ix: int
@@ -85,21 +85,12 @@ def first_in_voxels(xyz_m: Array, voxel_m: float) -> NDArray[np.intp]:
 
 
 def cell_indices(xyz_m: Array, side_m: float) -> NDArray[np.int64]:
-    """(N, 2) index of the square of this side in which each point lies."""
+    """(N, 2) index of the square of this side around each point."""
     return np.floor(xyz_m[:, :2] / side_m).astype(np.int64)
 
 
-def morton(ix: int, iy: int) -> int:
-    """Place of a cell on the Z-order curve: cells of one coarser tile follow each other, on every level."""
-    key = 0
-    x, y = ix + (1 << 31), iy + (1 << 31)
-    for bit in range(33):
-        key |= (x >> bit & 1) << (2 * bit) | (y >> bit & 1) << (2 * bit + 1)
-    return key
-
-
 def top_level(extent_m: float) -> int:
-    """The level at which a cloud of this extent begins: the finest whose tiles are as large as the cloud."""
+    """The first level of a cloud of this extent: the finest whose tiles are as large as the cloud."""
     level = 0
     while level < CELL_LEVEL and tile_side_m(level + 1) >= extent_m:
         level += 1
@@ -109,7 +100,7 @@ def top_level(extent_m: float) -> int:
 def tiles_of(cells: Iterable[tuple[int, int, Cloud]], top: int, voxel_m: float) -> Iterator[Tile]:
     """Tiles from level `top` on, of cells (ix, iy, points) of CELL_M in Z-order.
 
-    Holds one cell, and one open tile a coarse level. The points of a cell are thinned by voxel_m first.
+    One cell and one open tile per coarse level are in memory. The points of a cell are thinned by voxel_m first.
     """
     coarse = range(top, CELL_LEVEL)
     keys: dict[int, tuple[int, int]] = {}
@@ -137,7 +128,7 @@ def tiles_of(cells: Iterable[tuple[int, int, Cloud]], top: int, voxel_m: float) 
 
 
 def _split(cloud: Cloud, level: int) -> tuple[Cloud, Cloud]:
-    """The points that a level takes, and the rest."""
+    """The points of a level, and the rest."""
     first = first_in_voxels(cloud.xyz_m, tile_side_m(level) / GRID)
     rest = np.ones(len(cloud.xyz_m), bool)
     rest[first] = False
@@ -160,7 +151,7 @@ def _fine_tiles(cloud: Cloud, level: int, ix: int, iy: int, voxel_m: float) -> I
 
 
 def encode_tile(level: int, ix: int, iy: int, cloud: Cloud, voxel_m: float) -> Tile:
-    """One tile of at least one point that lies inside it."""
+    """One tile of at least one point inside it."""
     side = tile_side_m(level)
     low, high = cloud.xyz_m.min(axis=0), cloud.xyz_m.max(axis=0)
     origin = np.array([ix * side, iy * side, low[2]])
@@ -176,7 +167,7 @@ def encode_tile(level: int, ix: int, iy: int, cloud: Cloud, voxel_m: float) -> T
 def encode_points(steps: NDArray[np.uint16], shade: NDArray[np.uint8]) -> bytes:
     """Gzip of: low bytes, then high bytes, of the zigzag differences of x; the same of y and z; then shades. N points, 7 N bytes.
 
-    steps (N, 3). The points are put along the Z-order curve first, so that differences are small; equal points give equal bytes.
+    steps (N, 3). Points are first sorted along the Z-order curve, so that differences are small; equal points give equal bytes.
     """
     order = np.lexsort((shade, steps[:, 2], steps[:, 1], steps[:, 0], _z_order(steps[:, 0], steps[:, 1])))
     planes: list[bytes] = []
@@ -201,10 +192,17 @@ def decode_points(payload: bytes) -> tuple[NDArray[np.uint16], NDArray[np.uint8]
     return steps, data[6 * count :]
 
 
-def _z_order(x: NDArray[np.uint16], y: NDArray[np.uint16]) -> NDArray[np.uint64]:
+def in_z_order(cells: Iterable[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Cells (ix, iy) along the Z-order curve: those of a coarser tile are consecutive, on every level."""
+    index = np.array(list(cells), np.int64)
+    shifted = (index + 2**31).astype(np.uint32)  # cells may have negative indices
+    return [(ix, iy) for ix, iy in index[np.argsort(_z_order(*shifted.T))].tolist()]
+
+
+def _z_order(x: NDArray[np.unsignedinteger], y: NDArray[np.unsignedinteger]) -> NDArray[np.uint64]:
     key = np.zeros(len(x), np.uint64)
     wide_x, wide_y = x.astype(np.uint64), y.astype(np.uint64)
-    for bit in range(16):
+    for bit in range(8 * x.dtype.itemsize):
         shift, one = np.uint64(bit), np.uint64(1)
         key |= (wide_x >> shift & one) << np.uint64(2 * bit) | (wide_y >> shift & one) << np.uint64(2 * bit + 1)
     return key

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from conetl.model.errors import InputError
-from conetl.readers.base_layers.point_tiles import CELL_M, Cloud, cell_indices, first_in_voxels, morton
+from conetl.readers.base_layers.point_tiles import CELL_M, Cloud, cell_indices, first_in_voxels, in_z_order
 
 #: More cells than this (800 km^2 all covered) are stray points, not a base layer.
 MAX_CELLS = 200_000
@@ -19,7 +19,7 @@ _RECORD = np.dtype([("xy", "<f4", 2), ("z", "<f8"), ("shade", "u1")])
 
 
 class Spilled(NamedTuple):
-    """What was put into cells."""
+    """The cells that were written."""
 
     cells: list[tuple[int, int]]
     """In Z-order."""
@@ -30,9 +30,9 @@ class Spilled(NamedTuple):
 
 
 def spill(clouds: Iterable[Cloud], folder: Path, voxel_m: float, name: str) -> Spilled:
-    """Write clouds (map coordinates) into one file a cell, thinned by voxel within each cloud, without what is no number.
+    """Write clouds (map coordinates) into one file per cell, thinned by voxel within each cloud, without invalid points.
 
-    Raises InputError where no point is left, or the points spread over more than a base layer does; `name` is for its text.
+    Raises InputError, which names `name`, where no point is left or the points spread too far for a base layer.
     """
     limits: dict[tuple[int, int], int] = {}
     kept = refused = 0
@@ -51,14 +51,13 @@ def spill(clouds: Iterable[Cloud], folder: Path, voxel_m: float, name: str) -> S
         if len(limits) > MAX_CELLS:
             raise InputError(
                 f"{name}: its points spread over {(high - low)[0] / 1000:.0f} x {(high - low)[1] / 1000:.0f} km. Expected a "
-                "base layer of at most some hundred km^2: remove stray points, or import it in parts"
+                "base layer of at most a few hundred km^2: remove stray points, or import it in parts"
             )
     if not limits:
         raise InputError(
-            f"{name}: none of its points can be placed on the map ({refused:,} have no place in its CRS). Is the CRS right?"
+            f"{name}: none of its points is on the map ({refused:,} have no coordinates in its CRS). Is the CRS right?"
         )
-    cells = sorted(limits, key=lambda cell: morton(*cell))
-    return Spilled(cells, kept, refused, (float(low[0]), float(low[1])), (float(high[0]), float(high[1])))
+    return Spilled(in_z_order(limits), kept, refused, (float(low[0]), float(low[1])), (float(high[0]), float(high[1])))
 
 
 def read_cells(folder: Path, cells: Iterable[tuple[int, int]]) -> Iterator[tuple[int, int, Cloud]]:

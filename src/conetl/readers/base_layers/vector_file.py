@@ -1,4 +1,4 @@
-"""GeoJSON, GeoPackage and what else GDAL reads (pyogrio): every line of every layer."""
+"""GeoJSON, GeoPackage and all other formats of GDAL (pyogrio): every line of every layer."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from pyproj.exceptions import CRSError
 from conetl.model.errors import InputError
 from conetl.readers.base_layers.lines import MAX_LINES, Line, LineFile, usable
 
-#: Properties that may hold what a line is, the first that is there counts.
+#: Properties that may be the kind of a line; the first existing one counts.
 _KIND_NAMES = ("kind", "type", "subtype", "class", "lane_type", "boundary_type")
 
 
 def read_vector_file(path: Path) -> LineFile:
-    """Lines and parts of multi-lines of a file. Raises InputError where there is none, or layers differ in CRS."""
+    """Lines and parts of multi-lines of a file. Raises InputError without any, or if its layers differ in CRS."""
     if not path.is_file():
         raise InputError(f"{path}: there is no such file")
     lines: list[Line] = []
@@ -47,11 +47,9 @@ def read_vector_file(path: Path) -> LineFile:
         raise InputError(f"{path}: a feature cannot be read ({_first(error)})") from error
     if not lines:
         reasons = f"; {refused[0]}" if refused else ""
-        raise InputError(f"{path}: holds no line; expected LineString or MultiLineString features{reasons}")
+        raise InputError(f"{path}: there is no line; expected LineString or MultiLineString features{reasons}")
     if len(systems) > 1:
-        raise InputError(
-            f"{path}: its layers have different CRSs ({', '.join(systems)}): bring them into one file each"
-        )
+        raise InputError(f"{path}: its layers have different CRSs ({', '.join(systems)}): write one file for each")
     try:
         return LineFile(lines, CRS.from_user_input(next(iter(systems))) if systems else None, refused)
     except CRSError:
@@ -86,7 +84,7 @@ def _lines(layer: str, names: Any, fids: Any, geometries: Any, fields: Any, refu
 
 
 def _plain(value: Any) -> Any:
-    """A property as JSON holds it."""
+    """A property as a JSON value."""
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float) and not math.isfinite(value):

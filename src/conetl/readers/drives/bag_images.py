@@ -1,4 +1,4 @@
-"""Images out of a bag: each unpacked once into a folder where it is called by the hash of its bytes, and never written twice.
+"""Images of a bag, each unpacked once into a folder under the hash of its bytes.
 
 Compressed images are stored as they were recorded, byte for byte; raw ones as PNG, which loses nothing.
 """
@@ -20,7 +20,7 @@ from conetl.model.rejections import RejectionReason
 from conetl.perception.images import ImageFileError, check_image_bytes
 from conetl.readers.drives.pairs import PairError
 
-#: OpenCV's names of Bayer patterns begin at another pixel than ROS' (REP 118, cv_bridge).
+#: OpenCV names Bayer patterns from another pixel than ROS does (REP 118, cv_bridge).
 _TO_BGR: dict[str, int | None] = {
     "bgr8": None, "8UC3": None, "mono8": None, "8UC1": None, "rgb8": cv2.COLOR_RGB2BGR, "rgba8": cv2.COLOR_RGBA2BGR,
     "bgra8": cv2.COLOR_BGRA2BGR, "bayer_rggb8": cv2.COLOR_BayerBG2BGR, "bayer_bggr8": cv2.COLOR_BayerRG2BGR,
@@ -59,7 +59,7 @@ def image_bytes(content: Any, name: str) -> bytes:
 
 
 def check_image(data: bytes, name: str, size: tuple[int, int]) -> str:
-    """Suffix of a whole image of this width and height. Raises PairError."""
+    """Suffix of a complete image of this width and height. Raises PairError."""
     try:
         header = check_image_bytes(data, name, size)
     except ImageFileError as error:
@@ -68,12 +68,12 @@ def check_image(data: bytes, name: str, size: tuple[int, int]) -> str:
 
 
 def unpack(data: bytes, suffix: str, folder: Path) -> Path:
-    """Path of the image in the folder, written unless it is there. Raises DriveFolderError where it cannot be."""
+    """Path of the image in the folder, written unless it exists. Raises DriveFolderError where it cannot be written."""
     digest = hashlib.sha256(data).hexdigest()
     path = (folder / digest[:2] / f"{digest}{suffix}").absolute()
     try:
         if path.is_file() and path.stat().st_size == len(data):
-            path.touch()  # in use: `old_files.old_images` goes by age
+            path.touch()  # in use: `expiry.old_images` checks its age
             return path
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, temporary = tempfile.mkstemp(prefix=f".{digest}.", dir=path.parent)
@@ -83,7 +83,7 @@ def unpack(data: bytes, suffix: str, folder: Path) -> Path:
         Path(temporary).replace(path)
     except OSError as error:
         raise DriveFolderError(
-            f"{path}: a image of the bag cannot be unpacked there: {error.strerror or error}; free space or set CONETL_HOME to "
+            f"{path}: an image of the bag cannot be unpacked there: {error.strerror or error}; free space or set CONETL_HOME to "
             "a folder with more"
         ) from error
     return path

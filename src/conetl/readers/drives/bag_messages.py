@@ -1,7 +1,7 @@
-"""ROS 2 bags and MCAP files as streams of messages, in the order in which they were recorded.
+"""ROS 2 bags and MCAP files as streams of messages, in the order of their recording.
 
-A bag folder (metadata.yaml with .mcap or .db3 files) is read by rosbags' AnyReader; a bare .mcap file, as Foxglove and `ros2 bag`
-in a crash leave it, by the mcap library, its messages by rosbags' type system.
+A bag folder (metadata.yaml with .mcap or .db3 files) is read by rosbags' AnyReader; a bare .mcap file, as Foxglove or a crash of
+`ros2 bag` leaves it, by the mcap library, its messages by rosbags' type system.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from conetl.model.errors import DriveFolderError
 from conetl.readers.drives.drive_yaml import is_bare_bag
 
 METADATA = "metadata.yaml"
-#: What reading one message can end with when its bytes are not what its type says.
-_NOT_UNDERSTOOD = (SerdeError, AnyReaderError, struct.error, ValueError, IndexError, KeyError, UnicodeDecodeError)
+#: Errors of reading one message whose bytes do not match its type.
+_NOT_DECODED = (SerdeError, AnyReaderError, struct.error, ValueError, IndexError, KeyError, UnicodeDecodeError)
 
 
 class Message(NamedTuple):
@@ -34,9 +34,9 @@ class Message(NamedTuple):
 
     topic: str
     content: Any
-    """Its fields as attributes, as in ROS; None where it cannot be understood."""
+    """Its fields as attributes, as in ROS; None where it cannot be decoded."""
     recorded_at_ns: int
-    """When the recorder wrote it; not the time of what it says."""
+    """When the recorder wrote it; not the time of its content."""
 
 
 class Bag(NamedTuple):
@@ -47,13 +47,13 @@ class Bag(NamedTuple):
     counts: Mapping[str, int]
     """Messages by topic."""
     recorded_ns: tuple[int, int]
-    """First and last message, by the recorder's clock."""
+    """Times of the first and last message, by the recorder's clock."""
     messages: Callable[[Sequence[str]], Iterator[Message]]
-    """Called with topics; in the order of recording, one message in memory at a time."""
+    """Called with topics; one message is in memory at a time."""
 
 
 def bag_files(path: Path) -> Path | None:
-    """What to open of a folder or a file that is a bag: the folder itself, or a bare .mcap file; None for anything else."""
+    """What to open of a bag: the folder itself, or a bare .mcap file; None for anything else."""
     if is_bare_bag(path):
         return path
     if not path.is_dir():
@@ -88,7 +88,7 @@ def _bag_of_folder(reader: AnyReader) -> Bag:
         for connection, at_ns, raw in reader.messages(wanted) if wanted else ():
             try:
                 content: Any = reader.deserialize(raw, connection.msgtype)
-            except _NOT_UNDERSTOOD:
+            except _NOT_DECODED:
                 content = None
             yield Message(connection.topic, content, at_ns)
 
@@ -118,11 +118,11 @@ def _bag_of_file(reader: McapReader, path: Path) -> Bag:
 
     def messages(topics: Sequence[str]) -> Iterator[Message]:
         wanted = [topic for topic in topics if topic in types]
-        # Without an index the order of the file is the order of recording; to sort it, all of it would be kept in memory.
+        # Without an index the file is in the order of recording; to sort it, all of it would be kept in memory.
         for _, channel, message in reader.iter_messages(wanted, log_time_order=indexed) if wanted else ():
             try:
                 content: Any = store.deserialize_cdr(message.data, types[channel.topic])
-            except _NOT_UNDERSTOOD:
+            except _NOT_DECODED:
                 content = None
             yield Message(channel.topic, content, message.log_time)
 

@@ -1,4 +1,4 @@
-"""Which topic of a bag is what, and the rig that its CameraInfo and /tf_static messages describe."""
+"""The topics of a bag by their meaning, and the rig described by its CameraInfo and /tf_static messages."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ class Topics(NamedTuple):
 
 
 def choose_topics(types: Mapping[str, str], streams: Streams, source: Path) -> Topics:
-    """Topics by type, by their names where types do not tell, and by drive.yaml (streams) before both.
+    """Topics as named in drive.yaml (streams), else by type, else by name.
 
-    Raises DriveFolderError where they are not there, or several could be meant.
+    Raises DriveFolderError where topics are missing or ambiguous.
     """
     for key, topic in streams.model_dump(exclude_none=True).items():
         if topic not in types:
@@ -46,26 +46,25 @@ def choose_topics(types: Mapping[str, str], streams: Streams, source: Path) -> T
             )
     left, right = _cameras(types, streams, source)
     infos = {t for t, kind in types.items() if kind == CAMERA_INFO}
-    fix = odometry = imu = None
-    if streams.trajectory is not None:
-        kind = types[streams.trajectory]
-        if kind not in (FIX, ODOMETRY):
-            raise DriveFolderError(
-                f"{source}: drive.yaml: streams.trajectory: {streams.trajectory} is a {kind}, expected {FIX} or {ODOMETRY}"
-            )
-        fix, odometry = (streams.trajectory, None) if kind == FIX else (None, streams.trajectory)
-    else:
-        fix = _only(types, FIX, "trajectory", source)
-        odometry = None if fix else _only(types, ODOMETRY, "trajectory", source)
-        if fix is None and odometry is None:
-            raise DriveFolderError(
-                f"{source}: the bag has no trajectory ({FIX} with {IMU}, or {ODOMETRY}); {_listing(types)}"
-            )
+    imu = None
+    trajectory = (
+        streams.trajectory or _only(types, FIX, "trajectory", source) or _only(types, ODOMETRY, "trajectory", source)
+    )
+    if trajectory is None:
+        raise DriveFolderError(
+            f"{source}: the bag has no trajectory ({FIX} with {IMU}, or {ODOMETRY}); {_listing(types)}"
+        )
+    kind = types[trajectory]
+    if kind not in (FIX, ODOMETRY):
+        raise DriveFolderError(
+            f"{source}: drive.yaml: streams.trajectory: {trajectory} is a {kind}, expected {FIX} or {ODOMETRY}"
+        )
+    fix, odometry = (trajectory, None) if kind == FIX else (None, trajectory)
     if fix is not None:
         imu = streams.imu or _only(types, IMU, "imu", source)
         if imu is None:
             raise DriveFolderError(
-                f"{source}: {fix} tells places but no attitude, and the bag has no {IMU}; with an {ODOMETRY} topic name it in "
+                f"{source}: {fix} has positions but no attitude, and the bag has no {IMU}; with an {ODOMETRY} topic name it in "
                 "drive.yaml (streams.trajectory) and add a georeference"
             )
     return Topics(
@@ -98,9 +97,9 @@ def _only(types: Mapping[str, str], kind: str, key: str, source: Path) -> str | 
 
 
 def _info_of(topic: str, infos: set[str]) -> str | None:
-    """The CameraInfo topic in the nearest namespace of a image topic."""
-    places = PurePosixPath(topic).parents
-    return next((name for place in places if (name := str(place / "camera_info")) in infos), None)
+    """The CameraInfo topic in the nearest namespace of an image topic."""
+    namespaces = PurePosixPath(topic).parents
+    return next((name for parent in namespaces if (name := str(parent / "camera_info")) in infos), None)
 
 
 def _listing(types: Mapping[str, str]) -> str:
@@ -110,7 +109,7 @@ def _listing(types: Mapping[str, str]) -> str:
 def rig_of_infos(topics: Topics, infos: Mapping[str, Any], source: Path) -> Rig:
     """The rig as the images are stored; its body is the left camera. Raises CalibrationError.
 
-    Topics called image_rect... carry rectified images: P is their camera, and neither D nor R applies.
+    Topics called image_rect... have rectified images: P is their camera, and neither D nor R applies.
     """
     found = []
     for side, image, info in (("left", topics.left, topics.left_info), ("right", topics.right, topics.right_info)):
@@ -124,7 +123,7 @@ def rig_of_infos(topics: Topics, infos: Mapping[str, Any], source: Path) -> Rig:
 
 
 def is_rectified_topic(topic: str) -> bool:
-    """True for image_rect, image_rect_color ... with whatever transport comes after it (image_proc's names)."""
+    """True for image_rect, image_rect_color ... with any transport after it (image_proc's names)."""
     return any(part.startswith("image_rect") for part in topic.split("/"))
 
 
@@ -143,13 +142,13 @@ def _camera_info(message: Any, *, rectified: bool) -> dict[str, Any]:
 
 
 class Frames:
-    """Rigid transforms between named frames, as /tf_static tells them."""
+    """Rigid transforms between named frames, from /tf_static."""
 
     def __init__(self) -> None:
         self._parent_SE3_child: dict[tuple[str, str], Array] = {}
 
     def add(self, message: Any) -> None:
-        """All transforms of one TFMessage; broken ones are left out."""
+        """All transforms of one TFMessage; invalid ones are skipped."""
         for transform in message.transforms:
             t, q = transform.transform.translation, transform.transform.rotation
             try:
@@ -161,7 +160,7 @@ class Frames:
             self._parent_SE3_child[child, parent] = se3.invert(pose)
 
     def find(self, dst: str, src: str) -> Array | None:
-        """dst_SE3_src (4, 4), None where nothing connects the two."""
+        """dst_SE3_src (4, 4), None where the frames are not connected."""
         dst, src = dst.lstrip("/"), src.lstrip("/")
         found: dict[str, Array] = {dst: np.eye(4)}
         edge = [dst]

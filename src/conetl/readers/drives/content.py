@@ -1,4 +1,4 @@
-"""Hash over everything that was read of a drive folder: equal content gives the equal hash, wherever the folder lies."""
+"""The hash of everything that was read of a drive: equal content has an equal hash, wherever the folder is."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ class ContentHash:
     """Collects files by name relative to the drive folder, in any order."""
 
     def __init__(self, *, headers_only: bool = False) -> None:
-        """headers_only: images are judged by their ends and are not part of the hash, which then says little."""
+        """headers_only: only the first and last bytes of images are checked, and images are not part of the hash."""
         self.headers_only = headers_only
         self.read_ahead: dict[Path, bytes] = {}
         """Images that were read before their turn, for their size."""

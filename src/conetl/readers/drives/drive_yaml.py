@@ -1,16 +1,16 @@
-"""`drive.yaml`: what a drive folder says of itself where the files' own word is not enough. Every key is optional."""
+"""`drive.yaml`: settings of one drive. Every key is optional."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 from zoneinfo import ZoneInfo
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from conetl.files.names import printable
-from conetl.model.errors import DriveFolderError
+from conetl.files.yaml_model import read_yaml_mapping, validated
+from conetl.model.errors import DriveFolderError, InputError
 
 Positive = Annotated[float, Field(gt=0)]
 DRIVE_YAML = "drive.yaml"
@@ -30,7 +30,7 @@ class Cameras(_Section):
 class Sigmas(_Section):
     """Standard deviations. Those of the position replace OXTS `pos_accuracy`.
 
-    The attitude defaults are those of the OXTS RT3003 data sheet (0.03, 0.03 and 0.1 degrees) with room for the boresight.
+    The attitude defaults are those of the OXTS RT3003 data sheet (0.03, 0.03 and 0.1 degrees), increased for the boresight.
     """
 
     horizontal_m: Positive | None = None
@@ -43,7 +43,7 @@ class Sigmas(_Section):
 
 
 class Georeference(_Section):
-    """Where a local trajectory (odometry, SLAM, motion capture) lies on the earth: its frame must be level, z up."""
+    """Position on the earth of a local trajectory (odometry, SLAM, motion capture), whose frame must be level, z up."""
 
     lon_deg: float = Field(ge=-180, le=180)
     lat_deg: float = Field(ge=-90, le=90)
@@ -54,7 +54,7 @@ class Georeference(_Section):
 
 
 class Streams(_Section):
-    """Which of a recording's streams is what, where their types do not tell: topics of a bag, folders of a EuRoC recording."""
+    """Topics of a bag or folders of a EuRoC recording, where their types and names are ambiguous."""
 
     left: str | None = Field(default=None, min_length=1)
     right: str | None = Field(default=None, min_length=1)
@@ -72,22 +72,30 @@ class DriveYaml(_Section):
     rig_id: str | None = Field(default=None, min_length=1)
     map_srid: int | None = Field(default=None, gt=0)
     timestamps_timezone: str = "UTC"
-    """IANA name of the zone that the time stamps are written in."""
+    """IANA name of the time stamps' zone."""
     cameras: Cameras = Cameras()
     calibration: str | None = Field(default=None, min_length=1)
-    """KITTI calib_cam_to_cam.txt, relative to the drive folder and inside it; the other two lie beside it."""
+    """KITTI calib_cam_to_cam.txt, relative to the drive folder and inside it; the other two are beside it."""
     sigmas: Sigmas = Sigmas()
     georeference: Georeference | None = None
     streams: Streams = Streams()
     pair_tolerance_ms: Positive = 5.0
-    """EuRoC and bags: left and right images farther apart in time are no pair."""
+    """EuRoC and bags: left and right images farther apart in time are not a pair."""
     max_pose_gap_s: Positive = 0.5
     """EuRoC and bags: poses farther apart in time are not interpolated."""
     antenna_t_m: tuple[float, float, float] | None = None
-    """Bags: the GNSS antenna in the IMU's frame, where /tf_static does not tell; 0, 0, 0 if reduced already."""
+    """Bags: the GNSS antenna in the IMU's frame, where /tf_static has none; 0, 0, 0 if the positions are those of the IMU."""
+
+    @property
+    def pair_tolerance_ns(self) -> int:
+        return round(self.pair_tolerance_ms * 1e6)
+
+    @property
+    def max_pose_gap_ns(self) -> int:
+        return round(self.max_pose_gap_s * 1e9)
 
     def id_of(self, source: Path) -> str:
-        """The drive's id: what the file says, else the name of the folder or recording itself, whatever link leads to it."""
+        """The drive's id: that of the file, else the name of the folder or recording itself, not of a link to it."""
         source = source.resolve()
         return printable(self.drive_id or (source.stem if is_bare_bag(source) else source.name))[:200]
 
@@ -107,43 +115,30 @@ def is_bare_bag(source: Path) -> bool:
 
 
 def small_file(source: Path, name: str) -> Path:
-    """Where the small file `name` (drive.yaml, rig.yaml) of a drive lies: in its folder; NAME.drive.yaml beside NAME.mcap."""
+    """Path of a small file `name` (drive.yaml, rig.yaml) of a drive: in its folder, or NAME.drive.yaml beside NAME.mcap."""
     source = source.resolve()
     return source.with_name(f"{source.stem}.{name}") if is_bare_bag(source) else source / name
 
 
 def read_drive_yaml(source: Path) -> DriveYaml:
-    """Settings of a drive, a folder or a bare bag; all defaults where it has no `drive.yaml`. Raises DriveFolderError."""
+    """Settings of a drive, a folder or a bare bag; all defaults without a `drive.yaml`. Raises DriveFolderError."""
     path = small_file(source, DRIVE_YAML)
     if not path.is_file():
         return DriveYaml()
     try:
-        content: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError, OSError) as error:
-        raise DriveFolderError(f"{path}: this cannot be read as YAML: {error}") from error
-    if content is None:
-        return DriveYaml()
-    if not isinstance(content, dict):
-        raise DriveFolderError(f"{path}: expected a YAML mapping, for example 'drive_id: morning-run'")
-    try:
-        return DriveYaml.model_validate(content)
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        if first["type"] == "extra_forbidden":
-            known = ", ".join(DriveYaml.model_fields)
-            raise DriveFolderError(f"{path}: the key '{key}' is not known. Known keys: {known}") from error
-        raise DriveFolderError(f"{path}: '{key}': {first['msg']}; found {first['input']!r}") from error
+        return validated(read_yaml_mapping(path, "settings", " drive_id: morning-run"), DriveYaml, f"settings {path}")
+    except InputError as error:
+        raise DriveFolderError(str(error)) from error.__cause__
 
 
 def inside(folder: Path, name: str, source: str, beside: str = ".") -> Path:
-    """Path of something that a file names, which must stay in the drive folder, symbolic links resolved.
+    """Path of something named in a file, which must be in the drive folder after symbolic links are resolved.
 
     beside: folder in the drive's that `name` is relative to. Raises DriveFolderError naming `source` where `..`, an absolute path
-    or a link leads out.
+    or a link leads outside.
     """
     root = folder.resolve()
     path = (root / beside / name).resolve()
     if not path.is_relative_to(root):
-        raise DriveFolderError(f"{source}: '{name}' leads out of the drive folder {folder}; name a place inside it")
+        raise DriveFolderError(f"{source}: '{name}' is outside the drive folder {folder}; name a path inside it")
     return path

@@ -7,8 +7,8 @@
     drive/drive.yaml                                      georeference and sigmas, see drive_yaml.py
     drive/rig.yaml                                        optional, wins over the sensor.yaml files
 
-T_BS turns points of the sensor into points of the body B (the IMU); the trajectory is that of its own sensor S in a frame R that
-must be level. The folder mav0 may be left out.
+T_BS transforms points of the sensor to points of the body B (the IMU); the trajectory is that of its own sensor S in a frame R
+that must be level. The folder mav0 may be left out.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ import csv
 import io
 import math
 from collections.abc import Iterator, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,112 +25,116 @@ from numpy.typing import NDArray
 
 from conetl.geometry import pose as se3
 from conetl.model.errors import DriveFolderError
-from conetl.model.records import Camera, Drive, Pose, Rig, Side
+from conetl.model.records import Camera, Drive, Rig, Side
 from conetl.model.rejections import Rejection, RejectionReason
-from conetl.readers.drives.body import add_settings, georeferenced, own_rig, rig_on_body
+from conetl.readers.drives.body import add_settings, own_rig, rig_on_body
 from conetl.readers.drives.content import ContentHash
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside, read_drive_yaml
+from conetl.readers.drives.formats import HeaderFacts, ReadOptions
 from conetl.readers.drives.pairs import ImageFile, PairError, check_images
-from conetl.readers.drives.stamped_pairs import NS_PER_MS, Couple, Image, alone, drive_of_couples, pair_by_stamp
+from conetl.readers.drives.stamped_pairs import Image, drive_of_couples, pair_by_stamp
 from conetl.readers.drives.trajectories import (
     Samples,
     at,
     attitude_sigmas,
-    place_sigmas,
+    georeferenced,
+    position_sigmas,
     rotation_of,
     samples,
     to_pose,
-    without_jumps,
+    without_wild_fixes,
 )
 from conetl.readers.rigs import RIG_YAML
-from conetl.readers.rigs.common import (
-    bad,
-    camera_from_matrix,
-    entry,
-    fisheye_lens,
-    numbers,
-    opencv_lens,
-    read_yaml,
-    size_of_images,
-    stereo_rig,
-)
+from conetl.readers.rigs.common import bad, entry, numbers, pinhole_camera, read_yaml, stereo_rig
 
 Array = NDArray[np.float64]
+NAME = "euroc"
+READS_OBJECTS = False
 SENSOR_YAML = "sensor.yaml"
 TRAJECTORIES = ("state_groundtruth_estimate0", "state_groundtruth_estimate", "odometry0", "odometry")
 _FIELDS = ("p_x", "p_y", "p_z", "q_w", "q_x", "q_y", "q_z")
+_LENSES: dict[str | None, str | None] = {
+    "radial-tangential": "opencv", "radtan": "opencv", "plumb_bob": "opencv", "equidistant": "fisheye", "none": None, None: None,
+}  # fmt: skip
 
 
-def is_euroc_folder(folder: Path) -> bool:
-    """True where a folder looks like a EuRoC recording, whole or not."""
-    return (folder / "mav0").is_dir() or (folder / "cam0" / "data.csv").is_file()
+def matches(path: Path) -> bool:
+    """True where a folder looks like a EuRoC recording, complete or not."""
+    return (path / "mav0").is_dir() or (path / "cam0" / "data.csv").is_file()
 
 
-def read_euroc_drive(
-    folder: Path, *, map_srid: int | None = None, headers_only: bool = False
-) -> tuple[Drive, list[Rejection]]:
-    """A EuRoC drive and its rejections; see `kitti.read_kitti_drive` for the rules that all formats share."""
-    root = folder.resolve()
-    content = ContentHash(headers_only=headers_only)
+def read(path: Path, options: ReadOptions) -> tuple[Drive, list[Rejection]]:
+    """The drive and its rejections."""
+    root = path.resolve()
+    content = ContentHash(headers_only=options.headers_only)
     settings = read_drive_yaml(root)
     add_settings(content, root)
-    names = camera_names(settings)
+    names = _camera_names(settings)
     left, right = (_images(root, name, content) for name in names.values())
-    rig, sensor_B = read_euroc_rig(root, settings, content)
-    srid, track = _trajectory(root, settings, map_srid, content, sensor_B)
-    tolerance_ns = round(settings.pair_tolerance_ms * NS_PER_MS)
-    couples = pair_by_stamp(left, right, tolerance_ns)
+    rig, sensor_R_body = _read_rig(root, settings, content)
+    srid, track = _trajectory(root, settings, options.map_srid, content, sensor_R_body)
+    couples = pair_by_stamp(left, right, settings.pair_tolerance_ns)
     if not couples:
-        raise DriveFolderError(f"{folder}: there are no images in {names['left']}/data.csv")
+        raise DriveFolderError(f"{path}: there are no images in {names['left']}/data.csv")
 
-    def images_of(couple: Couple) -> tuple[ImageFile, ImageFile]:
-        if couple[0] is None or couple[1] is None:
-            raise alone(couple, tolerance_ns, names)
-        for image in couple:
-            if image is not None and image.problem is not None:
-                raise image.problem
-        files = [[image.path] if image and image.path.is_file() else [] for image in couple]
+    def images_of(left: Image, right: Image) -> tuple[ImageFile, ImageFile]:
+        files = [[image.path] if image.path.is_file() else [] for image in (left, right)]
         return check_images(files[0], files[1], rig, content, root)
 
     return drive_of_couples(
-        couples, source=root, settings=settings, rig=rig, srid=srid, content=content,
-        images_of=images_of, pose_at=partial(_pose_at, track, settings),
+        couples, names, source=root, settings=settings, rig=rig, srid=srid, content=content,
+        images_of=images_of, pose_at=lambda time_ns: to_pose(*at(track, time_ns, settings.max_pose_gap_ns)),
     )  # fmt: skip
 
 
-def camera_names(settings: DriveYaml) -> dict[Side, str]:
-    """Folders of both cameras: those that drive.yaml names, else EuRoC's own."""
+def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
+    """Names and some sizes of the images, small files, pieces of the trajectory."""
+    root = path.resolve()
+    trajectories = [_stream_folder(root, name) for name in _trajectory_names(settings)]
+    cameras = [_stream_folder(root, name) for name in _camera_names(settings).values()]
+    header.add_images(path, {f"{camera.relative_to(root).as_posix()}/data": camera / "data" for camera in cameras})
+    for camera in cameras:
+        name = camera.relative_to(root).as_posix()
+        header.add_file(path, f"{name}/data.csv")
+        header.add_file(path, f"{name}/{SENSOR_YAML}")
+    header.add_file(path, RIG_YAML)
+    for trajectory in trajectories:
+        name = trajectory.relative_to(root).as_posix()
+        header.add_samples(path, f"{name}/data.csv")
+        header.add_file(path, f"{name}/{SENSOR_YAML}")
+    left, _ = ([*_rows(camera / "data.csv", root, header.content)] for camera in cameras)
+    header.set_times([_stamp(words[0], "") for _, words in left], path / cameras[0].relative_to(root) / "data.csv")
+    _read_rig(path, settings, ContentHash())
+    _trajectory_path(root, settings)
+
+
+def _camera_names(settings: DriveYaml) -> dict[Side, str]:
+    """Folders of both cameras: those named in drive.yaml, else EuRoC's own."""
     return {"left": settings.streams.left or "cam0", "right": settings.streams.right or "cam1"}
 
 
-def stream_folder(root: Path, name: str) -> Path:
+def _stream_folder(root: Path, name: str) -> Path:
     """Folder of a camera or a trajectory, beside the others. Raises DriveFolderError where it is not in the drive folder."""
     return inside(root, name, DRIVE_YAML, "mav0" if (root / "mav0").is_dir() else ".")
 
 
-def _pose_at(track: Samples, settings: DriveYaml, time_ns: int) -> Pose:
-    return to_pose(*at(track, time_ns, round(settings.max_pose_gap_s * 1e9)))
-
-
 def _images(root: Path, name: str, content: ContentHash) -> list[Image]:
     """Images of one camera in the order of its data.csv."""
-    path = stream_folder(root, name) / "data.csv"
+    path = _stream_folder(root, name) / "data.csv"
     found: list[Image] = []
     for line, words in _rows(path, root, content):
         stamp = _stamp(words[0], f"{name}/data.csv, line {line}")
         file = words[1].strip() if len(words) > 1 else ""
-        problem = None
-        place = path.parent / "data" / file
-        if not file or not place.resolve().is_relative_to(root):
-            place, problem = path, PairError(
-                RejectionReason.IMAGE_MISSING, f"{name}/data.csv, line {line}: '{file}' is no file name inside the drive folder"
-            )  # fmt: skip
-        found.append(Image(stamp, place, problem))
+        image = Image(stamp, path.parent / "data" / file)
+        if not file or not image.path.resolve().is_relative_to(root):
+            detail = f"{name}/data.csv, line {line}: '{file}' is not a file name inside the drive folder"
+            image = Image(stamp, path, PairError(RejectionReason.IMAGE_MISSING, detail))
+        found.append(image)
     return found
 
 
 def _rows(path: Path, root: Path, content: ContentHash) -> Iterator[tuple[int, list[str]]]:
-    """Rows of a csv file that are neither empty nor a comment, with their line numbers. Raises DriveFolderError."""
+    """Line numbers and rows of a csv file, without empty ones and comments. Raises DriveFolderError."""
     if not path.is_file():
         raise DriveFolderError(f"{root}: {path.relative_to(root).as_posix()} is missing")
     data = path.read_bytes()
@@ -142,75 +145,52 @@ def _rows(path: Path, root: Path, content: ContentHash) -> Iterator[tuple[int, l
             yield reader.line_num, words
 
 
-def _stamp(text: str, place: str) -> int | str:
+def _stamp(text: str, where: str) -> int | str:
     """UTC nanoseconds, or what is wrong."""
     word = text.strip()
     if word.isascii() and word.isdigit() and 0 < int(word) < 2**63:
         return int(word)
-    return f"{place}: '{word[:40]}' is no time stamp; expected nanoseconds since 1970"
+    return f"{where}: '{word[:40]}' is not a time stamp; expected nanoseconds since 1970"
 
 
-def read_euroc_rig(root: Path, settings: DriveYaml, content: ContentHash) -> tuple[Rig, Array]:
+def _read_rig(root: Path, settings: DriveYaml, content: ContentHash) -> tuple[Rig, Array]:
     """The rectified rig and body_R (3, 3) of it in B. Raises CalibrationError."""
     given = own_rig(root / RIG_YAML)
     if given is not None:
         return rig_on_body(*given, settings, root / RIG_YAML)
     cameras: list[Camera] = []
     poses: list[Array] = []
-    for name in camera_names(settings).values():
-        path = stream_folder(root, name) / SENSOR_YAML
+    for name in _camera_names(settings).values():
+        path = _stream_folder(root, name) / SENSOR_YAML
         sensor = read_yaml(path)
         content.add(f"{name}/{SENSOR_YAML}", path.read_bytes())
-        cameras.append(_camera(path, sensor))
+        cameras.append(pinhole_camera(path, sensor, "", "distortion_coefficients", _LENSES))
         poses.append(_T_BS(path, sensor))
     right_SE3_left = se3.compose(se3.invert(poses[1]), poses[0])
     rig = stereo_rig(path, "T_BS", "euroc", cameras[0], cameras[1], right_SE3_left[:3, :3], right_SE3_left[:3, 3])
     return rig_on_body(rig, poses[0], settings, path)
 
 
-def _camera(path: Path, sensor: Any) -> Camera:
-    model = entry(path, sensor, "camera_model")
-    if model != "pinhole":
-        raise bad(path, "camera_model", f"'{model}' is not supported, only pinhole")
-    lens_model = sensor.get("distortion_model", "none")
-    key = "distortion_coefficients"
-    if lens_model in ("none", None):
-        lens = opencv_lens(path, key, [])
-    elif lens_model in ("radial-tangential", "radtan", "plumb_bob"):
-        lens = opencv_lens(path, key, numbers(path, key, entry(path, sensor, key)))
-    elif lens_model == "equidistant":
-        lens = fisheye_lens(path, key, numbers(path, key, entry(path, sensor, key)))
-    else:
-        raise bad(
-            path, "distortion_model", f"'{lens_model}' is not supported; known: radial-tangential, equidistant, none"
-        )
-    fu, fv, cu, cv = numbers(path, "intrinsics", entry(path, sensor, "intrinsics"), (4,))
-    k = np.array([[fu, 0.0, cu], [0.0, fv, cv], [0.0, 0.0, 1.0]])
-    return camera_from_matrix(
-        path, "intrinsics", k, size_of_images(path, "resolution", entry(path, sensor, "resolution")), lens
-    )
-
-
 def _T_BS(path: Path, sensor: Any) -> Array:
     """(4, 4) from points of the sensor to points of B. Raises CalibrationError."""
     matrix = numbers(path, "T_BS", entry(path, sensor, "T_BS"), (4, 4))
     if not np.allclose(matrix[3], [0, 0, 0, 1]) or not se3.is_rotation(matrix[:3, :3], 1e-4):
-        raise bad(path, "T_BS", "is no rigid motion: a rotation, a place in metres and the row 0, 0, 0, 1")
+        raise bad(path, "T_BS", "is not a rigid motion: a rotation, a translation in metres and the row 0, 0, 0, 1")
     return se3.se3(se3.nearest_rotation(matrix[:3, :3]), matrix[:3, 3])
 
 
-def trajectory_names(settings: DriveYaml) -> Sequence[str]:
-    """Folders in which a trajectory may be: the one that drive.yaml names, else those of EuRoC."""
+def _trajectory_names(settings: DriveYaml) -> Sequence[str]:
+    """Folders that may hold a trajectory: the one named in drive.yaml, else those of EuRoC."""
     return [settings.streams.trajectory] if settings.streams.trajectory else TRAJECTORIES
 
 
-def trajectory_path(root: Path, settings: DriveYaml) -> Path:
+def _trajectory_path(root: Path, settings: DriveYaml) -> Path:
     """The file of the trajectory. Raises DriveFolderError where there is none."""
-    wanted = trajectory_names(settings)
-    path = next((p for name in wanted if (p := stream_folder(root, name) / "data.csv").is_file()), None)
+    wanted = _trajectory_names(settings)
+    path = next((p for name in wanted if (p := _stream_folder(root, name) / "data.csv").is_file()), None)
     if path is None:
         raise DriveFolderError(
-            f"{root}: there is no trajectory: none of {', '.join(f'{name}/data.csv' for name in wanted)} is there; name its "
+            f"{root}: there is no trajectory: none of {', '.join(f'{name}/data.csv' for name in wanted)} exists; name its "
             "folder in drive.yaml (streams.trajectory)"
         )
     return path
@@ -220,7 +200,7 @@ def _trajectory(
     root: Path, settings: DriveYaml, map_srid: int | None, content: ContentHash, sensor_R_body: Array
 ) -> tuple[int, Samples]:
     """EPSG code of the map and the poses of the body in it. Raises DriveFolderError or CalibrationError."""
-    path = trajectory_path(root, settings)
+    path = _trajectory_path(root, settings)
     sensor_path = path.parent / SENSOR_YAML
     B_SE3_S = np.eye(4)
     if sensor_path.is_file():
@@ -234,7 +214,7 @@ def _trajectory(
     for line, words in _rows(path, root, content):
         stamp = _stamp(words[0], f"line {line}")
         if isinstance(stamp, str):
-            continue  # says nothing about any instant: a gap, if one is left, costs the pairs in it
+            continue  # a remaining gap costs the pairs in it
         try:
             poses.append(_pose(words))
             times.append(stamp)
@@ -245,11 +225,11 @@ def _trajectory(
         raise DriveFolderError(f"{root / name}: not one usable pose: {first}")
     srid, placed = georeferenced(settings, map_srid, root, name, np.array(poses))
     try:
-        sigma = (*place_sigmas(settings.sigmas, None), *attitude_sigmas(settings.sigmas, None))
+        sigma = (*position_sigmas(settings.sigmas, None), *attitude_sigmas(settings.sigmas, None))
     except ValueError as error:
         raise DriveFolderError(f"{root}: {name}: {error}") from error
     records = {t: (pose, sigma) for t, pose in zip(times, se3.compose(placed, S_SE3_body), strict=True)}
-    return srid, without_jumps(samples(name, records, wrong))
+    return srid, without_wild_fixes(samples(name, records, wrong))
 
 
 def _pose(words: list[str]) -> Array:
@@ -259,7 +239,7 @@ def _pose(words: list[str]) -> Array:
     try:
         values = [float(word) for word in words[1 : 1 + len(_FIELDS)]]
     except ValueError:
-        raise ValueError(f"expected the numbers {', '.join(_FIELDS)}, found text that is none") from None
+        raise ValueError(f"expected the numbers {', '.join(_FIELDS)}, found other text") from None
     if not all(math.isfinite(value) and abs(value) < 1e6 for value in values):
         raise ValueError(f"expected finite metres below 1,000,000, found {values[:3]}")
     return se3.se3(rotation_of(*values[3:]), values[:3])

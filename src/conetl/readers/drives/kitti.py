@@ -1,6 +1,6 @@
-"""Drive folders in the KITTI raw layout (Geiger et al., IJRR 2013), as a `Drive` with its rejections.
+"""Drive folders in the KITTI raw layout (Geiger et al., IJRR 2013).
 
-Images may be "synced and rectified" or "synced only": their size says which. Those of the latter are rectified when read.
+Images may be "synced and rectified" or "synced only"; their size decides. The latter are rectified when they are read.
 
     drive/image_02/data/0000000000.{png,jpg}   left images        drive/image_02/timestamps.txt
     drive/image_03/data/0000000000.{png,jpg}   right images
@@ -15,84 +15,65 @@ broken costs one rejection; without a calibration, a trajectory or one usable pa
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 
 from conetl.files.storage import fetch, is_remote, object_bytes
-from conetl.geometry import geodesy
 from conetl.model.errors import CalibrationError, DriveFolderError
 from conetl.model.records import Drive, FramePair, Rig
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.readers.drives import oxts
 from conetl.readers.drives.content import ContentHash
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside, read_drive_yaml
-from conetl.readers.drives.pairs import (
-    IMAGE_SUFFIXES,
-    ImageFile,
-    PairError,
-    check_images,
-    first_size,
-    images_ahead,
-    require_pairs,
+from conetl.readers.drives.formats import (
+    SAMPLED_POSES,
+    HeaderFacts,
+    ReadOptions,
+    drive_of_pairs,
+    every_nth,
+    image_files,
+    names_in,
 )
+from conetl.readers.drives.pairs import ImageFile, PairError, check_images, first_size, images_ahead
 from conetl.readers.drives.timestamps import misplaced, parse_timestamps
+from conetl.readers.drives.trajectories import checked_srid
 from conetl.readers.rigs import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, kitti_rig_for_images
 
+NAME = "kitti"
+READS_OBJECTS = True
 MAX_CLOCK_DIFFERENCE_NS = 500_000_000
 """Image and OXTS record of one number that are farther apart in time do not belong together."""
+OXTS_STAMPS = "oxts/timestamps.txt"
 
 
-def is_kitti_folder(folder: Path) -> bool:
-    """True where a folder looks like a KITTI drive, whole or not."""
-    return any((folder / name).is_dir() for name in ("image_02", "image_03", "oxts")) or (folder / DRIVE_YAML).is_file()
+def matches(path: Path) -> bool:
+    """True where a folder looks like a KITTI drive, complete or not."""
+    return any((path / name).is_dir() for name in ("image_02", "image_03", "oxts")) or (path / DRIVE_YAML).is_file()
 
 
-def read_kitti_drive(
-    folder: Path, *, map_srid: int | None = None, headers_only: bool = False
-) -> tuple[Drive, list[Rejection]]:
-    """Everything about a drive but its pixels; images are checked by header and end marker, not decoded.
+def read(path: Path, options: ReadOptions) -> tuple[Drive, list[Rejection]]:
+    """The drive and its rejections. Images are checked by header and end marker, not decoded.
 
-    map_srid: EPSG code of the map; wins over drive.yaml, and both over the UTM zone of the first pose. Raises DriveFolderError
-    or CalibrationError where there is no drive to speak of.
+    The map's CRS: that of the options, else of drive.yaml, else the UTM zone of the first pose.
     """
-    root = folder.resolve()
-    content = ContentHash(headers_only=headers_only)
+    root = path.resolve()
+    content = ContentHash(headers_only=options.headers_only)
     settings = read_drive_yaml(root)
-    calibration = calibration_path(folder, settings)
+    calibration = calibration_path(path, settings)
     rejections: list[Rejection] = []
-    left = _numbered_images(camera_folder(root, settings.cameras.left, settings), folder, rejections)
-    right = _numbered_images(camera_folder(root, settings.cameras.right, settings), folder, rejections)
+    left = _numbered_images(camera_folder(root, settings.cameras.left, settings), path, rejections)
+    right = _numbered_images(camera_folder(root, settings.cameras.right, settings), path, rejections)
     numbers = sorted(left.keys() | right.keys())
     if not numbers:
-        raise DriveFolderError(f"{folder}: there are no images (*.png, *.jpg) in {settings.cameras.left}/data")
+        raise DriveFolderError(f"{path}: there are no images (*.png, *.jpg) in {settings.cameras.left}/data")
     size = first_size((paths[0] for _, paths in sorted(left.items())), content)
     rig = read_rig_for(root, calibration, size, settings, content)
-    zone = settings.timestamps_timezone
-    stamps = parse_timestamps(_text(root, f"{settings.cameras.left}/timestamps.txt", content, required=True), zone)
-    oxts_stamps = parse_timestamps(_text(root, "oxts/timestamps.txt", content, required=False), zone)
-    records, bad_records = _read_oxts(root, folder, settings, content)
-    if not records:
-        first = next(iter(bad_records.items()), None)
-        shown = f", for example {first[0]:010d}.txt: {first[1]}" if first else ""
-        raise DriveFolderError(f"{folder}: not one usable pose in oxts/data{shown}")
-    srid = map_srid or settings.map_srid
-    try:
-        start = records[min(records)]
-        srid = srid or geodesy.utm_srid(start.lat_deg, start.lon_deg)
-        geodesy.check_map_srid(srid)
-        geodesy.check_scale(srid, start.lat_deg, start.lon_deg)
-        times = {number: stamp for number, stamp in oxts_stamps.items() if isinstance(stamp, int)}
-        track = oxts.trajectory(records, times, srid, settings.sigmas)
-        wild = oxts.jumps(track)
-        if wild:
-            bad_records |= wild
-            kept = {number: record for number, record in records.items() if number not in wild}
-            track = oxts.trajectory(kept, times, srid, settings.sigmas)
-    except ValueError as error:
-        raise DriveFolderError(f"{folder}: {error}") from error
+    stamps = _stamps(root, f"{settings.cameras.left}/timestamps.txt", settings, content)
+    oxts_stamps = _stamps(root, OXTS_STAMPS, settings, content) if (root / OXTS_STAMPS).is_file() else {}
+    srid, track, bad_records = _trajectory(root, path, oxts_stamps, options.map_srid, settings, content)
 
     usable: dict[int, tuple[ImageFile, ImageFile, int]] = {}
-    rising = {n: t for n in numbers if isinstance(t := stamps.get(n), int)}
-    wrong_times = misplaced(rising)
+    wrong_times = misplaced({n: t for n in numbers if isinstance(t := stamps.get(n), int)})
     for number in images_ahead(numbers, left, right, content):
         try:
             images = check_images(left.get(number, []), right.get(number, []), rig, content, root)
@@ -102,36 +83,49 @@ def read_kitti_drive(
             rejections.append(error.rejection(f"frame pair {number}", number))
         else:
             usable[number] = *images, captured
-    pairs = _frame_pairs(usable, track, settings)
-    require_pairs(pairs, rejections, len(numbers), folder)
-    drive = Drive(
-        drive_id=settings.id_of(root), source_path=str(root), rig=rig, map_srid=srid,
-        content_sha256=content.hexdigest(), frame_pairs=tuple(pairs), expected_frame_count=len(numbers),
-    )  # fmt: skip
-    return drive, rejections
-
-
-def _frame_pairs(
-    usable: Mapping[int, tuple[ImageFile, ImageFile, int]], track: oxts.Trajectory, settings: DriveYaml
-) -> list[FramePair]:
-    """Records of the frame pairs that can be used: number -> left and right image, UTC nanoseconds."""
     poses = oxts.poses_at(track, {number: captured for number, (_, _, captured) in usable.items()}, settings.sigmas)
-    return [
+    pairs = [
         FramePair(
-            frame_index=number,
+            frame_index=n,
             left_path=str(left.path),
             right_path=str(right.path),
             captured_at_ns=captured,
-            pose=poses[number],
+            pose=poses[n],
             left_sha256=left.sha256,
             right_sha256=right.sha256,
         )
-        for number, (left, right, captured) in usable.items()
+        for n, (left, right, captured) in usable.items()
     ]
+    return drive_of_pairs(
+        pairs, rejections, len(numbers), source=root, settings=settings, rig=rig, srid=srid, content=content
+    )
+
+
+def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
+    """Names and some sizes of the images, calibration, time stamps, names and some contents of the OXTS files."""
+    root = path.resolve()
+    cameras = (settings.cameras.left, settings.cameras.right)
+    header.add_images(path, {f"{name}/data": camera_folder(root, name, settings) for name in cameras})
+    with suppress(CalibrationError):  # raised below; a drive without it has another header than with it
+        calibration = calibration_path(path, settings)
+        for name in (calibration.name, VELO_TO_CAM, IMU_TO_VELO):
+            header.add_file(calibration.parent, name)
+    header.add_file(path, OXTS_STAMPS)
+    data = path / "oxts" / "data"
+    records = names_in(data, (".txt",)) if data.is_dir() else []
+    if data.is_dir():
+        header.content.add("oxts/data", "\n".join(records).encode(errors="surrogateescape"))
+    for name in every_nth(records, SAMPLED_POSES):
+        header.add_file(path, f"oxts/data/{name}")
+    stamps = f"{settings.cameras.left}/timestamps.txt"
+    header.set_times([*_stamps(path, stamps, settings, header.content).values()], path / stamps)
+    read_rig_for(path, calibration_path(path, settings), None, settings, ContentHash())
+    if not any(is_number(Path(name).stem) for name in records):
+        raise _no_poses(path)
 
 
 def calibration_path(folder: Path, settings: DriveYaml) -> Path:
-    """Where calib_cam_to_cam.txt of a drive folder, named as the user did, is. Raises CalibrationError."""
+    """Path of calib_cam_to_cam.txt of a drive folder, given as the user named it. Raises CalibrationError."""
     root = folder.resolve()
     if settings.calibration is not None:
         path = inside(root, settings.calibration, DRIVE_YAML)
@@ -140,9 +134,9 @@ def calibration_path(folder: Path, settings: DriveYaml) -> Path:
                 f"{root / DRIVE_YAML}: 'calibration' names {settings.calibration}, which does not exist"
             )
     else:
-        # The folder's parent as the user wrote it comes first: the drive folder itself may be a symbolic link.
-        places = [parent / CAM_TO_CAM for parent in (root, folder.absolute().parent, root.parent)]
-        path = next((place for place in places if place.is_file()), places[0])
+        # Before the parent of the resolved folder that of the given path: the drive folder may be a symbolic link.
+        candidates = [parent / CAM_TO_CAM for parent in (root, folder.absolute().parent, root.parent)]
+        path = next((candidate for candidate in candidates if candidate.is_file()), candidates[0])
         if not path.is_file():
             raise CalibrationError(
                 f"{root}: {CAM_TO_CAM} is neither in the drive folder nor in its parent; KITTI delivers it with "
@@ -154,7 +148,7 @@ def calibration_path(folder: Path, settings: DriveYaml) -> Path:
 def read_rig_for(
     root: Path, path: Path, size: tuple[int, int] | None, settings: DriveYaml, content: ContentHash
 ) -> Rig:
-    """The rig for left images of this size, with the chain from the IMU; its files go into the content hash."""
+    """The rig for left images of this size, with the chain from the IMU; its files are added to the content hash."""
     numbers = int(settings.cameras.left[-1]), int(settings.cameras.right[-1])
     rig = kitti_rig_for_images(
         path, size, left=numbers[0], right=numbers[1], body_required=True,
@@ -168,7 +162,7 @@ def read_rig_for(
 
 
 def camera_folder(root: Path, name: str, settings: DriveYaml) -> Path:
-    """Folder of one camera's images. Where drive.yaml names it, it must lie inside the drive folder."""
+    """Folder of one camera's images. Raises DriveFolderError where drive.yaml names one outside the drive folder."""
     return (inside(root, name, DRIVE_YAML) if "cameras" in settings.model_fields_set else root / name) / "data"
 
 
@@ -179,18 +173,13 @@ def _numbered_images(data: Path, folder: Path, rejections: list[Rejection]) -> d
             f"{folder}: the folder {data.parent.name}/data is missing; expected KITTI's layout with left images in "
             "image_02/data and right images in image_03/data"
         )
-    paths = [p for p in sorted(data.iterdir()) if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".")]
+    paths = image_files(data)
     for path in paths:
         if not is_number(path.stem):
             name = f"{data.parent.name}/data/{path.name}"
-            detail = (
-                f"{name}: the name is no frame number, so it has neither a partner nor a pose; expected 0000000044.png"
-            )
-            rejections.append(
-                Rejection(
-                    step="frames", reason=RejectionReason.IMAGE_UNREADABLE, record=name, detail=detail, payload={}
-                )
-            )
+            detail = f"{name}: the name is not a frame number such as 0000000044.png, so the image has no pose"
+            reason = RejectionReason.IMAGE_UNREADABLE
+            rejections.append(Rejection(step="frames", reason=reason, record=name, detail=detail, payload={}))
     return _numbered(paths)
 
 
@@ -207,19 +196,34 @@ def _numbered(paths: Iterable[Path]) -> dict[int, list[Path]]:
     return found
 
 
-def _text(root: Path, name: str, content: ContentHash, *, required: bool) -> str:
-    """A small text file of the drive, "" where it is missing and not required."""
-    path = root / name
-    if not path.is_file():
-        if required:
-            raise DriveFolderError(
-                f"{root}: {name} is missing; it holds one line with a time stamp for each frame number"
-            )
-        return ""
-    fetched = is_remote(path) and name.startswith("oxts/data/")
-    data = object_bytes(path) if fetched else path.read_bytes()
+def _stamps(root: Path, name: str, settings: DriveYaml, content: ContentHash) -> dict[int, int | str]:
+    """Times of a timestamps.txt, see `parse_timestamps`. Raises DriveFolderError."""
+    if not (root / name).is_file():
+        raise DriveFolderError(f"{root}: {name} is missing; it holds one line with a time stamp for each frame number")
+    data = (root / name).read_bytes()
     content.add(name, data)
-    return data.decode("utf-8", errors="replace")
+    return parse_timestamps(data.decode("utf-8", errors="replace"), settings.timestamps_timezone)
+
+
+def _trajectory(
+    root: Path, folder: Path, stamps: Mapping[int, int | str], map_srid: int | None, settings: DriveYaml, content: ContentHash
+) -> tuple[int, oxts.Trajectory, dict[int, str]]:  # fmt: skip
+    """EPSG code of the map, the poses in it, and what is wrong with the other OXTS records, by frame number."""
+    records, bad = _read_oxts(root, folder, settings, content)
+    if not records:
+        shown = "".join(f", for example {number:010d}.txt: {text}" for number, text in [*bad.items()][:1])
+        raise DriveFolderError(f"{folder}: not one usable pose in oxts/data{shown}")
+    start = records[min(records)]
+    srid = checked_srid(map_srid or settings.map_srid, start.lat_deg, start.lon_deg, folder)
+    times = {number: stamp for number, stamp in stamps.items() if isinstance(stamp, int)}
+    try:
+        track = oxts.trajectory(records, times, srid, settings.sigmas)
+        if wild := oxts.wild_records(track):
+            kept = {number: record for number, record in records.items() if number not in wild}
+            track = oxts.trajectory(kept, times, srid, settings.sigmas)
+    except ValueError as error:
+        raise DriveFolderError(f"{folder}: {error}") from error
+    return srid, track, bad | wild
 
 
 def _read_oxts(
@@ -229,23 +233,24 @@ def _read_oxts(
     data = root / "oxts" / "data"
     files = _numbered(data.glob("*.txt")) if data.is_dir() else {}
     if not files:
-        raise no_poses(folder)
+        raise _no_poses(folder)
     fetch([path for paths in files.values() for path in paths], fresh=True)
     records: dict[int, oxts.OxtsRecord] = {}
     bad: dict[int, str] = {}
     for number, paths in files.items():
-        text = _text(root, f"oxts/data/{paths[0].name}", content, required=True)
+        raw = object_bytes(paths[0]) if is_remote(paths[0]) else paths[0].read_bytes()
+        content.add(f"oxts/data/{paths[0].name}", raw)
         try:
             if len(paths) > 1:
                 raise ValueError(f"{len(paths)} files have this number: {', '.join(path.name for path in paths)}")
+            text = raw.decode("utf-8", errors="replace")
             records[number] = oxts.parse_oxts(text, accuracy_required=settings.sigmas.horizontal_m is None)
         except ValueError as error:
             bad[number] = str(error)
     return records, bad
 
 
-def no_poses(folder: Path) -> DriveFolderError:
-    """The error of a drive without one OXTS file."""
+def _no_poses(folder: Path) -> DriveFolderError:
     return DriveFolderError(
         f"{folder}: there are no poses in oxts/data (one file of 30 numbers per frame); without a trajectory use "
         "'conetl locate' on single pairs"
@@ -266,15 +271,12 @@ def _captured_at(
     if isinstance(stamp, str):
         raise PairError(RejectionReason.TIMESTAMP_INVALID, f"{name}, line {number + 1}: {stamp}")
     if number in wrong_times:
-        raise PairError(
-            RejectionReason.TIMESTAMP_INVALID,
-            f"{name}, line {number + 1}: the time {wrong_times[number]}",
-        )
+        raise PairError(RejectionReason.TIMESTAMP_INVALID, f"{name}, line {number + 1}: the time {wrong_times[number]}")
     return stamp
 
 
 def _check_pose(number: int, captured: int, bad: Mapping[int, str], track: oxts.Trajectory, root: Path) -> None:
-    """Raise PairError unless there is a pose of this number, of about the image's time."""
+    """Raise PairError unless there is a pose of this number at about the image's time."""
     name = f"oxts/data/{number:010d}.txt"
     if number in bad:
         path = root / name

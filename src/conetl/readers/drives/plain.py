@@ -1,8 +1,8 @@
 """Plain drive folders: the least that a two-camera rig with a trajectory can deliver.
 
     drive/left/*.{jpg,png}, drive/right/*.{jpg,png}   images as rig.yaml describes them, the same stem for both of a pair
-    drive/trajectory.csv                              one row a pair, the pose of the body at the exposure, see `Row`
-    drive/rig.yaml                                    the rig, with body_SE3_left, see calibration_files/rig_yaml.py
+    drive/trajectory.csv                              one row per pair, the pose of the body at the exposure, see `Row`
+    drive/rig.yaml                                    the rig, with body_SE3_left, see readers/rigs/rig_yaml.py
     drive/drive.yaml                                  optional, see drive_yaml.py (cameras and calibration do not apply)
 
 The row number in trajectory.csv, from 0, is the pair's frame_index. Angles are those of OXTS: body x forward, y left, z up, yaw
@@ -15,6 +15,8 @@ import csv
 import io
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
@@ -23,24 +25,27 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
-from conetl.geometry import rig as rigs
 from conetl.model.errors import CalibrationError, DriveFolderError
 from conetl.model.records import Drive, FramePair, Pose, Rig
 from conetl.model.rejections import Rejection, RejectionReason
-from conetl.readers.drives import oxts
+from conetl.readers.drives.body import add_settings, overrides, own_rig
 from conetl.readers.drives.content import ContentHash
-from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml
-from conetl.readers.drives.pairs import IMAGE_SUFFIXES, PairError, check_images, images_ahead, require_pairs
+from conetl.readers.drives.drive_yaml import DriveYaml, read_drive_yaml
+from conetl.readers.drives.formats import HeaderFacts, ReadOptions, drive_of_pairs, image_files
+from conetl.readers.drives.pairs import PairError, check_images, images_ahead
 from conetl.readers.drives.timestamps import misplaced, parse_timestamp
-from conetl.readers.rigs import RIG_YAML, read_rig_yaml
-from conetl.readers.rigs.common import rectified_rig
+from conetl.readers.drives.trajectories import checked_srid, to_pose, wild_fixes
+from conetl.readers.rigs import RIG_YAML
+from conetl.readers.rigs.common import first_message, rectified_rig
 
+NAME = "plain"
+READS_OBJECTS = True
 TRAJECTORY = "trajectory.csv"
 Sigma = Annotated[float, Field(gt=0, le=1000)]
 
 
 class Row(BaseModel):
-    """One row of trajectory.csv; the columns may stand in any order."""
+    """One row of trajectory.csv; the columns may be in any order."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -62,33 +67,73 @@ class Row(BaseModel):
     sigma_yaw_deg: Sigma
 
 
-def is_plain_folder(folder: Path) -> bool:
-    """True where a folder looks like a plain drive, whole or not."""
-    return (folder / TRAJECTORY).is_file() or ((folder / "left").is_dir() and (folder / "right").is_dir())
+@dataclass
+class Rows:
+    """Rows of trajectory.csv by stem, a message in place of a bad one, and their numbers from 0."""
+
+    path: Path
+    by_stem: dict[str, Row | str] = field(default_factory=dict)
+    numbers: dict[str, int] = field(default_factory=dict)
+    _columns: Sequence[str] | None = None
+    _count: int = 0
+
+    def add(self, text: str) -> None:
+        """Append whole lines of the file, the header first. Raises DriveFolderError where its columns are not those of `Row`."""
+        reader = csv.DictReader(io.StringIO(text, newline=""), fieldnames=self._columns)
+        if self._columns is None:
+            self._columns = reader.fieldnames
+            self._check_columns()
+        for values in reader:
+            where = f"{TRAJECTORY}, row {self._count}"
+            stem = str(values.get("stem") or f"row {self._count}")
+            try:
+                row: Row | str = Row.model_validate({str(key): value for key, value in values.items()})
+            except ValidationError as error:
+                row = f"{where}: {first_message(error)}, found {error.errors()[0]['input']!r}"
+            if stem in self.by_stem:
+                row = f"{where}: the stem '{stem}' is in two rows; keep one"
+            self.by_stem[stem] = row
+            self.numbers.setdefault(stem, self._count)
+            self._count += 1
+
+    def _check_columns(self) -> None:
+        wanted, found = set(Row.model_fields), set(self._columns or ())
+        wrong = [f"missing {', '.join(sorted(wanted - found))}"] if wanted - found else []
+        wrong += [f"unknown {', '.join(sorted(found - wanted))}"] if found - wanted else []
+        if wrong:
+            raise DriveFolderError(f"{self.path}: wrong columns: {'; '.join(wrong)}")
 
 
-def read_plain_drive(
-    folder: Path, *, map_srid: int | None = None, headers_only: bool = False
-) -> tuple[Drive, list[Rejection]]:
-    """A plain drive and its rejections; see `kitti.read_kitti_drive` for the rules that both share."""
-    root = folder.resolve()
-    content = ContentHash(headers_only=headers_only)
+def matches(path: Path) -> bool:
+    """True where a folder looks like a plain drive, complete or not."""
+    return (path / TRAJECTORY).is_file() or ((path / "left").is_dir() and (path / "right").is_dir())
+
+
+def read(path: Path, options: ReadOptions) -> tuple[Drive, list[Rejection]]:
+    """The drive and its rejections."""
+    root = path.resolve()
+    content = ContentHash(headers_only=options.headers_only)
     settings = read_drive_yaml(root)
     rig = read_plain_rig(root, settings, content)
-    left, right = _images(root / "left", folder), _images(root / "right", folder)
+    left, right = _images(root / "left", path), _images(root / "right", path)
     stems = sorted(left.keys() | right.keys())
     if not stems:
-        raise DriveFolderError(f"{folder}: there are no images (*.jpg, *.png) in left and right")
-    rows, numbers = _read_rows(root, folder, content)
+        raise DriveFolderError(f"{path}: there are no images (*.jpg, *.png) in left and right")
+    found = Rows(path / TRAJECTORY)
+    found.add(_trajectory_file(path, content).decode("utf-8-sig", errors="replace"))
+    rows, numbers = found.by_stem, found.numbers
     good = [row for row in rows.values() if isinstance(row, Row)]
     if not good:
         first = next((str(row) for row in rows.values()), "the file has no rows")
-        raise DriveFolderError(f"{folder / TRAJECTORY}: not one usable pose: {first}")
-    srid, poses = _poses(good, map_srid or settings.map_srid, folder)
+        raise DriveFolderError(f"{path / TRAJECTORY}: not one usable pose: {first}")
+    srid = checked_srid(options.map_srid or settings.map_srid, good[0].lat_deg, good[0].lon_deg, path)
+    try:
+        poses = {row.stem: pose_of_row(row, srid) for row in good}
+    except ValueError as error:
+        raise DriveFolderError(f"{path}: {error}") from error
     times = {row.stem: time_of_row(row, settings.timestamps_timezone) for row in good}
-    for stem, text in _jumps(poses, times).items():
-        rows[stem] = f"{TRAJECTORY}, stem '{stem}': {text}"
-    # Pairs are ordered by row; a stem that has none comes last and only serves to name the rejection.
+    rows |= _wild_rows(poses, times)
+    # Pairs are ordered by row; a stem without one comes last and only serves to name the rejection.
     order = {stem: numbers.get(stem, len(rows) + i) for i, stem in enumerate(stems)}
     wrong_times = misplaced({order[stem]: t for stem in stems if isinstance(t := times.get(stem), int)})
 
@@ -105,10 +150,8 @@ def read_plain_drive(
             if isinstance(captured, str):
                 raise PairError(RejectionReason.TIMESTAMP_INVALID, captured)
             if order[stem] in wrong_times:
-                raise PairError(
-                    RejectionReason.TIMESTAMP_INVALID,
-                    f"{TRAJECTORY}: captured_at of '{stem}' {wrong_times[order[stem]]}",
-                )
+                detail = f"{TRAJECTORY}: captured_at of '{stem}' {wrong_times[order[stem]]}"
+                raise PairError(RejectionReason.TIMESTAMP_INVALID, detail)
         except PairError as error:
             rejections.append(error.rejection(f"frame pair '{stem}'", order[stem]))
         else:
@@ -119,57 +162,45 @@ def read_plain_drive(
                     left_sha256=images[0].sha256, right_sha256=images[1].sha256,
                 )
             )  # fmt: skip
-    require_pairs(pairs, rejections, len(stems), folder)
-    drive = Drive(
-        drive_id=settings.id_of(root), source_path=str(root), rig=rig, map_srid=srid,
-        content_sha256=content.hexdigest(), frame_pairs=tuple(pairs), expected_frame_count=len(stems),
-    )  # fmt: skip
-    return drive, rejections
+    return drive_of_pairs(
+        pairs, rejections, len(stems), source=root, settings=settings, rig=rig, srid=srid, content=content
+    )
+
+
+def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
+    """Names and some sizes of the images, rig and trajectory."""
+    root = path.resolve()
+    header.add_images(path, {side: root / side for side in ("left", "right")})
+    header.add_file(path, RIG_YAML)
+    rows = csv.DictReader(_trajectory_file(path, header.content).decode("utf-8-sig", errors="replace").splitlines())
+    stamps: list[int] = []
+    for row in rows:
+        with suppress(ValueError):
+            stamps.append(parse_timestamp(row.get("captured_at") or "", settings.timestamps_timezone))
+    header.set_times(stamps, path / TRAJECTORY)
+    read_plain_rig(path, settings, ContentHash())
 
 
 def read_plain_rig(root: Path, settings: DriveYaml, content: ContentHash) -> Rig:
-    """The rectified rig, which must tell how the left camera sits on the body; its file goes into the content hash.
+    """The rectified rig; its file is added to the content hash. Raises CalibrationError.
 
-    A rig.yaml with lenses or turned cameras describes raw images: they are resampled when they are read.
+    A rig.yaml with lenses or turned cameras describes raw images: they are rectified when they are read.
     """
-    path = root / RIG_YAML
-    if not path.is_file():
+    found = own_rig(root / RIG_YAML)
+    if found is None:
         raise CalibrationError(
-            f"{root}: {RIG_YAML} is missing; it describes the two cameras and how they sit on the body"
+            f"{root}: {RIG_YAML} is missing; it describes the two cameras and their pose on the body"
         )
-    rig = read_rig_yaml(path)
-    if rigs.body_is_left_camera(rig):
-        raise CalibrationError(
-            f"{path}: 'body_SE3_left' is missing; the poses of {TRAJECTORY} are those of the body, so it must be told how the "
-            "left camera sits on it (R and t_m, from camera points to body points)"
-        )
-    for name in (RIG_YAML, DRIVE_YAML):
-        if (root / name).is_file():
-            content.add(name, (root / name).read_bytes())
-    changes = {"sigma_px": settings.sigmas.image_px} if "image_px" in settings.sigmas.model_fields_set else {}
-    rig = rig.model_copy(update=changes | ({"rig_id": settings.rig_id} if settings.rig_id else {}))
-    return rectified_rig(rig, path)
+    add_settings(content, root)
+    return rectified_rig(found[0].model_copy(update=overrides(settings)), root / RIG_YAML)
 
 
-def _poses(rows: Sequence[Row], srid: int | None, folder: Path) -> tuple[int, dict[str, Pose]]:
-    """EPSG code of the map and the poses in it by stem. Raises DriveFolderError."""
-    first = rows[0]
-    try:
-        srid = srid or geodesy.utm_srid(first.lat_deg, first.lon_deg)
-        geodesy.check_map_srid(srid)
-        geodesy.check_scale(srid, first.lat_deg, first.lon_deg)
-        return srid, {row.stem: pose_of_row(row, srid) for row in rows}
-    except ValueError as error:
-        raise DriveFolderError(f"{folder}: {error}") from error
-
-
-def _jumps(poses: Mapping[str, Pose], times: Mapping[str, int | str]) -> dict[str, str]:
-    """Stems whose place cannot be true, as in `oxts.jumps`."""
+def _wild_rows(poses: Mapping[str, Pose], times: Mapping[str, int | str]) -> dict[str, str]:
+    """What is wrong with rows whose position cannot be true, by stem."""
     timed = sorted((time, stem) for stem, time in times.items() if isinstance(time, int))
-    places = np.array([se3.map_SE3_body(poses[stem]) for _, stem in timed]).reshape(-1, 4, 4)
-    numbers = list(range(len(timed)))
-    track = oxts.Trajectory(numbers, places, np.zeros((len(timed), 3)), {n: timed[n][0] for n in numbers})
-    return {timed[number][1]: text for number, text in oxts.jumps(track).items()}
+    positions = np.array([poses[stem].map_t_body_m for _, stem in timed]).reshape(-1, 3)
+    wild = wild_fixes([time for time, _ in timed], positions)
+    return {timed[i][1]: f"{TRAJECTORY}, stem '{timed[i][1]}': {text}" for i, text in wild.items()}
 
 
 def _images(data: Path, folder: Path) -> dict[str, list[Path]]:
@@ -179,52 +210,28 @@ def _images(data: Path, folder: Path) -> dict[str, list[Path]]:
             f"{folder}: the folder {data.name} is missing; expected left/ and right/ with the same stems"
         )
     found: dict[str, list[Path]] = {}
-    for path in sorted(data.iterdir()):
-        if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith("."):
-            found.setdefault(path.stem, []).append(path)
+    for path in image_files(data):
+        found.setdefault(path.stem, []).append(path)
     return found
 
 
-def _read_rows(root: Path, folder: Path, content: ContentHash) -> tuple[dict[str, Row | str], dict[str, int]]:
-    """Rows, or what is wrong with them, and row numbers, both by stem."""
-    path = root / TRAJECTORY
+def _trajectory_file(folder: Path, content: ContentHash) -> bytes:
+    path = folder / TRAJECTORY
     if not path.is_file():
         raise DriveFolderError(f"{folder}: {TRAJECTORY} is missing; it holds one row with the pose of each pair")
     data = path.read_bytes()
     content.add(TRAJECTORY, data)
-    reader = csv.DictReader(io.StringIO(data.decode("utf-8-sig", errors="replace"), newline=""))
-    wanted, header = set(Row.model_fields), set(reader.fieldnames or ())
-    if wanted != header:
-        wrong = [f"missing {', '.join(sorted(wanted - header))}"] if wanted - header else []
-        wrong += [f"not known {', '.join(sorted(str(name) for name in header - wanted))}"] if header - wanted else []
-        raise DriveFolderError(f"{folder / TRAJECTORY}: the columns do not fit: {'; '.join(wrong)}")
-    rows: dict[str, Row | str] = {}
-    numbers: dict[str, int] = {}
-    for number, values in enumerate(reader):
-        stem = str(values.get("stem") or f"row {number}")
-        place = f"{TRAJECTORY}, row {number}"
-        try:
-            row: Row | str = Row.model_validate({str(key): value for key, value in values.items()})
-        except ValidationError as error:
-            first = error.errors()[0]
-            row = f"{place}: {'.'.join(str(part) for part in first['loc'])}: {first['msg']}, found {first['input']!r}"
-        if stem in rows:
-            row = f"{place}: the stem '{stem}' stands in two rows; keep one"
-        numbers.setdefault(stem, number)
-        rows[stem] = row
-    return rows, numbers
+    return data
 
 
 def pose_of_row(row: Row, srid: int) -> Pose:
     """Pose of the body in the map frame; yaw is turned from true to grid east."""
-    x, y, z = (float(c) for c in geodesy.to_map(srid, row.lat_deg, row.lon_deg, row.height_m))
+    position = geodesy.to_map(srid, row.lat_deg, row.lon_deg, row.height_m)
     convergence = float(geodesy.grid_convergence_rad(srid, row.lat_deg, row.lon_deg))
     roll, pitch, yaw = np.radians([row.roll_deg, row.pitch_deg, row.yaw_deg])
-    sigmas = (math.radians(row.sigma_roll_deg), math.radians(row.sigma_pitch_deg), math.radians(row.sigma_yaw_deg))
-    return Pose(
-        map_R_body=se3.to_matrix3(se3.rotation_from_rpy(roll, pitch, yaw + convergence)), map_t_body_m=(x, y, z),
-        sigma_enu_m=(row.sigma_e_m, row.sigma_n_m, row.sigma_u_m), sigma_rpy_rad=sigmas,
-    )  # fmt: skip
+    angles = (math.radians(row.sigma_roll_deg), math.radians(row.sigma_pitch_deg), math.radians(row.sigma_yaw_deg))
+    rotation = se3.rotation_from_rpy(roll, pitch, yaw + convergence)
+    return to_pose(se3.se3(rotation, position), (row.sigma_e_m, row.sigma_n_m, row.sigma_u_m, *angles))
 
 
 def time_of_row(row: Row, zone: str) -> int | str:

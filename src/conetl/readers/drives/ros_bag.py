@@ -1,13 +1,13 @@
-"""ROS 2 bags and MCAP files with two cameras and a trajectory. Topics are found by type; drive.yaml (streams) has the last word.
+"""ROS 2 bags and MCAP files with two cameras and a trajectory. Topics are found by type; drive.yaml (streams) overrides.
 
     sensor_msgs CompressedImage or Image    two topics, with left and right in their names
     sensor_msgs CameraInfo                  one beside each; or a rig.yaml in the bag's folder, which wins
-    sensor_msgs NavSatFix + Imu             WGS 84 place (ellipsoidal height) with its covariance; attitude against east, north,
-                                            up (REP 103)
-    nav_msgs Odometry                       instead of both: a level frame that drive.yaml (georeference) puts on the earth
-    tf2_msgs TFMessage on /tf_static        where the left camera and the antenna sit on the body (the IMU's or odometry's frame)
+    sensor_msgs NavSatFix + Imu             WGS 84 position (ellipsoidal height) with its covariance; attitude against east,
+                                            north, up (REP 103)
+    nav_msgs Odometry                       instead of both: in a level frame that drive.yaml (georeference) locates
+    tf2_msgs TFMessage on /tf_static        poses of the left camera and the antenna on the body (the IMU's or odometry's frame)
 
-A bag is a folder with metadata.yaml, a folder with one .mcap, or NAME.mcap itself (then NAME.drive.yaml and NAME.rig.yaml lie
+A bag is a folder with metadata.yaml, a folder with one .mcap, or NAME.mcap itself (then with NAME.drive.yaml and NAME.rig.yaml
 beside it). Times are the header stamps, UTC.
 """
 
@@ -30,7 +30,7 @@ from conetl.model.errors import CalibrationError, DriveFolderError
 from conetl.model.records import Drive, Pose, Rig, Side
 from conetl.model.rejections import Rejection
 from conetl.readers.drives.bag_images import check_image, image_bytes, unpack
-from conetl.readers.drives.bag_messages import Bag, Message, bag_files, open_bag
+from conetl.readers.drives.bag_messages import METADATA, Bag, Message, bag_files, open_bag
 from conetl.readers.drives.bag_rig import (
     TF_STATIC,
     TRANSFORMS,
@@ -40,102 +40,114 @@ from conetl.readers.drives.bag_rig import (
     is_rectified_topic,
     rig_of_infos,
 )
-from conetl.readers.drives.body import add_settings, checked_srid, georeferenced, own_rig, rig_on_body
+from conetl.readers.drives.body import add_settings, own_rig, rig_on_body
 from conetl.readers.drives.content import ContentHash
 from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas, read_drive_yaml, small_file
+from conetl.readers.drives.formats import HeaderFacts, ReadOptions
 from conetl.readers.drives.pairs import ImageFile, PairError
-from conetl.readers.drives.stamped_pairs import NS_PER_MS, Couple, Image, alone, drive_of_couples, pair_by_stamp
+from conetl.readers.drives.stamped_pairs import Image, drive_of_couples, pair_by_stamp
+from conetl.readers.drives.timestamps import EARLIEST_NS
 from conetl.readers.drives.trajectories import (
     at,
     attitude_sigmas,
-    place_sigmas,
+    checked_srid,
+    georeferenced,
+    position_sigmas,
     rotation_of,
     samples,
     to_pose,
-    without_jumps,
+    without_wild_fixes,
 )
 from conetl.readers.rigs import RIG_YAML
 
 Array = NDArray[np.float64]
 Records = dict[int, tuple[Array, tuple[float, ...]]]
+NAME = "bag"
+READS_OBJECTS = False
 
 
 class _Recorded(NamedTuple):
-    """What the small messages of a bag say."""
+    """The content of a bag without its images."""
 
     records: dict[str, Records]
-    """By topic and time: place and attitude (4, 4) as recorded (of a fix: degrees and metres in its translation), six sigmas."""
+    """By topic and time: pose (4, 4) as recorded (of a fix: degrees and metres in its translation), six sigmas."""
     bad: dict[str, dict[int, str]]
     infos: dict[str, Any]
     frame_ids: dict[str, str]
-    """Of each topic's messages; of odometry the child's."""
+    """By topic; of odometry the child's."""
     frames: Frames
 
 
-def is_bag(path: Path) -> bool:
-    """True for a bag's folder and for a bare .mcap file."""
-    return bag_files(path) is not None
+def matches(path: Path) -> bool:
+    """True for a bag's folder and for a bare .mcap file. (A KITTI drive may hold a bag with other data.)"""
+    return bag_files(path) is not None and not (path / "image_02").is_dir()
 
 
-def read_bag_drive(
-    path: Path, *, map_srid: int | None = None, headers_only: bool = False, images_folder: Path | None = None
-) -> tuple[Drive, list[Rejection]]:
-    """The drive of a bag and its rejections; see `kitti.read_kitti_drive` for the rules that all formats share.
-
-    images_folder: where images are unpacked to. headers_only: only the first image of each camera is.
-    """
+def read(path: Path, options: ReadOptions) -> tuple[Drive, list[Rejection]]:
+    """The drive and its rejections. Images are unpacked into `images_folder`; with headers_only only the first of each camera."""
     source = path.resolve()
     file = bag_files(source)
     if file is None:
-        raise DriveFolderError(f"{path}: this is no bag: neither a .mcap file nor a folder with metadata.yaml")
-    if images_folder is None:
+        raise DriveFolderError(f"{path}: this is not a bag: neither a .mcap file nor a folder with metadata.yaml")
+    if options.images_folder is None:
         raise DriveFolderError(f"{path}: a bag's images must be unpacked, but no folder was given for them")
     settings = read_drive_yaml(source)
-    content = ContentHash(headers_only=headers_only)
+    content = ContentHash(headers_only=options.headers_only)
     add_settings(content, source)
     with open_bag(file) as bag:
         topics = choose_topics(bag.types, settings.streams, path)
         recorded = _read_small(bag, topics, settings, content)
         rig, sensor_R_body = _rig(small_file(source, RIG_YAML), topics, recorded, settings, path)
-        srid, pose_at = _trajectory(topics, recorded, settings, map_srid, sensor_R_body, path)
-        images = _read_images(bag, topics, rig, content, images_folder, source)
-    tolerance_ns = round(settings.pair_tolerance_ms * NS_PER_MS)
-    couples = pair_by_stamp(images[topics.left], images[topics.right], tolerance_ns)
+        srid, pose_at = _trajectory(topics, recorded, settings, options.map_srid, sensor_R_body, path)
+        images = _read_images(bag, topics, rig, content, options.images_folder, source)
+    couples = pair_by_stamp(images[topics.left], images[topics.right], settings.pair_tolerance_ns)
     if not couples:
         raise DriveFolderError(f"{path}: there are no images on {topics.left} and {topics.right}")
-    names: dict[Side, str] = {"left": topics.left, "right": topics.right}
 
-    def images_of(couple: Couple) -> tuple[ImageFile, ImageFile]:
-        left, right = couple
-        if left is None or right is None:
-            raise alone(couple, tolerance_ns, names)
-        for image in (left, right):
-            if image.problem is not None:
-                raise image.problem
+    def images_of(left: Image, right: Image) -> tuple[ImageFile, ImageFile]:
         # An unpacked image is named by its hash.
         hashes = ("", "") if content.headers_only else (left.path.stem, right.path.stem)
         return ImageFile(left.path, hashes[0]), ImageFile(right.path, hashes[1])
 
     return drive_of_couples(
-        couples, source=source, settings=settings, rig=rig, srid=srid, content=content, images_of=images_of, pose_at=pose_at,
+        couples, {"left": topics.left, "right": topics.right}, source=source, settings=settings, rig=rig, srid=srid,
+        content=content, images_of=images_of, pose_at=pose_at,
     )  # fmt: skip
+
+
+def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
+    """The bag's index, its number of left images, first and last message by the recorder's clock; rig.yaml, no messages."""
+    file = bag_files(path.resolve())  # a linked file by its own name, which is the drive's id
+    if file is None:
+        raise DriveFolderError(f"{path}: this is not a bag")
+    header.streams = ("the left", "the right camera's topic")
+    header.add_file(path, METADATA)
+    add_settings(header.content, path, (RIG_YAML,))
+    for part in [file] if file.is_file() else sorted(path.glob("*.mcap")) + sorted(path.glob("*.db3")):
+        header.content.add(part.name, str(part.stat().st_size).encode())
+    with open_bag(file) as bag:
+        topics = choose_topics(bag.types, settings.streams, path)
+        header.content.add("index", repr((sorted(bag.counts.items()), bag.recorded_ns)).encode())
+        header.frame_pairs = bag.counts[topics.left]
+        # If the recorder's clock was set while recording, only the end is known; the images have stamps of their own.
+        set_ns = [time_ns for time_ns in bag.recorded_ns if time_ns >= EARLIEST_NS]
+        if set_ns:
+            header.first_ns, header.last_ns = set_ns[0], set_ns[-1]
 
 
 def _stamp_ns(message: Message) -> int | str:
     """Header stamp in UTC nanoseconds, or what is wrong."""
     if message.content is None:
-        return f"{message.topic}: the message recorded at {message.recorded_at_ns} ns is not what its type says"
+        return f"{message.topic}: the message recorded at {message.recorded_at_ns} ns does not have the content of its type"
     stamp = message.content.header.stamp
     time_ns = int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
     return time_ns if time_ns > 0 else f"{message.topic}: the header stamp is zero: the driver did not set it"
 
 
 def _read_small(bag: Bag, topics: Topics, settings: DriveYaml, content: ContentHash) -> _Recorded:
-    """All messages of the drive but its images."""
-    readers: dict[str, Callable[[Any, Sigmas], tuple[Array, tuple[float, ...]]]] = {}
-    for topic, reader in ((topics.fix, _fix), (topics.imu, _attitude), (topics.odometry, _odometry)):
-        if topic is not None:
-            readers[topic] = reader
+    """All messages of the drive except its images."""
+    candidates = ((topics.fix, _fix), (topics.imu, _attitude), (topics.odometry, _odometry))
+    readers = {topic: reader for topic, reader in candidates if topic is not None}
     infos = {topic for topic in (topics.left_info, topics.right_info) if topic}
     transforms = {TF_STATIC} if bag.types.get(TF_STATIC) == TRANSFORMS else set()
     found = _Recorded({t: {} for t in readers}, {t: {} for t in readers}, {}, {}, Frames())
@@ -157,7 +169,7 @@ def _read_small(bag: Bag, topics: Topics, settings: DriveYaml, content: ContentH
                 content.add(f"info{topic}", np.concatenate([info.k, info.d, info.r, info.p]).tobytes())
             continue
         if isinstance(stamp, str):
-            continue  # says nothing about any instant: a gap, if one is left, costs the pairs in it
+            continue  # a remaining gap costs the pairs in it
         found.frame_ids.setdefault(topic, _frame_id(message.content))
         try:
             record = readers[topic](message.content, settings.sigmas)
@@ -189,13 +201,13 @@ def _fix(message: Any, settings: Sigmas) -> tuple[Array, tuple[float, ...]]:
     known = int(message.position_covariance_type) != 0
     c = [float(message.position_covariance[i]) for i in (0, 4, 8)]
     recorded = (_root(c[0]), _root(c[1]), _root(c[2])) if known else None
-    return se3.se3(np.eye(3), [lat, lon, height]), (*place_sigmas(settings, recorded), 0.0, 0.0, 0.0)
+    return se3.se3(np.eye(3), [lat, lon, height]), (*position_sigmas(settings, recorded), 0.0, 0.0, 0.0)
 
 
 def _attitude(message: Any, settings: Sigmas) -> tuple[Array, tuple[float, ...]]:
     """Rotation against east, north, up (REP 103). Raises ValueError."""
     if float(message.orientation_covariance[0]) == -1.0:
-        raise ValueError("the IMU tells no orientation (covariance -1, see sensor_msgs/Imu)")
+        raise ValueError("the IMU has no orientation (covariance -1, see sensor_msgs/Imu)")
     q = message.orientation
     recorded = tuple(_root(float(message.orientation_covariance[i])) for i in (0, 4, 8))
     rotation = rotation_of(float(q.w), float(q.x), float(q.y), float(q.z))
@@ -203,16 +215,16 @@ def _attitude(message: Any, settings: Sigmas) -> tuple[Array, tuple[float, ...]]
 
 
 def _odometry(message: Any, settings: Sigmas) -> tuple[Array, tuple[float, ...]]:
-    """Pose in the odometry's own frame; its x and y sigmas are not told apart, as the frame may be turned. Raises ValueError."""
+    """Pose in the odometry's own frame; with the larger of the x and y sigmas, as the frame may be turned. Raises ValueError."""
     p, q = message.pose.pose.position, message.pose.pose.orientation
-    place = [float(p.x), float(p.y), float(p.z)]
-    if not all(abs(value) < 1e6 for value in place):
-        raise ValueError(f"expected finite metres below 1,000,000, found {place}")
+    position = [float(p.x), float(p.y), float(p.z)]
+    if not all(abs(value) < 1e6 for value in position):
+        raise ValueError(f"expected finite metres below 1,000,000, found {position}")
     c = [_root(float(message.pose.covariance[i])) for i in (0, 7, 14, 21, 28, 35)]
     level = max(c[0], c[1])
     recorded = (level, level, c[2]) if level > 0.0 and c[2] > 0.0 else None
     rotation = rotation_of(float(q.w), float(q.x), float(q.y), float(q.z))
-    return se3.se3(rotation, place), (*place_sigmas(settings, recorded), *attitude_sigmas(settings, tuple(c[3:])))
+    return se3.se3(rotation, position), (*position_sigmas(settings, recorded), *attitude_sigmas(settings, tuple(c[3:])))
 
 
 def _root(variance: float) -> float:
@@ -231,8 +243,8 @@ def _rig(rig_path: Path, topics: Topics, found: _Recorded, settings: DriveYaml, 
     sensor_SE3_left = found.frames.find(sensor, camera)
     if sensor_SE3_left is None:
         raise CalibrationError(
-            f"{source}: {TF_STATIC} does not connect the left camera's frame '{camera}' with '{sensor}', the frame that the "
-            f"trajectory is of; put a {rig_path.name} with body_SE3_left beside the bag"
+            f"{source}: {TF_STATIC} does not connect the left camera's frame '{camera}' with '{sensor}', the frame of the "
+            f"trajectory; put a {rig_path.name} with body_SE3_left beside the bag"
         )
     if is_rectified_topic(topics.left):
         turn = np.asarray(found.infos[left_info].r, dtype=np.float64).reshape(3, 3)
@@ -244,32 +256,34 @@ def _trajectory(
     topics: Topics, found: _Recorded, settings: DriveYaml, map_srid: int | None, sensor_R_body: Array, source: Path
 ) -> tuple[int, Callable[[int], Pose]]:
     """EPSG code of the map, and the body's pose at a time. Raises DriveFolderError."""
-    gap_ns = round(settings.max_pose_gap_s * 1e9)
+    gap_ns = settings.max_pose_gap_ns
     sensor_SE3_body = se3.se3(sensor_R_body, np.zeros(3))
     if topics.odometry is not None:
         own = samples(f"{source}: {topics.odometry}", found.records[topics.odometry], found.bad[topics.odometry])
         srid, placed = georeferenced(settings, map_srid, source, topics.odometry, own.map_SE3_body)
-        track = without_jumps(own._replace(name=topics.odometry, map_SE3_body=se3.compose(placed, sensor_SE3_body)))
+        track = without_wild_fixes(
+            own._replace(name=topics.odometry, map_SE3_body=se3.compose(placed, sensor_SE3_body))
+        )
         return srid, lambda time_ns: to_pose(*at(track, time_ns, gap_ns))
     fix, imu = topics.fix or "", topics.imu or ""
     antenna_m = _antenna(topics, found, settings, source)
     raw = samples(f"{source}: {fix}", found.records[fix], found.bad[fix])
     attitude = samples(f"{source}: {imu}", found.records[imu], found.bad[imu])._replace(name=imu)
     lat, lon, height = raw.map_SE3_body[:, :3, 3].T
+    srid = checked_srid(map_srid or settings.map_srid, float(lat[0]), float(lon[0]), source)
     try:
-        srid = checked_srid(map_srid or settings.map_srid, float(lat[0]), float(lon[0]))
-        places = se3.se3(np.broadcast_to(np.eye(3), (len(lat), 3, 3)), geodesy.to_map(srid, lat, lon, height))
+        antenna = se3.se3(np.broadcast_to(np.eye(3), (len(lat), 3, 3)), geodesy.to_map(srid, lat, lon, height))
     except ValueError as error:
         raise DriveFolderError(f"{source}: {error}") from error
-    track = without_jumps(raw._replace(name=fix, map_SE3_body=places))
+    track = without_wild_fixes(raw._replace(name=fix, map_SE3_body=antenna))
 
     def pose_at(time_ns: int) -> Pose:
-        place, place_sigma = at(track, time_ns, gap_ns)
+        fixed, fix_sigma = at(track, time_ns, gap_ns)
         turn, turn_sigma = at(attitude, time_ns, gap_ns)
-        here = geodesy.to_geodetic(srid, place[:3, 3])
-        map_R_sensor = enu_to_grid(srid, here[0], here[1], turn[:3, :3])
-        body = se3.se3(map_R_sensor @ sensor_R_body, place[:3, 3] - map_R_sensor @ antenna_m)
-        return to_pose(body, place_sigma + turn_sigma)
+        lat_deg, lon_deg, _ = geodesy.to_geodetic(srid, fixed[:3, 3])
+        map_R_sensor = enu_to_grid(srid, lat_deg, lon_deg, turn[:3, :3])
+        body = se3.se3(map_R_sensor @ sensor_R_body, fixed[:3, 3] - map_R_sensor @ antenna_m)
+        return to_pose(body, fix_sigma + turn_sigma)
 
     return srid, pose_at
 
@@ -282,8 +296,8 @@ def _antenna(topics: Topics, found: _Recorded, settings: DriveYaml, source: Path
     pose = found.frames.find(imu, antenna)
     if pose is None:
         raise DriveFolderError(
-            f"{source}: {TF_STATIC} does not tell where the antenna '{antenna}' sits on '{imu}'; put antenna_t_m: [x, y, z] into "
-            "drive.yaml ([0, 0, 0] where the receiver's driver reduces its places to the IMU)"
+            f"{source}: {TF_STATIC} does not connect the antenna '{antenna}' with '{imu}'; put antenna_t_m: [x, y, z] into "
+            "drive.yaml ([0, 0, 0] where the receiver's driver reduces its positions to the IMU)"
         )
     return np.array(pose[:3, 3])
 

@@ -1,4 +1,4 @@
-"""What was understood of a drive before anything is computed from it: counts, rates, gaps, quality of the poses, extent."""
+"""Summary of a drive before anything is computed from it: counts, rates, gaps, quality of the poses, extent."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from conetl.model.rejections import Rejection
 Array = NDArray[np.float64]
 
 GAP_FACTOR = 2.5
-"""A step this many times the drive's median one is a gap."""
+"""A step longer than this many times the drive's median is a gap."""
 LEAST_GAP_M = 3.0
 JUMP_M = 0.5
 JUMP_SIGMAS = 5.0
 JUMP_WITHIN_S = 0.35
-"""Neighbours farther apart in time say nothing about a jump: a car that brakes or turns leaves the straight line, too."""
+"""Jumps need neighbours that are near in time: a car that brakes or turns leaves the straight line, too."""
 
 
 class _Part(BaseModel):
@@ -37,13 +37,13 @@ class Gap(_Part):
     before_frame: int
     seconds: float
     metres: float
-    """Distance that the body covers in between, level."""
+    """Level distance."""
     in_time: bool
     in_space: bool
 
 
 class Jump(_Part):
-    """A place that leaves the line between its neighbours by more than its sigma explains."""
+    """A position farther from the line between its neighbours than its sigma explains."""
 
     frame: int
     off_m: float
@@ -66,7 +66,7 @@ class RigSummary(_Part):
 
 
 class PoseSummary(_Part):
-    """What the trajectory says of its own quality."""
+    """Recorded quality of the trajectory."""
 
     horizontal_sigma_median_m: float
     horizontal_sigma_max_m: float
@@ -76,7 +76,7 @@ class PoseSummary(_Part):
 
 
 class Extent(_Part):
-    """Bounding box of the body's places."""
+    """Bounding box of the body's positions."""
 
     east_m: tuple[float, float]
     north_m: tuple[float, float]
@@ -86,7 +86,7 @@ class Extent(_Part):
 
 
 class LostPair(_Part):
-    """One pair that was refused."""
+    """One rejected pair."""
 
     record: str
     reason: str
@@ -94,7 +94,7 @@ class LostPair(_Part):
 
 
 class DriveSummary(_Part):
-    """Everything."""
+    """All of it; `conetl inspect --json` prints it."""
 
     drive_id: str
     source_path: str
@@ -110,22 +110,22 @@ class DriveSummary(_Part):
     rate_hz: float | None
     """Of the median step; None for a single pair."""
     length_m: float
-    """Level length of the way, usable pairs joined by straight lines."""
+    """Level length of the drive path, straight between usable pairs."""
     gaps: tuple[Gap, ...]
     poses: PoseSummary
     extent: Extent
 
 
 def summarise(drive: Drive, rejections: Sequence[Rejection]) -> DriveSummary:
-    """The summary of a drive and its rejections. Costs no look at the images."""
+    """The summary of a drive and its rejections. No image is opened."""
     pairs = drive.frame_pairs
-    places = np.array([pair.pose.map_t_body_m for pair in pairs])
+    positions = np.array([pair.pose.map_t_body_m for pair in pairs])
     sigmas = np.array([pair.pose.sigma_enu_m for pair in pairs])
     times_s = np.array([(pair.captured_at_ns - pairs[0].captured_at_ns) * 1e-9 for pair in pairs])
-    seconds, metres = np.diff(times_s), np.hypot(*np.diff(places[:, :2], axis=0).T)
+    seconds, metres = np.diff(times_s), np.hypot(*np.diff(positions[:, :2], axis=0).T)
     horizontal = np.maximum(sigmas[:, 0], sigmas[:, 1])
-    jumps = _jumps(pairs, times_s, places, horizontal)
-    geodetic = geodesy.to_geodetic(drive.map_srid, places)
+    jumps = _jumps(pairs, times_s, positions, horizontal)
+    geodetic = geodesy.to_geodetic(drive.map_srid, positions)
     return DriveSummary(
         drive_id=drive.drive_id, source_path=drive.source_path, map_srid=drive.map_srid, rig=_rig(drive),
         expected_pairs=drive.expected_frame_count, usable_pairs=len(pairs),
@@ -141,7 +141,7 @@ def summarise(drive: Drive, rejections: Sequence[Rejection]) -> DriveSummary:
             jumps=jumps,
         ),
         extent=Extent(
-            east_m=_span(places[:, 0]), north_m=_span(places[:, 1]), height_m=_span(places[:, 2]),
+            east_m=_span(positions[:, 0]), north_m=_span(positions[:, 1]), height_m=_span(positions[:, 2]),
             lon_deg=_span(geodetic[:, 1]), lat_deg=_span(geodetic[:, 0]),
         ),
     )  # fmt: skip
@@ -164,7 +164,7 @@ def _span(values: Array) -> tuple[float, float]:
 
 
 def _gaps(pairs: Sequence[FramePair], seconds: Array, metres: Array, jumped: set[int]) -> tuple[Gap, ...]:
-    """Steps that are too long; the way to and from a jump's wrong place is no gap in space."""
+    """Steps that are too long; those to and from a jump are not gaps in space."""
     if not len(seconds):
         return ()
     moving = metres[metres > 0.05]
@@ -181,14 +181,14 @@ def _gaps(pairs: Sequence[FramePair], seconds: Array, metres: Array, jumped: set
     )  # fmt: skip
 
 
-def _jumps(pairs: Sequence[FramePair], times_s: Array, places: Array, horizontal_m: Array) -> tuple[Jump, ...]:
-    """Places off the line between their neighbours. A jump shows at its neighbours too: only the worst of a run is told."""
+def _jumps(pairs: Sequence[FramePair], times_s: Array, positions: Array, horizontal_m: Array) -> tuple[Jump, ...]:
+    """Positions off the line between their neighbours, the worst of each run: a jump affects its neighbours, too."""
     if len(pairs) < 3:
         return ()
     before, here, after = slice(None, -2), slice(1, -1), slice(2, None)
     weight = ((times_s[here] - times_s[before]) / (times_s[after] - times_s[before]))[:, None]
-    expected = (1.0 - weight) * places[before, :2] + weight * places[after, :2]
-    off = np.hypot(*(places[here, :2] - expected).T)
+    expected = (1.0 - weight) * positions[before, :2] + weight * positions[after, :2]
+    off = np.hypot(*(positions[here, :2] - expected).T)
     wild = (off > np.maximum(JUMP_M, JUMP_SIGMAS * horizontal_m[here])) & (
         times_s[after] - times_s[before] <= JUMP_WITHIN_S
     )

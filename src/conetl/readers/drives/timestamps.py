@@ -1,7 +1,4 @@
-"""Time stamps of drives, and which of them cannot be true.
-
-KITTI writes one line a frame, `2011-09-26 13:04:32.345808896`, the line number being the frame's number from 0.
-"""
+"""Time stamps of drives, and which of them cannot be true."""
 
 from __future__ import annotations
 
@@ -13,16 +10,16 @@ from statistics import median_low
 from zoneinfo import ZoneInfo
 
 EARLIEST_NS = 946_684_800_000_000_000
-"""2000-01-01. A clock that was not set begins in 1970 or 1980, and no drive is as old as that."""
+"""2000-01-01. A clock that was not set starts in 1970 or 1980; no drive is that old."""
 MAX_FROM_MEDIAN_NS = 86_400_000_000_000
-"""A day: no drive is longer, and a clock that is wrong by less shows in the order of the frames or against the poses."""
+"""A day: no drive is longer; a smaller error of a clock shows in the order of the frames or against the poses."""
 _STAMP = re.compile(r"^\s*(\d{4})-(\d\d)-(\d\d)[ T](\d\d):(\d\d):(\d\d)(?:\.(\d{1,9}))?\s*(Z|[+-]\d\d:?\d\d)?\s*$")
 
 
 def parse_timestamp(line: str, zone: str = "UTC") -> int:
-    """UTC nanoseconds since 1970 of one line written in a time zone, or with its own offset (Z, +01:00). Raises ValueError.
+    """UTC nanoseconds since 1970 of one line, `2011-09-26 13:04:32.345808896`, with an offset (Z, +01:00) or in a time zone.
 
-    A time that a clock change makes ambiguous is taken as the earlier one.
+    A time that is ambiguous because of a clock change is the earlier one. Raises ValueError.
     """
     match = _STAMP.match(line)
     if match is None:
@@ -39,7 +36,7 @@ def parse_timestamp(line: str, zone: str = "UTC") -> int:
 
 
 def parse_timestamps(text: str, zone: str = "UTC") -> dict[int, int | str]:
-    """Line number -> UTC nanoseconds, or the sentence that says what is wrong with that line. Blank last lines do not count."""
+    """Line number, from 0, -> UTC nanoseconds, or what is wrong with that line. Blank lines at the end do not count."""
     stamps: dict[int, int | str] = {}
     for number, line in enumerate(text.rstrip().splitlines()):
         try:
@@ -50,7 +47,7 @@ def parse_timestamps(text: str, zone: str = "UTC") -> dict[int, int | str]:
 
 
 def misplaced(stamps_ns: Mapping[int, int]) -> dict[int, str]:
-    """What is wrong with the times of some frames, by number, as the end of a sentence: the clock, else the order."""
+    """What is wrong with the times of some frames, by number: the clock, else the order. To be put after "the time"."""
     wrong = wrong_clocks(stamps_ns)
     for number in out_of_order({number: stamp for number, stamp in stamps_ns.items() if number not in wrong}):
         wrong[number] = "does not rise with the order of recording"
@@ -58,7 +55,7 @@ def misplaced(stamps_ns: Mapping[int, int]) -> dict[int, str]:
 
 
 def wrong_clocks(stamps_ns: Mapping[int, int]) -> dict[int, str]:
-    """Frames whose time was told by a clock that was not set, or by another one than most: a stamp that rises may be both."""
+    """Frames whose clock was not set, or is not that of most others; such stamps may rise nevertheless."""
     wrong = {n: "is before 2000: the clock was not set" for n, stamp in stamps_ns.items() if stamp < EARLIEST_NS}
     others = {number: stamp for number, stamp in stamps_ns.items() if number not in wrong}
     if others:
@@ -71,19 +68,19 @@ def wrong_clocks(stamps_ns: Mapping[int, int]) -> dict[int, str]:
 
 
 def out_of_order(stamps_ns: Mapping[int, int]) -> set[int]:
-    """Frame numbers whose time does not fit the order of the numbers: the fewest that must go for the rest to rise strictly.
+    """Frame numbers whose time does not fit their order: the fewest without which the other times rise strictly.
 
-    A longest strictly increasing subsequence, so that one wild stamp costs its own frame and not all that follow.
+    By a longest strictly increasing subsequence, so that one wild stamp costs its own frame and not all that follow.
     """
     numbers = sorted(stamps_ns)
     tails: list[int] = []
     tail_at: list[int] = []
     before: dict[int, int | None] = {}
     for number in numbers:
-        place = bisect_left(tails, stamps_ns[number])
-        before[number] = tail_at[place - 1] if place else None
-        tails[place : place + 1] = [stamps_ns[number]]
-        tail_at[place : place + 1] = [number]
+        end = bisect_left(tails, stamps_ns[number])
+        before[number] = tail_at[end - 1] if end else None
+        tails[end : end + 1] = [stamps_ns[number]]
+        tail_at[end : end + 1] = [number]
     keep: set[int] = set()
     at = tail_at[-1] if tail_at else None
     while at is not None:

@@ -1,35 +1,41 @@
-"""Trajectories that come with times of their own (odometry, GNSS, IMU): the pose at the instant of an exposure."""
+"""Trajectories: poses and sigmas of the body, and the pose at the time of an exposure between recorded poses."""
 
 from __future__ import annotations
 
 import math
 from bisect import bisect_left, bisect_right
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
+from conetl.geometry.georeference import local_to_map
 from conetl.model.errors import DriveFolderError
 from conetl.model.records import Pose
 from conetl.model.rejections import RejectionReason
-from conetl.readers.drives.drive_yaml import Sigmas
-from conetl.readers.drives.oxts import MAX_SPEED_M_S, VERTICAL_FACTOR
+from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas
 from conetl.readers.drives.pairs import PairError
 
 Array = NDArray[np.float64]
+
+VERTICAL_FACTOR = 1.5
+"""The height of a GNSS fix is about this much less accurate than its horizontal position."""
+MAX_SPEED_M_S = 100.0
 
 
 class Samples(NamedTuple):
     """Valid records by time, and what is wrong with the others."""
 
     name: str
-    """What they are called in the drive, for messages."""
+    """Of the stream in the drive, for messages."""
     times_ns: list[int]
     """Rising."""
     map_SE3_body: Array
-    """(N, 4, 4); of a receiver without attitude the rotation is the identity, of an IMU the place is zero."""
+    """(N, 4, 4); without attitude the rotation is the identity, without position the translation is zero."""
     sigma: Array
     """(N, 6): easting, northing, height (m), roll, pitch, yaw (rad)."""
     bad: dict[int, str]
@@ -37,65 +43,67 @@ class Samples(NamedTuple):
 
 
 def samples(name: str, records: Mapping[int, tuple[Array, tuple[float, ...]]], bad: Mapping[int, str]) -> Samples:
-    """Samples of (pose (4, 4), six sigmas) by time. Raises DriveFolderError where there is not one."""
+    """Samples of (pose (4, 4), six sigmas) by time. Raises DriveFolderError where there is none."""
     if not records:
         first = next(iter(bad.values()), "there are none")
         raise DriveFolderError(f"{name}: not one usable pose: {first}")
     times = sorted(records)
-    return Samples(
-        name, times, np.array([records[t][0] for t in times]), np.array([records[t][1] for t in times]), dict(bad)
-    )
+    poses, sigmas = zip(*(records[t] for t in times), strict=True)
+    return Samples(name, times, np.array(poses), np.array(sigmas), dict(bad))
 
 
-def without_jumps(track: Samples) -> Samples:
-    """Without places that are reached and left at more than 100 m/s while their neighbours fit each other; those become bad."""
-    if len(track.times_ns) < 3:
-        return track
-    times, places = np.array(track.times_ns), track.map_SE3_body[:, :3, 3]
+def wild_fixes(times_ns: Sequence[int], positions_m: Array) -> dict[int, str]:
+    """What is wrong with some of the positions (N, 3), by index.
+
+    They are reached and left at more than 100 m/s, while their neighbours fit each other.
+    """
+    times = np.array(times_ns)
 
     def speed(a: slice, b: slice) -> Array:
-        apart_s = np.maximum((times[b] - times[a]) * 1e-9, 1e-3)
-        found: Array = np.linalg.norm(places[b] - places[a], axis=1) / apart_s
-        return found
+        apart_s = np.maximum(np.abs(times[b] - times[a]) * 1e-9, 1e-3)
+        return np.asarray(np.linalg.norm(positions_m[b] - positions_m[a], axis=1) / apart_s)
 
     first, middle, last = slice(None, -2), slice(1, -1), slice(2, None)
     reached, left, past = speed(first, middle), speed(middle, last), speed(first, last)
-    wild = np.flatnonzero((reached > MAX_SPEED_M_S) & (left > MAX_SPEED_M_S) & (past <= MAX_SPEED_M_S)) + 1
-    if not len(wild):
-        return track
-    keep = np.setdiff1d(np.arange(len(times)), wild)
-    text = f"m/s, more than {MAX_SPEED_M_S:g}: a wild fix"
-    bad = {int(times[i]): f"the place is reached and left at {reached[i - 1]:.0f} {text}" for i in wild}
-    return Samples(track.name, times[keep].tolist(), track.map_SE3_body[keep], track.sigma[keep], track.bad | bad)
+    wild = np.flatnonzero((reached > MAX_SPEED_M_S) & (left > MAX_SPEED_M_S) & (past <= MAX_SPEED_M_S)).tolist()
+    return {
+        i + 1: f"the position is reached and left at {reached[i]:.0f} m/s, more than {MAX_SPEED_M_S:g}: a wild fix"
+        for i in wild
+    }
+
+
+def without_wild_fixes(track: Samples) -> Samples:
+    """The same samples; wild fixes become bad records."""
+    wild = wild_fixes(track.times_ns, track.map_SE3_body[:, :3, 3])
+    keep = [i for i in range(len(track.times_ns)) if i not in wild]
+    bad = {track.times_ns[i]: text for i, text in wild.items()}
+    times = [track.times_ns[i] for i in keep]
+    return Samples(track.name, times, track.map_SE3_body[keep], track.sigma[keep], track.bad | bad)
 
 
 def at(track: Samples, time_ns: int, max_gap_ns: int) -> tuple[Array, Array]:
-    """Pose (4, 4), by straight line and slerp between the records around the instant, and the larger of their sigmas (6,).
+    """Pose (4, 4), interpolated (straight line, slerp) between the neighbouring records, and the larger of their sigmas (6,).
 
-    Raises PairError: POSE_INVALID where a bad record lies between them, POSE_MISSING where they are too far apart or the instant
-    lies beyond the trajectory.
+    Raises PairError: POSE_INVALID where a bad record is between them, POSE_MISSING where they are too far apart or the time
+    is outside the trajectory.
     """
     times = track.times_ns
-    after = bisect_left(times, time_ns)
-    if after < len(times) and times[after] == time_ns:
-        return track.map_SE3_body[after], track.sigma[after]
-    before, end = after - 1, after
-    start_ns = times[before] if before >= 0 else None
+    end = bisect_left(times, time_ns)
+    if end < len(times) and times[end] == time_ns:
+        return track.map_SE3_body[end], track.sigma[end]
+    start_ns = times[end - 1] if end else None
     end_ns = times[end] if end < len(times) else None
     near = [
-        (t, text) for t, text in track.bad.items()
+        (abs(t - time_ns), t) for t in track.bad
         if (start_ns is None or t > start_ns) and (end_ns is None or t < end_ns) and abs(t - time_ns) <= max_gap_ns
     ]  # fmt: skip
     if near:
-        t, text = min(near, key=lambda item: abs(item[0] - time_ns))
-        raise PairError(RejectionReason.POSE_INVALID, f"{track.name}, record of {t} ns: {text}")
+        t = min(near)[1]
+        raise PairError(RejectionReason.POSE_INVALID, f"{track.name}, record of {t} ns: {track.bad[t]}")
     if start_ns is None or end_ns is None:
         apart_s = (times[0] - time_ns if start_ns is None else time_ns - times[-1]) * 1e-9
-        where = "begins" if start_ns is None else "ended"
-        raise PairError(
-            RejectionReason.POSE_MISSING,
-            f"{track.name} {where} {apart_s:.3f} s {'after' if start_ns is None else 'before'} the exposure",
-        )
+        where = f"begins {apart_s:.3f} s after" if start_ns is None else f"ended {apart_s:.3f} s before"
+        raise PairError(RejectionReason.POSE_MISSING, f"{track.name} {where} the exposure")
     if end_ns - start_ns > max_gap_ns:
         raise PairError(
             RejectionReason.POSE_MISSING,
@@ -103,40 +111,40 @@ def at(track: Samples, time_ns: int, max_gap_ns: int) -> tuple[Array, Array]:
             "(max_pose_gap_s in drive.yaml)",
         )
     weight = (time_ns - start_ns) / (end_ns - start_ns)
-    pose = se3.interpolate(track.map_SE3_body[before], track.map_SE3_body[end], weight)
-    return pose, np.maximum(track.sigma[before], track.sigma[end])
+    pose = se3.interpolate(track.map_SE3_body[end - 1], track.map_SE3_body[end], weight)
+    return pose, np.maximum(track.sigma[end - 1], track.sigma[end])
 
 
-def to_pose(map_SE3_body: Array, sigma: Array) -> Pose:
-    """The record."""
+def to_pose(map_SE3_body: Array, sigma: ArrayLike) -> Pose:
+    """The record of a pose (4, 4) and its six sigmas."""
     x, y, z = (float(c) for c in map_SE3_body[:3, 3])
-    e, n, u, roll, pitch, yaw = (float(s) for s in sigma)
+    e, n, u, roll, pitch, yaw = (float(s) for s in np.asarray(sigma))
     return Pose(
         map_R_body=se3.to_matrix3(map_SE3_body[:3, :3]), map_t_body_m=(x, y, z), sigma_enu_m=(e, n, u),
         sigma_rpy_rad=(roll, pitch, yaw),
     )  # fmt: skip
 
 
-def place_sigmas(settings: Sigmas, recorded_m: tuple[float, float, float] | None) -> tuple[float, float, float]:
-    """Sigmas of easting, northing, height (m): drive.yaml's, else what was recorded with the place. Raises ValueError."""
+def position_sigmas(settings: Sigmas, recorded_m: tuple[float, float, float] | None) -> tuple[float, float, float]:
+    """Sigmas of easting, northing, height (m): those of drive.yaml, else the recorded ones. Raises ValueError."""
     if settings.horizontal_m is not None:
         horizontal = settings.horizontal_m
         return horizontal, horizontal, settings.vertical_m or VERTICAL_FACTOR * horizontal
     if recorded_m is None:
-        raise ValueError("no covariance was recorded with the place; give sigmas.horizontal_m in drive.yaml")
+        raise ValueError("no covariance was recorded with the position; give sigmas.horizontal_m in drive.yaml")
     if not all(0.0 < value <= 1000.0 for value in recorded_m):  # NaN fails too
-        raise ValueError(f"sigmas of the place are {recorded_m}, expected metres between 0 and 1000")
+        raise ValueError(f"sigmas of the position are {recorded_m}, expected metres between 0 and 1000")
     east, north, up = recorded_m
     return east, north, settings.vertical_m or up
 
 
 def attitude_sigmas(settings: Sigmas, recorded_rad: tuple[float, ...] | None) -> tuple[float, float, float]:
-    """Sigmas of roll, pitch, yaw (rad): what drive.yaml says, else what was recorded, else drive.yaml's defaults."""
+    """Sigmas of roll, pitch, yaw (rad): those given in drive.yaml, else the recorded ones, else the defaults of drive.yaml."""
     found = []
     for index, name in enumerate(("roll_deg", "pitch_deg", "yaw_deg")):
         own = recorded_rad[index] if recorded_rad else 0.0
-        told = name in settings.model_fields_set or not own > 0.0 or not math.isfinite(own)
-        found.append(math.radians(getattr(settings, name)) if told else own)
+        given = name in settings.model_fields_set or not own > 0.0 or not math.isfinite(own)
+        found.append(math.radians(getattr(settings, name)) if given else own)
     return found[0], found[1], found[2]
 
 
@@ -156,7 +164,39 @@ def rotation_of(w: float, x: float, y: float, z: float) -> Array:
 
 
 def nearest_index(times_ns: list[int], time_ns: int) -> int:
-    """Index of the time nearest to one; of two equally near the earlier. The list must not be empty."""
+    """Index of the nearest time; of two equally near ones the earlier. The list must not be empty."""
     after = bisect_right(times_ns, time_ns)
     around = [i for i in (after - 1, after) if 0 <= i < len(times_ns)]
     return min(around, key=lambda i: abs(times_ns[i] - time_ns))
+
+
+def georeferenced(
+    settings: DriveYaml, map_srid: int | None, source: Path, stream: str, local: Array
+) -> tuple[int, Array]:
+    """EPSG code of the map and map_SE3_sensor (N, 4, 4) of poses in a local frame (N, 4, 4).
+
+    Raises DriveFolderError where drive.yaml has no georeference of that frame.
+    """
+    origin = settings.georeference
+    if origin is None:
+        raise DriveFolderError(
+            f"{source}: {stream} is in a local frame whose position on the earth is unknown. Put into drive.yaml: "
+            "'georeference: {lon_deg: ..., lat_deg: ..., height_m: ..., heading_deg: ...}', the position of its origin "
+            "(ellipsoidal height) and the direction of its x axis, clockwise from true north"
+        )
+    srid = checked_srid(map_srid or settings.map_srid, origin.lat_deg, origin.lon_deg, source)
+    try:
+        return srid, local_to_map(srid, origin.lat_deg, origin.lon_deg, origin.height_m, origin.heading_deg, local)
+    except ValueError as error:
+        raise DriveFolderError(f"{source}: {error}") from error
+
+
+def checked_srid(srid: int | None, lat_deg: float, lon_deg: float, source: Path) -> int:
+    """EPSG code of the map: the given one, or the UTM zone of the position. Raises DriveFolderError if it is unusable there."""
+    try:
+        srid = srid or geodesy.utm_srid(lat_deg, lon_deg)
+        geodesy.check_map_srid(srid)
+        geodesy.check_scale(srid, lat_deg, lon_deg)
+    except ValueError as error:
+        raise DriveFolderError(f"{source}: {error}") from error
+    return srid

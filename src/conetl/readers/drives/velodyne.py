@@ -1,8 +1,8 @@
-"""LiDAR scans of a KITTI drive: `velodyne_points/data/*.bin`, four float32 a point (x, y, z in metres, reflectance).
+"""LiDAR scans of a KITTI drive: `velodyne_points/data/*.bin`, four float32 per point (x, y, z in metres, reflectance).
 
-Frame: the velodyne's, x forward, y left, z up. The scanner turns counter-clockwise seen from above, once a frame, and the
-cameras are triggered when it looks straight ahead (Geiger et al., IJRR 2013, and the data set's own notes); a point seen at
-another azimuth was taken earlier or later, while the car moved on. `points_at_exposure` takes that out.
+Frame: the velodyne's, x forward, y left, z up. The scanner turns counter-clockwise seen from above, once per frame, and the
+cameras are triggered when it points straight ahead (Geiger et al., IJRR 2013, and the data set's own notes); points at another
+azimuth were taken earlier or later from the moving car, which `points_at_exposure` corrects.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from conetl.geometry.rig import map_SE3_left
 from conetl.model.errors import CalibrationError, ConetlError
 from conetl.model.records import FramePair, Rig
 from conetl.readers.drives.timestamps import parse_timestamps
-from conetl.readers.rigs import IMU_TO_VELO
+from conetl.readers.rigs.kitti import IMU_TO_VELO, read_numbers
 
 Floats = NDArray[np.float64]
 
 VELODYNE = "velodyne_points"
-_BYTES_A_POINT = 16
+_BYTES_PER_POINT = 16
 
 
 class ScanFileError(ConetlError):
@@ -41,16 +41,16 @@ def list_scans(drive_folder: Path) -> dict[int, Path]:
 def read_scan(path: Path) -> NDArray[np.float32]:
     """Points (N, 4) of one scan: x, y, z (m, velodyne frame), reflectance. Raises ScanFileError.
 
-    Points that are no numbers, or lie at the scanner itself (no echo), are left out.
+    Points with invalid numbers or at the scanner itself (no echo) are left out.
     """
     try:
         content = path.read_bytes()
     except OSError as error:
         raise ScanFileError(f"{path}: cannot be read ({error.strerror}); this scan is left out") from error
-    if not content or len(content) % _BYTES_A_POINT:
+    if not content or len(content) % _BYTES_PER_POINT:
         raise ScanFileError(
-            f"{path}: {len(content)} bytes; expected a whole number of points of {_BYTES_A_POINT} bytes (four float32) and at "
-            "least one. The file is cut off: copy it again. This scan is left out"
+            f"{path}: {len(content)} bytes; expected one or more points of {_BYTES_PER_POINT} bytes (four float32). The file is "
+            "cut off: copy it again. This scan is left out"
         )
     points = np.frombuffer(content, dtype="<f4").reshape(-1, 4)
     good = np.isfinite(points).all(axis=1) & (np.abs(points[:, :3]).sum(axis=1) > 0.1)
@@ -60,10 +60,7 @@ def read_scan(path: Path) -> NDArray[np.float32]:
 
 
 def scan_period_s(drive_folder: Path) -> float:
-    """Time of one turn of the scanner, from `timestamps_start.txt` and `timestamps_end.txt`; 0.1 s where they are missing.
-
-    (10 Hz is what KITTI's scanner is set to.)
-    """
+    """Time of one turn of the scanner, from `timestamps_start.txt` and `timestamps_end.txt`; 0.1 s (KITTI's 10 Hz) without."""
     stamps = []
     for name in ("timestamps_start.txt", "timestamps_end.txt"):
         path = drive_folder / VELODYNE / name
@@ -76,34 +73,24 @@ def scan_period_s(drive_folder: Path) -> float:
     return float(np.median(turns)) if turns else 0.1
 
 
-def left_SE3_velo(rig: Rig, calibration_folder: Path) -> NDArray[np.float64]:
+def left_SE3_velo(rig: Rig, calibration_folder: Path) -> Floats:
     """(4, 4) velodyne points -> left camera points, for a rig read from KITTI's files in `calibration_folder`.
 
-    The rig holds body -> left camera; `calib_imu_to_velo.txt` gives body (the IMU) -> velodyne, and the rest is a product.
-    Raises CalibrationError.
+    The rig has body -> left camera; `calib_imu_to_velo.txt` has body (the IMU) -> velodyne. Raises CalibrationError.
     """
     path = calibration_folder / IMU_TO_VELO
-    velo_SE3_body = _read_rigid(path)
-    return se3.compose(se3.invert(np.array(rig.body_SE3_left)), se3.invert(velo_SE3_body))
-
-
-def _read_rigid(path: Path) -> NDArray[np.float64]:
-    """(4, 4) from a KITTI file with the lines `R: ` (9 numbers) and `T: ` (3 numbers, metres)."""
+    values = read_numbers(path, {"R": 9, "T": 3})
     try:
-        lines = dict(line.split(":", 1) for line in path.read_text(encoding="utf-8").splitlines() if ":" in line)
-        rotation = np.array(lines["R"].split(), dtype=np.float64).reshape(3, 3)
-        shift = np.array(lines["T"].split(), dtype=np.float64).reshape(3)
-        return se3.se3(se3.nearest_rotation(rotation), shift)
-    except (OSError, UnicodeDecodeError, KeyError, ValueError) as error:
-        raise CalibrationError(
-            f"{path}: expected lines 'R: ' with 9 and 'T: ' with 3 numbers, as in KITTI's own file ({error})"
-        ) from error
+        velo_SE3_body = se3.se3(se3.nearest_rotation(values["R"].reshape(3, 3)), values["T"])
+    except ValueError as error:
+        raise CalibrationError(f"{path}: R: {error}") from error
+    return se3.compose(se3.invert(np.array(rig.body_SE3_left)), se3.invert(velo_SE3_body))
 
 
 def points_at_exposure(
     points: Floats, pair: FramePair, pairs: Mapping[int, FramePair], rig: Rig, velo: Floats, period_s: float
 ) -> Floats:
-    """Points (N, 3) of one turn of the scanner, in its frame, as at the instant of the image.
+    """Points (N, 3) of one turn of the scanner, in its frame, at the time of the image.
 
     velo: (4, 4) left_SE3_velo; the car's motion comes from the poses of the frame pairs before and after.
     """
@@ -119,7 +106,7 @@ def points_at_exposure(
 
 
 def untwist(points_velo_m: Floats, velocity_velo_m_s: Floats, turn_rate_rad_s: float, period_s: float) -> Floats:
-    """Points (N, 3) of one turn of the scanner, moved to where they would be seen at the instant it looked straight ahead.
+    """Points (N, 3) of one turn of the scanner, moved to their positions at the time when it pointed straight ahead.
 
     velocity_velo_m_s: (3,) of the scanner over ground, in its own frame (x forward, y left, z up); turn_rate_rad_s: of the
     car about z, counter-clockwise; period_s: of one counter-clockwise turn. A point to the left was taken later, from farther on.

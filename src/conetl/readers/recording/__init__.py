@@ -1,4 +1,1 @@
-"""A drive folder while it is recorded: which frame pairs are there by now, and their poses.
-
-It imports `readers.drives`. The story begins in `drive.py`.
-"""
+"""Drive folders while they are being recorded. The story begins in `drive.py`; it imports `readers.drives`."""

@@ -1,28 +1,22 @@
-"""Calibration files of many tools -> `Rig`, and back: one module a format, `read_rig` finds out which one it is.
+"""Calibration files of many tools -> `Rig`, and back: one module per format, `read_rig` recognises the format.
 
-What is read is the rig of the images as they are stored: raw, with its lenses, unless the file describes a rectified pair
-(`geometry/rectification.py` makes the other from it). Everything wrong with a file ends in one CalibrationError that names
-file, key, what was expected and what to do.
+The result is the rig of the stored images: raw, with its lenses, unless the file describes a rectified pair
+(`geometry/rectification.py` makes the other from it). Every error is a CalibrationError that names the file, the key, what was
+expected and what to do.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from conetl.model.errors import CalibrationError
 from conetl.model.records import Rig
-from conetl.readers.rigs.common import Size, read_text, read_yaml, rectified_rig
+from conetl.readers.rigs.common import Size, read_json, read_text, read_yaml, rectified_rig
 from conetl.readers.rigs.kalibr import looks_like_kalibr, read_kalibr_rig, write_kalibr_rig
-from conetl.readers.rigs.kitti import (
-    CAM_TO_CAM,
-    IMU_TO_VELO,
-    VELO_TO_CAM,
-    kitti_rig_for_images,
-    read_kitti_rig,
-)
+from conetl.readers.rigs.kitti import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, kitti_rig_for_images, read_kitti_rig
 from conetl.readers.rigs.matlab import looks_like_matlab, read_matlab_rig, write_matlab_rig
 from conetl.readers.rigs.opencv import looks_like_opencv, read_opencv_rig, write_opencv_rig
 from conetl.readers.rigs.rig_yaml import RIG_YAML, read_rig_yaml, write_rig_yaml
@@ -30,16 +24,16 @@ from conetl.readers.rigs.ros import looks_like_ros, read_ros_rig, write_ros_rig
 
 __all__ = [
     "CAM_TO_CAM", "FORMAT_NAMES", "IMU_TO_VELO", "RIG_YAML", "VELO_TO_CAM", "WRITERS", "Format", "kitti_rig_for_images",
-    "read_kalibr_rig", "read_kitti_rig", "read_matlab_rig", "read_opencv_rig", "read_rig", "read_rig_and_format",
-    "read_rig_for_images", "read_rig_yaml", "read_ros_rig", "recognise", "write_kalibr_rig", "write_matlab_rig",
-    "write_opencv_rig", "write_rig_yaml", "write_ros_rig",
+    "read_kitti_rig", "read_rig", "read_rig_and_format", "read_rig_for_images", "read_rig_yaml", "write_rig_yaml",
 ]  # fmt: skip
 
 Format = Literal["rig", "kitti", "opencv", "kalibr", "ros", "matlab"]
-#: What a format is called in front of people.
 FORMAT_NAMES: dict[Format, str] = {
     "rig": "conetl rig.yaml", "kitti": "KITTI calib_cam_to_cam.txt", "opencv": "OpenCV stereo calibration",
     "kalibr": "Kalibr camchain", "ros": "ROS camera_info pair", "matlab": "MATLAB stereoParameters",
+}  # fmt: skip
+_READERS: dict[Format, Callable[[Path], Rig]] = {
+    "rig": read_rig_yaml, "kitti": partial(read_kitti_rig, body_required=False), "kalibr": read_kalibr_rig, "ros": read_ros_rig,
 }  # fmt: skip
 #: Writers by format; that of ROS takes a folder, the others a file.
 WRITERS: dict[str, Callable[[Rig, Path], None]] = {
@@ -60,68 +54,54 @@ def read_rig(path: Path, *, image_size: Size | None = None, length_unit: str | N
 def read_rig_and_format(
     path: Path, *, image_size: Size | None = None, length_unit: str | None = None
 ) -> tuple[Rig, Format]:
-    """Rig and which format it was recognised as.
+    """Rig and its recognised format.
 
-    image_size (width, height) and length_unit are for formats that do not always tell them (OpenCV, MATLAB). A KITTI calibration
-    gives its rectified pair (cameras 02 and 03; with the two other files beside it the body is the IMU, else the left camera).
+    image_size (width, height) and length_unit are for OpenCV and MATLAB files without them. A KITTI calibration gives its
+    rectified pair (cameras 02 and 03; with the two other files beside it the body is the IMU, else the left camera).
     Raises CalibrationError.
     """
-    path, found = recognise(path)
-    if found not in ("opencv", "matlab") and (image_size is not None or length_unit is not None):
-        raise CalibrationError(
-            f"{path}: a {FORMAT_NAMES[found]} tells its image size and its unit itself; leave them out"
-        )
-    match found:
-        case "kitti":
-            return read_kitti_rig(path, body_required=False), found
-        case "opencv":
-            return read_opencv_rig(path, image_size=image_size, length_unit=length_unit), found
-        case "matlab":
-            return read_matlab_rig(path, image_size=image_size, length_unit=length_unit), found
-        case "kalibr":
-            return read_kalibr_rig(path), found
-        case "ros":
-            return read_ros_rig(path), found
-        case "rig":
-            return read_rig_yaml(path), found
+    path, found = _recognise(path)
+    if found in ("opencv", "matlab"):
+        read = read_opencv_rig if found == "opencv" else read_matlab_rig
+        return read(path, image_size=image_size, length_unit=length_unit), found
+    if image_size is not None or length_unit is not None:
+        raise CalibrationError(f"{path}: a {FORMAT_NAMES[found]} has its own image size and unit; leave them out")
+    return _READERS[found](path), found
 
 
 def read_rig_for_images(path: Path, size: Size | None) -> Rig:
-    """The rectified rig for images of this width and height (None: not known), of a calibration file of any known format.
+    """The rectified rig for images of this width and height (None: unknown), of a calibration file of any known format.
 
     Where they are raw, `rectified_from` is the rig that took them. Raises CalibrationError.
     """
-    path, found = recognise(path)
+    path, found = _recognise(path)
     if found == "kitti":
         return kitti_rig_for_images(path, size, body_required=False)
     return rectified_rig(read_rig(path), path)
 
 
-def recognise(path: Path) -> tuple[Path, Format]:
+def _recognise(path: Path) -> tuple[Path, Format]:
     """The file to read (or the folder, for formats of several files) and its format. Raises CalibrationError."""
     if path.is_dir():
         return _in_folder(path)
     if not path.is_file():
         raise CalibrationError(f"{path}: there is no such file. Known: {_KNOWN}, or a folder that holds one of them")
-    suffix = path.suffix.lower()
-    if suffix == ".txt":
-        return path, "kitti"
-    if suffix == ".mat":
-        return path, "matlab"
-    if suffix == ".xml":
-        return path, "opencv"
-    if suffix == ".json":
-        return path, _of_json(path)
-    if suffix in {".yaml", ".yml"}:
-        return path, _of_yaml(path)
-    raise CalibrationError(f"{path}: a calibration is not a '{suffix}' file. Known: {_KNOWN}")
+    match path.suffix.lower():
+        case ".txt":
+            return path, "kitti"
+        case ".mat":
+            return path, "matlab"
+        case ".xml":
+            return path, "opencv"
+        case ".json":
+            return path, _of_json(path)
+        case ".yaml" | ".yml":
+            return path, _of_yaml(path)
+    raise CalibrationError(f"{path}: a calibration is not a '{path.suffix.lower()}' file. Known: {_KNOWN}")
 
 
 def _of_json(path: Path) -> Format:
-    try:
-        content: Any = json.loads(read_text(path))
-    except ValueError as error:
-        raise CalibrationError(f"{path}: this is not JSON: {error}") from error
+    content = read_json(path)
     if looks_like_matlab(content):
         return "matlab"
     if looks_like_opencv(content):

@@ -1,8 +1,9 @@
-"""What the readers of all calibration formats share: numbers checked with file and key in hand, and the way to a `Rig`."""
+"""Shared by all calibration formats: checked values whose errors name file and key, cameras, lenses and rigs."""
 
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import yaml
 from numpy.typing import ArrayLike, NDArray
 from pydantic import ValidationError
 
+from conetl.files.atomic import atomic_text_file
 from conetl.geometry import pose as se3
 from conetl.geometry.rectification import check_stereo_baseline, rectify
 from conetl.model.errors import CalibrationError
@@ -20,14 +22,14 @@ from conetl.model.records import Camera, Lens, Rig
 Array = NDArray[np.float64]
 Size = tuple[int, int]
 
-#: Metres in one unit, by the names that calibration tools write.
+#: Length of units in metres, by the names that calibration tools write.
 LENGTH_UNITS: Mapping[str, float] = {
     "m": 1.0, "meter": 1.0, "meters": 1.0, "metres": 1.0,
     "cm": 0.01, "centimeter": 0.01, "centimeters": 0.01,
     "mm": 0.001, "millimeter": 0.001, "millimeters": 0.001,
     "in": 0.0254, "inch": 0.0254, "inches": 0.0254,
 }  # fmt: skip
-#: No stereo rig on a vehicle is longer; a longer baseline is one in another unit.
+#: No stereo rig on a vehicle is longer; a longer baseline is in another unit.
 MAX_BASELINE_M = 10.0
 _SKEW_SHARE = 1e-6
 
@@ -55,12 +57,31 @@ def read_yaml(path: Path) -> Any:
         raise CalibrationError(f"{path}: this is not YAML: {error}") from error
 
 
-def entry(path: Path, content: Mapping[str, Any], key: str, where: str = "") -> Any:
-    """Value of a key that must be there. Raises CalibrationError."""
+def read_json(path: Path) -> Any:
+    """Content of a JSON file. Raises CalibrationError."""
+    try:
+        return json.loads(read_text(path))
+    except ValueError as error:
+        raise CalibrationError(f"{path}: this is not JSON: {error}") from error
+
+
+def write_yaml(path: Path, content: Mapping[str, Any]) -> None:
+    """A YAML file with the keys in the given order. Raises InputError where it cannot be written."""
+    with atomic_text_file(path) as file:
+        yaml.safe_dump(dict(content), file, default_flow_style=None, sort_keys=False, width=200)
+
+
+def entry(path: Path, content: Any, key: str, where: str = "") -> Any:
+    """Value of a required key; where: the keys above it, for messages. Raises CalibrationError."""
     if not isinstance(content, Mapping) or content.get(key) is None:
         found = ", ".join(map(str, content)) if isinstance(content, Mapping) else repr(content)[:60]
         raise bad(path, f"{where}{key}", f"is missing; found {found or 'nothing'}")
     return content[key]
+
+
+def numbers_at(path: Path, content: Any, key: str, shape: tuple[int, ...] | None = None, where: str = "") -> Array:
+    """The `numbers` of a required `entry`."""
+    return numbers(path, f"{where}{key}", entry(path, content, key, where), shape)
 
 
 def numbers(path: Path, key: str, value: Any, shape: tuple[int, ...] | None = None) -> Array:
@@ -69,7 +90,7 @@ def numbers(path: Path, key: str, value: Any, shape: tuple[int, ...] | None = No
         rows, cols = value.get("rows"), value.get("cols")
         data = numbers(path, key, value.get("data", []))
         if not isinstance(rows, int) or not isinstance(cols, int) or rows * cols != data.size:
-            raise bad(path, key, f"says {rows} rows and {cols} columns, but holds {data.size} numbers")
+            raise bad(path, key, f"has {rows} rows and {cols} columns, but {data.size} numbers")
         value = data.reshape(rows, cols)
     try:
         array = np.asarray(value, dtype=np.float64)
@@ -105,10 +126,36 @@ def camera_from_matrix(path: Path, key: str, k: Array, size: Size, lens: Lens) -
     if not np.allclose([k[1, 0], *k[2]], [0.0, 0.0, 0.0, 1.0], atol=1e-9 * fx):
         raise bad(path, key, "must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
     width, height = size
-    # A principal point that is off the image by its own size belongs to another image size.
+    # A principal point outside the image by the image's size belongs to another image size.
     if not (-width < cx < 2 * width and -height < cy < 2 * height):
         raise bad(path, key, f"has the principal point ({cx:.1f}, {cy:.1f}), far outside {width} x {height} pixels")
     return Camera(width_px=width, height_px=height, fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy, lens=lens)
+
+
+def pinhole_camera(
+    path: Path, content: Any, where: str, coefficients: str, lenses: Mapping[str | None, str | None]
+) -> Camera:
+    """Camera of a mapping in the style of Kalibr and EuRoC: camera_model, intrinsics, resolution, distortion_model.
+
+    coefficients: key of the lens' coefficients; lenses: "opencv", "fisheye" or None (no distortion) by known distortion_model,
+    which is optional if None is known. where: the keys above, for messages. Raises CalibrationError.
+    """
+    model = entry(path, content, "camera_model", where)
+    if model != "pinhole":
+        raise bad(path, f"{where}camera_model", f"'{model}' is not supported, only pinhole")
+    key = "distortion_model"
+    lens_model = content.get(key) if None in lenses else entry(path, content, key, where)
+    if lens_model not in lenses:
+        known = ", ".join(name for name in lenses if name)
+        raise bad(path, f"{where}{key}", f"'{lens_model}' is not supported; known: {known}")
+    lens, kind = Lens(), lenses[lens_model]
+    if kind is not None:
+        make = fisheye_lens if kind == "fisheye" else opencv_lens
+        lens = make(path, f"{where}{coefficients}", numbers_at(path, content, coefficients, None, where))
+    fx, fy, cx, cy = numbers_at(path, content, "intrinsics", (4,), where)
+    k = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    size = size_of_images(path, f"{where}resolution", entry(path, content, "resolution", where))
+    return camera_from_matrix(path, f"{where}intrinsics", k, size, lens)
 
 
 def opencv_lens(path: Path, key: str, coefficients: Sequence[float] | Array) -> Lens:
@@ -149,7 +196,7 @@ def stereo_rig(
 ) -> Rig:
     """Rig of the usual stereo calibration `p_right = R p_left + t`; the body is the left camera.
 
-    key: what the relative pose is called in the file; tool: the format's name, begins the rig's id. Raises CalibrationError.
+    key: of the relative pose in the file; tool: the format's name, the rig's id starts with it. Raises CalibrationError.
     """
     try:
         rotation = se3.nearest_rotation(right_R_left)
@@ -160,7 +207,7 @@ def stereo_rig(
     if np.linalg.norm(right_t_left_m) > MAX_BASELINE_M:
         raise bad(
             path, key, f"gives a baseline of {np.linalg.norm(right_t_left_m):.1f} m; is the file in another unit? "
-            "conetl rig convert makes a rig.yaml of it with --unit mm",
+            "conetl rig convert --unit mm makes a rig.yaml of it",
         )  # fmt: skip
     return rig_of(tool, left, right, left_SE3_right)
 
@@ -175,7 +222,7 @@ def rig_of(
     sigma_px: float = 0.5,
     body_SE3_left: ArrayLike | None = None,
 ) -> Rig:
-    """Rig with an id made of the format's name and a hash over its numbers, unless one is given."""
+    """Rig whose id, unless given, is the format's name and a hash over its numbers."""
     body = np.eye(4) if body_SE3_left is None else np.asarray(body_SE3_left, dtype=np.float64)
     matrices = se3.to_matrix4(body), se3.to_matrix4(se3.compose(body, left_SE3_right))
     digest = hashlib.sha256(repr((left, right, matrices)).encode()).hexdigest()[:8]
@@ -186,7 +233,7 @@ def rig_of(
 
 
 def rectified_rig(rig: Rig, path: Path) -> Rig:
-    """The rig that images are resampled to (`rectify`). Raises CalibrationError naming the file where there is none."""
+    """The rig of the rectified images (`rectify`). Raises CalibrationError where it cannot be rectified."""
     try:
         return rectify(rig)
     except ValueError as error:
@@ -194,7 +241,7 @@ def rectified_rig(rig: Rig, path: Path) -> Rig:
 
 
 def first_message(error: ValueError) -> str:
-    """One sentence of a validation error, with the key it is about."""
+    """One sentence of a validation error, with its key."""
     if isinstance(error, ValidationError):
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])

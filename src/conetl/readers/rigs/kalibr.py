@@ -1,7 +1,7 @@
 """Kalibr's `camchain.yaml` of two pinhole cameras (Furgale, Rehder & Siegwart 2013), read and written.
 
-`cam1.T_cn_cnm1` takes points of cam0 to cam1, metres. radtan is k1, k2, p1, p2 and equidistant is OpenCV's fisheye. `T_cam_imu`
-is not taken over: Kalibr's IMU is any IMU, conetl's body is the INS of the trajectory; write body_SE3_left into a rig.yaml.
+`cam1.T_cn_cnm1` transforms points of cam0 to cam1, metres. radtan is k1, k2, p1, p2 and equidistant is OpenCV's fisheye.
+`T_cam_imu` is ignored: Kalibr's IMU is any IMU, conetl's body is the INS of the trajectory; write body_SE3_left into a rig.yaml.
 """
 
 from __future__ import annotations
@@ -11,26 +11,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
-from conetl.files.atomic import atomic_text_file
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.camera import intrinsics
 from conetl.model.errors import CalibrationError
-from conetl.model.records import Camera, Rig
+from conetl.model.records import Rig
 from conetl.readers.rigs.common import (
     bad,
-    camera_from_matrix,
-    entry,
-    fisheye_lens,
-    numbers,
+    numbers_at,
     opencv_coefficients,
-    opencv_lens,
+    pinhole_camera,
     read_yaml,
-    size_of_images,
     stereo_rig,
+    write_yaml,
 )
+
+_LENSES: dict[str | None, str | None] = {"radtan": "opencv", "equidistant": "fisheye", "none": None}
 
 
 def looks_like_kalibr(content: Any) -> bool:
@@ -49,34 +46,14 @@ def read_kalibr_rig(path: Path) -> Rig:
             f"{path}: expected the two cameras cam0 (left) and cam1 (right), found {', '.join(names) or 'none'}; "
             "keep these two"
         )
-    left, right = (_camera(path, content[name], f"{name}.") for name in ("cam0", "cam1"))
+    left, right = (
+        pinhole_camera(path, content[name], f"{name}.", "distortion_coeffs", _LENSES) for name in ("cam0", "cam1")
+    )
     key = "cam1.T_cn_cnm1"
-    pose = numbers(path, key, entry(path, content["cam1"], "T_cn_cnm1", "cam1."), (4, 4))
+    pose = numbers_at(path, content["cam1"], "T_cn_cnm1", (4, 4), "cam1.")
     if not np.allclose(pose[3], [0, 0, 0, 1]):
         raise bad(path, key, "must end with the row 0, 0, 0, 1")
     return stereo_rig(path, key, "kalibr", left, right, pose[:3, :3], pose[:3, 3])
-
-
-def _camera(path: Path, camera: Any, where: str) -> Camera:
-    model = entry(path, camera, "camera_model", where)
-    if model != "pinhole":
-        raise bad(path, f"{where}camera_model", f"'{model}' is not supported, only pinhole; calibrate with pinhole-radtan "
-                  "or pinhole-equi")  # fmt: skip
-    fx, fy, cx, cy = numbers(path, f"{where}intrinsics", entry(path, camera, "intrinsics", where), (4,))
-    lens_model = entry(path, camera, "distortion_model", where)
-    key = f"{where}distortion_coeffs"
-    if lens_model == "none":
-        lens = opencv_lens(path, key, [])
-    else:
-        coefficients = numbers(path, key, entry(path, camera, "distortion_coeffs", where), (4,))
-        if lens_model not in ("radtan", "equidistant"):
-            raise bad(
-                path, f"{where}distortion_model", f"'{lens_model}' is not supported; known: radtan, equidistant, none"
-            )
-        lens = (opencv_lens if lens_model == "radtan" else fisheye_lens)(path, key, coefficients)
-    size = size_of_images(path, f"{where}resolution", entry(path, camera, "resolution", where))
-    k = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-    return camera_from_matrix(path, f"{where}intrinsics", k, size, lens)
 
 
 def write_kalibr_rig(rig: Rig, path: Path) -> None:
@@ -99,5 +76,4 @@ def write_kalibr_rig(rig: Rig, path: Path) -> None:
             "resolution": [camera.width_px, camera.height_px],
         }
     content["cam1"]["T_cn_cnm1"] = se3.invert(rigs.left_SE3_right(rig)).tolist()
-    with atomic_text_file(path) as file:
-        yaml.safe_dump(content, file, default_flow_style=None, sort_keys=False, width=200)
+    write_yaml(path, content)

@@ -1,9 +1,9 @@
 """MATLAB's `stereoParameters` as a structure: JSON (`jsonencode(toStruct(stereoParams))`) read and written, `.mat` read.
 
-MATLAB differs from OpenCV in three ways (MathWorks, stereoParametersToOpenCV): pixels count from (1, 1), so its principal point
-is ours plus one; `IntrinsicMatrix` is the transposed camera matrix ([fx 0 0; s fy 0; cx cy 1]; `K` of newer versions is not); and
-points are rows, `[x y z] * RotationOfCamera2 + TranslationOfCamera2`, so that rotation is transposed, too (`PoseCamera2` of newer
-versions is not). Lengths are in `WorldUnits`, as a rule millimetres.
+MATLAB differs from OpenCV in three points (MathWorks, stereoParametersToOpenCV): its first pixel is (1, 1), so its principal
+point is ours plus one; `IntrinsicMatrix` is the transposed camera matrix ([fx 0 0; s fy 0; cx cy 1]; `K` of newer versions is
+not); and points are rows, `[x y z] * RotationOfCamera2 + TranslationOfCamera2`, so that rotation is transposed, too
+(`PoseCamera2` of newer versions is not). Lengths are in `WorldUnits`, usually millimetres.
 """
 
 from __future__ import annotations
@@ -30,15 +30,16 @@ from conetl.readers.rigs.common import (
     camera_from_matrix,
     entry,
     numbers,
+    numbers_at,
     opencv_coefficients,
     opencv_lens,
-    read_text,
+    read_json,
     size_of_images,
     stereo_rig,
 )
 
-#: Lower-left to centre: MATLAB's first pixel is (1, 1), ours (0, 0).
-ORIGIN_PX = 1.0
+#: What to add to a camera matrix: MATLAB's first pixel is (1, 1), ours (0, 0).
+_ORIGIN = np.array([[0, 0, 1.0], [0, 0, 1.0], [0, 0, 0]])
 _HOW = "In MATLAB: s = toStruct(stereoParams); then save('stereo.mat', 's', '-v7') or writelines(jsonencode(s), 'stereo.json')"
 
 
@@ -50,9 +51,9 @@ def looks_like_matlab(content: Any) -> bool:
 def read_matlab_rig(path: Path, *, image_size: Size | None = None, length_unit: str | None = None) -> Rig:
     """Raw rig of camera 1 (left) and camera 2 (right).
 
-    image_size: width and height where the file does not tell; length_unit: instead of WorldUnits. Raises CalibrationError.
+    image_size: width and height where the file has none; length_unit: instead of WorldUnits. Raises CalibrationError.
     """
-    content = _read_mat(path) if path.suffix.lower() == ".mat" else _read_json(path)
+    content = _read_mat(path) if path.suffix.lower() == ".mat" else read_json(path)
     found = _structure(content)
     if found is None:
         names = ", ".join(map(str, content)) if isinstance(content, Mapping) else type(content).__name__
@@ -61,10 +62,11 @@ def read_matlab_rig(path: Path, *, image_size: Size | None = None, length_unit: 
     right = _camera(path, entry(path, found, "CameraParameters2"), "CameraParameters2.", image_size)
     unit = (length_unit or _unit(found)).lower()
     if unit not in LENGTH_UNITS:
+        known = ", ".join(LENGTH_UNITS)
         raise bad(
             path,
             "WorldUnits",
-            f"'{unit}' is not a known unit; known: {', '.join(LENGTH_UNITS)}. Say it with conetl rig convert --unit mm",
+            f"'{unit}' is not a known unit; known: {known}. Give it with conetl rig convert --unit mm",
         )
     key, right_R_left, t = _relative(path, found)
     return stereo_rig(path, key, "matlab", left, right, right_R_left, t * LENGTH_UNITS[unit])
@@ -73,30 +75,28 @@ def read_matlab_rig(path: Path, *, image_size: Size | None = None, length_unit: 
 def _relative(path: Path, found: Mapping[str, Any]) -> tuple[str, Array, Array]:
     """Key, rotation and translation of `p_right = R p_left + t`, in the file's unit."""
     if _given(found, "RotationOfCamera2"):
-        rotation = numbers(path, "RotationOfCamera2", found["RotationOfCamera2"], (3, 3)).T
-        place = numbers(path, "TranslationOfCamera2", entry(path, found, "TranslationOfCamera2"), (3,))
-        return "RotationOfCamera2, TranslationOfCamera2", rotation, place
-    pose = entry(path, found, "PoseCamera2")
+        rotation = numbers_at(path, found, "RotationOfCamera2", (3, 3)).T
+        return (
+            "RotationOfCamera2, TranslationOfCamera2",
+            rotation,
+            numbers_at(path, found, "TranslationOfCamera2", (3,)),
+        )
+    key = "PoseCamera2"
+    pose = entry(path, found, key)
     if _given(pose, "A"):
-        a = numbers(path, "PoseCamera2.A", pose["A"], (4, 4))
-        return "PoseCamera2", a[:3, :3], a[:3, 3]
-    rotation = numbers(path, "PoseCamera2.R", entry(path, pose, "R", "PoseCamera2."), (3, 3))
-    place = numbers(path, "PoseCamera2.Translation", entry(path, pose, "Translation", "PoseCamera2."), (3,))
-    return "PoseCamera2", rotation, place
+        a = numbers_at(path, pose, "A", (4, 4), f"{key}.")
+        return key, a[:3, :3], a[:3, 3]
+    return key, numbers_at(path, pose, "R", (3, 3), f"{key}."), numbers_at(path, pose, "Translation", (3,), f"{key}.")
 
 
 def _camera(path: Path, camera: Any, where: str, image_size: Size | None) -> Camera:
-    if _given(camera, "K"):
-        key, k = f"{where}K", numbers(path, f"{where}K", camera["K"], (3, 3))
-    else:
-        key = f"{where}IntrinsicMatrix"
-        k = numbers(path, key, entry(path, camera, "IntrinsicMatrix", where), (3, 3)).T
+    name = "K" if _given(camera, "K") else "IntrinsicMatrix"
+    k = numbers_at(path, camera, name, (3, 3), where)
+    k = k if name == "K" else k.T
     if k[0, 2] == 0.0 and k[1, 2] == 0.0 and k[2, 0] != 0.0:
-        raise bad(
-            path, key, "is transposed: K has the principal point in its last column, IntrinsicMatrix in its last row"
-        )
-    k = k - np.array([[0, 0, ORIGIN_PX], [0, 0, ORIGIN_PX], [0, 0, 0]])
-    radial = numbers(path, f"{where}RadialDistortion", entry(path, camera, "RadialDistortion", where))
+        text = "is transposed: K has the principal point in its last column, IntrinsicMatrix in its last row"
+        raise bad(path, f"{where}{name}", text)
+    radial = numbers_at(path, camera, "RadialDistortion", None, where)
     if radial.size not in (2, 3):
         raise bad(path, f"{where}RadialDistortion", f"must be 2 or 3 numbers, found {radial.size}")
     tangential = np.zeros(2)
@@ -105,19 +105,17 @@ def _camera(path: Path, camera: Any, where: str, image_size: Size | None) -> Cam
     k3 = radial[2] if radial.size == 3 else 0.0
     lens = opencv_lens(path, f"{where}RadialDistortion", [*radial[:2], *tangential, k3])
     if image_size is None:
+        key = f"{where}ImageSize"
         if not _given(camera, "ImageSize"):
-            raise bad(
-                path,
-                f"{where}ImageSize",
-                "is missing or empty; make a rig.yaml of it: conetl rig convert with --image-size 6000x4000",
-            )
-        rows_columns = size_of_images(path, f"{where}ImageSize", camera["ImageSize"])
-        image_size = rows_columns[1], rows_columns[0]
-    return camera_from_matrix(path, key, k, image_size, lens)
+            text = "is missing or empty; make a rig.yaml of it: conetl rig convert with --image-size 6000x4000"
+            raise bad(path, key, text)
+        rows, columns = size_of_images(path, key, camera["ImageSize"])
+        image_size = columns, rows
+    return camera_from_matrix(path, f"{where}{name}", k - _ORIGIN, image_size, lens)
 
 
 def _given(content: Any, key: str) -> bool:
-    """True where a key is there and not empty (MATLAB writes [] for what is not known)."""
+    """True where a key exists and not empty (MATLAB writes [] for unknown values)."""
     if not isinstance(content, Mapping) or content.get(key) is None:
         return False
     return not hasattr(content[key], "__len__") or len(content[key]) > 0
@@ -130,7 +128,7 @@ def _unit(found: Mapping[str, Any]) -> str:
 
 
 def _structure(content: Any) -> Mapping[str, Any] | None:
-    """The structure itself, or the one variable that holds it."""
+    """The structure itself, or the only variable that holds one."""
     if not isinstance(content, Mapping):
         return None
     if "CameraParameters1" in content:
@@ -139,26 +137,19 @@ def _structure(content: Any) -> Mapping[str, Any] | None:
     return inner[0] if len(inner) == 1 else None
 
 
-def _read_json(path: Path) -> Any:
-    try:
-        return json.loads(read_text(path))
-    except ValueError as error:
-        raise CalibrationError(f"{path}: this is not JSON: {error}") from error
-
-
 def _read_mat(path: Path) -> Mapping[str, Any]:
     """Variables of a .mat file, structures as dictionaries."""
     try:
         content: dict[str, Any] = scipy.io.loadmat(str(path), simplify_cells=True)
     except NotImplementedError as error:
         raise CalibrationError(f"{path}: this is a version 7.3 file (HDF5), which is not read. {_HOW}") from error
-    except Exception as error:  # scipy raises whatever its parser stumbles over
+    except Exception as error:  # scipy's parser raises errors of many types
         raise CalibrationError(f"{path}: this is not a .mat file, or it is damaged ({error})") from error
     variables = {name: value for name, value in content.items() if not name.startswith("__")}
     if _structure(variables) is None:
         raise CalibrationError(
-            f"{path}: no structure of a stereoParameters object, found {', '.join(variables) or 'only objects'}; a saved object "
-            f"itself can be read by MATLAB alone. {_HOW}"
+            f"{path}: no structure of a stereoParameters object, found {', '.join(variables) or 'only objects'}; only MATLAB "
+            f"can read a saved object itself. {_HOW}"
         )
     return variables
 
@@ -178,13 +169,12 @@ def write_matlab_rig(rig: Rig, path: Path) -> None:
                 f"{path}: MATLAB's stereoParameters have no {camera.lens.model} lens; export to OpenCV or ROS instead"
             )
         k1, k2, p1, p2, k3 = opencv_coefficients(camera.lens)
-        k = matrix_k(camera) + np.array([[0, 0, ORIGIN_PX], [0, 0, ORIGIN_PX], [0, 0, 0]])
         content[f"CameraParameters{number}"] = {
             "RadialDistortion": [k1, k2, k3],
             "TangentialDistortion": [p1, p2],
             "ImageSize": [camera.height_px, camera.width_px],
             "WorldUnits": "millimeters",
-            "IntrinsicMatrix": k.T.tolist(),
+            "IntrinsicMatrix": (matrix_k(camera) + _ORIGIN).T.tolist(),
             "NumRadialDistortionCoefficients": 3,
             "EstimateSkew": False,
             "EstimateTangentialDistortion": True,

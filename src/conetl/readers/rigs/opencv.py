@@ -1,9 +1,9 @@
-"""OpenCV's own calibration files (`cv2.FileStorage`: YAML, XML or JSON), read and written.
+"""OpenCV's calibration files (`cv2.FileStorage`: YAML, XML or JSON), read and written.
 
-One file with M1, D1, M2, D2, R, T (OpenCV's stereo sample; many other names are known, see `_NAMES`), or `intrinsics` and
-`extrinsics` side by side (what that sample writes), or `left` and `right`, each with camera_matrix and
-distortion_coefficients (OpenCV's single-camera sample), with R and T in `extrinsics` or in `right`. `p_right = R p_left + T`.
-OpenCV does not write the unit of T (it is that of the board's squares), and its stereo sample does not write the picture's size.
+One file with M1, D1, M2, D2, R, T (OpenCV's stereo sample; `_NAMES` has more names), or `intrinsics` and `extrinsics` side by
+side (written by that sample), or `left` and `right`, each with camera_matrix and distortion_coefficients (OpenCV's single-camera
+sample), with R and T in `extrinsics` or in `right`. `p_right = R p_left + T`. The unit of T (that of the board's squares) is not
+in the file, and the stereo sample does not write the image size either.
 """
 
 from __future__ import annotations
@@ -20,10 +20,9 @@ from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.camera import matrix_k
 from conetl.model.errors import CalibrationError
-from conetl.model.records import Camera, Lens, Rig, Side
+from conetl.model.records import Camera, Rig, Side
 from conetl.readers.rigs.common import (
     LENGTH_UNITS,
-    Array,
     Size,
     bad,
     camera_from_matrix,
@@ -71,7 +70,7 @@ def read_storage(path: Path) -> dict[str, Any]:
         storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
         return {key: _plain(storage.getNode(key)) for key in storage.root().keys()}  # noqa: SIM118 -- a FileNode is no dict
     except (cv2.error, SystemError) as error:
-        raise CalibrationError(f"{path}: OpenCV cannot read this file; is it whole?") from error
+        raise CalibrationError(f"{path}: OpenCV cannot read this file; is it complete?") from error
 
 
 def _plain(node: Any) -> Any:
@@ -95,7 +94,7 @@ def looks_like_opencv(content: Any) -> bool:
 def read_opencv_rig(path: Path, *, image_size: Size | None = None, length_unit: str | None = None) -> Rig:
     """Raw rig of an OpenCV stereo calibration: one file, or a folder (or one of the files) of the two forms above.
 
-    image_size: width and height where the files do not tell. length_unit: of T, default metres. Raises CalibrationError.
+    image_size: width and height where the files have none. length_unit: of T, default metres. Raises CalibrationError.
     """
     files = _files(path)
     content: dict[str, Any] = {}
@@ -121,19 +120,13 @@ def read_opencv_rig(path: Path, *, image_size: Size | None = None, length_unit: 
 def _files(path: Path) -> dict[str, Path]:
     """The files of one calibration, by their part in it."""
     folder = path if path.is_dir() else path.parent
-    if path.is_file() and path.stem not in ("intrinsics", "extrinsics", "left", "right"):
-        return {"stereo": path}
     for parts, extra in ((("intrinsics", "extrinsics"), ()), (("left", "right"), ("extrinsics",))):
         if path.is_file() and path.stem not in (*parts, *extra):
             continue
-        found = {
-            part: folder / f"{part}{suffix}"
-            for part in (*parts, *extra)
-            for suffix in SUFFIXES
-            if (folder / f"{part}{suffix}").is_file()
-        }
-        if all(part in found for part in parts):
-            return found
+        files = {part: folder / f"{part}{suffix}" for part in (*parts, *extra) for suffix in SUFFIXES
+                 if (folder / f"{part}{suffix}").is_file()}  # fmt: skip
+        if all(part in files for part in parts):
+            return files
     if path.is_file():
         return {"stereo": path}
     raise CalibrationError(
@@ -142,7 +135,7 @@ def _files(path: Path) -> dict[str, Path]:
 
 
 def _named(path: Path, content: Mapping[str, Any], what: str, names: tuple[str, ...]) -> tuple[str, Any]:
-    """First of several names that is there, with its value. Raises CalibrationError."""
+    """The first existing one of several names, with its value. Raises CalibrationError."""
     for name in names:
         value: Any = content.get(name)
         if value is None and "." in name:
@@ -158,11 +151,7 @@ def _named(path: Path, content: Mapping[str, Any], what: str, names: tuple[str, 
 def _camera(path: Path, content: Mapping[str, Any], side: Side, image_size: Size | None) -> Camera:
     key_k, k = _named(path, content, f"{side} matrix", _of_side(side, "K"))
     key_d, d = _named(path, content, f"{side} distortion", _of_side(side, "D"))
-    lens = (
-        fisheye_lens(path, key_d, d)
-        if _is_fisheye(path, content, side)
-        else opencv_lens(path, key_d, numbers(path, key_d, d))
-    )
+    lens = (fisheye_lens if _is_fisheye(path, content, side) else opencv_lens)(path, key_d, numbers(path, key_d, d))
     size = image_size or _size(path, content, side)
     return camera_from_matrix(path, key_k, numbers(path, key_k, k, (3, 3)), size, lens)
 
@@ -198,7 +187,7 @@ def _size(path: Path, content: Mapping[str, Any], side: Side) -> Size:
     if whole is not None:
         return size_of_images(path, whole[0], whole[1])
     raise bad(
-        path, "image_width, image_height", "are missing: OpenCV's stereo files do not always tell the size of the pictures. "
+        path, "image_width, image_height", "are missing: some OpenCV stereo files have no image size. "
         "Add both keys to the file, or make a rig.yaml of it: conetl rig convert with --image-size 1242x375",
     )  # fmt: skip
 
@@ -206,8 +195,8 @@ def _size(path: Path, content: Mapping[str, Any], side: Side) -> Size:
 def write_opencv_rig(rig: Rig, path: Path) -> None:
     """Write M1, D1, M2, D2, R, T (metres) and the image size for `cv2.FileStorage`; the suffix gives YAML, XML or JSON.
 
-    A file of OpenCV holds one image size and one kind of lens: raises CalibrationError for a rig that mixes them, or for
-    another suffix, InputError where nothing can be written. The body's pose and the covariance have no place there.
+    The file has one image size and one kind of lens: raises CalibrationError for a rig that mixes them, or for another suffix,
+    InputError where the file cannot be written. The body's pose and the covariance are not written.
     """
     if path.suffix.lower() not in SUFFIXES:
         raise CalibrationError(f"{path}: OpenCV's files end in {', '.join(SUFFIXES)}")
@@ -227,12 +216,8 @@ def write_opencv_rig(rig: Rig, path: Path) -> None:
     storage.write("length_unit", "m")
     for number, camera in ((1, left), (2, right)):
         storage.write(f"M{number}", matrix_k(camera))
-        storage.write(f"D{number}", _row(camera.lens))
+        storage.write(f"D{number}", np.array([opencv_coefficients(camera.lens)]))
     storage.write("R", np.ascontiguousarray(right_SE3_left[:3, :3]))
     storage.write("T", np.ascontiguousarray(right_SE3_left[:3, 3:]))
     with atomic_text_file(path) as file:
         file.write(storage.releaseAndGetString())
-
-
-def _row(lens: Lens) -> Array:
-    return np.array([opencv_coefficients(lens)])

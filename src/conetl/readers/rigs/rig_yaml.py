@@ -1,7 +1,7 @@
 """`rig.yaml`, conetl's own description of a rig (docs/reference/coordinates.md shows one), read and written.
 
-Cameras in pixels or in millimetres with the sensor's size, with or without a lens; how the right one sits on the left, and the
-left one on the body; and, where known, how sure the calibration is: the covariance of any of its parameters, or their sigmas.
+Cameras in pixels or in millimetres with the sensor's size, with or without a lens; the pose of the right one in the left, and
+of the left one on the body; and, where known, the covariance or the sigmas of any of these parameters.
 """
 
 from __future__ import annotations
@@ -11,23 +11,21 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from conetl.files.atomic import atomic_text_file
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.rectification import check_stereo_baseline
 from conetl.model.errors import CalibrationError
 from conetl.model.records import CalibrationCovariance, Camera, Lens, Rig
-from conetl.readers.rigs.common import Array, first_message, read_yaml, rig_of
+from conetl.readers.rigs.common import Array, first_message, read_yaml, rig_of, write_yaml
 
 Positive = Annotated[float, Field(gt=0)]
 Triple = tuple[float, float, float]
 RIG_YAML = "rig.yaml"
 _INTERIOR = ("fx_px", "fy_px", "cx_px", "cy_px")
 _RELATIVE = ("rx_rad", "ry_rad", "rz_rad", "tx_m", "ty_m", "tz_m")
-#: Units that `sigmas` may be given in, besides those of CalibrationCovariance.
+#: Units of `sigmas` besides those of CalibrationCovariance.
 _OTHER_UNITS = {"_deg": ("_rad", np.pi / 180), "_mm": ("_m", 0.001)}
 
 
@@ -47,7 +45,7 @@ class _CameraFile(_Model):
     fx_mm: Positive | None = None
     fy_mm: Positive | None = None
     focal_mm: Positive | tuple[Positive, Positive] | None = None
-    """One number, or fx and fy: another way to write fx_mm and fy_mm."""
+    """One number, or fx and fy, instead of fx_mm and fy_mm."""
     sensor_width_mm: Positive | None = None
     sensor_height_mm: Positive | None = None
     x0_mm: float | None = None
@@ -55,7 +53,7 @@ class _CameraFile(_Model):
     y0_mm: float | None = None
     """Principal point from the centre of the sensor, upwards (photogrammetric axes)."""
     principal_mm: tuple[float, float] | None = None
-    """Principal point from the top-left corner of the sensor, to the right and down: another way to write x0_mm, y0_mm."""
+    """Principal point from the top-left corner of the sensor, to the right and down, instead of x0_mm, y0_mm."""
     lens: Lens = Lens()
 
     @model_validator(mode="after")
@@ -93,9 +91,7 @@ class _CameraFile(_Model):
             fx_mm, fy_mm = pair if self.focal_mm is not None else (self.fx_mm, self.fy_mm)
             assert fx_mm and fy_mm
             fx, fy = fx_mm * scale[0], fy_mm * scale[1]
-            if (
-                self.principal_mm is not None
-            ):  # from the corner, which lies half a pixel before the first pixel's centre
+            if self.principal_mm is not None:  # from the corner, half a pixel before the first pixel's centre
                 cx, cy = self.principal_mm[0] * scale[0] - 0.5, self.principal_mm[1] * scale[1] - 0.5
             else:
                 cx = (self.width_px - 1) / 2 + (self.x0_mm or 0.0) * scale[0]
@@ -119,7 +115,7 @@ class _RigidFile(_Model):
 
 
 class _RigFile(_Model):
-    """A `rig.yaml`: two cameras, how the right one sits on the left, and (optionally) the left one on the body."""
+    """A `rig.yaml`: two cameras, the pose of the right one in the left, and optionally of the left one on the body."""
 
     rig_id: str | None = Field(default=None, min_length=1)
     left: _CameraFile
@@ -141,11 +137,11 @@ class _RigFile(_Model):
         if self.sigmas is not None and self.calibration_covariance is not None:
             raise ValueError("give either sigmas or calibration_covariance")
         if self.calibration_covariance is not None and self.calibration_covariance.shared is not None:
-            raise ValueError("calibration_covariance has names and a matrix; what drives share of it is worked out")
+            raise ValueError("calibration_covariance has names and a matrix; what drives share of it is computed")
         return self
 
     def covariance(self) -> CalibrationCovariance | None:
-        """Of the parameters in the units of their names. Raises ValueError for names that are no parameters of this rig."""
+        """Of the parameters in the units of their names. Raises ValueError for unknown names."""
         covariance = self.calibration_covariance
         if self.sigmas is not None:
             converted: dict[str, float] = {}
@@ -162,7 +158,7 @@ class _RigFile(_Model):
 
 
 def _in_own_unit(name: str, file: _RigFile) -> tuple[str, float]:
-    """A sigma's name in the unit of CalibrationCovariance, and what to multiply it with."""
+    """A sigma's name in the unit of CalibrationCovariance, and its factor."""
     part, _, field = name.partition(".")
     if part in ("left", "right") and field.endswith("_mm"):
         scale = (file.left if part == "left" else file.right).px_per_mm()
@@ -177,7 +173,7 @@ def _in_own_unit(name: str, file: _RigFile) -> tuple[str, float]:
 
 
 def _check_covariance(covariance: CalibrationCovariance, lenses: Mapping[str, Lens]) -> None:
-    """Raise ValueError for a name that is no parameter of the rig, or a matrix that is no covariance."""
+    """Raise ValueError for a name that is not a parameter of the rig, or a matrix that is not a covariance."""
     known = [f"relative.{name}" for name in _RELATIVE]
     for side, lens in lenses.items():
         known += [f"{side}.{name}" for name in _INTERIOR]
@@ -195,7 +191,7 @@ def _check_covariance(covariance: CalibrationCovariance, lenses: Mapping[str, Le
 
 
 def read_rig_yaml(path: Path) -> Rig:
-    """Rig from a `rig.yaml`, as the file has it: raw, where it has lenses or turned cameras. Raises CalibrationError."""
+    """Rig from a `rig.yaml`: raw, where it has lenses or turned cameras. Raises CalibrationError."""
     content: Any = read_yaml(path)
     if not isinstance(content, dict):
         raise CalibrationError(f"{path}: expected a YAML mapping with the keys left, right and baseline_m")
@@ -217,10 +213,9 @@ def read_rig_yaml(path: Path) -> Rig:
 
 
 def write_rig_yaml(rig: Rig, path: Path) -> None:
-    """Write a rig as a `rig.yaml`, every digit kept: `read_rig_yaml` gives it back.
+    """Write a rig as a `rig.yaml` with all digits. For the stored images of a rectified rig write its `rectified_from`.
 
-    The file describes the rig's own cameras; for the images as stored of a rectified rig write its `rectified_from`. Raises
-    InputError where nothing can be written.
+    Raises InputError where the file cannot be written.
     """
     content: dict[str, Any] = {"rig_id": rig.rig_id}
     for name, camera in (("left", rig.left), ("right", rig.right)):
@@ -236,8 +231,7 @@ def write_rig_yaml(rig: Rig, path: Path) -> None:
             "names": list(rig.calibration_covariance.names),
             "matrix": [list(row) for row in rig.calibration_covariance.matrix],
         }
-    with atomic_text_file(path) as file:
-        yaml.safe_dump(content, file, default_flow_style=None, sort_keys=False, width=200)
+    write_yaml(path, content)
 
 
 def _rigid(pose: Array) -> dict[str, Any]:

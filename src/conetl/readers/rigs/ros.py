@@ -1,9 +1,9 @@
 """ROS `camera_info` YAML pairs (camera_calibration, camera_info_manager): `left.yaml` and `right.yaml`, read and written.
 
-The pair describes the raw images. `rectification_matrix` turns directions of the camera into the rectified frame, and
-`projection_matrix` of the right camera holds -fx baseline in its fourth column (REP 104, sensor_msgs/CameraInfo); both together
-are the relative pose. Where the two files were calibrated one by one (identity and no fourth column) the relative pose must be
-told: `extrinsics.yaml` beside them with `left_SE3_right: {R: [[...], [...], [...]], t_m: [x, y, z]}`, as in a rig.yaml.
+The pair describes the raw images. `rectification_matrix` rotates directions of the camera into the rectified frame, and
+`projection_matrix` of the right camera has -fx baseline in its fourth column (REP 104, sensor_msgs/CameraInfo); both together
+are the relative pose. If the cameras were calibrated one by one (identity and no fourth column), the relative pose is read from
+`extrinsics.yaml` beside them: `left_SE3_right: {R: [[...], [...], [...]], t_m: [x, y, z]}`, as in a rig.yaml.
 """
 
 from __future__ import annotations
@@ -13,9 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
-from conetl.files.atomic import atomic_text_file
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.camera import matrix_k
@@ -28,12 +26,13 @@ from conetl.readers.rigs.common import (
     camera_from_matrix,
     entry,
     fisheye_lens,
-    numbers,
+    numbers_at,
     opencv_coefficients,
     opencv_lens,
     read_yaml,
     size_of_images,
     stereo_rig,
+    write_yaml,
 )
 
 EXTRINSICS = "extrinsics.yaml"
@@ -71,16 +70,16 @@ def read_ros_rig(path: Path) -> Rig:
     extrinsics = left_path.parent / EXTRINSICS
     if extrinsics.is_file():
         left, right = _camera(left_path, read_yaml(left_path))[0], _camera(right_path, read_yaml(right_path))[0]
-        relative = entry(extrinsics, read_yaml(extrinsics), "left_SE3_right")
         key = "left_SE3_right"
-        rotation = numbers(extrinsics, f"{key}.R", entry(extrinsics, relative, "R", f"{key}."), (3, 3))
-        place = numbers(extrinsics, f"{key}.t_m", entry(extrinsics, relative, "t_m", f"{key}."), (3,))
-        return stereo_rig(extrinsics, key, "ros", left, right, rotation.T, -rotation.T @ place)
+        relative = entry(extrinsics, read_yaml(extrinsics), key)
+        rotation = numbers_at(extrinsics, relative, "R", (3, 3), f"{key}.")
+        shift = numbers_at(extrinsics, relative, "t_m", (3,), f"{key}.")
+        return stereo_rig(extrinsics, key, "ros", left, right, rotation.T, -rotation.T @ shift)
     return rig_of_camera_infos(left_path, read_yaml(left_path), right_path, read_yaml(right_path))
 
 
 def rig_of_camera_infos(left_path: Path, left_info: Any, right_path: Path, right_info: Any) -> Rig:
-    """Raw rig of two camera_info mappings (keys of the YAML files); the paths are only for messages. Raises CalibrationError."""
+    """Raw rig of two camera_info mappings (keys of the YAML files); the paths are for messages only. Raises CalibrationError."""
     left, left_R, left_p = _camera(left_path, left_info)
     right, right_R, right_p = _camera(right_path, right_info)
     key = "projection_matrix"
@@ -110,13 +109,12 @@ def _camera(path: Path, content: Any) -> tuple[Camera, Array, Array]:
     if model not in _MODELS:
         raise bad(path, "distortion_model", f"'{model}' is not supported; known: {', '.join(_MODELS)}")
     key = "distortion_coefficients"
-    coefficients = numbers(path, key, entry(path, content, key))
-    lens = (fisheye_lens if model == "equidistant" else opencv_lens)(path, key, coefficients)
-    k = numbers(path, "camera_matrix", entry(path, content, "camera_matrix"), (3, 3))
-    rotation = numbers(path, "rectification_matrix", entry(path, content, "rectification_matrix"), (3, 3))
+    lens = (fisheye_lens if model == "equidistant" else opencv_lens)(path, key, numbers_at(path, content, key))
+    k = numbers_at(path, content, "camera_matrix", (3, 3))
+    rotation = numbers_at(path, content, "rectification_matrix", (3, 3))
     if not se3.is_rotation(rotation):
         raise bad(path, "rectification_matrix", "is not a rotation")
-    projection = numbers(path, "projection_matrix", entry(path, content, "projection_matrix"), (3, 4))
+    projection = numbers_at(path, content, "projection_matrix", (3, 4))
     return camera_from_matrix(path, "camera_matrix", k, size, lens), se3.nearest_rotation(rotation), projection
 
 
@@ -128,14 +126,14 @@ def write_ros_rig(rig: Rig, folder: Path) -> None:
     try:
         flat = rectify(rig)
     except ValueError as error:
-        raise CalibrationError(f"{folder}: this rig cannot be rectified, as ROS demands: {error}") from error
+        raise CalibrationError(f"{folder}: this rig cannot be rectified, as ROS requires: {error}") from error
     base_m = rig.baseline_m
     raw_R_rect = [
         rigs.body_SE3_camera(rig, side)[:3, :3].T @ rigs.body_SE3_camera(flat, side)[:3, :3]
         for side in ("left", "right")
     ]
     if flat is rig:
-        # Parallel within tolerance; ROS knows exact rows only, so the rest of the turn goes into its rotations.
+        # Parallel within tolerance; ROS requires exact rows, so its rotations contain the remaining turn.
         raw_R_rect = list(common_rotation(rigs.left_SE3_right(rig)))
     for name, camera, target, turn, shift in (
         ("left", rig.left, flat.left, raw_R_rect[0], 0.0),
@@ -152,8 +150,7 @@ def write_ros_rig(rig: Rig, folder: Path) -> None:
             "rectification_matrix": _matrix(turn.T),
             "projection_matrix": _matrix(projection),
         }
-        with atomic_text_file(folder / f"{name}.yaml") as file:
-            yaml.safe_dump(content, file, default_flow_style=None, sort_keys=False, width=200)
+        write_yaml(folder / f"{name}.yaml", content)
 
 
 def _model(lens: Lens) -> str:
