@@ -59,10 +59,10 @@ from conetl.db.map.replay_store import (
 )
 from conetl.db.schema import migrate
 from conetl.db.statements import load_sql
-from conetl.mapping.fold import Evidence, extend
-from conetl.model.drive_records import DriveRecords
+from conetl.mapping.history import DriveEvidence, apply_drive
 from conetl.model.map_records import Changeset, Decisions
 from conetl.model.params import ReconcileParams
+from conetl.model.records import DriveRecords
 from conetl.pipeline.replay import no_cycle_search
 
 LOOKS = 60
@@ -116,19 +116,19 @@ def merge(conn: Connection, sightings: Sightings) -> Stopwatch:
                 if later or superseded_drives(conn, drive_uuid):
                     raise SystemExit("the drive is not the newest one: this would be a replay")
             with watch.phase("read what stands around"):
-                standing, doubts = read_standing_around(conn, drive_uuid), read_doubts_around(conn, drive_uuid)
-            evidence = Evidence(
+                standing, summaries = read_standing_around(conn, drive_uuid), read_doubts_around(conn, drive_uuid)
+            evidence = DriveEvidence(
                 key=(drive.frame_pairs[0].captured_at_ns, drive.content_sha256, key),
                 changeset_id=changeset_id,
                 founding_key=f"{MAP_NAME}/{drive.content_sha256}",
                 tracks=sightings.tracks,
                 path_m=np.array([pair.pose.map_t_body_m[:2] for pair in drive.frame_pairs]),
                 influence_m=60.0,
-                look_at=sightings.look_at,
+                check_visibility=sightings.check_visibility,
                 params=ReconcileParams(),
             )
             with watch.phase("reconcile"):
-                extension = extend(standing, evidence, Decisions(), doubts)
+                extension = apply_drive(standing, evidence, Decisions(), summaries)
             changeset = Changeset.model_construct(
                 changeset_id=changeset_id,
                 drive_id=drive.drive_id,

@@ -32,14 +32,14 @@ from conetl.perception.images import read_image
 from conetl.perception.visual_odometry import follow_drive
 from conetl.pipeline.odometry import calibrate_drive
 from conetl.readers.drives import read_drive
+from conetl.tracking.error_propagation import pose_cov
 from conetl.tracking.landmarks import refine_with_cones
 from conetl.tracking.matching.matches import match_pair, with_measured_spread
-from conetl.tracking.pose_errors import pose_cov
 from conetl.tracking.positions import locate_positions
 from conetl.tracking.self_calibration import self_calibrated_rig
 from conetl.tracking.tracks import fuse_tracks
 from conetl.tracking.trajectory import refine_trajectory
-from conetl.tracking.variance_components import sighting_variances, with_variances
+from conetl.tracking.variance_components import estimate_variance_factors, with_variance_factors
 
 PARTS = 4
 
@@ -148,7 +148,6 @@ def main() -> None:
         drive = drive.model_copy(update={"rig": self_calibrated_rig(drive.rig, found, params.trajectory)})
         motions = list(motions_of(tracks, logged, drive.rig, params.trajectory, motions))
     matches = match_boxes(drive, boxes, params)
-    detections = {index: [*left, *right] for index, (left, right) in boxes.items()}
     wall_before = time.perf_counter()
     by_motion = refine_trajectory(logged, drive.rig, motions, params.trajectory)
     print(f"{len(logged)} frame pairs: visual odometry {done_wall - wall:.1f} s wall, {done_cpu - cpu:.1f} s CPU (one thread); "
@@ -157,21 +156,12 @@ def main() -> None:
     refined = list(by_motion.frame_pairs)
     with_cones = refine_with_cones(logged, drive.rig, motions, matches, params)
     last = list(with_cones.frame_pairs)
-    left, right = ({p.frame_index: of(p.pose, drive.rig) for p in last} for of in (map_SE3_left, map_SE3_right))
-    cones, _ = fuse_tracks(
-        places(last, drive, matches, params),
-        {(m.frame_index, m.match_index): m for m in matches},
-        detections,
-        {p.frame_index: p for p in last},
-        drive.rig,
-        left,
-        right,
-        params,
-    )
+    found = [box for pair in boxes.values() for side in pair for box in side]
+    cones, _ = fuse_tracks(places(last, drive, matches, params), matches, found, last, drive.rig, params)
     errors = pose_cov(with_cones, params.trajectory)
-    variances = sighting_variances(cones, matches, drive.rig, {p.frame_index: p.pose for p in last}, errors)
+    variances = estimate_variance_factors(cones, matches, drive.rig, {p.frame_index: p.pose for p in last}, errors)
     print("variances over stated ones: " + ", ".join(f"{k} {v:.2f}" for k, v in variances._asdict().items()))
-    matches = with_variances(matches, variances)
+    matches = with_variance_factors(matches, variances)
     groups = [cone.members for cone in cones]
     print(f"{len(cones)} cones, seen in {[len(g) for g in groups]} frame pairs; {with_cones.detail}")
     report("as logged", logged, drive, groups, matches, params)

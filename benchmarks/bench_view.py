@@ -41,8 +41,8 @@ from conetl.db.connection import connect
 from conetl.db.map.commit import commit_changeset
 from conetl.db.map.map_store import map_transaction
 from conetl.db.schema import migrate
-from conetl.model.drive_records import DriveRecords
 from conetl.model.map_records import Changeset, Delta, DeltaKind, MapFeature
+from conetl.model.records import DriveRecords
 
 ROOT = Path(__file__).resolve().parents[1]
 FLAGS = [

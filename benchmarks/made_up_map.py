@@ -16,7 +16,7 @@ from uuid import NAMESPACE_URL, UUID, uuid5
 import numpy as np
 
 from conetl.db.connection import Connection, execute
-from conetl.mapping.visibility import Look
+from conetl.mapping.visibility import NotObserved
 from conetl.model.map_records import MapFeature
 from conetl.model.records import (
     Camera,
@@ -199,9 +199,9 @@ class Sightings:
     tracks: list[Track]
     gone: frozenset[UUID]
 
-    def look_at(self, feature: MapFeature, _offset_m: np.ndarray, _others_m: np.ndarray) -> Look | None:
+    def check_visibility(self, feature: MapFeature, _offset_m: np.ndarray, _others_m: np.ndarray) -> NotObserved | None:
         """Where the drive looked is another step's work: here the answer is known. -5: six looks in plain view."""
-        return Look(6, self.tracks[0].first_seen_ns, -5.0) if feature.feature_id in self.gone else None
+        return NotObserved(6, self.tracks[0].first_seen_ns, -5.0) if feature.feature_id in self.gone else None
 
 
 def cone_id(number: int) -> UUID:

@@ -23,10 +23,9 @@ from prefect.events.worker import EventsWorker
 
 from conetl.db.notification_store import RemovedCone
 from conetl.db.run_store import StepTime
-from conetl.model.drive_records import DriveRecords
 from conetl.model.errors import StorageError
 from conetl.model.ingest_report import ChangeLine, IngestReport
-from conetl.model.records import Side
+from conetl.model.records import DriveRecords, Side
 from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_pair_image
 from conetl.pipeline.analysis import AnalysedDrive

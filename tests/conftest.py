@@ -17,12 +17,12 @@ from uuid import UUID, uuid5
 import pytest
 from hypothesis import settings
 
-from conetl.model.drive_records import DriveRecords
 from conetl.model.map_records import Changeset, Delta, DeltaKind, MapFeature
 from conetl.model.records import (
     Camera,
     Detection,
     Drive,
+    DriveRecords,
     FramePair,
     Pose,
     Position,

@@ -18,9 +18,8 @@ import uvicorn
 
 from conetl.db.map.commit import commit_changeset
 from conetl.db.map.map_store import map_transaction
-from conetl.model.drive_records import DriveRecords
-from conetl.model.map_records import Delta, DeltaKind, MapFeature, SightingEvidence
-from conetl.model.records import utc_from_ns
+from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature
+from conetl.model.records import DriveRecords, utc_from_ns
 from conetl.web.app import create_app
 from conetl.web.decisions import Writer
 
@@ -80,7 +79,7 @@ def two_drives(conn: Any, samples: SimpleNamespace, folder: Path) -> dict[str, M
 
 def missed(feature: MapFeature, at_ns: int, existence: float, frames_empty: int = 5) -> Delta:
     """A drive that did not observe `feature` although it was visible, and kept it."""
-    evidence = SightingEvidence(
+    evidence = ExistenceEvidence(
         log_likelihood_ratio=-1.5, existence_probability=existence, frames_seen=0, frames_empty=frames_empty
     )
     return Delta(

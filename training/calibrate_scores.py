@@ -29,7 +29,7 @@ from reliability import expected_calibration_error, write_reliability_figure
 from conetl.model.detector_evidence import (
     UNMEASURED,
     DetectorEvidence,
-    LookCorrelation,
+    ImageCorrelation,
     ScoreCalibration,
     box_log_ratio,
     calibrated_probability,
@@ -240,7 +240,7 @@ def look_ratios(looks: Looks, evidence: DetectorEvidence) -> dict[str, list[np.n
     return ratios
 
 
-def fit_correlation(cones: list[np.ndarray]) -> LookCorrelation:
+def fit_correlation(cones: list[np.ndarray]) -> ImageCorrelation:
     """Correlation of the ratios of two looks at one cone over the octaves between them.
 
     It stands for lookalikes, too: a few dozen are too few to say, and what they say is less: this errs to the safe side.
@@ -254,7 +254,7 @@ def standardised(things: list[np.ndarray]) -> list[tuple[np.ndarray, np.ndarray]
     return [((thing[:, 0] - ratios.mean()) / ratios.std(), thing[:, 1]) for thing in things]
 
 
-def fit_miss_correlation(looks: Looks, evidence: DetectorEvidence) -> tuple[LookCorrelation, list[float]]:
+def fit_miss_correlation(looks: Looks, evidence: DetectorEvidence) -> tuple[ImageCorrelation, list[float]]:
     """Correlation of the misses of two looks at one cone in plain view over the octaves between them, and by half octaves.
 
     Each miss is taken against its probability at that apparent height, over its standard deviation (as Pearson residuals are).
@@ -287,14 +287,14 @@ def by_half_octaves(octaves: np.ndarray, products: np.ndarray) -> list[float]:
     return [round(float(part.mean()), 2) for part in parts if len(part)]
 
 
-def correlation_over_octaves(octaves: np.ndarray, products: np.ndarray) -> LookCorrelation:
+def correlation_over_octaves(octaves: np.ndarray, products: np.ndarray) -> ImageCorrelation:
     """Least squares on the products of all pairs of looks."""
     near, share, decay = least_squares(
         lambda p: p[0] * (p[1] + (1 - p[1]) * np.exp(-octaves / p[2])) - products,
         (0.8, 0.5, 0.5),
         bounds=((0.05, 0.0, 0.1), (0.98, 1.0, 3.0)),
     ).x
-    return LookCorrelation(
+    return ImageCorrelation(
         near=round(float(near), 3), far=round(float(near * share), 3), decay_octaves=round(float(decay), 3)
     )
 

@@ -17,9 +17,16 @@ from pathlib import Path
 
 import numpy as np
 
-from conetl.simulation import camera_noise
 from conetl.simulation.parts import cone_parts
-from conetl.simulation.scene import PinholeCamera, build_scene, load_mitsuba, render
+from conetl.simulation.scene import (
+    PinholeCamera,
+    build_scene,
+    develop,
+    encode_jpeg,
+    exposure_gain,
+    load_mitsuba,
+    render,
+)
 from conetl.simulation.world import Colour, Cone, Road, RoadObject, World
 
 VIEWS_PER_SCENE = 3
@@ -64,8 +71,8 @@ def render_scene_views(out: Path, seed: int, scene_number: int) -> int:
         )
         grey = radiance[radiance.shape[0] // 3 :].mean(axis=(0, 1))
         radiance *= (grey.mean() / grey) ** np.float32(view_rng.uniform(0.2, 1.0))  # white balance, more or less
-        gain = camera_noise.exposure_gain(radiance, float(np.exp(view_rng.normal(0.1, 0.35))))
-        picture = camera_noise.develop(radiance, gain, view_rng, blur_sigma_px=float(view_rng.uniform(0.3, 0.9)))
+        gain = exposure_gain(radiance, float(np.exp(view_rng.normal(0.1, 0.35))))
+        picture = develop(radiance, gain, view_rng, blur_sigma_px=float(view_rng.uniform(0.3, 0.9)))
         boxes = cone_boxes(scene, world, camera, pose)
         written += len(boxes)
         shares = (np.array(boxes).reshape(-1, 2) / [camera.width_px, camera.height_px]).reshape(-1, 8)
@@ -77,7 +84,7 @@ def render_scene_views(out: Path, seed: int, scene_number: int) -> int:
         )
         (out / "labels" / f"{name}.txt").write_text(lines)
         partial = out / "images" / f".{name}.part"  # the label is there before its picture appears
-        partial.write_bytes(camera_noise.encode_jpeg(picture, int(view_rng.integers(60, 96))))
+        partial.write_bytes(encode_jpeg(picture, int(view_rng.integers(60, 96))))
         partial.rename(out / "images" / f"{name}.jpg")
     return written
 

@@ -18,7 +18,7 @@ from conetl.geometry.intersection import IntersectionResult, intersect
 from conetl.geometry.joint_fit import fit_point
 from conetl.geometry.rig import left_SE3_right
 from conetl.model.records import Rig
-from conetl.simulation.paper_rig import CAMERA_HEIGHT_M, GROUND_DISTANCE_M, changed_views, drawn_views
+from docs.figures.paper_rig import CAMERA_HEIGHT_M, GROUND_DISTANCE_M, changed_views, drawn_views
 
 Array = NDArray[np.float64]
 Views = tuple[Array, Array, Array]

@@ -15,10 +15,10 @@ from conetl.model.params import IngestParams
 from conetl.model.records import Side
 from conetl.perception.detections import check_boxes
 from conetl.perception.detector import Detector, detect_image, load_detector
-from conetl.simulation.camera_noise import develop, exposure_gain
-from conetl.simulation.paper_rig import RenderedPair, render_pair
+from conetl.simulation.scene import develop, exposure_gain
 from conetl.tracking.matching.matches import match_pair
 from conetl.tracking.positions import CameraPosition, locate_in_camera
+from docs.figures.paper_rig import RenderedPair, render_pair
 
 Array = NDArray[np.float64]
 DRAWS = 100

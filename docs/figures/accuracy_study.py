@@ -22,9 +22,9 @@ from matplotlib.patches import Ellipse
 from scipy import stats
 
 from conetl.geometry.calibration.covariance import calibration_jacobian
-from conetl.simulation.paper_rig import BASELINE_M, SIGMAS, paper_rig
-from docs import accuracy_cases as cases
 from docs import accuracy_render as rendered
+from docs.figures import accuracy_cases as cases
+from docs.figures.paper_rig import BASELINE_M, SIGMAS, paper_rig
 
 DOCS = Path(__file__).parents[1]
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00")

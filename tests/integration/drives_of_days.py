@@ -14,10 +14,18 @@ import numpy as np
 from conetl.db.connection import Connection, execute
 from conetl.db.map.map_store import find_changeset, map_transaction
 from conetl.geometry.calibration.shared import with_covariance
-from conetl.model.drive_records import DriveRecords
 from conetl.model.map_records import Changeset
 from conetl.model.params import IngestParams
-from conetl.model.records import CalibrationCovariance, Detection, Drive, Position, Rig, StereoMatch, Track
+from conetl.model.records import (
+    CalibrationCovariance,
+    Detection,
+    Drive,
+    DriveRecords,
+    Position,
+    Rig,
+    StereoMatch,
+    Track,
+)
 from conetl.pipeline.replay import Merged, merge_drive
 from tests.synthetic.world import (
     START_NS,

@@ -207,13 +207,13 @@ def place_of_first_day(conn, kind, feature, order):
     """The same decision in every order: about the place where the first drive saw the cone."""
     from conetl.db.map.decision_store import insert_decision
     from conetl.db.map.map_store import find_map, map_transaction, system_time
-    from conetl.model.map_records import Place
+    from conetl.model.map_records import Location
     from conetl.pipeline.decisions import _judge_place
 
     with map_transaction(conn):
         info = find_map(conn)
         at = system_time(conn, info)
-        place = Place(xy_m=feature.xyz_m[:2], radius_m=1.0)
+        place = Location(xy_m=feature.xyz_m[:2], radius_m=1.0)
         insert_decision(conn, info, kind, decided_at=at, note=" ".join(order), place=place)
         _judge_place(conn, info, kind, place, at)
 

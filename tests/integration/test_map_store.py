@@ -32,9 +32,8 @@ from conetl.db.map.map_store import (
     read_features_as_of,
 )
 from conetl.db.map.results import RunInfo
-from conetl.model.drive_records import DriveRecords
 from conetl.model.errors import DatabaseError, MapMismatchError
-from conetl.model.records import utc_from_ns
+from conetl.model.records import DriveRecords, utc_from_ns
 from conetl.model.rejections import Rejection, RejectionReason
 
 DAY = timedelta(days=1)

@@ -11,7 +11,7 @@ import pytest
 
 from conetl.cli.tools.drive_results import analyse_folder
 from conetl.mapping.changes import reconcile
-from conetl.mapping.visibility import look_at_spot, view_of_drive
+from conetl.mapping.visibility import check_visibility, observations_of_drive
 from conetl.model.detector_evidence import AbsenceFigures
 from conetl.model.errors import DriveFolderError
 from conetl.model.map_records import DeltaKind
@@ -131,7 +131,7 @@ def _removed_by(drive: Path, settings: Settings, before: AnalysedDrive) -> int:
     assert dark_drive.tracks == []
     evidence = read_model_card(None).evidence
     assert evidence is not None
-    view = view_of_drive(
+    view = observations_of_drive(
         dark_drive.drive.rig,
         dark_drive.drive.frame_pairs,
         dark_drive.records.detections,
@@ -141,7 +141,7 @@ def _removed_by(drive: Path, settings: Settings, before: AnalysedDrive) -> int:
     deltas = reconcile(
         [],
         features,
-        lambda feature, offset_m, others_m: look_at_spot(feature, offset_m, others_m, view, params.reconcile),
+        lambda feature, offset_m, others_m: check_visibility(feature, offset_m, others_m, view, params.reconcile),
         params.reconcile,
         founding_key="second",
     )

@@ -16,7 +16,7 @@ from conetl.model.params import IngestParams
 from conetl.pipeline.analysis import AnalysedDrive
 from conetl.pipeline.settings import Settings
 from conetl.tracking.positions import locate_positions
-from conetl.tracking.variance_components import SightingVariances, with_variances
+from conetl.tracking.variance_components import VarianceFactors, with_variance_factors
 
 DRIVES = sorted((Path(__file__).resolve().parents[2] / "data" / "drives").iterdir())
 PARAMS = IngestParams()
@@ -37,7 +37,7 @@ def errors_of(truth: Path, results: AnalysedDrive, factor: float) -> PointErrors
     """Of single positions, with the sigmas of all image points multiplied by a factor."""
     drive = results.drive
     # What all sightings of a cone have in common of its disparity is a constant, which is not theirs to state.
-    scaled = with_variances(results.records.matches, SightingVariances(factor**2, factor**2, factor**2))
+    scaled = with_variance_factors(results.records.matches, VarianceFactors(factor**2, factor**2, factor**2))
     matches = [m.model_copy(update={"sigma_outline_px": factor * m.sigma_outline_px}) for m in scaled]
     pairs = {pair.frame_index: pair for pair in drive.frame_pairs}
     positions, _ = locate_positions(matches, pairs, drive.rig, PARAMS.position)

@@ -17,11 +17,11 @@ from uuid import NAMESPACE_URL, UUID, uuid5
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from conetl.mapping.existence_update import doubt_after
-from conetl.mapping.fold import Evidence, Extension, extend
-from conetl.mapping.visibility import View, look_at_spot, looks_in_view, view_of_drive
+from conetl.mapping.existence_update import summarize_miss
+from conetl.mapping.history import DriveEvidence, MapUpdate, apply_drive
+from conetl.mapping.visibility import DriveObservations, check_visibility, observations_of_drive, pairs_in_view
 from conetl.model.detector_evidence import AbsenceFigures, DetectorEvidence, detect_probability
-from conetl.model.map_records import Decisions, Delta, DeltaKind, Doubt, FeatureVersion, MapFeature
+from conetl.model.map_records import Decisions, Delta, DeltaKind, FeatureVersion, MapFeature, MissSummary
 from conetl.model.params import IngestParams, ReconcileParams
 from conetl.model.records import Detection, FramePair, Side
 from conetl.tracking.apparent_boxes import hidden_share
@@ -48,25 +48,25 @@ DOUBLED = 0.03
 WELL_SEEN_FRAMES = 10
 HIDDEN = " (hidden)"
 Boxes = dict[tuple[int, Side], list[Detection]]
-Place = tuple[float, float]
+Location = tuple[float, float]
 
 
 @dataclass
 class Road:
     """Cones by number: place (east, north; m) and height, as they stand."""
 
-    places: dict[int, Place] = field(default_factory=dict)
+    places: dict[int, Location] = field(default_factory=dict)
     heights: dict[int, float] = field(default_factory=dict)
-    before: dict[int, Place] = field(default_factory=dict)
+    before: dict[int, Location] = field(default_factory=dict)
     """Places of yesterday."""
     next_number: int = 0
 
-    def put(self, place: Place, height_m: float) -> int:
+    def put(self, place: Location, height_m: float) -> int:
         number, self.next_number = self.next_number, self.next_number + 1
         self.places[number], self.heights[number] = place, height_m
         return number
 
-    def is_free(self, place: Place, apart_m: float) -> bool:
+    def is_free(self, place: Location, apart_m: float) -> bool:
         return all(np.hypot(place[0] - x, place[1] - y) >= apart_m for x, y in self.places.values())
 
     def cones(self) -> list[Cone]:
@@ -148,7 +148,7 @@ def change(road: Road, rng: np.random.Generator) -> dict[int, str]:
     return fate
 
 
-def fate_is_clear(place: Place, road: Road, fate: dict[int, str]) -> bool:
+def fate_is_clear(place: Location, road: Road, fate: dict[int, str]) -> bool:
     """Whether no other cone that went last night stood so near that it could be this one: nothing tells these apart."""
     return all(
         np.hypot(place[0] - road.before[n][0], place[1] - road.before[n][1]) > 4.0
@@ -211,8 +211,8 @@ def _detection(
 
 def survey(
     road: Road, evidence: DetectorEvidence, rng: np.random.Generator, *, start_ns: int, span: tuple[int, int]
-) -> tuple[Evidence, View]:
-    """One drive, ready for the fold, and where it truly looked (without its GNSS offset)."""
+) -> tuple[DriveEvidence, DriveObservations]:
+    """One drive, ready for the replay_drives, and where it truly looked (without its GNSS offset)."""
     params = IngestParams()
     figures = AbsenceFigures(evidence=evidence, score_threshold=params.detection.score_threshold)
     true = make_path(FRAMES, first_ns=start_ns, sigma_m=0.3)[slice(*span)]
@@ -221,19 +221,21 @@ def survey(
     boxes = drive_boxes(road.cones(), true, figures, rng)
     found, matches, positions = locate(boxes, logged, RIG)
     tracks, _ = fuse_logged(logged, RIG, found, matches, positions, params=params, evidence=evidence)
-    view = view_of_drive(RIG, logged, found, [(p.frame_index, p.xyz_m) for p in positions], figures)
+    view = observations_of_drive(RIG, logged, found, [(p.frame_index, p.xyz_m) for p in positions], figures)
     content = hashlib.sha256(f"{start_ns}".encode()).hexdigest()
-    drive = Evidence(
+    drive = DriveEvidence(
         key=(start_ns, content, content),
         changeset_id=uuid5(NAMESPACE_URL, content),
         founding_key=content,
         tracks=tracks,
         path_m=np.array([pair.pose.map_t_body_m[:2] for pair in logged]),
         influence_m=80.0,
-        look_at=lambda feature, offset_m, others_m: look_at_spot(feature, offset_m, others_m, view, params.reconcile),
+        check_visibility=lambda feature, offset_m, others_m: check_visibility(
+            feature, offset_m, others_m, view, params.reconcile
+        ),
         params=params.reconcile,
     )
-    return drive, view_of_drive(RIG, true, found, [], figures)
+    return drive, observations_of_drive(RIG, true, found, [], figures)
 
 
 def simulate(days: int, evidence: DetectorEvidence, *, seed: int = 5) -> Score:
@@ -241,7 +243,7 @@ def simulate(days: int, evidence: DetectorEvidence, *, seed: int = 5) -> Score:
     rng = np.random.default_rng(seed)
     road, score = random_road(rng), Score()
     standing: dict[UUID, FeatureVersion] = {}
-    doubts: dict[UUID, Doubt] = {}
+    summaries: dict[UUID, MissSummary] = {}
     for day in range(days + 1):
         before, known = dict(road.places), owners(standing, road.places)
         road.before = before
@@ -253,7 +255,7 @@ def simulate(days: int, evidence: DetectorEvidence, *, seed: int = 5) -> Score:
                 span = (0, FRAMES // 2) if rng.random() < 0.5 else (FRAMES // 2, FRAMES)
             start_ns = START_NS + day * DAY_NS + number * HOUR_NS
             drive, view = survey(road, evidence, rng, start_ns=start_ns, span=span)
-            extension = extend(standing, drive, Decisions(), doubts)
+            extension = apply_drive(standing, drive, Decisions(), summaries)
             happened += [(number + 1, delta) for delta in extension.deltas]
             gone = {d.feature_id for d in extension.deltas if d.kind in (DeltaKind.REMOVED, DeltaKind.MOVED)}
             for cone, feature_id in known.items() if day else ():
@@ -264,7 +266,7 @@ def simulate(days: int, evidence: DetectorEvidence, *, seed: int = 5) -> Score:
                 if number == 0 and fate[cone] == "removed" and plain >= WELL_SEEN_FRAMES:
                     score.removed_well_seen += 1
                     score.removed_at_once += feature_id in gone
-            take(extension, standing, doubts)
+            take(extension, standing, summaries)
         for cone in fate:
             if fate[cone] in ("removed", "moved") and most_plain.get(cone, 0) < WELL_SEEN_FRAMES:
                 fate[cone] += HIDDEN
@@ -277,19 +279,19 @@ def simulate(days: int, evidence: DetectorEvidence, *, seed: int = 5) -> Score:
     return score
 
 
-def take(extension: Extension, standing: dict[UUID, FeatureVersion], doubts: dict[UUID, Doubt]) -> None:
+def take(extension: MapUpdate, standing: dict[UUID, FeatureVersion], summaries: dict[UUID, MissSummary]) -> None:
     """Bring the map up to what a drive made of it."""
     for miss in extension.misses:
-        earlier = doubts.get(miss.feature_id)
-        doubts[miss.feature_id] = doubt_after(earlier, miss.existence_probability, miss.first_missed_ns)
+        earlier = summaries.get(miss.feature_id)
+        summaries[miss.feature_id] = summarize_miss(earlier, miss.existence_probability, miss.first_missed_ns)
     for version in extension.versions:
-        doubts.pop(version.feature.feature_id, None)
+        summaries.pop(version.feature.feature_id, None)
         standing.pop(version.feature.feature_id, None)
-        if version.standing:
+        if version.present:
             standing[version.feature.feature_id] = version
 
 
-def _deltas_near(places: Sequence[Place], happened: Sequence[tuple[int, Delta]]) -> str:
+def _deltas_near(places: Sequence[Location], happened: Sequence[tuple[int, Delta]]) -> str:
     """What the day's drives did within reach of some places, for whoever wants to know why."""
     told = []
     for number, delta in happened:
@@ -300,9 +302,9 @@ def _deltas_near(places: Sequence[Place], happened: Sequence[tuple[int, Delta]])
     return "".join(f"\n    {line}" for line in told)
 
 
-def in_view(place: Place, height_m: float, view: View, params: ReconcileParams) -> tuple[int, int]:
+def in_view(place: Location, height_m: float, view: DriveObservations, params: ReconcileParams) -> tuple[int, int]:
     """Frame pairs that had a place in view, and those of them in which no cone in front hid more than an eighth of it."""
-    rows, _, boxes = looks_in_view(ORIGIN_M + np.array([*place, 0.0]), height_m, view, params)
+    rows, _, boxes = pairs_in_view(ORIGIN_M + np.array([*place, 0.0]), height_m, view, params)
     plain = 0
     for row, pair in zip(rows, boxes, strict=True):
         found = view.detections.get(view.frames[row], ())
@@ -311,7 +313,7 @@ def in_view(place: Place, height_m: float, view: View, params: ReconcileParams) 
     return len(rows), plain
 
 
-def owners(standing: dict[UUID, FeatureVersion], places: dict[int, Place]) -> dict[int, UUID]:
+def owners(standing: dict[UUID, FeatureVersion], places: dict[int, Location]) -> dict[int, UUID]:
     """Cone -> the feature that is it, at most 0.5 m off after the map's own offset is taken out."""
     if not standing or not places:
         return {}

@@ -1,4 +1,4 @@
-"""A made-up road over days: cones that are set, moved and taken away, and the evidence of drives that see or miss them."""
+"""A made-up road over days: cones that are set, moved and removed, and drives that observe or miss them."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from uuid import NAMESPACE_URL, uuid5
 
 import numpy as np
 
-from conetl.mapping.fold import Evidence
-from conetl.mapping.visibility import Look
+from conetl.mapping.history import DriveEvidence
+from conetl.mapping.visibility import NotObserved
 from conetl.model.map_records import MapFeature
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Track
@@ -20,15 +20,15 @@ HOUR_NS = 3_600_000_000_000
 SECOND_NS = 1_000_000_000
 SPEED_M_S = 10.0
 SIDE_M = 8.0
-"""Cones nearer to the path than this are seen or missed."""
+"""Cones nearer to the path than this are visible."""
 POOR_SIDE_M = 3.2
-"""Farther to the side than this they are looked at poorly."""
+"""Farther to the side than this the evidence is weak."""
 Floats = np.ndarray
 
 
 @dataclass
 class Cone:
-    """Where a cone stands from when on, (from_ns, xy or None where it is gone), in the order of time."""
+    """Positions of a cone over time: (from_ns, xy or None if removed)."""
 
     height_m: float
     states: list[tuple[int, tuple[float, float] | None]]
@@ -68,8 +68,8 @@ def random_drive(
     sigma_m: float = 0.3,
     map_name: str = "default",
     params: ReconcileParams | None = None,
-) -> Evidence:
-    """One drive along a part of the road: a common offset, noise, cones that it misses, and where it looked."""
+) -> DriveEvidence:
+    """One drive along a part of the road: a common offset, noise, missed cones, and its visibility."""
     params = params or ReconcileParams()
     content = hashlib.sha256(f"{map_name} drive {number} {rng.integers(1 << 60)}".encode()).hexdigest()
     offset = rng.normal(0, sigma_m, 2)
@@ -101,35 +101,37 @@ def random_drive(
                 members=((i, 0),),
             )
         )
-    return Evidence(
+    return DriveEvidence(
         key=(start_ns, content, content),
         changeset_id=uuid5(NAMESPACE_URL, content),
         founding_key=f"{map_name}/{content}",
         tracks=tracks,
         path_m=np.column_stack([ORIGIN_M[0] + path, np.full(len(path), ORIGIN_M[1])]),
         influence_m=60.0,
-        look_at=_look(np.array([t.xyz_m for t in tracks]).reshape(-1, 3), start_ns, span_m, rng.random()),
+        check_visibility=_visibility(
+            np.array([t.xyz_m for t in tracks]).reshape(-1, 3), start_ns, span_m, rng.random()
+        ),
         params=params,
     )
 
 
-def _look(
+def _visibility(
     seen: Floats, start_ns: int, span_m: tuple[float, float], blind_share: float
-) -> Callable[[MapFeature, Floats], Look | None]:
-    """Every spot beside the path was in plain view, but for a stretch behind a lorry, unless a cone was seen there."""
+) -> Callable[[MapFeature, Floats], NotObserved | None]:
+    """Every location beside the path was visible, except behind a lorry and where a cone was observed."""
     west, east = span_m
     blind = (west + blind_share * (east - west), west + blind_share * (east - west) + 25.0)
 
-    def look_at(feature: MapFeature, offset_m: Floats, _others_m: Floats) -> Look | None:
-        spot = np.array(feature.xyz_m) + offset_m
-        along, aside = spot[:2] - ORIGIN_M[:2]
+    def check_visibility(feature: MapFeature, offset_m: Floats, _others_m: Floats) -> NotObserved | None:
+        location = np.array(feature.xyz_m) + offset_m
+        along, aside = location[:2] - ORIGIN_M[:2]
         if not west <= along <= east or abs(aside) > SIDE_M or blind[0] <= along <= blind[1]:
             return None
-        if len(seen) and np.hypot(*(seen - spot)[:, :2].T).min() <= 0.5:
+        if len(seen) and np.hypot(*(seen - location)[:, :2].T).min() <= 0.5:
             return None
         first_ns = start_ns + int((along - west) / SPEED_M_S * SECOND_NS)
-        # Far from the path a look is a poor one: it takes several such drives to remove a cone.
+        # Far from the path it takes several drives to remove a cone.
         ratio = -3.5 if abs(aside) < POOR_SIDE_M else -1.2
-        return Look(10, first_ns, ratio) if first_ns > feature.last_seen_ns else None
+        return NotObserved(10, first_ns, ratio) if first_ns > feature.last_seen_ns else None
 
-    return look_at
+    return check_visibility

@@ -12,7 +12,7 @@ from conetl.model.map_records import MapFeature
 from conetl.model.params import LayoutParams
 from conetl.model.work_zone_records import DrivePath, LaneLine, ZoneHistory
 from conetl.workzones.layout_check import allowed_spacing_m, taper_ratio
-from conetl.workzones.road_axis import place, stations
+from conetl.workzones.linear_reference import locate, stations
 
 Fault = Literal["none", "missing", "spacing", "in lane", "short taper"]
 Floats = np.ndarray
@@ -105,13 +105,13 @@ def closure(seed: int, fault: Fault, *, sigma_m: float = 0.1, with_lanes: bool =
         s, o, numbers = np.append(s, at), np.append(o, row_m + rng.uniform(1.2, 2.2)), [*numbers, 500]
     sign = -1.0 if seed % 2 else 1.0
     centre = road(rng, float(s.max()))
-    truth = place(centre, s + 60.0, sign * o)
+    truth = locate(centre, s + 60.0, sign * o)
     seen = truth + rng.normal(0, sigma_m, truth.shape)
     cones = [cone(number, xy, sigma_m) for number, xy in zip(numbers, seen, strict=True)]
     way = stations(centre)
     wander = 0.2 * np.sin(way / 25.0)
-    path = place(centre, way, sign * LANE_M + wander)
-    lanes = [LaneLine(place(centre, way, np.full(len(way), sign * k * LANE_M))) for k in (-0.5, 0.5, 1.5)]
+    path = locate(centre, way, sign * LANE_M + wander)
+    lanes = [LaneLine(locate(centre, way, np.full(len(way), sign * k * LANE_M))) for k in (-0.5, 0.5, 1.5)]
     return Closure(
         zone=zone_of([cones[k] for k in rng.permutation(len(cones))]),
         paths=[DrivePath("drive", 1, path)],

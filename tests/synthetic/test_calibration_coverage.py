@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from conetl.geometry.calibration.covariance import calibration_cov, calibration_jacobian
-from conetl.simulation.paper_rig import SIGMAS, changed_views, drawn_views, paper_rig, render_pair
-from docs import accuracy_cases as cases
+from docs.figures import accuracy_cases as cases
+from docs.figures.paper_rig import SIGMAS, changed_views, drawn_views, paper_rig, render_pair
 
 DRAWS = 2000
 

@@ -18,7 +18,7 @@ from conetl.geometry.joint_fit import fit_point, pair_jacobian
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.params import PositionParams, TrajectoryParams
 from conetl.model.records import Track
-from conetl.tracking.pose_errors import pose_cov
+from conetl.tracking.error_propagation import pose_cov
 from conetl.tracking.positions import locate_positions
 from conetl.tracking.trajectory import RefinementOutcome, refine_trajectory
 from tests.synthetic.noisy_drive import NoisyDrive, PoseErrors, _draw, draw_drive, draw_positions

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -193,16 +192,4 @@ def fuse_logged(
     from conetl.model.params import IngestParams
     from conetl.tracking.tracks import fuse_tracks
 
-    by_frame: dict[int, list[Detection]] = defaultdict(list)
-    for detection in found:
-        by_frame[detection.frame_index].append(detection)
-    return fuse_tracks(
-        positions,
-        {(m.frame_index, m.match_index): m for m in matches},
-        by_frame,
-        {pair.frame_index: pair for pair in logged},
-        rig,
-        camera_poses(logged, rig, "left"),
-        camera_poses(logged, rig, "right"),
-        **{"params": IngestParams(), **more},
-    )
+    return fuse_tracks(positions, matches, found, logged, rig, **{"params": IngestParams(), **more})

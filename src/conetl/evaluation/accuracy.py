@@ -28,7 +28,7 @@ from conetl.model.records import (
     Vec3,
 )
 from conetl.tracking.association import MotionError
-from conetl.tracking.pose_errors import PoseCov
+from conetl.tracking.error_propagation import PoseCov
 
 Floats = NDArray[np.float64]
 #: Upper ends of the range bands; the last is open.

@@ -33,7 +33,7 @@ from conetl.model.errors import InputError
 from conetl.model.records import Drive, Position, Track
 from conetl.reports.accuracy_page import Section, write_accuracy_page
 from conetl.tracking.association import MotionError
-from conetl.tracking.pose_errors import PoseCov
+from conetl.tracking.error_propagation import PoseCov
 
 #: The two kinds of estimates whose errors are evaluated.
 KINDS = ("tracks", "single positions")

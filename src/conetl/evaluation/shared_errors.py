@@ -12,8 +12,7 @@ from conetl.geometry.packing import cov_matrix
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.records import Pose, Position, Rig
 from conetl.tracking.association import MotionError
-from conetl.tracking.common_errors import outline_errors
-from conetl.tracking.pose_errors import PoseCov, constant_and_change, moved_by_poses, moved_cov
+from conetl.tracking.error_propagation import PoseCov, constant_and_change, moved_by_poses, moved_cov, outline_errors
 
 Floats = NDArray[np.float64]
 

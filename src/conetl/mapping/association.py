@@ -1,41 +1,47 @@
-"""Which track of a drive is which feature of the map: the drive's common offset, then one-to-one pairs, then cones that moved.
+"""Which track of a drive is which feature of the map: the drive's common offset, one-to-one pairs, and moved cones.
 
-Everything works on neighbours found by a k-d tree, so that drives with thousands of cones take seconds, not hours.
+Neighbours are found by k-d trees and assignments are solved per connected group of near pairs, so that the time grows nearly
+linearly with the number of cones.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from conetl.mapping.gating import Indices, assign, near_pairs
 from conetl.model.map_records import MapFeature
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Cov3, Track
 
 Floats = NDArray[np.float64]
-#: Offsets that are tried; cones that share one propose nearly the same.
-_MAX_PROPOSALS = 200
-#: Tracks that an offset is tried on: every so many of a longer drive's.
+Indices = NDArray[np.int64]
+#: Limits of the search for the common offset: candidate offsets, and tracks on which each is evaluated.
+_MAX_CANDIDATES = 200
 _MAX_TRACKS = 2000
-#: Proposals nearer together than this are one.
-_PROPOSAL_CELL_M = 0.1
-#: Cost of a pair at the edge of the gate, and of leaving a track and a feature unpaired: a chi-square of 3 sigma.
+#: Candidates nearer to each other than this are one.
+_CANDIDATE_CELL_M = 0.1
+#: Cost of a forbidden pair in the assignment; far above any distance.
+_FORBIDDEN = 1e6
+#: Cost of a pair at the edge of the gate, and of leaving a track and a feature unpaired: chi-square of 3 sigma.
 _GATE_COST = 9.0
 
 
 def common_offset(
     tracks: Sequence[Track], features: Sequence[MapFeature], params: ReconcileParams
 ) -> tuple[Floats, float]:
-    """Offset (3,) of the drive against the map in metres, and the share of it that is the drive's fault.
+    """Offset (3,) of the drive against the map in metres, and the share of it that the drive's own variance explains.
 
-    The most probable one: squared misfits of all tracks to their nearest features, each at most that of the gate's edge (a cone
-    that is new or was moved counts no more), plus the squared offset over its stated variance. So a chain of equal distances,
-    which fits onto itself when it is shifted by one, is shifted only where its ends say so. Fewer than two agreeing pairs, or an
-    offset beyond what the stated sigmas allow, give zero: one cone that was moved must not drag the drive along.
+    It minimises the squared distances of all tracks to their nearest features, each capped at the gate, plus the squared offset
+    over its stated variance. The cap keeps new and moved cones from pulling; the ends of a row of equal distances decide
+    against a shift by one cone. Fewer than two agreeing pairs, or an offset beyond the stated sigmas, give zero: one moved cone
+    must not shift the drive.
     """
     zero = np.zeros(3)
     if len(tracks) < 2 or len(features) < 2:
@@ -57,14 +63,14 @@ def common_offset(
         return float(costs.sum() + offset[:2] @ offset[:2] / total_var), t[close] - f[nearest[close]]
 
     best: tuple[float, Floats] | None = None
-    for proposal in _proposals(t, f, allowed_m):
-        cost, agreeing = cost_of(proposal)
+    for candidate in _candidates(t, f, allowed_m):
+        cost, agreeing = cost_of(candidate)
         if len(agreeing) >= 2 and (best is None or cost < best[0]):
-            best = cost, proposal
+            best = cost, candidate
     if best is None:
         return zero, 0.0
     offset_m = best[1]
-    for _ in range(2):  # onto the middle of its pairs, which may change the pairs
+    for _ in range(2):  # the median of the pairs, which may change the pairs
         _, agreeing = cost_of(offset_m)
         if len(agreeing) < 2:
             return zero, 0.0
@@ -75,71 +81,72 @@ def common_offset(
 
 
 def pair(
-    placed: Floats,
+    map_xyz_m: Floats,
     tracks: Sequence[Track],
     features: Sequence[MapFeature],
     offset_m: Floats,
     weight: float,
     params: ReconcileParams,
 ) -> dict[int, int]:
-    """Feature index -> track index of those that are the same cone in the same place.
+    """Feature index -> track index of those that are the same cone at the same position.
 
-    placed (T, 3): the tracks in map coordinates, the drive's share `weight` of `offset_m` taken out. Of all one-to-one
-    assignments the one of least cost: squared distance over the gate's, `_GATE_COST` for a track and a feature that stay alone.
-    Leaving two alone may thus be cheaper than moving a whole chain up by one.
+    map_xyz_m (T, 3): the tracks in map coordinates, less the drive's share `weight` of `offset_m`. Of all one-to-one
+    assignments the one of least cost: squared distance over that of the gate, `_GATE_COST` for a track and a feature that stay
+    unpaired. Leaving two unpaired may be cheaper than shifting a whole row by one.
     """
     if not tracks or not features:
         return {}
-    # With the offset known only what is not common to the drive is uncertain; without it, everything is.
+    # With a known offset only the errors that the drive does not share count; otherwise all do.
     known = weight > 0
-    places = np.array([feature.xyz_m for feature in features])
-    moved = placed - (1 - weight) * offset_m
-    j, i = near_pairs(places[:, :2], moved[:, :2], max(params.min_gate_m, params.max_offset_m))
+    feature_xyz_m = np.array([feature.xyz_m for feature in features])
+    moved = map_xyz_m - (1 - weight) * offset_m
+    j, i = near_pairs(feature_xyz_m[:, :2], moved[:, :2], max(params.min_gate_m, params.max_offset_m))
     cov = _horizontal([track.relative_cov_m2 if known else track.cov_m2 for track in tracks])[i]
     if not known:
         cov = cov + _horizontal([feature.cov_m2 for feature in features])[j]
-    x, y = (moved[i, :2] - places[j, :2]).T
+    x, y = (moved[i, :2] - feature_xyz_m[j, :2]).T
     xx, xy, yy = cov.T
     distance2 = (yy * x * x - 2 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
     distance = np.hypot(x, y)
     share = np.minimum((distance / params.min_gate_m) ** 2, distance2 / params.gate_chi2)
     allowed = (distance <= params.min_gate_m) | ((distance2 <= params.gate_chi2) & (distance <= params.max_offset_m))
-    return assign(j[allowed], i[allowed], _GATE_COST * share[allowed], alone_cost=_GATE_COST)
+    return assign(j[allowed], i[allowed], _GATE_COST * share[allowed], unpaired_cost=_GATE_COST)
 
 
 def moves(
-    placed: Floats,
+    map_xyz_m: Floats,
     tracks: Sequence[Track],
     free_tracks: Sequence[int],
     features: Sequence[MapFeature],
     vanished: Sequence[int],
     params: ReconcileParams,
 ) -> dict[int, int]:
-    """Feature index -> track index of cones that were moved: as many as can be, over the shortest ways."""
+    """Feature index -> track index of moved cones: as many as possible, over the least total distance."""
     if not free_tracks or not vanished:
         return {}
-    j, i, distance = _alike_nearby(placed, tracks, free_tracks, features, vanished, params)
+    j, i, distance = _alike_nearby(map_xyz_m, tracks, free_tracks, features, vanished, params)
     return assign(j, i, distance)
 
 
-def moved_before(
-    placed: Floats,
+def moves_by_earlier_drives(
+    map_xyz_m: Floats,
     tracks: Sequence[Track],
-    seen: Mapping[int, int],
+    observed: Mapping[int, int],
     features: Sequence[MapFeature],
     vanished: Sequence[int],
     params: ReconcileParams,
 ) -> dict[int, int]:
-    """Feature index -> index of the feature that it was moved to: an earlier drive had only the new place in view and founded it.
+    """Feature index -> index of the feature that it was moved to by the time of an earlier drive, to which only the new
+    position was visible.
 
-    As `moves`, among the features that are `seen` now (feature -> track index) and were founded after the vanished one was last
-    seen: had both ever been seen to stand, they would be two cones.
+    Like `moves`, among the `observed` features (feature -> track index) that were founded after the vanished one was last
+    observed; features observed at the same time are two cones.
     """
     since_ns = min((features[j].last_seen_ns for j in vanished), default=0)
-    feature_of = {i: k for k, i in seen.items() if features[k].first_seen_ns > since_ns}
+    feature_of = {i: k for k, i in observed.items() if features[k].first_seen_ns > since_ns}
     if not feature_of or not vanished:
         return {}
-    j, i, distance = _alike_nearby(placed, tracks, sorted(feature_of), features, vanished, params)
+    j, i, distance = _alike_nearby(map_xyz_m, tracks, sorted(feature_of), features, vanished, params)
     founded_ns = np.array([features[feature_of[track]].first_seen_ns for track in i.tolist()], np.int64)
     last_seen_ns = np.array([features[row].last_seen_ns for row in j.tolist()], np.int64)
     since = founded_ns > last_seen_ns
@@ -147,7 +154,7 @@ def moved_before(
 
 
 def _alike_nearby(
-    placed: Floats,
+    map_xyz_m: Floats,
     tracks: Sequence[Track],
     of_tracks: Sequence[int],
     features: Sequence[MapFeature],
@@ -156,31 +163,73 @@ def _alike_nearby(
 ) -> tuple[Indices, Indices, Floats]:
     """Feature and track indices, and distances in metres, of all pairs between which a cone may have been moved."""
     rows, columns = np.array(of_features), np.array(of_tracks)
-    places = np.array([features[j].xyz_m for j in of_features])
-    j, i = near_pairs(places[:, :2], placed[columns, :2], params.moved_max_m)
-    distance = np.hypot(*(placed[columns[i], :2] - places[j, :2]).T)
+    feature_xyz_m = np.array([features[j].xyz_m for j in of_features])
+    j, i = near_pairs(feature_xyz_m[:, :2], map_xyz_m[columns, :2], params.moved_max_m)
+    distance = np.hypot(*(map_xyz_m[columns[i], :2] - feature_xyz_m[j, :2]).T)
     heights = np.array([features[k].cone_height_m for k in of_features])[j]
     alike = np.abs(np.array([tracks[k].cone_height_m for k in of_tracks])[i] - heights)
     allowed = (alike <= params.moved_height_tolerance_m) & (distance <= params.moved_max_m)
     return rows[j[allowed]], columns[i[allowed]], distance[allowed]
 
 
-def _proposals(t: Floats, f: Floats, allowed_m: float) -> Floats:
-    """(P, 3) offsets that some track and feature propose, one a cell, those of most pairs first, then the shortest."""
+def _candidates(t: Floats, f: Floats, allowed_m: float) -> Floats:
+    """(P, 3) candidate offsets, one per cell: differences of a track and a feature, most frequent first, then shortest."""
     j, i = near_pairs(f[:, :2], t[:, :2], allowed_m)
     differences = t[i] - f[j]
     if len(differences) == 0:
         return differences
-    cells = np.floor(differences[:, :2] / _PROPOSAL_CELL_M).astype(np.int64)
+    cells = np.floor(differences[:, :2] / _CANDIDATE_CELL_M).astype(np.int64)
     _, inverse, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
     inverse = inverse.ravel()
     lengths = np.hypot(differences[:, 0], differences[:, 1])
     shortest_first = np.lexsort((lengths, inverse))
     first = shortest_first[np.searchsorted(inverse[shortest_first], np.arange(len(counts)))]
-    order = np.lexsort((lengths[first], -counts))[:_MAX_PROPOSALS]
+    order = np.lexsort((lengths[first], -counts))[:_MAX_CANDIDATES]
     return differences[first[order]]
 
 
 def _horizontal(covariances: Sequence[Cov3]) -> Floats:
     """(N, 3): xx, xy, yy of each covariance."""
     return np.array(covariances)[:, [0, 1, 3]]
+
+
+def near_pairs(a_m: Floats, b_m: Floats, reach_m: float) -> tuple[Indices, Indices]:
+    """Indices into a_m (N, 2) and b_m (M, 2), metres, of all pairs at most `reach_m` apart, by rising index of `a`, then
+    `b`."""
+    if not len(a_m) or not len(b_m):
+        return np.empty(0, np.int64), np.empty(0, np.int64)
+    # Slightly farther, so that rounding in the tree loses no pair exactly at the reach: callers gate themselves.
+    reach_m = reach_m * (1 + 1e-9)
+    found = cast("list[list[int]]", cKDTree(b_m).query_ball_point(a_m, reach_m, return_sorted=True))
+    counts = np.fromiter((len(indices) for indices in found), np.int64, len(a_m))
+    columns = np.fromiter((index for indices in found for index in indices), np.int64, int(counts.sum()))
+    return np.repeat(np.arange(len(a_m)), counts), columns
+
+
+def assign(rows: Indices, columns: Indices, costs: Floats, *, unpaired_cost: float | None = None) -> dict[int, int]:
+    """Row -> column of the one-to-one pairing with most pairs and, among those, the least total cost.
+
+    rows, columns, costs (K,): the allowed pairs, each once. unpaired_cost: cost of a row and a column that stay unpaired, above
+    all costs; with it the total cost decides instead of the number of pairs.
+    """
+    if not len(rows):
+        return {}
+    row_ids, r = np.unique(rows, return_inverse=True)
+    column_ids, c = np.unique(columns, return_inverse=True)
+    single = (np.bincount(r)[r] == 1) & (np.bincount(c)[c] == 1)
+    pairs = dict(zip(rows[single].tolist(), columns[single].tolist(), strict=True))
+    r, c, costs = r[~single], c[~single], costs[~single]
+    size = len(row_ids) + len(column_ids)
+    graph = coo_array((np.ones(len(r), bool), (r, len(row_ids) + c)), shape=(size, size))
+    group = connected_components(graph, directed=False)[1][r]
+    order = np.argsort(group, kind="stable")
+    for members in np.split(order, np.flatnonzero(np.diff(group[order])) + 1) if len(order) else ():
+        rr, i = np.unique(r[members], return_inverse=True)
+        cc, j = np.unique(c[members], return_inverse=True)
+        forbidden = _FORBIDDEN if unpaired_cost is None else unpaired_cost
+        matrix = np.full((len(rr), len(cc)), forbidden)
+        matrix[i, j] = np.minimum(costs[members], forbidden)
+        for k, m in zip(*linear_sum_assignment(matrix), strict=True):
+            if matrix[k, m] < forbidden:
+                pairs[int(row_ids[rr[k]])] = int(column_ids[cc[m]])
+    return pairs

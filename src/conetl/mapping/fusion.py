@@ -1,23 +1,20 @@
-"""Two statements about one place into one: what the map knows of it, and what a drive says of it.
+"""Fusion of two estimates of one position whose errors are partly shared: a feature of the map and a track of a drive.
 
-Best linear unbiased fusion of two estimates whose errors may have a part in common (Bar-Shalom & Campo 1986, "The effect of the
-common process noise on the two-sensor fused-track covariance"; Bar-Shalom, Willett & Tian 2011, "Tracking and Data Fusion",
-ch. 9): with P1, P2 their covariances and C what they have in common, the weight of the second is
-G = (P1 - C) (P1 + P2 - C - C')^-1.
+Best linear unbiased fusion (Bar-Shalom & Campo 1986, "The effect of the common process noise on the two-sensor fused-track
+covariance"; Bar-Shalom, Willett & Tian 2011, "Tracking and Data Fusion", ch. 9): with covariances P1, P2 and cross-covariance
+C, the gain of the second is G = (P1 - C) (P1 + P2 - C - C')^-1.
 
-What drives have in common is the error of a calibration (`geometry/calibration/shared.py`). A statement has a place, its
-covariance P and its shared_jacobian A, so that P = R + A A', R being nobody else's, and C = A1 A2'. The fused shared_jacobian are
-(I - G) A1 + G A2, the fused own part is (I - G) R1 (I - G)' + G R2 G', and P is their sum again: what the formula of the
-covariance gives, but positive definite by its form, and never below what the calibration leaves. Drives from one side have the
-same shared_jacobian, and the calibration's error stays; from opposite sides shared_jacobian cancel. A weight may be below 0 or
-above 1: of a near and a far look with one calibration, the far one tells which way both are off.
-
-Where neither has shared_jacobian the plain formula holds, which is the same with A = 0.
+Drives share the errors of a calibration (`geometry/calibration/shared.py`). With the shared-error Jacobian A of an estimate, P
+= R + A A', R being independent, and C = A1 A2'. The fused Jacobian is (I - G) A1 + G A2, the fused independent part (I - G) R1
+(I - G)' + G R2 G'; their sum is positive definite and never below what the calibration leaves. Drives from one side have the
+same Jacobian, so that the calibration's error stays; from opposite sides the Jacobians cancel. A gain may be below 0 or above
+1: of a near and a far estimate with one calibration, the far one shows the direction of the common error. Without Jacobians A =
+0.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple, TypeVar
 from uuid import UUID
 
@@ -25,25 +22,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry.calibration.shared import pack_all, unpack_all
-from conetl.geometry.packing import cov_matrices
-from conetl.model.records import Cov3, SharedErrorJacobian
+from conetl.geometry.packing import cov3, cov_matrices, cov_matrix
+from conetl.model.map_records import MapFeature
+from conetl.model.records import Cov3, SharedErrorJacobian, Track
 
 Floats = NDArray[np.float64]
 S = TypeVar("S")
 
-#: A feature keeps the shared_jacobian of at most so many calibrations: each makes its versions longer. Of more, those that move
-#: it least count as errors of its own from then on.
+#: A feature keeps the shared-error Jacobians of at most so many calibrations, because each lengthens its versions. The smallest
+#: of more count as independent errors from then on.
 MOST_CALIBRATIONS = 8
-#: The own part of a covariance is at least this, one micrometre squared: shared_jacobian are rounded, and two statements that are
-#: calibration error through and through have equal weights then instead of none.
-_LEAST_OWN_M2 = 1e-12
+#: Least variance of the independent part, one micrometre squared: Jacobians are rounded, and two estimates with calibration
+#: errors only get equal weights.
+_LEAST_INDEPENDENT_M2 = 1e-12
 
 
 class Fusion(NamedTuple):
-    """How N pairs of statements become one each."""
+    """How N pairs of estimates become one each."""
 
     gain: Floats
-    """(N, 3, 3) weight of the new place; the old one's is I less it."""
+    """(N, 3, 3) gain of the new estimate; that of the old one is I less it."""
     cov_m2: Floats
     """(N, 3, 3), symmetric."""
     shared_jacobian: list[SharedErrorJacobian | None]
@@ -55,7 +53,7 @@ def fuse(
     new_cov: Sequence[Cov3],
     new_jacobian: Sequence[SharedErrorJacobian | None],
 ) -> Fusion:
-    """Weights, covariances and shared_jacobian of N pairs of statements about one place each; covariances in m^2."""
+    """Gains, covariances and shared-error Jacobians of N pairs of estimates of one position each; covariances in m^2."""
     old, new = cov_matrices(old_cov), cov_matrices(new_cov)
     gain = old @ np.linalg.inv(old + new)
     cov = (np.eye(3) - gain) @ old
@@ -73,56 +71,55 @@ def fuse(
     return Fusion(gain, cov, shared_jacobian)
 
 
-def own_parts(cov: Sequence[Cov3], shared_jacobian: Sequence[SharedErrorJacobian | None]) -> Floats:
-    """Covariances (N, 3, 3) in m^2 less what shared_jacobian say of them."""
+def independent_parts(cov: Sequence[Cov3], shared_jacobian: Sequence[SharedErrorJacobian | None]) -> Floats:
+    """Independent parts (N, 3, 3) of covariances, in m^2."""
     own = cov_matrices(cov)
     for (ids, _), rows in _alike([_shape(one) for one in shared_jacobian]).items():
         if ids:
-            own[rows] = _own_part(own[rows], _flat(unpack_all(ids, [shared_jacobian[k] for k in rows])))
+            own[rows] = _independent_part(own[rows], _flat(unpack_all(ids, [shared_jacobian[k] for k in rows])))
     return own
 
 
 def with_jacobian(own: Floats, shared_jacobian: Floats) -> Floats:
-    """Covariances (N, 3, 3) whose own parts are these, with shared_jacobian (N, C, 3, K)."""
+    """Covariances (N, 3, 3) of independent parts and shared-error Jacobians (N, C, 3, K)."""
     return own + _squared(_flat(shared_jacobian))
 
 
 def _fuse_correlated(old: Floats, a: Floats, new: Floats, b: Floats) -> tuple[Floats, Floats, Floats]:
-    """Gain, covariance (N, 3, 3) and shared_jacobian (N, C, 3, K) of pairs whose shared_jacobian, of the same calibrations, are
-    a and b."""
+    """Gain, covariance (N, 3, 3) and shared-error Jacobian (N, C, 3, K) of pairs with Jacobians a and b, of the same
+    calibrations."""
     flat_a, flat_b = _flat(a), _flat(b)
-    own_old, own_new = _own_part(old, flat_a), _own_part(new, flat_b)
+    own_old, own_new = _independent_part(old, flat_a), _independent_part(new, flat_b)
     apart = flat_a - flat_b
-    # P1 + P2 - C - C', and P1 - C, with the own parts: the former is positive definite however near the two statements are.
+    # P1 + P2 - C - C' and P1 - C by the independent parts: the former is positive definite for any pair.
     difference = own_old + own_new + _squared(apart)
     of_old = own_old + flat_a @ np.swapaxes(apart, 1, 2)
     gain = np.swapaxes(np.linalg.solve(difference, np.swapaxes(of_old, 1, 2)), 1, 2)
     rest = np.eye(3) - gain
-    moved = (rest[:, None] @ a + gain[:, None] @ b).astype(np.float32).astype(np.float64)  # as it is kept
+    moved = (rest[:, None] @ a + gain[:, None] @ b).astype(np.float32).astype(np.float64)  # as stored
     own = rest @ own_old @ np.swapaxes(rest, 1, 2) + gain @ own_new @ np.swapaxes(gain, 1, 2)
     cov = own + _squared(_flat(moved))
     return gain, (cov + np.swapaxes(cov, 1, 2)) / 2, moved
 
 
-def _own_part(cov: Floats, shared_jacobian: Floats) -> Floats:
-    """Covariances (N, 3, 3) less those of shared_jacobian (N, 3, M)."""
+def _independent_part(cov: Floats, shared_jacobian: Floats) -> Floats:
+    """Covariances (N, 3, 3) less those of shared-error Jacobians (N, 3, M)."""
     own = cov - _squared(shared_jacobian)
     values, vectors = np.linalg.eigh((own + np.swapaxes(own, 1, 2)) / 2)
-    return np.asarray((vectors * np.maximum(values, _LEAST_OWN_M2)[:, None, :]) @ np.swapaxes(vectors, 1, 2))
+    return np.asarray((vectors * np.maximum(values, _LEAST_INDEPENDENT_M2)[:, None, :]) @ np.swapaxes(vectors, 1, 2))
 
 
 def _side_by_side(
     ids: tuple[UUID, ...], old: Sequence[SharedErrorJacobian | None], new: Sequence[SharedErrorJacobian | None]
 ) -> tuple[Floats, Floats]:
-    """SharedErrorJacobian of N pairs, (N, C, 3, K) each; 0 where one has none of a calibration, or fewer errors."""
+    """Shared-error Jacobians of N pairs, (N, C, 3, K) each; 0 where one lacks a calibration or an error."""
     a, b = unpack_all(ids, old), unpack_all(ids, new)
     width = max(a.shape[3], b.shape[3])
     return tuple(np.pad(x, ((0, 0), (0, 0), (0, 0), (0, width - x.shape[3]))) for x in (a, b))  # type: ignore[return-value]
 
 
 def _alike(shapes: Iterable[S]) -> dict[S, list[int]]:
-    """Rows by the shapes of their shared_jacobian: those of one shape go through together, and as a rule that is all of a
-    drive."""
+    """Rows by shape of their Jacobians: those of one shape are computed together, usually all of a drive."""
     rows: dict[S, list[int]] = {}
     for k, shape in enumerate(shapes):
         rows.setdefault(shape, []).append(k)
@@ -134,10 +131,81 @@ def _shape(shared_jacobian: SharedErrorJacobian | None) -> tuple[tuple[UUID, ...
 
 
 def _flat(shared_jacobian: Floats) -> Floats:
-    """(N, C, 3, K) -> (N, 3, C K): errors of different calibrations are errors like others."""
+    """(N, C, 3, K) -> (N, 3, C K)."""
     return np.swapaxes(shared_jacobian, 1, 2).reshape(len(shared_jacobian), 3, -1)
 
 
 def _squared(shared_jacobian: Floats) -> Floats:
     """(N, 3, M) -> (N, 3, 3)."""
     return shared_jacobian @ np.swapaxes(shared_jacobian, 1, 2)
+
+
+def tracks_in_map_frame(
+    wanted: Iterable[int],
+    tracks: Sequence[Track],
+    features: Sequence[MapFeature],
+    pairs: Mapping[int, int],
+    weight: float,
+) -> dict[int, Track]:
+    """The wanted tracks by index, with their covariances and shared-error Jacobians in the map's frame.
+
+    pairs: feature -> track index, from which the drive's offset was estimated. Taking the share `weight` of it out of a track
+    leaves 1 - weight of the drive's common error, adds weight of the map's, and keeps the track's own errors
+    (`relative_cov_m2`). Its Jacobian becomes A - weight mean(A_track - A_feature). Without this, a cone that a drive without a
+    GNSS fix adds to a well-known row would follow the next drive, away from the row. Without an offset the tracks are
+    unchanged.
+    """
+    own = {i: tracks[i] for i in wanted}
+    if weight == 0 or not pairs or not own:
+        return own
+    observed = [features[j] for j in pairs]
+    of_map = weight**2 * independent_parts([f.cov_m2 for f in observed], [f.shared_jacobian for f in observed]).mean(
+        axis=0
+    )
+    summed = _sums([tracks[i].shared_jacobian for i in pairs.values()], 1.0)
+    for calibration, moved_m in _sums([f.shared_jacobian for f in observed], -1.0).items():
+        summed[calibration] = _sum(summed.get(calibration), moved_m)
+    of_offset = {calibration: weight / len(pairs) * moved_m for calibration, moved_m in summed.items()}
+    return {i: _in_map_frame(track, of_map, of_offset, weight) for i, track in own.items()}
+
+
+def _in_map_frame(track: Track, of_map: Floats, of_offset: Mapping[UUID, Floats], weight: float) -> Track:
+    """A track less the offset; of_offset: its Jacobians (3, K) by calibration; of_map (3, 3) m^2: the map's part of its
+    covariance."""
+    relative = cov_matrix(track.relative_cov_m2)
+    [whole] = independent_parts([track.cov_m2], [track.shared_jacobian])
+    # Without the calibration's part; all cones of the drive have the same error of GNSS/INS.
+    own = relative + (1 - weight) ** 2 * (whole - relative) + of_map
+    ids = tuple(sorted({*of_offset, *(track.shared_jacobian.calibrations if track.shared_jacobian else ())}))
+    before = unpack_all(ids, [track.shared_jacobian])
+    width = max([before.shape[3], *(moved_m.shape[1] for moved_m in of_offset.values())])
+    after = np.pad(before, ((0, 0), (0, 0), (0, 0), (0, width - before.shape[3])))
+    for calibration, moved_m in of_offset.items():
+        after[0, ids.index(calibration), :, : moved_m.shape[1]] -= moved_m
+    after = after.astype(np.float32).astype(np.float64)  # as stored
+    [cov] = with_jacobian(own[None], after)
+    [shared_jacobian] = pack_all(ids, after, most=MOST_CALIBRATIONS)
+    return track.model_copy(update={"cov_m2": cov3((cov + cov.T) / 2), "shared_jacobian": shared_jacobian})
+
+
+def _sums(shared_jacobian: Sequence[SharedErrorJacobian | None], sign: float) -> dict[UUID, Floats]:
+    """Sum (3, K) of the Jacobians of each calibration, times the sign."""
+    alike: dict[tuple[tuple[UUID, ...], int], list[SharedErrorJacobian]] = {}
+    for one in shared_jacobian:
+        if one is not None:
+            alike.setdefault((one.calibrations, len(one.moved_m)), []).append(one)
+    sums: dict[UUID, Floats] = {}
+    for (ids, _), some in alike.items():
+        for calibration, moved_m in zip(ids, sign * unpack_all(ids, some).sum(axis=0), strict=True):
+            sums[calibration] = _sum(sums.get(calibration), moved_m)
+    return sums
+
+
+def _sum(a: Floats | None, b: Floats) -> Floats:
+    """Sum of (3, K) and (3, L), missing columns being 0."""
+    if a is None:
+        return b
+    wide, narrow = (a, b) if a.shape[1] >= b.shape[1] else (b, a)
+    result = wide.copy()
+    result[:, : narrow.shape[1]] += narrow
+    return result

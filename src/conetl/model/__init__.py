@@ -1,5 +1,4 @@
-"""The nouns of conetl as frozen, validated records, with parameters, rejections and errors.
+"""Frozen, validated records, parameters, rejections and errors.
 
-It imports nothing of conetl, reads no files and computes nothing but what a record says of itself. The story begins in
-`records.py`.
+No other package of conetl is imported, no files are read. Start with `records.py`.
 """

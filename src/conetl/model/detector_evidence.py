@@ -1,12 +1,8 @@
-"""What a box, or the lack of one, says about a cone: figures measured on labelled images for one detector.
+"""What a box, or its absence, says about a cone: figures of one detector, measured on labelled images.
 
-`training/calibrate_scores.py` measures them and writes them into the model's sidecar (`perception/model_card.py`);
-`tracking/existence.py` reads them. A sidecar without them gives `UNMEASURED`. Cones are told apart from *lookalikes*: things
-that are no cone but got a box, and will get another (a tail lamp, a bollard). How many of them there are is told by the false
-boxes per image.
-
-Scores are the network's own (`Detection.score`). The probability that a box holds a cone is another number and has
-another name: `calibrated_probability`.
+`training/calibrate_scores.py` writes them into the model's sidecar (`perception/model_card.py`); without them `UNMEASURED`
+holds. The alternative to a cone is a *lookalike*: an object that is no cone but got a box and will get others (a tail lamp, a
+bollard). Scores are the network's own (`Detection.score`); P(cone | box) is a `calibrated_probability`.
 """
 
 from __future__ import annotations
@@ -23,17 +19,17 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 Share = Annotated[float, Field(gt=0, lt=1)]
 Count = Annotated[int, Field(ge=0)]
-#: Scores and probabilities are kept this far from 0 and 1 before their logarithm is taken.
+#: Scores and probabilities are clipped this far from 0 and 1 before taking logarithms.
 _EDGE = 1e-4
 
 
 class ScoreCalibration(BaseModel):
-    """Monotone map from a score to P(cone | box): straight lines between knots on the log-odds of both, flat beyond them."""
+    """Monotone map from a score to P(cone | box): piecewise linear in the log-odds of both, constant beyond the knots."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     method: Literal["platt", "beta", "isotonic"]
-    """Platt (1999): one straight line, hence two knots; beta (Kull et al. 2017); isotonic regression (Zadrozny & Elkan 2002)."""
+    """Platt (1999): a straight line, two knots; beta (Kull et al. 2017); isotonic regression (Zadrozny & Elkan 2002)."""
     scores: tuple[Share, ...] = Field(min_length=2)
     probabilities: tuple[Share, ...] = Field(min_length=2)
 
@@ -46,16 +42,18 @@ class ScoreCalibration(BaseModel):
         return self
 
 
-class LookCorrelation(BaseModel):
-    """How much two looks at one object have in common: a correlation over the ratio of the object's apparent heights,
-    far + (near - far) exp(-|octaves| / decay)."""
+class ImageCorrelation(BaseModel):
+    """Correlation between two images of one object over the ratio of its apparent heights.
+
+    far + (near - far) exp(-|octaves| / decay_octaves).
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     near: Annotated[float, Field(gt=0, lt=1)]
-    """Of looks in which the object appears equally tall."""
+    """At equal apparent heights."""
     far: Annotated[float, Field(ge=0, lt=1)]
-    """Of looks from very different distances."""
+    """At very different distances."""
     decay_octaves: Annotated[float, Field(gt=0)]
 
     @model_validator(mode="after")
@@ -66,50 +64,47 @@ class LookCorrelation(BaseModel):
 
 
 class DetectorEvidence(BaseModel):
-    """How a detector answers to cones, to lookalikes and to cone-free images.
+    """Response of a detector to cones, to lookalikes and to cone-free images.
 
-    Thresholds, heights and hidden shares are the axes of the tables; a height or hidden share belongs to the band that begins
-    at or below it, between thresholds the figures are interpolated.
+    Axes of the tables: thresholds, heights and hidden shares. A height or hidden share belongs to the band that begins at or
+    below it; between thresholds the figures are interpolated.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     model_sha256: str = Field(pattern="^[0-9a-f]{64}$")
-    """The model file that was measured."""
     match_iou: Share
-    """A box answers for a cone from this overlap (IoU) with the cone's box on."""
+    """Least overlap (IoU) of a box with a cone's box to count as its detection."""
     calibration: ScoreCalibration
     reference_score: Share
-    """One of `score_thresholds`: boxes above it were counted in the two fields below."""
+    """One of `score_thresholds`, above which the boxes of the next two fields were counted."""
     true_boxes: int = Field(ge=1)
     false_boxes: int = Field(ge=1)
-    """Boxes on cones and beside them, of the images that the calibration was fitted on: what its probabilities start from."""
+    """Boxes on cones and beside them, in the images of the calibration: its prior odds."""
     score_thresholds: tuple[Share, ...] = Field(min_length=1)
     height_bands_px: tuple[Annotated[float, Field(gt=0)], ...] = Field(min_length=1)
-    """Apparent height of the whole cone at which each band begins; the last has no end."""
+    """Apparent height of the whole cone at which each band begins; the last is open."""
     hidden_bands: tuple[Annotated[float, Field(ge=0, lt=1)], ...] = Field(min_length=1)
-    """Share of the cone's box behind something nearer, at which each band begins; the first begins at 0."""
+    """Share of the cone's box behind nearer objects at which each band begins; the first is 0."""
     hidden_most: Share
-    """Hidden more than this, a cone was not measured; such a look says nothing."""
+    """Largest measured hidden share; beyond it an image is no evidence."""
     looks: tuple[tuple[Count, ...], ...]
-    """Cones that were looked at, by height and hidden band."""
+    """Number of cones, by height and hidden band."""
     detected: tuple[tuple[tuple[Share, ...], ...], ...]
-    """P(box at or above the threshold | cone), by threshold, height and hidden band."""
     lookalikes: Count
     found_again: tuple[Share, ...]
-    """P(box at or above the threshold | lookalike that had boxes in two other looks at least), by threshold."""
+    """P(box at or above the threshold | lookalike with boxes in at least two other images), by threshold."""
     false_box_pictures: tuple[Count, ...]
-    """On how many images false boxes were counted, by height band."""
+    """Number of images on which false boxes were counted, by height band."""
     false_boxes_per_picture: tuple[tuple[Annotated[float, Field(gt=0)], ...], ...]
-    """Boxes on no cone, at or above the threshold, by threshold and height band."""
-    look_correlation: LookCorrelation
-    """Of the log-likelihood ratios, cone against lookalike, of two looks at one thing."""
-    miss_correlation: LookCorrelation | None = None
-    """Of the misses of two looks at one cone in plain view. None, in figures from before these were told apart:
-    `look_correlation` and `joint_scale` stand for it."""
+    """Boxes on no cone at or above the threshold, by threshold and height band."""
+    look_correlation: ImageCorrelation
+    """Of the log-likelihood ratios, cone against lookalike, of two images of one object."""
+    miss_correlation: ImageCorrelation | None = None
+    """Of the misses in two images of one fully visible cone. None in older figures: then `look_correlation` and `joint_scale`
+    apply."""
     joint_scale: Annotated[float, Field(gt=0)]
-    """What the looks at one thing, put together with that correlation, are multiplied with to tell cones from lookalikes at
-    true odds; fitted on things with several looks."""
+    """Factor on the joint log-likelihood ratio that gives true odds; fitted on objects with several images."""
 
     @model_validator(mode="after")
     def _tables_fit_their_axes(self) -> Self:
@@ -128,18 +123,17 @@ class DetectorEvidence(BaseModel):
         ):
             found = _shape(getattr(self, name))
             if found != shape:
-                raise ValueError(f"{name} has the shape {found}, its axes ask for {shape}")
+                raise ValueError(f"{name} has the shape {found}, its axes require {shape}")
         return self
 
 
 class AbsenceFigures(BaseModel):
-    """What is needed to tell how much it means that a drive looked at a spot and found no box: kept with each drive."""
+    """Figures needed to weigh that a drive found no box at a visible location; stored with each drive."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     evidence: DetectorEvidence
     score_threshold: Share
-    """Boxes below it were not kept."""
 
 
 def absence_log_ratio(
@@ -151,12 +145,12 @@ def absence_log_ratio(
     stray_probability: float,
     unseen_occluder_probability: float,
 ) -> float:
-    """ln P(what some frame pairs show of a spot | a cone stands there) / P(the same | nothing stands there); never positive.
+    """ln P(observations at a location | a cone stands there) / P(the same | none does); never positive.
 
-    heights_px (N, 2), hidden (N, 2): apparent height of the cone, and share of it behind nearer detections, in the left and
-    right image; found (N,): whether something was found there. A frame pair misses a cone unless both images show it; an
-    empty spot gets a box with `stray_probability`. Frame pairs miss a cone together as often as looks do (`miss_correlation`),
-    and with a small probability all of them miss it because of something in front that is no detection.
+    heights_px, hidden (N, 2): apparent height of the cone and its share behind nearer detections, in the left and right image;
+    found (N,): whether something was found there. A frame pair misses a cone unless both images show it; an empty location has
+    a box with `stray_probability`. Misses of several pairs are correlated (`miss_correlation`), and with
+    `unseen_occluder_probability` all have one cause, an undetected object in front.
     """
     if len(heights_px) == 0:
         return 0.0
@@ -170,7 +164,7 @@ def absence_log_ratio(
     joint = (
         joint_log_ratio(figures.evidence, ratios, least_px)
         if misses is None
-        else _sum_of_like(misses, ratios, least_px)
+        else _correlated_sum(misses, ratios, least_px)
     )
     blind = unseen_occluder_probability
     return min(float(np.logaddexp(np.log(blind), np.log1p(-blind) + joint)), 0.0)
@@ -182,18 +176,18 @@ def calibrated_probability(calibration: ScoreCalibration, score: float) -> float
 
 
 def detect_probability(evidence: DetectorEvidence, height_px: float, hidden: float, threshold: float) -> float:
-    """P(a box at or above the threshold | a cone of this apparent height, this share of its box hidden)."""
+    """P(a box at or above the threshold | a cone of this apparent height and hidden share)."""
     i, j = _band(evidence.height_bands_px, height_px), _band(evidence.hidden_bands, hidden)
     return _at_threshold(evidence, threshold, [table[i][j] for table in evidence.detected])
 
 
-def found_again_probability(evidence: DetectorEvidence, threshold: float) -> float:
-    """P(a box at or above the threshold | something that is no cone and had boxes in two other looks at least)."""
+def lookalike_box_probability(evidence: DetectorEvidence, threshold: float) -> float:
+    """P(a box at or above the threshold | a lookalike with boxes in at least two other images)."""
     return _at_threshold(evidence, threshold, evidence.found_again)
 
 
-def false_boxes_per_picture(evidence: DetectorEvidence, least_height_px: float, threshold: float) -> float:
-    """Expected number of boxes at or above the threshold in a image without cones, of the bands from `least_height_px` on."""
+def false_boxes_per_image(evidence: DetectorEvidence, least_height_px: float, threshold: float) -> float:
+    """Expected boxes at or above the threshold in an image without cones, of the bands from `least_height_px` on."""
     first = _band(evidence.height_bands_px, least_height_px)
     return _at_threshold(evidence, threshold, [sum(row[first:]) for row in evidence.false_boxes_per_picture])
 
@@ -201,37 +195,35 @@ def false_boxes_per_picture(evidence: DetectorEvidence, least_height_px: float, 
 def box_log_ratio(evidence: DetectorEvidence, score: float, height_px: float, hidden: float, doubt: float) -> float:
     """ln p(box with this score | cone) / p(box with this score | lookalike).
 
-    That a box at or above the reference score came at all, times how scores are spread over cones against the rest. The second
-    factor is the calibrated odds over the odds in the images of the calibration (Bayes); it is kept between doubt / (1 - doubt)
-    and its inverse, because no set of images holds all that stands on roads.
+    The ratio of the probabilities of any box at or above the reference score, times that of the score distributions: the
+    calibrated odds over the odds in the images of the calibration (Bayes). The latter is limited to doubt / (1 - doubt) and its
+    inverse, because no set of images holds every object on roads.
     """
     t = evidence.reference_score
-    came = np.log(detect_probability(evidence, height_px, hidden, t) / found_again_probability(evidence, t))
+    presence = np.log(detect_probability(evidence, height_px, hidden, t) / lookalike_box_probability(evidence, t))
     spread = _log_odds(evidence.calibration, score) - np.log(evidence.true_boxes / evidence.false_boxes)
     bound = np.log((1 - doubt) / doubt)
-    return float(came + np.clip(spread, -bound, bound))
+    return float(presence + np.clip(spread, -bound, bound))
 
 
 def miss_log_ratio(evidence: DetectorEvidence, height_px: float, hidden: float, threshold: float) -> float:
     """ln P(no box at or above the threshold | cone) / P(no such box | lookalike)."""
     missed = 1 - detect_probability(evidence, height_px, hidden, threshold)
-    return float(np.log(missed / (1 - found_again_probability(evidence, threshold))))
+    return float(np.log(missed / (1 - lookalike_box_probability(evidence, threshold))))
 
 
 def joint_log_ratio(evidence: DetectorEvidence, ratios: NDArray[np.float64], heights_px: NDArray[np.float64]) -> float:
-    """Log-likelihood ratio of all looks (N,) together, from that of each (N,) and the object's apparent heights (N,).
-
-    The sum of like looks by `look_correlation`, times `joint_scale`.
-    """
-    return evidence.joint_scale * _sum_of_like(evidence.look_correlation, ratios, heights_px)
+    """Joint log-likelihood ratio of N images, from their own ratios (N,) and the object's apparent heights (N,)."""
+    return evidence.joint_scale * _correlated_sum(evidence.look_correlation, ratios, heights_px)
 
 
-def _sum_of_like(correlation: LookCorrelation, ratios: NDArray[np.float64], heights_px: NDArray[np.float64]) -> float:
-    """Sum of log-likelihood ratios (N,) over the design effect of their correlation, which apparent heights (N,) tell.
+def _correlated_sum(
+    correlation: ImageCorrelation, ratios: NDArray[np.float64], heights_px: NDArray[np.float64]
+) -> float:
+    """Sum of log-likelihood ratios (N,) over the design effect of their correlation at apparent heights (N,).
 
-    Design effect (Kish 1965, Survey Sampling, section 5.4): 1 + (N - 1) r with one correlation r for all, here the mean row sum
-    of their correlations. So many like looks from one distance count little more than one of them. All looks weigh alike:
-    weights by the inverse of the correlations would lean on the first and the last look, and on the model of the correlations.
+    Design effect (Kish 1965, Survey Sampling, section 5.4): 1 + (N - 1) r with one correlation r, here the mean row sum of the
+    correlations. All images have equal weights: the inverse of the correlations would favour the first and the last.
     """
     if len(ratios) == 0:
         return 0.0
@@ -242,7 +234,7 @@ def _sum_of_like(correlation: LookCorrelation, ratios: NDArray[np.float64], heig
 
 
 def evidence_sha256(evidence: DetectorEvidence | None) -> str:
-    """Hash of the figures (of none: of nothing), for the identity of an ingest."""
+    """Hash of the figures (of an empty string without any), part of the identity of an ingest."""
     return hashlib.sha256(b"" if evidence is None else evidence.model_dump_json(exclude_none=True).encode()).hexdigest()
 
 
@@ -252,7 +244,7 @@ def _log_odds(calibration: ScoreCalibration, score: float) -> float:
 
 @lru_cache(maxsize=8)
 def _knots(calibration: ScoreCalibration) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Scores and probabilities as log-odds: a drive of an hour asks for them a hundred thousand times."""
+    """Scores and probabilities as log-odds; cached, because a long drive needs them 100,000 times."""
     scores, probabilities = (
         np.array([_logit(p) for p in values]) for values in (calibration.scores, calibration.probabilities)
     )
@@ -268,19 +260,16 @@ def _at_threshold(evidence: DetectorEvidence, threshold: float, values: tuple[fl
 
 
 def _logit(probability: float) -> float:
-    p = min(max(probability, _EDGE), 1 - _EDGE)  # np.clip takes ten times as long for one number
+    p = min(max(probability, _EDGE), 1 - _EDGE)  # ten times faster than np.clip for one number
     return float(np.log(p / (1 - p)))
 
 
 def _shape(table: object) -> tuple[int, ...] | None:
-    """Shape of nested tuples; None where rows differ in length."""
-    if not isinstance(table, tuple):
-        return ()
-    inner = {_shape(row) for row in table}
-    if len(inner) != 1 or None in inner:
+    """Shape of nested tuples; None if rows differ in length."""
+    try:
+        return np.shape(np.array(table))
+    except ValueError:
         return None
-    (only,) = inner
-    return (len(table), *(only or ()))
 
 
 #: For a detector of which nothing was measured; no statement about any network. Scores are read as they were for the first
@@ -302,7 +291,7 @@ UNMEASURED = DetectorEvidence(
     found_again=(0.8,),
     false_box_pictures=(0,),
     false_boxes_per_picture=((0.3,),),
-    look_correlation=LookCorrelation(near=1 / 6, far=1 / 6, decay_octaves=1.0),
+    look_correlation=ImageCorrelation(near=1 / 6, far=1 / 6, decay_octaves=1.0),
     joint_scale=1.0,
 )
 #: The same with the default threshold of `DetectionParams`.

@@ -1,39 +1,36 @@
-"""Errors that end a command, each with the exit code that outsiders rely on.
-
-A bad *record* is never one of these: it becomes a `Rejection` (see `rejections.py`) and the run goes on.
-"""
+"""Errors that end a command, with their exit codes. A bad *record* is a `Rejection` instead, and the run continues."""
 
 from __future__ import annotations
 
 import errno
 
 EXIT_DONE = 0
-#: Done, but something needs a look: too many rejections, or what was committed could not be published.
+#: Done, but something needs a person: too many rejections, or files that could not be published.
 EXIT_TOO_MANY_REJECTIONS = 1
 EXIT_BAD_INPUT = 2
 EXIT_SERVICE_MISSING = 3
-#: An error that nobody foresaw (EX_SOFTWARE); Python's own 1 would read as "done, but".
+#: Internal error (EX_SOFTWARE); Python's own 1 would mean EXIT_TOO_MANY_REJECTIONS.
 EXIT_BUG = 70
-#: Ctrl-C: 128 + SIGINT, as shells have it.
+#: Ctrl-C: 128 + SIGINT, as in shells.
 EXIT_INTERRUPTED = 130
 
 
 class ConetlError(Exception):
-    """Base of every error that conetl raises on purpose; its text is one message for the user."""
+    """Base of all errors raised on purpose; the text is one message for the user."""
 
     exit_code = EXIT_BAD_INPUT
 
 
 class InputError(ConetlError):
-    """The input as a whole cannot be used: nothing was written."""
+    """The input as a whole cannot be used; nothing was written."""
 
 
 class ConflictError(InputError):
-    """What was decided does not fit what is there now: somebody or some drive was faster. Nothing was written."""
+    """A decision does not fit the current map, which has changed meanwhile; nothing was written."""
 
 
 class DriveFolderError(InputError):
-    """A drive folder is missing, empty, or lacks a file without which no frame pair can be placed."""
+    """A drive folder is missing, empty, or lacks a required file."""
 
 
 class CalibrationError(InputError):
@@ -41,28 +38,28 @@ class CalibrationError(InputError):
 
 
 class ModelFileError(InputError):
-    """A detector's model file or its sidecar is missing, corrupt, or not what it claims to be."""
+    """A detector's model file or its sidecar is missing, corrupt, or does not match."""
 
 
 class MapMismatchError(InputError):
-    """The drive and the map do not fit together, for example another coordinate reference system."""
+    """Drive and map do not fit together, for example by their coordinate reference systems."""
 
 
 class ServiceError(ConetlError):
-    """A service that conetl needs (database, Prefect) cannot be reached or started: nothing was written."""
+    """A service (database, Prefect) cannot be reached or started; nothing was written."""
 
     exit_code = EXIT_SERVICE_MISSING
 
 
 class StorageError(ServiceError):
-    """A disk or a storage does not read or write at the moment: failing, full, not mounted, refused. Another time it may."""
+    """A disk or storage cannot be read or written at the moment: failing, full, not mounted, refused."""
 
 
 class DatabaseError(ServiceError):
-    """PostGIS is not to be had: no server, no rights, no extension, or a schema of another version."""
+    """PostGIS is unavailable: no server, no rights, no extension, or a schema of another version."""
 
 
-#: What the system says of a file, and not of the storage that it lies on.
+#: Error numbers that concern a file, not the storage that holds it.
 _ABOUT_THE_FILE = frozenset(
     {
         errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ELOOP, errno.ENAMETOOLONG, errno.EINVAL, errno.EACCES,
@@ -72,22 +69,22 @@ _ABOUT_THE_FILE = frozenset(
 
 
 def is_of_storage(error: BaseException | None) -> bool:
-    """Whether the system says of a disk or a storage that it fails or is full; such errors pass."""
+    """Whether the error concerns a disk or storage that fails or is full; such errors are temporary."""
     return isinstance(error, OSError) and error.errno is not None and error.errno not in _ABOUT_THE_FILE
 
 
 def storage_failed(error: OSError) -> StorageError:
-    """The error of a file that cannot be read or written, for a person."""
+    """The error of a file that cannot be read or written, as a message for the user."""
     return StorageError(
-        f"{error.filename or 'a file'}: the storage failed ({error.strerror or error}). Look at the disk or the network file "
-        "system, and run the same command again."
+        f"{error.filename or 'a file'}: the storage failed ({error.strerror or error}). Check the disk or the network file "
+        "system and run the same command again."
     )
 
 
 def may_pass(error: BaseException) -> bool:
-    """Whether the same work may succeed another time: unless the drive's own content stands against it.
+    """Whether the same work may succeed on another try: all errors but those of the drive's own content.
 
-    That holds for errors that nobody foresaw, too. Who tries again counts the tries.
+    Callers limit the number of tries.
     """
     if isinstance(error, DriveFolderError | CalibrationError | MapMismatchError):
         return is_of_storage(error.__cause__)
@@ -95,11 +92,11 @@ def may_pass(error: BaseException) -> bool:
 
 
 def cannot_write(message: str, remedy: str, error: OSError) -> InputError | StorageError:
-    """The error of a file that cannot be written: InputError where the place is not one to write to, else StorageError.
+    """The error of a file that cannot be written: InputError if the path is the reason, else StorageError.
 
-    message: what cannot be written; remedy: what to do where the place is the reason.
+    message: what cannot be written; remedy: what to do about the path.
     """
     why = error.strerror or error
     if is_of_storage(error):
-        return StorageError(f"{message} ({why}): free space or look at the disk, and run the same command again.")
+        return StorageError(f"{message} ({why}): free space or check the disk and run the same command again.")
     return InputError(f"{message} ({why}): {remedy}.")

@@ -1,4 +1,4 @@
-"""What an ingest tells its user, as one validated record; the command line prints it, `--json` dumps it."""
+"""Result of an ingest: printed by the command line, written by `--json`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from conetl.model.rejections import RejectionReason
 
 
 class ChangeLine(Record):
-    """One line of the table of changes."""
+    """One row of the table of changes."""
 
     kind: DeltaKind
     feature_id: UUID
@@ -30,7 +30,7 @@ class IngestReport(Record):
 
     drive_id: str
     status: Literal["committed", "no changes"]
-    """'no changes': the same drive with the same parameters and model is on the map already; nothing was written."""
+    """'no changes': this drive with these parameters and this model is on the map already; nothing was written."""
     changeset_id: UUID
     captured_from: datetime
     captured_to: datetime
@@ -43,38 +43,35 @@ class IngestReport(Record):
     positions: int
     tracks: int
     counts: dict[DeltaKind, int]
-    """Changes by kind; of a known drive, those that it made when it was committed."""
     changes: tuple[ChangeLine, ...]
-    """What this run changed; empty for a known drive."""
+    """Changes of this run; empty for a known drive."""
     rejections: dict[RejectionReason, int]
     params_sha256: str
     model_sha256: str
     content_sha256: str
-    """Of everything that was read of the drive folder."""
     seconds: float
     trajectory: str | None = None
-    """What became of the logged poses, in a sentence; None of a known drive."""
+    """Outcome of the trajectory refinement, as a sentence; None for a known drive."""
     calibration: str | None = None
-    """What the drive itself says of the rig's calibration, in a sentence; None of a known drive."""
+    """Outcome of the self-calibration, as a sentence; None for a known drive."""
     committed_at: datetime | None
-    """When a known drive was committed; None for one that this run committed."""
     counts_on_map: bool = True
-    """False for a known drive that was reverted, or whose recording was analysed again since."""
+    """False for a known drive that was reverted or analysed again."""
     unpublished: str | None = None
-    """What could not be written or told after the commit, and what to do; None where all was."""
+    """Files or notifications that failed after the commit, and what to do; None if all succeeded."""
     replayed_drives: int = 0
-    """Drives recorded later, already on the map, that were compared with it again because this one came late."""
+    """Later drives that were compared with the map again because this one came late."""
 
 
 class TooManyRejectionsError(ConetlError):
-    """The good records were committed, but more frame pairs were refused than the parameters allow."""
+    """The good records were committed, but more frame pairs were rejected than the parameters allow."""
 
     exit_code = EXIT_TOO_MANY_REJECTIONS
 
     def __init__(self, report: IngestReport, allowed_fraction: float) -> None:
         total = report.frame_pairs + report.frame_pairs_rejected
         super().__init__(
-            f"{report.frame_pairs_rejected} of {total} frame pairs of drive {report.drive_id} were refused, allowed are "
+            f"{report.frame_pairs_rejected} of {total} frame pairs of drive {report.drive_id} were rejected, more than "
             f"{allowed_fraction:.0%} (max_rejected_fraction). The good ones are on the map; see the table of rejections."
         )
         self.report = report

@@ -1,7 +1,4 @@
-"""The nouns of the map as frozen, validated records: features, their versions, and what drives and people did to them.
-
-Units and frames as in `records.py`.
-"""
+"""Records of the map: features, their versions, and what drives and people changed. Units and frames as in `records.py`."""
 
 from __future__ import annotations
 
@@ -16,7 +13,7 @@ from conetl.model.records import Cov3, NonNegative, Positive, Probability, Recor
 
 
 class MapFeature(Record):
-    """The current version of one feature of the map."""
+    """One version of one feature of the map."""
 
     feature_id: UUID
     version: int = Field(ge=1)
@@ -31,24 +28,24 @@ class MapFeature(Record):
     first_seen_ns: int
     last_seen_ns: int
     shared_jacobian: SharedErrorJacobian | None = Field(default=None, exclude=True, repr=False)
-    """What of `cov_m2` later drives of the same rig may share with it; None: nothing that is known. Left out of JSON."""
+    """Part of `cov_m2` shared with later drives of the same rig; None where unknown. Not part of JSON."""
 
 
 class DeltaKind(StrEnum):
-    """What one drive did to one feature. Stored in the database; never rename one."""
+    """Kind of change of one feature by one drive. Stored in the database; never rename one."""
 
     ADDED = "added"
     CONFIRMED = "confirmed"
     MOVED = "moved"
     REMOVED = "removed"
     MISSED = "missed"
-    """Looked and not seen, but not surely enough to remove it: evidence only, the feature stays as it is."""
+    """Not observed although visible, with too little evidence to remove it: the feature stays as it is."""
     HEIGHT_CHANGED = "height_changed"
-    """A cone of another height class stands in the same place."""
+    """A cone of another height class stands at the same position."""
     SPLIT = "split"
-    """One feature turned out to be two cones: this is the second one."""
+    """One feature turned out to be two cones; this is the second one."""
     MERGED = "merged"
-    """Two features turned out to be one cone: this one is given up."""
+    """Two features turned out to be one cone; this one ends."""
 
     @property
     def founds(self) -> bool:
@@ -61,35 +58,33 @@ class DeltaKind(StrEnum):
         return self in (DeltaKind.REMOVED, DeltaKind.MERGED)
 
 
-class SightingEvidence(Record):
-    """How much one drive says for a feature or against it."""
+class ExistenceEvidence(Record):
+    """Evidence of one drive for or against a feature."""
 
     log_likelihood_ratio: float
-    """ln p(what the drive saw | the cone stands there) / p(the same | it does not)."""
+    """ln p(observations of the drive | the cone exists) / p(the same | it does not)."""
     existence_probability: Probability
-    """Belief after it."""
     frames_seen: int = Field(ge=0)
-    """Frame pairs in which it was seen."""
+    """Frame pairs in which it was observed."""
     frames_empty: int = Field(ge=0)
-    """Frame pairs in which its spot was in view and no cone was found; counted only where the drive did not see it."""
+    """Frame pairs in which its location was visible and empty; 0 where the drive observed it."""
 
 
 class Delta(Record):
-    """Old -> new of one feature. `new` is the feature after the drive; None where it was removed."""
+    """Old -> new state of one feature; `new` is None where it ended."""
 
     kind: DeltaKind
     feature_id: UUID
-    old: MapFeature | None
-    new: MapFeature | None
-    track_index: int | None
+    old: MapFeature | None = None
+    new: MapFeature | None = None
+    track_index: int | None = None
     changed_at_ns: int
-    """When this became true on the road, as far as the drive can tell."""
-    shift_m: NonNegative | None
-    """Horizontal distance between old and new place; None where there is only one."""
+    """When this became true on the road, as far as the drive shows."""
+    shift_m: NonNegative | None = None
     other_feature_id: UUID | None = None
-    """Of a split, the feature that was both; of a merger, the one that is left."""
-    evidence: SightingEvidence | None = None
-    """None where no belief was worked out: mergers, and what was written before it was kept."""
+    """Of a split, the feature that was both cones; of a merger, the one that remains."""
+    evidence: ExistenceEvidence | None = None
+    """None for mergers, and for deltas stored before evidence was."""
 
     @model_validator(mode="after")
     def _sides_fit_kind(self) -> Delta:
@@ -100,7 +95,7 @@ class Delta(Record):
 
     @property
     def state_after(self) -> MapFeature:
-        """The feature after the delta; the last state of one that was removed."""
+        """The feature after the delta; the last state of one that ended."""
         state = self.new or self.old
         if state is None:
             raise ValueError(f"the delta of feature {self.feature_id} has neither old nor new")
@@ -108,106 +103,106 @@ class Delta(Record):
 
     @property
     def is_change(self) -> bool:
-        """False for a miss, and a confirmation that leaves every stored value as it was: recorded, but no version."""
+        """False for a miss, and for a confirmation that changes no stored value: these make no version."""
         if self.kind is DeltaKind.MISSED:
             return False
         if self.kind is not DeltaKind.CONFIRMED or self.old is None or self.new is None:
             return True
         new, old = self.new.__dict__, self.old.__dict__
-        for name in _STATE:  # noqa: SIM110 -- asked of every delta, and half as long as any()
+        for name in _STATE:  # noqa: SIM110 -- called for every delta; half the time of any()
             if new[name] != old[name]:
                 return True
         return False
 
 
-#: All of a feature but its number, what a confirmation changes first.
+#: All fields of a feature but its version; first the one that a confirmation changes first.
 _STATE = sorted(MapFeature.model_fields.keys() - {"version"}, key=lambda name: name != "observation_count")
 
 
-class Statement(Record):
-    """What a map that was made elsewhere says: here stands a cone, since when, and how sure that is."""
+class ImportedFeature(Record):
+    """One feature of an imported map."""
 
     feature: MapFeature
-    """As the other map has it, version 1."""
     valid_from_ns: int
-    """Since when it stands there."""
 
 
 class FeatureChange(Record):
-    """What differs of one feature between two states of a map; `confirmed`: the same place, known otherwise;
-    `missed`: the same version, believed less."""
+    """Difference of one feature between two states of a map.
+
+    `confirmed`: the same position with other values; `missed`: the same version with a lower existence probability.
+    """
 
     kind: DeltaKind
     feature_id: UUID
     old: MapFeature | None
     new: MapFeature | None
     shift_m: NonNegative | None
-    """Horizontal distance between old and new place; None for added and removed."""
 
 
 class FeatureVersion(Record):
-    """One version of one feature in valid time, as it is believed: what follows from a drive until the next drive changed it."""
+    """One version of one feature in valid time, in the current state of the database."""
 
     feature: MapFeature
     """Of a removed feature, its last state."""
     changeset_id: UUID
-    """Of the drive that it follows from."""
-    standing: bool
+    """Of the drive that made it."""
+    present: bool
     """False where that drive removed it."""
     suppressed: bool
-    """A person said that nothing stands at this place: it is on no map, but drives are still compared with it."""
+    """A person decided that no cone stands at this location: on no map, but still compared with drives."""
     valid_from_ns: int
     valid_to_ns: int | None
-    """None while open."""
+
+    @property
+    def feature_id(self) -> UUID:
+        return self.feature.feature_id
 
 
-class Miss(Record):
-    """A drive looked at a feature's spot and did not see it; it stands all the same."""
+class MissedObservation(Record):
+    """A drive to which a feature was visible did not observe it, and the feature stays."""
 
     feature_id: UUID
     changeset_id: UUID
     version: int
-    """That stood at the time."""
     existence_probability: Probability
-    """After it."""
     first_missed_ns: int
 
 
-class Doubt(Record):
-    """What the misses since a feature's last version make of it."""
+class MissSummary(Record):
+    """State of a feature after all misses since its last version."""
 
     existence_probability: Probability
     first_missed_ns: int
-    """The earliest of them: from here on the cone may have been gone."""
+    """The earliest of them: the cone may have been gone since then."""
 
 
-#: Order in which drives are compared with the map: start of the recording (ns), hash of its content, idempotency key.
-FoldKey = tuple[int, str, str]
+#: Order in which drives are compared: start of the recording (ns), hash of its content, idempotency key.
+DriveOrder = tuple[int, str, str]
 
 
-class Place(Record):
-    """A spot that a person decided about."""
+class Location(Record):
+    """A circle about which a person decided."""
 
     xy_m: Vec2
     radius_m: Positive
 
 
 class Decisions(Record):
-    """What people decided about places; it holds for all drives, whenever they come."""
+    """Decisions of people about locations; they apply to all drives, earlier and later."""
 
-    suppressed: tuple[Place, ...] = ()
-    """Nothing stands there, whatever drives see."""
-    pinned: tuple[Place, ...] = ()
-    """A cone there is neither removed nor moved by drives."""
+    suppressed: tuple[Location, ...] = ()
+    """No cone stands here, whatever drives observe."""
+    pinned: tuple[Location, ...] = ()
+    """A cone here is neither removed nor moved by drives."""
 
 
 class Changeset(Record):
-    """The atomic set of deltas of one drive, with everything needed to make it again."""
+    """The atomic set of deltas of one drive, with everything needed to reproduce it."""
 
     changeset_id: UUID
     drive_id: str
     idempotency_key: str = Field(pattern=r"^[0-9a-f]{64}$")
-    """Hash over the drive's content, the params, the model and the map's CRS."""
+    """Hash of drive content, parameters, model and map CRS."""
     params_sha256: str
     model_sha256: str
     code_version: str
@@ -216,16 +211,16 @@ class Changeset(Record):
 
 @dataclass(frozen=True)
 class ImportedMap:
-    """A map that was made elsewhere, read and checked."""
+    """A map read from a file and checked."""
 
     name: str
-    """Of the file; it stands where drives have their id."""
+    """Of the file; used in place of a drive id."""
     source_path: str
     content_sha256: str
     srid: int
     stated_at_ns: int
-    """The instant on the road for which it speaks (UTC)."""
-    statements: Sequence[Statement]
+    """The instant on the road for which it is valid (UTC)."""
+    statements: Sequence[ImportedFeature]
     founds_ids: bool = False
-    """The file brings no ids, or none that are wanted: those of the statements follow from file and row alone, and each map that
-    takes it founds its own."""
+    """True where the file has no ids, or they are not to be used: the ids follow from file and row, and each map that imports
+    it assigns its own."""

@@ -1,19 +1,21 @@
-"""The nouns of conetl as frozen, validated records, in the order in which data flows.
+"""Records of a drive as frozen, validated models, in the order of processing.
 
-Every record checks itself when it is made (pydantic; unknown fields, NaN and infinity are refused), so whatever passes a
-border between two steps is known to be sound. Lengths are metres, image points pixels of the original (rectified)
-image with the origin at the centre of the top-left pixel, angles radians, times UTC nanoseconds since 1970.
-Map coordinates are easting, northing (of the map CRS) and ellipsoidal height. See docs/reference/coordinates.md.
+Pydantic refuses unknown fields, NaN and infinity. Lengths are metres, image points pixels of the original (rectified) image
+with the origin at the centre of the top-left pixel, angles radians, times UTC nanoseconds since 1970. Map coordinates are
+easting, northing (of the map CRS) and ellipsoidal height. See docs/reference/coordinates.md.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 from uuid import UUID
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from conetl.model.rejections import Rejection
 
 Side = Literal["left", "right"]
 Vec2 = tuple[float, float]
@@ -38,10 +40,10 @@ R = TypeVar("R", bound=Record)
 
 
 def sound(record_type: type[R], **values: Any) -> R:
-    """A record of values that are known to be sound, without checking them again; every field must be given.
+    """A record of values that are known to be valid, without checking them again; every field must be given.
 
-    For rows that were checked before they were written, and for what is computed from such. A drive is compared with 100,000
-    features, and the checks alone would take longer than the comparison. As `model_construct`, in a third of its time.
+    For rows read from the database and values computed from such: checks would dominate the comparison of a drive with 100,000
+    features. Like `model_construct`, in a third of its time.
     """
     record = record_type.__new__(record_type)
     put = object.__setattr__
@@ -91,27 +93,28 @@ class Camera(Record):
 
 
 class SharedErrors(Record):
-    """Errors of a calibration that all drives which were given it have in common; the rest is this drive's alone."""
+    """Errors of a calibration common to all drives that use it; the rest is of this drive alone."""
 
     calibration: UUID
-    """Of the calibration as it was given (`geometry/calibration/shared.py`)."""
+    """Id of the given calibration (`geometry/calibration/shared.py`)."""
     matrix: tuple[tuple[float, ...], ...]
-    """A row a parameter, in the order of `CalibrationCovariance.names`: how one sigma of each independent error moves it."""
+    """One row per parameter, in the order of `CalibrationCovariance.names`: its change by one sigma of each independent
+    error."""
 
 
 class CalibrationCovariance(Record):
-    """Covariance of a rig's calibration: errors that all images of the rig have in common.
+    """Covariance of a rig's calibration: errors common to all images of the rig.
 
     `names` are fields of the rig: left.fx_px, left.fy_px, left.cx_px, left.cy_px, left.lens.0, left.lens.1 ... (in the order of
     `Lens.coefficients`), right.* likewise, relative.rx_rad, relative.ry_rad, relative.rz_rad, relative.tx_m, relative.ty_m,
     relative.tz_m. The relative ones perturb left_SE3_right = (R, t) as (R exp(r), t + dt), r a rotation vector in the right
-    camera's frame, dt in the left camera's. What is not named is taken as exact. Units are those of the names.
+    camera's frame, dt in the left camera's. Parameters without a name are exact. Units are those of the names.
     """
 
     names: tuple[str, ...] = Field(min_length=1)
     matrix: tuple[tuple[float, ...], ...]
     shared: SharedErrors | None = None
-    """What of it is common to drives that were given the same calibration. None: all, for this is what was given."""
+    """The part common to all drives with the same calibration; None: all of it."""
 
     @model_validator(mode="after")
     def _square_and_symmetric(self) -> CalibrationCovariance:
@@ -119,7 +122,7 @@ class CalibrationCovariance(Record):
         if len(set(self.names)) != size:
             raise ValueError("each calibration parameter may be named once")
         if len(self.matrix) != size or any(len(row) != size for row in self.matrix):
-            raise ValueError(f"expected a {size} x {size} matrix, one row and column a name")
+            raise ValueError(f"expected a {size} x {size} matrix, one row and column per name")
         for i in range(size):
             if self.matrix[i][i] < 0:
                 raise ValueError(f"the variance of {self.names[i]} is negative")
@@ -131,10 +134,10 @@ class CalibrationCovariance(Record):
 
 
 class Rig(Record):
-    """Two cameras and where they sit on the body (the INS unit, or the left camera where there is none).
+    """Two cameras on a body (the INS unit, or the left camera if there is none).
 
-    The rig of a `Drive` is rectified: no lens distortion, equal rows. Where the images as stored are not, `rectified_from`
-    is the rig that took them, and every image is resampled from that one to this one when it is read.
+    The rig of a `Drive` is rectified: no lens distortion, equal rows. If the stored images are not, `rectified_from` is the rig
+    that took them, and images are resampled from it when they are read.
 
     `body_SE3_left`/`body_SE3_right` map camera points (x right, y down, z forward) to body points; their translation is the
     lever arm, their rotation the boresight.
@@ -146,9 +149,8 @@ class Rig(Record):
     body_SE3_left: Matrix4
     body_SE3_right: Matrix4
     sigma_px: Positive = 0.5
-    """Default image sigma of an observation, used where a detection brings none of its own."""
     calibration_covariance: CalibrationCovariance | None = None
-    """Of this rig's own parameters; None where the calibration did not tell. A rectified rig leaves it to `rectified_from`."""
+    """Of this rig's own parameters; None where unknown. A rectified rig has that of `rectified_from`."""
     rectified_from: Rig | None = None
 
     @property
@@ -163,16 +165,15 @@ class Pose(Record):
     map_R_body: Matrix3
     map_t_body_m: Vec3
     sigma_enu_m: tuple[NonNegative, NonNegative, NonNegative]
-    """Of the body's position, absolute (GNSS/INS); strongly correlated from frame to frame of one drive."""
+    """Of the body's position (GNSS/INS), absolute; strongly correlated between the frames of one drive."""
     sigma_rpy_rad: tuple[NonNegative, NonNegative, NonNegative]
-    """Of roll, pitch, yaw."""
 
 
 class FramePair(Record):
     """The left and right image of one trigger, with the pose at that instant."""
 
     frame_index: int = Field(ge=0)
-    """The number in the file name; it links images, poses and time stamps."""
+    """Number in the file name; it links images, poses and time stamps."""
     left_path: str
     right_path: str
     captured_at_ns: int
@@ -192,17 +193,17 @@ class FramePair(Record):
 
 
 class Drive(Record):
-    """One recording by one rig, as far as it could be read; the bad pairs were rejected by the reader."""
+    """One recording by one rig, without the frame pairs that the reader rejected."""
 
     drive_id: str = Field(min_length=1, max_length=200)
     source_path: str
     rig: Rig
     map_srid: int
     content_sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
-    """Hash over names and bytes of every file that was read, images included."""
+    """Hash over names and bytes of all files read, images included."""
     frame_pairs: tuple[FramePair, ...] = Field(min_length=1)
     expected_frame_count: int = Field(gt=0)
-    """Number of frame pairs that the folder announces, the rejected ones included."""
+    """Number of frame pairs in the folder, rejected ones included."""
 
     @model_validator(mode="after")
     def _frames_in_order(self) -> Drive:
@@ -226,14 +227,14 @@ class Drive(Record):
 class Detection(Record):
     """A box from the network, in pixels of the original image; x_px, y_px is the top-left corner.
 
-    Box edges count from the image's edge, so that a box over the first pixel is x 0, width 1 (COCO); the centre of that
-    pixel is 0.5 in box edges and 0 as an image point. `tracking/matching/matches.py` is where one becomes the other.
+    Box edges count from the image's edge (COCO): a box over the first pixel has x 0, width 1, and the centre of that pixel is
+    0.5 in box edges and 0 as an image point. `tracking/matching/matches.py` converts them.
     """
 
     frame_index: int = Field(ge=0)
     side: Side
     detection_index: int = Field(ge=0)
-    """Number within its image, by falling score."""
+    """Number within its image, by descending score."""
     category: str = "traffic_cone"
     x_px: float
     y_px: float
@@ -241,7 +242,7 @@ class Detection(Record):
     h_px: Positive
     score: Probability
     foot_px: Vec2 | None = None
-    """Centre of the cone's foot on the ground, in box edges like x_px; None where the network does not tell."""
+    """Centre of the cone's foot on the ground, in box edges like x_px; None if the network does not give it."""
     tip_px: Vec2 | None = None
     """Top of the cone's axis, likewise."""
 
@@ -263,15 +264,15 @@ class StereoMatch(Record):
     tip_left_uv_px: Vec2
     tip_right_uv_px: Vec2
     sigma_u_px: Positive
-    """Of each image point along the rows, independent in the two images: sigma of disparity over sqrt(2)."""
+    """Of each image point along the rows, independent in both images: sigma of disparity over sqrt(2). sigma_v_px: across
+    them."""
     sigma_v_px: Positive
-    """Of each image point across the rows."""
     sigma_pointing_px: NonNegative
-    """Along the rows, common to both images: where the cone's axis was put in the image. Moves the bearing, not the range."""
+    """Along the rows, common to both images: position of the cone's axis. Affects the bearing, not the range."""
     sigma_outline_px: NonNegative = 0.0
-    """Along and across the rows, common to all sightings of one cone: what the detector takes for its foot and axis."""
+    """Along and across the rows, common to all observations of one cone: the detector's foot and axis."""
     refined: bool
-    """True where the correspondence was refined by area-based matching, False where the box edges alone were used."""
+    """True if refined by area-based matching, False if from box edges alone."""
     cost: NonNegative
 
 
@@ -284,16 +285,16 @@ class Position(Record):
     frame_index: int = Field(ge=0)
     match_index: int = Field(ge=0)
     xyz_m: Vec3
-    """Foot centre on the ground; what the map calls `geom`."""
+    """Foot centre on the ground; `geom` of the map."""
     cov_m2: Cov3
     centre_xyz_m: Vec3
-    """Box centre, the paper's point."""
     cone_height_m: float
     camera_xyz_m: Vec3
-    """The foot in the left camera's frame (x right, y down, z forward): free of GNSS error."""
+    """The foot in the left camera's frame (x right, y down, z forward), free of GNSS error."""
     camera_cov_m2: Cov3
     sigma_outline_m: NonNegative = 0.0
-    """To the right and down, common to all sightings of this cone (`StereoMatch.sigma_outline_px`); part of both covariances."""
+    """To the right and down, common to all observations of this cone (`StereoMatch.sigma_outline_px`); part of both
+    covariances."""
     range_m: Positive
     """Ground distance from the left camera to the foot."""
     ray_angle_rad: Positive
@@ -303,25 +304,24 @@ class Position(Record):
 
 
 class SharedErrorJacobian(NamedTuple):
-    """How a place moves for one sigma of each error that drives with the same calibration share."""
+    """Change of a position by one sigma of each calibration error that drives share."""
 
     calibrations: tuple[UUID, ...]
-    """In rising order."""
+    """Sorted."""
     moved_m: bytes
     """(C, 3, K) metres of the map, big-endian float32: by calibration, axis and error; see `geometry/calibration/shared.py`."""
 
 
 class Track(Record):
-    """All positions of one physical cone in one drive, as one joint fit."""
+    """All positions of one physical cone in one drive, jointly adjusted."""
 
     track_index: int = Field(ge=0)
     category: str = "traffic_cone"
     xyz_m: Vec3
-    """Foot centre in the map frame."""
     cov_m2: Cov3
-    """Absolute: with the errors of pose and calibration that all sightings share."""
+    """Absolute, with the errors of pose and calibration that all observations share."""
     relative_cov_m2: Cov3
-    """Without that part: what distances between cones of this drive live on."""
+    """Without these: for distances between cones of this drive."""
     centre_xyz_m: Vec3
     cone_height_m: Positive
     cone_height_sigma_m: Positive
@@ -332,9 +332,21 @@ class Track(Record):
     residual_rms_px: NonNegative
     nearest_range_m: Positive
     members: tuple[tuple[int, int], ...] = Field(min_length=1)
-    """(frame_index, match_index) of every position in it."""
+    """(frame_index, match_index) of every position."""
     shared_jacobian: SharedErrorJacobian | None = Field(default=None, exclude=True, repr=False)
-    """Of the calibration's part in `cov_m2`; None where that is not known. Kept in the database, left out of JSON."""
+    """Of the calibration's part in `cov_m2`; None where unknown. Stored in the database, not part of JSON."""
+
+
+class DriveRecords(NamedTuple):
+    """One drive with the records of every step, in the order of processing."""
+
+    drive: Drive
+    """With refined poses and the corrected right camera, if any."""
+    detections: Sequence[Detection] = ()
+    matches: Sequence[StereoMatch] = ()
+    positions: Sequence[Position] = ()
+    tracks: Sequence[Track] = ()
+    rejections: Sequence[Rejection] = ()
 
 
 def utc_from_ns(nanoseconds: int) -> datetime:

@@ -1,4 +1,4 @@
-"""What became of a record that was refused: an enum reason, a sentence, and the record itself."""
+"""Rejected records: an enum reason, a sentence, and the record itself."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict
 
 
 class RejectionReason(StrEnum):
-    """Why a record was refused. The values are stored in the database; never rename one."""
+    """Why a record was rejected. The values are stored in the database; never rename one."""
 
     # frame pairs
     IMAGE_MISSING = "image_missing"
@@ -44,7 +44,7 @@ class RejectionReason(StrEnum):
     BOARD_MISFIT = "board_misfit"
 
 
-#: Reasons that concern what was delivered (files, poses); only these count against the exit-code threshold.
+#: Reasons about delivered data (files, poses); only these count for the exit code.
 INPUT_REASONS = frozenset(
     {
         RejectionReason.IMAGE_MISSING,
@@ -60,15 +60,15 @@ INPUT_REASONS = frozenset(
 
 
 class Rejection(BaseModel):
-    """One refused record, kept in quarantine."""
+    """One rejected record, kept in quarantine."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     step: str
-    """The step that refused it: frames, detections, matches, positions, tracks."""
+    """The step that rejected it: frames, detections, matches, positions, tracks."""
     reason: RejectionReason
     record: str
-    """Which record, in words that a user can find again, e.g. 'frame pair 44' or 'image_03/data/0000000044.png'."""
+    """Which record, so that a user can find it, e.g. 'frame pair 44' or 'image_03/data/0000000044.png'."""
     detail: str
     """What was found, what was expected, and what to do."""
     payload: dict[str, Any]

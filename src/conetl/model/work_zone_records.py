@@ -1,4 +1,4 @@
-"""The nouns of work zones: what goes into finding them, and what comes out. Metres of the map's CRS, UTC nanoseconds."""
+"""Records of work zones: input and results. Metres of the map's CRS, UTC nanoseconds."""
 
 from __future__ import annotations
 
@@ -14,49 +14,47 @@ from conetl.model.map_records import MapFeature
 
 Floats = NDArray[np.float64]
 Side = Literal["left", "right"]
-#: Where the line comes from along which stations and offsets are counted.
+#: Source of the line along which stations and offsets are counted.
 AxisSource = Literal["lanes", "drives", "cones"]
 
 
 @dataclass(frozen=True, eq=False)
 class LaneLine:
-    """One piece of a lane boundary or road edge, in either direction; pieces need not meet at their ends."""
+    """One piece of a lane boundary or road edge, in either direction; the ends of pieces need not meet."""
 
     xy_m: Floats
     """(N, 2) in the map's CRS, N >= 2."""
     kind: str = ""
-    """As the source calls it, for example `line_thin/dashed`."""
+    """As named by the source, for example `line_thin/dashed`."""
 
 
 @dataclass(frozen=True, eq=False)
 class DrivePath:
-    """Where one drive went."""
+    """Path of one drive."""
 
     drive_id: str
     captured_from_ns: int
     xy_m: Floats
-    """(N, 2), in order of time."""
 
 
 @dataclass(frozen=True)
 class ZoneHistory:
-    """One work zone over time, up to an instant: which cones make it, since when, and until when."""
+    """One work zone over time, up to an instant."""
 
     zone_id: UUID
     founding_feature_id: UUID
     start_ns: int
-    """Valid time of its first cone."""
     end_ns: int | None
-    """When its last cone was gone; None while one stands."""
+    """When its last cone was removed; None while one stands."""
     merged_into: UUID | None
-    """The older zone that its cones are part of now; its `end_ns` is when that was first so."""
+    """The older zone that its cones belong to since `end_ns`."""
     cones: tuple[MapFeature, ...]
-    """Those that stand; of an ended zone, those that stood last."""
+    """The present ones; of an ended zone, the last ones."""
 
 
 @dataclass(frozen=True)
 class Taper:
-    """A stretch of the row that comes nearer to traffic (converging) or leaves it, in the direction of travel."""
+    """A part of a row that approaches traffic (converging) or recedes from it, in the direction of travel."""
 
     first: int
     last: int
@@ -65,14 +63,13 @@ class Taper:
     end_m: float
     """Stations."""
     shift_m: float
-    """Lateral way over its length, positive."""
     shift_sigma_m: float
     """Of the cones alone, without the error of the axis."""
     start_sigmas_m: tuple[float, float]
-    """How far it may begin before that station, and behind it."""
+    """Sigma of the start towards smaller and towards larger stations."""
     end_sigmas_m: tuple[float, float]
     start_cones_m: tuple[float, ...]
-    """Stations of the cones that may mark its beginning, if one does."""
+    """Stations of the cones that may mark its start."""
     end_cones_m: tuple[float, ...]
     converging: bool
 
@@ -88,7 +85,7 @@ class ConeRow:
 
 @dataclass(frozen=True, eq=False)
 class LaneBands:
-    """Lane lines beside the axis: offsets (positive to the left) by station; NaN where a line is not there."""
+    """Lane lines beside the axis: offsets (positive to the left) by station; NaN where a line is missing."""
 
     stations_m: Floats
     """(M,), increasing."""
@@ -98,13 +95,13 @@ class LaneBands:
 
 @dataclass(frozen=True, eq=False)
 class ZoneLayout:
-    """A zone seen along its road, in the direction of travel."""
+    """A zone along its road, in the direction of travel."""
 
     axis_m: Floats
     """(N, 2) in the direction of travel."""
     axis_source: AxisSource
     axis_sigma_m: float
-    """How far the axis may wander across the road over the zone's length."""
+    """Lateral sigma of the axis over the zone's length."""
     direction_known: bool
     cones: tuple[MapFeature, ...]
     """By station."""
@@ -116,15 +113,15 @@ class ZoneLayout:
     rows: tuple[ConeRow, ...]
     """Longest first."""
     traffic_side: Side | None
-    """Where traffic passes the first row; the closed side is the other one."""
+    """Side on which traffic passes the first row; the other side is closed."""
     bands: LaneBands | None
     two_way: bool
-    """Drives passed in both directions: beside the closed lane there may be oncoming traffic and nothing to merge into."""
+    """Drives passed in both directions: traffic beside the closed lane may be oncoming."""
     drive_ids: tuple[str, ...]
 
 
 class VehicleImpact(StrEnum):
-    """The values of WZDx that cones alone can support."""
+    """The values of WZDx that follow from cones alone."""
 
     ALL_LANES_OPEN = "all-lanes-open"
     SOME_LANES_CLOSED = "some-lanes-closed"
@@ -145,14 +142,13 @@ class WorkZone:
     last: MapFeature
     impact: VehicleImpact
     closed_side: Side | None
-    """Of the direction of travel."""
     closed_lane_count: int | None
-    """None where no lane boundaries are known."""
+    """None without known lane boundaries."""
     updated_ns: int
 
 
 class Rule(StrEnum):
-    """What the layout check looks at."""
+    """Rules of the layout check."""
 
     SPACING = "spacing"
     MISSING_CONE = "missing cone"
@@ -161,19 +157,19 @@ class Rule(StrEnum):
 
 
 class Level(StrEnum):
-    """How sure a finding is."""
+    """Certainty of a finding."""
 
     VIOLATION = "violation"
     """The rule is exceeded by more than the uncertainty explains."""
     NOTICE = "notice"
     """No norm is exceeded, but the row departs from its own pattern by more than the uncertainty explains."""
     CANNOT_TELL = "cannot tell"
-    """The value lies beyond the rule, but by less than the uncertainty explains, or what decides is not known."""
+    """The value is beyond the rule by less than the uncertainty explains, or the deciding value is unknown."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One place where a layout departs from a rule."""
+    """One departure of a layout from a rule."""
 
     zone_id: UUID
     rule: Rule
@@ -187,6 +183,6 @@ class Finding:
     unit: str
     station_m: float
     feature_ids: tuple[UUID, ...]
-    """The cones on both sides of a gap, the two ends of a taper, or the one cone."""
+    """The cones on both sides of a gap, the ends of a taper, or the one cone."""
     xy_m: tuple[tuple[float, float], ...]
-    """A point, or the line from one cone to the other, in the map's CRS."""
+    """A point, or the line between two cones, in the map's CRS."""

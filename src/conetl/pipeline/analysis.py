@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections import defaultdict
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -12,11 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from conetl.files.parquet_store import has_result, load_result, load_results, result_key, result_path, save_result
-from conetl.geometry.rig import map_SE3_left, map_SE3_right
 from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence
-from conetl.model.drive_records import DriveRecords
 from conetl.model.params import IngestParams, params_sha256
-from conetl.model.records import Detection, Drive, Position, Rig, StereoMatch, Track
+from conetl.model.records import Detection, Drive, DriveRecords, Position, Rig, StereoMatch, Track
 from conetl.model.rejections import Rejection
 from conetl.perception.detections import without_unread
 from conetl.perception.model_card import read_model_card
@@ -35,12 +32,12 @@ from conetl.pipeline.odometry import (
 )
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.tracking.association import MotionError
-from conetl.tracking.pose_errors import PoseCov, pose_cov
+from conetl.tracking.error_propagation import PoseCov, pose_cov
 from conetl.tracking.positions import locate_positions
 from conetl.tracking.self_calibration import SWITCHED_OFF, SelfCalibration, self_calibrated_rig
 from conetl.tracking.tracks import fuse_tracks
 from conetl.tracking.trajectory import RefinedTrajectory, motion_error
-from conetl.tracking.variance_components import sighting_variances, with_variances
+from conetl.tracking.variance_components import estimate_variance_factors, with_variance_factors
 
 
 @dataclass(frozen=True)
@@ -203,29 +200,18 @@ def fuse(
 
     trajectory: the refined one, whose poses `drive` has; without it relative motion errs by fixed shares of the distance.
     """
-    by_frame: dict[int, list[Detection]] = defaultdict(list)
-    for detection in detections:
-        by_frame[detection.frame_index].append(detection)
+    motion = None if trajectory is None else motion_error(trajectory)
     return fuse_tracks(
-        positions,
-        {(m.frame_index, m.match_index): m for m in matches},
-        by_frame,
-        {pair.frame_index: pair for pair in drive.frame_pairs},
-        drive.rig,
-        {pair.frame_index: map_SE3_left(pair.pose, drive.rig) for pair in drive.frame_pairs},
-        {pair.frame_index: map_SE3_right(pair.pose, drive.rig) for pair in drive.frame_pairs},
-        params,
-        evidence or UNMEASURED,
-        None if trajectory is None else motion_error(trajectory),
+        positions, matches, detections, drive.frame_pairs, drive.rig, params, evidence or UNMEASURED, motion
     )
 
 
 def weigh(
     drive: Drive, matches: list[StereoMatch], tracks: list[Track], params: IngestParams, trajectory: RefinedTrajectory
 ) -> tuple[list[StereoMatch], list[Position], list[Rejection]]:
-    """Matches of the whole drive with sigmas as its tracks show them, and their positions; see `sighting_variances`."""
+    """Matches of the whole drive with sigmas as its tracks show them, and their positions; see `estimate_variance_factors`."""
     pairs = {pair.frame_index: pair for pair in drive.frame_pairs}
     poses = {index: pair.pose for index, pair in pairs.items()}
     errors = pose_cov(trajectory, params.trajectory)
-    weighed = with_variances(matches, sighting_variances(tracks, matches, drive.rig, poses, errors))
+    weighed = with_variance_factors(matches, estimate_variance_factors(tracks, matches, drive.rig, poses, errors))
     return weighed, *locate_positions(weighed, pairs, drive.rig, params.position)

@@ -22,9 +22,9 @@ from conetl.db.map.replay_store import (
     write_replay,
 )
 from conetl.db.map.results import Decidable, MapInfo, Replay
-from conetl.mapping.fold import is_within
+from conetl.mapping.history import is_within
 from conetl.model.errors import ConflictError, InputError
-from conetl.model.map_records import FeatureVersion, MapFeature, Place
+from conetl.model.map_records import FeatureVersion, Location, MapFeature
 from conetl.pipeline.replay import replay_of
 
 SUPPRESS, PIN, REVERT, WITHDRAW = "suppress", "pin", "revert", "withdraw"
@@ -87,7 +87,7 @@ def decide_place(
                 f"feature {state.feature_id} changed meanwhile: you decided on version {expected_version}, it is at version "
                 f"{state.version} now. Look at it again."
             )
-        place = Place(xy_m=state.xyz_m[:2], radius_m=radius_m)
+        place = Location(xy_m=state.xyz_m[:2], radius_m=radius_m)
         decided_at = system_time(conn, info, now)
         decision_id = insert_decision(
             conn,
@@ -152,7 +152,7 @@ def revert(
     return DecisionOutcome(decision_id, kind, decided_at, written, replayed, conflicts)
 
 
-def _judge_place(conn: Connection, info: MapInfo, kind: str, place: Place, decided_at: datetime) -> tuple[int, int]:
+def _judge_place(conn: Connection, info: MapInfo, kind: str, place: Location, decided_at: datetime) -> tuple[int, int]:
     """Compute the consequences of a decision about a position; versions written, drives compared again."""
     around = drives_at(conn, info.map_name, place)
     # Suppression hides detections and changes nothing that drives are compared with; a pin does.

@@ -39,7 +39,7 @@ from conetl.perception.rectified_image import fetch_pairs, read_pair_image
 from conetl.perception.worker_setup import set_up_worker
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, geometry_key, parts_of
 from conetl.pipeline.executor import Tick, ignore
-from conetl.tracking.matching.epipolar_search import Region, blocks_of, is_unanswered, right_region
+from conetl.tracking.matching.epipolar_search import Region, blocks_of, has_right_only_cone, right_region
 from conetl.tracking.matching.matches import match_pair, with_measured_spread
 
 _SIDES: tuple[Side, Side] = ("left", "right")
@@ -79,7 +79,7 @@ def detect(chunk: Chunk, part: int, rig: Rig | None, tick: Tick | None = None) -
         fetch_pairs([pairs[k] for k in block])
         seen = {middle: _search(chunk, pairs[middle], first_rows, rig, tick, everywhere=True)}
         # A pair of which an image is broken says nothing about the others.
-        everywhere = _is_broken(seen[middle]) or is_unanswered(seen[middle].detections, chunk.rig, chunk.params)
+        everywhere = _is_broken(seen[middle]) or has_right_only_cone(seen[middle].detections, chunk.rig, chunk.params)
         for k in block:
             if k != middle:
                 seen[k] = _search(chunk, pairs[k], first_rows, rig, tick, everywhere=everywhere)

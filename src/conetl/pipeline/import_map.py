@@ -1,4 +1,4 @@
-"""A map that was made elsewhere, merged into this one: an event of the fold, like a drive."""
+"""A map that was made elsewhere, merged into this one: an event of the replay_drives, like a drive."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from conetl.db.map.map_store import find_changeset, map_transaction
 from conetl.db.map.replay_store import affected_drives, superseded_drives
 from conetl.db.map.results import RunInfo
 from conetl.files.parquet_store import result_key
-from conetl.mapping.fold import Evidence
+from conetl.mapping.history import DriveEvidence
 from conetl.model.errors import InputError
-from conetl.model.map_records import Changeset, DeltaKind, ImportedMap, Statement
+from conetl.model.map_records import Changeset, DeltaKind, ImportedFeature, ImportedMap
 from conetl.model.params import ImportParams, params_sha256
 from conetl.pipeline.replay import founding_key, replay_of
 
@@ -69,22 +69,22 @@ def import_map(
         imported = _with_ids_of_map(imported, map_name)
         _refuse_taken_ids(conn, imported, params, map_name)
         drive_uuid = place_import(conn, imported, key, map_name=map_name, reconcile=params.reconcile)
-        evidence = Evidence(
+        evidence = DriveEvidence(
             key=(imported.stated_at_ns, imported.content_sha256, key),
             changeset_id=changeset.changeset_id,
             founding_key=founding_key(map_name, imported.content_sha256),
             tracks=(),
             path_m=np.array([statement.feature.xyz_m[:2] for statement in imported.statements]),
             influence_m=IMPORT_INFLUENCE_M,
-            look_at=lambda feature, offset_m, others_m: None,
+            check_visibility=lambda feature, offset_m, others_m: None,
             params=params.reconcile,
-            statements=imported.statements,
+            imported=imported.statements,
         )
         seeds = [drive_uuid, *superseded_drives(conn, drive_uuid)]
         later = [ref for ref in affected_drives(conn, seeds) if ref.drive_uuid not in seeds]
         aside = [*seeds, *(ref.drive_uuid for ref in later)]
         folded, replay = replay_of(conn, aside, later, read_decisions(conn, map_name=map_name), own=[evidence])
-        deltas = tuple(folded.extensions[changeset.changeset_id].deltas)
+        deltas = tuple(folded.updates[changeset.changeset_id].deltas)
         changeset = changeset.model_copy(update={"deltas": deltas})
         run = RunInfo(
             run_id=uuid5(_NAMESPACE, f"run {map_name}/{key}"),
@@ -114,7 +114,7 @@ def _states_the_same_places(conn: Connection, drive_uuid: UUID, imported: Import
     return before_m.shape == now_m.shape and bool((np.abs(before_m - now_m) < 1e-3).all())
 
 
-def _places_m(statements: Sequence[Statement]) -> NDArray[np.float64]:
+def _places_m(statements: Sequence[ImportedFeature]) -> NDArray[np.float64]:
     """(n, 3) in the map's CRS."""
     return np.array([statement.feature.xyz_m for statement in statements], dtype=np.float64).reshape(-1, 3)
 
@@ -131,7 +131,7 @@ def _with_ids_of_map(imported: ImportedMap, map_name: str) -> ImportedMap:
     return replace(imported, statements=statements)
 
 
-def _with_id(statement: Statement, feature_id: UUID) -> Statement:
+def _with_id(statement: ImportedFeature, feature_id: UUID) -> ImportedFeature:
     return statement.model_copy(update={"feature": statement.feature.model_copy(update={"feature_id": feature_id})})
 
 

@@ -30,7 +30,7 @@ from conetl.perception.images import ImageFileError
 from conetl.perception.model_card import read_model_card
 from conetl.perception.rectified_image import read_rig_image
 from conetl.pipeline.settings import Settings
-from conetl.tracking.live_tracks import Frame, LiveTracks, take_frame
+from conetl.tracking.live_tracks import Frame, LiveTracks, add_frame
 from conetl.tracking.matching.matches import match_pair
 from conetl.tracking.positions import locate_positions
 
@@ -149,7 +149,7 @@ def take_pair(
     matches, _ = match_pair(left, right, drive.rig, params.match, up_left=up, images=images)
     positions, _ = locate_positions(matches, {pair.frame_index: pair}, drive.rig, params.position)
     frame = Frame(pair, (*left, *right), tuple(matches), tuple(positions))
-    tracks, changed = take_frame(drive.tracks, frame, drive.rig, params, detectors.evidence)
+    tracks, changed = add_frame(drive.tracks, frame, drive.rig, params, detectors.evidence)
     cones = {number: found for number, found in changed.items() if isinstance(found, Track)}
     taken_back = [number for number in changed if number not in cones and number in drive.standing]
     standing = {n: t for n, t in (drive.standing | cones).items() if n not in taken_back}

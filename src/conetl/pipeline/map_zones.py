@@ -73,7 +73,7 @@ def read_zones(
         for history, some in zip(histories, lines, strict=True)
     ]
     open_until = [v for v in versions if v.valid_to_ns is None or (at_ns is not None and v.valid_to_ns > at_ns)]
-    standing = [v.feature for v in open_until if v.standing and not v.suppressed]
+    standing = [v.feature for v in open_until if v.present and not v.suppressed]
     return MapZones(info.srid, zones, standing, paths, source)
 
 

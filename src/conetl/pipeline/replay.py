@@ -1,4 +1,4 @@
-"""One drive into the map, in the order of recording or later: between the fold (`mapping/fold.py`) and the tables.
+"""One drive into the map, in the order of recording or later: between the fold (`mapping/history.py`) and the tables.
 
 All of it runs inside the caller's `map_transaction`.
 """
@@ -30,20 +30,20 @@ from conetl.db.map.replay_store import (
 )
 from conetl.db.map.results import CommitResult, DriveRef, Replay, RunInfo
 from conetl.db.retention import require_comparable
-from conetl.mapping.fold import Evidence, Extension, Floats, Folded, extend, fold
-from conetl.mapping.visibility import Look, View, look_at_spot, view_of_drive
+from conetl.mapping.history import DriveEvidence, Floats, MapHistory, MapUpdate, apply_drive, replay_drives
+from conetl.mapping.visibility import DriveObservations, NotObserved, check_visibility, observations_of_drive
 from conetl.model.detector_evidence import UNMEASURED, AbsenceFigures, DetectorEvidence
-from conetl.model.drive_records import DriveRecords
 from conetl.model.map_records import (
     Changeset,
     Decisions,
+    DriveOrder,
     FeatureVersion,
-    FoldKey,
     MapFeature,
-    Miss,
+    MissedObservation,
 )
 from conetl.model.params import IngestParams, ReconcileParams
 from conetl.model.records import (
+    DriveRecords,
     Rig,
 )
 
@@ -73,7 +73,7 @@ class Merged(NamedTuple):
     """What a drive did to the map."""
 
     changeset: Changeset
-    extension: Extension
+    extension: MapUpdate
     replayed: int
     """Later drives that were compared with the map again because of it."""
     result: CommitResult
@@ -109,15 +109,17 @@ def merge_drive(
         figures=figures,
     )
     spots = [(p.frame_index, p.xyz_m) for p in records.positions]
-    view = view_of_drive(drive.rig, drive.frame_pairs, records.detections, spots, figures)
-    own = Evidence(
+    view = observations_of_drive(drive.rig, drive.frame_pairs, records.detections, spots, figures)
+    own = DriveEvidence(
         key=(int(view.captured_at_ns.min()), drive.content_sha256, changeset.idempotency_key),
         changeset_id=changeset.changeset_id,
         founding_key=founding_key(map_name, drive.content_sha256),
         tracks=records.tracks,
         path_m=np.array([pair.pose.map_t_body_m[:2] for pair in drive.frame_pairs]),
         influence_m=influence_m(params),
-        look_at=lambda feature, offset_m, others_m: look_at_spot(feature, offset_m, others_m, view, params.reconcile),
+        check_visibility=lambda feature, offset_m, others_m: check_visibility(
+            feature, offset_m, others_m, view, params.reconcile
+        ),
         params=params.reconcile,
     )
     decisions = read_decisions(conn, map_name=map_name)
@@ -126,10 +128,10 @@ def merge_drive(
     replay = None
     if later or len(seeds) > 1:
         folded, replay = replay_of(conn, [*seeds, *(ref.drive_uuid for ref in later)], later, decisions, own=[own])
-        extension = folded.extensions[changeset.changeset_id]
+        extension = folded.updates[changeset.changeset_id]
     else:
-        standing, doubts = read_standing_around(conn, drive_uuid), read_doubts_around(conn, drive_uuid)
-        extension = extend(standing, own, decisions, doubts)
+        standing, summaries = read_standing_around(conn, drive_uuid), read_doubts_around(conn, drive_uuid)
+        extension = apply_drive(standing, own, decisions, summaries)
     changeset = changeset.model_copy(update={"deltas": tuple(extension.deltas)})
     result = commit_changeset(
         conn,
@@ -150,9 +152,9 @@ def replay_of(
     again: Sequence[DriveRef],
     decisions: Decisions,
     *,
-    own: Sequence[Evidence] = (),
+    own: Sequence[DriveEvidence] = (),
     around: Sequence[UUID] = (),
-) -> tuple[Folded, Replay]:
+) -> tuple[MapHistory, Replay]:
     """A neighbourhood of the map, computed again.
 
     aside: the drives whose changes are set aside; again: those of them that are compared again, from what is stored; own: drives
@@ -162,29 +164,29 @@ def replay_of(
     versions = read_versions(conn, [*aside, *around])
     deltas = read_deltas(conn, aside)
     out = set(aside)
-    given: list[tuple[FoldKey, FeatureVersion | Miss]] = []
+    given: list[tuple[DriveOrder, FeatureVersion | MissedObservation]] = []
     given += [(stored.key, stored.version) for stored in versions if stored.drive_uuid not in out]
     given += [(s.key, s.miss) for s in read_misses(conn, [*aside, *around]) if s.drive_uuid not in out]
-    folded = fold([*own, *stored_evidence(conn, again)], decisions, given=given)
+    folded = replay_drives([*own, *stored_evidence(conn, again)], decisions, given=given)
     replay = Replay(
         versions_before=versions,
         deltas_before=deltas,
         versions=[version for chain in folded.chains.values() for version in chain],
         deltas=[
-            (changeset_id, delta) for changeset_id, extension in folded.extensions.items() for delta in extension.deltas
+            (changeset_id, delta) for changeset_id, extension in folded.updates.items() for delta in extension.deltas
         ],
     )
     return folded, replay
 
 
-def stored_evidence(conn: Connection, drives: Sequence[DriveRef]) -> list[Evidence]:
+def stored_evidence(conn: Connection, drives: Sequence[DriveRef]) -> list[DriveEvidence]:
     """The evidence of ingested drives; what they had in view is read when it is needed. InputError where it was pruned."""
 
     @lru_cache(maxsize=_VIEWS_IN_MEMORY)
-    def view_of(drive_uuid: UUID) -> View:
+    def view_of(drive_uuid: UUID) -> DriveObservations:
         stored = read_view(conn, drive_uuid)
         rig, figures = view_params[drive_uuid]
-        return view_of_drive(rig, stored.frame_pairs, stored.detections, stored.spots, figures)
+        return observations_of_drive(rig, stored.frame_pairs, stored.detections, stored.spots, figures)
 
     require_comparable(conn, [ref.drive_uuid for ref in drives])
     view_params: dict[UUID, tuple[Rig, AbsenceFigures]] = {}
@@ -194,16 +196,16 @@ def stored_evidence(conn: Connection, drives: Sequence[DriveRef]) -> list[Eviden
         if drive.rig is not None:  # an imported map had nothing in view
             view_params[ref.drive_uuid] = drive.rig, drive.figures
         evidence.append(
-            Evidence(
+            DriveEvidence(
                 key=drive.key(ref.idempotency_key),
                 changeset_id=ref.changeset_id,
                 founding_key=founding_key(drive.map_name, drive.content_sha256),
                 tracks=drive.tracks,
                 path_m=drive.path_m,
                 influence_m=drive.influence_m,
-                look_at=_look_at(view_of, ref.drive_uuid, drive.reconcile),
+                check_visibility=_look_at(view_of, ref.drive_uuid, drive.reconcile),
                 params=drive.reconcile,
-                statements=drive.statements,
+                imported=drive.statements,
             )
         )
     return evidence
@@ -221,6 +223,8 @@ def founding_key(map_name: str, content_sha256: str) -> str:
 
 
 def _look_at(
-    view_of: Callable[[UUID], View], drive_uuid: UUID, params: ReconcileParams
-) -> Callable[[MapFeature, Floats, Floats], Look | None]:
-    return lambda feature, offset_m, others_m: look_at_spot(feature, offset_m, others_m, view_of(drive_uuid), params)
+    view_of: Callable[[UUID], DriveObservations], drive_uuid: UUID, params: ReconcileParams
+) -> Callable[[MapFeature, Floats, Floats], NotObserved | None]:
+    return lambda feature, offset_m, others_m: check_visibility(
+        feature, offset_m, others_m, view_of(drive_uuid), params
+    )

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from conetl.model.errors import InputError
 from conetl.model.work_zone_records import DrivePath, Finding, Level, Rule, WorkZone
-from conetl.workzones.road_axis import project
+from conetl.workzones.linear_reference import project
 
 #: Colour-blind safe (Okabe & Ito) and told apart by shape as well.
 _LEVEL_COLOUR = {Level.VIOLATION: "#d55e00", Level.NOTICE: "#0072b2", Level.CANNOT_TELL: "#8a8a8a"}

@@ -1,1 +1,1 @@
-"""Rendered drives with known truth (needs the extra `conetl[simulate]`; only this package imports Mitsuba)."""
+"""Rendered drives with known truth (requires the extra `conetl[simulate]`; only this package imports Mitsuba)."""

@@ -1,4 +1,4 @@
-"""The base layers of the sample scenario: a LiDAR survey of the street before the cones came, and its lane boundaries."""
+"""Base layers of the sample scenario: a LiDAR survey of the street without cones, and its lane boundaries."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 POINTS_FILE = "street.laz"
 LINES_FILE = "lane_boundaries.geojson"
-#: A scanner on the roof, 32 beams, a turn every two metres of the way there.
+#: A roof scanner with 32 beams, one revolution every two metres.
 _SCANNER_HEIGHT_M = 1.9
 _BEAMS_DEG = np.linspace(-24.0, 12.0, 32)
 _AZIMUTH_STEP_DEG = 0.5
@@ -36,15 +36,14 @@ _LINE_STEP_M = 10.0
 
 
 def simulate_base_layers(folder: Path, *, seed: int) -> tuple[Path, Path]:
-    """Write street.laz (points, EPSG:32632) and lane_boundaries.geojson (WGS 84) into `folder`; their paths.
+    """Write street.laz (points, EPSG:32632) and lane_boundaries.geojson (WGS 84) into `folder`; returns their paths.
 
-    The street of the sample scenario without its cones, seen by a LiDAR on a car. Equal seeds give equal files. Raises InputError
-    where Mitsuba is missing or a file is there already.
+    Equal seeds give equal files. Raises InputError without Mitsuba, and if a file exists.
     """
     points, lines = folder / POINTS_FILE, folder / LINES_FILE
     for path in (points, lines):
         if path.exists():
-            raise InputError(f"{path}: is there already; name another folder")
+            raise InputError(f"{path}: exists; choose another folder")
     load_mitsuba()
     folder.mkdir(parents=True, exist_ok=True)
     xyz, intensity = _scan(seed)
@@ -81,7 +80,7 @@ def _scan(seed: int) -> tuple[Array, NDArray[np.uint16]]:
 
 
 def _directions() -> Array:
-    """Unit vectors (N, 3) of one turn of the scanner, in the road frame."""
+    """Unit vectors (N, 3) of one revolution of the scanner, in the road frame."""
     azimuth, elevation = np.meshgrid(np.radians(np.arange(0.0, 360.0, _AZIMUTH_STEP_DEG)), np.radians(_BEAMS_DEG))
     cos = np.cos(elevation)
     return np.stack([cos * np.cos(azimuth), cos * np.sin(azimuth), np.sin(elevation)], axis=-1).reshape(-1, 3)
@@ -95,14 +94,14 @@ def _write_las(path: Path, xyz: Array, intensity: NDArray[np.uint16]) -> None:
     header.creation_date = scenario_pass(1).start_utc.date()
     header.generating_software = "conetl simulate"
     las = laspy.LasData(header)
-    order = np.lexsort(np.floor(xyz / 4.0).T)  # neighbours together: compresses better
+    order = np.lexsort(np.floor(xyz / 4.0).T)  # neighbours together compress better
     las.x, las.y, las.z = xyz[order].T
     las.intensity = intensity[order]
     las.write(path)
 
 
 def _boundaries(road: Road) -> str:
-    """GeoJSON (RFC 7946) of what is painted, and of the kerbs, with ellipsoidal heights."""
+    """GeoJSON (RFC 7946) of painted lines and kerbs, with ellipsoidal heights."""
     to_wgs84 = Transformer.from_crs(MAP_SRID, 4326, always_xy=True)
     motion = map_SE3_road()
     features: list[dict[str, Any]] = []

@@ -1,4 +1,4 @@
-"""Writes a drive in the layout of KITTI's raw data (synced and rectified), plus truth.csv."""
+"""Writer of drives in the layout of KITTI's raw data (synced and rectified), plus truth.csv."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TRUTH_COLUMNS = (
 
 
 def timestamp(start: datetime, seconds: float) -> str:
-    """KITTI's form with nanoseconds, UTC."""
+    """KITTI's time stamp with nanoseconds, UTC."""
     whole = start.replace(microsecond=0)
     nanoseconds = round(start.microsecond * 1000 + seconds * 1e9)
     moment = whole + timedelta(seconds=nanoseconds // 1_000_000_000)
@@ -35,7 +35,7 @@ def write_calibration(folder: Path, rig: SimulatedRig, made_on: datetime) -> Non
     k, size = rig.k(), (rig.camera.width_px, rig.camera.height_px)
     lines = [head, "corner_dist: 9.950000e-02\n"]
     for number, t in rig.t_rect_m.items():
-        # What a calibration finds before rectification: here the images come out rectified, so there is no lens distortion.
+        # Calibration before rectification: without lens distortion, because the images are rendered rectified.
         r_rect = rig.rect_R_cam0
         matrices = {
             "S": np.array(size, dtype=float), "K": k, "D": np.zeros(5), "R": np.eye(3), "T": r_rect.T @ t,
@@ -58,7 +58,7 @@ def write_oxts(folder: Path, records: Iterable[list[float]], stamps: Iterable[st
 
 
 def write_truth(path: Path, scenario: ScenarioPass) -> None:
-    """truth.csv: the foot centre (of the base plate's underside) of each cone, standing or gone."""
+    """truth.csv: the foot centre (of the base plate's underside) of each cone, present or removed."""
     place = map_SE3_road()
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")

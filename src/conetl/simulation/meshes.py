@@ -21,7 +21,7 @@ class Mesh(NamedTuple):
 
 
 def lathe(radii_m: ArrayLike, heights_m: ArrayLike, sides: int = 40) -> Mesh:
-    """A profile turned about z; u runs around, v from 0 at the last ring to 1 at the first (rows of a image, top first)."""
+    """A profile rotated about z; u runs around, v from 0 at the last ring to 1 at the first (image rows, top first)."""
     radius, height = np.asarray(radii_m, dtype=float), np.asarray(heights_m, dtype=float)
     turn = np.linspace(0.0, 2.0 * np.pi, sides + 1)
     slope = np.stack([np.gradient(height), -np.gradient(radius)], axis=1)
@@ -41,18 +41,14 @@ def lathe(radii_m: ArrayLike, heights_m: ArrayLike, sides: int = 40) -> Mesh:
 def box(size_m: ArrayLike, base_m: float = 0.0) -> Mesh:
     """A box on z = base_m, centred on the z axis; each face has the whole texture."""
     sx, sy, sz = np.asarray(size_m, dtype=float)
-    faces = []
-    for axis in range(3):
-        for sign in (-1.0, 1.0):
-            normal = np.zeros(3)
-            normal[axis] = sign
-            up = np.array([0.0, 0.0, 1.0]) if axis != 2 else np.array([0.0, 1.0, 0.0])
-            across = np.cross(up, normal)
-            faces.append((normal, across, up))
     vertices, normals, uv, triangles = [], [], [], []
-    corner = ((-1, -1), (1, -1), (1, 1), (-1, 1))
-    for number, (normal, across, up) in enumerate(faces):
-        for a, b in corner:
+    for number in range(6):
+        axis, sign = number // 2, (-1.0, 1.0)[number % 2]
+        normal = np.zeros(3)
+        normal[axis] = sign
+        up = np.array([0.0, 0.0, 1.0]) if axis != 2 else np.array([0.0, 1.0, 0.0])
+        across = np.cross(up, normal)
+        for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1)):
             unit = normal + a * across + b * up
             vertices.append(unit * [sx / 2, sy / 2, sz / 2] + [0.0, 0.0, base_m + sz / 2])
             normals.append(normal)
@@ -63,7 +59,7 @@ def box(size_m: ArrayLike, base_m: float = 0.0) -> Mesh:
 
 
 def prism(outline_m: ArrayLike, thickness_m: float) -> Mesh:
-    """A convex outline (K, 2) in the y-z plane, extruded along x; its faces carry the texture over the bounding box."""
+    """A convex outline (K, 2) in the y-z plane, extruded along x; its faces have the texture over the bounding box."""
     outline = np.asarray(outline_m, dtype=float)
     count = len(outline)
     uv = (outline - outline.min(axis=0)) / np.ptp(outline, axis=0)

@@ -1,7 +1,7 @@
-"""The simulated stereo rig: the numbers of KITTI's calibration files, and where the cameras therefore are on the body.
+"""The simulated stereo rig: the numbers of KITTI's calibration files, and the resulting poses of the cameras on the body.
 
 The chain is KITTI's (Geiger et al., IJRR 2013): IMU -> velodyne -> camera 0 -> rectified camera 0 -> P_rect_0i = K [I | t_i].
-It is multiplied out here on its own, not with the code that reads calibration files, so that one can check the other.
+It is computed here independently of the code that reads calibration files, so that one checks the other.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class SimulatedRig:
 
     @property
     def imu_height_m(self) -> float:
-        """Height of the IMU that puts the left camera at its height above the road."""
+        """Height of the IMU for the left camera's height above the road."""
         return CAMERA_HEIGHT_M - float(self.body_SE3_camera(2)[2, 3])
 
     def k(self) -> Array:
@@ -57,7 +57,7 @@ class SimulatedRig:
 
 
 def simulated_rig(width_px: int = DESIGN_SIZE[0], height_px: int = DESIGN_SIZE[1]) -> SimulatedRig:
-    """The rig, with the field of view of the 960-pixel image at any width; other shapes cut or add rows evenly."""
+    """The rig, with the field of view of the 960-pixel image at any width; other aspect ratios add or remove rows evenly."""
     scale = width_px / DESIGN_SIZE[0]
     camera = PinholeCamera(
         width_px, height_px, F_PX * scale, (CX_PX + 0.5) * scale - 0.5,

@@ -1,4 +1,4 @@
-"""The sample scenario: three passes over one lane-closure taper, on three days, with changes between them."""
+"""The sample scenario: three passes of one lane-closure taper on three days, with changes between them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from conetl.simulation.world import Cone, RoadObject, World
 
 PASS_NUMBERS = (1, 2, 3)
 _SCENE_SEED = 20260302
-"""Looks of the cones (dirt, lean, shade); not the noise of cameras and GNSS, which has the drive's own seed."""
+"""Of the cones' appearance (dirt, lean, shade), not of the noise of cameras and GNSS."""
 
 
 @dataclass(frozen=True)
@@ -24,16 +24,16 @@ class ScenarioPass:
     start_utc: datetime
     world: World
     changes: dict[str, str]
-    """cone_id -> added, confirmed, moved or removed, against the pass before."""
+    """cone_id -> added, confirmed, moved or removed, relative to the previous pass."""
     removed: tuple[Cone, ...]
-    """Cones of the pass before that are gone."""
+    """Cones of the previous pass that were removed."""
     exposure: float
     """Brightness relative to a plain exposure."""
     start_x_m: float
     end_x_m: float
     """x of the left camera in the first and last frame."""
     path_y_m: tuple[float, float]
-    """y of the vehicle at the smaller and the greater x of the taper."""
+    """y of the vehicle at the smaller and the larger x of the taper."""
     frame_count: int
 
 
@@ -71,14 +71,14 @@ def _first_cones() -> tuple[Cone, ...]:
     rng = np.random.default_rng(_SCENE_SEED)
     heights = (0.70, 0.70, 0.50, 0.70, 0.50, 0.70, 0.70, 0.50, 0.70)
     return tuple(
-        _looks(
+        _appearance(
             Cone(f"C{n:02d}", 4.6 * n + rng.uniform(-0.3, 0.3), -4.7 + 0.27 * n + rng.uniform(-0.08, 0.08), height), rng
         )
         for n, height in enumerate(heights, 1)
     )
 
 
-def _looks(cone: Cone, rng: np.random.Generator) -> Cone:
+def _appearance(cone: Cone, rng: np.random.Generator) -> Cone:
     r, g, b = np.array(cone.colour) + rng.normal(0.0, (0.02, 0.03, 0.015))
     return replace(
         cone,
@@ -89,7 +89,7 @@ def _looks(cone: Cone, rng: np.random.Generator) -> Cone:
 
 
 def _changed(first: tuple[Cone, ...]) -> tuple[tuple[Cone, ...], dict[str, str]]:
-    """Overnight: C04 moved by 1.5 m, C07 taken away, C10 and C11 put down."""
+    """Overnight: C04 moved by 1.5 m, C07 removed, C10 and C11 added."""
     rng = np.random.default_rng(_SCENE_SEED + 1)
     changes = {cone.cone_id: "confirmed" for cone in first} | {"C04": "moved", "C07": "removed"}
     turn = math.radians(38.0)
@@ -98,7 +98,7 @@ def _changed(first: tuple[Cone, ...]) -> tuple[tuple[Cone, ...], dict[str, str]]
         for c in first
         if c.cone_id != "C07"
     ]
-    added = [_looks(Cone("C10", 11.3, -3.1, 0.50), rng), _looks(Cone("C11", 38.6, -4.3, 0.70), rng)]
+    added = [_appearance(Cone("C10", 11.3, -3.1, 0.50), rng), _appearance(Cone("C11", 38.6, -4.3, 0.70), rng)]
     changes |= {cone.cone_id: "added" for cone in added}
     return (*kept, *added), changes
 
@@ -111,7 +111,7 @@ def _world(cones: tuple[Cone, ...], *, elevation: float, azimuth: float, turbidi
 
 
 def _surroundings() -> tuple[RoadObject, ...]:
-    """What is there on all three days: red-and-white and orange things that are no cones among it."""
+    """Objects on all three days, red-and-white and orange ones that are no cones among them."""
     grey, green, plaster = (0.55, 0.56, 0.57), (0.17, 0.27, 0.12), (0.78, 0.72, 0.60)
     behind = math.pi
     return (

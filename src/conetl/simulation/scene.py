@@ -1,6 +1,6 @@
-"""A `World` as a Mitsuba scene, and images of it. Mitsuba's world frame is the road frame.
+"""A `World` as a Mitsuba scene, and images of it as from a camera. Mitsuba's world frame is the road frame.
 
-Pixel convention of the cameras: KITTI's and OpenCV's, an integer coordinate is the centre of a pixel.
+Pixel convention of KITTI and OpenCV: an integer coordinate is the centre of a pixel.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,11 +21,15 @@ from conetl.simulation.parts import BUILDERS, Part, cone_parts, motion
 from conetl.simulation.world import World
 
 Array = NDArray[np.float64]
+FULL_WELL_ELECTRONS = 9000.0
+READ_NOISE_ELECTRONS = 6.0
+BLUR_SIGMA_PX = 0.45
+"""Of lens and pixel together."""
 
 
 @dataclass(frozen=True)
 class PinholeCamera:
-    """Interior orientation and size of a image, in pixels."""
+    """Interior orientation and size of an image, in pixels."""
 
     width_px: int
     height_px: int
@@ -61,7 +66,7 @@ def render(
 ) -> NDArray[np.float32]:
     """Linear radiance (H, W, 3), direct light of sun and sky. road_SE3_camera: (4, 4), camera axes x right, y down, z forward.
 
-    fast: half the time and more noise, as shiny surfaces are not sampled by themselves.
+    fast: half the time with more noise, without separate samples of shiny surfaces.
     """
     mi = load_mitsuba()
     method = {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0} if fast else {"type": "path", "max_depth": 2}
@@ -78,8 +83,8 @@ def render(
 def sensor(camera: PinholeCamera, road_SE3_camera: Array, samples_per_pixel: int = 16) -> Any:
     """Mitsuba's perspective camera of an exterior and interior orientation.
 
-    Mitsuba counts from the edge of the film, so the centre of pixel 0 is at 0.5 there; its camera has x to the left and y up,
-    and its principal point offset moves the image, not the axis.
+    Mitsuba counts pixels from the edge of the film (the centre of pixel 0 is 0.5), has x to the left and y up, and its
+    principal point offset moves the image, not the axis.
     """
     mi = load_mitsuba()
     to_world = np.asarray(road_SE3_camera, dtype=float) @ np.diag([-1.0, -1.0, 1.0, 1.0])
@@ -182,3 +187,29 @@ def _shape(mi: Any, part: Part, path: Path) -> dict[str, Any]:
 def _linear(srgb: float) -> float:
     """Inverse of the sRGB transfer curve (IEC 61966-2-1)."""
     return srgb / 12.92 if srgb <= 0.04045 else ((srgb + 0.055) / 1.055) ** 2.4
+
+
+def exposure_gain(radiance: NDArray[np.float32], brightness: float = 1.0) -> float:
+    """Factor that maps the median of an image's lower two thirds (road and cones) to a mid grey."""
+    lower = radiance[radiance.shape[0] // 3 :].mean(axis=-1)
+    return brightness * 0.15 / max(float(np.median(lower)), 1e-9)
+
+
+def develop(
+    radiance: NDArray[np.float32], gain: float, rng: np.random.Generator, *, blur_sigma_px: float = BLUR_SIGMA_PX
+) -> NDArray[np.uint8]:
+    """8-bit BGR image (H, W, 3) of linear RGB radiance: blur, exposure, shot and read noise, soft shoulder, sRGB curve."""
+    light = cv2.GaussianBlur(np.maximum(radiance, 0.0) * np.float32(gain), (0, 0), blur_sigma_px).astype(np.float64)
+    light = np.where(light < 0.6, light, 0.6 + 0.4 * (1.0 - np.exp(-(light - 0.6) / 0.4)))
+    variance = light / FULL_WELL_ELECTRONS + (READ_NOISE_ELECTRONS / FULL_WELL_ELECTRONS) ** 2
+    light = np.clip(light + rng.normal(size=light.shape) * np.sqrt(variance), 0.0, 1.0)
+    srgb = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    return np.asarray(srgb[..., ::-1] * 255.0 + 0.5).astype(np.uint8)
+
+
+def encode_jpeg(image: NDArray[np.uint8], quality: int) -> bytes:
+    """JPEG bytes of a BGR image."""
+    done, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    if not done:
+        raise ValueError(f"an image of shape {image.shape} cannot be encoded as JPEG")
+    return bytes(data.tobytes())

@@ -1,4 +1,4 @@
-"""`simulate_drive`: one pass of the sample scenario as a complete KITTI-layout drive."""
+"""`simulate_drive`: one pass of the sample scenario as a drive in KITTI's layout."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.model.errors import InputError
-from conetl.simulation import camera_noise, kitti_writer, trajectory
+from conetl.simulation import kitti_writer, trajectory
 from conetl.simulation.rig import simulated_rig
 from conetl.simulation.scenario import scenario_pass
-from conetl.simulation.scene import build_scene, load_mitsuba, render
+from conetl.simulation.scene import build_scene, develop, encode_jpeg, exposure_gain, load_mitsuba, render
 
 JPEG_QUALITY = 74
 CAMERAS = (2, 3)
@@ -31,9 +31,9 @@ def simulate_drive(
 ) -> Path:
     """Render pass 1, 2 or 3 into `out_dir` (new or empty) and return it.
 
-    The true trajectory places the cameras; oxts/ holds the noisy one. `seed` governs the noise of cameras and GNSS/INS, not the
-    scene: equal arguments give equal files. progress: called with (images done, images in all).
-    Raises InputError where Mitsuba is missing, the folder is not empty, or a number makes no sense.
+    The true trajectory places the cameras; oxts/ contains the noisy one. `seed` determines the noise of cameras and GNSS/INS,
+    not the scene: equal arguments give equal files. progress: called with (images done, total images). Raises InputError
+    without Mitsuba, for a folder that is not empty, and for invalid numbers.
     """
     scenario = scenario_pass(pass_number)
     if width_px < 16 or height_px < 16 or samples_per_pixel < 1 or seed < 0:
@@ -43,7 +43,7 @@ def simulate_drive(
         )
     load_mitsuba()
     if out_dir.exists() and (not out_dir.is_dir() or any(out_dir.iterdir())):
-        raise InputError(f"{out_dir}: is there already and not empty; name a new folder")
+        raise InputError(f"{out_dir}: exists and is not empty; choose a new folder")
     rig = simulated_rig(width_px, height_px)
     times_s: NDArray[np.float64] = np.arange(scenario.frame_count) * np.float64(trajectory.FRAME_PERIOD_S)
     ahead_m = float(rig.body_SE3_camera(2)[0, 3])
@@ -71,10 +71,10 @@ def simulate_drive(
                 scene, rig.camera, road_SE3_camera, samples_per_pixel=samples_per_pixel, seed=int(rng.integers(1 << 31))
             )
             if math.isnan(gain):  # one exposure for the whole drive, set on its first image
-                gain = camera_noise.exposure_gain(radiance, scenario.exposure)
-            image = camera_noise.develop(radiance, gain, rng)
+                gain = exposure_gain(radiance, scenario.exposure)
+            image = develop(radiance, gain, rng)
             path = out_dir / f"image_{number:02d}" / "data" / f"{frame:010d}.jpg"
-            path.write_bytes(camera_noise.encode_jpeg(image, JPEG_QUALITY))
+            path.write_bytes(encode_jpeg(image, JPEG_QUALITY))
             if progress is not None:
                 progress(len(CAMERAS) * frame + CAMERAS.index(number) + 1, total)
     return out_dir

@@ -1,7 +1,7 @@
-"""Where the vehicle truly was, and what its GNSS/INS wrote down: OXTS records with drift and noise.
+"""True trajectory of the vehicle, and the OXTS records of its GNSS/INS with drift and noise.
 
-Map frame: easting, northing, ellipsoidal height of EPSG:32632, taken as one rigid Cartesian frame around the site.
-OXTS yaw counts from TRUE east; the map's axes are grid axes, so yaw_true = yaw_grid - convergence (clockwise positive).
+Map frame: easting, northing, ellipsoidal height of EPSG:32632, as one rigid Cartesian frame around the site. OXTS yaw counts
+from TRUE east, the map's axes are grid axes: yaw_true = yaw_grid - convergence (clockwise positive).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ SITE_MAP_M = (458_312.40, 5_427_846.75, 115.32)
 """Origin of the road frame, near 49.0 N, 8.43 E."""
 SITE_GRID_YAW_RAD = math.radians(32.4)
 SITE_SLOPE_RAD = -0.006
-"""The road climbs by 6 mm a metre."""
+"""The road climbs by 6 mm per metre."""
 FRAME_PERIOD_S = 0.1
 POS_ACCURACY_M = 0.02
 GRAVITY_M_S2 = 9.81
@@ -43,7 +43,7 @@ ATTITUDE_RAD = DriftModel(math.radians(0.02), 20.0, math.radians(0.002))
 
 
 def map_SE3_road() -> Array:
-    """(4, 4) where the road frame lies in the map."""
+    """(4, 4) pose of the road frame in the map."""
     pose = np.eye(4)
     pose[:3, :3] = Rotation.from_euler("ZY", [SITE_GRID_YAW_RAD, SITE_SLOPE_RAD]).as_matrix()
     pose[:3, 3] = SITE_MAP_M
@@ -51,7 +51,7 @@ def map_SE3_road() -> Array:
 
 
 def true_poses(scenario: ScenarioPass, times_s: Array, camera_ahead_m: float, imu_height_m: float) -> Array:
-    """(N, 4, 4) map_SE3_body at times from the start of the drive, of a vehicle that sways a little."""
+    """(N, 4, 4) map_SE3_body at times from the start of the drive, of a slightly swaying vehicle."""
     duration_s = (scenario.frame_count - 1) * FRAME_PERIOD_S
     poses = np.zeros((len(times_s), 4, 4))
     direction = math.copysign(1.0, scenario.end_x_m - scenario.start_x_m)
@@ -80,7 +80,7 @@ def _path(scenario: ScenarioPass, x_m: float) -> tuple[float, float]:
 
 
 def measured_poses(poses: Array, times_s: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-    """(N, 3) places in the map and (N, 3) roll, pitch, grid yaw, as a GNSS/INS would give them."""
+    """(N, 3) positions in the map and (N, 3) roll, pitch, grid yaw of the GNSS/INS."""
     errors = np.stack([gauss_markov(m, times_s, rng) for m in (HORIZONTAL_M, HORIZONTAL_M, VERTICAL_M)], axis=1)
     turns = np.stack([gauss_markov(ATTITUDE_RAD, times_s, rng) for _ in range(3)], axis=1)
     ypr = Rotation.from_matrix(poses[:, :3, :3]).as_euler("ZYX")
@@ -97,15 +97,15 @@ def gauss_markov(model: DriftModel, times_s: Array, rng: np.random.Generator) ->
     return drift + rng.normal(0.0, model.white, len(times_s))
 
 
-def oxts_records(places_m: Array, rpy_grid_rad: Array, times_s: Array) -> list[list[float]]:
+def oxts_records(positions_m: Array, rpy_grid_rad: Array, times_s: Array) -> list[list[float]]:
     """KITTI's 30 numbers per pose; lat/lon in degrees, yaw from true east, velocities and rates by differences."""
-    lon, lat = _to_geodetic(places_m[:, 0], places_m[:, 1])
+    lon, lat = _to_geodetic(positions_m[:, 0], positions_m[:, 1])
     convergence = convergence_rad(lat, lon)
     rpy = rpy_grid_rad.copy()
     rpy[:, 2] = _wrap(rpy[:, 2] - convergence)
-    smooth = np.column_stack([_smooth(column, times_s) for column in places_m.T])
+    smooth = np.column_stack([_smooth(column, times_s) for column in positions_m.T])
     velocity = np.gradient(smooth, times_s, axis=0)
-    cos, sin = np.cos(convergence), np.sin(convergence)  # grid to true: turn by minus the convergence
+    cos, sin = np.cos(convergence), np.sin(convergence)  # grid to true: rotate by minus the convergence
     east, north = cos * velocity[:, 0] + sin * velocity[:, 1], cos * velocity[:, 1] - sin * velocity[:, 0]
     turns = Rotation.from_euler("ZYX", rpy[:, ::-1])
     enu = np.column_stack([east, north, velocity[:, 2]])
@@ -115,12 +115,12 @@ def oxts_records(places_m: Array, rpy_grid_rad: Array, times_s: Array) -> list[l
     unwrapped = np.unwrap(rpy, axis=0)
     rates = np.gradient(np.column_stack([_smooth(column, times_s) for column in unwrapped.T]), times_s, axis=0)
     records = []
-    for n in range(len(places_m)):
+    for n in range(len(positions_m)):
         fwd, left, up = body_force[n]
         wx, wy, wz = rates[n]
         records.append(
             [
-                lat[n], lon[n], places_m[n, 2], *rpy[n], north[n], east[n], body_velocity[n, 0], body_velocity[n, 1],
+                lat[n], lon[n], positions_m[n, 2], *rpy[n], north[n], east[n], body_velocity[n, 0], body_velocity[n, 1],
                 velocity[n, 2], fwd, left, up, fwd, left, up, wx, wy, wz, wx, wy, wz, POS_ACCURACY_M, 0.03, 4, 14, 6, 6, 6,
             ]
         )  # fmt: skip
@@ -139,7 +139,7 @@ def _to_geodetic(easting_m: Array, northing_m: Array) -> tuple[Array, Array]:
 
 
 def _smooth(values: Array, times_s: Array) -> Array:
-    """A polynomial through noisy values, so that differences of them mean something."""
+    """A polynomial fit of noisy values, for their derivatives."""
     centred = times_s - times_s.mean()
     degree = min(6, len(values) - 1)
     return np.asarray(np.polynomial.Polynomial.fit(centred, values, degree)(centred))

@@ -1,4 +1,4 @@
-"""What stands where in a simulated scene: plain records, no rendering.
+"""Objects of a simulated scene as plain records, without rendering.
 
 Road frame: x along the road, y to its left, z up, the origin on the road's centre line at ground height. Lengths in metres.
 """
@@ -34,7 +34,7 @@ class Cone:
 
 @dataclass(frozen=True)
 class RoadObject:
-    """Anything else that stands on or beside the road; `kind` is a key of `objects.BUILDERS`."""
+    """Any other object on or beside the road; `kind` is a key of `parts.BUILDERS`."""
 
     kind: str
     x_m: float
@@ -47,7 +47,7 @@ class RoadObject:
 
 @dataclass(frozen=True)
 class Road:
-    """Cross-section of the road, from right (negative y) to left, and what is painted on it."""
+    """Cross-section of the road, from right (negative y) to left, and its markings."""
 
     right_m: float = -5.4
     left_m: float = 3.4

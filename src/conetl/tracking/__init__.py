@@ -1,5 +1,4 @@
 """Detections to tracks: stereo matching, positions, association, trajectory refinement and self-calibration of one drive.
 
-It imports `perception` and everything below it, and knows nothing of a map. The story begins in `matching/matches.py` and ends
-in `tracks.py`.
+It imports `perception` and everything below it, no maps. Start with `matching/matches.py` and `tracks.py`.
 """

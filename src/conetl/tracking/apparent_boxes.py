@@ -1,4 +1,4 @@
-"""The box that a cone at a known location fills in an image, and how boxes overlap and hide each other."""
+"""The box of a cone at a known position in an image, and overlap and occlusion of boxes."""
 
 from __future__ import annotations
 
@@ -13,16 +13,15 @@ from conetl.model.records import Camera, Detection
 Floats = NDArray[np.float64]
 Box = tuple[float, float, float, float]
 """x0, y0, x1, y1 in pixels"""
-#: Width of a cone's base plate over its height; between the 0.5 and 0.6 of common road cones.
+#: Width of a cone's base plate over its height; common road cones have 0.5 to 0.6.
 WIDTH_OVER_HEIGHT = 0.55
 _NEAREST_M = 0.5
-#: Middles of the cells into which a box is cut to see what of it is hidden, in shares of its side.
+#: Sampling grid for the hidden share of a box, in shares of its side.
 _GRID = (np.arange(24) + 0.5) / 24
 
 
 def apparent_boxes(foot_m: Floats, tip_m: Floats, camera: Camera) -> Floats:
-    """(N, 4) boxes x0, y0, x1, y1 (px) that a cone would fill, its feet and tips (N, 3) given in the camera's frame; NaN where it
-    is behind the camera."""
+    """(N, 4) boxes x0, y0, x1, y1 (px) of cones with feet and tips (N, 3) in the camera's frame; NaN behind the camera."""
     in_front = np.minimum(foot_m[:, 2], tip_m[:, 2]) >= _NEAREST_M
     foot_z, tip_z = (np.where(in_front, points[:, 2], np.nan) for points in (foot_m, tip_m))
     y1 = camera.cy_px + camera.fy_px * foot_m[:, 1] / foot_z
@@ -33,37 +32,17 @@ def apparent_boxes(foot_m: Floats, tip_m: Floats, camera: Camera) -> Floats:
 
 
 def are_in_view(boxes: Floats, camera: Camera, params: ReconcileParams) -> NDArray[np.bool_]:
-    """(N,) whether boxes (N, 4) are tall enough to be found and wholly inside the image; NaN boxes are not."""
+    """(N,) whether boxes (N, 4) are tall enough and wholly inside the image; False for NaN."""
     x0, y0, x1, y1 = boxes.T
     border = params.visible_border_px
     inside = (x0 >= border) & (y0 >= border) & (x1 <= camera.width_px - border) & (y1 <= camera.height_px - border)
     return np.asarray(inside & (y1 - y0 >= params.visible_min_height_px))
 
 
-def apparent_box(foot_m: Floats, tip_m: Floats, camera: Camera) -> Box | None:
-    """As `apparent_boxes`, of one foot and tip (3,), many times as fast for one; None where it is behind the camera."""
-    (foot_x, foot_y, foot_z), (_, tip_y, tip_z) = foot_m.tolist(), tip_m.tolist()
-    if min(foot_z, tip_z) < _NEAREST_M:
-        return None
-    y1 = camera.cy_px + camera.fy_px * foot_y / foot_z
-    y0 = camera.cy_px + camera.fy_px * tip_y / tip_z
-    half = (y1 - y0) * WIDTH_OVER_HEIGHT / 2
-    u = camera.cx_px + camera.fx_px * foot_x / foot_z
-    return u - half, y0, u + half, y1
-
-
-def is_in_view(box: Box, camera: Camera, params: ReconcileParams) -> bool:
-    """As `are_in_view`, of one box."""
-    x0, y0, x1, y1 = box
-    border = params.visible_border_px
-    inside = x0 >= border and y0 >= border and x1 <= camera.width_px - border and y1 <= camera.height_px - border
-    return inside and y1 - y0 >= params.visible_min_height_px
-
-
 def hidden_share(box: Box, detections: Sequence[Detection]) -> float:
-    """Share (0 to 1) of `box` behind detected boxes that stand nearer (their foot is lower in the image).
+    """Share (0 to 1) of `box` behind nearer detected boxes (with a lower foot in the image).
 
-    Boxes that overlap each other are counted once, on a grid of 24 x 24 points, as `training/looks.py` counts them.
+    Overlapping boxes count once, on a grid of 24 x 24 points, as in `training/looks.py`.
     """
     x0, y0, x1, y1 = box
     nearer = [d for d in detections if d.y_px + d.h_px > y1 + 0.1 * (y1 - y0) and overlap_px2(box, d) > 0]
@@ -86,7 +65,7 @@ def iou(box: Box, detection: Detection) -> float:
 
 
 def overlap_px2(box: Box, detection: Detection) -> float:
-    """Area that a box and a detection share."""
+    """Common area of a box and a detection."""
     x0, y0, x1, y1 = box
     width = min(x1, detection.x_px + detection.w_px) - max(x0, detection.x_px)
     height = min(y1, detection.y_px + detection.h_px) - max(y0, detection.y_px)

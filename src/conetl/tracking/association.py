@@ -1,10 +1,9 @@
-"""Positions of single frame pairs -> chains, one per physical cone, by following each cone from image to image.
+"""Positions of single frame pairs -> chains, one per physical cone, by tracking each cone from frame to frame.
 
-Absolute coordinates will not do: where GNSS has no fix they slide by more than a metre while the cones stand still, and any
-fixed radius then doubles or merges cones. So a chain lives in the left camera's frame. From one frame pair to the next it is
-carried by the *relative* motion, whose error grows only with the way driven in between, and the next position must fit it in
-three dimensions with its own covariance (narrow in bearing, long in range). One-to-one, cheapest in total (Kalman filter with
-global nearest neighbour, e.g. Bar-Shalom, Willett & Tian 2011, ch. 6).
+Absolute coordinates do not suffice: without a GNSS fix they drift by more than a metre. So a chain lives in the left camera's
+frame and is predicted by the *relative* motion, whose error grows with the distance driven. The next position must fit the
+prediction in three dimensions with its own covariance (narrow in bearing, long in range); the assignment is one-to-one with
+least total cost (Kalman filter with global nearest neighbour, e.g. Bar-Shalom, Willett & Tian 2011, ch. 6).
 """
 
 from __future__ import annotations
@@ -26,23 +25,23 @@ from conetl.model.params import TrackParams
 from conetl.model.records import Position
 
 Floats = NDArray[np.float64]
-#: Cost of an impossible pairing in the assignment; far above any gate.
+#: Cost of a forbidden pair in the assignment; far above any gate.
 _FORBIDDEN = 1e6
-#: Of the search for the farthest that two positions of one cone may be apart.
+#: Iterations and tolerance of the largest distance between two positions of one cone.
 _ROUNDS, _SETTLED_M = 50, 0.01
-#: Coordinates of millions of metres are rounded to less than this.
+#: Rounding of coordinates of millions of metres is below this.
 _ROUNDING_M = 1e-6
 
 
 @dataclass(frozen=True)
 class MotionError:
-    """How vague a point gets when the relative motion carries it from frame to frame."""
+    """Error of a point that the relative motion transforms from frame to frame."""
 
     cov_m2: Callable[[int, int, Floats], Floats]
-    """(start frame, end frame, point (3,) m in the left camera at start) -> (3, 3) m^2 that the motion adds to its covariance,
-    in the left camera's frame at the end."""
+    """(start frame, end frame, point (3,) m in the left camera at start) -> (3, 3) m^2 added to its covariance, in the left
+    camera's frame at the end."""
     most_m2: Callable[[float], float] = lambda _range_m: np.inf
-    """Range (m) from which a point is seen at both ends -> what the trace of that covariance never exceeds."""
+    """Range (m) of a point at both ends -> upper bound of the trace of that covariance."""
 
     def __call__(self, start: int, end: int, point_m: Floats) -> Floats:
         return self.cov_m2(start, end, point_m)
@@ -50,7 +49,7 @@ class MotionError:
 
 @dataclass(frozen=True)
 class Chain:
-    """Positions of one cone so far; `mean` (3,) and `cov` (3, 3) place it in the left camera's frame of the last of them."""
+    """Positions of one cone so far; `mean` (3,) and `cov` (3, 3) in the left camera's frame of the last of them."""
 
     members: tuple[Position, ...]
     mean: Floats
@@ -65,9 +64,9 @@ def chain_positions(
 ) -> list[tuple[Position, ...]]:
     """Group the positions of one drive by physical cone.
 
-    map_SE3_left: (4, 4) left camera -> map, by frame index. motion: error of the relative motion where it is known; without it
-    the shares in `params` hold. Returns the groups, each by rising frame index and with at most one
-    position per frame; every position is in exactly one group.
+    map_SE3_left: (4, 4) left camera -> map, by frame index. motion: error of the relative motion; without it the shares in
+    `params` hold. Every position is in exactly one group; groups are sorted by frame index, with at most one position per
+    frame.
     """
     by_frame: dict[int, list[Position]] = defaultdict(list)
     for position in positions:
@@ -75,9 +74,10 @@ def chain_positions(
     open_chains: list[Chain] = []
     closed: list[Chain] = []
     for frame_index in sorted(by_frame):
-        still_open = [c for c in open_chains if frame_index - c.members[-1].frame_index <= params.max_gap_frames]
-        closed += [c for c in open_chains if frame_index - c.members[-1].frame_index > params.max_gap_frames]
-        open_chains = extend_chains(still_open, by_frame[frame_index], frame_index, map_SE3_left, params, motion)
+        oldest = frame_index - params.max_gap_frames
+        closed += [c for c in open_chains if c.members[-1].frame_index < oldest]
+        open_chains = [c for c in open_chains if c.members[-1].frame_index >= oldest]
+        open_chains = extend_chains(open_chains, by_frame[frame_index], frame_index, map_SE3_left, params, motion)
     return join_fragments([c.members for c in closed + open_chains], map_SE3_left, params, motion)
 
 
@@ -90,19 +90,16 @@ def carry(
     params: TrackParams,
     motion: MotionError | None = None,
 ) -> tuple[Floats, Floats]:
-    """A point (3,) with covariance (3, 3) of the left camera's frame at `start`, in that of `end`."""
+    """A point (3,) with covariance (3, 3) in the left camera's frame at `start`, transformed to that at `end`."""
     end_SE3_start = np.linalg.inv(map_SE3_left[end]) @ map_SE3_left[start]
     rotation, translation = end_SE3_start[:3, :3], end_SE3_start[:3, 3]
     if motion is not None:
         error = motion(start, end, mean) + params.motion_sigma_m**2 * np.eye(3)
-        return rotation @ mean + translation, rotation @ cov @ rotation.T + error
-    along = np.outer(translation, translation)  # (way driven)^2 in its direction, nothing across it
-    across = float(translation @ translation) * np.eye(3) - along
-    error = (
-        params.motion_sigma_m**2 * np.eye(3)
-        + params.motion_sigma_relative**2 * along
-        + params.motion_sigma_aside**2 * across
-    )
+    else:
+        along = np.outer(translation, translation)  # (distance driven)^2 in its direction, nothing across it
+        across = float(translation @ translation) * np.eye(3) - along
+        shares = params.motion_sigma_relative**2 * along, params.motion_sigma_aside**2 * across
+        error = params.motion_sigma_m**2 * np.eye(3) + shares[0] + shares[1]
     return rotation @ mean + translation, rotation @ cov @ rotation.T + error
 
 
@@ -114,7 +111,7 @@ def extend_chains(
     params: TrackParams,
     motion: MotionError | None,
 ) -> list[Chain]:
-    """The open chains after one more frame: each position extends the chain it fits, or starts one."""
+    """The open chains after one more frame: each position extends the chain it fits, or starts a new one."""
     carried = [
         carry(c.mean, c.cov, c.members[-1].frame_index, frame_index, map_SE3_left, params, motion) for c in chains
     ]
@@ -125,19 +122,14 @@ def extend_chains(
             spread = cov + cov_matrix(position.camera_cov_m2)
             distance2 = float(innovation @ np.linalg.solve(spread, innovation))
             if distance2 <= params.gate_chi2 and np.linalg.norm(innovation) <= params.max_innovation_m:
-                # The log-determinant keeps a vague chain from stealing what a sharp one explains as well.
+                # The log-determinant prefers a precise chain to a vague one that fits as well.
                 costs[i, j] = distance2 + float(np.linalg.slogdet(spread)[1])
     extended = {int(i): int(j) for i, j in zip(*linear_sum_assignment(costs), strict=True) if costs[i, j] < _FORBIDDEN}
     result = [
         _updated(chain, *carried[i], found[extended[i]]) if i in extended else chain for i, chain in enumerate(chains)
     ]
-    taken = set(extended.values())
-    result += [
-        Chain((position,), np.array(position.camera_xyz_m), cov_matrix(position.camera_cov_m2))
-        for j, position in enumerate(found)
-        if j not in taken
-    ]
-    return result
+    new = [position for j, position in enumerate(found) if j not in set(extended.values())]
+    return result + [Chain((p,), np.array(p.camera_xyz_m), cov_matrix(p.camera_cov_m2)) for p in new]
 
 
 def _updated(chain: Chain, mean: Floats, cov: Floats, position: Position) -> Chain:
@@ -153,10 +145,10 @@ def join_fragments(
     params: TrackParams,
     motion: MotionError | None = None,
 ) -> list[tuple[Position, ...]]:
-    """Join groups that are one cone seen again after a longer gap (hidden by a post, or missed by the detector).
+    """Join groups of one cone observed again after a longer gap (hidden by a post, or missed by the detector).
 
-    Two groups with a common frame are two cones, however near. Otherwise the nearest pair of positions in time is compared,
-    one carried into the frame of the other; the best fitting groups are joined first.
+    Two groups with a common frame are two cones. Otherwise the nearest pair of positions in time is compared, one transformed
+    into the frame of the other; the best fitting groups are joined first.
     """
     alive = dict(enumerate(sorted(groups, key=lambda g: g[0].frame_index)))
     near = _near_groups(list(alive.values()), params, motion)
@@ -173,12 +165,12 @@ def join_fragments(
                 compare(i, j)
     while waiting:
         _, i, j = heappop(waiting)
-        if i not in alive or j not in alive:  # one of them was joined to a better fitting one meanwhile
+        if i not in alive or j not in alive:  # joined to a better fitting group meanwhile
             continue
         new = next(numbers)
         merged = tuple(sorted((*alive.pop(i), *alive.pop(j)), key=lambda p: p.frame_index))
         alive[new] = merged
-        # Two groups that are far from a third are so together: what is compared is one position of either.
+        # Two groups far from a third are far from it together: one position of either is compared.
         near[new] = {k for k in near.pop(i) | near.pop(j) if k in alive and k != new}
         for k in sorted(near[new]):
             near[k].add(new)
@@ -189,16 +181,16 @@ def join_fragments(
 def _near_groups(
     groups: Sequence[tuple[Position, ...]], params: TrackParams, motion: MotionError | None
 ) -> dict[int, set[int]]:
-    """For each group those that may be the same cone: no error that the motion can have spans a longer distance.
+    """For each group those that may be the same cone, within the largest error of the motion.
 
-    Without it every group of a drive would be compared with every other, though most stand kilometres apart.
+    Without this bound every group of a drive would be compared with every other.
     """
     most_m = inf if motion is None else _most_reach_m(groups, params, motion)
     if most_m == inf or not groups:
         return {i: set(range(len(groups))) - {i} for i in range(len(groups))}
-    places = [np.array([p.xyz_m for p in group]) for group in groups]
-    centres = np.array([own.mean(axis=0) for own in places])
-    radii = np.array([np.linalg.norm(own - own.mean(axis=0), axis=1).max() for own in places])
+    group_xyz_m = [np.array([p.xyz_m for p in group]) for group in groups]
+    centres = np.array([own.mean(axis=0) for own in group_xyz_m])
+    radii = np.array([np.linalg.norm(own - own.mean(axis=0), axis=1).max() for own in group_xyz_m])
     pairs = cKDTree(centres).query_pairs(most_m + 2 * radii.max(), output_type="ndarray")
     apart_m = np.linalg.norm(centres[pairs[:, 0]] - centres[pairs[:, 1]], axis=1)
     near: dict[int, set[int]] = {i: set() for i in range(len(groups))}
@@ -209,7 +201,7 @@ def _near_groups(
 
 
 def _most_reach_m(groups: Sequence[tuple[Position, ...]], params: TrackParams, motion: MotionError) -> float:
-    """An upper bound of `misfit_of`'s reach: of a fixed point, because a carried point may be seen from as much farther away."""
+    """Upper bound of the reach in `misfit_of`: a fixed point, because the range of a transformed point grows with it."""
     everything = [p for group in groups for p in group]
     range_m = max((float(np.linalg.norm(p.camera_xyz_m)) for p in everything), default=0.0)
     own_m2 = max((p.camera_cov_m2[0] + p.camera_cov_m2[3] + p.camera_cov_m2[5] for p in everything), default=0.0)
@@ -234,7 +226,7 @@ def misfit_of(
     params: TrackParams,
     motion: MotionError | None,
 ) -> float | None:
-    """Squared Mahalanobis distance of two groups, or None where they cannot be one cone."""
+    """Squared Mahalanobis distance of two groups, or None if they cannot be one cone."""
     nearest = _nearest_in_time(a, b)
     if nearest is None or (motion is None and not _within_reach(*nearest, map_SE3_left, params)):
         return None
@@ -257,13 +249,13 @@ def misfit_of(
 
 
 def _nearest_in_time(a: tuple[Position, ...], b: tuple[Position, ...]) -> tuple[Position, Position] | None:
-    """The position of either group that are the fewest frames apart; None where one frame has both groups."""
+    """The pair of positions fewest frames apart; None where both groups have a position in one frame."""
     if a[-1].frame_index < b[0].frame_index:
         return a[-1], b[0]
     if b[-1].frame_index < a[0].frame_index:
         return a[0], b[-1]
     frames_a, frames_b = np.array([p.frame_index for p in a]), np.array([p.frame_index for p in b])
-    # Of each of a's frames, b's last one before it and its first one after it (or at it).
+    # For each frame of a, the last frame of b before it and the first one at or after it.
     after = np.searchsorted(frames_b, frames_a)
     candidates = np.stack([np.maximum(after - 1, 0), np.minimum(after, len(b) - 1)], axis=1)
     gaps = np.abs(frames_b[candidates] - frames_a[:, None])
@@ -274,17 +266,17 @@ def _nearest_in_time(a: tuple[Position, ...], b: tuple[Position, ...]) -> tuple[
 
 
 def _within_reach(one: Position, other: Position, map_SE3_left: Mapping[int, Floats], params: TrackParams) -> bool:
-    """Whether two positions are at most as far apart as `misfit_of` allows, where the motion's error is a share of the way.
+    """Whether two positions are near enough for `misfit_of`, without a motion error.
 
-    The same trace as that of `carry`'s covariance, which turns do not change, without matrices: most groups of a drive stand far
-    from each other, and all are compared with all.
+    The trace of `carry`'s covariance, which rotations do not change, computed without matrices: most groups are far apart, and
+    all pairs are compared.
     """
     start, end = map_SE3_left[one.frame_index], map_SE3_left[other.frame_index]
     apart_m = dist(
         (start[:3, :3] @ one.camera_xyz_m + start[:3, 3]).tolist(),
         (end[:3, :3] @ other.camera_xyz_m + end[:3, 3]).tolist(),
     )
-    way_m2 = dist(start[:3, 3].tolist(), end[:3, 3].tolist()) ** 2
+    driven_m2 = dist(start[:3, 3].tolist(), end[:3, 3].tolist()) ** 2
     own_m2 = one.camera_cov_m2[0] + one.camera_cov_m2[3] + one.camera_cov_m2[5] + 3 * params.motion_sigma_m**2
     shares = params.motion_sigma_relative**2 + 2 * params.motion_sigma_aside**2
-    return apart_m <= _reach_m(own_m2 + shares * way_m2, params) + _ROUNDING_M
+    return apart_m <= _reach_m(own_m2 + shares * driven_m2, params) + _ROUNDING_M

@@ -1,13 +1,13 @@
 """Stereo matches -> positions: forward intersection of foot, box centre and tip of every cone (the collinearity equations).
 
-The intersection is done in the left camera's frame, where GNSS plays no part, and then moved to the map by the pose of the
-frame pair; rigid motions change neither residuals nor image covariance. What cannot be located becomes a rejection.
+Points are intersected in the left camera's frame, independent of GNSS, and then transformed to the map by the pose of the frame
+pair; rigid motions change neither residuals nor image covariance. Matches that cannot be located become rejections.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,8 +50,8 @@ _REASONS = {
 class CameraPosition(Record):
     """One cone in the left camera's frame (x right, y down, z forward), from one pair without a trajectory: the paper's case.
 
-    The camera is the one that took the images, also where they were rectified. "Up" is the body's +z axis where the rig
-    calibration has a body, else minus the camera's y axis (a camera held level).
+    The camera is the one that took the images, even if they were rectified. "Up" is the body's +z axis if the calibration has a
+    body, else minus the camera's y axis (a level camera).
     """
 
     frame_index: int
@@ -62,12 +62,12 @@ class CameraPosition(Record):
     centre_xyz_m: Vec3
     """Box centre, the paper's point."""
     ground_distance_m: Positive
-    """Level distance from the left camera to the foot."""
+    """Horizontal distance from the left camera to the foot."""
     ground_distance_sigma_m: Positive
     cone_height_m: float
     """Tip above foot."""
     foot_height_m: float
-    """Foot above the left camera's centre; negative, about minus the camera's height above the road."""
+    """Foot above the left camera's centre, about minus the camera's height above the road."""
     centre_height_m: float
     """Box centre above the left camera's centre: the paper's height."""
     ray_angle_rad: Positive
@@ -76,8 +76,11 @@ class CameraPosition(Record):
     score: Probability
 
 
+R = TypeVar("R", Position, CameraPosition)
+
+
 class _Located(NamedTuple):
-    """Intersections of M matches, frame: left camera; first axis of (3, M, ...) is foot, centre, tip."""
+    """Intersections of M matches in the left camera's frame; the first axis of (3, M, ...) is foot, centre, tip."""
 
     status: NDArray[np.int8]
     """(3, M)"""
@@ -86,81 +89,58 @@ class _Located(NamedTuple):
     foot_cov: Array
     """(M, 3, 3) m^2"""
     outline_m: Array
-    """(M,) m, the share in it that all sightings of a cone have in common: sigma to the right and down"""
+    """(M,) m, the part of it common to all observations of a cone: sigma to the right and down"""
     residual_rms: Array
     """(M,) px, over the eight image coordinates of foot and tip"""
     ray_angle: Array
     """(M,) rad, at the foot"""
     iterations: NDArray[np.int64]
-    """(M,) the most that any of the three points took"""
+    """(M,) maximum of the three points"""
 
 
 def locate_positions(
     matches: Sequence[StereoMatch], drive_pairs: Mapping[int, FramePair], rig: Rig, params: PositionParams
 ) -> tuple[list[Position], list[Rejection]]:
-    """Positions of stereo matches in the map frame, all in one batch.
+    """Positions of stereo matches in the map frame; drive_pairs: by frame index.
 
-    `drive_pairs` maps frame_index to its frame pair. Every match ends up in exactly one of the two lists, in the order given.
-    `xyz_m` is the foot; `cov_m2` holds image, calibration and pose sigmas, `camera_cov_m2` the image sigmas alone.
+    Every match is in exactly one of the two lists, in the order given. `xyz_m` is the foot; `cov_m2` includes image, calibration
+    and pose sigmas, `camera_cov_m2` the image sigmas alone.
     """
-    if not matches:
-        return [], []
-    located = _locate(matches, rig, params)
-    posed = np.array([match.frame_index in drive_pairs for match in matches])
-    poses = {index: drive_pairs[index].pose for index in {m.frame_index for m in matches} if index in drive_pairs}
-    if not poses:
+    posed = np.array([match.frame_index in drive_pairs for match in matches], dtype=bool)
+    if not posed.any():
         return [], [_no_pose(match) for match in matches]
+    located = _locate(matches, rig, params)
+    poses = {index: drive_pairs[index].pose for index in {m.frame_index for m in matches} if index in drive_pairs}
     order = sorted(poses)
     rank = {frame_index: i for i, frame_index in enumerate(order)}
-    slot = np.array([rank.get(m.frame_index, 0) for m in matches])  # matches without a pose are refused below
+    slot = np.array([rank.get(m.frame_index, 0) for m in matches])  # matches without a pose are rejected below
     body = np.stack([se3.map_SE3_body(poses[i]) for i in order])[slot]
     left = se3.compose(body, rigs.body_SE3_camera(rig, "left"))
     xyz = se3.apply(left, located.xyz)
-    # Positions of one rig are compared in its camera frame without the error of its calibration: they all have the same one.
+    # Positions of one rig are compared in its camera frame without the calibration's error, which is the same for all.
     in_camera = located.foot_cov + calibration_cov(located.xyz[0], rig)
     turned = left[:, :3, :3] @ in_camera @ np.swapaxes(left[:, :3, :3], 1, 2)
     sigma_enu = np.array([poses[i].sigma_enu_m for i in order])[slot]
     sigma_rpy = np.array([poses[i].sigma_rpy_rad for i in order])[slot]
     cov = add_pose_covariance(turned, xyz[0], body[:, :3, :3], body[:, :3, 3], sigma_enu, sigma_rpy)
     ground = np.hypot(*(xyz[0] - left[:, :3, 3]).T[:2])
-    positions: list[Position] = []
-    rejections: list[Rejection] = []
-    for i, match in enumerate(matches):
-        refused = _refuse(match, located, i, float(ground[i]), params) if posed[i] else _no_pose(match)
-        if refused is None:
-            try:
-                positions.append(
-                    Position(
-                        frame_index=match.frame_index,
-                        match_index=match.match_index,
-                        xyz_m=vec3(xyz[0, i]),
-                        cov_m2=cov3(cov[i]),
-                        centre_xyz_m=vec3(xyz[1, i]),
-                        cone_height_m=float(xyz[2, i, 2] - xyz[0, i, 2]),
-                        camera_xyz_m=vec3(located.xyz[0, i]),
-                        camera_cov_m2=cov3(located.foot_cov[i]),
-                        sigma_outline_m=float(located.outline_m[i]),
-                        range_m=float(ground[i]),
-                        ray_angle_rad=float(located.ray_angle[i]),
-                        residual_rms_px=float(located.residual_rms[i]),
-                        iterations=int(located.iterations[i]),
-                        score=min(match.left.score, match.right.score),
-                    )
-                )
-            except ValidationError as error:
-                refused = _reject(match, RejectionReason.POSITION_INVALID, _sentence(error))
-        if refused is not None:
-            rejections.append(refused)
-    return positions, rejections
+
+    def own_fields(i: int) -> dict[str, Any]:
+        return {
+            "cone_height_m": float(xyz[2, i, 2] - xyz[0, i, 2]),
+            "camera_xyz_m": vec3(located.xyz[0, i]),
+            "camera_cov_m2": cov3(located.foot_cov[i]),
+            "sigma_outline_m": float(located.outline_m[i]),
+            "range_m": float(ground[i]),
+        }
+
+    return _records(Position, matches, located, xyz, cov, ground, params, own_fields, posed)
 
 
 def locate_in_camera(
     matches: Sequence[StereoMatch], rig: Rig, params: PositionParams
 ) -> tuple[list[CameraPosition], list[Rejection]]:
-    """Positions of stereo matches where there is no trajectory (the paper's own case).
-
-    In the frame of the left camera that took the images, also where they are resampled to be rectified.
-    """
+    """Positions of stereo matches without a trajectory, in the frame of the left camera that took the images."""
     if not matches:
         return [], []
     located = _locate(matches, rig, params)
@@ -170,37 +150,63 @@ def locate_in_camera(
     level = located.xyz[0] - height[0][:, None] * up
     ground = np.linalg.norm(level, axis=1)
     turn = rigs.stored_R_left(rig)
-    xyz, xyz_cov = located.xyz @ turn.T, turn @ foot_cov @ turn.T
-    positions: list[CameraPosition] = []
+
+    def own_fields(i: int) -> dict[str, Any]:
+        along = level[i] / ground[i]
+        return {
+            "cone_height_m": float(height[2, i] - height[0, i]),
+            "ground_distance_m": float(ground[i]),
+            "ground_distance_sigma_m": float(np.sqrt(along @ foot_cov[i] @ along)),
+            "foot_height_m": float(height[0, i]),
+            "centre_height_m": float(height[1, i]),
+        }
+
+    xyz, cov, posed = located.xyz @ turn.T, turn @ foot_cov @ turn.T, np.ones(len(matches), dtype=bool)
+    return _records(CameraPosition, matches, located, xyz, cov, ground, params, own_fields, posed)
+
+
+def _records(
+    record_type: type[R],
+    matches: Sequence[StereoMatch],
+    located: _Located,
+    xyz: Array,
+    cov: Array,
+    ground: Array,
+    params: PositionParams,
+    own_fields: Callable[[int], dict[str, Any]],
+    posed: NDArray[np.bool_],
+) -> tuple[list[R], list[Rejection]]:
+    """Records of the good matches and rejections of the others.
+
+    xyz (3, M, 3), cov (M, 3, 3), ground (M,): points, covariance of the foot and horizontal distance in the frame of the record;
+    own_fields: fields that only this record type has.
+    """
+    records: list[R] = []
     rejections: list[Rejection] = []
     for i, match in enumerate(matches):
-        refused = _refuse(match, located, i, float(ground[i]), params)
+        refused = _refuse(match, located, i, float(ground[i]), params) if posed[i] else _no_pose(match)
         if refused is None:
             try:
-                along = level[i] / ground[i]
-                positions.append(
-                    CameraPosition(
-                        frame_index=match.frame_index,
-                        match_index=match.match_index,
-                        xyz_m=vec3(xyz[0, i]),
-                        cov_m2=cov3(xyz_cov[i]),
-                        centre_xyz_m=vec3(xyz[1, i]),
-                        ground_distance_m=float(ground[i]),
-                        ground_distance_sigma_m=float(np.sqrt(along @ foot_cov[i] @ along)),
-                        cone_height_m=float(height[2, i] - height[0, i]),
-                        foot_height_m=float(height[0, i]),
-                        centre_height_m=float(height[1, i]),
-                        ray_angle_rad=float(located.ray_angle[i]),
-                        residual_rms_px=float(located.residual_rms[i]),
-                        iterations=int(located.iterations[i]),
-                        score=min(match.left.score, match.right.score),
-                    )
+                record = record_type(
+                    frame_index=match.frame_index,
+                    match_index=match.match_index,
+                    xyz_m=vec3(xyz[0, i]),
+                    cov_m2=cov3(cov[i]),
+                    centre_xyz_m=vec3(xyz[1, i]),
+                    ray_angle_rad=float(located.ray_angle[i]),
+                    residual_rms_px=float(located.residual_rms[i]),
+                    iterations=int(located.iterations[i]),
+                    score=min(match.left.score, match.right.score),
+                    **own_fields(i),
                 )
+                records.append(record)
+                continue
             except ValidationError as error:
-                refused = _reject(match, RejectionReason.POSITION_INVALID, _sentence(error))
-        if refused is not None:
-            rejections.append(refused)
-    return positions, rejections
+                first = error.errors()[0]
+                sentence = f"{'.'.join(str(part) for part in first['loc'])}: {first['msg']}"
+                refused = _reject(match, RejectionReason.POSITION_INVALID, sentence)
+        rejections.append(refused)
+    return records, rejections
 
 
 def _locate(matches: Sequence[StereoMatch], rig: Rig, params: PositionParams) -> _Located:
@@ -223,7 +229,7 @@ def _locate(matches: Sequence[StereoMatch], rig: Rig, params: PositionParams) ->
         min_ray_angle_rad=params.min_ray_angle_rad,
     )
     residuals = result.residuals_px.reshape(3, count, 4)[[0, 2]]
-    # Putting the cone's axis wrongly in both images alike moves the foot along the rows and leaves its depth alone.
+    # An error of the cone's axis common to both images moves the foot along the rows, not in depth.
     foot_cov = result.cov_m2[:count].copy()
     pointing = np.array([m.sigma_pointing_px for m in matches])
     foot_cov[:, 0, 0] += (pointing * result.depth_m[:count, 0] / rig.left.fx_px) ** 2
@@ -242,7 +248,7 @@ def _locate(matches: Sequence[StereoMatch], rig: Rig, params: PositionParams) ->
 
 
 def _refuse(match: StereoMatch, located: _Located, i: int, ground_m: float, params: PositionParams) -> Rejection | None:
-    """The rejection of one match, or None where its position is good."""
+    """The rejection of one match, or None for a good position."""
     for point, name in enumerate(_POINTS):
         status = IntersectionStatus(int(located.status[point, i]))
         if status is not IntersectionStatus.OK:
@@ -253,7 +259,7 @@ def _refuse(match: StereoMatch, located: _Located, i: int, ground_m: float, para
     rms = float(located.residual_rms[i])
     if rms > params.max_residual_px:
         detail = (
-            f"the rays miss each other: residual {rms:.2f} px, allowed max_residual_px = {params.max_residual_px:g}; "
+            f"the rays miss each other: residual {rms:.2f} px, at most max_residual_px = {params.max_residual_px:g}; "
             "the boxes are of two objects, or the rig calibration is off"
         )
         return _reject(match, RejectionReason.RESIDUAL_TOO_LARGE, detail)
@@ -264,7 +270,7 @@ def _explain(status: IntersectionStatus, point: str, angle_rad: float, params: P
     match status:
         case IntersectionStatus.RAY_ANGLE_TOO_SMALL:
             return (
-                f"the rays to its {point} are nearly parallel (foot: {angle_rad:.4f} rad, wanted at least min_ray_angle_rad = "
+                f"the rays to its {point} are nearly parallel (foot: {angle_rad:.4f} rad, at least min_ray_angle_rad = "
                 f"{params.min_ray_angle_rad:g}): too far away for this baseline"
             )
         case IntersectionStatus.BEHIND_CAMERA:
@@ -276,7 +282,7 @@ def _explain(status: IntersectionStatus, point: str, angle_rad: float, params: P
 
 
 def _no_pose(match: StereoMatch) -> Rejection:
-    detail = f"no frame pair {match.frame_index} with a pose was given for this match; its pair was rejected before"
+    detail = f"frame pair {match.frame_index} of this match has no pose: the pair was rejected before"
     return _reject(match, RejectionReason.POSITION_INVALID, detail)
 
 
@@ -285,8 +291,3 @@ def _reject(match: StereoMatch, reason: RejectionReason, detail: str) -> Rejecti
         step="positions", reason=reason, record=f"match {match.match_index} of frame pair {match.frame_index}",
         detail=detail, payload=match.model_dump(mode="json"),
     )  # fmt: skip
-
-
-def _sentence(error: ValidationError) -> str:
-    first = error.errors()[0]
-    return f"{'.'.join(str(part) for part in first['loc'])}: {first['msg']}"

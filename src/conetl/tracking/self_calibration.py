@@ -1,11 +1,10 @@
-"""Does a drive contradict the calibration of its rig, and which rig agrees with it?
+"""Whether a drive contradicts the calibration of its rig, and the corrected rig.
 
-The estimate itself is `geometry/calibration/self_calibration.py`. Here: which spans of the drive take part, whether what they
-say is significant and plausible, and the rig with its right camera corrected. A turn goes into `body_SE3_right`: it shifts the
-sides of the image more than the middle, and intersection, odometry and tracks take the full orientation anyway (matching asks
-`geometry/rig.py` where infinity lies). Where the sides need something else, a bend, turn and principal point change together.
-Images are not resampled: of a rig with `rectified_from` the camera that took them is turned by the same angle, so that images
-stay as they are; a bend would change them, so that such rigs, whose lenses conetl knows itself, are only turned.
+`geometry/calibration/self_calibration.py` has the estimate. Here: the spans of the drive that take part, significance and
+plausibility of the estimate, and the rig with its right camera corrected. A turn changes `body_SE3_right`; intersection,
+odometry and tracks use the full orientation. A bend at the sides of the image changes turn and principal point together. Images
+are not resampled: of a rig with `rectified_from` the camera that took them is turned by the same angle; a bend would change the
+images, so that such rigs are only turned.
 """
 
 from __future__ import annotations
@@ -13,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from enum import StrEnum
 from typing import NamedTuple
-from uuid import UUID
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,13 +21,7 @@ from scipy.spatial.transform import Rotation
 from conetl.geometry import pose as se3
 from conetl.geometry.calibration.covariance import known_covariance
 from conetl.geometry.calibration.self_calibration import SpanPoints, as_camera, estimate_right_camera
-from conetl.geometry.calibration.shared import (
-    as_rows,
-    calibration_id,
-    square_root,
-    with_covariance,
-    with_shared,
-)
+from conetl.geometry.calibration.shared import as_rows, calibration_id, square_root, with_covariance, with_shared
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.motion.stereo_tracks import StereoTracks, cameras_of, motion_limits
 from conetl.geometry.packing import vec3
@@ -44,17 +36,16 @@ _DECENTRING = "lens.3"
 
 
 class Span(NamedTuple):
-    """Part of a drive over which points are compared."""
+    """Part of a drive over which points are compared; first and last are positions in its frame pairs, not frame indices."""
 
     first: int
-    """Place in the drive's frame pairs, not frame index."""
     last: int
     last_SE3_first: Floats
     """(4, 4) motion of the left camera by visual odometry."""
 
 
 class SelfCalibrationOutcome(StrEnum):
-    """What became of the rig's calibration."""
+    """Outcome of the self-calibration."""
 
     APPLIED = "applied"
     INSIGNIFICANT = "insignificant"
@@ -64,35 +55,30 @@ class SelfCalibrationOutcome(StrEnum):
 
 
 class SelfCalibration(Record):
-    """What a drive says of its rig: the turn of the right camera with what is then known of it."""
+    """Estimated turn and bend of the right camera, with their covariance."""
 
     outcome: SelfCalibrationOutcome
     detail: str
     """One sentence for a person."""
-    rotation_rad: Vec3 | None
-    """rx, ry, rz of a camera that is only turned; None without an estimate (`geometry/calibration/self_calibration.py` has the
-    signs)."""
-    bend: float
+    rotation_rad: Vec3 | None = None
+    """rx, ry, rz of a camera that is only turned; signs as in `geometry/calibration/self_calibration.py`."""
+    bend: float = 0.0
     """Shift of the right image's columns at x = 1, in focal lengths; it grows as x squared."""
-    cov: tuple[float, ...]
+    cov: tuple[float, ...] = ()
     """Upper triangle, row by row, of the (4, 4) covariance of (rx, ry, rz, bend), prior included; empty without an estimate."""
-    model_gap: tuple[float, ...]
-    """(rx, ry, rz, bend): by how much they would be others if disparities might also follow another field; empty like `cov`."""
-    span_count: int = Field(ge=0)
-    point_count: int = Field(ge=0)
-    prior_chi2: float = Field(ge=0)
-    """Squared distance of what the spans say from the calibration as it was, 4 degrees of freedom."""
+    model_gap: tuple[float, ...] = ()
+    """(rx, ry, rz, bend): their change if disparities may also follow another field; empty without an estimate."""
+    span_count: int = Field(default=0, ge=0)
+    point_count: int = Field(default=0, ge=0)
+    prior_chi2: float = Field(default=0, ge=0)
+    """Squared distance of the estimate from the given calibration, 4 degrees of freedom."""
 
 
-#: Where the parameters do not ask for it.
-SWITCHED_OFF = SelfCalibration(
-    outcome=SelfCalibrationOutcome.SWITCHED_OFF, detail="self-calibration is switched off", rotation_rad=None,
-    bend=0.0, cov=(), model_gap=(), span_count=0, point_count=0, prior_chi2=0.0,
-)  # fmt: skip
+SWITCHED_OFF = SelfCalibration(outcome=SelfCalibrationOutcome.SWITCHED_OFF, detail="self-calibration is switched off")
 
 
 def span_params(params: TrajectoryParams) -> TrajectoryParams:
-    """The parameters with which points are followed over spans."""
+    """The parameters for tracking points over spans."""
     return params.model_copy(
         update={
             "epipolar_tolerance_px": params.self_calibration_row_tolerance_px,
@@ -102,9 +88,9 @@ def span_params(params: TrajectoryParams) -> TrajectoryParams:
 
 
 def choose_spans(motions: Sequence[RelativeMotion], span_m: float) -> list[Span]:
-    """Consecutive parts of a drive of about `span_m` each; motions: one an interval, in order, none left out.
+    """Consecutive parts of a drive of about `span_m` each; motions: one per interval, in order.
 
-    A car that stands or turns on the spot never gets far enough: such parts give no span, nor do intervals without a measurement.
+    Parts in which the car does not move far enough and intervals without a measured motion give no span.
     """
     spans, start, pose = [], 0, np.eye(4)
     for k, motion in enumerate(motions):
@@ -119,7 +105,7 @@ def choose_spans(motions: Sequence[RelativeMotion], span_m: float) -> list[Span]
 
 
 def spread_spans(spans: Sequence[Span], most: int) -> list[Span]:
-    """At most so many of the spans, evenly spread over the drive, its first and last among them; all where there are no more."""
+    """At most `most` of the spans, evenly spread over the drive, including its first and last."""
     if len(spans) <= most:
         return list(spans)
     return [spans[round(k * (len(spans) - 1) / (most - 1))] for k in range(most)]
@@ -128,9 +114,9 @@ def spread_spans(spans: Sequence[Span], most: int) -> list[Span]:
 def self_calibrate(
     rig: Rig, spans: Sequence[Span], tracks: Sequence[StereoTracks], params: TrajectoryParams
 ) -> SelfCalibration:
-    """Estimate turn and bend of the right camera from the points of each span, and decide whether they are to be applied.
+    """Estimate turn and bend of the right camera from the points of each span, and decide whether to apply them.
 
-    tracks: of each span. Nothing in it depends on where the poses say that the car was.
+    tracks: of each span. The logged poses are not used.
     """
     points = [
         SpanPoints(*found.points(), span.last_SE3_first)
@@ -138,21 +124,21 @@ def self_calibrate(
         if found.missing is None
     ]
     if len(points) < params.self_calibration_min_spans:
-        return _without_estimate(f"{len(points)} spans of the drive could be compared, needed are "
-                                 f"{params.self_calibration_min_spans}")  # fmt: skip
-    said = estimate_right_camera(cameras_of(rig), points, motion_limits(params), params.self_calibration_min_spans)
-    if said is None:
+        needed = params.self_calibration_min_spans
+        return _without_estimate(f"{len(points)} spans of the drive could be compared, at least {needed} are needed")
+    estimate = estimate_right_camera(cameras_of(rig), points, motion_limits(params), params.self_calibration_min_spans)
+    if estimate is None:
         return _without_estimate("too few points stand still, or they are all far away")
-    unit_px = _pixels_a_unit(rig)
-    cov = said.cov + np.diag(_floor(rig, params) ** 2)
+    unit_px = _pixels_per_unit(rig)
+    cov = estimate.cov + np.diag(_floor(rig, params) ** 2)
     _, prior, by_parameter = _prior(rig, params)
     before = by_parameter @ prior @ by_parameter.T
-    # Whether the calibration is contradicted, the scatter decides; how well the turn then describes it, the model's gap too.
-    spread = before + cov + np.outer(said.model_gap, said.model_gap)
-    prior_chi2 = float(said.turn_and_bend @ np.linalg.solve(spread, said.turn_and_bend))
+    # The scatter decides on significance; the model gap adds to the covariance of the turn.
+    spread = before + cov + np.outer(estimate.model_gap, estimate.model_gap)
+    prior_chi2 = float(estimate.turn_and_bend @ np.linalg.solve(spread, estimate.turn_and_bend))
     gain = before @ np.linalg.inv(spread)
-    found, posterior = gain @ said.turn_and_bend, _symmetric(before - gain @ before)
-    shift_px, sigma_px = said.turn_and_bend * unit_px, np.sqrt(np.diag(cov)) * unit_px
+    found, posterior = gain @ estimate.turn_and_bend, _symmetric(before - gain @ before)
+    shift_px, sigma_px = estimate.turn_and_bend * unit_px, np.sqrt(np.diag(cov)) * unit_px
     worth = (np.abs(shift_px) > params.self_calibration_significance * sigma_px) & (
         np.abs(found * unit_px) > params.self_calibration_least_px
     )
@@ -179,18 +165,18 @@ def self_calibrate(
         )
     return SelfCalibration(
         outcome=outcome, detail=detail, rotation_rad=vec3(found[:3]), bend=float(found[3]),
-        cov=tuple(posterior[np.triu_indices(4)].tolist()), model_gap=tuple(said.model_gap.tolist()), span_count=len(points),
-        point_count=said.point_count, prior_chi2=prior_chi2,
+        cov=tuple(posterior[np.triu_indices(4)].tolist()), model_gap=tuple(estimate.model_gap.tolist()), span_count=len(points),
+        point_count=estimate.point_count, prior_chi2=prior_chi2,
     )  # fmt: skip
 
 
 def self_calibrated_rig(rig: Rig, found: SelfCalibration, params: TrajectoryParams) -> Rig:
-    """The rig with its right camera corrected and what is left to know as `calibration_covariance`; as it is unless applied."""
+    """The rig with its right camera corrected and the remaining `calibration_covariance`; unchanged unless applied."""
     if found.outcome is not SelfCalibrationOutcome.APPLIED:
         return rig
     assert found.rotation_rad is not None  # it was applied
     names, prior, by_parameter = _prior(rig, params)
-    # The estimate as a measurement of the parameters: what it says of turn and bend, it says of all that is correlated with them.
+    # The estimate is a measurement of turn and bend, and so of all correlated parameters.
     before, after = by_parameter @ prior @ by_parameter.T, np.zeros((4, 4))
     after[np.triu_indices(4)] = found.cov
     after += np.triu(after, 1).T
@@ -199,7 +185,8 @@ def self_calibrated_rig(rig: Rig, found: SelfCalibration, params: TrajectoryPara
     left_over = _symmetric(prior - lift @ (before - after) @ lift.T)
     covariance = with_shared(
         CalibrationCovariance(names=names, matrix=as_rows(left_over)),
-        _given(rig, names, prior),
+        # Of a calibration without covariance, the id with the assumed one.
+        calibration_id(with_covariance(rig, CalibrationCovariance(names=names, matrix=as_rows(prior)))),
         _shared_after(prior, by_parameter, lift @ (before - after) @ back, found, _floor(rig, params)),
     )
     own = body_SE3_camera(rig, "right")
@@ -217,60 +204,55 @@ def self_calibrated_rig(rig: Rig, found: SelfCalibration, params: TrajectoryPara
     return with_covariance(turn(rig).model_copy(update={"rectified_from": turn(rig.rectified_from)}), covariance)
 
 
-def _given(rig: Rig, names: Sequence[str], prior: Floats) -> UUID:
-    """The calibration that the drive was given; where its covariance is not known, with what is taken for it."""
-    return calibration_id(with_covariance(rig, CalibrationCovariance(names=tuple(names), matrix=as_rows(prior))))
-
-
 def _shared_after(prior: Floats, by_parameter: Floats, gain: Floats, found: SelfCalibration, floor: Floats) -> Floats:
-    """(K, M): how errors that drives with the same calibration share move the parameters after the correction, one sigma each.
+    """(K, M): change of the corrected parameters by one sigma of errors shared by drives with the same calibration.
 
-    The correction is gain (H x + e), x being the error of the calibration as it was given, H `by_parameter`, e that of what the
-    drive says: (I - gain H) x - gain e is left. x is one for all drives. Of e, what spans scatter by is of this drive alone;
-    floor and model gap are what no turn and bend of a camera describe, and that is the rig's, again and again.
+    The correction is gain (H x + e), x being the error of the given calibration, H `by_parameter`, e that of the estimate: (I -
+    gain H) x - gain e remains. x is common to all drives. Of e, the scatter of spans is of this drive alone; floor and model
+    gap are errors beyond a turn and bend of the rig, the same in every drive.
     """
     given = square_root(prior)
     return np.column_stack([given - gain @ by_parameter @ given, gain * floor, gain @ np.array(found.model_gap)])
 
 
 def _floor(rig: Rig, params: TrajectoryParams) -> Floats:
-    """(4,): least sigma of what a drive says."""
-    return np.asarray(params.self_calibration_sigma_floor_px / _pixels_a_unit(rig))
+    """(4,): least sigma of the estimate."""
+    return np.asarray(params.self_calibration_sigma_floor_px / _pixels_per_unit(rig))
 
 
-def _pixels_a_unit(rig: Rig) -> Floats:
+def _pixels_per_unit(rig: Rig) -> Floats:
     """(4,): rows for rx and disparity for ry in the middle of the image, rows for rz and columns for the bend at its side."""
     side = rig.right.width_px / 2 / rig.right.fx_px
     return np.array([rig.right.fy_px, rig.right.fx_px, rig.right.width_px / 2, rig.right.fx_px * side**2])
 
 
 def _prior(rig: Rig, params: TrajectoryParams) -> tuple[tuple[str, ...], Floats, Floats]:
-    """Names (K) and covariance (K, K) of the calibration before the drive, and (4, K) how its errors look like turn and bend.
+    """Names (K) and covariance (K, K) of the given calibration, and (4, K) turn and bend by its errors.
 
-    A principal point that is off looks like a turn and a bend that cancel each other at the sides of the image, decentring of a
-    lens like a bend; without them a calibration would seem to know less than it does. Other parameters do nothing there.
+    An error of the principal point acts like a turn and a bend that cancel at the sides of the image, decentring of a lens like
+    a bend. Other parameters have no effect here.
     """
-    taken = rig.rectified_from or rig
-    own_R_taken = body_SE3_camera(rig, "right")[:3, :3].T @ body_SE3_camera(taken, "right")[:3, :3]
+    camera_rig = rig.rectified_from or rig
+    own_R_camera_rig = body_SE3_camera(rig, "right")[:3, :3].T @ body_SE3_camera(camera_rig, "right")[:3, :3]
     bends = rig.rectified_from is None
     known = known_covariance(rig)
     if known is None:
         names = (*_TURN_NAMES, "right.cx_px") if bends else _TURN_NAMES
-        by_parameter = _by_parameter(names, taken, own_R_taken, bends)
-        sigma = params.self_calibration_prior_px / _pixels_a_unit(rig)
+        by_parameter = _by_parameter(names, camera_rig, own_R_camera_rig, bends)
+        sigma = params.self_calibration_prior_px / _pixels_per_unit(rig)
         back = np.linalg.pinv(by_parameter)
         return names, back @ np.diag(sigma**2) @ back.T, by_parameter
-    return known.names, np.array(known.matrix), _by_parameter(known.names, taken, own_R_taken, bends)
+    return known.names, np.array(known.matrix), _by_parameter(known.names, camera_rig, own_R_camera_rig, bends)
 
 
-def _by_parameter(names: Sequence[str], taken: Rig, own_R_taken: Floats, bends: bool) -> Floats:
-    """(4, K): turn and bend of the rectified right camera that an error of each named parameter amounts to."""
+def _by_parameter(names: Sequence[str], camera_rig: Rig, own_R_camera_rig: Floats, bends: bool) -> Floats:
+    """(4, K): turn and bend of the rectified right camera by an error of each named parameter."""
     result = np.zeros((4, len(names)))
     for k, name in enumerate(names):
         side, _, field = name.partition(".")
-        camera, sign = (taken.left, -1.0) if side == "left" else (taken.right, 1.0)
+        camera, sign = (camera_rig.left, -1.0) if side == "left" else (camera_rig.right, 1.0)
         if name in _TURN_NAMES:
-            result[:3, k] = own_R_taken[:, _TURN_NAMES.index(name)]
+            result[:3, k] = own_R_camera_rig[:, _TURN_NAMES.index(name)]
         elif field == "cx_px":
             result[1, k] = result[3, k] = -sign / camera.fx_px
         elif field == "cy_px":
@@ -286,7 +268,5 @@ def _symmetric(matrix: Floats) -> Floats:
 
 
 def _without_estimate(why: str) -> SelfCalibration:
-    return SelfCalibration(
-        outcome=SelfCalibrationOutcome.NO_ESTIMATE, detail=f"calibration left as it is: {why}", rotation_rad=None,
-        bend=0.0, cov=(), model_gap=(), span_count=0, point_count=0, prior_chi2=0.0,
-    )  # fmt: skip
+    detail = f"calibration left as it is: {why}"
+    return SelfCalibration(outcome=SelfCalibrationOutcome.NO_ESTIMATE, detail=detail)

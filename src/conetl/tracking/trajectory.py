@@ -1,8 +1,8 @@
-"""Logged poses and visual odometry -> refined poses with a covariance that also holds between frames.
+"""Logged poses and visual odometry -> refined poses with a joint covariance.
 
-Errors of GNSS/INS change slowly: first-order Gauss-Markov processes with the stated sigmas, plus a small share that is new in
-every record. Visual odometry ties each frame pair to the next; the adjustment itself is `geometry/motion/pose_graph.py`. What
-visual odometry says is believed only as far as GNSS/INS may err.
+Errors of GNSS/INS are first-order Gauss-Markov processes with the stated sigmas, plus a small white share. Visual odometry
+connects successive frame pairs; `geometry/motion/pose_graph.py` has the adjustment. Motions that contradict GNSS/INS beyond its
+errors are refused.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ from conetl.model.records import FramePair, Pose, Position, Rig
 from conetl.tracking.association import MotionError
 
 Floats = NDArray[np.float64]
-#: Poses stated to be better than this are taken to be this good: zero would have no weight to compare with.
+#: Least sigmas (m, rad) and time step (s): zero would have no finite weight.
 _LEAST_SIGMA_M, _LEAST_SIGMA_RAD, _LEAST_STEP_S = 1e-4, 1e-6, 1e-3
-#: Chi-square of 6 degrees of freedom at 1e-6: an interval beyond it contradicts GNSS/INS outright.
+#: Chi-square of 6 degrees of freedom at 1e-6, beyond which an interval contradicts GNSS/INS.
 _GATE_CHI2 = 38.3
 _NEIGHBOURS = 4
 _MOTIONS_KEPT = 256
@@ -46,7 +46,7 @@ _LONE_SIGMAS = 4.5
 
 
 class RefinementOutcome(StrEnum):
-    """What became of a drive's trajectory."""
+    """Outcome of the refinement of a trajectory."""
 
     REFINED = "refined"
     SWITCHED_OFF = "switched_off"
@@ -57,10 +57,10 @@ class RefinementOutcome(StrEnum):
 
 @dataclass(frozen=True)
 class RefinedTrajectory:
-    """Poses of a drive after the adjustment, or as logged, with their joint covariance (`relative_cov`)."""
+    """Poses of a drive, adjusted or as logged, with their joint covariance (`relative_cov`)."""
 
     frame_pairs: tuple[FramePair, ...]
-    """As given, with new poses where `outcome` is REFINED; their sigmas are those of the adjustment."""
+    """With new poses if `outcome` is REFINED; their sigmas are those of the adjustment."""
     outcome: RefinementOutcome
     detail: str
     """One sentence for a person."""
@@ -70,7 +70,6 @@ class RefinedTrajectory:
     """(4, 4)"""
     covariance: ChainCovariance | None
     """Of the states; None unless refined."""
-    used_intervals: int
     refused_intervals: tuple[int, ...]
     """First frame index of each measured interval that contradicts its neighbours or GNSS/INS."""
     largest_shift_m: float
@@ -83,71 +82,70 @@ def refine_trajectory(
     params: TrajectoryParams,
     cones: Sequence[Sequence[Position]] = (),
 ) -> RefinedTrajectory:
-    """Adjust a drive's poses to visual odometry and, where given, to groups of positions of one cone each.
+    """Adjust a drive's poses to visual odometry and, optionally, to groups of positions of one cone each.
 
-    motions: any subset of the drive's intervals, each once. Without any, and where the adjustment would move a pose by more than
-    its stated sigmas allow, the poses stay as they are and `outcome` says why.
+    motions: any subset of the drive's intervals, each once. Without any, and if the adjustment would move a pose beyond its
+    stated sigmas, the poses are unchanged and `outcome` has the reason.
     """
+
+    def as_logged(outcome: RefinementOutcome, detail: str, refused: tuple[int, ...] = ()) -> RefinedTrajectory:
+        own = np.array(rig.body_SE3_left)
+        poses = np.stack([se3.compose(se3.map_SE3_body(pair.pose), own) for pair in frame_pairs])
+        return RefinedTrajectory(tuple(frame_pairs), outcome, detail, poses, own, None, refused, 0.0)
+
     if not params.refine:
-        return _as_logged(frame_pairs, rig, RefinementOutcome.SWITCHED_OFF, "refinement is switched off")
+        return as_logged(RefinementOutcome.SWITCHED_OFF, "refinement is switched off")
     log = _read_log(frame_pairs, rig, params)
     measured = _measured(frame_pairs, motions, params)
     if not len(measured.start):
-        return _as_logged(
-            frame_pairs, rig, RefinementOutcome.NO_MEASUREMENT, "no two consecutive frame pairs could be compared"
-        )
-    good = _believable(log, measured)
-    refused_frames = tuple(frame_pairs[k].frame_index for k in measured.start[~good])
+        return as_logged(RefinementOutcome.NO_MEASUREMENT, "no two consecutive frame pairs could be compared")
+    good = _plausible(log, measured)
+    refused = tuple(frame_pairs[k].frame_index for k in measured.start[~good])
     if not good.any():
         detail = f"all {len(good)} measured motions contradict GNSS/INS or each other"
-        return _as_logged(frame_pairs, rig, RefinementOutcome.NO_MEASUREMENT, detail, refused_frames)
-    sightings = _sightings(frame_pairs, cones)
+        return as_logged(RefinementOutcome.NO_MEASUREMENT, detail, refused)
     kept = MeasuredMotions(measured.start[good], measured.next_SE3_first[good], measured.cov[good])
-    solved = adjust(log, kept, sightings, params.robust_sigmas, params.scale_sigma)
+    solved = adjust(log, kept, _sightings(frame_pairs, cones), params.robust_sigmas, params.scale_sigma)
     if solved is None:
-        detail = "the adjustment did not settle"
-        return _as_logged(frame_pairs, rig, RefinementOutcome.NOT_CONVERGED, detail, refused_frames)
+        return as_logged(RefinementOutcome.NOT_CONVERGED, "the adjustment did not converge", refused)
     rotations, places, normal = solved
     shift = places - log.places
     turn = Rotation.from_matrix(np.swapaxes(log.rotations, 1, 2) @ rotations).as_rotvec()
     worst = float(np.max(np.sum((shift / log.sigma_p) ** 2, axis=1)))
     if worst > params.max_shift_chi2:
         detail = (
-            f"visual odometry would move a pose by {worst**0.5:.1f} of its stated sigmas, allowed are "
+            f"visual odometry would move a pose by {worst**0.5:.1f} of its stated sigmas, more than "
             f"{params.max_shift_chi2**0.5:.1f}; the stated accuracy of GNSS/INS or the calibration is too good to be true"
         )
-        return _as_logged(frame_pairs, rig, RefinementOutcome.AGAINST_STATED_SIGMAS, detail, refused_frames)
+        return as_logged(RefinementOutcome.AGAINST_STATED_SIGMAS, detail, refused)
     cov = chain_solver.covariance(normal)
     sigma = np.sqrt(np.diagonal(cov.cov, axis1=1, axis2=2)[:, :POSE])
-    pairs = tuple(
-        pair.model_copy(
-            update={
-                "pose": Pose(
-                    map_R_body=se3.to_matrix3(rotations[k]),
-                    map_t_body_m=vec3(places[k]),
-                    sigma_enu_m=vec3(sigma[k, :3]),
-                    sigma_rpy_rad=vec3(sigma[k, 3:]),
-                )
-            }
+    poses = [
+        Pose(
+            map_R_body=se3.to_matrix3(rotations[k]),
+            map_t_body_m=vec3(places[k]),
+            sigma_enu_m=vec3(sigma[k, :3]),
+            sigma_rpy_rad=vec3(sigma[k, 3:]),
         )
-        for k, pair in enumerate(frame_pairs)
-    )
+        for k in range(len(frame_pairs))
+    ]
+    pairs = tuple(pair.model_copy(update={"pose": pose}) for pair, pose in zip(frame_pairs, poses, strict=True))
     largest = float(np.linalg.norm(shift, axis=1).max())
     detail = (
-        f"{len(good)} of {len(frame_pairs) - 1} intervals measured, {len(refused_frames)} refused; "
+        f"{len(good)} of {len(frame_pairs) - 1} intervals measured, {len(refused)} refused; "
         f"poses moved by up to {largest:.2f} m and {np.degrees(np.abs(turn).max()):.2f} degrees"
     )
+    map_SE3_left = se3.compose(se3.se3(rotations, places), log.body_SE3_left)
     return RefinedTrajectory(
-        pairs, RefinementOutcome.REFINED, detail, se3.compose(se3.se3(rotations, places), log.body_SE3_left),
-        log.body_SE3_left, cov, int(good.sum()), refused_frames, largest,
-    )  # fmt: skip
+        pairs, RefinementOutcome.REFINED, detail, map_SE3_left, log.body_SE3_left, cov, refused, largest
+    )
 
 
 def relative_cov(trajectory: RefinedTrajectory, start: int, end: int) -> Floats | None:
-    """(6, 6) covariance of the left camera's motion between two frame pairs, None where nothing is known of it.
+    """(6, 6) covariance of the left camera's motion between two frame pairs, None unless the trajectory was refined.
 
-    start, end: places in `frame_pairs` (not frame indices), in any order. Error (rotation rad, translation m) of end_SE3_start,
-    in the left camera's frame at `end`.
+    start, end: positions in `frame_pairs` (not frame indices), in any order. Error (rotation rad, translation m) of
+    end_SE3_start, in the left camera's frame at `end`.
     """
     if trajectory.covariance is None:
         return None
@@ -171,11 +169,11 @@ def relative_cov(trajectory: RefinedTrajectory, start: int, end: int) -> Floats 
 
 
 def motion_error(trajectory: RefinedTrajectory) -> MotionError | None:
-    """How vague a point gets when it is carried from frame to frame; None where the trajectory was not refined."""
+    """Error of points that the motion transforms from frame to frame; None unless the trajectory was refined."""
     if trajectory.covariance is None:
         return None
     rank = {pair.frame_index: k for k, pair in enumerate(trajectory.frame_pairs)}
-    # All cones that were seen last in one image are carried by one motion.
+    # Cones last observed in the same image have the same motion.
     relative = lru_cache(maxsize=_MOTIONS_KEPT)(partial(relative_cov, trajectory))
 
     def carried_cov_m2(start: int, end: int, point_m: Floats) -> Floats:
@@ -186,29 +184,27 @@ def motion_error(trajectory: RefinedTrajectory) -> MotionError | None:
         by_motion = np.hstack([-cross_matrix(turned), np.eye(3)])
         return np.asarray(by_motion @ cov @ by_motion.T)
 
-    # A difference of two poses has at most twice the variance of both together, and so has the sum of its place's error and of
-    # what attitude does at the end of a lever.
+    # The variance of a difference of two poses is at most twice the sum of theirs, and so is that of the sum of position error
+    # and attitude error times lever.
     variances = np.diagonal(trajectory.covariance.cov, axis1=1, axis2=2)
-    place_m2, attitude_rad2 = (float(part.sum(axis=1).max()) for part in (variances[:, :3], variances[:, 3:POSE]))
+    position_m2, attitude_rad2 = (float(part.sum(axis=1).max()) for part in (variances[:, :3], variances[:, 3:POSE]))
     lever_m = float(np.linalg.norm(trajectory.body_SE3_left[:3, 3]))
     return MotionError(
-        carried_cov_m2, most_m2=lambda range_m: 8 * (place_m2 + (range_m + lever_m) ** 2 * attitude_rad2)
+        carried_cov_m2, most_m2=lambda range_m: 8 * (position_m2 + (range_m + lever_m) ** 2 * attitude_rad2)
     )
 
 
 def log_errors(frame_pairs: Sequence[FramePair], params: TrajectoryParams) -> Floats:
-    """(6K, 6K) covariance of the errors of K logged poses: Gauss-Markov processes with a white share, place before attitude."""
+    """(6K, 6K) covariance of the errors of K logged poses (Gauss-Markov with a white share), position before attitude."""
     times_s = np.array([pair.captured_at_ns for pair in frame_pairs], dtype=np.int64)
     apart_s = np.abs(times_s[:, None] - times_s) * 1e-9
     count = len(frame_pairs)
     sigma = np.array([(*pair.pose.sigma_enu_m, *pair.pose.sigma_rpy_rad) for pair in frame_pairs])
     cov = np.zeros((count, POSE, count, POSE))
     for column in range(POSE):
-        white, lasts_s = (
-            (params.gnss_white_share, params.gnss_correlation_s)
-            if column < 3
-            else (params.attitude_white_share, params.attitude_correlation_s)
-        )
+        white, lasts_s = params.gnss_white_share, params.gnss_correlation_s
+        if column >= 3:
+            white, lasts_s = params.attitude_white_share, params.attitude_correlation_s
         correlation = (1 - white**2) * np.exp(-apart_s / lasts_s) + white**2 * np.eye(count)
         cov[:, column, :, column] = correlation * np.outer(sigma[:, column], sigma[:, column])
     return cov.reshape(count * POSE, count * POSE)
@@ -232,7 +228,7 @@ def _read_log(frame_pairs: Sequence[FramePair], rig: Rig, params: TrajectoryPara
 def _measured(
     frame_pairs: Sequence[FramePair], motions: Sequence[RelativeMotion], params: TrajectoryParams
 ) -> MeasuredMotions:
-    """Measured intervals with what their residuals do not show added to their covariance."""
+    """Measured intervals with the error floors added to their covariance."""
     rank = {pair.frame_index: k for k, pair in enumerate(frame_pairs)}
     found: dict[int, tuple[Floats, Floats]] = {}
     for motion in motions:
@@ -240,9 +236,9 @@ def _measured(
         if motion.second_SE3_first is None or start is None or end != start + 1:
             continue
         pose, cov = np.array(motion.second_SE3_first), motion.cov_matrix()
-        way_m = float(np.linalg.norm(pose[:3, 3]))
+        distance_m = float(np.linalg.norm(pose[:3, 3]))
         cov[:3, :3] += params.floor_rad**2 * np.eye(3)
-        cov[3:, 3:] += (params.floor_m**2 + (params.floor_relative * way_m) ** 2) * np.eye(3)
+        cov[3:, 3:] += (params.floor_m**2 + (params.floor_relative * distance_m) ** 2) * np.eye(3)
         found[start] = pose, cov
     starts = sorted(found)
     return MeasuredMotions(
@@ -252,11 +248,11 @@ def _measured(
     )
 
 
-def _believable(log: LoggedPoses, motions: MeasuredMotions) -> NDArray[np.bool_]:
-    """(M,): which measured intervals may be true.
+def _plausible(log: LoggedPoses, motions: MeasuredMotions) -> NDArray[np.bool_]:
+    """(M,): which measured intervals are plausible.
 
-    An interval is refused where it contradicts GNSS/INS beyond what their errors allow, or where it alone departs from its
-    neighbours while GNSS/INS runs on smoothly: errors of GNSS/INS do not come and go within one interval.
+    An interval is refused if it contradicts GNSS/INS beyond its errors, or if it alone departs from its neighbours while
+    GNSS/INS is smooth: errors of GNSS/INS last longer than one interval.
     """
     k = motions.start
     residual, from_first, _ = motion_residuals(log, log.rotations, log.places, motions, 0.0)
@@ -266,15 +262,17 @@ def _believable(log: LoggedPoses, motions: MeasuredMotions) -> NDArray[np.bool_]
     inside = chi2 <= _GATE_CHI2
     good = inside.copy()
     sigma = np.sqrt(np.diagonal(spread, axis1=1, axis2=2))
-    seen = motions.next_SE3_first[:, :3, 3]
-    told = seen - residual[:, 3:]
+    observed = motions.next_SE3_first[:, :3, 3]
+    by_log = observed - residual[:, 3:]
     for i, start in enumerate(k):
         near = np.flatnonzero(np.abs(k - start) <= _NEIGHBOURS)
         near = near[(near != i) & inside[near]]
         if len(near) < _NEIGHBOURS:
             continue
         lone = np.abs(residual[i] - np.median(residual[near], axis=0)) > _LONE_SIGMAS * sigma[i]
-        rougher = np.abs(seen[i] - np.median(seen[near], axis=0)) > np.abs(told[i] - np.median(told[near], axis=0))
+        rougher = np.abs(observed[i] - np.median(observed[near], axis=0)) > np.abs(
+            by_log[i] - np.median(by_log[near], axis=0)
+        )
         good[i] &= not (lone[:3].any() or (lone[3:] & rougher).any())
     return np.asarray(good)
 
@@ -283,24 +281,9 @@ def _sightings(frame_pairs: Sequence[FramePair], cones: Sequence[Sequence[Positi
     rank = {pair.frame_index: k for k, pair in enumerate(frame_pairs)}
     return [
         Sighting(
-            cone,
-            rank[p.frame_index],
-            np.array(p.camera_xyz_m),
-            np.asarray(np.linalg.inv(cov_matrix(p.camera_cov_m2)), dtype=np.float64),
+            cone, rank[p.frame_index], np.array(p.camera_xyz_m), np.asarray(np.linalg.inv(cov_matrix(p.camera_cov_m2)))
         )
         for cone, group in enumerate(cones)
         for p in group
         if p.frame_index in rank
     ]
-
-
-def _as_logged(
-    frame_pairs: Sequence[FramePair],
-    rig: Rig,
-    outcome: RefinementOutcome,
-    detail: str,
-    refused: tuple[int, ...] = (),
-) -> RefinedTrajectory:
-    body_SE3_left = np.array(rig.body_SE3_left)
-    poses = np.stack([se3.compose(se3.map_SE3_body(pair.pose), body_SE3_left) for pair in frame_pairs])
-    return RefinedTrajectory(tuple(frame_pairs), outcome, detail, poses, body_SE3_left, None, 0, refused, 0.0)

@@ -1,7 +1,7 @@
-"""Cones of one work zone as rows of tapers and tangents, and what stands beside them.
+"""Cones of one work zone as rows of tapers and tangents; the others are strays.
 
-A row is the chain of cones, by station, that bends least: dynamic programming over pairs of cones, where each cone taken in
-earns `row_skip_cost` and each bend costs its squared deviation in tolerances. A row then falls into straight pieces by optimal
+A row is the straightest chain of cones by station: dynamic programming over pairs of cones, where each cone gains
+`row_skip_cost` and each bend costs its squared deviation in tolerances. A row is split into straight pieces by optimal
 partitioning of its offsets (Bellman 1961; Killick, Fearnhead & Eckley 2012, without pruning); sloping pieces are tapers.
 """
 
@@ -16,14 +16,14 @@ import numpy as np
 
 from conetl.model.params import WorkZoneParams
 from conetl.model.work_zone_records import ConeRow, Taper
-from conetl.workzones.road_axis import Floats
+from conetl.workzones.linear_reference import Floats
 
 _WINDOW = 8
 _LEAST_STEP_M = 1.0
-#: Rows may run this steeply across the road (a short taper at a flagger is 1:4).
+#: Largest slope of a row across the road (a short taper at a flagger is 1:4).
 _MAX_SLOPE = 0.5
 _PRIOR_FREEDOM = 4.0
-#: Where two pieces meet is looked for so many cones beyond the gap between them, in so many steps, and told to so many sigmas.
+#: Search for the knot of two pieces: cones beyond the gap between them, steps, and the limit in sigmas.
 _KNOT_CONES, _KNOT_STEPS, _KNOT_SIGMAS = 2, 81, 3.0
 
 
@@ -38,20 +38,20 @@ class _Piece:
     b: float
     var_b: float
     level: bool = False
-    """Known to run along the axis: b is no matter of fitting."""
+    """Parallel to the axis: b is not estimated."""
 
     def at(self, station_m: float) -> float:
         return self.a_m + self.b * (station_m - self.centre_m)
 
 
 class _Knot(NamedTuple):
-    """A station at which a row turns or ends."""
+    """Where a row bends or ends."""
 
     station_m: float
     sigmas_m: tuple[float, float]
-    """Before it and behind it."""
+    """Towards smaller and larger stations."""
     cones_m: tuple[float, ...]
-    """Stations of the cones that may stand there."""
+    """Stations of the cones that may mark it."""
 
 
 def find_rows(
@@ -64,26 +64,25 @@ def find_rows(
     traffic_sign: float,
     axis_sigma_m: float,
 ) -> list[ConeRow]:
-    """The rows that cones (C,) make, longest first; cones in none are strays. stations_m must not fall.
+    """The rows of cones (C,), longest first; stations_m must not decrease.
 
-    axis_sigma_m: how far the axis itself may bend where the road does not; lesser shifts are no tapers.
-    traffic_sign: +1 where traffic passes to the left of the row, -1 to the right, 0 unknown (converging then means to the left).
+    axis_sigma_m: lateral sigma of the axis; smaller shifts are no tapers. traffic_sign: +1 where traffic passes to the left of
+    the row, -1 to the right, 0 unknown (then converging means to the left).
     """
     left = np.arange(len(stations_m))
     rows: list[ConeRow] = []
-    while len(left) >= (params.min_row_cones if rows else 2):
+    while True:
         chosen = left[_straightest(stations_m[left], offsets_m[left], sigmas_o_m[left], params)]
         if len(chosen) < (params.min_row_cones if rows else 2):
-            break
+            return rows
         some = (stations_m[chosen], offsets_m[chosen], sigmas_s_m[chosen], sigmas_o_m[chosen])
         tapers = _tapers(*some, params, traffic_sign or 1.0, axis_sigma_m)
-        rows.append(ConeRow(tuple(int(k) for k in chosen), tuple(tapers)))
+        rows.append(ConeRow(tuple(chosen.tolist()), tuple(tapers)))
         left = np.setdiff1d(left, chosen)
-    return rows
 
 
 def _straightest(s: Floats, o: Floats, sigmas_o: Floats, params: WorkZoneParams) -> list[int]:
-    """Positions of the best chain among cones by station."""
+    """Indices of the best chain among cones sorted by station."""
     count = len(s)
     tolerance = params.row_tolerance_m**2 + sigmas_o**2
     gain = params.row_skip_cost
@@ -126,16 +125,15 @@ def _tapers(
     pieces = [replace(piece, var_b=piece.var_b * scale) for piece in pieces]
     least_shift_m = max(params.min_taper_shift_m, 2.0 * axis_sigma_m)
     if axis_sigma_m <= params.lane_axis_sigma_m:
-        # Tangents run along lane lines: that they may slope a little would only make the tapers' ends vague.
+        # Tangents are parallel to lane lines; free slopes would only blur the ends of tapers.
         flat = [abs(piece.b) * (s[piece.last] - s[piece.first]) < params.min_taper_shift_m for piece in pieces]
         pieces = [
             replace(p, b=0.0, var_b=0.0, level=True) if level else p for p, level in zip(pieces, flat, strict=True)
         ]
     knots = [_knot(one, other, s, o, variances) for one, other in pairwise(pieces)]
+    ends = [_end(s, sigmas_s, 0), *knots, _end(s, sigmas_s, -1)]
     tapers: list[Taper] = []
-    for index, piece in enumerate(pieces):
-        start = _end(s, sigmas_s, piece.first) if index == 0 else knots[index - 1]
-        end = _end(s, sigmas_s, piece.last) if index == len(pieces) - 1 else knots[index]
+    for piece, (start, end) in zip(pieces, pairwise(ends), strict=True):
         length_m = end.station_m - start.station_m
         shift_m = abs(piece.b) * length_m
         steep = abs(piece.b) >= params.min_taper_slope and abs(piece.b) > 3.0 * piece.var_b**0.5
@@ -160,17 +158,17 @@ def _tapers(
 
 
 def _pieces(s: Floats, o: Floats, sigmas_o: Floats, params: WorkZoneParams) -> list[_Piece]:
-    """The row in straight pieces with the least chi-square plus a penalty for every piece."""
+    """The straight pieces of the row with the least chi-square plus a penalty per piece."""
     count = len(s)
     weights = 1.0 / (params.placement_sigma_m**2 + sigmas_o**2)
-    # Sums up to every cone give the chi-square of the line through any stretch at once; counted from the middle for precision.
+    # Cumulative sums give the chi-square of the line through any part; centred for precision.
     x, y = s - s.mean(), o - o.mean()
     moments = [weights, weights * x, weights * y, weights * x * x, weights * x * y, weights * y * y]
     sums = np.concatenate([np.zeros((6, 1)), np.cumsum(np.stack(moments), axis=1)], axis=1)
     cost = np.array([0.0, *([np.inf] * count)])
     cut = [0] * (count + 1)
     for j in range(1, count + 1):
-        # Fewer than three cones show no line of their own, unless the row has no more.
+        # A piece has at least three cones, unless the row has fewer.
         starts = np.arange(max(j - 2, 1)) if count >= 3 else np.array([0])
         values = cost[starts] + _chi2(sums[:, [j]] - sums[:, starts]) + params.segment_penalty
         best = int(np.argmin(values))
@@ -186,7 +184,7 @@ def _pieces(s: Floats, o: Floats, sigmas_o: Floats, params: WorkZoneParams) -> l
 
 
 def _chi2(moments: Floats) -> Floats:
-    """(K,) weighted squares of what straight lines leave, from sums (6, K) of w, wx, wy, wxx, wxy, wyy."""
+    """(K,) weighted residual squares of straight lines, from sums (6, K) of w, wx, wy, wxx, wxy, wyy."""
     w, wx, wy, wxx, wxy, wyy = moments
     spread, mixed, rest = wxx - wx**2 / w, wxy - wx * wy / w, wyy - wy**2 / w
     chi2: Floats = np.maximum(rest - np.where(spread > 0, mixed**2 / np.where(spread > 0, spread, 1.0), 0.0), 0.0)
@@ -194,7 +192,7 @@ def _chi2(moments: Floats) -> Floats:
 
 
 def _variance_factor(pieces: list[_Piece], o: Floats, s: Floats, sigmas_o: Floats, params: WorkZoneParams) -> float:
-    """By what to multiply assumed variances to fit the scatter of the row; they weigh as much as `_PRIOR_FREEDOM` cones."""
+    """Factor on the assumed variances by the scatter of the row; the assumption counts as `_PRIOR_FREEDOM` cones."""
     variances = params.placement_sigma_m**2 + sigmas_o**2
     chi2 = sum(
         (o[k] - piece.at(float(s[k]))) ** 2 / variances[k]
@@ -223,10 +221,9 @@ def _end(s: Floats, sigmas_s: Floats, at: int) -> _Knot:
 def _knot(one: _Piece, other: _Piece, s: Floats, o: Floats, variances: Floats) -> _Knot:
     """Where two pieces meet.
 
-    The station is looked for around the gap between them. Its sigmas are thirds of the way to where the best two lines that meet
-    there fit worse by nine in chi-square (profile likelihood, Venzon & Moolgavkar 1988): near the end of a taper the one side
-    is known better than the other, and a sigma by error propagation would be too large there. Likewise for the cones: those at
-    which the lines may meet fit worse than the best one by at most nine.
+    The sigmas are thirds of the distances at which the best two lines that meet there fit worse by nine in chi-square (profile
+    likelihood, Venzon & Moolgavkar 1988): near the end of a taper they are asymmetric, and error propagation would overestimate
+    one. The cones are those at which the lines may meet within nine of the best cone.
     """
     low = float(s[max(one.last - _KNOT_CONES, one.first)])
     high = float(s[min(other.first + _KNOT_CONES, other.last)])
@@ -248,7 +245,7 @@ def _knot(one: _Piece, other: _Piece, s: Floats, o: Floats, variances: Floats) -
 
 
 def _crossing(stations: Floats, rise: Floats, best: int, step: int) -> float:
-    """Station at which `rise` becomes positive, from the best one on; the outermost where it does not."""
+    """Station at which `rise` becomes positive, starting from the best one; the outermost if it does not."""
     at = best
     while 0 <= at + step < len(stations):
         if rise[at + step] > 0:
@@ -259,18 +256,16 @@ def _crossing(stations: Floats, rise: Floats, best: int, step: int) -> float:
 
 
 def _chi2_of_knot(at_m: float, s: Floats, o: Floats, variances: Floats, first_level: bool, other_level: bool) -> float:
-    """Chi-square of the two lines that meet at a station, level (along the axis) or not, and fit best."""
+    """Chi-square of the best two lines that meet at a station; level ones are parallel to the axis."""
     columns = [np.ones(len(s))]
-    if not first_level:
-        columns.append(np.minimum(s - at_m, 0.0))
-    if not other_level:
-        columns.append(np.maximum(s - at_m, 0.0))
+    columns += [] if first_level else [np.minimum(s - at_m, 0.0)]
+    columns += [] if other_level else [np.maximum(s - at_m, 0.0)]
     design = np.stack(columns, axis=1) / np.sqrt(variances)[:, None]
-    seen = o / np.sqrt(variances)
-    solution = np.linalg.lstsq(design, seen, rcond=None)[0]
-    return float(((seen - design @ solution) ** 2).sum())
+    observed = o / np.sqrt(variances)
+    solution = np.linalg.lstsq(design, observed, rcond=None)[0]
+    return float(((observed - design @ solution) ** 2).sum())
 
 
 def row_offset(row: Sequence[int], stations_m: Floats, offsets_m: Floats, at_m: float) -> float:
-    """Offset of a row at a station: straight between its cones, beyond its ends that of the end."""
+    """Offset of a row at a station: linear between its cones, constant beyond its ends."""
     return float(np.interp(at_m, stations_m[list(row)], offsets_m[list(row)]))

@@ -1,4 +1,4 @@
-"""Lane lines beside an axis as offsets by station, and which lanes a row of cones closes."""
+"""Lane lines beside an axis as offsets by station, and the lanes that a row of cones closes."""
 
 from __future__ import annotations
 
@@ -9,46 +9,39 @@ import numpy as np
 
 from conetl.model.params import WorkZoneParams
 from conetl.model.work_zone_records import LaneBands, LaneLine
-from conetl.workzones.road_axis import Floats, place, project, resampled
+from conetl.workzones.linear_reference import Floats, locate, project, resampled
 
 _STEP_M = 2.0
 _LEAST_STATIONS = 3
-#: Lane lines are cut into pieces and dashes; pieces this near to each other, along and across, are one line.
+#: Sources cut lane lines into pieces and dashes; pieces this near to each other, along and across, are one line.
 _JOIN_STATIONS = 5
 _JOIN_OFFSET_M = 0.7
-#: Lines that cross the road (stop lines) or leave it are none of its lane lines.
+#: Lines with a larger slope cross the road (stop lines) or leave it.
 _MAX_SLOPE = 0.35
-#: A cone set on a lane line may stand a little to either side of it.
+#: A cone on a lane line may stand this far to either side of it.
 _ON_LINE_M = 0.5
 
 
 def lane_bands(
     axis_m: Floats, lines: Sequence[LaneLine], *, from_m: float, to_m: float, reach_m: float
 ) -> LaneBands | None:
-    """Lines that run along the axis between two stations and nearer to it than reach_m; None where there is none."""
+    """Lines along the axis between two stations and nearer to it than reach_m; None if there is none."""
     at = np.arange(from_m, to_m + _STEP_M, _STEP_M)
-    corners = place(axis_m, np.array([from_m, (from_m + to_m) / 2, to_m]), np.zeros(3))
+    corners = locate(axis_m, np.array([from_m, (from_m + to_m) / 2, to_m]), np.zeros(3))
     low = corners.min(axis=0) - reach_m - (to_m - from_m) / 2
     high = corners.max(axis=0) + reach_m + (to_m - from_m) / 2
-    pieces: list[Floats] = []
-    for line in lines:
-        near = ((line.xy_m >= low) & (line.xy_m <= high)).all(axis=1)
-        if not near.any() and not _spans(line.xy_m, low, high):
-            continue
-        pieces += _along(axis_m, line.xy_m, at, reach_m)
-    bands = _joined(pieces)
+    near = [
+        line.xy_m for line in lines if (line.xy_m.max(axis=0) >= low).all() and (line.xy_m.min(axis=0) <= high).all()
+    ]
+    bands = _joined([piece for line_m in near for piece in _along(axis_m, line_m, at, reach_m)])
     if not bands:
         return None
     order = np.argsort([float(np.nanmedian(band)) for band in bands], kind="stable")
     return LaneBands(at, np.stack([bands[k] for k in order], axis=1))
 
 
-def _spans(line_m: Floats, low: Floats, high: Floats) -> bool:
-    return bool((line_m.max(axis=0) >= low).all() and (line_m.min(axis=0) <= high).all())
-
-
 def _along(axis_m: Floats, line_m: Floats, at: Floats, reach_m: float) -> list[Floats]:
-    """Offsets of one line by station, a row for each stretch in which it runs along the axis."""
+    """Offsets of one line by station, one array per stretch along the axis."""
     points = resampled(line_m, _STEP_M)
     s, o = project(axis_m, points)
     if s[-1] < s[0]:
@@ -59,18 +52,14 @@ def _along(axis_m: Floats, line_m: Floats, at: Floats, reach_m: float) -> list[F
     behind = np.concatenate([[False], steady])
     good = (ahead | behind) & (np.abs(o) <= reach_m) & (s >= at[0] - _STEP_M) & (s <= at[-1] + _STEP_M)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(int))).reshape(-1, 2)
-    found = []
-    for start, end in edges:
-        if end - start < 2:
-            continue
-        offsets = np.interp(at, s[start:end], o[start:end], left=np.nan, right=np.nan)
-        if np.isfinite(offsets).any():
-            found.append(offsets)
-    return found
+    found = [
+        np.interp(at, s[start:end], o[start:end], left=np.nan, right=np.nan) for start, end in edges if end - start > 1
+    ]
+    return [offsets for offsets in found if np.isfinite(offsets).any()]
 
 
 def _joined(pieces: Sequence[Floats]) -> list[Floats]:
-    """Pieces that continue or cover each other as one line each; small gaps are bridged straight."""
+    """Pieces that continue or overlap each other as one line each; small gaps are interpolated."""
     ordered = sorted(pieces, key=lambda piece: (int(np.flatnonzero(np.isfinite(piece))[0]), float(np.nanmean(piece))))
     bands: list[Floats] = []
     for piece in ordered:
@@ -103,9 +92,8 @@ def _bridged(band: Floats) -> Floats:
 
 
 def offsets_at(bands: LaneBands, station_m: float) -> Floats:
-    """(K,) offsets of the lines at a station, by line; NaN where one is not there."""
-    values = [np.interp(station_m, bands.stations_m, bands.offsets_m[:, k]) for k in range(bands.offsets_m.shape[1])]
-    return np.array(values)
+    """(K,) offsets of the lines at a station; NaN where a line is missing."""
+    return np.array([np.interp(station_m, bands.stations_m, line) for line in bands.offsets_m.T])
 
 
 def lanes_at(bands: LaneBands, station_m: float, params: WorkZoneParams) -> list[tuple[float, float]]:
@@ -124,11 +112,11 @@ def closed_lanes(
     traffic_sign: float,
     params: WorkZoneParams,
 ) -> tuple[int, int]:
-    """How many lanes a row closes, and how many it narrows or may close: the most of any of its cones.
+    """How many lanes a row closes, and how many it narrows or may close: the maximum over its cones.
 
-    stations_m, offsets_m, sigmas_o_m: (C,) of the row's cones; traffic_sign as in `find_rows`. A lane is closed by a cone that
-    leaves less of it than `min_open_lane_m`, by more than two sigmas; a lane wholly behind the row counts as closed only where
-    the row has swept across it, because nobody knows whose lane it is otherwise.
+    stations_m, offsets_m, sigmas_o_m: (C,) of the row's cones; traffic_sign as in `find_rows`. A cone closes a lane if it
+    leaves less of it than `min_open_lane_m`, by more than two sigmas. A lane wholly behind the row counts as closed only where
+    the row has crossed it: otherwise its direction is unknown.
     """
     toward = offsets_m * traffic_sign
     swept_from = float(toward.min()) - _ON_LINE_M

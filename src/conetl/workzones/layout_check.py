@@ -1,15 +1,15 @@
-"""Is a work zone laid out as the rules ask? Spacing, missing cones, taper lengths, cones in the open lane; with uncertainty.
+"""Check of a work zone's layout against rules, with uncertainty: spacing, missing cones, taper lengths, cones in the open lane.
 
-Sources of the rules stand in `params.LayoutParams`. Stations and offsets are those of the zone's axis, in the direction of
-travel. A gap that runs from a taper into a tangent is measured by both: the share of the allowed spacing that it uses up is the
-sum of what it uses in either part.
+`params.LayoutParams` has the sources of the rules. Stations and offsets are those of the zone's axis, in the direction of
+travel. A gap across the end of a taper is measured by both limits: the used shares of the allowed spacing in taper and tangent
+add up.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from conetl.model.params import LayoutParams, WorkZoneParams
 from conetl.model.work_zone_records import ConeRow, Finding, Level, Rule, Taper, ZoneHistory, ZoneLayout
 from conetl.workzones.cone_rows import row_offset
 from conetl.workzones.lane_bands import lanes_at
-from conetl.workzones.road_axis import Floats, place
+from conetl.workzones.linear_reference import Floats, locate
 
 FOOT_M = 0.3048
 MILE_KM = 1.609344
@@ -25,20 +25,20 @@ NORM_SPACING = "MUTCD 2009, 6F.63"
 NORM_TAPER = "MUTCD 2009, Tables 6C-3 and 6C-4"
 NORM_NONE = "no norm: the row's own spacing"
 NORM_IN_LANE = "no norm: distance from the row"
-#: In the middle of a taper's first and last lane line: it then starts and ends at lane lines.
+#: Tolerance of a taper's ends at lane lines.
 _ON_LANE_LINE_M = 0.6
 
 
 def taper_ratio(speed_kmh: float, rules: LayoutParams) -> float:
     """L / W of a merging taper: S^2 / 60 or S, with S in mph (L and W in the same unit). MUTCD 2009, Table 6C-4."""
     speed_mph = speed_kmh / MILE_KM
-    # Some room for the conversion: 72.42048 km/h are 45 mph.
+    # Tolerance for the conversion: 72.42048 km/h are 45 mph.
     slow = speed_mph < rules.low_speed_max_mph - 1e-6
     return speed_mph**2 / rules.low_speed_divisor if slow else speed_mph
 
 
 def allowed_spacing_m(speed_kmh: float, rules: LayoutParams) -> tuple[float, float]:
-    """Greatest spacing in a taper and in a tangent."""
+    """Largest spacing in a taper and in a tangent."""
     speed_mph = speed_kmh / MILE_KM
     return (
         rules.taper_spacing_ft_per_mph * speed_mph * FOOT_M,
@@ -49,23 +49,30 @@ def allowed_spacing_m(speed_kmh: float, rules: LayoutParams) -> tuple[float, flo
 def check_layout(
     zone: ZoneHistory, layout: ZoneLayout, speed_kmh: float, rules: LayoutParams, params: WorkZoneParams
 ) -> list[Finding]:
-    """All findings of one zone, by station. A zone without a row has none but strays can be told from nothing."""
+    """All findings of one zone, by station; none for a zone without a row."""
     found: list[Finding] = []
     for row in layout.rows:
         found += _gaps(zone, layout, row, speed_kmh, rules)
-    for row in layout.rows[:1]:
-        found += _taper_lengths(zone, layout, row, speed_kmh, rules, params)
+    if layout.rows:
+        found += _taper_lengths(zone, layout, layout.rows[0], speed_kmh, rules, params)
         found += _in_lane(zone, layout, rules)
     return sorted(found, key=lambda finding: (finding.station_m, finding.rule))
+
+
+def _finding(zone: ZoneHistory, layout: ZoneLayout, members: Iterable[int], **values: Any) -> Finding:
+    """A finding in metres about these cones of the layout."""
+    cones = [layout.cones[k] for k in members]
+    values.setdefault("xy_m", tuple((cone.xyz_m[0], cone.xyz_m[1]) for cone in cones))
+    feature_ids = tuple(cone.feature_id for cone in cones)
+    return Finding(zone_id=zone.zone_id, unit="m", feature_ids=feature_ids, **values)
 
 
 def _gaps(zone: ZoneHistory, layout: ZoneLayout, row: ConeRow, speed_kmh: float, rules: LayoutParams) -> list[Finding]:
     members = np.array(row.members)
     s, sigma = layout.stations_m[members], layout.sigmas_s_m[members]
-    places = np.array([layout.cones[k].xyz_m[:2] for k in members])
-    gaps = np.hypot(*np.diff(places, axis=0).T)
+    gaps = np.hypot(*np.diff([layout.cones[k].xyz_m[:2] for k in members], axis=0).T)
     shares = np.array([_taper_share(row.tapers, a, b) for a, b in pairwise(s)]).reshape(-1, 2)
-    # Crews set a cone where a taper ends: what that makes of a gap is worth a notice, where lane lines tell which cone it is.
+    # Crews set a cone at the end of a taper: a gap measured from there is worth a notice if lane lines locate it.
     at_cones = np.array([[_share_at_cones(row.tapers, a, b), 0.0] for a, b in pairwise(s)]).reshape(-1, 2)
     limits = allowed_spacing_m(speed_kmh, rules)
     on_lanes = layout.axis_source == "lanes"
@@ -73,7 +80,7 @@ def _gaps(zone: ZoneHistory, layout: ZoneLayout, row: ConeRow, speed_kmh: float,
     for index, gap in enumerate(gaps):
         both = sigma[index : index + 2]
         read = _read_gap(gaps, shares, index, both, limits, rules, vague=not on_lanes)
-        # Wherever the taper ends: longer than a tangent may have is too long.
+        # Too long even for a tangent, wherever the taper ends.
         sure = read.exceeds or gap - max(limits) > rules.sigmas * float(np.hypot(*both))
         noted, doubt = read.lacks, ""
         if on_lanes and not sure and not noted:
@@ -89,11 +96,15 @@ def _gaps(zone: ZoneHistory, layout: ZoneLayout, row: ConeRow, speed_kmh: float,
         if lacks:
             missing = max(round(read.own) - 1, 1)
             some = "a cone is" if missing == 1 else f"{missing} cones are"
-            rest = f"gap of {gap:.1f} m where the row has {gap / read.own:.1f} m, allowed are {limit_m:.1f} m{doubt}"
+            rest = (
+                f"gap of {gap:.1f} m where the row has {gap / read.own:.1f} m, at most {limit_m:.1f} m allowed{doubt}"
+            )
             words = f"{some} missing in the {where}: {rest}"
         found.append(
-            Finding(
-                zone_id=zone.zone_id,
+            _finding(
+                zone,
+                layout,
+                members[index : index + 2],
                 rule=Rule.MISSING_CONE if lacks else Rule.SPACING,
                 level=level,
                 norm=NORM_NONE if level is Level.NOTICE and not read.exceeds else NORM_SPACING,
@@ -101,27 +112,24 @@ def _gaps(zone: ZoneHistory, layout: ZoneLayout, row: ConeRow, speed_kmh: float,
                 value=float(gap),
                 limit=float(limit_m),
                 sigma=float(read.sigma * limit_m),
-                unit="m",
                 station_m=float((s[index] + s[index + 1]) / 2),
-                feature_ids=tuple(layout.cones[k].feature_id for k in members[index : index + 2]),
-                xy_m=tuple((float(x), float(y)) for x, y in places[index : index + 2]),
             )
         )
     return found
 
 
 class _Gap(NamedTuple):
-    """A gap under one reading of where the tapers end."""
+    """A gap for one assumption about the ends of tapers."""
 
     inside: float
-    """Share of it that lies in tapers."""
+    """Share of it inside tapers."""
     used: float
-    """How much of the allowed spacing it uses up; 1 is all ..."""
+    """Used share of the allowed spacing."""
     sigma: float
     limit_m: float
-    """... and this length would use up all of it."""
+    """Length that would use all of it."""
     own: float
-    """How much it uses up of the row's own spacing; 0 where the row is too short to tell."""
+    """Used share of the row's own spacing; 0 if the row is too short to have one."""
     exceeds: bool
     lacks: bool
     """By more than the uncertainty explains: longer than the rule allows; a cone is missing."""
@@ -137,12 +145,12 @@ def _read_gap(
     *,
     vague: bool,
 ) -> _Gap:
-    """One gap of a row against the rule and against the row; vague: where tapers end is hardly known."""
+    """One gap of a row against the rule and against the row; vague: the ends of tapers are hardly known."""
     gap, (inside, blur_m) = float(gaps[index]), shares[index]
     used, sigma, limit_m = _used(gap, inside, blur_m, sigmas_m, limits)
     regular = _regular(gaps, shares[:, 0], index)
     own, sigma_own, _ = _used(gap, inside, blur_m, sigmas_m, regular) if regular else (0.0, 1.0, 0.0)
-    if vague:  # what is twice the spacing before it may be the spacing behind it
+    if vague:  # twice the spacing before it may be the spacing behind it
         own = min(own, gap / max(_beside(gaps, index), 1e-9))
     exceeds = used - 1.0 > rules.sigmas * sigma
     lacks = own - rules.missing_cone_ratio > rules.sigmas * sigma_own
@@ -150,13 +158,13 @@ def _read_gap(
 
 
 def _share_at_cones(tapers: Sequence[Taper], from_m: float, to_m: float) -> float:
-    """Share of a gap that lies in tapers at least, if a cone stands where each of them begins and ends."""
+    """Least share of a gap inside tapers, if a cone marks each of their ends."""
     inside_m = sum(max(min(to_m, *taper.end_cones_m) - max(from_m, *taper.start_cones_m), 0.0) for taper in tapers)
     return min(inside_m / (to_m - from_m), 1.0) if to_m > from_m else 0.0
 
 
 def _taper_share(tapers: Sequence[Taper], from_m: float, to_m: float) -> tuple[float, float]:
-    """Share of a gap that lies in tapers, and by how many metres less it may be (one sigma): what would excuse a wide gap."""
+    """Share of a gap inside tapers, and by how many metres less it may be (one sigma), which would excuse a wide gap."""
     inside_m, blur_m = 0.0, 0.0
     for taper in tapers:
         inside_m += max(min(to_m, taper.end_m) - max(from_m, taper.start_m), 0.0)
@@ -170,7 +178,7 @@ def _taper_share(tapers: Sequence[Taper], from_m: float, to_m: float) -> tuple[f
 def _used(
     gap_m: float, inside: float, blur_m: float, sigmas_m: Floats, spacing_m: tuple[float, float]
 ) -> tuple[float, float, float]:
-    """How much of the spacing a gap uses up (1 is all), its sigma, and the length that would use up all of it."""
+    """Used share of the spacing by a gap, its sigma, and the length that would use all of it."""
     taper_m, tangent_m = spacing_m
     rate = inside / taper_m + (1 - inside) / tangent_m
     sigma = float(np.hypot(np.hypot(*sigmas_m) * rate, blur_m * abs(1 / taper_m - 1 / tangent_m)))
@@ -178,7 +186,7 @@ def _used(
 
 
 def _regular(gaps: Floats, inside: Floats, index: int) -> tuple[float, float] | None:
-    """The row's own spacing in tapers and in tangents, without the gap asked about; None where the row is too short to tell."""
+    """The row's own spacing in tapers and in tangents, without this gap; None if the row is too short."""
     others = np.arange(len(gaps)) != index
     medians = []
     for kind in (inside > 0.95, inside < 0.05):
@@ -191,13 +199,13 @@ def _regular(gaps: Floats, inside: Floats, index: int) -> tuple[float, float] | 
         return None if tangent is None else (tangent, tangent)
     if taper is None or tangent is None:
         only = taper or tangent
-        # A tangent has up to twice the spacing of its taper: the wider reading, so that nothing is missing by mistake.
+        # A tangent has up to twice the spacing of its taper: the larger value avoids false missing cones.
         return None if only is None else (only, 2 * only if tangent is None else only)
     return taper, tangent
 
 
 def _beside(gaps: Floats, index: int) -> float:
-    """The greater of the medians of up to three gaps before a gap and after it; infinite where there is none."""
+    """The larger of the medians of up to three gaps before and after a gap; infinite without any."""
     some = [part for part in (gaps[max(index - 3, 0) : index], gaps[index + 1 : index + 4]) if len(part)]
     return max((float(np.median(part)) for part in some), default=np.inf)
 
@@ -223,16 +231,15 @@ def _taper_lengths(
             wanted_m = share * ratio * taper.shift_m
             longer_m = np.hypot(taper.start_sigmas_m[0], taper.end_sigmas_m[1])
             sigma_m = float(np.hypot(longer_m, share * ratio * shift_sigma))
-            if length_m >= wanted_m or (kind == "shoulder" and merging):
+            if length_m >= wanted_m or (merging if kind == "shoulder" else merging is False):
                 continue
             sure = wanted_m - length_m > rules.sigmas * sigma_m and (kind == "shoulder" or merging is True)
-            if merging is False and kind == "merging":
-                continue
             doubt = "" if merging is not None or kind == "shoulder" else " if it closes a lane"
-            ends = members[[taper.first, taper.last]]
             found.append(
-                Finding(
-                    zone_id=zone.zone_id,
+                _finding(
+                    zone,
+                    layout,
+                    members[[taper.first, taper.last]],
                     rule=Rule.TAPER_LENGTH,
                     level=Level.VIOLATION if sure else Level.CANNOT_TELL,
                     norm=NORM_TAPER,
@@ -241,10 +248,7 @@ def _taper_lengths(
                     value=length_m,
                     limit=wanted_m,
                     sigma=sigma_m,
-                    unit="m",
                     station_m=(taper.start_m + taper.end_m) / 2,
-                    feature_ids=tuple(layout.cones[k].feature_id for k in ends),
-                    xy_m=tuple((layout.cones[k].xyz_m[0], layout.cones[k].xyz_m[1]) for k in ends),
                 )
             )
             break
@@ -252,7 +256,8 @@ def _taper_lengths(
 
 
 def _is_merging(layout: ZoneLayout, taper: Taper, members: Floats, params: WorkZoneParams) -> bool | None:
-    """Does the taper close a lane, or end at the edge of all lanes (a shoulder taper)? None where lane lines do not tell."""
+    """Whether the taper closes a lane, or ends at the edge of all lanes (a shoulder taper); None if lane lines do not
+    decide."""
     if layout.bands is None or layout.axis_source != "lanes":
         sigma = float(np.hypot(taper.shift_sigma_m, layout.axis_sigma_m))
         return True if taper.shift_m - 2 * sigma >= params.full_lane_shift_m else None
@@ -267,7 +272,7 @@ def _is_merging(layout: ZoneLayout, taper: Taper, members: Floats, params: WorkZ
 
 
 def _in_lane(zone: ZoneHistory, layout: ZoneLayout, rules: LayoutParams) -> list[Finding]:
-    """Strays that stand from their row towards traffic."""
+    """Strays towards traffic from their row."""
     in_rows = {k for row in layout.rows for k in row.members}
     found = []
     for k in range(len(layout.cones)):
@@ -282,11 +287,13 @@ def _in_lane(zone: ZoneHistory, layout: ZoneLayout, rules: LayoutParams) -> list
             continue
         sigma = float(np.hypot(layout.sigmas_o_m[k], np.median(layout.sigmas_o_m)))
         sure = away - rules.in_lane_tolerance_m > rules.sigmas * sigma and layout.traffic_side is not None
-        x_m, y_m = place(layout.axis_m, np.array([station]), np.array([offset]))[0]
-        doubt = "" if layout.traffic_side is not None else "; no drive tells on which side traffic passes"
+        x_m, y_m = locate(layout.axis_m, np.array([station]), np.array([offset]))[0]
+        doubt = "" if layout.traffic_side is not None else "; the side on which traffic passes is unknown"
         found.append(
-            Finding(
-                zone_id=zone.zone_id,
+            _finding(
+                zone,
+                layout,
+                [k],
                 rule=Rule.CONE_IN_LANE,
                 level=Level.VIOLATION if sure else Level.CANNOT_TELL,
                 norm=NORM_IN_LANE,
@@ -294,9 +301,7 @@ def _in_lane(zone: ZoneHistory, layout: ZoneLayout, rules: LayoutParams) -> list
                 value=away,
                 limit=rules.in_lane_tolerance_m,
                 sigma=sigma,
-                unit="m",
                 station_m=station,
-                feature_ids=(layout.cones[k].feature_id,),
                 xy_m=((float(x_m), float(y_m)),),
             )
         )

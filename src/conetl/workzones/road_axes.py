@@ -1,4 +1,4 @@
-"""The line along which the cones of one place are counted: from the paths of drives, else through the cones themselves."""
+"""Axes along which the stations of cones are counted: from the paths of drives, else through the cones themselves."""
 
 from __future__ import annotations
 
@@ -11,30 +11,30 @@ from scipy.spatial import KDTree
 
 from conetl.model.params import WorkZoneParams
 from conetl.model.work_zone_records import AxisSource, DrivePath
-from conetl.workzones.road_axis import Floats, directions_at, project, smoothed, stations, without_standstill
+from conetl.workzones.linear_reference import Floats, directions_at, project, smoothed, stations, without_standstill
 
 Indices = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 _STEP_M = 2.0
 _LEAST_PASS_M = 5.0
-#: Two passes are of the same road where they meet within this, and their directions within the angle.
+#: Two passes belong to one road if they meet within this offset and direction.
 _JOIN_OFFSET_M = 8.0
 _JOIN_COS = 0.87
 
 
 @dataclass(frozen=True, eq=False)
 class Pass:
-    """One stretch of one drive beside some cones."""
+    """One stretch of one drive beside cones."""
 
     drive_id: str
     captured_from_ns: int
     line_m: Floats
-    """(N, 2), smooth, in order of time."""
+    """(N, 2), smooth, by time."""
 
 
 @dataclass(frozen=True, eq=False)
 class RoadAxis:
-    """A line and the cones (indices) that stand along it."""
+    """A line and the cones (indices) along it."""
 
     line_m: Floats
     source: AxisSource
@@ -44,7 +44,7 @@ class RoadAxis:
 
 
 def passes_beside(paths: Sequence[DrivePath], cones_m: Floats, params: WorkZoneParams) -> list[Pass]:
-    """The stretches of the paths beside cones (C, 2): a drive that comes by twice gives two."""
+    """The stretches of the paths beside cones (C, 2); a drive that passes twice gives two."""
     tree = KDTree(cones_m)
     reach_m = params.max_path_offset_m + params.max_beyond_path_m
     found = []
@@ -63,10 +63,10 @@ def passes_beside(paths: Sequence[DrivePath], cones_m: Floats, params: WorkZoneP
 
 
 def axes_of(cones_m: Floats, passes: Sequence[Pass], params: WorkZoneParams) -> list[RoadAxis]:
-    """Lines that together have every cone (C, 2) beside exactly one of them, those of drives first.
+    """Axes such that every cone (C, 2) is beside exactly one of them, those of drives first.
 
-    The pass beside the most cones is the first axis; it is lengthened by others of the same road. What stands beside no pass gets
-    a straight line through itself.
+    The pass beside the most cones is the first axis, extended by others of the same road. Cones beside no pass get a straight
+    line through themselves.
     """
     left = np.arange(len(cones_m))
     axes = []
@@ -93,46 +93,40 @@ def _covered(line_m: Floats, s: Floats, o: Floats, params: WorkZoneParams) -> Ma
 
 
 def _best_pass(cones_m: Floats, passes: Sequence[Pass], params: WorkZoneParams) -> Floats | None:
-    best: tuple[tuple[float, ...], str] | None = None
-    chosen = None
-    for one in passes:
+    """The pass beside the most cones, then with the fewest beyond its ends, then the earliest; None if none covers a cone."""
+    ranked = []
+    for number, one in enumerate(passes):
         s, o = project(one.line_m, cones_m)
         covered = _covered(one.line_m, s, o, params)
-        if not covered.any():
-            continue
         inside = covered & (s >= 0) & (s <= stations(one.line_m)[-1])
-        key = ((-float(covered.sum()), -float(inside.sum()), float(one.captured_from_ns)), one.drive_id)
-        if best is None or key < best:
-            best, chosen = key, one.line_m
-    return chosen
+        if covered.any():
+            ranked.append((-covered.sum(), -inside.sum(), float(one.captured_from_ns), one.drive_id, number))
+    return passes[min(ranked)[-1]].line_m if ranked else None
 
 
 def _lengthened(line_m: Floats, cones_m: Floats, passes: Sequence[Pass], params: WorkZoneParams) -> Floats:
-    """The line with parts of other passes put to its ends, moved sideways to meet it, as long as that covers more cones."""
+    """The line extended at its ends by parts of other passes, shifted sideways to meet it, while that covers more cones."""
     for _ in range(len(passes)):
         covered = _covered(line_m, *project(line_m, cones_m), params)
         if covered.all():
             break
-        longer = None
-        for one in passes:
-            for candidate in (_joined(line_m, one.line_m), _joined(line_m[::-1], one.line_m)):
-                if candidate is None:
-                    continue
-                gained = _covered(candidate, *project(candidate, cones_m), params)
-                if (gained & ~covered).any() and not (covered & ~gained).any():
-                    longer = candidate
-                    break
-            if longer is not None:
-                break
+        both = (_joined(start, one.line_m) for one in passes for start in (line_m, line_m[::-1]))
+        longer = next((line for line in both if line is not None and _gains(line, cones_m, covered, params)), None)
         if longer is None:
             break
-        # A line lengthened at its beginning was turned for that.
-        line_m = longer if longer[: len(line_m)] is line_m or np.allclose(longer[0], line_m[0]) else longer[::-1]
+        # A line extended at its start was reversed for that.
+        line_m = longer if np.allclose(longer[0], line_m[0]) else longer[::-1]
     return line_m
 
 
+def _gains(line_m: Floats, cones_m: Floats, covered: Mask, params: WorkZoneParams) -> bool:
+    """Whether a line covers more cones than those given, and all of these."""
+    own = _covered(line_m, *project(line_m, cones_m), params)
+    return bool((own & ~covered).any() and not (covered & ~own).any())
+
+
 def _joined(line_m: Floats, other_m: Floats) -> Floats | None:
-    """The line followed by the part of another that goes on beyond its end; None where it does not."""
+    """The line followed by the part of another beyond its end; None if there is none."""
     s, o = project(line_m, other_m)
     beyond = s > stations(line_m)[-1]
     if not beyond.any() or beyond.all() or np.abs(o[~beyond]).min() > _JOIN_OFFSET_M:
@@ -153,7 +147,7 @@ def _joined(line_m: Floats, other_m: Floats) -> Floats | None:
 
 
 def _through(cones_m: Floats) -> Floats:
-    """A straight line along the greatest extent of the cones, from smaller to greater easting (then northing)."""
+    """A straight line along the largest extent of the cones, towards larger easting (then northing)."""
     centre = cones_m.mean(axis=0)
     if len(cones_m) < 2:
         return np.array([[centre[0] - 0.5, centre[1]], [centre[0] + 0.5, centre[1]]])

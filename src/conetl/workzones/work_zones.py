@@ -1,7 +1,7 @@
-"""Work zones out of the map's history: cones chained along the road, followed over time so that a zone keeps its id and ends.
+"""Work zones from the map's history: cones chained along the road and tracked over time, so that a zone keeps its id.
 
-Time goes in steps of changesets, because the map changes by whole drives. At each step the standing cones of a neighbourhood are
-chained along the road; a chain that shares cones with a zone is that zone, whatever was added, moved or taken away meanwhile.
+Time advances by changesets. At each one the present cones of a neighbourhood are chained along the road; a chain that shares
+cones with a zone is that zone, whatever was added, moved or removed.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from scipy.spatial import KDTree
 from conetl.model.map_records import FeatureVersion, MapFeature
 from conetl.model.params import WorkZoneParams
 from conetl.model.work_zone_records import DrivePath, ZoneHistory
+from conetl.workzones.linear_reference import Floats
 from conetl.workzones.road_axes import Indices, Pass, axes_of, passes_beside
-from conetl.workzones.road_axis import Floats
 
 _NAMESPACE = uuid5(NAMESPACE_URL, "https://conetl.example/work_zone")
-#: Gaps on each side of a gap that tell the row's own spacing.
+#: Gaps on each side of a gap that define the row's own spacing.
 _NEIGHBOUR_GAPS = 3
-#: Between cones of one zone the car does not drive; it needs that much.
+#: A car needs this width between cones; so wide a gap separates two zones.
 _CAR_WIDTH_M = 2.0
 _CELL_M = 20.0
 
@@ -38,10 +38,10 @@ def zones_over_time(
     map_name: str,
     at_ns: int | None = None,
 ) -> list[ZoneHistory]:
-    """Every work zone up to an instant on the road (None: to the last change), standing and ended, by start and id.
+    """Every work zone up to an instant on the road (None: the last change), present and ended, by start and id.
 
-    versions: all that is believed of every feature, in any order; what begins after `at_ns` is left out of account, and so are
-    drives that began after it.
+    versions: of every feature in the current database state, in any order. Versions and drives that begin after `at_ns` are
+    ignored.
     """
     known = [
         v if v.valid_to_ns is None or at_ns is None or v.valid_to_ns <= at_ns else v.model_copy(update={"valid_to_ns": None})
@@ -50,15 +50,17 @@ def zones_over_time(
     ]  # fmt: skip
     driven = [path for path in paths if at_ns is None or path.captured_from_ns <= at_ns]
     zones = [
-        zone for place in _neighbourhoods(known, params) for zone in _zones_of_place(place, driven, params, map_name)
+        zone
+        for near in _neighbourhoods(known, params)
+        for zone in _zones_of_neighbourhood(near, driven, params, map_name)
     ]
     return sorted(zones, key=lambda zone: (zone.start_ns, str(zone.zone_id)))
 
 
 def chain(stations_m: Floats, params: WorkZoneParams) -> list[Indices]:
-    """Indices of cones (C,) along one road in groups that follow each other, each group by station.
+    """Indices of cones (C,) along one road in successive groups, each sorted by station.
 
-    A gap separates where it exceeds `link_factor` times the spacing beside it: the greater of the medians of up to three gaps
+    A gap separates if it exceeds `link_factor` times the spacing beside it: the larger of the medians of up to three gaps
     before and after it, so that a tangent may follow a taper with half its spacing.
     """
     order = np.argsort(stations_m, kind="stable")
@@ -73,7 +75,7 @@ def chain(stations_m: Floats, params: WorkZoneParams) -> list[Indices]:
 
 
 def clusters(features: Sequence[MapFeature], passes: Sequence[Pass], params: WorkZoneParams) -> list[set[UUID]]:
-    """Cones that stand at one instant, as groups along roads. Where a drive passed between two rows, they are two groups."""
+    """Groups of cones present at one instant along roads. Rows on both sides of a drive are two groups."""
     if not features:
         return []
     places = np.array([feature.xyz_m[:2] for feature in features])
@@ -87,7 +89,7 @@ def clusters(features: Sequence[MapFeature], passes: Sequence[Pass], params: Wor
 
 
 def _both_sides(group: Indices, offsets_m: Floats) -> list[Indices]:
-    """The group, or its two halves where the driven path has cones on both sides and room for a car between them."""
+    """The group, or its two halves if the driven path has cones on both sides and a car fits between them."""
     right, left = group[offsets_m[group] < 0], group[offsets_m[group] >= 0]
     if not len(right) or not len(left) or offsets_m[left].min() - offsets_m[right].max() < _CAR_WIDTH_M:
         return [group]
@@ -95,7 +97,7 @@ def _both_sides(group: Indices, offsets_m: Floats) -> list[Indices]:
 
 
 def _neighbourhoods(versions: Sequence[FeatureVersion], params: WorkZoneParams) -> list[list[FeatureVersion]]:
-    """Versions in groups that are too far apart to concern each other at any time; by cells, as a place has many versions."""
+    """Versions in groups too far apart to be in one zone at any time; by cells, because a location has many versions."""
     cells: dict[tuple[int, int], int] = {}
     of_version = []
     for version in versions:
@@ -119,13 +121,13 @@ def _neighbourhoods(versions: Sequence[FeatureVersion], params: WorkZoneParams) 
 
 @dataclass
 class _Live:
-    """A zone while time goes on."""
+    """A zone at the current instant."""
 
     zone: ZoneHistory
     members: set[UUID]
 
 
-def _zones_of_place(
+def _zones_of_neighbourhood(
     versions: Sequence[FeatureVersion], paths: Sequence[DrivePath], params: WorkZoneParams, map_name: str
 ) -> list[ZoneHistory]:
     since: dict[UUID, int] = {}
@@ -135,8 +137,8 @@ def _zones_of_place(
         since[key] = min(since.get(key, version.valid_from_ns), version.valid_from_ns)
         steps[version.changeset_id] = max(steps.get(version.changeset_id, 0), version.valid_from_ns)
     passes = passes_beside(paths, np.array([v.feature.xyz_m[:2] for v in versions]), params)
-    begins = sorted((v for v in versions if v.standing and not v.suppressed), key=lambda v: v.valid_from_ns)
-    next_begin = 0
+    starting = sorted((v for v in versions if v.present and not v.suppressed), key=lambda v: v.valid_from_ns)
+    next_start = 0
     shown: dict[UUID, FeatureVersion] = {}
     gone: dict[UUID, int] = {}
     live: list[_Live] = []
@@ -145,20 +147,20 @@ def _zones_of_place(
     for changeset_id, instant_ns in sorted(steps.items(), key=lambda step: (step[1], str(step[0]))):
         instants.setdefault(instant_ns, changeset_id)
     for instant_ns, changeset_id in instants.items():
-        while next_begin < len(begins) and begins[next_begin].valid_from_ns <= instant_ns:
-            shown[begins[next_begin].feature.feature_id] = begins[next_begin]
-            next_begin += 1
+        while next_start < len(starting) and starting[next_start].valid_from_ns <= instant_ns:
+            shown[starting[next_start].feature.feature_id] = starting[next_start]
+            next_start += 1
         for key, version in list(shown.items()):
             if version.valid_to_ns is not None and version.valid_to_ns <= instant_ns:
                 gone[key] = version.valid_to_ns
                 del shown[key]
         standing = {key: version.feature for key, version in shown.items()}
         found = clusters(list(standing.values()), [p for p in passes if p.captured_from_ns <= instant_ns], params)
-        taken = _continue(live, found, standing, params)
+        assigned = _continue(live, found, standing, params)
         live, over = _end(live, standing, gone, instant_ns)
         ended += over
         for number, cluster in enumerate(found):
-            if number not in taken and len(cluster) >= params.min_cones:
+            if number not in assigned and len(cluster) >= params.min_cones:
                 founder = min(cluster, key=lambda one: (since[one], str(one)))
                 zone = ZoneHistory(
                     zone_id=uuid5(_NAMESPACE, f"{map_name}/{founder}/{changeset_id}"),
@@ -178,9 +180,9 @@ def _zones_of_place(
 def _continue(
     live: Sequence[_Live], found: Sequence[set[UUID]], standing: dict[UUID, MapFeature], params: WorkZoneParams
 ) -> set[int]:
-    """Give every live zone the chain that it is now (its members are set); the numbers of the chains that were given away.
+    """Assign the current chains to the live zones (sets their members); returns the numbers of the assigned chains.
 
-    Most shared cones first, then the older zone. A zone of which no cone is left goes on in a chain at the same place.
+    Most shared cones first, then the older zone. A zone without present cones continues in a chain at the same location.
     """
     shared = [
         (-len(one.members & cluster), one.zone.start_ns, str(one.zone.zone_id), number, index)
@@ -188,24 +190,24 @@ def _continue(
         for number, cluster in enumerate(found)
         if one.members & cluster
     ]
-    # All cones were set anew between two drives: other features at the same place.
+    # All cones were replaced between two drives: other features at the same location.
     free = [one for one in live if not any(key in standing for key in one.members)]
-    placed = [
+    replaced = [
         (0, one.zone.start_ns, str(one.zone.zone_id), number, live.index(one))
         for one in free
         for number, cluster in enumerate(found)
         if _nearest_m(one.zone.cones, [standing[key] for key in cluster]) <= params.min_link_m
     ]
-    taken: set[int] = set()
+    assigned: set[int] = set()
     given: dict[int, set[UUID]] = {}
-    for _, _, _, number, index in [*sorted(shared), *sorted(placed)]:
-        if number not in taken and index not in given:
-            taken.add(number)
+    for _, _, _, number, index in [*sorted(shared), *sorted(replaced)]:
+        if number not in assigned and index not in given:
+            assigned.add(number)
             given[index] = found[number]
     for index, one in enumerate(live):
         one.members = set(given.get(index, set()))
-    # What is left of a chain whose cones all belong to zones: it was split off; it may found a zone of its own.
-    return taken
+    # An unassigned chain whose cones all belonged to zones was split off; it may found a zone.
+    return assigned
 
 
 def _nearest_m(some: Sequence[MapFeature], others: Sequence[MapFeature]) -> float:
@@ -216,7 +218,7 @@ def _nearest_m(some: Sequence[MapFeature], others: Sequence[MapFeature]) -> floa
 def _end(
     live: Sequence[_Live], standing: dict[UUID, MapFeature], gone: dict[UUID, int], instant_ns: int
 ) -> tuple[list[_Live], list[ZoneHistory]]:
-    """Zones that go on, and those that do not: their last cone is gone, or an older zone has their cones now."""
+    """Live zones, and ended ones: their last cone is gone, or an older zone has their cones."""
     going = [one for one in live if one.members]
     over = []
     for one in live:

@@ -1,4 +1,4 @@
-"""A work zone along its road: direction of travel, rows, tapers, the side and the lanes that are closed, its line and ends."""
+"""A work zone along its road: direction of travel, rows, tapers, closed side and lanes, line and ends."""
 
 from __future__ import annotations
 
@@ -21,40 +21,39 @@ from conetl.model.work_zone_records import (
 )
 from conetl.workzones.cone_rows import find_rows
 from conetl.workzones.lane_bands import closed_lanes, lane_bands
+from conetl.workzones.linear_reference import Floats, directions_at, locate, project
 from conetl.workzones.road_axes import Pass, axes_of, passes_beside
-from conetl.workzones.road_axis import Floats, directions_at, place, project
 
-#: Lane lines are looked for so far beside the cones.
+#: Lane lines are searched this far beside the cones, and before the first and behind the last one.
 _LANE_REACH_M = 15.0
-#: And so far before the first cone and behind the last.
 _LANE_MARGIN_M = 10.0
 
 
 def layout_of(
     zone: ZoneHistory, paths: Sequence[DrivePath], lanes: Sequence[LaneLine], params: WorkZoneParams
 ) -> ZoneLayout:
-    """The zone in the direction of travel; paths: of drives up to the instant that the zone is looked at.
+    """The zone in the direction of travel; paths: of drives up to the instant of interest.
 
-    The direction is that of the drives that passed. Where they came from both sides, it is the one whose drivers had the cones on
-    the kerb's side; where that does not decide, the one in which the row converges; then the one that passed nearest.
+    The direction is that of the drives. If they came from both sides, the one whose drivers had the cones on the kerb side; if
+    that does not decide, the one in which the row converges; then the one that passed nearest.
     """
-    places = np.array([cone.xyz_m[:2] for cone in zone.cones])
+    cones_m = np.array([cone.xyz_m[:2] for cone in zone.cones])
     until = zone.end_ns
-    passes = passes_beside([p for p in paths if until is None or p.captured_from_ns <= until], places, params)
-    axis = axes_of(places, passes, params)[0]
+    passes = passes_beside([p for p in paths if until is None or p.captured_from_ns <= until], cones_m, params)
+    axis = axes_of(cones_m, passes, params)[0]
     line, source = axis.line_m, axis.source
     passes = passes if source == "drives" else []
     known = bool(passes)
-    if known and _direction(line, places, zone.cones, passes, params) < 0:
+    if known and _direction(line, cones_m, zone.cones, passes, params) < 0:
         line = line[::-1]
-    reference = _lane_axis(line, places, lanes, passes) if lanes else None
+    reference = _lane_axis(line, cones_m, lanes, passes) if lanes else None
     if reference is not None:
         line, source = reference, "lanes"
     return _along(line, source, known, zone.cones, passes, lanes, params)
 
 
 def describe(history: ZoneHistory, layout: ZoneLayout, params: WorkZoneParams) -> WorkZone:
-    """What the zone says of itself to others, as far as the evidence goes."""
+    """The zone as published, as far as the evidence goes."""
     first, last = layout.cones[0], layout.cones[-1]
     row = list(layout.rows[0].members) if layout.rows else list(range(len(layout.cones)))
     through = sorted({0, *row, len(layout.cones) - 1})
@@ -85,8 +84,8 @@ def _along(
     lanes: Sequence[LaneLine],
     params: WorkZoneParams,
 ) -> ZoneLayout:
-    places = np.array([cone.xyz_m[:2] for cone in cones])
-    s, o = project(line, places)
+    cones_m = np.array([cone.xyz_m[:2] for cone in cones])
+    s, o = project(line, cones_m)
     order = np.argsort(s, kind="stable")
     s, o, ordered = s[order], o[order], tuple(cones[k] for k in order)
     sigma_s, sigma_o = _sigmas(line, s, ordered)
@@ -122,7 +121,7 @@ def _bands(line: Floats, s: Floats, lanes: Sequence[LaneLine]) -> LaneBands | No
 
 
 def _sigmas(line: Floats, s: Floats, cones: Sequence[MapFeature]) -> tuple[Floats, Floats]:
-    """Sigmas (C,) of cones along the line and across it, from their covariances."""
+    """Sigmas (C,) of cones along and across the line, from their covariances."""
     along = directions_at(line, s)
     xx, xy, yy = (np.array([cone.cov_m2[k] for cone in cones]) for k in (0, 1, 3))
     t0, t1 = along.T
@@ -137,16 +136,16 @@ def _heading(line: Floats, one: Pass) -> int:
 
 
 def _direction(
-    line: Floats, places: Floats, cones: Sequence[MapFeature], passes: Sequence[Pass], params: WorkZoneParams
+    line: Floats, cones_m: Floats, cones: Sequence[MapFeature], passes: Sequence[Pass], params: WorkZoneParams
 ) -> int:
-    """+1 where traffic goes along the line, -1 against it."""
+    """+1 where traffic follows the line, -1 against it."""
     kerb_sign = -1.0 if params.kerb_side == "right" else 1.0
     scores: dict[int, tuple[bool, bool, float]] = {}
     for heading in (1, -1):
         those = [one for one in passes if _heading(line, one) == heading]
         if not those:
             continue
-        beside = [float(np.median(project(one.line_m, places)[1])) for one in those]
+        beside = [float(np.median(project(one.line_m, cones_m)[1])) for one in those]
         kerb = sum(value * kerb_sign > 0 for value in beside) * 2 > len(beside)
         layout = _along(line[::heading], "drives", True, cones, those, (), params)
         tapers = layout.rows[0].tapers if layout.rows else ()
@@ -155,7 +154,7 @@ def _direction(
 
 
 def _traffic_sign(line: Floats, passes: Sequence[Pass], s: Floats, o: Floats, row: Sequence[int]) -> float:
-    """+1 where the passes went by to the left of the row, -1 to the right, 0 where nobody knows."""
+    """+1 where traffic passed to the left of the row, -1 to the right, 0 unknown."""
     if not passes or not row:
         return 0.0
     sides = []
@@ -166,9 +165,9 @@ def _traffic_sign(line: Floats, passes: Sequence[Pass], s: Floats, o: Floats, ro
     return float(np.sign(np.median(sides)))
 
 
-def _lane_axis(line: Floats, places: Floats, lanes: Sequence[LaneLine], passes: Sequence[Pass]) -> Floats | None:
-    """The lane line that runs beside all cones and nearest to them, in the direction of the line; None where there is none."""
-    s, o = project(line, places)
+def _lane_axis(line: Floats, cones_m: Floats, lanes: Sequence[LaneLine], passes: Sequence[Pass]) -> Floats | None:
+    """The lane line nearest to the cones and beside all of them, in the direction of the line; None if there is none."""
+    s, o = project(line, cones_m)
     bands = _bands(line, np.sort(s), lanes)
     if bands is None:
         return None
@@ -184,13 +183,13 @@ def _lane_axis(line: Floats, places: Floats, lanes: Sequence[LaneLine], passes: 
     if best is None:
         return None
     there = np.isfinite(bands.offsets_m[:, best])
-    return place(line, bands.stations_m[there], bands.offsets_m[there, best])
+    return locate(line, bands.stations_m[there], bands.offsets_m[there, best])
 
 
 def _impact(
     layout: ZoneLayout, row: Sequence[int], closed_side: Side | None, params: WorkZoneParams
 ) -> tuple[VehicleImpact, int | None]:
-    """Impact and number of closed lanes; UNKNOWN and None where the evidence does not decide."""
+    """Impact and number of closed lanes; UNKNOWN and None if the evidence does not decide."""
     if closed_side is None or not layout.direction_known:
         return VehicleImpact.UNKNOWN, None
     converging = [taper for taper in layout.rows[0].tapers if taper.converging]

@@ -1,4 +1,4 @@
-"""Chains of near cones, the drive's offset, and the rarer kinds of change."""
+"""Near pairs and assignment, rows of near cones, the drive's offset, and the rarer kinds of change."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import linear_sum_assignment
 
-from conetl.mapping.association import common_offset, pair
+from conetl.mapping.association import assign, common_offset, near_pairs, pair
 from conetl.mapping.changes import reconcile
+from conetl.mapping.existence_update import summarize_miss
 from conetl.model.map_records import Delta, DeltaKind, MapFeature
 from conetl.model.records import Track
-from tests.unit.mapping.test_changes import NO_FIX, PARAMS, RTK, Look, changes, feature, track
-
-Place = tuple[float, float]
+from tests.unit.mapping.test_changes import NO_FIX, PARAMS, RTK, NotObserved, changes, feature, track
 
 
 def kinds(found: dict[DeltaKind, list[Delta]]) -> dict[DeltaKind, int]:
     return {kind: len(deltas) for kind, deltas in found.items() if deltas}
 
 
-def chain(rng: np.random.Generator, count: int) -> list[Place]:
+def chain(rng: np.random.Generator, count: int) -> list[tuple[float, float]]:
     """Cones 0.5 to 2 m apart along a bent line."""
     steps = rng.uniform(0.5, 2.0, count)
     along = np.cumsum(steps)
@@ -32,26 +32,24 @@ def chain(rng: np.random.Generator, count: int) -> list[Place]:
 
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_a_chain_neither_swaps_nor_merges_under_the_drives_offset(seed: int) -> None:
-    """Some cones were taken from the chain and others set up; every other pair is the same cone."""
+def test_a_row_is_paired_cone_by_cone_despite_the_drives_offset(seed: int) -> None:
+    """15 % of the cones were removed; all others are paired with themselves."""
     rng = np.random.default_rng(seed)
-    places = chain(rng, int(rng.integers(8, 40)))
+    positions = chain(rng, int(rng.integers(8, 40)))
     offset = rng.normal(0, 0.3, 2)
-    stays = rng.random(len(places)) > 0.15
-    features = [feature(i, *place, sigma_m=NO_FIX) for i, place in enumerate(places)]
-    seen = [i for i in range(len(places)) if stays[i]]
-    noise = rng.normal(0, 0.03, (len(places), 2))
-    tracks = [
-        track(i, *(np.array(places[i]) + offset + noise[i]).tolist(), sigma_m=NO_FIX) for i in seen
-    ]  # fmt: skip
+    stays = rng.random(len(positions)) > 0.15
+    features = [feature(i, *position, sigma_m=NO_FIX) for i, position in enumerate(positions)]
+    observed = [i for i in range(len(positions)) if stays[i]]
+    noise = rng.normal(0, 0.03, (len(positions), 2))
+    tracks = [track(i, *(np.array(positions[i]) + offset + noise[i]).tolist(), sigma_m=NO_FIX) for i in observed]
     estimated, weight = common_offset(tracks, features, PARAMS)
     assert estimated[:2] == pytest.approx(offset, abs=0.1)
-    placed = np.array([t.xyz_m for t in tracks]) - weight * estimated
-    pairs = pair(placed, tracks, features, estimated, weight, PARAMS)
-    assert {j: tracks[i].track_index for j, i in pairs.items()} == {i: i for i in seen}
+    map_xyz_m = np.array([t.xyz_m for t in tracks]) - weight * estimated
+    pairs = pair(map_xyz_m, tracks, features, estimated, weight, PARAMS)
+    assert {j: tracks[i].track_index for j, i in pairs.items()} == {i: i for i in observed}
 
 
-def test_a_chain_that_lost_its_first_cone_and_got_a_last_one_is_not_moved_up_by_one() -> None:
+def test_a_row_that_lost_its_first_cone_and_got_a_last_one_is_not_shifted() -> None:
     features = [feature(i, 0.5 * i, 3.0) for i in range(5)]
     tracks = [track(i, 0.5 * i, 3.0) for i in range(1, 6)]
     found = changes(tracks, features)
@@ -60,20 +58,20 @@ def test_a_chain_that_lost_its_first_cone_and_got_a_last_one_is_not_moved_up_by_
     assert all(d.shift_m == pytest.approx(0.0, abs=0.01) for d in confirmed)
 
 
-def test_a_thousand_cones_and_more_are_compared_without_matrices() -> None:
-    """Thirty thousand of them would need a table of 7 GB."""
+def test_many_cones_are_compared_without_a_full_matrix() -> None:
+    """30,000 cones: a full cost matrix would need 7 GB."""
     rng = np.random.default_rng(3)
-    places = [(x, y + 10.0 * row) for row in range(30) for x, y in chain(rng, 1000)]
-    features = [feature(i, *place, sigma_m=NO_FIX) for i, place in enumerate(places)]
-    tracks = [track(i, x + 0.4, y - 0.3, sigma_m=NO_FIX) for i, (x, y) in enumerate(places)]
+    positions = [(x, y + 10.0 * row) for row in range(30) for x, y in chain(rng, 1000)]
+    features = [feature(i, *position, sigma_m=NO_FIX) for i, position in enumerate(positions)]
+    tracks = [track(i, x + 0.4, y - 0.3, sigma_m=NO_FIX) for i, (x, y) in enumerate(positions)]
     offset, weight = common_offset(tracks, features, PARAMS)
     assert offset[:2] == pytest.approx((0.4, -0.3), abs=1e-6)
-    placed = np.array([t.xyz_m for t in tracks]) - weight * offset
-    pairs = pair(placed, tracks, features, offset, weight, PARAMS)
-    assert pairs == {i: i for i in range(len(places))}
+    map_xyz_m = np.array([t.xyz_m for t in tracks]) - weight * offset
+    pairs = pair(map_xyz_m, tracks, features, offset, weight, PARAMS)
+    assert pairs == {i: i for i in range(len(positions))}
 
 
-def test_a_cone_of_another_height_in_the_same_place_is_a_change_and_not_a_mean() -> None:
+def test_a_cone_of_another_height_at_the_same_position_replaces_the_height() -> None:
     found = changes([track(0, 0.0, 3.0, height_m=0.5)], [feature(0, 0.0, 3.0, height_m=0.75)])
     assert kinds(found) == {DeltaKind.HEIGHT_CHANGED: 1}
     (delta,) = found[DeltaKind.HEIGHT_CHANGED]
@@ -95,7 +93,7 @@ def test_a_feature_in_the_middle_of_two_cones_of_one_image_is_split() -> None:
     assert split.other_feature_id == kept.feature_id == UUID(int=0)
     assert kept.new is not None
     assert kept.shift_m == pytest.approx(0.3, abs=0.01), (
-        "its place was that of neither, and is not averaged with either"
+        "the position of the mixture is not averaged with that of a half"
     )
     apart = changes(two, [feature(0, 0.0, 3.0)])
     assert kinds(apart) == {DeltaKind.CONFIRMED: 1, DeltaKind.ADDED: 1}, "no image shows both"
@@ -103,7 +101,7 @@ def test_a_feature_in_the_middle_of_two_cones_of_one_image_is_split() -> None:
     assert kinds(beside) == {DeltaKind.CONFIRMED: 1, DeltaKind.ADDED: 1}, "the feature is one of them"
 
 
-def test_two_features_where_there_is_room_for_one_cone_are_merged() -> None:
+def test_features_whose_base_plates_overlap_are_merged() -> None:
     found = changes([track(0, 0.05, 3.0)], [feature(0, 0.0, 3.0), feature(1, 0.3, 3.0)])
     assert kinds(found) == {DeltaKind.CONFIRMED: 1, DeltaKind.MERGED: 1}
     (merged,) = found[DeltaKind.MERGED]
@@ -123,22 +121,48 @@ def test_a_drive_without_shared_cones_has_no_offset() -> None:
     assert (offset.tolist(), weight) == ([0.0, 0.0, 0.0], 0.0)
 
 
-def test_a_doubt_that_grows_over_drives_removes_from_the_first_miss_on() -> None:
-    from conetl.mapping.existence_update import doubt_after
-
-    cone, doubt, first_ns = feature(0, 0.0, 3.0, sigma_m=RTK), None, 10**18
+def test_misses_of_several_drives_remove_from_the_first_miss_on() -> None:
+    cone, summary, first_ns = feature(0, 0.0, 3.0, sigma_m=RTK), None, 10**18
     for drive in range(4):
         at_ns = cone.last_seen_ns + (drive + 1) * first_ns
 
-        def look(_feature: MapFeature, _offset: object, _others: object, at_ns: int = at_ns) -> Look:
-            return Look(8, at_ns, -0.9)
+        def check_visibility(_feature: MapFeature, _offset: object, _others: object, at_ns: int = at_ns) -> NotObserved:
+            return NotObserved(8, at_ns, -0.9)
 
-        doubts = {cone.feature_id: doubt} if doubt else {}
-        (delta,) = reconcile([], [cone], look, PARAMS, founding_key="d", doubts=doubts)
+        summaries = {cone.feature_id: summary} if summary else {}
+        (delta,) = reconcile([], [cone], check_visibility, PARAMS, founding_key="d", summaries=summaries)
         assert delta.evidence is not None
         if delta.kind is DeltaKind.REMOVED:
             break
-        doubt = doubt_after(doubt, delta.evidence.existence_probability, delta.changed_at_ns)
+        summary = summarize_miss(summary, delta.evidence.existence_probability, delta.changed_at_ns)
     assert drive == 2
     assert delta.kind is DeltaKind.REMOVED
     assert delta.changed_at_ns == cone.last_seen_ns + first_ns
+
+
+COORDINATES = st.integers(0, 40).map(lambda n: n / 4)
+POINTS = st.lists(st.tuples(COORDINATES, COORDINATES), max_size=14).map(lambda rows: np.array(rows).reshape(-1, 2))
+
+
+@given(POINTS, POINTS, st.sampled_from([0.5, 1.0, 2.5]))
+def test_near_pairs_are_those_of_the_whole_matrix(a, b, reach_m):
+    rows, columns = near_pairs(a, b, reach_m)
+    distances = np.linalg.norm(a[:, None] - b[None], axis=2).reshape(len(a), len(b))
+    expected = np.argwhere(distances <= reach_m)
+    assert np.column_stack([rows, columns]).tolist() == expected.tolist()
+
+
+@settings(max_examples=200)
+@given(POINTS, POINTS, st.sampled_from([1.0, 3.0]))
+def test_groups_cost_no_more_than_the_whole_matrix_and_pair_as_many(a, b, reach_m):
+    rows, columns = near_pairs(a, b, reach_m)
+    costs = np.linalg.norm(a[rows] - b[columns], axis=1)
+    pairs = assign(rows, columns, costs)
+    assert len(set(pairs.values())) == len(pairs)
+    allowed = dict(zip(zip(rows.tolist(), columns.tolist(), strict=True), costs.tolist(), strict=True))
+    assert all(pair in allowed for pair in pairs.items())
+    matrix = np.full((len(a), len(b)), 1e6)
+    matrix[rows, columns] = costs
+    whole = [(i, j) for i, j in zip(*linear_sum_assignment(matrix), strict=True) if matrix[i, j] < 1e6]
+    assert len(pairs) == len(whole)
+    assert np.isclose(sum(allowed[pair] for pair in pairs.items()), sum(matrix[i, j] for i, j in whole))

@@ -9,9 +9,9 @@ import pytest
 
 from conetl.mapping.association import common_offset
 from conetl.mapping.changes import reconcile
-from conetl.mapping.existence_update import seen
-from conetl.mapping.feature_states import confirmations
-from conetl.mapping.visibility import Look
+from conetl.mapping.deltas import confirmed
+from conetl.mapping.existence_update import observed
+from conetl.mapping.visibility import NotObserved
 from conetl.model.map_records import Delta, DeltaKind, MapFeature
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Track
@@ -72,10 +72,10 @@ def changes(
     ratio: float = -3.5,
     hidden: Sequence[int] = (),
 ) -> dict[DeltaKind, list[Delta]]:
-    def look(seen: MapFeature, _offset: object, _others: object) -> Look | None:
-        return None if seen.feature_id.int in hidden else Look(frames_empty, START_NS + DAY_NS, ratio)
+    def check(unseen: MapFeature, _offset: object, _others: object) -> NotObserved | None:
+        return None if unseen.feature_id.int in hidden else NotObserved(frames_empty, START_NS + DAY_NS, ratio)
 
-    deltas = reconcile(tracks, features, look, PARAMS, founding_key="d")
+    deltas = reconcile(tracks, features, check, PARAMS, founding_key="d")
     return {kind: [d for d in deltas if d.kind == kind] for kind in DeltaKind}
 
 
@@ -88,10 +88,10 @@ def test_an_empty_map_gets_every_track() -> None:
     assert len({d.feature_id for d in found[DeltaKind.ADDED]}) == 5
 
 
-def test_one_moved_one_removed_two_added_are_told_apart() -> None:
+def test_one_moved_one_removed_and_two_added_are_distinguished() -> None:
     features = [feature(i, *at) for i, at in enumerate(ROW)]
-    places = [ROW[0], (5.0, 4.1), ROW[2], ROW[4], (25.0, 1.0), (30.0, 0.6)]
-    found = changes([track(i, *at) for i, at in enumerate(places)], features)
+    positions = [ROW[0], (5.0, 4.1), ROW[2], ROW[4], (25.0, 1.0), (30.0, 0.6)]
+    found = changes([track(i, *at) for i, at in enumerate(positions)], features)
     assert {d.feature_id.int for d in found[DeltaKind.CONFIRMED]} == {0, 2, 4}
     (moved,) = found[DeltaKind.MOVED]
     assert moved.feature_id.int == 1
@@ -106,9 +106,9 @@ def test_a_cone_out_of_view_stays() -> None:
     assert len(found[DeltaKind.CONFIRMED]) == 1
 
 
-@pytest.mark.parametrize("look", [{"frames_empty": PARAMS.removal_min_frames - 1}, {"ratio": -2.0}])
-def test_a_short_look_and_a_poor_one_remove_nothing_but_leave_a_doubt(look: dict[str, Any]) -> None:
-    found = changes([], [feature(0, *ROW[0])], **look)
+@pytest.mark.parametrize("evidence", [{"frames_empty": PARAMS.removal_min_frames - 1}, {"ratio": -2.0}])
+def test_weak_evidence_of_absence_is_a_miss_and_no_removal(evidence: dict[str, Any]) -> None:
+    found = changes([], [feature(0, *ROW[0])], **evidence)
     assert {kind for kind, deltas in found.items() if deltas} == {DeltaKind.MISSED}
     (miss,) = found[DeltaKind.MISSED]
     assert miss.new == miss.old
@@ -118,7 +118,7 @@ def test_a_short_look_and_a_poor_one_remove_nothing_but_leave_a_doubt(look: dict
 
 
 @pytest.mark.parametrize("offset", [(0.4, -0.3), (-0.7, 0.5), (0.0, 0.9)])
-def test_a_drive_without_a_fix_is_laid_onto_the_map_as_a_whole(offset: tuple[float, float]) -> None:
+def test_the_offset_of_a_drive_without_a_fix_is_taken_out(offset: tuple[float, float]) -> None:
     features = [feature(i, *at, sigma_m=NO_FIX) for i, at in enumerate(ROW)]
     tracks = [track(i, x + offset[0], y + offset[1], sigma_m=NO_FIX) for i, (x, y) in enumerate(ROW)]
     estimated, weight = common_offset(tracks, features, PARAMS)
@@ -130,14 +130,14 @@ def test_a_drive_without_a_fix_is_laid_onto_the_map_as_a_whole(offset: tuple[flo
     assert not found[DeltaKind.MOVED]
 
 
-def test_one_moved_cone_does_not_drag_a_good_drive_along() -> None:
+def test_one_moved_cone_does_not_shift_a_good_drive() -> None:
     tracks, features = [track(0, 1.2, 3.0), track(1, 6.2, 2.6)], [feature(0, 0.0, 3.0), feature(1, 5.0, 2.6)]
     offset, weight = common_offset(tracks, features, PARAMS)
     assert (offset.tolist(), weight) == ([0.0, 0.0, 0.0], 0.0)
     assert len(changes(tracks, features)[DeltaKind.MOVED]) == 2
 
 
-def test_confirmation_sharpens_the_position_and_keeps_the_count() -> None:
+def test_confirmation_reduces_the_covariance_and_adds_the_counts() -> None:
     (delta,) = changes([track(0, 0.04, 3.0)], [feature(0, 0.0, 3.0)])[DeltaKind.CONFIRMED]
     assert delta.old is not None
     assert delta.new is not None
@@ -147,15 +147,15 @@ def test_confirmation_sharpens_the_position_and_keeps_the_count() -> None:
     assert delta.new.version == 2
 
 
+def absent(_feature: MapFeature, _offset: object, _others: object) -> NotObserved:
+    return NotObserved(20, START_NS + DAY_NS, -3.5)
+
+
 def test_a_pinned_cone_is_neither_removed_nor_moved() -> None:
     features = [feature(0, *ROW[0]), feature(1, *ROW[1])]
     tracks = [track(0, ROW[1][0], ROW[1][1] + 1.5)]
-
-    def look(_feature: MapFeature, _offset: object, _others: object) -> Look:
-        return Look(20, START_NS + DAY_NS, -3.5)
-
-    free = reconcile(tracks, features, look, PARAMS, founding_key="d")
-    pinned = reconcile(tracks, features, look, PARAMS, founding_key="d", pinned={UUID(int=0), UUID(int=1)})
+    free = reconcile(tracks, features, absent, PARAMS, founding_key="d")
+    pinned = reconcile(tracks, features, absent, PARAMS, founding_key="d", pinned={UUID(int=0), UUID(int=1)})
     assert {d.kind for d in free} == {DeltaKind.REMOVED, DeltaKind.MOVED}
     assert {d.kind for d in pinned} == {DeltaKind.ADDED, DeltaKind.MISSED}
 
@@ -163,17 +163,12 @@ def test_a_pinned_cone_is_neither_removed_nor_moved() -> None:
 def test_the_order_of_tracks_and_features_does_not_matter() -> None:
     features = [feature(i, *at) for i, at in enumerate(ROW)]
     tracks = [track(i, x + 0.05, y) for i, (x, y) in enumerate(ROW[1:])]
-
-    def look(_feature: MapFeature, _offset: object, _others: object) -> Look:
-        return Look(20, START_NS + DAY_NS, -3.5)
-
-    one = reconcile(tracks, features, look, PARAMS, founding_key="d")
-    other = reconcile(tracks[::-1], features[::-1], look, PARAMS, founding_key="d")
-    assert one == other
+    one = reconcile(tracks, features, absent, PARAMS, founding_key="d")
+    assert one == reconcile(tracks[::-1], features[::-1], absent, PARAMS, founding_key="d")
 
 
-def test_a_cone_that_was_seen_at_its_new_place_first_is_one_cone() -> None:
-    """An earlier drive had only the new place in view, and took the cone for a new one."""
+def test_a_moved_cone_that_was_founded_again_is_merged() -> None:
+    """An earlier drive, to which only the new position was visible, founded a feature there."""
     day = START_NS + DAY_NS // 2
     founded_since = feature(9, 5.0, 4.1).model_copy(update={"first_seen_ns": day, "last_seen_ns": day})
     features = [*(feature(i, *at) for i, at in enumerate(ROW)), founded_since]
@@ -190,7 +185,7 @@ def test_a_cone_that_was_seen_at_its_new_place_first_is_one_cone() -> None:
     assert len(found[DeltaKind.CONFIRMED]) == 4
 
 
-def test_cones_that_were_both_seen_to_stand_are_two() -> None:
+def test_cones_observed_at_the_same_time_are_two() -> None:
     features = [*(feature(i, *at) for i, at in enumerate(ROW)), feature(9, 5.0, 4.1)]
     found = changes([track(i, *at) for i, at in enumerate([ROW[0], (5.0, 4.1), *ROW[2:]])], features)
     assert [d.feature_id.int for d in found[DeltaKind.REMOVED]] == [1]
@@ -206,8 +201,8 @@ def test_a_weak_track_confirms_a_feature_but_founds_none() -> None:
 
 
 @pytest.mark.parametrize(("along_sigma_m", "cones"), [(0.3, 1), (0.02, 2)])
-def test_a_box_beside_a_far_cone_founds_no_second_one(along_sigma_m: float, cones: int) -> None:
-    """Half a metre behind the other one, as far as the drive can tell: along the line of sight it may be off by 0.3 m."""
+def test_an_uncertain_track_beside_a_far_cone_founds_no_feature(along_sigma_m: float, cones: int) -> None:
+    """Half a metre behind the other one, with a sigma of 0.3 m along the line of sight."""
     behind = {"relative_cov_m2": (along_sigma_m**2, 0.0, 0.0, 0.02**2, 0.0, 0.02**2), "observation_count": 6}
     found = changes([track(0, 40.0, 3.0), track(1, 40.5, 3.1).model_copy(update=behind)], [])
     assert len(found[DeltaKind.ADDED]) == cones
@@ -217,9 +212,9 @@ def test_a_box_beside_a_far_cone_founds_no_second_one(along_sigma_m: float, cone
 def test_covariances_that_cannot_be_fused_are_refused() -> None:
     broken = feature(0, *ROW[0]).model_copy(update={"cov_m2": (float("inf"), 0.0, 0.0, 1.0, 0.0, 1.0)})
     with pytest.raises(ValueError, match="cannot be fused"):
-        confirmations(
+        confirmed(
             {0: 0},
             [broken],
             [track(0, *ROW[0])],
-            {0: seen(broken, None, track(0, *ROW[0]))},
+            {0: observed(broken, None, track(0, *ROW[0]))},
         )

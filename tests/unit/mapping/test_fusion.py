@@ -1,4 +1,4 @@
-"""Fusion of two statements about one place: laws of the weights, covariances and shared_jacobian."""
+"""Fusion of two estimates of one position: laws of gains, covariances and shared-error Jacobians; tracks in the map frame."""
 
 from __future__ import annotations
 
@@ -12,15 +12,18 @@ from numpy.typing import NDArray
 
 from conetl.geometry.calibration.shared import pack_all, unpack_all
 from conetl.geometry.packing import cov3, cov_matrix
-from conetl.mapping.fusion import MOST_CALIBRATIONS, fuse
-from conetl.model.records import Cov3, SharedErrorJacobian
+from conetl.mapping.fusion import MOST_CALIBRATIONS, fuse, tracks_in_map_frame
+from conetl.model.map_records import MapFeature
+from conetl.model.records import Cov3, SharedErrorJacobian, Track
+from tests.unit.mapping.test_changes import feature, track
 
 Floats = NDArray[np.float64]
+Estimate = tuple[Cov3, SharedErrorJacobian | None]
 CALIBRATIONS = [UUID(int=k) for k in range(1, 20)]
 
 
 def rounded(values: Floats) -> Floats:
-    """As shared_jacobian are kept."""
+    """As Jacobians are stored."""
     return values.astype(np.float32).astype(np.float64)
 
 
@@ -34,21 +37,17 @@ def shared_jacobian(moved_m: dict[UUID, Floats]) -> SharedErrorJacobian | None:
     return pack_all(ids, np.stack([moved_m[one] for one in ids])[None])[0] if ids else None
 
 
-def statement(own: Floats, moved_m: dict[UUID, Floats]) -> tuple[Cov3, SharedErrorJacobian | None]:
+def estimate(own: Floats, moved_m: dict[UUID, Floats]) -> Estimate:
     return cov3(own + sum((a @ a.T for a in moved_m.values()), np.zeros((3, 3)))), shared_jacobian(moved_m)
 
 
-def fused(
-    old: tuple[Cov3, SharedErrorJacobian | None], new: tuple[Cov3, SharedErrorJacobian | None]
-) -> tuple[Floats, Floats, tuple[Cov3, SharedErrorJacobian | None]]:
+def fused(old: Estimate, new: Estimate) -> tuple[Floats, Floats, Estimate]:
     result = fuse([old[0]], [old[1]], [new[0]], [new[1]])
     return result.gain[0], result.cov_m2[0], (cov3(result.cov_m2[0]), result.shared_jacobian[0])
 
 
-def by_formula(
-    old: tuple[Cov3, SharedErrorJacobian | None], new: tuple[Cov3, SharedErrorJacobian | None]
-) -> tuple[Floats, Floats]:
-    """Weight and covariance as Bar-Shalom & Campo write them down, of shared_jacobian one by one."""
+def by_formula(old: Estimate, new: Estimate) -> tuple[Floats, Floats]:
+    """Gain and covariance by the formulas of Bar-Shalom & Campo, calibration by calibration."""
     p1, p2 = cov_matrix(old[0]), cov_matrix(new[0])
     a, b = (
         dict(zip(s[1].calibrations, unpack_all(s[1].calibrations, [s[1]])[0], strict=True)) if s[1] else {}
@@ -65,10 +64,8 @@ def by_formula(
 
 
 @st.composite
-def statements(
-    draw: st.DrawFn,
-) -> tuple[tuple[Cov3, SharedErrorJacobian | None], tuple[Cov3, SharedErrorJacobian | None]]:
-    """Two statements of drives with up to three calibrations each, some of them the same, and not always as many errors."""
+def estimates(draw: st.DrawFn) -> tuple[Estimate, Estimate]:
+    """Two estimates of drives with up to three calibrations each, partly the same, with different numbers of errors."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     chosen = st.sets(st.sampled_from(CALIBRATIONS[:4]), max_size=3)
     pair = []
@@ -76,15 +73,13 @@ def statements(
         own_m, errors = draw(st.sampled_from([0.003, 0.02, 0.3])), draw(st.integers(1, 6))
         size_m = draw(st.sampled_from([0.0, 0.01, 0.2]))
         moved = {one: rounded(rng.normal(0, size_m, (3, errors))) for one in draw(chosen)}
-        pair.append(statement(spd(rng, own_m), moved))
+        pair.append(estimate(spd(rng, own_m), moved))
     return pair[0], pair[1]
 
 
 @settings(max_examples=200, deadline=None)
-@given(statements())
-def test_weights_and_covariances_are_those_of_the_formula(
-    pair: tuple[tuple[Cov3, SharedErrorJacobian | None], tuple[Cov3, SharedErrorJacobian | None]],
-) -> None:
+@given(estimates())
+def test_weights_and_covariances_are_those_of_the_formula(pair: tuple[Estimate, Estimate]) -> None:
     gain, cov, (_, kept) = fused(*pair)
     wanted_gain, wanted = by_formula(*pair)
     scale = float(np.trace(wanted))
@@ -101,10 +96,8 @@ def test_weights_and_covariances_are_those_of_the_formula(
 
 
 @settings(max_examples=100, deadline=None)
-@given(statements())
-def test_where_nothing_is_shared_it_is_the_plain_fusion(
-    pair: tuple[tuple[Cov3, SharedErrorJacobian | None], tuple[Cov3, SharedErrorJacobian | None]],
-) -> None:
+@given(estimates())
+def test_without_shared_calibrations_it_is_the_plain_fusion(pair: tuple[Estimate, Estimate]) -> None:
     (old_cov, old_jacobian), (new_cov, new_jacobian) = pair
     apart = None if new_jacobian is None else new_jacobian._replace(
         calibrations=tuple(UUID(int=one.int + 100) for one in new_jacobian.calibrations)
@@ -116,12 +109,11 @@ def test_where_nothing_is_shared_it_is_the_plain_fusion(
     np.testing.assert_allclose(cov, (np.eye(3) - plain) @ p1, rtol=1e-6, atol=1e-6 * float(np.trace(p1)))
 
 
-def test_without_levers_not_a_bit_is_different() -> None:
+def test_without_jacobians_it_is_the_plain_fusion_bit_by_bit() -> None:
     rng = np.random.default_rng(3)
     old, new = ([spd(rng, 0.1) for _ in range(50)] for _ in range(2))
     result = fuse([cov3(c) for c in old], [None] * 50, [cov3(c) for c in new], [None] * 50)
-    p1, p2 = np.stack(old), np.stack(new)
-    p1, p2 = (np.stack([cov_matrix(cov3(c)) for c in p]) for p in (p1, p2))
+    p1, p2 = (np.stack([cov_matrix(cov3(c)) for c in p]) for p in (old, new))
     gain = p1 @ np.linalg.inv(p1 + p2)
     cov = (np.eye(3) - gain) @ p1
     np.testing.assert_array_equal(result.gain, gain)
@@ -131,13 +123,13 @@ def test_without_levers_not_a_bit_is_different() -> None:
 
 @settings(max_examples=50, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), drives=st.integers(2, 30))
-def test_drives_from_one_side_never_get_below_what_the_calibration_leaves(seed: int, drives: int) -> None:
+def test_drives_from_one_side_keep_the_error_of_the_calibration(seed: int, drives: int) -> None:
     rng = np.random.default_rng(seed)
     moved = {CALIBRATIONS[0]: rounded(rng.normal(0, 0.05, (3, 4)))}
     floor = moved[CALIBRATIONS[0]] @ moved[CALIBRATIONS[0]].T
-    state = statement(spd(rng, 0.02), moved)
+    state = estimate(spd(rng, 0.02), moved)
     for _ in range(drives):
-        _, cov, state = fused(state, statement(spd(rng, 0.02), moved))
+        _, cov, state = fused(state, estimate(spd(rng, 0.02), moved))
         assert np.linalg.eigvalsh(cov - floor).min() > -1e-6 * float(np.trace(floor))
     assert state[1] is not None
     np.testing.assert_allclose(
@@ -145,31 +137,31 @@ def test_drives_from_one_side_never_get_below_what_the_calibration_leaves(seed: 
     )
 
 
-def test_two_looks_from_opposite_sides_cancel_and_own_parts_average() -> None:
+def test_jacobians_of_opposite_sides_cancel_and_independent_parts_average() -> None:
     a = np.array([[0.2], [0.0], [0.05]])
     own = 0.02**2 * np.eye(3)
     _, cov, (_, kept) = fused(
-        statement(own, {CALIBRATIONS[0]: rounded(a)}), statement(own, {CALIBRATIONS[0]: rounded(-a)})
+        estimate(own, {CALIBRATIONS[0]: rounded(a)}), estimate(own, {CALIBRATIONS[0]: rounded(-a)})
     )
     assert kept is not None
     np.testing.assert_allclose(unpack_all(kept.calibrations, [kept])[0, 0], 0, atol=1e-7)
     np.testing.assert_allclose(cov, own / 2, rtol=1e-6, atol=1e-12)
 
 
-def test_two_statements_that_are_calibration_error_through_and_through_are_both_kept_half() -> None:
+def test_two_estimates_with_calibration_errors_only_have_equal_gains() -> None:
     one = {CALIBRATIONS[0]: rounded(np.diag([0.1, 0.2, 0.3]))}
-    state = statement(np.zeros((3, 3)), one)
+    state = estimate(np.zeros((3, 3)), one)
     gain, cov, _ = fused(state, state)
     np.testing.assert_allclose(gain, 0.5 * np.eye(3), atol=1e-6)
     np.testing.assert_allclose(cov, cov_matrix(state[0]), rtol=1e-6, atol=1e-9)
 
 
-def test_the_levers_of_a_few_calibrations_are_kept_those_that_move_it_most() -> None:
+def test_only_the_largest_jacobians_are_kept() -> None:
     rng = np.random.default_rng(0)
-    state = statement(spd(rng, 0.02), {})
+    state = estimate(spd(rng, 0.02), {})
     for number, calibration in enumerate(CALIBRATIONS):
         moved = rounded(np.full((3, 2), 0.001 * (1 + number)))
-        _, cov, state = fused(state, statement(spd(rng, 0.05), {calibration: moved}))
+        _, cov, state = fused(state, estimate(spd(rng, 0.05), {calibration: moved}))
         assert np.linalg.eigvalsh(cov).min() > 0
     assert state[1] is not None
     assert len(state[1].calibrations) == MOST_CALIBRATIONS
@@ -178,12 +170,12 @@ def test_the_levers_of_a_few_calibrations_are_kept_those_that_move_it_most() -> 
 
 
 def test_rows_do_not_depend_on_the_rows_beside_them() -> None:
-    """Otherwise a late drive would leave other last digits than one that came in order."""
+    """Otherwise a late drive would give other last digits than one in order."""
     rng = np.random.default_rng(5)
     rows = []
     for k in range(20):
         moved = [{one: rounded(rng.normal(0, 0.05, (3, 5))) for one in CALIBRATIONS[: k % n]} for n in (3, 4)]
-        rows.append((statement(spd(rng, 0.02), moved[0]), statement(spd(rng, 0.02), moved[1])))
+        rows.append((estimate(spd(rng, 0.02), moved[0]), estimate(spd(rng, 0.02), moved[1])))
     whole = fuse([o[0] for o, _ in rows], [o[1] for o, _ in rows], [n[0] for _, n in rows], [n[1] for _, n in rows])
     for k, (old, new) in enumerate(rows):
         alone = fuse([old[0]], [old[1]], [new[0]], [new[1]])
@@ -193,6 +185,63 @@ def test_rows_do_not_depend_on_the_rows_beside_them() -> None:
     assert whole.shared_jacobian[0] is None
 
 
-def test_no_pairs_give_nothing() -> None:
-    assert fuse([], [], [], []).shared_jacobian == []
-    assert pytest.approx(fuse([], [], [], []).gain.shape) == (0, 3, 3)
+ONE, OTHER = UUID(int=1), UUID(int=2)
+RELATIVE_M2, DRIVE_M2, MAP_M2 = 0.01**2, 0.3**2, 0.05**2
+
+
+def eastwards(**moved_m: list[float]) -> SharedErrorJacobian | None:
+    """Of the calibrations `one` and `other`, the shift to the east by each error."""
+    ids = {"one": ONE, "other": OTHER}
+    return shared_jacobian(
+        {ids[k]: np.array([east, np.zeros(len(east)), np.zeros(len(east))]) for k, east in moved_m.items()}
+    )
+
+
+def in_drive(number: int, own: SharedErrorJacobian | None = None) -> Track:
+    cov = cov3((RELATIVE_M2 + DRIVE_M2) * np.eye(3) + shared_part(own))
+    update = {"cov_m2": cov, "relative_cov_m2": cov3(RELATIVE_M2 * np.eye(3)), "shared_jacobian": own}
+    return track(number, 5.0 * number, 3.0).model_copy(update=update)
+
+
+def on_map(number: int, own: SharedErrorJacobian | None = None) -> MapFeature:
+    update = {"cov_m2": cov3(MAP_M2 * np.eye(3) + shared_part(own)), "shared_jacobian": own}
+    return feature(number, 5.0 * number, 3.0).model_copy(update=update)
+
+
+def shared_part(own: SharedErrorJacobian | None) -> Floats:
+    moved = unpack_all(own.calibrations, [own])[0] if own else np.zeros((1, 3, 1))
+    return np.asarray(sum(a @ a.T for a in moved))
+
+
+def test_a_track_less_the_offset_has_errors_of_the_drive_and_of_the_map() -> None:
+    tracks = [in_drive(k) for k in range(3)]
+    moved_to_map = tracks_in_map_frame([2], tracks, [on_map(0), on_map(1)], {0: 0, 1: 1}, weight=0.75)
+    assert list(moved_to_map) == [2]
+    wanted = RELATIVE_M2 + 0.25**2 * DRIVE_M2 + 0.75**2 * MAP_M2
+    np.testing.assert_allclose(cov_matrix(moved_to_map[2].cov_m2), wanted * np.eye(3), rtol=1e-9, atol=1e-15)
+    assert moved_to_map[2].shared_jacobian is None
+    assert moved_to_map[2].xyz_m == tracks[2].xyz_m, "only the covariance changes"
+
+
+@pytest.mark.parametrize(("pairs", "weight"), [({}, 0.5), ({0: 0}, 0.0)])
+def test_without_an_offset_tracks_are_unchanged(pairs: dict[int, int], weight: float) -> None:
+    tracks = [in_drive(0, eastwards(one=[0.1])), in_drive(1)]
+    moved_to_map = tracks_in_map_frame([0, 1], tracks, [on_map(0)], pairs, weight)
+    assert all(moved_to_map[i] is tracks[i] for i in (0, 1))
+
+
+def test_jacobians_are_those_of_the_drive_less_those_of_its_difference_from_the_map() -> None:
+    """The drive errs to the east, the map the other way for the same calibration, and as another one does."""
+    tracks = [
+        in_drive(0, eastwards(one=[0.1, 0.02])),
+        in_drive(1, eastwards(one=[0.1, 0.02])),
+        in_drive(2, eastwards(one=[0.2, 0.02])),
+    ]
+    features = [on_map(0, eastwards(one=[-0.1], other=[0.04])), on_map(1, eastwards(one=[-0.1]))]
+    moved_to_map = tracks_in_map_frame([2], tracks, features, {0: 0, 1: 1}, weight=0.5)[2]
+    assert moved_to_map.shared_jacobian is not None and moved_to_map.shared_jacobian.calibrations == (ONE, OTHER)
+    moved = unpack_all((ONE, OTHER), [moved_to_map.shared_jacobian])[0]
+    np.testing.assert_allclose(moved[:, 0], [[0.2 - 0.5 * 0.2, 0.02 - 0.5 * 0.02], [0.5 * 0.02, 0.0]], rtol=1e-6)
+    own = cov_matrix(moved_to_map.cov_m2) - sum(a @ a.T for a in moved)
+    wanted = RELATIVE_M2 + 0.25 * DRIVE_M2 + 0.25 * MAP_M2
+    np.testing.assert_allclose(own, wanted * np.eye(3), rtol=1e-5, atol=1e-9)

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from conetl.mapping.fold import fold
+from conetl.mapping.history import replay_drives
 from conetl.mapping.map_diff import compose, diff, invert
 from conetl.model.map_records import DeltaKind, MapFeature
-from tests.unit.mapping.test_fold import random_case
+from tests.unit.mapping.test_history import random_case
 
 
 def cone(number: int, east_m: float) -> MapFeature:
@@ -75,8 +75,8 @@ def test_differences_between_the_maps_of_drives_compose_and_invert(seed: int) ->
     drives = sorted(random_case(seed, 3), key=lambda drive: drive.key)
     maps = []
     for count in range(4):
-        chains = fold(drives[:count]).chains.values()
-        maps.append([chain[-1].feature for chain in chains if chain[-1].standing])
+        chains = replay_drives(drives[:count]).chains.values()
+        maps.append([chain[-1].feature for chain in chains if chain[-1].present])
     first, second, third = (diff(before, after) for before, after in pairwise(maps))
     assert compose(compose(first, second), third) == compose(first, compose(second, third)) == diff(maps[0], maps[3])
     reverted = compose(compose(first, second), invert(second))

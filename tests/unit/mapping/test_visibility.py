@@ -4,23 +4,27 @@ import math
 from uuid import UUID
 
 import numpy as np
-import pytest
 
-from conetl.mapping.visibility import Look, View, look_at_spot, looks_in_view, view_of_drive
+from conetl.mapping.visibility import (
+    DriveObservations,
+    NotObserved,
+    check_visibility,
+    observations_of_drive,
+    pairs_in_view,
+)
 from conetl.model.detector_evidence import AbsenceFigures, DetectorEvidence
 from conetl.model.map_records import MapFeature
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Detection, Position, Side
 from conetl.perception.model_card import read_model_card
-from conetl.tracking.apparent_boxes import apparent_box, apparent_boxes, are_in_view, is_in_view
 from tests.synthetic.world import ORIGIN_M, Cone, detect, make_path, make_rig, observe
 
 RIG = make_rig()
 PAIRS = make_path(30)
 TIMES = {pair.frame_index: pair.captured_at_ns for pair in PAIRS}
 PARAMS = ReconcileParams()
-NOBODY = np.empty((0, 3))
-SPOT = Cone((25.0, 2.0, 0.0))
+NO_OTHERS = np.empty((0, 3))
+CONE = Cone((25.0, 2.0, 0.0))
 
 
 def shipped() -> DetectorEvidence:
@@ -36,17 +40,17 @@ def boxes(cones: list[Cone]) -> list[Detection]:
 
 
 def in_view(cone: Cone) -> list[int]:
-    drive = view([])
-    rows, heights_px, found = looks_in_view(ORIGIN_M + np.array(cone.foot_m), cone.height_m, drive, PARAMS)
+    drive = observed([])
+    rows, heights_px, found = pairs_in_view(ORIGIN_M + np.array(cone.foot_m), cone.height_m, drive, PARAMS)
     assert heights_px.shape == (len(rows), 2)
     assert len(found) == len(rows)
     return [drive.frames[row] for row in rows]
 
 
-def look_with(others: list[Cone]) -> Look | None:
-    """What is seen of the spot when other cones stand there, but are not taken for it."""
-    seen = view_of_drive(RIG, PAIRS, boxes(others), [])
-    return look_at_spot(feature(SPOT), np.zeros(3), NOBODY, seen, PARAMS)
+def absence_with(others: list[Cone]) -> NotObserved | None:
+    """DriveEvidence of absence beside other cones."""
+    seen = observations_of_drive(RIG, PAIRS, boxes(others), [])
+    return check_visibility(feature(CONE), np.zeros(3), NO_OTHERS, seen, PARAMS)
 
 
 def feature(cone: Cone) -> MapFeature:
@@ -68,21 +72,21 @@ def feature(cone: Cone) -> MapFeature:
 
 
 def test_a_cone_ahead_is_in_view_until_it_leaves_the_image() -> None:
-    frames = in_view(SPOT)
+    frames = in_view(CONE)
     assert len(frames) > 8
     assert frames == list(range(frames[0], frames[-1] + 1))
     assert frames[-1] < 22, "abeam and behind it is out of view"
 
 
-def test_small_far_and_sideways_spots_are_not_in_view() -> None:
+def test_small_far_and_sideways_locations_are_not_in_view() -> None:
     assert in_view(Cone((80.0, 0.0, 0.0))) == [f for f in in_view(Cone((80.0, 0.0, 0.0))) if f > 20]
     assert in_view(Cone((10.0, 30.0, 0.0))) == []
     assert in_view(Cone((-10.0, 0.0, 0.0))) == []
 
 
-def test_a_nearer_cone_makes_a_look_worth_less_and_a_farther_one_does_not() -> None:
+def test_a_nearer_cone_weakens_the_evidence_and_a_farther_one_does_not() -> None:
     plain, behind, before = (
-        look_with(others)
+        absence_with(others)
         for others in ([], [Cone((23.5, 1.95, 0.0), height_m=0.9, base_m=0.6)], [Cone((30.0, 2.1, 0.0))])
     )
     assert plain is not None
@@ -93,8 +97,10 @@ def test_a_nearer_cone_makes_a_look_worth_less_and_a_farther_one_does_not() -> N
 def test_the_more_and_the_nearer_the_looks_the_surer_is_the_absence_but_never_certain() -> None:
     ratios = []
     for frames in (5, 8, 12, 30):
-        drive = view_of_drive(RIG, PAIRS[:frames], [], [], AbsenceFigures(evidence=shipped(), score_threshold=0.3))
-        found = look_at_spot(feature(SPOT), np.zeros(3), NOBODY, drive, PARAMS)
+        drive = observations_of_drive(
+            RIG, PAIRS[:frames], [], [], AbsenceFigures(evidence=shipped(), score_threshold=0.3)
+        )
+        found = check_visibility(feature(CONE), np.zeros(3), NO_OTHERS, drive, PARAMS)
         ratios.append(0.0 if found is None else found.log_likelihood_ratio)
     assert ratios == sorted(ratios, reverse=True)
     # A feature of some drives' standing (odds of 9 at most) is then removed, and is not after the five first and smallest views.
@@ -103,63 +109,50 @@ def test_the_more_and_the_nearer_the_looks_the_surer_is_the_absence_but_never_ce
     assert ratios[-1] > math.log(PARAMS.unseen_occluder_probability)
 
 
-def test_one_box_is_that_of_many() -> None:
-    rng = np.random.default_rng(1)
-    feet = rng.uniform([-6, 0.5, -2], [6, 2.0, 40], (200, 3))
-    tips = feet - [0.0, 0.7, 0.0]
-    many = apparent_boxes(feet, tips, RIG.left)
-    inside = are_in_view(many, RIG.left, PARAMS)
-    assert 10 < inside.sum() < 150
-    for i in range(len(feet)):
-        one = apparent_box(feet[i], tips[i], RIG.left)
-        assert (one is None) == np.isnan(many[i]).any()
-        assert one is None or (one == pytest.approx(many[i]) and is_in_view(one, RIG.left, PARAMS) == inside[i])
+def observed(positions: list[Position]) -> DriveObservations:
+    return observations_of_drive(RIG, PAIRS, [], [(p.frame_index, p.xyz_m) for p in positions])
 
 
-def view(positions: list[Position]) -> View:
-    return view_of_drive(RIG, PAIRS, [], [(p.frame_index, p.xyz_m) for p in positions])
-
-
-def look(positions: list[Position], offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> int:
-    found = look_at_spot(feature(SPOT), np.array(offset_m), NOBODY, view(positions), PARAMS)
+def empty_frames(positions: list[Position], offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> int:
+    found = check_visibility(feature(CONE), np.array(offset_m), NO_OTHERS, observed(positions), PARAMS)
     return 0 if found is None else found.frames
 
 
-def test_an_empty_spot_was_looked_at_and_an_occupied_one_not() -> None:
-    assert look([]) == len(in_view(SPOT))
-    _, _, positions = observe([SPOT], PAIRS, RIG)
-    assert look(positions) == 0
+def test_only_an_empty_location_is_evidence() -> None:
+    assert empty_frames([]) == len(in_view(CONE))
+    _, _, positions = observe([CONE], PAIRS, RIG)
+    assert empty_frames(positions) == 0
 
 
-def test_the_offset_of_the_drive_moves_the_spot() -> None:
-    _, _, positions = observe([SPOT], PAIRS, RIG)
+def test_the_offset_of_the_drive_is_added() -> None:
+    _, _, positions = observe([CONE], PAIRS, RIG)
     elsewhere = [p.model_copy(update={"xyz_m": (p.xyz_m[0] + 1.2, p.xyz_m[1], p.xyz_m[2])}) for p in positions]
-    assert look(elsewhere) > 5
-    assert look(elsewhere, (1.2, 0.0, 0.0)) == 0
+    assert empty_frames(elsewhere) > 5
+    assert empty_frames(elsewhere, (1.2, 0.0, 0.0)) == 0
 
 
-def test_the_time_of_the_look_is_that_of_the_first_empty_frame() -> None:
-    found = look_at_spot(feature(SPOT), np.zeros(3), NOBODY, view([]), PARAMS)
+def test_the_time_is_that_of_the_first_empty_frame() -> None:
+    found = check_visibility(feature(CONE), np.zeros(3), NO_OTHERS, observed([]), PARAMS)
     assert found is not None
-    assert found.first_ns == TIMES[in_view(SPOT)[0]]
+    assert found.first_ns == TIMES[in_view(CONE)[0]]
 
 
-def test_frames_from_before_the_cone_was_last_seen_say_nothing() -> None:
-    """Another drive, which began earlier and overlaps this one, saw the cone in the midst of it."""
-    frames = in_view(SPOT)
-    seen = feature(SPOT).model_copy(update={"last_seen_ns": TIMES[frames[3]]})
-    found = look_at_spot(seen, np.zeros(3), NOBODY, view([]), PARAMS)
+def test_frames_before_the_last_observation_are_ignored() -> None:
+    """An overlapping drive observed the cone later."""
+    frames = in_view(CONE)
+    seen = feature(CONE).model_copy(update={"last_seen_ns": TIMES[frames[3]]})
+    found = check_visibility(seen, np.zeros(3), NO_OTHERS, observed([]), PARAMS)
     assert found is not None
     assert (found.frames, found.first_ns) == (len(frames) - 4, TIMES[frames[4]])
 
 
-def test_a_neighbour_does_not_stand_in_for_a_cone_that_is_gone() -> None:
-    """Cones 0.5 m apart: what is seen near the spot is the other one."""
+def test_a_neighbour_is_not_taken_for_a_removed_cone() -> None:
+    """Cones 0.5 m apart: the observations are of the other one."""
     neighbour = Cone((25.0, 2.45, 0.0))
     _, _, positions = observe([neighbour], PAIRS, RIG)
-    alone = look_at_spot(feature(SPOT), np.zeros(3), NOBODY, view(positions), PARAMS)
+    alone = check_visibility(feature(CONE), np.zeros(3), NO_OTHERS, observed(positions), PARAMS)
     assert alone is None
     others = (ORIGIN_M + np.array(neighbour.foot_m))[None]
-    known = look_at_spot(feature(SPOT), np.zeros(3), others, view(positions), PARAMS)
+    known = check_visibility(feature(CONE), np.zeros(3), others, observed(positions), PARAMS)
     assert known is not None
     assert known.occupied == 0

@@ -13,16 +13,16 @@ from conetl.model.detector_evidence import (
     UNMEASURED,
     AbsenceFigures,
     DetectorEvidence,
-    LookCorrelation,
+    ImageCorrelation,
     ScoreCalibration,
     absence_log_ratio,
     box_log_ratio,
     calibrated_probability,
     detect_probability,
     evidence_sha256,
-    false_boxes_per_picture,
-    found_again_probability,
+    false_boxes_per_image,
     joint_log_ratio,
+    lookalike_box_probability,
     miss_log_ratio,
 )
 
@@ -49,15 +49,15 @@ VALUES: dict[str, Any] = {
 EVIDENCE = DetectorEvidence.model_validate(VALUES)
 
 
-def test_bands_begin_where_they_say_and_thresholds_are_interpolated() -> None:
+def test_bands_begin_at_their_limits_and_thresholds_are_interpolated() -> None:
     assert detect_probability(EVIDENCE, 19.9, 0.0, 0.3) == pytest.approx(0.6)
     assert detect_probability(EVIDENCE, 20.0, 0.0, 0.3) == pytest.approx(0.9)
     assert detect_probability(EVIDENCE, 500.0, 0.3, 0.3) == pytest.approx(0.7)
     assert detect_probability(EVIDENCE, 20.0, 0.0, 0.4) == pytest.approx(0.85)
-    assert detect_probability(EVIDENCE, 3.0, 0.0, 0.3) == pytest.approx(0.6), "below the first band the first holds"
-    assert found_again_probability(EVIDENCE, 0.4) == pytest.approx(0.3)
-    assert false_boxes_per_picture(EVIDENCE, 8.0, 0.3) == pytest.approx(0.3)
-    assert false_boxes_per_picture(EVIDENCE, 22.0, 0.5) == pytest.approx(0.04)
+    assert detect_probability(EVIDENCE, 3.0, 0.0, 0.3) == pytest.approx(0.6), "the first band applies below its limit"
+    assert lookalike_box_probability(EVIDENCE, 0.4) == pytest.approx(0.3)
+    assert false_boxes_per_image(EVIDENCE, 8.0, 0.3) == pytest.approx(0.3)
+    assert false_boxes_per_image(EVIDENCE, 22.0, 0.5) == pytest.approx(0.04)
 
 
 @given(st.floats(0, 1), st.floats(0, 1))
@@ -68,11 +68,13 @@ def test_calibration_keeps_the_order_of_scores(a: float, b: float) -> None:
     assert 0.2 - 1e-9 <= calibrated_probability(calibration, low) <= 0.99 + 1e-9
 
 
-def test_a_knot_is_met_and_between_two_log_odds_run_straight() -> None:
+def test_calibration_interpolates_log_odds_and_may_have_steps() -> None:
     calibration = EVIDENCE.calibration
     assert calibrated_probability(calibration, 0.9) == pytest.approx(0.99)
     middle = (np.log(0.2 / 0.8) + np.log(99.0)) / 2
     assert calibrated_probability(calibration, 0.5) == pytest.approx(1 / (1 + np.exp(-middle)))
+    flat = ScoreCalibration(method="isotonic", scores=(0.1, 0.2, 0.3), probabilities=(0.2, 0.2, 0.5))
+    assert calibrated_probability(flat, 0.15) == pytest.approx(0.2)
 
 
 def test_the_ratio_of_a_box_is_bayes_rule() -> None:
@@ -80,10 +82,12 @@ def test_the_ratio_of_a_box_is_bayes_rule() -> None:
     ratio = box_log_ratio(EVIDENCE, 0.5, 30.0, 0.0, 1e-6)
     p = calibrated_probability(EVIDENCE.calibration, 0.5)
     assert ratio == pytest.approx(np.log(0.9 / 0.4) + np.log(p / (1 - p)) - np.log(300 / 100))
+    for score, limit in ((0.999, np.log(4)), (0.001, -np.log(4))):  # at most the odds of `doubt`
+        assert box_log_ratio(EVIDENCE, score, 30.0, 0.0, 0.2) == pytest.approx(np.log(0.9 / 0.4) + limit)
 
 
-def test_joint_ratio_is_kishs_for_one_correlation_and_near_looks_count_less_than_far_ones() -> None:
-    one_for_all = LookCorrelation(near=0.5, far=0.5, decay_octaves=1.0)
+def test_joint_ratio_has_the_design_effect_of_kish() -> None:
+    one_for_all = ImageCorrelation(near=0.5, far=0.5, decay_octaves=1.0)
     even = EVIDENCE.model_copy(update={"look_correlation": one_for_all, "joint_scale": 1.5})
     ratios, heights = np.array([1.0, 2.0, 3.0]), np.array([20.0, 40.0, 80.0])
     assert joint_log_ratio(even, ratios, heights) == pytest.approx(1.5 * 6.0 / (1 + 2 * 0.5))
@@ -101,35 +105,19 @@ def absent(evidence: DetectorEvidence, frames: int) -> float:
 
 
 @given(st.integers(1, 40), st.floats(0.05, 0.8))
-def test_empty_frames_weigh_by_how_cones_are_missed_and_not_by_how_alike_things_are_judged(n: int, r: float) -> None:
-    alike = LookCorrelation(near=r, far=r, decay_octaves=1.0)
-    told_apart = EVIDENCE.model_copy(update={"miss_correlation": alike, "joint_scale": 7.0})
+def test_empty_frames_have_the_correlation_of_misses_if_known(n: int, r: float) -> None:
+    alike = ImageCorrelation(near=r, far=r, decay_octaves=1.0)
+    separate = EVIDENCE.model_copy(update={"miss_correlation": alike, "joint_scale": 7.0})
     one = np.log((1 - 0.9 * 0.9) / (1 - 0.02))
-    assert absent(told_apart, n) == pytest.approx(n * one / (1 + (n - 1) * r), rel=1e-4)
-    not_told = EVIDENCE.model_copy(update={"look_correlation": alike, "joint_scale": 0.5})
-    assert absent(not_told, n) == pytest.approx(0.5 * absent(told_apart, n), rel=1e-4)
-
-
-def test_figures_from_before_misses_were_told_apart_keep_their_hash() -> None:
-    text = EVIDENCE.model_dump_json(exclude={"miss_correlation"})
-    assert evidence_sha256(DetectorEvidence.model_validate_json(text)) == hashlib.sha256(text.encode()).hexdigest()
-    other = EVIDENCE.model_copy(update={"miss_correlation": EVIDENCE.look_correlation})
-    assert evidence_sha256(other) != evidence_sha256(EVIDENCE)
-
-
-def test_doubt_bounds_what_one_score_can_say() -> None:
-    came = np.log(0.9 / 0.4)
-    assert box_log_ratio(EVIDENCE, 0.999, 30.0, 0.0, 0.2) == pytest.approx(came + np.log(4))
-    assert box_log_ratio(EVIDENCE, 0.001, 30.0, 0.0, 0.2) == pytest.approx(came - np.log(4))
+    assert absent(separate, n) == pytest.approx(n * one / (1 + (n - 1) * r), rel=1e-4)
+    older = EVIDENCE.model_copy(update={"look_correlation": alike, "joint_scale": 0.5})
+    assert absent(older, n) == pytest.approx(0.5 * absent(separate, n), rel=1e-4)
 
 
 @given(st.floats(8, 300), st.floats(0, 0.6), st.floats(0.3, 0.5))
-def test_a_miss_speaks_against_a_cone_where_cones_are_found_more_often(height: float, hidden: float, t: float) -> None:
-    found, again = detect_probability(EVIDENCE, height, hidden, t), found_again_probability(EVIDENCE, t)
+def test_a_miss_is_evidence_against_cones_that_are_found_more_often(height: float, hidden: float, t: float) -> None:
+    found, again = detect_probability(EVIDENCE, height, hidden, t), lookalike_box_probability(EVIDENCE, t)
     assert (miss_log_ratio(EVIDENCE, height, hidden, t) < 0) == (found > again)
-
-
-def test_a_miss_of_a_hidden_cone_says_less() -> None:
     assert miss_log_ratio(EVIDENCE, 30.0, 0.0, 0.3) < miss_log_ratio(EVIDENCE, 30.0, 0.4, 0.3) < 0
 
 
@@ -147,25 +135,20 @@ def test_a_miss_of_a_hidden_cone_says_less() -> None:
         ("calibration", {"method": "platt", "scores": [0.1, 0.9], "probabilities": [0.2, 0.5, 0.7]}, "2 scores, but 3"),
     ],
 )
-def test_tables_that_do_not_fit_are_refused(key: str, value: object, words: str) -> None:
+def test_inconsistent_tables_are_refused(key: str, value: object, words: str) -> None:
     with pytest.raises(ValidationError, match=words):
         DetectorEvidence.model_validate(VALUES | {key: value})
 
 
-def test_an_unmeasured_detector_is_read_as_the_first_one_was() -> None:
+def test_an_unmeasured_detector_has_default_figures() -> None:
     assert box_log_ratio(UNMEASURED, 0.9, 30.0, 0.0, 0.02) > 2
     assert box_log_ratio(UNMEASURED, 0.42, 30.0, 0.0, 0.02) == pytest.approx(0, abs=0.05)
     assert miss_log_ratio(UNMEASURED, 30.0, 0.0, 0.3) == pytest.approx(np.log(0.5))
 
 
-def test_the_hash_tells_tables_apart() -> None:
+def test_the_hash_depends_on_all_figures_and_is_that_of_older_files() -> None:
     other = EVIDENCE.model_copy(update={"true_boxes": 301})
-    assert len({evidence_sha256(e) for e in (None, EVIDENCE, other)}) == 3
-    assert evidence_sha256(EVIDENCE) == evidence_sha256(
-        DetectorEvidence.model_validate_json(EVIDENCE.model_dump_json())
-    )
-
-
-def test_an_isotonic_step_of_equal_probability_is_allowed() -> None:
-    flat = ScoreCalibration(method="isotonic", scores=(0.1, 0.2, 0.3), probabilities=(0.2, 0.2, 0.5))
-    assert calibrated_probability(flat, 0.15) == pytest.approx(0.2)
+    later = EVIDENCE.model_copy(update={"miss_correlation": EVIDENCE.look_correlation})
+    assert len({evidence_sha256(e) for e in (None, EVIDENCE, other, later)}) == 4
+    text = EVIDENCE.model_dump_json(exclude={"miss_correlation"})
+    assert evidence_sha256(DetectorEvidence.model_validate_json(text)) == hashlib.sha256(text.encode()).hexdigest()

@@ -1,4 +1,4 @@
-"""Which errors another try may get over, and which stay until the drive changes."""
+"""Errors that another try may avoid, and errors of the drive itself."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ def caused(error: Exception, cause: Exception) -> Exception:
         ModelFileError("the model's file is being replaced"),
         InputError("the home folder cannot be written to"),
         caused(CalibrationError("calib.txt: cannot be read: Stale file handle"), OSError(errno.ESTALE, "stale")),
-        caused(DriveFolderError("an image of the bag cannot be unpacked"), OSError(errno.ENOSPC, "full")),
-        KeyError("a mistake of conetl, or of a library"),
+        caused(DriveFolderError("a image of the bag cannot be unpacked"), OSError(errno.ENOSPC, "full")),
+        KeyError("an internal error"),
     ],
     ids=lambda error: f"{type(error).__name__} {error}"[:40],
 )
-def test_what_may_pass(error: Exception) -> None:
+def test_temporary_errors_may_pass(error: Exception) -> None:
     assert may_pass(error)
 
 
@@ -60,5 +60,5 @@ def test_what_may_pass(error: Exception) -> None:
     ],
     ids=lambda error: f"{type(error).__name__} {error}"[:40],
 )
-def test_what_stays_until_the_drive_changes(error: ConetlError) -> None:
+def test_errors_of_the_drive_stay(error: ConetlError) -> None:
     assert not may_pass(error)

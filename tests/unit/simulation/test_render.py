@@ -1,4 +1,4 @@
-"""The renderer: where things land in its images, and whole tiny drives. Needs the extra `conetl[simulate]`."""
+"""The renderer: projection of its images, and whole tiny drives. Requires the extra `conetl[simulate]`."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from conetl.geometry.camera import project
 from conetl.geometry.rig import body_SE3_camera, map_SE3_camera
 from conetl.model.errors import InputError
 from conetl.readers.drives import read_drive
-from conetl.simulation import camera_noise, trajectory
+from conetl.simulation import trajectory
 from conetl.simulation.rig import simulated_rig
 from conetl.simulation.scenario import scenario_pass
-from conetl.simulation.scene import PinholeCamera, build_scene, render
+from conetl.simulation.scene import PinholeCamera, build_scene, develop, exposure_gain, render
 from conetl.simulation.simulate import simulate_drive
 from conetl.simulation.world import Cone, World
 
 pytest.importorskip("mitsuba", reason="Mitsuba is not installed: pip install 'conetl[simulate]'")
 
 RIG = PinholeCamera(width_px=96, height_px=64, f_px=150.3, cx_px=44.7, cy_px=29.4)
-"""The principal point is off the middle, so that its sign counts."""
+"""With an eccentric principal point, to test its sign."""
 
 
 def _looking_along_x(height_m: float, pitch_rad: float) -> np.ndarray:
@@ -39,8 +39,8 @@ def _looking_along_x(height_m: float, pitch_rad: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("x_m", "y_m"), [(7.0, -0.9), (9.0, 1.4)])
-def test_cone_is_rendered_where_its_place_projects(x_m: float, y_m: float) -> None:
-    """Its orange pixels have their centre of gravity where the upright solid of revolution projects, to 0.3 px across."""
+def test_cone_is_rendered_where_its_position_projects(x_m: float, y_m: float) -> None:
+    """The centroid of its orange pixels is at the projection of the upright solid of revolution, to 0.3 px across."""
     cone = Cone("C01", x_m, y_m, 0.7, band_count=0, dirt=0.0)
     images = [
         render(
@@ -58,7 +58,7 @@ def test_cone_is_rendered_where_its_place_projects(x_m: float, y_m: float) -> No
     (u0, v0), (u1, v1) = [(RIG.f_px * p[0] / p[2] + RIG.cx_px, RIG.f_px * p[1] / p[2] + RIG.cy_px) for p in ends]
     assert columns.mean() == pytest.approx((u0 + u1) / 2, abs=0.3)
     assert rows.min() - 0.5 == pytest.approx(v1, abs=1.0)
-    assert rows.max() + 0.5 == pytest.approx(v0, abs=2.5)  # the near side of the ring lies below its centre
+    assert rows.max() + 0.5 == pytest.approx(v0, abs=2.5)  # the near side of the ring is below its centre
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +68,7 @@ def tiny_drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return simulate_drive(folder, pass_number=2, seed=11, width_px=48, height_px=16, samples_per_pixel=1)
 
 
-def test_truth_foot_projects_by_the_written_files_to_where_the_renderer_has_it(tiny_drive: Path) -> None:
+def test_the_written_files_project_truth_to_its_rendered_position(tiny_drive: Path) -> None:
     drive, rejections = read_drive(tiny_drive)
     assert rejections == []
     assert drive.map_srid == trajectory.MAP_SRID
@@ -91,7 +91,7 @@ def test_truth_foot_projects_by_the_written_files_to_where_the_renderer_has_it(t
                 true_camera = true_pose @ body_SE3_camera(drive.rig, side)
                 by_truth = project(camera, (np.linalg.inv(true_camera) @ [*truth, 1.0])[:3])
                 assert np.abs(by_truth - rendered).max() < 2e-3
-                # The trajectory of the files is off by its noise only: 5 sigma of place and attitude.
+                # The trajectory of the files differs by its noise only: 5 sigma of position and attitude.
                 by_files = project(
                     camera, (np.linalg.inv(map_SE3_camera(pair.pose, drive.rig, side)) @ [*truth, 1.0])[:3]
                 )
@@ -125,14 +125,14 @@ def test_road_image_is_well_exposed_and_has_an_orange_cone() -> None:
     view = np.linalg.inv(trajectory.map_SE3_road()) @ poses[0] @ rig.body_SE3_camera(2)
     radiance = render(build_scene(scenario.world), rig.camera, view, samples_per_pixel=4, seed=1)
     assert radiance.shape == (64, 96, 3)
-    image = camera_noise.develop(radiance, camera_noise.exposure_gain(radiance), np.random.default_rng(0))
+    image = develop(radiance, exposure_gain(radiance), np.random.default_rng(0))
     assert 60 < np.median(image) < 200
     assert (image == 255).mean() < 0.05
     hue, saturation, value = cv2.split(cv2.cvtColor(image, cv2.COLOR_BGR2HSV))
     assert ((hue > 4) & (hue < 16) & (saturation > 170) & (value > 110)).sum() >= 3
 
 
-def test_folder_with_files_is_left_alone(tmp_path: Path) -> None:
+def test_a_folder_with_files_is_refused(tmp_path: Path) -> None:
     (tmp_path / "mine.txt").write_text("keep")
     with pytest.raises(InputError, match="not empty"):
         simulate_drive(tmp_path, pass_number=1, seed=1)

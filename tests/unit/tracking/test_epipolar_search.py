@@ -1,4 +1,4 @@
-"""Where the right image is searched: nothing that could be a match lies outside, and one camera alone is never trusted."""
+"""The searched part of the right image contains all possible matches, and no camera is trusted alone."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from conetl.model.params import DetectionParams, IngestParams, ReconcileParams
 from conetl.model.records import Detection, Rig, Side
-from conetl.tracking.matching.epipolar_search import blocks_of, is_unanswered, is_within, right_region
+from conetl.tracking.matching.epipolar_search import blocks_of, has_right_only_cone, is_within, right_region
 from conetl.tracking.matching.matches import match_pair
 from tests.synthetic.world import Cone, detect, make_path, make_rig
 
@@ -20,23 +20,12 @@ RIG = make_rig()
 
 
 def box(side: Side, x: float, y: float, w: float, h: float) -> Detection:
-    return Detection(
-        frame_index=0,
-        side=side,
-        detection_index=0,
-        x_px=x,
-        y_px=y,
-        w_px=w,
-        h_px=h,
-        score=0.8,
-        foot_px=None,
-        tip_px=None,
-    )
+    return Detection(frame_index=0, side=side, detection_index=0, x_px=x, y_px=y, w_px=w, h_px=h, score=0.8)
 
 
 @st.composite
 def rigs(draw: st.DrawFn) -> Rig:
-    """Of other baselines and principal points, the right camera turned by a little."""
+    """Rigs with other baselines and principal points, the right camera slightly turned."""
     turned = np.array(RIG.body_SE3_right)
     angle, down = draw(st.floats(-0.003, 0.003)), draw(st.floats(-0.004, 0.004))
     yaw = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
@@ -56,7 +45,7 @@ sizes = st.floats(8.0, 120.0)
     rigs(), st.floats(20, 1100), st.floats(20, 250), sizes, sizes,
     st.floats(-20, 400), st.floats(-25, 25), st.floats(0.55, 1.8), st.floats(0.4, 2.5),
 )  # fmt: skip
-def test_whatever_matches_lies_in_the_region(
+def test_all_matches_are_in_the_region(
     rig: Rig, x: float, y: float, w: float, h: float, shift: float, down: float, taller: float, wider: float
 ) -> None:
     left = box("left", x, y, w, h)
@@ -68,8 +57,8 @@ def test_whatever_matches_lies_in_the_region(
         assert region is not None and region.reach_px >= max(right.w_px, right.h_px) / 2
 
 
-def test_the_law_above_is_about_something() -> None:
-    """Matches do occur, and regions are small parts of the image."""
+def test_matches_occur_and_regions_are_small() -> None:
+    """The property above is not vacuous."""
     (pair,) = make_path(1)
     found = detect([Cone((12.0, 1.0, 0.0))], [pair], RIG)
     matches, _ = match_pair(found[0, "left"], found[0, "right"], RIG, PARAMS.match, up_left=UP)
@@ -79,21 +68,18 @@ def test_the_law_above_is_about_something() -> None:
     assert share < 0.05
 
 
-def test_nothing_on_the_left_is_nothing_to_search() -> None:
+def test_without_left_boxes_or_visible_partners_nothing_is_searched() -> None:
     right = [box("right", 300, 150, 20, 40)]
     assert right_region(right, RIG, PARAMS) is None
     assert right_region([], RIG, PARAMS) is None
+    assert right_region([box("left", 0.0, 150, 10, 40)], RIG, PARAMS) is None, "its partner is left of the image"
     whole = right_region(right, RIG, EVERYWHERE)
     assert whole is not None
     assert whole[:4] == (0, 0, RIG.right.width_px, RIG.right.height_px)
 
 
-def test_a_box_whose_partner_would_lie_outside_has_no_region() -> None:
-    assert right_region([box("left", 0.0, 150, 10, 40)], RIG, PARAMS) is None, "its partner is left of the image"
-
-
 @given(st.integers(1, 200), st.integers(1, 9))
-def test_blocks_hold_every_pair_once_and_never_leave_too_many_out(count: int, least: int) -> None:
+def test_blocks_contain_every_pair_once_and_search_often_enough(count: int, least: int) -> None:
     params = PARAMS.model_copy(update={"reconcile": ReconcileParams(removal_min_frames=least)})
     blocks = blocks_of(count, params)
     assert [k for _, block in blocks for k in block] == list(range(count))
@@ -101,7 +87,7 @@ def test_blocks_hold_every_pair_once_and_never_leave_too_many_out(count: int, le
     middles = [middle for middle, _ in blocks]
     for first in range(count - least + 1):
         assert any(first <= middle < first + least for middle in middles)
-    # What is shown by the right camera alone in pairs running, enough of them to remove a cone, is found in as many as not.
+    # A cone that only the right camera shows in successive pairs, enough to remove it, is found in at least half of them.
     for first in range(count - least + 1):
         for last in range(first + least, count + 1):
             shown = range(first, last)
@@ -110,19 +96,19 @@ def test_blocks_hold_every_pair_once_and_never_leave_too_many_out(count: int, le
 
 
 @pytest.mark.parametrize(
-    ("boxes", "unanswered"),
+    ("boxes", "right_only"),
     [
         ([], False),
         ([box("right", 300, 150, 20, 40)], True),
-        ([box("right", 300, 150, 8, 15)], False),  # too small to count as a look
-        ([box("right", 1200, 150, 20, 40)], False),  # the left image ends before its place
+        ([box("right", 300, 150, 8, 15)], False),  # too small to count
+        ([box("right", 1200, 150, 20, 40)], False),  # outside the left image
         ([box("left", 330, 150, 20, 40), box("right", 300, 150, 20, 40)], False),
         ([box("left", 330, 150, 20, 40), box("right", 700, 150, 20, 40)], True),
         ([box("left", 330, 150, 20, 40)], False),
-        # between the places of both partners
+        # between both partners
         ([box("left", 230, 150, 20, 40), box("left", 930, 150, 20, 40), box("right", 600, 150, 20, 40)], True),
     ],
 )
-def test_what_the_left_image_does_not_answer(boxes: list[Detection], unanswered: bool) -> None:
-    assert is_unanswered(boxes, RIG, PARAMS) is unanswered
-    assert is_unanswered(boxes, RIG, EVERYWHERE) is False, "nothing was left out"
+def test_cones_that_only_the_right_image_shows(boxes: list[Detection], right_only: bool) -> None:
+    assert has_right_only_cone(boxes, RIG, PARAMS) is right_only
+    assert has_right_only_cone(boxes, RIG, EVERYWHERE) is False, "all was searched"

@@ -11,7 +11,7 @@ from conetl.model.detector_evidence import UNMEASURED
 from conetl.model.params import IngestParams
 from conetl.model.records import Track
 from conetl.tracking import live_tracks
-from conetl.tracking.live_tracks import Frame, LiveTracks, take_frame
+from conetl.tracking.live_tracks import Frame, LiveTracks, add_frame
 from tests.integration.drives_of_days import RIG, survey
 
 PARAMS = IngestParams()
@@ -36,7 +36,7 @@ def frames_of(day: int) -> tuple[list[Frame], list[Track]]:
 def run(frames: list[Frame]) -> tuple[LiveTracks, dict[int, Track]]:
     tracks, standing = LiveTracks(), {}
     for frame in frames:
-        tracks, changed = take_frame(tracks, frame, RIG, PARAMS, UNMEASURED)
+        tracks, changed = add_frame(tracks, frame, RIG, PARAMS, UNMEASURED)
         for number, found in changed.items():
             if isinstance(found, Track):
                 standing[number] = found
@@ -107,6 +107,6 @@ def test_boxes_of_its_own_are_never_anothers(monkeypatch: pytest.MonkeyPatch) ->
 
 def test_frames_must_come_in_order() -> None:
     frames, _ = frames_of(0)
-    tracks, _ = take_frame(LiveTracks(), frames[3], RIG, PARAMS, UNMEASURED)
+    tracks, _ = add_frame(LiveTracks(), frames[3], RIG, PARAMS, UNMEASURED)
     with pytest.raises(ValueError, match="rising"):
-        take_frame(tracks, frames[2], RIG, PARAMS, UNMEASURED)
+        add_frame(tracks, frames[2], RIG, PARAMS, UNMEASURED)

@@ -5,7 +5,7 @@ import pytest
 
 from conetl.geometry.pose import to_matrix4
 from conetl.model.params import MatchParams
-from conetl.model.records import Camera
+from conetl.model.records import Camera, Detection, Rig
 from conetl.model.rejections import RejectionReason
 from conetl.tracking.matching.matches import foot_image_point, match_pair, with_measured_spread
 from tests.synthetic.cone_images import BASE_M, F_PX, SIZE, cone_pair
@@ -14,48 +14,34 @@ from tests.synthetic.world import Cone, camera_pose, detect, make_path, make_rig
 UP = np.array([0.0, -1.0, 0.0])
 
 
-def test_every_cone_is_matched_with_itself_also_in_a_dense_row() -> None:
+def one_cone() -> tuple[Rig, Detection, Detection]:
+    """A rig and the boxes of one cone 10 m ahead."""
     rig, (pair,) = make_rig(), make_path(1)
-    cones = [Cone((9.0 + 1.5 * k, -3.0 + 0.4 * k, 0.0)) for k in range(10)]
-    found = detect(cones, [pair], rig, noise_px=0.5)
-    # detection k shows the same cone in both images: all ten are in view
-    assert len(found[0, "left"]) == len(found[0, "right"]) == 10
-    matches, rejections = match_pair(found[0, "left"], found[0, "right"], rig, MatchParams(), up_left=UP)
+    found = detect([Cone((10.0, 0.0, 0.0))], [pair], rig)
+    return rig, found[0, "left"][0], found[0, "right"][0]
+
+
+@pytest.mark.parametrize("step", [1, -1])
+def test_every_cone_of_a_dense_row_is_matched_with_itself_in_any_order(step: int) -> None:
+    rig, (pair,) = make_rig(), make_path(1)
+    found = detect([Cone((9.0 + 1.5 * k, -3.0 + 0.4 * k, 0.0)) for k in range(10)], [pair], rig, noise_px=0.5)
+    left, right = found[0, "left"], found[0, "right"][::step]
+    assert len(left) == len(right) == 10
+    matches, rejections = match_pair(left, right, rig, MatchParams(), up_left=UP)
     assert not rejections
-    assert [(m.left.detection_index, m.right.detection_index) for m in matches] == [(k, k) for k in range(10)]
+    assert {(m.left.detection_index, m.right.detection_index) for m in matches} == {(k, k) for k in range(10)}
 
 
-def test_the_order_of_the_boxes_does_not_matter() -> None:
-    rig, (pair,) = make_rig(), make_path(1)
-    cones = [Cone((9.0 + 2 * k, -2.0 + k, 0.0)) for k in range(5)]
-    found = detect(cones, [pair], rig)
-    left, right = found[0, "left"], found[0, "right"][::-1]
-    matches, _ = match_pair(left, right, rig, MatchParams(), up_left=UP)
-    assert {(m.left.detection_index, m.right.detection_index) for m in matches} == {(k, k) for k in range(5)}
-
-
-def test_different_rows_are_never_matched() -> None:
-    rig, (pair,) = make_rig(), make_path(1)
-    found = detect([Cone((10.0, 0.0, 0.0))], [pair], rig)
-    (left,), (right,) = found[0, "left"], found[0, "right"]
-    lower = right.model_copy(update={"y_px": right.y_px + 25})
-    assert match_pair([left], [lower], rig, MatchParams(), up_left=UP)[0] == []
-
-
-def test_an_object_behind_infinity_is_never_matched() -> None:
-    rig, (pair,) = make_rig(), make_path(1)
-    found = detect([Cone((10.0, 0.0, 0.0))], [pair], rig)
-    (left,), (right,) = found[0, "left"], found[0, "right"]
-    swapped = right.model_copy(update={"x_px": left.x_px + 10})
-    assert match_pair([left], [swapped], rig, MatchParams(), up_left=UP)[0] == []
+def test_different_rows_and_objects_behind_infinity_are_never_matched() -> None:
+    rig, left, right = one_cone()
+    for update in ({"y_px": right.y_px + 25}, {"x_px": left.x_px + 10}):
+        assert match_pair([left], [right.model_copy(update=update)], rig, MatchParams(), up_left=UP)[0] == []
 
 
 def test_a_box_cut_by_the_border_is_rejected_with_the_reason() -> None:
-    rig, (pair,) = make_rig(), make_path(1)
-    found = detect([Cone((10.0, 0.0, 0.0))], [pair], rig)
-    (left,), right = found[0, "left"], found[0, "right"]
+    rig, left, right = one_cone()
     cut = left.model_copy(update={"x_px": 0.5})
-    matches, (rejection,) = match_pair([cut], right, rig, MatchParams(), up_left=UP)
+    matches, (rejection,) = match_pair([cut], [right], rig, MatchParams(), up_left=UP)
     assert matches == []
     assert rejection.reason == RejectionReason.BOX_CUT_BY_BORDER
     assert rejection.payload["frame_index"] == 0
@@ -76,23 +62,21 @@ def test_the_foot_is_the_centre_of_the_base_not_its_near_rim(range_m: float, asi
     assert bottom - true_v > 0.5, "without the correction the foot would be too near"
 
 
-def test_foot_and_tip_of_the_network_take_part() -> None:
-    rig, (pair,) = make_rig(), make_path(1)
-    found = detect([Cone((10.0, 0.0, 0.0))], [pair], rig)
-    (left,), (right,) = found[0, "left"], found[0, "right"]
+def test_foot_and_tip_of_the_network_are_used() -> None:
+    rig, left, right = one_cone()
     (plain,), _ = match_pair([left], [right], rig, MatchParams(), up_left=UP)
     u, v = plain.foot_left_uv_px
-    told = [
+    with_feet = [
         box.model_copy(update={"foot_px": (x + 0.5, y + 0.5 - 2.0), "tip_px": (x + 0.5, box.y_px + 1.0)})
         for box, (x, y) in ((left, plain.foot_left_uv_px), (right, plain.foot_right_uv_px))
     ]
-    (match,), _ = match_pair([told[0]], [told[1]], rig, MatchParams(), up_left=UP)
+    (match,), _ = match_pair([with_feet[0]], [with_feet[1]], rig, MatchParams(), up_left=UP)
     assert match.foot_left_uv_px == pytest.approx((u, v - 1.0)), "the mean of box and network"
     assert match.tip_left_uv_px[1] == pytest.approx(left.y_px + 0.5)
     assert match.centre_left_uv_px[1] == pytest.approx(left.y_px + left.h_px / 2 - 0.5), "of the box, as in the paper"
 
 
-def test_images_fix_the_disparity_and_its_sigma() -> None:
+def test_images_determine_the_disparity_and_its_sigma() -> None:
     pair = cone_pair(9.0, 2)
     camera = Camera(width_px=SIZE[1], height_px=SIZE[0], fx_px=F_PX, fy_px=F_PX, cx_px=90.0, cy_px=30.0)
     right_pose = [[1.0, 0.0, 0.0, BASE_M], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
@@ -103,7 +87,7 @@ def test_images_fix_the_disparity_and_its_sigma() -> None:
         }
     )  # fmt: skip
     left = pair.detection
-    off = pair.disparity_px - 1.3  # the boxes do not agree by 1.3 px
+    off = pair.disparity_px - 1.3  # the boxes disagree by 1.3 px
     right = left.model_copy(update={"side": "right", "x_px": left.x_px - off, "foot_px": None})
     (match,), _ = match_pair([left], [right], rig, MatchParams(), up_left=UP, images=(pair.left, pair.right))
     assert match.refined
@@ -118,16 +102,15 @@ def test_images_fix_the_disparity_and_its_sigma() -> None:
 
 
 @pytest.mark.parametrize(("spread", "low", "high"), [(0.5, 0.55, 0.95), (1.0, 1.0, 1.6), (3.0, 2.0, 2.0)])
-def test_the_spread_of_feet_is_that_between_the_two_images(spread: float, low: float, high: float) -> None:
-    """Whatever constant the calibration leaves between the rows; a few matches say little, and boxes without feet nothing."""
-    rig, (pair,) = make_rig(), make_path(1)
-    found = detect([Cone((10.0, 0.0, 0.0))], [pair], rig)
-    (plain,), _ = match_pair(found[0, "left"], found[0, "right"], rig, MatchParams(), up_left=UP)
-    told = [
+def test_the_scatter_of_feet_is_that_between_the_images(spread: float, low: float, high: float) -> None:
+    """Without the constant of the calibration between the rows; few matches and boxes without feet change nothing."""
+    rig, left, right = one_cone()
+    (plain,), _ = match_pair([left], [right], rig, MatchParams(), up_left=UP)
+    with_feet = [
         box.model_copy(update={"foot_px": (box.x_px + box.w_px / 2, box.y_px + box.h_px)})
         for box in (plain.left, plain.right)
     ]
-    (match,), _ = match_pair([told[0]], [told[1]], rig, MatchParams(), up_left=UP)
+    (match,), _ = match_pair([with_feet[0]], [with_feet[1]], rig, MatchParams(), up_left=UP)
     assert match.sigma_outline_px > 0 == plain.sigma_outline_px
     rng = np.random.default_rng(3)
     u, v = match.foot_right_uv_px

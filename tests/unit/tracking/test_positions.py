@@ -1,4 +1,4 @@
-"""Stereo matches of a known cone, back to where it stands; covariance by Monte Carlo; every way to be refused."""
+"""Positions of known cones from their stereo matches; covariance by Monte Carlo; all rejections."""
 
 from __future__ import annotations
 
@@ -12,18 +12,10 @@ from scipy.spatial.transform import Rotation
 from conetl.geometry import camera as cam
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
+from conetl.geometry.packing import cov_matrix
 from conetl.geometry.rectification import rectify
 from conetl.model.params import PositionParams
-from conetl.model.records import (
-    CalibrationCovariance,
-    Camera,
-    Detection,
-    FramePair,
-    Pose,
-    Rig,
-    Side,
-    StereoMatch,
-)
+from conetl.model.records import CalibrationCovariance, Camera, Detection, FramePair, Pose, Rig, Side, StereoMatch
 from conetl.model.rejections import RejectionReason
 from conetl.tracking.positions import locate_in_camera, locate_positions
 
@@ -76,14 +68,21 @@ def up(height_m: float) -> Array:
     return np.array([0.0, 0.0, height_m])
 
 
-def see(foot_map: Array, height_m: float = 0.7) -> dict[str, tuple[Array, Array]]:
-    """Image points of a cone that stands upright in the map."""
-    cameras = [se3.invert(rigs.map_SE3_camera(PAIR.pose, RIG, side)) for side in ("left", "right")]
-    points = {"foot": foot_map, "centre": foot_map + up(height_m / 2), "tip": foot_map + up(height_m)}
+def project_cone(rig: Rig, foot: Array, upwards: Array) -> dict[str, tuple[Array, Array]]:
+    """Image points of a cone of 0.7 m with its foot (3,) in the body frame, upwards a unit vector."""
     return {
-        name: tuple(cam.project(CAMERA, se3.apply(camera, p)) for camera in cameras)  # type: ignore[misc]
-        for name, p in points.items()
+        name: tuple(  # type: ignore[misc]
+            cam.project(rigs.camera_of(rig, side), se3.apply(se3.invert(rigs.body_SE3_camera(rig, side)), point))
+            for side in ("left", "right")
+        )
+        for name, point in (("foot", foot), ("centre", foot + 0.35 * upwards), ("tip", foot + 0.7 * upwards))
     }
+
+
+def see(foot_map: Array) -> dict[str, tuple[Array, Array]]:
+    """Image points of a cone that stands upright in the map."""
+    body_SE3_map = se3.invert(se3.map_SE3_body(PAIR.pose))
+    return project_cone(RIG, se3.apply(body_SE3_map, foot_map), body_SE3_map[:3, 2])
 
 
 def ahead(forward_m: float, left_m: float = 0.0, up_m: float = -0.9) -> Array:
@@ -91,7 +90,7 @@ def ahead(forward_m: float, left_m: float = 0.0, up_m: float = -0.9) -> Array:
     return se3.apply(se3.map_SE3_body(PAIR.pose), np.array([forward_m, left_m, up_m]))
 
 
-def test_a_cone_is_found_where_it_stands() -> None:
+def test_a_cone_is_located_at_its_position() -> None:
     foot = ahead(12.0, 2.0)
     positions, rejections = locate_positions([match_of(see(foot))], {7: PAIR}, RIG, PARAMS)
     assert not rejections
@@ -103,16 +102,11 @@ def test_a_cone_is_found_where_it_stands() -> None:
     np.testing.assert_allclose(se3.apply(left, np.array(position.camera_xyz_m)), foot, atol=1e-6)
     assert position.range_m == pytest.approx(math.hypot(*(foot - left[:3, 3])[:2]), abs=1e-6)
     assert position.camera_xyz_m[2] > 10 and position.camera_xyz_m[1] > 1, "z forward, y down"
-    assert position.score == 0.6, "the weaker box speaks for the match"
+    assert position.score == 0.6, "that of the weaker box"
     assert (position.frame_index, position.match_index) == (7, 0)
 
 
-def as_matrix(upper: tuple[float, ...]) -> Array:
-    xx, xy, xz, yy, yz, zz = upper
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-
-
-def test_both_covariances_are_what_monte_carlo_finds() -> None:
+def test_both_covariances_agree_with_monte_carlo() -> None:
     rng = np.random.default_rng(1)
     foot, draws = ahead(10.0, -1.0), 4000
     exact = see(foot)
@@ -127,7 +121,7 @@ def test_both_covariances_are_what_monte_carlo_finds() -> None:
     assert not rejections
     (predicted,), _ = locate_positions([match_of(exact, sigma_pointing_px=0.4)], {7: PAIR}, RIG, PARAMS)
     errors = np.array([p.camera_xyz_m for p in positions]) - predicted.camera_xyz_m
-    whitened = np.linalg.solve(np.linalg.cholesky(as_matrix(predicted.camera_cov_m2)), errors.T)
+    whitened = np.linalg.solve(np.linalg.cholesky(cov_matrix(predicted.camera_cov_m2)), errors.T)
     np.testing.assert_allclose(np.cov(whitened), np.eye(3), atol=0.12)  # sigmas doubled: 0.25; halved: 4
 
     # The map covariance is that of the image turned into the map, plus position and attitude drawn from their sigmas.
@@ -138,18 +132,15 @@ def test_both_covariances_are_what_monte_carlo_finds() -> None:
     bodies = se3.se3(turned, np.array(PAIR.pose.map_t_body_m) + shift)
     in_body = se3.apply(rigs.body_SE3_camera(RIG, "left"), np.array([p.camera_xyz_m for p in positions]))
     errors = se3.apply(bodies, in_body) - foot
-    whitened = np.linalg.solve(np.linalg.cholesky(as_matrix(predicted.cov_m2)), errors.T)
+    whitened = np.linalg.solve(np.linalg.cholesky(cov_matrix(predicted.cov_m2)), errors.T)
     np.testing.assert_allclose(np.cov(whitened), np.eye(3), atol=0.12)
 
 
 def test_without_a_trajectory_ground_distance_and_height_are_given() -> None:
     rig = make_rig(body=False)
     foot = np.array([1.0, 1.6, 8.0])
-    points = {
-        name: tuple(cam.project(CAMERA, foot - np.array([b, h, 0])) for b in (0.0, 0.53))
-        for name, h in (("foot", 0.0), ("centre", 0.35), ("tip", 0.7))
-    }
-    (position,), rejections = locate_in_camera([match_of(points)], rig, PARAMS)  # type: ignore[arg-type]
+    points = project_cone(rig, foot, np.array([0.0, -1.0, 0.0]))
+    (position,), rejections = locate_in_camera([match_of(points)], rig, PARAMS)
     assert not rejections
     np.testing.assert_allclose(position.xyz_m, foot, atol=1e-9)
     assert position.ground_distance_m == pytest.approx(math.hypot(1.0, 8.0))
@@ -165,7 +156,7 @@ SIGMA_PHI = math.radians(0.02)
 PHI = CalibrationCovariance(names=("relative.ry_rad",), matrix=((SIGMA_PHI**2,),))
 
 
-def test_an_uncertain_calibration_widens_what_is_stated_in_the_map_and_not_what_is_compared_in_the_camera() -> None:
+def test_the_error_of_the_calibration_is_in_the_map_covariance_only() -> None:
     rig = RIG.model_copy(update={"calibration_covariance": PHI})
     matches = [match_of(see(ahead(10.0))), *BAD.values()]
     exact, refused = locate_positions(matches, {7: PAIR}, RIG, PARAMS)
@@ -173,7 +164,7 @@ def test_an_uncertain_calibration_widens_what_is_stated_in_the_map_and_not_what_
     assert [r.reason for r in still_refused] == [r.reason for r in refused]
     assert positions[0].xyz_m == exact[0].xyz_m
     assert positions[0].camera_cov_m2 == exact[0].camera_cov_m2, "images of one rig share the error"
-    added = as_matrix(positions[0].cov_m2) - as_matrix(exact[0].cov_m2)
+    added = cov_matrix(positions[0].cov_m2) - cov_matrix(exact[0].cov_m2)
     values, vectors = np.linalg.eigh(added)
     depth = positions[0].camera_xyz_m[2]
     assert math.sqrt(values[2]) == pytest.approx(depth**2 / 0.53 * SIGMA_PHI, rel=0.03)
@@ -181,7 +172,7 @@ def test_an_uncertain_calibration_widens_what_is_stated_in_the_map_and_not_what_
     assert abs(vectors[:, 2] @ sight) / np.linalg.norm(sight) > 0.999, "it moves the cone along the line of sight"
 
 
-def test_one_pair_states_its_distance_with_the_calibration() -> None:
+def test_the_distance_from_one_pair_includes_the_error_of_the_calibration() -> None:
     exact = locate_in_camera([match_of(see(ahead(10.0)))], RIG, PARAMS)[0][0]
     rig = RIG.model_copy(update={"calibration_covariance": PHI})
     (position,), _ = locate_in_camera([match_of(see(ahead(10.0)))], rig, PARAMS)
@@ -190,7 +181,7 @@ def test_one_pair_states_its_distance_with_the_calibration() -> None:
     assert position.cov_m2[5] > exact.cov_m2[5]
 
 
-def test_a_tilted_rig_measures_along_the_bodys_up() -> None:
+def test_heights_of_a_tilted_rig_are_along_the_body_axis() -> None:
     tilt = se3.rotation_from_rpy(0, math.radians(8), 0) @ BODY_R_CAM
     left = se3.se3(tilt, [1.0, 0.2, 0.7])
     rig = RIG.model_copy(
@@ -199,22 +190,15 @@ def test_a_tilted_rig_measures_along_the_bodys_up() -> None:
             "body_SE3_right": se3.to_matrix4(se3.compose(left, se3.se3(np.eye(3), [0.53, 0, 0]))),
         }
     )
-    foot = np.array([9.0, 1.0, -0.9])  # body frame
-    points = {
-        name: tuple(
-            cam.project(CAMERA, se3.apply(se3.invert(rigs.body_SE3_camera(rig, side)), foot + up(h)))
-            for side in ("left", "right")
-        )
-        for name, h in (("foot", 0.0), ("centre", 0.35), ("tip", 0.7))
-    }
-    (position,), _ = locate_in_camera([match_of(points)], rig, PARAMS)  # type: ignore[arg-type]
+    points = project_cone(rig, np.array([9.0, 1.0, -0.9]), up(1.0))
+    (position,), _ = locate_in_camera([match_of(points)], rig, PARAMS)
     assert position.cone_height_m == pytest.approx(0.7)
     assert position.foot_height_m == pytest.approx(-1.6)
     assert position.ground_distance_m == pytest.approx(math.hypot(8.0, 0.8))
 
 
 def test_a_raw_rig_without_a_body_measures_in_the_frame_of_its_own_left_camera() -> None:
-    """Rectification turns the image, not the camera: up and the axes are those of the camera that took it."""
+    """Rectification rotates the image, not the camera: the axes are those of the camera that took it."""
     turned = Rotation.from_euler("xyz", [0.4, -1.5, 0.8], degrees=True).as_matrix()
     raw = RIG.model_copy(
         update={
@@ -225,17 +209,8 @@ def test_a_raw_rig_without_a_body_measures_in_the_frame_of_its_own_left_camera()
     flat = rectify(raw)
     assert not rigs.body_is_left_camera(flat)
     foot = np.array([1.0, 1.6, 8.0])
-    points = {
-        name: tuple(
-            cam.project(
-                rigs.camera_of(flat, side),
-                se3.apply(se3.invert(rigs.body_SE3_camera(flat, side)), foot - np.array([0, h, 0])),
-            )
-            for side in ("left", "right")
-        )
-        for name, h in (("foot", 0.0), ("centre", 0.35), ("tip", 0.7))
-    }
-    (position,), rejections = locate_in_camera([match_of(points)], flat, PARAMS)  # type: ignore[arg-type]
+    points = project_cone(flat, foot, np.array([0.0, -1.0, 0.0]))
+    (position,), rejections = locate_in_camera([match_of(points)], flat, PARAMS)
     assert not rejections
     np.testing.assert_allclose(position.xyz_m, foot, atol=1e-6)
     np.testing.assert_allclose(position.centre_xyz_m, foot - np.array([0, 0.35, 0]), atol=1e-6)
@@ -243,7 +218,7 @@ def test_a_raw_rig_without_a_body_measures_in_the_frame_of_its_own_left_camera()
     assert position.cone_height_m == pytest.approx(0.7)
     assert position.foot_height_m == pytest.approx(-1.6)
     along = np.array([1.0, 0.0, 8.0]) / math.hypot(1.0, 8.0)
-    sigma = math.sqrt(along @ as_matrix(position.cov_m2) @ along)
+    sigma = math.sqrt(along @ cov_matrix(position.cov_m2) @ along)
     assert sigma == pytest.approx(position.ground_distance_sigma_m, rel=1e-6)
 
 
@@ -268,7 +243,7 @@ def test_every_bad_match_is_rejected_with_its_reason_and_the_good_ones_stay(loca
     if locate == "map":
         positions, rejections = locate_positions(matches, {7: PAIR}, RIG, PARAMS)
         expected = list(BAD)
-    else:  # the camera's frame needs no pose, so a match without one is as good as any
+    else:  # without need of a pose
         positions, rejections = locate_in_camera(matches, RIG, PARAMS)  # type: ignore[assignment]
         expected = [reason for reason in BAD if reason is not RejectionReason.POSITION_INVALID]
     assert [r.reason for r in rejections] == expected
@@ -280,22 +255,18 @@ def test_every_bad_match_is_rejected_with_its_reason_and_the_good_ones_stay(loca
         assert len(rejection.detail) > 20
 
 
-def test_iterations_that_do_not_suffice_are_a_rejection() -> None:
+def test_too_few_iterations_and_missing_poses_are_rejections() -> None:
     points = shifted(see(ahead(6.0, 2.0)), v_px=15.0)
     params = PARAMS.model_copy(update={"max_iterations": 1, "max_residual_px": 50.0})
     _, (rejection,) = locate_positions([match_of(points)], {7: PAIR}, RIG, params)
     assert rejection.reason is RejectionReason.NOT_CONVERGED
-
-
-def test_no_match_no_position() -> None:
-    assert locate_positions([], {7: PAIR}, RIG, PARAMS) == ([], [])
-    assert locate_in_camera([], RIG, PARAMS) == ([], [])
+    assert locate_positions([], {7: PAIR}, RIG, PARAMS) == locate_in_camera([], RIG, PARAMS) == ([], [])
     _, rejections = locate_positions([match_of(see(ahead(10.0)))], {}, RIG, PARAMS)
     assert [r.reason for r in rejections] == [RejectionReason.POSITION_INVALID]
 
 
-def test_a_position_that_its_record_refuses_is_a_rejection_and_no_exception() -> None:
-    # A cone straight under the camera: found, but its ground distance of 0 is none.
+def test_an_invalid_position_is_a_rejection_and_no_exception() -> None:
+    # A cone straight under the camera: its ground distance of 0 is invalid.
     looking_down = se3.se3(np.diag([1.0, -1.0, -1.0]), [0, 0, 5.0])
     rig = RIG.model_copy(
         update={

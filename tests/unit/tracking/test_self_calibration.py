@@ -1,4 +1,4 @@
-"""When a drive's own word on its calibration is taken, and what the rig is then."""
+"""When a drive's self-calibration is applied, and the rig after it."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ RIG = make_rig()
 TURN = np.array([0.2, -0.6, 0.2]) / FOCAL_PX
 
 
-def asked(
+def calibrated(
     rig: Rig = RIG,
     turn: np.ndarray = TURN,
     seed: int = 1,
@@ -58,6 +58,24 @@ def asked(
     return self_calibrate(rig, chosen, tracks, params)
 
 
+def stated(sigma: dict[str, float]) -> Rig:
+    """The rig with a calibration of these independent sigmas."""
+    matrix = np.diag(np.square(list(sigma.values()))).tolist()
+    covariance = CalibrationCovariance(names=tuple(sigma), matrix=tuple(tuple(row) for row in matrix))
+    return RIG.model_copy(update={"calibration_covariance": covariance})
+
+
+def turns(sigma_px: float) -> dict[str, float]:
+    return {f"relative.r{axis}_rad": sigma_px / FOCAL_PX for axis in "xyz"}
+
+
+#: With principal point and focal length.
+FULL = {
+    "left.fx_px": 2.0, "right.cx_px": 0.7, "relative.ry_rad": 0.7 / FOCAL_PX, "relative.rx_rad": 0.5 / FOCAL_PX,
+    "relative.rz_rad": 0.5 / FOCAL_PX,
+}  # fmt: skip
+
+
 def moves(*ways_m: float | None, turn_rad: float = 0.0) -> list[RelativeMotion]:
     cov = tuple((1e-6 * np.eye(6))[np.triu_indices(6)].tolist())
     return [
@@ -70,7 +88,7 @@ def moves(*ways_m: float | None, turn_rad: float = 0.0) -> list[RelativeMotion]:
 
 
 def test_a_turned_camera_is_found_and_applied() -> None:
-    found = asked()
+    found = calibrated()
     assert found.outcome is SelfCalibrationOutcome.APPLIED
     assert np.array(found.rotation_rad) * FOCAL_PX == pytest.approx(TURN * FOCAL_PX, abs=0.12)
     rig = self_calibrated_rig(RIG, found, PARAMS)
@@ -84,8 +102,8 @@ def test_a_turned_camera_is_found_and_applied() -> None:
 
 
 def test_a_bend_is_found_and_applied() -> None:
-    """Of a bent image the sides are measured right afterwards too, and what is left open there is stated."""
-    found = asked(bend_px=1.6)
+    """The sides of a bent image are corrected, too, and their remaining uncertainty is stated."""
+    found = calibrated(bend_px=1.6)
     assert found.outcome is SelfCalibrationOutcome.APPLIED
     assert found.bend * FOCAL_PX == pytest.approx(1.6, abs=0.5)
     assert np.array(found.rotation_rad) * FOCAL_PX == pytest.approx(TURN * FOCAL_PX, abs=0.15)
@@ -96,21 +114,17 @@ def test_a_bend_is_found_and_applied() -> None:
     assert "bent" in found.detail
 
 
-def test_a_calibration_that_knows_its_principal_points_is_not_bent() -> None:
-    """Where only the orientation is stated to be open, the turn alone is corrected."""
-    names = ("relative.rx_rad", "relative.ry_rad", "relative.rz_rad")
-    stated = CalibrationCovariance(
-        names=names, matrix=tuple(tuple(r) for r in ((0.7 / FOCAL_PX) ** 2 * np.eye(3)).tolist())
-    )
-    rig = RIG.model_copy(update={"calibration_covariance": stated})
-    found = asked(rig)
+def test_a_calibration_with_exact_principal_points_is_not_bent() -> None:
+    """If only the orientation is uncertain, only the turn is corrected."""
+    rig = stated(turns(0.7))
+    found = calibrated(rig)
     assert found.outcome is SelfCalibrationOutcome.APPLIED
     assert found.bend == 0.0
     assert self_calibrated_rig(rig, found, PARAMS).right == RIG.right
 
 
-def test_what_is_left_to_know_is_carried_as_an_error_of_the_calibration() -> None:
-    rig = self_calibrated_rig(RIG, asked(), PARAMS)
+def test_the_remaining_uncertainty_is_an_error_of_the_calibration() -> None:
+    rig = self_calibrated_rig(RIG, calibrated(), PARAMS)
     assert rig.calibration_covariance is not None
     assert rig.calibration_covariance.names == (
         "relative.rx_rad", "relative.ry_rad", "relative.rz_rad", "right.cx_px"
@@ -119,58 +133,45 @@ def test_what_is_left_to_know_is_carried_as_an_error_of_the_calibration() -> Non
     middle = np.array([0, FOCAL_PX, 0, -1])  # turn and principal point: only their sum moves the middle of the image
     sigma_px = np.sqrt(middle @ matrix @ middle)
     assert 0.05 <= sigma_px < 0.2
-    assert 0.05 <= np.sqrt(matrix[3, 3]) < 0.3  # and the bend tells the principal point
+    assert 0.05 <= np.sqrt(matrix[3, 3]) < 0.3  # and the bend determines the principal point
     depth_sigma_m = float(np.sqrt(calibration_cov(np.array([[0.0, 0.0, 10.0]]), rig)[0, 2, 2]))
     assert depth_sigma_m == pytest.approx(100 * sigma_px / (FOCAL_PX * RIG.baseline_m), rel=0.05)
 
 
-def test_a_true_calibration_stays_as_it_is() -> None:
-    found = asked(turn=np.zeros(3))
+def test_insignificant_and_small_corrections_are_not_applied() -> None:
+    found = calibrated(turn=np.zeros(3))
     assert found.outcome is SelfCalibrationOutcome.INSIGNIFICANT
     assert self_calibrated_rig(RIG, found, PARAMS) is RIG
+    coarse = PARAMS.model_copy(update={"self_calibration_least_px": 1.0})
+    assert calibrated(params=coarse).outcome is SelfCalibrationOutcome.INSIGNIFICANT
 
 
-def test_a_small_correction_stays_below_the_floor() -> None:
-    params = PARAMS.model_copy(update={"self_calibration_least_px": 1.0})
-    assert asked(params=params).outcome is SelfCalibrationOutcome.INSIGNIFICANT
-
-
-def test_what_a_good_calibration_makes_implausible_is_not_applied() -> None:
-    names = ("relative.rx_rad", "relative.ry_rad", "relative.rz_rad")
-    stated = CalibrationCovariance(
-        names=names, matrix=tuple(tuple(r) for r in ((0.03 / FOCAL_PX) ** 2 * np.eye(3)).tolist())
-    )
-    rig = RIG.model_copy(update={"calibration_covariance": stated})
-    found = asked(rig)
+def test_an_implausible_correction_of_a_good_calibration_is_not_applied() -> None:
+    rig = stated(turns(0.03))
+    found = calibrated(rig)
     assert found.outcome is SelfCalibrationOutcome.IMPLAUSIBLE
     assert self_calibrated_rig(rig, found, PARAMS) is rig
 
 
-def test_a_known_covariance_is_sharpened_and_not_replaced() -> None:
-    """Principal point and turn are confused by a calibration: what the drive says of their sum is taken from both."""
-    names = ("left.fx_px", "right.cx_px", "relative.ry_rad", "relative.rx_rad", "relative.rz_rad")
-    sigma = np.array([2.0, 0.7, 0.7 / FOCAL_PX, 0.5 / FOCAL_PX, 0.5 / FOCAL_PX])
-    stated = CalibrationCovariance(names=names, matrix=tuple(tuple(row) for row in np.diag(sigma**2).tolist()))
-    rig = RIG.model_copy(update={"calibration_covariance": stated})
-    found = asked(rig)
+def test_a_known_covariance_is_reduced_and_not_replaced() -> None:
+    """Principal point and turn are correlated: the estimate of their sum corrects both."""
+    rig, sigma = stated(FULL), np.array(list(FULL.values()))
+    found = calibrated(rig)
     assert found.outcome is SelfCalibrationOutcome.APPLIED
     after = self_calibrated_rig(rig, found, PARAMS).calibration_covariance
-    assert after is not None and after.names == names
+    assert after is not None and after.names == tuple(FULL)
     matrix = np.array(after.matrix)
     assert np.linalg.eigvalsh(matrix / np.outer(sigma, sigma)).min() > -1e-9
     assert matrix[0, 0] == pytest.approx(4.0)
     both = np.array([0, -1 / FOCAL_PX, 1, 0, 0])
     assert np.sqrt(both @ matrix @ both) * FOCAL_PX < 0.2
-    assert np.sqrt(matrix[2, 2]) * FOCAL_PX < 0.3  # without the bend turn and principal point could not be told apart
+    assert np.sqrt(matrix[2, 2]) * FOCAL_PX < 0.3  # separated from the principal point by the bend
 
 
-def test_what_drives_of_one_calibration_share_after_it_is_part_of_what_is_left() -> None:
-    """Both drives correct the same calibration: what neither can tell stays common, what its own spans scatter by is its own."""
-    names = ("left.fx_px", "right.cx_px", "relative.ry_rad", "relative.rx_rad", "relative.rz_rad")
-    sigma = np.array([2.0, 0.7, 0.7 / FOCAL_PX, 0.5 / FOCAL_PX, 0.5 / FOCAL_PX])
-    stated = CalibrationCovariance(names=names, matrix=tuple(tuple(row) for row in np.diag(sigma**2).tolist()))
-    given = RIG.model_copy(update={"calibration_covariance": stated})
-    after = [self_calibrated_rig(given, asked(given, bend_px=bend_px), PARAMS) for bend_px in (0.0, 1.6)]
+def test_shared_errors_are_part_of_the_remaining_covariance() -> None:
+    """Two drives correct the same calibration: undetermined errors stay common, the scatter of spans is of one drive."""
+    given, sigma = stated(FULL), np.array(list(FULL.values()))
+    after = [self_calibrated_rig(given, calibrated(given, bend_px=bend_px), PARAMS) for bend_px in (0.0, 1.6)]
     both = [shared_errors(rig) for rig in after]
     assert both[0] is not None and both[1] is not None
     assert both[0].calibration == both[1].calibration == calibration_id(given)
@@ -180,17 +181,17 @@ def test_what_drives_of_one_calibration_share_after_it_is_part_of_what_is_left()
         own = (whole - part @ part.T) / np.outer(sigma, sigma)
         assert np.linalg.eigvalsh(own).min() > -1e-9
         assert own[2, 2] > 1e-5
-        # No drive tells the left camera's focal length: its error is as it was given, and common.
+        # The left camera's focal length is undetermined: its error is unchanged and common.
         assert part[0] == pytest.approx([2.0, *[0.0] * (part.shape[1] - 1)], abs=1e-9)
     one, other = (np.array(shared.matrix) for shared in both if shared is not None)
     common = one @ other.T
-    # Turn and principal point of the right camera only come apart by the bend, so much of that is left, and the same in both.
+    # Only the bend separates turn and principal point of the right camera: much of their error remains, in both drives alike.
     correlation = common[1, 1] / np.sqrt((one @ one.T)[1, 1] * (other @ other.T)[1, 1])
     assert correlation > 0.8
 
 
-def test_a_calibration_of_unknown_accuracy_is_the_same_in_all_drives_that_correct_it() -> None:
-    rigs = [self_calibrated_rig(RIG, asked(bend_px=bend_px), PARAMS) for bend_px in (0.0, 1.6)]
+def test_a_calibration_of_unknown_accuracy_has_one_id_in_all_drives() -> None:
+    rigs = [self_calibrated_rig(RIG, calibrated(bend_px=bend_px), PARAMS) for bend_px in (0.0, 1.6)]
     shared = [shared_errors(rig) for rig in rigs]
     assert shared[0] is not None and shared[1] is not None
     assert shared[0].calibration == shared[1].calibration
@@ -201,22 +202,22 @@ def test_a_calibration_of_unknown_accuracy_is_the_same_in_all_drives_that_correc
     assert np.linalg.eigvalsh(left_over / np.outer(scale, scale)).min() > -1e-9
 
 
-def test_the_camera_that_took_raw_images_is_turned_along_and_images_stay() -> None:
+def test_the_camera_of_raw_images_is_turned_likewise_and_images_stay() -> None:
     lens = Lens(model="radial", coefficients=(-0.1, 0.01))
     tilt = np.eye(4)
     tilt[:3, :3] = Rotation.from_rotvec([0.01, -0.02, 0.005]).as_matrix()
-    taken = RIG.model_copy(
+    raw = RIG.model_copy(
         update={
             "right": RIG.right.model_copy(update={"lens": lens}),
             "body_SE3_right": se3.to_matrix4(np.array(RIG.body_SE3_right) @ tilt),
         }
     )
-    rig = RIG.model_copy(update={"rectified_from": taken})
-    found = asked(rig)
+    rig = RIG.model_copy(update={"rectified_from": raw})
+    found = calibrated(rig)
     after = self_calibrated_rig(rig, found, PARAMS)
-    places = np.array([[100.0, 50.0], [600.0, 180.0], [1200.0, 360.0]])
-    assert raw_from_rectified(after, "right", places) == pytest.approx(
-        raw_from_rectified(rig, "right", places), abs=1e-6
+    points = np.array([[100.0, 50.0], [600.0, 180.0], [1200.0, 360.0]])
+    assert raw_from_rectified(after, "right", points) == pytest.approx(
+        raw_from_rectified(rig, "right", points), abs=1e-6
     )
     assert after.rectified_from is not None and after.rectified_from.calibration_covariance is not None
     assert after.calibration_covariance is None
@@ -224,9 +225,9 @@ def test_the_camera_that_took_raw_images_is_turned_along_and_images_stay() -> No
     assert Rotation.from_matrix(turned).as_rotvec() == pytest.approx(np.array(found.rotation_rad), abs=1e-9)
 
 
-def test_infinity_lies_where_a_turned_camera_sees_it() -> None:
+def test_infinity_is_where_a_turned_camera_projects_it() -> None:
     assert infinity_shift_px(RIG, np.array([300.0, 200.0])) == pytest.approx([0.0, 0.0], abs=1e-9)
-    rig = self_calibrated_rig(RIG, asked(), PARAMS)
+    rig = self_calibrated_rig(RIG, calibrated(), PARAMS)
     far_left = np.array([-4e5, 1e5, 1e6])
     far_right = se3.apply(se3.invert(left_SE3_right(rig)), far_left)
     shift = project(rig.left, far_left) - project(rig.right, far_right)
@@ -243,13 +244,13 @@ def test_a_long_drive_is_represented_by_spans_from_all_of_it() -> None:
     assert spread_spans(spans[:120], 120) == spans[:120]
 
 
-def test_spans_follow_each_other_and_begin_anew_after_a_gap() -> None:
+def test_spans_are_consecutive_and_restart_after_a_gap() -> None:
     spans = choose_spans(moves(0.8, 0.8, 0.8, 0.8, None, 1.5, 1.5), 2.0)
     assert [(s.first, s.last) for s in spans] == [(0, 3), (5, 7)]
     assert np.linalg.norm(spans[0].last_SE3_first[:3, 3]) == pytest.approx(2.4, abs=0.05)
 
 
-def test_a_car_that_stands_or_turns_on_the_spot_gives_no_estimate() -> None:
+def test_a_standing_or_turning_car_gives_no_estimate() -> None:
     for turn in (0.0, 0.1):
         spans = choose_spans(moves(*[0.0] * 40, turn_rad=turn), 2.0)
         assert spans == []

@@ -1,4 +1,4 @@
-"""Variance components of sightings: drawn errors are found again, whatever the sightings stated of them."""
+"""Variance factors of observations: drawn errors are estimated, whatever the stated ones."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import pytest
 from conetl.geometry import pose as se3
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import Detection, FramePair, Side, StereoMatch, Track
+from conetl.tracking.error_propagation import PoseCov, pose_cov
 from conetl.tracking.matching.covariance import SHARED_DISPARITY_PX
-from conetl.tracking.pose_errors import PoseCov, pose_cov
 from conetl.tracking.trajectory import refine_trajectory
-from conetl.tracking.variance_components import SightingVariances, sighting_variances, with_variances
+from conetl.tracking.variance_components import VarianceFactors, estimate_variance_factors, with_variance_factors
 from tests.conftest import sample_matches, sample_track
 from tests.synthetic.odometry import log_of, motions_of
 from tests.synthetic.world import ORIGIN_M, camera_pose, make_path, make_rig
@@ -24,9 +24,9 @@ OUTLINE_PX = 0.3
 def drawn(
     rng: np.random.Generator, sizes: tuple[float, float, float], *, cones: int = 8, wild: float = 0.0
 ) -> tuple[list[StereoMatch], list[Track]]:
-    """Sightings whose columns, rows and disparities err by `sizes` times what they state, and tracks some centimetres off.
+    """Observations with errors of `sizes` times the stated ones in columns, rows and disparities, and tracks centimetres off.
 
-    wild: share of the sightings that are off by 15 px. All sightings of a cone are off by two sigmas of what they share.
+    wild: share of the observations with an error of 15 px. All observations of a cone share an error of two sigmas.
     """
     matches, tracks = [], []
     for number, foot in enumerate(FEET_M[:cones]):
@@ -40,7 +40,7 @@ def drawn(
                     uv[side] = np.array([camera.cx_px, camera.cy_px]) + scale * local[:2] + 2 * OUTLINE_PX
             if len(uv) < 2:
                 continue
-            # No two sightings state the same.
+            # All observations state different sigmas.
             pointing, across, of_disparity = np.array([0.4, 0.7, 0.08]) * rng.uniform(0.6, 1.6)
             both = rng.normal(0, sizes[0] * pointing) + 15.0 * (rng.random() < wild)
             apart = rng.normal(0, sizes[2] * of_disparity) / 2
@@ -80,24 +80,24 @@ def found(
     tracks: list[Track],
     pairs: list[FramePair] = PATH,
     pose_cov: PoseCov | None = None,
-) -> SightingVariances:
-    return sighting_variances(tracks, matches, RIG, {pair.frame_index: pair.pose for pair in pairs}, pose_cov)
+) -> VarianceFactors:
+    return estimate_variance_factors(tracks, matches, RIG, {pair.frame_index: pair.pose for pair in pairs}, pose_cov)
 
 
 @pytest.mark.parametrize("sizes", [(1.0, 1.0, 1.0), (1.5, 0.7, 1.3), (0.7, 1.6, 0.6)])
-def test_what_was_drawn_is_found(sizes: tuple[float, float, float]) -> None:
-    """Over many drives within some percent: without bias, each group for itself, though places and shared errors are unknown."""
+def test_drawn_factors_are_estimated(sizes: tuple[float, float, float]) -> None:
+    """Without bias, each group alone, with unknown positions and shared errors."""
     rng = np.random.default_rng(5)
     factors = np.array([found(*drawn(rng, sizes)) for _ in range(12)])
     count = len(drawn(rng, sizes)[0])
     assert count > 100
-    # What is stated counts as 16 residuals beside them.
+    # The stated variances count as 16 residuals.
     expected = (count * np.square(sizes) + 16) / (count + 16)
     assert factors.mean(axis=0) == pytest.approx(expected, rel=0.1)
     assert (factors.std(axis=0) / expected < 1.5 * (2 / count) ** 0.5).all()
 
 
-def test_poses_that_slide_are_no_scatter_of_the_images() -> None:
+def test_drifting_poses_are_no_scatter_of_the_images() -> None:
     """A refined log of an RTK receiver: with the covariance of its poses the drawn factors are found, without it larger ones."""
     params, rng = TrajectoryParams(), np.random.default_rng(6)
     truth = np.stack([se3.map_SE3_body(pair.pose) for pair in PATH])
@@ -113,8 +113,8 @@ def test_poses_that_slide_are_no_scatter_of_the_images() -> None:
     assert (np.mean(naive, axis=0)[:2] > 1.3).all()
 
 
-def test_a_cone_or_none_says_little() -> None:
-    """Two or three sightings do not overthrow what they state, and no factor leaves its bounds."""
+def test_few_observations_change_little() -> None:
+    """The stated variances prevail over two or three observations, and factors are limited."""
     matches, tracks = drawn(np.random.default_rng(1), (1.5, 1.5, 1.5), cones=1)
     few = tracks[0].model_copy(update={"members": tracks[0].members[:3]})
     assert found(matches, []) == (1.0, 1.0, 1.0)
@@ -123,21 +123,21 @@ def test_a_cone_or_none_says_little() -> None:
     assert found(*drawn(np.random.default_rng(3), (0.05, 0.05, 0.05))) == pytest.approx((0.25, 0.25, 0.25), rel=0.01)
 
 
-def test_wild_sightings_count_as_what_the_adjustment_takes_them_for() -> None:
-    """One in thirty is off by 15 px, forty sigmas."""
+def test_outliers_are_down_weighted() -> None:
+    """One in thirty has an error of 15 px, forty sigmas."""
     rng = np.random.default_rng(11)
     factors = np.mean([found(*drawn(rng, (1.0, 1.0, 1.0), wild=0.03)) for _ in range(6)], axis=0)
     assert (factors > 0.8).all()
     assert (factors < 1.5).all()
 
 
-def test_only_sightings_that_took_part_change() -> None:
-    """And of their disparity not what all sightings of a cone have in common."""
+def test_only_observations_that_were_used_change() -> None:
+    """Without the part of the disparity common to all observations of a cone."""
     matches, tracks = drawn(np.random.default_rng(4), (1.0, 1.0, 1.0), cones=2)
     rough = matches[0].model_copy(update={"refined": False})
     no_foot = matches[1].model_copy(update={"left": matches[1].left.model_copy(update={"foot_px": None})})
     matches[:2] = [rough, no_foot]
-    changed = with_variances(matches, SightingVariances(columns=4.0, rows=0.25, disparity=0.25))
+    changed = with_variance_factors(matches, VarianceFactors(columns=4.0, rows=0.25, disparity=0.25))
     assert changed[:2] == [rough, no_foot]
     for old, new in zip(matches[2:], changed[2:], strict=True):
         assert new.sigma_pointing_px == pytest.approx(2 * old.sigma_pointing_px)
@@ -146,6 +146,6 @@ def test_only_sightings_that_took_part_change() -> None:
             (2 * old.sigma_u_px**2 - SHARED_DISPARITY_PX**2) / 4
         )
         assert new.foot_left_uv_px == old.foot_left_uv_px
-    # Those that do not take part do not change the factors either.
+    # Unused ones do not affect the factors.
     moved = rough.model_copy(update={"foot_left_uv_px": (0.0, 0.0)})
     assert found([moved, *matches[1:]], tracks) == found(matches, tracks)

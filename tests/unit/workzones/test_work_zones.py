@@ -39,7 +39,7 @@ def stand(number: int, x: float, y: float = -3.0, *, days: tuple[int, int | None
     return FeatureVersion(
         feature=feature,
         changeset_id=uuid5(NAMES, f"day {days[0]}"),
-        standing=True,
+        present=True,
         suppressed=False,
         valid_from_ns=days[0] * DAY_NS + number,
         valid_to_ns=None if days[1] is None else days[1] * DAY_NS + number,
@@ -50,7 +50,7 @@ def gone(version: FeatureVersion, day: int) -> FeatureVersion:
     """The version that says that it is gone, as the map holds one."""
     return version.model_copy(
         update={
-            "standing": False,
+            "present": False,
             "changeset_id": uuid5(NAMES, f"day {day}"),
             "valid_from_ns": version.valid_to_ns,
             "valid_to_ns": None,

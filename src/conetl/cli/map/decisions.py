@@ -124,7 +124,7 @@ def _state_text(version: FeatureVersion | None, nothing: str) -> str:
     """Position of a feature in the map's CRS, or that it does not exist."""
     if version is None:
         return nothing
-    if not version.standing:
+    if not version.present:
         return "removed"
     x, y, _ = version.feature.xyz_m
     return f"{x:.2f} {y:.2f}" + (" (suppressed)" if version.suppressed else "")

@@ -144,7 +144,7 @@ def version_columns(srid: int, versions: Sequence[FeatureVersion]) -> Columns:
         "feature_id": uuids([v.feature.feature_id for v in versions]),
         "version": integers([v.feature.version for v in versions]),
         **_attributes(versions, uuids, "changeset_id"),
-        "present": booleans([v.standing and not v.suppressed for v in versions]),
+        "present": booleans([v.present and not v.suppressed for v in versions]),
         **_attributes(versions, booleans, "suppressed"),
         **_attributes(versions, bigints, "valid_from_ns"),
         "valid_from": timestamps_from_ns([v.valid_from_ns for v in versions]),

@@ -31,11 +31,10 @@ from conetl.db.map.replay_store import write_replay
 from conetl.db.map.results import CommitResult, MapInfo, RecordCounts, Replay, RunInfo
 from conetl.db.statements import load_sql
 from conetl.model.detector_evidence import AbsenceFigures
-from conetl.model.drive_records import DriveRecords
 from conetl.model.errors import MapMismatchError
 from conetl.model.map_records import Changeset, DeltaKind
 from conetl.model.params import ReconcileParams
-from conetl.model.records import Drive, utc_from_ns
+from conetl.model.records import Drive, DriveRecords, utc_from_ns
 
 #: A drive may see features this far around its path: the farthest position plus the largest offset and move.
 INFLUENCE_M = 60.0

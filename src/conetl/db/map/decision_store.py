@@ -9,7 +9,7 @@ from conetl.db.connection import Connection, database_errors, execute
 from conetl.db.copy_binary import clean_text
 from conetl.db.map.results import Decidable, MapInfo, StoredDecision
 from conetl.db.statements import load_sql
-from conetl.model.map_records import Decisions, Place
+from conetl.model.map_records import Decisions, Location
 
 
 def list_decisions(conn: Connection, *, map_name: str = "default") -> list[StoredDecision]:
@@ -23,7 +23,7 @@ def list_decisions(conn: Connection, *, map_name: str = "default") -> list[Store
 
 def read_decisions(conn: Connection, *, map_name: str = "default") -> Decisions:
     """The decisions about places, in the form for the comparison of drives."""
-    places: dict[str, list[Place]] = {"suppress": [], "pin": [], "revert": []}
+    places: dict[str, list[Location]] = {"suppress": [], "pin": [], "revert": []}
     for decision in list_decisions(conn, map_name=map_name):
         if decision.place is not None:
             places[decision.kind].append(decision.place)
@@ -45,7 +45,7 @@ def insert_decision(
     decided_at: datetime,
     note: str,
     decided_by: str | None = None,
-    place: Place | None = None,
+    place: Location | None = None,
     feature_id: UUID | None = None,
     changeset_id: UUID | None = None,
     withdraws: UUID | None = None,

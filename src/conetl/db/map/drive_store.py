@@ -18,7 +18,7 @@ from conetl.db.map.rows import jacobian_from_wire
 from conetl.db.statements import load_sql
 from conetl.model.detector_evidence import UNMEASURED_ABSENCE, AbsenceFigures
 from conetl.model.errors import MapMismatchError
-from conetl.model.map_records import FoldKey, Statement
+from conetl.model.map_records import DriveOrder, ImportedFeature
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Detection, FramePair, Pose, Rig, Track, Vec3
 
@@ -41,10 +41,10 @@ class StoredDrive:
     path_m: NDArray[np.float64]
     """(N, 2), a row per frame pair; of an imported map, its stated positions."""
     tracks: list[Track]
-    statements: list[Statement]
+    statements: list[ImportedFeature]
     """Of an imported map, instead of tracks."""
 
-    def key(self, idempotency_key: str) -> FoldKey:
+    def key(self, idempotency_key: str) -> DriveOrder:
         return self.captured_from_ns, self.content_sha256, idempotency_key
 
 

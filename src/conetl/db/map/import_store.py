@@ -19,7 +19,7 @@ from conetl.db.map.results import CommitResult, RecordCounts, Replay, RunInfo
 from conetl.db.map.rows import feature_of
 from conetl.db.statements import load_sql
 from conetl.model.errors import MapMismatchError
-from conetl.model.map_records import Changeset, ImportedMap, Statement
+from conetl.model.map_records import Changeset, ImportedFeature, ImportedMap
 from conetl.model.params import ReconcileParams
 from conetl.model.records import utc_from_ns
 
@@ -102,10 +102,10 @@ def commit_import(
     return committed_result(conn, changeset, versions_written, map_name=map_name)
 
 
-def read_statements(conn: Connection, drive_uuid: UUID) -> list[Statement]:
+def read_statements(conn: Connection, drive_uuid: UUID) -> list[ImportedFeature]:
     """What an imported map states, in the order of its file."""
     rows = stream(conn, load_sql("imports.statements"), {"drive_uuid": drive_uuid})
-    return [Statement.model_construct(feature=feature_of(row), valid_from_ns=row[22]) for row in rows]
+    return [ImportedFeature.model_construct(feature=feature_of(row), valid_from_ns=row[22]) for row in rows]
 
 
 def read_licence(conn: Connection, map_name: str) -> str | None:
@@ -128,7 +128,7 @@ def set_licence(conn: Connection, map_name: str, licence: str) -> None:
         )
 
 
-def _statement_columns(drive_uuid: UUID, srid: int, statements: Sequence[Statement]) -> Mapping[str, Any]:
+def _statement_columns(drive_uuid: UUID, srid: int, statements: Sequence[ImportedFeature]) -> Mapping[str, Any]:
     features = [statement.feature for statement in statements]
     cones = map_columns.cone_columns(srid, features)
     return {
@@ -140,7 +140,7 @@ def _statement_columns(drive_uuid: UUID, srid: int, statements: Sequence[Stateme
     }
 
 
-def _cells(statements: Sequence[Statement]) -> tuple[list[tuple[float, float]], float]:
+def _cells(statements: Sequence[ImportedFeature]) -> tuple[list[tuple[float, float]], float]:
     """Centres of the grid cells that contain the stated positions, and the largest distance of a position from its centre (m)."""
     positions = np.array([statement.feature.xyz_m[:2] for statement in statements])
     side_m = IMPORT_INFLUENCE_M

@@ -15,7 +15,7 @@ from conetl.db.map import columns as map_columns
 from conetl.db.map.results import DriveRef, MapInfo, Replay, StoredDelta, StoredMiss, StoredVersion
 from conetl.db.map.rows import version_of
 from conetl.db.statements import load_sql
-from conetl.model.map_records import Delta, Doubt, FeatureVersion, Miss, Place
+from conetl.model.map_records import Delta, FeatureVersion, Location, MissedObservation, MissSummary
 from conetl.model.records import Drive
 
 
@@ -56,7 +56,7 @@ def other_deliveries(conn: Connection, drive: Drive, *, map_name: str) -> list[i
         return [row["changeset_no"] for row in execute(conn, load_sql("drives.other_deliveries"), parameters)]
 
 
-def drives_at(conn: Connection, map_name: str, place: Place) -> list[UUID]:
+def drives_at(conn: Connection, map_name: str, place: Location) -> list[UUID]:
     """The active drives that may judge features at a place (map CRS), anywhere within its radius."""
     easting_m, northing_m = place.xy_m
     parameters = {"map_name": map_name, "easting_m": easting_m, "northing_m": northing_m, "radius_m": place.radius_m}
@@ -72,11 +72,11 @@ def read_versions(conn: Connection, drive_uuids: Sequence[UUID]) -> list[StoredV
         ]
 
 
-def read_doubts_around(conn: Connection, drive_uuid: UUID) -> dict[UUID, Doubt]:
+def read_doubts_around(conn: Connection, drive_uuid: UUID) -> dict[UUID, MissSummary]:
     """Doubts of drives that missed them about the features that stand around a drive's path, by feature id."""
     with database_errors("The doubts about the features around the drive cannot be read"):
         rows = stream(conn, load_sql("replay.doubts_around"), {"drive_uuid": drive_uuid})
-        return {row[0]: Doubt(existence_probability=row[1], first_missed_ns=row[2]) for row in rows}
+        return {row[0]: MissSummary(existence_probability=row[1], first_missed_ns=row[2]) for row in rows}
 
 
 def read_misses(conn: Connection, drive_uuids: Sequence[UUID]) -> list[StoredMiss]:
@@ -86,7 +86,7 @@ def read_misses(conn: Connection, drive_uuids: Sequence[UUID]) -> list[StoredMis
             StoredMiss(
                 drive_uuid=row[5],
                 key=row[6:9],
-                miss=Miss.model_construct(
+                miss=MissedObservation.model_construct(
                     feature_id=row[0],
                     changeset_id=row[1],
                     version=row[2],

@@ -11,11 +11,11 @@ from uuid import UUID
 from conetl.model.map_records import (
     Delta,
     DeltaKind,
+    DriveOrder,
     FeatureVersion,
-    FoldKey,
+    Location,
     MapFeature,
-    Miss,
-    Place,
+    MissedObservation,
 )
 
 
@@ -163,7 +163,7 @@ class StoredVersion:
 
     version_row_id: int
     drive_uuid: UUID
-    key: FoldKey
+    key: DriveOrder
     version: FeatureVersion
 
 
@@ -172,8 +172,8 @@ class StoredMiss:
     """A current miss of a feature by a drive."""
 
     drive_uuid: UUID
-    key: FoldKey
-    miss: Miss
+    key: DriveOrder
+    miss: MissedObservation
 
 
 @dataclass(frozen=True)
@@ -213,11 +213,11 @@ class StoredDecision:
     decided_at: datetime
 
     @property
-    def place(self) -> Place | None:
+    def place(self) -> Location | None:
         """The place that it is about; None of a revert."""
         if self.easting_m is None or self.northing_m is None or self.radius_m is None:
             return None
-        return Place(xy_m=(self.easting_m, self.northing_m), radius_m=self.radius_m)
+        return Location(xy_m=(self.easting_m, self.northing_m), radius_m=self.radius_m)
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,7 @@ def version_of(row: tuple[Any, ...]) -> FeatureVersion:
         FeatureVersion,
         feature=feature_of(row),
         changeset_id=row[22],
-        standing=row[23],
+        present=row[23],
         suppressed=row[24],
         valid_from_ns=row[25],
         valid_to_ns=row[26],

@@ -20,7 +20,7 @@ from pyproj.exceptions import CRSError
 from conetl.files.parquet_store import file_sha256
 from conetl.geometry.geodesy import utm_srid
 from conetl.model.errors import InputError
-from conetl.model.map_records import ImportedMap, MapFeature, Statement
+from conetl.model.map_records import ImportedFeature, ImportedMap, MapFeature
 from conetl.model.params import ImportParams
 from conetl.model.records import Cov3
 from conetl.readers.base_layers.georeferencing import in_area
@@ -165,7 +165,7 @@ class _Rows:
             )
         return max(known)
 
-    def statement(self, index: int, feature_id: UUID, xyz_m: NDArray[np.float64], stated_ns: int) -> Statement:
+    def statement(self, index: int, feature_id: UUID, xyz_m: NDArray[np.float64], stated_ns: int) -> ImportedFeature:
         values = self.values(index)
         try:
             row = _Row.model_validate(self.defaults | values)
@@ -190,7 +190,7 @@ class _Rows:
             existence_probability=row.existence_probability, observation_count=row.observation_count,
             first_seen_ns=first_ns, last_seen_ns=last_ns,
         )  # fmt: skip
-        return Statement(feature=feature, valid_from_ns=valid_from_ns)
+        return ImportedFeature(feature=feature, valid_from_ns=valid_from_ns)
 
     def instant_ns(self, index: int, values: Mapping[str, Any], name: str, default: Any) -> Any:
         """UTC nanoseconds; `name`_us (microseconds since 1970) is exact where a format's own times are not."""

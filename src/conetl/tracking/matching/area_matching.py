@@ -1,19 +1,17 @@
 """Area-based least-squares matching of one cone between the left and the right rectified image.
 
-A box from a network is loose by a pixel or more; range lives on the difference of two such boxes. Matching the grey values
-themselves fixes the disparity to a twentieth of a pixel. First a normalised cross-correlation over whole pixels, then
-least-squares matching (Ackermann 1984; Gruen 1985) by Gauss-Newton, with a gain and an offset for each colour.
+Boxes are loose by a pixel or more; matching grey values determines the disparity to a twentieth of a pixel. A normalised
+cross-correlation over whole pixels is followed by least-squares matching (Ackermann 1984; Gruen 1985) by Gauss-Newton, with
+gain and offset per colour.
 
-A cone is no plane: its outline lies at the depth of the axis, the surface between lies nearer by up to its radius. The left
-image is therefore matched along a disparity *surface*, that of a body of revolution with the outline of `cone_outline.py`
-standing upright (`cone_surface.py`), and what is looked for is the disparity of its axis at the foot. How far the cone leans,
-how near its surface is and how far each edge is seen off its place are unknowns as well, about which something is known
-beforehand; so neither the edges nor the texture of a large cone are believed too much, and sigma holds what such errors cost.
-Sigma is that of the residuals under slopes that both images share: noise makes slopes too, and they hold nothing.
+The left image is matched along the disparity *surface* of an upright body of revolution (`cone_outline.py`, `cone_surface.py`);
+the result is the disparity of its axis at the foot. Lean of the cone, nearness of its surface and shift of each edge are
+unknowns with priors, so that sigma contains their effect. Sigma is that of the residuals under slopes common to both images
+(`covariance.py`).
 
-Only pixels of the body and its edges take part. What stands behind is mixed into the edges by the blur, and is another thing in
-the other image: that change is measured just beyond the edge and taken out. Both images are blurred alike by the B-spline of
-the interpolation; without that noise draws disparities to half pixels. What does not fit (something in front) loses its weight.
+Only pixels of the body and its edges are used. The background mixed into the edges by blur differs between the images: its
+change is measured just beyond the edge and subtracted. Both images are blurred alike by the B-spline of the interpolation,
+which avoids a bias to half pixels. Outliers (objects in front) are down-weighted.
 """
 
 from __future__ import annotations
@@ -37,27 +35,27 @@ Ints = NDArray[np.intp]
 _MIN_CORRELATION = 0.75
 _MAX_ITERATIONS = 24
 _CONVERGED_PX = 2e-2
-#: How far the disparity may run from the best whole-pixel place.
+#: Largest change of the disparity from the best whole-pixel value.
 _MAX_WAY_PX = 2.0
 _MAX_ROW_OFFSET_PX = 1.5
 _MIN_INLIER_SHARE = 0.6
-#: Residuals, in units of the usual one, from which on a pixel loses weight at first (Huber 1964), and the scale of the weights
-#: with which the fit ends, by which outliers count nothing (Geman & McClure 1985).
+#: Huber limit of residuals, in units of the usual one, in the first iterations (Huber 1964), and the scale of the final
+#: weights, under which outliers count nothing (Geman & McClure 1985).
 _HUBER, _OUTLIER = 2.0, 3.0
 _SOFT_ITERATIONS = 3
-#: A change of background counts by half where its square is this many times its own uncertainty: noise, and what it may change
-#: by on the way from where it is seen to the edge, so many pixels (a random walk: its variance grows with the way).
+#: A change of background has half weight where its square is this many times its variance: noise, plus a random walk over so
+#: many pixels from the sampled point to the edge.
 _BACKGROUND_NOISE, _BACKGROUND_WAY_PX = 3.0, 2.5
-#: Variance of grey values that even equal images have, by rounding to 8 bits in both.
+#: Variance of grey values by rounding to 8 bits in both images.
 _QUANTISATION = 0.17
-#: What is known beforehand, one sigma: lean of a cone towards the camera (rad), its surface's nearness (share), and how far an
-#: edge is seen off its place by what stands behind it (px). Nothing of disparity and row offset.
+#: Priors, one sigma: lean of the cone towards the camera (rad), nearness of its surface (share), and shift of an edge by the
+#: background (px). None for disparity and row offset.
 _LEAN_SIGMA, _SURPLUS_SIGMA, _SHIFT_SIGMA_PX = 0.015, 0.05, 0.08
 _PRIOR = np.array([0.0, 0.0, _LEAN_SIGMA**-2, _SURPLUS_SIGMA**-2, _SHIFT_SIGMA_PX**-2, _SHIFT_SIGMA_PX**-2])
-#: Weight of what is known beforehand against grey values: variance over that of white noise.
+#: Weight of the priors against grey values: variance over that of white noise.
 _DESIGN_EFFECT = 15.0
 _PRIOR_NORMAL = _DESIGN_EFFECT * np.diag(_PRIOR)
-#: How large lean, surplus and shifts are, with which sigma reckons: variances in the order of the unknowns.
+#: Variances of lean, surplus and shifts used for sigma, in the order of the unknowns.
 _PRIOR_VARIANCE = np.array([0.0, 0.0, 0.010**2, 0.033**2, 0.033**2, 0.033**2])
 
 
@@ -71,7 +69,7 @@ class AreaMatch:
     """Standard deviation of the disparity."""
     correlation: float
     row_offset_px: float
-    """How much lower the cone is in the right image; 0 in a perfectly rectified pair with equal principal points."""
+    """How much lower the cone is in the right image; 0 for perfectly rectified images with equal principal points."""
 
 
 def match_area(
@@ -86,11 +84,11 @@ def match_area(
     at_infinity_px: float = 0.0,
     row_offset_px: float = 0.0,
 ) -> AreaMatch | None:
-    """Disparity of the cone with `outline` in the left image, or None where the images do not settle it.
+    """Disparity of the cone with `outline` in the left image, or None if the images do not determine it.
 
     left, right: rectified images, (H, W, 3) or (H, W), uint8. disparity_px: first guess; search_px: half width of the search.
-    camera: the left one. up: unit vector (3,) in its frame (x right, y down, z forward). at_infinity_px: disparity of a point at
-    infinity. row_offset_px: how much lower all things are in the right image by calibration.
+    camera: the left one. up: unit vector (3,) in its frame (x right, y down, z forward). at_infinity_px: disparity of a point
+    at infinity. row_offset_px: how much lower points are in the right image by calibration.
     """
     if left.ndim == 2:
         left, right = left[:, :, None], right[:, :, None]
@@ -106,7 +104,7 @@ def match_area(
 def _whole_pixel_disparity(
     pixels: ConePixels, right: NDArray[np.uint8], guess: float, search_px: float, at_infinity_px: float, row_offset: int
 ) -> int | None:
-    """Disparity at which the pixels fit best; None at the search's end, below the bar, or where it leaves the image."""
+    """Best whole-pixel disparity; None at the limit of the search, below the threshold, or outside the image."""
     reach = int(np.ceil(search_px)) + 1
     candidates = round(guess) + np.arange(-reach, reach + 1)
     shape = at_infinity_px + (candidates[:, None] - at_infinity_px) / pixels.depth
@@ -119,7 +117,7 @@ def _whole_pixel_disparity(
     flat = np.ascontiguousarray(right).reshape(height * width, channels)
     samples = flat.take(rows * width + columns, axis=0).reshape(len(candidates), count * channels).astype(np.float64)
     template = pixels.values - pixels.values.mean(axis=0)
-    # Sums of squares about the mean, from sums of whole numbers: nothing is lost by taking the mean out afterwards.
+    # Sums of squares about the mean, exact because the grey values are whole numbers.
     sums = samples.reshape(len(candidates), count, channels).sum(axis=1)
     squares = np.einsum("kn,kn->k", samples, samples) - (sums**2).sum(axis=1) / count
     norms = np.sqrt(np.maximum(squares, 0.0) * (template**2).sum())
@@ -134,7 +132,7 @@ def _whole_pixel_disparity(
 def _least_squares(
     pixels: ConePixels, right: NDArray[np.uint8], start: float, at_infinity_px: float, row_offset_px: float
 ) -> AreaMatch | None:
-    """Gauss-Newton on disparity and row offset; gain and offset of each colour are taken out in every step."""
+    """Gauss-Newton on all unknowns; gain and offset of each colour are eliminated in stacked step."""
     beyond = pixels.beyond
     reach = np.concatenate(
         [part.columns - at_infinity_px - (start - at_infinity_px) / part.depth for part in (pixels, beyond)]
@@ -156,15 +154,15 @@ def _least_squares(
         scale = disparity - at_infinity_px
         depth = pixels.depth + lean * pixels.height - surplus * pixels.nearer
         columns = pixels.columns - at_infinity_px - scale / depth - pixels.at_edge @ unknown[4:]
-        # The background stays as it is from half way on: it may follow the disparity to and fro.
-        looks = iteration < _MAX_ITERATIONS // 2
+        # The background is fixed in the second half: otherwise it may oscillate with the disparity.
+        sample_background = iteration < _MAX_ITERATIONS // 2
         beside = beyond.columns - at_infinity_px - scale / beyond.depth
         sample, slope_u, slope_v = (
             patch.at(np.concatenate([pixels.rows, beyond.rows]), np.concatenate([columns, beside]), down)
-            if looks
+            if sample_background
             else patch.at(pixels.rows, columns, down)
         )
-        seen = sample[len(columns) :]
+        behind = sample[len(columns) :]
         sample, slope_u, slope_v = sample[: len(columns)], slope_u[: len(columns)], slope_v[: len(columns)]
         inverse = 1 / depth
         slant = scale * inverse * inverse
@@ -186,9 +184,9 @@ def _least_squares(
         weights = (
             1 / np.maximum(size / _HUBER, 1.0) if iteration < _SOFT_ITERATIONS else (1 + (size / _OUTLIER) ** 2) ** -2
         )
-        if looks:
-            seen = step_of.gain * seen.reshape(beyond.values.shape) + step_of.shift
-            background = _background(seen - beyond.values, step_of.noise)
+        if sample_background:
+            behind = step_of.gain * behind.reshape(beyond.values.shape) + step_of.shift
+            background = _background(behind - beyond.values, step_of.noise)
     else:
         return None
     if step_of.correlation < _MIN_CORRELATION or np.mean(size < 2 * _HUBER) < _MIN_INLIER_SHARE:
@@ -202,9 +200,9 @@ def _least_squares(
 
 
 def _by_unknown(along: Floats, slope_u: Floats, slope_v: Floats) -> Floats:
-    """(6, n, channels): how grey values change with each unknown, from their slopes (n, channels) along columns and rows.
+    """(6, n, channels): derivatives of grey values by the unknowns, from their slopes (n, channels) along columns and rows.
 
-    along (n, 5): how the column changes with the unknowns but the row offset, which comes second.
+    along (n, 5): derivatives of the column by all unknowns but the row offset, which is the second one.
     """
     slopes = np.empty((slope_u.shape[1], 6, len(along)))
     slopes[:, 0], slopes[:, 1] = along[:, 0] * slope_u.T, slope_v.T
@@ -213,11 +211,11 @@ def _by_unknown(along: Floats, slope_u: Floats, slope_v: Floats) -> Floats:
 
 
 def _background(change: Floats, noise: Floats) -> Floats:
-    """(e, channels): how much the background changes between the images at e edges, as far as it can be told from beside them.
+    """(e, channels): change of the background between the images at e edges.
 
     change (e, 2, channels): at the two points beyond each edge; edges left and right in turn, row by row. noise (channels,).
-    Beside a far cone a pixel is a large piece of the world, and what is seen two pixels off says little of the edge: where the
-    change differs from pixel to pixel, across the rows or along them, it is believed the less.
+    Beside a far cone two pixels are a large distance: where the change varies between pixels, across or along the rows, it has
+    less weight.
     """
     mean = (change[:, 0] + change[:, 1]) / 2
     rows = mean.reshape(-1, 2, mean.shape[1])
@@ -245,9 +243,9 @@ class _Linearised(NamedTuple):
     noise: Floats
     """(channels,) variance of the residuals"""
     inverse: Floats
-    """(p, p) of the normal matrix, what is known beforehand included"""
+    """(p, p) of the normal matrix with priors"""
     normal: Floats
-    """(p, p) of the images alone, were the residuals white"""
+    """(p, p) of the images alone, for white residuals"""
     pull: Floats
     """(p,)"""
     correlation: float
@@ -258,24 +256,24 @@ class _Linearised(NamedTuple):
 
     @property
     def jacobian(self) -> Floats:
-        """(n, channels, p) of the modelled grey values, gain and offset eliminated; only sigma asks for it."""
+        """(n, channels, p) of the modelled grey values, gain and offset eliminated; for sigma only."""
         free = self.centred[:, 2:] - self.along[:, :, None] * self.centred[:, 1:2]
         return np.asarray((free * self.gain[:, None, None]).transpose(2, 0, 1))
 
 
 def _linearise(values: Floats, sample: Floats, slopes: Floats, unknown: Floats, weights: Floats) -> _Linearised | None:
-    """None where the right image has nothing to hold on to, or is the negative of the left one.
+    """None if the right image has no contrast, or is the negative of the left one.
 
-    values, sample (n, channels): grey values left and right. slopes (p, n, channels): of the sample with respect to the unknowns.
+    values, sample (n, channels): grey values left and right. slopes (p, n, channels): of the sample by the unknowns.
     """
     total = weights.sum()
-    # Colour by colour in memory, so that the products below are those of the linear algebra library.
-    every = np.empty((values.shape[1], 2 + len(slopes), len(values)))
-    every[:, 0], every[:, 1], every[:, 2:] = values.T, sample.T, slopes.transpose(2, 0, 1)
-    means = every @ weights / total
-    every -= means[:, :, None]
-    # Of each colour the inner products of template, sample and slopes: all that least squares needs.
-    gram = (every * weights) @ every.transpose(0, 2, 1)
+    # Colour by colour in memory, so that the products below are done by BLAS.
+    stacked = np.empty((values.shape[1], 2 + len(slopes), len(values)))
+    stacked[:, 0], stacked[:, 1], stacked[:, 2:] = values.T, sample.T, slopes.transpose(2, 0, 1)
+    means = stacked @ weights / total
+    stacked -= means[:, :, None]
+    # Per colour the inner products of template, sample and slopes, all that least squares needs.
+    gram = (stacked * weights) @ stacked.transpose(0, 2, 1)
     tt, ts, ss = gram[:, 0, 0], gram[:, 0, 1], gram[:, 1, 1]
     if (ss <= 1e-6 * total).any() or (tt <= 1e-6 * total).any():
         return None
@@ -291,6 +289,6 @@ def _linearise(values: Floats, sample: Floats, slopes: Floats, unknown: Floats, 
         return None
     inverse = np.linalg.inv(normal + _PRIOR_NORMAL)
     correlation = float((ts / noise).sum() / np.sqrt((tt / noise).sum() * (ss / noise).sum()))
-    residual = (every[:, 0] - gain[:, None] * every[:, 1]).T
+    residual = (stacked[:, 0] - gain[:, None] * stacked[:, 1]).T
     shift = means[:, 0] - gain * means[:, 1]
-    return _Linearised(every, along, residual, noise, inverse, normal, pull, correlation, gain, shift)
+    return _Linearised(stacked, along, residual, noise, inverse, normal, pull, correlation, gain, shift)

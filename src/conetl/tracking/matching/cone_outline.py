@@ -1,8 +1,7 @@
-"""Where the body of a standing cone is in one image: its axis, and how wide it is in each row.
+"""Axis and width of the body of a standing cone in one image.
 
-A box says how wide the base plate is, not the body, and boxes are loose. What range needs is the body: its outline lies at
-the depth of the axis, the surface between lies nearer. Both edges of the body are straight lines; each is looked for by itself
-as the line along which the grey values change most across the rows, near to where box, foot and tip say that it should be.
+A box gives the width of the base plate, not of the body. Both edges of the body are straight lines, each estimated as the line
+of largest change of grey values across the rows, near to the prediction from box, foot and tip.
 """
 
 from __future__ import annotations
@@ -16,17 +15,17 @@ from conetl.model.records import Detection
 
 Floats = NDArray[np.float64]
 
-#: Half width of a cone's body as a share of its box's width, at the tip and at the foot: what cones of the sample drives and
-#: of one real street have, between and around.
+#: Half width of a cone's body as a share of its box's width, at the tip and at the foot: predicted values from the sample
+#: drives and one real street, and search ranges.
 _PRIOR_TOP, _PRIOR_FOOT = 0.10, 0.31
 _REACH_TOP, _REACH_FOOT = 0.08, 0.12
-#: Rows that show the body alone, as shares of the way from tip to foot: not the blunt tip, not the base plate.
+#: Rows of the body alone, as shares from tip to foot, without the blunt tip and the base plate.
 BODY_ROWS = (0.08, 0.84)
 _COARSE_TOP, _COARSE_FOOT, _FINE = np.linspace(-1, 1, 7), np.linspace(-1, 1, 11), np.linspace(-1, 1, 7)
-#: Half width (sigma) of the window in which an edge is centred, from step to step.
+#: Half width (sigma) of the window around an edge, by iteration.
 _WINDOWS_PX = (1.5, 1.5, 1.2, 1.2, 1.0, 1.0, 1.0, 1.0)
 _ROW_SIGMA_PX = 1.0
-#: A change of grey values that noise alone makes, at least.
+#: Change of grey values by noise alone, at least.
 _LEAST_STEP = 2.0
 
 
@@ -37,9 +36,9 @@ class Outline:
     tip_row: float
     foot_row: float
     left_top: float
-    """Column of the left edge in the tip's row ..."""
+    """Column of the left edge in the tip's row."""
     left_foot: float
-    """... and in the foot's, as if the body went on into the base plate."""
+    """Likewise in the foot's row, as if the body continued into the base plate."""
     right_top: float
     right_foot: float
 
@@ -59,7 +58,7 @@ class Outline:
 
 
 def expected_outline(detection: Detection) -> Outline:
-    """The outline that box, foot and tip alone suggest."""
+    """The outline predicted from box, foot and tip."""
     width = detection.w_px
     middle = detection.x_px + width / 2
     tip_x, tip_y = detection.tip_px or (middle, detection.y_px)
@@ -103,15 +102,15 @@ def find_outline(image: NDArray[np.uint8], detection: Detection) -> Outline:
 
 
 def _edges(steps: Floats, share: Floats, top: Floats, foot: Floats, width_px: float, floor: float) -> Floats:
-    """Columns (2, 2), at tip and foot, of the two lines along which the grey values change most near to the expected ones.
+    """Columns (2, 2), at tip and foot, of the lines of largest change of grey values near to the predicted ones.
 
-    top, foot: (2,) of the expected left and right line.
+    top, foot: (2,) of the predicted left and right line.
     """
     reach_top, reach_foot = max(_REACH_TOP * width_px, 1.0), max(_REACH_FOOT * width_px, 1.5)
     tops, feet = top[:, None] + reach_top * _COARSE_TOP, foot[:, None] + reach_foot * _COARSE_FOOT
-    # The square root: an edge seen in all rows counts more than one bright thing behind a few of them.
+    # The square root favours an edge in all rows over one bright object behind a few of them.
     score = _along(np.sqrt(steps), share, tops, feet)
-    # Slightly rather near to the expected line: decides where nothing else does.
+    # A small preference for the predicted line decides between equal ones.
     score -= 0.1 * score.max(axis=(1, 2), keepdims=True) * (_COARSE_TOP[:, None] ** 2 + _COARSE_FOOT**2)
     tops, feet = _best(score, tops, feet)
     tops = tops[:, None] + max(0.5, reach_top / 4) * _FINE
@@ -129,13 +128,12 @@ def _best(score: Floats, tops: Floats, feet: Floats) -> Floats:
 
 
 def _settled(steps: Floats, share: Floats, start: Floats, expected: Floats, prior: Floats) -> Floats:
-    """The lines moved to where the change of grey values is centred in its rows, by mean shift (Comaniciu & Meer 2002).
+    """The lines centred on the change of grey values in each row, by mean shift (Comaniciu & Meer 2002).
 
-    Each row says where its change is centred under a window about the line; the line through these, weighted by how much
-    changes there, is the next one. The window narrows, so that the line ends on the edge itself and not between two of them.
-    steps: in units of what changes everywhere; a row with no more than that says where its edge is to `_ROW_SIGMA_PX`. The
-    expected line counts with the weights `prior` (1/px^2): it decides where the image shows no edge.
-    start, expected, and what is returned: (2, 2) columns at tip and foot of both edges.
+    Each row has a centre of change under a window about the line; the weighted line through these is the next one. The window
+    narrows, so that the line converges to one edge. steps: in units of the usual change; a row with no more than that
+    determines its edge to `_ROW_SIGMA_PX`. The expected line has the weights `prior` (1/px^2). start, expected, and the result:
+    (2, 2) columns at tip and foot of both edges.
     """
     columns = np.arange(steps.shape[1], dtype=np.float64)
     ends = np.stack([1 - share, share])  # (2, rows): the share of the column at the tip and at the foot

@@ -1,4 +1,4 @@
-"""The pixels of the left image that the matching of a cone looks at: its body, its edges, and what stands beside them."""
+"""Pixels of the left image used to match a cone: its body, its edges, and the background beside them."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ Ints = NDArray[np.intp]
 
 _MIN_PIXELS = 24
 _MAX_PIXELS = 1200
-#: Rows of the body that take part, as shares of the way from tip to foot; the base plate lies on the ground, not at the axis.
+#: Used rows of the body, as shares from tip to foot; the base plate is not at the axis.
 _ROWS = (0.02, 0.90)
-#: Pixels inside of the outline that show its edge rather than the surface, and those outside that take part: shares of the
-#: radius at the foot, from the blur of one pixel upwards. A far cone would else be all edge, and half of it background.
+#: Width of the edge inside the outline, and of the margin outside: shares of the radius at the foot, limited in pixels. A far
+#: cone would otherwise be all edge, half of it background.
 _EDGE_SHARE, _OUT_SHARE = 0.1, 0.075
 _EDGE_PX, _OUT_PX = (1.0, 2.0), (1.0, 1.5)
-#: Blur (sigma) of an edge by lens, sensor and the smoothing here, and where the background shows alone.
+#: Blur (sigma) of an edge by lens, sensor and the smoothing here, and distances at which only background is visible.
 _BLUR_PX = 0.85
 _BEYOND_PX = np.array([2.0, 3.0])
 
 
 class ConePixels(NamedTuple):
-    """The pixels of the left image that take part; n of them."""
+    """The used pixels of the left image; n of them."""
 
     rows: Ints
     """(n,) rows in the image"""
@@ -40,34 +40,34 @@ class ConePixels(NamedTuple):
     slopes: Floats
     """(2, n, channels) of the grey values along columns and rows"""
     depth: Floats
-    """(n,) of what shows, in units of the depth of the axis at the foot"""
+    """(n,) of the visible surface, in units of the depth of the axis at the foot"""
     nearer: Floats
-    """(n,) by how much the surface is nearer than the limb, in the same units; 0 at the edges"""
+    """(n,) depth of the limb less that of the surface, in the same units; 0 at the edges"""
     height: Floats
     """(n,) above the foot, in the same units"""
     at_edge: Floats
     """(n, 2) 1 for pixels of the left, of the right edge"""
     edge: Ints
-    """(n,) number of the edge that a pixel is next to: one row, left or right of the axis"""
+    """(n,) number of the edge next to a pixel: one row, left or right of the axis"""
     cover: Floats
-    """(n,) share of the background in a pixel's grey value"""
+    """(n,) share of the background in the grey value"""
     beyond: Beyond
 
 
 class Beyond(NamedTuple):
-    """What stands beside the body, just beyond the blur of its edges: e edges, two points each."""
+    """Background just beyond the blur of the edges: e edges, two points each."""
 
     rows: Ints
     """(2e,)"""
     columns: Floats
     depth: Floats
-    """(2e,) of the edge: what is looked for is what the right image shows beside the same edge"""
+    """(2e,) of the edge: the right image is sampled beside the same edge"""
     values: Floats
     """(e, 2, channels) grey values in the left image"""
 
 
 def cone_pixels(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Floats) -> ConePixels | None:
-    """The pixels inside the outline, with the disparity surface over them."""
+    """The pixels inside the outline, with the disparity surface over them; None if they are too few."""
     height = outline.foot_row - outline.tip_row
     first = max(int(np.ceil(outline.tip_row + _ROWS[0] * height)), 0)
     last = min(int(np.floor(outline.tip_row + _ROWS[1] * height)), left.shape[0] - 1)
@@ -83,14 +83,14 @@ def cone_pixels(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: F
     aside = u[None, :] - axis[:, None]
     inside = np.abs(aside) <= radius[:, None] + out_px
     every = int(np.ceil(inside.sum() / _MAX_PIXELS))
-    inside[np.arange(len(v)) % every != 0] = False  # the rows of a near cone say the same thing many times
+    inside[np.arange(len(v)) % every != 0] = False  # neighbouring rows of a near cone are redundant
     i, j = np.nonzero(inside)
     if len(i) < _MIN_PIXELS:
         return None
     surface = cone_surface(outline, camera, up, v[i].astype(np.float64), u[j].astype(np.float64))
     if surface is None:
         return None
-    # At the very edge it is the outline that shows, blurred over about a pixel, not the surface.
+    # At the edge the blurred outline is visible, not the surface.
     inner = radius[i] - np.abs(aside[i, j]) > edge_px
     nearer = (surface.limb - surface.depth) * inner
     values, *slopes = (part[i, j] for part in _smooth(left, v, u))
@@ -107,7 +107,7 @@ def cone_pixels(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: F
 
 
 def _beyond(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Floats, rows: Ints) -> Beyond | None:
-    """Background beside both edges of every row; None where the image ends there."""
+    """Background beside both edges of every row; None if it is outside the image."""
     y = rows.astype(np.float64)
     axis, radius = outline.axis(y), outline.radius(y)
     columns = axis[:, None, None] + np.array([-1.0, 1.0])[None, :, None] * (radius[:, None, None] + _BEYOND_PX)
@@ -122,9 +122,8 @@ def _beyond(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Float
 
 
 def _smooth(image: NDArray[np.uint8], rows: Ints, columns: Ints) -> tuple[Floats, Floats, Floats]:
-    """Grey values (rows, columns, channels) blurred as `SplinePatch` blurs the right image at a whole pixel, and their slopes
-    along columns and rows.
-    """
+    """Grey values (rows, columns, channels) blurred like `SplinePatch` at whole pixels, and their slopes along columns and
+    rows."""
     top = np.clip(np.arange(rows[0] - 1, rows[-1] + 2), 0, image.shape[0] - 1)
     aside = np.clip(np.arange(columns[0] - 1, columns[-1] + 2), 0, image.shape[1] - 1)
     part = image[top[:, None], aside].astype(np.float64)

@@ -1,9 +1,9 @@
-"""The visible surface of a standing cone, from its outline in one image: how deep each pixel lies, up to one common scale.
+"""Depth of the visible surface of a standing cone, from its outline in one image, up to scale.
 
-Through each edge of the outline and the projection centre goes a plane that touches the cone. The plane midway between the two
-holds the axis; it stands upright in it, through the foot's row. Only one circular cone about that axis touches both planes, but
-for its size, which is the unknown of the matching; so the depth of the axis at the foot is 1 here. Each pixel's ray meets that
-cone in a quadratic equation. Nothing is taken as small: neither the cone against its distance nor the angle of sight.
+A plane through each edge of the outline and the projection centre touches the cone. The plane midway between both contains the
+axis, upright through the foot's row. The circular cone about that axis that touches both planes is unique up to its size, the
+unknown of the matching; so the depth of the axis at the foot is 1. Each pixel's ray meets that cone in a quadratic equation;
+nothing is linearised.
 """
 
 from __future__ import annotations
@@ -23,29 +23,27 @@ class Surface(NamedTuple):
     """Depths of n pixels, in units of the axis's depth at the foot."""
 
     depth: Floats
-    """(n,) of the surface where the pixel's ray first meets it; of the limb outside of the outline"""
+    """(n,) of the first intersection of the ray with the surface; of the limb outside the outline"""
     limb: Floats
-    """(n,) of the point of the ray that comes nearest to the axis: that of the limb, where ray and surface touch"""
+    """(n,) of the point of the ray nearest to the axis, where it touches the cone at the limb"""
     height: Floats
     """(n,) of that point above the foot, along the axis"""
 
 
 def cone_surface(outline: Outline, camera: Camera, up: Floats, rows: Floats, columns: Floats) -> Surface | None:
-    """The surface at image points (n,) rows and columns; None where the edges do not belong to an upright body.
+    """The surface at image points (n,) rows and columns; None if the edges are not those of an upright body.
 
     up: unit vector (3,) in the camera's frame (x right, y down, z forward).
     """
     left = _plane(camera, (outline.left_top, outline.tip_row), (outline.left_foot, outline.foot_row), -1.0)
     right = _plane(camera, (outline.right_top, outline.tip_row), (outline.right_foot, outline.foot_row), 1.0)
-    middle = (
-        right - left
-    )  # both point outwards: points of the plane midway are as far inside of the one as of the other
+    middle = right - left  # both point outwards, so that the midway plane is equally far inside of both
     middle /= np.linalg.norm(middle)
     y = (outline.foot_row - camera.cy_px) / camera.fy_px
     foot = np.array([-(middle[1] * y + middle[2]) / middle[0], y, 1.0])
     axis = up - (up @ middle) * middle
     axis /= np.linalg.norm(axis)
-    # A plane touches a cone of radius r0 + r1 h where its distance from the axis is (r0 + r1 h) cos(half angle) at all heights h.
+    # A plane touches a cone of radius r0 + r1 h if its distance from the axis is (r0 + r1 h) cos(half angle) at all h.
     sine = float(right @ axis)
     cosine = np.sqrt(1.0 - sine**2)
     r0, r1 = -float(right @ foot) / cosine, -sine / cosine

@@ -1,10 +1,8 @@
-"""Where in the right image the partners of the left one's boxes can be: nothing else of it needs to be searched.
+"""Regions of the right image that can contain partners of the left detections; only these are searched.
 
-A position takes a box in both images. Where the left one shows something, its partner lies along the epipolar line, within the
-bounds of `matches.match_pair`; where the left one shows nothing, the right one could only say once more that nothing is there.
-
-That would make the map trust in one camera: what a dirty or covered left lens does not show would be gone. So every fifth pair is
-searched everywhere all the same, and where its right image shows what the left one does not, its neighbours are, too.
+A partner is along the epipolar line, within the bounds of `matches.match_pair`. Since a dirty or covered left lens would then
+hide cones from the map, every fifth pair is searched everywhere; if its right image shows something that the left one does not,
+so are its neighbours.
 """
 
 from __future__ import annotations
@@ -19,42 +17,41 @@ from conetl.model.params import IngestParams
 from conetl.model.records import Detection, Rig
 from conetl.tracking.matching.matches import HEIGHT_BOUNDS_M, LEAST_DISPARITY_PX, disparity_bounds_px, row_tolerance_px
 
-#: The rig may turn out to be turned by a little after its images were searched (`self_calibration.py`).
+#: Self-calibration may rotate the rig slightly after the search.
 _SLACK_PX = 4.0
 
 
 class Region(NamedTuple):
-    """Part of a image in which the middles of boxes lie; pixels."""
+    """Part of an image that contains the middles of boxes; pixels."""
 
     x0: float
     y0: float
     x1: float
     y1: float
     reach_px: float
-    """How far from their middles the boxes may reach."""
+    """Largest distance of box edges from their middles."""
 
 
 def blocks_of(count: int, params: IngestParams) -> list[tuple[int, range]]:
-    """So many frame pairs in blocks: the one in the middle, which is searched everywhere, and all of them.
+    """Frame pairs in blocks: the middle one, which is searched everywhere, and all of them.
 
-    A block is as long as the fewest frame pairs that can remove a cone, so these are never pairs of which all right images were
-    left out. And of pairs running that would have shown it on the right, so many lie in blocks where one did that
-    what is found there outweighs what is not.
+    A block has as many frame pairs as it takes to remove a cone, so that removal never rests on pairs without right images, and
+    what the right images show outweighs what left images alone miss.
     """
     length = params.reconcile.removal_min_frames
     blocks = [range(first, min(first + length, count)) for first in range(0, count, length)]
     return [(block[len(block) // 2], block) for block in blocks]
 
 
-def is_unanswered(found: Sequence[Detection], rig: Rig, params: IngestParams) -> bool:
-    """Whether a pair that was searched everywhere shows something on the right of which the left image says nothing.
+def has_right_only_cone(found: Sequence[Detection], rig: Rig, params: IngestParams) -> bool:
+    """Whether a pair that was searched everywhere shows a cone on the right without a left counterpart.
 
-    It must be tall enough, and far enough inside the left image if it were the tallest of cones, for that to mean anything.
+    It must be tall enough, and far enough inside the left image even for the tallest cone.
     """
     if params.detection.search_right == "everywhere":
         return False
     limits = params.reconcile
-    # Of each left box by itself: what lies between two of them is searched in this pair, but not in the next, once one is gone.
+    # Of each left box alone: the area between two boxes is searched only while both are present.
     regions = [right_region([box], rig, params) for box in found if box.side == "left"]
     for box in found:
         if box.side == "left" or box.h_px < limits.visible_min_height_px:
@@ -69,10 +66,10 @@ def is_unanswered(found: Sequence[Detection], rig: Rig, params: IngestParams) ->
 
 
 def right_region(found: Iterable[Detection], rig: Rig, params: IngestParams) -> Region | None:
-    """The part of a frame pair's right image that is searched, by the middle of boxes; None where none of it is.
+    """The searched part of a frame pair's right image, by the middle of boxes; None if it is not searched.
 
-    found: detections of the pair, of which those of the left image count. The smallest box around the places of all partners:
-    the network is faster with one large part than with some small ones.
+    found: detections of the pair, of which the left ones count. The bounding box of all partners: one large part is faster for
+    the network than several small ones.
     """
     camera = rig.right
     if params.detection.search_right == "everywhere":
@@ -84,7 +81,7 @@ def right_region(found: Iterable[Detection], rig: Rig, params: IngestParams) -> 
     u, v, width, height = boxes.T
     at_infinity, rows_up = infinity_shift_px(rig, boxes[:, :2] - 0.5).T
     ratio = params.match.max_size_ratio
-    # Of the partner nothing is known but how much larger or smaller it may be.
+    # The partner may be larger or smaller by the size ratio.
     least, most = disparity_bounds_px(rig, params.match, width * (1 + ratio**2) / 2)
     shortest_m, tallest_m = HEIGHT_BOUNDS_M
     by_height = height * (1 + 1 / ratio) / 2 * rig.baseline_m / tallest_m
@@ -100,5 +97,5 @@ def right_region(found: Iterable[Detection], rig: Rig, params: IngestParams) -> 
 
 
 def is_within(u_px: float, v_px: float, region: Region | None) -> bool:
-    """Whether a point lies in a region."""
+    """Whether a point is inside a region."""
     return region is not None and region.x0 <= u_px <= region.x1 and region.y0 <= v_px <= region.y1

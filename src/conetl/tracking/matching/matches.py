@@ -1,7 +1,7 @@
 """Detections of a frame pair -> stereo matches with image points.
 
-In rectified images the two boxes of one cone lie in the same rows. Candidates are gated by rows, disparity, size and by the
-height that the cone would have; the assignment that costs least over the whole image is taken (one-to-one).
+Candidates in the rectified images are gated by rows, disparity, size and the resulting height; the one-to-one assignment of
+least total cost is taken.
 """
 
 from __future__ import annotations
@@ -23,26 +23,24 @@ from conetl.tracking.matching.cone_outline import Outline, find_outline
 
 Image = NDArray[np.uint8]
 Number = TypeVar("Number", float, NDArray[np.float64])
-#: Height of anything that may be a traffic cone, wide: the boxes are loose. Keeps a cone from being matched with its neighbour.
+#: Bounds of the height of a cone, wide because boxes are loose. They keep a cone from being matched with its neighbour.
 HEIGHT_BOUNDS_M = (0.15, 1.8)
-#: Nearer to none at all, a disparity says nothing of how tall a thing is.
+#: Below this disparity the height of an object is undetermined.
 LEAST_DISPARITY_PX = 0.5
-#: A box that ends this near to the image's border (px, or share of the box) may go on behind it: the network seldom draws it
-#: right up to the edge.
+#: A box this near to the image's border (px, or share of the box) may be cut: networks rarely draw boxes up to the edge.
 _BORDER_PX = 2.0
 _BORDER_SHARE = 0.15
-#: Spread of foot and axis where boxes alone tell them, a floor plus a share of the box: generous. With less, boxes with edges off
-#: by 0.9 px (sigma) give tracks that are too sure (tests/synthetic/test_drive.py).
+#: Sigma of foot and axis from boxes alone: a floor plus a share of the box. With less, box edges with a sigma of 0.9 px give
+#: overconfident tracks (tests/synthetic/test_drive.py).
 _EDGE_SIGMA_PX = 0.6
 _EDGE_SIGMA_SHARE = 0.025
-#: Where the network tells the foot: a floor (px), a share of the box's height or width, and what is divided by the height (px^2;
-#: of tiny boxes). Across the rows in each image, along the rows in both alike, and what all sightings of one cone share.
-#: Measured on the sample drives (docs/explanation/accuracy.md).
+#: Sigma of the network's foot: a floor (px), a share of the box's height or width, and a term divided by the height (px^2).
+#: Across the rows in each image, along the rows in both alike, and common to all observations of one cone. Measured on the
+#: sample drives (docs/explanation/accuracy.md).
 _FOOT_ACROSS, _FOOT_ALONG, _FOOT_OF_CONE = (0.8, 0.010, 11.0), (0.5, 0.007, 6.0), (0.2, 0.0035, 0.0)
-#: Feet scatter by so much more than the difference of the two images tells, because both err in part alike.
+#: Ratio of the scatter of feet to the difference of both images, which have errors in common.
 _BOTH_ALIKE = 1.5
-#: The spread of feet is measured on the matches themselves; what is usual counts as so many of them. Beyond so many sigmas a
-#: difference counts as that many.
+#: Prior weight of the stated scatter, in matches; limit of a difference in sigmas; limits of the factor.
 _USUAL_MATCHES, _LARGEST_RATIO = 10.0, 3.0
 _SPREAD_BOUNDS = (0.5, 2.0)
 
@@ -54,15 +52,15 @@ class _Candidate:
 
 
 class _Sought(NamedTuple):
-    """What is looked for in the right image, whatever it is compared with."""
+    """A left detection with what all its candidates share."""
 
     detection: Detection
     at_infinity_px: float
-    """Disparity of what is infinitely far, at the middle of the box ..."""
+    """Disparity of points at infinity, at the middle of the box."""
     row_offset_px: float
-    """... and how much lower it is in the right image."""
+    """How much lower they are in the right image."""
     outlines: list[Outline]
-    """Of its cone: found when it is first asked for, so none or one."""
+    """Of its cone: computed for the first candidate, so none or one."""
 
 
 def match_pair(
@@ -77,9 +75,8 @@ def match_pair(
     """Match the detections of one frame pair.
 
     up_left: unit vector (3,) pointing up, in the left camera's frame; (0, -1, 0) for a level camera. images: the two rectified
-    images, (H, W, 3) uint8; with them the correspondence is refined by area-based matching (`params.refine`).
-    A detection without a partner is no error and simply yields no match; a box cut by the image's border has no foot or no
-    tip and is rejected.
+    images, (H, W, 3) uint8; with them the correspondence is refined by area-based matching (`params.refine`). A detection
+    without a partner yields no match; a box cut by the image's border lacks foot or tip and is rejected.
     """
     rejections: list[Rejection] = []
     left_whole = [d for d in left if _is_whole(d, rig.left, rejections)]
@@ -96,27 +93,24 @@ def match_pair(
             if candidate is not None:
                 candidates[i, j] = candidate
                 costs[i, j] = candidate.cost
-    # A pair that fails the gate must never be forced: it costs more than leaving both alone.
+    # Forbidden pairs cost more than leaving both unmatched.
     rows, columns = linear_sum_assignment(np.where(np.isfinite(costs), costs, 1e6))
+    pairs = [pair for pair in zip(rows.tolist(), columns.tolist(), strict=True) if pair in candidates]
     matches = [
-        _stereo_match(len_before, left_whole[i], right_whole[j], candidates[i, j], rig, up_left)
-        for len_before, (i, j) in enumerate(
-            (i, j) for i, j in zip(rows.tolist(), columns.tolist(), strict=True) if (i, j) in candidates
-        )
+        _stereo_match(index, left_whole[i], right_whole[j], candidates[i, j], rig, up_left)
+        for index, (i, j) in enumerate(pairs)
     ]
     return matches, rejections
 
 
 def with_measured_spread(matches: Sequence[StereoMatch]) -> list[StereoMatch]:
-    """The matches of one drive, or of a part of it, with sigmas of their feet as the images show them.
+    """The matches of one drive, or a part of it, with the sigmas of their feet scaled by their scatter.
 
-    Both images of a pair tell in which row a cone stands. How much they disagree from match to match is known without any
-    truth, and is the spread of one image times the square root of two; a constant is the calibration's. Along the rows it
-    scales alike: it is the same network on the same images. Only for matches of boxes with feet of their own.
-
-    A first guess: what both images err by alike does not show in it. The tracks tell that afterwards (`sighting_variances.py`).
+    The rows of a foot in both images differ by their errors times sqrt(2), plus a constant of the calibration. The same factor
+    applies along the rows. Only for boxes with feet. A first estimate: errors common to both images do not appear in it (see
+    `variance_components.py`).
     """
-    feet = [m for m in matches if m.left.foot_px is not None and m.right.foot_px is not None]
+    feet = [m for m in matches if _has_feet(m)]
     if len(feet) < 2:
         return list(matches)
     apart = np.array([m.foot_left_uv_px[1] - m.foot_right_uv_px[1] for m in feet])
@@ -126,18 +120,22 @@ def with_measured_spread(matches: Sequence[StereoMatch]) -> list[StereoMatch]:
     factor = float(np.clip(factor, *_SPREAD_BOUNDS))
     return [
         m.model_copy(update={"sigma_v_px": m.sigma_v_px * factor, "sigma_pointing_px": m.sigma_pointing_px * factor})
-        if m.left.foot_px is not None and m.right.foot_px is not None
+        if _has_feet(m)
         else m
         for m in matches
     ]
 
 
+def _has_feet(match: StereoMatch) -> bool:
+    return match.left.foot_px is not None and match.right.foot_px is not None
+
+
 def foot_image_point(box_bottom: Vec2, box_width_px: float, camera: Camera, up: NDArray[np.float64]) -> Vec2:
     """Image point of the centre of the foot, from the middle of the box's lower edge.
 
-    The lower edge shows the near rim of the base plate, which is nearer to the camera than the centre by half the plate's
-    apparent width, whatever its shape or heading; so the ray to the near rim is moved on along the ground by that share of
-    its depth. up: unit vector (3,) in the camera's frame.
+    The lower edge shows the near rim of the base plate, nearer to the camera than the centre by half the plate's apparent
+    width. So the ray to the rim is moved along the ground by that share of its depth. up: unit vector (3,) in the camera's
+    frame.
     """
     u, v = box_bottom
     ray = np.array([(u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px, 1.0])
@@ -167,7 +165,7 @@ def _is_whole(detection: Detection, camera: Camera, rejections: list[Rejection])
             step="matches",
             reason=RejectionReason.BOX_CUT_BY_BORDER,
             record=f"{detection.side} detection {detection.detection_index} of frame pair {detection.frame_index}",
-            detail=f"box at the border of the {camera.width_px}x{camera.height_px} image: its foot, tip or axis is unseen",
+            detail=f"box at the border of the {camera.width_px}x{camera.height_px} image: its foot, tip or axis is not visible",
             payload=detection.model_dump(mode="json"),
         )
     )
@@ -182,7 +180,7 @@ def _candidate(
     images: tuple[Image, Image] | None,
     up: NDArray[np.float64],
 ) -> _Candidate | None:
-    """Cost of calling two detections one object, None where that cannot be."""
+    """Cost of matching two detections, None if forbidden."""
     a, at_infinity, row_offset_px, outlines = sought
     tallest = max(a.h_px, b.h_px)
     row_tolerance = row_tolerance_px(params, tallest)
@@ -218,12 +216,12 @@ def _candidate(
 
 
 def row_tolerance_px(params: MatchParams, height_px: Number) -> Number:
-    """How far the middles of two boxes of one thing may be apart across the epipolar line; height_px: of the taller one."""
+    """Allowed distance of the middles of two boxes of one object across the epipolar line; height_px: of the taller one."""
     return params.epipolar_tolerance_px + params.epipolar_tolerance_relative * height_px
 
 
 def disparity_bounds_px(rig: Rig, params: MatchParams, width_px: Number) -> tuple[Number, Number]:
-    """Least and largest disparity, from that of what is infinitely far on; width_px: mean of both boxes."""
+    """Least and largest disparity, relative to that at infinity; width_px: mean of both boxes."""
     focal_base, slack = rig.left.fx_px * rig.baseline_m, 1.0 + 0.1 * width_px
     return focal_base / params.max_range_m - slack, focal_base / params.min_range_m + slack
 
@@ -243,7 +241,7 @@ def _stereo_match(
     sigma_u = pointing_sigma
     if candidate.area is not None:
         disparity = candidate.area.disparity_px
-        # Both images say where the axis is; the matched disparity says how the two statements relate.
+        # The axis is the mean of both images, with the matched disparity between them.
         axis_left = (axis_left + axis_right + disparity) / 2
         axis_right = axis_left - disparity
         sigma_u = candidate.area.sigma_px / 2**0.5
@@ -270,8 +268,8 @@ def _stereo_match(
 def _foot_tip_centre(detection: Detection, camera: Camera, up: NDArray[np.float64]) -> tuple[Vec2, float, float]:
     """Image point of the foot, row of the tip, row of the box's centre.
 
-    Here box edges (0 = the image's edge) become image points (0 = the centre of a pixel). Where the network tells the foot,
-    the mean of that and of what the box says is taken: on rendered cones the one is too high where the other is too low.
+    Box edges (0 = the image's edge) become image points (0 = the centre of a pixel). With a foot from the network, the mean of
+    that and the box's is taken: on rendered cones their errors have opposite signs.
     """
     axis, bottom = detection.x_px + detection.w_px / 2 - 0.5, detection.y_px + detection.h_px - 0.5
     top = detection.y_px - 0.5

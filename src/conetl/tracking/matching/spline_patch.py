@@ -1,7 +1,7 @@
-"""A part of a image, blurred and interpolated by cubic B-splines (Unser 1999), with its slopes.
+"""A part of an image, blurred and interpolated by cubic B-splines (Unser 1999), with its slopes.
 
-The grey values themselves serve as coefficients: that blurs by 0.58 px (sigma) at every sub-pixel place alike. An interpolating
-spline passes noise whole at whole pixels and half of it between them, and matching then prefers the places between.
+The grey values themselves are the coefficients: that blurs by 0.58 px (sigma) at every sub-pixel position alike. An
+interpolating spline passes all noise at whole pixels and half of it between them, which biases matching towards half pixels.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ Ints = NDArray[np.intp]
 
 
 class SplinePatch(NamedTuple):
-    """Cubic B-spline coefficients of a part of a image."""
+    """Cubic B-spline coefficients of a part of an image."""
 
     rows_of_four: Floats
-    """(4, channels * rows * columns): in [k] the coefficients from row k on, colour by colour. What is blended across the rows
-    then is one product with (4,) weights."""
+    """(4, channels * rows * columns): in [k] the coefficients from row k on, colour by colour, so that interpolation across the
+    rows is one product with (4,) weights."""
     shape: tuple[int, int, int]
     """channels, rows (three fewer than were cut out), columns"""
     row0: int
@@ -28,7 +28,7 @@ class SplinePatch(NamedTuple):
 
     @staticmethod
     def of(image: NDArray[np.uint8], row0: float, row1: float, column0: float, column1: float) -> SplinePatch | None:
-        """The part that holds rows and columns between two ends; None where it would leave the image at the sides."""
+        """The part with rows and columns between two limits; None if it would leave the image at the sides."""
         first, last = int(np.floor(column0)) - 2, int(np.floor(column1)) + 4
         if first < 0 or last > image.shape[1]:
             return None
@@ -44,11 +44,11 @@ class SplinePatch(NamedTuple):
     def at(self, rows: Ints, columns: Floats, down_px: float) -> tuple[Floats, Floats, Floats]:
         """Grey values and their slopes along columns and rows, each (n, channels), at rows + down_px and columns.
 
-        In memory they lie colour by colour, which is how least squares reads them.
+        In memory they are ordered colour by colour, as least squares reads them.
         """
         channels, height, width = self.shape
         whole = int(np.floor(down_px))
-        # All pixels have the same part of a row to go: blend whole rows first, then only four columns are left for each pixel.
+        # All pixels have the same fraction of a row: interpolate whole rows first, then four columns per pixel.
         down = np.stack(_weights(np.array(down_px - whole)))
         blend = (down @ self.rows_of_four).reshape(2 * channels, height * width)
         base = np.floor(columns)
@@ -63,7 +63,7 @@ class SplinePatch(NamedTuple):
 
 
 def _weights(part: Floats) -> tuple[Floats, Floats]:
-    """Cubic B-spline weights (4, ...) of the four neighbours of a point, and their derivatives; part: 0..1 past the second."""
+    """Cubic B-spline weights (4, ...) of the four neighbours of a point, and their derivatives; part: 0..1 after the second."""
     t, rest = part, 1 - part
     t2, rest2 = t * t, rest * rest
     value, slope = np.empty((4, *part.shape)), np.empty((4, *part.shape))

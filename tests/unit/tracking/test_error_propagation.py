@@ -1,21 +1,26 @@
-"""What all sightings of a cone share stays in its covariance, however many they are."""
+"""Errors common to many observations: of poses over time, of the calibration and of a cone's outline."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.consistency import Nees
 from conetl.geometry.joint_fit import fit_point, pair_jacobian
+from conetl.geometry.motion.chain_solver import cross_covariance
 from conetl.geometry.packing import cov_matrix
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import CalibrationCovariance, FramePair, Position, Rig
-from conetl.tracking.common_errors import common_cov, outline_cov
+from conetl.tracking.error_propagation import common_cov, constant_and_change, moved_cov, outline_cov, pose_cov
 from conetl.tracking.matching.covariance import SHARED_DISPARITY_PX
+from conetl.tracking.trajectory import log_errors, refine_trajectory
 from tests.synthetic.noisy_drive import PoseErrors, draw_positions
+from tests.synthetic.odometry import log_of, motions_of, true_poses
 from tests.synthetic.world import ORIGIN_M, Cone, camera_poses, make_path, make_rig
 from tests.synthetic.wrong_rigs import wrong_rig
 
@@ -27,7 +32,7 @@ RIG = make_rig().model_copy(update={"calibration_covariance": COVARIANCE})
 CONE = Cone((22.0, 3.0, 0.0))
 
 
-def test_one_sighting_carries_what_its_position_carries() -> None:
+def test_one_observation_has_the_errors_of_its_position() -> None:
     drawn = draw_positions(np.random.default_rng(2), RIG, [CONE], PoseErrors(), frames=6)
     pairs = {pair.frame_index: pair for pair in drawn.drive.frame_pairs}
     poses = camera_poses(list(drawn.drive.frame_pairs), RIG, "left")
@@ -39,8 +44,8 @@ def test_one_sighting_carries_what_its_position_carries() -> None:
         np.testing.assert_allclose(added + image, cov_matrix(position.cov_m2), rtol=1e-6, atol=1e-12)
 
 
-def test_many_sightings_with_a_wrong_calibration_stay_inside_what_they_state() -> None:
-    """NEES of joint fits over 12 frames, the calibration drawn once a drive: honest with the common part, far off without."""
+def test_many_observations_with_a_wrong_calibration_are_within_their_covariance() -> None:
+    """NEES of joint fits over 12 frames, the calibration drawn once a drive: consistent with the common part, not without."""
     rng = np.random.default_rng(8)
     pairs = make_path(12, step_m=1.2)
     exact_pose = {"sigma_enu_m": (0.0, 0.0, 0.0), "sigma_rpy_rad": (0.0, 0.0, 0.0)}
@@ -54,7 +59,7 @@ def test_many_sightings_with_a_wrong_calibration_stay_inside_what_they_state() -
         "sigma_u_px": np.full(12, 0.4), "sigma_v_px": np.full(12, 0.4), "sigma_pointing_px": np.full(12, 0.0),
         "sigma_motion_m": np.zeros(12),
     }  # fmt: skip
-    honest, proud = Nees(0.0, 0), Nees(0.0, 0)
+    whole, own_only = Nees(0.0, 0), Nees(0.0, 0)
     for _ in range(200):
         actual = wrong_rig(RIG, rng.normal(0, SIGMAS))
         right = np.stack(list(camera_poses(pairs, actual, "right").values()))
@@ -65,10 +70,10 @@ def test_many_sightings_with_a_wrong_calibration_stay_inside_what_they_state() -
         group = [position_at(pair, left[pair.frame_index], fit.xyz_m) for pair in pairs]
         common = common_cov(group, fit.shares, by_index, RIG, left)
         off = fit.xyz_m - truth
-        honest += Nees(float(off @ np.linalg.solve(fit.cov_m2 + common, off)), 3)
-        proud += Nees(float(off @ np.linalg.solve(fit.cov_m2, off)), 3)
-    assert honest.holds(0.99)
-    assert proud.per_dof > 2
+        whole += Nees(float(off @ np.linalg.solve(fit.cov_m2 + common, off)), 3)
+        own_only += Nees(float(off @ np.linalg.solve(fit.cov_m2, off)), 3)
+    assert whole.holds(0.99)
+    assert own_only.per_dof > 2
 
 
 def poses_with(sigma_m: float, sigma_rad: float) -> list[FramePair]:
@@ -81,11 +86,11 @@ def poses_with(sigma_m: float, sigma_rad: float) -> list[FramePair]:
 def nees_of_logs(
     pairs: list[FramePair],
     correlation_s: float,
-    believed: TrajectoryParams | None,
+    assumed: TrajectoryParams | None,
     draws: int,
     truth_scale: float = 1.0,
 ) -> Nees:
-    """Joint fits over a log whose errors are Gauss-Markov processes of one correlation time, as `believed` has it."""
+    """Joint fits over a log whose errors are Gauss-Markov processes of one correlation time, fitted with those of `assumed`."""
     rng = np.random.default_rng(11)
     frames, truth = len(pairs), np.add(ORIGIN_M, CONE.foot_m)
     exact_rig = make_rig()
@@ -114,34 +119,28 @@ def nees_of_logs(
         observed = exact + rng.normal(0, [0.3, 0.8, 0.3, 0.8], exact.shape)
         fit = fit_point(observed, truth, *(se3.compose(logged, s) for s in sides), *constants(exact_rig), **stated)
         assert fit is not None
-        cov = fit.cov_m2 + common_cov(group, fit.shares, by_index, exact_rig, left, believed)
+        cov = fit.cov_m2 + common_cov(group, fit.shares, by_index, exact_rig, left, assumed)
         off = fit.xyz_m - truth
         total += Nees(float(off @ np.linalg.solve(cov, off)), 3)
     return total
 
 
 def model(correlation_s: float) -> TrajectoryParams:
-    return TrajectoryParams(
-        gnss_correlation_s=correlation_s,
-        attitude_correlation_s=correlation_s,
-        gnss_white_share=0.0,
-        attitude_white_share=0.0,
-    )
+    times = {"gnss_correlation_s": correlation_s, "attitude_correlation_s": correlation_s}
+    return TrajectoryParams(**times, gnss_white_share=0.0, attitude_white_share=0.0)
 
 
 @pytest.mark.parametrize("sigma_m", [0.03, 0.3])
 @pytest.mark.parametrize("correlation_s", [1.0, 10.0, 100.0])
 def test_logs_whose_errors_change_slowly_or_fast(correlation_s: float, sigma_m: float) -> None:
-    """The nearest frames weigh most, so correlation times of 1 s to 100 s make little difference; the band is kept in all."""
+    """The nearest frames have most weight, so that correlation times of 1 s to 100 s make little difference."""
     pairs = poses_with(sigma_m, 0.0007)
     assert nees_of_logs(pairs, correlation_s, model(correlation_s), 300).holds(0.99)
-    assert 0.7 < nees_of_logs(pairs, correlation_s, TrajectoryParams(), 60).per_dof < 1.3, (
-        "not knowing the time costs little"
-    )
+    assert 0.7 < nees_of_logs(pairs, correlation_s, TrajectoryParams(), 60).per_dof < 1.3, "with another assumed time"
 
 
 @pytest.mark.parametrize("scale", [0.5, 2.0])
-def test_logs_twice_or_half_as_wrong_as_stated_are_noticed(scale: float) -> None:
+def test_logs_with_twice_or_half_the_stated_errors_are_inconsistent(scale: float) -> None:
     assert not nees_of_logs(poses_with(0.3, 0.0007), 10.0, model(10.0), 120, scale).holds(0.999)
 
 
@@ -160,7 +159,7 @@ def test_correlation_of_one_is_one_error_and_none_is_an_average() -> None:
 
 
 def position_at(pair: FramePair, map_SE3_left: Array, xyz_m: Array) -> Position:
-    """What a frame pair says of a point; of no account here are all fields but its place."""
+    """The position from a frame pair; only its coordinates matter here."""
     in_camera = se3.apply(se3.invert(map_SE3_left), xyz_m).tolist()
     return Position(
         frame_index=pair.frame_index, match_index=0, xyz_m=tuple(xyz_m.tolist()), cov_m2=(1, 0, 0, 1, 0, 1),
@@ -174,22 +173,88 @@ def constants(rig: Rig) -> tuple[Array, Array]:
     return focal, np.array([rig.left.cx_px, rig.left.cy_px, rig.right.cx_px, rig.right.cy_px])
 
 
-def test_the_outline_error_of_a_cone_stays_from_one_side_and_cancels_from_opposite_ones() -> None:
+def test_outline_errors_remain_from_one_side_and_cancel_from_opposite_ones() -> None:
     drawn = draw_positions(np.random.default_rng(4), RIG, [CONE], PoseErrors(), frames=2)
     pairs = list(drawn.drive.frame_pairs)
     left = camera_poses(pairs, RIG, "left")
     position = drawn.positions[0].model_copy(update={"sigma_outline_m": 0.02})
     shares = np.stack([0.5 * np.eye(3)] * 2)
     one_side = outline_cov([position, position], shares, left, RIG)
-    away = (
-        np.array(position.camera_xyz_m)
-        * SHARED_DISPARITY_PX
-        * position.camera_xyz_m[2]
-        / (RIG.left.fx_px * RIG.baseline_m)
-    )
+    xyz_m = np.array(position.camera_xyz_m)
+    away = xyz_m * SHARED_DISPARITY_PX * xyz_m[2] / (RIG.left.fx_px * RIG.baseline_m)
     np.testing.assert_allclose(np.trace(one_side), 2 * 0.02**2 + away @ away)
     turned = left[position.frame_index].copy()
-    turned[:3, [0, 2]] *= -1  # as seen from the other side: right is left, away is near, down is down
+    turned[:3, [0, 2]] *= -1  # from the other side: right and left, far and near are exchanged
     other = position.model_copy(update={"frame_index": 99})
     both_sides = outline_cov([position, other], shares, {**left, 99: turned}, RIG)
     np.testing.assert_allclose(np.trace(both_sides), 0.02**2 + away[1] ** 2)
+
+
+PARAMS = TrajectoryParams()
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10_000), st.integers(1, 8))
+def test_constant_and_changing_parts_add_up_and_are_independent(seed: int, count: int) -> None:
+    root = np.random.default_rng(seed).normal(size=(6 * count, 6 * count + 4))
+    cov = root @ root.T
+    constant, change = constant_and_change(cov)
+    alike = np.tile(np.eye(6), (count, 1))
+    assert np.allclose(alike @ constant @ alike.T + change, cov)
+    assert np.linalg.eigvalsh(change).min() > -1e-6 * np.trace(cov)
+    assert np.linalg.eigvalsh(constant).min() > 0
+    # Residuals are uncorrelated with the best estimate of a constant.
+    assert np.allclose(np.linalg.solve(cov, alike).T @ change, 0, atol=1e-6)
+
+
+@pytest.mark.parametrize("variances", [[4.0, 4.0, 9.0, 0.1, 0.1, 0.2], [4e-4, 4e-4, 9e-4, 0.0, 0.0, 0.0]])
+def test_constant_and_changing_errors_are_separated(variances: list[float]) -> None:
+    """All poses with the same error but for a thousandth; with and without errors of attitude."""
+    white = 1e-6 * np.array(variances)
+    cov = np.tile(np.diag(variances), (7, 7)) + np.kron(np.eye(7), np.diag(white))
+    constant, change = constant_and_change(cov)
+    assert np.diag(constant) == pytest.approx(variances, rel=1e-4, abs=1e-15)
+    assert np.diag(change) == pytest.approx(np.tile(white, 7), rel=0.2, abs=1e-15)
+
+
+def test_pose_covariance_of_a_refined_drive_is_that_of_the_adjustment() -> None:
+    """Frame indices in, joint covariance out; its diagonal is what the poses state."""
+    rng, rig = np.random.default_rng(3), make_rig()
+    truth = true_poses(30)
+    result = refine_trajectory(log_of(truth, rng, 0.4, 9e-4, PARAMS), rig, motions_of(truth, rig, rng, PARAMS), PARAMS)
+    assert result.covariance is not None
+    frames = [pair.frame_index for pair in result.frame_pairs]
+    cov = pose_cov(result, PARAMS)([frames[2], frames[9], frames[20]])
+    for at, k in enumerate((2, 9, 20)):
+        pose = result.frame_pairs[k].pose
+        stated = np.square([*pose.sigma_enu_m, *pose.sigma_rpy_rad])
+        assert np.diag(cov)[6 * at : 6 * at + 6] == pytest.approx(stated, rel=1e-6)
+    assert np.allclose(cov[:6, 12:], cross_covariance(result.covariance, 2, 20)[:6, :6])
+
+
+def test_pose_covariance_of_a_log_is_that_of_gauss_markov_processes() -> None:
+    pairs = make_path(12, sigma_m=0.02)
+    logged = refine_trajectory(pairs, make_rig(), [], PARAMS)
+    frames = [pair.frame_index for pair in pairs]
+    cov = pose_cov(logged, PARAMS)(frames)
+    assert np.array_equal(cov, log_errors(pairs, PARAMS))
+    blocks = cov.reshape(12, 6, 12, 6)
+    apart_s = (pairs[11].captured_at_ns - pairs[0].captured_at_ns) * 1e-9
+    kept = (1 - PARAMS.gnss_white_share**2) * np.exp(-apart_s / PARAMS.gnss_correlation_s)
+    assert blocks[0, 0, 11, 0] == pytest.approx(kept * 0.02**2)
+    assert blocks[4, 0, 4, 0] == pytest.approx(0.02**2)
+    assert blocks[4, 5, 4, 5] == pytest.approx(pairs[4].pose.sigma_rpy_rad[2] ** 2)
+    assert np.count_nonzero(blocks[0, 0, 11]) == 1
+
+
+def test_points_of_one_frame_move_together() -> None:
+    """By the covariance of their poses, for points of any frame."""
+    rng = np.random.default_rng(8)
+    jacobian, rank = rng.normal(size=(5, 3, 6)), np.array([1, 0, 2, 1, 1])
+    root = rng.normal(size=(18, 18))
+    cov = root @ root.T
+    moved = moved_cov(jacobian, rank, cov).reshape(5, 3, 5, 3)
+    for a in range(5):
+        for b in range(5):
+            block = cov[6 * rank[a] : 6 * rank[a] + 6, 6 * rank[b] : 6 * rank[b] + 6]
+            assert np.allclose(moved[a, :, b], jacobian[a] @ block @ jacobian[b].T)

@@ -1,4 +1,4 @@
-"""The map is a function of the set of drives: any order, any repeats, late ones and ones that are taken back."""
+"""The map is a function of the set of drives: in any order, with repeats, late and withdrawn drives."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from conetl.mapping.existence_update import doubt_after
-from conetl.mapping.fold import Evidence, Folded, extend, fold
+from conetl.mapping.existence_update import summarize_miss
+from conetl.mapping.history import DriveEvidence, MapHistory, apply_drive, replay_drives
 from conetl.model.map_records import (
     Decisions,
     DeltaKind,
-    Doubt,
+    DriveOrder,
     FeatureVersion,
-    FoldKey,
-    Miss,
-    Place,
+    Location,
+    MissedObservation,
+    MissSummary,
 )
 from tests.synthetic.road import HOUR_NS, SECOND_NS, random_drive, random_world
 from tests.synthetic.world import ORIGIN_M, START_NS
@@ -29,11 +29,11 @@ DAYS = 5
 EVERYTHING = {DeltaKind.ADDED, DeltaKind.CONFIRMED, DeltaKind.MOVED, DeltaKind.REMOVED, DeltaKind.MISSED}
 
 
-def random_case(seed: int, count: int) -> list[Evidence]:
+def random_case(seed: int, count: int) -> list[DriveEvidence]:
     """Drives of one world: some over the same stretch, some at the same instant or overlapping in time, some far away."""
     rng = np.random.default_rng(seed)
     world = random_world(rng, 400.0, DAYS)
-    drives: list[Evidence] = []
+    drives: list[DriveEvidence] = []
     for number in range(count):
         west = float(rng.choice([0.0, 0.0, 60.0, 250.0]))
         start_ns = START_NS + int(rng.integers(0, DAYS * 24)) * HOUR_NS
@@ -44,44 +44,44 @@ def random_case(seed: int, count: int) -> list[Evidence]:
     return drives
 
 
-def meet(a: Evidence, b: Evidence) -> bool:
+def meet(a: DriveEvidence, b: DriveEvidence) -> bool:
     """Whether the areas of influence meet; cautious."""
     gap = max(a.path_m[:, 0].min() - b.path_m[:, 0].max(), b.path_m[:, 0].min() - a.path_m[:, 0].max())
     return bool(gap <= a.influence_m + b.influence_m)
 
 
 class Ingest:
-    """What the database does, in memory: drives come in any order, only the affected ones are compared again."""
+    """The work of the database, in memory: drives come in any order, only the affected ones are compared again."""
 
     def __init__(self, decisions: Decisions = Decisions()) -> None:  # noqa: B008 -- frozen
         self.decisions = decisions
-        self.drives: dict[FoldKey, Evidence] = {}
+        self.drives: dict[DriveOrder, DriveEvidence] = {}
         self.chains: Chains = {}
-        self.misses: list[Miss] = []
+        self.misses: list[MissedObservation] = []
         self.compared = 0
 
     @property
-    def believed(self) -> tuple[Chains, list[Miss]]:
-        """The map, and the evidence that made no version of it."""
+    def state(self) -> tuple[Chains, list[MissedObservation]]:
+        """The map, and the misses that made no version."""
         return self.chains, sorted(self.misses, key=lambda miss: (miss.changeset_id, miss.feature_id))
 
     def copy(self) -> Ingest:
-        """As it is now; what is added to one is not added to the other."""
+        """An independent copy."""
         twin = Ingest(self.decisions)
         twin.drives, twin.compared = dict(self.drives), self.compared
         twin.chains, twin.misses = dict(self.chains), list(self.misses)
         return twin
 
-    def add(self, drive: Evidence) -> None:
+    def add(self, drive: DriveEvidence) -> None:
         if drive.key not in self.drives:
             self.drives[drive.key] = drive
             self.replay([drive])
 
-    def take_back(self, drive: Evidence) -> None:
+    def withdraw(self, drive: DriveEvidence) -> None:
         del self.drives[drive.key]
         self.replay([drive])
 
-    def replay(self, seeds: list[Evidence]) -> None:
+    def replay(self, seeds: list[DriveEvidence]) -> None:
         affected = {seed.key: seed for seed in seeds}
         for key in sorted(self.drives):
             if any(key > earlier and meet(self.drives[key], drive) for earlier, drive in affected.items()):
@@ -91,25 +91,20 @@ class Ingest:
         rest = [(keys[s.changeset_id], s) for s in states if keys[s.changeset_id] not in affected]
         again = [drive for key, drive in affected.items() if key in self.drives]
         self.compared += len(again)
-        folded = fold(again, self.decisions, given=rest)
-        self.chains, self.misses = folded.chains, folded.misses
+        history = replay_drives(again, self.decisions, given=rest)
+        self.chains, self.misses = history.chains, history.misses
 
 
-def believed(folded: Folded) -> tuple[Chains, list[Miss]]:
-    return folded.chains, sorted(folded.misses, key=lambda miss: (miss.changeset_id, miss.feature_id))
-
-
-def kinds(folded: Folded) -> set[DeltaKind]:
-    return {delta.kind for extension in folded.extensions.values() for delta in extension.deltas}
+def state(history: MapHistory) -> tuple[Chains, list[MissedObservation]]:
+    return history.chains, sorted(history.misses, key=lambda miss: (miss.changeset_id, miss.feature_id))
 
 
 @settings(max_examples=8, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(2, 5), chance=st.randoms(use_true_random=False))
 def test_every_order_and_any_repeats_give_the_same_map(seed: int, count: int, chance: Random) -> None:
-    """All orders of up to five drives. Whatever of them came, and however, the map is that of these drives; so from any such map
-    every further drive leads to one map, and the 120 orders are the ways through these maps: 80 steps instead of 600."""
+    """All orders of up to five drives, as paths through the maps of all their subsets: 80 steps instead of 600."""
     drives = random_case(seed, count)
-    maps = {frozenset[FoldKey](): Ingest()}
+    maps = {frozenset[DriveOrder](): Ingest()}
     for size in range(count):
         for some in combinations(drives, size):
             keys = frozenset(drive.key for drive in some)
@@ -118,121 +113,115 @@ def test_every_order_and_any_repeats_give_the_same_map(seed: int, count: int, ch
                     continue
                 ingest = maps[keys].copy()
                 ingest.add(drive)
-                ingest.add(chance.choice([*some, drive]))  # and once more, or another one once more
+                ingest.add(chance.choice([*some, drive]))  # a repeat
                 known = maps.setdefault(keys | {drive.key}, ingest)
-                assert ingest.believed == known.believed
+                assert ingest.state == known.state
     assert len(maps) == 2**count
     for keys, ingest in maps.items():
-        assert ingest.believed == believed(fold([drive for drive in drives if drive.key in keys]))
+        assert ingest.state == state(replay_drives([drive for drive in drives if drive.key in keys]))
 
 
-def test_all_120_orders_of_five_drives_give_the_same_map() -> None:
-    drives = random_case(20260303, 5)
-    folded = fold(drives)
-    assert kinds(folded) >= EVERYTHING, "a world where everything happens"
-    ends: list[Ingest] = []
-
-    def go_on(ingest: Ingest, rest: list[Evidence]) -> None:
-        """Every order of the rest; orders that begin alike share their beginning."""
-        if not rest:
-            ends.append(ingest)
-        for drive in rest:
-            longer = ingest.copy()
-            longer.add(drive)
-            go_on(longer, [other for other in rest if other is not drive])
-
-    go_on(Ingest(), drives)
-    assert len(ends) == 120
-    assert all(ingest.believed == believed(folded) for ingest in ends)
-    assert min(ingest.compared for ingest in ends) == len(drives), "in order, each drive is compared once"
-    assert max(ingest.compared for ingest in ends) > len(drives)
+def test_drives_in_order_are_compared_once_and_in_reverse_again() -> None:
+    drives = sorted(random_case(20260303, 5), key=lambda drive: drive.key)
+    history = replay_drives(drives)
+    kinds = {delta.kind for update in history.updates.values() for delta in update.deltas}
+    assert kinds >= EVERYTHING, "a world with all kinds of changes"
+    forwards, backwards = Ingest(), Ingest()
+    for drive in drives:
+        forwards.add(drive)
+    for drive in drives[::-1]:
+        backwards.add(drive)
+    assert forwards.state == backwards.state == state(history)
+    assert forwards.compared == len(drives) < backwards.compared
 
 
-def test_drives_in_order_extend_the_fold_by_one_each() -> None:
+def test_drives_in_order_are_one_update_each() -> None:
     drives = sorted(random_case(7, 5), key=lambda drive: drive.key)
     standing: dict[UUID, FeatureVersion] = {}
-    doubts: dict[UUID, Doubt] = {}
+    summaries: dict[UUID, MissSummary] = {}
     deltas = {}
     for drive in drives:
-        extension = extend(standing, drive, Decisions(), doubts)
-        deltas[drive.changeset_id] = extension.deltas
-        for miss in extension.misses:
-            earlier = doubts.get(miss.feature_id)
-            doubts[miss.feature_id] = doubt_after(earlier, miss.existence_probability, miss.first_missed_ns)
-        for version in extension.versions:
+        update = apply_drive(standing, drive, Decisions(), summaries)
+        deltas[drive.changeset_id] = update.deltas
+        for miss in update.misses:
+            earlier = summaries.get(miss.feature_id)
+            summaries[miss.feature_id] = summarize_miss(earlier, miss.existence_probability, miss.first_missed_ns)
+        for version in update.versions:
             standing.pop(version.feature.feature_id, None)
-            doubts.pop(version.feature.feature_id, None)
-            if version.standing:
+            summaries.pop(version.feature.feature_id, None)
+            if version.present:
                 standing[version.feature.feature_id] = version
-    folded = fold(drives)
-    assert {key: extension.deltas for key, extension in folded.extensions.items()} == deltas
-    last = {feature_id: chain[-1] for feature_id, chain in folded.chains.items() if chain[-1].standing}
+    history = replay_drives(drives)
+    assert {key: update.deltas for key, update in history.updates.items()} == deltas
+    last = {feature_id: chain[-1] for feature_id, chain in history.chains.items() if chain[-1].present}
     assert last == standing
 
 
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_chains_are_whole(seed: int) -> None:
+def test_chains_have_no_gaps_and_one_open_version(seed: int) -> None:
     """Versions follow each other without gap or overlap, numbered from one, and only the last one is open."""
-    for chain in fold(random_case(seed, 4)).chains.values():
+    for chain in replay_drives(random_case(seed, 4)).chains.values():
         assert [version.feature.version for version in chain] == list(range(1, len(chain) + 1))
         assert all(a.valid_to_ns == b.valid_from_ns for a, b in pairwise(chain))
         assert all(a.valid_from_ns // 1000 < b.valid_from_ns // 1000 for a, b in pairwise(chain))
         assert chain[-1].valid_to_ns is None
-        assert all(version.standing for version in chain[:-1])
+        assert all(version.present for version in chain[:-1])
 
 
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), which=st.integers(0, 3))
-def test_a_drive_that_is_taken_back_might_never_have_come_and_comes_back_as_it_was(seed: int, which: int) -> None:
+def test_a_withdrawn_drive_leaves_no_trace_and_may_come_again(seed: int, which: int) -> None:
     drives = random_case(seed, 4)
     ingest = Ingest()
     for drive in drives:
         ingest.add(drive)
-    everything = ingest.believed
-    ingest.take_back(drives[which])
-    assert ingest.believed == believed(fold(drives[:which] + drives[which + 1 :]))
+    everything = ingest.state
+    ingest.withdraw(drives[which])
+    assert ingest.state == state(replay_drives(drives[:which] + drives[which + 1 :]))
     ingest.add(drives[which])
-    assert ingest.believed == everything
+    assert ingest.state == everything
 
 
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), chance=st.randoms(use_true_random=False))
-def test_decisions_hold_in_every_order(seed: int, chance: np.random.Generator) -> None:
+def test_decisions_apply_in_every_order(seed: int, chance: np.random.Generator) -> None:
     drives = random_case(seed, 3)
-    chains = list(fold(drives).chains.values())
-    spots = [Place(xy_m=chains[i % len(chains)][0].feature.xyz_m[:2], radius_m=1.0) for i in (0, 5)] if chains else []
-    decisions = Decisions(suppressed=tuple(spots[:1]), pinned=tuple(spots[1:]))
-    expected = fold(drives, decisions).chains
+    chains = list(replay_drives(drives).chains.values())
+    locations = (
+        [Location(xy_m=chains[i % len(chains)][0].feature.xyz_m[:2], radius_m=1.0) for i in (0, 5)] if chains else []
+    )
+    decisions = Decisions(suppressed=tuple(locations[:1]), pinned=tuple(locations[1:]))
+    expected = replay_drives(drives, decisions).chains
     for order in permutations(drives):
         ingest = Ingest(decisions)
         for drive in order:
             ingest.add(drive)
         assert ingest.chains == expected
-    for spot in spots[:1]:
+    for location in locations[:1]:
         for chain in expected.values():
             for version in chain:
                 x, y, _ = version.feature.xyz_m
-                there = float(np.hypot(x - spot.xy_m[0], y - spot.xy_m[1])) <= 1.0
-                assert version.suppressed == (version.standing and there)
-    # Suppression hides, it does not change what drives are compared with.
+                there = float(np.hypot(x - location.xy_m[0], y - location.xy_m[1])) <= 1.0
+                assert version.suppressed == (version.present and there)
+    # Suppression hides features; drives are compared with them all the same.
     hidden = {key: [v.model_copy(update={"suppressed": False}) for v in chain] for key, chain in expected.items()}
-    assert hidden == fold(drives, Decisions(pinned=decisions.pinned)).chains
+    assert hidden == replay_drives(drives, Decisions(pinned=decisions.pinned)).chains
 
 
-def test_a_cone_set_up_while_two_drives_overlap_is_not_removed_by_the_look_before() -> None:
+def test_a_cone_set_up_during_overlapping_drives_is_not_removed() -> None:
     rng = np.random.default_rng(3)
     world = random_world(rng, 60.0, 1)
     for cone in world:
         cone.states = cone.states[:1]
     late = random_drive(rng, world, 1, start_ns=START_NS + 100 * SECOND_NS, span_m=(0.0, 100.0))
     early = random_drive(rng, [], 2, start_ns=START_NS + 103 * SECOND_NS, span_m=(90.0, 100.0))
-    chains = fold([late, early]).chains
+    chains = replay_drives([late, early]).chains
     assert chains
-    assert all(chain[-1].standing for chain in chains.values())
+    assert all(chain[-1].present for chain in chains.values())
 
 
-def test_features_out_of_a_drives_influence_do_not_matter() -> None:
+def test_features_beyond_the_influence_of_a_drive_do_not_matter() -> None:
     rng = np.random.default_rng(5)
     world = random_world(rng, 100.0, DAYS)
     near = random_drive(rng, world, 0, start_ns=START_NS, span_m=(0.0, 100.0))
@@ -240,7 +229,7 @@ def test_features_out_of_a_drives_influence_do_not_matter() -> None:
     for cone in far_world:
         cone.states = [(t, None if p is None else (p[0] + 5000.0, p[1])) for t, p in cone.states]
     far = random_drive(rng, far_world, 1, start_ns=START_NS - HOUR_NS // 2, span_m=(5000.0, 5100.0))
-    alone, both = fold([near]).chains, fold([near, far]).chains
+    alone, both = replay_drives([near]).chains, replay_drives([near, far]).chains
     assert {key: both[key] for key in alone} == alone
     assert len(both) > len(alone)
     assert np.isfinite(ORIGIN_M).all()

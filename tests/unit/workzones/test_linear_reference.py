@@ -7,15 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from conetl.workzones.road_axis import part, place, project, smoothed, stations, without_standstill
+from conetl.workzones.linear_reference import locate, project, smoothed, without_standstill
 
 BEND = np.stack([100 * np.sin(np.linspace(0, 1, 80)), 100 - 100 * np.cos(np.linspace(0, 1, 80))], axis=1)
 finite = st.floats(-30, 130)
 
 
 @given(s=finite, o=st.floats(-20, 20))
-def test_place_and_project_are_inverse(s, o):
-    back_s, back_o = project(BEND, place(BEND, np.array([s]), np.array([o])))
+def test_locate_and_project_are_inverse(s, o):
+    back_s, back_o = project(BEND, locate(BEND, np.array([s]), np.array([o])))
     # A polyline has corners: beside one, a point is nearest to the corner itself.
     assert back_s[0] == pytest.approx(s, abs=0.3)
     assert back_o[0] == pytest.approx(o, abs=0.01)
@@ -26,7 +26,6 @@ def test_left_is_positive_and_the_line_goes_on_straight_beyond_its_ends():
     s, o = project(line, np.array([[5.0, 2.0], [-3.0, -1.0], [14.0, 1.0]]))
     assert s == pytest.approx([5.0, -3.0, 14.0])
     assert o == pytest.approx([2.0, -1.0, 1.0])
-    assert stations(part(line, -5.0, 12.0))[-1] == pytest.approx(17.0)
 
 
 def test_many_points_are_projected_like_one():

@@ -1,8 +1,8 @@
-"""The rig of Lagahit & Tseng as records and as rendered images: the case that every figure of theirs is compared with.
+"""The rig of Lagahit & Tseng as records and as rendered images, for comparison with their figures.
 
-Known of it: focal lengths 15.9004 and 15.8703 mm, a base of 274.5 mm, Sony a6000 sensors of 23.5 x 15.6 mm with 6000 x 4000
-pixels, a cone at 8.53 m ground distance, and that the angle phi between the cameras was known to 0.084 degrees. Of the other
-sigmas of its Tables 1 and 2 nothing is known here; `SIGMAS` assumes what a MATLAB calibration of such a rig usually states.
+Known: focal lengths 15.9004 and 15.8703 mm, a base of 274.5 mm, Sony a6000 sensors of 23.5 x 15.6 mm with 6000 x 4000 pixels, a
+cone at 8.53 m ground distance, and a sigma of 0.084 degrees of the angle phi between the cameras. The other sigmas of its
+Tables 1 and 2 are unknown; `SIGMAS` assumes usual values of a MATLAB calibration of such a rig.
 """
 
 from __future__ import annotations

@@ -1,26 +1,90 @@
-"""Features as they are after a drive saw them: the same place known better, or anew by this drive alone."""
+"""Deltas of single features, and the features after them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from uuid import UUID
+from uuid import UUID, uuid5
 
 import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry.packing import vec3
+from conetl.mapping.existence_update import observed
 from conetl.mapping.fusion import fuse
-from conetl.model.map_records import Delta, DeltaKind, MapFeature, SightingEvidence
+from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature
 from conetl.model.records import Track, sound
 
 Floats = NDArray[np.float64]
+_NAMESPACE = UUID("6a3f2f0e-5a0f-4b55-8f0f-3d6a3f0c7e11")
+
+
+def added(track: Track, map_xyz_m: Floats, shift: Floats, founding_key: str, half_of: UUID | None) -> Delta:
+    """A new feature; half_of: the feature that a split revealed to be two cones. Other arguments as for `feature_from_track`.
+
+    Its id follows from the track's first position, which is in no other track and independent of the order of tracks.
+    """
+    frame, match = track.members[0]
+    feature_id = uuid5(_NAMESPACE, f"{founding_key}/{frame}/{match}")
+    evidence = observed(None, None, track)
+    return Delta(
+        kind=DeltaKind.ADDED if half_of is None else DeltaKind.SPLIT,
+        feature_id=feature_id,
+        new=feature_from_track(track, map_xyz_m, shift, feature_id, 1, evidence),
+        track_index=track.track_index,
+        changed_at_ns=track.first_seen_ns,
+        other_feature_id=half_of,
+        evidence=evidence,
+    )
+
+
+def ended(
+    kind: DeltaKind,
+    feature: MapFeature,
+    from_ns: int,
+    *,
+    merged_into: UUID | None = None,
+    evidence: ExistenceEvidence | None = None,
+) -> Delta:
+    """The feature removed, or merged into another one, from an instant after its last observation."""
+    return Delta(
+        kind=kind,
+        feature_id=feature.feature_id,
+        old=feature,
+        changed_at_ns=max(from_ns, feature.last_seen_ns + 1),
+        other_feature_id=merged_into,
+        evidence=evidence,
+    )
+
+
+def moved_and_merged(old: MapFeature, confirmation: Delta) -> list[Delta]:
+    """`old` moved to the position of the confirmed feature, which is merged into it.
+
+    An earlier drive, to which only the new position was visible, had founded that feature.
+    """
+    merged, state = confirmation.old, confirmation.new
+    if merged is None or state is None:
+        raise ValueError(f"the confirmation of feature {confirmation.feature_id} lacks its old or new state")
+    new = state.model_copy(
+        update={
+            "feature_id": old.feature_id,
+            "version": old.version + 1,
+            "first_seen_ns": old.first_seen_ns,
+            "observation_count": old.observation_count + state.observation_count,
+        }
+    )
+    shift_m = float(np.hypot(*(np.array(new.xyz_m) - np.array(old.xyz_m))[:2]))
+    moved = {"kind": DeltaKind.MOVED, "feature_id": old.feature_id, "old": old, "new": new, "shift_m": shift_m}
+    return [
+        confirmation.model_copy(update=moved),
+        ended(DeltaKind.MERGED, merged, confirmation.changed_at_ns, merged_into=old.feature_id),
+    ]
 
 
 def changed(
-    kind: DeltaKind, feature: MapFeature, track: Track, placed: Floats, shift: Floats, evidence: SightingEvidence
+    kind: DeltaKind, feature: MapFeature, track: Track, map_xyz_m: Floats, shift: Floats, evidence: ExistenceEvidence
 ) -> Delta:
-    """The feature as this drive alone saw it; placed, shift: as of `feature_from_track`."""
-    new = feature_from_track(track, placed, shift, feature.feature_id, feature.version + 1, evidence).model_copy(
+    """The feature as this drive alone observed it; map_xyz_m, shift: as for `feature_from_track`."""
+    new = feature_from_track(track, map_xyz_m, shift, feature.feature_id, feature.version + 1, evidence).model_copy(
         update={
             "first_seen_ns": feature.first_seen_ns,
             "last_seen_ns": max(feature.last_seen_ns, track.last_seen_ns),
@@ -34,21 +98,22 @@ def changed(
         new=new,
         track_index=track.track_index,
         changed_at_ns=track.first_seen_ns,
-        shift_m=float(np.linalg.norm((placed - np.array(feature.xyz_m))[:2])),
+        shift_m=float(np.linalg.norm((map_xyz_m - np.array(feature.xyz_m))[:2])),
         evidence=evidence,
     )
 
 
-def confirmations(
+def confirmed(
     pairs: Mapping[int, int],
     features: Sequence[MapFeature],
     tracks: Sequence[Track],
-    evidence: Mapping[int, SightingEvidence],
+    evidence: Mapping[int, ExistenceEvidence],
 ) -> list[Delta]:
-    """The same places seen again: both statements weighted by their covariances, all pairs (feature -> track) at once.
+    """Features observed again at the same position: both estimates fused by their covariances, all pairs (feature -> track) at
+    once.
 
-    evidence: by feature. Tracks count where their drive has them: their covariances hold there. With the drive's offset taken out
-    they would have the map's own errors in them, and one and the same difference would be shared out twice.
+    evidence: by feature. Tracks enter in the drive's own frame, where their covariances hold: with the drive's offset taken out
+    they would contain the map's errors, and one difference would be shared out twice.
     """
     if not pairs:
         return []
@@ -67,7 +132,7 @@ def confirmations(
     heights = np.array([(f.cone_height_m, t.cone_height_m) for f, t in zip(old, new, strict=True)])
     weights = np.array([(f.cone_height_sigma_m, t.cone_height_sigma_m) for f, t in zip(old, new, strict=True)]) ** -2.0
     height = (heights * weights).sum(axis=1) / weights.sum(axis=1)
-    # All at once what the records would check one by one.
+    # The checks of the records, for all pairs at once.
     whole = np.column_stack([fused, cov.reshape(-1, 9), fused_centres, height])
     unsound = ~np.isfinite(whole).all(axis=1) | (np.diagonal(cov, axis1=1, axis2=2) <= 0).any(axis=1)
     if unsound.any():
@@ -99,10 +164,10 @@ def confirmations(
                 category=feature.category,
                 xyz_m=tuple(xyz_m),
                 cov_m2=tuple(cov_m2),
-                centre_xyz_m=tuple(centre_m),
+                centre_xyz_m=tuple(centre_xyz_m),
                 cone_height_m=height_m,
                 cone_height_sigma_m=height_sigma_m,
-                existence_probability=found.existence_probability,
+                existence_probability=own_evidence.existence_probability,
                 observation_count=feature.observation_count + track.observation_count,
                 first_seen_ns=feature.first_seen_ns,
                 last_seen_ns=max(feature.last_seen_ns, track.last_seen_ns),
@@ -112,9 +177,9 @@ def confirmations(
             changed_at_ns=track.first_seen_ns,
             shift_m=shift_m,
             other_feature_id=None,
-            evidence=found,
+            evidence=own_evidence,
         )
-        for feature, track, xyz_m, cov_m2, centre_m, height_m, height_sigma_m, found, shift_m, own_jacobian in columns
+        for feature, track, xyz_m, cov_m2, centre_xyz_m, height_m, height_sigma_m, own_evidence, shift_m, own_jacobian in columns
     ]
 
 
@@ -124,15 +189,15 @@ def _times(matrices: Floats, vectors: Floats) -> Floats:
 
 
 def feature_from_track(
-    track: Track, placed: Floats, shift: Floats, feature_id: UUID, version: int, evidence: SightingEvidence
+    track: Track, map_xyz_m: Floats, shift: Floats, feature_id: UUID, version: int, evidence: ExistenceEvidence
 ) -> MapFeature:
-    """A track as a feature; placed (3,): in the map's coordinates, shift (3,): what was taken out of it, metres."""
+    """A track as a feature; map_xyz_m (3,): in map coordinates, shift (3,): what was subtracted from the track, metres."""
     return sound(
         MapFeature,
         feature_id=feature_id,
         version=version,
         category=track.category,
-        xyz_m=vec3(placed),
+        xyz_m=vec3(map_xyz_m),
         cov_m2=track.cov_m2,
         centre_xyz_m=vec3(np.array(track.centre_xyz_m) - shift),
         cone_height_m=track.cone_height_m,

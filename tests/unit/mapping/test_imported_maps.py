@@ -1,4 +1,4 @@
-"""Statements of an imported map against features that drives saw and missed."""
+"""Features of an imported map against features that drives observed and missed."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from uuid import UUID
 
 import pytest
 
-from conetl.mapping.adoption import adopt
 from conetl.mapping.existence_update import MAX_LOG_ODDS, log_odds, probability
-from conetl.model.map_records import DeltaKind, Doubt, MapFeature, Statement
+from conetl.mapping.imported_maps import reconcile_imported
+from conetl.model.map_records import DeltaKind, ImportedFeature, MapFeature, MissSummary
 from conetl.model.params import ReconcileParams
 
 PARAMS = ReconcileParams()
@@ -31,17 +31,17 @@ def cone(number: int, x_m: float, *, height_m: float = 0.5, exists: float = 0.9)
     )
 
 
-def deltas_of(stated, standing, **options):
-    statements = [Statement(feature=feature, valid_from_ns=5) for feature in stated]
-    return {d.kind: d for d in adopt(statements, standing, PARAMS, at_ns=9, founding_key="k", **options)}
+def deltas_of(imported, present, **options):
+    statements = [ImportedFeature(feature=feature, valid_from_ns=5) for feature in imported]
+    return {d.kind: d for d in reconcile_imported(statements, present, PARAMS, at_ns=9, founding_key="k", **options)}
 
 
-def test_a_statement_adds_to_what_drives_believe_after_misses():
-    """The belief that counts is the one after the drives that looked in vain, as for a sighting."""
-    doubt = Doubt(existence_probability=0.3, first_missed_ns=4)
+def test_an_import_adds_to_the_probability_after_misses():
+    """As for an observation, the prior is the probability after all misses."""
+    summary = MissSummary(existence_probability=0.3, first_missed_ns=4)
     feature = cone(1, 0.0)
-    for doubts, before in (({}, 0.9), ({feature.feature_id: doubt}, 0.3)):
-        [delta] = deltas_of([cone(2, 0.05, exists=0.8)], [feature], doubts=doubts).values()
+    for summaries, before in (({}, 0.9), ({feature.feature_id: summary}, 0.3)):
+        [delta] = deltas_of([cone(2, 0.05, exists=0.8)], [feature], summaries=summaries).values()
         assert delta.kind is DeltaKind.CONFIRMED
         wanted = probability(log_odds(before) + log_odds(0.8))
         assert delta.evidence.existence_probability == pytest.approx(wanted)
@@ -50,9 +50,9 @@ def test_a_statement_adds_to_what_drives_believe_after_misses():
 
 
 def test_an_import_founds_confirms_moves_and_changes_heights_but_removes_nothing():
-    standing = [cone(1, 0.0), cone(2, 20.0), cone(3, 40.0), cone(4, 60.0)]
-    stated = [cone(1, 2.0), cone(12, 20.05), cone(13, 40.0, height_m=1.0), cone(15, 80.0, exists=1.0)]
-    found = deltas_of(stated, standing)
+    present = [cone(1, 0.0), cone(2, 20.0), cone(3, 40.0), cone(4, 60.0)]
+    imported = [cone(1, 2.0), cone(12, 20.05), cone(13, 40.0, height_m=1.0), cone(15, 80.0, exists=1.0)]
+    found = deltas_of(imported, present)
     assert {kind: delta.feature_id.int for kind, delta in found.items()} == {
         DeltaKind.MOVED: 1,
         DeltaKind.CONFIRMED: 2,
@@ -61,5 +61,5 @@ def test_an_import_founds_confirms_moves_and_changes_heights_but_removes_nothing
     }
     assert found[DeltaKind.HEIGHT_CHANGED].new.cone_height_m == 1.0
     assert found[DeltaKind.ADDED].new.existence_probability == pytest.approx(probability(MAX_LOG_ODDS))
-    held = deltas_of(stated, standing, pinned={UUID(int=1), UUID(int=3)})
+    held = deltas_of(imported, present, pinned={UUID(int=1), UUID(int=3)})
     assert set(held) == {DeltaKind.CONFIRMED, DeltaKind.ADDED}

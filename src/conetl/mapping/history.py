@@ -1,0 +1,226 @@
+"""The map as the result of all drives, compared in the order of recording whatever the order of ingestion.
+
+`replay_drives` defines the map. A drive newer than all others around it is one more step (`apply_drive`); a late or withdrawn one
+makes the neighbourhood be computed again, with the records of the other drives as `given`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from uuid import UUID
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from conetl.mapping.changes import VisibilityCheck, reconcile
+from conetl.mapping.existence_update import summarize_miss
+from conetl.mapping.imported_maps import reconcile_imported
+from conetl.model.map_records import (
+    Decisions,
+    Delta,
+    DeltaKind,
+    DriveOrder,
+    FeatureVersion,
+    ImportedFeature,
+    Location,
+    MapFeature,
+    MissedObservation,
+    MissSummary,
+)
+from conetl.model.params import ReconcileParams
+from conetl.model.records import Track, sound
+
+Floats = NDArray[np.float64]
+#: Least time between two versions of a feature: the database stores microseconds.
+MIN_VALID_NS = 1000
+
+
+@dataclass(frozen=True)
+class DriveEvidence:
+    """Everything that one drive, or one imported map, contributes to the map."""
+
+    key: DriveOrder
+    changeset_id: UUID
+    founding_key: str
+    """Map name and content hash of the drive; the ids of new features follow from it."""
+    tracks: Sequence[Track]
+    path_m: Floats
+    """(N, 2) easting and northing of the body; of an imported map, of its cones."""
+    influence_m: float
+    """Features farther than this from the path are not compared."""
+    check_visibility: VisibilityCheck
+    params: ReconcileParams
+    imported: Sequence[ImportedFeature] = ()
+    """Features of an imported map, instead of tracks; it removes nothing."""
+
+
+@dataclass(frozen=True)
+class MapUpdate:
+    """What one drive changes on the map."""
+
+    deltas: list[Delta]
+    versions: list[FeatureVersion]
+    """One per delta that changes a feature, open."""
+    misses: list[MissedObservation]
+    untouched: list[MapFeature]
+    """Features within the drive's influence without a delta."""
+
+    @property
+    def suppressed(self) -> frozenset[UUID]:
+        """Features that the drive observed at a suppressed location."""
+        return frozenset(version.feature_id for version in self.versions if version.suppressed)
+
+
+@dataclass
+class MapHistory:
+    """The map in valid time."""
+
+    chains: dict[UUID, list[FeatureVersion]] = field(default_factory=dict)
+    """The versions of each feature, oldest first; the last one is open."""
+    misses: list[MissedObservation] = field(default_factory=list)
+    """In the order of the drives."""
+    updates: dict[UUID, MapUpdate] = field(default_factory=dict)
+    """By changeset, of the drives that were compared."""
+
+
+def replay_drives(
+    drives: Iterable[DriveEvidence],
+    decisions: Decisions = Decisions(),  # noqa: B008 -- frozen
+    *,
+    given: Iterable[tuple[DriveOrder, FeatureVersion | MissedObservation]] = (),
+) -> MapHistory:
+    """The map made by the drives, whatever order they are given in.
+
+    given: versions and misses of other drives, which are not compared again, with the keys of these drives. Their valid periods
+    and suppression are computed anew.
+    """
+    history = MapHistory()
+    current: dict[UUID, FeatureVersion] = {}
+    summaries: dict[UUID, MissSummary] = {}
+    events: list[tuple[DriveOrder, str, FeatureVersion | MissedObservation | DriveEvidence]] = [
+        *((key, str(state.feature_id), state) for key, state in given),
+        *((drive.key, "", drive) for drive in drives),
+    ]
+    for _, _, event in sorted(events, key=lambda event: event[:2]):
+        versions: list[FeatureVersion] = []
+        misses: list[MissedObservation] = []
+        if isinstance(event, DriveEvidence):
+            update = apply_drive(current, event, decisions, summaries, known=history.chains.keys())
+            history.updates[event.changeset_id] = update
+            versions, misses = update.versions, update.misses
+        elif isinstance(event, MissedObservation):
+            misses = [event]
+        else:
+            suppressed = event.present and is_within(event.feature, decisions.suppressed)
+            versions = [event.model_copy(update={"suppressed": suppressed})]
+        for version in versions:
+            history.chains.setdefault(version.feature_id, []).append(version)
+            summaries.pop(version.feature_id, None)
+            if version.present:
+                current[version.feature_id] = version
+            else:
+                del current[version.feature_id]
+        history.misses += misses
+        for miss in misses:
+            summaries[miss.feature_id] = summarize_miss(
+                summaries.get(miss.feature_id), miss.existence_probability, miss.first_missed_ns
+            )
+    for chain in history.chains.values():
+        ends: list[int | None] = [after.valid_from_ns for _, after in pairwise(chain)]
+        chain[:] = [
+            version if version.valid_to_ns == end else version.model_copy(update={"valid_to_ns": end})
+            for version, end in zip(chain, [*ends, None], strict=True)
+        ]
+    return history
+
+
+def apply_drive(
+    current: Mapping[UUID, FeatureVersion],
+    drive: DriveEvidence,
+    decisions: Decisions,
+    summaries: Mapping[UUID, MissSummary],
+    *,
+    known: Collection[UUID] = (),
+) -> MapUpdate:
+    """Compare one drive with the map left by the drives recorded before it.
+
+    current: open versions of present features, suppressed ones included, by feature id; those outside the drive's influence are
+    ignored. summaries: of the misses since these versions. known: all ids in use, required for imported maps only. A version that
+    would begin no later than its predecessor (drives that overlap in time) begins `MIN_VALID_NS` after it.
+    """
+    around = _around(current, drive)
+    pinned = {feature.feature_id for feature in around if is_within(feature, decisions.pinned)}
+    if drive.imported:
+        deltas = reconcile_imported(
+            drive.imported,
+            around,
+            drive.params,
+            at_ns=drive.key[0],
+            founding_key=drive.founding_key,
+            known=known,
+            pinned=pinned,
+            summaries=summaries,
+        )
+    else:
+        deltas = reconcile(
+            drive.tracks,
+            around,
+            drive.check_visibility,
+            drive.params,
+            founding_key=drive.founding_key,
+            pinned=pinned,
+            summaries=summaries,
+        )
+    versions = []
+    for delta in deltas:
+        if not delta.is_change:
+            continue
+        before = current.get(delta.feature_id)
+        earliest_ns = delta.changed_at_ns if before is None else before.valid_from_ns + MIN_VALID_NS
+        number = 1 if delta.old is None else delta.old.version + 1
+        state = delta.state_after
+        versions.append(
+            sound(
+                FeatureVersion,
+                feature=state if state.version == number else state.model_copy(update={"version": number}),
+                changeset_id=drive.changeset_id,
+                present=delta.new is not None,
+                suppressed=delta.new is not None and is_within(state, decisions.suppressed),
+                valid_from_ns=max(delta.changed_at_ns, earliest_ns),
+                valid_to_ns=None,
+            )
+        )
+    misses = [_miss(delta, drive.changeset_id) for delta in deltas if delta.kind is DeltaKind.MISSED]
+    compared = {delta.feature_id for delta in deltas}
+    return MapUpdate(deltas, versions, misses, [feature for feature in around if feature.feature_id not in compared])
+
+
+def is_within(feature: MapFeature, locations: Sequence[Location]) -> bool:
+    """Whether a feature is at one of the locations (horizontally)."""
+    x, y, _ = feature.xyz_m
+    return any(float(np.hypot(x - one.xy_m[0], y - one.xy_m[1])) <= one.radius_m for one in locations)
+
+
+def _miss(delta: Delta, changeset_id: UUID) -> MissedObservation:
+    if delta.evidence is None:
+        raise ValueError(f"the delta 'missed' of feature {delta.feature_id} has no evidence")
+    return MissedObservation(
+        feature_id=delta.feature_id,
+        changeset_id=changeset_id,
+        version=delta.state_after.version,
+        existence_probability=delta.evidence.existence_probability,
+        first_missed_ns=delta.changed_at_ns,
+    )
+
+
+def _around(current: Mapping[UUID, FeatureVersion], drive: DriveEvidence) -> list[MapFeature]:
+    """The features within the drive's influence, by feature id."""
+    features = [current[feature_id].feature for feature_id in sorted(current)]
+    if not features:
+        return []
+    xy_m = np.array([feature.xyz_m[:2] for feature in features])
+    distances = np.atleast_1d(cKDTree(drive.path_m).query(xy_m)[0])
+    return [feature for feature, distance in zip(features, distances, strict=True) if distance <= drive.influence_m]

@@ -1,0 +1,145 @@
+"""Errors that many observations share, and their effect on positions: of poses, of the calibration, of one cone's outline.
+
+They move a cone, or all cones of a drive, as a whole and do not average out over frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+from conetl.geometry.calibration.covariance import calibration_jacobian, shared_cov
+from conetl.geometry.jacobians import pose_jacobian
+from conetl.geometry.motion.chain_solver import joint_covariance
+from conetl.geometry.motion.pose_graph import POSE
+from conetl.model.params import TrajectoryParams
+from conetl.model.records import FramePair, Pose, Position, Rig
+from conetl.tracking.matching.covariance import SHARED_DISPARITY_PX
+from conetl.tracking.trajectory import RefinedTrajectory, log_errors
+
+Floats = NDArray[np.float64]
+#: F frame indices, rising and unique -> (6F, 6F) covariance of their poses: easting, northing, height (m), roll, pitch, yaw (rad)
+#: of the first frame, of the second ...
+PoseCov = Callable[[Sequence[int]], Floats]
+#: Added to the diagonal of correlations, so that equal errors remain invertible.
+_LEAST_SHARE = 1e-10
+#: Least sigma of each of the six pose errors (m, rad).
+_LEAST_SIGMA = 1e-9
+
+
+def pose_cov(trajectory: RefinedTrajectory, params: TrajectoryParams) -> PoseCov:
+    """Joint covariance of the poses of a drive: that of the adjustment, or of the log without one.
+
+    The adjustment's attitude errors are about the body's axes, for a car those of roll, pitch and yaw.
+    """
+    rank = {pair.frame_index: k for k, pair in enumerate(trajectory.frame_pairs)}
+    refined = trajectory.covariance
+
+    def of_frames(frame_indices: Sequence[int]) -> Floats:
+        states = [rank[index] for index in frame_indices]
+        if refined is not None:
+            return joint_covariance(refined, states, POSE)
+        return log_errors([trajectory.frame_pairs[k] for k in states], params)
+
+    return of_frames
+
+
+def constant_and_change(cov: Floats) -> tuple[Floats, Floats]:
+    """Covariance (6F, 6F) of the poses of F frames split into a constant error (6, 6) and the rest (6F, 6F).
+
+    The best estimate of a constant (generalised least squares, e.g. Koch 1999, ch. 3.2) is uncorrelated with its residuals, so
+    that the two parts are independent and add up exactly.
+    """
+    count = len(cov) // POSE
+    sigma = np.maximum(np.sqrt(np.diagonal(cov)), _LEAST_SIGMA)
+    correlation = cov / np.outer(sigma, sigma) + _LEAST_SHARE * np.eye(len(cov))
+    alike = np.tile(np.eye(POSE), (count, 1))
+    scaled = alike / sigma[:, None]
+    constant = np.linalg.inv(scaled.T @ cho_solve(cho_factor(correlation), scaled))
+    constant = (constant + constant.T) / 2
+    return np.asarray(constant), np.asarray(cov - np.tile(constant, (count, count)))
+
+
+def moved_by_poses(xyz_m: Floats, poses: Sequence[Pose]) -> Floats:
+    """(N, 3, 6): derivatives of points (N, 3) by the errors of their own poses; see `pose_jacobian`."""
+    return pose_jacobian(
+        xyz_m,
+        np.array([pose.map_R_body for pose in poses]).reshape(-1, 3, 3),
+        np.array([pose.map_t_body_m for pose in poses]).reshape(-1, 3),
+    )
+
+
+def moved_cov(jacobian: Floats, rank: NDArray[np.intp], cov: Floats) -> Floats:
+    """(3N, 3N) m^2: joint covariance of N points by the errors of F poses.
+
+    jacobian (N, 3, 6): of each point by the pose of its own frame; rank (N,): the index of that frame; cov (6F, 6F).
+    """
+    count = len(jacobian)
+    by_pose = np.zeros((count, 3, len(cov) // POSE, POSE))
+    by_pose[np.arange(count), :, rank] = jacobian
+    flat = by_pose.reshape(3 * count, -1)
+    return np.asarray(flat @ cov @ flat.T)
+
+
+def common_cov(
+    group: Sequence[Position],
+    shares: Floats,
+    frame_pairs: Mapping[int, FramePair],
+    rig: Rig,
+    map_SE3_left: Mapping[int, Floats],
+    log: TrajectoryParams | None = None,
+) -> Floats:
+    """Covariance (3, 3) m^2 that pose and calibration add to the joint fit of the positions of one cone.
+
+    shares: (F, 3, 3) of `joint_fit.fit_point`, in the order of `group`: derivatives of the joint point by that of one pair. The
+    calibration's error is constant. Errors of logged poses are Gauss-Markov processes (`log`); those of refined poses (None)
+    are constant while the cone is visible. Each frame has its own sigmas and lever from body to cone.
+    """
+    pairs = [frame_pairs[p.frame_index] for p in group]
+    poses = [pair.pose for pair in pairs]
+    moved = shares @ moved_by_poses(np.array([p.xyz_m for p in group]), poses)
+    of_calibration = moved_by_calibration(group, shares, rig, map_SE3_left)
+    if log is None:
+        sigmas = np.array([(*pose.sigma_enu_m, *pose.sigma_rpy_rad) for pose in poses])
+        total = (moved * sigmas[:, None, :]).sum(axis=0)
+        of_poses = total @ total.T
+    else:
+        flat = moved.transpose(1, 0, 2).reshape(3, -1)
+        of_poses = flat @ log_errors(pairs, log) @ flat.T
+    return np.asarray((of_poses + of_poses.T) / 2 + shared_cov(of_calibration, rig))
+
+
+def moved_by_calibration(
+    group: Sequence[Position], shares: Floats, rig: Rig, map_SE3_left: Mapping[int, Floats]
+) -> Floats:
+    """Derivative (3, K) of the joint fit by the calibration's parameters."""
+    map_R_left = np.stack([map_SE3_left[p.frame_index][:3, :3] for p in group])
+    by_calibration = map_R_left @ calibration_jacobian(np.array([p.camera_xyz_m for p in group]), rig)
+    return np.asarray(np.einsum("fij,fjk->ik", shares, by_calibration))
+
+
+def outline_errors(position: Position, rig: Rig) -> Floats:
+    """(3, 3) m: change of one position by one sigma of each error common to all observations of a cone; left camera frame.
+
+    Columns: to the right and down, the detector's foot and axis (`Position.sigma_outline_m`); along the ray, the cone's shape
+    in matching (`SHARED_DISPARITY_PX`).
+    """
+    sigma_m, xyz_m = position.sigma_outline_m, np.array(position.camera_xyz_m)
+    away_m = SHARED_DISPARITY_PX * xyz_m[2] ** 2 / (rig.left.fx_px * rig.baseline_m)
+    return np.column_stack([[sigma_m, 0.0, 0.0], [0.0, sigma_m, 0.0], xyz_m / xyz_m[2] * away_m])
+
+
+def outline_cov(group: Sequence[Position], shares: Floats, map_SE3_left: Mapping[int, Floats], rig: Rig) -> Floats:
+    """Covariance (3, 3) m^2 of a joint fit by the errors of this cone's foot, axis and shape (`outline_errors`), in all images
+    alike.
+
+    From one side they do not average out; from several sides they partly cancel. Zero for boxes without feet (`sigma_outline_m`
+    0).
+    """
+    errors = np.stack([outline_errors(p, rig) * (p.sigma_outline_m > 0) for p in group])
+    turn = np.stack([map_SE3_left[p.frame_index][:3, :3] for p in group])
+    moved = np.einsum("fij,fjk,fkl->il", shares, turn, errors)
+    return np.asarray(moved @ moved.T)
