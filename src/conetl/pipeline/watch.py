@@ -23,6 +23,7 @@ from conetl.db.connection import Connection, connect
 from conetl.db.live_store import clear_watches, end_watch, watch_lock
 from conetl.db.map.map_store import find_map
 from conetl.db.receipt_store import held_if_free
+from conetl.db.schema import migrate_once
 from conetl.model.errors import DriveFolderError, InputError
 from conetl.model.params import IngestParams
 from conetl.model.records import FramePair, Rig, Track
