@@ -1,4 +1,4 @@
-"""Deployments, work pool and workers, as `conetl up` needs them."""
+"""Registers the work pool and the deployments of `conetl up`."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ _TIMEOUT_S = 300
 
 
 def deployments_file() -> Path:
-    """`prefect.yaml`: beside the flows in an installed wheel, at the top of a clone."""
+    """Path of `prefect.yaml`: beside the flows in an installed wheel, at the top of a clone."""
     package = Path(__file__).resolve().parent
     return next(path for path in (package / "prefect.yaml", package.parent / "prefect.yaml") if path.is_file())
 
 
 def ensure_pool() -> None:
-    """The work pool of processes, created where it is missing; what was set in the UI stays."""
+    """Create the work pool if it is missing; changes made in the UI are kept."""
     with client() as api:
         try:
             api.create_work_pool(WorkPoolCreate(name=POOL, type="process", description="Machines that run conetl"))
@@ -39,10 +39,9 @@ def ensure_pool() -> None:
 
 
 def ensure_deployments() -> bool:
-    """Register the deployments of `prefect.yaml`, unless this version of it is registered: changes made in the UI stay until an
-    upgrade.
+    """Register the deployments of `prefect.yaml` unless this version is registered; changes in the UI are kept until an upgrade.
 
-    True where they were registered now. Raises ServiceError with Prefect's message.
+    Returns whether they were registered now. Raises ServiceError with Prefect's message.
     """
     path = deployments_file()
     wanted = f"{version('conetl')} {hashlib.sha256(path.read_bytes()).hexdigest()}"
@@ -64,7 +63,7 @@ def ensure_deployments() -> bool:
 
 
 def worker_is_online(name: str, since: datetime) -> bool:
-    """Whether a worker of this name sent a heartbeat since then."""
+    """Whether a worker of this name has sent a heartbeat since then."""
     with client() as api:
         workers = api.read_workers_for_work_pool(POOL)
     return any(

@@ -8,198 +8,89 @@ from __future__ import annotations
 from typing import Any
 
 Schema = dict[str, Any]
-URI = {"type": "string", "pattern": "^https?://"}
-DEGREES = {
-    "type": "array", "minItems": 4, "maxItems": 4,
-    "prefixItems": [{"minimum": -180, "maximum": 180}, {"minimum": -90, "maximum": 90}] * 2, "items": {"type": "number"},
-}  # fmt: skip
-TIME = {"type": ["string", "null"], "pattern": r"^\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?(Z|[+-]\d\d:\d\d)$"}
-LINK: Schema = {
-    "type": "object",
-    "required": ["href", "rel"],
-    "properties": {
-        "href": URI, "rel": {"type": "string"}, "type": {"type": "string", "pattern": "^[a-z]+/"}, "title": {"type": "string"},
-    },
-}  # fmt: skip
+TEXT: Schema = {"type": "string"}
+COUNT: Schema = {"type": "integer", "minimum": 0}
+URI: Schema = {"type": "string", "pattern": "^https?://"}
+CRS84 = "http://www.opengis.net/def/crs/OGC/1.3/CRS84"
+TILING_SCHEME = "http://www.opengis.net/def/rel/ogc/1.0/tiling-scheme"
+LON_LAT = [{"minimum": -180, "maximum": 180}, {"minimum": -90, "maximum": 90}]
+
+
+def obj(required: str, **properties: Schema) -> Schema:
+    """An object with these required properties."""
+    return {"type": "object", "required": required.split(), "properties": properties}
+
+
+def array(items: Schema, least: int = 1, most: int | None = None, **more: Any) -> Schema:
+    return {"type": "array", "minItems": least, "items": items} | ({} if most is None else {"maxItems": most}) | more
 
 
 def with_links(*rels: str) -> Schema:
-    """An array of links that holds each of these relations."""
-    return {
-        "type": "array",
-        "items": LINK,
-        "allOf": [{"contains": {"properties": {"rel": {"const": rel}}, "required": ["rel", "type"]}} for rel in rels],
-    }
+    """An array of links that contains each of these relations."""
+    link = obj("href rel", href=URI, rel=TEXT, type={"type": "string", "pattern": "^[a-z]+/"}, title=TEXT)
+    return array(link, 0, allOf=[{"contains": obj("rel type", rel={"const": rel})} for rel in rels])
 
 
+DEGREES = array({"type": "number"}, 4, 4, prefixItems=LON_LAT * 2)
+TIME: Schema = {
+    "type": ["string", "null"],
+    "pattern": r"^\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?(Z|[+-]\d\d:\d\d)$",
+}
 #: 7.2.4: a title and links to this page, to the API definition, to the conformance declaration and to the collections.
-LANDING: Schema = {
-    "type": "object",
-    "required": ["links"],
-    "properties": {
-        "title": {"type": "string"}, "description": {"type": "string"},
-        "links": with_links("self", "service-desc", "conformance", "data"),
-    },
-}  # fmt: skip
+LANDING = obj("links", title=TEXT, description=TEXT, links=with_links("self", "service-desc", "conformance", "data"))
 #: 7.4.3
-CONFORMANCE: Schema = {
-    "type": "object",
-    "required": ["conformsTo"],
-    "properties": {
-        "conformsTo": {
-            "type": "array",
-            "items": URI,
-            "allOf": [
-                {"contains": {"const": f"http://www.opengis.net/spec/ogcapi-features-1/1.0/conf/{name}"}}
-                for name in ("core", "geojson")
-            ],
-        }
-    },
-}
+CONFORMANCE = obj("conformsTo", conformsTo=array(URI, allOf=[
+    {"contains": {"const": f"http://www.opengis.net/spec/ogcapi-features-1/1.0/conf/{name}"}} for name in ("core", "geojson")
+]))  # fmt: skip
 #: 7.14.3: id, links to the items; extents in CRS84, times in the Gregorian calendar; itemType feature.
-COLLECTION: Schema = {
-    "type": "object",
-    "required": ["id", "links", "extent", "crs"],
-    "properties": {
-        "id": {"type": "string"},
-        "title": {"type": "string"},
-        "description": {"type": "string"},
-        "links": with_links("items"),
-        "itemType": {"const": "feature"},
-        "crs": {"type": "array", "contains": {"const": "http://www.opengis.net/def/crs/OGC/1.3/CRS84"}},
-        "extent": {
-            "type": "object",
-            "required": ["spatial", "temporal"],
-            "properties": {
-                "spatial": {
-                    "required": ["bbox"],
-                    "properties": {
-                        "bbox": {"type": "array", "minItems": 1, "items": DEGREES},
-                        "crs": {"const": "http://www.opengis.net/def/crs/OGC/1.3/CRS84"},
-                    },
-                },
-                "temporal": {
-                    "required": ["interval"],
-                    "properties": {
-                        "interval": {
-                            "type": "array", "minItems": 1,
-                            "items": {"type": "array", "minItems": 2, "maxItems": 2, "items": TIME},
-                        },
-                        "trs": {"const": "http://www.opengis.net/def/uom/ISO-8601/0/Gregorian"},
-                    },
-                },
-            },
-        },
-    },
-}  # fmt: skip
+COLLECTION = obj(
+    "id links extent crs", id=TEXT, title=TEXT, description=TEXT, links=with_links("items"), itemType={"const": "feature"},
+    crs={"type": "array", "contains": {"const": CRS84}},
+    extent=obj(
+        "spatial temporal",
+        spatial=obj("bbox", bbox=array(DEGREES), crs={"const": CRS84}),
+        temporal=obj(
+            "interval", interval=array(array(TIME, 2, 2)),
+            trs={"const": "http://www.opengis.net/def/uom/ISO-8601/0/Gregorian"},
+        ),
+    ),
+)  # fmt: skip
 #: 7.13.3
-COLLECTIONS: Schema = {
-    "type": "object",
-    "required": ["links", "collections"],
-    "properties": {"links": with_links("self"), "collections": {"type": "array", "items": COLLECTION}},
-}
+COLLECTIONS = obj("links collections", links=with_links("self"), collections=array(COLLECTION, 0))
 #: 7.16, and RFC 7946: a feature with an identifier, a point in longitude, latitude and height.
-FEATURE: Schema = {
-    "type": "object",
-    "required": ["type", "id", "geometry", "properties"],
-    "properties": {
-        "type": {"const": "Feature"},
-        "id": {"type": "string", "minLength": 1},
-        "properties": {"type": "object"},
-        "geometry": {
-            "type": "object",
-            "required": ["type", "coordinates"],
-            "properties": {
-                "type": {"const": "Point"},
-                "coordinates": {
-                    "type": "array", "minItems": 3, "maxItems": 3, "items": {"type": "number"},
-                    "prefixItems": [{"minimum": -180, "maximum": 180}, {"minimum": -90, "maximum": 90}],
-                },
-            },
-        },
-    },
-}  # fmt: skip
+FEATURE = obj(
+    "type id geometry properties", type={"const": "Feature"}, id={"type": "string", "minLength": 1},
+    properties={"type": "object"},
+    geometry=obj(
+        "type coordinates", type={"const": "Point"}, coordinates=array({"type": "number"}, 3, 3, prefixItems=LON_LAT)
+    ),
+)  # fmt: skip
 #: 7.16.4: a link to the item's collection and to itself.
-ITEM: Schema = {"allOf": [FEATURE, {"required": ["links"], "properties": {"links": with_links("self", "collection")}}]}
+ITEM: Schema = {"allOf": [FEATURE, obj("links", links=with_links("self", "collection"))]}
 #: 7.15.3 to 7.15.7: links to this page (and the next one), how many there are and how many came.
-ITEMS: Schema = {
-    "type": "object",
-    "required": ["type", "features", "links", "numberMatched", "numberReturned"],
-    "properties": {
-        "type": {"const": "FeatureCollection"},
-        "features": {"type": "array", "items": FEATURE},
-        "links": with_links("self"),
-        "numberMatched": {"type": "integer", "minimum": 0},
-        "numberReturned": {"type": "integer", "minimum": 0},
-    },
-}
-#: 7.5.2 names the exception's code as required.
-REFUSAL: Schema = {
-    "type": "object",
-    "required": ["code", "detail"],
-    "properties": {"code": {"type": "string"}, "detail": {"type": "string", "minLength": 10}},
-    "additionalProperties": False,
-}
-#: 19-079r2, 6.2: a JSON Schema of an object whose properties are what may be asked for.
-QUERYABLES: Schema = {
-    "type": "object",
-    "required": ["$schema", "$id", "type", "properties"],
-    "properties": {
-        "$schema": {"enum": ["https://json-schema.org/draft/2019-09/schema", "https://json-schema.org/draft/2020-12/schema"]},
-        "$id": URI,
-        "type": {"const": "object"},
-        "properties": {"type": "object", "minProperties": 2},
-    },
-}  # fmt: skip
+ITEMS = obj(
+    "type features links numberMatched numberReturned", type={"const": "FeatureCollection"}, features=array(FEATURE, 0),
+    links=with_links("self"), numberMatched=COUNT, numberReturned=COUNT,
+)  # fmt: skip
+#: 7.5.2 requires the exception's code.
+PROBLEM = obj("code detail", code=TEXT, detail={"type": "string", "minLength": 10}) | {"additionalProperties": False}
+#: 19-079r2, 6.2: a JSON Schema of an object whose properties can be queried.
+QUERYABLES = obj("$schema $id type properties", **{
+    "$schema": {"enum": [f"https://json-schema.org/draft/{draft}/schema" for draft in ("2019-09", "2020-12")]},
+    "$id": URI, "type": {"const": "object"}, "properties": {"type": "object", "minProperties": 2},
+})  # fmt: skip
 #: 20-057: which tiling, of vectors, with the link to it and the template of its tiles.
-TILESET: Schema = {
-    "type": "object",
-    "required": ["dataType", "crs", "links"],
-    "properties": {
-        "dataType": {"const": "vector"},
-        "links": {
-            "allOf": [
-                with_links("self", "http://www.opengis.net/def/rel/ogc/1.0/tiling-scheme"),
-                {
-                    "contains": {
-                        "properties": {
-                            "rel": {"const": "tile"},
-                            "type": {"const": "application/vnd.mapbox-vector-tile"},
-                            "href": {"pattern": r"\{z\}/\{x\}/\{y\}$"},
-                        },
-                        "required": ["rel", "type", "href"],
-                    }
-                },
-            ]
-        },
-    },
-}
-TILESETS: Schema = {
-    "type": "object", "required": ["tilesets"], "properties": {"tilesets": {"type": "array", "minItems": 1, "items": TILESET}},
-}  # fmt: skip
-TILE_MATRIX_SETS: Schema = {
-    "type": "object",
-    "required": ["tileMatrixSets"],
-    "properties": {
-        "tileMatrixSets": {
-            "type": "array",
-            "minItems": 1,
-            "items": {
-                "required": ["id", "links"],
-                "properties": {"links": with_links("http://www.opengis.net/def/rel/ogc/1.0/tiling-scheme")},
-            },
-        }
-    },
-}
-TILEJSON: Schema = {
-    "type": "object",
-    "required": ["tilejson", "tiles", "vector_layers", "bounds"],
-    "properties": {
-        "tilejson": {"const": "3.0.0"},
-        "tiles": {"type": "array", "minItems": 1, "items": {"type": "string", "pattern": r"^http.*\{z\}/\{x\}/\{y\}"}},
-        "vector_layers": {"type": "array", "minItems": 1, "items": {"required": ["id", "fields"]}},
-        "bounds": DEGREES,
-        "minzoom": {"type": "integer", "minimum": 0, "maximum": 30},
-        "maxzoom": {"type": "integer", "minimum": 0, "maximum": 30},
-    },
-}
+TILESET = obj("dataType crs links", dataType={"const": "vector"}, links={"allOf": [
+    with_links("self", TILING_SCHEME),
+    {"contains": obj(
+        "rel type href", rel={"const": "tile"}, type={"const": "application/vnd.mapbox-vector-tile"},
+        href={"pattern": r"\{z\}/\{x\}/\{y\}$"},
+    )},
+]})  # fmt: skip
+TILESETS = obj("tilesets", tilesets=array(TILESET))
+TILE_MATRIX_SETS = obj("tileMatrixSets", tileMatrixSets=array(obj("id links", links=with_links(TILING_SCHEME))))
+TILEJSON = obj(
+    "tilejson tiles vector_layers bounds", tilejson={"const": "3.0.0"},
+    tiles=array({"type": "string", "pattern": r"^http.*\{z\}/\{x\}/\{y\}"}), vector_layers=array(obj("id fields")),
+    bounds=DEGREES, minzoom=COUNT | {"maximum": 30}, maxzoom=COUNT | {"maximum": 30},
+)  # fmt: skip

@@ -22,7 +22,7 @@ from conetl.model.drive_records import DriveRecords
 from conetl.model.map_records import Delta, DeltaKind, MapFeature, SightingEvidence
 from conetl.model.records import utc_from_ns
 from conetl.web.app import create_app
-from conetl.web.writing import Writer
+from conetl.web.decisions import Writer
 
 #: Box of samples.detections() in both images.
 BOX = (600, 180, 20, 30)
@@ -79,7 +79,7 @@ def two_drives(conn: Any, samples: SimpleNamespace, folder: Path) -> dict[str, M
 
 
 def missed(feature: MapFeature, at_ns: int, existence: float, frames_empty: int = 5) -> Delta:
-    """The drive looked for `feature` in vain and left it standing."""
+    """A drive that did not observe `feature` although it was visible, and kept it."""
     evidence = SightingEvidence(
         log_likelihood_ratio=-1.5, existence_probability=existence, frames_seen=0, frames_empty=frames_empty
     )
@@ -100,7 +100,7 @@ def serving(database_url: str, map_name: str, *, writer: Writer | None = None) -
     thread = threading.Thread(target=running.run, kwargs={"sockets": [listener]})
     thread.start()
     while not running.started:
-        assert thread.is_alive(), "the server ended by itself"
+        assert thread.is_alive(), "the server stopped"
         time.sleep(0.02)
     yield listener.getsockname()[1]
     running.should_exit = True

@@ -18,12 +18,12 @@ from tests.browser.test_view import (  # fixtures are used by their names
     click_cone,
     conn,  # noqa: F401
     features,  # noqa: F401
+    images,  # noqa: F401
     open_view,
     page,  # noqa: F401
-    picture,
-    pictures,  # noqa: F401
     pixels_of,
     pytestmark,  # noqa: F401
+    screenshot,
     settle,
 )
 from tests.unit.readers.test_base_layers import geojson, line
@@ -86,30 +86,30 @@ def test_points_and_lines_are_drawn_switched_off_and_coloured(page, address):  #
     page.wait_for_selector(f'html[data-lines="{LINE_COUNT}"]', state="attached")
     page.wait_for_selector("canvas[data-points]:not([data-points='0'])")
     took = time.monotonic() - started
-    print(f"first picture with {POINT_COUNT} points, {LINE_COUNT} lines: {took:.1f} s (software GL, settled)")
+    print(f"first view with {POINT_COUNT} points, {LINE_COUNT} lines: {took:.1f} s (software GL, settled)")
     all_drawn(page)
-    on = picture(page)
+    on = screenshot(page)
     assert reddish(on) > 3_000
     assert pixels_of(on, LINE) > 300
     page.click("label:has(#points)")
     settle(page)
-    without = picture(page)
+    without = screenshot(page)
     assert reddish(without) < reddish(on) / 10 and pixels_of(without, LINE) > 300
     assert page.get_attribute("canvas", "data-points") == "0"
     page.keyboard.press("2")
     settle(page)
-    assert pixels_of(picture(page), LINE) == 0
+    assert pixels_of(screenshot(page), LINE) == 0
     page.wait_for_timeout(200)  # of two choices in one go the second is written when they rest
     assert "points=0&lines=0" in page.url
     page.keyboard.press("1")
     page.keyboard.press("2")
     settle(page)
-    again = picture(page)
+    again = screenshot(page)
     assert reddish(again) > 3_000 and pixels_of(again, LINE) > 300
     page.evaluate("location.hash += '&colours=safe'")
     page.wait_for_selector("#safe-colours:checked")
     settle(page)
-    safe = picture(page)
+    safe = screenshot(page)
     assert reddish(safe) < 600  # markers of moved cones have some
     assert pixels_of(safe, SAFE_LINE) > 300 > pixels_of(safe, LINE)
 

@@ -17,7 +17,7 @@ from conetl.cli.view import decide_on
 from conetl.db.map.decision_store import list_decisions
 from conetl.db.map.map_store import read_current_features
 from conetl.pipeline.decisions import PIN, decide_place
-from conetl.web.writing import Writer
+from conetl.web.decisions import Writer
 from tests.browser.test_view import (  # fixtures are used by their names
     browser,  # noqa: F401
     click_cone,
@@ -100,14 +100,14 @@ def test_a_cone_is_suppressed_and_comes_back(page, conn):  # noqa: F811
     page.click("text=Drive by drive")
     page.wait_for_selector(".legend label[data-kind=suppressed]")
     assert TOKEN not in page.url + page.content()
-    fill_form(page, "Take back", "it is a cone")  # name and token are known by now
-    page.wait_for_selector(".decide-status.good >> text=Taken back.")
+    fill_form(page, "Withdraw", "it is a cone")  # name and token are known by now
+    page.wait_for_selector(".decide-status.good >> text=Withdrawn.")
     page.wait_for_selector(".legend label[data-kind=suppressed]", state="detached")
     conn.rollback()
     assert list_decisions(conn) == [] and one in {str(f.feature_id) for f in read_current_features(conn)}
 
 
-def test_what_somebody_else_decided_meanwhile_appears_and_is_a_conflict(page, conn):  # noqa: F811
+def test_a_concurrent_decision_appears_and_is_a_conflict(page, conn):  # noqa: F811
     one = the_one(conn, 3)
     click_cone(page, one)
     page.wait_for_selector(".decide-section button:text('Pin')")
@@ -148,7 +148,7 @@ def test_news_come_without_a_reload(page, conn, module_database_url, tmp_path: P
         while not (at := page.evaluate("(name) => window.seen[name]?.at", name)):
             assert time.monotonic() < deadline, f"{name} did not come: {page.evaluate('Object.keys(window.seen)')}"
             page.wait_for_timeout(20)
-        print(f"from commit to picture, {name}: {at / 1000 - committed:.2f} s")
+        print(f"from commit to view, {name}: {at / 1000 - committed:.2f} s")
 
     second = survey(1)
     conn.rollback()

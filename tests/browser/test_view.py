@@ -1,4 +1,4 @@
-"""`conetl view` in a real Chromium: what a person sees and does. Skipped, with the reason, where there is no browser."""
+"""`conetl view` in a real Chromium: what a person sees and does. Skipped without a browser."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def _free_port() -> int:
 
 def _wait_until_up(url: str, server: subprocess.Popen[bytes]) -> None:
     for _ in range(900):  # a busy machine imports slowly
-        assert server.poll() is None, "conetl view ended by itself"
+        assert server.poll() is None, "conetl view stopped"
         try:
             urllib.request.urlopen(url, timeout=1).close()
             return
@@ -63,13 +63,13 @@ def conn(module_database_url: str) -> Iterator[Any]:
 
 
 @pytest.fixture(scope="module")
-def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("pictures")
+def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("images")
 
 
 @pytest.fixture(scope="module")
-def features(conn: Any, samples: Any, pictures: Path) -> dict[str, str]:
-    return {name: str(f.feature_id) for name, f in two_drives(conn, samples, pictures).items()}
+def features(conn: Any, samples: Any, images: Path) -> dict[str, str]:
+    return {name: str(f.feature_id) for name, f in two_drives(conn, samples, images).items()}
 
 
 @pytest.fixture(scope="module")
@@ -97,13 +97,13 @@ def browser() -> Iterator[Any]:
 
 @pytest.fixture
 def page(browser: Any, address: str) -> Iterator[Any]:
-    """A page that must leave no error on its console and ask nobody but the server."""
+    """A page that must log no error and contact no other server."""
     tab = browser.new_page(viewport={"width": 1280, "height": 800})
     problems: list[str] = []
     own = (address, f"blob:{address}", "data:")
     tab.on("console", lambda m: problems.append(m.text) if m.type == "error" else None)
     tab.on("pageerror", lambda e: problems.append(str(e)))
-    tab.on("request", lambda r: None if r.url.startswith(own) else problems.append(f"asked {r.url}"))
+    tab.on("request", lambda r: None if r.url.startswith(own) else problems.append(f"requested {r.url}"))
     yield tab
     tab.close()
     assert problems == []
@@ -122,11 +122,11 @@ def settle(page: Any) -> None:
     while before != (now := page.get_attribute("canvas", "data-frames")):
         before = now
         page.wait_for_timeout(250)
-        # A picture that was asked for waits for the one that is still being drawn.
+        # A requested frame waits for the one that is still being drawn.
         page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
 
-def picture(page: Any) -> np.ndarray:
+def screenshot(page: Any) -> np.ndarray:
     """(H, W, 3) red, green, blue of the scene alone, without labels."""
     page.wait_for_timeout(100)
     data = page.locator("main.view").screenshot()
@@ -142,14 +142,14 @@ def click_cone(page: Any, feature_id: str) -> None:
     page.click("canvas", position={"x": float(x), "y": float(y)})
 
 
-def test_first_picture_comes_soon_and_shows_each_kind(page, address):
+def test_the_first_view_shows_each_kind(page, address):
     started = time.monotonic()
     page.goto(address)
     page.wait_for_selector('html[data-cones="4"]', state="attached")
     page.wait_for_selector("canvas[data-frames]")
-    print(f"first picture: {time.monotonic() - started:.1f} s (software GL)")
+    print(f"first view: {time.monotonic() - started:.1f} s (software GL)")
     settle(page)
-    image = picture(page)
+    image = screenshot(page)
     assert pixels_of(image, ADDED) > 40
     assert pixels_of(image, MOVED) > 40
     legend = page.locator(".legend label")
@@ -157,13 +157,13 @@ def test_first_picture_comes_soon_and_shows_each_kind(page, address):
     assert page.locator(".label").inner_text() == "1.50 m"
 
 
-def test_the_slider_changes_the_picture(page, address):
+def test_the_slider_changes_the_drive(page, address):
     open_view(page, address)
-    second = picture(page)
+    second = screenshot(page)
     page.locator(".changeset-slider").press("ArrowLeft")
     page.wait_for_selector('html[data-cones="3"]', state="attached")
     settle(page)
-    first = picture(page)
+    first = screenshot(page)
     assert "drive_1" in page.locator(".drive-text").inner_text()
     assert pixels_of(first, MOVED) == 0 < pixels_of(second, MOVED)
     assert pixels_of(first, ADDED) > 2 * pixels_of(second, ADDED)  # all three are new in the first drive
@@ -174,12 +174,12 @@ def test_before_changes_after(page, address):
     page.click("text=Before")
     page.wait_for_selector("text=standing")
     settle(page)
-    assert (pixels_of(picture(page), ADDED), pixels_of(picture(page), MOVED)) == (0, 0)
+    assert (pixels_of(screenshot(page), ADDED), pixels_of(screenshot(page), MOVED)) == (0, 0)
     page.click("button:text-is('After')")
     page.wait_for_selector(".legend >> text=new")
     settle(page)
     assert page.locator(".legend label").all_inner_texts() == ["new\n1", "moved\n1", "confirmed\n1"]
-    assert pixels_of(picture(page), ADDED) > 40
+    assert pixels_of(screenshot(page), ADDED) > 40
 
 
 def test_compare_and_any_time(page, address, samples):
@@ -194,10 +194,10 @@ def test_compare_and_any_time(page, address, samples):
     time_input.fill(f"{utc_from_ns(samples.START_NS):%Y-%m-%d} 07:00:00")
     time_input.press("Enter")
     page.wait_for_selector('html[data-cones="0"]', state="attached")
-    assert "No cone stood on the road then" in page.locator(".legend").inner_text()
+    assert "No cones on the road at this time" in page.locator(".legend").inner_text()
 
 
-def test_click_shows_history_and_pictures(page, address, features):
+def test_a_click_shows_history_and_images(page, address, features):
     open_view(page, address)
     click_cone(page, features["wanders"])
     page.wait_for_selector("figure img >> nth=1")
@@ -214,7 +214,7 @@ def test_click_shows_history_and_pictures(page, address, features):
     page.wait_for_selector(".panel", state="hidden")
 
 
-def test_a_link_restores_the_picture(page, address, features, browser):
+def test_a_link_restores_the_view(page, address, features, browser):
     open_view(page, address)
     page.click("canvas", position={"x": 20, "y": 20})
     for key in ("-", "-", "+", "Shift+ArrowLeft", "ArrowRight"):
@@ -228,12 +228,12 @@ def test_a_link_restores_the_picture(page, address, features, browser):
     page.wait_for_timeout(300)
     link = page.url
     assert re.search(r"feature=[0-9a-f-]{36}.*cam=", link)
-    wanted = picture(page)
+    wanted = screenshot(page)
     again = browser.new_page(viewport={"width": 1280, "height": 800})
     again.goto(link)
     again.wait_for_selector("figure img >> nth=1")
     settle(again)
-    assert (np.abs(picture(again) - wanted).max(axis=2) > 40).mean() < 0.002
+    assert (np.abs(screenshot(again) - wanted).max(axis=2) > 40).mean() < 0.002
     assert features["comes"][:8] in again.locator(".panel h2").inner_text()
     again.close()
 
@@ -283,7 +283,7 @@ def test_filters_hide_cones_and_search_finds_one(page, address, features):
     page.locator(".legend label[data-kind=moved] input").uncheck()
     page.wait_for_selector('html[data-cones="3"]', state="attached")
     settle(page)
-    assert pixels_of(picture(page), MOVED) == 0
+    assert pixels_of(screenshot(page), MOVED) == 0
     page.locator("#probability").fill("0.8")
     page.wait_for_selector('html[data-cones="2"]', state="attached")
     page.fill("#search", features["stays"][:9])
@@ -291,16 +291,16 @@ def test_filters_hide_cones_and_search_finds_one(page, address, features):
     page.wait_for_selector(f"h2:text-is('{features['stays'][:8]}')")
 
 
-def test_an_unknown_map_is_told_apart_from_an_empty_one(page, address):
+def test_an_unknown_map_differs_from_an_empty_one(page, address):
     page.goto(f"{address}#map=nowhere")
     card = page.locator(".card")
     card.get_by_text("There is no map “nowhere”").wait_for()
     assert "This database holds “default”" in card.inner_text()
 
 
-def test_server_trouble_is_said_and_can_be_retried(browser, address):
+def test_a_server_error_is_shown_and_can_be_retried(browser, address):
     tab = browser.new_page(viewport={"width": 1280, "height": 800})
-    tab.route("**/events", lambda route: route.abort())  # else its news bring the map back before the click
+    tab.route("**/events", lambda route: route.abort())  # else an event loads the map before the click
     tab.route("**/timeline", lambda route: route.fulfill(status=503, json={"detail": "The database is busy."}))
     tab.goto(address)
     tab.wait_for_selector(".card >> text=The database is busy.")
@@ -311,7 +311,7 @@ def test_server_trouble_is_said_and_can_be_retried(browser, address):
     tab.close()
 
 
-def test_a_new_changeset_appears_by_itself(page, address, conn, samples, pictures, features):
+def test_a_new_changeset_appears_without_a_reload(page, address, conn, samples, images, features):
     """Last in this file: it changes the map."""
     open_view(page, address)
     page.wait_for_selector(".status[data-status=live]")
@@ -319,21 +319,19 @@ def test_a_new_changeset_appears_by_itself(page, address, conn, samples, picture
     at_ns = samples.START_NS + 2 * samples.DAY_NS + 7
     [stays] = [f for f in read_current_features(conn) if str(f.feature_id) == features["stays"]]
     late = cone(samples, "late", 12.0, day=2)
-    commit(conn, samples, pictures, "3", 2, samples.added(late), missed(stays, at_ns, 0.8))
+    commit(conn, samples, images, "3", 2, samples.added(late), missed(stays, at_ns, 0.8))
     committed = time.monotonic()
     page.wait_for_selector("text=drive_3 was committed: 1 new")
     page.wait_for_selector(".drive-text >> text=drive_3")
-    print(f"from commit to picture: {time.monotonic() - committed:.1f} s")
+    print(f"from commit to view: {time.monotonic() - committed:.1f} s")
     assert page.evaluate("window.notReloaded") is True
-    page.wait_for_selector(".legend label >> text=looked for in vain")  # the changes come a request after the drive
-    assert page.locator(".legend label").all_inner_texts() == ["new\n1", "looked for in vain\n1", "not judged\n2"]
+    page.wait_for_selector(".legend label >> text=not observed")  # the changes come a request after the drive
+    assert page.locator(".legend label").all_inner_texts() == ["new\n1", "not observed\n1", "not evaluated\n2"]
     settle(page)
-    assert pixels_of(picture(page), MISSED) > 40
+    assert pixels_of(screenshot(page), MISSED) > 40
     click_cone(page, features["stays"])
-    page.wait_for_selector(".panel >> text=seen by 2 drives, looked in vain by 1")
+    page.wait_for_selector(".panel >> text=observed by 2 drives, not observed by 1 drive")
     assert [row.splitlines()[0] for row in page.locator(".history button").all_inner_texts()] == [
-        "new · version 1", "confirmed · version 2", "looked for in vain in 5 frame pairs",
+        "new · version 1", "confirmed · version 2", "not observed in 5 frame pairs",
     ]  # fmt: skip
-    assert (
-        "drive_3 looked for it in vain in 5 frame pairs, but not surely enough" in page.locator(".notice").inner_text()
-    )
+    assert "drive_3 did not observe it in 5 frame pairs although it was visible" in page.locator(".notice").inner_text()

@@ -97,7 +97,7 @@ def test_what_cannot_be_meant_is_refused(tmp_path: Path) -> None:
     for words, message in (
         ((tmp_path / "x",), "no such folder"),
         ((tmp_path,), "left/ and right/"),
-        ((tmp_path, "--left-pattern", "l*.png"), "belong together"),
+        ((tmp_path, "--left-pattern", "l*.png"), "require each other"),
         ((tmp_path, "--sensor-mm", "24"), "width x height"),
         ((tmp_path, "--pairing", "even-odd"), "no pair"),
     ):

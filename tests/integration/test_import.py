@@ -6,7 +6,6 @@ import csv
 import json
 import math
 import struct
-from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import permutations
 from uuid import UUID
@@ -167,22 +166,6 @@ def test_a_sequence_with_a_broken_row_is_refused_as_a_whole(tmp_path, row, text,
         read_map_file(path, PARAMS, map_srid=32632)
 
 
-@pytest.mark.parametrize("stated_ms", [1_772_352_000_123, 1_772_352_000_124])
-def test_geojson_that_was_imported_in_milliseconds_is_on_the_map_already(conn, tmp_path, stated_ms):
-    """GDAL rounded its times, to either side at halves."""
-    path = geojson(tmp_path / "a.geojson", [(GOOD[0], {"last_seen_at": "2026-03-01T08:00:00.123500Z"})])
-    read = read_map_file(path, PARAMS, map_srid=32632)
-    [statement] = read.statements
-    cut_ns = stated_ms * 1_000_000
-    feature = statement.feature.model_copy(update={"first_seen_ns": cut_ns, "last_seen_ns": cut_ns})
-    statement = statement.model_copy(update={"feature": feature, "valid_from_ns": cut_ns})
-    assert import_map(
-        conn, replace(read, stated_at_ns=cut_ns, statements=[statement]), PARAMS, map_name="default"
-    ).committed
-    assert not take(conn, path).committed
-    assert len(list_changesets(conn)) == 1
-
-
 def test_drives_confirm_move_and_remove_imported_cones(conn, tmp_path):
     """A cone list of the first day, the drive of the second: as if a drive had been there."""
     path = tmp_path / "plan.csv"
@@ -302,25 +285,6 @@ def plain_csv(folder):
     rows = [",".join(map(str, place_of(cone))) for cone in DAYS[0]]
     path.write_text("\n".join(["easting_m,northing_m,ellipsoidal_height_m", *rows]))
     return path
-
-
-def test_ids_founded_before_they_told_of_the_map_are_kept(conn, tmp_path):
-    """Ids once followed from file and row alone. A map that has them keeps them, also for other parameters of the same file."""
-    path = plain_csv(tmp_path)
-    options = {"crs": "EPSG:32632", "stated_at": datetime(2026, 3, 1, tzinfo=UTC)}
-    read = read_map_file(path, PARAMS, map_srid=32632, **options)
-    import_map(conn, replace(read, founds_ids=False), PARAMS, map_name="default")  # as it was written down then
-    ids = [statement.feature.feature_id for statement in read.statements]
-    before = valid_time_map(conn)
-    assert sorted(feature.feature_id for feature in read_current_features(conn)) == sorted(ids)
-    conn.rollback()
-    assert not take(conn, path, **options).committed
-    assert valid_time_map(conn) == before
-    assert take(conn, path, params=ImportParams(sigma_m=0.4), **options).committed
-    assert sorted(feature.feature_id for feature in read_current_features(conn)) == sorted(ids)
-    conn.rollback()
-    assert take(conn, path, map_name="test", **options).committed
-    assert audited(conn) == []
 
 
 def test_a_file_whose_founded_ids_stand_elsewhere_says_what_helps(conn, tmp_path):

@@ -41,7 +41,7 @@ def test_differences_between_changesets_and_times(conetl, tmp_path):
     assert [(c["feature_id"], c["old"], c["new"]) for c in late] == [
         (c["feature_id"], c["new"], c["old"]) for c in back
     ]
-    assert conetl("map", "diff", 3, 3).strip() == "No difference."
+    assert conetl("map", "diff", 3, 3).strip() == "No differences."
     drawn = tmp_path / "diff.png"
     assert str(drawn) in conetl("map", "diff", 2, 3, "--picture", drawn).replace("\n", "")
     assert cv2.imread(str(drawn)).std() > 5
@@ -57,7 +57,7 @@ def test_differences_between_changesets_and_times(conetl, tmp_path):
     assert "has no changeset 9" in conetl("map", "diff", 9, 3, code=2)
 
 
-def test_a_miss_is_told_as_one(conetl, conn, samples, tmp_path):
+def test_a_miss_is_reported_as_one(conetl, conn, samples, tmp_path):
     """In the table, the GeoJSON and JSON; the image has a mark of its own for it."""
     there = cone(samples, "there", 400.0)
     commit(conn, samples, tmp_path, "a", 10, samples.added(there, changed_at_ns=START_NS + 10 * DAY_NS))
@@ -85,7 +85,7 @@ def test_decisions_through_the_command_line(conetl):
     assert len(json.loads(conetl("map", "show", "--json"))["features"]) == len(features)
 
     reverted = conetl("map", "revert", 3, "--note", "wrong GNSS")
-    assert "what they saw is kept" in reverted
+    assert "their changes are kept" in reverted
     assert "does not count" in conetl("map", "log")
     assert "already" in conetl("map", "revert", 3, code=2)
     assert "no changeset" in conetl("map", "revert", 99, code=2)

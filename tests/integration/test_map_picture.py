@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 
 import pytest
-from conetl.cli.map.image import _ways
 from typer.testing import CliRunner
 
 from conetl.cli.app import app
 from conetl.db.map.map_store import list_changesets
 from conetl.model.errors import InputError
+from conetl.reports.map_content import drive_paths
 from tests.integration.drives_of_days import merge, survey
 from tests.view_map import two_drives
 
@@ -19,7 +19,7 @@ from tests.view_map import two_drives
 def run(database_url, conn, samples, tmp_path):
     two_drives(conn, samples, tmp_path / "images")
     environment = {"CONETL_DATABASE_URL": database_url, "CONETL_HOME": str(tmp_path / "home")}
-    return lambda *words: CliRunner().invoke(app, ["map", "image", *words], env=environment)
+    return lambda *words: CliRunner().invoke(app, ["map", "picture", *words], env=environment)
 
 
 def test_the_map_of_a_time_changes_and_a_place_in_degrees(run, tmp_path):
@@ -51,10 +51,14 @@ def test_the_map_of_a_time_changes_and_a_place_in_degrees(run, tmp_path):
         assert not out.exists()
 
 
-def test_a_image_shows_the_paths_that_its_state_knows_of(conn):
+def test_a_picture_shows_the_paths_of_its_state(conn):
     for day in (0, 1):
         merge(conn, survey(day))
     changesets = list_changesets(conn)  # newest first
-    assert len(_ways(conn, "default", None, None)) == len(_ways(conn, "default", None, changesets[0].committed_at)) == 2
-    assert len(_ways(conn, "default", None, changesets[1].committed_at)) == 1
+    assert (
+        len(drive_paths(conn, "default", None, None))
+        == len(drive_paths(conn, "default", None, changesets[0].committed_at))
+        == 2
+    )
+    assert len(drive_paths(conn, "default", None, changesets[1].committed_at)) == 1
     conn.rollback()

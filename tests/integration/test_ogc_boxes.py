@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 from dataclasses import replace
 
 import asyncpg
@@ -15,7 +14,7 @@ from hypothesis import strategies as st
 from conetl.db.connection import connect, execute, execute_count
 from conetl.db.ogc_store import MapDirectory, part_of_map, rows_near, rows_within
 from conetl.geometry.geodesy import to_geodetic, to_map
-from conetl.web.ogc.collections import AsOfCollection, Instants, features_of
+from conetl.web.ogc.collections import Instants, features_of
 
 FEATURE_COUNT = 300
 #: Of each map: its CRS, and around where (lon, lat) its cones lie how far (degrees).
@@ -111,22 +110,11 @@ class Maps:
         parameters = dict(zip(("west", "south", "east", "north"), box, strict=True)) | {"map": name}
         return [(row["id"], row["place"]) for row in execute(self.conn, _DEFINITION, parameters)]
 
-    def page(self, name, box, way, limit, offset):
+    def page(self, name, box, way, limit, offset, **asked):
         share, version_count = WAYS[way]
         served = replace(self.served[name], share=share, version_count=version_count)
-        asked = {"ids": None, "interval": None, "values": [], "sortby": None, "properties": ["category"]}
-        asked |= {"box": box, "limit": limit, "offset": offset, "links": ('[{"href":"', '"}]')}
-        page = self.run(features_of(served, Instants()).page(self.reader, **asked))
-        items = json.loads(b"[%b]" % page.items)
-        assert page.returned == len(items)
-        return [(item["id"], item["geometry"]["coordinates"]) for item in items], page.matched
-
-    def table(self, name, box, way, limit, offset, **asked):
-        """A page for the forms that are no GeoJSON."""
-        share, version_count = WAYS[way]
-        served = replace(self.served[name], share=share, version_count=version_count)
-        asked = {"bbox_filter": box, "limit": limit, "offset": offset, "geom_as_wkt": True} | asked
-        return self.run(features_of(served, Instants()).features(self.reader, **asked))
+        asked = {"box": box, "limit": limit, "offset": offset} | asked
+        return self.run(features_of(served, Instants()).page(self.reader, **asked))
 
 
 @pytest.fixture(scope="module")
@@ -166,7 +154,9 @@ def test_a_box_holds_what_its_definition_says_whichever_way_it_is_found(maps, as
         box = tuple(cones[len(cones) // 2][1][edge % 2] if k == edge else value for k, value in enumerate(box))
         cones = maps.defined(name, box)
     for way in WAYS:
-        assert maps.page(name, box, way, limit, offset) == (cones[offset : offset + limit], len(cones)), way
+        page = maps.page(name, box, way, limit, offset, properties=["category"], links=('[{"href":"', '"}]'))
+        found = [(item["id"], item["geometry"]["coordinates"]) for item in page.parsed()]
+        assert (found, page.returned, page.matched) == (cones[offset : offset + limit], len(found), len(cones)), way
 
 
 @pytest.mark.parametrize("name", [name for name in MAPS if name != "dateline"])
@@ -196,32 +186,33 @@ ASKED = (
     {},
     {"sortby": "-easting_m"},
     {"sortby": "category", "properties": ["category", "seen_count", "valid_from"]},
-    {"properties_filter": [("version", "1")]},
-    {"properties_filter": [("version", "2")]},
+    {"values": [("version", "1")]},
+    {"values": [("version", "2")]},
     {"sortby": "-seen_count"},
-    {"properties_filter": [("missed_count", "0")], "sortby": "northing_m"},
+    {"values": [("missed_count", "0")], "sortby": "northing_m"},
 )
 
 
 @pytest.mark.parametrize("asked", ASKED, ids=str)
 @pytest.mark.parametrize("way", ["many", "most"])
 @pytest.mark.parametrize(("limit", "offset"), [(7, 0), (7, 5), (1000, 0), (10, 290), (10, 1000)])
-def test_a_table_of_a_large_part_of_a_large_map_is_that_of_a_small_one(maps, asked, way, limit, offset):
+def test_a_page_of_a_large_part_of_a_large_map_is_that_of_a_small_one(maps, asked, way, limit, offset):
     for name in MAPS:
         for box in (None, (MAPS[name][1] - 0.1, -90.0, 179.0, 90.0)):
-            expected = maps.table(name, box, "few", limit, offset, **asked)
-            assert maps.table(name, box, way, limit, offset, **asked) == expected
+            assert maps.page(name, box, way, limit, offset, **asked) == maps.page(
+                name, box, "few", limit, offset, **asked
+            )
 
 
-def test_a_table_of_a_large_map_looks_no_feature_up_to_count_it(maps, monkeypatch):
-    """A million of them took 4 s, and to keep them all in order as much again."""
-    whole = maps.table("town", None, "few", 10, 0)
-    assert (len(whole["items"]), whole["matched"], whole["next"]) == (10, FEATURE_COUNT, 10)
-    [one] = maps.table("town", None, "most", None, None, ids_filter=[str(whole["items"][3]["id"])])["items"]
-    assert one == whole["items"][3]
+def test_a_page_of_a_large_map_reads_the_evidence_of_its_items_only(maps, monkeypatch):
+    """Of a million features it took 4 s, and to sort them all as much again."""
+    whole = maps.page("town", None, "few", 10, 0)
+    assert (whole.returned, whole.matched) == (10, FEATURE_COUNT)
+    item = whole.parsed()[3]
+    assert maps.page("town", None, "most", 1, 0, ids=[item["id"]]).parsed() == [item]
 
-    def count(*_, **__):
-        raise AssertionError("every feature is looked up")
+    async def read_all(*_, **__):
+        raise AssertionError("every feature is read")
 
-    monkeypatch.setattr(AsOfCollection, "_features_count_query", count)
-    assert maps.table("town", None, "most", 10, 0) == whole
+    monkeypatch.setattr("conetl.db.ogc_store.count_features", read_all)
+    assert maps.page("town", None, "most", 10, 0) == whole

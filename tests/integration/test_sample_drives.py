@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from conetl.cli.tools.drive_results import analyse_folder
-from conetl.cli.tools.truth_table import read_truth_cones
 from conetl.evaluation.accuracy import PointErrors, members_of, pooled_consistency, position_errors
+from conetl.evaluation.table_3 import read_truth_cones
 from conetl.evaluation.truth import compare_with_truth
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.params import IngestParams

@@ -177,7 +177,7 @@ def test_a_folder_that_never_becomes_a_drive_is_an_error(
     (tmp_path / "drive").mkdir()
     result = CliRunner().invoke(app, ["watch", str(tmp_path / "drive"), "--idle-seconds", "0.3"])
     assert isinstance(result.exception, DriveFolderError)
-    assert "nothing came that makes it a drive" in str(result.exception)
+    assert "no drive was recorded here" in str(result.exception)
 
 
 def test_a_pair_is_asked_for_its_place_until_it_has_one(

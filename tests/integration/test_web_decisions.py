@@ -1,4 +1,4 @@
-"""Decisions through the web view: only holders of the writer token write, conflicts are told, and what is written lasts."""
+"""Decisions through the web view: only holders of the writer token write, and conflicts are reported."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from conetl.db.connection import connect, execute
 from conetl.model.errors import InputError
 from conetl.pipeline.settings import Settings
 from conetl.web.app import create_app
-from conetl.web.writer_token import checked_token, make_writer_token, read_writer_token
-from conetl.web.writing import MAX_BODY_BYTES, Writer
+from conetl.web.decisions import Writer
+from conetl.web.security import MAX_BODY_BYTES, checked_token, make_writer_token, read_writer_token
 from tests.integration.drives_of_days import merge, survey
 
 TOKEN = "a-token-that-nobody-guesses"
@@ -40,8 +40,8 @@ def client(module_database_url):
     conn.close()
 
 
-def post(client, wish, status=201, token=TOKEN, **headers):
-    answer = client.post(PATH, json=wish, headers={"Authorization": f"Bearer {token}", "Origin": OWN, **headers})
+def post(client, request, status=201, token=TOKEN, **headers):
+    answer = client.post(PATH, json=request, headers={"Authorization": f"Bearer {token}", "Origin": OWN, **headers})
     assert answer.status_code == status, answer.text
     return answer.json()
 
@@ -50,28 +50,28 @@ def standing(client):
     return client.get("/api/maps/default/features").json()["features"]
 
 
-def wish_for(feature, kind="suppress", **changes):
+def request_for(feature, kind="suppress", **changes):
     about = {"kind": kind, "feature_id": feature["feature_id"], "expected_version": feature["version"]}
     return {**about, "decided_by": "Ada Müller", "reason": "a bollard", **changes}
 
 
-def taken_back(client, decision):
-    wish = {"kind": "withdraw", "decision_id": decision["decision_id"], "decided_by": "Ada", "reason": "not so"}
-    return post(client, wish)
+def withdrawn(client, decision):
+    request = {"kind": "withdraw", "decision_id": decision["decision_id"], "decided_by": "Ada", "reason": "not so"}
+    return post(client, request)
 
 
-def test_a_suppressed_cone_is_gone_its_decision_is_told_and_taken_back(client):
+def test_a_suppressed_cone_is_gone_until_the_decision_is_withdrawn(client):
     before = standing(client)
-    done = post(client, wish_for(before[0]))
+    done = post(client, request_for(before[0]))
     assert done["kind"] == "suppress" and done["versions_written"] == before[0]["version"] == 2
     assert {f["feature_id"] for f in standing(client)} == {f["feature_id"] for f in before[1:]}
     answer = client.get(PATH).json()
-    [told] = answer["decisions"]
+    [listed] = answer["decisions"]
     assert answer["writable"] is True
-    assert (told["kind"], told["decided_by"], told["reason"]) == ("suppress", "Ada Müller", "a bollard")
-    assert told["feature_id"] == before[0]["feature_id"]
-    assert told["xy_m"] == pytest.approx(before[0]["xyz_m"][:2], abs=1e-3)
-    assert taken_back(client, done)["kind"] == "withdraw"
+    assert (listed["kind"], listed["decided_by"], listed["reason"]) == ("suppress", "Ada Müller", "a bollard")
+    assert listed["feature_id"] == before[0]["feature_id"]
+    assert listed["xy_m"] == pytest.approx(before[0]["xyz_m"][:2], abs=1e-3)
+    assert withdrawn(client, done)["kind"] == "withdraw"
     assert standing(client) == before
     assert client.get(PATH).json()["decisions"] == []
 
@@ -80,18 +80,18 @@ def test_pin_and_unpin_every_cone_that_stands_by_the_version_of_its_history(clie
     feature = standing(client)[-1]
     history = client.get(f"/api/maps/default/features/{feature['feature_id']}").json()["history"]
     assert history[-1]["version"] == feature["version"]
-    done = post(client, wish_for(feature, "pin", radius_m=0.5))
-    again = post(client, wish_for(feature, "pin"), 409)
+    done = post(client, request_for(feature, "pin", radius_m=0.5))
+    again = post(client, request_for(feature, "pin"), 409)
     assert "already" in again["detail"] and again["now"]["version"] == feature["version"]
-    taken_back(client, done)
-    assert "does not hold any more" in post(
+    withdrawn(client, done)
+    assert "is not in force any more" in post(
         client, {"kind": "withdraw", "decision_id": done["decision_id"], "decided_by": "Ada", "reason": "again"}, 409
     )["detail"]  # fmt: skip
 
 
-def test_a_conflict_tells_what_is_there_now_and_writes_nothing(client):
+def test_a_conflict_reports_the_current_state_and_writes_nothing(client):
     feature = standing(client)[0]
-    answer = post(client, wish_for(feature, expected_version=feature["version"] + 1), 409)
+    answer = post(client, request_for(feature, expected_version=feature["version"] + 1), 409)
     assert "changed meanwhile" in answer["detail"]
     assert (answer["now"]["version"], answer["now"]["xyz_m"]) == (feature["version"], feature["xyz_m"])
     assert client.get(PATH).json()["decisions"] == []
@@ -100,19 +100,19 @@ def test_a_conflict_tells_what_is_there_now_and_writes_nothing(client):
 def test_a_changeset_is_reverted_and_comes_back(client):
     [first, second] = client.get("/api/maps/default/timeline").json()["changesets"]
     before = standing(client)
-    wish = {
+    request = {
         "kind": "revert",
         "changeset_id": second["changeset_id"],
         "decided_by": "Ada",
         "reason": "wrong calibration",
     }
-    done = post(client, wish)
+    done = post(client, request)
     timeline = client.get("/api/maps/default/timeline").json()["changesets"]
     assert [c["counts"] for c in timeline] == [True, False]
     assert standing(client) != before
     assert client.get(PATH).json()["decisions"][0]["drive_id"] == second["drive_id"]
-    assert "reverted already" in post(client, wish, 409)["detail"]
-    taken_back(client, done)
+    assert "reverted already" in post(client, request, 409)["detail"]
+    withdrawn(client, done)
     assert standing(client) == before
     assert first["counts"]
 
@@ -120,28 +120,23 @@ def test_a_changeset_is_reverted_and_comes_back(client):
 @pytest.mark.parametrize(
     ("status", "headers"),
     [
-        (401, {"Authorization": "Bearer a-token-that-nobody-guesseD"}),
-        (401, {"Authorization": f"Basic {TOKEN}"}),
-        (401, {"Authorization": "Bearer ä" * 3}),
-        (401, {"Authorization": ""}),
-        (403, {"Origin": "http://evil.example"}),
-        (403, {"Origin": "null"}),
-        (403, {"Origin": "http://127.0.0.1:1"}),
+        (401, {"Authorization": "Bearer a-token-that-nobody-guesseD"}), (401, {"Authorization": f"Basic {TOKEN}"}),
+        (401, {"Authorization": "Bearer ä" * 3}), (401, {"Authorization": ""}),
+        (403, {"Origin": "http://evil.example"}), (403, {"Origin": "null"}), (403, {"Origin": "http://127.0.0.1:1"}),
         (403, {"Sec-Fetch-Site": "cross-site"}),
-        (415, {"Content-Type": "text/plain"}),
-        (415, {"Content-Type": "application/x-www-form-urlencoded"}),
+        (415, {"Content-Type": "text/plain"}), (415, {"Content-Type": "application/x-www-form-urlencoded"}),
         (413, {"Content-Length": str(MAX_BODY_BYTES + 1)}),
     ],
-)
+)  # fmt: skip
 def test_nobody_else_writes(client, module_database_url, status, headers):
-    wish = json.dumps(wish_for(standing(client)[0])).encode()
+    request = json.dumps(request_for(standing(client)[0])).encode()
     good = {"Authorization": f"Bearer {TOKEN}", "Origin": OWN, "Content-Type": "application/json"}
     sent = {name: value.encode() for name, value in {**good, **headers}.items()}
-    answer = client.post(PATH, content=wish, headers=sent)
+    answer = client.post(PATH, content=request, headers=sent)
     assert answer.status_code == status, answer.text
     assert TOKEN not in answer.text
     assert client.get(PATH).json()["decisions"] == []
-    in_the_address = client.post(f"{PATH}?token={TOKEN}&access_token={TOKEN}", json=wish_for(standing(client)[0]))
+    in_the_address = client.post(f"{PATH}?token={TOKEN}&access_token={TOKEN}", json=request_for(standing(client)[0]))
     assert in_the_address.status_code == 401
 
 
@@ -153,21 +148,21 @@ def test_nobody_else_writes(client, module_database_url, status, headers):
         {"extra": 1},
     ],
 )  # fmt: skip
-def test_a_decision_that_says_too_little_or_too_much_is_refused(client, changes):
-    post(client, wish_for(standing(client)[0], **changes), 422)
+def test_invalid_decisions_are_refused(client, changes):
+    post(client, request_for(standing(client)[0], **changes), 422)
     assert client.get(PATH).json()["decisions"] == []
 
 
-def test_what_is_not_known_is_not_found(client):
-    answer = post(client, wish_for({"feature_id": str(uuid4()), "version": 1}), 404)
-    assert "there is no feature" in answer["detail"]
+def test_an_unknown_feature_is_not_found(client):
+    answer = post(client, request_for({"feature_id": str(uuid4()), "version": 1}), 404)
+    assert "There is no feature" in answer["detail"]
 
 
 def test_a_server_without_a_token_writes_nothing(client, module_database_url):
     with TestClient(create_app(module_database_url, "default"), base_url=OWN) as reading:
         assert reading.get(PATH).json()["writable"] is False
         for token in ("", TOKEN, "None"):
-            assert "takes no decisions" in post(reading, wish_for(standing(client)[0]), 403, token=token)["detail"]
+            assert "is read-only" in post(reading, request_for(standing(client)[0]), 403, token=token)["detail"]
         paths = reading.get("/api/openapi.json").json()["paths"]
         writing = [
             (path, method) for path, methods in paths.items() for method in methods if method not in {"get", "head"}
@@ -178,7 +173,7 @@ def test_a_server_without_a_token_writes_nothing(client, module_database_url):
     conn.close()
 
 
-def test_the_token_lies_where_only_its_owner_reads_it(tmp_path: Path):
+def test_only_its_owner_reads_the_token(tmp_path: Path):
     path = make_writer_token(tmp_path / "home")
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     token = read_writer_token(path)
@@ -196,7 +191,7 @@ def test_the_token_lies_where_only_its_owner_reads_it(tmp_path: Path):
         assert not short or short not in str(refused.value)
 
 
-def test_only_a_server_that_was_told_to_takes_decisions_and_none_prints_its_token(tmp_path: Path, capfd):
+def test_only_a_server_with_a_token_accepts_decisions_and_none_prints_it(tmp_path: Path, capfd):
     home = Settings(home=tmp_path / "home")
     assert writer_of(home, "", on_request=False, token_file=None) is None
     assert not (tmp_path / "home").exists()

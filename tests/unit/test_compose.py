@@ -1,4 +1,4 @@
-"""compose.yaml and prefect.yaml: what can be known of them without running them."""
+"""compose.yaml and prefect.yaml, checked without running them."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ def test_services_wait_for_services_that_exist() -> None:
                 assert "healthcheck" in services[other], f"{other} has no healthcheck"
 
 
-def test_every_variable_is_told_at_the_head_or_has_a_default() -> None:
+def test_every_variable_is_explained_at_the_top_or_has_a_default() -> None:
     text = (ROOT / "compose.yaml").read_text(encoding="utf-8")
     head = text[: text.index("name: conetl")]
     for variable, default in re.findall(r"(?<!\$)\$\{([A-Z_]+)(:-[^}]*)?", text):
-        assert default or variable in head, f"{variable} is not told in the head of compose.yaml"
+        assert default or variable in head, f"{variable} is not explained at the top of compose.yaml"
 
 
 def test_only_the_proxy_is_reached_from_outside() -> None:

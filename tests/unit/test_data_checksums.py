@@ -1,4 +1,4 @@
-"""What `data/README.md` tells users to check the shipped files with holds for every file that the program reads."""
+"""data/SHA256SUMS holds for every shipped file."""
 
 from __future__ import annotations
 

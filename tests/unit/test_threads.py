@@ -1,4 +1,4 @@
-"""Linear algebra in a task leaves the other cores to the other tasks."""
+"""Linear algebra uses one thread per task."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def threads_after(first: str, environment: dict[str, str]) -> int:
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="threads are counted in /proc")
-def test_linear_algebra_takes_one_thread_unless_asked_for_more() -> None:
+def test_linear_algebra_uses_one_thread_unless_configured() -> None:
     if threads_after("sys", {}) == 1:
-        pytest.skip("here linear algebra takes one thread by itself")
+        pytest.skip("linear algebra is single-threaded here")
     assert threads_after("conetl", {}) == 1
     assert threads_after("conetl", {"OPENBLAS_NUM_THREADS": "2"}) > 1

@@ -1,4 +1,4 @@
-// The server's answers (src/conetl/web/models.py) and how to ask for them. Lengths in metres, places as offsets from origin_m.
+// Requests and answers of the server (src/conetl/web/models.py). Lengths in metres, positions as offsets from origin_m.
 
 export type Vec3 = [number, number, number];
 /** What a drive did to a cone; "unchanged" only between two instants. */
@@ -33,7 +33,7 @@ export interface TimelineItem {
   merged_count: number;
   frame_pair_count: number;
   rejection_count: number;
-  /** False where it was reverted, or a later analysis of the same recording took its place. */
+  /** False if it was reverted, or a later analysis of the same recording replaced it. */
   counts: boolean;
 }
 
@@ -48,46 +48,31 @@ export interface Feature {
   feature_id: string;
   version: number;
   xyz_m: Vec3;
-  cov_m2: number[];
   cone_height_m: number;
   existence_probability: number;
   observation_count: number;
 }
 
-export interface Change {
-  feature_id: string;
+export interface Change extends Feature {
   kind: ChangeKind;
   shift_m: number | null;
   old_xyz_m: Vec3 | null;
-  xyz_m: Vec3;
-  cone_height_m: number;
-  existence_probability: number;
-  observation_count: number;
-  version: number;
 }
 
-export interface HistoryItem {
+export interface HistoryItem extends Omit<Change, "feature_id" | "old_xyz_m"> {
   changeset_no: number;
   drive_id: string;
   captured_from: string;
-  kind: Exclude<ChangeKind, "unchanged">;
   changed_at: string;
-  committed_at: string;
-  version: number;
-  shift_m: number | null;
   other_feature_id: string | null;
   frames_empty: number | null;
-  xyz_m: Vec3;
   map_xyz_m: Vec3;
   cov_m2: [number, number, number, number, number, number];
-  cone_height_m: number;
   cone_height_sigma_m: number;
-  existence_probability: number;
-  observation_count: number;
   first_seen_at: string;
   last_seen_at: string;
   sighting_count: number;
-  /** Drives that saw it, and that looked in vain, up to this one. */
+  /** Drives that observed it, and that did not although it was visible, up to this one. */
   seen_count: number;
   missed_count: number;
 }
@@ -139,11 +124,11 @@ export interface BaseLine {
   xyz_m: number[];
 }
 
-/** What a person decided and nobody took back. */
+/** A decision in effect. */
 export interface Decision {
   decision_id: string;
   kind: "suppress" | "pin" | "revert";
-  /** Of a place: what lies within radius_m of it. */
+  /** Centre of the area with the radius radius_m. */
   xy_m: [number, number] | null;
   radius_m: number | null;
   feature_id: string | null;
@@ -155,7 +140,7 @@ export interface Decision {
 }
 
 export interface Decisions {
-  /** Whether this server takes decisions from holders of its writer token. */
+  /** Whether this server accepts decisions from holders of its writer token. */
   writable: boolean;
   decisions: Decision[];
 }
@@ -166,18 +151,18 @@ export interface Decided {
   replayed: number;
 }
 
-export type Wish = { decided_by: string; reason: string } & (
+export type DecisionRequest = { decided_by: string; reason: string } & (
   | { kind: "suppress" | "pin"; feature_id: string; expected_version: number; radius_m: number }
   | { kind: "revert"; changeset_id: string }
   | { kind: "withdraw"; decision_id: string }
 );
 
-/** What the server refused, in its own words; `status` is 0 where it could not be reached. */
+/** An error with the message of the server; `status` is 0 if it cannot be reached. */
 export class ApiError extends Error {
   constructor(
     message: string,
     readonly status: number,
-    /** The whole answer, where it was JSON. */
+    /** The whole answer, if it was JSON. */
     readonly body: unknown = null,
   ) {
     super(message);
@@ -199,30 +184,29 @@ async function ask(path: string, init: RequestInit = {}): Promise<Response> {
     body = await response.json();
     if (typeof body === "object" && body !== null && "detail" in body && typeof body.detail === "string") detail = body.detail;
   } catch {
-    // not JSON: the status says it
+    // not JSON: the status is the message
   }
   throw new ApiError(detail, response.status, body);
 }
 
-/** Asked for before the scene is set up, which takes a while; each answer is used once. */
+/** Requests sent before the scene is set up, which takes a while; each answer is used once. */
 const early = new Map<string, Promise<unknown>>();
 
 async function askJson<T>(path: string, init: RequestInit = {}): Promise<T> {
-  const asked = early.get(path);
-  if (asked) {
+  const sent = early.get(path);
+  if (sent) {
     early.delete(path);
-    return (await asked) as T;
+    return (await sent) as T;
   }
   return (await (await ask(path, init)).json()) as T;
 }
 
-const enc = encodeURIComponent;
+const mapPath = (map: string, path: string) => `maps/${encodeURIComponent(map)}/${path}`;
+const askMap = <T>(map: string, path: string, init?: RequestInit) => askJson<T>(mapPath(map, path), init);
 
 function query(values: Record<string, string | null>): string {
-  const search = new URLSearchParams();
-  for (const [name, value] of Object.entries(values)) if (value !== null) search.set(name, value);
-  const text = search.toString();
-  return text ? `?${text}` : "";
+  const given = Object.entries(values).filter((entry): entry is [string, string] => entry[1] !== null);
+  return given.length ? `?${new URLSearchParams(given).toString()}` : "";
 }
 
 /** An instant on the road and one of the database; null means the latest. */
@@ -231,55 +215,44 @@ export interface Instant {
   known: string | null;
 }
 
-/** Ask now for what the first picture of this map needs; `maps` is given back to who asks for it next. */
-export function askEarly(map: string, maps: unknown): void {
+/** Send the requests for the first view of this map now; `maps` answers the next request for it. */
+export function requestEarly(map: string, maps: unknown): void {
   early.set("maps", Promise.resolve(maps));
   for (const part of ["timeline", "decisions", "base", "base/lines"]) {
-    const path = `maps/${enc(map)}/${part}`;
+    const path = mapPath(map, part);
     const answer = askJson(path);
-    answer.catch(() => undefined); // told to who asks for it
+    answer.catch(() => undefined); // reported where the answer is used
     early.set(path, answer);
   }
 }
 
 export const api = {
   maps: () => askJson<{ maps: MapItem[]; chosen: string }>("maps"),
-  timeline: (map: string) => askJson<Timeline>(`maps/${enc(map)}/timeline`),
+  timeline: (map: string) => askMap<Timeline>(map, "timeline"),
   features: (map: string, at: Instant) =>
-    askJson<{ features: Feature[]; truncated: boolean }>(
-      `maps/${enc(map)}/features${query({ valid_at: at.valid, known_at: at.known })}`,
-    ),
-  changes: (map: string, changesetNo: number) =>
-    askJson<{ changes: Change[]; truncated: boolean }>(`maps/${enc(map)}/changes/${changesetNo}`),
-  between: (map: string, from: Instant, to: Instant) =>
-    askJson<{ changes: Change[]; truncated: boolean }>(
-      `maps/${enc(map)}/changes${query({
-        from_valid_at: from.valid,
-        from_known_at: from.known,
-        to_valid_at: to.valid,
-        to_known_at: to.known,
-      })}`,
-    ),
-  history: (map: string, id: string) => askJson<{ history: HistoryItem[] }>(`maps/${enc(map)}/features/${enc(id)}`),
-  sightings: (map: string, id: string) =>
-    askJson<{ sightings: Sighting[]; truncated: boolean }>(`maps/${enc(map)}/features/${enc(id)}/sightings`),
-  trajectory: (map: string, drive: string) => askJson<Trajectory>(`maps/${enc(map)}/drives/${enc(drive)}/trajectory`),
-  find: (map: string, beginning: string) =>
-    askJson<{ feature_ids: string[]; truncated: boolean }>(`maps/${enc(map)}/find${query({ beginning })}`),
-  picture: async (map: string, s: Sighting, side: "left" | "right", whole: boolean, signal: AbortSignal): Promise<Blob> => {
-    const place = `maps/${enc(map)}/drives/${enc(s.drive_uuid)}/pictures/${s.frame_index}/${s.match_index}/${side}.jpg`;
-    return (await ask(`${place}?context=${whole ? 100 : 3}`, { signal })).blob();
+    askMap<{ features: Feature[]; truncated: boolean }>(map, `features${query({ valid_at: at.valid, known_at: at.known })}`),
+  changes: (map: string, changesetNo: number) => askMap<{ changes: Change[]; truncated: boolean }>(map, `changes/${changesetNo}`),
+  between: (map: string, from: Instant, to: Instant) => {
+    const instants = { from_valid_at: from.valid, from_known_at: from.known, to_valid_at: to.valid, to_known_at: to.known };
+    return askMap<{ changes: Change[]; truncated: boolean }>(map, `changes${query(instants)}`);
   },
-  base: (map: string) => askJson<{ layers: BaseLayer[]; tiles: BaseTile[]; truncated: boolean }>(`maps/${enc(map)}/base`),
-  baseLines: (map: string) => askJson<{ lines: BaseLine[]; truncated: boolean }>(`maps/${enc(map)}/base/lines`),
-  baseTile: async (map: string, sha256: string): Promise<ArrayBuffer> =>
-    (await ask(`maps/${enc(map)}/base/tiles/${enc(sha256)}.bin`)).arrayBuffer(),
-  decisions: (map: string) => askJson<Decisions>(`maps/${enc(map)}/decisions`),
-  decide: (map: string, wish: Wish, token: string) =>
-    askJson<Decided>(`maps/${enc(map)}/decisions`, {
+  history: (map: string, id: string) => askMap<{ history: HistoryItem[] }>(map, `features/${id}`),
+  sightings: (map: string, id: string) => askMap<{ sightings: Sighting[]; truncated: boolean }>(map, `features/${id}/sightings`),
+  trajectory: (map: string, drive: string) => askMap<Trajectory>(map, `drives/${drive}/trajectory`),
+  find: (map: string, beginning: string) => askMap<{ feature_ids: string[]; truncated: boolean }>(map, `find${query({ beginning })}`),
+  image: async (map: string, s: Sighting, side: "left" | "right", whole: boolean, signal: AbortSignal): Promise<Blob> => {
+    const path = `drives/${s.drive_uuid}/pictures/${s.frame_index}/${s.match_index}/${side}.jpg?context=${whole ? 100 : 3}`;
+    return (await ask(mapPath(map, path), { signal })).blob();
+  },
+  base: (map: string) => askMap<{ layers: BaseLayer[]; tiles: BaseTile[]; truncated: boolean }>(map, "base"),
+  baseLines: (map: string) => askMap<{ lines: BaseLine[]; truncated: boolean }>(map, "base/lines"),
+  baseTile: async (map: string, sha256: string): Promise<ArrayBuffer> => (await ask(mapPath(map, `base/tiles/${sha256}.bin`))).arrayBuffer(),
+  decisions: (map: string) => askMap<Decisions>(map, "decisions"),
+  decide: (map: string, request: DecisionRequest, token: string) =>
+    askMap<Decided>(map, "decisions", {
       method: "POST",
       headers: { "Content-Type": "application/json", Authorization: `Bearer ${token}` },
-      body: JSON.stringify(wish),
+      body: JSON.stringify(request),
     }),
-  events: (map: string) => new EventSource(`./api/maps/${enc(map)}/events`),
+  events: (map: string) => new EventSource(`./api/${mapPath(map, "events")}`),
 };

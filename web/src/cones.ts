@@ -1,4 +1,4 @@
-// The cones: true-size bodies (instanced), markers of fixed size above them, ghosts and arrows of what was there before.
+// The cones: true-size bodies (instanced), markers of fixed size above them, translucent old positions and arrows.
 import {
   BoxGeometry, BufferAttribute, BufferGeometry, Color, ConeGeometry, CylinderGeometry, DynamicDrawUsage, Group, InstancedMesh,
   Matrix4, Mesh, Points, Quaternion, ShaderMaterial, Vector3,
@@ -9,19 +9,12 @@ import { isGone, STYLES, type Cone } from "./kinds";
 import type { Stage } from "./scene";
 
 const PICK_PX = 18;
-/** Lower cones are drawn as their marker alone. */
+/** Smaller cones are drawn as their marker alone. */
 const MIN_BODY_PX = 4;
 /** Marker's height above the tip. */
 const MARKER_LIFT_PX = 13;
 
-export interface ConeLayer {
-  show(cones: Cone[]): void;
-  /** The cone under a point of the canvas. */
-  pick(x: number, y: number): Cone | null;
-  shown(): Cone[];
-}
-
-export function createCones(stage: Stage): ConeLayer {
+export function createCones(stage: Stage) {
   const body = coneGeometry();
   const solid = shaded(1);
   const ghost = shaded(0.3);
@@ -61,6 +54,7 @@ export function createCones(stage: Stage): ConeLayer {
     stage.draw();
   }
 
+  /** The cone under a point of the canvas. */
   function pick(x: number, y: number): Cone | null {
     let best: Cone | null = null;
     let bestScore = 1;
@@ -89,7 +83,7 @@ export function createCones(stage: Stage): ConeLayer {
     return best;
   }
 
-  return { show, pick, shown: () => cones };
+  return { show, pick };
 }
 
 interface Body {
@@ -98,7 +92,7 @@ interface Body {
   colour: string;
 }
 
-/** Cones of one material. Those that would be smaller than a few pixels are left out: their marker stands for them. */
+/** Cones of one material. Those smaller than a few pixels are left out: their marker represents them. */
 function bodies(geometry: BufferGeometry, material: ShaderMaterial) {
   let items: Body[] = [];
   const matrix = new Matrix4();
@@ -167,8 +161,7 @@ function tinted(geometry: BufferGeometry, { r, g, b }: Color): BufferGeometry {
   return geometry.setAttribute("color", new BufferAttribute(tint, 3));
 }
 
-/** Light from above and from a sun in the south-west (Lambert's law), worked out at the corners: compiled and drawn in a fraction of the
- * time that three's own material takes where no graphics card helps. */
+/** Lambert shading per vertex, with light from above and the south-west: without a graphics card much faster than three's material. */
 function shaded(opacity: number): ShaderMaterial {
   return new ShaderMaterial({
     vertexShader: SHADED_VERTEX, fragmentShader: SHADED_FRAGMENT, vertexColors: true, uniforms: { opacity: { value: opacity } },
@@ -200,15 +193,15 @@ void main() {
   #include <colorspace_fragment>
 }`;
 
-/** From the old place to the rim of the cone at the new one, `short_m` before its centre. */
+/** From the old position to the rim of the cone at the new one, `short_m` before its centre. */
 function arrow(from: Vec3, to: Vec3, short_m: number, colour: string): BufferGeometry[] {
   const [a, b] = [new Vector3(...from), new Vector3(...to)];
-  const way = b.clone().sub(a);
-  const length = Math.max(way.length() - short_m, 0.05);
+  const path = b.clone().sub(a);
+  const length = Math.max(path.length() - short_m, 0.05);
   const head = Math.min(0.35, length * 0.35);
   const shaft = new CylinderGeometry(0.035, 0.035, Math.max(length - head, 0.01), 8).translate(0, (length - head) / 2, 0);
   const tip = new ConeGeometry(0.12, head, 12).translate(0, length - head / 2, 0);
-  const turn = new Quaternion().setFromUnitVectors(new Vector3(0, 1, 0), way.normalize());
+  const turn = new Quaternion().setFromUnitVectors(new Vector3(0, 1, 0), path.normalize());
   return [shaft, tip].map((part) => tinted(part.applyQuaternion(turn).translate(a.x, a.y, a.z + 0.08), new Color(colour)));
 }
 
@@ -268,7 +261,7 @@ function markerPoints(): { points: Points; set(cones: Cone[]): void } {
   };
   const colour = new Color();
   function set(cones: Cone[]): void {
-    // Important ones last, so that they lie on top.
+    // Important ones last, on top.
     const order = [...cones].sort((a, b) => STYLES[a.kind].shape - STYLES[b.kind].shape);
     const [position, tint, shape] = [new Float32Array(order.length * 3), new Float32Array(order.length * 3), new Float32Array(order.length)];
     order.forEach((cone, i) => {

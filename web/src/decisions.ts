@@ -1,6 +1,6 @@
 // Decisions of people: suppress, pin, revert, and taking them back. Only for holders of the writer token, which the page keeps for this
 // tab once a person typed it, and sends in a header only.
-import { api, ApiError, type Decision, type Decisions, type HistoryItem, type Wish } from "./api";
+import { api, ApiError, type Decision, type Decisions, type HistoryItem, type DecisionRequest } from "./api";
 import { el, fill, plural, utc } from "./dom";
 
 const TOKEN = "conetl writer token";
@@ -8,20 +8,20 @@ const NAME = "conetl name";
 
 export interface DecideContext {
   map: string;
-  /** Something was written, or turned out to be otherwise: read it again. */
+  /** Something was written, or changed meanwhile: read it again. */
   changed(): void;
 }
 
 export interface Choice {
   /** Text of the button that opens the form. */
   text: string;
-  /** What follows, in a sentence. */
+  /** The effect, in a sentence. */
   explain: string;
   /** Text of the button that writes. */
   submit: string;
   withRadius?: boolean;
-  wish(by: { decided_by: string; reason: string; radius_m: number }): Wish;
-  /** What to say where it worked. */
+  request(by: { decided_by: string; reason: string; radius_m: number }): DecisionRequest;
+  /** Message of success. */
   done: string;
 }
 
@@ -37,49 +37,49 @@ export const placeChoice = (kind: "suppress" | "pin", id: string, version: numbe
   text: kind === "suppress" ? "Suppress …" : "Pin …",
   explain:
     kind === "suppress"
-      ? "Nothing stands here, whatever drives see: the cone leaves the map, its history is kept."
-      : "This cone stands: drives may confirm it, but neither remove nor move it.",
+      ? "No cone stands here, whatever drives observe: it is removed from the map, its history is kept."
+      : "This cone stands: drives can confirm it, but neither remove nor move it.",
   submit: kind === "suppress" ? "Suppress this cone" : "Pin this cone",
   withRadius: true,
-  wish: (by) => ({ kind, feature_id: id, expected_version: version, ...by }),
+  request: (by) => ({ kind, feature_id: id, expected_version: version, ...by }),
   done: kind === "suppress" ? "Suppressed." : "Pinned.",
 });
 
 export const withdrawChoice = (d: Decision): Choice => ({
-  text: d.kind === "pin" ? "Unpin …" : "Take back …",
-  explain: d.kind === "revert" ? "The drive counts again, and the map is what it was." : "The decision ends, and drives count here as before.",
-  submit: d.kind === "pin" ? "Unpin" : "Take the decision back",
-  wish: ({ decided_by, reason }) => ({ kind: "withdraw", decision_id: d.decision_id, decided_by, reason }),
-  done: "Taken back.",
+  text: d.kind === "pin" ? "Unpin …" : "Withdraw …",
+  explain: d.kind === "revert" ? "The drive counts again." : "The decision no longer applies: drives update this position again.",
+  submit: d.kind === "pin" ? "Unpin" : "Withdraw the decision",
+  request: ({ decided_by, reason }) => ({ kind: "withdraw", decision_id: d.decision_id, decided_by, reason }),
+  done: "Withdrawn.",
 });
 
 export const revertChoice = (changesetId: string, driveId: string): Choice => ({
   text: "Revert …",
-  explain: `${driveId} does not count any more. What other drives saw is kept, and this can be taken back.`,
+  explain: `${driveId} no longer counts. Observations of other drives are kept, and the decision can be withdrawn.`,
   submit: "Revert this drive",
-  wish: ({ decided_by, reason }) => ({ kind: "revert", changeset_id: changesetId, decided_by, reason }),
+  request: ({ decided_by, reason }) => ({ kind: "revert", changeset_id: changesetId, decided_by, reason }),
   done: "Reverted.",
 });
 
-const WORDS: Record<Decision["kind"], string> = { suppress: "Suppressed", pin: "Pinned", revert: "Reverted" };
+const LABELS: Record<Decision["kind"], string> = { suppress: "Suppressed", pin: "Pinned", revert: "Reverted" };
 
-/** "Pinned by Ada: stands on a kerb", with when. */
+/** "Pinned by Ada: stands on a kerb", with the time. */
 export function sentence(d: Decision): HTMLElement {
   return el("div", { class: "decision" },
-    el("b", { textContent: `${WORDS[d.kind]}${d.drive_id ? ` ${d.drive_id}` : ""}` }), ` by ${d.decided_by ?? "somebody (no name was kept)"}`,
+    el("b", { textContent: `${LABELS[d.kind]}${d.drive_id ? ` ${d.drive_id}` : ""}` }), ` by ${d.decided_by ?? "an unknown person"}`,
     Boolean(d.reason) && `: ${d.reason}`, el("small", { textContent: `${utc(d.decided_at)} UTC${d.radius_m === null ? "" : ` · within ${d.radius_m} m`}` })); // prettier-ignore
 }
 
-/** Buttons that each open a form below them; one form at a time. `key` tells what the forms are about: they stay open while it is the same. */
+/** Buttons that each open a form below them; one form at a time. They stay open while `about` is the same. */
 export function createDecider(host: HTMLElement) {
   const status = el("p", { class: "decide-status", role: "status", aria: { live: "polite" }, hidden: true });
   const buttons = el("div", { class: "decide-buttons" });
-  const place = el("div", {});
-  host.append(buttons, place, status);
+  const formHost = el("div", {});
+  host.append(buttons, formHost, status);
   let key = "";
   let busy = false;
 
-  function say(text: string, bad: boolean): void {
+  function report(text: string, bad: boolean): void {
     status.hidden = !text;
     status.textContent = text;
     status.classList.toggle("bad", bad);
@@ -90,8 +90,8 @@ export function createDecider(host: HTMLElement) {
     if (about === key) return;
     const sameThing = about.split(" ")[0] === key.split(" ")[0];
     key = about;
-    if (!sameThing) say("", false);
-    fill(place);
+    if (!sameThing) report("", false);
+    fill(formHost);
     const focused = buttons.contains(document.activeElement);
     fill(buttons, ...choices.map((choice) => {
       const button = el("button", { type: "button", textContent: choice.text, aria: { expanded: "false" } });
@@ -102,7 +102,7 @@ export function createDecider(host: HTMLElement) {
   }
 
   function close(focus: HTMLElement | null): void {
-    fill(place);
+    fill(formHost);
     for (const b of buttons.children) b.setAttribute("aria-expanded", "false");
     focus?.focus();
   }
@@ -110,11 +110,11 @@ export function createDecider(host: HTMLElement) {
   function toggle(choice: Choice, button: HTMLElement, context: DecideContext): void {
     const wasOpen = button.getAttribute("aria-expanded") === "true";
     close(null);
-    say("", false);
+    report("", false);
     if (wasOpen) return;
     button.setAttribute("aria-expanded", "true");
     const form = makeForm(choice, context, () => close(button));
-    fill(place, form);
+    fill(formHost, form);
     form.querySelector<HTMLInputElement>("input:placeholder-shown")?.focus(); // the first empty one
   }
 
@@ -124,7 +124,7 @@ export function createDecider(host: HTMLElement) {
     const reason = text({ name: "reason", minLength: 3, maxLength: 500 });
     const radius = el("input", { type: "number", name: "radius", value: "1", min: "0.1", max: "20", step: "0.1", required: true });
     const token = text({ name: "token", type: "password", autocomplete: "off" });
-    const tokenRow = label("Writer token", token, "Kept for this tab only.");
+    const tokenRow = label("Writer token", token, "Stored for this tab only.");
     const known = sessionStorage.getItem(TOKEN);
     if (known !== null) {
       token.required = false;
@@ -134,8 +134,8 @@ export function createDecider(host: HTMLElement) {
     const abort = el("button", { type: "button", textContent: "Cancel", onclick: cancel });
     const form = el("form", { class: "decide", noValidate: false },
       el("p", { class: "hint", textContent: choice.explain }),
-      label("Your name", name), label("Reason", reason, "Both are kept with the decision, for everybody to see."),
-      choice.withRadius && label("Radius around its place (m)", radius), tokenRow,
+      label("Your name", name), label("Reason", reason, "Both are stored with the decision and visible to everyone."),
+      choice.withRadius && label("Radius (m)", radius), tokenRow,
       el("div", { class: "decide-actions" }, submit, abort)); // prettier-ignore
     form.addEventListener("keydown", (event) => {
       if (event.key !== "Escape") return;
@@ -154,12 +154,12 @@ export function createDecider(host: HTMLElement) {
       for (const input of [name, reason, radius, token, abort]) input.disabled = true;
       submit.disabled = true;
       submit.textContent = "Writing …";
-      say("", false);
+      report("", false);
       try {
-        const done = await api.decide(context.map, choice.wish(by), secret);
+        const done = await api.decide(context.map, choice.request(by), secret);
         remember();
         cancel();
-        say(`${choice.done} ${plural(done.versions_written, "feature version")} written, ${plural(done.replayed, "drive")} compared with the map again.`, false); // prettier-ignore
+        report(`${choice.done} ${plural(done.versions_written, "feature version")} written, ${plural(done.replayed, "drive")} replayed.`, false); // prettier-ignore
         context.changed();
       } catch (error) {
         refused(error);
@@ -168,7 +168,7 @@ export function createDecider(host: HTMLElement) {
       }
     }
 
-    /** Once the server took the token, whatever else it said. */
+    /** Once the server accepted the token, even if it refused the decision. */
     function remember(): void {
       sessionStorage.setItem(TOKEN, tokenRow.hidden ? (sessionStorage.getItem(TOKEN) ?? "") : token.value.trim());
       sessionStorage.setItem(NAME, name.value.trim());
@@ -186,15 +186,15 @@ export function createDecider(host: HTMLElement) {
         token.required = true;
         token.value = "";
         token.focus();
-        return say(`Nothing was written. ${message}`, true);
+        return report(`Nothing was written. ${message}`, true);
       }
       if (error instanceof ApiError && error.status === 409) {
         cancel();
-        say(`Nothing was written. ${message}${nowThere(error.body)}`, true);
+        report(`Nothing was written. ${message}${currentState(error.body)}`, true);
         return context.changed();
       }
       submit.focus();
-      say(`Nothing was written. ${message}`, true);
+      report(`Nothing was written. ${message}`, true);
     }
 
     return form;
@@ -207,22 +207,22 @@ function label(text: string, input: HTMLInputElement, hint = ""): HTMLElement {
   return el("label", {}, el("span", { textContent: text }), input, Boolean(hint) && el("small", { textContent: hint }));
 }
 
-/** What the server says is there now. */
-function nowThere(body: unknown): string {
+/** The state that the server reports. */
+function currentState(body: unknown): string {
   const now = typeof body === "object" && body !== null && "now" in body ? (body.now as HistoryItem | null) : null;
   if (!now) return "";
   const [easting, northing] = now.map_xyz_m;
   return ` Now: version ${now.version}, ${now.kind.replaceAll("_", " ")} by ${now.drive_id}, at ${easting.toFixed(3)} E ${northing.toFixed(3)} N.`;
 }
 
-/** The section of the side bar that lists what holds. */
+/** The section of the sidebar that lists the decisions in effect. */
 export function createDecisionList(host: HTMLElement, open: (d: Decision) => void) {
   return (answer: Decisions | null): void => {
     host.hidden = !answer?.decisions.length;
     if (!answer) return;
     fill(host, el("h2", { textContent: "Decisions" }),
       ...answer.decisions.slice(0, 50).map((d) =>
-        el("button", { type: "button", class: "decision-row", title: "Show it", onclick: () => open(d) }, sentence(d))),
-      answer.decisions.length > 50 && el("p", { class: "hint", textContent: `${answer.decisions.length - 50} older ones: conetl map decisions lists all.` })); // prettier-ignore
+        el("button", { type: "button", class: "decision-row", title: "Show", onclick: () => open(d) }, sentence(d))),
+      answer.decisions.length > 50 && el("p", { class: "hint", textContent: `${answer.decisions.length - 50} older ones: run conetl map decisions to list all.` })); // prettier-ignore
   };
 }

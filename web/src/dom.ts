@@ -41,4 +41,6 @@ export function plural(count: number, one: string, many = `${one}s`): string {
   return `${count.toLocaleString("en")} ${count === 1 ? one : many}`;
 }
 
+export const messageOf = (error: unknown) => (error instanceof Error ? error.message : String(error));
+
 export const shortId = (id: string) => id.slice(0, 8);

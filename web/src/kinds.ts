@@ -1,4 +1,4 @@
-// How each kind of cone looks: a colour that the colour-blind can tell (no red/green pair, no orange) and a marker of its own.
+// Style of each kind of cone: a colour that is safe for colour-blind people (no red/green pair, no orange) and a marker.
 import type { ChangeKind } from "./api";
 
 export type Kind = ChangeKind | "standing" | "suppressed";
@@ -7,7 +7,7 @@ export interface Cone {
   id: string;
   kind: Kind;
   xyz: [number, number, number];
-  /** Where it stood before, of moved ones. */
+  /** Position before the change, of moved ones. */
   old: [number, number, number] | null;
   shift_m: number | null;
   height_m: number;
@@ -15,30 +15,24 @@ export interface Cone {
   observations: number;
 }
 
-export interface KindStyle {
-  colour: string;
-  /** Number of the marker's shape in the shader and in `icon`. */
-  shape: 0 | 1 | 2 | 3 | 4 | 5 | 6 | 7;
-  label: string;
-}
-
-export const STYLES: Record<Kind, KindStyle> = {
+/** `shape` is the number of the marker in the shader and in `icon`. */
+export const STYLES: Record<Kind, { colour: string; shape: number; label: string }> = {
   added: { colour: "#0068b4", shape: 1, label: "new" },
   moved: { colour: "#a8327f", shape: 2, label: "moved" },
   removed: { colour: "#1f2933", shape: 3, label: "removed" },
   split: { colour: "#0068b4", shape: 6, label: "split off" },
   merged: { colour: "#1f2933", shape: 7, label: "merged" },
   height_changed: { colour: "#00707c", shape: 5, label: "height changed" },
-  missed: { colour: "#5f45b8", shape: 4, label: "looked for in vain" },
+  missed: { colour: "#5f45b8", shape: 4, label: "not observed" },
   confirmed: { colour: "#7f97b2", shape: 0, label: "confirmed" },
-  unchanged: { colour: "#b4bcc6", shape: 0, label: "not judged" },
-  suppressed: { colour: "#66717c", shape: 3, label: "suppressed by a person" },
+  unchanged: { colour: "#b4bcc6", shape: 0, label: "not evaluated" },
+  suppressed: { colour: "#66717c", shape: 3, label: "suppressed" },
   standing: { colour: "#7f97b2", shape: 0, label: "standing" },
 };
 
 export const KIND_ORDER: Kind[] = ["added", "split", "moved", "removed", "merged", "height_changed", "missed", "suppressed", "confirmed", "unchanged", "standing"];
 
-/** What stands there no more after the drive: drawn as a ghost. */
+/** Gone after the drive: drawn translucent. */
 export const isGone = (kind: Kind): boolean => kind === "removed" || kind === "merged" || kind === "suppressed";
 
 const SVG = "http://www.w3.org/2000/svg";
@@ -53,7 +47,7 @@ const PATHS = [
   "M8 14 2 2.800h12z",
 ];
 
-/** The marker of a kind as a small picture, the same shape as in the scene. */
+/** The marker of a kind as an icon, the same shape as in the scene. */
 export function icon(kind: Kind): SVGSVGElement {
   const svg = document.createElementNS(SVG, "svg");
   svg.setAttribute("viewBox", "0 0 16 16");

@@ -1,4 +1,4 @@
-// The page's frame: header, side panels, cards for what is empty, loading or wrong.
+// The frame of the page: header, side panels, cards for empty maps, loading and errors.
 import { el, fill, plural, shortId } from "./dom";
 import { icon, STYLES, type Cone } from "./kinds";
 import type { LiveStatus } from "./live";
@@ -9,25 +9,25 @@ interface CardOptions {
   action?: { text: string; run: () => void };
 }
 
-const KEYS: [string, string][] = [
-  ["Drag, right drag, wheel", "turn, move, zoom"],
-  ["← ↑ → ↓, with Shift", "move, turn"],
+const SHORTCUTS: [string, string][] = [
+  ["Drag, right drag, wheel", "rotate, pan, zoom"],
+  ["← ↑ → ↓, with Shift", "pan, rotate"],
   ["+ −", "zoom"],
   ["Home", "show everything"],
-  ["T", "from above, north up"],
-  [", .", "drive before, drive after"],
+  ["T", "top view, north up"],
+  [",  .", "previous, next drive"],
   ["B, C", "before / after, changes"],
-  ["1, 2", "LiDAR points, lane boundaries on and off"],
-  ["P N", "sighting before, sighting after"],
+  ["1, 2", "LiDAR points, lane boundaries on or off"],
+  ["P, N", "previous, next sighting"],
   ["/", "find a cone"],
   ["Esc", "close the panel"],
 ];
-const STATUS_TEXT: Record<LiveStatus, string> = { live: "live", waiting: "no connection", trouble: "database trouble" };
+const STATUS_TEXT: Record<LiveStatus, string> = { live: "live", waiting: "no connection", trouble: "database error" };
 
 export function createLayout(app: HTMLElement) {
   const view = el("main", { class: "view" });
   const sidebar = el("aside", { class: "sidebar", id: "sidebar", aria: { label: "Map, search and legend" } });
-  const panel = el("aside", { class: "panel", hidden: true, aria: { label: "Chosen cone" } });
+  const panel = el("aside", { class: "panel", hidden: true, aria: { label: "Selected cone" } });
   const timeline = el("footer", { class: "timeline" });
   const brand = el("div", { class: "brand" });
   const dot = el("span", { class: "status", role: "status" }, el("i"), el("span", { textContent: "connecting" }));
@@ -38,15 +38,15 @@ export function createLayout(app: HTMLElement) {
   const toasts = el("div", { class: "toasts", aria: { live: "polite" } });
   const tip = el("div", { class: "tip", hidden: true, aria: { hidden: "true" } });
   const help = el("dialog", { class: "help" },
-    el("h2", { textContent: "Keys" }), el("dl", {}, ...KEYS.flatMap(([keys, what]) => [el("dt", { textContent: keys }), el("dd", { textContent: what })])),
-    el("p", { class: "hint", textContent: "Cones stand in true size (height as measured, width of a common cone); markers above them keep their size. The address of this page shows a colleague the same picture." }),
+    el("h2", { textContent: "Shortcuts" }), el("dl", {}, ...SHORTCUTS.flatMap(([keys, what]) => [el("dt", { textContent: keys }), el("dd", { textContent: what })])),
+    el("p", { class: "hint", textContent: "Cones are drawn in true size (measured height, standard width); their markers have a fixed size. The address of this page opens the same view for a colleague." }),
     el("button", { type: "button", textContent: "Close", onclick: () => help.close() })); // prettier-ignore
   const menu = el("button", { type: "button", class: "menu", textContent: "☰ Legend", aria: { expanded: "false", controls: "sidebar" } });
   menu.addEventListener("click", () => {
     const open = app.classList.toggle("menu-open");
     menu.setAttribute("aria-expanded", String(open));
   });
-  const helpButton = el("button", { type: "button", class: "link", onclick: () => help.showModal() }, "Keys ", el("kbd", { textContent: "?" }));
+  const helpButton = el("button", { type: "button", class: "link", onclick: () => help.showModal() }, "Shortcuts ", el("kbd", { textContent: "?" }));
   app.append(
     el("header", { class: "top" }, menu, brand, el("span", { class: "space" }), dot, helpButton),
     progress, sidebar, view, panel, timeline, toasts, help,
@@ -90,7 +90,7 @@ export function createLayout(app: HTMLElement) {
       if (!cone) return;
       const shift = cone.kind === "moved" && cone.shift_m !== null ? ` by ${cone.shift_m.toFixed(2)} m` : "";
       fill(tip, el("b", {}, icon(cone.kind), `${STYLES[cone.kind].label}${shift}`), el("span", { class: "mono", textContent: shortId(cone.id) }),
-        el("span", { textContent: `exists ${cone.probability.toFixed(3)}, ${plural(cone.observations, "observation")}` })); // prettier-ignore
+        el("span", { textContent: `existence probability ${cone.probability.toFixed(3)}, ${plural(cone.observations, "observation")}` })); // prettier-ignore
       const left = x + 14 + tip.offsetWidth > view.clientWidth ? x - 14 - tip.offsetWidth : x + 14;
       tip.style.transform = `translate(${left}px, ${Math.max(4, y - tip.offsetHeight / 2)}px)`;
     },

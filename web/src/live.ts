@@ -1,13 +1,13 @@
-// The stream of new changesets, decisions and base layers. The browser reconnects by itself; where the server refused for good, this tries again.
+// The stream of new changesets, decisions and base layers. The browser reconnects itself, except after a refusal: then this retries.
 import { api } from "./api";
 
 export type LiveStatus = "live" | "waiting" | "trouble";
 
 export interface LiveHandlers {
   newest(changesetNo: number): void;
-  /** Number of the newest decision; at once, and whenever it changes. */
+  /** Number of the newest decision, at once and after each change. */
   decided(decisionNo: number): void;
-  /** Differs where the base layers do; at once, and whenever it changes. */
+  /** A text that changes with the base layers, at once and after each change. */
   base(head: string): void;
   status(status: LiveStatus, text: string): void;
 }
@@ -30,7 +30,7 @@ export function listen(map: string, on: LiveHandlers): () => void {
     source.addEventListener("base", (event: MessageEvent<string>) => on.base(event.data));
     source.addEventListener("trouble", (event: MessageEvent<string>) => on.status("trouble", event.data));
     source.addEventListener("error", () => {
-      on.status("waiting", "No connection for news: new drives do not appear until there is one. Trying again …");
+      on.status("waiting", "No connection: new drives do not appear until it is restored. Retrying …");
       if (source?.readyState === EventSource.CLOSED && !ended) timer = window.setTimeout(open, RETRY_MS);
     });
   }

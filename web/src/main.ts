@@ -1,15 +1,15 @@
-// Ties everything together: state -> what to fetch -> what to draw.
-import { api, askEarly, type Decisions, type HistoryItem, type MapItem, type Timeline, type TimelineItem, type Trajectory, type Vec3 } from "./api";
+// State of the page -> requests -> drawing.
+import { api, requestEarly, type Decisions, type HistoryItem, type MapItem, type Timeline, type TimelineItem, type Trajectory, type Vec3 } from "./api";
 import { createBase } from "./base";
 import { createCones } from "./cones";
 import { aboutFeature, createDecisionList } from "./decisions";
-import { el, fill, plural } from "./dom";
+import { el, fill, messageOf, plural } from "./dom";
 import type { Cone } from "./kinds";
 import { createLayout } from "./layout";
 import { listen } from "./live";
-import { changesetOf, drivesShown, readCones } from "./look";
 import { createOverlays, ellipse95, niceFactor } from "./overlays";
 import { createPanel, stateAt, until, type Chosen } from "./panel";
+import { changesetOf, drivesShown, readCones } from "./query";
 import { createStage, type Stage } from "./scene";
 import { createSidebar } from "./sidebar";
 import { formatState, parseState, type State } from "./state";
@@ -18,36 +18,36 @@ import { createTimeline } from "./timeline";
 
 const layout = createLayout(document.getElementById("app") ?? document.body);
 // The requests go out first: setting up WebGL keeps this thread for as long as they take.
-layout.card("Reading the map …", "", { busy: true });
+layout.card("Loading the map …", "", { busy: true });
 let state: State = parseState(location.hash);
 try {
   const answer = await api.maps();
   const name = state.map || nameOf(answer);
-  if (answer.maps.some((m) => m.map_name === name && m.changeset_count > 0)) askEarly(name, answer);
+  if (answer.maps.some((m) => m.map_name === name && m.changeset_count > 0)) requestEarly(name, answer);
 } catch {
-  // openMap asks again, and tells
+  // openMap requests them again, and reports errors
 }
 let stage: Stage;
 try {
   stage = createStage(layout.view);
 } catch (error) {
-  layout.card("This browser cannot draw in three dimensions", "WebGL is switched off or missing. Switch on hardware acceleration, or use another browser.");
+  layout.card("This browser cannot draw in 3D", "WebGL is disabled or missing. Enable hardware acceleration, or use another browser.");
   throw error;
 }
 const cones = createCones(stage);
 const overlays = createOverlays(stage, layout.view);
-const base = createBase(stage, (error) => layout.toast(`Base layers: ${error instanceof Error ? error.message : String(error)}`, null));
+const base = createBase(stage, (error) => layout.toast(`Base layers: ${messageOf(error)}`, null));
 
 let maps: MapItem[] = [];
 let timeline: Timeline | null = null;
 let all: Cone[] = [];
 let chosen: Chosen | null = null;
 let fitted = false;
-/** Rises with every look at the map, so that an answer that comes too late is not shown. */
-let look = 0;
+/** Number of the latest refresh: answers to earlier ones are dropped. */
+let refreshNo = 0;
 let decisions: Decisions | null = null;
 let closeStream: (() => void) | null = null;
-const ways = new Map<string, Trajectory>();
+const paths = new Map<string, Trajectory>();
 
 const sidebar = createSidebar(layout.sidebar, {
   chooseMap: (name) => {
@@ -55,31 +55,14 @@ const sidebar = createSidebar(layout.sidebar, {
     writeAddress();
     void openMap();
   },
-  toggleKind: (kind) => {
-    const hidden = new Set(state.hidden);
-    if (!hidden.delete(kind)) hidden.add(kind);
-    change({ hidden }, false);
-  },
-  setProbability: (minProbability) => change({ minProbability }, false),
-  setTrajectory: (trajectory) => change({ trajectory }),
-  setPoints: (points) => change({ points }, false),
-  setLines: (lines) => change({ lines }, false),
-  setSafeColours: (safeColours) => change({ safeColours }, false),
-  find: async (beginning) => {
-    const found = await api.find(state.map, beginning);
-    return { ids: found.feature_ids, truncated: found.truncated };
-  },
+  change,
+  find: (beginning) => api.find(state.map, beginning),
   select: (id) => void select(id, true),
   fit: () => fit(),
 });
 const showTimeline = createTimeline(layout.timeline, {
-  setMode: (mode) => change({ mode }),
-  setSide: (side) => change({ side }),
-  setChangeset: (changeset) => change({ changeset }),
-  setCompare: (from, to) => change({ from, to }),
-  setValid: (valid) => change({ valid }),
-  setKnown: (known) => change({ known }),
-  decidesOn: () => (decisions?.writable ? state.map : null),
+  change,
+  writableMap: () => (decisions?.writable ? state.map : null),
   decided: () => void newDecision(),
 });
 const panel = createPanel(layout.panel, {
@@ -110,7 +93,7 @@ function change(values: Partial<State>, refetch = true): void {
   else draw();
 }
 
-/** What keeps moving is written when it rests for so long: browsers refuse more than some 100 addresses in 30 s. */
+/** Delay of the address while something keeps moving: browsers refuse more than about 100 addresses in 30 s. */
 const REST_MS = 120;
 let addressTimer = 0;
 let choiceAt = -Infinity;
@@ -127,7 +110,7 @@ function writeAtRest(): void {
   addressTimer = window.setTimeout(writeAddress, REST_MS);
 }
 
-/** At once, too, unless choices come faster than a hand clicks: a slider is dragged, or a key held. */
+/** At once too, unless choices follow each other fast: a slider is dragged, or a key held. */
 function writeChoice(): void {
   const now = performance.now();
   if (now - choiceAt < REST_MS) writeAtRest();
@@ -145,7 +128,7 @@ window.addEventListener("hashchange", () => {
   state = next;
   if (other) void openMap();
   else {
-    if (state.camera) stage.place(state.camera);
+    if (state.camera) stage.setPose(state.camera);
     void refresh();
     void select(state.feature);
   }
@@ -153,9 +136,9 @@ window.addEventListener("hashchange", () => {
 
 const changeset = (no: number | null) => changesetOf(timeline?.changesets ?? [], no);
 
-// --- reading
+// --- loading
 
-/** The map to show where the address names none. */
+/** The map to show by default. */
 function nameOf(answer: { maps: MapItem[]; chosen: string }): string {
   return answer.maps.some((m) => m.map_name === answer.chosen) || !answer.maps[0] ? answer.chosen : answer.maps[0].map_name;
 }
@@ -166,13 +149,13 @@ async function openMap(): Promise<void> {
   panel.hide();
   timeline = null;
   all = [];
-  ways.clear();
+  paths.clear();
   decisions = null;
   showDecisionList(null);
   base.close();
   sidebar.showBase([]);
   fitted = state.camera !== null;
-  layout.card("Reading the map …", "", { busy: true });
+  layout.card("Loading the map …", "", { busy: true });
   try {
     const answer = await api.maps();
     maps = answer.maps;
@@ -184,7 +167,7 @@ async function openMap(): Promise<void> {
       stage.warm();
       await Promise.all([readTimeline(), readDecisions()]);
     }
-    if (state.camera) stage.place(state.camera);
+    if (state.camera) stage.setPose(state.camera);
     await refresh();
     if (state.feature) await select(state.feature);
   } catch (error) {
@@ -207,14 +190,14 @@ async function openMap(): Promise<void> {
   });
 }
 
-/** Beside everything else: cones never wait for what lies under them. */
+/** In parallel: cones never wait for the base layers. */
 async function openBase(map: string): Promise<void> {
   try {
     base.apply(state);
     const layers = await base.open(map);
     if (map === state.map) sidebar.showBase(layers);
   } catch (error) {
-    layout.toast(`The base layers cannot be shown: ${error instanceof Error ? error.message : String(error)}`, { text: "Try again", run: () => void openBase(map) });
+    layout.toast(`The base layers cannot be shown: ${messageOf(error)}`, { text: "Try again", run: () => void openBase(map) });
   }
 }
 
@@ -232,7 +215,7 @@ async function newChangeset(no: number): Promise<void> {
     void api.maps().then((answer) => sidebar.showMaps((maps = answer.maps), state.map));
     const counts = [`${item.added_count} new`, `${item.moved_count} moved`, `${item.removed_count} removed`].join(", ");
     const follows = state.mode === "drive" && state.changeset === null;
-    layout.toast(`${item.drive_id} was committed: ${counts}.`, follows ? null : { text: "Show it", run: () => change({ mode: "drive", changeset: null }) });
+    layout.toast(`${item.drive_id} was committed: ${counts}.`, follows ? null : { text: "Show", run: () => change({ mode: "drive", changeset: null }) });
     await refresh();
     if (chosen) await select(chosen.id);
   } catch (error) {
@@ -240,7 +223,7 @@ async function newChangeset(no: number): Promise<void> {
   }
 }
 
-/** Decisions never keep the map from being shown. */
+/** The map is shown even if the decisions cannot be read. */
 async function readDecisions(): Promise<void> {
   const map = state.map;
   try {
@@ -250,11 +233,11 @@ async function readDecisions(): Promise<void> {
     showDecisionList(answer);
     if (chosen) chosen = { ...chosen, decisions };
   } catch (error) {
-    layout.toast(`The decisions cannot be read: ${error instanceof Error ? error.message : String(error)}`, { text: "Try again", run: () => void newDecision() });
+    layout.toast(`The decisions cannot be read: ${messageOf(error)}`, { text: "Try again", run: () => void newDecision() });
   }
 }
 
-/** Somebody decided: which cones stand and which drives count may be otherwise now. */
+/** After a decision, other cones may stand and other drives count. */
 async function newDecision(): Promise<void> {
   try {
     await Promise.all([readTimeline(), readDecisions()]);
@@ -266,12 +249,12 @@ async function newDecision(): Promise<void> {
 }
 
 async function refresh(): Promise<void> {
-  const mine = ++look;
+  const mine = ++refreshNo;
   if (!timeline || !timeline.changesets.length) {
     const there = maps.filter((m) => m.changeset_count > 0).map((m) => `“${m.map_name}”`);
     const unknown = there.length > 0 && !maps.some((m) => m.map_name === state.map);
     const title = unknown ? `There is no map “${state.map}”` : `The map “${state.map}” is empty`;
-    const hint = unknown ? `This database holds ${there.join(", ")}: choose it at the left. A drive begins a map of a new name:` : "Fill it and it appears here by itself:";
+    const hint = unknown ? `This database holds ${there.join(", ")}: select one on the left. To create a new map, ingest a drive:` : "It appears here as soon as a drive is ingested:";
     layout.card(title, hint, { code: `${state.map === "default" ? "" : `CONETL_MAP_NAME=${state.map} `}conetl ingest path/to/drive` });
     layout.empty(true);
     show([], []);
@@ -279,37 +262,35 @@ async function refresh(): Promise<void> {
   }
   layout.empty(false);
   layout.busy(true);
-  showTimeline(state, timeline.changesets); // the controls answer at once, the picture when it is there
+  showTimeline(state, timeline.changesets); // the controls react at once, the scene when the data is there
   try {
-    const [[next, truncated], drives] = await Promise.all([readCones(state, timeline.changesets), readWays(drivesShown(state, timeline.changesets))]);
-    if (mine !== look) return;
+    const [[next, truncated], drives] = await Promise.all([readCones(state, timeline.changesets), readPaths(drivesShown(state, timeline.changesets))]);
+    if (mine !== refreshNo) return;
     layout.card(null);
-    layout.notice(truncated ? `Only the first ${plural(next.length, "cone")} are shown: this map is larger than one picture holds.` : null);
+    layout.notice(truncated ? `Only the first ${plural(next.length, "cone")} are shown: the map exceeds the limit of one view.` : null);
     show(next, drives);
   } catch (error) {
-    if (mine === look) fail(error, refresh);
+    if (mine === refreshNo) fail(error, refresh);
   } finally {
-    if (mine === look) layout.busy(false);
+    if (mine === refreshNo) layout.busy(false);
   }
 }
 
-async function readWays(drives: TimelineItem[]): Promise<Trajectory[]> {
-  return Promise.all(
-    drives.map(async ({ drive_uuid }) => {
-      const way = ways.get(drive_uuid) ?? (await api.trajectory(state.map, drive_uuid));
-      ways.set(drive_uuid, way);
-      return way;
-    }),
-  );
+function readPaths(drives: TimelineItem[]): Promise<Trajectory[]> {
+  return Promise.all(drives.map(async ({ drive_uuid }) => {
+    const path = paths.get(drive_uuid) ?? (await api.trajectory(state.map, drive_uuid));
+    paths.set(drive_uuid, path);
+    return path;
+  })); // prettier-ignore
 }
 
 // --- drawing
 
 function show(next: Cone[], drives: Trajectory[]): void {
-  // A drive is shown as it was committed; what a person said of it since is drawn over it.
+  // A drive is shown as it was committed; later decisions are marked.
   const suppressed = state.mode === "drive" ? (decisions?.decisions ?? []).filter((d) => d.kind === "suppress") : [];
   all = suppressed.length ? next.map((c) => (aboutFeature(suppressed, c.id, c.xyz).length ? { ...c, kind: "suppressed" } : c)) : next;
-  overlays.showWays(drives);
+  overlays.showPaths(drives);
   stage.start();
   const heights = all.map((c) => c.xyz[2]).sort((a, b) => a - b);
   const middle = heights[Math.floor(heights.length / 2)];
@@ -336,28 +317,28 @@ function draw(): void {
   document.documentElement.dataset["cones"] = String(shown.length);
 }
 
-/** Everything, seen from behind the drive and above. */
+/** Show everything from above and behind the drive. */
 function fit(): void {
-  const way = [...ways.values()].at(-1)?.xyz_m ?? [];
+  const path = [...paths.values()].at(-1)?.xyz_m ?? [];
   const points: Vec3[] = all.flatMap((c) => [c.xyz, ...(c.old ? [c.old] : [])]);
-  const near = way.filter((p) => points.some((q) => Math.hypot(p[0] - q[0], p[1] - q[1]) < 7));
-  const [a, b] = [way[0], way.at(-1)];
+  const near = path.filter((p) => points.some((q) => Math.hypot(p[0] - q[0], p[1] - q[1]) < 7));
+  const [a, b] = [path[0], path.at(-1)];
   if (a && b && state.camera === null) {
     const heading = Math.atan2(b[1] - a[1], b[0] - a[0]);
-    stage.place([a[0], a[1], a[2], heading - Math.PI / 2 + 0.5, 0.95, 30]);
+    stage.setPose([a[0], a[1], a[2], heading - Math.PI / 2 + 0.5, 0.95, 30]);
   }
-  stage.fit([...points, ...(points.length ? near : way)]);
+  stage.fit([...points, ...(points.length ? near : path)]);
 }
 
 function fail(error: unknown, again: () => unknown): void {
   stage.start();
-  if (!all.length) layout.empty(true); // no controls for what is not there
+  if (!all.length) layout.empty(true); // no controls without data
   layout.busy(false);
-  const text = error instanceof Error ? error.message : String(error);
+  const text = messageOf(error);
   layout.card("The map cannot be shown", text, { action: { text: "Try again", run: () => void again() } });
 }
 
-// --- the chosen cone
+// --- the selected cone
 
 let selecting = 0;
 async function select(id: string | null, centre = false): Promise<void> {
@@ -424,7 +405,7 @@ function drawChosen(): void {
   panel.show(chosen);
 }
 
-/** The one that was asked for, else the nearest one of the drive that is looked at: that shows most. */
+/** The selected one, else the nearest one of the drive that is shown. */
 function sightingToShow({ sightings, history, upTo }: Chosen): number {
   if (!sightings?.length) return 0;
   if (state.sighting !== null) return Math.min(state.sighting, sightings.length - 1);
@@ -441,7 +422,7 @@ function centreChosen(): void {
   if (now) stage.lookAt(now.xyz_m, 9);
 }
 
-// --- mouse and keys
+// --- mouse and keyboard
 
 let down: [number, number] | null = null;
 stage.canvas.addEventListener("pointerdown", (event) => {
@@ -451,7 +432,7 @@ stage.canvas.addEventListener("pointerup", (event) => {
   if (!down || event.button !== 0 || Math.hypot(event.clientX - down[0], event.clientY - down[1]) > 5) return;
   const cone = cones.pick(event.offsetX, event.offsetY);
   if (!cone) return;
-  layout.tip(null, 0, 0); // the panel pushes the picture aside, and the cone away from under the pointer
+  layout.tip(null, 0, 0); // the panel moves the scene, and the cone away from the pointer
   void select(cone.id);
 });
 let hovering = false;

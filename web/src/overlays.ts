@@ -1,6 +1,6 @@
-// What is drawn beside the cones: the drives' ways, the camera of a sighting, the chosen cone's error ellipse, labels.
+// Overlays: camera paths, the camera of a sighting, the error ellipse of the selected cone, labels.
 import {
-  BufferAttribute, BufferGeometry, CircleGeometry, DoubleSide, Float32BufferAttribute, Group, InstancedMesh, Line, LineBasicMaterial,
+  BufferGeometry, CircleGeometry, DoubleSide, Float32BufferAttribute, Group, InstancedMesh, Line, LineBasicMaterial,
   LineLoop, LineSegments, Matrix4, Mesh, MeshBasicMaterial, Object3D, Shape, ShapeGeometry, Vector3,
 } from "three";
 import type { HistoryItem, Sighting, Trajectory, Vec3 } from "./api";
@@ -8,19 +8,19 @@ import { el } from "./dom";
 import { STYLES, type Cone } from "./kinds";
 import type { Stage } from "./scene";
 
-/** 95 % of a normal distribution in two dimensions lies within so many sigmas. */
+/** Number of sigmas that contain 95 % of a normal distribution in two dimensions. */
 export const SIGMAS_95 = Math.sqrt(-2 * Math.log(0.05));
 const FRUSTUM_DEPTH_M = 1.6;
 const ARROW_EVERY_M = 8;
 const MAX_LABELS = 60;
-/** Room that a label needs: width, height. */
+/** Width and height reserved for a label. */
 const LABEL_PX = [64, 20] as const;
-const WAY = "#4a5560";
+const PATH = "#4a5560";
 const CAMERA = "#00795c";
 const ELLIPSE = "#0068b4";
 
 export interface Ellipse {
-  /** Half axes on the ground that hold 95 %, in metres, and the direction of the greater one, from east counter-clockwise. */
+  /** Semi-axes on the ground that contain 95 %, and the direction of the major one, counter-clockwise from east. */
   major_m: number;
   minor_m: number;
   angle_rad: number;
@@ -37,14 +37,14 @@ export function ellipse95(cov: HistoryItem["cov_m2"]): Ellipse {
   };
 }
 
-/** Enlargement at which the ellipse can be seen beside a cone. */
+/** Enlargement that makes the ellipse visible beside a cone. */
 export const niceFactor = (e: Ellipse): number => [1, 10, 100, 1000].find((f) => e.major_m * f >= 0.3) ?? 1000;
 
 export function createOverlays(stage: Stage, host: HTMLElement) {
-  const ways = new Group();
+  const paths = new Group();
   const selection = new Group();
   const frustum = new Group();
-  stage.scene.add(ways, selection, frustum);
+  stage.scene.add(paths, selection, frustum);
   const labels = el("div", { class: "labels", aria: { hidden: "true" } });
   host.append(labels);
   let labelled: { at: Vec3; node: HTMLElement }[] = [];
@@ -52,20 +52,20 @@ export function createOverlays(stage: Stage, host: HTMLElement) {
   stage.beforeDraw(() => {
     const taken: [number, number][] = [];
     for (const { at, node } of labelled) {
-      const place = stage.project(at);
-      // From afar labels would cover each other and what they name: the first one stays.
-      node.hidden = place === null || taken.some(([x, y]) => Math.abs(x - place[0]) < LABEL_PX[0] && Math.abs(y - place[1]) < LABEL_PX[1]);
-      if (place && !node.hidden) taken.push(place);
-      if (place) node.style.transform = `translate(${Math.round(place[0])}px, ${Math.round(place[1])}px)`;
+      const pixel = stage.project(at);
+      // From a distance labels would overlap: the first one stays.
+      node.hidden = pixel === null || taken.some(([x, y]) => Math.abs(x - pixel[0]) < LABEL_PX[0] && Math.abs(y - pixel[1]) < LABEL_PX[1]);
+      if (pixel && !node.hidden) taken.push(pixel);
+      if (pixel) node.style.transform = `translate(${Math.round(pixel[0])}px, ${Math.round(pixel[1])}px)`;
     }
   });
 
   return {
-    showWays(drives: Trajectory[]): void {
-      empty(ways);
+    showPaths(drives: Trajectory[]): void {
+      empty(paths);
       for (const drive of drives) {
-        const line = new Line(geometry(drive.xyz_m), new LineBasicMaterial({ color: WAY }));
-        ways.add(line, ...chevrons(drive.xyz_m));
+        const line = new Line(geometry(drive.xyz_m), new LineBasicMaterial({ color: PATH }));
+        paths.add(line, ...chevrons(drive.xyz_m));
       }
       stage.draw();
     },
@@ -74,11 +74,9 @@ export function createOverlays(stage: Stage, host: HTMLElement) {
       empty(selection);
       if (at && ellipse) {
         const circle = new CircleGeometry(1, 72);
-        const rim = new LineLoop(rimOf(circle), new LineBasicMaterial({ color: ELLIPSE, depthTest: false }));
-        const fill = new Mesh(
-          circle,
-          new MeshBasicMaterial({ color: ELLIPSE, transparent: true, opacity: 0.22, depthTest: false, side: DoubleSide }),
-        );
+        const points = Array.from({ length: 72 }, (_, i) => new Vector3(Math.cos((i * Math.PI) / 36), Math.sin((i * Math.PI) / 36), 0));
+        const rim = new LineLoop(new BufferGeometry().setFromPoints(points), new LineBasicMaterial({ color: ELLIPSE, depthTest: false }));
+        const fill = new Mesh(circle, new MeshBasicMaterial({ color: ELLIPSE, transparent: true, opacity: 0.22, depthTest: false, side: DoubleSide }));
         for (const part of [fill, rim]) {
           part.scale.set(ellipse.major_m * factor, ellipse.minor_m * factor, 1);
           part.rotation.z = ellipse.angle_rad;
@@ -129,8 +127,6 @@ export function createOverlays(stage: Stage, host: HTMLElement) {
   };
 }
 
-export type Overlays = ReturnType<typeof createOverlays>;
-
 function empty(group: Group): void {
   const children: Object3D[] = [...group.children];
   for (const child of children) {
@@ -144,21 +140,14 @@ function geometry(points: Vec3[]): BufferGeometry {
   return new BufferGeometry().setAttribute("position", new Float32BufferAttribute(points.flat(), 3));
 }
 
-function rimOf(circle: CircleGeometry): BufferGeometry {
-  const all = circle.getAttribute("position");
-  const rim = new Float32Array((all.count - 2) * 3);
-  for (let i = 1; i < all.count - 1; i++) rim.set([all.getX(i), all.getY(i), 0], (i - 1) * 3);
-  return new BufferGeometry().setAttribute("position", new BufferAttribute(rim, 3));
-}
-
 function rotate(R: [Vec3, Vec3, Vec3], v: Vec3): Vector3 {
   const [a, b, c] = R.map((row) => row[0] * v[0] + row[1] * v[1] + row[2] * v[2]);
   return new Vector3(a, b, c);
 }
 
-/** Small arrow heads along a way, so that one sees which way was driven. */
+/** Arrow heads along a path, in the direction of travel. */
 function chevrons(points: Vec3[]): Object3D[] {
-  const places: Matrix4[] = [];
+  const poses: Matrix4[] = [];
   let since = ARROW_EVERY_M / 2;
   for (let i = 1; i < points.length; i++) {
     const [a, b] = [points[i - 1], points[i]];
@@ -166,12 +155,12 @@ function chevrons(points: Vec3[]): Object3D[] {
     since += Math.hypot(b[0] - a[0], b[1] - a[1]);
     if (since < ARROW_EVERY_M) continue;
     since = 0;
-    places.push(new Matrix4().makeRotationZ(Math.atan2(b[1] - a[1], b[0] - a[0])).setPosition(...b));
+    poses.push(new Matrix4().makeRotationZ(Math.atan2(b[1] - a[1], b[0] - a[0])).setPosition(...b));
   }
-  if (!places.length) return [];
+  if (!poses.length) return [];
   const shape = new Shape().moveTo(0.45, 0).lineTo(-0.3, 0.3).lineTo(-0.12, 0).lineTo(-0.3, -0.3).closePath();
-  const mesh = new InstancedMesh(new ShapeGeometry(shape), new MeshBasicMaterial({ color: WAY, side: DoubleSide }), places.length);
+  const mesh = new InstancedMesh(new ShapeGeometry(shape), new MeshBasicMaterial({ color: PATH, side: DoubleSide }), poses.length);
   mesh.frustumCulled = false;
-  places.forEach((matrix, i) => mesh.setMatrixAt(i, matrix));
+  poses.forEach((matrix, i) => mesh.setMatrixAt(i, matrix));
   return [mesh];
 }

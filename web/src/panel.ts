@@ -1,7 +1,7 @@
-// Right: everything about the chosen cone.
+// Right: details of the selected cone.
 import { api, ApiError, type Decisions, type HistoryItem, type Sighting } from "./api";
 import { aboutFeature, createDecider, placeChoice, sentence, withdrawChoice, type DecideContext } from "./decisions";
-import { el, fill, plural, shortId, utc } from "./dom";
+import { el, fill, messageOf, plural, shortId, utc } from "./dom";
 import { icon, isGone, STYLES } from "./kinds";
 import { ellipse95, niceFactor } from "./overlays";
 
@@ -11,7 +11,6 @@ export interface PanelActions {
   showChangeset(no: number): void;
   setFactor(factor: number | null): void;
   centre(): void;
-  /** Something was decided about this cone. */
   decided(): void;
 }
 
@@ -24,7 +23,7 @@ export interface Chosen {
   sightings: Sighting[] | null;
   truncated: boolean;
   sightingIndex: number;
-  /** When the drive that is looked at began (milliseconds); Infinity for all drives. */
+  /** Begin of the drive that is shown (milliseconds); Infinity for all drives. */
   upTo: number;
   /** Enlargement of the ellipse; null chooses one. */
   factor: number | null;
@@ -36,16 +35,16 @@ const cm = (variance: number) => `${(Math.sqrt(variance) * 100).toFixed(1)} cm`;
 
 export const until = (h: HistoryItem, upTo: number): boolean => Date.parse(h.captured_from) <= upTo;
 
-/** The state that the history holds after the drive that began at `upTo`; the first one where it begins later. */
+/** The state after the drive that began at `upTo`; the first one if the history begins later. */
 export function stateAt(history: HistoryItem[], upTo: number): HistoryItem | undefined {
   return history.filter((h) => until(h, upTo)).at(-1) ?? history[0];
 }
 
 export function createPanel(host: HTMLElement, actions: PanelActions) {
   let whole = false;
-  let pictures: AbortController | null = null;
+  let loadingImages: AbortController | null = null;
   let urls: string[] = [];
-  let shownPicture = "";
+  let shownImage = "";
   const head = el("header", {});
   const facts = el("div", {});
   const decided = el("div", {});
@@ -60,7 +59,7 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
   function setHead(id: string, chip: Node | null): void {
     const copy = el("button", { type: "button", class: "link", textContent: "copy id" });
     copy.addEventListener("click", () => {
-      void navigator.clipboard.writeText(id).then(() => (copy.textContent = "copied"), () => (copy.textContent = "copying is not allowed here")); // prettier-ignore
+      void navigator.clipboard.writeText(id).then(() => (copy.textContent = "copied"), () => (copy.textContent = "copying is not allowed")); // prettier-ignore
     });
     fill(
       head,
@@ -70,21 +69,13 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
     ); // prettier-ignore
   }
 
-  function loading(id: string): void {
+  /** A message in place of the details. */
+  function message(id: string, text: string, style: string): void {
     host.hidden = false;
     setHead(id, null);
-    shownPicture = "";
+    shownImage = "";
     decide.hidden = true;
-    fill(facts, el("p", { class: "hint loading", textContent: "Reading its history …" }));
-    fill(story);
-    fill(seen);
-  }
-
-  function failed(id: string, error: unknown): void {
-    host.hidden = false;
-    setHead(id, null);
-    decide.hidden = true;
-    fill(facts, el("p", { class: "hint bad", textContent: error instanceof Error ? error.message : String(error) }));
+    fill(facts, el("p", { class: `hint ${style}`, textContent: text }));
     fill(story);
     fill(seen);
   }
@@ -104,7 +95,7 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
     const e = ellipse95(now.cov_m2);
     const auto = niceFactor(e);
     const factor = el("select", { aria: { label: "Enlargement of the ellipse" } },
-      el("option", { value: "auto", textContent: `${auto}× (chosen)` }), ...[1, 10, 100].map((f) => el("option", { value: String(f), textContent: `${f}×` }))); // prettier-ignore
+      el("option", { value: "auto", textContent: `${auto}× (auto)` }), ...[1, 10, 100].map((f) => el("option", { value: String(f), textContent: `${f}×` }))); // prettier-ignore
     factor.value = chosen.factor === null ? "auto" : String(chosen.factor);
     factor.addEventListener("change", () => actions.setFactor(factor.value === "auto" ? null : Number(factor.value)));
     const meter = el("span", { class: "meter" }, el("i"));
@@ -113,16 +104,16 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
     fill(
       facts,
       isGone(now.kind) && el("p", { class: "notice", textContent: `${whyGone(now)} These are its last values.` }),
-      now.kind === "missed" && el("p", { class: "notice", textContent: `${now.drive_id} looked for it in vain${frames(now)}, but not surely enough to remove it.` }),
+      now.kind === "missed" && el("p", { class: "notice", textContent: `${now.drive_id} did not observe it${frames(now)} although it was visible; the evidence is too weak to remove it.` }),
       el(
         "dl", {},
-        ...row("Place", el("span", { class: "mono", textContent: `${easting} E` }), el("span", { class: "mono", textContent: `${northing} N` }), el("small", { textContent: `EPSG:${chosen.srid}, foot centre` })),
+        ...row("Position", el("span", { class: "mono", textContent: `${easting} E` }), el("span", { class: "mono", textContent: `${northing} N` }), el("small", { textContent: `EPSG:${chosen.srid}, foot centre` })),
         ...row("Height", el("span", { class: "mono", textContent: `${height} m` }), el("small", { textContent: "ellipsoidal" })),
         ...row("Sigma E, N, up", el("span", { class: "mono", textContent: `${cm(now.cov_m2[0])}, ${cm(now.cov_m2[3])}, ${cm(now.cov_m2[5])}` })),
-        ...row("95 % ellipse", el("span", { class: "mono", textContent: `${(e.major_m * 100).toFixed(1)} × ${(e.minor_m * 100).toFixed(1)} cm half axes` }),
-          el("small", {}, "drawn ", factor, " enlarged")),
-        ...row("Exists", meter, el("span", { class: "mono", textContent: now.existence_probability.toFixed(4) })),
-        ...row("Evidence", el("span", { textContent: evidence(now) }), el("small", { textContent: `${plural(now.observation_count, "observation")} so far` })),
+        ...row("95 % ellipse", el("span", { class: "mono", textContent: `${(e.major_m * 100).toFixed(1)} × ${(e.minor_m * 100).toFixed(1)} cm semi-axes` }),
+          el("small", {}, "drawn at ", factor)),
+        ...row("Existence probability", meter, el("span", { class: "mono", textContent: now.existence_probability.toFixed(4) })),
+        ...row("Evidence", el("span", { textContent: evidence(now) }), el("small", { textContent: `${plural(now.observation_count, "observation")} in total` })),
         ...row("Cone height", el("span", { class: "mono", textContent: `${now.cone_height_m.toFixed(3)} ± ${now.cone_height_sigma_m.toFixed(3)} m` })),
         ...row("First, last seen", el("span", { class: "mono", textContent: utc(now.first_seen_at) }), el("span", { class: "mono", textContent: `${utc(now.last_seen_at)} UTC` })),
       ),
@@ -155,16 +146,18 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
             icon(h.kind),
             el("span", {}, el("b", { textContent: STYLES[h.kind].label }), h.kind === "moved" && h.shift_m !== null && ` by ${h.shift_m.toFixed(3)} m`, other(h), h.kind === "missed" ? frames(h) : ` · version ${h.version}`,
               el("small", { textContent: `${utc(h.changed_at)} UTC · ${h.drive_id}` }),
-              el("small", { textContent: `exists ${h.existence_probability.toFixed(4)} · ${plural(h.observation_count, "observation")} · σ ${cm((h.cov_m2[0] + h.cov_m2[3]) / 2)}` }))))),
+              el("small", { textContent: `existence ${h.existence_probability.toFixed(4)} · ${plural(h.observation_count, "observation")} · σ ${cm((h.cov_m2[0] + h.cov_m2[3]) / 2)}` }))))),
       ),
     ); // prettier-ignore
   }
 
   function showSightings(chosen: Chosen): void {
     const { sightings } = chosen;
-    if (sightings === null) return fill(seen, el("h3", { textContent: "Pictures" }), el("p", { class: "hint loading", textContent: "Reading its sightings …" }));
-    const s = sightings[chosen.sightingIndex];
-    if (!s) return fill(seen, el("h3", { textContent: "Pictures" }), el("p", { class: "hint", textContent: "The database keeps no sighting of this cone." }));
+    const s = sightings?.[chosen.sightingIndex];
+    if (!sightings || !s) {
+      const text = sightings ? "The database has no sighting of this cone." : "Loading sightings …";
+      return fill(seen, el("h3", { textContent: "Images" }), el("p", { class: sightings ? "hint" : "hint loading", textContent: text }));
+    }
     const i = chosen.sightingIndex;
     const key = `${chosen.map} ${s.drive_uuid} ${s.frame_index} ${s.match_index} ${whole}`;
     const stepFocus = document.activeElement instanceof HTMLElement ? document.activeElement.dataset["focus"] : undefined;
@@ -177,26 +170,26 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
     });
     const step = (to: number, text: string, label: string) =>
       el("button", { type: "button", class: "step", textContent: text, title: label, disabled: to < 0 || to >= sightings.length, data: { focus: label }, aria: { label }, onclick: () => actions.showSighting(to) });
-    const holder = seen.querySelector(".pictures") ?? el("div", { class: "pictures" });
+    const holder = seen.querySelector(".images") ?? el("div", { class: "images" });
     holder.classList.toggle("whole", whole);
     fill(
       seen,
-      el("h3", {}, "Pictures", el("label", { class: "check small" }, box, "whole picture")),
+      el("h3", {}, "Images", el("label", { class: "check small" }, box, "full image")),
       holder,
       el("div", { class: "stepper" }, step(i - 1, "‹", "Previous sighting (P)"), slider, step(i + 1, "›", "Next sighting (N)")),
-      el("p", { class: "hint", textContent: `Sighting ${i + 1} of ${sightings.length}${chosen.truncated ? " (the first of more)" : ""} · ${s.drive_id} · frame pair ${s.frame_index} · ${utc(s.captured_at)} UTC` }),
+      el("p", { class: "hint", textContent: `Sighting ${i + 1} of ${sightings.length}${chosen.truncated ? " (more exist)" : ""} · ${s.drive_id} · frame pair ${s.frame_index} · ${utc(s.captured_at)} UTC` }),
       el("p", { class: "hint", textContent: `Range ${s.range_m.toFixed(2)} m · score left ${s.left.score.toFixed(2)}, right ${s.right.score.toFixed(2)} · residual ${s.residual_rms_px.toFixed(2)} px` }),
     ); // prettier-ignore
     if (stepFocus) seen.querySelector<HTMLElement>(`[data-focus="${stepFocus}"]:not(:disabled)`)?.focus();
-    if (key !== shownPicture) {
-      shownPicture = key;
-      void showPictures(holder, chosen.map, s);
+    if (key !== shownImage) {
+      shownImage = key;
+      void showImages(holder, chosen.map, s);
     }
   }
 
-  async function showPictures(holder: Element, map: string, s: Sighting): Promise<void> {
-    pictures?.abort();
-    const controller = (pictures = new AbortController());
+  async function showImages(holder: Element, map: string, s: Sighting): Promise<void> {
+    loadingImages?.abort();
+    const controller = (loadingImages = new AbortController());
     holder.classList.add("busy");
     const figures = await Promise.all((["left", "right"] as const).map((side) => figure(map, s, side, controller.signal)));
     if (controller.signal.aborted) {
@@ -212,43 +205,47 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
   async function figure(map: string, s: Sighting, side: "left" | "right", signal: AbortSignal) {
     const caption = el("figcaption", { textContent: side });
     try {
-      const url = URL.createObjectURL(await api.picture(map, s, side, whole, signal));
-      const image = el("img", { src: url, alt: `${side} picture of sighting in frame pair ${s.frame_index}, with the box of the detection` });
+      const url = URL.createObjectURL(await api.image(map, s, side, whole, signal));
+      const image = el("img", { src: url, alt: `${side} image of frame pair ${s.frame_index} with the box of the detection` });
       await image.decode().catch(() => undefined);
       return { node: el("figure", {}, image, caption), url };
     } catch (error) {
-      const text = error instanceof ApiError ? error.message : "The picture could not be shown.";
+      const text = error instanceof ApiError ? error.message : "The image cannot be shown.";
       return { node: el("figure", { class: "missing" }, el("p", { textContent: text }), caption), url: null };
     }
   }
 
   function hide(): void {
     host.hidden = true;
-    pictures?.abort();
-    shownPicture = "";
+    loadingImages?.abort();
+    shownImage = "";
   }
 
-  return { loading, failed, show, hide };
+  return {
+    show, hide,
+    loading: (id: string) => message(id, "Loading the history …", "loading"),
+    failed: (id: string, error: unknown) => message(id, messageOf(error), "bad"),
+  };
 }
 
 function row(name: string, ...values: (Node | string)[]): Node[] {
   return [el("dt", { textContent: name }), el("dd", {}, ...values)];
 }
 
-/** "seen by 3 drives, looked in vain by 1", broken only at the comma. */
+/** "observed by 3 drives, not observed by 1 drive", broken only at the comma. */
 function evidence(h: HistoryItem): string {
-  return [`seen by ${plural(h.seen_count, "drive")},`, `looked in vain by ${h.missed_count}`].map((part) => part.replaceAll(" ", "\u00a0")).join(" ");
+  return [`observed by ${plural(h.seen_count, "drive")},`, `not observed by ${plural(h.missed_count, "drive")}`].map((part) => part.replaceAll(" ", "\u00a0")).join(" ");
 }
 
 const frames = (h: HistoryItem): string => (h.frames_empty ? ` in ${plural(h.frames_empty, "frame pair")}` : "");
 
-/** Which cone a split came from, or a merger went into. */
+/** The other cone of a split or merger. */
 function other(h: HistoryItem): string {
   if (h.other_feature_id === null) return "";
   return ` ${h.kind === "merged" ? "into" : "from"} ${shortId(h.other_feature_id)}`;
 }
 
 function whyGone(h: HistoryItem): string {
-  if (h.kind === "merged") return `Merged: ${h.drive_id} found one cone where the map had two; ${shortId(h.other_feature_id ?? "")} is left.`;
-  return `Removed: ${h.drive_id} looked${frames(h)} and did not see it any more.`;
+  if (h.kind === "merged") return `Merged: ${h.drive_id} found one cone where the map had two; ${shortId(h.other_feature_id ?? "")} remains.`;
+  return `Removed: ${h.drive_id} did not observe it${frames(h)} although it was visible.`;
 }

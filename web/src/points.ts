@@ -1,19 +1,19 @@
-// The point cloud: tiles with levels of detail. Which tiles are drawn depends on the camera; never more points than the budget.
+// The point cloud: tiles with levels of detail, selected by the camera within a budget of points.
 import {
   BufferAttribute, BufferGeometry, Box3, Color, Frustum, Group, InterleavedBuffer, InterleavedBufferAttribute, Matrix4, Points, ShaderMaterial, Vector3,
 } from "three";
 import type { BaseTile } from "./api";
 import type { Stage } from "./scene";
 
-/** Points of one picture at rest, whatever the map holds. */
+/** Largest number of points of a frame at rest. */
 export const MAX_DRAWN = 1_000_000;
-/** Points kept on the graphics card; beyond that, tiles not drawn for longest go. */
+/** Points kept on the graphics card; beyond that, the least recently drawn tiles are dropped. */
 const MAX_KEPT = 3_000_000;
-/** While the camera moves, fewer: as many as give this time a picture, between these limits. */
+/** While the camera moves, the budget is adapted to this time per frame. */
 const MOVING_MS = 60;
 const MIN_MOVING = 60_000;
 const REST_AFTER_MS = 250;
-/** A finer tile is drawn where the spacing of the coarser one would be more pixels than this. */
+/** A finer tile is drawn if the spacing of the coarser one would exceed this number of pixels. */
 const SPACING_PX = 1.4;
 const PARALLEL = 6;
 const EARLY_POINTS = 60_000;
@@ -26,7 +26,7 @@ interface Tile {
   sha256: string;
   count: number;
   box: Box3;
-  /** Spacing of the coarser level, in metres: what is seen where this tile is left out. */
+  /** Spacing of the coarser level, which is visible without this tile. */
   coarser_m: number;
   origin: Vector3;
   scale: Vector3;
@@ -35,17 +35,11 @@ interface Tile {
   usedAt: number;
 }
 
-export interface PointLayer {
-  setTiles(tiles: BaseTile[], fetchTile: (sha256: string) => Promise<ArrayBuffer>): void;
-  setVisible(on: boolean): void;
-  setColour(dark: string, bright: string): void;
-}
-
-export function createPoints(stage: Stage, onTrouble: (error: unknown) => void): PointLayer {
+export function createPoints(stage: Stage, onTrouble: (error: unknown) => void) {
   const group = new Group();
   stage.scene.add(group);
   const material = pointMaterial();
-  group.add(noPoints(material)); // so that the shader is compiled while the points are on their way
+  group.add(noPoints(material)); // compiles the shader while the points are loading
   const frustum = new Frustum();
   const matrix = new Matrix4();
   const nearest = new Vector3();
@@ -54,12 +48,12 @@ export function createPoints(stage: Stage, onTrouble: (error: unknown) => void):
   let visible = true;
   let loading = 0;
   let kept = 0;
-  let picture = 0;
+  let frame = 0;
   let wanted: Tile[] = [];
   let generation = 0;
   let moving = false;
   let movingBudget = 400_000;
-  let lastPictureAt = 0;
+  let lastFrameAt = 0;
   let lastCost_ms = 0;
   let restTimer = 0;
   let redrawTimer = 0;
@@ -80,17 +74,17 @@ export function createPoints(stage: Stage, onTrouble: (error: unknown) => void):
       stage.canvas.dataset["points"] = "0";
       return;
     }
-    picture += 1;
+    frame += 1;
     adapt();
     choose(moving ? movingBudget : MAX_DRAWN);
     load();
   });
 
-  /** Time between two pictures of one movement tells what a picture costs, also where another process draws it. */
+  /** The time between two frames of one movement is the cost of a frame, even if another process draws it. */
   function adapt(): void {
     const now = performance.now();
-    const between = now - lastPictureAt;
-    lastPictureAt = now;
+    const between = now - lastFrameAt;
+    lastFrameAt = now;
     if (!moving || between > 2000) return;
     lastCost_ms = 0.5 * lastCost_ms + 0.5 * between;
     if (lastCost_ms > MOVING_MS * 1.3) movingBudget = Math.max(MIN_MOVING, movingBudget * 0.7);
@@ -116,7 +110,7 @@ export function createPoints(stage: Stage, onTrouble: (error: unknown) => void):
     for (const [, tile] of candidates) {
       if (count + tile.count > budget) break;
       count += tile.count;
-      tile.usedAt = picture;
+      tile.usedAt = frame;
       if (tile.points) {
         tile.points.visible = true;
         drawn += tile.count;
@@ -168,7 +162,7 @@ export function createPoints(stage: Stage, onTrouble: (error: unknown) => void):
 
   function evict(): void {
     if (kept <= MAX_KEPT) return;
-    const old = tiles.filter((t) => t.points && t.usedAt < picture).sort((a, b) => a.usedAt - b.usedAt);
+    const old = tiles.filter((t) => t.points && t.usedAt < frame).sort((a, b) => a.usedAt - b.usedAt);
     for (const tile of old) {
       if (kept <= MAX_KEPT) return;
       drop(tile);
@@ -185,7 +179,7 @@ export function createPoints(stage: Stage, onTrouble: (error: unknown) => void):
   }
 
   return {
-    setTiles(next, fetcher): void {
+    setTiles(next: BaseTile[], fetcher: (sha256: string) => Promise<ArrayBuffer>): void {
       generation += 1;
       loading = 0;
       wanted = [];
@@ -203,17 +197,17 @@ export function createPoints(stage: Stage, onTrouble: (error: unknown) => void):
           origin: new Vector3(x, y, z), scale: new Vector3(...t.scale_m),
         };
       });
-      // The coarse ones are part of every picture: they are asked for before it is known what the camera sees.
+      // The coarse ones are part of every frame: they are requested before the camera is known.
       let count = 0;
       wanted = tiles.filter((t) => (count += t.count) <= EARLY_POINTS);
       load();
       stage.draw();
     },
-    setVisible(on): void {
+    setVisible(on: boolean): void {
       visible = on;
       stage.draw();
     },
-    setColour(dark, bright): void {
+    setColour(dark: string, bright: string): void {
       (material.uniforms["dark"]!.value as Color).set(dark);
       (material.uniforms["bright"]!.value as Color).set(bright);
       stage.draw();
@@ -231,7 +225,7 @@ function noPoints(material: ShaderMaterial): Points {
 
 const pixelsAtOneMetre = (stage: Stage) => stage.canvas.clientHeight / (2 * Math.tan((stage.camera.fov * Math.PI) / 360));
 
-/** Steps and shade of `encode_points` (src/conetl/geometry/point_tiles.py): planes of low and high bytes of zigzag differences. */
+/** Steps and shade of `encode_points` (src/conetl/readers/base_layers/point_tiles.py): planes of low and high bytes of zigzag differences. */
 export function decodePoints(data: Uint8Array): Uint16Array {
   const count = Math.floor(data.length / 7);
   const out = new Uint16Array(count * 4);
@@ -273,7 +267,7 @@ varying vec3 vTint;
 void main() {
   vec4 seen = modelViewMatrix * vec4(position, 1.0);
   gl_Position = projectionMatrix * seen;
-  // Half a metre farther in depth: the points that LiDAR saw of a cone do not hide the cone.
+  // Half a metre farther in depth: LiDAR points of a cone do not hide the cone.
   float farther = seen.z - 0.5;
   gl_Position.z = (projectionMatrix[2][2] * farther + projectionMatrix[3][2]) / -farther * gl_Position.w;
   gl_PointSize = clamp(perMetre / max(-seen.z, 0.01), least, 3.0 * least);

@@ -6,7 +6,7 @@ import {
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import type { Vec3 } from "./api";
 import { el } from "./dom";
-import type { CameraPlace } from "./state";
+import type { CameraPose } from "./state";
 
 export const BACKGROUND = "#eef1f4";
 const FIELD_DEG = 42;
@@ -16,32 +16,9 @@ const PIECE_CELLS = 5;
 const toYUp = (v: Vector3) => v.set(v.x, v.z, -v.y);
 const toZUp = (v: Vector3) => v.set(v.x, -v.z, v.y);
 
-export interface Stage {
-  scene: Scene;
-  camera: PerspectiveCamera;
-  canvas: HTMLCanvasElement;
-  /** Ask for a new picture; many calls make one. */
-  draw(): void;
-  /** From now on pictures are drawn: before, there is nothing to see, and each picture costs time. */
-  start(): void;
-  /** Compile what is in the scene, without waiting for it. */
-  warm(): void;
-  /** Called before every picture. */
-  beforeDraw(callback: () => void): void;
-  onCamera(callback: (place: CameraPlace) => void): void;
-  place(place: CameraPlace): void;
-  fit(points: Vec3[]): void;
-  topView(): void;
-  lookAt(point: Vec3, distance_m?: number): void;
-  setGround(height_m: number): void;
-  /** Pixels from the canvas's top left; null behind the camera. */
-  project(point: Vec3): [number, number] | null;
-  key(event: KeyboardEvent): boolean;
-  /** True where something of this height at this place is in the picture and at least so many pixels tall. */
-  sees(point: Vec3, height_m: number, least_px: number): boolean;
-}
+export type Stage = ReturnType<typeof createStage>;
 
-export function createStage(host: HTMLElement): Stage {
+export function createStage(host: HTMLElement) {
   const renderer = new WebGLRenderer({ antialias: true, powerPreference: "high-performance" });
   renderer.debug.checkShaderErrors = false; // asking for errors waits for the compiler
   renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
@@ -73,16 +50,17 @@ export function createStage(host: HTMLElement): Stage {
   let ground = 0;
   let gridKey = "";
   const befores: (() => void)[] = [];
-  const cameraCallbacks: ((place: CameraPlace) => void)[] = [];
-  let asked = false;
+  const cameraCallbacks: ((pose: CameraPose) => void)[] = [];
+  let requested = false;
   let started = false;
   let frames = 0;
 
+  /** Request a frame; many calls make one. */
   function draw(): void {
-    if (asked || !started) return;
-    asked = true;
+    if (requested || !started) return;
+    requested = true;
     requestAnimationFrame(() => {
-      asked = false;
+      requested = false;
       const distance = camera.position.distanceTo(controls.target);
       camera.near = Math.max(distance / 500, 0.05);
       camera.far = distance * 40 + 500;
@@ -104,8 +82,9 @@ export function createStage(host: HTMLElement): Stage {
       gridKey = key;
       setGrid(minor, major, at, step, ground);
     }
-    const metres = niceStep(90 / pixelsPerMetre([controls.target.x, controls.target.y, controls.target.z]));
-    scaleLine.style.width = `${metres * pixelsPerMetre([controls.target.x, controls.target.y, controls.target.z])}px`;
+    const perMetre = pixelsAtDepth(controls.target.clone().sub(camera.position).dot(camera.getWorldDirection(new Vector3())));
+    const metres = niceStep(90 / perMetre);
+    scaleLine.style.width = `${metres * perMetre}px`;
     scaleText.textContent = `${metreText(metres)} · grid ${metreText(step)}`;
     north.style.transform = `rotate(${azimuth()}rad)`;
   }
@@ -113,13 +92,13 @@ export function createStage(host: HTMLElement): Stage {
   const offset = () => toYUp(camera.position.clone().sub(controls.target));
   const azimuth = () => new Spherical().setFromVector3(offset()).theta;
 
-  function current(): CameraPlace {
+  function current(): CameraPose {
     const s = new Spherical().setFromVector3(offset());
     const t = controls.target;
     return [t.x, t.y, t.z, s.theta, s.phi, s.radius];
   }
 
-  function place([x, y, z, theta, phi, radius]: CameraPlace): void {
+  function setPose([x, y, z, theta, phi, radius]: CameraPose): void {
     controls.target.set(x, y, z);
     const s = new Spherical(radius, phi, theta).makeSafe();
     camera.position.copy(toZUp(new Vector3().setFromSpherical(s)).add(controls.target));
@@ -145,24 +124,23 @@ export function createStage(host: HTMLElement): Stage {
     const tanV = Math.tan((FIELD_DEG * Math.PI) / 360) * 0.8;
     const tanH = tanV * camera.aspect;
     const [across = 0, up = 0, towards = 0] = middle;
-    const wish = ([a = 0, b = 0, c = 0]: number[]) =>
+    const distance = ([a = 0, b = 0, c = 0]: number[]) =>
       c - towards + Math.max(Math.abs(a - across) / tanH, Math.abs(b - up) / tanV);
-    const radius = Math.max(4, most(seen.map(wish)));
+    const radius = Math.max(4, most(seen.map(distance)));
     const centre = axes.reduce((sum, axis, i) => sum.addScaledVector(axis, middle[i] ?? 0), new Vector3());
-    place([centre.x, centre.y, centre.z, theta, phi, radius]);
+    setPose([centre.x, centre.y, centre.z, theta, phi, radius]);
   }
 
-  function pixelsPerMetre(point: Vec3): number {
-    const depth = new Vector3(...point).sub(camera.position).dot(camera.getWorldDirection(new Vector3()));
-    return canvas.clientHeight / (2 * Math.tan((FIELD_DEG * Math.PI) / 360) * Math.max(depth, 0.01));
-  }
+  /** Pixels per metre at a depth. */
+  const pixelsAtDepth = (depth_m: number) => canvas.clientHeight / (2 * Math.tan((FIELD_DEG * Math.PI) / 360) * Math.max(depth_m, 0.05));
 
   const seenAt = new Vector3();
+  /** True if something of this height at this position is in view and at least so many pixels tall. */
   function sees([x, y, z]: Vec3, height_m: number, least_px: number): boolean {
     seenAt.set(x, y, z + height_m / 2).applyMatrix4(camera.matrixWorldInverse);
     const depth = -seenAt.z;
     if (depth < -height_m) return false;
-    const pixels = canvas.clientHeight / (2 * Math.tan((FIELD_DEG * Math.PI) / 360) * Math.max(depth, 0.05));
+    const pixels = pixelsAtDepth(depth);
     if (height_m * pixels < least_px) return false;
     const reach = 2 * height_m;
     return Math.abs(seenAt.x) * pixels < canvas.clientWidth / 2 + reach * pixels && Math.abs(seenAt.y) * pixels < canvas.clientHeight / 2 + reach * pixels;
@@ -174,14 +152,14 @@ export function createStage(host: HTMLElement): Stage {
     const pan = radius * 0.08;
     const ahead: [number, number] = [-Math.sin(theta), Math.cos(theta)];
     const move = (right: number, up: number) =>
-      place([x + pan * (right * ahead[1] + up * ahead[0]), y + pan * (up * ahead[1] - right * ahead[0]), z, theta, phi, radius]);
+      setPose([x + pan * (right * ahead[1] + up * ahead[0]), y + pan * (up * ahead[1] - right * ahead[0]), z, theta, phi, radius]);
     switch (event.key) {
-      case "ArrowLeft": turn ? place([x, y, z, theta - 0.1, phi, radius]) : move(-1, 0); return true;
-      case "ArrowRight": turn ? place([x, y, z, theta + 0.1, phi, radius]) : move(1, 0); return true;
-      case "ArrowUp": turn ? place([x, y, z, theta, Math.max(phi - 0.08, 0.01), radius]) : move(0, 1); return true;
-      case "ArrowDown": turn ? place([x, y, z, theta, Math.min(phi + 0.08, 1.55), radius]) : move(0, -1); return true;
-      case "+": case "=": place([x, y, z, theta, phi, Math.max(radius / 1.2, 0.6)]); return true;
-      case "-": case "_": place([x, y, z, theta, phi, Math.min(radius * 1.2, 20000)]); return true;
+      case "ArrowLeft": turn ? setPose([x, y, z, theta - 0.1, phi, radius]) : move(-1, 0); return true;
+      case "ArrowRight": turn ? setPose([x, y, z, theta + 0.1, phi, radius]) : move(1, 0); return true;
+      case "ArrowUp": turn ? setPose([x, y, z, theta, Math.max(phi - 0.08, 0.01), radius]) : move(0, 1); return true;
+      case "ArrowDown": turn ? setPose([x, y, z, theta, Math.min(phi + 0.08, 1.55), radius]) : move(0, -1); return true;
+      case "+": case "=": setPose([x, y, z, theta, phi, Math.max(radius / 1.2, 0.6)]); return true;
+      case "-": case "_": setPose([x, y, z, theta, phi, Math.min(radius * 1.2, 20000)]); return true;
       case "t": case "T": stage.topView(); return true;
       default: return false;
     }
@@ -199,30 +177,32 @@ export function createStage(host: HTMLElement): Stage {
   new ResizeObserver(resize).observe(host);
   resize();
 
-  const stage: Stage = {
-    scene, camera, canvas, draw,
-    start: () => {
-      if (started) return;
+  const stage = {
+    scene, camera, canvas, draw, fit, setPose, key, sees,
+    /** From now on frames are drawn: before, there is nothing to show, and each frame costs time. */
+    start(): void {
       started = true;
       draw();
     },
+    /** Compile the shaders of the scene, without waiting. */
     warm: () => void renderer.compile(scene, camera),
-    fit, place, key, sees,
-    beforeDraw: (callback) => void befores.push(callback),
-    onCamera: (callback) => void cameraCallbacks.push(callback),
-    topView: () => {
+    /** Called before every frame. */
+    beforeDraw: (callback: () => void) => void befores.push(callback),
+    onCamera: (callback: (pose: CameraPose) => void) => void cameraCallbacks.push(callback),
+    topView(): void {
       const [x, y, z, , , radius] = current();
-      place([x, y, z, 0, 0.001, radius]);
+      setPose([x, y, z, 0, 0.001, radius]);
     },
-    lookAt: (point, distance_m) => {
-      const [, , , theta, phi, radius] = current();
-      place([...point, theta, phi, distance_m ?? radius]);
+    lookAt(point: Vec3, distance_m: number): void {
+      const [, , , theta, phi] = current();
+      setPose([...point, theta, phi, distance_m]);
     },
-    setGround: (height_m) => {
+    setGround(height_m: number): void {
       ground = height_m;
       draw();
     },
-    project: (point) => {
+    /** Pixels from the canvas's top left; null behind the camera. */
+    project(point: Vec3): [number, number] | null {
       const v = new Vector3(...point).project(camera);
       if (v.z > 1 || v.z < -1) return null;
       return [((v.x + 1) / 2) * canvas.clientWidth, ((1 - v.y) / 2) * canvas.clientHeight];
@@ -235,9 +215,9 @@ export function createStage(host: HTMLElement): Stage {
 const least = (values: number[]) => values.reduce((a, b) => Math.min(a, b), Infinity);
 const most = (values: number[]) => values.reduce((a, b) => Math.max(a, b), -Infinity);
 
-function niceStep(wish: number): number {
-  const power = 10 ** Math.floor(Math.log10(Math.max(wish, 1e-3)));
-  const rest = wish / power;
+function niceStep(atLeast: number): number {
+  const power = 10 ** Math.floor(Math.log10(Math.max(atLeast, 1e-3)));
+  const rest = atLeast / power;
   return power * (rest >= 5 ? 5 : rest >= 2 ? 2 : 1);
 }
 

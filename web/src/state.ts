@@ -1,10 +1,10 @@
-// What is shown, kept in the address bar, so that a link shows a colleague the same picture.
+// The state of the page, kept in the address bar: a link opens the same view.
 import { KIND_ORDER, type Kind } from "./kinds";
 
 export type Mode = "drive" | "compare" | "instant";
 export type Side = "before" | "changes" | "after";
 /** Target x, y, z, azimuth, polar angle (radians), distance. */
-export type CameraPlace = [number, number, number, number, number, number];
+export type CameraPose = [number, number, number, number, number, number];
 
 export interface State {
   map: string;
@@ -17,20 +17,20 @@ export interface State {
   to: number | null;
   /** Instant: time on the road; null is the latest. */
   valid: string | null;
-  /** Compare and instant: as the database knew it after this changeset; null is now. */
+  /** Compare and instant: the state of the database after this changeset; null is now. */
   known: number | null;
   hidden: Set<Kind>;
   minProbability: number;
   feature: string | null;
-  /** Which sighting is open, counted from 0; null is the nearest one. */
+  /** Index of the open sighting; null is the nearest one. */
   sighting: number | null;
   trajectory: boolean;
   /** Base layers. */
   points: boolean;
   lines: boolean;
-  /** Base layers in colours that the colour-blind tell apart. */
+  /** Base layers in colour-blind safe colours. */
   safeColours: boolean;
-  camera: CameraPlace | null;
+  camera: CameraPose | null;
 }
 
 export function initialState(): State {
@@ -43,12 +43,14 @@ export function initialState(): State {
 
 const MODES: Mode[] = ["drive", "compare", "instant"];
 const SIDES: Side[] = ["before", "changes", "after"];
+/** Names in the address and fields of what is shown unless it is "0". */
+const SWITCHES = [["way", "trajectory"], ["points", "points"], ["lines", "lines"]] as const;
 
 function natural(text: string | null): number | null {
   return text !== null && /^\d{1,15}$/.test(text) ? Number(text) : null;
 }
 
-/** State from the part of an address after "#"; what cannot be understood is left at its default. */
+/** State from the part of an address after "#"; invalid values get their defaults. */
 export function parseState(hash: string): State {
   const state = initialState();
   const p = new URLSearchParams(hash.replace(/^#/, ""));
@@ -67,16 +69,14 @@ export function parseState(hash: string): State {
   const feature = p.get("feature");
   state.feature = feature !== null && /^[0-9a-f-]{36}$/.test(feature) ? feature : null;
   state.sighting = natural(p.get("sighting"));
-  state.trajectory = p.get("way") !== "0";
-  state.points = p.get("points") !== "0";
-  state.lines = p.get("lines") !== "0";
+  for (const [name, field] of SWITCHES) state[field] = p.get(name) !== "0";
   state.safeColours = p.get("colours") === "safe";
   const camera = (p.get("cam") ?? "").split(",").map(Number);
-  if (camera.length === 6 && camera.every(Number.isFinite) && (camera[5] ?? 0) > 0) state.camera = camera as CameraPlace;
+  if (camera.length === 6 && camera.every(Number.isFinite) && (camera[5] ?? 0) > 0) state.camera = camera as CameraPose;
   return state;
 }
 
-/** The other way round; defaults are left out. */
+/** The inverse of parseState; defaults are left out. */
 export function formatState(state: State): string {
   const p = new URLSearchParams();
   p.set("map", state.map);
@@ -95,9 +95,7 @@ export function formatState(state: State): string {
   if (state.minProbability > 0) p.set("p", String(state.minProbability));
   if (state.feature) p.set("feature", state.feature);
   if (state.feature && state.sighting !== null) p.set("sighting", String(state.sighting));
-  if (!state.trajectory) p.set("way", "0");
-  if (!state.points) p.set("points", "0");
-  if (!state.lines) p.set("lines", "0");
+  for (const [name, field] of SWITCHES) if (!state[field]) p.set(name, "0");
   if (state.safeColours) p.set("colours", "safe");
   if (state.camera) p.set("cam", state.camera.map((v) => v.toFixed(3).replace(/\.?0+$/, "")).join(","));
   return p.toString().replaceAll("%2C", ",").replaceAll("%3A", ":");

@@ -1,4 +1,4 @@
-// Below: one drive before and after, two drives compared, or any instant.
+// Below: one drive before and after, two drives compared, or any point in time.
 import type { TimelineItem } from "./api";
 import { createDecider, revertChoice, type Choice } from "./decisions";
 import { el, fill, plural, utc } from "./dom";
@@ -6,15 +6,9 @@ import { icon, STYLES, type Kind } from "./kinds";
 import type { Mode, Side, State } from "./state";
 
 export interface TimelineActions {
-  setMode(mode: Mode): void;
-  setSide(side: Side): void;
-  /** A changeset's number; null follows the newest. */
-  setChangeset(no: number | null): void;
-  setCompare(from: number, to: number | null): void;
-  setValid(iso: string | null): void;
-  setKnown(no: number | null): void;
-  /** Map whose drives may be reverted here; null where this server only reads. */
-  decidesOn(): string | null;
+  change(values: Partial<State>): void;
+  /** Map whose drives may be reverted here; null where this server is read-only. */
+  writableMap(): string | null;
   decided(): void;
 }
 
@@ -27,29 +21,26 @@ const CHANGED: [Kind, (t: TimelineItem) => number][] = [
 ];
 const BAR_PX = 30;
 
+const changesOf = (t: TimelineItem) => CHANGED.flatMap(([kind, count]) => (count(t) ? [{ kind, count: count(t), text: `${count(t)} ${STYLES[kind].label}` }] : []));
+
 export function createTimeline(host: HTMLElement, actions: TimelineActions) {
-  const modeTabs = segmented("What to show", MODES, (mode) => actions.setMode(mode));
+  const modeTabs = segmented("View mode", MODES, (mode) => actions.change({ mode }));
   const body = el("div", { class: "timeline-body" });
   host.append(modeTabs.node, body);
-  const drive = driveView(actions);
-  const compare = compareView(actions);
-  const instant = instantView(actions);
+  const views = { drive: driveView(actions), compare: compareView(actions), instant: instantView(actions) };
 
   return (state: State, items: TimelineItem[]) => {
     modeTabs.set(state.mode);
-    const view = { drive, compare, instant }[state.mode];
+    const view = views[state.mode];
     if (body.firstElementChild !== view.node) fill(body, view.node);
     view.update(state, items);
   };
 }
 
 function segmented<T extends string>(label: string, choices: [T, string][], choose: (value: T) => void) {
-  const buttons = choices.map(([value, text]) =>
-    el("button", { type: "button", textContent: text, data: { value }, onclick: () => choose(value) }),
-  );
-  const node = el("div", { class: "segmented", role: "group", aria: { label } }, ...buttons);
+  const buttons = choices.map(([value, text]) => el("button", { type: "button", textContent: text, data: { value }, onclick: () => choose(value) }));
   return {
-    node,
+    node: el("div", { class: "segmented", role: "group", aria: { label } }, ...buttons),
     set: (value: T) => {
       for (const button of buttons) button.setAttribute("aria-pressed", String(button.dataset["value"] === value));
     },
@@ -59,41 +50,35 @@ function segmented<T extends string>(label: string, choices: [T, string][], choo
 function driveView(actions: TimelineActions) {
   const columns = el("div", { class: "columns" });
   const slider = el("input", { type: "range", class: "changeset-slider", min: "0", step: "1", aria: { label: "Drive" } });
-  const previous = el("button", { type: "button", class: "step", title: "Previous drive (,)", textContent: "‹", aria: { label: "Previous drive" } });
-  const next = el("button", { type: "button", class: "step", title: "Next drive (.)", textContent: "›", aria: { label: "Next drive" } });
-  const sides = segmented("Before or after this drive", SIDES, (side) => actions.setSide(side));
+  const step = (by: number, text: string, label: string, key: string) =>
+    el("button", { type: "button", class: "step", title: `${label} (${key})`, textContent: text, aria: { label }, onclick: () => go(index + by) });
+  const previous = step(-1, "‹", "Previous drive", ",");
+  const next = step(1, "›", "Next drive", ".");
+  const sides = segmented("Before or after this drive", SIDES, (side) => actions.change({ side }));
   const text = el("div", { class: "drive-text", aria: { live: "polite" } });
   const deciderHost = el("div", { class: "drive-decide" });
   const decider = createDecider(deciderHost);
-  const node = el(
-    "div", { class: "drive-view" },
-    el("div", { class: "drive-line" }, text, deciderHost, sides.node),
-    el("div", { class: "drive-track" }, previous, el("div", { class: "track-scroll" }, columns, slider), next),
-  );
   let items: TimelineItem[] = [];
   let drawn: TimelineItem[] | null = null;
   let index = 0;
   const go = (i: number) => {
     const item = items[i];
-    if (item) actions.setChangeset(i === items.length - 1 ? null : item.changeset_no);
+    if (item) actions.change({ changeset: i === items.length - 1 ? null : item.changeset_no });
   };
   slider.addEventListener("input", () => go(Number(slider.value)));
-  previous.addEventListener("click", () => go(index - 1));
-  next.addEventListener("click", () => go(index + 1));
 
   function drawColumns(): void {
-    const most = Math.max(1, ...items.map((t) => CHANGED.reduce((sum, [, count]) => sum + count(t), 0)));
-    const wide = items.length <= 12;
+    const most = Math.max(1, ...items.map((t) => changesOf(t).reduce((sum, { count }) => sum + count, 0)));
     fill(columns, ...items.map((t, i) => {
-      const bars = CHANGED.map(([kind, count]) => {
+      const bars = changesOf(t).map(({ kind, count }) => {
         const bar = el("i", {});
-        bar.style.height = `${count(t) ? Math.max(2, (count(t) / most) * BAR_PX) : 0}px`;
+        bar.style.height = `${Math.max(2, (count / most) * BAR_PX)}px`;
         bar.style.background = STYLES[kind].colour;
         return bar;
       });
-      const counts = CHANGED.filter(([, count]) => count(t)).map(([kind, count]) => `${count(t)} ${STYLES[kind].label}`).join(", ");
-      return el("button", { type: "button", class: "column", tabIndex: -1, title: `${t.drive_id}: ${counts}`, onclick: () => go(i), data: { changeset: String(t.changeset_no) } },
-        el("span", { class: "bars" }, ...bars), wide && el("span", { class: "day", textContent: utc(t.captured_from, false).slice(5) })); // prettier-ignore
+      const title = `${t.drive_id}: ${changesOf(t).map((c) => c.text).join(", ")}`;
+      return el("button", { type: "button", class: "column", tabIndex: -1, title, onclick: () => go(i), data: { changeset: String(t.changeset_no) } },
+        el("span", { class: "bars" }, ...bars), items.length <= 12 && el("span", { class: "day", textContent: utc(t.captured_from, false).slice(5) })); // prettier-ignore
     }));
     const n = Math.max(items.length, 1);
     slider.style.marginLeft = `calc(${50 / n}% - 8px)`;
@@ -102,7 +87,9 @@ function driveView(actions: TimelineActions) {
   }
 
   return {
-    node,
+    node: el("div", { class: "drive-view" },
+      el("div", { class: "drive-line" }, text, deciderHost, sides.node),
+      el("div", { class: "drive-track" }, previous, el("div", { class: "track-scroll" }, columns, slider), next)), // prettier-ignore
     update(state: State, now: TimelineItem[]): void {
       items = now;
       if (drawn !== items) {
@@ -110,7 +97,7 @@ function driveView(actions: TimelineActions) {
         drawColumns();
       }
       const found = items.findIndex((t) => t.changeset_no === state.changeset);
-      index = state.changeset === null || found < 0 ? items.length - 1 : found;
+      index = found < 0 ? items.length - 1 : found;
       slider.max = String(Math.max(items.length - 1, 0));
       slider.value = String(index);
       slider.disabled = items.length < 2;
@@ -121,66 +108,52 @@ function driveView(actions: TimelineActions) {
       columns.children[index]?.scrollIntoView?.({ block: "nearest", inline: "nearest" });
       const t = items[index];
       if (!t) return fill(text);
-      const map = actions.decidesOn();
+      const map = actions.writableMap();
       const choices: Choice[] = map !== null && t.counts ? [revertChoice(t.changeset_id, t.drive_id)] : [];
       decider.show(`${t.changeset_id} ${String(t.counts)} ${String(map)}`, choices, { map: map ?? "", changed: () => actions.decided() });
       slider.setAttribute("aria-valuetext", `${t.drive_id}, drive ${index + 1} of ${items.length}`);
       fill(
         text,
         el("strong", { textContent: t.drive_id }),
-        el("span", { textContent: `drive ${index + 1} of ${items.length} · ${utc(t.captured_from)} UTC on the road · ${plural(t.frame_pair_count, "frame pair")} · committed ${utc(t.committed_at)} UTC` }),
-        el("span", { class: "chips" }, ...CHANGED.filter(([, count]) => count(t)).map(([kind, count]) =>
-          el("span", { class: "chip" }, icon(kind), `${count(t)} ${STYLES[kind].label}`)),
-          !t.counts && el("span", { class: "chip off", title: "It was reverted, or a later analysis of the same recording took its place.", textContent: "does not count" })),
+        el("span", { textContent: `drive ${index + 1} of ${items.length} · recorded ${utc(t.captured_from)} UTC · ${plural(t.frame_pair_count, "frame pair")} · committed ${utc(t.committed_at)} UTC` }),
+        el("span", { class: "chips" }, ...changesOf(t).map((c) => el("span", { class: "chip" }, icon(c.kind), c.text)),
+          !t.counts && el("span", { class: "chip off", title: "It was reverted, or a later analysis of the same recording replaced it.", textContent: "not counted" })),
       ); // prettier-ignore
     },
   };
 }
 
-function driveOptions(items: TimelineItem[], withStart: boolean): HTMLOptionElement[] {
-  const drives = items.map((t, i) =>
-    el("option", { value: i === items.length - 1 ? "latest" : String(t.changeset_no), textContent: `${utc(t.captured_from, false)} · after ${t.drive_id}` }),
-  );
-  return withStart ? [el("option", { value: "0", textContent: "the empty map, before the first drive" }), ...drives] : drives;
-}
-
 function knownSelect(actions: TimelineActions) {
-  const select = el("select", { onchange: () => actions.setKnown(select.value === "now" ? null : Number(select.value)) });
+  const select = el("select", { onchange: () => actions.change({ known: select.value === "now" ? null : Number(select.value) }) });
   return {
-    node: el("label", {}, "As the database knew it ", select),
+    node: el("label", {}, "Database state as of ", select),
     update: (state: State, items: TimelineItem[]) => {
       fill(select, el("option", { value: "now", textContent: "now" }),
-        ...items.map((t) => el("option", { value: String(t.changeset_no), textContent: `${utc(t.committed_at)} · after ${t.drive_id} was committed` }))); // prettier-ignore
+        ...items.map((t) => el("option", { value: String(t.changeset_no), textContent: `${utc(t.committed_at)} · after the commit of ${t.drive_id}` }))); // prettier-ignore
       select.value = state.known === null ? "now" : String(state.known);
     },
   };
 }
 
 function compareView(actions: TimelineActions) {
-  const from = el("select", {});
-  const to = el("select", {});
+  const [from, to] = [el("select", {}), el("select", {})];
   const known = knownSelect(actions);
   const number = (select: HTMLSelectElement) => (select.value === "latest" ? null : Number(select.value));
   let newest = 0;
-  const choose = () => actions.setCompare(number(from) ?? newest, number(to));
+  const choose = () => actions.change({ from: number(from) ?? newest, to: number(to) });
   from.addEventListener("change", choose);
   to.addEventListener("change", choose);
-  const swap = el("button", { type: "button", class: "step", textContent: "⇄", title: "Exchange the two", aria: { label: "Exchange the two" } });
-  swap.addEventListener("click", () => {
-    const [a, b] = [number(from) ?? newest, number(to) ?? newest];
-    if (a !== 0) actions.setCompare(b, a);
-  });
-  const node = el(
-    "div", { class: "form-line" },
-    el("label", {}, "The road ", from), swap, el("label", {}, "against ", to), known.node,
-    el("p", { class: "hint", textContent: "A cone counts as moved from 0.5 m on, the pipeline's own limit." }),
-  );
+  const swap = el("button", { type: "button", class: "step", textContent: "⇄", title: "Swap", aria: { label: "Swap" } });
+  swap.addEventListener("click", () => actions.change({ from: number(to) ?? newest, to: number(from) ?? newest }));
   return {
-    node,
+    node: el("div", { class: "form-line" }, el("label", {}, "From ", from), swap, el("label", {}, "to ", to), known.node,
+      el("p", { class: "hint", textContent: "Cones count as moved from 0.5 m, the limit of the pipeline." })), // prettier-ignore
     update(state: State, items: TimelineItem[]): void {
       newest = items.at(-1)?.changeset_no ?? 0;
-      fill(from, ...driveOptions(items, true));
-      fill(to, ...driveOptions(items, false));
+      const drives = () => items.map((t, i) =>
+        el("option", { value: i === items.length - 1 ? "latest" : String(t.changeset_no), textContent: `${utc(t.captured_from, false)} · after ${t.drive_id}` })); // prettier-ignore
+      fill(from, el("option", { value: "0", textContent: "before the first drive (empty map)" }), ...drives());
+      fill(to, ...drives());
       from.value = state.from === newest ? "latest" : String(state.from);
       to.value = state.to === null || state.to === newest ? "latest" : String(state.to);
       swap.disabled = state.from === 0;
@@ -193,30 +166,27 @@ function instantView(actions: TimelineActions) {
   const slider = el("input", { type: "range", class: "instant-slider", min: "0", max: "1000", step: "1", aria: { label: "Time on the road" } });
   const ticks = el("div", { class: "ticks" });
   const input = el("input", { type: "text", size: 19, placeholder: "2026-03-02 09:41:07", spellcheck: false, autocomplete: "off" });
-  const latest = el("button", { type: "button", textContent: "Latest", onclick: () => actions.setValid(null) });
+  const latest = el("button", { type: "button", textContent: "Latest", onclick: () => actions.change({ valid: null }) });
   const known = knownSelect(actions);
   let [start, end] = [0, 1];
+  const show = (time: number) => actions.change({ valid: new Date(time).toISOString() });
   slider.addEventListener("input", () => {
     const t = Number(slider.value);
-    actions.setValid(t >= 1000 ? null : new Date(start + ((end - start) * t) / 1000).toISOString());
+    if (t >= 1000) actions.change({ valid: null });
+    else show(start + ((end - start) * t) / 1000);
   });
   input.addEventListener("change", () => {
     const text = input.value.trim().replace(" ", "T");
     const time = Date.parse(text.includes("T") ? `${text}Z` : text);
-    input.setCustomValidity(Number.isNaN(time) ? "Write it like 2026-03-02 or 2026-03-02 09:41:07 (UTC)" : "");
-    if (input.reportValidity()) actions.setValid(new Date(time).toISOString());
+    input.setCustomValidity(Number.isNaN(time) ? "Enter a time such as 2026-03-02 or 2026-03-02 09:41:07 (UTC)" : "");
+    if (input.reportValidity()) show(time);
   });
-  const node = el(
-    "div", { class: "instant-view" },
-    el("div", { class: "form-line" }, el("label", {}, "On the road at (UTC) ", input), latest, known.node),
-    el("div", { class: "instant-track" }, ticks, slider),
-  );
   return {
-    node,
+    node: el("div", { class: "instant-view" },
+      el("div", { class: "form-line" }, el("label", {}, "Time on the road (UTC) ", input), latest, known.node),
+      el("div", { class: "instant-track" }, ticks, slider)), // prettier-ignore
     update(state: State, items: TimelineItem[]): void {
-      const first = items[0];
-      const last = items.at(-1);
-      if (!first || !last) return;
+      if (!items.length) return;
       const times = items.flatMap((t) => [Date.parse(t.captured_from), Date.parse(t.valid_at)]);
       const [least, most] = [Math.min(...times), Math.max(...times)];
       const margin = Math.max((most - least) * 0.03, 1000);
@@ -226,7 +196,7 @@ function instantView(actions: TimelineActions) {
       if (input.validity.valid) input.value = utc(new Date(at).toISOString());
       latest.disabled = state.valid === null;
       fill(ticks, ...items.map((t) => {
-        const tick = el("button", { type: "button", tabIndex: -1, title: `${t.drive_id} · ${utc(t.captured_to)} UTC`, onclick: () => actions.setValid(new Date(Date.parse(t.valid_at) + 1).toISOString()) });
+        const tick = el("button", { type: "button", tabIndex: -1, title: `${t.drive_id} · ${utc(t.captured_to)} UTC`, onclick: () => show(Date.parse(t.valid_at) + 1) });
         tick.style.left = `calc(8px + (100% - 16px) * ${(Date.parse(t.captured_to) - start) / (end - start)})`;
         return tick;
       })); // prettier-ignore

@@ -1,4 +1,7 @@
-"""The command line: `conetl --help` is the user's first page."""
+"""The command line. It may import every package; `app.py` lists the commands, each module holds one command or group.
+
+`main` is the entry point of the program `conetl`.
+"""
 
 from __future__ import annotations
 
@@ -12,28 +15,28 @@ from conetl.cli.app import app
 from conetl.cli.console import complain, err
 from conetl.model.errors import EXIT_BUG, EXIT_INTERRUPTED, ConetlError
 
-__all__ = ["main"]
+__all__ = ["app", "main"]
 
 
 class Interrupted(BaseException):
-    """Ctrl-C. Not KeyboardInterrupt, which the command line's library turns into exit code 1, "done, but"."""
+    """Ctrl-C. Not KeyboardInterrupt, for which typer exits with code 1, "done, but something needs attention"."""
 
 
 def _interrupt(_number: int, _frame: FrameType | None) -> None:
-    """The first Ctrl-C lets the steps that run now end; a second one does not wait for them: nothing is lost by either."""
+    """The first Ctrl-C waits for the steps that are running; the second one does not. Neither loses data."""
     signal.signal(signal.SIGINT, lambda *_: os._exit(EXIT_INTERRUPTED))
-    err.print("\nconetl: stopping; Ctrl-C again to stop at once")
+    err.print("\nconetl: stopping; press Ctrl-C again to stop at once")
     raise Interrupted
 
 
 def main() -> None:
-    """Entry point of the `conetl` command: every error that conetl knows becomes one sentence and an exit code."""
+    """Run a command; every error becomes one message and an exit code."""
     signal.signal(signal.SIGINT, _interrupt)
     try:
         app(standalone_mode=True)
     except Interrupted:
         err.print(
-            "conetl: interrupted; a drive is on the map as a whole or not at all. The same command again goes on from here."
+            "conetl: interrupted. A drive is on the map completely or not at all; run the same command again to continue."
         )
         sys.exit(EXIT_INTERRUPTED)
     except ConetlError as error:
@@ -41,5 +44,5 @@ def main() -> None:
         sys.exit(error.exit_code)
     except Exception:
         traceback.print_exc()
-        err.print("conetl: this is a mistake of conetl, not yours; please report it with the lines above.")
+        err.print("conetl: internal error; please report it with the lines above.")
         sys.exit(EXIT_BUG)

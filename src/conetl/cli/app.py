@@ -1,57 +1,164 @@
-"""All commands in one place; each is a few lines in a module of its own."""
+"""All commands: their names, their functions, and the order in which `conetl --help` lists them.
+
+A module is imported when its command runs. Help pages and shell completion read its docstrings from the source file.
+"""
 
 from __future__ import annotations
 
-import typer
+import ast
+import inspect
+from collections.abc import Mapping
+from importlib import import_module
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated, Any
 
-from conetl.cli.backfill import backfill
-from conetl.cli.database import app as database
-from conetl.cli.demo import demo
-from conetl.cli.ingest import ingest
-from conetl.cli.inspect_drive import inspect
-from conetl.cli.map.base import app as base
-from conetl.cli.map.show import app as maps
-from conetl.cli.report import app as report
-from conetl.cli.services import down, status, up
-from conetl.cli.tools.calibrate import calibrate
-from conetl.cli.tools.detect import detect
-from conetl.cli.tools.evaluate import evaluate
-from conetl.cli.tools.lidar_check import lidar_check
-from conetl.cli.tools.locate import locate
-from conetl.cli.tools.rig import app as rig
-from conetl.cli.tools.simulate import simulate
-from conetl.cli.view import view
-from conetl.cli.watch import watch
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+from conetl.cli.console import say, start_logging
+
+#: Heading of the first help page -> name of a command -> its module below `conetl.cli` and function.
+_COMMANDS = {
+    "Drives": {
+        "ingest": "ingest:ingest",
+        "backfill": "backfill:backfill",
+        "watch": "watch:watch",
+        "inspect": "inspect_drive:inspect",
+    },
+    "Map": {"map": "", "view": "view:view", "report": "", "base": ""},
+    "Services": {"up": "services:up", "down": "services:down", "status": "services:status", "db": ""},
+    "Tools": {
+        "demo": "demo:demo",
+        "detect": "tools.detect:detect",
+        "locate": "tools.locate:locate",
+        "calibrate": "tools.calibrate:calibrate",
+        "rig": "",
+        "evaluate": "tools.evaluate:evaluate",
+        "lidar-check": "tools.lidar_check:lidar_check",
+        "simulate": "tools.simulate:simulate",
+    },
+}
+#: Group of commands -> its help, and its commands likewise.
+_GROUPS = {
+    "map": (
+        "Show, compare, export, import and correct the map.",
+        {
+            "show": "map.show:show",
+            "log": "map.show:log",
+            "diff": "map.compare:diff",
+            "picture": "map.image:picture",
+            "export": "map.exchange:export",
+            "import": "map.exchange:import_",
+            "licence": "map.exchange:licence",
+            "qgis": "map.exchange:qgis",
+            "check-layout": "map.work_zones:check_layout_command",
+            "suppress": "map.decisions:suppress",
+            "pin": "map.decisions:pin",
+            "revert": "map.decisions:revert",
+            "decisions": "map.decisions:decisions",
+        },
+    ),
+    "report": (
+        "Quality reports as HTML: of a drive, or of a night.",
+        {"drive": "report:drive", "night": "report:night"},
+    ),
+    "base": (
+        "Base layers of the map: LiDAR points and lane boundaries.",
+        {"import": "map.base:import_files", "list": "map.base:list_layers", "drop": "map.base:drop"},
+    ),
+    "db": (
+        "The PostGIS database: CONETL_DATABASE_URL, or a private cluster.",
+        {name: f"database:{name}" for name in ("up", "down", "status", "migrate", "audit")} | {"prune": "prune:prune"},
+    ),
+    "rig": (
+        "Show the calibration of a rig, or convert it to the format of another tool.",
+        {"show": "tools.rig:show", "convert": "tools.rig:convert"},
+    ),
+}
+
+
+class LazyGroup(TyperGroup):
+    """A group of commands whose modules are imported when they run."""
+
+    targets: Mapping[str, str] = {name: target for panel in _COMMANDS.values() for name, target in panel.items()}
+    listing = False
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        return [*self.targets, *super().list_commands(ctx)]
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        target = self.targets.get(cmd_name)
+        if target is None:
+            return super().get_command(ctx, cmd_name)
+        if self.listing:
+            text = _summary(target) if target else _GROUPS[cmd_name][0]
+            panel = next((panel for panel, names in _COMMANDS.items() if cmd_name in names), None)
+            return TyperCommand(
+                cmd_name, help=text, rich_help_panel=panel if self.targets is LazyGroup.targets else None
+            )
+        if target:
+            return _load(cmd_name, target)
+        group = LazyGroup(name=cmd_name, help=_GROUPS[cmd_name][0], no_args_is_help=True)
+        group.targets = _GROUPS[cmd_name][1]
+        return group
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        self.listing = True
+        super().format_help(ctx, formatter)
+
+    def shell_complete(self, ctx: Any, incomplete: str) -> Any:
+        self.listing = True
+        return super().shell_complete(ctx, incomplete)
+
+
+def _summary(target: str) -> str:
+    """First paragraph of a command's docstring, without importing its module."""
+    module, function = target.split(":")
+    spec = find_spec(f"conetl.cli.{module}")
+    assert spec is not None and spec.origin is not None
+    body = ast.parse(Path(spec.origin).read_text(encoding="utf-8")).body
+    found = next(node for node in body if isinstance(node, ast.FunctionDef) and node.name == function)
+    return inspect.cleandoc(ast.get_docstring(found) or "").partition("\n\n")[0]
+
+
+def _load(name: str, target: str) -> Any:
+    module, function = target.split(":")
+    command = getattr(import_module(f"conetl.cli.{module}"), function)
+    paragraphs = (inspect.getdoc(command) or "").split("\n\n")
+    one = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    one.command(name, help="\n\n".join(" ".join(text.split()) for text in paragraphs))(command)
+    return typer.main.get_command(one)
+
 
 app = typer.Typer(
     name="conetl",
-    help="Stereo survey drives in, a versioned HD map of traffic cones out.",
+    cls=LazyGroup,
     no_args_is_help=True,
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
-    epilog="Exit codes: 0 done; 1 done, but too many records were quarantined, or the map's files or events could not be made; "
-    "2 bad usage or input, nothing written; 3 a service (database, Prefect, storage) is not to be had, nothing written.",
+    epilog="Exit codes: 0 done; 1 done, but something needs attention (too many records quarantined, files or events not "
+    "published); 2 bad usage or input, nothing written; 3 a service (database, Prefect, storage) is unavailable, nothing "
+    "written; 70 internal error.",
 )
-for command in (
-    ingest,
-    inspect,
-    watch,
-    backfill,
-    up,
-    down,
-    status,
-    view,
-    calibrate,
-    locate,
-    detect,
-    evaluate,
-    lidar_check,
-    simulate,
-    demo,
-):
-    app.command()(command)
-app.add_typer(maps, name="map")
-app.add_typer(base, name="base")
-app.add_typer(database, name="db")
-app.add_typer(report, name="report")
-app.add_typer(rig, name="rig")
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        say(f"conetl {version('conetl')}")
+        raise typer.Exit
+
+
+@app.callback()
+def main(
+    verbose: Annotated[
+        int,
+        typer.Option("--verbose", "-v", count=True, show_default=False, help="Log to standard error; -vv: in detail."),
+    ] = 0,
+    _version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """Turn stereo survey drives into a versioned HD map of traffic cones."""
+    start_logging(verbose)

@@ -1,16 +1,30 @@
-"""`conetl backfill`: all drives below a folder."""
+"""`conetl backfill`: add all drives below a folder."""
 
 from __future__ import annotations
 
 import os
-from contextlib import ExitStack, closing, nullcontext
+from contextlib import ExitStack
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from conetl.cli.console import JsonOption, counted, err, out, parse_time, print_json, print_table
+from conetl.cli.console import (
+    Columns,
+    JsonOption,
+    MapSridOption,
+    ParamsOption,
+    counted,
+    err,
+    parse_time,
+    print_json,
+    print_records,
+    print_table,
+    say,
+    spinner,
+)
 from conetl.cli.database import open_map
 from conetl.cli.ingest import read_params
 from conetl.db.notification_store import QUIET, pending_changesets
@@ -18,6 +32,7 @@ from conetl.model.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_SERVICE_MISSING,
 from conetl.pipeline.settings import prefect_environment, read_settings
 
 if TYPE_CHECKING:
+    from conetl.db.receipt_store import Receipt
     from conetl.pipeline.backfill_plan import Plan
     from flows.backfill import Standing
 
@@ -26,53 +41,42 @@ _SHOWN = 25
 
 def backfill(
     root: Annotated[Path, typer.Argument(help="Folder with drives, or with folders of drives.")],
-    since: Annotated[str | None, typer.Option(help="Drives recorded at this time or later, e.g. 2026-03-01.")] = None,
-    until: Annotated[str | None, typer.Option(help="Drives recorded before this time.")] = None,
+    since: Annotated[str | None, typer.Option(help="Only drives recorded from this time on, e.g. 2026-03-01.")] = None,
+    until: Annotated[str | None, typer.Option(help="Only drives recorded before this time.")] = None,
     max_parallel: Annotated[
-        int | None, typer.Option(min=1, help="Drives at the same time; as many as there are workers, or 1 without.")
+        int | None, typer.Option(min=1, help="Drives at the same time; default: one per worker, 1 without workers.")
     ] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the plan and do nothing.")] = False,
-    recheck: Annotated[bool, typer.Option(help="Compare drives that are on the map by their content as well.")] = False,
-    here: Annotated[bool, typer.Option("--here", help="Work in this process also where there are workers.")] = False,
-    params: Annotated[Path | None, typer.Option(help="YAML file of parameters; see `src/conetl/params.py`.")] = None,
-    map_srid: Annotated[
-        int | None, typer.Option(min=1, help="EPSG code of the map; the first drive's UTM zone unless given.")
-    ] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the plan and exit.")] = False,
+    recheck: Annotated[bool, typer.Option(help="Compare the content of drives that are on the map already.")] = False,
+    here: Annotated[bool, typer.Option("--here", help="Run in this process even if workers are running.")] = False,
+    params: ParamsOption = None,
+    map_srid: MapSridOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Bring all drives below a folder onto the map that are not there yet, each as a run of its own.
+    """Add all drives below a folder that are not on the map yet, one run per drive.
 
-    The plan comes first: what, why, how long. Run it again after a stop: it goes on; what failed is tried again.
-    Exit code 2 where drives failed (the others are on the map), 3 where services were missing.
+    Prints the plan first: which drives, why, and how long it will take. After a stop, run it again to continue; failed drives
+    are tried again. Exit code 2 if drives failed (the others are on the map), 3 if services were unavailable.
     """
     settings = read_settings()
     parameters = read_params(params)
     os.environ.update(prefect_environment(settings.home))
     from conetl.pipeline.backfill_plan import plan_as_dict, plan_drives
 
-    with closing(open_map(settings)) as conn, err.status("Planning") if err.is_terminal else nullcontext():
-        plan = plan_drives(
-            conn,
-            root,
-            settings=settings,
-            params=parameters,
-            since=parse_time(since),
-            until=parse_time(until),
-            recheck=recheck,
-        )
+    begin, end = parse_time(since), parse_time(until)
+    with open_map(settings) as conn, spinner("Planning"):
+        plan = plan_drives(conn, root, settings=settings, params=parameters, since=begin, until=end, recheck=recheck)
         untold = pending_changesets(conn, map_name=settings.map_name, quiet=QUIET)
+    if not as_json:
+        _print_plan(plan, max_parallel or 1)
     if dry_run or not (plan.todo or untold):
         if as_json:
             print_json({"plan": plan_as_dict(plan, max_parallel or 1), "drives": []})
-        else:
-            _print_plan(plan, max_parallel or 1)
         return
-    if not as_json:
-        _print_plan(plan, max_parallel or 1)
-    ended: list[Any] = []
+    ended: list[Receipt] = []
     noted: set[str] = set()
     with ExitStack() as running:
-        with err.status("Starting Prefect") if err.is_terminal else nullcontext():
+        with spinner("Starting Prefect"):
             from flows import backfill as flow
             from flows.server import prefect_server
 
@@ -90,12 +94,14 @@ def backfill(
             for receipt in standing.ended[len(ended) :]:
                 ended.append(receipt)
                 if not as_json:
+                    bar.stop()
                     _print_receipt(receipt)
+                    bar.start()
 
         flow.watch(show)
         try:
             flow.backfill(
-                root.absolute(), since=parse_time(since), until=parse_time(until), max_parallel=max_parallel,
+                root.absolute(), since=begin, until=end, max_parallel=max_parallel,
                 map_name=settings.map_name, map_srid=map_srid, params=parameters, recheck=recheck,
                 where="here" if here else "auto", return_state=True,
             ).result()  # fmt: skip
@@ -105,17 +111,15 @@ def backfill(
     if as_json:
         print_json({"plan": plan_as_dict(plan, max_parallel or 1), "drives": [_receipt_as_dict(r) for r in ended]})
     else:
-        out.print(
-            f"\nOn map {settings.map_name}: {counted(len(ended) - len(failed), 'drive')}; failed: {len(failed)}.",
-            markup=False,
-        )
+        done = counted(len(ended) - len(failed), "drive")
+        say(f"\nOn map {settings.map_name}: {done}; failed: {len(failed)}.")
         if failed:
-            out.print("Run the same command again to try the failed ones again.", markup=False)
+            say("Run the same command again to retry the failed drives.")
     raise typer.Exit(_exit_code(ended, failed))
 
 
-def _exit_code(ended: list[Any], failed: list[Any]) -> int:
-    if not failed:  # a committed drive has a reason where too much of it was refused
+def _exit_code(ended: list[Receipt], failed: list[Receipt]) -> int:
+    if not failed:  # a committed drive has a reason if too many of its records were rejected
         return EXIT_TOO_MANY_REJECTIONS if any(receipt.reason for receipt in ended) else EXIT_DONE
     return EXIT_SERVICE_MISSING if all(receipt.may_pass for receipt in failed) else EXIT_BAD_INPUT
 
@@ -127,7 +131,10 @@ def _bar() -> Progress:
         TextColumn("{task.description}"),
         TimeElapsedColumn(),
     )
-    return Progress(*columns, console=err, disable=not err.is_terminal, transient=True)
+    return Progress(*columns, console=err, disable=not err.is_terminal, transient=True, redirect_stdout=False)
+
+
+_ACTIONS = {"ingest": "ingest", "wait": "wait", "skip": "-", "refuse": "not usable"}
 
 
 def _print_plan(plan: Plan, parallel: int) -> None:
@@ -135,60 +142,47 @@ def _print_plan(plan: Plan, parallel: int) -> None:
     from flows.batch_artifacts import minutes
 
     span = " to ".join(f"{t:%Y-%m-%d %H:%M}" if t else "..." for t in (plan.since, plan.until))
-    within = f", recorded {span}" if plan.since or plan.until else ""
-    out.print(
-        f"{counted(len(plan.lines), 'drive')} below {plan.root}{within}; map {plan.map_name}; planned in {plan.seconds:.1f} s.",
-        markup=False,
+    recorded = f", recorded {span}" if plan.since or plan.until else ""
+    say(
+        f"{counted(len(plan.lines), 'drive')} below {plan.root}{recorded}; map {plan.map_name}; planned in {plan.seconds:.1f} s."
     )
     if not plan.lines:
         return
     print_table("", ("plan", "drives"), reasons(plan))
-    estimate = plan.estimate_s(parallel)
-    how_long = (
-        "how long is not known before the first drive is done"
-        if estimate is None
-        else f"about {minutes(estimate)}, {parallel} at a time, as earlier drives took"
-    )
-    out.print(
-        f"{counted(plan.count('ingest'), 'drive')} with {counted(plan.frame_pairs, 'frame pair')} to ingest"
-        f"{': ' + how_long if plan.count('ingest') else ''}.",
-        markup=False,
-    )
-    rows = [
-        (
-            line.header.drive_id[:60],
-            f"{line.header.captured_from:%Y-%m-%d %H:%M}" if line.header.captured_from else "?",
-            {"ingest": "ingest", "wait": "wait", "skip": "-", "refuse": "not usable"}[line.action],
-            line.why[:110],
-            line.header.frame_pairs,
-        )
-        for line in plan.lines
-    ]
-    print_table("", ("drive", "recorded (UTC)", "plan", "why", "pairs"), rows[:_SHOWN], numbers_from=4)
-    if len(rows) > _SHOWN:
-        out.print(f"... and {len(rows) - _SHOWN} more; --dry-run --json lists all.", markup=False)
+    how_long = ""
+    if plan.count("ingest"):
+        estimate = plan.estimate_s(parallel)
+        how_long = ": time unknown until the first drive is done"
+        if estimate is not None:
+            how_long = f": about {minutes(estimate)}, {parallel} at a time, from the times of earlier drives"
+    say(f"{counted(plan.count('ingest'), 'drive')} with {counted(plan.frame_pairs, 'frame pair')} to ingest{how_long}.")
+    columns: Columns = {
+        "drive": lambda line: line.header.drive_id[:60],
+        "recorded (UTC)": lambda line: _minute(line.header.captured_from),
+        "plan": lambda line: _ACTIONS[line.action],
+        "why": lambda line: line.why[:110],
+        "pairs": lambda line: line.header.frame_pairs,
+    }
+    print_records("", columns, plan.lines[:_SHOWN], numbers_from=4)
+    if len(plan.lines) > _SHOWN:
+        say(f"... and {len(plan.lines) - _SHOWN} more; --dry-run --json lists all.")
 
 
-def _print_receipt(receipt: Any) -> None:
-    if receipt.done:
-        took = f" in {receipt.seconds:.1f} s" if receipt.seconds else ""
-        note = f"; {receipt.reason}" if receipt.reason else ""
-        word = "on the map" if receipt.state == "committed" else "was on the map already"
-        out.print(f"{receipt.drive_id}: {word}{took}{note}", markup=False)
-    else:
-        out.print(f"{receipt.drive_id}: {receipt.state}: {receipt.reason}", markup=False)
+def _minute(time: datetime | None) -> str:
+    return f"{time:%Y-%m-%d %H:%M}" if time else "?"
 
 
-def _receipt_as_dict(receipt: Any) -> dict[str, Any]:
+def _print_receipt(receipt: Receipt) -> None:
+    if not receipt.done:
+        say(f"{receipt.drive_id}: {receipt.state}: {receipt.reason}")
+        return
+    took = f" in {receipt.seconds:.1f} s" if receipt.seconds else ""
+    reason = f"; {receipt.reason}" if receipt.reason else ""
+    say(f"{receipt.drive_id}: {'on' if receipt.state == 'committed' else 'already on'} the map{took}{reason}")
+
+
+def _receipt_as_dict(receipt: Receipt) -> dict[str, Any]:
     names = (
-        "drive_id",
-        "drive_path",
-        "state",
-        "reason",
-        "may_pass",
-        "changeset_id",
-        "content_sha256",
-        "frame_pairs",
-        "seconds",
-    )
+        "drive_id", "drive_path", "state", "reason", "may_pass", "changeset_id", "content_sha256", "frame_pairs", "seconds"
+    )  # fmt: skip
     return {name: getattr(receipt, name) for name in names}

@@ -1,78 +1,171 @@
-"""What the commands share: printing tables, JSON and complaints."""
+"""What the commands share: tables, JSON, messages, progress bars, times and the log."""
 
 from __future__ import annotations
 
 import json
+import logging
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict, is_dataclass
 from datetime import UTC, datetime
-from typing import Annotated, Any
+from enum import StrEnum
+from operator import attrgetter
+from pathlib import Path
+from typing import Annotated, Any, NoReturn
+from uuid import UUID
 
 import typer
 from rich.console import Console
+from rich.logging import RichHandler
+from rich.markup import escape
 from rich.measure import Measurement
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from conetl.model.errors import ConetlError, InputError
-from conetl.perception.model_card import NOT_MEASURED, ModelCard
 
-JsonOption = Annotated[
-    bool, typer.Option("--json", help="Print the result as JSON on standard output, and nothing else there.")
+JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output.")]
+ParamsOption = Annotated[
+    Path | None, typer.Option("--params", help="YAML file of parameters; see `src/conetl/model/params.py`.")
+]
+MapSridOption = Annotated[
+    int | None, typer.Option("--map-srid", min=1, help="EPSG code of the map; default: the drive's UTM zone.")
 ]
 
+#: Heading of a column -> attribute of the record, or function of the record.
+Columns = Mapping[str, str | Callable[[Any], object]]
 _ANY_WIDTH = 100_000
 out = Console(highlight=False, soft_wrap=True)
-#: Progress and complaints go to standard error: standard output is for results.
+#: Progress and messages go to standard error: standard output is for results.
 err = Console(stderr=True, highlight=False)
 
 
+def start_logging(verbosity: int) -> None:
+    """Log conetl to standard error: INFO at 1 (-v), DEBUG at 2 (-vv), nothing at 0."""
+    log = logging.getLogger("conetl")
+    handler: logging.Handler = logging.NullHandler()
+    if verbosity:
+        handler = RichHandler(console=err, show_path=verbosity > 1) if err.is_terminal else logging.StreamHandler()
+    handler.setFormatter(
+        logging.Formatter("%(message)s" if err.is_terminal else "%(asctime)s %(levelname)s %(message)s")
+    )
+    log.handlers = [handler]
+    log.setLevel((logging.WARNING, logging.INFO, logging.DEBUG)[min(verbosity, 2)])
+
+
+def say(text: object = "") -> None:
+    """One line on standard output, without markup."""
+    out.print(text, markup=False)
+
+
 def print_json(value: Any) -> None:
-    """One JSON document on standard output."""
-    json.dump(value, sys.stdout, indent=2, default=str)
+    """One JSON document on standard output; records become objects, other values text."""
+    json.dump(value, sys.stdout, indent=2, default=_json_value)
     sys.stdout.write("\n")
 
 
-def complain(error: ConetlError) -> None:
-    """One complaint on standard error."""
-    err.print(f"[bold red]conetl:[/] {_plain(str(error))}", soft_wrap=True)
+def _json_value(value: Any) -> Any:
+    if hasattr(value, "model_dump"):  # a pydantic model
+        return value.model_dump(mode="json")
+    return asdict(value) if is_dataclass(value) and not isinstance(value, type) else str(value)
 
 
-def note_unmeasured(card: ModelCard) -> None:
-    """One line on standard error where nobody measured what the model's scores mean."""
+def answer(as_json: bool, value: Any, text: str) -> None:
+    """The result of a command: as JSON, or as one line of text."""
+    if as_json:
+        print_json(value)
+    else:
+        say(text)
+
+
+def complain(error: ConetlError | str) -> None:
+    """One error on standard error."""
+    err.print(f"[bold red]conetl:[/] {escape(str(error))}", soft_wrap=True)
+
+
+def note(text: str) -> None:
+    """One remark on standard error."""
+    err.print(f"[yellow]conetl: note:[/] {escape(text)}", soft_wrap=True)
+
+
+def note_unmeasured(card: Any) -> None:
+    """Remark that the scores of a model (ModelCard) were never calibrated, where that is so."""
     if card.evidence is None:
-        err.print(f"[yellow]conetl: note:[/] {card.name}: {NOT_MEASURED}", soft_wrap=True)
+        from conetl.perception.model_card import NOT_MEASURED  # pydantic takes half a second to load
+
+        note(f"{card.name}: {NOT_MEASURED}")
 
 
-def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], *, numbers_from: int = 1) -> None:
-    """A table on standard output; columns from `numbers_from` on are aligned right."""
+def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]], *, numbers_from: int = 1) -> None:
+    """A table on standard output; columns from `numbers_from` on are aligned right. Nothing without rows."""
     table = Table(title=title, title_justify="left", title_style="bold", header_style="bold", box=None, pad_edge=False)
     for index, column in enumerate(columns):
         table.add_column(column, justify="right" if index >= numbers_from else "left", no_wrap=True)
     for row in rows:
-        table.add_row(*(_plain(str(cell)) for cell in row))
-    # As wide as it has to be: a line may wrap in a terminal, but no number is ever cut off.
+        table.add_row(*(escape(cell(value)) for value in row))
+    if not table.rows:
+        return
+    # As wide as necessary: a line may wrap in a terminal, but no number is ever cut off.
     wide = Console(highlight=False, width=_ANY_WIDTH)
     Console(highlight=False, width=Measurement.get(wide, wide.options, table).maximum).print(table)
 
 
+def print_records(title: str, columns: Columns, records: Iterable[object], *, numbers_from: int = 1) -> None:
+    """A table of records on standard output."""
+    readers = [attrgetter(value) if isinstance(value, str) else value for value in columns.values()]
+    rows = [[read(record) for read in readers] for record in records]
+    print_table(title, list(columns), rows, numbers_from=numbers_from)
+
+
+def cell(value: object) -> str:
+    """A value as it is printed in tables: ids cut short, times in UTC to the second, numbers with three decimals."""
+    match value:
+        case None:
+            return ""
+        case float():
+            return f"{value:.3f}"
+        case datetime():
+            return f"{value:%Y-%m-%d %H:%M:%S}"
+        case UUID():
+            return str(value)[:8]
+        case StrEnum():
+            return value.replace("_", " ")
+        case _:
+            return str(value)
+
+
 @contextmanager
-def progress_bar() -> Iterator[Progress]:
-    """A progress bar on standard error, silent where that is not a terminal."""
+def progress_bar(description: str, unit: str) -> Iterator[Callable[..., None]]:
+    """A progress bar on standard error, if that is a terminal; yields `update(done, total, description=...)`.
+
+    It appears with the first update, and leaves nothing behind. unit: what is counted, for example "images".
+    """
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
+        TextColumn(unit),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=err, disable=not err.is_terminal, transient=True) as progress:
-        yield progress
+    with Progress(*columns, console=err, disable=not err.is_terminal, transient=True, redirect_stdout=False) as bars:
+        task = bars.add_task(description, total=None, visible=False)
+
+        def update(done: int, total: int | None, **changed: Any) -> None:
+            bars.update(task, completed=done, total=total, visible=True, **changed)
+
+        yield update
 
 
-def _plain(text: str) -> str:
-    return text.replace("[", "\\[")
+@contextmanager
+def spinner(text: str) -> Iterator[Callable[[str], object]]:
+    """A spinner with a text on a terminal; yields the function that changes the text."""
+    if not err.is_terminal:
+        yield lambda _text: None
+        return
+    with err.status(text) as status:
+        yield status.update
 
 
 def counted(count: int, noun: str) -> str:
@@ -81,11 +174,16 @@ def counted(count: int, noun: str) -> str:
 
 
 def parse_time(text: str | None) -> datetime | None:
-    """ISO 8601 date or time; UTC where it names no zone. Raises InputError."""
+    """ISO 8601 date or time; UTC unless it names a zone. Raises InputError."""
     if text is None:
         return None
     try:
         time = datetime.fromisoformat(text)
     except ValueError:
-        raise InputError(f"{text!r} is no time: write it like 2026-03-02 or 2026-03-02T10:00:00+01:00") from None
+        raise InputError(f"invalid time {text!r}: use for example 2026-03-02 or 2026-03-02T10:00:00+01:00") from None
     return time if time.tzinfo else time.replace(tzinfo=UTC)
+
+
+def no_such_map(name: str) -> NoReturn:
+    """Raise InputError: the database has no map of this name."""
+    raise InputError(f"this database has no map named {name}: ingest a drive or import a map first")

@@ -1,101 +1,86 @@
-"""`conetl db`: the database that holds the map."""
+"""`conetl db`: the database that holds the maps."""
 
 from __future__ import annotations
 
-from contextlib import closing
+import logging
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from dataclasses import asdict
 
-import typer
-
-from conetl.cli.console import JsonOption, out, print_json, print_table
-from conetl.cli.prune import prune
+from conetl.cli.console import Columns, JsonOption, answer, print_json, print_records, print_table, say
 from conetl.db.audits import run_audits
 from conetl.db.cluster.cluster import cluster_down, cluster_status, cluster_up
 from conetl.db.connection import Connection, connect
 from conetl.db.schema import database_status
 from conetl.db.schema import migrate as apply_migrations
-from conetl.model.errors import ConetlError, DatabaseError
+from conetl.model.errors import ConetlError
 from conetl.pipeline.settings import Settings, read_settings
 
-app = typer.Typer(
-    help="The database that holds the map: CONETL_DATABASE_URL, or a private cluster.", no_args_is_help=True
-)
-app.command()(prune)
+_log = logging.getLogger(__name__)
 
 
 class AuditFailedError(ConetlError):
-    """An audit found rows that must not be."""
+    """An audit returned rows."""
 
     exit_code = 1
 
 
-def open_database(settings: Settings, *, start: bool = True) -> Connection:
-    """A connection to the configured database, or to the private cluster (started if `start`). Raises DatabaseError."""
-    if settings.database_url:
-        return connect(settings.database_url.get_secret_value())
-    if not start and (cluster := cluster_status(settings.home)).state != "running":
-        raise DatabaseError(
-            "the private database cluster is not running: start it with `conetl db up`"
-            if cluster.host is None
-            else f"the private database cluster runs on another machine or container (host {cluster.host}): ask it there"
-        )
-    return connect(cluster_up(settings.home))
+def database_url(settings: Settings) -> str:
+    """Address of the configured database, or of the private cluster, which is started where it does not run."""
+    return settings.database_url.get_secret_value() if settings.database_url else cluster_up(settings.home)
 
 
-def open_map(settings: Settings) -> Connection:
-    """Connection with the schema up to date."""
-    conn = open_database(settings)
-    apply_migrations(conn)
+def open_database(settings: Settings) -> Connection:
+    """A connection to the configured database, or to the private cluster. Raises DatabaseError."""
+    conn = connect(database_url(settings))
+    _log.info("database %s on %s, port %s", conn.info.dbname, conn.info.host, conn.info.port)
     return conn
 
 
-@app.command()
+@contextmanager
+def open_map(settings: Settings) -> Iterator[Connection]:
+    """A connection to a database whose schema is up to date."""
+    with closing(open_database(settings)) as conn:
+        apply_migrations(conn)
+        yield conn
+
+
 def up(as_json: JsonOption = False) -> None:
-    """Start the private PostGIS cluster, make it first where there is none, and bring its schema up to date."""
+    """Start the private PostGIS cluster, create it if necessary, and bring its schema up to date."""
     settings = read_settings()
     if settings.database_url:
-        out.print("CONETL_DATABASE_URL is set: conetl uses that database and runs none of its own.")
-        raise typer.Exit(0)
+        say("CONETL_DATABASE_URL is set: conetl uses that database and needs no private cluster.")
+        return
     url = cluster_up(settings.home)
     with closing(connect(url)) as conn:
         applied = apply_migrations(conn)
-    if as_json:
-        print_json({"url": url, "migrations_applied": list(applied)})
-    else:
-        out.print(f"PostGIS is up: psql '{url}'", markup=False)
+    answer(as_json, {"url": url, "migrations_applied": list(applied)}, f"PostGIS is running: psql '{url}'")
 
 
-@app.command()
 def down(as_json: JsonOption = False) -> None:
-    """Stop the private cluster; the data stay."""
+    """Stop the private cluster; its data are kept."""
     stopped = cluster_down(read_settings().home)
-    if as_json:
-        print_json({"stopped": stopped})
-    else:
-        out.print("PostGIS is stopped." if stopped else "PostGIS was not running.")
+    answer(as_json, {"stopped": stopped}, "PostGIS is stopped." if stopped else "PostGIS was not running.")
 
 
-@app.command()
 def status(as_json: JsonOption = False) -> None:
-    """What there is: cluster, schema, roles, maps."""
+    """Show the state of the cluster, the schema, the roles and the maps."""
     settings = read_settings()
     cluster = None if settings.database_url else cluster_status(settings.home)
     database = None
     if cluster is None or cluster.state == "running":
-        with closing(open_database(settings, start=False)) as conn:
+        with closing(open_database(settings)) as conn:
             database = database_status(conn)
     if as_json:
-        print_json({"cluster": cluster and asdict(cluster), "database": database and asdict(database)})
+        print_json({"cluster": cluster, "database": database})
         return
-    rows = [(f"cluster {name}", value) for name, value in asdict(cluster).items()] if cluster else []
-    rows += [(name, value) for name, value in asdict(database).items()] if database else []
-    print_table(
-        "", ("what", "value"), [(name.replace("_", " "), _words(value)) for name, value in rows], numbers_from=9
-    )
+    values = {f"cluster {name}": value for name, value in asdict(cluster).items()} if cluster else {}
+    values |= asdict(database) if database else {}
+    rows = [(name.replace("_", " "), _text(value)) for name, value in values.items()]
+    print_table("", ("property", "value"), rows, numbers_from=2)
 
 
-def _words(value: object) -> str:
-    """A value as a person writes it."""
+def _text(value: object) -> str:
     if isinstance(value, tuple):
         return ", ".join(" EPSG:".join(map(str, v)) if isinstance(v, tuple) else str(v) for v in value) or "none"
     if isinstance(value, bool):
@@ -103,32 +88,32 @@ def _words(value: object) -> str:
     return "none" if value is None else str(value)
 
 
-@app.command()
 def migrate(as_json: JsonOption = False) -> None:
-    """Bring the schema up to date (forwards only)."""
+    """Bring the schema up to date. There is no way back."""
     with closing(open_database(read_settings())) as conn:
-        applied = apply_migrations(conn)
-    if as_json:
-        print_json({"migrations_applied": list(applied)})
-    else:
-        out.print(f"applied: {', '.join(applied)}" if applied else "the schema is up to date", markup=False)
+        applied = list(apply_migrations(conn))
+    answer(
+        as_json,
+        {"migrations_applied": applied},
+        f"Applied: {', '.join(applied)}." if applied else "The schema is up to date.",
+    )
 
 
-@app.command()
 def audit(as_json: JsonOption = False) -> None:
-    """Check the map against its own rules; every query must find nothing. Exit code 1 where one finds something."""
+    """Check the consistency of the maps. Exit code 1 if a check finds rows that break its rule."""
     with closing(open_database(read_settings())) as conn:
         results = run_audits(conn)
     if as_json:
-        print_json([asdict(result) for result in results])
+        print_json(results)
     else:
-        rows = [
-            (result.name, "passed" if not result.rows else f"{result.row_count} rows", f"{result.seconds:.1f}")
-            for result in results
-        ]
-        print_table("", ("audit", "result", "s"), rows, numbers_from=2)
+        columns: Columns = {
+            "check": "name",
+            "result": lambda r: f"{r.row_count} rows" if r.rows else "passed",
+            "seconds": lambda r: f"{r.seconds:.1f}",
+        }
+        print_records("", columns, results, numbers_from=2)
         for result in results:
             for row in result.rows[:10]:
-                out.print(f"{result.name}: {row}", markup=False)
+                say(f"{result.name}: {row}")
     if any(result.rows for result in results):
-        raise AuditFailedError("the audit found rows that must not be, see above")
+        raise AuditFailedError("the audit found inconsistent rows, see above")

@@ -1,21 +1,20 @@
-"""`conetl demo`: the main job on the sample drives, with the paper's Table 3 at the end."""
+"""`conetl demo`: ingest the sample drives and compare the map with the truth."""
 
 from __future__ import annotations
 
 import time
-from contextlib import closing
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
 
-from conetl.cli.console import JsonOption, out, print_json
+from conetl.cli.console import JsonOption, out, print_json, print_table, say
 from conetl.cli.database import open_map
 from conetl.cli.ingest import ingest_drives, print_report
 from conetl.cli.map.base import import_one, print_imported
-from conetl.cli.tools.truth_table import line_as_dict, median_error, print_table_3, read_truth_cones
 from conetl.db.map.map_store import read_current_features
+from conetl.evaluation.table_3 import TABLE_3_COLUMNS, line_as_dict, median_error, read_truth_cones, table_3_rows
 from conetl.evaluation.truth import compare_with_truth
 from conetl.exports.geojson import export_geojson
 from conetl.geometry.rig import map_SE3_left
@@ -25,19 +24,27 @@ from conetl.pipeline.settings import read_settings
 from conetl.readers.drives import read_drive
 
 _SAMPLES = Path("data/drives")
-#: Beside the folder of drives: what the map lies on in the browser.
+#: Base layers, beside the folder of drives.
 _BASE_LAYERS = ("base/street.laz", "base/lane_boundaries.geojson")
+_NEXT_STEPS = """\
+  export CONETL_MAP_NAME=demo PATH=$PWD/.venv/bin:$PATH
+  conetl view                             show the map in a browser, with LiDAR points and lane boundaries
+  conetl map show                         list the cones with sigma and existence probability
+  conetl map show --as-of 2026-03-02T23:00 the map before the second drive
+  conetl map log                          list the changesets; conetl map log FEATURE for one cone
+  conetl ingest YOUR_DRIVE                add your own stereo drive; see README.md
+  conetl db down                          stop the database that this command started"""
 
 
 def demo(
     samples: Annotated[Path, typer.Argument(help="Folder of sample drives, each with a truth.csv.")] = _SAMPLES,
     as_json: JsonOption = False,
 ) -> None:
-    """Ingest the sample drives into a map of their own and compare it with the truth."""
+    """Ingest the sample drives into the map `demo` and compare it with the truth."""
     started = time.monotonic()
     drives = sorted(path for path in samples.iterdir() if path.is_dir()) if samples.is_dir() else []
     if not drives:
-        raise InputError(f"no sample drives in {samples}: run this in a clone of conetl, or name the folder")
+        raise InputError(f"no sample drives in {samples}: run this in a clone of conetl, or give the folder")
     settings = read_settings().model_copy(update={"map_name": "demo"})
     if not as_json:
         out.print(f"Ingesting {len(drives)} sample drives, one after the other.\n")
@@ -56,7 +63,7 @@ def demo(
     drive, _ = read_drive(last, map_srid=reports[-1].map_srid)
     path = np.array([map_SE3_left(pair.pose, drive.rig)[:3, 3] for pair in drive.frame_pairs])
     export = settings.exports_folder / "demo.geojson"
-    with closing(open_map(settings)) as conn:
+    with open_map(settings) as conn:
         features = read_current_features(conn, map_name=settings.map_name)
         export_geojson(conn, export, map_name=settings.map_name)
     lines, false = compare_with_truth(truth, features, path)
@@ -64,7 +71,7 @@ def demo(
     if as_json:
         print_json(
             {
-                "reports": [report.model_dump(mode="json") for report in reports],
+                "reports": reports,
                 "cones": [
                     {"feature_id": str(line.feature.feature_id) if line.feature else None, **line_as_dict(line)}
                     for line in lines
@@ -76,32 +83,21 @@ def demo(
             }
         )
         return
-    out.print("[bold]Cones against truth[/], in metres: foot on the ground; range from the nearest point of the path")
-    print_table_3(lines)
-    found = [line for line in lines if line.feature is not None]
     out.print(
-        f"{len(found)} of {len(lines)} cones within 20 m of the path are on the map, {len(false)} false ones. "
-        f"Median 3D error {median_error(lines):.3f} m. {seconds:.0f} s in all."
+        "[bold]Cones against truth[/] in metres; foot on the ground, range from the nearest point of the drive path"
+    )
+    print_table("", TABLE_3_COLUMNS, table_3_rows(lines, missing="not on the map"), numbers_from=2)
+    found = [line for line in lines if line.feature is not None]
+    say(
+        f"{len(found)} of {len(lines)} cones within 20 m of the drive path are on the map, {len(false)} false ones. "
+        f"Median 3D error {median_error(lines):.3f} m. {seconds:.0f} s in total."
         if found
         else f"none of the {len(lines)} cones is on the map"
     )
-    out.print("\n[bold]Where the results lie[/]")
-    out.print(f"  {export}: the map (drop it into QGIS)", markup=False)
+    out.print("\n[bold]Results[/]")
+    say(f"  {export}: the map (open it in QGIS)")
     for report in reports:
-        out.print(f"  {settings.drive_image_path(report.drive_id)}: plan view of drive {report.drive_id}", markup=False)
-    out.print(
-        f"  {settings.reports_folder}: a report of each drive, one HTML page with pictures of its changes", markup=False
-    )
-    out.print("\n[bold]How to look further[/]")
-    out.print("  export CONETL_MAP_NAME=demo PATH=$PWD/.venv/bin:$PATH", markup=False)
-    out.print(
-        "  conetl view                             the map in a browser, with LiDAR points and lane boundaries",
-        markup=False,
-    )
-    out.print("  conetl map show                         the cones, with sigma and existence probability", markup=False)
-    out.print("  conetl map show --as-of 2026-03-02T23:00 the map before the second drive", markup=False)
-    out.print(
-        "  conetl map log                          the changesets; conetl map log FEATURE for one cone", markup=False
-    )
-    out.print("  conetl ingest YOUR_DRIVE                your own stereo drive; see README.md", markup=False)
-    out.print("  conetl db down                          stop the database that this started", markup=False)
+        say(f"  {settings.drive_image_path(report.drive_id)}: plan view of drive {report.drive_id}")
+    say(f"  {settings.reports_folder}: a report of each drive as HTML, with images of its changes")
+    out.print("\n[bold]Next steps[/]")
+    say(_NEXT_STEPS)

@@ -1,29 +1,29 @@
-"""`conetl up`, `down`, `status`: everything that a desk needs, on one machine."""
+"""`conetl up`, `down` and `status`: all services on one machine."""
 
 from __future__ import annotations
 
+import logging
 import os
 import socket
 import sys
 from collections.abc import Callable
-from contextlib import closing, nullcontext
+from contextlib import closing
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
-from uuid import UUID
+from typing import Annotated, Any
 
-import httpx
 import typer
 
-from conetl.cli.console import JsonOption, err, out, print_json, print_table
-from conetl.db.cluster.cluster import cluster_down, cluster_status, cluster_up
+from conetl.cli.console import JsonOption, answer, counted, print_json, print_table, say, spinner
+from conetl.cli.database import database_url
+from conetl.db.cluster.cluster import cluster_down, cluster_status
 from conetl.db.connection import connect, sqlalchemy_url
 from conetl.db.schema import migrate_once, prefect_database
 from conetl.model.errors import EXIT_SERVICE_MISSING, InputError, ServiceError
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.settings import SERVER_AUTH, Settings, prefect_auth_string, prefect_environment, read_settings
-from conetl.services.prefect_api import is_healthy, require_access
+from conetl.services.prefect_api import answers, is_healthy, require_access, server_command
 from conetl.services.processes import (
     Service,
     is_running,
@@ -39,108 +39,94 @@ from conetl.services.processes import (
 
 _LOOPBACK = {"127.0.0.1", "::1", "localhost"}
 _TIMEOUT_S = 180
+_log = logging.getLogger(__name__)
 
 
 def up(
     workers: Annotated[
-        int, typer.Option(min=1, max=64, help="Workers that ingest drives, one drive each at a time.")
+        int, typer.Option(min=1, max=64, help="Workers, each of which ingests one drive at a time.")
     ] = 1,
     host: Annotated[
-        str, typer.Option(help=f"Where Prefect listens. Another one than loopback needs {SERVER_AUTH} (user:password).")
+        str,
+        typer.Option(help=f"Address of Prefect. Other addresses than loopback require {SERVER_AUTH} (user:password)."),
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port of Prefect.")] = 4200,
-    view_port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the web view (always 127.0.0.1).")] = 8791,
+    view_port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the web view, on 127.0.0.1.")] = 8791,
     decisions: Annotated[
-        bool, typer.Option("--decisions", help="The web view takes decisions from holders of the writer token.")
+        bool, typer.Option("--decisions", help="Allow decisions in the web view, with the writer token.")
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Start everything: PostGIS, Prefect on PostgreSQL, workers, deployments with their schedules, the web view.
+    """Start all services: PostGIS, Prefect, workers, scheduled deployments and the web view.
 
-    What runs already is left alone, what is missing is started, dead runs are taken up again. `conetl down` ends it;
-    maps, schedules and the history of runs stay.
+    Services that are running are left alone, missing ones are started, crashed runs are resumed. `conetl down` stops them; maps,
+    schedules and the history of runs are kept.
     """
     settings = read_settings()
     if host not in _LOOPBACK and not os.environ.get(SERVER_AUTH):
         raise InputError(
-            f"--host {host} lets other machines start runs here: set {SERVER_AUTH} to user:password first (and put a proxy with "
-            "TLS before it, see docs/how-to/operations.md). Nothing was started."
+            f"--host {host} allows other machines to start runs here: set {SERVER_AUTH} to user:password first (and use a proxy "
+            "with TLS, see docs/how-to/operations.md). Nothing was started."
         )
     home = settings.home.resolve()
-    with services_lock(home), err.status("Starting") if err.is_terminal else nullcontext() as spinner:
-        say = spinner.update if spinner is not None else _say_nothing
-        started = _start_all(settings, home, workers, host, port, view_port, decisions, say)
+    with services_lock(home), spinner("Starting") as show:
+        services = {name: s for name, s in read_services(home).items() if is_running(s)}
+        if "prefect" not in services:
+            require_free_port(host, port, "Prefect", "--port")
+        if "view" not in services:
+            require_free_port("127.0.0.1", view_port, "the web view", "--view-port")
+        show("Starting PostGIS")
+        url = database_url(settings)
+        with closing(connect(url)) as conn:
+            migrate_once(conn)
+        settings.inbox.mkdir(parents=True, exist_ok=True)
+        done = _start_services(settings, home, services, url, workers, (host, port), view_port, decisions, show)
     if as_json:
-        about = {
-            "deployments_registered": started.registered,
-            "runs_recovered": [str(run) for run in started.recovered],
-        }
-        print_json({**_status(settings), **about})
+        print_json({**_status(settings), **done})
         return
-    out.print(f"Prefect:     {started.prefect}  (schedules, runs, the form to start them)", markup=False)
-    out.print(f"Map:         {started.view}", markup=False)
-    out.print(f"Drop folder: {settings.inbox.resolve()}  (complete drives are picked up every 5 minutes)", markup=False)
-    out.print(f"PostGIS:     {'CONETL_DATABASE_URL' if settings.database_url else started.database}", markup=False)
-    out.print(f"Workers:     1 for plans and exports, {workers} for drives; logs in {home / 'logs'}", markup=False)
-    if started.recovered:
-        count = len(started.recovered)
-        out.print(f"{count} runs whose process was gone are marked as crashed or taken up again.", markup=False)
-    out.print("`conetl status` tells how they are, `conetl down` ends them.", markup=False)
+    say(f"Prefect:     {services['prefect'].address}  (schedules, runs, forms to start runs)")
+    say(f"Map:         {services['view'].address}")
+    say(f"Drop folder: {settings.inbox.resolve()}  (complete drives are ingested every 5 minutes)")
+    say(f"PostGIS:     {'CONETL_DATABASE_URL' if settings.database_url else url}")
+    say(f"Workers:     1 for plans and exports, {workers} for drives; logs in {home / 'logs'}")
+    if done["runs_recovered"]:
+        say(f"{counted(len(done['runs_recovered']), 'crashed run')} marked as crashed or resumed.")
+    say("`conetl status` shows their state, `conetl down` stops them.")
 
 
-class _Started(NamedTuple):
-    """What `up` found and did."""
-
-    prefect: str
-    view: str
-    database: str
-    registered: bool
-    recovered: list[UUID]
-
-
-def _start_all(
+def _start_services(
     settings: Settings,
     home: Path,
+    services: dict[str, Service],
+    url: str,
     workers: int,
-    host: str,
-    port: int,
+    server: tuple[str, int],
     view_port: int,
     decisions: bool,
-    say: Callable[[str], object],
-) -> _Started:
-    """Start what is missing, each when that which it needs is healthy; all are at the end."""
-    services = {name: s for name, s in read_services(home).items() if is_running(s)}
-    _require_ports(services, host, port, view_port)
-    if "prefect" in services:
-        require_access(f"{services['prefect'].address}/api", prefect_auth_string(), SERVER_AUTH)
-    say("Starting PostGIS")
-    url = settings.database_url.get_secret_value() if settings.database_url else cluster_up(home)
-    with closing(connect(url)) as conn:
-        migrate_once(conn)
-    settings.inbox.mkdir(parents=True, exist_ok=True)
-    address = _reach(host, port) if "prefect" not in services else str(services["prefect"].address)
-    view = f"http://127.0.0.1:{view_port}" if "view" not in services else str(services["view"].address)
-    environment = {
-        **os.environ,
-        **_environment(settings, home, f"{address}/api", prefect_auth_string(), view, workers),
-    }
+    show: Callable[[str], object],
+) -> dict[str, Any]:
+    """Add the missing ones to `services`, each as soon as those it requires are ready; all are ready at the end."""
+    auth = prefect_auth_string()
+    address = str(services["prefect"].address) if "prefect" in services else _address(*server)
+    view = str(services["view"].address) if "view" in services else f"http://127.0.0.1:{view_port}"
+    require_access(f"{address}/api", auth, SERVER_AUTH)
+    environment = {**os.environ, **_environment(settings, home, f"{address}/api", auth, view, workers)}
 
     def ensure(name: str, command: list[str], where: str | None, **more: str) -> None:
         if name not in services:
-            say(f"Starting {name}")
-            everything = {**environment, **more}
-            services[name] = start_service(name, command, home=home, environment=everything, address=where)
+            show(f"Starting {name}")
+            services[name] = start_service(name, command, home=home, environment={**environment, **more}, address=where)
+            _log.info("started %s, process %s", name, services[name].pid)
             write_services(home, services)
 
-    # Starting is mostly importing, one core each: what needs nothing of another starts at the same time.
-    server = [sys.executable, "-m", "uvicorn", "--factory", "prefect.server.api.server:create_app"]
+    # Starting is mostly importing on one core: independent services start at the same time.
     ensure(
         "prefect",
-        [*server, "--host", host, "--port", str(port), "--log-level", "warning"],
+        server_command(*server),
         address,
         PREFECT_SERVER_DATABASE_CONNECTION_URL=_prefect_url(settings, url),
         PREFECT_SERVER_UI_API_URL=os.environ.get("PREFECT_SERVER_UI_API_URL", f"{address}/api"),
-        # Its terminal is its log: what fails in its own services is told nowhere else.
+        # Errors of its own services appear only in its log.
         PREFECT_LOGGING_HANDLERS_CONSOLE_LEVEL="ERROR",
     )
     conetl = [sys.executable, "-c", "from conetl.cli import main; main()"]
@@ -150,142 +136,98 @@ def _start_all(
     from flows.runs import recover
 
     wait_healthy(services["prefect"], lambda: is_healthy(f"{address}/api"), _TIMEOUT_S)
-    require_access(f"{address}/api", prefect_auth_string(), SERVER_AUTH)
+    require_access(f"{address}/api", auth, SERVER_AUTH)
     register.ensure_pool()
-    names = ["desk", *(f"drives-{n + 1}" for n in range(workers))]
-    for name in names:
+    names = {name: f"{name} {socket.gethostname()}" for name in ("desk", *(f"drives-{n + 1}" for n in range(workers)))}
+    for name, worker in names.items():
         queue, limit = ("desk", "8") if name == "desk" else ("drives", "1")
         command = [sys.executable, "-m", "prefect", "worker", "start", "--pool", "conetl", "--type", "process"]
-        command += ["--work-queue", queue, "--limit", limit, "--name", _worker_name(name), "--install-policy", "never"]
+        command += ["--work-queue", queue, "--limit", limit, "--name", worker, "--install-policy", "never"]
         ensure(name, command, None)
-    say("Registering deployments")
+    show("Registering deployments")
     registered = register.ensure_deployments()
     with MapDatabase(settings) as database:
-        recovered = [run.id for run in recover(database)]
-
-    def is_online(name: str) -> bool:
-        return register.worker_is_online(_worker_name(name), datetime.fromisoformat(services[name].started_at))
-
-    say("Waiting until all answer")
-    wait_healthy(services["view"], lambda: _answers(view), _TIMEOUT_S)
-    for name in names:
-        wait_healthy(services[name], partial(is_online, name), _TIMEOUT_S)
-    return _Started(address, view, url, registered, recovered)
-
-
-def _worker_name(service: str) -> str:
-    return f"{service} {socket.gethostname()}"
-
-
-def _say_nothing(_text: str) -> None:
-    """Where nobody looks at a terminal."""
+        recovered = [str(run.id) for run in recover(database)]
+    show("Waiting for all services")
+    wait_healthy(services["view"], lambda: answers(view), _TIMEOUT_S)
+    for name, worker in names.items():
+        since = datetime.fromisoformat(services[name].started_at)
+        wait_healthy(services[name], partial(register.worker_is_online, worker, since), _TIMEOUT_S)
+    return {"deployments_registered": registered, "runs_recovered": recovered}
 
 
 def down(as_json: JsonOption = False) -> None:
-    """End everything that `conetl up` started; maps, schedules and the history of runs stay."""
+    """Stop all services that `conetl up` started; maps, schedules and the history of runs are kept."""
     settings = read_settings()
     home = settings.home.resolve()
     stopped: list[str] = []
     if home.is_dir():
-        with services_lock(home), err.status("Stopping") if err.is_terminal else nullcontext():
+        with services_lock(home), spinner("Stopping"):
             services = read_services(home)
             if not settings.database_url and (cluster := cluster_status(home)).host is not None:
-                # Their processes cannot be seen from here: whoever forgot them would leave them running for ever.
+                # Their processes are not visible here; forgetting them would leave them running for ever.
                 raise ServiceError(
-                    f"what `conetl up` started for {home} runs on another machine or container (host {cluster.host}): end it "
-                    f"there. Nothing was ended. Where it is known to be dead, remove {cluster.directory}/data/postmaster.pid."
+                    f"the services of {home} run on another machine or container (host {cluster.host}): stop them there. Nothing "
+                    f"was stopped. If that machine no longer runs, remove {cluster.directory}/data/postmaster.pid."
                 )
-            order = sorted(
-                services, key=lambda name: {"prefect": 2, "view": 1}.get(name, 0)
-            )  # workers report their end to Prefect
+            # Workers first: they report their end to Prefect.
+            order = sorted(services, key=lambda name: {"prefect": 2, "view": 1}.get(name, 0))
             stopped = [name for name in order if stop_service(services[name])]
             write_services(home, {})
             if not settings.database_url and cluster_down(home):
                 stopped.append("postgis")
-    if as_json:
-        print_json({"stopped": stopped})
-    else:
-        out.print(f"Stopped: {', '.join(stopped)}." if stopped else "Nothing was running.")
+    text = f"Stopped: {', '.join(stopped)}." if stopped else "No services were running."
+    answer(as_json, {"stopped": stopped}, text)
 
 
 def status(as_json: JsonOption = False) -> None:
-    """What runs of that which `conetl up` started. Exit code 3 where something is missing."""
-    found = _status(read_settings())
+    """Show the status of the services of `conetl up`. Exit code 3 if one of them is not running."""
+    settings = read_settings()
+    found = _status(settings)
     if as_json:
         print_json(found)
     else:
-        rows = [
-            (s["name"], s["state"], s["address"] or "", s["pid"] or "", s["since"] or "") for s in found["services"]
-        ]
+        rows = [[service[key] for key in ("name", "state", "address", "pid", "since")] for service in found["services"]]
         print_table("", ("service", "state", "address", "process", "since"), rows, numbers_from=9)
         for service in found["services"]:
             if service["log_tail"]:
-                out.print(f"\n{service['name']}: the end of {service['log']}:\n{service['log_tail']}", markup=False)
+                say(f"\n{service['name']}: the end of {service['log']}:\n{service['log_tail']}")
         if all(service["since"] is None for service in found["services"]):
-            home = read_settings().home.resolve()
-            out.print(
-                f"Nothing of `conetl up` runs for this home, {home}: start it, or name another by CONETL_HOME.",
-                markup=False,
+            say(
+                f"No services of `conetl up` are recorded in {settings.home.resolve()}: start them, or set CONETL_HOME to "
+                "another home folder."
             )
     if not found["up"]:
         raise typer.Exit(EXIT_SERVICE_MISSING)
 
 
 def _status(settings: Settings) -> dict[str, Any]:
-    """Every service with its state: running, not answering, ended, or not seen from here where the cluster runs elsewhere."""
+    """All services with their states: running, not answering, ended, or not visible because they run on another machine."""
     home = settings.home.resolve()
     rows: list[dict[str, Any]] = []
     elsewhere = False
     if not settings.database_url:
         cluster = cluster_status(home)
         elsewhere = cluster.host is not None
-        where = cluster.url if cluster.host is None else f"host {cluster.host}"
-        rows.append(_row("postgis", cluster.state, where, cluster.pid))
+        address = f"host {cluster.host}" if elsewhere else cluster.url
+        pid = cluster.pid if cluster.state == "running" else None
+        facts: dict[str, Any] = {"pid": pid, "since": None, "log": None, "log_tail": None}
+        rows.append({"name": "postgis", "state": cluster.state, "address": address, **facts})
     services = read_services(home)
     for service in services.values():
         state = "running" if is_running(service) else "not seen from here" if elsewhere else "ended"
-        if state == "running" and service.address and not _answers(_health(service)):
+        health = f"{service.address}/api/health" if service.name == "prefect" else str(service.address)
+        if state == "running" and service.address and not answers(health):
             state = "not answering"
-        rows.append(
-            _row(service.name, state, service.address, service.pid, service, tail=state in ("ended", "not answering"))
-        )
+        facts = {"pid": service.pid if state in ("running", "not answering") else None, "since": service.started_at}
+        tail = log_tail(service) if state in ("ended", "not answering") else None
+        facts |= {"log": service.log, "log_tail": tail}
+        rows.append({"name": service.name, "state": state, "address": service.address, **facts})
     return {"up": bool(services) and all(row["state"] == "running" for row in rows), "services": rows}
 
 
-def _row(
-    name: str, state: str, address: str | None, pid: int | None, service: Service | None = None, *, tail: bool = False
-) -> dict[str, Any]:
-    return {
-        "name": name,
-        "state": state,
-        "address": address,
-        "pid": pid if state in ("running", "not answering") else None,
-        "since": service and service.started_at,
-        "log": service and service.log,
-        "log_tail": log_tail(service) if service and tail else None,
-    }
-
-
-def _require_ports(services: dict[str, Service], host: str, port: int, view_port: int) -> None:
-    if "prefect" not in services:
-        require_free_port(host, port, "Prefect", "--port")
-    if "view" not in services:
-        require_free_port("127.0.0.1", view_port, "the web view", "--view-port")
-
-
-def _health(service: Service) -> str:
-    return f"{service.address}/api/health" if service.name == "prefect" else str(service.address)
-
-
-def _answers(url: str) -> bool:
-    try:
-        return httpx.get(url, timeout=5, trust_env=False).status_code == httpx.codes.OK
-    except httpx.HTTPError:
-        return False
-
-
-def _reach(host: str, port: int) -> str:
-    """Address at which this machine and, where it is not loopback, others reach the server."""
+def _address(host: str, port: int) -> str:
+    """Address at which this machine and, unless it is loopback, others reach the server."""
     name = socket.getfqdn() if host in {"0.0.0.0", "::"} else f"[{host}]" if ":" in host else host
     return f"http://{name}:{port}"
 
@@ -299,13 +241,13 @@ def _prefect_url(settings: Settings, url: str) -> str:
         if settings.database_url is None:
             raise
         raise ServiceError(
-            "the database `prefect` cannot be made beside the map's: make it by hand (create database prefect), or set "
-            "CONETL_PREFECT_DATABASE_URL"
+            "the database `prefect` cannot be created beside the one of the map: create it yourself (create database prefect), "
+            "or set CONETL_PREFECT_DATABASE_URL"
         ) from None
 
 
 def _environment(settings: Settings, home: Path, api: str, auth: str | None, view: str, workers: int) -> dict[str, str]:
-    """What all services get to know. Secrets stay in the environment and are written nowhere."""
+    """Environment variables of all services. Secrets are never written to a file."""
     values = {
         **prefect_environment(home),
         "PREFECT_API_URL": api,
@@ -315,13 +257,12 @@ def _environment(settings: Settings, home: Path, api: str, auth: str | None, vie
         "CONETL_WORKERS": os.environ.get("CONETL_WORKERS", str(max(1, settings.workers // workers))),
         "PREFECT_WORKER_QUERY_SECONDS": os.environ.get("PREFECT_WORKER_QUERY_SECONDS", "3"),
     }
-    # Runs have working folders of their own: nothing that is relative to this one may reach them.
+    # Runs have their own working folders, so relative paths would not work.
     if settings.model_path:
         values["CONETL_MODEL_PATH"] = str(settings.model_path.resolve())
     if "PYTHONPATH" in os.environ:
-        values["PYTHONPATH"] = os.pathsep.join(
-            str(Path(p).resolve()) for p in os.environ["PYTHONPATH"].split(os.pathsep)
-        )
+        paths = os.environ["PYTHONPATH"].split(os.pathsep)
+        values["PYTHONPATH"] = os.pathsep.join(str(Path(path).resolve()) for path in paths)
     if auth:
         values["PREFECT_API_AUTH_STRING"] = auth
     return values

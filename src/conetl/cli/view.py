@@ -10,46 +10,44 @@ from typing import Annotated
 import typer
 import uvicorn
 
-from conetl.cli.console import JsonOption, err, out, print_json
-from conetl.db.cluster.cluster import cluster_up
+from conetl.cli.console import JsonOption, answer, err
+from conetl.cli.database import database_url
 from conetl.db.connection import connect
 from conetl.db.schema import migrate_once
 from conetl.model.errors import InputError
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.web.app import STATIC, create_app
+from conetl.web.decisions import Decide, PlaceRequest, RevertRequest, WithdrawRequest, Writer
 from conetl.web.models import Decided
-from conetl.web.writer_token import checked_token, make_writer_token, read_writer_token
-from conetl.web.writing import Decide, PlaceWish, RevertWish, WithdrawWish, Writer
+from conetl.web.security import checked_token, make_writer_token, read_writer_token
 
-#: Requests that are served at one time; more are answered 503 at once.
+#: Requests served at the same time; further ones are answered 503.
 _MAX_CONNECTIONS = 256
-#: A person does not wait longer for an ingest that holds the map.
+#: How long a person waits for an ingest that has locked the map.
 _LOCK_TIMEOUT_S = 15.0
 
 
 def view(
-    port: Annotated[int, typer.Option(min=1, max=65535, help="Port on this machine (127.0.0.1).")] = 8791,
-    map_name: Annotated[str | None, typer.Option("--map", help="Map to show first; default CONETL_MAP_NAME.")] = None,
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Port on 127.0.0.1.")] = 8791,
+    map_name: Annotated[str | None, typer.Option("--map", help="Map to show first; default: CONETL_MAP_NAME.")] = None,
     decisions: Annotated[
         bool,
         typer.Option(
             "--decisions",
-            help="Take decisions (suppress, pin, revert) from holders of the writer token, which is made under CONETL_HOME.",
+            help="Allow decisions (suppress, pin, revert) with the writer token, which is created in CONETL_HOME.",
         ),
     ] = False,
     writer_token_file: Annotated[
         Path | None,
-        typer.Option(
-            "--writer-token-file", help="Likewise, with the token in this file (mode 600); or set CONETL_WRITER_TOKEN."
-        ),
+        typer.Option(help="Allow decisions with the token in this file (mode 600); or set CONETL_WRITER_TOKEN."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Show the map in a browser: before and after every drive, live, with the pictures that each cone was seen in."""
+    """Show the map in a browser: before and after every drive, live, with the images of each cone."""
     settings = read_settings()
     if not (STATIC / "index.html").is_file():
         raise InputError(f"the front end is missing in {STATIC}: build it with `make web`, or install conetl again")
-    url = _database_url(settings)
+    url = database_url(settings)
     with closing(connect(url)) as conn:
         migrate_once(conn)
     writer = writer_of(settings, url, on_request=decisions, token_file=writer_token_file)
@@ -64,24 +62,18 @@ def view(
             server_header=False,
         )  # fmt: skip
         server = uvicorn.Server(config)
-        if as_json:
-            print_json({"url": address, "map": map_name or settings.map_name, "decisions": writer is not None})
-        else:
-            out.print(f"The map is at {address} (only on this machine; Ctrl-C ends it)", markup=False)
+        facts = {"url": address, "map": map_name or settings.map_name, "decisions": writer is not None}
+        answer(as_json, facts, f"Map: {address} (this machine only; press Ctrl-C to stop)")
         server.run(sockets=[listener])
 
 
 def writer_of(settings: Settings, url: str, *, on_request: bool, token_file: Path | None) -> Writer | None:
-    """None where nobody may write. The token itself is never printed."""
+    """Who may write decisions; None for nobody. The token itself is never printed."""
     if token_file is None and on_request and settings.writer_token is None:
         token_file = make_writer_token(settings.home)
     if token_file is not None:
         token = read_writer_token(token_file)
-        err.print(
-            f"Decisions are taken from holders of the writer token in {token_file.resolve()}",
-            markup=False,
-            soft_wrap=True,
-        )
+        err.print(f"Decisions are allowed with the token in {token_file.resolve()}", markup=False, soft_wrap=True)
     elif settings.writer_token is not None:
         token = checked_token(settings.writer_token, "CONETL_WRITER_TOKEN")
     else:
@@ -90,18 +82,18 @@ def writer_of(settings: Settings, url: str, *, on_request: bool, token_file: Pat
 
 
 def decide_on(url: str) -> Decide:
-    """The function by which the web view writes decisions, as `conetl map suppress|pin|revert` do."""
+    """The function that writes the decisions of the web view, as `conetl map suppress|pin|revert` do."""
     from conetl.pipeline.decisions import decide_place, revert
 
-    def decide(map_name: str, wish: PlaceWish | RevertWish | WithdrawWish, /) -> Decided:
+    def decide(map_name: str, wish: PlaceRequest | RevertRequest | WithdrawRequest, /) -> Decided:
         with closing(connect(url)) as conn:
-            if isinstance(wish, PlaceWish):
+            if isinstance(wish, PlaceRequest):
                 done = decide_place(
                     conn, wish.kind, str(wish.feature_id), map_name=map_name, radius_m=wish.radius_m, note=wish.reason,
                     decided_by=wish.decided_by, expected_version=wish.expected_version, lock_timeout_s=_LOCK_TIMEOUT_S,
                 )  # fmt: skip
             else:
-                what = wish.changeset_id if isinstance(wish, RevertWish) else wish.decision_id
+                what = wish.changeset_id if isinstance(wish, RevertRequest) else wish.decision_id
                 done = revert(
                     conn, str(what), map_name=map_name, note=wish.reason, decided_by=wish.decided_by,
                     lock_timeout_s=_LOCK_TIMEOUT_S,
@@ -118,12 +110,8 @@ def decide_on(url: str) -> Decide:
     return decide
 
 
-def _database_url(settings: Settings) -> str:
-    return settings.database_url.get_secret_value() if settings.database_url else cluster_up(settings.home)
-
-
 def _listen(port: int) -> socket.socket:
-    """The listening socket, on loopback only. Raises InputError where the port is taken."""
+    """A listening socket on loopback. Raises InputError if the port is in use."""
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
@@ -131,6 +119,6 @@ def _listen(port: int) -> socket.socket:
     except OSError as error:
         listener.close()
         raise InputError(
-            f"port {port} of this machine cannot be used ({error.strerror}): choose another one with --port"
+            f"port {port} of this machine cannot be used ({error.strerror}): choose another port (--port)"
         ) from error
     return listener

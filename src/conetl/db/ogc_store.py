@@ -87,11 +87,6 @@ async def find_versions(
     return [row["version_row_id"] for row in rows], rows[0]["matched"] if rows else None
 
 
-def rows_of_versions() -> str:
-    """A query for features by the rows of their versions, to be put into another one; see the file for its parameters."""
-    return load_sql("ogc.features_rows").removesuffix(";")
-
-
 async def count_features(conn: asyncpg.Connection, text: Mapping[str, str], arguments: Sequence[str | float]) -> int:
     """How many features there are on all pages."""
     matched: int = await conn.fetchval(_filled(text, "ogc.features_count"), *arguments)

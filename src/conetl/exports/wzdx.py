@@ -1,7 +1,7 @@
 """Work zones as WZDx 4.2 feeds (USDOT): WorkZoneFeed, and DeviceFeed with a location marker per cone.
 
-docs/how-to/work_zones.md tells of every field what it is derived from. A document is checked against the published schema before a file
-takes its name.
+docs/how-to/work_zones.md says what each field is derived from. A document is checked against the published schema before the file
+appears.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Parameters of every step: frozen, closed, units in the names; their hash goes into the changeset.
 
 Data, function and parameters are three separate things: a step is `step(records, params)`. Nothing here is read from the
-environment (see `settings.py`); the defaults were chosen on the sample drives and on one real street (docs/explanation/decisions).
+environment (see `settings.py`); the defaults were chosen on the sample drives and on one real street (docs/explanation).
 """
 
 from __future__ import annotations

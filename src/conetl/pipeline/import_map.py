@@ -29,7 +29,6 @@ from conetl.pipeline.replay import founding_key, replay_of
 _NAMESPACE = UUID("9d5b6a0c-3d0f-4b0e-8e4f-0a6f2c9b7d13")
 #: No network took part.
 _NO_MODEL = ""
-_MS_NS = 1_000_000
 
 
 class ImportResult(NamedTuple):
@@ -67,7 +66,7 @@ def import_map(
             code_version=version("conetl"),
             deltas=(),
         )
-        imported = _with_ids_of_map(conn, imported, map_name)
+        imported = _with_ids_of_map(imported, map_name)
         _refuse_taken_ids(conn, imported, params, map_name)
         drive_uuid = place_import(conn, imported, key, map_name=map_name, reconcile=params.reconcile)
         evidence = Evidence(
@@ -101,17 +100,12 @@ def import_map(
     return ImportResult(changeset.changeset_id, True, counts, len(later))
 
 
-def _keys(imported: ImportedMap, params: ImportParams) -> list[str]:
-    """What the import is known by, then what it may have been known by when times of GeoJSON were read in milliseconds only.
-
-    Last, what it is known by where these are taken by the same file with other places: of another `--crs`.
-    """
-    exact_ns = imported.stated_at_ns
-    instants_ns = dict.fromkeys((exact_ns, exact_ns // _MS_NS * _MS_NS, -(-exact_ns // _MS_NS) * _MS_NS))
-    known_by = ("import", imported.content_sha256, params_sha256(params), str(imported.srid))
-    keys = [result_key(*known_by, str(instant_ns)) for instant_ns in instants_ns]
+def _keys(imported: ImportedMap, params: ImportParams) -> tuple[str, str]:
+    """The import's own key, and the one it has where the same file with other positions (of another `--crs`) has that."""
+    stated = str(imported.stated_at_ns)
+    key = result_key("import", imported.content_sha256, params_sha256(params), str(imported.srid), stated)
     places_mm = np.rint(_places_m(imported.statements) * 1000).astype(np.int64)
-    return [*keys, result_key(keys[0], hashlib.sha256(places_mm.tobytes()).hexdigest())]
+    return key, result_key(key, hashlib.sha256(places_mm.tobytes()).hexdigest())
 
 
 def _states_the_same_places(conn: Connection, drive_uuid: UUID, imported: ImportedMap) -> bool:
@@ -125,17 +119,10 @@ def _places_m(statements: Sequence[Statement]) -> NDArray[np.float64]:
     return np.array([statement.feature.xyz_m for statement in statements], dtype=np.float64).reshape(-1, 3)
 
 
-def _with_ids_of_map(conn: Connection, imported: ImportedMap, map_name: str) -> ImportedMap:
+def _with_ids_of_map(imported: ImportedMap, map_name: str) -> ImportedMap:
     """An import with the ids that the map founds for it. The map's name is in them: ids are unique in a database, and one
-    file may go onto several of its maps.
-
-    Once they followed from file and row alone. A map that has such ids of this file keeps them, whatever parameters it comes with
-    now: its cones are the same.
-    """
+    file may be imported into several of its maps."""
     if not imported.founds_ids:
-        return imported
-    taken = known_ids(conn, [statement.feature.feature_id for statement in imported.statements])
-    if any(known.map_name == map_name for known in taken.values()):
         return imported
     key = founding_key(map_name, imported.content_sha256)
     statements = [

@@ -1,4 +1,4 @@
-"""Processes that outlive the command that started them.
+"""Background processes of `conetl up`, and access to a Prefect server.
 
-It imports `model` only. The story begins in `processes.py`.
+It imports `model` and `files` only. The story begins in `processes.py`.
 """

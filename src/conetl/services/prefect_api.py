@@ -1,6 +1,8 @@
-"""A Prefect server, as far as it can be known without Prefect: whether it answers, and whether it lets this process in."""
+"""A Prefect server as seen from outside, without importing Prefect: its command, its health, access to it."""
 
 from __future__ import annotations
+
+import sys
 
 import httpx
 
@@ -9,27 +11,38 @@ from conetl.model.errors import ServiceError
 _TIMEOUT_S = 5
 
 
-def is_healthy(api: str) -> bool:
-    """Whether a server answers at an API's address; it needs no password for it."""
+def server_command(host: str, port: int) -> list[str]:
+    """Command line of a Prefect server."""
+    command = [sys.executable, "-m", "uvicorn", "--factory", "prefect.server.api.server:create_app"]
+    return [*command, "--host", host, "--port", str(port), "--log-level", "warning"]
+
+
+def answers(url: str) -> bool:
+    """Whether GET `url` returns 200."""
     try:
-        return httpx.get(f"{api}/health", timeout=_TIMEOUT_S, trust_env=False).status_code == httpx.codes.OK
+        return httpx.get(url, timeout=_TIMEOUT_S, trust_env=False).status_code == httpx.codes.OK
     except httpx.HTTPError:
         return False
 
 
-def require_access(api: str, auth: str | None, variable: str) -> None:
-    """Raises ServiceError where a server asks for another password than `auth` (user:password), naming the `variable` to set.
+def is_healthy(api: str) -> bool:
+    """Whether a Prefect API answers; this requires no password."""
+    return answers(f"{api}/health")
 
-    Asked first, since each of Prefect's many clients has its own way to fail of it. A server that does not answer is passed over.
+
+def require_access(api: str, auth: str | None, variable: str) -> None:
+    """Raise ServiceError if a server rejects `auth` (user:password), naming the `variable` to set.
+
+    Checked first because each of Prefect's clients fails differently. A server that does not answer is ignored.
     """
-    who = None if auth is None else httpx.BasicAuth(*auth.partition(":")[::2])
+    credentials = None if auth is None else httpx.BasicAuth(*auth.partition(":")[::2])
     try:
-        answer = httpx.get(f"{api}/admin/version", auth=who, timeout=_TIMEOUT_S, trust_env=False)
+        answer = httpx.get(f"{api}/admin/version", auth=credentials, timeout=_TIMEOUT_S, trust_env=False)
     except httpx.HTTPError:
         return
     if answer.status_code == httpx.codes.UNAUTHORIZED:
-        what = "none was given" if auth is None else "another one was given"
+        given = "none was given" if auth is None else "it rejected the one given"
         raise ServiceError(
-            f"the Prefect server at {api} asks for its user and password, and {what}: set {variable} to the user:password that "
+            f"the Prefect server at {api} requires a user and password, and {given}: set {variable} to the user:password that "
             "the server was started with. Nothing was written."
         )

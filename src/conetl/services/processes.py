@@ -1,21 +1,23 @@
-"""Processes that go on after the command that started them: started, found again and ended without ever touching a stranger's.
+"""Background processes: start, find again, stop, without ever signalling a process of somebody else.
 
-A process id alone proves nothing, since ids are used again. A service is known by its id, the time of its start as the kernel
-counts it, the kernel's own start (`boot_id`), and a token in its environment, which its children inherit: so the children of a
-service that was killed are found as well. Signals go through a process descriptor, which cannot come to mean another process.
+Process ids are reused, so a service is identified by a token in its environment. Its children inherit the token, so the children
+of a killed service are found as well. Signals go through a process descriptor, which never changes its process.
 """
 
 from __future__ import annotations
 
+import ctypes
 import fcntl
 import json
 import os
+import select
 import signal
 import socket
 import subprocess
+import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -27,16 +29,15 @@ from conetl.model.errors import InputError, ServiceError, cannot_write
 TOKEN = "CONETL_SERVICE_TOKEN"
 _STATE, _LOCK = "services.json", "services.lock"
 _MAX_LOG_BYTES = 20_000_000
+_PR_SET_PDEATHSIG = 1
 
 
 @dataclass(frozen=True)
 class Service:
-    """One process that was started, as it is written down."""
+    """One started process, as recorded in the home folder."""
 
     name: str
     pid: int
-    start_ticks: int
-    boot_id: str
     token: str
     started_at: str
     log: str
@@ -45,7 +46,7 @@ class Service:
 
 @contextmanager
 def services_lock(home: Path) -> Iterator[None]:
-    """Only one command at a time starts or ends services of a home folder. Raises InputError where it cannot be used."""
+    """Let one command at a time start or stop the services of a home folder. Raises InputError if the folder cannot be used."""
     try:
         home.mkdir(parents=True, exist_ok=True)
         handle = (home / _LOCK).open("w")
@@ -59,82 +60,89 @@ def services_lock(home: Path) -> Iterator[None]:
 
 
 def read_services(home: Path) -> dict[str, Service]:
-    """The services of a home folder as they were written down, alive or not. Raises InputError where it cannot be read."""
+    """The recorded services of a home folder, running or not. Raises InputError if they cannot be read."""
+    path = home / _STATE
     try:
-        rows = json.loads((home / _STATE).read_text(encoding="utf-8"))
-        return {row["name"]: Service(**row) for row in rows}
+        return {row["name"]: Service(**row) for row in json.loads(path.read_text(encoding="utf-8"))}
     except FileNotFoundError:
         return {}
     except OSError as error:
         raise InputError(
-            f"{home / _STATE} cannot be read ({error.strerror}): give a home folder of yours (CONETL_HOME)"
+            f"{path} cannot be read ({error.strerror}): use a home folder of your own (CONETL_HOME)"
         ) from error
     except (ValueError, TypeError, KeyError) as error:
-        raise ServiceError(
-            f"{home / _STATE} cannot be understood ({error}): remove it once nothing of it runs any more"
-        ) from error
+        raise ServiceError(f"{path} is invalid ({error}): remove it when none of its services is running") from error
 
 
 def write_services(home: Path, services: Mapping[str, Service]) -> None:
-    """Write down what runs."""
+    """Record the services of a home folder."""
     with atomic_text_file(home / _STATE) as file:
         json.dump([asdict(service) for service in services.values()], file, indent=1)
         file.write("\n")
 
 
 def start_service(
-    name: str, command: Sequence[str], *, home: Path, environment: Mapping[str, str], address: str | None
+    name: str,
+    command: Sequence[str],
+    *,
+    home: Path,
+    environment: Mapping[str, str],
+    address: str | None,
+    die_with_parent: bool = False,
 ) -> Service:
-    """Start a process in a session of its own; its output goes to `home/logs/<name>.log`."""
+    """Start a process in its own session; its output goes to `home/logs/<name>.log`.
+
+    die_with_parent: on Linux, the kernel stops it when this process ends, however it ends.
+    """
     log = home / "logs" / f"{name}.log"
     log.parent.mkdir(parents=True, exist_ok=True)
     if log.exists() and log.stat().st_size > _MAX_LOG_BYTES:
         log.replace(log.with_suffix(".log.1"))
-    token = uuid4().hex
+    token, now = uuid4().hex, datetime.now(UTC)
     with log.open("ab") as output:
-        output.write(f"--- {datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC: starting {name}\n".encode())
+        output.write(f"--- {now:%Y-%m-%d %H:%M:%S} UTC: starting {name}\n".encode())
         output.flush()
         process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, start_new_session=True,
             env={**environment, TOKEN: token},
+            preexec_fn=_die_with_parent if die_with_parent and sys.platform == "linux" else None,  # noqa: PLW1509
         )  # fmt: skip
-    ticks = _start_ticks(process.pid)
-    _children.append(process)  # reaped by poll(); its return code tells an early end
-    return Service(
-        name, process.pid, 0 if ticks is None else ticks, _boot_id(), token, datetime.now(UTC).isoformat(timespec="seconds"),
-        str(log.resolve()), address,
-    )  # fmt: skip
-
-
-_children: list[subprocess.Popen[bytes]] = []
+    return Service(name, process.pid, token, now.isoformat(timespec="seconds"), str(log.resolve()), address)
 
 
 def is_running(service: Service) -> bool:
-    """The very process that was started is there, and no zombie."""
-    for child in _children:
-        child.poll()
-    return service.boot_id == _boot_id() and _start_ticks(service.pid) == service.start_ticks
+    """Whether the process that was started still runs."""
+    return _has_token(service.pid, service.token)
 
 
 def stop_service(service: Service, *, grace_s: float = 15.0) -> bool:
-    """End a service and what it started; True where there was anything to end. Data and logs stay."""
-    found = _members(service)
-    if is_running(service) and _environment(service.pid) == [b""]:  # lost already, and so not found by it
-        found[service.pid] = service.start_ticks
-    if not found:
-        return False
-    # The service first: it ends its own children in order.
-    leader = [pid for pid in found if pid == service.pid]
-    _signal_all(found, leader or list(found), signal.SIGTERM)
-    deadline = time.monotonic() + grace_s
-    while (left := _left(service, found)) and time.monotonic() < deadline:
-        if service.pid not in left:
-            _signal_all(found, left, signal.SIGTERM)
-        time.sleep(0.2)
-    _signal_all(found, list(found), signal.SIGKILL)
-    deadline = time.monotonic() + 5
-    while _left(service, found) and time.monotonic() < deadline:
-        time.sleep(0.1)
+    """Stop a service and its children; whether anything was running. Data and logs are kept."""
+    with ExitStack() as stack:
+        found: dict[int, int] = {}
+
+        def running() -> dict[int, int]:
+            for pid in _pids_with(service.token) - found.keys():
+                with suppress(OSError):
+                    descriptor = os.pidfd_open(pid)
+                    stack.callback(os.close, descriptor)
+                    if _has_token(pid, service.token):  # else the id was reused in between
+                        found[pid] = descriptor
+            return {pid: descriptor for pid, descriptor in found.items() if not _has_ended(descriptor)}
+
+        left = running()
+        if not left:
+            return False
+        # The leader first: it stops its own children in order.
+        _signal([left[service.pid]] if service.pid in left else left.values(), signal.SIGTERM)
+        deadline = time.monotonic() + grace_s
+        while (left := running()) and time.monotonic() < deadline:
+            if service.pid not in left:
+                _signal(left.values(), signal.SIGTERM)
+            time.sleep(0.05)
+        _signal(left.values(), signal.SIGKILL)
+        deadline = time.monotonic() + 5
+        while running() and time.monotonic() < deadline:
+            time.sleep(0.1)
     return True
 
 
@@ -149,22 +157,21 @@ def log_tail(service: Service, lines: int = 15) -> str:
 
 
 def wait_healthy(service: Service, is_healthy: Callable[[], bool], timeout_s: float) -> None:
-    """Wait until a service does its work. Raises ServiceError with the end of its log where it ends or takes too long."""
+    """Wait until a service is ready. Raises ServiceError with the end of its log if it stops or takes too long."""
     deadline = time.monotonic() + timeout_s
     while not is_healthy():
+        problem = None
         if not is_running(service):
-            raise ServiceError(
-                f"{service.name} ended while it was starting; the end of {service.log}:\n{log_tail(service)}"
-            )
-        if time.monotonic() > deadline:
-            raise ServiceError(
-                f"{service.name} was not ready within {timeout_s:.0f} s; the end of {service.log}:\n{log_tail(service)}"
-            )
-        time.sleep(0.5)  # asking costs the service, which is still starting, time as well
+            problem = "stopped while starting"
+        elif time.monotonic() > deadline:
+            problem = f"was not ready within {timeout_s:.0f} s"
+        if problem:
+            raise ServiceError(f"{service.name} {problem}; the end of {service.log}:\n{log_tail(service)}")
+        time.sleep(0.2)  # each check costs the starting service time
 
 
 def require_free_port(host: str, port: int, what: str, option: str) -> None:
-    """Raises InputError where something listens on the port already."""
+    """Raise InputError if a program already listens on the port."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     with socket.socket(family, socket.SOCK_STREAM) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -172,66 +179,35 @@ def require_free_port(host: str, port: int, what: str, option: str) -> None:
             probe.bind((host, port))
         except OSError as error:
             raise InputError(
-                f"port {port} of {host}, where {what} should listen, cannot be used ({error.strerror}): end the program that has "
-                f"it, or choose another port with {option}"
+                f"port {port} of {host}, for {what}, cannot be used ({error.strerror}): stop the program that uses it, or choose "
+                f"another port with {option}"
             ) from error
 
 
-def _left(service: Service, found: dict[int, int]) -> list[int]:
-    """Those of `found`, and of what the service started since and is added to it, that have not ended.
-
-    A process that ends loses its environment, by which it is known, before its files and ports: so it is waited for by the time
-    of its start.
-    """
-    found |= _members(service)
-    return [pid for pid, ticks in found.items() if _start_ticks(pid) == ticks]
+def _die_with_parent() -> None:
+    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
-def _members(service: Service) -> dict[int, int]:
-    """Process ids of a service and all that it started, by the token in their environment, and when each was started."""
-    if service.boot_id != _boot_id():
-        return {}
-    wanted = f"{TOKEN}={service.token}".encode()
-    for child in _children:
-        child.poll()
-    found = {}
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit() and int(entry.name) != os.getpid():
-            with suppress(OSError):
-                if wanted in _environment(int(entry.name)):
-                    ticks = _start_ticks(int(entry.name))
-                    if ticks is not None:
-                        found[int(entry.name)] = ticks
-    return found
+def _pids_with(token: str) -> set[int]:
+    pids = {int(entry.name) for entry in Path("/proc").iterdir() if entry.name.isdigit()}
+    return {pid for pid in pids - {os.getpid()} if _has_token(pid, token)}
 
 
-def _signal_all(found: Mapping[int, int], pids: Sequence[int], number: signal.Signals) -> None:
-    for pid in pids:
-        try:
-            descriptor = os.pidfd_open(pid)
-        except OSError:
-            continue
-        try:  # From here on the descriptor means one process; is it still ours?
-            with suppress(OSError):
-                if _start_ticks(pid) == found[pid]:
-                    signal.pidfd_send_signal(descriptor, number)
-        finally:
-            os.close(descriptor)
-
-
-def _environment(pid: int) -> list[bytes]:
-    """What a process was started with; [b""] where it has none, or none any more. Raises OSError where it does not exist."""
-    return Path(f"/proc/{pid}/environ").read_bytes().strip(b"\0").split(b"\0")
-
-
-def _start_ticks(pid: int) -> int | None:
-    """When a process started, in clock ticks since the kernel's start; None where there is none, or only a zombie."""
+def _has_token(pid: int, token: str) -> bool:
+    """Whether a process was started with this token; False for zombies and for processes of other users."""
     try:
-        fields = Path(f"/proc/{pid}/stat").read_text(errors="replace").rpartition(")")[2].split()
+        return f"{TOKEN}={token}".encode() in Path(f"/proc/{pid}/environ").read_bytes().split(b"\0")
     except OSError:
-        return None
-    return None if fields[0] in {"Z", "X"} else int(fields[19])
+        return False
 
 
-def _boot_id() -> str:
-    return Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+def _has_ended(descriptor: int) -> bool:
+    poll = select.poll()
+    poll.register(descriptor, select.POLLIN)
+    return bool(poll.poll(0))
+
+
+def _signal(descriptors: Iterable[int], number: signal.Signals) -> None:
+    for descriptor in descriptors:
+        with suppress(ProcessLookupError):
+            signal.pidfd_send_signal(descriptor, number)

@@ -1,1 +1,1 @@
-"""The map in a browser: a FastAPI server that only reads, and the front end built from `web/`."""
+"""The map in a browser: a FastAPI server and the front end built from `web/`."""

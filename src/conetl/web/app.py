@@ -1,4 +1,4 @@
-"""The server of `conetl view`: an API that reads, decisions of writers, the built front end. No other host is ever asked."""
+"""The server of `conetl view`: a read-only API, decisions of writers, the built front end. It contacts no other host."""
 
 from __future__ import annotations
 
@@ -17,34 +17,26 @@ from conetl.db.reader_pool import ReaderPool
 from conetl.model.errors import DatabaseError, StorageError
 from conetl.perception.images import ImageFileError
 from conetl.reports.crops import ImageMissingError
-from conetl.web import (
-    routes_base,
-    routes_decisions,
-    routes_events,
-    routes_features,
-    routes_images,
-    routes_maps,
-    routes_provisional,
-    routes_reports,
-)
-from conetl.web.guard import Guard
-from conetl.web.headers import SecurityHeaders
-from conetl.web.live import HeadWatcher
+from conetl.web import decisions, images, layers, live, maps
 from conetl.web.models import Problem
 from conetl.web.ogc.app import create_ogc_app
 from conetl.web.ogc.collections import warm
-from conetl.web.writing import Writer
+from conetl.web.security import Guard
 
 STATIC = Path(__file__).parent / "static"
-#: Names under which a browser on this machine may call; any other is a page elsewhere that rebound its name to this machine.
+#: Names by which a browser on this machine may call; any other belongs to a page elsewhere that rebound its name to this machine.
 LOOPBACK_NAMES = ["127.0.0.1", "localhost", "[::1]"]
+_STATUS = {DatabaseError: 503, StorageError: 503, ImageMissingError: 404, ImageFileError: 404}
 
 
 def create_app(
-    database_url: str, map_name: str, *, closing: Callable[[], bool] = lambda: False, writer: Writer | None = None
+    database_url: str,
+    map_name: str,
+    *,
+    closing: Callable[[], bool] = lambda: False,
+    writer: decisions.Writer | None = None,
 ) -> FastAPI:
-    """The application over one database. `closing` tells whether the server stops: streams end then. Without `writer` it only
-    reads."""
+    """The application over one database. Streams end when `closing` returns True. Without `writer` it is read-only."""
     pool = ReaderPool(database_url)
     ogc_pool = AsyncReaderPool(database_url, warm)
 
@@ -61,29 +53,22 @@ def create_app(
     app.state.pool = pool
     app.state.map_name = map_name
     app.state.writer = writer
-    app.state.watcher = HeadWatcher(pool, closing=closing)
-    for routes in (
-        routes_maps, routes_features, routes_images, routes_base, routes_decisions, routes_events, routes_reports,
-        routes_provisional,
-    ):  # fmt: skip
+    app.state.watcher = live.HeadWatcher(pool, closing=closing)
+    for routes in (maps, images, layers, decisions, live):
         app.include_router(routes.router, prefix="/api")
-    app.add_exception_handler(DatabaseError, _refusal(503))
-    app.add_exception_handler(StorageError, _refusal(503))
-    app.add_exception_handler(ImageMissingError, _refusal(404))
-    app.add_exception_handler(ImageFileError, _refusal(404))
+    for error, status in _STATUS.items():
+        app.add_exception_handler(error, _answer_with(status))
     app.mount("/ogc", create_ogc_app(ogc_pool, map_name), name="ogc")
     app.add_route("/ogc", lambda request: RedirectResponse(request.url.replace(path="/ogc/")), include_in_schema=False)
     app.mount("/", StaticFiles(directory=STATIC, html=True), name="front end")
-    app.add_middleware(
-        GZipMiddleware, minimum_size=1024, compresslevel=2
-    )  # of 350 kB level 5 saves 6 kB more and takes twice as long
+    # Of 350 kB level 5 saves 6 kB more and takes twice as long.
+    app.add_middleware(GZipMiddleware, minimum_size=1024, compresslevel=2)
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=LOOPBACK_NAMES, www_redirect=False)
     app.add_middleware(Guard)
-    app.add_middleware(SecurityHeaders)
     return app
 
 
-def _refusal(status: int) -> Callable[[Request, Exception], JSONResponse]:
+def _answer_with(status: int) -> Callable[[Request, Exception], JSONResponse]:
     def answer(_: Request, error: Exception) -> JSONResponse:
         return JSONResponse({"detail": str(error)}, status_code=status)
 

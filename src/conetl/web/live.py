@@ -1,7 +1,7 @@
-"""Tells open pages about news: one listener for all of them, and only while somebody listens.
+"""The stream of new changesets, decisions and base layers: one listener for all open pages, only while any is open.
 
-PostgreSQL notifies of each commit (`listen` in sql/schema.sql); then, and every `LOOK_S` in case a connection pool swallows
-notices, the heads of all maps are read once for all pages.
+PostgreSQL notifies of each commit (LISTEN); then, and every `POLL_S` in case a connection pool drops notifications, the heads of
+all maps are read once for all pages.
 """
 
 from __future__ import annotations
@@ -10,24 +10,37 @@ import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import suppress
 
+from fastapi import APIRouter, HTTPException, Request
+from fastapi.responses import StreamingResponse
 from starlette.concurrency import run_in_threadpool
 
-from conetl.db.connection import Connection
 from conetl.db.reader_pool import ReaderPool, wait_for_news
 from conetl.db.serve_store import Head, read_heads
 from conetl.model.errors import DatabaseError
+from conetl.web.parameters import MapName
 
-#: How often streams look whether the server stops, and the listener whether anybody still listens.
+#: Period at which streams check whether the server stops, and the listener whether any stream is open.
 ROUND_S = 0.5
-LOOK_S = 5.0
+POLL_S = 5.0
 RETRY_S = 1.0
 PING_S = 15.0
 MAX_STREAMS = 64
-TOO_MANY = f"{MAX_STREAMS} pages listen already: close some, or reload by hand."
+_TOO_MANY = f"{MAX_STREAMS} pages are open already: close some, or reload by hand."
+router = APIRouter(tags=["events"])
+
+
+@router.get("/maps/{map_name}/events", response_class=StreamingResponse)
+async def events(map_name: MapName, request: Request) -> StreamingResponse:
+    """Server-sent events, at once and after every commit: `changeset` and `decision` with their number, `base`, `trouble`."""
+    watcher: HeadWatcher = request.app.state.watcher
+    if watcher.full():
+        raise HTTPException(503, _TOO_MANY, headers={"Retry-After": "30"})
+    headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
+    return StreamingResponse(watcher.events(map_name), media_type="text/event-stream", headers=headers)
 
 
 class HeadWatcher:
-    """Listens to the database and hands the newest state of every map to every open stream."""
+    """Listens to the database and sends the newest state of every map to every open stream."""
 
     def __init__(self, pool: ReaderPool, *, closing: Callable[[], bool]) -> None:
         self._pool, self._closing = pool, closing
@@ -38,19 +51,19 @@ class HeadWatcher:
         self._listener: asyncio.Task[None] | None = None
 
     def full(self) -> bool:
-        """True where no further stream may be opened."""
+        """True if no further stream may be opened."""
         return self._streams >= MAX_STREAMS
 
     async def events(self, map_name: str) -> AsyncIterator[str]:
         """Server-sent events, at once and after every commit that changes them: `changeset` and `decision` with the number of the
-        map's newest one (0: none), `base` with a text that differs where the base layers do; `trouble` with what is wrong, while
-        the database cannot be asked."""
+        map's newest one (0: none), `base` with a text that changes with the base layers; `trouble` with a message while the
+        database is unavailable."""
         if self.full():  # many came at the same moment
-            yield _event("trouble", TOO_MANY)
+            yield _event("trouble", _TOO_MANY)
             return
         self._streams += 1
         sent: Head | None = None
-        said: str | None = None
+        sent_problem: str | None = None
         idle_s = 0.0
         try:
             if self._listener is None or self._listener.done():
@@ -60,16 +73,16 @@ class HeadWatcher:
                     await self._round.wait()
                 head, problem = self._heads.get(map_name, Head()), self._problem
                 idle_s += ROUND_S
-                if problem and problem != said:
+                if problem and problem != sent_problem:
                     yield _event("trouble", problem)
-                    sent, idle_s = None, 0.0  # afterwards everything is told again
+                    sent, idle_s = None, 0.0  # everything is sent again afterwards
                 elif not problem and head != sent:
                     yield "".join(_news(sent, head))
                     sent, idle_s = head, 0.0
                 elif idle_s >= PING_S:
                     yield ": still here\n\n"
                     idle_s = 0.0
-                said = problem
+                sent_problem = problem
         finally:
             self._streams -= 1
             if self._streams == 0 and self._listener is not None:
@@ -77,30 +90,32 @@ class HeadWatcher:
                 self._listener = None
 
     async def _listen(self) -> None:
-        conn: Connection | None = None
-        since_look_s = LOOK_S
         with suppress(asyncio.CancelledError):
-            try:
-                while True:
-                    try:
-                        if conn is None:
-                            conn = await run_in_threadpool(self._pool.listener)
-                        if since_look_s >= LOOK_S:
-                            self._heads, since_look_s = await run_in_threadpool(self._read), 0.0
-                        self._problem = None
-                        await self._tell()
-                        told = await run_in_threadpool(wait_for_news, conn, ROUND_S)
-                        since_look_s = LOOK_S if told else since_look_s + ROUND_S
-                    except DatabaseError as error:
-                        self._problem, since_look_s = str(error), LOOK_S
-                        _close(conn)
-                        conn = None
-                        await self._tell()
-                        await asyncio.sleep(RETRY_S)
-            finally:
-                _close(conn)
+            while True:
+                try:
+                    await self._follow()
+                except DatabaseError as error:
+                    self._problem = str(error)
+                    await self._wake_streams()
+                    await asyncio.sleep(RETRY_S)
 
-    async def _tell(self) -> None:
+    async def _follow(self) -> None:
+        """Read the heads at every notification. Raises DatabaseError when the database becomes unavailable."""
+        conn = await run_in_threadpool(self._pool.listener)
+        since_read_s = POLL_S
+        try:
+            while True:
+                if since_read_s >= POLL_S:
+                    self._heads, since_read_s = await run_in_threadpool(self._read), 0.0
+                self._problem = None
+                await self._wake_streams()
+                notified = await run_in_threadpool(wait_for_news, conn, ROUND_S)
+                since_read_s = POLL_S if notified else since_read_s + ROUND_S
+        finally:
+            with suppress(Exception):  # it may be broken already
+                conn.close()
+
+    async def _wake_streams(self) -> None:
         async with self._round:
             self._round.notify_all()
 
@@ -109,17 +124,11 @@ class HeadWatcher:
             return read_heads(conn)
 
 
-def _close(conn: Connection | None) -> None:
-    if conn is not None:
-        with suppress(Exception):  # it may be broken already
-            conn.close()
-
-
 def _news(sent: Head | None, head: Head) -> list[str]:
-    named = {"changeset": "changeset_no", "decision": "decision_no", "base": "base"}
+    fields = {"changeset": "changeset_no", "decision": "decision_no", "base": "base"}
     return [
         _event(name, str(getattr(head, field)))
-        for name, field in named.items()
+        for name, field in fields.items()
         if sent is None or getattr(sent, field) != getattr(head, field)
     ]
 

@@ -1,4 +1,4 @@
-"""What the server answers: lengths in metres, places as offsets from the map's `origin_m`, times in UTC, covariances in m^2."""
+"""Answers of the server: lengths in metres, positions as offsets from the map's `origin_m`, times in UTC, covariances in m^2."""
 
 from __future__ import annotations
 
@@ -14,13 +14,19 @@ from conetl.model.records import Matrix3, Vec3
 Cov2 = tuple[float, float, float]
 """xx, xy, yy on the ground."""
 ChangeKind = DeltaKind | Literal["unchanged"]
-"""What a drive did to a feature; between two instants, `unchanged` where it is the same version."""
+"""What a drive did to a feature; between two instants, `unchanged` for the same version."""
 
 
 class Answer(BaseModel):
     """Base of all answers."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class _Listing(Answer):
+    origin_m: Vec3
+    truncated: bool
+    """True if the map holds more than one answer may."""
 
 
 class MapItem(Answer):
@@ -47,10 +53,10 @@ class TimelineItem(Answer):
     captured_from: datetime
     captured_to: datetime
     valid_at: datetime
-    """An instant just after the drive: the map of this instant shows all that the drive saw."""
+    """An instant just after the drive: the map of this instant includes all changes by the drive."""
     committed_at: datetime
     known_before: datetime
-    """The last instant at which the database did not know of this changeset."""
+    """The last instant at which the database did not hold this changeset."""
     added_count: int
     confirmed_count: int
     moved_count: int
@@ -65,7 +71,7 @@ class TimelineItem(Answer):
     rejection_count: int
     code_version: str
     counts: bool
-    """False where it was reverted, or a later analysis of the same recording took its place."""
+    """False if it was reverted, or a later analysis of the same recording replaced it."""
 
 
 class Timeline(Answer):
@@ -76,8 +82,9 @@ class Timeline(Answer):
     """Oldest first."""
 
 
-class Feature(Answer):
-    feature_id: UUID
+class _State(Answer):
+    """One version of a feature and the evidence for it up to an instant or a drive."""
+
     version: int
     category: str
     xyz_m: Vec3
@@ -88,19 +95,20 @@ class Feature(Answer):
     observation_count: int
     first_seen_at: datetime
     last_seen_at: datetime
+    seen_count: int
+    """Drives that observed it."""
+    missed_count: int
+    """Drives that did not observe it although it was visible."""
+
+
+class Feature(_State):
+    feature_id: UUID
     valid_from: datetime
     valid_to: datetime | None
-    seen_count: int
-    """Drives that saw it until then."""
-    missed_count: int
-    """Drives that looked at its spot in vain."""
 
 
-class Features(Answer):
-    origin_m: Vec3
+class Features(_Listing):
     features: list[Feature]
-    truncated: bool
-    """True where the map holds more features than one answer may."""
 
 
 class Change(Answer):
@@ -117,13 +125,11 @@ class Change(Answer):
     version: int
 
 
-class Changes(Answer):
-    origin_m: Vec3
+class Changes(_Listing):
     changes: list[Change]
-    truncated: bool
 
 
-class HistoryItem(Answer):
+class HistoryItem(_State):
     changeset_no: int
     drive_id: str
     drive_uuid: UUID
@@ -132,28 +138,14 @@ class HistoryItem(Answer):
     kind: DeltaKind
     changed_at: datetime
     committed_at: datetime
-    version: int
     shift_m: float | None
     other_feature_id: UUID | None
-    """Of a split, the feature that was both; of a merger, the one that is left."""
+    """Of a split, the feature that was both; of a merger, the one that remains."""
     frames_empty: int | None
-    """Frame pairs of this drive that looked at its spot in vain; None where that was not kept."""
-    category: str
-    xyz_m: Vec3
+    """Frame pairs of this drive without an observation although the feature was visible; None if unknown."""
     map_xyz_m: Vec3
     """Easting, northing, ellipsoidal height."""
-    cov_m2: tuple[float, float, float, float, float, float]
-    cone_height_m: float
-    cone_height_sigma_m: float
-    existence_probability: float
-    observation_count: int
-    first_seen_at: datetime
-    last_seen_at: datetime
     sighting_count: int
-    seen_count: int
-    """Drives that saw the feature, up to this one on the road."""
-    missed_count: int
-    """Drives that looked at its spot in vain, up to this one."""
 
 
 class FeatureHistory(Answer):
@@ -179,7 +171,7 @@ class Sighting(Answer):
     match_index: int
     captured_at: datetime
     xyz_m: Vec3
-    """Where this one frame pair places the cone."""
+    """Position from this frame pair alone."""
     cov_m2: Cov2
     range_m: float
     residual_rms_px: float
@@ -188,41 +180,37 @@ class Sighting(Answer):
     map_R_camera: Matrix3
     """Rows of the rotation from the left camera's axes (right, down, forward) to the map's."""
     corners: tuple[Vec3, Vec3, Vec3, Vec3]
-    """Directions of the left picture's corners in the camera's frame at unit depth, clockwise from the top left."""
+    """Directions of the left image's corners in the camera's frame at unit depth, clockwise from the top left."""
     left: Box
     right: Box
 
 
-class Sightings(Answer):
+class Sightings(_Listing):
     feature_id: UUID
-    origin_m: Vec3
     sightings: list[Sighting]
     """Oldest first."""
-    truncated: bool
 
 
-class Trajectory(Answer):
-    """The way of the left camera."""
+class Trajectory(_Listing):
+    """The path of the left camera."""
 
     drive_id: str
     drive_uuid: UUID
-    origin_m: Vec3
     frame_index: list[int]
     captured_at: list[datetime]
     xyz_m: list[Vec3]
-    truncated: bool
 
 
 class Decision(Answer):
-    """What a person decided and nobody took back."""
+    """A decision in effect."""
 
     decision_id: UUID
     kind: Literal["suppress", "pin", "revert"]
     xy_m: tuple[float, float] | None
-    """Of a suppressed or pinned place its middle; what lies within `radius_m` of it is meant."""
+    """Centre of a suppressed or pinned area with the radius `radius_m`."""
     radius_m: float | None
     feature_id: UUID | None
-    """The feature that the person pointed at."""
+    """The feature that the person selected."""
     changeset_id: UUID | None
     drive_id: str | None
     """Drive of a reverted changeset."""
@@ -231,17 +219,15 @@ class Decision(Answer):
     decided_at: datetime
 
 
-class Decisions(Answer):
-    origin_m: Vec3
+class Decisions(_Listing):
     writable: bool
-    """True where this server takes decisions from holders of its writer token."""
+    """True if this server accepts decisions from holders of its writer token."""
     decisions: list[Decision]
     """Newest first."""
-    truncated: bool
 
 
 class Decided(Answer):
-    """A decision that was written, and what followed from it."""
+    """A decision that was written, and its effects."""
 
     decision_id: UUID
     kind: Literal["suppress", "pin", "revert", "withdraw"]
@@ -250,7 +236,7 @@ class Decided(Answer):
     replayed: int
     """Drives that were compared with the map again."""
     also_changed: list[UUID]
-    """Of a reverted changeset: features that later drives changed too; what they saw is kept."""
+    """Of a reverted changeset: features that later drives changed too; their observations are kept."""
 
 
 class FoundFeatures(Answer):
@@ -266,7 +252,7 @@ class BaseLayer(Answer):
 
 
 class BaseTile(Answer):
-    """A square of points; its side is 4096 m / 2^level. A point is origin_m + steps * scale_m."""
+    """A square of points with a side of 4096 m / 2^level. A point is origin_m + steps * scale_m."""
 
     level: int
     points: int
@@ -276,12 +262,10 @@ class BaseTile(Answer):
     sha256: str
 
 
-class BaseLayers(Answer):
-    origin_m: Vec3
+class BaseLayers(_Listing):
     layers: list[BaseLayer]
     tiles: list[BaseTile]
     """Coarse levels first; tiles of all levels together are the cloud."""
-    truncated: bool
 
 
 class BaseLine(Answer):
@@ -291,20 +275,40 @@ class BaseLine(Answer):
     """x, y, z of one vertex after the other."""
 
 
-class BaseLines(Answer):
-    origin_m: Vec3
+class BaseLines(_Listing):
     lines: list[BaseLine]
-    truncated: bool
+
+
+class ProvisionalFeature(Answer):
+    """A cone of a drive that is being recorded, or that was and is not ingested yet: no part of the map."""
+
+    drive_id: str
+    feature_index: int
+    """Number within its drive; it stays the same while the drive is watched."""
+    is_watched: bool
+    """False: its watch has ended, and its drive is not ingested yet."""
+    xyz_m: Vec3
+    cov_m2: Cov2
+    cone_height_m: float
+    existence_probability: float
+    observation_count: int
+    last_seen_at: datetime
+    near_feature_id: UUID | None
+    """The standing feature nearby that it may be."""
+
+
+class ProvisionalFeatures(_Listing):
+    features: list[ProvisionalFeature]
 
 
 class Problem(Answer):
-    """Every refusal."""
+    """Every error."""
 
     detail: str
 
 
 class Conflict(Problem):
-    """A decision on what is not there any more."""
+    """A decision about a state that has changed."""
 
     now: HistoryItem | None
-    """The feature's newest state; None where it is not believed in any more, or the decision was not about a feature."""
+    """The feature's newest state; None if it is gone, or the decision was not about a feature."""

@@ -1,4 +1,4 @@
-"""`conetl inspect`: what it says of damaged drives, and its exit codes."""
+"""`conetl inspect`: damaged drives and exit codes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def run(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, 
     return int(stopped.value.code or 0), text.out, text.err
 
 
-def test_inspect_says_what_is_lost(
+def test_inspect_shows_what_is_lost(
     tmp_path: Path, frames: list[Frame], rig: Rig, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("CONETL_HOME", str(tmp_path / "home"))
@@ -54,7 +54,7 @@ def test_inspect_says_what_is_lost(
     assert "there is no right image" in text
 
 
-def test_inspect_ends_with_2_for_what_cannot_be_ingested(
+def test_inspect_exits_with_2_for_what_cannot_be_ingested(
     tmp_path: Path, frames: list[Frame], rig: Rig, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("CONETL_HOME", str(tmp_path / "home"))

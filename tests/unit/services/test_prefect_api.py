@@ -1,4 +1,4 @@
-"""Whether a Prefect server lets this process in: said before anything is asked of it."""
+"""Access to a protected Prefect server, checked before it is used."""
 
 from __future__ import annotations
 
@@ -18,15 +18,14 @@ VARIABLE = "PREFECT_SERVER_API_AUTH_STRING"
 
 
 class _Protected(BaseHTTPRequestHandler):
-    """As Prefect's own server with PREFECT_SERVER_API_AUTH_STRING: all but /health wants the password."""
+    """Like Prefect's server with PREFECT_SERVER_API_AUTH_STRING: all but /health requires the password."""
 
     def do_GET(self) -> None:
         wanted = f"Basic {base64.b64encode(SECRET.encode()).decode()}"
         self.send_response(200 if self.path == "/api/health" or self.headers["Authorization"] == wanted else 401)
         self.end_headers()
 
-    def log_message(self, *_: object) -> None:
-        """Tests say enough."""
+    def log_message(self, *_: object) -> None: ...
 
 
 @pytest.fixture
@@ -39,19 +38,16 @@ def api() -> Iterator[str]:
         thread.join()
 
 
-def test_the_right_password_is_let_in(api: str) -> None:
-    require_access(api, SECRET, VARIABLE)
-
-
 @pytest.mark.parametrize("auth", [None, "desk:guessed"])
-def test_without_the_password_it_is_said_what_to_set(api: str, auth: str | None) -> None:
+def test_without_the_password_the_error_names_the_variable(api: str, auth: str | None) -> None:
+    require_access(api, SECRET, VARIABLE)
     with pytest.raises(ServiceError, match=f"set {VARIABLE}") as refusal:
         require_access(api, auth, VARIABLE)
     assert api in str(refusal.value)
     assert "guessed" not in str(refusal.value)
 
 
-def test_the_password_of_the_own_server_serves_its_clients(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_clients_use_the_password_of_the_own_server(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("PREFECT_API_AUTH_STRING", raising=False)
     monkeypatch.delenv("PREFECT_SERVER_API_AUTH_STRING", raising=False)
     assert prefect_auth_string() is None

@@ -1,4 +1,4 @@
-"""`conetl detect`: cones in any pictures, without calibration."""
+"""`conetl detect`: cones in single images."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from conetl.cli.console import JsonOption, complain, out, print_json, progress_bar
+from conetl.cli.console import JsonOption, answer, complain, progress_bar, say
 from conetl.files.atomic import atomic_text_file
 from conetl.model.detector_evidence import DetectorEvidence, calibrated_probability
 from conetl.model.errors import EXIT_TOO_MANY_REJECTIONS, InputError
@@ -24,27 +24,28 @@ _SUFFIXES = {".jpg", ".jpeg", ".png"}
 
 def detect(
     images: Annotated[list[Path], typer.Argument(help="Images, or folders of images (.jpg, .jpeg, .png).")],
-    output: Annotated[Path, typer.Option("--out", help="Where to write the detections.")] = Path("detections.json"),
-    score: Annotated[float, typer.Option(min=0.0, max=1.0, help="Lowest score that is written.")] = 0.3,
+    output: Annotated[Path, typer.Option("--out", help="File to write.")] = Path("detections.json"),
+    score: Annotated[float, typer.Option(min=0.0, max=1.0, help="Lowest score to write.")] = 0.3,
     draw: Annotated[
-        Path | None, typer.Option(help="Folder for annotated copies of the pictures: boxes, scores, feet and tips.")
+        Path | None, typer.Option(help="Folder for annotated copies of the images: boxes, scores, feet and tips.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Find cones in images and write their boxes as JSON.
+    """Detect cones in images and write their boxes as JSON.
 
-    One entry per box: file_name, category, bbox [x, y, w, h], score (the network's own), probability (that the box holds a cone,
-    where the model was calibrated), foot and tip [x, y], all in pixels of the picture as it is shown (orientation tags are
-    applied). Exit code 1 where some pictures could not be read; the others are written all the same.
+    Each box has file_name, category, bbox [x, y, w, h], score of the network, probability (of a cone, if the model is
+    calibrated), foot and tip [x, y], in pixels of the displayed image (after its orientation tag). Exit code 1 if some images
+    could not be read; the others are written anyway.
     """
     paths = _image_files(images)
     drawn_names = _drawn_names(paths) if draw is not None else []
     detector = load_detector(read_settings().model_path)
     found: list[dict[str, Any]] = []
     refused: list[str] = []
-    # Opened first: a place where nothing can be written should cost no hour of detection.
-    with atomic_text_file(output) as file, progress_bar() as bars:
-        for number, path in enumerate(bars.track(paths, description="detect")):
+    # Opened first, so that a path that cannot be written fails before the detection.
+    with atomic_text_file(output) as file, progress_bar("detect", "images") as update:
+        for number, path in enumerate(paths):
+            update(number, len(paths))
             try:
                 image = read_upright_image(path)
             except ImageFileError as error:
@@ -58,12 +59,10 @@ def detect(
         if len(refused) == len(paths):
             raise InputError("none of the images could be read; nothing was written")
         file.write(json.dumps(found, indent=1) + "\n")
-    if as_json:
-        print_json({"images": len(paths), "refused": refused, "detections": len(found), "written": str(output)})
-    else:
-        out.print(f"{len(found)} cones in {len(paths) - len(refused)} images -> {output}", markup=False)
-        if draw is not None:
-            out.print(f"annotated pictures -> {draw}", markup=False)
+    facts = {"images": len(paths), "refused": refused, "detections": len(found), "written": str(output)}
+    answer(as_json, facts, f"{len(found)} cones in {len(paths) - len(refused)} images -> {output}")
+    if draw is not None and not as_json:
+        say(f"annotated images -> {draw}")
     if refused:
         raise typer.Exit(EXIT_TOO_MANY_REJECTIONS)
 
@@ -77,14 +76,14 @@ def _entry(path: Path, box: NDArray[np.float64], evidence: DetectorEvidence | No
     }
     if evidence is not None:
         entry["probability"] = round(calibrated_probability(evidence.calibration, float(box[4])), 4)
-    if np.isfinite(box[5:9]).all():  # a network without these outputs gives none
+    if np.isfinite(box[5:9]).all():  # NaN if the network has no such outputs
         entry["foot"] = [round(value, 2) for value in box[5:7].tolist()]
         entry["tip"] = [round(value, 2) for value in box[7:9].tolist()]
     return entry
 
 
 def _drawn_names(paths: list[Path]) -> list[str]:
-    """A name for each annotated copy; pictures of equal name from several folders are told apart by a number."""
+    """A file name for each annotated copy; a number distinguishes images of the same name."""
     names: dict[str, None] = {}
     for path in paths:
         name, count = f"{path.stem}.jpg", 2

@@ -12,7 +12,7 @@ from conetl.perception.model_card import read_model_card
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives import read_drive
 
-if TYPE_CHECKING:  # loaded when it is needed: it imports the network's runtime
+if TYPE_CHECKING:  # loaded when needed: it imports the network's runtime
     from conetl.pipeline.analysis import AnalysedDrive
 
 
@@ -26,9 +26,5 @@ def analyse_folder(
         raise InputError(f"no such drive folder: {folder}")
     drive, rejections = read_drive(folder, map_srid=map_srid, images_folder=settings.images_folder.resolve())
     note_unmeasured(read_model_card(settings.model_path))
-    with progress_bar() as bars:
-        bar = bars.add_task(drive.drive_id, total=None)
-        return analyse(
-            drive, params, rejections=rejections, settings=settings,
-            progress=lambda done, total: bars.update(bar, completed=done, total=total),
-        )  # fmt: skip
+    with progress_bar(drive.drive_id, "images") as update:
+        return analyse(drive, params, rejections=rejections, settings=settings, progress=update)

@@ -1,4 +1,4 @@
-"""`conetl rig`: look at a rig's calibration file, and take it from one tool to another."""
+"""`conetl rig`: show the calibration of a rig, or convert it to the format of another tool."""
 
 from __future__ import annotations
 
@@ -10,44 +10,39 @@ import numpy as np
 import typer
 from scipy.spatial.transform import Rotation
 
-from conetl.cli.console import JsonOption, out, print_json, print_table
+from conetl.cli.console import JsonOption, answer, print_json, print_table, say
 from conetl.geometry import rig as rigs
 from conetl.geometry.rectification import is_rectified, rectify
 from conetl.model.errors import InputError
 from conetl.model.records import Camera, Rig, Side
 from conetl.readers.rigs import FORMAT_NAMES, RIG_YAML, WRITERS, read_rig_and_format
 
-app = typer.Typer(no_args_is_help=True, help="Look at a calibration file, or take it from one tool to another.")
-
 SizeOption = Annotated[
     str | None,
-    typer.Option("--image-size", help="Image size like 1242x375, where the file (OpenCV, MATLAB) has none."),
+    typer.Option("--image-size", help="Image size like 1242x375, if the file (OpenCV, MATLAB) has none."),
 ]
 UnitOption = Annotated[
     str | None, typer.Option("--unit", help="Unit of the baseline in an OpenCV or MATLAB file: m, cm, mm, in.")
 ]
-_PLACES = {"_px": 3, "_rad": 6, "_m": 5}
+_DECIMALS = {"_px": 3, "_rad": 6, "_m": 5}
 
 
-@app.command()
 def show(
-    file: Annotated[Path, typer.Argument(help="Calibration file of any known format, or a folder with one.")],
+    file: Annotated[Path, typer.Argument(help="Calibration file of a supported format, or a folder with one.")],
     image_size: SizeOption = None,
     unit: UnitOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Print interior and exterior orientation as tables, with their sigmas where the file tells them."""
+    """Show interior and exterior orientation, with sigmas if the file contains them."""
     rig, found = read_rig_and_format(file, image_size=_size(image_size), length_unit=unit)
     if as_json:
         rectified = is_rectified(rig)
-        print_json(
-            {"format": found, "rectified": rectified, "baseline_m": rig.baseline_m, "rig": rig.model_dump(mode="json")}
-        )
+        print_json({"format": found, "rectified": rectified, "baseline_m": rig.baseline_m, "rig": rig})
         return
-    out.print(f"{file}: {FORMAT_NAMES[found]}, rig {rig.rig_id}", markup=False)
+    say(f"{file}: {FORMAT_NAMES[found]}, rig {rig.rig_id}")
     sigmas = _sigmas(rig)
     interior: list[tuple[str, ...]] = [
-        ("picture", f"{rig.left.width_px} x {rig.left.height_px}", f"{rig.right.width_px} x {rig.right.height_px}")
+        ("image size", f"{rig.left.width_px} x {rig.left.height_px}", f"{rig.right.width_px} x {rig.right.height_px}")
     ]
     interior += [
         (name, *(_cell(getattr(camera, name), sigmas, f"{side}.{name}") for side, camera in _cameras(rig)))
@@ -58,42 +53,39 @@ def show(
         interior.append((f"lens.{i}", *(_coefficient(camera, side, i, sigmas) for side, camera in _cameras(rig))))
     print_table("Interior orientation", ("parameter", "left", "right"), interior)
     print_table("Exterior orientation", ("parameter", "value"), _exterior(rig, sigmas))
-    out.print(_verdict(rig), markup=False)
+    say(_usage(rig))
 
 
-@app.command()
 def convert(
     source: Annotated[Path, typer.Argument(metavar="IN", help="Calibration file, or a folder with one.")],
     target: Annotated[
-        Path, typer.Argument(metavar="OUT", help="File to write; for ROS the folder of left.yaml, right.yaml.")
+        Path, typer.Argument(metavar="OUT", help="File to write; for ROS the folder of left.yaml and right.yaml.")
     ],
     to: Annotated[
         str | None,
         typer.Option(
             "--to",
-            help=f"opencv (.yml, .xml, .json), kalibr, ros, matlab (.json) or rig; rig where OUT is called {RIG_YAML}.",
+            help=f"opencv (.yml, .xml, .json), kalibr, ros, matlab (.json) or rig; default for {RIG_YAML}: rig.",
         ),
     ] = None,
     image_size: SizeOption = None,
     unit: UnitOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Write a calibration in another tool's format."""
+    """Convert a calibration to the format of another tool."""
     if to is None:
         if target.name != RIG_YAML:
-            raise InputError(f"{target}: say in which format to write it (--to): {', '.join(WRITERS)}")
+            raise InputError(f"{target}: choose the format with --to: {', '.join(WRITERS)}")
         to = "rig"
     if to not in WRITERS:
         raise InputError(f"--to {to}: known formats are {', '.join(WRITERS)}")
     rig, found = read_rig_and_format(source, image_size=_size(image_size), length_unit=unit)
     WRITERS[to](rig, target)
     lost = _lost(rig, to)
-    if as_json:
-        print_json({"read_as": found, "written": str(target), "format": to, "not_written": lost})
-        return
-    out.print(f"{source}: {FORMAT_NAMES[found]} -> {target}: {_name(to)}", markup=False)
+    text = f"{source}: {FORMAT_NAMES[found]} -> {target}: {_name(to)}"
     if lost:
-        out.print(f"{_name(to)} has no place for: {', '.join(lost)}", markup=False)
+        text += f"\n{_name(to)} cannot store {' and '.join(lost)}"
+    answer(as_json, {"read_as": found, "written": str(target), "format": to, "not_written": lost}, text)
 
 
 def _name(kind: str) -> str:
@@ -101,11 +93,11 @@ def _name(kind: str) -> str:
 
 
 def _lost(rig: Rig, to: str) -> list[str]:
-    """What the other format cannot hold."""
+    """What the other format cannot store."""
     if to == "rig":
         return []
-    body = [] if rigs.body_is_left_camera(rig) else ["the cameras' place on the body (body_SE3_left)"]
-    covariance = [] if rig.calibration_covariance is None else ["the calibration's covariance"]
+    body = [] if rigs.body_is_left_camera(rig) else ["the position of the cameras on the body (body_SE3_left)"]
+    covariance = [] if rig.calibration_covariance is None else ["the covariance of the calibration"]
     return [*body, *covariance]
 
 
@@ -121,7 +113,7 @@ def _sigmas(rig: Rig) -> dict[str, float]:
 
 
 def _cell(value: float, sigmas: dict[str, float], name: str) -> str:
-    places = next((count for ending, count in _PLACES.items() if name.endswith(ending)), 6)
+    places = next((count for ending, count in _DECIMALS.items() if name.endswith(ending)), 6)
     sigma = sigmas.get(name)
     return f"{value:.{places}f}" + ("" if sigma is None else f" ± {sigma:.{places}f}")
 
@@ -134,31 +126,31 @@ def _coefficient(camera: Camera, side: Side, index: int, sigmas: dict[str, float
 
 def _exterior(rig: Rig, sigmas: dict[str, float]) -> list[tuple[str, str]]:
     relative = rigs.left_SE3_right(rig)
-    turn = np.degrees(Rotation.from_matrix(relative[:3, :3]).as_rotvec())
+    rotation = np.degrees(Rotation.from_matrix(relative[:3, :3]).as_rotvec())
     rows = [("baseline", f"{rig.baseline_m:.5f} m")]
     rows += [
         (f"right camera {axis}", f"{_cell(value, sigmas, f'relative.t{axis}_m')} m")
         for axis, value in zip("xyz", relative[:3, 3].tolist(), strict=True)
     ]
-    for axis, value in zip("xyz", turn.tolist(), strict=True):
+    for axis, value in zip("xyz", rotation.tolist(), strict=True):
         sigma = sigmas.get(f"relative.r{axis}_rad")
         shown = "" if sigma is None else f" ± {np.degrees(sigma):.4f}"
-        rows.append((f"right camera turned about {axis}", f"{value:.4f}{shown} deg"))
+        rows.append((f"right camera rotation about {axis}", f"{value:.4f}{shown} deg"))
     if not rigs.body_is_left_camera(rig):
         body = rigs.body_SE3_camera(rig, "left")
         rows.append(("left camera on the body", ", ".join(f"{v:.4f}" for v in body[:3, 3]) + " m"))
     return rows
 
 
-def _verdict(rig: Rig) -> str:
+def _usage(rig: Rig) -> str:
     if is_rectified(rig):
-        return "The pictures are rectified: no lens, parallel cameras, equal rows. They are used as they are."
+        return "The images are rectified (no lens distortion, parallel cameras, equal rows) and used as they are."
     try:
         flat = rectify(rig)
     except ValueError as error:
-        return f"The pictures are raw, and cannot be rectified: {error}."
+        return f"The images are raw and cannot be rectified: {error}."
     sizes = [f"{camera.width_px} x {camera.height_px}" for camera in (flat.left, flat.right)]
-    return f"The pictures are raw; they are rectified when read, to {sizes[0]} and {sizes[1]} pixels, f {flat.left.fx_px:.1f} px."
+    return f"The images are raw; they are rectified when read, to {sizes[0]} and {sizes[1]} pixels, f {flat.left.fx_px:.1f} px."
 
 
 def _size(text: str | None) -> tuple[int, int] | None:

@@ -1,4 +1,4 @@
-// From what is asked for to the cones that show it.
+// From the state of the page to the cones and drives that show it.
 import { api, type Change, type Feature, type Instant, type TimelineItem } from "./api";
 import { isGone, type Cone } from "./kinds";
 import type { State } from "./state";
@@ -32,23 +32,20 @@ export async function readCones(state: State, items: TimelineItem[]): Promise<[C
   }
   const item = changesetOf(items, state.changeset);
   if (!item) return [[], false];
-  // Before and after are two beliefs about the same instant on the road, the end of the drive: this shows what a drive changed
-  // also where it was committed after younger ones.
+  // Before and after are two states of the database for the same instant on the road, the end of the drive: the changes of a
+  // drive are shown even if it was committed after later ones.
   if (state.side === "before") {
     const answer = await api.features(map, { valid: item.valid_at, known: item.known_before });
     return [answer.features.map(standing), answer.truncated];
   }
-  const [features, changes] = await Promise.all([
+  const [features, answer] = await Promise.all([
     api.features(map, { valid: item.valid_at, known: item.committed_at }),
     api.changes(map, item.changeset_no),
   ]);
-  const judged = new Map(changes.changes.map((c) => [c.feature_id, changed(c)]));
-  const rest = features.features.filter((f) => !judged.has(f.feature_id)).map((f): Cone => ({ ...standing(f), kind: "unchanged" }));
-  const shown = [...judged.values()].flatMap((c): Cone[] => {
-    if (state.side === "changes") return [c];
-    return isGone(c.kind) ? [] : [{ ...c, old: null, shift_m: null }];
-  });
-  return [[...shown, ...rest], features.truncated];
+  const changes = new Map(answer.changes.map((c) => [c.feature_id, changed(c)]));
+  const rest = features.features.filter((f) => !changes.has(f.feature_id)).map((f): Cone => ({ ...standing(f), kind: "unchanged" }));
+  const after = [...changes.values()].filter((c) => !isGone(c.kind)).map((c): Cone => ({ ...c, old: null, shift_m: null }));
+  return [[...(state.side === "changes" ? changes.values() : after), ...rest], features.truncated];
 }
 
 function instantAfter(items: TimelineItem[], no: number | null, known: string | null): Instant {
@@ -57,7 +54,7 @@ function instantAfter(items: TimelineItem[], no: number | null, known: string | 
   return { valid: changesetOf(items, no)?.valid_at ?? null, known };
 }
 
-/** Whose ways are drawn. */
+/** The drives whose paths are drawn. */
 export function drivesShown(state: State, items: TimelineItem[]): TimelineItem[] {
   if (!state.trajectory) return [];
   const pick = (...list: (TimelineItem | undefined)[]) => list.filter((t): t is TimelineItem => t !== undefined);

@@ -1,4 +1,4 @@
-"""Cones against truth on the terminal and as JSON: the paper's Table 3, shared by `conetl demo` and `conetl evaluate`."""
+"""Cones of a map or drive beside the surveyed ones: the paper's Table 3."""
 
 from __future__ import annotations
 
@@ -7,23 +7,24 @@ from pathlib import Path
 
 import numpy as np
 
-from conetl.cli.console import print_table
 from conetl.evaluation.truth import Found, TruthCone, TruthLine
 from conetl.evaluation.truth_file import read_truth
 from conetl.model.errors import InputError
 
+TABLE_3_COLUMNS = ("cone", "", "easting", "northing", "height", "range", "cone height", "3D error")
+
 
 def read_truth_cones(path: Path) -> tuple[list[TruthCone], int]:
-    """The cones that a truth.csv says are standing, and the EPSG code of their coordinates.
+    """The cones present according to a truth.csv, and the EPSG code of their coordinates.
 
-    Raises InputError where the file cannot be used, has no standing cone, or mixes coordinate systems.
+    Raises InputError if the file cannot be used, has no cones, or mixes coordinate systems.
     """
     rows = [row for row in read_truth(path) if row.present]
     srids = sorted({row.map_srid for row in rows})
     if not rows:
-        raise InputError(f"truth {path}: no cone is there (present = 1); nothing to compare with")
+        raise InputError(f"truth {path}: no cone is present (present = 1); nothing to compare with")
     if len(srids) > 1:
-        raise InputError(f"truth {path}: map_srid must be one for all cones, found {', '.join(map(str, srids))}")
+        raise InputError(f"truth {path}: map_srid must be the same for all cones, found {', '.join(map(str, srids))}")
     cones = [
         TruthCone(
             cone_id=row.cone_id,
@@ -35,14 +36,8 @@ def read_truth_cones(path: Path) -> tuple[list[TruthCone], int]:
     return cones, srids[0]
 
 
-def print_table_3(lines: Sequence[TruthLine[Found]], *, missing: str = "not on the map") -> None:
-    """Truth, computed and difference of position, range and height, per cone (the paper's Table 3)."""
-    columns = ("cone", "", "easting", "northing", "height", "range", "cone", "3D error")
-    print_table("", columns, table_3_rows(lines, missing=missing), numbers_from=2)
-
-
 def table_3_rows(lines: Sequence[TruthLine[Found]], *, missing: str) -> list[tuple[object, ...]]:
-    """Three rows a cone, or two where it was not found."""
+    """Truth, computed and difference of each cone; `missing` in the second row if it was not found."""
     rows: list[tuple[object, ...]] = []
     for line in lines:
         truth, feature = line.truth, line.feature
@@ -59,13 +54,13 @@ def table_3_rows(lines: Sequence[TruthLine[Found]], *, missing: str) -> list[tup
 
 
 def median_error(lines: Sequence[TruthLine[Found]]) -> float | None:
-    """Median 3D error of the cones that were found, None where none was."""
+    """Median 3D error of the cones that were found, None if none was."""
     errors = [line.error_3d_m for line in lines if line.error_3d_m is not None]
     return float(np.median(errors)) if errors else None
 
 
 def line_as_dict(line: TruthLine[Found]) -> dict[str, object]:
-    """One line for JSON."""
+    """One cone as JSON values."""
     return {
         "cone_id": line.truth.cone_id,
         "truth_xyz_m": line.truth.xyz_m,

@@ -1,0 +1,99 @@
+"""`conetl map diff`: the differences between two states of the map."""
+
+from __future__ import annotations
+
+from collections import Counter
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from conetl.cli.console import Columns, JsonOption, no_such_map, parse_time, print_json, print_records, say
+from conetl.cli.database import open_map
+from conetl.db.connection import Connection
+from conetl.db.map.map_store import find_map, list_changesets, read_features_as_of
+from conetl.exports.diff_geojson import export_diff_geojson
+from conetl.mapping import map_diff
+from conetl.model.errors import InputError
+from conetl.model.map_records import FeatureChange, MapFeature
+from conetl.pipeline.settings import Settings, read_settings
+
+
+def diff(
+    before: Annotated[str, typer.Argument(help="Number of a changeset (the state after it), or a time on the road.")],
+    after: Annotated[str, typer.Argument(help="Likewise.")],
+    output: Annotated[Path | None, typer.Option("--out", help="GeoJSON file to write.")] = None,
+    picture: Annotated[
+        Path | None, typer.Option("--picture", "--image", help="PNG to write: both states, changes in colour.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Show the differences between two states of the map."""
+    settings = read_settings()
+    with open_map(settings) as conn:
+        info = find_map(conn, settings.map_name) or no_such_map(settings.map_name)
+        old, new = state_of(conn, settings, before), state_of(conn, settings, after)
+    changes = map_diff.diff(old, new)
+    if output is not None:
+        export_diff_geojson(changes, output, srid=info.srid)
+    if picture is not None:
+        from conetl.reports.plan_view import draw_plan_view  # matplotlib takes half a second to load
+
+        if not old and not new:
+            raise InputError(f"there is nothing to draw: the map has no cones at {before} and at {after}")
+        changed = {change.feature_id for change in changes}
+        draw_plan_view(
+            picture,
+            title=f"Map {settings.map_name}, EPSG:{info.srid}: {before} to {after}",
+            trajectory_m=np.empty((0, 2)),
+            deltas=changes,
+            untouched=[feature for feature in new if feature.feature_id not in changed],
+            untouched_label="no difference",
+        )
+    if as_json:
+        print_json(changes)
+        return
+    counts = Counter(change.kind for change in changes)
+    say(", ".join(f"{count} {kind}" for kind, count in sorted(counts.items())) or "No differences.")
+    print_records("", _COLUMNS, changes, numbers_from=2)
+    if output is not None:
+        say(f"{len(changes)} changes -> {output}")
+    if picture is not None:
+        say(f"image -> {picture}")
+
+
+def _last(change: FeatureChange) -> MapFeature:
+    feature = change.new or change.old
+    assert feature is not None
+    return feature
+
+
+_COLUMNS: Columns = {
+    "change": lambda change: str(change.kind),
+    "feature": "feature_id",
+    "easting m": lambda change: _last(change).xyz_m[0],
+    "northing m": lambda change: _last(change).xyz_m[1],
+    "height m": lambda change: _last(change).xyz_m[2],
+    "shift m": "shift_m",
+    "old": lambda change: change.old and change.old.version,
+    "new": lambda change: change.new and change.new.version,
+}
+
+
+def state_of(conn: Connection, settings: Settings, name: str) -> list[MapFeature]:
+    """The cones after a changeset, as known then, or at a time on the road, as known now."""
+    valid_at, known_at = instants_of(conn, settings, name)
+    versions = read_features_as_of(conn, valid_at, known_at=known_at, map_name=settings.map_name)
+    return [version.feature for version in versions]
+
+
+def instants_of(conn: Connection, settings: Settings, name: str) -> tuple[datetime | None, datetime | None]:
+    """Time on the road and time of the database for a changeset number or a time; None: the latest."""
+    if name.isdigit() and len(name) < 8:
+        changesets = [c for c in list_changesets(conn, map_name=settings.map_name) if c.changeset_no == int(name)]
+        if not changesets:
+            raise InputError(f"the map {settings.map_name} has no changeset {name}: `conetl map log` lists them")
+        return None, changesets[0].committed_at
+    return parse_time(name), None

@@ -1,0 +1,289 @@
+"""Drives against surveyed cones: errors, whether the stated sigmas hold, plots and pages."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.evaluation.accuracy import (
+    ConsistencyReport,
+    ErrorStatistics,
+    NeesReport,
+    PointErrors,
+    RangeBand,
+    by_range,
+    consistency_report,
+    drive_consistency,
+    members_of,
+    pooled_consistency,
+    pooled_statistics,
+    position_errors,
+    single_nees,
+    statistics,
+    track_errors,
+)
+from conetl.evaluation.table_3 import TABLE_3_COLUMNS, line_as_dict, median_error, table_3_rows
+from conetl.evaluation.truth import TruthCone, TruthLine, compare_with_truth
+from conetl.geometry.rig import map_SE3_left
+from conetl.model.errors import InputError
+from conetl.model.records import Drive, Position, Track
+from conetl.reports.accuracy_page import Section, write_accuracy_page
+from conetl.tracking.association import MotionError
+from conetl.tracking.pose_errors import PoseCov
+
+#: The two kinds of estimates whose errors are evaluated.
+KINDS = ("tracks", "single positions")
+_STATISTICS = (
+    "", "estimates", "median 3D", "RMSE 3D", "RMSE E", "N", "up", "bias E", "N", "up", "CE90", "LE90",
+)  # fmt: skip
+_BANDS = (
+    "range m", "estimates", "median 3D", "RMSE along", "across", "up", "stated along", "across", "up", "bias along"
+)  # fmt: skip
+_NEES = ("", "sum", "degrees of freedom", "95 % band", "per degree", "sigmas are")
+_NEES_TEXT = (
+    "NEES: sum of squared errors over their stated covariance. Relative: without the errors common to the whole drive "
+    "(GNSS/INS). Common: those errors. Absolute: both. One per degree of freedom is right."
+)
+_DRIVES = ("drive", "cones found", "false", "median 3D", "tracks: relative", "common", "absolute",
+           "single positions: relative", "common", "absolute")  # fmt: skip
+_DRIVES_TEXT = (
+    "Metres. NEES per degree of freedom, 1 if the stated sigmas are right; * outside its 95 % band, as one value in twenty is by "
+    "chance. All drives: sums over drives with independent errors."
+)
+
+
+@dataclass(frozen=True)
+class DriveEvaluation:
+    """The cones of one drive compared with the truth."""
+
+    drive_id: str
+    lines: list[TruthLine[Track]]
+    false: list[Track]
+    path_m: NDArray[np.float64]
+    tracks: PointErrors
+    singles: PointErrors
+    figures: dict[str, ErrorStatistics]
+    bands: list[RangeBand]
+    nees: dict[str, ConsistencyReport]
+
+    @property
+    def found(self) -> int:
+        return sum(line.feature is not None for line in self.lines)
+
+    @property
+    def missed(self) -> list[str]:
+        return [line.truth.cone_id for line in self.lines if line.feature is None]
+
+    def tables(self) -> list[Section]:
+        """Cones, errors, errors by range, and NEES."""
+        cones = table_3_rows(self.lines, missing="missed")
+        errors = [
+            (name, f.count, *(f"{value:.3f}" for value in (f.median_3d_m, f.rmse_3d_m, *f.rmse_enu_m)),
+             *(f"{value:+.3f}" for value in f.bias_enu_m), f"{f.ce90_m:.3f}", f"{f.le90_m:.3f}")
+            for name, f in self.figures.items()
+        ]  # fmt: skip
+        bands = [
+            (f"{band.from_m:g} to {band.to_m:g}" if band.to_m else f"over {band.from_m:g}", f.count,
+             *(f"{value:.3f}" for value in (f.median_3d_m, *f.rmse_sight_m, *f.stated_sigma_sight_m)),
+             f"{f.bias_sight_m[0]:+.3f}")
+            for band in self.bands
+            for f in (band.errors,)
+        ]  # fmt: skip
+        return [
+            Section(
+                "Cones against truth", "Metres; range from the nearest point of the drive path.", TABLE_3_COLUMNS, cones
+            ),
+            Section("Errors", "Metres. Bias is the mean error, estimate minus truth.", _STATISTICS, errors),
+            Section(
+                "Errors over range",
+                "Single positions, one per frame pair; root mean square errors beside the stated sigmas.",
+                _BANDS,
+                bands,
+            ),
+            Section("Do the stated sigmas hold?", _NEES_TEXT, _NEES, _nees_rows(self.nees)),
+        ]
+
+    def as_dict(self) -> dict[str, object]:
+        """As JSON values."""
+        return {
+            "cones": [
+                {"track_index": line.feature.track_index if line.feature else None, **line_as_dict(line)}
+                for line in self.lines
+            ],
+            "missed": self.missed,
+            "false_tracks": [
+                track.model_dump(mode="json", include={"track_index", "xyz_m", "existence_probability"})
+                for track in self.false
+            ],
+            "median_error_3d_m": median_error(self.lines),
+            "errors": {name: figures.model_dump(mode="json") for name, figures in self.figures.items()},
+            "by_range": [band.model_dump(mode="json") for band in self.bands],
+            "nees": {name: report.model_dump(mode="json") for name, report in self.nees.items()},
+        }
+
+
+def evaluate_drive(
+    cones: Sequence[TruthCone],
+    drive: Drive,
+    tracks: Sequence[Track],
+    positions: Sequence[Position],
+    motion: MotionError | None,
+    poses: PoseCov,
+    *,
+    within_m: float,
+) -> DriveEvaluation:
+    """Compare the tracks of a drive with surveyed cones at most within_m from the drive path.
+
+    motion, poses: how the errors of the drive's poses are correlated. Raises InputError if there is no cone near the path.
+    """
+    path_m = np.array([map_SE3_left(pair.pose, drive.rig)[:3, 3] for pair in drive.frame_pairs])
+    lines, false = compare_with_truth(cones, tracks, path_m, within_m=within_m)
+    if not lines:
+        raise InputError(
+            f"none of the {len(cones)} cones of the truth is within {within_m:g} m of the path of {drive.drive_id}; does it "
+            "belong to another drive?"
+        )
+    of_tracks = track_errors(lines, drive, positions, motion)
+    of_singles = position_errors(members_of(lines), positions, drive, poses)
+    errors = {KINDS[0]: of_tracks, KINDS[1]: of_singles}
+    figures = {kind: figure for kind, some in errors.items() if (figure := statistics(some)) is not None}
+    nees = {kind: consistency_report(drive_consistency(some)) for kind, some in errors.items()}
+    bands = by_range(of_singles)
+    return DriveEvaluation(drive.drive_id, lines, false, path_m, of_tracks, of_singles, figures, bands, nees)
+
+
+def _nees_rows(nees: Mapping[str, ConsistencyReport]) -> list[tuple[object, ...]]:
+    """One row for each part with degrees of freedom."""
+    rows: list[tuple[object, ...]] = []
+    for name, report in nees.items():
+        for part in ("relative", "common", "absolute"):
+            one: NeesReport | None = getattr(report, part)
+            if one is None:
+                continue
+            verdict = "right" if one.holds else "too small" if one.value > one.high else "too large"
+            band = f"{one.low:.1f} to {one.high:.1f}"
+            rows.append((f"{name}, {part}", f"{one.value:.1f}", one.dof, band, f"{one.per_dof:.2f}", verdict))
+    return rows
+
+
+def write_evaluation(folder: Path, evaluation: DriveEvaluation, summary: Sequence[str]) -> list[Path]:
+    """Write the plots and, last, the page. Raises InputError if the folder cannot be written."""
+    from conetl.reports import accuracy_plots  # matplotlib takes half a second to load
+
+    name, tracks, singles = evaluation.drive_id, evaluation.tracks, evaluation.singles
+    images = {
+        "errors_over_range.png": accuracy_plots.errors_over_range(
+            range_m=singles.range_m,
+            errors_m=singles.in_sight_axes(singles.difference_m),
+            sigmas_m=singles.sigma_in_sight_axes(),
+            track_range_m=tracks.range_m,
+            track_errors_m=tracks.in_sight_axes(tracks.difference_m),
+            title=f"{name}: errors over range",
+        ),
+        "plan.png": accuracy_plots.error_plan(
+            path_m=evaluation.path_m,
+            truth_m=np.array([line.truth.xyz_m for line in evaluation.lines]),
+            names=[line.truth.cone_id for line in evaluation.lines],
+            found=np.array([line.feature is not None for line in evaluation.lines]),
+            errors_m=tracks.difference_m,
+            cov_m2=tracks.cov_m2,
+            single_truth_m=singles.truth_m,
+            single_errors_m=singles.difference_m,
+            false_m=np.array([track.xyz_m for track in evaluation.false]).reshape(-1, 3),
+            title=name,
+        ),
+        "nees.png": accuracy_plots.nees_histogram(
+            single=single_nees(singles), tracks=single_nees(tracks), title=f"{name}: do the stated sigmas hold?"
+        ),
+    }
+    cones, errors, bands, nees = evaluation.tables()
+    sections = [
+        cones,
+        Section("Directions of the errors", image=images["plan.png"], image_words="plan view with error vectors"),
+        errors,
+        replace(bands, image=images["errors_over_range.png"], image_words="errors over range"),
+        replace(nees, image=images["nees.png"], image_words="histogram of NEES against chi-square"),
+    ]
+    page = _write_page(folder, f"{name} against truth", summary, sections, images)
+    return [*(folder / file for file in images), page]
+
+
+@dataclass(frozen=True)
+class PooledDrives:
+    """Drives by id, and their statistics together."""
+
+    drives: Mapping[str, DriveEvaluation]
+    figures: dict[str, ErrorStatistics]
+    nees: dict[str, ConsistencyReport]
+
+    def tables(self) -> list[Section]:
+        """One row per drive and one for all; NEES of all drives."""
+        rows: list[tuple[object, ...]] = []
+        for name, drive in self.drives.items():
+            reports = [consistency_report(drive_consistency(errors)) for errors in (drive.tracks, drive.singles)]
+            rows.append(_drive_row(name, [drive], pooled_statistics([drive.tracks]), reports))
+        reports = [self.nees[kind] for kind in KINDS]
+        rows.append(_drive_row("all drives", list(self.drives.values()), self.figures.get(KINDS[0]), reports))
+        return [
+            Section("Drive by drive", _DRIVES_TEXT, _DRIVES, rows),
+            Section("Do the stated sigmas hold for all drives together?", "", _NEES, _nees_rows(self.nees)),
+        ]
+
+    def as_dict(self) -> dict[str, object]:
+        """As JSON values."""
+        return {
+            "errors": {kind: figures.model_dump(mode="json") for kind, figures in self.figures.items()},
+            "nees": {kind: report.model_dump(mode="json") for kind, report in self.nees.items()},
+        }
+
+
+def pool(drives: Mapping[str, DriveEvaluation]) -> PooledDrives:
+    """Statistics and NEES of all drives together."""
+    errors = {KINDS[0]: [d.tracks for d in drives.values()], KINDS[1]: [d.singles for d in drives.values()]}
+    figures = {kind: figure for kind, some in errors.items() if (figure := pooled_statistics(some)) is not None}
+    nees = {kind: consistency_report(pooled_consistency(some)) for kind, some in errors.items()}
+    return PooledDrives(drives, figures, nees)
+
+
+def write_pooled_page(folder: Path, pooled: PooledDrives) -> Path:
+    """Write all drives on one page. Raises InputError if it cannot be written."""
+    drives = list(pooled.drives.values())
+    found, cones = sum(d.found for d in drives), sum(len(d.lines) for d in drives)
+    summary = [f"{found} of {cones} cones found, {sum(len(d.false) for d in drives)} false ones."]
+    if figures := pooled.figures.get(KINDS[0]):
+        summary.append(
+            f"Median 3D error of the tracks {figures.median_3d_m:.3f} m, CE90 {figures.ce90_m:.3f} m, "
+            f"LE90 {figures.le90_m:.3f} m."
+        )
+    return _write_page(folder, f"{len(drives)} drives against truth", summary, pooled.tables(), {})
+
+
+def _write_page(
+    folder: Path, title: str, summary: Sequence[str], sections: Sequence[Section], images: Mapping[str, bytes]
+) -> Path:
+    """Write images and page into a folder; the path of the page. Raises InputError."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for file, data in images.items():
+            (folder / file).write_bytes(data)
+        return write_accuracy_page(folder / "index.html", title=title, summary=summary, sections=sections)
+    except OSError as error:
+        raise InputError(f"{folder} cannot be written ({error.strerror}): choose another folder with --out") from error
+
+
+def _drive_row(
+    name: str,
+    drives: Sequence[DriveEvaluation],
+    tracks: ErrorStatistics | None,
+    reports: Sequence[ConsistencyReport],
+) -> tuple[object, ...]:
+    parts = [part for report in reports for part in (report.relative, report.common, report.absolute)]
+    found, cones = sum(d.found for d in drives), sum(len(d.lines) for d in drives)
+    return (
+        name, f"{found} of {cones}", sum(len(d.false) for d in drives), "" if tracks is None else f"{tracks.median_3d_m:.3f}",
+        *("" if part is None else f"{part.per_dof:.2f}{'' if part.holds else ' *'}" for part in parts),
+    )  # fmt: skip

@@ -1,0 +1,126 @@
+"""Stereo positions of the cones of a drive against its own LiDAR, pair by pair."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.evaluation import lidar_check as steps
+from conetl.evaluation.lidar_scene import SceneBias, fit_scene_bias, scene_samples
+from conetl.geometry import pose as se3
+from conetl.geometry.packing import cov_matrix
+from conetl.geometry.rig import map_SE3_left
+from conetl.model.errors import InputError
+from conetl.model.params import IngestParams, TrajectoryParams
+from conetl.model.records import Drive, FramePair, Rig, StereoMatch
+from conetl.perception.detector import Detector, load_detector
+from conetl.perception.images import ImageFileError
+from conetl.pipeline.one_pair import match_images
+from conetl.readers.drives import read_drive
+from conetl.readers.drives.velodyne import (
+    ScanFileError,
+    left_SE3_velo,
+    list_scans,
+    points_at_exposure,
+    read_scan,
+    scan_period_s,
+)
+from conetl.readers.rigs import IMU_TO_VELO
+from conetl.tracking.matching.cone_outline import find_outline
+from conetl.tracking.positions import locate_positions
+from conetl.tracking.self_calibration import SWITCHED_OFF, SelfCalibration, self_calibrated_rig
+
+Array = NDArray[np.float64]
+
+
+class LidarCheck(NamedTuple):
+    """Result of `lidar_residuals`."""
+
+    residuals: list[steps.LidarResidual]
+    """Of every refined match with LiDAR points, with the calibration as it is."""
+    corrected: list[steps.LidarResidual]
+    """The same without the calibration error that the scene shows; empty without `scene`."""
+    scene: SceneBias | None
+    scan_count: int
+    calibration: str
+    """Result of the self-calibration, in one sentence."""
+    problems: list[str]
+    """Scans and images that could not be used, one sentence each."""
+
+
+def lidar_residuals(
+    drive_folder: Path,
+    *,
+    model_path: Path | None = None,
+    params: IngestParams | None = None,
+    calibrate: Callable[[Drive, TrajectoryParams], SelfCalibration] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> LidarCheck:
+    """Stereo minus LiDAR for the cones of a drive, one frame pair at a time.
+
+    calibrate: self-calibration from the images alone; without it the calibration is used as delivered. progress: called with
+    (scans done, scans in total). Raises InputError if the drive has no LiDAR, no calibration of it, or cannot be read.
+    """
+    params = params or IngestParams()
+    drive, _ = read_drive(drive_folder)
+    scans = list_scans(drive_folder)
+    if not scans:
+        raise InputError(f"{drive_folder}: no LiDAR scans; expected velodyne_points/data/0000000000.bin and so on")
+    folders = [f for f in (drive_folder, drive_folder.resolve().parent) if (f / IMU_TO_VELO).is_file()]
+    if not folders:
+        raise InputError(f"{drive_folder}: {IMU_TO_VELO} is neither in the drive folder nor in its parent")
+    calibration = calibrate(drive, params.trajectory) if calibrate else SWITCHED_OFF
+    rig = self_calibrated_rig(drive.rig, calibration, params.trajectory)
+    velo, period_s = left_SE3_velo(rig, folders[0]), scan_period_s(drive_folder)
+    pairs = {pair.frame_index: pair for pair in drive.frame_pairs}
+    detector = load_detector(model_path)
+    residuals: list[steps.LidarResidual] = []
+    matches: list[StereoMatch] = []
+    samples: list[Array] = []
+    problems: list[str] = []
+    for done, (number, path) in enumerate(scans.items(), 1):
+        pair = pairs.get(number)
+        if pair is None:
+            problems.append(f"scan {path.name}: there is no usable frame pair {number}")
+        else:
+            try:
+                scan = points_at_exposure(read_scan(path)[:, :3].astype(np.float64), pair, pairs, rig, velo, period_s)
+                found, used, seen = _check_pair(se3.apply(velo, scan), pair, rig, detector, params)
+            except (ScanFileError, ImageFileError) as error:
+                problems.append(str(error))
+            else:
+                residuals, matches, samples = [*residuals, *found], [*matches, *used], [*samples, seen]
+        if progress is not None:
+            progress(done, len(scans))
+    scene = fit_scene_bias(np.concatenate(samples), rig) if samples else None
+    corrected = (
+        [steps.without_scene_bias(r, m, rig, scene) for r, m in zip(residuals, matches, strict=True)] if scene else []
+    )
+    return LidarCheck(residuals, corrected, scene, len(scans), calibration.detail, problems)
+
+
+def _check_pair(
+    points_left: Array, pair: FramePair, rig: Rig, detector: Detector, params: IngestParams
+) -> tuple[list[steps.LidarResidual], list[StereoMatch], Array]:
+    """Residuals of one pair with their matches, and its samples of the scene; points_left (N, 3) in the left camera's frame."""
+    paths = Path(pair.left_path), Path(pair.right_path)
+    (left, right), detections, matches, _ = match_images(paths, rig, detector, params, pair)
+    up = map_SE3_left(pair.pose, rig)[2, :3]
+    by_index = {match.match_index: match for match in matches if match.refined}
+    positions, _ = locate_positions(matches, {pair.frame_index: pair}, rig, params.position)
+    residuals, used = [], []
+    lowest_m, highest_m = params.track.min_cone_height_m, params.track.max_cone_height_m
+    for position in positions:
+        match = by_index.get(position.match_index)
+        if match is None or not lowest_m <= position.cone_height_m <= highest_m:
+            continue
+        lidar = steps.lidar_range(points_left, find_outline(left, match.left), rig.left, up)
+        if lidar is not None:
+            foot, cov = np.array(position.camera_xyz_m), cov_matrix(position.camera_cov_m2)
+            residuals.append(steps.residual(match, foot, cov, lidar, up))
+            used.append(match)
+    return residuals, used, scene_samples(points_left, left, right, rig, detections[0], seed=pair.frame_index)

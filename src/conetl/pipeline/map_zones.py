@@ -1,0 +1,112 @@
+"""Work zones of a map: computed from its history, and exported as WZDx feeds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from conetl.db.connection import Connection
+from conetl.db.map.map_store import find_map
+from conetl.db.zone_store import read_lanes_near, read_paths, read_versions
+from conetl.exports.feed_info import read_feed_info
+from conetl.exports.wzdx import FeedContext, export_device_feed, export_work_zone_feed
+from conetl.model.errors import InputError
+from conetl.model.map_records import MapFeature
+from conetl.model.params import WorkZoneParams
+from conetl.model.work_zone_records import DrivePath, LaneLine, WorkZone, ZoneHistory
+from conetl.workzones.work_zones import zones_over_time
+from conetl.workzones.zone_layout import describe, layout_of
+
+
+@dataclass(frozen=True)
+class MapZones:
+    """The work zones of a map at a time."""
+
+    srid: int
+    zones: list[WorkZone]
+    standing: list[MapFeature]
+    paths: list[DrivePath]
+    lane_lines_from: str | None
+    """File or base layers; None if there are no lane lines."""
+
+
+def export_wzdx(
+    conn: Connection,
+    output: Path,
+    *,
+    devices: bool,
+    map_name: str,
+    as_of: datetime | None,
+    feed: Path | None,
+    publisher: str | None,
+    road_names: list[str] | None,
+    lanes: Path | None,
+) -> int:
+    """Write a WorkZoneFeed or DeviceFeed, validated by its schema, and return the number of features. Raises InputError."""
+    info = read_feed_info(feed, publisher=publisher, road_names=road_names)
+    params = WorkZoneParams()
+    found = read_zones(conn, map_name=map_name, as_of=as_of, lanes=lanes, params=params)
+    now = datetime.now(UTC)
+    context = FeedContext(info, map_name, found.srid, at=as_of or now, made_at=now, params=params)
+    if devices:
+        return export_device_feed(found.standing, found.zones, output, context)
+    return export_work_zone_feed(found.zones, output, context)
+
+
+def read_zones(
+    conn: Connection, *, map_name: str, as_of: datetime | None, lanes: Path | None, params: WorkZoneParams
+) -> MapZones:
+    """Current and ended work zones of a map until a time (None: now). Raises InputError if the map does not exist."""
+    info = find_map(conn, map_name)
+    if info is None:
+        raise InputError(f"this database has no map named {map_name}: ingest a drive or import a map first")
+    versions = read_versions(conn, map_name=map_name, until=as_of)
+    paths = read_paths(conn, map_name=map_name, until=as_of)
+    at_ns = None if as_of is None else int(as_of.timestamp() * 1_000_000) * 1000 + 999
+    histories = zones_over_time(versions, paths, params, map_name=map_name, at_ns=at_ns)
+    lines, source = _lane_lines(conn, histories, lanes, map_name=map_name, srid=info.srid)
+    zones = [
+        describe(history, layout_of(history, paths, some, params), params)
+        for history, some in zip(histories, lines, strict=True)
+    ]
+    open_until = [v for v in versions if v.valid_to_ns is None or (at_ns is not None and v.valid_to_ns > at_ns)]
+    standing = [v.feature for v in open_until if v.standing and not v.suppressed]
+    return MapZones(info.srid, zones, standing, paths, source)
+
+
+def _lane_lines(
+    conn: Connection, histories: list[ZoneHistory], lanes: Path | None, *, map_name: str, srid: int
+) -> tuple[list[list[LaneLine]], str | None]:
+    """Lane lines beside each zone and their source: the file if given, else the base layers of the map."""
+    if lanes is not None:
+        from conetl.readers.base_layers.line_files import read_lane_lines  # GDAL takes seconds to load
+
+        return [read_lane_lines(lanes, srid=srid)] * len(histories), str(lanes)
+    positions = [np.array([cone.xyz_m[:2] for cone in history.cones]) for history in histories]
+    lines, layers = read_lanes_near(conn, positions, map_name=map_name)
+    return lines, f"base layers {', '.join(layers)}" if layers else None
+
+
+def zone_as_dict(zone: WorkZone) -> dict[str, object]:
+    """A work zone as JSON values."""
+    layout = zone.layout
+    return {
+        "work_zone_id": str(zone.history.zone_id),
+        "cones": [str(cone.feature_id) for cone in layout.cones],
+        "first": str(zone.first.feature_id),
+        "last": str(zone.last.feature_id),
+        "length_m": round(float(layout.stations_m[-1] - layout.stations_m[0]), 2),
+        "road_axis_from": layout.axis_source,
+        "direction_known": layout.direction_known,
+        "closed_side": zone.closed_side,
+        "closed_lane_count": zone.closed_lane_count,
+        "vehicle_impact": str(zone.impact),
+        "tapers": [
+            {"length_m": round(t.end_m - t.start_m, 2), "shift_m": round(t.shift_m, 2), "converging": t.converging}
+            for row in layout.rows[:1]
+            for t in row.tapers
+        ],
+    }

@@ -1,0 +1,89 @@
+"""One stereo pair of images: detection, matching and, without a trajectory, positions in the camera's frame."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conetl.geometry.camera import first_road_row
+from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left, up_in_left_camera
+from conetl.model.params import IngestParams
+from conetl.model.records import Detection, FramePair, Rig, Side, StereoMatch
+from conetl.model.rejections import Rejection
+from conetl.perception.detections import check_boxes
+from conetl.perception.detector import Detector, detect_image
+from conetl.perception.rectified_image import read_rig_image
+from conetl.tracking.matching.matches import match_pair
+from conetl.tracking.positions import CameraPosition, locate_in_camera
+
+SIDES: tuple[Side, Side] = ("left", "right")
+
+
+class MatchedPair(NamedTuple):
+    """Detections and matches of one pair; images, detections: left and right."""
+
+    images: list[NDArray[np.uint8]]
+    detections: list[list[Detection]]
+    matches: list[StereoMatch]
+    rejections: list[Rejection]
+    """Of matching."""
+
+
+class LocatedPair(NamedTuple):
+    """Cones of one pair without a trajectory."""
+
+    detections: list[list[Detection]]
+    matches: list[StereoMatch]
+    cones: list[CameraPosition]
+    """By distance."""
+    misfits: list[CameraPosition]
+    """Objects whose height is not that of a cone."""
+    unmatched: dict[Side, int]
+    rejections: list[Rejection]
+
+
+def match_images(
+    paths: tuple[Path, Path], rig: Rig, detector: Detector, params: IngestParams, pair: FramePair | None = None
+) -> MatchedPair:
+    """Detect cones in both images and match them. pair: with its pose, the area above the horizon is skipped.
+
+    Raises ImageFileError.
+    """
+    images, detections = [], []
+    for side, path in zip(SIDES, paths, strict=True):
+        image = read_rig_image(path, rig, side)
+        first_row = 0
+        if pair is not None:
+            map_R_cam = map_SE3_camera(pair.pose, rig, side)[:3, :3]
+            first_row = first_road_row(camera_of(rig, side), [map_R_cam], params.detection.horizon_margin_rad)
+        boxes = detect_image(
+            detector, image, score_threshold=params.detection.score_threshold, nms_iou=params.detection.nms_iou,
+            first_row=first_row,
+        )  # fmt: skip
+        frame_index = 0 if pair is None else pair.frame_index
+        found, _ = check_boxes(boxes, frame_index=frame_index, side=side, params=params.detection)
+        images.append(image)
+        detections.append(found)
+    up = up_in_left_camera(rig) if pair is None else map_SE3_left(pair.pose, rig)[2, :3]
+    left, right = detections
+    matches, rejections = match_pair(left, right, rig, params.match, up_left=up, images=(images[0], images[1]))
+    return MatchedPair(images, detections, matches, rejections)
+
+
+def locate_pair(paths: tuple[Path, Path], rig: Rig, detector: Detector, params: IngestParams) -> LocatedPair:
+    """Cones of one stereo pair in the frame of the left camera. Raises ImageFileError."""
+    _, detections, matches, refused = match_images(paths, rig, detector, params)
+    located, more = locate_in_camera(matches, rig, params.position)
+    # No second pair distinguishes a cone from a sign, but its height must be that of a cone, as in a drive.
+    lowest_m, highest_m = params.track.min_cone_height_m, params.track.max_cone_height_m
+    cones = [cone for cone in located if lowest_m <= cone.cone_height_m <= highest_m]
+    unmatched = {
+        side: len(found) - len(matches) - sum(r.payload.get("side") == side for r in refused)
+        for side, found in zip(SIDES, detections, strict=True)
+    }
+    misfits = [cone for cone in located if cone not in cones]
+    cones.sort(key=lambda cone: cone.ground_distance_m)
+    return LocatedPair(detections, matches, cones, misfits, unmatched, [*refused, *more])

@@ -1,0 +1,122 @@
+"""Routes of what is shown beside the map: base layers (points in tiles, lines) and provisional features of running drives."""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+from typing import Annotated, Any
+
+import numpy as np
+import shapely
+from fastapi import APIRouter, HTTPException, Path, Request, Response
+
+from conetl.db.connection import Connection
+from conetl.db.live_store import read_provisional
+from conetl.db.serve_store import read_base_lines, read_base_sources, read_base_tile, read_base_tiles
+from conetl.model.records import Vec3
+from conetl.web import rows as to
+from conetl.web.models import (
+    BaseLayer,
+    BaseLayers,
+    BaseLine,
+    BaseLines,
+    BaseTile,
+    ProvisionalFeature,
+    ProvisionalFeatures,
+)
+from conetl.web.parameters import MAX_FEATURES, MapName, Reader, cut, origin_of
+
+router = APIRouter(tags=["layers"], prefix="/maps/{map_name}")
+_MAX_TILES = 20_000
+_MAX_LINES = 20_000
+#: Decimals of the metres of lines.
+_DECIMALS = 2
+_UNCHANGED: dict[int | str, dict[str, Any]] = {304: {"description": "Not modified."}}
+Sha256 = Annotated[str, Path(pattern=r"^[0-9a-f]{64}$", description="SHA-256 of the tile's bytes.")]
+
+
+@router.get("/base", responses=_UNCHANGED, response_model=BaseLayers)
+def base_layers(map_name: MapName, conn: Reader, request: Request, response: Response) -> BaseLayers | Response:
+    """The base layers of a map and their tiles of points, coarse ones first."""
+    origin = origin_of(conn, map_name)
+    if unchanged := _unchanged(conn, map_name, origin, request, response):
+        return unchanged
+    layers: dict[tuple[str, str], list[int]] = {}
+    for row in read_base_sources(conn, map_name):
+        layers.setdefault((row["layer_name"], row["kind"]), []).append(row["kept_count"])
+    rows, truncated = cut(read_base_tiles(conn, map_name, _MAX_TILES + 1), _MAX_TILES)
+    return BaseLayers(
+        origin_m=origin,
+        layers=[
+            BaseLayer(layer_name=name, kind=kind, files=len(counts), count=sum(counts))
+            for (name, kind), counts in layers.items()
+        ],
+        tiles=[
+            BaseTile(
+                level=row["level"], points=row["points"], origin_m=to.offset(row["origin_m"], origin),
+                scale_m=tuple(row["scale_m"]), high_m=row["high_m"] - origin[2], sha256=row["sha256"],
+            )
+            for row in rows
+        ],
+        truncated=truncated,
+    )  # fmt: skip
+
+
+@router.get("/base/lines", responses=_UNCHANGED, response_model=BaseLines)
+def base_lines(map_name: MapName, conn: Reader, request: Request, response: Response) -> BaseLines | Response:
+    """The lines of all base layers."""
+    origin = origin_of(conn, map_name)
+    if unchanged := _unchanged(conn, map_name, origin, request, response):
+        return unchanged
+    rows, truncated = cut(read_base_lines(conn, map_name, _MAX_LINES + 1), _MAX_LINES)
+    shapes = shapely.from_wkb([bytes(row["geom"]) for row in rows])
+    lines = [
+        BaseLine(
+            kind=row["kind"],
+            subtype=row["subtype"],
+            xyz_m=np.round(shapely.get_coordinates(shape, include_z=True) - origin, _DECIMALS).ravel().tolist(),
+        )
+        for row, shape in zip(rows, shapes, strict=True)
+    ]
+    return BaseLines(origin_m=origin, lines=lines, truncated=truncated)
+
+
+@router.get(
+    "/base/tiles/{sha256}.bin",
+    response_class=Response,
+    responses={200: {"content": {"application/octet-stream": {}}}, **_UNCHANGED},
+)
+def base_tile(map_name: MapName, sha256: Sha256, conn: Reader, request: Request) -> Response:
+    """The points of one tile, 7 bytes per point (see readers/base_layers/point_tiles.py); the content of a URL never changes."""
+    tag = f'"{sha256}"'
+    headers = {"ETag": tag, "Cache-Control": "private, max-age=31536000, immutable", "Vary": "Accept-Encoding"}
+    payload = read_base_tile(conn, map_name, sha256)
+    if payload is None:
+        raise HTTPException(404, f"The map {map_name} has no tile {sha256}.")
+    if request.headers.get("if-none-match") == tag:
+        return Response(status_code=304, headers=headers)
+    if "gzip" in request.headers.get("accept-encoding", ""):
+        headers["Content-Encoding"] = "gzip"
+    else:
+        payload = gzip.decompress(payload)
+    return Response(payload, media_type="application/octet-stream", headers=headers)
+
+
+@router.get("/provisional")
+def provisional(map_name: MapName, conn: Reader) -> ProvisionalFeatures:
+    """Cones of drives that are being recorded; the ingest of a drive replaces its own."""
+    origin = origin_of(conn, map_name)
+    rows, truncated = cut(read_provisional(conn, map_name=map_name), MAX_FEATURES)
+    features = [to.answer(ProvisionalFeature, row, origin, is_watched=row["ended_at"] is None) for row in rows]
+    return ProvisionalFeatures(origin_m=origin, features=features, truncated=truncated)
+
+
+def _unchanged(conn: Connection, map_name: str, origin: Vec3, request: Request, response: Response) -> Response | None:
+    """304 if the browser has this state of the base layers; else None, and the answer gets its ETag."""
+    sources = "".join(f"{row['source_id']} " for row in read_base_sources(conn, map_name))
+    # Weak: the compressing middleware may send other bytes of the same content.
+    tag = f'W/"{hashlib.sha256(f"{origin} {sources}".encode()).hexdigest()}"'
+    if request.headers.get("if-none-match") == tag:
+        return Response(status_code=304, headers={"ETag": tag})
+    response.headers["ETag"] = tag
+    return None

@@ -1,0 +1,136 @@
+"""Routes of maps: changesets, features as of an instant, changes, one feature's history and sightings, camera paths."""
+
+from __future__ import annotations
+
+from typing import Annotated
+from uuid import UUID
+
+from fastapi import APIRouter, HTTPException, Query, Request
+
+from conetl.db import serve_store as store
+from conetl.db.map.map_store import find_features, find_map, list_changesets
+from conetl.model.params import ReconcileParams
+from conetl.model.records import Rig, utc_from_ns
+from conetl.web import models as m
+from conetl.web import rows as to
+from conetl.web.parameters import MAX_FEATURES, ChangesetNo, Instant, MapName, Reader, cut, origin_of
+
+router = APIRouter(tags=["maps"])
+_MAP = "/maps/{map_name}"
+_MAX_SIGHTINGS = 2_000
+_MAX_TRAJECTORY = 50_000
+_MAX_FOUND = 20
+#: The pipeline too treats nearer positions as one.
+_MOVED_FROM_M = ReconcileParams().min_gate_m
+
+
+@router.get("/maps")
+def maps(request: Request, conn: Reader) -> m.Maps:
+    """All maps of the database."""
+    return m.Maps(maps=[m.MapItem(**row) for row in store.read_maps(conn)], chosen=request.app.state.map_name)
+
+
+@router.get(f"{_MAP}/timeline")
+def timeline(map_name: MapName, conn: Reader) -> m.Timeline:
+    """All changesets of a map, oldest first."""
+    origin = origin_of(conn, map_name)
+    info = find_map(conn, map_name)
+    if info is None:
+        raise HTTPException(404, f"There is no map {map_name}.")
+    items = [to.timeline_item(c) for c in reversed(list_changesets(conn, map_name=map_name))]
+    return m.Timeline(map_name=map_name, srid=info.srid, origin_m=origin, changesets=items)
+
+
+@router.get(f"{_MAP}/features")
+def features(map_name: MapName, conn: Reader, valid_at: Instant = None, known_at: Instant = None) -> m.Features:
+    """Features on the road at `valid_at`, in the state of the database at `known_at`."""
+    origin = origin_of(conn, map_name)
+    found, truncated = cut(store.read_features(conn, map_name, valid_at, known_at, MAX_FEATURES + 1), MAX_FEATURES)
+    return m.Features(
+        origin_m=origin, features=[to.answer(m.Feature, row, origin) for row in found], truncated=truncated
+    )
+
+
+@router.get(f"{_MAP}/changes/{{changeset_no}}")
+def changes_of_changeset(map_name: MapName, changeset_no: ChangesetNo, conn: Reader) -> m.Changes:
+    """The decision of one changeset about every feature that its drive could see."""
+    origin = origin_of(conn, map_name)
+    found = store.read_changeset_changes(conn, map_name, changeset_no)
+    return m.Changes(origin_m=origin, changes=[to.answer(m.Change, row, origin) for row in found], truncated=False)
+
+
+@router.get(f"{_MAP}/changes")
+def changes_between(
+    map_name: MapName,
+    conn: Reader,
+    from_valid_at: Instant = None,
+    from_known_at: Instant = None,
+    to_valid_at: Instant = None,
+    to_known_at: Instant = None,
+    moved_from_m: Annotated[float, Query(ge=0.01, le=100.0, allow_inf_nan=False)] = _MOVED_FROM_M,
+) -> m.Changes:
+    """Differences of the map between two instants; a feature moved if its position changed by `moved_from_m` or more."""
+    origin = origin_of(conn, map_name)
+    before, after = (from_valid_at, from_known_at), (to_valid_at, to_known_at)
+    rows = store.read_changes_between(
+        conn, map_name, before, after, moved_from_m=moved_from_m, max_rows=MAX_FEATURES + 1
+    )
+    found, truncated = cut(rows, MAX_FEATURES)
+    return m.Changes(origin_m=origin, changes=[to.answer(m.Change, row, origin) for row in found], truncated=truncated)
+
+
+@router.get(f"{_MAP}/find")
+def find(
+    map_name: MapName, conn: Reader, beginning: Annotated[str, Query(pattern=r"^[0-9a-fA-F-]{1,36}$")]
+) -> m.FoundFeatures:
+    """Features, present or removed, whose id begins with `beginning`."""
+    origin_of(conn, map_name)
+    ids, truncated = cut(find_features(conn, beginning, map_name=map_name, max_rows=_MAX_FOUND + 1), _MAX_FOUND)
+    return m.FoundFeatures(feature_ids=ids, truncated=truncated)
+
+
+@router.get(f"{_MAP}/features/{{feature_id}}")
+def feature_history(map_name: MapName, feature_id: UUID, conn: Reader) -> m.FeatureHistory:
+    """The history of one feature."""
+    origin = origin_of(conn, map_name)
+    history = [to.history_item(row, origin) for row in store.read_feature_history(conn, map_name, feature_id)]
+    if not history:
+        raise HTTPException(404, f"The map {map_name} has no feature {feature_id}.")
+    return m.FeatureHistory(feature_id=feature_id, origin_m=origin, history=history)
+
+
+@router.get(f"{_MAP}/features/{{feature_id}}/sightings")
+def sightings(map_name: MapName, feature_id: UUID, conn: Reader) -> m.Sightings:
+    """The frame pairs in which one feature was observed, with boxes and camera."""
+    origin = origin_of(conn, map_name)
+    found, truncated = cut(store.read_sightings(conn, map_name, feature_id, _MAX_SIGHTINGS + 1), _MAX_SIGHTINGS)
+    rigs = store.read_rigs(conn, map_name, {row["drive_uuid"] for row in found})
+    cameras = {drive_uuid: Rig.model_validate(rig) for drive_uuid, rig in rigs.items()}
+    return m.Sightings(
+        feature_id=feature_id,
+        origin_m=origin,
+        sightings=[to.sighting(row, cameras[row["drive_uuid"]], origin) for row in found],
+        truncated=truncated,
+    )
+
+
+@router.get(f"{_MAP}/drives/{{drive_uuid}}/trajectory")
+def trajectory(map_name: MapName, drive_uuid: UUID, conn: Reader) -> m.Trajectory:
+    """The path of the left camera of one drive; empty for an imported map."""
+    origin = origin_of(conn, map_name)
+    rows, truncated = cut(store.read_trajectory(conn, map_name, drive_uuid, _MAX_TRAJECTORY + 1), _MAX_TRAJECTORY)
+    drive_ids = [row["drive_id"] for row in rows[:1]] or [
+        c.drive_id for c in list_changesets(conn, map_name=map_name) if c.drive_uuid == drive_uuid
+    ]
+    if not drive_ids:
+        raise HTTPException(404, f"The map {map_name} has no drive {drive_uuid}.")
+    rig = Rig.model_validate(rows[0]["rig"]) if rows else None
+    return m.Trajectory(
+        drive_id=drive_ids[0],
+        drive_uuid=drive_uuid,
+        origin_m=origin,
+        frame_index=[row["frame_index"] for row in rows],
+        captured_at=[utc_from_ns(row["captured_at_ns"]) for row in rows],
+        xyz_m=[to.camera_position(row, rig, origin) for row in rows] if rig else [],
+        truncated=truncated,
+    )

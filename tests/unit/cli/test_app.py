@@ -1,0 +1,85 @@
+"""The command line as a whole: help without imports, version, log, completion, unusable home folders."""
+
+from __future__ import annotations
+
+import logging
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.main import get_command
+from typer.testing import CliRunner
+
+from conetl.cli.app import _COMMANDS, _GROUPS, app
+from conetl.cli.map.exchange import _format_by_name
+from conetl.model.errors import InputError
+
+NAMES = [(name,) for panel in _COMMANDS.values() for name in panel]
+NAMES += [(group, name) for group, (_, commands) in _GROUPS.items() for name in commands]
+
+
+@pytest.mark.parametrize("words", NAMES, ids=" ".join)
+def test_every_command_has_help_and_is_listed_with_its_first_paragraph(words: tuple[str, ...]) -> None:
+    group = get_command(app)
+    for word in words[:-1]:
+        group = group.get_command(None, word)  # type: ignore[attr-defined, assignment]
+    loaded = group.get_command(None, words[-1])  # type: ignore[attr-defined]
+    group.listing = True  # type: ignore[attr-defined]
+    listed = group.get_command(None, words[-1])  # type: ignore[attr-defined]
+    assert loaded.name == listed.name == words[-1]
+    assert listed.help and loaded.help.startswith(" ".join(listed.help.split()))
+
+
+def test_help_and_completion_import_no_command() -> None:
+    code = (
+        "import sys\nfrom conetl.cli.app import app\nfrom typer.testing import CliRunner\n"
+        "done = CliRunner().invoke(app, ['-h'])\nassert 'ingest' in done.output and not done.exit_code, done.output\n"
+        "words = {'_CONETL_COMPLETE': 'complete_bash', 'COMP_WORDS': 'conetl b', 'COMP_CWORD': '1'}\n"
+        "done = CliRunner().invoke(app, [], env=words, prog_name='conetl')\n"
+        "assert done.output.split() == ['backfill', 'base'], done.output\n"
+        "assert not {'numpy', 'psycopg2', 'conetl.cli.ingest'} & set(sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_version() -> None:
+    assert CliRunner().invoke(app, ["--version"]).output.startswith("conetl 0.")
+
+
+def test_the_log_is_silent_unless_verbose(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CONETL_HOME", str(tmp_path))
+    for option, level in ((["-vv"], logging.DEBUG), (["-v"], logging.INFO), ([], logging.WARNING)):
+        CliRunner().invoke(app, [*option, "down"])
+        assert logging.getLogger("conetl").getEffectiveLevel() == level
+
+
+def test_status_of_an_empty_home_says_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CONETL_HOME", str(tmp_path))
+    monkeypatch.delenv("CONETL_DATABASE_URL", raising=False)
+    done = CliRunner().invoke(app, ["status"])
+    assert done.exit_code == 3
+    assert "No services of `conetl up` are recorded" in done.output
+    assert str(tmp_path) in done.output.replace("\n", "")
+
+
+@pytest.mark.parametrize("command", ["status", "up"])
+def test_a_home_that_is_a_file_is_reported(command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    home = tmp_path / "file"
+    home.touch()
+    monkeypatch.setenv("CONETL_HOME", str(home))
+    monkeypatch.delenv("CONETL_DATABASE_URL", raising=False)
+    done = CliRunner().invoke(app, [command])
+    assert isinstance(done.exception, InputError)
+    assert str(home) in str(done.exception) and "CONETL_HOME" in str(done.exception)
+
+
+def test_the_suffix_selects_the_format_of_an_export() -> None:
+    formats = {
+        "cones.geojson": "geojson", "cones.json": "geojson", "cones": "geojson", "cones.csv": "csv", "cones.GPKG": "gpkg",
+        "cones.parquet": "geoparquet", "cones.fgb": "flatgeobuf", "cones.mcap": "mcap", "cones.osm": "lanelet2",
+    }  # fmt: skip
+    assert {name: _format_by_name(Path(name)) for name in formats} == formats
+    with pytest.raises(InputError, match=r"cones\.shp: .*--format \(geojson, csv"):
+        _format_by_name(Path("cones.shp"))

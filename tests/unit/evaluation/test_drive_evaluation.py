@@ -1,0 +1,51 @@
+"""Several drives evaluated together: one row each and one for all, marks, and pooled statistics."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from conetl.evaluation.accuracy import PointErrors, position_errors
+from conetl.evaluation.drive_evaluation import DriveEvaluation, pool
+from conetl.evaluation.truth import TruthCone, TruthLine
+from tests.synthetic.noisy_drive import PoseErrors, draw_positions
+from tests.synthetic.world import Cone, make_rig
+
+CONES = [Cone((14.0 + 4.0 * k, 3.6 - 0.5 * k, 0.0)) for k in range(4)]
+
+
+def drawn(seed: int) -> PointErrors:
+    drive = draw_positions(np.random.default_rng(seed), make_rig(), CONES, PoseErrors(), frames=8)
+    cone_of = {(p.frame_index, p.match_index): drive.truth[p.match_index] for p in drive.positions}
+    return position_errors(cone_of, drive.positions, drive.drive)
+
+
+def evaluation(name: str, errors: PointErrors, missed: int = 0) -> DriveEvaluation:
+    cone = TruthCone(cone_id="a", xyz_m=(0.0, 0.0, 0.0), cone_height_m=0.5)
+    found = TruthLine(cone, object(), 1.0, 1.0)  # type: ignore[type-var]
+    lines = [found] * 4 + [TruthLine(cone, None, 1.0, None)] * missed
+    return DriveEvaluation(name, lines, [], np.empty((0, 3)), errors, errors, {}, [], {})  # type: ignore[arg-type]
+
+
+def test_one_row_per_drive_and_one_for_all() -> None:
+    good, other = drawn(1), drawn(2)
+    wrong = dataclasses.replace(other, own_cov_m2=other.own_cov_m2 / 9, common_cov=other.common_cov / 9)
+    pooled = pool({"good": evaluation("good", good), "wrong": evaluation("wrong", wrong, missed=1)})
+    assert pooled.figures["tracks"].count == len(good.difference_m) + len(other.difference_m)
+    drives, nees = pooled.tables()
+    of_good, of_wrong, of_all = ([str(value) for value in row] for row in drives.rows)
+    assert of_good[:2] == ["good", "4 of 4"] and not any("*" in value for value in of_good)
+    assert of_wrong[:2] == ["wrong", "4 of 5"] and any("*" in value for value in of_wrong)
+    assert of_all[:2] == ["all drives", "8 of 9"]
+    assert any(row[0] == "single positions, relative" and row[-1] == "too small" for row in nees.rows)
+
+
+def test_statistics_of_two_drives_are_those_of_all_their_errors() -> None:
+    some = [drawn(seed) for seed in (3, 4)]
+    pooled = pool({str(k): evaluation(str(k), errors) for k, errors in enumerate(some)})
+    everything = np.concatenate([errors.difference_m for errors in some])
+    figures = pooled.figures["single positions"]
+    assert figures.rmse_3d_m == pytest.approx(float(np.sqrt((everything**2).sum(axis=1).mean())))
+    assert figures.bias_enu_m == pytest.approx(tuple(everything.mean(axis=0)))
