@@ -35,8 +35,8 @@ def decode_and_run(drive: Path, workers: int) -> Callable[[], None]:
     from conetl.geometry.camera import first_road_row
     from conetl.geometry.rig import map_SE3_left
     from conetl.model.params import IngestParams
-    from conetl.perception.allocator import keep_freed_images
     from conetl.perception.detector import MAX_SIDE_PX, load_detector, network_input
+    from conetl.perception.worker_setup import set_up_worker
     from conetl.readers.drives import read_drive
 
     read, _ = read_drive(drive, headers_only=True)
@@ -44,7 +44,7 @@ def decode_and_run(drive: Path, workers: int) -> Callable[[], None]:
     rotations = [map_SE3_left(pair.pose, read.rig)[:3, :3] for pair in read.frame_pairs]
     row = first_road_row(read.rig.left, rotations, margin_rad)
     paths = [path for pair in read.frame_pairs for path in (pair.left_path, pair.right_path)]
-    keep_freed_images()
+    set_up_worker()
 
     def some(mine: list[str]) -> None:
         detector = load_detector(threads=1)

@@ -399,7 +399,7 @@ def main() -> None:
         lambda picture: picture.source in ("renders", "cone-free"),
         lambda image: detect_image(detector, image, score_threshold=LEAST_SCORE),
     )
-    evidence, held_out, figures = measure(looks, folds_of(pictures), detector.sha256)
+    evidence, held_out, figures = measure(looks, folds_of(pictures), detector.card.sha256)
     print(model_card_text(evidence, figures))
     if args.json:
         args.json.write_text(json.dumps({"figures": figures, "evidence": evidence.model_dump()}, indent=2) + "\n")
@@ -408,7 +408,9 @@ def main() -> None:
         read_model_card(args.model)
         truth = np.array([row[3] for row in looks.boxes])
         curve = args.model.with_suffix(".reliability.png")
-        write_reliability_figure(curve, held_out["score"], held_out[evidence.calibration.method], truth, detector.name)
+        write_reliability_figure(
+            curve, held_out["score"], held_out[evidence.calibration.method], truth, detector.card.name
+        )
         print(f"{sidecar}, {curve}: written")
 
 

@@ -124,7 +124,7 @@ def main() -> None:
             print(f"{group:25s} {label:9s} " + " ".join(f"{name} {value}" for name, value in row.items()))
     if args.json:
         args.json.write_text(
-            json.dumps({"model": detector.name, "sha256": detector.sha256, "tables": tables}, indent=2) + "\n"
+            json.dumps({"model": detector.card.name, "sha256": detector.card.sha256, "tables": tables}, indent=2) + "\n"
         )
 
 

@@ -40,7 +40,7 @@ def main() -> None:
                 continue
             found.append([round(v, 1) for v in (x - 2, y - 2, x + width + 2, y + height + 2)])
         places[picture.name] = found
-    args.out.write_text(json.dumps({"model": detector.name, "sha256": detector.sha256, "places": places}))
+    args.out.write_text(json.dumps({"model": detector.card.name, "sha256": detector.card.sha256, "places": places}))
     print(f"{sum(map(len, places.values()))} places in {len(places)} pictures")
 
 

@@ -205,7 +205,7 @@ def main() -> None:
             if len(c.frames) >= MIN_LOOKS and not refused(name, c)
         ]
         print(f"{name}: {len(frames)} frames, {sum(c.is_cone() for c in chains)} cones", flush=True)
-    args.out.write_text(json.dumps({"model": detector.name, "sha256": detector.sha256, "clips": labels}))
+    args.out.write_text(json.dumps({"model": detector.card.name, "sha256": detector.card.sha256, "clips": labels}))
     if args.sheet:
         cv2.imwrite(str(args.sheet), contact_sheet(for_sheet))
 

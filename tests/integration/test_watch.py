@@ -54,7 +54,7 @@ def recorder(write: Callable[[], None]) -> Any:
 
 
 def test_pairs_become_provisional_features_as_they_arrive(settings: Settings, conn: Any, tmp_path: Path) -> None:
-    """Half a image, half a line, and a pose that comes after everything else: all are waited for."""
+    """Half an image, half a line, and a pose that comes after everything else: all are waited for."""
     folder = begin(tmp_path / "drive")
     ready, seen, tried = threading.Event(), threading.Event(), threading.Event()
 
@@ -132,7 +132,7 @@ def test_what_cannot_be_used_costs_its_pair(settings: Settings, tmp_path: Path) 
     (folder / "left" / name).write_bytes(data[:500])
     (folder / "COMPLETE").touch()
     report = watch(folder, settings, patience_s=0.3)
-    # 12: no such latitude; 13: half a image for ever; 14: far away; 15: never a row.
+    # 12: no such latitude; 13: half an image for ever; 14: far away; 15: never a row.
     assert report.refused == {"pose_invalid": 2, "image_truncated": 1}
     assert report.left_out == 1
     assert len(report.pairs) == 3

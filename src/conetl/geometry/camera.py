@@ -30,7 +30,7 @@ def project(camera: Camera, points_cam_m: ArrayLike) -> Array:
     """Image points (..., 2) in pixels of camera-frame points (..., 3), the camera's lens included.
 
     Raises ValueError where a point does not lie in front of the camera: it has no image. A point beyond the lens's
-    `field_radius` gets the number that the model gives there, as in OpenCV; ask `lens.field_radius` where that matters.
+    `field_radius` gets the number that the model gives there, as in OpenCV; see `lens.field_radius`.
     """
     p = np.asarray(points_cam_m, dtype=np.float64)
     z = p[..., 2]
@@ -45,9 +45,9 @@ def project(camera: Camera, points_cam_m: ArrayLike) -> Array:
 
 
 def rays(camera: Camera, uv_px: ArrayLike) -> Array:
-    """Directions (..., 3) in the camera frame with z = 1 through image points (..., 2), the camera's lens taken out.
+    """Directions (..., 3) in the camera frame with z = 1 through image points (..., 2), with the distortion removed.
 
-    x and y are NaN where the lens has no such image point (see `lens.undistort`); a camera without a lens has them all.
+    x and y are NaN where the lens has no such image point (see `lens.undistort`); a camera without a lens has no NaN.
     """
     uv = np.asarray(uv_px, dtype=np.float64)
     x = (uv[..., 0] - camera.cx_px) / camera.fx_px
@@ -78,8 +78,7 @@ def horizon_row_px(camera: Camera, map_R_cam: ArrayLike, u_px: float | None = No
 def first_road_row(camera: Camera, map_R_cams: Iterable[ArrayLike], margin_rad: float) -> int:
     """First row of a camera's images that lies at most `margin_rad` above the highest horizon of rotations (3, 3).
 
-    What stands on the road, and is no taller than the rig, shows at or below it; the margin is for slopes. 0 where a camera
-    has no horizon row.
+    Objects on the road that are no taller than the rig appear at or below it; the margin is for slopes. 0 without a horizon row.
     """
     corners = (0.0, camera.width_px - 1.0)
     try:

@@ -1,8 +1,7 @@
-"""The collinearity equations of many points at once: linearised, weighted, solved.
+"""The collinearity equations of many points at once: linearised, weighted, solved (used by `intersection.py`).
 
-Written component first, every quantity an array (V, n) over views and points, or (V, 1) where all points share a view: numpy
-then works on long rows. What is exactly zero for all views (most of the rotations of a rectified pair) is None, and no time
-is spent on it. `intersection.py` puts points in and takes results out.
+Component first: every quantity is an array (V, n) over views and points, or (V, 1) where all points share a view. What is exactly
+zero for all views (most of the rotations of a rectified pair) is None and costs no time.
 """
 
 from __future__ import annotations
@@ -26,10 +25,10 @@ UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
 class Views(NamedTuple):
-    """Views of n points; unused ones have weight 0 and harmless numbers."""
+    """Views of n points; unused ones have weight 0."""
 
     u: Array
-    """observed (u - cx) / fx, with the lens's distortion in it"""
+    """observed (u - cx) / fx, distorted"""
     v: Array
     ray: tuple[Array, Array]
     """the same without distortion: x/z, y/z of the observed ray"""
@@ -43,7 +42,7 @@ class Views(NamedTuple):
     centre: list[Array]
     """relative to the point's origin"""
     lenses: tuple[Lens, ...] | None
-    """one a view; None where no view has one"""
+    """one per view; None where no view has one"""
 
     def take(self, keep: Bools) -> Views:
         """Only the points of a mask (n,)."""
@@ -122,7 +121,7 @@ def _minus(a: Term, b: Term) -> Term:
 
 
 def _over_views(a: Term) -> Array | float:
-    """(n,) sum of (V, n) over the views; two rows are added faster than they are reduced."""
+    """(n,) sum of (V, n) over the views; adding two rows is faster than reducing them."""
     if a is None:
         return 0.0
     return a[0] + a[1] if a.shape[0] == 2 else np.asarray(a.sum(axis=0))
@@ -246,7 +245,7 @@ class Solution(NamedTuple):
 
 
 def gauss_newton(views: Views, start: Sequence[Array], convergence_m2: float, max_iterations: int) -> Solution:
-    """Iterate from a start (3 of (n,)); points that are done leave the active set."""
+    """Iterate from a start (3 of (n,)); finished points leave the active set."""
     n = len(start[0])
     solution, cov = np.empty((3, n)), np.empty((6, n))
     iterations = np.zeros(n, dtype=np.int64)
@@ -259,7 +258,7 @@ def gauss_newton(views: Views, start: Sequence[Array], convergence_m2: float, ma
         a, b, ra, rb = linearise(work, x)
         upper = _inverse(_normal_matrix(a, b))
         dx = _times(upper, _normal_side(a, b, ra, rb))
-        if not all_going:  # what is done stands still, so that no result depends on which other points share the chunk
+        if not all_going:  # finished points stay, so that no result depends on other points of the chunk
             dx = [np.where(going, d, 0.0) for d in dx]
         x = [c + d for c, d in zip(x, dx, strict=True)]
         square = dx[0] * dx[0] + dx[1] * dx[1] + dx[2] * dx[2]
@@ -271,7 +270,7 @@ def gauss_newton(views: Views, start: Sequence[Array], convergence_m2: float, ma
         if left == 0:
             break
         all_going = left == going.size
-        if 2 * left < going.size:  # smaller arrays pay for their making
+        if 2 * left < going.size:  # smaller arrays are worth the copy
             solution[:, active], cov[:, active] = x, upper
             active = np.arange(n)[active][going]
             x, work, going, all_going = [c[going] for c in x], work.take(going), going[going], True

@@ -1,9 +1,8 @@
-"""Do errors fit the covariances that were stated for them? NEES, chi-square bands, CE90 and LE90.
+"""Do errors fit their stated covariances? NEES, chi-square bands, CE90 and LE90.
 
-The normalised estimation error squared (NEES, e.g. Bar-Shalom, Li & Kirubarajan 2001, ch. 5.4) of N points is only chi-square
-with 3N degrees of freedom where their errors are independent. Points of one drive are not: GNSS/INS and calibration errors
-are common to all of them. `consistency` therefore splits the squared error exactly into a part that common errors cannot
-explain (relative) and the common part, each with degrees of freedom of its own.
+The normalised estimation error squared (NEES, e.g. Bar-Shalom, Li & Kirubarajan 2001, ch. 5.4) of N points is chi-square with 3N
+degrees of freedom only for independent errors. GNSS/INS and calibration errors are common to the points of one drive, so
+`consistency` splits the squared error exactly into a relative and a common part with degrees of freedom of their own.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from scipy.linalg import solve_triangular
 from scipy.special import chdtri
 
 Array = NDArray[np.float64]
-#: A common error below this share of the points' own sigmas cannot be seen in them and takes no degree of freedom.
+#: A common error below this share of the points' own sigmas is invisible and has no degree of freedom.
 _INVISIBLE = 1e-6
 
 
@@ -31,7 +30,7 @@ class Nees:
     def per_dof(self) -> float:
         """1 on average if the covariance is right; 4 where the sigmas are half of what they should be, 1/4 where double."""
         if self.dof == 0:
-            raise ValueError("a NEES without degrees of freedom says nothing")
+            raise ValueError("a NEES requires degrees of freedom")
         return self.value / self.dof
 
     def band(self, probability: float = 0.95) -> tuple[float, float]:
@@ -54,7 +53,7 @@ class Consistency:
     absolute: Nees
     """Against the whole covariance, common errors as correlations between the points."""
     relative: Nees
-    """What is left when the best fitting common errors are taken out: what distances between points live on."""
+    """What is left when the best fitting common errors are taken out: relevant for distances between points."""
     common: Nees
     """The common errors themselves, one degree of freedom each."""
 
@@ -85,8 +84,8 @@ def consistency(
 ) -> Consistency:
     """Split the NEES of N points into relative and common part.
 
-    difference_m (N, 3): estimate minus truth. own_cov_m2: of the errors that each point has for itself, (N, 3, 3), or, where
-    those of different points hang together (poses that slide within a drive), (3N, 3N); this takes time by the cube of N.
+    difference_m (N, 3): estimate minus truth. own_cov_m2: of each point's own errors, (N, 3, 3), or (3N, 3N) where they are
+    correlated (poses that drift within a drive), in time O(N^3).
     common_jacobian (N, 3, K), common_cov (K, K): how K common errors move each point, and their covariance (positive
     semi-definite). With e = G x + n whitened by the points' own covariance and G L = U S V' (L L' the common covariance), the
     whitened error has covariance I + U S^2 U': inside the columns of U is the common part, outside it the relative one.

@@ -1,4 +1,4 @@
-"""From latitude, longitude and ellipsoidal height to the map's coordinate reference system (CRS); true and grid directions.
+"""Latitude, longitude, ellipsoidal height and local level frames -> the map's coordinate reference system (CRS).
 
 Easting and northing come from pyproj; heights stay ellipsoidal (WGS 84), whatever the map CRS says about heights.
 GNSS/INS headings count from true north or east, the map's axes are grid north and grid east; the angle between them is the
@@ -6,18 +6,24 @@ meridian (grid) convergence, up to 3 degrees in a UTM zone: 1.5 degrees are 26 c
 
 The CRS also stretches lengths, by 0.9996 to 1.001 in UTM. Poses stay rigid motions and local vectors (camera to cone) are
 **not** stretched: that leaves up to 4 mm at 10 m at a zone's middle, at its edges 6 mm at a latitude of 30 degrees and 10 mm at
-the equator, and keeps cone heights and distances true; beyond its zone a CRS stretches more. `grid_scale` gives the factor where
-somebody needs it. Directions are turned by one angle, which only a conformal CRS allows: others are refused.
+the equator, and keeps cone heights and distances true; beyond its zone a CRS stretches more. Directions are turned by one
+angle, which only a conformal CRS allows: others are refused.
+
+A local level frame (odometry, SLAM, motion capture) is tangent to the ellipsoid at its origin: x and y level, z up. Its poses
+go through earth-centred coordinates (EPSG:4978), so that the earth's curvature and the convergence apply at every pose.
 """
 
 from __future__ import annotations
 
 from functools import lru_cache
+from itertools import permutations, product
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS, Proj, Transformer
 from pyproj.exceptions import CRSError
+
+from conetl.geometry import pose as se3
 
 Array = NDArray[np.float64]
 
@@ -28,7 +34,7 @@ MAX_ANGULAR_DISTORTION_DEG = 0.05
 
 
 def utm_srid(lat_deg: float, lon_deg: float) -> int:
-    """EPSG code of the WGS 84 UTM zone of a place: 326xx north, 327xx south of the equator.
+    """EPSG code of the WGS 84 UTM zone of a position: 326xx north, 327xx south of the equator.
 
     Plain 6 degree zones (without the exceptions of Norway and Svalbard). Raises ValueError beyond 84 N / 80 S.
     """
@@ -44,15 +50,15 @@ def check_map_srid(srid: int) -> None:
 
 
 def to_map(srid: int, lat_deg: ArrayLike, lon_deg: ArrayLike, height_m: ArrayLike) -> Array:
-    """Easting, northing, ellipsoidal height (..., 3) in metres of WGS 84 places.
+    """Easting, northing, ellipsoidal height (..., 3) in metres of WGS 84 positions.
 
-    Raises ValueError for a CRS that cannot be a map CRS, or places that it cannot express.
+    Raises ValueError for a CRS that cannot be a map CRS, or positions that it cannot express.
     """
     lat, lon, height = np.broadcast_arrays(*(np.asarray(a, dtype=np.float64) for a in (lat_deg, lon_deg, height_m)))
     east, north = _transformer(srid).transform(lon, lat)
     xyz = np.stack([np.asarray(east), np.asarray(north), height], axis=-1)
     if not np.isfinite(xyz).all():
-        raise ValueError(f"EPSG:{srid} cannot express all of the places: is it the CRS of this area?")
+        raise ValueError(f"EPSG:{srid} cannot express all positions: is it the CRS of this area?")
     return xyz
 
 
@@ -75,16 +81,8 @@ def grid_convergence_rad(srid: int, lat_deg: ArrayLike, lon_deg: ArrayLike) -> A
     return np.radians(np.asarray(factors.meridian_convergence, dtype=np.float64))
 
 
-def grid_scale(srid: int, lat_deg: ArrayLike, lon_deg: ArrayLike) -> Array:
-    """Length in the map over length on the ellipsoid, along the meridian."""
-    factors = _projection(srid).get_factors(
-        np.asarray(lon_deg, dtype=np.float64), np.asarray(lat_deg, dtype=np.float64)
-    )
-    return np.asarray(factors.meridional_scale, dtype=np.float64)
-
-
 def check_scale(srid: int, lat_deg: float, lon_deg: float) -> None:
-    """Raise ValueError where the map CRS stretches lengths or distorts angles too much at a place to measure in it."""
+    """Raise ValueError where the map CRS stretches lengths or distorts angles too much for measurements at a position."""
     factors = _projection(srid).get_factors(lon_deg, lat_deg)
     scale, distortion_deg = float(factors.meridional_scale), float(factors.angular_distortion)
     if not abs(scale - 1.0) <= MAX_SCALE_ERROR:
@@ -97,6 +95,60 @@ def check_scale(srid: int, lat_deg: float, lon_deg: float) -> None:
         f"EPSG:{srid} {fault} at latitude {lat_deg:.4f}, longitude {lon_deg:.4f}: "
         f"choose a map CRS made for surveying in this area, for example EPSG:{utm_srid(lat_deg, lon_deg)}"
     )
+
+
+def local_to_map(
+    srid: int, lat_deg: float, lon_deg: float, height_m: float, heading_deg: float, local_SE3_body: ArrayLike
+) -> Array:
+    """map_SE3_body (N, 4, 4) of poses local_SE3_body (N, 4, 4) in metres.
+
+    lat_deg, lon_deg, height_m: WGS 84 position of the local frame's origin, height ellipsoidal. heading_deg: direction of its x
+    axis, clockwise from true north. Raises ValueError where the map CRS cannot express the positions.
+    """
+    poses = np.asarray(local_SE3_body, dtype=np.float64).reshape(-1, 4, 4)
+    turn = np.radians(90.0 - heading_deg)
+    ecef_R_local = ecef_R_enu(lat_deg, lon_deg) @ se3.rotation_from_rpy(0.0, 0.0, turn)
+    origin = np.array(_to_ecef().transform(lon_deg, lat_deg, height_m))
+    ecef = origin + poses[:, :3, 3] @ ecef_R_local.T
+    lon, lat, height = _to_ecef().transform(ecef[:, 0], ecef[:, 1], ecef[:, 2], direction="INVERSE")
+    positions_m = to_map(srid, lat, lon, height)
+    enu_R_body = np.swapaxes(ecef_R_enu(lat, lon), -1, -2) @ ecef_R_local @ poses[:, :3, :3]
+    return se3.se3(enu_to_grid(srid, lat, lon, enu_R_body), positions_m)
+
+
+def enu_to_grid(srid: int, lat_deg: ArrayLike, lon_deg: ArrayLike, enu_R_body: ArrayLike) -> Array:
+    """map_R_body (..., 3, 3) of attitudes against true east, true north, up (..., 3, 3): turned by the grid convergence."""
+    convergence = grid_convergence_rad(srid, lat_deg, lon_deg)
+    zero = np.zeros_like(convergence)
+    turned: Array = se3.rotation_from_rpy(zero, zero, convergence) @ np.asarray(enu_R_body, dtype=np.float64)
+    return turned
+
+
+def ecef_R_enu(lat_deg: ArrayLike, lon_deg: ArrayLike) -> Array:
+    """(..., 3, 3) whose columns are east, north and up at a position, in earth-centred coordinates."""
+    lat, lon = np.broadcast_arrays(np.radians(lat_deg), np.radians(lon_deg))
+    sin_lat, cos_lat, sin_lon, cos_lon = np.sin(lat), np.cos(lat), np.sin(lon), np.cos(lon)
+    east = np.stack([-sin_lon, cos_lon, np.zeros_like(lon)], axis=-1)
+    north = np.stack([-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat], axis=-1)
+    up = np.stack([cos_lat * cos_lon, cos_lat * sin_lon, sin_lat], axis=-1)
+    return np.stack([east, north, up], axis=-1)
+
+
+def sensor_R_body(sensor_R_left: ArrayLike) -> Array:
+    """(3, 3) from conetl's body axes (x forward, y left, z up) to a sensor with any axes.
+
+    The body's axes are the sensor's own, permuted: of the 24 permutations the one nearest to forward, left and up of the left
+    camera (rotation sensor_R_left). An IMU whose x axis points up (EuRoC's) would have no roll and yaw otherwise.
+    """
+    wanted = np.asarray(sensor_R_left, dtype=np.float64) @ np.array(
+        [[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]
+    )
+    axes = [
+        np.eye(3)[:, order] * np.array(signs)
+        for order in permutations(range(3))
+        for signs in product((1.0, -1.0), repeat=3)
+    ]
+    return max((turn for turn in axes if np.linalg.det(turn) > 0), key=lambda turn: float(np.sum(turn * wanted)))
 
 
 @lru_cache(maxsize=16)
@@ -121,3 +173,8 @@ def _transformer(srid: int) -> Transformer:
 @lru_cache(maxsize=16)
 def _projection(srid: int) -> Proj:
     return Proj(_crs(srid))
+
+
+@lru_cache(maxsize=1)
+def _to_ecef() -> Transformer:
+    return Transformer.from_crs(4979, 4978, always_xy=True)

@@ -1,16 +1,14 @@
 """Forward intersection of image rays: the collinearity equations for any number of views, by iterated least squares.
 
-This is Equation 1 of Lagahit & Tseng ("A preliminary study on updating a detected traffic cone's coordinates obtained from
-a stereo camera on a pseudo high definition map database"), written for V views and solved for P points at once:
+Equation 1 of Lagahit & Tseng ("A preliminary study on updating a detected traffic cone's coordinates obtained from a stereo
+camera on a pseudo high definition map database"), for V views and P points at once:
 
     u = cx + fx * x/z,  v = cy + fy * y/z,  (x, y, z) = map_R_cam.T @ (X - C)
 
-Each iteration linearises both equations of every view at the present X, weights them with the image sigmas and solves the
-3x3 normal equations; it stops when the sum of squares of the correction falls below 1e-10 m^2 (the paper's criterion).
-The start is the linear solution of the same equations multiplied by the depth. Coordinates are taken relative to a camera
-of each point, so that map coordinates of millions of metres cost no digits. Degenerate points get a status, never a number.
-With a lens, x/z and y/z are distorted before they are scaled, and the adjustment is made in the distorted image, where the
-image sigmas hold: taking the distortion out first would weight the image points wrongly.
+Iterated until the sum of squares of the correction is below 1e-10 m^2 (the paper's criterion), from the linear solution of the
+same equations multiplied by the depth. Coordinates are relative to a camera of each point, so that large map coordinates cost no
+digits. Degenerate points get a status, never a number. With a lens the adjustment is made in the distorted image, where the image
+sigmas hold.
 """
 
 from __future__ import annotations
@@ -40,23 +38,21 @@ from conetl.model.records import Lens
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-#: Points per chunk with two views: enough that calls of numpy cost little, few enough to stay near the processor.
+#: Points per chunk with two views: a compromise between numpy overhead and cache size.
 CHUNK_POINTS = 8192
 
 
 class IntersectionStatus(IntEnum):
-    """What became of one point; anything but OK means that its rows in the result are NaN."""
+    """Outcome of one point; rows of the result are NaN unless it is OK."""
 
     OK = 0
     INVALID_INPUT = 1
-    """A used image point, sigma, camera or start is not finite, a sigma not positive, or the lens has no ray for the point."""
+    """A used image point, sigma or camera is not finite, a sigma not positive, or the lens has no ray for the point."""
     TOO_FEW_VIEWS = 2
     RAY_ANGLE_TOO_SMALL = 3
     BEHIND_CAMERA = 4
     NOT_CONVERGED = 5
     """Or converged beyond the field that a lens maps one to one."""
-    BLUNDER_NOT_LOCATED = 6
-    """Rays contradict each other and it cannot be told which are wrong (`robust_intersection` only)."""
 
 
 @dataclass(frozen=True)
@@ -74,13 +70,13 @@ class IntersectionResult:
     depth_m: Array
     """(P, V) along the optical axis of each view; NaN for views that were not used."""
     ray_angle_rad: Array
-    """(P,) largest angle between any two used rays; NaN where it cannot be told."""
+    """(P,) largest angle between any two used rays; NaN with fewer than two rays."""
     iterations: NDArray[np.int64]
     """(P,) solutions of the normal equations."""
 
     @property
     def ok(self) -> Bools:
-        """(P,) True where the point is good."""
+        """(P,) True where the status is OK."""
         return np.asarray(self.status == IntersectionStatus.OK)
 
 
@@ -93,7 +89,6 @@ def intersect(
     sigma_uv_px: ArrayLike,
     *,
     lenses: Sequence[Lens] | None = None,
-    start_m: ArrayLike | None = None,
     convergence_m2: float = 1e-10,
     max_iterations: int = 20,
     min_ray_angle_rad: float = 0.008,
@@ -104,7 +99,7 @@ def intersect(
     uv_px (P, V, 2): image points in pixels. valid (P, V) bool: which of them exist (None: all). k_px (V, 4) or (P, V, 4):
     fx, fy, cx, cy. map_R_cam (V, 3, 3) or (P, V, 3, 3) and centre_m (V, 3) or (P, V, 3): exterior orientation of the views
     in any common frame. sigma_uv_px: anything that broadcasts to (P, V, 2). lenses: one for each of the V views, where the image
-    points still have their distortion. start_m (P, 3): optional approximate points.
+    points still have their distortion.
     Points with fewer views are padded and masked by `valid`; padding may hold NaN. Giving cameras as (V, ...) where all
     points share them is faster. Raises ValueError on arrays whose shapes do not fit; bad values only give a status.
     """
@@ -121,9 +116,6 @@ def intersect(
     sigma = np.asarray(sigma_uv_px, dtype=np.float64)
     per_point = sigma.ndim == 3 and sigma.shape[0] != 1
     sigma = np.broadcast_to(sigma, (p, v, 2)) if per_point else np.broadcast_to(sigma, (1, v, 2))[0]
-    start = None if start_m is None else np.asarray(start_m, dtype=np.float64)
-    if start is not None and start.shape != (p, 3):
-        raise ValueError(f"start_m must be ({p}, 3), found {start.shape}")
     if lenses is not None and len(lenses) != v:
         raise ValueError(f"lenses must be one for each of the {v} views, found {len(lenses)}")
     bent = None if lenses is None or all(lens.model == "none" for lens in lenses) else tuple(lenses)
@@ -137,7 +129,7 @@ def intersect(
 
         _intersect_chunk(
             result, part, uv[part], mask[part], cut(k, 2), cut(rot, 3), cut(centre, 2), cut(sigma, 2),
-            bent, None if start is None else start[part], convergence_m2, max_iterations, min_ray_angle_rad,
+            bent, convergence_m2, max_iterations, min_ray_angle_rad,
         )  # fmt: skip
     return result
 
@@ -162,8 +154,7 @@ def _empty(p: int, v: int) -> IntersectionResult:
 
 def _intersect_chunk(
     result: IntersectionResult, part: slice, uv: Array, mask: Bools, k: Array, rot: Array, centre: Array,
-    sigma: Array, lenses: tuple[Lens, ...] | None, start: Array | None, convergence_m2: float, max_iterations: int,
-    min_ray_angle_rad: float,
+    sigma: Array, lenses: tuple[Lens, ...] | None, convergence_m2: float, max_iterations: int, min_ray_angle_rad: float,
 ) -> None:  # fmt: skip
     """Fill the rows `part` of the result."""
     n = uv.shape[0]
@@ -173,8 +164,6 @@ def _intersect_chunk(
     if ideal is not None:
         sound &= np.isfinite(ideal).all(axis=2)
     status[np.any(mask & ~sound, axis=1)] = IntersectionStatus.INVALID_INPUT
-    if start is not None:
-        status[~np.isfinite(start).all(axis=1)] = IntersectionStatus.INVALID_INPUT
     status[(status == 0) & (mask.sum(axis=1) < 2)] = IntersectionStatus.TOO_FEW_VIEWS
     used = mask & sound
     origin = _origin(used, centre)
@@ -187,8 +176,7 @@ def _intersect_chunk(
         if rows.size:
             if rows.size < n:
                 views, origin, used = views.take(status == 0), origin[rows], used[rows]
-            first = linear_start(views) if start is None else list(np.ascontiguousarray((start[rows] - origin).T))
-            solution = gauss_newton(views, first, convergence_m2, max_iterations)
+            solution = gauss_newton(views, linear_start(views), convergence_m2, max_iterations)
             status[rows] = _store(result, part.start + rows, views, solution, origin, used)
     result.status[part] = status
 
@@ -196,7 +184,7 @@ def _intersect_chunk(
 def _sound(uv: Array, k: Array, rot: Array, centre: Array, sigma: Array) -> Bools:
     """(n, V) True where image point, sigma and camera can be used."""
     if np.isfinite(sum(float(a.sum()) for a in (uv, k, rot, centre, sigma))) and min(sigma.min(), k[..., :2].min()) > 0:
-        return np.ones(uv.shape[:2], dtype=bool)  # one infinity or NaN anywhere would show in the sum
+        return np.ones(uv.shape[:2], dtype=bool)  # any infinity or NaN would show in the sum
     per_view = np.isfinite(k).all(axis=-1) & (k[..., :2] > 0).all(axis=-1)
     per_view = per_view & np.isfinite(rot).all(axis=(-2, -1)) & np.isfinite(centre).all(axis=-1)
     s0, s1 = sigma[..., 0], sigma[..., 1]

@@ -1,9 +1,8 @@
-"""One point from all its rays of a whole drive: the collinearity equations of many stereo pairs in one adjustment.
+"""One point from all its stereo pairs of a drive: collinearity equations with correlated errors.
 
-`intersection.py` treats every image coordinate as independent. Over a drive that is not so: the two image points of one pair
-share the pointing error of the detector, and all four share the error of that frame's pose relative to the others. Both are
-carried in the weight matrix of the pair (the pose error as a random effect), so that frames near the cone, whose relative
-motion is well known, outweigh the far ones. Huber's weights keep one wrong box from pulling the point.
+Unlike in `intersection.py`, the two image points of a pair share the pointing error of the detector, and all four share the error
+of that frame's pose relative to the others. Both are in the weight matrix of the pair, so that near frames, whose relative motion
+is well known, outweigh distant ones. Huber's weights limit the influence of single wrong boxes.
 """
 
 from __future__ import annotations
@@ -15,13 +14,13 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 _HUBER_SIGMAS = 2.5
-#: Huber weights converge linearly where much does not fit.
+#: Huber weights converge linearly where many observations do not fit.
 _MAX_ITERATIONS = 200
 
 
 @dataclass(frozen=True)
 class JointFit:
-    """Result of `fit_point`; `cov_m2` (3, 3) leaves out whatever error all frames have in common."""
+    """Result of `fit_point`; `cov_m2` (3, 3) excludes errors that all frames have in common."""
 
     xyz_m: Floats
     cov_m2: Floats
@@ -30,7 +29,7 @@ class JointFit:
     weights: Floats
     """(F,): Huber weight of each pair; 1 where it fits."""
     shares: Floats
-    """(F, 3, 3): how the point moves with each pair's own point; their sum is the identity."""
+    """(F, 3, 3): derivative by each pair's own point; their sum is the identity."""
     iterations: int
 
 
@@ -74,8 +73,8 @@ def fit_point(
     """Least-squares point of F stereo pairs, None where it does not converge in front of every camera.
 
     observed_px (F, 4): u_left, v_left, u_right, v_right; start_m (3,) map frame; the sigmas (F,): independent per image point
-    (along rows, across rows), common to both image points of a pair along the rows, and of the frame's place relative to
-    the frame nearest to the cone. Stops when the sum of squares of the correction is below `convergence_m2`.
+    (along rows, across rows), common to both image points of a pair along the rows, and of the frame's position relative
+    to the frame nearest to the cone. Stops when the sum of squares of the correction is below `convergence_m2`.
     """
     frames = len(observed_px)
     noise = np.zeros((frames, 4, 4))

@@ -7,8 +7,7 @@ radial, brown, rational (Brown 1971; OpenCV's `calib3d` documentation), with s =
 fisheye (equidistant; Kannala & Brandt 2006, as `cv2.fisheye`), with r = sqrt(s) and theta = atan(r):
     (x', y') = (x, y) theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8) / r
 
-A polynomial bends back beyond some radius: two directions would share one image point. `field_radius` says where, and
-`undistort` answers only inside.
+Beyond `field_radius` a polynomial folds back, so that two directions share one image point; `undistort` gives NaN there.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ def distort(lens: Lens, xy: ArrayLike) -> Array:
     s = x * x + y * y
     g = 1.0 + s * (k1 + s * (k2 + s * k3))
     if lens.model == "rational":
-        with np.errstate(divide="ignore"):  # infinity at a pole of the model, which is what it says there
+        with np.errstate(divide="ignore"):  # infinite at a pole of the model
             g = g / (1.0 + s * (k4 + s * (k5 + s * k6)))
     if lens.model == "radial":
         return p * g[..., None]
@@ -58,7 +57,7 @@ def distort_jacobian(lens: Lens, xy: ArrayLike) -> tuple[Array, Array]:
 def field_radius(lens: Lens) -> float:
     """Radius in ideal normalised coordinates up to which the radial part of a lens grows; inf where it always does.
 
-    Beyond it the model is no lens any more. For a fisheye inf stands for 90 degrees off the axis.
+    Beyond it the model is invalid. For a fisheye inf means 90 degrees off the axis.
     """
     if lens.model == "none":
         return float("inf")
@@ -152,7 +151,7 @@ def _undistort_polynomial(lens: Lens, wanted: Array, tolerance: float) -> Array:
             shrink[worse] *= 0.5
             trial[worse] = _inside(at[worse] - shrink[worse, None] * step[worse], limit)
             trial_error[worse] = distort(lens, trial[worse]) - target[worse]
-        # Where no step helps the iteration ends: at the rounding of doubles it has found the point, else there is none.
+        # No step helps: within rounding the point is found, else there is none.
         stuck = ~(np.hypot(trial_error[:, 0], trial_error[:, 1]) < size)
         close = stuck & (size <= 100.0 * accept)
         found[index[close]] = at[close]
@@ -239,7 +238,7 @@ def _undistort_fisheye(lens: Lens, wanted: Array) -> Array:
     return np.where(good[:, None], wanted * scale[:, None], np.nan)
 
 
-# --------------------------------------------------------------------------- small help
+# --------------------------------------------------------------------------- helpers
 
 
 def _points(xy: ArrayLike, name: str) -> Array:
@@ -252,7 +251,7 @@ def _points(xy: ArrayLike, name: str) -> Array:
 def _first_positive_root(ascending: list[float]) -> float:
     """Smallest positive real root of a polynomial with coefficients in ascending order; inf where there is none."""
     values = np.asarray(ascending)
-    # what is smaller does nothing within 80 degrees off the axis, and would only spoil the eigenvalue problem
+    # smaller ones have no effect within 80 degrees off the axis, but would spoil the eigenvalue problem
     coefficients = np.trim_zeros(np.where(np.abs(values) < 1e-12, 0.0, values), "b")
     if len(coefficients) < 2:
         return float("inf")

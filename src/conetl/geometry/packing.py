@@ -1,4 +1,4 @@
-"""Arrays into the tuples of records and back."""
+"""Arrays <-> tuples of records."""
 
 from __future__ import annotations
 

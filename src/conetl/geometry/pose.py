@@ -89,7 +89,7 @@ def is_rotation(rotation: ArrayLike, tolerance: float = ROTATION_TOLERANCE) -> b
 
 
 def nearest_rotation(matrix: ArrayLike) -> Array:
-    """The rotation nearest to a (3, 3) matrix in the Frobenius norm; takes out the rounding of a text file.
+    """The rotation nearest to a (3, 3) matrix in the Frobenius norm; removes the rounding of a text file.
 
     Raises ValueError where the matrix is not a rotation within `ROTATION_TOLERANCE`.
     """
@@ -102,7 +102,7 @@ def nearest_rotation(matrix: ArrayLike) -> Array:
 
 
 def interpolate(a: ArrayLike, b: ArrayLike, weight: float) -> Array:
-    """Pose (4, 4) between two poses of one frame: straight line for the place, shortest turn (slerp) for the rotation.
+    """Pose (4, 4) between two poses of one frame: linear in position, shortest turn (slerp) in rotation.
 
     `weight` 0 gives `a`, 1 gives `b`.
     """
@@ -110,7 +110,7 @@ def interpolate(a: ArrayLike, b: ArrayLike, weight: float) -> Array:
 
 
 def interpolate_each(a: Sequence[Array], b: Sequence[Array], weights: Sequence[float]) -> list[Array]:
-    """As `interpolate`, for N pairs of poses (4, 4) at once, to the same bits: one by one SciPy takes twenty times as long."""
+    """As `interpolate`, for N pairs of poses (4, 4) at once, with equal results in a twentieth of the time."""
     if not a:
         return []
     between = Rotation.from_matrix(np.stack([pa[:3, :3].T @ pb[:3, :3] for pa, pb in zip(a, b, strict=True)]))

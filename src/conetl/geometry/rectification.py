@@ -2,9 +2,8 @@
 
 Rotation: x along the baseline, z the mean of both optical axes made square to it (Fusiello, Trucco & Verri 2000, with the mean
 axis as in Bouguet's toolbox, so that both images are turned equally). Focal length: the largest of the rig's four, so that
-no detail is lost where a lens is finest, its middle. Image: the largest rectangle along the borders in which every pixel was
-really seen by the raw camera, so that there is no black margin to explain to a detector or to a visibility test; both images
-have the same rows.
+no detail is lost. Image: the largest rectangle in which the raw camera saw every pixel, without black margins; both images have
+the same rows.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ ROW_TOLERANCE_PX = 0.25
 MAX_HALF_ANGLE_RAD = np.radians(60.0)
 #: ... and are at most this many times as wide and as high as the raw ones.
 MAX_GROWTH = 2.0
-#: A baseline that leaves the left camera's rows by more than this share is no stereo rig that could be rectified well.
+#: Rigs whose baseline leaves the left camera's rows by more than this share are refused.
 MAX_SLOPE = 0.5
 MIN_BASELINE_M = 0.01
 _BORDER_SAMPLES = 101
@@ -49,7 +48,7 @@ def is_rectified(rig: Rig) -> bool:
         return False
     relative = rigs.left_SE3_right(rig)
     slope = np.hypot(relative[1, 3], relative[2, 3]) / max(abs(float(relative[0, 3])), 1e-12)
-    # row difference = (fy_l - fy_r) y + ..., y up to half a image off the principal point
+    # row difference = (fy_l - fy_r) y + ..., y up to half an image off the principal point
     stretch_px = abs(rig.left.fy_px / rig.right.fy_px - 1.0) * max(rig.left.height_px, rig.right.height_px) / 2
     return bool(
         _turn_rad(relative[:3, :3]) <= PARALLEL_RAD
@@ -60,7 +59,7 @@ def is_rectified(rig: Rig) -> bool:
 
 
 def rectify(rig: Rig) -> Rig:
-    """The rectified rig of a raw one, with `rectified_from` set; a rig that is rectified already is returned as it is.
+    """The rectified rig of a raw one, with `rectified_from` set; a rectified rig is returned unchanged.
 
     Raises ValueError where no image is left: the cameras look in different directions, or one stands behind the other.
     """
@@ -131,7 +130,7 @@ def raw_from_rectified(rig: Rig, side: Side, uv_px: ArrayLike) -> Array:
 
 
 def rectified_from_raw(rig: Rig, side: Side, uv_px: ArrayLike) -> Array:
-    """The way back: image points (..., 2) of the rectified image for those of the stored one; NaN where there is none."""
+    """Inverse of `raw_from_rectified`: (..., 2) in the rectified image for points of the stored one; NaN where there is none."""
     uv = np.asarray(uv_px, dtype=np.float64)
     if rig.rectified_from is None:
         return uv.copy()
@@ -184,7 +183,7 @@ def _seen_box(raw: Camera, raw_R_rect: Array, focal_px: float) -> Box:
     y0 = max(-cap_y, _extreme(raw, raw_R_rect, top, 1, np.nanmax, -cap_y))
     y1 = min(cap_y, _extreme(raw, raw_R_rect, bottom, 1, np.nanmin, cap_y))
     if not (x0 < x1 and y0 < y1):
-        raise ValueError("nothing is left of a image after rectification: check the rotation between the cameras")
+        raise ValueError("nothing is left of an image after rectification: check the rotation between the cameras")
     middle = np.array([(x0 + x1) / 2, (y0 + y1) / 2])
     half = np.array([(x1 - x0) / 2, (y1 - y0) / 2])
     one, run = np.ones_like(t), 2 * t - 1
@@ -200,7 +199,7 @@ def _seen_box(raw: Camera, raw_R_rect: Array, focal_px: float) -> Box:
             share = (low + high) / 2
             low, high = (share, high) if all_seen(share) else (low, share)
         if low < 0.1:
-            raise ValueError("hardly anything is left of a image after rectification: check lens and rotation")
+            raise ValueError("hardly anything is left of an image after rectification: check lens and rotation")
         half = low * half
     half -= _INSET_PX / focal_px
     return (

@@ -1,4 +1,4 @@
-"""Where the two cameras of a rig are for a pose of the body. Frames as in docs/reference/coordinates.md."""
+"""Poses of the two cameras of a rig on the body and in the map. Frames as in docs/reference/coordinates.md."""
 
 from __future__ import annotations
 
@@ -36,27 +36,23 @@ def map_SE3_right(pose: Pose, rig: Rig) -> Array:
     return map_SE3_camera(pose, rig, "right")
 
 
-def camera_centre_m(pose: Pose, rig: Rig, side: Side) -> Array:
-    """(3,) projection centre in the map frame."""
-    centre: Array = map_SE3_camera(pose, rig, side)[:3, 3]
-    return centre
-
-
 def left_SE3_right(rig: Rig) -> Array:
     """(4, 4) relative orientation of the rig; its translation is the baseline vector in the left camera's frame."""
     return se3.compose(se3.invert(body_SE3_camera(rig, "left")), body_SE3_camera(rig, "right"))
 
 
-def infinity_shift_px(rig: Rig, left_uv_px: Array) -> Array:
-    """(..., 2) image point in the left less that in the right image of what is infinitely far, at points (..., 2) of the left.
+def infinity_shift_px(rig: Rig, left_uv_px: Array, left_R_right: Array | None = None) -> Array:
+    """(..., 2) left minus right image point of an infinitely far point, at points (..., 2) of the left image.
 
     The difference of the principal points where the axes of a rectified rig are parallel; where the right camera is turned a
-    little, as after self-calibration, it depends on the place. Cameras without a lens.
+    little, as after self-calibration, it depends on the image point. Cameras without a lens.
+    left_R_right: (3, 3) of the rig, for callers that have it.
     """
     uv = np.asarray(left_uv_px, dtype=np.float64)
     x = (uv[..., 0] - rig.left.cx_px) / rig.left.fx_px
     y = (uv[..., 1] - rig.left.cy_px) / rig.left.fy_px
-    d = np.stack([x, y, np.ones_like(x)], axis=-1) @ left_SE3_right(rig)[:3, :3]
+    d = np.stack([x, y, np.ones_like(x)], axis=-1)
+    d = d @ (left_SE3_right(rig)[:3, :3] if left_R_right is None else left_R_right)
     right = np.stack(
         [
             rig.right.fx_px * d[..., 0] / d[..., 2] + rig.right.cx_px,

@@ -1,4 +1,4 @@
-"""From the output of the shipped network to boxes.
+"""Output of the shipped network -> boxes.
 
 Pixel convention: a box is [x, y, w, h] with x, y its top-left corner; the centre of the top-left pixel is (0.5, 0.5) in
 these box coordinates, that is, an image W wide spans x = 0 .. W. `docs/reference/coordinates.md` says how observations use this.
@@ -18,8 +18,8 @@ Floats = NDArray[np.float64]
 
 #: x0, y0, x1, y1, score, foot x, foot y, tip x, tip y
 COLUMNS = 9
-#: Candidates (N, 9), and the score below which the network may know of others (`untold_below`).
-Seen = tuple[Floats, float]
+#: Candidates (N, 9), and the score below which the network may have omitted some (`omitted_below`).
+NetworkBoxes = tuple[Floats, float]
 
 
 def decode_cells(
@@ -31,10 +31,10 @@ def decode_cells(
     *,
     foot_and_tip: bool = False,
 ) -> tuple[Floats, NDArray[np.int64]]:
-    """Cells of all strides -> candidates (N, 9) in pixels of the network's input, and in which of its images (N,) they are.
+    """Cells of all strides -> candidates (N, 9) in pixels of the network's input, and the image (N,) of each.
 
-    Columns: x0, y0, x1, y1, score, foot x, foot y, tip x, tip y. outputs: by turns values (K, 4*bins + 1), or (K, 4*bins + 5)
-    with `foot_and_tip`, of a stride's cells, and (K,) where these lie in the row-major maps of the images, one after the
+    Columns: x0, y0, x1, y1, score, foot x, foot y, tip x, tip y. outputs: in turn values (K, 4*bins + 1), or (K, 4*bins + 5)
+    with `foot_and_tip`, of a stride's cells, and their indices (K,) in the row-major maps of the images, one after the
     other, each of `size_px` (height, width) over the stride; without `foot_and_tip` the last four columns are NaN. Each side
     (left, top, right, bottom) is a distribution over `bins` distances in strides from the cell's centre; its expectation is the
     distance (distribution focal loss, Li et al. 2020). Foot and tip are offsets in shares of the box from the middle of its
@@ -46,15 +46,15 @@ def decode_cells(
         if values.ndim != 2 or values.shape[1] != channels or cells.shape != values.shape[:1]:
             raise ValueError(f"cells have shapes {values.shape} and {cells.shape}, expected (K, {channels}) and (K,)")
     counts = [len(cells) for cells in outputs[1::2]]
-    numbers, places = np.concatenate(outputs[::2]), np.concatenate(outputs[1::2])
+    numbers, cells_at = np.concatenate(outputs[::2]), np.concatenate(outputs[1::2])
     scores = 1.0 / (1.0 + np.exp(-numbers[:, -1].astype(np.float64)))
     kept = scores >= score_threshold
-    scores, places = scores[kept], places[kept]
+    scores, cells_at = scores[kept], cells_at[kept]
     stride_px = np.repeat(strides_px, counts)[kept]
     numbers = numbers[kept].astype(np.float64).T
     in_row, in_column = size_px[1] // stride_px, size_px[0] // stride_px
-    images, places = np.divmod(places, in_row * in_column)
-    rows, columns = np.divmod(places, in_row)
+    images, cells_at = np.divmod(cells_at, in_row * in_column)
+    rows, columns = np.divmod(cells_at, in_row)
     logits = numbers[: 4 * bins].reshape(4, bins, -1)
     weights = np.exp(logits - logits.max(axis=1, keepdims=True))
     left, top, right, bottom = (weights * np.arange(bins)[None, :, None]).sum(1) / weights.sum(1) * stride_px
@@ -68,12 +68,12 @@ def decode_cells(
     return np.stack((x0, y0, x1, y1, scores, *ends), axis=1), images
 
 
-def untold_below(
+def omitted_below(
     outputs: Sequence[NDArray[Any]], images_and_size: tuple[int, int, int], strides_px: Sequence[int]
 ) -> float:
-    """The best score that cells may have of which the network does not tell, because it gives its best cells of each stride only.
+    """The highest score of cells that the network may have omitted: it returns its best cells of each stride only.
 
-    outputs: as of `decode_cells`. images_and_size: number of images, height and width in pixels. 0 where it gives all cells.
+    outputs: as of `decode_cells`. images_and_size: number of images, height and width in pixels. 0 where it returns all cells.
     """
     images, height_px, width_px = images_and_size
     best = 0.0
@@ -110,10 +110,10 @@ def suppress_overlaps(candidates: Floats, nms_iou: float) -> Floats:
 
 
 def without_parts(candidates: Floats, larger: Floats, inside_share: float = 0.8) -> Floats:
-    """Candidates (N, 5) without those that are but a part of a better box of `larger` (M, 5).
+    """Candidates (N, 5) without those that are part of a better box of `larger` (M, 5).
 
-    A part lies by `inside_share` of its area inside a box that is at least twice as large and scores at least as well: the
-    band of a cone that fills the image, taken for a cone of its own.
+    A part has `inside_share` of its area inside a box that is at least twice as large and scores at least as high, such as the
+    reflective band of a cone that fills the image.
     """
     area = np.prod(candidates[:, 2:4] - candidates[:, :2], axis=1)
     part = np.zeros(len(candidates), dtype=bool)
@@ -128,7 +128,7 @@ def without_parts(candidates: Floats, larger: Floats, inside_share: float = 0.8)
 def boxes_in_image(boxes: Floats, width_px: int, height_px: int) -> Floats:
     """Candidates (N, 5 or more) [x0, y0, x1, y1, score, ...] in pixels of the image -> [x, y, w, h, score, ...].
 
-    Boxes are cut at the image's edge; those that lie beyond it, in the padding, are dropped. Further columns stay as they are.
+    Boxes are clipped to the image; those in the padding are dropped. Further columns stay as they are.
     """
     corners = np.clip(boxes[:, :4], 0.0, (width_px, height_px, width_px, height_px))
     size = corners[:, 2:] - corners[:, :2]

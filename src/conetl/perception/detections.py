@@ -1,14 +1,17 @@
-"""Boxes of the network -> detection records."""
+"""Boxes of the network -> detection records, and the frame pairs that they leave out."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from conetl.model.errors import DriveFolderError
 from conetl.model.params import DetectionParams
-from conetl.model.records import Detection, Side, Vec2
-from conetl.model.rejections import Rejection, RejectionReason
+from conetl.model.records import Detection, Drive, Side, Vec2
+from conetl.model.rejections import INPUT_REASONS, Rejection, RejectionReason
 
 
 def check_boxes(
@@ -17,8 +20,8 @@ def check_boxes(
     """Turn one image's boxes into detections, by falling score.
 
     boxes: (N, 5) x, y, width, height in pixels of the original image (x, y top-left) and score, or (N, 9) with foot x, y and
-    tip x, y in box edges besides; NaN there where the network does not tell. Boxes lower than the threshold or smaller than
-    `min_height_px` are not detections at all; a box that is no box (NaN, negative size) is rejected.
+    tip x, y in the same coordinates; NaN where the network does not give them. Boxes below the threshold or smaller than
+    `min_height_px` are left out; invalid boxes (NaN, negative size) are rejected.
     """
     detections: list[Detection] = []
     rejections: list[Rejection] = []
@@ -52,6 +55,28 @@ def check_boxes(
                 )
             )
     return detections, rejections
+
+
+def without_unread(
+    drive: Drive, detections: Sequence[Detection], rejections: Iterable[Rejection]
+) -> tuple[Drive, list[Detection]]:
+    """The drive and its detections without the frame pairs of which an image could not be decoded.
+
+    A drive's reader checks headers and ends of images only, so such a pair is part of the drive until its images are decoded. It
+    must be left out: a cone that is not detected in an unreadable image is not a cone that is gone.
+    rejections: of the detection. Raises DriveFolderError where no pair is left.
+    """
+    undecoded = [r for r in rejections if r.reason in INPUT_REASONS]
+    lost = {r.payload["frame_index"] for r in undecoded}
+    if not lost:
+        return drive, list(detections)
+    kept = tuple(pair for pair in drive.frame_pairs if pair.frame_index not in lost)
+    if not kept:
+        raise DriveFolderError(
+            f"{drive.source_path}: not one of {len(drive.frame_pairs)} frame pairs has two images that can be decoded; "
+            f"the first: {undecoded[0].record}: {undecoded[0].detail}"
+        )
+    return drive.model_copy(update={"frame_pairs": kept}), [d for d in detections if d.frame_index not in lost]
 
 
 def _point(xy: list[float]) -> Vec2 | None:

@@ -1,7 +1,7 @@
-"""The cone detector: reads an ONNX network and finds cones in one image. The only importer of onnxruntime.
+"""The cone detector: loads an ONNX network and finds cones in one image. The only importer of onnxruntime.
 
-A model is two files: `NAME.onnx` and `NAME.onnx.json` beside it, which says what the network is (`model_card.py`). Any network of
-the YOLO family will do (`detector_heads.py`); the shipped one has a head of its own (`detector_decode.py`).
+A model is two files: `NAME.onnx` and its sidecar `NAME.onnx.json` (`model_card.py`). Networks of the YOLO family are supported
+(`heads.py`); the shipped one has a head of its own (`decoding.py`).
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 from conetl.model.errors import ModelFileError
 from conetl.perception.decoding import (
     COLUMNS,
-    Seen,
+    NetworkBoxes,
     boxes_in_image,
     decode_cells,
+    omitted_below,
     suppress_overlaps,
-    untold_below,
     without_parts,
 )
 from conetl.perception.heads import EndToEndHead, check_outputs, decode_head
@@ -34,22 +34,22 @@ from conetl.perception.model_card import (
     read_model_card,
     shipped_model_path,
 )
-from conetl.perception.rescoring import look_closer
-from conetl.perception.small_objects import FAINTEST, look_enlarged
+from conetl.perception.rescoring import rescore
+from conetl.perception.small_objects import MIN_SCORE, detect_small_objects
 
 MAX_SIDE_PX = 1600
-LEAST_SIDE_PX = 8
-#: However high a caller says the road begins, this much of the picture is looked at.
-LEAST_ROWS_PX = 120
-SMALLER_LOOKS_FROM_PX = 480
+MIN_SIDE_PX = 8
+#: At least this many rows are searched, wherever the road begins.
+MIN_ROWS_PX = 120
+COARSE_PASSES_FROM_PX = 480
 LARGE_CONE_PX = 48.0
-#: So much around the boxes that are looked for in a part of a picture is shown to the network, in pixels of its input: they then
-#: are those of the whole picture to 0.08 px in the median (docs/explanation/decisions/detector.md).
+#: Margin around a searched part, in pixels of the network's input: boxes then differ from those of the whole image by 0.08 px in
+#: the median (docs/explanation/decisions/detector.md).
 CONTEXT_PX = 64.0
-#: Images in one run of the network. It answers for its best cells only, of all of them together: with some twenty windows the
-#: weaker ones begin to lose theirs.
-MOST_AT_ONCE = 8
-#: Two candidates that another look has moved on top of each other are one. Cones side by side overlap less.
+#: Images in one run of the network. It returns its best cells of all of them together: with about twenty images the weaker ones
+#: begin to lose theirs.
+MAX_BATCH = 8
+#: Candidates that overlap more after a second pass are one. Adjacent cones overlap less.
 SAME_BOX_IOU = 0.7
 
 
@@ -62,23 +62,11 @@ class Detector:
     card: ModelCard
     input_name: str
     fixed_size: tuple[int, int] | None = None
-    """Height and width in pixels where the network takes one size only; pictures are then scaled to fit in."""
+    """Height and width in pixels where the network takes one size only; images are then scaled to fit."""
     any_size: bool = True
-    """Whether the network takes images of any size; False also where it asks for one of the two sides only."""
+    """Whether the network takes images of any size; False also where one side is fixed."""
     several: bool = False
-    """Whether the network takes several pictures of one size at once."""
-
-    @property
-    def name(self) -> str:
-        return self.card.name
-
-    @property
-    def version(self) -> str:
-        return self.card.version
-
-    @property
-    def sha256(self) -> str:
-        return self.card.sha256
+    """Whether the network takes several images of one size at once."""
 
 
 def load_detector(model_path: Path | None = None, *, threads: int = 1) -> Detector:
@@ -108,11 +96,11 @@ def load_detector(model_path: Path | None = None, *, threads: int = 1) -> Detect
         raise ModelFileError(
             f"{path}: expected a network with one input of four dimensions, found {len(inputs)} inputs"
         )
-    eaten = "tensor(uint8)" if "uint8" in card.input_layout else "tensor(float)"
-    if inputs[0].type != eaten:
+    wanted = "tensor(uint8)" if "uint8" in card.input_layout else "tensor(float)"
+    if inputs[0].type != wanted:
         raise ModelFileError(
             f"{path}: the network takes a {inputs[0].type}, but the sidecar's input_layout is {card.input_layout!r}: "
-            "write there what it takes"
+            "correct that key"
         )
     shapes = [output.shape for output in outputs]
     try:
@@ -129,7 +117,7 @@ def load_detector(model_path: Path | None = None, *, threads: int = 1) -> Detect
         if getattr(card, key) is not None and not any_size:
             raise ModelFileError(
                 f"{path}: the network takes images of {size[1]}x{size[0]} only: "
-                f"{key} in its sidecar needs one that takes any size; leave that key out"
+                f"{key} in its sidecar requires one that takes any size; leave that key out"
             )
     several = isinstance(card.head, SideDistributionHead) and not isinstance(inputs[0].shape[0], int)
     return Detector(session, path, card, inputs[0].name, fixed, any_size, several)
@@ -146,7 +134,7 @@ def network_input(
     """Image (H, W, 3) -> network input (1, 3, H', W'), or (1, H', W', 3), and the scales (x, y) that were applied to the image.
 
     Native resolution unless a side exceeds `max_side_px` or the network takes one size only. The padding is at the right and
-    bottom and repeats the edge, so that no false edge appears there.
+    bottom and repeats the edge, so that no false edge appears.
     """
     height, width = image_bgr.shape[:2]
     if fixed_size is None:
@@ -200,24 +188,24 @@ def detect_image(
 
     Returns (N, 9) [x, y, w, h, score, foot x, foot y, tip x, tip y] by falling score: x, y is the top-left corner, in pixels of
     the given image, whose left and top edges are x = 0 and y = 0 (the centre of the first pixel is 0.5). Foot and tip are NaN
-    where the network does not give them. Where the model's sidecar asks for it, the surroundings of small candidates get an
-    enlarged look (`enlarged_look.py`), and then candidates of middling score a closer one (`closer_look.py`). first_row: rows
-    above it are not looked at (`geometry.camera.first_road_row`). within: x0, y0, x1, y1 in which boxes must have their middle
-    (None: anywhere), and reach_px how far from it they may reach; of what is around them the network then sees `CONTEXT_PX` only.
+    where the network does not give them. The sidecar may enable the small-object pass (`small_objects.py`) and, after it, the
+    re-scoring pass (`rescoring.py`). first_row: rows above it are not searched (`geometry.camera.first_road_row`). within: x0,
+    y0, x1, y1 in which boxes must have their centre (None: anywhere), reach_px: how far they may extend beyond it; the network
+    then sees a margin of `CONTEXT_PX` only.
     """
     if image_bgr.dtype != np.uint8 or image_bgr.ndim != 3 or image_bgr.shape[2] != 3:
         raise ValueError(f"expected a BGR image (H, W, 3) of uint8, got {image_bgr.shape} of {image_bgr.dtype}")
     whole = image_bgr
-    first_row = min(max(first_row, 0), max(whole.shape[0] - LEAST_ROWS_PX, 0))
+    first_row = min(max(first_row, 0), max(whole.shape[0] - MIN_ROWS_PX, 0))
     road = whole[first_row:]
-    if min(road.shape[:2]) < LEAST_SIDE_PX:
+    if min(road.shape[:2]) < MIN_SIDE_PX:
         return np.zeros((0, COLUMNS))
     if within is not None:
         within = (within[0], within[1] - first_row, within[2], within[3] - first_row)
-    closer, enlarged = detector.card.closer_look, detector.card.enlarged_look
-    # What is to be looked at once more must be found first, whatever the caller's threshold.
-    candidate_score = score_threshold if closer is None else min(score_threshold, closer.scores[0])
-    candidate_score = candidate_score if enlarged is None else min(candidate_score, FAINTEST)
+    rescoring, small_objects = detector.card.closer_look, detector.card.enlarged_look
+    # Candidates of a second pass must be found first, whatever the caller's threshold.
+    candidate_score = score_threshold if rescoring is None else min(score_threshold, rescoring.scores[0])
+    candidate_score = candidate_score if small_objects is None else min(candidate_score, MIN_SCORE)
     longest, shortest = max(road.shape[:2]), min(road.shape[:2])
     side_px = min(longest, max_side_px)
     rows, columns = slice(0, road.shape[0]), slice(0, road.shape[1])
@@ -225,39 +213,39 @@ def detect_image(
         rows, columns = _part(detector, road.shape, within, reach_px, longest / side_px)
     part = road[rows, columns]
 
-    def look_at_part(longest_px: int) -> NDArray[np.float64]:
-        """As if the whole road were scaled to so many pixels."""
+    def run_on_part(longest_px: int) -> NDArray[np.float64]:
+        """As if the longer side of the road were scaled to this many pixels."""
         part_px = max(round(longest_px * max(part.shape[:2]) / longest), 1)
-        return look(detector, part, part_px, candidate_score, nms_iou)
+        return run_network(detector, [part], part_px, candidate_score, nms_iou)[0][0]
 
-    boxes = look_at_part(side_px)
-    # Very tall cones outgrow the network at full size: tall pictures get two smaller looks, each half as large as the one before.
-    if detector.fixed_size is None and shortest * side_px / longest >= SMALLER_LOOKS_FROM_PX:
+    boxes = run_on_part(side_px)
+    # Very tall cones are too large for the network at full size: tall images are searched at half and a quarter of it, too.
+    if detector.fixed_size is None and shortest * side_px / longest >= COARSE_PASSES_FROM_PX:
         for smaller_px in (side_px // 2, side_px // 4):
-            again = look_at_part(smaller_px)
+            again = run_on_part(smaller_px)
             large = again[(again[:, 3] - again[:, 1]) * smaller_px / longest > LARGE_CONE_PX]
             boxes = suppress_overlaps(np.concatenate((without_parts(boxes, large), large)), nms_iou)
     boxes[:, [0, 2, 5, 7]] += columns.start
     boxes[:, [1, 3, 6, 8]] += rows.start
-    if enlarged is not None:
+    if small_objects is not None:
 
-        def look_at_enlarged(image: NDArray[np.uint8]) -> Seen:
-            return look_at_all(detector, [image], max(image.shape[:2]), FAINTEST, nms_iou)[0]
+        def run_on_enlarged(image: NDArray[np.uint8]) -> NetworkBoxes:
+            return run_network(detector, [image], max(image.shape[:2]), MIN_SCORE, nms_iou)[0]
 
-        # What lies beside the wanted part calls for no look, but takes what a look shows of it.
-        wanted = None if within is None else _has_middle_in(boxes, within)
-        seen = look_enlarged(look_at_enlarged, road, boxes, enlarged, longest / side_px, wanted)
-        boxes = suppress_overlaps(seen, SAME_BOX_IOU)
+        # Candidates outside `within` do not start the pass, but take its results.
+        wanted = None if within is None else _has_centre_in(boxes, within)
+        found = detect_small_objects(run_on_enlarged, road, boxes, small_objects, longest / side_px, wanted)
+        boxes = suppress_overlaps(found, SAME_BOX_IOU)
     if within is not None:
-        boxes = boxes[_has_middle_in(boxes, within)]
+        boxes = boxes[_has_centre_in(boxes, within)]
     boxes[:, [1, 3, 6, 8]] += first_row
-    if closer is not None:
+    if rescoring is not None:
 
-        def look_at_windows(windows: list[NDArray[np.uint8]], least_score: float) -> list[NDArray[np.float64]]:
-            return [seen for seen, _ in look_at_all(detector, windows, closer.window_px, least_score, nms_iou)]
+        def run_on_windows(windows: list[NDArray[np.uint8]], min_score: float) -> list[NDArray[np.float64]]:
+            return [found for found, _ in run_network(detector, windows, rescoring.window_px, min_score, nms_iou)]
 
-        boxes = suppress_overlaps(look_closer(look_at_windows, whole, boxes, closer), SAME_BOX_IOU)
-    boxes = boxes[boxes[:, 4] >= score_threshold]  # there are fainter ones where there was another look
+        boxes = suppress_overlaps(rescore(run_on_windows, whole, boxes, rescoring), SAME_BOX_IOU)
+    boxes = boxes[boxes[:, 4] >= score_threshold]  # second passes need candidates below it
     return boxes_in_image(boxes, whole.shape[1], whole.shape[0])
 
 
@@ -268,11 +256,10 @@ def _part(
     reach_px: float,
     scale: float,
 ) -> tuple[slice, slice]:
-    """Rows and columns of the road's picture (H, W, 3) that the network needs to see to find what reaches reach_px from its
-    middle within x0, y0, x1, y1 (px).
+    """Rows and columns of the road's image (H, W, 3) in which boxes with their centre within x0, y0, x1, y1 (px) can be found.
 
-    They begin at multiples of the network's largest stride, so that its cells lie as they would in the whole. scale: picture
-    pixels per pixel of the network's.
+    They begin at multiples of the network's largest stride, so that its cells are those of the whole image. scale: image pixels
+    per pixel of the network's input.
     """
     x0, y0, x1, y1 = within
     cell, context = detector.card.pad_multiple_px * scale, CONTEXT_PX * scale + reach_px
@@ -280,36 +267,32 @@ def _part(
     def span(low: float, high: float, length: int) -> slice:
         begin = round(int(max(low - context, 0.0) / cell) * cell)
         end = round(int(np.ceil((high + context) / cell)) * cell)
-        return slice(min(begin, length - LEAST_SIDE_PX), min(max(end, begin + LEAST_SIDE_PX), length))
+        return slice(min(begin, length - MIN_SIDE_PX), min(max(end, begin + MIN_SIDE_PX), length))
 
     return span(y0, y1, shape[0]), span(x0, x1, shape[1])
 
 
-def _has_middle_in(boxes: NDArray[np.float64], within: tuple[float, float, float, float]) -> NDArray[np.bool_]:
-    """(N,) whether candidates (N, 4 and more) [x0, y0, x1, y1, ...] have their middle in x0, y0, x1, y1."""
-    middles = (boxes[:, :2] + boxes[:, 2:4]) / 2
-    return np.asarray(((middles >= within[:2]) & (middles <= within[2:])).all(axis=1))
+def _has_centre_in(boxes: NDArray[np.float64], within: tuple[float, float, float, float]) -> NDArray[np.bool_]:
+    """(N,) whether candidates (N, 4 or more) [x0, y0, x1, y1, ...] have their centre in x0, y0, x1, y1."""
+    centres = (boxes[:, :2] + boxes[:, 2:4]) / 2
+    return np.asarray(((centres >= within[:2]) & (centres <= within[2:])).all(axis=1))
 
 
-def look(
-    detector: Detector, image_bgr: NDArray[np.uint8], max_side_px: int, score_threshold: float, nms_iou: float
-) -> NDArray[np.float64]:
-    """One look at one image: candidates (N, 9) of `decode_cells` in pixels of the image, not yet cut at its edges."""
-    return look_at_all(detector, [image_bgr], max_side_px, score_threshold, nms_iou)[0][0]
-
-
-def look_at_all(
+def run_network(
     detector: Detector,
     images_bgr: Sequence[NDArray[np.uint8]],
     max_side_px: int,
     score_threshold: float,
     nms_iou: float,
-) -> list[Seen]:
-    """`look` at several images of one size, MOST_AT_ONCE in a run of the network where it takes several pictures."""
-    at_once = MOST_AT_ONCE if detector.several else 1
+) -> list[NetworkBoxes]:
+    """Candidates (N, 9) of each of several images of one size, in pixels of the image and not clipped to it.
+
+    At most MAX_BATCH images per run, one where the network takes single images.
+    """
+    at_once = MAX_BATCH if detector.several else 1
     if len(images_bgr) > at_once:
         parts = [images_bgr[first : first + at_once] for first in range(0, len(images_bgr), at_once)]
-        return [seen for part in parts for seen in look_at_all(detector, part, max_side_px, score_threshold, nms_iou)]
+        return [found for part in parts for found in run_network(detector, part, max_side_px, score_threshold, nms_iou)]
     card = detector.card
     inputs = [
         network_input(
@@ -321,13 +304,13 @@ def look_at_all(
     _, scale_x, scale_y = inputs[0]
     outputs = [np.asarray(output) for output in detector.session.run(None, {detector.input_name: blob})]
     rows, columns = blob.shape[1:3] if "NHWC" in card.input_layout else blob.shape[2:4]
-    head, untold = card.head, 0.0
+    head, omitted = card.head, 0.0
     if isinstance(head, SideDistributionHead):
-        untold = untold_below(outputs, (len(images_bgr), rows, columns), head.strides_px)
-        boxes, pictures = decode_cells(
+        omitted = omitted_below(outputs, (len(images_bgr), rows, columns), head.strides_px)
+        boxes, images = decode_cells(
             outputs, (rows, columns), head.strides_px, head.side_bins, score_threshold, foot_and_tip=head.foot_and_tip
         )
-        seen = [suppress_overlaps(boxes[pictures == picture], nms_iou) for picture in range(len(images_bgr))]
+        seen = [suppress_overlaps(boxes[images == number], nms_iou) for number in range(len(images_bgr))]
     else:
         found = decode_head(head, outputs, rows, columns, score_threshold)
         unknown = np.full((len(found), COLUMNS - found.shape[1]), np.nan)
@@ -337,4 +320,4 @@ def look_at_all(
         else:
             seen = [suppress_overlaps(boxes, nms_iou)]
     scales = np.array((scale_x, scale_y, scale_x, scale_y, 1.0, scale_x, scale_y, scale_x, scale_y))
-    return [(each / scales, untold) for each in seen]
+    return [(each / scales, omitted) for each in seen]

@@ -1,9 +1,9 @@
-"""What the networks of the YOLO family give, and how it becomes boxes: numpy and pydantic only.
+"""Outputs of the YOLO family of networks -> boxes.
 
 A model's sidecar names one of these heads under the key `head`, so that a network trained elsewhere is used as it was exported.
-Pixels are those of `detector_decode`: a image W wide spans x = 0 .. W. In every head a box's score is the probability of the
-cone's class alone; other classes of the same box are not looked at. Candidates come before suppression of overlaps, which is the
-caller's (`detector_decode.suppress_overlaps`); only the end-to-end head has done it inside the network.
+Pixels are those of `decoding.py`: an image W wide spans x = 0 .. W. A box's score is the probability of the cone class; other
+classes are ignored. Overlaps are suppressed by the caller (`decoding.suppress_overlaps`), except for the end-to-end head, whose
+network has done so.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class _Head(BaseModel):
 
 class _ClassHead(_Head):
     class_count: PositiveInt
-    """How many classes the network tells apart."""
+    """Number of classes of the network."""
     cone_class: int = Field(ge=0)
     """Which of them, counted from 0, is the cone."""
 
@@ -104,7 +104,7 @@ YoloHead = Annotated[
 
 
 def expected_shapes(head: YoloHead) -> list[tuple[int | str, ...]]:
-    """Shapes of the outputs that the head reads, in their order; what may have any size is a word."""
+    """Shapes of the outputs that the head reads, in their order; a dimension of any size is a name."""
     match head:
         case YoloV3Head():
             channels = [len(anchors) * (5 + head.class_count) for anchors in head.anchors_px]
@@ -120,7 +120,7 @@ def expected_shapes(head: YoloHead) -> list[tuple[int | str, ...]]:
 
 
 def check_outputs(head: YoloHead, shapes: Sequence[Shape]) -> None:
-    """Check that a network's outputs are what the head reads.
+    """Check that a network's outputs have the shapes that the head reads.
 
     shapes: of the outputs in their order, as onnxruntime reports them; None or a name where a dimension is not fixed.
     Raises ModelFileError where the number of outputs, a rank or a fixed channel count disagrees.

@@ -20,7 +20,7 @@ class ImageFormatError(ValueError):
 
 
 class ImageTruncatedError(ValueError):
-    """The file starts like a image but ends too early."""
+    """The file starts like an image but ends too early."""
 
 
 class ImageHeader(NamedTuple):

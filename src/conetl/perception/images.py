@@ -1,7 +1,7 @@
-"""Image files -> arrays. Whatever is wrong with a file becomes an `ImageFileError` that callers turn into a rejection.
+"""Image files -> arrays. A faulty file raises `ImageFileError`, which callers turn into a rejection.
 
-Whatever is wrong with the storage at this moment does not: it is no property of the image, and as a rejection it would stay in
-the map and in results that are kept by content. It is a `StorageError`, tried again by tasks.
+Faults of the storage are not properties of the image and must not be stored as rejections: they raise `StorageError`, and tasks
+try again.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class ImageFileError(Exception):
 
 
 def read_checked_bytes(path: Path, expected_size: tuple[int, int] | None) -> bytes:
-    """The bytes of a image file whose header, size and end marker are as they should be; nothing is decoded.
+    """The bytes of an image file whose header, size and end marker are as they should be; nothing is decoded.
 
     expected_size: width and height in pixels, or None for any up to `MAX_PIXELS`. Raises ImageFileError.
     """
@@ -53,7 +53,7 @@ def read_checked_bytes(path: Path, expected_size: tuple[int, int] | None) -> byt
 
 
 def check_image_bytes(data: bytes, name: str, expected_size: tuple[int, int] | None) -> ImageHeader:
-    """Check header, size and end marker of a image's bytes. Raises ImageFileError naming `name`."""
+    """Check header, size and end marker of an image's bytes. Raises ImageFileError naming `name`."""
     try:
         header = inspect_image(data)
     except ImageTruncatedError as error:
@@ -155,9 +155,9 @@ def read_upright_image(path: Path) -> NDArray[np.uint8]:
 
 
 def read_bytes(path: Path) -> bytes:
-    """All bytes of a image file, unchecked. Raises ImageFileError where there is no such file or it is not readable.
+    """All bytes of an image file, unchecked. Raises ImageFileError where there is no such file or it is not readable.
 
-    Raises StorageError where another time may do.
+    Raises StorageError for temporary faults.
     """
     with _asking(path):
         if is_remote(path):
@@ -199,7 +199,7 @@ def _changed(path: Path, why: object) -> StorageError:
 
 @contextmanager
 def _asking(path: Path) -> Iterator[None]:
-    """Tell what the system says of the image (ImageFileError) from what it says of the storage (StorageError)."""
+    """Map errors of the system to ImageFileError (the image) or StorageError (the storage)."""
     try:
         yield
     except FileNotFoundError as error:  # an object; or a file that vanished this moment
@@ -226,9 +226,9 @@ def _not_given(path: Path, error: OSError) -> StorageError:
 
 
 def _is_closed_by_mode(path: Path) -> bool:
-    """Whether the file's own mode forbids this user to read it, which lasts as its content does.
+    """Whether the file's mode denies this user reading, which is permanent.
 
-    Network file systems refuse for other reasons as well, such as a ticket that has expired; that passes.
+    Network file systems also deny for temporary reasons, such as an expired ticket.
     """
     try:
         found = path.stat()

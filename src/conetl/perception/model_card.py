@@ -1,4 +1,4 @@
-"""The sidecar `NAME.onnx.json` of a model file: what the network eats and gives, what its bytes hash to, what its scores mean."""
+"""The sidecar `NAME.onnx.json` of a model file: input, head, passes, SHA-256 and the evidence about its scores."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from conetl.model.errors import ModelFileError
 from conetl.perception.heads import Shape, YoloHead
 
 DEFAULT_MODEL = "conetl-cone-2.onnx"
-#: What users are told of a model without `evidence` in its sidecar.
+#: Warning for a model without `evidence` in its sidecar.
 NOT_MEASURED = (
     "the model's sidecar does not say what its scores mean (key `evidence`): existence probabilities rest on a general guess; "
     "training/calibrate_scores.py measures it (docs/how-to/models.md)"
@@ -21,7 +21,7 @@ NOT_MEASURED = (
 
 
 class SideDistributionHead(BaseModel):
-    """The shipped network's own head: values and places of the best cells of each stride; see `detector_decode.decode_cells`."""
+    """Head of the shipped network: values and indices of the best cells of each stride; see `decoding.decode_cells`."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -37,8 +37,8 @@ class SideDistributionHead(BaseModel):
         return 4 * self.side_bins + (5 if self.foot_and_tip else 1)
 
 
-class CloserLook(BaseModel):
-    """How candidates of middling score are looked at once more (`closer_look.py`); sizes in pixels of the network's input."""
+class ReScoringPass(BaseModel):
+    """Re-scoring pass (`rescoring.py`), key `closer_look`; sizes in pixels of the network's input."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -47,9 +47,9 @@ class CloserLook(BaseModel):
     window_px: PositiveInt
     """Side of the square window that the network is given."""
     scores: tuple[Share, Share]
-    """Candidates from the first to the second score get a closer look."""
+    """Candidates from the first to the second score are scored again."""
     share: Share
-    """Weight of the closer look; the first look has the rest."""
+    """Weight of the second score; the first has the rest."""
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
@@ -60,21 +60,21 @@ class CloserLook(BaseModel):
         return self
 
 
-class EnlargedLook(BaseModel):
-    """How parts with small candidates are looked at once more (`enlarged_look.py`); sizes in pixels of the network's input."""
+class SmallObjectPass(BaseModel):
+    """Small-object pass (`small_objects.py`), key `enlarged_look`; sizes in pixels of the network's input."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     below_px: PositiveInt
     """Candidates less tall than this are small."""
     from_score: Share
-    """A small candidate of this score calls for an enlarged look at its surroundings."""
+    """Small candidates of at least this score start the pass."""
     around_px: PositiveInt
-    """So much around it is shown."""
+    """Margin around the candidate."""
     scale: float = Field(gt=1.0, le=8.0)
-    """By how much the surroundings are enlarged."""
+    """Enlargement."""
     share: Share
-    """Weight of the enlarged look; the first look has the rest."""
+    """Weight of this pass; the first has the rest."""
 
 
 class ModelCard(BaseModel):
@@ -92,22 +92,22 @@ class ModelCard(BaseModel):
         Field(discriminator="kind"),
     ]
     pad_multiple_px: int = Field(ge=1)
-    """Both sides of the input are padded to a multiple of it; of no account where the network's input has a fixed size."""
-    closer_look: CloserLook | None = None
-    """None: every candidate is judged by one look. Only for networks that take images of any size."""
-    enlarged_look: EnlargedLook | None = None
-    """None: what is small is judged at the image's own size. Only for networks that take images of any size."""
+    """Both sides of the input are padded to a multiple of it; ignored where the network's input has a fixed size."""
+    closer_look: ReScoringPass | None = None
+    """None: no re-scoring pass. Only for networks that take images of any size."""
+    enlarged_look: SmallObjectPass | None = None
+    """None: no small-object pass. Only for networks that take images of any size."""
     class_names: tuple[str, ...] = Field(min_length=1)
     score_scale: str
     licence: str
     evidence: DetectorEvidence | None = None
-    """What scores, boxes and misses of this very file mean, as `training/calibrate_scores.py` measured it; None: not measured."""
+    """Meaning of scores, boxes and misses of this file, measured by `training/calibrate_scores.py`; None: not measured."""
 
     @property
     def detections_sha256(self) -> str:
-        """Hash of all that detections depend on: the weights and how the sidecar has them used, not what was measured of them."""
+        """Hash of everything that detections depend on: the weights and the passes, not the evidence."""
         used = {"sha256", "input_layout", "head", "pad_multiple_px", "closer_look"}
-        if self.enlarged_look is not None:  # without it detections are those of before there was such a key
+        if self.enlarged_look is not None:  # keeps the hash of models without this pass
             used.add("enlarged_look")
         return hashlib.sha256(self.model_dump_json(include=used).encode()).hexdigest()
 
@@ -149,12 +149,12 @@ def read_model_card(model_path: Path | None) -> ModelCard:
         return ModelCard.model_validate_json(text)
     except ValidationError as error:
         first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"]) or "file"
-        raise ModelFileError(f"{card_path}: not a valid model sidecar: {place}: {first['msg']}") from error
+        key = ".".join(str(part) for part in first["loc"]) or "file"
+        raise ModelFileError(f"{card_path}: not a valid model sidecar: {key}: {first['msg']}") from error
 
 
 def check_own_outputs(head: SideDistributionHead, shapes: list[Shape]) -> None:
-    """Check that a network's outputs are values (K, channels) and places (K,) of cells per stride. Raises ModelFileError."""
+    """Check that a network's outputs are values (K, channels) and indices (K,) of cells per stride. Raises ModelFileError."""
     if len(shapes) != 2 * len(head.strides_px):
         raise ModelFileError(
             f"the network has {len(shapes)} outputs, the sidecar expects two for each of {len(head.strides_px)} strides"

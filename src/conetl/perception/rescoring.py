@@ -1,7 +1,7 @@
-"""A closer look at what the detector is unsure of: the same network once more, on a small window scaled to the candidate.
+"""Re-scoring pass: the network runs again on a small window around each candidate of medium score, scaled to a fixed height.
 
-A tail lamp that passes for a cone at 20 px seldom does so once it is scaled to 48 px, and a cone stays one. Both judgements are
-joined as a logarithmic opinion pool (Genest & Zidek 1986, Statistical Science 1:114).
+A tail lamp that resembles a cone at 20 px rarely does at 48 px. Both scores are combined as a logarithmic opinion pool (Genest &
+Zidek 1986, Statistical Science 1:114).
 """
 
 from __future__ import annotations
@@ -13,53 +13,51 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.perception.decoding import intersection_over_union
-from conetl.perception.model_card import CloserLook
+from conetl.perception.model_card import ReScoringPass
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-#: Columns of a candidate that are x and y by turns; between them lies the score.
-PLACES = (0, 1, 2, 3, 5, 6, 7, 8)
-#: The closer look sees the same thing where its box covers the candidate's that well.
-SAME_THING_IOU = 0.4
-#: No look is believed to be surer than that: where the network sees nothing, there is no score to take a logarithm of.
-SUREST = (0.01, 0.99)
+#: Columns of a candidate that hold x and y in turn; column 4 is the score.
+COORDINATES = (0, 1, 2, 3, 5, 6, 7, 8)
+#: Boxes of two passes that overlap at least this much are the same object.
+MATCH_IOU = 0.4
+#: Scores are clipped to this range before their log-odds are taken; an object that a pass does not find has score 0.
+SCORE_LIMITS = (0.01, 0.99)
 
 
-def look_closer(
-    look: Callable[[list[Image], float], list[Floats]], image_bgr: Image, candidates: Floats, settings: CloserLook
+def rescore(
+    run: Callable[[list[Image], float], list[Floats]], image_bgr: Image, candidates: Floats, settings: ReScoringPass
 ) -> Floats:
-    """Candidates (N, 9) of `detector.look` in pixels of the image (H, W, 3), with those of middling score judged once more.
+    """Candidates (N, 9) in pixels of the image (H, W, 3), those of medium score with the result of a second pass.
 
-    look: runs the network on images of one size and gives the candidates above a score of each. The log-odds of both looks are
-    averaged with the closer one's share, and so are box, foot and tip where the closer look sees the same thing; where it sees
-    nothing there, its score is the least. The order of the rows stays.
+    run: the network on images of one size; returns the candidates of each above a score. The log-odds of both scores are averaged
+    with `settings.share`, and so are box, foot and tip where the second pass finds the same object; else its score is 0.
     """
     result = candidates.copy()
-    least, most = settings.scores
-    middling = np.flatnonzero((candidates[:, 4] >= least) & (candidates[:, 4] <= most))
-    windows = [window_around(image_bgr, candidates[index, :4], settings) for index in middling]
-    seen_in_windows = look([window for window, *_ in windows], SUREST[0]) if windows else []
-    for index, (_, left, top, scale), seen in zip(middling, windows, seen_in_windows, strict=True):
+    low, high = settings.scores
+    medium = np.flatnonzero((candidates[:, 4] >= low) & (candidates[:, 4] <= high))
+    windows = [window_around(image_bgr, candidates[index, :4], settings) for index in medium]
+    found_in_windows = run([window for window, *_ in windows], SCORE_LIMITS[0]) if windows else []
+    for index, (_, left, top, scale), found in zip(medium, windows, found_in_windows, strict=True):
         candidate = candidates[index]
-        seen[:, PLACES] = seen[:, PLACES] / scale + np.tile((left, top), 4)
-        overlaps = intersection_over_union(candidate[:4], seen[:, :4])
-        closer_score = 0.0
-        if (overlaps >= SAME_THING_IOU).any():
-            # Of two cones side by side the surer one must not stand in for the other.
-            same = seen[np.where(overlaps >= SAME_THING_IOU, overlaps * seen[:, 4], -1.0).argmax()]
-            closer_score = same[4]
+        found[:, COORDINATES] = found[:, COORDINATES] / scale + np.tile((left, top), 4)
+        overlaps = intersection_over_union(candidate[:4], found[:, :4])
+        second_score = 0.0
+        if (overlaps >= MATCH_IOU).any():
+            # Overlap times score: of two adjacent cones, the one of higher score must not replace the other.
+            same = found[np.where(overlaps >= MATCH_IOU, overlaps * found[:, 4], -1.0).argmax()]
+            second_score = same[4]
             result[index] = (1.0 - settings.share) * candidate + settings.share * same
-        result[index, 4] = pooled(candidate[4], closer_score, settings.share)
+        result[index, 4] = pooled_score(candidate[4], second_score, settings.share)
     return result
 
 
-def window_around(image_bgr: Image, box: Floats, settings: CloserLook) -> tuple[Image, float, float, float]:
-    """A window (window_px, window_px, 3) in which a box (4,) [x0, y0, x1, y1] is `cone_px` tall, and where it lies.
+def window_around(image_bgr: Image, box: Floats, settings: ReScoringPass) -> tuple[Image, float, float, float]:
+    """Window (window_px, window_px, 3) in which a box (4,) [x0, y0, x1, y1] is `cone_px` tall, x and y of its top-left corner in
+    the image, and its scale (window pixels per image pixel).
 
-    The box is in its middle, or nearer to the side where the image ends: what the edge cuts is cut there too. Also returns the
-    image's x and y at the window's top-left corner and the scale (window pixels per image pixel). Where the window is larger than
-    the image, the image's edge is repeated.
+    The box is in the middle unless the image ends there. A window larger than the image repeats the image's edge.
     """
     side_px = max(round(settings.window_px * (box[3] - box[1]) / settings.cone_px), 2)
     left, top = (
@@ -75,8 +73,8 @@ def window_around(image_bgr: Image, box: Floats, settings: CloserLook) -> tuple[
     return np.asarray(window, np.uint8), left, top, settings.window_px / side_px
 
 
-def pooled(first: float, closer: float, closer_share: float) -> float:
-    """One score from two in 0..1: the mean of their log-odds, the second with `closer_share`."""
-    shares = np.array((1.0 - closer_share, closer_share))
-    scores = np.clip((first, closer), *SUREST)
+def pooled_score(first: float, second: float, second_share: float) -> float:
+    """One score from two in 0..1: the weighted mean of their log-odds, the second with `second_share`."""
+    shares = np.array((1.0 - second_share, second_share))
+    scores = np.clip((first, second), *SCORE_LIMITS)
     return float(1.0 / (1.0 + np.exp(-(shares @ np.log(scores / (1.0 - scores))))))

@@ -1,15 +1,13 @@
-"""Image points that stand still in the world, followed through the four images of two consecutive frame pairs.
+"""Points of the static scene followed through the four images of two frame pairs (pyramidal Lucas-Kanade, Bouguet 2001).
 
-Corners spread over the left image are found at half its size and get a disparity by block matching at a quarter of it, since
-both only say where to begin. At full size they are then followed by pyramidal Lucas-Kanade (Bouguet 2001) round a circle:
-left -> right, left -> next left -> next right, and right -> next right must end at the same point, and the way back from the
-next left must lead home. Points without disparity (sky, clouds, far scenery) are left out.
-Which of the points belong to moving objects is found later (`geometry/motion/stereo_motion.py`).
+Corners get a rough disparity by block matching and are followed left -> right, left -> next left -> next right and right -> next
+right, which must end at the same point, and back from the next left. Points without disparity (sky, far scenery) are left out.
+Points on moving objects are found later (`geometry/motion/stereo_motion.py`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import cv2
 import numpy as np
@@ -32,27 +30,24 @@ Bytes = NDArray[np.uint8]
 Points = NDArray[np.float32]
 _Found = tuple[Floats, Floats, float, NoMeasurement | None]
 
-#: Side of the windows that are followed, px. Larger ones cost time in proportion to their area, and the cones of the street stood
-#: no stiller for it; but over the spans of self-calibration, which are few, a hundredth of a pixel counts.
+#: Side of the windows that are followed, px. Time grows with their area and cones gain nothing from it; the few spans of
+#: self-calibration, where 0.01 px counts, use larger ones.
 _WINDOW_PX, _WINDOW_OF_SPANS_PX = 11, 15
 _STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01)
-#: Of ways back, which are only compared with a tolerance of most of a pixel.
+#: For backward checks, whose tolerance is most of a pixel.
 _STOP_OF_CHECKS = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.05)
-#: Least eigenvalue of a corner's structure matrix as a share of a strong corner's: weaker ones are followed badly.
+#: Least eigenvalue of a corner's structure matrix as a share of a strong corner's: weaker ones are skipped.
 _WEAK_SHARE = 0.004
-#: Side of what block matching compares, at a quarter of the size.
+#: Side of the blocks that are matched, at a quarter of the size.
 _BLOCK_PX = 9
-#: Disparities are searched up to this share of a image's width.
+#: Disparities are searched up to this share of the image width.
 _WIDEST_DISPARITY = 0.12
 
 
 def measure_motions(
     frame_pairs: Sequence[FramePair], rig: Rig, read: ImageReader, params: TrajectoryParams
 ) -> Iterator[RelativeMotion]:
-    """Motion between each frame pair and the next: len(frame_pairs) - 1 results, in order, each as soon as it is known.
-
-    Equal inputs give equal results. An interval without a measurement says so in `reason`.
-    """
+    """Motion between each frame pair and the next: len(frame_pairs) - 1 results, in order, each as soon as it is known."""
     yield from motions_of(follow_drive(frame_pairs, rig, read, params), frame_pairs, rig, params)
 
 
@@ -74,16 +69,25 @@ def follow_drive(
         previous = images
 
 
-def follow_span(
-    first: FramePair, last: FramePair, guess: Floats, rig: Rig, read: ImageReader, params: TrajectoryParams
-) -> StereoTracks:
-    """Points between two frame pairs that need not be neighbours; guess (4, 4): last_SE3_first of the left camera.
+def follow_spans(
+    spans: Iterable[tuple[int, int, Floats]],
+    frame_pairs: Sequence[FramePair],
+    rig: Rig,
+    read: ImageReader,
+    params: TrajectoryParams,
+) -> Iterator[StereoTracks]:
+    """Points between two frame pairs that need not be neighbours, for each span in order.
 
-    What is searched reaches a little farther than between neighbours (pyramid), the guess must be good to some pixels.
+    spans: positions of the first and last pair in `frame_pairs`, and a guess (4, 4) of last_SE3_first of the left camera, which
+    must be good to some pixels. Images of a pair that ends one span and begins the next are read once.
     """
     cameras, working = cameras_of(rig), working_size(rig, params.max_width_px)
-    start, end = (read_working_images(pair, read, working) for pair in (first, last))
-    return _tracks(first, last, *_between(start, end, working, cameras, guess, params, _WINDOW_OF_SPANS_PX))
+    at, end = -1, None
+    for first, last, guess in spans:
+        start = end if end is not None and at == first else read_working_images(frame_pairs[first], read, working)
+        at, end = last, read_working_images(frame_pairs[last], read, working)
+        found = _between(start, end, working, cameras, guess, params, _WINDOW_OF_SPANS_PX)
+        yield _tracks(frame_pairs[first], frame_pairs[last], *found)
 
 
 def _between(
@@ -95,20 +99,20 @@ def _between(
     params: TrajectoryParams,
     window_px: int = _WINDOW_PX,
 ) -> _Found:
-    """Points (N, 4) in stored pixels (u and v left, u and v right) of the first and second pair, their sigma, what is missing."""
+    """Points (N, 4) in stored pixels of the first and second pair, their sigma, and the reason where there are none."""
     if isinstance(first, NoMeasurement):
         return _nothing(first)
     if isinstance(second, NoMeasurement):
         return _nothing(second)
     if np.array_equal(first.left, second.left) or np.array_equal(first.right, second.right):
-        return _nothing(NoMeasurement.IMAGE_FROZEN)  # not even noise differs: a stuck camera, no standing car
+        return _nothing(NoMeasurement.IMAGE_FROZEN)  # not even noise differs: a stuck camera, not a standing car
     try:
-        return _round_the_circle(first, second, working, cameras, expected, params, window_px)
+        return _follow(first, second, working, cameras, expected, params, window_px)
     except cv2.error:  # costs this interval, never the drive
         return _nothing(NoMeasurement.IMAGE_UNFIT)
 
 
-def _round_the_circle(
+def _follow(
     first: WorkingImages,
     second: WorkingImages,
     working: WorkingSize,
@@ -119,13 +123,13 @@ def _round_the_circle(
 ) -> _Found:
     """As `_between`, for images that can be followed. Points are in working pixels until the end."""
     left, right = _stereo_points(first, working, params, window_px)
-    guess, usable = _where_expected(left, right, working, cameras, expected, window_px)
+    guess, usable = _expected_points(left, right, working, cameras, expected, window_px)
     left, right, guess = left[usable], right[usable], guess[usable]
     if len(left) < params.min_points:
         return _nothing(NoMeasurement.TOO_FEW_POINTS)
-    # Who fails at one side of the circle is not followed round the others.
+    # Points that fail one check are not followed further.
     next_left, good = _flow(first.left, second.left, left, guess[:, 0], 2, window_px)
-    good &= _before_the_end(next_left, working, "left", window_px)
+    good &= _clear_of_padding(next_left, working, "left", window_px)
     left, right, guess, next_left = left[good], right[good], guess[good], next_left[good]
     home, good = _flow(second.left, first.left, next_left, left, 0, window_px, _STOP_OF_CHECKS)
     good &= np.linalg.norm(home - left, axis=1) <= params.circle_tolerance_px
@@ -134,11 +138,11 @@ def _round_the_circle(
     across = next_left - _offset(guess[:, 0, 0] - guess[:, 1, 0], shift[:, 1])
     next_right, good = _flow(second.left, second.right, next_left, across, 0, window_px)
     good &= _on_equal_rows(next_left, next_right, shift, params)
-    good &= _before_the_end(next_right, working, "right", window_px)
+    good &= _clear_of_padding(next_right, working, "right", window_px)
     good &= next_left[:, 0] - next_right[:, 0] - shift[:, 0] >= _least_disparity(working, params) / 2
     left, right, next_left, next_right = left[good], right[good], next_left[good], next_right[good]
-    other_way, good = _flow(first.right, second.right, right, next_right, 0, window_px, _STOP_OF_CHECKS)
-    good &= np.linalg.norm(other_way - next_right, axis=1) <= params.circle_tolerance_px
+    other_route, good = _flow(first.right, second.right, right, next_right, 0, window_px, _STOP_OF_CHECKS)
+    good &= np.linalg.norm(other_route - next_right, axis=1) <= params.circle_tolerance_px
     if int(good.sum()) < params.min_points:
         return _nothing(NoMeasurement.TOO_FEW_POINTS)
     first_px = _stored(working, left[good], right[good])
@@ -149,7 +153,7 @@ def _round_the_circle(
 def _stereo_points(
     images: WorkingImages, working: WorkingSize, params: TrajectoryParams, window_px: int
 ) -> tuple[Points, Points]:
-    """Corners (N, 2) of the left image that are not too far away, and where they are (N, 2) in the right one."""
+    """Corners (N, 2) of the left image that are near enough, and their image points (N, 2) in the right one."""
     corners = _corners(images.half_left, params)
     disparity, shift = _disparity(images, corners, working), working.infinity_shift(corners)
     known = np.isfinite(disparity) & (disparity - shift[:, 0] >= _least_disparity(working, params))
@@ -158,14 +162,14 @@ def _stereo_points(
     left, shift = corners[known], shift[known].astype(np.float32)
     beginning = left - _offset(disparity[known], shift[:, 1])
     right, good = _flow(images.left, images.right, left, beginning, 0, window_px)
-    good &= _on_equal_rows(left, right, shift, params) & _before_the_end(right, working, "right", window_px)
+    good &= _on_equal_rows(left, right, shift, params) & _clear_of_padding(right, working, "right", window_px)
     return left[good], right[good]
 
 
-def _where_expected(
+def _expected_points(
     left: Points, right: Points, working: WorkingSize, cameras: StereoCameras, expected: Floats, window_px: int
 ) -> tuple[Points, NDArray[np.bool_]]:
-    """Where points of the first pair should be in the next one, if INS is right and they stand still, and which are seen there.
+    """Expected image points in the next pair of static points, by the expected motion, and which are inside the image.
 
     (N, 2, 2): left and right image point; the row of the right one is that of the left.
     """
@@ -173,12 +177,11 @@ def _where_expected(
     image, _, ahead = project(cameras, points @ expected[:3, :3].T + expected[:3, 3])
     guess = working.to_working(image[:, [0, 1, 2, 1]].reshape(-1, 2, 2)).astype(np.float32)
     inside = ((guess[:, 0] > 0) & (guess[:, 0] < working.size_px)).all(axis=1)
-    return guess, placed & ahead & inside & _before_the_end(guess[:, 0], working, "left", window_px)
+    return guess, placed & ahead & inside & _clear_of_padding(guess[:, 0], working, "left", window_px)
 
 
 def _corners(half: Bytes, params: TrajectoryParams) -> Points:
-    """Corners (N, 2) of a image that comes at half its size: the best few of each cell of a grid, so that no textured wall
-    takes them all."""
+    """Corners (N, 2) of an image given at half its size: the best few of each cell of a grid."""
     response = cv2.cornerMinEigenVal(half, 5)
     highest = cv2.dilate(response, np.ones((5, 5), np.uint8))
     strong = float(np.quantile(response[::4, ::4], 0.99))
@@ -197,10 +200,9 @@ def _corners(half: Bytes, params: TrajectoryParams) -> Points:
 
 
 def _disparity(images: WorkingImages, corners: Points, working: WorkingSize) -> Floats:
-    """Rough difference (N,) px of the columns of corners by block matching at a quarter of the size; NaN where there is none.
+    """Rough disparity (N,) px of corners by block matching at a quarter of the size; NaN where there is none.
 
-    What is infinitely far begins the search: where the principal points differ that is neither column difference 0 nor the
-    same row.
+    The search begins at the shift of infinitely far points, which is not 0 where the principal points differ.
     """
     height, width = images.quarter_left.shape
     if not len(corners) or min(height, width) < _BLOCK_PX:
@@ -218,7 +220,7 @@ def _disparity(images: WorkingImages, corners: Points, working: WorkingSize) -> 
 
 
 def _lowered(image: Bytes, rows: float) -> Bytes:
-    """A image moved down by so many rows; by less than a twentieth, which no block of pixels tells, it is left alone."""
+    """An image moved down by `rows`; unchanged below a twentieth of a row."""
     if abs(rows) < 0.05:
         return image
     down = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, rows]])
@@ -235,7 +237,7 @@ def _flow(
     window_px: int,
     stop: tuple[int, int, float] = _STOP,
 ) -> tuple[Points, NDArray[np.bool_]]:
-    """Where points (N, 2) of one image are in another, beginning at a guess on the `levels`-th pyramid level."""
+    """Image points (N, 2) in another image, from a guess on the `levels`-th pyramid level, and which were found."""
     if not len(points):
         return points, np.zeros(0, dtype=bool)
     start = np.ascontiguousarray(guess, dtype=np.float32)
@@ -263,8 +265,8 @@ def _on_equal_rows(
     return np.asarray(np.abs(right[:, 1] - left[:, 1] + shift[:, 1]) <= params.epipolar_tolerance_px)
 
 
-def _before_the_end(points: Points, working: WorkingSize, side: Side, window_px: int) -> NDArray[np.bool_]:
-    """Whose windows (N,) end before a image's padding: it shows streaks that stand still however the car moves."""
+def _clear_of_padding(points: Points, working: WorkingSize, side: Side, window_px: int) -> NDArray[np.bool_]:
+    """(N,) whether windows are clear of the padding, whose streaks do not move with the car."""
     return np.asarray((points <= working.seen_px(side) - 0.5 - window_px / 2).all(axis=1))
 
 
@@ -287,6 +289,5 @@ def _tracks(
 ) -> StereoTracks:
     return StereoTracks(
         first_frame_index=first.frame_index, second_frame_index=second.frame_index,
-        first_px=tuple(first_px.ravel().tolist()), second_px=tuple(second_px.ravel().tolist()), sigma_px=sigma_px,
-        missing=missing,
+        first_px=first_px, second_px=second_px, sigma_px=sigma_px, missing=missing,
     )  # fmt: skip

@@ -1,24 +1,22 @@
-"""The images of a frame pair as points are followed through them: grey, of one size for both sides, not too wide.
+"""The images of a frame pair in which points are followed: grey, one size for both sides, of limited width.
 
-Rectification leaves both images the same rows but each its own columns, while matching and following demand equal sizes. So
-the smaller image is padded at its right and lower border, and only then are both reduced, by one scale: what is measured
-between them would otherwise be two scales' difference. Padding shows nothing; `seen_px` tells where it begins.
-
-Frames: stored pixels are those of the rig's own (rectified) cameras, working pixels those of the reduced images. Both count
-from the centre of their first pixel, so that a reduced pixel's centre is not a multiple of the stored one's.
+Rectified images have equal rows but each its own columns. The smaller one is padded at its right and lower border, then both are
+reduced by one scale. Stored pixels are those of the rig's rectified cameras, working pixels those of the reduced images; both
+count from the centre of the first pixel.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from conetl.geometry.motion.stereo_tracks import NoMeasurement
-from conetl.geometry.rig import camera_of, infinity_shift_px
+from conetl.geometry.rig import camera_of, infinity_shift_px, left_SE3_right
 from conetl.model.records import FramePair, Rig, Side
 from conetl.perception.images import ImageFileError
 
@@ -27,10 +25,9 @@ Bytes = NDArray[np.uint8]
 #: Reads one rectified image of a frame pair, grey or in blue, green, red order; raises ImageFileError.
 ImageReader = Callable[[FramePair, Side], Bytes]
 
-#: Grey values of a image must spread at least this much for anything to be followed.
+#: Grey values of an image must spread at least this much for anything to be followed.
 _LEAST_CONTRAST = 3.0
-#: What a product of poses leaves of a shift that is none, and far below what matching could tell. It must not decide about a
-#: disparity of block matching, which counts in quarters of a pixel and often equals the least one that is wanted.
+#: Rounding errors of a zero shift must not decide about disparities of block matching, which are multiples of a quarter pixel.
 _SHIFT_DECIMALS = 6
 
 
@@ -44,13 +41,13 @@ class WorkingSize:
     size_px: tuple[int, int]
     """Working pixels of both."""
 
-    @property
+    @cached_property
     def scale(self) -> Floats:
-        """(2,) working pixels a stored one, along the columns' and the rows' axis: whole sizes make them differ a little."""
+        """(2,) working pixels per stored pixel along u and v; they differ a little because sizes are whole numbers."""
         return np.asarray(np.array(self.size_px) / np.array(self.common_px))
 
     def seen_px(self, side: Side) -> Floats:
-        """(2,) number of working pixels of a image before its padding begins, along u and v; infinite where there is none."""
+        """(2,) working pixels of an image without its padding, along u and v; infinite where it has none."""
         own = np.array(_stored_size(self.rig, side))
         return np.where(own < self.common_px, own * self.scale, np.inf)
 
@@ -59,14 +56,17 @@ class WorkingSize:
         return np.asarray(np.asarray(stored_px, dtype=np.float64) * self.scale + (self.scale - 1) / 2)
 
     def to_stored(self, working_px: ArrayLike) -> Floats:
-        """The way back: image points (..., 2) in stored pixels."""
+        """Inverse of `to_working`: image points (..., 2) in stored pixels."""
         return np.asarray((np.asarray(working_px, dtype=np.float64) - (self.scale - 1) / 2) / self.scale)
 
     def infinity_shift(self, left_px: ArrayLike) -> Floats:
-        """(..., 2) working pixels by which the left image shows what is infinitely far further right and down than the right
-        one, at points (..., 2) of the left."""
-        shift = infinity_shift_px(self.rig, self.to_stored(left_px)) * self.scale
+        """(..., 2) working pixels: left minus right image point of an infinitely far point, at points (..., 2) of the left."""
+        shift = infinity_shift_px(self.rig, self.to_stored(left_px), self._left_R_right) * self.scale
         return np.asarray(shift.round(_SHIFT_DECIMALS) + 0.0)
+
+    @cached_property
+    def _left_R_right(self) -> Floats:
+        return left_SE3_right(self.rig)[:3, :3]
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def working_size(rig: Rig, max_width_px: int) -> WorkingSize:
 
 
 def read_working_images(pair: FramePair, read: ImageReader, working: WorkingSize) -> WorkingImages | NoMeasurement:
-    """One frame pair at working size, or why there is none; never an exception of the reader or of OpenCV."""
+    """One frame pair at working size, or the reason why it cannot be used."""
     grey: list[Bytes] = []
     try:
         for side in ("left", "right"):
@@ -123,8 +123,8 @@ def _grey(image: Bytes) -> Bytes:
 
 
 def _at_size(image: Bytes, working: WorkingSize) -> Bytes:
-    """A grey image padded to the common size, then reduced. The border is repeated: a step in brightness there would be a
-    line of corners that stand still in the image."""
+    """A grey image padded to the common size, then reduced. The border is repeated: a step in
+    brightness would give corners that stay where they are."""
     right, below = working.common_px[0] - image.shape[1], working.common_px[1] - image.shape[0]
     if right or below:
         padded = cv2.copyMakeBorder(image, 0, below, 0, right, cv2.BORDER_REPLICATE)
@@ -135,13 +135,13 @@ def _at_size(image: Bytes, working: WorkingSize) -> Bytes:
 
 
 def _seen(image: Bytes, seen_px: Floats) -> Bytes:
-    """A image without its padding: its whole pixels of the first `seen_px` along u and v."""
+    """An image without its padding: its whole pixels of the first `seen_px` along u and v."""
     width, height = np.minimum(seen_px, image.shape[::-1]).astype(int).tolist()
     return image[: max(height, 1), : max(width, 1)]
 
 
 def _halved(image: Bytes) -> Bytes:
-    """Means of two by two pixels. A last odd row or column is left out: with a ratio of exactly two OpenCV is 30 times faster."""
+    """Means of two by two pixels without a last odd row or column: OpenCV is 30 times faster at a ratio of exactly two."""
     height, width = (size // 2 for size in image.shape)
     if not height or not width:
         return image

@@ -18,8 +18,8 @@ from conetl.model.drive_records import DriveRecords
 from conetl.model.params import IngestParams, params_sha256
 from conetl.model.records import Detection, Drive, Position, Rig, StereoMatch, Track
 from conetl.model.rejections import Rejection
+from conetl.perception.detections import without_unread
 from conetl.perception.model_card import read_model_card
-from conetl.perception.unreadable import without_unread
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, chunks_of, geometry_key, parts_of
 from conetl.pipeline.detect import detect, match
 from conetl.pipeline.executor import Executor, Progress, ProgressCount, ThreadExecutor, results
@@ -41,9 +41,6 @@ from conetl.tracking.self_calibration import SWITCHED_OFF, SelfCalibration, self
 from conetl.tracking.tracks import fuse_tracks
 from conetl.tracking.trajectory import RefinedTrajectory, motion_error
 from conetl.tracking.variance_components import sighting_variances, with_variances
-
-#: While the calibration is worked out, detections of so many parts of chunks more keep the cores busy.
-_PARTS_MEANWHILE = 2
 
 
 @dataclass(frozen=True)
@@ -163,7 +160,6 @@ def _run_chunks(
     calibration: SelfCalibration = SWITCHED_OFF
     found: list[Odometry] = []
     if params.self_calibrate:
-        submit_detections(_PARTS_MEANWHILE, None)
         found = results(followed)
         tracks, measured = [each.tracks for each in found], [each.motions for each in found]
         calibration = executor.run(self_calibrate, drive, tracks, measured, chunks[0])

@@ -33,10 +33,10 @@ from conetl.model.records import (
 )
 from conetl.model.rejections import INPUT_REASONS, Rejection
 from conetl.perception import detector as detector_io
-from conetl.perception.allocator import keep_freed_images
 from conetl.perception.detections import check_boxes
 from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import fetch_pairs, read_pair_image
+from conetl.perception.worker_setup import set_up_worker
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, geometry_key, parts_of
 from conetl.pipeline.executor import Tick, ignore
 from conetl.tracking.matching.epipolar_search import Region, blocks_of, is_unanswered, right_region
@@ -72,7 +72,7 @@ def detect(chunk: Chunk, part: int, rig: Rig | None, tick: Tick | None = None) -
         if rig is not None:
             _match_part(chunk, part, detected, rig)
         return detected
-    keep_freed_images()
+    set_up_worker()
     first_rows = _first_rows(chunk)
     found: list[_PairFound] = []
     for middle, block in blocks_of(len(pairs), chunk.params):
@@ -235,7 +235,7 @@ def _detector(chunk: Chunk) -> detector_io.Detector:
         if detector.card.detections_sha256 != chunk.detections_sha256:  # on another machine, perhaps
             raise ModelFileError(
                 f"{detector.path} on {socket.gethostname()} is another model, or its sidecar another, than that of this run "
-                f"(SHA-256 {detector.sha256}); all machines need the same version of conetl and the same CONETL_MODEL_PATH"
+                f"(SHA-256 {detector.card.sha256}); all machines need the same version of conetl and the same CONETL_MODEL_PATH"
             )
         loaded = (chunk.detections_sha256, detector)
         _per_thread.detector = loaded

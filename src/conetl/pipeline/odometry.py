@@ -22,9 +22,9 @@ from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.motion.stereo_tracks import StereoTracks, motions_of
 from conetl.model.params import IngestParams, TrajectoryParams, params_sha256
 from conetl.model.records import Drive, FramePair, Rig, Side, StereoMatch
-from conetl.perception.allocator import keep_freed_images
 from conetl.perception.rectified_image import fetch_pairs, read_pair_image
-from conetl.perception.visual_odometry import follow_drive, follow_span
+from conetl.perception.visual_odometry import follow_drive, follow_spans
+from conetl.perception.worker_setup import set_up_worker
 from conetl.perception.working_size import ImageReader
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, geometry_key
 from conetl.pipeline.executor import Tick, ignore
@@ -76,7 +76,7 @@ def odometry(chunk: Chunk, tick: Tick | None = None) -> Odometry:
     if has_result(chunk.results_folder, key):
         tick(intervals)
         return Odometry(path, _motions(chunk, path))
-    keep_freed_images()
+    set_up_worker()
     tracks: list[StereoTracks] = []
     for found in follow_drive(
         chunk.frame_pairs, chunk.rig, grey_reader(chunk.rig, chunk.frame_pairs), chunk.params.trajectory
@@ -135,7 +135,7 @@ def _calibration(drive: Drive, measured: Sequence[RelativeMotion], params: Traje
     spans = spread_spans(choose_spans(measured, params.self_calibration_span_m), params.self_calibration_max_spans)
     if len(spans) < params.self_calibration_min_spans:
         spans = []  # no image needs to be decoded again
-    followed = [follow_span(pairs[s.first], pairs[s.last], s.last_SE3_first, drive.rig, read, wide) for s in spans]
+    followed = list(follow_spans(spans, pairs, drive.rig, read, wide))
     return estimate_calibration(drive.rig, spans, followed, params)
 
 

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from conetl.geometry.jacobians import pose_jacobian
 from conetl.geometry.motion.chain_solver import joint_covariance
 from conetl.geometry.motion.pose_graph import POSE
-from conetl.geometry.pose_covariance import pose_jacobian
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import Pose
 from conetl.tracking.trajectory import RefinedTrajectory, log_errors

@@ -30,7 +30,7 @@ from conetl.geometry.motion.pose_graph import (
 )
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.packing import cov_matrix, vec3
-from conetl.geometry.projection import cross_matrix
+from conetl.geometry.small_arrays import cross_matrix
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import FramePair, Pose, Position, Rig
 from conetl.tracking.association import MotionError

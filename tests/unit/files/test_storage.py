@@ -115,7 +115,7 @@ def test_what_storage_says_of_itself_is_no_property_of_an_object(
 ) -> None:
     """s3fs translates errors of the storage to Python's own."""
     path = as_path("memory://storage/image.jpg")
-    path.write_bytes(b"a image")
+    path.write_bytes(b"an image")
     places.forget_all()
 
     def fail(*_: object, **__: object) -> bytes:
@@ -127,7 +127,7 @@ def test_what_storage_says_of_itself_is_no_property_of_an_object(
         for read in (object_bytes, file_sha256, read_bytes):
             with pytest.raises(ServiceError, match=f"image.jpg: cannot be read from the storage: .*{said.args[-1]}"):
                 read(path)
-    assert read_bytes(path) == b"a image"
+    assert read_bytes(path) == b"an image"
 
 
 def test_an_object_that_is_not_there_is_one(storage: pytest.MonkeyPatch) -> None:

@@ -87,7 +87,7 @@ def test_a_camera_that_looks_straight_down_has_no_horizon() -> None:
 def test_camera_centres_follow_the_body() -> None:
     rig = make_rig()
     north = make_pose(math.pi / 2)
-    left, right = (rigs.camera_centre_m(north, rig, side) for side in ("left", "right"))
+    left, right = (rigs.map_SE3_camera(north, rig, side)[:3, 3] for side in ("left", "right"))
     # Driving north: forward is +N, left is -E.
     np.testing.assert_allclose(left - np.array(north.map_t_body_m), [-0.25, 1.0, 0.7], atol=1e-9)
     np.testing.assert_allclose(right - left, [0.5, 0, 0], atol=1e-9)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from conetl.geometry.consistency import Nees, ce90_m, chi2_band, consistency, le90_m, point_nees
-from conetl.geometry.pose_covariance import add_pose_covariance, pose_jacobian
+from conetl.geometry.jacobians import add_pose_covariance, pose_jacobian
 
 
 def random_drive(seed: int, points: int = 9, common: int = 4) -> tuple[np.ndarray, ...]:

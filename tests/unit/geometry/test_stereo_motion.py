@@ -21,7 +21,7 @@ from conetl.geometry.motion.stereo_motion import (
     project,
     triangulate,
 )
-from conetl.geometry.pose_steps import all_stepped, stepped
+from conetl.geometry.small_arrays import all_stepped, stepped
 
 LENS = np.array([720.0, 715.0, 610.0, 173.0])
 RIGHT_SE3_LEFT = se3.se3(Rotation.from_rotvec([0.002, -0.003, 0.001]).as_matrix(), [-0.53, 0.004, -0.003])

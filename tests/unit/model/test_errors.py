@@ -40,7 +40,7 @@ def caused(error: Exception, cause: Exception) -> Exception:
         ModelFileError("the model's file is being replaced"),
         InputError("the home folder cannot be written to"),
         caused(CalibrationError("calib.txt: cannot be read: Stale file handle"), OSError(errno.ESTALE, "stale")),
-        caused(DriveFolderError("a image of the bag cannot be unpacked"), OSError(errno.ENOSPC, "full")),
+        caused(DriveFolderError("an image of the bag cannot be unpacked"), OSError(errno.ENOSPC, "full")),
         KeyError("a mistake of conetl, or of a library"),
     ],
     ids=lambda error: f"{type(error).__name__} {error}"[:40],

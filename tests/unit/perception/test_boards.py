@@ -1,4 +1,4 @@
-"""Corners of drawn boards: chessboard, ChArUco, AprilGrid, warped into a image by a known homography."""
+"""Corners of drawn boards: chessboard, ChArUco, AprilGrid, warped into an image by a known homography."""
 
 from __future__ import annotations
 

@@ -28,9 +28,8 @@ from conetl.perception.detector import (
     Detector,
     detect_image,
     load_detector,
-    look,
-    look_at_all,
     network_input,
+    run_network,
     shipped_model_path,
 )
 
@@ -347,11 +346,11 @@ def test_windows_looked_at_together_are_seen_as_each_alone(detector: Detector) -
     windows = [np.asarray(rng.integers(90, 120, (96, 96, 3)), np.uint8) for _ in range(5)]
     for index, window in enumerate(windows[1:], 1):
         draw_cone(window, 20.0 + 12.0 * index, 80.0, 20.0 + 8.0 * index)
-    together = [seen for seen, _ in look_at_all(detector, windows, 96, 0.02, 0.5)]
+    together = [seen for seen, _ in run_network(detector, windows, 96, 0.02, 0.5)]
     assert sum(len(seen) for seen in together) >= 4
     for window, seen in zip(windows, together, strict=True):
-        np.testing.assert_array_equal(seen, look(detector, window, 96, 0.02, 0.5))
-    one_by_one = look_at_all(dataclasses.replace(detector, several=False), windows, 96, 0.02, 0.5)
+        np.testing.assert_array_equal(seen, run_network(detector, [window], 96, 0.02, 0.5)[0][0])
+    one_by_one = run_network(dataclasses.replace(detector, several=False), windows, 96, 0.02, 0.5)
     for seen, (alone, _) in zip(together, one_by_one, strict=True):
         np.testing.assert_array_equal(seen, alone)
 
@@ -362,9 +361,9 @@ def test_a_faint_cone_keeps_its_box_among_many_clear_ones(detector: Detector) ->
     clear = road.copy()
     draw_cone(clear, 48.0, 72.0, 48.0)
     faint = np.asarray(0.8 * road + 0.2 * clear, np.uint8)
-    expected = look(detector, faint, 96, 0.02, 0.5)
+    expected = run_network(detector, [faint], 96, 0.02, 0.5)[0][0]
     assert len(expected) == 1
-    *_, (seen, _) = look_at_all(detector, [clear] * 63 + [faint], 96, 0.02, 0.5)
+    *_, (seen, _) = run_network(detector, [clear] * 63 + [faint], 96, 0.02, 0.5)
     np.testing.assert_array_equal(seen, expected)
 
 
@@ -450,4 +449,4 @@ def test_cone_free_real_frames_are_nearly_empty(detector: Detector) -> None:
     frames = range(0, 40, 8)
     images = [cv2.imread(str(KITTI_LEFT / f"{frame:010d}.jpg")) for frame in frames]
     count = sum(len(detect_image(detector, image, score_threshold=0.5)) for image in images)
-    assert count <= len(images)  # at most one false box a image
+    assert count <= len(images)  # at most one false box an image

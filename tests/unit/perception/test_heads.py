@@ -39,7 +39,7 @@ Arrays = list[np.ndarray]
 
 
 def build_network(path: Path, outputs: Sequence[np.ndarray]) -> onnxruntime.InferenceSession:
-    """A network that reads a image (1, 3, 64, 96) and gives the outputs plus 0 times the image's mean."""
+    """A network that reads an image (1, 3, 64, 96) and gives the outputs plus 0 times the image's mean."""
     nodes = [
         helper.make_node("ReduceMean", ["images"], ["mean"], keepdims=0),
         helper.make_node("Mul", ["mean", "zero"], ["nothing"]),

@@ -30,7 +30,7 @@ def raw_rig() -> Rig:
 
 
 def world_image(rig: Rig, side: str) -> np.ndarray:
-    """A image of a far wall (a smooth pattern over directions) as one raw camera takes it."""
+    """An image of a far wall (a smooth pattern over directions) as one raw camera takes it."""
     camera = rigs.camera_of(rig, side)  # type: ignore[arg-type]
     u, v = np.meshgrid(np.arange(camera.width_px), np.arange(camera.height_px))
     d = cam.rays(camera, np.stack([u, v], axis=-1)) @ rigs.body_SE3_camera(rig, side)[:3, :3].T  # type: ignore[arg-type]

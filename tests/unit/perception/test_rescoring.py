@@ -1,4 +1,4 @@
-"""The closer look at candidates of middling score: windows, joined judgements, and what the real network makes of them."""
+"""Re-scoring pass: windows, combined scores, results of the shipped network."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from conetl.perception.detector import detect_image, load_detector
-from conetl.perception.model_card import CloserLook, read_model_card
-from conetl.perception.rescoring import look_closer, pooled, window_around
+from conetl.perception.model_card import ReScoringPass, read_model_card
+from conetl.perception.rescoring import pooled_score, rescore, window_around
 
-SETTINGS = CloserLook(cone_px=48, window_px=96, scores=(0.25, 0.75), share=0.35)
+SETTINGS = ReScoringPass(cone_px=48, window_px=96, scores=(0.25, 0.75), share=0.35)
 REPOSITORY = Path(__file__).resolve().parents[3]
 SHARED_DATA = Path(os.environ.get("CONETL_SHARED_DATA", REPOSITORY.parent / "shared" / "data"))
 KITTI_LEFT = SHARED_DATA / "kitti_2011_09_26_drive_0005_sync" / "image_02" / "data"
@@ -59,9 +59,9 @@ def test_a_cone_larger_than_half_the_image_gets_the_edge_repeated() -> None:
 
 @given(st.floats(0.02, 0.98), st.floats(0.02, 0.98), st.floats(0.05, 0.95))
 def test_the_joined_score_lies_between_both(first: float, closer: float, share: float) -> None:
-    assert min(first, closer) - 1e-9 <= pooled(first, closer, share) <= max(first, closer) + 1e-9
-    assert pooled(first, closer, share) == pytest.approx(pooled(closer, first, 1.0 - share))
-    assert pooled(first, first, share) == pytest.approx(first)
+    assert min(first, closer) - 1e-9 <= pooled_score(first, closer, share) <= max(first, closer) + 1e-9
+    assert pooled_score(first, closer, share) == pytest.approx(pooled_score(closer, first, 1.0 - share))
+    assert pooled_score(first, first, share) == pytest.approx(first)
 
 
 def test_only_middling_scores_are_looked_at_and_the_others_stay() -> None:
@@ -75,11 +75,11 @@ def test_only_middling_scores_are_looked_at_and_the_others_stay() -> None:
         windows.extend(window.shape for window in given)
         return [np.zeros((0, 9)) for _ in given]
 
-    result = look_closer(nothing, image, rows, SETTINGS)
+    result = rescore(nothing, image, rows, SETTINGS)
     assert windows == [(96, 96, 3)]
     np.testing.assert_array_equal(result[[0, 2]], rows[[0, 2]])
     np.testing.assert_array_equal(np.delete(result[1], 4), np.delete(rows[1], 4))
-    assert result[1, 4] == pytest.approx(pooled(0.5, 0.0, 0.35)) and result[1, 4] < 0.2
+    assert result[1, 4] == pytest.approx(pooled_score(0.5, 0.0, 0.35)) and result[1, 4] < 0.2
 
 
 def test_of_two_cones_in_the_window_the_candidates_own_counts() -> None:
@@ -95,10 +95,10 @@ def test_of_two_cones_in_the_window_the_candidates_own_counts() -> None:
         seen[:, [1, 3, 6, 8]] -= top
         return [seen for _ in windows]
 
-    (found,) = look_closer(two, image, row[None], SETTINGS)
+    (found,) = rescore(two, image, row[None], SETTINGS)
     np.testing.assert_allclose(found[:4], 0.65 * row[:4] + 0.35 * np.array([100, 62, 124, 108]))
     np.testing.assert_allclose(found[5:], 0.65 * row[5:] + 0.35 * np.array([112, 108, 112, 62]))
-    assert found[4] == pytest.approx(pooled(0.5, 0.7, 0.35))
+    assert found[4] == pytest.approx(pooled_score(0.5, 0.7, 0.35))
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The enlarged look where small cones stand: the parts that it shows, how looks are joined, what the real network makes of it."""
+"""Small-object pass: parts, combination of both passes, results of the shipped network."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from conetl.perception.decoding import Seen
+from conetl.perception.decoding import NetworkBoxes
 from conetl.perception.detector import Detector, detect_image, load_detector
-from conetl.perception.model_card import EnlargedLook, read_model_card
-from conetl.perception.rescoring import pooled
+from conetl.perception.model_card import SmallObjectPass, read_model_card
+from conetl.perception.rescoring import pooled_score
 from conetl.perception.small_objects import (
     CELL_PX,
-    FAINTEST,
+    MIN_SCORE,
+    detect_small_objects,
     enlargement,
-    look_enlarged,
     parts_around,
 )
 
-SETTINGS = EnlargedLook(below_px=40, from_score=0.25, around_px=24, scale=2.0, share=0.65)
+SETTINGS = SmallObjectPass(below_px=40, from_score=0.25, around_px=24, scale=2.0, share=0.65)
 DRIVES = Path(__file__).resolve().parents[3] / "data" / "drives"
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -38,18 +38,18 @@ boxes_in_a_image = st.lists(
 )
 
 
-def showing(boxes: list[Floats], row: Floats) -> Callable[[Image], Seen]:
-    """A look that sees these boxes (9,), in pixels of the image, in the one part around a candidate (9,) of SETTINGS' scale."""
+def showing(boxes: list[Floats], row: Floats) -> Callable[[Image], NetworkBoxes]:
+    """A network that finds these boxes (9,), in pixels of the image, in the part around a candidate (9,) at SETTINGS' scale."""
     x0, y0, *_ = parts_around(row[None], SETTINGS.around_px, 400, 200)[0]
 
-    def look(part: Image) -> Seen:
+    def run(part: Image) -> NetworkBoxes:
         seen = np.stack(boxes)
         seen[:, [0, 2, 5, 7]] -= x0
         seen[:, [1, 3, 6, 8]] -= y0
         seen[:, [0, 1, 2, 3, 5, 6, 7, 8]] *= SETTINGS.scale
         return seen, 0.0
 
-    return look
+    return run
 
 
 def candidate(x0: float, y0: float, x1: float, y1: float, score: float) -> Floats:
@@ -92,12 +92,16 @@ def test_all_parts_enlarged_are_no_larger_than_the_image(
 def test_what_is_tall_or_faint_calls_for_nothing() -> None:
     rows = np.stack([candidate(100, 50, 140, 110, 0.9), candidate(200, 50, 215, 70, 0.2)])
 
-    def look(part: Image) -> Seen:
+    def run(part: Image) -> NetworkBoxes:
         raise AssertionError("nothing was to be looked at")
 
-    np.testing.assert_array_equal(look_enlarged(look, np.zeros((200, 400, 3), np.uint8), rows, SETTINGS, 1.0), rows)
+    np.testing.assert_array_equal(
+        detect_small_objects(run, np.zeros((200, 400, 3), np.uint8), rows, SETTINGS, 1.0), rows
+    )
     empty = np.zeros((0, 9))
-    np.testing.assert_array_equal(look_enlarged(look, np.zeros((200, 400, 3), np.uint8), empty, SETTINGS, 1.0), empty)
+    np.testing.assert_array_equal(
+        detect_small_objects(run, np.zeros((200, 400, 3), np.uint8), empty, SETTINGS, 1.0), empty
+    )
 
 
 def test_the_part_is_shown_enlarged_and_boxes_come_back_in_pixels_of_the_image() -> None:
@@ -106,15 +110,15 @@ def test_the_part_is_shown_enlarged_and_boxes_come_back_in_pixels_of_the_image()
     x0, y0, x1, y1 = parts_around(row[None], 24.0, 400, 200)[0]
     shown: list[Image] = []
 
-    def look(part: Image) -> Seen:
+    def run(part: Image) -> NetworkBoxes:
         shown.append(part)
         return showing([candidate(105, 80, 121, 106, 0.8)], row)(part)
 
-    (found,) = look_enlarged(look, ramp, row[None], SETTINGS, 1.0)
+    (found,) = detect_small_objects(run, ramp, row[None], SETTINGS, 1.0)
     assert [part.shape for part in shown] == [(2 * (y1 - y0), 2 * (x1 - x0), 3)]
     assert shown[0][0, 0, 0] == pytest.approx(250 * x0 / 399, abs=1.5)
     np.testing.assert_allclose(found[:4], 0.35 * row[:4] + 0.65 * np.array([105, 80, 121, 106]))
-    assert found[4] == pytest.approx(pooled(0.6, 0.8, 0.65))
+    assert found[4] == pytest.approx(pooled_score(0.6, 0.8, 0.65))
     np.testing.assert_allclose(found[5:], 0.35 * row[5:] + 0.65 * np.array([113, 106, 113, 80]))
 
 
@@ -124,11 +128,11 @@ def test_in_a_image_that_is_scaled_down_the_part_keeps_more_of_its_own_pixels() 
     x0, y0, x1, y1 = parts_around(row[None], 48.0, 3200, 1200)[0]
     shown: list[tuple[int, ...]] = []
 
-    def look(part: Image) -> Seen:
+    def run(part: Image) -> NetworkBoxes:
         shown.append(part.shape)
         return np.zeros((0, 9)), 0.0
 
-    look_enlarged(look, image, row[None], SETTINGS, 2.0)
+    detect_small_objects(run, image, row[None], SETTINGS, 2.0)
     assert shown == [(y1 - y0, x1 - x0, 3)]
 
 
@@ -139,31 +143,31 @@ def test_what_only_the_enlarged_look_sees_is_a_candidate_unless_it_is_cut_tall_o
     far, band = candidate(84, 80, 91, 90, 0.9), candidate(127, 90, 139, 100, 0.5)
     cut, tall = candidate(x0 + 1, 80, 90, 100, 0.9), candidate(80, y0 + 4, 92, y0 + 60, 0.9)
 
-    found = look_enlarged(showing([far, band, cut, tall], rows[0]), image, rows, SETTINGS, 1.0)
+    found = detect_small_objects(showing([far, band, cut, tall], rows[0]), image, rows, SETTINGS, 1.0)
     assert len(found) == 3
-    assert found[0, 4] == pytest.approx(pooled(0.6, 0.0, 0.65)) and found[0, 4] < 0.2  # not seen again
+    assert found[0, 4] == pytest.approx(pooled_score(0.6, 0.0, 0.65)) and found[0, 4] < 0.2  # not seen again
     np.testing.assert_array_equal(found[1], rows[1])  # tall: not judged
     np.testing.assert_allclose(np.delete(found[2], 4), np.delete(far, 4))
-    assert found[2, 4] == pytest.approx(pooled(FAINTEST, 0.9, 0.65))
+    assert found[2, 4] == pytest.approx(pooled_score(MIN_SCORE, 0.9, 0.65))
 
 
 def test_two_candidates_do_not_share_one_box_of_the_enlarged_look() -> None:
     image = np.zeros((200, 400, 3), np.uint8)
     rows = np.stack([candidate(100, 80, 116, 104, 0.5), candidate(103, 80, 119, 104, 0.6)])
-    found = look_enlarged(showing([candidate(102, 80, 118, 104, 0.9)], rows[0]), image, rows, SETTINGS, 1.0)
-    assert found[1, 4] == pytest.approx(pooled(0.6, 0.9, 0.65))  # the surer one has it
-    assert found[0, 4] == pytest.approx(pooled(0.5, 0.0, 0.65))
+    found = detect_small_objects(showing([candidate(102, 80, 118, 104, 0.9)], rows[0]), image, rows, SETTINGS, 1.0)
+    assert found[1, 4] == pytest.approx(pooled_score(0.6, 0.9, 0.65))  # the surer one has it
+    assert found[0, 4] == pytest.approx(pooled_score(0.5, 0.0, 0.65))
 
 
-@pytest.mark.parametrize(("untold", "counts_as"), [(0.0, 0.0), (0.04, 0.0), (0.5, 0.5), (0.8, 0.6)])
-def test_what_a_crowd_may_keep_from_being_told_is_not_taken_for_unseen(untold: float, counts_as: float) -> None:
+@pytest.mark.parametrize(("omitted", "counts_as"), [(0.0, 0.0), (0.04, 0.0), (0.5, 0.5), (0.8, 0.6)])
+def test_what_a_crowd_may_keep_from_being_told_is_not_taken_for_unseen(omitted: float, counts_as: float) -> None:
     row = candidate(100, 80, 116, 104, 0.6)
 
-    def look(part: Image) -> Seen:
-        return np.zeros((0, 9)), untold
+    def run(part: Image) -> NetworkBoxes:
+        return np.zeros((0, 9)), omitted
 
-    (found,) = look_enlarged(look, np.zeros((200, 400, 3), np.uint8), row[None], SETTINGS, 1.0)
-    assert found[4] == pytest.approx(pooled(0.6, counts_as, 0.65))
+    (found,) = detect_small_objects(run, np.zeros((200, 400, 3), np.uint8), row[None], SETTINGS, 1.0)
+    assert found[4] == pytest.approx(pooled_score(0.6, counts_as, 0.65))
 
 
 def test_a_cone_just_too_tall_to_be_judged_takes_what_is_seen_of_it() -> None:
@@ -171,7 +175,7 @@ def test_a_cone_just_too_tall_to_be_judged_takes_what_is_seen_of_it() -> None:
     rows = np.stack([candidate(100, 80, 130, 124, 0.9), candidate(140, 80, 156, 104, 0.6)])
     x0, *_ = parts_around(rows[1:], 24.0, 400, 200)[0]
     counterpart = candidate(max(102, x0 + 4), 88, 130, 120, 0.95)
-    found = look_enlarged(showing([counterpart], rows[1]), image, rows, SETTINGS, 1.0)
+    found = detect_small_objects(showing([counterpart], rows[1]), image, rows, SETTINGS, 1.0)
     assert len(found) == 2
     np.testing.assert_array_equal(found[0], rows[0])
 
@@ -183,16 +187,16 @@ def test_only_wanted_candidates_call_and_boxes_beyond_all_bounds_harm_nothing() 
     )
     shown: list[tuple[int, ...]] = []
 
-    def look(part: Image) -> Seen:
+    def run(part: Image) -> NetworkBoxes:
         shown.append(part.shape)
         return np.zeros((0, 9)), 0.0
 
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = look_enlarged(look, image, rows, SETTINGS, 1.0, np.array([True, False, False]))
+        found = detect_small_objects(run, image, rows, SETTINGS, 1.0, np.array([True, False, False]))
         assert len(shown) == 1
         np.testing.assert_array_equal(found[1:], rows[1:])
-        look_enlarged(look, image, rows, SETTINGS, 1.0)
+        detect_small_objects(run, image, rows, SETTINGS, 1.0)
 
 
 @pytest.mark.parametrize(
@@ -220,7 +224,7 @@ def test_another_enlarged_look_is_another_detector_and_none_is_that_of_before_th
 
 
 def far_street() -> Image:
-    """A image of a sample drive at a third of its size, as from three times as far, in the lower middle of a grey one."""
+    """An image of a sample drive at a third of its size, as from three times as far, in the lower middle of a grey one."""
     images = sorted(DRIVES.glob("*/image_02/data/*"))
     image = cv2.imread(str(images[len(images) // 8]))
     assert image is not None

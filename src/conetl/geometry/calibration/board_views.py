@@ -1,7 +1,4 @@
-"""What a calibration sees: corners of a board in images, and the freedom that the board's own shape has.
-
-The board frame has its origin at the first corner and z = 0 on the nominal board. All lengths are metres.
-"""
+"""Corners of a board in images, and deformations of a board. Board frame: origin at the first corner, z = 0; metres."""
 
 from __future__ import annotations
 
@@ -30,7 +27,7 @@ class BoardView:
     uv_px: Array
 
     def only(self, keep: NDArray[np.bool_]) -> BoardView:
-        """The view with those of its corners that `keep` (n,) names."""
+        """The view with the corners of the mask `keep` (n,)."""
         return BoardView(self.pair_index, self.side, self.point_ids[keep], self.uv_px[keep])
 
 
@@ -57,5 +54,5 @@ def shape_basis(points_m: ArrayLike) -> Array:
 
 
 def pair_indices(views: Iterable[BoardView]) -> list[int]:
-    """Numbers of the pairs that are seen at all, ascending."""
+    """Numbers of all pairs with a view, ascending."""
     return sorted({view.pair_index for view in views})

@@ -1,12 +1,10 @@
-"""Covariance of a rig's calibration that stays honest where the corner errors of one pair belong together.
+"""Covariance of a rig's calibration for corner errors that are correlated within one pair.
 
-Least squares takes all corner errors as independent. They are not: motion blur, light, a bent board and the detector move the
-corners of one image together, and the covariance scaled by the variance factor alone comes out too small. Here each pair
-is one cluster: the pull of its residuals on the result is compared with the pull that independent errors of the same variance
-would have had, its own leverage taken off (the idea of the cluster-robust "sandwich" covariance, Liang & Zeger 1986, and of its
-correction by Bell & McCaffrey 2002). A few dozen pairs cannot determine a whole matrix of 20 and more unknowns, but they do
-determine its size: the least-squares covariance is multiplied by the ratio of the two sums over all pairs and directions, the
-design effect (Kish 1965). Where it differs from 1 by no more than chance it is drawn towards 1.
+Least squares assumes independent corner errors, but motion blur, light, a bent board and the detector move the corners of one
+image together. Each pair is a cluster: the influence of its residuals is compared with that of independent errors of the same
+variance, its leverage removed (cluster-robust "sandwich", Liang & Zeger 1986; correction by Bell & McCaffrey 2002). The
+least-squares covariance is multiplied by the ratio of the two sums over all pairs and directions, the design effect (Kish 1965),
+drawn towards 1 where it differs by no more than chance.
 """
 
 from __future__ import annotations
@@ -50,7 +48,7 @@ def rig_covariance(reduced: Reduced, rig_parameters: int, variance_factor: float
     half = (scale[:, None] * vectors) / np.sqrt(values)  # half half^T = normal^-1
     back = half[:rig_parameters]
     least_squares = variance_factor * back @ back.T
-    # What is known of the board beforehand has its part in the covariance as it is; the pairs' part is what they tell about.
+    # The part of the prior is kept as it is; the design effect applies to the part of the pairs.
     known = variance_factor * back @ (half.T @ reduced.prior @ half) @ back.T
     sizes = np.sqrt(np.diag(least_squares))
     root = np.linalg.cholesky((least_squares - known) / sizes[:, None] / sizes)
@@ -65,7 +63,7 @@ def rig_covariance(reduced: Reduced, rig_parameters: int, variance_factor: float
         expected += float(np.trace(pull))
         scatter += 2.0 * float((pull**2).sum())  # variance of a sum of squares of normal variables
     if not expected > 0:
-        raise BundleError("there are too few pairs to tell how far they agree")
+        raise BundleError("there are too few pairs to estimate their scatter")
     excess = found / expected - 1.0
     effect = 1.0 + excess * excess**2 / (excess**2 + scatter / expected**2)
     return RigCovariance(effect * (least_squares - known) + known, least_squares, effect)

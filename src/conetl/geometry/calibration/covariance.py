@@ -1,9 +1,8 @@
-"""What the errors of a rig's calibration do to the points that are intersected with it.
+"""How errors of a rig's calibration move the points that are intersected with it.
 
-The image points stay, the calibration is wrong by dp, so the least-squares point moves by dX with A dX + B dp = 0 in the
-least-squares sense: dX = -(A^T A)^-1 A^T B dp, A and B being the derivatives of the collinearity equations with respect to point
-and calibration (implicit function theorem on the normal equations; e.g. Mikhail & Ackermann 1976, ch. 4). Such errors are
-common to all images of a rig: over the sightings of one cone the Jacobians are averaged, never the covariances.
+The least-squares point moves by dX = -(A^T A)^-1 A^T B dp, A and B being the derivatives of the collinearity equations by point
+and calibration (implicit function theorem on the normal equations; e.g. Mikhail & Ackermann 1976, ch. 4). These errors are common
+to all images of a rig: over the sightings of one cone the Jacobians are averaged, never the covariances.
 """
 
 from __future__ import annotations
@@ -12,25 +11,26 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from conetl.geometry import rig as rigs
-from conetl.geometry.projection import cross_matrix, project_with_jacobian
+from conetl.geometry.jacobians import project_with_jacobian
+from conetl.geometry.small_arrays import cross_matrix
 from conetl.model.records import CalibrationCovariance, Rig
 
 Array = NDArray[np.float64]
 
-_INTERIOR = ("fx_px", "fy_px", "cx_px", "cy_px")
-_RELATIVE = ("rx_rad", "ry_rad", "rz_rad", "tx_m", "ty_m", "tz_m")
+INTERIOR = ("fx_px", "fy_px", "cx_px", "cy_px")
+RELATIVE = ("rx_rad", "ry_rad", "rz_rad", "tx_m", "ty_m", "tz_m")
 
 
 def known_covariance(rig: Rig) -> CalibrationCovariance | None:
-    """Covariance of the calibration that took the images: of the raw rig where there is one. None where it is not known."""
+    """Covariance of the calibration that took the images: of the raw rig where there is one. None where it is unknown."""
     return (rig.rectified_from or rig).calibration_covariance
 
 
 def calibration_jacobian(points_left_m: ArrayLike, rig: Rig) -> Array:
     """Derivative (P, 3, K) of two-view points (P, 3) in the rig's left camera frame with respect to the calibration.
 
-    K parameters in the order of `known_covariance(rig).names`; K = 0 where no covariance is known. Equal weights for all four
-    image coordinates. Points behind a camera give NaN. Raises ValueError for a name that is no parameter of the rig.
+    K parameters in the order of `known_covariance(rig).names`; K = 0 without a covariance. Equal weights for all four
+    image coordinates. Points behind a camera give NaN. Raises ValueError for an unknown name.
     """
     points = np.asarray(points_left_m, dtype=np.float64).reshape(-1, 3)
     covariance = known_covariance(rig)
@@ -61,7 +61,7 @@ def calibration_jacobian(points_left_m: ArrayLike, rig: Rig) -> Array:
 def calibration_cov(points_left_m: ArrayLike, rig: Rig) -> Array:
     """Covariance (P, 3, 3) in m^2 of two-view points (P, 3) in the left camera's frame from the calibration alone.
 
-    Zero where the calibration came without a covariance: then it is taken as exact.
+    Zero for a calibration without a covariance, which counts as exact.
     """
     return shared_cov(calibration_jacobian(points_left_m, rig), rig)
 
@@ -80,15 +80,15 @@ def _column(name: str, left: Array, right: Array, relative: Array) -> Array:
     """(P, 4) derivative of u_left, v_left, u_right, v_right with respect to one named parameter."""
     column = np.zeros((len(left), 4))
     part, _, field = name.partition(".")
-    if part == "relative" and field in _RELATIVE:
-        column[:, 2:] = relative[:, :, _RELATIVE.index(field)]
+    if part == "relative" and field in RELATIVE:
+        column[:, 2:] = relative[:, :, RELATIVE.index(field)]
         return column
     interior, rows = (left, slice(0, 2)) if part == "left" else (right, slice(2, 4))
-    if part in ("left", "right") and field in _INTERIOR:
-        column[:, rows] = interior[:, :, _INTERIOR.index(field)]
+    if part in ("left", "right") and field in INTERIOR:
+        column[:, rows] = interior[:, :, INTERIOR.index(field)]
         return column
     number = field.removeprefix("lens.")
     if part in ("left", "right") and field != number and number.isdigit() and 4 + int(number) < interior.shape[2]:
         column[:, rows] = interior[:, :, 4 + int(number)]
         return column
-    raise ValueError(f"'{name}' is no parameter of this rig's calibration")
+    raise ValueError(f"'{name}' is not a parameter of this rig's calibration")

@@ -36,37 +36,22 @@ def kitti_rig(
 
     cam_to_cam needs `S_rect_0i` (2), `P_rect_0i` (12) of both cameras and `R_rect_00` (9); the other two need `R` (9) and `T`
     (3), metres. With both of them the body is the IMU (x forward, y left, z up); without, it is the left camera.
-    Raises ValueError, naming the key, for a matrix that is not what it should be.
+    Raises ValueError, naming the key, for an invalid matrix.
     """
     cameras, rect_SE3_camera = [], []
     for number in (left, right):
         key = f"P_rect_{number:02d}"
         p = np.asarray(cam_to_cam[key], dtype=np.float64).reshape(3, 4)
-        k = p[:, :3]
-        if not (np.allclose(k[2], [0.0, 0.0, 1.0]) and abs(k[0, 1]) < 1e-6 and abs(k[1, 0]) < 1e-6):
-            raise ValueError(f"{key}: the left 3x3 block must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
-        if k[0, 0] <= 0 or k[1, 1] <= 0:
-            raise ValueError(f"{key}: focal lengths must be positive, found {k[0, 0]:g} and {k[1, 1]:g}")
-        size = np.asarray(cam_to_cam[f"S_rect_{number:02d}"], dtype=np.float64)
-        if not np.all((size >= 1) & (size == np.round(size))):
-            raise ValueError(f"S_rect_{number:02d}: width and height must be whole numbers of pixels, found {size}")
-        width, height = int(size[0]), int(size[1])
-        fx, fy, cx, cy = (float(k[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2)))
-        cameras.append(Camera(width_px=width, height_px=height, fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy))
-        rect_SE3_camera.append(se3.se3(np.eye(3), -np.linalg.solve(k, p[:, 3])))
+        cameras.append(_camera(key, p[:, :3], cam_to_cam, f"S_rect_{number:02d}", Lens()))
+        rect_SE3_camera.append(se3.se3(np.eye(3), -np.linalg.solve(p[:, :3], p[:, 3])))
     check_rectified_baseline(se3.compose(se3.invert(rect_SE3_camera[0]), rect_SE3_camera[1]))
-    if velo_to_cam is None or imu_to_velo is None:
+    cam0_SE3_body = _cam0_SE3_body(velo_to_cam, imu_to_velo)
+    if cam0_SE3_body is None:
         body_SE3_rect = se3.invert(rect_SE3_camera[0])
     else:
         rect_SE3_cam0 = se3.se3(_rotation(cam_to_cam["R_rect_00"], "R_rect_00"), np.zeros(3))
-        cam0_SE3_velo = _rigid(velo_to_cam, "calib_velo_to_cam")
-        velo_SE3_imu = _rigid(imu_to_velo, "calib_imu_to_velo")
-        body_SE3_rect = se3.invert(se3.compose(rect_SE3_cam0, se3.compose(cam0_SE3_velo, velo_SE3_imu)))
-    return Rig(
-        rig_id=rig_id, left=cameras[0], right=cameras[1], sigma_px=sigma_px,
-        body_SE3_left=se3.to_matrix4(se3.compose(body_SE3_rect, rect_SE3_camera[0])),
-        body_SE3_right=se3.to_matrix4(se3.compose(body_SE3_rect, rect_SE3_camera[1])),
-    )  # fmt: skip
+        body_SE3_rect = se3.invert(se3.compose(rect_SE3_cam0, cam0_SE3_body))
+    return _rig(rig_id, cameras, [se3.compose(body_SE3_rect, pose) for pose in rect_SE3_camera], sigma_px)
 
 
 def kitti_raw_rig(
@@ -86,36 +71,47 @@ def kitti_raw_rig(
     """
     cameras, cam0_SE3_camera = [], []
     for number in (left, right):
-        k = np.asarray(cam_to_cam[f"K_{number:02d}"], dtype=np.float64).reshape(3, 3)
         key = f"K_{number:02d}"
-        if not (np.allclose(k[2], [0.0, 0.0, 1.0]) and abs(k[0, 1]) < 1e-6 and abs(k[1, 0]) < 1e-6):
-            raise ValueError(f"{key}: must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
-        if k[0, 0] <= 0 or k[1, 1] <= 0:
-            raise ValueError(f"{key}: focal lengths must be positive, found {k[0, 0]:g} and {k[1, 1]:g}")
-        size = np.asarray(cam_to_cam[f"S_{number:02d}"], dtype=np.float64)
-        if not np.all((size >= 1) & (size == np.round(size))):
-            raise ValueError(f"S_{number:02d}: width and height must be whole numbers of pixels, found {size}")
         d = [float(c) for c in cam_to_cam[f"D_{number:02d}"]]
         lens = Lens(model="brown", coefficients=tuple(d)) if any(d) else Lens()
-        fx, fy, cx, cy = (float(k[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2)))
-        cameras.append(
-            Camera(width_px=int(size[0]), height_px=int(size[1]), fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy, lens=lens)
-        )
+        cameras.append(_camera(key, np.reshape(cam_to_cam[key], (3, 3)), cam_to_cam, f"S_{number:02d}", lens))
         camera_R_cam0 = _rotation(cam_to_cam[f"R_{number:02d}"], f"R_{number:02d}")
         cam0_SE3_camera.append(se3.invert(se3.se3(camera_R_cam0, cam_to_cam[f"T_{number:02d}"])))
     try:
         check_stereo_baseline(se3.compose(se3.invert(cam0_SE3_camera[0]), cam0_SE3_camera[1]))
     except ValueError as error:
         raise ValueError(f"T_{left:02d}, T_{right:02d}: {error}") from error
+    cam0_SE3_body = _cam0_SE3_body(velo_to_cam, imu_to_velo)
+    body_SE3_cam0 = se3.invert(cam0_SE3_camera[0] if cam0_SE3_body is None else cam0_SE3_body)
+    return _rig(rig_id, cameras, [se3.compose(body_SE3_cam0, pose) for pose in cam0_SE3_camera], sigma_px)
+
+
+def _camera(key: str, k: Array, cam_to_cam: Mapping[str, Array], size_key: str, lens: Lens) -> Camera:
+    """Camera of a matrix K (3, 3) and an image size, with the keys that they stand under."""
+    if not (np.allclose(k[2], [0.0, 0.0, 1.0]) and abs(k[0, 1]) < 1e-6 and abs(k[1, 0]) < 1e-6):
+        raise ValueError(f"{key}: the left 3x3 block must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
+    if k[0, 0] <= 0 or k[1, 1] <= 0:
+        raise ValueError(f"{key}: focal lengths must be positive, found {k[0, 0]:g} and {k[1, 1]:g}")
+    size = np.asarray(cam_to_cam[size_key], dtype=np.float64)
+    if not np.all((size >= 1) & (size == np.round(size))):
+        raise ValueError(f"{size_key}: width and height must be whole numbers of pixels, found {size}")
+    fx, fy, cx, cy = (float(k[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    return Camera(
+        width_px=int(size[0]), height_px=int(size[1]), fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy, lens=lens
+    )  # fmt: skip
+
+
+def _cam0_SE3_body(velo_to_cam: Mapping[str, Array] | None, imu_to_velo: Mapping[str, Array] | None) -> Array | None:
+    """(4, 4) pose of the IMU in camera 0; None where one of the two files is missing."""
     if velo_to_cam is None or imu_to_velo is None:
-        body_SE3_cam0 = se3.invert(cam0_SE3_camera[0])
-    else:
-        cam0_SE3_velo = _rigid(velo_to_cam, "calib_velo_to_cam")
-        body_SE3_cam0 = se3.invert(se3.compose(cam0_SE3_velo, _rigid(imu_to_velo, "calib_imu_to_velo")))
+        return None
+    return se3.compose(_rigid(velo_to_cam, "calib_velo_to_cam"), _rigid(imu_to_velo, "calib_imu_to_velo"))
+
+
+def _rig(rig_id: str, cameras: list[Camera], body_SE3_camera: list[Array], sigma_px: float) -> Rig:
     return Rig(
         rig_id=rig_id, left=cameras[0], right=cameras[1], sigma_px=sigma_px,
-        body_SE3_left=se3.to_matrix4(se3.compose(body_SE3_cam0, cam0_SE3_camera[0])),
-        body_SE3_right=se3.to_matrix4(se3.compose(body_SE3_cam0, cam0_SE3_camera[1])),
+        body_SE3_left=se3.to_matrix4(body_SE3_camera[0]), body_SE3_right=se3.to_matrix4(body_SE3_camera[1]),
     )  # fmt: skip
 
 

@@ -1,41 +1,38 @@
-"""How far the right camera of a rig departs from its calibration, from points that stand still while the rig drives.
+"""Deviation of the right camera of a rig from its calibration, from static points that the rig passes.
 
-A small bundle adjustment with additional parameters (e.g. Luhmann et al. 2013, "Close-range photogrammetry", ch. 4.4): over
-spans of a few metres, points seen by both cameras at both ends must fit one rigid motion. Unknown are the points, one motion a
-span and, common to the drive, one rotation of the right camera and one bend of its columns. Turned to the side (ry) the camera
-shifts all disparities, which points at many depths show once the rig has moved; turned up or down (rx) and about its axis (rz) it
-shifts and tilts rows. The bend shifts columns as x squared: what a principal point that is off, or the decentring of a lens,
-leaves over once a calibration has put it down as a turn. Without it the turn would be a compromise between the middle and the
-sides of the image. Rows would tell ry too, by their shift in the corners (as x y), much more sharply than motion does, but
-only if nothing else shifted them: a parameter of rows alone takes that part away. Where disparities are off by yet another
-field, `model_gap` shows it: what would change if they might also follow the next even Legendre polynomial, the fourth.
-Points and motions are eliminated (Schur complement); what errors of one span have in common is taken from the scatter between
-spans (covariance of M-estimates with clusters: Huber 1981, ch. 6; Liang & Zeger 1986; neighbours: Newey & West 1987).
+A small bundle adjustment with additional parameters (e.g. Luhmann et al. 2013, "Close-range photogrammetry", ch. 4.4): over spans
+of a few metres, points seen by both cameras at both ends must fit one rigid motion. Unknown are the points, one motion per span
+and, common to the drive, one rotation of the right camera, one bend of its columns and one skew of its rows. A turn to the side
+(ry) shifts all disparities, which points at many depths show once the rig has moved; turns up (rx) and about the axis (rz) shift
+and tilt rows. The bend shifts columns as x squared: the effect of a wrong principal point or of decentring that a
+calibration has modelled as a turn. Rows would determine ry more sharply by their shift in the corners (as x y), but only without
+other row errors: the skew absorbs that part. `model_gap` is the change of the result if disparities may also follow the next even
+Legendre polynomial, the fourth. Points and motions are eliminated (Schur complement); the covariance is taken from the scatter
+between spans (M-estimates with clusters: Huber 1981, ch. 6; Liang & Zeger 1986; neighbours: Newey & West 1987).
 
 The rotation r = (rx, ry, rz) in radians perturbs left_SE3_right = (R, t) as (R exp([r]x), t), as in `CalibrationCovariance`. The
 bend b adds b x^2 to the column, in units of the focal length. A turn moves columns by -ry (1 + x^2), so turn and bend together
-are a camera turned by (rx, ry - b, rz) whose principal point lies b focal lengths further to the left (`corrected`).
+are a camera turned by (rx, ry - b, rz) whose principal point is b focal lengths further to the left (`corrected`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from conetl.geometry.medians import median
 from conetl.geometry.motion.stereo_motion import (
     MotionLimits,
     MotionStatus,
     StereoCameras,
     estimate_motion,
-    inverse_of_symmetric,
     triangulate,
 )
-from conetl.geometry.projection import cross_matrix
+from conetl.geometry.small_arrays import cross_matrix, inverse_of_symmetric, median
 
 Floats = NDArray[np.float64]
 
@@ -52,7 +49,7 @@ _MEDIAN_SCORE2 = 0.8703
 _NEAREST_M = 0.3
 #: The last step, squared and in sigmas, must be smaller than this.
 _CONVERGED = 0.01
-#: Neighbouring spans see much of the same scenery: their errors go together over this many spans (Newey & West 1987).
+#: Neighbouring spans see the same scenery: their errors are correlated over this many spans (Newey & West 1987).
 _LAGS = 3
 
 
@@ -67,19 +64,19 @@ class SpanPoints:
     sigma_px: Floats
     """(N,) of each coordinate."""
     last_SE3_first: Floats
-    """(4, 4) about how the left camera moved, as in `estimate_motion`."""
+    """(4, 4) approximate motion of the left camera, as in `estimate_motion`."""
 
 
 @dataclass(frozen=True)
 class RightCameraError:
-    """What the spans say, without any prior."""
+    """Estimate from the spans, without any prior."""
 
     turn_and_bend: Floats
     """(4,) rx, ry, rz in radians and the bend in focal lengths."""
     cov: Floats
     """(4, 4), from the scatter between spans."""
     model_gap: Floats
-    """(4,): by how much they would be others if disparities might also follow a fourth-order field."""
+    """(4,): change of the estimate if disparities may also follow a fourth-order field."""
     point_count: int
 
 
@@ -93,7 +90,7 @@ def corrected(cameras: StereoCameras, turn_and_bend: Floats) -> StereoCameras:
 
 
 def as_camera(turn_and_bend: Floats, focal_px: float) -> tuple[Floats, float]:
-    """Rotation vector (3,) of the camera and shift of its principal point in columns, px, that (4,) turn and bend amount to."""
+    """Rotation vector (3,) of the camera and shift of its principal point in columns, px, equivalent to (4,) turn and bend."""
     rx, ry, rz, bend = turn_and_bend
     return np.array([rx, ry - bend, rz]), float(-focal_px * bend)
 
@@ -101,27 +98,22 @@ def as_camera(turn_and_bend: Floats, focal_px: float) -> tuple[Floats, float]:
 def estimate_right_camera(
     cameras: StereoCameras, spans: Sequence[SpanPoints], limits: MotionLimits, min_spans: int
 ) -> RightCameraError | None:
-    """Turn and bend of the right camera that make the points of all spans stand still; None where the spans cannot tell.
+    """Turn and bend of the right camera under which the points of all spans are static; None where they are not determined.
 
-    min_spans: with fewer usable spans there is no scatter to speak of. Points on moving objects are outvoted within each span.
+    min_spans: fewer usable spans give no scatter. Points on moving objects are outvoted within each span.
     """
     state = np.zeros(_SHARED)
     starts: list[Floats | None] = [None] * len(spans)
     for _ in range(_OUTER):
         own = corrected(cameras, state[:_SKEW])
         chosen = [_still(own, span, limits, seed, starts[seed]) for seed, span in enumerate(spans)]
-        starts = [None if c is None else c[1] for c in chosen]
+        starts = [None if c is None else c.last_SE3_first for c in chosen]
         used = [c for c in chosen if c is not None]
         if len(used) < min_spans:
             return None
+        joint = _joined(own, used)
         for _ in range(_INNER):
-            reduced = []
-            own = corrected(cameras, state[:_SKEW])
-            for k, (span, *held) in enumerate(used):
-                parts, pose, points = _step_span(own, state[_SKEW], span, *held)
-                used[k] = (span, pose, points)
-                reduced.append(parts)
-            normals, scores = np.array([p[0] for p in reduced]), np.array([p[1] for p in reduced])
+            normals, scores, joint = _step_spans(corrected(cameras, state[:_SKEW]), state[_SKEW], joint)
             solved = _combine(normals, scores)
             if solved is None:
                 return None
@@ -131,65 +123,95 @@ def estimate_right_camera(
                 break
         else:
             return None
-    count = sum(len(span.first_px) for span, _, _ in used)
-    return RightCameraError(state[:_SKEW], cov[:_SKEW, :_SKEW], gap[:_SKEW], count)
+    return RightCameraError(state[:_SKEW], cov[:_SKEW, :_SKEW], gap[:_SKEW], len(joint.points))
+
+
+@dataclass(frozen=True)
+class _JointSpans:
+    """S spans with N points in all, those of one span after those of the other."""
+
+    seen_px: Floats
+    """(N, 8): u_left, v_left, u_right, v_right at the beginning of a span, then at its end."""
+    sigma_px: Floats
+    """(N,)"""
+    parts: tuple[slice, ...]
+    """(S,): the points of each span."""
+    poses: Floats
+    """(S, 4, 4): last_SE3_first."""
+    points: Floats
+    """(N, 3) m in the left camera's frame at the beginning of the span."""
+
+
+def _joined(cameras: StereoCameras, spans: Sequence[SpanPoints]) -> _JointSpans:
+    ends = np.cumsum([0, *(len(span.first_px) for span in spans)])
+    return _JointSpans(
+        np.concatenate([np.hstack([span.first_px, span.last_px]) for span in spans]),
+        np.concatenate([span.sigma_px for span in spans]),
+        tuple(slice(start, end) for start, end in pairwise(ends.tolist())),
+        np.array([span.last_SE3_first for span in spans]),
+        triangulate(cameras, np.concatenate([span.first_px[:, :3] for span in spans]))[0],
+    )
 
 
 def _still(
     cameras: StereoCameras, span: SpanPoints, limits: MotionLimits, seed: int, start: Floats | None
-) -> tuple[SpanPoints, Floats, Floats] | None:
-    """The points of a span that one motion explains, that motion, and where they are; None where there are too few."""
+) -> SpanPoints | None:
+    """The points of a span that one motion explains, and that motion; None where there are too few."""
     motion = estimate_motion(
         cameras, span.first_px[:, :3], span.last_px[:, :3], span.sigma_px, span.last_SE3_first, limits, seed, start
     )
     if motion.status is not MotionStatus.OK:
         return None
     keep = motion.inliers
-    kept = SpanPoints(span.first_px[keep], span.last_px[keep], span.sigma_px[keep], motion.next_SE3_first)
-    return kept, motion.next_SE3_first, triangulate(cameras, kept.first_px[:, :3])[0]
+    return SpanPoints(span.first_px[keep], span.last_px[keep], span.sigma_px[keep], motion.next_SE3_first)
 
 
-def _step_span(
-    cameras: StereoCameras, skew: float, span: SpanPoints, pose: Floats, points: Floats
-) -> tuple[tuple[Floats, Floats], Floats, Floats]:
-    """One Gauss-Newton step of a span, shared unknowns held: their reduced normal (6, 6) and score (6,), motion and points."""
+def _step_spans(cameras: StereoCameras, skew: float, spans: _JointSpans) -> tuple[Floats, Floats, _JointSpans]:
+    """One Gauss-Newton step of each span, shared unknowns held: reduced normals (S, 6, 6), scores (S, 6), the spans after it."""
+    points, parts, sigma_px = spans.points, spans.parts, spans.sigma_px[:, None]
+    rotations = [pose[:3, :3] for pose in spans.poses]
     first, d_first, r_first = _image(cameras, skew, points)
-    moved = points @ pose[:3, :3].T
-    last, d_last, r_last = _image(cameras, skew, moved + pose[:3, 3])
-    residual = np.hstack([span.first_px - first, span.last_px - last]) / span.sigma_px[:, None]
-    by_point = np.concatenate([d_first, d_last @ pose[:3, :3]], axis=1)
+    moved = np.concatenate([points[part] @ turn.T for part, turn in zip(parts, rotations, strict=True)])
+    shift = np.repeat(spans.poses[:, :3, 3], [part.stop - part.start for part in parts], axis=0)
+    last, d_last, r_last = _image(cameras, skew, moved + shift)
+    residual = (spans.seen_px - np.hstack([first, last])) / sigma_px
+    turned = np.concatenate([d_last[part] @ turn for part, turn in zip(parts, rotations, strict=True)])
+    by_point = np.concatenate([d_first, turned], axis=1) / sigma_px[:, :, None]
     shared = np.zeros((len(points), 8, 6 + _TRIED))
     shared[:, 4:, :3] = -(d_last @ cross_matrix(moved))
     shared[:, 4:, 3:6] = d_last
     shared[:, :4, 6:], shared[:, 4:, 6:] = r_first, r_last
-    by_point, shared = by_point / span.sigma_px[:, None, None], shared / span.sigma_px[:, None, None]
+    shared /= sigma_px[:, :, None]
     normals = np.swapaxes(by_point, 1, 2) @ by_point
     inverses = inverse_of_symmetric(np.ascontiguousarray(normals.transpose(1, 2, 0))).transpose(2, 0, 1)
     own = inverses @ np.swapaxes(by_point, 1, 2)  # (N, 3, 8)
-    # Residuals and what all share, less the part that each point takes up by moving.
+    # Residuals and shared derivatives, less the part that each point absorbs.
     free = np.concatenate([shared, residual[:, :, None]], axis=2)
     free -= by_point @ (own @ free)
     rest = free[:, :, -1]
     misfit = np.einsum("ni,ni->n", rest, rest) / _FREEDOM
-    factor = max(median(misfit) / _MEDIAN_CHI2, 1e-6)
-    weight = 1 / (1 + misfit / factor / _CAUCHY_SIGMAS**2) / factor
-    columns = free.reshape(-1, free.shape[2])
-    products = columns[:, :-1].T @ (columns * np.repeat(weight, free.shape[1])[:, None])
-    normal, score = products[:, :-1], products[:, -1]
-    inverse = np.linalg.pinv(normal[:6, :6], hermitian=True)
-    gain = normal[6:, :6] @ inverse
-    motion_step = inverse @ score[:6]
-    point_step = np.einsum("nij,nj->ni", own, residual - shared[:, :, :6] @ motion_step)
-    new_pose = pose.copy()
-    new_pose[:3, :3] = Rotation.from_rotvec(motion_step[:3]).as_matrix() @ pose[:3, :3]
-    new_pose[:3, 3] += motion_step[3:]
-    new_points = points + point_step
+    products = np.empty((len(parts), 6 + _TRIED, 7 + _TRIED))
+    for k, part in enumerate(parts):
+        factor = max(median(misfit[part]) / _MEDIAN_CHI2, 1e-6)
+        weight = 1 / (1 + misfit[part] / factor / _CAUCHY_SIGMAS**2) / factor
+        columns = free[part].reshape(-1, free.shape[2])
+        products[k] = columns[:, :-1].T @ (columns * np.repeat(weight, free.shape[1])[:, None])
+    normal, score = products[:, :, :-1], products[:, :, -1:]
+    inverse = np.linalg.pinv(normal[:, :6, :6], hermitian=True)
+    gain = normal[:, 6:, :6] @ inverse
+    steps = (inverse @ score[:, :6])[:, :, 0]
+    by_motion = [shared[part, :, :6] @ step for part, step in zip(parts, steps, strict=True)]
+    new_points = points + np.einsum("nij,nj->ni", own, residual - np.concatenate(by_motion))
     new_points[:, 2] = np.maximum(new_points[:, 2], 2 * _NEAREST_M)  # a point may not pass through the camera
-    return (normal[6:, 6:] - gain @ normal[:6, 6:], score[6:] - gain @ score[:6]), new_pose, new_points
+    poses = spans.poses.copy()
+    poses[:, :3, :3] = Rotation.from_rotvec(steps[:, :3]).as_matrix() @ poses[:, :3, :3]
+    poses[:, :3, 3] += steps[:, 3:]
+    reduced, left = normal[:, 6:, 6:] - gain @ normal[:, :6, 6:], score[:, 6:] - gain @ score[:, :6]
+    return reduced, left[:, :, 0], replace(spans, poses=poses, points=new_points)
 
 
 def _image(cameras: StereoCameras, skew: float, points: Floats) -> tuple[Floats, Floats, Floats]:
-    """Image points (N, 4) of points (N, 3), derivatives (N, 4, 3) by the point, (N, 4, 6) by what all share."""
+    """Image points (N, 4) of points (N, 3), derivatives (N, 4, 3) by the point, (N, 4, 6) by the shared unknowns."""
     turn = cameras.right_SE3_left[:3, :3]
     right = points @ turn.T + cameras.right_SE3_left[:3, 3]
     left_uv, left_d = _pinhole(cameras.left_px, points)
@@ -218,7 +240,7 @@ def _pinhole(intrinsics: Floats, points: Floats) -> tuple[Floats, Floats]:
 def _combine(all_normals: Floats, all_scores: Floats) -> tuple[Floats, Floats, Floats] | None:
     """Robust step (5,), its covariance (5, 5) and the model's gap (5,)."""
     normals, scores = all_normals[:, :_SHARED, :_SHARED], all_scores[:, :_SHARED]
-    weight = np.ones(len(normals))
+    weight, inverses = np.ones(len(normals)), np.linalg.pinv(normals, hermitian=True)
     for _ in range(10):
         normal = np.einsum("s,sij->ij", weight, normals)
         if np.linalg.cond(normal / np.sqrt(np.outer(np.diag(normal), np.diag(normal)) + 1e-300)) > 1e8:
@@ -226,8 +248,8 @@ def _combine(all_normals: Floats, all_scores: Floats) -> tuple[Floats, Floats, F
         inverse = np.linalg.inv(normal)
         step = inverse @ np.einsum("s,si->i", weight, scores)
         rest = scores - normals @ step
-        # A span's score is as uncertain as its information says, times what spans scatter more than that.
-        score2 = np.einsum("si,sij,sj->s", rest, np.linalg.pinv(normals, hermitian=True), rest) / _SHARED
+        # Covariance of a span's score: its information times the excess scatter between spans.
+        score2 = np.einsum("si,sij,sj->s", rest, inverses, rest) / _SHARED
         spread = max(float(np.median(score2)) / _MEDIAN_SCORE2, 1e-12)
         weight = np.minimum(1.0, _HUBER_SIGMAS / np.sqrt(score2 / spread + 1e-300))
     weighted = weight[:, None] * rest
@@ -236,7 +258,7 @@ def _combine(all_normals: Floats, all_scores: Floats) -> tuple[Floats, Floats, F
     for lag in range(1, min(_LAGS, count - 1) + 1):
         along = weighted[lag:].T @ weighted[:-lag]
         middle += (1 - lag / (_LAGS + 1)) * (along + along.T)
-    # Few spans make this a vague estimate, never a small one: at least what spans would say that know nothing of each other.
+    # With few spans this is uncertain: take at least the covariance of independent spans.
     values, vectors = np.linalg.eigh(inverse @ middle @ inverse * count / max(count - _SHARED, 1))
     alone = inverse @ (weighted.T @ weighted) @ inverse * count / max(count - _SHARED, 1)
     least = np.einsum("ij,ik,kj->j", vectors, alone, vectors)

@@ -1,13 +1,10 @@
 """Errors of a calibration that several drives share, and how they move what the drives measured.
 
-A calibration is wrong by L z: z are independent errors of one sigma each, drawn once when the rig was calibrated, L L^T is the
-stated covariance. A place that was found with it is off by A z, A = J L being its shared_jacobian (metres), J from
-`calibration_covariance.calibration_jacobian`. So two places with the shared_jacobian A and B have the covariance A B^T in
-common, whatever drives they are from, as long as z means the same in both. Therefore L belongs to the calibration as it was
-given, and is the symmetric square root of its correlations, times the sigmas: there is one only, in whatever order the
-parameters stand.
-
-SharedErrorJacobian are kept as float32 (`records.SharedErrorJacobian`): 3 x K of them go with every version of every cone.
+A calibration is wrong by L z: z are independent errors of one sigma each, L L^T is the stated covariance. A position that was
+found with it is wrong by A z with the shared-error Jacobian A = J L (metres), J from `covariance.calibration_jacobian`; two
+positions with Jacobians A and B have the covariance A B^T in common, of whatever drives. L is the symmetric square root of the
+correlations times the sigmas, which does not depend on the order of parameters. Stored as float32 (`SharedErrorJacobian`): 3 x K
+numbers for every version of every cone.
 """
 
 from __future__ import annotations
@@ -32,16 +29,16 @@ _DECIMALS = 9
 
 
 def calibration_id(rig: Rig) -> UUID:
-    """Which calibration this is: two rigs with the same cameras, relative pose and covariance, to all digits, have the same one.
+    """Id of a calibration: equal for rigs with the same cameras, relative pose and covariance, to all digits.
 
-    Names of rigs and where they sit on the body do not count: neither is among what the covariance is about.
+    Names of rigs and their pose on the body do not count.
     """
     taken = rig.rectified_from or rig
     covariance = known_covariance(rig)
     content = [
         taken.left.model_dump(mode="json"),
         taken.right.model_dump(mode="json"),
-        # + 0: no negative zeros
+        # + 0 removes negative zeros
         (np.round(rigs.left_SE3_right(taken), _DECIMALS) + 0.0).tolist(),
         None if covariance is None else [covariance.names, covariance.matrix],
     ]
@@ -49,7 +46,7 @@ def calibration_id(rig: Rig) -> UUID:
 
 
 def shared_errors(rig: Rig) -> SharedErrors | None:
-    """Which errors of the rig's calibration are common to the drives that were given it; None where no covariance is known."""
+    """Errors of the rig's calibration that its drives share; None without a covariance."""
     covariance = known_covariance(rig)
     if covariance is None or covariance.shared is not None:
         return covariance.shared if covariance else None
@@ -57,7 +54,7 @@ def shared_errors(rig: Rig) -> SharedErrors | None:
 
 
 def square_root(covariance: ArrayLike) -> Array:
-    """(K, K) -> (K, R): L with L L^T = covariance, a column for each parameter that is uncertain at all.
+    """(K, K) -> (K, R): L with L L^T = covariance, a column for each uncertain parameter.
 
     Sigmas times the symmetric square root of the correlations: units differ by many powers of ten.
     """
@@ -65,7 +62,7 @@ def square_root(covariance: ArrayLike) -> Array:
     sigmas = np.sqrt(np.diag(matrix))
     kept = sigmas > 0
     values, vectors = np.linalg.eigh(matrix[np.ix_(kept, kept)] / np.outer(sigmas[kept], sigmas[kept]))
-    # What rounding, or a covariance that was written down with few digits, put below zero.
+    # Rounding, or a covariance with few digits, may give negative eigenvalues.
     root = vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
     result = np.zeros((len(matrix), int(kept.sum())))
     result[kept] = sigmas[kept, None] * root
@@ -78,8 +75,7 @@ def as_rows(matrix: Array) -> tuple[tuple[float, ...], ...]:
 
 
 def jacobian_of(jacobian: Array, rig: Rig) -> SharedErrorJacobian | None:
-    """SharedErrorJacobian of a place by its derivative (3, N) by the parameters of `known_covariance`; None where no covariance
-    is known."""
+    """Shared-error Jacobian of a position from its derivative (3, N) by the parameters of `known_covariance`, if any."""
     shared = shared_errors(rig)
     if shared is None:
         return None
@@ -90,9 +86,9 @@ def jacobian_of(jacobian: Array, rig: Rig) -> SharedErrorJacobian | None:
 def pack_all(
     calibrations: tuple[UUID, ...], moved_m: Array, *, most: int | None = None
 ) -> list[SharedErrorJacobian | None]:
-    """(N, C, 3, K) metres -> N records, rounded to what is kept; None without any.
+    """(N, C, 3, K) metres -> N records, rounded as stored; None for empty ones.
 
-    calibrations: C, in rising order. most: so many at most, those that move a place most.
+    calibrations: C, in ascending order. most: keep at most this many, those of the largest effect.
     """
     count, number = moved_m.shape[:2]
     if moved_m[:1].size == 0:
@@ -109,9 +105,9 @@ def pack_all(
 
 
 def unpack_all(calibrations: tuple[UUID, ...], shared_jacobian: Sequence[SharedErrorJacobian | None]) -> Array:
-    """N records, all without shared_jacobian or all with those of the same calibrations -> (N, C, 3, K) metres.
+    """N records, all None or all of the same calibrations -> (N, C, 3, K) metres.
 
-    calibrations: the C of the result, among which theirs are; 0 for the others.
+    calibrations: the C of the result, which include theirs; 0 for the others.
     """
     first = next((one for one in shared_jacobian if one is not None), None)
     if first is None:

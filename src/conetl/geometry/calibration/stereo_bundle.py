@@ -1,9 +1,8 @@
 """Bundle adjustment of a two-camera rig over views of one board.
 
-Unknowns are the interior orientation and lens of both cameras, the pose of the right camera in the left one, optionally the
-shape of the board, and one board pose a pair. A pair that only one camera sees still counts for that camera. Least squares by
-Levenberg-Marquardt; the board poses are eliminated pair by pair (Schur complement; Brown 1958, Triggs et al. 2000), so
-the system that is solved has only the common ("global") unknowns. Lengths are metres, image points pixels, angles radians.
+Unknowns are the interior orientation and lens of both cameras, the pose of the right camera in the left one, optionally the shape
+of the board, and one board pose per pair; a pair that only one camera sees counts for that camera. Levenberg-Marquardt; board
+poses are eliminated pair by pair (Schur complement; Brown 1958, Triggs et al. 2000). Metres, pixels, radians.
 """
 
 from __future__ import annotations
@@ -18,17 +17,20 @@ from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
 from conetl.geometry.calibration.board_views import BoardView
-from conetl.geometry.lens import distort, distort_jacobian
+from conetl.geometry.calibration.covariance import INTERIOR, RELATIVE
+from conetl.geometry.camera import project
+from conetl.geometry.jacobians import project_with_jacobian
+from conetl.geometry.small_arrays import cross_matrix
 from conetl.model.records import LENS_COEFFICIENTS, Camera, Lens, LensModel, Side
 
 Array = NDArray[np.float64]
+#: Sides in the order of the unknowns.
+SIDES: tuple[Side, Side] = ("left", "right")
 
-#: What is known of a free board beforehand, as a share of its diagonal: paper and plates buckle, but are printed well. Without it
-#: a board that is always held upright could not tell its own aspect ratio from that of the pixels.
+#: Prior sigmas of a free board's shape, as a share of its diagonal: paper and plates buckle, but are printed well. Without them
+#: the aspect ratios of a board that is always upright and of the pixels could not be separated.
 SHAPE_SIGMA_ACROSS = 0.001
 SHAPE_SIGMA_OUT_OF_PLANE = 0.01
-_INTERIOR = 4
-_RELATIVE = 6
 #: A step that changes the sum of squares by less than this share ends the iteration.
 _CONVERGENCE = 1e-9
 _LIGHT = 1e-3
@@ -54,7 +56,7 @@ class Bundle:
     basis: Array
     shape: Array
     sigma_px: float = 0.1
-    """Of one image coordinate: what the knowledge about the board's shape is weighed against."""
+    """Of one image coordinate: the weight of the prior of the board's shape is relative to it."""
 
     @property
     def lens_model(self) -> LensModel:
@@ -63,7 +65,7 @@ class Bundle:
     @property
     def rig_parameters(self) -> int:
         """Number of unknowns of the rig; the board's shape follows them in the global system."""
-        return 2 * (_INTERIOR + LENS_COEFFICIENTS[self.lens_model]) + _RELATIVE
+        return 2 * (len(INTERIOR) + LENS_COEFFICIENTS[self.lens_model]) + len(RELATIVE)
 
     def board_points_m(self) -> Array:
         """(n, 3) points of the board with its deformation."""
@@ -87,7 +89,7 @@ class Reduced:
     normals: Array
     gradients: Array
     prior: Array
-    """(g, g) normal matrix of what is known of the board's shape beforehand."""
+    """(g, g) normal matrix of the prior of the board's shape."""
 
     @property
     def normal(self) -> Array:
@@ -97,12 +99,8 @@ class Reduced:
 
 def parameter_names(model: LensModel) -> tuple[str, ...]:
     """Names of the rig's unknowns in the order of the adjustment, those of `CalibrationCovariance`."""
-    own = ("fx_px", "fy_px", "cx_px", "cy_px", *(f"lens.{i}" for i in range(LENS_COEFFICIENTS[model])))
-    relative = ("rx_rad", "ry_rad", "rz_rad", "tx_m", "ty_m", "tz_m")
-    return (
-        *(f"{side}.{name}" for side in ("left", "right") for name in own),
-        *(f"relative.{name}" for name in relative),
-    )
+    own = (*INTERIOR, *(f"lens.{i}" for i in range(LENS_COEFFICIENTS[model])))
+    return (*(f"{side}.{name}" for side in SIDES for name in own), *(f"relative.{name}" for name in RELATIVE))
 
 
 def residuals_px(bundle: Bundle, view: BoardView) -> Array:
@@ -112,7 +110,9 @@ def residuals_px(bundle: Bundle, view: BoardView) -> Array:
     in_camera = se3.apply(bundle.board_SE3[view.pair_index], points)
     if view.side == "right":
         in_camera = se3.apply(se3.invert(bundle.left_SE3_right), in_camera)
-    return np.asarray(view.uv_px - _image_points(camera, in_camera))
+    if not np.all(in_camera[:, 2] > 0):
+        raise BundleError("a corner of the board lies behind the camera")
+    return np.asarray(view.uv_px - project(camera, in_camera))
 
 
 def adjust(
@@ -139,10 +139,10 @@ def adjust(
                 break
             damping *= 10.0
             if damping > 1e10:
-                return bundle  # no direction leads down: this is the minimum within rounding
+                return bundle  # no step reduces the cost: the minimum within rounding
         gain = best - cost
         if gain < _CONVERGENCE * best and damping > _LIGHT:
-            # a heavily damped step is short anywhere: it is the minimum only if the full step finds no more either
+            # a heavily damped step is always short: converged only if the full step gains nothing either
             full = _stepped(bundle, systems, prior, 0.0)
             gain = max(gain, best - _cost_or_inf(full, prior, by_pair))
             damping = _LIGHT
@@ -162,7 +162,7 @@ def reduce(bundle: Bundle, views: Sequence[BoardView]) -> Reduced:
         system = pair_system(bundle, by_pair[pair])
         a, b, r = system.by_global, system.by_pose, system.residuals_px
         inner = np.linalg.solve(b.T @ b, np.column_stack([b.T @ a, b.T @ r]))
-        free = np.column_stack([a, r]) - b @ inner  # the parts that no change of this board pose explains
+        free = np.column_stack([a, r]) - b @ inner  # the part that the board pose does not explain
         normals.append(free[:, :-1].T @ free[:, :-1])
         gradients.append(free[:, :-1].T @ free[:, -1])
     return Reduced(pairs, np.array(normals), np.array(gradients), _prior(bundle))
@@ -173,7 +173,7 @@ def pair_system(bundle: Bundle, parts: Sequence[tuple[BoardView, Array]]) -> Pai
     pose = bundle.board_SE3[parts[0][0].pair_index]
     points = bundle.board_points_m()
     count = bundle.rig_parameters
-    own = _INTERIOR + LENS_COEFFICIENTS[bundle.lens_model]
+    own = len(INTERIOR) + LENS_COEFFICIENTS[bundle.lens_model]
     rows_r, rows_a, rows_b = [], [], []
     for view, weight in parts:
         turned = points[view.point_ids] @ pose[:3, :3].T
@@ -185,31 +185,21 @@ def pair_system(bundle: Bundle, parts: Sequence[tuple[BoardView, Array]]) -> Pai
             right_SE3_left = se3.invert(bundle.left_SE3_right)
             camera_R_left, first = right_SE3_left[:3, :3], own
             camera, in_camera = bundle.right, se3.apply(right_SE3_left, in_left)
-        z = in_camera[:, 2]
-        xy = in_camera[:, :2] / z[:, None]
-        focal = np.array([camera.fx_px, camera.fy_px])
-        bent = distort(camera.lens, xy)
-        by_xy, by_k = distort_jacobian(camera.lens, xy)
-        a[:, 0, first], a[:, 1, first + 1] = bent[:, 0], bent[:, 1]
-        a[:, 0, first + 2] = a[:, 1, first + 3] = 1.0
-        a[:, :, first + _INTERIOR : first + own] = focal[:, None] * by_k
-        by_point = np.zeros((len(xy), 2, 3))
-        by_point[:, 0, 0] = by_point[:, 1, 1] = 1.0
-        by_point[:, :, 2] = -xy
-        by_camera_point = focal[:, None] * (by_xy @ by_point) / z[:, None, None]
+        seen = project_with_jacobian(camera, in_camera)
+        a[:, :, first : first + own] = seen.by_interior
+        by_camera_point = seen.by_point
         by_left_point = by_camera_point @ camera_R_left
         if view.side == "right":
             # left_SE3_right = (R exp(r), t + dt): x_right changes by x_right x r - R^T dt
-            a[:, :, count - 6 : count - 3] = by_camera_point @ _skew(in_camera)
+            a[:, :, count - 6 : count - 3] = by_camera_point @ cross_matrix(in_camera)
             a[:, :, count - 3 : count] = -by_left_point
         if len(bundle.shape):
             by_board_point = by_left_point @ pose[:3, :3]
             freedom = bundle.basis.reshape(-1, 3, len(bundle.shape))[view.point_ids]
             a[:, :, count:] = by_board_point @ freedom
-        b = np.concatenate([-by_left_point @ _skew(turned), by_left_point], axis=2)
+        b = np.concatenate([-by_left_point @ cross_matrix(turned), by_left_point], axis=2)
         root = np.sqrt(weight)[:, None]
-        computed = focal * bent + (camera.cx_px, camera.cy_px)
-        rows_r.append(((view.uv_px - computed) * root).ravel())
+        rows_r.append(((view.uv_px - seen.uv_px) * root).ravel())
         rows_a.append((a * root[..., None]).reshape(-1, a.shape[2]))
         rows_b.append((b * root[..., None]).reshape(-1, 6))
     return PairSystem(np.concatenate(rows_r), np.concatenate(rows_a), np.concatenate(rows_b))
@@ -246,7 +236,7 @@ def _stepped(bundle: Bundle, systems: dict[int, PairSystem], prior: Array, dampi
 
 def moved(bundle: Bundle, step: Array, pose_steps: dict[int, Array]) -> Bundle:
     """The bundle after a step (g,) of the global unknowns and (6,) steps of the board poses (rotation vector, shift)."""
-    own = _INTERIOR + LENS_COEFFICIENTS[bundle.lens_model]
+    own = len(INTERIOR) + LENS_COEFFICIENTS[bundle.lens_model]
     count = bundle.rig_parameters
     r, t = bundle.left_SE3_right[:3, :3], bundle.left_SE3_right[:3, 3]
     relative = se3.se3(r @ _exp(step[count - 6 : count - 3]), t + step[count - 3 : count])
@@ -268,12 +258,12 @@ def _moved_camera(camera: Camera, step: Array) -> Camera:
     fx, fy, cx, cy = (float(v) for v in np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px]) + step[:4])
     coefficients = tuple(float(v) for v in np.array(camera.lens.coefficients) + step[4:])
     lens = Lens.model_construct(model=camera.lens.model, coefficients=coefficients)
-    # unchecked on purpose: a trial step may be nonsense, its cost then is infinite and the step is taken back
+    # unchecked: a trial step may be invalid; its cost is infinite then and the step is rejected
     return camera.model_copy(update={"fx_px": fx, "fy_px": fy, "cx_px": cx, "cy_px": cy, "lens": lens})
 
 
 def _prior(bundle: Bundle) -> Array:
-    """(g, g): nothing is known of the rig beforehand, a little of the board's shape (each corner by itself)."""
+    """(g, g): no prior of the rig; one of the board's shape, independent for each corner."""
     first = bundle.rig_parameters
     prior = np.zeros((first + len(bundle.shape),) * 2)
     if len(bundle.shape):
@@ -312,26 +302,5 @@ def _by_pair(views: Sequence[BoardView], weights: Sequence[Array] | None) -> dic
     return dict(sorted(found.items()))
 
 
-def _image_points(camera: Camera, in_camera: Array) -> Array:
-    z = in_camera[:, 2]
-    if not np.all(z > 0):
-        raise BundleError("a corner of the board lies behind the camera")
-    bent = distort(camera.lens, in_camera[:, :2] / z[:, None])
-    return np.asarray(bent * (camera.fx_px, camera.fy_px) + (camera.cx_px, camera.cy_px))
-
-
 def _exp(rotation_vector: Array) -> Array:
     return np.asarray(Rotation.from_rotvec(rotation_vector).as_matrix())
-
-
-def _skew(v: Array) -> Array:
-    """(n, 3, 3) matrices of the cross products v x ."""
-    x, y, z = v.T
-    zero = np.zeros_like(x)
-    return np.stack(
-        [np.stack([zero, -z, y], axis=1), np.stack([z, zero, -x], axis=1), np.stack([-y, x, zero], axis=1)], axis=1
-    )
-
-
-#: Sides in the order of the unknowns.
-SIDES: tuple[Side, Side] = ("left", "right")

@@ -1,7 +1,4 @@
-"""Calibration of a two-camera rig from board views: robust adjustment, choice of the model, covariance.
-
-Start values come from outside (`Start`); everything here is numpy and scipy.
-"""
+"""Calibration of a two-camera rig from board views and start values: robust adjustment, choice of the model, covariance."""
 
 from __future__ import annotations
 
@@ -39,11 +36,11 @@ Array = NDArray[np.float64]
 
 BoardShape = Literal["flat", "free"]
 MODELS: tuple[LensModel, ...] = ("none", "radial", "brown", "rational", "fisheye")
-#: Fewer pairs that both cameras see give no relative orientation worth its name.
+#: Pairs that both cameras must see.
 MIN_PAIRS = 3
-#: Corners farther off than this many robust sigmas are taken out (a normal error does so once in 25,000).
+#: Corners farther off than this many robust sigmas are removed (a normal error once in 25,000).
 CORNER_LIMIT = 4.5
-#: A view is taken out where its RMS is this many times that of the median view, or where it loses half of its corners.
+#: A view is removed where its RMS is this many times that of the median view, or where it loses half of its corners.
 VIEW_LIMIT = 3.5
 #: Start: a pair whose own relative orientation moves the corners by more than this share of the image's width is left out.
 PAIR_LIMIT_RELATIVE = 0.05
@@ -65,7 +62,7 @@ class Start:
 
 @dataclass(frozen=True)
 class CornerRejection:
-    """One corner that was taken out, with its residual (observed minus computed, px)."""
+    """One corner that was removed, with its residual (observed minus computed, px)."""
 
     pair_index: int
     side: Side
@@ -76,7 +73,7 @@ class CornerRejection:
 
 @dataclass(frozen=True)
 class ViewRejection:
-    """One image that was taken out, and why."""
+    """One image that was removed, and why."""
 
     pair_index: int
     side: Side
@@ -97,7 +94,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class StereoCalibration:
-    """The result: unknowns, the views that were used, and everything needed to judge it."""
+    """The result, with the views used and what was removed."""
 
     bundle: Bundle
     board_shape: BoardShape
@@ -126,12 +123,12 @@ def calibrate_stereo(
 ) -> StereoCalibration:
     """Calibrate a rig; of several lens models and board shapes the one of the lowest BIC.
 
-    points_m: (n, 3) nominal board. board_shapes: "flat" takes the board as it is drawn, "free" determines its shape as well. The
+    points_m: (n, 3) nominal board. board_shapes: "flat" uses the nominal board, "free" estimates its shape as well. The
     information criterion counts observations as independent ones: their number and the sum of squares are divided by the
     design effect of the richest model (see `bundle_covariance`). Raises BundleError.
     """
     bundle, kept, rejected = _assembled(np.asarray(points_m, dtype=np.float64), views, start)
-    # Blunders are judged under a model that leaves little unexplained, else good corners of a bent lens or board go too.
+    # Blunders are judged under a flexible model, so that good corners of a bent lens or board stay.
     first: LensModel = models[0] if len(models) == 1 else "brown"
     richest: BoardShape = "free" if "free" in board_shapes else "flat"
     bundle, kept, more, corners = _robust(_remodelled(bundle, first, richest), kept)
@@ -230,7 +227,7 @@ def _assembled(
 
 
 def _central(poses: Array) -> Array:
-    """Of poses (n, 4, 4) the one with the least median distance to the others: no blunder moves it."""
+    """The pose of (n, 4, 4) with the least median distance to the others."""
     turns = np.einsum("aij,bij->ab", poses[:, :3, :3], poses[:, :3, :3])
     angles = np.arccos(np.clip((turns - 1.0) / 2.0, -1.0, 1.0))
     shifts = np.linalg.norm(poses[:, None, :3, 3] - poses[None, :, :3, 3], axis=2)
@@ -281,10 +278,10 @@ def _grid(camera: Camera, steps: int) -> Array:
 def _robust(
     bundle: Bundle, views: Sequence[BoardView]
 ) -> tuple[Bundle, list[BoardView], tuple[ViewRejection, ...], tuple[CornerRejection, ...]]:
-    """Adjusted bundle, what is left of the views, and the views and corners that were taken out.
+    """Adjusted bundle, remaining views, and the views and corners that were removed.
 
-    Huber's weights find the solution that most corners agree on; then corners and views beyond the limits go out, the rest
-    is adjusted with equal weights, and all are judged again until nothing changes.
+    Huber's weights find the solution of most corners; corners and views beyond the limits are then removed and the rest adjusted
+    with equal weights, until nothing changes.
     """
     kept = list(views)
     weights = [np.ones(len(v.point_ids)) for v in kept]
@@ -332,7 +329,7 @@ def _enough(views: Sequence[BoardView], rejected: Sequence[ViewRejection]) -> No
     left = sum((p, "left") in keys and (p, "right") in keys for p in pair_indices(views))
     if left < MIN_PAIRS:
         raise BundleError(
-            f"only {left} pairs are left after {len(rejected)} images that do not fit were taken out: check the board's "
+            f"only {left} pairs are left after {len(rejected)} images that do not fit were removed: check the board's "
             "pattern, and that it does not bend while it is moved"
         )
 
@@ -356,7 +353,7 @@ def _judged(bundle: Bundle, views: Sequence[BoardView]) -> tuple[RigCovariance, 
 
 
 def _shape_parameters(bundle: Bundle, views: Sequence[BoardView]) -> int:
-    """Number of shape unknowns that corners tell about."""
+    """Number of shape unknowns that corners determine."""
     if not bundle.shape.size:
         return 0
     return max(3 * len(np.unique(np.concatenate([v.point_ids for v in views]))) - 7, 0)

@@ -1,7 +1,7 @@
-"""What a calibration says, in the forms that photogrammetrists print: interior and relative orientation with their sigmas.
+"""Interior and relative orientation of a calibrated rig with their sigmas, as in Tables 1 and 2 of Lagahit & Tseng.
 
-These are Tables 1 and 2 of Lagahit & Tseng: focal lengths and principal point in millimetres on the sensor, and omega, phi, kappa
-with the base components. The principal point counts from the sensor's centre, x0 to the right and y0 upwards.
+Focal lengths and principal point in millimetres on the sensor, omega, phi, kappa and base components. The principal point counts
+from the sensor's centre, x0 to the right and y0 upwards.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from conetl.geometry import rig as rigs
 from conetl.geometry.calibration.board_views import BoardView
+from conetl.geometry.calibration.covariance import INTERIOR, RELATIVE
 from conetl.geometry.calibration.stereo_bundle import Bundle, residuals_px
 from conetl.geometry.rectification import rectified_from_raw, rectify
 from conetl.model.records import Rig, Side
@@ -38,10 +39,7 @@ class Value:
 def interior_in_pixels(rig: Rig, side: Side) -> list[Value]:
     """fx, fy, cx, cy and the lens's coefficients of one camera. The rig must have its covariance."""
     camera, sigmas = rigs.camera_of(rig, side), _sigmas(rig)
-    rows = [
-        Value(name.removesuffix("_px"), getattr(camera, name), sigmas[f"{side}.{name}"], "px")
-        for name in ("fx_px", "fy_px", "cx_px", "cy_px")
-    ]
+    rows = [Value(name.removesuffix("_px"), getattr(camera, name), sigmas[f"{side}.{name}"], "px") for name in INTERIOR]
     names = {"fisheye": ("k1", "k2", "k3", "k4")}.get(
         camera.lens.model, ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
     )
@@ -133,9 +131,7 @@ def _sigmas(rig: Rig) -> dict[str, float]:
 
 
 def _relative_covariance(rig: Rig) -> Array:
-    covariance = rig.calibration_covariance
-    if covariance is None:
-        raise ValueError(f"rig {rig.rig_id} has no covariance of its calibration")
-    names = [f"relative.{name}" for name in ("rx_rad", "ry_rad", "rz_rad", "tx_m", "ty_m", "tz_m")]
-    index = [covariance.names.index(name) for name in names]
-    return np.array(covariance.matrix)[np.ix_(index, index)]
+    names = list(_sigmas(rig))
+    index = [names.index(f"relative.{name}") for name in RELATIVE]
+    assert rig.calibration_covariance is not None
+    return np.array(rig.calibration_covariance.matrix)[np.ix_(index, index)]

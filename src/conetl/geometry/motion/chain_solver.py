@@ -1,9 +1,9 @@
-"""Least squares over a chain of states, each tied to the next, with a few unknowns that all of them share.
+"""Least squares over a chain of states, each tied to the next, with a few shared unknowns.
 
-The normal matrix is block tridiagonal with a border ("arrow"). Blocks are eliminated one after the other (Golub & Van Loan
-2013, 4.5.1), the border by its Schur complement: exact, and linear in the number of states. The covariance of any two states
-follows from the same elimination (Rauch, Tung & Striebel 1965 in information form) without ever forming the full inverse.
-LAPACK's banded Cholesky does the same sums, but its threads cost up to three seconds a call on a busy machine.
+The normal matrix is block tridiagonal with a border ("arrow"): blocks are eliminated one after the other (Golub & Van Loan 2013,
+4.5.1), the border by its Schur complement, in time linear in the number of states. Covariances of any two states follow from the
+same elimination (Rauch, Tung & Striebel 1965 in information form). LAPACK's banded Cholesky gives the same, but its threads cost
+up to three seconds per call on a busy machine.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class ChainCovariance:
     chain: Floats
     """(K, n, n): covariance with the shared unknowns held."""
     reach: Floats
-    """(K, n, m): how far a state moves with the shared unknowns."""
+    """(K, n, m): derivative of a state by the shared unknowns."""
     shared: Floats
     """(m, m): covariance of the shared unknowns."""
     strides: tuple[tuple[int, Floats], ...] = ()
@@ -80,7 +80,7 @@ def covariance(normal: ChainNormal) -> ChainCovariance:
 
 
 def cross_covariance(result: ChainCovariance, first: int, second: int) -> Floats:
-    """(n, n) covariance of state `first` with state `second`; first <= second. Takes steps in the logarithm of their distance."""
+    """(n, n) covariance of state `first` with state `second`; first <= second. Takes time O(log(second - first))."""
     block, k = result.chain[second], second
     for step, product in (*result.strides, (1, result.gain)):
         while k - step >= first:
@@ -116,7 +116,7 @@ def _strides(gain: Floats) -> tuple[tuple[int, Floats], ...]:
     strides: list[tuple[int, Floats]] = []
     step, product = 1, gain
     while len(gain) >= 16 * step:
-        for _ in range(4):  # a product twice as long from every place where one fits
+        for _ in range(4):  # a product twice as long from every state where one fits
             product = product[: len(product) - step] @ product[step:]
             step *= 2
         strides.insert(0, (step, product))
@@ -124,7 +124,7 @@ def _strides(gain: Floats) -> tuple[tuple[int, Floats], ...]:
 
 
 def _eliminate(normal: ChainNormal) -> tuple[Floats, Floats]:
-    """Inverse (K, n, n) of each diagonal block after the states before it are gone, and (K - 1, n, n) what the next one says."""
+    """Inverse (K, n, n) of each diagonal block after elimination of the states before it, and gains (K - 1, n, n)."""
     inverse, gain = np.empty_like(normal.diagonal), np.empty_like(normal.upper)
     inverse[0] = np.linalg.inv(normal.diagonal[0])
     for k in range(len(gain)):

@@ -1,9 +1,9 @@
-"""Poses of a body along its way from logged poses with slowly varying errors and measured motions: one adjustment.
+"""Poses of a body from logged poses with slowly varying errors and measured motions, in one adjustment.
 
-Unknown for each frame are the body's pose and the slowly varying error of its log (a first-order Gauss-Markov process); measured
-motions of the left camera tie each frame to the next, sightings of still points tie all frames that saw them. A scale that
-all measured motions share stands for the error of the rig's calibration. Huber's weights keep single wrong measurements
-from bending the trajectory. Gauss-Newton on the poses' own errors; the normal equations are those of `chain_solver.py`.
+Unknown for each frame are the pose and the slowly varying error of its log (a first-order Gauss-Markov process). Measured motions
+of the left camera tie each frame to the next, sightings of static points tie all frames that saw them; a scale common to all
+measured motions models the error of the rig's calibration. Gauss-Newton with Huber's weights; normal equations of
+`chain_solver.py`.
 
 A small pose error is (p, a): map_t_body = t_true + p in metres, map_R_body = R_true exp([a]x), a in radians about the body's
 axes; for a car roll, pitch and yaw are about those axes.
@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from conetl.geometry import pose as se3
 from conetl.geometry.motion import chain_solver
 from conetl.geometry.motion.chain_solver import ChainNormal
-from conetl.geometry.projection import cross_matrix
+from conetl.geometry.small_arrays import cross_matrix
 
 Floats = NDArray[np.float64]
 #: Unknowns of a frame: six of the pose come first, then six of the log's slow error.
@@ -39,11 +39,11 @@ class LoggedPoses:
     sigma_p: Floats
     sigma_a: Floats
     white: Floats
-    """(K, 6): sigma of what is new in every record, place and attitude."""
+    """(K, 6): sigma of the error that is new in every record, position and attitude."""
     slow: Floats
     """(K, 6): sigma of the slowly varying part."""
     keep: Floats
-    """(K - 1, 6): which share of the slow part is left at the next frame."""
+    """(K - 1, 6): share of the slow part that remains at the next frame."""
     body_SE3_left: Floats
 
 
@@ -76,7 +76,7 @@ def adjust(
     robust_sigmas: float,
     scale_sigma: float,
 ) -> tuple[Floats, Floats, ChainNormal] | None:
-    """Rotations (K, 3, 3), places (K, 3) and the last normal equations, or None where the iteration does not settle."""
+    """Rotations (K, 3, 3), positions (K, 3) and the last normal equations, or None where the iteration does not converge."""
     rotations, places = log.rotations.copy(), log.places.copy()
     bias = np.zeros((len(places), POSE))
     cones = 1 + max((s.cone for s in sightings), default=-1)
@@ -128,7 +128,7 @@ def _normal_equations(
     # The slow error: stationary at the first frame, then from frame to frame.
     diagonal[0, slow, slow] += 1 / log.slow[0] ** 2
     right[0, POSE:] -= bias[0] / log.slow[0] ** 2
-    ratio = log.keep * log.slow[1:] / log.slow[:-1]  # the stated sigma may change on the way
+    ratio = log.keep * log.slow[1:] / log.slow[:-1]  # the stated sigma may change from frame to frame
     fresh = 1 / (log.slow[1:] ** 2 * (1 - log.keep**2))
     jump = bias[1:] - ratio * bias[:-1]
     diagonal[1:, slow, slow] += fresh

@@ -1,13 +1,11 @@
-"""How a calibrated stereo rig moved between two frame pairs, from image points seen in all four images.
+"""Motion of a calibrated stereo rig between two frame pairs, from image points in all four images.
 
-The motion minimises the reprojection error of (u_left, v_left, u_right) in the second pair of points that were intersected in
-the first (Geiger, Ziegler & Stiller 2011, "StereoScan", eq. 2-3). Unlike there, the image errors of the first pair are carried
-through intersection and motion into the weight of each point, so that near points, whose depth the motion magnifies, do not
-count for more than they know. Moving objects are outvoted by RANSAC over three-point hypotheses (Fischler & Bolles 1981), what is
-left of them is weighted down by Cauchy's weights.
+It minimises the reprojection error of (u_left, v_left, u_right) in the second pair of points intersected in the first (Geiger,
+Ziegler & Stiller 2011, "StereoScan", eq. 2-3), weighted with the image errors of both pairs. RANSAC over three-point
+hypotheses (Fischler & Bolles 1981) and Cauchy's weights keep moving objects out.
 
-Frames: `next_SE3_first` turns points of the left camera's frame at the first exposure into that of the second. A small motion
-error is (w, d): R = exp([w]x) R_true, t = t_true + d; w in radians, d in metres, both in the second frame.
+`next_SE3_first` transforms points of the left camera's frame at the first exposure to that of the second. A small motion error is
+(w, d): R = exp([w]x) R_true, t = t_true + d; w in radians, d in metres, both in the second frame.
 """
 
 from __future__ import annotations
@@ -19,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from conetl.geometry.medians import median
-from conetl.geometry.pose_steps import all_stepped, apart, stepped
+from conetl.geometry.small_arrays import all_stepped, apart, inverse_of_symmetric, median, stepped
 from conetl.model.records import Matrix4, Record
 
 Floats = NDArray[np.float64]
@@ -33,16 +30,16 @@ _MAX_ITERATIONS = 20
 _CHOOSING_ITERATIONS = 4
 _CAUCHY_SIGMAS = 2.385  # 95 % efficiency on normal errors (Rey 1983)
 _NEAREST_M = 0.3
-#: Points whose depth has a sigma above this share of it take no part.
+#: Points whose depth has a relative sigma above this are left out.
 _VAGUE_SHARE = 0.25
-#: A guess that more than this share of the usable points follow needs no search: whatever else moves is outvoted.
+#: A guess that this share of the usable points follow needs no search.
 _MAJORITY = 0.5
 #: Largest step, squared and in sigmas, that ends the iteration.
 _CONVERGED = 1e-3
 
 
 class RelativeMotion(Record):
-    """What visual odometry measured between two consecutive frame pairs of a drive."""
+    """Measurement of visual odometry between two consecutive frame pairs of a drive."""
 
     first_frame_index: int = Field(ge=0)
     second_frame_index: int = Field(ge=0)
@@ -103,7 +100,7 @@ class MotionLimits:
 
 @dataclass(frozen=True)
 class StereoMotion:
-    """Result of `estimate_motion`; where `status` is not OK the motion is the expected one and means nothing."""
+    """Result of `estimate_motion`; unless `status` is OK the motion is the expected one."""
 
     status: MotionStatus
     next_SE3_first: Floats
@@ -119,7 +116,7 @@ def triangulate(cameras: StereoCameras, observed_px: Floats) -> tuple[Floats, Fl
     """Points (N, 3) m in the left camera's frame of observations (N, 3) u_left, v_left, u_right.
 
     Three numbers fix three coordinates exactly: the left ray meets the plane of the right column. Also returns the
-    derivatives (N, 3, 3) m/px and which points lie in front of the rig (False: the values mean nothing).
+    derivatives (N, 3, 3) m/px and which points lie in front of the rig (False: the values are invalid).
     """
     fx, fy, cx, cy = cameras.left_px
     rotation, shift = cameras.right_SE3_left[:3, :3], cameras.right_SE3_left[:3, 3]
@@ -192,15 +189,14 @@ def estimate_motion(
     """Motion of the rig between two frame pairs.
 
     first_px, second_px (N, 3): u_left, v_left, u_right of the same points; sigma_px (N,) of each of their coordinates; expected
-    (4, 4): a guess of next_SE3_first (from INS), whose only use is to bound and start the search; start (4, 4): a motion that is
-    nearly right already, such as that of the same points with another calibration, in place of a search among hypotheses; guess
-    (4, 4): one that may be, such as that of the interval before, which is searched for only where most points do not follow it.
-    Never raises on bad points.
+    (4, 4): guess of next_SE3_first (from INS), which bounds and starts the search; start (4, 4): nearly the result, such as the
+    motion of the same points with another calibration, in place of a search; guess (4, 4): possibly the result, such as the
+    motion of the interval before, used where most points follow it. Never raises on bad points.
     """
     count = len(first_px)
     points, d_points, usable = triangulate(cameras, first_px)
     usable &= np.isfinite(first_px).all(axis=1) & np.isfinite(second_px).all(axis=1)
-    # A depth that is hardly known is biased as well: noise makes far points look near.
+    # An uncertain depth is biased as well: noise makes far points appear near.
     usable &= sigma_px * np.linalg.norm(d_points[:, 2, :], axis=1) <= _VAGUE_SHARE * points[:, 2]
     nobody = np.zeros(count, dtype=bool)
     if int(usable.sum()) < limits.min_inliers:
@@ -232,7 +228,7 @@ def _majority(
     guess: Floats | None,
     limits: MotionLimits,
 ) -> tuple[Floats, Bools] | None:
-    """A guess, or the expected motion, where most usable points follow it; and who does."""
+    """A guess, or the expected motion, where most usable points follow it, and which do."""
     poses = expected[None] if guess is None else np.stack([guess, expected])
     turn, shift = apart(poses, expected)
     poses = poses[(shift <= limits.gate_m) & (turn <= limits.gate_rad)]
@@ -254,7 +250,7 @@ def _consensus(
     limits: MotionLimits,
     seed: int,
 ) -> tuple[Floats, Bools] | None:
-    """The three-point motion that most points follow, among those near the expected one; and who follows it."""
+    """The three-point motion that most points follow, among those near the expected one; and which do."""
     rng = np.random.default_rng(seed)
     index = np.flatnonzero(usable)
     draws = index[
@@ -300,12 +296,13 @@ def _refine(
     chosen = np.flatnonzero(usable)
     at, seen = points[chosen].T.copy(), second_px[chosen].T.copy()
     d_at, variance = np.ascontiguousarray(d_points[chosen].transpose(1, 2, 0)), sigma_px[chosen] ** 2
+    reach_px = reach_px[chosen]
     for iteration in range(_MAX_ITERATIONS):
         turned = pose[:3, :3] @ at
         image, jacobian, valid = _image_of(cameras, turned + pose[:3, 3:])
         r, spread_of, var = seen - image, d_at, variance
-        if iteration < _CHOOSING_ITERATIONS:  # later a point at the bound could come and go for ever
-            good = np.flatnonzero(valid & (np.abs(r).max(axis=0) <= reach_px[chosen]))
+        if iteration < _CHOOSING_ITERATIONS:  # later a point at the bound could alternate
+            good = np.flatnonzero(valid & (np.abs(r).max(axis=0) <= reach_px))
             inliers = np.zeros(len(points), dtype=bool)
             inliers[chosen[good]] = True
             if len(good) < limits.min_inliers:
@@ -316,14 +313,18 @@ def _refine(
                 at, seen, d_at, variance = at.take(good, -1), seen.take(good, -1), spread_of, var
         # Error of the residual: the second pair's image errors, and the first pair's carried through intersection and motion.
         carried = np.einsum("ikn,kjn->ijn", np.einsum("ikn,kj->ijn", jacobian, pose[:3, :3]), spread_of)
-        information = inverse_of_symmetric(var * (np.eye(3)[:, :, None] + np.einsum("ikn,jkn->ijn", carried, carried)))
+        spread = np.einsum("ikn,jkn->ijn", carried, carried)
+        spread.reshape(9, -1)[::4] += 1.0  # the diagonals
+        information = inverse_of_symmetric(var * spread)
         misfit2 = np.einsum("in,ijn,jn->n", r, information, r) / 3
         factor2 = max(median(misfit2) / 0.7887, 1e-6)  # median of chi-square(3) / 3
         information *= 1 / (1 + misfit2 / factor2 / _CAUCHY_SIGMAS**2)
         # By (w, d), as in `_point_jacobian`: the rows' cross products with the turned point, and the rows.
-        by_x, by_y, by_z = jacobian.transpose(1, 0, 2)
-        x, y, z = turned
-        design = np.stack([y * by_z - z * by_y, z * by_x - x * by_z, x * by_y - y * by_x, by_x, by_y, by_z])
+        design = np.empty((6, 3, turned.shape[1]))
+        rows, at_point = jacobian.transpose(1, 0, 2), turned[:, None]
+        design[:3] = at_point.take((1, 2, 0), 0) * rows.take((2, 0, 1), 0)
+        design[:3] -= at_point.take((2, 0, 1), 0) * rows.take((1, 2, 0), 0)
+        design[3:] = rows
         weighted = np.einsum("ijn,ajn->ain", information, design)  # (6, 3, N): the information is symmetric
         wide = weighted.reshape(6, -1)
         normal = wide @ design.reshape(6, -1).T
@@ -359,24 +360,17 @@ def _image_of(cameras: StereoCameras, points_m: Floats) -> tuple[Floats, Floats,
     return image, jacobian, valid
 
 
-def inverse_of_symmetric(matrices: Floats) -> Floats:
-    """Inverses of N symmetric matrices (3, 3, N), by their cofactors."""
-    (a, b, c), (_, d, e), (_, _, f) = matrices
-    inverse = np.empty_like(matrices)
-    inverse[0, 0], inverse[1, 1], inverse[2, 2] = d * f - e * e, a * f - c * c, a * d - b * b
-    inverse[0, 1] = inverse[1, 0] = c * e - b * f
-    inverse[0, 2] = inverse[2, 0] = b * e - c * d
-    inverse[1, 2] = inverse[2, 1] = b * c - a * e
-    inverse /= a * inverse[0, 0] + b * inverse[0, 1] + c * inverse[0, 2]
-    return inverse
-
-
 def _spread_px(cameras: StereoCameras, points: Floats, d_points: Floats, sigma_px: Floats, pose: Floats) -> Floats:
     """Expected sigma (N,) of a residual, the largest of its three coordinates."""
-    _, jacobian, _ = project(cameras, points @ pose[:3, :3].T + pose[:3, 3])
-    carried = jacobian @ pose[:3, :3] @ d_points
-    variance = 1 + np.einsum("nij,nij->ni", carried, carried).max(axis=1)
+    _, jacobian, _ = _image_of(cameras, pose[:3, :3] @ points.T + pose[:3, 3:])
+    carried = _by_point(_by_point(jacobian, pose[:3, :3, None]), d_points.transpose(1, 2, 0))
+    variance = 1 + (carried * carried).sum(axis=1).max(axis=0)
     return np.asarray(sigma_px * np.sqrt(np.clip(np.nan_to_num(variance, nan=2.0), 2.0, 50.0)))
+
+
+def _by_point(a: Floats, b: Floats) -> Floats:
+    """Products (3, 3, N) of N matrices each, (3, 3, N); a last axis of length 1 is one matrix for all."""
+    return np.asarray(a[:, 0, None] * b[0] + a[:, 1, None] * b[1] + a[:, 2, None] * b[2])
 
 
 def _point_jacobian(turned: Floats) -> Floats:

@@ -1,18 +1,20 @@
-"""Points followed between two frame pairs, and the motions that they tell.
+"""Points followed between two frame pairs, and the motions computed from them.
 
-Following needs images and is slow (`perception/visual_odometry.py`), motions need only the points and the rig's geometry: kept
-apart, so that another calibration of the rig costs no second look at the images.
+Points need images (`perception/visual_odometry.py`), motions only the points and the rig, so that another calibration of the rig
+needs no images.
 """
 
 from __future__ import annotations
 
+from base64 import b64decode, b64encode
 from collections.abc import Iterable, Iterator, Sequence
 from enum import StrEnum
 from itertools import pairwise
+from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from numpy.typing import ArrayLike, NDArray
+from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
 from conetl.geometry import pose as se3
 from conetl.geometry.camera import intrinsics
@@ -41,33 +43,51 @@ class NoMeasurement(StrEnum):
     TOO_FEW_POINTS = "too_few_points"
 
 
+def _packed(points_px: ArrayLike | bytes | str) -> bytes:
+    """Image points as bytes, from an array, from bytes, or from their base64 text in a file."""
+    if isinstance(points_px, bytes):
+        return points_px
+    if isinstance(points_px, str):
+        return b64decode(points_px, validate=True)
+    return np.asarray(points_px, dtype="<f8").tobytes()
+
+
+#: N points (u_left, v_left, u_right, v_right) as the bytes of a (N, 4) array of little-endian doubles: a record of thousands of
+#: Python numbers takes longer to validate and to write than the points take to follow.
+PackedPoints = Annotated[
+    bytes, BeforeValidator(_packed), PlainSerializer(lambda data: b64encode(data).decode(), when_used="json")
+]
+
+
 class StereoTracks(Record):
-    """Points between two frame pairs, in pixels of the rectified images; none, with the reason, where there are none."""
+    """Points followed between two frame pairs, in pixels of the rectified images; with the reason where there are none."""
 
     first_frame_index: int = Field(ge=0)
     second_frame_index: int = Field(ge=0)
-    first_px: tuple[float, ...]
-    """u_left, v_left, u_right, v_right of each point in the first frame pair, one point after the other."""
-    second_px: tuple[float, ...]
-    """Likewise in the second."""
+    first_px: PackedPoints
+    """In the first frame pair; arrays (N, 4) are accepted."""
+    second_px: PackedPoints
+    """The same points in the second."""
     sigma_px: Positive
     """Of each coordinate."""
     missing: NoMeasurement | None
 
     @model_validator(mode="after")
-    def _four_numbers_a_point(self) -> StereoTracks:
-        if len(self.first_px) % 4 or len(self.first_px) != len(self.second_px):
-            raise ValueError("expected four numbers a point, for the same points in both frame pairs")
+    def _same_points_in_both(self) -> StereoTracks:
+        if len(self.first_px) % 32 or len(self.first_px) != len(self.second_px):
+            raise ValueError("expected four numbers per point, for the same points in both frame pairs")
+        if not all(np.isfinite(px).all() for px in self.points()):
+            raise ValueError("expected finite image points")
         return self
 
     def points(self) -> tuple[Floats, Floats, Floats]:
         """(N, 4), (N, 4) points in both frame pairs and (N,) their sigma."""
-        first, second = np.array(self.first_px).reshape(-1, 4), np.array(self.second_px).reshape(-1, 4)
+        first, second = (np.frombuffer(px, dtype="<f8").reshape(-1, 4) for px in (self.first_px, self.second_px))
         return first, second, np.full(len(first), self.sigma_px)
 
 
 def cameras_of(rig: Rig) -> StereoCameras:
-    """The numbers of a rectified rig that intersection needs; its right camera may be turned. ValueError with a lens."""
+    """Cameras of a rectified rig, whose right camera may be turned. Raises ValueError for a rig with lenses."""
     if any(camera.lens.model != "none" for camera in (rig.left, rig.right)):
         raise ValueError("cameras_of: the rig must be rectified")
     return StereoCameras(intrinsics(rig.left), intrinsics(rig.right), se3.invert(left_SE3_right(rig)))
@@ -80,7 +100,7 @@ def expected_motions(frame_pairs: Sequence[FramePair], rig: Rig) -> list[Floats]
 
 
 def motion_limits(params: TrajectoryParams) -> MotionLimits:
-    """The parameters in the form that `estimate_motion` takes."""
+    """The parameters of `estimate_motion`."""
     return MotionLimits(
         inlier_px=params.inlier_px,
         min_inliers=params.min_points,
@@ -99,8 +119,8 @@ def motions_of(
 ) -> Iterator[RelativeMotion]:
     """Motion of every interval of `tracks`, in their order; tracks[k] runs from frame_pairs[k] to frame_pairs[k + 1].
 
-    earlier: motions of the same tracks by a slightly other rig, which spare the search among hypotheses. So does, mostly, the
-    motion of the interval before: cars change their speed little within a tenth of a second.
+    earlier: motions of the same tracks by a slightly other rig, as start values in place of the search among hypotheses. Without
+    them the motion of the interval before is tried first.
     """
     cameras, limits = cameras_of(rig), motion_limits(params)
     before: Floats | None = None

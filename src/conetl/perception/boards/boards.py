@@ -1,7 +1,7 @@
 """Calibration boards in images: chessboard, ChArUco, AprilGrid -> corners with their numbers.
 
 Corners are pixels with the origin at the centre of the top-left pixel. A chessboard must be seen whole; of the other two any part
-will do, because their corners are told apart by markers. Points of the board lie in z = 0, in metres.
+suffices, because markers number their corners. Points of the board lie in z = 0, in metres.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
+from itertools import product
 from typing import Literal
 
 import cv2
@@ -18,7 +19,6 @@ from numpy.typing import NDArray
 from conetl.geometry.calibration.stereo_calibration import MIN_CORNERS
 from conetl.model.errors import InputError
 from conetl.model.rejections import RejectionReason
-from conetl.perception.boards.tag_boards import find_april_grid, find_charuco
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -31,6 +31,7 @@ MAX_EDGE_WIDTH_PX = 6.0
 #: neighbourhood of fixed size, and on small squares its corners are pulled by the next ones.
 _SQUARE_PX = 44.0
 _MAX_ENLARGEMENT = 3
+_REFINE = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 60, 1e-4)
 
 _SPEC_HELP = (
     "expected chessboard:COLSxROWS:SQUARE (inner corners), charuco:COLSxROWS:SQUARE:MARKER[:DICTIONARY] (squares) or "
@@ -76,7 +77,7 @@ class Found:
 
 @dataclass(frozen=True)
 class NotFound:
-    """Why a image gives no corners."""
+    """Why an image gives no corners."""
 
     reason: RejectionReason
     detail: str
@@ -99,7 +100,7 @@ def parse_board(text: str) -> Board:
     if kind == "charuco":
         dictionary = fields[3].upper().removeprefix("DICT_") if len(fields) > 3 else "4X4_50"
         if not hasattr(cv2.aruco, f"DICT_{dictionary}"):
-            raise InputError(f"board '{text}': OpenCV knows no dictionary DICT_{dictionary}; one is 5X5_100")
+            raise InputError(f"board '{text}': OpenCV has no dictionary DICT_{dictionary}; one is 5X5_100")
         marker_m = _length_m(fields[2], text)
         if not marker_m < size_m:
             raise InputError(f"board '{text}': a marker is smaller than its square, found {fields[2]} in {fields[1]}")
@@ -122,9 +123,9 @@ def find_board(image: Grey, board: Board) -> Found | NotFound:
         found = Found(np.arange(board.cols * board.rows), corners)
     else:
         if board.kind == "charuco":
-            ids, uv = find_charuco(image, board.cols, board.rows, board.size_m, board.marker_m, board.dictionary)
+            ids, uv = _find_charuco(image, board.cols, board.rows, board.size_m, board.marker_m, board.dictionary)
         else:
-            ids, uv = find_april_grid(image, board.cols, board.rows, board.spacing)
+            ids, uv = _find_april_grid(image, board.cols, board.rows, board.spacing)
         if len(ids) < MIN_CORNERS:
             return NotFound(
                 RejectionReason.BOARD_NOT_FOUND,
@@ -258,3 +259,68 @@ def _length_m(text: str, spec: str) -> float:
     if match is None or float(match[1]) <= 0:
         raise InputError(f"board '{spec}': '{text}' is no length; {_SPEC_HELP}")
     return float(match[1]) * {"mm": 1e-3, "cm": 1e-2, "m": 1.0}[match[2]]
+
+
+# --------------------------------------------------------------------------- boards with markers
+
+
+def _find_charuco(
+    image: Grey, cols: int, rows: int, square_m: float, marker_m: float, dictionary: str
+) -> tuple[Ints, Array]:
+    """Numbers (n,) and places (n, 2) px of the inner corners of a ChArUco board of cols x rows squares.
+
+    Boards made before OpenCV 4.6 begin with another colour in their first corner; both kinds are tried.
+    """
+    words = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{dictionary}"))
+    best: tuple[Ints, Array] = (np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
+    for legacy in (False, True):
+        board = cv2.aruco.CharucoBoard((cols, rows), square_m, marker_m, words)
+        board.setLegacyPattern(legacy)
+        corners, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(image)
+        if ids is not None and len(ids) > len(best[0]):
+            best = ids.ravel().astype(np.int64), corners.reshape(-1, 2).astype(np.float64)
+    return best
+
+
+def _find_april_grid(image: Grey, cols: int, rows: int, spacing: float) -> tuple[Ints, Array]:
+    """Numbers (n,) and places (n, 2) px of the tag corners of an AprilGrid (tag36h11, Kalibr's layout).
+
+    Tags are numbered row by row from the lower left; corner 4 t + k is the lower left, lower right, upper right, upper left one
+    of tag t. Which corner of a tag a detector calls first differs between libraries: the turn that makes one flat grid is taken.
+    """
+    words = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    # By outline, not by OpenCV's AprilTag detector: that one loses tags whose corners touch the black squares between them.
+    quads, ids, _ = cv2.aruco.ArucoDetector(words, cv2.aruco.DetectorParameters()).detectMarkers(image)
+    none: tuple[Ints, Array] = (np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
+    if ids is None:
+        return none
+    tags = ids.ravel().astype(np.int64)
+    once = np.array([(tags == tag).sum() == 1 and tag < cols * rows for tag in tags])
+    if once.sum() < 2:
+        return none
+    tags, corners = tags[once], np.array(quads)[once].reshape(-1, 4, 2).astype(np.float64)
+    side = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).min(axis=1)
+    best_miss, best = np.inf, corners
+    origins = np.stack([tags % cols, tags // cols], axis=1) * (1.0 + spacing)
+    plane = (origins[:, None] + np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])).reshape(-1, 2)
+    for turn, backwards in product(range(4), (False, True)):
+        order = np.roll(corners[:, ::-1] if backwards else corners, turn, axis=1)
+        homography, _ = cv2.findHomography(plane, order.reshape(-1, 2), cv2.RANSAC, float(np.median(side)) * 0.1)
+        if homography is None:
+            continue
+        mapped = cv2.perspectiveTransform(plane[None], homography)[0]
+        miss = float(np.median(np.linalg.norm(mapped - order.reshape(-1, 2), axis=1)))
+        if miss < best_miss:
+            best_miss, best = miss, order
+    if not best_miss < 0.1 * float(np.median(side)):
+        return none
+    # Kalibr's grid has a black square at each corner of a tag: a saddle point, which is refined in a window within it.
+    refined = []
+    for quad, length in zip(best, side, strict=True):
+        window = int(np.clip(0.25 * spacing * length, 2, 7))
+        start = quad.astype(np.float32).reshape(-1, 1, 2).copy()
+        refined.append(cv2.cornerSubPix(image, start, (window, window), (-1, -1), _REFINE).reshape(4, 2))
+    uv = np.array(refined, dtype=np.float64)
+    settled = np.linalg.norm(uv - best, axis=2) < np.maximum(0.1 * side, 1.5)[:, None]
+    numbers = 4 * tags[:, None] + np.arange(4)
+    return numbers[settled], uv[settled]

@@ -92,21 +92,21 @@ def find_boards(
     *,
     on_image: Callable[[], None] = lambda: None,
 ) -> BoardImages:
-    """Corners in all images; each image that gives none is a rejection. `on_image` is called after each."""
+    """Corners in all images; each image without is a rejection. `on_image` is called after each."""
     jobs = [(i, side, path) for i, pair in enumerate(pairs) for side in SIDES if (path := pair.path(side)) is not None]
 
-    def look(job: tuple[int, Side, Path]) -> tuple[Size | None, Found | NotFound]:
-        size, result = _look(job[2], board)
+    def search(job: tuple[int, Side, Path]) -> tuple[Size | None, Found | NotFound]:
+        size, result = _search(job[2], board)
         on_image()
         return size, result
 
     with ThreadPoolExecutor(
         max_workers=min(os.cpu_count() or 1, 8)
     ) as pool:  # OpenCV works without the interpreter's lock
-        looked = dict(zip([(i, side) for i, side, _ in jobs], pool.map(look, jobs), strict=True))
+        searched = dict(zip([(i, side) for i, side, _ in jobs], pool.map(search, jobs), strict=True))
     sizes: dict[Side, Size] = {}
     for side in SIDES:
-        counted = Counter(size for (_, s), (size, _) in looked.items() if s == side and size is not None)
+        counted = Counter(size for (_, s), (size, _) in searched.items() if s == side and size is not None)
         if counted:
             sizes[side] = counted.most_common(1)[0][0]
     views: list[BoardView] = []
@@ -114,7 +114,7 @@ def find_boards(
     for i, pair in enumerate(pairs):
         found: dict[Side, Found] = {}
         for side in SIDES:
-            size, result = looked.get((i, side), (None, _missing(pair, side)))
+            size, result = searched.get((i, side), (None, _missing(pair, side)))
             if size is not None and size != sizes[side]:
                 text = f"{size[0]} x {size[1]} pixels, the other {side} images have {sizes[side][0]} x {sizes[side][1]}"
                 result = NotFound(RejectionReason.IMAGE_WRONG_SIZE, text)
@@ -129,7 +129,7 @@ def find_boards(
 
 
 def rejection(pair: ImagePair, side: Side, reason: RejectionReason, detail: str) -> Rejection:
-    """A image that is not used."""
+    """An image that is not used."""
     path = pair.path(side)
     record = f"{side} image of pair {pair.name}" if path is None else f"{side} image {path.name}"
     return Rejection(
@@ -143,7 +143,7 @@ def _missing(pair: ImagePair, side: Side) -> NotFound:
     return NotFound(RejectionReason.PARTNER_MISSING, f"there is no such file; {name} counts for its own camera only")
 
 
-def _look(path: Path, board: Board) -> tuple[Size | None, Found | NotFound]:
+def _search(path: Path, board: Board) -> tuple[Size | None, Found | NotFound]:
     try:
         image = read_image(path)
     except ImageFileError as error:

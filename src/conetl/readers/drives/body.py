@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
-from conetl.geometry.georeference import sensor_R_body
+from conetl.geometry.geodesy import sensor_R_body
 from conetl.model.errors import CalibrationError
 from conetl.model.records import Rig
 from conetl.readers.drives.content import ContentHash

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
-from conetl.geometry.georeference import enu_to_grid
+from conetl.geometry.geodesy import enu_to_grid
 from conetl.geometry.rectification import stored_camera
 from conetl.model.errors import CalibrationError, DriveFolderError
 from conetl.model.records import Drive, Pose, Rig, Side

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
-from conetl.geometry.georeference import local_to_map
+from conetl.geometry.geodesy import local_to_map
 from conetl.model.errors import DriveFolderError
 from conetl.model.records import Pose
 from conetl.model.rejections import RejectionReason

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.geometry.medians import median
+from conetl.geometry.small_arrays import median
 from conetl.model.records import Camera
 from conetl.tracking.matching.cone_outline import Outline
 from conetl.tracking.matching.cone_pixels import ConePixels, cone_pixels

@@ -1,15 +1,43 @@
-"""Small steps of poses. A step (w, d), in radians and metres, gives R = exp([w]x) R_before, t = t_before + d."""
+"""Arithmetic of small arrays that adjustments repeat in every iteration: medians, cross products, inverses, steps of poses.
+
+A step (w, d), in radians and metres, gives R = exp([w]x) R_before, t = t_before + d.
+"""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
-from numpy.typing import NDArray
-
-from conetl.geometry.projection import cross_matrix
+from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
+
+
+def median(values: Floats) -> float:
+    """`np.median` of (n,) finite numbers, n > 0, in a fifth of its time for some hundreds."""
+    middle = len(values) // 2
+    if len(values) % 2:
+        return float(np.partition(values, middle)[middle])
+    low, high = np.partition(values, (middle - 1, middle))[middle - 1 : middle + 1]
+    return float(low + high) / 2
+
+
+def cross_matrix(vectors: ArrayLike) -> Floats:
+    """(..., 3, 3) cross product matrices [v]x of vectors (..., 3)."""
+    v = np.asarray(vectors, dtype=np.float64)
+    matrix = np.zeros((*v.shape, 3))
+    matrix[..., 0, 1], matrix[..., 0, 2], matrix[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
+    matrix[..., 1, 0], matrix[..., 2, 0], matrix[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]
+    return matrix
+
+
+def inverse_of_symmetric(matrices: Floats) -> Floats:
+    """Inverses of N symmetric matrices (3, 3, N), by their cofactors."""
+    entries = matrices.reshape(9, -1)
+    cofactors = entries.take((4, 0, 0, 2, 1, 1), 0) * entries.take((8, 8, 4, 5, 5, 2), 0)
+    cofactors -= entries.take((5, 2, 1, 1, 2, 0), 0) * entries.take((5, 2, 1, 8, 4, 5), 0)
+    cofactors /= entries[0] * cofactors[0] + entries[1] * cofactors[3] + entries[2] * cofactors[4]
+    return cofactors.take((0, 3, 4, 3, 1, 5, 4, 5, 2), 0).reshape(matrices.shape)
 
 
 def all_stepped(poses: Floats, steps: Floats) -> Floats:

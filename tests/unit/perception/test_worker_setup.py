@@ -7,13 +7,13 @@ import sys
 
 import pytest
 
-# In a process of its own: what the allocator is told cannot be taken back.
+# In a process of its own: the settings cannot be undone.
 _COUNT = """
 import resource
 import numpy as np
-from conetl.perception.allocator import keep_freed_images
+from conetl.perception.worker_setup import set_up_worker
 if {keep}:
-    assert keep_freed_images()
+    set_up_worker()
 def images():
     return [np.ones(1_500_000, dtype=np.uint8) for _ in range(6)]
 for _ in range(3):
@@ -25,7 +25,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
 """
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="told to glibc's allocator only")
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="a setting of glibc")
 def test_pages_of_a_freed_image_serve_the_next_one() -> None:
     faults = {
         keep: int(
@@ -36,5 +36,5 @@ def test_pages_of_a_freed_image_serve_the_next_one() -> None:
         for keep in (False, True)
     }
     if faults[False] < 1_000:
-        pytest.skip(f"this C library keeps freed memory by itself ({faults[False]} page faults)")
+        pytest.skip(f"this C library keeps freed memory anyway ({faults[False]} page faults)")
     assert faults[True] < faults[False] / 10

@@ -1,11 +1,26 @@
-"""Steps of poses against scipy's rotations."""
+"""Closed forms for small arrays against numpy's and SciPy's general ones."""
 
 from __future__ import annotations
 
 import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from conetl.geometry.pose_steps import all_stepped, apart, stepped
+from conetl.geometry.small_arrays import all_stepped, apart, inverse_of_symmetric, median, stepped
+
+
+@given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=40))
+def test_it_is_numpys_median(values: list[float]) -> None:
+    assert median(np.array(values)) == np.median(values)
+
+
+def test_inverses_are_those_of_linear_algebra() -> None:
+    rng = np.random.default_rng(3)
+    factors = rng.normal(size=(50, 3, 3))
+    matrices = factors @ np.swapaxes(factors, 1, 2) + 0.1 * np.eye(3)
+    found = inverse_of_symmetric(np.ascontiguousarray(matrices.transpose(1, 2, 0))).transpose(2, 0, 1)
+    np.testing.assert_allclose(found, np.linalg.inv(matrices), rtol=1e-9, atol=1e-12)
 
 
 def test_steps_turn_before_the_pose_and_move_its_place() -> None:
