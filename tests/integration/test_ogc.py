@@ -405,7 +405,7 @@ def plain(item):
 
 
 def test_a_new_session_has_planned_its_first_page(module_database_url, features):
-    count_pages = "select count(*) from pg_prepared_statements where statement like '-- Purpose: one page of features%'"
+    count_pages = "select count(*) from pg_prepared_statements where statement like '-- One page of features%'"
 
     async def prepared_before_and_after():
         pool = AsyncReaderPool(module_database_url, warm)
