@@ -24,7 +24,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.own_home import own_home
+from benchmarks.harness import own_home
 
 
 def decode_and_run(drive: Path, workers: int) -> Callable[[], None]:

@@ -22,7 +22,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.own_home import own_home
+from benchmarks.harness import own_home
 
 IMPORTS = {
     "the steps alone": "import conetl.pipeline.ingest",
