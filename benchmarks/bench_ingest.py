@@ -1,18 +1,15 @@
-"""The whole job, from JPEG on disk to the committed map, beside nothing but decoding and the network on the same pictures.
+"""The complete job, from JPEG on disk to the committed map, beside decoding and the network alone on the same images.
 
-Each way takes its own look at all pictures, one after the other in one run. Memory is that of this process with Prefect's
-server. Where other work shares the machine the clock says little: pairs a second are also told as cores over processor time
-a pair, which is what an idle machine of as many cores could reach.
+The variants run one after the other. Memory is that of this process with Prefect's server. On a shared machine the wall clock
+is not meaningful: pairs per second are also given as cores over processor time per pair, the rate of an idle machine with as
+many cores.
 
     python benchmarks/bench_ingest.py [--pairs 600] [--drive FOLDER] [--only refined|plain] [--everywhere] [--stages]
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
-import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -22,15 +19,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from benchmarks.own_home import own_home
+from benchmarks.harness import Peak, arguments_of, load, own_home, processor_s, write_json
 
 
 def decode_and_run(drive: Path, workers: int) -> Callable[[], None]:
-    """What decodes every picture of a drive and puts it through the network, in so many threads; the answers are thrown away.
+    """A function that decodes every image of a drive and runs the network on it, in `workers` threads, and drops the results.
 
-    The drive is read beforehand, and freed pictures' memory is used again, as the whole job does.
+    The drive is read beforehand, and the memory of freed images is used again, as in the complete job.
     """
     from conetl.geometry.camera import first_road_row
     from conetl.geometry.rig import map_SE3_left
@@ -65,23 +60,22 @@ def decode_and_run(drive: Path, workers: int) -> Callable[[], None]:
 
 
 def main() -> None:  # noqa: PLR0915 -- a list of measurements
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = arguments_of(__doc__)
     parser.add_argument("--pairs", type=int, default=600)
-    parser.add_argument("--drive", type=Path, help="KITTI drive whose pictures are repeated")
+    parser.add_argument("--drive", type=Path, help="KITTI drive whose images are repeated")
     parser.add_argument("--only", choices=("refined", "plain"))
     parser.add_argument(
         "--everywhere",
         action="store_true",
-        help="also with right pictures searched everywhere, as the bare network does",
+        help="also with right images searched everywhere, as by the network alone",
     )
     parser.add_argument(
         "--stages", action="store_true", help="also without Prefect, with the processor time of each task"
     )
-    parser.add_argument("--json", type=Path, help="write the figures here")
     arguments = parser.parse_args()
     with own_home() as home, ExitStack() as stack:
         from benchmarks import whole_job as job
-        from benchmarks.whole_job import params_with, plain_ingest, prefect_ingest, processor_s, settings_in
+        from benchmarks.whole_job import params_with, plain_ingest, prefect_ingest, settings_in
         from conetl.model.params import DetectionParams
         from conetl.pipeline.database import MapDatabase
         from flows.server import prefect_server
@@ -94,14 +88,14 @@ def main() -> None:  # noqa: PLR0915 -- a list of measurements
         figures: dict[str, dict[str, float]] = {}
 
         def take(name: str, run: Callable[[], object]) -> None:
-            cpu, wall, load = processor_s(os.getpid(), database), time.monotonic(), os.getloadavg()[0]
-            with job.Peak() as peak:
+            cpu, wall, load_before = processor_s(os.getpid(), database), time.monotonic(), load()
+            with Peak() as peak:
                 run()
             cpu, wall = processor_s(os.getpid(), database) - cpu, time.monotonic() - wall
             figures[name] = {
                 "processor_ms_a_pair": 1e3 * cpu / pairs, "pairs_a_second_by_the_clock": pairs / wall,
                 "pairs_a_second_of_idle_cores": workers * pairs / cpu, "peak_mb": peak.bytes / 1e6,
-                "peak_own_mb": peak.own_bytes / 1e6, "load": max(load, os.getloadavg()[0]),
+                "peak_own_mb": peak.own_bytes / 1e6, "load": max(load_before, load()),
             }  # fmt: skip
             print(f"{name:28}" + "".join(f"{value:12.1f}" for value in figures[name].values()), flush=True)
 
@@ -133,7 +127,7 @@ def main() -> None:  # noqa: PLR0915 -- a list of measurements
             share = figures["decode + network"]["processor_ms_a_pair"] / figures[name]["processor_ms_a_pair"]
             stored = sum(path.stat().st_size for path in settings.results_folder.iterdir())
             grown = job.database_bytes(settings) - before
-            print(f"  {share:.2f} of decode + network alone; a pair takes {stored / 1e3 / pairs:.1f} kB of results and "
+            print(f"  {share:.2f} of decode + network alone; {stored / 1e3 / pairs:.1f} kB of results and "
                   f"{grown / 1e3 / pairs:.1f} kB in the database")  # fmt: skip
             if arguments.stages:
                 spent: dict[str, float] = {}
@@ -146,8 +140,7 @@ def main() -> None:  # noqa: PLR0915 -- a list of measurements
                 )
                 for task, seconds in sorted(spent.items(), key=lambda item: -item[1]):
                     print(f"    {task:20} {1e3 * seconds / pairs:8.2f} ms a pair")
-        if arguments.json:
-            arguments.json.write_text(json.dumps(figures, indent=1))
+        write_json(arguments.json, figures)
 
 
 if __name__ == "__main__":

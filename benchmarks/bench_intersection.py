@@ -1,27 +1,22 @@
 """Forward intersection of two views (the paper's Equation 1) with covariance, beside OpenCV and, where it is installed, numba.
 
-    python benchmarks/bench_intersection.py [--points 1000000] [--rounds 7] [--json]
+    python benchmarks/bench_intersection.py [--points 1000000] [--rounds 7] [--json FILE]
 
-Everything runs on one thread, in turn; processor time counts, of the best round. `cv2.triangulatePoints` solves the linear
-equations by SVD: no iteration, no image weights, no covariance, no status. The numba rival does the same iterations as
-conetl in compiled code, point by point: what there is to gain from leaving numpy. It is left out, and that is said, where
-numba is missing.
+All methods run on one thread, in turn; the figure is the processor time of the best round. `cv2.triangulatePoints` solves the
+linear equations by SVD, without iteration, image weights, covariance and status. The numba rival runs the same iterations as
+conetl in compiled code, point by point.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import time
 from collections.abc import Callable
-from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
 
+from benchmarks.harness import arguments_of, print_rows, write_json
 from conetl.geometry.intersection import intersect
 from conetl.geometry.pose import rotation_from_rpy
 
@@ -30,16 +25,14 @@ FOCAL_PX, CX_PX, CY_PX, BASELINE_M, SIGMA_PX = 721.5, 609.6, 172.9, 0.54, 0.3
 
 
 def observed(points: int) -> tuple[Array, Array]:
-    """Image points (P, 2, 2) with noise of cones 3 to 35 m in front of a rectified pair, and the truth (P, 3)."""
+    """Noisy image points (P, 2, 2) of cones 3 to 35 m in front of a rectified pair, and the truth (P, 3)."""
     rng = np.random.default_rng(1)
     z = rng.uniform(3.0, 35.0, points)
     xyz = np.stack([rng.uniform(-0.6, 0.6, points) * z, rng.uniform(1.0, 1.7, points), z], axis=1)
-    uv = np.stack(
-        [
-            np.stack([FOCAL_PX * (xyz[:, 0] - shift) / z + CX_PX, FOCAL_PX * xyz[:, 1] / z + CY_PX], axis=1)
-            for shift in (0.0, BASELINE_M)
-        ],
-        axis=1,
+    columns = (xyz[:, :1] - [0.0, BASELINE_M]) / z[:, None]
+    uv = FOCAL_PX * np.stack([columns, np.broadcast_to(xyz[:, 1:2] / z[:, None], columns.shape)], axis=2) + (
+        CX_PX,
+        CY_PX,
     )
     return uv + rng.normal(0, SIGMA_PX, uv.shape), xyz
 
@@ -53,7 +46,7 @@ def by_conetl(uv: Array) -> Array:
 
 
 def posed(points: int, truth: Array) -> Callable[[Array], Array]:
-    """conetl with turned cameras and poses of its own for each point; brings its own image points."""
+    """conetl with rotated cameras and a pose per point, for image points of its own."""
     rng = np.random.default_rng(2)
     rotation = np.broadcast_to(rotation_from_rpy(*rng.uniform(-0.03, 0.03, (3, 2))), (points, 2, 3, 3)).copy()
     centre = np.broadcast_to([[0.0, 0.0, 0.0], [BASELINE_M, 0.0, 0.0]], (points, 2, 3)).copy()
@@ -122,54 +115,44 @@ def numba_rival() -> Callable[[Array], Array] | None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments_of(__doc__)
     parser.add_argument("--points", type=int, default=1_000_000)
     parser.add_argument("--rounds", type=int, default=7)
-    parser.add_argument("--json", action="store_true", dest="as_json")
-    args = parser.parse_args()
+    options = parser.parse_args()
     cv2.setNumThreads(1)
-    uv, truth = observed(args.points)
-    rivals: dict[str, Callable[[Array], Array]] = {
+    uv, truth = observed(options.points)
+    rivals: dict[str, Callable[[Array], Array] | None] = {
         "conetl": by_conetl,
-        "conetl, poses per point": posed(args.points, truth),
+        "conetl, poses per point": posed(options.points, truth),
         "cv2.triangulatePoints": by_opencv,
+        "numba, same steps": numba_rival(),
     }
-    compiled = numba_rival()
-    if compiled is not None:
-        rivals["numba, same steps"] = compiled
-    best = dict.fromkeys(rivals, float("inf"))
+    best: dict[str, float] = {}
     errors: dict[str, float] = {}
-    for number in range(args.rounds + 1):  # the first round warms up and compiles
+    for number in range(options.rounds + 1):  # the first round warms up and compiles
         for name, run in rivals.items():
+            if run is None:
+                continue
             started = time.process_time()
             found = run(uv)
             seconds = time.process_time() - started
             if number:
-                best[name] = min(best[name], seconds)
+                best[name] = min(best.get(name, seconds), seconds)
             errors[name] = float(np.nanmedian(np.linalg.norm(found - truth, axis=1)))
-    rows: list[dict[str, Any]] = [
+    rows: list[dict[str, object]] = [
         {
             "method": name,
-            "points_per_s": args.points / seconds,
-            "ratio_to_conetl": best["conetl"] / seconds,
-            "covariance": name != "cv2.triangulatePoints",
-            "median_error_m": errors[name],
+            "M points/s": options.points / seconds / 1e6,
+            "ratio to conetl": best["conetl"] / seconds,
+            "covariance": "no" if name == "cv2.triangulatePoints" else "yes",
+            "median error m": errors[name],
         }
         for name, seconds in best.items()
     ]
-    if args.as_json:
-        print(json.dumps({"points": args.points, "numba": compiled is not None, "methods": rows}, indent=2))
-        return
-    table = Table(box=None)
-    for title in ("method", "M points/s", "beside conetl", "covariance", "median error m"):
-        table.add_column(title, no_wrap=True)
-    for row in rows:
-        covariance = "yes" if row["covariance"] else "no"
-        speed, ratio = f"{row['points_per_s'] / 1e6:.2f}", f"{row['ratio_to_conetl']:.2f}"
-        table.add_row(row["method"], speed, ratio, covariance, f"{row['median_error_m']:.4f}")
-    Console().print(table)
-    if compiled is None:
-        print("numba is not installed: its row is left out")
+    print_rows(f"{options.points:,} points", rows)
+    if rivals["numba, same steps"] is None:
+        print("numba is not installed: its row is missing")
+    write_json(options.json, rows)
 
 
 if __name__ == "__main__":

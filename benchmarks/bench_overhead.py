@@ -1,15 +1,14 @@
-"""What Prefect costs: `ingest` of one long drive through a running Prefect server against the same steps in a plain loop.
+"""Cost of Prefect: `ingest` of one long drive through a running Prefect server, and the same steps without Prefect.
 
-Processor time of this process, of the Prefect server and of PostGIS. First both ways from pictures ("cold"), each into a map
-of its own; then both again with the results of all chunks on disk ("warm"), where hardly anything but orchestration is left,
-so that a busy machine does not hide it. The figure to judge by is the warm difference over the cold plain loop.
+Processor time of this process, of the Prefect server and of PostGIS. First both variants run from images ("cold"), each into a
+map of its own; then both again with the results of all chunks on disk ("warm"), where orchestration is most of the work, so
+that other load of the machine does not hide it. The result is the warm difference over the cold run without Prefect.
 
     python benchmarks/bench_overhead.py [--pairs 1000] [--no-refine] [--rounds 3] [--drive FOLDER] [--chunk-pairs 128] [--no-cold]
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import shutil
 import statistics
@@ -20,9 +19,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from benchmarks.own_home import own_home
+from benchmarks.harness import arguments_of, load, own_home, processor_s, write_json
 
 IMPORTS = {
     "the steps alone": "import conetl.pipeline.ingest",
@@ -31,7 +28,7 @@ IMPORTS = {
 
 
 def cpu_of_import(statement: str) -> float:
-    """Processor time of a Python process that imports something, the best of three."""
+    """Processor time of a Python process with this statement, the best of three."""
     took = []
     for _ in range(3):
         before = os.times()
@@ -42,17 +39,17 @@ def cpu_of_import(statement: str) -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = arguments_of(__doc__)
     parser.add_argument("--pairs", type=int, default=1000)
     parser.add_argument("--drive", type=Path)
-    parser.add_argument("--rounds", type=int, default=3, help="warm rounds of each way")
-    parser.add_argument("--chunk-pairs", type=int, help="frame pairs a task: 8 of 64 pairs are the tasks of 1,000")
+    parser.add_argument("--rounds", type=int, default=3, help="warm rounds of each variant")
+    parser.add_argument("--chunk-pairs", type=int, help="frame pairs per task")
     parser.add_argument("--no-refine", action="store_true")
-    parser.add_argument("--no-cold", action="store_true", help="plain loop from pictures only, not Prefect's")
+    parser.add_argument("--no-cold", action="store_true", help="cold run only without Prefect")
     arguments = parser.parse_args()
     with own_home() as home, ExitStack() as stack:
         from benchmarks import whole_job as job
-        from benchmarks.whole_job import params_with, plain_ingest, prefect_ingest, processor_s, settings_in
+        from benchmarks.whole_job import params_with, plain_ingest, prefect_ingest, settings_in
         from flows.server import prefect_server
 
         source = job.source_drive(arguments.drive)
@@ -80,17 +77,18 @@ def main() -> None:
             warm["plain"].append(took(plain_ingest, f"warm_plain_{k}")[0])
             warm["prefect"].append(took(prefect_ingest, f"warm_prefect_{k}")[0])
         print(f"{arguments.pairs} pairs of {source.name}, refinement {params.trajectory.refine}, "
-              f"{workers} detection tasks at a time, load {os.getloadavg()[0]:.1f}")  # fmt: skip
+              f"{workers} detection tasks at a time, load {load():.1f}")  # fmt: skip
         for way, (cpu, wall) in cold.items():
-            print(f"{way:8} from pictures: {cpu:7.1f} s of processor time, {wall:7.1f} s by the clock")
+            print(f"{way:8} from images: {cpu:7.1f} s of processor time, {wall:7.1f} s wall clock")
         for way, times in warm.items():
             print(f"{way:8} with results on disk: {', '.join(f'{t:.2f}' for t in times)} s of processor time")
         extra = statistics.median(warm["prefect"]) - statistics.median(warm["plain"])
-        print(f"Prefect costs {extra:.2f} s: {100 * extra / cold['plain'][0]:.2f} % of the plain loop")
+        print(f"Prefect costs {extra:.2f} s: {100 * extra / cold['plain'][0]:.2f} % of the run without Prefect")
         if "prefect" in cold:
             print(f"cold against cold: {100 * (cold['prefect'][0] / cold['plain'][0] - 1):+.2f} %")
-        print(f"once a command: start of the server {start_s:.1f} s; "
+        print(f"once per command: start of the server {start_s:.1f} s; "
               + "; ".join(f"import of {name} {cpu_of_import(text):.1f} s" for name, text in IMPORTS.items()))  # fmt: skip
+        write_json(arguments.json, {"cold_s": cold, "warm_s": warm, "prefect_s": extra, "server_start_s": start_s})
 
 
 if __name__ == "__main__":

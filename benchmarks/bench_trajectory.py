@@ -1,26 +1,22 @@
-"""Refined against logged trajectory: how still the cones of a drive stand, and what the refinement costs.
+"""Refined against logged trajectory: consistency of the cones of a drive, and cost of the refinement.
 
-Each cone's frames are cut into four parts by time, and each part alone gives a place (joint
-adjustment of its rays). The distance of two cones is then taken for all 4 x 4 pairs of parts: where the trajectory holds, all are
-equal.
+The frames of each cone are divided into four parts by time, and each part gives a position (joint adjustment of its rays). The
+distance between two cones is then computed for all 4 x 4 pairs of parts; with a perfect trajectory all are equal.
 
     python benchmarks/bench_trajectory.py DRIVE [--cache FILE] [--self-calibrate]
 """
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import pickle
-import sys
 import time
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
+from benchmarks.harness import arguments_of, print_rows, write_json
 from conetl.geometry.joint_fit import fit_point
 from conetl.geometry.motion.stereo_tracks import motions_of
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
@@ -75,14 +71,14 @@ def match_boxes(drive: Drive, boxes: dict[int, tuple[list, list]], params: Inges
     return with_measured_spread(matches)
 
 
-def places(pairs: list[FramePair], drive: Drive, matches: list[StereoMatch], params: IngestParams) -> list[Position]:
+def locate(pairs: list[FramePair], drive: Drive, matches: list[StereoMatch], params: IngestParams) -> list[Position]:
     return locate_positions(matches, {p.frame_index: p for p in pairs}, drive.rig, params.position)[0]
 
 
-def part_places(
+def part_positions(
     group: list[Position], found: dict[tuple[int, int], StereoMatch], drive: Drive, poses: dict[int, FramePair]
 ) -> np.ndarray:
-    """(PARTS, 3) place of one cone from each part of its frames, by the product's own joint adjustment."""
+    """(PARTS, 3) position of one cone from each part of its frames, by the joint adjustment of conetl."""
     rig, result = drive.rig, []
     for part in np.array_split(np.arange(len(group)), PARTS):
         some = [group[i] for i in part]
@@ -101,31 +97,35 @@ def part_places(
             sigma_motion_m=np.full(len(pairs), 0.02),
         )
         if fit is None:
-            raise SystemExit(f"no place from frame pairs {[p.frame_index for p in some]}")
+            raise SystemExit(f"no position from frame pairs {[p.frame_index for p in some]}")
         result.append(fit.xyz_m)
     return np.array(result)
 
 
-def report(name: str, pairs: list[FramePair], drive: Drive, groups: list, matches: list, params: IngestParams) -> None:
-    positions = {(p.frame_index, p.match_index): p for p in places(pairs, drive, matches, params)}
+def report(
+    name: str, pairs: list[FramePair], drive: Drive, groups: list, matches: list, params: IngestParams
+) -> dict[str, object]:
+    positions = {(p.frame_index, p.match_index): p for p in locate(pairs, drive, matches, params)}
     poses, found = {p.frame_index: p for p in pairs}, {(m.frame_index, m.match_index): m for m in matches}
-    feet = [part_places([positions[m] for m in members if m in positions], found, drive, poses) for members in groups]
-    slides = [float(np.linalg.norm(f[:, None, :2] - f[None, :, :2], axis=2).max()) for f in feet]
-    rows = []
-    for a, b in itertools.combinations(range(len(feet)), 2):
-        d = np.linalg.norm(feet[a][:, None, :2] - feet[b][None, :, :2], axis=2).ravel()
-        rows.append((float(d.std(ddof=1)), float(np.ptp(d) / 2)))
-    table = np.array(rows)
-    print(f"{name:28s} cone moves between parts by up to {max(slides):.3f} m; distance of two cones: "
-          f"std median {np.median(table[:, 0]):.3f}, worst {table[:, 0].max():.3f} m; "
-          f"half range median {np.median(table[:, 1]):.3f}, worst {table[:, 1].max():.3f} m")  # fmt: skip
+    feet = [
+        part_positions([positions[m] for m in members if m in positions], found, drive, poses) for members in groups
+    ]
+    shifts = [float(np.linalg.norm(f[:, None, :2] - f[None, :, :2], axis=2).max()) for f in feet]
+    distances = np.array(
+        [np.linalg.norm(a[:, None, :2] - b[None, :, :2], axis=2).ravel() for a, b in itertools.combinations(feet, 2)]
+    )
+    std, half_range = distances.std(axis=1, ddof=1), np.ptp(distances, axis=1) / 2
+    return {
+        "trajectory": name, "largest shift of a cone m": max(shifts), "distances: std median m": float(np.median(std)),
+        "worst m": float(std.max()), "half range median m": float(np.median(half_range)), "worst": float(half_range.max()),
+    }  # fmt: skip
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments_of(__doc__)
     parser.add_argument("drive", type=Path)
     parser.add_argument("--cache", type=Path, help="keep detections here between runs (pickle)")
-    parser.add_argument("--self-calibrate", action="store_true", help="turn the right camera as the drive asks for")
+    parser.add_argument("--self-calibrate", action="store_true", help="correct the right camera by self-calibration")
     args = parser.parse_args()
     cv2.setNumThreads(1)
     params = IngestParams()
@@ -153,22 +153,28 @@ def main() -> None:
     print(f"{len(logged)} frame pairs: visual odometry {done_wall - wall:.1f} s wall, {done_cpu - cpu:.1f} s CPU (one thread); "
           f"adjustment {time.perf_counter() - wall_before:.2f} s")  # fmt: skip
     print(f"{by_motion.outcome}: {by_motion.detail}")
-    refined = list(by_motion.frame_pairs)
     with_cones = refine_with_cones(logged, drive.rig, motions, matches, params)
     last = list(with_cones.frame_pairs)
     found = [box for pair in boxes.values() for side in pair for box in side]
-    cones, _ = fuse_tracks(places(last, drive, matches, params), matches, found, last, drive.rig, params)
+    cones, _ = fuse_tracks(locate(last, drive, matches, params), matches, found, last, drive.rig, params)
     errors = pose_cov(with_cones, params.trajectory)
     variances = estimate_variance_factors(cones, matches, drive.rig, {p.frame_index: p.pose for p in last}, errors)
     print("variances over stated ones: " + ", ".join(f"{k} {v:.2f}" for k, v in variances._asdict().items()))
     matches = with_variance_factors(matches, variances)
     groups = [cone.members for cone in cones]
     print(f"{len(cones)} cones, seen in {[len(g) for g in groups]} frame pairs; {with_cones.detail}")
-    report("as logged", logged, drive, groups, matches, params)
-    report("visual odometry", refined, drive, groups, matches, params)
-    report("visual odometry and cones", last, drive, groups, matches, params)
     off = refine_trajectory(logged, drive.rig, motions, TrajectoryParams(refine=False))
-    report("refine: false", list(off.frame_pairs), drive, groups, matches, params)
+    rows = [
+        report(name, pairs, drive, groups, matches, params)
+        for name, pairs in (
+            ("as logged", logged),
+            ("visual odometry", list(by_motion.frame_pairs)),
+            ("visual odometry and cones", last),
+            ("refine: false", list(off.frame_pairs)),
+        )
+    ]
+    print_rows("", rows)
+    write_json(args.json, rows)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""Well-known detection networks with random weights, written as ONNX files: yardsticks for the speed of conetl's own network.
+"""Well-known detection networks with random weights as ONNX files, for comparison with the speed of conetl's own network.
 
-The weights say nothing and take as long to multiply as trained ones. Batch norms are folded into the convolutions' biases, as
-every export for inference does. Decoding of boxes and suppression of overlaps are left out, which favours the rivals.
+Random weights take as long to multiply as trained ones. Batch norms are folded into the convolutions' biases, as in every
+export for inference. Decoding of boxes and non-maximum suppression are left out, which favours the rivals.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Map:
 
 @dataclass
 class Graph:
-    """The nodes and weights gathered so far; names are counted up."""
+    """The nodes and weights so far, with consecutive names."""
 
     activation: Activation
     random: np.random.Generator
@@ -48,7 +48,7 @@ class Graph:
 
 @dataclass(frozen=True)
 class Cost:
-    """What a network costs for one input: numbers of weights and of floating-point operations (a multiply-add counts two)."""
+    """Cost of a network for one input: numbers of weights and of floating-point operations (a multiply-add counts two)."""
 
     parameters: int
     gflop: float
@@ -253,9 +253,8 @@ def write_yolo11n(path: Path, *, size_px: int = 640, classes: int = 80, seed: in
 def network_cost(path: Path, input_shape: Sequence[int]) -> Cost:
     """Weights and floating-point operations of a network for one input of the given shape (N, C, H, W).
 
-    Counted from the graph: convolutions and matrix products, a multiply-add as two; the rest (activations, sums, pooling) is not
-    counted, as is usual. The sizes come from one run of the network, because graphs may compute them. Raises ValueError for a
-    graph whose products are of a kind that is not counted here.
+    Convolutions and matrix products are counted, a multiply-add as two; activations, sums and pooling are not, as is usual. The
+    sizes come from one run of the network, because graphs may compute them. Raises ValueError for other kinds of products.
     """
     model = onnx.load(str(path))
     fixed = {tensor.name: tuple(tensor.dims) for tensor in model.graph.initializer}

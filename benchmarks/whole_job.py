@@ -1,12 +1,8 @@
-"""What the benchmarks of the whole job share: a long drive made of a short one, processor time and memory of process trees,
-and an ingest with and without Prefect.
-"""
+"""Shared by the benchmarks of the complete job: a long drive made of a short one, and an ingest with and without Prefect."""
 
 from __future__ import annotations
 
-import os
 import shutil
-import threading
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
@@ -18,6 +14,7 @@ from typing import Any
 
 import psutil
 
+from benchmarks.harness import KITTI, SAMPLE
 from conetl.db.cluster.cluster import cluster_remove, cluster_up
 from conetl.db.connection import connect, execute
 from conetl.model.ingest_report import IngestReport
@@ -28,24 +25,19 @@ from conetl.pipeline.ingest import ingest
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives.header import read_header
 
-ROOT = Path(__file__).resolve().parents[1]
-SHARED = Path(os.environ.get("CONETL_SHARED_DATA", ROOT.parent / "shared" / "data"))
-KITTI = SHARED / "kitti_2011_09_26_drive_0005_sync"
-SAMPLE = ROOT / "data" / "drives" / "2026-03-02_taper_pass1"
-
 
 def source_drive(given: Path | None) -> Path:
-    """The drive whose pictures are repeated: the real street where it is to be had, else a sample drive."""
+    """The drive whose images are repeated: the real street where it is available, else a sample drive."""
     return given or (KITTI if KITTI.is_dir() else SAMPLE)
 
 
 def make_long_drive(source: Path, folder: Path, pairs: int, *, start: datetime | None = None) -> Path:
-    """A KITTI drive of `pairs` frame pairs: the car of `source` goes to and fro, at 10 pairs a second. Images are links.
+    """A KITTI drive of `pairs` frame pairs: `source` forwards and backwards in turn, at 10 pairs per second. Images are links.
 
-    No two neighbouring pairs show the same picture, so that nothing looks like a stuck camera.
+    Consecutive pairs have different images, unlike those of a frozen camera.
     """
     numbers = sorted(int(path.stem) for path in (source / "oxts" / "data").glob("*.txt"))
-    there_and_back = numbers + numbers[-2:0:-1]
+    forth_and_back = numbers + numbers[-2:0:-1]
     suffix = next((source / "image_02" / "data").iterdir()).suffix
     for name in ("image_02", "image_03", "oxts"):
         (folder / name / "data").mkdir(parents=True)
@@ -56,34 +48,15 @@ def make_long_drive(source: Path, folder: Path, pairs: int, *, start: datetime |
     for name in ("image_02", "image_03", "oxts"):
         (folder / name / "timestamps.txt").write_text("".join(stamps))
     for k in range(pairs):
-        number = there_and_back[k % len(there_and_back)]
+        number = forth_and_back[k % len(forth_and_back)]
         for side in ("image_02", "image_03"):
             (folder / side / "data" / f"{k:010d}{suffix}").symlink_to(source / side / "data" / f"{number:010d}{suffix}")
         shutil.copy(source / "oxts" / "data" / f"{number:010d}.txt", folder / "oxts" / "data" / f"{k:010d}.txt")
     return folder
 
 
-def tree(pid: int | None = None) -> list[psutil.Process]:
-    """A process and all below it."""
-    top = psutil.Process(pid)
-    return [top, *top.children(recursive=True)]
-
-
-def processor_s(*pids: int) -> float:
-    """Processor time of process trees so far, those of their processes included that ended and were waited for."""
-    total = 0.0
-    for pid in pids:
-        for process in tree(pid):
-            try:
-                times = process.cpu_times()
-            except psutil.NoSuchProcess:
-                continue
-            total += times.user + times.system + times.children_user + times.children_system
-    return total
-
-
 def database_pid(settings: Settings) -> int:
-    """The private cluster's first process; the cluster is started where it does not run."""
+    """Process id of the private cluster, which is started if necessary."""
     with closing(connect(cluster_up(settings.home))) as conn:
         backend = execute(conn, "select pg_backend_pid() as pid")[0]["pid"]
         return psutil.Process(backend).ppid()
@@ -97,42 +70,15 @@ def database_bytes(settings: Settings) -> int:
 
 @contextmanager
 def database_in(home: Path) -> Iterator[int]:
-    """A private cluster for the time of a benchmark; the id of its first process."""
+    """A private cluster for one benchmark; its process id."""
     try:
         yield database_pid(settings_in(home))
     finally:
         cluster_remove(home)
 
 
-class Peak:
-    """Most resident memory of this process and its children together, looked at once a second."""
-
-    def __init__(self, every_s: float = 1.0) -> None:
-        self.bytes = self.own_bytes = 0
-        self._every_s, self._stop = every_s, threading.Event()
-        self._thread = threading.Thread(target=self._look, daemon=True)
-
-    def __enter__(self) -> Peak:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stop.set()
-        self._thread.join()
-
-    def _look(self) -> None:
-        while not self._stop.wait(self._every_s):
-            sizes = []
-            for process in tree():
-                try:
-                    sizes.append(process.memory_info().rss)
-                except psutil.NoSuchProcess:
-                    sizes.append(0)
-            self.bytes, self.own_bytes = max(self.bytes, sum(sizes)), max(self.own_bytes, sizes[0])
-
-
 class TimedExecutor(ThreadExecutor):
-    """Steps on a plain pool of threads; keeps the processor time of each (OpenCV's own threads go uncounted)."""
+    """Steps on a plain pool of threads; keeps the processor time of each (without OpenCV's own threads)."""
 
     def __init__(self, workers: int) -> None:
         super().__init__(workers)
@@ -155,7 +101,7 @@ def plain_ingest(drive: Path, settings: Settings, params: IngestParams) -> dict[
 
 
 def prefect_ingest(drive: Path, settings: Settings, params: IngestParams) -> IngestReport:
-    """Ingest as `conetl ingest` does, with the Prefect server that runs."""
+    """Ingest as `conetl ingest` does, with the running Prefect server."""
     from flows.ingest_drive import ingest_by_command
 
     with MapDatabase(settings) as database:
@@ -163,7 +109,7 @@ def prefect_ingest(drive: Path, settings: Settings, params: IngestParams) -> Ing
 
 
 def settings_in(home: Path, map_name: str = "default") -> Settings:
-    """Settings with everything below one folder, whatever the environment says."""
+    """Settings with everything below one folder, independent of the environment."""
     return Settings(home=home, map_name=map_name, database_url=None)
 
 

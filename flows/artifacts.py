@@ -34,7 +34,7 @@ from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.executor import Progress
 from conetl.pipeline.publish import PublishedFiles, catch_up, notify, publish
 from conetl.pipeline.settings import Settings
-from conetl.reports.annotated_image import draw_boxes, pairs_jpeg
+from conetl.reports.camera_images import draw_boxes, pairs_jpeg
 
 #: A request to the server costs about 30 ms of processor time.
 _SHOWN_EVERY_S = 10.0

@@ -1,4 +1,4 @@
-"""Drives over one made-up road on several days, through the real steps, ready to be merged; and the map as lines to compare."""
+"""Drives over one synthetic road on several days, by the real steps, ready to be merged; and the map as lines to compare."""
 
 from __future__ import annotations
 
@@ -27,20 +27,11 @@ from conetl.model.records import (
     Track,
 )
 from conetl.pipeline.replay import Merged, merge_drive
-from tests.synthetic.world import (
-    START_NS,
-    Cone,
-    detect,
-    fuse_logged,
-    locate,
-    make_path,
-    make_rig,
-    shifted,
-)
+from tests.synthetic.world import START_NS, Cone, detect, fuse_logged, locate, make_path, make_rig, shifted
 
 DAY_NS = 86_400_000_000_000
 RIG = make_rig()
-#: Its calibration is known to some sigmas: what drives of it have in common.
+#: With a covariance of the calibration, which its drives share.
 CALIBRATED = with_covariance(
     RIG,
     CalibrationCovariance(
@@ -49,7 +40,7 @@ CALIBRATED = with_covariance(
     ),
 )
 ROW = [Cone((14.0 + 5.0 * k, 3.6 - 0.4 * k, 0.0), height_m=0.7 if k % 2 else 0.5) for k in range(7)]
-#: What stands on the road on each day: one is moved and one taken away, one is set up; then one is moved back, one comes again.
+#: Cones on the road per day: one is moved, one taken away and one set up; then one is moved back, and one comes again.
 DAYS = [
     ROW,
     [*ROW[:1], Cone((19.5, 4.6, 0.0), height_m=0.7), *ROW[2:4], *ROW[5:]],
@@ -60,7 +51,7 @@ DAYS = [
 
 @dataclass(frozen=True)
 class Survey:
-    """One drive and what was made of it."""
+    """One drive and its results."""
 
     drive: Drive
     detections: list[Detection]
@@ -100,20 +91,16 @@ def survey_of(
 ) -> Survey:
     """A drive past cones, with noise and a GNSS offset of its own."""
     true = make_path(frames, start_m=start_m, first_ns=first_ns, sigma_m=0.3)
-    logged = [shifted(pair, (*rng.normal(0, 0.2, 2), 0.0)[:3]) for pair in true[:1]]
-    offset = np.array(logged[0].pose.map_t_body_m) - np.array(true[0].pose.map_t_body_m)
+    first = shifted(true[0], (*rng.normal(0, 0.2, 2), 0.0))
+    offset = np.subtract(first.pose.map_t_body_m, true[0].pose.map_t_body_m)
     logged = [shifted(pair, offset) for pair in true]
     found, matches, positions = locate(detect(cones, true, rig, noise_px=0.5, rng=rng), logged, rig)
     tracks, _ = fuse_logged(logged, rig, found, matches, positions)
+    sha256 = content or hashlib.sha256(name.encode()).hexdigest()
     drive = Drive(
-        drive_id=name,
-        source_path=name,
-        rig=rig,
-        map_srid=32632,
-        content_sha256=content or hashlib.sha256(name.encode()).hexdigest(),
-        frame_pairs=tuple(logged),
+        drive_id=name, source_path=name, rig=rig, map_srid=32632, content_sha256=sha256, frame_pairs=tuple(logged),
         expected_frame_count=frames,
-    )
+    )  # fmt: skip
     return Survey(drive, found, matches, positions, tracks)
 
 
@@ -124,32 +111,22 @@ def key_of(survey: Survey, params: IngestParams) -> str:
 def merge(
     conn: Connection, survey: Survey, *, map_name: str = "default", params: IngestParams | None = None
 ) -> Merged | None:
-    """What the flow's last task does: None where the drive is on the map already."""
+    """Merge as the last step of an ingest does; None where the drive is on the map already."""
     params = params or IngestParams()
     key = key_of(survey, params)
     changeset = Changeset(
-        changeset_id=uuid5(NAMESPACE_URL, f"{map_name} {key}"),
-        drive_id=survey.drive.drive_id,
-        idempotency_key=key,
-        params_sha256="cd" * 32,
-        model_sha256="ef" * 32,
-        code_version="0",
-        deltas=(),
-    )
+        changeset_id=uuid5(NAMESPACE_URL, f"{map_name} {key}"), drive_id=survey.drive.drive_id, idempotency_key=key,
+        params_sha256="cd" * 32, model_sha256="ef" * 32, code_version="0", deltas=(),
+    )  # fmt: skip
+    records = DriveRecords(survey.drive, survey.detections, survey.matches, survey.positions, survey.tracks)
     with map_transaction(conn, map_name):
         if find_changeset(conn, key, map_name=map_name) is not None:
             return None
-        return merge_drive(
-            conn,
-            DriveRecords(survey.drive, survey.detections, survey.matches, survey.positions, survey.tracks),
-            changeset,
-            params,
-            map_name=map_name,
-        )
+        return merge_drive(conn, records, changeset, params, map_name=map_name)
 
 
 def valid_time_map(conn: Connection, map_name: str = "default") -> dict[str, list[str]]:
-    """All that is believed now: versions with their periods and sources, and what each drive did; without cells."""
+    """The current database state: versions with their periods and sources, and deltas; without cells."""
     lines = {
         "versions": "select (to_jsonb(v) - 'version_row_id' - 'system_period' - 'map_id' - 'cell')::text as line "
         "from conetl.feature_version v join conetl.map m using (map_id) "
@@ -164,7 +141,7 @@ def valid_time_map(conn: Connection, map_name: str = "default") -> dict[str, lis
 
 
 def known_maps(conn: Connection, map_name: str = "default", days: Sequence[int] = range(len(DAYS))) -> dict[Any, Any]:
-    """For every system time at which anything was written, the map of every day as it was known then."""
+    """The map of every day, in the database state after each write."""
     times = execute(
         conn,
         "select distinct lower(system_period) as t from conetl.feature_version v join conetl.map m using (map_id) "
@@ -175,17 +152,10 @@ def known_maps(conn: Connection, map_name: str = "default", days: Sequence[int] 
         "select (to_jsonb(f) - 'version_row_id' - 'system_period' - 'valid_period' - 'cell')::text as line "
         "from conetl.map_as_of(%(map_name)s, to_timestamp(%(at)s), %(known)s) f order by 1"
     )
-    found = {
-        (row["t"], day): [
-            line["line"]
-            for line in execute(
-                conn,
-                sql,
-                {"map_name": map_name, "at": (START_NS + day * DAY_NS) / 1e9 + 3600, "known": row["t"]},
-            )
-        ]
-        for row in times
-        for day in days
-    }
+    found = {}
+    for row in times:
+        for day in days:
+            values = {"map_name": map_name, "at": (START_NS + day * DAY_NS) / 1e9 + 3600, "known": row["t"]}
+            found[row["t"], day] = [line["line"] for line in execute(conn, sql, values)]
     conn.rollback()
     return found

@@ -1,4 +1,4 @@
-"""Every format, opened by the programs that it is for: equal counts, places within a millimetre, times to the microsecond."""
+"""Every format in the programs that read it: equal counts, positions within a millimetre, times to the microsecond."""
 
 from __future__ import annotations
 
@@ -24,12 +24,10 @@ from pyproj import Transformer
 from conetl.db.connection import connect, execute
 from conetl.db.map.import_store import set_licence
 from conetl.db.map.map_store import read_features_as_of
-from conetl.exports import FORMATS, geojson, qgis_project
+from conetl.exports import FORMATS, geojson
 from conetl.exports.export import export_map
-from conetl.exports.kind_marks import KIND_MARKS
 from conetl.exports.source import ExportRequest, What
 from conetl.model.errors import InputError
-from conetl.model.map_records import DeltaKind
 from conetl.pipeline.publication import write_publication
 from conetl.pipeline.settings import Settings
 from tests.conftest import cloned_database
@@ -46,7 +44,7 @@ WHATS = {
 
 @pytest.fixture(scope="module")
 def conn(cluster_url, template_database):
-    """A map of three drives, the second one late: there are beliefs that were given up."""
+    """A map of three drives, the second one late: some versions were replaced."""
     with cloned_database(cluster_url, template_database) as url:
         connection = connect(url)
         for day in (0, 2, 1):
@@ -63,20 +61,14 @@ def files(conn, tmp_path_factory):
         (what, name): export_map(conn, folder / f"{what}{FORMATS[name].suffix}", name, request)
         for what, request in WHATS.items()
         for name in FORMATS
-        if name != "wzdx"
     }
     assert not [path for path in folder.iterdir() if path.name.startswith(".")]
     return folder, manifests
 
 
 def rows_of(conn, what):
-    """(place, valid_from) of what is to be in the file, from the tables, sorted."""
-    believed = "upper_inf(system_period)"
-    where = {
-        What.FEATURES: f"{believed} and upper_inf(valid_period) and present",
-        What.HISTORY: "true",
-        "scene": believed,
-    }[what]
+    """(position, valid_from) of the expected rows, from the tables, sorted."""
+    where = "upper_inf(system_period) and upper_inf(valid_period) and present" if what is What.FEATURES else "true"
     rows = execute(
         conn,
         f"select ST_X(geom) x, ST_Y(geom) y, ST_Z(geom) z, lower(valid_period) t from conetl.feature_version where {where}",
@@ -97,7 +89,7 @@ def same(found, wanted):
 
 
 def duckdb_spatial():
-    """DuckDB with its spatial extension, out of the package that brings it as a file."""
+    """DuckDB with its spatial extension from the package that contains it."""
     connection = duckdb.connect()
     [extension] = resources.files("duckdb_extension_spatial").joinpath("extensions").glob("*/spatial.duckdb_extension")
     connection.execute(f"load '{extension}'")
@@ -125,7 +117,7 @@ def test_geoparquet_in_geopandas_and_duckdb(conn, files, what):
     assert 1 <= len(one) < len(wanted)
 
 
-def test_geoparquet_says_what_the_standard_wants(files):
+def test_geoparquet_metadata_follows_the_standard(files):
     file = pq.ParquetFile(files[0] / "features.parquet")
     geo = json.loads(file.metadata.metadata[b"geo"])
     assert (geo["version"], geo["primary_column"]) == ("1.1.0", "geometry")
@@ -161,14 +153,12 @@ def test_text_formats(conn, files):
         names = ("easting_m", "northing_m", "ellipsoidal_height_m")
         same([(*(float(line[name]) for name in names), parsed(line["valid_from"])) for line in lines], wanted)
         nodes = ElementTree.parse(folder / f"{what}.osm").getroot().findall("node")
-        tags = [{tag.get("k"): tag.get("v") for tag in node.findall("tag")} for node in nodes]
-        same(
-            [
-                (*TO_MAP.transform(float(n.get("lon")), float(n.get("lat"))), float(t["ele"]), parsed(t["valid_from"]))
-                for n, t in zip(nodes, tags, strict=True)
-            ],
-            wanted,
-        )
+        found = []
+        for node in nodes:
+            tags = {tag.get("k"): tag.get("v") for tag in node.findall("tag")}
+            xy = TO_MAP.transform(float(node.get("lon")), float(node.get("lat")))
+            found.append((*xy, float(tags["ele"]), parsed(tags["valid_from"])))
+        same(found, wanted)
         assert len({node.get("id") for node in nodes}) == len(nodes)
         assert all(int(node.get("id")) < 0 for node in nodes)
 
@@ -205,7 +195,7 @@ def test_the_scene_in_mcap(conn, files):
 
 
 def test_a_history_plays_in_mcap(conn, files):
-    """At its end the scene is the map as it stands."""
+    """At the end the scene equals the current map."""
     standing = {}
     last = 0
     for topic, log_time, value in scene(files[0] / "history.mcap"):
@@ -239,8 +229,8 @@ def test_changes_lead_from_one_map_to_the_other(conn, files):
         assert (row["change"] == "moved") == (row["shift_m"] > 0.5)
 
 
-def test_evidence_of_drives_is_exported_as_it_is_shown(cluster_url, template_database, tmp_path):
-    """Counts and belief as `conetl map show` has them, of cones that two short looks missed."""
+def test_evidence_of_drives_is_exported(cluster_url, template_database, tmp_path):
+    """Counts and probability as in `conetl map show`, of cones that two short drives missed."""
     with cloned_database(cluster_url, template_database) as url, closing(connect(url)) as conn:
         for one in (survey(0), survey(1, frames=20), survey(1, frames=21, after_ns=3_600_000_000_000)):
             merge(conn, one)
@@ -260,12 +250,7 @@ def test_evidence_of_drives_is_exported_as_it_is_shown(cluster_url, template_dat
             }
 
 
-def test_every_kind_of_change_has_a_colour():
-    assert set(KIND_MARKS) == set(DeltaKind)
-    assert set(qgis_project._KINDS) == set(DeltaKind) - {DeltaKind.MISSED}  # which makes no version
-
-
-def test_what_was_believed_earlier_can_be_exported(conn, tmp_path):
+def test_an_earlier_database_state_can_be_exported(conn, tmp_path):
     [first] = execute(conn, "select min(committed_at) as at from conetl.changeset")
     conn.rollback()
     manifest = export_map(conn, tmp_path / "old.parquet", "geoparquet", ExportRequest(believed_at=first["at"]))
@@ -292,17 +277,17 @@ def test_contradicting_requests_are_refused(conn, tmp_path):
         (ExportRequest(what=What.CHANGES), "--from"),
         (ExportRequest(since=NOON[0]), "--what changes"),
         (ExportRequest(what=What.HISTORY, as_of=NOON[0]), "--as-of"),
-        (ExportRequest(what=What.CHANGES, since=NOON[1], until=NOON[0]), "second time lies before"),
+        (ExportRequest(what=What.CHANGES, since=NOON[1], until=NOON[0]), "--to is earlier"),
     ):
         with pytest.raises(InputError, match=message):
             export_map(conn, tmp_path / "out.parquet", "geoparquet", request)
-    with pytest.raises(InputError, match="no format kml"):
+    with pytest.raises(InputError, match="unknown format kml"):
         export_map(conn, tmp_path / "out.kml", "kml", ExportRequest())
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("name", ["gpkg", "geoparquet", "geojson", "mcap"])
-def test_a_failure_on_the_way_leaves_the_old_files_and_nothing_else(conn, tmp_path, monkeypatch, name):
+def test_a_failing_export_leaves_the_old_files(conn, tmp_path, monkeypatch, name):
     path = tmp_path / f"map{FORMATS[name].suffix}"
     export_map(conn, path, name, ExportRequest())
     before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
@@ -321,16 +306,10 @@ def test_a_publication_is_whole_or_not_at_all(conn, tmp_path, monkeypatch):
     published, manifests = write_publication(settings, ["geojson", "geoparquet"], tmp_path)
     latest = tmp_path / "latest"
     assert latest.resolve() == published
-    assert sorted(p.name for p in latest.iterdir()) == [
-        "default.geojson",
-        "default.geojson.manifest.json",
-        "default.parquet",
-        "default.parquet.manifest.json",
-        "publication.json",
-        "report.html",
-    ]
+    maps = {f"default.{suffix}{more}" for suffix in ("geojson", "parquet") for more in ("", ".manifest.json")}
+    assert {p.name for p in latest.iterdir()} == maps | {"publication.json", "report.html"}
     assert [m["rows"] for m in manifests] == [manifests[0]["rows"]] * 2
-    monkeypatch.setattr(geojson, "write", lambda source, path: 1 / 0)
+    monkeypatch.setattr(geojson, "write_features", lambda source, path: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         write_publication(settings, ["geoparquet", "geojson"], tmp_path)
     with pytest.raises(InputError, match="kml"):

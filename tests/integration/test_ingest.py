@@ -24,7 +24,7 @@ import pytest
 from conetl.db.connection import connect, execute
 from conetl.db.live_store import read_provisional
 from conetl.db.map.map_store import list_changesets
-from conetl.exports.wzdx_schema import schema_faults
+from conetl.exports.wzdx import schema_faults
 from conetl.model.map_records import DeltaKind
 from conetl.reports.drive_page import drive_page
 from tests.conftest import cloned_database

@@ -1,4 +1,4 @@
-"""QA reports from a real PostGIS: what they tell, that everything is escaped, and that a page needs nothing but itself."""
+"""QA reports from a real PostGIS: their content, that everything is escaped, and that a page loads nothing."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ from conetl.model.rejections import RejectionReason
 from conetl.pipeline.code_identity import code_facts, code_sha256
 from conetl.pipeline.publication import write_publication
 from conetl.pipeline.settings import Settings
-from conetl.reports import evidence
+from conetl.reports.change_images import images_of
 from conetl.reports.drive_facts import find_drive, read_drive_facts
-from conetl.reports.drive_page import drive_page, findings, write_drive_page
+from conetl.reports.drive_page import alerts, drive_page, write_drive_page
 from conetl.reports.night_page import night_page, read_night, write_night_page
 from conetl.web.app import create_app
 from tests.conftest import cloned_database
@@ -44,7 +44,7 @@ EVIL = "<img src=x onerror=alert(1)>"
 def url(
     cluster_url: str, template_database: str, samples: Any, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[str]:
-    """Two drives with images; the second one with everything that a report may have to tell."""
+    """Two drives with images; the second one with everything that a report may show."""
     with cloned_database(cluster_url, template_database) as found:
         with closing(connect(found)) as conn:
             two_drives(conn, samples, tmp_path_factory.mktemp("images"))
@@ -61,16 +61,9 @@ def url(
                     '"python": "3.11", "libraries": {"numpy": "2.1"}}',
                 },
             )
-            execute(
-                conn,
-                "update changeset set run_id = %(r)s where changeset_id = %(c)s",
-                {"r": run_id, "c": latest.changeset_id},
-            )
-            execute(
-                conn,
-                "update drive set drive_id = %(name)s where drive_uuid = %(d)s",
-                {"name": EVIL, "d": latest.drive_uuid},
-            )
+            values = {"r": run_id, "c": latest.changeset_id, "name": EVIL, "d": latest.drive_uuid}
+            execute(conn, "update changeset set run_id = %(r)s where changeset_id = %(c)s", values)
+            execute(conn, "update drive set drive_id = %(name)s where drive_uuid = %(d)s", values)
             for reason in (RejectionReason.NEVER_NEAR, RejectionReason.NEVER_NEAR, RejectionReason.IMAGE_TRUNCATED):
                 execute(
                     conn,
@@ -96,7 +89,7 @@ def latest(conn: Any) -> CommittedChangeset:
     return list_changesets(conn)[0]
 
 
-def assert_needs_nothing(page: str) -> None:
+def assert_loads_nothing(page: str) -> None:
     """No script, and nothing that a browser would fetch."""
     assert EVIL not in page
     assert not re.search(r"<(script|iframe|link|object|embed)\b", page)
@@ -108,64 +101,66 @@ def assert_needs_nothing(page: str) -> None:
 def test_the_report_of_a_drive(conn: Any, latest: CommittedChangeset, samples: Any, tmp_path: Path) -> None:
     path = write_drive_page(conn, latest, tmp_path / "reports" / "drive.html", map_name="default")
     page = path.read_text()
-    assert_needs_nothing(page)
+    assert_loads_nothing(page)
     assert "&lt;img src=x onerror=alert(1)&gt;" in page
     facts = read_drive_facts(conn, latest, map_name="default")
     assert [c.number for c in facts.changes] == [1, 2, 3, 4]
     kinds = [c.kind for c in facts.changes]
     assert kinds == [DeltaKind.REMOVED, DeltaKind.MOVED, DeltaKind.ADDED, DeltaKind.CONFIRMED]
     for told in (
-        latest.model_sha256, latest.params_sha256, facts.content_sha256, "abc", "numpy 2.1", "poses moved by up to 0.07 m",
+        latest.model_sha256, latest.params_sha256, facts.header["content_sha256"], "abc", "numpy 2.1",
+        "poses moved by up to 0.07 m",
         "&lt;b&gt;turned&lt;/b&gt;", "never near", "image truncated", "changeset 2", "merge",
         *(str(c.feature_id) for c in facts.changes),
     ):  # fmt: skip
         assert told in page, told
-    assert [(line.reason, line.count) for line in facts.rejections] == [("never_near", 2), ("image_truncated", 1)]
-    assert [(s.step, s.busy_s) for s in facts.steps] == [("detect", 3.0), ("merge", 0.25)]
+    assert [(line["reason"], line["count"]) for line in facts.rejections] == [("never_near", 2), ("image_truncated", 1)]
+    assert [(s["step"], s["busy_s"]) for s in facts.steps] == [("detect", 3.0), ("merge", 0.25)]
     # moved: before and after; added: this drive; each with a left and a right crop
-    images = evidence.images_of(conn, facts, facts.changes)
+    images = images_of(conn, facts, facts.changes)
     assert {facts.changes[n - 1].kind: [len(p.crops) for p in pairs] for n, pairs in images.items()} == {
         DeltaKind.REMOVED: [2, 0], DeltaKind.MOVED: [2, 2], DeltaKind.ADDED: [2],
     }  # fmt: skip
     assert images[1][1].missing  # its place was in no image of the second drive
 
 
-def test_a_image_that_is_gone_costs_itself(conn: Any, latest: CommittedChangeset) -> None:
+def test_a_missing_image_is_left_out(conn: Any, latest: CommittedChangeset) -> None:
     facts = read_drive_facts(conn, latest, map_name="default")
-    gone = replace(facts, changeset=latest, source_path="/nowhere")
+    gone = replace(facts, header=facts.header | {"source_path": "/nowhere"})
     assert "no image" in drive_page(conn, latest, map_name="default")  # of the cone that is gone
-    assert evidence.images_of(conn, gone, facts.changes)[2][0].crops  # the drive before still has its own
+    assert images_of(conn, gone, facts.changes)[2][0].crops  # the drive before still has its own
 
 
-def test_what_a_person_should_look_at(conn: Any, latest: CommittedChangeset) -> None:
+def test_alerts(conn: Any, latest: CommittedChangeset) -> None:
     facts = read_drive_facts(conn, latest, map_name="default")
-    told = " ".join(f.text for f in findings(facts))
+    told = " ".join(f.text for f in alerts(facts))
     assert "1 cone is removed from the map: no. 1" in told
     assert "The trajectory is the logged one" in told and "Calibration: <b>turned</b>" in told
-    calm = replace(facts, facts={}, changes=tuple(c for c in facts.changes if c.kind is DeltaKind.CONFIRMED))
-    assert findings(calm) == []
-    lossy = replace(calm, expected_frame_count=100)
-    assert [f.grave for f in findings(lossy)] == [True]
+    confirmed = tuple(c for c in facts.changes if c.kind is DeltaKind.CONFIRMED)
+    calm = replace(facts, header=facts.header | {"facts": None}, changes=confirmed)
+    assert alerts(calm) == []
+    lossy = replace(calm, header=calm.header | {"expected_frame_count": 100})
+    assert [f.serious for f in alerts(lossy)] == [True]
     blurred = replace(calm, residual_px=calm.residual_px + 3.0)
-    assert [f.grave for f in findings(blurred)] == [True]
+    assert [f.serious for f in alerts(blurred)] == [True]
     reverted = replace(calm, changeset=replace(latest, counts=False))
-    assert "does not count" in findings(reverted)[0].text
+    assert "not in effect" in alerts(reverted)[0].text
 
 
 def test_drives_are_found_by_id_and_by_number(conn: Any, latest: CommittedChangeset) -> None:
     assert find_drive(conn, EVIL, map_name="default").changeset_no == latest.changeset_no
     assert find_drive(conn, "1", map_name="default").changeset_no == 1
-    with pytest.raises(InputError, match="knows no drive and no changeset 99"):
+    with pytest.raises(InputError, match="has no drive and no changeset 99"):
         find_drive(conn, "99", map_name="default")
 
 
-def test_a_drive_without_anything_has_a_report_too(conn: Any, samples: Any) -> None:
-    """Committed by something else than the flow, nothing measured, its images nowhere."""
+def test_an_empty_drive_has_a_report(conn: Any, samples: Any) -> None:
+    """Committed without the flow, without positions and images."""
     samples.commit(conn, key="abcd", map_name="bare")
     bare = list_changesets(conn, map_name="bare")[0]
     page = drive_page(conn, bare, map_name="bare")
-    assert_needs_nothing(page)
-    assert "Not kept for this changeset" in page and "This drive changed nothing on the map" in page
+    assert_loads_nothing(page)
+    assert "Not stored for this changeset" in page and "This drive did not change the map" in page
     execute(conn, "update drive set pruned_at = now() where drive_uuid = %(d)s", {"d": bare.drive_uuid})
     execute(conn, "delete from position where drive_uuid = %(d)s", {"d": bare.drive_uuid})
     assert "were pruned on" in drive_page(conn, bare, map_name="bare")
@@ -191,7 +186,7 @@ def test_the_report_of_a_night(conn: Any, latest: CommittedChangeset, tmp_path: 
     since = datetime(2000, 1, 1, tzinfo=UTC)
     facts = write_night_page(conn, tmp_path / "night.html", map_name="default", since=since, until=until)
     page = (tmp_path / "night.html").read_text()
-    assert_needs_nothing(page)
+    assert_loads_nothing(page)
     assert [row["drive_id"] for row in facts.drives][-1] == EVIL
     assert [(row["state"], row["attempts"]) for row in facts.failures] == [("failed", 1), ("started", 1)]
     assert facts.drives[-1]["seconds"] == 12.0
@@ -200,15 +195,15 @@ def test_the_report_of_a_night(conn: Any, latest: CommittedChangeset, tmp_path: 
     now = execute(conn, "select count(*) as n from current_feature where map_name = 'default'")[0]["n"]
     assert [count for _, count in facts.sizes][-1] == facts.size_at(until) == now
     assert facts.size_at(since) == 0
-    for told in ("2 drives did not come onto the map", "not one usable pose", "1 cone vanished", "removed"):
+    for told in ("2 drives failed", "not one usable pose", "1 cone vanished", "removed"):
         assert told in page
 
 
-def test_a_quiet_night_and_a_night_that_cannot_be(conn: Any) -> None:
+def test_an_empty_and_an_invalid_night(conn: Any) -> None:
     begin = datetime(2001, 1, 1, tzinfo=UTC)
     quiet = read_night(conn, map_name="default", since=begin, until=begin + timedelta(days=1))
     assert (quiet.drives, quiet.failures, quiet.vanished) == ([], [], [])
-    assert "No drive came onto the map" in night_page(quiet)
+    assert "No drive was added to the map" in night_page(quiet)
     with pytest.raises(InputError, match="before it begins"):
         read_night(conn, map_name="default", since=begin, until=begin)
     with pytest.raises(InputError, match="no map nowhere"):
@@ -218,7 +213,7 @@ def test_a_quiet_night_and_a_night_that_cannot_be(conn: Any) -> None:
 def test_the_nightly_publication_holds_its_report(url: str, tmp_path: Path) -> None:
     settings = Settings(database_url=url, home=tmp_path, map_name="default")  # type: ignore[arg-type]
     folder, _ = write_publication(settings, ["geojson"], tmp_path / "exports")
-    assert_needs_nothing((folder / "report.html").read_text())
+    assert_loads_nothing((folder / "report.html").read_text())
     assert '"report": "report.html"' in (folder / "publication.json").read_text()
 
 
@@ -226,7 +221,7 @@ def test_the_web_view_serves_the_report(url: str) -> None:
     with TestClient(create_app(url, "default"), base_url="http://127.0.0.1") as client:
         answer = client.get("/api/maps/default/changesets/2/report")
         assert answer.status_code == 200
-        assert_needs_nothing(answer.text)
+        assert_loads_nothing(answer.text)
         assert (
             "default-src 'none'; img-src data:; style-src 'unsafe-inline'" in answer.headers["content-security-policy"]
         )

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from conetl.cli.app import app
 from conetl.db.connection import execute
-from conetl.exports.wzdx_schema import schema_faults
+from conetl.exports.wzdx import schema_faults
 from conetl.model.errors import ConetlError
 from tests.integration.drives_of_days import merge, survey
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from conetl.cli.console import Columns, JsonOption, MapSridOption, print_json, print_records, print_table, say
-from conetl.model.errors import EXIT_DONE, EXIT_TOO_MANY_REJECTIONS, InputError
+from conetl.model.errors import EXIT_DONE, EXIT_TOO_MANY_REJECTIONS
 from conetl.model.params import IngestParams
 from conetl.pipeline.settings import read_settings
 from conetl.readers.drives import drive_format, read_drive
@@ -47,12 +47,9 @@ def inspect(
     summary = summarise(found, rejections)
     seconds = estimated_seconds(summary, settings.workers)
     if picture is not None:
-        from conetl.reports.drive_image import draw_drive  # matplotlib takes half a second to load
+        from conetl.reports.inspection_images import draw_drive  # matplotlib takes half a second to load
 
-        try:
-            draw_drive(picture, found, summary)
-        except OSError as error:
-            raise InputError(f"{picture} cannot be written: {error.strerror or error}") from error
+        draw_drive(picture, found, summary)
     if as_json:
         facts = {"format": kind, **summary.model_dump(mode="json"), "estimated_seconds": round(seconds, 1)}
         print_json({**facts, "picture": None if picture is None else str(picture)})

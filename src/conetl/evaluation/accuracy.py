@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,24 +20,20 @@ from conetl.evaluation.truth import TruthCone, TruthLine
 from conetl.geometry.consistency import Consistency, Nees, ce90_m, consistency, le90_m, point_nees
 from conetl.geometry.packing import cov_matrix, vec3
 from conetl.geometry.rig import map_SE3_left
-from conetl.model.records import (
-    Drive,
-    Position,
-    Record,
-    Track,
-    Vec3,
-)
+from conetl.model.records import Drive, Position, Record, Track, Vec3
 from conetl.tracking.association import MotionError
 from conetl.tracking.error_propagation import PoseCov
 
 Floats = NDArray[np.float64]
 #: Upper ends of the range bands; the last is open.
 RANGE_BANDS_M = (5.0, 8.0, 12.0, 16.0, 20.0, 25.0)
+#: Fields of `PointErrors` with one row per estimate, except the common Jacobian.
+_PER_ESTIMATE = ("truth_m", "difference_m", "cov_m2", "own_cov_m2", "range_m", "sight")
 
 
 @dataclass(frozen=True)
 class PointErrors:
-    """N estimates of known cones. East, north, up unless said otherwise."""
+    """N estimates of known cones; east, north, up."""
 
     cone_ids: tuple[str, ...]
     truth_m: Floats
@@ -47,26 +43,26 @@ class PointErrors:
     cov_m2: Floats
     """(N, 3, 3) absolute, as stated"""
     own_cov_m2: Floats
-    """(N, 3, 3) without what the drive has in common, and without what its poses change by"""
+    """(N, 3, 3) without the common errors of the drive and the changes of its pose errors"""
     range_m: Floats
-    """(N,) ground distance from the left camera; of tracks the nearest"""
+    """(N,) ground distance from the left camera, the nearest one of tracks"""
     sight: Floats
     """(N, 3) level unit vector from the left camera to the cone"""
     common_jacobian: Floats
-    """(N, 3, K) how the errors that the drive has in common move each estimate"""
+    """(N, 3, K) of each estimate by the common errors of the drive"""
     common_cov: Floats
-    """(K, K) of those errors"""
+    """(K, K) of the common errors"""
     change_cov_m2: Floats | None = None
-    """(3N, 3N) what pose errors that change within the drive add to `own_cov_m2`, correlated between estimates; None: nothing"""
+    """(3N, 3N) added to `own_cov_m2` by pose errors that change within the drive, correlated between estimates"""
 
     def whole_own_cov_m2(self) -> Floats:
-        """(3N, 3N) of all that the drive does not have in common, (N, 3, 3) where that is independent."""
+        """(3N, 3N) without the common errors; (N, 3, 3) where the estimates are independent."""
         if self.change_cov_m2 is None:
             return self.own_cov_m2
         return np.asarray(block_diag(*self.own_cov_m2) + self.change_cov_m2)
 
     def single_own_cov_m2(self) -> Floats:
-        """(N, 3, 3) of the same, of each estimate by itself."""
+        """(N, 3, 3) of the same, of each estimate alone."""
         if self.change_cov_m2 is None:
             return self.own_cov_m2
         count = len(self.own_cov_m2)
@@ -74,7 +70,7 @@ class PointErrors:
         return np.asarray(self.own_cov_m2 + blocks[np.arange(count), :, np.arange(count)])
 
     def in_sight_axes(self, vectors: Floats) -> Floats:
-        """(N, 3) vectors turned to along the sight, across it (to the left) and up."""
+        """(N, 3) vectors along the line of sight, across it (to the left) and up."""
         return np.asarray(np.einsum("nij,nj->ni", _sight_axes(self.sight), vectors))
 
     def sigma_in_sight_axes(self) -> Floats:
@@ -111,7 +107,7 @@ class RangeBand(Record):
 
 
 class NeesReport(Record):
-    """One NEES with its 95 % band; `per_dof` is 1 where the stated sigmas are right."""
+    """One NEES with its 95 % band; `per_dof` is 1 for correct stated sigmas."""
 
     value: float
     dof: int
@@ -122,7 +118,7 @@ class NeesReport(Record):
 
 
 class ConsistencyReport(Record):
-    """NEES of one set of estimates of one drive; None where nothing is left to tell it from."""
+    """NEES of one set of estimates of one drive; None without degrees of freedom."""
 
     absolute: NeesReport | None
     relative: NeesReport | None
@@ -134,11 +130,9 @@ def track_errors(
 ) -> PointErrors:
     """Errors of the tracks that were found.
 
-    In common they have what the positions of the drive have (`position_errors`), each by its own lever: an error of the
-    heading is no mere shift of all cones. The shared_jacobian of a track's sightings are put together as their adjustment puts
-    the sightings together, with the information of each (a (3, 3) share: one far ahead tells the side, one abeam the way
-    along). positions: single ones of the drive, those of the tracks among them. motion: of a refined trajectory, as tracks were
-    fused.
+    They share the common errors of the drive's positions (`position_errors`). Each track has its own Jacobian, because an error
+    of the heading is not one shift of all cones: the Jacobians of its sightings, weighted by their share of the information, as
+    in the adjustment. positions: single positions of the drive. motion: of a refined trajectory, as used for the tracks.
     """
     found = [(line, line.feature) for line in lines if line.feature is not None]
     path_m = np.array([map_SE3_left(pair.pose, drive.rig)[:3, 3] for pair in drive.frame_pairs])
@@ -150,11 +144,11 @@ def track_errors(
     pose_of = {pair.frame_index: pair.pose for pair in drive.frame_pairs}
     by_member = {(p.frame_index, p.match_index): p for p in positions}
     jacobians, variances = [np.zeros((0, 3, 6 + len(calibration_of(drive.rig))))], []
-    for place, (_, track) in zip(xyz, found, strict=True):
+    for point, (_, track) in zip(xyz, found, strict=True):
         poses = [pose_of[frame_index] for frame_index, _ in track.members]
-        lever, sigmas = pose_and_calibration(np.tile(place, (len(poses), 1)), poses, drive.rig)
+        jacobian, sigmas = pose_and_calibration(np.tile(point, (len(poses), 1)), poses, drive.rig)
         shares = track_shares([by_member[member] for member in track.members], poses, drive.rig, motion)
-        jacobians.append(np.einsum("fij,fjk->ik", shares, lever)[None])
+        jacobians.append(np.einsum("fij,fjk->ik", shares, jacobian)[None])
         variances.append(np.mean(sigmas**2, axis=0))
     return PointErrors(
         cone_ids=tuple(line.truth.cone_id for line, _ in found),
@@ -172,9 +166,9 @@ def track_errors(
 
 
 def members_of(lines: Sequence[TruthLine[Track]]) -> dict[tuple[int, int], TruthCone]:
-    """The cone of each single position, by (frame_index, match_index), as the tracks that were found have it.
+    """The cone of each single position of the found tracks, by (frame_index, match_index).
 
-    A position belongs to the cone of its track, however far off it is: a gate on the error would flatter the statistics.
+    There is no gate on the error of a position, which would make the statistics too good.
     """
     return {member: line.truth for line in lines if line.feature is not None for member in line.feature.members}
 
@@ -185,12 +179,11 @@ def position_errors(
     drive: Drive,
     poses: PoseCov | None = None,
 ) -> PointErrors:
-    """Errors of the single positions whose cone is known; see `members_of`.
+    """Errors of the single positions with a known cone; see `members_of`.
 
-    poses: how the errors of the drive's poses hang together; None: one error of the whole drive.
-
-    In common they have place and attitude of the body as far as their error stays, the rig's calibration and, those of one cone,
-    what is taken for its foot, axis and shape; of its own each position has the error of its image points.
+    Their common errors are the constant part of the body's position and attitude, the rig's calibration and, per cone, the
+    assumptions about its foot, axis and shape. The own error of a position is that of its image points. poses: covariance of the
+    drive's poses; None: one error of the whole drive.
     """
     pose_of = {pair.frame_index: pair.pose for pair in drive.frame_pairs}
     chosen = [p for p in positions if (p.frame_index, p.match_index) in cone_of]
@@ -221,7 +214,7 @@ def position_errors(
 
 
 def statistics(errors: PointErrors) -> ErrorStatistics | None:
-    """Figures of all errors, None where there are none."""
+    """Figures of all errors; None without errors."""
     if not len(errors.difference_m):
         return None
     difference = errors.difference_m
@@ -242,7 +235,7 @@ def statistics(errors: PointErrors) -> ErrorStatistics | None:
 
 
 def by_range(errors: PointErrors) -> list[RangeBand]:
-    """Figures by range; bands without an estimate are left out."""
+    """Figures by range, without empty bands."""
     bands = []
     for low, high in zip((0.0, *RANGE_BANDS_M), (*RANGE_BANDS_M, np.inf), strict=True):
         figures = statistics(select(errors, (errors.range_m >= low) & (errors.range_m < high)))
@@ -253,32 +246,26 @@ def by_range(errors: PointErrors) -> list[RangeBand]:
 
 def select(errors: PointErrors, keep: NDArray[np.bool_]) -> PointErrors:
     """The errors of a mask (N,)."""
-    return PointErrors(
+    change = errors.change_cov_m2
+    return replace(
+        errors,
         cone_ids=tuple(name for name, kept in zip(errors.cone_ids, keep.tolist(), strict=True) if kept),
-        truth_m=errors.truth_m[keep],
-        difference_m=errors.difference_m[keep],
-        cov_m2=errors.cov_m2[keep],
-        own_cov_m2=errors.own_cov_m2[keep],
-        range_m=errors.range_m[keep],
-        sight=errors.sight[keep],
-        common_jacobian=errors.common_jacobian[keep],
-        common_cov=errors.common_cov,
-        change_cov_m2=None if errors.change_cov_m2 is None else errors.change_cov_m2[np.ix_(*2 * [np.repeat(keep, 3)])],
+        change_cov_m2=None if change is None else change[np.ix_(*2 * [np.repeat(keep, 3)])],
+        **{name: getattr(errors, name)[keep] for name in (*_PER_ESTIMATE, "common_jacobian")},
     )
 
 
 def drive_consistency(errors: PointErrors) -> Consistency | None:
-    """NEES of all errors of one drive, split into relative and common part; None without errors."""
+    """NEES of all errors of one drive, with its relative and common part; None without errors."""
     if not len(errors.difference_m):
         return None
     return consistency(errors.difference_m, errors.whole_own_cov_m2(), errors.common_jacobian, errors.common_cov)
 
 
 def pooled_consistency(drives: Sequence[PointErrors]) -> Consistency | None:
-    """NEES of several drives together, each with common errors of its own; None without errors.
+    """NEES of several drives together, each with its own common errors; None without errors.
 
-    One drive in twenty leaves a 95 % band though its sigmas are right, and its few common errors say little: judge a campaign by
-    its sum.
+    One drive in twenty is outside of a 95 % band by chance, and has few common errors: judge a campaign by the sum.
     """
     total: Consistency | None = None
     for errors in drives:
@@ -289,41 +276,28 @@ def pooled_consistency(drives: Sequence[PointErrors]) -> Consistency | None:
 
 
 def pooled_statistics(drives: Sequence[PointErrors]) -> ErrorStatistics | None:
-    """Figures of the errors of several drives together, None where there are none."""
-    everything = [errors for errors in drives if len(errors.difference_m)]
-    if not everything:
+    """Figures of the errors of several drives together; None without errors."""
+    count = sum(len(errors.difference_m) for errors in drives)
+    if not count:
         return None
-    count = sum(len(errors.difference_m) for errors in everything)
+    together = {name: np.concatenate([getattr(errors, name) for errors in drives]) for name in _PER_ESTIMATE}
+    cone_ids = tuple(name for errors in drives for name in errors.cone_ids)
     return statistics(
-        PointErrors(
-            cone_ids=tuple(name for errors in everything for name in errors.cone_ids),
-            truth_m=np.concatenate([errors.truth_m for errors in everything]),
-            difference_m=np.concatenate([errors.difference_m for errors in everything]),
-            cov_m2=np.concatenate([errors.cov_m2 for errors in everything]),
-            own_cov_m2=np.concatenate([errors.own_cov_m2 for errors in everything]),
-            range_m=np.concatenate([errors.range_m for errors in everything]),
-            sight=np.concatenate([errors.sight for errors in everything]),
-            common_jacobian=np.zeros((count, 3, 0)),
-            common_cov=np.zeros((0, 0)),
-        )
+        PointErrors(cone_ids, **together, common_jacobian=np.zeros((count, 3, 0)), common_cov=np.zeros((0, 0)))
     )
 
 
 def consistency_report(result: Consistency | None) -> ConsistencyReport:
     """A consistency with its bands, for printing and JSON."""
-    if result is None:
-        return ConsistencyReport(absolute=None, relative=None, common=None)
-    return ConsistencyReport(
-        absolute=_nees_report(result.absolute),
-        relative=_nees_report(result.relative),
-        common=_nees_report(result.common),
-    )
+    parts = (None, None, None) if result is None else (result.absolute, result.relative, result.common)
+    absolute, relative, common = (None if part is None else _nees_report(part) for part in parts)
+    return ConsistencyReport(absolute=absolute, relative=relative, common=common)
 
 
 def single_nees(errors: PointErrors) -> Floats:
-    """(N,) NEES of each estimate by itself under its own covariance, the common errors taken out: chi-square with 3, nearly.
+    """(N,) NEES of each estimate under its own covariance, without the common errors: chi-square with about 3 degrees of freedom.
 
-    The common errors are estimated from all N and subtracted; with many estimates this takes little from each.
+    The common errors are estimated from all N and subtracted.
     """
     count = len(errors.difference_m)
     if not count:
@@ -332,7 +306,7 @@ def single_nees(errors: PointErrors) -> Floats:
     weight = np.linalg.inv(own_cov_m2)
     values, vectors = np.linalg.eigh(errors.common_cov)
     scaled = errors.common_jacobian @ (vectors * np.sqrt(np.maximum(values, 0.0)))
-    # Prior and observations together, so that what the points cannot tell stays at nothing.
+    # The prior keeps common errors at zero that the points do not determine.
     normal = np.einsum("nik,nij,njl->kl", scaled, weight, scaled) + np.eye(len(values))
     side = np.einsum("nik,nij,nj->k", scaled, weight, errors.difference_m)
     return point_nees(errors.difference_m - scaled @ np.linalg.solve(normal, side), own_cov_m2)
@@ -348,7 +322,7 @@ def _nees_report(nees: Nees) -> NeesReport | None:
 
 
 def _sight_axes(sight: Floats) -> Floats:
-    """(N, 3, 3) rows along the sight, across it to the left, up."""
+    """(N, 3, 3) rows along the line of sight, across it to the left, up."""
     up = np.broadcast_to([0.0, 0.0, 1.0], sight.shape)
     return np.stack([sight, np.cross(up, sight), up], axis=1)
 

@@ -31,7 +31,7 @@ from conetl.evaluation.truth import TruthCone, TruthLine, compare_with_truth
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.errors import InputError
 from conetl.model.records import Drive, Position, Track
-from conetl.reports.accuracy_page import Section, write_accuracy_page
+from conetl.reports.html import Section, write_accuracy_page
 from conetl.tracking.association import MotionError
 from conetl.tracking.error_propagation import PoseCov
 
@@ -203,10 +203,10 @@ def write_evaluation(folder: Path, evaluation: DriveEvaluation, summary: Sequenc
     cones, errors, bands, nees = evaluation.tables()
     sections = [
         cones,
-        Section("Directions of the errors", image=images["plan.png"], image_words="plan view with error vectors"),
+        Section("Directions of the errors", image=images["plan.png"], image_alt="plan view with error vectors"),
         errors,
-        replace(bands, image=images["errors_over_range.png"], image_words="errors over range"),
-        replace(nees, image=images["nees.png"], image_words="histogram of NEES against chi-square"),
+        replace(bands, image=images["errors_over_range.png"], image_alt="errors over range"),
+        replace(nees, image=images["nees.png"], image_alt="histogram of NEES against chi-square"),
     ]
     page = _write_page(folder, f"{name} against truth", summary, sections, images)
     return [*(folder / file for file in images), page]

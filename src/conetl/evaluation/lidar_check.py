@@ -1,8 +1,8 @@
-"""An independent range to every matched cone: the drive's own LiDAR, and what stereo says less what it says.
+"""An independent range to every matched cone from the drive's own LiDAR, and stereo ranges minus LiDAR ranges.
 
-Only the left image's box and outline say where to look, never the stereo depth. Points in the cone's silhouette and above its
-foot are taken; their nearest cluster must hold nearly all of them, else something stands in front and there is no statement.
-A beam ends on the surface: the cone's radius at its height, from the outline, leads from there to the axis.
+The points are selected by box and outline in the left image, never by stereo depth: those inside the silhouette and above the
+foot. If their nearest cluster does not hold most of them, the cone is occluded and has no range. A beam ends on the surface;
+the radius of the outline at that height is the distance from there to the axis.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ Floats = NDArray[np.float64]
 
 #: Range bands of the summary (m).
 BANDS_M = ((0.0, 8.0), (8.0, 12.0), (12.0, 16.0), (16.0, 25.0))
-#: Points of one cone lie no farther apart in range than its body is thick, with some noise.
+#: Range of the points of one cone: thickness of its body, with noise.
 _CLUSTER_DEPTH_M = 0.35
 _MIN_POINTS = 4
 _MIN_CLUSTER_SHARE = 0.7
-#: Rows of the body, as shares of the way from tip to foot: the tip is thin, at the foot the beam meets plate and ground.
+#: Rows of the body between tip (0) and foot (1): the tip is thin, and near the foot the beam meets plate and ground.
 _ROWS = (0.05, 0.88)
-#: Range error of one return (HDL-64E data sheet: below 2 cm, one sigma) and what all returns of one cone share: calibration of
-#: scanner against camera, and the radius.
+#: Range error of one return (HDL-64E data sheet: below 2 cm, one sigma), and the common error of all returns of one cone:
+#: calibration between scanner and camera, and the radius.
 _SIGMA_RETURN_M = 0.02
 _SIGMA_COMMON_M = 0.02
 
 
 class LidarRange(NamedTuple):
-    """LiDAR's statement about one cone."""
+    """LiDAR range to one cone."""
 
     ground_range_m: float
     """Level distance from the left camera to the cone's axis."""
@@ -44,7 +44,7 @@ class LidarRange(NamedTuple):
 
 
 class LidarResidual(NamedTuple):
-    """Stereo less LiDAR, of one match."""
+    """Stereo minus LiDAR range of one match."""
 
     frame_index: int
     match_index: int
@@ -53,26 +53,26 @@ class LidarResidual(NamedTuple):
     stereo_range_m: float
     stereo_sigma_m: float
     residual_m: float
-    """Positive where stereo puts the cone too far away."""
+    """Positive where the stereo range is too long."""
 
 
-class RangeBand(NamedTuple):
+class ResidualBand(NamedTuple):
     """Residuals of the matches in one band of LiDAR range."""
 
     from_m: float
     to_m: float
     pairs: int
     median_m: float | None
-    """None where there is no residual."""
+    """None without residuals."""
     median_abs_m: float | None
     robust_std_m: float | None
     """1.4826 times the median distance from the median."""
     ratio_std: float | None
-    """The same of residual over its stated sigma (stereo and LiDAR): 1 where the sigmas are true."""
+    """The same for the residual over its stated sigma (stereo and LiDAR): 1 for correct sigmas."""
 
 
 def lidar_range(points_left_m: Floats, outline: Outline, camera: Camera, up: Floats) -> LidarRange | None:
-    """Ground range of the axis of the cone with this outline, or None where LiDAR does not tell.
+    """Ground range to the axis of the cone with this outline, or None where LiDAR has no clear range.
 
     points_left_m: (N, 3) in the left camera's frame (x right, y down, z forward). up: unit vector (3,) in that frame.
     """
@@ -88,7 +88,7 @@ def lidar_range(points_left_m: Floats, outline: Outline, camera: Camera, up: Flo
     level = points - (points @ up)[:, None] * up
     reach = np.linalg.norm(level, axis=1)
     first = np.quantile(reach, 0.05)
-    # A stray point in front does no harm: the cluster begins where the density does.
+    # The median ignores stray points in front of the cluster.
     starts = reach[reach <= first + _CLUSTER_DEPTH_M]
     near = (reach >= np.median(starts) - _CLUSTER_DEPTH_M) & (reach <= np.median(starts) + _CLUSTER_DEPTH_M)
     if near.sum() < _MIN_POINTS or near.mean() < _MIN_CLUSTER_SHARE:
@@ -113,7 +113,7 @@ def lidar_range(points_left_m: Floats, outline: Outline, camera: Camera, up: Flo
 def residual(
     match: StereoMatch, foot_left_m: Floats, foot_cov_m2: Floats, lidar: LidarRange, up: Floats
 ) -> LidarResidual:
-    """Stereo less LiDAR. foot_left_m (3,), foot_cov_m2 (3, 3): the foot by intersection, in the left camera's frame."""
+    """Stereo minus LiDAR range. foot_left_m (3,), foot_cov_m2 (3, 3): the foot by intersection, in the left camera's frame."""
     level = foot_left_m - (foot_left_m @ up) * up
     reach = float(np.linalg.norm(level))
     along = level / reach
@@ -126,12 +126,12 @@ def residual(
 
 
 def without_scene_bias(found: LidarResidual, match: StereoMatch, rig: Rig, bias: SceneBias) -> LidarResidual:
-    """The residual as it would be with the calibration that the scene asks for: what is left is the match's own."""
+    """The residual after correction by the scene's calibration errors, which leaves the error of the match."""
     foot = np.array(match.foot_left_uv_px)
     xy = (foot - [rig.left.cx_px, rig.left.cy_px]) / [rig.left.fx_px, rig.left.fy_px]
     disparity = match.foot_left_uv_px[0] - match.foot_right_uv_px[0] - float(infinity_shift_px(rig, foot)[0])
     stretch = disparity / (disparity - float(bias.disparity_error_px(xy)))
-    # The offset is along the optical axis, the range level and aside of it.
+    # The offset is along the optical axis, the range is level and at an angle to it.
     offset = bias.range_offset_m / float(np.hypot(1.0, xy[0]))
     return found._replace(
         lidar_range_m=found.lidar_range_m + offset, stereo_range_m=found.stereo_range_m * stretch,
@@ -139,23 +139,21 @@ def without_scene_bias(found: LidarResidual, match: StereoMatch, rig: Rig, bias:
     )  # fmt: skip
 
 
-def summarise(residuals: Sequence[LidarResidual], bands_m: Sequence[tuple[float, float]] = BANDS_M) -> list[RangeBand]:
+def summarise(
+    residuals: Sequence[LidarResidual], bands_m: Sequence[tuple[float, float]] = BANDS_M
+) -> list[ResidualBand]:
     """Robust figures of the residuals by LiDAR range."""
     ranges = np.array([r.lidar_range_m for r in residuals])
     values = np.array([r.residual_m for r in residuals])
     ratios = np.array([r.residual_m / np.hypot(r.stereo_sigma_m, r.lidar_sigma_m) for r in residuals])
     table = []
     for low, high in bands_m:
-        here = (ranges >= low) & (ranges < high) if len(residuals) else np.zeros(0, dtype=bool)
-        if not here.any():
-            table.append(RangeBand(low, high, 0, None, None, None, None))
-            continue
-        table.append(
-            RangeBand(
-                low, high, int(here.sum()), float(np.median(values[here])), float(np.median(np.abs(values[here]))),
-                _robust_std(values[here]), _robust_std(ratios[here]),
-            )
-        )  # fmt: skip
+        here = (ranges >= low) & (ranges < high)
+        figures: tuple[float | None, ...] = (None, None, None, None)
+        if here.any():
+            median, median_abs = np.median(values[here]), np.median(np.abs(values[here]))
+            figures = float(median), float(median_abs), _robust_std(values[here]), _robust_std(ratios[here])
+        table.append(ResidualBand(low, high, int(here.sum()), *figures))
     return table
 
 

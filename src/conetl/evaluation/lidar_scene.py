@@ -1,9 +1,9 @@
-"""Is it the match or the calibration? Disparities of the whole scene, cones left out, against the drive's LiDAR.
+"""Calibration errors from the whole scene without its cones: stereo disparities against the drive's LiDAR.
 
-Where stereo and LiDAR disagree on cones, they do so for one of three reasons: the match of the cone, the rig's calibration, or
-scanner and camera not being where or when they claim to be. The scene tells the last two: windows round projected LiDAR points
-are matched, and a smooth field of disparity errors over the image (calibration) and one range offset (scanner against camera,
-place and time) are fitted to what they disagree by. Cones take no part in the fit, so they can be judged after it.
+Stereo and LiDAR ranges of a cone differ for three reasons: the match of the cone, the rig's calibration, or the position and
+time of the scanner relative to the camera. The scene reveals the last two: windows around projected LiDAR points are matched,
+and a smooth field of disparity errors over the image (calibration) and one range offset (scanner) are fitted to the
+differences. Cones have no part in the fit and are evaluated after it.
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ _REACH_PX = 4
 _MIN_SCORE = 0.85
 _MIN_CONTRAST = 6.0
 _MAX_POINTS = 600
-#: Field over x/z and y/z: what errors of relative orientation, focal lengths and radial distortion do to disparities; mostly
-#: across the image, which is much wider than high.
+#: Terms over x/z and y/z of the disparity errors by relative orientation, focal lengths and radial distortion; mostly across the
+#: image, which is much wider than high.
 _POWERS = ((0, 0), (1, 0), (2, 0), (3, 0), (4, 0), (0, 1), (1, 1), (2, 1))
 _MIN_SAMPLES = 500
 
 
 class SceneBias(NamedTuple):
-    """What the scene says about calibration; see `fit_scene_bias`."""
+    """Calibration errors by the scene; see `fit_scene_bias`."""
 
     coefficients: Floats
     """(8,) of the disparity field (px), for the powers of x/z and y/z in `_POWERS`"""
     range_offset_m: float
-    """How much farther along the optical axis things are than LiDAR and its calibration say."""
+    """Distance along the optical axis minus that by LiDAR and its calibration."""
     sample_count: int
     scatter_px: float
     """Robust standard deviation of one sample about the fit."""
 
     def disparity_error_px(self, xy: Floats) -> Floats:
-        """(...) measured less true disparity where a ray x/z, y/z (..., 2) leaves the left camera."""
+        """(...) measured minus true disparity of a ray x/z, y/z (..., 2) of the left camera."""
         return np.asarray(_design(xy) @ self.coefficients)
 
 
@@ -55,10 +55,10 @@ def scene_samples(
     *,
     seed: int = 0,
 ) -> Floats:
-    """(n, 4): x/z, y/z, LiDAR's disparity from infinity (px), stereo's disparity less that, for windows that match well.
+    """(n, 4): x/z, y/z, LiDAR's disparity from infinity (px), stereo's disparity minus that, for windows that match well.
 
     points_left_m: (N, 3) LiDAR points in the left camera's frame. left, right: rectified images (H, W, 3), uint8. At most 600
-    points are tried. Windows within the boxes of `detections` (left image) are left out.
+    points are used, none within the boxes of `detections` (left image).
     """
     camera, focal_base = rig.left, rig.left.fx_px * rig.baseline_m
     points = points_left_m[points_left_m[:, 2] > 3.0]
@@ -92,7 +92,7 @@ def fit_scene_bias(samples: Floats, rig: Rig) -> SceneBias | None:
     if len(samples) < _MIN_SAMPLES:
         return None
     focal_base = rig.left.fx_px * rig.baseline_m
-    # d = f b / (z + offset): a range offset changes disparity by -d^2 / (f b) for each metre.
+    # d = f b / (z + offset): a range offset changes the disparity by -d^2 / (f b) per metre.
     design = np.column_stack([_design(samples[:, :2]), -(samples[:, 2] ** 2) / focal_base])
     weights: Floats = np.ones(len(samples))
     scatter = 1.0
@@ -103,9 +103,8 @@ def fit_scene_bias(samples: Floats, rig: Rig) -> SceneBias | None:
         )
         residual = samples[:, 3] - design @ solution
         scatter = max(1.4826 * float(np.median(np.abs(residual))), 1e-3)
-        weights = 1.0 / (
-            1.0 + (residual / (1.5 * scatter)) ** 2
-        )  # square root of Cauchy-like weights: windows may be wrong
+        # Square root of Cauchy-like weights: some windows are wrong.
+        weights = 1.0 / (1.0 + (residual / (1.5 * scatter)) ** 2)
     return SceneBias(solution[:-1], float(solution[-1]), len(samples), scatter)
 
 
@@ -120,7 +119,7 @@ def _grey(image: NDArray[np.uint8]) -> Floats:
 def _match_windows(
     left: Floats, right: Floats, u: Floats, v: Floats, shift: Floats, rig: Rig
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Disparities (n,) of square windows round (u, v), and which of them are to be believed."""
+    """Disparities (n,) of square windows around (u, v), and a mask of the reliable ones."""
     column, row = np.round(u).astype(np.intp), np.round(v).astype(np.intp)
     down = round(rig.right.cy_px - rig.left.cy_px)
     span = np.arange(-_HALF_PX, _HALF_PX + 1)
@@ -129,7 +128,7 @@ def _match_windows(
     template = left[(row[:, None] + span)[:, :, None], (column[:, None] + span)[:, None, :]].reshape(len(u), -1)
     wide = np.arange(-_HALF_PX - _REACH_PX, _HALF_PX + _REACH_PX + 1)
     strips = right[(row[:, None] + span + down)[:, :, None], ((column - start)[:, None] + wide)[:, None, :]]
-    windows = np.lib.stride_tricks.sliding_window_view(strips, len(span), axis=2)  # (n, rows, places, columns)
+    windows = np.lib.stride_tricks.sliding_window_view(strips, len(span), axis=2)  # (n, rows, candidates, columns)
     windows = windows.transpose(0, 2, 1, 3).reshape(len(u), len(candidates), -1)
     template = template - template.mean(axis=1, keepdims=True)
     windows = windows - windows.mean(axis=2, keepdims=True)

@@ -1,4 +1,4 @@
-"""How errors that estimates of a drive share move each of them: poses, calibration, and what is taken for a cone's outline."""
+"""Jacobians of estimates by the errors that they share: poses, calibration, and the assumed outline of a cone."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 
 
 def pose_and_calibration(xyz_m: Floats, poses: Sequence[Pose], rig: Rig) -> tuple[Floats, Floats]:
-    """(N, 3, 6 + K) how points (N, 3) move with the errors of pose and calibration, (N, 6) sigmas of the poses."""
+    """(N, 3, 6 + K) Jacobian of points (N, 3) by the errors of pose and calibration, (N, 6) sigmas of the poses."""
     by_pose = moved_by_poses(xyz_m, poses)
     left = np.array([map_SE3_left(pose, rig) for pose in poses]).reshape(-1, 4, 4)
     in_camera = np.einsum("nji,nj->ni", left[:, :3, :3], xyz_m - left[:, :3, 3])
@@ -30,9 +30,9 @@ def pose_and_calibration(xyz_m: Floats, poses: Sequence[Pose], rig: Rig) -> tupl
 def pose_parts(
     jacobian: Floats, frames: Sequence[int], variances: Floats, poses: PoseCov | None
 ) -> tuple[Floats, Floats | None]:
-    """Covariance (6, 6) of what all poses have wrong alike, and (3N, 3N) of N points by what changes from frame to frame.
+    """Covariance (6, 6) of the constant error of all poses, and (3N, 3N) of N points by the part that changes between frames.
 
-    jacobian (N, 3, 6): of the points by their poses; frames (N,): indices of these; variances (N, 6): stated.
+    jacobian (N, 3, 6): of the points by their poses; frames (N,): their indices; variances (N, 6): stated.
     """
     if not frames:
         return np.zeros((6, 6)), None
@@ -46,9 +46,9 @@ def pose_parts(
 def outline_parts(
     cone_ids: Sequence[str], positions: Sequence[Position], rig: Rig, turn: Floats, cov_m2: Floats
 ) -> tuple[Floats, Floats]:
-    """(N, 3, 3C) how what sightings of C cones share moves N positions, in sigmas; (N, 3, 3) the rest of the covariances.
+    """(N, 3, 3C) Jacobian of N positions by the outline errors of C cones, in sigmas; (N, 3, 3) the rest of the covariances.
 
-    turn (N, 3, 3): map_R_left of each position. cov_m2 (N, 3, 3): of their image points and outline together, in the map.
+    turn (N, 3, 3): map_R_left of each position. cov_m2 (N, 3, 3): of image points and outline together, in the map.
     """
     order = sorted({name for name, p in zip(cone_ids, positions, strict=True) if p.sigma_outline_m > 0})
     jacobian = np.zeros((len(positions), 3, 3 * len(order)))
@@ -63,7 +63,7 @@ def outline_parts(
 
 
 def track_shares(members: Sequence[Position], poses: Sequence[Pose], rig: Rig, motion: MotionError | None) -> Floats:
-    """(F, 3, 3): how a track moves with each of its positions; their sum is the identity (`JointFit.shares`)."""
+    """(F, 3, 3) Jacobian of a track by each of its positions; their sum is the identity (`JointFit.shares`)."""
     turn = np.array([map_SE3_left(pose, rig)[:3, :3] for pose in poses])
     cov = np.stack([cov_matrix(p.camera_cov_m2) for p in members])
     if motion is not None:
@@ -75,6 +75,6 @@ def track_shares(members: Sequence[Position], poses: Sequence[Pose], rig: Rig, m
 
 
 def calibration_of(rig: Rig) -> Floats:
-    """(K, K) covariance of the calibration, (0, 0) where none is known."""
+    """(K, K) covariance of the calibration, (0, 0) where it is unknown."""
     known = known_covariance(rig)
     return np.array(known.matrix) if known else np.zeros((0, 0))

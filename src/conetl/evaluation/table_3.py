@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from conetl.evaluation.truth import Found, TruthCone, TruthLine
-from conetl.evaluation.truth_file import read_truth
+from conetl.evaluation.truth import Found, TruthCone, TruthLine, read_truth
 from conetl.model.errors import InputError
 
 TABLE_3_COLUMNS = ("cone", "", "easting", "northing", "height", "range", "cone height", "3D error")

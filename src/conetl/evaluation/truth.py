@@ -1,35 +1,73 @@
-"""Cones of a map or a drive against surveyed truth: the paper's Table 3."""
+"""Surveyed cones (truth.csv), and cones of a map or a drive compared with them: the paper's Table 3."""
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.optimize import linear_sum_assignment
 
+from conetl.model.errors import InputError
 from conetl.model.map_records import MapFeature
 from conetl.model.records import Positive, Record, Track, Vec3
 
 Floats = NDArray[np.float64]
-#: What is compared with the truth: features of the map, or tracks of one drive.
+#: Features of the map, or tracks of one drive.
 Found = TypeVar("Found", bound=MapFeature | Track)
 _FORBIDDEN = 1e6
 
 
 class TruthCone(Record):
-    """One surveyed cone: foot centre on the ground, in the map's CRS with ellipsoidal height."""
+    """One surveyed cone: centre of the foot on the ground, in the map's CRS with ellipsoidal height."""
 
     cone_id: str
     xyz_m: Vec3
     cone_height_m: Positive
 
 
+class TruthRow(BaseModel):
+    """One line of truth.csv, with the centre of the foot on the ground."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    cone_id: str = Field(min_length=1)
+    easting_m: float
+    northing_m: float
+    height_ellipsoidal_m: float
+    cone_height_m: float = Field(gt=0)
+    map_srid: int
+    present: bool
+    """False where the cone was taken away since the previous pass."""
+    change: str
+    """added, confirmed, moved or removed since the previous pass."""
+
+
+def read_truth(path: Path) -> list[TruthRow]:
+    """All lines of a truth.csv. Raises InputError with file, line and field."""
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"truth {path}: cannot be read ({error})") from error
+    truth = []
+    for number, row in enumerate(rows, 2):
+        try:
+            truth.append(TruthRow.model_validate(row))
+        except ValidationError as error:
+            first = error.errors()[0]
+            raise InputError(f"truth {path}, line {number}, {first['loc'][0]}: {first['msg']}") from error
+    return truth
+
+
 @dataclass(frozen=True)
 class TruthLine(Generic[Found]):
-    """One line of the table: a cone of the truth and what was found for it, None where it was missed."""
+    """A cone of the truth and the feature or track paired with it, None where it was missed."""
 
     truth: TruthCone
     feature: Found | None
@@ -57,32 +95,23 @@ def compare_with_truth(
     gate_m: float = 0.75,
     within_m: float = 20.0,
 ) -> tuple[list[TruthLine[Found]], list[Found]]:
-    """The table, by cone id, and what stands for no cone (false ones).
+    """One line per cone of the truth, by cone id, and the false features.
 
-    path_m: (F, 2 or 3) path of the left camera. A feature or track stands for a cone when the two are paired one-to-one at the
-    least total distance and lie within gate_m. Cones farther than within_m from the path are not asked for.
+    path_m: (F, 2 or 3) path of the left camera. Features or tracks are paired with cones one-to-one at the least total distance,
+    at most gate_m each. Cones farther than within_m from the path are left out.
     """
-    asked = [cone for cone in truth if _range(cone.xyz_m, path_m) <= within_m]
-    everything = list(truth)
-    costs = np.full((len(everything), len(features)), _FORBIDDEN)
-    for i, cone in enumerate(everything):
-        for j, candidate in enumerate(features):
-            distance = float(np.linalg.norm(np.subtract(candidate.xyz_m, cone.xyz_m)))
-            if distance <= gate_m:
-                costs[i, j] = distance
+    distances = np.array([[np.linalg.norm(np.subtract(f.xyz_m, cone.xyz_m)) for f in features] for cone in truth])
+    costs = np.where(distances <= gate_m, distances, _FORBIDDEN).reshape(len(truth), len(features))
     rows, columns = linear_sum_assignment(costs)
     pairs = {i: j for i, j in zip(rows.tolist(), columns.tolist(), strict=True) if costs[i, j] < _FORBIDDEN}
     lines = []
-    for i, cone in enumerate(everything):
-        if cone not in asked:
-            continue
-        feature = features[pairs[i]] if i in pairs else None
-        lines.append(
-            TruthLine(
-                cone, feature, _range(cone.xyz_m, path_m), None if feature is None else _range(feature.xyz_m, path_m)
-            )
-        )
-    false = [features[j] for j in range(len(features)) if j not in pairs.values()]
+    for i, cone in enumerate(truth):
+        truth_range_m = _range(cone.xyz_m, path_m)
+        if truth_range_m <= within_m:
+            feature = features[pairs[i]] if i in pairs else None
+            range_m = None if feature is None else _range(feature.xyz_m, path_m)
+            lines.append(TruthLine(cone, feature, truth_range_m, range_m))
+    false = [feature for j, feature in enumerate(features) if j not in pairs.values()]
     return sorted(lines, key=lambda line: line.truth.cone_id), false
 
 

@@ -1,6 +1,6 @@
-"""The map as files for other programs: one line a format in `FORMATS`, one module each with a function `write(source, path)`.
+"""The map as files for other programs. A format is a function `write(source, path) -> int` and one line in `FORMATS`.
 
-The modules are imported when they are needed: GDAL, Arrow and the rest take their time.
+It imports `db` and everything below it. The story begins in `export.py`; `source.py` reads the rows that every format writes.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Order(StrEnum):
-    """In which order a format gets its rows; with equal rows equal files."""
+    """Order of the rows; equal rows give equal files."""
 
     BY_ID = "feature id"
     SPATIAL = "Hilbert curve"
@@ -30,27 +30,27 @@ class Format:
 
     suffix: str
     order: Order
-    module: str
-    """Module of this package with `write(source, path) -> int`: writes all of `source` to `path` and returns the number of
-    rows."""
+    entry_point: str
+    """`module:function` in this package. The function writes all rows of a `Source` to a path and returns their number."""
     geographic: bool = False
-    """Whether the file is in WGS 84 longitude and latitude, else in the map's CRS."""
+    """WGS 84 longitude and latitude instead of the map's CRS."""
     with_change: bool = False
-    """Whether the format tells of standing features, too, what change made them so."""
+    """Standing features carry their latest change, too."""
 
 
+#: Writers are imported on first use, because GDAL, Arrow and MCAP are slow to load.
 FORMATS = {
-    "geojson": Format(".geojson", Order.BY_ID, "geojson", geographic=True),
-    "csv": Format(".csv", Order.BY_ID, "csv_table"),
-    "geoparquet": Format(".parquet", Order.SPATIAL, "geoparquet"),
-    "gpkg": Format(".gpkg", Order.BY_ID, "geopackage"),
-    "flatgeobuf": Format(".fgb", Order.BY_ID, "flatgeobuf"),
-    "mcap": Format(".mcap", Order.BY_TIME, "mcap_scene", with_change=True),
-    "lanelet2": Format(".osm", Order.BY_ID, "lanelet2", geographic=True),
+    "geojson": Format(".geojson", Order.BY_ID, "geojson:write_features", geographic=True),
+    "csv": Format(".csv", Order.BY_ID, "text_files:write_csv"),
+    "geoparquet": Format(".parquet", Order.SPATIAL, "table_files:write_geoparquet"),
+    "gpkg": Format(".gpkg", Order.BY_ID, "table_files:write_geopackage"),
+    "flatgeobuf": Format(".fgb", Order.BY_ID, "table_files:write_flatgeobuf"),
+    "mcap": Format(".mcap", Order.BY_TIME, "mcap_scene:write_scene", with_change=True),
+    "lanelet2": Format(".osm", Order.BY_ID, "text_files:write_lanelet2", geographic=True),
 }
 
 
 def writer_of(file_format: str) -> Callable[[Source, Path], int]:
     """The function that writes a format of `FORMATS`."""
-    module = import_module(f"conetl.exports.{FORMATS[file_format].module}")
-    return cast("Callable[[Source, Path], int]", module.write)
+    module, function = FORMATS[file_format].entry_point.split(":")
+    return cast("Callable[[Source, Path], int]", getattr(import_module(f"conetl.exports.{module}"), function))

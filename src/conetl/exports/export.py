@@ -1,4 +1,4 @@
-"""`export_map`: a map as a file of any format, whole or not at all, with a manifest beside it."""
+"""`export_map` writes a map as a file of any format, completely or not at all, with a manifest beside it."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from typing import Any
 from conetl.db.connection import Connection, execute, transaction
 from conetl.db.statements import load_sql
 from conetl.exports import FORMATS, Format, writer_of
-from conetl.exports.feature_rows import iso_utc
 from conetl.exports.source import ExportRequest, Source, What, open_source
+from conetl.exports.text_files import iso_utc
 from conetl.files.atomic import atomic_files
 from conetl.model.errors import InputError
 
 MANIFEST_VERSION = 1
 _WGS84 = "OGC:CRS84"
-#: Of the database for each sort or join: a million features fit; a history has more joins, and may be of any length.
+#: Memory of the database per sort or join. A million features fit; a history has more joins and any length.
 _WORK_MEM = {What.FEATURES: "128MB", What.CHANGES: "64MB", What.HISTORY: "64MB"}
 
 
 def export_map(conn: Connection, path: Path, file_format: str, request: ExportRequest) -> dict[str, Any]:
-    """Write what `request` asks for to `path` and a manifest to `path` + '.manifest.json'; returns the manifest.
+    """Write the rows of `request` to `path` and a manifest to `path` + '.manifest.json'; the manifest.
 
-    Everything is read from one snapshot of the database, in batches. Both files take their names at the end, or neither. Raises
-    InputError for an unknown format, a map that is not there, or a place that cannot be written.
+    All rows come from one snapshot of the database, in batches. Both files appear at the end, or neither. Raises InputError for
+    an unknown format or map, and where the files cannot be written.
     """
     if file_format not in FORMATS:
-        raise InputError(f"there is no format {file_format}: choose one of {', '.join(FORMATS)}")
+        raise InputError(f"unknown format {file_format}: choose one of {', '.join(FORMATS)}")
     chosen = FORMATS[file_format]
     manifest_path = path.with_name(path.name + ".manifest.json")
     with transaction(conn, f"The map {request.map_name} cannot be read"):
@@ -53,7 +53,7 @@ def _manifest(source: Source, file_format: str, chosen: Format, file: Path, rows
         "manifest_version": MANIFEST_VERSION,
         "file": file.name,
         "format": file_format,
-        "sha256": sha256_of(file),
+        "sha256": _sha256(file),
         "bytes": file.stat().st_size,
         "rows": rows,
         "what": str(request.what),
@@ -75,8 +75,7 @@ def _manifest(source: Source, file_format: str, chosen: Format, file: Path, rows
     }
 
 
-def sha256_of(path: Path) -> str:
-    """Hash of a file's content, in hexadecimal."""
+def _sha256(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

@@ -1,19 +1,28 @@
-"""The map as GeoJSON (RFC 7946): what QGIS, a browser or another map database reads."""
+"""GeoJSON (RFC 7946): features of the map, the difference of two maps, and findings of the layout check."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from datetime import datetime
+from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike
+from pyproj import Transformer
+
 from conetl.db.connection import Connection
-from conetl.exports.feature_rows import ExportRow, rows_of
 from conetl.exports.source import ExportRequest, Source, What, open_source
-from conetl.files.atomic import atomic_files
+from conetl.exports.text_files import rows_of
+from conetl.files.atomic import atomic_files, atomic_text_file
+from conetl.model.map_records import DeltaKind, FeatureChange
+from conetl.model.work_zone_records import Finding
 
 LON_LAT_DECIMALS = 9  # 0.1 mm
 HEIGHT_DECIMALS = 4
+Object = dict[str, Any]
 
 
 def export_geojson(
@@ -24,36 +33,111 @@ def export_geojson(
     as_of: datetime | None = None,
     known_at: datetime | None = None,
 ) -> int:
-    """The standing cones as GeoJSON alone, without a manifest; the number of features. See `write`."""
+    """Write the standing cones as GeoJSON without a manifest; the number of features. See `write_features`."""
     request = ExportRequest(map_name, as_of=as_of, believed_at=known_at)
     with open_source(conn, request) as source, atomic_files(path) as (file,):
-        return write(source, file)
+        return write_features(source, file)
 
 
-def write(source: Source, path: Path) -> int:
-    """Write one Feature per row, one per line; the number of rows.
+def write_features(source: Source, path: Path) -> int:
+    """Write one Feature per row and line; the number of rows. The same map gives the same bytes.
 
-    Coordinates are WGS 84 longitude, latitude (degrees) and ellipsoidal height (m). The same map gives the same bytes. A
-    feature's id is that of the cone, but in a history, where a cone has several rows.
+    Coordinates are WGS 84 longitude, latitude (degrees) and ellipsoidal height (m). A feature's id is that of the cone, except in
+    a history, where a cone has several rows.
     """
     count = 0
     with_id = source.request.what is not What.HISTORY
     with path.open("w", encoding="utf-8", newline="") as file:
         file.write('{"type": "FeatureCollection", "features": [')
-        for row in rows_of(source):
-            file.write(",\n" if count else "\n")
-            file.write(json.dumps(_feature(row, with_id), allow_nan=False))
-            count += 1
+        for count, row in enumerate(rows_of(source), 1):
+            lon_lat = [round(row.lon_deg, LON_LAT_DECIMALS), round(row.lat_deg, LON_LAT_DECIMALS)]
+            feature = {
+                "type": "Feature",
+                **({"id": row.properties["feature_id"]} if with_id else {}),
+                "geometry": {
+                    "type": "Point",
+                    "coordinates": [*lon_lat, round(row.ellipsoidal_height_m, HEIGHT_DECIMALS)],
+                },
+                "properties": row.properties,
+            }
+            file.write(",\n" if count > 1 else "\n")
+            file.write(json.dumps(feature, allow_nan=False))
         file.write("\n]}\n")
     return count
 
 
-def _feature(row: ExportRow, with_id: bool) -> dict[str, Any]:
-    lon_deg, lat_deg = round(row.lon_deg, LON_LAT_DECIMALS), round(row.lat_deg, LON_LAT_DECIMALS)
-    coordinates = [lon_deg, lat_deg, round(row.ellipsoidal_height_m, HEIGHT_DECIMALS)]
+def export_diff_geojson(changes: Sequence[FeatureChange], path: Path, *, srid: int) -> int:
+    """Write the difference of two maps: a point per changed feature, a line where it moved; the number of features."""
+    features = []
+    for change in changes:
+        sides = coordinates([side.xyz_m for side in (change.old, change.new) if side is not None], srid)
+        features.append(
+            {
+                "type": "Feature",
+                "id": str(change.feature_id),
+                "geometry": _line_or_point(sides if change.kind is DeltaKind.MOVED else sides[-1:]),
+                "properties": {
+                    "feature_id": str(change.feature_id),
+                    "change": str(change.kind),
+                    "shift_m": change.shift_m,
+                    "old_version": change.old.version if change.old else None,
+                    "new_version": change.new.version if change.new else None,
+                },
+            }
+        )
+    return _write_collection(features, path)
+
+
+def export_layout_geojson(findings: Sequence[Finding], path: Path, *, srid: int) -> int:
+    """Write one point or line per finding of the layout check; the number of features."""
+    features = [
+        {
+            "type": "Feature",
+            "geometry": _line_or_point(coordinates(finding.xy_m, srid)),
+            "properties": finding_as_dict(finding) | {"feature_ids": ", ".join(map(str, finding.feature_ids))},
+        }
+        for finding in findings
+    ]
+    return _write_collection(features, path, indent=1)
+
+
+def finding_as_dict(finding: Finding) -> Object:
+    """A finding as plain values; lengths in metres to the millimetre."""
     return {
-        "type": "Feature",
-        **({"id": row.properties["feature_id"]} if with_id else {}),
-        "geometry": {"type": "Point", "coordinates": coordinates},
-        "properties": row.properties,
+        "work_zone_id": str(finding.zone_id),
+        "rule": str(finding.rule),
+        "level": str(finding.level),
+        "norm": finding.norm,
+        "text": finding.text,
+        "value": round(finding.value, 3),
+        "limit": round(finding.limit, 3),
+        "sigma": round(finding.sigma, 3),
+        "unit": finding.unit,
+        "station_m": round(finding.station_m, 2),
+        "feature_ids": [str(feature_id) for feature_id in finding.feature_ids],
     }
+
+
+def coordinates(points_m: ArrayLike, srid: int) -> list[list[float]]:
+    """Points (n, 2 or 3) of a map's CRS as WGS 84 longitude and latitude (degrees), the height (m) unchanged; rounded."""
+    points = np.asarray(points_m, float)
+    degrees = np.column_stack(_to_wgs84(srid).transform(points[:, 0], points[:, 1])).round(LON_LAT_DECIMALS)
+    return np.hstack([degrees, points[:, 2:].round(HEIGHT_DECIMALS)]).tolist()  # type: ignore[no-any-return]
+
+
+@cache
+def _to_wgs84(srid: int) -> Transformer:
+    return Transformer.from_crs(f"EPSG:{srid}", "EPSG:4326", always_xy=True)
+
+
+def _line_or_point(points: list[list[float]]) -> Object:
+    if len(points) == 1:
+        return {"type": "Point", "coordinates": points[0]}
+    return {"type": "LineString", "coordinates": points}
+
+
+def _write_collection(features: list[Object], path: Path, *, indent: int | None = None) -> int:
+    with atomic_text_file(path) as file:
+        json.dump({"type": "FeatureCollection", "features": features}, file, allow_nan=False, indent=indent)
+        file.write("\n")
+    return len(features)

@@ -1,7 +1,7 @@
-"""How each kind of change looks in images and exports: the colours, words and, as near as can be, shapes of `conetl view`.
+"""Colour, marker and legend text of each kind of change in images and exports, the same as in `conetl view`.
 
-The colour-blind can tell the colours apart (no red beside green, no orange), and each kind has a shape of its own as well. A test
-holds them against web/src/kinds.ts.
+The colours are safe for the colour-blind (no red beside green, no orange), and each kind has a shape of its own. A test
+compares them with web/src/kinds.ts.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ from conetl.model.map_records import DeltaKind
 
 
 class KindMark(NamedTuple):
-    """Marker of matplotlib, colour as #rrggbb, and the word for a legend."""
+    """A marker of matplotlib, a colour as #rrggbb, and the text of the legend."""
 
     marker: str
     colour: str
-    word: str
+    label: str
 
 
-#: In the order of drawing: later ones lie on top.
+#: In the order of drawing: later ones are drawn over earlier ones.
 KIND_MARKS = {
     DeltaKind.CONFIRMED: KindMark("o", "#7f97b2", "confirmed"),
-    DeltaKind.MISSED: KindMark("$\\circ$", "#5f45b8", "looked for in vain"),
+    DeltaKind.MISSED: KindMark("$\\circ$", "#5f45b8", "not observed"),
     DeltaKind.HEIGHT_CHANGED: KindMark("s", "#00707c", "height changed"),
     DeltaKind.MERGED: KindMark("v", "#1f2933", "merged"),
     DeltaKind.REMOVED: KindMark("X", "#1f2933", "removed"),
@@ -30,4 +30,4 @@ KIND_MARKS = {
     DeltaKind.SPLIT: KindMark("^", "#0068b4", "split off"),
     DeltaKind.ADDED: KindMark("P", "#0068b4", "new"),
 }
-STANDING = KIND_MARKS[DeltaKind.CONFIRMED]._replace(word="standing")
+STANDING = KIND_MARKS[DeltaKind.CONFIRMED]._replace(label="standing")

@@ -1,11 +1,9 @@
-"""The map as an MCAP recording for Foxglove: cones in true size, coloured by what changed.
+"""The map as an MCAP recording for Foxglove: cones in true size, coloured by their change.
 
-Topics, all JSON with the schemas of https://docs.foxglove.dev/docs/sdk/schemas: /cones (SceneUpdate), /tf (FrameTransform
-from the map's CRS
-to a frame `map` with its origin near the first cone, because the graphics card counts in float32) and /origin (LocationFix
-of that
-origin). Features and changes are one instant; a history is told in the order of the road's time, in one belief (that of
-`believed_at`): cones come, change and go as the recording plays.
+Topics, all JSON with the schemas of https://docs.foxglove.dev/docs/sdk/schemas: /cones (SceneUpdate), /tf (FrameTransform from
+the map's CRS to a frame `map` with its origin near the first cone, because graphics cards compute in float32) and /origin
+(LocationFix of that origin). Features and changes are one instant. A history follows the time on the road, in one database
+state (that of `believed_at`): cones appear, change and disappear as the recording plays.
 """
 
 from __future__ import annotations
@@ -21,55 +19,53 @@ from typing import Any
 import numpy as np
 from mcap.writer import Writer
 
-from conetl.exports.foxglove_schemas import FRAME_TRANSFORM, LOCATION_FIX, SCENE_UPDATE
 from conetl.exports.kind_marks import KIND_MARKS
 from conetl.exports.source import Source, What
+from conetl.exports.text_files import iso_utc
 from conetl.model.map_records import DeltaKind
 
 FRAME = "map"
 TOPIC = "/cones"
-#: Entities of one message.
+#: Entities per message.
 _MESSAGE_ROWS = 1000
 #: A road cone: diameter of the foot over the height, and of the top over that of the foot.
 _FOOT_WIDTH, _TOP_SHARE = 0.4, 0.175
-_EMPTY = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
-_NO_TURN = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
-Row = dict[str, Any]
+_NO_PRIMITIVES = ("cubes", "spheres", "lines", "triangles", "texts", "models")
+_NO_ROTATION = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+Object = dict[str, Any]
+Point = tuple[float, float, float]
 
 
-def write(source: Source, path: Path) -> int:
+def write_scene(source: Source, path: Path) -> int:
     """Write the scene; the number of rows."""
     count = 0
-    rows = _rows(source)
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start(profile="", library="conetl")
         channels = [
             writer.register_channel(
-                topic, "json", writer.register_schema(name, "jsonschema", json.dumps(schema).encode())
+                topic, "json", writer.register_schema(schema["title"], "jsonschema", json.dumps(schema).encode())
             )
-            for topic, name, schema in (
-                (TOPIC, "foxglove.SceneUpdate", SCENE_UPDATE),
-                ("/tf", "foxglove.FrameTransform", FRAME_TRANSFORM),
-                ("/origin", "foxglove.LocationFix", LOCATION_FIX),
-            )
+            for topic, schema in ((TOPIC, SCENE_UPDATE), ("/tf", FRAME_TRANSFORM), ("/origin", LOCATION_FIX))
         ]
-        origin: tuple[float, float, float] | None = None
-        for instant_us, group in groupby(rows, key=lambda row: row["instant_us"]):
-            log_time_ns = instant_us * 1000
+        origin: Point | None = None
+        for instant_us, group in groupby(_rows(source), key=lambda row: row["instant_us"]):
             while chunk := list(islice(group, _MESSAGE_ROWS)):
+                messages: list[tuple[int, Object]] = []
                 if origin is None:
                     origin = _origin(chunk[0])
-                    for channel, message in zip(channels[1:], _place_of(origin, source, instant_us), strict=True):
-                        _add(writer, channel, log_time_ns, message)
-                _add(writer, channels[0], log_time_ns, _scene(chunk, origin, source.request.what))
+                    messages += zip(channels[1:], _origin_messages(origin, source, instant_us), strict=True)
+                messages.append((channels[0], _scene(chunk, origin, source.request.what)))
+                for channel, message in messages:
+                    data = json.dumps(message, allow_nan=False, separators=(",", ":")).encode()
+                    writer.add_message(channel, log_time=instant_us * 1000, publish_time=instant_us * 1000, data=data)
                 count += len(chunk)
         writer.finish()  # type: ignore[no-untyped-call]
     return count
 
 
-def _rows(source: Source) -> Iterator[Row]:
-    """Rows with `instant_us`, the instant that they are shown at (UTC microseconds since 1970), rising."""
+def _rows(source: Source) -> Iterator[Object]:
+    """Rows in the order of `instant_us`, the instant at which they are shown (UTC microseconds since 1970)."""
     request = source.request
     shown_at = request.until if request.what is What.CHANGES else request.as_of
     shown_at = shown_at or request.believed_at or source.info.last_committed_at or datetime.now(UTC)
@@ -80,7 +76,7 @@ def _rows(source: Source) -> Iterator[Row]:
             yield row
 
 
-def _scene(rows: list[Row], origin: tuple[float, float, float], what: What) -> Row:
+def _scene(rows: list[Object], origin: Point, what: What) -> Object:
     gone = [row for row in rows if what is What.HISTORY and not row["present"]]
     drawn = [row for row in rows if what is not What.HISTORY or row["present"]]
     return {
@@ -89,43 +85,43 @@ def _scene(rows: list[Row], origin: tuple[float, float, float], what: What) -> R
     }
 
 
-def _entity(row: Row, origin: tuple[float, float, float]) -> Row:
+def _entity(row: Object, origin: Point) -> Object:
     x, y, z = row["easting_m"] - origin[0], row["northing_m"] - origin[1], row["ellipsoidal_height_m"] - origin[2]
     height_m = row["height_m"]
-    colour = _colour(row["change"], row["existence_probability"])
     width_m = _FOOT_WIDTH * height_m
-    entity: Row = {
+    colour = _colour(row["change"], row["existence_probability"])
+    cone = {
+        "pose": {"position": {"x": x, "y": y, "z": z + height_m / 2}, "orientation": _NO_ROTATION},
+        "size": {"x": width_m, "y": width_m, "z": height_m},
+        "bottom_scale": 1.0,
+        "top_scale": _TOP_SHARE,
+        "color": colour,
+    }
+    arrows = []
+    if row["change"] == "moved" and row.get("old_easting_m") is not None:
+        old = (row["old_easting_m"] - origin[0], row["old_northing_m"] - origin[1], row["old_height_m"] - origin[2])
+        arrows = [_arrow(old, (x, y, z), width_m, colour)]
+    return {
         "timestamp": _time(row["instant_us"]),
         "frame_id": FRAME,
         "id": row["feature_id"],
         "lifetime": {"sec": 0, "nsec": 0},
         "frame_locked": False,
         "metadata": [{"key": key, "value": _text(row[key])} for key in row if key not in ("feature_id", "instant_us")],
-        **{kind: [] for kind in _EMPTY},
+        "arrows": arrows,
+        "cylinders": [cone],
+        **{kind: [] for kind in _NO_PRIMITIVES},
     }
-    entity["cylinders"] = [
-        {
-            "pose": {"position": {"x": x, "y": y, "z": z + height_m / 2}, "orientation": _NO_TURN},
-            "size": {"x": width_m, "y": width_m, "z": height_m},
-            "bottom_scale": 1.0,
-            "top_scale": _TOP_SHARE,
-            "color": colour,
-        }
-    ]
-    if row["change"] == "moved" and row.get("old_easting_m") is not None:
-        old = (row["old_easting_m"] - origin[0], row["old_northing_m"] - origin[1], row["old_height_m"] - origin[2])
-        entity["arrows"] = [_arrow(old, (x, y, z), width_m, colour)]
-    return entity
 
 
-def _arrow(start: tuple[float, float, float], end: tuple[float, float, float], width_m: float, colour: Row) -> Row:
-    """Flat on the ground, from the old place to the new one."""
+def _arrow(start: Point, end: Point, width_m: float, colour: Object) -> Object:
+    """A level arrow from the old to the new position."""
     length_m = math.hypot(end[0] - start[0], end[1] - start[1])
     heading = math.atan2(end[1] - start[1], end[0] - start[0])
     head_m = min(0.3, length_m / 2)
-    turn = {"x": 0.0, "y": 0.0, "z": math.sin(heading / 2), "w": math.cos(heading / 2)}
+    rotation = {"x": 0.0, "y": 0.0, "z": math.sin(heading / 2), "w": math.cos(heading / 2)}
     return {
-        "pose": {"position": dict(zip("xyz", start, strict=True)), "orientation": turn},
+        "pose": {"position": dict(zip("xyz", start, strict=True)), "orientation": rotation},
         "shaft_length": length_m - head_m,
         "shaft_diameter": width_m / 6,
         "head_length": head_m,
@@ -134,14 +130,23 @@ def _arrow(start: tuple[float, float, float], end: tuple[float, float, float], w
     }
 
 
-def _place_of(origin: tuple[float, float, float], source: Source, instant_us: int) -> tuple[Row, Row]:
+def _origin(row: Object) -> Point:
+    return (
+        math.floor(row["easting_m"] / 100) * 100.0,
+        math.floor(row["northing_m"] / 100) * 100.0,
+        float(math.floor(row["ellipsoidal_height_m"])),
+    )
+
+
+def _origin_messages(origin: Point, source: Source, instant_us: int) -> tuple[Object, Object]:
+    """The FrameTransform and the LocationFix of the origin."""
     lon_deg, lat_deg = source.to_wgs84.transform(origin[0], origin[1])
     transform = {
         "timestamp": _time(instant_us),
         "parent_frame_id": f"EPSG:{source.info.srid}",
         "child_frame_id": FRAME,
         "translation": dict(zip("xyz", origin, strict=True)),
-        "rotation": _NO_TURN,
+        "rotation": _NO_ROTATION,
     }
     fix = {
         "timestamp": _time(instant_us),
@@ -155,21 +160,13 @@ def _place_of(origin: tuple[float, float, float], source: Source, instant_us: in
     return transform, fix
 
 
-def _origin(row: Row) -> tuple[float, float, float]:
-    return (
-        math.floor(row["easting_m"] / 100) * 100.0,
-        math.floor(row["northing_m"] / 100) * 100.0,
-        float(math.floor(row["ellipsoidal_height_m"])),
-    )
+def _colour(change: str | None, existence_probability: float) -> Object:
+    rgb = bytes.fromhex(KIND_MARKS[DeltaKind(change or "confirmed")].colour[1:])
+    alpha = round(0.25 + 0.75 * existence_probability, 3)
+    return dict(zip("rgb", (part / 255 for part in rgb), strict=True)) | {"a": alpha}
 
 
-def _colour(change: str | None, existence_probability: float) -> Row:
-    code = KIND_MARKS[DeltaKind(change or "confirmed")].colour
-    red, green, blue = (int(code[i : i + 2], 16) / 255 for i in (1, 3, 5))
-    return {"r": red, "g": green, "b": blue, "a": round(0.25 + 0.75 * existence_probability, 3)}
-
-
-def _time(instant_us: int) -> Row:
+def _time(instant_us: int) -> Object:
     return {"sec": instant_us // 1_000_000, "nsec": instant_us % 1_000_000 * 1000}
 
 
@@ -179,10 +176,49 @@ def _microseconds(instant: datetime) -> int:
 
 def _text(value: Any) -> str:
     if isinstance(value, datetime):
-        return value.astimezone(UTC).isoformat(timespec="microseconds").replace("+00:00", "Z")
+        return iso_utc(value)
     return "" if value is None else str(value)
 
 
-def _add(writer: Writer, channel: int, log_time_ns: int, message: Row) -> None:
-    data = json.dumps(message, allow_nan=False, separators=(",", ":")).encode()
-    writer.add_message(channel_id=channel, log_time=log_time_ns, publish_time=log_time_ns, data=data)
+def _object(title: str, **properties: Object) -> Object:
+    return {"title": title, "type": "object", "properties": properties}
+
+
+def _list(items: Object | None = None) -> Object:
+    return {"type": "array"} | ({"items": items} if items else {})
+
+
+_NUMBER, _STRING, _INTEGER = {"type": "number"}, {"type": "string"}, {"type": "integer"}
+_NANOSECONDS: Object = {"type": "integer", "minimum": 0, "maximum": 999_999_999}
+_TIME = _object("time", sec={"type": "integer", "minimum": 0}, nsec=_NANOSECONDS)
+_DURATION = _object("duration", sec=_INTEGER, nsec=_NANOSECONDS)
+_VECTOR = _object("foxglove.Vector3", **dict.fromkeys("xyz", _NUMBER))
+_QUATERNION = _object("foxglove.Quaternion", **dict.fromkeys("xyzw", _NUMBER))
+_POSE = _object("foxglove.Pose", position=_VECTOR, orientation=_QUATERNION)
+_COLOUR = _object("foxglove.Color", **dict.fromkeys("rgba", _NUMBER))
+_ARROW = _object(
+    "foxglove.ArrowPrimitive", pose=_POSE, shaft_length=_NUMBER, shaft_diameter=_NUMBER, head_length=_NUMBER,
+    head_diameter=_NUMBER, color=_COLOUR,
+)  # fmt: skip
+_CYLINDER = _object(
+    "foxglove.CylinderPrimitive", pose=_POSE, size=_VECTOR, bottom_scale=_NUMBER, top_scale=_NUMBER, color=_COLOUR
+)
+_ENTITY = _object(
+    "foxglove.SceneEntity", timestamp=_TIME, frame_id=_STRING, id=_STRING, lifetime=_DURATION, frame_locked={"type": "boolean"},
+    metadata=_list(_object("foxglove.KeyValuePair", key=_STRING, value=_STRING)),
+    arrows=_list(_ARROW), cylinders=_list(_CYLINDER), **{kind: _list() for kind in _NO_PRIMITIVES},
+)  # fmt: skip
+#: The three messages, with names and fields as in Foxglove's documentation.
+SCENE_UPDATE = _object(
+    "foxglove.SceneUpdate",
+    deletions=_list(_object("foxglove.SceneEntityDeletion", timestamp=_TIME, type=_INTEGER, id=_STRING)),
+    entities=_list(_ENTITY),
+)
+FRAME_TRANSFORM = _object(
+    "foxglove.FrameTransform", timestamp=_TIME, parent_frame_id=_STRING, child_frame_id=_STRING, translation=_VECTOR,
+    rotation=_QUATERNION,
+)  # fmt: skip
+LOCATION_FIX = _object(
+    "foxglove.LocationFix", timestamp=_TIME, frame_id=_STRING, latitude=_NUMBER, longitude=_NUMBER, altitude=_NUMBER,
+    position_covariance=_list(_NUMBER), position_covariance_type=_INTEGER,
+)  # fmt: skip

@@ -20,29 +20,28 @@ from conetl.db.map.map_store import find_map
 from conetl.db.map.results import MapInfo
 from conetl.db.statements import load_sql
 from conetl.exports import Order
-from conetl.exports.wire import arrow_type, decode_rows
+from conetl.exports.wire import UTC_US, arrow_type, decode_rows
 from conetl.model.errors import InputError
 from conetl.model.params import ReconcileParams
 
 Floats = NDArray[np.float64]
 #: Rows in memory at a time, and rows of a GeoParquet row group.
 BATCH_ROWS = 50_000
-#: Of a feature, not of the map's history: left out of an export of the features that stand.
-HISTORY_NAMES = ("change", "shift_m", "present", "suppressed", "system_from", "system_to")
-PLACE_NAMES = ("easting_m", "northing_m", "ellipsoidal_height_m")
+POSITION_NAMES = ("easting_m", "northing_m", "ellipsoidal_height_m")
+#: Columns of the history, left out where neither history nor changes are exported.
+_HISTORY_NAMES = ("change", "shift_m", "present", "suppressed", "system_from", "system_to")
 _NS_NAMES = {"first_seen_ns": "first_seen_at", "last_seen_ns": "last_seen_at"}
-_UTC_US = pa.timestamp("us", tz="UTC")
 
 
 class What(StrEnum):
     """Which rows."""
 
     FEATURES = "features"
-    """What stood on the road at `as_of`, as believed at `believed_at`."""
+    """What stood on the road at `as_of`, in the database state of `believed_at`."""
     HISTORY = "history"
-    """Every version that was ever believed; with `believed_at` only those that were believed then."""
+    """Every version that the database ever held; with `believed_at` only those that it held then."""
     CHANGES = "changes"
-    """What differs between the road at `since` and at `until`, both as believed at `believed_at`."""
+    """The difference between the road at `since` and at `until`, both in the database state of `believed_at`."""
 
 
 @dataclass(frozen=True)
@@ -70,13 +69,14 @@ class Source:
 
     @cached_property
     def schema(self) -> pa.Schema:
-        """Columns of every batch: the properties in the order of the contract, then `PLACE_NAMES`."""
-        return pa.schema([pa.field(*self._exported(name, oid)) for name, oid in self._columns])
+        """Columns of every batch: the properties in the order of the contract, then `POSITION_NAMES`."""
+        fields = [(_NS_NAMES[n], UTC_US) if n in _NS_NAMES else (n, arrow_type(oid)) for n, oid in self._columns]
+        return pa.schema([pa.field(*one) for one in fields])
 
-    @property
+    @cached_property
     def property_names(self) -> list[str]:
-        """Names of the columns that are no part of the place."""
-        return [name for name in self.schema.names if name not in PLACE_NAMES]
+        """Names of the columns except the position."""
+        return [name for name in self.schema.names if name not in POSITION_NAMES]
 
     @property
     def crs(self) -> CRS:
@@ -84,19 +84,20 @@ class Source:
         return CRS.from_epsg(self.info.srid)
 
     def batches(self) -> Iterator[pa.RecordBatch]:
-        """All rows, `BATCH_ROWS` at a time, with `schema`. Valid in the transaction of `open_source`."""
+        """All rows, `BATCH_ROWS` at a time, with `schema`."""
         reading = self._read()
         self._reading.append(reading)
         return reading
 
     def close(self) -> None:
-        """End what reads: the connection is free again."""
+        """Stop reading, so that the connection is free again."""
         for reading in self._reading:
             reading.close()
 
     def lon_lat_deg(self, batch: pa.RecordBatch) -> tuple[Floats, Floats]:
         """WGS 84 longitudes and latitudes (n,) of a batch."""
-        lons, lats = self.to_wgs84.transform(numpy_of(batch.column("easting_m")), numpy_of(batch.column("northing_m")))
+        easting, northing = (np.asarray(batch.column(name)) for name in POSITION_NAMES[:2])
+        lons, lats = self.to_wgs84.transform(easting, northing)
         return lons, lats
 
     @cached_property
@@ -105,8 +106,7 @@ class Source:
         return Transformer.from_crs(self.crs, 4326, always_xy=True)
 
     def _read(self) -> Generator[pa.RecordBatch]:
-        columns = self._columns
-        names, oids = [name for name, _ in columns], [oid for _, oid in columns]
+        names, oids = zip(*self._columns, strict=True)
         sql = f"select {', '.join(names)} from ({self._sql}) q"
         with (
             database_errors(f"The map {self.request.map_name} cannot be read"),
@@ -114,57 +114,56 @@ class Source:
         ):
             for chunk in chunks:
                 arrays = [
-                    _microseconds(array) if name in _NS_NAMES else array
+                    pa.array(np.asarray(array) // 1000, UTC_US) if name in _NS_NAMES else array
                     for name, array in zip(names, decode_rows(chunk, oids), strict=True)
                 ]
                 yield pa.record_batch(arrays, schema=self.schema)
-
-    @property
-    def _tells_change(self) -> bool:
-        return self.with_change or self.request.what is not What.FEATURES
 
     @property
     def _sql(self) -> str:
         name = "changes" if self.request.what is What.CHANGES else "versions"
         return load_sql(f"exports.{name}").rstrip(";")
 
+    @property
+    def _has_change(self) -> bool:
+        return self.with_change or self.request.what is not What.FEATURES
+
     @cached_property
     def _columns(self) -> list[tuple[str, int]]:
+        """Name and PostgreSQL type of each exported column of the query."""
         with database_errors(f"The map {self.request.map_name} cannot be read"):
             columns = query_columns(self.conn, self._sql, self._parameters)
-        dropped = () if self._tells_change else HISTORY_NAMES
-        return [(name, oid) for name, oid in columns if name not in dropped]
+        return [(name, oid) for name, oid in columns if self._has_change or name not in _HISTORY_NAMES]
 
     @property
     def _parameters(self) -> dict[str, Any]:
         request = self.request
-        # What is told in the order of the road's time is told in one belief.
-        one_belief = request.believed_at is not None or self.order is Order.BY_TIME
-        everything_believed = request.what is What.HISTORY and not one_belief
+        # Rows in the order of time are those of one database state.
+        one_state = request.believed_at is not None or self.order is Order.BY_TIME
+        every_state = request.what is What.HISTORY and not one_state
         return {
             "map_name": request.map_name,
             "map_id": self.info.map_id,
             "every_version": request.what is What.HISTORY,
             "valid_at": _instant(request.as_of),
-            "known_at": None if everything_believed else _instant(request.believed_at),
+            "known_at": None if every_state else _instant(request.believed_at),
             "from_valid_at": _instant(request.since),
             "to_valid_at": _instant(request.until),
             "moved_from_m": ReconcileParams().min_gate_m,
-            "with_change": self._tells_change,
+            "with_change": self._has_change,
             "spatial_order": self.order is Order.SPATIAL,
             "time_order": self.order is Order.BY_TIME,
         }
-
-    def _exported(self, name: str, oid: int) -> tuple[str, pa.DataType]:
-        return (_NS_NAMES[name], _UTC_US) if name in _NS_NAMES else (name, arrow_type(oid))
 
 
 @contextmanager
 def open_source(
     conn: Connection, request: ExportRequest, *, order: Order = Order.BY_ID, with_change: bool = False
 ) -> Iterator[Source]:
-    """The rows of a request. with_change: also of standing features, what made them so. Raises InputError for a request that
-    contradicts itself, or a map that is not there."""
+    """The rows of a request. with_change: standing features, too, carry their latest change.
+
+    Raises InputError for a request that contradicts itself, and for an unknown map.
+    """
     _check(request)
     info = find_map(conn, request.map_name)
     if info is None:
@@ -178,29 +177,20 @@ def open_source(
         source.close()
 
 
-def numpy_of(array: pa.Array) -> NDArray[Any]:
-    """Values of a column without nulls."""
-    return np.asarray(array)
-
-
 def _check(request: ExportRequest) -> None:
     for instant in (request.as_of, request.believed_at, request.since, request.until):
         if instant is not None and instant.tzinfo is None:
             raise ValueError(f"{instant} has no time zone: UTC or another one must be stated")
     if request.what is What.CHANGES:
         if request.since is None:
-            raise InputError("an export of changes needs to know since when (--from)")
+            raise InputError("an export of changes requires --from, the time since when")
         if request.until is not None and request.until < request.since:
-            raise InputError(f"changes from {request.since} to {request.until}: the second time lies before the first")
+            raise InputError(f"changes from {request.since} to {request.until}: --to is earlier than --from")
     elif request.since is not None or request.until is not None:
-        raise InputError("--from and --to belong to an export of changes (--what changes)")
+        raise InputError("--from and --to require an export of changes (--what changes)")
     if request.as_of is not None and request.what is not What.FEATURES:
-        raise InputError(f"--as-of belongs to an export of features: an export of the {request.what} has no one time")
+        raise InputError(f"--as-of requires an export of features: an export of the {request.what} covers all times")
 
 
 def _instant(instant: datetime | None) -> str:
     return "infinity" if instant is None else instant.isoformat()
-
-
-def _microseconds(nanoseconds: pa.Array) -> pa.Array:
-    return pa.array(numpy_of(nanoseconds) // 1000, _UTC_US)

@@ -1,7 +1,7 @@
-"""Rows of PostgreSQL's COPY BINARY as Arrow columns: millions of rows without a Python object a value.
+"""Decodes rows of PostgreSQL's COPY BINARY to Arrow columns, for millions of rows without a Python object per value.
 
-A row is a column count and per column a length (-1: NULL) and big-endian bytes. Rows of the same lengths share one numpy
-structured type, so they are read column by column; the converse of `copy_binary`.
+A row is a column count, then a length (-1: NULL) and big-endian bytes per column. Rows of equal lengths share one numpy
+structured type and are read column by column.
 """
 
 from __future__ import annotations
@@ -19,37 +19,37 @@ from conetl.model.errors import DatabaseError
 
 #: PostgreSQL counts microseconds from 2000-01-01.
 _POSTGRES_EPOCH_US = 946_684_800_000_000
-_UUID, _TEXT = 2950, 25
-_UTC_US = pa.timestamp("us", tz="UTC")
+_UUID, _TEXT, _TIMESTAMPTZ = 2950, 25, 1184
+UTC_US = pa.timestamp("us", tz="UTC")
 _FIXED: dict[int, tuple[str, pa.DataType]] = {
     16: ("?", pa.bool_()),
     20: (">i8", pa.int64()),
     23: (">i4", pa.int32()),
     701: (">f8", pa.float64()),
-    1184: (">i8", _UTC_US),
+    _TIMESTAMPTZ: (">i8", UTC_US),
 }
-#: Of every byte its two hexadecimal digits.
+#: The two hexadecimal digits of every byte.
 _HEX = np.frombuffer("".join(f"{byte:02x}" for byte in range(256)).encode(), np.uint16)
-#: Where the digits of a UUID stand between its dashes, and which ones.
+#: Slices of a UUID's text between its dashes, and of its digits.
 _DIGITS = tuple(
     (slice(start + dashes, stop + dashes), slice(start, stop))
     for dashes, (start, stop) in enumerate(pairwise((0, 8, 12, 16, 20, 32)))
 )
 Parts: TypeAlias = list[tuple[NDArray[np.int64], Any]]
-"""Of one column: rows, and their values; None where all are NULL."""
+"""Row numbers of one column with their values, None where all are NULL."""
 
 
 def arrow_type(oid: int) -> pa.DataType:
-    """Arrow's type for a PostgreSQL type; uuid becomes text. Raises DatabaseError for one that no export has."""
+    """Arrow's type for a PostgreSQL type; uuid becomes text. Raises DatabaseError for an unsupported one."""
     if oid in (_UUID, _TEXT):
         return pa.string()
     if oid not in _FIXED:
-        raise DatabaseError(f"an export has a column of PostgreSQL's type {oid}, which it cannot read")
+        raise DatabaseError(f"an export has a column of PostgreSQL's type {oid}, which is not supported")
     return _FIXED[oid][1]
 
 
 def decode_rows(rows: Sequence[bytes], oids: Sequence[int]) -> list[pa.Array]:
-    """Columns of `rows` with the types `oids`, in the order of the rows."""
+    """Columns of rows in their order, by PostgreSQL types `oids`."""
     lengths = np.fromiter(map(len, rows), np.int64, len(rows))
     columns: list[Parts] = [[] for _ in oids]
     for length in np.unique(lengths):
@@ -58,7 +58,7 @@ def decode_rows(rows: Sequence[bytes], oids: Sequence[int]) -> list[pa.Array]:
 
 
 def _decode_group(rows: Sequence[bytes], chosen: NDArray[np.int64], oids: Sequence[int], columns: list[Parts]) -> None:
-    """Rows of one length: those whose columns have the lengths of the first one's, then the rest."""
+    """Append rows of one total length to the columns, group by group of equal column lengths."""
     while len(chosen):
         lengths = _lengths(rows[chosen[0]], oids)
         fields: list[tuple[str, Any]] = [("count", ">i2")]
@@ -77,7 +77,7 @@ def _decode_group(rows: Sequence[bytes], chosen: NDArray[np.int64], oids: Sequen
 
 
 def _lengths(row: bytes, oids: Sequence[int]) -> list[int]:
-    """Lengths of the values of a row. Raises DatabaseError where they are not those of the types."""
+    """Lengths of the values of a row. Raises DatabaseError where they contradict the types."""
     (count,) = struct.unpack_from(">h", row)
     if count != len(oids):
         raise DatabaseError(f"an export has {len(oids)} columns, but the database sent {count}")
@@ -93,43 +93,36 @@ def _lengths(row: bytes, oids: Sequence[int]) -> list[int]:
 
 
 def _values(wire: NDArray[Any], oid: int, length: int) -> Any:
-    """(n,) values of one column: numbers, or for text and uuid bytes (n, length)."""
+    """(n,) numbers of one column, or (n, length) bytes of text."""
     if oid in _FIXED:
         numbers = np.ascontiguousarray(wire).view(_FIXED[oid][0])
         numbers = numbers.astype(numbers.dtype.newbyteorder("="))
-        return numbers + _POSTGRES_EPOCH_US if oid == 1184 else numbers
-    letters = (
-        np.ascontiguousarray(wire).view(np.uint8).reshape(len(wire), length)
-        if length
-        else np.empty((len(wire), 0), np.uint8)
-    )
-    return _uuid_text(letters) if oid == _UUID else letters
-
-
-def _uuid_text(uuids: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """(n, 36) letters of (n, 16) bytes."""
-    text = np.full((len(uuids), 36), ord("-"), np.uint8)
-    digits = _HEX[uuids].view(np.uint8)
-    for place, which in _DIGITS:
-        text[:, place] = digits[:, which]
+        return numbers + _POSTGRES_EPOCH_US if oid == _TIMESTAMPTZ else numbers
+    if not length:
+        return np.empty((len(wire), 0), np.uint8)
+    letters = np.ascontiguousarray(wire).view(np.uint8).reshape(len(wire), length)
+    if oid != _UUID:
+        return letters
+    text = np.full((len(wire), 36), ord("-"), np.uint8)
+    digits = _HEX[letters].view(np.uint8)
+    for target, chosen in _DIGITS:
+        text[:, target] = digits[:, chosen]
     return text
 
 
 def _column(parts: Parts, oid: int, count: int) -> pa.Array:
-    missing = np.zeros(count, bool)
-    for rows, values in parts:
-        if values is None:
-            missing[rows] = True
+    if len(parts) == 1 and parts[0][1] is not None:  # all rows have one length: they are in order
+        values = parts[0][1]
+        return pa.array(values).cast(_FIXED[oid][1]) if oid in _FIXED else _strings(values)
     if oid in _FIXED:
-        if len(parts) == 1 and parts[0][1] is not None:
-            return pa.array(parts[0][1]).cast(_FIXED[oid][1])
+        missing = np.zeros(count, bool)
         together = np.zeros(count, np.dtype(_FIXED[oid][0]).newbyteorder("="))
         for rows, values in parts:
-            if values is not None:
+            if values is None:
+                missing[rows] = True
+            else:
                 together[rows] = values
-        return pa.array(together, mask=missing if missing.any() else None).cast(_FIXED[oid][1])
-    if len(parts) == 1 and parts[0][1] is not None:  # one length: no need to put rows into order
-        return _strings(parts[0][1])
+        return pa.array(together, mask=missing).cast(_FIXED[oid][1])
     texts = [_strings(values) if values is not None else pa.nulls(len(rows), pa.string()) for rows, values in parts]
     order = np.empty(count, np.int64)
     order[np.concatenate([rows for rows, _ in parts])] = np.arange(count)
@@ -137,6 +130,7 @@ def _column(parts: Parts, oid: int, count: int) -> pa.Array:
 
 
 def _strings(letters: NDArray[np.uint8]) -> pa.Array:
+    """(n, length) bytes of UTF-8 as an array of strings."""
     count, length = letters.shape
     offsets = (np.arange(count + 1) * length).astype(np.int32)
     return pa.StringArray.from_buffers(count, pa.py_buffer(offsets), pa.py_buffer(np.ascontiguousarray(letters)))

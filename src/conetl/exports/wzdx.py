@@ -1,7 +1,7 @@
 """Work zones as WZDx 4.2 feeds (USDOT): WorkZoneFeed, and DeviceFeed with a location marker per cone.
 
-docs/how-to/work_zones.md says what each field is derived from. A document is checked against the published schema before the file
-appears.
+docs/how-to/work_zones.md describes the source of every field. A document is checked against the published schemas, which are
+shipped, before its file appears.
 """
 
 from __future__ import annotations
@@ -10,37 +10,89 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 from uuid import NAMESPACE_URL, uuid5
 
 import numpy as np
-from numpy.typing import NDArray
-from pyproj import Geod, Transformer
+from jsonschema import Draft7Validator, FormatChecker
+from pydantic import BaseModel, ConfigDict, Field
+from pyproj import Geod
+from referencing import Registry
+from referencing.jsonschema import DRAFT7
 
-from conetl.exports.feed_info import CC0, FeedInfo
-from conetl.exports.geojson import HEIGHT_DECIMALS, LON_LAT_DECIMALS
-from conetl.exports.wzdx_schema import schema_faults
+from conetl.exports.geojson import coordinates
 from conetl.files.atomic import atomic_text_file
+from conetl.files.yaml_model import read_yaml_mapping, validated
+from conetl.model.errors import InputError
 from conetl.model.map_records import MapFeature
 from conetl.model.params import WorkZoneParams
 from conetl.model.records import utc_from_ns
 from conetl.model.work_zone_records import WorkZone
 
+_CC0 = "https://creativecommons.org/publicdomain/zero/1.0/"
 _NAMESPACE = uuid5(NAMESPACE_URL, "https://conetl.example/data_source")
 _GEOD = Geod(ellps="WGS84")
 _QUARTERS = ("northbound", "eastbound", "southbound", "westbound")
+_SCHEMAS = Path(__file__).with_name("wzdx_schemas")
+_EXAMPLE = """
+publisher: City of Karlsruhe, road office
+road_names: [L 605]
+contact_email: roads@example.org   # this and all that follows is optional
+contact_name: Road office
+license: cc0                       # the only licence in WZDx
+update_frequency_s: 86400
+organization_name: Survey Ltd      # owner of the data; default: the publisher
+data_source_id: survey-2026        # default: made from publisher and map
+direction: northbound              # default: from the heading of the drives"""
+_formats = FormatChecker(formats=("email",))
+Object = dict[str, Any]
+
+
+class FeedInfo(BaseModel):
+    """Publisher and road of a feed, which the map does not contain."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    publisher: str = Field(min_length=1)
+    road_names: tuple[str, ...] = Field(min_length=1)
+    contact_name: str | None = None
+    contact_email: str | None = Field(default=None, pattern=r"^[^@\s]+@[^@\s]+\.[^@\s]+$")
+    license: Literal["cc0"] | None = None
+    update_frequency_s: int | None = Field(default=None, ge=1)
+    organization_name: str | None = Field(default=None, min_length=1)
+    data_source_id: str | None = Field(default=None, min_length=1)
+    direction: (
+        Literal[
+            "northbound", "eastbound", "southbound", "westbound", "undefined", "unknown", "inner-loop", "outer-loop"
+        ]
+        | None
+    ) = None
+
+
+def read_feed_info(path: Path | None, **flags: Any) -> FeedInfo:
+    """The values of a YAML file, overridden by flags that are not empty. Raises InputError naming what is missing or wrong."""
+    name = "the feed's description" if path is None else f"feed {path}"
+    values = {} if path is None else read_yaml_mapping(path, "feed", _EXAMPLE)
+    values |= {key: value for key, value in flags.items() if value}
+    missing = [key for key in ("publisher", "road_names") if not values.get(key)]
+    if missing:
+        raise InputError(
+            f"{name}: WZDx requires {' and '.join(missing)}: use --publisher and --road-name, or a file for --feed:{_EXAMPLE}"
+        )
+    return validated(values, FeedInfo, name)
 
 
 @dataclass(frozen=True)
 class FeedContext:
-    """What all parts of one feed share."""
+    """Values that all parts of one feed share."""
 
     info: FeedInfo
     map_name: str
     srid: int
     at: datetime
-    """The instant that the feed tells of."""
+    """The instant that the feed describes."""
     made_at: datetime
     params: WorkZoneParams
 
@@ -51,7 +103,7 @@ class FeedContext:
 
 
 def export_work_zone_feed(zones: Sequence[WorkZone], path: Path, context: FeedContext) -> int:
-    """Write a WorkZoneFeed with one road event per zone that stands or ended lately; their number."""
+    """Write a WorkZoneFeed with one road event per zone that stands or ended recently; their number."""
     oldest_ns = _ns(context.at - timedelta(days=context.params.keep_ended_days))
     shown = [z for z in zones if z.history.end_ns is None or z.history.end_ns >= oldest_ns]
     ids = {zone.history.zone_id for zone in shown}
@@ -60,15 +112,15 @@ def export_work_zone_feed(zones: Sequence[WorkZone], path: Path, context: FeedCo
 
 
 def export_device_feed(cones: Sequence[MapFeature], zones: Sequence[WorkZone], path: Path, context: FeedContext) -> int:
-    """Write a DeviceFeed with one location marker per standing cone, with the zone that it belongs to; their number."""
+    """Write a DeviceFeed with one location marker per standing cone, which names its zone; their number."""
     of_cone = {cone.feature_id: zone for zone in zones if zone.history.end_ns is None for cone in zone.layout.cones}
     ordered = sorted(cones, key=lambda cone: str(cone.feature_id))
     features = [_location_marker(cone, of_cone.get(cone.feature_id), context) for cone in ordered]
     return _write(features, path, context, "DeviceFeed")
 
 
-def _write(features: list[dict[str, Any]], path: Path, context: FeedContext, schema: str) -> int:
-    document: dict[str, Any] = {"feed_info": _feed_info(context), "type": "FeatureCollection", "features": features}
+def _write(features: list[Object], path: Path, context: FeedContext, schema: str) -> int:
+    document: Object = {"feed_info": _feed_info(context), "type": "FeatureCollection", "features": features}
     faults = schema_faults(document, schema)
     if faults:
         raise ValueError(f"the {schema} would not be valid WZDx 4.2, nothing was written: {'; '.join(faults[:5])}")
@@ -78,38 +130,33 @@ def _write(features: list[dict[str, Any]], path: Path, context: FeedContext, sch
     return len(features)
 
 
-def _feed_info(context: FeedContext) -> dict[str, Any]:
+def _feed_info(context: FeedContext) -> Object:
     info = context.info
-    source = {
-        "data_source_id": context.data_source_id,
-        "organization_name": info.organization_name or info.publisher,
+    shared = {
         "contact_name": info.contact_name,
         "contact_email": info.contact_email,
         "update_frequency": info.update_frequency_s,
         "update_date": _iso(context.made_at),
     }
+    organization = info.organization_name or info.publisher
+    source = {"data_source_id": context.data_source_id, "organization_name": organization, **shared}
+    licence = _CC0 if info.license else None
     head = {
         "publisher": info.publisher,
-        "contact_name": info.contact_name,
-        "contact_email": info.contact_email,
-        "update_frequency": info.update_frequency_s,
-        "update_date": _iso(context.made_at),
+        **shared,
         "version": "4.2",
-        "license": CC0 if info.license else None,
+        "license": licence,
         "data_sources": [_known(source)],
     }
     return _known(head)
 
 
-def _road_event(zone: WorkZone, context: FeedContext, ids: set[Any]) -> dict[str, Any]:
+def _road_event(zone: WorkZone, context: FeedContext, ids: set[Any]) -> Object:
     history, params = zone.history, context.params
-    line = _lon_lat(zone.line_m, context.srid)
+    line = coordinates(zone.line_m, context.srid)
     ended = history.end_ns is not None
-    end = (
-        utc_from_ns(history.end_ns)
-        if history.end_ns is not None
-        else context.at + timedelta(hours=params.assumed_duration_h)
-    )
+    assumed_end = context.at + timedelta(hours=params.assumed_duration_h)
+    end = assumed_end if history.end_ns is None else utc_from_ns(history.end_ns)
     related = [{"type": "related-work-zone", "id": str(history.merged_into)}] if history.merged_into in ids else None
     core = {
         "event_type": "work-zone",
@@ -117,7 +164,7 @@ def _road_event(zone: WorkZone, context: FeedContext, ids: set[Any]) -> dict[str
         "related_road_events": related,
         "road_names": list(context.info.road_names),
         "direction": _direction(zone, context),
-        "description": _words(zone),
+        "description": _description(zone),
         "creation_date": _iso(utc_from_ns(history.start_ns)),
         "update_date": _iso(utc_from_ns(zone.updated_ns)),
     }
@@ -145,8 +192,8 @@ def _road_event(zone: WorkZone, context: FeedContext, ids: set[Any]) -> dict[str
     }
 
 
-def _evidence(zone: WorkZone) -> dict[str, Any]:
-    """A foreign member (RFC 7946, 6.1) for those who want to follow the feed back to the map."""
+def _evidence(zone: WorkZone) -> Object:
+    """A foreign member (RFC 7946, 6.1) that links the feed to the map."""
     return {
         "first_device_id": str(zone.first.feature_id),
         "last_device_id": str(zone.last.feature_id),
@@ -165,7 +212,7 @@ def _evidence(zone: WorkZone) -> dict[str, Any]:
     }
 
 
-def _words(zone: WorkZone) -> str:
+def _description(zone: WorkZone) -> str:
     count = len(zone.layout.cones)
     length = float(zone.layout.stations_m[-1] - zone.layout.stations_m[0])
     state = f"{count} cones over {length:.0f} m, surveyed by vehicle"
@@ -176,7 +223,7 @@ def _words(zone: WorkZone) -> str:
     return f"{state}; the end date is an assumption, the work zone stood when it was last surveyed."
 
 
-def _location_marker(cone: MapFeature, zone: WorkZone | None, context: FeedContext) -> dict[str, Any]:
+def _location_marker(cone: MapFeature, zone: WorkZone | None, context: FeedContext) -> Object:
     marks = ["delineator"]
     if zone is not None:
         ends = (("work-zone-start", zone.first), ("work-zone-end", zone.last))
@@ -201,17 +248,17 @@ def _location_marker(cone: MapFeature, zone: WorkZone | None, context: FeedConte
             "core_details": _known(core),
             "marked_locations": [_known({"type": mark, "road_event_id": event_id}) for mark in marks],
         },
-        "geometry": {"type": "Point", "coordinates": _lon_lat(np.array([cone.xyz_m]), context.srid)[0]},
+        "geometry": {"type": "Point", "coordinates": coordinates([cone.xyz_m], context.srid)[0]},
     }
 
 
 def _direction(zone: WorkZone, context: FeedContext) -> str:
-    """As the publisher names it; else the quarter of the true bearing from the first to the last device."""
+    """That of the publisher; else the quarter of the true bearing from the first to the last device."""
     if context.info.direction is not None:
         return context.info.direction
     if not zone.layout.direction_known:
         return "unknown"
-    start, end = _lon_lat(np.array([zone.first.xyz_m, zone.last.xyz_m]), context.srid)
+    start, end = coordinates([zone.first.xyz_m, zone.last.xyz_m], context.srid)
     bearing_deg = _GEOD.inv(start[0], start[1], end[0], end[1])[0]
     return _QUARTERS[int(((bearing_deg + 45.0) % 360.0) // 90.0)]
 
@@ -221,34 +268,54 @@ def _is_verified(cone: MapFeature, params: WorkZoneParams) -> bool:
 
 
 def _sigma_m(cone: MapFeature) -> float:
-    """Of the horizontal position, in its worst direction."""
+    """Standard deviation of the horizontal position in its worst direction."""
     xx, xy, yy = cone.cov_m2[0], cone.cov_m2[1], cone.cov_m2[3]
     return float(np.sqrt(np.linalg.eigvalsh(np.array([[xx, xy], [xy, yy]]))[-1]))
 
 
-def _lon_lat(points_m: NDArray[np.float64], srid: int) -> list[list[float]]:
-    to_wgs84 = Transformer.from_crs(f"EPSG:{srid}", "EPSG:4326", always_xy=True)
-    lon, lat = to_wgs84.transform(points_m[:, 0], points_m[:, 1])
-    return [
-        [round(float(x), LON_LAT_DECIMALS), round(float(y), LON_LAT_DECIMALS), round(float(z), HEIGHT_DECIMALS)]
-        for x, y, z in zip(lon, lat, points_m[:, 2], strict=True)
-    ]
-
-
 def _bbox(line: list[list[float]]) -> list[float]:
     """Lowest, then highest longitude, latitude and height: as many as the coordinates have (RFC 7946, 5)."""
-    places = np.array(line)
-    return [*places.min(axis=0).tolist(), *places.max(axis=0).tolist()]
+    return [*np.min(line, axis=0).tolist(), *np.max(line, axis=0).tolist()]
 
 
-def _known(values: dict[str, Any]) -> dict[str, Any]:
+def _known(values: Object) -> Object:
     return {key: value for key, value in values.items() if value is not None}
 
 
 def _iso(instant: datetime) -> str:
-    """RFC 3339 in whole seconds: what consumers of WZDx expect."""
+    """RFC 3339 in whole seconds, which consumers of WZDx expect."""
     return instant.astimezone(UTC).replace(microsecond=0).isoformat().replace("+00:00", "Z")
 
 
 def _ns(instant: datetime) -> int:
     return int(instant.timestamp() * 1_000_000) * 1000
+
+
+@_formats.checks("date-time")
+def _is_rfc3339(value: object) -> bool:
+    """A date and time with an offset. JSON Schema applies formats to strings only."""
+    if not isinstance(value, str):
+        return True
+    try:
+        return "T" in value and datetime.fromisoformat(value).tzinfo is not None
+    except ValueError:
+        return False
+
+
+@cache
+def _registry() -> Registry[Any]:
+    documents = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(_SCHEMAS.glob("*/*.json"))]
+    return Registry().with_resources([(document["$id"], DRAFT7.create_resource(document)) for document in documents])
+
+
+def schema_faults(document: Object, schema: str) -> list[str]:
+    """Faults of a feed with their location, [] for a valid one; schema: `WorkZoneFeed` or `DeviceFeed`."""
+    root = json.loads((_SCHEMAS / "4.2" / f"{schema}.json").read_text(encoding="utf-8"))
+    validator = Draft7Validator(root, registry=_registry(), format_checker=_formats)
+    faults = []
+    for error in sorted(validator.iter_errors(document), key=lambda one: list(map(str, one.absolute_path))):
+        location = "/".join(map(str, error.absolute_path)) or "the document"
+        # The closest branch of an `anyOf` explains more than "is not valid under any of the given schemas".
+        deepest = min(error.context or [error], key=lambda one: -len(one.absolute_path))
+        faults.append(f"{location}: {deepest.message[:200]}")
+    return faults

@@ -11,8 +11,7 @@ import numpy as np
 from conetl.db.connection import Connection
 from conetl.db.map.map_store import find_map
 from conetl.db.zone_store import read_lanes_near, read_paths, read_versions
-from conetl.exports.feed_info import read_feed_info
-from conetl.exports.wzdx import FeedContext, export_device_feed, export_work_zone_feed
+from conetl.exports.wzdx import FeedContext, export_device_feed, export_work_zone_feed, read_feed_info
 from conetl.model.errors import InputError
 from conetl.model.map_records import MapFeature
 from conetl.model.params import WorkZoneParams

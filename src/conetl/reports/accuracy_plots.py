@@ -1,24 +1,33 @@
-"""Plots of a drive against truth, as PNG bytes: errors over range, plan view with error vectors, NEES against chi-square."""
+"""Plots of a drive against truth as PNG bytes: errors over range, plan with error vectors, NEES against chi-square."""
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 from numpy.typing import NDArray
 from scipy import stats
 
-Floats = NDArray[np.float64]
+from conetl.reports.plans import (
+    BLACK,
+    GREEN,
+    GREY,
+    ORANGE,
+    PINK,
+    SKY,
+    Floats,
+    add_grid,
+    draw_arrow,
+    frame_plan,
+    new_figure,
+    png,
+)
 
-#: Colour-blind safe (Okabe & Ito).
-_SINGLE, _TRACK, _BAND, _TRUTH, _PATH = "#56b4e9", "#d55e00", "#009e73", "#222222", "#999999"
-_AXES = ("along the sight", "across it", "up")
+_AXES = ("along the line of sight", "across it", "up")
 _SCALES = (1, 2, 5, 10, 20, 50, 100)
-#: 95 % of a two-dimensional normal distribution lie within this many sigmas.
+#: Radius of the 95 % region of a two-dimensional normal distribution, in sigmas.
 _ELLIPSE_SIGMAS = float(np.sqrt(stats.chi2.ppf(0.95, 2)))
 _NEES_SHOWN = 16.0
 
@@ -34,32 +43,32 @@ def errors_over_range(
 ) -> bytes:
     """Signed errors of N single positions and T tracks over range, with the stated two-sigma band of single positions.
 
-    errors_m, sigmas_m: (N, 3) along the sight, across it, up; track_errors_m likewise (T, 3), at each track's nearest range.
+    errors_m, sigmas_m: (N, 3) along the line of sight, across it, up; track_errors_m likewise (T, 3), at each track's nearest
+    range.
     """
-    figure = Figure(figsize=(9, 7.2), dpi=100, layout="constrained")
+    figure = new_figure(9, 7.2, dpi=100)
     axes = figure.subplots(3, 1, sharex=True)
     order = np.argsort(range_m)
     for k, ax in enumerate(axes):
         low, middle, high = _band(range_m[order], sigmas_m[order, k])
-        ax.fill_between(middle, 2 * low, 2 * high, color=_BAND, alpha=0.25, linewidth=0)
-        ax.fill_between(middle, -2 * high, -2 * low, color=_BAND, alpha=0.25, linewidth=0)
+        ax.fill_between(middle, 2 * low, 2 * high, color=GREEN, alpha=0.25, linewidth=0)
+        ax.fill_between(middle, -2 * high, -2 * low, color=GREEN, alpha=0.25, linewidth=0)
         centre = (low + high) / 2
         for sign in (-1, 1):
             label = "stated 2 sigma of a single position" if sign == 1 else None
-            ax.plot(middle, sign * 2 * centre, color=_BAND, linewidth=1.5, label=label)
-        ax.plot(range_m, errors_m[:, k], ".", color=_SINGLE, markersize=5, label=f"single positions ({len(range_m)})")
+            ax.plot(middle, sign * 2 * centre, color=GREEN, linewidth=1.5, label=label)
+        ax.plot(range_m, errors_m[:, k], ".", color=SKY, markersize=5, label=f"single positions ({len(range_m)})")
         ax.plot(
-            track_range_m, track_errors_m[:, k], "^", color=_TRACK, markeredgecolor="white", markersize=8,
+            track_range_m, track_errors_m[:, k], "^", color=ORANGE, markeredgecolor="white", markersize=8,
             label=f"tracks ({len(track_range_m)})",
         )  # fmt: skip
         inside = float(np.mean(np.abs(errors_m[:, k]) <= 2 * sigmas_m[:, k])) if len(range_m) else float("nan")
         ax.axhline(0.0, color="#bbbbbb", linewidth=0.8, zorder=0)
         ax.set_ylabel(f"{_AXES[k]} (m)")
         ax.set_title(f"{inside:.0%} within 2 sigma", fontsize=9, loc="right")
-        ax.grid(color="#eeeeee")
-        ax.set_axisbelow(True)
+        add_grid(ax)
         _limit(ax, errors_m[:, k], np.append(2 * sigmas_m[:, k], np.abs(track_errors_m[:, k])))
-    # Range errors grow with the square of the range: a logarithm beyond 10 cm keeps the near ones readable.
+    # Range errors grow with the square of the range: a logarithmic axis beyond 10 cm keeps small ones readable.
     axes[0].set_yscale("symlog", linthresh=0.1, linscale=1.5)
     axes[0].set_yticks(
         [-3, -1, -0.3, -0.1, 0, 0.1, 0.3, 1, 3], labels=["-3", "-1", "-.3", "-.1", "0", ".1", ".3", "1", "3"]
@@ -67,7 +76,7 @@ def errors_over_range(
     axes[0].set_ylabel(f"{_AXES[0]} (m)\nlogarithmic beyond 0.1")
     axes[0].set_title(title, loc="left")
     figure.legend(*axes[0].get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=3)
-    axes[2].set_xlabel("ground distance from the left camera (m); of tracks the nearest")
+    axes[2].set_xlabel("ground distance from the left camera (m), nearest one of tracks")
     return png(figure)
 
 
@@ -84,68 +93,51 @@ def error_plan(
     false_m: Floats,
     title: str,
 ) -> bytes:
-    """The cones from above: error vectors and 95 % ellipses of the tracks, enlarged by a scale that the title tells.
+    """Plan of the cones with error vectors and 95 % ellipses of the tracks, enlarged by the factor in the title.
 
-    path_m (F, 2+), truth_m (C, 2+) of all cones asked for, found (C,) mask; errors_m (T, 2+) and cov_m2 (T, 2+, 2+) of the found
+    path_m (F, 2+), truth_m (C, 2+) of all evaluated cones, found (C,) mask; errors_m (T, 2+) and cov_m2 (T, 2+, 2+) of the found
     ones in the same order; single_truth_m, single_errors_m (N, 2+): single positions as dots; false_m (X, 2+).
     """
     origin = np.floor(np.vstack([path_m[:, :2], truth_m[:, :2]]).min(axis=0))
     scale = _scale(np.linalg.norm(errors_m[:, :2], axis=1), cov_m2)
-    places, way = truth_m[:, :2] - origin, path_m[:, :2] - origin
-    shown = np.vstack([places, way, false_m[:, :2] - origin])
-    extent = np.ptp(shown, axis=0) + 6.0
-    figure = Figure(
-        figsize=(10, float(np.clip(10 * extent[1] / extent[0] + 0.8, 3.5, 10))), dpi=100, layout="constrained"
-    )
+    truth, path, false = (points[:, :2] - origin for points in (truth_m, path_m, false_m))
+    shown = np.vstack([truth, path, false])
+    low, high = shown.min(axis=0) - 3, shown.max(axis=0) + 3
+    height = 10 * (high[1] - low[1]) / (high[0] - low[0]) + 0.8
+    figure = new_figure(10, float(np.clip(height, 3.5, 10)), dpi=100)
     ax = figure.add_subplot()
-    ax.plot(way[:, 0], way[:, 1], color=_PATH, linewidth=1.5, label="path of the left camera")
+    ax.plot(path[:, 0], path[:, 1], color=GREY, linewidth=1.5, label="path of the left camera")
     if len(single_truth_m):
         dots = single_truth_m[:, :2] - origin + scale * single_errors_m[:, :2]
         label = f"single positions ({len(dots)})"
-        ax.plot(dots[:, 0], dots[:, 1], ".", color=_SINGLE, alpha=0.45, markersize=3, label=label)
-    for k, (place, error, cov) in enumerate(zip(places[found], errors_m, cov_m2, strict=True)):
+        ax.plot(dots[:, 0], dots[:, 1], ".", color=SKY, alpha=0.45, markersize=3, label=label)
+    for k, (at, error, cov) in enumerate(zip(truth[found], scale * errors_m[:, :2], cov_m2, strict=True)):
         values, vectors = np.linalg.eigh(cov[:2, :2])
         ax.add_patch(
             Ellipse(
-                tuple(place + scale * error[:2]), *(2 * _ELLIPSE_SIGMAS * scale * np.sqrt(values)),
-                angle=float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0]))), fill=False, color=_TRACK, linewidth=1.2,
+                tuple(at + error), *(2 * _ELLIPSE_SIGMAS * scale * np.sqrt(values)),
+                angle=float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0]))), fill=False, color=ORANGE, linewidth=1.2,
                 label="95 % ellipse of a track" if k == 0 else None,
             )
         )  # fmt: skip
-        ax.annotate(
-            "",
-            xy=place + scale * error[:2],
-            xytext=place,
-            arrowprops={"arrowstyle": "->", "color": _TRACK, "lw": 1.5, "shrinkA": 0, "shrinkB": 0},
-        )
-    ax.scatter(
-        places[found, 0], places[found, 1], s=10, color=_TRUTH, label=f"cones of the truth ({found.sum()} found)"
-    )
+        draw_arrow(ax, at, at + error, ORANGE, lw=1.5, shrinkA=0, shrinkB=0)
+    ax.scatter(truth[found, 0], truth[found, 1], s=10, color=BLACK, label=f"cones of the truth ({found.sum()} found)")
     if (~found).any():
-        missed = places[~found]
-        ax.scatter(
-            missed[:, 0], missed[:, 1], s=60, facecolors="none", edgecolors=_TRUTH, label=f"missed ({len(missed)})"
-        )
-    if len(false_m):
-        wrong = false_m[:, :2] - origin
-        ax.scatter(wrong[:, 0], wrong[:, 1], marker="x", s=60, color="#cc79a7", label=f"false ({len(wrong)})")
-    for name, place in zip(names, places, strict=True):
-        ax.annotate(name, place, xytext=(6, -12), textcoords="offset points", fontsize=8)
-    ax.set_aspect("equal")
-    ax.set_xlim(shown[:, 0].min() - 3, shown[:, 0].max() + 3)
-    ax.set_ylim(shown[:, 1].min() - 3, shown[:, 1].max() + 3)
-    ax.grid(color="#eeeeee")
-    ax.set_axisbelow(True)
-    ax.set_xlabel(f"easting - {origin[0]:.0f} (m)")
-    ax.set_ylabel(f"northing - {origin[1]:.0f} (m)")
-    ax.set_title(f"{title}; errors and ellipses {scale} times enlarged")
+        label = f"missed ({(~found).sum()})"
+        ax.scatter(truth[~found, 0], truth[~found, 1], s=60, facecolors="none", edgecolors=BLACK, label=label)
+    if len(false):
+        ax.scatter(false[:, 0], false[:, 1], marker="x", s=60, color=PINK, label=f"false ({len(false)})")
+    for name, at in zip(names, truth, strict=True):
+        ax.annotate(name, at, xytext=(6, -12), textcoords="offset points", fontsize=8)
+    frame_plan(ax, low, high, origin)
+    ax.set_title(f"{title}; errors and ellipses enlarged {scale} times")
     ax.legend(fontsize=8, loc="best")
     return png(figure)
 
 
 def nees_histogram(*, single: Floats, tracks: Floats, title: str) -> bytes:
-    """Histogram of the NEES of N single positions and T tracks, the drive's common errors taken out, beside chi-square with 3."""
-    figure = Figure(figsize=(9, 4.2), dpi=100, layout="constrained")
+    """Histogram of the NEES of N single positions and T tracks without the drive's common errors, and chi-square with 3."""
+    figure = new_figure(9, 4.2, dpi=100)
     ax = figure.add_subplot()
     edges = np.linspace(0.0, _NEES_SHOWN, 33)
     beyond = float(np.mean(single > _NEES_SHOWN)) if len(single) else 0.0
@@ -153,37 +145,30 @@ def nees_histogram(*, single: Floats, tracks: Floats, title: str) -> bytes:
         width = edges[1] - edges[0]
         counts, _ = np.histogram(single, edges)
         label = f"single positions ({len(single)}), mean {single.mean():.2f}"
-        ax.bar(edges[:-1], counts / len(single) / width, width, align="edge", color=_SINGLE, alpha=0.7, label=label)
+        ax.bar(edges[:-1], counts / len(single) / width, width, align="edge", color=SKY, alpha=0.7, label=label)
     x = np.linspace(0.0, _NEES_SHOWN, 400)
-    ax.plot(x, stats.chi2.pdf(x, 3), color=_TRUTH, linewidth=1.8, label="chi-square with 3 degrees of freedom (mean 3)")
+    ax.plot(x, stats.chi2.pdf(x, 3), color=BLACK, linewidth=1.8, label="chi-square with 3 degrees of freedom (mean 3)")
     low, high = (float(stats.chi2.ppf(tail, 3)) for tail in (0.025, 0.975))
-    ax.axvspan(low, high, color=_BAND, alpha=0.10, label="its 95 %")
+    ax.axvspan(low, high, color=GREEN, alpha=0.10, label="its 95 %")
     top = ax.get_ylim()[1]
     if len(tracks):
         ax.plot(
-            np.minimum(tracks, _NEES_SHOWN), np.full(len(tracks), 0.04 * top), "^", color=_TRACK, markeredgecolor="white",
+            np.minimum(tracks, _NEES_SHOWN), np.full(len(tracks), 0.04 * top), "^", color=ORANGE, markeredgecolor="white",
             markersize=9, label=f"tracks ({len(tracks)}), mean {tracks.mean():.2f}",
         )  # fmt: skip
     if beyond:
         ax.text(0.995, 0.40, f"{beyond:.1%} of the single positions\nlie beyond {_NEES_SHOWN:.0f}", transform=ax.transAxes,
                 ha="right", fontsize=8)  # fmt: skip
     ax.set_xlim(0, _NEES_SHOWN * 1.005)
-    ax.set_xlabel("NEES of one estimate, the drive's common errors taken out")
+    ax.set_xlabel("NEES of one estimate without the drive's common errors")
     ax.set_ylabel("density")
     ax.set_title(title)
     ax.legend(fontsize=8)
     return png(figure)
 
 
-def png(figure: Figure) -> bytes:
-    """The figure as a PNG file."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png")
-    return buffer.getvalue()
-
-
 def _band(range_m: Floats, sigma_m: Floats) -> tuple[Floats, Floats, Floats]:
-    """Lower, range and upper course of stated sigmas: 10 and 90 % of groups of neighbours in range."""
+    """10 % quantile of the stated sigmas, range, and 90 % quantile, of groups of neighbours in range."""
     groups = np.array_split(np.arange(len(range_m)), max(1, min(12, len(range_m) // 8)))
     groups = [g for g in groups if len(g)]
     low = np.array([np.quantile(sigma_m[g], 0.1) for g in groups])
@@ -192,7 +177,7 @@ def _band(range_m: Floats, sigma_m: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def _limit(ax: Axes, errors: Floats, others: Floats) -> None:
-    """A blunder must not squeeze everything else into a line; what lies outside is counted at the axis."""
+    """Limit the axis so that a blunder does not hide everything else; count what is outside."""
     if not len(errors):
         return
     top = 1.25 * max(float(np.quantile(np.abs(errors), 0.99)), float(np.quantile(others, 0.98)))
@@ -203,7 +188,7 @@ def _limit(ax: Axes, errors: Floats, others: Floats) -> None:
 
 
 def _scale(errors_m: Floats, cov_m2: Floats) -> int:
-    """Enlargement that makes the usual error or ellipse about a metre and a half long."""
+    """Factor that makes a typical error or ellipse about 1.5 m long."""
     if not len(errors_m):
         return 1
     usual = max(

@@ -85,7 +85,7 @@ def calibration_as_dict(
 
 def write_calibration_report(folder: Path, content: dict[str, Any], result: StereoCalibration) -> None:
     """Write coverage.png and report.json, and add both to content["written"]."""
-    from conetl.reports.coverage_image import draw_coverage  # matplotlib takes half a second to load
+    from conetl.reports.inspection_images import draw_coverage  # matplotlib takes half a second to load
 
     title = f"{content['rig_id']}: {len(result.stereo_pairs)} pairs, RMS {content['rms_px']['stereo']:.3f} px"
     image = draw_coverage(folder / "coverage.png", result.bundle, result.views, title)

@@ -1,4 +1,4 @@
-"""What the report of one drive tells, read from the database alone."""
+"""The content of one drive's report, read from the database alone."""
 
 from __future__ import annotations
 
@@ -22,13 +22,19 @@ from conetl.model.map_records import DeltaKind
 from conetl.model.records import FramePair, Rig, Track
 
 Floats = NDArray[np.float64]
-#: Features so far from the path are drawn on the plan.
+Row = dict[str, Any]
+#: Features within this distance of the path are drawn on the plan.
 _AROUND_M = 30.0
+#: Kinds that a person should review come first.
+_ORDER = (
+    DeltaKind.REMOVED, DeltaKind.MOVED, DeltaKind.ADDED, DeltaKind.SPLIT, DeltaKind.MERGED, DeltaKind.HEIGHT_CHANGED,
+    DeltaKind.MISSED, DeltaKind.CONFIRMED,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
-class Change:
-    """What the drive did to one feature; metres of the map's CRS."""
+class DriveChange:
+    """The change of one feature by the drive; metres of the map's CRS."""
 
     number: int
     """In table and plan, from 1."""
@@ -37,7 +43,7 @@ class Change:
     changed_at: datetime
     shift_m: float | None
     track_index: int | None
-    """None where the drive did not see it."""
+    """None where the drive did not observe it."""
     frames_seen: int | None
     frames_empty: int | None
     old_xy_m: tuple[float, float] | None
@@ -53,50 +59,19 @@ class Change:
 
 
 @dataclass(frozen=True)
-class RejectionLine:
-    """Refused records of one step and reason, and the first of them."""
-
-    step: str
-    reason: str
-    count: int
-    record: str
-    detail: str
-
-
-@dataclass(frozen=True)
-class StepLine:
-    """How long one step took, seconds by the clock."""
-
-    step: str
-    task_count: int
-    busy_s: float
-    started_s: float
-    ended_s: float
-
-
-@dataclass(frozen=True)
 class DriveFacts:
-    """Everything that the page of a drive shows, but the images."""
+    """The content of the page of a drive, except the images."""
 
     map_name: str
-    srid: int
     changeset: CommittedChangeset
-    source_path: str
+    header: Row
+    """The row of `report/changeset`."""
     rig: Rig
-    expected_frame_count: int
-    content_sha256: str
-    pruned_at: datetime | None
-    facts: dict[str, Any]
-    """Empty where none were kept."""
-    max_rejected_fraction: float | None
-    """What the run's parameters allowed ..."""
-    min_existence_probability: float | None
-    """... and asked for."""
-    steps: tuple[StepLine, ...]
     frame_pairs: list[FramePair]
     tracks: list[Track]
-    changes: tuple[Change, ...]
-    rejections: tuple[RejectionLine, ...]
+    changes: tuple[DriveChange, ...]
+    rejections: list[Row]
+    """step, reason, count, and record and detail of the first one."""
     range_m: Floats
     """(N,) of every position; empty where they were pruned."""
     residual_px: Floats
@@ -104,86 +79,90 @@ class DriveFacts:
     path_m: Floats
     """(F, 2) of the left camera."""
     others_m: Floats
-    """(M, 2): features around the path that the drive did not judge, as the map knew them then."""
+    """(M, 2): features around the path without a change, in the database state after the commit."""
+
+    @property
+    def source_path(self) -> str:
+        return str(self.header["source_path"])
+
+    @property
+    def pruned_at(self) -> datetime | None:
+        return self.header["pruned_at"]  # type: ignore[no-any-return]
+
+    @property
+    def run_facts(self) -> Row:
+        """Trajectory, calibration, versions; empty where none were stored."""
+        return self.header["facts"] or {}
+
+    @property
+    def params(self) -> Row:
+        return self.header["params"] or {}
+
+    @property
+    def steps(self) -> list[Row]:
+        """step, task_count, busy_s, started_s, ended_s of each step of the run."""
+        return self.header["steps"] or []
 
     @property
     def lost_pairs(self) -> int:
-        return self.expected_frame_count - len(self.frame_pairs)
+        return int(self.header["expected_frame_count"]) - len(self.frame_pairs)
 
 
 def find_drive(conn: Connection, name: str, *, map_name: str) -> CommittedChangeset:
-    """The changeset of a number or of a drive's id; of a drive that was analysed several times, the one that counts, or the last.
+    """The changeset with a number or a drive's id; of several analyses of a drive the valid one, or the latest.
 
-    Raises InputError where there is none.
+    Raises InputError for an unknown one.
     """
     found = list_changesets(conn, map_name=map_name)
     by_number = [c for c in found if name.isascii() and name.isdigit() and c.changeset_no == int(name)]
     by_id = [c for c in found if c.drive_id == name]
     chosen = next((c for c in by_id if c.counts), None) or next(iter(by_id or by_number), None)
     if chosen is None:
-        raise InputError(f"the map {map_name} knows no drive and no changeset {name}: `conetl map log` lists them")
+        raise InputError(f"the map {map_name} has no drive and no changeset {name}: `conetl map log` lists them")
     return chosen
 
 
 def read_drive_facts(conn: Connection, changeset: CommittedChangeset, *, map_name: str) -> DriveFacts:
-    """Facts of one changeset. Raises InputError for an imported map, which is no drive; changes nothing."""
+    """Facts of one changeset; read-only. Raises InputError for an imported map."""
     parameters = {"changeset_id": changeset.changeset_id}
     with database_errors(f"Drive {changeset.drive_id} cannot be read"):
         header = execute(conn, load_sql("reports.changeset"), parameters)[0]
         if header["rig"] is None:
             raise InputError(f"changeset {changeset.changeset_no} is an imported map, not a drive: it has no report")
-        rig = Rig.model_validate(header["rig"])
         rows = [_change(row) for row in read_changeset_changes(conn, map_name, changeset.changeset_no)]
         rejections = execute(conn, load_sql("reports.rejections"), parameters)
         residuals = np.array(list(stream(conn, load_sql("reports.residuals"), {"drive_uuid": changeset.drive_uuid})))
+    rig = Rig.model_validate(header["rig"])
+    rows.sort(key=lambda row: (_ORDER.index(row["kind"]), row["changed_at"], str(row["feature_id"])))
     frame_pairs = read_frame_pairs(conn, changeset.drive_uuid)
     path_m = np.array([map_SE3_left(pair.pose, rig)[:2, 3] for pair in frame_pairs])
+    (west, south), (east, north) = path_m.min(axis=0) - _AROUND_M, path_m.max(axis=0) + _AROUND_M
+    box = (float(west), float(south), float(east), float(north))
+    around = read_features_as_of(conn, known_at=changeset.committed_at, map_name=map_name, within=box)
+    changed = {row["feature_id"] for row in rows}
     residuals = residuals.reshape(-1, 3).astype(np.float64)
-    params = header["params"] or {}
     return DriveFacts(
-        map_name=map_name, srid=header["srid"], changeset=changeset, source_path=header["source_path"], rig=rig,
-        expected_frame_count=header["expected_frame_count"], content_sha256=header["content_sha256"],
-        pruned_at=header["pruned_at"], facts=header["facts"] or {},
-        max_rejected_fraction=params.get("max_rejected_fraction"),
-        min_existence_probability=params.get("track", {}).get("min_existence_probability"),
-        steps=tuple(StepLine(**step) for step in header["steps"] or ()),
-        frame_pairs=frame_pairs, tracks=read_drive(conn, changeset.drive_uuid).tracks, changes=_numbered(rows),
-        rejections=tuple(RejectionLine(**row) for row in rejections),
-        range_m=residuals[:, 1], residual_px=residuals[:, 2], path_m=path_m,
-        others_m=_others(conn, changeset, path_m, {row["feature_id"] for row in rows}, map_name),
-    )  # fmt: skip
+        map_name=map_name,
+        changeset=changeset,
+        header=header,
+        rig=rig,
+        frame_pairs=frame_pairs,
+        tracks=read_drive(conn, changeset.drive_uuid).tracks,
+        changes=tuple(DriveChange(number=number, **row) for number, row in enumerate(rows, start=1)),
+        rejections=rejections,
+        range_m=residuals[:, 1],
+        residual_px=residuals[:, 2],
+        path_m=path_m,
+        others_m=np.array([v.feature.xyz_m[:2] for v in around if v.feature.feature_id not in changed]).reshape(-1, 2),
+    )
 
 
-def _change(row: dict[str, Any]) -> dict[str, Any]:
-    same = {field.name: row[field.name] for field in fields(Change) if field.name in row}
+def _change(row: Row) -> Row:
+    """The values of a `DriveChange` except the number."""
+    same = {field.name: row[field.name] for field in fields(DriveChange) if field.name in row}
     return same | {
         "kind": DeltaKind(row["kind"]),
         "old_xy_m": None if row["old_easting_m"] is None else (row["old_easting_m"], row["old_northing_m"]),
         "xyz_m": (row["easting_m"], row["northing_m"], row["height_m"]),
         "sigma_m": float(np.sqrt((row["cov_xx"] + row["cov_yy"]) / 2)),
     }
-
-
-#: What needs a person's eye comes first.
-_ORDER = (
-    DeltaKind.REMOVED, DeltaKind.MOVED, DeltaKind.ADDED, DeltaKind.SPLIT, DeltaKind.MERGED, DeltaKind.HEIGHT_CHANGED,
-    DeltaKind.MISSED, DeltaKind.CONFIRMED,
-)  # fmt: skip
-
-
-def _numbered(rows: list[dict[str, Any]]) -> tuple[Change, ...]:
-    """Changes by kind, the rarest kinds first, then along the road as the drive met them."""
-    rows.sort(key=lambda row: (_ORDER.index(row["kind"]), row["changed_at"], str(row["feature_id"])))
-    return tuple(Change(number=number, **row) for number, row in enumerate(rows, start=1))
-
-
-def _others(
-    conn: Connection, changeset: CommittedChangeset, path_m: Floats, judged: set[UUID], map_name: str
-) -> Floats:
-    west, south = path_m.min(axis=0) - _AROUND_M
-    east, north = path_m.max(axis=0) + _AROUND_M
-    standing = read_features_as_of(
-        conn, known_at=changeset.committed_at, map_name=map_name,
-        within=(float(west), float(south), float(east), float(north)),
-    )  # fmt: skip
-    return np.array([v.feature.xyz_m[:2] for v in standing if v.feature.feature_id not in judged]).reshape(-1, 2)

@@ -1,26 +1,20 @@
-"""The layout of work zones along their roads, as a image for a report: station to the right, offset upwards."""
+"""The layout of work zones along their roads as an image: station to the right, offset upwards."""
 
 from __future__ import annotations
 
-import io
-import os
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
-from uuid import uuid4
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
-from conetl.model.errors import InputError
 from conetl.model.work_zone_records import DrivePath, Finding, Level, Rule, WorkZone
+from conetl.reports.plans import BLUE, GREEN, ORANGE, add_grid, draw_arrow, new_figure, save_figure
 from conetl.workzones.linear_reference import project
 
-#: Colour-blind safe (Okabe & Ito) and told apart by shape as well.
-_LEVEL_COLOUR = {Level.VIOLATION: "#d55e00", Level.NOTICE: "#0072b2", Level.CANNOT_TELL: "#8a8a8a"}
-_CONE, _ROW, _TAPER, _LANE, _DRIVE = "#e69f00", "#555555", "#f0e442", "#999999", "#009e73"
-_WIDTH_IN = 11.0
+_LEVEL_COLOUR = {Level.VIOLATION: ORANGE, Level.NOTICE: BLUE, Level.CANNOT_TELL: "#8a8a8a"}
+_CONE, _ROW, _TAPER, _LANE = "#e69f00", "#555555", "#f0e442", "#999999"
 _MARGIN_M = 8.0
 
 
@@ -31,31 +25,21 @@ def draw_layout(
     *,
     title: str,
 ) -> Path:
-    """Write one image (PNG) with a panel for each zone and its findings, numbered as in the list below it; the path."""
+    """Write an image (PNG) with a panel and a numbered list of findings per zone; the path."""
     notes = [[_note(n, finding) for n, finding in enumerate(findings, 1)] for _, findings in zones]
-    lines = [sum(len(note) for note in some) for some in notes]
-    heights = [part for count in lines for part in (2.9, 0.3 + 0.2 * max(count, 1))]
-    figure = Figure(figsize=(_WIDTH_IN, sum(heights) + 0.5), dpi=120, layout="constrained")
+    heights = [part for some in notes for part in (2.9, 0.3 + 0.2 * max(sum(len(note) for note in some), 1))]
+    figure = new_figure(11, sum(heights) + 0.5, dpi=120)
     figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
     axes = figure.subplots(2 * len(zones), 1, height_ratios=heights, squeeze=False)[:, 0]
     for k, (zone, findings) in enumerate(zones):
         _panel(axes[2 * k], zone, findings, paths)
         _list(axes[2 * k + 1], findings, notes[k])
-    image = io.BytesIO()
-    figure.savefig(image, format="png")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        aside = path.with_suffix(f".{uuid4().hex}.tmp")
-        aside.write_bytes(image.getvalue())
-        os.replace(aside, path)  # noqa: PTH105 - atomic on every platform, unlike Path.rename
-    except OSError as error:
-        raise InputError(f"{path} cannot be written ({error.strerror}): choose another file.") from error
-    return path
+    return save_figure(figure, path)
 
 
 def _note(number: int, finding: Finding) -> list[str]:
-    words = f"{number}  {finding.level}: {finding.text} [{finding.norm}]"
-    return textwrap.wrap(words, 128, subsequent_indent="     ")
+    text = f"{number}  {finding.level}: {finding.text} [{finding.norm}]"
+    return textwrap.wrap(text, 128, subsequent_indent="     ")
 
 
 def _panel(ax: Axes, zone: WorkZone, findings: Sequence[Finding], paths: Sequence[DrivePath]) -> None:
@@ -91,8 +75,7 @@ def _panel(ax: Axes, zone: WorkZone, findings: Sequence[Finding], paths: Sequenc
     ax.set_title(
         f"work zone {str(zone.history.zone_id)[:8]}, {len(s)} cones; offsets from {source}", loc="left", fontsize=9
     )
-    ax.grid(color="#eeeeee")
-    ax.set_axisbelow(True)
+    add_grid(ax)
     ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8, frameon=False)
 
 
@@ -105,15 +88,13 @@ def _drives(ax: Axes, zone: WorkZone, paths: Sequence[DrivePath], zero: float) -
         near = (np.abs(o) < 15) & (s > zero - 200) & (s < float(zone.layout.stations_m[-1]) + 200)
         if near.sum() < 2:
             continue
-        way, aside = s[near] - zero, o[near]
-        ax.plot(way, aside, color=_DRIVE, linewidth=1.2, linestyle="--", label=label, zorder=1)
-        # An arrow in the middle of what is seen of it.
-        seen = np.flatnonzero((way > -_MARGIN_M) & (way < float(zone.layout.stations_m[-1]) - zero + _MARGIN_M))
-        if len(seen) > 1:
-            a, b = seen[len(seen) // 2 - 1], seen[len(seen) // 2]
-            ax.annotate(
-                "", xy=(way[b], aside[b]), xytext=(way[a], aside[a]), arrowprops={"arrowstyle": "-|>", "color": _DRIVE}
-            )
+        along, offset = s[near] - zero, o[near]
+        ax.plot(along, offset, color=GREEN, linewidth=1.2, linestyle="--", label=label, zorder=1)
+        # The arrow is in the middle of the visible part.
+        shown = np.flatnonzero((along > -_MARGIN_M) & (along < float(zone.layout.stations_m[-1]) - zero + _MARGIN_M))
+        if len(shown) > 1:
+            a, b = shown[len(shown) // 2 - 1], shown[len(shown) // 2]
+            draw_arrow(ax, (along[a], offset[a]), (along[b], offset[b]), GREEN, "-|>")
         label = None
 
 
@@ -126,13 +107,9 @@ def _mark(ax: Axes, number: int, finding: Finding, zone: WorkZone, zero: float) 
         ax.plot(s, o, "o", markersize=16, markerfacecolor="none", markeredgecolor=colour, markeredgewidth=2, zorder=4)
     elif finding.rule is not Rule.TAPER_LENGTH:
         ax.plot(s, o, color=colour, linewidth=5, alpha=0.6, solid_capstyle="butt", zorder=2)
-    _number(ax, number, float(np.mean(s)), float(np.mean(o)), colour)
-
-
-def _number(ax: Axes, number: int, x: float, y: float, colour: str) -> None:
     ax.annotate(
-        str(number), xy=(x, y), xytext=(0, 14), textcoords="offset points", ha="center", va="center", fontsize=8,
-        color="white", fontweight="bold", zorder=5,
+        str(number), xy=(float(np.mean(s)), float(np.mean(o))), xytext=(0, 14), textcoords="offset points", ha="center",
+        va="center", fontsize=8, color="white", fontweight="bold", zorder=5,
         bbox={"boxstyle": "circle,pad=0.25", "facecolor": colour, "edgecolor": "none"},
     )  # fmt: skip
 
@@ -142,17 +119,7 @@ def _list(ax: Axes, findings: Sequence[Finding], notes: Sequence[Sequence[str]])
     if not findings:
         ax.text(0.0, 1.0, "No finding.", va="top", fontsize=8.5, transform=ax.transAxes)
         return
-    count = sum(len(note) for note in notes)
-    row = 0
-    for finding, note in zip(findings, notes, strict=True):
-        for line in note:
-            ax.text(
-                0.0,
-                1.0 - row / count,
-                line,
-                va="top",
-                fontsize=8.5,
-                transform=ax.transAxes,
-                color=_LEVEL_COLOUR[finding.level],
-            )
-            row += 1
+    lines = [(line, finding.level) for finding, note in zip(findings, notes, strict=True) for line in note]
+    for row, (line, level) in enumerate(lines):
+        y = 1.0 - row / len(lines)
+        ax.text(0.0, y, line, va="top", fontsize=8.5, transform=ax.transAxes, color=_LEVEL_COLOUR[level])

@@ -39,7 +39,7 @@ def read_plan_content(
     around = (west - margin, south - margin, east + margin, north + margin)
     points_m, shades = _points(conn, map_name, around)
     return PlanContent(
-        srid=srid, standing=standing, changes=changes, ways_m=drive_paths(conn, map_name, valid_at, known_at),
+        srid=srid, standing=standing, changes=changes, paths_m=drive_paths(conn, map_name, valid_at, known_at),
         lines_m=_lines(conn, map_name, around), points_m=points_m, shades=shades,
     )  # fmt: skip
 

@@ -1,16 +1,17 @@
-"""The map in plan, for a report: cones on lane boundaries and LiDAR points, with scale bar, north arrow, legend, CRS and date."""
+"""A rendered map for a report: cones, lane boundaries, LiDAR points, scale bar, north arrow, legend, CRS and date."""
 
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
@@ -19,15 +20,15 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from conetl.exports.kind_marks import KIND_MARKS, STANDING, KindMark
-from conetl.files.partial_files import aside
 from conetl.model.errors import InputError
 from conetl.model.map_records import DeltaKind, FeatureChange, MapFeature
+from conetl.reports.plans import draw_arrow, new_figure, save_figure
 
 Array = NDArray[np.float64]
 Bbox = tuple[float, float, float, float]
 SUFFIXES = (".png", ".svg", ".pdf")
 
-_DARK_POINT, _BRIGHT_POINT, _LANE, _WAY, _INK = "#d9b27c", "#efdfc8", "#644916", "#4a5560", "#1d2733"
+_DARK_POINT, _BRIGHT_POINT, _LANE, _PATH, _INK = "#d9b27c", "#efdfc8", "#644916", "#4a5560", "#1d2733"
 _MARGIN = 0.06
 _MIN_SPAN_M = 12.0
 _MAX_ARROW_LABELS = 40
@@ -37,13 +38,13 @@ _MM = 1 / 25.4
 
 @dataclass(frozen=True)
 class PlanContent:
-    """What is drawn, in metres of the map's CRS."""
+    """The content of the picture, in metres of the map's CRS."""
 
     srid: int
     standing: Sequence[MapFeature]
     changes: Sequence[FeatureChange] | None
-    """None where no two states are compared."""
-    ways_m: Sequence[Array]
+    """None without a comparison of two states."""
+    paths_m: Sequence[Array]
     """(N, 2) each: paths of the drives."""
     lines_m: Sequence[Array]
     """(N, 2) each: lane boundaries."""
@@ -57,7 +58,7 @@ def plan_extent(standing: Sequence[MapFeature], changes: Sequence[FeatureChange]
     """West, south, east, north around all cones, with a margin. Raises InputError where there is none."""
     features = [*standing, *(side for change in changes or () for side in (change.old, change.new) if side is not None)]
     if not features:
-        raise InputError("no cone stands on the map then: choose another time, or name the place with --bbox")
+        raise InputError("no cone stands on the map at that time: choose another time, or an area with --bbox")
     places = np.array([feature.xyz_m[:2] for feature in features])
     low, high = places.min(axis=0), places.max(axis=0)
     margin = max(_MARGIN * float((high - low).max()), 3.0)
@@ -69,38 +70,31 @@ def plan_extent(standing: Sequence[MapFeature], changes: Sequence[FeatureChange]
 def draw_map_picture(
     path: Path, content: PlanContent, bbox: Bbox, *, title: str, footer: str, size_mm: tuple[float, float] | None = None
 ) -> Path:
-    """Write the image (PNG at 200 dpi, SVG or PDF by the name's ending) and return its path; all of it or nothing.
+    """Write the picture (PNG at 200 dpi, SVG or PDF by the suffix) and return its path.
 
-    bbox: west, south, east, north. size_mm: width and height; None: 240 wide and as tall as the place asks for. footer: the line
-    below (times). Raises InputError where the file cannot be written.
+    bbox: west, south, east, north. size_mm: width and height; None: 240 wide, with the height of the bbox. footer: the line
+    below. Raises InputError where the file cannot be written.
     """
     if path.suffix.lower() not in SUFFIXES:
-        raise InputError(f"{path}: a image is one of {', '.join(SUFFIXES)}")
+        raise InputError(f"{path}: the suffix must be one of {', '.join(SUFFIXES)}")
     west, south, east, north = bbox
     if size_mm is None:
         size_mm = (240.0, float(np.clip(240 * 0.78 * (north - south) / (east - west) + 34, 96, 300)))
     figure = _compose(content, bbox, title, footer, size_mm)
-    figure.draw_without_rendering()  # how much of the paper is left for the map is known when all the rest is there
+    figure.draw_without_rendering()  # the size of the map depends on that of title and legend
     paper = figure.axes[0].get_position(original=True)
     wide = paper.width * size_mm[0] / (paper.height * size_mm[1])
     width, height = max(east - west, (north - south) * wide), max(north - south, (east - west) / wide)
     x, y = (west + east) / 2, (south + north) / 2
     figure = _compose(content, (x - width / 2, y - height / 2, x + width / 2, y + height / 2), title, footer, size_mm)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        unfinished = aside(path)
-        figure.savefig(unfinished, format=path.suffix[1:].lower())
-        os.replace(unfinished, path)  # noqa: PTH105 - atomic on every platform, unlike Path.rename
-    except OSError as error:
-        raise InputError(f"{path} cannot be written ({error.strerror}): choose another file.") from error
-    return path
+    return save_figure(figure, path, suffixes=SUFFIXES)
 
 
 def _compose(content: PlanContent, bbox: Bbox, title: str, footer: str, size_mm: tuple[float, float]) -> Figure:
-    """The figure that shows just `bbox`."""
+    """The figure of exactly `bbox`."""
     west, south, east, north = bbox
     box = (west, east, south, north)
-    figure = Figure(figsize=(size_mm[0] * _MM, size_mm[1] * _MM), dpi=_DPI, layout="constrained")
+    figure = new_figure(size_mm[0] * _MM, size_mm[1] * _MM, dpi=_DPI)
     axes = figure.add_subplot()
     axes.set_xlim(west, east)
     axes.set_ylim(south, north)
@@ -114,114 +108,101 @@ def _compose(content: PlanContent, bbox: Bbox, title: str, footer: str, size_mm:
     if handles:
         figure.legend(handles=handles, loc="outside right upper", fontsize=8.5, frameon=False, handletextpad=0.6)
     crs = CRS.from_epsg(content.srid)
-    figure.supxlabel(f"EPSG:{content.srid} ({crs.name}) · {footer}", x=0.012, ha="left", fontsize=7.5, color=_WAY)
+    figure.supxlabel(f"EPSG:{content.srid} ({crs.name}) · {footer}", x=0.012, ha="left", fontsize=7.5, color=_PATH)
     return figure
 
 
 def _ground(axes: Axes, content: PlanContent) -> list[Line2D]:
-    """Points, lane boundaries and ways, with their lines of the legend."""
+    """Draw points, lane boundaries and paths; their lines of the legend."""
     handles: list[Line2D] = []
-    for way in content.ways_m:
-        axes.plot(way[:, 0], way[:, 1], color=_WAY, linewidth=1.1, zorder=3)
-        if len(way) > 1:
-            middle = len(way) // 2
-            before, tip = way[middle - 1], way[middle]
-            # The head alone: annotations are not cut at the frame, and a straight way may come from far outside of it.
+    for path in content.paths_m:
+        axes.plot(path[:, 0], path[:, 1], color=_PATH, linewidth=1.1, zorder=3)
+        if len(path) > 1:
+            before, tip = path[len(path) // 2 - 1], path[len(path) // 2]
+            # Only the head: annotations are not clipped at the frame, and a segment may come from far outside of it.
             start = tip - (tip - before) / max(float(np.linalg.norm(tip - before)), 1e-9) * 1e-3
-            axes.annotate(
-                "", xy=tip, xytext=start, zorder=3, annotation_clip=True,
-                arrowprops={"arrowstyle": "-|>", "color": _WAY, "linewidth": 1.1, "shrinkA": 0, "shrinkB": 0},
-            )  # fmt: skip
-    if content.ways_m:
-        handles.append(Line2D([], [], color=_WAY, linewidth=1.3, label="path of the survey"))
+            draw_arrow(axes, start, tip, _PATH, "-|>", linewidth=1.1, shrinkA=0, shrinkB=0)
+    if content.paths_m:
+        handles.append(Line2D([], [], color=_PATH, linewidth=1.3, label="drive path"))
     if content.lines_m:
         axes.add_collection(
             LineCollection(list(content.lines_m), colors=_LANE, linewidths=0.9, zorder=2), autolim=False
         )
         handles.append(Line2D([], [], color=_LANE, linewidth=1.1, label="lane boundary"))
     if len(content.points_m):
-        dark, bright = (
-            np.array([int(c[i : i + 2], 16) / 255 for i in (1, 3, 5)]) for c in (_DARK_POINT, _BRIGHT_POINT)
-        )
-        share = content.shades[:, None] / 255
+        colours = LinearSegmentedColormap.from_list("points", [_DARK_POINT, _BRIGHT_POINT])
+        shades = content.shades / 255
         axes.scatter(
-            content.points_m[:, 0], content.points_m[:, 1], c=dark + share * (bright - dark), s=0.8, linewidths=0,
-            zorder=1, rasterized=True,
-        )  # fmt: skip
+            content.points_m[:, 0],
+            content.points_m[:, 1],
+            c=colours(shades),
+            s=0.8,
+            linewidths=0,
+            zorder=1,
+            rasterized=True,
+        )
         handles.append(Line2D([], [], color=_DARK_POINT, marker=".", linestyle="", label="LiDAR point"))
     return handles
 
 
 def _cones(axes: Axes, content: PlanContent, box: Bbox) -> list[Line2D]:
+    """Draw cones and changes; their lines of the legend."""
     changes = content.changes or ()
     changed = {change.feature_id for change in changes}
-    rest = np.array([f.xyz_m[:2] for f in content.standing if f.feature_id not in changed]).reshape(-1, 2)
-    word = "unchanged" if content.changes is not None else STANDING.word
-    handles = [_mark(axes, rest, STANDING._replace(word=word), box, 4)]
+    rest = [feature for feature in content.standing if feature.feature_id not in changed]
+    label = "unchanged" if content.changes is not None else STANDING.label
+    handles = [_mark(axes, rest, STANDING._replace(label=label), box, 4)]
     for level, (kind, style) in enumerate(KIND_MARKS.items(), 5):
         these = [change for change in changes if change.kind == kind]
-        places = np.array([(c.new or c.old).xyz_m[:2] for c in these if c.new or c.old]).reshape(-1, 2)  # type: ignore[union-attr]
-        handles.append(_mark(axes, places, style, box, level))
-        if kind == DeltaKind.MOVED:
+        handles.append(_mark(axes, [c.new or c.old for c in these], style, box, level))
+        if kind is DeltaKind.MOVED:
             _arrows(axes, these, style.colour, box)
     return [handle for handle in reversed(handles) if handle is not None]
 
 
-def _mark(axes: Axes, places: Array, style: KindMark, box: Bbox, level: int) -> Line2D | None:
-    """Markers of one kind; its line of the legend counts those that are in the image."""
-    inside = places[_inside(places, box)]
+def _mark(axes: Axes, cones: Sequence[MapFeature | None], style: KindMark, box: Bbox, level: int) -> Line2D | None:
+    """Draw the markers of one kind; its line of the legend counts those inside the picture."""
+    positions = np.array([cone.xyz_m[:2] for cone in cones if cone is not None]).reshape(-1, 2)
+    inside = positions[_inside(positions, box)]
     if not len(inside):
         return None
-    marker, colour, word = style
+    marker, colour, label = style
     axes.scatter(
         inside[:, 0], inside[:, 1], marker=marker, s=42, color=colour, edgecolors="white", linewidths=0.8, zorder=level
     )
+    label = f"{label} ({len(inside)})"
     return Line2D(
-        [],
-        [],
-        marker=marker,
-        color=colour,
-        markeredgecolor="white",
-        markersize=8,
-        linestyle="",
-        label=f"{word} ({len(inside)})",
-    )
+        [], [], marker=marker, color=colour, markeredgecolor="white", markersize=8, linestyle="", label=label
+    )  # fmt: skip
 
 
 def _arrows(axes: Axes, moved: Sequence[FeatureChange], colour: str, box: Bbox) -> None:
-    label = len(moved) <= _MAX_ARROW_LABELS
     for change in moved:
         if change.old is None or change.new is None or not _inside(np.array([change.new.xyz_m[:2]]), box)[0]:
             continue
         old, new = change.old.xyz_m[:2], change.new.xyz_m[:2]
-        axes.scatter(*old, marker="o", s=26, facecolors="none", edgecolors=colour, linewidths=1.0, zorder=8)
-        axes.annotate(
-            "", xy=new, xytext=old, zorder=8,
-            arrowprops={"arrowstyle": "->", "color": colour, "linewidth": 1.2, "clip_path": axes.patch, "clip_on": True},
-        )  # fmt: skip
-        if label:
+        axes.scatter(old[0], old[1], marker="o", s=26, facecolors="none", edgecolors=colour, linewidths=1.0, zorder=8)
+        draw_arrow(axes, old, new, colour, zorder=8, linewidth=1.2, clip_path=axes.patch, clip_on=True)
+        if len(moved) <= _MAX_ARROW_LABELS:
             axes.annotate(
                 f"{change.shift_m:.2f} m", xy=new, xytext=(6, 5), textcoords="offset points", fontsize=7.5, color=colour,
                 zorder=10, bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.85},
             )  # fmt: skip
 
 
-def _inside(places: Array, box: Bbox) -> NDArray[np.bool_]:
-    west, east, south, north = box
-    inside: NDArray[np.bool_] = (
-        (places[:, 0] >= west) & (places[:, 0] <= east) & (places[:, 1] >= south) & (places[:, 1] <= north)
-    )
-    return inside
+def _inside(positions: Array, box: Bbox) -> NDArray[np.bool_]:
+    """(N,) mask of positions (N, 2) inside west, east, south, north."""
+    return np.asarray(((positions >= box[::2]) & (positions <= box[1::2])).all(axis=1))
 
 
 def _frame(axes: Axes) -> None:
-    """Round coordinates at the frame, so that a place can be read off."""
-    for axis, word in ((axes.xaxis, "E"), (axes.yaxis, "N")):
+    """Round coordinates at the frame."""
+    for axis, side in ((axes.xaxis, "E"), (axes.yaxis, "N")):
         axis.set_major_locator(MaxNLocator(nbins=6, steps=[1, 2, 5, 10], prune="both"))
         axis.set_major_formatter(
-            FuncFormatter(lambda value, _, word=word: f"{value:,.0f} {word}".replace(",", "\u2009"))
+            FuncFormatter(lambda value, _, side=side: f"{value:,.0f} {side}".replace(",", "\u2009"))
         )
-    axes.tick_params(labelsize=7, colors=_WAY, length=3)
+    axes.tick_params(labelsize=7, colors=_PATH, length=3)
     for label in axes.get_yticklabels():
         label.set(rotation=90, va="center")
     axes.grid(color="#e3e7eb", linewidth=0.6)
@@ -230,28 +211,21 @@ def _frame(axes: Axes) -> None:
 
 
 def _scale_bar(axes: Axes, box: Bbox) -> None:
-    """In two pieces, a round length near a fifth of the image's width, at the lower left."""
-    west, east, _, _ = box
-    wish = (east - west) / 5
-    power = 10.0 ** math.floor(math.log10(wish))
-    length_m = power * max(step for step in (1, 2, 5, 10) if step * power <= wish)
-    share = length_m / (east - west)
-    to = axes.transAxes
-    axes.add_patch(
-        Rectangle((0.012, 0.016), share + 0.07, 0.075, transform=to, facecolor="white", alpha=0.88, zorder=11)
-    )
+    """A scale bar of two pieces at the lower left, with a round length of about a fifth of the width."""
+    width_m = box[1] - box[0]
+    power = 10.0 ** math.floor(math.log10(width_m / 5))
+    length_m = power * max(step for step in (1, 2, 5, 10) if step * power <= width_m / 5)
+    share = length_m / width_m
+    style: dict[str, Any] = {"transform": axes.transAxes, "linewidth": 0.8}
+    axes.add_patch(Rectangle((0.012, 0.016), share + 0.07, 0.075, facecolor="white", alpha=0.88, zorder=11, **style))
     for k, colour in enumerate((_INK, "white")):
-        at = 0.025 + k * share / 2
-        axes.add_patch(
-            Rectangle(
-                (at, 0.03), share / 2, 0.012, transform=to, facecolor=colour, edgecolor=_INK, linewidth=0.8, zorder=12
-            )
-        )
+        corner = (0.025 + k * share / 2, 0.03)
+        axes.add_patch(Rectangle(corner, share / 2, 0.012, facecolor=colour, edgecolor=_INK, zorder=12, **style))
     for k, metres in enumerate((0.0, length_m / 2, length_m)):
         unit = " m" if k == 2 else ""
         axes.text(
-            0.025 + k * share / 2, 0.052, f"{metres:g}{unit}", transform=to, fontsize=7.5, ha="center" if k < 2 else "left",
-            color=_INK, zorder=12,
+            0.025 + k * share / 2, 0.052, f"{metres:g}{unit}", transform=axes.transAxes, fontsize=7.5,
+            ha="center" if k < 2 else "left", color=_INK, zorder=12,
         )  # fmt: skip
 
 

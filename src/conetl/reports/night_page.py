@@ -1,4 +1,4 @@
-"""The page of a night: all drives that came onto a map in a span of processing time, on one HTML page."""
+"""The page of a night: all drives that were processed into a map within a period."""
 
 from __future__ import annotations
 
@@ -11,12 +11,11 @@ from typing import Any
 from conetl.db.connection import Connection, database_errors, execute
 from conetl.db.map.map_store import find_map
 from conetl.db.statements import load_sql
-from conetl.files.atomic import atomic_text_file
 from conetl.model.errors import InputError
 from conetl.model.map_records import DeltaKind
 from conetl.model.records import utc_from_ns
 from conetl.reports import figures
-from conetl.reports.render import data_uri, render
+from conetl.reports.html import render, write_page
 
 #: Rows of a table; the rest is counted.
 _MAX_ROWS = 400
@@ -26,19 +25,19 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class NightFacts:
-    """What happened to a map in [since, until), by the clock of the database."""
+    """Changes of a map in [since, until), by the clock of the database."""
 
     map_name: str
     since: datetime
     until: datetime
     drives: list[Row]
-    """Committed changesets, oldest first (`night_drives` in `sql/reports.sql`), with lost_pairs and lost_share."""
+    """Committed changesets, oldest first (`report/night_drives`), with lost_pairs and lost_share."""
     failures: list[Row]
     vanished: list[Row]
     """At most `_MAX_ROWS`; each with the `total`."""
     rejections: list[Row]
     sizes: list[tuple[datetime, int]]
-    """When the number of cones on the map changed, and to what; the whole history."""
+    """Number of cones on the map after each change of it; the whole history."""
 
     def size_at(self, instant: datetime) -> int:
         """Cones on the map just before an instant."""
@@ -46,68 +45,61 @@ class NightFacts:
 
 
 def read_night(conn: Connection, *, map_name: str, since: datetime, until: datetime) -> NightFacts:
-    """Facts of a span. Raises InputError where there is no such map or the span is empty; changes nothing."""
+    """Facts of a period; read-only. Raises InputError for an unknown map or an empty period."""
     if until <= since:
         raise InputError(f"the report would end ({until:%Y-%m-%d %H:%M}) before it begins ({since:%Y-%m-%d %H:%M})")
     if find_map(conn, map_name) is None:
         raise InputError(f"there is no map {map_name}: ingest a drive first")
-    span = {"map_name": map_name, "since": since, "until": until}
+    period = {"map_name": map_name, "since": since, "until": until}
     with database_errors(f"The map {map_name} cannot be read"):
-        drives = execute(conn, load_sql("reports.night_drives"), span)
+        drives = execute(conn, load_sql("reports.night_drives"), period)
         sizes = execute(conn, load_sql("reports.map_size"), {"map_name": map_name})
-        facts = NightFacts(
-            map_name, since, until, drives,
-            failures=execute(conn, load_sql("reports.night_failures"), span),
-            vanished=execute(conn, load_sql("reports.night_removed"), span | {"max_rows": _MAX_ROWS}),
-            rejections=execute(conn, load_sql("reports.night_rejections"), span),
-            sizes=[(row["at"], int(row["standing"])) for row in sizes],
-        )  # fmt: skip
+        failures = execute(conn, load_sql("reports.night_failures"), period)
+        vanished = execute(conn, load_sql("reports.night_removed"), period | {"max_rows": _MAX_ROWS})
+        rejections = execute(conn, load_sql("reports.night_rejections"), period)
         conn.rollback()
     for row in drives:
         row["captured_at"] = utc_from_ns(row["captured_from_ns"])
         row["lost_pairs"] = row["expected_frame_count"] - row["frame_pair_count"]
         row["lost_share"] = row["lost_pairs"] / max(row["expected_frame_count"], 1)
-    return facts
+    for row in vanished:
+        row["first_seen_at"] = utc_from_ns(row["first_seen_ns"])
+    counts = [(row["at"], int(row["standing"])) for row in sizes]
+    return NightFacts(map_name, since, until, drives, failures, vanished, rejections, counts)
 
 
 def write_night_page(conn: Connection, path: Path, *, map_name: str, since: datetime, until: datetime) -> NightFacts:
-    """Write the page; what it tells. Raises InputError as `read_night`, or where the file cannot be written."""
+    """Write the page; its facts. Raises InputError as `read_night`, and where the file cannot be written."""
     facts = read_night(conn, map_name=map_name, since=since, until=until)
-    with atomic_text_file(path) as file:
-        file.write(night_page(facts))
+    write_page(path, night_page(facts))
     return facts
 
 
 def night_page(facts: NightFacts) -> str:
-    """The page as text: one file that loads nothing."""
+    """The page as text."""
     recorded = [row for row in facts.drives if row["kind"] == "drive"]
     measured = [row for row in recorded if row["residual_px"] is not None]
-    totals = {kind: sum(row[f"{kind.value}_count"] for row in facts.drives) for kind in DeltaKind}
-    lost = sum(row["lost_pairs"] for row in recorded)
     sizes = [(at, count) for at, count in facts.sizes if at < facts.until]
+    figure = None
     if sizes:
-        sizes.insert(0, (min(sizes[0][0], facts.since), 0))  # before the first drive there was nothing
+        times, counts = zip((min(sizes[0][0], facts.since), 0), *sizes, strict=True)  # empty before the first drive
+        figure = figures.map_size(times, counts, facts.since, facts.until)
     return render(
         "night.html.j2",
         title=f"Map {facts.map_name}, {facts.since:%Y-%m-%d %H:%M} to {facts.until:%Y-%m-%d %H:%M} UTC",
         made_at=datetime.now(UTC),
         facts=facts,
-        totals=list(totals.items()),
+        totals=[(kind, sum(row[f"{kind.value}_count"] for row in facts.drives)) for kind in DeltaKind],
         frame_pairs=sum(row["frame_pair_count"] for row in recorded),
-        lost=lost,
+        lost=sum(row["lost_pairs"] for row in recorded),
         size_before=facts.size_at(facts.since),
         size_after=facts.size_at(facts.until),
-        size_figure=data_uri(
-            figures.map_size([at for at, _ in sizes], [n for _, n in sizes], facts.since, facts.until), "png"
-        )
-        if sizes
-        else None,
+        size_figure=figure,
         drives=facts.drives[:_MAX_ROWS],
         left_out=max(len(facts.drives) - _MAX_ROWS, 0),
         worst_residuals=_worst(measured, "residual_px"),
         worst_losses=[row for row in _worst(recorded, "lost_share") if row["lost_pairs"]],
         vanished_total=facts.vanished[0]["total"] if facts.vanished else 0,
-        first_seen=lambda row: utc_from_ns(row["first_seen_ns"]),
     )
 
 

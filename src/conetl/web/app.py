@@ -16,7 +16,7 @@ from conetl.db.async_reader_pool import AsyncReaderPool
 from conetl.db.reader_pool import ReaderPool
 from conetl.model.errors import DatabaseError, StorageError
 from conetl.perception.images import ImageFileError
-from conetl.reports.crops import ImageMissingError
+from conetl.reports.camera_images import ImageMissingError
 from conetl.web import decisions, images, layers, live, maps
 from conetl.web.models import Problem
 from conetl.web.ogc.app import create_ogc_app

@@ -13,7 +13,7 @@ from conetl.db.reader_pool import ReaderPool
 from conetl.db.serve_store import read_sighting_picture
 from conetl.model.errors import InputError
 from conetl.model.records import Rig
-from conetl.reports.crops import crop_jpeg, picture_file
+from conetl.reports.camera_images import crop_jpeg, image_file
 from conetl.web.parameters import ChangesetNo, Index, MapName, Reader, origin_of
 
 router = APIRouter(tags=["images"], prefix="/maps/{map_name}")
@@ -52,7 +52,7 @@ def sighting_image(
         raise HTTPException(
             404, f"The map {map_name} has no match {match_index} in frame pair {frame_index} of this drive."
         )
-    path = picture_file(row["source_path"], row["picture_path"])
+    path = image_file(row["source_path"], row["picture_path"])
     box = (row["x_px"], row["y_px"], row["w_px"], row["h_px"])
     data = crop_jpeg(path, Rig.model_validate(row["rig"]), side, box, context=context)
     return Response(data, media_type="image/jpeg", headers={"Cache-Control": "private, max-age=3600"})

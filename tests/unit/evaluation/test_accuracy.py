@@ -1,4 +1,4 @@
-"""Statistics against truth on a drive whose errors are known: axes, bands, and which NEES notices what."""
+"""Statistics against truth on a drive with known errors: axes, bands, and NEES."""
 
 from __future__ import annotations
 
@@ -62,25 +62,22 @@ def lines_of(cones: list[TruthCone], shift: np.ndarray) -> list[TruthLine[Track]
     return compare_with_truth(cones, tracks, PATH)[0]
 
 
-def positions_of(cones: list[TruthCone]) -> list[Position]:
+def positions_of(cones: list[TruthCone], shift: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> list[Position]:
     """Positions of the members of the tracks of `lines_of`."""
-    return [make_position(f, k, np.array(cone.xyz_m)) for k, cone in enumerate(cones) for f in range(8)]
+    return [make_position(f, k, np.add(cone.xyz_m, shift)) for k, cone in enumerate(cones) for f in range(8)]
 
 
-def test_errors_are_told_by_axis() -> None:
+def test_errors_by_axis() -> None:
     """The drive goes east: ahead is easting, left is northing; camera z is the range."""
     cones = truth_cones(3)
     lines = lines_of(cones, np.array([0.03, -0.01, 0.02]))
-    positions = [
-        make_position(f, k, np.add(cone.xyz_m, (0.2, 0.0, 0.05))) for k, cone in enumerate(cones) for f in range(8)
-    ]
-    singles = position_errors(members_of(lines), positions, DRIVE)
+    singles = position_errors(members_of(lines), positions_of(cones, (0.2, 0.0, 0.05)), DRIVE)
     figures = statistics(singles)
     assert figures is not None
     assert figures.count == 24
     assert figures.bias_enu_m == pytest.approx((0.2, 0.0, 0.05))
     assert figures.rmse_3d_m == pytest.approx(np.hypot(0.2, 0.05))
-    assert figures.bias_sight_m[0] == pytest.approx(0.2, abs=0.02)  # the sight turns a little away from east
+    assert figures.bias_sight_m[0] == pytest.approx(0.2, abs=0.02)  # the line of sight is not exactly east
     assert figures.le90_m == pytest.approx(0.05)
     assert figures.ce90_m == pytest.approx(0.2)
     np.testing.assert_allclose(singles.own_cov_m2[0], np.diag([25e-4, 1e-4, 4e-4]), atol=1e-12)
@@ -161,7 +158,7 @@ def test_an_error_of_the_calibration_is_common_to_all_positions() -> None:
     assert uncalibrated.relative.value > 20 * max(calibrated.relative.value, 1e-3)
 
 
-def test_nothing_found_is_no_figure() -> None:
+def test_without_found_cones_there_are_no_figures() -> None:
     lines: list[TruthLine[Track]] = [TruthLine(truth_cones(1)[0], None, 3.0, None)]
     tracks, singles = track_errors(lines, DRIVE, []), position_errors(members_of(lines), [], DRIVE)
     for errors in (tracks, singles):

@@ -19,7 +19,7 @@ HEIGHT_M, FOOT_RADIUS_M, TIP_RADIUS_M, CAMERA_HEIGHT_M = 0.70, 0.14, 0.04, 1.65
 
 
 def outline_of(x_m: float, z_m: float) -> Outline:
-    """What the left image shows of a cone at (x, z)."""
+    """The outline in the left image of a cone at (x, z)."""
     scale = CAMERA.fx_px / z_m
     axis, foot = CAMERA.cx_px + scale * x_m, CAMERA.cy_px + scale * CAMERA_HEIGHT_M
     return Outline(
@@ -48,7 +48,7 @@ def wall_points(z_m: float, rng: np.random.Generator, count: int = 3000) -> NDAr
 def test_the_range_is_that_of_the_axis(x_m: float, z_m: float, wall_m: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     cone = cone_points(x_m, z_m, rng)
-    # the scanner stands where the camera does, so nothing behind the cone is seen through it
+    # the cone hides the wall behind it
     far = wall_points(z_m + wall_m, rng)
     shadow = np.abs(far[:, 0] / far[:, 2] - x_m / z_m) < 0.16 / z_m
     found = lidar_range(np.vstack([cone, far[~shadow]]), outline_of(x_m, z_m), CAMERA, UP)
@@ -57,13 +57,13 @@ def test_the_range_is_that_of_the_axis(x_m: float, z_m: float, wall_m: float, se
     assert found.sigma_m < 0.04
 
 
-def test_something_in_front_gives_no_statement() -> None:
+def test_an_occluded_cone_has_no_range() -> None:
     rng = np.random.default_rng(1)
     post = np.stack([rng.uniform(0.0, 0.1, 20), rng.uniform(0.8, 1.4, 20), np.full(20, 7.0)], axis=1)
     assert lidar_range(np.vstack([cone_points(0.0, 10.0, rng), post]), outline_of(0.0, 10.0), CAMERA, UP) is None
 
 
-def test_too_few_returns_give_no_statement() -> None:
+def test_too_few_returns_give_no_range() -> None:
     rng = np.random.default_rng(1)
     assert lidar_range(cone_points(0.0, 10.0, rng, count=2), outline_of(0.0, 10.0), CAMERA, UP) is None
     assert lidar_range(np.zeros((0, 3)), outline_of(0.0, 10.0), CAMERA, UP) is None
@@ -72,7 +72,7 @@ def test_too_few_returns_give_no_statement() -> None:
 @settings(max_examples=40, deadline=None)
 @given(speed=st.floats(-10, 20), rate=st.floats(-0.5, 0.5), azimuth=st.floats(-1.2, 1.2), reach=st.floats(3, 30))
 def test_untwisting_undoes_the_motion_during_a_turn(speed: float, rate: float, azimuth: float, reach: float) -> None:
-    # a thing that stands still, seen from where the scanner is at the time it looks that way
+    # a static point, relative to the scanner at the time of the beam
     later = azimuth / (2 * math.pi) * 0.1
     seen = np.array([[reach * math.cos(azimuth), reach * math.sin(azimuth), -1.0]])
     cos, sin = math.cos(rate * later), math.sin(rate * later)
@@ -80,19 +80,13 @@ def test_untwisting_undoes_the_motion_during_a_turn(speed: float, rate: float, a
     assert untwist(seen, np.array([speed, 0.0, 0.0]), rate, 0.1)[0] == pytest.approx(expected)
 
 
-def test_straight_ahead_and_at_rest_nothing_moves() -> None:
-    points = np.array([[10.0, 0.0, -1.0], [8.0, 3.0, 0.0]])
-    assert untwist(points, np.array([15.0, 0.0, 0.0]), 0.2, 0.1)[0] == pytest.approx(points[0])
-    assert untwist(points, np.zeros(3), 0.0, 0.1) == pytest.approx(points)
-
-
-def made_up(range_m: float, residual_m: float) -> LidarResidual:
+def residual_of(range_m: float, residual_m: float) -> LidarResidual:
     lidar = LidarRange(range_m, 0.03, 20)
     return LidarResidual(0, 0, lidar.ground_range_m, lidar.sigma_m, range_m + residual_m, 0.04, residual_m)
 
 
 def test_the_summary_is_by_range_and_robust() -> None:
-    residuals = [made_up(9.0, 0.01 * k) for k in range(-5, 16)] + [made_up(9.5, 40.0), made_up(14.0, -0.2)]
+    residuals = [residual_of(9.0, 0.01 * k) for k in range(-5, 16)] + [residual_of(9.5, 40.0), residual_of(14.0, -0.2)]
     near, middle, far = summarise(residuals, ((0, 8), (8, 12), (12, 16)))
     assert near.pairs == 0
     assert near.median_m is None
@@ -104,11 +98,8 @@ def test_the_summary_is_by_range_and_robust() -> None:
 
 def test_true_sigmas_give_a_ratio_of_one() -> None:
     rng = np.random.default_rng(0)
-    (band,) = summarise([made_up(9.0, float(e)) for e in rng.normal(0, 0.05, 2000)], ((8, 12),))
+    (band,) = summarise([residual_of(9.0, float(e)) for e in rng.normal(0, 0.05, 2000)], ((8, 12),))
     assert band.ratio_std == pytest.approx(1.0, abs=0.07)
-    (doubtful,) = summarise([made_up(9.0, float(e)) for e in rng.normal(0, 0.10, 2000)], ((8, 12),))
+    (doubtful,) = summarise([residual_of(9.0, float(e)) for e in rng.normal(0, 0.10, 2000)], ((8, 12),))
     assert doubtful.ratio_std == pytest.approx(2.0, abs=0.14)
-
-
-def test_no_residuals_are_no_error() -> None:
     assert [band.pairs for band in summarise([])] == [0, 0, 0, 0]

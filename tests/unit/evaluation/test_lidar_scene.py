@@ -46,9 +46,9 @@ def wall(z_m: float, seed: int, error_px: float, error_across_px: float, noise: 
     return Wall(images[0], images[1], np.stack([x * z_m, y * z_m, np.full(800, z_m)], axis=1))
 
 
-def test_errors_of_calibration_and_of_range_are_told_apart() -> None:
+def test_errors_of_calibration_and_range_are_separated() -> None:
     rig = make_rig()
-    offset_m = 0.08  # LiDAR says the walls are nearer than they are by this
+    offset_m = 0.08  # the LiDAR ranges are too short by this
     samples = []
     for seed, z_m in enumerate((5.0, 6.0, 8.0, 11.0, 15.0, 20.0)):
         left, right, points = wall(z_m, seed, -0.4, -0.5)
@@ -72,7 +72,7 @@ def test_without_errors_nothing_is_found() -> None:
     assert bias.range_offset_m == pytest.approx(0.0, abs=0.02)
 
 
-def test_cones_take_no_part() -> None:
+def test_cones_are_left_out() -> None:
     left, right, points = wall(8.0, 0, 0, 0)
     box = Detection(
         frame_index=0, side="left", detection_index=0, x_px=0.0, y_px=0.0, w_px=400.0, h_px=200.0, score=0.5
@@ -82,7 +82,7 @@ def test_cones_take_no_part() -> None:
     assert (samples[:, 0] > (400 - 300) / 400).all()
 
 
-def test_too_little_is_no_fit() -> None:
+def test_too_few_samples_give_no_fit() -> None:
     left, right, points = wall(8.0, 0, 0, 0)
     assert fit_scene_bias(scene_samples(points[:50], left, right, make_rig(), []), make_rig()) is None
     assert scene_samples(np.zeros((0, 3)), left, right, make_rig(), []).shape == (0, 4)

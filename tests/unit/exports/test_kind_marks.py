@@ -1,27 +1,29 @@
-"""Images, exports and the web view show a kind of change alike."""
+"""Images, exports and the web view share colours and labels."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
 
+from conetl.exports import qgis_project
 from conetl.exports.kind_marks import KIND_MARKS, STANDING
 from conetl.model.map_records import DeltaKind
 
 KINDS_TS = Path(__file__).resolve().parents[3] / "web" / "src" / "kinds.ts"
 
 
-def test_colours_and_words_are_those_of_the_web_view() -> None:
+def test_colours_and_labels_equal_those_of_the_web_view() -> None:
     styles = re.findall(
         r"^  (\w+): { colour: \"(#[0-9a-f]{6})\", shape: \d, label: \"([^\"]+)\" },$", KINDS_TS.read_text(), re.M
     )
     shown = {kind: (colour, word) for kind, colour, word in styles}
-    assert {kind.value: (mark.colour, mark.word) for kind, mark in KIND_MARKS.items()} == {
+    assert {kind.value: (mark.colour, mark.label) for kind, mark in KIND_MARKS.items()} == {
         kind.value: shown[kind.value] for kind in DeltaKind
     }
-    assert (STANDING.colour, STANDING.word) == shown["standing"]
+    assert (STANDING.colour, STANDING.label) == shown["standing"]
 
 
-def test_kinds_of_one_colour_have_shapes_of_their_own() -> None:
+def test_every_kind_has_a_marker_and_a_qgis_symbol() -> None:
+    assert set(qgis_project._KINDS) == set(DeltaKind) - {DeltaKind.MISSED}  # which makes no version
     assert len({mark[:2] for mark in KIND_MARKS.values()}) == len(KIND_MARKS)
     assert len({mark.marker for mark in KIND_MARKS.values()}) == len(KIND_MARKS)

@@ -10,16 +10,15 @@ import numpy as np
 import pytest
 from pyproj import Transformer
 
-from conetl.exports import wzdx_schema
-from conetl.exports.feed_info import read_feed_info
-from conetl.exports.wzdx_schema import schema_faults
+from conetl.exports import wzdx
+from conetl.exports.wzdx import read_feed_info, schema_faults
 from conetl.model.errors import InputError
 from conetl.readers.base_layers.line_files import read_lane_lines
 
 ROOT = Path(__file__).resolve().parents[3]
 DATA = Path(os.environ.get("CONETL_SHARED_DATA", ROOT.parent / "shared" / "data"))
 REFERENCE = DATA.parent / "reference" / "wzdx"
-SHIPPED = Path(wzdx_schema.__file__).with_name("wzdx_schemas")
+SHIPPED = Path(wzdx.__file__).with_name("wzdx_schemas")
 needs_reference = pytest.mark.skipif(not REFERENCE.is_dir(), reason=f"no WZDx schemas and examples in {REFERENCE}")
 
 

@@ -1,4 +1,4 @@
-"""The plan image: what is in it, where, in which colour; and that nothing is half-written."""
+"""The map picture: content, positions and colours; and that nothing is half-written."""
 
 from __future__ import annotations
 
@@ -12,13 +12,7 @@ from conetl.mapping.map_diff import diff
 from conetl.model.errors import InputError
 from conetl.reports.map_picture import PlanContent, draw_map_picture, plan_extent
 
-ADDED, MOVED, REMOVED, STANDING, LANE = (
-    (0x00, 0x68, 0xB4),
-    (0xA8, 0x32, 0x7F),
-    (0x1F, 0x29, 0x33),
-    (0x7F, 0x97, 0xB2),
-    (0x64, 0x49, 0x16),
-)
+ADDED, MOVED, REMOVED, STANDING, LANE = map(bytes.fromhex, ("0068b4", "a8327f", "1f2933", "7f97b2", "644916"))
 NO_POINTS = (np.empty((0, 2)), np.empty(0, np.uint8))
 
 
@@ -28,7 +22,7 @@ def cone(samples, name, east_m, north_m, version=1):
 
 def content(standing, changes=None, lines=(), points=NO_POINTS):
     return PlanContent(
-        srid=32632, standing=standing, changes=changes, ways_m=[np.array([[458_000.0, 5_428_000.0], [458_030.0, 5_428_000.0]])],
+        srid=32632, standing=standing, changes=changes, paths_m=[np.array([[458_000.0, 5_428_000.0], [458_030.0, 5_428_000.0]])],
         lines_m=list(lines), points_m=points[0], shades=points[1],
     )  # fmt: skip
 
@@ -36,7 +30,7 @@ def content(standing, changes=None, lines=(), points=NO_POINTS):
 def pixels(path: Path, colour) -> np.ndarray:
     """(N, 2) column, row of the pixels of a colour, left of the legend."""
     image = cv2.imread(str(path))[:, :, ::-1].astype(int)
-    rows, columns = np.nonzero(np.abs(image - colour).max(axis=2) <= 4)
+    rows, columns = np.nonzero(np.abs(image - list(colour)).max(axis=2) <= 4)
     keep = columns < 0.78 * image.shape[1]
     return np.column_stack([columns[keep], rows[keep]])
 
@@ -46,18 +40,9 @@ def draw(path, made, bbox=None):
 
 
 def test_changes_are_where_they_belong_in_the_colours_of_the_view(samples, tmp_path):
-    before = [
-        cone(samples, "a", 0, 0),
-        cone(samples, "b", 10, 5),
-        cone(samples, "c", 20, 10),
-        cone(samples, "e", 5, 12),
-    ]
-    after = [
-        cone(samples, "a", 0, 0),
-        cone(samples, "b", 10, 8, version=2),
-        cone(samples, "d", 30, 0),
-        cone(samples, "e", 5, 12),
-    ]
+    same = [cone(samples, "a", 0, 0), cone(samples, "e", 5, 12)]
+    before = [*same, cone(samples, "b", 10, 5), cone(samples, "c", 20, 10)]
+    after = [*same, cone(samples, "b", 10, 8, version=2), cone(samples, "d", 30, 0)]
     made = content(after, diff(before, after), lines=[np.array([[458_000.0, 5_428_014.0], [458_030.0, 5_428_014.0]])])
     path = draw(tmp_path / "new folder" / "map.png", made)
     places = {name: pixels(path, colour).mean(axis=0) for name, colour in (("d", ADDED), ("a", STANDING))}
@@ -70,7 +55,7 @@ def test_changes_are_where_they_belong_in_the_colours_of_the_view(samples, tmp_p
     assert (places["d"][1] - lane[:, 1].mean()) / px_per_m == pytest.approx(14.0, abs=0.4)
 
 
-def test_points_lie_under_everything_and_outside_is_left_out(samples, tmp_path):
+def test_points_are_drawn_below_and_the_outside_is_left_out(samples, tmp_path):
     rng = np.random.default_rng(0)
     points = (np.add(rng.uniform(-40, 40, (5_000, 2)), (458_010.0, 5_428_010.0)), np.full(5_000, 0, np.uint8))
     made = content([cone(samples, "a", 0, 0), cone(samples, "far", 5_000, 0)], points=points)

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from conetl.evaluation.truth_file import read_truth
+from conetl.evaluation.truth import read_truth
 from conetl.geometry.camera import project
 from conetl.geometry.rig import body_SE3_camera, map_SE3_camera
 from conetl.model.errors import InputError

@@ -14,7 +14,7 @@ from conetl.cli.console import Columns, JsonOption, no_such_map, parse_time, pri
 from conetl.cli.database import open_map
 from conetl.db.connection import Connection
 from conetl.db.map.map_store import find_map, list_changesets, read_features_as_of
-from conetl.exports.diff_geojson import export_diff_geojson
+from conetl.exports.geojson import export_diff_geojson
 from conetl.mapping import map_diff
 from conetl.model.errors import InputError
 from conetl.model.map_records import FeatureChange, MapFeature
@@ -39,7 +39,7 @@ def diff(
     if output is not None:
         export_diff_geojson(changes, output, srid=info.srid)
     if picture is not None:
-        from conetl.reports.plan_view import draw_plan_view  # matplotlib takes half a second to load
+        from conetl.reports.plans import draw_plan_view  # matplotlib takes half a second to load
 
         if not old and not new:
             raise InputError(f"there is nothing to draw: the map has no cones at {before} and at {after}")

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict
 
 from conetl.cli.console import Columns, JsonOption, counted, parse_time, print_json, print_records, say
 from conetl.cli.database import open_map
-from conetl.exports.layout_files import export_layout_geojson, finding_as_dict
+from conetl.exports.geojson import export_layout_geojson, finding_as_dict
 from conetl.files.yaml_model import read_yaml_model
 from conetl.model.errors import InputError
 from conetl.model.params import LayoutParams, WorkZoneParams

@@ -17,7 +17,7 @@ from conetl.model.errors import EXIT_TOO_MANY_REJECTIONS, InputError
 from conetl.perception.detector import detect_image, load_detector
 from conetl.perception.images import ImageFileError, read_upright_image
 from conetl.pipeline.settings import read_settings
-from conetl.reports.annotated_image import write_annotated_image
+from conetl.reports.camera_images import write_annotated_image
 
 _SUFFIXES = {".jpg", ".jpeg", ".png"}
 

@@ -22,7 +22,7 @@ from conetl.evaluation.table_3 import TABLE_3_COLUMNS, median_error, read_truth_
 from conetl.evaluation.truth import TruthCone
 from conetl.model.errors import InputError
 from conetl.pipeline.settings import read_settings
-from conetl.reports.accuracy_page import Section
+from conetl.reports.html import Section
 
 if TYPE_CHECKING:
     from conetl.pipeline.analysis import AnalysedDrive
@@ -145,4 +145,4 @@ def _print_tables(tables: Sequence[Section]) -> None:
     for table in tables:
         say()
         print_table(table.heading, table.columns, table.rows, numbers_from=2 if table.columns is TABLE_3_COLUMNS else 1)
-        say(table.text)
+        say(table.note)

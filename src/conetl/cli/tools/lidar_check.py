@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from conetl.cli.console import JsonOption, print_json, print_table, progress_bar, say
-from conetl.evaluation.lidar_check import RangeBand, summarise
+from conetl.evaluation.lidar_check import ResidualBand, summarise
 from conetl.evaluation.lidar_drive import lidar_residuals
 from conetl.pipeline.odometry import calibrate_drive
 from conetl.pipeline.settings import read_settings
@@ -63,6 +63,6 @@ def lidar_check(
         say(f"not used: {problem}")
 
 
-def _cells(band: RangeBand) -> tuple[Any, ...]:
+def _cells(band: ResidualBand) -> tuple[Any, ...]:
     figures = (band.median_m, band.median_abs_m, band.robust_std_m, band.ratio_std)
     return (f"{band.from_m:g}-{band.to_m:g}", band.pairs, *("-" if x is None else x for x in figures))

@@ -1,0 +1,134 @@
+"""The map as tables with geometry: GeoParquet by Arrow, GeoPackage and FlatGeobuf by GDAL, all streamed in record batches."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pyogrio
+from numpy.typing import NDArray
+from pyogrio.errors import DataLayerError, DataSourceError, FieldError
+
+from conetl.exports.source import POSITION_NAMES, Source
+from conetl.model.errors import InputError
+
+GEOMETRY = "geometry"
+#: ISO WKB of a point with z.
+_POINT_Z = 1001
+_MILLISECONDS = pa.timestamp("ms", tz="UTC")
+_SIDES = ("xmin", "ymin", "zmin", "xmax", "ymax", "zmax")
+_BBOX = pa.struct([pa.field(side, pa.float64(), nullable=False) for side in _SIDES])
+#: Columns of few different values. Parquet would also try a dictionary for the others, and drop it each time.
+_REPEATED = ("version", "category", "height_m", "observation_count", "valid_from", "valid_to", "changeset_id", "seen_count",
+    "missed_count", "height_sigma_m", "change", "present", "suppressed", "system_from", "system_to", "old_version")  # fmt: skip
+
+
+def write_geoparquet(source: Source, path: Path) -> int:
+    """Write GeoParquet 1.1 (https://geoparquet.org/releases/v1.1.0/), one row group per batch; the number of rows.
+
+    Rows follow a Hilbert curve and carry their box in the column `bbox`, so that a reader finds a street by the statistics of the
+    row groups.
+    """
+    schema = _property_schema(source).append(pa.field("bbox", _BBOX)).append(pa.field(GEOMETRY, pa.binary()))
+    count = 0
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    repeated = [name for name in _REPEATED if name in schema.names]
+    with pq.ParquetWriter(path, schema, compression="zstd", use_dictionary=repeated) as writer:
+        for batch, xyz_m in _positions_of(source):
+            low, high = np.minimum(low, xyz_m.min(axis=0)), np.maximum(high, xyz_m.max(axis=0))
+            boxes = pa.StructArray.from_arrays([pa.array(xyz_m[:, k]) for k in (0, 1, 2, 0, 1, 2)], fields=list(_BBOX))
+            rows = pa.record_batch([*batch.columns, boxes, _wkb_points(xyz_m)], schema=schema)
+            writer.write_batch(rows, row_group_size=len(xyz_m))
+            count += len(xyz_m)
+        column: dict[str, Any] = {
+            "encoding": "WKB",
+            "geometry_types": ["Point Z"],
+            "crs": source.crs.to_json_dict(),
+            "covering": {"bbox": {side: ["bbox", side] for side in _SIDES}},
+        }
+        if count:
+            column["bbox"] = [*low.tolist(), *high.tolist()]
+        geo = {"version": "1.1.0", "primary_column": GEOMETRY, "columns": {GEOMETRY: column}}
+        writer.add_key_value_metadata({"geo": json.dumps(geo)})
+    return count
+
+
+def write_geopackage(source: Source, path: Path) -> int:
+    """Write a GeoPackage (OGC 12-128r19); the number of rows. See `_write_by_gdal`."""
+    return _write_by_gdal(source, path, "GPKG")
+
+
+def write_flatgeobuf(source: Source, path: Path) -> int:
+    """Write FlatGeobuf; the number of rows. Its index takes about 100 bytes of memory per row. See `_write_by_gdal`."""
+    return _write_by_gdal(source, path, "FlatGeobuf")
+
+
+def _write_by_gdal(source: Source, path: Path, driver: str) -> int:
+    """Write points in the map's CRS as one layer, named like the map, with a spatial index; the number of rows.
+
+    GDAL stores times in milliseconds. Each time is therefore written twice: as date and time, for QGIS's temporal controller,
+    and exactly in a column with the suffix `_us`, as microseconds since 1970 (UTC). Raises InputError where the file cannot be
+    written.
+    """
+    count = 0
+    failure: list[BaseException] = []
+    fields = [pa.field(GEOMETRY, pa.binary())]
+    for field in _property_schema(source):
+        if pa.types.is_timestamp(field.type):
+            fields += [pa.field(field.name, _MILLISECONDS), pa.field(f"{field.name}_us", pa.int64())]
+        else:
+            fields.append(field)
+    schema = pa.schema(fields)
+
+    def batches() -> Iterator[pa.RecordBatch]:
+        nonlocal count
+        try:
+            for batch, xyz_m in _positions_of(source):
+                count += len(xyz_m)
+                columns = [_wkb_points(xyz_m)]
+                for column in batch.columns:
+                    if pa.types.is_timestamp(column.type):
+                        columns += [column.cast(_MILLISECONDS, safe=False), column.cast(pa.int64())]
+                    else:
+                        columns.append(column)
+                yield pa.record_batch(columns, schema=schema)
+        except BaseException as error:
+            failure.append(error)  # GDAL would hide it behind an error of its own
+            raise
+
+    try:
+        pyogrio.write_arrow(
+            pa.RecordBatchReader.from_batches(schema, batches()), path, layer=source.request.map_name, driver=driver,
+            geometry_name=GEOMETRY, geometry_type="Point Z", crs=f"EPSG:{source.info.srid}",
+        )  # fmt: skip
+    except (DataSourceError, DataLayerError, FieldError, pa.ArrowException, RuntimeError) as error:
+        if failure:
+            raise failure[0] from None
+        raise InputError(f"{path.name} cannot be written ({error}): free space or choose another file.") from error
+    return count
+
+
+def _property_schema(source: Source) -> pa.Schema:
+    return pa.schema([source.schema.field(name) for name in source.property_names])
+
+
+def _positions_of(source: Source) -> Iterator[tuple[pa.RecordBatch, NDArray[np.float64]]]:
+    """Batches of the properties alone, each with its positions (n, 3) in the map's CRS."""
+    for batch in source.batches():
+        yield (
+            batch.select(source.property_names),
+            np.stack([np.asarray(batch.column(n)) for n in POSITION_NAMES], axis=1),
+        )
+
+
+def _wkb_points(xyz_m: NDArray[np.float64]) -> pa.Array:
+    """(n, 3) as ISO well-known binary, little-endian (29 bytes each)."""
+    wkb = np.empty(len(xyz_m), [("order", "u1"), ("type", "<u4"), ("xyz", "<f8", 3)])
+    wkb["order"], wkb["type"], wkb["xyz"] = 1, _POINT_Z, xyz_m
+    offsets = (np.arange(len(xyz_m) + 1) * wkb.dtype.itemsize).astype(np.int32)
+    return pa.Array.from_buffers(pa.binary(), len(xyz_m), [None, pa.py_buffer(offsets), pa.py_buffer(wkb)])

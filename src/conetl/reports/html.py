@@ -1,0 +1,74 @@
+"""HTML pages from the templates beside this file. Everything is escaped, and a page loads nothing."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+
+from conetl.exports.kind_marks import KIND_MARKS
+from conetl.files.atomic import atomic_text_file
+
+
+@dataclass(frozen=True)
+class Section:
+    """Part of a page: a heading, a note, a table and an image (PNG). Empty parts are left out."""
+
+    heading: str
+    note: str = ""
+    columns: Sequence[str] = ()
+    rows: Sequence[Sequence[object]] = ()
+    image: bytes | None = None
+    image_alt: str = ""
+
+
+def write_accuracy_page(path: Path, *, title: str, summary: Sequence[str], sections: Sequence[Section]) -> Path:
+    """Write the page of drives against truth and return its path."""
+    return write_page(path, render("accuracy.html.j2", title=title, summary=summary, sections=sections))
+
+
+def write_page(path: Path, page: str) -> Path:
+    """Write a page, completely or not at all, and return its path. Raises InputError where it cannot be written."""
+    with atomic_text_file(path) as file:
+        file.write(page)
+    return path
+
+
+def render(template: str, **values: Any) -> str:
+    """One page as text. template: name of a file in `templates`."""
+    return _environment().get_template(template).render(**values)
+
+
+def data_uri(data: bytes, kind: str = "png") -> Markup:
+    """An image as part of a page. kind: png or jpeg."""
+    return Markup(f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}")
+
+
+@cache
+def _environment() -> Environment:
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent / "templates"),
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    environment.globals["kind_marks"] = KIND_MARKS
+    environment.filters |= {
+        "data_uri": data_uri,
+        "plain": lambda value: str(value).replace("_", " "),
+        "time": lambda value: f"{value:%Y-%m-%d %H:%M:%S}",
+        "minute": lambda value: f"{value:%Y-%m-%d %H:%M}",
+        "decimals": _decimals,
+        "number": lambda value: f"{value:,}".replace(",", "\u202f"),
+        "percent": lambda value: f"{value:.1%}",
+        "short_id": lambda value: str(value)[:8],
+    }
+    return environment
+
+
+def _decimals(value: float | None, count: int = 3) -> str:
+    return "" if value is None else f"{value:.{count}f}"
