@@ -44,12 +44,7 @@ from conetl.db.cluster.cluster import cluster_down, cluster_up
 from conetl.db.connection import Connection, connect, execute
 from conetl.db.map.commit import commit_changeset, place_drive
 from conetl.db.map.map_store import map_transaction, read_features_as_of
-from conetl.db.map.replay_store import (
-    affected_drives,
-    read_doubts_around,
-    read_standing_around,
-    superseded_drives,
-)
+from conetl.db.map.replay_store import affected_drives, read_doubts_around, read_standing_around, superseded_drives
 from conetl.db.schema import migrate
 from conetl.db.statements import load_sql
 from conetl.mapping.history import DriveEvidence, apply_drive

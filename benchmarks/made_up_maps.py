@@ -21,16 +21,7 @@ import numpy as np
 from conetl.db.connection import Connection, execute, execute_count
 from conetl.mapping.visibility import NotObserved
 from conetl.model.map_records import MapFeature
-from conetl.model.records import (
-    Camera,
-    Drive,
-    FramePair,
-    Pose,
-    Position,
-    Rig,
-    Track,
-    Vec3,
-)
+from conetl.model.records import Camera, Drive, FramePair, Pose, Position, Rig, Track, Vec3
 
 SRID = 32632
 MAP_NAME = "bench"

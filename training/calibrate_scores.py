@@ -189,7 +189,7 @@ def detection_tables(looks: Looks) -> tuple[list, list]:
 def found_again(looks: Looks) -> tuple[int, list[float]]:
     """Lookalikes that could become a track, and P(box >= threshold in a look | REFERENCE reached in two other looks).
 
-    A track has three positions at least: only lookalikes that come again are there to be told from cones.
+    A track has three positions at least: only recurring lookalikes must be distinguished from cones.
     """
     table = np.array(looks.lookalikes).reshape(-1, 5)
     by_thing = [table[table[:, 1] == thing, 4] for thing in np.unique(table[:, 1])]

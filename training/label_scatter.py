@@ -87,7 +87,7 @@ def colour_box(image: np.ndarray, around: np.ndarray) -> np.ndarray | None:
 
 
 def triples_of(picture: Image, pairs: list[tuple[np.ndarray, np.ndarray]]) -> list[np.ndarray]:
-    """(label, box, colour box) (3, 4) in shares of the height, of cones of which all three can be told."""
+    """(label, box, colour box) (3, 4) in shares of the height, of cones with all three."""
     triples = []
     for box, label in pairs:
         height = label[3] - label[1]

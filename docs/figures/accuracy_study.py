@@ -22,8 +22,8 @@ from matplotlib.patches import Ellipse
 from scipy import stats
 
 from conetl.geometry.calibration.covariance import calibration_jacobian
-from docs import accuracy_render as rendered
 from docs.figures import accuracy_cases as cases
+from docs.figures import accuracy_render as rendered
 from docs.figures.paper_rig import BASELINE_M, SIGMAS, paper_rig
 
 DOCS = Path(__file__).parents[1]

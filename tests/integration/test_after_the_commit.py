@@ -1,4 +1,4 @@
-"""What goes wrong around the commit of a drive: what its receipt says, and that changes are told in the end."""
+"""What goes wrong around the commit of a drive: what its receipt says, and that changes are published in the end."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def events(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, dict[str, str]]]:
     return sent
 
 
-def test_what_was_left_untold_is_told_without_the_drive(
+def test_what_was_is_pending_is_published_without_the_drive(
     conn: Any, database_url: str, samples: Any, tmp_path: Path, events: list[tuple[str, dict[str, str]]]
 ) -> None:
     settings = Settings(home=tmp_path, database_url=database_url)  # type: ignore[arg-type]
@@ -117,21 +117,21 @@ def test_what_was_left_untold_is_told_without_the_drive(
     later_ns = samples.START_NS + samples.DAY_NS
     samples.commit(conn, samples.removed(cone, later_ns), key="b", start_ns=later_ns)
 
-    def tell_untold(**quiet: timedelta) -> None:
+    def publish_pending(**quiet: timedelta) -> None:
         with MapDatabase(settings) as database:
             catch_up_all(settings, database, artifacts.send_events, **quiet)
         conn.rollback()
 
-    tell_untold()
+    publish_pending()
     assert not events, "the runs that committed them have time to tell them"
 
     settings.exports_folder.mkdir(parents=True)
     (settings.exports_folder / "default.geojson").mkdir()
-    tell_untold(quiet=timedelta(0))  # does not stop those who call it
+    publish_pending(quiet=timedelta(0))  # does not stop those who call it
     assert len(pending_changesets(conn, map_name="default", quiet=timedelta(0))) == 2, "files come before the mark"
 
     (settings.exports_folder / "default.geojson").rmdir()
-    tell_untold(quiet=timedelta(0))
+    publish_pending(quiet=timedelta(0))
     assert [name for name, _ in events] == [
         "conetl.changeset.committed", "conetl.changeset.committed", "conetl.cone.vanished",
     ]  # fmt: skip
@@ -139,7 +139,7 @@ def test_what_was_left_untold_is_told_without_the_drive(
     assert events[1][1]["conetl.removed"] == "1"
     assert all(is_published(conn, changeset.changeset_id) for changeset in list_changesets(conn))
     assert (settings.exports_folder / "default.geojson").is_file()
-    tell_untold(quiet=timedelta(0))
+    publish_pending(quiet=timedelta(0))
     assert len(events) == 3
 
 

@@ -390,10 +390,10 @@ def events_of(desk: Desk, changeset_id: str) -> list[str]:
     return [event["event"] for event in answer.raise_for_status().json()["events"]]
 
 
-def test_what_a_run_that_was_killed_after_its_commit_left_untold_is_told_by_the_next(
+def test_what_a_run_that_was_killed_after_its_commit_left_pending_is_published_by_the_next(
     desk: Desk, tmp_path: Path
 ) -> None:
-    drive = part_of(DRIVES[0], tmp_path / "untold", 8, skip=6)
+    drive = part_of(DRIVES[0], tmp_path / "pending", 8, skip=6)
     url = desk.environment["CONETL_DATABASE_URL"]
     with closing(connect(url)) as holder, closing(connect(url)) as watcher:
         execute(holder, "lock table conetl.changeset_published in access exclusive mode")

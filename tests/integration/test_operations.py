@@ -45,7 +45,7 @@ def free_port() -> int:
 def until(condition: Callable[[], Any], what: str, patience_s: float = PATIENCE_S) -> Any:
     deadline = time.monotonic() + patience_s
     while not (found := condition()):
-        assert time.monotonic() < deadline, f"waited in vain: {what}"
+        assert time.monotonic() < deadline, f"timed out: {what}"
         time.sleep(0.5)
     return found
 

@@ -151,7 +151,7 @@ def test_old_pairs_are_left_out_only_while_newer_ones_wait(settings: Settings, t
                 append(folder, row(number))
                 write_images(folder, number)
             (folder / "COMPLETE").touch()
-            time.sleep(0.3)  # so that the system tells of all of them at once
+            time.sleep(0.3)  # so that the system reports all of them at once
 
     report = watch(folder, settings, progress=tell, max_behind_s=1e-9)
     assert [p.frame_index for p in report.pairs[:3]] == [0, 1, 2]

@@ -15,17 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from conetl.evaluation.truth import TruthCone
 from conetl.model.params import PositionParams
-from conetl.model.records import (
-    Detection,
-    Drive,
-    FramePair,
-    Matrix3,
-    Position,
-    Rig,
-    Side,
-    StereoMatch,
-    Track,
-)
+from conetl.model.records import Detection, Drive, FramePair, Matrix3, Position, Rig, Side, StereoMatch, Track
 from conetl.tracking.association import MotionError
 from conetl.tracking.positions import locate_positions
 from tests.synthetic.world import ORIGIN_M, Cone, apparent_box, camera_pose, fuse_logged, make_path

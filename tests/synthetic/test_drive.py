@@ -9,16 +9,7 @@ import pytest
 
 from conetl.model.records import FramePair, Track
 from conetl.model.rejections import Rejection
-from tests.synthetic.world import (
-    ORIGIN_M,
-    Cone,
-    detect,
-    fuse_logged,
-    locate,
-    make_path,
-    make_rig,
-    shifted,
-)
+from tests.synthetic.world import ORIGIN_M, Cone, detect, fuse_logged, locate, make_path, make_rig, shifted
 
 TAPER = [Cone((14.0 + 5.0 * k, 3.6 - 0.5 * k, 0.0), height_m=0.7 if k % 2 else 0.5) for k in range(8)]
 DENSE = [Cone((20.0 + 0.9 * k, 3.0 - 0.12 * k, 0.0)) for k in range(6)]

@@ -9,17 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.model.records import (
-    Camera,
-    Detection,
-    FramePair,
-    Pose,
-    Position,
-    Rig,
-    Side,
-    StereoMatch,
-    Track,
-)
+from conetl.model.records import Camera, Detection, FramePair, Pose, Position, Rig, Side, StereoMatch, Track
 from conetl.model.rejections import Rejection
 
 Floats = NDArray[np.float64]

@@ -66,10 +66,10 @@ def backfill(
     begin, end = parse_time(since), parse_time(until)
     with open_map(settings) as conn, spinner("Planning"):
         plan = plan_drives(conn, root, settings=settings, params=parameters, since=begin, until=end, recheck=recheck)
-        untold = pending_changesets(conn, map_name=settings.map_name, quiet=QUIET)
+        pending = pending_changesets(conn, map_name=settings.map_name, quiet=QUIET)
     if not as_json:
         _print_plan(plan, max_parallel or 1)
-    if dry_run or not (plan.todo or untold):
+    if dry_run or not (plan.todo or pending):
         if as_json:
             print_json({"plan": plan_as_dict(plan, max_parallel or 1), "drives": []})
         return

@@ -17,13 +17,7 @@ from conetl.geometry.motion.stereo_motion import RelativeMotion, StereoCameras, 
 from conetl.geometry.motion.stereo_tracks import NoMeasurement, StereoTracks, cameras_of, expected_motions, motions_of
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import FramePair, Rig, Side
-from conetl.perception.working_size import (
-    ImageReader,
-    WorkingImages,
-    WorkingSize,
-    read_working_images,
-    working_size,
-)
+from conetl.perception.working_size import ImageReader, WorkingImages, WorkingSize, read_working_images, working_size
 
 Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]

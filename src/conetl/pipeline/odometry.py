@@ -10,14 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.files.parquet_store import (
-    has_result,
-    load_result,
-    load_results,
-    result_key,
-    result_path,
-    save_result,
-)
+from conetl.files.parquet_store import has_result, load_result, load_results, result_key, result_path, save_result
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.motion.stereo_tracks import StereoTracks, motions_of
 from conetl.model.params import IngestParams, TrajectoryParams, params_sha256

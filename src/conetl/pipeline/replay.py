@@ -33,19 +33,9 @@ from conetl.db.retention import require_comparable
 from conetl.mapping.history import DriveEvidence, Floats, MapHistory, MapUpdate, apply_drive, replay_drives
 from conetl.mapping.visibility import DriveObservations, NotObserved, check_visibility, observations_of_drive
 from conetl.model.detector_evidence import UNMEASURED, AbsenceFigures, DetectorEvidence
-from conetl.model.map_records import (
-    Changeset,
-    Decisions,
-    DriveOrder,
-    FeatureVersion,
-    MapFeature,
-    MissedObservation,
-)
+from conetl.model.map_records import Changeset, Decisions, DriveOrder, FeatureVersion, MapFeature, MissedObservation
 from conetl.model.params import IngestParams, ReconcileParams
-from conetl.model.records import (
-    DriveRecords,
-    Rig,
-)
+from conetl.model.records import DriveRecords, Rig
 
 #: Views of drives are large; the fold needs one after the other.
 _VIEWS_IN_MEMORY = 2

@@ -20,13 +20,7 @@ from conetl.perception.decoding import NetworkBoxes
 from conetl.perception.detector import Detector, detect_image, load_detector
 from conetl.perception.model_card import SmallObjectPass, read_model_card
 from conetl.perception.rescoring import pooled_score
-from conetl.perception.small_objects import (
-    CELL_PX,
-    MIN_SCORE,
-    detect_small_objects,
-    enlargement,
-    parts_around,
-)
+from conetl.perception.small_objects import CELL_PX, MIN_SCORE, detect_small_objects, enlargement, parts_around
 
 SETTINGS = SmallObjectPass(below_px=40, from_score=0.25, around_px=24, scale=2.0, share=0.65)
 DRIVES = Path(__file__).resolve().parents[3] / "data" / "drives"

@@ -37,11 +37,7 @@ from conetl.db.cluster.location import (
     run_as,
     working_folder,
 )
-from conetl.db.cluster.owner import (
-    host_elsewhere,
-    lock_for_server,
-    require_no_server_elsewhere,
-)
+from conetl.db.cluster.owner import host_elsewhere, lock_for_server, require_no_server_elsewhere
 from conetl.db.cluster.postgres_install import OWN_DATABASE_HINT, PostgresInstall, choose_install, find_installs
 from conetl.model.errors import DatabaseError
 

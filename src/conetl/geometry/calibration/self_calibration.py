@@ -25,13 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from conetl.geometry.motion.stereo_motion import (
-    MotionLimits,
-    MotionStatus,
-    StereoCameras,
-    estimate_motion,
-    triangulate,
-)
+from conetl.geometry.motion.stereo_motion import MotionLimits, MotionStatus, StereoCameras, estimate_motion, triangulate
 from conetl.geometry.small_arrays import cross_matrix, inverse_of_symmetric, median
 
 Floats = NDArray[np.float64]

@@ -22,15 +22,7 @@ from conetl.geometry.calibration.stereo_bundle import (
     residuals_px,
 )
 from conetl.geometry.lens import distort, distort_jacobian, undistort
-from conetl.model.records import (
-    LENS_COEFFICIENTS,
-    CalibrationCovariance,
-    Camera,
-    Lens,
-    LensModel,
-    Rig,
-    Side,
-)
+from conetl.model.records import LENS_COEFFICIENTS, CalibrationCovariance, Camera, Lens, LensModel, Rig, Side
 
 Array = NDArray[np.float64]
 
