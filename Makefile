@@ -35,11 +35,11 @@ check: setup    ## lint, types, import contracts, wording, documentation and the
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python scripts/check_wording.py
-	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/mkdocs build --quiet --strict
+	$(BIN)/mkdocs build --quiet --strict
 	$(BIN)/python -m pytest -q -n 2 --dist loadfile tests/unit
 
 docs: setup     ## the documentation as a site, in build/site
-	@PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/mkdocs build --strict
+	@$(BIN)/mkdocs build --strict
 
 web:            ## build the front end of `conetl view` into src/conetl/web/static (needs Node 20.19 or newer)
 	@cd web && npm ci --no-audit --no-fund && npm run build

@@ -1,0 +1,27 @@
+"""MkDocs hook: the command line reference, from the commands themselves."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+import typer
+from typer.cli import get_docs_for_click
+
+from conetl.cli.app import app
+
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Append the help of all commands to reference/cli.md; other pages stay as they are."""
+    if page.file.src_uri != "reference/cli.md":
+        return markdown
+    command = typer.main.get_command(app)
+    with click.Context(command, info_name="conetl") as context:
+        text = get_docs_for_click(obj=command, ctx=context, name="conetl")
+    return (
+        markdown
+        + "\n"
+        + text.replace("# `conetl`\n", "## `conetl`\n", 1)
+        .replace("\n## `", "\n### `")
+        .replace("\n### `conetl`", "\n## `conetl`", 1)
+    )
