@@ -250,7 +250,7 @@ def run(model_path: Path, runs: int, threads: int, pictures: Path | None) -> dic
         report["networks"].append({"what": what, "input": "x".join(map(str, shape)), **cost})
 
     detectors = [load_detector(model_path, threads=1) for _ in range(threads)]
-    report["model"] = f"{detectors[0].name} {detectors[0].version}"
+    report["model"] = f"{detectors[0].card.name} {detectors[0].card.version}"
     if pictures is None:
         sources = [([image], source) for image, source in (sample_image(*size_px) for size_px in SIZES_PX)]
     else:
