@@ -90,7 +90,7 @@ def test_life_of_a_cluster(used_home):
     place = find_location(home)
     os.kill(cluster_status(home).pid, signal.SIGKILL)
     pid_file = place.data / "postmaster.pid"
-    other = subprocess.Popen(["sleep", "600"], user=place.user.uid if AS_ROOT else None)
+    other = subprocess.Popen(["sleep", "600"], user=place.user.pw_uid if AS_ROOT else None)
     try:
         lines = pid_file.read_text().splitlines()
         pid_file.write_text("\n".join([str(other.pid), *lines[1:]]) + "\n")
@@ -120,11 +120,11 @@ def test_only_the_owner_and_root_are_let_in(used_home):
     place = find_location(home)
     for path in (place.directory, place.socket_directory):
         assert path.stat().st_mode & 0o077 == 0
-        assert path.stat().st_uid == place.user.uid
+        assert path.stat().st_uid == place.user.pw_uid
     assert (place.socket_directory / ".s.PGSQL.5432").stat().st_mode & 0o077 == 0
     if not AS_ROOT:
         pytest.skip("only root can try it as another user")
-    stranger = next(entry for entry in pwd.getpwall() if entry.pw_uid not in (0, place.user.uid))
+    stranger = next(entry for entry in pwd.getpwall() if entry.pw_uid not in (0, place.user.pw_uid))
     psql = [str(find_installs()[0].bin_directory / "psql"), url, "-c", "select 1"]
     refused = subprocess.run(psql, user=stranger.pw_uid, capture_output=True, text=True, check=False, cwd="/")
     assert refused.returncode != 0

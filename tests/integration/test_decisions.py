@@ -173,7 +173,7 @@ def test_a_reverted_drive_might_never_have_come_and_comes_back_as_it_was(conn, c
     restored = revert(conn, str(reverted.decision_id), map_name="default")
     assert restored.kind == "withdraw"
     assert valid_time_map(conn) == everything
-    with pytest.raises(InputError, match="does not hold"):
+    with pytest.raises(InputError, match="not in force"):
         revert(conn, str(reverted.decision_id), map_name="default")
 
 

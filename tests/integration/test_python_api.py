@@ -77,9 +77,9 @@ sys.addaudithook(note)
 import psycopg2
 connect = psycopg2.connect
 psycopg2.connect = lambda *a, **k: connections.append(1) or connect(*a, **k)
-from conetl.pipeline import database
-migrate = database.migrate
-database.migrate = lambda conn: checks.append(1) or migrate(conn)
+from conetl.db import schema
+migrate = schema.migrate
+schema.migrate = lambda conn: checks.append(1) or migrate(conn)
 from conetl.cli import main
 try:
     main()
