@@ -16,7 +16,7 @@ from conetl.cli.app import app as command_line
 from conetl.cli.view import decide_on
 from conetl.db.map.decision_store import list_decisions
 from conetl.db.map.map_store import read_current_features
-from conetl.pipeline.decisions import PIN, decide_place
+from conetl.pipeline.maps.decisions import PIN, decide_place
 from conetl.web.decisions import Writer
 from tests.browser.test_view import (  # fixtures are used by their names
     browser,  # noqa: F401

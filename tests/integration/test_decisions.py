@@ -21,8 +21,8 @@ from conetl.db.serve_store import read_maps
 from conetl.model.errors import InputError
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import ImportParams
-from conetl.pipeline.decisions import PIN, SUPPRESS, decide_place, revert
-from conetl.pipeline.import_map import import_map
+from conetl.pipeline.maps.decisions import PIN, SUPPRESS, decide_place, revert
+from conetl.pipeline.maps.import_map import import_map
 from conetl.readers.maps.statements import read_map_file
 from tests.conftest import cloned_database
 from tests.integration.drives_of_days import merge, survey, valid_time_map
@@ -208,7 +208,7 @@ def place_of_first_day(conn, kind, feature, order):
     from conetl.db.map.decision_store import insert_decision
     from conetl.db.map.map_store import find_map, map_transaction, system_time
     from conetl.model.map_records import Location
-    from conetl.pipeline.decisions import _judge_place
+    from conetl.pipeline.maps.decisions import _judge_place
 
     with map_transaction(conn):
         info = find_map(conn)

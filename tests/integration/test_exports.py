@@ -16,7 +16,7 @@ from conetl.exports.source import ExportRequest, What
 from conetl.exports.text_files import iso_utc
 from conetl.model.errors import InputError
 from conetl.model.records import utc_from_ns
-from conetl.pipeline.decisions import SUPPRESS, decide_place
+from conetl.pipeline.maps.decisions import SUPPRESS, decide_place
 from tests.integration.drives_of_days import merge, survey
 
 CONTRACT = [

@@ -24,7 +24,7 @@ from conetl.geometry.calibration.shared import calibration_id, unpack_all, with_
 from conetl.geometry.packing import cov_matrix
 from conetl.model.map_records import DeltaKind
 from conetl.model.records import CalibrationCovariance, SharedErrorJacobian
-from conetl.pipeline.decisions import revert
+from conetl.pipeline.maps.decisions import revert
 from conetl.pipeline.replay import replay_of
 from tests.conftest import cloned_database
 from tests.integration.drives_of_days import CALIBRATED, DAYS, RIG, known_maps, merge, survey, valid_time_map

@@ -17,7 +17,7 @@ from conetl.db.map.map_store import list_changesets
 from conetl.db.retention import parse_age, prunable_drives, prune_drives
 from conetl.model.errors import InputError
 from conetl.model.records import utc_from_ns
-from conetl.pipeline.decisions import REVERT, SUPPRESS, decide_place, revert
+from conetl.pipeline.maps.decisions import REVERT, SUPPRESS, decide_place, revert
 from tests.integration.drives_of_days import merge, survey, valid_time_map
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -35,7 +35,7 @@ SUPPRESS = (
     f"{INSERT_DECISION} select gen_random_uuid(), f.map_id, f.srid, 'suppress', ST_Force2D(v.geom), 1, f.feature_id, null, null, "
     "'', now() from feature f join feature_version v using (feature_id) where v.version = 2 limit 1"
 )
-#: Everything within a metre of the place, as `pipeline/decisions.py` writes it down.
+#: Everything within a metre of the place, as `pipeline/maps/decisions.py` writes it down.
 HIDE = (
     "update feature_version v set suppressed = present, present = false from decision d where d.kind = 'suppress' "
     "and ST_DWithin(v.geom, d.geom, 1)"

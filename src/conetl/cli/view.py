@@ -83,7 +83,7 @@ def writer_of(settings: Settings, url: str, *, on_request: bool, token_file: Pat
 
 def decide_on(url: str) -> Decide:
     """The function that writes the decisions of the web view, as `conetl map suppress|pin|revert` do."""
-    from conetl.pipeline.decisions import decide_place, revert
+    from conetl.pipeline.maps.decisions import decide_place, revert
 
     def decide(map_name: str, wish: PlaceRequest | RevertRequest | WithdrawRequest, /) -> Decided:
         with closing(connect(url)) as conn:

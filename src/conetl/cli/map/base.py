@@ -28,7 +28,7 @@ from conetl.model.errors import EXIT_BAD_INPUT, EXIT_TOO_MANY_REJECTIONS, InputE
 from conetl.pipeline.settings import Settings, read_settings
 
 if TYPE_CHECKING:  # GDAL and the LAS libraries take seconds to load: only where a file is imported
-    from conetl.pipeline.import_base_layer import ImportedFile
+    from conetl.pipeline.maps.import_base_layer import ImportedFile
 
 _LAYER_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,59}")
 _SHOWN_REFUSALS = 5
@@ -90,7 +90,7 @@ def import_one(
     voxel_m: float = 0.05, height_offset_m: float = 0.0,
 ) -> ImportedFile:  # fmt: skip
     """Import one file into the map of the settings. Raises InputError; then nothing was written."""
-    from conetl.pipeline.import_base_layer import ImportOptions, import_file, kind_of
+    from conetl.pipeline.maps.import_base_layer import ImportOptions, import_file, kind_of
 
     if path.exists() and kind is not None and kind_of(path) != kind:
         raise InputError(f"{path}: contains {kind_of(path)}, not {kind}")

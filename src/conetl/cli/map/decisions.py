@@ -16,7 +16,7 @@ from conetl.model.map_records import FeatureVersion
 from conetl.pipeline.settings import read_settings
 
 if TYPE_CHECKING:
-    from conetl.pipeline.decisions import DecisionOutcome
+    from conetl.pipeline.maps.decisions import DecisionOutcome
 
 Feature = Annotated[str, typer.Argument(help="Id of a feature, or its first characters.")]
 Radius = Annotated[float, typer.Option("--radius", help="Radius around the feature in metres, at most 20.")]
@@ -45,7 +45,7 @@ def revert(
     as_json: JsonOption = False,
 ) -> None:
     """Undo a changeset (its drive no longer counts) or a decision. Nothing is lost: revert the revert to restore it."""
-    from conetl.pipeline import decisions
+    from conetl.pipeline.maps import decisions
 
     settings = read_settings()
     with open_map(settings) as conn:
@@ -93,7 +93,7 @@ def decisions(as_json: JsonOption = False) -> None:
 def _decide_place(
     kind: Literal["suppress", "pin"], feature: str, radius: float, note: str, by: str | None, as_json: bool
 ) -> None:
-    from conetl.pipeline.decisions import decide_place
+    from conetl.pipeline.maps.decisions import decide_place
 
     settings = read_settings()
     with open_map(settings) as conn:

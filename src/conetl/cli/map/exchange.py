@@ -20,7 +20,7 @@ from conetl.exports.source import ExportRequest, What
 from conetl.geometry.geodesy import check_map_srid
 from conetl.model.errors import InputError
 from conetl.model.params import ImportParams
-from conetl.pipeline.map_zones import export_wzdx
+from conetl.pipeline.maps.work_zones import export_wzdx
 from conetl.pipeline.settings import read_settings
 
 #: Formats of work zones instead of single cones (`work_zones.py`).
@@ -118,7 +118,7 @@ def import_(
     as_json: JsonOption = False,
 ) -> None:
     """Import a map made elsewhere, as one changeset. Drives confirm, move and remove its cones like all others."""
-    from conetl.pipeline.import_map import import_map
+    from conetl.pipeline.maps.import_map import import_map
     from conetl.readers.maps.statements import read_map_file  # GDAL takes seconds to load
 
     settings = read_settings()

@@ -15,7 +15,7 @@ from conetl.files.yaml_model import read_yaml_model
 from conetl.model.errors import InputError
 from conetl.model.params import LayoutParams, WorkZoneParams
 from conetl.model.work_zone_records import Finding, Level, WorkZone
-from conetl.pipeline.map_zones import read_zones, zone_as_dict
+from conetl.pipeline.maps.work_zones import read_zones, zone_as_dict
 from conetl.pipeline.settings import read_settings
 from conetl.workzones.layout_check import allowed_spacing_m, check_layout
 
