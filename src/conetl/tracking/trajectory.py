@@ -21,9 +21,9 @@ from conetl.geometry.motion import chain_solver
 from conetl.geometry.motion.chain_solver import ChainCovariance
 from conetl.geometry.motion.pose_graph import (
     POSE,
+    LandmarkObservation,
     LoggedPoses,
     MeasuredMotions,
-    Sighting,
     adjust,
     motion_jacobians,
     motion_residuals,
@@ -277,10 +277,10 @@ def _plausible(log: LoggedPoses, motions: MeasuredMotions) -> NDArray[np.bool_]:
     return np.asarray(good)
 
 
-def _sightings(frame_pairs: Sequence[FramePair], cones: Sequence[Sequence[Position]]) -> list[Sighting]:
+def _sightings(frame_pairs: Sequence[FramePair], cones: Sequence[Sequence[Position]]) -> list[LandmarkObservation]:
     rank = {pair.frame_index: k for k, pair in enumerate(frame_pairs)}
     return [
-        Sighting(
+        LandmarkObservation(
             cone, rank[p.frame_index], np.array(p.camera_xyz_m), np.asarray(np.linalg.inv(cov_matrix(p.camera_cov_m2)))
         )
         for cone, group in enumerate(cones)

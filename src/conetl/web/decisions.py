@@ -14,7 +14,7 @@ from conetl.db.reader_pool import ReaderPool
 from conetl.db.serve_store import read_decisions, read_feature_history
 from conetl.model.errors import ConflictError, InputError
 from conetl.web import rows as to
-from conetl.web.models import Conflict, Decided, Decisions, Problem
+from conetl.web.models import ActiveDecisions, Conflict, Decided, Problem
 from conetl.web.parameters import MapName, Reader, cut, origin_of
 from conetl.web.security import WritersRoute
 
@@ -83,11 +83,11 @@ class Writer:
 
 
 @router.get("")
-def decisions(map_name: MapName, conn: Reader, request: Request) -> Decisions:
+def decisions(map_name: MapName, conn: Reader, request: Request) -> ActiveDecisions:
     """The decisions in effect, newest first."""
     origin = origin_of(conn, map_name)
     found, truncated = cut(read_decisions(conn, map_name, _MAX_DECISIONS + 1), _MAX_DECISIONS)
-    return Decisions(
+    return ActiveDecisions(
         origin_m=origin,
         writable=request.app.state.writer is not None,
         decisions=[to.decision(row, origin) for row in found],

@@ -219,7 +219,7 @@ class Decision(Answer):
     decided_at: datetime
 
 
-class Decisions(_Listing):
+class ActiveDecisions(_Listing):
     writable: bool
     """True if this server accepts decisions from holders of its writer token."""
     decisions: list[Decision]

@@ -60,7 +60,7 @@ class MeasuredMotions:
 
 
 @dataclass(frozen=True)
-class Sighting:
+class LandmarkObservation:
     """One cone in one frame: the foot in the left camera's frame."""
 
     cone: int
@@ -72,7 +72,7 @@ class Sighting:
 def adjust(
     log: LoggedPoses,
     motions: MeasuredMotions,
-    sightings: Sequence[Sighting],
+    sightings: Sequence[LandmarkObservation],
     robust_sigmas: float,
     scale_sigma: float,
 ) -> tuple[Floats, Floats, ChainNormal] | None:
@@ -106,7 +106,7 @@ def _normal_equations(
     bias: Floats,
     shared: Floats,
     motions: MeasuredMotions,
-    sightings: Sequence[Sighting],
+    sightings: Sequence[LandmarkObservation],
     robust_sigmas: float,
     scale_sigma: float,
 ) -> ChainNormal:
@@ -181,7 +181,7 @@ def _add_sightings(
     rotations: Floats,
     places: Floats,
     shared: Floats,
-    sightings: Sequence[Sighting],
+    sightings: Sequence[LandmarkObservation],
     robust_sigmas: float,
 ) -> None:
     """Add cones as landmarks; their feet follow the scale among the shared unknowns."""
@@ -236,7 +236,7 @@ def motion_jacobians(map_SE3_first: Floats, map_SE3_second: Floats, body_SE3_lef
     return by_first, by_second
 
 
-def _to_map(log: LoggedPoses, rotations: Floats, places: Floats, sighting: Sighting) -> Floats:
+def _to_map(log: LoggedPoses, rotations: Floats, places: Floats, sighting: LandmarkObservation) -> Floats:
     body = log.body_SE3_left[:3, :3] @ sighting.xyz + log.body_SE3_left[:3, 3]
     return np.asarray(rotations[sighting.frame] @ body + places[sighting.frame])
 

@@ -207,7 +207,7 @@ def _stamps(root: Path, name: str, settings: DriveYaml, content: ContentHash) ->
 
 def _trajectory(
     root: Path, folder: Path, stamps: Mapping[int, int | str], map_srid: int | None, settings: DriveYaml, content: ContentHash
-) -> tuple[int, oxts.Trajectory, dict[int, str]]:  # fmt: skip
+) -> tuple[int, oxts.OxtsTrajectory, dict[int, str]]:  # fmt: skip
     """EPSG code of the map, the poses in it, and what is wrong with the other OXTS records, by frame number."""
     records, bad = _read_oxts(root, folder, settings, content)
     if not records:
@@ -275,7 +275,7 @@ def _captured_at(
     return stamp
 
 
-def _check_pose(number: int, captured: int, bad: Mapping[int, str], track: oxts.Trajectory, root: Path) -> None:
+def _check_pose(number: int, captured: int, bad: Mapping[int, str], track: oxts.OxtsTrajectory, root: Path) -> None:
     """Raise PairError unless there is a pose of this number at about the image's time."""
     name = f"oxts/data/{number:010d}.txt"
     if number in bad:

@@ -72,7 +72,7 @@ def parse_oxts(text: str, *, accuracy_required: bool = True) -> OxtsRecord:
     return record
 
 
-class Trajectory(NamedTuple):
+class OxtsTrajectory(NamedTuple):
     """Poses of the IMU by frame number, and their times where they are known."""
 
     numbers: list[int]
@@ -85,7 +85,9 @@ class Trajectory(NamedTuple):
     """By frame number; frames without a time are missing."""
 
 
-def trajectory(records: Mapping[int, OxtsRecord], times_ns: Mapping[int, int], srid: int, sigmas: Sigmas) -> Trajectory:
+def trajectory(
+    records: Mapping[int, OxtsRecord], times_ns: Mapping[int, int], srid: int, sigmas: Sigmas
+) -> OxtsTrajectory:
     """Poses in the map frame: positions by the map projection, yaw turned from true to grid east by the convergence.
 
     Raises ValueError where the map CRS cannot express the positions.
@@ -97,13 +99,13 @@ def trajectory(records: Mapping[int, OxtsRecord], times_ns: Mapping[int, int], s
     poses = se3.se3(se3.rotation_from_rpy(table[:, 3], table[:, 4], grid_yaw), positions)
     horizontal = table[:, 6] if sigmas.horizontal_m is None else np.full(len(numbers), sigmas.horizontal_m)
     vertical = VERTICAL_FACTOR * horizontal if sigmas.vertical_m is None else np.full(len(numbers), sigmas.vertical_m)
-    return Trajectory(
+    return OxtsTrajectory(
         numbers, poses, np.stack([horizontal, horizontal, vertical], axis=1),
         {number: times_ns[number] for number in numbers if number in times_ns},
     )  # fmt: skip
 
 
-def wild_records(track: Trajectory) -> dict[int, str]:
+def wild_records(track: OxtsTrajectory) -> dict[int, str]:
     """Frame numbers whose position cannot be true, and why (`trajectories.wild_fixes`)."""
     timed = [i for i, number in enumerate(track.numbers) if number in track.times_ns]
     numbers = [track.numbers[i] for i in timed]
@@ -111,13 +113,13 @@ def wild_records(track: Trajectory) -> dict[int, str]:
     return {numbers[k]: text for k, text in wild.items()}
 
 
-def has_record(track: Trajectory, number: int) -> bool:
+def has_record(track: OxtsTrajectory, number: int) -> bool:
     """Whether there is a pose of this frame number."""
     index = bisect_left(track.numbers, number)
     return index < len(track.numbers) and track.numbers[index] == number
 
 
-def poses_at(track: Trajectory, exposures_ns: Mapping[int, int], sigmas: Sigmas) -> dict[int, Pose]:
+def poses_at(track: OxtsTrajectory, exposures_ns: Mapping[int, int], sigmas: Sigmas) -> dict[int, Pose]:
     """Poses at the exposures of frames, by number; each of them has a valid record.
 
     The pose is interpolated between the records before and after the exposure (straight line, slerp). Where one of them is
@@ -145,7 +147,7 @@ def poses_at(track: Trajectory, exposures_ns: Mapping[int, int], sigmas: Sigmas)
     return {number: pose_record(pose, sigma_enu_m[number], sigmas) for number, pose in poses.items()}
 
 
-def _neighbour(track: Trajectory, index: int, time_ns: int) -> tuple[Array, float] | None:
+def _neighbour(track: OxtsTrajectory, index: int, time_ns: int) -> tuple[Array, float] | None:
     """The record (4, 4) to interpolate with from the one at `index`, and its weight at the time: 0 at `index`, 1 at it.
 
     The record beyond the time, else that on the other side with a negative weight, down to -1; None where both are unusable.
@@ -162,7 +164,7 @@ def _neighbour(track: Trajectory, index: int, time_ns: int) -> tuple[Array, floa
     return None
 
 
-def _speed_m_s(track: Trajectory, index: int) -> float:
+def _speed_m_s(track: OxtsTrajectory, index: int) -> float:
     """Largest mean speed between a record and its neighbours with a time; 0 without one."""
     found = [0.0]
     for other in (index - 1, index + 1):
