@@ -22,7 +22,7 @@ demo: setup     ## the main job: three sample drives become a versioned cone map
 up: setup       ## PostGIS, Prefect, workers, schedules and the web view; make down ends them
 	@$(BIN)/conetl up
 
-down:           ## end what make up started; the data stay
+down:           ## stop what `make up` started; data are kept
 	@$(BIN)/conetl down
 
 # A file's tests stay on one worker: they share servers, and some build on the one before.
@@ -53,10 +53,10 @@ bench-intersection: setup  ## speed of forward intersection beside OpenCV and, w
 bench-trajectory: setup  ## refinement of a drive's poses: time, and how far cones slide with and without (DRIVE=folder)
 	@$(BIN)/python benchmarks/bench_trajectory.py $(DRIVE)
 
-bench-calibration: setup  ## random halves of a folder of board pictures against each other (ARGS='FOLDER --board chessboard:9x6:37.8mm')
+bench-calibration: setup  ## random halves of a folder of board images against each other (ARGS='FOLDER --board chessboard:9x6:37.8mm')
 	@$(BIN)/python benchmarks/bench_calibration.py $(ARGS)
 
-bench-rectification: setup  ## cost of resampling raw pictures
+bench-rectification: setup  ## cost of resampling raw images
 	@$(BIN)/python benchmarks/bench_rectification.py
 
 bench-export: setup  ## export of a million cones to GeoParquet: time and memory (ARGS='--what history --versions 5' ...)
@@ -71,7 +71,7 @@ bench-changes: setup  ## what the map makes of 200 simulated days of changes: co
 bench-map: setup  ## a drive of 100,000 cones into maps of 100 thousand and 1 million features (SIZES="... 10000000" for more)
 	@$(BIN)/python benchmarks/bench_map.py --sizes $(or $(SIZES),100000 1000000)
 
-bench-view: setup  ## first picture of the web view, clicks and frames (POINTS=3000000 for a large cloud; needs Chromium)
+bench-view: setup  ## first frame of the web view, clicks and frames (POINTS=3000000 for a large cloud; needs Chromium)
 	@$(BIN)/python benchmarks/bench_view.py --points $(or $(POINTS),100000)
 
 bench-kills: setup  ## 200 ingests killed at random instants: equal tables, no lock, no file left (KILLS=20 for fewer)
@@ -80,7 +80,7 @@ bench-kills: setup  ## 200 ingests killed at random instants: equal tables, no l
 bench-overhead: setup  ## what Prefect costs on a drive of 1,000 pairs, beside the same steps in a plain loop (ARGS='--pairs 200' ...)
 	@$(BIN)/python benchmarks/bench_overhead.py $(ARGS)
 
-bench-ingest: setup  ## the whole job beside decoding and the network alone: pairs a second, memory (ARGS='--pairs 150 --stages' ...)
+bench-ingest: setup  ## the whole job beside decoding and the network alone: pairs per second, memory (ARGS='--pairs 150 --stages' ...)
 	@$(BIN)/python benchmarks/bench_ingest.py $(ARGS)
 
 bench-watch: setup  ## a recorded KITTI drive written again at 10 Hz: latency of conetl watch (ARGS='DRIVE --rate 5')

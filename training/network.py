@@ -97,7 +97,7 @@ class ConeNet(nn.Module):
     """Image (B, 3, H, W) float in 0..1, RGB, H and W multiples of 32 -> one raw map (B, 4*BINS + 5, H/s, W/s) a stride.
 
     Channels: BINS logits for each of left, top, right, bottom distance in strides from the cell's centre; the offsets of
-    foot x, foot y, tip x, tip y in shares of the box's size from the middle of its lower and upper side (`loss.ends_of`);
+    foot x, foot y, tip x, tip y in shares of the box's size from the middle of its lower and upper side (`loss.offsets_of`);
     the logit of "a traffic cone".
     """
 

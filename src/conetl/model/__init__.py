@@ -1,4 +1,4 @@
 """Frozen, validated records, parameters, rejections and errors.
 
-No other package of conetl is imported, no files are read. Start with `records.py`.
+No other package of conetl is imported, no files are read. The story begins in `records.py`.
 """

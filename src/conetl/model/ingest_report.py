@@ -26,7 +26,7 @@ class ChangeLine(Record):
 
 
 class IngestReport(Record):
-    """Result of `ingest_drive`."""
+    """Result of `ingest`."""
 
     drive_id: str
     status: Literal["committed", "no changes"]

@@ -87,7 +87,7 @@ class TrackParams(Params):
     min_cone_height_m: Positive = 0.25
     max_cone_height_m: Positive = 1.15
     max_ground_distance_m: Positive = 0.45
-    """Of the foot from the road surface under the rig, at `ground_reference_range_m`; grows with range."""
+    """Of the foot from the road surface, as the drive's other tracks give it."""
     max_range_m: Positive = 20.0
     """A cone must have been observed nearer than this at least once to become a feature."""
 

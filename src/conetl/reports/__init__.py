@@ -1,1 +1,4 @@
-"""QA reports: what one drive, or one night, did to the map, on one HTML page for the file and the printer."""
+"""QA reports: what one drive, or one night, did to the map, on one HTML page for the file and the printer.
+
+It imports `exports` and everything below it. The story begins in `drive_page.py`.
+"""

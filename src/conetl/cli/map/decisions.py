@@ -107,7 +107,7 @@ def _who(by: str | None) -> str:
     try:
         return by or getpass.getuser()
     except (OSError, KeyError) as error:  # a container whose user has no name
-        raise InputError("the login name is unknown: say who decides with --by NAME") from error
+        raise InputError("the login name is unknown: give the name of the person who decides with --by NAME") from error
 
 
 def _print(decided: DecisionOutcome, as_json: bool) -> None:

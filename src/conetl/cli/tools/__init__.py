@@ -1,1 +1,1 @@
-"""Commands that a user needs once: calibrate, detect, locate, evaluate, simulate. Each module is one command."""
+"""Commands that a user needs once: calibrate, rig, detect, locate, evaluate, lidar-check, simulate."""

@@ -109,7 +109,7 @@ def read_statements(conn: Connection, drive_uuid: UUID) -> list[ImportedFeature]
 
 
 def read_licence(conn: Connection, map_name: str) -> str | None:
-    """Licence of a map's data, None if none was set. Raises MapMismatchError without such a map."""
+    """Licence of a map's data, None if none was set. Raises MapMismatchError if the map does not exist."""
     with database_errors(f"The map {map_name} cannot be read"):
         rows = execute(conn, load_sql("exports.facts"), {"map_name": map_name})
     if not rows:

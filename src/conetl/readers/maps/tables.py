@@ -163,7 +163,7 @@ def _choose_layer(path: Path, layers: Sequence[str], wanted: str | None) -> str:
         raise InputError(f"{path} has no layer {wanted} with geometry; it has: {', '.join(layers)}")
     if wanted is None and len(layers) > 1:
         raise InputError(
-            f"{path} has {len(layers)} layers with geometry: {', '.join(layers)}; state the one to import (--layer NAME)"
+            f"{path} has {len(layers)} layers with geometry: {', '.join(layers)}; name the layer to import (--layer NAME)"
         )
     return wanted or layers[0]
 

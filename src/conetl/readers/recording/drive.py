@@ -57,7 +57,7 @@ def open_arriving(folder: Path) -> ArrivingDrive | None:
     """The drive that arrives in a folder; None until its format is known. Raises DriveFolderError."""
     root = folder.resolve()
     found = drive_format(root)
-    if found in ("euroc", "bag"):
+    if found not in (None, "kitti", "plain"):
         raise DriveFolderError(
             f"{folder}: a drive of the format '{found}' cannot be watched, but KITTI raw and plain folders can: "
             "ingest it when it is complete"

@@ -67,7 +67,7 @@ class Beyond(NamedTuple):
 
 
 def cone_pixels(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Floats) -> ConePixels | None:
-    """The pixels inside the outline, with the disparity surface over them; None if they are too few."""
+    """The pixels inside the outline, with the disparity surface over them; None if there are too few pixels."""
     height = outline.foot_row - outline.tip_row
     first = max(int(np.ceil(outline.tip_row + _ROWS[0] * height)), 0)
     last = min(int(np.floor(outline.tip_row + _ROWS[1] * height)), left.shape[0] - 1)
