@@ -568,5 +568,5 @@ def test_a_watched_drive_is_replaced_by_its_ingest_which_writes_its_report(
     for told in ("detect", "merge", "intervals measured", done.json[0]["content_sha256"], done.json[0]["model_sha256"]):
         assert told in page, told
     assert page.count("<figure>") == done.json[0]["counts"]["added"]
-    made = re.compile(r"Made [0-9: -]+ UTC")
+    made = re.compile(r"Generated [0-9: -]+ UTC")
     assert made.sub("", again) == made.sub("", page)

@@ -205,7 +205,7 @@ def test_a_missing_image_is_named(client, features, images):
     finally:
         shutil.move(hidden, images / "drive_2" / "image_03")
     assert "image_03/data/0000000000.png" in answer["detail"]
-    assert "put the drive back" in answer["detail"]
+    assert "restore the drive" in answer["detail"]
 
 
 @pytest.mark.parametrize("name", ["../secret.png", "/etc/passwd", "link.png", "image_02/data/0000000000.txt"])
