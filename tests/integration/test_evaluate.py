@@ -71,7 +71,7 @@ def test_figures_plots_and_page(drive: Path, home: Path, tmp_path: Path) -> None
         data = (tmp_path / "out" / name).read_bytes()
         assert data.startswith(b"\x89PNG") and len(data) > 10_000
     page = (tmp_path / "out" / "index.html").read_text()
-    assert page.count('src="data:image/png;base64,') == 3 and "http" not in page
+    assert page.count('src="data:image/png;base64,') == 3 and "://" not in page
     assert not (home / "postgres").exists()
 
 
