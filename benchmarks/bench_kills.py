@@ -31,7 +31,7 @@ from benchmarks.harness import arguments_of, own_cluster, write_json
 from benchmarks.whole_job import params_with
 from conetl.db.audits import run_audits
 from conetl.db.connection import Connection, connect, execute
-from conetl.files.partial_files import sweep
+from conetl.files.atomic import sweep
 from conetl.model.params import IngestParams
 from conetl.pipeline.ingest import ingest as pipeline_ingest
 from conetl.pipeline.settings import Settings, prefect_environment

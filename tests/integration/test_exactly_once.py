@@ -17,9 +17,8 @@ import pytest
 from conetl.db.audits import run_audits
 from conetl.db.connection import connect, execute
 from conetl.db.map.map_store import list_changesets, map_transaction
-from conetl.files.atomic import atomic_text_file
+from conetl.files.atomic import aside, atomic_text_file, sweep
 from conetl.files.parquet_store import save_result
-from conetl.files.partial_files import aside, sweep
 from conetl.model.errors import EXIT_SERVICE_MISSING, DatabaseError, StorageError
 from conetl.model.records import Detection
 from tests.integration.drives_of_days import merge, survey, valid_time_map
@@ -148,7 +147,7 @@ def test_only_files_of_dead_writers_are_swept(tmp_path):
         [
             sys.executable,
             "-c",
-            "import sys; from pathlib import Path; from conetl.files.partial_files import aside\n"
+            "import sys; from pathlib import Path; from conetl.files.atomic import aside\n"
             "path = aside(Path(sys.argv[1])); path.write_text('half'); print(path)\n"
             "folder = aside(Path(sys.argv[1])); folder.mkdir(); (folder / 'part').write_text('half'); print(folder)",
             str(tmp_path / "b.parquet"),

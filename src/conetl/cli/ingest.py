@@ -27,7 +27,7 @@ from conetl.cli.console import (
     progress_bar,
     spinner,
 )
-from conetl.files.partial_files import sweep
+from conetl.files.atomic import sweep
 from conetl.files.storage import as_path, is_remote
 from conetl.files.yaml_model import read_yaml_model
 from conetl.model.errors import (

@@ -10,8 +10,8 @@ import typer
 from conetl.cli.console import Columns, JsonOption, print_json, print_records, say
 from conetl.cli.database import open_map
 from conetl.db.retention import parse_age, prunable_drives, prune_drives
+from conetl.files.atomic import sweep
 from conetl.files.expiry import old_images, old_publications, old_results, remove, size_bytes
-from conetl.files.partial_files import sweep
 from conetl.model.errors import InputError
 from conetl.pipeline.settings import read_settings
 

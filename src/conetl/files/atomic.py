@@ -1,16 +1,25 @@
-"""Write a file, or several that belong together, completely or not at all."""
+"""Write a file, or several that belong together, completely or not at all.
+
+Until it is complete it has the name `.<name>.<host>.<pid>.<random>.tmp` beside its own: host and process number distinguish the
+files of a killed process, which `sweep` removes, from those that another process is writing.
+"""
 
 from __future__ import annotations
 
 import os
+import re
 import shutil
-from collections.abc import Iterator
+import socket
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TextIO
+from uuid import uuid4
 
-from conetl.files.partial_files import aside
+from conetl.files.names import cut_to_bytes
 from conetl.model.errors import cannot_write
+
+_NAME = re.compile(r"\.(?P<host>[A-Za-z0-9-]+)\.(?P<pid>[0-9]+)\.[0-9a-f]{32}\.tmp$")
 
 
 @contextmanager
@@ -73,3 +82,34 @@ def _sync(path: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
+
+
+def aside(path: Path) -> Path:
+    """Temporary path of a file that is to get the name `path`."""
+    return path.with_name(f".{cut_to_bytes(path.name, 100)}.{_host()}.{os.getpid()}.{uuid4().hex}.tmp")
+
+
+def sweep(folders: Iterable[Path]) -> list[Path]:
+    """Remove temporary files and folders of killed processes of this machine in the folders, not below; the removed paths.
+
+    A file whose process number is in use again is kept; one that cannot be removed is skipped.
+    """
+    removed = []
+    for folder in folders:
+        for path in folder.glob(".*.tmp"):
+            name = _NAME.search(path.name)
+            if name is None or name["host"] != _host() or Path(f"/proc/{name['pid']}").exists():
+                continue
+            try:
+                if path.is_dir() and not path.is_symlink():
+                    shutil.rmtree(path)
+                else:
+                    path.unlink()
+            except OSError:
+                continue
+            removed.append(path)
+    return removed
+
+
+def _host() -> str:
+    return re.sub(r"[^A-Za-z0-9-]", "-", socket.gethostname()) or "host"

@@ -17,7 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import TypeAdapter
 
-from conetl.files.partial_files import aside
+from conetl.files.atomic import aside
 from conetl.files.storage import NO_FILE_SHA256, is_present, is_remote, object_bytes
 from conetl.model.errors import StorageError
 from conetl.model.records import Record

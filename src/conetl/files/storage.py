@@ -31,8 +31,6 @@ CACHE_BYTES = 256 * 2**20
 NO_FILE_SHA256 = hashlib.sha256().hexdigest()
 #: Errors of a missing file; all others are about the storage.
 _NO_SUCH_FILE = frozenset({errno.ENOENT, errno.ENOTDIR, errno.ELOOP})
-#: Objects fetched at the same time.
-_AT_ONCE = 16
 #: `Path` replaces two slashes by one.
 _ADDRESS = re.compile(r"^(s3|memory):/{1,2}(?=[^/])")
 
@@ -169,14 +167,6 @@ def fetch(paths: Sequence[Path], *, fresh: bool = False) -> None:
         data = found.get(cast(Any, path).path)
         if isinstance(data, bytes):
             _kept.keep(str(path), data)
-
-
-def in_batches(paths: Sequence[Path], *, fresh: bool = False) -> Iterator[Path]:
-    """The same paths; objects are fetched in batches before they are yielded. fresh: see `fetch`."""
-    for first in range(0, len(paths), _AT_ONCE):
-        batch = paths[first : first + _AT_ONCE]
-        fetch(batch, fresh=fresh)
-        yield from batch
 
 
 def remember(path: Path, sha256: str, data: bytes) -> None:

@@ -15,7 +15,9 @@ from typing import Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
+
+from conetl.model.records import Positive, Record
 
 Share = Annotated[float, Field(gt=0, lt=1)]
 Count = Annotated[int, Field(ge=0)]
@@ -23,10 +25,8 @@ Count = Annotated[int, Field(ge=0)]
 _EDGE = 1e-4
 
 
-class ScoreCalibration(BaseModel):
+class ScoreCalibration(Record):
     """Monotone map from a score to P(cone | box): piecewise linear in the log-odds of both, constant beyond the knots."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     method: Literal["platt", "beta", "isotonic"]
     """Platt (1999): a straight line, two knots; beta (Kull et al. 2017); isotonic regression (Zadrozny & Elkan 2002)."""
@@ -42,19 +42,17 @@ class ScoreCalibration(BaseModel):
         return self
 
 
-class ImageCorrelation(BaseModel):
+class ImageCorrelation(Record):
     """Correlation between two images of one object over the ratio of its apparent heights.
 
     far + (near - far) exp(-|octaves| / decay_octaves).
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-    near: Annotated[float, Field(gt=0, lt=1)]
+    near: Share
     """At equal apparent heights."""
     far: Annotated[float, Field(ge=0, lt=1)]
     """At very different distances."""
-    decay_octaves: Annotated[float, Field(gt=0)]
+    decay_octaves: Positive
 
     @model_validator(mode="after")
     def _falls(self) -> Self:
@@ -63,14 +61,12 @@ class ImageCorrelation(BaseModel):
         return self
 
 
-class DetectorEvidence(BaseModel):
+class DetectorEvidence(Record):
     """Response of a detector to cones, to lookalikes and to cone-free images.
 
     Axes of the tables: thresholds, heights and hidden shares. A height or hidden share belongs to the band that begins at or
     below it; between thresholds the figures are interpolated.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     model_sha256: str = Field(pattern="^[0-9a-f]{64}$")
     match_iou: Share
@@ -82,7 +78,7 @@ class DetectorEvidence(BaseModel):
     false_boxes: int = Field(ge=1)
     """Boxes on cones and beside them, in the images of the calibration: its prior odds."""
     score_thresholds: tuple[Share, ...] = Field(min_length=1)
-    height_bands_px: tuple[Annotated[float, Field(gt=0)], ...] = Field(min_length=1)
+    height_bands_px: tuple[Positive, ...] = Field(min_length=1)
     """Apparent height of the whole cone at which each band begins; the last is open."""
     hidden_bands: tuple[Annotated[float, Field(ge=0, lt=1)], ...] = Field(min_length=1)
     """Share of the cone's box behind nearer objects at which each band begins; the first is 0."""
@@ -96,14 +92,14 @@ class DetectorEvidence(BaseModel):
     """P(box at or above the threshold | lookalike with boxes in at least two other images), by threshold."""
     false_box_pictures: tuple[Count, ...]
     """Number of images on which false boxes were counted, by height band."""
-    false_boxes_per_picture: tuple[tuple[Annotated[float, Field(gt=0)], ...], ...]
+    false_boxes_per_picture: tuple[tuple[Positive, ...], ...]
     """Boxes on no cone at or above the threshold, by threshold and height band."""
     look_correlation: ImageCorrelation
     """Of the log-likelihood ratios, cone against lookalike, of two images of one object."""
     miss_correlation: ImageCorrelation | None = None
     """Of the misses in two images of one fully visible cone. None in older figures: then `look_correlation` and `joint_scale`
     apply."""
-    joint_scale: Annotated[float, Field(gt=0)]
+    joint_scale: Positive
     """Factor on the joint log-likelihood ratio that gives true odds; fitted on objects with several images."""
 
     @model_validator(mode="after")
@@ -127,10 +123,8 @@ class DetectorEvidence(BaseModel):
         return self
 
 
-class AbsenceFigures(BaseModel):
+class AbsenceFigures(Record):
     """Figures needed to weigh that a drive found no box at a visible location; stored with each drive."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     evidence: DetectorEvidence
     score_threshold: Share

@@ -10,16 +10,14 @@ import hashlib
 import json
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-Positive = Annotated[float, Field(gt=0)]
-Fraction = Annotated[float, Field(ge=0, le=1)]
+from conetl.model.records import Positive, Record
+from conetl.model.records import Probability as Fraction
 
 
-class Params(BaseModel):
+class Params(Record):
     """Base of all parameter groups."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class DetectionParams(Params):

@@ -11,7 +11,7 @@ import pytest
 
 from conetl.files import storage as places
 from conetl.files.parquet_store import file_sha256
-from conetl.files.storage import as_path, in_batches, is_remote, object_bytes
+from conetl.files.storage import as_path, fetch, is_remote, object_bytes
 from conetl.model.errors import DriveFolderError, ServiceError
 from conetl.model.rejections import RejectionReason
 from conetl.perception.images import ImageFileError, read_bytes
@@ -146,7 +146,8 @@ def test_what_stays_in_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> Non
     paths = [as_path(f"memory://bounded/{k}") for k in range(10)]
     for k, path in enumerate(paths):
         path.write_bytes(bytes([k]) * 1_000)
-    for k, path in enumerate(in_batches(paths)):
+    for k, path in enumerate(paths):
+        fetch([path])
         assert object_bytes(path) == bytes([k]) * 1_000
         assert places._kept.size <= 2_500
     places.forget_all()
@@ -156,7 +157,8 @@ def test_an_object_that_was_written_anew_is_hashed_anew() -> None:
     path = as_path("memory://changed/image")
     for data in (b"old", b"new"):
         path.write_bytes(data)
-        assert [file_sha256(p) for p in in_batches([path], fresh=True)] == [hashlib.sha256(data).hexdigest()]
+        fetch([path], fresh=True)
+        assert file_sha256(path) == hashlib.sha256(data).hexdigest()
         assert object_bytes(path) == data
 
 

@@ -3,31 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 from zoneinfo import ZoneInfo
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import Field, field_validator
 
 from conetl.files.names import printable
 from conetl.files.yaml_model import read_yaml_mapping, validated
 from conetl.model.errors import DriveFolderError, InputError
+from conetl.model.records import Positive, Record
 
-Positive = Annotated[float, Field(gt=0)]
 DRIVE_YAML = "drive.yaml"
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class Cameras(_Section):
+class Cameras(Record):
     """Folders of the left and the right rectified camera; the number links them to the calibration."""
 
     left: str = Field(default="image_02", pattern=r"^image_0[0-9]$")
     right: str = Field(default="image_03", pattern=r"^image_0[0-9]$")
 
 
-class Sigmas(_Section):
+class Sigmas(Record):
     """Standard deviations. Those of the position replace OXTS `pos_accuracy`.
 
     The attitude defaults are those of the OXTS RT3003 data sheet (0.03, 0.03 and 0.1 degrees), increased for the boresight.
@@ -42,7 +37,7 @@ class Sigmas(_Section):
     image_px: Positive = 0.5
 
 
-class Georeference(_Section):
+class Georeference(Record):
     """Position on the earth of a local trajectory (odometry, SLAM, motion capture), whose frame must be level, z up."""
 
     lon_deg: float = Field(ge=-180, le=180)
@@ -53,7 +48,7 @@ class Georeference(_Section):
     """Of the frame's x axis, clockwise from true north; 90 for a frame whose x axis points east."""
 
 
-class Streams(_Section):
+class Streams(Record):
     """Topics of a bag or folders of a EuRoC recording, where their types and names are ambiguous."""
 
     left: str | None = Field(default=None, min_length=1)
@@ -65,7 +60,7 @@ class Streams(_Section):
     right_info: str | None = Field(default=None, min_length=1)
 
 
-class DriveYaml(_Section):
+class DriveYaml(Record):
     """The whole file."""
 
     drive_id: str | None = Field(default=None, min_length=1, max_length=200)

@@ -21,12 +21,12 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
 from conetl.model.errors import CalibrationError, DriveFolderError
-from conetl.model.records import Drive, FramePair, Pose, Rig
+from conetl.model.records import Drive, FramePair, Pose, Record, Rig
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.readers.drives.body import add_settings, overrides, own_rig
 from conetl.readers.drives.content import ContentHash
@@ -44,10 +44,8 @@ TRAJECTORY = "trajectory.csv"
 Sigma = Annotated[float, Field(gt=0, le=1000)]
 
 
-class Row(BaseModel):
+class Row(Record):
     """One row of trajectory.csv; the columns may be in any order."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     stem: str = Field(min_length=1)
     captured_at: str

@@ -8,11 +8,10 @@ from datetime import datetime
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
 
 from conetl.geometry import geodesy
 from conetl.geometry.rectification import stored_camera
-from conetl.model.records import Drive, FramePair
+from conetl.model.records import Drive, FramePair, Record
 from conetl.model.rejections import Rejection
 
 Array = NDArray[np.float64]
@@ -26,11 +25,7 @@ JUMP_WITHIN_S = 0.35
 """Jumps need neighbours that are near in time: a car that brakes or turns leaves the straight line, too."""
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class Gap(_Part):
+class Gap(Record):
     """A step between two usable pairs that is too long in time, in space, or both."""
 
     after_frame: int
@@ -42,14 +37,14 @@ class Gap(_Part):
     in_space: bool
 
 
-class Jump(_Part):
+class Jump(Record):
     """A position farther from the line between its neighbours than its sigma explains."""
 
     frame: int
     off_m: float
 
 
-class RigSummary(_Part):
+class RigSummary(Record):
     """The rig as later steps see it (rectified) and the images as they are stored."""
 
     rig_id: str
@@ -65,7 +60,7 @@ class RigSummary(_Part):
     calibration_covariance_known: bool
 
 
-class PoseSummary(_Part):
+class PoseSummary(Record):
     """Recorded quality of the trajectory."""
 
     horizontal_sigma_median_m: float
@@ -75,7 +70,7 @@ class PoseSummary(_Part):
     jumps: tuple[Jump, ...]
 
 
-class Extent(_Part):
+class Extent(Record):
     """Bounding box of the body's positions."""
 
     east_m: tuple[float, float]
@@ -85,7 +80,7 @@ class Extent(_Part):
     lat_deg: tuple[float, float]
 
 
-class LostPair(_Part):
+class LostPair(Record):
     """One rejected pair."""
 
     record: str
@@ -93,7 +88,7 @@ class LostPair(_Part):
     detail: str
 
 
-class DriveSummary(_Part):
+class DriveSummary(Record):
     """All of it; `conetl inspect --json` prints it."""
 
     drive_id: str

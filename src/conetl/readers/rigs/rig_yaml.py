@@ -8,20 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.rectification import check_stereo_baseline
 from conetl.model.errors import CalibrationError
-from conetl.model.records import CalibrationCovariance, Camera, Lens, Rig
+from conetl.model.records import CalibrationCovariance, Camera, Lens, Matrix3, NonNegative, Positive, Record, Rig, Vec3
 from conetl.readers.rigs.common import Array, first_message, read_yaml, rig_of, write_yaml
 
-Positive = Annotated[float, Field(gt=0)]
-Triple = tuple[float, float, float]
 RIG_YAML = "rig.yaml"
 _INTERIOR = ("fx_px", "fy_px", "cx_px", "cy_px")
 _RELATIVE = ("rx_rad", "ry_rad", "rz_rad", "tx_m", "ty_m", "tz_m")
@@ -29,11 +27,7 @@ _RELATIVE = ("rx_rad", "ry_rad", "rz_rad", "tx_m", "ty_m", "tz_m")
 _OTHER_UNITS = {"_deg": ("_rad", np.pi / 180), "_mm": ("_m", 0.001)}
 
 
-class _Model(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class _CameraFile(_Model):
+class _CameraFile(Record):
     """Interior orientation in pixels, or in millimetres with the sensor's size (the paper's Table 1)."""
 
     width_px: int = Field(gt=0)
@@ -101,11 +95,11 @@ class _CameraFile(_Model):
         )
 
 
-class _RigidFile(_Model):
+class _RigidFile(Record):
     """`p_dst = R p_src + t`."""
 
-    R: tuple[Triple, Triple, Triple] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-    t_m: Triple
+    R: Matrix3 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    t_m: Vec3
 
     def matrix(self, name: str) -> Array:
         try:
@@ -114,7 +108,7 @@ class _RigidFile(_Model):
             raise ValueError(f"{name}.R: {error}") from error
 
 
-class _RigFile(_Model):
+class _RigFile(Record):
     """A `rig.yaml`: two cameras, the pose of the right one in the left, and optionally of the left one on the body."""
 
     rig_id: str | None = Field(default=None, min_length=1)
@@ -125,7 +119,7 @@ class _RigFile(_Model):
     body_SE3_left: _RigidFile | None = None
     sigma_px: Positive = 0.5
     calibration_covariance: CalibrationCovariance | None = None
-    sigmas: dict[str, Annotated[float, Field(ge=0)]] | None = Field(default=None, min_length=1)
+    sigmas: dict[str, NonNegative] | None = Field(default=None, min_length=1)
     """Standard deviations by the names of CalibrationCovariance, also in _deg and _mm: the parameters then are uncorrelated."""
 
     @model_validator(mode="after")
