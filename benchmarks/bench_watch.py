@@ -20,7 +20,7 @@ import time
 from pathlib import Path
 
 from benchmarks.harness import CONETL, KITTI, arguments_of, best_ms, load, write_json
-from conetl.readers.recording.drive import ArrivingKitti, open_arriving
+from conetl.readers.recording import ArrivingKitti, open_arriving
 
 _PIECE = 65_536
 

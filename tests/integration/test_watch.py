@@ -27,7 +27,7 @@ from conetl.model.errors import DriveFolderError, InputError
 from conetl.model.params import IngestParams
 from conetl.pipeline.settings import Settings
 from conetl.pipeline.watch import WatchReport, pause_s, watch_drive
-from conetl.readers.recording.drive import ArrivingPair, ArrivingPlain
+from conetl.readers.recording import ArrivingPair, ArrivingPlain
 from conetl.web.app import create_app
 from tests.integration.arriving_drives import FRAMES, append, begin, image, row, write_images
 

@@ -44,7 +44,7 @@ from conetl.pipeline.settings import Settings
 from conetl.readers.drives.header import MARKER
 from conetl.readers.drives.pairs import PairError
 from conetl.readers.drives.trajectories import MAX_SPEED_M_S
-from conetl.readers.recording.drive import BEHIND, ArrivingDrive, ArrivingPair, open_arriving
+from conetl.readers.recording import BEHIND, ArrivingDrive, ArrivingPair, open_arriving
 
 #: How long an incomplete pair holds up those behind it.
 PATIENCE_S = 2.0

@@ -10,12 +10,10 @@ import pytest
 
 from conetl.model.errors import DriveFolderError
 from conetl.model.rejections import RejectionReason
+from conetl.readers import recording as arriving
 from conetl.readers.drives import read_drive
 from conetl.readers.drives.pairs import PairError
-from conetl.readers.drives.plain import Rows
-from conetl.readers.recording import drive as arriving
-from conetl.readers.recording.appended import ArrivingRows, ArrivingStamps
-from conetl.readers.recording.drive import ArrivingPair, open_arriving
+from conetl.readers.recording import ArrivingPair, ArrivingPlain, ArrivingStamps, open_arriving
 from tests.integration.arriving_drives import SAMPLE, append, begin, image, kitti_head, row, write_images
 
 SRID = 32632
@@ -36,20 +34,21 @@ def test_a_format_that_cannot_be_watched_is_named(tmp_path: Path) -> None:
 
 def test_rows_count_once_they_end(tmp_path: Path) -> None:
     folder = begin(tmp_path / "d")
-    rows = ArrivingRows(Rows(folder / "trajectory.csv"))
+    drive = open_arriving(folder)
+    assert isinstance(drive, ArrivingPlain)
     line = row(10)
     for end in (5, len(line) - 1):
         append(folder, line[:end] if end == 5 else line[5:end])
-        rows.read_on()
-        assert rows.rows.by_stem == {}
+        drive.new_pairs([])
+        assert drive.rows.by_stem == {}
     append(folder, line[-1] + row(11, lat_deg="north") + row(10))
-    rows.read_on()
-    assert rows.rows.numbers == {"000010": 0, "000011": 1}
-    assert "in two rows" in str(rows.rows.by_stem["000010"])
-    assert "lat_deg" in str(rows.rows.by_stem["000011"])
+    drive.new_pairs([])
+    assert drive.rows.numbers == {"000010": 0, "000011": 1}
+    assert "in two rows" in str(drive.rows.by_stem["000010"])
+    assert "lat_deg" in str(drive.rows.by_stem["000011"])
     (folder / "trajectory.csv").write_text("stem,when\n")
     with pytest.raises(DriveFolderError, match="wrong columns"):
-        ArrivingRows(Rows(folder / "trajectory.csv")).read_on()
+        open_arriving(folder).new_pairs(None)
 
 
 def test_a_plain_pair_needs_both_images_and_its_row(tmp_path: Path) -> None:

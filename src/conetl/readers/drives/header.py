@@ -16,9 +16,8 @@ from conetl.files.storage import is_remote
 from conetl.model.errors import ConetlError, DriveFolderError, ServiceError, is_of_storage
 from conetl.model.records import utc_from_ns
 from conetl.readers.drives import find_format, kitti
-from conetl.readers.drives.body import add_settings
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml
-from conetl.readers.drives.formats import HeaderFacts
+from conetl.readers.drives.formats import HeaderFacts, add_settings
 
 #: Drives may be sorted into folders by month, day, vehicle; deeper folders are not searched.
 MAX_DEPTH = 6

@@ -20,21 +20,20 @@ from pathlib import Path
 
 from conetl.files.storage import fetch, is_remote, object_bytes
 from conetl.model.errors import CalibrationError, DriveFolderError
-from conetl.model.records import Drive, FramePair, Rig
+from conetl.model.records import Drive, Rig
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.readers.drives import oxts
-from conetl.readers.drives.content import ContentHash
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside, read_drive_yaml
-from conetl.readers.drives.formats import (
-    SAMPLED_POSES,
-    HeaderFacts,
-    ReadOptions,
+from conetl.readers.drives.formats import SAMPLED_POSES, HeaderFacts, ReadOptions, every_nth, image_files, names_in
+from conetl.readers.drives.pairs import (
+    ContentHash,
+    ImageFile,
+    PairError,
+    check_images,
     drive_of_pairs,
-    every_nth,
-    image_files,
-    names_in,
+    first_size,
+    images_ahead,
 )
-from conetl.readers.drives.pairs import ImageFile, PairError, check_images, first_size, images_ahead
 from conetl.readers.drives.timestamps import misplaced, parse_timestamps
 from conetl.readers.drives.trajectories import checked_srid
 from conetl.readers.rigs import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, kitti_rig_for_images
@@ -84,18 +83,7 @@ def read(path: Path, options: ReadOptions) -> tuple[Drive, list[Rejection]]:
         else:
             usable[number] = *images, captured
     poses = oxts.poses_at(track, {number: captured for number, (_, _, captured) in usable.items()}, settings.sigmas)
-    pairs = [
-        FramePair(
-            frame_index=n,
-            left_path=str(left.path),
-            right_path=str(right.path),
-            captured_at_ns=captured,
-            pose=poses[n],
-            left_sha256=left.sha256,
-            right_sha256=right.sha256,
-        )
-        for n, (left, right, captured) in usable.items()
-    ]
+    pairs = {number: (*found, poses[number]) for number, found in usable.items()}
     return drive_of_pairs(
         pairs, rejections, len(numbers), source=root, settings=settings, rig=rig, srid=srid, content=content
     )

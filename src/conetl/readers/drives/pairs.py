@@ -1,7 +1,8 @@
-"""What all drive readers do with one frame pair: judge its images, and make a rejection of what is wrong with it."""
+"""What all drive readers do with frame pairs: hash and judge images, make rejections of bad pairs and a drive of the others."""
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -9,13 +10,37 @@ from typing import Any, NamedTuple, TypeVar
 from conetl.files.storage import fetch, remember
 from conetl.geometry.rectification import stored_camera
 from conetl.model.errors import DriveFolderError
-from conetl.model.records import FramePair, Rig, Side
+from conetl.model.records import Drive, FramePair, Pose, Rig, Side
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.perception.image_headers import inspect_image
 from conetl.perception.images import ImageFileError, check_image_bytes, check_image_ends, read_bytes
-from conetl.readers.drives.content import ContentHash
+from conetl.readers.drives.drive_yaml import DriveYaml
 
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
+
+
+class ContentHash:
+    """Hash of everything that was read of a drive: equal content has an equal hash, wherever the folder is, in any order."""
+
+    def __init__(self, *, headers_only: bool = False) -> None:
+        """headers_only: only the first and last bytes of images are checked, and images are not part of the hash."""
+        self.headers_only = headers_only
+        self.read_ahead: dict[Path, bytes] = {}
+        """Images that were read before their turn, for their size."""
+        self._files: dict[str, bytes] = {}
+
+    def add(self, name: str, data: bytes) -> str:
+        """Add one file that was read; its SHA-256. Names are posix paths relative to the drive folder."""
+        found = hashlib.sha256(data)
+        self._files[name] = found.digest()
+        return found.hexdigest()
+
+    def hexdigest(self) -> str:
+        """SHA-256 over sorted names and the hashes of their bytes."""
+        total = hashlib.sha256()
+        for name in sorted(self._files):
+            total.update(name.encode() + b"\0" + self._files[name])
+        return total.hexdigest()
 
 
 class ImageFile(NamedTuple):
@@ -115,8 +140,34 @@ def first_size(paths: Iterable[Path], content: ContentHash | None = None) -> tup
     return None
 
 
-def require_pairs(pairs: Sequence[FramePair], rejections: Sequence[Rejection], expected: int, folder: Path) -> None:
-    """Raise DriveFolderError where not one pair is left."""
-    if not pairs:
+#: Left and right image, time (UTC nanoseconds) and pose of the body of one frame pair.
+UsablePair = tuple[ImageFile, ImageFile, int, Pose]
+
+
+def drive_of_pairs(
+    usable: Mapping[int, UsablePair],
+    rejections: list[Rejection],
+    expected: int,
+    *,
+    source: Path,
+    settings: DriveYaml,
+    rig: Rig,
+    srid: int,
+    content: ContentHash,
+) -> tuple[Drive, list[Rejection]]:
+    """The drive of the usable pairs by frame_index, with its rejections. Raises DriveFolderError where no pair is left."""
+    if not usable:
         first = f"; the first: {rejections[0].record}: {rejections[0].detail}" if rejections else ""
-        raise DriveFolderError(f"{folder}: not one of {expected} frame pairs can be used{first}")
+        raise DriveFolderError(f"{source}: not one of {expected} frame pairs can be used{first}")
+    pairs = tuple(
+        FramePair(
+            frame_index=number, left_path=str(left.path), right_path=str(right.path), captured_at_ns=captured, pose=pose,
+            left_sha256=left.sha256, right_sha256=right.sha256,
+        )
+        for number, (left, right, captured, pose) in usable.items()
+    )  # fmt: skip
+    drive = Drive(
+        drive_id=settings.id_of(source), source_path=str(source), rig=rig, map_srid=srid,
+        content_sha256=content.hexdigest(), frame_pairs=pairs, expected_frame_count=expected,
+    )  # fmt: skip
+    return drive, rejections

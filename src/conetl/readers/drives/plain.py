@@ -26,13 +26,11 @@ from pydantic import Field, ValidationError
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
 from conetl.model.errors import CalibrationError, DriveFolderError
-from conetl.model.records import Drive, FramePair, Pose, Record, Rig
+from conetl.model.records import Drive, Pose, Record, Rig
 from conetl.model.rejections import Rejection, RejectionReason
-from conetl.readers.drives.body import add_settings, overrides, own_rig
-from conetl.readers.drives.content import ContentHash
 from conetl.readers.drives.drive_yaml import DriveYaml, read_drive_yaml
-from conetl.readers.drives.formats import HeaderFacts, ReadOptions, drive_of_pairs, image_files
-from conetl.readers.drives.pairs import PairError, check_images, images_ahead
+from conetl.readers.drives.formats import HeaderFacts, ReadOptions, add_settings, image_files, overrides, own_rig
+from conetl.readers.drives.pairs import ContentHash, PairError, UsablePair, check_images, drive_of_pairs, images_ahead
 from conetl.readers.drives.timestamps import misplaced, parse_timestamp
 from conetl.readers.drives.trajectories import checked_srid, to_pose, wild_fixes
 from conetl.readers.rigs import RIG_YAML
@@ -135,7 +133,7 @@ def read(path: Path, options: ReadOptions) -> tuple[Drive, list[Rejection]]:
     order = {stem: numbers.get(stem, len(rows) + i) for i, stem in enumerate(stems)}
     wrong_times = misplaced({order[stem]: t for stem in stems if isinstance(t := times.get(stem), int)})
 
-    pairs: list[FramePair] = []
+    pairs: dict[int, UsablePair] = {}
     rejections: list[Rejection] = []
     for stem in images_ahead(sorted(stems, key=lambda stem: order[stem]), left, right, content):
         try:
@@ -153,13 +151,7 @@ def read(path: Path, options: ReadOptions) -> tuple[Drive, list[Rejection]]:
         except PairError as error:
             rejections.append(error.rejection(f"frame pair '{stem}'", order[stem]))
         else:
-            pairs.append(
-                FramePair(
-                    frame_index=order[stem], left_path=str(images[0].path), right_path=str(images[1].path),
-                    captured_at_ns=captured, pose=poses[stem],
-                    left_sha256=images[0].sha256, right_sha256=images[1].sha256,
-                )
-            )  # fmt: skip
+            pairs[order[stem]] = *images, captured, poses[stem]
     return drive_of_pairs(
         pairs, rejections, len(stems), source=root, settings=settings, rig=rig, srid=srid, content=content
     )

@@ -29,8 +29,16 @@ from conetl.geometry.rectification import stored_camera
 from conetl.model.errors import CalibrationError, DriveFolderError
 from conetl.model.records import Drive, Pose, Rig, Side
 from conetl.model.rejections import Rejection
-from conetl.readers.drives.bag_images import check_image, image_bytes, unpack
-from conetl.readers.drives.bag_messages import METADATA, Bag, Message, bag_files, open_bag
+from conetl.readers.drives.bag_messages import (
+    METADATA,
+    Bag,
+    Message,
+    bag_files,
+    check_image,
+    image_bytes,
+    open_bag,
+    unpack,
+)
 from conetl.readers.drives.bag_rig import (
     TF_STATIC,
     TRANSFORMS,
@@ -40,11 +48,9 @@ from conetl.readers.drives.bag_rig import (
     is_rectified_topic,
     rig_of_infos,
 )
-from conetl.readers.drives.body import add_settings, own_rig, rig_on_body
-from conetl.readers.drives.content import ContentHash
 from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas, read_drive_yaml, small_file
-from conetl.readers.drives.formats import HeaderFacts, ReadOptions
-from conetl.readers.drives.pairs import ImageFile, PairError
+from conetl.readers.drives.formats import HeaderFacts, ReadOptions, add_settings, own_rig, rig_on_body
+from conetl.readers.drives.pairs import ContentHash, ImageFile, PairError
 from conetl.readers.drives.stamped_pairs import Image, drive_of_couples, pair_by_stamp
 from conetl.readers.drives.timestamps import EARLIEST_NS
 from conetl.readers.drives.trajectories import (

@@ -6,12 +6,10 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from conetl.model.records import Drive, FramePair, Pose, Rig, Side
+from conetl.model.records import Drive, Pose, Rig, Side
 from conetl.model.rejections import Rejection, RejectionReason
-from conetl.readers.drives.content import ContentHash
 from conetl.readers.drives.drive_yaml import DriveYaml
-from conetl.readers.drives.formats import drive_of_pairs
-from conetl.readers.drives.pairs import ImageFile, PairError
+from conetl.readers.drives.pairs import ContentHash, ImageFile, PairError, UsablePair, drive_of_pairs
 from conetl.readers.drives.timestamps import misplaced, wrong_clocks
 from conetl.readers.drives.trajectories import nearest_index
 
@@ -91,27 +89,15 @@ def drive_of_couples(
     """
     stamps = {n: t for n, couple in enumerate(couples) if (t := _stamp(couple)) is not None}
     wrong_times = misplaced(stamps)
-    pairs: list[FramePair] = []
+    pairs: dict[int, UsablePair] = {}
     rejections: list[Rejection] = []
     for number, couple in enumerate(couples):
         try:
             captured = _captured_at(number, couple, wrong_times)
-            left, right = images_of(*_both(couple, settings, names))
-            pose = pose_at(captured)
+            images = images_of(*_both(couple, settings, names))
+            pairs[number] = *images, captured, pose_at(captured)
         except PairError as error:
             rejections.append(error.rejection(f"frame pair {number}", number))
-        else:
-            pairs.append(
-                FramePair(
-                    frame_index=number,
-                    left_path=str(left.path),
-                    right_path=str(right.path),
-                    captured_at_ns=captured,
-                    pose=pose,
-                    left_sha256=left.sha256,
-                    right_sha256=right.sha256,
-                )
-            )
     return drive_of_pairs(
         pairs, rejections, len(couples), source=source, settings=settings, rig=rig, srid=srid, content=content
     )

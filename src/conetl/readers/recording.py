@@ -22,7 +22,6 @@ from conetl.model.errors import DriveFolderError
 from conetl.model.records import FramePair, Pose, Rig
 from conetl.model.rejections import RejectionReason
 from conetl.readers.drives import drive_format, oxts
-from conetl.readers.drives.content import ContentHash
 from conetl.readers.drives.drive_yaml import DriveYaml, read_drive_yaml
 from conetl.readers.drives.kitti import (
     MAX_CLOCK_DIFFERENCE_NS,
@@ -32,11 +31,10 @@ from conetl.readers.drives.kitti import (
     is_number,
     read_rig_for,
 )
-from conetl.readers.drives.pairs import IMAGE_SUFFIXES, PairError, first_size
+from conetl.readers.drives.pairs import IMAGE_SUFFIXES, ContentHash, PairError, first_size
 from conetl.readers.drives.plain import TRAJECTORY, Rows, pose_of_row, read_plain_rig, time_of_row
 from conetl.readers.drives.timestamps import EARLIEST_NS, parse_timestamp
 from conetl.readers.drives.trajectories import checked_srid
-from conetl.readers.recording.appended import ArrivingRows, ArrivingStamps
 from conetl.readers.rigs import RIG_YAML
 
 Array = NDArray[np.float64]
@@ -64,7 +62,7 @@ def open_arriving(folder: Path) -> ArrivingDrive | None:
         )
     if found == "plain":
         couples = _Couples(root / "left", root / "right")
-        rows = ArrivingRows(Rows(root / TRAJECTORY))
+        rows = Rows(root / TRAJECTORY)
         return ArrivingPlain(root=root, settings=read_drive_yaml(root), couples=couples, rows=rows)
     settings = read_drive_yaml(root)
     if not (root / settings.cameras.left).is_dir():
@@ -169,14 +167,24 @@ class ArrivingDrive(ABC):
 class ArrivingPlain(ArrivingDrive):
     """A plain folder; its pairs are ordered by the rows of trajectory.csv, those without a row come last."""
 
-    rows: ArrivingRows
+    rows: Rows
+    """Those that are complete so far."""
+    _offset: int = 0
 
     def new_pairs(self, changed: Iterable[Path] | None) -> list[ArrivingPair]:
-        self.rows.read_on()
+        """Raises DriveFolderError where trajectory.csv has wrong columns."""
+        if self.rows.path.exists():
+            with self.rows.path.open("rb") as file:
+                file.seek(self._offset)
+                data = file.read()
+            end = data.rfind(b"\n") + 1
+            if end:
+                self._offset += end
+                self.rows.add(data[:end].decode("utf-8-sig", errors="replace"))
         return self.couples.new(changed)
 
     def order(self, pair: ArrivingPair) -> tuple[int, str]:
-        return self.rows.rows.numbers.get(pair.key, BEHIND), pair.key
+        return self.rows.numbers.get(pair.key, BEHIND), pair.key
 
     def rig(self) -> Rig | None:
         if self._rig is None and (self.root / RIG_YAML).is_file():
@@ -184,7 +192,7 @@ class ArrivingPlain(ArrivingDrive):
         return self._rig
 
     def frame_pair(self, pair: ArrivingPair, map_srid: int | None) -> tuple[FramePair, int] | None:
-        row = self.rows.rows.by_stem.get(pair.key)
+        row = self.rows.by_stem.get(pair.key)
         if row is None:
             return None
         if isinstance(row, str):
@@ -194,7 +202,37 @@ class ArrivingPlain(ArrivingDrive):
             raise PairError(RejectionReason.TIMESTAMP_INVALID, captured)
         _require_set_clock(captured)
         srid = checked_srid(map_srid or self.settings.map_srid, row.lat_deg, row.lon_deg, self.root)
-        return _record(self.rows.rows.numbers[pair.key], pair, captured, pose_of_row(row, srid)), srid
+        return _record(self.rows.numbers[pair.key], pair, captured, pose_of_row(row, srid)), srid
+
+
+@dataclass
+class ArrivingStamps:
+    """timestamps.txt of a KITTI folder: its lines so far (36,000 of an hour's drive, and each pair requires up to four)."""
+
+    path: Path
+    _lines: list[bytes] = field(default_factory=list)
+    _offset: int = 0
+    _inode: int = 0
+
+    def line(self, number: int) -> str | None:
+        """Line `number`, from 0; None where it is not complete yet. Only then the file is opened."""
+        if number >= len(self._lines):
+            self._read_on()
+        return self._lines[number].decode("utf-8", errors="replace") if number < len(self._lines) else None
+
+    def _read_on(self) -> None:
+        """Read what was appended, or the whole file if it was replaced or truncated."""
+        try:
+            with self.path.open("rb") as file:
+                found = os.fstat(file.fileno())
+                if found.st_ino != self._inode or found.st_size < self._offset:
+                    self._lines, self._offset, self._inode = [], 0, found.st_ino
+                file.seek(self._offset)
+                *whole, rest = file.read().split(b"\n")  # what follows the last newline may be half a line
+                self._offset = file.tell() - len(rest)
+        except FileNotFoundError:
+            return
+        self._lines += whole
 
 
 @dataclass(kw_only=True)
