@@ -30,7 +30,7 @@ from conetl.model.map_records import DeltaKind
 from conetl.model.params import ImportParams
 from conetl.pipeline.maps.decisions import revert
 from conetl.pipeline.maps.import_map import import_map
-from conetl.readers.maps.statements import read_map_file
+from conetl.readers.maps.imported_rows import read_map_file
 from tests.conftest import cloned_database
 from tests.integration.drives_of_days import DAY_NS, DAYS, START_NS, merge, survey, valid_time_map
 

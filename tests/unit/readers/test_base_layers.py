@@ -17,10 +17,9 @@ from conetl.readers.base_layers import georeferencing as geo
 from conetl.readers.base_layers.georeferencing import axes_seem_swapped, layer_crs, outside_area, parse_crs, to_map
 from conetl.readers.base_layers.lanelet2 import read_lanelet2
 from conetl.readers.base_layers.las_file import las_chunks, read_las_header
-from conetl.readers.base_layers.opendrive_file import read_opendrive
-from conetl.readers.base_layers.point_tiles import Cloud
-from conetl.readers.base_layers.spill import read_cells, spill
-from conetl.readers.base_layers.vector_file import read_vector_file
+from conetl.readers.base_layers.line_files import read_vector_file
+from conetl.readers.base_layers.opendrive import read_opendrive
+from conetl.readers.base_layers.point_tiles import Cloud, read_cells, spill
 
 ROOT = Path(__file__).resolve().parents[3]
 SHARED = Path(os.environ.get("CONETL_SHARED_DATA", ROOT.parent / "shared" / "data"))

@@ -119,7 +119,7 @@ def import_(
 ) -> None:
     """Import a map made elsewhere, as one changeset. Drives confirm, move and remove its cones like all others."""
     from conetl.pipeline.maps.import_map import import_map
-    from conetl.readers.maps.statements import read_map_file  # GDAL takes seconds to load
+    from conetl.readers.maps.imported_rows import read_map_file  # GDAL takes seconds to load
 
     settings = read_settings()
     try:

@@ -31,8 +31,7 @@ from conetl.readers.base_layers.georeferencing import LayerCrs, MapGround, to_ma
 from conetl.readers.base_layers.las_file import las_chunks, read_las_header
 from conetl.readers.base_layers.line_files import LINE_READERS
 from conetl.readers.base_layers.lines import LineFile
-from conetl.readers.base_layers.point_tiles import Cloud, tiles_of, top_level
-from conetl.readers.base_layers.spill import Spilled, read_cells, spill
+from conetl.readers.base_layers.point_tiles import Cloud, Spilled, read_cells, spill, tiles_of, top_level
 from conetl.readers.drives import read_drive
 from conetl.readers.drives.velodyne import (
     ScanFileError,

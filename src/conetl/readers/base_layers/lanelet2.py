@@ -14,7 +14,7 @@ import numpy as np
 from pyproj import CRS
 
 from conetl.model.errors import InputError
-from conetl.readers.base_layers.lines import Line, LineFile, usable
+from conetl.readers.base_layers.lines import Line, LineFile, add_line
 
 #: Ways of these types are lane boundaries even without a lanelet.
 BOUNDARIES = frozenset(
@@ -47,7 +47,7 @@ def read_lanelet2(path: Path) -> LineFile:
         raise InputError(
             f"{path}: its nodes have local_x and local_y and no longitude and latitude: export it with both"
         )
-    lines = []
+    lines: list[Line] = []
     for identity, (references, tags) in osm.ways.items():
         if identity not in osm.bounding and tags.get("type") not in BOUNDARIES:
             continue
@@ -57,12 +57,7 @@ def read_lanelet2(path: Path) -> LineFile:
             continue
         attributes = {**tags, "way": identity, "bounds_a_lanelet": identity in osm.bounding}
         xyz = np.array([osm.nodes[r] for r in references], np.float64).reshape(-1, 3)
-        line = Line(tags.get("type", "unknown"), xyz, attributes)
-        problem = usable(line, f"way {identity}")
-        if problem is None:
-            lines.append(line)
-        else:
-            osm.refused.append(problem)
+        add_line(Line(tags.get("type", "unknown"), xyz, attributes), f"way {identity}", lines, osm.refused)
     if not lines:
         wanted = ", ".join(sorted(BOUNDARIES))
         raise InputError(

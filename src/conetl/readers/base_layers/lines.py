@@ -33,16 +33,17 @@ class LineFile(NamedTuple):
     """What could not be used, one message each."""
 
 
-def usable(line: Line, what: str) -> str | None:
-    """Why a line cannot be used; None where it can."""
+def add_line(line: Line, what: str, lines: list[Line], refused: list[str]) -> None:
+    """Append a line to `lines`, or to `refused` why it cannot be used."""
     xy = line.xyz[:, :2]
     if len(line.xyz) < 2 or not np.any(np.ptp(xy[np.isfinite(xy).all(axis=1)], axis=0) if len(xy) else 0):
-        return f"{what}: fewer than two different points"
-    if not np.isfinite(xy).all():
-        return f"{what}: a coordinate is not a number"
-    if np.isinf(line.xyz[:, 2]).any():
-        return f"{what}: a height is not a number"
-    return None
+        refused.append(f"{what}: fewer than two different points")
+    elif not np.isfinite(xy).all():
+        refused.append(f"{what}: a coordinate is not a number")
+    elif np.isinf(line.xyz[:, 2]).any():
+        refused.append(f"{what}: a height is not a number")
+    else:
+        lines.append(line)
 
 
 def bounds_lanes(kind: str, attributes: Mapping[str, Any]) -> bool:

@@ -36,7 +36,7 @@ from conetl.readers.drives.pairs import (
 )
 from conetl.readers.drives.timestamps import misplaced, parse_timestamps
 from conetl.readers.drives.trajectories import checked_srid
-from conetl.readers.rigs import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, kitti_rig_for_images
+from conetl.readers.rigs import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, read_kitti_rig
 
 NAME = "kitti"
 READS_OBJECTS = True
@@ -138,8 +138,8 @@ def read_rig_for(
 ) -> Rig:
     """The rig for left images of this size, with the chain from the IMU; its files are added to the content hash."""
     numbers = int(settings.cameras.left[-1]), int(settings.cameras.right[-1])
-    rig = kitti_rig_for_images(
-        path, size, left=numbers[0], right=numbers[1], body_required=True,
+    rig = read_kitti_rig(
+        path, images=size, left=numbers[0], right=numbers[1], body_required=True,
         rig_id=settings.rig_id, sigma_px=settings.sigmas.image_px,
     )  # fmt: skip
     for name in (path.name, VELO_TO_CAM, IMU_TO_VELO):

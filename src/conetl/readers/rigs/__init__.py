@@ -16,15 +16,15 @@ from conetl.model.errors import CalibrationError
 from conetl.model.records import Rig
 from conetl.readers.rigs.common import Size, read_json, read_text, read_yaml, rectified_rig
 from conetl.readers.rigs.kalibr import looks_like_kalibr, read_kalibr_rig, write_kalibr_rig
-from conetl.readers.rigs.kitti import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, kitti_rig_for_images, read_kitti_rig
+from conetl.readers.rigs.kitti import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, read_kitti_rig
 from conetl.readers.rigs.matlab import looks_like_matlab, read_matlab_rig, write_matlab_rig
 from conetl.readers.rigs.opencv import looks_like_opencv, read_opencv_rig, write_opencv_rig
 from conetl.readers.rigs.rig_yaml import RIG_YAML, read_rig_yaml, write_rig_yaml
 from conetl.readers.rigs.ros import looks_like_ros, read_ros_rig, write_ros_rig
 
 __all__ = [
-    "CAM_TO_CAM", "FORMAT_NAMES", "IMU_TO_VELO", "RIG_YAML", "VELO_TO_CAM", "WRITERS", "Format", "kitti_rig_for_images",
-    "read_kitti_rig", "read_rig", "read_rig_and_format", "read_rig_for_images", "read_rig_yaml", "write_rig_yaml",
+    "CAM_TO_CAM", "FORMAT_NAMES", "IMU_TO_VELO", "RIG_YAML", "VELO_TO_CAM", "WRITERS", "Format", "read_kitti_rig", "read_rig",
+    "read_rig_and_format", "read_rig_for_images", "read_rig_yaml", "write_rig_yaml",
 ]  # fmt: skip
 
 Format = Literal["rig", "kitti", "opencv", "kalibr", "ros", "matlab"]
@@ -76,7 +76,7 @@ def read_rig_for_images(path: Path, size: Size | None) -> Rig:
     """
     path, found = _recognise(path)
     if found == "kitti":
-        return kitti_rig_for_images(path, size, body_required=False)
+        return read_kitti_rig(path, images=size, body_required=False)
     return rectified_rig(read_rig(path), path)
 
 

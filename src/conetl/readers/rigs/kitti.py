@@ -15,7 +15,6 @@ from conetl.readers.rigs.common import Array, Size, first_message, numbers, read
 CAM_TO_CAM = "calib_cam_to_cam.txt"
 VELO_TO_CAM = "calib_velo_to_cam.txt"
 IMU_TO_VELO = "calib_imu_to_velo.txt"
-Images = Literal["rectified", "raw"]
 
 
 def read_kitti_rig(
@@ -24,16 +23,26 @@ def read_kitti_rig(
     left: int = 2,
     right: int = 3,
     body_required: bool,
-    images: Images = "rectified",
+    images: Literal["rectified", "raw"] | Size | None = "rectified",
     rig_id: str | None = None,
     sigma_px: float = 0.5,
 ) -> Rig:
     """Rig of two KITTI cameras from `calib_cam_to_cam.txt` and the two files beside it.
 
     body_required: reject the calibration if the chain from the IMU is missing. images: "rectified" for the pair of
-    P_rect_0i, "raw" for the cameras that took the images ("synced only": S_0i, K_0i, D_0i, R_0i, T_0i), lenses included.
+    P_rect_0i, "raw" for the cameras that took the images ("synced only": S_0i, K_0i, D_0i, R_0i, T_0i), lenses included; or
+    width and height of the left images, which decide: raw ones have the size S_0i and give a rectified rig with
+    `rectified_from`; where both sizes are equal, or theirs is unknown or neither, they are assumed to be rectified.
     rig_id: default "kitti-" and the start of a hash over the numbers. Raises CalibrationError.
     """
+    if images is None or isinstance(images, tuple):
+        read = partial(
+            read_kitti_rig, cam_to_cam, left=left, right=right, body_required=body_required, rig_id=rig_id, sigma_px=sigma_px
+        )  # fmt: skip
+        own = read()
+        if images in (None, (own.left.width_px, own.left.height_px)) or images != _raw_size(cam_to_cam, left):
+            return own
+        return rectified_rig(read(images="raw"), cam_to_cam)
     keys = {"R_rect_00": 9} if images == "rectified" else {}
     for number in (left, right):
         if images == "rectified":
@@ -62,36 +71,6 @@ def read_kitti_rig(
         )
     except ValueError as error:
         raise CalibrationError(f"{cam_to_cam}: {first_message(error)}") from error
-
-
-def kitti_rig_for_images(
-    cam_to_cam: Path,
-    size: Size | None,
-    *,
-    left: int = 2,
-    right: int = 3,
-    body_required: bool,
-    rig_id: str | None = None,
-    sigma_px: float = 0.5,
-) -> Rig:
-    """Rectified rig for left images of this width and height, whether KITTI's rectified or its raw ones ("synced only").
-
-    Raw images have the size S_0i; their rig has `rectified_from`. Where both sizes are equal, or the size is unknown or neither,
-    the images are assumed to be rectified. Raises CalibrationError.
-    """
-    read = partial(
-        read_kitti_rig,
-        cam_to_cam,
-        left=left,
-        right=right,
-        body_required=body_required,
-        rig_id=rig_id,
-        sigma_px=sigma_px,
-    )
-    own = read()
-    if size in (None, (own.left.width_px, own.left.height_px)) or size != _raw_size(cam_to_cam, left):
-        return own
-    return rectified_rig(read(images="raw"), cam_to_cam)
 
 
 def _raw_size(cam_to_cam: Path, number: int) -> Size | None:

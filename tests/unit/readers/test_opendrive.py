@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import fresnel
 
-from conetl.readers.base_layers.opendrive_geometry import (
+from conetl.readers.base_layers.opendrive import (
     Cubic,
     Lane,
     Piece,

@@ -1,0 +1,316 @@
+"""OpenDRIVE files (.xodr): reference lines and lane borders of every road.
+
+ASAM OpenDRIVE 1.8, on geometries of the reference line, elevation, superelevation, lane offset, lane sections, lane width
+and border. s runs along the reference line in plan, t to its left. Lengths in metres, angles in radians.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Literal, NamedTuple
+from xml.etree import ElementTree
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from pyproj import CRS
+
+from conetl.model.errors import InputError
+from conetl.readers.base_layers.georeferencing import parse_crs
+from conetl.readers.base_layers.lines import Line, LineFile, add_line
+
+Array = NDArray[np.float64]
+Element = ElementTree.Element
+
+#: Between samples of a curve; headings are integrated over steps of this length at most.
+STEP_M = 1.0
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
+_ARC_LENGTH_SAMPLES = 512
+#: Largest deviation of omitted vertices from the line.
+TOLERANCE_M = 0.01
+_MAX_ROAD_M = 1_000_000.0
+
+
+class Cubic(NamedTuple):
+    """a + b ds + c ds^2 + d ds^3 from `start_m` on."""
+
+    start_m: float
+    a: float
+    b: float = 0.0
+    c: float = 0.0
+    d: float = 0.0
+
+
+class Piece(NamedTuple):
+    """One geometry of the reference line from `start_m` on. Line, arc, spiral: curvature changes linearly from k0 to k1 (1/m)."""
+
+    shape: Literal["curvature", "poly3", "paramPoly3"]
+    start_m: float
+    x_m: float
+    y_m: float
+    heading_rad: float
+    length_m: float
+    k0: float = 0.0
+    k1: float = 0.0
+    u: tuple[float, float, float, float] = (0.0, 1.0, 0.0, 0.0)
+    v: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    normalised: bool = False
+    """paramPoly3 with p from 0 to 1 instead of 0 to the length."""
+
+
+class Lane(NamedTuple):
+    """A lane of a section: either widths, or borders (t of its outer edge), from the section's start on."""
+
+    lane_id: int
+    widths: tuple[Cubic, ...]
+    borders: tuple[Cubic, ...] = ()
+
+
+def cubic_at(pieces: Sequence[Cubic], s_m: Array) -> Array:
+    """Value (N,) of piecewise cubics at s; 0 where there are none or before the first."""
+    s = np.asarray(s_m, np.float64)
+    value = np.zeros_like(s)
+    for piece in sorted(pieces, key=lambda p: p.start_m):
+        here = s >= piece.start_m
+        ds = s[here] - piece.start_m
+        value[here] = piece.a + ds * (piece.b + ds * (piece.c + ds * piece.d))
+    return value
+
+
+def samples_m(pieces: Sequence[Piece], from_m: float, to_m: float) -> Array:
+    """Sorted s from from_m to to_m: the ends, where a geometry begins, and every STEP_M between."""
+    count = max(int(np.ceil((to_m - from_m) / STEP_M)), 1)
+    joints = [p.start_m for p in pieces if from_m < p.start_m < to_m]
+    s = np.sort(np.concatenate([np.linspace(from_m, to_m, count + 1), joints]))
+    return np.asarray(s[np.concatenate([[True], np.diff(s) > 1e-6])])
+
+
+def reference_line(pieces: Sequence[Piece], s_m: Array) -> tuple[Array, Array]:
+    """Positions (N, 2) and headings (N,) of the reference line at s; of its nearest end outside of the pieces."""
+    ordered = sorted(pieces, key=lambda p: p.start_m)
+    starts = np.array([p.start_m for p in ordered])
+    s = np.asarray(s_m, np.float64)
+    owner = np.clip(np.searchsorted(starts, s, side="right") - 1, 0, len(ordered) - 1)
+    xy, heading = np.empty((len(s), 2)), np.empty(len(s))
+    for index in np.unique(owner):
+        piece, here = ordered[index], owner == index
+        ds = np.clip(s[here] - piece.start_m, 0.0, piece.length_m)
+        local, turn = _curvature(piece, ds) if piece.shape == "curvature" else _polynomial(piece, ds)
+        cos, sin = np.cos(piece.heading_rad), np.sin(piece.heading_rad)
+        xy[here] = local @ np.array([[cos, sin], [-sin, cos]]) + [piece.x_m, piece.y_m]
+        heading[here] = piece.heading_rad + turn
+    return xy, heading
+
+
+def lane_borders(
+    lanes: Sequence[Lane], offset: Sequence[Cubic], section_start_m: float, s_m: Array
+) -> dict[int, Array]:
+    """Lane id -> t (N,) of its outer border at s; id 0 is the centre line. Left lanes have positive ids."""
+    centre = cubic_at(offset, s_m)
+    ds = np.asarray(s_m, np.float64) - section_start_m
+    found = {0: centre}
+    for side in (1, -1):
+        t = centre
+        for lane in sorted((lane for lane in lanes if lane.lane_id * side > 0), key=lambda lane: abs(lane.lane_id)):
+            if lane.widths or not lane.borders:
+                t = t + side * np.maximum(cubic_at(lane.widths, ds), 0.0)
+            else:
+                t = cubic_at(lane.borders, ds)  # borders are signed distances from the reference line
+            found[lane.lane_id] = t
+    return found
+
+
+def offset_line(
+    pieces: Sequence[Piece], elevation: Sequence[Cubic], superelevation: Sequence[Cubic], s_m: Array, t_m: Array
+) -> Array:
+    """Points (N, 3) at (s, t): across the reference line, tilted by the superelevation (counter-clockwise seen along s)."""
+    xy, heading = reference_line(pieces, s_m)
+    roll = cubic_at(superelevation, s_m)
+    across = t_m * np.cos(roll)
+    left = np.column_stack([-np.sin(heading), np.cos(heading)])
+    return np.column_stack([xy + across[:, None] * left, cubic_at(elevation, s_m) + t_m * np.sin(roll)])
+
+
+def _curvature(piece: Piece, ds: Array) -> tuple[Array, Array]:
+    """Line, arc, spiral: the heading is a quadratic of s; its unit vector is integrated by Gauss-Legendre over short steps.
+
+    (Fresnel integrals are the closed form, but lose all digits where the curvature hardly changes.)
+    """
+    grid = np.unique(np.concatenate([np.linspace(0.0, piece.length_m, int(piece.length_m / STEP_M) + 2), ds]))
+    rate = (piece.k1 - piece.k0) / piece.length_m if piece.length_m > 0 else 0.0
+    half = np.diff(grid) / 2
+    at = grid[:-1, None] + half[:, None] * (1 + _NODES)
+    turn = piece.k0 * at + rate * at**2 / 2
+    steps = half[:, None] * np.column_stack([np.cos(turn) @ _WEIGHTS, np.sin(turn) @ _WEIGHTS])
+    track = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+    return track[np.searchsorted(grid, ds)], piece.k0 * ds + rate * ds**2 / 2
+
+
+def _polynomial(piece: Piece, ds: Array) -> tuple[Array, Array]:
+    if piece.shape == "poly3":  # v is a polynomial of u, and s the length of the curve: find u(s)
+        u = np.linspace(0.0, piece.length_m, _ARC_LENGTH_SAMPLES)
+        slope = np.abs(np.hypot(1.0, _derivative(piece.v, u)))
+        length = np.concatenate([[0.0], np.cumsum(np.diff(u) * (slope[1:] + slope[:-1]) / 2)])
+        p = np.interp(ds, length, u)
+        return np.column_stack([p, _value(piece.v, p)]), np.arctan(_derivative(piece.v, p))
+    p = ds / piece.length_m if piece.normalised and piece.length_m > 0 else ds
+    turn = np.arctan2(_derivative(piece.v, p), _derivative(piece.u, p))
+    return np.column_stack([_value(piece.u, p), _value(piece.v, p)]), turn
+
+
+def _value(c: tuple[float, float, float, float], p: Array) -> Array:
+    return np.asarray(c[0] + p * (c[1] + p * (c[2] + p * c[3])))
+
+
+def _derivative(c: tuple[float, float, float, float], p: Array) -> Array:
+    return np.asarray(c[1] + p * (2 * c[2] + p * 3 * c[3]))
+
+
+def read_opendrive(path: Path) -> LineFile:
+    """Lines of an OpenDRIVE file, in the CRS of its geoReference. Raises InputError without a usable road."""
+    try:
+        root = ElementTree.parse(path).getroot()
+    except ElementTree.ParseError as error:
+        raise InputError(f"{path}: is not XML ({error}); expected an OpenDRIVE file") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    if root.tag != "OpenDRIVE":
+        raise InputError(f"{path}: its root is <{root.tag}>, expected <OpenDRIVE>")
+    lines: list[Line] = []
+    refused: list[str] = []
+    move = _header_offset(root)
+    for road in root.iter("road"):
+        what = f"road {road.get('id')}"
+        try:
+            for line in _road_lines(road):
+                moved = line._replace(xyz=_simplified(line.xyz) @ move[0].T + move[1])
+                add_line(moved, f"{what}, {line.attributes.get('border')}", lines, refused)
+        except (ValueError, KeyError) as error:
+            refused.append(f"{what}: {error}")
+    if not lines:
+        raise InputError(f"{path}: none of its roads can be used{'; ' + refused[0] if refused else ''}")
+    reference = (root.findtext("header/geoReference") or "").strip()
+    crs: CRS | None = None
+    if reference:
+        try:
+            crs = parse_crs(reference)
+        except ValueError as error:
+            refused.append(f"geoReference: {error}")
+    return LineFile(lines, crs, refused)
+
+
+def _road_lines(road: Element) -> Iterator[Line]:
+    length = _number(road, "length")
+    if not 0 < length <= _MAX_ROAD_M:
+        raise ValueError(f"its length is {length:g} m; expected more than 0 and at most {_MAX_ROAD_M:g}")
+    pieces = [_piece(g) for g in road.findall("planView/geometry")]
+    if not pieces:
+        raise ValueError("it has no planView geometry")
+    if not sum(p.length_m for p in pieces) <= _MAX_ROAD_M:
+        raise ValueError(f"its geometries are longer than {_MAX_ROAD_M:g} m")
+    elevation = _cubics(road.findall("elevationProfile/elevation"), "s")
+    roll = _cubics(road.findall("lateralProfile/superelevation"), "s")
+    offset = _cubics(road.findall("lanes/laneOffset"), "s")
+    about = {"road": road.get("id"), "road_name": road.get("name") or None}
+    s = samples_m(pieces, 0.0, length)
+    yield Line(
+        "reference_line",
+        offset_line(pieces, elevation, [], s, np.zeros(len(s))),
+        {**about, "border": "reference line"},
+    )
+    sections = sorted(road.findall("lanes/laneSection"), key=lambda section: _number(section, "s"))
+    starts = [_number(section, "s") for section in sections]
+    for section, start, end in zip(sections, starts, [*starts[1:], length], strict=True):
+        if end <= start:
+            continue
+        s = samples_m(pieces, start, end)
+        elements = {int(_number(lane, "id")): lane for lane in section.iter("lane")}
+        lanes = [
+            Lane(number, _cubics(lane.findall("width"), "sOffset"), _cubics(lane.findall("border"), "sOffset"))
+            for number, lane in elements.items()
+        ]
+        for number, t in lane_borders(lanes, offset, start, s).items():
+            lane = elements.get(number)
+            mark = lane.find("roadMark") if lane is not None else None
+            paint = mark.get("type", "none") if mark is not None else "none"
+            if number == 0 and paint == "none":
+                continue
+            attributes = {
+                **about,
+                "border": f"lane {number}",
+                "lane_type": lane.get("type") if lane is not None else None,
+            }
+            yield Line(
+                "lane_border" if paint == "none" else paint, offset_line(pieces, elevation, roll, s, t), attributes
+            )
+
+
+def _piece(geometry: Element) -> Piece:
+    start, x, y, heading, length = (_number(geometry, name) for name in ("s", "x", "y", "hdg", "length"))
+    if length < 0:
+        raise ValueError(f"a geometry's length is {length:g} m")
+    shape = next(iter(geometry), None)
+    kind = shape.tag if shape is not None else "nothing"
+    if shape is None or kind == "line":
+        return Piece("curvature", start, x, y, heading, length)
+    if kind == "arc":
+        k = _number(shape, "curvature")
+        return Piece("curvature", start, x, y, heading, length, k0=k, k1=k)
+    if kind == "spiral":
+        return Piece(
+            "curvature", start, x, y, heading, length, k0=_number(shape, "curvStart"), k1=_number(shape, "curvEnd")
+        )
+    if kind == "poly3":
+        a, b, c, d = (_number(shape, name) for name in "abcd")
+        return Piece("poly3", start, x, y, heading, length, v=(a, b, c, d))
+    if kind == "paramPoly3":
+        u0, u1, u2, u3 = (_number(shape, f"{name}U") for name in "abcd")
+        v0, v1, v2, v3 = (_number(shape, f"{name}V") for name in "abcd")
+        normalised = shape.get("pRange", "normalized") != "arcLength"
+        return Piece(
+            "paramPoly3", start, x, y, heading, length, u=(u0, u1, u2, u3), v=(v0, v1, v2, v3), normalised=normalised
+        )
+    raise ValueError(f"its geometry <{kind}> is unknown; expected line, arc, spiral, poly3 or paramPoly3")
+
+
+def _cubics(elements: list[Element], start: str) -> tuple[Cubic, ...]:
+    return tuple(Cubic(_number(e, start), *(_number(e, name) for name in "abcd")) for e in elements)
+
+
+def _number(element: Element, name: str) -> float:
+    text = element.get(name)
+    try:
+        value = float(text or "")
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ValueError(f"<{element.tag}> has {name}={text!r}; expected a number")
+    return value
+
+
+def _header_offset(root: Element) -> tuple[Array, Array]:
+    """Rotation (3, 3) and translation (3,) of header/offset, from the file's coordinates to those of its CRS."""
+    offset = root.find("header/offset")
+    values = {
+        name: _number(offset, name) if offset is not None and offset.get(name) else 0.0
+        for name in ("x", "y", "z", "hdg")
+    }
+    cos, sin = math.cos(values["hdg"]), math.sin(values["hdg"])
+    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]), np.array(
+        [values["x"], values["y"], values["z"]]
+    )
+
+
+def _simplified(xyz: Array) -> Array:
+    """The vertices required by plan or height within TOLERANCE_M."""
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xyz[:, :2], axis=0), axis=1))])
+    keep = np.zeros(len(xyz), bool)
+    keep[[0, -1]] = True
+    for flat in (xyz[:, :2], np.column_stack([along, xyz[:, 2]])):
+        kept = {
+            tuple(p) for p in shapely.get_coordinates(shapely.simplify(shapely.LineString(flat), TOLERANCE_M)).tolist()
+        }
+        keep |= np.array([tuple(p) in kept for p in flat.tolist()])
+    return np.asarray(xyz[keep])
