@@ -205,7 +205,7 @@ def _evidence(zone: WorkZone) -> Object:
         "road_axis_from": zone.layout.axis_source,
         "drives": list(zone.layout.drive_ids),
         "tapers": [
-            {"length_m": round(t.end_m - t.start_m, 1), "shift_m": round(t.shift_m, 2), "converging": t.converging}
+            {"length_m": round(t.length_m, 1), "shift_m": round(t.shift_m, 2), "converging": t.converging}
             for row in zone.layout.rows[:1]
             for t in row.tapers
         ],

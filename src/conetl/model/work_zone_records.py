@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Literal
+from typing import Literal, NamedTuple
 from uuid import UUID
 
 import numpy as np
@@ -52,6 +52,16 @@ class ZoneHistory:
     """The present ones; of an ended zone, the last ones."""
 
 
+class Knot(NamedTuple):
+    """Where a row bends or ends."""
+
+    station_m: float
+    sigmas_m: tuple[float, float]
+    """Towards smaller and larger stations."""
+    cones_m: tuple[float, ...]
+    """Stations of the cones that may mark it."""
+
+
 @dataclass(frozen=True)
 class Taper:
     """A part of a row that approaches traffic (converging) or recedes from it, in the direction of travel."""
@@ -59,19 +69,16 @@ class Taper:
     first: int
     last: int
     """Positions in the row."""
-    start_m: float
-    end_m: float
-    """Stations."""
+    start: Knot
+    end: Knot
     shift_m: float
     shift_sigma_m: float
     """Of the cones alone, without the error of the axis."""
-    start_sigmas_m: tuple[float, float]
-    """Sigma of the start towards smaller and towards larger stations."""
-    end_sigmas_m: tuple[float, float]
-    start_cones_m: tuple[float, ...]
-    """Stations of the cones that may mark its start."""
-    end_cones_m: tuple[float, ...]
     converging: bool
+
+    @property
+    def length_m(self) -> float:
+        return self.end.station_m - self.start.station_m
 
 
 @dataclass(frozen=True, eq=False)

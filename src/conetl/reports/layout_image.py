@@ -57,7 +57,8 @@ def _panel(ax: Axes, zone: WorkZone, findings: Sequence[Finding], paths: Sequenc
         ax.plot(s[members], o[members], color=_ROW, linewidth=1, zorder=2, label="row" if n == 0 else None)
         for m, taper in enumerate(row.tapers):
             label = "taper" if n == m == 0 else None
-            ax.axvspan(taper.start_m - zero, taper.end_m - zero, color=_TAPER, alpha=0.3, linewidth=0, label=label)
+            ends = taper.start.station_m - zero, taper.end.station_m - zero
+            ax.axvspan(*ends, color=_TAPER, alpha=0.3, linewidth=0, label=label)
     ax.errorbar(
         s, o, xerr=2 * layout.sigmas_s_m, yerr=2 * layout.sigmas_o_m, fmt="^", color=_CONE, markeredgecolor="black",
         markeredgewidth=0.5, markersize=7, elinewidth=1, label="cones, 2 sigma", zorder=3,

@@ -10,12 +10,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 
 from conetl.model.params import WorkZoneParams
-from conetl.model.work_zone_records import ConeRow, Taper
+from conetl.model.work_zone_records import ConeRow, Knot, Taper
 from conetl.workzones.linear_reference import Floats
 
 _WINDOW = 8
@@ -44,16 +43,6 @@ class _Piece:
         return self.a_m + self.b * (station_m - self.centre_m)
 
 
-class _Knot(NamedTuple):
-    """Where a row bends or ends."""
-
-    station_m: float
-    sigmas_m: tuple[float, float]
-    """Towards smaller and larger stations."""
-    cones_m: tuple[float, ...]
-    """Stations of the cones that may mark it."""
-
-
 def find_rows(
     stations_m: Floats,
     offsets_m: Floats,
@@ -75,8 +64,9 @@ def find_rows(
         chosen = left[_straightest(stations_m[left], offsets_m[left], sigmas_o_m[left], params)]
         if len(chosen) < (params.min_row_cones if rows else 2):
             return rows
-        some = (stations_m[chosen], offsets_m[chosen], sigmas_s_m[chosen], sigmas_o_m[chosen])
-        tapers = _tapers(*some, params, traffic_sign or 1.0, axis_sigma_m)
+        variances = params.placement_sigma_m**2 + sigmas_o_m[chosen] ** 2
+        row = (stations_m[chosen], offsets_m[chosen], sigmas_s_m[chosen], variances)
+        tapers = _tapers(*row, params, traffic_sign or 1.0, axis_sigma_m)
         rows.append(ConeRow(tuple(chosen.tolist()), tuple(tapers)))
         left = np.setdiff1d(left, chosen)
 
@@ -114,14 +104,15 @@ def _tapers(
     s: Floats,
     o: Floats,
     sigmas_s: Floats,
-    sigmas_o: Floats,
+    variances: Floats,
     params: WorkZoneParams,
     traffic_sign: float,
     axis_sigma_m: float,
 ) -> list[Taper]:
-    pieces = _pieces(s, o, sigmas_o, params)
-    scale = _variance_factor(pieces, o, s, sigmas_o, params)
-    variances = scale * (params.placement_sigma_m**2 + sigmas_o**2)
+    """Tapers of one row of cones (C,); variances: of the offsets, as assumed before the row's own scatter is known."""
+    pieces = _pieces(s, o, 1.0 / variances, params.segment_penalty)
+    scale = _variance_factor(pieces, o, s, variances)
+    variances = scale * variances
     pieces = [replace(piece, var_b=piece.var_b * scale) for piece in pieces]
     least_shift_m = max(params.min_taper_shift_m, 2.0 * axis_sigma_m)
     if axis_sigma_m <= params.lane_axis_sigma_m:
@@ -143,24 +134,19 @@ def _tapers(
             Taper(
                 first=piece.first,
                 last=piece.last,
-                start_m=start.station_m,
-                end_m=end.station_m,
+                start=start,
+                end=end,
                 shift_m=shift_m,
                 shift_sigma_m=length_m * piece.var_b**0.5,
-                start_sigmas_m=start.sigmas_m,
-                end_sigmas_m=end.sigmas_m,
-                start_cones_m=start.cones_m,
-                end_cones_m=end.cones_m,
                 converging=piece.b * traffic_sign > 0,
             )
         )
     return tapers
 
 
-def _pieces(s: Floats, o: Floats, sigmas_o: Floats, params: WorkZoneParams) -> list[_Piece]:
+def _pieces(s: Floats, o: Floats, weights: Floats, penalty: float) -> list[_Piece]:
     """The straight pieces of the row with the least chi-square plus a penalty per piece."""
     count = len(s)
-    weights = 1.0 / (params.placement_sigma_m**2 + sigmas_o**2)
     # Cumulative sums give the chi-square of the line through any part; centred for precision.
     x, y = s - s.mean(), o - o.mean()
     moments = [weights, weights * x, weights * y, weights * x * x, weights * x * y, weights * y * y]
@@ -170,7 +156,7 @@ def _pieces(s: Floats, o: Floats, sigmas_o: Floats, params: WorkZoneParams) -> l
     for j in range(1, count + 1):
         # A piece has at least three cones, unless the row has fewer.
         starts = np.arange(max(j - 2, 1)) if count >= 3 else np.array([0])
-        values = cost[starts] + _chi2(sums[:, [j]] - sums[:, starts]) + params.segment_penalty
+        values = cost[starts] + _chi2(sums[:, [j]] - sums[:, starts]) + penalty
         best = int(np.argmin(values))
         if j >= 3 or j == count:
             cost[j], cut[j] = values[best], int(starts[best])
@@ -191,9 +177,8 @@ def _chi2(moments: Floats) -> Floats:
     return chi2
 
 
-def _variance_factor(pieces: list[_Piece], o: Floats, s: Floats, sigmas_o: Floats, params: WorkZoneParams) -> float:
+def _variance_factor(pieces: list[_Piece], o: Floats, s: Floats, variances: Floats) -> float:
     """Factor on the assumed variances by the scatter of the row; the assumption counts as `_PRIOR_FREEDOM` cones."""
-    variances = params.placement_sigma_m**2 + sigmas_o**2
     chi2 = sum(
         (o[k] - piece.at(float(s[k]))) ** 2 / variances[k]
         for piece in pieces
@@ -213,12 +198,12 @@ def _fit(s: Floats, o: Floats, w: Floats, first: int, last: int) -> _Piece:
     return _Piece(first, last, centre, mean, slope, var_b)
 
 
-def _end(s: Floats, sigmas_s: Floats, at: int) -> _Knot:
+def _end(s: Floats, sigmas_s: Floats, at: int) -> Knot:
     """The end of a row, at its last cone."""
-    return _Knot(float(s[at]), (float(sigmas_s[at]), float(sigmas_s[at])), (float(s[at]),))
+    return Knot(float(s[at]), (float(sigmas_s[at]), float(sigmas_s[at])), (float(s[at]),))
 
 
-def _knot(one: _Piece, other: _Piece, s: Floats, o: Floats, variances: Floats) -> _Knot:
+def _knot(one: _Piece, other: _Piece, s: Floats, o: Floats, variances: Floats) -> Knot:
     """Where two pieces meet.
 
     The sigmas are thirds of the distances at which the best two lines that meet there fit worse by nine in chi-square (profile
@@ -241,7 +226,7 @@ def _knot(one: _Piece, other: _Piece, s: Floats, o: Floats, variances: Floats) -
     cones = s[(s >= low) & (s <= high)]
     at_cones = np.array([chi2_at(at) for at in cones])
     likely = cones[at_cones - at_cones.min() <= _KNOT_SIGMAS**2]
-    return _Knot(meet, ((meet - first) / _KNOT_SIGMAS, (last - meet) / _KNOT_SIGMAS), tuple(likely.tolist()))
+    return Knot(meet, ((meet - first) / _KNOT_SIGMAS, (last - meet) / _KNOT_SIGMAS), tuple(likely.tolist()))
 
 
 def _crossing(stations: Floats, rise: Floats, best: int, step: int) -> float:

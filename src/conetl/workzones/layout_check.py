@@ -7,7 +7,7 @@ add up.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -50,24 +50,32 @@ def check_layout(
     zone: ZoneHistory, layout: ZoneLayout, speed_kmh: float, rules: LayoutParams, params: WorkZoneParams
 ) -> list[Finding]:
     """All findings of one zone, by station; none for a zone without a row."""
-    found: list[Finding] = []
-    for row in layout.rows:
-        found += _gaps(zone, layout, row, speed_kmh, rules)
+    check = _Check(zone, layout, speed_kmh, rules, params)
+    found = [finding for row in layout.rows for finding in _gaps(check, row)]
     if layout.rows:
-        found += _taper_lengths(zone, layout, layout.rows[0], speed_kmh, rules, params)
-        found += _in_lane(zone, layout, rules)
+        found += [*_taper_lengths(check, layout.rows[0]), *_in_lane(check)]
     return sorted(found, key=lambda finding: (finding.station_m, finding.rule))
 
 
-def _finding(zone: ZoneHistory, layout: ZoneLayout, members: Iterable[int], **values: Any) -> Finding:
-    """A finding in metres about these cones of the layout."""
-    cones = [layout.cones[k] for k in members]
-    values.setdefault("xy_m", tuple((cone.xyz_m[0], cone.xyz_m[1]) for cone in cones))
-    feature_ids = tuple(cone.feature_id for cone in cones)
-    return Finding(zone_id=zone.zone_id, unit="m", feature_ids=feature_ids, **values)
+class _Check(NamedTuple):
+    """The arguments of `check_layout`."""
+
+    zone: ZoneHistory
+    layout: ZoneLayout
+    speed_kmh: float
+    rules: LayoutParams
+    params: WorkZoneParams
+
+    def finding(self, members: Iterable[int], **values: Any) -> Finding:
+        """A finding in metres about these cones of the layout."""
+        cones = [self.layout.cones[k] for k in members]
+        values.setdefault("xy_m", tuple((cone.xyz_m[0], cone.xyz_m[1]) for cone in cones))
+        feature_ids = tuple(cone.feature_id for cone in cones)
+        return Finding(zone_id=self.zone.zone_id, unit="m", feature_ids=feature_ids, **values)
 
 
-def _gaps(zone: ZoneHistory, layout: ZoneLayout, row: ConeRow, speed_kmh: float, rules: LayoutParams) -> list[Finding]:
+def _gaps(check: _Check, row: ConeRow) -> Iterator[Finding]:
+    layout, rules, speed_kmh = check.layout, check.rules, check.speed_kmh
     members = np.array(row.members)
     s, sigma = layout.stations_m[members], layout.sigmas_s_m[members]
     gaps = np.hypot(*np.diff([layout.cones[k].xyz_m[:2] for k in members], axis=0).T)
@@ -76,7 +84,6 @@ def _gaps(zone: ZoneHistory, layout: ZoneLayout, row: ConeRow, speed_kmh: float,
     at_cones = np.array([[_share_at_cones(row.tapers, a, b), 0.0] for a, b in pairwise(s)]).reshape(-1, 2)
     limits = allowed_spacing_m(speed_kmh, rules)
     on_lanes = layout.axis_source == "lanes"
-    found = []
     for index, gap in enumerate(gaps):
         both = sigma[index : index + 2]
         read = _read_gap(gaps, shares, index, both, limits, rules, vague=not on_lanes)
@@ -100,22 +107,17 @@ def _gaps(zone: ZoneHistory, layout: ZoneLayout, row: ConeRow, speed_kmh: float,
                 f"gap of {gap:.1f} m where the row has {gap / read.own:.1f} m, at most {limit_m:.1f} m allowed{doubt}"
             )
             words = f"{some} missing in the {where}: {rest}"
-        found.append(
-            _finding(
-                zone,
-                layout,
-                members[index : index + 2],
-                rule=Rule.MISSING_CONE if lacks else Rule.SPACING,
-                level=level,
-                norm=NORM_NONE if level is Level.NOTICE and not read.exceeds else NORM_SPACING,
-                text=words,
-                value=float(gap),
-                limit=float(limit_m),
-                sigma=float(read.sigma * limit_m),
-                station_m=float((s[index] + s[index + 1]) / 2),
-            )
+        yield check.finding(
+            members[index : index + 2],
+            rule=Rule.MISSING_CONE if lacks else Rule.SPACING,
+            level=level,
+            norm=NORM_NONE if level is Level.NOTICE and not read.exceeds else NORM_SPACING,
+            text=words,
+            value=float(gap),
+            limit=float(limit_m),
+            sigma=float(read.sigma * limit_m),
+            station_m=float((s[index] + s[index + 1]) / 2),
         )
-    return found
 
 
 class _Gap(NamedTuple):
@@ -159,7 +161,7 @@ def _read_gap(
 
 def _share_at_cones(tapers: Sequence[Taper], from_m: float, to_m: float) -> float:
     """Least share of a gap inside tapers, if a cone marks each of their ends."""
-    inside_m = sum(max(min(to_m, *taper.end_cones_m) - max(from_m, *taper.start_cones_m), 0.0) for taper in tapers)
+    inside_m = sum(max(min(to_m, *taper.end.cones_m) - max(from_m, *taper.start.cones_m), 0.0) for taper in tapers)
     return min(inside_m / (to_m - from_m), 1.0) if to_m > from_m else 0.0
 
 
@@ -167,9 +169,9 @@ def _taper_share(tapers: Sequence[Taper], from_m: float, to_m: float) -> tuple[f
     """Share of a gap inside tapers, and by how many metres less it may be (one sigma), which would excuse a wide gap."""
     inside_m, blur_m = 0.0, 0.0
     for taper in tapers:
-        inside_m += max(min(to_m, taper.end_m) - max(from_m, taper.start_m), 0.0)
-        for end_m, sigma_m in ((taper.start_m, taper.start_sigmas_m[1]), (taper.end_m, taper.end_sigmas_m[0])):
-            if from_m - 2 * sigma_m < end_m < to_m + 2 * sigma_m:
+        inside_m += max(min(to_m, taper.end.station_m) - max(from_m, taper.start.station_m), 0.0)
+        for knot, sigma_m in ((taper.start, taper.start.sigmas_m[1]), (taper.end, taper.end.sigmas_m[0])):
+            if from_m - 2 * sigma_m < knot.station_m < to_m + 2 * sigma_m:
                 blur_m = max(blur_m, min(sigma_m, to_m - from_m))
     length = to_m - from_m
     return (min(inside_m / length, 1.0) if length > 0 else 0.0), blur_m
@@ -210,49 +212,37 @@ def _beside(gaps: Floats, index: int) -> float:
     return max((float(np.median(part)) for part in some), default=np.inf)
 
 
-def _taper_lengths(
-    zone: ZoneHistory,
-    layout: ZoneLayout,
-    row: ConeRow,
-    speed_kmh: float,
-    rules: LayoutParams,
-    params: WorkZoneParams,
-) -> list[Finding]:
-    found = []
-    ratio = taper_ratio(speed_kmh, rules)
+def _taper_lengths(check: _Check, row: ConeRow) -> Iterator[Finding]:
+    layout, rules = check.layout, check.rules
+    ratio = taper_ratio(check.speed_kmh, rules)
     members = np.array(row.members)
     for taper in row.tapers:
         if not taper.converging or not layout.direction_known or layout.traffic_side is None:
             continue
-        length_m = taper.end_m - taper.start_m
+        length_m = taper.length_m
         shift_sigma = float(np.hypot(taper.shift_sigma_m, layout.axis_sigma_m))
-        merging = _is_merging(layout, taper, members, params)
+        merging = _is_merging(layout, taper, members, check.params)
         for share, kind in ((rules.shoulder_taper_share, "shoulder"), (rules.merging_taper_share, "merging")):
             wanted_m = share * ratio * taper.shift_m
-            longer_m = np.hypot(taper.start_sigmas_m[0], taper.end_sigmas_m[1])
+            longer_m = np.hypot(taper.start.sigmas_m[0], taper.end.sigmas_m[1])
             sigma_m = float(np.hypot(longer_m, share * ratio * shift_sigma))
             if length_m >= wanted_m or (merging if kind == "shoulder" else merging is False):
                 continue
             sure = wanted_m - length_m > rules.sigmas * sigma_m and (kind == "shoulder" or merging is True)
             doubt = "" if merging is not None or kind == "shoulder" else " if it closes a lane"
-            found.append(
-                _finding(
-                    zone,
-                    layout,
-                    members[[taper.first, taper.last]],
-                    rule=Rule.TAPER_LENGTH,
-                    level=Level.VIOLATION if sure else Level.CANNOT_TELL,
-                    norm=NORM_TAPER,
-                    text=f"taper of {length_m:.1f} m over {taper.shift_m:.1f} m of width, a {kind} taper needs {wanted_m:.1f} m "
-                    f"at {speed_kmh:g} km/h{doubt}",
-                    value=length_m,
-                    limit=wanted_m,
-                    sigma=sigma_m,
-                    station_m=(taper.start_m + taper.end_m) / 2,
-                )
+            yield check.finding(
+                members[[taper.first, taper.last]],
+                rule=Rule.TAPER_LENGTH,
+                level=Level.VIOLATION if sure else Level.CANNOT_TELL,
+                norm=NORM_TAPER,
+                text=f"taper of {length_m:.1f} m over {taper.shift_m:.1f} m of width, a {kind} taper needs {wanted_m:.1f} m "
+                f"at {check.speed_kmh:g} km/h{doubt}",
+                value=length_m,
+                limit=wanted_m,
+                sigma=sigma_m,
+                station_m=(taper.start.station_m + taper.end.station_m) / 2,
             )
             break
-    return found
 
 
 def _is_merging(layout: ZoneLayout, taper: Taper, members: Floats, params: WorkZoneParams) -> bool | None:
@@ -271,10 +261,10 @@ def _is_merging(layout: ZoneLayout, taper: Taper, members: Floats, params: WorkZ
     return bool(min(low for low, _ in edges) + _ON_LANE_LINE_M < offset)
 
 
-def _in_lane(zone: ZoneHistory, layout: ZoneLayout, rules: LayoutParams) -> list[Finding]:
+def _in_lane(check: _Check) -> Iterator[Finding]:
     """Strays towards traffic from their row."""
+    layout, rules = check.layout, check.rules
     in_rows = {k for row in layout.rows for k in row.members}
-    found = []
     for k in range(len(layout.cones)):
         if k in in_rows:
             continue
@@ -289,20 +279,15 @@ def _in_lane(zone: ZoneHistory, layout: ZoneLayout, rules: LayoutParams) -> list
         sure = away - rules.in_lane_tolerance_m > rules.sigmas * sigma and layout.traffic_side is not None
         x_m, y_m = locate(layout.axis_m, np.array([station]), np.array([offset]))[0]
         doubt = "" if layout.traffic_side is not None else "; the side on which traffic passes is unknown"
-        found.append(
-            _finding(
-                zone,
-                layout,
-                [k],
-                rule=Rule.CONE_IN_LANE,
-                level=Level.VIOLATION if sure else Level.CANNOT_TELL,
-                norm=NORM_IN_LANE,
-                text=f"a cone stands {away:.1f} m from its row towards traffic{doubt}",
-                value=away,
-                limit=rules.in_lane_tolerance_m,
-                sigma=sigma,
-                station_m=station,
-                xy_m=((float(x_m), float(y_m)),),
-            )
+        yield check.finding(
+            [k],
+            rule=Rule.CONE_IN_LANE,
+            level=Level.VIOLATION if sure else Level.CANNOT_TELL,
+            norm=NORM_IN_LANE,
+            text=f"a cone stands {away:.1f} m from its row towards traffic{doubt}",
+            value=away,
+            limit=rules.in_lane_tolerance_m,
+            sigma=sigma,
+            station_m=station,
+            xy_m=((float(x_m), float(y_m)),),
         )
-    return found

@@ -104,7 +104,7 @@ def zone_as_dict(zone: WorkZone) -> dict[str, object]:
         "closed_lane_count": zone.closed_lane_count,
         "vehicle_impact": str(zone.impact),
         "tapers": [
-            {"length_m": round(t.end_m - t.start_m, 2), "shift_m": round(t.shift_m, 2), "converging": t.converging}
+            {"length_m": round(t.length_m, 2), "shift_m": round(t.shift_m, 2), "converging": t.converging}
             for row in layout.rows[:1]
             for t in row.tapers
         ],
