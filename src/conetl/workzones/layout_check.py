@@ -17,7 +17,7 @@ from conetl.model.params import LayoutParams, WorkZoneParams
 from conetl.model.work_zone_records import ConeRow, Finding, Level, Rule, Taper, ZoneHistory, ZoneLayout
 from conetl.workzones.cone_rows import row_offset
 from conetl.workzones.lane_bands import lanes_at
-from conetl.workzones.linear_reference import Floats, locate
+from conetl.workzones.linear_reference import Floats, locate, spacing_beside
 
 FOOT_M = 0.3048
 MILE_KM = 1.609344
@@ -153,7 +153,7 @@ def _read_gap(
     regular = _regular(gaps, shares[:, 0], index)
     own, sigma_own, _ = _used(gap, inside, blur_m, sigmas_m, regular) if regular else (0.0, 1.0, 0.0)
     if vague:  # twice the spacing before it may be the spacing behind it
-        own = min(own, gap / max(_beside(gaps, index), 1e-9))
+        own = min(own, gap / max(spacing_beside(gaps, index, alone=np.inf), 1e-9))
     exceeds = used - 1.0 > rules.sigmas * sigma
     lacks = own - rules.missing_cone_ratio > rules.sigmas * sigma_own
     return _Gap(float(inside), used, sigma, limit_m, own, exceeds, lacks)
@@ -204,12 +204,6 @@ def _regular(gaps: Floats, inside: Floats, index: int) -> tuple[float, float] | 
         # A tangent has up to twice the spacing of its taper: the larger value avoids false missing cones.
         return None if only is None else (only, 2 * only if tangent is None else only)
     return taper, tangent
-
-
-def _beside(gaps: Floats, index: int) -> float:
-    """The larger of the medians of up to three gaps before and after a gap; infinite without any."""
-    some = [part for part in (gaps[max(index - 3, 0) : index], gaps[index + 1 : index + 4]) if len(part)]
-    return max((float(np.median(part)) for part in some), default=np.inf)
 
 
 def _taper_lengths(check: _Check, row: ConeRow) -> Iterator[Finding]:

@@ -95,3 +95,10 @@ def _segments(line_m: Floats, stations_m: Floats) -> tuple[NDArray[np.intp], Flo
     index = np.clip(np.searchsorted(station, stations_m, side="right") - 1, 0, len(steps) - 1)
     directions: Floats = steps[index] / np.hypot(*steps[index].T)[:, None]
     return index, stations_m - station[index], directions
+
+
+def spacing_beside(gaps_m: Floats, index: int, *, alone: float = 0.0) -> float:
+    """The larger of the medians of up to three gaps before and after a gap, so that a tangent may follow a taper with half its
+    spacing; `alone` without any."""
+    beside = gaps_m[max(index - 3, 0) : index], gaps_m[index + 1 : index + 4]
+    return max((float(np.median(some)) for some in beside if len(some)), default=alone)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,16 +23,6 @@ _JOIN_COS = 0.87
 
 
 @dataclass(frozen=True, eq=False)
-class Pass:
-    """One stretch of one drive beside cones."""
-
-    drive_id: str
-    captured_from_ns: int
-    line_m: Floats
-    """(N, 2), smooth, by time."""
-
-
-@dataclass(frozen=True, eq=False)
 class RoadAxis:
     """A line and the cones (indices) along it."""
 
@@ -43,8 +33,8 @@ class RoadAxis:
     offsets_m: Floats
 
 
-def passes_beside(paths: Sequence[DrivePath], cones_m: Floats, params: WorkZoneParams) -> list[Pass]:
-    """The stretches of the paths beside cones (C, 2); a drive that passes twice gives two."""
+def passes_beside(paths: Sequence[DrivePath], cones_m: Floats, params: WorkZoneParams) -> list[DrivePath]:
+    """The stretches of the paths beside cones (C, 2), smooth, by time; a drive that passes twice gives two."""
     tree = KDTree(cones_m)
     reach_m = params.max_path_offset_m + params.max_beyond_path_m
     found = []
@@ -58,11 +48,11 @@ def passes_beside(paths: Sequence[DrivePath], cones_m: Floats, params: WorkZoneP
         for start, end in edges.reshape(-1, 2):
             stretch = line[start:end]
             if len(stretch) > 1 and stations(stretch)[-1] >= _LEAST_PASS_M:
-                found.append(Pass(path.drive_id, path.captured_from_ns, stretch))
+                found.append(replace(path, xy_m=stretch))
     return found
 
 
-def axes_of(cones_m: Floats, passes: Sequence[Pass], params: WorkZoneParams) -> list[RoadAxis]:
+def axes_of(cones_m: Floats, passes: Sequence[DrivePath], params: WorkZoneParams) -> list[RoadAxis]:
     """Axes such that every cone (C, 2) is beside exactly one of them, those of drives first.
 
     The pass beside the most cones is the first axis, extended by others of the same road. Cones beside no pass get a straight
@@ -92,25 +82,25 @@ def _covered(line_m: Floats, s: Floats, o: Floats, params: WorkZoneParams) -> Ma
     return covered
 
 
-def _best_pass(cones_m: Floats, passes: Sequence[Pass], params: WorkZoneParams) -> Floats | None:
+def _best_pass(cones_m: Floats, passes: Sequence[DrivePath], params: WorkZoneParams) -> Floats | None:
     """The pass beside the most cones, then with the fewest beyond its ends, then the earliest; None if none covers a cone."""
     ranked = []
     for number, one in enumerate(passes):
-        s, o = project(one.line_m, cones_m)
-        covered = _covered(one.line_m, s, o, params)
-        inside = covered & (s >= 0) & (s <= stations(one.line_m)[-1])
+        s, o = project(one.xy_m, cones_m)
+        covered = _covered(one.xy_m, s, o, params)
+        inside = covered & (s >= 0) & (s <= stations(one.xy_m)[-1])
         if covered.any():
             ranked.append((-covered.sum(), -inside.sum(), float(one.captured_from_ns), one.drive_id, number))
-    return passes[min(ranked)[-1]].line_m if ranked else None
+    return passes[min(ranked)[-1]].xy_m if ranked else None
 
 
-def _lengthened(line_m: Floats, cones_m: Floats, passes: Sequence[Pass], params: WorkZoneParams) -> Floats:
+def _lengthened(line_m: Floats, cones_m: Floats, passes: Sequence[DrivePath], params: WorkZoneParams) -> Floats:
     """The line extended at its ends by parts of other passes, shifted sideways to meet it, while that covers more cones."""
     for _ in range(len(passes)):
         covered = _covered(line_m, *project(line_m, cones_m), params)
         if covered.all():
             break
-        both = (_joined(start, one.line_m) for one in passes for start in (line_m, line_m[::-1]))
+        both = (_joined(start, one.xy_m) for one in passes for start in (line_m, line_m[::-1]))
         longer = next((line for line in both if line is not None and _gains(line, cones_m, covered, params)), None)
         if longer is None:
             break

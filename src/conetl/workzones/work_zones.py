@@ -19,12 +19,10 @@ from scipy.spatial import KDTree
 from conetl.model.map_records import FeatureVersion, MapFeature
 from conetl.model.params import WorkZoneParams
 from conetl.model.work_zone_records import DrivePath, ZoneHistory
-from conetl.workzones.linear_reference import Floats
-from conetl.workzones.road_axes import Indices, Pass, axes_of, passes_beside
+from conetl.workzones.linear_reference import Floats, spacing_beside
+from conetl.workzones.road_axes import Indices, axes_of, passes_beside
 
 _NAMESPACE = uuid5(NAMESPACE_URL, "https://conetl.example/work_zone")
-#: Gaps on each side of a gap that define the row's own spacing.
-_NEIGHBOUR_GAPS = 3
 #: A car needs this width between cones; so wide a gap separates two zones.
 _CAR_WIDTH_M = 2.0
 _CELL_M = 20.0
@@ -60,21 +58,18 @@ def zones_over_time(
 def chain(stations_m: Floats, params: WorkZoneParams) -> list[Indices]:
     """Indices of cones (C,) along one road in successive groups, each sorted by station.
 
-    A gap separates if it exceeds `link_factor` times the spacing beside it: the larger of the medians of up to three gaps
-    before and after it, so that a tangent may follow a taper with half its spacing.
+    A gap separates if it exceeds `link_factor` times the spacing beside it.
     """
     order = np.argsort(stations_m, kind="stable")
     gaps = np.diff(stations_m[order])
     cuts = []
     for index, gap in enumerate(gaps):
-        before, after = gaps[max(index - _NEIGHBOUR_GAPS, 0) : index], gaps[index + 1 : index + 1 + _NEIGHBOUR_GAPS]
-        spacing = max((float(np.median(some)) for some in (before, after) if len(some)), default=0.0)
-        if gap > min(max(params.min_link_m, params.link_factor * spacing), params.max_link_m):
+        if gap > min(max(params.min_link_m, params.link_factor * spacing_beside(gaps, index)), params.max_link_m):
             cuts.append(index + 1)
     return list(np.split(order, cuts))
 
 
-def clusters(features: Sequence[MapFeature], passes: Sequence[Pass], params: WorkZoneParams) -> list[set[UUID]]:
+def clusters(features: Sequence[MapFeature], passes: Sequence[DrivePath], params: WorkZoneParams) -> list[set[UUID]]:
     """Groups of cones present at one instant along roads. Rows on both sides of a drive are two groups."""
     if not features:
         return []

@@ -22,7 +22,7 @@ from conetl.model.work_zone_records import (
 from conetl.workzones.cone_rows import find_rows
 from conetl.workzones.lane_bands import closed_lanes, lane_bands
 from conetl.workzones.linear_reference import Floats, directions_at, locate, project
-from conetl.workzones.road_axes import Pass, axes_of, passes_beside
+from conetl.workzones.road_axes import axes_of, passes_beside
 
 #: Lane lines are searched this far beside the cones, and before the first and behind the last one.
 _LANE_REACH_M = 15.0
@@ -80,7 +80,7 @@ def _along(
     source: AxisSource,
     known: bool,
     cones: Sequence[MapFeature],
-    passes: Sequence[Pass],
+    passes: Sequence[DrivePath],
     lanes: Sequence[LaneLine],
     params: WorkZoneParams,
 ) -> ZoneLayout:
@@ -130,13 +130,13 @@ def _sigmas(line: Floats, s: Floats, cones: Sequence[MapFeature]) -> tuple[Float
     return np.sqrt(np.maximum(var_s, 0.0)), np.sqrt(np.maximum(var_o, 0.0))
 
 
-def _heading(line: Floats, one: Pass) -> int:
-    s, _ = project(line, one.line_m[[0, -1]])
+def _heading(line: Floats, one: DrivePath) -> int:
+    s, _ = project(line, one.xy_m[[0, -1]])
     return 1 if s[1] > s[0] else -1
 
 
 def _direction(
-    line: Floats, cones_m: Floats, cones: Sequence[MapFeature], passes: Sequence[Pass], params: WorkZoneParams
+    line: Floats, cones_m: Floats, cones: Sequence[MapFeature], passes: Sequence[DrivePath], params: WorkZoneParams
 ) -> int:
     """+1 where traffic follows the line, -1 against it."""
     kerb_sign = -1.0 if params.kerb_side == "right" else 1.0
@@ -145,7 +145,7 @@ def _direction(
         those = [one for one in passes if _heading(line, one) == heading]
         if not those:
             continue
-        beside = [float(np.median(project(one.line_m, cones_m)[1])) for one in those]
+        beside = [float(np.median(project(one.xy_m, cones_m)[1])) for one in those]
         kerb = sum(value * kerb_sign > 0 for value in beside) * 2 > len(beside)
         layout = _along(line[::heading], "drives", True, cones, those, (), params)
         tapers = layout.rows[0].tapers if layout.rows else ()
@@ -153,19 +153,19 @@ def _direction(
     return max(scores, key=lambda heading: (scores[heading], heading))
 
 
-def _traffic_sign(line: Floats, passes: Sequence[Pass], s: Floats, o: Floats, row: Sequence[int]) -> float:
+def _traffic_sign(line: Floats, passes: Sequence[DrivePath], s: Floats, o: Floats, row: Sequence[int]) -> float:
     """+1 where traffic passed to the left of the row, -1 to the right, 0 unknown."""
     if not passes or not row:
         return 0.0
     sides = []
     for one in passes:
-        pass_s, pass_o = project(line, one.line_m)
+        pass_s, pass_o = project(line, one.xy_m)
         order = np.argsort(pass_s)
         sides += list(np.interp(s[list(row)], pass_s[order], pass_o[order]) - o[list(row)])
     return float(np.sign(np.median(sides)))
 
 
-def _lane_axis(line: Floats, cones_m: Floats, lanes: Sequence[LaneLine], passes: Sequence[Pass]) -> Floats | None:
+def _lane_axis(line: Floats, cones_m: Floats, lanes: Sequence[LaneLine], passes: Sequence[DrivePath]) -> Floats | None:
     """The lane line nearest to the cones and beside all of them, in the direction of the line; None if there is none."""
     s, o = project(line, cones_m)
     bands = _bands(line, np.sort(s), lanes)

@@ -34,8 +34,6 @@ from conetl.readers.drives.drive_yaml import is_bare_bag
 from conetl.readers.drives.pairs import PairError
 
 METADATA = "metadata.yaml"
-#: Errors of reading one message whose bytes do not match its type.
-_NOT_DECODED = (SerdeError, AnyReaderError, struct.error, ValueError, IndexError, KeyError, UnicodeDecodeError)
 
 #: OpenCV names Bayer patterns from another pixel than ROS does (REP 118, cv_bridge).
 _TO_BGR: dict[str, int | None] = {
@@ -103,11 +101,7 @@ def _bag_of_folder(reader: AnyReader) -> Bag:
     def messages(topics: Sequence[str]) -> Iterator[Message]:
         wanted = [c for c in reader.connections if c.topic in topics]
         for connection, at_ns, raw in reader.messages(wanted) if wanted else ():
-            try:
-                content: Any = reader.deserialize(raw, connection.msgtype)
-            except _NOT_DECODED:
-                content = None
-            yield Message(connection.topic, content, at_ns)
+            yield Message(connection.topic, _decoded(reader.deserialize, raw, connection.msgtype), at_ns)
 
     types = {c.topic: c.msgtype for c in reader.connections}
     counts = {topic: info.msgcount for topic, info in reader.topics.items()}
@@ -137,10 +131,7 @@ def _bag_of_file(reader: McapReader, path: Path) -> Bag:
         wanted = [topic for topic in topics if topic in types]
         # Without an index the file is in the order of recording; to sort it, all of it would be kept in memory.
         for _, channel, message in reader.iter_messages(wanted, log_time_order=indexed) if wanted else ():
-            try:
-                content: Any = store.deserialize_cdr(message.data, types[channel.topic])
-            except _NOT_DECODED:
-                content = None
+            content = _decoded(store.deserialize_cdr, message.data, types[channel.topic])
             yield Message(channel.topic, content, message.log_time)
 
     statistics = summary.statistics
@@ -149,6 +140,14 @@ def _bag_of_file(reader: McapReader, path: Path) -> Bag:
     }
     recorded_ns = (statistics.message_start_time, statistics.message_end_time) if statistics else (0, 0)
     return Bag(types, counts, recorded_ns, messages)
+
+
+def _decoded(deserialize: Callable[[bytes, str], object], raw: bytes, kind: str) -> Any:
+    """Fields of a message as attributes; None where its bytes do not match its type."""
+    try:
+        return deserialize(raw, kind)
+    except (SerdeError, AnyReaderError, struct.error, ValueError, IndexError, KeyError):
+        return None
 
 
 def _ros_name(schema: Schema) -> str:

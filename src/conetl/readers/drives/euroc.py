@@ -29,8 +29,15 @@ from conetl.model.records import Camera, Drive, Rig, Side
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside, read_drive_yaml
 from conetl.readers.drives.formats import HeaderFacts, ReadOptions, add_settings, own_rig, rig_on_body
-from conetl.readers.drives.pairs import ContentHash, ImageFile, PairError, check_images
-from conetl.readers.drives.stamped_pairs import Image, drive_of_couples, pair_by_stamp
+from conetl.readers.drives.pairs import (
+    ContentHash,
+    Image,
+    ImageFile,
+    PairError,
+    check_images,
+    drive_of_couples,
+    pair_by_stamp,
+)
 from conetl.readers.drives.trajectories import (
     Samples,
     at,

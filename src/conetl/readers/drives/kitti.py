@@ -270,7 +270,7 @@ def _check_pose(number: int, captured: int, bad: Mapping[int, str], track: oxts.
         path = root / name
         text = path.read_text(encoding="utf-8", errors="replace")[:1000] if path.is_file() else None
         raise PairError(RejectionReason.POSE_INVALID, f"{name}: {bad[number]}", path=name, text=text)
-    if not oxts.has_record(track, number):
+    if number not in track.rows:
         raise PairError(RejectionReason.POSE_MISSING, f"{name}: there is no such file", path=name)
     apart = abs(captured - track.times_ns.get(number, captured))
     if apart > MAX_CLOCK_DIFFERENCE_NS:

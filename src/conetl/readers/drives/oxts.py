@@ -7,7 +7,6 @@ clockwise), 23 pos_accuracy (m, north/east). KITTI's `dataformat.txt` describes 
 from __future__ import annotations
 
 import math
-from bisect import bisect_left
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -83,6 +82,8 @@ class OxtsTrajectory(NamedTuple):
     """(N, 3)"""
     times_ns: dict[int, int]
     """By frame number; frames without a time are missing."""
+    rows: dict[int, int]
+    """Row of the arrays by frame number."""
 
 
 def trajectory(
@@ -102,6 +103,7 @@ def trajectory(
     return OxtsTrajectory(
         numbers, poses, np.stack([horizontal, horizontal, vertical], axis=1),
         {number: times_ns[number] for number in numbers if number in times_ns},
+        {number: k for k, number in enumerate(numbers)},
     )  # fmt: skip
 
 
@@ -113,12 +115,6 @@ def wild_records(track: OxtsTrajectory) -> dict[int, str]:
     return {numbers[k]: text for k, text in wild.items()}
 
 
-def has_record(track: OxtsTrajectory, number: int) -> bool:
-    """Whether there is a pose of this frame number."""
-    index = bisect_left(track.numbers, number)
-    return index < len(track.numbers) and track.numbers[index] == number
-
-
 def poses_at(track: OxtsTrajectory, exposures_ns: Mapping[int, int], sigmas: Sigmas) -> dict[int, Pose]:
     """Poses at the exposures of frames, by number; each of them has a valid record.
 
@@ -128,7 +124,7 @@ def poses_at(track: OxtsTrajectory, exposures_ns: Mapping[int, int], sigmas: Sig
     number is used, and the distance that the body may have driven is added to the sigma of its position. A record without a
     time is used as it is.
     """
-    index = {number: k for k, number in enumerate(track.numbers)}
+    index = track.rows
     poses = {number: track.map_SE3_body[index[number]] for number in exposures_ns}
     sigma_enu_m = {number: track.sigma_enu_m[index[number]] for number in exposures_ns}
     moving: dict[int, tuple[Array, float]] = {}

@@ -50,8 +50,7 @@ from conetl.readers.drives.bag_rig import (
 )
 from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas, read_drive_yaml, small_file
 from conetl.readers.drives.formats import HeaderFacts, ReadOptions, add_settings, own_rig, rig_on_body
-from conetl.readers.drives.pairs import ContentHash, ImageFile, PairError
-from conetl.readers.drives.stamped_pairs import Image, drive_of_couples, pair_by_stamp
+from conetl.readers.drives.pairs import ContentHash, Image, ImageFile, PairError, drive_of_couples, pair_by_stamp
 from conetl.readers.drives.timestamps import EARLIEST_NS
 from conetl.readers.drives.trajectories import (
     at,

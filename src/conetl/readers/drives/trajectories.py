@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_left, bisect_right
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -161,13 +161,6 @@ def rotation_of(w: float, x: float, y: float, z: float) -> Array:
             [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
         ]
     )
-
-
-def nearest_index(times_ns: list[int], time_ns: int) -> int:
-    """Index of the nearest time; of two equally near ones the earlier. The list must not be empty."""
-    after = bisect_right(times_ns, time_ns)
-    around = [i for i in (after - 1, after) if 0 <= i < len(times_ns)]
-    return min(around, key=lambda i: abs(times_ns[i] - time_ns))
 
 
 def georeferenced(

@@ -234,11 +234,9 @@ def _file_crs(table: MapTable, stated: str | None) -> CRS:
         raise InputError(
             f"--crs {stated} is not a known coordinate reference system; write it like EPSG:32632"
         ) from error
-    if table.crs is None and wanted is None:
-        raise InputError(f"{table.path} does not have a CRS of its coordinates: state it (--crs EPSG:...)")
     crs = table.crs or wanted
     if crs is None:
-        raise ValueError("one of the two is there")
+        raise InputError(f"{table.path} does not have a CRS of its coordinates: state it (--crs EPSG:...)")
     if table.crs is not None and wanted is not None and not _same(table.crs, wanted):
         raise InputError(f"{table.path} has the CRS {table.crs.name}, but --crs is {wanted.name}: which is right?")
     if crs.is_compound:

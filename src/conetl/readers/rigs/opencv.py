@@ -8,7 +8,7 @@ in the file, and the stereo sample does not write the image size either.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -136,14 +136,9 @@ def _files(path: Path) -> dict[str, Path]:
 
 def _named(path: Path, content: Mapping[str, Any], what: str, names: tuple[str, ...]) -> tuple[str, Any]:
     """The first existing one of several names, with its value. Raises CalibrationError."""
-    for name in names:
-        value: Any = content.get(name)
-        if value is None and "." in name:
-            part, _, rest = name.partition(".")
-            inner = content.get(part)
-            value = inner.get(rest) if isinstance(inner, Mapping) else None
-        if value is not None:
-            return name, value
+    found = _first(content, names)
+    if found is not None:
+        return found
     shown = ", ".join(content) or "nothing"
     raise bad(path, names[0], f"({what}) is missing; found {shown}. Known names: {', '.join(names[:6])}")
 
@@ -156,13 +151,23 @@ def _camera(path: Path, content: Mapping[str, Any], side: Side, image_size: Size
     return camera_from_matrix(path, key_k, numbers(path, key_k, k, (3, 3)), size, lens)
 
 
+def _first(content: Mapping[str, Any], names: Iterable[str]) -> tuple[str, Any] | None:
+    """The same, None without any; of LEFT.K also K in LEFT."""
+    for name in names:
+        part, _, rest = name.partition(".")
+        inner = content.get(part)
+        value = content.get(name, inner.get(rest) if isinstance(inner, Mapping) else None)
+        if value is not None:
+            return name, value
+    return None
+
+
 def _of_side(side: Side, what: str) -> tuple[str, ...]:
     return (*_NAMES[f"{side}.{what}"], *(f"{side}.{name}" for name in _NAMES[what]))
 
 
 def _scalar(content: Mapping[str, Any], side: Side, names: tuple[str, ...]) -> tuple[str, Any] | None:
-    found = ((key, content[key]) for name in names for key in (f"{side}.{name}", name) if content.get(key) is not None)
-    return next(found, None)
+    return _first(content, (key for name in names for key in (f"{side}.{name}", name)))
 
 
 def _is_fisheye(path: Path, content: Mapping[str, Any], side: Side) -> bool:
