@@ -164,31 +164,22 @@ def change_line(number: int, text: str) -> Callable[[Path], None]:
     return change
 
 
-def other_size(drive: Path) -> None:
-    cv2.imwrite(str(drive / "image_02/data/0000000002.jpg"), np.zeros((40, 100, 3), np.uint8))
-
-
 R = RejectionReason
 LOSSES: dict[str, tuple[Callable[[Path], object], int, RejectionReason, str]] = {
     "empty file": (lambda d: (d / "image_03/data/0000000001.jpg").write_bytes(b""), 1, R.IMAGE_UNREADABLE, "empty"),
-    "other size": (other_size, 2, R.IMAGE_WRONG_SIZE, "100 x 40 pixels, but the calibration is for 96 x 32"),
     "two images of one number": (
         lambda d: shutil.copy(d / "image_02/data/0000000002.jpg", d / "image_02/data/2.jpg"), 2, R.IMAGE_UNREADABLE, "keep one",
     ),
     "NaN in OXTS": (change_oxts(3, 0, "nan"), 3, R.POSE_INVALID, "lat_deg is nan"),
-    "infinite height": (change_oxts(3, 2, "inf"), 3, R.POSE_INVALID, "height_m is inf"),
-    "NaN yaw": (change_oxts(3, 5, "nan"), 3, R.POSE_INVALID, "yaw_rad is nan"),
     "latitude out of range": (change_oxts(3, 0, "91"), 3, R.POSE_INVALID, "between -90 and 90"),
     "degrees for radians": (change_oxts(3, 4, "12.5"), 3, R.POSE_INVALID, "pitch_rad"),
     "no sigma": (change_oxts(3, 23, "0"), 3, R.POSE_INVALID, "pos_accuracy is 0"),
-    "wild fix": (change_oxts(3, 0, "49.02"), 3, R.POSE_INVALID, "wild fix"),
     "text in OXTS": (change_oxts(3, 7, "fast"), 3, R.POSE_INVALID, "text that is not a number"),
     "short OXTS": (
         lambda d: (d / "oxts/data/0000000003.txt").write_text("49.0 8.4"), 3, R.POSE_INVALID, "expected 30 numbers, found 2",
     ),
     "no OXTS": (lambda d: (d / "oxts/data/0000000003.txt").unlink(), 3, R.POSE_MISSING, "no such file"),
     "time stamp garbled": (change_line(3, "2026-03-01"), 3, R.TIMESTAMP_INVALID, "line 4"),
-    "impossible time": (change_line(3, "2026-02-31 12:00:00.5"), 3, R.TIMESTAMP_INVALID, "line 4"),
     "time stamp twice": (change_line(5, stamp(1.4)), 5, R.TIMESTAMP_INVALID, "does not rise"),
     "time stamps end early": (
         lambda d: (d / "image_02/timestamps.txt").write_text("".join(f"{stamp(1 + 0.1 * i)}\n" for i in range(5))),
@@ -221,16 +212,10 @@ def test_a_broken_pair_costs_that_pair_only(drive: Path, name: str) -> None:
     json.dumps(rejections[0].payload, allow_nan=False)
 
 
-def test_the_text_of_a_bad_pose_is_kept(drive: Path) -> None:
-    change_oxts(3, 0, "nan")(drive)
-    _, (rejection,) = read_drive(drive)
-    assert rejection.payload["text"].startswith("nan 11.5")
-    assert rejection.payload["frame_index"] == 3
-
-
 def test_neighbours_of_a_bad_pose_are_interpolated_across_it(drive: Path) -> None:
     change_oxts(3, 0, "nan")(drive)
-    result, _ = read_drive(drive)
+    result, (rejection,) = read_drive(drive)
+    assert rejection.payload["text"].startswith("nan 11.5")
     start = geodesy.to_map(32632, LAT, LON, 120.0)
     after = next(pair for pair in result.frame_pairs if pair.frame_index == 4)
     assert np.linalg.norm((np.array(after.pose.map_t_body_m) - start)[:2]) == pytest.approx(4.0, rel=0.01)

@@ -1,4 +1,4 @@
-"""Drive folders with raw images: which rig a reader takes, and what rig.yaml may say of lenses and sigmas."""
+"""Drive folders with raw images: which rig a reader takes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from conetl.geometry import rig as rigs
 from conetl.geometry.rectification import is_rectified, rectified_from_raw, rectify
 from conetl.model.errors import CalibrationError
 from conetl.readers.drives import read_drive
-from conetl.readers.rigs import read_kitti_rig, read_rig, read_rig_for_images, write_rig_yaml
+from conetl.readers.rigs import read_kitti_rig, read_rig_for_images
 
 #: The numbers of KITTI's cameras 02 and 03, with few digits.
 CAM_TO_CAM = """S_02: 1392 512
@@ -144,66 +144,3 @@ def test_a_plain_drive_whose_cameras_share_no_image_is_refused(tmp_path: Path) -
     text = f"left: {{{PIXELS}}}\nright: {{{PIXELS}}}\nleft_SE3_right: {{R: {turn}, t_m: [0.3, 0, 0]}}\n{BODY}\n"
     with pytest.raises(CalibrationError, match=r"rig\.yaml: the cameras look"):
         read_drive(plain(tmp_path / "d", text))
-
-
-CAMERA = "{width_px: 1242, height_px: 375, fx_px: 721.5, fy_px: 720.0, cx_px: 609.6, cy_px: 172.9}"
-PAPER = (
-    "{width_px: 6000, height_px: 4000, focal_mm: [15.9004, 15.8703], sensor_width_mm: 23.5, sensor_height_mm: 15.6%s}"
-)
-HEAD = f"left: {CAMERA}\nright: {CAMERA}\nbaseline_m: 0.27\n"
-
-
-def test_rig_yaml_in_millimetres_from_the_corner(tmp_path: Path) -> None:
-    (tmp_path / "rig.yaml").write_text(
-        f"left: {PAPER % ', principal_mm: [11.75, 7.8]'}\nright: {PAPER % ''}\nbaseline_m: 0.2745\n"
-    )
-    rig = read_rig(tmp_path)
-    assert rig.left.cx_px == pytest.approx(2999.5) and rig.left.cy_px == pytest.approx(1999.5)
-    assert rig.left.fx_px == rig.right.fx_px == pytest.approx(15.9004 / 23.5 * 6000)
-
-
-def test_covariance_survives_the_file(tmp_path: Path) -> None:
-    covariance = (
-        "calibration_covariance: {names: [left.fx_px, relative.ry_rad], matrix: [[4.0, 1.0e-4], [1.0e-4, 1.0e-6]]}"
-    )
-    (tmp_path / "rig.yaml").write_text(f"rig_id: a\n{HEAD}{covariance}\nsigma_px: 0.3\n")
-    rig = read_rig(tmp_path)
-    assert rig.calibration_covariance is not None and rig.calibration_covariance.matrix[0] == (4.0, 1e-4)
-    write_rig_yaml(rig, tmp_path / "again.yaml")
-    assert read_rig(tmp_path / "again.yaml") == rig
-
-
-@pytest.mark.parametrize(
-    ("extra", "message"),
-    [
-        ("sigmas: {left.f_px: 1}", "'left.f_px' in the calibration's covariance is not a parameter"),
-        ("sigmas: {left.lens.0: 1}", "'left.lens.0' in the calibration's covariance is not a parameter"),
-        ("sigmas: {left.fx_px: -1}", "'sigmas.left.fx_px'"),
-        ("sigmas: {left.fx_px: .nan}", "'sigmas.left.fx_px'"),
-        ("sigmas: {left.fx_mm: 0.1}", "millimetres need a camera given in millimetres"),
-        ("sigmas: {relative.rx_rad: 0.1, relative.rx_deg: 1}", "relative.rx_rad is given twice"),
-        ("sigmas: {left.fx_px: 1}\ncalibration_covariance: {names: [left.fx_px], matrix: [[1.0]]}", "either sigmas or"),
-        ("calibration_covariance: {names: [left.fx_px], matrix: [[1.0, 0.0]]}", "calibration_covariance.*1 x 1"),
-        ("calibration_covariance: {names: [left.fx_px, left.fy_px], matrix: [[1, 2], [2, 1]]}", "negative eigenvalue"),
-        ("lens: {}", "'lens'"),
-    ],
-)
-def test_an_invalid_covariance_is_rejected(tmp_path: Path, extra: str, message: str) -> None:
-    (tmp_path / "rig.yaml").write_text(HEAD + extra)
-    with pytest.raises(CalibrationError, match=message):
-        read_rig(tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("lens", "message"),
-    [
-        ("{model: brown, coefficients: [1, 2]}", "'left.lens': .*has 5 coefficients, found 2"),
-        ("{model: mei, coefficients: [1, 2]}", "'left.lens.model'"),
-        ("{model: radial, coefficients: [.nan, 0]}", "'left.lens.coefficients.0'"),
-    ],
-)
-def test_an_invalid_lens_is_rejected(tmp_path: Path, lens: str, message: str) -> None:
-    text = HEAD.replace("cy_px: 172.9}", f"cy_px: 172.9, lens: {lens}}}", 1)
-    (tmp_path / "rig.yaml").write_text(text)
-    with pytest.raises(CalibrationError, match=message):
-        read_rig(tmp_path)

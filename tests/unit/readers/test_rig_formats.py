@@ -351,38 +351,29 @@ def complaint(path: Path, message: str, named: Path | None = None) -> None:
     assert str(raised.value).startswith(str(named or path)), "the file is not named"
 
 
-@pytest.mark.parametrize("name", BAD_KALIBR)
-def test_a_broken_camchain(tmp_path: Path, name: str) -> None:
-    content = kalibr_content()
-    BAD_KALIBR[name][0](content)
-    path = tmp_path / "camchain.yaml"
-    path.write_text(yaml.safe_dump(content))
-    complaint(path, BAD_KALIBR[name][1])
+def broken(folder: Path, tool: str, break_it: Callable[[dict[str, Any]], None]) -> tuple[Path, Path]:
+    """A calibration with one fault: what is read, and the file with the fault."""
+    path = target(folder, tool)
+    content = {
+        "kalibr": kalibr_content(), "matlab": matlab_content(new=False), "ros": ros_content("right"),
+        "opencv": {"M1": K1, "D1": D1, "M2": K2, "D2": D2, "R": R, "T": T, "image_size": np.array(SIZE)},
+    }[tool]  # fmt: skip
+    break_it(content)
+    if tool == "opencv":
+        return path, opencv_text(path, content)
+    file = ros_pair(path) / "right.yaml" if tool == "ros" else path
+    file.write_text(json.dumps(content) if tool == "matlab" else yaml.safe_dump(content))
+    return path, file
 
 
-@pytest.mark.parametrize("name", BAD_MATLAB)
-def test_a_broken_matlab_structure(tmp_path: Path, name: str) -> None:
-    content = matlab_content(new=False)
-    BAD_MATLAB[name][0](content)
-    path = tmp_path / "stereo.json"
-    path.write_text(json.dumps(content))
-    complaint(path, BAD_MATLAB[name][1])
+BAD = {"kalibr": BAD_KALIBR, "matlab": BAD_MATLAB, "ros": BAD_ROS, "opencv": BAD_OPENCV}
 
 
-@pytest.mark.parametrize("name", BAD_ROS)
-def test_a_broken_camera_info(tmp_path: Path, name: str) -> None:
-    ros_pair(tmp_path)
-    content = ros_content("right")
-    BAD_ROS[name][0](content)
-    (tmp_path / "right.yaml").write_text(yaml.safe_dump(content))
-    complaint(tmp_path, BAD_ROS[name][1], tmp_path / "right.yaml")
-
-
-@pytest.mark.parametrize("name", BAD_OPENCV)
-def test_a_broken_opencv_file(tmp_path: Path, name: str) -> None:
-    content: dict[str, Any] = {"M1": K1, "D1": D1, "M2": K2, "D2": D2, "R": R, "T": T, "image_size": np.array(SIZE)}
-    BAD_OPENCV[name][0](content)
-    complaint(opencv_text(tmp_path / "stereo.yml", content), BAD_OPENCV[name][1])
+@pytest.mark.parametrize(("tool", "name"), [(tool, name) for tool, faults in BAD.items() for name in faults])
+def test_a_broken_file(tmp_path: Path, tool: str, name: str) -> None:
+    break_it, message = BAD[tool][name]
+    path, file = broken(tmp_path, tool, break_it)
+    complaint(path, message, file)
 
 
 def test_files_that_are_cut_off_or_of_another_kind(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.model.errors import CalibrationError
-from conetl.readers.rigs import read_kitti_rig, read_rig
+from conetl.readers.rigs import read_kitti_rig, read_rig, write_rig_yaml
 
 #: Numbers of the size of KITTI's own: camera 2 sits 6 cm left of camera 0, camera 3 47 cm right of it.
 P2 = "7.2e+02 0 6.1e+02 4.5e+01 0 7.2e+02 1.7e+02 2.0e-01 0 0 1 2.7e-03"
@@ -179,6 +179,31 @@ body_SE3_left: {{R: [[0, 0, 1], [-1, 0, 0], [0, -1, 0]], t_m: [1.0, 0.2, 0.7]}}
     np.testing.assert_allclose(rigs.up_in_left_camera(rig), [0, -1, 0], atol=1e-12)
 
 
+HEAD = f"left: {PIXELS}\nright: {PIXELS}\nbaseline_m: 0.27\n"
+
+
+def test_rig_yaml_in_millimetres_from_the_corner(tmp_path: Path) -> None:
+    millimetres = PAPER.replace("fx_mm: 15.9004, fy_mm: 15.8703", "focal_mm: [15.9004, 15.8703]")
+    text = f"left: {millimetres}, principal_mm: [11.75, 7.8]}}\nright: {millimetres}}}\nbaseline_m: 0.2745\n"
+    rig = read_rig(yaml_rig(tmp_path, text))
+    assert rig.left.cx_px == pytest.approx(2999.5) and rig.left.cy_px == pytest.approx(1999.5)
+    assert rig.left.fx_px == rig.right.fx_px == pytest.approx(15.9004 / 23.5 * 6000)
+
+
+def test_covariance_survives_the_file(tmp_path: Path) -> None:
+    covariance = (
+        "calibration_covariance: {names: [left.fx_px, relative.ry_rad], matrix: [[4.0, 1.0e-4], [1.0e-4, 1.0e-6]]}"
+    )
+    rig = read_rig(yaml_rig(tmp_path, f"rig_id: a\n{HEAD}{covariance}\nsigma_px: 0.3\n"))
+    assert rig.calibration_covariance is not None and rig.calibration_covariance.matrix[0] == (4.0, 1e-4)
+    write_rig_yaml(rig, tmp_path / "again.yaml")
+    assert read_rig(tmp_path / "again.yaml") == rig
+
+
+def with_lens(lens: str) -> str:
+    return HEAD.replace("cy_px: 172.9}", f"cy_px: 172.9, lens: {lens}}}", 1)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -205,6 +230,28 @@ body_SE3_left: {{R: [[0, 0, 1], [-1, 0, 0], [0, -1, 0]], t_m: [1.0, 0.2, 0.7]}}
             "shared: {calibration: 00000000-0000-0000-0000-000000000001, matrix: [[1.0]]}}",
             "what drives share of it is computed",
         ),
+        (f"{HEAD}sigmas: {{left.f_px: 1}}", "'left.f_px' in the calibration's covariance is not a parameter"),
+        (f"{HEAD}sigmas: {{left.lens.0: 1}}", "'left.lens.0' in the calibration's covariance is not a parameter"),
+        (f"{HEAD}sigmas: {{left.fx_px: -1}}", "'sigmas.left.fx_px'"),
+        (f"{HEAD}sigmas: {{left.fx_px: .nan}}", "'sigmas.left.fx_px'"),
+        (f"{HEAD}sigmas: {{left.fx_mm: 0.1}}", "millimetres need a camera given in millimetres"),
+        (f"{HEAD}sigmas: {{relative.rx_rad: 0.1, relative.rx_deg: 1}}", "relative.rx_rad is given twice"),
+        (
+            f"{HEAD}sigmas: {{left.fx_px: 1}}\ncalibration_covariance: {{names: [left.fx_px], matrix: [[1.0]]}}",
+            "either sigmas or",
+        ),
+        (
+            f"{HEAD}calibration_covariance: {{names: [left.fx_px], matrix: [[1.0, 0.0]]}}",
+            "calibration_covariance.*1 x 1",
+        ),
+        (
+            f"{HEAD}calibration_covariance: {{names: [left.fx_px, left.fy_px], matrix: [[1, 2], [2, 1]]}}",
+            "negative eigenvalue",
+        ),
+        (f"{HEAD}lens: {{}}", "'lens'"),
+        (with_lens("{model: brown, coefficients: [1, 2]}"), "'left.lens': .*has 5 coefficients, found 2"),
+        (with_lens("{model: mei, coefficients: [1, 2]}"), "'left.lens.model'"),
+        (with_lens("{model: radial, coefficients: [.nan, 0]}"), "'left.lens.coefficients.0'"),
     ],
 )
 def test_a_broken_rig_yaml_raises_one_message(tmp_path: Path, text: str, message: str) -> None:
