@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.model.map_records import MapFeature
+from conetl.model.records import Side
 
 Floats = NDArray[np.float64]
-Side = Literal["left", "right"]
 #: Source of the line along which stations and offsets are counted.
 AxisSource = Literal["lanes", "drives", "cones"]
 

@@ -8,12 +8,12 @@ import numpy as np
 
 from conetl.model.map_records import MapFeature
 from conetl.model.params import WorkZoneParams
+from conetl.model.records import Side
 from conetl.model.work_zone_records import (
     AxisSource,
     DrivePath,
     LaneBands,
     LaneLine,
-    Side,
     VehicleImpact,
     WorkZone,
     ZoneHistory,

@@ -36,8 +36,6 @@ _KIND_NAMES = ("kind", "type", "subtype", "class", "lane_type", "boundary_type")
 
 def read_vector_file(path: Path) -> LineFile:
     """Lines and parts of multi-lines of a file. Raises InputError without any, or if its layers differ in CRS."""
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such file")
     lines: list[Line] = []
     refused: list[str] = []
     systems: dict[str, None] = {}
