@@ -29,23 +29,8 @@ def atomic_text_file(path: Path) -> Iterator[TextIO]:
     A missing folder is created. Raises InputError where the path cannot be written to, StorageError where the disk is full or
     fails.
     """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = aside(path)
-        handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
-    except OSError as error:
-        raise cannot_write(f"{path} cannot be written", "choose another file", error) from error
-    try:
-        with open(handle, "w", encoding="utf-8", newline="") as file:  # noqa: PTH123 -- takes over the open descriptor
-            yield file
-            file.flush()
-            os.fsync(handle)
-        temporary.replace(path)
-    except BaseException as error:
-        temporary.unlink(missing_ok=True)
-        if isinstance(error, OSError):
-            raise cannot_write(f"{path} cannot be written", "choose another file", error) from error
-        raise
+    with atomic_files(path) as (unfinished,), unfinished.open("w", encoding="utf-8", newline="") as file:
+        yield file
 
 
 @contextmanager

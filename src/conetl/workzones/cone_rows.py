@@ -7,7 +7,6 @@ partitioning of its offsets (Bellman 1961; Killick, Fearnhead & Eckley 2012, wit
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -249,8 +248,3 @@ def _chi2_of_knot(at_m: float, s: Floats, o: Floats, variances: Floats, first_le
     observed = o / np.sqrt(variances)
     solution = np.linalg.lstsq(design, observed, rcond=None)[0]
     return float(((observed - design @ solution) ** 2).sum())
-
-
-def row_offset(row: Sequence[int], stations_m: Floats, offsets_m: Floats, at_m: float) -> float:
-    """Offset of a row at a station: linear between its cones, constant beyond its ends."""
-    return float(np.interp(at_m, stations_m[list(row)], offsets_m[list(row)]))

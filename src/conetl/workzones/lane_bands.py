@@ -91,14 +91,9 @@ def _bridged(band: Floats) -> Floats:
     return band
 
 
-def offsets_at(bands: LaneBands, station_m: float) -> Floats:
-    """(K,) offsets of the lines at a station; NaN where a line is missing."""
-    return np.array([np.interp(station_m, bands.stations_m, line) for line in bands.offsets_m.T])
-
-
 def lanes_at(bands: LaneBands, station_m: float, params: WorkZoneParams) -> list[tuple[float, float]]:
     """Right and left offset of every lane at a station, from right to left."""
-    lines = np.sort(offsets_at(bands, station_m))
+    lines = np.sort([np.interp(station_m, bands.stations_m, line) for line in bands.offsets_m.T])
     lines = lines[np.isfinite(lines)]
     least, most = params.lane_width_m
     return [(float(a), float(b)) for a, b in pairwise(lines) if least <= b - a <= most]

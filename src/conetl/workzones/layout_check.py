@@ -15,7 +15,6 @@ import numpy as np
 
 from conetl.model.params import LayoutParams, WorkZoneParams
 from conetl.model.work_zone_records import ConeRow, Finding, Level, Rule, Taper, ZoneHistory, ZoneLayout
-from conetl.workzones.cone_rows import row_offset
 from conetl.workzones.lane_bands import lanes_at
 from conetl.workzones.linear_reference import Floats, locate, spacing_beside
 
@@ -263,7 +262,8 @@ def _in_lane(check: _Check) -> Iterator[Finding]:
         if k in in_rows:
             continue
         station, offset = float(layout.stations_m[k]), float(layout.offsets_m[k])
-        beside = [row_offset(row.members, layout.stations_m, layout.offsets_m, station) for row in layout.rows]
+        rows = [list(row.members) for row in layout.rows]
+        beside = [float(np.interp(station, layout.stations_m[row], layout.offsets_m[row])) for row in rows]
         nearest = min(beside, key=lambda value: abs(offset - value))
         sign = {"left": 1.0, "right": -1.0, None: float(np.sign(offset - nearest))}[layout.traffic_side]
         away = (offset - nearest) * sign

@@ -39,7 +39,6 @@ class LayerCrs(NamedTuple):
     name: str
     to_map: Transformer
     to_lonlat: Transformer
-    geographic: bool
     height_factor: float
     height_note: str | None
     """The reference of the heights, where they are known not to be ellipsoidal."""
@@ -78,7 +77,6 @@ def layer_crs(crs: CRS, map_srid: int) -> LayerCrs:
             crs.name,
             Transformer.from_crs(flat, target, always_xy=True),
             Transformer.from_crs(flat, CRS.from_epsg(4326), always_xy=True),
-            bool(flat.is_geographic),
             float(units[0]),
             note,
             flat if code is None else CRS.from_epsg(code),
@@ -99,7 +97,7 @@ def axes_seem_swapped(layer: LayerCrs, xy: Array, map_lonlat: tuple[float, float
     map_lonlat: position of the map. Projected coordinates are compared with it only.
     """
     middle = np.median(xy, axis=0)
-    if layer.geographic and abs(middle[1]) > 90.0 >= abs(middle[0]):
+    if layer.horizontal.is_geographic and abs(middle[1]) > 90.0 >= abs(middle[0]):
         return True
     if map_lonlat is None:
         return False
@@ -126,7 +124,7 @@ def in_area(crs: CRS, lonlat: Array, margin_deg: float) -> NDArray[np.bool_]:
 
 
 def _distance_deg(layer: LayerCrs, point: Array, map_lonlat: tuple[float, float]) -> float:
-    if layer.geographic and abs(point[1]) > 90.0:
+    if layer.horizontal.is_geographic and abs(point[1]) > 90.0:
         return float("inf")
     lon, lat = layer.to_lonlat.transform(*point)
     if not np.isfinite([lon, lat]).all():
@@ -186,13 +184,13 @@ def check_coordinates(path: Path, layer: LayerCrs, xy: Array, ground: MapGround)
     if len(finite) == 0:
         raise InputError(f"{path}: its coordinates are not numbers")
     if axes_seem_swapped(layer, finite, ground.lonlat()):
-        first, second = ("longitude", "latitude") if layer.geographic else ("easting", "northing")
+        first, second = ("longitude", "latitude") if layer.horizontal.is_geographic else ("easting", "northing")
         x, y = np.median(finite, axis=0)
         raise InputError(
             f"{path}: {first} and {second} are swapped: expected {first} first, the file has about {x:.6g}, {y:.6g}. "
             "Write it in that order"
         )
-    if layer.geographic and np.abs(finite[:, 1]).max() > 90.0:
+    if layer.horizontal.is_geographic and np.abs(finite[:, 1]).max() > 90.0:
         raise InputError(
             f"{path}: latitudes up to {np.abs(finite[:, 1]).max():.6g} in {layer.name}: not degrees. State the CRS with --crs"
         )

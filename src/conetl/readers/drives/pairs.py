@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -27,8 +28,6 @@ class ContentHash:
     def __init__(self, *, headers_only: bool = False) -> None:
         """headers_only: only the first and last bytes of images are checked, and images are not part of the hash."""
         self.headers_only = headers_only
-        self.read_ahead: dict[Path, bytes] = {}
-        """Images that were read before their turn, for their size."""
         self._files: dict[str, bytes] = {}
 
     def add(self, name: str, data: bytes) -> str:
@@ -113,7 +112,7 @@ def check_images(
             if content.headers_only:
                 check_image_ends(paths[0], name, (camera.width_px, camera.height_px))
             else:
-                data = content.read_ahead.pop(paths[0], None) or read_bytes(paths[0])
+                data = read_bytes(paths[0])
                 sha256 = content.add(name, data)
                 remember(paths[0], sha256, data)
                 check_image_bytes(data, name, (camera.width_px, camera.height_px))
@@ -125,20 +124,12 @@ def check_images(
     return good[0], good[1]
 
 
-def first_size(paths: Iterable[Path], content: ContentHash | None = None) -> tuple[int, int] | None:
-    """Width and height of the first image whose header can be read; None where there is none.
-
-    content: of the drive that is read; its image need not be read again.
-    """
+def first_size(paths: Iterable[Path]) -> tuple[int, int] | None:
+    """Width and height of the first image whose header can be read; None where there is none."""
     for path in paths:
-        try:
-            data = read_bytes(path)
-            header = inspect_image(data)
-        except (ImageFileError, ValueError):
-            continue
-        if content is not None:
-            content.read_ahead[path] = data
-        return header.width_px, header.height_px
+        with suppress(ImageFileError, ValueError):
+            header = inspect_image(read_bytes(path))
+            return header.width_px, header.height_px
     return None
 
 

@@ -175,7 +175,8 @@ def _read_small(bag: Bag, topics: Topics, settings: DriveYaml, content: ContentH
             continue
         if isinstance(stamp, str):
             continue  # a remaining gap costs the pairs in it
-        found.frame_ids.setdefault(topic, _frame_id(message.content))
+        child = getattr(message.content, "child_frame_id", "")
+        found.frame_ids.setdefault(topic, str(child or message.content.header.frame_id))
         try:
             record = readers[topic](message.content, settings.sigmas)
         except ValueError as error:
@@ -187,10 +188,6 @@ def _read_small(bag: Bag, topics: Topics, settings: DriveYaml, content: ContentH
     for topic, data in hashed.items():
         content.add(f"trajectory{topic}", bytes(data))
     return found
-
-
-def _frame_id(content: Any) -> str:
-    return str(getattr(content, "child_frame_id", "") or content.header.frame_id)
 
 
 def _fix(message: Any, settings: Sigmas) -> tuple[Array, tuple[float, ...]]:
