@@ -30,10 +30,9 @@ where m.map_name = %(map_name)s;
 -- = latest); known_at (timestamptz; 'infinity' = current versions; null: also superseded ones); with_change: what made
 -- each version (else change and shift_m are null); spatial_order (Hilbert curve, PostGIS's order of geometries),
 -- time_order (both false: by feature_id).
--- Columns: the exported names (metres, m^2, probabilities, UTC) in the order of every file; *_ns are nanoseconds since
--- 1970. seen_count, missed_count: drives that saw and that missed the feature until valid_at (of a version: until it
--- ended), and existence_probability is the value after the last of them, all as of the end of the version's system
--- period.
+-- Columns: the exported names (metres, m^2, probabilities, UTC) in the order of every file. seen_count, missed_count:
+-- drives that saw and that missed the feature until valid_at (of a version: until it ended), and existence_probability
+-- is the value after the last of them, all as of the end of the version's system period.
 with judged as not materialized (  -- until the instant; for all features at once, because a call per feature takes too long
     select x.feature_id, x.kind, x.old_version, x.existence_after, d.kind as source,
         d.captured_from_ns, d.content_sha256, c.idempotency_key
@@ -89,7 +88,8 @@ select
     v.feature_id, v.version, v.category,
     coalesce(b.existence_after, vb.existence_after, v.existence_probability) as existence_probability,
     v.cone_height_m as height_m, sqrt(v.cov_xx) as sigma_e_m, sqrt(v.cov_yy) as sigma_n_m, sqrt(v.cov_zz) as sigma_u_m,
-    v.first_seen_ns, v.last_seen_ns, v.observation_count,
+    'epoch'::timestamptz + v.first_seen_ns / 1000 * interval '1 microsecond' as first_seen_at,
+    'epoch'::timestamptz + v.last_seen_ns / 1000 * interval '1 microsecond' as last_seen_at, v.observation_count,
     lower(v.valid_period) as valid_from, upper(v.valid_period) as valid_to, v.changeset_id,
     coalesce(n.seen_count, vn.seen_count, 0) as seen_count, coalesce(n.missed_count, vn.missed_count, 0) as missed_count,
     v.cone_height_sigma_m as height_sigma_m, v.cov_xy as cov_en_m2, v.cov_xz as cov_eu_m2, v.cov_yz as cov_nu_m2,
@@ -139,7 +139,9 @@ select
     (c.state).feature_id, (c.state).version, (c.state).category,
     coalesce(e.existence_after, (c.state).existence_probability) as existence_probability,
     (c.state).cone_height_m as height_m, sqrt((c.state).cov_xx) as sigma_e_m, sqrt((c.state).cov_yy) as sigma_n_m,
-    sqrt((c.state).cov_zz) as sigma_u_m, (c.state).first_seen_ns, (c.state).last_seen_ns, (c.state).observation_count,
+    sqrt((c.state).cov_zz) as sigma_u_m,
+    'epoch'::timestamptz + (c.state).first_seen_ns / 1000 * interval '1 microsecond' as first_seen_at,
+    'epoch'::timestamptz + (c.state).last_seen_ns / 1000 * interval '1 microsecond' as last_seen_at, (c.state).observation_count,
     lower((c.state).valid_period) as valid_from,
     case
         when (c.new).feature_id is null then (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 from uuid import uuid4
 
 import numpy as np
@@ -10,9 +11,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from conetl.db import connection as db
 from conetl.db import copy_binary
-from conetl.db.connection import copy_columns, execute
+from conetl.db.connection import copied_csv, copy_columns, database_errors, execute
+from conetl.model.errors import DatabaseError
 
 TEXTS = st.none() | st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\x00"), max_size=20)
 JSONS = st.recursive(
@@ -88,12 +89,31 @@ def test_points_arrays_and_times(conn):
     ]
 
 
-def test_many_rows_go_in_batches(table, monkeypatch):
-    monkeypatch.setattr(db, "COPY_BATCH_ROWS", 7)
+def test_rows_of_different_lengths(table):
     texts = [None if i % 3 == 0 else "x" * (i % 5) for i in range(50)]
     copy_columns(table, "t", {"i": copy_binary.integers(range(50)), "s": copy_binary.texts(texts)})
     found = execute(table, "select i, s from t order by i")
     assert [tuple(row.values()) for row in found] == list(enumerate(texts))
+
+
+@pytest.mark.parametrize("most", [0, 10, 10**9])
+def test_csv_may_be_left_early(conn, most):
+    before = threading.active_count()
+    with pytest.raises(KeyboardInterrupt), copied_csv(conn, "select n from generate_series(1, 10000000) n", {}) as rows:
+        rows.read(most)
+        raise KeyboardInterrupt
+    assert threading.active_count() == before
+    conn.rollback()
+    assert execute(conn, "select 1 as one") == [{"one": 1}]
+
+
+def test_csv_that_fails_raises_the_databases_error(conn):
+    with (
+        pytest.raises(DatabaseError, match="division"),
+        database_errors("The rows cannot be read"),
+        copied_csv(conn, "select 1 / (5 - n) from generate_series(1, 9) n", {}) as rows,
+    ):
+        rows.read()
 
 
 def test_no_rows_are_no_rows(table):

@@ -292,10 +292,10 @@ def test_a_failing_export_leaves_the_old_files(conn, tmp_path, monkeypatch, name
     export_map(conn, path, name, ExportRequest())
     before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
 
-    def broken(*_):
+    def broken(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("conetl.exports.source.decode_rows", broken)
+    monkeypatch.setattr("conetl.exports.source.csv.open_csv", broken)
     with pytest.raises(KeyboardInterrupt):
         export_map(conn, path, name, ExportRequest())
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from io import BytesIO
+from io import BufferedReader, BytesIO
 from typing import Any, NamedTuple, TypeAlias
 from urllib.parse import quote, urlencode
 
@@ -14,8 +16,7 @@ import psycopg2.errors
 import psycopg2.extensions
 import psycopg2.extras
 
-from conetl.db.ahead import read_ahead
-from conetl.db.copy_binary import Column, copy_statement, encode, row_count, sliced
+from conetl.db.copy_binary import Column, encode
 from conetl.db.statements import load_sql
 from conetl.model.errors import DatabaseError
 
@@ -38,7 +39,6 @@ SESSION_OPTIONS = (
     f"-c timezone=UTC -c tcp_keepalives_idle={_IDLE_S} -c tcp_keepalives_interval={_INTERVAL_S} "
     f"-c tcp_keepalives_count={_COUNT} -c tcp_user_timeout={_GONE_MS}"
 )
-COPY_BATCH_ROWS = 200_000
 #: Sent at once; psycopg2's own 8 kB cost a Python call for every few rows.
 COPY_CHUNK_BYTES = 1 << 20
 
@@ -148,17 +148,30 @@ def stream(
 
 
 @contextmanager
-def copied_rows(
-    conn: Connection, sql: str, parameters: Mapping[str, Any], *, batch: int
-) -> Iterator[Iterator[list[bytes]]]:
-    """Rows of a query (without its final semicolon) in COPY BINARY, `batch` in a list, read ahead by a thread.
+def copied_csv(conn: Connection, sql: str, parameters: Mapping[str, Any]) -> Iterator[BufferedReader]:
+    """Rows of a query (without its final semicolon) as CSV without a header, which a thread receives while it is read.
 
     Inside the open transaction; the connection cannot be used otherwise until the block ends.
     """
-    with conn.cursor() as cursor:
-        copy = f"copy ({cursor.mogrify(sql, parameters).decode()}) to stdout (format binary)"
-        with read_ahead(lambda sink: cursor.copy_expert(copy, sink), conn.cancel, batch=batch) as rows:
+    readable, writable = os.pipe()
+    with conn.cursor() as cursor, ThreadPoolExecutor(1) as pool, os.fdopen(readable, "rb") as rows:
+        copy = f"copy ({cursor.mogrify(sql, parameters).decode()}) to stdout (format csv)"
+
+        def receive() -> None:
+            with os.fdopen(writable, "wb") as sink:
+                cursor.copy_expert(copy, sink)
+
+        received = pool.submit(receive)
+        try:
             yield rows
+        finally:
+            if rows.read(1):  # the block ended early; after the end this would cancel the connection's next statement
+                conn.cancel()
+                while rows.read(COPY_CHUNK_BYTES):
+                    pass
+            error = received.exception()
+        if error is not None:
+            raise error
 
 
 def address(conn: Connection) -> dict[str, str]:
@@ -175,14 +188,13 @@ def query_columns(conn: Connection, sql: str, parameters: Mapping[str, Any]) -> 
 
 
 def copy_columns(conn: Connection, table: str, columns: Mapping[str, Column]) -> None:
-    """Load columns into a table by COPY BINARY, in batches whose encoded bytes stay below about 100 MB."""
-    for start in range(0, row_count(columns), COPY_BATCH_ROWS):
-        copy_block(conn, encoded_block(table, sliced(columns, start, start + COPY_BATCH_ROWS)))
+    """Load columns into a table by COPY BINARY, inside the open transaction."""
+    copy_block(conn, encoded_block(table, columns))
 
 
 def encoded_block(table: str, columns: Mapping[str, Column]) -> CopyBlock:
     """Rows of columns encoded for COPY BINARY; needs no connection."""
-    return CopyBlock(copy_statement(table, columns), encode(columns))
+    return CopyBlock(f"copy {table} ({', '.join(columns)}) from stdin (format binary)", encode(columns))
 
 
 def copy_block(conn: Connection, block: CopyBlock) -> None:

@@ -132,21 +132,6 @@ def json_text(value: Any) -> str:
     return json.dumps(_json_safe(value), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
 
 
-def row_count(columns: Mapping[str, Column]) -> int:
-    """Number of rows; 0 without columns."""
-    return max((len(column.lengths) for column in columns.values()), default=0)
-
-
-def sliced(columns: Mapping[str, Column], start: int, stop: int) -> dict[str, Column]:
-    """Rows start to stop of all columns."""
-    return {name: Column(c.values[start:stop], c.lengths[start:stop]) for name, c in columns.items()}
-
-
-def copy_statement(table: str, columns: Mapping[str, Column]) -> str:
-    """The COPY statement for `encode(columns)`."""
-    return f"copy {table} ({', '.join(columns)}) from stdin (format binary)"
-
-
 def encode(columns: Mapping[str, Column]) -> io.BytesIO:
     """All rows in COPY's binary format, possibly in another order."""
     return io.BytesIO(b"".join([SIGNATURE, *_encoded_blocks(columns), TRAILER]))

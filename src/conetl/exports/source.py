@@ -13,24 +13,29 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
+from pyarrow import csv
 from pyproj import CRS, Transformer
 
-from conetl.db.connection import Connection, copied_rows, database_errors, query_columns
+from conetl.db.connection import Connection, copied_csv, database_errors, query_columns
 from conetl.db.map.map_store import find_map
 from conetl.db.map.results import MapInfo
 from conetl.db.statements import load_sql
 from conetl.exports import Order
-from conetl.exports.wire import UTC_US, arrow_type, decode_rows
 from conetl.model.errors import InputError
 from conetl.model.params import ReconcileParams
 
 Floats = NDArray[np.float64]
 #: Rows in memory at a time, and rows of a GeoParquet row group.
 BATCH_ROWS = 50_000
+_CSV_BLOCK_BYTES = 8 << 20
 POSITION_NAMES = ("easting_m", "northing_m", "ellipsoidal_height_m")
 #: Columns of the history, left out where neither history nor changes are exported.
 _HISTORY_NAMES = ("change", "shift_m", "present", "suppressed", "system_from", "system_to")
-_NS_NAMES = {"first_seen_ns": "first_seen_at", "last_seen_ns": "last_seen_at"}
+#: By the OIDs of PostgreSQL's types bool, int8, int4, text, float8, timestamptz and uuid.
+_ARROW_TYPES = {
+    16: pa.bool_(), 20: pa.int64(), 23: pa.int32(), 25: pa.string(), 701: pa.float64(), 1184: pa.timestamp("us", tz="UTC"),
+    2950: pa.string(),
+}  # fmt: skip
 
 
 class What(StrEnum):
@@ -70,8 +75,7 @@ class Source:
     @cached_property
     def schema(self) -> pa.Schema:
         """Columns of every batch: the properties in the order of the contract, then `POSITION_NAMES`."""
-        fields = [(_NS_NAMES[n], UTC_US) if n in _NS_NAMES else (n, arrow_type(oid)) for n, oid in self._columns]
-        return pa.schema([pa.field(*one) for one in fields])
+        return pa.schema([(name, _ARROW_TYPES[oid]) for name, oid in self._columns])
 
     @cached_property
     def property_names(self) -> list[str]:
@@ -106,18 +110,27 @@ class Source:
         return Transformer.from_crs(self.crs, 4326, always_xy=True)
 
     def _read(self) -> Generator[pa.RecordBatch]:
-        names, oids = zip(*self._columns, strict=True)
-        sql = f"select {', '.join(names)} from ({self._sql}) q"
+        names = self.schema.names
+        types = dict(zip(names, self.schema.types, strict=True))
+        values = csv.ConvertOptions(
+            column_types=types, null_values=[""], strings_can_be_null=True, quoted_strings_can_be_null=False,
+            true_values=["t"], false_values=["f"],
+        )  # fmt: skip
         with (
             database_errors(f"The map {self.request.map_name} cannot be read"),
-            copied_rows(self.conn, sql, self._parameters, batch=BATCH_ROWS) as chunks,
+            copied_csv(self.conn, f"select {', '.join(names)} from ({self._sql}) q", self._parameters) as rows,
         ):
-            for chunk in chunks:
-                arrays = [
-                    pa.array(np.asarray(array) // 1000, UTC_US) if name in _NS_NAMES else array
-                    for name, array in zip(names, decode_rows(chunk, oids), strict=True)
-                ]
-                yield pa.record_batch(arrays, schema=self.schema)
+            if not rows.peek(1):
+                return
+            options = csv.ReadOptions(column_names=names, block_size=_CSV_BLOCK_BYTES)
+            rest = self.schema.empty_table()
+            with csv.open_csv(rows, options, convert_options=values) as blocks:
+                for block in blocks:
+                    rest = pa.concat_tables([rest, pa.Table.from_batches([block])])
+                    while len(rest) >= BATCH_ROWS:
+                        yield rest.slice(0, BATCH_ROWS).combine_chunks().to_batches()[0]
+                        rest = rest.slice(BATCH_ROWS)
+            yield from rest.combine_chunks().to_batches()
 
     @property
     def _sql(self) -> str:

@@ -13,15 +13,16 @@ Everything is committed at the end of the block, or nothing.
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from datetime import datetime
 from functools import partial
 from itertools import chain
 from typing import Any, TypeVar
 from uuid import NAMESPACE_URL, UUID, uuid5
 
-from conetl.db.ahead import made_ahead
 from conetl.db.connection import Connection, CopyBlock, copy_block, copy_columns, encoded_block, execute, execute_count
 from conetl.db.copy_binary import clean_text, json_text
 from conetl.db.live_store import drop_watched_recording
@@ -48,6 +49,7 @@ _PATH_STEP_M = 3.0
 _NAMESPACE = uuid5(NAMESPACE_URL, "https://conetl.example/drive")
 
 R = TypeVar("R")
+T = TypeVar("T")
 
 
 def place_drive(
@@ -173,6 +175,27 @@ def committed_result(conn: Connection, changeset: Changeset, versions_written: i
     if written is None:
         raise MapMismatchError(f"changeset {changeset.changeset_id} was written but cannot be found again")
     return CommitResult(committed=True, changeset=written, versions_written=versions_written)
+
+
+@contextmanager
+def made_ahead(source: Iterable[T], *, ahead: int) -> Iterator[Iterator[T]]:
+    """The items of `source` (not None) in order, made by a thread that starts at once; at most `ahead` wait in memory.
+
+    An error of the source is raised in place of its item. The source must not touch what the caller uses meanwhile.
+    """
+    items = iter(source)
+    with ThreadPoolExecutor(1) as pool:
+        waiting = deque(pool.submit(next, items, None) for _ in range(ahead))
+
+        def in_order() -> Iterator[T]:
+            while (item := waiting.popleft().result()) is not None:
+                waiting.append(pool.submit(next, items, None))
+                yield item
+
+        try:
+            yield in_order()
+        finally:
+            pool.shutdown(cancel_futures=True)
 
 
 def _require_consistent(records: DriveRecords, changeset: Changeset) -> None:
