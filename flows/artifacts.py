@@ -21,8 +21,7 @@ from prefect.artifacts import (
 from prefect.events import emit_event
 from prefect.events.worker import EventsWorker
 
-from conetl.db.notification_store import RemovedCone
-from conetl.db.run_store import StepTime
+from conetl.db.run_store import RemovedCone, StepTime
 from conetl.model.errors import StorageError
 from conetl.model.ingest_report import ChangeLine, IngestReport
 from conetl.model.records import DriveRecords, Side

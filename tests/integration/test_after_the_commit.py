@@ -17,7 +17,7 @@ import pytest
 
 from conetl.db.connection import execute
 from conetl.db.map.map_store import list_changesets
-from conetl.db.notification_store import is_published, pending_changesets
+from conetl.db.run_store import is_published, pending_changesets
 from conetl.model.errors import CalibrationError, StorageError
 from conetl.model.ingest_report import IngestReport, TooManyRejectionsError
 from conetl.pipeline.database import MapDatabase

@@ -16,9 +16,9 @@ import morecantile
 import pytest
 from fastapi.testclient import TestClient
 
-from conetl.db.async_reader_pool import AsyncReaderPool
 from conetl.db.connection import connect, execute
 from conetl.db.ogc_store import MapDirectory
+from conetl.db.reader_pool import AsyncReaderPool
 from conetl.geometry.geodesy import to_geodetic
 from conetl.model.records import utc_from_ns
 from conetl.pipeline.maps.decisions import SUPPRESS, decide_place, revert

@@ -10,7 +10,7 @@ import pytest
 from conetl.db.audits import run_audits
 from conetl.db.connection import connect, execute
 from conetl.db.map.decision_store import read_decisions
-from conetl.db.map.drive_store import read_drive
+from conetl.db.map.drive_store import load_stored_drive
 from conetl.db.map.map_store import (
     find_map,
     list_changesets,
@@ -99,7 +99,9 @@ def test_levers_come_back_from_the_database_to_the_last_bit(conn):
         [row] = execute(
             conn, "select drive_uuid from conetl.drive where drive_id = %(d)s", {"d": of_day(day).drive.drive_id}
         )
-        stored = {track.track_index: track.shared_jacobian for track in read_drive(conn, row["drive_uuid"]).tracks}
+        stored = {
+            track.track_index: track.shared_jacobian for track in load_stored_drive(conn, row["drive_uuid"]).tracks
+        }
         assert stored == {track.track_index: track.shared_jacobian for track in of_day(day).tracks}
         assert None not in stored.values()
 

@@ -66,7 +66,7 @@ FAULTS = {
         (PIN, WITHDRAW, "update decision set decided_at = '2000-01-01' where kind = 'withdraw'"),
         (PIN, WITHDRAW, WITHDRAW),
     ],
-    "suppressed_places": [
+    "suppressed_locations": [
         (SUPPRESS,),
         ("update feature_version set suppressed = true, present = false where version = 2",),
         (SUPPRESS, HIDE, WITHDRAW),

@@ -23,7 +23,7 @@ NAMES = ("conetl.drive/a", "conetl.flow_run/b")
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(session_locks, "RETAKE_EVERY_S", 0.05)
+    monkeypatch.setattr(session_locks, "CHECK_EVERY_S", 0.05)
 
 
 @pytest.fixture

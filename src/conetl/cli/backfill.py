@@ -27,7 +27,7 @@ from conetl.cli.console import (
 )
 from conetl.cli.database import open_map
 from conetl.cli.ingest import read_params
-from conetl.db.notification_store import QUIET, pending_changesets
+from conetl.db.run_store import QUIET, pending_changesets
 from conetl.model.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_SERVICE_MISSING, EXIT_TOO_MANY_REJECTIONS
 from conetl.pipeline.settings import prefect_environment, read_settings
 

@@ -1,19 +1,36 @@
-"""Read-only connections, lent to one request at a time."""
+"""Read-only connections, lent to one request at a time: for the web view, and for `asyncio` (tipg uses asyncpg)."""
 
 from __future__ import annotations
 
+import asyncio
+import json
 import select
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager, suppress
+from urllib.parse import quote, urlencode
 
-from conetl.db.connection import Connection, connect, database_errors, execute
+import asyncpg
+
+from conetl.db.connection import CONNECT_TIMEOUT_S, Connection, address_parts, connect, database_errors, execute
 from conetl.db.statements import load_sql
 from conetl.model.errors import DatabaseError
 
 #: The server cancels statements of the web view that take longer.
 STATEMENT_TIMEOUT = "10s"
 WAIT_S = 5.0
+#: Two processors do not answer sooner with more.
+MAX_CONNECTIONS = 6
+#: Keywords of a libpq address that asyncpg supports; others (such as keepalives) concern the kind of connection only.
+_KEYWORDS = (
+    "host", "port", "user", "password", "passfile", "sslmode", "sslcert", "sslkey", "sslrootcert", "sslcrl",
+)  # fmt: skip
+_SESSION = {
+    "application_name": "conetl ogc",
+    "TimeZone": "UTC",
+    "jit": "off",
+    "plan_cache_mode": "force_generic_plan",  # planning is a fifth of a page; a query for a whole map is another statement
+}
 
 
 class ReaderPool:
@@ -74,3 +91,72 @@ def open_reader(url: str) -> Connection:
         execute(conn, load_sql("schema.reader_session"), {"timeout": STATEMENT_TIMEOUT})
         conn.autocommit = False
     return conn
+
+
+class AsyncReaderPool:
+    """`MAX_CONNECTIONS` read-only connections, as role conetl_reader if the user is a member of it.
+
+    All are opened with the first request and stay open: a new session plans its first statement for 30 ms and more, which
+    would be the slowest answers at busy times. `warm` runs such a statement in each session.
+    """
+
+    def __init__(self, url: str, warm: Callable[[asyncpg.Connection], Awaitable[None]] | None = None) -> None:
+        self._url = url
+        self._warm = warm
+        self._pool: asyncpg.Pool | None = None
+        self._opening = asyncio.Lock()
+
+    @asynccontextmanager
+    async def acquire(self) -> AsyncIterator[asyncpg.Connection]:
+        """One connection whose transactions only read. Raises DatabaseError if none is available, or it is lost."""
+        try:
+            pool = await self._opened()
+            conn = await pool.acquire(timeout=WAIT_S)
+        except TimeoutError as error:
+            raise DatabaseError(
+                "The database is busy: all connections of the OGC API are in use. Try again."
+            ) from error
+        except (OSError, asyncpg.PostgresError, asyncpg.InterfaceError) as error:
+            raise DatabaseError(f"The database cannot be reached: {error}. Start it (`conetl db up`).") from error
+        try:
+            yield conn
+        except (OSError, asyncpg.InterfaceError, asyncpg.PostgresConnectionError) as error:
+            raise DatabaseError(f"The connection to the database was lost: {error}. Try again.") from error
+        finally:
+            await pool.release(conn)
+
+    async def close(self) -> None:
+        """Close all connections; the next request opens new ones."""
+        pool, self._pool = self._pool, None
+        if pool is not None:
+            pool.terminate()
+
+    async def _opened(self) -> asyncpg.Pool:
+        async with self._opening:
+            if self._pool is None:
+                parts = address_parts(self._url)
+                query = urlencode({name: parts[name] for name in _KEYWORDS if name in parts})
+                self._pool = await asyncpg.create_pool(
+                    f"postgresql:///{quote(parts.get('dbname', ''), safe='')}?{query}",
+                    min_size=MAX_CONNECTIONS,
+                    max_size=MAX_CONNECTIONS,
+                    max_inactive_connection_lifetime=0,
+                    timeout=CONNECT_TIMEOUT_S,
+                    init=self._prepare,
+                    reset=_keep,
+                    server_settings=_SESSION,
+                )
+            return self._pool
+
+    async def _prepare(self, conn: asyncpg.Connection) -> None:
+        await conn.execute(load_sql("schema.search_path"))
+        await conn.fetch(load_sql("schema.reader_session").replace("%(timeout)s", "$1"), STATEMENT_TIMEOUT)
+        for name in ("json", "jsonb"):
+            await conn.set_type_codec(name, encoder=json.dumps, decoder=json.loads, schema="pg_catalog")
+        if self._warm is not None:
+            with suppress(asyncpg.PostgresError):  # the request gets the error
+                await self._warm(conn)
+
+
+async def _keep(_: asyncpg.Connection) -> None:
+    """Between two requests a session stays as it is: the usual reset would restore its user and its right to write."""

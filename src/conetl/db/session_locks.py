@@ -8,8 +8,6 @@ check under it.
 
 from __future__ import annotations
 
-import select
-import socket
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -18,8 +16,9 @@ from conetl.db.connection import Connection, connect, database_errors, execute
 from conetl.db.statements import load_sql
 from conetl.model.errors import DatabaseError
 
-#: Between two attempts to take a lost lock again. The server may keep it for the lost session until that one times out.
-RETAKE_EVERY_S = 5.0
+#: Between two checks of the session, and two attempts to take a lost lock again: the server may keep it for the lost session
+#: until that one times out.
+CHECK_EVERY_S = 1.0
 
 
 @contextmanager
@@ -43,14 +42,13 @@ class _HeldLocks:
         self._names = names
         self._missing: list[str] = []
         self._conn: Connection | None = self._take_all()
-        self._ending, self._end = socket.socketpair()
+        self._ending = threading.Event()
         self._thread = threading.Thread(target=self._watch, name="locks", daemon=True)
         self._thread.start()
 
     def free(self) -> None:
-        self._end.close()  # the other end becomes readable
+        self._ending.set()
         self._thread.join()
-        self._ending.close()
         if self._conn is not None:
             # Explicitly: the server notices a closed session only a moment later.
             with suppress(DatabaseError), database_errors("A lock could not be freed"):
@@ -72,22 +70,12 @@ class _HeldLocks:
         return conn
 
     def _watch(self) -> None:
-        while not self._must_end():
+        while not self._ending.wait(CHECK_EVERY_S):
             if self._conn is not None and not is_alive(self._conn):
                 self._conn.close()
                 self._conn = None
             if self._conn is None or self._missing:
                 self._retake()
-
-    def _must_end(self) -> bool:
-        """Wait for an event of the session, the next attempt to take a lost lock, or the end of the work (True)."""
-        waiting = select.poll()  # supports file numbers beyond select's 1024
-        waiting.register(self._ending.fileno(), select.POLLIN)
-        if self._conn is not None:
-            waiting.register(self._conn.fileno(), select.POLLIN)
-        whole = self._conn is not None and not self._missing
-        ready = waiting.poll(None if whole else RETAKE_EVERY_S * 1000)
-        return any(number == self._ending.fileno() for number, _ in ready)
 
     def _retake(self) -> None:
         """Take the missing locks that are free, in a new session if the old one is lost."""

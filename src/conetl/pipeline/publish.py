@@ -18,15 +18,16 @@ import numpy as np
 from conetl.db.connection import Connection
 from conetl.db.map.map_store import find_changeset, list_changesets
 from conetl.db.map.results import CommittedChangeset
-from conetl.db.notification_store import (
+from conetl.db.run_store import (
     QUIET,
     RemovedCone,
+    StepTime,
     is_published,
     mark_published,
     pending_changesets,
     removed_by_changeset,
+    write_run_steps,
 )
-from conetl.db.run_store import StepTime, write_run_steps
 from conetl.exports.geojson import export_geojson
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.ingest_report import IngestReport

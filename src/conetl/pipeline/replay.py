@@ -18,7 +18,7 @@ import numpy as np
 from conetl.db.connection import Connection
 from conetl.db.map.commit import INFLUENCE_M, commit_changeset, place_drive
 from conetl.db.map.decision_store import read_decisions
-from conetl.db.map.drive_store import read_drive, read_view
+from conetl.db.map.drive_store import load_stored_drive, read_view
 from conetl.db.map.replay_store import (
     affected_drives,
     read_deltas,
@@ -182,7 +182,7 @@ def stored_evidence(conn: Connection, drives: Sequence[DriveRef]) -> list[DriveE
     view_params: dict[UUID, tuple[Rig, AbsenceFigures]] = {}
     evidence = []
     for ref in drives:
-        drive = read_drive(conn, ref.drive_uuid)
+        drive = load_stored_drive(conn, ref.drive_uuid)
         if drive.rig is not None:  # an imported map had nothing in view
             view_params[ref.drive_uuid] = drive.rig, drive.figures
         evidence.append(

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.db.connection import Connection, database_errors, execute, stream
-from conetl.db.map.drive_store import read_drive, read_frame_pairs
+from conetl.db.map.drive_store import load_stored_drive, read_frame_pairs
 from conetl.db.map.map_store import list_changesets, read_features_as_of
 from conetl.db.map.results import CommittedChangeset
 from conetl.db.serve_store import read_changeset_changes
@@ -147,7 +147,7 @@ def read_drive_facts(conn: Connection, changeset: CommittedChangeset, *, map_nam
         header=header,
         rig=rig,
         frame_pairs=frame_pairs,
-        tracks=read_drive(conn, changeset.drive_uuid).tracks,
+        tracks=load_stored_drive(conn, changeset.drive_uuid).tracks,
         changes=tuple(DriveChange(number=number, **row) for number, row in enumerate(rows, start=1)),
         rejections=rejections,
         range_m=residuals[:, 1],

@@ -58,7 +58,7 @@ class StoredView:
     """Frame index and xyz of every position."""
 
 
-def read_drive(conn: Connection, drive_uuid: UUID) -> StoredDrive:
+def load_stored_drive(conn: Connection, drive_uuid: UUID) -> StoredDrive:
     """Header, path and tracks of an ingested drive. Raises MapMismatchError if it does not exist."""
     parameters = {"drive_uuid": drive_uuid}
     with database_errors(f"Drive {drive_uuid} cannot be read"):

@@ -13,9 +13,8 @@ from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 from tipg.errors import NotFound, TiPgError
 
-from conetl.db.async_reader_pool import AsyncReaderPool
 from conetl.db.ogc_store import MapDirectory
-from conetl.db.reader_pool import STATEMENT_TIMEOUT
+from conetl.db.reader_pool import STATEMENT_TIMEOUT, AsyncReaderPool
 from conetl.model.errors import DatabaseError
 from conetl.web.models import Problem
 from conetl.web.ogc.collections import CHANGE_COLUMNS, FEATURE_COLUMNS

@@ -10,8 +10,8 @@ from tipg.collections import CollectionList
 from tipg.errors import NotFound
 from tipg.resources.enums import MediaType
 
-from conetl.db.async_reader_pool import AsyncReaderPool
 from conetl.db.ogc_store import Degrees, MapDirectory, ServedMap
+from conetl.db.reader_pool import AsyncReaderPool
 from conetl.web.ogc.collections import AsOfCollection, Instants, changes_of, features_of
 from conetl.web.ogc.values import BadParameterError, Interval, parse_box, parse_interval
 from conetl.web.parameters import Instant
