@@ -105,15 +105,14 @@ with matrix as (
 )
 select table_name, record, 'is not positive definite' as problem
 from matrix
-where not (xx > 0 and yy > 0 and zz > 0 and xx < 'infinity' and yy < 'infinity' and zz < 'infinity')
-or case
+where case
     when xx > 0 and yy > 0 and zz > 0 and xx < 'infinity' and yy < 'infinity' and zz < 'infinity' then
         -- Scaled to correlations, so that small variances do not drown in rounding.
         abs(xy / sqrt(xx) / sqrt(yy)) >= 1
         or 1 + 2 * (xy / sqrt(xx) / sqrt(yy)) * (xz / sqrt(xx) / sqrt(zz)) * (yz / sqrt(yy) / sqrt(zz))
             - (xy / sqrt(xx) / sqrt(yy)) ^ 2 - (xz / sqrt(xx) / sqrt(zz)) ^ 2 - (yz / sqrt(yy) / sqrt(zz)) ^ 2 <= 0
         or xy = 'nan' or xz = 'nan' or yz = 'nan'
-    else false
+    else true
 end;
 
 -- name: invalid_geometry

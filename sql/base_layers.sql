@@ -3,7 +3,7 @@
 -- name: find_source
 -- The import of this file with these parameters, if there was one.
 -- Parameters: map_name; layer_name; content_sha256; params (JSON). Columns: kept_count.
-select s.source_id, s.kept_count, s.source_path
+select s.kept_count
 from conetl.base_source s
 join conetl.map m using (map_id)
 where m.map_name = %(map_name)s and s.layer_name = %(layer_name)s and s.content_sha256 = %(content_sha256)s

@@ -2,13 +2,16 @@
 
 -- name: active_decisions
 -- The decisions about a map that were not withdrawn, oldest first. Parameters: map_name.
--- Columns: decision_id, decision_no, kind, easting_m, northing_m, radius_m, feature_id, changeset_id, note, decided_by,
+-- Columns: decision_id, decision_no, kind ('suppress', 'pin', 'revert'), easting_m, northing_m, radius_m (null of a
+-- revert), feature_id, changeset_id, drive_id (of a reverted changeset), note, decided_by (null: no name was kept),
 -- decided_at.
 select
     d.decision_id, d.decision_no, d.kind, ST_X(d.geom) as easting_m, ST_Y(d.geom) as northing_m, d.radius_m, d.feature_id,
-    d.changeset_id, d.note, d.decided_by, d.decided_at
+    d.changeset_id, r.drive_id, d.note, d.decided_by, d.decided_at
 from conetl.active_decision d
 join conetl.map m using (map_id)
+left join conetl.changeset c on c.changeset_id = d.changeset_id
+left join conetl.drive r on r.drive_uuid = c.drive_uuid
 where m.map_name = %(map_name)s
 order by d.decision_no;
 

@@ -2,7 +2,7 @@
 
 -- name: changesets
 -- Changesets of a map, newest first, or the one of an idempotency key.
--- Parameters: map_name; idempotency_key (null: all); max_rows (null: all). Columns: as CommittedChangeset.
+-- Parameters: map_name; idempotency_key (null: all). Columns: as CommittedChangeset.
 select
     c.changeset_no, c.changeset_id, d.drive_id, c.drive_uuid, c.idempotency_key, c.params_sha256, c.model_sha256, c.code_version,
     c.committed_at, c.added_count, c.confirmed_count, c.moved_count, c.removed_count,
@@ -14,8 +14,7 @@ from conetl.changeset c
 join conetl.map m using (map_id)
 join conetl.drive d using (drive_uuid)
 where m.map_name = %(map_name)s and (%(idempotency_key)s::text is null or c.idempotency_key = %(idempotency_key)s)
-order by c.changeset_no desc
-limit %(max_rows)s;
+order by c.changeset_no desc;
 
 -- name: changes_of_changeset
 -- What one changeset did to each feature that it judged, as committed: an earlier drive that arrived later may have

@@ -50,25 +50,6 @@ left join conetl.feature_version v on v.map_id = m.map_id and upper_inf(v.system
 where m.map_name = %(map_name)s
 group by m.map_id;
 
--- name: current_features
--- The features that stand on a map now.
--- Parameters: map_name; west_m, south_m, east_m, north_m (map CRS; all null: everywhere); srid.
--- Columns: as MapFeature: metres, m^2, UTC nanoseconds; last, calibrations and shared_jacobian_m as PostgreSQL sends
--- them, concatenated.
-select
-    v.feature_id, v.version, v.category, ST_X(v.geom), ST_Y(v.geom), ST_Z(v.geom),
-    v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz,
-    ST_X(v.centre_geom), ST_Y(v.centre_geom), ST_Z(v.centre_geom),
-    v.cone_height_m, v.cone_height_sigma_m, v.existence_probability, v.observation_count, v.first_seen_ns, v.last_seen_ns,
-    array_send(v.calibrations) || array_send(v.shared_jacobian_m)
-from conetl.current_feature v
-where v.map_name = %(map_name)s
-and (
-    %(west_m)s::float8 is null
-    or v.geom && ST_MakeEnvelope(%(west_m)s::float8, %(south_m)s::float8, %(east_m)s::float8, %(north_m)s::float8, %(srid)s)
-)
-order by v.feature_id;
-
 -- name: features_as_of
 -- The features that stood on a map at one instant on the road, as the database knew it at another instant.
 -- Parameters: map_name; valid_at, known_at (timestamptz; 'infinity' = latest); west_m, south_m, east_m, north_m (map
@@ -138,24 +119,10 @@ left join conetl.feature_version v
 where f.feature_id = any(%(feature_ids)s) and f.map_id > 0
 order by f.feature_id;
 
--- name: open_version
--- The current open version of one feature. Parameters: map_name; feature_id. Columns: as FeatureVersion.
-select
-    v.feature_id, v.version, v.category, ST_X(v.geom), ST_Y(v.geom), ST_Z(v.geom),
-    v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz,
-    ST_X(v.centre_geom), ST_Y(v.centre_geom), ST_Z(v.centre_geom),
-    v.cone_height_m, v.cone_height_sigma_m, v.existence_probability, v.observation_count, v.first_seen_ns, v.last_seen_ns,
-    array_send(v.calibrations) || array_send(v.shared_jacobian_m),
-    v.changeset_id, v.present or v.suppressed, v.suppressed, v.valid_from_ns, null::bigint
-from conetl.feature_version v
-join conetl.map m using (map_id)
-where v.cell = conetl.cell_of(%(feature_id)s) and v.feature_id = %(feature_id)s and m.map_name = %(map_name)s
-and upper_inf(v.system_period) and upper_inf(v.valid_period);
-
 -- name: current_versions
--- Every current version of every feature of a map that began no later than an instant, ended versions included.
--- Parameters: map_name; valid_until (timestamptz; 'infinity' = all). Columns: as FeatureVersion, valid_to_ns to the
--- microsecond.
+-- Every current version of one feature or all features of a map that began no later than an instant, ended versions
+-- included. Parameters: map_name; feature_id (null: all); valid_until (timestamptz; 'infinity' = all).
+-- Columns: as FeatureVersion, valid_to_ns to the microsecond.
 select
     v.feature_id, v.version, v.category, ST_X(v.geom), ST_Y(v.geom), ST_Z(v.geom),
     v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz,
@@ -170,4 +137,5 @@ select
 from conetl.feature_version v
 join conetl.map m using (map_id)
 where m.map_name = %(map_name)s and upper_inf(v.system_period) and lower(v.valid_period) <= %(valid_until)s::timestamptz
+and (%(feature_id)s::uuid is null or (v.cell = conetl.cell_of(%(feature_id)s::uuid) and v.feature_id = %(feature_id)s))
 order by v.feature_id, v.version;

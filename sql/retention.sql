@@ -16,26 +16,22 @@ group by m.map_name, d.drive_uuid
 having upper(d.captured_period) < %(before)s and max(c.committed_at) < %(before)s
 order by d.captured_from_ns, d.drive_uuid;
 
--- name: prune_stereo_match
--- Delete the stereo matches of some drives. Parameters: drive_uuids (uuid[]).
-delete from conetl.stereo_match r
-where r.drive_uuid = any(%(drive_uuids)s);
-
--- name: prune_detection
--- Delete the detections of some drives. Parameters: drive_uuids (uuid[]).
-delete from conetl.detection r
-where r.drive_uuid = any(%(drive_uuids)s);
-
--- name: prune_position
--- Delete the positions of some drives. Parameters: drive_uuids (uuid[]).
-delete from conetl.position r
-where r.drive_uuid = any(%(drive_uuids)s);
-
--- name: mark_pruned
--- Remember that some drives have no raw records any more. Parameters: drive_uuids (uuid[]); pruned_at (timestamptz).
-update conetl.drive d
-set pruned_at = %(pruned_at)s
-where d.drive_uuid = any(%(drive_uuids)s);
+-- name: prune_drives
+-- Delete the stereo matches, detections and positions of some drives, and remember that they have none any more.
+-- Parameters: drive_uuids (uuid[]); pruned_at (timestamptz). Columns: deleted (number of rows).
+with stereo_matches as (
+    delete from conetl.stereo_match r where r.drive_uuid = any(%(drive_uuids)s) returning 1
+),
+detections as (
+    delete from conetl.detection r where r.drive_uuid = any(%(drive_uuids)s) returning 1
+),
+positions as (
+    delete from conetl.position r where r.drive_uuid = any(%(drive_uuids)s) returning 1
+),
+marked as (
+    update conetl.drive d set pruned_at = %(pruned_at)s where d.drive_uuid = any(%(drive_uuids)s)
+)
+select (select count(*) from stereo_matches) + (select count(*) from detections) + (select count(*) from positions) as deleted;
 
 -- name: pruned_drives
 -- Which of some drives have no raw records any more.

@@ -62,9 +62,9 @@ def test_geojson_keeps_the_contract(conn, samples, moved_cone, tmp_path):
 def test_as_of_is_the_road_at_that_instant(conn, samples, moved_cone, tmp_path):
     start = utc_from_ns(samples.START_NS)
     path = tmp_path / "map.geojson"
-    assert export_geojson(conn, path, as_of=start - timedelta(seconds=1)) == 0
+    assert export_map(conn, path, "geojson", ExportRequest(as_of=start - timedelta(seconds=1)))["rows"] == 0
     assert json.loads(path.read_text()) == {"type": "FeatureCollection", "features": []}
-    assert export_geojson(conn, path, as_of=start + timedelta(hours=1)) == 1
+    assert export_map(conn, path, "geojson", ExportRequest(as_of=start + timedelta(hours=1)))["rows"] == 1
     [feature] = read(path)
     assert feature["properties"]["version"] == 1
     assert feature["properties"]["valid_to"] == "2026-03-02T08:00:00.000000Z"

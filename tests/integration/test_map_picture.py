@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from conetl.cli.app import app
 from conetl.db.map.map_store import list_changesets
 from conetl.model.errors import InputError
-from conetl.reports.map_content import drive_paths
+from conetl.reports.map_picture import drive_paths
 from tests.integration.drives_of_days import merge, survey
 from tests.view_map import two_drives
 

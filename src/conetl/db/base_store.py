@@ -14,21 +14,12 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from conetl.db import copy_binary as binary
 from conetl.db.connection import Connection, copy_columns, database_errors, execute, transaction
-from conetl.db.copy_binary import (
-    Column,
-    byteas,
-    constant_uuid,
-    double_arrays,
-    doubles,
-    fixed,
-    integers,
-    json_text,
-    jsons,
-    texts,
-)
+from conetl.db.copy_binary import Column
 from conetl.db.statements import load_sql
 from conetl.readers.base_layers.georeferencing import MapGround, ground_under
+from conetl.readers.base_layers.lines import Line
 from conetl.readers.base_layers.point_tiles import Tile
 
 Kind = Literal["points", "lines"]
@@ -58,8 +49,10 @@ class BaseCounts:
 
     read_count: int
     refused_count: int
-    low_m: tuple[float, float]
-    high_m: tuple[float, float]
+    west_m: float
+    south_m: float
+    east_m: float
+    north_m: float
 
 
 @dataclass(frozen=True)
@@ -83,15 +76,6 @@ class BaseSource:
     east_m: float
     north_m: float
     bytes: int
-
-
-@dataclass(frozen=True)
-class PlacedLine:
-    """A line on the map: xyz_m (N, 3) in the map's CRS."""
-
-    kind: str
-    xyz_m: NDArray[np.float64]
-    attributes: Mapping[str, Any]
 
 
 def read_map_ground(conn: Connection, map_name: str, srid: int) -> MapGround:
@@ -119,7 +103,9 @@ def read_ingested_poses(conn: Connection, map_name: str, content_sha256: str) ->
 def find_base_file(conn: Connection, file: BaseFile) -> int | None:
     """Number of points or lines kept by an earlier import of this file; None if there was none."""
     with database_errors(f"The base layers of map {file.map_name} cannot be read"):
-        rows = execute(conn, load_sql("base_layers.find_source"), asdict(file) | {"params": json_text(file.params)})
+        rows = execute(
+            conn, load_sql("base_layers.find_source"), asdict(file) | {"params": binary.json_text(file.params)}
+        )
     return int(rows[0]["kept_count"]) if rows else None
 
 
@@ -132,10 +118,8 @@ def write_points(conn: Connection, file: BaseFile, counts: BaseCounts, tiles: It
     return _write(conn, source_id, file, counts, "conetl.base_tile", blocks)
 
 
-def write_lines(
-    conn: Connection, file: BaseFile, counts: BaseCounts, lines: Iterable[PlacedLine], srid: int
-) -> int | None:
-    """Write a file's lines; their number, None if another import of the same file was faster."""
+def write_lines(conn: Connection, file: BaseFile, counts: BaseCounts, lines: Iterable[Line], srid: int) -> int | None:
+    """Write a file's lines, in the map's CRS; their number, None if another import of the same file was faster."""
     source_id = uuid4()
     blocks = ((_line_columns(source_id, batch, srid), len(batch)) for batch in _batches(lines, _LINES_AT_ONCE))
     return _write(conn, source_id, file, counts, "conetl.base_line", blocks)
@@ -162,17 +146,13 @@ def _write(
     table: str,
     blocks: Iterable[tuple[dict[str, Column], int]],
 ) -> int | None:
-    west_m, south_m = counts.low_m
-    east_m, north_m = counts.high_m
     with transaction(conn, f"{file.source_path} was not imported, nothing was written"):
         kept = 0
         for columns, count in blocks:
             copy_columns(conn, table, columns)
             kept += count
-        parameters = asdict(file) | {
-            "params": json_text(file.params), "source_id": source_id, "read_count": counts.read_count, "kept_count": kept,
-            "refused_count": counts.refused_count, "west_m": west_m, "south_m": south_m, "east_m": east_m, "north_m": north_m,
-        }  # fmt: skip
+        own = {"params": binary.json_text(file.params), "source_id": source_id, "kept_count": kept}
+        parameters = asdict(file) | asdict(counts) | own
         if not execute(conn, load_sql("base_layers.insert_source"), parameters):
             conn.rollback()
             return None
@@ -182,26 +162,26 @@ def _write(
 
 def _tile_columns(source_id: UUID, tiles: list[Tile]) -> dict[str, Column]:
     return {
-        "source_id": constant_uuid(source_id, len(tiles)),
-        "level": fixed([t.level for t in tiles], ">i2"),
-        "ix": integers([t.ix for t in tiles]),
-        "iy": integers([t.iy for t in tiles]),
-        "points": integers([t.points for t in tiles]),
-        "origin_m": double_arrays([t.origin_m for t in tiles]),
-        "scale_m": double_arrays([t.scale_m for t in tiles]),
-        "high_m": doubles([t.high_m for t in tiles]),
-        "sha256": texts([hashlib.sha256(t.payload).hexdigest() for t in tiles]),
-        "payload": byteas([t.payload for t in tiles]),
+        "source_id": binary.constant_uuid(source_id, len(tiles)),
+        "level": binary.fixed([t.level for t in tiles], ">i2"),
+        "ix": binary.integers([t.ix for t in tiles]),
+        "iy": binary.integers([t.iy for t in tiles]),
+        "points": binary.integers([t.points for t in tiles]),
+        "origin_m": binary.double_arrays([t.origin_m for t in tiles]),
+        "scale_m": binary.double_arrays([t.scale_m for t in tiles]),
+        "high_m": binary.doubles([t.high_m for t in tiles]),
+        "sha256": binary.texts([hashlib.sha256(t.payload).hexdigest() for t in tiles]),
+        "payload": binary.byteas([t.payload for t in tiles]),
     }
 
 
-def _line_columns(source_id: UUID, lines: list[PlacedLine], srid: int) -> dict[str, Column]:
-    shapes = [shapely.set_srid(shapely.LineString(line.xyz_m), srid) for line in lines]
+def _line_columns(source_id: UUID, lines: list[Line], srid: int) -> dict[str, Column]:
+    shapes = [shapely.set_srid(shapely.LineString(line.xyz), srid) for line in lines]
     return {
-        "source_id": constant_uuid(source_id, len(lines)),
-        "kind": texts([line.kind for line in lines]),
-        "attributes": jsons([line.attributes for line in lines]),
-        "geom": byteas(list(shapely.to_wkb(shapes, include_srid=True, output_dimension=3))),
+        "source_id": binary.constant_uuid(source_id, len(lines)),
+        "kind": binary.texts([line.kind for line in lines]),
+        "attributes": binary.jsons([line.attributes for line in lines]),
+        "geom": binary.byteas(list(shapely.to_wkb(shapes, include_srid=True, output_dimension=3))),
     }
 
 

@@ -137,12 +137,10 @@ def execute_count(conn: Connection, sql: str, parameters: Mapping[str, Any] | No
         return int(cursor.rowcount)
 
 
-def stream(
-    conn: Connection, sql: str, parameters: Mapping[str, Any], *, batch: int = 10_000
-) -> Iterator[tuple[Any, ...]]:
-    """Rows of one statement as tuples, `batch` at a time in memory (server-side cursor inside the open transaction)."""
+def stream(conn: Connection, sql: str, parameters: Mapping[str, Any]) -> Iterator[tuple[Any, ...]]:
+    """Rows of one statement as tuples, some at a time in memory (server-side cursor inside the open transaction)."""
     with conn.cursor(name="conetl_stream") as cursor:
-        cursor.itersize = batch
+        cursor.itersize = 10_000
         cursor.execute(sql, parameters)
         yield from cursor
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from uuid import UUID
 
-from conetl.db.connection import Connection, database_errors, execute, execute_count
+from conetl.db.connection import Connection, database_errors, execute
 from conetl.db.map.map_store import map_transaction
 from conetl.db.statements import load_sql
 from conetl.model.errors import InputError
@@ -47,11 +47,10 @@ def prune_drives(conn: Connection, drives: Sequence[PrunableDrive], *, now: date
     """Delete the raw records of drives, map by map, each under its lock and in one transaction; the number of rows deleted."""
     deleted = 0
     for map_name in sorted({drive.map_name for drive in drives}):
-        own = {"drive_uuids": [drive.drive_uuid for drive in drives if drive.map_name == map_name]}
+        own = [drive.drive_uuid for drive in drives if drive.map_name == map_name]
+        parameters = {"drive_uuids": own, "pruned_at": now or datetime.now(UTC)}
         with map_transaction(conn, map_name):
-            for table in ("stereo_match", "detection", "position"):
-                deleted += execute_count(conn, load_sql(f"retention.prune_{table}"), own)
-            execute(conn, load_sql("retention.mark_pruned"), own | {"pruned_at": now or datetime.now(UTC)})
+            deleted += execute(conn, load_sql("retention.prune_drives"), parameters)[0]["deleted"]
     return deleted
 
 

@@ -33,7 +33,7 @@ def read_heads(conn: Connection) -> dict[str, Head]:
 
 def read_decisions(conn: Connection, map_name: str, max_rows: int) -> list[Row]:
     """The decisions that were not withdrawn, newest first."""
-    return _rows(conn, "serving.decisions", map_name=map_name, max_rows=max_rows)
+    return _rows(conn, "decisions.active_decisions", map_name=map_name)[::-1][:max_rows]
 
 
 def read_origin(conn: Connection, map_name: str) -> tuple[float, float, float] | None:
@@ -108,11 +108,6 @@ def read_rigs(conn: Connection, map_name: str, drive_uuids: set[UUID]) -> dict[U
     """The rig (JSON) of each drive."""
     rows = _rows(conn, "serving.rigs", map_name=map_name, drive_uuids=list(drive_uuids))
     return {row["drive_uuid"]: row["rig"] for row in rows}
-
-
-def read_base_sources(conn: Connection, map_name: str) -> list[Row]:
-    """The imported files of a map's base layers, by layer."""
-    return _rows(conn, "base_layers.sources", map_name=map_name)
 
 
 def read_base_tiles(conn: Connection, map_name: str, max_rows: int) -> list[Row]:

@@ -23,7 +23,7 @@ _LANE_REACH_M = 60.0
 
 def read_versions(conn: Connection, *, map_name: str, until: datetime | None = None) -> list[FeatureVersion]:
     """Every current version that began until then (None: all), by feature; [] without such a map."""
-    parameters = {"map_name": map_name, "valid_until": until.isoformat() if until else "infinity"}
+    parameters = {"map_name": map_name, "feature_id": None, "valid_until": until.isoformat() if until else "infinity"}
     with database_errors(f"The history of map {map_name} cannot be read"):
         return [version_of(row) for row in stream(conn, load_sql("map.current_versions"), parameters)]
 

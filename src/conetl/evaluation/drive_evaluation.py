@@ -31,7 +31,7 @@ from conetl.evaluation.truth import TruthCone, TruthLine, compare_with_truth
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.errors import InputError
 from conetl.model.records import Drive, Position, Track
-from conetl.reports.html import Section, write_accuracy_page
+from conetl.reports.html import Section, render, write_page
 from conetl.tracking.association import MotionError
 from conetl.tracking.error_propagation import PoseCov
 
@@ -270,7 +270,8 @@ def _write_page(
         folder.mkdir(parents=True, exist_ok=True)
         for file, data in images.items():
             (folder / file).write_bytes(data)
-        return write_accuracy_page(folder / "index.html", title=title, summary=summary, sections=sections)
+        page = render("accuracy.html.j2", title=title, summary=summary, sections=sections)
+        return write_page(folder / "index.html", page)
     except OSError as error:
         raise InputError(f"{folder} cannot be written ({error.strerror}): choose another folder with --out") from error
 

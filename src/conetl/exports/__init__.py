@@ -34,8 +34,6 @@ class Format:
     """`module:function` in this package. The function writes all rows of a `Source` to a path and returns their number."""
     geographic: bool = False
     """WGS 84 longitude and latitude instead of the map's CRS."""
-    with_change: bool = False
-    """Standing features carry their latest change, too."""
 
 
 #: Writers are imported on first use, because GDAL, Arrow and MCAP are slow to load.
@@ -45,7 +43,7 @@ FORMATS = {
     "geoparquet": Format(".parquet", Order.SPATIAL, "table_files:write_geoparquet"),
     "gpkg": Format(".gpkg", Order.BY_ID, "table_files:write_geopackage"),
     "flatgeobuf": Format(".fgb", Order.BY_ID, "table_files:write_flatgeobuf"),
-    "mcap": Format(".mcap", Order.BY_TIME, "mcap_scene:write_scene", with_change=True),
+    "mcap": Format(".mcap", Order.BY_TIME, "mcap_scene:write_scene"),
     "lanelet2": Format(".osm", Order.BY_ID, "text_files:write_lanelet2", geographic=True),
 }
 

@@ -37,7 +37,7 @@ def export_map(conn: Connection, path: Path, file_format: str, request: ExportRe
         execute(conn, load_sql("exports.snapshot"))
         execute(conn, load_sql("exports.memory"), {"work_mem": _WORK_MEM[request.what]})
         with (
-            open_source(conn, request, order=chosen.order, with_change=chosen.with_change) as source,
+            open_source(conn, request, chosen.order) as source,
             atomic_files(path, manifest_path) as (file, manifest_file),
         ):
             rows = writer_of(file_format)(source, file)
@@ -62,7 +62,7 @@ def _manifest(source: Source, file_format: str, chosen: Format, file: Path, rows
         "believed_at": _text(request.believed_at),
         "from": _text(request.since),
         "to": _text(request.until),
-        "last_committed_at": _text(facts["last_committed_at"]),
+        "last_committed_at": _text(source.info.last_committed_at),
         "changesets": facts["changeset_count"],
         "exported_at": iso_utc(datetime.now(UTC)),
         "crs": _WGS84 if chosen.geographic else f"EPSG:{source.info.srid}",

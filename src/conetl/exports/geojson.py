@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from datetime import datetime
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -25,17 +24,9 @@ HEIGHT_DECIMALS = 4
 Object = dict[str, Any]
 
 
-def export_geojson(
-    conn: Connection,
-    path: Path,
-    *,
-    map_name: str = "default",
-    as_of: datetime | None = None,
-    known_at: datetime | None = None,
-) -> int:
+def export_geojson(conn: Connection, path: Path, *, map_name: str = "default") -> int:
     """Write the standing cones as GeoJSON without a manifest; the number of features. See `write_features`."""
-    request = ExportRequest(map_name, as_of=as_of, believed_at=known_at)
-    with open_source(conn, request) as source, atomic_files(path) as (file,):
+    with open_source(conn, ExportRequest(map_name)) as source, atomic_files(path) as (file,):
         return write_features(source, file)
 
 

@@ -70,7 +70,7 @@ def _rows(source: Source) -> Iterator[Object]:
     shown_at = request.until if request.what is What.CHANGES else request.as_of
     shown_at = shown_at or request.believed_at or source.info.last_committed_at or datetime.now(UTC)
     fixed_us = _microseconds(shown_at)
-    for batch in source.batches():
+    for batch in source.batches:
         for row in batch.to_pylist():
             row["instant_us"] = _microseconds(row["valid_from"]) if request.what is What.HISTORY else fixed_us
             yield row

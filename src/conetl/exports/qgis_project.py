@@ -16,7 +16,7 @@ from jinja2 import Environment, StrictUndefined
 from pyproj import CRS
 
 from conetl.db.connection import Connection, address, database_errors, execute
-from conetl.db.map.map_store import find_map
+from conetl.db.map.map_store import require_map
 from conetl.db.statements import load_sql
 from conetl.exports.kind_marks import KIND_MARKS
 from conetl.files.atomic import atomic_files
@@ -65,9 +65,7 @@ def write_qgis_project(conn: Connection, path: Path, *, map_name: str, user: str
     """
     if path.suffix.lower() not in (".qgz", ".qgs"):
         raise InputError(f"{path}: a QGIS project is a .qgz or .qgs file")
-    info = find_map(conn, map_name)
-    if info is None:
-        raise InputError(f"there is no map named {map_name} in this database: ingest a drive or import a map first.")
+    info = require_map(conn, map_name)
     with database_errors(f"The map {map_name} cannot be read"):
         extent = execute(conn, load_sql("exports.qgis_extent"), {"map_name": map_name})[0]
     server = address(conn) | ({"user": user} if user else {})

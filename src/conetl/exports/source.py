@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
 from functools import cached_property
@@ -17,7 +17,7 @@ from pyarrow import csv
 from pyproj import CRS, Transformer
 
 from conetl.db.connection import Connection, copied_csv, database_errors, query_columns
-from conetl.db.map.map_store import find_map
+from conetl.db.map.map_store import require_map
 from conetl.db.map.results import MapInfo
 from conetl.db.statements import load_sql
 from conetl.exports import Order
@@ -69,13 +69,14 @@ class Source:
     info: MapInfo
     request: ExportRequest
     order: Order
-    with_change: bool
-    _reading: list[Generator[pa.RecordBatch]] = field(default_factory=list, init=False, repr=False, compare=False)
 
     @cached_property
     def schema(self) -> pa.Schema:
         """Columns of every batch: the properties in the order of the contract, then `POSITION_NAMES`."""
-        return pa.schema([(name, _ARROW_TYPES[oid]) for name, oid in self._columns])
+        with database_errors(f"The map {self.request.map_name} cannot be read"):
+            columns = query_columns(self.conn, self._sql, self._parameters)
+        shown = [(name, _ARROW_TYPES[oid]) for name, oid in columns if self._has_change or name not in _HISTORY_NAMES]
+        return pa.schema(shown)
 
     @cached_property
     def property_names(self) -> list[str]:
@@ -86,17 +87,6 @@ class Source:
     def crs(self) -> CRS:
         """The map's CRS; easting, northing."""
         return CRS.from_epsg(self.info.srid)
-
-    def batches(self) -> Iterator[pa.RecordBatch]:
-        """All rows, `BATCH_ROWS` at a time, with `schema`."""
-        reading = self._read()
-        self._reading.append(reading)
-        return reading
-
-    def close(self) -> None:
-        """Stop reading, so that the connection is free again."""
-        for reading in self._reading:
-            reading.close()
 
     def lon_lat_deg(self, batch: pa.RecordBatch) -> tuple[Floats, Floats]:
         """WGS 84 longitudes and latitudes (n,) of a batch."""
@@ -109,11 +99,15 @@ class Source:
         """From easting, northing to longitude, latitude."""
         return Transformer.from_crs(self.crs, 4326, always_xy=True)
 
+    @cached_property
+    def batches(self) -> Generator[pa.RecordBatch]:
+        """All rows once, `BATCH_ROWS` at a time, with `schema`."""
+        return self._read()
+
     def _read(self) -> Generator[pa.RecordBatch]:
         names = self.schema.names
-        types = dict(zip(names, self.schema.types, strict=True))
         values = csv.ConvertOptions(
-            column_types=types, null_values=[""], strings_can_be_null=True, quoted_strings_can_be_null=False,
+            column_types=self.schema, null_values=[""], strings_can_be_null=True, quoted_strings_can_be_null=False,
             true_values=["t"], false_values=["f"],
         )  # fmt: skip
         with (
@@ -139,14 +133,8 @@ class Source:
 
     @property
     def _has_change(self) -> bool:
-        return self.with_change or self.request.what is not What.FEATURES
-
-    @cached_property
-    def _columns(self) -> list[tuple[str, int]]:
-        """Name and PostgreSQL type of each exported column of the query."""
-        with database_errors(f"The map {self.request.map_name} cannot be read"):
-            columns = query_columns(self.conn, self._sql, self._parameters)
-        return [(name, oid) for name, oid in columns if self._has_change or name not in _HISTORY_NAMES]
+        """Standing features, too, carry their latest change where rows are in the order of time."""
+        return self.order is Order.BY_TIME or self.request.what is not What.FEATURES
 
     @property
     def _parameters(self) -> dict[str, Any]:
@@ -170,24 +158,12 @@ class Source:
 
 
 @contextmanager
-def open_source(
-    conn: Connection, request: ExportRequest, *, order: Order = Order.BY_ID, with_change: bool = False
-) -> Iterator[Source]:
-    """The rows of a request. with_change: standing features, too, carry their latest change.
-
-    Raises InputError for a request that contradicts itself, and for an unknown map.
-    """
+def open_source(conn: Connection, request: ExportRequest, order: Order = Order.BY_ID) -> Iterator[Source]:
+    """The rows of a request. Raises InputError for one that contradicts itself, and for an unknown map."""
     _check(request)
-    info = find_map(conn, request.map_name)
-    if info is None:
-        raise InputError(
-            f"there is no map named {request.map_name} in this database: ingest a drive or import a map first."
-        )
-    source = Source(conn, info, request, order, with_change)
-    try:
+    source = Source(conn, require_map(conn, request.map_name), request, order)
+    with closing(source.batches):
         yield source
-    finally:
-        source.close()
 
 
 def _check(request: ExportRequest) -> None:

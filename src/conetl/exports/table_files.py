@@ -119,7 +119,7 @@ def _property_schema(source: Source) -> pa.Schema:
 
 def _positions_of(source: Source) -> Iterator[tuple[pa.RecordBatch, NDArray[np.float64]]]:
     """Batches of the properties alone, each with its positions (n, 3) in the map's CRS."""
-    for batch in source.batches():
+    for batch in source.batches:
         yield (
             batch.select(source.property_names),
             np.stack([np.asarray(batch.column(n)) for n in POSITION_NAMES], axis=1),

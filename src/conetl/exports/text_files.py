@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import quoteattr
 
-import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from conetl.exports.source import POSITION_NAMES, Source, What
 
@@ -50,7 +50,7 @@ def names_of(source: Source) -> list[str]:
 def rows_of(source: Source) -> Iterator[ExportRow]:
     """The rows of a source: metres to 0.1 mm, probabilities to 6 decimals."""
     names = names_of(source)
-    for batch in source.batches():
+    for batch in source.batches:
         degrees = [values.tolist() for values in source.lon_lat_deg(batch)]
         positions = zip(*degrees, *(batch.column(name).to_pylist() for name in POSITION_NAMES), strict=True)
         columns = [_plain(name, batch.column(name)) for name in names]
@@ -102,17 +102,10 @@ def iso_utc(instant: datetime) -> str:
     return instant.astimezone(UTC).isoformat(timespec="microseconds").replace("+00:00", "Z")
 
 
-def _iso_column(times: pa.Array) -> list[str | None]:
-    """`iso_utc` of a column of timestamps in microseconds; None for null."""
-    instants = np.asarray(times.cast(pa.int64()).fill_null(0)).astype("datetime64[us]")
-    texts = np.char.add(np.datetime_as_string(instants), "Z").tolist()
-    return [text if valid else None for text, valid in zip(texts, times.is_valid().to_pylist(), strict=True)]
-
-
 def _plain(name: str, column: pa.Array) -> list[Any]:
     """Values of a column as JSON can hold them, rounded."""
     if pa.types.is_timestamp(column.type):
-        return _iso_column(column)
+        return list(pc.strftime(column, "%Y-%m-%dT%H:%M:%SZ").to_pylist())
     values = column.to_pylist()
     if pa.types.is_floating(column.type):
         decimals = 6 if name == "existence_probability" else 4

@@ -190,14 +190,12 @@ def _in_map_frame(track: Track, of_map: Floats, of_offset: Mapping[UUID, Floats]
 
 def _sums(shared_jacobian: Sequence[SharedErrorJacobian | None], sign: float) -> dict[UUID, Floats]:
     """Sum (3, K) of the Jacobians of each calibration, times the sign."""
-    alike: dict[tuple[tuple[UUID, ...], int], list[SharedErrorJacobian]] = {}
-    for one in shared_jacobian:
-        if one is not None:
-            alike.setdefault((one.calibrations, len(one.moved_m)), []).append(one)
     sums: dict[UUID, Floats] = {}
-    for (ids, _), some in alike.items():
-        for calibration, moved_m in zip(ids, sign * unpack_all(ids, some).sum(axis=0), strict=True):
-            sums[calibration] = _sum(sums.get(calibration), moved_m)
+    for (ids, _), rows in _alike(map(_shape, shared_jacobian)).items():
+        if ids:
+            summed_m = sign * unpack_all(ids, [shared_jacobian[k] for k in rows]).sum(axis=0)
+            for calibration, moved_m in zip(ids, summed_m, strict=True):
+                sums[calibration] = _sum(sums.get(calibration), moved_m)
     return sums
 
 

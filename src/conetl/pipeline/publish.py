@@ -35,7 +35,7 @@ from conetl.pipeline.commit import CommittedDrive, report_of
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.reports.drive_page import write_drive_page
-from conetl.reports.plans import draw_plan_view
+from conetl.reports.figures import draw_plan_view
 
 _log = logging.getLogger(__name__)
 #: Hands the report of a changeset and the cones that it removed to whoever wants to know; returns when they have left.

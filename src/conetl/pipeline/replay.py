@@ -156,7 +156,7 @@ def replay_of(
     out = set(aside)
     given: list[tuple[DriveOrder, FeatureVersion | MissedObservation]] = []
     given += [(stored.key, stored.version) for stored in versions if stored.drive_uuid not in out]
-    given += [(s.key, s.miss) for s in read_misses(conn, [*aside, *around]) if s.drive_uuid not in out]
+    given += read_misses(conn, [*aside, *around], without=out)
     folded = replay_drives([*own, *stored_evidence(conn, again)], decisions, given=given)
     replay = Replay(
         versions_before=versions,

@@ -10,7 +10,7 @@ from matplotlib.patches import Ellipse
 from numpy.typing import NDArray
 from scipy import stats
 
-from conetl.reports.plans import (
+from conetl.reports.figures import (
     BLACK,
     GREEN,
     GREY,

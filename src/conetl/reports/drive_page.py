@@ -17,7 +17,6 @@ from conetl.reports import figures
 from conetl.reports.change_images import MAX_ILLUSTRATED, images_of
 from conetl.reports.drive_facts import DriveChange, DriveFacts, read_drive_facts
 from conetl.reports.html import render, write_page
-from conetl.reports.plans import PlanMark, plan, png
 
 #: A median residual above this is suspicious: the rays of a good calibration meet within half a pixel.
 _RESIDUAL_PX = 1.0
@@ -46,7 +45,7 @@ def drive_page(conn: Connection, changeset: CommittedChangeset, *, map_name: str
     facts = read_drive_facts(conn, changeset, map_name=map_name)
     confirmed = [c for c in facts.changes if c.is_confirmation]
     marks = [
-        PlanMark(c.kind, c.xyz_m[:2], c.old_xy_m if c.kind is DeltaKind.MOVED else None, str(c.number))
+        figures.PlanMark(c.kind, c.xyz_m[:2], c.old_xy_m if c.kind is DeltaKind.MOVED else None, str(c.number))
         for c in facts.changes
     ]
     probabilities = np.array([t.existence_probability for t in facts.tracks])
@@ -67,7 +66,7 @@ def drive_page(conn: Connection, changeset: CommittedChangeset, *, map_name: str
         max_illustrated=MAX_ILLUSTRATED,
         confirmed=confirmed[:_MAX_CONFIRMED],
         confirmed_left_out=max(len(confirmed) - _MAX_CONFIRMED, 0),
-        plan=png(plan(facts.path_m, marks, facts.others_m, others_label="not evaluated")),
+        plan=figures.png(figures.plan(facts.path_m, marks, facts.others_m, others_label="not evaluated")),
         residual_figure=figures.residuals(facts.range_m, facts.residual_px, nearest)
         if len(facts.residual_px)
         else None,

@@ -1,14 +1,104 @@
-"""Figures of the QA reports as PNG bytes."""
+"""Plan views of drives and map differences, the plots of the pages, and what all figures share: colours, axes, PNG, files."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import io
+from collections.abc import Iterable, Sequence
 from datetime import datetime
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib import dates
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike, NDArray
 
-from conetl.reports.plans import BLUE, ORANGE, Floats, add_grid, new_figure, png
+from conetl.exports.kind_marks import KIND_MARKS
+from conetl.files.atomic import atomic_files
+from conetl.model.map_records import Delta, DeltaKind, FeatureChange, MapFeature
+
+Floats = NDArray[np.float64]
+#: Safe for the colour-blind (Okabe & Ito).
+BLUE, SKY, GREEN, ORANGE, PINK, GREY, BLACK = (
+    "#0072b2",
+    "#56b4e9",
+    "#009e73",
+    "#d55e00",
+    "#cc79a7",
+    "#777777",
+    "#222222",
+)
+DPI = 130
+_MARGIN_M = 5.0
+#: Labels of more changes than this cannot be read.
+_MAX_LABELS = 80
+
+
+class PlanMark(NamedTuple):
+    """One change on a plan; metres of the map's CRS."""
+
+    kind: DeltaKind
+    xy_m: ArrayLike
+    old_xy_m: ArrayLike | None
+    """Of moved cones."""
+    label: str = ""
+
+
+def draw_plan_view(
+    path: Path,
+    *,
+    title: str,
+    trajectory_m: Floats,
+    deltas: Sequence[Delta | FeatureChange],
+    untouched: Sequence[MapFeature],
+    untouched_label: str = "not evaluated",
+) -> Path:
+    """Write the plan of a drive, or of the difference of two maps, to `path` (PNG) and return it.
+
+    trajectory_m: (F, 2) easting, northing of the left camera in order of time, (0, 2) without one. untouched: features without a
+    change.
+    """
+    marks = []
+    for delta in deltas:
+        *old, at = (np.array(side.xyz_m[:2]) for side in (delta.old, delta.new) if side is not None)
+        moved = delta.kind is DeltaKind.MOVED
+        marks.append(PlanMark(delta.kind, at, old[0] if moved else None, f"{delta.shift_m:.2f} m" if moved else ""))
+    others = np.array([feature.xyz_m[:2] for feature in untouched]).reshape(-1, 2)
+    figure = plan(trajectory_m, marks, others, others_label=untouched_label)
+    figure.suptitle(title)
+    return save_figure(figure, path)
+
+
+def plan(path_m: Floats, marks: Sequence[PlanMark], others_m: Floats, *, others_label: str) -> Figure:
+    """Drive path (F, 2), changes, and features without a change (M, 2), in the map's CRS."""
+    olds = [mark.old_xy_m for mark in marks if mark.old_xy_m is not None]
+    everything = np.concatenate([path_m, others_m, np.reshape([*(mark.xy_m for mark in marks), *olds], (-1, 2))])
+    origin = np.floor(everything.min(axis=0))
+    low, high = everything.min(axis=0) - origin - _MARGIN_M, everything.max(axis=0) - origin + _MARGIN_M
+    height = 10 * (high[1] - low[1]) / (high[0] - low[0]) + 1.0
+    figure = new_figure(10, float(np.clip(height, 3.4, 6.5)))
+    axes = figure.add_subplot()
+    if len(path_m):
+        draw_path(axes, path_m - origin, colour=GREY, linewidth=1.4, label="path of the left camera")
+    if len(others_m):
+        others = others_m - origin
+        axes.scatter(others[:, 0], others[:, 1], s=14, color="#bbbbbb", label=f"{others_label} ({len(others)})")
+    for kind, (marker, colour, label) in KIND_MARKS.items():
+        group = [mark for mark in marks if mark.kind is kind]
+        if group:
+            at = np.array([mark.xy_m for mark in group]) - origin
+            axes.scatter(
+                at[:, 0], at[:, 1], marker=marker, s=46, color=colour, label=f"{label} ({len(group)})", zorder=3
+            )
+    for mark in sorted(marks, key=lambda mark: mark.kind is DeltaKind.CONFIRMED)[:_MAX_LABELS]:
+        at = np.asarray(mark.xy_m) - origin
+        if mark.kind is DeltaKind.MOVED and mark.old_xy_m is not None:
+            draw_arrow(axes, np.asarray(mark.old_xy_m) - origin, at, KIND_MARKS[mark.kind].colour)
+        axes.annotate(mark.label, xy=at, xytext=(5, 5), textcoords="offset points", fontsize=8)
+    frame_plan(axes, low, high, origin)
+    figure.legend(loc="outside lower center", ncols=4, fontsize=8, frameon=False)
+    return figure
 
 
 def residuals(range_m: Floats, residual_px: Floats, tracks: Sequence[tuple[float, float]]) -> bytes:
@@ -76,3 +166,58 @@ def map_size(times: Sequence[datetime], counts: Sequence[int], since: datetime, 
     axes.legend(fontsize=8, loc="lower right")
     add_grid(axes, open_sides=True)
     return png(figure)
+
+
+def frame_plan(axes: Axes, low: Floats, high: Floats, origin: Floats) -> None:
+    """Limit a plan to a box and label its axes. low, high: (2,) in metres from `origin`, which is (2,) in the map's CRS."""
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
+    axes.set_aspect("equal")
+    add_grid(axes)
+    axes.set_xlabel(f"easting - {origin[0]:.0f} (m)")
+    axes.set_ylabel(f"northing - {origin[1]:.0f} (m)")
+
+
+def draw_path(axes: Axes, path_m: Floats, *, colour: str, linewidth: float, label: str) -> None:
+    """A path (F, 2) with an arrow at its end."""
+    axes.plot(path_m[:, 0], path_m[:, 1], zorder=1, color=colour, linewidth=linewidth, label=label)
+    if len(path_m) > 1:
+        draw_arrow(axes, path_m[-2], path_m[-1], colour, "-|>")
+
+
+def draw_arrow(
+    axes: Axes, start: ArrayLike, end: ArrayLike, colour: str, style: str = "->", *, zorder: float = 3, **more: object
+) -> None:
+    """An arrow between two points (2,) of the axes' coordinates. more: `arrowprops` of matplotlib."""
+    start_xy, end_xy = (tuple(np.asarray(point, float).tolist()) for point in (start, end))
+    arrow = {"arrowstyle": style, "color": colour, **more}
+    axes.annotate("", xy=end_xy, xytext=start_xy, arrowprops=arrow, zorder=zorder)
+
+
+def new_figure(width_in: float, height_in: float, *, dpi: int = DPI) -> Figure:
+    """An empty figure whose parts make space for each other."""
+    return Figure(figsize=(width_in, height_in), dpi=dpi, layout="constrained")
+
+
+def add_grid(*every: Axes, open_sides: bool = False) -> None:
+    """A light grid behind the data; open_sides: no frame at the top and right."""
+    for axes in every:
+        axes.grid(color="#eeeeee")
+        axes.set_axisbelow(True)
+        if open_sides:
+            axes.spines[["top", "right"]].set_visible(False)
+
+
+def png(figure: Figure) -> bytes:
+    """The figure as a PNG file."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png")
+    return buffer.getvalue()
+
+
+def save_figure(figure: Figure, path: Path, *, suffixes: Iterable[str] = (".png",)) -> Path:
+    """Write a figure in the format of the suffix, or as PNG; completely or not at all. Raises InputError where it cannot."""
+    suffix = path.suffix.lower()
+    with atomic_files(path) as (file,):
+        figure.savefig(file, format=suffix[1:] if suffix in suffixes else "png")
+    return path

@@ -28,11 +28,6 @@ class Section:
     image_alt: str = ""
 
 
-def write_accuracy_page(path: Path, *, title: str, summary: Sequence[str], sections: Sequence[Section]) -> Path:
-    """Write the page of drives against truth and return its path."""
-    return write_page(path, render("accuracy.html.j2", title=title, summary=summary, sections=sections))
-
-
 def write_page(path: Path, page: str) -> Path:
     """Write a page, completely or not at all, and return its path. Raises InputError where it cannot be written."""
     with atomic_text_file(path) as file:

@@ -17,7 +17,7 @@ from conetl.model.records import Drive, Side
 from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_rig_image
 from conetl.readers.drives.summary import DriveSummary
-from conetl.reports.plans import ORANGE, add_grid, new_figure, save_figure
+from conetl.reports.figures import ORANGE, add_grid, new_figure, save_figure
 
 _ROWS = 12
 _SIDES: tuple[Side, Side] = ("left", "right")

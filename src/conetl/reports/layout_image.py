@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from conetl.model.work_zone_records import DrivePath, Finding, Level, Rule, WorkZone
-from conetl.reports.plans import BLUE, GREEN, ORANGE, add_grid, draw_arrow, new_figure, save_figure
+from conetl.reports.figures import BLUE, GREEN, ORANGE, add_grid, draw_arrow, new_figure, save_figure
 from conetl.workzones.linear_reference import project
 
 _LEVEL_COLOUR = {Level.VIOLATION: ORANGE, Level.NOTICE: BLUE, Level.CANNOT_TELL: "#8a8a8a"}

@@ -1,14 +1,16 @@
-"""A rendered map for a report: cones, lane boundaries, LiDAR points, scale bar, north arrow, legend, CRS and date."""
+"""A rendered map for a report: cones, paths, lane boundaries, LiDAR points, scale bar, north arrow, legend, CRS and date."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import shapely
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap
@@ -19,10 +21,15 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 from pyproj import CRS
 
+from conetl.db.connection import Connection
+from conetl.db.map.map_store import list_changesets
+from conetl.db.serve_store import read_base_lines, read_base_tile, read_base_tiles
+from conetl.db.zone_store import read_paths
 from conetl.exports.kind_marks import KIND_MARKS, STANDING, KindMark
 from conetl.model.errors import InputError
 from conetl.model.map_records import DeltaKind, FeatureChange, MapFeature
-from conetl.reports.plans import draw_arrow, new_figure, save_figure
+from conetl.readers.base_layers.point_tiles import decode_points, tile_side_m
+from conetl.reports.figures import draw_arrow, new_figure, save_figure
 
 Array = NDArray[np.float64]
 Bbox = tuple[float, float, float, float]
@@ -34,6 +41,9 @@ _MIN_SPAN_M = 12.0
 _MAX_ARROW_LABELS = 40
 _DPI = 200
 _MM = 1 / 25.4
+_MAX_POINTS = 400_000
+_MAX_TILES = 100_000
+_MAX_LINES = 200_000
 
 
 @dataclass(frozen=True)
@@ -52,6 +62,62 @@ class PlanContent:
     """(N, 2) LiDAR points."""
     shades: NDArray[np.uint8]
     """(N,) their intensity."""
+
+
+def read_plan_content(
+    conn: Connection,
+    map_name: str,
+    srid: int,
+    extent: Bbox,
+    standing: Sequence[MapFeature],
+    changes: Sequence[FeatureChange] | None,
+    *,
+    valid_at: datetime | None,
+    known_at: datetime | None,
+) -> PlanContent:
+    """Cones of a map, and what the database holds around them; extent: west, south, east, north in the map's CRS."""
+    west, south, east, north = extent
+    margin = max(east - west, north - south)  # the paper has another shape than the extent
+    around = (west - margin, south - margin, east + margin, north + margin)
+    points_m, shades = _points(conn, map_name, around)
+    return PlanContent(
+        srid=srid, standing=standing, changes=changes, paths_m=drive_paths(conn, map_name, valid_at, known_at),
+        lines_m=_lane_boundaries(conn, map_name, around), points_m=points_m, shades=shades,
+    )  # fmt: skip
+
+
+def drive_paths(conn: Connection, map_name: str, valid_at: datetime | None, known_at: datetime | None) -> list[Array]:
+    """(N, 2) drive paths until an instant, of the drives committed until an instant of the database."""
+    paths = read_paths(conn, map_name=map_name, until=valid_at)
+    if known_at is None:
+        return [path.xy_m for path in paths]
+    known = {c.drive_id for c in list_changesets(conn, map_name=map_name) if c.committed_at <= known_at}
+    return [path.xy_m for path in paths if path.drive_id in known]
+
+
+def _lane_boundaries(conn: Connection, map_name: str, around: Bbox) -> list[Array]:
+    rows = read_base_lines(conn, map_name, _MAX_LINES)
+    shapes = shapely.from_wkb([bytes(row["geom"]) for row in rows])
+    return [shapely.get_coordinates(shape) for shape in shapes if shapely.intersects(shape, shapely.box(*around))]
+
+
+def _points(conn: Connection, map_name: str, around: Bbox) -> tuple[Array, NDArray[np.uint8]]:
+    """(N, 2) points and (N,) intensities of the tiles around, coarse ones first, up to _MAX_POINTS."""
+    west, south, east, north = around
+    points, shades, count = [np.empty((0, 2))], [np.empty(0, np.uint8)], 0
+    for row in read_base_tiles(conn, map_name, _MAX_TILES):
+        x, y = row["origin_m"][:2]
+        side = tile_side_m(row["level"])
+        if x > east or y > north or x + side < west or y + side < south:
+            continue
+        count += row["points"]
+        payload = read_base_tile(conn, map_name, row["sha256"]) if count <= _MAX_POINTS else None
+        if payload is None:
+            break
+        steps, shade = decode_points(payload)
+        points.append(steps[:, :2] * np.array(row["scale_m"][:2]) + (x, y))
+        shades.append(shade)
+    return np.concatenate(points), np.concatenate(shades)
 
 
 def plan_extent(standing: Sequence[MapFeature], changes: Sequence[FeatureChange] | None) -> Bbox:

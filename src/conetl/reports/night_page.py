@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from conetl.db.connection import Connection, database_errors, execute
-from conetl.db.map.map_store import find_map
+from conetl.db.map.map_store import require_map
 from conetl.db.statements import load_sql
 from conetl.model.errors import InputError
 from conetl.model.map_records import DeltaKind
@@ -48,8 +48,7 @@ def read_night(conn: Connection, *, map_name: str, since: datetime, until: datet
     """Facts of a period; read-only. Raises InputError for an unknown map or an empty period."""
     if until <= since:
         raise InputError(f"the report would end ({until:%Y-%m-%d %H:%M}) before it begins ({since:%Y-%m-%d %H:%M})")
-    if find_map(conn, map_name) is None:
-        raise InputError(f"there is no map {map_name}: ingest a drive first")
+    require_map(conn, map_name)
     period = {"map_name": map_name, "since": since, "until": until}
     with database_errors(f"The map {map_name} cannot be read"):
         drives = execute(conn, load_sql("reports.night_drives"), period)

@@ -10,9 +10,10 @@ import numpy as np
 import shapely
 from fastapi import APIRouter, HTTPException, Path, Request, Response
 
+from conetl.db.base_store import list_base_sources
 from conetl.db.connection import Connection
 from conetl.db.live_store import read_provisional
-from conetl.db.serve_store import read_base_lines, read_base_sources, read_base_tile, read_base_tiles
+from conetl.db.serve_store import read_base_lines, read_base_tile, read_base_tiles
 from conetl.model.records import Vec3
 from conetl.web import rows as to
 from conetl.web.models import (
@@ -42,8 +43,8 @@ def base_layers(map_name: MapName, conn: Reader, request: Request, response: Res
     if unchanged := _unchanged(conn, map_name, origin, request, response):
         return unchanged
     layers: dict[tuple[str, str], list[int]] = {}
-    for row in read_base_sources(conn, map_name):
-        layers.setdefault((row["layer_name"], row["kind"]), []).append(row["kept_count"])
+    for source in list_base_sources(conn, map_name):
+        layers.setdefault((source.layer_name, source.kind), []).append(source.kept_count)
     rows, truncated = cut(read_base_tiles(conn, map_name, _MAX_TILES + 1), _MAX_TILES)
     return BaseLayers(
         origin_m=origin,
@@ -113,7 +114,7 @@ def provisional(map_name: MapName, conn: Reader) -> ProvisionalFeatures:
 
 def _unchanged(conn: Connection, map_name: str, origin: Vec3, request: Request, response: Response) -> Response | None:
     """304 if the browser has this state of the base layers; else None, and the answer gets its ETag."""
-    sources = "".join(f"{row['source_id']} " for row in read_base_sources(conn, map_name))
+    sources = "".join(f"{source.source_id} " for source in list_base_sources(conn, map_name))
     # Weak: the compressing middleware may send other bytes of the same content.
     tag = f'W/"{hashlib.sha256(f"{origin} {sources}".encode()).hexdigest()}"'
     if request.headers.get("if-none-match") == tag:

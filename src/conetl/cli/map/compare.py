@@ -39,7 +39,7 @@ def diff(
     if output is not None:
         export_diff_geojson(changes, output, srid=info.srid)
     if picture is not None:
-        from conetl.reports.plans import draw_plan_view  # matplotlib takes half a second to load
+        from conetl.reports.figures import draw_plan_view  # matplotlib takes half a second to load
 
         if not old and not new:
             raise InputError(f"there is nothing to draw: the map has no cones at {before} and at {after}")

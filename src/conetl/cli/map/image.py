@@ -17,8 +17,7 @@ from conetl.db.map.map_store import find_map, read_features_as_of
 from conetl.mapping.map_diff import diff
 from conetl.model.errors import InputError
 from conetl.pipeline.settings import read_settings
-from conetl.reports.map_content import read_plan_content
-from conetl.reports.map_picture import SUFFIXES, Bbox, draw_map_picture, plan_extent
+from conetl.reports.map_picture import SUFFIXES, Bbox, draw_map_picture, plan_extent, read_plan_content
 
 
 def picture(

@@ -46,9 +46,9 @@ class PostgresInstall:
         return str(self.bin_directory / name)
 
 
-def find_installs(root: Path = Path("/")) -> list[PostgresInstall]:
+def find_installs() -> list[PostgresInstall]:
     """All servers found, newest first, with or without PostGIS."""
-    found = [probe_install(directory) for directory in _candidate_directories(root)]
+    found = [probe_install(directory) for directory in _candidate_directories()]
     return sorted((install for install in found if install), key=lambda i: i.version, reverse=True)
 
 
@@ -89,8 +89,8 @@ def probe_install(directory: Path) -> PostgresInstall | None:
     return PostgresInstall(directory, tuple(int(part) for part in version[1].split(".")), missing)
 
 
-def _candidate_directories(root: Path) -> list[Path]:
-    directories = [path for pattern in BIN_DIRECTORY_GLOBS for path in root.glob(pattern)]
+def _candidate_directories() -> list[Path]:
+    directories = [path for pattern in BIN_DIRECTORY_GLOBS for path in Path("/").glob(pattern)]
     for name in ("pg_ctl", "postgres"):
         program = shutil.which(name)
         if program:

@@ -26,7 +26,7 @@ from uuid import NAMESPACE_URL, UUID, uuid5
 from conetl.db.connection import Connection, CopyBlock, copy_block, copy_columns, encoded_block, execute, execute_count
 from conetl.db.copy_binary import clean_text, json_text
 from conetl.db.live_store import drop_watched_recording
-from conetl.db.map import columns as map_columns
+from conetl.db.map import rows as map_rows
 from conetl.db.map.map_store import find_changeset, map_for, map_lock, system_time
 from conetl.db.map.replay_store import write_replay
 from conetl.db.map.results import CommitResult, MapInfo, RecordCounts, Replay, RunInfo
@@ -123,7 +123,7 @@ def commit_changeset(
     committed_at = system_time(conn, info, now)
     counts = RecordCounts(len(drive.frame_pairs), *(len(kind) for kind in records[1:]))
     insert_changeset(conn, info, drive_uuid, changeset, counts, run, committed_at)
-    copy_columns(conn, "conetl.quarantine", map_columns.rejection_columns(changeset.changeset_id, records.rejections))
+    copy_columns(conn, "conetl.quarantine", map_rows.rejection_columns(changeset.changeset_id, records.rejections))
     drop_watched_recording(conn, drive, map_name=map_name)
     if replay is None:
         _stage_deltas(conn, info, changeset, suppressed)
@@ -250,7 +250,7 @@ def _path_wkt(drive: Drive) -> str:
 
 
 def _encoded_records(drive_uuid: UUID, srid: int, records: DriveRecords) -> Iterator[CopyBlock]:
-    columns = map_columns
+    columns = map_rows
     return chain(
         _blocks("conetl.frame_pair", records.drive.frame_pairs, partial(columns.frame_pair_columns, drive_uuid, srid)),
         _blocks("conetl.detection", records.detections, partial(columns.detection_columns, drive_uuid)),
@@ -262,7 +262,7 @@ def _encoded_records(drive_uuid: UUID, srid: int, records: DriveRecords) -> Iter
 
 
 def _blocks(
-    table: str, records: Sequence[R], columns_of: Callable[[Sequence[R]], map_columns.Columns]
+    table: str, records: Sequence[R], columns_of: Callable[[Sequence[R]], map_rows.Columns]
 ) -> Iterator[CopyBlock]:
     for start in range(0, len(records), BLOCK_RECORDS):
         yield encoded_block(table, columns_of(records[start : start + BLOCK_RECORDS]))
@@ -271,7 +271,7 @@ def _blocks(
 def _stage_deltas(conn: Connection, info: MapInfo, changeset: Changeset, suppressed: Collection[UUID]) -> None:
     """All deltas into a table of the transaction's own."""
     execute(conn, load_sql("commit.create_delta_stage"))
-    copy_columns(conn, "delta_stage", map_columns.delta_columns(info.srid, changeset.deltas, suppressed))
+    copy_columns(conn, "delta_stage", map_rows.delta_columns(info.srid, changeset.deltas, suppressed))
     execute(conn, "analyze delta_stage (feature_id, kind, is_change)")
 
 

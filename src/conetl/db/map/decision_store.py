@@ -15,10 +15,8 @@ from conetl.model.map_records import Decisions, Location
 def list_decisions(conn: Connection, *, map_name: str = "default") -> list[StoredDecision]:
     """The decisions that were not withdrawn, oldest first."""
     with database_errors(f"The decisions about map {map_name} cannot be read"):
-        return [
-            StoredDecision(**row)
-            for row in execute(conn, load_sql("decisions.active_decisions"), {"map_name": map_name})
-        ]
+        rows = execute(conn, load_sql("decisions.active_decisions"), {"map_name": map_name})
+    return [StoredDecision(**{name: row[name] for name in row if name != "drive_id"}) for row in rows]
 
 
 def read_decisions(conn: Connection, *, map_name: str = "default") -> Decisions:

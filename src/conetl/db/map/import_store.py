@@ -11,14 +11,13 @@ import numpy as np
 
 from conetl.db.connection import Connection, copy_columns, database_errors, execute, stream, transaction
 from conetl.db.copy_binary import bigints, clean_text, constant_uuid, integers, json_text, uuids
-from conetl.db.map import columns as map_columns
+from conetl.db.map import rows as map_rows
 from conetl.db.map.commit import committed_result, insert_changeset
-from conetl.db.map.map_store import map_for, system_time
+from conetl.db.map.map_store import map_for, require_map, system_time
 from conetl.db.map.replay_store import write_replay
 from conetl.db.map.results import CommitResult, RecordCounts, Replay, RunInfo
 from conetl.db.map.rows import feature_of
 from conetl.db.statements import load_sql
-from conetl.model.errors import MapMismatchError
 from conetl.model.map_records import Changeset, ImportedFeature, ImportedMap
 from conetl.model.params import ReconcileParams
 from conetl.model.records import utc_from_ns
@@ -109,14 +108,10 @@ def read_statements(conn: Connection, drive_uuid: UUID) -> list[ImportedFeature]
 
 
 def read_licence(conn: Connection, map_name: str) -> str | None:
-    """Licence of a map's data, None if none was set. Raises MapMismatchError if the map does not exist."""
+    """Licence of a map's data, None if none was set. Raises InputError if the map does not exist."""
+    require_map(conn, map_name)
     with database_errors(f"The map {map_name} cannot be read"):
-        rows = execute(conn, load_sql("exports.facts"), {"map_name": map_name})
-    if not rows:
-        raise MapMismatchError(
-            f"there is no map named {map_name} in this database: ingest a drive or import a map first."
-        )
-    licence: str | None = rows[0]["licence"]
+        licence: str | None = execute(conn, load_sql("exports.facts"), {"map_name": map_name})[0]["licence"]
     return licence
 
 
@@ -130,7 +125,7 @@ def set_licence(conn: Connection, map_name: str, licence: str) -> None:
 
 def _statement_columns(drive_uuid: UUID, srid: int, statements: Sequence[ImportedFeature]) -> Mapping[str, Any]:
     features = [statement.feature for statement in statements]
-    cones = map_columns.cone_columns(srid, features)
+    cones = map_rows.cone_columns(srid, features)
     return {
         "drive_uuid": constant_uuid(drive_uuid, len(statements)),
         "statement_index": integers(np.arange(len(statements))),

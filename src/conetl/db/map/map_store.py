@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
-from typing import Any
 from uuid import UUID
 
 from conetl.db.connection import Connection, database_errors, execute, stream, transaction
@@ -13,7 +12,7 @@ from conetl.db.copy_binary import clean_text
 from conetl.db.map.results import CommittedChangeset, FeatureAtInstant, FeatureLogEntry, MapInfo, MapSummary
 from conetl.db.map.rows import feature_of
 from conetl.db.statements import load_sql
-from conetl.model.errors import MapMismatchError
+from conetl.model.errors import InputError, MapMismatchError
 from conetl.model.map_records import DeltaKind, MapFeature
 
 Bbox = tuple[float, float, float, float]
@@ -48,13 +47,17 @@ def find_map(conn: Connection, map_name: str = "default") -> MapInfo | None:
     return MapInfo(**rows[0]) if rows else None
 
 
-def read_current_features(
-    conn: Connection, *, map_name: str = "default", within: Bbox | None = None
-) -> list[MapFeature]:
-    """The features that stand on the map now, by feature id; `within` in the map's CRS. [] without such a map."""
-    parameters = _box(conn, map_name, within)
-    with database_errors(f"The features of map {map_name} cannot be read"):
-        return [feature_of(row) for row in stream(conn, load_sql("map.current_features"), parameters)]
+def require_map(conn: Connection, map_name: str) -> MapInfo:
+    """The map. Raises InputError if it does not exist."""
+    info = find_map(conn, map_name)
+    if info is None:
+        raise InputError(f"there is no map named {map_name} in this database: ingest a drive or import a map first.")
+    return info
+
+
+def read_current_features(conn: Connection, *, map_name: str = "default") -> list[MapFeature]:
+    """The features that stand on the map now, by feature id; [] without such a map."""
+    return [version.feature for version in read_features_as_of(conn, map_name=map_name)]
 
 
 def read_features_as_of(
@@ -72,11 +75,14 @@ def read_features_as_of(
     for instant in (valid_at, known_at):
         if instant is not None and instant.tzinfo is None:
             raise ValueError(f"{instant} has no time zone: UTC or another one must be stated")
-    parameters = _box(conn, map_name, within) | {
+    west_m, south_m, east_m, north_m = within or (None, None, None, None)
+    info = find_map(conn, map_name) if within else None
+    parameters = {
+        "map_name": map_name, "srid": info.srid if info else 0, "max_rows": None,
+        "west_m": west_m, "south_m": south_m, "east_m": east_m, "north_m": north_m,
         "valid_at": valid_at.isoformat() if valid_at else "infinity",
         "known_at": known_at.isoformat() if known_at else "infinity",
-        "max_rows": None,
-    }
+    }  # fmt: skip
     with database_errors(f"The features of map {map_name} cannot be read"):
         for row in stream(conn, load_sql("map.features_as_of"), parameters):
             yield FeatureAtInstant(feature_of(row), *row[22:27])
@@ -84,15 +90,17 @@ def read_features_as_of(
 
 def find_changeset(conn: Connection, idempotency_key: str, *, map_name: str = "default") -> CommittedChangeset | None:
     """The earlier changeset of the same drive with the same parameters, model and CRS; None if it is new."""
-    rows = _changesets(conn, map_name, idempotency_key, 1)
+    rows = list_changesets(conn, map_name=map_name, idempotency_key=idempotency_key)
     return rows[0] if rows else None
 
 
 def list_changesets(
-    conn: Connection, *, map_name: str = "default", limit: int | None = None
+    conn: Connection, *, map_name: str = "default", idempotency_key: str | None = None
 ) -> list[CommittedChangeset]:
-    """Changesets of a map, newest first."""
-    return _changesets(conn, map_name, None, limit)
+    """Changesets of a map, newest first; or the one of an idempotency key."""
+    parameters = {"map_name": map_name, "idempotency_key": idempotency_key}
+    with database_errors(f"The changesets of map {map_name} cannot be read"):
+        return [CommittedChangeset(**row) for row in execute(conn, load_sql("history.changesets"), parameters)]
 
 
 def feature_log(conn: Connection, feature_id: UUID) -> list[FeatureLogEntry]:
@@ -136,16 +144,3 @@ def system_time(conn: Connection, info: MapInfo, now: datetime | None = None) ->
     clock = {"now": now, "last_committed_at": info.last_committed_at}
     instant: datetime = execute(conn, load_sql("commit.system_time"), clock)[0]["committed_at"]
     return instant
-
-
-def _changesets(conn: Connection, map_name: str, key: str | None, limit: int | None) -> list[CommittedChangeset]:
-    parameters = {"map_name": map_name, "idempotency_key": key, "max_rows": limit}
-    with database_errors(f"The changesets of map {map_name} cannot be read"):
-        return [CommittedChangeset(**row) for row in execute(conn, load_sql("history.changesets"), parameters)]
-
-
-def _box(conn: Connection, map_name: str, within: Bbox | None) -> dict[str, Any]:
-    west_m, south_m, east_m, north_m = within or (None, None, None, None)
-    info = find_map(conn, map_name) if within else None
-    parameters = {"map_name": map_name, "srid": info.srid if info else 0}
-    return parameters | {"west_m": west_m, "south_m": south_m, "east_m": east_m, "north_m": north_m}

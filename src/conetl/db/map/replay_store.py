@@ -5,17 +5,17 @@ Rows are only changed by closing their system period; versions and deltas with t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from datetime import datetime
 from typing import Any
 from uuid import UUID
 
 from conetl.db.connection import Connection, copy_columns, database_errors, execute, execute_count, stream
-from conetl.db.map import columns as map_columns
-from conetl.db.map.results import DriveRef, MapInfo, Replay, StoredDelta, StoredMiss, StoredVersion
+from conetl.db.map import rows as map_rows
+from conetl.db.map.results import DriveRef, MapInfo, Replay, StoredDeltas, StoredVersion
 from conetl.db.map.rows import version_of
 from conetl.db.statements import load_sql
-from conetl.model.map_records import Delta, FeatureVersion, Location, MissedObservation, MissSummary
+from conetl.model.map_records import Delta, DriveOrder, FeatureVersion, Location, MissedObservation, MissSummary
 from conetl.model.records import Drive
 
 
@@ -79,30 +79,24 @@ def read_doubts_around(conn: Connection, drive_uuid: UUID) -> dict[UUID, MissSum
         return {row[0]: MissSummary(existence_probability=row[1], first_missed_ns=row[2]) for row in rows}
 
 
-def read_misses(conn: Connection, drive_uuids: Sequence[UUID]) -> list[StoredMiss]:
-    """Every current miss of features that ever stood around the drives."""
+def read_misses(
+    conn: Connection, drive_uuids: Sequence[UUID], *, without: Collection[UUID]
+) -> list[tuple[DriveOrder, MissedObservation]]:
+    """Every current miss of features that ever stood around the drives, by drives that are not in `without`."""
+    names = ("feature_id", "changeset_id", "version", "existence_probability", "first_missed_ns")
     with database_errors("The neighbourhood of the drives cannot be read"):
         return [
-            StoredMiss(
-                drive_uuid=row[5],
-                key=row[6:9],
-                miss=MissedObservation.model_construct(
-                    feature_id=row[0],
-                    changeset_id=row[1],
-                    version=row[2],
-                    existence_probability=row[3],
-                    first_missed_ns=row[4],
-                ),
-            )
+            (row[6:9], MissedObservation.model_construct(**dict(zip(names, row[:5], strict=True))))
             for row in stream(conn, load_sql("replay.misses_around"), {"drive_uuids": list(drive_uuids)})
+            if row[5] not in without
         ]
 
 
-def read_deltas(conn: Connection, drive_uuids: Sequence[UUID]) -> list[StoredDelta]:
+def read_deltas(conn: Connection, drive_uuids: Sequence[UUID]) -> StoredDeltas:
     """The current deltas of the drives."""
     with database_errors("The deltas of the drives cannot be read"):
         rows = stream(conn, load_sql("replay.current_deltas"), {"drive_uuids": list(drive_uuids)})
-        return [StoredDelta(row[0], row[1:]) for row in rows]
+        return {row[1:]: row[0] for row in rows}
 
 
 def write_replay(conn: Connection, info: MapInfo, replay: Replay, committed_at: datetime) -> int:
@@ -111,16 +105,16 @@ def write_replay(conn: Connection, info: MapInfo, replay: Replay, committed_at: 
     wanted = set(replay.versions)
     closed = [row_id for version, row_id in kept.items() if version not in wanted]
     new = [version for version in replay.versions if version not in kept]
-    known = {stored.values: stored.delta_row_id for stored in replay.deltas_before}
+    known = replay.deltas_before
     values = {_delta_values(changeset_id, delta): (changeset_id, delta) for changeset_id, delta in replay.deltas}
     closed_deltas = [row_id for value, row_id in known.items() if value not in values]
     new_deltas = [change for value, change in values.items() if value not in known]
 
     parameters = {"map_id": info.map_id, "srid": info.srid, "committed_at": committed_at}
     execute(conn, load_sql("replay.create_version_stage"))
-    copy_columns(conn, "version_stage", map_columns.version_columns(info.srid, new))
+    copy_columns(conn, "version_stage", map_rows.version_columns(info.srid, new))
     execute(conn, load_sql("replay.create_replayed_delta_stage"))
-    copy_columns(conn, "replayed_delta_stage", map_columns.replayed_delta_columns(new_deltas))
+    copy_columns(conn, "replayed_delta_stage", map_rows.replayed_delta_columns(new_deltas))
     execute(conn, "analyze version_stage, replayed_delta_stage")
     execute(conn, load_sql("replay.insert_staged_features"), parameters)
     execute(conn, load_sql("replay.close_version_rows"), parameters | {"row_ids": closed})
@@ -132,24 +126,24 @@ def write_replay(conn: Connection, info: MapInfo, replay: Replay, committed_at: 
 
 
 def _delta_values(changeset_id: UUID, delta: Delta) -> tuple[Any, ...]:
-    """As `StoredDelta.values`."""
+    """As the keys of `StoredDeltas`."""
     return (
         changeset_id,
         delta.feature_id,
         delta.kind.value,
         delta.old.version if delta.old else None,
-        map_columns.version_after(delta),
+        map_rows.version_after(delta),
         delta.track_index,
         delta.changed_at_ns,
         delta.shift_m,
         delta.other_feature_id,
-        *map_columns.evidence_values(delta),
+        *map_rows.evidence_values(delta),
     )
 
 
 def read_open_version(conn: Connection, map_name: str, feature_id: UUID) -> FeatureVersion | None:
     """The current open version of one feature, standing, suppressed or removed; None if it has none."""
     with database_errors(f"Feature {feature_id} cannot be read"):
-        parameters = {"map_name": map_name, "feature_id": feature_id}
-        rows = list(stream(conn, load_sql("map.open_version"), parameters))
-    return version_of(rows[0]) if rows else None
+        parameters = {"map_name": map_name, "feature_id": feature_id, "valid_until": "infinity"}
+        versions = [version_of(row) for row in stream(conn, load_sql("map.current_versions"), parameters)]
+    return next((version for version in versions if version.valid_to_ns is None), None)

@@ -8,15 +8,7 @@ from datetime import datetime
 from typing import Any, NamedTuple
 from uuid import UUID
 
-from conetl.model.map_records import (
-    Delta,
-    DeltaKind,
-    DriveOrder,
-    FeatureVersion,
-    Location,
-    MapFeature,
-    MissedObservation,
-)
+from conetl.model.map_records import Delta, DeltaKind, DriveOrder, FeatureVersion, Location, MapFeature
 
 
 @dataclass(frozen=True)
@@ -167,21 +159,8 @@ class StoredVersion:
     version: FeatureVersion
 
 
-@dataclass(frozen=True)
-class StoredMiss:
-    """A current miss of a feature by a drive."""
-
-    drive_uuid: UUID
-    key: DriveOrder
-    miss: MissedObservation
-
-
-@dataclass(frozen=True)
-class StoredDelta:
-    """A current delta, as the values of its columns from changeset_id to frames_empty."""
-
-    delta_row_id: int
-    values: tuple[Any, ...]
+StoredDeltas = Mapping[tuple[Any, ...], int]
+"""Row ids of current deltas by the values of their columns from changeset_id to frames_empty."""
 
 
 @dataclass(frozen=True)
@@ -189,7 +168,7 @@ class Replay:
     """The state of a neighbourhood before and after a replay; deltas after it with their changesets."""
 
     versions_before: Sequence[StoredVersion]
-    deltas_before: Sequence[StoredDelta]
+    deltas_before: StoredDeltas
     versions: Sequence[FeatureVersion]
     deltas: Sequence[tuple[UUID, Delta]]
 

@@ -1,4 +1,4 @@
-"""Rows of the map's tables as records, without checking them again, and SharedErrorJacobian in PostgreSQL's binary array format.
+"""Records as columns for COPY and as rows read back (unchecked), and SharedErrorJacobian in PostgreSQL's binary array format.
 
 An array: number of dimensions, whether any item is null, type of the items, then length and first index of each dimension, then
 the items, each after its length; all big-endian (`array_send` in PostgreSQL's src/backend/utils/adt/arrayfuncs.c).
@@ -7,17 +7,22 @@ the items, each after its length; all big-endian (`array_send` in PostgreSQL's s
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import lru_cache
+from operator import attrgetter
 from typing import Any
 from uuid import UUID
 
 import numpy as np
 
-from conetl.db.copy_binary import Column, byteas, nulls
-from conetl.model.map_records import FeatureVersion, MapFeature
-from conetl.model.records import SharedErrorJacobian, sound
+from conetl.db import copy_binary as binary
+from conetl.db.copy_binary import Column
+from conetl.model.map_records import Delta, FeatureVersion, MapFeature
+from conetl.model.records import Detection, FramePair, Position, SharedErrorJacobian, StereoMatch, Track, sound
+from conetl.model.rejections import Rejection
 
+Columns = dict[str, Column]
+_COV_NAMES = ("xx", "xy", "xz", "yy", "yz", "zz")
 _UUID_TYPE, _REAL_TYPE = 2950, 700
 _UUID_BYTES, _REAL_BYTES = 16, 4
 #: Bytes before the items of an array of one dimension and of three, and the offset of the former's length.
@@ -26,7 +31,7 @@ _REALS = np.dtype([("length", ">i4"), ("value", ">f4")])
 
 
 def feature_of(row: tuple[Any, ...]) -> MapFeature:
-    """Columns as in `map.current_features`; further ones may follow."""
+    """Columns as in `map.features_as_of`; further ones may follow."""
     return sound(
         MapFeature,
         feature_id=row[0],
@@ -58,13 +63,204 @@ def version_of(row: tuple[Any, ...]) -> FeatureVersion:
     )
 
 
-def jacobian_columns(jacobians: Sequence[SharedErrorJacobian | None]) -> dict[str, Column]:
+def frame_pair_columns(drive_uuid: UUID, srid: int, pairs: Sequence[FramePair]) -> Columns:
+    """Table frame_pair."""
+    poses = [pair.pose for pair in pairs]
+    return {
+        "drive_uuid": binary.constant_uuid(drive_uuid, len(pairs)),
+        **_attributes(pairs, binary.integers, "frame_index"),
+        **_attributes(pairs, binary.texts, "left_path", "right_path"),
+        **_attributes(pairs, binary.bigints, "captured_at_ns"),
+        "geom": binary.points([p.map_t_body_m for p in poses], srid),
+        "map_r_body": binary.double_arrays(np.reshape([p.map_R_body for p in poses], (-1, 9))),
+        "sigma_enu_m": binary.double_arrays(np.reshape([p.sigma_enu_m for p in poses], (-1, 3))),
+        "sigma_rpy_rad": binary.double_arrays(np.reshape([p.sigma_rpy_rad for p in poses], (-1, 3))),
+    }
+
+
+def detection_columns(drive_uuid: UUID, detections: Sequence[Detection]) -> Columns:
+    """Table detection."""
+    return {
+        "drive_uuid": binary.constant_uuid(drive_uuid, len(detections)),
+        **_attributes(detections, binary.integers, "frame_index", "detection_index"),
+        **_attributes(detections, binary.texts, "side", "category"),
+        **_attributes(detections, binary.doubles, "x_px", "y_px", "w_px", "h_px", "score"),
+    }
+
+
+def match_columns(drive_uuid: UUID, matches: Sequence[StereoMatch]) -> Columns:
+    """Table stereo_match."""
+    columns = {
+        "drive_uuid": binary.constant_uuid(drive_uuid, len(matches)),
+        **_attributes(matches, binary.integers, "frame_index", "match_index"),
+        "left_detection_index": binary.integers([m.left.detection_index for m in matches]),
+        "right_detection_index": binary.integers([m.right.detection_index for m in matches]),
+        **_attributes(matches, binary.doubles, "sigma_u_px", "sigma_v_px", "sigma_pointing_px", "cost"),
+        **_attributes(matches, binary.booleans, "refined"),
+    }
+    for point in ("foot", "centre", "tip"):
+        for side in ("left", "right"):
+            uv_px = np.reshape([getattr(m, f"{point}_{side}_uv_px") for m in matches], (-1, 2))
+            columns[f"{point}_{side}_u_px"] = binary.doubles(uv_px[:, 0])
+            columns[f"{point}_{side}_v_px"] = binary.doubles(uv_px[:, 1])
+    return columns
+
+
+def position_columns(drive_uuid: UUID, srid: int, positions: Sequence[Position]) -> Columns:
+    """Table position."""
+    camera = np.reshape([p.camera_xyz_m for p in positions], (-1, 3))
+    return {
+        "drive_uuid": binary.constant_uuid(drive_uuid, len(positions)),
+        **_attributes(positions, binary.integers, "frame_index", "match_index", "iterations"),
+        "geom": binary.points([p.xyz_m for p in positions], srid),
+        **_covariance("cov", [p.cov_m2 for p in positions]),
+        "centre_geom": binary.points([p.centre_xyz_m for p in positions], srid),
+        **{f"camera_{axis}_m": binary.doubles(camera[:, i]) for i, axis in enumerate("xyz")},
+        **_covariance("camera_cov", [p.camera_cov_m2 for p in positions]),
+        **_attributes(
+            positions, binary.doubles, "cone_height_m", "range_m", "ray_angle_rad", "residual_rms_px", "score"
+        ),
+    }
+
+
+def track_columns(drive_uuid: UUID, srid: int, tracks: Sequence[Track]) -> Columns:
+    """Table track."""
+    return {
+        "drive_uuid": binary.constant_uuid(drive_uuid, len(tracks)),
+        **_attributes(tracks, binary.integers, "track_index"),
+        **cone_columns(srid, tracks),
+        **_covariance("relative_cov", [t.relative_cov_m2 for t in tracks]),
+        **_attributes(tracks, binary.doubles, "residual_rms_px", "nearest_range_m"),
+    }
+
+
+def track_member_columns(drive_uuid: UUID, tracks: Sequence[Track]) -> Columns:
+    """Table track_member: the positions of each track."""
+    members = np.reshape([(t.track_index, *member) for t in tracks for member in t.members], (-1, 3))
+    return {
+        "drive_uuid": binary.constant_uuid(drive_uuid, len(members)),
+        "track_index": binary.integers(members[:, 0]),
+        "frame_index": binary.integers(members[:, 1]),
+        "match_index": binary.integers(members[:, 2]),
+    }
+
+
+def delta_columns(srid: int, deltas: Sequence[Delta], suppressed: Collection[UUID] = ()) -> Columns:
+    """Temporary table delta_stage: one row per delta, with the resulting state of the feature.
+
+    A removed feature keeps its last state, marked as not present. suppressed: features that end where a person decided that
+    nothing stands.
+    """
+    return {
+        **_change_columns(deltas),
+        **_attributes(deltas, binary.booleans, "is_change"),
+        "present": binary.booleans([d.new is not None and d.feature_id not in suppressed for d in deltas]),
+        "suppressed": binary.booleans([d.new is not None and d.feature_id in suppressed for d in deltas]),
+        **cone_columns(srid, [delta.state_after for delta in deltas]),
+    }
+
+
+def replayed_delta_columns(changes: Sequence[tuple[UUID, Delta]]) -> Columns:
+    """Temporary table replayed_delta_stage: (changeset, delta) as they hold from now on."""
+    deltas = [delta for _, delta in changes]
+    return {
+        "changeset_id": binary.uuids([changeset_id for changeset_id, _ in changes]),
+        "new_version": binary.integers([version_after(d) for d in deltas]),
+        **_change_columns(deltas),
+    }
+
+
+def version_columns(srid: int, versions: Sequence[FeatureVersion]) -> Columns:
+    """Temporary table version_stage: whole versions, as they hold from now on."""
+    return {
+        **cone_columns(srid, [v.feature for v in versions]),
+        "feature_id": binary.uuids([v.feature.feature_id for v in versions]),
+        "version": binary.integers([v.feature.version for v in versions]),
+        **_attributes(versions, binary.uuids, "changeset_id"),
+        "present": binary.booleans([v.present and not v.suppressed for v in versions]),
+        **_attributes(versions, binary.booleans, "suppressed"),
+        **_attributes(versions, binary.bigints, "valid_from_ns"),
+        "valid_from": binary.timestamps_from_ns([v.valid_from_ns for v in versions]),
+        "valid_to": binary.timestamps_from_ns([0 if v.valid_to_ns is None else v.valid_to_ns for v in versions]),
+        "is_open": binary.booleans([v.valid_to_ns is None for v in versions]),
+    }
+
+
+def evidence_values(delta: Delta) -> tuple[float | None, float | None, int | None, int | None]:
+    """log_likelihood_ratio, existence_after, frames_seen, frames_empty of a delta's row."""
+    e = delta.evidence
+    if e is None:
+        return None, None, None, None
+    return e.log_likelihood_ratio, e.existence_probability, e.frames_seen, e.frames_empty
+
+
+def version_after(delta: Delta) -> int:
+    """Number of the version after a delta: the old one's if a confirmation changed nothing."""
+    if delta.old is None:
+        return delta.state_after.version
+    return delta.old.version + 1 if delta.is_change else delta.old.version
+
+
+def rejection_columns(changeset_id: UUID, rejections: Sequence[Rejection]) -> Columns:
+    """Table quarantine; the order of the columns determines that of the rows, see `copy_binary.encode`."""
+    return {
+        "changeset_id": binary.constant_uuid(changeset_id, len(rejections)),
+        **_attributes(rejections, binary.texts, "step"),
+        "reason": binary.texts([r.reason.value for r in rejections]),
+        **_attributes(rejections, binary.texts, "record", "detail"),
+        **_attributes(rejections, binary.jsons, "payload"),
+    }
+
+
+def cone_columns(srid: int, cones: Sequence[Track] | Sequence[MapFeature]) -> Columns:
+    """What tracks, feature versions and statements of imported maps have in common."""
+    return {
+        **_attributes(cones, binary.texts, "category"),
+        "geom": binary.points([c.xyz_m for c in cones], srid),
+        **_covariance("cov", [c.cov_m2 for c in cones]),
+        "centre_geom": binary.points([c.centre_xyz_m for c in cones], srid),
+        **_attributes(cones, binary.doubles, "cone_height_m", "cone_height_sigma_m", "existence_probability"),
+        **_attributes(cones, binary.integers, "observation_count"),
+        **_attributes(cones, binary.bigints, "first_seen_ns", "last_seen_ns"),
+        **jacobian_columns([c.shared_jacobian for c in cones]),
+    }
+
+
+def _change_columns(deltas: Sequence[Delta]) -> Columns:
+    evidence = [evidence_values(delta) for delta in deltas]
+    ratios, existence, seen, empty = zip(*evidence, strict=True) if evidence else ((), (), (), ())
+    return {
+        **_attributes(deltas, binary.uuids, "feature_id", "other_feature_id"),
+        "kind": binary.texts([d.kind.value for d in deltas]),
+        "old_version": binary.integers([d.old.version if d.old else None for d in deltas]),
+        **_attributes(deltas, binary.integers, "track_index"),
+        **_attributes(deltas, binary.bigints, "changed_at_ns"),
+        "changed_at": binary.timestamps_from_ns([d.changed_at_ns for d in deltas]),
+        **_attributes(deltas, binary.doubles, "shift_m"),
+        "log_likelihood_ratio": binary.doubles(ratios),
+        "existence_after": binary.doubles(existence),
+        "frames_seen": binary.integers(seen),
+        "frames_empty": binary.integers(empty),
+    }
+
+
+def _attributes(records: Sequence[Any], encode: Callable[[list[Any]], Column], *names: str) -> Columns:
+    """Columns that are named as the attributes."""
+    return {name: encode(list(map(attrgetter(name), records))) for name in names}
+
+
+def _covariance(prefix: str, covariances: Sequence[tuple[float, ...]]) -> Columns:
+    values = np.reshape(covariances, (-1, 6))
+    return {f"{prefix}_{name}": binary.doubles(values[:, i]) for i, name in enumerate(_COV_NAMES)}
+
+
+def jacobian_columns(jacobians: Sequence[SharedErrorJacobian | None]) -> Columns:
     """The columns calibrations (uuid[]) and shared_jacobian_m (real[][][]) of some rows."""
     if not any(jacobians):
-        return {"calibrations": nulls(len(jacobians)), "shared_jacobian_m": nulls(len(jacobians))}
+        return {"calibrations": binary.nulls(len(jacobians)), "shared_jacobian_m": binary.nulls(len(jacobians))}
     return {
-        "calibrations": byteas([None if one is None else _calibrations(one.calibrations) for one in jacobians]),
-        "shared_jacobian_m": byteas([None if one is None else _jacobian(one) for one in jacobians]),
+        "calibrations": binary.byteas([None if one is None else _calibrations(one.calibrations) for one in jacobians]),
+        "shared_jacobian_m": binary.byteas([None if one is None else _jacobian(one) for one in jacobians]),
     }
 
 

@@ -13,7 +13,7 @@ from uuid import UUID
 
 from conetl.db.connection import Connection
 from conetl.db.map.decision_store import find_decisions, insert_decision, list_decisions, read_decisions
-from conetl.db.map.map_store import LOCK_TIMEOUT_S, find_features, find_map, map_transaction, system_time
+from conetl.db.map.map_store import LOCK_TIMEOUT_S, find_features, map_transaction, require_map, system_time
 from conetl.db.map.replay_store import affected_drives, drives_at, read_open_version, superseded_drives, write_replay
 from conetl.db.map.results import Decidable, MapInfo, Replay
 from conetl.mapping.history import is_within
@@ -71,7 +71,7 @@ def decide_place(
     if not 0 < radius_m <= MAX_RADIUS_M:
         raise InputError(f"a radius of {radius_m} m is not between 0 and {MAX_RADIUS_M:g} m")
     with map_transaction(conn, map_name, lock_timeout_s=lock_timeout_s):
-        info = _map(conn, map_name)
+        info = require_map(conn, map_name)
         state = _feature(conn, map_name, feature)
         before = read_decisions(conn, map_name=map_name)
         if is_within(state, before.suppressed if kind == SUPPRESS else before.pinned):
@@ -111,7 +111,7 @@ def revert(
     number. Nothing is lost: reverting the decision brings everything back. Raises InputError, ConflictError where that was done
     already."""
     with map_transaction(conn, map_name, lock_timeout_s=lock_timeout_s):
-        info = _map(conn, map_name)
+        info = require_map(conn, map_name)
         target = _target(conn, map_name, what)
         decided_at = system_time(conn, info, now)
         if target.kind == "changeset":
@@ -171,7 +171,7 @@ def _conflicts(replay: Replay, changeset_id: UUID | None) -> tuple[RevertConflic
     """The features that this changeset and others changed, by feature id."""
     own: dict[UUID, tuple[str, int | None, int]] = {}
     others = set()
-    for changed_by, feature_id, kind, old, new in (stored.values[:5] for stored in replay.deltas_before):
+    for changed_by, feature_id, kind, old, new in (values[:5] for values in replay.deltas_before):
         if changed_by == changeset_id:
             own[feature_id] = kind, old, new
         else:
@@ -189,13 +189,6 @@ def _conflicts(replay: Replay, changeset_id: UUID | None) -> tuple[RevertConflic
         for feature_id, (kind, old, new) in sorted(own.items())
         if feature_id in others
     )
-
-
-def _map(conn: Connection, map_name: str) -> MapInfo:
-    info = find_map(conn, map_name)
-    if info is None:
-        raise InputError(f"there is no map named {map_name} in this database: ingest a drive first.")
-    return info
 
 
 def _feature(conn: Connection, map_name: str, beginning: str) -> MapFeature:

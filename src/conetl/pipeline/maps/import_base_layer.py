@@ -15,7 +15,6 @@ from conetl.db.base_store import (
     BaseCounts,
     BaseFile,
     Kind,
-    PlacedLine,
     find_base_file,
     read_ingested_poses,
     write_lines,
@@ -30,7 +29,7 @@ from conetl.readers.base_layers import georeferencing as geo
 from conetl.readers.base_layers.georeferencing import LayerCrs, MapGround, to_map
 from conetl.readers.base_layers.las_file import las_chunks, read_las_header
 from conetl.readers.base_layers.line_files import LINE_READERS
-from conetl.readers.base_layers.lines import LineFile
+from conetl.readers.base_layers.lines import Line, LineFile
 from conetl.readers.base_layers.point_tiles import Cloud, Spilled, read_cells, spill, tiles_of, top_level
 from conetl.readers.drives import read_drive
 from conetl.readers.drives.velodyne import (
@@ -216,7 +215,7 @@ def _write_cloud(
         warnings += geo.check_near(label, low, high, job.ground)
         warnings += geo.check_heights(label, _some_points(folder, spilled), job.ground)
         tiles = tiles_of(read_cells(folder, spilled.cells), top_level(float((high - low).max())), voxel_m)
-        counts = BaseCounts(read[0], spilled.refused, spilled.low_m, spilled.high_m)
+        counts = BaseCounts(read[0], spilled.refused, *spilled.low_m, *spilled.high_m)
         kept = write_points(job.conn, file, counts, tiles)
     if kept is None:
         return _unchanged(file, 0)
@@ -251,13 +250,12 @@ def _import_lines(job: _Job) -> ImportedFile:
     lines = _lines_on_map(job, found, layer, refused)
     if not lines:
         raise InputError(f"{path}: none of its lines is on the map; {refused[0]}")
-    vertices = np.concatenate([line.xyz_m for line in lines])
+    vertices = np.concatenate([line.xyz for line in lines])
     low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
     warnings += geo.check_near(path.name, low, high, ground)
     if not all(flat):
         warnings += geo.check_heights(path.name, vertices, ground)
-    corners = [(float(east), float(north)) for east, north in (low, high)]
-    counts = BaseCounts(len(lines) + len(refused), len(refused), corners[0], corners[1])
+    counts = BaseCounts(len(lines) + len(refused), len(refused), *low.tolist(), *high.tolist())
     written = write_lines(job.conn, file, counts, lines, ground.srid)
     if written is None:
         return _unchanged(file, 0)
@@ -266,7 +264,7 @@ def _import_lines(job: _Job) -> ImportedFile:
     )
 
 
-def _lines_on_map(job: _Job, found: LineFile, layer: LayerCrs, refused: list[str]) -> list[PlacedLine]:
+def _lines_on_map(job: _Job, found: LineFile, layer: LayerCrs, refused: list[str]) -> list[Line]:
     lines = []
     for number, line in enumerate(found.lines):
         xyz = to_map(layer, line.xyz, job.options.height_offset_m)
@@ -278,7 +276,7 @@ def _lines_on_map(job: _Job, found: LineFile, layer: LayerCrs, refused: list[str
         missing = np.isnan(xyz[:, 2])
         if missing.any():
             xyz[missing, 2] = geo.drape(xyz[missing, :2], job.ground)
-        lines.append(PlacedLine(line.kind, xyz, line.attributes))
+        lines.append(line._replace(xyz=xyz))
     return lines
 
 
