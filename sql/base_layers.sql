@@ -42,8 +42,7 @@ returning s.kept_count;
 
 -- name: sources
 -- The imported files of a map's base layers. Parameters: map_name.
--- Columns: source_id, layer_name, kind, source_path, content_sha256, params, source_crs, read_count, kept_count,
--- refused_count, heights, imported_at, west_m, south_m, east_m, north_m (map's CRS), bytes (of tiles, compressed).
+-- Columns: as below; extent in the map's CRS, bytes of tiles as stored.
 select
     s.source_id, s.layer_name, s.kind, s.source_path, s.content_sha256, s.params, s.source_crs,
     s.read_count, s.kept_count, s.refused_count, s.heights, s.imported_at,
@@ -78,9 +77,8 @@ order by feature_id
 limit %(max_rows)s;
 
 -- name: ingested_poses
--- The poses (refined ones where they were refined) of an ingested drive, of its last analysis.
--- Parameters: map_name; content_sha256. Columns: frame_index, easting_m, northing_m, height_m (of the body), map_r_body
--- (9).
+-- The poses (refined ones where they were refined) of an ingested drive's body, of its last analysis.
+-- Parameters: map_name; content_sha256.
 select f.frame_index, ST_X(f.geom) as easting_m, ST_Y(f.geom) as northing_m, ST_Z(f.geom) as height_m, f.map_r_body
 from conetl.frame_pair f
 where f.drive_uuid = (
@@ -95,10 +93,8 @@ where f.drive_uuid = (
 order by f.frame_index;
 
 -- name: lines_near
--- Lines of a map's base layers inside boxes.
--- Parameters: map_name; west_m, south_m, east_m, north_m (float8[] of equal lengths, map CRS), one entry per box.
--- Columns: box (from 0), layer_name, kind, attributes, geom (well-known binary, easting and northing); one row per line
--- and box.
+-- Lines of a map's base layers inside boxes, a row per line and box. Parameters: map_name; west_m, south_m, east_m, north_m
+-- (float8[] of equal lengths, map CRS), one entry per box. Columns: box from 0; geom in well-known binary.
 select b.number - 1 as box, s.layer_name, l.kind, l.attributes, ST_AsBinary(ST_Force2D(l.geom)) as geom
 from unnest(%(west_m)s::float8[], %(south_m)s::float8[], %(east_m)s::float8[], %(north_m)s::float8[])
     with ordinality as b (west_m, south_m, east_m, north_m, number)
@@ -110,9 +106,7 @@ where m.map_name = %(map_name)s
 order by b.number, l.line_id;
 
 -- name: lines
--- The lines of a map's base layers.
--- Parameters: map_name; max_rows. Columns: layer_name, kind, subtype (null where the file has none), geom (well-known
--- binary).
+-- The lines of a map's base layers, in well-known binary; subtype is null where there is none. Parameters: map_name; max_rows.
 select s.layer_name, l.kind, l.attributes ->> 'subtype' as subtype, ST_AsBinary(l.geom) as geom
 from conetl.base_line l
 join conetl.base_source s using (source_id)

@@ -10,8 +10,7 @@ select pg_advisory_xact_lock(hashtextextended('conetl.map/' || %(map_name)s, 0))
 
 -- name: system_time
 -- The system time of a new changeset: later than every earlier one of the map, even when the clock was set back.
--- Parameters: now (timestamptz, null: the server's clock); last_committed_at (timestamptz or null). Columns:
--- committed_at.
+-- Parameters: now (timestamptz, null: the server's clock); last_committed_at (timestamptz or null).
 select greatest(
     coalesce(%(now)s::timestamptz, clock_timestamp()),
     %(last_committed_at)s::timestamptz + interval '1 microsecond'
@@ -65,11 +64,8 @@ with no data;
 
 -- name: create_open_version
 -- The current open version of each staged feature that stands around the drive, found by position, where neighbours are
--- stored together. For the others see add_open_versions.
+-- stored together. For the others see add_open_versions. present: suppressed ones too. Parameters: drive_uuid.
 -- around is materialized: joined with the stage at once, the planner reads all of a map of ten million features.
--- Parameters: drive_uuid.
--- Columns: feature_id, cell, map_id, version_row_id, version, present (or suppressed), valid_from (timestamptz),
--- valid_from_ns.
 create temporary table open_version on commit drop as
 with around as materialized (
     select distinct on (v.feature_id)
@@ -108,8 +104,8 @@ where not exists (select from open_version o where o.feature_id = s.feature_id);
 
 -- name: delta_conflicts
 -- Staged deltas that do not fit the map because it was changed since it was read. No rows: all fit. Parameters: map_id.
--- Columns: feature_id, kind, old_version (expected), version (found), present (found; true for suppressed features too,
--- which take part in the comparison of drives).
+-- Columns: old_version is the expected one; version, present: as found (true for suppressed features too, which take part
+-- in the comparison of drives).
 select s.feature_id, s.kind, s.old_version, o.version, o.present
 from delta_stage s
 left join open_version o using (feature_id)

@@ -2,9 +2,8 @@
 
 -- name: active_decisions
 -- The decisions about a map that were not withdrawn, oldest first. Parameters: map_name.
--- Columns: decision_id, decision_no, kind ('suppress', 'pin', 'revert'), easting_m, northing_m, radius_m (null of a
--- revert), feature_id, changeset_id, drive_id (of a reverted changeset), note, decided_by (null: no name was kept),
--- decided_at.
+-- Columns: position and radius are null of a revert, drive_id is that of a reverted changeset; decided_by is null where no
+-- name was kept.
 select
     d.decision_id, d.decision_no, d.kind, ST_X(d.geom) as easting_m, ST_Y(d.geom) as northing_m, d.radius_m, d.feature_id,
     d.changeset_id, r.drive_id, d.note, d.decided_by, d.decided_at

@@ -19,9 +19,7 @@ where not exists (select from conetl.drive d where d.drive_uuid = %(drive_uuid)s
 on conflict (drive_uuid) do nothing;
 
 -- name: header
--- One ingested drive. Parameters: drive_uuid.
--- Columns: map_name, content_sha256, rig (null for an imported map), captured_from_ns, reconcile, influence_m,
--- absence_figures.
+-- One ingested drive; rig is null for an imported map. Parameters: drive_uuid.
 select m.map_name, d.content_sha256, d.rig, d.captured_from_ns, d.reconcile, d.influence_m, d.absence_figures
 from conetl.drive d
 join conetl.map m using (map_id)
@@ -103,8 +101,7 @@ order by d.captured_from_ns, d.drive_id;
 
 -- name: committed_drives
 -- The recordings that were committed to a map, reverted ones included. Parameters: map_name.
--- Columns: drive_id, captured_from_ns, captured_to_ns (UTC), params_sha256, model_sha256, changeset_no, committed_at,
--- headers (text[]: header hashes of its folders according to receipts; empty: ingested by hand).
+-- Columns: as below; headers are header hashes of its folders according to receipts (empty: ingested by hand).
 select
     d.drive_id, d.captured_from_ns, d.captured_to_ns, c.params_sha256, c.model_sha256, c.changeset_no, c.committed_at,
     array(

@@ -19,10 +19,8 @@ order by c.changeset_no desc;
 -- name: changes_of_changeset
 -- What one changeset did to each feature that it judged, as committed: an earlier drive that arrived later may have
 -- replaced it since, see feature_log. Parameters: map_name; changeset_no.
--- Columns: feature_id, kind ('missed': visible but not observed, and still standing), changed_at, shift_m, track_index
--- (null: not seen), frames_seen, frames_empty, old_easting_m, old_northing_m, old_height_m (null for added); easting_m,
--- northing_m, height_m (after the change; of a removed feature the last position), cov_xx, cov_xy, cov_yy (m^2),
--- cone_height_m, existence_probability (after this drive), observation_count, version.
+-- Columns: kind 'missed': visible but not observed, and still standing; track_index: null where not seen; old_*: null for
+-- added; position, covariance (m^2) and values after the change, of a removed feature the last ones.
 select
     x.feature_id, x.kind, x.changed_at, x.shift_m, x.track_index, x.frames_seen, x.frames_empty,
     ST_X(o.geom) as old_easting_m, ST_Y(o.geom) as old_northing_m, ST_Z(o.geom) as old_height_m,

@@ -48,9 +48,8 @@ update conetl.watched_drive set ended_at = clock_timestamp() where watch_id = %(
 
 -- name: provisional_features
 -- What drives show that are being recorded, or are not ingested yet. Parameters: map_name.
--- Columns: drive_id, watch_id, ended_at (null: being watched, or its watcher died), feature_index, srid, easting_m,
--- northing_m, height_m, cov_xx, cov_xy, cov_yy (m^2), cone_height_m, existence_probability, observation_count,
--- first_seen_ns, last_seen_ns, near_feature_id (null: no standing feature near), updated_at.
+-- Columns: as below (metres, m^2, UTC ns); ended_at is null while it is watched, or where its watcher died; near_feature_id
+-- is null where no standing feature is near.
 select
     w.drive_id, w.watch_id, w.ended_at, p.feature_index, p.srid,
     ST_X(p.geom) as easting_m, ST_Y(p.geom) as northing_m, ST_Z(p.geom) as height_m, p.cov_xx, p.cov_xy, p.cov_yy, p.cone_height_m,

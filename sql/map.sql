@@ -26,10 +26,8 @@ on conflict (map_name) do nothing;
 update conetl.map set licence = %(licence)s where map_name = %(map_name)s;
 
 -- name: summary
--- One map in figures. Parameters: map_name.
--- Columns: map_name, srid, feature_count (standing now), removed_count, version_count (current), changeset_count,
--- last_committed_at (of changesets and decisions), last_captured_to_ns, west_m, south_m, east_m, north_m (null where
--- empty).
+-- One map in figures; versions are current ones, the extent is that of standing features (null where empty).
+-- Parameters: map_name.
 select
     m.map_name, m.srid,
     count(v.*) filter (where v.present and upper_inf(v.valid_period)) as feature_count,

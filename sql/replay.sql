@@ -54,9 +54,8 @@ and upper_inf(v.system_period) and upper_inf(v.valid_period) and (v.present or v
 order by v.feature_id;
 
 -- name: doubts_around
--- What drives that missed features conclude about those that stand around a drive's path now.
--- Parameters: drive_uuid. Columns: feature_id, existence_probability (after the latest of them), first_missed_ns (the
--- earliest).
+-- What drives that missed features conclude about those that stand around a drive's path now: existence probability
+-- after the latest of them, and time of the earliest. Parameters: drive_uuid.
 -- around is materialized: starting with the deltas, the planner would subdivide the drive's area once per delta.
 with around as materialized (
     select v.cell, v.feature_id, v.version
@@ -132,8 +131,6 @@ order by x.feature_id, x.changeset_id;
 
 -- name: current_deltas
 -- What some drives did, as it holds now. Parameters: drive_uuids (uuid[]).
--- Columns: delta_row_id, changeset_id, feature_id, kind, old_version, new_version, track_index, changed_at_ns, shift_m,
--- other_feature_id, log_likelihood_ratio, existence_after, frames_seen, frames_empty.
 select
     x.delta_row_id, x.changeset_id, x.feature_id, x.kind, x.old_version, x.new_version, x.track_index, x.changed_at_ns, x.shift_m,
     x.other_feature_id, x.log_likelihood_ratio, x.existence_after, x.frames_seen, x.frames_empty

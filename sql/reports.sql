@@ -2,9 +2,7 @@
 
 -- name: changeset
 -- What a report of one changeset needs beyond the list of changesets. Parameters: changeset_id.
--- Columns: source_path, srid, rig (JSON, null for an imported map), expected_frame_count, content_sha256, pruned_at,
--- params, facts (JSON or null), started_at, finished_at (of the merge), steps (JSON list of step, task_count, busy_s,
--- started_s, ended_s; null: not kept).
+-- Columns: as below; rig is null for an imported map, facts and steps where they were not kept; finished_at: of the merge.
 select
     d.source_path, d.srid, d.rig, d.expected_frame_count, d.content_sha256, d.pruned_at,
     r.params, r.facts, r.started_at, r.finished_at,
@@ -37,8 +35,7 @@ order by frame_index, match_index;
 
 -- name: sighting
 -- The image pair that shows a cone best: the nearest position of a track. Parameters: drive_uuid; track_index.
--- Columns: frame_index, range_m, source_path, rig (JSON), left_path, right_path, left_* and right_* boxes in pixels of
--- the rectified image.
+-- Columns: as below; boxes in pixels of the rectified image.
 select
     p.frame_index, p.range_m, d.source_path, d.rig, f.left_path, f.right_path,
     l.x_px as left_x_px, l.y_px as left_y_px, l.w_px as left_w_px, l.h_px as left_h_px,
@@ -72,8 +69,7 @@ order by d.captured_from_ns desc, c.changeset_no desc
 limit 1;
 
 -- name: map_size
--- Number of cones on a map after each instant at which it changed, as the database knew it then.
--- Parameters: map_name. Columns: at, standing.
+-- Number of cones on a map after each instant at which it changed, as the database knew it then. Parameters: map_name.
 -- A present version that is open on the road is on the map during its system period.
 with steps as (
     select e.at, sum(e.change) as change
@@ -92,10 +88,8 @@ order by at;
 -- name: night_drives
 -- Changesets of a map that were committed in a time span, oldest first, with figures for a report.
 -- Parameters: map_name; since; until.
--- Columns: changeset_no, changeset_id, drive_id, kind (drive or import), captured_from_ns, committed_at, counts (false:
--- reverted or superseded), added_count ... rejection_count as in conetl.changeset, expected_frame_count, residual_px
--- (median of its cones; null without cones), sigma_m (median horizontal sigma of its cones), seconds (of its ingest;
--- null without a receipt).
+-- Columns: as below; counts: false where reverted or superseded; residual_px and sigma_m (horizontal): medians of its cones,
+-- null without cones; seconds: of its ingest, null without a receipt.
 select
     c.changeset_no, c.changeset_id, d.drive_id, d.kind, d.captured_from_ns, c.committed_at,
     exists (select from conetl.active_drive a where a.changeset_id = c.changeset_id) as counts,
@@ -122,10 +116,8 @@ where m.map_name = %(map_name)s and c.committed_at >= %(since)s and c.committed_
 order by c.changeset_no;
 
 -- name: night_failures
--- Drives whose last receipt in a time span is not a success, and those that were started and did not end, oldest first.
--- Parameters: map_name; since; until.
--- Columns: drive_id, drive_path, state (failed, crashed, started), reason, at, host, frame_pairs, attempts (in the
--- span).
+-- Drives whose last receipt in a time span is not a success, and those that were started and did not end, oldest first;
+-- attempts: in the span. Parameters: map_name; since; until.
 with last_receipt as (
     select distinct on (r.header_sha256) r.*
     from conetl.receipt r
@@ -144,10 +136,8 @@ where w.state in ('failed', 'crashed', 'started')
 order by w.receipt_no;
 
 -- name: night_removed
--- Cones that drives committed in a time span removed, as the database knows it now.
+-- Cones that drives committed in a time span removed or merged, as the database knows it now; total: of all rows.
 -- Parameters: map_name; since; until; max_rows.
--- Columns: feature_id, kind (removed, merged), changeset_no, drive_id, changed_at, easting_m, northing_m, height_m,
--- cone_height_m, existence_after, frames_empty, first_seen_ns, total (of all rows).
 select
     x.feature_id, x.kind, c.changeset_no, d.drive_id, x.changed_at, ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m,
     ST_Z(v.geom) as height_m, v.cone_height_m, x.existence_after, x.frames_empty, v.first_seen_ns, count(*) over () as total

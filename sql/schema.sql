@@ -31,9 +31,7 @@ select set_config(
 ) as search_path;
 
 -- name: status
--- Facts about the server and the database.
--- Columns: database, username, postgres_version, postgis_version (null: not installed), has_schema, has_map,
--- size_bytes.
+-- Facts about the server and the database; postgis_version is null where it is not installed.
 select
     current_database()::text as database,
     current_user::text as username,

@@ -1,9 +1,7 @@
 -- What the web view reads.
 
 -- name: maps
--- All maps with the figures by which a person chooses one.
--- Columns: map_name, srid, changeset_count, feature_count (standing now), last_committed_at (of changesets and
--- decisions, as map.find_map; null while empty).
+-- All maps with the figures by which a person chooses one; last_committed_at is that of changesets and decisions.
 select
     m.map_name, m.srid,
     (select count(*) from conetl.changeset c where c.map_id = m.map_id) as changeset_count,
@@ -31,9 +29,8 @@ from conetl.map m;
 
 -- name: origin
 -- A point of the map's CRS near everything, from which the browser counts in metres (float32 cannot hold eastings). It
--- never changes while the map grows. Parameters: map_name.
--- Columns: easting_m, northing_m, height_m (body of the first frame pair, or the first cone of a map that began with an
--- import).
+-- never changes while the map grows: the body of the first frame pair, or the first cone of a map that began with an
+-- import. Parameters: map_name.
 select ST_X(p.geom) as easting_m, ST_Y(p.geom) as northing_m, ST_Z(p.geom) as height_m
 from conetl.changeset c
 join conetl.map m using (map_id)
@@ -83,12 +80,11 @@ limit %(max_rows)s;
 -- name: feature_history
 -- What every drive did to one feature of a map, in the order of the drives on the road.
 -- Parameters: map_name; feature_id.
--- Columns: changeset_no, drive_id, drive_uuid, captured_from_ns, kind ('missed': visible but not observed, still
--- standing), changed_at, committed_at, version, shift_m, other_feature_id (of a split the common origin, of a merger
--- the feature that is left), frames_empty (frame pairs in which it was visible but not observed); then position,
--- covariance (m^2) and values after the drive, of a removed feature the last ones, existence_probability with this
--- drive's evidence; sighting_count: frame pairs of this drive that it is based on; seen_count, missed_count: drives
--- (not imported maps) that saw and that missed the feature, up to and including this one.
+-- Columns: kind 'missed': visible but not observed, still standing; other_feature_id: of a split the common origin, of a
+-- merger the feature that is left; frames_empty: frame pairs in which it was visible but not observed; position, covariance
+-- (m^2) and values after the drive, of a removed feature the last ones, existence_probability with this drive's evidence;
+-- sighting_count: frame pairs of this drive that it is based on; seen_count, missed_count: drives (not imported maps) that
+-- saw and that missed the feature, up to and including this one.
 select
     c.changeset_no, d.drive_id, d.drive_uuid, d.captured_from_ns, x.kind, x.changed_at, c.committed_at,
     x.new_version as version, x.shift_m, x.other_feature_id, x.frames_empty, v.category,
@@ -123,9 +119,8 @@ order by d.captured_from_ns, d.content_sha256 collate "C", c.idempotency_key col
 
 -- name: sightings
 -- The frame pairs in which a feature was seen, with the pose of the body. Parameters: map_name; feature_id; max_rows.
--- Columns: changeset_no, drive_id, drive_uuid, frame_index, match_index, captured_at_ns, easting_m, northing_m,
--- height_m (position from this frame pair alone), cov_xx, cov_xy, cov_yy (m^2), range_m, residual_rms_px, score; body_*
--- position and map_r_body of the body; left_*_px, right_*_px boxes in pixels of the rectified image.
+-- Columns: position and covariance (m, m^2) from this frame pair alone; body_* and map_r_body: pose of the body; left_*_px,
+-- right_*_px: boxes in pixels of the rectified image.
 -- In two steps, because planning one join of ten tables takes a hundred times as long as running it.
 with seen as materialized (
     select c.changeset_no, d.drive_id, d.drive_uuid, t.frame_index, t.match_index
@@ -176,9 +171,7 @@ where m.map_name = %(map_name)s and d.drive_uuid = %(drive_uuid)s
 and s.frame_index = %(frame_index)s and s.match_index = %(match_index)s;
 
 -- name: trajectory
--- The poses of one drive, in order of time. Parameters: map_name; drive_uuid; max_rows.
--- Columns: drive_id, rig (JSON), frame_index, captured_at_ns, easting_m, northing_m, height_m (of the body), map_r_body
--- (9).
+-- The poses of one drive's body, in order of time. Parameters: map_name; drive_uuid; max_rows.
 select
     d.drive_id, d.rig, f.frame_index, f.captured_at_ns,
     ST_X(f.geom) as easting_m, ST_Y(f.geom) as northing_m, ST_Z(f.geom) as height_m, f.map_r_body

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from conetl.db.connection import Connection, execute, transaction
-from conetl.db.statements import statements
+from conetl.db.statements import load_sql, statements
 
 SHOWN_ROWS = 100
 
@@ -33,7 +33,7 @@ class AuditResult:
 def run_audits(conn: Connection) -> list[AuditResult]:
     """Run all audits over all maps of the database, on one snapshot; changes nothing."""
     with transaction(conn, "The audits could not be run"):
-        execute(conn, "set transaction isolation level repeatable read, read only")
+        execute(conn, load_sql("exports.snapshot"))
         return audits_of_open_transaction(conn)
 
 
