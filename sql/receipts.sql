@@ -13,7 +13,7 @@ values (
 on conflict (attempt_id, (state = 'started')) do nothing;
 
 -- name: latest_receipts
--- The last receipt of every drive of a map. Parameters: map_name; headers (text[], null: all).
+-- The last receipt of drives of a map. Parameters: map_name; headers (text[]).
 -- Columns: as Receipt; attempts counts how often work on the drive was started.
 select
     r.attempt_id, r.map_name, r.drive_path, r.drive_id, r.header_sha256, r.analysis_sha256, r.content_sha256, r.state, r.reason,
@@ -24,7 +24,7 @@ select
         where s.map_name = r.map_name and s.header_sha256 = r.header_sha256 and s.state = 'started'
     ) as attempts
 from conetl.latest_receipt r
-where r.map_name = %(map_name)s and (%(headers)s::text[] is null or r.header_sha256 = any(%(headers)s::text[]))
+where r.map_name = %(map_name)s and r.header_sha256 = any(%(headers)s::text[])
 order by r.receipt_no;
 
 -- name: receipt_ends

@@ -94,20 +94,20 @@ def write_receipt(conn: Connection, receipt: Receipt, folder: Path) -> None:
     parameters = {k: printable(v) if isinstance(v, str) else v for k, v in asdict(receipt).items()}
     with transaction(conn, f"The receipt of drive {receipt.drive_id} cannot be written"):
         execute(conn, load_sql("receipts.insert_receipt"), parameters)
-        written = list(_receipts(conn, "receipts.latest_receipts", receipt.map_name, [receipt.header_sha256]))
+        written = _latest(conn, receipt.map_name, [receipt.header_sha256])
     name = f"{file_name_part(receipt.drive_id)}-{receipt.header_sha256[:12]}.json"
     try:
         with atomic_text_file(folder / receipt.map_name / name) as file:
-            json.dump(asdict(written[0]) if written else parameters, file, indent=1, default=str)
+            json.dump(asdict(written[receipt.header_sha256]) if written else parameters, file, indent=1, default=str)
             file.write("\n")
     except (InputError, StorageError) as error:
         _log.warning("The receipt of drive %s is in the database, its copy is not: %s", receipt.drive_id, error)
 
 
-def latest_receipts(conn: Connection, *, map_name: str, headers: Sequence[str] | None = None) -> dict[str, Receipt]:
-    """The last receipt of every drive of a map, by header_sha256."""
+def latest_receipts(conn: Connection, *, map_name: str, headers: Sequence[str]) -> dict[str, Receipt]:
+    """The last receipt of drives of a map, by header_sha256."""
     with transaction(conn, "The receipts cannot be read"):
-        return {r.header_sha256: r for r in _receipts(conn, "receipts.latest_receipts", map_name, headers)}
+        return _latest(conn, map_name, headers)
 
 
 def attempt_ends(conn: Connection, attempt_ids: Sequence[UUID]) -> dict[UUID, Receipt]:
@@ -165,7 +165,6 @@ def end_crashed(conn: Connection, started: Receipt, reason: str, folder: Path) -
         return crashed
 
 
-def _receipts(conn: Connection, query: str, map_name: str, headers: Sequence[str] | None) -> Iterator[Receipt]:
-    parameters = {"map_name": map_name, "headers": None if headers is None else list(headers)}
-    for row in execute(conn, load_sql(query), parameters):
-        yield Receipt(**row)
+def _latest(conn: Connection, map_name: str, headers: Sequence[str]) -> dict[str, Receipt]:
+    rows = execute(conn, load_sql("receipts.latest_receipts"), {"map_name": map_name, "headers": list(headers)})
+    return {row["header_sha256"]: Receipt(**row) for row in rows}

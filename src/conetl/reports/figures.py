@@ -80,7 +80,10 @@ def plan(path_m: Floats, marks: Sequence[PlanMark], others_m: Floats, *, others_
     figure = new_figure(10, float(np.clip(height, 3.4, 6.5)))
     axes = figure.add_subplot()
     if len(path_m):
-        draw_path(axes, path_m - origin, colour=GREY, linewidth=1.4, label="path of the left camera")
+        x, y = (path_m - origin).T
+        axes.plot(x, y, zorder=1, color=GREY, linewidth=1.4, label="path of the left camera")
+    if len(path_m) > 1:
+        draw_arrow(axes, path_m[-2] - origin, path_m[-1] - origin, GREY, "-|>")
     if len(others_m):
         others = others_m - origin
         axes.scatter(others[:, 0], others[:, 1], s=14, color="#bbbbbb", label=f"{others_label} ({len(others)})")
@@ -176,13 +179,6 @@ def frame_plan(axes: Axes, low: Floats, high: Floats, origin: Floats) -> None:
     add_grid(axes)
     axes.set_xlabel(f"easting - {origin[0]:.0f} (m)")
     axes.set_ylabel(f"northing - {origin[1]:.0f} (m)")
-
-
-def draw_path(axes: Axes, path_m: Floats, *, colour: str, linewidth: float, label: str) -> None:
-    """A path (F, 2) with an arrow at its end."""
-    axes.plot(path_m[:, 0], path_m[:, 1], zorder=1, color=colour, linewidth=linewidth, label=label)
-    if len(path_m) > 1:
-        draw_arrow(axes, path_m[-2], path_m[-1], colour, "-|>")
 
 
 def draw_arrow(

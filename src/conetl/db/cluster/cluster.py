@@ -22,13 +22,13 @@ import shutil
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from subprocess import CompletedProcess
 from typing import Literal
 from urllib.parse import quote
 from uuid import uuid4
 
 from conetl.db.cluster.location import (
     ClusterLocation,
-    Done,
     cluster_lock,
     find_location,
     forget_location,
@@ -187,9 +187,9 @@ def _initialise(location: ClusterLocation, install: PostgresInstall) -> None:
     _write_as(location, f"{new}/pg_ident.conf", "".join(f'{SUPERUSER} "{n}" {SUPERUSER}\n' for n in allowed if n))
     single = [install.program("postgres"), "--single", "-D", new, "postgres"]
     made = run_as(location, single, stdin=f"create database {DATABASE}\n", timeout_s=120)
-    if any(word in made.output for word in ("ERROR:", "FATAL:", "PANIC:")):
+    if any(word in made.stdout for word in ("ERROR:", "FATAL:", "PANIC:")):
         raise DatabaseError(
-            f"PostgreSQL could not create the database {DATABASE} in {location.directory}: {made.output.strip()}"
+            f"PostgreSQL could not create the database {DATABASE} in {location.directory}: {made.stdout.strip()}"
         )
     _must(made, f"PostgreSQL could not create the database {DATABASE}", location)
     _must(run_as(location, ["mkdir", "-p", "log"], timeout_s=10), "the log folder could not be created", location)
@@ -224,12 +224,12 @@ def _run_server(location: ClusterLocation, command: list[str], lock: int) -> Non
     deadline = time.monotonic() + 15
     while True:
         started = run_as(location, command, timeout_s=START_TIMEOUT_S + 30, inherit=(lock,))
-        if started.code == 0 and _wait_until_answering(location, 5):
+        if started.returncode == 0 and _wait_until_answering(location, 5):
             return
         # Workers of a server that was killed hold its shared memory until they notice, which takes a moment.
         if "shared memory block" not in _log_tail(location) or time.monotonic() > deadline:
             raise DatabaseError(
-                f"The private PostGIS cluster in {location.directory} does not start: {started.output.strip()}\n"
+                f"The private PostGIS cluster in {location.directory} does not start: {started.stdout.strip()}\n"
                 f"{_log_tail(location)}\nRemove the cause, {OWN_DATABASE_HINT}."
             )
         time.sleep(0.5)
@@ -240,9 +240,9 @@ def _stop(location: ClusterLocation, *, data_are_needed: bool = True) -> None:
     for mode, timeout_s in (("fast", 60), ("immediate", 20)) if data_are_needed else (("immediate", 20),):
         stop = [install.program("pg_ctl"), "stop", "-D", "data", "-m", mode, "-w", "-t", str(timeout_s)]
         stopped = run_as(location, stop, timeout_s=timeout_s + 10)
-        if stopped.code == 0 or _running_pid(location) is None:
+        if stopped.returncode == 0 or _running_pid(location) is None:
             return
-    raise DatabaseError(f"The private PostGIS cluster in {location.directory} does not stop: {stopped.output.strip()}")
+    raise DatabaseError(f"The private PostGIS cluster in {location.directory} does not stop: {stopped.stdout.strip()}")
 
 
 def _running_pid(location: ClusterLocation) -> int | None:
@@ -274,7 +274,7 @@ def _is_answering(location: ClusterLocation) -> bool:
         return False
     for install in find_installs()[:1]:  # pg_isready of any version
         ready = [install.program("pg_isready"), "-q", "-h", str(location.socket_directory), "-p", str(PORT)]
-        return run_as(location, ready, timeout_s=10).code == 0
+        return run_as(location, ready, timeout_s=10).returncode == 0
     return False
 
 
@@ -292,9 +292,9 @@ def _write_as(location: ClusterLocation, relative_path: str, text: str) -> None:
     _must(done, f"{relative_path} could not be written", location)
 
 
-def _must(done: Done, what: str, location: ClusterLocation) -> None:
-    if done.code != 0:
-        raise DatabaseError(f"{what} in {location.directory} (as user {location.user.pw_name}): {done.output.strip()}")
+def _must(done: CompletedProcess[str], what: str, location: ClusterLocation) -> None:
+    if done.returncode != 0:
+        raise DatabaseError(f"{what} in {location.directory} (as user {location.user.pw_name}): {done.stdout.strip()}")
 
 
 def _log_files(location: ClusterLocation) -> list[Path]:

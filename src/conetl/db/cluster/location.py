@@ -54,14 +54,6 @@ class ClusterLocation:
             ) from error
 
 
-@dataclass(frozen=True)
-class Done:
-    """Exit code of a command, and its output on both channels."""
-
-    code: int
-    output: str
-
-
 @contextmanager
 def cluster_lock(home: Path) -> Iterator[None]:
     """Hold the home folder's cluster lock; waits for other processes; the kernel frees it when this one dies."""
@@ -144,15 +136,15 @@ def make_socket_directory(location: ClusterLocation) -> None:
 
 def run_as(
     location: ClusterLocation, command: list[str], *, timeout_s: float, stdin: str = "", inherit: tuple[int, ...] = ()
-) -> Done:
+) -> subprocess.CompletedProcess[str]:
     """Run a command as the cluster's user in the cluster's folder, with an environment of its own.
 
-    No PG* variable may lead PostgreSQL's programs to another server; messages are in English. inherit: open files that the
-    command and its children keep.
+    No PG* variable may lead PostgreSQL's programs to another server; messages are in English, all of them in `stdout`. inherit:
+    open files that the command and its children keep.
     """
     other = os.geteuid() != location.user.pw_uid
     try:
-        done = subprocess.run(
+        return subprocess.run(
             command,
             input=stdin,
             stdout=subprocess.PIPE,
@@ -171,10 +163,11 @@ def run_as(
             pass_fds=inherit,
         )
     except subprocess.TimeoutExpired:
-        return Done(124, f"{Path(command[0]).name} did not finish within {timeout_s:.0f} s")
+        return subprocess.CompletedProcess(
+            command, 124, f"{Path(command[0]).name} did not finish within {timeout_s:.0f} s"
+        )
     except OSError as error:
-        return Done(126, f"{command[0]}: {error.strerror}")
-    return Done(done.returncode, done.stdout)
+        return subprocess.CompletedProcess(command, 126, f"{command[0]}: {error.strerror}")
 
 
 def working_folder(location: ClusterLocation, pid: int) -> str | None:
@@ -189,7 +182,7 @@ def working_folder(location: ClusterLocation, pid: int) -> str | None:
         except OSError:
             return None
     done = run_as(location, ["readlink", "-n", link], timeout_s=10)
-    return done.output if done.code == 0 else None
+    return done.stdout if done.returncode == 0 else None
 
 
 def _location(directory: Path, user: pwd.struct_passwd) -> ClusterLocation:
@@ -229,7 +222,7 @@ def _prepare(directory: Path, user: pwd.struct_passwd) -> bool:
     except OSError:
         return False
     probe = ["sh", "-c", 'test -w "$0" && test -x "$0"', str(directory)]
-    works = run_as(ClusterLocation(Path("/"), directory, user, None), probe, timeout_s=10).code == 0
+    works = run_as(ClusterLocation(Path("/"), directory, user, None), probe, timeout_s=10).returncode == 0
     if not works:
         with suppress(OSError):
             directory.rmdir()

@@ -134,9 +134,9 @@ def _write_host(location: ClusterLocation, host: ServerHost) -> None:
     script = 'cat > "$0.new" && mv -T "$0.new" "$0" && touch "$1"'
     command = ["sh", "-c", script, HOST_NAME, LOCK_NAME]
     done = run_as(location, command, stdin=json.dumps(asdict(host)) + "\n", timeout_s=10)
-    if done.code != 0:
+    if done.returncode != 0:
         raise DatabaseError(
-            f"{location.directory / HOST_NAME} could not be written (as user {location.user.pw_name}): {done.output.strip()}"
+            f"{location.directory / HOST_NAME} could not be written (as user {location.user.pw_name}): {done.stdout.strip()}"
         )
 
 
