@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from io import BufferedReader, BytesIO
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 from urllib.parse import quote, urlencode
 
 import psycopg2
@@ -41,13 +41,8 @@ SESSION_OPTIONS = (
 )
 #: Sent at once; psycopg2's own 8 kB cost a Python call for every few rows.
 COPY_CHUNK_BYTES = 1 << 20
-
-
-class CopyBlock(NamedTuple):
-    """Rows that are ready to be sent."""
-
-    statement: str
-    data: BytesIO
+CopyBlock: TypeAlias = tuple[str, BytesIO]
+"""A COPY statement and the rows that are ready to be sent."""
 
 
 def sqlalchemy_url(url: str, database: str | None = None) -> str:
@@ -192,13 +187,13 @@ def copy_columns(conn: Connection, table: str, columns: Mapping[str, Column]) ->
 
 def encoded_block(table: str, columns: Mapping[str, Column]) -> CopyBlock:
     """Rows of columns encoded for COPY BINARY; needs no connection."""
-    return CopyBlock(f"copy {table} ({', '.join(columns)}) from stdin (format binary)", encode(columns))
+    return f"copy {table} ({', '.join(columns)}) from stdin (format binary)", encode(columns)
 
 
 def copy_block(conn: Connection, block: CopyBlock) -> None:
     """Send one block, inside the open transaction."""
     with conn.cursor() as cursor:
-        cursor.copy_expert(block.statement, block.data, COPY_CHUNK_BYTES)
+        cursor.copy_expert(*block, COPY_CHUNK_BYTES)
 
 
 def _first_line(error: Exception) -> str:

@@ -37,8 +37,12 @@ class Column:
     lengths: NDArray[np.int32]
 
 
-def fixed(values: Any, dtype: str, *, missing: NDArray[np.bool_] | None = None) -> Column:
-    """Numbers as `dtype` (big-endian: '>i4' integer, '>i8' bigint, '>f8' float8, '?' boolean); `missing` (n,) marks NULLs."""
+def fixed(values: Any, dtype: str) -> Column:
+    """Numbers as `dtype` (big-endian: '>i4' integer, '>i8' bigint, '>f8' float8, '?' boolean); None becomes NULL."""
+    missing = None
+    if not isinstance(values, np.ndarray):
+        missing = np.array([value is None for value in values], bool)
+        values = [0 if value is None else value for value in values] if missing.any() else values
     array = np.asarray(values, dtype=dtype)
     lengths = np.full(len(array), array.dtype.itemsize, np.int32)
     if missing is not None:
@@ -48,7 +52,7 @@ def fixed(values: Any, dtype: str, *, missing: NDArray[np.bool_] | None = None) 
 
 def integers(values: Any) -> Column:
     """integer; None becomes NULL."""
-    return _with_nulls(values, ">i4")
+    return fixed(values, ">i4")
 
 
 def bigints(values: Any) -> Column:
@@ -58,7 +62,7 @@ def bigints(values: Any) -> Column:
 
 def doubles(values: Any) -> Column:
     """float8; None becomes NULL."""
-    return _with_nulls(values, ">f8")
+    return fixed(values, ">f8")
 
 
 def booleans(values: Any) -> Column:
@@ -165,13 +169,6 @@ def _encoded_blocks(columns: Mapping[str, Column]) -> Iterator[bytes]:
                     values = np.frombuffer(b"".join(values.tolist()), f"V{length}")
                 block[f"value{i}"] = values
         yield block.tobytes()
-
-
-def _with_nulls(values: Any, dtype: str) -> Column:
-    if isinstance(values, np.ndarray):
-        return fixed(values, dtype)
-    missing = np.array([value is None for value in values], bool)
-    return fixed([0 if value is None else value for value in values], dtype, missing=missing)
 
 
 def _blocks(items: list[bytes], length: int) -> Column:

@@ -75,7 +75,7 @@ def place_import(
         "cells_wkt": "MULTIPOINT(" + ", ".join(f"({x!r} {y!r})" for x, y in cells) + ")",
         "cell_m": cell_m,
     }
-    execute(conn, load_sql("imports.insert_import"), parameters)
+    execute(conn, load_sql("drives.insert_import"), parameters)
     return drive_uuid
 
 
@@ -103,7 +103,7 @@ def commit_import(
 
 def read_statements(conn: Connection, drive_uuid: UUID) -> list[ImportedFeature]:
     """What an imported map states, in the order of its file."""
-    rows = stream(conn, load_sql("imports.statements"), {"drive_uuid": drive_uuid})
+    rows = stream(conn, load_sql("drives.statements"), {"drive_uuid": drive_uuid})
     return [ImportedFeature.model_construct(feature=feature_of(row), valid_from_ns=row[22]) for row in rows]
 
 
