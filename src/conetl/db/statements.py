@@ -33,7 +33,7 @@ def statements(topic: str) -> dict[str, str]:
 
 
 def load_sql(name: str) -> str:
-    """One statement by topic and name, for example load_sql("map.current_features")."""
+    """One statement by topic and name, for example load_sql("map.features_as_of")."""
     topic, _, statement = name.partition(".")
     try:
         return statements(topic)[statement]

@@ -13,13 +13,12 @@ from markupsafe import Markup
 
 from conetl.db.connection import Connection, database_errors, execute
 from conetl.db.statements import load_sql
-from conetl.geometry import camera as cameras
-from conetl.geometry import pose as se3
-from conetl.geometry.rig import camera_of, map_SE3_camera
+from conetl.mapping.visibility import DriveObservations, observations_of_drive, pairs_in_view
 from conetl.model.errors import StorageError
-from conetl.model.records import FramePair, Rig, Side, utc_from_ns
+from conetl.model.params import ReconcileParams
+from conetl.model.records import Rig, Side, utc_from_ns
 from conetl.perception.images import ImageFileError
-from conetl.reports.camera_images import Box, ImageMissingError, crop_jpeg, image_file
+from conetl.reports.camera_images import ImageMissingError, crop_jpeg, image_file
 from conetl.reports.drive_facts import DriveChange, DriveFacts
 from conetl.reports.html import data_uri
 
@@ -27,9 +26,6 @@ from conetl.reports.html import data_uri
 MAX_ILLUSTRATED = 120
 _CONTEXT = 3.0
 _SIDES: tuple[Side, Side] = ("left", "right")
-#: Width of a cone's box over its height.
-_ASPECT = 0.62
-_BORDER_PX, _LEAST_RANGE_M = 12.0, 2.5
 
 
 @dataclass(frozen=True)
@@ -44,10 +40,11 @@ class PairOfCrops:
 def images_of(conn: Connection, facts: DriveFacts, changes: Sequence[DriveChange]) -> dict[int, list[PairOfCrops]]:
     """Pairs of crops, earlier ones first, by number of the change; of at most `MAX_ILLUSTRATED`, confirmations excluded."""
     shown = [change for change in changes if not change.is_confirmation][:MAX_ILLUSTRATED]
-    return {change.number: _of_change(conn, facts, change) for change in shown}
+    drive = observations_of_drive(facts.rig, facts.frame_pairs, (), ())
+    return {change.number: _of_change(conn, facts, change, drive) for change in shown}
 
 
-def _of_change(conn: Connection, facts: DriveFacts, change: DriveChange) -> list[PairOfCrops]:
+def _of_change(conn: Connection, facts: DriveFacts, change: DriveChange, drive: DriveObservations) -> list[PairOfCrops]:
     found: list[PairOfCrops] = []
     if not change.kind.founds:
         captured_from_ns = facts.changeset.captured_from_ns
@@ -57,7 +54,7 @@ def _of_change(conn: Connection, facts: DriveFacts, change: DriveChange) -> list
     if change.track_index is not None:
         found.append(_sighting(conn, facts.changeset.drive_uuid, change.track_index, "this drive"))
     elif not facts.pruned_at:
-        found.append(_expected(facts, change))
+        found.append(_expected(facts, change, drive))
     return found
 
 
@@ -73,36 +70,16 @@ def _sighting(conn: Connection, drive_uuid: UUID, track_index: int, title: str) 
     return _crops(title, row["source_path"], Rig.model_validate(row["rig"]), paths, boxes)
 
 
-def _expected(facts: DriveFacts, change: DriveChange) -> PairOfCrops:
-    """The expected image of the cone, in the pair where it is largest."""
-    best: tuple[FramePair, list[Box]] | None = None
-    for pair in facts.frame_pairs:
-        boxes = [box for side in _SIDES if (box := _expected_box(pair, facts.rig, side, change)) is not None]
-        if len(boxes) == len(_SIDES) and (best is None or boxes[0][3] > best[1][0][3]):
-            best = pair, boxes
-    if best is None:
+def _expected(facts: DriveFacts, change: DriveChange, drive: DriveObservations) -> PairOfCrops:
+    """The expected image of the cone, in the pair where it is largest of those in which both images would contain it."""
+    rows, heights_px, boxes = pairs_in_view(np.array(change.xyz_m), change.cone_height_m, drive, ReconcileParams())
+    if not len(rows):
         return PairOfCrops("this drive", (), "its position is not completely in view in any image pair")
-    pair, boxes = best
+    largest = int(heights_px[:, 0].argmax())
+    pair = facts.frame_pairs[rows[largest]]
     title = f"this drive, frame {pair.frame_index}: expected position"
-    return _crops(title, facts.source_path, facts.rig, [pair.left_path, pair.right_path], boxes)
-
-
-def _expected_box(pair: FramePair, rig: Rig, side: Side, change: DriveChange) -> Box | None:
-    """The box of a cone of the feature's height at its position; None where it is not completely in view."""
-    camera = camera_of(rig, side)
-    points = np.add(change.xyz_m, [[0.0, 0.0, 0.0], [0.0, 0.0, change.cone_height_m]])
-    seen = se3.apply(se3.invert(map_SE3_camera(pair.pose, rig, side)), points)
-    if seen[:, 2].min() < _LEAST_RANGE_M:
-        return None
-    (u, bottom), (_, top) = cameras.project(camera, seen).tolist()
-    height = bottom - top
-    width = _ASPECT * height
-    left = u - width / 2
-    inside = (
-        left >= _BORDER_PX and left + width <= camera.width_px - _BORDER_PX
-        and top >= _BORDER_PX and bottom <= camera.height_px - _BORDER_PX
-    )  # fmt: skip
-    return (left + 0.5, top + 0.5, width, height) if inside and height > 1 else None
+    shown = [(x0 + 0.5, y0 + 0.5, x1 - x0, y1 - y0) for x0, y0, x1, y1 in boxes[largest]]
+    return _crops(title, facts.source_path, facts.rig, [pair.left_path, pair.right_path], shown)
 
 
 def _crops(title: str, source_path: str, rig: Rig, paths: Sequence[str], boxes: Sequence[Any]) -> PairOfCrops:
