@@ -206,7 +206,7 @@ def test_an_empty_and_an_invalid_night(conn: Any) -> None:
     assert "No drive was added to the map" in night_page(quiet)
     with pytest.raises(InputError, match="before it begins"):
         read_night(conn, map_name="default", since=begin, until=begin)
-    with pytest.raises(InputError, match="no map nowhere"):
+    with pytest.raises(InputError, match="no map named nowhere"):
         read_night(conn, map_name="nowhere", since=begin, until=begin + timedelta(days=1))
 
 
