@@ -39,7 +39,7 @@ def observed(points: int) -> tuple[Array, Array]:
 
 def by_conetl(uv: Array) -> Array:
     result = intersect(
-        uv, None, np.tile([FOCAL_PX, FOCAL_PX, CX_PX, CY_PX], (2, 1)), np.tile(np.eye(3), (2, 1, 1)),
+        uv, np.tile([FOCAL_PX, FOCAL_PX, CX_PX, CY_PX], (2, 1)), np.tile(np.eye(3), (2, 1, 1)),
         np.array([[0.0, 0.0, 0.0], [BASELINE_M, 0.0, 0.0]]), SIGMA_PX,
     )  # fmt: skip
     return result.xyz_m
@@ -53,7 +53,7 @@ def posed(points: int, truth: Array) -> Callable[[Array], Array]:
     local = np.einsum("pvij,pvi->pvj", rotation, truth[:, None] - centre)
     uv = FOCAL_PX * local[..., :2] / local[..., 2:] + (CX_PX, CY_PX) + rng.normal(0, SIGMA_PX, (points, 2, 2))
     k = np.tile([FOCAL_PX, FOCAL_PX, CX_PX, CY_PX], (2, 1))
-    return lambda _: intersect(uv, None, k, rotation, centre, SIGMA_PX).xyz_m
+    return lambda _: intersect(uv, k, rotation, centre, SIGMA_PX).xyz_m
 
 
 def by_opencv(uv: Array) -> Array:

@@ -82,7 +82,7 @@ def project(views: Views, point_m: Array) -> Array:
 
 def solve(uv_px: Array, views: Views, sigma_px: float) -> IntersectionResult:
     """The real intersection; every point must come out."""
-    result = intersect(uv_px, None, *views, sigma_px, min_ray_angle_rad=_LEAST_ANGLE_RAD)
+    result = intersect(uv_px, *views, sigma_px, min_ray_angle_rad=_LEAST_ANGLE_RAD)
     if not result.ok.all():
         raise RuntimeError(f"{np.sum(~result.ok)} of {len(uv_px)} draws did not come out")
     return result

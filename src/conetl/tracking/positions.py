@@ -40,7 +40,6 @@ Array = NDArray[np.float64]
 _POINTS = ("foot", "centre", "tip")
 _REASONS = {
     IntersectionStatus.INVALID_INPUT: RejectionReason.POSITION_INVALID,
-    IntersectionStatus.TOO_FEW_VIEWS: RejectionReason.POSITION_INVALID,
     IntersectionStatus.RAY_ANGLE_TOO_SMALL: RejectionReason.RAY_ANGLE_TOO_SMALL,
     IntersectionStatus.BEHIND_CAMERA: RejectionReason.BEHIND_CAMERA,
     IntersectionStatus.NOT_CONVERGED: RejectionReason.NOT_CONVERGED,
@@ -219,7 +218,6 @@ def _locate(matches: Sequence[StereoMatch], rig: Rig, params: PositionParams) ->
     relative = rigs.left_SE3_right(rig)
     result = intersect(
         uv.reshape(3 * count, 2, 2),
-        None,
         np.stack([cam.intrinsics(rig.left), cam.intrinsics(rig.right)]),
         np.stack([np.eye(3), relative[:3, :3]]),
         np.stack([np.zeros(3), relative[:3, 3]]),

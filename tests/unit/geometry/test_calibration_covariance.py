@@ -82,7 +82,7 @@ def solve(rig: Rig, uv: Array) -> Array:
         exact = {"xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}
         return np.array([least_squares(misfit, p, args=(o,), **exact).x for p, o in zip(POINTS, uv, strict=True)])
     result = intersect(
-        uv, None, np.stack([cam.intrinsics(rig.left), cam.intrinsics(rig.right)]),
+        uv, np.stack([cam.intrinsics(rig.left), cam.intrinsics(rig.right)]),
         np.stack([np.eye(3), relative[:3, :3]]), np.stack([np.zeros(3), relative[:3, 3]]), 1.0, convergence_m2=1e-24,
     )  # fmt: skip
     assert result.ok.all()

@@ -46,9 +46,7 @@ def test_projection_then_intersection_returns_the_point(seed: int, views: int, c
     rng = np.random.default_rng(seed)
     rot, centre = ring_of_cameras(rng, views)
     truth = points_ahead(rng, count)
-    result = intersect(
-        project(truth, rot, centre), None, np.tile(K, (views, 1)), rot, centre, 0.5, min_ray_angle_rad=1e-3
-    )
+    result = intersect(project(truth, rot, centre), np.tile(K, (views, 1)), rot, centre, 0.5, min_ray_angle_rad=1e-3)
     angle_known = result.status != IntersectionStatus.RAY_ANGLE_TOO_SMALL
     assert result.ok[angle_known].all()
     np.testing.assert_allclose(result.xyz_m[angle_known], truth[angle_known], atol=1e-6)
@@ -58,8 +56,8 @@ def test_projection_then_intersection_returns_the_point(seed: int, views: int, c
 def test_map_coordinates_cost_no_digits() -> None:
     truth = points_ahead(np.random.default_rng(2), 50)
     uv = project(truth, STEREO["map_R_cam"], BASE)
-    near = intersect(uv, None, **STEREO, sigma_uv_px=0.5)
-    far = intersect(uv, None, STEREO["k_px"], STEREO["map_R_cam"], BASE + ORIGIN, 0.5)
+    near = intersect(uv, **STEREO, sigma_uv_px=0.5)
+    far = intersect(uv, STEREO["k_px"], STEREO["map_R_cam"], BASE + ORIGIN, 0.5)
     np.testing.assert_allclose(far.xyz_m - ORIGIN, near.xyz_m, atol=2e-7)
     np.testing.assert_allclose(far.cov_m2, near.cov_m2, rtol=1e-6)
 
@@ -75,7 +73,7 @@ def noisy_case(views: int) -> tuple[Array, Array, Array, Array, Array]:
 @pytest.mark.parametrize("views", [2, 5])
 def test_it_finds_the_optimum_that_scipy_finds(views: int) -> None:
     uv, sigma, rot, centre, truth = noisy_case(views)
-    result = intersect(uv, None, np.tile(K, (views, 1)), rot, centre, sigma)
+    result = intersect(uv, np.tile(K, (views, 1)), rot, centre, sigma)
     assert result.ok.all()
     for i, start in enumerate(truth):
         best = least_squares(
@@ -100,7 +98,7 @@ def test_it_agrees_with_opencv() -> None:
     for observed, tolerance_m in ((uv, 1e-6), (noisy, 0.02)):
         other = cv2.triangulatePoints(*cameras, observed[:, 0].T.copy(), observed[:, 1].T.copy())
         np.testing.assert_allclose(
-            intersect(observed, None, **STEREO, sigma_uv_px=0.2).xyz_m, (other[:3] / other[3]).T, atol=tolerance_m
+            intersect(observed, **STEREO, sigma_uv_px=0.2).xyz_m, (other[:3] / other[3]).T, atol=tolerance_m
         )
 
 
@@ -115,9 +113,9 @@ def test_the_covariance_is_what_monte_carlo_finds(views: int) -> None:
     sigma = rng.uniform(0.15, 0.45, (views, 2))
     draws = 20_000
     uv = project(truth, rot, centre) + sigma * rng.normal(size=(draws, views, 2))
-    result = intersect(uv, None, np.tile(K, (views, 1)), rot, centre, sigma)
+    result = intersect(uv, np.tile(K, (views, 1)), rot, centre, sigma)
     assert result.ok.all()
-    predicted = intersect(project(truth, rot, centre), None, np.tile(K, (views, 1)), rot, centre, sigma).cov_m2[0]
+    predicted = intersect(project(truth, rot, centre), np.tile(K, (views, 1)), rot, centre, sigma).cov_m2[0]
     whitened = np.linalg.solve(np.linalg.cholesky(predicted), (result.xyz_m - truth).T)
     # Variances of 20,000 draws scatter by 1 %; doubled or halved sigmas would give 4 or 0.25.
     np.testing.assert_allclose(np.cov(whitened), np.eye(3), atol=0.06)
@@ -152,43 +150,14 @@ def test_pose_covariance_is_added_to_that_of_the_image() -> None:
         )
 
 
-def test_points_with_fewer_views_are_padded() -> None:
-    rng = np.random.default_rng(9)
-    rot, centre = ring_of_cameras(rng, 6)
-    truth = points_ahead(rng, 40)
-    uv = project(truth, rot, centre) + rng.normal(scale=0.3, size=(40, 6, 2))
-    valid = rng.random((40, 6)) < 0.6
-    valid[0] = [True, False, False, False, False, False]
-    uv[~valid] = np.nan
-    result = intersect(uv, valid, np.tile(K, (6, 1)), rot, centre, 0.3, min_ray_angle_rad=1e-3)
-    assert result.status[0] == IntersectionStatus.TOO_FEW_VIEWS
-    good = np.flatnonzero(result.ok)
-    assert good.size > 30
-    for i in good:
-        alone = intersect(
-            uv[i, valid[i]][None],
-            None,
-            np.tile(K, (valid[i].sum(), 1)),
-            rot[valid[i]],
-            centre[valid[i]],
-            0.3,
-            min_ray_angle_rad=1e-3,
-        )
-        np.testing.assert_allclose(result.xyz_m[i], alone.xyz_m[0], atol=1e-9)
-        np.testing.assert_allclose(result.cov_m2[i], alone.cov_m2[0], rtol=1e-9)
-        np.testing.assert_allclose(result.residuals_px[i, valid[i]], alone.residuals_px[0], atol=1e-6)
-        assert np.isnan(result.residuals_px[i, ~valid[i]]).all()
-        assert result.ray_angle_rad[i] == pytest.approx(alone.ray_angle_rad[0])
-
-
 def test_cameras_per_point_give_what_shared_cameras_give() -> None:
     rng = np.random.default_rng(4)
     truth = points_ahead(rng, 9000)
     uv = project(truth, STEREO["map_R_cam"], BASE) + rng.normal(scale=0.3, size=(9000, 2, 2))
-    shared = intersect(uv, None, **STEREO, sigma_uv_px=0.3)
+    shared = intersect(uv, **STEREO, sigma_uv_px=0.3)
     each = intersect(
-        uv, None, np.broadcast_to(STEREO["k_px"], (9000, 2, 4)), np.broadcast_to(np.eye(3), (9000, 2, 3, 3)),
-        np.broadcast_to(BASE, (9000, 2, 3)), np.full((9000, 2, 2), 0.3), chunk_points=1000,
+        uv, np.broadcast_to(STEREO["k_px"], (9000, 2, 4)), np.broadcast_to(np.eye(3), (9000, 2, 3, 3)),
+        np.broadcast_to(BASE, (9000, 2, 3)), np.full((9000, 2, 2), 0.3),
     )  # fmt: skip
     np.testing.assert_array_equal(shared.status, each.status)
     np.testing.assert_allclose(shared.xyz_m, each.xyz_m, atol=1e-9, equal_nan=True)
@@ -199,16 +168,16 @@ def test_a_result_does_not_depend_on_its_neighbours_in_the_batch() -> None:
     rng = np.random.default_rng(8)
     truth = points_ahead(rng, 500)
     uv = project(truth, STEREO["map_R_cam"], BASE) + rng.normal(scale=0.5, size=(500, 2, 2))
-    together = intersect(uv, None, **STEREO, sigma_uv_px=0.5)
+    together = intersect(uv, **STEREO, sigma_uv_px=0.5)
     assert len(set(together.iterations.tolist())) > 1
     for i in range(0, 500, 50):
-        alone = intersect(uv[i : i + 1], None, **STEREO, sigma_uv_px=0.5)
+        alone = intersect(uv[i : i + 1], **STEREO, sigma_uv_px=0.5)
         np.testing.assert_array_equal(together.xyz_m[i], alone.xyz_m[0])
         assert together.iterations[i] == alone.iterations[0]
 
 
 def status_of(uv: Array, **changes: object) -> IntersectionResult:
-    return intersect(uv[None], None, **(STEREO | {"sigma_uv_px": 0.5} | changes))  # type: ignore[arg-type]
+    return intersect(uv[None], **(STEREO | {"sigma_uv_px": 0.5} | changes))  # type: ignore[arg-type]
 
 
 def assert_refused(result: IntersectionResult, status: IntersectionStatus) -> None:
@@ -264,16 +233,14 @@ def test_one_bad_point_costs_only_itself() -> None:
     uv = project(truth, STEREO["map_R_cam"], BASE)
     uv[2, 1, 0] = np.nan
     uv[4] = [[600.0, 200.0], [650.0, 200.0]]
-    result = intersect(uv, None, **STEREO, sigma_uv_px=0.5)
+    result = intersect(uv, **STEREO, sigma_uv_px=0.5)
     assert result.ok.tolist() == [True, True, False, True, False, True]
     np.testing.assert_allclose(result.xyz_m[result.ok], truth[result.ok], atol=1e-7)
 
 
 def test_shapes_are_checked_at_the_border() -> None:
     with pytest.raises(ValueError, match="uv_px"):
-        intersect(np.zeros((3, 2)), None, **STEREO, sigma_uv_px=1)
+        intersect(np.zeros((3, 2)), **STEREO, sigma_uv_px=1)
     with pytest.raises(ValueError, match="centre_m"):
-        intersect(np.zeros((3, 2, 2)), None, STEREO["k_px"], STEREO["map_R_cam"], np.zeros((3, 3)), 1)
-    with pytest.raises(ValueError, match="valid"):
-        intersect(np.zeros((3, 2, 2)), np.ones((2, 3), dtype=bool), **STEREO, sigma_uv_px=1)
-    assert intersect(np.zeros((0, 2, 2)), None, **STEREO, sigma_uv_px=1).xyz_m.shape == (0, 3)
+        intersect(np.zeros((3, 2, 2)), STEREO["k_px"], STEREO["map_R_cam"], np.zeros((3, 3)), 1)
+    assert intersect(np.zeros((0, 2, 2)), **STEREO, sigma_uv_px=1).xyz_m.shape == (0, 3)
