@@ -111,17 +111,15 @@ def intersect(
     sigma = np.asarray(sigma_uv_px, dtype=np.float64)
     shared = sigma.ndim < 3 or sigma.shape[0] == 1
     sigma = np.ascontiguousarray(np.broadcast_to(sigma, (1 if shared else p, v, 2)).T)
+    arrays = [np.ascontiguousarray(uv.T), k, rot, centre, sigma]
     result = IntersectionResult(
         np.zeros(p, dtype=np.int8), np.full((p, 3), np.nan), np.full((p, 3, 3), np.nan), np.full((p, v, 2), np.nan),
         np.full((p, v), np.nan), np.full(p, np.nan), np.zeros(p, dtype=np.int64),
     )  # fmt: skip
     for begin in range(0, p, CHUNK_POINTS):
         part = slice(begin, begin + CHUNK_POINTS)
-        cameras = (a if a.shape[-1] == 1 else a[..., part] for a in (k, rot, centre, sigma))
-        _intersect_chunk(
-            IntersectionResult(*(rows[part] for rows in result)), np.ascontiguousarray(uv[part].T), *cameras,
-            convergence_m2, max_iterations, min_ray_angle_rad,
-        )  # fmt: skip
+        cut = [a if a.shape[-1] == 1 else a[..., part] for a in arrays]
+        _intersect_chunk(result, part, cut, convergence_m2, max_iterations, min_ray_angle_rad)
     return result
 
 
@@ -134,39 +132,42 @@ def _by_component(value: ArrayLike, shape: tuple[int, ...], points: int, name: s
 
 
 def _intersect_chunk(
-    result: IntersectionResult, uv: Array, k: Array, rot: Array, centre: Array, sigma: Array,
-    convergence_m2: float, max_iterations: int, min_ray_angle_rad: float,
+    result: IntersectionResult, part: slice, arrays: list[Array], convergence_m2: float, max_iterations: int,
+    min_ray_angle_rad: float,
 ) -> None:  # fmt: skip
-    """Fill a result for image points (2, V, n)."""
-    usable = np.isfinite(k).all(axis=0) & np.isfinite(rot).all(axis=(0, 1)) & np.isfinite(centre).all(axis=0)
-    usable = usable & (k[:2] > 0).all(axis=0) & (np.isfinite(sigma) & (sigma > 0)).all(axis=0)
-    usable = (usable & np.isfinite(uv).all(axis=0)).all(axis=0)
-    result.status[~usable] = IntersectionStatus.INVALID_INPUT
+    """Fill the rows `part` of the result; arrays: image points (2, V, n), interior and exterior orientation, and sigmas."""
+    uv, k, rot, centre, sigma = arrays
+    usable = np.ones(uv.shape[2], dtype=bool)
+    for a in arrays:
+        usable &= np.isfinite(a).all(axis=tuple(range(a.ndim - 1)))
+    usable &= (k[:2] > 0).all(axis=(0, 1)) & (sigma > 0).all(axis=(0, 1))
+    status, angle = result.status[part], result.ray_angle_rad[part]
+    status[~usable] = IntersectionStatus.INVALID_INPUT
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         origin = np.broadcast_to(centre[:, 0], (3, uv.shape[2]))
         views = _Views((uv - k[2:]) / k[:2], k[:2], k[:2] * (1.0 / sigma), rot, centre - origin[:, None])
-        result.ray_angle_rad[usable] = _ray_angle(views)[usable]
-        parallel = usable & ~(result.ray_angle_rad >= min_ray_angle_rad)
-        result.status[parallel] = IntersectionStatus.RAY_ANGLE_TOO_SMALL
-        rows = np.flatnonzero(usable & ~parallel)
-        if not rows.size:
+        angle[usable] = _ray_angle(views)[usable]
+        good = usable & (angle >= min_ray_angle_rad)
+        status[usable & ~good] = IntersectionStatus.RAY_ANGLE_TOO_SMALL
+        if not good.any():
             return
-        if rows.size < len(usable):
-            views, origin = views.take(usable & ~parallel), origin[:, rows]
-        x, upper, result.iterations[rows], converged = _gauss_newton(views, convergence_m2, max_iterations)
+        if not good.all():
+            views, origin = views.take(good), origin[:, good]
+        x, upper, iterations, converged = _gauss_newton(views, convergence_m2, max_iterations)
         local = _camera_points(views, x)
         real = np.isfinite(x).all(axis=0)
-        outcome = np.where(
-            converged & real & np.isfinite(upper).all(axis=0), IntersectionStatus.OK, IntersectionStatus.NOT_CONVERGED
-        )
+        solved = converged & real & np.isfinite(upper).all(axis=0)
+        outcome = np.where(solved, IntersectionStatus.OK, IntersectionStatus.NOT_CONVERGED)
         outcome[(~(local[2] > 0)).any(axis=0) & real] = IntersectionStatus.BEHIND_CAMERA
-        result.status[rows] = outcome
+        status[good] = outcome
+        result.iterations[part][good] = iterations
         ok = outcome == IntersectionStatus.OK
-        result.xyz_m[rows[ok]] = (x + origin)[:, ok].T
+        rows = part.start + np.flatnonzero(good)[ok]
+        result.xyz_m[rows] = (x + origin)[:, ok].T
         for value, (i, j) in zip(upper, _UPPER, strict=True):
-            result.cov_m2[rows[ok], i, j] = result.cov_m2[rows[ok], j, i] = value[ok]
-        result.residuals_px[rows[ok]] = ((views.uv - local[:2] / local[2]) * views.focal)[..., ok].T
-        result.depth_m[rows[ok]] = local[2][:, ok].T
+            result.cov_m2[rows, i, j] = result.cov_m2[rows, j, i] = value[ok]
+        result.residuals_px[rows] = ((views.uv - local[:2] / local[2]) * views.focal)[..., ok].T
+        result.depth_m[rows] = local[2][:, ok].T
 
 
 def _ray_angle(views: _Views) -> Array:
