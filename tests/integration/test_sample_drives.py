@@ -9,8 +9,7 @@ import pytest
 
 from conetl.cli.tools.drive_results import analyse_folder
 from conetl.evaluation.accuracy import PointErrors, members_of, pooled_consistency, position_errors
-from conetl.evaluation.table_3 import read_truth_cones
-from conetl.evaluation.truth import compare_with_truth
+from conetl.evaluation.truth import compare_with_truth, read_truth_cones
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.params import IngestParams
 from conetl.pipeline.analysis import AnalysedDrive

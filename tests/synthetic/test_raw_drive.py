@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from conetl.geometry import camera as cam
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
+from conetl.geometry.motion.stereo_tracks import motions_of
 from conetl.geometry.rectification import rectify
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.params import IngestParams, TrajectoryParams
@@ -22,7 +23,7 @@ from conetl.perception.detections import check_boxes
 from conetl.perception.detector import detect_image, load_detector
 from conetl.perception.images import read_image
 from conetl.perception.rectified_image import read_rig_image, rectify_image
-from conetl.perception.visual_odometry import measure_motions
+from conetl.perception.visual_odometry import follow_drive
 from conetl.readers.drives import read_drive
 from conetl.readers.rigs import read_kitti_rig
 from conetl.tracking.matching.matches import match_pair
@@ -181,7 +182,8 @@ def test_a_raw_rig_of_unlike_cameras_moves_as_the_log_says(max_width_px: int) ->
         return rectify_image(take_raw(image, original.rig, raw, side), rig, side)
 
     params = TrajectoryParams(max_width_px=max_width_px)
-    for motion, first, second in zip(measure_motions(pairs, rig, read, params), pairs, pairs[1:], strict=False):
+    motions = motions_of(follow_drive(pairs, rig, read, params), pairs, rig, params)
+    for motion, first, second in zip(motions, pairs, pairs[1:], strict=False):
         logged = se3.compose(se3.invert(map_SE3_left(second.pose, rig)), map_SE3_left(first.pose, rig))
         assert motion.reason == "ok"
         off = se3.compose(se3.invert(logged), np.array(motion.second_SE3_first))

@@ -14,8 +14,14 @@ from conetl.cli.database import open_map
 from conetl.cli.ingest import ingest_drives, print_report
 from conetl.cli.map.base import import_one, print_imported
 from conetl.db.map.map_store import read_current_features
-from conetl.evaluation.table_3 import TABLE_3_COLUMNS, line_as_dict, median_error, read_truth_cones, table_3_rows
-from conetl.evaluation.truth import compare_with_truth
+from conetl.evaluation.truth import (
+    TABLE_3_COLUMNS,
+    compare_with_truth,
+    line_as_dict,
+    median_error,
+    read_truth_cones,
+    table_3_rows,
+)
 from conetl.exports.geojson import export_geojson
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.errors import InputError

@@ -316,9 +316,7 @@ def _nees_report(nees: Nees) -> NeesReport | None:
     if nees.dof == 0:
         return None
     low, high = nees.band()
-    return NeesReport(
-        value=nees.value, dof=nees.dof, low=low, high=high, per_dof=nees.per_dof, holds=low <= nees.value <= high
-    )
+    return NeesReport(value=nees.value, dof=nees.dof, low=low, high=high, per_dof=nees.per_dof, holds=nees.holds())
 
 
 def _sight_axes(sight: Floats) -> Floats:

@@ -26,8 +26,15 @@ from conetl.evaluation.accuracy import (
     statistics,
     track_errors,
 )
-from conetl.evaluation.table_3 import TABLE_3_COLUMNS, line_as_dict, median_error, table_3_rows
-from conetl.evaluation.truth import TruthCone, TruthLine, compare_with_truth
+from conetl.evaluation.truth import (
+    TABLE_3_COLUMNS,
+    TruthCone,
+    TruthLine,
+    compare_with_truth,
+    line_as_dict,
+    median_error,
+    table_3_rows,
+)
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.errors import InputError
 from conetl.model.records import Drive, Position, Track

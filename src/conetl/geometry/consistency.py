@@ -34,8 +34,9 @@ class Nees:
         return self.value / self.dof
 
     def band(self, probability: float = 0.95) -> tuple[float, float]:
-        """Two-sided chi-square interval of `value`."""
-        return chi2_band(self.dof, probability)
+        """Two-sided interval that a chi-square variable with these degrees of freedom falls into with that probability."""
+        tail = (1.0 - probability) / 2.0
+        return float(chdtri(self.dof, 1.0 - tail)), float(chdtri(self.dof, tail))  # chdtri takes the upper tail
 
     def holds(self, probability: float = 0.95) -> bool:
         """Whether `value` lies in its band."""
@@ -64,12 +65,6 @@ class Consistency:
         The error of a calibration that they share makes the band of `common` somewhat too narrow.
         """
         return Consistency(self.absolute + other.absolute, self.relative + other.relative, self.common + other.common)
-
-
-def chi2_band(dof: int, probability: float = 0.95) -> tuple[float, float]:
-    """Two-sided interval that a chi-square variable with `dof` degrees of freedom falls into with that probability."""
-    tail = (1.0 - probability) / 2.0
-    return float(chdtri(dof, 1.0 - tail)), float(chdtri(dof, tail))  # chdtri takes the upper tail
 
 
 def point_nees(difference_m: ArrayLike, cov_m2: ArrayLike) -> Array:

@@ -71,15 +71,6 @@ def rotation_from_rpy(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayL
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def rpy_from_rotation(rotation: ArrayLike) -> Array:
-    """Roll, pitch, yaw (..., 3) of `Rz(yaw) @ Ry(pitch) @ Rx(roll)`; pitch in [-pi/2, pi/2]."""
-    r = np.asarray(rotation, dtype=np.float64)
-    pitch = np.arctan2(-r[..., 2, 0], np.hypot(r[..., 0, 0], r[..., 1, 0]))
-    roll = np.arctan2(r[..., 2, 1], r[..., 2, 2])
-    yaw = np.arctan2(r[..., 1, 0], r[..., 0, 0])
-    return np.stack([roll, pitch, yaw], axis=-1)
-
-
 def is_rotation(rotation: ArrayLike, tolerance: float = ROTATION_TOLERANCE) -> bool:
     """True where a 3x3 matrix is orthonormal within `tolerance` and right-handed."""
     r = np.asarray(rotation, dtype=np.float64)

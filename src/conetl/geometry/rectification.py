@@ -125,8 +125,8 @@ def raw_from_rectified(rig: Rig, side: Side, uv_px: ArrayLike) -> Array:
     uv = np.asarray(uv_px, dtype=np.float64)
     if rig.rectified_from is None:
         return uv.copy()
-    raw_R_rect = _raw_R_rectified(rig, side)
-    return _seen_at(stored_camera(rig, side), raw_R_rect, cameras.rays(rigs.camera_of(rig, side), uv))
+    rays = cameras.rays(rigs.camera_of(rig, side), uv)
+    return _seen_at(stored_camera(rig, side), rigs.stored_R_camera(rig, side), rays)
 
 
 def rectified_from_raw(rig: Rig, side: Side, uv_px: ArrayLike) -> Array:
@@ -134,19 +134,11 @@ def rectified_from_raw(rig: Rig, side: Side, uv_px: ArrayLike) -> Array:
     uv = np.asarray(uv_px, dtype=np.float64)
     if rig.rectified_from is None:
         return uv.copy()
-    rays = cameras.rays(stored_camera(rig, side), uv) @ _raw_R_rectified(rig, side)
+    rays = cameras.rays(stored_camera(rig, side), uv) @ rigs.stored_R_camera(rig, side)
     ahead = np.where(rays[..., 2:] > 1e-9, rays, np.nan)
     camera = rigs.camera_of(rig, side)
     scale, shift = np.array([camera.fx_px, camera.fy_px]), np.array([camera.cx_px, camera.cy_px])
     return np.asarray(ahead[..., :2] / ahead[..., 2:] * scale + shift)
-
-
-def _raw_R_rectified(rig: Rig, side: Side) -> Array:
-    """(3, 3): directions of the rectified camera in the raw one."""
-    assert rig.rectified_from is not None
-    raw, own = rigs.body_SE3_camera(rig.rectified_from, side), rigs.body_SE3_camera(rig, side)
-    turn: Array = raw[:3, :3].T @ own[:3, :3]
-    return turn
 
 
 def _seen_at(raw: Camera, raw_R_rect: Array, rays: Array) -> Array:

@@ -69,11 +69,11 @@ def body_is_left_camera(rig: Rig) -> bool:
     return bool(np.allclose(body_SE3_camera(rig, "left"), np.eye(4), rtol=0.0, atol=1e-12))
 
 
-def stored_R_left(rig: Rig) -> Array:
-    """(3, 3) rotation from the rig's left camera to the one that took the images: identity where they are used as they are."""
+def stored_R_camera(rig: Rig, side: Side) -> Array:
+    """(3, 3) rotation from one of the rig's cameras to the one that took the images: identity where they are used as they are."""
     if rig.rectified_from is None:
         return np.eye(3)
-    turn: Array = body_SE3_camera(rig.rectified_from, "left")[:3, :3].T @ body_SE3_camera(rig, "left")[:3, :3]
+    turn: Array = body_SE3_camera(rig.rectified_from, side)[:3, :3].T @ body_SE3_camera(rig, side)[:3, :3]
     return turn
 
 
@@ -84,6 +84,6 @@ def up_in_left_camera(rig: Rig) -> Array:
     level: rectification turns images, not cameras).
     """
     if body_is_left_camera(rig.rectified_from or rig):
-        return np.array([0.0, -1.0, 0.0]) @ stored_R_left(rig)
+        return np.array([0.0, -1.0, 0.0]) @ stored_R_camera(rig, "left")
     up: Array = body_SE3_camera(rig, "left")[2, :3].copy()
     return up

@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.geometry.motion.stereo_motion import RelativeMotion, StereoCameras, project, triangulate
-from conetl.geometry.motion.stereo_tracks import NoMeasurement, StereoTracks, cameras_of, expected_motions, motions_of
+from conetl.geometry.motion.stereo_motion import StereoCameras, project, triangulate
+from conetl.geometry.motion.stereo_tracks import NoMeasurement, StereoTracks, cameras_of, expected_motions
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import FramePair, Rig, Side
 from conetl.perception.working_size import ImageReader, WorkingImages, WorkingSize, read_working_images, working_size
@@ -36,13 +36,6 @@ _WEAK_SHARE = 0.004
 _BLOCK_PX = 9
 #: Disparities are searched up to this share of the image width.
 _WIDEST_DISPARITY = 0.12
-
-
-def measure_motions(
-    frame_pairs: Sequence[FramePair], rig: Rig, read: ImageReader, params: TrajectoryParams
-) -> Iterator[RelativeMotion]:
-    """Motion between each frame pair and the next: len(frame_pairs) - 1 results, in order, each as soon as it is known."""
-    yield from motions_of(follow_drive(frame_pairs, rig, read, params), frame_pairs, rig, params)
 
 
 def follow_drive(

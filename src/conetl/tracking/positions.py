@@ -148,7 +148,7 @@ def locate_in_camera(
     height = located.xyz @ up
     level = located.xyz[0] - height[0][:, None] * up
     ground = np.linalg.norm(level, axis=1)
-    turn = rigs.stored_R_left(rig)
+    turn = rigs.stored_R_camera(rig, "left")
 
     def own_fields(i: int) -> dict[str, Any]:
         along = level[i] / ground[i]

@@ -70,9 +70,6 @@ class RefinedTrajectory:
     """(4, 4)"""
     covariance: ChainCovariance | None
     """Of the states; None unless refined."""
-    refused_intervals: tuple[int, ...]
-    """First frame index of each measured interval that contradicts its neighbours or GNSS/INS."""
-    largest_shift_m: float
 
 
 def refine_trajectory(
@@ -88,10 +85,10 @@ def refine_trajectory(
     stated sigmas, the poses are unchanged and `outcome` has the reason.
     """
 
-    def as_logged(outcome: RefinementOutcome, detail: str, refused: tuple[int, ...] = ()) -> RefinedTrajectory:
+    def as_logged(outcome: RefinementOutcome, detail: str) -> RefinedTrajectory:
         own = np.array(rig.body_SE3_left)
         poses = np.stack([se3.compose(se3.map_SE3_body(pair.pose), own) for pair in frame_pairs])
-        return RefinedTrajectory(tuple(frame_pairs), outcome, detail, poses, own, None, refused, 0.0)
+        return RefinedTrajectory(tuple(frame_pairs), outcome, detail, poses, own, None)
 
     if not params.refine:
         return as_logged(RefinementOutcome.SWITCHED_OFF, "refinement is switched off")
@@ -100,14 +97,13 @@ def refine_trajectory(
     if not len(measured.start):
         return as_logged(RefinementOutcome.NO_MEASUREMENT, "no two consecutive frame pairs could be compared")
     good = _plausible(log, measured)
-    refused = tuple(frame_pairs[k].frame_index for k in measured.start[~good])
     if not good.any():
         detail = f"all {len(good)} measured motions contradict GNSS/INS or each other"
-        return as_logged(RefinementOutcome.NO_MEASUREMENT, detail, refused)
+        return as_logged(RefinementOutcome.NO_MEASUREMENT, detail)
     kept = MeasuredMotions(measured.start[good], measured.next_SE3_first[good], measured.cov[good])
     solved = adjust(log, kept, _sightings(frame_pairs, cones), params.robust_sigmas, params.scale_sigma)
     if solved is None:
-        return as_logged(RefinementOutcome.NOT_CONVERGED, "the adjustment did not converge", refused)
+        return as_logged(RefinementOutcome.NOT_CONVERGED, "the adjustment did not converge")
     rotations, places, normal = solved
     shift = places - log.places
     turn = Rotation.from_matrix(np.swapaxes(log.rotations, 1, 2) @ rotations).as_rotvec()
@@ -117,7 +113,7 @@ def refine_trajectory(
             f"visual odometry would move a pose by {worst**0.5:.1f} of its stated sigmas, more than "
             f"{params.max_shift_chi2**0.5:.1f}; the stated accuracy of GNSS/INS or the calibration is too good to be true"
         )
-        return as_logged(RefinementOutcome.AGAINST_STATED_SIGMAS, detail, refused)
+        return as_logged(RefinementOutcome.AGAINST_STATED_SIGMAS, detail)
     cov = chain_solver.covariance(normal)
     sigma = np.sqrt(np.diagonal(cov.cov, axis1=1, axis2=2)[:, :POSE])
     poses = [
@@ -130,15 +126,12 @@ def refine_trajectory(
         for k in range(len(frame_pairs))
     ]
     pairs = tuple(pair.model_copy(update={"pose": pose}) for pair, pose in zip(frame_pairs, poses, strict=True))
-    largest = float(np.linalg.norm(shift, axis=1).max())
     detail = (
-        f"{len(good)} of {len(frame_pairs) - 1} intervals measured, {len(refused)} refused; "
-        f"poses moved by up to {largest:.2f} m and {np.degrees(np.abs(turn).max()):.2f} degrees"
+        f"{len(good)} of {len(frame_pairs) - 1} intervals measured, {int((~good).sum())} refused; "
+        f"poses moved by up to {np.linalg.norm(shift, axis=1).max():.2f} m and {np.degrees(np.abs(turn).max()):.2f} degrees"
     )
     map_SE3_left = se3.compose(se3.se3(rotations, places), log.body_SE3_left)
-    return RefinedTrajectory(
-        pairs, RefinementOutcome.REFINED, detail, map_SE3_left, log.body_SE3_left, cov, refused, largest
-    )
+    return RefinedTrajectory(pairs, RefinementOutcome.REFINED, detail, map_SE3_left, log.body_SE3_left, cov)
 
 
 def relative_cov(trajectory: RefinedTrajectory, start: int, end: int) -> Floats | None:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from conetl.geometry.consistency import Nees, ce90_m, chi2_band, consistency, le90_m, point_nees
+from conetl.geometry.consistency import Nees, ce90_m, consistency, le90_m, point_nees
 from conetl.geometry.jacobians import add_pose_covariance, pose_jacobian
 
 
@@ -114,7 +114,7 @@ def test_ce90_and_le90_of_normal_errors() -> None:
 
 
 def test_the_band_is_the_chi_square_interval() -> None:
-    low, high = chi2_band(3)
+    low, high = Nees(0.0, 3).band()
     assert (low, high) == (pytest.approx(0.2158, abs=1e-4), pytest.approx(9.3484, abs=1e-4))
     with pytest.raises(ValueError, match="Jacobian"):
         consistency(np.zeros((2, 3)), np.zeros((2, 3, 3)), np.zeros((1, 3, 2)), np.eye(2))

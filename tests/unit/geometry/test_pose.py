@@ -39,11 +39,9 @@ def test_composition_is_associative_and_means_one_after_the_other(a: Array, b: A
 
 
 @given(angles, st.floats(-1.5, 1.5), angles)
-def test_roll_pitch_yaw_survive_the_round_trip(roll: float, pitch: float, yaw: float) -> None:
+def test_roll_pitch_yaw_are_scipys(roll: float, pitch: float, yaw: float) -> None:
     rotation = se3.rotation_from_rpy(roll, pitch, yaw)
     assert se3.is_rotation(rotation, 1e-12)
-    back = se3.rpy_from_rotation(rotation)
-    np.testing.assert_allclose(se3.rotation_from_rpy(*back), rotation, atol=1e-12)
     # scipy's intrinsic "ZYX" is the same convention, written by somebody else.
     np.testing.assert_allclose(rotation, Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix(), atol=1e-12)
 
@@ -87,7 +85,7 @@ def test_interpolating_across_west_takes_the_short_way() -> None:
     a = se3.se3(se3.rotation_from_rpy(0, 0, math.radians(179)), np.zeros(3))
     b = se3.se3(se3.rotation_from_rpy(0, 0, math.radians(-179)), np.array([2.0, 0, 0]))
     middle = se3.interpolate(a, b, 0.5)
-    assert abs(abs(se3.rpy_from_rotation(middle[:3, :3])[2]) - math.pi) < 1e-9
+    np.testing.assert_allclose(middle[:2, 0], [-1, 0], atol=1e-9)
     np.testing.assert_allclose(middle[:3, 3], [1, 0, 0])
 
 

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from conetl.geometry import pose as se3
 from conetl.geometry.motion.stereo_motion import RelativeMotion
+from conetl.geometry.motion.stereo_tracks import motions_of
 from conetl.geometry.rig import camera_of, left_SE3_right, map_SE3_left
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import Camera, FramePair, Lens, Rig, Side
 from conetl.model.rejections import RejectionReason
 from conetl.perception.images import ImageFileError, read_image
-from conetl.perception.visual_odometry import follow_drive, measure_motions
+from conetl.perception.visual_odometry import follow_drive
 from conetl.readers.drives import read_drive
 from tests.synthetic.world import make_path, make_rig
 
@@ -49,6 +50,12 @@ def wall_image(pair: FramePair, side: Side, rig: Rig = RIG) -> Image:
     return np.clip(warped + noise, 0, 255).astype(np.uint8)
 
 
+def measure_motions(
+    pairs: list[FramePair], rig: Rig, read: Callable[[FramePair, Side], Image], params: TrajectoryParams
+) -> list[RelativeMotion]:
+    return list(motions_of(follow_drive(pairs, rig, read, params), pairs, rig, params))
+
+
 def reasons(read: Callable[[FramePair, Side], Image], pairs: list[FramePair] = PAIRS, rig: Rig = RIG) -> list[str]:
     return [motion.reason for motion in measure_motions(pairs, rig, read, PARAMS)]
 
@@ -69,7 +76,7 @@ def rig_with(*, left: dict[str, float] | None = None, right: dict[str, float] | 
 
 
 def assert_moved_before_the_wall(rig: Rig, params: TrajectoryParams = PARAMS) -> list[RelativeMotion]:
-    motions = list(measure_motions(PAIRS, rig, lambda pair, side: wall_image(pair, side, rig), params))
+    motions = measure_motions(PAIRS, rig, lambda pair, side: wall_image(pair, side, rig), params)
     assert [m.reason for m in motions] == ["ok", "ok"]
     for motion in motions:
         found = np.array(motion.second_SE3_first)
@@ -167,9 +174,7 @@ def test_tiny_images_give_no_measurement(shape: tuple[int, int]) -> None:
 
 
 def test_equal_input_gives_equal_output() -> None:
-    assert list(measure_motions(PAIRS, RIG, wall_image, PARAMS)) == list(
-        measure_motions(PAIRS, RIG, wall_image, PARAMS)
-    )
+    assert measure_motions(PAIRS, RIG, wall_image, PARAMS) == measure_motions(PAIRS, RIG, wall_image, PARAMS)
 
 
 def test_dark_blank_and_frozen_images_say_so() -> None:
@@ -228,4 +233,4 @@ def test_a_rig_with_a_lens_is_refused() -> None:
     lens = Lens(model="radial", coefficients=(0.1, 0.0))
     raw = RIG.model_copy(update={"left": RIG.left.model_copy(update={"lens": lens})})
     with pytest.raises(ValueError, match="rectified"):
-        list(measure_motions(PAIRS, raw, wall_image, PARAMS))
+        measure_motions(PAIRS, raw, wall_image, PARAMS)

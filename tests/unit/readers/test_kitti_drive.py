@@ -11,9 +11,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from conetl.geometry import geodesy
-from conetl.geometry import pose as se3
 from conetl.model.errors import CalibrationError, DriveFolderError
 from conetl.model.records import Drive, Pose
 from conetl.model.rejections import RejectionReason
@@ -102,7 +102,7 @@ def test_poses_are_those_of_the_exposure_and_of_grid_north(drive: Path) -> None:
         expected = SPEED_M_S * 0.1 * pair.frame_index  # at the image's time, not 40 ms later
         assert np.linalg.norm(moved[:2]) == pytest.approx(expected, rel=0.01)
         assert moved[2] == pytest.approx(0.01 * expected, abs=1e-6)
-        roll, pitch, yaw = se3.rpy_from_rotation(np.array(pair.pose.map_R_body))
+        yaw, pitch, roll = Rotation.from_matrix(pair.pose.map_R_body).as_euler("ZYX")
         assert (roll, pitch) == (pytest.approx(0.01), pytest.approx(-0.02))
         assert yaw == pytest.approx(YAW + convergence, abs=1e-6)
         # The vehicle drives along its heading: only true with the right sign of the convergence.

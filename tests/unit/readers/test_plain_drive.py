@@ -9,9 +9,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from conetl.geometry import geodesy
-from conetl.geometry import pose as se3
 from conetl.model.errors import CalibrationError, DriveFolderError
 from conetl.model.rejections import RejectionReason as R
 from conetl.readers.drives import read_drive
@@ -62,7 +62,7 @@ def test_a_whole_plain_drive(drive: Path) -> None:
     np.testing.assert_allclose(pair.pose.map_t_body_m, geodesy.to_map(32756, -33.9, 151.2, 30.0))
     convergence = float(geodesy.grid_convergence_rad(32756, -33.9, 151.2))
     np.testing.assert_allclose(
-        se3.rpy_from_rotation(np.array(pair.pose.map_R_body)),
+        Rotation.from_matrix(pair.pose.map_R_body).as_euler("ZYX")[::-1],
         [math.radians(1), math.radians(2), math.pi / 2 + convergence],
         atol=1e-12,
     )

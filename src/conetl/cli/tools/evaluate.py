@@ -18,8 +18,7 @@ from conetl.evaluation.drive_evaluation import (
     write_evaluation,
     write_pooled_page,
 )
-from conetl.evaluation.table_3 import TABLE_3_COLUMNS, median_error, read_truth_cones
-from conetl.evaluation.truth import TruthCone
+from conetl.evaluation.truth import TABLE_3_COLUMNS, TruthCone, median_error, read_truth_cones
 from conetl.model.errors import InputError
 from conetl.pipeline.settings import read_settings
 from conetl.reports.html import Section

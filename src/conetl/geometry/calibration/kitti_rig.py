@@ -25,65 +25,62 @@ MAX_BASELINE_SLOPE = 0.1
 def kitti_rig(
     cam_to_cam: Mapping[str, Array],
     *,
-    velo_to_cam: Mapping[str, Array] | None = None,
-    imu_to_velo: Mapping[str, Array] | None = None,
-    left: int = 2,
-    right: int = 3,
+    raw: bool,
+    velo_to_cam: Mapping[str, Array] | None,
+    imu_to_velo: Mapping[str, Array] | None,
+    left: int,
+    right: int,
     rig_id: str,
-    sigma_px: float = 0.5,
+    sigma_px: float,
 ) -> Rig:
-    """Rig of two rectified KITTI cameras; the arrays are flat, as in the files.
+    """Rig of two KITTI cameras: the rectified ones, or those that took the images ("synced only") with their lenses.
 
-    cam_to_cam needs `S_rect_0i` (2), `P_rect_0i` (12) of both cameras and `R_rect_00` (9); the other two need `R` (9) and `T`
-    (3), metres. With both of them the body is the IMU (x forward, y left, z up); without, it is the left camera.
+    The arrays are flat, as in the files. cam_to_cam needs `S_rect_0i` (2), `P_rect_0i` (12) of both cameras and `R_rect_00` (9);
+    if raw `S_0i` (2), `K_0i` (9), `D_0i` (5), `R_0i` (9), `T_0i` (3) of both: `x_cam_i = R_0i x_cam0 + T_0i`. The other two need
+    `R` (9) and `T` (3), metres. With both of them the body is the IMU (x forward, y left, z up); without, it is the left camera.
     Raises ValueError, naming the key, for an invalid matrix.
     """
-    cameras, rect_SE3_camera = [], []
-    for number in (left, right):
-        key = f"P_rect_{number:02d}"
-        p = np.asarray(cam_to_cam[key], dtype=np.float64).reshape(3, 4)
-        cameras.append(_camera(key, p[:, :3], cam_to_cam, f"S_rect_{number:02d}", Lens()))
-        rect_SE3_camera.append(se3.se3(np.eye(3), -np.linalg.solve(p[:, :3], p[:, 3])))
-    check_rectified_baseline(se3.compose(se3.invert(rect_SE3_camera[0]), rect_SE3_camera[1]))
-    cam0_SE3_body = _cam0_SE3_body(velo_to_cam, imu_to_velo)
-    if cam0_SE3_body is None:
-        body_SE3_rect = se3.invert(rect_SE3_camera[0])
-    else:
-        rect_SE3_cam0 = se3.se3(_rotation(cam_to_cam["R_rect_00"], "R_rect_00"), np.zeros(3))
-        body_SE3_rect = se3.invert(se3.compose(rect_SE3_cam0, cam0_SE3_body))
-    return _rig(rig_id, cameras, [se3.compose(body_SE3_rect, pose) for pose in rect_SE3_camera], sigma_px)
-
-
-def kitti_raw_rig(
-    cam_to_cam: Mapping[str, Array],
-    *,
-    velo_to_cam: Mapping[str, Array] | None = None,
-    imu_to_velo: Mapping[str, Array] | None = None,
-    left: int = 2,
-    right: int = 3,
-    rig_id: str,
-    sigma_px: float = 0.5,
-) -> Rig:
-    """Rig of the two KITTI cameras that took the images ("synced only"), with their lenses; flat arrays as in the files.
-
-    cam_to_cam needs `S_0i` (2), `K_0i` (9), `D_0i` (5), `R_0i` (9), `T_0i` (3) of both cameras: `x_cam_i = R_0i x_cam0 + T_0i`.
-    The body is as with `kitti_rig`. Raises ValueError, naming the key.
-    """
-    cameras, cam0_SE3_camera = [], []
-    for number in (left, right):
-        key = f"K_{number:02d}"
-        d = [float(c) for c in cam_to_cam[f"D_{number:02d}"]]
-        lens = Lens(model="brown", coefficients=tuple(d)) if any(d) else Lens()
-        cameras.append(_camera(key, np.reshape(cam_to_cam[key], (3, 3)), cam_to_cam, f"S_{number:02d}", lens))
-        camera_R_cam0 = _rotation(cam_to_cam[f"R_{number:02d}"], f"R_{number:02d}")
-        cam0_SE3_camera.append(se3.invert(se3.se3(camera_R_cam0, cam_to_cam[f"T_{number:02d}"])))
+    # Poses in the rectified frame of camera 0, or in camera 0.
+    read = _raw_camera if raw else _rectified_camera
+    (left_camera, base_SE3_left), (right_camera, base_SE3_right) = (read(cam_to_cam, n) for n in (left, right))
+    left_SE3_right = se3.compose(se3.invert(base_SE3_left), base_SE3_right)
     try:
-        check_stereo_baseline(se3.compose(se3.invert(cam0_SE3_camera[0]), cam0_SE3_camera[1]))
+        check_stereo_baseline(left_SE3_right)
     except ValueError as error:
-        raise ValueError(f"T_{left:02d}, T_{right:02d}: {error}") from error
-    cam0_SE3_body = _cam0_SE3_body(velo_to_cam, imu_to_velo)
-    body_SE3_cam0 = se3.invert(cam0_SE3_camera[0] if cam0_SE3_body is None else cam0_SE3_body)
-    return _rig(rig_id, cameras, [se3.compose(body_SE3_cam0, pose) for pose in cam0_SE3_camera], sigma_px)
+        raise ValueError(f"T_{left:02d}, T_{right:02d}: {error}" if raw else str(error)) from error
+    x, y, z = left_SE3_right[:3, 3]
+    if not raw and np.hypot(y, z) > MAX_BASELINE_SLOPE * x:
+        raise ValueError(
+            f"the baseline ({x:.3f}, {y:.3f}, {z:.3f}) m does not follow the image rows of a rectified pair"
+        )
+    body_SE3_base = se3.invert(base_SE3_left)
+    if velo_to_cam is not None and imu_to_velo is not None:
+        base_R_cam0 = np.eye(3) if raw else _rotation(cam_to_cam["R_rect_00"], "R_rect_00")
+        cam0_SE3_body = se3.compose(_rigid(velo_to_cam, "calib_velo_to_cam"), _rigid(imu_to_velo, "calib_imu_to_velo"))
+        body_SE3_base = se3.invert(se3.compose(se3.se3(base_R_cam0, np.zeros(3)), cam0_SE3_body))
+    return Rig(
+        rig_id=rig_id, left=left_camera, right=right_camera, sigma_px=sigma_px,
+        body_SE3_left=se3.to_matrix4(se3.compose(body_SE3_base, base_SE3_left)),
+        body_SE3_right=se3.to_matrix4(se3.compose(body_SE3_base, base_SE3_right)),
+    )  # fmt: skip
+
+
+def _rectified_camera(cam_to_cam: Mapping[str, Array], number: int) -> tuple[Camera, Array]:
+    """A rectified camera and its pose (4, 4) in the rectified frame of camera 0."""
+    key = f"P_rect_{number:02d}"
+    p = np.asarray(cam_to_cam[key], dtype=np.float64).reshape(3, 4)
+    camera = _camera(key, p[:, :3], cam_to_cam, f"S_rect_{number:02d}", Lens())
+    return camera, se3.se3(np.eye(3), -np.linalg.solve(p[:, :3], p[:, 3]))
+
+
+def _raw_camera(cam_to_cam: Mapping[str, Array], number: int) -> tuple[Camera, Array]:
+    """A camera that took the images and its pose (4, 4) in camera 0."""
+    key = f"K_{number:02d}"
+    d = [float(c) for c in cam_to_cam[f"D_{number:02d}"]]
+    lens = Lens(model="brown", coefficients=tuple(d)) if any(d) else Lens()
+    camera = _camera(key, np.reshape(cam_to_cam[key], (3, 3)), cam_to_cam, f"S_{number:02d}", lens)
+    camera_R_cam0 = _rotation(cam_to_cam[f"R_{number:02d}"], f"R_{number:02d}")
+    return camera, se3.invert(se3.se3(camera_R_cam0, cam_to_cam[f"T_{number:02d}"]))
 
 
 def _camera(key: str, k: Array, cam_to_cam: Mapping[str, Array], size_key: str, lens: Lens) -> Camera:
@@ -99,34 +96,6 @@ def _camera(key: str, k: Array, cam_to_cam: Mapping[str, Array], size_key: str, 
     return Camera(
         width_px=int(size[0]), height_px=int(size[1]), fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy, lens=lens
     )  # fmt: skip
-
-
-def _cam0_SE3_body(velo_to_cam: Mapping[str, Array] | None, imu_to_velo: Mapping[str, Array] | None) -> Array | None:
-    """(4, 4) pose of the IMU in camera 0; None where one of the two files is missing."""
-    if velo_to_cam is None or imu_to_velo is None:
-        return None
-    return se3.compose(_rigid(velo_to_cam, "calib_velo_to_cam"), _rigid(imu_to_velo, "calib_imu_to_velo"))
-
-
-def _rig(rig_id: str, cameras: list[Camera], body_SE3_camera: list[Array], sigma_px: float) -> Rig:
-    return Rig(
-        rig_id=rig_id, left=cameras[0], right=cameras[1], sigma_px=sigma_px,
-        body_SE3_left=se3.to_matrix4(body_SE3_camera[0]), body_SE3_right=se3.to_matrix4(body_SE3_camera[1]),
-    )  # fmt: skip
-
-
-def check_rectified_baseline(left_SE3_right: Array) -> None:
-    """Raise ValueError unless the right camera sits to the right of the left one, roughly along the image rows."""
-    x, y, z = left_SE3_right[:3, 3]
-    if not x > 0.01:
-        raise ValueError(
-            f"the right camera must sit to the right of the left one, found {x:.4f} m along the image rows: "
-            "are left and right swapped?"
-        )
-    if np.hypot(y, z) > MAX_BASELINE_SLOPE * x:
-        raise ValueError(
-            f"the baseline ({x:.3f}, {y:.3f}, {z:.3f}) m does not follow the image rows of a rectified pair"
-        )
 
 
 def _rotation(values: Array, key: str) -> Array:

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
-from conetl.geometry.calibration.kitti_rig import kitti_raw_rig, kitti_rig
+from conetl.geometry.calibration.kitti_rig import kitti_rig
 from conetl.model.errors import CalibrationError
 from conetl.model.records import Rig
 from conetl.readers.rigs.common import Array, Size, first_message, numbers, read_text, rectified_rig
@@ -64,11 +64,11 @@ def read_kitti_rig(
             for key in sorted(part):
                 digest.update(key.encode() + part[key].tobytes())
         rig_id = f"kitti-{'raw-' if images == 'raw' else ''}{left:02d}-{right:02d}-{digest.hexdigest()[:8]}"
-    make = kitti_rig if images == "rectified" else kitti_raw_rig
     try:
-        return make(
-            cameras, velo_to_cam=velo, imu_to_velo=imu, left=left, right=right, rig_id=rig_id, sigma_px=sigma_px
-        )
+        return kitti_rig(
+            cameras, raw=images == "raw", velo_to_cam=velo, imu_to_velo=imu, left=left, right=right, rig_id=rig_id,
+            sigma_px=sigma_px,
+        )  # fmt: skip
     except ValueError as error:
         raise CalibrationError(f"{cam_to_cam}: {first_message(error)}") from error
 
