@@ -23,7 +23,7 @@ from conetl.geometry.calibration.covariance import known_covariance
 from conetl.geometry.calibration.self_calibration import SpanPoints, as_camera, estimate_right_camera
 from conetl.geometry.calibration.shared import as_rows, calibration_id, square_root, with_covariance, with_shared
 from conetl.geometry.motion.stereo_motion import RelativeMotion
-from conetl.geometry.motion.stereo_tracks import StereoTracks, cameras_of, motion_limits
+from conetl.geometry.motion.stereo_tracks import StereoTracks, cameras_of
 from conetl.geometry.packing import vec3
 from conetl.geometry.rig import body_SE3_camera
 from conetl.model.params import TrajectoryParams
@@ -126,7 +126,7 @@ def self_calibrate(
     if len(points) < params.self_calibration_min_spans:
         needed = params.self_calibration_min_spans
         return _without_estimate(f"{len(points)} spans of the drive could be compared, at least {needed} are needed")
-    estimate = estimate_right_camera(cameras_of(rig), points, motion_limits(params), params.self_calibration_min_spans)
+    estimate = estimate_right_camera(cameras_of(rig), points, params)
     if estimate is None:
         return _without_estimate("too few points stand still, or they are all far away")
     unit_px = _pixels_per_unit(rig)

@@ -10,14 +10,15 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from conetl.geometry.calibration.self_calibration import SpanPoints, corrected, estimate_right_camera
-from conetl.geometry.motion.stereo_motion import MotionLimits, StereoCameras, project
+from conetl.geometry.motion.stereo_motion import StereoCameras, project
+from conetl.model.params import TrajectoryParams
 from tests.synthetic.spans import BASELINE_M, CX_PX, CY_PX, FOCAL_PX, make_span, see
 
 INTRINSICS = np.array([FOCAL_PX, FOCAL_PX, CX_PX, CY_PX])
 BESIDE = np.eye(4)
 BESIDE[0, 3] = -BASELINE_M
 CAMERAS = StereoCameras(INTRINSICS, INTRINSICS, BESIDE)
-LIMITS = MotionLimits(min_inliers=30, gate_m=0.5, gate_rad=0.02)
+PARAMS = TrajectoryParams(min_points=30, gate_m=0.5, gate_rad=0.02, self_calibration_min_spans=8)
 #: 0.6 px of disparity, 0.3 px of row, 0.2 px of row at the side.
 TURN = np.array([0.3, -0.6, 0.3]) / FOCAL_PX
 #: 1.1 px of disparity at the sides of the image.
@@ -26,7 +27,7 @@ BEND = 1.5 / FOCAL_PX
 
 def found_from(seed: int, turn: np.ndarray = TURN, spans: int = 18, **street: float) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
-    found = estimate_right_camera(CAMERAS, [make_span(rng, turn, **street) for _ in range(spans)], LIMITS, 8)  # type: ignore[arg-type]
+    found = estimate_right_camera(CAMERAS, [make_span(rng, turn, **street) for _ in range(spans)], PARAMS)  # type: ignore[arg-type]
     assert found is not None
     return found.turn_and_bend[:3], found.cov[:3, :3]
 
@@ -61,7 +62,7 @@ def test_wrong_points_do_not_move_the_result() -> None:
     for span in spans:
         span.last_px[::9] += rng.uniform(-20, 20, span.last_px[::9].shape)
         span.first_px[1::9, 3] += 2.0  # a wrong row alone is seen by no motion
-    found = estimate_right_camera(CAMERAS, spans, LIMITS, 8)
+    found = estimate_right_camera(CAMERAS, spans, PARAMS)
     assert found is not None
     assert (
         np.abs(found.turn_and_bend[:3] - TURN).max() * FOCAL_PX < 0.06
@@ -88,7 +89,7 @@ def test_a_bend_of_the_columns_is_found_beside_the_turn_and_within_its_stated_si
     nees = []
     for seed in range(500, 505):
         spans = bent(np.random.default_rng(seed), TURN, lambda x: BEND * FOCAL_PX * x**2, 16)
-        found = estimate_right_camera(CAMERAS, spans, LIMITS, 8)
+        found = estimate_right_camera(CAMERAS, spans, PARAMS)
         assert found is not None
         off = found.turn_and_bend - [*TURN, BEND]
         assert np.abs(off).max() * FOCAL_PX < 0.4
@@ -114,7 +115,7 @@ def test_disparities_off_by_yet_another_field_show_as_a_gap_of_the_model() -> No
 
     gaps = []
     for field in (fourth, np.zeros_like):
-        found = estimate_right_camera(CAMERAS, bent(np.random.default_rng(510), np.zeros(3), field, 16), LIMITS, 8)
+        found = estimate_right_camera(CAMERAS, bent(np.random.default_rng(510), np.zeros(3), field, 16), PARAMS)
         assert found is not None
         gaps.append((found.turn_and_bend, found.model_gap))
     # Nothing is turned: what was found instead and its gap are of opposite sign and equal size.
@@ -126,7 +127,7 @@ def test_disparities_off_by_yet_another_field_show_as_a_gap_of_the_model() -> No
 @pytest.mark.parametrize("spans", [0, 7])
 def test_too_few_spans_say_nothing(spans: int) -> None:
     rng = np.random.default_rng(600)
-    assert estimate_right_camera(CAMERAS, [make_span(rng, TURN) for _ in range(spans)], LIMITS, 8) is None
+    assert estimate_right_camera(CAMERAS, [make_span(rng, TURN) for _ in range(spans)], PARAMS) is None
 
 
 def test_spans_of_noise_say_nothing() -> None:
@@ -134,7 +135,7 @@ def test_spans_of_noise_say_nothing() -> None:
     spans = [make_span(rng, TURN) for _ in range(10)]
     for span in spans:
         span.last_px[:] = see(np.array([[0.0, 0.0, 9.0]]), np.zeros(3)) + rng.uniform(-60, 60, span.last_px.shape)
-    assert estimate_right_camera(CAMERAS, spans, LIMITS, 8) is None
+    assert estimate_right_camera(CAMERAS, spans, PARAMS) is None
 
 
 def test_a_turn_of_the_rig_as_delivered_is_what_is_left() -> None:
@@ -143,6 +144,6 @@ def test_a_turn_of_the_rig_as_delivered_is_what_is_left() -> None:
     askew = np.eye(4)
     askew[:3, :3] = Rotation.from_rotvec(-TURN).as_matrix()
     cameras = StereoCameras(INTRINSICS, INTRINSICS, askew @ BESIDE)
-    found = estimate_right_camera(cameras, [make_span(rng, TURN) for _ in range(16)], LIMITS, 8)
+    found = estimate_right_camera(cameras, [make_span(rng, TURN) for _ in range(16)], PARAMS)
     assert found is not None
     assert np.all(np.abs(found.turn_and_bend[:3]) < 4 * np.sqrt(np.diag(found.cov)[:3]))

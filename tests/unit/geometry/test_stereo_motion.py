@@ -13,7 +13,6 @@ from scipy.stats import chi2
 from conetl.geometry import pose as se3
 from conetl.geometry.motion import stereo_motion
 from conetl.geometry.motion.stereo_motion import (
-    MotionLimits,
     MotionStatus,
     RelativeMotion,
     StereoCameras,
@@ -22,11 +21,13 @@ from conetl.geometry.motion.stereo_motion import (
     triangulate,
 )
 from conetl.geometry.small_arrays import all_stepped, stepped
+from conetl.model.params import TrajectoryParams
 
 LENS = np.array([720.0, 715.0, 610.0, 173.0])
 RIGHT_SE3_LEFT = se3.se3(Rotation.from_rotvec([0.002, -0.003, 0.001]).as_matrix(), [-0.53, 0.004, -0.003])
 CAMERAS = StereoCameras(LENS, LENS + np.array([1.0, 2.0, 4.0, 0.0]), RIGHT_SE3_LEFT)
-LIMITS = MotionLimits()
+LIMITS = TrajectoryParams(min_points=25, gate_m=0.6, gate_rad=0.03)
+WIDE = LIMITS.model_copy(update={"gate_m": 2.0})
 TRUTH = se3.se3(Rotation.from_rotvec([0.001, 0.012, -0.002]).as_matrix(), [0.03, -0.01, -0.9])
 
 
@@ -67,7 +68,7 @@ def test_covariance_is_honest() -> None:
     nees = []
     for seed in range(40):
         first, second, sigma = observe(np.random.default_rng(seed))
-        found = estimate_motion(CAMERAS, first, second, sigma, np.eye(4), MotionLimits(gate_m=2.0), seed)
+        found = estimate_motion(CAMERAS, first, second, sigma, np.eye(4), WIDE, seed)
         assert found.status is MotionStatus.OK
         error = error_of(found.next_SE3_first)
         nees.append(error @ np.linalg.solve(found.cov, error))
@@ -93,15 +94,14 @@ def test_a_lorry_on_most_of_the_image_is_outvoted_by_what_may_be_true() -> None:
 
 def test_a_guess_that_most_points_follow_spares_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
     first, second, sigma = observe(np.random.default_rng(3))
-    limits = MotionLimits(gate_m=2.0)
-    searched = estimate_motion(CAMERAS, first, second, sigma, np.eye(4), limits)
+    searched = estimate_motion(CAMERAS, first, second, sigma, np.eye(4), WIDE)
     near = TRUTH @ se3.se3(Rotation.from_rotvec([0.0, 0.0003, 0.0]).as_matrix(), [0.0, 0.0, 0.01])
 
     def no_search(*_: object) -> None:
         raise AssertionError("searched among hypotheses")
 
-    monkeypatch.setattr(stereo_motion, "_consensus", no_search)
-    guessed = estimate_motion(CAMERAS, first, second, sigma, np.eye(4), limits, guess=near)
+    monkeypatch.setattr(stereo_motion, "_hypotheses", no_search)
+    guessed = estimate_motion(CAMERAS, first, second, sigma, np.eye(4), WIDE, guess=near)
     # One point at the bound more or less.
     assert (guessed.inliers != searched.inliers).mean() < 0.02
     apart = error_of(guessed.next_SE3_first) - error_of(searched.next_SE3_first)

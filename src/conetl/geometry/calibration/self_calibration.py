@@ -25,8 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from conetl.geometry.motion.stereo_motion import MotionLimits, MotionStatus, StereoCameras, estimate_motion, triangulate
+from conetl.geometry.motion.stereo_motion import MotionStatus, StereoCameras, estimate_motion, triangulate
 from conetl.geometry.small_arrays import cross_matrix, inverse_of_symmetric, median
+from conetl.model.params import TrajectoryParams
 
 Floats = NDArray[np.float64]
 
@@ -36,10 +37,8 @@ _SHARED, _TRIED = 5, 6
 _SKEW, _BEND = 4, 3
 _CAUCHY_SIGMAS = 2.385  # 95 % efficiency on normal errors (Rey 1983)
 _HUBER_SIGMAS = 2.0
-#: Each point has 8 image coordinates and 3 unknowns of its own; median of chi-square(5) / 5.
+#: Each point has 8 image coordinates and 3 unknowns of its own, a span's score the shared unknowns; median of chi-square(5) / 5.
 _FREEDOM, _MEDIAN_CHI2 = 5, 0.8703
-#: Median of chi-square(5) / 5, of a span's score.
-_MEDIAN_SCORE2 = 0.8703
 _NEAREST_M = 0.3
 #: The last step, squared and in sigmas, must be smaller than this.
 _CONVERGED = 0.01
@@ -90,20 +89,20 @@ def as_camera(turn_and_bend: Floats, focal_px: float) -> tuple[Floats, float]:
 
 
 def estimate_right_camera(
-    cameras: StereoCameras, spans: Sequence[SpanPoints], limits: MotionLimits, min_spans: int
+    cameras: StereoCameras, spans: Sequence[SpanPoints], params: TrajectoryParams
 ) -> RightCameraError | None:
     """Turn and bend of the right camera under which the points of all spans are static; None where they are not determined.
 
-    min_spans: fewer usable spans give no scatter. Points on moving objects are outvoted within each span.
+    Fewer usable spans than `self_calibration_min_spans` give no scatter. Points on moving objects are outvoted within each span.
     """
     state = np.zeros(_SHARED)
     starts: list[Floats | None] = [None] * len(spans)
     for _ in range(_OUTER):
         own = corrected(cameras, state[:_SKEW])
-        chosen = [_still(own, span, limits, seed, starts[seed]) for seed, span in enumerate(spans)]
+        chosen = [_still(own, span, params, seed, starts[seed]) for seed, span in enumerate(spans)]
         starts = [None if c is None else c.last_SE3_first for c in chosen]
         used = [c for c in chosen if c is not None]
-        if len(used) < min_spans:
+        if len(used) < params.self_calibration_min_spans:
             return None
         joint = _joined(own, used)
         for _ in range(_INNER):
@@ -148,11 +147,11 @@ def _joined(cameras: StereoCameras, spans: Sequence[SpanPoints]) -> _JointSpans:
 
 
 def _still(
-    cameras: StereoCameras, span: SpanPoints, limits: MotionLimits, seed: int, start: Floats | None
+    cameras: StereoCameras, span: SpanPoints, params: TrajectoryParams, seed: int, start: Floats | None
 ) -> SpanPoints | None:
     """The points of a span that one motion explains, and that motion; None where there are too few."""
     motion = estimate_motion(
-        cameras, span.first_px[:, :3], span.last_px[:, :3], span.sigma_px, span.last_SE3_first, limits, seed, start
+        cameras, span.first_px[:, :3], span.last_px[:, :3], span.sigma_px, span.last_SE3_first, params, seed, start
     )
     if motion.status is not MotionStatus.OK:
         return None
@@ -244,7 +243,7 @@ def _combine(all_normals: Floats, all_scores: Floats) -> tuple[Floats, Floats, F
         rest = scores - normals @ step
         # Covariance of a span's score: its information times the excess scatter between spans.
         score2 = np.einsum("si,sij,sj->s", rest, inverses, rest) / _SHARED
-        spread = max(float(np.median(score2)) / _MEDIAN_SCORE2, 1e-12)
+        spread = max(float(np.median(score2)) / _MEDIAN_CHI2, 1e-12)
         weight = np.minimum(1.0, _HUBER_SIGMAS / np.sqrt(score2 / spread + 1e-300))
     weighted = weight[:, None] * rest
     count = len(normals)

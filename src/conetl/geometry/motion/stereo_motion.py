@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from conetl.geometry.small_arrays import all_stepped, apart, inverse_of_symmetric, median, stepped
+from conetl.model.params import TrajectoryParams
 from conetl.model.records import Matrix4, Record
 
 Floats = NDArray[np.float64]
@@ -36,6 +37,8 @@ _VAGUE_SHARE = 0.25
 _MAJORITY = 0.5
 #: Largest step, squared and in sigmas, that ends the iteration.
 _CONVERGED = 1e-3
+#: A motion that is known less well counts as unknown.
+_MAX_SIGMA_M, _MAX_SIGMA_RAD = 0.2, 0.01
 
 
 class RelativeMotion(Record):
@@ -86,19 +89,6 @@ class StereoCameras:
 
 
 @dataclass(frozen=True)
-class MotionLimits:
-    """When a motion is believed. `gate_*`: hypotheses farther from the expected motion than this are not considered."""
-
-    inlier_px: float = 1.5
-    min_inliers: int = 25
-    min_inlier_share: float = 0.2
-    gate_m: float = 0.6
-    gate_rad: float = 0.03
-    max_sigma_m: float = 0.2
-    max_sigma_rad: float = 0.01
-
-
-@dataclass(frozen=True)
 class StereoMotion:
     """Result of `estimate_motion`; unless `status` is OK the motion is the expected one."""
 
@@ -108,8 +98,6 @@ class StereoMotion:
     """(6, 6) of (w, d): rad^2, rad m, m^2; scaled by the residuals' own spread."""
     inliers: Bools
     """(N,)"""
-    rms_px: float
-    """Of the inliers' reprojection errors in the second pair."""
 
 
 def triangulate(cameras: StereoCameras, observed_px: Floats) -> tuple[Floats, Floats, Bools]:
@@ -162,14 +150,12 @@ def _directions(cameras: StereoCameras, points_m: Floats) -> tuple[Floats, Float
     return points_m[..., 0] / z, points_m[..., 1] / z, z, right_x / zr, zr, valid
 
 
-def _followers(
-    cameras: StereoCameras, points: Floats, second_px: Floats, usable: Bools, reach_px: Floats, poses: Floats
-) -> Bools:
+def _followers(cameras: StereoCameras, points: Floats, second_px: Floats, reach_px: Floats, poses: Floats) -> Bools:
     """(H, N): which points follow motions (H, 4, 4) to within their reach."""
     moved = points @ np.swapaxes(poses[:, :3, :3], 1, 2) + poses[:, None, :3, 3]
     x, y, _, xr, _, valid = _directions(cameras, moved)
     fx, fy, cx, cy = cameras.left_px
-    follows = valid & usable & (np.abs(fx * x + (cx - second_px[:, 0])) <= reach_px)
+    follows = valid & (np.abs(fx * x + (cx - second_px[:, 0])) <= reach_px)
     follows &= np.abs(fy * y + (cy - second_px[:, 1])) <= reach_px
     follows &= np.abs(cameras.right_px[0] * xr + (cameras.right_px[2] - second_px[:, 2])) <= reach_px
     return np.asarray(follows)
@@ -181,7 +167,7 @@ def estimate_motion(
     second_px: Floats,
     sigma_px: Floats,
     expected: Floats,
-    limits: MotionLimits,
+    params: TrajectoryParams,
     seed: int = 0,
     start: Floats | None = None,
     guess: Floats | None = None,
@@ -193,69 +179,50 @@ def estimate_motion(
     motion of the same points with another calibration, in place of a search; guess (4, 4): possibly the result, such as the
     motion of the interval before, used where most points follow it. Never raises on bad points.
     """
-    count = len(first_px)
     points, d_points, usable = triangulate(cameras, first_px)
     usable &= np.isfinite(first_px).all(axis=1) & np.isfinite(second_px).all(axis=1)
     # An uncertain depth is biased as well: noise makes far points appear near.
     usable &= sigma_px * np.linalg.norm(d_points[:, 2, :], axis=1) <= _VAGUE_SHARE * points[:, 2]
-    nobody = np.zeros(count, dtype=bool)
-    if int(usable.sum()) < limits.min_inliers:
-        return StereoMotion(MotionStatus.TOO_FEW_POINTS, expected, np.zeros((6, 6)), nobody, 0.0)
+    chosen = np.flatnonzero(usable)
+
+    def result(status: MotionStatus, pose: Floats, inliers: Bools, cov: Floats | None = None) -> StereoMotion:
+        """inliers: among the usable points."""
+        everywhere = np.zeros(len(first_px), dtype=bool)
+        everywhere[chosen] = inliers
+        return StereoMotion(status, pose, np.zeros((6, 6)) if cov is None else cov, everywhere)
+
+    if len(chosen) < params.min_points:
+        return result(MotionStatus.TOO_FEW_POINTS, expected, np.zeros(len(chosen), dtype=bool))
     # A residual is expected to grow with the point's own errors: near points magnify them.
-    reach = limits.inlier_px * _spread_px(cameras, points, d_points, sigma_px, expected) / np.median(sigma_px) / 2**0.5
-    best = None
+    reach = params.inlier_px * _spread_px(cameras, points, d_points, sigma_px, expected) / np.median(sigma_px) / 2**0.5
+    points, d_points, second_px, sigma_px, reach = (a[chosen] for a in (points, d_points, second_px, sigma_px, reach))
+
+    def best_of(poses: Floats) -> tuple[Floats, Bools]:
+        """The motion near the expected one that most points follow, and which do."""
+        turn, shift = apart(poses, expected)
+        poses = poses[(shift <= params.gate_m) & (turn <= params.gate_rad)]
+        follows = _followers(cameras, points, second_px, reach, poses)
+        winner = int(follows.sum(axis=1).argmax())
+        return poses[winner], follows[winner]
+
     if start is not None:
-        best = start, _followers(cameras, points, second_px, usable, reach, start[None])[0]
-    if best is None or best[1].sum() < limits.min_inliers:
-        best = _majority(cameras, points, second_px, usable, reach, expected, guess, limits)
-    if best is None:
-        best = _consensus(cameras, points, second_px, usable, reach, expected, limits, seed)
-    if best is None:
-        return StereoMotion(MotionStatus.NO_CONSENSUS, expected, np.zeros((6, 6)), nobody, 0.0)
-    pose, inliers = best
-    if inliers.sum() < max(limits.min_inliers, limits.min_inlier_share * usable.sum()):
-        return StereoMotion(MotionStatus.NO_CONSENSUS, expected, np.zeros((6, 6)), inliers, 0.0)
-    return _refine(cameras, points, d_points, second_px, sigma_px, usable, reach, pose, inliers, limits)
+        pose, inliers = start, _followers(cameras, points, second_px, reach, start[None])[0]
+    if start is None or inliers.sum() < params.min_points:
+        pose, inliers = best_of(expected[None] if guess is None else np.stack([guess, expected]))
+        if inliers.sum() < max(params.min_points, _MAJORITY * len(points)):
+            pose, inliers = best_of(
+                np.concatenate([expected[None], _hypotheses(cameras, points, second_px, expected, seed)])
+            )
+    if inliers.sum() < max(params.min_points, params.min_inlier_share * len(points)):
+        return result(MotionStatus.NO_CONSENSUS, expected, inliers & (inliers.sum() >= _MINIMAL_POINTS))
+    return result(*_refine(cameras, points, d_points, second_px, sigma_px, reach, pose, params.min_points))
 
 
-def _majority(
-    cameras: StereoCameras,
-    points: Floats,
-    second_px: Floats,
-    usable: Bools,
-    reach_px: Floats,
-    expected: Floats,
-    guess: Floats | None,
-    limits: MotionLimits,
-) -> tuple[Floats, Bools] | None:
-    """A guess, or the expected motion, where most usable points follow it, and which do."""
-    poses = expected[None] if guess is None else np.stack([guess, expected])
-    turn, shift = apart(poses, expected)
-    poses = poses[(shift <= limits.gate_m) & (turn <= limits.gate_rad)]
-    follows = _followers(cameras, points, second_px, usable, reach_px, poses)
-    votes = follows.sum(axis=1)
-    winner = int(votes.argmax())
-    if votes[winner] < max(limits.min_inliers, _MAJORITY * usable.sum()):
-        return None
-    return poses[winner], follows[winner]
-
-
-def _consensus(
-    cameras: StereoCameras,
-    points: Floats,
-    second_px: Floats,
-    usable: Bools,
-    reach_px: Floats,
-    expected: Floats,
-    limits: MotionLimits,
-    seed: int,
-) -> tuple[Floats, Bools] | None:
-    """The three-point motion that most points follow, among those near the expected one; and which do."""
+def _hypotheses(cameras: StereoCameras, points: Floats, second_px: Floats, expected: Floats, seed: int) -> Floats:
+    """(H, 4, 4) three-point motions."""
     rng = np.random.default_rng(seed)
-    index = np.flatnonzero(usable)
-    draws = index[
-        rng.integers(0, len(index), (_HYPOTHESES, _MINIMAL_POINTS))
-    ]  # one point twice wastes that hypothesis only
+    # One point twice wastes that hypothesis only.
+    draws = rng.integers(0, len(points), (_HYPOTHESES, _MINIMAL_POINTS))
     poses = np.broadcast_to(expected, (_HYPOTHESES, 4, 4)).copy()
     for _ in range(4):
         moved = np.einsum("hij,hnj->hni", poses[:, :3, :3], points[draws]) + poses[:, None, :3, 3]
@@ -268,15 +235,7 @@ def _consensus(
         normal = np.swapaxes(design, 1, 2) @ design + (1e-9 * scale + 1e-12)[:, :, None] * np.eye(6)
         step = np.linalg.solve(normal, np.einsum("hni,hn->hi", design, residual)[..., None])[..., 0]
         poses = all_stepped(poses, np.clip(np.nan_to_num(step), -1.0, 1.0))
-    poses = np.concatenate([expected[None], poses])
-    turn, shift = apart(poses, expected)
-    poses = poses[(shift <= limits.gate_m) & (turn <= limits.gate_rad)]
-    follows = _followers(cameras, points, second_px, usable, reach_px, poses)
-    votes = follows.sum(axis=1)
-    if not len(votes) or votes.max() < _MINIMAL_POINTS:
-        return None
-    winner = int(votes.argmax())
-    return poses[winner], follows[winner]
+    return poses
 
 
 def _refine(
@@ -285,28 +244,27 @@ def _refine(
     d_points: Floats,
     second_px: Floats,
     sigma_px: Floats,
-    usable: Bools,
     reach_px: Floats,
     pose: Floats,
-    inliers: Bools,
-    limits: MotionLimits,
-) -> StereoMotion:
-    """Iteratively reweighted Gauss-Newton over the inliers, which are chosen anew in the first iterations."""
+    min_inliers: int,
+) -> tuple[MotionStatus, Floats, Bools, Floats | None]:
+    """Iteratively reweighted Gauss-Newton over the inliers, which are chosen anew in the first iterations.
+
+    Returns status, motion, inliers and covariance, as `StereoMotion`.
+    """
     # Coordinates come first and points last, so that each line below is a few long operations over all points.
-    chosen = np.flatnonzero(usable)
-    at, seen = points[chosen].T.copy(), second_px[chosen].T.copy()
-    d_at, variance = np.ascontiguousarray(d_points[chosen].transpose(1, 2, 0)), sigma_px[chosen] ** 2
-    reach_px = reach_px[chosen]
+    at, seen, variance = points.T.copy(), second_px.T.copy(), sigma_px**2
+    d_at = np.ascontiguousarray(d_points.transpose(1, 2, 0))
+    inliers = np.ones(len(points), dtype=bool)
     for iteration in range(_MAX_ITERATIONS):
         turned = pose[:3, :3] @ at
         image, jacobian, valid = _image_of(cameras, turned + pose[:3, 3:])
         r, spread_of, var = seen - image, d_at, variance
         if iteration < _CHOOSING_ITERATIONS:  # later a point at the bound could alternate
-            good = np.flatnonzero(valid & (np.abs(r).max(axis=0) <= reach_px))
-            inliers = np.zeros(len(points), dtype=bool)
-            inliers[chosen[good]] = True
-            if len(good) < limits.min_inliers:
-                return StereoMotion(MotionStatus.NO_CONSENSUS, pose, np.zeros((6, 6)), inliers, 0.0)
+            inliers = valid & (np.abs(r).max(axis=0) <= reach_px)
+            good = np.flatnonzero(inliers)
+            if len(good) < min_inliers:
+                return MotionStatus.NO_CONSENSUS, pose, inliers, None
             # `take`, since what an index in brackets gives lies in memory point by point.
             r, jacobian, turned, spread_of, var = (x.take(good, -1) for x in (r, jacobian, turned, d_at, variance))
             if iteration == _CHOOSING_ITERATIONS - 1:
@@ -331,7 +289,7 @@ def _refine(
         try:
             inverse = np.linalg.inv(normal)
         except np.linalg.LinAlgError:
-            return StereoMotion(MotionStatus.DEGENERATE, pose, np.zeros((6, 6)), inliers, 0.0)
+            return MotionStatus.DEGENERATE, pose, inliers, None
         step = inverse @ (wide @ r.ravel())
         pose = stepped(pose, step)
         if iteration >= _CHOOSING_ITERATIONS and float((step**2 * np.diag(normal)).max()) < _CONVERGED:
@@ -340,10 +298,9 @@ def _refine(
             cov = inverse @ (scores @ scores.T) @ inverse
             cov = np.maximum(1.0, r.shape[1] / max(r.shape[1] - 6, 1)) * (cov + cov.T) / 2
             sigma = np.sqrt(np.diag(cov))
-            known = sigma[:3].max() <= limits.max_sigma_rad and sigma[3:].max() <= limits.max_sigma_m
-            status = MotionStatus.OK if known else MotionStatus.DEGENERATE
-            return StereoMotion(status, pose, cov, inliers, float(np.sqrt(np.mean(r**2))))
-    return StereoMotion(MotionStatus.NOT_CONVERGED, pose, np.zeros((6, 6)), inliers, 0.0)
+            known = sigma[:3].max() <= _MAX_SIGMA_RAD and sigma[3:].max() <= _MAX_SIGMA_M
+            return MotionStatus.OK if known else MotionStatus.DEGENERATE, pose, inliers, cov
+    return MotionStatus.NOT_CONVERGED, pose, inliers, None
 
 
 def _image_of(cameras: StereoCameras, points_m: Floats) -> tuple[Floats, Floats, Bools]:
@@ -363,14 +320,9 @@ def _image_of(cameras: StereoCameras, points_m: Floats) -> tuple[Floats, Floats,
 def _spread_px(cameras: StereoCameras, points: Floats, d_points: Floats, sigma_px: Floats, pose: Floats) -> Floats:
     """Expected sigma (N,) of a residual, the largest of its three coordinates."""
     _, jacobian, _ = _image_of(cameras, pose[:3, :3] @ points.T + pose[:3, 3:])
-    carried = _by_point(_by_point(jacobian, pose[:3, :3, None]), d_points.transpose(1, 2, 0))
+    carried = np.einsum("ikn,kjn->ijn", np.einsum("ikn,kj->ijn", jacobian, pose[:3, :3]), d_points.transpose(1, 2, 0))
     variance = 1 + (carried * carried).sum(axis=1).max(axis=0)
     return np.asarray(sigma_px * np.sqrt(np.clip(np.nan_to_num(variance, nan=2.0), 2.0, 50.0)))
-
-
-def _by_point(a: Floats, b: Floats) -> Floats:
-    """Products (3, 3, N) of N matrices each, (3, 3, N); a last axis of length 1 is one matrix for all."""
-    return np.asarray(a[:, 0, None] * b[0] + a[:, 1, None] * b[1] + a[:, 2, None] * b[2])
 
 
 def _point_jacobian(turned: Floats) -> Floats:

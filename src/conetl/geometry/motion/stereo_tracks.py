@@ -18,13 +18,7 @@ from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
 from conetl.geometry import pose as se3
 from conetl.geometry.camera import intrinsics
-from conetl.geometry.motion.stereo_motion import (
-    MotionLimits,
-    MotionStatus,
-    RelativeMotion,
-    StereoCameras,
-    estimate_motion,
-)
+from conetl.geometry.motion.stereo_motion import MotionStatus, RelativeMotion, StereoCameras, estimate_motion
 from conetl.geometry.rig import left_SE3_right, map_SE3_left
 from conetl.model.params import TrajectoryParams
 from conetl.model.records import FramePair, Positive, Record, Rig
@@ -99,17 +93,6 @@ def expected_motions(frame_pairs: Sequence[FramePair], rig: Rig) -> list[Floats]
     return [se3.compose(se3.invert(second), first) for first, second in pairwise(poses)]
 
 
-def motion_limits(params: TrajectoryParams) -> MotionLimits:
-    """The parameters of `estimate_motion`."""
-    return MotionLimits(
-        inlier_px=params.inlier_px,
-        min_inliers=params.min_points,
-        min_inlier_share=params.min_inlier_share,
-        gate_m=params.gate_m,
-        gate_rad=params.gate_rad,
-    )
-
-
 def motions_of(
     tracks: Iterable[StereoTracks],
     frame_pairs: Sequence[FramePair],
@@ -122,7 +105,7 @@ def motions_of(
     earlier: motions of the same tracks by a slightly other rig, as start values in place of the search among hypotheses. Without
     them the motion of the interval before is tried first.
     """
-    cameras, limits = cameras_of(rig), motion_limits(params)
+    cameras = cameras_of(rig)
     before: Floats | None = None
     starts = [None] * (len(frame_pairs) - 1) if earlier is None else [motion.second_SE3_first for motion in earlier]
     for points, expected, start in zip(tracks, expected_motions(frame_pairs, rig), starts, strict=True):
@@ -130,7 +113,7 @@ def motions_of(
         first_px, second_px, sigma_px = points.points()
         if points.missing is None:
             motion = estimate_motion(
-                cameras, first_px[:, :3], second_px[:, :3], sigma_px, expected, limits, seed=points.first_frame_index,
+                cameras, first_px[:, :3], second_px[:, :3], sigma_px, expected, params, seed=points.first_frame_index,
                 start=None if start is None else np.array(start), guess=before,
             )  # fmt: skip
             reason, inliers = str(motion.status), int(motion.inliers.sum())

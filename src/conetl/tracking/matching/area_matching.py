@@ -4,7 +4,7 @@ Boxes are loose by a pixel or more; matching grey values determines the disparit
 cross-correlation over whole pixels is followed by least-squares matching (Ackermann 1984; Gruen 1985) by Gauss-Newton, with
 gain and offset per colour.
 
-The left image is matched along the disparity *surface* of an upright body of revolution (`cone_outline.py`, `cone_surface.py`);
+The left image is matched along the disparity *surface* of an upright body of revolution (`cone_outline.py`, `cone_pixels.py`);
 the result is the disparity of its axis at the foot. Lean of the cone, nearness of its surface and shift of each edge are
 unknowns with priors, so that sigma contains their effect. Sigma is that of the residuals under slopes common to both images
 (`covariance.py`).

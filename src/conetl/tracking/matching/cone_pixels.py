@@ -1,4 +1,10 @@
-"""Pixels of the left image used to match a cone: its body, its edges, and the background beside them."""
+"""Pixels of the left image used to match a cone: its body, its edges, and the background beside them, with their depths.
+
+Depth is that of the visible surface of a standing cone, from its outline, up to scale. A plane through each edge of the outline
+and the projection centre touches the cone. The plane midway between both contains the axis, upright through the foot's row. The
+circular cone about that axis that touches both planes is unique up to its size, the unknown of the matching; so the depth of the
+axis at the foot is 1. Each pixel's ray meets that cone in a quadratic equation; nothing is linearised.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +16,6 @@ from scipy.special import ndtr
 
 from conetl.model.records import Camera
 from conetl.tracking.matching.cone_outline import Outline
-from conetl.tracking.matching.cone_surface import cone_surface
 from conetl.tracking.matching.spline_patch import SplinePatch
 
 Floats = NDArray[np.float64]
@@ -87,7 +92,7 @@ def cone_pixels(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: F
     i, j = np.nonzero(inside)
     if len(i) < _MIN_PIXELS:
         return None
-    surface = cone_surface(outline, camera, up, v[i].astype(np.float64), u[j].astype(np.float64))
+    surface = _cone_surface(outline, camera, up, v[i].astype(np.float64), u[j].astype(np.float64))
     if surface is None:
         return None
     # At the edge the blurred outline is visible, not the surface.
@@ -112,7 +117,7 @@ def _beyond(left: NDArray[np.uint8], outline: Outline, camera: Camera, up: Float
     axis, radius = outline.axis(y), outline.radius(y)
     columns = axis[:, None, None] + np.array([-1.0, 1.0])[None, :, None] * (radius[:, None, None] + _BEYOND_PX)
     columns, y = columns.ravel(), np.repeat(y, 2 * len(_BEYOND_PX))
-    surface = cone_surface(outline, camera, up, y, columns)
+    surface = _cone_surface(outline, camera, up, y, columns)
     patch = SplinePatch.of(left, rows[0], rows[-1], columns.min(), columns.max())
     if surface is None or patch is None:
         return None
@@ -133,3 +138,59 @@ def _smooth(image: NDArray[np.uint8], rows: Ints, columns: Ints) -> tuple[Floats
         np.asarray((blurred[:, 2:] - blurred[:, :-2]) / 2),
         np.asarray((down[:, :-2] + 4 * down[:, 1:-1] + down[:, 2:]) / 6),
     )
+
+
+class _Surface(NamedTuple):
+    """Depths of n pixels, in units of the axis's depth at the foot."""
+
+    depth: Floats
+    """(n,) of the first intersection of the ray with the surface; of the limb outside the outline"""
+    limb: Floats
+    """(n,) of the point of the ray nearest to the axis, where it touches the cone at the limb"""
+    height: Floats
+    """(n,) of that point above the foot, along the axis"""
+
+
+def _cone_surface(outline: Outline, camera: Camera, up: Floats, rows: Floats, columns: Floats) -> _Surface | None:
+    """The surface at image points (n,) rows and columns; None if the edges are not those of an upright body.
+
+    up: unit vector (3,) in the camera's frame (x right, y down, z forward).
+    """
+    left = _plane(camera, (outline.left_top, outline.tip_row), (outline.left_foot, outline.foot_row), -1.0)
+    right = _plane(camera, (outline.right_top, outline.tip_row), (outline.right_foot, outline.foot_row), 1.0)
+    middle = right - left  # both point outwards, so that the midway plane is equally far inside of both
+    middle /= np.linalg.norm(middle)
+    y = (outline.foot_row - camera.cy_px) / camera.fy_px
+    foot = np.array([-(middle[1] * y + middle[2]) / middle[0], y, 1.0])
+    axis = up - (up @ middle) * middle
+    axis /= np.linalg.norm(axis)
+    # A plane touches a cone of radius r0 + r1 h if its distance from the axis is (r0 + r1 h) cos(half angle) at all h.
+    sine = float(right @ axis)
+    cosine = np.sqrt(1.0 - sine**2)
+    r0, r1 = -float(right @ foot) / cosine, -sine / cosine
+    if r0 <= 0:
+        return None
+    rays = np.ones((3, len(rows)))
+    rays[0], rays[1] = (columns - camera.cx_px) / camera.fx_px, (rows - camera.cy_px) / camera.fy_px
+    # | depth * ray - foot |^2 - h^2 = (r0 + r1 h)^2 with h = (depth * ray - foot) . axis
+    rise, start = axis @ rays, float(foot @ axis)
+    base = r0 - r1 * start
+    a = (rays**2).sum(axis=0) - (1 + r1**2) * rise**2
+    b = -foot @ rays + (1 + r1**2) * rise * start - r1 * rise * r0
+    c = float(foot @ foot) - start**2 - base**2
+    if (a <= 0).any():
+        return None
+    limb = -b / a
+    depth = limb - np.sqrt(np.maximum(b**2 - a * c, 0.0)) / a
+    if (depth <= 0.5).any():
+        return None
+    return _Surface(depth, limb, limb * rise - start)
+
+
+def _plane(camera: Camera, top: tuple[float, float], foot: tuple[float, float], outwards: float) -> Floats:
+    """(3,) unit normal of the plane through the projection centre and a line of the image, its x of the sign `outwards`."""
+    (x0, y0), (x1, y1) = (
+        ((u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px) for u, v in (top, foot)
+    )
+    normal = np.array([y0 - y1, x1 - x0, x0 * y1 - y0 * x1])  # the cross product of the rays (x, y, 1) through both
+    return np.asarray(normal / np.linalg.norm(normal) * np.sign(normal[0]) * outwards)
