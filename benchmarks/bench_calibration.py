@@ -15,12 +15,11 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.harness import arguments_of, write_json
-from conetl.geometry.calibration.board_views import BoardView
+from conetl.geometry.calibration.stereo_bundle import BoardView
 from conetl.geometry.calibration.stereo_calibration import StereoCalibration, calibrate_stereo
 from conetl.geometry.calibration.tables import rms_px
 from conetl.perception.boards.boards import Board, parse_board
-from conetl.perception.boards.images import find_boards, pairs_even_odd, pairs_in_folders
-from conetl.perception.boards.start_values import start_values
+from conetl.perception.boards.images import find_boards, pairs_even_odd, pairs_in_folders, start_values
 
 
 def baseline_mm(found: StereoCalibration) -> tuple[float, float]:

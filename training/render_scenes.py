@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from conetl.simulation.parts import cone_parts
+from conetl.simulation.scenario import Colour, Cone, Road, RoadObject, World
 from conetl.simulation.scene import (
     PinholeCamera,
     build_scene,
@@ -27,7 +28,6 @@ from conetl.simulation.scene import (
     load_mitsuba,
     render,
 )
-from conetl.simulation.world import Colour, Cone, Road, RoadObject, World
 
 VIEWS_PER_SCENE = 3
 MIN_HEIGHT_PX = 7.0

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from conetl.model.records import CalibrationCovariance, Camera, Matrix4, Rig
+from conetl.simulation.scenario import Cone, World
 from conetl.simulation.scene import PinholeCamera, build_scene, render
-from conetl.simulation.world import Cone, World
 
 Array = NDArray[np.float64]
 

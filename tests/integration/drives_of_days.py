@@ -13,7 +13,7 @@ import numpy as np
 
 from conetl.db.connection import Connection, execute
 from conetl.db.map.map_store import find_changeset, map_transaction
-from conetl.geometry.calibration.shared import with_covariance
+from conetl.geometry.calibration.covariance import with_covariance
 from conetl.model.map_records import Changeset
 from conetl.model.params import IngestParams
 from conetl.model.records import (

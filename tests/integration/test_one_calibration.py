@@ -20,7 +20,7 @@ from conetl.db.map.map_store import (
     system_time,
 )
 from conetl.db.map.replay_store import affected_drives, write_replay
-from conetl.geometry.calibration.shared import calibration_id, unpack_all, with_covariance
+from conetl.geometry.calibration.covariance import calibration_id, unpack_all, with_covariance
 from conetl.geometry.packing import cov_matrix
 from conetl.model.map_records import DeltaKind
 from conetl.model.records import CalibrationCovariance, SharedErrorJacobian

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
-from conetl.geometry.calibration.board_views import BoardView
-from conetl.geometry.calibration.stereo_bundle import Bundle, BundleError, residuals_px
+from conetl.geometry.calibration.stereo_bundle import BoardView, Bundle, BundleError, residuals_px
 from conetl.geometry.calibration.stereo_calibration import Start
 from conetl.model.records import Camera, Lens
 

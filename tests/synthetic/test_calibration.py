@@ -11,9 +11,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from conetl.geometry import pose as se3
-from conetl.geometry.calibration.board_views import BoardView
 from conetl.geometry.calibration.bundle_covariance import rig_covariance
-from conetl.geometry.calibration.stereo_bundle import Bundle, BundleError, adjust, reduce, residuals_px
+from conetl.geometry.calibration.stereo_bundle import BoardView, Bundle, BundleError, adjust, reduce, residuals_px
 from conetl.geometry.calibration.stereo_calibration import Start, calibrate_stereo, rig_of
 from conetl.model.records import Lens
 from tests.synthetic.calibration_world import board_points, observe, start_near, true_bundle

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from conetl.geometry.calibration.covariance import calibration_jacobian
-from conetl.geometry.calibration.shared import jacobian_of, shared_errors, unpack_all
+from conetl.geometry.calibration.covariance import calibration_jacobian, jacobian_of, shared_errors, unpack_all
 from conetl.geometry.packing import cov3, cov_matrix
 from conetl.geometry.rig import map_SE3_left
 from conetl.mapping.changes import reconcile

@@ -10,8 +10,13 @@ from conetl.geometry import pose as se3
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.model.params import IngestParams, TrajectoryParams
 from conetl.model.records import FramePair, Position
-from conetl.tracking.landmarks import refine_with_cones
-from conetl.tracking.trajectory import RefinementOutcome, motion_error, refine_trajectory, relative_cov
+from conetl.tracking.trajectory import (
+    RefinementOutcome,
+    motion_error,
+    refine_trajectory,
+    refine_with_cones,
+    relative_cov,
+)
 from tests.synthetic.noisy_drive import PoseErrors, _draw
 from tests.synthetic.odometry import log_of, motions_of, pose_errors, true_poses
 from tests.synthetic.world import Cone, make_path, make_rig

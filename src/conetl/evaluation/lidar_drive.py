@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.evaluation import lidar_check as steps
-from conetl.evaluation.lidar_scene import SceneBias, fit_scene_bias, scene_samples
+from conetl.evaluation.lidar_check import SceneBias, fit_scene_bias, scene_samples
 from conetl.geometry import pose as se3
 from conetl.geometry.packing import cov_matrix
 from conetl.geometry.rig import map_SE3_left

@@ -4,8 +4,8 @@ Best linear unbiased fusion (Bar-Shalom & Campo 1986, "The effect of the common 
 covariance"; Bar-Shalom, Willett & Tian 2011, "Tracking and Data Fusion", ch. 9): with covariances P1, P2 and cross-covariance
 C, the gain of the second is G = (P1 - C) (P1 + P2 - C - C')^-1.
 
-Drives share the errors of a calibration (`geometry/calibration/shared.py`). With the shared-error Jacobian A of an estimate, P
-= R + A A', R being independent, and C = A1 A2'. The fused Jacobian is (I - G) A1 + G A2, the fused independent part (I - G) R1
+Drives share the errors of a calibration (`geometry/calibration/covariance.py`). With the shared-error Jacobian A of an estimate,
+P = R + A A', R being independent, and C = A1 A2'. The fused Jacobian is (I - G) A1 + G A2, the fused independent part (I - G) R1
 (I - G)' + G R2 G'; their sum is positive definite and never below what the calibration leaves. Drives from one side have the
 same Jacobian, so that the calibration's error stays; from opposite sides the Jacobians cancel. A gain may be below 0 or above
 1: of a near and a far estimate with one calibration, the far one shows the direction of the common error. Without Jacobians A =
@@ -21,7 +21,7 @@ from uuid import UUID
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.geometry.calibration.shared import pack_all, unpack_all
+from conetl.geometry.calibration.covariance import pack_all, unpack_all
 from conetl.geometry.packing import cov3, cov_matrices, cov_matrix
 from conetl.model.map_records import MapFeature
 from conetl.model.records import Cov3, SharedErrorJacobian, Track

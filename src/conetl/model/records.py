@@ -96,7 +96,7 @@ class SharedErrors(Record):
     """Errors of a calibration common to all drives that use it; the rest is of this drive alone."""
 
     calibration: UUID
-    """Id of the given calibration (`geometry/calibration/shared.py`)."""
+    """Id of the given calibration (`geometry/calibration/covariance.py`)."""
     matrix: tuple[tuple[float, ...], ...]
     """One row per parameter, in the order of `CalibrationCovariance.names`: its change by one sigma of each independent
     error."""
@@ -309,7 +309,7 @@ class SharedErrorJacobian(NamedTuple):
     calibrations: tuple[UUID, ...]
     """Sorted."""
     moved_m: bytes
-    """(C, 3, K) metres of the map, big-endian float32: by calibration, axis and error; see `geometry/calibration/shared.py`."""
+    """(C, 3, K) metres of the map, big-endian float32: by calibration, axis, error; see `geometry/calibration/covariance.py`."""
 
 
 class Track(Record):

@@ -34,8 +34,7 @@ from conetl.perception.model_card import (
     read_model_card,
     shipped_model_path,
 )
-from conetl.perception.rescoring import rescore
-from conetl.perception.small_objects import MIN_SCORE, detect_small_objects
+from conetl.perception.second_passes import MIN_SCORE, detect_small_objects, rescore
 
 MAX_SIDE_PX = 1600
 MIN_SIDE_PX = 8
@@ -188,8 +187,8 @@ def detect_image(
 
     Returns (N, 9) [x, y, w, h, score, foot x, foot y, tip x, tip y] by falling score: x, y is the top-left corner, in pixels of
     the given image, whose left and top edges are x = 0 and y = 0 (the centre of the first pixel is 0.5). Foot and tip are NaN
-    where the network does not give them. The sidecar may enable the small-object pass (`small_objects.py`) and, after it, the
-    re-scoring pass (`rescoring.py`). first_row: rows above it are not searched (`geometry.camera.first_road_row`). within: x0,
+    where the network does not give them. The sidecar may enable the small-object pass and, after it, the re-scoring
+    pass (`second_passes.py`). first_row: rows above it are not searched (`geometry.camera.first_road_row`). within: x0,
     y0, x1, y1 in which boxes must have their centre (None: anywhere), reach_px: how far they may extend beyond it; the network
     then sees a margin of `CONTEXT_PX` only.
     """

@@ -1,7 +1,8 @@
 """Image files -> arrays. A faulty file raises `ImageFileError`, which callers turn into a rejection.
 
 Faults of the storage are not properties of the image and must not be stored as rejections: they raise `StorageError`, and tasks
-try again.
+try again. Size and end of a JPEG or PNG file are read from its bytes before it is decoded: reading a truncated JPEG can yield
+pixels of the image decoded before it (opencv#26488), and OpenCV takes images of up to 2^30 pixels.
 """
 
 from __future__ import annotations
@@ -9,10 +10,11 @@ from __future__ import annotations
 import hashlib
 import os
 import stat
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -21,14 +23,119 @@ from numpy.typing import NDArray
 from conetl.files.storage import is_present, is_remote, object_bytes, recall, remember
 from conetl.model.errors import StorageError
 from conetl.model.rejections import RejectionReason
-from conetl.perception.image_headers import ImageFormatError, ImageHeader, ImageTruncatedError, inspect_image
 
+_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+#: Start-of-frame markers: all of C0..CF but DHT (C4), JPG (C8) and DAC (CC).
+_SOF = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+_STANDALONE = frozenset({0x01, *range(0xD0, 0xD8)})
 #: Larger files are not read at all.
 MAX_FILE_BYTES = 256 * 2**20
 #: Larger images are not decoded where no size is expected (a 100-megapixel camera still fits).
 MAX_PIXELS = 2**27
 _HEAD_BYTES, _TAIL_BYTES = 2**16, 2**12
 _PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
+
+
+class ImageFormatError(ValueError):
+    """The bytes are neither a JPEG nor a PNG that could be decoded."""
+
+
+class ImageTruncatedError(ValueError):
+    """The file starts like an image but ends too early."""
+
+
+class ImageHeader(NamedTuple):
+    """Format ("jpeg" or "png") and size in pixels."""
+
+    format: str
+    width_px: int
+    height_px: int
+
+
+def inspect_image(data: bytes) -> ImageHeader:
+    """Header of a whole image file.
+
+    Raises ImageFormatError for anything but JPEG and PNG, ImageTruncatedError where the end is missing.
+    """
+    if not data:
+        raise ImageFormatError("the file is empty")
+    if data.startswith(_PNG_SIGNATURE):
+        return _inspect_png(data)
+    if data.startswith(b"\xff\xd8"):
+        return _inspect_jpeg(data)
+    raise ImageFormatError(f"the file is neither a JPEG nor a PNG; it begins with {data[:4].hex(' ')}")
+
+
+def _inspect_png(data: bytes) -> ImageHeader:
+    """Walk the chunks up to IEND and check the checksum of each."""
+    position = len(_PNG_SIGNATURE)
+    size: tuple[int, int] | None = None
+    view = memoryview(data)
+    while True:
+        if position + 12 > len(data):
+            raise ImageTruncatedError("the PNG ends before its IEND chunk")
+        length = int.from_bytes(data[position : position + 4], "big")
+        kind = data[position + 4 : position + 8]
+        end = position + 12 + length
+        if end > len(data):
+            raise ImageTruncatedError(f"the PNG ends inside its {kind.decode('latin-1')} chunk")
+        if zlib.crc32(view[position + 4 : end - 4]) != int.from_bytes(data[end - 4 : end], "big"):
+            raise ImageFormatError(f"the PNG's {kind.decode('latin-1')} chunk is damaged (checksum)")
+        if size is None:
+            if kind != b"IHDR" or length != 13:
+                raise ImageFormatError("the PNG does not begin with an IHDR chunk")
+            size = (int.from_bytes(data[position + 8 : position + 12], "big"),
+                    int.from_bytes(data[position + 12 : position + 16], "big"))  # fmt: skip
+        if kind == b"IEND":
+            break
+        position = end
+    return _header("png", *size)
+
+
+def _inspect_jpeg(data: bytes) -> ImageHeader:
+    """Walk the segments to the first scan, then look for the end marker.
+
+    Inside scan data every FF byte is stuffed, so FF D9 there is the end marker and nothing else.
+    """
+    position, size, scanned = 2, None, False
+    while not scanned:
+        if position + 4 > len(data):
+            raise ImageTruncatedError("the JPEG ends inside its header")
+        if data[position] != 0xFF:
+            raise ImageFormatError(f"the JPEG's header is damaged at byte {position}")
+        marker = data[position + 1]
+        if marker == 0xFF:
+            position += 1
+            continue
+        if marker in _STANDALONE:
+            position += 2
+            continue
+        if marker == 0xD9:
+            raise ImageTruncatedError("the JPEG holds no image data")
+        length = int.from_bytes(data[position + 2 : position + 4], "big")
+        if length < 2:
+            raise ImageFormatError(f"the JPEG's header is damaged at byte {position}")
+        if position + 2 + length > len(data):
+            raise ImageTruncatedError("the JPEG ends inside its header")
+        if marker in _SOF:
+            if length < 8:
+                raise ImageFormatError(f"the JPEG's header is damaged at byte {position}")
+            body = data[position + 4 : position + 2 + length]
+            size = (int.from_bytes(body[3:5], "big"), int.from_bytes(body[1:3], "big"))
+        scanned = marker == 0xDA
+        position += 2 + length
+    # Some cameras pad the file; the end marker must still be the last thing that means anything.
+    if not data[position:].rstrip(b"\x00\r\n ").endswith(b"\xff\xd9"):
+        raise ImageTruncatedError("the JPEG lacks its end marker (FF D9): the file was cut off")
+    if size is None:
+        raise ImageFormatError("the JPEG has no frame header")
+    return _header("jpeg", *size)
+
+
+def _header(kind: str, width: int, height: int) -> ImageHeader:
+    if width < 1 or height < 1:
+        raise ImageFormatError(f"the {kind.upper()} says it is {width} x {height} pixels")
+    return ImageHeader(kind, width, height)
 
 
 class ImageFileError(Exception):
@@ -40,16 +147,6 @@ class ImageFileError(Exception):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.reason, str(self))  # from a process of its own
-
-
-def read_checked_bytes(path: Path, expected_size: tuple[int, int] | None) -> bytes:
-    """The bytes of an image file whose header, size and end marker are as they should be; nothing is decoded.
-
-    expected_size: width and height in pixels, or None for any up to `MAX_PIXELS`. Raises ImageFileError.
-    """
-    data = read_bytes(path)
-    check_image_bytes(data, path.name, expected_size)
-    return data
 
 
 def check_image_bytes(data: bytes, name: str, expected_size: tuple[int, int] | None) -> ImageHeader:
@@ -81,7 +178,7 @@ def check_image_ends(path: Path, name: str, expected_size: tuple[int, int]) -> I
                 data = file.read(_HEAD_BYTES)
                 file.seek(-_TAIL_BYTES, 2)
                 data += file.read()
-    if data.startswith(b"\x89PNG\r\n\x1a\n"):  # the chunks cannot be walked: the header's own, and the end's
+    if data.startswith(_PNG_SIGNATURE):  # the chunks cannot be walked: the header's own, and the end's
         data = data[:33] + _PNG_END if data.rstrip(b"\0").endswith(_PNG_END) else data[:33]
     if data:
         try:
@@ -108,16 +205,21 @@ def decode_image(
 ) -> NDArray[np.uint8]:
     """Like `read_image`, of a file's bytes; `name` is for ImageFileError."""
     check_image_bytes(data, name, expected_size)
-    flags = (cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR) | cv2.IMREAD_IGNORE_ORIENTATION
+    image = _decoded(data, name, (cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR) | cv2.IMREAD_IGNORE_ORIENTATION)
+    if expected_size is not None and image.shape[:2] != (expected_size[1], expected_size[0]):
+        raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, f"{name}: header and decoded image differ in size")
+    return np.asarray(image, dtype=np.uint8)
+
+
+def _decoded(data: bytes, name: str, flags: int) -> NDArray[Any]:
+    """An image as OpenCV decodes it. Raises ImageFileError."""
     try:
         image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
     except cv2.error as error:
         raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, f"{name}: the decoder failed: {error}") from error
     if image is None:
         raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, f"{name}: the image cannot be decoded; copy it again")
-    if expected_size is not None and image.shape[:2] != (expected_size[1], expected_size[0]):
-        raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, f"{name}: header and decoded image differ in size")
-    return np.asarray(image, dtype=np.uint8)
+    return np.asarray(image)
 
 
 def read_upright_image(path: Path) -> NDArray[np.uint8]:
@@ -127,16 +229,10 @@ def read_upright_image(path: Path) -> NDArray[np.uint8]:
     stretched to their own darkest and brightest permille, as many cameras fill only 10 or 12 of the 16 bits. For images
     without a calibration; drives are read by `read_image`. Raises ImageFileError.
     """
-    raw = np.frombuffer(read_checked_bytes(path, None), dtype=np.uint8)
-    try:
-        colour = cv2.imdecode(raw, cv2.IMREAD_COLOR)
-        stored = cv2.imdecode(raw, cv2.IMREAD_UNCHANGED) if raw[:1].tobytes() == b"\x89" else None  # a PNG
-    except cv2.error as error:
-        raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, f"{path.name}: the decoder failed: {error}") from error
-    if colour is None:
-        raise ImageFileError(
-            RejectionReason.IMAGE_UNREADABLE, f"{path.name}: the image cannot be decoded; copy it again"
-        )
+    data = read_bytes(path)
+    kind = check_image_bytes(data, path.name, None).format
+    colour = _decoded(data, path.name, cv2.IMREAD_COLOR)
+    stored = _decoded(data, path.name, cv2.IMREAD_UNCHANGED) if kind == "png" else None
     # What IMREAD_COLOR lost: the depth of 16-bit images and transparency. Both decodings have the same orientation or they
     # cannot be put together (an orientation tag in such a PNG); then the plain one stays.
     if stored is None or stored.shape[:2] != colour.shape[:2]:

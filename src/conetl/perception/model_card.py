@@ -38,7 +38,7 @@ class SideDistributionHead(BaseModel):
 
 
 class ReScoringPass(BaseModel):
-    """Re-scoring pass (`rescoring.py`), key `closer_look`; sizes in pixels of the network's input."""
+    """Re-scoring pass (`second_passes.py`), key `closer_look`; sizes in pixels of the network's input."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -61,7 +61,7 @@ class ReScoringPass(BaseModel):
 
 
 class SmallObjectPass(BaseModel):
-    """Small-object pass (`small_objects.py`), key `enlarged_look`; sizes in pixels of the network's input."""
+    """Small-object pass (`second_passes.py`), key `enlarged_look`; sizes in pixels of the network's input."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 

@@ -21,10 +21,9 @@ from conetl.perception.worker_setup import set_up_worker
 from conetl.perception.working_size import ImageReader
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, geometry_key
 from conetl.pipeline.executor import Tick, ignore
-from conetl.tracking.landmarks import refine_with_cones
 from conetl.tracking.self_calibration import SelfCalibration, choose_spans, span_params, spread_spans
 from conetl.tracking.self_calibration import self_calibrate as estimate_calibration
-from conetl.tracking.trajectory import RefinedTrajectory
+from conetl.tracking.trajectory import RefinedTrajectory, refine_with_cones
 
 _log = logging.getLogger(__name__)
 _PAIRS_AT_ONCE = 8

@@ -11,8 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from conetl.geometry.calibration.board_views import BoardView
-from conetl.geometry.calibration.stereo_bundle import Bundle, residuals_px
+from conetl.geometry.calibration.stereo_bundle import BoardView, Bundle, residuals_px
 from conetl.model.records import Drive, Side
 from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_rig_image

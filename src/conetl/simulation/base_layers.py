@@ -15,10 +15,9 @@ from pyproj import CRS, Transformer
 
 from conetl.model.errors import InputError
 from conetl.readers.base_layers.point_tiles import first_in_voxels
-from conetl.simulation.scenario import scenario_pass
+from conetl.simulation.scenario import Road, scenario_pass
 from conetl.simulation.scene import build_scene, load_mitsuba
 from conetl.simulation.trajectory import MAP_SRID, map_SE3_road
-from conetl.simulation.world import Road
 
 Array = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from conetl.simulation import meshes, textures
 from conetl.simulation.meshes import Mesh
+from conetl.simulation.scenario import Colour, Cone, RoadObject
 from conetl.simulation.textures import Image
-from conetl.simulation.world import Colour, Cone, RoadObject
 
 Array = NDArray[np.float64]
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from conetl.geometry.pose import se3
 from conetl.simulation.scene import PinholeCamera
 
 Array = NDArray[np.float64]
@@ -38,12 +39,8 @@ class SimulatedRig:
 
     def body_SE3_camera(self, number: int) -> Array:
         """(4, 4) pose of rectified camera `number` on the IMU."""
-        cami_SE3_rect, rect_SE3_cam0 = np.eye(4), np.eye(4)
-        cami_SE3_rect[:3, 3] = self.t_rect_m[number]
-        rect_SE3_cam0[:3, :3] = self.rect_R_cam0
-        return np.asarray(
-            np.linalg.inv(cami_SE3_rect @ rect_SE3_cam0 @ self.cam0_SE3_velo @ self.velo_SE3_imu), dtype=np.float64
-        )
+        cami_SE3_rect, rect_SE3_cam0 = se3(np.eye(3), self.t_rect_m[number]), se3(self.rect_R_cam0, np.zeros(3))
+        return np.asarray(np.linalg.inv(cami_SE3_rect @ rect_SE3_cam0 @ self.cam0_SE3_velo @ self.velo_SE3_imu))
 
     @property
     def imu_height_m(self) -> float:
@@ -66,8 +63,8 @@ def simulated_rig(width_px: int = DESIGN_SIZE[0], height_px: int = DESIGN_SIZE[1
     axes = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])  # x forward, y left -> x right, y down
     return SimulatedRig(
         camera=camera,
-        velo_SE3_imu=_rigid(_degrees(0.31, -0.17, 0.22), (-0.7914, 0.3308, -0.8126)),
-        cam0_SE3_velo=_rigid(_degrees(1.45, -0.24, 0.13) @ axes, (0.0123, -0.0694, -0.2871)),
+        velo_SE3_imu=se3(_degrees(0.31, -0.17, 0.22), (-0.7914, 0.3308, -0.8126)),
+        cam0_SE3_velo=se3(_degrees(1.45, -0.24, 0.13) @ axes, (0.0123, -0.0694, -0.2871)),
         rect_R_cam0=_degrees(0.28, 0.41, -0.35),
         t_rect_m={
             0: np.zeros(3), 1: np.array([-0.5374, 0.0, 0.0]),
@@ -78,9 +75,3 @@ def simulated_rig(width_px: int = DESIGN_SIZE[0], height_px: int = DESIGN_SIZE[1
 
 def _degrees(x: float, y: float, z: float) -> Array:
     return np.asarray(Rotation.from_euler("xyz", [math.radians(a) for a in (x, y, z)]).as_matrix())
-
-
-def _rigid(rotation: Array, translation_m: tuple[float, float, float]) -> Array:
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = rotation, translation_m
-    return pose

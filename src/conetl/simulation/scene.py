@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from conetl.model.errors import InputError
 from conetl.simulation import meshes, textures
 from conetl.simulation.parts import BUILDERS, Part, cone_parts, motion
-from conetl.simulation.world import World
+from conetl.simulation.scenario import World
 
 Array = NDArray[np.float64]
 FULL_WELL_ELECTRONS = 9000.0

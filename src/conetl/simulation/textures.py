@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from conetl.simulation.world import Colour, Cone
+from conetl.simulation.scenario import Colour, Cone
 
 Image = NDArray[np.uint8]
 Array = NDArray[np.float64]

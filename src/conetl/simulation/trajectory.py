@@ -11,9 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pyproj import Proj, Transformer
+from pyproj import Transformer
 from scipy.spatial.transform import Rotation
 
+from conetl.geometry.geodesy import grid_convergence_rad
 from conetl.simulation.scenario import ScenarioPass
 
 Array = NDArray[np.float64]
@@ -99,8 +100,8 @@ def gauss_markov(model: DriftModel, times_s: Array, rng: np.random.Generator) ->
 
 def oxts_records(positions_m: Array, rpy_grid_rad: Array, times_s: Array) -> list[list[float]]:
     """KITTI's 30 numbers per pose; lat/lon in degrees, yaw from true east, velocities and rates by differences."""
-    lon, lat = _to_geodetic(positions_m[:, 0], positions_m[:, 1])
-    convergence = convergence_rad(lat, lon)
+    lon, lat = Transformer.from_crs(MAP_SRID, 4326, always_xy=True).transform(positions_m[:, 0], positions_m[:, 1])
+    convergence = grid_convergence_rad(MAP_SRID, lat, lon)
     rpy = rpy_grid_rad.copy()
     rpy[:, 2] = _wrap(rpy[:, 2] - convergence)
     smooth = np.column_stack([_smooth(column, times_s) for column in positions_m.T])
@@ -125,17 +126,6 @@ def oxts_records(positions_m: Array, rpy_grid_rad: Array, times_s: Array) -> lis
             ]
         )  # fmt: skip
     return [[float(value) for value in record] for record in records]
-
-
-def convergence_rad(lat_deg: Array, lon_deg: Array) -> Array:
-    """Meridian convergence of the map's projection: from true to grid north, clockwise positive."""
-    factors = Proj(f"EPSG:{MAP_SRID}").get_factors(lon_deg, lat_deg)
-    return np.asarray(np.radians(factors.meridian_convergence), dtype=np.float64)
-
-
-def _to_geodetic(easting_m: Array, northing_m: Array) -> tuple[Array, Array]:
-    lon, lat = Transformer.from_crs(MAP_SRID, 4326, always_xy=True).transform(easting_m, northing_m)
-    return np.asarray(lon), np.asarray(lat)
 
 
 def _smooth(values: Array, times_s: Array) -> Array:

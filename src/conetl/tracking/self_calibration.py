@@ -19,9 +19,15 @@ from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
-from conetl.geometry.calibration.covariance import known_covariance
+from conetl.geometry.calibration.covariance import (
+    as_rows,
+    calibration_id,
+    known_covariance,
+    square_root,
+    with_covariance,
+    with_shared,
+)
 from conetl.geometry.calibration.self_calibration import SpanPoints, as_camera, estimate_right_camera
-from conetl.geometry.calibration.shared import as_rows, calibration_id, square_root, with_covariance, with_shared
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.motion.stereo_tracks import StereoTracks, cameras_of
 from conetl.geometry.packing import vec3

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.geometry.calibration.shared import jacobian_of
+from conetl.geometry.calibration.covariance import jacobian_of
 from conetl.geometry.joint_fit import fit_point
 from conetl.geometry.packing import cov3, vec3
 from conetl.geometry.rig import map_SE3_left, map_SE3_right

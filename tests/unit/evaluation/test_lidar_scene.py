@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from conetl.evaluation.lidar_scene import fit_scene_bias, scene_samples
+from conetl.evaluation.lidar_check import fit_scene_bias, scene_samples
 from conetl.model.records import Camera, Detection, Rig
 
 SIZE = (200, 600)

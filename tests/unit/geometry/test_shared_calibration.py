@@ -7,11 +7,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
-from conetl.geometry.calibration.covariance import calibration_jacobian, shared_cov
-from conetl.geometry.calibration.shared import (
+from conetl.geometry.calibration.covariance import (
     calibration_id,
+    calibration_jacobian,
     jacobian_of,
     pack_all,
+    shared_cov,
     shared_errors,
     square_root,
     unpack_all,

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from conetl.geometry.calibration.shared import pack_all, unpack_all
+from conetl.geometry.calibration.covariance import pack_all, unpack_all
 from conetl.geometry.packing import cov3, cov_matrix
 from conetl.mapping.fusion import MOST_CALIBRATIONS, fuse, tracks_in_map_frame
 from conetl.model.map_records import MapFeature

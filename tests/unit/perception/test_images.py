@@ -16,8 +16,16 @@ from PIL import Image
 from conetl.model.errors import StorageError
 from conetl.model.rejections import RejectionReason
 from conetl.perception import images
-from conetl.perception.image_headers import ImageFormatError, ImageTruncatedError, inspect_image
-from conetl.perception.images import ImageFileError, check_image_ends, read_bytes, read_image, read_upright_image
+from conetl.perception.images import (
+    ImageFileError,
+    ImageFormatError,
+    ImageTruncatedError,
+    check_image_ends,
+    inspect_image,
+    read_bytes,
+    read_image,
+    read_upright_image,
+)
 
 SIZE = (64, 48)
 IMAGE = np.random.default_rng(0).integers(0, 255, (48, 64, 3), dtype=np.uint8)

@@ -15,7 +15,7 @@ from pydantic import ValidationError
 
 from conetl.perception.detector import detect_image, load_detector
 from conetl.perception.model_card import ReScoringPass, read_model_card
-from conetl.perception.rescoring import pooled_score, rescore, window_around
+from conetl.perception.second_passes import pooled_score, rescore, window_around
 
 SETTINGS = ReScoringPass(cone_px=48, window_px=96, scores=(0.25, 0.75), share=0.35)
 REPOSITORY = Path(__file__).resolve().parents[3]

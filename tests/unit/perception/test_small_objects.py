@@ -19,8 +19,14 @@ from pydantic import ValidationError
 from conetl.perception.decoding import NetworkBoxes
 from conetl.perception.detector import Detector, detect_image, load_detector
 from conetl.perception.model_card import SmallObjectPass, read_model_card
-from conetl.perception.rescoring import pooled_score
-from conetl.perception.small_objects import CELL_PX, MIN_SCORE, detect_small_objects, enlargement, parts_around
+from conetl.perception.second_passes import (
+    CELL_PX,
+    MIN_SCORE,
+    detect_small_objects,
+    enlargement,
+    parts_around,
+    pooled_score,
+)
 
 SETTINGS = SmallObjectPass(below_px=40, from_score=0.25, around_px=24, scale=2.0, share=0.65)
 DRIVES = Path(__file__).resolve().parents[3] / "data" / "drives"

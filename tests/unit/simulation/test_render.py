@@ -18,10 +18,9 @@ from conetl.model.errors import InputError
 from conetl.readers.drives import read_drive
 from conetl.simulation import trajectory
 from conetl.simulation.rig import simulated_rig
-from conetl.simulation.scenario import scenario_pass
+from conetl.simulation.scenario import Cone, World, scenario_pass
 from conetl.simulation.scene import PinholeCamera, build_scene, develop, exposure_gain, render
 from conetl.simulation.simulate import simulate_drive
-from conetl.simulation.world import Cone, World
 
 pytest.importorskip("mitsuba", reason="Mitsuba is not installed: pip install 'conetl[simulate]'")
 

@@ -10,8 +10,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from conetl.simulation.scenario import Cone, RoadObject, World
 from conetl.simulation.scene import PinholeCamera, build_scene, render
-from conetl.simulation.world import Cone, RoadObject, World
 
 pytest.importorskip("mitsuba", reason="Mitsuba is not installed: pip install 'conetl[simulate]'")
 

@@ -10,8 +10,7 @@ import pytest
 from conetl.model.errors import InputError
 from conetl.simulation import trajectory
 from conetl.simulation.rig import simulated_rig
-from conetl.simulation.scenario import scenario_pass
-from conetl.simulation.world import Cone
+from conetl.simulation.scenario import Cone, scenario_pass
 
 
 def test_all_cones_are_added_then_one_moved_one_removed_two_added_then_all_confirmed() -> None:

@@ -16,7 +16,7 @@ from conetl.readers.drives import oxts
 from conetl.readers.drives.drive_yaml import Sigmas
 from conetl.readers.drives.timestamps import parse_timestamp
 from conetl.readers.rigs import read_rig
-from conetl.simulation import kitti_writer, trajectory
+from conetl.simulation import simulate, trajectory
 from conetl.simulation.rig import CAMERA_HEIGHT_M, simulated_rig
 from conetl.simulation.scenario import scenario_pass
 
@@ -34,7 +34,7 @@ def _exact(poses: np.ndarray, times: np.ndarray) -> list[list[float]]:
 @pytest.mark.parametrize("pass_number", [1, 2, 3])
 def test_reader_gets_the_true_poses_back_from_noiseless_records(pass_number: int, tmp_path: Path) -> None:
     times, poses = _drive(pass_number)
-    kitti_writer.write_oxts(tmp_path, _exact(poses, times), ["stamp"] * len(times))
+    simulate.write_oxts(tmp_path, _exact(poses, times), ["stamp"] * len(times))
     files = sorted((tmp_path / "oxts" / "data").glob("*.txt"))
     records = {int(path.stem): oxts.parse_oxts(path.read_text()) for path in files}
     read = oxts.trajectory(records, {}, trajectory.MAP_SRID, Sigmas())
@@ -83,7 +83,7 @@ def test_measured_poses_differ_as_the_noise_model_says() -> None:
 
 def test_written_calibration_is_the_chain_of_the_renderer(tmp_path: Path) -> None:
     rig = simulated_rig()
-    kitti_writer.write_calibration(tmp_path, rig, datetime(2026, 3, 2, tzinfo=UTC))
+    simulate.write_calibration(tmp_path, rig, datetime(2026, 3, 2, tzinfo=UTC))
     read = read_rig(tmp_path)
     np.testing.assert_allclose(body_SE3_camera(read, "left"), rig.body_SE3_camera(2), atol=1e-9)
     np.testing.assert_allclose(body_SE3_camera(read, "right"), rig.body_SE3_camera(3), atol=1e-9)
@@ -97,7 +97,7 @@ def test_written_calibration_is_the_chain_of_the_renderer(tmp_path: Path) -> Non
 
 def test_timestamps_are_read_back() -> None:
     start = datetime(2026, 3, 2, 9, 59, 59, 950_000, UTC)
-    written = kitti_writer.timestamp(start, 0.1)
+    written = simulate.timestamp(start, 0.1)
     assert written == "2026-03-02 10:00:00.050000000"
     ten = int(datetime(2026, 3, 2, 10, tzinfo=UTC).timestamp())
     assert parse_timestamp(written) == ten * 10**9 + 50_000_000

@@ -7,8 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
-from conetl.geometry.calibration.covariance import calibration_cov
-from conetl.geometry.calibration.shared import calibration_id, shared_errors
+from conetl.geometry.calibration.covariance import calibration_cov, calibration_id, shared_errors
 from conetl.geometry.camera import project
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.motion.stereo_tracks import NoMeasurement, StereoTracks

@@ -24,8 +24,8 @@ from conetl.perception.boards.images import (
     pairs_even_odd,
     pairs_in_folders,
     rejection,
+    start_values,
 )
-from conetl.perception.boards.start_values import start_values
 from conetl.readers.rigs.rig_yaml import write_rig_yaml
 from conetl.reports.calibration_report import calibration_as_dict, write_calibration_report
 

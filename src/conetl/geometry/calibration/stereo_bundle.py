@@ -8,25 +8,24 @@ poses are eliminated pair by pair (Schur complement; Brown 1958, Triggs et al. 2
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
-from conetl.geometry.calibration.board_views import BoardView
 from conetl.geometry.calibration.covariance import INTERIOR, RELATIVE
 from conetl.geometry.camera import project
 from conetl.geometry.jacobians import project_with_jacobian
 from conetl.geometry.small_arrays import cross_matrix
 from conetl.model.records import LENS_COEFFICIENTS, Camera, Lens, LensModel, Side
 
+Ints = NDArray[np.int64]
 Array = NDArray[np.float64]
 #: Sides in the order of the unknowns.
 SIDES: tuple[Side, Side] = ("left", "right")
-
 #: Prior sigmas of a free board's shape, as a share of its diagonal: paper and plates buckle, but are printed well. Without them
 #: the aspect ratios of a board that is always upright and of the pixels could not be separated.
 SHAPE_SIGMA_ACROSS = 0.001
@@ -34,6 +33,56 @@ SHAPE_SIGMA_OUT_OF_PLANE = 0.01
 #: A step that changes the sum of squares by less than this share ends the iteration.
 _CONVERGENCE = 1e-9
 _LIGHT = 1e-3
+
+
+@dataclass(frozen=True)
+class BoardView:
+    """The corners of the board that one image shows.
+
+    point_ids: (n,) row numbers in the board's points. uv_px: (n, 2), origin at the centre of the top-left pixel.
+    """
+
+    pair_index: int
+    side: Side
+    point_ids: Ints
+    uv_px: Array
+
+    def only(self, keep: NDArray[np.bool_]) -> BoardView:
+        """The view with the corners of the mask `keep` (n,)."""
+        return BoardView(self.pair_index, self.side, self.point_ids[keep], self.uv_px[keep])
+
+
+def shape_basis(points_m: ArrayLike) -> Array:
+    """Orthonormal basis (3n, 3n - 7) of the deformations of n board points (n, 3) that no rigid motion and no scale explains.
+
+    A board's shape and its poses are only determined together up to a similarity; these are the inner constraints of a free
+    network (Meissl), with the mean scale held by the nominal points.
+    """
+    p = np.asarray(points_m, dtype=np.float64)
+    centred = p - p.mean(axis=0)
+    x, y, z = centred.T
+    zero = np.zeros_like(x)
+    motions = [
+        *(np.tile(axis, (len(p), 1)) for axis in np.eye(3)),
+        np.stack([zero, -z, y], axis=1),
+        np.stack([z, zero, -x], axis=1),
+        np.stack([-y, x, zero], axis=1),
+        centred,
+    ]
+    datum = np.stack([m.ravel() for m in motions], axis=1)
+    q, _ = np.linalg.qr(datum, mode="complete")
+    return np.ascontiguousarray(q[:, 7:])
+
+
+def pair_indices(views: Iterable[BoardView]) -> list[int]:
+    """Numbers of all pairs with a view, ascending."""
+    return sorted({view.pair_index for view in views})
+
+
+def stereo_pairs(views: Sequence[BoardView]) -> list[int]:
+    """Numbers of the pairs of which both cameras have a view, ascending."""
+    left, right = ({view.pair_index for view in views if view.side == side} for side in SIDES)
+    return sorted(left & right)
 
 
 class BundleError(ValueError):
@@ -85,7 +134,6 @@ class PairSystem:
 class Reduced:
     """The system without board poses: each pair's share of the normal matrix (p, g, g) and of its right side (p, g)."""
 
-    pairs: tuple[int, ...]
     normals: Array
     gradients: Array
     prior: Array
@@ -155,17 +203,15 @@ def adjust(
 
 def reduce(bundle: Bundle, views: Sequence[BoardView]) -> Reduced:
     """The linearised system at a bundle, with the board poses eliminated."""
-    by_pair = _by_pair(views, None)
-    pairs = tuple(by_pair)
     normals, gradients = [], []
-    for pair in pairs:
-        system = pair_system(bundle, by_pair[pair])
+    for parts in _by_pair(views, None).values():
+        system = pair_system(bundle, parts)
         a, b, r = system.by_global, system.by_pose, system.residuals_px
         inner = np.linalg.solve(b.T @ b, np.column_stack([b.T @ a, b.T @ r]))
         free = np.column_stack([a, r]) - b @ inner  # the part that the board pose does not explain
         normals.append(free[:, :-1].T @ free[:, :-1])
         gradients.append(free[:, :-1].T @ free[:, -1])
-    return Reduced(pairs, np.array(normals), np.array(gradients), _prior(bundle))
+    return Reduced(np.array(normals), np.array(gradients), _prior(bundle))
 
 
 def pair_system(bundle: Bundle, parts: Sequence[tuple[BoardView, Array]]) -> PairSystem:
@@ -173,7 +219,7 @@ def pair_system(bundle: Bundle, parts: Sequence[tuple[BoardView, Array]]) -> Pai
     pose = bundle.board_SE3[parts[0][0].pair_index]
     points = bundle.board_points_m()
     count = bundle.rig_parameters
-    own = len(INTERIOR) + LENS_COEFFICIENTS[bundle.lens_model]
+    own = (count - len(RELATIVE)) // 2
     rows_r, rows_a, rows_b = [], [], []
     for view, weight in parts:
         turned = points[view.point_ids] @ pose[:3, :3].T
@@ -187,16 +233,14 @@ def pair_system(bundle: Bundle, parts: Sequence[tuple[BoardView, Array]]) -> Pai
             camera, in_camera = bundle.right, se3.apply(right_SE3_left, in_left)
         seen = project_with_jacobian(camera, in_camera)
         a[:, :, first : first + own] = seen.by_interior
-        by_camera_point = seen.by_point
-        by_left_point = by_camera_point @ camera_R_left
+        by_left_point = seen.by_point @ camera_R_left
         if view.side == "right":
             # left_SE3_right = (R exp(r), t + dt): x_right changes by x_right x r - R^T dt
-            a[:, :, count - 6 : count - 3] = by_camera_point @ cross_matrix(in_camera)
+            a[:, :, count - 6 : count - 3] = seen.by_point @ cross_matrix(in_camera)
             a[:, :, count - 3 : count] = -by_left_point
         if len(bundle.shape):
-            by_board_point = by_left_point @ pose[:3, :3]
             freedom = bundle.basis.reshape(-1, 3, len(bundle.shape))[view.point_ids]
-            a[:, :, count:] = by_board_point @ freedom
+            a[:, :, count:] = by_left_point @ pose[:3, :3] @ freedom
         b = np.concatenate([-by_left_point @ cross_matrix(turned), by_left_point], axis=2)
         root = np.sqrt(weight)[:, None]
         rows_r.append(((view.uv_px - seen.uv_px) * root).ravel())
@@ -236,8 +280,8 @@ def _stepped(bundle: Bundle, systems: dict[int, PairSystem], prior: Array, dampi
 
 def moved(bundle: Bundle, step: Array, pose_steps: dict[int, Array]) -> Bundle:
     """The bundle after a step (g,) of the global unknowns and (6,) steps of the board poses (rotation vector, shift)."""
-    own = len(INTERIOR) + LENS_COEFFICIENTS[bundle.lens_model]
     count = bundle.rig_parameters
+    own = (count - len(RELATIVE)) // 2
     r, t = bundle.left_SE3_right[:3, :3], bundle.left_SE3_right[:3, 3]
     relative = se3.se3(r @ _exp(step[count - 6 : count - 3]), t + step[count - 3 : count])
     poses = dict(bundle.board_SE3)

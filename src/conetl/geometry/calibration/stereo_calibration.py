@@ -10,16 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry import pose as se3
-from conetl.geometry.calibration.board_views import BoardView, pair_indices, shape_basis
 from conetl.geometry.calibration.bundle_covariance import RigCovariance, rig_covariance
 from conetl.geometry.calibration.stereo_bundle import (
     SIDES,
+    BoardView,
     Bundle,
     BundleError,
     adjust,
+    pair_indices,
     parameter_names,
     reduce,
     residuals_px,
+    shape_basis,
+    stereo_pairs,
 )
 from conetl.geometry.lens import distort, distort_jacobian, undistort
 from conetl.model.records import LENS_COEFFICIENTS, CalibrationCovariance, Camera, Lens, LensModel, Rig, Side
@@ -101,8 +104,7 @@ class StereoCalibration:
     @property
     def stereo_pairs(self) -> list[int]:
         """Pairs that both cameras see."""
-        sides = {(v.pair_index, v.side) for v in self.views}
-        return [p for p in pair_indices(self.views) if (p, "left") in sides and (p, "right") in sides]
+        return stereo_pairs(self.views)
 
 
 def calibrate_stereo(
@@ -176,7 +178,7 @@ def _assembled(
 ) -> tuple[Bundle, list[BoardView], list[ViewRejection]]:
     """A first bundle in one frame, without the pairs whose two images contradict the others."""
     by_key = {(view.pair_index, view.side): view for view in views}
-    both = [p for p in pair_indices(views) if (p, "left") in by_key and (p, "right") in by_key]
+    both = stereo_pairs(views)
     if len(both) < MIN_PAIRS:
         raise BundleError(
             f"{len(both)} pairs show the board in both images, at least {MIN_PAIRS} are needed (20 to 40 are good): "
@@ -317,8 +319,7 @@ def _robust(
 
 
 def _enough(views: Sequence[BoardView], rejected: Sequence[ViewRejection]) -> None:
-    keys = {(v.pair_index, v.side) for v in views}
-    left = sum((p, "left") in keys and (p, "right") in keys for p in pair_indices(views))
+    left = len(stereo_pairs(views))
     if left < MIN_PAIRS:
         raise BundleError(
             f"only {left} pairs are left after {len(rejected)} images that do not fit were removed: check the board's "

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import rig as rigs
-from conetl.geometry.calibration.board_views import BoardView
 from conetl.geometry.calibration.covariance import INTERIOR, RELATIVE
-from conetl.geometry.calibration.stereo_bundle import Bundle, residuals_px
+from conetl.geometry.calibration.stereo_bundle import BoardView, Bundle, residuals_px
 from conetl.geometry.rectification import rectified_from_raw, rectify
 from conetl.model.records import Rig, Side
 

@@ -14,8 +14,7 @@ from conetl.geometry.rectification import stored_camera
 from conetl.model.errors import DriveFolderError
 from conetl.model.records import Drive, FramePair, Pose, Rig, Side
 from conetl.model.rejections import Rejection, RejectionReason
-from conetl.perception.image_headers import inspect_image
-from conetl.perception.images import ImageFileError, check_image_bytes, check_image_ends, read_bytes
+from conetl.perception.images import ImageFileError, check_image_bytes, check_image_ends, inspect_image, read_bytes
 from conetl.readers.drives.drive_yaml import DriveYaml
 from conetl.readers.drives.timestamps import misplaced, wrong_clocks
 
