@@ -56,7 +56,6 @@ def lidar_residuals(
     drive_folder: Path,
     *,
     model_path: Path | None = None,
-    params: IngestParams | None = None,
     calibrate: Callable[[Drive, TrajectoryParams], SelfCalibration] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> LidarCheck:
@@ -65,7 +64,7 @@ def lidar_residuals(
     calibrate: self-calibration from the images alone; without it the calibration is used as delivered. progress: called with
     (scans done, scans in total). Raises InputError if the drive has no LiDAR, no calibration of it, or cannot be read.
     """
-    params = params or IngestParams()
+    params = IngestParams()
     drive, _ = read_drive(drive_folder)
     scans = list_scans(drive_folder)
     if not scans:

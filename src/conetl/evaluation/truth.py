@@ -21,6 +21,7 @@ Floats = NDArray[np.float64]
 #: Features of the map, or tracks of one drive.
 Found = TypeVar("Found", bound=MapFeature | Track)
 _FORBIDDEN = 1e6
+_GATE_M = 0.75
 TABLE_3_COLUMNS = ("cone", "", "easting", "northing", "height", "range", "cone height", "3D error")
 
 
@@ -115,16 +116,15 @@ def compare_with_truth(
     features: Sequence[Found],
     path_m: Floats,
     *,
-    gate_m: float = 0.75,
     within_m: float = 20.0,
 ) -> tuple[list[TruthLine[Found]], list[Found]]:
     """One line per cone of the truth, by cone id, and the false features.
 
     path_m: (F, 2 or 3) path of the left camera. Features or tracks are paired with cones one-to-one at the least total distance,
-    at most gate_m each. Cones farther than within_m from the path are left out.
+    at most 0.75 m each. Cones farther than within_m from the path are left out.
     """
     distances = np.array([[np.linalg.norm(np.subtract(f.xyz_m, cone.xyz_m)) for f in features] for cone in truth])
-    costs = np.where(distances <= gate_m, distances, _FORBIDDEN).reshape(len(truth), len(features))
+    costs = np.where(distances <= _GATE_M, distances, _FORBIDDEN).reshape(len(truth), len(features))
     rows, columns = linear_sum_assignment(costs)
     pairs = {i: j for i, j in zip(rows.tolist(), columns.tolist(), strict=True) if costs[i, j] < _FORBIDDEN}
     lines = []

@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 
 _MAX_ITERATIONS = 40
 _MAX_HALVINGS = 10
+_TOLERANCE = 1e-13
 
 
 def distort(lens: Lens, xy: ArrayLike) -> Array:
@@ -73,18 +74,18 @@ def field_radius(lens: Lens) -> float:
     return float(np.sqrt(min(_first_positive_root(slope.coef.tolist()), _first_positive_root(d.coef.tolist()))))
 
 
-def undistort(lens: Lens, xy: ArrayLike, *, tolerance: float = 1e-13) -> Array:
+def undistort(lens: Lens, xy: ArrayLike) -> Array:
     """Ideal normalised coordinates (..., 2) of distorted ones (..., 2), by damped Newton iterations.
 
     Both coordinates of a point are NaN where the lens has no such image point: where the iteration does not come closer than
-    `tolerance` (relative to 1 + the point's radius), where the answer lies beyond `field_radius`, or where the mapping is
+    `_TOLERANCE` (relative to 1 + the point's radius), where the answer lies beyond `field_radius`, or where the mapping is
     folded (its Jacobian's determinant is not positive).
     """
     wanted = _points(xy, "undistort")
     if lens.model == "none":
         return wanted.copy()
     flat = wanted.reshape(-1, 2)
-    found = _undistort_fisheye(lens, flat) if lens.model == "fisheye" else _undistort_polynomial(lens, flat, tolerance)
+    found = _undistort_fisheye(lens, flat) if lens.model == "fisheye" else _undistort_polynomial(lens, flat)
     return found.reshape(wanted.shape)
 
 
@@ -120,14 +121,14 @@ def _polynomial_jacobian(lens: Lens, p: Array) -> tuple[Array, Array]:
     return by_xy, by_k[..., : len(lens.coefficients)].copy()
 
 
-def _undistort_polynomial(lens: Lens, wanted: Array, tolerance: float) -> Array:
+def _undistort_polynomial(lens: Lens, wanted: Array) -> Array:
     """(n, 2) ideal coordinates of (n, 2) distorted ones, NaN where there are none."""
     limit = field_radius(lens)
     found = np.full(wanted.shape, np.nan)
     index = np.flatnonzero(np.isfinite(wanted).all(axis=1))
     target = wanted[index]
     at = _inside(target, 0.95 * limit)
-    accept = tolerance * (1.0 + np.hypot(target[:, 0], target[:, 1]))
+    accept = _TOLERANCE * (1.0 + np.hypot(target[:, 0], target[:, 1]))
     error = distort(lens, at) - target
     for _ in range(_MAX_ITERATIONS):
         size = np.hypot(error[:, 0], error[:, 1])

@@ -109,10 +109,10 @@ def suppress_overlaps(candidates: Floats, nms_iou: float) -> Floats:
     return ordered[np.asarray(kept, np.intp)]
 
 
-def without_parts(candidates: Floats, larger: Floats, inside_share: float = 0.8) -> Floats:
+def without_parts(candidates: Floats, larger: Floats) -> Floats:
     """Candidates (N, 5) without those that are part of a better box of `larger` (M, 5).
 
-    A part has `inside_share` of its area inside a box that is at least twice as large and scores at least as high, such as the
+    A part has four fifths of its area inside a box that is at least twice as large and scores at least as high, such as the
     reflective band of a cone that fills the image.
     """
     area = np.prod(candidates[:, 2:4] - candidates[:, :2], axis=1)
@@ -121,7 +121,7 @@ def without_parts(candidates: Floats, larger: Floats, inside_share: float = 0.8)
         low, high = np.maximum(box[:2], candidates[:, :2]), np.minimum(box[2:4], candidates[:, 2:4])
         shared = np.prod(np.clip(high - low, 0.0, None), axis=1)
         better = (box[4] >= candidates[:, 4]) & (np.prod(box[2:4] - box[:2]) >= 2.0 * area)
-        part |= better & (shared >= inside_share * area)
+        part |= better & (shared >= 0.8 * area)
     return candidates[~part]
 
 

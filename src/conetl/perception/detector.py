@@ -178,7 +178,6 @@ def detect_image(
     *,
     score_threshold: float,
     nms_iou: float = 0.5,
-    max_side_px: int = MAX_SIDE_PX,
     first_row: int = 0,
     within: tuple[float, float, float, float] | None = None,
     reach_px: float = 0.0,
@@ -206,7 +205,7 @@ def detect_image(
     candidate_score = score_threshold if rescoring is None else min(score_threshold, rescoring.scores[0])
     candidate_score = candidate_score if small_objects is None else min(candidate_score, MIN_SCORE)
     longest, shortest = max(road.shape[:2]), min(road.shape[:2])
-    side_px = min(longest, max_side_px)
+    side_px = min(longest, MAX_SIDE_PX)
     rows, columns = slice(0, road.shape[0]), slice(0, road.shape[1])
     if within is not None and detector.any_size:
         rows, columns = _part(detector, road.shape, within, reach_px, longest / side_px)

@@ -23,22 +23,22 @@ _BLOCK_ROWS = 64
 Maps = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 
-def read_rig_image(path: Path, rig: Rig, side: Side, *, grey: bool = False) -> NDArray[np.uint8]:
-    """Image of one side as (height, width, 3) uint8 in blue, green, red order, or (height, width) grey, in the size of the
-    rig's own camera.
+def read_rig_image(path: Path, rig: Rig, side: Side) -> NDArray[np.uint8]:
+    """Image of one side as (height, width, 3) uint8 in blue, green, red order, in the size of the rig's own camera.
 
     Where `rig.rectified_from` is set, the file is one of that rig and is resampled; else it is read as it is, at no cost.
     Raises ImageFileError (see `read_image`).
     """
     stored = stored_camera(rig, side)
-    image = read_image(path, (stored.width_px, stored.height_px), grey=grey)
+    image = read_image(path, (stored.width_px, stored.height_px))
     return image if rig.rectified_from is None else rectify_image(image, rig, side)
 
 
 def read_pair_image(pair: FramePair, side: Side, rig: Rig, *, grey: bool = False) -> NDArray[np.uint8]:
     """Like `read_rig_image`, of the image of a frame pair as it was when its drive was read; from memory where its bytes are.
 
-    Raises ImageFileError where these bytes are no image of the rig, StorageError where they cannot be read any more.
+    grey: as (height, width). Raises ImageFileError where these bytes are no image of the rig, StorageError where they cannot be
+    read any more.
     """
     path, sha256 = pair.image(side)
     stored = stored_camera(rig, side)

@@ -409,7 +409,7 @@ def test_an_empty_road_holds_no_cone(detector: Detector) -> None:
     assert found.shape == (0, 9)
 
 
-def test_padding_and_scale_do_not_move_a_cone(detector: Detector) -> None:
+def test_padding_and_scale_do_not_move_a_cone(detector: Detector, monkeypatch: pytest.MonkeyPatch) -> None:
     image = np.full((256, 384, 3), (110, 115, 118), np.uint8)
     image[:100] = (200, 180, 160)
     draw_cone(image, 150.0, 180.0, 60.0)
@@ -417,7 +417,8 @@ def test_padding_and_scale_do_not_move_a_cone(detector: Detector) -> None:
     cut = detect_image(detector, image[:243, :371], score_threshold=0.3)[0]  # needs padding
     np.testing.assert_allclose(cut[:4], whole[:4], atol=1.0)
     double = cv2.resize(image, None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR)
-    shrunk = detect_image(detector, double, score_threshold=0.3, max_side_px=384)[0]
+    monkeypatch.setattr("conetl.perception.detector.MAX_SIDE_PX", 384)
+    shrunk = detect_image(detector, double, score_threshold=0.3)[0]
     np.testing.assert_allclose(shrunk[:4], 2 * whole[:4], atol=3.0)
 
 

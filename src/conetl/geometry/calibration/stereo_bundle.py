@@ -33,6 +33,7 @@ SHAPE_SIGMA_OUT_OF_PLANE = 0.01
 #: A step that changes the sum of squares by less than this share ends the iteration.
 _CONVERGENCE = 1e-9
 _LIGHT = 1e-3
+_MAX_ITERATIONS = 60
 
 
 @dataclass(frozen=True)
@@ -168,7 +169,6 @@ def adjust(
     views: Sequence[BoardView],
     *,
     weights: Sequence[Array] | None = None,
-    max_iterations: int = 60,
 ) -> Bundle:
     """The bundle of least weighted squares, from a bundle nearby.
 
@@ -178,7 +178,7 @@ def adjust(
     damping = 1e-3
     prior = _prior(bundle)
     best = _cost(bundle, prior, by_pair)
-    for _ in range(max_iterations):
+    for _ in range(_MAX_ITERATIONS):
         systems = {pair: pair_system(bundle, parts) for pair, parts in by_pair.items()}
         while True:
             trial = _stepped(bundle, systems, prior, damping)
@@ -198,7 +198,7 @@ def adjust(
         bundle, best, damping = trial, cost, max(damping * 0.1, 1e-12)
         if done:
             return bundle
-    raise BundleError(f"the adjustment did not converge in {max_iterations} iterations")
+    raise BundleError(f"the adjustment did not converge in {_MAX_ITERATIONS} iterations")
 
 
 def reduce(bundle: Bundle, views: Sequence[BoardView]) -> Reduced:

@@ -7,7 +7,6 @@ least total cost is taken.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -45,12 +44,6 @@ _USUAL_MATCHES, _LARGEST_RATIO = 10.0, 3.0
 _SPREAD_BOUNDS = (0.5, 2.0)
 
 
-@dataclass(frozen=True)
-class _Candidate:
-    cost: float
-    area: AreaMatch | None
-
-
 class _Sought(NamedTuple):
     """A left detection with what all its candidates share."""
 
@@ -83,7 +76,7 @@ def match_pair(
     right_whole = [d for d in right if _is_whole(d, rig.right, rejections)]
     if not left_whole or not right_whole:
         return [], rejections
-    candidates: dict[tuple[int, int], _Candidate] = {}
+    areas: dict[tuple[int, int], AreaMatch | None] = {}
     costs = np.full((len(left_whole), len(right_whole)), np.inf)
     middles = np.array([[d.x_px + d.w_px / 2 - 0.5, d.y_px + d.h_px / 2 - 0.5] for d in left_whole])
     for i, (a, (shift, rows_up)) in enumerate(zip(left_whole, infinity_shift_px(rig, middles).tolist(), strict=True)):
@@ -91,13 +84,12 @@ def match_pair(
         for j, b in enumerate(right_whole):
             candidate = _candidate(sought, b, rig, params, images if params.refine else None, up_left)
             if candidate is not None:
-                candidates[i, j] = candidate
-                costs[i, j] = candidate.cost
+                costs[i, j], areas[i, j] = candidate
     # Forbidden pairs cost more than leaving both unmatched.
     rows, columns = linear_sum_assignment(np.where(np.isfinite(costs), costs, 1e6))
-    pairs = [pair for pair in zip(rows.tolist(), columns.tolist(), strict=True) if pair in candidates]
+    pairs = [pair for pair in zip(rows.tolist(), columns.tolist(), strict=True) if pair in areas]
     matches = [
-        _stereo_match(index, left_whole[i], right_whole[j], candidates[i, j], rig, up_left)
+        _stereo_match(index, left_whole[i], right_whole[j], float(costs[i, j]), areas[i, j], rig, up_left)
         for index, (i, j) in enumerate(pairs)
     ]
     return matches, rejections
@@ -179,8 +171,8 @@ def _candidate(
     params: MatchParams,
     images: tuple[Image, Image] | None,
     up: NDArray[np.float64],
-) -> _Candidate | None:
-    """Cost of matching two detections, None if forbidden."""
+) -> tuple[float, AreaMatch | None] | None:
+    """Cost of matching two detections, and what matching their images found; None if forbidden."""
     a, at_infinity, row_offset_px, outlines = sought
     tallest = max(a.h_px, b.h_px)
     row_tolerance = row_tolerance_px(params, tallest)
@@ -212,7 +204,7 @@ def _candidate(
     cost = row_difference / row_tolerance + np.log(height_ratio) * 2 + np.log(width_ratio) + score_difference
     if images is not None:
         cost += 1.0 - (area.correlation if area else 0.0)
-    return _Candidate(float(cost), area)
+    return float(cost), area
 
 
 def row_tolerance_px(params: MatchParams, height_px: Number) -> Number:
@@ -227,7 +219,7 @@ def disparity_bounds_px(rig: Rig, params: MatchParams, width_px: Number) -> tupl
 
 
 def _stereo_match(
-    index: int, a: Detection, b: Detection, candidate: _Candidate, rig: Rig, up: NDArray[np.float64]
+    index: int, a: Detection, b: Detection, cost: float, area: AreaMatch | None, rig: Rig, up: NDArray[np.float64]
 ) -> StereoMatch:
     foot_left, tip_left, centre_left = _foot_tip_centre(a, rig.left, up)
     foot_right, tip_right, centre_right = _foot_tip_centre(b, rig.right, up)
@@ -239,12 +231,12 @@ def _stereo_match(
         along = _spread(_FOOT_ALONG, width, height)
     axis_left, axis_right = foot_left[0], foot_right[0]
     sigma_u = pointing_sigma
-    if candidate.area is not None:
-        disparity = candidate.area.disparity_px
+    if area is not None:
+        disparity = area.disparity_px
         # The axis is the mean of both images, with the matched disparity between them.
         axis_left = (axis_left + axis_right + disparity) / 2
         axis_right = axis_left - disparity
-        sigma_u = candidate.area.sigma_px / 2**0.5
+        sigma_u = area.sigma_px / 2**0.5
     return StereoMatch(
         frame_index=a.frame_index,
         match_index=index,
@@ -260,8 +252,8 @@ def _stereo_match(
         sigma_v_px=across,
         sigma_pointing_px=along,
         sigma_outline_px=of_cone,
-        refined=candidate.area is not None,
-        cost=candidate.cost,
+        refined=area is not None,
+        cost=cost,
     )
 
 
