@@ -58,17 +58,12 @@ def rays(camera: Camera, uv_px: ArrayLike) -> Array:
     return np.stack([x, y, np.ones_like(x)], axis=-1)
 
 
-def up_in_camera(map_R_cam: ArrayLike) -> Array:
-    """Unit vector(s) (..., 3) that point up (map +z) in the camera frame, of rotations (..., 3, 3)."""
-    return np.array(np.asarray(map_R_cam, dtype=np.float64)[..., 2, :])
-
-
 def horizon_row_px(camera: Camera, map_R_cam: ArrayLike, u_px: float | None = None) -> float:
     """Row at which level rays cross column `u_px` (default: the principal point's column), for one rotation (3, 3).
 
     Raises ValueError where the camera looks straight up or down or lies on its side: it has no horizon row.
     """
-    up = up_in_camera(map_R_cam)
+    up = np.asarray(map_R_cam, dtype=np.float64)[2]  # in the camera's frame
     x = 0.0 if u_px is None else (u_px - camera.cx_px) / camera.fx_px
     if abs(up[1]) < 1e-6:
         raise ValueError("horizon_row_px: the camera looks straight up or down or lies on its side")

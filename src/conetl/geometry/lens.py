@@ -26,7 +26,7 @@ _TOLERANCE = 1e-13
 
 def distort(lens: Lens, xy: ArrayLike) -> Array:
     """Distorted normalised coordinates (..., 2) of ideal ones (..., 2)."""
-    p = _points(xy, "distort")
+    p = np.asarray(xy, dtype=np.float64)
     x, y = p[..., 0], p[..., 1]
     if lens.model == "none":
         return p.copy()
@@ -49,7 +49,7 @@ def distort_jacobian(lens: Lens, xy: ArrayLike) -> tuple[Array, Array]:
 
     Returns (..., 2, 2) with respect to x, y and (..., 2, n) with respect to the lens's n coefficients in their order.
     """
-    p = _points(xy, "distort_jacobian")
+    p = np.asarray(xy, dtype=np.float64)
     if lens.model == "none":
         return np.broadcast_to(np.eye(2), (*p.shape[:-1], 2, 2)).copy(), np.zeros((*p.shape[:-1], 2, 0))
     return _fisheye_jacobian(lens, p) if lens.model == "fisheye" else _polynomial_jacobian(lens, p)
@@ -81,7 +81,7 @@ def undistort(lens: Lens, xy: ArrayLike) -> Array:
     `_TOLERANCE` (relative to 1 + the point's radius), where the answer lies beyond `field_radius`, or where the mapping is
     folded (its Jacobian's determinant is not positive).
     """
-    wanted = _points(xy, "undistort")
+    wanted = np.asarray(xy, dtype=np.float64)
     if lens.model == "none":
         return wanted.copy()
     flat = wanted.reshape(-1, 2)
@@ -240,13 +240,6 @@ def _undistort_fisheye(lens: Lens, wanted: Array) -> Array:
 
 
 # --------------------------------------------------------------------------- helpers
-
-
-def _points(xy: ArrayLike, name: str) -> Array:
-    p = np.asarray(xy, dtype=np.float64)
-    if p.ndim < 1 or p.shape[-1] != 2:
-        raise ValueError(f"{name}: expected points (..., 2), found shape {p.shape}")
-    return p
 
 
 def _first_positive_root(ascending: list[float]) -> float:

@@ -41,18 +41,16 @@ def left_SE3_right(rig: Rig) -> Array:
     return se3.compose(se3.invert(body_SE3_camera(rig, "left")), body_SE3_camera(rig, "right"))
 
 
-def infinity_shift_px(rig: Rig, left_uv_px: Array, left_R_right: Array | None = None) -> Array:
+def infinity_shift_px(rig: Rig, left_uv_px: Array) -> Array:
     """(..., 2) left minus right image point of an infinitely far point, at points (..., 2) of the left image.
 
     The difference of the principal points where the axes of a rectified rig are parallel; where the right camera is turned a
     little, as after self-calibration, it depends on the image point. Cameras without a lens.
-    left_R_right: (3, 3) of the rig, for callers that have it.
     """
     uv = np.asarray(left_uv_px, dtype=np.float64)
     x = (uv[..., 0] - rig.left.cx_px) / rig.left.fx_px
     y = (uv[..., 1] - rig.left.cy_px) / rig.left.fy_px
-    d = np.stack([x, y, np.ones_like(x)], axis=-1)
-    d = d @ (left_SE3_right(rig)[:3, :3] if left_R_right is None else left_R_right)
+    d = np.stack([x, y, np.ones_like(x)], axis=-1) @ left_SE3_right(rig)[:3, :3]
     right = np.stack(
         [
             rig.right.fx_px * d[..., 0] / d[..., 2] + rig.right.cx_px,

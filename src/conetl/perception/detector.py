@@ -26,14 +26,8 @@ from conetl.perception.decoding import (
     suppress_overlaps,
     without_parts,
 )
-from conetl.perception.heads import EndToEndHead, check_outputs, decode_head
-from conetl.perception.model_card import (
-    ModelCard,
-    SideDistributionHead,
-    check_own_outputs,
-    read_model_card,
-    shipped_model_path,
-)
+from conetl.perception.heads import EndToEndHead, SideDistributionHead, check_outputs, decode_head
+from conetl.perception.model_card import ModelCard, read_model_card, shipped_model_path
 from conetl.perception.second_passes import MIN_SCORE, detect_small_objects, rescore
 
 MAX_SIDE_PX = 1600
@@ -103,10 +97,7 @@ def load_detector(model_path: Path | None = None, *, threads: int = 1) -> Detect
         )
     shapes = [output.shape for output in outputs]
     try:
-        if isinstance(card.head, SideDistributionHead):
-            check_own_outputs(card.head, shapes)
-        else:
-            check_outputs(card.head, shapes)
+        check_outputs(card.head, shapes)
     except ModelFileError as error:
         raise ModelFileError(f"{path}: {error}") from error
     size = inputs[0].shape[1:3] if "NHWC" in card.input_layout else inputs[0].shape[2:4]

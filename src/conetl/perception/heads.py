@@ -97,13 +97,28 @@ class EndToEndHead(_Head):
     cone_class: int = Field(ge=0)
 
 
+class SideDistributionHead(_Head):
+    """Head of the shipped network: values and indices of the best cells of each stride; see `decoding.decode_cells`."""
+
+    kind: Literal["side-distributions"] = "side-distributions"
+    side_bins: int = Field(ge=2)
+    strides_px: tuple[PositiveInt, ...] = Field(min_length=1)
+    """In the order of the outputs."""
+    foot_and_tip: bool = False
+    """Whether the head gives the cone's foot and tip besides its box."""
+
+    @property
+    def channels(self) -> int:
+        return 4 * self.side_bins + (5 if self.foot_and_tip else 1)
+
+
 YoloHead = Annotated[
     YoloV3Head | YoloV5Head | YoloV8Head | YoloXHead | EndToEndHead,
     Field(discriminator="kind"),
 ]
 
 
-def expected_shapes(head: YoloHead) -> list[tuple[int | str, ...]]:
+def expected_shapes(head: YoloHead | SideDistributionHead) -> list[tuple[int | str, ...]]:
     """Shapes of the outputs that the head reads, in their order; a dimension of any size is a name."""
     match head:
         case YoloV3Head():
@@ -117,9 +132,11 @@ def expected_shapes(head: YoloHead) -> list[tuple[int | str, ...]]:
             return [("batch", 4 + head.class_count, "boxes")]
         case EndToEndHead():
             return [("batch", "boxes", 6)]
+        case SideDistributionHead():
+            return [("cells", head.channels), ("cells",)] * len(head.strides_px)
 
 
-def check_outputs(head: YoloHead, shapes: Sequence[Shape]) -> None:
+def check_outputs(head: YoloHead | SideDistributionHead, shapes: Sequence[Shape]) -> None:
     """Check that a network's outputs have the shapes that the head reads.
 
     shapes: of the outputs in their order, as onnxruntime reports them; None or a name where a dimension is not fixed.

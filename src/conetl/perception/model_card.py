@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Self
 
 from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError, model_validator
 
 from conetl.model.detector_evidence import DetectorEvidence, Share
 from conetl.model.errors import ModelFileError
-from conetl.perception.heads import Shape, YoloHead
+from conetl.perception.heads import SideDistributionHead, YoloHead
 
 DEFAULT_MODEL = "conetl-cone-2.onnx"
 #: Warning for a model without `evidence` in its sidecar.
@@ -18,23 +18,6 @@ NOT_MEASURED = (
     "the model's sidecar does not say what its scores mean (key `evidence`): existence probabilities rest on a general guess; "
     "training/calibrate_scores.py measures it (docs/how-to/models.md)"
 )
-
-
-class SideDistributionHead(BaseModel):
-    """Head of the shipped network: values and indices of the best cells of each stride; see `decoding.decode_cells`."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    kind: Literal["side-distributions"] = "side-distributions"
-    side_bins: int = Field(ge=2)
-    strides_px: tuple[PositiveInt, ...] = Field(min_length=1)
-    """In the order of the outputs."""
-    foot_and_tip: bool = False
-    """Whether the head gives the cone's foot and tip besides its box."""
-
-    @property
-    def channels(self) -> int:
-        return 4 * self.side_bins + (5 if self.foot_and_tip else 1)
 
 
 class ReScoringPass(BaseModel):
@@ -151,16 +134,3 @@ def read_model_card(model_path: Path | None) -> ModelCard:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"]) or "file"
         raise ModelFileError(f"{card_path}: not a valid model sidecar: {key}: {first['msg']}") from error
-
-
-def check_own_outputs(head: SideDistributionHead, shapes: list[Shape]) -> None:
-    """Check that a network's outputs are values (K, channels) and indices (K,) of cells per stride. Raises ModelFileError."""
-    if len(shapes) != 2 * len(head.strides_px):
-        raise ModelFileError(
-            f"the network has {len(shapes)} outputs, the sidecar expects two for each of {len(head.strides_px)} strides"
-        )
-    for values, cells in zip(shapes[::2], shapes[1::2], strict=True):
-        if len(values) != 2 or len(cells) != 1 or (isinstance(values[1], int) and values[1] != head.channels):
-            raise ModelFileError(
-                f"two outputs have the shapes {list(values)} and {list(cells)}, the sidecar expects (K, {head.channels}) and (K,)"
-            )

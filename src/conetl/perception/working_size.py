@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from conetl.geometry.motion.stereo_tracks import NoMeasurement
-from conetl.geometry.rig import camera_of, infinity_shift_px, left_SE3_right
+from conetl.geometry.rig import camera_of, infinity_shift_px
 from conetl.model.records import FramePair, Rig, Side
 from conetl.perception.images import ImageFileError
 
@@ -61,12 +61,8 @@ class WorkingSize:
 
     def infinity_shift(self, left_px: ArrayLike) -> Floats:
         """(..., 2) working pixels: left minus right image point of an infinitely far point, at points (..., 2) of the left."""
-        shift = infinity_shift_px(self.rig, self.to_stored(left_px), self._left_R_right) * self.scale
+        shift = infinity_shift_px(self.rig, self.to_stored(left_px)) * self.scale
         return np.asarray(shift.round(_SHIFT_DECIMALS) + 0.0)
-
-    @cached_property
-    def _left_R_right(self) -> Floats:
-        return left_SE3_right(self.rig)[:3, :3]
 
 
 @dataclass(frozen=True)

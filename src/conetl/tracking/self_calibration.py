@@ -25,7 +25,6 @@ from conetl.geometry.calibration.covariance import (
     known_covariance,
     square_root,
     with_covariance,
-    with_shared,
 )
 from conetl.geometry.calibration.self_calibration import SpanPoints, as_camera, estimate_right_camera
 from conetl.geometry.motion.stereo_motion import RelativeMotion
@@ -33,7 +32,7 @@ from conetl.geometry.motion.stereo_tracks import StereoTracks, cameras_of
 from conetl.geometry.packing import vec3
 from conetl.geometry.rig import body_SE3_camera
 from conetl.model.params import TrajectoryParams
-from conetl.model.records import CalibrationCovariance, Record, Rig, Vec3
+from conetl.model.records import CalibrationCovariance, Record, Rig, SharedErrors, Vec3
 
 Floats = NDArray[np.float64]
 _TURN_NAMES = ("relative.rx_rad", "relative.ry_rad", "relative.rz_rad")
@@ -189,12 +188,12 @@ def self_calibrated_rig(rig: Rig, found: SelfCalibration, params: TrajectoryPara
     back = np.linalg.pinv(before, rcond=1e-9, hermitian=True)
     lift = prior @ by_parameter.T @ back
     left_over = _symmetric(prior - lift @ (before - after) @ lift.T)
-    covariance = with_shared(
-        CalibrationCovariance(names=names, matrix=as_rows(left_over)),
+    shared = SharedErrors(
         # Of a calibration without covariance, the id with the assumed one.
-        calibration_id(with_covariance(rig, CalibrationCovariance(names=names, matrix=as_rows(prior)))),
-        _shared_after(prior, by_parameter, lift @ (before - after) @ back, found, _floor(rig, params)),
+        calibration=calibration_id(with_covariance(rig, CalibrationCovariance(names=names, matrix=as_rows(prior)))),
+        matrix=as_rows(_shared_after(prior, by_parameter, lift @ (before - after) @ back, found, _floor(rig, params))),
     )
+    covariance = CalibrationCovariance(names=names, matrix=as_rows(left_over), shared=shared)
     own = body_SE3_camera(rig, "right")
     rotation, shift_px = as_camera(np.array([*found.rotation_rad, found.bend]), rig.right.fx_px)
     in_body = own[:3, :3] @ Rotation.from_rotvec(rotation).as_matrix() @ own[:3, :3].T

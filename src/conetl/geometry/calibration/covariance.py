@@ -199,11 +199,6 @@ def unpack_all(calibrations: tuple[UUID, ...], shared_jacobian: Sequence[SharedE
     return result
 
 
-def with_shared(covariance: CalibrationCovariance, calibration: UUID, matrix: Array) -> CalibrationCovariance:
-    """A covariance of which only a part, (N, K) `matrix` times its transpose, is common to drives with that calibration."""
-    return covariance.model_copy(update={"shared": SharedErrors(calibration=calibration, matrix=as_rows(matrix))})
-
-
 def with_covariance(rig: Rig, covariance: CalibrationCovariance) -> Rig:
     """The rig with another covariance of the calibration that took the images (`known_covariance`)."""
     if rig.rectified_from is None:

@@ -23,7 +23,6 @@ from conetl.model.rejections import RejectionReason
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Grey = NDArray[np.uint8]
-Flags = int
 
 #: A blurred edge is at most this wide (contrast over steepest slope, px); what is wider is refused.
 MAX_EDGE_WIDTH_PX = 6.0
@@ -122,10 +121,7 @@ def find_board(image: Grey, board: Board) -> Found | NotFound:
             return _why_no_chessboard(image, board)
         found = Found(np.arange(board.cols * board.rows), corners)
     else:
-        if board.kind == "charuco":
-            ids, uv = _find_charuco(image, board.cols, board.rows, board.size_m, board.marker_m, board.dictionary)
-        else:
-            ids, uv = _find_april_grid(image, board.cols, board.rows, board.spacing)
+        ids, uv = (_find_charuco if board.kind == "charuco" else _find_april_grid)(image, board)
         if len(ids) < MIN_CORNERS:
             return NotFound(
                 RejectionReason.BOARD_NOT_FOUND,
@@ -180,7 +176,7 @@ def edge_width_px(image: Grey, uv_px: Array) -> float:
 def _find_chessboard(image: Grey, size: tuple[int, int]) -> Array | None:
     """(cols rows, 2) corners row by row, or None: found with ever more effort, then measured in an enlarged copy."""
     accurate = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
-    attempts: tuple[tuple[int, Flags], ...] = (
+    attempts: tuple[tuple[int, int], ...] = (
         (1, 0), (1, accurate), (1, accurate | cv2.CALIB_CB_NORMALIZE_IMAGE), (2, cv2.CALIB_CB_EXHAUSTIVE)
     )  # fmt: skip
     for scale, flags in attempts:
@@ -200,12 +196,12 @@ def _find_chessboard(image: Grey, size: tuple[int, int]) -> Array | None:
     fine = _sectors(part, size, cv2.CALIB_CB_ACCURACY, enlarge)
     if fine is None:
         fine = _sectors(part, size, accurate, enlarge)
-    if fine is None or np.hypot(*(_same_way(fine + top, rough, size) - rough).T).max() > 0.25 * length:
+    if fine is None or np.hypot(*(_same_way(fine + top, rough) - rough).T).max() > 0.25 * length:
         fine = rough - top  # seen in the whole image only: rougher, and the adjustment will say whether it fits
     return _right_handed(np.asarray(fine + top), size)
 
 
-def _sectors(image: Grey, size: tuple[int, int], flags: Flags, scale: int) -> Array | None:
+def _sectors(image: Grey, size: tuple[int, int], flags: int, scale: int) -> Array | None:
     enlarged = image if scale == 1 else cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
     found, corners = cv2.findChessboardCornersSB(enlarged, size, flags=flags)
     if not found:
@@ -213,7 +209,7 @@ def _sectors(image: Grey, size: tuple[int, int], flags: Flags, scale: int) -> Ar
     return np.asarray((corners.reshape(-1, 2).astype(np.float64) + 0.5) / scale - 0.5)
 
 
-def _same_way(corners: Array, like: Array, size: tuple[int, int]) -> Array:
+def _same_way(corners: Array, like: Array) -> Array:
     """Corners in the order, forwards or backwards, that is nearer to `like`."""
     return min((corners, corners[::-1]), key=lambda c: float(((c - like) ** 2).sum()))
 
@@ -264,25 +260,23 @@ def _length_m(text: str, spec: str) -> float:
 # --------------------------------------------------------------------------- boards with markers
 
 
-def _find_charuco(
-    image: Grey, cols: int, rows: int, square_m: float, marker_m: float, dictionary: str
-) -> tuple[Ints, Array]:
-    """Numbers (n,) and places (n, 2) px of the inner corners of a ChArUco board of cols x rows squares.
+def _find_charuco(image: Grey, board: Board) -> tuple[Ints, Array]:
+    """Numbers (n,) and places (n, 2) px of the inner corners of a ChArUco board.
 
     Boards made before OpenCV 4.6 begin with another colour in their first corner; both kinds are tried.
     """
-    words = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{dictionary}"))
+    words = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{board.dictionary}"))
     best: tuple[Ints, Array] = (np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
     for legacy in (False, True):
-        board = cv2.aruco.CharucoBoard((cols, rows), square_m, marker_m, words)
-        board.setLegacyPattern(legacy)
-        corners, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(image)
+        pattern = cv2.aruco.CharucoBoard((board.cols, board.rows), board.size_m, board.marker_m, words)
+        pattern.setLegacyPattern(legacy)
+        corners, ids, _, _ = cv2.aruco.CharucoDetector(pattern).detectBoard(image)
         if ids is not None and len(ids) > len(best[0]):
             best = ids.ravel().astype(np.int64), corners.reshape(-1, 2).astype(np.float64)
     return best
 
 
-def _find_april_grid(image: Grey, cols: int, rows: int, spacing: float) -> tuple[Ints, Array]:
+def _find_april_grid(image: Grey, board: Board) -> tuple[Ints, Array]:
     """Numbers (n,) and places (n, 2) px of the tag corners of an AprilGrid (tag36h11, Kalibr's layout).
 
     Tags are numbered row by row from the lower left; corner 4 t + k is the lower left, lower right, upper right, upper left one
@@ -295,13 +289,13 @@ def _find_april_grid(image: Grey, cols: int, rows: int, spacing: float) -> tuple
     if ids is None:
         return none
     tags = ids.ravel().astype(np.int64)
-    once = np.array([(tags == tag).sum() == 1 and tag < cols * rows for tag in tags])
+    once = np.array([(tags == tag).sum() == 1 and tag < board.cols * board.rows for tag in tags])
     if once.sum() < 2:
         return none
     tags, corners = tags[once], np.array(quads)[once].reshape(-1, 4, 2).astype(np.float64)
     side = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).min(axis=1)
     best_miss, best = np.inf, corners
-    origins = np.stack([tags % cols, tags // cols], axis=1) * (1.0 + spacing)
+    origins = np.stack([tags % board.cols, tags // board.cols], axis=1) * (1.0 + board.spacing)
     plane = (origins[:, None] + np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])).reshape(-1, 2)
     for turn, backwards in product(range(4), (False, True)):
         order = np.roll(corners[:, ::-1] if backwards else corners, turn, axis=1)
@@ -317,7 +311,7 @@ def _find_april_grid(image: Grey, cols: int, rows: int, spacing: float) -> tuple
     # Kalibr's grid has a black square at each corner of a tag: a saddle point, which is refined in a window within it.
     refined = []
     for quad, length in zip(best, side, strict=True):
-        window = int(np.clip(0.25 * spacing * length, 2, 7))
+        window = int(np.clip(0.25 * board.spacing * length, 2, 7))
         start = quad.astype(np.float32).reshape(-1, 1, 2).copy()
         refined.append(cv2.cornerSubPix(image, start, (window, window), (-1, -1), _REFINE).reshape(4, 2))
     uv = np.array(refined, dtype=np.float64)
