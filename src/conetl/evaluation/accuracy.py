@@ -106,25 +106,6 @@ class RangeBand(Record):
     errors: ErrorStatistics
 
 
-class NeesReport(Record):
-    """One NEES with its 95 % band; `per_dof` is 1 for correct stated sigmas."""
-
-    value: float
-    dof: int
-    low: float
-    high: float
-    per_dof: float
-    holds: bool
-
-
-class ConsistencyReport(Record):
-    """NEES of one set of estimates of one drive; None without degrees of freedom."""
-
-    absolute: NeesReport | None
-    relative: NeesReport | None
-    common: NeesReport | None
-
-
 def track_errors(
     lines: Sequence[TruthLine[Track]], drive: Drive, positions: Sequence[Position], motion: MotionError | None = None
 ) -> PointErrors:
@@ -287,11 +268,10 @@ def pooled_statistics(drives: Sequence[PointErrors]) -> ErrorStatistics | None:
     )
 
 
-def consistency_report(result: Consistency | None) -> ConsistencyReport:
-    """A consistency with its bands, for printing and JSON."""
-    parts = (None, None, None) if result is None else (result.absolute, result.relative, result.common)
-    absolute, relative, common = (None if part is None else _nees_report(part) for part in parts)
-    return ConsistencyReport(absolute=absolute, relative=relative, common=common)
+def parts_of(result: Consistency | None) -> dict[str, Nees | None]:
+    """Relative, common and absolute NEES by name; None without degrees of freedom."""
+    names = ("relative", "common", "absolute")
+    return {name: nees if (nees := getattr(result, name, None)) and nees.dof else None for name in names}
 
 
 def single_nees(errors: PointErrors) -> Floats:
@@ -310,13 +290,6 @@ def single_nees(errors: PointErrors) -> Floats:
     normal = np.einsum("nik,nij,njl->kl", scaled, weight, scaled) + np.eye(len(values))
     side = np.einsum("nik,nij,nj->k", scaled, weight, errors.difference_m)
     return point_nees(errors.difference_m - scaled @ np.linalg.solve(normal, side), own_cov_m2)
-
-
-def _nees_report(nees: Nees) -> NeesReport | None:
-    if nees.dof == 0:
-        return None
-    low, high = nees.band()
-    return NeesReport(value=nees.value, dof=nees.dof, low=low, high=high, per_dof=nees.per_dof, holds=nees.holds())
 
 
 def _sight_axes(sight: Floats) -> Floats:

@@ -10,15 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.evaluation.accuracy import (
-    ConsistencyReport,
     ErrorStatistics,
-    NeesReport,
     PointErrors,
     RangeBand,
     by_range,
-    consistency_report,
     drive_consistency,
     members_of,
+    parts_of,
     pooled_consistency,
     pooled_statistics,
     position_errors,
@@ -35,6 +33,7 @@ from conetl.evaluation.truth import (
     median_error,
     table_3_rows,
 )
+from conetl.geometry.consistency import Consistency
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.errors import InputError
 from conetl.model.records import Drive, Position, Track
@@ -75,7 +74,7 @@ class DriveEvaluation:
     singles: PointErrors
     figures: dict[str, ErrorStatistics]
     bands: list[RangeBand]
-    nees: dict[str, ConsistencyReport]
+    nees: dict[str, Consistency | None]
 
     @property
     def found(self) -> int:
@@ -129,7 +128,7 @@ class DriveEvaluation:
             "median_error_3d_m": median_error(self.lines),
             "errors": {name: figures.model_dump(mode="json") for name, figures in self.figures.items()},
             "by_range": [band.model_dump(mode="json") for band in self.bands],
-            "nees": {name: report.model_dump(mode="json") for name, report in self.nees.items()},
+            "nees": {name: _nees_as_dict(result) for name, result in self.nees.items()},
         }
 
 
@@ -158,21 +157,33 @@ def evaluate_drive(
     of_singles = position_errors(members_of(lines), positions, drive, poses)
     errors = {KINDS[0]: of_tracks, KINDS[1]: of_singles}
     figures = {kind: figure for kind, some in errors.items() if (figure := statistics(some)) is not None}
-    nees = {kind: consistency_report(drive_consistency(some)) for kind, some in errors.items()}
+    nees = {kind: drive_consistency(some) for kind, some in errors.items()}
     bands = by_range(of_singles)
     return DriveEvaluation(drive.drive_id, lines, false, path_m, of_tracks, of_singles, figures, bands, nees)
 
 
-def _nees_rows(nees: Mapping[str, ConsistencyReport]) -> list[tuple[object, ...]]:
+def _nees_as_dict(result: Consistency | None) -> dict[str, dict[str, float | bool] | None]:
+    """Each part with its 95 % band."""
+    parts: dict[str, dict[str, float | bool] | None] = dict.fromkeys(("absolute", "relative", "common"))
+    for name, nees in parts_of(result).items():
+        if nees is not None:
+            low, high = nees.band()
+            parts[name] = {
+                "value": nees.value, "dof": nees.dof, "low": low, "high": high, "per_dof": nees.per_dof, "holds": nees.holds()
+            }  # fmt: skip
+    return parts
+
+
+def _nees_rows(nees: Mapping[str, Consistency | None]) -> list[tuple[object, ...]]:
     """One row for each part with degrees of freedom."""
     rows: list[tuple[object, ...]] = []
-    for name, report in nees.items():
-        for part in ("relative", "common", "absolute"):
-            one: NeesReport | None = getattr(report, part)
+    for name, result in nees.items():
+        for part, one in parts_of(result).items():
             if one is None:
                 continue
-            verdict = "right" if one.holds else "too small" if one.value > one.high else "too large"
-            band = f"{one.low:.1f} to {one.high:.1f}"
+            low, high = one.band()
+            verdict = "right" if one.holds() else "too small" if one.value > high else "too large"
+            band = f"{low:.1f} to {high:.1f}"
             rows.append((f"{name}, {part}", f"{one.value:.1f}", one.dof, band, f"{one.per_dof:.2f}", verdict))
     return rows
 
@@ -225,16 +236,16 @@ class PooledDrives:
 
     drives: Mapping[str, DriveEvaluation]
     figures: dict[str, ErrorStatistics]
-    nees: dict[str, ConsistencyReport]
+    nees: dict[str, Consistency | None]
 
     def tables(self) -> list[Section]:
         """One row per drive and one for all; NEES of all drives."""
         rows: list[tuple[object, ...]] = []
         for name, drive in self.drives.items():
-            reports = [consistency_report(drive_consistency(errors)) for errors in (drive.tracks, drive.singles)]
-            rows.append(_drive_row(name, [drive], pooled_statistics([drive.tracks]), reports))
-        reports = [self.nees[kind] for kind in KINDS]
-        rows.append(_drive_row("all drives", list(self.drives.values()), self.figures.get(KINDS[0]), reports))
+            results = [drive_consistency(errors) for errors in (drive.tracks, drive.singles)]
+            rows.append(_drive_row(name, [drive], pooled_statistics([drive.tracks]), results))
+        results = [self.nees[kind] for kind in KINDS]
+        rows.append(_drive_row("all drives", list(self.drives.values()), self.figures.get(KINDS[0]), results))
         return [
             Section("Drive by drive", _DRIVES_TEXT, _DRIVES, rows),
             Section("Do the stated sigmas hold for all drives together?", "", _NEES, _nees_rows(self.nees)),
@@ -244,7 +255,7 @@ class PooledDrives:
         """As JSON values."""
         return {
             "errors": {kind: figures.model_dump(mode="json") for kind, figures in self.figures.items()},
-            "nees": {kind: report.model_dump(mode="json") for kind, report in self.nees.items()},
+            "nees": {kind: _nees_as_dict(result) for kind, result in self.nees.items()},
         }
 
 
@@ -252,7 +263,7 @@ def pool(drives: Mapping[str, DriveEvaluation]) -> PooledDrives:
     """Statistics and NEES of all drives together."""
     errors = {KINDS[0]: [d.tracks for d in drives.values()], KINDS[1]: [d.singles for d in drives.values()]}
     figures = {kind: figure for kind, some in errors.items() if (figure := pooled_statistics(some)) is not None}
-    nees = {kind: consistency_report(pooled_consistency(some)) for kind, some in errors.items()}
+    nees = {kind: pooled_consistency(some) for kind, some in errors.items()}
     return PooledDrives(drives, figures, nees)
 
 
@@ -287,11 +298,11 @@ def _drive_row(
     name: str,
     drives: Sequence[DriveEvaluation],
     tracks: ErrorStatistics | None,
-    reports: Sequence[ConsistencyReport],
+    results: Sequence[Consistency | None],
 ) -> tuple[object, ...]:
-    parts = [part for report in reports for part in (report.relative, report.common, report.absolute)]
+    parts = [part for result in results for part in parts_of(result).values()]
     found, cones = sum(d.found for d in drives), sum(len(d.lines) for d in drives)
     return (
         name, f"{found} of {cones}", sum(len(d.false) for d in drives), "" if tracks is None else f"{tracks.median_3d_m:.3f}",
-        *("" if part is None else f"{part.per_dof:.2f}{'' if part.holds else ' *'}" for part in parts),
+        *("" if part is None else f"{part.per_dof:.2f}{'' if part.holds() else ' *'}" for part in parts),
     )  # fmt: skip
