@@ -9,20 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from conetl.evaluation.shared_errors import (
-    calibration_of,
-    outline_parts,
-    pose_and_calibration,
-    pose_parts,
-    track_shares,
-)
 from conetl.evaluation.truth import TruthCone, TruthLine
+from conetl.geometry.calibration.covariance import calibration_jacobian, known_covariance
 from conetl.geometry.consistency import Consistency, Nees, ce90_m, consistency, le90_m, point_nees
 from conetl.geometry.packing import cov_matrix, vec3
 from conetl.geometry.rig import map_SE3_left
-from conetl.model.records import Drive, Position, Record, Track, Vec3
+from conetl.model.records import Drive, Pose, Position, Record, Rig, Track, Vec3
 from conetl.tracking.association import MotionError
-from conetl.tracking.error_propagation import PoseCov
+from conetl.tracking.error_propagation import PoseCov, constant_and_change, moved_by_poses, moved_cov, outline_errors
 
 Floats = NDArray[np.float64]
 #: Upper ends of the range bands; the last is open.
@@ -124,11 +118,11 @@ def track_errors(
     truth = np.array([line.truth.xyz_m for line, _ in found]).reshape(-1, 3)
     pose_of = {pair.frame_index: pair.pose for pair in drive.frame_pairs}
     by_member = {(p.frame_index, p.match_index): p for p in positions}
-    jacobians, variances = [np.zeros((0, 3, 6 + len(calibration_of(drive.rig))))], []
+    jacobians, variances = [np.zeros((0, 3, 6 + len(_calibration_of(drive.rig))))], []
     for point, (_, track) in zip(xyz, found, strict=True):
         poses = [pose_of[frame_index] for frame_index, _ in track.members]
-        jacobian, sigmas = pose_and_calibration(np.tile(point, (len(poses), 1)), poses, drive.rig)
-        shares = track_shares([by_member[member] for member in track.members], poses, drive.rig, motion)
+        jacobian, sigmas = _pose_and_calibration(np.tile(point, (len(poses), 1)), poses, drive.rig)
+        shares = _track_shares([by_member[member] for member in track.members], poses, drive.rig, motion)
         jacobians.append(np.einsum("fij,fjk->ik", shares, jacobian)[None])
         variances.append(np.mean(sigmas**2, axis=0))
     return PointErrors(
@@ -141,7 +135,7 @@ def track_errors(
         sight=_unit(level),
         common_jacobian=np.concatenate(jacobians),
         common_cov=block_diag(
-            np.diag(np.mean(variances, axis=0)) if found else np.zeros((6, 6)), calibration_of(drive.rig)
+            np.diag(np.mean(variances, axis=0)) if found else np.zeros((6, 6)), _calibration_of(drive.rig)
         ),
     )
 
@@ -175,11 +169,11 @@ def position_errors(
     turn = left[:, :3, :3]
     camera_cov = _stack([cov_matrix(p.camera_cov_m2) for p in chosen])
     truth = np.array([cone.xyz_m for cone in cones]).reshape(-1, 3)
-    jacobian, sigmas = pose_and_calibration(xyz, stated, drive.rig)
+    jacobian, sigmas = _pose_and_calibration(xyz, stated, drive.rig)
     names = tuple(cone.cone_id for cone in cones)
-    outline, own_cov = outline_parts(names, chosen, drive.rig, turn, turn @ camera_cov @ np.swapaxes(turn, 1, 2))
-    constant, change = pose_parts(jacobian[:, :, :6], [p.frame_index for p in chosen], sigmas**2, poses)
-    common = block_diag(constant, calibration_of(drive.rig))
+    outline, own_cov = _outline_parts(names, chosen, drive.rig, turn, turn @ camera_cov @ np.swapaxes(turn, 1, 2))
+    constant, change = _pose_parts(jacobian[:, :, :6], [p.frame_index for p in chosen], sigmas**2, poses)
+    common = block_diag(constant, _calibration_of(drive.rig))
     return PointErrors(
         cone_ids=names,
         truth_m=truth,
@@ -310,3 +304,66 @@ def _stack(matrices: Sequence[Floats]) -> Floats:
 
 def _rms(values: Floats) -> Vec3:
     return vec3(np.sqrt(np.mean(values**2, axis=0)))
+
+
+def _pose_and_calibration(xyz_m: Floats, poses: Sequence[Pose], rig: Rig) -> tuple[Floats, Floats]:
+    """(N, 3, 6 + K) Jacobian of points (N, 3) by the errors of pose and calibration, (N, 6) sigmas of the poses."""
+    by_pose = moved_by_poses(xyz_m, poses)
+    left = np.array([map_SE3_left(pose, rig) for pose in poses]).reshape(-1, 4, 4)
+    in_camera = np.einsum("nji,nj->ni", left[:, :3, :3], xyz_m - left[:, :3, 3])
+    by_calibration = left[:, :3, :3] @ calibration_jacobian(in_camera, rig)
+    sigmas = np.array([(*pose.sigma_enu_m, *pose.sigma_rpy_rad) for pose in poses]).reshape(-1, 6)
+    return np.concatenate([by_pose, by_calibration], axis=2), sigmas
+
+
+def _pose_parts(
+    jacobian: Floats, frames: Sequence[int], variances: Floats, poses: PoseCov | None
+) -> tuple[Floats, Floats | None]:
+    """Covariance (6, 6) of the constant error of all poses, and (3N, 3N) of N points by the part that changes between frames.
+
+    jacobian (N, 3, 6): of the points by their poses; frames (N,): their indices; variances (N, 6): stated.
+    """
+    if not frames:
+        return np.zeros((6, 6)), None
+    if poses is None:
+        return np.diag(np.mean(variances, axis=0)), None
+    order, rank = np.unique(frames, return_inverse=True)
+    constant, change = constant_and_change(poses(order.tolist()))
+    return constant, moved_cov(jacobian, rank, change)
+
+
+def _outline_parts(
+    cone_ids: Sequence[str], positions: Sequence[Position], rig: Rig, turn: Floats, cov_m2: Floats
+) -> tuple[Floats, Floats]:
+    """(N, 3, 3C) Jacobian of N positions by the outline errors of C cones, in sigmas; (N, 3, 3) the rest of the covariances.
+
+    turn (N, 3, 3): map_R_left of each position. cov_m2 (N, 3, 3): of image points and outline together, in the map.
+    """
+    order = sorted({name for name, p in zip(cone_ids, positions, strict=True) if p.sigma_outline_m > 0})
+    jacobian = np.zeros((len(positions), 3, 3 * len(order)))
+    own = cov_m2.copy()
+    for n, (name, position) in enumerate(zip(cone_ids, positions, strict=True)):
+        if position.sigma_outline_m > 0:
+            moved = turn[n] @ outline_errors(position, rig)
+            k = 3 * order.index(name)
+            jacobian[n, :, k : k + 3] = moved
+            own[n] -= moved @ moved.T
+    return jacobian, own
+
+
+def _track_shares(members: Sequence[Position], poses: Sequence[Pose], rig: Rig, motion: MotionError | None) -> Floats:
+    """(F, 3, 3) Jacobian of a track by each of its positions; their sum is the identity (`JointFit.shares`)."""
+    turn = np.array([map_SE3_left(pose, rig)[:3, :3] for pose in poses])
+    cov = np.stack([cov_matrix(p.camera_cov_m2) for p in members])
+    if motion is not None:
+        nearest = min(members, key=lambda p: p.range_m).frame_index
+        added = [np.trace(motion(p.frame_index, nearest, np.array(p.camera_xyz_m))) / 3 for p in members]
+        cov = cov + np.array(added)[:, None, None] * np.eye(3)
+    information = np.linalg.inv(turn @ cov @ np.swapaxes(turn, 1, 2))
+    return np.asarray(np.linalg.inv(information.sum(axis=0)) @ information)
+
+
+def _calibration_of(rig: Rig) -> Floats:
+    """(K, K) covariance of the calibration, (0, 0) where it is unknown."""
+    known = known_covariance(rig)
+    return np.array(known.matrix) if known else np.zeros((0, 0))

@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from conetl.tracking.matching.cone_pixels import SplinePatch
 from conetl.tracking.matching.covariance import matching_cov
-from conetl.tracking.matching.spline_patch import SplinePatch
 
 Floats = NDArray[np.float64]
 ROWS, COLUMNS, MARGIN = 20, 12, 8

@@ -25,9 +25,8 @@ from numpy.typing import NDArray
 from conetl.geometry.small_arrays import median
 from conetl.model.records import Camera
 from conetl.tracking.matching.cone_outline import Outline
-from conetl.tracking.matching.cone_pixels import ConePixels, cone_pixels
+from conetl.tracking.matching.cone_pixels import ConePixels, SplinePatch, cone_pixels
 from conetl.tracking.matching.covariance import SHARED_DISPARITY_PX, matching_cov
-from conetl.tracking.matching.spline_patch import SplinePatch
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
