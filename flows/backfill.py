@@ -5,7 +5,8 @@ from __future__ import annotations
 import logging
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -23,8 +24,8 @@ from conetl.files.names import printable
 from conetl.model.params import IngestParams
 from conetl.pipeline.backfill_plan import Plan, PlanLine, plan_drives, write_plan
 from conetl.pipeline.database import MapDatabase
+from conetl.pipeline.ingest import new_receipt
 from conetl.pipeline.publish import catch_up_all
-from conetl.pipeline.receipts import new_receipt
 from conetl.pipeline.settings import Settings
 from flows.artifacts import send_events
 from flows.batch_artifacts import BatchBoard, open_board, show_progress, show_summary
@@ -226,13 +227,14 @@ def _refused(conn: Connection, line: PlanLine, plan: Plan, settings: Settings) -
 _watchers: list[Watcher] = []
 
 
-def watch(watcher: Watcher) -> None:
+@contextmanager
+def watch_batch(watcher: Watcher) -> Iterator[None]:
     """Call `watcher(standing)` whenever something changes in a batch of this process."""
     _watchers.append(watcher)
-
-
-def unwatch(watcher: Watcher) -> None:
-    _watchers.remove(watcher)
+    try:
+        yield
+    finally:
+        _watchers.remove(watcher)
 
 
 def _tell(standing: Standing, board: BatchBoard) -> None:

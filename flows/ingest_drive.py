@@ -21,8 +21,7 @@ from conetl.model.params import IngestParams
 from conetl.pipeline.backfill_plan import analysis_of
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.executor import Progress
-from conetl.pipeline.ingest import ingest
-from conetl.pipeline.receipts import ended, failed, keep, new_receipt
+from conetl.pipeline.ingest import ended, failed, ingest, keep, new_receipt
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.readers.drives.header import DriveHeader, read_header
 from flows.artifacts import progress_artifact, publish_drive, publish_pending

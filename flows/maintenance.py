@@ -12,7 +12,7 @@ from pydantic import Field
 from conetl.db.audits import run_audits
 from conetl.db.map.map_store import find_map
 from conetl.exports import FORMATS
-from conetl.pipeline.publication import REPORT, write_publication
+from conetl.pipeline.nightly_publication import REPORT, write_publication
 from conetl.pipeline.settings import read_settings
 from flows.runs import MapName, alive, recover, settings_for
 

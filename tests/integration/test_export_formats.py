@@ -28,7 +28,7 @@ from conetl.exports import FORMATS, geojson
 from conetl.exports.export import export_map
 from conetl.exports.source import ExportRequest, What
 from conetl.model.errors import InputError
-from conetl.pipeline.publication import write_publication
+from conetl.pipeline.nightly_publication import write_publication
 from conetl.pipeline.settings import Settings
 from tests.conftest import cloned_database
 from tests.integration.drives_of_days import DAY_NS, START_NS, merge, survey

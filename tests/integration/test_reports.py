@@ -26,8 +26,8 @@ from conetl.model.errors import InputError
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import IngestParams
 from conetl.model.rejections import RejectionReason
-from conetl.pipeline.code_identity import code_facts, code_sha256
-from conetl.pipeline.publication import write_publication
+from conetl.pipeline.commit import code_facts, code_sha256
+from conetl.pipeline.nightly_publication import write_publication
 from conetl.pipeline.settings import Settings
 from conetl.reports.change_images import images_of
 from conetl.reports.drive_facts import find_drive, read_drive_facts

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from conetl.cli.tools.drive_results import analyse_folder
+from conetl.cli.tools.evaluate import analyse_folder
 from conetl.mapping.changes import reconcile
 from conetl.mapping.visibility import check_visibility, observations_of_drive
 from conetl.model.detector_evidence import AbsenceFigures

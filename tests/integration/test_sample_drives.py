@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from conetl.cli.tools.drive_results import analyse_folder
+from conetl.cli.tools.evaluate import analyse_folder
 from conetl.evaluation.accuracy import PointErrors, members_of, pooled_consistency, position_errors
 from conetl.evaluation.truth import compare_with_truth, read_truth_cones
 from conetl.geometry.rig import map_SE3_left

@@ -66,7 +66,11 @@ _GROUPS = {
     ),
     "base": (
         "Base layers of the map: LiDAR points and lane boundaries.",
-        {"import": "map.base:import_files", "list": "map.base:list_layers", "drop": "map.base:drop"},
+        {
+            "import": "map.base_layers:import_files",
+            "list": "map.base_layers:list_layers",
+            "drop": "map.base_layers:drop",
+        },
     ),
     "db": (
         "The PostGIS database: CONETL_DATABASE_URL, or a private cluster.",
@@ -138,7 +142,7 @@ app = typer.Typer(
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
-    epilog="Exit codes: 0 done; 1 done, but something needs attention (too many records quarantined, files or events not "
+    epilog="Exit codes: 0 done; 1 done, but something needs a person (too many records quarantined, files or events not "
     "published); 2 bad usage or input, nothing written; 3 a service (database, Prefect, storage) is unavailable, nothing "
     "written; 70 internal error.",
 )

@@ -98,15 +98,12 @@ def backfill(
                     _print_receipt(receipt)
                     bar.start()
 
-        flow.watch(show)
-        try:
-            flow.backfill(
-                root.absolute(), since=begin, until=end, max_parallel=max_parallel,
-                map_name=settings.map_name, map_srid=map_srid, params=parameters, recheck=recheck,
-                where="here" if here else "auto", return_state=True,
-            ).result()  # fmt: skip
-        finally:
-            flow.unwatch(show)
+        running.enter_context(flow.watch_batch(show))
+        flow.backfill(
+            root.absolute(), since=begin, until=end, max_parallel=max_parallel,
+            map_name=settings.map_name, map_srid=map_srid, params=parameters, recheck=recheck,
+            where="here" if here else "auto", return_state=True,
+        ).result()  # fmt: skip
     failed = [receipt for receipt in ended if not receipt.done]
     if as_json:
         print_json({"plan": plan_as_dict(plan, max_parallel or 1), "drives": [_receipt_as_dict(r) for r in ended]})

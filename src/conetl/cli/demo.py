@@ -12,7 +12,7 @@ import typer
 from conetl.cli.console import JsonOption, out, print_json, print_table, say
 from conetl.cli.database import open_map
 from conetl.cli.ingest import ingest_drives, print_report
-from conetl.cli.map.base import import_one, print_imported
+from conetl.cli.map.base_layers import import_one, print_imported
 from conetl.db.map.map_store import read_current_features
 from conetl.evaluation.truth import (
     TABLE_3_COLUMNS,

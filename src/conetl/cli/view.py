@@ -50,7 +50,7 @@ def view(
     url = database_url(settings)
     with closing(connect(url)) as conn:
         migrate_once(conn)
-    writer = writer_of(settings, url, on_request=decisions, token_file=writer_token_file)
+    writer = decision_writer(settings, url, on_request=decisions, token_file=writer_token_file)
     address = f"http://127.0.0.1:{port}/"
     with closing(_listen(port)) as listener:
         server: uvicorn.Server | None = None
@@ -67,7 +67,7 @@ def view(
         server.run(sockets=[listener])
 
 
-def writer_of(settings: Settings, url: str, *, on_request: bool, token_file: Path | None) -> Writer | None:
+def decision_writer(settings: Settings, url: str, *, on_request: bool, token_file: Path | None) -> Writer | None:
     """Who may write decisions; None for nobody. The token itself is never printed."""
     if token_file is None and on_request and settings.writer_token is None:
         token_file = make_writer_token(settings.home)

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
+import platform
 from collections import Counter
 from collections.abc import Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from importlib.metadata import version
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
 from uuid import UUID, uuid4, uuid5
 
 from conetl.db.connection import transaction
@@ -15,6 +21,7 @@ from conetl.db.live_store import drop_watched_recording
 from conetl.db.map.map_store import find_changeset, map_transaction
 from conetl.db.map.replay_store import other_deliveries
 from conetl.db.map.results import CommittedChangeset, RunInfo
+from conetl.db.statements import sql_directory
 from conetl.files.parquet_store import result_key
 from conetl.model.detector_evidence import DetectorEvidence, evidence_sha256
 from conetl.model.errors import MapMismatchError
@@ -25,12 +32,13 @@ from conetl.model.records import Drive, Record, utc_from_ns
 from conetl.model.rejections import INPUT_REASONS, Rejection, RejectionReason
 from conetl.perception.model_card import read_model_card
 from conetl.pipeline.analysis import AnalysedDrive
-from conetl.pipeline.code_identity import code_facts
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.replay import merge_drive
 from conetl.pipeline.settings import Settings, read_settings
 
 _NAMESPACE = UUID("0b9b3a5e-9c1f-4d0e-8b55-2f7d9a1c6e42")
+#: Libraries that numbers come from.
+_LIBRARIES = ("numpy", "scipy", "opencv-python-headless", "onnxruntime", "pyproj", "prefect")
 
 
 class Identity(Record):
@@ -231,3 +239,36 @@ def report_of(
         committed_at=known.committed_at,
         counts_on_map=known.counts,
     )
+
+
+def code_facts() -> dict[str, Any]:
+    """Version, hash of the code, Python and the libraries that numbers come from, as JSON values."""
+    return {
+        "code_version": version("conetl"),
+        "code_sha256": code_sha256(),
+        "python": platform.python_version(),
+        "libraries": {name: found for name in _LIBRARIES if (found := _version(name)) is not None},
+    }
+
+
+@cache
+def code_sha256() -> str:
+    """SHA-256 over names and bytes of conetl's modules, flows and .sql files; equal in a clone and an installed wheel."""
+    flows = find_spec("flows")
+    folders = {"conetl": Path(__file__).resolve().parents[1], "sql": sql_directory()}
+    if flows is not None and flows.submodule_search_locations:
+        folders["flows"] = Path(flows.submodule_search_locations[0])
+    total = hashlib.sha256()
+    for label, folder in sorted(folders.items()):
+        suffix = ".sql" if label == "sql" else ".py"
+        for path in sorted(folder.rglob(f"*{suffix}")):
+            name = f"{label}/{path.relative_to(folder).as_posix()}"
+            total.update(name.encode() + b"\0" + hashlib.sha256(path.read_bytes()).digest())
+    return total.hexdigest()
+
+
+def _version(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None

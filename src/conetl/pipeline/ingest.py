@@ -1,20 +1,23 @@
-"""One drive folder becomes one changeset of the map, and everything that shows it."""
+"""One drive folder becomes one changeset of the map, and everything that shows it; receipts say what became of it."""
 
 from __future__ import annotations
 
 import logging
+import socket
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from uuid import UUID
 
 import httpx
 
 from conetl.db.map.map_store import find_map
+from conetl.db.receipt_store import Receipt, write_receipt
 from conetl.db.run_store import StepTime
 from conetl.files.storage import forget_all
-from conetl.model.errors import ConetlError, ServiceError, is_of_storage, storage_failed
+from conetl.model.errors import ConetlError, ServiceError, is_of_storage, may_pass, storage_failed
 from conetl.model.ingest_report import IngestReport, TooManyRejectionsError
 from conetl.model.params import IngestParams
 from conetl.model.records import Drive
@@ -35,6 +38,7 @@ from conetl.pipeline.executor import Executor, Progress, ThreadExecutor
 from conetl.pipeline.publish import publish
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.readers.drives import read_drive
+from conetl.readers.drives.header import DriveHeader
 
 _log = logging.getLogger(__name__)
 #: Steps that publish a drive that was committed now, and one that was on the map already.
@@ -150,3 +154,52 @@ def as_known(error: Exception) -> Exception:
             "PREFECT_API_URL), and run the same command again."
         )
     return error
+
+
+def new_receipt(
+    header: DriveHeader, settings: Settings, analysis_sha256: str, attempt_id: UUID, flow_run_id: str | None
+) -> Receipt:
+    """The receipt of work that begins now."""
+    return Receipt(
+        attempt_id=attempt_id,
+        map_name=settings.map_name,
+        drive_path=header.shown_path,
+        drive_id=header.drive_id,
+        header_sha256=header.header_sha256,
+        analysis_sha256=analysis_sha256,
+        content_sha256=None,
+        state="started",
+        reason="",
+        may_pass=True,
+        changeset_id=None,
+        frame_pairs=header.frame_pairs,
+        seconds=None,
+        flow_run_id=flow_run_id,
+        host=socket.gethostname(),
+    )
+
+
+def keep(receipt: Receipt, settings: Settings, database: MapDatabase) -> None:
+    """Write a receipt."""
+    with database.connection() as conn:
+        write_receipt(conn, receipt, settings.receipts_folder)
+
+
+def failed(begun: Receipt, error: Exception) -> Receipt:
+    """The receipt of work that ended before the commit; whether it is tried again depends on the error."""
+    reason = reason_of(error)[:2000] or "no reason given"
+    return replace(begun, state="failed", reason=reason, may_pass=may_pass(error))
+
+
+def ended(begun: Receipt, report: IngestReport, seconds: float, reason: str) -> Receipt:
+    """The receipt of a drive that is on the map. reason: what a person has to look at."""
+    return replace(
+        begun,
+        state="committed" if report.status == "committed" else "known",
+        reason=reason[:2000],
+        may_pass=False,
+        changeset_id=report.changeset_id,
+        content_sha256=report.content_sha256,
+        frame_pairs=report.frame_pairs,
+        seconds=seconds,
+    )

@@ -17,25 +17,19 @@ from numpy.typing import NDArray
 
 from conetl.db.connection import Connection
 from conetl.db.live_store import WatchedDrive, write_live
-from conetl.geometry.camera import first_road_row
-from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left
 from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence
 from conetl.model.errors import StorageError
 from conetl.model.params import IngestParams
 from conetl.model.records import Detection, FramePair, Rig, Side, Track
 from conetl.model.rejections import RejectionReason
-from conetl.perception import detector as detector_io
-from conetl.perception.detections import check_boxes
+from conetl.perception.detector import Detector, detect_image, load_detector
 from conetl.perception.images import ImageFileError
 from conetl.perception.model_card import read_model_card
-from conetl.perception.rectified_image import read_rig_image
+from conetl.pipeline.one_pair import SIDES, match_searched, search_image
 from conetl.pipeline.settings import Settings
 from conetl.tracking.live_tracks import Frame, LiveTracks, add_frame
-from conetl.tracking.matching.matches import match_pair
 from conetl.tracking.positions import locate_positions
 
-Image = NDArray[np.uint8]
-_SIDES: tuple[Side, Side] = ("left", "right")
 #: An image of this size is searched before the first pair: the first run of a network takes several times as long.
 _WARM_UP_SHAPE = (320, 1242, 3)
 
@@ -68,8 +62,8 @@ class LiveDrive:
 class SearchedImage(NamedTuple):
     """What one image of a pair shows."""
 
-    image: Image
-    detections: list[Detection]
+    found: tuple[NDArray[np.uint8], list[Detection]]
+    """The image, and its cones."""
     ended_s: float
     """Monotonic s."""
     processor_s: float
@@ -109,17 +103,21 @@ def open_detectors(settings: Settings, params: IngestParams) -> Iterator[Detecto
     everywhere: dict[str, object] = {"search_right": "everywhere"}
     params = params.model_copy(update={"detection": params.detection.model_copy(update=everywhere)})
     card = read_model_card(settings.model_path)
-    ready = threading.Barrier(len(_SIDES))
-    with ThreadPoolExecutor(len(_SIDES)) as pool:
+    ready = threading.Barrier(len(SIDES))
+    with ThreadPoolExecutor(len(SIDES)) as pool:
         detectors = Detectors(pool, threading.local(), settings.model_path, card.evidence or UNMEASURED, params)
 
         def warm_up() -> None:
             try:
-                _boxes(detectors, np.full(_WARM_UP_SHAPE, 127, np.uint8), 0)
+                detect_image(
+                    _detector(detectors),
+                    np.full(_WARM_UP_SHAPE, 127, np.uint8),
+                    score_threshold=params.detection.score_threshold,
+                )
             finally:
                 ready.wait()  # so that the other thread takes the other call
 
-        for future in [pool.submit(warm_up) for _ in _SIDES]:
+        for future in [pool.submit(warm_up) for _ in SIDES]:
             future.result()
         yield detectors
 
@@ -132,7 +130,7 @@ def new_drive(drive_id: str, folder: Path, rig: Rig, srid: int, map_name: str, f
 
 def search_pair(detectors: Detectors, rig: Rig, pair: FramePair) -> PairSearch:
     """Begin to search both images of a pair."""
-    left, right = (detectors.pool.submit(_search, detectors, rig, pair, side) for side in _SIDES)
+    left, right = (detectors.pool.submit(_search, detectors, rig, pair, side) for side in SIDES)
     return PairSearch(pair, time.monotonic(), (left, right))
 
 
@@ -141,14 +139,12 @@ def take_pair(
 ) -> tuple[LiveDrive, StepTimes]:
     """Detections -> match -> locate -> tracks -> commit. Raises ImageFileError (an image is incomplete), DatabaseError."""
     pair, sides = search.pair, search.images()
-    left, right = sides[0].detections, sides[1].detections
     started, processor_s = time.monotonic(), time.thread_time()
     params = detectors.params
-    up = map_SE3_left(pair.pose, drive.rig)[2, :3]
-    images = sides[0].image, sides[1].image
-    matches, _ = match_pair(left, right, drive.rig, params.match, up_left=up, images=images)
-    positions, _ = locate_positions(matches, {pair.frame_index: pair}, drive.rig, params.position)
-    frame = Frame(pair, (*left, *right), tuple(matches), tuple(positions))
+    matched = match_searched([side.found for side in sides], drive.rig, params, pair)
+    positions, _ = locate_positions(matched.matches, {pair.frame_index: pair}, drive.rig, params.position)
+    left, right = matched.detections
+    frame = Frame(pair, (*left, *right), tuple(matched.matches), tuple(positions))
     tracks, changed = add_frame(drive.tracks, frame, drive.rig, params, detectors.evidence)
     cones = {number: found for number, found in changed.items() if isinstance(found, Track)}
     taken_back = [number for number in changed if number not in cones and number in drive.standing]
@@ -171,22 +167,14 @@ def _search(detectors: Detectors, rig: Rig, pair: FramePair, side: Side) -> Sear
     started_s = time.thread_time()
     path = Path(pair.left_path if side == "left" else pair.right_path)
     try:
-        image = read_rig_image(path, rig, side)
+        found = search_image(path, rig, side, _detector(detectors), detectors.params.detection, pair)
     except StorageError as error:  # the watch tries again, and leaves the pair out in time
         raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, str(error)) from error
-    rotation = map_SE3_camera(pair.pose, rig, side)[:3, :3]
-    first_row = first_road_row(camera_of(rig, side), [rotation], detectors.params.detection.horizon_margin_rad)
-    found, _ = check_boxes(
-        _boxes(detectors, image, first_row), frame_index=pair.frame_index, side=side, params=detectors.params.detection
-    )
-    return SearchedImage(image, found, time.monotonic(), time.thread_time() - started_s)
+    return SearchedImage(found, time.monotonic(), time.thread_time() - started_s)
 
 
-def _boxes(detectors: Detectors, image: Image, first_row: int) -> NDArray[np.float64]:
-    loaded: detector_io.Detector | None = getattr(detectors.per_thread, "detector", None)
+def _detector(detectors: Detectors) -> Detector:
+    loaded: Detector | None = getattr(detectors.per_thread, "detector", None)
     if loaded is None:
-        loaded = detectors.per_thread.detector = detector_io.load_detector(detectors.model_path, threads=1)
-    params = detectors.params.detection
-    return detector_io.detect_image(
-        loaded, image, score_threshold=params.score_threshold, nms_iou=params.nms_iou, first_row=first_row
-    )
+        loaded = detectors.per_thread.detector = load_detector(detectors.model_path, threads=1)
+    return loaded

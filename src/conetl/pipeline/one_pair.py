@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from conetl.geometry.camera import first_road_row
 from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left, up_in_left_camera
-from conetl.model.params import IngestParams
+from conetl.model.params import DetectionParams, IngestParams
 from conetl.model.records import Detection, FramePair, Rig, Side, StereoMatch
 from conetl.model.rejections import Rejection
 from conetl.perception.detections import check_boxes
@@ -20,6 +21,22 @@ from conetl.tracking.matching.matches import match_pair
 from conetl.tracking.positions import CameraPosition, locate_in_camera
 
 SIDES: tuple[Side, Side] = ("left", "right")
+
+
+def search_image(
+    path: Path, rig: Rig, side: Side, detector: Detector, params: DetectionParams, pair: FramePair | None
+) -> tuple[NDArray[np.uint8], list[Detection]]:
+    """One image and the cones in it. pair: with its pose, the area above the horizon is skipped. Raises ImageFileError."""
+    image = read_rig_image(path, rig, side)
+    first_row = 0
+    if pair is not None:
+        map_R_cam = map_SE3_camera(pair.pose, rig, side)[:3, :3]
+        first_row = first_road_row(camera_of(rig, side), [map_R_cam], params.horizon_margin_rad)
+    boxes = detect_image(
+        detector, image, score_threshold=params.score_threshold, nms_iou=params.nms_iou, first_row=first_row
+    )
+    frame_index = 0 if pair is None else pair.frame_index
+    return image, check_boxes(boxes, frame_index=frame_index, side=side, params=params)[0]
 
 
 class MatchedPair(NamedTuple):
@@ -52,25 +69,19 @@ def match_images(
 
     Raises ImageFileError.
     """
-    images, detections = [], []
-    for side, path in zip(SIDES, paths, strict=True):
-        image = read_rig_image(path, rig, side)
-        first_row = 0
-        if pair is not None:
-            map_R_cam = map_SE3_camera(pair.pose, rig, side)[:3, :3]
-            first_row = first_road_row(camera_of(rig, side), [map_R_cam], params.detection.horizon_margin_rad)
-        boxes = detect_image(
-            detector, image, score_threshold=params.detection.score_threshold, nms_iou=params.detection.nms_iou,
-            first_row=first_row,
-        )  # fmt: skip
-        frame_index = 0 if pair is None else pair.frame_index
-        found, _ = check_boxes(boxes, frame_index=frame_index, side=side, params=params.detection)
-        images.append(image)
-        detections.append(found)
+    sides = zip(SIDES, paths, strict=True)
+    found = [search_image(path, rig, side, detector, params.detection, pair) for side, path in sides]
+    return match_searched(found, rig, params, pair)
+
+
+def match_searched(
+    found: Sequence[tuple[NDArray[np.uint8], list[Detection]]], rig: Rig, params: IngestParams, pair: FramePair | None
+) -> MatchedPair:
+    """Match what `search_image` found in the left and the right image of a pair."""
+    (left_image, left), (right_image, right) = found
     up = up_in_left_camera(rig) if pair is None else map_SE3_left(pair.pose, rig)[2, :3]
-    left, right = detections
-    matches, rejections = match_pair(left, right, rig, params.match, up_left=up, images=(images[0], images[1]))
-    return MatchedPair(images, detections, matches, rejections)
+    matches, rejections = match_pair(left, right, rig, params.match, up_left=up, images=(left_image, right_image))
+    return MatchedPair([left_image, right_image], [left, right], matches, rejections)
 
 
 def locate_pair(paths: tuple[Path, Path], rig: Rig, detector: Detector, params: IngestParams) -> LocatedPair:

@@ -8,9 +8,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from conetl.cli.console import JsonOption, ParamsOption, out, print_json, print_table, say
+from conetl.cli.console import (
+    JsonOption,
+    ParamsOption,
+    note_unmeasured,
+    out,
+    print_json,
+    print_table,
+    progress_bar,
+    say,
+)
 from conetl.cli.ingest import read_params
-from conetl.cli.tools.drive_results import analyse_folder
 from conetl.evaluation.drive_evaluation import (
     DriveEvaluation,
     evaluate_drive,
@@ -20,7 +28,10 @@ from conetl.evaluation.drive_evaluation import (
 )
 from conetl.evaluation.truth import TABLE_3_COLUMNS, TruthCone, median_error, read_truth_cones
 from conetl.model.errors import InputError
-from conetl.pipeline.settings import read_settings
+from conetl.model.params import IngestParams
+from conetl.perception.model_card import read_model_card
+from conetl.pipeline.settings import Settings, read_settings
+from conetl.readers.drives import read_drive
 from conetl.reports.html import Section
 
 if TYPE_CHECKING:
@@ -112,6 +123,20 @@ def _truths_of(drives: Sequence[Path], truth: Path | None) -> dict[Path, tuple[P
             raise InputError(f"{drive} has no truth.csv: give the surveyed cones with --truth")
         truths[drive] = (file, *read_truth_cones(file))
     return truths
+
+
+def analyse_folder(
+    folder: Path, settings: Settings, params: IngestParams, *, map_srid: int | None = None
+) -> AnalysedDrive:
+    """Read and analyse one drive without server and database; results of chunks are kept as in an ingest. Raises ConetlError."""
+    from conetl.pipeline.analysis import analyse
+
+    if not folder.is_dir():
+        raise InputError(f"no such drive folder: {folder}")
+    drive, rejections = read_drive(folder, map_srid=map_srid, images_folder=settings.images_folder.resolve())
+    note_unmeasured(read_model_card(settings.model_path))
+    with progress_bar(drive.drive_id, "images") as update:
+        return analyse(drive, params, rejections=rejections, settings=settings, progress=update)
 
 
 def _summary(results: AnalysedDrive, evaluation: DriveEvaluation, within_m: float) -> list[str]:

@@ -41,7 +41,7 @@ class RunInfo:
     params: Mapping[str, Any]
     flow_run_id: str | None = None
     facts: Mapping[str, Any] | None = None
-    """Sentences about trajectory and calibration, and the identity of the code (`pipeline/code_identity.py`)."""
+    """Sentences about trajectory and calibration, and the identity of the code (`pipeline/commit.py`)."""
 
 
 @dataclass(frozen=True)
