@@ -7,8 +7,8 @@ import hashlib
 import itertools
 import os
 import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, closing, contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -122,6 +122,19 @@ def cloned_database(cluster_url: str, template: str) -> Iterator[str]:
     yield cluster_url.replace("@/conetl?", f"@/{name}?")
     execute(conn, f"drop database {name} with (force)")
     conn.close()
+
+
+@pytest.fixture(scope="session")
+def another_database(cluster_url: str, template_database: str) -> Callable[[], AbstractContextManager[Any]]:
+    """`with another_database() as conn`: an open connection to one more migrated, empty database."""
+    from conetl.db.connection import connect
+
+    @contextmanager
+    def clone() -> Iterator[Any]:
+        with cloned_database(cluster_url, template_database) as url, closing(connect(url)) as connection:
+            yield connection
+
+    return clone
 
 
 @pytest.fixture

@@ -13,7 +13,6 @@ from pyproj import Transformer
 from typer.testing import CliRunner
 
 from conetl.cli.app import app as command_line
-from conetl.cli.view import decide_on
 from conetl.db.map.decision_store import list_decisions
 from conetl.db.map.map_store import read_current_features
 from conetl.pipeline.maps.decisions import PIN, decide_place
@@ -35,7 +34,7 @@ TOKEN = "a-token-that-nobody-guesses"
 @pytest.fixture(scope="module")
 def address(module_database_url: str, conn: Any) -> Iterator[str]:  # noqa: F811
     merge(conn, survey(0))
-    writer = Writer(token=SecretStr(TOKEN), decide=decide_on(module_database_url))
+    writer = Writer(SecretStr(TOKEN), module_database_url)
     with serving(module_database_url, "default", writer=writer) as port:
         yield f"http://127.0.0.1:{port}/"
 

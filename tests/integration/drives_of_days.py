@@ -11,6 +11,7 @@ from uuid import NAMESPACE_URL, uuid5
 
 import numpy as np
 
+from conetl.db.audits import AuditResult, run_audits
 from conetl.db.connection import Connection, execute
 from conetl.db.map.map_store import find_changeset, map_transaction
 from conetl.geometry.calibration.covariance import with_covariance
@@ -39,6 +40,16 @@ CALIBRATED = with_covariance(
         matrix=((1.0, 0.0, 0.0), (0.0, 0.25, 0.0), (0.0, 0.0, 2.5e-7)),
     ),
 )
+#: Calibrated another time, with more parameters open.
+AGAIN = with_covariance(
+    RIG,
+    CalibrationCovariance(
+        names=("left.fx_px", "right.cx_px", "relative.ry_rad", "relative.tx_m"),
+        matrix=np.diag([1.0, 0.25, 2.5e-7, 1e-6]).tolist(),
+    ),
+)
+#: Of each day, where drives have errors of their calibrations in common.
+RIGS = (CALIBRATED, CALIBRATED, AGAIN, RIG)
 ROW = [Cone((14.0 + 5.0 * k, 3.6 - 0.4 * k, 0.0), height_m=0.7 if k % 2 else 0.5) for k in range(7)]
 #: Cones on the road per day: one is moved, one taken away and one set up; then one is moved back, and one comes again.
 DAYS = [
@@ -123,6 +134,11 @@ def merge(
         if find_changeset(conn, key, map_name=map_name) is not None:
             return None
         return merge_drive(conn, records, changeset, params, map_name=map_name)
+
+
+def failed_audits(conn: Connection) -> list[AuditResult]:
+    """The audits that find a row."""
+    return [result for result in run_audits(conn) if not result.passed]
 
 
 def valid_time_map(conn: Connection, map_name: str = "default") -> dict[str, list[str]]:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from subprocess import CompletedProcess
 from typing import Any
 
 import httpx
@@ -24,9 +22,8 @@ from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.publish import catch_up_all
 from conetl.pipeline.settings import Settings
 from flows import artifacts, ingest_drive
+from tests.command import conetl
 from tests.integration.small_drives import SAMPLES, cut_drive
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def report(**changes: Any) -> IngestReport:
@@ -143,14 +140,9 @@ def test_what_was_is_pending_is_published_without_the_drive(
     assert len(events) == 3
 
 
-def command(home: Path, database_url: str, *arguments: object, before: str = "") -> subprocess.CompletedProcess[str]:
+def command(home: Path, database_url: str, *arguments: object, before: str = "") -> CompletedProcess[str]:
     """A command of conetl with a Prefect server of its own. before: Python that runs first."""
-    environment = {k: v for k, v in os.environ.items() if not k.startswith(("PREFECT_", "CONETL_"))}
-    environment |= {"CONETL_HOME": str(home), "CONETL_DATABASE_URL": database_url}
-    return subprocess.run(
-        [sys.executable, "-c", f"{before}\nfrom conetl.cli import main; main()", *map(str, arguments), "--json"],
-        env=environment, cwd=ROOT, capture_output=True, text=True, timeout=600, check=False,
-    )  # fmt: skip
+    return conetl(*arguments, "--json", before=before, CONETL_HOME=home, CONETL_DATABASE_URL=database_url)
 
 
 def test_a_batch_tells_what_an_earlier_one_could_not(tmp_path: Path, conn: Any, database_url: str) -> None:

@@ -14,8 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from conetl.db.audits import run_audits
-from conetl.db.connection import connect, execute
+from conetl.db.connection import execute
 from conetl.db.map.decision_store import read_decisions
 from conetl.db.map.map_store import (
     feature_log,
@@ -27,25 +26,32 @@ from conetl.db.map.map_store import (
     system_time,
 )
 from conetl.db.map.replay_store import affected_drives, write_replay
+from conetl.geometry.calibration.covariance import calibration_id
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import IngestParams, ReconcileParams
 from conetl.pipeline.replay import replay_of
-from tests.conftest import cloned_database
-from tests.integration.drives_of_days import DAY_NS, DAYS, known_maps, merge, survey, valid_time_map
+from tests.integration.drives_of_days import (
+    AGAIN,
+    CALIBRATED,
+    DAY_NS,
+    DAYS,
+    RIG,
+    RIGS,
+    failed_audits,
+    known_maps,
+    merge,
+    survey,
+    valid_time_map,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT / "src"), str(ROOT)])}
 
 
-def failed_audits(conn):
-    return [result for result in run_audits(conn) if not result.passed]
-
-
 @pytest.fixture(scope="module")
-def in_order(cluster_url, template_database):
+def in_order(another_database):
     """The map of the first three days, ingested in order: each drive extends the fold by one, nothing is replayed."""
-    with cloned_database(cluster_url, template_database) as url:
-        conn = connect(url)
+    with another_database() as conn:
         merged = [merge(conn, survey(day)) for day in range(3)]
         assert [m.replayed for m in merged] == [0, 0, 0]
         kinds = [sorted({delta.kind for delta in m.changeset.deltas}) for m in merged]
@@ -58,17 +64,32 @@ def in_order(cluster_url, template_database):
         assert len(read_current_features(conn)) == len(DAYS[2])
         conn.rollback()
         yield valid_time_map(conn)
-        conn.close()
 
 
+@pytest.fixture(scope="module")
+def calibrated_in_order(another_database):
+    """The same of drives of two calibrations, whose errors they share."""
+    with another_database() as conn:
+        assert [merge(conn, survey(day, rig=RIGS[day])).replayed for day in range(3)] == [0, 0, 0]
+        found = [feature.shared_jacobian for feature in read_current_features(conn)]
+        assert len(found) == len(DAYS[2])
+        ids = {calibration_id(CALIBRATED), calibration_id(AGAIN)}
+        assert ids in [set(one.calibrations) for one in found if one], "some cones know both calibrations"
+        conn.rollback()
+        yield valid_time_map(conn)
+
+
+@pytest.mark.parametrize(("expected", "rigs"), [("in_order", (RIG,) * 4), ("calibrated_in_order", RIGS)])
 @pytest.mark.parametrize("order", list(permutations(range(3))), ids=lambda order: "".join(map(str, order)))
-def test_all_orders_of_three_drives_give_the_same_map(conn, in_order, order):
+def test_all_orders_of_three_drives_give_the_same_map(conn, request, order, expected, rigs):
+    in_order = request.getfixturevalue(expected)
+    assert ('"shared_jacobian_m": [[[' in in_order["versions"][0]) == (rigs is RIGS)
     believed = {}
     for day in order:
-        assert merge(conn, survey(day)) is not None
+        assert merge(conn, survey(day, rig=rigs[day])) is not None
         assert failed_audits(conn) == []
         for earlier in order[: order.index(day) + 1]:  # again: nothing happens
-            assert merge(conn, survey(earlier)) is None
+            assert merge(conn, survey(earlier, rig=rigs[earlier])) is None
         now = known_maps(conn)
         assert {moment: now[moment] for moment in believed} == believed, "an earlier belief was changed"
         believed = now
@@ -76,7 +97,7 @@ def test_all_orders_of_three_drives_give_the_same_map(conn, in_order, order):
     assert len(list_changesets(conn)) == 3
 
 
-def test_short_looks_in_vain_add_up_in_any_order_and_are_known_at_any_time(conn, cluster_url, template_database):
+def test_short_looks_in_vain_add_up_in_any_order_and_are_known_at_any_time(conn, another_database):
     """Two drives that came too near the spot for too short a time: evidence, counts and belief, but no version."""
     glimpses = [survey(1, frames=20), survey(1, frames=21, after_ns=3_600_000_000_000)]
     for one in (survey(0), *glimpses):
@@ -96,13 +117,11 @@ def test_short_looks_in_vain_add_up_in_any_order_and_are_known_at_any_time(conn,
     assert failed_audits(conn) == []
     in_order = valid_time_map(conn)
     for order in ((2, 0, 1), (2, 1, 0), (1, 0, 2)):
-        with cloned_database(cluster_url, template_database) as url:
-            other = connect(url)
+        with another_database() as other:
             for number in order:
                 merge(other, [survey(0), *glimpses][number])
             assert valid_time_map(other) == in_order
             assert failed_audits(other) == []
-            other.close()
 
 
 def test_history_is_only_ever_closed(conn):
@@ -123,9 +142,10 @@ def test_history_is_only_ever_closed(conn):
     assert execute(conn, open_before) == [{"n": 0}]
 
 
-def test_playing_everything_again_writes_nothing(conn):
+@pytest.mark.parametrize("rigs", [(RIG,) * 4, RIGS], ids=["one rig", "two calibrations"])
+def test_playing_everything_again_writes_nothing(conn, rigs):
     for day in (1, 3, 0, 2):
-        merge(conn, survey(day))
+        merge(conn, survey(day, rig=rigs[day]))
     with map_transaction(conn):
         drives = [row["drive_uuid"] for row in execute(conn, "select drive_uuid from conetl.drive")]
         again = affected_drives(conn, drives)
@@ -148,20 +168,18 @@ def test_a_drive_elsewhere_comes_late_and_nobody_minds(conn):
     assert set(before["deltas"]) <= set(after["deltas"])
 
 
-def test_drives_that_overlap_in_time_or_start_together(conn, cluster_url, template_database):
+def test_drives_that_overlap_in_time_or_start_together(conn, another_database):
     surveys = [survey(0), survey(1, name="a"), survey(1, after_ns=1_000_000_000), survey(1, frames=39)]
     assert surveys[1].drive.captured_from == surveys[3].drive.captured_from
     for one in surveys:
         merge(conn, one)
     assert failed_audits(conn) == []
     expected = valid_time_map(conn)
-    with cloned_database(cluster_url, template_database) as url:
-        other = connect(url)
+    with another_database() as other:
         for number in (3, 2, 0, 1):
             merge(other, surveys[number])
         assert failed_audits(other) == []
         assert valid_time_map(other) == expected
-        other.close()
 
 
 def test_two_maps_in_one_database_do_not_touch_each_other(conn, in_order):
@@ -176,7 +194,7 @@ def test_two_maps_in_one_database_do_not_touch_each_other(conn, in_order):
     assert not ids[0] & ids[1]
 
 
-def test_the_same_recording_analysed_again_takes_the_place_of_the_first_analysis(conn, cluster_url, template_database):
+def test_the_same_recording_analysed_again_takes_the_place_of_the_first_analysis(conn, another_database):
     """One recording is one piece of evidence: it is not counted twice because it was analysed twice."""
     strict = IngestParams(reconcile=ReconcileParams(removal_min_frames=30))
     for day in range(3):
@@ -184,12 +202,10 @@ def test_the_same_recording_analysed_again_takes_the_place_of_the_first_analysis
     again = merge(conn, survey(1), params=strict)
     assert again.replayed == 1
     assert failed_audits(conn) == []
-    with cloned_database(cluster_url, template_database) as url:
-        other = connect(url)
+    with another_database() as other:
         for day in (1, 2, 0):
             merge(other, survey(day), params=strict if day == 1 else None)
         assert valid_time_map(other) == valid_time_map(conn)
-        other.close()
     assert merge(conn, survey(1)) is None  # the first analysis is known, and superseded
 
 

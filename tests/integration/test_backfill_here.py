@@ -4,29 +4,23 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
-import sys
 import time
 from contextlib import closing
 from functools import partial
 from pathlib import Path
 
 from conetl.db.connection import connect, execute
+from tests.command import conetl
 from tests.integration.small_drives import SAMPLES, cut_drive, processes_with
 
-ROOT = Path(__file__).resolve().parents[2]
 #: 210 bytes.
 LONG_ID = "漢" * 70
 
 
 def _backfill(root: Path, home: Path, database_url: str, *options: str) -> tuple[int, dict[str, dict[str, object]]]:
     """Exit code, and by drive id what became of the drives; the plan's lines where there was nothing to do."""
-    environment = {k: v for k, v in os.environ.items() if not k.startswith(("PREFECT_", "CONETL_"))}
-    environment |= {"CONETL_HOME": str(home), "CONETL_DATABASE_URL": database_url}
-    done = subprocess.run(
-        [sys.executable, "-c", "from conetl.cli import main; main()", "backfill", root.name, "--here", "--json", *options],
-        env=environment, cwd=root.parent, capture_output=True, text=True, timeout=600, check=False,
-    )  # fmt: skip
+    words = ("backfill", root.name, "--here", "--json", *options)
+    done = conetl(*words, cwd=root.parent, CONETL_HOME=home, CONETL_DATABASE_URL=database_url)
     assert done.stdout, done.stderr
     said = json.loads(done.stdout)
     return done.returncode, {d["drive_id"]: d for d in said["drives"] or said["plan"]["lines"]}

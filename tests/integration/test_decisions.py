@@ -7,8 +7,6 @@ from itertools import permutations
 
 import pytest
 
-from conetl.db.audits import run_audits
-from conetl.db.connection import connect
 from conetl.db.map.decision_store import list_decisions
 from conetl.db.map.map_store import (
     feature_log,
@@ -24,13 +22,8 @@ from conetl.model.params import ImportParams
 from conetl.pipeline.maps.decisions import PIN, SUPPRESS, decide_place, revert
 from conetl.pipeline.maps.import_map import import_map
 from conetl.readers.maps.imported_rows import read_map_file
-from tests.conftest import cloned_database
-from tests.integration.drives_of_days import merge, survey, valid_time_map
+from tests.integration.drives_of_days import failed_audits, merge, survey, valid_time_map
 from tests.synthetic.world import ORIGIN_M
-
-
-def failed_audits(conn):
-    return [result for result in run_audits(conn) if not result.passed]
 
 
 @pytest.fixture(autouse=True)
@@ -147,7 +140,7 @@ def test_a_pin_that_comes_after_the_removal_brings_the_cone_back(conn):
 
 
 @pytest.mark.parametrize("day", range(3))
-def test_a_reverted_drive_might_never_have_come_and_comes_back_as_it_was(conn, cluster_url, template_database, day):
+def test_a_reverted_drive_might_never_have_come_and_comes_back_as_it_was(conn, another_database, day):
     for one in range(3):
         merge(conn, survey(one))
     everything = valid_time_map(conn)
@@ -162,13 +155,11 @@ def test_a_reverted_drive_might_never_have_come_and_comes_back_as_it_was(conn, c
         assert conflict.changed_to.changeset_id == target.changeset_id or conflict.kind in ("missed", "confirmed")
         assert (conflict.was is None) == (conflict.kind in ("added", "split"))
         assert conflict.is_now is None or conflict.is_now.changeset_id != target.changeset_id
-    with cloned_database(cluster_url, template_database) as url:
-        other = connect(url)
+    with another_database() as other:
         for one in range(3):
             if one != day:
                 merge(other, survey(one))
         assert valid_time_map(other) == valid_time_map(conn)
-        other.close()
     assert merge(conn, survey(day)) is None, "ingested again, it stays reverted"
     with pytest.raises(InputError, match="already"):
         revert(conn, str(target.changeset_id), map_name="default")
@@ -179,15 +170,14 @@ def test_a_reverted_drive_might_never_have_come_and_comes_back_as_it_was(conn, c
         revert(conn, str(reverted.decision_id), map_name="default")
 
 
-def test_decisions_and_drives_in_any_order_give_one_map(cluster_url, template_database, conn):
+def test_decisions_and_drives_in_any_order_give_one_map(another_database, conn):
     """Day 0 first, so that there is something to decide about; then two drives and three decisions in any order."""
     merge(conn, survey(0))
     [pinned], [suppressed] = near(conn, 34.0, 2.0), near(conn, 14.0, 3.6)
     expected = None
     orders = list(permutations(("1", "2", "pin", "suppress", "revert")))
     for order in orders[::17]:
-        with cloned_database(cluster_url, template_database) as url:
-            other = connect(url)
+        with another_database() as other:
             merge(other, survey(0))
             merge(other, survey(3))
             for step in order:
@@ -199,10 +189,9 @@ def test_decisions_and_drives_in_any_order_give_one_map(cluster_url, template_da
                     about = pinned if step == "pin" else suppressed
                     place_of_first_day(other, step, about, order)
             found = valid_time_map(other)
-            assert [result for result in run_audits(other) if not result.passed] == []
+            assert failed_audits(other) == []
             expected = expected or found
             assert found == expected
-            other.close()
 
 
 def place_of_first_day(conn, kind, feature, order):

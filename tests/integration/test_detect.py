@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
+from subprocess import CompletedProcess
 
 import cv2
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
+from tests.command import ROOT, conetl
+
 IMAGE = next((ROOT / "data" / "drives").glob("*/image_02/data/*"))
 
 
-def run(*arguments: object, folder: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-c", "from conetl.cli import main; main()", "detect", *map(str, arguments)]
-    return subprocess.run(command, cwd=folder, env=dict(os.environ), capture_output=True, text=True, check=False)
+def run(*arguments: object, folder: Path) -> CompletedProcess[str]:
+    return conetl("detect", *arguments, cwd=folder)
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
-from contextlib import closing
 from datetime import UTC, datetime, timedelta
 from importlib import resources
 from pathlib import Path
@@ -21,7 +20,7 @@ from jsonschema import validate
 from mcap.reader import make_reader
 from pyproj import Transformer
 
-from conetl.db.connection import connect, execute
+from conetl.db.connection import execute
 from conetl.db.map.import_store import set_licence
 from conetl.db.map.map_store import read_features_as_of
 from conetl.exports import FORMATS, geojson
@@ -30,7 +29,6 @@ from conetl.exports.source import ExportRequest, What
 from conetl.model.errors import InputError
 from conetl.pipeline.nightly_publication import write_publication
 from conetl.pipeline.settings import Settings
-from tests.conftest import cloned_database
 from tests.integration.drives_of_days import DAY_NS, START_NS, merge, survey
 
 NOON = [datetime.fromtimestamp((START_NS + day * DAY_NS) / 1e9 + 7200, UTC) for day in range(4)]
@@ -43,15 +41,13 @@ WHATS = {
 
 
 @pytest.fixture(scope="module")
-def conn(cluster_url, template_database):
+def conn(another_database):
     """A map of three drives, the second one late: some versions were replaced."""
-    with cloned_database(cluster_url, template_database) as url:
-        connection = connect(url)
+    with another_database() as connection:
         for day in (0, 2, 1):
             merge(connection, survey(day))
         set_licence(connection, "default", "CC BY 4.0, Roads of Nowhere")
         yield connection
-        connection.close()
 
 
 @pytest.fixture(scope="module")
@@ -229,9 +225,9 @@ def test_changes_lead_from_one_map_to_the_other(conn, files):
         assert (row["change"] == "moved") == (row["shift_m"] > 0.5)
 
 
-def test_evidence_of_drives_is_exported(cluster_url, template_database, tmp_path):
+def test_evidence_of_drives_is_exported(another_database, tmp_path):
     """Counts and probability as in `conetl map show`, of cones that two short drives missed."""
-    with cloned_database(cluster_url, template_database) as url, closing(connect(url)) as conn:
+    with another_database() as conn:
         for one in (survey(0), survey(1, frames=20), survey(1, frames=21, after_ns=3_600_000_000_000)):
             merge(conn, one)
         shown = {str(v.feature.feature_id): v for v in read_features_as_of(conn)}

@@ -18,8 +18,7 @@ import pytest
 import shapely
 from pyproj import Transformer
 
-from conetl.db.audits import run_audits
-from conetl.db.connection import connect, execute
+from conetl.db.connection import execute
 from conetl.db.map.map_store import list_changesets, read_current_features, read_features_as_of
 from conetl.exports import FORMATS
 from conetl.exports.export import export_map
@@ -31,16 +30,12 @@ from conetl.model.params import ImportParams
 from conetl.pipeline.maps.decisions import revert
 from conetl.pipeline.maps.import_map import import_map
 from conetl.readers.maps.imported_rows import read_map_file
-from tests.conftest import cloned_database
-from tests.integration.drives_of_days import DAY_NS, DAYS, START_NS, merge, survey, valid_time_map
+from tests import command
+from tests.integration.drives_of_days import DAY_NS, DAYS, START_NS, failed_audits, merge, survey, valid_time_map
 
 IMPORTABLE = [name for name in FORMATS if name not in ("mcap", "lanelet2", "wzdx")]
 PARAMS = ImportParams()
 NEW_IDS = ImportParams(new_ids=True)
-
-
-def audited(conn):
-    return [result for result in run_audits(conn) if not result.passed]
 
 
 def take(conn, path, *, params=PARAMS, map_name="default", **options):
@@ -49,17 +44,15 @@ def take(conn, path, *, params=PARAMS, map_name="default", **options):
 
 
 @pytest.fixture(scope="module")
-def surveyed(cluster_url, template_database, tmp_path_factory):
+def surveyed(another_database, tmp_path_factory):
     """Files of a map of two drives, one a format, and its features."""
     folder = tmp_path_factory.mktemp("exports")
-    with cloned_database(cluster_url, template_database) as url:
-        conn = connect(url)
+    with another_database() as conn:
         for day in range(2):
             merge(conn, survey(day))
         for name in IMPORTABLE:
             export_map(conn, folder / f"map{FORMATS[name].suffix}", name, ExportRequest())
         features = read_current_features(conn)
-        conn.close()
     return folder, features
 
 
@@ -83,7 +76,7 @@ def test_an_exported_map_comes_back(conn, surveyed, name):
         assert abs(one.last_seen_ns - other.last_seen_ns) < 1000
         if name not in ("geojson", "csv"):  # which round, and have no correlations
             assert one.cov_m2 == pytest.approx(other.cov_m2, rel=1e-12)
-    assert audited(conn) == []
+    assert failed_audits(conn) == []
     assert not take(conn, folder / f"map{FORMATS[name].suffix}").committed
     assert len(list_changesets(conn)) == 1
 
@@ -184,7 +177,7 @@ def test_drives_confirm_move_and_remove_imported_cones(conn, tmp_path):
     kinds = {kind: sum(d.kind is kind for d in merged.changeset.deltas) for kind in DeltaKind}
     assert kinds[DeltaKind.CONFIRMED] >= 4
     assert (kinds[DeltaKind.MOVED], kinds[DeltaKind.REMOVED], kinds[DeltaKind.ADDED]) == (1, 1, 0)
-    assert audited(conn) == []
+    assert failed_audits(conn) == []
 
 
 def test_an_import_saw_no_cone(conn, surveyed):
@@ -211,7 +204,7 @@ def place_of(cone):
     return [round(a + b, 4) for a, b in zip(ORIGIN_M, cone.foot_m, strict=True)]
 
 
-def test_an_import_has_its_place_in_time_whatever_comes_first(cluster_url, template_database, tmp_path):
+def test_an_import_has_its_place_in_time_whatever_comes_first(another_database, tmp_path):
     """Two drives and an import between them, in all orders: one map."""
     path = tmp_path / "between.csv"
     with path.open("w", newline="") as file:
@@ -229,13 +222,11 @@ def test_an_import_has_its_place_in_time_whatever_comes_first(cluster_url, templ
     }
     maps = []
     for order in permutations(events):
-        with cloned_database(cluster_url, template_database) as url:
-            conn = connect(url)
+        with another_database() as conn:
             for name in order:
                 events[name](conn)
-            assert audited(conn) == []
+            assert failed_audits(conn) == []
             maps.append(valid_time_map(conn))
-            conn.close()
     assert maps[0]["versions"]
     assert all(found == maps[0] for found in maps)
 
@@ -250,7 +241,7 @@ def test_an_import_is_reverted_and_brought_back(conn, surveyed):
     revert(conn, str(decision.decision_id), map_name="default")
     assert valid_time_map(conn) == before
     assert len(read_current_features(conn)) == len(features)
-    assert audited(conn) == []
+    assert failed_audits(conn) == []
 
 
 def test_ids_are_unique_in_a_database(conn, surveyed):
@@ -276,7 +267,7 @@ def test_a_file_whose_ids_are_founded_goes_onto_several_maps(conn, surveyed, tmp
         assert not take(conn, path, map_name=map_name, params=NEW_IDS, **options).committed
     assert len(ids[0]) == len(ids[1]) > 0
     assert not ids[0] & ids[1]
-    assert audited(conn) == []
+    assert failed_audits(conn) == []
 
 
 def plain_csv(folder):
@@ -296,7 +287,7 @@ def test_a_file_whose_founded_ids_stand_elsewhere_says_what_helps(conn, tmp_path
         take(conn, path, crs="EPSG:32632", params=better, **options)
     revert(conn, "1", map_name="default")
     assert take(conn, path, crs="EPSG:32632", params=better, **options).committed
-    assert audited(conn) == []
+    assert failed_audits(conn) == []
 
 
 def test_the_same_file_by_its_right_crs_is_another_import(conn, tmp_path):
@@ -312,7 +303,7 @@ def test_the_same_file_by_its_right_crs_is_another_import(conn, tmp_path):
     assert standing == sorted(statement.feature.xyz_m for statement in stated)
     conn.rollback()
     assert not take(conn, path, crs="EPSG:32632", **options).committed
-    assert audited(conn) == []
+    assert failed_audits(conn) == []
 
 
 # --------------------------------------------------------------------------- layers
@@ -353,7 +344,7 @@ def test_layers_of_a_file_are_imports_of_their_own(conn, tmp_path):
     assert not take(conn, path, layer="east").committed
     assert {changeset.drive_id for changeset in list_changesets(conn)} == {"two.gpkg:west", "two.gpkg:east"}
     conn.rollback()
-    assert audited(conn) == []
+    assert failed_audits(conn) == []
 
 
 def test_the_layer_that_an_import_took_before_there_was_a_choice_is_known_by_its_file(tmp_path):
@@ -557,16 +548,10 @@ def test_the_browser_shows_a_map_that_began_with_an_import(conn, database_url, s
 
 
 def test_the_command_line(database_url, tmp_path, surveyed):
-    import os
-    import subprocess
-    import sys
-
     folder, features = surveyed
-    environment = {**os.environ, "CONETL_DATABASE_URL": database_url, "CONETL_HOME": str(tmp_path / "home")}
 
     def conetl(*arguments, code=0):
-        command = [sys.executable, "-c", "from conetl.cli import main; main()", *map(str, arguments)]
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+        done = command.conetl(*arguments, CONETL_DATABASE_URL=database_url, CONETL_HOME=tmp_path / "home")
         assert done.returncode == code, done.stderr
         return done.stderr if code else done.stdout
 

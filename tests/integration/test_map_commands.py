@@ -3,30 +3,22 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
-from pathlib import Path
 
 import cv2
 import pytest
 
+from tests import command
 from tests.integration.drives_of_days import DAY_NS, START_NS, merge, survey
 from tests.view_map import commit, cone, missed
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture
 def conetl(conn, database_url, tmp_path):
     for day in (0, 2, 1):
         merge(conn, survey(day))
-    environment = {**os.environ, "CONETL_DATABASE_URL": database_url, "CONETL_HOME": str(tmp_path / "home")}
 
     def run(*arguments, code=0):
-        script = "from conetl.cli import main; main()"
-        command = [sys.executable, "-c", script, *map(str, arguments)]
-        done = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True, check=False)
+        done = command.conetl(*arguments, CONETL_DATABASE_URL=database_url, CONETL_HOME=tmp_path / "home")
         assert done.returncode == code, done.stderr
         return done.stderr if code else done.stdout
 

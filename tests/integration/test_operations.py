@@ -10,8 +10,6 @@ import os
 import shutil
 import signal
 import socket
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
@@ -26,9 +24,9 @@ from conetl.db.cluster.cluster import cluster_remove, cluster_status
 from conetl.db.connection import connect, execute
 from conetl.exports import FORMATS
 from conetl.services.processes import TOKEN, read_services
+from tests.command import conetl
 from tests.integration.small_drives import SAMPLES, cut_drive, processes_with
 
-ROOT = Path(__file__).resolve().parents[2]
 #: Late, so that it fails once: what failed is tried again when the backfill is taken up.
 POISONED = "2026-04-06_small"
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -62,10 +60,7 @@ class Desk:
 
     def run(self, *arguments: object, code: int | None = 0) -> Any:
         """A command with --json; its output."""
-        done = subprocess.run(
-            [sys.executable, "-c", "from conetl.cli import main; main()", *map(str, arguments), "--json"],
-            env=self.environment, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S, check=False,
-        )  # fmt: skip
+        done = conetl(*arguments, "--json", **self.environment)
         assert code is None or done.returncode == code, f"{arguments}: {done.returncode}\n{done.stdout}\n{done.stderr}"
         return json.loads(done.stdout) if done.stdout.strip() else None
 
@@ -130,8 +125,7 @@ class Desk:
 def desk(services_home: Path) -> Iterator[Desk]:
     home, scratch = services_home, services_home / "tmp"
     scratch.mkdir(parents=True)
-    environment = {k: v for k, v in os.environ.items() if not k.startswith(("PREFECT_", "CONETL_"))}
-    environment |= {
+    environment = {
         "CONETL_HOME": str(home), "CONETL_DROP_FOLDER": str(home / "arrivals"), "PREFECT_WORKER_QUERY_SECONDS": "2",
         "TMPDIR": str(scratch),  # a run that is killed leaves its working folder
     }  # fmt: skip

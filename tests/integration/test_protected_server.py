@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import socket
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
+from subprocess import CompletedProcess
 
 import httpx
 import pytest
 
 from conetl.db.cluster.cluster import cluster_remove
+from tests import command
 from tests.integration.small_drives import SAMPLES, cut_drive, processes_with
 
 #: Loopback, but none of the addresses that need no password.
@@ -29,16 +28,10 @@ def free_port(host: str) -> int:
         return int(probe.getsockname()[1])
 
 
-def conetl(home: Path, *arguments: object, auth: str | None = AUTH) -> subprocess.CompletedProcess[str]:
+def conetl(home: Path, *arguments: object, auth: str | None = AUTH) -> CompletedProcess[str]:
     """One command with --json, in a shell that knows the password, another one, or none."""
-    environment = {k: v for k, v in os.environ.items() if not k.startswith(("PREFECT_", "CONETL_"))}
-    environment |= {"CONETL_HOME": str(home), "TMPDIR": str(home / "tmp")}
-    if auth:
-        environment["PREFECT_SERVER_API_AUTH_STRING"] = auth
-    return subprocess.run(
-        [sys.executable, "-c", "from conetl.cli import main; main()", *map(str, arguments), "--json"],
-        env=environment, capture_output=True, text=True, timeout=600, check=False,
-    )  # fmt: skip
+    password = {"PREFECT_SERVER_API_AUTH_STRING": auth} if auth else {}
+    return command.conetl(*arguments, "--json", CONETL_HOME=home, TMPDIR=home / "tmp", **password)
 
 
 @pytest.fixture(scope="module")
@@ -72,14 +65,14 @@ def test_a_protected_server_serves_those_who_know_the_password(home: Path, tmp_p
     assert httpx.post(f"{api}/deployments/filter", json={}, trust_env=False).status_code == httpx.codes.UNAUTHORIZED
     assert conetl(home, "status", auth=None).returncode == 0
 
-    for auth, command in (
+    for auth, words in (
         (None, ("ingest", drives[0])),
         ("desk:guessed", ("backfill", tmp_path)),
         ("desk:guessed", up),
         (None, ("up", "--port", port)),
     ):
-        refused = conetl(home, *command, auth=auth)
-        assert refused.returncode == 3, (command, refused.stdout, refused.stderr)
+        refused = conetl(home, *words, auth=auth)
+        assert refused.returncode == 3, (words, refused.stdout, refused.stderr)
         assert "set PREFECT_SERVER_API_AUTH_STRING" in refused.stderr
         assert "Traceback" not in refused.stderr
 

@@ -4,23 +4,19 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
-import sys
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 
 import pytest
 
-from conetl.db.audits import run_audits
 from conetl.db.connection import execute
 from conetl.db.map.map_store import list_changesets
 from conetl.db.retention import parse_age, prunable_drives, prune_drives
 from conetl.model.errors import InputError
 from conetl.model.records import utc_from_ns
 from conetl.pipeline.maps.decisions import REVERT, SUPPRESS, decide_place, revert
-from tests.integration.drives_of_days import merge, survey, valid_time_map
+from tests.command import conetl
+from tests.integration.drives_of_days import failed_audits, merge, survey, valid_time_map
 
-ROOT = Path(__file__).resolve().parents[2]
 LATER = datetime.now(UTC) + timedelta(days=1)
 
 
@@ -41,7 +37,7 @@ def test_the_map_outlives_its_raw_records(conn):
     assert raw_rows(conn) == [0, 0, 0]
     assert prunable_drives(conn, LATER) == []
     assert valid_time_map(conn) == before
-    assert [result for result in run_audits(conn) if not result.passed] == []
+    assert failed_audits(conn) == []
     assert merge(conn, survey(0)) is None, "it is known, pruned or not"
     assert merge(conn, survey(3)).replayed == 0, "a newer drive is compared with the map, not with drives"
 
@@ -61,7 +57,7 @@ def test_what_needs_pruned_evidence_is_refused_and_changes_nothing(conn):
     feature = json.loads(before["versions"][0])["feature_id"]
     assert decide_place(conn, SUPPRESS, feature, map_name="default").kind == SUPPRESS
     assert revert(conn, str(changesets[0].changeset_id), map_name="default").kind == REVERT
-    assert [result for result in run_audits(conn) if not result.passed] == []
+    assert failed_audits(conn) == []
 
 
 def test_drives_that_are_not_old_enough_stay(conn):
@@ -83,16 +79,10 @@ def test_the_command_says_what_would_go_and_does_it_only_when_told(conn, databas
         path.write_bytes(b"x" * 10)
         seconds = datetime.now(UTC).timestamp() - 86400 * age_days
         os.utime(path, (seconds, seconds))
-    environment = {
-        **os.environ,
-        "PYTHONPATH": os.pathsep.join([str(ROOT / "src"), str(ROOT)]),
-        "CONETL_HOME": str(tmp_path),
-        "CONETL_DATABASE_URL": database_url,
-    }
 
     def run(*arguments):
-        command = [sys.executable, "-c", "from conetl.cli import main; main()", "db", "prune", *arguments, "--json"]
-        done = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True, check=True)
+        done = conetl("db", "prune", *arguments, "--json", CONETL_HOME=tmp_path, CONETL_DATABASE_URL=database_url)
+        assert done.returncode == 0, done.stderr
         return json.loads(done.stdout)
 
     policy = ("--keep-positions", "1h", "--keep-results", "30d")

@@ -11,15 +11,14 @@ import pytest
 from fastapi.testclient import TestClient
 from pydantic import SecretStr
 
-from conetl.cli.view import decide_on, decision_writer
-from conetl.db.audits import run_audits
+from conetl.cli.view import decision_writer
 from conetl.db.connection import connect, execute
 from conetl.model.errors import InputError
 from conetl.pipeline.settings import Settings
 from conetl.web.app import create_app
 from conetl.web.decisions import Writer
 from conetl.web.security import MAX_BODY_BYTES, checked_token, make_writer_token, read_writer_token
-from tests.integration.drives_of_days import merge, survey
+from tests.integration.drives_of_days import failed_audits, merge, survey
 
 TOKEN = "a-token-that-nobody-guesses"
 PATH = "/api/maps/default/decisions"
@@ -32,11 +31,11 @@ def client(module_database_url):
     for day in (0, 1):
         merge(conn, survey(day))
     conn.close()
-    writer = Writer(token=SecretStr(TOKEN), decide=decide_on(module_database_url))
+    writer = Writer(SecretStr(TOKEN), module_database_url)
     with TestClient(create_app(module_database_url, "default", writer=writer), base_url=OWN) as test_client:
         yield test_client
     conn = connect(module_database_url)
-    assert [result for result in run_audits(conn) if not result.passed] == []
+    assert failed_audits(conn) == []
     conn.close()
 
 
