@@ -11,20 +11,17 @@ import typer
 import uvicorn
 
 from conetl.cli.console import JsonOption, answer, err
-from conetl.cli.database import database_url
 from conetl.db.connection import connect
 from conetl.db.schema import migrate_once
 from conetl.model.errors import InputError
+from conetl.pipeline.database import database_url
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.web.app import STATIC, create_app
-from conetl.web.decisions import Decide, PlaceRequest, RevertRequest, WithdrawRequest, Writer
-from conetl.web.models import Decided
+from conetl.web.decisions import Writer
 from conetl.web.security import checked_token, make_writer_token, read_writer_token
 
 #: Requests served at the same time; further ones are answered 503.
 _MAX_CONNECTIONS = 256
-#: How long a person waits for an ingest that has locked the map.
-_LOCK_TIMEOUT_S = 15.0
 
 
 def view(
@@ -78,36 +75,7 @@ def decision_writer(settings: Settings, url: str, *, on_request: bool, token_fil
         token = checked_token(settings.writer_token, "CONETL_WRITER_TOKEN")
     else:
         return None
-    return Writer(token=token, decide=decide_on(url))
-
-
-def decide_on(url: str) -> Decide:
-    """The function that writes the decisions of the web view, as `conetl map suppress|pin|revert` do."""
-    from conetl.pipeline.maps.decisions import decide_place, revert
-
-    def decide(map_name: str, wish: PlaceRequest | RevertRequest | WithdrawRequest, /) -> Decided:
-        with closing(connect(url)) as conn:
-            if isinstance(wish, PlaceRequest):
-                done = decide_place(
-                    conn, wish.kind, str(wish.feature_id), map_name=map_name, radius_m=wish.radius_m, note=wish.reason,
-                    decided_by=wish.decided_by, expected_version=wish.expected_version, lock_timeout_s=_LOCK_TIMEOUT_S,
-                )  # fmt: skip
-            else:
-                what = wish.changeset_id if isinstance(wish, RevertRequest) else wish.decision_id
-                done = revert(
-                    conn, str(what), map_name=map_name, note=wish.reason, decided_by=wish.decided_by,
-                    lock_timeout_s=_LOCK_TIMEOUT_S,
-                )  # fmt: skip
-        return Decided(
-            decision_id=done.decision_id,
-            kind=done.kind,
-            decided_at=done.decided_at,
-            versions_written=done.versions_written,
-            replayed=done.replayed,
-            also_changed=[conflict.feature_id for conflict in done.conflicts],
-        )
-
-    return decide
+    return Writer(token, url)
 
 
 def _listen(port: int) -> socket.socket:

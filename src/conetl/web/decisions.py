@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, Protocol
+from typing import Annotated, Any, Literal
 from uuid import UUID
 
 from fastapi import APIRouter, Body, HTTPException, Request
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel, ConfigDict, Field, SecretStr, StringConstraints
 
+from conetl.db.connection import connect
 from conetl.db.reader_pool import ReaderPool
 from conetl.db.serve_store import read_decisions, read_feature_history
 from conetl.model.errors import ConflictError, InputError
+from conetl.pipeline.maps.decisions import decide_place, revert
 from conetl.web import rows as to
 from conetl.web.models import ActiveDecisions, Conflict, Decided, Problem
 from conetl.web.parameters import MapName, Reader, cut, origin_of
@@ -20,6 +23,8 @@ from conetl.web.security import WritersRoute
 
 router = APIRouter(tags=["decisions"], prefix="/maps/{map_name}/decisions", route_class=WritersRoute)
 _MAX_DECISIONS = 1_000
+#: How long a person waits for an ingest that has locked the map.
+_LOCK_TIMEOUT_S = 15.0
 _ERRORS: dict[int | str, dict[str, Any]] = {
     409: {"model": Conflict, "description": "The feature changed meanwhile, or this was decided already."},
     401: {"model": Problem, "description": "The writer token is missing or wrong."},
@@ -68,18 +73,29 @@ class WithdrawRequest(_Request):
 DecisionRequest = Annotated[PlaceRequest | RevertRequest | WithdrawRequest, Field(discriminator="kind")]
 
 
-class Decide(Protocol):
-    """Writes a decision. Raises InputError if it is impossible, ConflictError if the map changed, DatabaseError."""
-
-    def __call__(self, map_name: str, request: PlaceRequest | RevertRequest | WithdrawRequest, /) -> Decided: ...
-
-
 @dataclass(frozen=True)
 class Writer:
-    """The token that a server accepts, and the function that writes decisions."""
+    """The token that a server accepts, and the database of the decisions; each opens a connection of its own that can write."""
 
     token: SecretStr
-    decide: Decide
+    database_url: str
+
+    def decide(self, map_name: str, wish: DecisionRequest) -> Decided:
+        """Write a decision as `conetl map suppress|pin|revert` do. Raises InputError, ConflictError, DatabaseError."""
+        common: dict[str, Any] = {
+            "map_name": map_name, "note": wish.reason, "decided_by": wish.decided_by, "lock_timeout_s": _LOCK_TIMEOUT_S,
+        }  # fmt: skip
+        with closing(connect(self.database_url)) as conn:
+            if isinstance(wish, PlaceRequest):
+                done = decide_place(
+                    conn, wish.kind, str(wish.feature_id), radius_m=wish.radius_m,
+                    expected_version=wish.expected_version, **common,
+                )  # fmt: skip
+            else:
+                what = wish.changeset_id if isinstance(wish, RevertRequest) else wish.decision_id
+                done = revert(conn, str(what), **common)
+        outcome = {name: getattr(done, name) for name in Decided.model_fields if name != "also_changed"}
+        return Decided(**outcome, also_changed=[conflict.feature_id for conflict in done.conflicts])
 
 
 @router.get("")
