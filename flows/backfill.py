@@ -66,7 +66,6 @@ class Standing:
     started: float
     running: list[DriveRun]
     ended: list[Receipt]
-    pairs_todo: int
     pairs_done: int = 0
     note: str = ""
     """What a person has to correct while the batch waits."""
@@ -91,7 +90,7 @@ class Standing:
     def left_s(self) -> float | None:
         """Time left by the rate so far; before the first drive is done, by that of earlier days; None without either."""
         if self.pairs_done:
-            return (self.pairs_todo - self.pairs_done) * self.seconds / self.pairs_done
+            return (self.plan.frame_pairs - self.pairs_done) * self.seconds / self.pairs_done
         return self.plan.estimate_s(self.parallel)
 
 
@@ -141,7 +140,7 @@ def run_batch(
     place = resolve_where(where)
     parallel = max_parallel or (max(1, online_workers()) if place == "workers" else 1)
     write_plan(plan, parallel, settings.home / "plans")
-    standing = Standing(plan, parallel, place, time.monotonic(), [], [], pairs_todo=plan.frame_pairs)
+    standing = Standing(plan, parallel, place, time.monotonic(), [], [])
     board = open_board(standing)
     workers = WorkerWatch()
     waiting: deque[tuple[PlanLine, int]] = deque((line, 1) for line in plan.todo)
@@ -217,10 +216,8 @@ def _landed(
 def _refused(conn: Connection, line: PlanLine, plan: Plan, settings: Settings) -> Receipt:
     """The receipt of a folder that cannot be a drive."""
     begun = new_receipt(line.header, settings, plan.analysis.sha256, uuid4(), flow_run.id)
-    receipt = replace(
-        begun, state="failed", reason=line.why, may_pass=line.header.problem_may_pass, at=datetime.now(UTC)
-    )
-    write_receipt(conn, replace(receipt, at=None), settings.receipts_folder)
+    receipt = replace(begun, state="failed", reason=line.why, may_pass=line.header.problem_may_pass)
+    write_receipt(conn, receipt, settings.receipts_folder)
     return receipt
 
 

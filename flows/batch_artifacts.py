@@ -107,8 +107,8 @@ def _write_table(standing: Standing) -> None:
 
 
 def percent(standing: Standing) -> float:
-    if standing.pairs_todo:
-        return min(100.0, 100.0 * standing.pairs_done / standing.pairs_todo)
+    if pairs := standing.plan.frame_pairs:
+        return min(100.0, 100.0 * standing.pairs_done / pairs)
     return 100.0 * len(standing.ended) / max(1, standing.todo)
 
 

@@ -14,6 +14,7 @@ from conetl.db.connection import Connection, connect
 from conetl.db.schema import database_status
 from conetl.db.schema import migrate as apply_migrations
 from conetl.model.errors import ConetlError
+from conetl.pipeline.database import database_url as database_url  # noqa: PLC0414 -- for services.py
 from conetl.pipeline.settings import Settings, read_settings
 
 _log = logging.getLogger(__name__)
@@ -23,11 +24,6 @@ class AuditFailedError(ConetlError):
     """An audit returned rows."""
 
     exit_code = 1
-
-
-def database_url(settings: Settings) -> str:
-    """Address of the configured database, or of the private cluster, which is started where it does not run."""
-    return settings.database_url.get_secret_value() if settings.database_url else cluster_up(settings.home)
 
 
 def open_database(settings: Settings) -> Connection:

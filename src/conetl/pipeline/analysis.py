@@ -91,34 +91,23 @@ def analyse(
     with ExitStack() as stack:
         executor = executor or stack.enter_context(ThreadExecutor(settings.workers))
         evidence = read_model_card(settings.model_path).evidence
-        return _analyse(drive, chunks_of(drive, settings, params), rejections, params, evidence, executor, progress)
-
-
-def _analyse(
-    drive: Drive,
-    chunks: Sequence[Chunk],
-    rejections: Sequence[Rejection],
-    params: IngestParams,
-    evidence: DetectorEvidence | None,
-    executor: Executor,
-    progress: Progress | None,
-) -> AnalysedDrive:
-    """evidence: what is measured of the detector; None where nothing was."""
-    detection_paths, match_paths, motion_paths, calibration, rig = _run_chunks(drive, chunks, executor, progress)
-    chunks = with_rig(chunks, rig)
-    drive = drive.model_copy(update={"rig": rig})
-    trajectory: RefinedTrajectory = executor.run(refine, drive, motion_paths, match_paths, params)
-    drive = drive.model_copy(update={"frame_pairs": trajectory.frame_pairs})
-    position_paths = executor.run(locate, moved(chunks, trajectory), match_paths)
-    detections, refused_detections = load_results(detection_paths, Detection)
-    drive, detections = without_unread(drive, detections, refused_detections)
-    matches, refused_matches = load_results(match_paths, StereoMatch)
-    positions, refused_positions = load_results(position_paths, Position)
-    tracks, refused_tracks = executor.run(fuse, drive, detections, matches, positions, params, evidence, trajectory)
-    if trajectory.covariance is not None:
-        # What sightings state by themselves made these tracks; what the tracks say of that makes the last ones.
-        matches, positions, refused_positions = executor.run(weigh, drive, matches, tracks, params, trajectory)
+        chunks = chunks_of(drive, settings, params)
+        detection_paths, match_paths, motion_paths, calibration, rig = _run_chunks(drive, chunks, executor, progress)
+        drive = drive.model_copy(update={"rig": rig})
+        trajectory: RefinedTrajectory = executor.run(refine, drive, motion_paths, match_paths, params)
+        drive = drive.model_copy(update={"frame_pairs": trajectory.frame_pairs})
+        position_paths = executor.run(locate, moved(with_rig(chunks, rig), trajectory), match_paths)
+        detections, refused_detections = load_results(detection_paths, Detection)
+        drive, detections = without_unread(drive, detections, refused_detections)
+        matches, refused_matches = load_results(match_paths, StereoMatch)
+        positions, refused_positions = load_results(position_paths, Position)
         tracks, refused_tracks = executor.run(fuse, drive, detections, matches, positions, params, evidence, trajectory)
+        if trajectory.covariance is not None:
+            # What sightings state by themselves made these tracks; what the tracks say of that makes the last ones.
+            matches, positions, refused_positions = executor.run(weigh, drive, matches, tracks, params, trajectory)
+            tracks, refused_tracks = executor.run(
+                fuse, drive, detections, matches, positions, params, evidence, trajectory
+            )
     refused = [*rejections, *refused_detections, *refused_matches, *refused_positions, *refused_tracks]
     records = DriveRecords(drive, detections, matches, positions, tracks, refused)
     return AnalysedDrive(records, trajectory, calibration, params)

@@ -21,6 +21,7 @@ from conetl.db.live_store import drop_watched_recording
 from conetl.db.map.map_store import find_changeset, map_transaction
 from conetl.db.map.replay_store import other_deliveries
 from conetl.db.map.results import CommittedChangeset, RunInfo
+from conetl.db.notification_store import PendingChangeset
 from conetl.db.statements import sql_directory
 from conetl.files.parquet_store import result_key
 from conetl.model.detector_evidence import DetectorEvidence, evidence_sha256
@@ -201,19 +202,10 @@ def _line(delta: Delta) -> ChangeLine:
 
 
 def _no_changes(drive: Drive, identity: Identity, known: CommittedChangeset, settings: Settings) -> IngestReport:
-    report = report_of(
-        known,
-        map_name=settings.map_name,
-        map_srid=drive.map_srid,
-        content_sha256=drive.content_sha256,
-        expected_frame_count=drive.expected_frame_count,
-    )
-    return report.model_copy(update={"model_sha256": identity.model_sha256})
+    return report_of(known, drive, settings.map_name).model_copy(update={"model_sha256": identity.model_sha256})
 
 
-def report_of(
-    known: CommittedChangeset, *, map_name: str, map_srid: int, content_sha256: str, expected_frame_count: int
-) -> IngestReport:
+def report_of(known: CommittedChangeset, drive: Drive | PendingChangeset, map_name: str) -> IngestReport:
     """The report of a drive that is on the map already, whether the drive itself is at hand or not."""
     return IngestReport(
         drive_id=known.drive_id,
@@ -222,9 +214,9 @@ def report_of(
         captured_from=utc_from_ns(known.captured_from_ns),
         captured_to=utc_from_ns(known.captured_to_ns),
         map_name=map_name,
-        map_srid=map_srid,
+        map_srid=drive.map_srid,
         frame_pairs=known.frame_pair_count,
-        frame_pairs_rejected=expected_frame_count - known.frame_pair_count,
+        frame_pairs_rejected=drive.expected_frame_count - known.frame_pair_count,
         detections=known.detection_count,
         matches=known.match_count,
         positions=known.position_count,
@@ -234,7 +226,7 @@ def report_of(
         rejections={},
         params_sha256=known.params_sha256,
         model_sha256=known.model_sha256,
-        content_sha256=content_sha256,
+        content_sha256=drive.content_sha256,
         seconds=0.0,
         committed_at=known.committed_at,
         counts_on_map=known.counts,

@@ -7,7 +7,6 @@ from collections import defaultdict
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from datetime import UTC, datetime
-from types import TracebackType
 from typing import Any, Protocol
 
 from conetl.db.run_store import StepTime
@@ -51,6 +50,7 @@ class StepClock:
         self._spans.append((step, began, ended))
 
     def times(self) -> list[StepTime]:
+        """The steps that have ended, in the order in which they began."""
         spans: dict[str, list[tuple[float, float]]] = defaultdict(list)
         zero = min((began for _, began, _ in self._spans), default=datetime.now(UTC))
         for step, began, ended in self._spans:
@@ -65,36 +65,31 @@ class StepClock:
         return sorted(found, key=lambda time: time.started_s)
 
 
-class ThreadExecutor:
+class ThreadExecutor(StepClock):
     """Steps as plain calls, those that are submitted on a pool of threads. No server, no other process."""
 
     shares_memory = True
 
     def __init__(self, workers: int) -> None:
+        super().__init__()
         self._pool = ThreadPoolExecutor(workers)
-        self._clock = StepClock()
 
     def __enter__(self) -> ThreadExecutor:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
         self._pool.shutdown(cancel_futures=error is not None)
 
     def run(self, step: Callable[..., Any], *arguments: Any) -> Any:
         given = [argument.result() if isinstance(argument, Future) else argument for argument in arguments]
         began = datetime.now(UTC)
         result = step(*given)
-        self._clock.note(step.__name__.replace("_", " "), began, datetime.now(UTC))
+        self.note(step.__name__.replace("_", " "), began, datetime.now(UTC))
         return result
 
     def submit(self, step: Callable[..., Any], *arguments: Any) -> Future[Any]:
         # What a step waits for was submitted before it, so a pool of any size makes progress.
         return self._pool.submit(self.run, step, *arguments)
-
-    def times(self) -> list[StepTime]:
-        return self._clock.times()
 
 
 class ProgressCount:

@@ -114,15 +114,8 @@ def catch_up_all(settings: Settings, database: MapDatabase, send: Notify, *, qui
             known = find_changeset(conn, found.idempotency_key, map_name=settings.map_name)
         if known is None:
             continue
-        report = report_of(
-            known,
-            map_name=settings.map_name,
-            map_srid=found.map_srid,
-            content_sha256=found.content_sha256,
-            expected_frame_count=found.expected_frame_count,
-        )
         try:
-            catch_up(report, settings, database, send)
+            catch_up(report_of(known, found, settings.map_name), settings, database, send)
         except Exception as error:
             _log.warning("Changes by drive %s are on the map, but not published: %s", known.drive_id, error)
 

@@ -90,17 +90,17 @@ def import_one(
     voxel_m: float = 0.05, height_offset_m: float = 0.0,
 ) -> ImportedFile:  # fmt: skip
     """Import one file into the map of the settings. Raises InputError; then nothing was written."""
-    from conetl.pipeline.maps.import_base_layer import ImportOptions, import_file, kind_of
+    from conetl.pipeline.maps.import_base_layer import FileImport, import_file, kind_of
 
     if path.exists() and kind is not None and kind_of(path) != kind:
         raise InputError(f"{path}: contains {kind_of(path)}, not {kind}")
     name = layer if layer is not None else _name_of(path)
     if not _LAYER_NAME.fullmatch(name):
         raise InputError(f"--layer {name!r}: a name has 1 to 60 letters, digits, spaces, dots, dashes or underscores")
-    options = ImportOptions(settings.map_name, name, crs, voxel_m, height_offset_m)
     with open_map(settings) as conn, progress_bar(path.name, "") as update:
         info = find_map(conn, settings.map_name) or no_such_map(settings.map_name)
-        return import_file(conn, path, read_map_ground(conn, settings.map_name, info.srid), options, update)
+        ground = read_map_ground(conn, info.map_name, info.srid)
+        return import_file(FileImport(conn, path, ground, info.map_name, name, crs, voxel_m, height_offset_m, update))
 
 
 def print_imported(item: ImportedFile) -> None:

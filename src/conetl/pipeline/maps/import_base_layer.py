@@ -47,17 +47,6 @@ POINT_SUFFIXES = (".las", ".laz")
 _CHECKED = 20_000
 
 
-@dataclass(frozen=True)
-class ImportOptions:
-    """Options of the user."""
-
-    map_name: str
-    layer_name: str
-    crs: str | None
-    voxel_m: float
-    height_offset_m: float
-
-
 @dataclass
 class ImportedFile:
     """The result of one file."""
@@ -74,22 +63,26 @@ class ImportedFile:
     refusals: list[str] = field(default_factory=list)
 
 
-class _Job(NamedTuple):
-    """The arguments of `import_file`."""
+class FileImport(NamedTuple):
+    """What to import: a file, the map to import it into, and the user's options."""
 
     conn: Connection
     path: Path
     ground: MapGround
-    options: ImportOptions
+    map_name: str
+    layer_name: str
+    crs: str | None
+    voxel_m: float
+    height_offset_m: float
     progress: Callable[[int, int], None]
+    """Called with (done, total) points or scans."""
 
     def base_file(self, kind: Kind, sha256: str, crs: str, heights: Any = "file") -> BaseFile:
-        options = self.options
-        params: dict[str, Any] = {"crs": options.crs, "height_offset_m": options.height_offset_m}
+        params: dict[str, Any] = {"crs": self.crs, "height_offset_m": self.height_offset_m}
         if kind == "points":
-            params["voxel_m"] = options.voxel_m
+            params["voxel_m"] = self.voxel_m
         source = str(self.path.resolve())
-        return BaseFile(options.map_name, options.layer_name, kind, source, sha256, params, crs, heights)
+        return BaseFile(self.map_name, self.layer_name, kind, source, sha256, params, crs, heights)
 
 
 def kind_of(path: Path) -> Kind:
@@ -105,22 +98,19 @@ def kind_of(path: Path) -> Kind:
     )
 
 
-def import_file(
-    conn: Connection, path: Path, ground: MapGround, options: ImportOptions, progress: Callable[[int, int], None]
-) -> ImportedFile:
-    """Import one file. progress: called with (done, total) points or scans. Raises InputError, with nothing written."""
-    if not path.exists():
-        raise InputError(f"{path}: there is no such file")
-    job = _Job(conn, path, ground, options, progress)
-    if path.is_dir():
+def import_file(job: FileImport) -> ImportedFile:
+    """Import one file. Raises InputError, with nothing written."""
+    if not job.path.exists():
+        raise InputError(f"{job.path}: there is no such file")
+    if job.path.is_dir():
         return _import_drive(job)
-    return _import_las(job) if kind_of(path) == "points" else _import_lines(job)
+    return _import_las(job) if kind_of(job.path) == "points" else _import_lines(job)
 
 
-def _import_las(job: _Job) -> ImportedFile:
+def _import_las(job: FileImport) -> ImportedFile:
     path, ground = job.path, job.ground
     count, stated = read_las_header(path)
-    layer, warnings = geo.resolve_crs(path, stated, job.options.crs, ground)
+    layer, warnings = geo.resolve_crs(path, stated, job.crs, ground)
     file = job.base_file("points", _sha256(path), layer.name)
     if (kept := find_base_file(job.conn, file)) is not None:
         return _unchanged(file, kept)
@@ -131,15 +121,15 @@ def _import_las(job: _Job) -> ImportedFile:
             if done == 0 and len(cloud.xyz_m):
                 warnings.extend(geo.check_coordinates(path, layer, cloud.xyz_m[:, :2], ground))
             done += len(cloud.xyz_m)
-            yield Cloud(to_map(layer, cloud.xyz_m, job.options.height_offset_m), cloud.shade)
+            yield Cloud(to_map(layer, cloud.xyz_m, job.height_offset_m), cloud.shade)
             job.progress(done, count)
 
     return _write_cloud(job, file, on_map(), warnings, [count])
 
 
-def _import_drive(job: _Job) -> ImportedFile:
+def _import_drive(job: FileImport) -> ImportedFile:
     path = job.path
-    if job.options.crs:
+    if job.crs:
         raise InputError(f"{path}: a drive's LiDAR is georeferenced by the drive's poses; --crs does not apply")
     scans = list_scans(path)
     if not scans:
@@ -150,7 +140,7 @@ def _import_drive(job: _Job) -> ImportedFile:
     if not folders:
         raise InputError(f"{path}: {IMU_TO_VELO} is neither in the drive folder nor in its parent")
     drive, _ = read_drive(path, map_srid=job.ground.srid)
-    poses = read_ingested_poses(job.conn, job.options.map_name, drive.content_sha256)
+    poses = read_ingested_poses(job.conn, job.map_name, drive.content_sha256)
     content = hashlib.sha256(drive.content_sha256.encode())
     for pose in poses.values():
         content.update(pose.tobytes())
@@ -180,7 +170,7 @@ def _with_pose(pair: FramePair, map_SE3_body: Any | None) -> FramePair:
 
 
 def _drive_clouds(
-    job: _Job, drive: Drive, pairs: Mapping[int, FramePair], scans: Mapping[int, Path], velo: Any, refusals: list[str],
+    job: FileImport, drive: Drive, pairs: Mapping[int, FramePair], scans: Mapping[int, Path], velo: Any, refusals: list[str],
     read: list[int],
 ) -> Iterator[Cloud]:  # fmt: skip
     """One cloud per scan, on the map. velo: (4, 4) left_SE3_velo. read[0] counts the points."""
@@ -203,10 +193,10 @@ def _drive_clouds(
 
 
 def _write_cloud(
-    job: _Job, file: BaseFile, clouds: Iterator[Cloud], warnings: list[str], read: list[int]
+    job: FileImport, file: BaseFile, clouds: Iterator[Cloud], warnings: list[str], read: list[int]
 ) -> ImportedFile:
     """Write the tiles. read[0]: number of points before thinning, known when all clouds were read."""
-    voxel_m = job.options.voxel_m
+    voxel_m = job.voxel_m
     with tempfile.TemporaryDirectory(prefix="conetl-points-") as name:
         folder = Path(name)
         spilled = spill(clouds, folder, voxel_m, file.source_path)
@@ -232,16 +222,16 @@ def _some_points(folder: Path, spilled: Spilled) -> Any:
     return np.concatenate([cloud.xyz_m[::step] for _, _, cloud in read_cells(folder, cells)])
 
 
-def _import_lines(job: _Job) -> ImportedFile:
+def _import_lines(job: FileImport) -> ImportedFile:
     path, ground = job.path, job.ground
     found = LINE_READERS[path.suffix.lower()](path)
-    layer, warnings = geo.resolve_crs(path, found.crs, job.options.crs, ground)
+    layer, warnings = geo.resolve_crs(path, found.crs, job.crs, ground)
     everything = np.concatenate([line.xyz for line in found.lines])
     warnings += geo.check_coordinates(path, layer, everything[:, :2], ground)
     flat = [bool(np.isnan(line.xyz[:, 2]).any()) for line in found.lines]
     if any(flat) and len(ground.ground_m) == 0:
         raise InputError(
-            f"{path}: its lines have no heights, and map {job.options.map_name} has no drive for them: ingest one first"
+            f"{path}: its lines have no heights, and map {job.map_name} has no drive for them: ingest one first"
         )
     file = job.base_file("lines", _sha256(path), layer.name, "drives" if any(flat) else "file")
     if (kept := find_base_file(job.conn, file)) is not None:
@@ -264,10 +254,10 @@ def _import_lines(job: _Job) -> ImportedFile:
     )
 
 
-def _lines_on_map(job: _Job, found: LineFile, layer: LayerCrs, refused: list[str]) -> list[Line]:
+def _lines_on_map(job: FileImport, found: LineFile, layer: LayerCrs, refused: list[str]) -> list[Line]:
     lines = []
     for number, line in enumerate(found.lines):
-        xyz = to_map(layer, line.xyz, job.options.height_offset_m)
+        xyz = to_map(layer, line.xyz, job.height_offset_m)
         if not np.isfinite(xyz[:, :2]).all():
             refused.append(
                 f"line {number} ({line.kind}): its coordinates cannot be expressed in EPSG:{job.ground.srid}"

@@ -1,4 +1,4 @@
-"""A map that was made elsewhere, merged into this one: an event of the replay_drives, like a drive."""
+"""A map that was made elsewhere, merged into this one: an event of its history, like a drive."""
 
 from __future__ import annotations
 
@@ -125,14 +125,11 @@ def _with_ids_of_map(imported: ImportedMap, map_name: str) -> ImportedMap:
     if not imported.founds_ids:
         return imported
     key = founding_key(map_name, imported.content_sha256)
-    statements = [
-        _with_id(statement, uuid5(_NAMESPACE, f"{key}/{row}")) for row, statement in enumerate(imported.statements)
-    ]
+    statements = []
+    for row, statement in enumerate(imported.statements):
+        feature = statement.feature.model_copy(update={"feature_id": uuid5(_NAMESPACE, f"{key}/{row}")})
+        statements.append(statement.model_copy(update={"feature": feature}))
     return replace(imported, statements=statements)
-
-
-def _with_id(statement: ImportedFeature, feature_id: UUID) -> ImportedFeature:
-    return statement.model_copy(update={"feature": statement.feature.model_copy(update={"feature_id": feature_id})})
 
 
 def _refuse_taken_ids(conn: Connection, imported: ImportedMap, params: ImportParams, map_name: str) -> None:
