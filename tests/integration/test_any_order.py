@@ -2,15 +2,8 @@
 
 from __future__ import annotations
 
-import os
-import random
-import signal
-import subprocess
-import sys
-import time
 from datetime import timedelta
 from itertools import permutations
-from pathlib import Path
 
 import pytest
 
@@ -43,9 +36,6 @@ from tests.integration.drives_of_days import (
     survey,
     valid_time_map,
 )
-
-ROOT = Path(__file__).resolve().parents[2]
-ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT / "src"), str(ROOT)])}
 
 
 @pytest.fixture(scope="module")
@@ -216,37 +206,6 @@ def test_a_drive_of_a_later_day_does_not_replay_the_earlier_ones(conn):
     merged = merge(conn, survey(2))
     assert merged.replayed == 1
     assert merged.changeset.deltas[0].changed_at_ns >= 2 * DAY_NS
-
-
-LATE = """
-import sys
-from conetl.db.connection import connect
-from tests.integration.drives_of_days import merge, survey
-late, conn = survey(0), connect(sys.argv[1])
-print("ready", flush=True)
-merge(conn, late)
-"""
-
-
-def test_kill_nine_while_a_late_drive_is_replayed_leaves_all_or_nothing(conn, database_url, in_order):
-    for day in (2, 1):
-        merge(conn, survey(day))
-    before = valid_time_map(conn)
-    command = [sys.executable, "-c", LATE, database_url]
-    chance = random.Random(5)
-    for _ in range(4):
-        child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT, env=ENVIRONMENT)
-        assert child.stdout.readline() == "ready\n"
-        time.sleep(chance.uniform(0.0, 0.4))
-        child.send_signal(signal.SIGKILL)
-        child.wait()
-        child.stdout.close()
-        with map_transaction(conn, lock_timeout_s=30):
-            pass
-        assert valid_time_map(conn) in (before, in_order)
-    subprocess.run(command, check=True, capture_output=True, cwd=ROOT, env=ENVIRONMENT)
-    assert valid_time_map(conn) == in_order
-    assert failed_audits(conn) == []
 
 
 def test_a_late_drive_replays_what_it_touches_directly_or_through_others_and_nothing_else(conn):

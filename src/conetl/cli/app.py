@@ -74,7 +74,7 @@ _GROUPS = {
     ),
     "db": (
         "The PostGIS database: CONETL_DATABASE_URL, or a private cluster.",
-        {name: f"database:{name}" for name in ("up", "down", "status", "migrate", "audit")} | {"prune": "prune:prune"},
+        {name: f"database:{name}" for name in ("up", "down", "status", "migrate", "audit", "prune")},
     ),
     "rig": (
         "Show the calibration of a rig, or convert it to the format of another tool.",
