@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
-from uuid import UUID, uuid4
+from uuid import uuid4
 
 from prefect import State, flow
 from prefect.runtime import flow_run
@@ -146,7 +146,6 @@ def run_batch(
     waiting: deque[tuple[PlanLine, int]] = deque((line, 1) for line in plan.todo)
     _tell(standing, board)
     try:
-        tries: dict[UUID, tuple[PlanLine, int]] = {}
         while waiting or standing.running:
             while waiting and len(standing.running) < parallel:
                 line, number = waiting.popleft()
@@ -154,20 +153,17 @@ def run_batch(
                     with database.connection() as conn:
                         standing.ended.append(_refused(conn, line, plan, settings))
                     continue
-                run = launch(line.header, settings, params, map_srid, place, parallel)
-                standing.running.append(run)
-                tries[run.attempt_id] = line, number
+                standing.running.append(launch(line, number, settings, params, map_srid, place, parallel))
                 _tell(standing, board)
             with database.connection() as conn:
                 landed = _landed(conn, standing.running, plan, settings)
             for run, receipt, again in landed:
                 standing.running.remove(run)
-                line, number = tries.pop(run.attempt_id)
-                if again and number < TRIES:
-                    waiting.append((line, number + 1))
+                if again and run.number < TRIES:
+                    waiting.append((run.line, run.number + 1))
                     continue
                 standing.ended.append(receipt)
-                standing.pairs_done += line.header.frame_pairs
+                standing.pairs_done += run.line.header.frame_pairs
                 _tell(standing, board)
             if place == "workers" and standing.running and (note := workers.complaint(time.monotonic())):
                 standing.note = note
@@ -177,7 +173,7 @@ def run_batch(
                 time.sleep(_POLL_S)
     finally:
         abandon(standing.running)
-    show_summary(standing, board)
+    show_summary(standing)
     return _end(standing)
 
 
@@ -189,7 +185,7 @@ def _landed(
     ends_of_processes = {run.attempt_id: over(run) for run in running}
     ends = attempt_ends(conn, [run.attempt_id for run in running])
     landed: list[tuple[DriveRun, Receipt, bool]] = []
-    latest = latest_receipts(conn, map_name=settings.map_name, headers=[f.header.header_sha256 for f in running])
+    latest = latest_receipts(conn, map_name=settings.map_name, headers=[f.line.header.header_sha256 for f in running])
     for run in running:
         if run.attempt_id in ends:
             if run.process is not None:
@@ -197,7 +193,7 @@ def _landed(
             landed.append((run, ends[run.attempt_id], False))
             continue
         reason = ends_of_processes[run.attempt_id]
-        begun = latest.get(run.header.header_sha256)
+        begun = latest.get(run.line.header.header_sha256)
         if begun is not None and begun.attempt_id == run.attempt_id and begun.state == "started":
             # It began. Whether it lives is shown by its lock, not by Prefect's state.
             crashed = end_crashed(conn, begun, reason or "its process is gone", settings.receipts_folder)
@@ -205,7 +201,7 @@ def _landed(
                 mark_crashed(run.flow_run_id, crashed.reason)
                 landed.append((run, crashed, not was_cancelled(run)))
         elif reason is not None:  # it could not be started, or a person cancelled it
-            never = new_receipt(run.header, settings, plan.analysis.sha256, run.attempt_id, str(run.flow_run_id))
+            never = new_receipt(run.line.header, settings, plan.analysis.sha256, run.attempt_id, str(run.flow_run_id))
             lost = replace(never, state="crashed", reason=reason)
             write_receipt(conn, lost, settings.receipts_folder)
             mark_crashed(run.flow_run_id, reason)

@@ -28,32 +28,27 @@ _SHOWN_ROWS = 300
 class BatchBoard:
     """What was shown last."""
 
-    progress_id: UUID | None
-    table_at: float
+    progress_id: UUID
+    table_at: float = 0.0
 
 
 def open_board(standing: Standing) -> BatchBoard:
-    """The artifacts of a batch that begins; no progress bar where there is nothing to do."""
-    if not standing.todo:
-        return BatchBoard(None, 0.0)
+    """The progress bar of a batch that begins."""
     progress = create_progress_artifact(0.0, key="batch-progress", description=sentence(standing))
-    return BatchBoard(cast(UUID, progress), 0.0)
+    return BatchBoard(cast(UUID, progress))
 
 
 def show_progress(standing: Standing, board: BatchBoard) -> None:
     """Move the bar; from time to time write the table."""
-    if board.progress_id is None:
-        return
     update_progress_artifact(board.progress_id, percent(standing), description=sentence(standing))
     if time.monotonic() - board.table_at > _TABLE_EVERY_S:
         _write_table(standing)
         board.table_at = time.monotonic()
 
 
-def show_summary(standing: Standing, board: BatchBoard) -> None:
+def show_summary(standing: Standing) -> None:
     """Write the summary of a batch."""
-    if board.progress_id is not None:
-        _write_table(standing)
+    _write_table(standing)
     plan = standing.plan
     lines = [
         f"## {standing.done} drives committed to map {plan.map_name}, {len(standing.failed)} failed",
@@ -79,7 +74,7 @@ def show_summary(standing: Standing, board: BatchBoard) -> None:
 
 def _write_table(standing: Standing) -> None:
     ended = {receipt.header_sha256: receipt for receipt in standing.ended}
-    running = {run.header.header_sha256 for run in standing.running}
+    running = {run.line.header.header_sha256 for run in standing.running}
     rows: list[dict[str, Any]] = []
     for line in standing.plan.lines:
         receipt = ended.get(line.header.header_sha256) if line.action != "skip" else None

@@ -23,8 +23,8 @@ from prefect.states import Crashed, Pending, Scheduled
 
 from conetl.model.errors import ServiceError
 from conetl.model.params import IngestParams
+from conetl.pipeline.backfill_plan import PlanLine
 from conetl.pipeline.settings import Settings
-from conetl.readers.drives.header import DriveHeader
 from flows.ingest_drive import ingest_drive
 from flows.runs import client, drive_run_name, drive_tags
 
@@ -41,9 +41,11 @@ Where = Literal["auto", "workers", "here"]
 class DriveRun:
     """The run of a drive, which may still wait for a worker."""
 
+    line: PlanLine
+    number: int
+    """Of the try, from 1."""
     attempt_id: UUID
     flow_run_id: UUID
-    header: DriveHeader
     process: multiprocessing.process.BaseProcess | None
     """The child of this process; None where a worker runs it."""
 
@@ -100,7 +102,8 @@ class WorkerWatch:
 
 
 def launch(
-    header: DriveHeader,
+    line: PlanLine,
+    number: int,
     settings: Settings,
     params: IngestParams,
     map_srid: int | None,
@@ -108,7 +111,7 @@ def launch(
     parallel: int,
 ) -> DriveRun:
     """Start the ingest of one drive as a sub-flow of the present flow run."""
-    attempt_id = uuid4()
+    header, attempt_id = line.header, uuid4()
     parameters: dict[str, Any] = {
         "drive": str(header.path),
         "map_name": settings.map_name,
@@ -129,7 +132,7 @@ def launch(
                 tags=labels,
                 parent_task_run_id=parent,
             )
-            return DriveRun(attempt_id, run.id, header, None)
+            return DriveRun(line, number, attempt_id, run.id, None)
         run = api.create_flow_run(
             ingest_drive, name=name, parameters=parameters, tags=labels, parent_task_run_id=parent, state=Pending()
         )
@@ -140,7 +143,7 @@ def launch(
             "CONETL_WORKERS": str(max(1, settings.workers // parallel)),
         },
     )  # fmt: skip
-    return DriveRun(attempt_id, run.id, header, process)
+    return DriveRun(line, number, attempt_id, run.id, process)
 
 
 def over(run: DriveRun) -> str | None:
