@@ -30,7 +30,6 @@ from conetl.model.params import ImportParams
 from conetl.pipeline.maps.decisions import revert
 from conetl.pipeline.maps.import_map import import_map
 from conetl.readers.maps.imported_rows import read_map_file
-from tests import command
 from tests.integration.drives_of_days import DAY_NS, DAYS, START_NS, failed_audits, merge, survey, valid_time_map
 
 IMPORTABLE = [name for name in FORMATS if name not in ("mcap", "lanelet2", "wzdx")]
@@ -547,19 +546,14 @@ def test_the_browser_shows_a_map_that_began_with_an_import(conn, database_url, s
         assert len(answer.json()["features"]) == len(features)
 
 
-def test_the_command_line(database_url, tmp_path, surveyed):
+def test_the_command_line(conetl, tmp_path, surveyed):
     folder, features = surveyed
-
-    def conetl(*arguments, code=0):
-        done = command.conetl(*arguments, CONETL_DATABASE_URL=database_url, CONETL_HOME=tmp_path / "home")
-        assert done.returncode == code, done.stderr
-        return done.stderr if code else done.stdout
 
     assert "row 2: longitude" not in conetl("map", "import", geojson(tmp_path / "a.geojson", [GOOD]), code=2)
     done = json.loads(conetl("map", "import", folder / "map.gpkg", "--json"))
     assert (done["counts"]["added"], done["srid"], done["committed"]) == (len(features), 32632, True)
     layers = two_layers(tmp_path / "two.gpkg")
-    assert "2 layers with geometry: west, east" in conetl("map", "import", layers, code=2).replace("\n", " ")
+    assert "2 layers with geometry: west, east" in conetl("map", "import", layers, code=2)
     assert json.loads(conetl("map", "import", layers, "--layer", "west", "--json"))["committed"]
     assert "CC0" in conetl("map", "licence", "CC0")
     written = json.loads(conetl("map", "export", "--format", "geoparquet", "--out", tmp_path / "a.parquet", "--json"))

@@ -7,22 +7,14 @@ import json
 import cv2
 import pytest
 
-from tests import command
 from tests.integration.drives_of_days import DAY_NS, START_NS, merge, survey
 from tests.view_map import commit, cone, missed
 
 
-@pytest.fixture
-def conetl(conn, database_url, tmp_path):
+@pytest.fixture(autouse=True)
+def three_days(conn):
     for day in (0, 2, 1):
         merge(conn, survey(day))
-
-    def run(*arguments, code=0):
-        done = command.conetl(*arguments, CONETL_DATABASE_URL=database_url, CONETL_HOME=tmp_path / "home")
-        assert done.returncode == code, done.stderr
-        return done.stderr if code else done.stdout
-
-    return run
 
 
 def test_differences_between_changesets_and_times(conetl, tmp_path):

@@ -6,37 +6,13 @@ import json
 
 import geopandas
 import numpy as np
-import pytest
 import shapely
-from typer.testing import CliRunner
 
-from conetl.cli.app import app
 from conetl.db.connection import execute
 from conetl.exports.wzdx import schema_faults
-from conetl.model.errors import ConetlError
 from tests.integration.drives_of_days import merge, survey
 
 FEED = ("--publisher", "City", "--road-name", "L 605")
-
-
-@pytest.fixture
-def conetl(database_url, tmp_path, monkeypatch):
-    """The command line in this process: what a command prints, or the words of the error that it ends with."""
-    environment = {"CONETL_DATABASE_URL": database_url, "CONETL_HOME": str(tmp_path / "home")}
-
-    def run(*arguments, code=0):
-        with monkeypatch.context() as patch:
-            for name, value in environment.items():
-                patch.setenv(name, value)
-            done = CliRunner().invoke(app, list(map(str, arguments)))
-        if code:
-            assert isinstance(done.exception, ConetlError), done.output
-            assert done.exception.exit_code == code
-            return str(done.exception)
-        assert done.exception is None, done.exception
-        return done.output
-
-    return run
 
 
 def feed_of(conetl, path, *options, kind="wzdx"):
