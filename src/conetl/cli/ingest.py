@@ -112,14 +112,14 @@ def ingest_drives(
         database = running.enter_context(MapDatabase(settings))
         for header in headers:
             _log.info("drive %s", header.path)
+            complaints: list[ConetlError | str] = []
             try:
                 with progress_bar(header.drive_id, "images") as update:
                     report = ingest_by_command(
                         header, settings, params, map_srid=map_srid, database=database, progress=update
                     )
             except TooManyRejectionsError as error:
-                _take(error.report, reports, show, error)
-                exit_code = max(exit_code, EXIT_TOO_MANY_REJECTIONS)
+                report, complaints = error.report, [error]
             except Exception as raised:
                 failure = as_known(raised)
                 if not isinstance(failure, ConetlError):
@@ -128,25 +128,15 @@ def ingest_drives(
                 if isinstance(failure, ServiceError):
                     return reports, failure.exit_code
                 exit_code = EXIT_BAD_INPUT
-            else:
-                _take(report, reports, show)
-                if report.unpublished:
-                    exit_code = max(exit_code, EXIT_TOO_MANY_REJECTIONS)
+                continue
+            reports.append(report)
+            show(report)
+            if report.unpublished:
+                complaints.append(report.unpublished)
+            for complaint in complaints:
+                complain(complaint)
+                exit_code = max(exit_code, EXIT_TOO_MANY_REJECTIONS)
     return reports, exit_code
-
-
-def _take(
-    report: IngestReport,
-    reports: list[IngestReport],
-    show: Callable[[IngestReport], None],
-    *complaints: ConetlError | str,
-) -> None:
-    """Keep and show the report of a committed drive, then its complaints."""
-    reports.append(report)
-    show(report)
-    for complaint in (*complaints, report.unpublished):
-        if complaint:
-            complain(complaint)
 
 
 def make_home(settings: Settings) -> None:

@@ -207,12 +207,8 @@ def _write_cloud(
         tiles = tiles_of(read_cells(folder, spilled.cells), top_level(float((high - low).max())), voxel_m)
         counts = BaseCounts(read[0], spilled.refused, *spilled.low_m, *spilled.high_m)
         kept = write_points(job.conn, file, counts, tiles)
-    if kept is None:
-        return _unchanged(file, 0)
     refusals = [f"{spilled.refused:,} points have no coordinates in the map's CRS"] if spilled.refused else []
-    return ImportedFile(
-        file.source_path, file.layer_name, "points", kept, read[0], spilled.refused, False, warnings, refusals
-    )
+    return _imported(file, kept, counts, warnings, refusals)
 
 
 def _some_points(folder: Path, spilled: Spilled) -> Any:
@@ -247,11 +243,7 @@ def _import_lines(job: FileImport) -> ImportedFile:
         warnings += geo.check_heights(path.name, vertices, ground)
     counts = BaseCounts(len(lines) + len(refused), len(refused), *low.tolist(), *high.tolist())
     written = write_lines(job.conn, file, counts, lines, ground.srid)
-    if written is None:
-        return _unchanged(file, 0)
-    return ImportedFile(
-        file.source_path, file.layer_name, "lines", written, counts.read_count, len(refused), False, warnings, refused
-    )
+    return _imported(file, written, counts, warnings, refused)
 
 
 def _lines_on_map(job: FileImport, found: LineFile, layer: LayerCrs, refused: list[str]) -> list[Line]:
@@ -268,6 +260,18 @@ def _lines_on_map(job: FileImport, found: LineFile, layer: LayerCrs, refused: li
             xyz[missing, 2] = geo.drape(xyz[missing, :2], job.ground)
         lines.append(line._replace(xyz=xyz))
     return lines
+
+
+def _imported(
+    file: BaseFile, kept: int | None, counts: BaseCounts, warnings: list[str], refusals: list[str]
+) -> ImportedFile:
+    """kept: None where another import of the file was faster."""
+    if kept is None:
+        return _unchanged(file, 0)
+    read, refused = counts.read_count, counts.refused_count
+    return ImportedFile(
+        file.source_path, file.layer_name, file.kind, kept, read, refused, warnings=warnings, refusals=refusals
+    )
 
 
 def _unchanged(file: BaseFile, kept: int) -> ImportedFile:
