@@ -14,10 +14,10 @@ from conetl.geometry.motion.stereo_tracks import StereoTracks
 from conetl.model.errors import StorageError
 from conetl.model.params import IngestParams
 from conetl.model.records import Detection, StereoMatch
-from conetl.perception.model_card import read_model_card
-from conetl.pipeline.chunks import Chunk
+from conetl.pipeline.chunks import Chunk, chunks_of
 from conetl.pipeline.detect import detect, match
 from conetl.pipeline.odometry import grey_reader, odometry
+from conetl.pipeline.settings import Settings
 from conetl.readers.drives import read_drive
 from tests.integration.small_drives import SAMPLES, cut_drive, spoil_huffman_table
 
@@ -28,10 +28,8 @@ def chunk_of(drive: Path, results: Path) -> Chunk:
     """The first two pairs of a drive, of whose images nothing is in memory."""
     read, _ = read_drive(drive)
     forget_all()
-    return Chunk(
-        drive_id=read.drive_id, rig=read.rig, frame_pairs=read.frame_pairs[:2], results_folder=results, model_path=None,
-        detections_sha256=read_model_card(None).detections_sha256, params=IngestParams(),
-    )  # fmt: skip
+    chunk = chunks_of(read, Settings(), IngestParams(chunk_pairs=2))[0]
+    return chunk.model_copy(update={"results_folder": results})
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ from conetl.model.map_records import DeltaKind
 from conetl.model.params import DetectionParams, IngestParams, MatchParams, Params, ReconcileParams, TrackParams
 from conetl.perception.model_card import read_model_card
 from conetl.pipeline.analysis import AnalysedDrive
-from conetl.pipeline.chunks import Chunk
+from conetl.pipeline.chunks import chunks_of
 from conetl.pipeline.detect import detect
 from conetl.pipeline.settings import Settings
 from conetl.tracking.matching.epipolar_search import blocks_of
@@ -99,11 +99,9 @@ def test_a_drive_without_a_whole_right_image_looks_at_nothing(
 def test_detections_are_known_by_all_that_says_what_is_searched(
     tmp_path: Path, results: AnalysedDrive, changed: dict[str, Params]
 ) -> None:
-    chunk = Chunk(
-        drive_id=results.drive.drive_id, rig=results.drive.rig, frame_pairs=results.drive.frame_pairs[:1],
-        results_folder=tmp_path, model_path=None, detections_sha256=read_model_card(None).detections_sha256, params=PARAMS,
-    )  # fmt: skip
-    other = chunk.model_copy(update={"params": PARAMS.model_copy(update=changed)})
+    one_pair = PARAMS.model_copy(update={"chunk_pairs": 1})
+    chunk = chunks_of(results.drive, Settings(home=tmp_path), one_pair)[0]
+    other = chunk.model_copy(update={"params": one_pair.model_copy(update=changed)})
     assert detect(chunk, 0, None) != detect(other, 0, None)
 
 

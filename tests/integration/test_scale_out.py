@@ -16,9 +16,8 @@ from conetl.files.storage import as_path
 from conetl.model.errors import InputError, ModelFileError
 from conetl.model.params import IngestParams
 from conetl.model.records import StereoMatch
-from conetl.perception.model_card import read_model_card
 from conetl.pipeline.analysis import analyse
-from conetl.pipeline.chunks import Chunk, parts_of
+from conetl.pipeline.chunks import Chunk, chunks_of, parts_of
 from conetl.pipeline.detect import detect, match
 from conetl.pipeline.settings import Settings, prefect_environment
 from conetl.readers.drives import read_drive
@@ -26,8 +25,6 @@ from flows.server import prefect_server
 from flows.tasks import PrefectExecutor, task_runner
 from tests.integration.small_drives import SAMPLES, cut_drive
 from tests.object_storage import BUCKET, object_storage
-
-CHUNK_PAIRS = 2
 
 
 @pytest.fixture(scope="module")
@@ -46,15 +43,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 @pytest.fixture(scope="module")
 def chunks(tmp_path_factory: pytest.TempPathFactory) -> list[Chunk]:
     drive, _ = read_drive(cut_drive(SAMPLES[0], tmp_path_factory.mktemp("drives") / "cut", "2026-04-01"))
-    params = IngestParams(chunk_pairs=CHUNK_PAIRS)
-    return [
-        Chunk(
-            drive_id=drive.drive_id, rig=drive.rig, frame_pairs=drive.frame_pairs[first : first + CHUNK_PAIRS],
-            results_folder=Path("set by the test"), model_path=None,
-            detections_sha256=read_model_card(None).detections_sha256, params=params,
-        )
-        for first in range(0, len(drive.frame_pairs), CHUNK_PAIRS)
-    ]  # fmt: skip
+    return chunks_of(drive, Settings(), IngestParams(chunk_pairs=2))  # each test sets its results_folder
 
 
 def test_threads_processes_and_dask_write_the_same_bytes(home: Path, chunks: list[Chunk], tmp_path: Path) -> None:

@@ -17,7 +17,6 @@ RESULTS_VERSION = "12"
 class Chunk(Record):
     """Some consecutive frame pairs of a drive, and where their results go."""
 
-    drive_id: str
     rig: Rig
     frame_pairs: tuple[FramePair, ...]
     results_folder: Path
@@ -37,7 +36,6 @@ def chunks_of(drive: Drive, settings: Settings, params: IngestParams) -> list[Ch
     card = read_model_card(settings.model_path)
     return [
         Chunk(
-            drive_id=drive.drive_id,
             rig=drive.rig,
             frame_pairs=drive.frame_pairs[first : first + params.chunk_pairs],
             results_folder=settings.results_folder.resolve(),
