@@ -21,7 +21,7 @@ from conetl.db.live_store import drop_watched_recording
 from conetl.db.map.map_store import find_changeset, map_transaction
 from conetl.db.map.replay_store import other_deliveries
 from conetl.db.map.results import CommittedChangeset, RunInfo
-from conetl.db.notification_store import PendingChangeset
+from conetl.db.run_store import PendingChangeset
 from conetl.db.statements import sql_directory
 from conetl.files.parquet_store import result_key
 from conetl.model.detector_evidence import DetectorEvidence, evidence_sha256
