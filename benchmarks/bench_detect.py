@@ -32,7 +32,7 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from benchmarks.harness import ROOT, arguments_of, load, print_rows, write_json
-from benchmarks.rival_networks import INPUT_NAME, network_cost, write_yolo11n, write_yolov3
+from benchmarks.rival_networks import INPUT_NAME, write_yolo11n, write_yolov3
 from conetl.model.errors import ModelFileError
 from conetl.perception.detector import MIN_SIDE_PX, Detector, detect_image, load_detector
 from conetl.perception.images import ImageFileError, read_image
@@ -223,7 +223,6 @@ def print_report(report: dict[str, Any]) -> None:
             f"Other programs used the processor in {len(crowded)} of {len(report['timings'])} rows: where cores_used is below "
             "threads, the median is too long. Measure again on an idle machine."
         )
-    print_rows("", report["networks"])
     for detection in report["detections"]:
         passes = Counter("x".join(map(str, shape)) for shape in detection["other_passes"])
         others = ", ".join(f"{count} of {shape}" for shape, count in sorted(passes.items())) or "none"
@@ -237,18 +236,8 @@ def print_report(report: dict[str, Any]) -> None:
 
 def run(model_path: Path, runs: int, threads: int, pictures: Path | None) -> dict[str, Any]:
     """All figures, as `--json` writes them."""
-    report: dict[str, Any] = {
-        "machine": machine(),
-        "score_threshold": SCORE_THRESHOLD,
-        "networks": [],
-        "detections": [],
-    }
+    report: dict[str, Any] = {"machine": machine(), "score_threshold": SCORE_THRESHOLD, "detections": []}
     timings: list[Timing] = []
-
-    def note_cost(what: str, path: Path, shape: Sequence[int]) -> None:
-        cost = dataclasses.asdict(network_cost(path, shape))
-        report["networks"].append({"what": what, "input": "x".join(map(str, shape)), **cost})
-
     detectors = [load_detector(model_path, threads=1) for _ in range(threads)]
     report["model"] = f"{detectors[0].card.name} {detectors[0].card.version}"
     if pictures is None:
@@ -259,13 +248,11 @@ def run(model_path: Path, runs: int, threads: int, pictures: Path | None) -> dic
         rows, detection = measure_conetl(detectors, images, runs)
         timings += rows
         report["detections"].append({**detection, "image": source})
-        note_cost(report["model"], model_path, detection["full_size"])
     del detectors
     with tempfile.TemporaryDirectory(prefix="conetl-bench-") as folder:
         for what, write, size in ((YOLOV3, write_yolov3, 416), (YOLO11N, write_yolo11n, 640)):
             path = Path(folder) / f"{what}.onnx"
             write(path, size_px=size)
-            note_cost(f"{what}, random weights", path, (1, 3, size, size))
             timings += measure_rival(path, what, size, sample_image(size, size)[0], runs, threads)
     report["timings"] = [dataclasses.asdict(row) for row in timings]
     report["ratios"] = ratios(timings)

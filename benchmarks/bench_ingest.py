@@ -4,7 +4,7 @@ The variants run one after the other. Memory is that of this process with Prefec
 is not meaningful: pairs per second are also given as cores over processor time per pair, the rate of an idle machine with as
 many cores.
 
-    python benchmarks/bench_ingest.py [--pairs 600] [--drive FOLDER] [--only refined|plain] [--everywhere] [--stages]
+    python benchmarks/bench_ingest.py [--pairs 600] [--drive FOLDER] [--everywhere] [--stages]
 """
 
 from __future__ import annotations
@@ -59,11 +59,10 @@ def decode_and_run(drive: Path, workers: int) -> Callable[[], None]:
     return everything
 
 
-def main() -> None:  # noqa: PLR0915 -- a list of measurements
+def main() -> None:
     parser = arguments_of(__doc__)
     parser.add_argument("--pairs", type=int, default=600)
     parser.add_argument("--drive", type=Path, help="KITTI drive whose images are repeated")
-    parser.add_argument("--only", choices=("refined", "plain"))
     parser.add_argument(
         "--everywhere",
         action="store_true",
@@ -116,8 +115,6 @@ def main() -> None:  # noqa: PLR0915 -- a list of measurements
                 ("everywhere", "the same, right everywhere", ways[1][2].model_copy(update={"detection": everywhere}))
             )
         for way, name, params in ways:
-            if arguments.only not in (None, way) and way != "everywhere":
-                continue
             settings = settings_in(home, way)
             settings_in(home).results_folder.mkdir(exist_ok=True)
             for old in settings_in(home).results_folder.iterdir():

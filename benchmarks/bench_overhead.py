@@ -4,7 +4,7 @@ Processor time of this process, of the Prefect server and of PostGIS. First both
 map of its own; then both again with the results of all chunks on disk ("warm"), where orchestration is most of the work, so
 that other load of the machine does not hide it. The result is the warm difference over the cold run without Prefect.
 
-    python benchmarks/bench_overhead.py [--pairs 1000] [--no-refine] [--rounds 3] [--drive FOLDER] [--chunk-pairs 128] [--no-cold]
+    python benchmarks/bench_overhead.py [--pairs 1000] [--no-refine] [--rounds 3] [--drive FOLDER] [--chunk-pairs 128]
 """
 
 from __future__ import annotations
@@ -45,7 +45,6 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3, help="warm rounds of each variant")
     parser.add_argument("--chunk-pairs", type=int, help="frame pairs per task")
     parser.add_argument("--no-refine", action="store_true")
-    parser.add_argument("--no-cold", action="store_true", help="cold run only without Prefect")
     arguments = parser.parse_args()
     with own_home() as home, ExitStack() as stack:
         from benchmarks import whole_job as job
@@ -69,9 +68,8 @@ def main() -> None:
 
         cold: dict[str, tuple[float, float]] = {}
         cold["plain"] = took(plain_ingest, "cold_plain")
-        if not arguments.no_cold:
-            shutil.rmtree(settings_in(home).results_folder)
-            cold["prefect"] = took(prefect_ingest, "cold_prefect")
+        shutil.rmtree(settings_in(home).results_folder)
+        cold["prefect"] = took(prefect_ingest, "cold_prefect")
         warm: dict[str, list[float]] = {"plain": [], "prefect": []}
         for k in range(arguments.rounds):
             warm["plain"].append(took(plain_ingest, f"warm_plain_{k}")[0])
@@ -84,8 +82,7 @@ def main() -> None:
             print(f"{way:8} with results on disk: {', '.join(f'{t:.2f}' for t in times)} s of processor time")
         extra = statistics.median(warm["prefect"]) - statistics.median(warm["plain"])
         print(f"Prefect costs {extra:.2f} s: {100 * extra / cold['plain'][0]:.2f} % of the run without Prefect")
-        if "prefect" in cold:
-            print(f"cold against cold: {100 * (cold['prefect'][0] / cold['plain'][0] - 1):+.2f} %")
+        print(f"cold against cold: {100 * (cold['prefect'][0] / cold['plain'][0] - 1):+.2f} %")
         print(f"once per command: start of the server {start_s:.1f} s; "
               + "; ".join(f"import of {name} {cpu_of_import(text):.1f} s" for name, text in IMPORTS.items()))  # fmt: skip
         write_json(arguments.json, {"cold_s": cold, "warm_s": warm, "prefect_s": extra, "server_start_s": start_s})

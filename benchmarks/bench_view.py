@@ -123,8 +123,8 @@ def make_layers(folder: Path, points: int, lines: int, cones: int) -> list[Path]
     return [folder / "street.laz", folder / "lanes.geojson"]
 
 
-def first_image(playwright: Any, address: str) -> tuple[dict[str, float], float, list[Any], Any]:
-    """When each part was drawn (ms), Chromium's processor time (s), the page's requests, and the page, in a new browser."""
+def first_image(playwright: Any, address: str) -> tuple[dict[str, float], float, Any]:
+    """When each part was drawn (ms), Chromium's processor time (s), and the page, in a new browser."""
     browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
     tab = browser.new_page(viewport={"width": 1280, "height": 800})
     tab.add_init_script(WATCH)
@@ -133,11 +133,7 @@ def first_image(playwright: Any, address: str) -> tuple[dict[str, float], float,
     tab.goto(address, wait_until="commit")
     tab.wait_for_selector("html[data-first-image]", state="attached", timeout=120_000)
     used_s = processor_s(os.getpid(), name="chrom") - start_s
-    entries = tab.evaluate(
-        "performance.getEntriesByType('resource').map(e => [e.name.replace(location.origin, ''), e.startTime, e.responseStart,"
-        " e.responseEnd, e.encodedBodySize])"
-    )
-    return tab.evaluate("window.marks"), used_s, entries, tab
+    return tab.evaluate("window.marks"), used_s, tab
 
 
 def main() -> None:
@@ -147,7 +143,6 @@ def main() -> None:
     parser.add_argument("--lines", type=int, default=200)
     parser.add_argument("--runs", type=int, default=3)
     parser.add_argument("--pictures", type=Path)
-    parser.add_argument("--requests", action="store_true", help="list the page's requests")
     options = parser.parse_args()
     with own_cluster() as (home, url):
         with closing(connect(url)) as conn:
@@ -163,14 +158,12 @@ def main() -> None:
 def measure(playwright: Any, address: str, options: argparse.Namespace) -> dict[str, object]:
     runs = []
     for _ in range(options.runs):
-        marks, used_s, entries, tab = first_image(playwright, address)
+        marks, used_s, tab = first_image(playwright, address)
         parts = ", ".join(f"{name} {ms / 1000:.2f}" for name, ms in sorted(marks.items(), key=lambda m: m[1]))
         first_s = max(marks.values()) / 1000
         print(f"first image {first_s:.2f} s ({parts}); Chromium's processor time {used_s:.1f} s; load {load()}")
         runs.append({"first_image_s": first_s, "chromium_s": used_s})
         if len(runs) == options.runs:
-            for name, start, begin, end, size in entries if options.requests else ():
-                print(f"  {start:7.0f} {begin:7.0f} {end:7.0f} ms {size:9d} bytes  {name[:80]}")
             figures = use(tab, options.pictures)
         tab.context.browser.close()
     return {"runs": runs, **figures}

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from math import prod, sqrt
+from math import sqrt
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import onnx
-import onnxruntime
 from onnx import TensorProto, helper, numpy_helper
 
 OPSET = 17
@@ -44,15 +43,6 @@ class Graph:
     random: np.random.Generator
     nodes: list[onnx.NodeProto] = field(default_factory=list)
     weights: list[onnx.TensorProto] = field(default_factory=list)
-
-
-@dataclass(frozen=True)
-class Cost:
-    """Cost of a network for one input: numbers of weights and of floating-point operations (a multiply-add counts two)."""
-
-    parameters: int
-    gflop: float
-    arithmetic: str
 
 
 def add(graph: Graph, kind: str, inputs: Sequence[str], **attributes: Any) -> str:
@@ -248,51 +238,3 @@ def write_yolo11n(path: Path, *, size_px: int = 640, classes: int = 80, seed: in
         sides, scores = (conv(graph, part, part.channels, 1, activation="none") for part in (box, kind))
         outputs.append(concat(graph, (sides, scores)))
     write_network(graph, outputs, size_px, path)
-
-
-def network_cost(path: Path, input_shape: Sequence[int]) -> Cost:
-    """Weights and floating-point operations of a network for one input of the given shape (N, C, H, W).
-
-    Convolutions and matrix products are counted, a multiply-add as two; activations, sums and pooling are not, as is usual. The
-    sizes come from one run of the network, because graphs may compute them. Raises ValueError for other kinds of products.
-    """
-    model = onnx.load(str(path))
-    fixed = {tensor.name: tuple(tensor.dims) for tensor in model.graph.initializer}
-    products = []
-    for node in model.graph.node:
-        if node.op_type in ("QuantizeLinear", "DequantizeLinear") and node.input[0] in fixed:
-            fixed[node.output[0]] = fixed[node.input[0]]
-        elif node.op_type in ("Conv", "MatMul", "Gemm"):
-            products.append(node)
-        elif any(kind in node.op_type for kind in ("Conv", "MatMul", "Gemm", "Einsum", "Attention")):
-            raise ValueError(
-                f"{path}: node {node.name!r} is a {node.op_type}; only Conv, MatMul and Gemm are counted: add it here"
-            )
-    wanted = [node.output[0] for node in products]
-    wanted += [node.input[1] for node in products if node.input[1] not in fixed]
-    model.graph.output.extend(
-        onnx.ValueInfoProto(name=name) for name in dict.fromkeys(wanted) if name not in given(model)
-    )
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = 1
-    options.log_severity_level = 3
-    session = onnxruntime.InferenceSession(model.SerializeToString(), options, providers=["CPUExecutionProvider"])
-    (picture,) = session.get_inputs()
-    kind = np.uint8 if picture.type == "tensor(uint8)" else np.float32
-    values = session.run(wanted, {picture.name: np.zeros(input_shape, kind)})
-    shapes = fixed | {name: np.shape(value) for name, value in zip(wanted, values, strict=True)}
-    operations = 0
-    for node in products:
-        operand = shapes[node.input[1]]
-        inner = prod(operand[1:]) if node.op_type == "Conv" else operand[-2]
-        operations += 2 * prod(shapes[node.output[0]]) * inner
-    weights = {name for node in products for name in node.input[1:] if name in fixed}
-    quantised = any(node.op_type == "QuantizeLinear" for node in model.graph.node)
-    return Cost(
-        sum(prod(fixed[name]) for name in weights), operations / 1e9, "quantised (8 bit)" if quantised else "float32"
-    )
-
-
-def given(model: onnx.ModelProto) -> set[str]:
-    """Names of the outputs that a model already has."""
-    return {output.name for output in model.graph.output}

@@ -13,19 +13,7 @@ from pyproj import CRS, Transformer
 from typer.testing import CliRunner
 
 from conetl.cli.app import app
-from tests.browser.test_view import (  # fixtures are used by their names
-    browser,  # noqa: F401
-    click_cone,
-    conn,  # noqa: F401
-    features,  # noqa: F401
-    images,  # noqa: F401
-    open_view,
-    page,  # noqa: F401
-    pixels_of,
-    pytestmark,  # noqa: F401
-    screenshot,
-    settle,
-)
+from tests.browser.test_view import click_cone, open_view, pixels_of, screenshot, settle
 from tests.unit.readers.test_base_layers import geojson, line
 from tests.view_map import serving
 
@@ -42,7 +30,7 @@ def reddish(image: np.ndarray) -> int:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def base_layers(module_database_url: str, features: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> None:  # noqa: F811
+def base_layers(module_database_url: str, features: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> None:
     folder = tmp_path_factory.mktemp("base")
     rng = np.random.default_rng(1)
     header = laspy.LasHeader(point_format=6, version="1.4")
@@ -80,7 +68,7 @@ def all_drawn(tab: Any) -> None:
     settle(tab)
 
 
-def test_points_and_lines_are_drawn_switched_off_and_coloured(page, address):  # noqa: F811
+def test_points_and_lines_are_drawn_switched_off_and_coloured(page, address):
     started = time.monotonic()
     open_view(page, address)
     page.wait_for_selector(f'html[data-lines="{LINE_COUNT}"]', state="attached")
@@ -114,7 +102,7 @@ def test_points_and_lines_are_drawn_switched_off_and_coloured(page, address):  #
     assert pixels_of(safe, SAFE_LINE) > 300 > pixels_of(safe, LINE)
 
 
-def test_cones_are_found_among_points_and_each_tile_comes_once(page, address, features):  # noqa: F811
+def test_cones_are_found_among_points_and_each_tile_comes_once(page, address, features):
     asked: list[str] = []
     page.on("request", lambda r: asked.append(r.url) if "/tiles/" in r.url else None)
     open_view(page, address)

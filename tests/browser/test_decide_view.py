@@ -17,13 +17,7 @@ from conetl.db.map.decision_store import list_decisions
 from conetl.db.map.map_store import read_current_features
 from conetl.pipeline.maps.decisions import PIN, decide_place
 from conetl.web.decisions import Writer
-from tests.browser.test_view import (  # fixtures are used by their names
-    browser,  # noqa: F401
-    click_cone,
-    conn,  # noqa: F401
-    pytestmark,  # noqa: F401
-    settle,
-)
+from tests.browser.test_view import click_cone, settle
 from tests.integration.drives_of_days import merge, survey
 from tests.unit.readers.test_base_layers import geojson, line
 from tests.view_map import serving
@@ -32,7 +26,7 @@ TOKEN = "a-token-that-nobody-guesses"
 
 
 @pytest.fixture(scope="module")
-def address(module_database_url: str, conn: Any) -> Iterator[str]:  # noqa: F811
+def address(module_database_url: str, conn: Any) -> Iterator[str]:
     merge(conn, survey(0))
     writer = Writer(SecretStr(TOKEN), module_database_url)
     with serving(module_database_url, "default", writer=writer) as port:
@@ -40,7 +34,7 @@ def address(module_database_url: str, conn: Any) -> Iterator[str]:  # noqa: F811
 
 
 @pytest.fixture
-def page(browser: Any, address: str) -> Iterator[Any]:  # noqa: F811
+def page(browser: Any, address: str) -> Iterator[Any]:
     """Refused requests are logged by the browser itself: only errors of the page's own script fail here."""
     tab = browser.new_page(viewport={"width": 1280, "height": 800})
     problems: list[str] = []
@@ -55,7 +49,7 @@ def page(browser: Any, address: str) -> Iterator[Any]:  # noqa: F811
     assert problems == []
 
 
-def the_one(conn: Any, number: int) -> str:  # noqa: F811
+def the_one(conn: Any, number: int) -> str:
     conn.rollback()
     return str(sorted(read_current_features(conn), key=lambda f: f.xyz_m)[number].feature_id)
 
@@ -76,7 +70,7 @@ def fill_form(page: Any, button: str, reason: str, *, token: str | None = None) 
     page.keyboard.press("Enter")
 
 
-def test_a_cone_is_suppressed_and_comes_back(page, conn):  # noqa: F811
+def test_a_cone_is_suppressed_and_comes_back(page, conn):
     one = the_one(conn, 2)
     click_cone(page, one)
     page.wait_for_selector(f"h2:text-is('{one[:8]}')")
@@ -106,7 +100,7 @@ def test_a_cone_is_suppressed_and_comes_back(page, conn):  # noqa: F811
     assert list_decisions(conn) == [] and one in {str(f.feature_id) for f in read_current_features(conn)}
 
 
-def test_a_concurrent_decision_appears_and_is_a_conflict(page, conn):  # noqa: F811
+def test_a_concurrent_decision_appears_and_is_a_conflict(page, conn):
     one = the_one(conn, 3)
     click_cone(page, one)
     page.wait_for_selector(".decide-section button:text('Pin')")
@@ -126,7 +120,7 @@ def test_a_concurrent_decision_appears_and_is_a_conflict(page, conn):  # noqa: F
     page.wait_for_selector(".panel", state="hidden")
 
 
-def test_news_come_without_a_reload(page, conn, module_database_url, tmp_path: Path):  # noqa: F811
+def test_news_come_without_a_reload(page, conn, module_database_url, tmp_path: Path):
     """Last in this file: a drive, a base layer that comes and goes, a decision made elsewhere. Prints how long each took."""
     page.evaluate("""() => {
         window.notReloaded = true;

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import signal
 import socket
 import subprocess
@@ -19,21 +18,11 @@ import cv2
 import numpy as np
 import pytest
 
-from conetl.db.connection import connect
 from conetl.db.map.map_store import read_current_features
 from conetl.model.records import utc_from_ns
-from tests.view_map import commit, cone, missed, two_drives
-
-playwright_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed (extra `dev`)")
-
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine (Debian: apt install chromium)")
+from tests.view_map import commit, cone, missed
 
 ROOT = Path(__file__).resolve().parents[2]
-FLAGS = [
-    "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update",
-    "--disable-sync", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-]  # fmt: skip
 #: As in web/src/kinds.ts; red, green, blue.
 ADDED, MOVED, MISSED = (0x00, 0x68, 0xB4), (0xA8, 0x32, 0x7F), (0x5F, 0x45, 0xB8)
 
@@ -56,23 +45,6 @@ def _wait_until_up(url: str, server: subprocess.Popen[bytes]) -> None:
 
 
 @pytest.fixture(scope="module")
-def conn(module_database_url: str) -> Iterator[Any]:
-    connection = connect(module_database_url)
-    yield connection
-    connection.close()
-
-
-@pytest.fixture(scope="module")
-def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("images")
-
-
-@pytest.fixture(scope="module")
-def features(conn: Any, samples: Any, images: Path) -> dict[str, str]:
-    return {name: str(f.feature_id) for name, f in two_drives(conn, samples, images).items()}
-
-
-@pytest.fixture(scope="module")
 def address(module_database_url: str, features: dict[str, str]) -> Iterator[str]:
     port = _free_port()
     command = [sys.executable, "-c", "from conetl.cli import main; main()", "view", "--port", str(port)]
@@ -85,28 +57,6 @@ def address(module_database_url: str, features: dict[str, str]) -> Iterator[str]
         finally:
             server.send_signal(signal.SIGINT)
             assert server.wait(15) in (0, -signal.SIGINT, 130)
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with playwright_api.sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        yield chromium
-        chromium.close()
-
-
-@pytest.fixture
-def page(browser: Any, address: str) -> Iterator[Any]:
-    """A page that must log no error and contact no other server."""
-    tab = browser.new_page(viewport={"width": 1280, "height": 800})
-    problems: list[str] = []
-    own = (address, f"blob:{address}", "data:")
-    tab.on("console", lambda m: problems.append(m.text) if m.type == "error" else None)
-    tab.on("pageerror", lambda e: problems.append(str(e)))
-    tab.on("request", lambda r: None if r.url.startswith(own) else problems.append(f"requested {r.url}"))
-    yield tab
-    tab.close()
-    assert problems == []
 
 
 def open_view(page: Any, address: str, hash_: str = "", cones: int = 4) -> None:

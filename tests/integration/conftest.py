@@ -1,31 +1,75 @@
-"""The command line over the database of a test."""
+"""Fixtures of the integration tests: the command line in this process, and maps in databases of their own."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
 from conetl.cli.app import app
+from conetl.db.connection import Connection, connect
 from conetl.model.errors import ConetlError
+from tests.conftest import cloned_database
+from tests.integration.drives_of_days import Survey, failed_audits, merge, valid_time_map
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def command_line(home: Path, database_url: str) -> Callable[..., str]:
+    """`conetl(*arguments, code=0)`: what the command prints, or the words of the error that it ends with."""
+    environment = {"CONETL_HOME": str(home), "CONETL_DATABASE_URL": database_url}
+
+    def run(*arguments: object, code: int = 0) -> str:
+        done = CliRunner().invoke(app, list(map(str, arguments)), env=environment)
+        if isinstance(done.exception, ConetlError):
+            assert done.exception.exit_code == code, done.exception
+            return str(done.exception)
+        assert done.exit_code == code, done.output
+        return done.stdout
+
+    return run
+
+
+def conetl_process(
+    home: Path, database_url: str, *arguments: object, before: str = "", folder: Path = ROOT
+) -> subprocess.CompletedProcess[str]:
+    """A command of conetl in a process of its own, with `--json`. before: Python that runs first."""
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("PREFECT_", "CONETL_"))}
+    environment |= {"CONETL_HOME": str(home), "CONETL_DATABASE_URL": database_url}
+    command = [sys.executable, "-c", f"{before}\nfrom conetl.cli import main; main()", *map(str, arguments), "--json"]
+    return subprocess.run(
+        command, env=environment, cwd=folder, capture_output=True, text=True, timeout=600, check=False
+    )
 
 
 @pytest.fixture
-def conetl(database_url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]:
-    """The command line in this process: what a command prints, or (code) the words of the error that it ends with."""
+def conetl(database_url: str, tmp_path: Path) -> Callable[..., str]:
+    """The command line on the test's own database."""
+    return command_line(tmp_path / "home", database_url)
 
-    def run(*arguments: object, code: int = 0) -> str:
-        with monkeypatch.context() as patch:
-            patch.setenv("CONETL_DATABASE_URL", database_url)
-            patch.setenv("CONETL_HOME", str(tmp_path / "home"))
-            done = CliRunner().invoke(app, list(map(str, arguments)))
-        if code:
-            assert isinstance(done.exception, ConetlError), done.output
-            assert done.exception.exit_code == code
-            return str(done.exception)
-        assert done.exception is None, done.exception
-        return done.output
 
-    return run
+@pytest.fixture(scope="session")
+def map_of(cluster_url: str, template_database: str) -> Callable[..., dict[str, list[str]]]:
+    """`map_of(*surveys)`: the valid-time map of drives that are merged in this order, in a database of their own."""
+
+    def make(*surveys: Survey) -> dict[str, list[str]]:
+        with cloned_database(cluster_url, template_database) as url, closing(connect(url)) as conn:
+            for one in surveys:
+                merge(conn, one)
+            assert failed_audits(conn) == []
+            return valid_time_map(conn)
+
+    return make
+
+
+@pytest.fixture
+def audited(conn: Connection) -> Iterator[None]:
+    """The map passes its audits after the test."""
+    yield
+    assert failed_audits(conn) == []

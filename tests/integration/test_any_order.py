@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from datetime import timedelta
 from itertools import permutations
 
+import numpy as np
 import pytest
 
-from conetl.db.connection import execute
+from conetl.db.connection import connect, execute
 from conetl.db.map.decision_store import read_decisions
+from conetl.db.map.drive_store import load_stored_drive
 from conetl.db.map.map_store import (
     feature_log,
     find_map,
@@ -19,17 +22,18 @@ from conetl.db.map.map_store import (
     system_time,
 )
 from conetl.db.map.replay_store import affected_drives, write_replay
-from conetl.geometry.calibration.covariance import calibration_id
+from conetl.geometry.calibration.covariance import calibration_id, unpack_all, with_covariance
+from conetl.geometry.packing import cov_matrix
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import IngestParams, ReconcileParams
+from conetl.model.records import CalibrationCovariance, SharedErrorJacobian
+from conetl.pipeline.maps.decisions import revert
 from conetl.pipeline.replay import replay_of
+from tests.conftest import cloned_database
 from tests.integration.drives_of_days import (
-    AGAIN,
     CALIBRATED,
-    DAY_NS,
     DAYS,
     RIG,
-    RIGS,
     failed_audits,
     known_maps,
     merge,
@@ -37,12 +41,36 @@ from tests.integration.drives_of_days import (
     valid_time_map,
 )
 
+#: Calibrated another time, with more parameters open.
+AGAIN = with_covariance(
+    RIG,
+    CalibrationCovariance(
+        names=("left.fx_px", "right.cx_px", "relative.ry_rad", "relative.tx_m"),
+        matrix=np.diag([1.0, 0.25, 2.5e-7, 1e-6]).tolist(),
+    ),
+)
+#: The rig of each day: one whose calibration is exact, and calibrations that some of the drives have in common.
+RIGS = {"exact": (RIG,) * 4, "calibrated": (CALIBRATED, CALIBRATED, AGAIN, RIG)}
+
+
+def of_day(day, rigs=RIGS["calibrated"]):
+    return survey(day, rig=rigs[day])
+
+
+def jacobian_of(conn):
+    return [feature.shared_jacobian for feature in read_current_features(conn)]
+
+
+@pytest.fixture(scope="module", params=list(RIGS))
+def rigs(request):
+    return RIGS[request.param]
+
 
 @pytest.fixture(scope="module")
-def in_order(another_database):
+def in_order(cluster_url, template_database, rigs):
     """The map of the first three days, ingested in order: each drive extends the fold by one, nothing is replayed."""
-    with another_database() as conn:
-        merged = [merge(conn, survey(day)) for day in range(3)]
+    with cloned_database(cluster_url, template_database) as url, closing(connect(url)) as conn:
+        merged = [merge(conn, of_day(day, rigs)) for day in range(3)]
         assert [m.replayed for m in merged] == [0, 0, 0]
         kinds = [sorted({delta.kind for delta in m.changeset.deltas}) for m in merged]
         assert kinds == [
@@ -51,35 +79,23 @@ def in_order(another_database):
             [DeltaKind.ADDED, DeltaKind.CONFIRMED, DeltaKind.MOVED],
         ]
         assert failed_audits(conn) == []
-        assert len(read_current_features(conn)) == len(DAYS[2])
-        conn.rollback()
-        yield valid_time_map(conn)
-
-
-@pytest.fixture(scope="module")
-def calibrated_in_order(another_database):
-    """The same of drives of two calibrations, whose errors they share."""
-    with another_database() as conn:
-        assert [merge(conn, survey(day, rig=RIGS[day])).replayed for day in range(3)] == [0, 0, 0]
-        found = [feature.shared_jacobian for feature in read_current_features(conn)]
+        found = jacobian_of(conn)
         assert len(found) == len(DAYS[2])
-        ids = {calibration_id(CALIBRATED), calibration_id(AGAIN)}
-        assert ids in [set(one.calibrations) for one in found if one], "some cones know both calibrations"
+        ids = {calibration_id(rig) for rig in rigs[:3] if rig.calibration_covariance}
+        if ids:
+            assert ids in [set(one.calibrations) for one in found if one], "some cones know both calibrations"
         conn.rollback()
         yield valid_time_map(conn)
 
 
-@pytest.mark.parametrize(("expected", "rigs"), [("in_order", (RIG,) * 4), ("calibrated_in_order", RIGS)])
 @pytest.mark.parametrize("order", list(permutations(range(3))), ids=lambda order: "".join(map(str, order)))
-def test_all_orders_of_three_drives_give_the_same_map(conn, request, order, expected, rigs):
-    in_order = request.getfixturevalue(expected)
-    assert ('"shared_jacobian_m": [[[' in in_order["versions"][0]) == (rigs is RIGS)
+def test_all_orders_of_three_drives_give_the_same_map(conn, rigs, in_order, order):
     believed = {}
     for day in order:
-        assert merge(conn, survey(day, rig=rigs[day])) is not None
+        assert merge(conn, of_day(day, rigs)) is not None
         assert failed_audits(conn) == []
         for earlier in order[: order.index(day) + 1]:  # again: nothing happens
-            assert merge(conn, survey(earlier, rig=rigs[earlier])) is None
+            assert merge(conn, of_day(earlier, rigs)) is None
         now = known_maps(conn)
         assert {moment: now[moment] for moment in believed} == believed, "an earlier belief was changed"
         believed = now
@@ -87,7 +103,22 @@ def test_all_orders_of_three_drives_give_the_same_map(conn, request, order, expe
     assert len(list_changesets(conn)) == 3
 
 
-def test_short_looks_in_vain_add_up_in_any_order_and_are_known_at_any_time(conn, another_database):
+def test_playing_everything_again_writes_nothing(conn, rigs):
+    for day in (1, 3, 0, 2):
+        merge(conn, of_day(day, rigs))
+    assert failed_audits(conn) == []
+    with map_transaction(conn):
+        drives = [row["drive_uuid"] for row in execute(conn, "select drive_uuid from conetl.drive")]
+        again = affected_drives(conn, drives)
+        assert len(again) == 4
+        _, replay = replay_of(conn, drives, again, read_decisions(conn))
+        info = find_map(conn)
+        assert write_replay(conn, info, replay, system_time(conn, info)) == 0
+        closed = execute(conn, "select max(upper(system_period)) as t from conetl.feature_version")[0]["t"]
+        assert closed <= info.last_committed_at
+
+
+def test_short_looks_in_vain_add_up_in_any_order_and_are_known_at_any_time(conn, map_of):
     """Two drives that came too near the spot for too short a time: evidence, counts and belief, but no version."""
     glimpses = [survey(1, frames=20), survey(1, frames=21, after_ns=3_600_000_000_000)]
     for one in (survey(0), *glimpses):
@@ -106,12 +137,9 @@ def test_short_looks_in_vain_add_up_in_any_order_and_are_known_at_any_time(conn,
         assert kinds == [DeltaKind.ADDED, DeltaKind.MISSED, DeltaKind.MISSED]
     assert failed_audits(conn) == []
     in_order = valid_time_map(conn)
+    drives = [survey(0), *glimpses]
     for order in ((2, 0, 1), (2, 1, 0), (1, 0, 2)):
-        with another_database() as other:
-            for number in order:
-                merge(other, [survey(0), *glimpses][number])
-            assert valid_time_map(other) == in_order
-            assert failed_audits(other) == []
+        assert map_of(*[drives[number] for number in order]) == in_order
 
 
 def test_history_is_only_ever_closed(conn):
@@ -132,21 +160,6 @@ def test_history_is_only_ever_closed(conn):
     assert execute(conn, open_before) == [{"n": 0}]
 
 
-@pytest.mark.parametrize("rigs", [(RIG,) * 4, RIGS], ids=["one rig", "two calibrations"])
-def test_playing_everything_again_writes_nothing(conn, rigs):
-    for day in (1, 3, 0, 2):
-        merge(conn, survey(day, rig=rigs[day]))
-    with map_transaction(conn):
-        drives = [row["drive_uuid"] for row in execute(conn, "select drive_uuid from conetl.drive")]
-        again = affected_drives(conn, drives)
-        assert len(again) == 4
-        _, replay = replay_of(conn, drives, again, read_decisions(conn))
-        info = find_map(conn)
-        assert write_replay(conn, info, replay, system_time(conn, info)) == 0
-        closed = execute(conn, "select max(upper(system_period)) as t from conetl.feature_version")[0]["t"]
-        assert closed <= info.last_committed_at
-
-
 def test_a_drive_elsewhere_comes_late_and_nobody_minds(conn):
     for day in (1, 2):
         merge(conn, survey(day))
@@ -158,33 +171,13 @@ def test_a_drive_elsewhere_comes_late_and_nobody_minds(conn):
     assert set(before["deltas"]) <= set(after["deltas"])
 
 
-def test_drives_that_overlap_in_time_or_start_together(conn, another_database):
+def test_drives_that_overlap_in_time_or_start_together(map_of):
     surveys = [survey(0), survey(1, name="a"), survey(1, after_ns=1_000_000_000), survey(1, frames=39)]
     assert surveys[1].drive.captured_from == surveys[3].drive.captured_from
-    for one in surveys:
-        merge(conn, one)
-    assert failed_audits(conn) == []
-    expected = valid_time_map(conn)
-    with another_database() as other:
-        for number in (3, 2, 0, 1):
-            merge(other, surveys[number])
-        assert failed_audits(other) == []
-        assert valid_time_map(other) == expected
+    assert map_of(*surveys) == map_of(*[surveys[number] for number in (3, 2, 0, 1)])
 
 
-def test_two_maps_in_one_database_do_not_touch_each_other(conn, in_order):
-    for day in (2, 0):
-        merge(conn, survey(day))
-    merge(conn, survey(1), map_name="other")
-    other = valid_time_map(conn, "other")
-    merge(conn, survey(1))
-    assert valid_time_map(conn) == in_order
-    assert valid_time_map(conn, "other") == other
-    ids = [{f.feature_id for f in read_current_features(conn, map_name=name)} for name in ("default", "other")]
-    assert not ids[0] & ids[1]
-
-
-def test_the_same_recording_analysed_again_takes_the_place_of_the_first_analysis(conn, another_database):
+def test_the_same_recording_analysed_again_takes_the_place_of_the_first_analysis(conn, cluster_url, template_database):
     """One recording is one piece of evidence: it is not counted twice because it was analysed twice."""
     strict = IngestParams(reconcile=ReconcileParams(removal_min_frames=30))
     for day in range(3):
@@ -192,20 +185,11 @@ def test_the_same_recording_analysed_again_takes_the_place_of_the_first_analysis
     again = merge(conn, survey(1), params=strict)
     assert again.replayed == 1
     assert failed_audits(conn) == []
-    with another_database() as other:
+    with cloned_database(cluster_url, template_database) as url, closing(connect(url)) as other:
         for day in (1, 2, 0):
             merge(other, survey(day), params=strict if day == 1 else None)
         assert valid_time_map(other) == valid_time_map(conn)
     assert merge(conn, survey(1)) is None  # the first analysis is known, and superseded
-
-
-def test_a_drive_of_a_later_day_does_not_replay_the_earlier_ones(conn):
-    for day in (1, 0):
-        merge(conn, survey(day))
-    assert merge(conn, survey(3)).replayed == 0
-    merged = merge(conn, survey(2))
-    assert merged.replayed == 1
-    assert merged.changeset.deltas[0].changed_at_ns >= 2 * DAY_NS
 
 
 def test_a_late_drive_replays_what_it_touches_directly_or_through_others_and_nothing_else(conn):
@@ -215,4 +199,64 @@ def test_a_late_drive_replays_what_it_touches_directly_or_through_others_and_not
     assert merge(conn, survey(0, frames=10, start_m=0.0)).replayed == 2  # the second through the first
     # Influence goes forwards in time only: what the drive of day 1 at 120 m left does not reach one recorded before it.
     assert merge(conn, survey(1, frames=10, start_m=360.0, after_ns=-3_600_000_000_000)).replayed == 1
+    assert failed_audits(conn) == []
+
+
+def test_levers_come_back_from_the_database_to_the_last_bit(conn):
+    merged = [merge(conn, of_day(day)) for day in (0, 1, 2)]
+    written = {d.feature_id: d.new.shared_jacobian for m in merged for d in m.changeset.deltas if d.is_change and d.new}
+    standing = {feature.feature_id: feature for feature in read_current_features(conn)}
+    assert standing
+    for feature_id, feature in standing.items():
+        assert isinstance(feature.shared_jacobian, SharedErrorJacobian)
+        assert feature.shared_jacobian == written[feature_id]
+        moved = unpack_all(feature.shared_jacobian.calibrations, [feature.shared_jacobian])[0]
+        own = cov_matrix(feature.cov_m2) - sum(a @ a.T for a in moved)
+        assert np.linalg.eigvalsh(own).min() > 0
+    as_of = {version.feature.feature_id: version.feature for version in read_features_as_of(conn)}
+    assert {k: v.shared_jacobian for k, v in as_of.items()} == {k: v.shared_jacobian for k, v in standing.items()}
+    for day in range(3):
+        [row] = execute(
+            conn, "select drive_uuid from conetl.drive where drive_id = %(d)s", {"d": of_day(day).drive.drive_id}
+        )
+        stored = {
+            track.track_index: track.shared_jacobian for track in load_stored_drive(conn, row["drive_uuid"]).tracks
+        }
+        assert stored == {track.track_index: track.shared_jacobian for track in of_day(day).tracks}
+        assert None not in stored.values()
+
+
+def test_a_second_drive_from_the_same_side_does_not_halve_the_error_of_the_calibration(cluster_url, template_database):
+    """The same two drives, once of one calibration and once of two: along the road, which they see along."""
+    cones = {}
+    for name, rigs in {"one": (CALIBRATED, CALIBRATED), "two": (CALIBRATED, AGAIN)}.items():
+        with cloned_database(cluster_url, template_database) as url, closing(connect(url)) as other:
+            for day in range(2):
+                merge(other, of_day(day, rigs))
+            cones[name] = {
+                f.feature_id: f
+                for f in read_current_features(other)
+                if f.first_seen_ns < of_day(1).tracks[0].first_seen_ns
+            }
+    assert cones["one"].keys() == cones["two"].keys()
+    for feature_id, one in cones["one"].items():
+        assert np.trace(cov_matrix(one.cov_m2)) > np.trace(cov_matrix(cones["two"][feature_id].cov_m2))
+
+
+def test_a_reverted_drive_takes_its_calibration_along_and_brings_it_back(conn, cluster_url, template_database):
+    for day in range(3):
+        merge(conn, of_day(day))
+    before = valid_time_map(conn)
+    [target] = [c for c in list_changesets(conn) if c.drive_id == of_day(2).drive.drive_id]
+    reverted = revert(conn, str(target.changeset_no), map_name="default")
+    assert failed_audits(conn) == []
+    assert {one for shared_jacobian in jacobian_of(conn) for one in shared_jacobian.calibrations} == {
+        calibration_id(CALIBRATED)
+    }
+    with cloned_database(cluster_url, template_database) as url, closing(connect(url)) as other:
+        for day in range(2):
+            merge(other, of_day(day))
+        assert jacobian_of(conn) == jacobian_of(other)
+    revert(conn, str(reverted.decision_id), map_name="default")
+    assert valid_time_map(conn) == before
     assert failed_audits(conn) == []

@@ -50,35 +50,28 @@ def half(path: Path) -> bytes:
         return file.read(path.stat().st_size // 2)
 
 
-FAILURES = pytest.mark.parametrize("failure", [stale, gone, half])
+def detected(chunk: Chunk) -> bool:
+    found, rejections = load_result(detect(chunk, 0, None), Detection)
+    return bool(found) and not rejections
 
 
-@FAILURES
-def test_detections_are_not_kept_of_images_that_were_not_read(
-    chunk: Chunk, monkeypatch: pytest.MonkeyPatch, failure: Failure
+def followed(chunk: Chunk) -> bool:
+    found, _ = load_result(odometry(chunk).tracks, StereoTracks)
+    return found[0].missing is None
+
+
+@pytest.mark.parametrize("failure", [stale, gone, half])
+@pytest.mark.parametrize("work", [detected, followed])
+def test_nothing_is_kept_of_images_that_were_not_read(
+    chunk: Chunk, monkeypatch: pytest.MonkeyPatch, work: Callable[[Chunk], bool], failure: Failure
 ) -> None:
     """The hashes are those of the good images; only their second reading fails."""
     with monkeypatch.context() as failing:
         failing.setattr(Path, "read_bytes", failure)
         with pytest.raises(StorageError, match=r"\.jpg"):
-            detect(chunk, 0, None)
+            work(chunk)
     assert not chunk.results_folder.exists()
-    found, rejections = load_result(detect(chunk, 0, None), Detection)
-    assert found
-    assert not rejections
-
-
-@FAILURES
-def test_points_are_not_kept_of_images_that_were_not_read(
-    chunk: Chunk, monkeypatch: pytest.MonkeyPatch, failure: Failure
-) -> None:
-    with monkeypatch.context() as failing:
-        failing.setattr(Path, "read_bytes", failure)
-        with pytest.raises(StorageError, match=r"\.jpg"):
-            odometry(chunk)
-    assert not chunk.results_folder.exists()
-    found, _ = load_result(odometry(chunk).tracks, StereoTracks)
-    assert found[0].missing is None
+    assert work(chunk)
 
 
 def test_an_image_that_changed_since_it_was_hashed_is_not_used(chunk: Chunk) -> None:

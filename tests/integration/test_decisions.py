@@ -7,6 +7,7 @@ from itertools import permutations
 
 import pytest
 
+from conetl.db.connection import connect
 from conetl.db.map.decision_store import list_decisions
 from conetl.db.map.map_store import (
     feature_log,
@@ -22,14 +23,11 @@ from conetl.model.params import ImportParams
 from conetl.pipeline.maps.decisions import PIN, SUPPRESS, decide_place, revert
 from conetl.pipeline.maps.import_map import import_map
 from conetl.readers.maps.imported_rows import read_map_file
+from tests.conftest import cloned_database
 from tests.integration.drives_of_days import failed_audits, merge, survey, valid_time_map
 from tests.synthetic.world import ORIGIN_M
 
-
-@pytest.fixture(autouse=True)
-def audited(conn):
-    yield
-    assert failed_audits(conn) == []
+pytestmark = pytest.mark.usefixtures("audited")
 
 
 def near(conn, east, north, radius=0.8):
@@ -140,7 +138,7 @@ def test_a_pin_that_comes_after_the_removal_brings_the_cone_back(conn):
 
 
 @pytest.mark.parametrize("day", range(3))
-def test_a_reverted_drive_might_never_have_come_and_comes_back_as_it_was(conn, another_database, day):
+def test_a_reverted_drive_might_never_have_come_and_comes_back_as_it_was(conn, cluster_url, template_database, day):
     for one in range(3):
         merge(conn, survey(one))
     everything = valid_time_map(conn)
@@ -155,11 +153,13 @@ def test_a_reverted_drive_might_never_have_come_and_comes_back_as_it_was(conn, a
         assert conflict.changed_to.changeset_id == target.changeset_id or conflict.kind in ("missed", "confirmed")
         assert (conflict.was is None) == (conflict.kind in ("added", "split"))
         assert conflict.is_now is None or conflict.is_now.changeset_id != target.changeset_id
-    with another_database() as other:
+    with cloned_database(cluster_url, template_database) as url:
+        other = connect(url)
         for one in range(3):
             if one != day:
                 merge(other, survey(one))
         assert valid_time_map(other) == valid_time_map(conn)
+        other.close()
     assert merge(conn, survey(day)) is None, "ingested again, it stays reverted"
     with pytest.raises(InputError, match="already"):
         revert(conn, str(target.changeset_id), map_name="default")
@@ -170,14 +170,15 @@ def test_a_reverted_drive_might_never_have_come_and_comes_back_as_it_was(conn, a
         revert(conn, str(reverted.decision_id), map_name="default")
 
 
-def test_decisions_and_drives_in_any_order_give_one_map(another_database, conn):
+def test_decisions_and_drives_in_any_order_give_one_map(cluster_url, template_database, conn):
     """Day 0 first, so that there is something to decide about; then two drives and three decisions in any order."""
     merge(conn, survey(0))
     [pinned], [suppressed] = near(conn, 34.0, 2.0), near(conn, 14.0, 3.6)
     expected = None
     orders = list(permutations(("1", "2", "pin", "suppress", "revert")))
     for order in orders[::17]:
-        with another_database() as other:
+        with cloned_database(cluster_url, template_database) as url:
+            other = connect(url)
             merge(other, survey(0))
             merge(other, survey(3))
             for step in order:
@@ -192,6 +193,7 @@ def test_decisions_and_drives_in_any_order_give_one_map(another_database, conn):
             assert failed_audits(other) == []
             expected = expected or found
             assert found == expected
+            other.close()
 
 
 def place_of_first_day(conn, kind, feature, order):

@@ -27,8 +27,6 @@ from conetl.db.map.map_store import list_changesets
 from conetl.exports.wzdx import schema_faults
 from conetl.model.map_records import DeltaKind
 from conetl.reports.drive_page import drive_page
-from tests.conftest import cloned_database
-from tests.integration.drives_of_days import valid_time_map
 from tests.integration.small_drives import spoil_huffman_table
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -226,26 +224,6 @@ def check_the_feeds_of_three_days(desk: Desk) -> None:
             assert ((x - truth[name][0]) ** 2 + (y - truth[name][1]) ** 2) ** 0.5 < 0.3, (drive.name, end)
         assert event["conetl"]["closed_side"] == "right"
     assert len(ids) == 1
-
-
-def test_late_drives_give_the_same_map(
-    office: Desk, database_url: str, cluster_url: str, template_database: str
-) -> None:
-    """The sample drives in the order 3, 1, 2 and some of them again: the map of 1, 2, 3, through the command line."""
-    in_order = office.with_database(database_url)
-    assert in_order.run("ingest", *DRIVES, "--json").code == 0
-    with cloned_database(cluster_url, template_database) as url:
-        desk = office.with_database(url)
-        late = desk.run("ingest", DRIVES[2], DRIVES[0], DRIVES[2], DRIVES[1], DRIVES[0], "--json")
-        assert late.code == 0, late.err
-        statuses = [(report["status"], report["replayed_drives"]) for report in late.json]
-        assert statuses == [("committed", 0), ("committed", 1), ("no changes", 0), ("committed", 1), ("no changes", 0)]
-        assert [late.json[n]["counts"] for n in (1, 3)] == [truth_changes(drive) for drive in DRIVES[:2]]
-        with closing(connect(database_url)) as one, closing(connect(url)) as other:
-            expected = valid_time_map(one)
-            assert expected["versions"]
-            assert valid_time_map(other) == expected
-        assert desk.run("db", "audit").code == 0
 
 
 def test_bad_pairs_cost_those_pairs_only(desk: Desk, small_drive: Path) -> None:
@@ -479,19 +457,6 @@ def test_locate_and_detect_need_no_services(office: Desk, tmp_path: Path) -> Non
     boxes = json.loads(written.read_text())
     assert set(boxes[0]) == {"file_name", "category", "bbox", "score", "probability", "foot", "tip"}
     assert office.run("detect", tmp_path / "nothing").code == 2
-
-
-@pytest.mark.skipif(
-    not KITTI.is_dir(), reason=f"{KITTI} is not there: the real street is tested where the shared data lie"
-)
-def test_a_real_street_gives_its_four_cones(desk: Desk) -> None:
-    result = desk.run("ingest", KITTI, "--json")
-    assert result.code == 0, result.err
-    (report,) = result.json
-    assert 4 <= report["counts"]["added"] <= 5
-    again = desk.run("ingest", KITTI, "--json")
-    assert again.code == 0
-    assert again.json[0]["status"] == "no changes"
 
 
 def every_other_pair(folder: Path, first: int, *, days: int = 0, east_m: float = 0.0, north_m: float = 0.0) -> Path:

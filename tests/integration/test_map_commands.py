@@ -1,4 +1,4 @@
-"""`conetl map ...` on a map of three drives: decisions, differences, history."""
+"""`conetl map ...` over a real map: decisions, differences, history, pictures."""
 
 from __future__ import annotations
 
@@ -7,17 +7,21 @@ import json
 import cv2
 import pytest
 
+from conetl.db.map.map_store import list_changesets
+from conetl.reports.map_picture import drive_paths
 from tests.integration.drives_of_days import DAY_NS, START_NS, merge, survey
-from tests.view_map import commit, cone, missed
+from tests.view_map import commit, cone, missed, two_drives
 
 
-@pytest.fixture(autouse=True)
-def three_days(conn):
+@pytest.fixture
+def surveyed(conn):
+    """A map of three drives, the second one late."""
     for day in (0, 2, 1):
         merge(conn, survey(day))
+    conn.rollback()
 
 
-def test_differences_between_changesets_and_times(conetl, tmp_path):
+def test_differences_between_changesets_and_times(conetl, surveyed, tmp_path):
     # Changeset 3 is the late drive of day 1: after 2 the map was that of days 0 and 2.
     late = json.loads(conetl("map", "diff", 2, 3, "--json"))
     assert late
@@ -41,7 +45,7 @@ def test_differences_between_changesets_and_times(conetl, tmp_path):
     assert "has no changeset 9" in conetl("map", "diff", 9, 3, code=2)
 
 
-def test_a_miss_is_reported_as_one(conetl, conn, samples, tmp_path):
+def test_a_miss_is_reported_as_one(conetl, surveyed, conn, samples, tmp_path):
     """In the table, the GeoJSON and JSON; the image has a mark of its own for it."""
     there = cone(samples, "there", 400.0)
     commit(conn, samples, tmp_path, "a", 10, samples.added(there, changed_at_ns=START_NS + 10 * DAY_NS))
@@ -53,7 +57,7 @@ def test_a_miss_is_reported_as_one(conetl, conn, samples, tmp_path):
     assert (change["kind"], change["new"]["existence_probability"]) == ("missed", 0.6)
 
 
-def test_decisions_through_the_command_line(conetl):
+def test_decisions_through_the_command_line(conetl, surveyed):
     features = json.loads(conetl("map", "show", "--json"))["features"]
     first = features[0]["feature_id"]
     decided = json.loads(conetl("map", "suppress", first[:8], "--note", "a bollard", "--json"))
@@ -74,3 +78,44 @@ def test_decisions_through_the_command_line(conetl):
     assert "already" in conetl("map", "revert", 3, code=2)
     assert "no changeset" in conetl("map", "revert", 99, code=2)
     conetl("db", "audit")
+
+
+def test_the_picture_of_a_time_of_changes_and_of_a_place_in_degrees(conetl, conn, samples, tmp_path):
+    two_drives(conn, samples, tmp_path / "images")
+    out = tmp_path / "map.png"
+
+    def said(*words):
+        answer = json.loads(conetl("map", "picture", out, "--json", *words))
+        assert out.read_bytes().startswith(b"\x89PNG")
+        return answer
+
+    assert said()["cones"] == 3
+    assert (said("--changes", "1", "2")["changes"], said("--at", "2026-03-02T12:00")["changes"]) == (4, None)
+    west, south, east, north = said("--bbox", "8.426,48.998,8.428,49.005", "--size", "200x150", "--title", "L 605")[
+        "bbox"
+    ]
+    assert 457_900 < west < east < 458_300 and 5_427_000 < south < north < 5_429_000
+    for words, text in (
+        (("--bbox", "1,2,3"), "west,south,east,north"),
+        (("--bbox", "3,2,1,4"), "less than east"),
+        (("--bbox", "99,0,99.001,0.001"), "does not exist in the map's CRS"),
+        (("--size", "9x9"), "millimetres"),
+        (("--changes", "1", "2", "--at", "2026-03-02"), "leave --at"),
+        (("--at", "2020-01-01"), "no cone stands"),
+    ):
+        out.unlink(missing_ok=True)
+        assert text in conetl("map", "picture", out, *words, code=2)
+        assert not out.exists()
+
+
+def test_a_picture_shows_the_paths_of_its_state(conn):
+    for day in (0, 1):
+        merge(conn, survey(day))
+    changesets = list_changesets(conn)  # newest first
+    assert (
+        len(drive_paths(conn, "default", None, None))
+        == len(drive_paths(conn, "default", None, changesets[0].committed_at))
+        == 2
+    )
+    assert len(drive_paths(conn, "default", None, changesets[1].committed_at)) == 1
+    conn.rollback()

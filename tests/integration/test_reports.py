@@ -26,8 +26,7 @@ from conetl.model.errors import InputError
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import IngestParams
 from conetl.model.rejections import RejectionReason
-from conetl.pipeline.commit import code_facts, code_sha256
-from conetl.pipeline.nightly_publication import write_publication
+from conetl.pipeline.publication import write_publication
 from conetl.pipeline.settings import Settings
 from conetl.reports.change_images import images_of
 from conetl.reports.drive_facts import find_drive, read_drive_facts
@@ -227,12 +226,6 @@ def test_the_web_view_serves_the_report(url: str) -> None:
         )
         assert answer.headers["x-content-type-options"] == "nosniff"
         assert client.get("/api/maps/default/changesets/77/report").status_code == 404
-
-
-def test_the_code_has_a_name() -> None:
-    facts = code_facts()
-    assert facts["code_sha256"] == code_sha256() and len(code_sha256()) == 64
-    assert {"numpy", "onnxruntime", "scipy"} <= set(facts["libraries"])
 
 
 def test_the_commands(url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,7 +14,6 @@ from conetl.db.retention import parse_age, prunable_drives, prune_drives
 from conetl.model.errors import InputError
 from conetl.model.records import utc_from_ns
 from conetl.pipeline.maps.decisions import REVERT, SUPPRESS, decide_place, revert
-from tests.command import conetl
 from tests.integration.drives_of_days import failed_audits, merge, survey, valid_time_map
 
 LATER = datetime.now(UTC) + timedelta(days=1)
@@ -68,12 +67,12 @@ def test_drives_that_are_not_old_enough_stay(conn):
     assert utc_from_ns(survey(0).drive.frame_pairs[-1].captured_at_ns) == captured
 
 
-def test_the_command_says_what_would_go_and_does_it_only_when_told(conn, database_url, tmp_path):
+def test_the_command_says_what_would_go_and_does_it_only_when_told(conn, conetl, tmp_path):
     merge(conn, survey(0))
     execute(conn, "update conetl.changeset set committed_at = '2026-03-01'")
     conn.commit()
-    results = tmp_path / "results"
-    results.mkdir()
+    results = tmp_path / "home" / "results"
+    results.mkdir(parents=True)
     for name, age_days in (("old", 40), ("new", 1)):
         path = results / f"{name}.parquet"
         path.write_bytes(b"x" * 10)
@@ -81,9 +80,7 @@ def test_the_command_says_what_would_go_and_does_it_only_when_told(conn, databas
         os.utime(path, (seconds, seconds))
 
     def run(*arguments):
-        done = conetl("db", "prune", *arguments, "--json", CONETL_HOME=tmp_path, CONETL_DATABASE_URL=database_url)
-        assert done.returncode == 0, done.stderr
-        return json.loads(done.stdout)
+        return json.loads(conetl("db", "prune", *arguments, "--json"))
 
     policy = ("--keep-positions", "1h", "--keep-results", "30d")
     told = run(*policy)

@@ -1,9 +1,11 @@
-"""The covariances of the sample drives hold: real images, detector, matching and adjustment, all three judged together."""
+"""The sample drives by the real detector: their covariances hold, and right images that are searched in part cost nothing."""
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -11,20 +13,34 @@ from conetl.cli.tools.evaluate import analyse_folder
 from conetl.evaluation.accuracy import PointErrors, members_of, pooled_consistency, position_errors
 from conetl.evaluation.truth import compare_with_truth, read_truth_cones
 from conetl.geometry.rig import map_SE3_left
-from conetl.model.params import IngestParams
+from conetl.mapping.changes import reconcile
+from conetl.mapping.visibility import check_visibility, observations_of_drive
+from conetl.model.detector_evidence import AbsenceFigures
+from conetl.model.errors import DriveFolderError
+from conetl.model.map_records import DeltaKind
+from conetl.model.params import DetectionParams, IngestParams, MatchParams, Params, ReconcileParams, TrackParams
+from conetl.perception.model_card import read_model_card
 from conetl.pipeline.analysis import AnalysedDrive
+from conetl.pipeline.chunks import Chunk
+from conetl.pipeline.detect import detect
 from conetl.pipeline.settings import Settings
+from conetl.tracking.matching.epipolar_search import blocks_of
 from conetl.tracking.positions import locate_positions
 from conetl.tracking.variance_components import VarianceFactors, with_variance_factors
+from tests.integration.small_drives import spoil_huffman_table
 
 DRIVES = sorted((Path(__file__).resolve().parents[2] / "data" / "drives").iterdir())
 PARAMS = IngestParams()
 
 
 @pytest.fixture(scope="module")
-def sightings(tmp_path_factory: pytest.TempPathFactory) -> dict[Path, AnalysedDrive]:
+def settings(tmp_path_factory: pytest.TempPathFactory) -> Settings:
+    return Settings(home=tmp_path_factory.mktemp("home"), workers=2)
+
+
+@pytest.fixture(scope="module")
+def sightings(settings: Settings) -> dict[Path, AnalysedDrive]:
     """What the steps make of each drive."""
-    settings = Settings(home=tmp_path_factory.mktemp("home"), workers=2)
     found = {}
     for drive in DRIVES:
         srid = read_truth_cones(drive / "truth.csv")[1]
@@ -55,3 +71,121 @@ def test_sigmas_of_three_drives_together(sightings: dict[Path, AnalysedDrive], f
     assert together.relative.holds() is holds
     assert together.absolute.holds() is holds
     assert together.common.holds() is holds
+
+
+DRIVE = Path(__file__).resolve().parents[2] / "data" / "drives" / "2026-03-02_taper_pass1"
+EVERYWHERE = PARAMS.model_copy(update={"detection": DetectionParams(search_right="everywhere")})
+
+
+@pytest.fixture(scope="module")
+def results(sightings: dict[Path, AnalysedDrive]) -> AnalysedDrive:
+    return sightings[DRIVE]
+
+
+def test_the_same_cones_at_the_same_places(settings: Settings, results: AnalysedDrive) -> None:
+    whole = analyse_folder(DRIVE, settings, EVERYWHERE)
+    count = {
+        side: [sum(d.side == side for d in r.records.detections) for r in (whole, results)]
+        for side in ("left", "right")
+    }
+    assert count["left"][0] == count["left"][1]
+    assert count["right"][1] == pytest.approx(count["right"][0], rel=0.05)
+    assert len(results.records.matches) == pytest.approx(len(whole.records.matches), rel=0.02)
+    ours, theirs = (np.array([t.xyz_m for t in r.tracks]) for r in (results, whole))
+    assert len(ours) == len(theirs)
+    apart = np.linalg.norm(ours[:, None] - theirs[None], axis=2).min(axis=1)
+    assert np.median(apart) < 0.002 and apart.max() < 0.03
+
+
+@pytest.mark.parametrize("covered", ["image_02", "image_03"])
+def test_a_covered_lens_removes_nothing(
+    tmp_path: Path, settings: Settings, results: AnalysedDrive, covered: str
+) -> None:
+    """What one camera still shows is not gone, whichever it is: a drive with one of them covered tells nothing."""
+    drive = _with_covered(covered, tmp_path)
+    assert _removed_by(drive, settings, results) == 0
+
+
+def test_a_covered_lens_removes_nothing_beside_broken_images(
+    tmp_path: Path, settings: Settings, results: AnalysedDrive
+) -> None:
+    """Just those right images that were to tell whether the others need to be searched."""
+    drive = _with_covered("image_02", tmp_path)
+    for frame_pairs in (results.drive.frame_pairs[:20], results.drive.frame_pairs[20:]):
+        for middle, _ in blocks_of(len(frame_pairs), PARAMS):
+            spoil_huffman_table(drive / "image_03" / "data" / Path(frame_pairs[middle].right_path).name)
+    assert _removed_by(drive, settings, results) == 0
+
+
+def test_a_drive_without_a_whole_right_image_looks_at_nothing(
+    tmp_path: Path, settings: Settings, results: AnalysedDrive
+) -> None:
+    """Not even at an empty street, where no right image but those of some pairs would have to be searched."""
+    drive = _with_covered("image_02", tmp_path)
+    for path in (drive / "image_03" / "data").iterdir():
+        spoil_huffman_table(path)
+    with pytest.raises(DriveFolderError, match="not one of 39 frame pairs"):
+        _removed_by(drive, settings, results)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"reconcile": ReconcileParams(removal_min_frames=4)},
+        {"reconcile": ReconcileParams(visible_min_height_px=30.0)},
+        {"reconcile": ReconcileParams(visible_border_px=30.0)},
+        {"track": TrackParams(max_cone_height_m=0.8)},
+        {"match": MatchParams(max_range_m=20.0)},
+        {"detection": DetectionParams(search_right="everywhere")},
+    ],
+)
+def test_detections_are_known_by_all_that_says_what_is_searched(
+    tmp_path: Path, results: AnalysedDrive, changed: dict[str, Params]
+) -> None:
+    chunk = Chunk(
+        drive_id=results.drive.drive_id, rig=results.drive.rig, frame_pairs=results.drive.frame_pairs[:1],
+        results_folder=tmp_path, model_path=None, detections_sha256=read_model_card(None).detections_sha256, params=PARAMS,
+    )  # fmt: skip
+    other = chunk.model_copy(update={"params": PARAMS.model_copy(update=changed)})
+    assert detect(chunk, 0, None) != detect(other, 0, None)
+
+
+def _with_covered(covered: str, folder: Path) -> Path:
+    """The drive with one of its cameras in the dark."""
+    drive = shutil.copytree(DRIVE, folder / "covered")
+    for path in (drive / covered / "data").iterdir():
+        dark = np.full(cv2.imread(str(path)).shape, 12, np.uint8)
+        assert cv2.imwrite(str(path), dark)
+    return drive
+
+
+def _removed_by(drive: Path, settings: Settings, before: AnalysedDrive) -> int:
+    """How many of the cones that `before` put on the map a drive, which finds none, takes from it."""
+    features = [
+        delta.new.model_copy(update={"last_seen_ns": 1, "first_seen_ns": 0})
+        for delta in reconcile(before.tracks, [], lambda *_: None, PARAMS.reconcile, founding_key="first")
+        if delta.new is not None
+    ]
+    assert len(features) >= 8
+    # Poses as they are logged: odometry has nothing to go by.
+    trajectory = PARAMS.trajectory.model_copy(update={"refine": False})
+    params = PARAMS.model_copy(update={"trajectory": trajectory})
+    dark_drive = analyse_folder(drive, settings, params)
+    assert dark_drive.tracks == []
+    evidence = read_model_card(None).evidence
+    assert evidence is not None
+    view = observations_of_drive(
+        dark_drive.drive.rig,
+        dark_drive.drive.frame_pairs,
+        dark_drive.records.detections,
+        [],
+        AbsenceFigures(evidence=evidence, score_threshold=params.detection.score_threshold),
+    )
+    deltas = reconcile(
+        [],
+        features,
+        lambda feature, offset_m, others_m: check_visibility(feature, offset_m, others_m, view, params.reconcile),
+        params.reconcile,
+        founding_key="second",
+    )
+    return sum(delta.kind is DeltaKind.REMOVED for delta in deltas)

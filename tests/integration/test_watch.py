@@ -29,7 +29,7 @@ from conetl.pipeline.settings import Settings
 from conetl.pipeline.watch import WatchReport, pause_s, watch_drive
 from conetl.readers.recording import ArrivingPair, ArrivingPlain
 from conetl.web.app import create_app
-from tests.integration.arriving_drives import FRAMES, append, begin, image, row, write_images
+from tests.arriving_drives import FRAMES, append, begin, image, row, write_images
 
 #: A busy machine must not make a test fail: nothing is too old, and what is written late is waited for.
 PATIENT = {"max_behind_s": 600.0, "patience_s": 600.0}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from uuid import uuid4
 
 import psycopg2
@@ -17,48 +18,44 @@ from conetl.db.map.map_store import read_current_features
 from conetl.db.schema import database_status, migrate, migrate_once
 from conetl.db.statements import load_sql, sql_directory, statements
 from conetl.model.errors import DatabaseError
+from tests.conftest import cloned_database
 
 
 @pytest.fixture
 def empty_url(cluster_url):
     """A database without conetl's schema."""
-    name = f"empty_{uuid4().hex}"
-    conn = connect(cluster_url)
-    conn.autocommit = True
-    execute(conn, f"create database {name}")
-    yield cluster_url.replace("@/conetl?", f"@/{name}?")
-    execute(conn, f"drop database {name} with (force)")
-    conn.close()
+    with cloned_database(cluster_url, "template1") as url:
+        yield url
 
 
-def test_an_empty_database_becomes_ready(empty_url):
-    conn = connect(empty_url)
-    before = database_status(conn)
+@pytest.fixture
+def empty(empty_url):
+    """Open connection to `empty_url`."""
+    with closing(connect(empty_url)) as conn:
+        yield conn
+
+
+def test_an_empty_database_becomes_ready(empty):
+    before = database_status(empty)
     assert (before.ready, before.postgis_version, before.applied_migrations) == (False, None, ())
     assert before.pending_migrations[0] == "0001_baseline"
-    assert migrate(conn) == list(before.pending_migrations)
-    after = database_status(conn)
+    assert migrate(empty) == list(before.pending_migrations)
+    after = database_status(empty)
     assert after.ready
     assert after.pending_migrations == after.missing_roles == after.maps == ()
     assert after.postgis_version.startswith("3.")
-    assert migrate(conn) == []
-    conn.close()
+    assert migrate(empty) == []
 
 
-def test_an_unmigrated_database_says_what_to_run(empty_url):
-    conn = connect(empty_url)
+def test_an_unmigrated_database_says_what_to_run(empty):
     with pytest.raises(DatabaseError, match=r"run `conetl db migrate`"):
-        read_current_features(conn)
-    conn.close()
+        read_current_features(empty)
 
 
 def test_migrations_at_the_same_time_wait_for_each_other(empty_url):
     def one(_):
-        conn = connect(empty_url)
-        try:
+        with closing(connect(empty_url)) as conn:
             return migrate(conn)
-        finally:
-            conn.close()
 
     with ThreadPoolExecutor(4) as pool:
         results = list(pool.map(one, range(4)))
@@ -66,48 +63,40 @@ def test_migrations_at_the_same_time_wait_for_each_other(empty_url):
     assert max(map(len, results)) >= 1
 
 
-def test_a_changed_old_migration_is_an_error(empty_url, tmp_path):
+def test_a_changed_old_migration_is_an_error(empty, tmp_path):
     folder = tmp_path / "migrations"
     shutil.copytree(sql_directory() / "migrations", folder)
-    conn = connect(empty_url)
-    migrate(conn, directory=folder)
+    migrate(empty, directory=folder)
     file = folder / "0001_baseline.sql"
     file.write_text(file.read_text() + "-- changed\n")
     with pytest.raises(DatabaseError, match=r"0001_baseline\.sql was changed"):
-        migrate(conn, directory=folder)
-    conn.close()
+        migrate(empty, directory=folder)
 
 
-def test_a_failing_migration_leaves_the_database_as_it_was(empty_url, tmp_path):
+def test_a_failing_migration_leaves_the_database_as_it_was(empty, tmp_path):
     folder = tmp_path / "migrations"
     shutil.copytree(sql_directory() / "migrations", folder)
     number = len(list(folder.iterdir())) + 1
     (folder / f"{number:04d}_broken.sql").write_text("create table conetl.half (n integer); select 1 / 0;")
-    conn = connect(empty_url)
     with pytest.raises(DatabaseError, match=r"division by zero"):
-        migrate(conn, directory=folder)
-    assert database_status(conn).applied_migrations == ()
-    assert execute(conn, "select to_regclass('conetl.half') as half") == [{"half": None}]
-    conn.close()
+        migrate(empty, directory=folder)
+    assert database_status(empty).applied_migrations == ()
+    assert execute(empty, "select to_regclass('conetl.half') as half") == [{"half": None}]
 
 
-def test_a_database_from_before_the_baseline_is_refused_and_left_alone(empty_url):
-    conn = connect(empty_url)
-    execute(conn, load_sql("schema.schema_migration"))
-    execute(conn, load_sql("schema.insert_migration"), {"name": "0001_schema", "sha256": "x"})
-    conn.commit()
+def test_a_database_from_before_the_baseline_is_refused_and_left_alone(empty):
+    execute(empty, load_sql("schema.schema_migration"))
+    execute(empty, load_sql("schema.insert_migration"), {"name": "0001_schema", "sha256": "x"})
+    empty.commit()
     with pytest.raises(DatabaseError, match=r"before the schema's baseline.*conetl map export.*Nothing was changed"):
-        migrate(conn)
-    assert database_status(conn).applied_migrations == ("0001_schema",)
-    conn.close()
+        migrate(empty)
+    assert database_status(empty).applied_migrations == ("0001_schema",)
 
 
-def test_one_process_checks_a_database_once(empty_url, monkeypatch):
-    conn = connect(empty_url)
-    migrate_once(conn)
+def test_one_process_checks_a_database_once(empty, monkeypatch):
+    migrate_once(empty)
     monkeypatch.setattr(schema, "migrate", pytest.fail)
-    migrate_once(conn)
-    conn.close()
+    migrate_once(empty)
 
 
 def test_a_database_of_a_newer_conetl_is_refused(conn):
@@ -140,40 +129,36 @@ def test_an_unreachable_database_is_one_clear_error(tmp_path):
     assert "secret" not in str(caught.value)
 
 
-def test_an_ordinary_database_user_is_told_what_is_missing(empty_url):
+def test_an_ordinary_database_user_is_told_what_is_missing(empty):
     name = f"plain_{uuid4().hex}"
-    conn = connect(empty_url)
-    execute(conn, f"create role {name} nologin")
-    execute(conn, f"grant create on database {conn.info.dbname} to {name}")
-    conn.commit()
-    execute(conn, f"set role {name}")
-    conn.commit()
-    status = database_status(conn)
+    execute(empty, f"create role {name} nologin")
+    execute(empty, f"grant create on database {empty.info.dbname} to {name}")
+    empty.commit()
+    execute(empty, f"set role {name}")
+    empty.commit()
+    status = database_status(empty)
     assert (status.user, status.may_create_roles) == (name, False)
     with pytest.raises(DatabaseError, match=r"extension .*permission|permission denied"):
-        migrate(conn)
-    execute(conn, "reset role")
-    execute(conn, f"drop owned by {name}")
-    execute(conn, f"drop role {name}")
-    conn.commit()
-    conn.close()
+        migrate(empty)
+    execute(empty, "reset role")
+    execute(empty, f"drop owned by {name}")
+    execute(empty, f"drop role {name}")
+    empty.commit()
 
 
-def test_missing_roles_are_made_by_whoever_may(empty_url, cluster_url):
-    conn = connect(empty_url)
-    migrate(conn)
-    execute(conn, "revoke usage on schema conetl from conetl_reader")
-    conn.commit()
-    assert database_status(conn).missing_roles == ("conetl_reader",)
-    execute(conn, "set session authorization conetl_writer")
-    conn.commit()
-    assert migrate(conn) == []
-    assert database_status(conn).missing_roles == ("conetl_reader",)
-    execute(conn, "reset session authorization")
-    conn.commit()
-    migrate(conn)
-    assert database_status(conn).missing_roles == ()
-    conn.close()
+def test_missing_roles_are_made_by_whoever_may(empty):
+    migrate(empty)
+    execute(empty, "revoke usage on schema conetl from conetl_reader")
+    empty.commit()
+    assert database_status(empty).missing_roles == ("conetl_reader",)
+    execute(empty, "set session authorization conetl_writer")
+    empty.commit()
+    assert migrate(empty) == []
+    assert database_status(empty).missing_roles == ("conetl_reader",)
+    execute(empty, "reset session authorization")
+    empty.commit()
+    migrate(empty)
+    assert database_status(empty).missing_roles == ()
 
 
 def test_the_reader_may_only_read(conn, samples):
@@ -301,14 +286,6 @@ def test_the_pieces_of_an_area_hold_what_it_holds(map_of_one, north_m, swing_m, 
             bool_and(inside = found) as same, bool_or(inside) and not bool_and(inside) as both_kinds
         from told"""
     assert execute(map_of_one, sql) == [{"cut": True, "narrow": True, "same": True, "both_kinds": True}]
-
-
-def test_the_schema_refuses_two_versions_at_once(conn, samples):
-    samples.commit(conn, samples.added(samples.feature()), key="1")
-    execute(conn, "create temp table copy as select * from feature_version")
-    execute(conn, "update copy set version = 2, version_row_id = version_row_id + 1000")
-    with pytest.raises(psycopg2.errors.ExclusionViolation):
-        execute(conn, "insert into feature_version overriding system value select * from copy")
 
 
 @pytest.mark.parametrize(

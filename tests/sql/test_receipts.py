@@ -262,18 +262,6 @@ def test_any_id_has_a_receipt(drive_id: str, receipt: Any, conn: Any, tmp_path: 
     assert json.loads(path.read_text())["drive_id"] == kept.drive_id
 
 
-def test_a_copy_that_cannot_be_written_does_not_undo_the_receipt(
-    receipt: Any, conn: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    (tmp_path / "default").write_text("a file where the folder should be")
-    drive = headers(1)[0]
-    receipt(drive, "failed", reason="not one usable pose", may_pass=False)
-    assert (
-        latest_receipts(conn, map_name="default", headers=[drive.header_sha256])[drive.header_sha256].state == "failed"
-    )
-    assert "its copy is not" in caplog.text
-
-
 def test_what_cannot_be_read_is_a_line_of_the_plan(conn: Any, tmp_path: Path) -> None:
     shutil.copytree(next(SAMPLES.iterdir()), tmp_path / os.fsdecode(b"M\xfcnchen"))
     shutil.copytree(next(SAMPLES.iterdir()), tmp_path / "good")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +41,7 @@ class NoisyDrive:
 
     drive: Drive
     truth: list[TruthCone]
+    matches: list[StereoMatch]
     positions: list[Position]
     tracks: list[Track]
 
@@ -60,41 +62,6 @@ def draw_positions(
     noise: what the stated image sigmas are multiplied with to get the true ones. stated_share: of the pose errors.
     outline_px: sigma of what all sightings of a cone share, along and across the rows.
     """
-    return _draw(rng, rig, cones, errors, frames, noise, stated_share, outline_px)[0]
-
-
-def draw_drive(
-    rng: np.random.Generator,
-    rig: Rig,
-    cones: Sequence[Cone],
-    errors: PoseErrors,
-    *,
-    frames: int = 32,
-    noise: float = 1.0,
-    outline_px: float = 0.0,
-) -> NoisyDrive:
-    """One drive through positions and tracks, which know that the log has no error from frame to frame but what is common."""
-    drawn, matches = _draw(rng, rig, cones, errors, frames, noise, 1.0, outline_px)
-    found = [detection for match in matches for detection in (match.left, match.right)]
-    pairs = drawn.drive.frame_pairs
-    tracks, _ = fuse_logged(pairs, rig, found, matches, drawn.positions, motion=_EXACT_MOTION)
-    return replace(drawn, tracks=tracks)
-
-
-#: Of a trajectory whose errors are all common.
-_EXACT_MOTION = MotionError(lambda _start, _end, _point_m: np.zeros((3, 3)), most_m2=lambda _range_m: 0.0)
-
-
-def _draw(
-    rng: np.random.Generator,
-    rig: Rig,
-    cones: Sequence[Cone],
-    errors: PoseErrors,
-    frames: int,
-    noise: float,
-    stated_share: float,
-    outline_px: float,
-) -> tuple[NoisyDrive, list[StereoMatch]]:
     true_pairs = make_path(frames)
     logged = _logged(rng, true_pairs, errors, stated_share)
     outlines = rng.normal(0, noise * outline_px, (len(cones), 2)) if outline_px else np.zeros((len(cones), 2))
@@ -109,7 +76,22 @@ def _draw(
         drive_id="drawn", source_path="drawn", rig=rig, map_srid=32632, content_sha256="0" * 64, frame_pairs=tuple(logged),
         expected_frame_count=frames,
     )  # fmt: skip
-    return NoisyDrive(drive, [_truth(number, cone) for number, cone in enumerate(cones)], positions, []), matches
+    return NoisyDrive(drive, [_truth(number, cone) for number, cone in enumerate(cones)], matches, positions, [])
+
+
+def draw_drive(
+    rng: np.random.Generator, rig: Rig, cones: Sequence[Cone], errors: PoseErrors, **options: Any
+) -> NoisyDrive:
+    """One drive through positions and tracks, which know that the log has no error from frame to frame but what is common."""
+    drawn = draw_positions(rng, rig, cones, errors, **options)
+    found = [detection for match in drawn.matches for detection in (match.left, match.right)]
+    pairs = drawn.drive.frame_pairs
+    tracks, _ = fuse_logged(pairs, rig, found, drawn.matches, drawn.positions, motion=_EXACT_MOTION)
+    return replace(drawn, tracks=tracks)
+
+
+#: Of a trajectory whose errors are all common.
+_EXACT_MOTION = MotionError(lambda _start, _end, _point_m: np.zeros((3, 3)), most_m2=lambda _range_m: 0.0)
 
 
 def _truth(number: int, cone: Cone) -> TruthCone:

@@ -13,7 +13,8 @@ from conetl.mapping.history import DriveEvidence
 from conetl.mapping.visibility import NotObserved
 from conetl.model.map_records import MapFeature
 from conetl.model.params import ReconcileParams
-from conetl.model.records import Track
+from tests import records
+from tests.records import standing_at
 from tests.synthetic.world import ORIGIN_M, START_NS
 
 HOUR_NS = 3_600_000_000_000
@@ -84,20 +85,15 @@ def random_drive(
         x, y = np.array(place) + offset + rng.normal(0, 0.03, 2)
         xyz = (float(ORIGIN_M[0] + x), float(ORIGIN_M[1] + y), float(ORIGIN_M[2] + rng.normal(0, 0.02)))
         tracks.append(
-            Track(
-                track_index=len(tracks),
-                xyz_m=xyz,
-                cov_m2=(sigma_m**2, 0.0, 0.0, sigma_m**2, 0.0, 0.1),
+            records.track(
+                len(tracks),
+                **standing_at(xyz, cone.height_m, (sigma_m**2, 0.0, 0.0, sigma_m**2, 0.0, 0.1))
+                | {"cone_height_m": cone.height_m + float(rng.normal(0, 0.01))},
                 relative_cov_m2=(1e-3, 0.0, 0.0, 1e-3, 0.0, 1e-3),
-                centre_xyz_m=(xyz[0], xyz[1], xyz[2] + cone.height_m / 2),
-                cone_height_m=cone.height_m + float(rng.normal(0, 0.01)),
-                cone_height_sigma_m=0.02,
                 existence_probability=float(rng.uniform(0.7, 0.99)),
                 observation_count=int(rng.integers(3, 20)),
-                first_seen_ns=seen_ns,
+                seen_ns=seen_ns,
                 last_seen_ns=seen_ns + SECOND_NS,
-                residual_rms_px=0.3,
-                nearest_range_m=5.0,
                 members=((i, 0),),
             )
         )

@@ -13,6 +13,7 @@ from conetl.model.params import LayoutParams
 from conetl.model.work_zone_records import DrivePath, LaneLine, ZoneHistory
 from conetl.workzones.layout_check import allowed_spacing_m, taper_ratio
 from conetl.workzones.linear_reference import locate, stations
+from tests import records
 
 Fault = Literal["none", "missing", "spacing", "in lane", "short taper"]
 Floats = np.ndarray
@@ -35,21 +36,8 @@ class Closure:
 
 
 def cone(number: int, xy_m: Floats, sigma_m: float) -> MapFeature:
-    var = max(sigma_m, 0.005) ** 2
-    return MapFeature(
-        feature_id=UUID(int=number + 1),
-        version=1,
-        category="traffic_cone",
-        xyz_m=(float(xy_m[0]), float(xy_m[1]), 115.0),
-        cov_m2=(var, 0.0, 0.0, var, 0.0, var),
-        centre_xyz_m=(float(xy_m[0]), float(xy_m[1]), 115.35),
-        cone_height_m=0.7,
-        cone_height_sigma_m=0.02,
-        existence_probability=0.97,
-        observation_count=9,
-        first_seen_ns=1,
-        last_seen_ns=2,
-    )
+    here = records.standing_at((*xy_m, 115.0), cov_m2=records.cov_of(max(sigma_m, 0.005)))
+    return records.feature(number + 1, seen_ns=1, last_seen_ns=2, **here)
 
 
 def zone_of(cones: list[MapFeature]) -> ZoneHistory:

@@ -1,12 +1,14 @@
 """Ten drives of one rig, which was calibrated once: do the places on the map err as much as they state?
 
 Each trial draws one error of the calibration and compares ten drives with the map, one after the other, through `reconcile`.
-Every drive has a GNSS error of its own. NEES: squared errors in the sigmas that the map states, over 3; 1 where these are right.
+Every drive has a GNSS error of its own, which puts it aside as a whole. NEES: squared errors in the sigmas that the map states,
+over 3; 1 where these are right.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -19,6 +21,7 @@ from conetl.mapping.changes import reconcile
 from conetl.model.map_records import MapFeature
 from conetl.model.params import ReconcileParams
 from conetl.model.records import CalibrationCovariance, Rig, Track
+from tests import records
 from tests.synthetic.world import ORIGIN_M, START_NS, Cone, detect, fuse_logged, locate, make_path, make_rig, shifted
 from tests.synthetic.wrong_rigs import wrong_rig
 
@@ -66,16 +69,18 @@ def one_track(
     shared_jacobian = jacobian_of(by_calibration, rig)
     assert shared_jacobian is not None
     moved = unpack_all(shared_jacobian.calibrations, [shared_jacobian])[0, 0]
-    half_m = np.array([0, 0, 0.35])
     at = ORIGIN_M + cone_m + off_m + moved @ z
     own = np.eye(3) * (DRIVE_M**2 + CONE_M**2)
-    seen_ns = START_NS + drive * 86_400_000_000_000
-    return Track(
-        track_index=index, xyz_m=tuple(at.tolist()), cov_m2=cov3(own + moved @ moved.T),
-        relative_cov_m2=cov3(np.eye(3) * CONE_M**2), centre_xyz_m=tuple((at + half_m).tolist()), cone_height_m=0.7,
-        cone_height_sigma_m=0.02, existence_probability=0.95, observation_count=10, first_seen_ns=seen_ns,
-        last_seen_ns=seen_ns + 10**9, residual_rms_px=0.3, nearest_range_m=7.0, members=((index, 0),),
-        shared_jacobian=shared_jacobian, )  # fmt: skip
+    return records.track(
+        index,
+        10,
+        seen_ns=START_NS + drive * records.DAY_NS,
+        relative_cov_m2=records.cov_of(CONE_M),
+        existence_probability=0.95,
+        members=((index, 0),),
+        shared_jacobian=shared_jacobian,
+        **records.standing_at(at, cov_m2=cov3(own + moved @ moved.T)),
+    )
 
 
 def after(drives: Sequence[Sequence[Track]]) -> list[MapFeature]:
@@ -90,15 +95,16 @@ def after(drives: Sequence[Sequence[Track]]) -> list[MapFeature]:
     return list(standing.values())
 
 
-def squared(features: Sequence[MapFeature], cones_m: Floats, of_cone: int | None = None) -> float:
-    """Mean NEES over the cones, or of one of them; all of them, and nothing else, must be on the map."""
+def errors_of(features: Sequence[MapFeature], cones_m: Floats) -> tuple[Floats, Floats]:
+    """(N, 3) m and NEES (N,) of the cones; all of them, and nothing else, must be on the map."""
     assert len(features) == len(cones_m)
-    found = []
+    off_m, nees = [], []
     for cone_m in cones_m:
         nearest = min(features, key=lambda f: float(np.hypot(*np.subtract(f.xyz_m, ORIGIN_M + cone_m)[:2])))
         off = np.subtract(nearest.xyz_m, ORIGIN_M + cone_m)
-        found.append(float(off @ np.linalg.solve(cov_matrix(nearest.cov_m2), off)) / 3)
-    return float(np.mean(found) if of_cone is None else found[of_cone])
+        off_m.append(off)
+        nees.append(float(off @ np.linalg.solve(cov_matrix(nearest.cov_m2), off)) / 3)
+    return np.array(off_m), np.array(nees)
 
 
 def nees(
@@ -134,7 +140,8 @@ def nees(
             ]  # fmt: skip
             drives.append(tracks if known else [track.model_copy(update={"shared_jacobian": None}) for track in tracks])
         features = after(drives)
-        total.append(squared(features, cones_m, of_cone))
+        found = errors_of(features, cones_m)[1]
+        total.append(found.mean() if of_cone is None else found[of_cone])
         sigma_m.append(np.mean([f.cov_m2[0] ** 0.5 for f in features]))
     return float(np.mean(total)), float(np.mean(sigma_m))
 
@@ -185,16 +192,16 @@ def test_images_of_a_rig_whose_calibration_is_wrong() -> None:
     for _ in range(40):
         taken = wrong_rig(POOR_RIG, rng.normal(0, POOR))
         drives = [drive_past(cone, taken, rng, drive) for drive in range(6)]
-        honest.append(squared(after(drives), np.array([cone.foot_m])))
+        honest.append(errors_of(after(drives), np.array([cone.foot_m]))[1].mean())
         unaware = [[track.model_copy(update={"shared_jacobian": None}) for track in tracks] for tracks in drives]
-        proud.append(squared(after(unaware), np.array([cone.foot_m])))
+        proud.append(errors_of(after(unaware), np.array([cone.foot_m]))[1].mean())
     assert 0.6 < np.mean(honest) < 1.3
     assert np.mean(proud) > 1.8
 
 
 def drive_past(cone: Cone, taken: Rig, rng: np.random.Generator, drive: int) -> list[Track]:
     """The tracks of one drive, with a GNSS error and image noise of its own."""
-    true = make_path(12, first_ns=START_NS + drive * 86_400_000_000_000, sigma_m=DRIVE_M)
+    true = make_path(12, first_ns=START_NS + drive * records.DAY_NS, sigma_m=DRIVE_M)
     gnss_m = rng.normal(0, DRIVE_M, 3) * [1, 1, 1.5]
     logged = [shifted(pair, gnss_m) for pair in true]
     found, matches, positions = locate(detect([cone], true, taken, noise_px=0.5, rng=rng), logged, POOR_RIG)
@@ -206,3 +213,64 @@ def drive_past(cone: Cone, taken: Rig, rng: np.random.Generator, drive: int) -> 
         for track in tracks
     )
     return tracks
+
+
+CONES_M = np.array([[12.0 * k, 3.0 * (k % 2), 0.0] for k in range(5)])
+
+
+class Figures(NamedTuple):
+    """Means over trials."""
+
+    nees_of_first: float
+    """Squared error of a cone that all drives saw, in the sigmas that the map states, over 3."""
+    nees_of_late: float
+    """Of the one that was added later."""
+    apart_m: float
+    """Root mean square error of the way between the two, horizontally."""
+
+
+def put_aside(index: int, off_m: Floats, drive: int, drive_m: float, cone_m: float) -> Track:
+    at = records.standing_at(ORIGIN_M + CONES_M[index] + off_m, cov_m2=records.cov_of(float(np.hypot(drive_m, cone_m))))
+    seen_ns = START_NS + drive * records.DAY_NS
+    return records.track(
+        index,
+        10,
+        seen_ns=seen_ns,
+        relative_cov_m2=records.cov_of(cone_m),
+        existence_probability=0.95,
+        members=((index, 0),),
+        **at,
+    )
+
+
+def figures(late_from: int, drive_m: float, cone_m: float) -> Figures:
+    """drive_m, cone_m: sigmas of a drive as a whole and of a cone in it, one axis; the last cone is there from that drive on."""
+    rng = np.random.default_rng(1)
+    rows = []
+    for _ in range(150):
+        drives = []
+        for drive in range(DRIVES):
+            # An offset beyond four sigmas is not believed, which is right, and would happen to one drive in some thousand.
+            gnss_m = np.clip(rng.normal(0, drive_m, 3), -2.5 * drive_m, 2.5 * drive_m)
+            drives.append(
+                [
+                    put_aside(k, gnss_m + rng.normal(0, cone_m, 3), drive, drive_m, cone_m)
+                    for k in range(len(CONES_M))
+                    if k < len(CONES_M) - 1 or drive >= late_from
+                ]
+            )
+        off, nees = errors_of(after(drives), CONES_M)
+        rows.append((nees[0], nees[-1], float(np.sum((off[-1] - off[0])[:2] ** 2))))
+    first, late, squared = np.mean(rows, axis=0).tolist()
+    return Figures(first, late, squared**0.5)
+
+
+@pytest.mark.parametrize(("drive_m", "cone_m"), [(0.05, 0.01), (0.2, 0.02)], ids=["RTK", "no fix"])
+@pytest.mark.parametrize("late_from", [1, 5, 9])
+def test_the_map_states_its_errors_and_keeps_cones_together(late_from: int, drive_m: float, cone_m: float) -> None:
+    """Where a difference was shared out twice, between drive and map and again between place and place, NEES was above 3."""
+    found = figures(late_from, drive_m, cone_m)
+    assert 0.8 < found.nees_of_first < 1.25
+    assert 0.8 < found.nees_of_late < 1.25
+    # What its own sightings allow; the drives as a whole are off by ten times as much.
+    assert found.apart_m < 2.0 * cone_m

@@ -21,7 +21,7 @@ from conetl.model.records import Track
 from conetl.tracking.error_propagation import pose_cov
 from conetl.tracking.positions import locate_positions
 from conetl.tracking.trajectory import RefinementOutcome, refine_trajectory
-from tests.synthetic.noisy_drive import NoisyDrive, PoseErrors, _draw, draw_drive, draw_positions
+from tests.synthetic.noisy_drive import NoisyDrive, PoseErrors, draw_drive, draw_positions
 from tests.synthetic.odometry import log_of, motions_of
 from tests.synthetic.world import Cone, camera_poses, make_path, make_rig
 
@@ -93,14 +93,14 @@ def test_single_positions_from_refined_poses_that_slide(noise: float, drives: in
     jointly, as_one = [], []
     for seed in range(drives):
         rng = np.random.default_rng(seed)
-        drawn, matches = _draw(rng, RIG, CONES, RTK, len(pairs), noise, 1.0, 0.0)
+        drawn = draw_positions(rng, RIG, CONES, RTK, frames=len(pairs), noise=noise)
         refined = refine_trajectory(
             log_of(truth, rng, 0.06, 0.001, PARAMS), RIG, motions_of(truth, RIG, rng, PARAMS), PARAMS
         )
         assert refined.outcome is RefinementOutcome.REFINED
         drive = drawn.drive.model_copy(update={"frame_pairs": refined.frame_pairs})
         positions, _ = locate_positions(
-            matches, {pair.frame_index: pair for pair in refined.frame_pairs}, RIG, PositionParams()
+            drawn.matches, {pair.frame_index: pair for pair in refined.frame_pairs}, RIG, PositionParams()
         )
         cone_of = {(p.frame_index, p.match_index): drawn.truth[p.match_index] for p in positions}
         jointly.append(drive_consistency(position_errors(cone_of, positions, drive, pose_cov(refined, PARAMS))))

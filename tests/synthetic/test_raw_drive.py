@@ -134,24 +134,6 @@ def test_near_cones_stand_where_the_rectified_drive_puts_them(raw_drive: Path) -
         assert min(offsets) < 0.02
 
 
-def test_the_same_images_taken_for_rectified_put_cones_elsewhere(raw_drive: Path) -> None:
-    """The test above can fail: without the lenses and the turn of the cameras no cone comes out where it stands."""
-    drive = read_drive(raw_drive)[0]
-    raw = drive.rig.rectified_from
-    assert raw is not None
-    blind = raw.model_copy(
-        update={side: rigs.camera_of(raw, side).model_copy(update={"lens": Lens()}) for side in NUMBER}
-    )  # type: ignore[arg-type]
-    near = [p for p in positions(read_drive(DRIVE)[0]) if p.range_m < NEAR_M]
-    found = positions(drive.model_copy(update={"rig": blind}))
-    for position in near:
-        offsets = [
-            np.linalg.norm(np.subtract(p.xyz_m, position.xyz_m))
-            for p in found if p.frame_index == position.frame_index
-        ]  # fmt: skip
-        assert not offsets or min(offsets) > 0.05
-
-
 def uneven_rig(rectified: Rig) -> Rig:
     """Two cameras of unlike sizes and principal points that see nothing but the rendered images."""
     raw = raw_rig(rectified)

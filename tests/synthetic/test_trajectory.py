@@ -17,7 +17,8 @@ from conetl.tracking.trajectory import (
     refine_with_cones,
     relative_cov,
 )
-from tests.synthetic.noisy_drive import PoseErrors, _draw
+from tests import records
+from tests.synthetic.noisy_drive import PoseErrors, draw_positions
 from tests.synthetic.odometry import log_of, motions_of, pose_errors, true_poses
 from tests.synthetic.world import Cone, make_path, make_rig
 
@@ -220,7 +221,7 @@ def test_cones_as_landmarks_correct_the_length_of_the_way() -> None:
     before, after = [], []
     for seed in range(4):
         cones = [Cone((12.0 + 4.0 * k, 3.2 - 6.0 * (k % 2), 0.0)) for k in range(5)]
-        _, matches = _draw(np.random.default_rng(seed), RIG, cones, PoseErrors(), 32, 1.0, 1.0, 0.0)
+        matches = draw_positions(np.random.default_rng(seed), RIG, cones, PoseErrors()).matches
         log = log_of(truth, np.random.default_rng(50 + seed), 0.4, 0.0009, PARAMS)
         motions = [longer(m, 1.015) for m in motions_of(truth, RIG, np.random.default_rng(9 + seed), PARAMS)]
         alone = refine_trajectory(log, RIG, motions, PARAMS)
@@ -238,7 +239,7 @@ def test_cones_as_landmarks_correct_the_length_of_the_way() -> None:
 def test_cones_do_not_bend_what_rtk_says() -> None:
     """Whatever the cones say: the log is better than they are."""
     cones = [Cone((12.0 + 4.0 * k, 3.2 - 6.0 * (k % 2), 0.0)) for k in range(3)]
-    _, matches = _draw(np.random.default_rng(1), RIG, cones, PoseErrors(), 32, 1.0, 1.0, 0.0)
+    matches = draw_positions(np.random.default_rng(1), RIG, cones, PoseErrors()).matches
     truth = np.stack([se3.map_SE3_body(pair.pose) for pair in make_path(32)])
     rng = np.random.default_rng(2)
     log, motions = log_of(truth, rng, 0.02, 0.0009, PARAMS), motions_of(truth, RIG, rng, PARAMS)
@@ -260,18 +261,7 @@ def test_without_cones_the_trajectory_is_that_of_visual_odometry() -> None:
 
 
 def seen(frame: int, cone: int, xyz: np.ndarray) -> Position:
-    return Position(
-        frame_index=frame,
-        match_index=cone,
-        xyz_m=tuple(xyz.tolist()),
-        cov_m2=(0.0009, 0, 0, 0.0009, 0, 0.0009),
-        centre_xyz_m=tuple(xyz.tolist()),
-        cone_height_m=0.7,
-        camera_xyz_m=tuple(xyz.tolist()),
-        camera_cov_m2=(0.0009, 0, 0, 0.0009, 0, 0.0009),
-        range_m=float(np.linalg.norm(xyz)),
-        ray_angle_rad=0.05,
-        residual_rms_px=0.3,
-        iterations=2,
-        score=0.9,
+    place, cov_m2 = tuple(xyz.tolist()), records.cov_of(0.03)
+    return records.position(
+        frame, cone, xyz_m=place, cov_m2=cov_m2, centre_xyz_m=place, camera_xyz_m=place, camera_cov_m2=cov_m2
     )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-import pytest
 
 from conetl.evaluation.accuracy import PointErrors, position_errors
 from conetl.evaluation.drive_evaluation import DriveEvaluation, pool
@@ -40,12 +39,3 @@ def test_one_row_per_drive_and_one_for_all() -> None:
     assert of_wrong[:2] == ["wrong", "4 of 5"] and any("*" in value for value in of_wrong)
     assert of_all[:2] == ["all drives", "8 of 9"]
     assert any(row[0] == "single positions, relative" and row[-1] == "too small" for row in nees.rows)
-
-
-def test_statistics_of_two_drives_are_those_of_all_their_errors() -> None:
-    some = [drawn(seed) for seed in (3, 4)]
-    pooled = pool({str(k): evaluation(str(k), errors) for k, errors in enumerate(some)})
-    everything = np.concatenate([errors.difference_m for errors in some])
-    figures = pooled.figures["single positions"]
-    assert figures.rmse_3d_m == pytest.approx(float(np.sqrt((everything**2).sum(axis=1).mean())))
-    assert figures.bias_enu_m == pytest.approx(tuple(everything.mean(axis=0)))

@@ -1,12 +1,11 @@
 from __future__ import annotations
 
-from uuid import UUID
-
 import numpy as np
 import pytest
 
 from conetl.evaluation.truth import TruthCone, compare_with_truth
 from conetl.model.map_records import MapFeature
+from tests import records
 
 PATH = np.array([[0.0, 0.0, 1.6], [10.0, 0.0, 1.6], [20.0, 0.0, 1.6]])
 
@@ -16,20 +15,7 @@ def cone(name: str, x: float, y: float) -> TruthCone:
 
 
 def feature(number: int, x: float, y: float) -> MapFeature:
-    return MapFeature(
-        feature_id=UUID(int=number),
-        version=1,
-        category="traffic_cone",
-        xyz_m=(x, y, 0.02),
-        cov_m2=(1e-3, 0.0, 0.0, 1e-3, 0.0, 1e-3),
-        centre_xyz_m=(x, y, 0.35),
-        cone_height_m=0.68,
-        cone_height_sigma_m=0.02,
-        existence_probability=0.9,
-        observation_count=5,
-        first_seen_ns=1,
-        last_seen_ns=2,
-    )
+    return records.feature(number, **records.standing_at((x, y, 0.02)))
 
 
 def test_pairs_misses_and_false_features_are_told_apart() -> None:

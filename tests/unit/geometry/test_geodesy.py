@@ -35,12 +35,6 @@ def test_convergence_turns_true_north_into_grid_directions(lat: float, lon: floa
     assert math.atan2(step[1], step[0]) == pytest.approx(math.pi / 2 + convergence, abs=1e-5)
 
 
-def test_wrong_sign_of_the_convergence_would_be_seen() -> None:
-    assert float(geodesy.grid_convergence_rad(32632, 49.0, 11.9)) > 0
-    assert float(geodesy.grid_convergence_rad(32632, 49.0, 8.4)) < 0
-    assert float(geodesy.grid_convergence_rad(32750, -31.95, 115.86)) > 0
-
-
 @given(st.floats(-79, 83), st.floats(-179.9, 179.9), st.floats(-100, 5000))
 def test_places_survive_the_round_trip_in_their_utm_zone(lat: float, lon: float, height: float) -> None:
     srid = geodesy.utm_srid(lat, lon)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -88,20 +87,6 @@ def test_it_finds_the_optimum_that_scipy_finds(views: int) -> None:
         np.testing.assert_allclose(result.residuals_px[i].ravel(), -(best.fun * sigma[i].ravel()), atol=1e-4)
 
 
-def test_it_agrees_with_opencv() -> None:
-    rng = np.random.default_rng(3)
-    truth = points_ahead(rng, 200)
-    uv = project(truth, STEREO["map_R_cam"], BASE)
-    noisy = uv + rng.normal(scale=0.2, size=uv.shape)
-    k = np.array([[K[0], 0, K[2]], [0, K[1], K[3]], [0, 0, 1]])
-    cameras = [k @ np.hstack([np.eye(3), -c[:, None]]) for c in BASE]
-    for observed, tolerance_m in ((uv, 1e-6), (noisy, 0.02)):
-        other = cv2.triangulatePoints(*cameras, observed[:, 0].T.copy(), observed[:, 1].T.copy())
-        np.testing.assert_allclose(
-            intersect(observed, **STEREO, sigma_uv_px=0.2).xyz_m, (other[:3] / other[3]).T, atol=tolerance_m
-        )
-
-
 @pytest.mark.parametrize("views", [2, 6])
 def test_the_covariance_is_what_monte_carlo_finds(views: int) -> None:
     rng = np.random.default_rng(11)
@@ -121,23 +106,6 @@ def test_the_covariance_is_what_monte_carlo_finds(views: int) -> None:
     np.testing.assert_allclose(np.cov(whitened), np.eye(3), atol=0.06)
     nees = np.einsum("pi,pij,pj->p", result.xyz_m - truth, np.linalg.inv(result.cov_m2), result.xyz_m - truth)
     assert 2.9 < nees.mean() < 3.1
-
-
-def test_pose_errors_widen_the_covariance_as_monte_carlo_says() -> None:
-    rng = np.random.default_rng(5)
-    rpy = np.array([0.05, -0.1, 2.0])
-    sigma_enu, sigma_rpy = np.array([0.3, 0.2, 0.5]), np.array([0.004, 0.006, 0.01])
-    body_point, place = np.array([12.0, -3.0, -1.0]), ORIGIN
-    draws = 20_000
-    noisy = rpy + sigma_rpy * rng.normal(size=(draws, 3))
-    shifted = place + sigma_enu * rng.normal(size=(draws, 3))
-    points = np.einsum("pij,j->pi", se3.rotation_from_rpy(*noisy.T), body_point) + shifted
-    rot = se3.rotation_from_rpy(*rpy)
-    predicted = add_pose_covariance(
-        np.zeros((1, 3, 3)), (rot @ body_point + place)[None], rot, place, sigma_enu, sigma_rpy
-    )[0]
-    whitened = np.linalg.solve(np.linalg.cholesky(predicted), (points - points.mean(axis=0)).T)
-    np.testing.assert_allclose(np.cov(whitened), np.eye(3), atol=0.06)
 
 
 def test_pose_covariance_is_added_to_that_of_the_image() -> None:

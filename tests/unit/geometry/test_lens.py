@@ -63,15 +63,6 @@ def test_jacobians_are_the_differences(lens: Lens) -> None:
         np.testing.assert_allclose(by_k[:, :, i], (distort(more, xy) - distort(less, xy)) / (2 * h), atol=2e-9)
 
 
-@pytest.mark.parametrize("lens", LENSES, ids=name)
-def test_shapes_are_kept(lens: Lens) -> None:
-    for shape in ((2,), (0, 2), (3, 4, 2)):
-        xy = np.full(shape, 0.1)
-        assert distort(lens, xy).shape == shape
-        assert undistort(lens, xy).shape == shape
-        assert distort_jacobian(lens, xy)[0].shape == (*shape[:-1], 2, 2)
-
-
 coordinate = st.floats(-1.0, 1.0)
 
 

@@ -95,11 +95,3 @@ def test_a_matrix_that_is_no_rotation_is_refused() -> None:
             se3.nearest_rotation(matrix)
     rounded = np.round(se3.rotation_from_rpy(0.1, 0.2, 0.3), 5)
     assert se3.is_rotation(se3.nearest_rotation(rounded), 1e-14)
-
-
-def test_tuples_of_the_records_have_the_same_numbers() -> None:
-    pose = se3.se3(se3.rotation_from_rpy(0.1, 0.2, 0.3), [1, 2, 3])
-    assert np.array_equal(np.array(se3.to_matrix4(pose)), pose)
-    assert np.array_equal(np.array(se3.to_matrix3(pose[:3, :3])), pose[:3, :3])
-    with pytest.raises(ValueError, match=r"\(3, 3\)"):
-        se3.to_matrix3(pose)

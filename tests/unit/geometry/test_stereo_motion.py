@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
@@ -20,7 +17,6 @@ from conetl.geometry.motion.stereo_motion import (
     project,
     triangulate,
 )
-from conetl.geometry.small_arrays import all_stepped, stepped
 from conetl.model.params import TrajectoryParams
 
 LENS = np.array([720.0, 715.0, 610.0, 173.0])
@@ -76,13 +72,19 @@ def test_covariance_is_honest() -> None:
     assert low < np.mean(nees) < 1.15 * high  # the sandwich estimate itself is a little short on 250 points
 
 
-def test_a_lorry_on_most_of_the_image_is_outvoted_by_what_may_be_true() -> None:
-    """60 % of the points drive along at the car's own speed: their motion lies outside the gate around INS."""
+def behind_a_lorry() -> tuple[np.ndarray, np.ndarray]:
+    """Two looks at 300 points, of which the first 180 drive along at the car's own speed."""
     rng = np.random.default_rng(1)
     points = scene(rng, 300)
     first = seen(points, rng)
     second = seen(se3.apply(TRUTH, points), rng)
     second[:180] = first[:180] + rng.normal(0, 0.3, (180, 3))
+    return first, second
+
+
+def test_a_lorry_on_most_of_the_image_is_outvoted_by_what_may_be_true() -> None:
+    """60 % of the points drive along at the car's own speed: their motion lies outside the gate around INS."""
+    first, second = behind_a_lorry()
     expected = TRUTH.copy()
     expected[2, 3] += 0.1
     found = estimate_motion(CAMERAS, first, second, np.full(300, 0.3), expected, LIMITS)
@@ -110,20 +112,10 @@ def test_a_guess_that_most_points_follow_spares_the_search(monkeypatch: pytest.M
 
 def test_a_guess_outside_of_the_gate_is_not_believed_however_many_follow_it() -> None:
     """Most points are a lorry's, whose motion was the guess: what may be true is searched for."""
-    rng = np.random.default_rng(1)
-    points = scene(rng, 300)
-    first = seen(points, rng)
-    second = seen(se3.apply(TRUTH, points), rng)
-    second[:180] = first[:180] + rng.normal(0, 0.3, (180, 3))
+    first, second = behind_a_lorry()
     found = estimate_motion(CAMERAS, first, second, np.full(300, 0.3), TRUTH, LIMITS, guess=np.eye(4))
     assert found.status is MotionStatus.OK
     assert found.inliers[:180].mean() < 0.2
-
-
-@given(arrays(np.float64, 6, elements=st.floats(-0.5, 0.5)))
-def test_one_pose_moves_as_many_do(step: np.ndarray) -> None:
-    together = all_stepped(TRUTH[None], step[None])[0]
-    assert np.allclose(stepped(TRUTH, step), together, rtol=1e-13, atol=1e-14)
 
 
 def test_a_lorry_on_all_of_the_image_gives_no_motion() -> None:

@@ -15,6 +15,7 @@ from conetl.mapping.visibility import NotObserved
 from conetl.model.map_records import Delta, DeltaKind, MapFeature
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Track
+from tests import records
 from tests.synthetic.world import ORIGIN_M, START_NS
 
 DAY_NS = 86_400_000_000_000
@@ -22,46 +23,17 @@ PARAMS = ReconcileParams()
 RTK, NO_FIX = 0.03, 0.45
 
 
-def cov(sigma_m: float) -> tuple[float, float, float, float, float, float]:
-    return (sigma_m**2, 0.0, 0.0, sigma_m**2, 0.0, sigma_m**2)
-
-
 def track(index: int, east: float, north: float, *, sigma_m: float = RTK, height_m: float = 0.7, day: int = 1) -> Track:
-    x, y, z = (ORIGIN_M + np.array([east, north, 0.0])).tolist()
-    return Track(
-        track_index=index,
-        xyz_m=(x, y, z),
-        cov_m2=cov(sigma_m),
-        relative_cov_m2=cov(0.02),
-        centre_xyz_m=(x, y, z + height_m / 2),
-        cone_height_m=height_m,
-        cone_height_sigma_m=0.02,
-        existence_probability=0.97,
-        observation_count=12,
-        first_seen_ns=START_NS + day * DAY_NS,
-        last_seen_ns=START_NS + day * DAY_NS + 10**9,
-        residual_rms_px=0.5,
-        nearest_range_m=6.0,
-        members=((10 * index, 0),),
+    here = records.standing_at(ORIGIN_M + np.array([east, north, 0.0]), height_m, records.cov_of(sigma_m))
+    seen_ns = START_NS + day * DAY_NS
+    return records.track(
+        index, 12, seen_ns=seen_ns, relative_cov_m2=records.cov_of(0.02), members=((10 * index, 0),), **here
     )
 
 
 def feature(number: int, east: float, north: float, *, sigma_m: float = RTK, height_m: float = 0.7) -> MapFeature:
-    x, y, z = (ORIGIN_M + np.array([east, north, 0.0])).tolist()
-    return MapFeature(
-        feature_id=UUID(int=number),
-        version=1,
-        category="traffic_cone",
-        xyz_m=(x, y, z),
-        cov_m2=cov(sigma_m),
-        centre_xyz_m=(x, y, z + height_m / 2),
-        cone_height_m=height_m,
-        cone_height_sigma_m=0.02,
-        existence_probability=0.97,
-        observation_count=12,
-        first_seen_ns=START_NS,
-        last_seen_ns=START_NS + 10**9,
-    )
+    here = records.standing_at(ORIGIN_M + np.array([east, north, 0.0]), height_m, records.cov_of(sigma_m))
+    return records.feature(number, seen_ns=START_NS, observation_count=12, **here)
 
 
 def changes(

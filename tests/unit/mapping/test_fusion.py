@@ -95,20 +95,6 @@ def test_weights_and_covariances_are_those_of_the_formula(pair: tuple[Estimate, 
         assert np.linalg.eigvalsh(cov - sum(a @ a.T for a in moved)).min() > -1e-7 * scale
 
 
-@settings(max_examples=100, deadline=None)
-@given(estimates())
-def test_without_shared_calibrations_it_is_the_plain_fusion(pair: tuple[Estimate, Estimate]) -> None:
-    (old_cov, old_jacobian), (new_cov, new_jacobian) = pair
-    apart = None if new_jacobian is None else new_jacobian._replace(
-        calibrations=tuple(UUID(int=one.int + 100) for one in new_jacobian.calibrations)
-    )  # fmt: skip
-    gain, cov, _ = fused((old_cov, old_jacobian), (new_cov, apart))
-    p1, p2 = cov_matrix(old_cov), cov_matrix(new_cov)
-    plain = p1 @ np.linalg.inv(p1 + p2)
-    np.testing.assert_allclose(gain, plain, rtol=1e-6, atol=1e-6)
-    np.testing.assert_allclose(cov, (np.eye(3) - plain) @ p1, rtol=1e-6, atol=1e-6 * float(np.trace(p1)))
-
-
 def test_without_jacobians_it_is_the_plain_fusion_bit_by_bit() -> None:
     rng = np.random.default_rng(3)
     old, new = ([spd(rng, 0.1) for _ in range(50)] for _ in range(2))

@@ -10,7 +10,6 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from conetl.mapping.existence_update import summarize_miss
 from conetl.mapping.history import DriveEvidence, MapHistory, apply_drive, replay_drives
 from conetl.model.map_records import (
     Decisions,
@@ -21,6 +20,7 @@ from conetl.model.map_records import (
     MissedObservation,
     MissSummary,
 )
+from tests.synthetic.changing_road import take
 from tests.synthetic.road import HOUR_NS, SECOND_NS, random_drive, random_world
 from tests.synthetic.world import ORIGIN_M, START_NS
 
@@ -143,14 +143,7 @@ def test_drives_in_order_are_one_update_each() -> None:
     for drive in drives:
         update = apply_drive(standing, drive, Decisions(), summaries)
         deltas[drive.changeset_id] = update.deltas
-        for miss in update.misses:
-            earlier = summaries.get(miss.feature_id)
-            summaries[miss.feature_id] = summarize_miss(earlier, miss.existence_probability, miss.first_missed_ns)
-        for version in update.versions:
-            standing.pop(version.feature.feature_id, None)
-            summaries.pop(version.feature.feature_id, None)
-            if version.present:
-                standing[version.feature.feature_id] = version
+        take(update, standing, summaries)
     history = replay_drives(drives)
     assert {key: update.deltas for key, update in history.updates.items()} == deltas
     last = {feature_id: chain[-1] for feature_id, chain in history.chains.items() if chain[-1].present}

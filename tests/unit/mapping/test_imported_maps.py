@@ -10,24 +10,15 @@ from conetl.mapping.existence_update import MAX_LOG_ODDS, log_odds, probability
 from conetl.mapping.imported_maps import reconcile_imported
 from conetl.model.map_records import DeltaKind, ImportedFeature, MapFeature, MissSummary
 from conetl.model.params import ReconcileParams
+from tests import records
 
 PARAMS = ReconcileParams()
 
 
 def cone(number: int, x_m: float, *, height_m: float = 0.5, exists: float = 0.9) -> MapFeature:
-    return MapFeature(
-        feature_id=UUID(int=number),
-        version=1,
-        category="traffic_cone",
-        xyz_m=(x_m, 0.0, 0.0),
-        cov_m2=(0.01, 0.0, 0.0, 0.01, 0.0, 0.01),
-        centre_xyz_m=(x_m, 0.0, 0.25),
-        cone_height_m=height_m,
-        cone_height_sigma_m=0.01,
-        existence_probability=exists,
-        observation_count=3,
-        first_seen_ns=0,
-        last_seen_ns=0,
+    here = records.standing_at((x_m, 0.0, 0.0), height_m, records.cov_of(0.1))
+    return records.feature(
+        number, seen_ns=0, last_seen_ns=0, cone_height_sigma_m=0.01, existence_probability=exists, **here
     )
 
 

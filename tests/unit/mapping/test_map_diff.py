@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from uuid import UUID
 
 import pytest
 from hypothesis import given, settings
@@ -12,24 +11,12 @@ from hypothesis import strategies as st
 from conetl.mapping.history import replay_drives
 from conetl.mapping.map_diff import compose, diff, invert
 from conetl.model.map_records import DeltaKind, MapFeature
+from tests import records
 from tests.unit.mapping.test_history import random_case
 
 
 def cone(number: int, east_m: float) -> MapFeature:
-    return MapFeature(
-        feature_id=UUID(int=number),
-        version=1,
-        category="traffic_cone",
-        xyz_m=(east_m, 0.0, 0.0),
-        cov_m2=(1.0, 0.0, 0.0, 1.0, 0.0, 1.0),
-        centre_xyz_m=(east_m, 0.0, 0.3),
-        cone_height_m=0.7,
-        cone_height_sigma_m=0.02,
-        existence_probability=0.9,
-        observation_count=3,
-        first_seen_ns=1,
-        last_seen_ns=2,
-    )
+    return records.feature(number, existence_probability=0.9, **records.standing_at((east_m, 0.0, 0.0)))
 
 
 MAPS = st.dictionaries(

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import math
-from uuid import UUID
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from conetl.model.map_records import MapFeature
 from conetl.model.params import ReconcileParams
 from conetl.model.records import Detection, Position, Side
 from conetl.perception.model_card import read_model_card
+from tests import records
 from tests.synthetic.world import ORIGIN_M, Cone, detect, make_path, make_rig, observe
 
 RIG = make_rig()
@@ -54,21 +54,8 @@ def absence_with(others: list[Cone]) -> NotObserved | None:
 
 
 def feature(cone: Cone) -> MapFeature:
-    x, y, z = (ORIGIN_M + np.array(cone.foot_m)).tolist()
-    return MapFeature(
-        feature_id=UUID(int=1),
-        version=1,
-        category="traffic_cone",
-        xyz_m=(x, y, z),
-        cov_m2=(1e-3, 0.0, 0.0, 1e-3, 0.0, 1e-3),
-        centre_xyz_m=(x, y, z + 0.3),
-        cone_height_m=cone.height_m,
-        cone_height_sigma_m=0.02,
-        existence_probability=0.9,
-        observation_count=5,
-        first_seen_ns=1,
-        last_seen_ns=2,
-    )
+    here = records.standing_at(ORIGIN_M + np.array(cone.foot_m), cone.height_m)
+    return records.feature(1, seen_ns=1, last_seen_ns=2, **here)
 
 
 def test_a_cone_ahead_is_in_view_until_it_leaves_the_image() -> None:

@@ -2,25 +2,16 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
-from conetl.perception.detector import detect_image, load_detector
-from conetl.perception.model_card import ReScoringPass, read_model_card
+from conetl.perception.model_card import ReScoringPass
 from conetl.perception.second_passes import pooled_score, rescore, window_around
 
 SETTINGS = ReScoringPass(cone_px=48, window_px=96, scores=(0.25, 0.75), share=0.35)
-REPOSITORY = Path(__file__).resolve().parents[3]
-SHARED_DATA = Path(os.environ.get("CONETL_SHARED_DATA", REPOSITORY.parent / "shared" / "data"))
-KITTI_LEFT = SHARED_DATA / "kitti_2011_09_26_drive_0005_sync" / "image_02" / "data"
 
 
 def candidate(x0: float, y0: float, x1: float, y1: float, score: float) -> NDArray[np.float64]:
@@ -99,39 +90,3 @@ def test_of_two_cones_in_the_window_the_candidates_own_counts() -> None:
     np.testing.assert_allclose(found[:4], 0.65 * row[:4] + 0.35 * np.array([100, 62, 124, 108]))
     np.testing.assert_allclose(found[5:], 0.65 * row[5:] + 0.35 * np.array([112, 108, 112, 62]))
     assert found[4] == pytest.approx(pooled_score(0.5, 0.7, 0.35))
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"cone_px": 96}, "cone_px must be below window_px"),
-        ({"scores": [0.7, 0.3]}, "first of the scores below the second"),
-        ({"share": 1.0}, "less than 1"),
-        ({"window_px": 100}, "multiple of pad_multiple_px"),
-        ({"windows": 3}, "Extra inputs"),
-    ],
-)
-def test_a_sidecar_that_asks_for_the_impossible_is_refused(change: dict[str, object], words: str) -> None:
-    card = read_model_card(None)
-    assert card.closer_look is not None
-    values = card.model_dump(exclude_none=True)
-    with pytest.raises(ValidationError, match=words):
-        type(card).model_validate({**values, "closer_look": {**values["closer_look"], **change}})
-
-
-def test_another_closer_look_is_another_detector_and_other_evidence_is_not() -> None:
-    card = read_model_card(None)
-    without = card.model_copy(update={"closer_look": None})
-    assert without.detections_sha256 != card.detections_sha256
-    assert card.model_copy(update={"evidence": None, "licence": "?"}).detections_sha256 == card.detections_sha256
-
-
-@pytest.mark.skipif(not KITTI_LEFT.is_dir(), reason=f"real drive not at {KITTI_LEFT}")
-@pytest.mark.parametrize("frame", [76, 84, 95])
-def test_a_higher_threshold_is_a_shorter_list_of_the_same_boxes(frame: int) -> None:
-    detector = load_detector()
-    image = cv2.imread(str(KITTI_LEFT / f"{frame:010d}.jpg"))
-    assert image is not None
-    low, high = (detect_image(detector, np.asarray(image, np.uint8), score_threshold=score) for score in (0.1, 0.5))
-    assert len(low) > len(high) > 0
-    np.testing.assert_array_equal(low[low[:, 4] >= 0.5], high)

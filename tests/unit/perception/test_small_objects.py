@@ -27,6 +27,7 @@ from conetl.perception.second_passes import (
     parts_around,
     pooled_score,
 )
+from tests.unit.perception.test_rescoring import candidate
 
 SETTINGS = SmallObjectPass(below_px=40, from_score=0.25, around_px=24, scale=2.0, share=0.65)
 DRIVES = Path(__file__).resolve().parents[3] / "data" / "drives"
@@ -50,10 +51,6 @@ def showing(boxes: list[Floats], row: Floats) -> Callable[[Image], NetworkBoxes]
         return seen, 0.0
 
     return run
-
-
-def candidate(x0: float, y0: float, x1: float, y1: float, score: float) -> Floats:
-    return np.array([x0, y0, x1, y1, score, (x0 + x1) / 2, y1, (x0 + x1) / 2, y0])
 
 
 @given(boxes_in_a_image)
@@ -200,25 +197,32 @@ def test_only_wanted_candidates_call_and_boxes_beyond_all_bounds_harm_nothing() 
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("look", "change", "words"),
     [
-        ({"scale": 1.0}, "greater than 1"),
-        ({"share": 1.0}, "less than 1"),
-        ({"below_px": 0}, "greater than 0"),
-        ({"parts": 3}, "Extra inputs"),
+        ("enlarged_look", {"scale": 1.0}, "greater than 1"),
+        ("enlarged_look", {"share": 1.0}, "less than 1"),
+        ("enlarged_look", {"below_px": 0}, "greater than 0"),
+        ("enlarged_look", {"parts": 3}, "Extra inputs"),
+        ("closer_look", {"cone_px": 96}, "cone_px must be below window_px"),
+        ("closer_look", {"scores": [0.7, 0.3]}, "first of the scores below the second"),
+        ("closer_look", {"share": 1.0}, "less than 1"),
+        ("closer_look", {"window_px": 100}, "multiple of pad_multiple_px"),
+        ("closer_look", {"windows": 3}, "Extra inputs"),
     ],
 )
-def test_a_sidecar_that_asks_for_the_impossible_is_refused(change: dict[str, object], words: str) -> None:
+def test_a_sidecar_that_asks_for_the_impossible_is_refused(look: str, change: dict[str, object], words: str) -> None:
     values = read_model_card(None).model_dump(exclude_none=True)
     with pytest.raises(ValidationError, match=words):
-        type(read_model_card(None)).model_validate({**values, "enlarged_look": {**values["enlarged_look"], **change}})
+        type(read_model_card(None)).model_validate({**values, look: {**values[look], **change}})
 
 
-def test_another_enlarged_look_is_another_detector_and_none_is_that_of_before_there_were_any() -> None:
+def test_another_look_is_another_detector_and_other_evidence_is_not() -> None:
     card = read_model_card(None)
     assert card.enlarged_look is not None
     plain = card.model_copy(update={"enlarged_look": None})
     assert plain.detections_sha256 != card.detections_sha256
+    assert card.model_copy(update={"closer_look": None}).detections_sha256 != card.detections_sha256
+    assert card.model_copy(update={"evidence": None, "licence": "?"}).detections_sha256 == card.detections_sha256
     used = {"sha256", "input_layout", "head", "pad_multiple_px", "closer_look"}
     assert plain.detections_sha256 == hashlib.sha256(card.model_dump_json(include=used).encode()).hexdigest()
 

@@ -86,10 +86,6 @@ def assert_moved_before_the_wall(rig: Rig, params: TrajectoryParams = PARAMS) ->
     return motions
 
 
-def test_the_motion_before_a_wall_comes_out() -> None:
-    assert_moved_before_the_wall(RIG)
-
-
 @pytest.mark.parametrize(
     "rig",
     [

@@ -16,13 +16,3 @@ def test_what_was_made_meanwhile_is_not_searched_right_afterwards():
     assert gc.get_freeze_count() == 0
     old = {id(thing) for thing in gc.get_objects(generation=2)}
     assert all(id(thing) in old for thing in made)
-
-
-def test_a_search_that_was_off_stays_off():
-    gc.disable()
-    try:
-        with no_cycle_search():
-            pass
-        assert not gc.isenabled()
-    finally:
-        gc.enable()

@@ -9,12 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from conetl.geometry import camera as cam
-from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.model.records import Drive
 from conetl.model.rejections import Rejection
-from conetl.perception.images import read_image
 from conetl.readers.drives import read_drive
 
 SHARED = Path(os.environ.get("CONETL_SHARED_DATA", Path(__file__).parents[4] / "shared" / "data"))
@@ -69,21 +66,3 @@ def test_the_camera_drives_where_it_looks(map_SE3_left: NDArray[np.float64]) -> 
     # In a straight stretch the heading of the way and the optical axis agree on average to within half a degree.
     side = np.einsum("pi,pi->p", steps[moving], map_SE3_left[:-1, :3, 0][moving]) / length[moving]
     assert abs(np.median(side)) < 0.03
-
-
-def test_heights_and_horizon_are_plausible(
-    kitti: tuple[Drive, list[Rejection]], map_SE3_left: NDArray[np.float64]
-) -> None:
-    drive, _ = kitti
-    up = np.array([0.0, 0.0, 0.72])
-    body = np.stack([pair.pose.map_t_body_m for pair in drive.frame_pairs])
-    np.testing.assert_allclose(map_SE3_left[:, 2, 3] - body[:, 2], up[2], atol=0.08)
-    rows = [cam.horizon_row_px(drive.rig.left, pose[:3, :3]) for pose in map_SE3_left]
-    assert all(abs(row - drive.rig.left.cy_px) < 35 for row in rows)
-    assert all(se3.is_rotation(pose[:3, :3], 1e-9) for pose in map_SE3_left)
-
-
-def test_images_can_be_read(kitti: tuple[Drive, list[Rejection]]) -> None:
-    pair = kitti[0].frame_pairs[80]
-    for path in (pair.left_path, pair.right_path):
-        assert read_image(Path(path), (1242, 375)).shape == (375, 1242, 3)

@@ -14,7 +14,7 @@ from conetl.readers import recording as arriving
 from conetl.readers.drives import read_drive
 from conetl.readers.drives.pairs import PairError
 from conetl.readers.recording import ArrivingPair, ArrivingPlain, ArrivingStamps, open_arriving
-from tests.integration.arriving_drives import SAMPLE, append, begin, image, kitti_head, row, write_images
+from tests.arriving_drives import SAMPLE, append, begin, image, kitti_head, row, write_images
 
 SRID = 32632
 

@@ -19,6 +19,7 @@ from conetl.model.records import CalibrationCovariance, FramePair, Position, Rig
 from conetl.tracking.error_propagation import common_cov, constant_and_change, moved_cov, outline_cov, pose_cov
 from conetl.tracking.matching.covariance import SHARED_DISPARITY_PX
 from conetl.tracking.trajectory import log_errors, refine_trajectory
+from tests import records
 from tests.synthetic.noisy_drive import PoseErrors, draw_positions
 from tests.synthetic.odometry import log_of, motions_of, true_poses
 from tests.synthetic.world import ORIGIN_M, Cone, camera_poses, make_path, make_rig
@@ -161,11 +162,10 @@ def test_correlation_of_one_is_one_error_and_none_is_an_average() -> None:
 def position_at(pair: FramePair, map_SE3_left: Array, xyz_m: Array) -> Position:
     """The position from a frame pair; only its coordinates matter here."""
     in_camera = se3.apply(se3.invert(map_SE3_left), xyz_m).tolist()
-    return Position(
-        frame_index=pair.frame_index, match_index=0, xyz_m=tuple(xyz_m.tolist()), cov_m2=(1, 0, 0, 1, 0, 1),
-        centre_xyz_m=tuple(xyz_m.tolist()), cone_height_m=0.7, camera_xyz_m=tuple(in_camera), camera_cov_m2=(1, 0, 0, 1, 0, 1),
-        range_m=in_camera[2], ray_angle_rad=0.03, residual_rms_px=0.1, iterations=3, score=0.9,
-    )  # fmt: skip
+    place = tuple(xyz_m.tolist())
+    return records.position(
+        pair.frame_index, xyz_m=place, centre_xyz_m=place, camera_xyz_m=tuple(in_camera), range_m=in_camera[2]
+    )
 
 
 def constants(rig: Rig) -> tuple[Array, Array]:

@@ -12,7 +12,7 @@ from conetl.tracking.error_propagation import PoseCov, pose_cov
 from conetl.tracking.matching.covariance import SHARED_DISPARITY_PX
 from conetl.tracking.trajectory import refine_trajectory
 from conetl.tracking.variance_components import VarianceFactors, estimate_variance_factors, with_variance_factors
-from tests.conftest import sample_matches, sample_track
+from tests import records
 from tests.synthetic.odometry import log_of, motions_of
 from tests.synthetic.world import ORIGIN_M, camera_pose, make_path, make_rig
 
@@ -48,7 +48,7 @@ def drawn(
             uv["right"] += [both - apart, rng.normal(0, sizes[1] * across)]
             left, right = ((float(uv[side][0]), float(uv[side][1])) for side in ("left", "right"))
             matches.append(
-                sample_matches(1)[0].model_copy(
+                records.matches(1)[0].model_copy(
                     update={
                         "frame_index": pair.frame_index, "match_index": number,
                         "left": _box(pair.frame_index, number, "left"), "right": _box(pair.frame_index, number, "right"),
@@ -61,7 +61,7 @@ def drawn(
             members.append((pair.frame_index, number))
         x, y, z = (foot + rng.normal(0, 0.05, 3)).tolist()
         tracks.append(
-            sample_track(number).model_copy(
+            records.track(number).model_copy(
                 update={"xyz_m": (x, y, z), "members": tuple(members), "observation_count": len(members)}
             )
         )

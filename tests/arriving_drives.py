@@ -13,7 +13,7 @@ from conetl.readers.drives.oxts import parse_oxts
 from conetl.readers.drives.plain import Row
 from conetl.readers.rigs.rig_yaml import write_rig_yaml
 
-SAMPLE = sorted((Path(__file__).resolve().parents[2] / "data" / "drives").iterdir())[0]
+SAMPLE = sorted((Path(__file__).resolve().parents[1] / "data" / "drives").iterdir())[0]
 FRAMES = range(10, 22)
 
 

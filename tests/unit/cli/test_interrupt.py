@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
-from tests.command import ROOT, conetl, environment_of
-
+ROOT = Path(__file__).resolve().parents[3]
 DRIVE = sorted((ROOT / "data" / "drives").iterdir())[0]
+COMMAND = [sys.executable, "-c", "from conetl.cli import main; main()"]
+
+
+def environment(home):
+    paths = os.pathsep.join([str(ROOT / "src"), str(ROOT)])
+    return {**os.environ, "PYTHONPATH": paths, "CONETL_HOME": str(home)}
 
 
 @pytest.mark.parametrize("presses", [1, 2])
@@ -24,7 +31,7 @@ def test_ctrl_c_is_one_sentence_and_an_exit_code_of_its_own(tmp_path, presses):
     code = f"{wait}\nimport sys; sys.argv = ['conetl', 'wait']; main()"
     process = subprocess.Popen(
         [sys.executable, "-c", code],
-        env=environment_of(CONETL_HOME=tmp_path),
+        env=environment(tmp_path),
         cwd=ROOT,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -44,7 +51,9 @@ def test_ctrl_c_is_one_sentence_and_an_exit_code_of_its_own(tmp_path, presses):
 def test_a_home_that_cannot_be_written_to_is_named(tmp_path):
     home = tmp_path / "home"
     home.write_text("a file in the way, which stops root as well")
-    done = conetl("ingest", DRIVE, CONETL_HOME=home)
+    done = subprocess.run(
+        [*COMMAND, "ingest", str(DRIVE)], env=environment(home), cwd=ROOT, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 2
     assert "cannot be written to" in done.stderr
     assert "CONETL_HOME" in done.stderr

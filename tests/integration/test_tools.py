@@ -1,0 +1,263 @@
+"""`conetl detect`, `evaluate` and `calibrate`: tools without database and server, on real images."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner, Result
+
+from conetl.cli.app import app
+from conetl.cli.tools.calibrate import calibrate
+from conetl.model.errors import CalibrationError, InputError
+from conetl.readers.rigs import read_rig
+from tests.integration.conftest import ROOT, conetl_process
+
+IMAGE = next((ROOT / "data" / "drives").glob("*/image_02/data/*"))
+
+
+def detect(*arguments: object, folder: Path) -> subprocess.CompletedProcess[str]:
+    return conetl_process(folder / "home", "", "detect", *arguments, folder=folder)
+
+
+@pytest.fixture
+def small_image(tmp_path: Path) -> Path:
+    path = tmp_path / "in" / "small.png"
+    path.parent.mkdir()
+    cv2.imwrite(str(path), np.full((64, 96, 3), 120, np.uint8))
+    return path
+
+
+def test_boxes_and_annotated_copies_are_written_into_new_folders(tmp_path: Path) -> None:
+    done = detect(
+        IMAGE, "--out", tmp_path / "new" / "found.json", "--draw", tmp_path / "drawn" / "deep", folder=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    found = json.loads((tmp_path / "new" / "found.json").read_text())
+    assert found
+    assert {"file_name", "category", "bbox", "score", "foot", "tip"} <= set(found[0])
+    assert cv2.imread(str(tmp_path / "drawn" / "deep" / f"{IMAGE.stem}.jpg")).shape == cv2.imread(str(IMAGE)).shape
+
+
+@pytest.mark.parametrize("option", ["--out", "--draw"])
+def test_a_path_that_cannot_be_written_is_bad_input(tmp_path: Path, small_image: Path, option: str) -> None:
+    (tmp_path / "file").write_text("taken")
+    done = detect(small_image, option, tmp_path / "file" / "below", folder=tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert "cannot be written" in done.stderr and "Traceback" not in done.stderr
+    assert not (tmp_path / "detections.json").exists()
+
+
+def test_one_unreadable_image_costs_only_itself(tmp_path: Path, small_image: Path) -> None:
+    (small_image.parent / "broken.jpg").write_bytes(b"\xff\xd8\xff\xe0 no image")
+    done = detect(small_image.parent, folder=tmp_path)
+    assert done.returncode == 1 and "broken.jpg" in done.stderr
+    result = json.loads(done.stdout)
+    assert result["images"] == 2
+    assert [Path(name).name for name in result["refused"]] == ["broken.jpg"]
+
+
+def test_nothing_is_written_where_no_image_can_be_read(tmp_path: Path) -> None:
+    (tmp_path / "broken.png").write_bytes(b"\x89PNG no image")
+    done = detect(tmp_path / "broken.png", "--out", tmp_path / "found.json", folder=tmp_path)
+    assert done.returncode == 2
+    assert not (tmp_path / "found.json").exists()
+
+
+SAMPLE = Path(__file__).resolve().parents[2] / "data" / "drives" / "2026-03-02_taper_pass1"
+FRAMES = range(8, 22)
+
+
+def piece(folder: Path, frames: range) -> Path:
+    """Some frame pairs of the sample drive, and its truth."""
+    folder.mkdir()
+    for file in (*SAMPLE.glob("*.txt"), SAMPLE / "truth.csv"):
+        shutil.copy(file, folder)
+    for part, suffix in (("image_02", "jpg"), ("image_03", "jpg"), ("oxts", "txt")):
+        (folder / part / "data").mkdir(parents=True)
+        stamps = (SAMPLE / part / "timestamps.txt").read_text().splitlines()
+        (folder / part / "timestamps.txt").write_text("".join(f"{stamps[k]}\n" for k in frames))
+        for new, old in enumerate(frames):
+            shutil.copy(
+                SAMPLE / part / "data" / f"{old:010d}.{suffix}", folder / part / "data" / f"{new:010d}.{suffix}"
+            )
+    return folder
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """14 frame pairs past the first cones."""
+    return piece(tmp_path_factory.mktemp("drives") / "piece", FRAMES)
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("home")
+
+
+def evaluate(drive: Path, truth: Path, home: Path, *options: str) -> Result:
+    return evaluate_all([drive], home, "--truth", str(truth), *options)
+
+
+def evaluate_all(drives: list[Path], home: Path, *options: str) -> Result:
+    return CliRunner().invoke(app, ["evaluate", *map(str, drives), *options], env={"CONETL_HOME": str(home)})
+
+
+def test_figures_plots_and_page(drive: Path, home: Path, tmp_path: Path) -> None:
+    done = evaluate(drive, SAMPLE / "truth.csv", home, "--out", str(tmp_path / "out"), "--within-m", "8", "--json")
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)
+    rows = [line.split(",") for line in (SAMPLE / "truth.csv").read_text().splitlines()[1:]]
+    truth = {row[0]: [float(value) for value in row[1:4]] for row in rows}
+    seen = [cone for cone in found["cones"] if cone["xyz_m"] is not None]
+    assert len(seen) >= 3
+    for cone in seen:
+        error_m = np.linalg.norm(np.subtract(cone["xyz_m"], truth[cone["cone_id"]]))
+        assert error_m == pytest.approx(cone["error_3d_m"], abs=1e-9) and error_m < 0.15
+    assert sorted(found["missed"]) == sorted(c["cone_id"] for c in found["cones"] if c["xyz_m"] is None)
+    assert found["errors"]["single positions"]["count"] >= 3 * len(seen)
+    assert sum(band["errors"]["count"] for band in found["by_range"]) == found["errors"]["single positions"]["count"]
+    assert found["nees"]["tracks"]["relative"]["dof"] == 3 * len(seen) - 6
+    for name in ("errors_over_range.png", "plan.png", "nees.png"):
+        data = (tmp_path / "out" / name).read_bytes()
+        assert data.startswith(b"\x89PNG") and len(data) > 10_000
+    page = (tmp_path / "out" / "index.html").read_text()
+    assert page.count('src="data:image/png;base64,') == 3 and "://" not in page
+    assert not (home / "postgres").exists()
+
+
+def test_two_drives_are_judged_together(drive: Path, home: Path, tmp_path: Path) -> None:
+    """Each by its own truth.csv; the second are six frame pairs of the same road."""
+    second = piece(tmp_path / "second", range(22, 28))
+    done = evaluate_all([drive, second], home, "--out", str(tmp_path / "out"), "--within-m", "8", "--json")
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)
+    assert [one["drive_id"] for one in found["drives"]] == ["piece", "second"]
+    for kind in ("tracks", "single positions"):
+        assert found["pooled"]["errors"][kind]["count"] == sum(d["errors"][kind]["count"] for d in found["drives"])
+        for part in ("relative", "common", "absolute"):
+            single = [d["nees"][kind][part] for d in found["drives"]]
+            together = found["pooled"]["nees"][kind][part]
+            assert together["dof"] == sum(one["dof"] for one in single if one)
+            assert together["value"] == pytest.approx(sum(one["value"] for one in single if one))
+    for file in ("piece/index.html", "second/plan.png"):
+        assert (tmp_path / "out" / file).is_file()
+    assert "2 drives against truth" in (tmp_path / "out" / "index.html").read_text()
+
+
+def test_a_drive_without_truth_or_given_twice_is_refused(drive: Path, home: Path, tmp_path: Path) -> None:
+    """Before anything is computed, also of the drives that are fine."""
+    (tmp_path / "bare").mkdir()
+    for drives, words in (([drive, tmp_path / "bare"], "has no truth.csv"), ([drive, drive], "given twice")):
+        refused = evaluate_all(drives, home).exception
+        assert isinstance(refused, InputError) and words in str(refused)
+
+
+def test_the_table_for_a_person(drive: Path, home: Path, tmp_path: Path) -> None:
+    """The second run uses cached results."""
+    done = evaluate(drive, SAMPLE / "truth.csv", home, "--out", str(tmp_path), "--within-m", "8")
+    assert done.exit_code == 0, done.output
+    for words in ("difference", "single positions, relative", "CE90", "index.html"):
+        assert words in done.output
+
+
+def test_truth_of_another_drive_without_cones_or_with_two_systems_is_refused(
+    drive: Path, home: Path, tmp_path: Path
+) -> None:
+    rows = (SAMPLE / "truth.csv").read_text().replace(",4583", ",4683")
+    (tmp_path / "truth.csv").write_text(rows)
+    assert "another drive" in str(evaluate(drive, tmp_path / "truth.csv", home).exception)
+    rows = (SAMPLE / "truth.csv").read_text().splitlines()
+    (tmp_path / "truth.csv").write_text(rows[0] + "\n")
+    assert "no cone is present" in str(evaluate(drive, tmp_path / "truth.csv", home).exception)
+    (tmp_path / "truth.csv").write_text("\n".join([*rows[:2], rows[2].replace("32632", "32633")]) + "\n")
+    assert "32632, 32633" in str(evaluate(drive, tmp_path / "truth.csv", home).exception)
+    assert "no such drive folder" in str(evaluate(tmp_path / "none", SAMPLE / "truth.csv", home).exception)
+
+
+SHARED = Path(os.environ.get("CONETL_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data"))
+IMAGES = SHARED / "feb_stereo_chessboard" / "pairs"
+BOARD = "chessboard:9x6:37.8mm"
+real = pytest.mark.skipif(not IMAGES.is_dir(), reason=f"no chessboard images at {IMAGES}")
+
+calibrate_app = typer.Typer()
+calibrate_app.command()(calibrate)
+
+
+def _board_folder(path: Path, pairs: list[int], *, swapped: bool = False) -> Path:
+    for pair in pairs:
+        for number, side in zip(
+            (2 * pair, 2 * pair + 1), ("right", "left") if swapped else ("left", "right"), strict=True
+        ):
+            (path / side).mkdir(parents=True, exist_ok=True)
+            (path / side / f"{pair:02d}.jpg").symlink_to(IMAGES / f"pic{number:05d}.jpg")
+    return path
+
+
+def _calibrate(*words: object) -> str:
+    result = CliRunner().invoke(calibrate_app, [str(word) for word in words], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+@real
+def test_real_chessboards_give_a_rig_with_its_covariance(tmp_path: Path) -> None:
+    folder = _board_folder(tmp_path / "images", list(range(4, 36, 3)))
+    out, report = tmp_path / "rig.yaml", tmp_path / "report"
+    words = ("--lens", "brown", "--sensor-mm", "23.5x15.6", "--out", out, "--report", report, "--json")
+    content = json.loads(_calibrate(folder, "--board", BOARD, *words))
+    assert content["pairs_used"] >= 10
+    assert content["board_shape"] == "free"  # the board in these images is bent by 2 mm
+    assert content["rms_px"]["stereo"] < 0.12
+    base = next(row for row in content["relative"] if row["name"] == "base")
+    assert abs(base["value"] - 279.3) < 4 * base["sigma"] < 6.0
+    assert json.loads((report / "report.json").read_text())["interior_mm"]["left"][0]["unit"] == "mm"
+    assert (report / "coverage.png").read_bytes().startswith(b"\x89PNG")
+    rig = read_rig(out)
+    assert rig.left.lens.model == "brown"
+    assert rig.calibration_covariance is not None and len(rig.calibration_covariance.names) == 24
+    assert rig.baseline_m * 1000 == pytest.approx(base["value"])
+
+
+@real
+def test_swapped_cameras_are_told(tmp_path: Path) -> None:
+    folder = _board_folder(tmp_path, [5, 10, 15, 20, 25], swapped=True)
+    with pytest.raises(CalibrationError, match="swapped"):
+        _calibrate(
+            folder, "--board", BOARD, "--lens", "radial", "--board-shape", "flat", "--out", tmp_path / "rig.yaml"
+        )
+    assert not (tmp_path / "rig.yaml").exists()
+
+
+@real
+def test_a_board_of_another_size_is_told(tmp_path: Path) -> None:
+    folder = _board_folder(tmp_path, [5])
+    with pytest.raises(CalibrationError, match=r"none of the images.*9 x 6 inner corners instead of 8 x 6"):
+        _calibrate(folder, "--board", "chessboard:8x6:37.8mm", "--out", tmp_path / "rig.yaml")
+
+
+@real
+def test_two_pairs_are_too_few(tmp_path: Path) -> None:
+    folder = _board_folder(tmp_path, [5, 20])
+    with pytest.raises(CalibrationError, match="at least 3 are needed"):
+        _calibrate(folder, "--board", BOARD, "--out", tmp_path / "rig.yaml")
+
+
+def test_what_cannot_be_meant_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "left").mkdir()
+    for words, message in (
+        ((tmp_path / "x",), "no such folder"),
+        ((tmp_path,), "left/ and right/"),
+        ((tmp_path, "--left-pattern", "l*.png"), "require each other"),
+        ((tmp_path, "--sensor-mm", "24"), "width x height"),
+        ((tmp_path, "--pairing", "even-odd"), "no pair"),
+    ):
+        with pytest.raises(InputError, match=message):
+            _calibrate(*words, "--board", BOARD)

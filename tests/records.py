@@ -1,0 +1,226 @@
+"""Makers of small valid records, as most tests need them, and of changesets of a map that is not that of a drive."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from typing import Any
+from uuid import UUID, uuid5
+
+from conetl.db.map.commit import commit_changeset
+from conetl.db.map.map_store import map_transaction
+from conetl.model.map_records import Changeset, Delta, DeltaKind, MapFeature
+from conetl.model.records import (
+    Camera,
+    Cov3,
+    Detection,
+    Drive,
+    DriveRecords,
+    FramePair,
+    Pose,
+    Position,
+    Rig,
+    StereoMatch,
+    Track,
+)
+
+SRID = 32632
+DAY_NS = 86_400_000_000_000
+#: 2026-03-01 08:00:00 UTC
+START_NS = 1_772_352_000_000_000_000
+_IDENTITY4 = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+COV_M2 = (0.01, 0.001, 0.0, 0.02, 0.0, 0.04)
+_NAMESPACE = UUID("00000000-0000-4000-8000-000000000000")
+
+
+def drive(
+    drive_id: str = "drive_a",
+    *,
+    start_ns: int = START_NS,
+    frames: int = 3,
+    srid: int = SRID,
+    content_sha256: str | None = None,
+) -> Drive:
+    camera = Camera(width_px=1242, height_px=375, fx_px=721.5, fy_px=721.5, cx_px=609.6, cy_px=172.9)
+    right = ((1.0, 0.0, 0.0, 0.532), *_IDENTITY4[1:])
+    pose = Pose(
+        map_R_body=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+        map_t_body_m=(458_000.5, 5_428_000.25, 115.125),
+        sigma_enu_m=(0.3, 0.3, 0.5),
+        sigma_rpy_rad=(0.001, 0.001, 0.002),
+    )
+    return Drive(
+        drive_id=drive_id,
+        source_path=f"drives/{drive_id}",
+        rig=Rig(rig_id="rig", left=camera, right=camera, body_SE3_left=_IDENTITY4, body_SE3_right=right),
+        map_srid=srid,
+        content_sha256=content_sha256 or hashlib.sha256(drive_id.encode()).hexdigest(),
+        frame_pairs=tuple(
+            FramePair(
+                frame_index=i,
+                left_path=f"image_02/data/{i:010d}.png",
+                right_path=f"image_03/data/{i:010d}.png",
+                captured_at_ns=start_ns + i * 100_000_000 + 7,
+                pose=pose,
+            )
+            for i in range(frames)
+        ),
+        expected_frame_count=frames,
+    )
+
+
+def detections(frames: int = 3) -> list[Detection]:
+    return [
+        Detection(frame_index=i, side=side, detection_index=0, x_px=600.5, y_px=180, w_px=20, h_px=30, score=0.9)
+        for i in range(frames)
+        for side in ("left", "right")
+    ]
+
+
+def matches(frames: int = 3) -> list[StereoMatch]:
+    boxes = detections(frames)
+    return [
+        StereoMatch(
+            frame_index=i,
+            match_index=0,
+            left=boxes[2 * i],
+            right=boxes[2 * i + 1],
+            foot_left_uv_px=(610.0, 210.0),
+            foot_right_uv_px=(580.0, 210.0),
+            centre_left_uv_px=(610.0, 195.0),
+            centre_right_uv_px=(580.0, 195.0),
+            tip_left_uv_px=(610.0, 180.0),
+            tip_right_uv_px=(580.0, 180.0),
+            sigma_u_px=0.2,
+            sigma_v_px=0.5,
+            sigma_pointing_px=0.4,
+            refined=True,
+            cost=0.1,
+        )
+        for i in range(frames)
+    ]
+
+
+def position(frame_index: int = 0, match_index: int = 0, **changes: Any) -> Position:
+    values: dict[str, Any] = {
+        "frame_index": frame_index,
+        "match_index": match_index,
+        "cov_m2": COV_M2,
+        "cone_height_m": 0.7,
+        "xyz_m": (458_001.0, 5_428_010.0, 114.5),
+        "centre_xyz_m": (458_001.0, 5_428_010.0, 114.85),
+        "camera_xyz_m": (0.5, 1.6, 12.0),
+        "camera_cov_m2": COV_M2,
+        "range_m": 12.0,
+        "ray_angle_rad": 0.04,
+        "residual_rms_px": 0.3,
+        "iterations": 3,
+        "score": 0.9,
+    }
+    return Position(**values | changes)
+
+
+def positions(frames: int = 3) -> list[Position]:
+    return [position(i) for i in range(frames)]
+
+
+def track(track_index: int = 0, frames: int = 3, *, seen_ns: int = START_NS + 7, **changes: Any) -> Track:
+    values: dict[str, Any] = {
+        "track_index": track_index,
+        "relative_cov_m2": COV_M2,
+        "existence_probability": 0.97,
+        "cone_height_sigma_m": 0.02,
+        "observation_count": frames,
+        "first_seen_ns": seen_ns,
+        "last_seen_ns": seen_ns + (frames - 1) * 100_000_000,
+        "residual_rms_px": 0.3,
+        "nearest_range_m": 9.0,
+        "members": tuple((i, 0) for i in range(frames)),
+    }
+    return Track(**values | standing_at((458_001.0, 5_428_010.0, 114.5)) | changes)
+
+
+def feature(name: str | int = "cone", *, seen_ns: int = START_NS, **changes: Any) -> MapFeature:
+    """By a name or by the number that is its id."""
+    values: dict[str, Any] = {
+        "feature_id": UUID(int=name) if isinstance(name, int) else uuid5(_NAMESPACE, name),
+        "version": 1,
+        "category": "traffic_cone",
+        "cone_height_sigma_m": 0.02,
+        "existence_probability": 0.97,
+        "observation_count": 3,
+        "first_seen_ns": seen_ns,
+        "last_seen_ns": seen_ns + 200_000_000,
+    }
+    return MapFeature(**values | standing_at((458_001.0, 5_428_010.0, 114.5)) | changes)
+
+
+def standing_at(xyz_m: Sequence[float], height_m: float = 0.7, cov_m2: Cov3 = COV_M2) -> dict[str, Any]:
+    """What a cone's foot and height say of a feature or a track."""
+    x, y, z = map(float, xyz_m)
+    centre_xyz_m = (x, y, z + height_m / 2)
+    return {"xyz_m": (x, y, z), "cov_m2": cov_m2, "centre_xyz_m": centre_xyz_m, "cone_height_m": height_m}
+
+
+def cov_of(sigma_m: float) -> Cov3:
+    """Equal and independent along the axes."""
+    return (sigma_m**2, 0.0, 0.0, sigma_m**2, 0.0, sigma_m**2)
+
+
+def added(feature: MapFeature, **changes: Any) -> Delta:
+    values = {"changed_at_ns": feature.first_seen_ns, "track_index": 0, "shift_m": None} | changes
+    return Delta(kind=DeltaKind.ADDED, feature_id=feature.feature_id, old=None, new=feature, **values)
+
+
+def removed(feature: MapFeature, at_ns: int) -> Delta:
+    return Delta(
+        kind=DeltaKind.REMOVED,
+        feature_id=feature.feature_id,
+        old=feature,
+        new=None,
+        track_index=None,
+        changed_at_ns=at_ns,
+        shift_m=None,
+    )
+
+
+def changed(kind: str, old: MapFeature, at_ns: int, **changes: Any) -> Delta:
+    new = old.model_copy(update={"version": old.version + 1, **changes})
+    shift_m = ((new.xyz_m[0] - old.xyz_m[0]) ** 2 + (new.xyz_m[1] - old.xyz_m[1]) ** 2) ** 0.5
+    return Delta(
+        kind=DeltaKind(kind),
+        feature_id=old.feature_id,
+        old=old,
+        new=new,
+        track_index=0,
+        changed_at_ns=at_ns,
+        shift_m=shift_m,
+    )
+
+
+def changeset(*deltas: Delta, drive_id: str = "drive_a", key: str = "1") -> Changeset:
+    return Changeset(
+        changeset_id=uuid5(_NAMESPACE, f"changeset {key}"),
+        drive_id=drive_id,
+        idempotency_key=key * (64 // len(key)),
+        params_sha256="cd" * 32,
+        model_sha256="ef" * 32,
+        code_version="0.1.0",
+        deltas=tuple(deltas),
+    )
+
+
+def commit(
+    conn: Any, *deltas: Delta, key: str, start_ns: int = START_NS, map_name: str = "default", **options: Any
+) -> Any:
+    """Commit a small drive with these deltas; `key` is one or more hex digits, different for every drive."""
+    # Recorded at the same instant; the content puts them into the order of their keys.
+    made = drive(f"drive_{key}", start_ns=start_ns, content_sha256=f"{int(key, 16):064x}")
+    with map_transaction(conn, map_name):
+        return commit_changeset(
+            conn,
+            DriveRecords(made, detections(), matches(), positions(), [track()]),
+            changeset(*deltas, drive_id=made.drive_id, key=key),
+            map_name=map_name,
+            **options,
+        )
