@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -15,10 +13,9 @@ from typer.testing import CliRunner
 from conetl.cli.app import app
 from conetl.db.connection import Connection, connect
 from conetl.model.errors import ConetlError
+from tests import command
 from tests.conftest import cloned_database
 from tests.integration.drives_of_days import Survey, failed_audits, merge, valid_time_map
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def command_line(home: Path, database_url: str) -> Callable[..., str]:
@@ -37,15 +34,11 @@ def command_line(home: Path, database_url: str) -> Callable[..., str]:
 
 
 def conetl_process(
-    home: Path, database_url: str, *arguments: object, before: str = "", folder: Path = ROOT
+    home: Path, database_url: str, *arguments: object, before: str = "", folder: Path = command.ROOT
 ) -> subprocess.CompletedProcess[str]:
     """A command of conetl in a process of its own, with `--json`. before: Python that runs first."""
-    environment = {k: v for k, v in os.environ.items() if not k.startswith(("PREFECT_", "CONETL_"))}
-    environment |= {"CONETL_HOME": str(home), "CONETL_DATABASE_URL": database_url}
-    command = [sys.executable, "-c", f"{before}\nfrom conetl.cli import main; main()", *map(str, arguments), "--json"]
-    return subprocess.run(
-        command, env=environment, cwd=folder, capture_output=True, text=True, timeout=600, check=False
-    )
+    where = {"CONETL_HOME": home, "CONETL_DATABASE_URL": database_url}
+    return command.conetl(*arguments, "--json", before=before, cwd=folder, **where)
 
 
 @pytest.fixture

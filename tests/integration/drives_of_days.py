@@ -175,7 +175,3 @@ def known_maps(conn: Connection, map_name: str = "default", days: Sequence[int] 
             found[row["t"], day] = [line["line"] for line in execute(conn, sql, values)]
     conn.rollback()
     return found
-
-
-def failed_audits(conn: Connection) -> list[AuditResult]:
-    return [result for result in run_audits(conn) if not result.passed]
