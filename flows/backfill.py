@@ -21,6 +21,7 @@ from pydantic import Field
 from conetl.db.connection import Connection
 from conetl.db.receipt_store import Receipt, attempt_ends, end_crashed, latest_receipts, write_receipt
 from conetl.files.names import printable
+from conetl.files.storage import as_path
 from conetl.model.params import IngestParams
 from conetl.pipeline.backfill_plan import Plan, PlanLine, plan_drives, write_plan
 from conetl.pipeline.database import MapDatabase
@@ -115,6 +116,7 @@ def backfill(
 ) -> State[Any]:
     """Ingest all drives below a folder that are not on the map yet. Run it again after a stop: it continues."""
     settings = settings_for(map_name)
+    settings.require_readable(as_path(root))
     with alive(settings) as database:
         catch_up_all(settings, database, send_events)
         with database.connection() as conn:

@@ -39,6 +39,7 @@ def ingest_drop_folder(
     """Ingest new drives. One that failed is skipped until it changes, or a person runs a backfill."""
     settings = settings_for(map_name)
     inbox = (folder or settings.inbox).absolute()
+    settings.require_readable(inbox)
     quiet_s = 60.0 * (settings.drop_quiet_minutes if quiet_minutes is None else quiet_minutes)
     with alive(settings) as database:
         recover(database)

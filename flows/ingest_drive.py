@@ -74,6 +74,7 @@ def ingest_drive(
 ) -> State[Any]:
     """Ingest one drive: into the map once, whoever else tries at the same time, with a receipt of what became of it."""
     settings = settings_for(map_name)
+    settings.require_readable(as_path(drive))
     header = read_header(as_path(drive).absolute())  # links stay: a calibration may lie beside the link
     with alive(settings, drive_lock(settings.map_name, header.header_sha256)) as database:
         analysis = analysis_of(params, settings).sha256

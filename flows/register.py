@@ -9,8 +9,9 @@ import sys
 from datetime import datetime
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
-from prefect.client.schemas.actions import WorkPoolCreate
+from prefect.client.schemas.actions import WorkPoolCreate, WorkPoolUpdate
 from prefect.client.schemas.objects import WorkerStatus
 from prefect.exceptions import ObjectAlreadyExists
 from prefect.variables import Variable
@@ -21,6 +22,11 @@ from flows.runs import client
 
 _VARIABLE = "conetl_deployments"
 _TIMEOUT_S = 300
+#: Whoever starts a run chooses its parameters only: no command, environment or working folder as in Prefect's own template.
+JOB_TEMPLATE: dict[str, Any] = {
+    "job_configuration": {"stream_output": True},
+    "variables": {"type": "object", "properties": {}, "additionalProperties": False},
+}
 
 
 def deployments_file() -> Path:
@@ -30,12 +36,16 @@ def deployments_file() -> Path:
 
 
 def ensure_pool() -> None:
-    """Create the work pool if it is missing; changes made in the UI are kept."""
+    """Create the work pool, or bring its job template up to date; other changes made in the UI are kept."""
     with client() as api:
         try:
-            api.create_work_pool(WorkPoolCreate(name=POOL, type="process", description="Machines that run conetl"))
+            api.create_work_pool(
+                WorkPoolCreate(
+                    name=POOL, type="process", description="Machines that run conetl", base_job_template=JOB_TEMPLATE
+                )
+            )
         except ObjectAlreadyExists:
-            return
+            api.update_work_pool(POOL, WorkPoolUpdate(base_job_template=JOB_TEMPLATE))
 
 
 def ensure_deployments() -> bool:

@@ -22,8 +22,9 @@ from prefect.settings import (
     temporary_settings,
 )
 
+from conetl.files.home import make_home
 from conetl.model.errors import ServiceError
-from conetl.pipeline.settings import SERVER_AUTH, prefect_auth_string
+from conetl.pipeline.settings import SERVER_AUTH, prefect_login, prefect_server_environment
 from conetl.services.prefect_api import is_healthy, require_access, server_command
 from conetl.services.processes import Service, is_running, read_services, start_service, stop_service, wait_healthy
 
@@ -52,13 +53,13 @@ def prefect_server(home: Path) -> Iterator[str]:
         return
     own = read_services(home).get("prefect")
     if own is not None and own.address and is_running(own) and is_healthy(f"{own.address}/api"):
-        with _settings_for(f"{own.address}/api"):
+        with _settings_for(home, f"{own.address}/api"):
             yield f"{own.address}/api"
         return
     server = _start(home)
     url = f"{server.address}/api"
     try:
-        with _settings_for(url):
+        with _settings_for(home, url):
             try:
                 yield url
             finally:  # the last log lines and events may still be queued
@@ -74,7 +75,7 @@ def _start(home: Path) -> Service:
     One at a time per home: while it starts, a server creates the tables of a SQLite file that all of them share, and gives up if
     it is locked. A running server, or a port taken in between, can still interfere; hence the second attempt.
     """
-    (home / "prefect").mkdir(parents=True, exist_ok=True)
+    make_home(home)
     with (home / "prefect" / "start.lock").open("w") as handle:
         fcntl.flock(handle, fcntl.LOCK_EX)
         try:
@@ -87,7 +88,7 @@ def _start_once(home: Path) -> Service:
     port = _free_port()
     address = f"http://127.0.0.1:{port}"
     disabled = {f"PREFECT_SERVER_SERVICES_{name}_ENABLED": "false" for name in _NOT_NEEDED}
-    environment = {**disabled, **os.environ, "PREFECT_SERVER_UI_API_URL": f"{address}/api"}
+    environment = {**disabled, **os.environ, **prefect_server_environment(home, address)}
     server = start_service(
         "prefect-command", server_command("127.0.0.1", port), home=home, environment=environment, address=address,
         die_with_parent=True,
@@ -100,15 +101,16 @@ def _start_once(home: Path) -> Service:
     return server
 
 
-def _settings_for(url: str) -> contextlib.AbstractContextManager[object]:
+def _settings_for(home: Path, url: str) -> contextlib.AbstractContextManager[object]:
     """Prefect's settings for the runs of this command; it reads its environment only when it is imported.
 
     No heartbeats: every flow would wait a second for their thread, and locks in the database show which runs are alive.
     """
-    auth = prefect_auth_string()
-    require_access(url, auth, SERVER_AUTH)
-    password = {} if auth is None else {PREFECT_API_AUTH_STRING: auth}
-    return temporary_settings(updates={PREFECT_API_URL: url, PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None, **password})
+    login = prefect_login(home)
+    require_access(url, login, SERVER_AUTH)
+    return temporary_settings(
+        updates={PREFECT_API_URL: url, PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None, PREFECT_API_AUTH_STRING: login}
+    )
 
 
 def _free_port() -> int:

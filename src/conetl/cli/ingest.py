@@ -28,6 +28,7 @@ from conetl.cli.console import (
     spinner,
 )
 from conetl.files.atomic import sweep
+from conetl.files.home import make_home
 from conetl.files.storage import as_path, is_remote
 from conetl.files.yaml_model import read_yaml_model
 from conetl.model.errors import (
@@ -94,7 +95,7 @@ def ingest_drives(
         for problem in problems:
             complain(problem)
         return [], EXIT_BAD_INPUT
-    make_home(settings)
+    require_room(settings)
     sweep((settings.results_folder, settings.exports_folder))
     note_unmeasured(read_model_card(settings.model_path))
     os.environ.update(prefect_environment(settings.home))
@@ -139,12 +140,11 @@ def ingest_drives(
     return reports, exit_code
 
 
-def make_home(settings: Settings) -> None:
-    """Create the folders for services and results. Raises InputError if they cannot be written to."""
+def require_room(settings: Settings) -> None:
+    """Raise InputError if results cannot be written: the folder may be read-only, or its disk full."""
+    make_home(settings.home)
     try:
-        (settings.home / "prefect").mkdir(parents=True, exist_ok=True)
-        settings.results_folder.mkdir(exist_ok=True)
-        TemporaryFile(dir=settings.results_folder).close()  # an existing folder may be read-only, or its disk full
+        TemporaryFile(dir=settings.results_folder).close()
     except OSError as error:
         raise InputError(
             f"{settings.home}: cannot be written to ({error.strerror}); set CONETL_HOME to a folder of yours"

@@ -17,12 +17,21 @@ import typer
 
 from conetl.cli.console import JsonOption, answer, counted, print_json, print_table, say, spinner
 from conetl.cli.database import database_url
+from conetl.cli.view import login_address, view_token
 from conetl.db.cluster.cluster import cluster_down, cluster_status
 from conetl.db.connection import connect, sqlalchemy_url
 from conetl.db.schema import migrate_once, prefect_database
-from conetl.model.errors import EXIT_SERVICE_MISSING, InputError, ServiceError
+from conetl.files.home import PREFECT_LOGIN, home_access, share_home
+from conetl.model.errors import EXIT_SERVICE_MISSING, ServiceError
 from conetl.pipeline.database import MapDatabase
-from conetl.pipeline.settings import SERVER_AUTH, Settings, prefect_auth_string, prefect_environment, read_settings
+from conetl.pipeline.settings import (
+    SERVER_AUTH,
+    Settings,
+    prefect_environment,
+    prefect_login,
+    prefect_server_environment,
+    read_settings,
+)
 from conetl.services.prefect_api import answers, is_healthy, require_access, server_command
 from conetl.services.processes import (
     Service,
@@ -37,7 +46,6 @@ from conetl.services.processes import (
     write_services,
 )
 
-_LOOPBACK = {"127.0.0.1", "::1", "localhost"}
 _TIMEOUT_S = 180
 _log = logging.getLogger(__name__)
 
@@ -48,13 +56,16 @@ def up(
     ] = 1,
     host: Annotated[
         str,
-        typer.Option(help=f"Address of Prefect. Other addresses than loopback require {SERVER_AUTH} (user:password)."),
+        typer.Option(help="Address of Prefect. For other machines put a proxy with TLS before it."),
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port of Prefect.")] = 4200,
     view_port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the web view, on 127.0.0.1.")] = 8791,
     decisions: Annotated[
         bool, typer.Option("--decisions", help="Allow decisions in the web view, with the writer token.")
     ] = False,
+    group: Annotated[
+        str | None, typer.Option(help="Let this group of the operating system read results, reports and exports.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Start all services: PostGIS, Prefect, workers, scheduled deployments and the web view.
@@ -63,12 +74,9 @@ def up(
     schedules and the history of runs are kept.
     """
     settings = read_settings()
-    if host not in _LOOPBACK and not os.environ.get(SERVER_AUTH):
-        raise InputError(
-            f"--host {host} allows other machines to start runs here: set {SERVER_AUTH} to user:password first (and use a proxy "
-            "with TLS, see docs/how-to/operations.md). Nothing was started."
-        )
     home = settings.home.resolve()
+    if group:
+        share_home(home, group)
     with services_lock(home), spinner("Starting") as show:
         services = {name: s for name, s in read_services(home).items() if is_running(s)}
         if "prefect" not in services:
@@ -85,7 +93,8 @@ def up(
         print_json({**_status(settings), **done})
         return
     say(f"Prefect:     {services['prefect'].address}  (schedules, runs, forms to start runs)")
-    say(f"Map:         {services['view'].address}")
+    say(f"             log in with {login_source(home)}")
+    say(f"Map:         {login_address(str(services['view'].address), view_token(home))}")
     say(f"Drop folder: {settings.inbox.resolve()}  (complete drives are ingested every 5 minutes)")
     say(f"PostGIS:     {'CONETL_DATABASE_URL' if settings.database_url else url}")
     say(f"Workers:     1 for plans and exports, {workers} for drives; logs in {home / 'logs'}")
@@ -106,11 +115,11 @@ def _start_services(
     show: Callable[[str], object],
 ) -> dict[str, Any]:
     """Add the missing ones to `services`, each as soon as those it requires are ready; all are ready at the end."""
-    auth = prefect_auth_string()
+    login = prefect_login(home)
     address = str(services["prefect"].address) if "prefect" in services else _address(*server)
     view = str(services["view"].address) if "view" in services else f"http://127.0.0.1:{view_port}"
-    require_access(f"{address}/api", auth, SERVER_AUTH)
-    environment = {**os.environ, **_environment(settings, home, f"{address}/api", auth, view, workers)}
+    require_access(f"{address}/api", login, SERVER_AUTH)
+    environment = {**os.environ, **_environment(settings, home, f"{address}/api", login, view, workers)}
 
     def ensure(name: str, command: list[str], where: str | None, **more: str) -> None:
         if name not in services:
@@ -125,7 +134,7 @@ def _start_services(
         server_command(*server),
         address,
         PREFECT_SERVER_DATABASE_CONNECTION_URL=_prefect_url(settings, url),
-        PREFECT_SERVER_UI_API_URL=os.environ.get("PREFECT_SERVER_UI_API_URL", f"{address}/api"),
+        **prefect_server_environment(home, address),
         # Errors of its own services appear only in its log.
         PREFECT_LOGGING_HANDLERS_CONSOLE_LEVEL="ERROR",
     )
@@ -136,7 +145,7 @@ def _start_services(
     from flows.runs import recover
 
     wait_healthy(services["prefect"], lambda: is_healthy(f"{address}/api"), _TIMEOUT_S)
-    require_access(f"{address}/api", auth, SERVER_AUTH)
+    require_access(f"{address}/api", login, SERVER_AUTH)
     register.ensure_pool()
     names = {name: f"{name} {socket.gethostname()}" for name in ("desk", *(f"drives-{n + 1}" for n in range(workers)))}
     for name, worker in names.items():
@@ -154,6 +163,11 @@ def _start_services(
         since = datetime.fromisoformat(services[name].started_at)
         wait_healthy(services[name], partial(register.worker_is_online, worker, since), _TIMEOUT_S)
     return {"deployments_registered": registered, "runs_recovered": recovered}
+
+
+def login_source(home: Path) -> str:
+    """Where a person finds user and password of Prefect's pages."""
+    return SERVER_AUTH if os.environ.get(SERVER_AUTH) else f"the line in {home / PREFECT_LOGIN}"
 
 
 def down(as_json: JsonOption = False) -> None:
@@ -192,6 +206,11 @@ def status(as_json: JsonOption = False) -> None:
         for service in found["services"]:
             if service["log_tail"]:
                 say(f"\n{service['name']}: the end of {service['log']}:\n{service['log_tail']}")
+        say(f"Home:    {settings.home.resolve()}, readable by {found['home_readable_by']}")
+        if any(service["name"] == "view" for service in found["services"]):
+            view = next(service["address"] for service in found["services"] if service["name"] == "view")
+            say(f"Prefect: log in with {login_source(settings.home.resolve())}")
+            say(f"Map:     {login_address(view, view_token(settings.home))}")
         if all(service["since"] is None for service in found["services"]):
             say(
                 f"No services of `conetl up` are recorded in {settings.home.resolve()}: start them, or set CONETL_HOME to "
@@ -223,7 +242,8 @@ def _status(settings: Settings) -> dict[str, Any]:
         tail = log_tail(service) if state in ("ended", "not answering") else None
         facts |= {"log": service.log, "log_tail": tail}
         rows.append({"name": service.name, "state": state, "address": service.address, **facts})
-    return {"up": bool(services) and all(row["state"] == "running" for row in rows), "services": rows}
+    running = bool(services) and all(row["state"] == "running" for row in rows)
+    return {"up": running, "services": rows, "home_readable_by": home_access(home)}
 
 
 def _address(host: str, port: int) -> str:
@@ -246,14 +266,16 @@ def _prefect_url(settings: Settings, url: str) -> str:
         ) from None
 
 
-def _environment(settings: Settings, home: Path, api: str, auth: str | None, view: str, workers: int) -> dict[str, str]:
-    """Environment variables of all services. Secrets are never written to a file."""
+def _environment(settings: Settings, home: Path, api: str, login: str, view: str, workers: int) -> dict[str, str]:
+    """Environment variables of all services."""
     values = {
         **prefect_environment(home),
         "PREFECT_API_URL": api,
+        "PREFECT_API_AUTH_STRING": login,
         "CONETL_HOME": str(home),
         "CONETL_VIEW_URL": settings.view_url or view,
         "CONETL_DROP_FOLDER": str(settings.inbox.resolve()),
+        "CONETL_DRIVE_ROOTS": settings.drive_roots or f"{Path.cwd()},{settings.inbox.resolve()}",
         "CONETL_WORKERS": os.environ.get("CONETL_WORKERS", str(max(1, settings.workers // workers))),
         "PREFECT_WORKER_QUERY_SECONDS": os.environ.get("PREFECT_WORKER_QUERY_SECONDS", "3"),
     }
@@ -263,6 +285,4 @@ def _environment(settings: Settings, home: Path, api: str, auth: str | None, vie
     if "PYTHONPATH" in os.environ:
         paths = os.environ["PYTHONPATH"].split(os.pathsep)
         values["PYTHONPATH"] = os.pathsep.join(str(Path(path).resolve()) for path in paths)
-    if auth:
-        values["PREFECT_API_AUTH_STRING"] = auth
     return values

@@ -9,16 +9,17 @@ from typing import Annotated
 
 import typer
 import uvicorn
+from pydantic import SecretStr
 
 from conetl.cli.console import JsonOption, answer, err
 from conetl.db.connection import connect
 from conetl.db.schema import migrate_once
+from conetl.files.home import VIEW_TOKEN, WRITER_TOKEN, checked_secret, make_secret, read_secret
 from conetl.model.errors import InputError
 from conetl.pipeline.database import database_url
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.web.app import STATIC, create_app
 from conetl.web.decisions import Writer
-from conetl.web.security import checked_token, make_writer_token, read_writer_token
 
 #: Requests served at the same time; further ones are answered 503.
 _MAX_CONNECTIONS = 256
@@ -38,6 +39,10 @@ def view(
         Path | None,
         typer.Option(help="Allow decisions with the token in this file (mode 600); or set CONETL_WRITER_TOKEN."),
     ] = None,
+    login: Annotated[
+        bool,
+        typer.Option("--login/--no-login", help="Require the view token; --no-login: a proxy has a login of its own."),
+    ] = True,
     as_json: JsonOption = False,
 ) -> None:
     """Show the map in a browser: before and after every drive, live, with the images of each cone."""
@@ -48,31 +53,44 @@ def view(
     with closing(connect(url)) as conn:
         migrate_once(conn)
     writer = decision_writer(settings, url, on_request=decisions, token_file=writer_token_file)
+    token = view_token(settings.home) if login else None
     address = f"http://127.0.0.1:{port}/"
     with closing(_listen(port)) as listener:
         server: uvicorn.Server | None = None
         app = create_app(
-            url, map_name or settings.map_name, closing=lambda: server is not None and server.should_exit, writer=writer
-        )
+            url, map_name or settings.map_name, closing=lambda: server is not None and server.should_exit, writer=writer,
+            reader_token=token,
+        )  # fmt: skip
         config = uvicorn.Config(
             app, log_level="error", access_log=False, limit_concurrency=_MAX_CONNECTIONS, timeout_graceful_shutdown=3,
             server_header=False,
         )  # fmt: skip
         server = uvicorn.Server(config)
+        address = login_address(address, token)
         facts = {"url": address, "map": map_name or settings.map_name, "decisions": writer is not None}
         answer(as_json, facts, f"Map: {address} (this machine only; press Ctrl-C to stop)")
         server.run(sockets=[listener])
 
 
+def view_token(home: Path) -> SecretStr:
+    """The token that readers of the view need, from its file in the home folder, which is made when it is missing."""
+    return read_secret(make_secret(home / VIEW_TOKEN))
+
+
+def login_address(address: str, token: SecretStr | None) -> str:
+    """The address that logs a browser in."""
+    return f"{address.rstrip('/')}/?token={token.get_secret_value()}" if token else address
+
+
 def decision_writer(settings: Settings, url: str, *, on_request: bool, token_file: Path | None) -> Writer | None:
     """Who may write decisions; None for nobody. The token itself is never printed."""
     if token_file is None and on_request and settings.writer_token is None:
-        token_file = make_writer_token(settings.home)
+        token_file = make_secret(settings.home / WRITER_TOKEN)
     if token_file is not None:
-        token = read_writer_token(token_file)
+        token = read_secret(token_file)
         err.print(f"Decisions are allowed with the token in {token_file.resolve()}", markup=False, soft_wrap=True)
     elif settings.writer_token is not None:
-        token = checked_token(settings.writer_token, "CONETL_WRITER_TOKEN")
+        token = checked_secret(settings.writer_token, "CONETL_WRITER_TOKEN")
     else:
         return None
     return Writer(token, url)

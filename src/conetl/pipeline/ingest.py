@@ -16,6 +16,7 @@ import httpx
 from conetl.db.map.map_store import find_map
 from conetl.db.receipt_store import Receipt, write_receipt
 from conetl.db.run_store import StepTime
+from conetl.files.home import make_home
 from conetl.files.storage import forget_all
 from conetl.model.errors import ConetlError, ServiceError, is_of_storage, may_pass, storage_failed
 from conetl.model.ingest_report import IngestReport, TooManyRejectionsError
@@ -82,6 +83,7 @@ def ingest(
     frame pairs were rejected). What fails after the commit is in the report (`unpublished`).
     """
     params, settings, started = params or IngestParams(), settings or read_settings(), time.monotonic()
+    make_home(settings.home)
     with ExitStack() as stack:
         stack.callback(forget_all)
         db = database or stack.enter_context(MapDatabase(settings))

@@ -29,6 +29,7 @@ from conetl.db.run_store import (
     write_run_steps,
 )
 from conetl.exports.geojson import export_geojson
+from conetl.files.home import make_home
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.ingest_report import IngestReport
 from conetl.pipeline.commit import CommittedDrive, report_of
@@ -121,7 +122,7 @@ def catch_up_all(settings: Settings, database: MapDatabase, send: Notify, *, qui
 
 
 def _write_map(conn: Connection, settings: Settings) -> Path:
-    settings.exports_folder.mkdir(parents=True, exist_ok=True)
+    make_home(settings.home)
     path = settings.exports_folder / f"{settings.map_name}.geojson"
     export_geojson(conn, path, map_name=settings.map_name)
     return path

@@ -5,11 +5,14 @@ from __future__ import annotations
 import os
 from pathlib import Path
 from typing import Literal
+from urllib.parse import urlsplit
 
 from pydantic import Field, SecretStr, ValidationError
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from conetl.files.home import PREFECT_LOGIN, make_secret, read_secret
 from conetl.files.names import file_name_part
+from conetl.files.storage import as_path, is_remote
 from conetl.model.errors import InputError
 
 
@@ -34,10 +37,14 @@ class Settings(BaseSettings):
 
     drop_folder: Path | None = None
     """Where new drives arrive, for the deployment `ingest-drop-folder`; `inbox` under `home` unless given."""
+    drive_roots: str = ""
+    """Folders below which workers read drives, separated by commas; empty: everywhere. `conetl up` sets it for its workers."""
     drop_quiet_minutes: float = Field(default=10.0, ge=0)
     """A drive without the marker file counts as complete when nothing in it has changed for so long."""
     prefect_database_url: SecretStr | None = None
     """Database of the Prefect server that `conetl up` starts; `prefect` beside the map's unless given."""
+    prefect_hosts: str = ""
+    """Further names, separated by commas, by which browsers and workers call the Prefect server, such as that of a proxy."""
     writer_token: SecretStr | None = None
     """The web view accepts decisions with this token; see also `conetl view --writer-token-file`."""
     view_url: str | None = None
@@ -68,6 +75,16 @@ class Settings(BaseSettings):
     def reports_folder(self) -> Path:
         """QA reports of this map."""
         return self.exports_folder / "reports" / self.map_name
+
+    def require_readable(self, path: Path) -> None:
+        """Raise InputError for a drive or folder of drives outside of `drive_roots`; links are followed first."""
+        roots = [as_path(root.strip()) for root in self.drive_roots.split(",") if root.strip()]
+        real, *real_roots = (item if is_remote(item) else item.resolve() for item in (path, *roots))
+        if roots and not any(root == real or root in real.parents for root in real_roots):
+            raise InputError(
+                f"{path} lies outside of the folders that workers may read ({', '.join(map(str, roots))}): set "
+                "CONETL_DRIVE_ROOTS for `conetl up`, or ingest it with `conetl ingest` or `conetl backfill --here`"
+            )
 
     def drive_report_path(self, drive_id: str, changeset_no: int) -> Path:
         """Where the ingest writes the QA report of a drive."""
@@ -118,9 +135,25 @@ def prefect_environment(home: Path) -> dict[str, str]:
 SERVER_AUTH = "PREFECT_SERVER_API_AUTH_STRING"
 
 
-def prefect_auth_string() -> str | None:
-    """user:password of the Prefect server that conetl starts, None without one: the server's variable, else that of clients.
+def prefect_login(home: Path) -> str:
+    """user:password of the Prefect server that conetl starts: SERVER_AUTH, PREFECT_API_AUTH_STRING, or of a file in `home`.
 
-    Only for that server: where PREFECT_API_URL names another, Prefect reads PREFECT_API_AUTH_STRING itself.
+    The file is made when it is needed and missing. Only for conetl's own server: where PREFECT_API_URL names another, Prefect
+    reads PREFECT_API_AUTH_STRING itself. Raises InputError if others may read the file.
     """
-    return os.environ.get(SERVER_AUTH) or os.environ.get("PREFECT_API_AUTH_STRING") or None
+    given = os.environ.get(SERVER_AUTH) or os.environ.get("PREFECT_API_AUTH_STRING")
+    return given or read_secret(make_secret(home / PREFECT_LOGIN, "conetl:")).get_secret_value()
+
+
+def prefect_server_environment(home: Path, address: str) -> dict[str, str]:
+    """Environment variables of a Prefect server of conetl: its login, and pages of its own address only.
+
+    address: URL by which browsers call it. Prefect allows pages of every origin unless told otherwise.
+    """
+    page = os.environ.get("PREFECT_SERVER_UI_API_URL", f"{address}/api")
+    origin = urlsplit(page)
+    return {
+        SERVER_AUTH: prefect_login(home),
+        "PREFECT_SERVER_UI_API_URL": page,
+        "PREFECT_SERVER_CORS_ALLOWED_ORIGINS": f"{origin.scheme}://{origin.netloc}",
+    }

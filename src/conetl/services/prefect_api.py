@@ -12,15 +12,16 @@ _TIMEOUT_S = 5
 
 
 def server_command(host: str, port: int) -> list[str]:
-    """Command line of a Prefect server."""
-    command = [sys.executable, "-m", "uvicorn", "--factory", "prefect.server.api.server:create_app"]
+    """Command line of a Prefect server that answers to its own names only."""
+    command = [sys.executable, "-m", "uvicorn", "--factory", "flows.server_app:create_app"]
     return [*command, "--host", host, "--port", str(port), "--log-level", "warning"]
 
 
 def answers(url: str) -> bool:
-    """Whether GET `url` returns 200."""
+    """Whether GET `url` returns 200, or asks for a login."""
     try:
-        return httpx.get(url, timeout=_TIMEOUT_S, trust_env=False).status_code == httpx.codes.OK
+        answer = httpx.get(url, timeout=_TIMEOUT_S, trust_env=False)
+        return answer.status_code in (httpx.codes.OK, httpx.codes.UNAUTHORIZED)
     except httpx.HTTPError:
         return False
 

@@ -24,7 +24,8 @@ from pathlib import Path
 from uuid import uuid4
 
 from conetl.files.atomic import atomic_text_file
-from conetl.model.errors import InputError, ServiceError, cannot_write
+from conetl.files.home import make_home
+from conetl.model.errors import InputError, ServiceError
 
 TOKEN = "CONETL_SERVICE_TOKEN"
 _STATE, _LOCK = "services.json", "services.lock"
@@ -47,14 +48,8 @@ class Service:
 @contextmanager
 def services_lock(home: Path) -> Iterator[None]:
     """Let one command at a time start or stop the services of a home folder. Raises InputError if the folder cannot be used."""
-    try:
-        home.mkdir(parents=True, exist_ok=True)
-        handle = (home / _LOCK).open("w")
-    except OSError as error:
-        raise cannot_write(
-            f"The home folder {home} cannot be used", "choose another one (CONETL_HOME)", error
-        ) from error
-    with handle:
+    make_home(home)
+    with (home / _LOCK).open("w") as handle:
         fcntl.flock(handle, fcntl.LOCK_EX)
         yield
 
@@ -95,7 +90,7 @@ def start_service(
     die_with_parent: on Linux, the kernel stops it when this process ends, however it ends.
     """
     log = home / "logs" / f"{name}.log"
-    log.parent.mkdir(parents=True, exist_ok=True)
+    make_home(home)
     if log.exists() and log.stat().st_size > _MAX_LOG_BYTES:
         log.replace(log.with_suffix(".log.1"))
     token, now = uuid4().hex, datetime.now(UTC)

@@ -9,6 +9,7 @@ from pathlib import Path
 from fastapi import FastAPI, Request
 from fastapi.responses import JSONResponse, RedirectResponse
 from fastapi.staticfiles import StaticFiles
+from pydantic import SecretStr
 from starlette.middleware.gzip import GZipMiddleware
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
@@ -34,8 +35,12 @@ def create_app(
     *,
     closing: Callable[[], bool] = lambda: False,
     writer: decisions.Writer | None = None,
+    reader_token: SecretStr | None = None,
 ) -> FastAPI:
-    """The application over one database. Streams end when `closing` returns True. Without `writer` it is read-only."""
+    """The application over one database. Streams end when `closing` returns True. Without `writer` it is read-only.
+
+    reader_token: required for reading; the writer's token serves as well. Without it everybody who reaches the server may read.
+    """
     pool = ReaderPool(database_url)
     ogc_pool = AsyncReaderPool(database_url, warm)
 
@@ -63,7 +68,8 @@ def create_app(
     # Of 350 kB level 5 saves 6 kB more and takes twice as long.
     app.add_middleware(GZipMiddleware, minimum_size=1024, compresslevel=2)
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=LOOPBACK_NAMES, www_redirect=False)
-    app.add_middleware(Guard)
+    tokens = [reader_token, *([writer.token] if writer else [])] if reader_token else []
+    app.add_middleware(Guard, tokens=tokens)
     return app
 
 

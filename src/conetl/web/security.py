@@ -1,30 +1,30 @@
-"""Who may call the server: refusal of other web pages, headers of every answer, and the writer token of those who decide."""
+"""Who may call the server: login, refusal of other web pages, headers of every answer, the writer token of those who decide."""
 
 from __future__ import annotations
 
+import base64
 import hmac
-import os
-import secrets
-import stat
-from collections.abc import Callable, Coroutine
-from pathlib import Path
+from collections.abc import Callable, Coroutine, Sequence
 from typing import Any
 
 from fastapi import HTTPException, Request, Response
 from fastapi.routing import APIRoute
 from pydantic import SecretStr
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.responses import JSONResponse
+from starlette.responses import JSONResponse, RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
-
-from conetl.model.errors import InputError
 
 #: Bytes of path and query together; a filter by a hundred ids has 4 kB.
 MAX_URL_BYTES = 8_192
 MAX_BODY_BYTES = 8_192
-MIN_TOKEN_LENGTH = 16
 _CROSS_SITE = "This server answers its own pages and programs on this machine, not other web pages."
 _OWN_PAGE_ONLY = "Decisions are accepted from this server's own page only."
+_LOG_IN = (
+    "Log in: open the address with the token that `conetl status` or `conetl view` prints, or give the token (the file "
+    "view_token in CONETL_HOME) as the password, with any user name."
+)
+_REALM = "conetl view, token as password"
+_LOGIN_S = 30 * 86_400
 #: Only this server's own files run or load, and no other page may embed or read them.
 _HEADERS = {
     "Content-Security-Policy": (
@@ -42,13 +42,16 @@ _HEADERS = {
 
 
 class Guard:
-    """ASGI middleware. Other pages could not read the answers, but they could keep the server and its streams busy.
+    """ASGI middleware: a login, refusal of other pages' requests and of those of absurd length, headers of every answer.
 
-    Refuses their requests and those of absurd length, and adds headers to every answer; streams are not buffered.
+    Other pages could not read the answers, but they could keep the server and its streams busy. Streams are not buffered.
+    tokens: one of them is required of every request, as a cookie, as the password of Basic authentication, as a Bearer token, or
+    once as `?token=` of a page, which sets the cookie; none: everybody who reaches the server may read.
     """
 
-    def __init__(self, app: ASGIApp) -> None:
+    def __init__(self, app: ASGIApp, tokens: Sequence[SecretStr] = ()) -> None:
         self._app = app
+        self._tokens = [token.get_secret_value() for token in tokens]
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         async def send_with_headers(message: Message) -> None:
@@ -59,9 +62,38 @@ class Guard:
             await send(message)
 
         if scope["type"] == "http":
-            await (_refusal(scope) or self._app)(scope, receive, send_with_headers)
+            await (_refusal(scope) or self._login(scope) or self._app)(scope, receive, send_with_headers)
         else:
             await self._app(scope, receive, send)
+
+    def _login(self, scope: Scope) -> Response | None:
+        """What to answer instead of the request; None for one that is logged in."""
+        request = Request(scope)
+        # Cookies of one name are shared by all ports of a host.
+        cookie = f"conetl_view_{(scope.get('server') or ('', 0))[1]}"
+        if not self._tokens or self._is_known(request.cookies.get(cookie, "")) or self._is_known(_credential(request)):
+            return None
+        if self._is_known(given := request.query_params.get("token", "")):
+            answer = RedirectResponse(request.url.remove_query_params("token"), status_code=303)
+            answer.set_cookie(cookie, given, max_age=_LOGIN_S, httponly=True, samesite="lax")
+            return answer
+        return JSONResponse(
+            {"detail": _LOG_IN}, status_code=401, headers={"WWW-Authenticate": f'Basic realm="{_REALM}"'}
+        )
+
+    def _is_known(self, given: str) -> bool:
+        return any(hmac.compare_digest(given.encode(), token.encode()) for token in self._tokens)
+
+
+def _credential(request: Request) -> str:
+    """The Bearer token or the Basic password of a request; empty without one."""
+    scheme, _, value = request.headers.get("authorization", "").partition(" ")
+    if scheme.lower() == "bearer":
+        return value.strip()
+    try:
+        return base64.b64decode(value, validate=True).decode().partition(":")[2] if scheme.lower() == "basic" else ""
+    except ValueError:
+        return ""
 
 
 def _refusal(scope: Scope) -> JSONResponse | None:
@@ -119,38 +151,3 @@ def _require_writer(request: Request) -> None:
         raise HTTPException(411, "A decision requires a Content-Length.")
     if int(length) > MAX_BODY_BYTES:
         raise HTTPException(413, f"A decision has at most {MAX_BODY_BYTES} bytes.")
-
-
-def make_writer_token(home: Path) -> Path:
-    """The token file under `home` (mode 600), created with a new token of 256 bits if it is missing."""
-    path = home / "writer_token"
-    home.mkdir(parents=True, exist_ok=True)
-    try:
-        handle = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600)
-    except FileExistsError:
-        return path
-    with os.fdopen(handle, "w") as file:
-        file.write(f"{secrets.token_urlsafe(32)}\n")
-    return path
-
-
-def read_writer_token(path: Path) -> SecretStr:
-    """The token in a file. Raises InputError if it is unreadable, accessible to others or too short; never quotes the token."""
-    try:
-        mode = stat.S_IMODE(path.stat().st_mode)
-        text = path.read_text(encoding="utf-8").strip()
-    except (OSError, UnicodeError) as error:
-        raise InputError(f"the writer token in {path} cannot be read: {type(error).__name__}") from error
-    if mode & 0o077:
-        raise InputError(f"{path} may be read or written by others (mode {mode:o}): run `chmod 600 {path}`")
-    return checked_token(SecretStr(text), f"the file {path}")
-
-
-def checked_token(token: SecretStr, source: str) -> SecretStr:
-    """The token, if it is long enough and can be sent in a header. Raises InputError."""
-    text = token.get_secret_value()
-    if len(text) < MIN_TOKEN_LENGTH or not text.isascii() or not text.isprintable() or " " in text:
-        raise InputError(
-            f"{source} holds no writer token: at least {MIN_TOKEN_LENGTH} printable ASCII characters without a space"
-        )
-    return token

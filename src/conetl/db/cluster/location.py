@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from conetl.db.cluster.postgres_install import OWN_DATABASE_HINT
+from conetl.files.home import make_home
 from conetl.model.errors import DatabaseError
 
 #: Users that may run the server for root, in this order.
@@ -57,9 +58,8 @@ class ClusterLocation:
 @contextmanager
 def cluster_lock(home: Path) -> Iterator[None]:
     """Hold the home folder's cluster lock; waits for other processes; the kernel frees it when this one dies."""
+    make_home(home)
     try:
-        if not home.is_dir():
-            home.mkdir(parents=True, exist_ok=True)
         handle = os.open(home / LOCK_NAME, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
     except OSError as error:
         raise DatabaseError(
