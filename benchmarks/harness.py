@@ -78,7 +78,7 @@ def served_view(home: Path, url: str, map_name: str, *options: str) -> Iterator[
     with closing(socket.create_server(("127.0.0.1", 0))) as free:
         port = free.getsockname()[1]
     environment = os.environ | {"CONETL_HOME": str(home), "CONETL_DATABASE_URL": url, "CONETL_MAP_NAME": map_name}
-    command = [*CONETL, "view", "--port", str(port), *options]
+    command = [*CONETL, "view", "--port", str(port), "--no-login", *options]
     address = f"http://127.0.0.1:{port}"
     with subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
         try:

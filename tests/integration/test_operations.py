@@ -23,6 +23,7 @@ import pytest
 from conetl.db.cluster.cluster import cluster_remove, cluster_status
 from conetl.db.connection import connect, execute
 from conetl.exports import FORMATS
+from conetl.files.home import PREFECT_LOGIN, make_secret, read_secret
 from conetl.services.processes import TOKEN, read_services
 from tests.command import conetl
 from tests.integration.small_drives import SAMPLES, cut_drive, processes_with
@@ -121,16 +122,22 @@ class Desk:
                 os.kill(pid, signal.SIGKILL)
 
 
+def login_of(home: Path) -> tuple[str, str]:
+    """User and password of Prefect, of the file that `conetl up` makes unless it is there."""
+    user, _, password = read_secret(make_secret(home / PREFECT_LOGIN, "conetl:")).get_secret_value().partition(":")
+    return user, password
+
+
 @pytest.fixture(scope="module")
 def desk(services_home: Path) -> Iterator[Desk]:
     home, scratch = services_home, services_home / "tmp"
     scratch.mkdir(parents=True)
     environment = {
         "CONETL_HOME": str(home), "CONETL_DROP_FOLDER": str(home / "arrivals"), "PREFECT_WORKER_QUERY_SECONDS": "2",
-        "TMPDIR": str(scratch),  # a run that is killed leaves its working folder
+        "CONETL_DRIVE_ROOTS": "/", "TMPDIR": str(scratch),  # a run that is killed leaves its working folder
     }  # fmt: skip
     port = free_port()
-    api = httpx.Client(base_url=f"http://127.0.0.1:{port}/api", timeout=60, trust_env=False)
+    api = httpx.Client(base_url=f"http://127.0.0.1:{port}/api", timeout=60, trust_env=False, auth=login_of(home))
     found = Desk(home, environment, port, free_port(), api)
     try:
         found.up()
@@ -278,6 +285,10 @@ def test_the_desk_sees_it_in_prefect(desk: Desk, tmp_path: Path) -> None:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-quic"])
         page = browser.new_page(viewport={"width": 1400, "height": 1000})
         page.set_default_timeout(120_000)
+        page.goto(address)
+        page.locator("input").fill(":".join(login_of(desk.home)))
+        page.keyboard.press("Enter")
+        page.get_by_text("Flow Runs").first.wait_for()
         for name, path, words in (
             ("backfill", f"/runs/flow-run/{backfill['id']}", ["batch-progress", "batch-summary", "6 drives"]),
             (

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import stat
 from pathlib import Path
 from uuid import uuid4
 
@@ -13,11 +12,12 @@ from pydantic import SecretStr
 
 from conetl.cli.view import decide_on, writer_of
 from conetl.db.connection import connect, execute
+from conetl.files.home import read_secret
 from conetl.model.errors import InputError
 from conetl.pipeline.settings import Settings
 from conetl.web.app import create_app
 from conetl.web.decisions import Writer
-from conetl.web.security import MAX_BODY_BYTES, checked_token, make_writer_token, read_writer_token
+from conetl.web.security import MAX_BODY_BYTES
 from tests.integration.drives_of_days import failed_audits, merge, survey
 
 TOKEN = "a-token-that-nobody-guesses"
@@ -172,30 +172,12 @@ def test_a_server_without_a_token_writes_nothing(client, module_database_url):
     conn.close()
 
 
-def test_only_its_owner_reads_the_token(tmp_path: Path):
-    path = make_writer_token(tmp_path / "home")
-    assert stat.S_IMODE(path.stat().st_mode) == 0o600
-    token = read_writer_token(path)
-    assert len(token.get_secret_value()) >= 40 and token.get_secret_value() not in repr(token)
-    assert read_writer_token(make_writer_token(tmp_path / "home")) == token
-    path.chmod(0o640)
-    with pytest.raises(InputError, match="chmod 600") as refused:
-        read_writer_token(path)
-    assert token.get_secret_value() not in str(refused.value)
-    with pytest.raises(InputError, match="cannot be read"):
-        read_writer_token(tmp_path / "none")
-    for short in ("short", "with a space in it all", "ümlaut-ümlaut-ümlaut", ""):
-        with pytest.raises(InputError, match="at least 16") as refused:
-            checked_token(SecretStr(short), "CONETL_WRITER_TOKEN")
-        assert not short or short not in str(refused.value)
-
-
 def test_only_a_server_with_a_token_accepts_decisions_and_none_prints_it(tmp_path: Path, capfd):
     home = Settings(home=tmp_path / "home")
     assert writer_of(home, "", on_request=False, token_file=None) is None
     assert not (tmp_path / "home").exists()
     made = writer_of(home, "", on_request=True, token_file=None)
-    in_file = read_writer_token(tmp_path / "home" / "writer_token")
+    in_file = read_secret(tmp_path / "home" / "writer_token")
     assert made is not None and made.token == in_file
     named = writer_of(Settings(home=tmp_path, writer_token=SecretStr(TOKEN)), "", on_request=True, token_file=None)
     assert named is not None and named.token.get_secret_value() == TOKEN and not (tmp_path / "writer_token").exists()

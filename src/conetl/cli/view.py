@@ -18,6 +18,7 @@ from conetl.files.home import VIEW_TOKEN, WRITER_TOKEN, checked_secret, make_sec
 from conetl.model.errors import InputError
 from conetl.pipeline.database import database_url
 from conetl.pipeline.settings import Settings, read_settings
+from conetl.services.http_protocol import BoundedProtocol
 from conetl.web.app import STATIC, create_app
 from conetl.web.decisions import Writer
 
@@ -62,8 +63,8 @@ def view(
             reader_token=token,
         )  # fmt: skip
         config = uvicorn.Config(
-            app, log_level="error", access_log=False, limit_concurrency=_MAX_CONNECTIONS, timeout_graceful_shutdown=3,
-            server_header=False,
+            app, log_level="error", http=BoundedProtocol, access_log=False, limit_concurrency=_MAX_CONNECTIONS,
+            timeout_graceful_shutdown=3, server_header=False,
         )  # fmt: skip
         server = uvicorn.Server(config)
         address = login_address(address, token)

@@ -13,8 +13,7 @@ _TIMEOUT_S = 5
 
 def server_command(host: str, port: int) -> list[str]:
     """Command line of a Prefect server that answers to its own names only."""
-    command = [sys.executable, "-m", "uvicorn", "--factory", "flows.server_app:create_app"]
-    return [*command, "--host", host, "--port", str(port), "--log-level", "warning"]
+    return [sys.executable, "-m", "flows.server_app", host, str(port)]
 
 
 def answers(url: str) -> bool:

@@ -1,0 +1,241 @@
+"""`conetl up` against strangers: other users of the machine, pages of other origins, forged hosts, callers of Prefect's API.
+
+Everything of conetl gets in, nobody else does, and a given password is written nowhere.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import httpx
+import pytest
+
+from conetl.db.cluster.cluster import cluster_remove
+from conetl.files.home import VIEW_TOKEN
+from tests.integration.small_drives import SAMPLES, cut_drive, processes_with
+
+#: Loopback, but none of the addresses that need no password.
+HOST = "127.0.0.2"
+DRIVES = Path(tempfile.gettempdir())
+CHROMIUM = shutil.which("chromium")
+WORD = "s3cr3t-of-the-desk"
+AUTH = f"desk:{WORD}"
+
+
+def free_port(host: str) -> int:
+    with socket.socket() as probe:
+        probe.bind((host, 0))
+        return int(probe.getsockname()[1])
+
+
+def conetl(home: Path, *arguments: object, auth: str | None = AUTH) -> subprocess.CompletedProcess[str]:
+    """One command with --json, in a shell that knows the password, another one, or none."""
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("PREFECT_", "CONETL_"))}
+    environment |= {"CONETL_HOME": str(home), "TMPDIR": str(home / "tmp"), "CONETL_DRIVE_ROOTS": str(DRIVES)}
+    if auth:
+        environment["PREFECT_SERVER_API_AUTH_STRING"] = auth
+    return subprocess.run(
+        [sys.executable, "-c", "from conetl.cli import main; main()", *map(str, arguments), "--json"],
+        env=environment, capture_output=True, text=True, timeout=600, check=False,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def home(services_home: Path) -> Iterator[Path]:
+    # The run's process id last, or another test run takes it for a leftover.
+    prefix, main_pid = services_home.name.rsplit("-", 1)
+    place = services_home.with_name(f"{prefix}-protected-{main_pid}")
+    (place / "tmp").mkdir(parents=True)
+    try:
+        yield place
+    finally:
+        conetl(place, "down")
+        cluster_remove(place)
+        left = processes_with("CONETL_HOME", place)
+        shutil.rmtree(place)
+    assert left == set()
+
+
+def test_a_protected_server_serves_those_who_know_the_password(home: Path, tmp_path: Path) -> None:
+    port = free_port(HOST)
+    view_port = free_port("127.0.0.1")
+    up = ("up", "--host", HOST, "--port", port, "--view-port", view_port)
+    drives = [cut_drive(SAMPLES[n], tmp_path / f"2026-05-0{n + 1}_run", f"2026-05-0{n + 1}") for n in (0, 1)]
+    done = conetl(home, *up)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["deployments_registered"]
+    api, view = f"http://{HOST}:{port}/api", f"http://127.0.0.1:{view_port}"
+    assert conetl(home, "status", auth=None).returncode == 0
+
+    for auth, command in (
+        (None, ("ingest", drives[0])),
+        ("desk:guessed", ("backfill", tmp_path)),
+        ("desk:guessed", up),
+        (None, ("up", "--port", port)),
+    ):
+        refused = conetl(home, *command, auth=auth)
+        assert refused.returncode == 3, (command, refused.stdout, refused.stderr)
+        assert "set PREFECT_SERVER_API_AUTH_STRING" in refused.stderr
+        assert "Traceback" not in refused.stderr
+
+    done = conetl(home, "ingest", drives[0])
+    assert done.returncode == 0, done.stderr
+    assert [report["status"] for report in json.loads(done.stdout)] == ["committed"]
+    # By a worker, which has the password from `up`.
+    done = conetl(home, "backfill", tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert [(d["drive_id"], d["state"]) for d in json.loads(done.stdout)["drives"]] == [("2026-05-02_run", "committed")]
+    done = conetl(home, "backfill", tmp_path, "--here", "--recheck")
+    assert done.returncode == 0, done.stderr
+    assert [d["state"] for d in json.loads(done.stdout)["drives"]] == ["known", "known"]
+
+    assert files_with(home, WORD) == []
+    assert arguments_with(WORD) == []
+    prefect_refuses_strangers(api)
+    view_refuses_strangers(view, (home / VIEW_TOKEN).read_text().strip())
+    nobody_reads(home)
+    if CHROMIUM:
+        pages_of_other_origins_learn_nothing(f"{api}/deployments/filter", f"{view}/api/maps")
+    assert conetl(home, "down").returncode == 0
+    assert files_with(home, WORD) == []  # what was still in memory is on disk now, Prefect's database included
+
+
+def prefect_refuses_strangers(api: str) -> None:
+    """Without login, from another origin, by another name; and what a caller with the login may not choose."""
+    with httpx.Client(base_url=api, trust_env=False, timeout=60) as client:
+        paths = client.get(f"{api.removesuffix('/api')}/openapi.json", auth=tuple(AUTH.split(":"))).json()["paths"]
+        found = {path for path, methods in paths.items() for method in methods if answers(client, method, path)}
+        assert len(paths) > 100
+        assert found <= {"/health", "/ready"}
+        preflight = {"Origin": "https://elsewhere.example", "Access-Control-Request-Method": "POST"}
+        answer = client.options("/deployments/filter", headers=preflight)
+        assert answer.status_code == 400
+        assert "access-control-allow-origin" not in answer.headers
+        forged = client.get("/health", headers={"Host": "elsewhere.example"})
+        assert (forged.status_code, forged.text) == (400, "Invalid host header")
+
+        client.auth = httpx.BasicAuth(*AUTH.split(":"))
+        deployment = client.get("/deployments/name/audit/audit").json()["id"]
+        for variables in ({"command": "id"}, {"env": {"PATH": "."}}, {"working_dir": "/tmp"}):
+            body = {"job_variables": variables}
+            assert client.post(f"/deployments/{deployment}/create_flow_run", json=body).status_code == 422
+        drive = client.get("/deployments/name/ingest-drive/ingest-drive").json()["id"]
+        for parameters in ({"drive": 3}, {"drive": "/", "map_name": "../x"}, {"drive": "/", "params": {"model": "x"}}):
+            body = {"parameters": parameters}
+            assert client.post(f"/deployments/{drive}/create_flow_run", json=body).status_code in (409, 422)
+        run = client.post(f"/deployments/{drive}/create_flow_run", json={"parameters": {"drive": "/etc"}}).json()["id"]
+        while (state := client.get(f"/flow_runs/{run}").json()["state"])["type"] not in (
+            "FAILED",
+            "COMPLETED",
+            "CRASHED",
+        ):
+            time.sleep(0.5)
+        assert state["type"] == "FAILED"
+        assert "CONETL_DRIVE_ROOTS" in state["message"]
+
+
+def answers(client: httpx.Client, method: str, path: str) -> bool:
+    """Whether a route gives anything to a caller without login."""
+    filled = re.sub(r"\{[^}]*\}", "00000000-0000-0000-0000-000000000000", path)
+    return client.request(method, filled, json={}).status_code != httpx.codes.UNAUTHORIZED
+
+
+def view_refuses_strangers(view: str, token: str) -> None:
+    with httpx.Client(base_url=view, trust_env=False, timeout=60) as client:
+        paths = client.get("/api/openapi.json", auth=("anybody", token)).json()["paths"]
+        for path in ("/", "/assets/index.js", "/ogc/", "/ogc/collections", *paths):
+            refused = client.get(path, headers={"Authorization": "Bearer guessed"})
+            assert refused.status_code == 401, path
+            assert "Log in" in refused.json()["detail"]
+        assert client.get("/?token=guessed").status_code == 401
+        assert client.get("/api/maps", headers={"Host": "elsewhere.example"}, auth=("", token)).status_code == 400
+        assert client.get("/api/maps", headers={"Authorization": f"Bearer {token}"}).status_code == 200
+        login = client.get("/", params={"token": token, "x": "1"})
+        assert (login.status_code, login.headers["location"]) == (303, f"{view}/?x=1")
+        cookie = login.headers["set-cookie"].lower()
+        assert "httponly" in cookie and "samesite=lax" in cookie
+        assert client.get("/api/maps").status_code == 200  # by the cookie
+
+
+def nobody_reads(home: Path) -> None:
+    """Another user of the machine lists and opens nothing below the home folder, and connects to no database."""
+    if os.geteuid() != 0:
+        return
+    # Names and process ids of services are no secret: everybody lists processes.
+    files = [path for path in home.rglob("*") if path.is_file() and path.name not in ("services.json", "services.lock")]
+    sockets = [path for path in home.rglob(".s.PGSQL.*") if path.is_socket()]
+    assert files and sockets
+    script = 'for f; do if [ -r "$f" ] || [ -w "$f" ]; then echo "$f"; fi; done'
+    done = subprocess.run(
+        ["sh", "-c", script, "sh", *map(str, (*files, *sockets))], user="nobody", group="nogroup", extra_groups=[],
+        capture_output=True, text=True, check=False, cwd="/",
+    )  # fmt: skip
+    assert (done.returncode, done.stdout) == (0, ""), done.stderr[-2000:]
+
+
+def pages_of_other_origins_learn_nothing(*urls: str) -> None:
+    """A page of another origin in Chromium: no answer can be read, with or without CORS."""
+    playwright_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed (extra `dev`)")
+    fetch = """async ([url, mode]) => {
+        try { const r = await fetch(url, {mode, credentials: 'include'}); return r.type + (await r.text()) }
+        catch (error) { return 'refused' }
+    }"""
+    with socket.create_server(("127.0.0.1", 0)) as other, playwright_api.sync_playwright() as playwright:
+        page_of(other)
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-quic"])
+        page = browser.new_page()
+        page.goto(f"http://localhost:{other.getsockname()[1]}/")
+        for url in urls:
+            assert page.evaluate(fetch, [url, "cors"]) == "refused"
+            assert page.evaluate(fetch, [url, "no-cors"]) in ("refused", "opaque")
+        browser.close()
+
+
+def page_of(listener: socket.socket) -> None:
+    """Serve an empty page to whoever connects, until the socket is closed."""
+
+    def serve() -> None:
+        with suppress(OSError):
+            while True:
+                caller, _ = listener.accept()
+                with caller:
+                    caller.recv(65536)
+                    caller.sendall(b"HTTP/1.1 200 OK\r\nContent-Type: text/html\r\nContent-Length: 0\r\n\r\n")
+
+    threading.Thread(target=serve, daemon=True).start()
+
+
+def files_with(folder: Path, word: str) -> list[Path]:
+    """Files that hold a word; what vanishes in between does not count."""
+    found = []
+    for path in folder.rglob("*"):
+        try:
+            if path.is_file() and word.encode() in path.read_bytes():
+                found.append(path)
+        except FileNotFoundError:
+            continue
+    return found
+
+
+def arguments_with(word: str) -> list[int]:
+    """Living processes that show a word to whoever lists them."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        try:
+            if entry.name.isdigit() and word.encode() in (entry / "cmdline").read_bytes():
+                found.append(int(entry.name))
+        except OSError:
+            continue
+    return found

@@ -1,0 +1,126 @@
+"""Logins: of the Prefect server, checked before it is used, and the files of secrets in the home folder."""
+
+from __future__ import annotations
+
+import base64
+import grp
+import os
+import stat
+import threading
+from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
+
+import pytest
+from pydantic import SecretStr
+
+from conetl.files.home import (
+    FOLDERS,
+    VIEW_TOKEN,
+    checked_secret,
+    home_access,
+    make_home,
+    make_secret,
+    read_secret,
+    share_home,
+)
+from conetl.model.errors import InputError, ServiceError
+from conetl.pipeline.settings import Settings, prefect_login
+from conetl.services.prefect_api import require_access
+
+SECRET = "desk:wide-open"
+VARIABLE = "PREFECT_SERVER_API_AUTH_STRING"
+
+
+class _Protected(BaseHTTPRequestHandler):
+    """Like Prefect's server with PREFECT_SERVER_API_AUTH_STRING: all but /health requires the password."""
+
+    def do_GET(self) -> None:
+        wanted = f"Basic {base64.b64encode(SECRET.encode()).decode()}"
+        self.send_response(200 if self.path == "/api/health" or self.headers["Authorization"] == wanted else 401)
+        self.end_headers()
+
+    def log_message(self, *_: object) -> None: ...
+
+
+@pytest.fixture
+def api() -> Iterator[str]:
+    with HTTPServer(("127.0.0.1", 0), _Protected) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_port}/api"
+        server.shutdown()
+        thread.join()
+
+
+@pytest.mark.parametrize("auth", [None, "desk:guessed"])
+def test_without_the_password_the_error_names_the_variable(api: str, auth: str | None) -> None:
+    require_access(api, SECRET, VARIABLE)
+    with pytest.raises(ServiceError, match=f"set {VARIABLE}") as refusal:
+        require_access(api, auth, VARIABLE)
+    assert api in str(refusal.value)
+    assert "guessed" not in str(refusal.value)
+
+
+def test_clients_use_the_password_of_the_own_server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("PREFECT_API_AUTH_STRING", raising=False)
+    monkeypatch.delenv("PREFECT_SERVER_API_AUTH_STRING", raising=False)
+    own = prefect_login(tmp_path / "home")
+    assert own.startswith("conetl:") and len(own) > 40
+    assert own == prefect_login(tmp_path / "home") != prefect_login(tmp_path / "other")
+    monkeypatch.setenv("PREFECT_API_AUTH_STRING", "desk:of-a-client")
+    assert prefect_login(tmp_path / "home") == "desk:of-a-client"
+    monkeypatch.setenv("PREFECT_SERVER_API_AUTH_STRING", SECRET)
+    assert prefect_login(tmp_path / "none") == SECRET
+    assert not (tmp_path / "none").exists()
+
+
+def test_only_its_owner_reads_a_secret(tmp_path: Path) -> None:
+    path = make_secret(tmp_path / "home" / "writer_token")
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    token = read_secret(path)
+    assert len(token.get_secret_value()) >= 40 and token.get_secret_value() not in repr(token)
+    assert read_secret(make_secret(path)) == token
+    path.chmod(0o640)
+    with pytest.raises(InputError, match="chmod 600") as refused:
+        read_secret(path)
+    assert token.get_secret_value() not in str(refused.value)
+    with pytest.raises(InputError, match="cannot be read"):
+        read_secret(tmp_path / "none")
+    for short in ("short", "with a space in it all", "ümlaut-ümlaut-ümlaut", ""):
+        with pytest.raises(InputError, match="at least 16") as refused:
+            checked_secret(SecretStr(short), "CONETL_WRITER_TOKEN")
+        assert not short or short not in str(refused.value)
+
+
+def test_a_home_folder_is_closed_and_shared_only_on_purpose(tmp_path: Path) -> None:
+    home = tmp_path / "home"
+    (home / "exports").mkdir(parents=True)
+    (home / "exports" / "report.html").write_text("street")
+    (home / "exports").chmod(0o755)
+    assert home_access(home) == "everybody"
+    make_home(home)
+    assert home_access(home) == "owner only"
+    assert {stat.S_IMODE((home / name).stat().st_mode) for name in FOLDERS} == {0o700}
+    make_secret(home / VIEW_TOKEN)
+    group = grp.getgrgid(os.getegid()).gr_name
+    share_home(home, group)
+    make_home(home)  # as every later command does
+    assert home_access(home) == f"owner and group {group}"
+    assert stat.S_IMODE((home / "exports").stat().st_mode) == 0o2750
+    assert stat.S_IMODE((home / VIEW_TOKEN).stat().st_mode) == 0o600
+    with pytest.raises(InputError, match="no group"):
+        share_home(home, "no-such-group")
+
+
+def test_workers_read_drives_below_the_configured_folders_only(tmp_path: Path) -> None:
+    inside, outside = tmp_path / "drives" / "a", tmp_path / "drives2"
+    inside.mkdir(parents=True)
+    outside.mkdir()
+    (tmp_path / "drives" / "link").symlink_to(outside)
+    settings = Settings(drive_roots=f"{tmp_path / 'drives'}, s3://bucket/drives")
+    settings.require_readable(inside)
+    Settings().require_readable(outside)
+    for path in (outside, tmp_path / "drives" / "link", tmp_path / "drives" / ".." / "drives2", Path("/")):
+        with pytest.raises(InputError, match="CONETL_DRIVE_ROOTS"):
+            settings.require_readable(path)
