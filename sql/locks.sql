@@ -25,3 +25,15 @@ where exists (
     and l.classid::bigint = ((hashtextextended(wanted.name, 0) >> 32) & 4294967295)
     and l.objid::bigint = (hashtextextended(wanted.name, 0) & 4294967295)
 );
+
+-- name: blockers
+-- Sessions that hold what another one waits for. Parameters: pid. Columns: pid, login, program, address, state, since, statement.
+select a.pid, a.usename as login, a.application_name as program, a.client_addr::text as address, a.state,
+       a.xact_start as since, left(a.query, 200) as statement
+from unnest(pg_blocking_pids(%(pid)s)) as blocking (pid)
+join pg_stat_activity a on a.pid = blocking.pid
+order by a.xact_start;
+
+-- name: wait_without_limit
+-- Locks that show which processes are alive are waited for as long as their holders work.
+set lock_timeout = 0;

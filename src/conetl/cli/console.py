@@ -42,15 +42,17 @@ err = Console(stderr=True, highlight=False)
 
 
 def start_logging(verbosity: int) -> None:
-    """Log conetl to standard error: INFO at 1 (-v), DEBUG at 2 (-vv), nothing at 0."""
+    """Log conetl to standard error: INFO at 1 (-v), DEBUG at 2 (-vv), at 0 what the database warns of.
+
+    Other warnings are in the answers of commands.
+    """
     log = logging.getLogger("conetl")
-    handler: logging.Handler = logging.NullHandler()
-    if verbosity:
-        handler = RichHandler(console=err, show_path=verbosity > 1) if err.is_terminal else logging.StreamHandler()
+    log.handlers = [logging.NullHandler()]
+    handler = RichHandler(console=err, show_path=verbosity > 1) if err.is_terminal else logging.StreamHandler()
     handler.setFormatter(
         logging.Formatter("%(message)s" if err.is_terminal else "%(asctime)s %(levelname)s %(message)s")
     )
-    log.handlers = [handler]
+    logging.getLogger("conetl" if verbosity else "conetl.db").handlers = [handler]
     log.setLevel((logging.WARNING, logging.INFO, logging.DEBUG)[min(verbosity, 2)])
 
 

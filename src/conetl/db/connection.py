@@ -6,10 +6,11 @@ import os
 import re
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from io import BufferedReader, BytesIO
 from typing import Any, TypeAlias
 from urllib.parse import quote, urlencode
+from weakref import WeakKeyDictionary
 
 import psycopg2
 import psycopg2.errors
@@ -17,6 +18,7 @@ import psycopg2.extensions
 import psycopg2.extras
 
 from conetl.db.copy_binary import Column, encode
+from conetl.db.lock_watch import LockWatch
 from conetl.db.statements import load_sql
 from conetl.model.errors import DatabaseError
 
@@ -34,10 +36,12 @@ CLIENT_KEEPALIVES = {
     "keepalives_count": _COUNT,
     "tcp_user_timeout": _GONE_MS,
 }
+#: How long a statement waits for a lock of another session.
+LOCK_TIMEOUT_S = 600.0
 #: Times in UTC; and the server's side of the keepalives, by which it frees the locks of a machine that is gone.
 SESSION_OPTIONS = (
-    f"-c timezone=UTC -c tcp_keepalives_idle={_IDLE_S} -c tcp_keepalives_interval={_INTERVAL_S} "
-    f"-c tcp_keepalives_count={_COUNT} -c tcp_user_timeout={_GONE_MS}"
+    f"-c timezone=UTC -c lock_timeout={LOCK_TIMEOUT_S * 1000:.0f} -c tcp_keepalives_idle={_IDLE_S} "
+    f"-c tcp_keepalives_interval={_INTERVAL_S} -c tcp_keepalives_count={_COUNT} -c tcp_user_timeout={_GONE_MS}"
 )
 #: Sent at once; psycopg2's own 8 kB cost a Python call for every few rows.
 COPY_CHUNK_BYTES = 1 << 20
@@ -84,7 +88,32 @@ def connect(url: str) -> Connection:
         conn.autocommit = True
         execute(conn, load_sql("schema.search_path"))
         conn.autocommit = False
+    _addresses[conn] = url
+    _watch.add(conn)
     return conn
+
+
+def _is_busy(conn: Connection) -> bool:
+    return bool(conn.info.transaction_status == psycopg2.extensions.TRANSACTION_STATUS_ACTIVE)
+
+
+def _blockers(conn: Connection) -> list[str]:
+    """Who blocks a connection, asked in a session of its own; nobody where the server does not answer."""
+    try:
+        with closing(psycopg2.connect(_addresses[conn], connect_timeout=CONNECT_TIMEOUT_S)) as asking:
+            rows = execute(asking, load_sql("locks.blockers"), {"pid": conn.info.backend_pid})
+    except psycopg2.Error:
+        return []
+    return [
+        f"process {row['pid']} (user {row['login']}, program {row['program'] or 'unknown'}, {row['address'] or 'this machine'}, "
+        f"{row['state']} since {row['since']:%Y-%m-%d %H:%M:%S} UTC: {' '.join(row['statement'].split())[:80]})"
+        for row in rows
+    ]
+
+
+#: Of open connections; they themselves know theirs without its password.
+_addresses: WeakKeyDictionary[Connection, str] = WeakKeyDictionary()
+_watch = LockWatch(_is_busy, _blockers)
 
 
 @contextmanager
@@ -99,6 +128,11 @@ def database_errors(what: str) -> Iterator[None]:
     ) as error:
         raise DatabaseError(
             f"{what}: {_first_line(error)}. The database lacks conetl's present schema: run `conetl db migrate`."
+        ) from error
+    except psycopg2.errors.LockNotAvailable as error:
+        holder = next(iter(_watch.holders.values()), "another session")
+        raise DatabaseError(
+            f"{what}: a lock was not free in time; it is held by {holder}. End that session, or try again later."
         ) from error
     except psycopg2.Error as error:
         raise DatabaseError(f"{what}: {_first_line(error)}") from error

@@ -62,6 +62,7 @@ class _HeldLocks:
         try:
             with database_errors("A lock could not be taken"):
                 conn.autocommit = True
+                execute(conn, load_sql("locks.wait_without_limit"))
                 for name in self._names:
                     execute(conn, load_sql("locks.take_lock"), {"name": name})
         except BaseException:

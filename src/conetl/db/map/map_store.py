@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from uuid import UUID
 
-from conetl.db.connection import Connection, database_errors, execute, stream, transaction
+from conetl.db.connection import LOCK_TIMEOUT_S, Connection, database_errors, execute, stream, transaction
 from conetl.db.copy_binary import clean_text
 from conetl.db.map.results import CommittedChangeset, FeatureAtInstant, FeatureLogEntry, MapInfo, MapSummary
 from conetl.db.map.rows import feature_of
@@ -17,7 +17,6 @@ from conetl.model.map_records import DeltaKind, MapFeature
 
 Bbox = tuple[float, float, float, float]
 """west, south, east, north in metres of the map's CRS."""
-LOCK_TIMEOUT_S = 600.0
 
 
 @contextmanager

@@ -11,9 +11,9 @@ from datetime import datetime
 from typing import NamedTuple
 from uuid import UUID
 
-from conetl.db.connection import Connection
+from conetl.db.connection import LOCK_TIMEOUT_S, Connection
 from conetl.db.map.decision_store import find_decisions, insert_decision, list_decisions, read_decisions
-from conetl.db.map.map_store import LOCK_TIMEOUT_S, find_features, map_transaction, require_map, system_time
+from conetl.db.map.map_store import find_features, map_transaction, require_map, system_time
 from conetl.db.map.replay_store import affected_drives, drives_at, read_open_version, superseded_drives, write_replay
 from conetl.db.map.results import Decidable, MapInfo, Replay
 from conetl.mapping.history import is_within
